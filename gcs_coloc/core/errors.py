@@ -1,0 +1,32 @@
+"""Every error that gcs-coloc raises on purpose: one root, one subclass per cause.
+
+A message of these errors is written for the person at the keyboard: it names the input and the mend.
+"""
+
+
+class GcsColocError(Exception):
+    """Root of all deliberate errors. The command line prints its text as one line and exits with `exit_code`."""
+
+    exit_code = 1
+
+
+class UsageError(GcsColocError):
+    """A command line that cannot be obeyed (unknown flag, malformed address)."""
+
+    exit_code = 2
+
+
+class ConfigError(UsageError):
+    """A configuration file that is missing, malformed, or holds an unknown key or impossible value."""
+
+
+class LinkError(GcsColocError):
+    """A link that cannot be opened: port in use, no such serial device, host not found."""
+
+
+class EstimatorError(GcsColocError):
+    """An estimator that does not exist, cannot be loaded, or was given settings that it does not have."""
+
+
+class DataError(GcsColocError):
+    """A recording or data set that cannot be read; the text names file, line and column where there is one."""

@@ -1,0 +1,117 @@
+"""Timed measurements in the fleet's frame: what an estimator is fed with, and what it answers.
+
+Frame: east, north, up in metres about the fleet origin. Time: seconds on the service's clock. `measured_at_s` is when
+the quantity held, `arrived_at_s` when the service learned of it (never earlier in a healthy set-up, often 50-500 ms
+later, and not in the order of measuring). All sigmas are one standard deviation per axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector3 = tuple[float, float, float]
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PositionMeasurement:
+    """A vehicle's position, and its velocity where known, from a receiver that is trusted at that time.
+
+    Never made from what a vehicle without GPS says of its own position.
+    """
+
+    vehicle: int
+    measured_at_s: float
+    arrived_at_s: float
+    position_enu_m: Vector3
+    sigma_h_m: float
+    sigma_v_m: float
+    velocity_enu_mps: Vector3 | None = None
+    sigma_velocity_mps: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RangeMeasurement:
+    """A slant range between two vehicles; `from_vehicle` measured it. Direction carries no meaning for the value."""
+
+    from_vehicle: int
+    to_vehicle: int
+    measured_at_s: float
+    arrived_at_s: float
+    range_m: float
+    sigma_m: float
+    device_id: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class AltitudeMeasurement:
+    """A vehicle's height in the fleet frame from its barometer: valid with and without GPS."""
+
+    vehicle: int
+    measured_at_s: float
+    arrived_at_s: float
+    up_m: float
+    sigma_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeMeasurement:
+    """A vehicle's attitude, and its airspeed where known: valid with and without GPS. Yaw from true north, clockwise."""
+
+    vehicle: int
+    measured_at_s: float
+    arrived_at_s: float
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    airspeed_mps: float | None
+
+
+Measurement = PositionMeasurement | RangeMeasurement | AltitudeMeasurement | AttitudeMeasurement
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Where one vehicle is at one time.
+
+    `position_enu_m` (3,) m, `velocity_enu_mps` (3,) m/s, `covariance` (6, 6) of position then velocity, symmetric
+    positive definite. `hdop` is the horizontal dilution of the ranges in use (no clock column), `None` where there are
+    fewer than two. `ranges_in_use` counts the distinct vehicles whose ranges were used lately.
+    """
+
+    vehicle: int
+    at_s: float
+    position_enu_m: FloatArray
+    velocity_enu_mps: FloatArray
+    covariance: FloatArray
+    hdop: float | None
+    ranges_in_use: int
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """The honest answer where there is no estimate fit to be stated, with the reason in words."""
+
+    vehicle: int
+    at_s: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """What an estimator made of one range (or one fix, `to_vehicle` None): innovation, its sigma, and the verdict.
+
+    `nis` is the normalised innovation squared with `degrees_of_freedom`. `refused` is the reason in words, `None` where it was used.
+    """
+
+    from_vehicle: int
+    to_vehicle: int | None
+    measured_at_s: float
+    innovation_m: float
+    sigma_m: float
+    nis: float
+    degrees_of_freedom: int
+    refused: str | None

@@ -1,0 +1,1 @@
+"""Sockets and serial lines: datagrams with their address and arrival time, nothing more."""

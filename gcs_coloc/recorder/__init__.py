@@ -1,0 +1,1 @@
+"""Reading flights that were recorded."""

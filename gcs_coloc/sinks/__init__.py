@@ -1,0 +1,1 @@
+"""Observers of the engine: they look on and cannot hold it up."""

@@ -1,0 +1,1 @@
+"""The paper's tables and figures, Monte Carlo, evaluation on data sets."""
