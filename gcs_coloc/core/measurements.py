@@ -104,7 +104,8 @@ class Unknown:
 class Residual:
     """What an estimator made of one range (or one fix, `to_vehicle` None): innovation, its sigma, and the verdict.
 
-    `nis` is the normalised innovation squared with `degrees_of_freedom`. `refused` is the reason in words, `None` where it was used.
+    `nis` is the normalised innovation squared with `degrees_of_freedom`. `refused` is the reason in words, `None` where it
+    was used.
     """
 
     from_vehicle: int

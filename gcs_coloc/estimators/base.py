@@ -33,7 +33,10 @@ class Estimator(Protocol):
         ...
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
-        """Answer where a vehicle is at a time near the present: predicted beyond, or stepped back to before, the newest measurement."""
+        """Answer where a vehicle is at a time near the present.
+
+        The state is predicted beyond, or stepped back to before, the newest measurement.
+        """
         ...
 
     def take_residuals(self) -> list[Residual]:
