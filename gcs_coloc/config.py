@@ -1,0 +1,168 @@
+"""Configuration: a TOML file, environment variables and command-line flags become frozen settings; unknown keys are refused.
+
+Flags win over the environment (`GCS_COLOC_...`, nested keys joined by two underscores), which wins over the file.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic.dataclasses import dataclass
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
+
+from gcs_coloc.core.engine import EngineSettings
+from gcs_coloc.core.errors import ConfigError
+from gcs_coloc.core.feed import FeedSettings
+from gcs_coloc.core.gps_input import AidSettings
+from gcs_coloc.core.health import HealthSettings
+
+_STRICT = ConfigDict(extra="forbid")
+_MAY_BE_ZERO = ("lag_s", "gps_id")
+
+
+class _Checked:
+    """Refuses numbers that no setting of the core can mean: negative, zero where a duration or sigma is meant, not finite."""
+
+    def __post_init__(self) -> None:
+        for f in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, f.name)
+            least_ok = value >= 0 if f.name in _MAY_BE_ZERO else value > 0
+            if not (math.isfinite(value) and least_ok):
+                raise ValueError(f"{f.name} must be a positive number, not {value}")
+
+
+@dataclass(frozen=True, config=_STRICT)
+class HealthConfig(_Checked, HealthSettings):
+    """`[health]`: when a vehicle's GPS is taken to have failed, and to be back."""
+
+
+@dataclass(frozen=True, config=_STRICT)
+class FeedConfig(_Checked, FeedSettings):
+    """`[feed]`: noise that the wire does not tell."""
+
+
+@dataclass(frozen=True, config=_STRICT)
+class AidConfig(_Checked, AidSettings):
+    """`[aid]`: what is sent to a vehicle without GPS."""
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class MavlinkConfig(_Section):
+    """`[mavlink]`: who we are on the link."""
+
+    system_id: int = Field(254, ge=1, le=255, description="our MAVLink system id; a vehicle may demand its MAV_GCS_SYSID here")
+    component_id: int = Field(191, ge=1, le=255, description="our MAVLink component id (MAV_COMP_ID_ONBOARD_COMPUTER)")
+
+
+class FleetConfig(_Section):
+    """`[fleet]`: the operator's word on single vehicles, and the fleet's bounds."""
+
+    failed: tuple[int, ...] = Field((), description="system ids whose GPS is declared failed, whatever it says")
+    healthy: tuple[int, ...] = Field((), description="system ids whose GPS is declared healthy, whatever it says")
+    most_vehicles: int = Field(250, ge=2, le=250, description="vehicles beyond this number are refused")
+    request_streams: bool = Field(True, description="ask vehicles for the messages that are missing (SET_MESSAGE_INTERVAL)")
+
+    @field_validator("failed", "healthy")
+    @classmethod
+    def _sysids(cls, sysids: tuple[int, ...]) -> tuple[int, ...]:
+        for sysid in sysids:
+            if not 1 <= sysid <= 255:
+                raise ValueError(f"{sysid} is not a MAVLink system id (1 to 255)")
+        return sysids
+
+
+class EstimatorConfig(_Section):
+    """`[estimator]`: which estimator locates the vehicles, with its own settings in `[estimator.settings]`."""
+
+    name: str = Field("fleet", description="fleet, qu_zhang, or a plug-in as package.module:Class or path/to/file.py:Class")
+    settings: dict[str, Any] = Field(default_factory=dict, description="settings of that estimator")
+
+
+class Settings(BaseSettings):
+    """Everything that can be set. Every key has a default but `links`: a service without a link has nothing to do."""
+
+    model_config = SettingsConfigDict(extra="forbid", frozen=True, env_prefix="GCS_COLOC_", env_nested_delimiter="__")
+
+    links: tuple[str, ...] = Field(
+        (), description="connection strings: udpin:HOST:PORT, udpout:, tcp:, tcpin:, serial:DEVICE:BAUD"
+    )
+    mavlink: MavlinkConfig = Field(default_factory=lambda: MavlinkConfig.model_validate({}))
+    fleet: FleetConfig = Field(default_factory=lambda: FleetConfig.model_validate({}))
+    estimator: EstimatorConfig = Field(default_factory=lambda: EstimatorConfig.model_validate({}))
+    health: HealthConfig = Field(default_factory=HealthConfig)
+    feed: FeedConfig = Field(default_factory=FeedConfig)
+    aid: AidConfig = Field(default_factory=AidConfig)
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Flags, then environment, then the TOML file."""
+        del dotenv_settings, file_secret_settings
+        return init_settings, env_settings, TomlConfigSettingsSource(settings_cls)
+
+    def engine(self) -> EngineSettings:
+        """The part that the engine needs."""
+        return EngineSettings(
+            health=self.health,
+            feed=self.feed,
+            aid=self.aid,
+            request_streams=self.fleet.request_streams,
+            most_vehicles=self.fleet.most_vehicles,
+        )
+
+
+def load_settings(path: Path | None, flags: Mapping[str, Any]) -> Settings:
+    """Read the configuration.
+
+    Args:
+        path: the TOML file, or None for none.
+        flags: settings from the command line, nested as in the file.
+
+    Raises:
+        ConfigError: the file cannot be read or parsed, or a key is unknown, or a value impossible; the text names them.
+    """
+    if path is not None:
+        _must_parse(path)
+
+    class FromFile(Settings):
+        model_config = SettingsConfigDict(toml_file=path)
+
+    source = str(path) if path is not None else "settings"
+    try:
+        return FromFile(**flags)
+    except ValidationError as error:
+        raise ConfigError(f"{source}: {'; '.join(_problem(e) for e in error.errors())}") from None
+
+
+def _must_parse(path: Path) -> None:
+    try:
+        tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: is not a text file in UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: is not valid TOML: {error}") from None
+
+
+def _problem(error: Any) -> str:
+    key = ".".join(str(part) for part in error["loc"])
+    if error["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        return f"{key}: unknown key; see the configuration reference for those there are"
+    text = error["msg"].removeprefix("Value error, ")
+    return f"{key}: {text[0].lower() + text[1:]}" if key else text

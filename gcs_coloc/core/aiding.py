@@ -1,0 +1,111 @@
+"""Who is aided and when: the policy and the steady schedule of GPS_INPUT, one stream per aided vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from gcs_coloc.core.fleet import Vehicle
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.gps_input import AidSettings, gps_input, no_fix, why_no_fix
+from gcs_coloc.core.health import GpsState
+from gcs_coloc.core.measurements import Estimate, Unknown
+from gcs_coloc.core.messages import Autopilot, GpsInput, Notice, Outbound
+
+_AIDED_STATES = (GpsState.FAILED, GpsState.RECOVERING)
+
+
+@dataclass(slots=True)
+class _Stream:
+    """The stream of aid to one vehicle: when the next message is due, and why the last one carried no fix."""
+
+    due_s: float
+    no_fix_because: str | None = "not sent yet"
+    sent: int = 0
+
+
+class Aiding:
+    """Keeps one stream of GPS_INPUT for each vehicle that is to be aided and can be reached."""
+
+    def __init__(self, settings: AidSettings) -> None:
+        self.settings = settings
+        self._period_s = 1.0 / settings.rate_hz
+        self._streams: dict[int, _Stream] = {}
+
+    def review(self, vehicle: Vehicle, now_s: float) -> list[Outbound]:
+        """Start or end the stream of one vehicle after its health, autopilot or route changed."""
+        aided = vehicle.health.state in _AIDED_STATES and self.hindrance(vehicle) is None
+        stream = self._streams.get(vehicle.sysid)
+        if aided and stream is None:
+            self._streams[vehicle.sysid] = _Stream(due_s=now_s)
+            vehicle.health.aided = True
+        elif not aided and stream is not None:
+            del self._streams[vehicle.sysid]
+            vehicle.health.aided = False
+            return [
+                no_fix(vehicle.sysid, self.settings.gps_id),
+                Notice(now_s, vehicle.sysid, "info", f"aid ended: GPS {vehicle.health.state.value}, {vehicle.health.reason}"),
+            ]
+        return []
+
+    def hindrance(self, vehicle: Vehicle) -> str | None:
+        """Why a vehicle cannot be aided even if it should be, in words for the operator; None where it can."""
+        if vehicle.blocked is not None:
+            return vehicle.blocked
+        if vehicle.autopilot is Autopilot.PX4:
+            return "PX4 does not take GPS_INPUT: nothing is sent"
+        return None
+
+    def due(
+        self,
+        now_s: float,
+        frame: LocalFrame | None,
+        utc_minus_service_s: float | None,
+        answer: Callable[[int, float], Estimate | Unknown],
+    ) -> list[Outbound]:
+        """The GPS_INPUT messages that are due by `now_s`, with a notice where a stream gains or loses its fix.
+
+        `answer` is the estimator's: where a vehicle is at a service time. Deadlines keep a fixed grid; those that a
+        late call has missed are left out, never caught up with.
+        """
+        out: list[Outbound] = []
+        at_s = now_s - self.settings.lag_s
+        unix_s = at_s + utc_minus_service_s if utc_minus_service_s is not None else None
+        for sysid, stream in self._streams.items():
+            if now_s < stream.due_s:
+                continue
+            missed = int((now_s - stream.due_s) / self._period_s)
+            stream.due_s += (missed + 1) * self._period_s
+            where = answer(sysid, at_s)
+            out.append(gps_input(sysid, where, frame, unix_s, self.settings))
+            out.extend(self._tell(sysid, stream, why_no_fix(where, self.settings), now_s))
+            stream.sent += 1
+        return out
+
+    def next_due_s(self) -> float:
+        """When the next message is due; infinity where nobody is aided."""
+        return min((stream.due_s for stream in self._streams.values()), default=float("inf"))
+
+    def status(self, vehicle: Vehicle) -> str:
+        """The state of a vehicle's aid in a few words, for the operator."""
+        stream = self._streams.get(vehicle.sysid)
+        if stream is not None:
+            return "sending 3D fix" if stream.no_fix_because is None else f"sending no fix: {stream.no_fix_because}"
+        if vehicle.health.state in _AIDED_STATES:
+            return f"NOT SENT: {self.hindrance(vehicle)}"
+        return "off"
+
+    def close(self) -> list[GpsInput]:
+        """End every stream: a last message with fix_type 1 for each vehicle that is being aided."""
+        last = [no_fix(sysid, self.settings.gps_id) for sysid in self._streams]
+        self._streams.clear()
+        return last
+
+    def _tell(self, sysid: int, stream: _Stream, reason: str | None, now_s: float) -> list[Notice]:
+        had_fix, has_fix = stream.no_fix_because is None, reason is None
+        stream.no_fix_because = reason
+        if has_fix and not had_fix:
+            return [Notice(now_s, sysid, "info", "located: sending positions")]
+        if not has_fix and (had_fix or stream.sent == 0):
+            return [Notice(now_s, sysid, "warning", f"not located, sending fix_type 1: {reason}")]
+        return []

@@ -1,0 +1,243 @@
+"""The engine: messages in, outputs out, time passed by hand. It has no socket, no clock and no thread.
+
+Use: `receive` each message as it arrives, `poll` whenever `next_deadline` is due and send what it returns. Times never
+decrease from call to call.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from gcs_coloc.core.aiding import Aiding
+from gcs_coloc.core.feed import Feed, FeedSettings
+from gcs_coloc.core.fleet import Fleet, Vehicle
+from gcs_coloc.core.gps_input import AidSettings, horizontal_bound_95_m, horizontal_sigma_m
+from gcs_coloc.core.gps_time import TABLE_GOOD_UNTIL, table_is_old
+from gcs_coloc.core.health import GpsState, HealthSettings
+from gcs_coloc.core.measurements import Estimate, Measurement, Unknown
+from gcs_coloc.core.messages import (
+    Airspeed,
+    Attitude,
+    ClockReference,
+    EkfStatus,
+    GlobalPosition,
+    GpsInput,
+    GpsReceiver,
+    GpsWord,
+    Heartbeat,
+    Inbound,
+    Notice,
+    OperatorWord,
+    Outbound,
+    PeerRange,
+    RouteReport,
+    SystemHealth,
+    SystemTime,
+)
+from gcs_coloc.core.streams import StreamRequests
+from gcs_coloc.core.view import FleetView, VehicleView
+from gcs_coloc.estimators.base import Estimator
+
+_HOUSEKEEPING_S = 0.2
+_SUBJECT_STATES = (GpsState.SUSPECT, GpsState.FAILED, GpsState.RECOVERING)
+_MESSAGE_IDS = {GlobalPosition: 33, Attitude: 30, Airspeed: 74, SystemHealth: 1, EkfStatus: 193, SystemTime: 2}
+
+
+@dataclass(frozen=True, slots=True)
+class EngineSettings:
+    """Settings of one fleet. `most_vehicles` bounds every table; `request_streams` asks vehicles for missing messages."""
+
+    health: HealthSettings = field(default_factory=HealthSettings)
+    feed: FeedSettings = field(default_factory=FeedSettings)
+    aid: AidSettings = field(default_factory=AidSettings)
+    request_streams: bool = True
+    most_vehicles: int = 250
+
+
+class Engine:
+    """One fleet: registry, GPS health, estimator and aid. Deterministic: the same calls give the same outputs."""
+
+    def __init__(self, estimator: Estimator, settings: EngineSettings | None = None) -> None:
+        self.settings = settings if settings is not None else EngineSettings()
+        self.estimator = estimator
+        self.fleet = Fleet(self.settings.health, self.settings.most_vehicles)
+        self.feed = Feed(self.settings.feed)
+        self.aiding = Aiding(self.settings.aid)
+        self._streams = StreamRequests()
+        self._outbox: list[Outbound] = []
+        self._refused: Counter[str] = Counter()
+        self._utc_minus_service_s: float | None = None
+        self._warned_of_old_table = False
+        self._subjects: frozenset[int] = frozenset()
+        self._words: dict[int, GpsWord] = {}
+        self._housekeeping_due_s = float("-inf")
+
+    def receive(self, message: Inbound) -> None:
+        """Take one message. Never raises for its content: what cannot be used is counted by reason."""
+        at_s = message.received_at_s
+        if isinstance(message, ClockReference):
+            self._utc(message)
+            return
+        if isinstance(message, RouteReport):
+            # Word from the link layer is no sign of life.
+            vehicle = self.fleet.get(message.sysid)
+            if vehicle is not None:
+                vehicle.blocked = message.blocked
+                self._outbox.extend(self.aiding.review(vehicle, at_s))
+            return
+        if isinstance(message, OperatorWord):
+            self._obey(message)
+            return
+        vehicle = self._heard(message.sysid, at_s)
+        if vehicle is None:
+            return
+        resets = vehicle.clock.resets
+        self._take(message, vehicle)
+        if vehicle.clock.resets != resets:
+            self._streams.restarted(vehicle.sysid)
+            self._say(at_s, vehicle.sysid, "warning", "its clock jumped: taken as a reboot")
+        message_id = _MESSAGE_IDS.get(type(message))
+        if message_id is None and isinstance(message, GpsReceiver):
+            message_id = 24 if message.receiver == 0 else 124
+        if message_id is not None:
+            self._streams.heard(vehicle.sysid, message_id, at_s)
+
+    def poll(self, now_s: float) -> list[Outbound]:
+        """Everything that is to be sent or told by now."""
+        if now_s >= self._housekeeping_due_s:
+            self._housekeeping_due_s = now_s + _HOUSEKEEPING_S
+            for vehicle in self.fleet:
+                self._review(vehicle, now_s)
+            if self.settings.request_streams:
+                self._outbox.extend(self._streams.due(now_s))
+        out, self._outbox = self._outbox, []
+        out.extend(self.aiding.due(now_s, self.feed.frame, self._utc_minus_service_s, self._answer))
+        return out
+
+    def next_deadline(self) -> float:
+        """The service time at which `poll` is to be called at the latest."""
+        return min(self._housekeeping_due_s, self.aiding.next_due_s())
+
+    def close(self) -> list[GpsInput]:
+        """The last messages before the service ends: fix_type 1 to every vehicle that is being aided."""
+        return self.aiding.close()
+
+    def refused(self) -> dict[str, int]:
+        """How often what was refused, by reason, since the start."""
+        return dict(self._refused + self.feed.refused)
+
+    def view(self, now_s: float) -> FleetView:
+        """The fleet as it stands, for observers."""
+        vehicles = tuple(self._view_of(vehicle, now_s) for vehicle in sorted(self.fleet, key=lambda v: v.sysid))
+        refused = self.refused() | {f"estimator: {reason}": n for reason, n in self.estimator.counts().items()}
+        return FleetView(now_s, self.estimator.name, vehicles, refused)
+
+    def where(self, sysid: int, at_s: float) -> Estimate | Unknown:
+        """The estimator's answer for one vehicle at one service time."""
+        return self.estimator.estimate(sysid, at_s)
+
+    def _heard(self, sysid: int, at_s: float) -> Vehicle | None:
+        known_before = self.fleet.get(sysid) is not None
+        vehicle = self.fleet.heard(sysid, at_s)
+        if vehicle is None:
+            self._refused["more vehicles than the fleet may have"] += 1
+        elif not known_before:
+            self._say(at_s, sysid, "info", "heard for the first time")
+            vehicle.health.word = self._words.get(sysid, GpsWord.AUTO)
+        return vehicle
+
+    def _obey(self, message: OperatorWord) -> None:
+        self._words[message.sysid] = message.word
+        self._say(message.received_at_s, message.sysid, "info", f"operator: GPS {message.word.value}")
+        vehicle = self.fleet.get(message.sysid)
+        if vehicle is not None:
+            vehicle.health.word = message.word
+            self._review(vehicle, message.received_at_s)
+
+    def _take(self, message: Inbound, vehicle: Vehicle) -> None:
+        measurement: Measurement | None = None
+        match message:
+            case GlobalPosition():
+                vehicle.position = message
+                measurement = self.feed.position(message, vehicle)
+            case Attitude():
+                measurement = self.feed.attitude(message, vehicle)
+            case PeerRange():
+                measurement = self.feed.range(message, vehicle, lambda sysid: self.fleet.get(sysid) is not None)
+            case Airspeed():
+                vehicle.airspeed = message
+            case Heartbeat():
+                if vehicle.autopilot is not message.autopilot:
+                    vehicle.autopilot = message.autopilot
+                    self._review(vehicle, message.received_at_s)
+            case GpsReceiver() | SystemHealth() | EkfStatus():
+                if isinstance(message, GpsReceiver):
+                    if message.receiver == 0:
+                        vehicle.receiver = message
+                    else:
+                        vehicle.injected_receiver = message
+                vehicle.health.take(message)
+                self._review(vehicle, message.received_at_s)
+            case _:
+                pass
+        if measurement is not None:
+            self.estimator.add(measurement)
+
+    def _review(self, vehicle: Vehicle, now_s: float) -> None:
+        before = vehicle.health.state
+        if vehicle.health.update(now_s):
+            state = vehicle.health.state
+            level = "warning" if state in (GpsState.SUSPECT, GpsState.FAILED) else "info"
+            self._say(now_s, vehicle.sysid, level, f"GPS {before.value} -> {state.value}: {vehicle.health.reason}")
+            subjects = frozenset(v.sysid for v in self.fleet if v.health.state in _SUBJECT_STATES)
+            if subjects != self._subjects:
+                self._subjects = subjects
+                self.estimator.set_subjects(subjects, now_s)
+        self._outbox.extend(self.aiding.review(vehicle, now_s))
+
+    def _answer(self, sysid: int, at_s: float) -> Estimate | Unknown:
+        where = self.estimator.estimate(sysid, at_s)
+        vehicle = self.fleet.get(sysid)
+        if vehicle is not None and isinstance(where, Estimate):
+            vehicle.last_known_enu_m = (float(where.position_enu_m[0]), float(where.position_enu_m[1]))
+        return where
+
+    def _utc(self, message: ClockReference) -> None:
+        self._utc_minus_service_s = message.utc_minus_service_s
+        if message.utc_minus_service_s is None or self._warned_of_old_table:
+            return
+        if table_is_old(message.received_at_s + message.utc_minus_service_s):
+            self._warned_of_old_table = True
+            text = f"the leap second table is good until {TABLE_GOOD_UNTIL:%Y-%m-%d} only: GPS time may be a second off, update"
+            self._say(message.received_at_s, None, "warning", text)
+
+    def _say(self, at_s: float, sysid: int | None, level: str, text: str) -> None:
+        self._outbox.append(Notice(at_s, sysid, level, text))
+
+    def _view_of(self, vehicle: Vehicle, now_s: float) -> VehicleView:
+        where = self.estimator.estimate(vehicle.sysid, now_s)
+        known = where if isinstance(where, Estimate) and self.feed.frame is not None else None
+        lat_deg = lon_deg = alt_msl_m = None
+        if known is not None and self.feed.frame is not None:
+            e, n, u = (float(x) for x in known.position_enu_m)
+            lat_deg, lon_deg, alt_msl_m = self.feed.frame.geodetic_from_enu(e, n, u)
+        claim = vehicle.position
+        return VehicleView(
+            sysid=vehicle.sysid,
+            age_s=now_s - vehicle.last_heard_s,
+            autopilot=vehicle.autopilot.value if vehicle.autopilot is not None else "unknown",
+            gps_state=vehicle.health.state.value,
+            gps_reason=vehicle.health.reason,
+            lat_deg=lat_deg,
+            lon_deg=lon_deg,
+            alt_msl_m=alt_msl_m,
+            sigma_h_m=horizontal_sigma_m(known.covariance) if known is not None else None,
+            bound_95_m=horizontal_bound_95_m(known.covariance) if known is not None else None,
+            hdop=known.hdop if known is not None else None,
+            ranges_in_use=known.ranges_in_use if known is not None else 0,
+            unknown_because=where.reason if isinstance(where, Unknown) else None,
+            claim_lat_deg=claim.lat_deg if claim is not None else None,
+            claim_lon_deg=claim.lon_deg if claim is not None else None,
+            aid=self.aiding.status(vehicle),
+        )

@@ -1,0 +1,60 @@
+"""Who is there and what each last said: one record per vehicle, a bounded number of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from gcs_coloc.core.health import GpsHealth, HealthSettings
+from gcs_coloc.core.messages import Airspeed, Autopilot, GlobalPosition, GpsReceiver, TimeBase
+from gcs_coloc.core.timing import SenderClock
+
+
+@dataclass(slots=True)
+class Vehicle:
+    """One vehicle as last heard. Times are on the service's clock, in seconds."""
+
+    sysid: int
+    health: GpsHealth
+    first_heard_s: float
+    last_heard_s: float
+    autopilot: Autopilot | None = None
+    blocked: str | None = "no heartbeat of an autopilot heard yet"
+    position: GlobalPosition | None = None
+    receiver: GpsReceiver | None = None
+    injected_receiver: GpsReceiver | None = None
+    airspeed: Airspeed | None = None
+    last_range_s: float | None = None
+    last_known_enu_m: tuple[float, float] | None = None
+    clock: SenderClock = field(default_factory=SenderClock)
+    range_clocks: dict[tuple[TimeBase, int], SenderClock] = field(default_factory=dict)
+
+
+class Fleet:
+    """The registry of vehicles. A vehicle is added when it is first heard; `most` bounds how many there can be."""
+
+    def __init__(self, health_settings: HealthSettings, most: int) -> None:
+        self._health_settings = health_settings
+        self._most = most
+        self._vehicles: dict[int, Vehicle] = {}
+
+    def heard(self, sysid: int, at_s: float) -> Vehicle | None:
+        """The record of a vehicle that was just heard, new where it must be; None where the registry is full."""
+        vehicle = self._vehicles.get(sysid)
+        if vehicle is None:
+            if len(self._vehicles) >= self._most:
+                return None
+            vehicle = Vehicle(sysid, GpsHealth(self._health_settings), at_s, at_s)
+            self._vehicles[sysid] = vehicle
+        vehicle.last_heard_s = at_s
+        return vehicle
+
+    def get(self, sysid: int) -> Vehicle | None:
+        """The record of a vehicle, or None where it was never heard."""
+        return self._vehicles.get(sysid)
+
+    def __iter__(self) -> Iterator[Vehicle]:
+        return iter(self._vehicles.values())
+
+    def __len__(self) -> int:
+        return len(self._vehicles)

@@ -1,0 +1,122 @@
+"""What is said to an aided vehicle: an Estimate turned into the content of GPS_INPUT, honest or not at all.
+
+Position and velocity are those of `lag_s` ago, because ArduPilot's driver takes the data to be that old (GPS_DELAY).
+Where the position is unknown or its 95 % horizontal bound beyond the alert limit, the message goes out all the same, at
+the same rate, with fix_type 1: the autopilot then knows that the receiver lives and has no fix.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.gps_time import gps_week_and_ms
+from gcs_coloc.core.measurements import Estimate, FloatArray, Unknown
+from gcs_coloc.core.messages import GpsInput
+
+_CHI2_95_2DOF = 5.991464547107979
+_FIX_3D, _NO_FIX = 3, 1
+_SATELLITES_WITH_FIX = 7  # enough for EKF3 (6), never so many that a switch by count would prefer us to a real receiver
+_UNKNOWN_ACCURACY_M = 9999.0
+_UNKNOWN_DOP = 99.99
+
+
+@dataclass(frozen=True, slots=True)
+class AidSettings:
+    """How vehicles are aided.
+
+    `rate_hz`: GPS_INPUT rate; ArduPilot calls a receiver unhealthy below 4.7 Hz.
+    `lag_s`: age that the vehicle's driver takes the data to have (its GPS_DELAY).
+    `gps_id`: zero-based receiver instance that the vehicle has set to MAVLink (1 is GPS2).
+    `alert_limit_m`: no fix is claimed while the 95 % horizontal bound is beyond this.
+    """
+
+    rate_hz: float = 10.0
+    lag_s: float = 0.2
+    gps_id: int = 1
+    alert_limit_m: float = 50.0
+
+
+def horizontal_sigma_m(covariance: FloatArray) -> float:
+    """1-sigma along the worst horizontal direction: root of the larger eigenvalue of the (2, 2) top-left block, m."""
+    a, b, d = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
+    return sqrt(max(0.0, 0.5 * (a + d) + sqrt(0.25 * (a - d) ** 2 + b * b)))
+
+
+def horizontal_bound_95_m(covariance: FloatArray) -> float:
+    """Radius that holds the horizontal error with at least 95 % (chi-square, 2 degrees of freedom, worst axis), m."""
+    return sqrt(_CHI2_95_2DOF) * horizontal_sigma_m(covariance)
+
+
+def why_no_fix(answer: Estimate | Unknown, settings: AidSettings) -> str | None:
+    """Why an answer may not be claimed as a fix, in words; None where it may."""
+    if isinstance(answer, Unknown):
+        return answer.reason
+    bound_m = horizontal_bound_95_m(answer.covariance)
+    if not bound_m <= settings.alert_limit_m:
+        return f"95 % horizontal bound {bound_m:.0f} m is beyond the alert limit of {settings.alert_limit_m:g} m"
+    return None
+
+
+def gps_input(
+    sysid: int, answer: Estimate | Unknown, frame: LocalFrame | None, unix_s: float | None, settings: AidSettings
+) -> GpsInput:
+    """GPS_INPUT for one vehicle from the estimator's answer; `unix_s` is the UTC time of that answer, None if unknown."""
+    week, week_ms = gps_week_and_ms(unix_s) if unix_s is not None else (0, 0)
+    time_usec = round(unix_s * 1e6) if unix_s is not None else 0
+    if frame is None or isinstance(answer, Unknown) or why_no_fix(answer, settings) is not None:
+        return no_fix(sysid, settings.gps_id, time_usec, week, week_ms)
+    east_m, north_m, up_m = (float(x) for x in answer.position_enu_m)
+    ve, vn, vu = (float(x) for x in answer.velocity_enu_mps)
+    lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(east_m, north_m, up_m)
+    vn_mps, ve_mps, vd_mps = frame.ned_from_enu_velocity(lat_deg, lon_deg, (ve, vn, vu))
+    p = answer.covariance
+    horiz_accuracy_m, vert_accuracy_m = horizontal_sigma_m(p), sqrt(max(float(p[2, 2]), 0.0))
+    hdop = min(answer.hdop, _UNKNOWN_DOP) if answer.hdop is not None else _UNKNOWN_DOP
+    return GpsInput(
+        sysid=sysid,
+        gps_id=settings.gps_id,
+        time_usec=time_usec,
+        gps_week=week,
+        gps_time_of_week_ms=week_ms,
+        fix_type=_FIX_3D,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        alt_msl_m=alt_msl_m,
+        hdop=hdop,
+        vdop=min(hdop * vert_accuracy_m / horiz_accuracy_m, _UNKNOWN_DOP),  # the same range error as unit
+        vn_mps=vn_mps,
+        ve_mps=ve_mps,
+        vd_mps=vd_mps,
+        speed_accuracy_mps=float(sqrt(max(np.linalg.eigvalsh(p[3:6, 3:6])[-1], 0.0))),
+        horiz_accuracy_m=horiz_accuracy_m,
+        vert_accuracy_m=vert_accuracy_m,
+        satellites=_SATELLITES_WITH_FIX,
+    )
+
+
+def no_fix(sysid: int, gps_id: int, time_usec: int = 0, gps_week: int = 0, gps_time_of_week_ms: int = 0) -> GpsInput:
+    """GPS_INPUT that says: this receiver is alive and has no fix."""
+    return GpsInput(
+        sysid=sysid,
+        gps_id=gps_id,
+        time_usec=time_usec,
+        gps_week=gps_week,
+        gps_time_of_week_ms=gps_time_of_week_ms,
+        fix_type=_NO_FIX,
+        lat_deg=0.0,
+        lon_deg=0.0,
+        alt_msl_m=0.0,
+        hdop=_UNKNOWN_DOP,
+        vdop=_UNKNOWN_DOP,
+        vn_mps=0.0,
+        ve_mps=0.0,
+        vd_mps=0.0,
+        speed_accuracy_mps=_UNKNOWN_ACCURACY_M,
+        horiz_accuracy_m=_UNKNOWN_ACCURACY_M,
+        vert_accuracy_m=_UNKNOWN_ACCURACY_M,
+        satellites=0,
+    )

@@ -1,0 +1,148 @@
+"""GPS health of one vehicle: a small explicit state machine that always has a reason in words.
+
+    UNKNOWN -> HEALTHY -> SUSPECT -> FAILED -> RECOVERING -> HEALTHY
+                  ^---------/           ^---------/
+
+Evidence is what the vehicle's real receiver (receiver 0) says in GPS_RAW_INT, the GPS bit of SYS_STATUS and the EKF's
+flags. The two last speak of the receiver *in use*: while the vehicle is aided they are an echo of our own stream and
+count for nothing. The injected receiver never counts. The operator's word wins over everything.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+from gcs_coloc.core.messages import EkfStatus, GpsReceiver, GpsWord, SystemHealth
+
+
+class GpsState(Enum):
+    """What the service believes of a vehicle's own GPS."""
+
+    UNKNOWN = "unknown"
+    HEALTHY = "healthy"
+    SUSPECT = "suspect"
+    FAILED = "failed"
+    RECOVERING = "recovering"
+
+
+@dataclass(frozen=True, slots=True)
+class HealthSettings:
+    """When the machine changes its mind.
+
+    `fail_after_s`: a vehicle that has been SUSPECT for this long and has no fix is FAILED.
+    `clear_after_s`: good evidence for this long without a break makes a SUSPECT vehicle HEALTHY (a jammed
+    receiver's fix flickers).
+    `recover_after_s`: good evidence for this long makes a RECOVERING vehicle HEALTHY.
+    `silence_s`: a receiver not heard for this long is SUSPECT, and its last word counts no more.
+    `max_h_acc_m`: a fix that claims a worse horizontal accuracy than this (1-sigma, m) is no fix.
+    `min_satellites`: a fix from fewer satellites than this is no fix.
+    """
+
+    fail_after_s: float = 1.0
+    clear_after_s: float = 2.0
+    recover_after_s: float = 10.0
+    silence_s: float = 3.0
+    max_h_acc_m: float = 50.0
+    min_satellites: int = 4
+
+
+@dataclass(slots=True)
+class GpsHealth:
+    """The state machine of one vehicle. Fed by `take`, `set_word` and `aided`; moved on by `update`."""
+
+    settings: HealthSettings
+    state: GpsState = GpsState.UNKNOWN
+    reason: str = "nothing heard from its GPS receiver yet"
+    since_s: float = 0.0
+    word: GpsWord = GpsWord.AUTO
+    aided: bool = False
+    _good_since_s: float | None = field(default=None)
+    _receiver: GpsReceiver | None = field(default=None)
+    _system: SystemHealth | None = field(default=None)
+    _ekf: EkfStatus | None = field(default=None)
+
+    def take(self, message: GpsReceiver | SystemHealth | EkfStatus) -> None:
+        """Note one piece of evidence. Reports of a receiver other than the real one are ignored."""
+        if isinstance(message, GpsReceiver):
+            if message.receiver == 0:
+                self._receiver = message
+        elif isinstance(message, SystemHealth):
+            self._system = message
+        else:
+            self._ekf = message
+
+    def update(self, now_s: float) -> bool:
+        """Move the machine on to `now_s`; True where the state changed."""
+        if self.word is not GpsWord.AUTO:
+            forced = GpsState.FAILED if self.word is GpsWord.FAILED else GpsState.HEALTHY
+            return self._enter(forced, f"declared {self.word.value} by the operator", now_s)
+        fault = self._fault(now_s)
+        receiver = self._receiver
+        if receiver is None and fault is None:
+            return self._enter(GpsState.UNKNOWN, "nothing heard from its GPS receiver yet", now_s)
+        if fault is not None:
+            self._good_since_s = None
+            return self._bad(fault, now_s)
+        if self._good_since_s is None:
+            self._good_since_s = now_s
+        return self._good(now_s - self._good_since_s, now_s)
+
+    def _bad(self, fault: str, now_s: float) -> bool:
+        if self.state is GpsState.FAILED:
+            self.reason = fault
+            return False
+        if self.state is GpsState.RECOVERING:
+            return self._enter(GpsState.FAILED, fault, now_s)
+        lost_fix = self._receiver is not None and self._receiver_fault(self._receiver) is not None
+        if self.state is GpsState.SUSPECT and lost_fix and now_s - self.since_s >= self.settings.fail_after_s:
+            return self._enter(GpsState.FAILED, fault, now_s)
+        return self._enter(GpsState.SUSPECT, fault, now_s)
+
+    def _good(self, good_for_s: float, now_s: float) -> bool:
+        receiver = self._receiver
+        assert receiver is not None
+        fix = f"fix type {receiver.fix_type}" + (f", {receiver.satellites} satellites" if receiver.satellites is not None else "")
+        if self.state is GpsState.FAILED:
+            return self._enter(GpsState.RECOVERING, f"{fix}: back, watched for {self.settings.recover_after_s:g} s", now_s)
+        if self.state is GpsState.RECOVERING and good_for_s < self.settings.recover_after_s:
+            return False
+        if self.state is GpsState.SUSPECT and good_for_s < self.settings.clear_after_s:
+            return False
+        return self._enter(GpsState.HEALTHY, fix, now_s)
+
+    def _fault(self, now_s: float) -> str | None:
+        """The worst thing that the evidence says, or None."""
+        receiver = self._receiver
+        if receiver is not None:
+            fault = self._receiver_fault(receiver)
+            if fault is not None:
+                return fault
+            if now_s - receiver.received_at_s > self.settings.silence_s:
+                return f"no GPS_RAW_INT for more than {self.settings.silence_s:g} s"
+        if self.aided:
+            return None
+        if self._system is not None and self._system.gps_enabled and not self._system.gps_healthy:
+            return "SYS_STATUS: GPS not healthy"
+        if self._ekf is not None:
+            if self._ekf.gps_glitching:
+                return "the autopilot's EKF reports a GPS glitch"
+            if self._ekf.constant_position_mode or not self._ekf.horizontal_position_absolute:
+                return "the autopilot's EKF has no absolute position"
+        return None
+
+    def _receiver_fault(self, receiver: GpsReceiver) -> str | None:
+        if receiver.fix_type < 3:
+            return f"no 3D fix: fix type {receiver.fix_type}"
+        if receiver.satellites is not None and receiver.satellites < self.settings.min_satellites:
+            return f"only {receiver.satellites} satellites"
+        if receiver.h_acc_m is not None and receiver.h_acc_m > self.settings.max_h_acc_m:
+            return f"horizontal accuracy {receiver.h_acc_m:.0f} m is worse than {self.settings.max_h_acc_m:g} m"
+        return None
+
+    def _enter(self, state: GpsState, reason: str, now_s: float) -> bool:
+        changed = state is not self.state
+        if changed:
+            self.state, self.since_s = state, now_s
+        self.reason = reason
+        return changed

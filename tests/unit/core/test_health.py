@@ -1,0 +1,138 @@
+"""The GPS health machine: each transition, with the evidence that causes it and the reason that is told."""
+
+import pytest
+
+from gcs_coloc.core.health import GpsHealth, GpsState, HealthSettings
+from gcs_coloc.core.messages import EkfStatus, GpsReceiver, GpsWord, SystemHealth
+
+
+def receiver(
+    at_s: float, fix_type: int = 3, satellites: int | None = 10, h_acc_m: float | None = 1.0, index: int = 0
+) -> GpsReceiver:
+    return GpsReceiver(1, at_s, index, fix_type, 47.0, 8.0, 500.0, satellites, 1.0, h_acc_m, 1.5, 0.3)
+
+
+def healthy_until(t_s: float) -> GpsHealth:
+    health = GpsHealth(HealthSettings())
+    for i in range(int(t_s * 5) + 1):
+        health.take(receiver(i / 5))
+        health.update(i / 5)
+    assert health.state is GpsState.HEALTHY
+    return health
+
+
+def run(health: GpsHealth, start_s: float, stop_s: float, **fix: object) -> None:
+    for i in range(int((stop_s - start_s) * 5) + 1):
+        health.take(receiver(start_s + i / 5, **fix))
+        health.update(start_s + i / 5)
+
+
+def test_nothing_heard_is_unknown():
+    health = GpsHealth(HealthSettings())
+    health.update(100.0)
+    assert health.state is GpsState.UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("fix", "words"),
+    [({"fix_type": 1}, "fix type 1"), ({"satellites": 3}, "3 satellites"), ({"h_acc_m": 80.0}, "accuracy 80 m")],
+)
+def test_a_lost_fix_is_suspect_at_once_and_failed_after_a_second(fix, words):
+    health = healthy_until(5.0)
+    run(health, 5.2, 5.2, **fix)
+    assert health.state is GpsState.SUSPECT
+    run(health, 5.4, 6.4, **fix)
+    assert health.state is GpsState.FAILED
+    assert words in health.reason
+
+
+def test_a_short_dropout_clears_after_two_seconds():
+    health = healthy_until(5.0)
+    run(health, 5.2, 5.4, fix_type=1)
+    run(health, 5.6, 7.4)
+    assert health.state is GpsState.SUSPECT
+    run(health, 7.6, 8.0)
+    assert health.state is GpsState.HEALTHY
+
+
+def test_a_jammed_receivers_flicker_fails_it_and_keeps_it_failed():
+    health = healthy_until(5.0)
+    states = set()
+    for i in range(100):
+        t = 5.2 + i / 5
+        health.take(receiver(t, fix_type=6 if i % 4 < 2 else 1))
+        health.update(t)
+        if t > 8.0:
+            states.add(health.state)
+    assert GpsState.HEALTHY not in states
+    assert GpsState.FAILED in states
+
+
+def test_recovery_takes_ten_good_seconds():
+    health = healthy_until(5.0)
+    run(health, 5.2, 8.0, fix_type=1)
+    run(health, 8.2, 18.0)
+    assert health.state is GpsState.RECOVERING
+    run(health, 18.2, 18.6)
+    assert health.state is GpsState.HEALTHY
+
+
+def test_recovery_starts_anew_after_each_relapse():
+    health = healthy_until(5.0)
+    run(health, 5.2, 8.0, fix_type=1)
+    run(health, 8.2, 17.0)
+    run(health, 17.2, 17.2, fix_type=1)
+    assert health.state is GpsState.FAILED
+    run(health, 17.4, 26.0)
+    assert health.state is GpsState.RECOVERING
+
+
+def test_the_receiver_that_we_feed_counts_for_nothing():
+    health = healthy_until(5.0)
+    run(health, 5.2, 8.0, fix_type=1)
+    run(health, 8.2, 30.0, index=1)
+    assert health.state is GpsState.FAILED
+
+
+def test_a_silent_receiver_is_suspect_but_not_failed():
+    health = healthy_until(5.0)
+    health.update(8.1)
+    assert health.state is GpsState.SUSPECT
+    assert "no GPS_RAW_INT" in health.reason
+    health.update(60.0)
+    assert health.state is GpsState.SUSPECT
+
+
+@pytest.mark.parametrize(
+    "evidence",
+    [
+        SystemHealth(1, 5.0, True, True, False),
+        EkfStatus(1, 5.0, True, False, True),
+        EkfStatus(1, 5.0, True, True, False),
+        EkfStatus(1, 5.0, False, False, False),
+    ],
+)
+def test_the_autopilots_own_doubt_makes_suspect_unless_it_is_an_echo_of_our_aid(evidence):
+    health = healthy_until(5.0)
+    health.take(evidence)
+    health.update(5.1)
+    assert health.state is GpsState.SUSPECT
+    aided = healthy_until(5.0)
+    aided.aided = True
+    aided.take(evidence)
+    aided.update(5.1)
+    assert aided.state is GpsState.HEALTHY
+
+
+def test_the_operators_word_wins_until_withdrawn():
+    health = healthy_until(5.0)
+    health.word = GpsWord.FAILED
+    run(health, 5.2, 6.0)
+    assert health.state is GpsState.FAILED
+    assert "operator" in health.reason
+    health.word = GpsWord.HEALTHY
+    run(health, 6.2, 10.0, fix_type=0)
+    assert health.state is GpsState.HEALTHY
+    health.word = GpsWord.AUTO
+    run(health, 10.2, 12.0, fix_type=0)
+    assert health.state is GpsState.FAILED
