@@ -1,1 +1,1 @@
-"""Bytes to messages and back, sans-IO."""
+"""Bytes to messages and back, sans-IO: framing, codec, our dialect, sequence numbers."""

@@ -1,0 +1,78 @@
+"""Refusing values that no vehicle can mean. Each check returns the value it was given, in the unit of the core's messages."""
+
+from __future__ import annotations
+
+import math
+
+ALTITUDE_MIN_M = -1000.0
+ALTITUDE_MAX_M = 100_000.0
+SPEED_MAX_MPS = 1000.0
+RANGE_MAX_M = 100_000.0
+ANGLE_MAX_RAD = 2.0 * math.pi + 1e-3
+UNIX_TIME_FROM_US = 1_000_000_000_000_000
+"""September 2001. MAVLink times above it are UNIX times, below it times since boot (31 years)."""
+UNIX_TIME_TO_US = 4_102_444_800_000_000
+"""The year 2100; a later time is a broken clock or a broken message."""
+
+
+class InvalidValueError(Exception):
+    """A field of a message holds a value that is impossible. Its text is the field's name. It never leaves this package."""
+
+
+def latitude_longitude_deg(lat_e7: int, lon_e7: int) -> tuple[float, float]:
+    """Check a position in 1e-7 degrees and return it in degrees. 0, 0 is what a receiver without a position sends."""
+    if lat_e7 == 0 and lon_e7 == 0:
+        raise InvalidValueError("lat_lon_zero")
+    return unfixed_latitude_longitude_deg(lat_e7, lon_e7)
+
+
+def unfixed_latitude_longitude_deg(lat_e7: int, lon_e7: int) -> tuple[float, float]:
+    """As `latitude_longitude_deg`, for a receiver that says itself that it has no fix: 0, 0 is allowed."""
+    if abs(lat_e7) > 900_000_000:
+        raise InvalidValueError("lat")
+    if abs(lon_e7) > 1_800_000_000:
+        raise InvalidValueError("lon")
+    return lat_e7 / 1e7, lon_e7 / 1e7
+
+
+def altitude_m(alt_mm: int) -> float:
+    """Check an altitude in millimetres and return it in metres."""
+    altitude = alt_mm / 1e3
+    if not ALTITUDE_MIN_M <= altitude <= ALTITUDE_MAX_M:
+        raise InvalidValueError("alt")
+    return altitude
+
+
+def speed_mps(speed: float, field: str) -> float:
+    """Check the magnitude of a speed in m/s."""
+    if not 0.0 <= speed <= SPEED_MAX_MPS:
+        raise InvalidValueError(field)
+    return speed
+
+
+def angle_rad(angle: float, field: str) -> float:
+    """Check an angle in radians: finite and within one turn either way."""
+    if not abs(angle) <= ANGLE_MAX_RAD:
+        raise InvalidValueError(field)
+    return angle
+
+
+def range_m(distance: float, field: str) -> float:
+    """Check a slant range in metres: above 0, up to `RANGE_MAX_M`."""
+    if not 0.0 < distance <= RANGE_MAX_M:
+        raise InvalidValueError(field)
+    return distance
+
+
+def range_sigma_m(sigma: float, field: str) -> float | None:
+    """Check the standard deviation of a range in metres; 0 means unknown."""
+    if not 0.0 <= sigma <= RANGE_MAX_M:
+        raise InvalidValueError(field)
+    return sigma if sigma > 0.0 else None
+
+
+def peer_sysid(peer: int, sender: int, field: str) -> int:
+    """Check the system id at the other end of a range: a system id, and not the sender's own."""
+    if not 1 <= peer <= 255 or peer == sender:
+        raise InvalidValueError(field)
+    return peer

@@ -1,0 +1,82 @@
+"""Bytes to the core's messages."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import NamedTuple
+
+from gcs_coloc.core.messages import Heartbeat, Inbound
+from gcs_coloc.mavlink import framing
+from gcs_coloc.mavlink.checks import InvalidValueError
+from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.dialect import MESSAGE_CLASSES, OWN_COMPID, OWN_SYSID
+from gcs_coloc.mavlink.inbound import CONVERTERS
+from gcs_coloc.mavlink.sequence import SequenceTracker
+
+NOT_WANTED = "not_wanted"
+UNKNOWN_MESSAGE = "unknown_message"
+DUPLICATE = "duplicate"
+ECHO = "echo"
+INVALID_SYSID = "invalid_value:header.sysid"
+
+
+class Frame(NamedTuple):
+    """A frame of a message that we decode: whose it is, and what it holds for the core (None: nothing, or it was refused)."""
+
+    sysid: int
+    compid: int
+    sequence: int
+    message_id: int
+    message: Inbound | None
+
+    @property
+    def is_autopilot_heartbeat(self) -> bool:
+        """Whether this frame shows that its sender (`sysid`, `compid`) is an autopilot."""
+        return isinstance(self.message, Heartbeat)
+
+
+class Decoder:
+    """Decodes datagrams. Nothing that bytes can hold makes it raise: what is of no use is in `counts`, by reason.
+
+    Reasons: those of `framing`; unknown_message (in no dialect of ours); not_wanted (known, but of no use to the core);
+    duplicate; echo (our own frame come back); invalid_value:MESSAGE.field. Signatures are not verified.
+    """
+
+    def __init__(self, *, own_sysid: int = OWN_SYSID, own_compid: int = OWN_COMPID) -> None:
+        self.counts = Counts()
+        self.sequences = SequenceTracker()
+        self._own = (own_sysid, own_compid)
+        self._layouts = {
+            number: (MESSAGE_CLASSES[number].unpacker, MESSAGE_CLASSES[number].msgname, convert)
+            for number, convert in CONVERTERS.items()
+        }
+
+    def decode(self, datagram: bytes, received_at_s: float, source: Hashable = None) -> list[Frame]:
+        """Decode the frames of one datagram, in order. `source` is the address it came from: each numbers its frames itself."""
+        frames: list[Frame] = []
+        for raw in framing.split(datagram, self.counts, ended=True)[0]:
+            sender = (raw.sysid, raw.compid)
+            if sender == self._own:
+                self.counts.add(ECHO)
+            elif raw.sysid == 0:
+                self.counts.add(INVALID_SYSID)
+            elif not self.sequences.note((source, *sender), raw.sequence, raw.checksum):
+                self.counts.add(DUPLICATE)
+            elif not raw.is_known:
+                self.counts.add(UNKNOWN_MESSAGE)
+            elif raw.message_id not in self._layouts:
+                self.counts.add(NOT_WANTED)
+            else:
+                message = self._message(raw, received_at_s)
+                frames.append(Frame(raw.sysid, raw.compid, raw.sequence, raw.message_id, message))
+        return frames
+
+    def _message(self, raw: framing.RawFrame, received_at_s: float) -> Inbound | None:
+        unpacker, name, convert = self._layouts[raw.message_id]
+        # MAVLink 2 cuts off trailing zeros, MAVLink 1 knows no extension fields, a newer sender may add fields of its own.
+        payload = raw.payload.ljust(unpacker.size, b"\0")
+        try:
+            return convert(raw.sysid, received_at_s, unpacker.unpack_from(payload))
+        except InvalidValueError as refused:
+            self.counts.add(f"invalid_value:{name}.{refused}")
+            return None

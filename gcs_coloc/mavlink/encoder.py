@@ -1,0 +1,108 @@
+"""The core's outputs, and our own heartbeat, to bytes."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections import OrderedDict
+from collections.abc import Hashable
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from gcs_coloc.core.messages import GpsInput, StreamRequest
+from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
+
+MAX_DESTINATIONS = 1024
+
+
+class Encoder:
+    """Encodes outputs as MAVLink 2, unsigned, numbering the frames of each destination on its own."""
+
+    def __init__(self, *, sysid: int = OWN_SYSID, compid: int = OWN_COMPID) -> None:
+        self._mavlink = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=compid)
+        self._next_sequence: OrderedDict[Hashable, int] = OrderedDict()
+
+    def encode(self, message: GpsInput | StreamRequest, destination: Hashable) -> bytes:
+        """Encode an output for the address `destination`.
+
+        Raises ValueError where a number in it is not finite or does not fit its field.
+        """
+        if isinstance(message, GpsInput):
+            return self._pack(_gps_input(message), destination)
+        return self._pack(_stream_request(message), destination)
+
+    def heartbeat(self, destination: Hashable) -> bytes:
+        """Encode our own HEARTBEAT: an onboard controller, no autopilot."""
+        message = mavlink.MAVLink_heartbeat_message(
+            type=mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+            autopilot=mavlink.MAV_AUTOPILOT_INVALID,
+            base_mode=0,
+            custom_mode=0,
+            system_status=mavlink.MAV_STATE_ACTIVE,
+            mavlink_version=3,
+        )
+        return self._pack(message, destination)
+
+    def _pack(self, message: Any, destination: Hashable) -> bytes:
+        sequence = self._next_sequence.pop(destination, 0)
+        if len(self._next_sequence) >= MAX_DESTINATIONS:
+            self._next_sequence.popitem(last=False)
+        self._next_sequence[destination] = (sequence + 1) & 0xFF
+        self._mavlink.seq = sequence
+        try:
+            packed: bytes = message.pack(self._mavlink)
+        except struct.error as error:
+            raise ValueError(f"{message.msgname} cannot be encoded: {error}") from error
+        return packed
+
+
+def _gps_input(fix: GpsInput) -> Any:
+    """GPS_INPUT (232) with no field ignored: ArduPilot fuses an ignored velocity or altitude as zero."""
+    _require_valid(fix)
+    return mavlink.MAVLink_gps_input_message(
+        time_usec=fix.time_usec,
+        gps_id=fix.gps_id,
+        ignore_flags=0,
+        time_week_ms=fix.gps_time_of_week_ms,
+        time_week=fix.gps_week,
+        fix_type=fix.fix_type,
+        lat=round(fix.lat_deg * 1e7),
+        lon=round(fix.lon_deg * 1e7),
+        alt=fix.alt_msl_m,
+        hdop=fix.hdop,
+        vdop=fix.vdop,
+        vn=fix.vn_mps,
+        ve=fix.ve_mps,
+        vd=fix.vd_mps,
+        speed_accuracy=fix.speed_accuracy_mps,
+        horiz_accuracy=fix.horiz_accuracy_m,
+        vert_accuracy=fix.vert_accuracy_m,
+        satellites_visible=fix.satellites,
+        yaw=0,
+    )
+
+
+def _require_valid(fix: GpsInput) -> None:
+    for name in fix.__dataclass_fields__:
+        if not math.isfinite(getattr(fix, name)):
+            raise ValueError(f"GPS_INPUT cannot be encoded: {name} is not finite")
+    if abs(fix.lat_deg) > 90.0 or abs(fix.lon_deg) > 180.0:
+        raise ValueError(f"GPS_INPUT cannot be encoded: {fix.lat_deg}, {fix.lon_deg} is no latitude and longitude")
+
+
+def _stream_request(request: StreamRequest) -> Any:
+    """COMMAND_LONG (76) MAV_CMD_SET_MESSAGE_INTERVAL, to the vehicle's autopilot component."""
+    return mavlink.MAVLink_command_long_message(
+        target_system=request.sysid,
+        target_component=mavlink.MAV_COMP_ID_AUTOPILOT1,
+        command=mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+        confirmation=0,
+        param1=request.message_id,
+        param2=request.interval_us,
+        param3=0,
+        param4=0,
+        param5=0,
+        param6=0,
+        param7=0,
+    )

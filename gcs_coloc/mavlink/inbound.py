@@ -1,0 +1,219 @@
+"""From payload values to the core's messages, one function per MAVLink message.
+
+Every function takes the sender's system id, the arrival time and the payload's values in wire order, and returns the
+message, or None where it holds nothing for the core. InvalidValueError names the field that is impossible.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from gcs_coloc.core.messages import (
+    Airspeed,
+    Attitude,
+    Autopilot,
+    EkfStatus,
+    GlobalPosition,
+    GpsReceiver,
+    Heartbeat,
+    Inbound,
+    SystemHealth,
+    SystemTime,
+)
+from gcs_coloc.mavlink import checks, ranges
+from gcs_coloc.mavlink._generated import gcs_coloc
+from gcs_coloc.mavlink.checks import InvalidValueError
+
+UINT8_MAX = 0xFF
+UINT16_MAX = 0xFFFF
+UINT32_MAX = 0xFFFFFFFF
+
+GPS_GLITCH_ARDUPILOT = 1 << 15
+"""In EKF_STATUS_REPORT. ArduPilot sends it; the dialect's enumeration and ESTIMATOR_STATUS have bit 10 in its place."""
+
+_AUTOPILOTS = {
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: Autopilot.ARDUPILOT,
+    mavlink.MAV_AUTOPILOT_PX4: Autopilot.PX4,
+}
+
+
+def heartbeat(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Heartbeat | None:
+    """HEARTBEAT (0); None where the sender is no autopilot (a ground station, a companion computer, a camera)."""
+    _custom_mode, vehicle_type, autopilot, base_mode, _system_status, _version = values
+    if autopilot == mavlink.MAV_AUTOPILOT_INVALID or vehicle_type == mavlink.MAV_TYPE_GCS:
+        return None
+    return Heartbeat(
+        sysid=sysid,
+        received_at_s=received_at_s,
+        autopilot=_AUTOPILOTS.get(autopilot, Autopilot.OTHER),
+        armed=bool(base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
+    )
+
+
+def global_position_int(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> GlobalPosition:
+    """GLOBAL_POSITION_INT (33)."""
+    boot_ms, lat_e7, lon_e7, alt_mm, _relative_alt_mm, vx_cmps, vy_cmps, vz_cmps, _heading = values
+    lat_deg, lon_deg = checks.latitude_longitude_deg(lat_e7, lon_e7)
+    return GlobalPosition(
+        sysid=sysid,
+        received_at_s=received_at_s,
+        boot_s=boot_ms / 1e3,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        alt_msl_m=checks.altitude_m(alt_mm),
+        vn_mps=vx_cmps / 1e2,
+        ve_mps=vy_cmps / 1e2,
+        vd_mps=vz_cmps / 1e2,
+    )
+
+
+def gps_raw_int(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> GpsReceiver:
+    """GPS_RAW_INT (24): the first receiver."""
+    _time, lat_e7, lon_e7, alt_mm, eph, _epv, _speed, _course, fix, satellites, _ellipsoid, h_acc, v_acc, speed_acc, *_ = values
+    return _gps_receiver(sysid, received_at_s, 0, fix, (lat_e7, lon_e7, alt_mm), satellites, eph, (h_acc, v_acc, speed_acc))
+
+
+def gps2_raw(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> GpsReceiver:
+    """GPS2_RAW (124): the second receiver."""
+    _time, lat_e7, lon_e7, alt_mm, _dgps_age, eph, _epv, _speed, _course, fix, satellites, *rest = values
+    _dgps_count, _yaw, _ellipsoid, h_acc, v_acc, speed_acc, _heading_acc = rest
+    return _gps_receiver(sysid, received_at_s, 1, fix, (lat_e7, lon_e7, alt_mm), satellites, eph, (h_acc, v_acc, speed_acc))
+
+
+def _gps_receiver(
+    sysid: int,
+    received_at_s: float,
+    receiver: int,
+    fix_type: int,
+    place: tuple[int, int, int],
+    satellites: int,
+    eph: int,
+    accuracies: tuple[int, int, int],
+) -> GpsReceiver:
+    """`place`: latitude and longitude in 1e-7 deg, altitude in mm. `accuracies`: horizontal, vertical in mm, speed in mm/s."""
+    if fix_type > mavlink.GPS_FIX_TYPE_PPP:
+        raise InvalidValueError("fix_type")
+    lat_e7, lon_e7, alt_mm = place
+    if fix_type >= mavlink.GPS_FIX_TYPE_2D_FIX:
+        lat_deg, lon_deg = checks.latitude_longitude_deg(lat_e7, lon_e7)
+    else:
+        lat_deg, lon_deg = checks.unfixed_latitude_longitude_deg(lat_e7, lon_e7)
+    h_acc_mm, v_acc_mm, speed_acc_mmps = accuracies
+    return GpsReceiver(
+        sysid=sysid,
+        received_at_s=received_at_s,
+        receiver=receiver,
+        fix_type=fix_type,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        alt_msl_m=checks.altitude_m(alt_mm),
+        satellites=None if satellites == UINT8_MAX else satellites,
+        hdop=None if eph in (0, UINT16_MAX) else eph / 1e2,
+        h_acc_m=_thousandths(h_acc_mm),
+        v_acc_m=_thousandths(v_acc_mm),
+        speed_acc_mps=_thousandths(speed_acc_mmps),
+    )
+
+
+def _thousandths(value: int) -> float | None:
+    """An extension field that a sender leaves out arrives as 0, which no receiver's accuracy is."""
+    return None if value in (0, UINT32_MAX) else value / 1e3
+
+
+def sys_status(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> SystemHealth:
+    """SYS_STATUS (1), the GPS bit of its three masks."""
+    present, enabled, healthy, *_ = values
+    gps = mavlink.MAV_SYS_STATUS_SENSOR_GPS
+    return SystemHealth(
+        sysid=sysid,
+        received_at_s=received_at_s,
+        gps_present=bool(present & gps),
+        gps_enabled=bool(enabled & gps),
+        gps_healthy=bool(healthy & gps),
+    )
+
+
+def ekf_status_report(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> EkfStatus:
+    """EKF_STATUS_REPORT (193), from ArduPilot."""
+    _velocity, _horizontal, _vertical, _compass, _terrain, flags, _airspeed = values
+    return EkfStatus(
+        sysid=sysid,
+        received_at_s=received_at_s,
+        horizontal_position_absolute=bool(flags & mavlink.EKF_POS_HORIZ_ABS),
+        constant_position_mode=bool(flags & mavlink.EKF_CONST_POS_MODE),
+        gps_glitching=bool(flags & GPS_GLITCH_ARDUPILOT),
+    )
+
+
+def estimator_status(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> EkfStatus:
+    """ESTIMATOR_STATUS (230), from PX4."""
+    *_, flags = values
+    return EkfStatus(
+        sysid=sysid,
+        received_at_s=received_at_s,
+        horizontal_position_absolute=bool(flags & mavlink.ESTIMATOR_POS_HORIZ_ABS),
+        constant_position_mode=bool(flags & mavlink.ESTIMATOR_CONST_POS_MODE),
+        gps_glitching=bool(flags & mavlink.ESTIMATOR_GPS_GLITCH),
+    )
+
+
+def attitude(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Attitude:
+    """ATTITUDE (30)."""
+    boot_ms, roll, pitch, yaw, _roll_rate, _pitch_rate, _yaw_rate = values
+    return Attitude(
+        sysid=sysid,
+        received_at_s=received_at_s,
+        boot_s=boot_ms / 1e3,
+        roll_rad=checks.angle_rad(roll, "roll"),
+        pitch_rad=checks.angle_rad(pitch, "pitch"),
+        yaw_rad=checks.angle_rad(yaw, "yaw"),
+    )
+
+
+def vfr_hud(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Airspeed | None:
+    """VFR_HUD (74); None where the airspeed is unknown (NaN)."""
+    airspeed, *_ = values
+    if math.isnan(airspeed):
+        return None
+    return Airspeed(sysid=sysid, received_at_s=received_at_s, airspeed_mps=checks.speed_mps(airspeed, "airspeed"))
+
+
+def system_time(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> SystemTime:
+    """SYSTEM_TIME (2); a UNIX time before September 2001 is a clock that has not been set."""
+    unix_us, boot_ms = values
+    if unix_us > checks.UNIX_TIME_TO_US:
+        raise InvalidValueError("time_unix_usec")
+    return SystemTime(
+        sysid=sysid,
+        received_at_s=received_at_s,
+        boot_s=boot_ms / 1e3,
+        unix_s=unix_us / 1e6 if unix_us >= checks.UNIX_TIME_FROM_US else None,
+    )
+
+
+Converter = Callable[[int, float, tuple[Any, ...]], Inbound | None]
+
+CONVERTERS: Mapping[int, Converter] = MappingProxyType(
+    {
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS: sys_status,
+        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: system_time,
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: gps_raw_int,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE: attitude,
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: global_position_int,
+        mavlink.MAVLINK_MSG_ID_VFR_HUD: vfr_hud,
+        mavlink.MAVLINK_MSG_ID_GPS2_RAW: gps2_raw,
+        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status_report,
+        mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
+        mavlink.MAVLINK_MSG_ID_DEBUG_VECT: ranges.debug_vect,
+        mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: ranges.named_value_float,
+        gcs_coloc.MAVLINK_MSG_ID_RANGING_BEACON: ranges.ranging_beacon,
+        gcs_coloc.MAVLINK_MSG_ID_PEER_RANGE: ranges.peer_range,
+    }
+)
+"""The messages that are decoded at all, by message id; every other one is passed over."""
