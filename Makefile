@@ -1,0 +1,43 @@
+# Two commands do all the set-up themselves: `make demo` and `make test`.
+PYTHON ?= python3
+BIN := .venv/bin
+export PIP_DISABLE_PIP_VERSION_CHECK = 1
+
+.PHONY: demo test lint bench dialect lock clean
+
+# The environment with the program in it: .venv/bin/gcs-coloc.
+.venv: .venv/.ready
+.venv/.ready: requirements.lock pyproject.toml
+	sh tools/make-venv $(PYTHON) requirements.lock
+	touch $@
+
+.venv/.ready-dev: requirements-dev.lock .venv/.ready
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-dev.lock
+	touch $@
+
+demo: .venv/.ready
+	$(BIN)/python -m gcs_coloc.study.demo --out out/demo
+
+test: .venv/.ready-dev
+	$(BIN)/python -m pytest
+
+lint: .venv/.ready-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: .venv/.ready-dev
+	$(BIN)/python -m bench
+
+# Regenerates the committed message classes from gcs_coloc/mavlink/gcs_coloc.xml.
+dialect: .venv/.ready
+	$(BIN)/python -m gcs_coloc.mavlink.regenerate
+
+# Renews the lock files from pyproject.toml; needs uv.
+lock: 
+	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --extra plots -o requirements.lock pyproject.toml
+	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --extra plots --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
+
+clean:
+	rm -rf .venv out build *.egg-info

@@ -1,0 +1,92 @@
+"""The operator's console: a live table on a terminal, plain log lines elsewhere."""
+
+from __future__ import annotations
+
+import logging
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from gcs_coloc.core.messages import Notice
+from gcs_coloc.core.view import FleetView, VehicleView
+from gcs_coloc.sinks.hub import Subscription
+
+log = logging.getLogger("gcs_coloc")
+
+_LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
+_STYLES = {"healthy": "green", "suspect": "yellow", "failed": "bold red", "recovering": "cyan", "unknown": "dim"}
+_PLAIN_EVERY_S = 5.0
+
+
+async def show(subscription: Subscription, console: Console) -> None:
+    """Show the news for ever: a live table where `console` is a terminal, log lines where it is not."""
+    if not console.is_terminal:
+        await _log_lines(subscription)
+        return
+    with Live(console=console, auto_refresh=False, transient=False) as live:
+        while True:
+            news = await subscription.get()
+            if isinstance(news, Notice):
+                _log_notice(news)
+            else:
+                live.update(table(news), refresh=True)
+
+
+async def _log_lines(subscription: Subscription) -> None:
+    due_s = float("-inf")
+    while True:
+        news = await subscription.get()
+        if isinstance(news, Notice):
+            _log_notice(news)
+        elif news.at_s >= due_s:
+            due_s = news.at_s + _PLAIN_EVERY_S
+            for vehicle in news.vehicles:
+                log.info("%s", line(vehicle))
+
+
+def _log_notice(notice: Notice) -> None:
+    who = f"vehicle {notice.sysid}: " if notice.sysid is not None else ""
+    log.log(_LEVELS[notice.level], "%s%s", who, notice.text)
+
+
+def line(v: VehicleView) -> str:
+    """One vehicle in one plain line."""
+    return (
+        f"vehicle {v.sysid}: last heard {v.age_s:.1f} s ago, GPS {v.gps_state} ({v.gps_reason}), position {_where(v)}, "
+        f"1-sigma {_number(v.sigma_h_m, 'm')}, HDOP {_number(v.hdop)}, {v.ranges_in_use} ranges in use, aid {v.aid}"
+    )
+
+
+def table(view: FleetView) -> Table:
+    """The fleet as a table."""
+    refused = sum(view.refused.values())
+    out = Table(title=f"gcs-coloc, estimator {view.estimator}", caption=f"refused or set aside: {refused}" if refused else None)
+    for heading in ("vehicle", "last heard", "GPS", "reason", "position", "1-sigma", "HDOP", "ranges", "aid"):
+        out.add_column(heading)
+    for v in view.vehicles:
+        out.add_row(
+            str(v.sysid),
+            f"{v.age_s:.1f} s",
+            Text(v.gps_state, style=_STYLES[v.gps_state]),
+            v.gps_reason,
+            _where(v),
+            _number(v.sigma_h_m, "m"),
+            _number(v.hdop),
+            str(v.ranges_in_use),
+            v.aid,
+        )
+    if not view.vehicles:
+        out.add_row("none", "", "", "no vehicle heard yet", "", "", "", "", "")
+    return out
+
+
+def _where(v: VehicleView) -> str:
+    if v.lat_deg is None or v.lon_deg is None or v.alt_msl_m is None:
+        return f"unknown: {v.unknown_because}"
+    return f"{v.lat_deg:.6f} {v.lon_deg:.6f} {v.alt_msl_m:.0f} m"
+
+
+def _number(value: float | None, unit: str = "") -> str:
+    return f"{value:.1f} {unit}".rstrip() if value is not None else "-"

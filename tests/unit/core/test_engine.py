@@ -1,0 +1,305 @@
+"""The engine by hand-moved time: who is aided, when, with what, and what never reaches the estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.engine import Engine, EngineSettings
+from gcs_coloc.core.gps_time import TABLE_GOOD_UNTIL, gps_week_and_ms
+from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, Measurement, PositionMeasurement, RangeMeasurement, Unknown
+from gcs_coloc.core.messages import (
+    Autopilot,
+    ClockReference,
+    GlobalPosition,
+    GpsInput,
+    GpsReceiver,
+    GpsWord,
+    Heartbeat,
+    Inbound,
+    Notice,
+    OperatorWord,
+    PeerRange,
+    RouteReport,
+    StreamRequest,
+    TimeBase,
+)
+
+LAT, LON, ALT = 47.0, 8.0, 500.0
+
+
+class StraightLine:
+    """An estimator for these tests: every vehicle flies east at 20 m/s through the origin at time 0."""
+
+    name = "straight line"
+
+    def __init__(self) -> None:
+        self.taken: list[Measurement] = []
+        self.subjects: list[tuple[frozenset[int], float]] = []
+        self.asked: list[tuple[int, float]] = []
+        self.sigma_m = 2.0
+        self.unknown: str | None = None
+
+    def set_subjects(self, subjects: Collection[int], at_s: float) -> None:
+        self.subjects.append((frozenset(subjects), at_s))
+
+    def add(self, measurement: Measurement) -> None:
+        self.taken.append(measurement)
+
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
+        self.asked.append((vehicle, at_s))
+        if self.unknown is not None:
+            return Unknown(vehicle, at_s, self.unknown)
+        covariance = np.diag([self.sigma_m**2, 1.0, 9.0, 0.25, 0.16, 0.04])
+        return Estimate(vehicle, at_s, np.array([20.0 * at_s, 0.0, 30.0]), np.array([20.0, 0.0, 1.0]), covariance, 1.5, 3)
+
+    def take_residuals(self) -> list:
+        return []
+
+    def counts(self) -> dict[str, int]:
+        return {}
+
+    def of(self, kind: type, vehicle: int) -> list[Measurement]:
+        return [m for m in self.taken if isinstance(m, kind) and vehicle in (getattr(m, "vehicle", None),)]
+
+
+def settings(**changes: object) -> EngineSettings:
+    return EngineSettings(request_streams=False, **changes)
+
+
+def telemetry(sysid: int, t: float, fix_type: int = 3, autopilot: Autopilot = Autopilot.ARDUPILOT) -> Iterable[Inbound]:
+    boot = t + 10.0 * sysid
+    step = round(t * 10)
+    yield GlobalPosition(sysid, t, boot, LAT + 0.001 * sysid, LON, ALT + 30, 0.0, 20.0, 0.0)
+    if step % 2 == 0:
+        yield GpsReceiver(sysid, t, 0, fix_type, LAT, LON, ALT, 10 if fix_type >= 3 else 3, 1.0, 1.2, 2.0, 0.4)
+    if step % 10 == 0:
+        yield Heartbeat(sysid, t, autopilot, True)
+        yield RouteReport(sysid, t, None)
+
+
+def fly(
+    engine: Engine, start_s: float, stop_s: float, failed: Collection[int] = (), sysids: Collection[int] = (1, 2, 3, 4)
+) -> list:
+    """Feed 10 Hz telemetry and poll at every deadline, as the service does; returns (time, output) pairs."""
+    out = []
+    for step in range(round(start_s * 10), round(stop_s * 10)):
+        t = step / 10
+        for sysid in sysids:
+            for message in telemetry(sysid, t, fix_type=1 if sysid in failed else 3):
+                engine.receive(message)
+        while engine.next_deadline() < t + 0.1:
+            now_s = max(engine.next_deadline(), t)
+            out.extend((now_s, o) for o in engine.poll(now_s))
+    return out
+
+
+def aids(out: list, sysid: int) -> list[tuple[float, GpsInput]]:
+    return [(t, o) for t, o in out if isinstance(o, GpsInput) and o.sysid == sysid]
+
+
+def test_a_healthy_fleet_gets_no_aid_and_its_positions_reach_the_estimator():
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    out = fly(engine, 0.0, 5.0)
+    assert not [o for _, o in out if isinstance(o, GpsInput)]
+    assert len(estimator.of(PositionMeasurement, 2)) >= 48
+    position = estimator.of(PositionMeasurement, 2)[-1]
+    assert position.sigma_h_m == 1.2
+    assert position.sigma_v_m == 2.0
+    assert position.velocity_enu_mps == pytest.approx((20.0, 0.0, 0.0), abs=0.01)
+
+
+def test_a_failed_vehicle_is_aided_at_a_steady_ten_hertz_and_nobody_else():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 5.0)
+    out = fly(engine, 5.0, 25.0, failed=[4])
+    assert {o.sysid for _, o in out if isinstance(o, GpsInput)} == {4}
+    times = np.array([t for t, _ in aids(out, 4)])
+    assert 6.0 <= times[0] <= 6.5
+    assert np.diff(times) == pytest.approx(0.1, abs=1e-9)
+
+
+def test_what_a_failed_vehicle_says_of_its_own_position_never_reaches_the_estimator():
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    fly(engine, 0.0, 5.0)
+    fly(engine, 5.0, 20.0, failed=[4])
+    assert max(m.measured_at_s for m in estimator.of(PositionMeasurement, 4)) < 5.1
+    assert len(estimator.of(AltitudeMeasurement, 4)) >= 148
+
+
+def test_recovery_restores_trust_only_after_the_hysteresis_and_ends_the_stream_with_no_fix():
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    fly(engine, 0.0, 5.0)
+    fly(engine, 5.0, 20.0, failed=[4])
+    out = fly(engine, 20.0, 40.0)
+    stream = aids(out, 4)
+    assert 29.5 < stream[-1][0] < 30.5
+    assert stream[-1][1].fix_type == 1
+    assert min(m.measured_at_s for m in estimator.of(PositionMeasurement, 4) if m.measured_at_s > 5.1) > 29.5
+    assert [s for s, _ in estimator.subjects] == [frozenset({4}), frozenset()]
+
+
+def test_position_and_velocity_are_those_of_two_tenths_ago_in_the_wires_units():
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    fly(engine, 0.0, 5.0)
+    out = fly(engine, 5.0, 10.0, failed=[4])
+    sent_at_s, aid = aids(out, 4)[-1]
+    frame = engine.feed.frame
+    assert frame is not None
+    assert (4, pytest.approx(sent_at_s - 0.2)) in estimator.asked
+    e, n, u = frame.enu_from_geodetic(aid.lat_deg, aid.lon_deg, aid.alt_msl_m)
+    assert (e, n, u) == pytest.approx((20.0 * (sent_at_s - 0.2), 0.0, 30.0), abs=1e-3)
+    assert (aid.vn_mps, aid.ve_mps, aid.vd_mps) == pytest.approx((0.0, 20.0, -1.0), abs=1e-3)
+    assert (aid.fix_type, aid.gps_id, aid.satellites) == (3, 1, 7)
+    assert (aid.horiz_accuracy_m, aid.vert_accuracy_m, aid.speed_accuracy_mps) == pytest.approx((2.0, 3.0, 0.5))
+    assert (aid.hdop, aid.vdop) == pytest.approx((1.5, 2.25))
+
+
+def test_without_utc_the_week_is_zero_and_with_it_the_week_is_the_answers():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 5.0)
+    out = fly(engine, 5.0, 8.0, failed=[4])
+    assert {(a.gps_week, a.gps_time_of_week_ms, a.time_usec) for _, a in aids(out, 4)} == {(0, 0, 0)}
+    engine.receive(ClockReference(8.0, 1_700_000_000.0))
+    sent_at_s, aid = aids(fly(engine, 8.0, 9.0, failed=[4]), 4)[-1]
+    assert (aid.gps_week, aid.gps_time_of_week_ms) == gps_week_and_ms(1_700_000_000.0 + sent_at_s - 0.2)
+    assert aid.time_usec == pytest.approx((1_700_000_000.0 + sent_at_s - 0.2) * 1e6, abs=1.0)
+
+
+def test_an_old_leap_second_table_is_told_once():
+    engine = Engine(StraightLine(), settings())
+    for t in (0.0, 1.0):
+        engine.receive(ClockReference(t, TABLE_GOOD_UNTIL.timestamp()))
+    notices = [o for o in engine.poll(1.0) if isinstance(o, Notice)]
+    assert len(notices) == 1
+    assert "leap second" in notices[0].text
+
+
+@pytest.mark.parametrize("cause", ["unknown", "uncertain"])
+def test_a_position_that_is_unknown_or_too_uncertain_is_never_claimed_as_a_fix(cause):
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    fly(engine, 0.0, 5.0)
+    if cause == "unknown":
+        estimator.unknown = "no ranges"
+    else:
+        estimator.sigma_m = 20.5  # 95 % bound 50.2 m
+    out = fly(engine, 5.0, 10.0, failed=[4])
+    assert len(aids(out, 4)) > 35
+    assert {a.fix_type for _, a in aids(out, 4)} == {1}
+    reasons = [o.text for _, o in out if isinstance(o, Notice) and "not located" in o.text]
+    assert len(reasons) == 1
+    estimator.unknown, estimator.sigma_m = None, 20.3
+    assert {a.fix_type for _, a in aids(fly(engine, 10.0, 11.0, failed=[4]), 4)} == {3}
+
+
+@pytest.mark.parametrize(
+    ("blocking", "words"),
+    [(RouteReport(4, 7.0, "shares its address with 3"), "shares its address"), (Heartbeat(4, 7.0, Autopilot.PX4, True), "PX4")],
+)
+def test_a_vehicle_that_cannot_be_reached_or_takes_no_gps_input_gets_nothing_and_the_reason_is_shown(blocking, words):
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 5.0)
+    fly(engine, 5.0, 7.0, failed=[4])
+    engine.receive(blocking)
+    last = [o for o in engine.poll(7.0) if isinstance(o, GpsInput)]
+    assert [o.fix_type for o in last] == [1]
+    assert not [o for o in engine.poll(7.5) if isinstance(o, GpsInput)]
+    assert words in next(v.aid for v in engine.view(7.5).vehicles if v.sysid == 4)
+
+
+def test_the_operators_word_holds_from_before_the_vehicle_is_heard():
+    engine = Engine(StraightLine(), settings())
+    engine.receive(OperatorWord(4, 0.0, GpsWord.FAILED))
+    out = fly(engine, 0.0, 3.0)
+    assert {a.fix_type for t, a in aids(out, 4) if t > 0.5} == {3}
+    assert not engine.estimator.of(PositionMeasurement, 4)
+    engine.receive(OperatorWord(4, 3.0, GpsWord.AUTO))
+    fly(engine, 3.0, 15.0)
+    assert engine.view(15.0).vehicles[3].gps_state == "healthy"
+
+
+def test_closing_sends_a_last_no_fix_to_everyone_being_aided():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 5.0)
+    fly(engine, 5.0, 10.0, failed=[3, 4])
+    assert [(o.sysid, o.fix_type) for o in engine.close()] == [(3, 1), (4, 1)]
+    assert engine.close() == []
+
+
+def test_ranges_carry_the_time_they_were_measured_at_and_the_default_sigma():
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    fly(engine, 0.0, 2.0)
+    for i in range(20):
+        engine.receive(PeerRange(4, 2.0 + i / 10 + 0.3 * (i % 2), 1, 500.0, None, 77.0 + i / 10, TimeBase.BOOT, i, None, 0))
+    ranges = [m for m in estimator.taken if isinstance(m, RangeMeasurement)]
+    assert [m.measured_at_s for m in ranges] == pytest.approx([2.0 + i / 10 for i in range(20)])
+    assert {m.sigma_m for m in ranges} == {5.0}
+
+
+def test_a_range_to_a_vehicle_that_was_never_heard_is_refused_and_counted():
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    fly(engine, 0.0, 2.0)
+    engine.receive(PeerRange(4, 2.0, 77, 500.0, 1.0, None, TimeBase.BOOT, 1, None, 0))
+    assert not [m for m in estimator.taken if isinstance(m, RangeMeasurement)]
+    assert engine.refused() == {"range: peer is not a vehicle that was heard": 1}
+
+
+def test_a_stale_range_is_refused_and_counted():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 9.0)
+    engine.receive(PeerRange(4, 9.0, 1, 500.0, 1.0, 3.0, TimeBase.SERVICE, 1, None, 0))
+    assert engine.refused() == {"range: measured more than 5 s ago": 1}
+
+
+def test_a_late_poll_skips_what_it_missed_and_keeps_the_grid():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 5.0)
+    out = fly(engine, 5.0, 8.0, failed=[4])
+    grid_s = aids(out, 4)[0][0]
+    late = engine.poll(9.234)
+    assert len([o for o in late if isinstance(o, GpsInput)]) == 1
+    phase = (engine.aiding.next_due_s() - grid_s) / 0.1
+    assert phase == pytest.approx(round(phase), abs=1e-6)
+    assert 9.234 < engine.aiding.next_due_s() <= 9.334
+
+
+def test_missing_streams_are_asked_for_ever_less_often_and_at_once_after_a_reboot():
+    engine = Engine(StraightLine(), EngineSettings(request_streams=True))
+    out = fly(engine, 0.0, 60.0, sysids=[1])
+    asked = [(t, o) for t, o in out if isinstance(o, StreamRequest)]
+    assert {o.message_id for _, o in asked} == {124, 30, 74, 1, 193, 2}  # what telemetry() does not send
+    times = sorted({t for t, _ in asked})
+    assert times == pytest.approx([4.0, 12.0, 28.0], abs=1.0)
+    for i in range(80):
+        t = 60.0 + i / 10
+        engine.receive(GlobalPosition(1, t, 0.5 + i / 10, LAT, LON, ALT, 0.0, 0.0, 0.0))
+        out = engine.poll(t)
+        if any(isinstance(o, StreamRequest) for o in out):
+            assert t < 65.0
+            break
+    else:
+        pytest.fail("not asked again after the reboot")
+
+
+def test_more_vehicles_than_the_bound_are_refused():
+    engine = Engine(StraightLine(), settings(most_vehicles=2))
+    fly(engine, 0.0, 1.0, sysids=(1, 2, 3))
+    assert [v.sysid for v in engine.view(1.0).vehicles] == [1, 2]
+    assert engine.refused()["more vehicles than the fleet may have"] > 10
+
+
+def test_the_same_calls_give_the_same_outputs():
+    runs = []
+    for _ in range(2):
+        engine = Engine(StraightLine(), settings())
+        runs.append(fly(engine, 0.0, 5.0) + fly(engine, 5.0, 12.0, failed=[2, 4]))
+    assert runs[0] == runs[1]
