@@ -1,1 +1,1 @@
-"""Sockets and serial lines: datagrams with their address and arrival time, nothing more."""
+"""Links: bytes with an address and an arrival time, and which vehicle is reached where. No message is looked into here."""

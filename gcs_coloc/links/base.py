@@ -1,0 +1,49 @@
+"""What every link is to the rest of the program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from gcs_coloc.mavlink.counts import Counts
+
+Address = tuple[Any, ...]
+"""Where bytes came from and can be sent back to: a UDP socket address, or the identity of a stream's connection."""
+
+Clock = Callable[[], float]
+"""The service's clock in seconds; each link stamps what arrives with it."""
+
+FIRST_RETRY_S = 1.0
+MAX_RETRY_S = 15.0
+"""A lost connection is tried again after `FIRST_RETRY_S`, then after twice as long each time: soon after a hiccup, and without
+filling the log when a device stays away."""
+
+
+class Link(Protocol):
+    """A way to vehicles. It delivers what arrives to the handler it was built with, and sends without ever blocking."""
+
+    @property
+    def name(self) -> str:
+        """Its connection string."""
+        ...
+
+    @property
+    def counts(self) -> Counts:
+        """What could not be received or sent, by reason."""
+        ...
+
+    async def open(self) -> None:
+        """Start to receive. Raises LinkError, in words for the operator, where the link cannot work as it was asked for."""
+        ...
+
+    def send(self, address: Address, payload: bytes) -> None:
+        """Send whole frames to an address that was heard from. Never blocks and never raises; what is not sent is counted."""
+        ...
+
+    async def close(self) -> None:
+        """Stop, and give back sockets and devices. Closing a link that is not open does nothing."""
+        ...
+
+
+DatagramHandler = Callable[[Link, Address, bytes, float], None]
+"""Takes link, address, payload (one UDP datagram, or one whole frame of a stream) and arrival time; must not raise."""

@@ -1,0 +1,111 @@
+"""UDP on a non-blocking socket of our own, drained by the event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import socket
+from typing import Any
+
+from gcs_coloc.core.errors import LinkError
+from gcs_coloc.links.address import UdpIn, UdpOut
+from gcs_coloc.links.base import Address, Clock, DatagramHandler
+from gcs_coloc.mavlink.counts import Counts
+
+MAX_DATAGRAM = 65535
+DATAGRAMS_PER_WAKE = 64
+"""After so many in a row the event loop gets its turn, lest a flood keeps everything else from running."""
+RECEIVE_BUFFER_BYTES = 1 << 20
+"""Room for a second of many vehicles while the process is held up; the system may grant less."""
+
+NOT_SENT = "not_sent"
+RECEIVE_ERROR = "receive_error"
+
+
+class UdpLink:
+    """A UDP socket: bound to a port that vehicles send to (udpin), or sending first to one of theirs (udpout)."""
+
+    def __init__(self, address: UdpIn | UdpOut, handler: DatagramHandler, clock: Clock) -> None:
+        self._address = address
+        self._handler = handler
+        self._clock = clock
+        self._socket: socket.socket | None = None
+        self._remote: Address | None = None
+        self.counts = Counts()
+
+    @property
+    def name(self) -> str:
+        """Its connection string."""
+        return str(self._address)
+
+    @property
+    def remote(self) -> Address | None:
+        """The address that a udpout link sends to before it has heard anyone; None for udpin or while not open."""
+        return self._remote
+
+    async def open(self) -> None:
+        """Bind. LinkError where the port is in use, the host is not found or not ours."""
+        loop = asyncio.get_running_loop()
+        family, sockaddr = await self._resolve(loop)
+        udp_socket = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            udp_socket.setblocking(False)
+            udp_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+            # Neither SO_REUSEADDR nor SO_REUSEPORT: with them a second program would silently take our vehicles' datagrams.
+            if isinstance(self._address, UdpIn):
+                udp_socket.bind(sockaddr)
+            else:
+                udp_socket.bind(("", 0))
+                self._remote = sockaddr
+        except OSError as error:
+            udp_socket.close()
+            raise LinkError(self._cannot_bind(error)) from error
+        self._socket = udp_socket
+        loop.add_reader(udp_socket, self._drain, udp_socket)
+
+    async def _resolve(self, loop: asyncio.AbstractEventLoop) -> tuple[socket.AddressFamily, Any]:
+        try:
+            found = await loop.getaddrinfo(self._address.host, self._address.port, type=socket.SOCK_DGRAM)
+        except OSError as error:
+            raise LinkError(f"{self.name}: host {self._address.host!r} is not found ({error.strerror})") from error
+        # Autopilots and simulators listen on IPv4; "localhost" may name ::1 first.
+        family, _, _, _, sockaddr = min(found, key=lambda entry: entry[0] != socket.AF_INET)
+        return family, sockaddr
+
+    def _cannot_bind(self, error: OSError) -> str:
+        if error.errno == errno.EADDRINUSE:
+            return (
+                f"{self.name}: port {self._address.port} is in use by another program (QGroundControl and MAVProxy listen on "
+                "14550 too); stop it, or listen on another port and have the vehicles or that program forward to it"
+            )
+        if error.errno == errno.EADDRNOTAVAIL:
+            return f"{self.name}: {self._address.host} is no address of this machine; use 0.0.0.0 to listen on all of them"
+        return f"{self.name}: cannot be opened: {error.strerror}"
+
+    def _drain(self, udp_socket: socket.socket) -> None:
+        for _ in range(DATAGRAMS_PER_WAKE):
+            try:
+                payload, address = udp_socket.recvfrom(MAX_DATAGRAM)
+            except BlockingIOError:
+                return
+            except OSError:  # an ICMP error that an earlier send brought back
+                self.counts.add(RECEIVE_ERROR)
+                return
+            self._handler(self, address, payload, self._clock())
+
+    def send(self, address: Address, payload: bytes) -> None:
+        """Send one datagram; one that the system does not take at once is dropped and counted."""
+        if self._socket is None:
+            self.counts.add(NOT_SENT)
+            return
+        try:
+            self._socket.sendto(payload, address)
+        except OSError:
+            self.counts.add(NOT_SENT)
+
+    async def close(self) -> None:
+        """Close the socket."""
+        if self._socket is not None:
+            asyncio.get_running_loop().remove_reader(self._socket)
+            self._socket.close()
+            self._socket = None
