@@ -31,22 +31,27 @@ class Aiding:
         self.settings = settings
         self._period_s = 1.0 / settings.rate_hz
         self._streams: dict[int, _Stream] = {}
+        self._told: dict[int, str | None] = {}
 
     def review(self, vehicle: Vehicle, now_s: float) -> list[Outbound]:
         """Start or end the stream of one vehicle after its health, autopilot or route changed."""
-        aided = vehicle.health.state in _AIDED_STATES and self.hindrance(vehicle) is None
+        wanted, hindrance = vehicle.health.state in _AIDED_STATES, self.hindrance(vehicle)
+        aided = wanted and hindrance is None
         stream = self._streams.get(vehicle.sysid)
+        out: list[Outbound] = []
         if aided and stream is None:
             self._streams[vehicle.sysid] = _Stream(due_s=now_s)
             vehicle.health.aided = True
         elif not aided and stream is not None:
             del self._streams[vehicle.sysid]
             vehicle.health.aided = False
-            return [
-                no_fix(vehicle.sysid, self.settings.gps_id),
-                Notice(now_s, vehicle.sysid, "info", f"aid ended: GPS {vehicle.health.state.value}, {vehicle.health.reason}"),
-            ]
-        return []
+            out.append(no_fix(vehicle.sysid, self.settings.gps_id))
+            out.append(Notice(now_s, vehicle.sysid, "info", f"aid ended: {hindrance or f'GPS {vehicle.health.state.value}'}"))
+        if wanted and hindrance != self._told.get(vehicle.sysid):
+            self._told[vehicle.sysid] = hindrance
+            if hindrance is not None:
+                out.append(Notice(now_s, vehicle.sysid, "error", f"needs aid and cannot be aided: {hindrance}"))
+        return out
 
     def hindrance(self, vehicle: Vehicle) -> str | None:
         """Why a vehicle cannot be aided even if it should be, in words for the operator; None where it can."""

@@ -14,6 +14,7 @@ from gcs_coloc.core.feed import Feed, FeedSettings
 from gcs_coloc.core.fleet import Fleet, Vehicle
 from gcs_coloc.core.gps_input import AidSettings, horizontal_bound_95_m, horizontal_sigma_m
 from gcs_coloc.core.gps_time import TABLE_GOOD_UNTIL, table_is_old
+from gcs_coloc.core.guard import GuardedEstimator
 from gcs_coloc.core.health import GpsState, HealthSettings
 from gcs_coloc.core.measurements import Estimate, Measurement, Unknown
 from gcs_coloc.core.messages import (
@@ -60,13 +61,14 @@ class Engine:
 
     def __init__(self, estimator: Estimator, settings: EngineSettings | None = None) -> None:
         self.settings = settings if settings is not None else EngineSettings()
-        self.estimator = estimator
+        self.estimator: Estimator = GuardedEstimator(estimator, self._tell_of_estimator)
         self.fleet = Fleet(self.settings.health, self.settings.most_vehicles)
         self.feed = Feed(self.settings.feed)
         self.aiding = Aiding(self.settings.aid)
         self._streams = StreamRequests()
         self._outbox: list[Outbound] = []
         self._refused: Counter[str] = Counter()
+        self._now_s = float("-inf")
         self._utc_minus_service_s: float | None = None
         self._warned_of_old_table = False
         self._subjects: frozenset[int] = frozenset()
@@ -75,16 +77,13 @@ class Engine:
 
     def receive(self, message: Inbound) -> None:
         """Take one message. Never raises for its content: what cannot be used is counted by reason."""
-        at_s = message.received_at_s
+        at_s = self._now_s = message.received_at_s
         if isinstance(message, ClockReference):
             self._utc(message)
             return
         if isinstance(message, RouteReport):
             # Word from the link layer is no sign of life.
-            vehicle = self.fleet.get(message.sysid)
-            if vehicle is not None:
-                vehicle.blocked = message.blocked
-                self._outbox.extend(self.aiding.review(vehicle, at_s))
+            self._reroute(message)
             return
         if isinstance(message, OperatorWord):
             self._obey(message)
@@ -105,6 +104,7 @@ class Engine:
 
     def poll(self, now_s: float) -> list[Outbound]:
         """Everything that is to be sent or told by now."""
+        self._now_s = now_s
         if now_s >= self._housekeeping_due_s:
             self._housekeeping_due_s = now_s + _HOUSEKEEPING_S
             for vehicle in self.fleet:
@@ -146,6 +146,15 @@ class Engine:
             self._say(at_s, sysid, "info", "heard for the first time")
             vehicle.health.word = self._words.get(sysid, GpsWord.AUTO)
         return vehicle
+
+    def _reroute(self, message: RouteReport) -> None:
+        vehicle = self.fleet.get(message.sysid)
+        if vehicle is None or vehicle.blocked == message.blocked:
+            return
+        vehicle.blocked = message.blocked
+        if message.blocked is not None:
+            self._say(message.received_at_s, vehicle.sysid, "warning", f"nothing can be sent to it: {message.blocked}")
+        self._outbox.extend(self.aiding.review(vehicle, message.received_at_s))
 
     def _obey(self, message: OperatorWord) -> None:
         self._words[message.sysid] = message.word
@@ -211,6 +220,9 @@ class Engine:
             self._warned_of_old_table = True
             text = f"the leap second table is good until {TABLE_GOOD_UNTIL:%Y-%m-%d} only: GPS time may be a second off, update"
             self._say(message.received_at_s, None, "warning", text)
+
+    def _tell_of_estimator(self, text: str) -> None:
+        self._say(self._now_s, None, "error", text)
 
     def _say(self, at_s: float, sysid: int | None, level: str, text: str) -> None:
         self._outbox.append(Notice(at_s, sysid, level, text))

@@ -215,11 +215,12 @@ def test_a_vehicle_that_cannot_be_reached_or_takes_no_gps_input_gets_nothing_and
 
 
 def test_the_operators_word_holds_from_before_the_vehicle_is_heard():
-    engine = Engine(StraightLine(), settings())
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
     engine.receive(OperatorWord(4, 0.0, GpsWord.FAILED))
     out = fly(engine, 0.0, 3.0)
     assert {a.fix_type for t, a in aids(out, 4) if t > 0.5} == {3}
-    assert not engine.estimator.of(PositionMeasurement, 4)
+    assert not estimator.of(PositionMeasurement, 4)
     engine.receive(OperatorWord(4, 3.0, GpsWord.AUTO))
     fly(engine, 3.0, 15.0)
     assert engine.view(15.0).vehicles[3].gps_state == "healthy"
@@ -303,3 +304,46 @@ def test_the_same_calls_give_the_same_outputs():
         engine = Engine(StraightLine(), settings())
         runs.append(fly(engine, 0.0, 5.0) + fly(engine, 5.0, 12.0, failed=[2, 4]))
     assert runs[0] == runs[1]
+
+
+class Faulty(StraightLine):
+    """Raises, or answers with what is no position."""
+
+    name = "faulty"
+    fault = "none"
+
+    def add(self, measurement: Measurement) -> None:
+        if self.fault == "add":
+            raise ZeroDivisionError
+        super().add(measurement)
+
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
+        if self.fault == "raise":
+            raise ValueError("singular")
+        answer = super().estimate(vehicle, at_s)
+        if self.fault == "nan" and isinstance(answer, Estimate):
+            answer.position_enu_m[1] = np.nan
+        if self.fault == "negative" and isinstance(answer, Estimate):
+            answer.covariance[0, 0] = -1.0
+        return answer
+
+
+@pytest.mark.parametrize("fault", ["raise", "nan", "negative"])
+def test_a_faulty_estimator_stops_nothing_and_its_answers_are_never_a_fix(fault):
+    estimator = Faulty()
+    engine = Engine(estimator, settings())
+    fly(engine, 0.0, 5.0)
+    estimator.fault = fault
+    out = fly(engine, 5.0, 9.0, failed=[4])
+    assert len(aids(out, 4)) > 25
+    assert {a.fix_type for _, a in aids(out, 4)} == {1}
+    assert len([o for _, o in out if isinstance(o, Notice) and o.level == "error"]) == 1
+
+
+def test_an_estimator_that_refuses_a_measurement_is_told_of_once():
+    estimator = Faulty()
+    estimator.fault = "add"
+    engine = Engine(estimator, settings())
+    out = fly(engine, 0.0, 5.0)
+    assert len([o for _, o in out if isinstance(o, Notice) and "ZeroDivisionError" in o.text]) == 1
+    assert engine.view(5.0).refused["estimator: raised an exception"] > 100
