@@ -13,11 +13,6 @@ Address = tuple[Any, ...]
 Clock = Callable[[], float]
 """The service's clock in seconds; each link stamps what arrives with it."""
 
-FIRST_RETRY_S = 1.0
-MAX_RETRY_S = 15.0
-"""A lost connection is tried again after `FIRST_RETRY_S`, then after twice as long each time: soon after a hiccup, and without
-filling the log when a device stays away."""
-
 
 class Link(Protocol):
     """A way to vehicles. It delivers what arrives to the handler it was built with, and sends without ever blocking."""
@@ -30,6 +25,11 @@ class Link(Protocol):
     @property
     def counts(self) -> Counts:
         """What could not be received or sent, by reason."""
+        ...
+
+    @property
+    def remote(self) -> Address | None:
+        """Where to send before anyone was heard (a vehicle may wait for our first frame); None where we can only wait."""
         ...
 
     async def open(self) -> None:

@@ -42,8 +42,9 @@ class RouteTable:
     """Learns from every frame heard, and answers where a vehicle is.
 
     `roam_after_s`: how long a component must be silent at its address before it may turn up at another one.
-    `shared_memory_s`: how long an autopilot, heard once, counts as living behind an address. It is long because a vehicle that we do not
-    hear may still hear us. `max_components`, `max_addresses`: bounds of the tables; when one is full, only what is silent makes room.
+    `shared_memory_s`: how long an autopilot, heard once, counts as living behind an address. It is long because a vehicle
+    that we do not hear may still hear us. `max_components`, `max_addresses`: bounds of the tables; when one is full, only
+    what is silent makes room.
     """
 
     def __init__(
@@ -106,8 +107,8 @@ class RouteTable:
         if others:
             listed = ", ".join(str(other) for other in others)
             return Blocked(
-                f"vehicles {listed} and {sysid} are heard from one address (a router?), and GPS_INPUT has no target field: all of them "
-                "would take it. Give each vehicle its own UDP stream to us, from its own port, or its own --link"
+                f"vehicles {listed} and {sysid} are heard from one address (a router?), and GPS_INPUT has no target field: all "
+                "of them would take it. Give each vehicle its own UDP stream to us, from its own port, or its own --link"
             )
         return pin.route
 

@@ -1,0 +1,155 @@
+"""A serial device, read and written without blocking; one that is unplugged is opened again when it is back."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import logging
+import os
+import termios
+
+import serial
+
+from gcs_coloc.core.errors import LinkError
+from gcs_coloc.links.address import SerialPort
+from gcs_coloc.links.base import Address, Clock, DatagramHandler
+from gcs_coloc.links.stream import (
+    CONNECTION_LOST,
+    MAX_UNSENT_BYTES,
+    NOT_CONNECTED,
+    OUTPUT_SKIPPED,
+    FrameSource,
+    RetryDelays,
+    retry_delays,
+)
+from gcs_coloc.mavlink.counts import Counts
+
+READ_BYTES = 4096
+
+_DEVICE_ERRORS = (OSError, ValueError, termios.error)  # pyserial's own is an OSError; a speed that does not exist, a ValueError
+
+log = logging.getLogger(__name__)
+
+
+class SerialLink:
+    """A serial device such as a telemetry radio. All vehicles behind it have one address, `remote`."""
+
+    def __init__(self, address: SerialPort, handler: DatagramHandler, clock: Clock, delays: RetryDelays = retry_delays) -> None:
+        self.counts = Counts()
+        self.remote: Address = ("serial", address.device)
+        self._address = address
+        self._handler = handler
+        self._clock = clock
+        self._delays = delays
+        self._port: serial.Serial | None = None
+        self._fd = -1
+        self._source = FrameSource(self, self.remote, handler, clock)
+        self._unsent = b""
+        self._lost = asyncio.Event()
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def name(self) -> str:
+        """Its connection string."""
+        return str(self._address)
+
+    async def open(self) -> None:
+        """Open the device. LinkError where it does not exist, is in use, may not be opened or has no such speed."""
+        try:
+            self._start()
+        except _DEVICE_ERRORS as error:
+            raise LinkError(f"{self.name}: {self._cannot_open(error)}") from error
+        self._task = asyncio.get_running_loop().create_task(self._stay_open(), name=self.name)
+
+    def _cannot_open(self, error: Exception) -> str:
+        number = getattr(error, "errno", None)
+        device = self._address.device
+        if number == errno.ENOENT:
+            return f"there is no device {device}; is it plugged in?"
+        if number == errno.EACCES:
+            return f"no permission to open {device}; add yourself to its group (often: sudo usermod -aG dialout $USER)"
+        if number == errno.EWOULDBLOCK:
+            return f"{device} is in use by another program; stop that"
+        return f"{device} cannot be opened as a serial device: {error}"
+
+    def _start(self) -> None:
+        # Exclusive: two programs that read one device each get half of every frame.
+        self._port = serial.Serial(self._address.device, self._address.baud, timeout=0, exclusive=True)
+        self._fd = self._port.fileno()
+        self._source = FrameSource(self, self.remote, self._handler, self._clock)
+        self._unsent = b""
+        self._lost.clear()
+        asyncio.get_running_loop().add_reader(self._fd, self._read)
+
+    def _stop(self) -> None:
+        if self._port is None:
+            return
+        loop = asyncio.get_running_loop()
+        loop.remove_reader(self._fd)
+        loop.remove_writer(self._fd)
+        with contextlib.suppress(*_DEVICE_ERRORS):  # the device may be gone already
+            self._port.close()
+        self._port = None
+        self._lost.set()
+
+    async def _stay_open(self) -> None:
+        while True:
+            await self._lost.wait()
+            self.counts.add(CONNECTION_LOST)
+            log.warning("%s: device lost, opening it again when it is back", self.name)
+            for delay_s in self._delays():
+                await asyncio.sleep(delay_s)
+                try:
+                    self._start()
+                except _DEVICE_ERRORS as error:
+                    log.debug("%s: %s", self.name, self._cannot_open(error))
+                else:
+                    log.info("%s: device is back", self.name)
+                    break
+
+    def _read(self) -> None:
+        try:
+            data = os.read(self._fd, READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if data:
+            self._source.feed(data)
+        else:
+            self._stop()
+
+    def send(self, address: Address, payload: bytes) -> None:
+        """Send frames, or skip them while the device has not taken what came before; counted either way."""
+        if self._port is None or address != self.remote:
+            self.counts.add(NOT_CONNECTED)
+        elif len(self._unsent) + len(payload) > MAX_UNSENT_BYTES:
+            self.counts.add(OUTPUT_SKIPPED)
+        else:
+            self._unsent += payload
+            self._write()
+
+    def _write(self) -> None:
+        try:
+            written = os.write(self._fd, self._unsent)
+        except BlockingIOError:
+            written = 0
+        except OSError:
+            self._stop()
+            return
+        self._unsent = self._unsent[written:]
+        loop = asyncio.get_running_loop()
+        if self._unsent:
+            loop.add_writer(self._fd, self._write)
+        else:
+            loop.remove_writer(self._fd)
+
+    async def close(self) -> None:
+        """Close the device and stay so."""
+        if self._task is not None:
+            self._task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._task
+            self._task = None
+        self._stop()

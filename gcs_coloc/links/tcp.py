@@ -1,0 +1,231 @@
+"""TCP: a client that connects again when it is cut off, and a server for several clients."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+
+from gcs_coloc.core.errors import LinkError
+from gcs_coloc.links.address import TcpClient, TcpServer
+from gcs_coloc.links.base import Address, Clock, DatagramHandler, Link
+from gcs_coloc.links.stream import (
+    CONNECTION_LOST,
+    MAX_UNSENT_BYTES,
+    NOT_CONNECTED,
+    OUTPUT_SKIPPED,
+    FrameSource,
+    RetryDelays,
+    retry_delays,
+)
+from gcs_coloc.mavlink.counts import Counts
+
+MAX_CLIENTS = 64
+SEND_BUFFER_BYTES = 4096
+"""About the least that Linux grants: what lies in the system's buffer of a stalled connection cannot be called back."""
+PEER_SILENT_MS = 10_000
+"""A connection whose peer has not acknowledged anything for so long is dead, and is dropped."""
+
+TOO_MANY_CLIENTS = "too_many_clients"
+
+log = logging.getLogger(__name__)
+
+
+class _Connection(asyncio.Protocol):
+    """One TCP connection: frames in, and frames out as long as the peer takes them."""
+
+    def __init__(self, link: Link, handler: DatagramHandler, clock: Clock) -> None:
+        self.lost = asyncio.Event()
+        self._link = link
+        self._handler = handler
+        self._clock = clock
+        self._source: FrameSource | None = None
+        self._transport: asyncio.Transport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        tcp_socket = transport.get_extra_info("socket")
+        tcp_socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        tcp_socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, PEER_SILENT_MS)
+        self._transport = transport
+        self._source = FrameSource(self._link, self.address, self._handler, self._clock)
+
+    @property
+    def address(self) -> Address:
+        """The peer's socket address."""
+        assert self._transport is not None
+        peer: Address = self._transport.get_extra_info("peername")
+        return peer
+
+    def data_received(self, data: bytes) -> None:
+        assert self._source is not None
+        self._source.feed(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 - asyncio's signature
+        self._link.counts.add(CONNECTION_LOST)
+        self.lost.set()
+
+    def send(self, payload: bytes) -> None:
+        """Hand a frame to the system, or skip it while the peer does not take what it was sent before."""
+        assert self._transport is not None
+        if self._transport.get_write_buffer_size() + len(payload) > MAX_UNSENT_BYTES:
+            self._link.counts.add(OUTPUT_SKIPPED)
+        else:
+            self._transport.write(payload)
+
+    def abort(self) -> None:
+        """Close at once; what is unsent is old by now."""
+        assert self._transport is not None
+        self._transport.abort()
+
+
+class TcpClientLink:
+    """Connects to a port, such as a simulator's or a router's. A connection that fails or ends is tried again for ever."""
+
+    def __init__(self, address: TcpClient, handler: DatagramHandler, clock: Clock, delays: RetryDelays = retry_delays) -> None:
+        self._address = address
+        self._handler = handler
+        self._clock = clock
+        self._delays = delays
+        self._connection: _Connection | None = None
+        self._task: asyncio.Task[None] | None = None
+        self.counts = Counts()
+
+    @property
+    def name(self) -> str:
+        """Its connection string."""
+        return str(self._address)
+
+    @property
+    def remote(self) -> Address | None:
+        """The address of the other end, to which `send` sends; None while not connected."""
+        return self._connection.address if self._connection else None
+
+    async def open(self) -> None:
+        """Begin to connect. LinkError where the host is not found; that nobody listens there yet is no error."""
+        loop = asyncio.get_running_loop()
+        try:
+            await loop.getaddrinfo(self._address.host, self._address.port, type=socket.SOCK_STREAM)
+        except OSError as error:
+            raise LinkError(f"{self.name}: host {self._address.host!r} is not found ({error.strerror})") from error
+        self._task = loop.create_task(self._stay_connected(), name=self.name)
+
+    async def _stay_connected(self) -> None:
+        loop = asyncio.get_running_loop()
+        delays = self._delays()
+        level = logging.WARNING
+        while True:
+            try:
+                _, connection = await loop.create_connection(
+                    lambda: _Connection(self, self._handler, self._clock), self._address.host, self._address.port
+                )
+            except OSError as error:
+                log.log(level, "%s: cannot connect (%s), trying again", self.name, error.strerror or error)
+                level = logging.DEBUG
+            else:
+                log.info("%s: connected", self.name)
+                self._connection = connection
+                await connection.lost.wait()
+                self._connection = None
+                log.warning("%s: connection lost, connecting again", self.name)
+                delays = self._delays()
+                level = logging.WARNING
+            await asyncio.sleep(next(delays))
+
+    def send(self, address: Address, payload: bytes) -> None:
+        """Send frames to the other end; counted as not_connected where it is gone or another one than `address`."""
+        if self._connection is None or self._connection.address != address:
+            self.counts.add(NOT_CONNECTED)
+        else:
+            self._connection.send(payload)
+
+    async def close(self) -> None:
+        """Disconnect and stay so."""
+        if self._task is not None:
+            self._task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._task
+            self._task = None
+        if self._connection is not None:
+            self._connection.abort()
+            await self._connection.lost.wait()
+            self._connection = None
+
+
+class TcpServerLink:
+    """Listens for TCP connections; each client is one address."""
+
+    def __init__(self, address: TcpServer, handler: DatagramHandler, clock: Clock) -> None:
+        self._address = address
+        self._handler = handler
+        self._clock = clock
+        self._clients: dict[Address, _ServerConnection] = {}
+        self._server: asyncio.Server | None = None
+        self.counts = Counts()
+
+    @property
+    def name(self) -> str:
+        """Its connection string."""
+        return str(self._address)
+
+    @property
+    def remote(self) -> None:
+        """Nobody, until a client comes."""
+        return
+
+    async def open(self) -> None:
+        """Listen. LinkError where the port is in use, the host is not found or not ours."""
+        loop = asyncio.get_running_loop()
+        try:
+            self._server = await loop.create_server(
+                lambda: _ServerConnection(self, self._handler, self._clock, self._clients), self._address.host, self._address.port
+            )
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise LinkError(
+                f"{self.name}: cannot listen: {reason}; stop the program that holds the port, or use another"
+            ) from error
+
+    def send(self, address: Address, payload: bytes) -> None:
+        """Send frames to one client; counted as not_connected where it is gone."""
+        client = self._clients.get(address)
+        if client is None:
+            self.counts.add(NOT_CONNECTED)
+        else:
+            client.send(payload)
+
+    async def close(self) -> None:
+        """Stop to listen and cut off all clients."""
+        if self._server is not None:
+            self._server.close()
+            clients = list(self._clients.values())
+            for client in clients:
+                client.abort()
+            for client in clients:
+                await client.lost.wait()
+            await self._server.wait_closed()
+            self._server = None
+
+
+class _ServerConnection(_Connection):
+    """A client's connection, in the server's list as long as it lasts."""
+
+    def __init__(
+        self, link: TcpServerLink, handler: DatagramHandler, clock: Clock, clients: dict[Address, _ServerConnection]
+    ) -> None:
+        super().__init__(link, handler, clock)
+        self._clients = clients
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        if len(self._clients) >= MAX_CLIENTS:
+            self._link.counts.add(TOO_MANY_CLIENTS)
+            self.abort()
+        else:
+            self._clients[self.address] = self
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._clients.get(self.address) is self:
+            del self._clients[self.address]
+        super().connection_lost(exc)
