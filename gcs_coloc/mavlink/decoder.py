@@ -5,15 +5,20 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import NamedTuple
 
+from pymavlink.dialects.v20.ardupilotmega import MAV_COMP_ID_AUTOPILOT1
+
 from gcs_coloc.core.messages import Heartbeat, Inbound
 from gcs_coloc.mavlink import framing
 from gcs_coloc.mavlink.checks import InvalidValueError
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.dialect import MESSAGE_CLASSES, OWN_COMPID, OWN_SYSID
-from gcs_coloc.mavlink.inbound import CONVERTERS
+from gcs_coloc.mavlink.inbound import AUTOPILOT_CONVERTERS, CONVERTERS
 from gcs_coloc.mavlink.sequence import SequenceTracker
 
+MAX_AUTOPILOTS = 1024
+
 NOT_WANTED = "not_wanted"
+NOT_FROM_AUTOPILOT = "not_from_autopilot"
 UNKNOWN_MESSAGE = "unknown_message"
 DUPLICATE = "duplicate"
 ECHO = "echo"
@@ -38,7 +43,10 @@ class Frame(NamedTuple):
 class Decoder:
     """Decodes datagrams. Nothing that bytes can hold makes it raise: what is of no use is in `counts`, by reason.
 
+    A component is an autopilot if its id is 1, or once it has sent an autopilot's heartbeat.
+
     Reasons: those of `framing`; unknown_message (in no dialect of ours); not_wanted (known, but of no use to the core);
+    not_from_autopilot (a message that only an autopilot can send about its vehicle, from another component);
     duplicate; echo (our own frame come back); invalid_value:MESSAGE.field. Signatures are not verified.
     """
 
@@ -46,6 +54,7 @@ class Decoder:
         self.counts = Counts()
         self.sequences = SequenceTracker()
         self._own = (own_sysid, own_compid)
+        self._autopilots: set[tuple[int, int]] = set()
         self._layouts = {
             number: (MESSAGE_CLASSES[number].unpacker, MESSAGE_CLASSES[number].msgname, convert)
             for number, convert in CONVERTERS.items()
@@ -66,10 +75,17 @@ class Decoder:
                 self.counts.add(UNKNOWN_MESSAGE)
             elif raw.message_id not in self._layouts:
                 self.counts.add(NOT_WANTED)
+            elif raw.message_id in AUTOPILOT_CONVERTERS and not self._is_autopilot(sender):
+                self.counts.add(NOT_FROM_AUTOPILOT)
             else:
                 message = self._message(raw, received_at_s)
+                if isinstance(message, Heartbeat) and len(self._autopilots) < MAX_AUTOPILOTS:
+                    self._autopilots.add(sender)
                 frames.append(Frame(raw.sysid, raw.compid, raw.sequence, raw.message_id, message))
         return frames
+
+    def _is_autopilot(self, sender: tuple[int, int]) -> bool:
+        return sender[1] == MAV_COMP_ID_AUTOPILOT1 or sender in self._autopilots
 
     def _message(self, raw: framing.RawFrame, received_at_s: float) -> Inbound | None:
         unpacker, name, convert = self._layouts[raw.message_id]

@@ -198,9 +198,8 @@ def system_time(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Sy
 
 Converter = Callable[[int, float, tuple[Any, ...]], Inbound | None]
 
-CONVERTERS: Mapping[int, Converter] = MappingProxyType(
+AUTOPILOT_CONVERTERS: Mapping[int, Converter] = MappingProxyType(
     {
-        mavlink.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
         mavlink.MAVLINK_MSG_ID_SYS_STATUS: sys_status,
         mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: system_time,
         mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: gps_raw_int,
@@ -210,10 +209,18 @@ CONVERTERS: Mapping[int, Converter] = MappingProxyType(
         mavlink.MAVLINK_MSG_ID_GPS2_RAW: gps2_raw,
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status_report,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
+    }
+)
+"""Messages that describe the vehicle if its autopilot sends them, by message id. A gimbal's ATTITUDE is not the vehicle's."""
+
+CONVERTERS: Mapping[int, Converter] = MappingProxyType(
+    {
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
         mavlink.MAVLINK_MSG_ID_DEBUG_VECT: ranges.debug_vect,
         mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: ranges.named_value_float,
         gcs_coloc.MAVLINK_MSG_ID_RANGING_BEACON: ranges.ranging_beacon,
         gcs_coloc.MAVLINK_MSG_ID_PEER_RANGE: ranges.peer_range,
+        **AUTOPILOT_CONVERTERS,
     }
 )
-"""The messages that are decoded at all, by message id; every other one is passed over."""
+"""All messages that are decoded, by message id; every other one is passed over."""
