@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+from mmap import mmap
 from typing import NamedTuple
 
 from pymavlink.generator.mavcrc import x25crc
@@ -21,12 +22,14 @@ INCOMPAT_SIGNED = 0x01
 MAX_FRAME_LENGTH = HEADER_LENGTH_V2 + 255 + CHECKSUM_LENGTH + SIGNATURE_LENGTH
 
 GARBAGE_BYTES = "garbage_bytes"
+NO_MAGIC = "no_magic"
 TRUNCATED = "truncated"
 BAD_CRC = "bad_crc"
 UNKNOWN_INCOMPAT_FLAGS = "unknown_incompat_flags"
 UNVERIFIABLE = "unverifiable"
 
-_ANY_MAGIC = re.compile(b"[\xfd\xfe]")
+ANY_MAGIC = re.compile(b"[\xfd\xfe]")
+_ONE_BYTE = tuple(bytes((value,)) for value in range(256))
 _HEADER_V1 = struct.Struct("<5B")  # after the magic byte: length, sequence, system, component, message id
 _HEADER_V2 = struct.Struct("<6BHB")  # length, incompat and compat flags, sequence, system, component, message id (24 bits)
 
@@ -47,16 +50,36 @@ class RawFrame(NamedTuple):
     frame: bytes
 
 
-class _Extent(NamedTuple):
-    """What a header says of its frame: where payload, checksum and frame end, and whose it is."""
-
-    message_id: int
-    sysid: int
-    compid: int
-    sequence: int
-    payload_start: int
-    payload_end: int
-    end: int
+def read_frame(data: bytes | mmap, start: int) -> RawFrame | str:
+    """Read the frame that begins at `start`, or tell why there is none: no_magic, truncated, unknown_incompat_flags, bad_crc."""
+    size = len(data)
+    magic = data[start]
+    if magic == MAGIC_V2:
+        payload_start = start + HEADER_LENGTH_V2
+        if payload_start > size:
+            return TRUNCATED
+        length, incompat, _, sequence, sysid, compid, id_low, id_high = _HEADER_V2.unpack_from(data, start + 1)
+        if incompat & ~INCOMPAT_SIGNED:
+            return UNKNOWN_INCOMPAT_FLAGS
+        message_id = id_low | id_high << 16
+    elif magic == MAGIC_V1:
+        payload_start = start + HEADER_LENGTH_V1
+        if payload_start > size:
+            return TRUNCATED
+        length, sequence, sysid, compid, message_id = _HEADER_V1.unpack_from(data, start + 1)
+        incompat = 0
+    else:
+        return NO_MAGIC
+    payload_end = payload_start + length
+    end = payload_end + CHECKSUM_LENGTH + (SIGNATURE_LENGTH if incompat else 0)
+    if end > size:
+        return TRUNCATED
+    checksum = data[payload_end] | data[payload_end + 1] << 8
+    crc_extra = CRC_EXTRA.get(message_id)
+    if crc_extra is not None and x25crc(data[start + 1 : payload_end] + _ONE_BYTE[crc_extra]).crc != checksum:
+        return BAD_CRC
+    payload = data[payload_start:payload_end]
+    return RawFrame(crc_extra is not None, message_id, sysid, compid, sequence, checksum, payload, data[start:end])
 
 
 def split(data: bytes, counts: Counts, *, ended: bool) -> tuple[list[RawFrame], int]:
@@ -72,78 +95,25 @@ def split(data: bytes, counts: Counts, *, ended: bool) -> tuple[list[RawFrame], 
     frames: list[RawFrame] = []
     position, size = 0, len(data)
     while position < size:
-        magic = data[position]
-        if magic not in (MAGIC_V1, MAGIC_V2):
-            found = _ANY_MAGIC.search(data, position)
-            next_magic = found.start() if found else size
-            counts.add(GARBAGE_BYTES, next_magic - position)
-            position = next_magic
-            continue
-        extent = _extent(data, position, size)
-        if extent is None:
-            fault = UNKNOWN_INCOMPAT_FLAGS
-        elif extent.end > size:
-            if not ended:
-                break
-            fault = TRUNCATED
-        elif (crc_extra := CRC_EXTRA.get(extent.message_id)) is not None:
-            if x25crc(data[position + 1 : extent.payload_end] + bytes((crc_extra,))).crc == _checksum(data, extent):
-                frames.append(_raw_frame(data, position, extent, is_known=True))
-                position = extent.end
-                continue
-            fault = BAD_CRC
-        elif extent.end == size and not ended:
-            break
-        elif extent.end == size or data[extent.end] in (MAGIC_V1, MAGIC_V2):
-            frames.append(_raw_frame(data, position, extent, is_known=False))
-            position = extent.end
-            continue
+        found = read_frame(data, position)
+        if isinstance(found, str):
+            fault = found
         else:
-            fault = UNVERIFIABLE
-        counts.add(fault)
-        counts.add(GARBAGE_BYTES)
-        position += 1
+            end = position + len(found.frame)
+            if found.is_known or (data[end] in (MAGIC_V1, MAGIC_V2) if end < size else ended):
+                frames.append(found)
+                position = end
+                continue
+            fault = UNVERIFIABLE if end < size else TRUNCATED
+        if fault == TRUNCATED and not ended:
+            break
+        if fault != NO_MAGIC:
+            counts.add(fault)
+        next_magic = ANY_MAGIC.search(data, position + 1)
+        resume = next_magic.start() if next_magic else size
+        counts.add(GARBAGE_BYTES, resume - position)
+        position = resume
     return frames, position
-
-
-def _extent(data: bytes, start: int, size: int) -> _Extent | None:
-    """Read the header at `start`; None where it asks for a feature that we do not know. `end` is beyond `size` if cut off."""
-    if data[start] == MAGIC_V2:
-        payload_start = start + HEADER_LENGTH_V2
-        if payload_start > size:
-            return _Extent(0, 0, 0, 0, payload_start, payload_start, payload_start)
-        length, incompat, _, sequence, sysid, compid, id_low, id_high = _HEADER_V2.unpack_from(data, start + 1)
-        if incompat & ~INCOMPAT_SIGNED:
-            return None
-        message_id = id_low | id_high << 16
-        signature_length = SIGNATURE_LENGTH if incompat else 0
-    else:
-        payload_start = start + HEADER_LENGTH_V1
-        if payload_start > size:
-            return _Extent(0, 0, 0, 0, payload_start, payload_start, payload_start)
-        length, sequence, sysid, compid, message_id = _HEADER_V1.unpack_from(data, start + 1)
-        signature_length = 0
-    payload_end = payload_start + length
-    return _Extent(
-        message_id, sysid, compid, sequence, payload_start, payload_end, payload_end + CHECKSUM_LENGTH + signature_length
-    )
-
-
-def _checksum(data: bytes, extent: _Extent) -> int:
-    return data[extent.payload_end] | data[extent.payload_end + 1] << 8
-
-
-def _raw_frame(data: bytes, start: int, extent: _Extent, *, is_known: bool) -> RawFrame:
-    return RawFrame(
-        is_known,
-        extent.message_id,
-        extent.sysid,
-        extent.compid,
-        extent.sequence,
-        _checksum(data, extent),
-        data[extent.payload_start : extent.payload_end],
-        data[start : extent.end],
-    )
 
 
 class StreamFramer:

@@ -1,0 +1,96 @@
+"""tlog, the recording format of ground stations: the time in microseconds since 1970 (8 bytes, big-endian), then the frame."""
+
+from __future__ import annotations
+
+import mmap
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from gcs_coloc.core.errors import DataError
+from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.framing import ANY_MAGIC, MAGIC_V1, MAGIC_V2, TRUNCATED, UNVERIFIABLE, RawFrame, read_frame
+
+DAMAGED_BYTES = "damaged_bytes"
+SEARCHED_BYTES = 1 << 16
+"""A file without one good record in so many bytes is no tlog."""
+
+_TIME = struct.Struct(">Q")
+
+
+class TlogRecord(NamedTuple):
+    """One frame and when it was recorded, in UNIX seconds."""
+
+    unix_s: float
+    frame: bytes
+
+
+class TlogReader:
+    """The records of a tlog in the order of the file; memory does not grow with its length.
+
+    Where the file is damaged, reading goes on at the next record whose frame has a right checksum. `counts` then holds
+    damaged_bytes, and truncated if the file ends within a record. Iterating raises DataError where the file cannot be
+    read or is no tlog.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.counts = Counts()
+        self._path = path
+
+    def __iter__(self) -> Iterator[TlogRecord]:
+        try:
+            if self._path.stat().st_size == 0:
+                raise DataError(f"{self._path}: is empty, no tlog")
+            with self._path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                yield from self._records(data)
+        except OSError as error:
+            raise DataError(f"{self._path}: cannot be read: {error.strerror}") from error
+
+    def _records(self, data: mmap.mmap) -> Iterator[TlogRecord]:
+        position, size = 0, len(data)
+        found_any = False
+        while position < size:
+            found = _frame_of_record(data, position)
+            if isinstance(found, RawFrame):
+                (time_us,) = _TIME.unpack_from(data, position)
+                yield TlogRecord(time_us / 1e6, found.frame)
+                found_any = True
+                position += _TIME.size + len(found.frame)
+                continue
+            resume = _next_record(data, position + 1, size if found_any else min(size, SEARCHED_BYTES))
+            if resume is not None:
+                self.counts.add(DAMAGED_BYTES, resume - position)
+                position = resume
+                continue
+            if not found_any:
+                raise DataError(
+                    f"{self._path}: is no tlog: no MAVLink frame follows a time at byte 0, nor up to byte {SEARCHED_BYTES}"
+                )
+            if found == TRUNCATED:
+                self.counts.add(TRUNCATED)
+            else:
+                self.counts.add(DAMAGED_BYTES, size - position)
+            return
+
+
+def _frame_of_record(data: mmap.mmap, position: int) -> RawFrame | str:
+    start = position + _TIME.size
+    if start >= len(data):
+        return TRUNCATED
+    found = read_frame(data, start)
+    if isinstance(found, RawFrame) and not found.is_known:
+        # Its checksum cannot be verified; that a record follows where it ends vouches for its length.
+        following = start + len(found.frame) + _TIME.size
+        if following < len(data) and data[following] not in (MAGIC_V1, MAGIC_V2):
+            return UNVERIFIABLE
+    return found
+
+
+def _next_record(data: mmap.mmap, start: int, end: int) -> int | None:
+    """The first offset in [start, end) of a record whose frame has a right checksum."""
+    for magic in ANY_MAGIC.finditer(data, start + _TIME.size, end):
+        found = read_frame(data, magic.start())
+        if isinstance(found, RawFrame) and found.is_known:
+            return magic.start() - _TIME.size
+    return None
