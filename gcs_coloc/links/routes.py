@@ -7,10 +7,9 @@ an address is pinned to the vehicle that was heard from it first, and an address
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Hashable
 from dataclasses import dataclass
 
-from gcs_coloc.links.base import Address
+from gcs_coloc.links.base import Address, Link
 from gcs_coloc.mavlink.counts import Counts
 
 ADDRESS_CONFLICT = "address_conflict"
@@ -19,9 +18,9 @@ TABLE_FULL = "route_table_full"
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Where to send what is meant for one vehicle. `link` is the object that was given to `learn`."""
+    """Where to send what is meant for one vehicle."""
 
-    link: Hashable
+    link: Link
     address: Address
 
 
@@ -65,9 +64,7 @@ class RouteTable:
         self._autopilots_at: OrderedDict[Route, dict[int, float]] = OrderedDict()
         self._autopilots: dict[int, _Pin] = {}
 
-    def learn(
-        self, sysid: int, compid: int, link: Hashable, address: Address, *, is_autopilot_heartbeat: bool, now_s: float
-    ) -> bool:
+    def learn(self, sysid: int, compid: int, link: Link, address: Address, *, is_autopilot_heartbeat: bool, now_s: float) -> bool:
         """Take note of one frame; False if it must not be used, because its sender's ids belong to another address.
 
         The reason of a refusal is counted: address_conflict, route_table_full.
