@@ -1,0 +1,120 @@
+"""Messages to measurements: which clock, which noise, which frame, and what is refused."""
+
+import pytest
+
+from gcs_coloc.core.feed import Feed, FeedSettings
+from gcs_coloc.core.fleet import Fleet, Vehicle
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.health import GpsState, HealthSettings
+from gcs_coloc.core.measurements import AltitudeMeasurement, PositionMeasurement
+from gcs_coloc.core.messages import Airspeed, Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
+
+
+def vehicle(state: GpsState = GpsState.HEALTHY, sysid: int = 4) -> Vehicle:
+    record = Fleet(HealthSettings(), 10).heard(sysid, 0.0)
+    assert record is not None
+    record.health.state = state
+    return record
+
+
+def position(at_s: float, alt_m: float = 530.0, boot_s: float | None = None) -> GlobalPosition:
+    return GlobalPosition(4, at_s, at_s if boot_s is None else boot_s, 47.1, 8.0, alt_m, 1.0, 2.0, 3.0)
+
+
+def gps(h_acc_m: float | None, v_acc_m: float | None = None) -> GpsReceiver:
+    return GpsReceiver(4, 0.0, 0, 3, 47.0, 8.0, 500.0, 9, 1.0, h_acc_m, v_acc_m, None)
+
+
+def test_the_first_healthy_position_is_the_origin():
+    feed = Feed(FeedSettings())
+    assert feed.position(position(1.0), vehicle(GpsState.FAILED)) is None
+    first = feed.position(position(2.0), vehicle())
+    assert isinstance(first, PositionMeasurement)
+    assert first.position_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+    assert first.velocity_enu_mps == pytest.approx((2.0, 1.0, -3.0))
+
+
+@pytest.mark.parametrize("state", [s for s in GpsState if s is not GpsState.HEALTHY])
+def test_only_a_healthy_vehicles_position_is_believed(state):
+    feed = Feed(FeedSettings())
+    feed.frame = LocalFrame(47.0, 8.0, 500.0)
+    measurement = feed.position(position(1.0), vehicle(state))
+    assert isinstance(measurement, AltitudeMeasurement)
+    assert measurement.up_m == pytest.approx(30.0, abs=0.01)
+
+
+def test_altitude_is_brought_down_by_the_earths_curvature_at_the_last_known_place():
+    feed = Feed(FeedSettings())
+    feed.frame = LocalFrame(47.0, 8.0, 500.0)
+    failed = vehicle(GpsState.FAILED)
+    failed.last_known_enu_m = (0.0, 20_000.0)
+    measurement = feed.position(position(1.0), failed)
+    assert isinstance(measurement, AltitudeMeasurement)
+    assert measurement.up_m == pytest.approx(30.0 - 20_000.0**2 / (2 * 6.37e6), abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("receiver", "expected"),
+    [(gps(1.5, 2.5), (1.5, 2.5)), (gps(0.01, 0.01), (0.3, 0.3)), (gps(None), (5.0, 8.0)), (None, (5.0, 8.0))],
+)
+def test_the_receivers_own_accuracy_is_the_noise_where_it_states_one(receiver, expected):
+    feed = Feed(FeedSettings())
+    healthy = vehicle()
+    healthy.receiver = receiver
+    measurement = feed.position(position(1.0), healthy)
+    assert isinstance(measurement, PositionMeasurement)
+    assert (measurement.sigma_h_m, measurement.sigma_v_m) == expected
+
+
+def test_airspeed_goes_with_the_attitude_only_while_it_is_fresh():
+    feed = Feed(FeedSettings())
+    record = vehicle()
+    record.airspeed = Airspeed(4, 10.0, 22.0)
+    fresh = feed.attitude(Attitude(4, 10.9, 10.9, 0.1, 0.2, 0.3), record)
+    stale = feed.attitude(Attitude(4, 11.1, 11.1, 0.1, 0.2, 0.3), record)
+    assert fresh is not None
+    assert stale is not None
+    assert (fresh.airspeed_mps, stale.airspeed_mps) == (22.0, None)
+    assert (fresh.roll_rad, fresh.pitch_rad, fresh.yaw_rad) == (0.1, 0.2, 0.3)
+
+
+def test_a_jumping_clock_is_refused_and_counted():
+    feed = Feed(FeedSettings())
+    record = vehicle()
+    feed.position(position(1.0), record)
+    assert feed.position(position(1.1, boot_s=1e6), record) is None
+    assert feed.refused == {"GLOBAL_POSITION_INT: its clock jumped": 1}
+
+
+def range_message(at_s: float, stamp_s: float | None, base: TimeBase, device: int = 0) -> PeerRange:
+    return PeerRange(4, at_s, 1, 100.0, 0.5, stamp_s, base, 1, None, device)
+
+
+def test_boot_unix_and_unstamped_ranges_each_find_the_service_clock():
+    feed = Feed(FeedSettings())
+    record = vehicle()
+
+    def known(_: int) -> bool:
+        return True
+
+    for i in range(5):
+        at_s = 100.0 + i
+        late_s = 0.2 if i == 4 else 0.0
+        boot = feed.range(range_message(at_s + late_s, 7.0 + i, TimeBase.BOOT), record, known)
+        unix = feed.range(range_message(at_s + late_s, 1.7e9 + i, TimeBase.UNIX), record, known)
+        none = feed.range(range_message(at_s + late_s, None, TimeBase.BOOT), record, known)
+        assert boot is not None
+        assert unix is not None
+        assert none is not None
+        assert boot.measured_at_s == pytest.approx(at_s)
+        assert unix.measured_at_s == pytest.approx(at_s)
+        assert none.measured_at_s == at_s + late_s
+
+
+def test_the_clocks_of_one_vehicles_ranging_devices_are_bounded():
+    feed = Feed(FeedSettings())
+    record = vehicle()
+    for device in range(40):
+        feed.range(range_message(1.0, 1.0, TimeBase.BOOT, device), record, lambda _: True)
+    assert len(record.range_clocks) == 16
+    assert feed.refused["range: more clocks than a vehicle may have"] == 24

@@ -1,0 +1,89 @@
+"""The console: what an operator reads of a vehicle, on a terminal and in a log."""
+
+import asyncio
+import io
+import logging
+
+import pytest
+from rich.console import Console
+
+from gcs_coloc.core.messages import Notice
+from gcs_coloc.core.view import FleetView, VehicleView
+from gcs_coloc.sinks.console import show, table
+from gcs_coloc.sinks.hub import Hub
+
+LOCATED = VehicleView(
+    4,
+    0.4,
+    "ArduPilot",
+    "failed",
+    "no 3D fix: fix type 1",
+    47.1,
+    8.2,
+    512.0,
+    12.3,
+    30.1,
+    1.4,
+    3,
+    None,
+    47.0,
+    8.0,
+    "sending 3D fix",
+)
+LOST = VehicleView(
+    5,
+    0.1,
+    "ArduPilot",
+    "failed",
+    "silence",
+    None,
+    None,
+    None,
+    None,
+    None,
+    None,
+    0,
+    "no ranges for 6 s",
+    None,
+    None,
+    "sending no fix",
+)
+
+
+def rendered(view: FleetView) -> str:
+    console = Console(file=io.StringIO(), width=200)
+    console.print(table(view))
+    return console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def test_the_table_shows_all_that_matters_of_each_vehicle():
+    text = rendered(FleetView(10.0, "fleet", (LOCATED, LOST), {"bad_crc": 3}))
+    for words in ("fleet", "0.4 s", "failed", "fix type 1", "47.100000 8.200000 512 m", "12.3 m", "1.4", "sending 3D fix"):
+        assert words in text
+    assert "unknown: no ranges for 6 s" in text
+    assert "refused or set aside: 3" in text
+
+
+def test_an_empty_fleet_says_so():
+    assert "no vehicle heard yet" in rendered(FleetView(0.0, "fleet", (), {}))
+
+
+def test_without_a_terminal_there_are_plain_lines_at_a_calm_rate(caplog: pytest.LogCaptureFixture):
+    async def scenario():
+        hub = Hub()
+        task = asyncio.create_task(show(hub.subscribe(), Console(file=io.StringIO())))
+        await asyncio.sleep(0)
+        hub.publish(Notice(0.0, 4, "warning", "GPS healthy -> failed"))
+        for i in range(24):
+            hub.publish(FleetView(i * 0.5, "fleet", (LOCATED,), {}))
+        for _ in range(60):
+            await asyncio.sleep(0)
+        task.cancel()
+
+    with caplog.at_level(logging.INFO, logger="gcs_coloc"):
+        asyncio.run(scenario())
+    lines = [r.getMessage() for r in caplog.records]
+    assert lines[0] == "vehicle 4: GPS healthy -> failed"
+    assert caplog.records[0].levelno == logging.WARNING
+    assert len(lines) == 4  # at 0, 5 and 10 s
+    assert "1-sigma 12.3 m, HDOP 1.4, 3 ranges in use, aid sending 3D fix" in lines[1]

@@ -1,0 +1,44 @@
+"""The hub: a slow observer loses its own oldest news and holds up nobody."""
+
+import asyncio
+
+from gcs_coloc.core.messages import Notice
+from gcs_coloc.sinks.hub import Hub
+
+
+def notice(i: int) -> Notice:
+    return Notice(float(i), None, "info", str(i))
+
+
+def test_each_observer_gets_all_news_in_order():
+    async def scenario():
+        hub = Hub()
+        one, two = hub.subscribe(), hub.subscribe()
+        for i in range(3):
+            hub.publish(notice(i))
+        return [(await one.get()).text for _ in range(3)], [(await two.get()).text for _ in range(3)]
+
+    assert asyncio.run(scenario()) == (["0", "1", "2"], ["0", "1", "2"])
+
+
+def test_a_slow_observer_loses_its_oldest_news_and_counts_them():
+    async def scenario():
+        hub = Hub()
+        slow, fast = hub.subscribe(most=2), hub.subscribe(most=10)
+        for i in range(5):
+            hub.publish(notice(i))
+        return [(await slow.get()).text for _ in range(2)], slow.lost, fast.lost
+
+    assert asyncio.run(scenario()) == (["3", "4"], 3, 0)
+
+
+def test_an_observer_that_waits_is_woken():
+    async def scenario():
+        hub = Hub()
+        subscription = hub.subscribe()
+        waiting = asyncio.create_task(subscription.get())
+        await asyncio.sleep(0)
+        hub.publish(notice(7))
+        return (await asyncio.wait_for(waiting, 5)).text
+
+    assert asyncio.run(scenario()) == "7"

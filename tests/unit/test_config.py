@@ -1,0 +1,63 @@
+"""Configuration: defaults, precedence, and errors that name the key and the mend."""
+
+from pathlib import Path
+
+import pytest
+
+from gcs_coloc.config import load_settings
+from gcs_coloc.core.engine import EngineSettings
+from gcs_coloc.core.errors import ConfigError
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "coloc.toml"
+    path.write_text(text)
+    return path
+
+
+def test_the_defaults_are_the_cores_own():
+    settings = load_settings(None, {})
+    engine, default = settings.engine(), EngineSettings()
+    for part in ("health", "feed", "aid"):
+        ours, theirs = getattr(engine, part), getattr(default, part)
+        assert {name: getattr(ours, name) for name in theirs.__dataclass_fields__} == {
+            name: getattr(theirs, name) for name in theirs.__dataclass_fields__
+        }
+    assert (engine.request_streams, engine.most_vehicles) == (default.request_streams, default.most_vehicles)
+    assert (settings.mavlink.system_id, settings.mavlink.component_id) == (254, 191)
+
+
+def test_flags_win_over_the_environment_which_wins_over_the_file(tmp_path, monkeypatch):
+    path = written(tmp_path, 'links = ["14550"]\n[aid]\nrate_hz = 8.0\nlag_s = 0.1\n[estimator]\nname = "qu_zhang"\n')
+    monkeypatch.setenv("GCS_COLOC_AID__RATE_HZ", "9")
+    settings = load_settings(path, {"estimator": {"name": "fleet"}})
+    assert (settings.links, settings.aid.rate_hz, settings.aid.lag_s, settings.estimator.name) == (("14550",), 9.0, 0.1, "fleet")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("nonsense = 1", "nonsense: unknown key"),
+        ("[health]\nfail_after = 1", "health.fail_after: unknown key"),
+        ("[aid]\nrate_hz = 0", "aid: rate_hz must be a positive number, not 0"),
+        ("[aid]\nrate_hz = inf", "aid: rate_hz must be a positive number, not inf"),
+        ("[aid]\nlag_s = 'x'", "aid.lag_s: input should be a valid number"),
+        ("[fleet]\nfailed = [300]", "fleet.failed: 300 is not a MAVLink system id"),
+        ("[mavlink]\nsystem_id = 0", "mavlink.system_id: input should be greater than or equal to 1"),
+        ("links = [", "is not valid TOML"),
+    ],
+)
+def test_errors_name_file_key_and_mend_in_one_line(tmp_path, text, words):
+    with pytest.raises(ConfigError, match=r"coloc\.toml") as raised:
+        load_settings(written(tmp_path, text), {})
+    assert words in str(raised.value)
+    assert "\n" not in str(raised.value).strip()
+
+
+def test_a_missing_file_and_a_binary_one(tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read: No such file"):
+        load_settings(tmp_path / "absent.toml", {})
+    binary = tmp_path / "b.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="UTF-8"):
+        load_settings(binary, {})
