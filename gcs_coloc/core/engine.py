@@ -26,6 +26,7 @@ from gcs_coloc.core.messages import (
     GpsInput,
     GpsReceiver,
     GpsWord,
+    HealthChanged,
     Heartbeat,
     Inbound,
     Notice,
@@ -196,9 +197,8 @@ class Engine:
     def _review(self, vehicle: Vehicle, now_s: float) -> None:
         before = vehicle.health.state
         if vehicle.health.update(now_s):
-            state = vehicle.health.state
-            level = "warning" if state in (GpsState.SUSPECT, GpsState.FAILED) else "info"
-            self._say(now_s, vehicle.sysid, level, f"GPS {before.value} -> {state.value}: {vehicle.health.reason}")
+            after = vehicle.health.state
+            self._outbox.append(HealthChanged(now_s, vehicle.sysid, before.value, after.value, vehicle.health.reason))
             subjects = frozenset(v.sysid for v in self.fleet if v.health.state in _SUBJECT_STATES)
             if subjects != self._subjects:
                 self._subjects = subjects

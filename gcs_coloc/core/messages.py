@@ -257,4 +257,17 @@ class Notice:
     text: str
 
 
-Outbound = GpsInput | StreamRequest | Notice
+@dataclass(frozen=True, slots=True)
+class HealthChanged:
+    """The GPS health of a vehicle went from one state to another; states are `GpsState` values, the reason is in words."""
+
+    at_s: float
+    sysid: int
+    before: str
+    after: str
+    reason: str
+
+
+ToVehicle = GpsInput | StreamRequest
+ToOperator = Notice | HealthChanged
+Outbound = ToVehicle | ToOperator

@@ -9,7 +9,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from gcs_coloc.core.messages import Notice
+from gcs_coloc.core.messages import HealthChanged, ToOperator
 from gcs_coloc.core.view import FleetView, VehicleView
 from gcs_coloc.sinks.hub import Subscription
 
@@ -28,27 +28,31 @@ async def show(subscription: Subscription, console: Console) -> None:
     with Live(console=console, auto_refresh=False, transient=False) as live:
         while True:
             news = await subscription.get()
-            if isinstance(news, Notice):
-                _log_notice(news)
-            else:
+            if isinstance(news, FleetView):
                 live.update(table(news), refresh=True)
+            else:
+                _log_news(news)
 
 
 async def _log_lines(subscription: Subscription) -> None:
     due_s = float("-inf")
     while True:
         news = await subscription.get()
-        if isinstance(news, Notice):
-            _log_notice(news)
+        if not isinstance(news, FleetView):
+            _log_news(news)
         elif news.at_s >= due_s:
             due_s = news.at_s + _PLAIN_EVERY_S
             for vehicle in news.vehicles:
                 log.info("%s", line(vehicle))
 
 
-def _log_notice(notice: Notice) -> None:
-    who = f"vehicle {notice.sysid}: " if notice.sysid is not None else ""
-    log.log(_LEVELS[notice.level], "%s%s", who, notice.text)
+def _log_news(news: ToOperator) -> None:
+    if isinstance(news, HealthChanged):
+        level = logging.WARNING if news.after in ("suspect", "failed") else logging.INFO
+        log.log(level, "vehicle %d: GPS %s -> %s: %s", news.sysid, news.before, news.after, news.reason)
+    else:
+        who = f"vehicle {news.sysid}: " if news.sysid is not None else ""
+        log.log(_LEVELS[news.level], "%s%s", who, news.text)
 
 
 def line(v: VehicleView) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 
-from gcs_coloc.core.messages import Notice
+from gcs_coloc.core.messages import ToOperator
 from gcs_coloc.core.view import FleetView
 
-News = FleetView | Notice
+News = FleetView | ToOperator
 
 
 class Subscription:

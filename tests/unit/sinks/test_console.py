@@ -7,7 +7,7 @@ import logging
 import pytest
 from rich.console import Console
 
-from gcs_coloc.core.messages import Notice
+from gcs_coloc.core.messages import HealthChanged, Notice
 from gcs_coloc.core.view import FleetView, VehicleView
 from gcs_coloc.sinks.console import show, table
 from gcs_coloc.sinks.hub import Hub
@@ -73,7 +73,8 @@ def test_without_a_terminal_there_are_plain_lines_at_a_calm_rate(caplog: pytest.
         hub = Hub()
         task = asyncio.create_task(show(hub.subscribe(), Console(file=io.StringIO())))
         await asyncio.sleep(0)
-        hub.publish(Notice(0.0, 4, "warning", "GPS healthy -> failed"))
+        hub.publish(HealthChanged(0.0, 4, "healthy", "failed", "no 3D fix"))
+        hub.publish(Notice(0.0, None, "error", "something"))
         for i in range(24):
             hub.publish(FleetView(i * 0.5, "fleet", (LOCATED,), {}))
         for _ in range(60):
@@ -83,7 +84,7 @@ def test_without_a_terminal_there_are_plain_lines_at_a_calm_rate(caplog: pytest.
     with caplog.at_level(logging.INFO, logger="gcs_coloc"):
         asyncio.run(scenario())
     lines = [r.getMessage() for r in caplog.records]
-    assert lines[0] == "vehicle 4: GPS healthy -> failed"
-    assert caplog.records[0].levelno == logging.WARNING
-    assert len(lines) == 4  # at 0, 5 and 10 s
-    assert "1-sigma 12.3 m, HDOP 1.4, 3 ranges in use, aid sending 3D fix" in lines[1]
+    assert lines[:2] == ["vehicle 4: GPS healthy -> failed: no 3D fix", "something"]
+    assert [r.levelno for r in caplog.records[:2]] == [logging.WARNING, logging.ERROR]
+    assert len(lines) == 2 + 3  # at 0, 5 and 10 s
+    assert "1-sigma 12.3 m, HDOP 1.4, 3 ranges in use, aid sending 3D fix" in lines[2]

@@ -1,0 +1,147 @@
+"""The command line. Plain `gcs-coloc --udp 14550` runs the service; everything else is a subcommand."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import sys
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.logging import RichHandler
+
+from gcs_coloc import __version__
+from gcs_coloc.commands import replay
+from gcs_coloc.core.errors import GcsColocError, UsageError
+
+PROGRAM = "gcs-coloc"
+
+# Newer Typers carry a Click of their own inside; this names the base of their usage errors in either case.
+_BadCommandLine: type[Exception] = typer.BadParameter.__bases__[0]
+
+app = typer.Typer(
+    name=PROGRAM,
+    help="Locates MAVLink vehicles whose GPS has failed from their ranges to neighbours, and sends them their position.",
+    epilog="Example: gcs-coloc --udp 14550",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+class LogLevel(str, Enum):  # noqa: UP042 - typer shows the values of a str Enum as choices
+    """How much is logged."""
+
+    DEBUG = "debug"
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+def main() -> None:
+    """Entry point of `gcs-coloc`. A user's mistake ends in one line on stderr and exit code 2 or 1, never in a traceback."""
+    try:
+        status = app(standalone_mode=False)
+    except _BadCommandLine as error:
+        _fail(f"{error.format_message()} (see {PROGRAM} --help)", UsageError.exit_code)  # type: ignore[attr-defined]
+    except GcsColocError as error:
+        _fail(str(error), error.exit_code)
+    except (typer.Abort, KeyboardInterrupt):
+        sys.exit(130)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _fail(text: str, code: int) -> None:
+    print(f"{PROGRAM}: error: {' '.join(text.split())}", file=sys.stderr)
+    sys.exit(code)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"{PROGRAM} {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def run(
+    context: typer.Context,
+    udp: Annotated[
+        list[str] | None, typer.Option(help="Listen for vehicles on a UDP port: PORT or HOST:PORT. May be given several times.")
+    ] = None,
+    link: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A link to vehicles: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or "
+            "serial:DEVICE:BAUD. May be given several times."
+        ),
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="A configuration file (TOML); flags win over it.")] = None,
+    estimator: Annotated[
+        str | None, typer.Option(help="fleet, qu_zhang, or a plug-in: package.module:Class or path/to/file.py:Class.")
+    ] = None,
+    failed: Annotated[
+        list[int] | None,
+        typer.Option(help="Declare the GPS of this system id failed, whatever it says. Several times for several."),
+    ] = None,
+    healthy: Annotated[
+        list[int] | None,
+        typer.Option(help="Declare the GPS of this system id healthy, whatever it says. Several times for several."),
+    ] = None,
+    log_level: Annotated[LogLevel, typer.Option(help="How much is logged.")] = LogLevel.INFO,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Run the service on the links that are given, until Ctrl-C or SIGTERM."""
+    del version
+    if context.invoked_subcommand is not None:
+        return
+    from gcs_coloc.config import load_settings
+    from gcs_coloc.service import Service
+
+    links = [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
+    flags: dict[str, Any] = {}
+    if links:
+        flags["links"] = links
+    if estimator is not None:
+        flags["estimator"] = {"name": estimator}
+    if failed or healthy:
+        flags["fleet"] = {key: sysids for key, sysids in (("failed", failed), ("healthy", healthy)) if sysids}
+    settings = load_settings(config, flags)
+    if not settings.links:
+        raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")
+    console = Console()
+    _log_to_stderr(log_level, console)
+    asyncio.run(Service(settings).run(console))
+
+
+@app.command("check-config")
+def check_config(file: Annotated[Path, typer.Argument(help="The configuration file (TOML).")]) -> None:
+    """Check a configuration file: its keys, its values, its links and its estimator."""
+    from gcs_coloc.config import load_settings
+    from gcs_coloc.estimators.registry import load_estimator
+    from gcs_coloc.links.address import parse
+
+    settings = load_settings(file, {})
+    for text in settings.links:
+        parse(text)
+    load_estimator(settings.estimator.name, settings.estimator.settings)
+    print(f"{file}: good; {len(settings.links)} link(s), estimator {settings.estimator.name}")
+
+
+app.command("replay")(replay.replay)
+
+
+def _log_to_stderr(level: LogLevel, console: Console) -> None:
+    handler: logging.Handler
+    if console.is_terminal:
+        # Through the table's own console, so that lines scroll above it.
+        handler = RichHandler(console=console, show_path=False)
+        handler.setFormatter(logging.Formatter("%(message)s"))
+    else:
+        handler = logging.StreamHandler(sys.stderr)
+        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    logging.basicConfig(level=level.value.upper(), handlers=[handler], force=True)

@@ -1,0 +1,140 @@
+"""What a replayed flight came to: what failed when, what was sent, and how well each vehicle without GPS was located.
+
+A position is scored at each true one, with what had arrived by then, as long as the vehicle's own GPS is not trusted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.gps_input import horizontal_bound_95_m
+from gcs_coloc.core.health import GpsState
+from gcs_coloc.core.measurements import Estimate
+from gcs_coloc.core.messages import GpsInput, HealthChanged, Outbound
+from gcs_coloc.recorder.replay import TruthPoint
+
+_UNTRUSTED = (GpsState.SUSPECT, GpsState.FAILED, GpsState.RECOVERING)
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Errors of one vehicle while its GPS was not trusted, metres; `epochs` true positions, of which a share was answered.
+
+    `bound_95_covers` is the share of answers whose horizontal error was within their 95 % horizontal bound.
+    `confident_and_wrong` is the share whose error was beyond three times that bound. `mean_nees` is of the horizontal error
+    (2 degrees of freedom). All but `epochs` and `share_located` are None where nothing was answered.
+    """
+
+    epochs: int
+    share_located: float
+    rmse_h_m: float | None = None
+    median_h_m: float | None = None
+    p95_h_m: float | None = None
+    max_h_m: float | None = None
+    rmse_3d_m: float | None = None
+    bound_95_covers: float | None = None
+    confident_and_wrong: float | None = None
+    mean_nees: float | None = None
+
+
+@dataclass(slots=True)
+class _Vehicle:
+    changes: list[HealthChanged] = field(default_factory=list)
+    fixes: int = 0
+    no_fixes: int = 0
+    epochs: int = 0
+    errors: list[tuple[float, float, float, float]] = field(default_factory=list)  # horizontal, 3D, bound, NEES
+
+
+class FlightReport:
+    """Watches a replay. `output` and `observe` are its two ears; `truth` is what it scores against."""
+
+    def __init__(self, engine: Engine, truth: list[TruthPoint]) -> None:
+        self._engine = engine
+        self._truth = truth
+        self._next = 0
+        self._vehicles: dict[int, _Vehicle] = {}
+
+    def observation_times(self) -> list[float]:
+        """The service times at which `observe` wants to be called."""
+        return sorted({point.unix_s for point in self._truth})
+
+    def output(self, at_s: float, output: Outbound) -> None:
+        """Note one output of the engine."""
+        del at_s
+        if isinstance(output, HealthChanged):
+            self._of(output.sysid).changes.append(output)
+        elif isinstance(output, GpsInput):
+            vehicle = self._of(output.sysid)
+            if output.fix_type >= 3:
+                vehicle.fixes += 1
+            else:
+                vehicle.no_fixes += 1
+
+    def observe(self, at_s: float) -> None:
+        """Score every true position of this time."""
+        while self._next < len(self._truth) and self._truth[self._next].unix_s <= at_s:
+            self._score(self._truth[self._next])
+            self._next += 1
+
+    def score(self, sysid: int) -> Score | None:
+        """The score of one vehicle, None where its GPS was trusted throughout or there is no truth of it."""
+        vehicle = self._vehicles.get(sysid)
+        if vehicle is None or vehicle.epochs == 0:
+            return None
+        if not vehicle.errors:
+            return Score(vehicle.epochs, 0.0)
+        horizontal, spatial, bound, nees = np.array(vehicle.errors).T
+        return Score(
+            epochs=vehicle.epochs,
+            share_located=len(horizontal) / vehicle.epochs,
+            rmse_h_m=float(np.sqrt(np.mean(horizontal**2))),
+            median_h_m=float(np.median(horizontal)),
+            p95_h_m=float(np.percentile(horizontal, 95)),
+            max_h_m=float(horizontal.max()),
+            rmse_3d_m=float(np.sqrt(np.mean(spatial**2))),
+            bound_95_covers=float(np.mean(horizontal <= bound)),
+            confident_and_wrong=float(np.mean(horizontal > 3.0 * bound)),
+            mean_nees=float(np.mean(nees)),
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """The report as plain values."""
+        vehicles = []
+        for record in sorted(self._engine.fleet, key=lambda v: v.sysid):
+            mine = self._of(record.sysid)
+            score = self.score(record.sysid)
+            vehicles.append(
+                {
+                    "sysid": record.sysid,
+                    "health": [asdict(change) for change in mine.changes],
+                    "gps_input": {"fix": mine.fixes, "no_fix": mine.no_fixes},
+                    "score": asdict(score) if score is not None else None,
+                }
+            )
+        return {
+            "vehicles": vehicles,
+            "refused": self._engine.refused(),
+            "estimator_counts": dict(self._engine.estimator.counts()),
+        }
+
+    def _of(self, sysid: int) -> _Vehicle:
+        return self._vehicles.setdefault(sysid, _Vehicle())
+
+    def _score(self, point: TruthPoint) -> None:
+        record, frame = self._engine.fleet.get(point.sysid), self._engine.feed.frame
+        if record is None or frame is None or record.health.state not in _UNTRUSTED:
+            return
+        vehicle = self._of(point.sysid)
+        vehicle.epochs += 1
+        answer = self._engine.where(point.sysid, point.unix_s)
+        if not isinstance(answer, Estimate):
+            return
+        error = answer.position_enu_m - np.array(frame.enu_from_geodetic(point.lat_deg, point.lon_deg, point.alt_msl_m))
+        nees = float(error[:2] @ np.linalg.solve(answer.covariance[:2, :2], error[:2]))
+        bound_m = horizontal_bound_95_m(answer.covariance)
+        vehicle.errors.append((float(np.hypot(error[0], error[1])), float(np.linalg.norm(error)), bound_m, nees))

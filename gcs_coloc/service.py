@@ -1,0 +1,149 @@
+"""The composition root: builds everything, ties it together, and ends it in order. Nobody else reads a clock."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import signal
+import time
+from collections.abc import Callable
+
+from rich.console import Console
+
+from gcs_coloc.config import Settings
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.messages import ClockReference, GpsInput, GpsWord, OperatorWord, RouteReport, StreamRequest, ToVehicle
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.links.address import parse
+from gcs_coloc.links.base import Address, Link
+from gcs_coloc.links.factory import make_link
+from gcs_coloc.links.routes import Blocked, RouteTable
+from gcs_coloc.mavlink.decoder import Decoder, Frame
+from gcs_coloc.mavlink.encoder import Encoder
+from gcs_coloc.sinks import console as console_sink
+from gcs_coloc.sinks.hub import Hub
+
+log = logging.getLogger("gcs_coloc")
+
+_VIEW_EVERY_S = 0.5
+_HEARTBEAT_EVERY_S = 1.0
+_EARLIEST_PLAUSIBLE_UNIX_S = 1_704_067_200.0  # 2024-01-01: a host that says less has no clock battery and no time yet
+
+
+class Service:
+    """One fleet on its links. `run` lasts until a signal or until `stop` is called."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._clock = clock = time.monotonic  # the event loop's own clock: deadlines are handed to it as they are
+        self._engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
+        ids = settings.mavlink
+        self._decoder = Decoder(own_sysid=ids.system_id, own_compid=ids.component_id)
+        self._encoder = Encoder(sysid=ids.system_id, compid=ids.component_id)
+        self._routes = RouteTable()
+        self._links = [make_link(parse(text), self._on_datagram, clock) for text in settings.links]
+        self._hub = Hub()
+        self._timer: asyncio.TimerHandle | None = None
+        self._stopping = asyncio.Event()
+        for word, sysids in ((GpsWord.FAILED, settings.fleet.failed), (GpsWord.HEALTHY, settings.fleet.healthy)):
+            for sysid in sysids:
+                self._engine.receive(OperatorWord(sysid, clock(), word))
+
+    def stop(self) -> None:
+        """Ask the service to end in order."""
+        self._stopping.set()
+
+    async def run(self, console: Console) -> None:
+        """Open the links and serve until asked to stop; then tell every aided vehicle that its fix has ended.
+
+        Raises:
+            LinkError: a link cannot be opened.
+        """
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, self.stop)
+        try:
+            for link in self._links:
+                await link.open()
+                log.info("listening on %s", link.name)
+            async with asyncio.TaskGroup() as group:
+                background = [
+                    group.create_task(console_sink.show(self._hub.subscribe(), console)),
+                    group.create_task(self._every(_VIEW_EVERY_S, self._publish_view)),
+                    group.create_task(self._every(_HEARTBEAT_EVERY_S, self._each_second)),
+                ]
+                self._wake()
+                await self._stopping.wait()
+                for task in background:
+                    task.cancel()
+        finally:
+            await self._end()
+
+    async def _end(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        for last in self._engine.close():
+            self._send(last)
+        for link in self._links:
+            await link.close()
+
+    def _on_datagram(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
+        for frame in self._decoder.decode(payload, received_at_s, (link.name, address)):
+            if self._learn_route(frame, link, address, received_at_s) and frame.message is not None:
+                self._engine.receive(frame.message)
+                if frame.is_autopilot_heartbeat:
+                    route = self._routes.route(frame.sysid, received_at_s)
+                    blocked = route.reason if isinstance(route, Blocked) else None
+                    self._engine.receive(RouteReport(frame.sysid, received_at_s, blocked))
+        self._wake()
+
+    def _learn_route(self, frame: Frame, link: Link, address: Address, now_s: float) -> bool:
+        return self._routes.learn(
+            frame.sysid, frame.compid, link, address, is_autopilot_heartbeat=frame.is_autopilot_heartbeat, now_s=now_s
+        )
+
+    def _wake(self) -> None:
+        """Make sure that the engine is polled when it next wants to be."""
+        due_s = self._engine.next_deadline()
+        loop = asyncio.get_running_loop()
+        if self._timer is not None:
+            if self._timer.when() <= due_s:
+                return
+            self._timer.cancel()
+        self._timer = loop.call_at(due_s, self._poll)
+
+    def _poll(self) -> None:
+        self._timer = None
+        for output in self._engine.poll(self._clock()):
+            if isinstance(output, GpsInput | StreamRequest):
+                self._send(output)
+            else:
+                self._hub.publish(output)
+        self._wake()
+
+    def _send(self, output: ToVehicle) -> None:
+        route = self._routes.route(output.sysid, self._clock())
+        # Asked again for every message: an address that came to be shared a moment ago must get nothing.
+        if isinstance(route, Blocked):
+            return
+        route.link.send(route.address, self._encoder.encode(output, route))
+
+    async def _every(self, period_s: float, act: Callable[[], None]) -> None:
+        while True:
+            act()
+            await asyncio.sleep(period_s)
+
+    def _publish_view(self) -> None:
+        self._hub.publish(self._engine.view(self._clock()))
+
+    def _each_second(self) -> None:
+        now_s, unix_s = self._clock(), time.time()
+        offset_s = unix_s - now_s if unix_s >= _EARLIEST_PLAUSIBLE_UNIX_S else None
+        self._engine.receive(ClockReference(now_s, offset_s))
+        for vehicle in self._engine.fleet:
+            route = self._routes.route(vehicle.sysid, now_s)
+            if not isinstance(route, Blocked):
+                route.link.send(route.address, self._encoder.heartbeat(route))
+        for link in self._links:
+            # A vehicle or router may wait for our first frame before it sends any.
+            if link.remote is not None:
+                link.send(link.remote, self._encoder.heartbeat((link.name, link.remote)))
