@@ -9,7 +9,7 @@ OTHER = "other"
 
 
 class Counts(Mapping[str, int]):
-    """How often each reason occurred. At most `MAX_REASONS` distinct reasons are kept; beyond them all go to "other"."""
+    """How often each reason occurred. At most `MAX_REASONS` reasons are kept apart; beyond them all go to "other"."""
 
     def __init__(self) -> None:
         self._by_reason: dict[str, int] = {}

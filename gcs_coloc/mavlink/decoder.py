@@ -69,7 +69,7 @@ class Decoder:
                 self.counts.add(ECHO)
             elif raw.sysid == 0:
                 self.counts.add(INVALID_SYSID)
-            elif not self.sequences.note((source, *sender), raw.sequence, raw.checksum):
+            elif not self.sequences.note((source, *sender), raw.sequence, raw.checksum, received_at_s):
                 self.counts.add(DUPLICATE)
             elif not raw.is_known:
                 self.counts.add(UNKNOWN_MESSAGE)

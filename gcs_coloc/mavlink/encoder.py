@@ -52,7 +52,7 @@ class Encoder:
         self._mavlink.seq = sequence
         try:
             packed: bytes = message.pack(self._mavlink)
-        except struct.error as error:
+        except (struct.error, OverflowError) as error:
             raise ValueError(f"{message.msgname} cannot be encoded: {error}") from error
         return packed
 

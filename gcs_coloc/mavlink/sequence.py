@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 MAX_SENDERS = 1024
+COPY_WITHIN_S = 0.5
+"""A network's copy of a frame comes soon. Later, equal number and checksum are a sender that repeats itself: one that never
+counts on sends the same heartbeat every second."""
 REMEMBERED_FRAMES = 128
-"""Half a turn of the 8-bit sequence number: within it, equal number and equal checksum mean the same frame."""
 
 Sender = tuple[Hashable, int, int]
 """Source address, system id, component id: each numbers its frames on its own."""
@@ -26,17 +28,19 @@ class Reception:
     lost: int = 0
     duplicates: int = 0
     _last: int | None = None
-    _recent: dict[int, None] = field(default_factory=dict, repr=False)
+    _recent: dict[int, float] = field(default_factory=dict, repr=False)
 
-    def note(self, sequence: int, checksum: int) -> bool:
-        """Count one frame; False where it is a copy of one of the last `REMEMBERED_FRAMES`."""
+    def note(self, sequence: int, checksum: int, received_at_s: float) -> bool:
+        """Count one frame; False where it is a copy: number and checksum of another not older than `COPY_WITHIN_S`."""
+        recent = self._recent
         fingerprint = sequence << 16 | checksum
-        if fingerprint in self._recent:
+        seen_at_s = recent.pop(fingerprint, None)
+        recent[fingerprint] = received_at_s
+        if seen_at_s is not None and received_at_s - seen_at_s <= COPY_WITHIN_S:
             self.duplicates += 1
             return False
-        if len(self._recent) >= REMEMBERED_FRAMES:
-            del self._recent[next(iter(self._recent))]
-        self._recent[fingerprint] = None
+        if len(recent) > REMEMBERED_FRAMES:
+            del recent[next(iter(recent))]
         self.received += 1
         if self._last is None:
             self._last = sequence
@@ -56,7 +60,7 @@ class SequenceTracker:
     def __init__(self) -> None:
         self._by_sender: OrderedDict[Sender, Reception] = OrderedDict()
 
-    def note(self, sender: Sender, sequence: int, checksum: int) -> bool:
+    def note(self, sender: Sender, sequence: int, checksum: int, received_at_s: float) -> bool:
         """Count one frame of `sender`; False where it is a duplicate and must not be used again."""
         by_sender = self._by_sender
         reception = by_sender.get(sender)
@@ -66,7 +70,7 @@ class SequenceTracker:
             reception = by_sender[sender] = Reception()
         else:
             by_sender.move_to_end(sender)
-        return reception.note(sequence, checksum)
+        return reception.note(sequence, checksum, received_at_s)
 
     @property
     def receptions(self) -> Mapping[Sender, Reception]:

@@ -1,0 +1,1 @@
+"""Being here lets the tests import `recordings` from this folder."""

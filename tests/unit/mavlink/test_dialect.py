@@ -1,0 +1,72 @@
+"""The committed Python is what the XML generates, and RANGING_BEACON is MAVLink's own."""
+
+import ast
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pymavlink.dialects.v20
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega, development
+
+from gcs_coloc.mavlink import dialect, regenerate
+from gcs_coloc.mavlink._generated import gcs_coloc
+
+
+def message_code(path):
+    """The message classes and the message map of a generated module, without its library part, which varies with pymavlink."""
+    tree = ast.parse(path.read_text())
+    wanted = {}
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef) and node.name.endswith("_message") and node.name != "MAVLink_message":
+            wanted[node.name] = ast.dump(node)
+        if isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == "mavlink_map":
+            wanted["mavlink_map"] = ast.dump(node)
+    return wanted
+
+
+def test_committed_module_is_what_the_xml_generates(tmp_path):
+    fresh = tmp_path / "gcs_coloc.py"
+    regenerate.generate(fresh)
+    generated = message_code(fresh)
+    assert set(generated) >= {"MAVLink_peer_range_message", "MAVLink_ranging_beacon_message", "mavlink_map"}
+    assert message_code(regenerate.GENERATED_MODULE) == generated
+
+
+def test_an_xml_that_breaks_the_schema_is_refused(tmp_path, monkeypatch):
+    broken = tmp_path / "gcs_coloc.xml"
+    broken.write_text(regenerate.DIALECT_XML.read_text().replace('type="float" name="range"', 'type="length" name="range"'))
+    monkeypatch.setattr(regenerate, "DIALECT_XML", broken)
+    with pytest.raises((RuntimeError, SystemExit)):
+        regenerate.generate(tmp_path / "out.py")
+
+
+def test_peer_range_has_its_fields_in_the_documented_order():
+    message = gcs_coloc.MAVLink_peer_range_message
+    assert message.id == 181600
+    assert message.fieldnames == ["time_usec", "range", "range_std", "sequence", "peer_system", "quality", "device_id"]
+    assert message.ordered_fieldnames == message.fieldnames
+    assert message.unpacker.format == "<QffHBBB"
+
+
+def test_ranging_beacon_is_mavlinks_own():
+    ours, theirs = gcs_coloc.MAVLink_ranging_beacon_message, development.MAVLink_ranging_beacon_message
+    assert ours.crc_extra == theirs.crc_extra == 99
+    assert ours.unpacker.format == theirs.unpacker.format
+    assert ours.ordered_fieldnames == theirs.ordered_fieldnames
+
+
+def test_ranging_beacon_xml_is_a_verbatim_copy():
+    def definition(path):
+        root = ElementTree.parse(path).getroot()
+        parts = [root.find(".//message[@name='RANGING_BEACON']")]
+        parts += [root.find(f".//enum[@name='{name}']") for name in ("RANGING_BEACON_ALT_TYPE", "RANGING_BEACON_STATUS_FLAG")]
+        return [ElementTree.canonicalize(ElementTree.tostring(part), strip_text=True) for part in parts]
+
+    theirs = Path(pymavlink.dialects.v20.__file__).parent / "development.xml"
+    assert definition(regenerate.DIALECT_XML) == definition(theirs)
+
+
+def test_pymavlinks_own_map_is_left_alone():
+    assert 181600 in dialect.MESSAGE_CLASSES
+    assert 181600 not in ardupilotmega.mavlink_map
+    assert dialect.CRC_EXTRA[232] == ardupilotmega.MAVLink_gps_input_message.crc_extra
