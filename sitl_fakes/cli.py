@@ -1,0 +1,87 @@
+"""`sitl-fakes SCENARIO`: fly a scenario in real time and send its vehicles' MAVLink to a ground station."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sitl_fakes.errors import FakesError, ScenarioError
+from sitl_fakes.fleet import Fleet
+from sitl_fakes.scenario import load_scenario
+from sitl_fakes.shell import Address, TruthFile, run
+
+# Newer Typers carry a Click of their own inside; this names the base of their usage errors in either case.
+_BadCommandLine: type[Exception] = typer.BadParameter.__bases__[0]
+
+_app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+def _address(text: str) -> Address:
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
+        raise ScenarioError(f"--target {text!r}: expected HOST:PORT, for example 127.0.0.1:14550")
+    return host.removeprefix("[").removesuffix("]"), int(port)
+
+
+@_app.command()
+def fly(
+    scenario: Annotated[Path, typer.Argument(help="Scenario file (TOML), for example configs/scenario-paper.toml.")],
+    target: Annotated[str, typer.Option(help="Where the vehicles send to, HOST:PORT.")] = "127.0.0.1:14550",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of every random draw.")] = 1,
+    vehicle: Annotated[
+        list[int] | None, typer.Option(help="System id of a vehicle that has a socket (may be repeated); all of them fly.")
+    ] = None,
+    duration: Annotated[float | None, typer.Option(min=0.0, help="Seconds to fly; default: the scenario's.")] = None,
+    truth: Annotated[Path | None, typer.Option(help="Write the true positions to this CSV file.")] = None,
+    port_base: Annotated[
+        int | None, typer.Option(min=1, max=65280, help="Bind vehicle N to port PORT_BASE + N; default: any free port.")
+    ] = None,
+) -> None:
+    """Fly a scenario in real time over UDP: simulated aircraft that send and take MAVLink as ArduPilot does."""
+    address = _address(target)
+    plan = load_scenario(scenario)
+    fleet = Fleet(plan, seed, unix_epoch_s=time.time())
+    for sysid in vehicle or []:
+        if sysid not in fleet.sysids:
+            raise ScenarioError(f"--vehicle {sysid}: {scenario} has only {', '.join(map(str, fleet.sysids))}")
+    try:
+        truth_file = TruthFile(truth) if truth else None
+    except OSError as error:
+        raise FakesError(f"cannot write {truth}: {error.strerror}") from error
+    flight_s = plan.duration_s if duration is None else duration
+    logging.info("%s: %d vehicles to %s for %g s, seed %d", plan.name, len(fleet.sysids), target, flight_s, seed)
+    try:
+        asyncio.run(run(fleet, target=address, duration_s=flight_s, sysids=vehicle, port_base=port_base, truth=truth_file))
+    finally:
+        if truth_file:
+            truth_file.close()
+
+
+def main() -> None:
+    """Run the command line; a deliberate error is one line on stderr and its exit code."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    try:
+        code = _app(standalone_mode=False)
+    except _BadCommandLine as error:
+        _fail(f"{error.format_message()} (see sitl-fakes --help)", 2)  # type: ignore[attr-defined]
+    except (typer.Abort, KeyboardInterrupt):
+        _fail("interrupted", 130)
+    except FakesError as error:
+        _fail(str(error), error.exit_code)
+    else:
+        sys.exit(code or 0)
+
+
+def _fail(text: str, code: int) -> None:
+    print(f"sitl-fakes: {' '.join(text.split())}", file=sys.stderr)
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

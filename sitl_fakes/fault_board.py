@@ -1,0 +1,50 @@
+"""Which faults are in force on one vehicle: the scenario's, those injected at run time, and what the SIM_ parameters say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from sitl_fakes.faults import Fault, GpsJammed, GpsLost, GpsSpoofed
+from sitl_fakes.parameters import Parameters
+
+_METRES_PER_DEGREE = 111_319.49
+
+
+class FaultBoard:
+    """The faults of one vehicle. `origin_lat_deg` turns a glitch in degrees of longitude into metres."""
+
+    def __init__(self, sysid: int, faults: Iterable[Fault], params: Parameters, origin_lat_deg: float) -> None:
+        self._sysid = sysid
+        self._faults = [f for f in faults if f.vehicle == sysid]
+        self._params = params
+        self._east_m_per_deg = _METRES_PER_DEGREE * math.cos(math.radians(origin_lat_deg))
+
+    def add(self, fault: Fault) -> None:
+        """Add a fault."""
+        self._faults.append(fault)
+
+    def remove(self, fault: Fault) -> None:
+        """Remove a fault that has had its effect."""
+        self._faults.remove(fault)
+
+    def clear(self, at_s: float) -> None:
+        """End every fault in force, also by parameter; those to come stay."""
+        self._faults = [f for f in self._faults if not f.active(at_s)]
+        self._params.set("SIM_GPS1_ENABLE", 1.0)
+        for name in ("SIM_GPS1_JAM", "SIM_GPS1_GLTCH_X", "SIM_GPS1_GLTCH_Y"):
+            self._params.set(name, 0.0)
+
+    def active(self, at_s: float) -> list[Fault]:
+        """Faults in force at a time (s)."""
+        active = [f for f in self._faults if f.active(at_s)]
+        if self._params["SIM_GPS1_ENABLE"] == 0:
+            active.append(GpsLost(vehicle=self._sysid, at_s=at_s))
+        if self._params["SIM_GPS1_JAM"] != 0:
+            active.append(GpsJammed(vehicle=self._sysid, at_s=at_s))
+        north = self._params["SIM_GPS1_GLTCH_X"] * _METRES_PER_DEGREE
+        east = self._params["SIM_GPS1_GLTCH_Y"] * self._east_m_per_deg
+        if east != 0.0 or north != 0.0:
+            direction, step = math.degrees(math.atan2(east, north)), math.hypot(east, north)
+            active.append(GpsSpoofed(vehicle=self._sysid, at_s=at_s, direction_deg=direction, speed_mps=0.0, offset_m=step))
+        return active

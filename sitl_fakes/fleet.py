@@ -1,0 +1,75 @@
+"""A whole scenario in flight, without IO: stepped by simulated time, deterministic for a scenario and a seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sitl_fakes.errors import ScenarioError
+from sitl_fakes.faults import Fault
+from sitl_fakes.geodesy import WorldFrame
+from sitl_fakes.scenario import Scenario
+from sitl_fakes.truth import VehicleTruth
+from sitl_fakes.vehicle import Vehicle
+
+STEP_S = 0.02
+"""Time step of the simulation, s: the paper's computing cycle."""
+
+_FIRST_OF_2026_S = 1_767_225_600.0
+_EPSILON_S = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Datagram:
+    """One UDP payload from a vehicle and the simulated time (s) at which it comes out of the vehicle's link."""
+
+    sysid: int
+    due_s: float
+    payload: bytes
+
+
+class Fleet:
+    """The vehicles of a scenario. Time starts at 0 s; `unix_epoch_s` is the UNIX time of that moment."""
+
+    def __init__(self, scenario: Scenario, seed: int, unix_epoch_s: float = _FIRST_OF_2026_S) -> None:
+        o = scenario.origin
+        self.frame = WorldFrame(o.lat_deg, o.lon_deg, o.alt_msl_m, o.geoid_height_m)
+        self._vehicles = {v.sysid: Vehicle(scenario, v, self.frame, seed, unix_epoch_s) for v in scenario.vehicle}
+        self._steps_done = -1
+
+    @property
+    def sysids(self) -> list[int]:
+        """System ids of the vehicles, in the scenario's order."""
+        return list(self._vehicles)
+
+    @property
+    def now_s(self) -> float:
+        """Simulated time of the last step done, s; 0 before the first."""
+        return max(self._steps_done, 0) * STEP_S
+
+    def advance(self, to_s: float) -> list[Datagram]:
+        """Simulate up to a time (s) and return what has come out of the vehicles' links by then, in order of time."""
+        while (self._steps_done + 1) * STEP_S <= to_s + _EPSILON_S:
+            self._steps_done += 1
+            at_s = self._steps_done * STEP_S
+            if self._steps_done > 0:
+                for vehicle in self._vehicles.values():
+                    vehicle.fly(at_s, STEP_S)
+            positions = {sysid: vehicle.position_m for sysid, vehicle in self._vehicles.items()}
+            for vehicle in self._vehicles.values():
+                vehicle.work(at_s, positions)
+        out = [Datagram(sysid, due, data) for sysid, v in self._vehicles.items() for due, data in v.sent(to_s + _EPSILON_S)]
+        return sorted(out, key=lambda datagram: datagram.due_s)
+
+    def deliver(self, sysid: int, payload: bytes, at_s: float) -> None:
+        """Send a datagram to one vehicle at a time (s): it goes through the vehicle's link and is read at the next step after."""
+        self._vehicles[sysid].receive(payload, at_s)
+
+    def truth(self) -> dict[int, VehicleTruth]:
+        """Return what is really so about each vehicle at `now_s`, by system id."""
+        return {sysid: vehicle.truth(self.now_s) for sysid, vehicle in self._vehicles.items()}
+
+    def inject(self, fault: Fault) -> None:
+        """Add a fault to the vehicle that it names. Raises `ScenarioError` where there is no such vehicle."""
+        if fault.vehicle not in self._vehicles:
+            raise ScenarioError(f"no vehicle {fault.vehicle} in this scenario")
+        self._vehicles[fault.vehicle].faults.add(fault)

@@ -1,0 +1,72 @@
+"""The physical side of one vehicle: its aircraft in the wind, its height, and what it reads without GPS."""
+
+from __future__ import annotations
+
+import math
+
+from sitl_fakes.dynamics import FlightState, LateralAircraft
+from sitl_fakes.geodesy import Vector, WorldFrame
+from sitl_fakes.scenario import Scenario
+from sitl_fakes.sensors import AirData, AirSensors
+from sitl_fakes.wind import LocalWind
+
+_CLIMB_TIME_CONSTANT_S = 5.0
+_CLIMB_LIMIT_MPS = 2.0
+
+
+class Flight:
+    """One aircraft in the air at constant airspeed; it holds its barometric altitude, so it drifts with its altimeter."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        sysid: int,
+        frame: WorldFrame,
+        seed: int,
+        start_m: tuple[float, float],
+        heading_rad: float,
+        height_m: float,
+        airspeed_mps: float,
+    ) -> None:
+        self._frame = frame
+        self._aircraft = LateralAircraft(start_m[0], start_m[1], heading_rad, airspeed_mps)
+        self._target_alt_m = scenario.origin.alt_msl_m + height_m
+        self._up_m = self._target_alt_m - frame.to_lla(start_m[0], start_m[1], 0.0)[2]
+        self._wind = LocalWind(scenario.wind, sysid, seed)
+        self._wind_mps = self._wind.advance(0.0)
+        self._sensors = AirSensors(scenario.dead_reckoning, sysid, seed)
+        self.climb_mps = 0.0
+        self.lla = frame.to_lla(*self.position_m)
+        self.air = self._read(0.0)
+
+    @property
+    def state(self) -> FlightState:
+        """True state of the aircraft."""
+        return self._aircraft.state
+
+    @property
+    def position_m(self) -> Vector:
+        """True position: east, north, up, m."""
+        s = self._aircraft.state
+        return s.east_m, s.north_m, self._up_m
+
+    @property
+    def velocity_mps(self) -> Vector:
+        """True velocity over ground: east, north, up, m/s."""
+        s, v = self._aircraft.state, self._aircraft.airspeed_mps
+        course = s.psi_rad + s.beta_rad
+        return v * math.sin(course) + self._wind_mps[0], v * math.cos(course) + self._wind_mps[1], self.climb_mps
+
+    def step(self, heading_cmd_rad: float, step_s: float) -> None:
+        """Fly one step towards a heading of the autopilot's own compass, which has an error."""
+        self._wind_mps = self._wind.advance(step_s)
+        self._aircraft.step(heading_cmd_rad - self._sensors.heading_error_rad, step_s, *self._wind_mps)
+        too_low_m = self._target_alt_m - self.air.altitude_m
+        self.climb_mps = max(-_CLIMB_LIMIT_MPS, min(_CLIMB_LIMIT_MPS, too_low_m / _CLIMB_TIME_CONSTANT_S))
+        self._up_m += self.climb_mps * step_s
+        self.lla = self._frame.to_lla(*self.position_m)
+        self.air = self._read(step_s)
+
+    def _read(self, step_s: float) -> AirData:
+        s = self._aircraft.state
+        return self._sensors.measure(self._aircraft.airspeed_mps, s.phi_rad, s.psi_rad, self.lla[2], step_s)

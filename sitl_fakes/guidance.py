@@ -1,0 +1,152 @@
+"""Waypoint guidance: the route's legs, cross-track error and the heading command of Qu & Zhang's equations (32), (33), (35)-(37).
+
+Positions are (east, north) in metres; headings in rad from north, clockwise; the cross-track error dZ is positive to the left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+
+Point = tuple[float, float]
+
+
+class EndOfRoute(StrEnum):
+    """What an aircraft does after its last waypoint: straight on, round again from the first, or circle the last."""
+
+    STRAIGHT = "straight"
+    LOOP = "loop"
+    HOLD = "hold"
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """The straight track from one waypoint to the next; `endless` carries on beyond the second."""
+
+    start: Point
+    end: Point
+    endless: bool = False
+
+    @property
+    def length_m(self) -> float:
+        """Length of the leg, m."""
+        return math.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1])
+
+    def along_track_m(self, at: Point) -> float:
+        """Distance flown along the track from its start, m."""
+        (ax, ay), (bx, by) = self.start, self.end
+        return ((at[0] - ax) * (bx - ax) + (at[1] - ay) * (by - ay)) / self.length_m
+
+    def cross_track_m(self, at: Point) -> float:
+        """Cross-track error (35)-(37): (AB x AP).k / |AB|, positive left of track, m."""
+        (ax, ay), (bx, by) = self.start, self.end
+        return ((bx - ax) * (at[1] - ay) - (by - ay) * (at[0] - ax)) / self.length_m
+
+    def track_heading_rad(self, at: Point) -> float:  # noqa: ARG002 - the same on the whole of a straight leg
+        """Direction of the track, rad."""
+        return math.atan2(self.end[0] - self.start[0], self.end[1] - self.start[1])
+
+    def distance_m(self, at: Point) -> float:
+        """Least distance to the leg, m."""
+        along = max(0.0, self.along_track_m(at))
+        if not self.endless:
+            along = min(self.length_m, along)
+        share = along / self.length_m
+        foot_e = self.start[0] + share * (self.end[0] - self.start[0])
+        foot_n = self.start[1] + share * (self.end[1] - self.start[1])
+        return math.hypot(at[0] - foot_e, at[1] - foot_n)
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """A clockwise circle round a point: where an aircraft that holds stays. The outside is its left."""
+
+    centre: Point
+    radius_m: float
+
+    def cross_track_m(self, at: Point) -> float:
+        """Distance outside the circle, m (negative inside)."""
+        return math.hypot(at[0] - self.centre[0], at[1] - self.centre[1]) - self.radius_m
+
+    def track_heading_rad(self, at: Point) -> float:
+        """Direction of the clockwise tangent, rad."""
+        return math.atan2(at[0] - self.centre[0], at[1] - self.centre[1]) + math.pi / 2.0
+
+    def distance_m(self, at: Point) -> float:
+        """Least distance to the circle, m."""
+        return abs(self.cross_track_m(at))
+
+
+class Route:
+    """Waypoints (at least two, no two neighbours equal) and what follows the last: a sequence of tracks numbered from 0."""
+
+    def __init__(self, waypoints: Sequence[Point], end: EndOfRoute = EndOfRoute.STRAIGHT, hold_radius_m: float = 400.0) -> None:
+        self._end = end
+        points = list(waypoints)
+        if end is EndOfRoute.LOOP and points[0] != points[-1]:
+            points.append(points[0])
+        last = len(points) - 2
+        straight = end is EndOfRoute.STRAIGHT
+        self._tracks: list[Leg | Circle] = [
+            Leg(a, b, endless=straight and i == last) for i, (a, b) in enumerate(pairwise(points))
+        ]
+        if end is EndOfRoute.HOLD:
+            self._tracks.append(Circle(points[-1], hold_radius_m))
+
+    def track(self, index: int) -> Leg | Circle:
+        """Return the track of that number."""
+        return self._tracks[index]
+
+    def next_index(self, index: int) -> int:
+        """Return the number of the track after this one; the last endless one follows itself."""
+        if index + 1 < len(self._tracks):
+            return index + 1
+        return 0 if self._end is EndOfRoute.LOOP else index
+
+    def distance_m(self, at: Point) -> float:
+        """Least distance of a point to the whole route, m: how far off its route an aircraft really is."""
+        return min(track.distance_m(at) for track in self._tracks)
+
+
+class Guidance:
+    """The guidance law along a route, with its integral and its place on the route.
+
+    psi_cmd = psi_track + clamp(Kp dZ + Ki integral(dZ), -pi/2, +pi/2). Kp is 1 / (speed x `time_constant_s`), so that a small
+    error dies out with that time constant; Ki is Kp / `integral_time_s`. The integral stands still while the sum is at
+    its limit (it would only wind up) and starts anew on each leg. A waypoint is reached within `waypoint_radius_m` or on
+    passing abeam.
+    """
+
+    def __init__(
+        self,
+        route: Route,
+        speed_mps: float,
+        waypoint_radius_m: float,
+        time_constant_s: float = 8.0,
+        integral_time_s: float = 30.0,
+    ) -> None:
+        self.route = route
+        self.leg_index = 0
+        self._radius = waypoint_radius_m
+        self._kp = 1.0 / (speed_mps * time_constant_s)
+        self._ki = self._kp / integral_time_s
+        self._integral = 0.0
+
+    def heading_command_rad(self, at: Point, step_s: float) -> float:
+        """Heading to fly at a (believed) position, rad, after switching to the next leg where the waypoint is reached."""
+        track = self.route.track(self.leg_index)
+        if isinstance(track, Leg) and not track.endless:
+            near = math.hypot(at[0] - track.end[0], at[1] - track.end[1]) <= self._radius
+            if near or track.along_track_m(at) >= track.length_m:
+                self.leg_index = self.route.next_index(self.leg_index)
+                self._integral = 0.0
+                track = self.route.track(self.leg_index)
+        error = track.cross_track_m(at)
+        correction = self._kp * error + self._ki * self._integral
+        limit = math.pi / 2.0
+        if abs(correction) < limit:
+            self._integral += error * step_s
+        return track.track_heading_rad(at) + max(-limit, min(limit, correction))

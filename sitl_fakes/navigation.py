@@ -1,0 +1,132 @@
+"""The autopilot's own horizontal navigation: airspeed and heading carry it, GPS corrects position, velocity and the wind
+estimate.
+
+Per axis a Kalman filter with the states position (m) and wind (m/s); velocity over ground is airspeed along heading plus wind.
+East and north are alike and independent, so they share one covariance (2, 2). Without GPS this is dead reckoning: errors of
+airspeed and heading that the wind state had absorbed come out with the next turn, and a change of wind goes unseen, as on a real
+aircraft. As EKF3 does, it refuses what is off by more than five sigma, and takes the measurement over whole where
+nothing was accepted for 10 s.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sitl_fakes.receivers import GpsFix
+
+_GATE_SIGMA = 5.0
+_RESET_AFTER_S = 10.0
+_POSITION_NOISE_M2PS = 0.05
+_WIND_NOISE_M2PS3 = 0.02
+_LEAST_POSITION_SIGMA_M = 0.5
+_LEAST_VELOCITY_SIGMA_MPS = 0.5
+_FIRST_WIND_SIGMA_MPS = 5.0
+
+
+@dataclass(slots=True)
+class _Covariance:
+    """Variance of position (m^2), their covariance (m^2/s), variance of wind (m^2/s^2): the same on both axes."""
+
+    pp: float
+    pw: float
+    ww: float
+
+
+class Navigation:
+    """Position and velocity as the autopilot believes them (east, north; m, m/s). Before the first fix there is no position."""
+
+    def __init__(self) -> None:
+        self.position_m: tuple[float, float] | None = None
+        self.glitching = False
+        self._air: tuple[float, float] = (0.0, 0.0)
+        self._wind = [0.0, 0.0]
+        self._p = _Covariance(0.0, 0.0, _FIRST_WIND_SIGMA_MPS**2)
+        self._position_at_s = -math.inf
+        self._velocity_at_s = -math.inf
+
+    @property
+    def velocity_mps(self) -> tuple[float, float]:
+        """Velocity over ground, east and north, m/s."""
+        return self._air[0] + self._wind[0], self._air[1] + self._wind[1]
+
+    @property
+    def wind_mps(self) -> tuple[float, float]:
+        """Estimated wind, towards east and north, m/s."""
+        return self._wind[0], self._wind[1]
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of the position that the filter believes, per axis, m."""
+        return math.sqrt(self._p.pp)
+
+    def since_position_s(self, at_s: float) -> float:
+        """Time since a position was last accepted, s (infinite if never)."""
+        return at_s - self._position_at_s
+
+    def predict(self, airspeed_mps: float, heading_rad: float, step_s: float) -> None:
+        """Carry the estimate over a step with the measured airspeed (m/s) and heading (rad from north)."""
+        self._air = (airspeed_mps * math.sin(heading_rad), airspeed_mps * math.cos(heading_rad))
+        if self.position_m is None:
+            return
+        ve, vn = self.velocity_mps
+        self.position_m = (self.position_m[0] + ve * step_s, self.position_m[1] + vn * step_s)
+        p = self._p
+        p.pp += 2.0 * p.pw * step_s + p.ww * step_s**2 + _POSITION_NOISE_M2PS * step_s
+        p.pw += p.ww * step_s
+        p.ww += _WIND_NOISE_M2PS3 * step_s
+
+    def correct(self, fix: GpsFix, at_s: float) -> None:
+        """Fuse a fix that passed the quality checks: its position brought forward by its age, then its velocity."""
+        ve, vn, _ = fix.velocity_enu_mps
+        seen = (fix.position_enu_m[0] + ve * fix.age_s, fix.position_enu_m[1] + vn * fix.age_s)
+        sigma = max(fix.h_acc_m or 0.0, _LEAST_POSITION_SIGMA_M)
+        if self.position_m is None:
+            self._take_position(seen, sigma, at_s)
+            self._take_velocity((ve, vn), at_s)
+            return
+        innovation = (seen[0] - self.position_m[0], seen[1] - self.position_m[1])
+        spread = self._p.pp + sigma**2
+        self.glitching = math.hypot(*innovation) > _GATE_SIGMA * math.sqrt(spread)
+        if not self.glitching:
+            self._update(innovation, self._p.pp / spread, self._p.pw / spread, spread)
+            self._position_at_s = at_s
+        elif self.since_position_s(at_s) > _RESET_AFTER_S:
+            self._take_position(seen, sigma, at_s)
+        self._correct_velocity((ve, vn), max(fix.speed_acc_mps or 0.0, _LEAST_VELOCITY_SIGMA_MPS), at_s)
+
+    def take_estimate(self, position_m: tuple[float, float], sigma_m: float) -> None:
+        """Set the position from outside (MAV_CMD_EXTERNAL_POSITION_ESTIMATE), east and north in m, keeping the wind."""
+        self.position_m = position_m
+        self._p.pp, self._p.pw = max(sigma_m, _LEAST_POSITION_SIGMA_M) ** 2, 0.0
+
+    def _correct_velocity(self, seen_mps: tuple[float, float], sigma_mps: float, at_s: float) -> None:
+        ve, vn = self.velocity_mps
+        innovation = (seen_mps[0] - ve, seen_mps[1] - vn)
+        spread = self._p.ww + sigma_mps**2
+        if math.hypot(*innovation) <= _GATE_SIGMA * math.sqrt(spread):
+            self._update(innovation, self._p.pw / spread, self._p.ww / spread, spread)
+            self._velocity_at_s = at_s
+        elif at_s - self._velocity_at_s > _RESET_AFTER_S:
+            self._take_velocity(seen_mps, at_s)
+
+    def _update(self, innovation: tuple[float, float], gain_position: float, gain_wind: float, spread: float) -> None:
+        assert self.position_m is not None
+        e, n = self.position_m
+        self.position_m = (e + gain_position * innovation[0], n + gain_position * innovation[1])
+        self._wind = [w + gain_wind * v for w, v in zip(self._wind, innovation, strict=True)]
+        p = self._p
+        p.pp -= gain_position**2 * spread
+        p.pw -= gain_position * gain_wind * spread
+        p.ww -= gain_wind**2 * spread
+
+    def _take_position(self, position_m: tuple[float, float], sigma_m: float, at_s: float) -> None:
+        self.position_m = position_m
+        self._p.pp, self._p.pw = sigma_m**2, 0.0
+        self._position_at_s = at_s
+        self.glitching = False
+
+    def _take_velocity(self, velocity_mps: tuple[float, float], at_s: float) -> None:
+        self._wind = [velocity_mps[0] - self._air[0], velocity_mps[1] - self._air[1]]
+        self._p.pw, self._p.ww = 0.0, _FIRST_WIND_SIGMA_MPS**2
+        self._velocity_at_s = at_s

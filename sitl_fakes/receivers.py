@@ -1,0 +1,130 @@
+"""GPS receivers as ArduPilot sees them: the fix, its age and rhythm, which receiver is in use, what EKF3 demands of it.
+
+The rules follow ArduPilot 4.7 (AP_GPS, AP_GPS_MAV, AP_NavEKF3), as measured on its SITL: a fix lingers for 4 s after the last
+message; a mean interval of 215 ms or more, or two intervals over 245 ms in a row, make a receiver unhealthy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from sitl_fakes.geodesy import Vector
+
+_TIMEOUT_S = 4.0
+_MAX_MEAN_INTERVAL_S = 0.215
+_MAX_INTERVAL_S = 0.245
+_INTERVAL_SMOOTHING = 0.02
+_TYPE_MAVLINK = 14
+
+_CHECK_SATELLITES, _CHECK_HDOP, _CHECK_SPEED, _CHECK_POSITION = 1, 2, 4, 8
+
+
+@dataclass(frozen=True, slots=True)
+class GpsFix:
+    """One message of a receiver: position (east, north, up of the scene, m), velocity (same axes, m/s), 1-sigma accuracies.
+
+    An accuracy or dilution that the receiver does not state is None. `age_s` is how old the data are taken to be on arrival.
+    """
+
+    fix_type: int
+    satellites: int
+    position_enu_m: Vector
+    velocity_enu_mps: Vector
+    h_acc_m: float | None
+    v_acc_m: float | None
+    speed_acc_mps: float | None
+    hdop: float | None
+    vdop: float | None
+    age_s: float = 0.0
+
+
+class Receiver:
+    """One receiver port: the last message and the rhythm in which messages come."""
+
+    def __init__(self) -> None:
+        self.fix: GpsFix | None = None
+        self.fixed_at_s: float | None = None
+        self._heard_at_s = 0.0
+        self._mean_interval_s: float | None = None
+        self._late_in_a_row = 0
+
+    def receive(self, fix: GpsFix, at_s: float) -> None:
+        """Take a message from the receiver."""
+        interval = at_s - self._heard_at_s
+        if self.fix is None or interval > _TIMEOUT_S:
+            self._mean_interval_s, self._late_in_a_row = None, 0
+        else:
+            mean = interval if self._mean_interval_s is None else self._mean_interval_s
+            self._mean_interval_s = mean + _INTERVAL_SMOOTHING * (interval - mean)
+            self._late_in_a_row = self._late_in_a_row + 1 if interval > _MAX_INTERVAL_S else 0
+        self.fix, self._heard_at_s = fix, at_s
+        if fix.fix_type >= 2:
+            self.fixed_at_s = at_s
+
+    def fix_type(self, at_s: float) -> int:
+        """Fix type now: the last message's, or 1 once it is out of date or where there never was one."""
+        if self.fix is None or at_s - self._heard_at_s > _TIMEOUT_S:
+            return 1
+        return self.fix.fix_type
+
+    def satellites(self, at_s: float) -> int:
+        """Satellites in use now."""
+        return self.fix.satellites if self.fix is not None and at_s - self._heard_at_s <= _TIMEOUT_S else 0
+
+    def rhythm_ok(self) -> bool:
+        """Whether messages come often and evenly enough."""
+        mean = self._mean_interval_s
+        return mean is None or (mean < _MAX_MEAN_INTERVAL_S and self._late_in_a_row < 2)
+
+
+def is_injected(instance: int, params: Mapping[str, float]) -> bool:
+    """Whether receiver `instance` (from 0) is fed by MAVLink (GPSn_TYPE = 14)."""
+    return params[f"GPS{instance + 1}_TYPE"] == _TYPE_MAVLINK
+
+
+def is_own(instance: int, params: Mapping[str, float]) -> bool:
+    """Whether receiver `instance` (from 0) is the aircraft's own: it is wired to the first port, if that port has a type for
+    it.
+    """
+    return instance == 0 and params["GPS1_TYPE"] not in (0, _TYPE_MAVLINK)
+
+
+def receiver_in_use(receivers: Sequence[Receiver], params: Mapping[str, float], at_s: float, in_use: int) -> int:
+    """Choose between two receivers as GPS_AUTO_SWITCH says; `in_use` is the choice so far.
+
+    0: GPS_PRIMARY alone. 4: GPS_PRIMARY while it has a 3D fix, else as 1. Otherwise (1): the better fix, at equal fixes the
+    one with two more satellites.
+    """
+    primary = 1 if params["GPS_PRIMARY"] == 1 else 0
+    switching = params["GPS_AUTO_SWITCH"]
+    if switching == 0 or params["GPS2_TYPE"] == 0:
+        return primary
+    if switching == 4 and receivers[primary].fix_type(at_s) >= 3:
+        return primary
+    other = 1 - in_use
+    mine, theirs = receivers[in_use].fix_type(at_s), receivers[other].fix_type(at_s)
+    more = receivers[other].satellites(at_s) - receivers[in_use].satellites(at_s)
+    return other if theirs > mine or (theirs == mine and more >= 2) else in_use
+
+
+def refusal(receiver: Receiver, params: Mapping[str, float], at_s: float) -> str | None:
+    """Say why EKF3 does not use the receiver now, or None: its rhythm, fix type, and the checks that EK3_GPS_CHECK turns on."""
+    fix = receiver.fix
+    if fix is None or receiver.fix_type(at_s) < 3:
+        return "no 3D fix"
+    if not receiver.rhythm_ok():
+        return "messages too seldom"
+    checks, scale = int(params["EK3_GPS_CHECK"]), params["EK3_CHECK_SCALE"] / 100.0
+    if checks & _CHECK_SATELLITES and fix.satellites < 6:
+        return "too few satellites"
+    if checks & _CHECK_HDOP and (fix.hdop is None or fix.hdop > 2.5):
+        return "HDOP too high"
+    if checks & _CHECK_SPEED and fix.speed_acc_mps is not None and fix.speed_acc_mps > 1.0 * scale:
+        return "speed accuracy too coarse"
+    if checks & _CHECK_POSITION:
+        if fix.h_acc_m is not None and fix.h_acc_m > 5.0 * scale:
+            return "horizontal accuracy too coarse"
+        if fix.v_acc_m is not None and fix.v_acc_m > 7.5 * scale:
+            return "vertical accuracy too coarse"
+    return None

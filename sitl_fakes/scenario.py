@@ -1,0 +1,197 @@
+"""Scenario files: TOML, checked as a whole. An unknown key or an impossible value is refused with the file and the key's name."""
+
+from __future__ import annotations
+
+import tomllib
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from sitl_fakes.errors import ScenarioError
+from sitl_fakes.faults import AnyFault
+from sitl_fakes.guidance import EndOfRoute
+from sitl_fakes.parameters import DEFAULTS
+
+SystemId = Annotated[int, Field(ge=1, le=254)]
+_Share = Annotated[float, Field(ge=0.0, le=1.0)]
+_NotNegative = Annotated[float, Field(ge=0.0)]
+_Positive = Annotated[float, Field(gt=0.0)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Origin(_Table):
+    """Where the scene lies: the point that waypoints are measured from, and mean sea level's height above the ellipsoid there."""
+
+    lat_deg: float = Field(ge=-85.0, le=85.0)
+    lon_deg: float = Field(ge=-180.0, le=180.0)
+    alt_msl_m: float = 0.0
+    geoid_height_m: float = 0.0
+
+
+class Wind(_Table):
+    """Steady wind (`from_deg`: where it comes from, as meteorologists say) and its slow local changes (Gauss-Markov per axis)."""
+
+    speed_mps: _NotNegative = 0.0
+    from_deg: float = 0.0
+    variation_mps: _NotNegative = 0.0
+    variation_time_s: _Positive = 120.0
+
+
+class Gps(_Table):
+    """The vehicles' own receivers. Sigmas are per axis; `correlation_time_s` 0 makes the position noise white.
+
+    `h_acc`, `v_acc` and `vel_acc` of GPS_RAW_INT state these sigmas.
+    """
+
+    rate_hz: _Positive = 5.0
+    sigma_h_m: _Positive = 1.5
+    sigma_v_m: _Positive = 3.0
+    sigma_velocity_mps: _Positive = 0.3
+    correlation_time_s: _NotNegative = 60.0
+    satellites: int = Field(default=10, ge=4, le=30)
+    hdop: _Positive = 1.21
+    fix_type: int = Field(default=6, ge=3, le=6)
+
+
+class Ranging(_Table):
+    """The ranging devices: rate per peer, noise, bias per pair (drawn once), outliers (always long), loss, message."""
+
+    rate_hz: _Positive = 10.0
+    sigma_m: _Positive = 0.5
+    stated_sigma_m: _NotNegative | None = None
+    bias_sigma_m: _NotNegative = 0.0
+    outlier_share: _Share = 0.0
+    outlier_min_m: _NotNegative = 2.0
+    outlier_max_m: _NotNegative = 20.0
+    loss: _Share = 0.0
+    max_range_m: _Positive = 100_000.0
+    message: Literal["peer_range", "ranging_beacon", "named_value"] = "peer_range"
+    time_base: Literal["boot", "unix"] = "boot"
+
+    @model_validator(mode="after")
+    def _outliers_in_order(self) -> Self:
+        if self.outlier_max_m < self.outlier_min_m:
+            raise ValueError("outlier_max_m must not be below outlier_min_m")
+        return self
+
+
+class Telemetry(_Table):
+    """Each vehicle's radio link, both ways: fixed delay, random extra delay (uniform, so datagrams overtake), loss."""
+
+    latency_s: _NotNegative = 0.0
+    jitter_s: _NotNegative = 0.0
+    loss: _Share = 0.0
+
+
+class DeadReckoning(_Table):
+    """What spoils an autopilot's dead reckoning, each a standard deviation: heading and airspeed errors that stay (drawn once per
+    vehicle), that wander (Gauss-Markov) and that are white; airspeed errors that stay or wander are shares of the airspeed.
+    And the altimeter's slow error.
+    """
+
+    heading_bias_deg: _NotNegative = 2.0
+    airspeed_scale: _NotNegative = 0.03
+    heading_wander_deg: _NotNegative = 1.5
+    airspeed_wander: _NotNegative = 0.02
+    wander_time_s: _Positive = 30.0
+    heading_noise_deg: _NotNegative = 0.5
+    airspeed_noise_mps: _NotNegative = 0.3
+    baro_sigma_m: _NotNegative = 0.5
+
+
+class Vehicle(_Table):
+    """One aircraft. Waypoints are [east, north] in metres from the origin; it starts at the first, along the first leg."""
+
+    sysid: SystemId
+    waypoints: list[tuple[float, float]] = Field(min_length=2)
+    height_m: float = 100.0
+    airspeed_mps: Annotated[float, Field(ge=12.0, le=60.0)] | None = None
+    end_of_route: EndOfRoute | None = None
+    boot_offset_s: _NotNegative | None = None
+    clock_drift_ppm: float | None = None
+    ranges_to: list[SystemId] | None = None
+    params: dict[str, float] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _goes_somewhere(self) -> Self:
+        for a, b in pairwise(self.waypoints):
+            if a == b:
+                raise ValueError(f"two successive waypoints are equal: {list(a)}")
+        for name in self.params:
+            if name not in DEFAULTS:
+                raise ValueError(f"no such parameter: {name} (known: {', '.join(DEFAULTS)})")
+        return self
+
+
+class Scenario(_Table):
+    """A whole scenario. Vehicles that set no `airspeed_mps` or `end_of_route` take the scenario's.
+
+    `global_position` decides what a vehicle with GPS reports in GLOBAL_POSITION_INT: "filtered", its autopilot's estimate, or
+    "raw", its receiver's fix as it is. A vehicle without `ranges_to` ranges to all others if a fault of its own GPS is
+    planned, else to nobody.
+    `truth_messages` sends SIMSTATE and SIM_STATE from the start.
+    """
+
+    name: str
+    description: str = ""
+    duration_s: _Positive = 360.0
+    airspeed_mps: float = Field(default=22.0, ge=12.0, le=60.0)
+    end_of_route: EndOfRoute = EndOfRoute.STRAIGHT
+    hold_radius_m: _Positive = 400.0
+    waypoint_radius_m: _Positive | None = None
+    global_position: Literal["raw", "filtered"] = "filtered"
+    truth_messages: bool = False
+    origin: Origin
+    wind: Wind = Wind()
+    gps: Gps = Gps()
+    ranging: Ranging = Ranging()
+    telemetry: Telemetry = Telemetry()
+    dead_reckoning: DeadReckoning = DeadReckoning()
+    vehicle: list[Vehicle] = Field(min_length=1)
+    fault: list[AnyFault] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _names_existing_vehicles(self) -> Self:
+        ids = [v.sysid for v in self.vehicle]
+        if len(set(ids)) != len(ids):
+            raise ValueError("two vehicles have the same sysid")
+        for v in self.vehicle:
+            for peer in v.ranges_to or []:
+                if peer not in ids or peer == v.sysid:
+                    raise ValueError(f"vehicle {v.sysid} cannot range to {peer}: no such other vehicle")
+        for f in self.fault:
+            if f.vehicle not in ids:
+                raise ValueError(f"fault {f.kind!r} names vehicle {f.vehicle}, which does not exist")
+        return self
+
+    def ranging_peers(self, vehicle: Vehicle) -> list[int]:
+        """System ids that a vehicle ranges to."""
+        if vehicle.ranges_to is not None:
+            return list(vehicle.ranges_to)
+        loses_gps = any(f.vehicle == vehicle.sysid and f.kind.startswith("gps_") for f in self.fault)
+        return [v.sysid for v in self.vehicle if v.sysid != vehicle.sysid] if loses_gps else []
+
+
+def load_scenario(path: str | Path) -> Scenario:
+    """Read and check a scenario file. Raises `ScenarioError`, one line naming the file and the first few keys at fault."""
+    try:
+        with Path(path).open("rb") as file:
+            table = tomllib.load(file)
+    except OSError as error:
+        raise ScenarioError(f"{path}: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path}: not valid TOML: {error}") from error
+    try:
+        return Scenario.model_validate(table)
+    except ValidationError as error:
+        found = error.errors()
+        said = [
+            f"{'.'.join(str(p) for p in e['loc']) or 'scenario'}: {e['msg'].removeprefix('Value error, ')}" for e in found[:3]
+        ]
+        more = f" (and {len(found) - 3} more)" if len(found) > 3 else ""
+        raise ScenarioError(f"{path}: {'; '.join(said)}{more}") from error

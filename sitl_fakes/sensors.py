@@ -1,0 +1,165 @@
+"""What an aircraft measures of itself: its GPS receiver with all that can befall it, and its air data, heading and altimeter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from sitl_fakes.faults import Fault, GpsFrozen, GpsJammed, GpsLost, GpsSpoofed
+from sitl_fakes.geodesy import Vector
+from sitl_fakes.noise import GaussMarkov
+from sitl_fakes.receivers import GpsFix
+from sitl_fakes.scenario import DeadReckoning, Gps
+from sitl_fakes.seeds import Purpose, stream
+
+_BARO_CORRELATION_S = 300.0
+_ROLL_NOISE_RAD = math.radians(0.5)
+
+
+class _Jammer:
+    """What a jammed receiver reports, after the model of ArduPilot's SITL (SIM_GPS1_JAM).
+
+    First nothing; then satellites, fix, position (steps of up to 200 m), velocity and stated accuracies that change at random
+    about once a second.
+    """
+
+    def __init__(self, sysid: int, seed: int) -> None:
+        self._rng = stream(seed, Purpose.JAMMING, sysid)
+        self._fix: GpsFix | None = None
+        self._silent_until_s = 0.0
+
+    def clear(self) -> None:
+        """End of the jamming: the next one starts from a clean receiver."""
+        self._fix = None
+
+    def report(self, clean: GpsFix, at_s: float, interval_s: float) -> GpsFix:
+        """Return the receiver's message in place of the clean one."""
+        rng = self._rng
+        if self._fix is None:
+            self._fix = clean
+            self._silent_until_s = at_s + rng.uniform(1.0, 5.0)
+        fix = self._fix
+        if rng.random() < 1.1 * interval_s:
+            east, north, up = fix.position_enu_m
+            de, dn = rng.uniform(-200.0, 200.0, 2)
+            fix = replace(fix, position_enu_m=(float(east + de), float(north + dn), up))
+        if rng.random() < 0.8 * interval_s:
+            ve, vn, vu = (float(v) for v in rng.uniform(-400.0, 400.0, 3))
+            fix = replace(fix, velocity_enu_mps=(ve, vn, vu))
+        if rng.random() < 3.0 * interval_s:
+            satellites = int(rng.integers(2, 17))
+            locked = satellites >= 4 and rng.random() < 0.5
+            fix = replace(fix, satellites=satellites, fix_type=clean.fix_type if locked else 1)
+        if rng.random() < 3.0 * interval_s:
+            h, v, s = (float(a) for a in rng.uniform(0.0, 300.0, 3))
+            fix = replace(fix, h_acc_m=h, v_acc_m=v, speed_acc_mps=s)
+        self._fix = fix
+        return replace(fix, fix_type=1, satellites=0) if at_s < self._silent_until_s else fix
+
+
+class GpsSensor:
+    """An aircraft's own receiver: white or Gauss-Markov position noise, white velocity noise, faults on top."""
+
+    def __init__(self, settings: Gps, sysid: int, seed: int) -> None:
+        self._settings = settings
+        self.interval_s = 1.0 / settings.rate_hz
+        self._rng = stream(seed, Purpose.GPS, sysid)
+        self._error = GaussMarkov(self._rng, 1.0, settings.correlation_time_s, 3)
+        self._jammer = _Jammer(sysid, seed)
+        self._last: GpsFix | None = None
+
+    def measure(self, position_m: Vector, velocity_mps: Vector, faults: Iterable[Fault], at_s: float) -> GpsFix:
+        """Return the receiver's message now, from the true position and velocity (east, north, up) and the faults in force.
+
+        A receiver without fix repeats its last position and accuracies with fix type 1 and three satellites.
+        """
+        s = self._settings
+        unit_e, unit_n, unit_u = self._error.advance(self.interval_s)
+        noise = (s.sigma_velocity_mps * self._rng.standard_normal(3)).tolist()
+        clean = GpsFix(
+            fix_type=s.fix_type,
+            satellites=s.satellites,
+            position_enu_m=(
+                position_m[0] + s.sigma_h_m * unit_e,
+                position_m[1] + s.sigma_h_m * unit_n,
+                position_m[2] + s.sigma_v_m * unit_u,
+            ),
+            velocity_enu_mps=(velocity_mps[0] + noise[0], velocity_mps[1] + noise[1], velocity_mps[2] + noise[2]),
+            h_acc_m=s.sigma_h_m,
+            v_acc_m=s.sigma_v_m,
+            speed_acc_mps=s.sigma_velocity_mps,
+            hdop=s.hdop,
+            vdop=2.0,
+        )
+        present = list(faults)
+        fix = clean
+        for fault in present:
+            if isinstance(fault, GpsSpoofed):
+                fix = _walked_off(fix, fault, at_s)
+        if any(isinstance(f, GpsJammed) for f in present):
+            fix = self._jammer.report(fix, at_s, self.interval_s)
+        else:
+            self._jammer.clear()
+        last = self._last
+        if last is not None and any(isinstance(f, GpsFrozen) for f in present):
+            fix = last
+        if any(isinstance(f, GpsLost) for f in present):
+            return replace(last if last is not None else fix, fix_type=1, satellites=3)
+        self._last = fix
+        return fix
+
+
+def _walked_off(fix: GpsFix, fault: GpsSpoofed, at_s: float) -> GpsFix:
+    """Return the fix moved as a spoofer moves it, its velocity in keeping."""
+    heading = math.radians(fault.direction_deg)
+    by_m = fault.offset_m + fault.speed_mps * (at_s - fault.at_s)
+    east, north, up = fix.position_enu_m
+    ve, vn, vu = fix.velocity_enu_mps
+    return replace(
+        fix,
+        position_enu_m=(east + by_m * math.sin(heading), north + by_m * math.cos(heading), up),
+        velocity_enu_mps=(ve + fault.speed_mps * math.sin(heading), vn + fault.speed_mps * math.cos(heading), vu),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class AirData:
+    """What the autopilot reads without GPS: airspeed (m/s), roll and heading (rad), barometric altitude above mean sea level
+    (m).
+    """
+
+    airspeed_mps: float
+    roll_rad: float
+    heading_rad: float
+    altitude_m: float
+
+
+class AirSensors:
+    """Airspeed, attitude and barometer of one aircraft, with errors that stay (bias, scale), wander and are white."""
+
+    def __init__(self, settings: DeadReckoning, sysid: int, seed: int) -> None:
+        rng = stream(seed, Purpose.AIR_SENSORS, sysid)
+        self._rng = rng
+        self._settings = settings
+        self._heading_bias_rad = math.radians(settings.heading_bias_deg) * float(rng.standard_normal())
+        self._airspeed_scale = 1.0 + settings.airspeed_scale * float(rng.standard_normal())
+        self._wander = GaussMarkov(rng, 1.0, settings.wander_time_s, 2)
+        self._baro = GaussMarkov(rng, settings.baro_sigma_m, _BARO_CORRELATION_S, 1)
+
+    @property
+    def heading_error_rad(self) -> float:
+        """Error of the autopilot's heading now, without its white noise, rad."""
+        return self._heading_bias_rad + math.radians(self._settings.heading_wander_deg) * self._wander.value[0]
+
+    def measure(self, airspeed_mps: float, roll_rad: float, heading_rad: float, altitude_m: float, step_s: float) -> AirData:
+        """Read all of them once, from the true values."""
+        s = self._settings
+        g1, g2, g3 = self._rng.standard_normal(3).tolist()
+        wander = self._wander.advance(step_s)[1]
+        return AirData(
+            airspeed_mps=airspeed_mps * (self._airspeed_scale + s.airspeed_wander * wander) + s.airspeed_noise_mps * g1,
+            roll_rad=roll_rad + _ROLL_NOISE_RAD * g2,
+            heading_rad=heading_rad + self.heading_error_rad + math.radians(s.heading_noise_deg) * g3,
+            altitude_m=altitude_m + self._baro.advance(step_s)[0],
+        )

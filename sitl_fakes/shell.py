@@ -1,0 +1,145 @@
+"""The scenario on real UDP sockets in real time: a thin layer of asyncio round `Fleet`. Each vehicle has a socket of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import csv
+import logging
+import signal
+import socket
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import Any, TextIO
+
+from sitl_fakes.errors import SocketError
+from sitl_fakes.fleet import Fleet
+from sitl_fakes.truth import CSV_HEADER, csv_row
+
+_log = logging.getLogger(__name__)
+
+_TICK_S = 0.01
+_TRUTH_INTERVAL_S = 0.1
+_PROGRESS_INTERVAL_S = 5.0
+
+Address = tuple[str, int]
+
+
+class TruthFile:
+    """The truth as CSV, ten times a second of simulated time. Raises `OSError` where the file cannot be written."""
+
+    def __init__(self, path: Path) -> None:
+        self._file: TextIO = path.open("w", newline="", encoding="utf-8")
+        self._writer = csv.writer(self._file)
+        self._writer.writerow(CSV_HEADER)
+
+    def write(self, fleet: Fleet) -> None:
+        """Append one line per vehicle."""
+        self._writer.writerows(csv_row(truth) for truth in fleet.truth().values())
+
+    def close(self) -> None:
+        """Write out what is pending and close."""
+        self._file.close()
+
+
+class _VehicleSocket(asyncio.DatagramProtocol):
+    def __init__(self, deliver: Callable[[bytes], None]) -> None:
+        self._deliver = deliver
+
+    def datagram_received(self, data: bytes, addr: Any) -> None:  # noqa: ARG002 - asyncio's signature
+        self._deliver(data)
+
+
+async def run(
+    fleet: Fleet,
+    *,
+    target: Address,
+    duration_s: float,
+    sysids: Collection[int] | None = None,
+    port_base: int | None = None,
+    truth: TruthFile | None = None,
+) -> None:
+    """Fly for a duration (s) or until SIGINT or SIGTERM, in real time.
+
+    All vehicles fly; those of `sysids` (default: all) have a socket, bound to `port_base` + sysid (default: any free port),
+    from which they send to `target`. What any sender sends to that socket is theirs. Raises `SocketError` where an address
+    cannot be used.
+    """
+    loop = asyncio.get_running_loop()
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stop.set)
+    started = loop.time()
+
+    def deliver_to(sysid: int) -> Callable[[bytes], None]:
+        return lambda data: fleet.deliver(sysid, data, loop.time() - started)
+
+    transports: dict[int, asyncio.DatagramTransport] = {}
+    try:
+        peer = await _resolve(target)
+        for sysid in fleet.sysids:
+            if sysids is None or sysid in sysids:
+                local = (_any_address(peer), 0 if port_base is None else port_base + sysid)
+                transports[sysid] = await _open(local, deliver_to(sysid))
+        clock = _Pace(fleet, truth)
+        while not stop.is_set() and (elapsed := loop.time() - started) < duration_s:
+            for sysid, payload in clock.advance(elapsed):
+                if sysid in transports:
+                    transports[sysid].sendto(payload, peer)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(stop.wait(), _TICK_S)
+    finally:
+        for transport in transports.values():
+            transport.close()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.remove_signal_handler(number)
+
+
+class _Pace:
+    """Advances the fleet to a time, stopping on the way where truth or progress is due."""
+
+    def __init__(self, fleet: Fleet, truth: TruthFile | None) -> None:
+        self._fleet = fleet
+        self._truth = truth
+        self._truth_number = 0
+        self._progress_due_s = 0.0
+
+    def advance(self, to_s: float) -> list[tuple[int, bytes]]:
+        out = []
+        while (truth_s := self._truth_number * _TRUTH_INTERVAL_S) <= to_s:
+            out += self._fleet.advance(truth_s)
+            self._truth_number += 1
+            if self._truth is not None:
+                self._truth.write(self._fleet)
+        out += self._fleet.advance(to_s)
+        if to_s >= self._progress_due_s:
+            self._progress_due_s += _PROGRESS_INTERVAL_S
+            _log.info("%s", progress_line(self._fleet))
+        return [(datagram.sysid, datagram.payload) for datagram in out]
+
+
+def progress_line(fleet: Fleet) -> str:
+    """One line on where the fleet stands: each vehicle's system id, what it navigates on, how far it is off its route."""
+    vehicles = (f"{t.sysid} {t.source} {t.off_route_m:.0f} m off route" for t in fleet.truth().values())
+    return f"t = {fleet.now_s:.0f} s: " + ", ".join(vehicles)
+
+
+async def _resolve(target: Address) -> Any:
+    try:
+        found = await asyncio.get_running_loop().getaddrinfo(*target, type=socket.SOCK_DGRAM)
+    except OSError as error:
+        raise SocketError(f"cannot find host {target[0]!r}: {error.strerror}") from error
+    return found[0][4]
+
+
+def _any_address(peer: Any) -> str:
+    return "::" if len(peer) == 4 else "0.0.0.0"  # noqa: S104 - a vehicle answers on every interface, as SITL does
+
+
+async def _open(local: Address, deliver: Callable[[bytes], None]) -> asyncio.DatagramTransport:
+    try:
+        loop = asyncio.get_running_loop()
+        transport, _ = await loop.create_datagram_endpoint(lambda: _VehicleSocket(deliver), local_addr=local)
+    except OSError as error:
+        raise SocketError(f"cannot use UDP port {local[1]}: {error.strerror}") from error
+    return transport

@@ -1,0 +1,128 @@
+"""Hand-written MAVLink 2 frames of the messages that pymavlink's ardupilotmega dialect lacks: PEER_RANGE and RANGING_BEACON.
+
+Beside them the range as NAMED_VALUE_FLOAT, for autopilots that can send nothing else.
+
+Written from the messages' definitions, not from the service's code, so that the wire is checked from two sides. Frame
+layout: https://mavlink.io/en/guide/serialization.html.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.generator.mavcrc import x25crc
+
+PEER_RANGE_ID = 181600
+RANGING_BEACON_ID = 513
+
+# Fields in wire order: the largest types first, definition order among equals.
+_PEER_RANGE_FIELDS = (
+    ("uint64_t", "time_usec"),
+    ("float", "range"),
+    ("float", "range_std"),
+    ("uint16_t", "sequence"),
+    ("uint8_t", "peer_system"),
+    ("uint8_t", "quality"),
+    ("uint8_t", "device_id"),
+)
+_RANGING_BEACON_FIELDS = (
+    ("uint64_t", "time_usec"),
+    ("uint32_t", "range"),
+    ("int32_t", "lat"),
+    ("int32_t", "lon"),
+    ("float", "alt"),
+    ("uint32_t", "hacc_est"),
+    ("uint32_t", "vacc_est"),
+    ("uint32_t", "range_accuracy"),
+    ("uint16_t", "beacon_id"),
+    ("uint16_t", "carrier_freq"),
+    ("uint8_t", "target_system"),
+    ("uint8_t", "target_component"),
+    ("uint8_t", "alt_type"),
+    ("uint8_t", "sequence"),
+    ("uint8_t", "status"),
+)
+_UINT32_UNKNOWN = 0xFFFFFFFF
+_INT32_UNKNOWN = 0x7FFFFFFF
+
+
+def crc_extra(name: str, fields: Sequence[tuple[str, str]]) -> int:
+    """CRC_EXTRA of a message without arrays: its name and its fields (type, name) in wire order."""
+    crc = x25crc()
+    crc.accumulate_str(name + " ")
+    for type_name, field in fields:
+        crc.accumulate_str(f"{type_name} {field} ")
+    value: int = crc.crc
+    return (value & 0xFF) ^ (value >> 8)
+
+
+_PEER_RANGE_CRC_EXTRA = crc_extra("PEER_RANGE", _PEER_RANGE_FIELDS)
+_RANGING_BEACON_CRC_EXTRA = crc_extra("RANGING_BEACON", _RANGING_BEACON_FIELDS)
+
+
+def _frame(message_id: int, payload: bytes, extra: int, sysid: int, compid: int, sequence: int) -> bytes:
+    payload = payload.rstrip(b"\0") or payload[:1]
+    head = struct.pack("<BBBBBB", len(payload), 0, 0, sequence & 0xFF, sysid, compid) + message_id.to_bytes(3, "little")
+    crc = x25crc(head + payload)
+    crc.accumulate(bytes([extra]))
+    return b"\xfd" + head + payload + struct.pack("<H", crc.crc)
+
+
+def peer_range_frame(
+    *,
+    sysid: int,
+    compid: int,
+    frame_sequence: int,
+    time_usec: int,
+    peer_system: int,
+    range_m: float,
+    range_std_m: float,
+    sequence: int,
+    quality: int = 255,
+    device_id: int = 0,
+) -> bytes:
+    """Pack PEER_RANGE (181600): `time_usec` on the sender's clock, `range_std_m` 0 where unknown, `quality` % or 255."""
+    payload = struct.pack("<QffHBBB", time_usec, range_m, range_std_m, sequence & 0xFFFF, peer_system, quality, device_id)
+    return _frame(PEER_RANGE_ID, payload, _PEER_RANGE_CRC_EXTRA, sysid, compid, frame_sequence)
+
+
+def ranging_beacon_frame(
+    *,
+    sysid: int,
+    compid: int,
+    frame_sequence: int,
+    time_usec: int,
+    peer_system: int,
+    range_m: float,
+    range_std_m: float,
+    sequence: int,
+) -> bytes:
+    """Pack RANGING_BEACON (513) with `beacon_id` the peer's system id and the beacon's own position marked unknown."""
+    accuracy = round(range_std_m * 1000.0) if range_std_m > 0.0 else _UINT32_UNKNOWN
+    payload = struct.pack(
+        "<QIiifIIIHHBBBBB",
+        time_usec,
+        round(range_m * 1000.0),
+        _INT32_UNKNOWN,
+        _INT32_UNKNOWN,
+        float("nan"),
+        _UINT32_UNKNOWN,
+        _UINT32_UNKNOWN,
+        accuracy,
+        peer_system,
+        0,
+        0,
+        0,
+        0,
+        sequence & 0xFF,
+        0,
+    )
+    return _frame(RANGING_BEACON_ID, payload, _RANGING_BEACON_CRC_EXTRA, sysid, compid, frame_sequence)
+
+
+def named_range(boot_s: float, peer_system: int, range_m: float) -> Any:
+    """Build a range as NAMED_VALUE_FLOAT, named "RNG" and the peer's system id."""
+    return mavlink.MAVLink_named_value_float_message(int(boot_s * 1000.0) & 0xFFFFFFFF, f"RNG{peer_system}".encode(), range_m)
