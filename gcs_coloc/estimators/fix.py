@@ -1,0 +1,128 @@
+"""One position fix from the ranges of one epoch: choice of three peers, trilateration, tests, covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.estimators import trilateration
+from gcs_coloc.estimators.circles import Circle
+from gcs_coloc.estimators.dop import horizontal_dilution
+
+_CANDIDATES = 8
+"""Among more peers the tightest eight are tried: 56 triples, and nothing to gain from the others."""
+
+_HEIGHT_TO_SIGMA = 5.0
+"""A triangle of peers is a triangle only if its height stands out of the peers' own uncertainty; below, the first-order
+covariance is no longer that of the fix."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """A position fix and what is known of its error.
+
+    `position_m` (2,), `covariance` (2, 2) m^2 of what is new in every epoch. `systematic` gives for each vehicle whose lasting
+    error enters the fix, the sensitivity (2, k) of the fix to it and its covariance (k, k), m^2: k = 3 (east, north, up) for a
+    peer, 1 (up) for the vehicle itself.
+    """
+
+    peers: tuple[int, ...]
+    position_m: FloatArray
+    covariance: FloatArray
+    hdop: float
+    systematic: dict[int, tuple[FloatArray, FloatArray]]
+
+
+def solve(
+    vehicle: int,
+    circles: list[Circle],
+    predicted_m: FloatArray | None,
+    height_variance_m2: float,
+    *,
+    min_flatness: float,
+    misclosure_limit: float,
+) -> Fix | str:
+    """Return the fix from the three peers of best geometry whose circles agree, or the reason in words why there is none.
+
+    Args:
+        vehicle: whose fix it is.
+        circles: its ranges; more than three are ordered by the covariance that each three give.
+        predicted_m: shape (2,), where to linearise; None linearises each three at its own fix.
+        height_variance_m2: of the vehicle's own height, common to all its circles.
+        min_flatness: least height over longest side of the peers' triangle.
+        misclosure_limit: largest NIS, one degree of freedom, of three circles that are to meet in a point.
+
+    """
+    if len(circles) < 3:
+        return f"ranges to {len(circles)} of the 3 peers that a fix needs"
+    candidates = sorted(circles, key=lambda one: (one.squared_variance_m4, one.peer))[:_CANDIDATES]
+    triples = np.array(list(combinations(range(len(candidates)), 3)))
+    centres = np.array([one.centre_m for one in candidates])[triples]
+    covariances = np.array([one.centre_covariance + one.systematic_covariance[:2, :2] for one in candidates])[triples]
+    largest_sigma = np.sqrt(np.trace(covariances, axis1=-2, axis2=-1).max(axis=-1))
+    well_shaped = (trilateration.flatness(centres) >= min_flatness) & (
+        trilateration.triangle_height_m(centres) >= _HEIGHT_TO_SIGMA * largest_sigma
+    )
+    if not well_shaped.any():
+        return "the peers are nearly in one line"
+    triples, centres, covariances = triples[well_shaped], centres[well_shaped], covariances[well_shaped]
+
+    squared = np.array([one.squared_m2 for one in candidates])[triples]
+    heights = np.array([one.height_m for one in candidates])[triples]
+    own_variances = np.array([one.squared_variance_m4 for one in candidates])[triples]
+    own_height = 4.0 * height_variance_m2 * heights[:, :, np.newaxis] * heights[:, np.newaxis, :] + 2.0 * height_variance_m2**2
+    range_covariance = own_variances[:, :, np.newaxis] * np.eye(3) + own_height
+    fixes = trilateration.trilaterate(centres, squared)
+    at = fixes if predicted_m is None else np.broadcast_to(predicted_m, fixes.shape)
+    fix_covariances = trilateration.corrected_covariance(centres, at, range_covariance, covariances)
+
+    best_nis = np.inf
+    for index in np.argsort(np.trace(fix_covariances, axis1=-2, axis2=-1), kind="stable"):
+        one = slice(index, index + 1)
+        spread = trilateration.misclosure_covariance(centres[one], fixes[one], range_covariance[one], covariances[one])
+        left_over, variance = trilateration.misclosure(centres[one], squared[one], fixes[one], spread)
+        nis = float(left_over[0] ** 2 / variance[0])
+        best_nis = min(best_nis, nis)
+        if nis <= misclosure_limit:
+            chosen = [candidates[i] for i in triples[index]]
+            return _fix(vehicle, chosen, fixes[index], at[index], range_covariance[index], height_variance_m2)
+    return f"the ranges do not meet in one point (NIS {best_nis:.0f})"
+
+
+def published_covariance(fix: Fix, circles: list[Circle], predicted_m: FloatArray | None) -> FloatArray:
+    """Return the covariance, shape (2, 2), m^2, that the paper gives the fix (Eq. 23-26): s_i^2 from the peers' filters alone."""
+    chosen = [one for one in circles if one.peer in fix.peers]
+    at = fix.position_m if predicted_m is None else predicted_m
+    centres = np.array([one.centre_m for one in chosen])
+    units = (at - centres) / np.linalg.norm(at - centres, axis=-1, keepdims=True)
+    variances = np.array([u @ one.centre_covariance @ u for u, one in zip(units, chosen, strict=True)])
+    return trilateration.published_covariance(centres, at, variances)
+
+
+def _fix(
+    vehicle: int,
+    chosen: list[Circle],
+    fix_m: FloatArray,
+    at_m: FloatArray,
+    range_covariance: FloatArray,
+    height_variance_m2: float,
+) -> Fix:
+    centres = np.array([one.centre_m for one in chosen])
+    heights = np.array([one.height_m for one in chosen])
+    offsets = np.column_stack([at_m - centres, heights])
+    # A squared range error of 1 m^2 moves the fix by a gain; a peer's error of delta is one of 2 (offset)' delta, and the
+    # vehicle's own height enters all three with the opposite sign.
+    gains = trilateration.gains(centres)
+    systematic = {one.peer: (np.outer(gains[:, i], 2.0 * offsets[i]), one.systematic_covariance) for i, one in enumerate(chosen)}
+    systematic[vehicle] = (gains @ (-2.0 * heights)[:, np.newaxis], np.array([[height_variance_m2]]))
+    white = np.array([one.centre_covariance for one in chosen])
+    return Fix(
+        peers=tuple(one.peer for one in chosen),
+        position_m=fix_m,
+        covariance=trilateration.corrected_covariance(centres, at_m, range_covariance, white),
+        hdop=float(horizontal_dilution(offsets / np.linalg.norm(offsets, axis=-1, keepdims=True))),
+        systematic=systematic,
+    )

@@ -1,0 +1,331 @@
+"""The stack of Qu & Zhang (AIAA 2010-8187) for live, asynchronous measurements.
+
+Each vehicle has a constant-velocity Kalman filter. The ranges of a vehicle without GPS to three peers are solved for a position
+in closed form, and that fix is the observation of the vehicle's own filter, with a covariance that follows the geometry.
+
+What the paper leaves out and flying needs: ranges of one epoch measured at different instants are brought together by shifting
+each circle with the vehicle's predicted displacement; heights turn slant ranges into horizontal ones; of more than three peers
+the best three that agree are used; fixes are gated; and the errors of the peers, which last for minutes where the filter takes
+them as new every time, are carried beside the filter so that the stated covariance does not average them away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    AttitudeMeasurement,
+    Estimate,
+    FloatArray,
+    Measurement,
+    PositionMeasurement,
+    RangeMeasurement,
+    Residual,
+    Unknown,
+)
+from gcs_coloc.estimators import fix as fixing
+from gcs_coloc.estimators.checks import is_sound
+from gcs_coloc.estimators.circles import Circle, make_circle, range_residual
+from gcs_coloc.estimators.cv import CvFilter, density, transition
+from gcs_coloc.estimators.epochs import Epoch, EpochGatherer
+from gcs_coloc.estimators.gating import NisGate, threshold
+from gcs_coloc.estimators.qu_zhang_settings import QuZhangSettings
+from gcs_coloc.estimators.subject import CONFIRMATIONS, Subject
+from gcs_coloc.estimators.track import Track
+
+PAPER_STEP_S = 0.02
+"""The paper's computing cycle, to which its q belongs (it prints 0.02 ms, which only 50 Hz makes sense of)."""
+
+_IN_USE_S = 2.0
+"""Ranges count as in use for this long after their fix."""
+
+_RESIDUALS_KEPT = 2000
+
+
+class QuZhang:
+    """The paper's estimator; meets `gcs_coloc.estimators.base.Estimator`."""
+
+    def __init__(self, settings: QuZhangSettings | None = None) -> None:
+        self._settings = settings or QuZhangSettings()
+        self._tracks: dict[int, Track] = {}
+        self._subjects: dict[int, Subject] = {}
+        self._former: dict[int, Subject] = {}
+        self._residuals: deque[Residual] = deque(maxlen=_RESIDUALS_KEPT)
+        self._counts: Counter[str] = Counter()
+
+    @property
+    def name(self) -> str:
+        """The name that the configuration chooses it by."""
+        return "qu_zhang"
+
+    def set_subjects(self, subjects: Collection[int], at_s: float) -> None:
+        """State which vehicles are to be located from ranges from `at_s` on."""
+        for vehicle in set(self._subjects) - set(subjects):
+            # Its state came from ranges; the first position from its own receiver begins a new track.
+            self._former[vehicle] = self._subjects.pop(vehicle)
+        for vehicle in sorted(set(subjects) - set(self._subjects)):
+            former = vehicle in self._former
+            self._subjects[vehicle] = self._former.pop(vehicle) if former else self._new_subject(vehicle, at_s)
+
+    def add(self, measurement: Measurement) -> None:
+        """Take one measurement; never raises for its values."""
+        for vehicle, subject in self._subjects.items():
+            for epoch in subject.gatherer.take_due(measurement.arrived_at_s):
+                self._close(vehicle, subject, epoch)
+        if not is_sound(measurement):
+            self._counts["impossible value"] += 1
+        elif measurement.measured_at_s > measurement.arrived_at_s + self._settings.late_window_s:
+            # One such time would carry a filter into the future and make everything after it late.
+            self._counts["measured in the future"] += 1
+        elif isinstance(measurement, RangeMeasurement):
+            self._add_range(measurement)
+        elif isinstance(measurement, PositionMeasurement):
+            self._add_position(measurement)
+        elif isinstance(measurement, AltitudeMeasurement):
+            self._add_altitude(measurement)
+        elif isinstance(measurement, AttitudeMeasurement):
+            self._counts["attitude not used by this estimator"] += 1
+
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
+        """Answer where a vehicle is at a time near the present, by prediction from its filters."""
+        track = self._tracks.get(vehicle)
+        subject = self._subjects.get(vehicle) or self._former.get(vehicle)
+        reason = self._why_unknown(track, subject, at_s)
+        if reason is not None or track is None or track.horizontal is None or track.vertical is None:
+            return Unknown(vehicle, at_s, reason or "no position yet")
+        state, covariance = self._horizontal(track, track.horizontal, subject, at_s)
+        vertical_state, vertical_covariance = track.vertical.predicted(at_s)
+        vertical_covariance[0, 0] += track.sigma_v_m**2
+        sigma_m = _largest_sigma(covariance)
+        if sigma_m > self._settings.max_sigma_m:
+            return Unknown(vehicle, at_s, _with_cause(f"uncertain by {sigma_m:.0f} m (1 sigma)", subject))
+        full = np.zeros((6, 6))
+        # [e, ve, n, vn] and [u, vu] to [e, n, u, ve, vn, vu].
+        full[np.ix_([0, 3, 1, 4], [0, 3, 1, 4])] = covariance
+        full[np.ix_([2, 5], [2, 5])] = vertical_covariance
+        fresh = subject is not None and at_s - subject.last_fix_s <= _IN_USE_S
+        return Estimate(
+            vehicle=vehicle,
+            at_s=at_s,
+            position_enu_m=np.array([state[0], state[2], vertical_state[0]]),
+            velocity_enu_mps=np.array([state[1], state[3], vertical_state[1]]),
+            covariance=0.5 * (full + full.T),
+            hdop=subject.hdop if subject is not None and fresh and math.isfinite(subject.hdop) else None,
+            ranges_in_use=len(subject.peers) if subject is not None and fresh else 0,
+        )
+
+    def take_residuals(self) -> list[Residual]:
+        """Return the residuals of fixes and of their ranges since the last call, oldest first."""
+        taken = list(self._residuals)
+        self._residuals.clear()
+        return taken
+
+    def counts(self) -> Mapping[str, int]:
+        """Return how often what happened to measurements and epochs, by reason in words."""
+        return dict(self._counts)
+
+    def _new_subject(self, vehicle: int, at_s: float) -> Subject:
+        settings = self._settings
+        subject = Subject(
+            EpochGatherer(settings.epoch_window_s, settings.epoch_wait_s),
+            NisGate(settings.gate_probability, settings.gate_patience),
+        )
+        track = self._tracks.get(vehicle)
+        fresh = track is not None and at_s - track.position_at_s <= settings.max_prediction_s
+        if track is not None and track.horizontal is not None and fresh:
+            # Its receiver's lasting error stays in the state that the ranges take over.
+            track.horizontal.add_position_variance(track.sigma_h_m**2)
+            subject.last_fix_s = track.position_at_s
+            subject.confirmations = CONFIRMATIONS
+        elif track is not None:
+            track.horizontal = None
+        return subject
+
+    def _track(self, vehicle: int) -> Track:
+        settings = self._settings
+        if vehicle not in self._tracks:
+            self._tracks[vehicle] = Track(
+                density(settings.q_m2ps2, PAPER_STEP_S),
+                density(settings.q_vertical_m2ps2, PAPER_STEP_S),
+                settings.gate_probability,
+                settings.gate_patience,
+            )
+        return self._tracks[vehicle]
+
+    def _is_late(self, one: CvFilter | None, measured_at_s: float) -> bool:
+        late = one is not None and measured_at_s < one.at_s - self._settings.late_window_s
+        self._counts["too late"] += late
+        return late
+
+    def _add_position(self, measurement: PositionMeasurement) -> None:
+        vehicle = measurement.vehicle
+        if vehicle in self._subjects:
+            self._counts["position of a vehicle without GPS"] += 1
+            return
+        track = self._track(vehicle)
+        gap_s = measurement.measured_at_s - track.position_at_s
+        if vehicle in self._former or gap_s > self._settings.max_prediction_s:
+            self._former.pop(vehicle, None)
+            track.start(measurement)
+            self._counts["position used"] += 1
+        elif not self._is_late(track.horizontal, measurement.measured_at_s):
+            self._counts["position used" if track.add_position(measurement) else "position refused by the gate"] += 1
+
+    def _add_altitude(self, measurement: AltitudeMeasurement) -> None:
+        if measurement.vehicle not in self._subjects:
+            # A vehicle with GPS states its height with its position.
+            self._counts["altitude of a vehicle with GPS"] += 1
+            return
+        track = self._track(measurement.vehicle)
+        if not self._is_late(track.vertical, measurement.measured_at_s):
+            self._counts["altitude used" if track.add_altitude(measurement) else "altitude refused by the gate"] += 1
+
+    def _add_range(self, measurement: RangeMeasurement) -> None:
+        ends = (measurement.from_vehicle, measurement.to_vehicle)
+        located = [(own, peer) for own, peer in (ends, ends[::-1]) if own in self._subjects]
+        if not located:
+            self._counts["range between vehicles with GPS"] += 1
+        elif len(located) == 2:
+            # A fix from another fix would count the same peers' errors twice.
+            self._counts["range between vehicles without GPS"] += 1
+        else:
+            [(vehicle, peer)] = located
+            subject = self._subjects[vehicle]
+            epoch = subject.gatherer.add(peer, measurement)
+            if epoch is not None:
+                self._close(vehicle, subject, epoch)
+
+    def _close(self, vehicle: int, subject: Subject, epoch: Epoch) -> None:
+        """Make a fix of an epoch's ranges and give it to the vehicle's filter, or keep the reason why not."""
+        track, at_s = self._track(vehicle), epoch.newest_s
+        if track.horizontal is not None and self._is_lost(track, track.horizontal, subject, at_s):
+            track.horizontal = None
+        if self._is_late(track.horizontal, at_s):
+            return
+        circles, reasons = self._circles(track, epoch, at_s)
+        predicted = None if track.horizontal is None else track.horizontal.predicted(at_s)
+        solution = self._solve(vehicle, track, circles, None if predicted is None else predicted[0][[0, 2]], at_s)
+        fix: fixing.Fix | None = None
+        if isinstance(solution, str):
+            refused: str | None = "; ".join([solution, *reasons])
+        else:
+            fix, refused = solution, self._use(vehicle, track, subject, solution, at_s)
+        subject.reason = refused
+        self._counts["fix used" if refused is None else "epoch without a fix" if fix is None else "fix refused by the gate"] += 1
+        for one in circles:
+            chosen = fix is not None and one.peer in fix.peers
+            verdict = refused if chosen or fix is None else "not among the three of the fix"
+            self._counts["range used" if verdict is None else "range not used"] += 1
+            if predicted is not None:
+                self._residuals.append(range_residual(vehicle, one, predicted, epoch.ranges[one.peer].measured_at_s, verdict))
+
+    def _use(self, vehicle: int, track: Track, subject: Subject, fix: fixing.Fix, at_s: float) -> str | None:
+        """Give a fix to the filter, or start it; return the reason why it was refused, if it was."""
+        if track.horizontal is None:
+            if _largest_sigma_2d(fix.covariance) > self._settings.max_sigma_m:
+                return "the geometry is too poor to start from"
+            track.start_horizontal(at_s, fix.position_m, fix.covariance)
+            subject.start(fix, at_s)
+            return None
+        nis, innovation_m, sigma_m = subject.judge(track.horizontal, fix, fix.covariance, at_s)
+        verdict = subject.gate.judge(nis, 2)
+        refused = None if verdict.accepted else f"the fix is {innovation_m:.0f} m from the prediction (NIS {nis:.0f})"
+        if verdict.accepted:
+            subject.take(track.horizontal, fix, fix.covariance, at_s)
+        else:
+            track.horizontal.widen(verdict.inflation)
+        self._residuals.append(Residual(vehicle, None, at_s, innovation_m, sigma_m, nis, 2, refused))
+        return refused
+
+    def _solve(
+        self, vehicle: int, track: Track, circles: list[Circle], predicted_m: FloatArray | None, at_s: float
+    ) -> fixing.Fix | str:
+        """Return the fix with the covariance that the settings choose, or the reason why there is none."""
+        settings = self._settings
+        if track.vertical is None:
+            return "no height of its own"
+        fix = fixing.solve(
+            vehicle,
+            circles,
+            predicted_m,
+            float(track.vertical.predicted(at_s)[1][0, 0]) + track.sigma_v_m**2,
+            min_flatness=settings.min_flatness,
+            misclosure_limit=threshold(settings.gate_probability, 1),
+        )
+        if isinstance(fix, str):
+            return fix
+        if not settings.lasting_peer_errors:
+            fix = replace(fix, systematic={})
+        if settings.covariance == "constant":
+            return replace(fix, covariance=settings.constant_sigma_m**2 * np.eye(2))
+        if settings.covariance == "published":
+            published = fixing.published_covariance(fix, circles, predicted_m)
+            if not np.isfinite(published).all():
+                return "two peers are seen in one direction"
+            return replace(fix, covariance=published)
+        return fix
+
+    def _circles(self, track: Track, epoch: Epoch, at_s: float) -> tuple[list[Circle], list[str]]:
+        """Return the circles of the epoch's usable ranges, and why others are not usable."""
+        circles, reasons = [], []
+        for peer, measurement in sorted(epoch.ranges.items()):
+            peer_track = self._tracks.get(peer)
+            age_s = math.inf if peer_track is None else measurement.measured_at_s - peer_track.position_at_s
+            if peer_track is None or peer in self._former or age_s > self._settings.peer_age_limit_s:
+                reasons.append(f"vehicle {peer} has no fresh position")
+                self._counts["range to a peer without a fresh position"] += 1
+            elif track.vertical is not None:
+                circles.append(make_circle(peer, measurement, peer_track, track, at_s, self._settings.lasting_peer_errors))
+        return circles, reasons
+
+    def _horizontal(
+        self, track: Track, horizontal: CvFilter, subject: Subject | None, at_s: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return state (4,) and covariance (4, 4) at a time, with the lasting errors that the filter takes as white."""
+        state, covariance = horizontal.predicted(at_s)
+        if subject is not None:
+            return state, covariance + subject.systematic_covariance(transition(at_s - horizontal.at_s, 2))
+        if self._settings.lasting_peer_errors:
+            covariance[[0, 2], [0, 2]] += track.sigma_h_m**2
+        return state, covariance
+
+    def _is_lost(self, track: Track, horizontal: CvFilter, subject: Subject, at_s: float) -> bool:
+        """Whether nothing is left of the prediction that a new fix could be judged by."""
+        too_long = at_s - subject.last_fix_s > self._settings.max_prediction_s
+        return too_long or _largest_sigma(self._horizontal(track, horizontal, subject, at_s)[1]) > self._settings.max_sigma_m
+
+    def _why_unknown(self, track: Track | None, subject: Subject | None, at_s: float) -> str | None:
+        if subject is None:
+            if track is None or track.horizontal is None:
+                return "no position yet"
+            age_s = at_s - track.position_at_s
+            return f"no position for {age_s:.1f} s" if age_s > self._settings.max_prediction_s else None
+        if track is None or track.horizontal is None:
+            return _with_cause("not located yet", subject)
+        if track.vertical is None:
+            return "no height of its own"
+        age_s = at_s - subject.last_fix_s
+        if age_s > self._settings.max_prediction_s:
+            return _with_cause(f"no fix for {age_s:.1f} s", subject)
+        if subject.confirmations < CONFIRMATIONS:
+            return f"only {subject.confirmations} of {CONFIRMATIONS} fixes that must agree after a start from ranges"
+        return None
+
+
+def _with_cause(text: str, subject: Subject | None) -> str:
+    return f"{text}: {subject.reason}" if subject is not None and subject.reason else text
+
+
+def _largest_sigma(covariance: FloatArray) -> float:
+    """Return the 1-sigma along the worst horizontal direction of a state's covariance (4, 4), m."""
+    return _largest_sigma_2d(covariance[np.ix_([0, 2], [0, 2])])
+
+
+def _largest_sigma_2d(covariance: FloatArray) -> float:
+    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
