@@ -1,0 +1,159 @@
+"""Finds an estimator by the name that the configuration gives it, and checks its settings.
+
+Built in are "qu_zhang" and "fleet". A plug-in is named "package.module:Class" or "path/to/file.py:Class". Its class takes one
+argument `settings`, a dataclass or that or None, whose annotation says which; or no argument, and then has no settings.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from gcs_coloc.core.errors import EstimatorError
+from gcs_coloc.estimators.base import Estimator
+
+BUILT_IN = {
+    "qu_zhang": "gcs_coloc.estimators.qu_zhang:QuZhang",
+    "fleet": "gcs_coloc.estimators.fleet_filter:FleetFilter",
+}
+"""Name of each built-in estimator and where its class is; imported only when it is asked for."""
+
+_MEMBERS = ("name", "set_subjects", "add", "estimate", "take_residuals", "counts")
+
+
+def load_estimator(name: str, settings: Mapping[str, Any]) -> Estimator:
+    """Return a new estimator.
+
+    Args:
+        name: a built-in name, "package.module:Class" or "path/to/file.py:Class".
+        settings: by field name of the estimator's settings dataclass; what is left out keeps its default.
+
+    Raises:
+        EstimatorError: no such estimator, it cannot be imported, it lacks a member of the protocol, or a setting is unknown,
+            missing, of the wrong type or refused. The text names it and the mend.
+
+    """
+    cls = _load_class(name)
+    lacking = [member for member in _MEMBERS if not hasattr(cls, member)]
+    if lacking:
+        raise EstimatorError(f"estimator {name!r} lacks {', '.join(lacking)} of the estimator protocol")
+    settings_type = _settings_type(name, cls)
+    if settings_type is None:
+        if settings:
+            raise EstimatorError(f"estimator {name!r} has no settings, but was given {', '.join(sorted(settings))}")
+        return typing.cast("Estimator", cls())
+    return typing.cast("Estimator", cls(_make_settings(name, settings_type, settings)))
+
+
+def _load_class(name: str) -> type:
+    target = BUILT_IN.get(name, name)
+    where, colon, class_name = target.rpartition(":")
+    if not colon or not where or not class_name:
+        raise EstimatorError(
+            f"no estimator is called {name!r}; there are {', '.join(sorted(BUILT_IN))}, "
+            "or name a plug-in as package.module:Class or path/to/file.py:Class"
+        )
+    module = _load_file(where) if where.endswith(".py") else _load_module(where)
+    cls = getattr(module, class_name, None)
+    if not isinstance(cls, type):
+        raise EstimatorError(f"{where} has no class {class_name}")
+    return cls
+
+
+def _load_module(module_name: str) -> types.ModuleType:
+    try:
+        return importlib.import_module(module_name)
+    except Exception as error:  # a plug-in's import can raise anything
+        raise EstimatorError(f"cannot import estimator module {module_name}: {_described(error)}") from error
+
+
+def _load_file(path: str) -> types.ModuleType:
+    file = Path(path).expanduser()
+    if not file.is_file():
+        raise EstimatorError(f"there is no estimator file {path}")
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    if spec is None or spec.loader is None:
+        raise EstimatorError(f"cannot import estimator file {path}")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # a plug-in's import can raise anything
+        raise EstimatorError(f"cannot import estimator file {path}: {_described(error)}") from error
+    return module
+
+
+def _settings_type(name: str, cls: type) -> type | None:
+    """Return the dataclass that the class's first argument is annotated with, or None where it takes no argument."""
+    try:
+        parameters = list(inspect.signature(cls, eval_str=True).parameters.values())
+    except NameError as error:
+        raise EstimatorError(f"estimator {name!r}: the type of its settings cannot be found: {error}") from error
+    if not parameters:
+        return None
+    hint = parameters[0].annotation
+    for one in (hint, *typing.get_args(hint)):
+        if isinstance(one, type) and is_dataclass(one):
+            return one
+    raise EstimatorError(f"estimator {name!r}: annotate its argument {parameters[0].name} with a settings dataclass")
+
+
+def _make_settings(name: str, settings_type: type, settings: Mapping[str, Any]) -> object:
+    known = {one.name: one for one in fields(settings_type) if one.init}
+    for key in settings:
+        if key not in known:
+            raise EstimatorError(f"estimator {name!r} has no setting {key!r}; it has {', '.join(known)}")
+    for key, one in known.items():
+        if key not in settings and one.default is MISSING and one.default_factory is MISSING:
+            raise EstimatorError(f"estimator {name!r} needs the setting {key!r}")
+    hints = typing.get_type_hints(settings_type)
+    values = {key: _checked(name, key, value, hints[key]) for key, value in settings.items()}
+    try:
+        return settings_type(**values)
+    except EstimatorError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise EstimatorError(f"estimator {name!r} refuses its settings: {error}") from error
+
+
+def _checked(name: str, key: str, value: object, hint: object) -> object:
+    """Return the value as its field has it, an integer as a float where one is meant."""
+    fitting = _fitted(value, hint)
+    if fitting is _NOTHING:
+        expected = getattr(hint, "__name__", None) if isinstance(hint, type) else str(hint)
+        raise EstimatorError(f"estimator {name!r}: setting {key!r} is {value!r}; it must be of type {expected}")
+    return fitting
+
+
+_NOTHING = object()
+
+
+def _fitted(value: object, hint: object) -> object:
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if hint is Any:
+        return value
+    if origin in (typing.Union, types.UnionType):
+        return next((fit for fit in (_fitted(value, one) for one in arguments) if fit is not _NOTHING), _NOTHING)
+    if origin is typing.Literal:
+        return value if value in arguments else _NOTHING
+    if origin is tuple and isinstance(value, (list, tuple)):
+        inner = arguments[:1] * len(value) if arguments[1:] == (...,) else arguments
+        fits = [_fitted(one, kind) for one, kind in zip(value, inner, strict=False)]
+        return tuple(fits) if len(inner) == len(value) and _NOTHING not in fits else _NOTHING
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    kind = origin or hint
+    if not isinstance(kind, type) or not isinstance(value, kind):
+        return _NOTHING
+    # In Python a bool is an int; in a configuration it is not.
+    return value if not isinstance(value, bool) or kind is bool else _NOTHING
+
+
+def _described(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
