@@ -100,7 +100,7 @@ class UdpLink:
             return
         try:
             self._socket.sendto(payload, address)
-        except OSError:
+        except (OSError, TypeError):  # TypeError: an address of another family or link
             self.counts.add(NOT_SENT)
 
     async def close(self) -> None:

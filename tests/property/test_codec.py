@@ -36,7 +36,7 @@ def wanted_frames(draw):
 
 
 def assert_found_behind(garbage):
-    """A good frame is found behind the garbage, unless this is the head of an unknown message that ends where the good frame does."""
+    """A good frame is found behind the garbage, unless this heads an unknown message that ends where the good frame does."""
     good = Encoder(sysid=7, compid=1).heartbeat("x")
     raws, dealt_with = split(garbage + good, Counts(), ended=True)
     assert dealt_with == len(garbage) + len(good)

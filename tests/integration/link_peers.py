@@ -1,0 +1,54 @@
+"""What the tests of links share: an inbox for what arrives, a free port, frames to send."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+PATIENCE_S = 20.0
+"""A test that waits so long has failed; nothing is measured by it."""
+
+
+class Inbox:
+    """A link's handler and clock. Its clock counts the datagrams, so a stamp shows that it was asked for each."""
+
+    def __init__(self):
+        self._arrived = asyncio.Queue()
+        self._ticks = 0
+
+    def clock(self):
+        self._ticks += 1
+        return float(self._ticks)
+
+    def __call__(self, link, address, payload, received_at_s):
+        self._arrived.put_nowait((link, address, payload, received_at_s))
+
+    async def next(self):
+        return await asyncio.wait_for(self._arrived.get(), PATIENCE_S)
+
+    def empty(self):
+        return self._arrived.empty()
+
+
+async def until(condition):
+    """Let the event loop run until something holds."""
+
+    async def watch():
+        while not condition():  # noqa: ASYNC110 - what is waited for is another program's or the system's doing
+            await asyncio.sleep(0)
+
+    await asyncio.wait_for(watch(), PATIENCE_S)
+
+
+def free_port(kind=socket.SOCK_DGRAM):
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def heartbeat(sysid, sequence=0):
+    sender = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=1)
+    sender.seq = sequence
+    return mavlink.MAVLink_heartbeat_message(1, 3, 81, 0, 4, 3).pack(sender)

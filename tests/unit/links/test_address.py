@@ -1,0 +1,83 @@
+import pytest
+
+from gcs_coloc.core.errors import UsageError
+from gcs_coloc.links.address import SerialPort, TcpClient, TcpServer, UdpIn, UdpOut, parse
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("14550", UdpIn("0.0.0.0", 14550)),
+        (" 14550 ", UdpIn("0.0.0.0", 14550)),
+        ("127.0.0.1:14550", UdpIn("127.0.0.1", 14550)),
+        ("gcs.local:14550", UdpIn("gcs.local", 14550)),
+        ("udp:14551", UdpIn("0.0.0.0", 14551)),
+        ("udp:0.0.0.0:14551", UdpIn("0.0.0.0", 14551)),
+        ("udpin:10.0.0.1:1", UdpIn("10.0.0.1", 1)),
+        ("udpin:[::]:14550", UdpIn("::", 14550)),
+        ("[fe80::1%eth0]:14550", UdpIn("fe80::1%eth0", 14550)),
+        ("udpout:192.168.1.7:65535", UdpOut("192.168.1.7", 65535)),
+        ("tcp:localhost:5760", TcpClient("localhost", 5760)),
+        ("tcp:[::1]:5760", TcpClient("::1", 5760)),
+        ("tcpin:5760", TcpServer("0.0.0.0", 5760)),
+        ("tcpin:127.0.0.1:5760", TcpServer("127.0.0.1", 5760)),
+        ("serial:/dev/ttyUSB0", SerialPort("/dev/ttyUSB0", 57600)),
+        ("serial:/dev/ttyUSB0:115200", SerialPort("/dev/ttyUSB0", 115200)),
+        ("/dev/ttyACM0", SerialPort("/dev/ttyACM0", 57600)),
+        ("/dev/ttyACM0,921600", SerialPort("/dev/ttyACM0", 921600)),
+        ("/dev/serial/by-id/usb-3D_Robotics-if00-port0", SerialPort("/dev/serial/by-id/usb-3D_Robotics-if00-port0", 57600)),
+        (
+            "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0:57600",
+            SerialPort("/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0", 57600),
+        ),
+    ],
+)
+def test_customary_forms_are_understood(text, expected):
+    assert parse(text) == expected
+
+
+@pytest.mark.parametrize("text", ["14550", "udpout:[::1]:14550", "tcp:localhost:5760", "tcpin:5760", "/dev/ttyACM0,9600"])
+def test_name_of_an_address_parses_to_the_same_address(text):
+    assert parse(str(parse(text))) == parse(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "   ",
+        "udp",
+        "udpin:",
+        "localhost",
+        "localhost:",
+        "localhost:port",
+        "a b:14550",
+        "udpout:14550",
+        "tcp:5760",
+        "udpin:::14550",
+        "udpin:[::]",
+        "udpin:1.2.3.4:14550:7",
+        "foo:1.2.3.4:14550",
+        "0",
+        "65536",
+        "-1",
+        "99999999999999999999",
+        "tcp:localhost:0",
+        "１４５５０",
+        "serial:",
+        "serial:ttyUSB0",
+        "serial:/dev/ttyUSB0:0",
+        "serial:/dev/ttyUSB0,fast",
+        "/dev/tty USB0",
+    ],
+)
+def test_malformed_one_is_quoted_in_an_error_of_one_line(text):
+    with pytest.raises(UsageError) as raised:
+        parse(text)
+    assert repr(text) in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_error_shows_the_right_forms():
+    with pytest.raises(UsageError, match=r"udpin:HOST:PORT.*serial:"):
+        parse("nonsense")

@@ -1,0 +1,150 @@
+"""Nothing may be sent where the wrong autopilot would take it."""
+
+import pytest
+
+from gcs_coloc.links.routes import Blocked, Route, RouteTable
+
+LINK = "the link"
+HERE, THERE = ("10.0.0.1", 14550), ("10.0.0.2", 14550)
+
+
+class Ears:
+    """A route table and the time, in short words."""
+
+    def __init__(self, **settings):
+        self.table = RouteTable(**settings)
+        self.now_s = 100.0
+
+    def hears(self, sysid, address, compid=1, autopilot=True, link=LINK):
+        return self.table.learn(sysid, compid, link, address, is_autopilot_heartbeat=autopilot, now_s=self.now_s)
+
+    def route(self, sysid):
+        return self.table.route(sysid, self.now_s)
+
+
+@pytest.fixture
+def ears():
+    return Ears()
+
+
+def test_vehicle_is_reached_where_its_heartbeat_comes_from(ears):
+    assert ears.hears(1, HERE)
+    assert ears.hears(2, THERE)
+    assert ears.route(1) == Route(LINK, HERE)
+    assert ears.route(2) == Route(LINK, THERE)
+
+
+def test_vehicle_never_heard_is_blocked_in_words(ears):
+    assert ears.route(7) == Blocked("no autopilot heartbeat of vehicle 7 has been heard yet")
+
+
+def test_other_messages_of_a_vehicle_give_no_route(ears):
+    assert ears.hears(1, HERE, autopilot=False)
+    assert isinstance(ears.route(1), Blocked)
+
+
+def test_companion_computer_elsewhere_is_heard_and_does_not_move_the_route(ears):
+    ears.hears(1, HERE)
+    assert ears.hears(1, THERE, compid=191, autopilot=False)
+    assert ears.route(1) == Route(LINK, HERE)
+
+
+@pytest.mark.parametrize("autopilot", [True, False])
+def test_second_address_of_a_live_sender_is_refused(ears, autopilot):
+    ears.hears(1, HERE)
+    ears.now_s += 4.9
+    assert not ears.hears(1, THERE, autopilot=autopilot)
+    assert ears.table.counts["address_conflict"] == 1
+    assert ears.route(1) == Route(LINK, HERE)
+
+
+def test_second_autopilot_of_one_vehicle_at_another_address_is_refused(ears):
+    ears.hears(1, HERE, compid=1)
+    assert not ears.hears(1, THERE, compid=2)
+    assert ears.route(1) == Route(LINK, HERE)
+
+
+def test_same_address_on_another_link_is_another_address(ears):
+    ears.hears(1, HERE)
+    assert not ears.hears(1, HERE, link="another link")
+
+
+def test_silent_sender_may_roam(ears):
+    ears.hears(1, HERE)
+    ears.now_s += 5.0
+    assert ears.hears(1, THERE)
+    assert ears.route(1) == Route(LINK, THERE)
+
+
+def test_refused_frames_do_not_keep_a_pin_alive(ears):
+    ears.hears(1, HERE)
+    for _ in range(4):
+        ears.now_s += 1.5
+        accepted = ears.hears(1, THERE)
+    assert accepted
+
+
+def test_two_autopilots_at_one_address_get_nothing_and_the_operator_is_told_what_to_do(ears):
+    ears.hears(1, HERE)
+    ears.hears(2, HERE)
+    for sysid, other in ((1, 2), (2, 1)):
+        blocked = ears.route(sysid)
+        assert isinstance(blocked, Blocked)
+        assert f"vehicles {other} and {sysid}" in blocked.reason
+        assert "own UDP stream" in blocked.reason
+        assert "--link" in blocked.reason
+
+
+def test_two_vehicles_on_one_serial_link_get_nothing(ears):
+    ears.hears(1, ("serial", "/dev/ttyUSB0"))
+    ears.hears(2, ("serial", "/dev/ttyUSB0"))
+    assert isinstance(ears.route(2), Blocked)
+
+
+def test_vehicle_without_autopilot_at_the_same_address_blocks_nothing(ears):
+    """A ground station or a companion computer beside the vehicle does not take GPS_INPUT."""
+    ears.hears(1, HERE)
+    ears.hears(255, HERE, autopilot=False)
+    assert ears.route(1) == Route(LINK, HERE)
+
+
+def test_address_stays_shared_for_a_while_after_the_other_fell_silent(ears):
+    """It may still hear us when we do not hear it."""
+    ears.hears(2, HERE)
+    ears.now_s += 59.0
+    ears.hears(1, HERE)
+    assert isinstance(ears.route(1), Blocked)
+    ears.now_s += 2.0
+    assert ears.route(1) == Route(LINK, HERE)
+
+
+def test_vehicle_heard_directly_and_over_a_router_blocks_the_router(ears):
+    """Vehicle 1 is refused at the router's address, but would take what is sent there to vehicle 2."""
+    ears.hears(1, HERE)
+    assert not ears.hears(1, THERE)
+    assert ears.hears(2, THERE)
+    assert ears.route(1) == Route(LINK, HERE)
+    assert isinstance(ears.route(2), Blocked)
+
+
+def test_flood_of_made_up_senders_is_bounded_and_pushes_out_no_live_vehicle():
+    ears = Ears(max_components=50, max_addresses=20)
+    ears.hears(1, HERE)
+    for number in range(2000):
+        ears.hears(2 + number % 250, ("6.6.6.6", number), compid=number % 256, autopilot=number % 2 == 0)
+        ears.now_s += 0.001
+    assert len(ears.table._components) <= 50
+    assert len(ears.table._autopilots_at) <= 20
+    assert ears.table.counts["route_table_full"] > 0
+    assert ears.hears(1, HERE)
+    assert ears.route(1) == Route(LINK, HERE)
+
+
+def test_table_has_room_again_when_the_flood_is_over():
+    ears = Ears(max_components=10, max_addresses=10)
+    for number in range(100):
+        ears.hears(100 + number, ("6.6.6.6", number))
+    assert not ears.hears(1, HERE)
+    ears.now_s += 61.0
+    assert ears.hears(1, HERE)
+    assert ears.route(1) == Route(LINK, HERE)
