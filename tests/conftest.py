@@ -1,1 +1,1 @@
-"""Being here lets the tests import `recordings` from this folder."""
+"""Being here puts the repository on the path, so that tests can import `tests.recordings`."""

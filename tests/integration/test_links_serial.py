@@ -8,12 +8,12 @@ import os
 import tty
 
 import pytest
-from link_peers import Inbox, heartbeat, until
 
 from gcs_coloc.core.errors import LinkError
 from gcs_coloc.links.address import SerialPort
 from gcs_coloc.links.serial import SerialLink
 from gcs_coloc.mavlink.encoder import Encoder
+from tests.integration.link_peers import Inbox, heartbeat, until
 
 pytestmark = pytest.mark.integration
 

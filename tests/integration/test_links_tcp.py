@@ -8,7 +8,6 @@ import logging
 import socket
 
 import pytest
-from link_peers import PATIENCE_S, Inbox, free_port, heartbeat, until
 from pymavlink import mavutil
 
 from gcs_coloc.core.errors import LinkError
@@ -17,6 +16,7 @@ from gcs_coloc.links.address import TcpClient, TcpServer
 from gcs_coloc.links.stream import MAX_RETRY_S, retry_delays
 from gcs_coloc.links.tcp import TcpClientLink, TcpServerLink
 from gcs_coloc.mavlink.encoder import Encoder
+from tests.integration.link_peers import PATIENCE_S, Inbox, free_port, heartbeat, until
 
 pytestmark = pytest.mark.integration
 

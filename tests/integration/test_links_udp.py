@@ -6,7 +6,6 @@ import asyncio
 import socket
 
 import pytest
-from link_peers import PATIENCE_S, Inbox, free_port, heartbeat
 from pymavlink import mavutil
 
 from gcs_coloc.core.errors import LinkError
@@ -16,6 +15,7 @@ from gcs_coloc.links.routes import Blocked, RouteTable
 from gcs_coloc.links.udp import UdpLink
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.encoder import Encoder
+from tests.integration.link_peers import PATIENCE_S, Inbox, free_port, heartbeat
 
 pytestmark = pytest.mark.integration
 

@@ -4,7 +4,6 @@ import math
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from recordings import recording
 
 from gcs_coloc.core.messages import (
     Airspeed,
@@ -22,6 +21,7 @@ from gcs_coloc.core.messages import (
 from gcs_coloc.mavlink._generated import gcs_coloc as ours
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.recorder.tlog import TlogReader
+from tests.recordings import recording
 
 NOW_S = 12.5
 UNIX_US = 1_700_000_000_250_000
