@@ -46,7 +46,7 @@ def main() -> None:
     try:
         status = app(standalone_mode=False)
     except _BadCommandLine as error:
-        _fail(f"{error.format_message()} (see {PROGRAM} --help)", UsageError.exit_code)  # type: ignore[attr-defined]
+        _fail(f"{error.format_message().replace('Value error, ', '')} (see {PROGRAM} --help)", UsageError.exit_code)  # type: ignore[attr-defined]
     except GcsColocError as error:
         _fail(str(error), error.exit_code)
     except (typer.Abort, KeyboardInterrupt):

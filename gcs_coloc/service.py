@@ -35,12 +35,12 @@ class Service:
 
     def __init__(self, settings: Settings) -> None:
         self._clock = clock = time.monotonic  # the event loop's own clock: deadlines are handed to it as they are
-        self._engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
         ids = settings.mavlink
         self._decoder = Decoder(own_sysid=ids.system_id, own_compid=ids.component_id)
         self._encoder = Encoder(sysid=ids.system_id, compid=ids.component_id)
         self._routes = RouteTable()
         self._links = [make_link(parse(text), self._on_datagram, clock) for text in settings.links]
+        self._engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
         self._hub = Hub()
         self._timer: asyncio.TimerHandle | None = None
         self._stopping = asyncio.Event()

@@ -1,0 +1,199 @@
+"""The demo: the paper's four aircraft against the service, live over loopback UDP, then the whole flight in process.
+
+`python -m gcs_coloc.study.demo --out DIR`. Leaves `demo.png` and the logs of both processes in DIR.
+"""
+
+from __future__ import annotations
+
+import csv
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.errors import GcsColocError
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.study.closed_loop import Flight, fly
+from gcs_coloc.study.demo_picture import draw
+from sitl_fakes.scenario import Scenario, load_scenario
+
+LIVE_S = 90.0
+SUBJECT = 4
+_SCENARIO = Path(__file__).resolve().parents[2] / "configs" / "scenario-paper.toml"
+_SEED = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """How one flight of the subject without its GPS went; metres. `rmse_m` and `hdop` are the service's, None without it."""
+
+    off_route_rms_m: float
+    off_route_most_m: float
+    off_route_end_m: float
+    rmse_m: float | None
+    located: float | None
+    hdop: float | None
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="Where the picture and the logs go.")] = Path("out/demo"),
+    scenario_file: Annotated[Path, typer.Option("--scenario", help="The scenario.")] = _SCENARIO,
+    estimator: Annotated[str, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = "fleet",
+    seed: Annotated[int, typer.Option(help="Seed of the fakes' noise.")] = _SEED,
+) -> None:
+    """Fly the paper's four aircraft: live for 90 s, then the whole flight in process; report and draw."""
+    console = Console()
+    out.mkdir(parents=True, exist_ok=True)
+    scenario = load_scenario(scenario_file)
+    lost_s = min(fault.at_s for fault in scenario.fault if fault.vehicle == SUBJECT)
+    console.print(
+        f"[bold]1. Live[/], over loopback UDP, {LIVE_S:.0f} s: four aircraft at {scenario.airspeed_mps:.0f} m/s, "
+        f"UAV{SUBJECT} loses its GPS at {lost_s:.0f} s."
+    )
+    console.print(
+        "   The paper's noise (GPS 15 m, ranges 20 m) makes the position coarser than EKF3 takes by default: UAV4 flies with "
+        "EK3_GPS_CHECK=23, as its operator would have to decide."
+    )
+    live = _fly_live(scenario_file, estimator, seed, out, console)
+    console.print(f"\n[bold]2. The whole flight[/], {scenario.duration_s:.0f} s, through the same engine in process.")
+    with_service, without = _fly_whole(scenario, estimator, seed, console)
+    _report(scenario, lost_s, live, with_service, without, console)
+    picture = out / "demo.png"
+    draw(scenario, SUBJECT, lost_s, with_service, without, picture)
+    console.print(f"\nTrack and error: {picture}")
+
+
+def _fly_live(scenario_file: Path, estimator: str, seed: int, out: Path, console: Console) -> list[dict[str, str]]:
+    port, truth = _free_port(), out / "live-truth.csv"
+    truth.unlink(missing_ok=True)
+    service_log, fakes_log = out / "service.log", out / "sitl-fakes.log"
+    with service_log.open("w") as service_out, fakes_log.open("w") as fakes_out:
+        service = subprocess.Popen(  # noqa: S603 - our own program with our own arguments
+            [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{port}", "--estimator", estimator],
+            stdout=service_out,
+            stderr=subprocess.STDOUT,
+        )
+        flags = ["--target", f"127.0.0.1:{port}", "--seed", str(seed), "--duration", f"{LIVE_S:.0f}", "--truth", str(truth)]
+        fakes = subprocess.Popen(  # noqa: S603
+            [sys.executable, "-m", "sitl_fakes", str(scenario_file), *flags],
+            stdout=fakes_out,
+            stderr=subprocess.STDOUT,
+        )
+        try:
+            _watch(fakes, service, truth, console)
+        finally:
+            for process in (fakes, service):
+                process.terminate()
+                process.wait(10)
+    if fakes.returncode not in (0, -15) or not truth.exists():
+        raise GcsColocError(f"the simulated aircraft stopped early; see {fakes_log}")
+    with truth.open(newline="") as file:
+        return [row for row in csv.DictReader(file) if int(row["sysid"]) == SUBJECT]
+
+
+def _watch(fakes: subprocess.Popen[bytes], service: subprocess.Popen[bytes], truth: Path, console: Console) -> None:
+    columns = (TextColumn("   "), BarColumn(), TextColumn("{task.completed:.0f} s  {task.description}"), TimeElapsedColumn())
+    last_line = time.monotonic()
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("starting", total=LIVE_S)
+        while fakes.poll() is None:
+            if service.poll() is not None:
+                raise GcsColocError(f"the service stopped early with exit code {service.returncode}; see its log")
+            time.sleep(0.5)
+            row = _last_row(truth)
+            if row is None:
+                continue
+            text = f"UAV{SUBJECT} navigates on {row['source']}, {float(row['off_route_m']):.0f} m off its route"
+            progress.update(task, completed=float(row["at_s"]), description=text)
+            if not console.is_terminal and time.monotonic() - last_line >= 10.0:
+                last_line = time.monotonic()
+                console.print(f"   {float(row['at_s']):.0f} s  {text}")
+
+
+def _last_row(truth: Path) -> dict[str, str] | None:
+    """The newest whole row of the subject in a truth file that is still being written."""
+    if not truth.exists():
+        return None
+    with truth.open("rb") as file:
+        header = file.readline().decode().strip().split(",")
+        size = file.seek(0, 2)
+        file.seek(max(0, size - 4096))
+        lines = file.read().decode().split("\n")[1:-1]
+    rows = [dict(zip(header, line.strip().split(","), strict=False)) for line in lines]
+    mine = [row for row in rows if row.get("sysid") == str(SUBJECT)]
+    return mine[-1] if mine else None
+
+
+def _fly_whole(scenario: Scenario, estimator: str, seed: int, console: Console) -> tuple[Flight, Flight]:
+    flights = []
+    columns = (TextColumn("   {task.description}"), BarColumn(), TextColumn("{task.completed:.0f} s"), TimeElapsedColumn())
+    with Progress(*columns, console=console) as progress:
+        for aided in (True, False):
+            task = progress.add_task("with the service   " if aided else "without the service", total=scenario.duration_s)
+
+            def tell(at_s: float, task: TaskID = task) -> None:
+                progress.update(task, completed=at_s)
+
+            flights.append(fly(scenario, seed, Engine(load_estimator(estimator, {})), aided=aided, progress=tell))
+    return flights[0], flights[1]
+
+
+def figures(flight: Flight, lost_s: float, aided: bool) -> Figures:
+    """The figures of the subject's flight from the loss of its GPS on."""
+    samples = [s for s in flight.samples[SUBJECT] if s.at_s >= lost_s]
+    off_m = np.array([s.truth.off_route_m for s in samples])
+    errors_m = np.array([np.hypot(s.error_enu_m[0], s.error_enu_m[1]) for s in samples if s.error_enu_m is not None])
+    hdops = [s.hdop for s in samples if s.hdop is not None]
+    return Figures(
+        off_route_rms_m=float(np.sqrt(np.mean(off_m**2))),
+        off_route_most_m=float(off_m.max()),
+        off_route_end_m=float(off_m[-1]),
+        rmse_m=float(np.sqrt(np.mean(errors_m**2))) if aided and len(errors_m) else None,
+        located=len(errors_m) / len(samples) if aided else None,
+        hdop=float(np.median(hdops)) if aided and hdops else None,
+    )
+
+
+def _report(
+    scenario: Scenario, lost_s: float, live: list[dict[str, str]], with_service: Flight, without: Flight, console: Console
+) -> None:
+    after = [row for row in live if float(row["at_s"]) >= lost_s + 5.0]
+    on_aid = sum(row["source"] == "gps_input" for row in after) / max(len(after), 1)
+    off_m = [float(row["off_route_m"]) for row in after]
+    console.print(f"\n[bold]Report[/], UAV{SUBJECT} after the loss of its GPS at {lost_s:.0f} s")
+    console.print(
+        f"   live, {LIVE_S:.0f} s with the service:  flew on GPS_INPUT {on_aid:.0%} of the time, "
+        f"at most {max(off_m, default=float('nan')):.0f} m off its route"
+    )
+    on, off = figures(with_service, lost_s, aided=True), figures(without, lost_s, aided=False)
+    console.print(f"   whole flight, {scenario.duration_s:.0f} s            off its route: rms      most    at the end")
+    for name, f in (("with the service", on), ("without", off)):
+        console.print(f"   {name:<32}{f.off_route_rms_m:10.0f} m{f.off_route_most_m:8.0f} m{f.off_route_end_m:10.0f} m")
+    if on.rmse_m is not None:
+        console.print(
+            f"   the service's own position of UAV{SUBJECT}: RMSE {on.rmse_m:.1f} m, known {on.located:.1%} of the time, "
+            f"median HDOP {on.hdop:.1f}; {with_service.gps_inputs.get(SUBJECT, 0)} GPS_INPUT sent"
+        )
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+if __name__ == "__main__":
+    try:
+        typer.run(main)
+    except GcsColocError as error:
+        sys.exit(f"demo: error: {error}")

@@ -1,0 +1,108 @@
+"""The service as a process on real UDP sockets, against vehicles that pymavlink packs."""
+
+from __future__ import annotations
+
+import math
+import random
+import signal
+import socket
+import subprocess
+import sys
+
+import pytest
+from vehicles import LAT, LON, M_PER_DEG_LAT, M_PER_DEG_LON, fly, square_fleet
+
+pytestmark = pytest.mark.integration
+
+
+def located(vehicle) -> bool:
+    return sum(m.fix_type == 3 for m in vehicle.of("GPS_INPUT")) >= 15
+
+
+def horizontal_error_m(message, enu_m) -> float:
+    east, north = (message.lon / 1e7 - LON) * M_PER_DEG_LON, (message.lat / 1e7 - LAT) * M_PER_DEG_LAT
+    return math.hypot(east - enu_m[0], north - enu_m[1])
+
+
+def test_a_vehicle_that_loses_its_gps_is_located_and_nobody_else_gets_anything(start_service, free_port):
+    service = start_service("--udp", f"127.0.0.1:{free_port}")
+    with square_fleet(free_port) as fleet:
+        fly(fleet, 3.0)
+        assert not any(v.of("GPS_INPUT") for v in fleet)
+        fly(fleet, 15.0, failed=[4], until=lambda: located(fleet[3]))
+        fixes = [m for m in fleet[3].of("GPS_INPUT") if m.fix_type == 3]
+        assert len(fixes) >= 15
+        for fix in fixes:
+            # 4 sigma of a filtered position from GPS of 0.8 m and ranges of 0.5 m, which are exact here but for latitude scale.
+            assert horizontal_error_m(fix, fleet[3].enu_m) < 4.0
+            assert abs(fix.alt - (500.0 + 120.0)) < 5.0
+            assert (fix.gps_id, fix.ignore_flags, fix.satellites_visible) == (1, 0, 7)
+            assert math.hypot(fix.vn, fix.ve) < 4 * fix.speed_accuracy + 0.1
+            assert fix.time_week > 2300
+        assert not any(v.of("GPS_INPUT") for v in fleet[:3])
+        assert {m.get_srcSystem() for m in fleet[3].of("GPS_INPUT")} == {254}
+        assert fleet[0].of("HEARTBEAT")
+
+        fleet[3].received.clear()
+        service.send_signal(signal.SIGTERM)
+        fly(fleet, 10.0, failed=[4], until=lambda: service.poll() is not None)
+        assert service.wait(10) == 0
+        assert [m.fix_type for m in fleet[3].of("GPS_INPUT")][-1] == 1
+
+
+def test_two_autopilots_behind_one_address_get_nothing_and_the_operator_is_told(start_service, free_port):
+    service = start_service("--udp", f"127.0.0.1:{free_port}")
+    with square_fleet(free_port, behind_a_router=True) as fleet:
+        fly(fleet, 2.0)
+        fly(fleet, 4.0, failed=[4])
+        assert not fleet[3].of("GPS_INPUT")
+    service.send_signal(signal.SIGINT)
+    _, log = service.communicate(timeout=10)
+    assert service.returncode == 0
+    assert "one address" in log
+    assert "its own UDP stream" in log
+
+
+def test_garbage_and_broken_frames_disturb_nobody(start_service, free_port):
+    service = start_service("--udp", f"127.0.0.1:{free_port}")
+    with square_fleet(free_port) as fleet:
+        noise = random.Random(5).randbytes(40) + b"\xfd\xff\x00\x00" + fleet[0].telemetry(0, 3)[0][:-3]
+        fly(fleet, 2.0, noise=noise)
+        fly(fleet, 15.0, failed=[4], until=lambda: located(fleet[3]), noise=noise)
+        assert located(fleet[3])
+        assert service.poll() is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["--nonsense"], 2, "No such option: --nonsense"),
+        (["--udp", "nonsense"], 2, "connection string"),
+        (["--udp", "70000"], 2, "70000"),
+        ([], 2, "no link"),
+        (["--config", "absent.toml"], 2, "absent.toml"),
+        (["--link", "serial:/dev/absent:57600"], 1, "/dev/absent"),
+        (["--udp", "14550", "--estimator", "absent"], 1, "absent"),
+        (["replay", "absent.tlog"], 1, "absent.tlog"),
+        (["replay", "pyproject.toml"], 1, "no tlog"),
+        (["nonsense"], 2, "nonsense"),
+    ],
+)
+def test_a_users_mistake_ends_in_one_clear_line(arguments, code, words):
+    done = subprocess.run(
+        [sys.executable, "-m", "gcs_coloc", *arguments], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == code
+    assert done.stdout == ""
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert words in done.stderr
+
+
+def test_a_port_in_use_is_said_in_one_line_with_the_mend(free_port):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", free_port))
+        command = [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{free_port}"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert f"port {free_port} is in use" in done.stderr
