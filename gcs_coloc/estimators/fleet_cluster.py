@@ -1,0 +1,387 @@
+"""The measurement models of the fleet filter: how each kind of measurement corrects the joint state of a cluster of vehicles.
+
+A cluster is a set of vehicles whose states are correlated: the subjects that range each other or share neighbours, and these
+neighbours. Each takes a measurement at its own time, brings the vehicles concerned to that time and corrects the joint density.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    AttitudeMeasurement,
+    FloatArray,
+    PositionMeasurement,
+    RangeMeasurement,
+)
+from gcs_coloc.estimators.fleet_joint import Joint
+from gcs_coloc.estimators.fleet_motion import (
+    AIRSPEED_ERROR,
+    BARO_ERROR,
+    HEADING_ERROR,
+    POSITION,
+    REPORT_ERROR,
+    SIZE,
+    VELOCITY,
+    WIND,
+    add_acceleration_noise,
+    transition,
+    turn_rate_radps,
+)
+from gcs_coloc.estimators.fleet_settings import FleetSettings
+from gcs_coloc.estimators.fleet_vehicle import VehicleRecord
+
+LEAST_AIRSPEED_MPS = 5.0
+"""Below this an airspeed sensor and a coordinated turn mean nothing."""
+_STEEPEST_BANK_RAD = 1.2
+_COAST_TIME_S = 2.0
+_UNKNOWN_VELOCITY_MPS = 30.0
+_REPORT_VELOCITY_TIME_S = 1.0
+_LEAST_DISTANCE_M = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What became of a measurement: `used` or not and why, with the innovation where there was one to judge."""
+
+    outcome: str
+    innovation_m: float = 0.0
+    sigma_m: float = 0.0
+    nis: float = 0.0
+    degrees_of_freedom: int = 0
+
+    @property
+    def used(self) -> bool:
+        """Whether the state was corrected."""
+        return self.outcome == USED
+
+
+USED = "used"
+
+
+def pair_key(a: int, b: int, device: int) -> tuple[int, int, int]:
+    """Return the key of the bias block of a ranging pair: the bias belongs to both ends together."""
+    return (a, b, device) if a < b else (b, a, device)
+
+
+def initial_block(
+    report: PositionMeasurement, white: tuple[float, float], slow: tuple[float, float], s: FleetSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean (14,) and covariance (14, 14) of a vehicle from one position report; white and slow sigmas are (horizontal, vertical)."""
+    x = np.zeros(SIZE)
+    P = np.zeros((SIZE, SIZE))
+    x[POSITION] = report.position_enu_m
+    for axis in range(3):
+        w, c = white[axis // 2], slow[axis // 2]
+        P[axis, axis] = w * w + c * c
+        e = REPORT_ERROR.start + axis
+        P[e, e] = c * c
+        P[axis, e] = P[e, axis] = -c * c
+    sigma = _UNKNOWN_VELOCITY_MPS
+    if report.velocity_enu_mps is not None and report.sigma_velocity_mps is not None:
+        x[VELOCITY] = report.velocity_enu_mps
+        sigma = report.sigma_velocity_mps
+    for axis in (3, 4, 5):
+        P[axis, axis] = sigma * sigma
+    _own_slow_states(P, s)
+    return x, P
+
+
+def start_block(mean: FloatArray, covariance: FloatArray, s: FleetSettings) -> tuple[FloatArray, FloatArray]:
+    """Return mean (14,) and covariance (14, 14) of a vehicle from its position and velocity, (6,) and (6, 6)."""
+    x = np.zeros(SIZE)
+    P = np.zeros((SIZE, SIZE))
+    x[:6] = mean
+    P[:6, :6] = covariance
+    _own_slow_states(P, s)
+    return x, P
+
+
+def _own_slow_states(P: FloatArray, s: FleetSettings) -> None:
+    for axis in (6, 7):
+        P[axis, axis] = s.wind_sigma_mps**2
+    P[AIRSPEED_ERROR, AIRSPEED_ERROR] = s.airspeed_sigma_mps**2
+    P[HEADING_ERROR, HEADING_ERROR] = s.heading_sigma_rad**2
+
+
+class Cluster:
+    """The joint state of some vehicles (`records` is shared with the model: this changes the records of its own vehicles)."""
+
+    __slots__ = ("joint", "records", "settings")
+
+    def __init__(self, settings: FleetSettings, records: dict[int, VehicleRecord], joint: Joint | None = None) -> None:
+        self.settings = settings
+        self.records = records
+        self.joint = Joint() if joint is None else joint
+
+    # --- motion ---------------------------------------------------------------------------------------------------------------------
+
+    def motion(self, vehicle: int, step_s: float, at_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return F and Q (14, 14) of a vehicle over a step (negative: backwards) that ends at `at_s`."""
+        s, record = self.settings, self.records[vehicle]
+        attitude = record.attitude
+        aided = attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s
+        turn = None
+        if aided:
+            assert attitude is not None
+            assert attitude.airspeed_mps is not None
+            roll = min(max(attitude.roll_rad, -_STEEPEST_BANK_RAD), _STEEPEST_BANK_RAD)
+            turn = turn_rate_radps(roll, attitude.airspeed_mps)
+            density = s.aided_density_m2ps3
+        else:
+            record.manoeuvre.fade(at_s, s.manoeuvre_memory_s)
+            ratio = record.manoeuvre.ratio()
+            # Nobody has seen steady flight lately: a manoeuvre may have begun since.
+            coasting = (
+                1.0 + ((at_s - record.informed_at_s) / _COAST_TIME_S) ** 2 if at_s - record.informed_at_s > _COAST_TIME_S else 1.0
+            )
+            density = s.acceleration_density_m2ps3 * min(max(ratio * ratio, coasting, 1.0), s.manoeuvre_gain)
+        F = transition(step_s, turn)
+        Q = np.zeros((SIZE, SIZE))
+        length = abs(step_s)
+        add_acceleration_noise(Q, length, density, s.climb_density_m2ps3)
+        for index, time_s, sigma in (
+            (6, s.wind_time_s, s.wind_sigma_mps),
+            (7, s.wind_time_s, s.wind_sigma_mps),
+            (8, s.air_error_time_s, s.airspeed_sigma_mps),
+            (9, s.air_error_time_s, s.heading_sigma_rad),
+            (10, s.baro_error_time_s, record.slow_baro_m),
+            (11, s.report_error_time_s, record.slow_report_h_m),
+            (12, s.report_error_time_s, record.slow_report_h_m),
+            (13, s.report_error_time_s, record.slow_report_v_m),
+        ):
+            decay = math.exp(-length / time_s)
+            F[index, index] = decay
+            Q[index, index] += sigma * sigma * (1.0 - decay * decay)
+        return F, Q
+
+    def bring(self, vehicle: int, at_s: float) -> None:
+        """Propagate one vehicle to a time; a vehicle that is there already, or fixed, is left."""
+        record = self.records[vehicle]
+        step_s = at_s - self.joint.time_s[vehicle]
+        if step_s <= 0.0 or record.fixed:
+            return
+        F, Q = self.motion(vehicle, step_s, at_s)
+        self.joint.transform(vehicle, F, Q, at_s)
+
+    def rescale(self, vehicle: int, where: slice | int, factor: float) -> None:
+        """Scale a slow state and all its covariances: its spread turned out to be other than assumed."""
+        start = self.joint.start[vehicle]
+        index = (
+            slice(start + where.start, start + where.stop)
+            if isinstance(where, slice)
+            else slice(start + where, start + where + 1)
+        )
+        self.joint.x[index] *= factor
+        self.joint.P[index] *= factor
+        self.joint.P[:, index] *= factor
+
+    def _watch(self, vehicle: int, W: FloatArray, e: FloatArray | tuple[float, ...], at_s: float) -> None:
+        if self.records[vehicle].fixed:
+            return
+        monitor = self.records[vehicle].manoeuvre
+        monitor.fade(at_s, self.settings.manoeuvre_memory_s)
+        start = self.joint.start[vehicle] + VELOCITY.start
+        east, north = W[start].tolist(), W[start + 1].tolist()
+        for we, wn, whitened in zip(east, north, e, strict=True):
+            monitor.add(we, wn, whitened)
+
+    # --- measurements ---------------------------------------------------------------------------------------------------------------
+
+    def take_position(self, m: PositionMeasurement, white: tuple[float, float], slow: tuple[float, float]) -> Verdict:
+        """Correct with a report of position, and velocity where given; white and slow sigmas are (horizontal, vertical) in metres."""
+        record, joint, at_s = self.records[m.vehicle], self.joint, m.measured_at_s
+        self.bring(m.vehicle, at_s)
+        start = joint.start[m.vehicle]
+        if slow[0] < 0.9 * record.slow_report_h_m:
+            self.rescale(m.vehicle, slice(11, 13), slow[0] / record.slow_report_h_m)
+        if slow[1] < 0.9 * record.slow_report_v_m:
+            self.rescale(m.vehicle, 13, slow[1] / record.slow_report_v_m)
+        record.slow_report_h_m, record.slow_report_v_m = slow
+        P, x = joint.P, joint.x
+        p, e = slice(start, start + 3), slice(start + 11, start + 14)
+        with_velocity = m.velocity_enu_mps is not None and m.sigma_velocity_mps is not None
+        k = 6 if with_velocity else 3
+        PHt = np.empty((len(x), k))
+        np.add(P[:, p], P[:, e], out=PHt[:, :3])
+        innovation = np.empty(k)
+        innovation[:3] = m.position_enu_m - x[p] - x[e]
+        noise = [white[0] ** 2, white[0] ** 2, white[1] ** 2]
+        if with_velocity:
+            v = slice(start + 3, start + 6)
+            PHt[:, 3:] = P[:, v]
+            innovation[3:] = m.velocity_enu_mps - x[v]
+            # A navigation filter's velocity error is correlated too: more reports a second do not tell more.
+            thin = max(1.0, _REPORT_VELOCITY_TIME_S / max(at_s - record.velocity_used_at_s, 1e-3))
+            noise += [m.sigma_velocity_mps**2 * thin] * 3
+            record.velocity_used_at_s = at_s
+        S = np.empty((k, k))
+        np.add(PHt[p], PHt[e], out=S[:3])
+        if with_velocity:
+            S[3:] = PHt[start + 3 : start + 6]
+        S.flat[:: k + 1] += noise
+        nis = float(innovation @ np.linalg.solve(S, innovation))
+        # Twice the degrees of freedom widen the gate as the chi-square distribution widens.
+        limit = self.settings.gate_sigma**2 + 2.0 * k
+        if nis > limit:
+            return Verdict("refused: position report outside the gate", 0.0, 0.0, nis, k)
+        W, whitened = joint.update(PHt, S, innovation)
+        self._watch(m.vehicle, W, whitened.tolist(), at_s)
+        record.informed_at_s = at_s
+        return Verdict(USED, 0.0, 0.0, nis, k)
+
+    def take_altitude(self, m: AltitudeMeasurement, white_m: float, slow_m: float) -> Verdict:
+        """Correct with a barometric height whose error is partly white, partly slow."""
+        record, joint = self.records[m.vehicle], self.joint
+        start = joint.start[m.vehicle]
+        b = start + BARO_ERROR
+        if record.slow_baro_m == 0.0:
+            joint.P[b, b] += slow_m * slow_m
+        elif slow_m < 0.9 * record.slow_baro_m:
+            self.rescale(m.vehicle, BARO_ERROR, slow_m / record.slow_baro_m)
+        record.slow_baro_m = slow_m
+        self.bring(m.vehicle, m.measured_at_s)
+        PHt = joint.P[:, start + 2] + joint.P[:, b]
+        variance = float(PHt[start + 2] + PHt[b]) + white_m * white_m
+        innovation = m.up_m - float(joint.x[start + 2] + joint.x[b])
+        nis = innovation * innovation / variance
+        if nis > self.settings.gate_sigma**2:
+            # The barometer is the vehicle's own and drifts, it does not jump: believe it less, but do not lose it.
+            variance += innovation * innovation
+        joint.update_scalar(PHt, variance, innovation)
+        return Verdict(USED, innovation, math.sqrt(variance), nis, 1)
+
+    def take_attitude(self, m: AttitudeMeasurement) -> Verdict:
+        """Turn with the bank angle from now on, and correct with the air velocity: ground velocity less wind."""
+        s, record, joint = self.settings, self.records[m.vehicle], self.joint
+        if m.airspeed_mps is None or m.airspeed_mps < LEAST_AIRSPEED_MPS or abs(m.roll_rad) > _STEEPEST_BANK_RAD:
+            record.attitude = None
+            return Verdict("no airspeed beside the attitude")
+        self.bring(m.vehicle, m.measured_at_s)
+        since_s = m.measured_at_s - record.attitude.measured_at_s if record.attitude is not None else s.air_noise_time_s
+        record.attitude = m
+        start = joint.start[m.vehicle]
+        V = m.airspeed_mps * math.cos(m.pitch_rad)
+        se, sn = math.sin(m.yaw_rad), math.cos(m.yaw_rad)
+        P, x = joint.P, joint.x
+        air = P[:, start + 3 : start + 5] - P[:, start + 6 : start + 8]
+        # Rows: along the nose (airspeed), across it (heading).
+        PHt = np.empty((len(x), 2))
+        PHt[:, 0] = se * air[:, 0] + sn * air[:, 1] + P[:, start + AIRSPEED_ERROR]
+        PHt[:, 1] = sn * air[:, 0] - se * air[:, 1] + V * P[:, start + HEADING_ERROR]
+        ve, vn = (x[start + 3 : start + 5] - x[start + 6 : start + 8]).tolist()
+        innovation = np.array(
+            [
+                V - (se * ve + sn * vn) - x[start + AIRSPEED_ERROR],
+                -(sn * ve - se * vn) - V * x[start + HEADING_ERROR],
+            ]
+        )
+        S = np.empty((2, 2))
+        v, w = slice(start + 3, start + 5), slice(start + 6, start + 8)
+        rows = PHt[v] - PHt[w]
+        S[0] = se * rows[0] + sn * rows[1] + PHt[start + AIRSPEED_ERROR]
+        S[1] = sn * rows[0] - se * rows[1] + V * PHt[start + HEADING_ERROR]
+        noise = s.air_noise_mps**2 * max(1.0, s.air_noise_time_s / max(since_s, 1e-3))
+        S[0, 0] += noise
+        S[1, 1] += noise
+        nis = float(innovation @ np.linalg.solve(S, innovation))
+        excess = nis / s.gate_sigma**2
+        if excess > 1.0:
+            S[0, 0] += (excess - 1.0) * S[0, 0]
+            S[1, 1] += (excess - 1.0) * S[1, 1]
+        joint.update(PHt, S, innovation)
+        return Verdict(USED, 0.0, 0.0, nis, 2)
+
+    def take_range(self, m: RangeMeasurement) -> Verdict:
+        """Correct with a slant range between two vehicles of the cluster, with its pair's slow bias."""
+        s, joint, at_s = self.settings, self.joint, m.measured_at_s
+        a, b = m.from_vehicle, m.to_vehicle
+        self.bring(a, at_s)
+        self.bring(b, at_s)
+        bias = self._bias(m)
+        ia, ib = joint.start[a], joint.start[b]
+        P, x = joint.P, joint.x
+        dx, dy, dz = (x[ia : ia + 3] - x[ib : ib + 3]).tolist()
+        distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+        if distance < _LEAST_DISTANCE_M:
+            return Verdict("refused: both ends estimated at one place")
+        u = np.array([dx, dy, dz]) / distance
+        relative = P[:, ia : ia + 3] - P[:, ib : ib + 3]
+        M = relative[ia : ia + 3] - relative[ib : ib + 3]
+        PHt = relative @ u
+        Mu = M @ u
+        along = float(u @ Mu)
+        # Second order: a range to an uncertain place is on average longer than to its mean, and its spread grows.
+        across_trace = max(float(M[0, 0] + M[1, 1] + M[2, 2]) - along, 0.0)
+        square = float(np.vdot(M, M)) - 2.0 * float(Mu @ Mu) + along * along
+        longer = 0.5 * across_trace / distance
+        spread = max(0.5 * square / (distance * distance), 0.0)
+        noise = m.sigma_m * m.sigma_m
+        if s.stamp_sigma_s > 0.0:
+            closing = self._closing_mps(a, b, u)
+            noise += (closing * s.stamp_sigma_s) ** 2
+        # The expansion fails where the uncertainty is as large as the distance: there it may not outgrow the first order.
+        spread = min(spread, along + noise)
+        longer = min(longer, math.sqrt(along + noise))
+        expected = distance + longer
+        if bias is not None:
+            PHt = PHt + P[:, bias]
+            expected += float(x[bias])
+            variance = float(u @ (PHt[ia : ia + 3] - PHt[ib : ib + 3])) + float(PHt[bias]) + spread + noise
+        else:
+            variance = along + spread + noise
+        innovation = m.range_m - expected
+        nis = innovation * innovation / variance
+        sigma = math.sqrt(variance)
+        if nis > s.gate_sigma**2:
+            return Verdict("refused: range outside the gate", innovation, sigma, nis, 1)
+        if nis > s.doubt_sigma**2:
+            # Huber's weight: beyond the doubt the pull of an innovation grows no more.
+            variance *= math.sqrt(nis) / s.doubt_sigma
+        W = joint.update_scalar(PHt, variance, innovation)
+        whitened = (innovation / math.sqrt(variance),)
+        column = W[:, np.newaxis]
+        self._watch(a, column, whitened, at_s)
+        self._watch(b, column, whitened, at_s)
+        return Verdict(USED, innovation, sigma, nis, 1)
+
+    def _closing_mps(self, a: int, b: int, u: FloatArray) -> float:
+        closing = 0.0
+        for vehicle, sign in ((a, 1.0), (b, -1.0)):
+            if not self.records[vehicle].fixed:
+                v = self.joint.start[vehicle] + 3
+                closing += sign * float(u @ self.joint.x[v : v + 3])
+        return closing
+
+    def _bias(self, m: RangeMeasurement) -> int | None:
+        s, joint = self.settings, self.joint
+        sigma = s.range_bias_share * m.sigma_m
+        if sigma <= 0.0:
+            return None
+        key = pair_key(m.from_vehicle, m.to_vehicle, m.device_id)
+        if key not in joint.start:
+            joint.append(key, np.zeros(1), np.array([[sigma * sigma]]), m.measured_at_s)
+            return joint.start[key]
+        step_s = m.measured_at_s - joint.time_s[key]
+        index = joint.start[key]
+        if step_s > 0.0:
+            decay = math.exp(-step_s / s.range_bias_time_s)
+            joint.x[index] *= decay
+            variance = float(joint.P[index, index]) * decay * decay + sigma * sigma * (1.0 - decay * decay)
+            joint.P[index] *= decay
+            joint.P[:, index] *= decay
+            joint.P[index, index] = variance
+            joint.time_s[key] = m.measured_at_s
+        return index
+
+    def widen(self, vehicle: int, position_m2: float) -> None:
+        """Add uncertainty to a vehicle that the ranges contradict: position variance in m^2 per axis, velocity to match."""
+        start = self.joint.start[vehicle]
+        time2_s2 = 4.0
+        for axis in range(3):
+            self.joint.P[start + axis, start + axis] += position_m2
+            self.joint.P[start + 3 + axis, start + 3 + axis] += position_m2 / time2_s2

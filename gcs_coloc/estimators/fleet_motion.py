@@ -1,0 +1,67 @@
+"""How a vehicle's states move between measurements, and where they lie in its block.
+
+Steady flight is constant velocity disturbed by white acceleration. With a fresh bank angle the air velocity turns at
+g tan(roll) / V (a coordinated turn) and the wind carries the vehicle along; what is left to chance is then much less.
+All slow errors are first-order Gauss-Markov processes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray
+
+POSITION = slice(0, 3)
+VELOCITY = slice(3, 6)
+WIND = slice(6, 8)
+AIRSPEED_ERROR = 8
+HEADING_ERROR = 9
+BARO_ERROR = 10
+REPORT_ERROR = slice(11, 14)
+SIZE = 14
+"""The block of one vehicle: position and velocity (3 each, ENU), wind (east, north), errors of airspeed (m/s), heading (rad), barometric
+height (m) and position reports (3, m). A fixed anchor has a block of its position alone."""
+
+GRAVITY_MPS2 = 9.80665
+_LEAST_TURN_RAD = 1e-4
+
+
+def turn_rate_radps(roll_rad: float, airspeed_mps: float) -> float:
+    """Return the rate of a coordinated turn, clockwise positive: g tan(roll) / V."""
+    return GRAVITY_MPS2 * math.tan(roll_rad) / airspeed_mps
+
+
+def transition(step_s: float, turn_radps: float | None) -> FloatArray:
+    """Return F (14, 14) over a step without the decay of the slow states; `turn_radps` None is constant velocity."""
+    F = np.eye(SIZE)
+    F[0, 3] = F[1, 4] = F[2, 5] = step_s
+    if turn_radps is None:
+        return F
+    angle = turn_radps * step_s
+    if abs(angle) < _LEAST_TURN_RAD:
+        along, across = step_s, 0.5 * angle * step_s
+    else:
+        along, across = math.sin(angle) / turn_radps, (1.0 - math.cos(angle)) / turn_radps
+    c, s = math.cos(angle), math.sin(angle)
+    # Position and velocity over ground follow from the air velocity v - w that turns, and the wind w that does not.
+    F[0, 3] = F[1, 4] = along
+    F[0, 4], F[1, 3] = across, -across
+    F[3, 3] = F[4, 4] = c
+    F[3, 4], F[4, 3] = s, -s
+    F[0, 6] = F[1, 7] = step_s - along
+    F[0, 7], F[1, 6] = -across, across
+    F[3, 6] = F[4, 7] = 1.0 - c
+    F[3, 7], F[4, 6] = -s, s
+    return F
+
+
+def add_acceleration_noise(Q: FloatArray, step_s: float, horizontal: float, vertical: float) -> None:
+    """Add to Q (14, 14) what white acceleration of the given densities (m^2/s^3) does over a step."""
+    half, third = 0.5 * step_s * step_s, step_s * step_s * step_s / 3.0
+    for axis, density in ((0, horizontal), (1, horizontal), (2, vertical)):
+        Q[axis, axis] += density * third
+        Q[axis, axis + 3] += density * half
+        Q[axis + 3, axis] += density * half
+        Q[axis + 3, axis + 3] += density * step_s

@@ -1,0 +1,66 @@
+"""How much of a stream's error is white and how much is slow, told from the stream itself.
+
+A receiver states how large its error is, never how it is spread over time. White noise of the stated size makes each report differ
+from the smooth curve through its predecessors; the error of a navigation filter's output, or of a receiver's fix, hardly does,
+for it drifts over minutes. So: what the reports are seen to scatter is white, the rest of what was stated is slow. To take
+slow error for white makes a filter overconfident within seconds; so whiteness has to be proven, and manoeuvres count against it.
+"""
+
+from __future__ import annotations
+
+import math
+
+_MEMORY_SAMPLES = 300.0
+_PROOF_SAMPLES = 10.0
+_LONGEST_GAP_S = 2.0
+_JERK_MPS3 = 3.0
+_MOST_SIGMAS = 4.0
+
+Values = tuple[float, ...]
+
+
+class Whiteness:
+    """Estimates the variance of the white part of one stream of k values measured together. Immutable in its parts: copy freely."""
+
+    __slots__ = ("_history", "_sum_m2", "_weight")
+
+    def __init__(self) -> None:
+        self._history: tuple[tuple[float, Values], ...] = ()
+        self._sum_m2 = 0.0
+        self._weight = 0.0
+
+    def copy(self) -> Whiteness:
+        """Return an independent copy."""
+        other = Whiteness()
+        other._history, other._sum_m2, other._weight = self._history, self._sum_m2, self._weight
+        return other
+
+    def add(self, at_s: float, values: Values, sigma_m: float) -> None:
+        """Take one report (metres) with its stated sigma; times must not decrease."""
+        history = self._history
+        if history and not 0.0 < at_s - history[-1][0] <= _LONGEST_GAP_S:
+            history = ()
+        if len(history) == 3:
+            (ta, a), (tb, b), (tc, c) = history
+            # The parabola through the last three reports, carried on to this one.
+            wa = (at_s - tb) * (at_s - tc) / ((ta - tb) * (ta - tc))
+            wb = (at_s - ta) * (at_s - tc) / ((tb - ta) * (tb - tc))
+            wc = (at_s - ta) * (at_s - tb) / ((tc - ta) * (tc - tb))
+            gain = 1.0 + wa * wa + wb * wb + wc * wc
+            bend_m = _JERK_MPS3 * (at_s - ta) * (at_s - tb) * (at_s - tc) / 6.0
+            most_m2 = (_MOST_SIGMAS * sigma_m) ** 2
+            fade = 1.0 - 1.0 / _MEMORY_SAMPLES
+            for z, za, zb, zc in zip(values, a, b, c, strict=True):
+                miss_m = z - wa * za - wb * zb - wc * zc
+                self._sum_m2 += min((miss_m * miss_m - bend_m * bend_m) / gain, most_m2)
+                self._weight += 1.0
+            self._sum_m2 *= fade
+            self._weight *= fade
+            history = history[1:]
+        self._history = (*history, (at_s, values))
+
+    def split(self, sigma_m: float, least_slow_share: float) -> tuple[float, float]:
+        """Return the sigmas (white, slow) in metres of a report with the stated sigma."""
+        white_m2 = max(self._sum_m2, 0.0) / (self._weight + _PROOF_SAMPLES)
+        slow_m2 = max(sigma_m * sigma_m - white_m2, (least_slow_share * sigma_m) ** 2)
+        return math.sqrt(max(white_m2, (0.05 * sigma_m) ** 2)), math.sqrt(slow_m2)

@@ -1,0 +1,63 @@
+"""The settings of the fleet filter: what is assumed of vehicles, sensors and links where the measurements do not tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class FleetSettings:
+    """Assumptions of the fleet filter. Sigmas are one standard deviation per axis; densities are of white acceleration noise.
+
+    Order: measurements may arrive up to `window_s` after they were measured, and be stamped up to `ahead_s` ahead of arrival.
+
+    Motion: `acceleration_density_m2ps3` (horizontal) and `climb_density_m2ps3` (vertical) hold in steady flight; the
+    horizontal one is multiplied by up to `manoeuvre_gain` as far as the measurements ask for more velocity corrections, over
+    `manoeuvre_memory_s`, than steady flight explains. `aided_density_m2ps3` holds beyond the turn that a fresh bank angle explains.
+
+    Air data: `wind_sigma_mps` is the spread of the horizontal wind, which changes over `wind_time_s`; `airspeed_sigma_mps` and
+    `heading_sigma_rad` are slow errors of airspeed and heading over `air_error_time_s`; `air_noise_mps` is their fast part (gusts,
+    sideslip), correlated over `air_noise_time_s`. An attitude is used for `attitude_fresh_s`.
+
+    Reports of position: the part of their error that is not seen to be white is slow, over `report_error_time_s`, and never less than
+    `least_slow_share` of the stated sigma. A barometric height has the same treatment with `baro_error_time_s`.
+    `stamp_sigma_s` is the error of time stamps.
+
+    Ranges: each pair has a slow bias of `range_bias_share` of the range's stated sigma, over `range_bias_time_s`.
+    An innovation beyond `gate_sigma` is refused, one beyond `doubt_sigma` counts less.
+
+    Peers: at most `peers_per_subject` neighbours are used, with ranges younger than `peer_fresh_s`; a neighbour that has not been
+    ranged for `peer_kept_s` is dropped from the joint state.
+
+    Honesty: a position older than `start_age_s` starts nothing; beyond `limit_sigma_m` (horizontal, largest axis) the
+    position is unknown.
+    """
+
+    window_s: float = 1.0
+    ahead_s: float = 0.5
+    acceleration_density_m2ps3: float = 0.3
+    climb_density_m2ps3: float = 0.1
+    manoeuvre_gain: float = 100.0
+    manoeuvre_memory_s: float = 3.0
+    aided_density_m2ps3: float = 0.1
+    wind_sigma_mps: float = 8.0
+    wind_time_s: float = 600.0
+    airspeed_sigma_mps: float = 1.0
+    heading_sigma_rad: float = 0.03
+    air_error_time_s: float = 120.0
+    air_noise_mps: float = 0.7
+    air_noise_time_s: float = 0.5
+    attitude_fresh_s: float = 0.5
+    report_error_time_s: float = 100.0
+    least_slow_share: float = 0.1
+    baro_error_time_s: float = 300.0
+    stamp_sigma_s: float = 0.01
+    range_bias_share: float = 0.1
+    range_bias_time_s: float = 60.0
+    gate_sigma: float = 5.0
+    doubt_sigma: float = 2.5
+    peers_per_subject: int = 8
+    peer_fresh_s: float = 5.0
+    peer_kept_s: float = 30.0
+    start_age_s: float = 10.0
+    limit_sigma_m: float = 200.0

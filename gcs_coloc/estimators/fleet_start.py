@@ -1,0 +1,191 @@
+"""Where a subject is, from ranges alone: robust least squares from many starting points, and the honesty about what fits as well.
+
+Few or badly placed peers allow a mirror image. What the altitude and the motion within some seconds do not decide is declared
+ambiguous; only a mirror image straight above or below is stated, as one place with the height left open.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+
+from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, PositionMeasurement, RangeMeasurement
+
+_AZIMUTHS = 12
+_ELEVATIONS_RAD = (-0.8, -0.1, 0.1, 0.8)
+_STARTS = 24
+_ITERATIONS = 25
+_LEAST_RANGES = 6
+_LEAST_PEERS = 2
+_HUBER = 2.0
+_OUTLIER_SIGMAS = 5.0
+_MOST_OUTLIERS = 0.3
+_MOST_COST_PER_RANGE = 3.0
+_CLEARLY_WORSE = 15.0
+_VELOCITY_PRIOR_MPS = (30.0, 30.0, 5.0)
+_HEIGHT_PRIOR_M = 300.0
+
+
+class StartProblem:
+    """The recent ranges of one subject, with where its peers were, and its own heights. Times are relative to `at_s`."""
+
+    def __init__(self, at_s: float) -> None:
+        self.at_s = at_s
+        self._rows: list[tuple[int, float, float, float, float, float, float, float]] = []
+        self._heights: list[tuple[float, float, float]] = []
+
+    def add_range(self, peer: int, near: PositionMeasurement, past: list[PositionMeasurement], m: RangeMeasurement) -> None:
+        """Take a range with the peer's report nearest in time, carried over by its velocity (stated, or told from past reports)."""
+        velocity = near.velocity_enu_mps or _slope(past)
+        step_s = m.measured_at_s - near.measured_at_s
+        e, n, u = (x + v * step_s for x, v in zip(near.position_enu_m, velocity, strict=True))
+        self._rows.append((peer, m.measured_at_s - self.at_s, e, n, u, m.range_m, m.sigma_m, near.sigma_h_m))
+
+    def add_altitude(self, m: AltitudeMeasurement) -> None:
+        """Take a height of the subject itself."""
+        self._heights.append((m.measured_at_s - self.at_s, m.up_m, m.sigma_m))
+
+    def peers(self) -> Counter[int]:
+        """How many ranges there are with each peer."""
+        return Counter(row[0] for row in self._rows)
+
+    def ranges(self) -> FloatArray:
+        """Return (n, 6): time s, peer's east, north, up, range, sigma of the range with its peer's slow error spread over it."""
+        counts = self.peers()
+        return np.array(
+            [
+                (t, e, n, u, r, math.sqrt(sigma**2 + counts[peer] * peer_sigma**2))
+                for peer, t, e, n, u, r, sigma, peer_sigma in self._rows
+            ]
+        )
+
+    def heights(self) -> FloatArray:
+        """Return (m, 3): time s, height, sigma widened so that all of them together tell what one does: their error is slow."""
+        widen = math.sqrt(max(len(self._heights), 1))
+        return np.array([(t, u, sigma * widen) for t, u, sigma in self._heights]).reshape(-1, 3)
+
+
+def _slope(past: list[PositionMeasurement]) -> tuple[float, float, float]:
+    if len(past) < 2:
+        return (0.0, 0.0, 0.0)
+    t = np.array([m.measured_at_s for m in past])
+    t = t - t.mean()
+    z = np.array([m.position_enu_m for m in past])
+    spread = float(t @ t)
+    e, n, u = ((t @ z) / spread).tolist() if spread > 0.0 else (0.0, 0.0, 0.0)
+    return (e, n, u)
+
+
+def solve_start(problem: StartProblem, limit_sigma_m: float) -> tuple[FloatArray, FloatArray] | str:
+    """Return mean (6,) and covariance (6, 6) of position and velocity at the problem's time, or why there is none, in words."""
+    peers = problem.peers()
+    if len(peers) < _LEAST_PEERS or sum(peers.values()) < _LEAST_RANGES:
+        return f"waiting for ranges to start from: {sum(peers.values())} with {len(peers)} located peers in the last seconds"
+    ranges, heights = problem.ranges(), problem.heights()
+    x, cost, normal = _descend(_starting_points(ranges, heights), ranges, heights)
+    best = int(np.argmin(cost))
+    miss = _misses(x[best : best + 1], ranges)[0]
+    outliers = float(np.mean(np.abs(miss) > _OUTLIER_SIGMAS))
+    if cost[best] > _MOST_COST_PER_RANGE * len(ranges) or outliers > _MOST_OUTLIERS:
+        return "the ranges contradict each other: no place fits them"
+    covariance = np.linalg.inv(normal[best])
+    worst_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    if worst_m > limit_sigma_m:
+        return f"the geometry of the peers does not determine the position: {worst_m:.0f} m (1-sigma)"
+    mean = x[best]
+    for other in np.flatnonzero(cost < cost[best] + _CLEARLY_WORSE):
+        d = x[other] - x[best]
+        apart = d[:2] @ np.linalg.solve(covariance[:2, :2], d[:2])
+        if apart > 25.0:
+            return f"ambiguous: another place, {math.hypot(d[0], d[1]):.0f} m from the first, fits the ranges as well"
+        half = 0.5 * abs(d[2])
+        if half > math.sqrt(covariance[2, 2]):
+            # Above or below: the height between them, as uncertain as they are apart.
+            mean = mean.copy()
+            mean[2] += 0.5 * d[2]
+            covariance = covariance.copy()
+            covariance[2, 2] += half * half
+    return mean, covariance
+
+
+def _starting_points(ranges: FloatArray, heights: FloatArray) -> FloatArray:
+    """Return (s, 6): places on the sphere about each peer, those that fit all ranges best, at rest."""
+    azimuth = np.arange(_AZIMUTHS) * (2.0 * math.pi / _AZIMUTHS)
+    directions = np.array(
+        [(math.sin(a) * math.cos(h), math.cos(a) * math.cos(h), math.sin(h)) for h in _ELEVATIONS_RAD for a in azimuth]
+    )
+    # One row of each distinct range geometry is enough to stand on: the latest ones.
+    rows = ranges[-8:]
+    points = (rows[:, np.newaxis, 1:4] + rows[:, 4, np.newaxis, np.newaxis] * directions).reshape(-1, 3)
+    if len(heights):
+        points[:, 2] = heights[-1, 1]
+    candidates = np.zeros((len(points), 6))
+    candidates[:, :3] = points
+    rough = np.minimum(np.abs(_misses(candidates, ranges)), 50.0).sum(axis=1)
+    order = np.argsort(rough, kind="stable")
+    # The best ones crowd together: take every other to reach the far side too.
+    near, far = order[: _STARTS // 2], order[_STARTS // 2 :: max(1, len(order) // (_STARTS // 2))]
+    return candidates[np.concatenate([near, far])]
+
+
+def _misses(x: FloatArray, ranges: FloatArray) -> FloatArray:
+    """Return (s, n): how far each range is from what each state (s, 6) foresees, in sigmas."""
+    where = x[:, np.newaxis, :3] + x[:, np.newaxis, 3:] * ranges[:, 0, np.newaxis]
+    distance = np.linalg.norm(where - ranges[:, 1:4], axis=2)
+    return np.asarray((ranges[:, 4] - distance) / ranges[:, 5])
+
+
+def _descend(x: FloatArray, ranges: FloatArray, heights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Minimise from all starting points at once (Levenberg-Marquardt, Huber weights).
+
+    Returns the states (s, 6), their costs (s,) and normal matrices (s, 6, 6).
+    """
+    prior = np.diag([0.0, 0.0, _HEIGHT_PRIOR_M**-2, *(v**-2 for v in _VELOCITY_PRIOR_MPS)])
+    centre = np.zeros(6)
+    centre[2] = float(ranges[:, 3].mean())
+    damping = np.full(len(x), 1e-2)
+    cost, gradient, normal = _linearise(x, ranges, heights, prior, centre)
+    eye = np.eye(6)
+    for _ in range(_ITERATIONS):
+        scale = np.einsum("sii->si", normal)[:, :, np.newaxis] * eye
+        step = np.linalg.solve(normal + damping[:, np.newaxis, np.newaxis] * scale, gradient[:, :, np.newaxis])[:, :, 0]
+        tried = x + step
+        cost_t, gradient_t, normal_t = _linearise(tried, ranges, heights, prior, centre)
+        better = cost_t <= cost
+        x = np.where(better[:, np.newaxis], tried, x)
+        gradient = np.where(better[:, np.newaxis], gradient_t, gradient)
+        normal = np.where(better[:, np.newaxis, np.newaxis], normal_t, normal)
+        cost = np.where(better, cost_t, cost)
+        damping = np.clip(np.where(better, damping * 0.2, damping * 5.0), 1e-9, 1e9)
+    return x, cost, normal
+
+
+def _linearise(
+    x: FloatArray, ranges: FloatArray, heights: FloatArray, prior: FloatArray, centre: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return cost (s,), downhill gradient (s, 6) and normal matrix (s, 6, 6) at the states (s, 6)."""
+    t = ranges[:, 0, np.newaxis]
+    d = x[:, np.newaxis, :3] + x[:, np.newaxis, 3:] * t - ranges[:, 1:4]
+    distance = np.maximum(np.linalg.norm(d, axis=2), 1e-6)
+    u = d / distance[:, :, np.newaxis]
+    J = np.concatenate([u, u * t], axis=2) / ranges[:, 5, np.newaxis]
+    miss = (ranges[:, 4] - distance) / ranges[:, 5]
+    size = np.abs(miss)
+    weight = np.minimum(1.0, _HUBER / np.maximum(size, 1e-12))
+    cost = np.where(size <= _HUBER, size * size, 2.0 * _HUBER * size - _HUBER * _HUBER).sum(axis=1)
+    JW = J * weight[:, :, np.newaxis]
+    normal = np.einsum("sni,snj->sij", JW, J) + prior
+    off = centre - x
+    gradient = np.einsum("sni,sn->si", JW, miss) + off @ prior
+    cost = cost + np.einsum("si,ij,sj->s", off, prior, off)
+    if len(heights):
+        H = np.zeros((len(heights), 6))
+        H[:, 2] = 1.0 / heights[:, 2]
+        H[:, 5] = heights[:, 0] / heights[:, 2]
+        miss_h = heights[:, 1] / heights[:, 2] - x @ H.T
+        normal = normal + H.T @ H
+        gradient = gradient + miss_h @ H
+        cost = cost + (miss_h * miss_h).sum(axis=1)
+    return cost, gradient, normal

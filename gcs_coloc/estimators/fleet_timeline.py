@@ -1,0 +1,131 @@
+"""Measurements put into the order of measuring, whatever the order in which they arrived.
+
+The timeline keeps the events of the last window and, every now and then in it, a copy of the model. An event that belongs before others
+already applied takes the model back to the copy before it, and what followed is applied anew. That is put off until an answer is wanted,
+so a burst of late events costs one replay. The result is bit for bit what arrival in order gives.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, insort
+from collections import Counter
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
+
+Key = tuple[float, ...]
+Event = TypeVar("Event")
+_COPY_EVERY_S = 0.1
+
+
+class Replayable(Protocol):
+    """What the timeline drives."""
+
+    def copy(self) -> Replayable:
+        """Return an independent copy."""
+        ...
+
+
+Model = TypeVar("Model", bound=Replayable)
+
+
+class Entry(Generic[Event]):
+    """One event with its place in time; `outcome` is what it came to when it was last applied, `told` whether that was reported."""
+
+    __slots__ = ("event", "key", "outcome", "told")
+
+    def __init__(self, key: Key, event: Event) -> None:
+        self.key = key
+        self.event = event
+        self.outcome: str | None = None
+        self.told = False
+
+
+class Timeline(Generic[Model, Event]):
+    """Applies events to a model in the order of their keys, the first element of which is the time in seconds.
+
+    Args:
+        model: the model in its first state.
+        apply: applies one event to a model and returns the outcome in words.
+        window_s: how long after its time an event may arrive.
+
+    """
+
+    def __init__(self, model: Model, apply: Callable[[Model, Entry[Event]], str], window_s: float) -> None:
+        self.model = model
+        self.settled: Counter[str] = Counter()
+        self._apply = apply
+        self._window_s = window_s
+        self._entries: list[Entry[Event]] = []
+        self._applied = 0
+        # (index of the first entry not in the copy, copy), the oldest covers all that is settled.
+        self._copies: list[tuple[int, Model]] = [(0, self._copy(model))]
+        self._copied_at_s = -math.inf
+
+    def insert(self, key: Key, event: Event) -> bool:
+        """Take an event; False if the very same key is there already."""
+        entry = Entry(key, event)
+        at = bisect_left(self._entries, key, key=_key_of)
+        if at < len(self._entries) and self._entries[at].key == key:
+            return False
+        if at == len(self._entries):
+            self._entries.append(entry)
+        else:
+            insort(self._entries, entry, key=_key_of)
+        if at < self._applied:
+            self._go_back(at)
+        return True
+
+    def catch_up(self) -> Model:
+        """Apply all events that are not applied yet and return the model."""
+        while self._applied < len(self._entries):
+            entry = self._entries[self._applied]
+            at_s = entry.key[0]
+            if at_s - self._copied_at_s >= _COPY_EVERY_S:
+                self._copies.append((self._applied, self._copy(self.model)))
+                self._copied_at_s = at_s
+            entry.outcome = self._apply(self.model, entry)
+            self._applied += 1
+        return self.model
+
+    def settle(self, now_s: float) -> None:
+        """Forget what is older than the window: nothing can arrive before it any more."""
+        oldest_s = now_s - self._window_s
+        if len(self._copies) < 2 and self._entry_time(0) < oldest_s:
+            self.catch_up()
+        if len(self._copies) < 2 or self._entry_time(self._copies[1][0]) >= oldest_s:
+            return
+        self.catch_up()
+        keep = 0
+        while keep + 1 < len(self._copies) and self._entry_time(self._copies[keep + 1][0]) < oldest_s:
+            keep += 1
+        cut = self._copies[keep][0]
+        for entry in self._entries[:cut]:
+            assert entry.outcome is not None
+            self.settled[entry.outcome] += 1
+        del self._entries[:cut]
+        self._applied -= cut
+        self._copies = [(index - cut, copy) for index, copy in self._copies[keep:]]
+
+    def outcomes(self) -> Counter[str]:
+        """How often what came of the events, settled or not."""
+        return self.settled + Counter(entry.outcome for entry in self._entries[: self._applied] if entry.outcome is not None)
+
+    def _go_back(self, at: int) -> None:
+        while len(self._copies) > 1 and self._copies[-1][0] > at:
+            self._copies.pop()
+        index, copy = self._copies[-1]
+        self.model = self._copy(copy)
+        self._applied = index
+        self._copied_at_s = self._entry_time(index) if len(self._copies) > 1 else -math.inf
+
+    def _entry_time(self, index: int) -> float:
+        return self._entries[index].key[0] if index < len(self._entries) else math.inf
+
+    @staticmethod
+    def _copy(model: Model) -> Model:
+        return model.copy()  # type: ignore[return-value]
+
+
+def _key_of(entry: Entry[Event]) -> Key:
+    return entry.key
