@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 class PositionMeasurement:
     """A vehicle's position, and its velocity where known, from a receiver that is trusted at that time.
 
-    Never made from what a vehicle without GPS says of its own position.
+    Never made from what a vehicle without GPS says of its own position. `static`: a fixed anchor; one report is enough.
     """
 
     vehicle: int
@@ -31,6 +31,7 @@ class PositionMeasurement:
     sigma_v_m: float
     velocity_enu_mps: Vector3 | None = None
     sigma_velocity_mps: float | None = None
+    static: bool = False
 
 
 @dataclass(frozen=True, slots=True)
