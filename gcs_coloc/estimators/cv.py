@@ -7,6 +7,8 @@ here it is a spectral density, m^2/s^3, which does not depend on a step: `densit
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
@@ -36,14 +38,16 @@ def white_acceleration_noise(dt_s: float, density_m2ps3: float, axes: int) -> Fl
     return density_m2ps3 * _each_axis([[dt_s**3 / 3.0, dt_s**2 / 2.0], [dt_s**2 / 2.0, dt_s]], axes)
 
 
+@cache
 def position_rows(axes: int) -> FloatArray:
     """Return H, shape (axes, 2 axes), that picks the positions out of the state (Eq. 29)."""
-    return _each_axis([[1.0, 0.0]], axes)
+    return _constant(_each_axis([[1.0, 0.0]], axes))
 
 
+@cache
 def velocity_rows(axes: int) -> FloatArray:
     """Return H, shape (axes, 2 axes), that picks the velocities out of the state."""
-    return _each_axis([[0.0, 1.0]], axes)
+    return _constant(_each_axis([[0.0, 1.0]], axes))
 
 
 class CvFilter:
@@ -150,6 +154,15 @@ def nis(innovation: FloatArray, covariance: FloatArray) -> float:
     return float(innovation @ np.linalg.solve(covariance, innovation))
 
 
+def _constant(matrix: FloatArray) -> FloatArray:
+    matrix.setflags(write=False)
+    return matrix
+
+
 def _each_axis(block: list[list[float]], axes: int) -> FloatArray:
     """Return the block-diagonal matrix with the same block for every axis."""
-    return np.asarray(np.kron(np.eye(axes), np.array(block)), dtype=np.float64)
+    rows = len(block)
+    matrix = np.zeros((rows * axes, 2 * axes))
+    for axis in range(axes):
+        matrix[rows * axis : rows * (axis + 1), 2 * axis : 2 * axis + 2] = block
+    return matrix
