@@ -19,6 +19,7 @@ _AIDED_STATES = (GpsState.FAILED, GpsState.RECOVERING)
 class _Stream:
     """The stream of aid to one vehicle: when the next message is due, and why the last one carried no fix."""
 
+    vehicle: Vehicle
     due_s: float
     no_fix_because: str | None = "not sent yet"
     sent: int = 0
@@ -40,7 +41,7 @@ class Aiding:
         stream = self._streams.get(vehicle.sysid)
         out: list[Outbound] = []
         if aided and stream is None:
-            self._streams[vehicle.sysid] = _Stream(due_s=now_s)
+            self._streams[vehicle.sysid] = _Stream(vehicle, due_s=now_s)
             vehicle.health.aided = True
         elif not aided and stream is not None:
             del self._streams[vehicle.sysid]
@@ -82,7 +83,7 @@ class Aiding:
             missed = int((now_s - stream.due_s) / self._period_s)
             stream.due_s += (missed + 1) * self._period_s
             where = answer(sysid, at_s)
-            out.append(gps_input(sysid, where, frame, unix_s, self.settings))
+            out.append(gps_input(sysid, where, frame, stream.vehicle.range_error_m, unix_s, self.settings))
             out.extend(self._tell(sysid, stream, why_no_fix(where, self.settings), now_s))
             stream.sent += 1
         return out

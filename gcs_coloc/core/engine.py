@@ -174,7 +174,7 @@ class Engine:
             case Attitude():
                 measurement = self.feed.attitude(message, vehicle)
             case PeerRange():
-                measurement = self.feed.range(message, vehicle, lambda sysid: self.fleet.get(sysid) is not None)
+                measurement = self.feed.range(message, vehicle, self.fleet.get(message.peer_sysid))
             case Airspeed():
                 vehicle.airspeed = message
             case Heartbeat():

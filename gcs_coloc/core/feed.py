@@ -7,8 +7,8 @@ HEALTHY. Of any other vehicle only the barometric altitude, the attitude and the
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass
+from math import hypot
 
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
@@ -25,6 +25,7 @@ from gcs_coloc.core.timing import SenderClock
 
 _AIRSPEED_FRESH_S = 1.0
 _RANGE_CLOCKS_PER_VEHICLE = 16
+_RANGE_ERROR_GAIN = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,22 +94,25 @@ class Feed:
             airspeed_mps=air.airspeed_mps if air is not None and fresh else None,
         )
 
-    def range(self, message: PeerRange, vehicle: Vehicle, known: Callable[[int], bool]) -> RangeMeasurement | None:
-        """A range between two vehicles of the fleet; `known` tells whether a system id is one of them."""
-        if not known(message.peer_sysid):
+    def range(self, message: PeerRange, vehicle: Vehicle, peer: Vehicle | None) -> RangeMeasurement | None:
+        """A range between two vehicles of the fleet; `peer` is None where the other end was never heard."""
+        if peer is None:
             self.refused["range: peer is not a vehicle that was heard"] += 1
             return None
         measured_at_s = self._range_time(message, vehicle)
         if measured_at_s is None:
             return None
-        vehicle.last_range_s = message.received_at_s
+        sigma_m = message.sigma_m if message.sigma_m is not None else self.settings.range_sigma_m
+        error_m = hypot(sigma_m, self._accuracy(peer.receiver)[0])
+        before_m = vehicle.range_error_m if vehicle.range_error_m is not None else error_m
+        vehicle.range_error_m = before_m + _RANGE_ERROR_GAIN * (error_m - before_m)
         return RangeMeasurement(
             from_vehicle=message.sysid,
             to_vehicle=message.peer_sysid,
             measured_at_s=measured_at_s,
             arrived_at_s=message.received_at_s,
             range_m=message.range_m,
-            sigma_m=message.sigma_m if message.sigma_m is not None else self.settings.range_sigma_m,
+            sigma_m=sigma_m,
             device_id=message.device_id,
         )
 

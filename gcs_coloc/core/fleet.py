@@ -12,7 +12,11 @@ from gcs_coloc.core.timing import SenderClock
 
 @dataclass(slots=True)
 class Vehicle:
-    """One vehicle as last heard. Times are on the service's clock, in seconds."""
+    """One vehicle as last heard. Times are on the service's clock, in seconds.
+
+    `blocked` says why nothing can be sent to it. `range_error_m` is the 1-sigma of its ranges of late, with the errors of its
+    peers' positions in it. `last_known_enu_m` is where the estimator last had it (east, north).
+    """
 
     sysid: int
     health: GpsHealth
@@ -24,7 +28,7 @@ class Vehicle:
     receiver: GpsReceiver | None = None
     injected_receiver: GpsReceiver | None = None
     airspeed: Airspeed | None = None
-    last_range_s: float | None = None
+    range_error_m: float | None = None
     last_known_enu_m: tuple[float, float] | None = None
     clock: SenderClock = field(default_factory=SenderClock)
     range_clocks: dict[tuple[TimeBase, int], SenderClock] = field(default_factory=dict)

@@ -1,6 +1,9 @@
 """What is said to an aided vehicle: an Estimate turned into the content of GPS_INPUT, honest or not at all.
 
 Position and velocity are those of `lag_s` ago, because ArduPilot's driver takes the data to be that old (GPS_DELAY).
+HDOP is what its definition says, the position's horizontal 1-sigma in units of the 1-sigma of one range (the peer's own error
+included), for the filtered position: the geometry of the moment alone would call a position bad that the filter knows well.
+
 Where the position is unknown or its 95 % horizontal bound beyond the alert limit, the message goes out all the same, at
 the same rate, with fix_type 1: the autopilot then knows that the receiver lives and has no fix.
 """
@@ -62,9 +65,18 @@ def why_no_fix(answer: Estimate | Unknown, settings: AidSettings) -> str | None:
 
 
 def gps_input(
-    sysid: int, answer: Estimate | Unknown, frame: LocalFrame | None, unix_s: float | None, settings: AidSettings
+    sysid: int,
+    answer: Estimate | Unknown,
+    frame: LocalFrame | None,
+    range_error_m: float | None,
+    unix_s: float | None,
+    settings: AidSettings,
 ) -> GpsInput:
-    """GPS_INPUT for one vehicle from the estimator's answer; `unix_s` is the UTC time of that answer, None if unknown."""
+    """GPS_INPUT for one vehicle from the estimator's answer.
+
+    `range_error_m` is the 1-sigma of one range with the error of the peer's position in it, `unix_s` the UTC time of the
+    answer; both None where unknown.
+    """
     week, week_ms = gps_week_and_ms(unix_s) if unix_s is not None else (0, 0)
     time_usec = round(unix_s * 1e6) if unix_s is not None else 0
     if frame is None or isinstance(answer, Unknown) or why_no_fix(answer, settings) is not None:
@@ -74,8 +86,7 @@ def gps_input(
     lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(east_m, north_m, up_m)
     vn_mps, ve_mps, vd_mps = frame.ned_from_enu_velocity(lat_deg, lon_deg, (ve, vn, vu))
     p = answer.covariance
-    horiz_accuracy_m, vert_accuracy_m = horizontal_sigma_m(p), sqrt(max(float(p[2, 2]), 0.0))
-    hdop = min(answer.hdop, _UNKNOWN_DOP) if answer.hdop is not None else _UNKNOWN_DOP
+    vert_accuracy_m = sqrt(float(p[2, 2]))
     return GpsInput(
         sysid=sysid,
         gps_id=settings.gps_id,
@@ -86,16 +97,20 @@ def gps_input(
         lat_deg=lat_deg,
         lon_deg=lon_deg,
         alt_msl_m=alt_msl_m,
-        hdop=hdop,
-        vdop=min(hdop * vert_accuracy_m / horiz_accuracy_m, _UNKNOWN_DOP),  # the same range error as unit
+        hdop=_dop(sqrt(float(p[0, 0] + p[1, 1])), range_error_m),
+        vdop=_dop(vert_accuracy_m, range_error_m),
         vn_mps=vn_mps,
         ve_mps=ve_mps,
         vd_mps=vd_mps,
         speed_accuracy_mps=float(sqrt(max(np.linalg.eigvalsh(p[3:6, 3:6])[-1], 0.0))),
-        horiz_accuracy_m=horiz_accuracy_m,
+        horiz_accuracy_m=horizontal_sigma_m(p),
         vert_accuracy_m=vert_accuracy_m,
         satellites=_SATELLITES_WITH_FIX,
     )
+
+
+def _dop(sigma_m: float, range_error_m: float | None) -> float:
+    return min(sigma_m / range_error_m, _UNKNOWN_DOP) if range_error_m is not None else _UNKNOWN_DOP
 
 
 def no_fix(sysid: int, gps_id: int, time_usec: int = 0, gps_week: int = 0, gps_time_of_week_ms: int = 0) -> GpsInput:

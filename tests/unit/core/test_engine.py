@@ -158,7 +158,15 @@ def test_position_and_velocity_are_those_of_two_tenths_ago_in_the_wires_units():
     assert (aid.vn_mps, aid.ve_mps, aid.vd_mps) == pytest.approx((0.0, 20.0, -1.0), abs=1e-3)
     assert (aid.fix_type, aid.gps_id, aid.satellites) == (3, 1, 7)
     assert (aid.horiz_accuracy_m, aid.vert_accuracy_m, aid.speed_accuracy_mps) == pytest.approx((2.0, 3.0, 0.5))
-    assert (aid.hdop, aid.vdop) == pytest.approx((1.5, 2.25))
+    assert (aid.hdop, aid.vdop) == (99.99, 99.99)  # no range was heard: there is no range error to measure it by
+
+
+def test_hdop_is_the_positions_sigma_in_units_of_a_ranges_error():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 5.0)
+    engine.receive(PeerRange(4, 5.0, 1, 500.0, 0.9, None, TimeBase.BOOT, 1, None, 0))  # with the peer's 1.2 m: 1.5 m
+    _, aid = aids(fly(engine, 5.0, 10.0, failed=[4]), 4)[-1]
+    assert (aid.hdop, aid.vdop) == pytest.approx((np.hypot(2.0, 1.0) / 1.5, 3.0 / 1.5))
 
 
 def test_without_utc_the_week_is_zero_and_with_it_the_week_is_the_answers():

@@ -93,10 +93,7 @@ def range_message(at_s: float, stamp_s: float | None, base: TimeBase, device: in
 def test_boot_unix_and_unstamped_ranges_each_find_the_service_clock():
     feed = Feed(FeedSettings())
     record = vehicle()
-
-    def known(_: int) -> bool:
-        return True
-
+    known = vehicle(sysid=1)
     for i in range(5):
         at_s = 100.0 + i
         late_s = 0.2 if i == 4 else 0.0
@@ -115,6 +112,17 @@ def test_the_clocks_of_one_vehicles_ranging_devices_are_bounded():
     feed = Feed(FeedSettings())
     record = vehicle()
     for device in range(40):
-        feed.range(range_message(1.0, 1.0, TimeBase.BOOT, device), record, lambda _: True)
+        feed.range(range_message(1.0, 1.0, TimeBase.BOOT, device), record, vehicle(sysid=1))
     assert len(record.range_clocks) == 16
     assert feed.refused["range: more clocks than a vehicle may have"] == 24
+
+
+def test_the_range_error_holds_the_peers_own_and_follows_slowly():
+    feed = Feed(FeedSettings())
+    record, peer = vehicle(), vehicle(sysid=1)
+    peer.receiver = gps(1.2)
+    feed.range(range_message(1.0, None, TimeBase.BOOT), record, peer)
+    assert record.range_error_m == pytest.approx(1.3)  # 0.5 and 1.2
+    peer.receiver = gps(12.0)
+    feed.range(range_message(1.1, None, TimeBase.BOOT), record, peer)
+    assert record.range_error_m == pytest.approx(1.3 + 0.1 * (12.0104 - 1.3), abs=1e-3)
