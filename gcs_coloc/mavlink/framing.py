@@ -7,7 +7,7 @@ import struct
 from mmap import mmap
 from typing import NamedTuple
 
-from pymavlink.generator.mavcrc import x25crc
+from fastcrc.crc16 import mcrf4xx
 
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.dialect import CRC_EXTRA
@@ -76,7 +76,7 @@ def read_frame(data: bytes | mmap, start: int) -> RawFrame | str:
         return TRUNCATED
     checksum = data[payload_end] | data[payload_end + 1] << 8
     crc_extra = CRC_EXTRA.get(message_id)
-    if crc_extra is not None and x25crc(data[start + 1 : payload_end] + _ONE_BYTE[crc_extra]).crc != checksum:
+    if crc_extra is not None and mcrf4xx(data[start + 1 : payload_end] + _ONE_BYTE[crc_extra]) != checksum:
         return BAD_CRC
     payload = data[payload_start:payload_end]
     return RawFrame(crc_extra is not None, message_id, sysid, compid, sequence, checksum, payload, data[start:end])
