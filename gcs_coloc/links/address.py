@@ -105,7 +105,12 @@ def _network(kind: type[UdpIn | UdpOut | TcpClient | TcpServer], place: str, tex
     matched = _HOST_PORT.fullmatch(place)
     if matched is None:
         raise _malformed(text)
-    return kind(matched["ipv6"] or matched["host"], _port(matched["port"], text))
+    host = matched["ipv6"] or matched["host"]
+    try:
+        host.encode("idna")
+    except UnicodeError:
+        raise _malformed(text) from None
+    return kind(host, _port(matched["port"], text))
 
 
 def _port(digits: str, text: str) -> int:

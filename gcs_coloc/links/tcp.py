@@ -7,9 +7,9 @@ import contextlib
 import logging
 import socket
 
-from gcs_coloc.core.errors import LinkError
 from gcs_coloc.links.address import TcpClient, TcpServer
 from gcs_coloc.links.base import Address, Clock, DatagramHandler, Link
+from gcs_coloc.links.network import network_error
 from gcs_coloc.links.stream import (
     CONNECTION_LOST,
     MAX_UNSENT_BYTES,
@@ -108,7 +108,7 @@ class TcpClientLink:
         try:
             await loop.getaddrinfo(self._address.host, self._address.port, type=socket.SOCK_STREAM)
         except OSError as error:
-            raise LinkError(f"{self.name}: host {self._address.host!r} is not found ({error.strerror})") from error
+            raise network_error(self._address, error) from error
         self._task = loop.create_task(self._stay_connected(), name=self.name)
 
     async def _stay_connected(self) -> None:
@@ -182,10 +182,7 @@ class TcpServerLink:
                 lambda: _ServerConnection(self, self._handler, self._clock, self._clients), self._address.host, self._address.port
             )
         except OSError as error:
-            reason = error.strerror or str(error)
-            raise LinkError(
-                f"{self.name}: cannot listen: {reason}; stop the program that holds the port, or use another"
-            ) from error
+            raise network_error(self._address, error) from error
 
     def send(self, address: Address, payload: bytes) -> None:
         """Send frames to one client; counted as not_connected where it is gone."""

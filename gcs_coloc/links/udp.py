@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import errno
 import socket
 from typing import Any
 
-from gcs_coloc.core.errors import LinkError
 from gcs_coloc.links.address import UdpIn, UdpOut
 from gcs_coloc.links.base import Address, Clock, DatagramHandler
+from gcs_coloc.links.network import network_error
 from gcs_coloc.mavlink.counts import Counts
 
 MAX_DATAGRAM = 65535
@@ -59,7 +58,7 @@ class UdpLink:
                 self._remote = sockaddr
         except OSError as error:
             udp_socket.close()
-            raise LinkError(self._cannot_bind(error)) from error
+            raise network_error(self._address, error) from error
         self._socket = udp_socket
         loop.add_reader(udp_socket, self._drain, udp_socket)
 
@@ -67,20 +66,10 @@ class UdpLink:
         try:
             found = await loop.getaddrinfo(self._address.host, self._address.port, type=socket.SOCK_DGRAM)
         except OSError as error:
-            raise LinkError(f"{self.name}: host {self._address.host!r} is not found ({error.strerror})") from error
+            raise network_error(self._address, error) from error
         # Autopilots and simulators listen on IPv4; "localhost" may name ::1 first.
         family, _, _, _, sockaddr = min(found, key=lambda entry: entry[0] != socket.AF_INET)
         return family, sockaddr
-
-    def _cannot_bind(self, error: OSError) -> str:
-        if error.errno == errno.EADDRINUSE:
-            return (
-                f"{self.name}: port {self._address.port} is in use by another program (QGroundControl and MAVProxy listen on "
-                "14550 too); stop it, or listen on another port and have the vehicles or that program forward to it"
-            )
-        if error.errno == errno.EADDRNOTAVAIL:
-            return f"{self.name}: {self._address.host} is no address of this machine; use 0.0.0.0 to listen on all of them"
-        return f"{self.name}: cannot be opened: {error.strerror}"
 
     def _drain(self, udp_socket: socket.socket) -> None:
         for _ in range(DATAGRAMS_PER_WAKE):

@@ -239,12 +239,18 @@ def test_server_port_in_use_is_an_error_in_words():
         inbox, port = Inbox(), free_port(socket.SOCK_STREAM)
         first, second = (TcpServerLink(TcpServer(LOCALHOST, port), inbox, inbox.clock) for _ in range(2))
         await first.open()
-        with pytest.raises(LinkError, match=rf"tcpin:127.0.0.1:{port}: cannot listen: .*in use"):
+        with pytest.raises(LinkError, match=rf"tcpin:127.0.0.1:{port}: port {port} is in use by another program"):
             await second.open()
         await first.close()
         await second.close()
 
     asyncio.run(scenario())
+
+
+def test_server_address_that_is_not_ours_is_refused():
+    link = TcpServerLink(TcpServer("203.0.113.1", 5760), Inbox(), lambda: 0.0)
+    with pytest.raises(LinkError, match=r"203\.0\.113\.1 is no address of this machine"):
+        asyncio.run(link.open())
 
 
 def test_retries_come_soon_at_first_and_seldom_later():

@@ -54,6 +54,8 @@ def test_name_of_an_address_parses_to_the_same_address(text):
         "a b:14550",
         "udpout:14550",
         "tcp:5760",
+        "a..b:14550",
+        f"{'x' * 70}:14550",
         "udpin:::14550",
         "udpin:[::]",
         "udpin:1.2.3.4:14550:7",

@@ -1,0 +1,25 @@
+"""What UDP and TCP links share: telling in words why a host or port cannot be used."""
+
+from __future__ import annotations
+
+import errno
+import socket
+
+from gcs_coloc.core.errors import LinkError
+from gcs_coloc.links.address import TcpClient, TcpServer, UdpIn, UdpOut
+
+
+def network_error(address: UdpIn | UdpOut | TcpClient | TcpServer, error: OSError) -> LinkError:
+    """Make the error, in words for the operator, of a host that cannot be resolved or a port that cannot be bound."""
+    if isinstance(error, socket.gaierror):
+        return LinkError(f"{address}: host {address.host!r} is not found ({error.strerror})")
+    if error.errno == errno.EADDRINUSE:
+        return LinkError(
+            f"{address}: port {address.port} is in use by another program (QGroundControl and MAVProxy listen on 14550 too); "
+            "stop it, or listen on another port and have the vehicles or that program forward to it"
+        )
+    if error.errno == errno.EADDRNOTAVAIL:
+        return LinkError(f"{address}: {address.host} is no address of this machine; use 0.0.0.0 to listen on all of them")
+    if error.errno == errno.EACCES:
+        return LinkError(f"{address}: no permission to listen on port {address.port}; take one above 1023")
+    return LinkError(f"{address}: cannot be opened: {error.strerror or error}")
