@@ -21,12 +21,16 @@ SIGNATURE_LENGTH = 13
 INCOMPAT_SIGNED = 0x01
 MAX_FRAME_LENGTH = HEADER_LENGTH_V2 + 255 + CHECKSUM_LENGTH + SIGNATURE_LENGTH
 
+MAX_FALSE_STARTS = 512
+"""A datagram with more magic bytes that begin no frame is made to keep us busy; so many cost about a millisecond."""
+
 GARBAGE_BYTES = "garbage_bytes"
 NO_MAGIC = "no_magic"
 TRUNCATED = "truncated"
 BAD_CRC = "bad_crc"
 UNKNOWN_INCOMPAT_FLAGS = "unknown_incompat_flags"
 UNVERIFIABLE = "unverifiable"
+REST_DROPPED = "rest_dropped"
 
 ANY_MAGIC = re.compile(b"[\xfd\xfe]")
 _ONE_BYTE = tuple(bytes((value,)) for value in range(256))
@@ -90,10 +94,10 @@ def split(data: bytes, counts: Counts, *, ended: bool) -> tuple[list[RawFrame], 
     stream) the bytes from the returned offset on, at most `MAX_FRAME_LENGTH`, may be the beginning of a frame.
 
     A frame whose message id is unknown cannot be verified. It is taken for one where another frame's magic byte or the
-    end of the datagram follows, else for garbage.
+    end of the datagram follows, else for garbage. The rest of a datagram is dropped after `MAX_FALSE_STARTS`.
     """
     frames: list[RawFrame] = []
-    position, size = 0, len(data)
+    position, size, false_starts = 0, len(data), 0
     while position < size:
         found = read_frame(data, position)
         if isinstance(found, str):
@@ -109,6 +113,11 @@ def split(data: bytes, counts: Counts, *, ended: bool) -> tuple[list[RawFrame], 
             break
         if fault != NO_MAGIC:
             counts.add(fault)
+            false_starts += 1
+        if ended and false_starts > MAX_FALSE_STARTS:
+            counts.add(REST_DROPPED)
+            counts.add(GARBAGE_BYTES, size - position)
+            return frames, size
         next_magic = ANY_MAGIC.search(data, position + 1)
         resume = next_magic.start() if next_magic else size
         counts.add(GARBAGE_BYTES, resume - position)

@@ -102,6 +102,21 @@ def test_frame_within_the_payload_of_a_good_frame_is_not_taken():
     assert found(carrier) == ([carrier], {})
 
 
+@pytest.mark.parametrize(
+    ("pattern", "fault"),
+    [(b"\xfe\x01", "bad_crc"), (b"\xfd\xfd", "unknown_incompat_flags"), (b"\xfe\xff", "unverifiable")],
+)
+def test_datagram_made_to_keep_us_busy_is_dropped_after_so_many_false_starts(pattern, fault):
+    busy = pattern * 30_000
+    frames, counts = found(heartbeat() + busy + heartbeat())
+    assert frames == [heartbeat()]
+    assert counts == {
+        fault: framing.MAX_FALSE_STARTS + 1,
+        "rest_dropped": 1,
+        "garbage_bytes": len(busy) + len(heartbeat()),
+    }
+
+
 def test_truncated_frame_is_counted():
     frames, counts = found(heartbeat() + attitude()[:-1])
     assert frames == [heartbeat()]
