@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sitl_fakes.guidance import Guidance
+from sitl_fakes.guidance import Guidance, heading_for_course
 from sitl_fakes.navigation import Navigation
 from sitl_fakes.parameters import Parameters
 from sitl_fakes.receivers import GpsFix, Receiver, is_injected, is_own, receiver_in_use, refusal
@@ -52,7 +52,8 @@ class Autopilot:
             if self._heading_to_hold is None:
                 self._heading_to_hold = air.heading_rad
             return self._heading_to_hold
-        return self._guidance.heading_command_rad(position, step_s)
+        course = self._guidance.course_command_rad(position, step_s)
+        return heading_for_course(course, air.airspeed_mps, *self.navigation.wind_mps)
 
     def source(self, at_s: float) -> str:
         """What the autopilot navigates on: "gps1", "gps2", "gps1 injected", "gps2 injected", "dead_reckoning" or "none"."""

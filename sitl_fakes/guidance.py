@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
 
+_INTEGRATE_BELOW_RAD = 0.35
+
 Point = tuple[float, float]
 
 
@@ -115,8 +117,8 @@ class Guidance:
     """The guidance law along a route, with its integral and its place on the route.
 
     psi_cmd = psi_track + clamp(Kp dZ + Ki integral(dZ), -pi/2, +pi/2). Kp is 1 / (speed x `time_constant_s`), so that a small
-    error dies out with that time constant; Ki is Kp / `integral_time_s`. The integral stands still while the sum is at
-    its limit (it would only wind up) and starts anew on each leg. A waypoint is reached within `waypoint_radius_m` or on
+    error dies out with that time constant; Ki is Kp / `integral_time_s`. The integral stands still far
+    from the track (it would only wind up) and starts anew on each leg. A waypoint is reached within `waypoint_radius_m` or on
     passing abeam.
     """
 
@@ -135,8 +137,10 @@ class Guidance:
         self._ki = self._kp / integral_time_s
         self._integral = 0.0
 
-    def heading_command_rad(self, at: Point, step_s: float) -> float:
-        """Heading to fly at a (believed) position, rad, after switching to the next leg where the waypoint is reached."""
+    def course_command_rad(self, at: Point, step_s: float) -> float:
+        """Course to make good from a (believed) position, rad (psi_cmd: without wind it is the heading), after switching to
+        the next leg where the waypoint is reached.
+        """
         track = self.route.track(self.leg_index)
         if isinstance(track, Leg) and not track.endless:
             near = math.hypot(at[0] - track.end[0], at[1] - track.end[1]) <= self._radius
@@ -147,6 +151,14 @@ class Guidance:
         error = track.cross_track_m(at)
         correction = self._kp * error + self._ki * self._integral
         limit = math.pi / 2.0
-        if abs(correction) < limit:
+        if abs(self._kp * error) < _INTEGRATE_BELOW_RAD:
             self._integral += error * step_s
         return track.track_heading_rad(at) + max(-limit, min(limit, correction))
+
+
+def heading_for_course(course_rad: float, airspeed_mps: float, wind_east_mps: float, wind_north_mps: float) -> float:
+    """Return the heading (rad) that makes good a course (rad) in a wind that blows towards east, north; without wind it is the
+    course.
+    """
+    from_left_mps = wind_east_mps * math.cos(course_rad) - wind_north_mps * math.sin(course_rad)
+    return course_rad - math.asin(max(-0.9, min(0.9, from_left_mps / airspeed_mps)))

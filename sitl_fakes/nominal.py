@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl_fakes.dynamics import LateralAircraft
-from sitl_fakes.guidance import EndOfRoute, Guidance, Point, Route
+from sitl_fakes.guidance import EndOfRoute, Guidance, Point, Route, heading_for_course
 
 PAPER_ROUTES: tuple[tuple[Point, ...], ...] = (
     ((0.0, 0.0), (0.0, 4000.0), (4000.0, 4000.0), (4000.0, 0.0)),
@@ -75,7 +75,8 @@ def fly_routes(
                 airspeed_mps,
             )
             legs[v, k] = guidance.leg_index
-            command = guidance.heading_command_rad((s.east_m, s.north_m), step_s)
-            aircraft.step(command, step_s, wind_east_mps, wind_north_mps)
+            course = guidance.course_command_rad((s.east_m, s.north_m), step_s)
+            heading = heading_for_course(course, airspeed_mps, wind_east_mps, wind_north_mps)
+            aircraft.step(heading, step_s, wind_east_mps, wind_north_mps)
     east, north, ve, vn, phi, psi, airspeed = (columns[..., i].copy() for i in range(7))
     return NominalFlight(np.arange(steps + 1, dtype=np.float64) * step_s, east, north, ve, vn, phi, psi, airspeed, legs)

@@ -94,10 +94,10 @@ class DeadReckoning(_Table):
     And the altimeter's slow error.
     """
 
-    heading_bias_deg: _NotNegative = 2.0
-    airspeed_scale: _NotNegative = 0.03
-    heading_wander_deg: _NotNegative = 1.5
-    airspeed_wander: _NotNegative = 0.02
+    heading_bias_deg: _NotNegative = 1.2
+    airspeed_scale: _NotNegative = 0.02
+    heading_wander_deg: _NotNegative = 1.0
+    airspeed_wander: _NotNegative = 0.015
     wander_time_s: _Positive = 30.0
     heading_noise_deg: _NotNegative = 0.5
     airspeed_noise_mps: _NotNegative = 0.3

@@ -189,13 +189,15 @@ class Streams:
             self._due_s.pop(message_id, None)
         return True
 
-    def due(self, snapshot: Snapshot) -> list[Any]:
-        """Build what is due at the snapshot's time; each message at most once, however small its interval."""
-        out = []
+    def due(self, at_s: float, take_snapshot: Callable[[float], Snapshot]) -> list[Any]:
+        """Build what is due at a time (s); each message at most once, however small its interval."""
+        if not any(due_s <= at_s + _EPSILON_S for due_s in self._due_s.values()):
+            return []
+        snapshot, out = take_snapshot(at_s), []
         for message_id, due_s in self._due_s.items():
-            if due_s <= snapshot.at_s + _EPSILON_S:
+            if due_s <= at_s + _EPSILON_S:
                 interval = self._interval_s[message_id]
-                self._due_s[message_id] = max(due_s + interval, snapshot.at_s)
+                self._due_s[message_id] = max(due_s + interval, at_s)
                 message = _STREAMS[message_id][0](snapshot)
                 if message is not None:
                     out.append(message)

@@ -109,7 +109,7 @@ class Vehicle:
         if booting:
             return
         messages = [reply for payload in received for reply in handle(self, payload, at_s)]
-        messages += self.streams.due(self.snapshot(at_s))
+        messages += self.streams.due(at_s, self.snapshot)
         frames = [self._pack(message) for message in messages] + [self._range_frame(sample, at_s) for sample in samples]
         if not any(isinstance(f, LinkDropout) for f in active):
             for frame in frames:
