@@ -22,10 +22,12 @@ from gcs_coloc.estimators.fleet_joint import Joint
 from gcs_coloc.estimators.fleet_motion import (
     AIRSPEED_ERROR,
     BARO_ERROR,
+    GRAVITY_MPS2,
     HEADING_ERROR,
     POSITION,
     REPORT_ERROR,
     SIZE,
+    STAMP_ERROR,
     VELOCITY,
     WIND,
     add_acceleration_noise,
@@ -39,6 +41,7 @@ LEAST_AIRSPEED_MPS = 5.0
 """Below this an airspeed sensor and a coordinated turn mean nothing."""
 _STEEPEST_BANK_RAD = 1.2
 _COAST_TIME_S = 2.0
+_TURN_TIME_S = 1.0
 _UNKNOWN_VELOCITY_MPS = 30.0
 _REPORT_VELOCITY_TIME_S = 1.0
 _LEAST_DISTANCE_M = 1e-3
@@ -71,7 +74,7 @@ def pair_key(a: int, b: int, device: int) -> tuple[int, int, int]:
 def initial_block(
     report: PositionMeasurement, white: tuple[float, float], slow: tuple[float, float], s: FleetSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """Return mean (14,) and covariance (14, 14) of a vehicle from one position report; white and slow sigmas are (horizontal, vertical)."""
+    """Return mean (15,) and covariance (15, 15) of a vehicle from one position report; white and slow sigmas are (horizontal, vertical)."""
     x = np.zeros(SIZE)
     P = np.zeros((SIZE, SIZE))
     x[POSITION] = report.position_enu_m
@@ -92,7 +95,7 @@ def initial_block(
 
 
 def start_block(mean: FloatArray, covariance: FloatArray, s: FleetSettings) -> tuple[FloatArray, FloatArray]:
-    """Return mean (14,) and covariance (14, 14) of a vehicle from its position and velocity, (6,) and (6, 6)."""
+    """Return mean (15,) and covariance (15, 15) of a vehicle from its position and velocity, (6,) and (6, 6)."""
     x = np.zeros(SIZE)
     P = np.zeros((SIZE, SIZE))
     x[:6] = mean
@@ -106,6 +109,7 @@ def _own_slow_states(P: FloatArray, s: FleetSettings) -> None:
         P[axis, axis] = s.wind_sigma_mps**2
     P[AIRSPEED_ERROR, AIRSPEED_ERROR] = s.airspeed_sigma_mps**2
     P[HEADING_ERROR, HEADING_ERROR] = s.heading_sigma_rad**2
+    P[STAMP_ERROR, STAMP_ERROR] = s.stamp_sigma_s**2
 
 
 class Cluster:
@@ -121,29 +125,34 @@ class Cluster:
     # --- motion ---------------------------------------------------------------------------------------------------------------------
 
     def motion(self, vehicle: int, step_s: float, at_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return F and Q (14, 14) of a vehicle over a step (negative: backwards) that ends at `at_s`."""
+        """Return F and Q (15, 15) of a vehicle over a step (negative: backwards) that ends at `at_s`."""
         s, record = self.settings, self.records[vehicle]
         attitude = record.attitude
         aided = attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s
         turn = None
+        density, climb = s.acceleration_density_m2ps3, s.climb_density_m2ps3
+        record.manoeuvre.fade(at_s, s.manoeuvre_memory_s)
+        ratio, ratio_v = record.manoeuvre.ratio(), record.manoeuvre.vertical_ratio()
+        gain = max(ratio * ratio, 1.0)
+        gain_v = max(ratio_v * ratio_v / 3.0, 1.0)
         if aided:
             assert attitude is not None
             assert attitude.airspeed_mps is not None
             roll = min(max(attitude.roll_rad, -_STEEPEST_BANK_RAD), _STEEPEST_BANK_RAD)
             turn = turn_rate_radps(roll, attitude.airspeed_mps)
-            density = s.aided_density_m2ps3
-        else:
-            record.manoeuvre.fade(at_s, s.manoeuvre_memory_s)
-            ratio = record.manoeuvre.ratio()
+            # A steep turn is never quite level: the lift that is over or wanting acts to the side and upwards.
+            uneven = 2.0 * _TURN_TIME_S * (s.turn_share * GRAVITY_MPS2 * math.tan(roll)) ** 2
+            density = s.aided_density_m2ps3 + uneven
+            climb += uneven
+        elif at_s - record.informed_at_s > _COAST_TIME_S:
             # Nobody has seen steady flight lately: a manoeuvre may have begun since.
-            coasting = (
-                1.0 + ((at_s - record.informed_at_s) / _COAST_TIME_S) ** 2 if at_s - record.informed_at_s > _COAST_TIME_S else 1.0
-            )
-            density = s.acceleration_density_m2ps3 * min(max(ratio * ratio, coasting, 1.0), s.manoeuvre_gain)
+            gain = max(gain, 1.0 + ((at_s - record.informed_at_s) / _COAST_TIME_S) ** 2)
+        density *= min(gain, s.manoeuvre_gain)
+        climb *= min(gain_v, s.manoeuvre_gain)
         F = transition(step_s, turn)
         Q = np.zeros((SIZE, SIZE))
         length = abs(step_s)
-        add_acceleration_noise(Q, length, density, s.climb_density_m2ps3)
+        add_acceleration_noise(Q, length, density, climb)
         for index, time_s, sigma in (
             (6, s.wind_time_s, s.wind_sigma_mps),
             (7, s.wind_time_s, s.wind_sigma_mps),
@@ -153,6 +162,7 @@ class Cluster:
             (11, s.report_error_time_s, record.slow_report_h_m),
             (12, s.report_error_time_s, record.slow_report_h_m),
             (13, s.report_error_time_s, record.slow_report_v_m),
+            (14, s.stamp_error_time_s, s.stamp_sigma_s),
         ):
             decay = math.exp(-length / time_s)
             F[index, index] = decay
@@ -186,9 +196,9 @@ class Cluster:
         monitor = self.records[vehicle].manoeuvre
         monitor.fade(at_s, self.settings.manoeuvre_memory_s)
         start = self.joint.start[vehicle] + VELOCITY.start
-        east, north = W[start].tolist(), W[start + 1].tolist()
-        for we, wn, whitened in zip(east, north, e, strict=True):
-            monitor.add(we, wn, whitened)
+        east, north, up = W[start : start + 3].tolist()
+        for we, wn, wu, whitened in zip(east, north, up, e, strict=True):
+            monitor.add(we, wn, wu, whitened)
 
     # --- measurements ---------------------------------------------------------------------------------------------------------------
 
@@ -207,12 +217,13 @@ class Cluster:
         with_velocity = m.velocity_enu_mps is not None and m.sigma_velocity_mps is not None
         k = 6 if with_velocity else 3
         PHt = np.empty((len(x), k))
-        np.add(P[:, p], P[:, e], out=PHt[:, :3])
+        v, late = slice(start + 3, start + 6), start + STAMP_ERROR
+        velocity = x[v].copy()
+        PHt[:, :3] = P[:, p] + P[:, e] + P[:, late, np.newaxis] * velocity
         innovation = np.empty(k)
-        innovation[:3] = m.position_enu_m - x[p] - x[e]
+        innovation[:3] = m.position_enu_m - x[p] - x[e] - x[late] * velocity
         noise = [white[0] ** 2, white[0] ** 2, white[1] ** 2]
         if with_velocity:
-            v = slice(start + 3, start + 6)
             PHt[:, 3:] = P[:, v]
             innovation[3:] = m.velocity_enu_mps - x[v]
             # A navigation filter's velocity error is correlated too: more reports a second do not tell more.
@@ -220,7 +231,7 @@ class Cluster:
             noise += [m.sigma_velocity_mps**2 * thin] * 3
             record.velocity_used_at_s = at_s
         S = np.empty((k, k))
-        np.add(PHt[p], PHt[e], out=S[:3])
+        S[:3] = PHt[p] + PHt[e] + velocity[:, np.newaxis] * PHt[late]
         if with_velocity:
             S[3:] = PHt[start + 3 : start + 6]
         S.flat[:: k + 1] += noise
@@ -252,7 +263,8 @@ class Cluster:
         if nis > self.settings.gate_sigma**2:
             # The barometer is the vehicle's own and drifts, it does not jump: believe it less, but do not lose it.
             variance += innovation * innovation
-        joint.update_scalar(PHt, variance, innovation)
+        W = joint.update_scalar(PHt, variance, innovation)
+        self._watch(m.vehicle, W[:, np.newaxis], (innovation / math.sqrt(variance),), m.measured_at_s)
         return Verdict(USED, innovation, math.sqrt(variance), nis, 1)
 
     def take_attitude(self, m: AttitudeMeasurement) -> Verdict:
@@ -293,7 +305,8 @@ class Cluster:
         if excess > 1.0:
             S[0, 0] += (excess - 1.0) * S[0, 0]
             S[1, 1] += (excess - 1.0) * S[1, 1]
-        joint.update(PHt, S, innovation)
+        W, whitened = joint.update(PHt, S, innovation)
+        self._watch(m.vehicle, W, whitened.tolist(), m.measured_at_s)
         return Verdict(USED, 0.0, 0.0, nis, 2)
 
     def take_range(self, m: RangeMeasurement) -> Verdict:

@@ -99,9 +99,6 @@ class FleetModel:
         if isinstance(m, PositionMeasurement):
             white_h, slow_h = record.white_h.split(m.sigma_h_m, share)
             white_v, slow_v = record.white_v.split(m.sigma_v_m, share)
-            if m.velocity_enu_mps is not None:
-                # A stamp that is wrong by some milliseconds shifts the position along the track, and stays wrong.
-                slow_h = math.hypot(slow_h, math.hypot(*m.velocity_enu_mps) * self.settings.stamp_sigma_s)
             return cluster.take_position(m, (white_h, white_v), (slow_h, slow_v))
         if isinstance(m, AltitudeMeasurement):
             return cluster.take_altitude(m, *record.white_baro.split(m.sigma_m, share))

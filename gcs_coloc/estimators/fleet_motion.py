@@ -20,9 +20,10 @@ AIRSPEED_ERROR = 8
 HEADING_ERROR = 9
 BARO_ERROR = 10
 REPORT_ERROR = slice(11, 14)
-SIZE = 14
+STAMP_ERROR = 14
+SIZE = 15
 """The block of one vehicle: position and velocity (3 each, ENU), wind (east, north), errors of airspeed (m/s), heading (rad), barometric
-height (m) and position reports (3, m). A fixed anchor has a block of its position alone."""
+height (m), position reports (3, m) and their time stamps (s: reports are of this much later than they say). A fixed anchor has a block of its position alone."""
 
 GRAVITY_MPS2 = 9.80665
 _LEAST_TURN_RAD = 1e-4
@@ -34,7 +35,7 @@ def turn_rate_radps(roll_rad: float, airspeed_mps: float) -> float:
 
 
 def transition(step_s: float, turn_radps: float | None) -> FloatArray:
-    """Return F (14, 14) over a step without the decay of the slow states; `turn_radps` None is constant velocity."""
+    """Return F (15, 15) over a step without the decay of the slow states; `turn_radps` None is constant velocity."""
     F = np.eye(SIZE)
     F[0, 3] = F[1, 4] = F[2, 5] = step_s
     if turn_radps is None:
@@ -58,7 +59,7 @@ def transition(step_s: float, turn_radps: float | None) -> FloatArray:
 
 
 def add_acceleration_noise(Q: FloatArray, step_s: float, horizontal: float, vertical: float) -> None:
-    """Add to Q (14, 14) what white acceleration of the given densities (m^2/s^3) does over a step."""
+    """Add to Q (15, 15) what white acceleration of the given densities (m^2/s^3) does over a step."""
     half, third = 0.5 * step_s * step_s, step_s * step_s * step_s / 3.0
     for axis, density in ((0, horizontal), (1, horizontal), (2, vertical)):
         Q[axis, axis] += density * third

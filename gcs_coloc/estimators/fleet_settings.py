@@ -13,7 +13,8 @@ class FleetSettings:
 
     Motion: `acceleration_density_m2ps3` (horizontal) and `climb_density_m2ps3` (vertical) hold in steady flight; the
     horizontal one is multiplied by up to `manoeuvre_gain` as far as the measurements ask for more velocity corrections, over
-    `manoeuvre_memory_s`, than steady flight explains. `aided_density_m2ps3` holds beyond the turn that a fresh bank angle explains.
+    `manoeuvre_memory_s`, than steady flight explains. `aided_density_m2ps3` holds beyond the turn that a fresh bank angle explains,
+    up to an error of `turn_share` of its sideways acceleration.
 
     Air data: `wind_sigma_mps` is the spread of the horizontal wind, which changes over `wind_time_s`; `airspeed_sigma_mps` and
     `heading_sigma_rad` are slow errors of airspeed and heading over `air_error_time_s`; `air_noise_mps` is their fast part (gusts,
@@ -21,7 +22,7 @@ class FleetSettings:
 
     Reports of position: the part of their error that is not seen to be white is slow, over `report_error_time_s`, and never less than
     `least_slow_share` of the stated sigma. A barometric height has the same treatment with `baro_error_time_s`.
-    `stamp_sigma_s` is the error of time stamps.
+    `stamp_sigma_s` is the error of time stamps, slow over `stamp_error_time_s` in one vehicle's reports.
 
     Ranges: each pair has a slow bias of `range_bias_share` of the range's stated sigma, over `range_bias_time_s`.
     An innovation beyond `gate_sigma` is refused, one beyond `doubt_sigma` counts less.
@@ -40,6 +41,7 @@ class FleetSettings:
     manoeuvre_gain: float = 100.0
     manoeuvre_memory_s: float = 3.0
     aided_density_m2ps3: float = 0.1
+    turn_share: float = 0.1
     wind_sigma_mps: float = 8.0
     wind_time_s: float = 600.0
     airspeed_sigma_mps: float = 1.0
@@ -51,7 +53,8 @@ class FleetSettings:
     report_error_time_s: float = 100.0
     least_slow_share: float = 0.1
     baro_error_time_s: float = 300.0
-    stamp_sigma_s: float = 0.01
+    stamp_sigma_s: float = 0.03
+    stamp_error_time_s: float = 100.0
     range_bias_share: float = 0.1
     range_bias_time_s: float = 60.0
     gate_sigma: float = 5.0

@@ -16,7 +16,7 @@ _RANGES_MOST = 120
 
 @dataclass(slots=True)
 class ManoeuvreMonitor:
-    """Compares the horizontal velocity corrections made with those that the model foresees.
+    """Compares the velocity corrections made with those that the model foresees, horizontally and vertically.
 
     The corrections are white under a right model, their covariance is known: their fading sum c has the fading sum C as its
     covariance, and c' C^-1 c / 2 has mean 1. A turn that the model does not know makes it large within a second or two.
@@ -27,6 +27,8 @@ class ManoeuvreMonitor:
     C_ee: float = 0.0
     C_en: float = 0.0
     C_nn: float = 0.0
+    c_u: float = 0.0
+    C_uu: float = 0.0
     at_s: float = -math.inf
 
     def fade(self, at_s: float, memory_s: float) -> None:
@@ -40,18 +42,26 @@ class ManoeuvreMonitor:
         self.C_ee *= g
         self.C_en *= g
         self.C_nn *= g
+        self.c_u *= f
+        self.C_uu *= g
         self.at_s = at_s
 
-    def add(self, we: float, wn: float, whitened: float) -> None:
-        """Take the correction (we, wn) * whitened made to the velocity by one innovation of unit variance."""
+    def add(self, we: float, wn: float, wu: float, whitened: float) -> None:
+        """Take the correction (we, wn, wu) * whitened made to the velocity by one innovation of unit variance."""
         self.c_e += we * whitened
         self.c_n += wn * whitened
+        self.c_u += wu * whitened
         self.C_ee += we * we
         self.C_en += we * wn
         self.C_nn += wn * wn
+        self.C_uu += wu * wu
+
+    def vertical_ratio(self) -> float:
+        """Return c^2 / C of the vertical corrections, 1 on average in steady flight and while there is nothing to judge by."""
+        return self.c_u * self.c_u / self.C_uu if self.C_uu > 1e-150 else 1.0
 
     def ratio(self) -> float:
-        """Return c' C^-1 c / 2, 1 on average in steady flight; 1 as long as there is nothing to judge by."""
+        """Return c' C^-1 c / 2 of the horizontal corrections, 1 on average in steady flight; 1 as long as there is nothing to judge by."""
         det = self.C_ee * self.C_nn - self.C_en * self.C_en
         if det <= 1e-9 * self.C_ee * self.C_nn or det < 1e-300:
             trace = self.C_ee + self.C_nn
