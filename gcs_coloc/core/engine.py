@@ -10,9 +10,10 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from gcs_coloc.core.aiding import Aiding
+from gcs_coloc.core.bound import horizontal_bound_95_m, horizontal_sigma_m
 from gcs_coloc.core.feed import Feed, FeedSettings
 from gcs_coloc.core.fleet import Fleet, Vehicle
-from gcs_coloc.core.gps_input import AidSettings, horizontal_bound_95_m, horizontal_sigma_m
+from gcs_coloc.core.gps_input import AidSettings
 from gcs_coloc.core.gps_time import TABLE_GOOD_UNTIL, table_is_old
 from gcs_coloc.core.guard import GuardedEstimator
 from gcs_coloc.core.health import GpsState, HealthSettings

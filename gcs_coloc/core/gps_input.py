@@ -15,12 +15,12 @@ from math import sqrt
 
 import numpy as np
 
+from gcs_coloc.core.bound import horizontal_bound_95_m, horizontal_sigma_m
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_time import gps_week_and_ms
-from gcs_coloc.core.measurements import Estimate, FloatArray, Unknown
+from gcs_coloc.core.measurements import Estimate, Unknown
 from gcs_coloc.core.messages import GpsInput
 
-_CHI2_95_2DOF = 5.991464547107979
 _FIX_3D, _NO_FIX = 3, 1
 _SATELLITES_WITH_FIX = 7  # enough for EKF3 (6), never so many that a switch by count would prefer us to a real receiver
 _UNKNOWN_ACCURACY_M = 9999.0
@@ -41,17 +41,6 @@ class AidSettings:
     lag_s: float = 0.2
     gps_id: int = 1
     alert_limit_m: float = 50.0
-
-
-def horizontal_sigma_m(covariance: FloatArray) -> float:
-    """1-sigma along the worst horizontal direction: root of the larger eigenvalue of the (2, 2) top-left block, m."""
-    a, b, d = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
-    return sqrt(max(0.0, 0.5 * (a + d) + sqrt(0.25 * (a - d) ** 2 + b * b)))
-
-
-def horizontal_bound_95_m(covariance: FloatArray) -> float:
-    """Radius that holds the horizontal error with at least 95 % (chi-square, 2 degrees of freedom, worst axis), m."""
-    return sqrt(_CHI2_95_2DOF) * horizontal_sigma_m(covariance)
 
 
 def why_no_fix(answer: Estimate | Unknown, settings: AidSettings) -> str | None:

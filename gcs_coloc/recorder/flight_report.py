@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from gcs_coloc.core.bound import horizontal_bound_95_m
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.gps_input import horizontal_bound_95_m
 from gcs_coloc.core.health import GpsState
 from gcs_coloc.core.measurements import Estimate
 from gcs_coloc.core.messages import GpsInput, HealthChanged, Outbound

@@ -21,7 +21,7 @@ from gcs_coloc.recorder.tlog import TlogReader
 
 @dataclass(frozen=True, slots=True)
 class TruthPoint:
-    """Where a vehicle truly was, for scoring only. Degrees, metres above mean sea level, UNIX seconds."""
+    """Where a vehicle truly was, for scoring only. Degrees, metres above mean sea level, UNIX seconds of the recorder."""
 
     unix_s: float
     sysid: int
@@ -78,11 +78,15 @@ def read_truth(path: Path) -> list[TruthPoint]:
     Raises:
         DataError: as `read_table`, or the table is empty.
     """
-    columns = ("unix_s", "sysid", "lat_deg", "lon_deg", "alt_msl_m")
     points = [
-        TruthPoint(row.number("unix_s"), row.integer("sysid", 1, 255), row.number("lat_deg"), row.number("lon_deg"), alt)
-        for row in read_table(path, columns)
-        for alt in [row.number("alt_msl_m")]
+        TruthPoint(
+            unix_s=row.number("unix_s"),
+            sysid=row.integer("sysid", 1, 255),
+            lat_deg=row.number("lat_deg"),
+            lon_deg=row.number("lon_deg"),
+            alt_msl_m=row.number("alt_msl_m"),
+        )
+        for row in read_table(path, ("unix_s", "sysid", "lat_deg", "lon_deg", "alt_msl_m"))
     ]
     if not points:
         raise DataError(f"{path}: holds no true position; a row for each time and vehicle is wanted")

@@ -28,6 +28,7 @@ from sitl_fakes.scenario import Scenario, load_scenario
 
 LIVE_S = 90.0
 SUBJECT = 4
+AIDED_SOURCE = "gps2 injected"
 _SCENARIO = Path(__file__).resolve().parents[2] / "configs" / "scenario-paper.toml"
 _SEED = 1
 
@@ -167,7 +168,7 @@ def _report(
     scenario: Scenario, lost_s: float, live: list[dict[str, str]], with_service: Flight, without: Flight, console: Console
 ) -> None:
     after = [row for row in live if float(row["at_s"]) >= lost_s + 5.0]
-    on_aid = sum(row["source"] == "gps_input" for row in after) / max(len(after), 1)
+    on_aid = sum(row["source"] == AIDED_SOURCE for row in after) / max(len(after), 1)
     off_m = [float(row["off_route_m"]) for row in after]
     console.print(f"\n[bold]Report[/], UAV{SUBJECT} after the loss of its GPS at {lost_s:.0f} s")
     console.print(

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gcs_coloc.core.bound import horizontal_bound_95_m
 from gcs_coloc.study.closed_loop import Flight, Sample
 from sitl_fakes.scenario import Scenario
-
-_CHI2_95_2DOF_ROOT = 2.447746830680816
 
 
 def draw(scenario: Scenario, subject: int, lost_s: float, with_service: Flight, without: Flight, path: Path) -> None:
@@ -43,9 +42,7 @@ def draw(scenario: Scenario, subject: int, lost_s: float, with_service: Flight, 
     known = [s for s in with_service.samples[subject] if s.error_enu_m is not None and s.covariance is not None]
     times = [s.at_s for s in known]
     error.plot(times, [np.hypot(*s.error_enu_m[:2]) for s in known if s.error_enu_m is not None], color="#0072b2", lw=0.8)
-    bound = [
-        _CHI2_95_2DOF_ROOT * np.sqrt(np.linalg.eigvalsh(s.covariance[:2, :2])[-1]) for s in known if s.covariance is not None
-    ]
+    bound = [horizontal_bound_95_m(s.covariance) for s in known if s.covariance is not None]
     error.plot(times, bound, color="0.3", lw=1, ls="--", label="95 % bound")
     error.set(ylabel="position error, m", title=f"gcs-coloc's position of UAV{subject}")
     error.legend(fontsize=8, loc="upper left")

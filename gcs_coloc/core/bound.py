@@ -1,0 +1,33 @@
+"""How far off a position may be, from its covariance: 1-sigma along the worst direction, and the 95 % horizontal bound."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from gcs_coloc.core.measurements import FloatArray
+
+# Radius of the circle that holds 95 % of a plane Gaussian, in units of its larger axis' sigma, for smaller / larger axis
+# of 0, 0.1, ... 1: the root of the integral over the circle. From 1.96 (a line) to sqrt(5.99) (a round one).
+_RADIUS_95 = (1.9600, 1.9625, 1.9704, 1.9842, 2.0051, 2.0359, 2.0813, 2.1460, 2.2303, 2.3318, 2.4478)
+
+
+def horizontal_sigma_m(covariance: FloatArray) -> float:
+    """1-sigma along the worst horizontal direction, m: root of the larger eigenvalue of the top-left (2, 2) block."""
+    return _axes_m(covariance)[0]
+
+
+def horizontal_bound_95_m(covariance: FloatArray) -> float:
+    """Radius in m that holds the horizontal error with 95 % if the top-left (2, 2) block of the covariance is true."""
+    larger_m, smaller_m = _axes_m(covariance)
+    if larger_m == 0.0:
+        return 0.0
+    place = 10.0 * smaller_m / larger_m
+    index = min(int(place), 9)
+    below, above = _RADIUS_95[index], _RADIUS_95[index + 1]
+    return larger_m * (below + (place - index) * (above - below))
+
+
+def _axes_m(covariance: FloatArray) -> tuple[float, float]:
+    a, b, d = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
+    mean, half = 0.5 * (a + d), sqrt(0.25 * (a - d) ** 2 + b * b)
+    return sqrt(max(mean + half, 0.0)), sqrt(max(mean - half, 0.0))

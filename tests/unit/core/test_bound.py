@@ -1,0 +1,39 @@
+"""The 95 % bound against chi-square in its two limits and against sampling in between."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from gcs_coloc.core.bound import horizontal_bound_95_m, horizontal_sigma_m
+
+
+def test_a_round_error_gives_chi_square_with_two_degrees_of_freedom():
+    assert horizontal_bound_95_m(np.eye(3) * 9.0) == pytest.approx(3.0 * np.sqrt(chi2.ppf(0.95, 2)), rel=1e-4)
+
+
+def test_an_error_along_one_line_gives_chi_square_with_one():
+    direction = np.array([3.0, 4.0, 0.0])
+    assert horizontal_bound_95_m(np.outer(direction, direction)) == pytest.approx(5.0 * np.sqrt(chi2.ppf(0.95, 1)), rel=1e-4)
+
+
+@pytest.mark.parametrize("ratio", [0.15, 0.45, 0.75, 0.95])
+def test_in_between_the_bound_covers_95_percent(ratio):
+    rng = np.random.default_rng(8)
+    errors = rng.normal(size=(400_000, 2)) * (2.0, 2.0 * ratio)
+    inside = np.mean(np.hypot(*errors.T) <= horizontal_bound_95_m(np.diag([4.0, 4.0 * ratio**2, 1.0])))
+    # Binomial: sigma of the share is sqrt(0.95 * 0.05 / 4e5) = 3.4e-4; 4 sigma, and 5e-4 for the table's interpolation.
+    assert inside == pytest.approx(0.95, abs=4 * 3.4e-4 + 5e-4)
+
+
+@given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e3), st.floats(0.0, np.pi))
+def test_it_does_not_depend_on_the_axes_directions(a, b, angle):
+    c, s = np.cos(angle), np.sin(angle)
+    turned = np.array([[c, -s], [s, c]]) @ np.diag([a, b]) @ np.array([[c, s], [-s, c]])
+    assert horizontal_bound_95_m(turned) == pytest.approx(horizontal_bound_95_m(np.diag([a, b])), rel=1e-4)
+    assert horizontal_sigma_m(turned) == pytest.approx(np.sqrt(max(a, b)), rel=1e-6)
+
+
+def test_no_error_is_no_bound():
+    assert horizontal_bound_95_m(np.zeros((3, 3))) == 0.0
