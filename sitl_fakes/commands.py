@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 _EXTERNAL_POSITION_ESTIMATE = 43003
 _ONLY_THE_GCS = 1
+_LARGEST_PARAMETER = 1e6
 _ACCEPTED, _DENIED, _UNSUPPORTED, _FAILED = 0, 2, 3, 4
 
 
@@ -83,7 +84,7 @@ def _param_request_read(vehicle: Vehicle, message: Any, _at_s: float) -> list[An
 
 
 def _param_set(vehicle: Vehicle, message: Any, _at_s: float) -> list[Any]:
-    if message.param_id not in vehicle.params or not math.isfinite(message.param_value):
+    if message.param_id not in vehicle.params or not abs(message.param_value) <= _LARGEST_PARAMETER:
         return []
     vehicle.params.set(message.param_id, message.param_value)
     return [_param_value(vehicle, message.param_id)]

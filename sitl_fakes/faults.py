@@ -56,8 +56,8 @@ class GpsSpoofed(_Fault):
 
     kind: Literal["gps_spoofed"] = "gps_spoofed"
     direction_deg: float = 90.0
-    speed_mps: float = Field(default=2.0, ge=0.0)
-    offset_m: float = Field(default=0.0, ge=0.0)
+    speed_mps: float = Field(default=2.0, ge=0.0, le=1e3)
+    offset_m: float = Field(default=0.0, ge=0.0, le=1e6)
 
 
 class RangeDropout(_Fault):
@@ -72,7 +72,7 @@ class RangeBias(_Fault):
 
     kind: Literal["range_bias"] = "range_bias"
     peer: _SystemId | None = None
-    bias_m: float
+    bias_m: float = Field(ge=-1e6, le=1e6)
 
 
 class RangeStuck(_Fault):

@@ -9,12 +9,14 @@ from sitl_fakes.geodesy import WorldFrame
 from sitl_fakes.receivers import GpsFix
 
 _ASSUMED_AGE_S = 0.2
+_HIGHEST_M = 100_000.0
+_FASTEST_MPS = 1_000.0
 _IGNORE_ALT, _IGNORE_HDOP, _IGNORE_VDOP, _IGNORE_VEL_HORIZ = 1, 2, 4, 8
 _IGNORE_VEL_VERT, _IGNORE_SPEED_ACC, _IGNORE_H_ACC, _IGNORE_V_ACC = 16, 32, 64, 128
 
 
 def fix_from_gps_input(message: Any, frame: WorldFrame) -> GpsFix | None:
-    """Turn a decoded GPS_INPUT into a fix, or None where it holds no numbers on Earth.
+    """Turn a decoded GPS_INPUT into a fix, or None where it holds no numbers that an aircraft can have.
 
     Ignored velocity and altitude are zero, as in the driver, and are used as if they were true; ignored accuracies are
     unstated. The data are taken to be 0.2 s old (the driver's default delay).
@@ -32,6 +34,8 @@ def fix_from_gps_input(message: Any, frame: WorldFrame) -> GpsFix | None:
     )
     lat_deg, lon_deg = message.lat * 1e-7, message.lon * 1e-7
     if not all(math.isfinite(x) for x in numbers) or abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0:
+        return None
+    if abs(message.alt) > _HIGHEST_M or max(abs(message.vn), abs(message.ve), abs(message.vd)) > _FASTEST_MPS:
         return None
     flags = message.ignore_flags
 

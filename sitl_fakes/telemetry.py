@@ -52,13 +52,13 @@ def _gps_fields(receiver: Receiver, s: Snapshot, instance: int) -> dict[str, int
         "fix_type": receiver.fix_type(s.at_s),
         "lat": round(lat * 1e7),
         "lon": round(lon * 1e7),
-        "alt": round(alt * 1000.0),
+        "alt": _int32(alt * 1000.0),
         "eph": 65535 if fix.hdop is None else _unsigned(fix.hdop, 100.0, 65535),
         "epv": 65535 if fix.vdop is None else _unsigned(fix.vdop, 100.0, 65535),
         "vel": _unsigned(math.hypot(north, east), 100.0, 65535),
         "cog": _centidegrees(math.atan2(east, north)),
         "satellites_visible": receiver.satellites(s.at_s),
-        "alt_ellipsoid": round((alt + s.frame.geoid_height_m) * 1000.0),
+        "alt_ellipsoid": _int32((alt + s.frame.geoid_height_m) * 1000.0),
         "h_acc": _unsigned(fix.h_acc_m or 0.0, 1000.0, 2**32 - 1),
         "v_acc": _unsigned(fix.v_acc_m or 0.0, 1000.0, 2**32 - 1),
         "vel_acc": _unsigned(fix.speed_acc_mps or 0.0, 1000.0, 2**32 - 1),
@@ -93,7 +93,7 @@ def _global_position_int(s: Snapshot) -> Any:
             _ms(s.boot_s), 0, 0, round(s.air.altitude_m * 1000.0), relative, 0, 0, 0, heading
         )
     (lat, lon, alt), velocity = reported
-    north, east, down = (round(v * 100.0) for v in s.frame.vector_to_local_ned(velocity, lat, lon))
+    north, east, down = (_int16(v * 100.0) for v in s.frame.vector_to_local_ned(velocity, lat, lon))
     return mavlink.MAVLink_global_position_int_message(
         _ms(s.boot_s),
         round(lat * 1e7),
@@ -215,6 +215,14 @@ def _ms(seconds: float) -> int:
 
 def _unsigned(value: float, scale: float, largest: int) -> int:
     return max(0, min(largest, round(value * scale)))
+
+
+def _int16(value: float) -> int:
+    return max(-(2**15), min(2**15 - 1, round(value)))
+
+
+def _int32(value: float) -> int:
+    return max(-(2**31), min(2**31 - 1, round(value)))
 
 
 def _centidegrees(angle_rad: float) -> int:
