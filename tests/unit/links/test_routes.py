@@ -148,3 +148,16 @@ def test_table_has_room_again_when_the_flood_is_over():
     ears.now_s += 61.0
     assert ears.hears(1, HERE)
     assert ears.route(1) == Route(LINK, HERE)
+
+
+def test_what_fell_silent_makes_room_although_it_came_after_a_lively_one():
+    ears = Ears(max_components=3, max_addresses=3)
+    ears.hears(1, HERE)
+    for number in (2, 3):
+        ears.hears(number, ("10.0.0.9", number))
+    for _ in range(31):
+        ears.now_s += 2.0
+        ears.hears(1, HERE)
+    assert ears.hears(4, THERE)
+    assert ears.route(4) == Route(LINK, THERE)
+    assert ears.route(1) == Route(LINK, HERE)

@@ -167,6 +167,12 @@ def test_stream_holds_back_no_more_than_one_frame():
         assert len(framer._pending) <= framing.MAX_FRAME_LENGTH
 
 
+def test_stream_goes_on_however_much_noise_there_is():
+    """What comes on a line that we were told to listen to is not hostile, only noisy."""
+    noise = b"\xfd\xfd" * framing.MAX_FALSE_STARTS
+    assert StreamFramer(Counts()).feed(noise + heartbeat()) == [heartbeat()]
+
+
 def test_stream_counts_what_a_datagram_counts():
     bad = bytearray(attitude())
     bad[14] ^= 1

@@ -100,6 +100,22 @@ def test_reading_goes_on_behind_damage(tmp_path, damage):
     assert log.counts["truncated"] == 0
 
 
+def test_damage_is_not_taken_for_a_frame_of_an_unknown_message(tmp_path):
+    """Its checksum cannot tell, but neither does a record follow where it states to end."""
+    shortened = bytearray(unknown_frame())
+    shortened[1] -= 4
+    log = reader(tmp_path, record(0) + record(1, bytes(shortened)) + record(2))
+    assert numbers(log) == [0, 2]
+    assert dict(log.counts) == {"damaged_bytes": len(record(1, unknown_frame()))}
+
+
+def test_reading_goes_on_only_where_a_checksum_is_right(tmp_path):
+    damage = bytes(30) + unknown_frame() + bytes(5)
+    log = reader(tmp_path, record(0) + damage + record(1))
+    assert numbers(log) == [0, 1]
+    assert dict(log.counts) == {"damaged_bytes": len(damage)}
+
+
 def test_damage_at_the_end_is_counted(tmp_path):
     log = reader(tmp_path, record(0) + b"\x00" * 40)
     assert numbers(log) == [0]
