@@ -39,8 +39,6 @@ class SerialLink:
         self.counts = Counts()
         self.remote: Address = ("serial", address.device)
         self._address = address
-        self._handler = handler
-        self._clock = clock
         self._delays = delays
         self._port: serial.Serial | None = None
         self._fd = -1
@@ -77,7 +75,6 @@ class SerialLink:
         # Exclusive: two programs that read one device each get half of every frame.
         self._port = serial.Serial(self._address.device, self._address.baud, timeout=0, exclusive=True)
         self._fd = self._port.fileno()
-        self._source = FrameSource(self, self.remote, self._handler, self._clock)
         self._unsent = b""
         self._lost.clear()
         asyncio.get_running_loop().add_reader(self._fd, self._read)
