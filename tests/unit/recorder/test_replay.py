@@ -1,0 +1,115 @@
+"""Replay: the same engine on recorded time, the same answer every time; tables beside the recording are read strictly."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import pytest
+
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.errors import DataError
+from gcs_coloc.core.messages import GpsInput, HealthChanged, TimeBase
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.recorder.flight_report import FlightReport
+from gcs_coloc.recorder.replay import TruthPoint, read_ranges, read_truth, replay
+from gcs_coloc.recorder.tlog import TlogReader
+from sitl_fakes.fleet import Fleet
+from sitl_fakes.scenario import load_scenario
+
+SCENARIO = Path(__file__).resolve().parents[3] / "configs" / "scenario-uwb.toml"
+EPOCH_S = 1_780_000_000.0
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory) -> tuple[Path, list[TruthPoint]]:
+    """40 s of the fakes' four-ship, vehicle 4 without GPS after 20 s, as a tlog with the truth beside it."""
+    fleet = Fleet(load_scenario(SCENARIO), seed=3, unix_epoch_s=EPOCH_S)
+    path = tmp_path_factory.mktemp("flight") / "flight.tlog"
+    truth = []
+    with path.open("wb") as file:
+        for step in range(1, 2001):
+            for datagram in fleet.advance(step * 0.02):
+                file.write(struct.pack(">Q", round((EPOCH_S + datagram.due_s) * 1e6)) + datagram.payload)
+            if step % 10 == 0:
+                t = fleet.truth()[4]
+                truth.append(TruthPoint(EPOCH_S + t.at_s, 4, t.lat_deg, t.lon_deg, t.alt_msl_m))
+    return path, truth
+
+
+def run(path: Path, truth: list[TruthPoint]) -> tuple[list, FlightReport, TlogReader]:
+    engine = Engine(load_estimator("fleet", {}))
+    log, report, outputs = TlogReader(path), FlightReport(engine, truth), []
+
+    def take(at_s, output):
+        outputs.append((at_s, output))
+        report.output(at_s, output)
+
+    replay(engine, log, [], report.observation_times(), take, report.observe)
+    return outputs, report, log
+
+
+def test_the_same_file_gives_the_same_outputs_to_the_last_bit(recorded):
+    assert run(*recorded)[0] == run(*recorded)[0]
+
+
+def test_the_lost_vehicle_is_found_out_aided_and_located(recorded):
+    outputs, report, _ = run(*recorded)
+    changes = [o for _, o in outputs if isinstance(o, HealthChanged) and o.sysid == 4]
+    assert [c.after for c in changes] == ["healthy", "suspect", "failed"]
+    assert 20.0 <= changes[-1].at_s - EPOCH_S <= 22.0
+    fixes = [(t, o) for t, o in outputs if isinstance(o, GpsInput)]
+    assert {o.sysid for _, o in fixes} == {4}
+    assert len(fixes) == pytest.approx(10 * (EPOCH_S + 40.0 - changes[-1].at_s), abs=2)
+    score = report.score(4)
+    assert score is not None
+    assert score.share_located == 1.0
+    # GPS of 1.5 m on each of three peers, correlated over minutes, is what it can be as good as; 3 sigma of that.
+    assert score.rmse_h_m is not None
+    assert score.rmse_h_m < 4.5
+    assert score.confident_and_wrong == 0.0
+    assert report.score(1) is None
+
+
+def test_a_recording_cut_off_in_a_frame_replays_to_its_last_whole_message_and_says_so(recorded, tmp_path):
+    path, _ = recorded
+    cut = tmp_path / "cut.tlog"
+    cut.write_bytes(path.read_bytes()[:-7])
+    whole, _, _ = run(path, [])
+    outputs, _, log = run(cut, [])
+    assert outputs == whole[: len(outputs)]
+    assert len(outputs) >= len(whole) - 3
+    assert log.counts["truncated"] == 1
+
+
+def test_ranges_are_read_on_the_recorders_clock(tmp_path):
+    path = tmp_path / "ranges.csv"
+    path.write_text("unix_s,from_sysid,to_sysid,range_m,sigma_m\n2.5,4,1,100.5,0.5\n1.5,4,2,90,\n")
+    late, early = reversed(read_ranges(path))
+    assert (early.measured_at_s, early.received_at_s, early.time_base) == (1.5, 1.5, TimeBase.SERVICE)
+    assert (late.sysid, late.peer_sysid, late.range_m, late.sigma_m, early.sigma_m) == (4, 1, 100.5, 0.5, None)
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("x,4,1,5,1", "line 2, column unix_s: 'x' is not a number"),
+        ("1,0,1,5,1", "line 2, column from_sysid: 0 is not within 1 to 255"),
+        ("1,4,4,5,1", "line 2, column to_sysid: a vehicle has no range to itself"),
+        ("1,4,1,-5,1", "line 2, column range_m: -5 must be above zero"),
+        ("1,4,1,5,-1", "line 2, column sigma_m: -1 must be above zero"),
+        ("1,4,1,5", "line 2: 4 cells where the header has 5"),
+    ],
+)
+def test_a_malformed_range_names_its_place(tmp_path, row, words):
+    path = tmp_path / "ranges.csv"
+    path.write_text(f"unix_s,from_sysid,to_sysid,range_m,sigma_m\n{row}\n")
+    with pytest.raises(DataError, match=words):
+        read_ranges(path)
+
+
+def test_an_empty_truth_is_an_error(tmp_path):
+    path = tmp_path / "truth.csv"
+    path.write_text("unix_s,sysid,lat_deg,lon_deg,alt_msl_m\n")
+    with pytest.raises(DataError, match="holds no true position"):
+        read_truth(path)
