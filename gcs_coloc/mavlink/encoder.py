@@ -10,7 +10,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages import GpsInput, StreamRequest
+from gcs_coloc.core.messages import GpsInput, StreamRequest, ToVehicle
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 
 MAX_DESTINATIONS = 1024
@@ -23,7 +23,7 @@ class Encoder:
         self._mavlink = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=compid)
         self._next_sequence: OrderedDict[Hashable, int] = OrderedDict()
 
-    def encode(self, message: GpsInput | StreamRequest, destination: Hashable) -> bytes:
+    def encode(self, message: ToVehicle, destination: Hashable) -> bytes:
         """Encode an output for the address `destination`.
 
         Raises ValueError where a number in it is not finite or does not fit its field.
