@@ -29,7 +29,6 @@ from gcs_coloc.estimators.fleet_motion import (
     SIZE,
     STAMP_ERROR,
     VELOCITY,
-    WIND,
     add_acceleration_noise,
     transition,
     turn_rate_radps,
@@ -45,6 +44,7 @@ _TURN_TIME_S = 1.0
 _UNKNOWN_VELOCITY_MPS = 30.0
 _REPORT_VELOCITY_TIME_S = 1.0
 _LEAST_DISTANCE_M = 1e-3
+_HARDEST_MPS2 = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +122,6 @@ class Cluster:
         self.records = records
         self.joint = Joint() if joint is None else joint
 
-    # --- motion ---------------------------------------------------------------------------------------------------------------------
-
     def motion(self, vehicle: int, step_s: float, at_s: float) -> tuple[FloatArray, FloatArray]:
         """Return F and Q (15, 15) of a vehicle over a step (negative: backwards) that ends at `at_s`."""
         s, record = self.settings, self.records[vehicle]
@@ -200,11 +198,10 @@ class Cluster:
         for we, wn, wu, whitened in zip(east, north, up, e, strict=True):
             monitor.add(we, wn, wu, whitened)
 
-    # --- measurements ---------------------------------------------------------------------------------------------------------------
-
     def take_position(self, m: PositionMeasurement, white: tuple[float, float], slow: tuple[float, float]) -> Verdict:
         """Correct with a report of position, and velocity where given; white and slow sigmas are (horizontal, vertical) in metres."""
         record, joint, at_s = self.records[m.vehicle], self.joint, m.measured_at_s
+        since_s = at_s - record.informed_at_s
         self.bring(m.vehicle, at_s)
         start = joint.start[m.vehicle]
         if slow[0] < 0.9 * record.slow_report_h_m:
@@ -214,8 +211,8 @@ class Cluster:
         record.slow_report_h_m, record.slow_report_v_m = slow
         P, x = joint.P, joint.x
         p, e = slice(start, start + 3), slice(start + 11, start + 14)
-        with_velocity = m.velocity_enu_mps is not None and m.sigma_velocity_mps is not None
-        k = 6 if with_velocity else 3
+        reported, sigma_mps = m.velocity_enu_mps, m.sigma_velocity_mps
+        k = 3 if reported is None or sigma_mps is None else 6
         PHt = np.empty((len(x), k))
         v, late = slice(start + 3, start + 6), start + STAMP_ERROR
         velocity = x[v].copy()
@@ -223,27 +220,53 @@ class Cluster:
         innovation = np.empty(k)
         innovation[:3] = m.position_enu_m - x[p] - x[e] - x[late] * velocity
         noise = [white[0] ** 2, white[0] ** 2, white[1] ** 2]
-        if with_velocity:
+        if reported is not None and sigma_mps is not None:
             PHt[:, 3:] = P[:, v]
-            innovation[3:] = m.velocity_enu_mps - x[v]
+            innovation[3:] = reported - x[v]
             # A navigation filter's velocity error is correlated too: more reports a second do not tell more.
             thin = max(1.0, _REPORT_VELOCITY_TIME_S / max(at_s - record.velocity_used_at_s, 1e-3))
-            noise += [m.sigma_velocity_mps**2 * thin] * 3
+            noise += [sigma_mps**2 * thin] * 3
             record.velocity_used_at_s = at_s
-        S = np.empty((k, k))
-        S[:3] = PHt[p] + PHt[e] + velocity[:, np.newaxis] * PHt[late]
-        if with_velocity:
-            S[3:] = PHt[start + 3 : start + 6]
-        S.flat[:: k + 1] += noise
+        S = self._report_covariance(PHt, m.vehicle, velocity, noise)
         nis = float(innovation @ np.linalg.solve(S, innovation))
         # Twice the degrees of freedom widen the gate as the chi-square distribution widens.
         limit = self.settings.gate_sigma**2 + 2.0 * k
         if nis > limit:
-            return Verdict("refused: position report outside the gate", 0.0, 0.0, nis, k)
+            # A hard manoeuvre since the last report explains much: one that began then, at any acceleration a vehicle stands.
+            jolt = self._jolt(since_s)
+            trial = PHt.copy()
+            trial[start : start + 6] += jolt[:, :k]
+            S = self._report_covariance(trial, m.vehicle, velocity, noise)
+            nis = float(innovation @ np.linalg.solve(S, innovation))
+            if nis > limit:
+                return Verdict("refused: position report outside the gate", 0.0, 0.0, nis, k)
+            joint.P[start : start + 6, start : start + 6] += jolt
+            PHt = trial
         W, whitened = joint.update(PHt, S, innovation)
         self._watch(m.vehicle, W, whitened.tolist(), at_s)
         record.informed_at_s = at_s
         return Verdict(USED, 0.0, 0.0, nis, k)
+
+    def _report_covariance(self, PHt: FloatArray, vehicle: int, velocity: FloatArray, noise: list[float]) -> FloatArray:
+        """Return S = H P H' + R (k, k) of a report: position with its errors in the first three rows, velocity in the rest."""
+        start, k = self.joint.start[vehicle], PHt.shape[1]
+        S = np.empty((k, k))
+        S[:3] = PHt[start : start + 3] + PHt[start + 11 : start + 14] + velocity[:, np.newaxis] * PHt[start + STAMP_ERROR]
+        S[3:] = PHt[start + 3 : start + k]
+        S.flat[:: k + 1] += noise
+        return S
+
+    @staticmethod
+    def _jolt(since_s: float) -> FloatArray:
+        """Return what an unknown constant acceleration since a time ago adds to position and velocity, (6, 6)."""
+        speed = _HARDEST_MPS2 * since_s
+        way = 0.5 * speed * since_s
+        jolt = np.zeros((6, 6))
+        for axis in range(3):
+            jolt[axis, axis] = way * way
+            jolt[axis, axis + 3] = jolt[axis + 3, axis] = way * speed
+            jolt[axis + 3, axis + 3] = speed * speed
+        return jolt
 
     def take_altitude(self, m: AltitudeMeasurement, white_m: float, slow_m: float) -> Verdict:
         """Correct with a barometric height whose error is partly white, partly slow."""
@@ -309,13 +332,13 @@ class Cluster:
         self._watch(m.vehicle, W, whitened.tolist(), m.measured_at_s)
         return Verdict(USED, 0.0, 0.0, nis, 2)
 
-    def take_range(self, m: RangeMeasurement) -> Verdict:
-        """Correct with a slant range between two vehicles of the cluster, with its pair's slow bias."""
+    def take_range(self, m: RangeMeasurement, slow_m: float) -> Verdict:
+        """Correct with a slant range between two vehicles of the cluster; `slow_m` is the sigma of the part of its error that lasts."""
         s, joint, at_s = self.settings, self.joint, m.measured_at_s
         a, b = m.from_vehicle, m.to_vehicle
         self.bring(a, at_s)
         self.bring(b, at_s)
-        bias = self._bias(m)
+        bias = self._pair(m, slow_m)
         ia, ib = joint.start[a], joint.start[b]
         P, x = joint.P, joint.x
         dx, dy, dz = (x[ia : ia + 3] - x[ib : ib + 3]).tolist()
@@ -341,12 +364,9 @@ class Cluster:
         spread = min(spread, along + noise)
         longer = min(longer, math.sqrt(along + noise))
         expected = distance + longer
-        if bias is not None:
-            PHt = PHt + P[:, bias]
-            expected += float(x[bias])
-            variance = float(u @ (PHt[ia : ia + 3] - PHt[ib : ib + 3])) + float(PHt[bias]) + spread + noise
-        else:
-            variance = along + spread + noise
+        PHt = PHt + P[:, bias] + P[:, bias + 1]
+        expected += float(x[bias] + x[bias + 1])
+        variance = float(u @ (PHt[ia : ia + 3] - PHt[ib : ib + 3]) + PHt[bias] + PHt[bias + 1]) + spread + noise
         innovation = m.range_m - expected
         nis = innovation * innovation / variance
         sigma = math.sqrt(variance)
@@ -370,24 +390,23 @@ class Cluster:
                 closing += sign * float(u @ self.joint.x[v : v + 3])
         return closing
 
-    def _bias(self, m: RangeMeasurement) -> int | None:
+    def _pair(self, m: RangeMeasurement, slow_m: float) -> int:
+        """Bring the pair's two range errors (bias and slow part) to the time of a range; return the index of the first."""
         s, joint = self.settings, self.joint
-        sigma = s.range_bias_share * m.sigma_m
-        if sigma <= 0.0:
-            return None
         key = pair_key(m.from_vehicle, m.to_vehicle, m.device_id)
+        sigmas = (s.range_bias_sigma_m, slow_m)
         if key not in joint.start:
-            joint.append(key, np.zeros(1), np.array([[sigma * sigma]]), m.measured_at_s)
+            joint.append(key, np.zeros(2), np.diag(np.square(sigmas)), m.measured_at_s)
             return joint.start[key]
-        step_s = m.measured_at_s - joint.time_s[key]
         index = joint.start[key]
+        step_s = m.measured_at_s - joint.time_s[key]
         if step_s > 0.0:
-            decay = math.exp(-step_s / s.range_bias_time_s)
-            joint.x[index] *= decay
-            variance = float(joint.P[index, index]) * decay * decay + sigma * sigma * (1.0 - decay * decay)
-            joint.P[index] *= decay
-            joint.P[:, index] *= decay
-            joint.P[index, index] = variance
+            decays = (math.exp(-step_s / s.range_bias_time_s), math.exp(-step_s / s.range_slow_time_s))
+            for i, decay, sigma in zip((index, index + 1), decays, sigmas, strict=True):
+                joint.x[i] *= decay
+                joint.P[i] *= decay
+                joint.P[:, i] *= decay
+                joint.P[i, i] += sigma * sigma * (1.0 - decay * decay)
             joint.time_s[key] = m.measured_at_s
         return index
 

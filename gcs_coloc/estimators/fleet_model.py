@@ -21,7 +21,9 @@ from gcs_coloc.core.measurements import (
     Unknown,
 )
 from gcs_coloc.estimators.dop import horizontal_dilution
-from gcs_coloc.estimators.fleet_cluster import USED, Cluster, Verdict, initial_block, start_block
+from gcs_coloc.estimators.fleet_cluster import USED, Cluster, Verdict, initial_block, pair_key, start_block
+from gcs_coloc.estimators.fleet_joint import Key
+from gcs_coloc.estimators.fleet_noise import Whiteness
 from gcs_coloc.estimators.fleet_peers import choose_peers
 from gcs_coloc.estimators.fleet_settings import FleetSettings
 from gcs_coloc.estimators.fleet_start import StartProblem, solve_start
@@ -44,6 +46,7 @@ class FleetModel:
         self.settings = settings
         self.records: dict[int, VehicleRecord] = {}
         self.clusters: dict[int, Cluster] = {}
+        self.pairs: dict[tuple[int, int, int], Whiteness] = {}
         self._tidied_at_s = -math.inf
 
     def copy(self) -> FleetModel:
@@ -52,10 +55,9 @@ class FleetModel:
         other.records = {vehicle: record.copy() for vehicle, record in self.records.items()}
         copies = {id(c): Cluster(self.settings, other.records, c.joint.copy()) for c in self.clusters.values()}
         other.clusters = {vehicle: copies[id(c)] for vehicle, c in self.clusters.items()}
+        other.pairs = {key: white.copy() for key, white in self.pairs.items()}
         other._tidied_at_s = self._tidied_at_s
         return other
-
-    # --- what comes in --------------------------------------------------------------------------------------------------------------
 
     def set_subjects(self, subjects: frozenset[int], at_s: float) -> None:
         """Change who is to be located; a new subject starts from its last reports if these are fresh."""
@@ -150,10 +152,13 @@ class FleetModel:
             if not self._activate(vehicle, m.measured_at_s):
                 return Verdict("refused: peer without a position")
         cluster = self._merge(*ends)
-        verdict = cluster.take_range(m)
-        for vehicle, other, record, sign in ((ends[0], ends[1], records[0], 1.0), (ends[1], ends[0], records[1], -1.0)):
+        white = self.pairs.setdefault(pair_key(*ends, m.device_id), Whiteness())
+        white.add(m.measured_at_s, (m.range_m,), m.sigma_m)
+        slow_m = self.settings.range_slow_share * white.split(m.sigma_m, self.settings.least_slow_share)[1]
+        verdict = cluster.take_range(m, slow_m)
+        for vehicle, other, record in zip(ends, reversed(ends), records, strict=True):
             if record.subject:
-                self._account(cluster, vehicle, other, record, verdict, m, sign)
+                self._account(cluster, vehicle, other, record, verdict, m)
         return verdict
 
     def _account(
@@ -164,7 +169,6 @@ class FleetModel:
         record: VehicleRecord,
         verdict: Verdict,
         m: RangeMeasurement,
-        sign: float,
     ) -> None:
         """Note what became of a range at one of its ends, and find the way back when most are refused."""
         if verdict.used:
@@ -185,8 +189,6 @@ class FleetModel:
             # Most of what is heard contradicts the state: the state is what is wrong, or nobody can tell.
             cluster.widen(vehicle, record.refused_m2)
             record.refused_share = 0.0
-
-    # --- who takes part -------------------------------------------------------------------------------------------------------------
 
     def _record(self, vehicle: int) -> VehicleRecord:
         record = self.records.get(vehicle)
@@ -237,7 +239,9 @@ class FleetModel:
         cluster = self.clusters.pop(vehicle, None)
         if cluster is None:
             return
-        keys = [key for key in cluster.joint.start if key != vehicle and not (isinstance(key, tuple) and vehicle in key[:2])]
+        keys: list[Key] = [
+            key for key in cluster.joint.start if key != vehicle and not (isinstance(key, tuple) and vehicle in key[:2])
+        ]
         cluster.joint = cluster.joint.part(keys)
 
     def _tidy(self, at_s: float) -> None:
@@ -256,6 +260,7 @@ class FleetModel:
         for vehicle in sorted(self.clusters):
             if not self.records[vehicle].subject and vehicle not in links:
                 self._drop(vehicle)
+        self.pairs = {key: white for key, white in self.pairs.items() if key[1] in links.get(key[0], ())}
         seen: set[int] = set()
         for vehicle in sorted(self.clusters):
             if vehicle in seen:
@@ -268,7 +273,7 @@ class FleetModel:
                         edge.append(other)
             seen |= members
             cluster = self.clusters[vehicle]
-            keys = [
+            keys: list[Key] = [
                 key
                 for key in cluster.joint.start
                 if key in members or (isinstance(key, tuple) and key[0] in members and key[1] in links.get(key[0], ()))
@@ -293,10 +298,10 @@ class FleetModel:
                 record.chosen = frozenset(fresh)
             else:
                 subject = m.from_vehicle if other == m.to_vehicle else m.to_vehicle
-                record.chosen = self._choose(subject, record, fresh, at_s)
+                record.chosen = self._choose(subject, record, fresh)
         return other in record.chosen
 
-    def _choose(self, subject: int, record: VehicleRecord, fresh: list[int], at_s: float) -> frozenset[int]:
+    def _choose(self, subject: int, record: VehicleRecord, fresh: list[int]) -> frozenset[int]:
         here = self._roughly(subject)
         placed = [(v, there) for v in fresh if (there := self._roughly(v)) is not None]
         if here is None or len(placed) <= self.settings.peers_per_subject:
@@ -347,8 +352,6 @@ class FleetModel:
             if isinstance(own, AltitudeMeasurement):
                 problem.add_altitude(own)
         return problem
-
-    # --- what is told ---------------------------------------------------------------------------------------------------------------
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
         """Answer from the state as it stands."""

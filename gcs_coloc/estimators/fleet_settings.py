@@ -24,7 +24,8 @@ class FleetSettings:
     `least_slow_share` of the stated sigma. A barometric height has the same treatment with `baro_error_time_s`.
     `stamp_sigma_s` is the error of time stamps, slow over `stamp_error_time_s` in one vehicle's reports.
 
-    Ranges: each pair has a slow bias of `range_bias_share` of the range's stated sigma, over `range_bias_time_s`.
+    Ranges: each pair has a bias of `range_bias_sigma_m` that changes over `range_bias_time_s`, and as far as its ranges are not seen to
+    scatter as stated, up to `range_slow_share` of the stated sigma comes again for `range_slow_time_s` (multipath, antennas).
     An innovation beyond `gate_sigma` is refused, one beyond `doubt_sigma` counts less.
 
     Peers: at most `peers_per_subject` neighbours are used, with ranges younger than `peer_fresh_s`; a neighbour that has not been
@@ -36,8 +37,8 @@ class FleetSettings:
 
     window_s: float = 1.0
     ahead_s: float = 0.5
-    acceleration_density_m2ps3: float = 0.3
-    climb_density_m2ps3: float = 0.1
+    acceleration_density_m2ps3: float = 1.0
+    climb_density_m2ps3: float = 0.02
     manoeuvre_gain: float = 100.0
     manoeuvre_memory_s: float = 3.0
     aided_density_m2ps3: float = 0.1
@@ -55,8 +56,10 @@ class FleetSettings:
     baro_error_time_s: float = 300.0
     stamp_sigma_s: float = 0.03
     stamp_error_time_s: float = 100.0
-    range_bias_share: float = 0.1
-    range_bias_time_s: float = 60.0
+    range_bias_sigma_m: float = 0.02
+    range_bias_time_s: float = 300.0
+    range_slow_share: float = 0.5
+    range_slow_time_s: float = 1.0
     gate_sigma: float = 5.0
     doubt_sigma: float = 2.5
     peers_per_subject: int = 8
