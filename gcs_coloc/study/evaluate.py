@@ -1,0 +1,175 @@
+"""Runs an estimator over a data set and scores it: causally, so an estimate uses only what had arrived by its time."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    Estimate,
+    FloatArray,
+    Measurement,
+    PositionMeasurement,
+    RangeMeasurement,
+)
+from gcs_coloc.estimators.base import Estimator
+from gcs_coloc.study.dataset import Dataset, Node, read_dataset
+from gcs_coloc.study.scoring import Score, Series, score
+
+_PLANE_EVERY_S = 0.2
+_PLANE_SIGMA_M = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class SubjectEvaluation:
+    """One subject: its score, the epochs behind it, and the normalised innovations (N, 2) of its ranges: time in s, NIS."""
+
+    node: Node
+    score: Score
+    series: Series
+    nis: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """An estimator's result on a data set; `cpu_us_per_measurement` includes the asking at the truth's epochs."""
+
+    dataset: str
+    dims: int
+    estimator: str
+    measurements: int
+    cpu_us_per_measurement: float
+    subjects: tuple[SubjectEvaluation, ...]
+    counts: Mapping[str, int]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as plain values, for JSON."""
+        return {
+            "dataset": self.dataset,
+            "dims": self.dims,
+            "estimator": self.estimator,
+            "measurements": self.measurements,
+            "cpu_us_per_measurement": self.cpu_us_per_measurement,
+            "subjects": {subject.node.id: asdict(subject.score) for subject in self.subjects},
+            "counts": dict(self.counts),
+        }
+
+
+def evaluate(directory: Path, estimator: Estimator, cpu_s: Callable[[], float] = time.process_time) -> Evaluation:
+    """Read the data set in `directory`, run `estimator` over it and score it.
+
+    A node is a subject from its last position report on, and is scored from then on; one that has none is a subject from the start.
+
+    Raises:
+        DataError: the data set cannot be read.
+
+    """
+    return evaluate_dataset(read_dataset(directory), estimator, cpu_s)
+
+
+def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[], float] = time.process_time) -> Evaluation:
+    """Run an estimator over a data set that is in memory and score it. `cpu_s` tells the CPU time spent so far."""
+    feed = _feed(dataset)
+    start_s = feed[0].arrived_at_s
+    last_report_s = {node.vehicle: _last_report_s(dataset, node.vehicle) for node in dataset.subjects()}
+    since_s = {vehicle: max(t, start_s) for vehicle, t in last_report_s.items()}
+    wanted = {node.vehicle: dataset.truth[node.vehicle] for node in dataset.subjects() if node.vehicle in dataset.truth}
+    answers: dict[int, list[Estimate | None]] = {vehicle: [] for vehicle in wanted}
+    nis: dict[int, list[tuple[float, float]]] = {vehicle: [] for vehicle in since_s}
+    questions = sorted((t, vehicle) for vehicle, truth in wanted.items() for t in truth.times_s.tolist() if t >= since_s[vehicle])
+    subjects: frozenset[int] = frozenset()
+    next_question = 0
+    began_s = cpu_s()
+
+    def ask_before(at_s: float) -> None:
+        nonlocal next_question
+        while next_question < len(questions) and questions[next_question][0] < at_s:
+            t, vehicle = questions[next_question]
+            answer = estimator.estimate(vehicle, t)
+            answers[vehicle].append(answer if isinstance(answer, Estimate) else None)
+            next_question += 1
+
+    for m in feed:
+        ask_before(m.arrived_at_s)
+        failed = frozenset(vehicle for vehicle, t in last_report_s.items() if t < m.arrived_at_s)
+        if failed != subjects:
+            subjects = failed
+            estimator.set_subjects(subjects, m.arrived_at_s)
+        estimator.add(m)
+        if isinstance(m, RangeMeasurement):
+            for residual in estimator.take_residuals():
+                for end in (residual.from_vehicle, residual.to_vehicle):
+                    if end in nis and end is not None:
+                        nis[end].append((residual.measured_at_s, residual.nis / residual.degrees_of_freedom))
+    ask_before(math.inf)
+    spent_s = cpu_s() - began_s
+    evaluated = []
+    for node in dataset.subjects():
+        if node.vehicle not in wanted:
+            continue
+        truth = wanted[node.vehicle]
+        asked = truth.times_s >= since_s[node.vehicle]
+        series = _series(truth.times_s[asked], truth.positions_enu_m[asked], answers[node.vehicle])
+        history = np.array(nis[node.vehicle]).reshape(-1, 2)
+        evaluated.append(SubjectEvaluation(node, score(series, since_s[node.vehicle], dataset.dims), series, history))
+    count = len(dataset.measurements)
+    return Evaluation(
+        dataset=dataset.name,
+        dims=dataset.dims,
+        estimator=estimator.name,
+        measurements=count,
+        cpu_us_per_measurement=spent_s / count * 1e6,
+        subjects=tuple(evaluated),
+        counts=estimator.counts(),
+    )
+
+
+def _feed(dataset: Dataset) -> list[Measurement]:
+    """Return what the estimator is given, in order of arrival: anchors first, and in two dimensions the height of the plane."""
+    first_s = min(m.measured_at_s for m in dataset.measurements)
+    anchors: list[Measurement] = []
+    for node in dataset.nodes:
+        if node.place_enu_m is not None and node.sigma_m is not None:
+            anchors.append(
+                PositionMeasurement(node.vehicle, first_s, first_s, node.place_enu_m, node.sigma_m, node.sigma_m, static=True)
+            )
+    moving = list(dataset.measurements)
+    if dataset.dims == 2:
+        moving.extend(_plane(dataset))
+        moving.sort(key=lambda m: m.arrived_at_s)
+    return anchors + moving
+
+
+def _plane(dataset: Dataset) -> Iterator[Measurement]:
+    """Yield heights for the subjects of a flat data set: all nodes move in one plane, and that is knowledge like a barometer's."""
+    places = [node.place_enu_m[2] for node in dataset.nodes if node.place_enu_m is not None]
+    reports = [m.position_enu_m[2] for m in dataset.measurements if isinstance(m, PositionMeasurement)]
+    plane_m = float(np.median(places + reports)) if places or reports else 0.0
+    for node in dataset.subjects():
+        last_s = -math.inf
+        for m in dataset.measurements:
+            if m.arrived_at_s - last_s >= _PLANE_EVERY_S:
+                last_s = m.arrived_at_s
+                yield AltitudeMeasurement(node.vehicle, m.arrived_at_s, m.arrived_at_s, plane_m, _PLANE_SIGMA_M)
+
+
+def _last_report_s(dataset: Dataset, vehicle: int) -> float:
+    reports = [m.arrived_at_s for m in dataset.measurements if isinstance(m, PositionMeasurement) and m.vehicle == vehicle]
+    return max(reports, default=-math.inf)
+
+
+def _series(times_s: FloatArray, truth_enu_m: FloatArray, answers: list[Estimate | None]) -> Series:
+    estimates = np.full((len(times_s), 3), np.nan)
+    covariances = np.full((len(times_s), 3, 3), np.nan)
+    for i, answer in enumerate(answers):
+        if answer is not None:
+            estimates[i] = answer.position_enu_m
+            covariances[i] = answer.covariance[:3, :3]
+    return Series(times_s, truth_enu_m, estimates, covariances)

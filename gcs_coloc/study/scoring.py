@@ -1,0 +1,97 @@
+"""How good a run of estimates is: errors against the truth, and whether the stated covariance can be believed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_coloc.core.bound import horizontal_bound_95_m
+from gcs_coloc.core.measurements import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """The scored epochs of one subject; positions ENU in metres. Epochs without an estimate hold NaN.
+
+    `times_s` (T,), `truth_enu_m` (T, 3), `estimate_enu_m` (T, 3), `covariance_m2` (T, 3, 3).
+    """
+
+    times_s: FloatArray
+    truth_enu_m: FloatArray
+    estimate_enu_m: FloatArray
+    covariance_m2: FloatArray
+
+    def known(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Return (T,): whether there is an estimate."""
+        return ~np.isnan(self.estimate_enu_m[:, 0])
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorStatistics:
+    """Metres: root mean square, median, 95th percentile and maximum."""
+
+    rmse_m: float
+    median_m: float
+    p95_m: float
+    max_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """The figures of one subject.
+
+    `share_known` is the share of truth epochs with an estimate, `first_known_s` the time from becoming a subject to the first
+    of them (None: never). `anees` is the mean of e' P^-1 e, which is `anees_expected` (the number of dimensions) where the covariance is
+    honest: above is overconfident. `covered_95` is the share of horizontal errors within the stated 95 % bound. All figures of error are None
+    without any estimate.
+    """
+
+    epochs: int
+    share_known: float
+    first_known_s: float | None
+    horizontal: ErrorStatistics | None
+    spatial: ErrorStatistics | None
+    anees: float | None
+    anees_expected: int
+    covered_95: float | None
+
+
+def normalised_squares(error_m: FloatArray, covariance_m2: FloatArray) -> FloatArray:
+    """Return e' P^-1 e (T,) of errors (T, d) and covariances (T, d, d)."""
+    solved = np.linalg.solve(covariance_m2, error_m[:, :, np.newaxis])[:, :, 0]
+    return np.asarray((error_m * solved).sum(axis=1))
+
+
+def error_statistics(error_m: FloatArray) -> ErrorStatistics:
+    """Return the statistics of errors (T, d), T > 0, by their length."""
+    length = np.linalg.norm(error_m, axis=1)
+    return ErrorStatistics(
+        rmse_m=math.sqrt(float(np.mean(length**2))),
+        median_m=float(np.median(length)),
+        p95_m=float(np.percentile(length, 95.0)),
+        max_m=float(length.max()),
+    )
+
+
+def score(series: Series, since_s: float, dims: int) -> Score:
+    """Return the score of one subject that became one at `since_s`; with `dims` 2 the height is left out of ANEES."""
+    known = series.known()
+    epochs = len(known)
+    if not known.any():
+        return Score(epochs, 0.0, None, None, None, None, dims, None)
+    error = (series.estimate_enu_m - series.truth_enu_m)[known]
+    covariance = series.covariance_m2[known]
+    squares = normalised_squares(error[:, :dims], covariance[:, :dims, :dims])
+    bounds = np.array([horizontal_bound_95_m(P) for P in covariance])
+    return Score(
+        epochs=epochs,
+        share_known=float(known.mean()),
+        first_known_s=float(series.times_s[known][0] - since_s),
+        horizontal=error_statistics(error[:, :2]),
+        spatial=error_statistics(error),
+        anees=float(squares.mean()),
+        anees_expected=dims,
+        covered_95=float((np.linalg.norm(error[:, :2], axis=1) <= bounds).mean()),
+    )
