@@ -17,7 +17,7 @@ class Circle:
 
     `centre_m` (2,) is the peer, shifted by what the vehicle moves between the range and the epoch; `centre_covariance` (2, 2),
     m^2, is that of the centre. `height_m` is the vehicle's height above the peer, `height_variance_m2` the peer's part of its
-    variance. `systematic_covariance` (3, 3), m^2, is the part of the peer's error that stays from epoch to epoch.
+    variance. `lasting_covariance` (3, 3), m^2, is the part of the peer's error that stays from epoch to epoch.
     """
 
     peer: int
@@ -27,7 +27,7 @@ class Circle:
     range_sigma_m: float
     height_m: float
     height_variance_m2: float
-    systematic_covariance: FloatArray
+    lasting_covariance: FloatArray
 
     @property
     def squared_m2(self) -> float:
@@ -75,7 +75,7 @@ def make_circle(
         range_sigma_m=measurement.sigma_m,
         height_m=float(own_height[0] - peer_height[0]),
         height_variance_m2=float(peer_height_covariance[0, 0]) + (peer_track.sigma_v_m**2 if lasting else 0.0),
-        systematic_covariance=np.diag(variances) if lasting else np.zeros((3, 3)),
+        lasting_covariance=np.diag(variances) if lasting else np.zeros((3, 3)),
     )
 
 
@@ -87,7 +87,7 @@ def range_residual(
     offset = np.array([*(state[[0, 2]] - circle.centre_m), circle.height_m])
     distance_m = float(np.linalg.norm(offset))
     unit = offset / max(distance_m, 1e-9)
-    spread = covariance[np.ix_([0, 2], [0, 2])] + circle.centre_covariance + circle.systematic_covariance[:2, :2]
+    spread = covariance[np.ix_([0, 2], [0, 2])] + circle.centre_covariance + circle.lasting_covariance[:2, :2]
     variance = float(unit[:2] @ spread @ unit[:2]) + unit[2] ** 2 * circle.height_variance_m2 + circle.range_sigma_m**2
     innovation_m = circle.range_m - distance_m
     return Residual(

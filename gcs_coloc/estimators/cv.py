@@ -7,7 +7,10 @@ here it is a spectral density, m^2/s^3, which does not depend on a step: `densit
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
+from types import MappingProxyType
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
@@ -50,8 +53,36 @@ def velocity_rows(axes: int) -> FloatArray:
     return _constant(_each_axis([[0.0, 1.0]], axes))
 
 
+Sensitivities = Mapping[int, FloatArray]
+"""By vehicle, how a state or a measurement changes with that vehicle's lasting error: shape (rows, k), see `CvFilter`."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Update:
+    at_s: float
+    z: FloatArray
+    R: FloatArray
+    H: FloatArray
+    sensitivities: Sensitivities
+
+
+@dataclass(frozen=True, slots=True)
+class _Moment:
+    """The filter as it was before an update, from where it can be run again."""
+
+    at_s: float
+    x: FloatArray
+    P: FloatArray
+    sensitivities: Sensitivities
+    update: _Update
+
+
 class CvFilter:
     """The Kalman filter of one vehicle over one or two axes, with the time that its state holds at.
+
+    Beside the covariance of what is new in each measurement it carries how far the lasting errors of others (a peer's GPS error,
+    the same for minutes) have entered the state: sensitivities, by vehicle (Schmidt's "consider" states). They change with the
+    same gains as the state, and average out only where the geometry makes them.
 
     Args:
         at_s: time of the state.
@@ -60,6 +91,8 @@ class CvFilter:
         velocity_mps: shape (axes,).
         velocity_variance: m^2/s^2 on each axis.
         density_m2ps3: spectral density of the white acceleration.
+        memory_s: measurements that come late by up to this are taken in as if they had come in order.
+        sensitivities: of the starting position to lasting errors, each of shape (axes, k).
 
     """
 
@@ -71,11 +104,17 @@ class CvFilter:
         velocity_mps: FloatArray,
         velocity_variance: float,
         density_m2ps3: float,
+        *,
+        memory_s: float,
+        sensitivities: Sensitivities = MappingProxyType({}),
     ) -> None:
         self.at_s = at_s
         self.axes = len(position_m)
         self._density = density_m2ps3
+        self._memory_s = memory_s
+        self._past: list[_Moment] = []
         place, speed = position_rows(self.axes), velocity_rows(self.axes)
+        self.sensitivities: Sensitivities = {vehicle: place.T @ one for vehicle, one in sensitivities.items()}
         self._filter = KalmanFilter(dim_x=2 * self.axes, dim_z=self.axes)
         self._filter.x = (place.T @ position_m + speed.T @ velocity_mps).reshape(-1, 1)
         self._filter.P = place.T @ position_covariance @ place + velocity_variance * speed.T @ speed
@@ -87,26 +126,20 @@ class CvFilter:
 
     @property
     def covariance(self) -> FloatArray:
-        """The state's covariance, shape (2 axes, 2 axes)."""
+        """The state's covariance without lasting errors, shape (2 axes, 2 axes)."""
         return np.asarray(self._filter.P)
 
     def widen(self, factor: float) -> None:
         """Multiply the covariance by a factor >= 1."""
         self._filter.P = self._filter.P * factor
+        # What led to the doubt is not to be run again without it.
+        self._past.clear()
 
     def add_position_variance(self, variance_m2: float) -> None:
         """Add to the variance of each position axis, m^2."""
         place = position_rows(self.axes)
         self._filter.P = self._filter.P + variance_m2 * place.T @ place
-
-    def propagate(self, to_s: float) -> FloatArray:
-        """Carry the state on to a later time, and return F, shape (2 axes, 2 axes); an earlier time changes nothing."""
-        dt_s = max(0.0, to_s - self.at_s)
-        F = transition(dt_s, self.axes)
-        if dt_s > 0.0:
-            self._filter.predict(F=F, Q=white_acceleration_noise(dt_s, self._density, self.axes))
-            self.at_s = to_s
-        return F
+        self._past.clear()
 
     def predicted(self, at_s: float) -> tuple[FloatArray, FloatArray]:
         """Return state, shape (2 axes,), and covariance, shape (2 axes, 2 axes), at any time, and leave the filter as it is.
@@ -118,35 +151,67 @@ class CvFilter:
         F = transition(dt_s, self.axes)
         return F @ self.state, F @ self.covariance @ F.T + white_acceleration_noise(abs(dt_s), self._density, self.axes)
 
+    def predicted_sensitivities(self, at_s: float) -> Sensitivities:
+        """Return the sensitivities of the state at any time, each of shape (2 axes, k)."""
+        F = transition(at_s - self.at_s, self.axes)
+        return {vehicle: F @ one for vehicle, one in self.sensitivities.items()}
+
     def innovation(self, z: FloatArray, R: FloatArray, H: FloatArray, at_s: float) -> tuple[FloatArray, FloatArray]:
         """Return the innovation, shape (m,), and its covariance, shape (m, m), of a measurement z = H x made at `at_s`."""
         state, covariance = self.predicted(at_s)
         return z - H @ state, H @ covariance @ H.T + R
 
-    def update(self, z: FloatArray, R: FloatArray, H: FloatArray, at_s: float) -> tuple[FloatArray, FloatArray]:
+    def is_too_late(self, at_s: float) -> bool:
+        """Whether a measurement made at `at_s` is older than the filter remembers."""
+        return at_s < self.at_s and (at_s < self.at_s - self._memory_s or not self._past or at_s < self._past[0].at_s)
+
+    def update(
+        self, z: FloatArray, R: FloatArray, H: FloatArray, at_s: float, sensitivities: Sensitivities = MappingProxyType({})
+    ) -> None:
         """Take in a measurement z = H x + noise of covariance R, made at `at_s`.
 
-        A newer one carries the filter on to its time. An older one is related to the present state by stepping back, and the
-        process noise of that step adds to R.
+        A newer one carries the filter on to its time. For an older one the filter is run again from before it, so that the
+        answer is that of ordered arrival.
 
         Args:
             z: shape (m,).
             R: shape (m, m).
             H: shape (m, 2 axes).
             at_s: when the measurement was made.
+            sensitivities: of z to lasting errors, each of shape (m, k).
 
-        Returns:
-            the gain K, shape (2 axes, m), and the H, shape (m, 2 axes), that it was used with.
+        Raises:
+            ValueError: it is too late (see `is_too_late`).
 
         """
-        self.propagate(at_s)
-        back_s = at_s - self.at_s
-        H_now = H @ transition(back_s, self.axes)
-        R_now = R + H @ white_acceleration_noise(-back_s, self._density, self.axes) @ H.T
+        if self.is_too_late(at_s):
+            raise ValueError(f"a measurement made at {at_s} s is too late for a filter at {self.at_s} s")
+        again: list[_Update] = []
+        while self._past and self._past[-1].update.at_s > at_s:
+            moment = self._past.pop()
+            self.at_s, self.sensitivities = moment.at_s, moment.sensitivities
+            self._filter.x, self._filter.P = moment.x, moment.P
+            again.insert(0, moment.update)
+        for one in (_Update(at_s, z, R, H, sensitivities), *again):
+            self._past.append(_Moment(self.at_s, self._filter.x, self._filter.P, self.sensitivities, one))
+            self._apply(one)
+        self._past = [moment for moment in self._past if moment.update.at_s >= self.at_s - self._memory_s]
+
+    def _apply(self, update: _Update) -> None:
+        dt_s = update.at_s - self.at_s
+        F = transition(dt_s, self.axes)
+        if dt_s > 0.0:
+            self._filter.predict(F=F, Q=white_acceleration_noise(dt_s, self._density, self.axes))
+            self.at_s = update.at_s
         # filterpy updates in Joseph form: the covariance stays positive definite.
-        self._filter.update(z.reshape(-1, 1), R=R_now, H=H_now)
+        self._filter.update(update.z.reshape(-1, 1), R=update.R, H=update.H)
         self._filter.P = 0.5 * (self._filter.P + self._filter.P.T)
-        return np.asarray(self._filter.K), H_now
+        K = np.asarray(self._filter.K)
+        keep = (np.eye(2 * self.axes) - K @ update.H) @ F
+        after = {vehicle: keep @ one for vehicle, one in self.sensitivities.items()}
+        for vehicle, one in update.sensitivities.items():
+            after[vehicle] = after.get(vehicle, 0.0) + K @ one
+        self.sensitivities = after
 
 
 def nis(innovation: FloatArray, covariance: FloatArray) -> float:

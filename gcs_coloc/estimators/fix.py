@@ -24,16 +24,17 @@ covariance is no longer that of the fix."""
 class Fix:
     """A position fix and what is known of its error.
 
-    `position_m` (2,), `covariance` (2, 2) m^2 of what is new in every epoch. `systematic` gives for each vehicle whose lasting
-    error enters the fix, the sensitivity (2, k) of the fix to it and its covariance (k, k), m^2: k = 3 (east, north, up) for a
-    peer, 1 (up) for the vehicle itself.
+    `position_m` (2,), `covariance` (2, 2) m^2 of what is new in every epoch. For each vehicle whose lasting error enters the fix,
+    `sensitivities` gives how (2, k), and `lasting` its covariance (k, k), m^2: k = 3 (east, north, up) for a peer, 1 (up) for the
+    vehicle itself.
     """
 
     peers: tuple[int, ...]
     position_m: FloatArray
     covariance: FloatArray
     hdop: float
-    systematic: dict[int, tuple[FloatArray, FloatArray]]
+    sensitivities: dict[int, FloatArray]
+    lasting: dict[int, FloatArray]
 
 
 def solve(
@@ -61,7 +62,7 @@ def solve(
     candidates = sorted(circles, key=lambda one: (one.squared_variance_m4, one.peer))[:_CANDIDATES]
     triples = np.array(list(combinations(range(len(candidates)), 3)))
     centres = np.array([one.centre_m for one in candidates])[triples]
-    covariances = np.array([one.centre_covariance + one.systematic_covariance[:2, :2] for one in candidates])[triples]
+    covariances = np.array([one.centre_covariance + one.lasting_covariance[:2, :2] for one in candidates])[triples]
     largest_sigma = np.sqrt(np.trace(covariances, axis1=-2, axis2=-1).max(axis=-1))
     well_shaped = (trilateration.flatness(centres) >= min_flatness) & (
         trilateration.triangle_height_m(centres) >= _HEIGHT_TO_SIGMA * largest_sigma
@@ -116,13 +117,16 @@ def _fix(
     # A squared range error of 1 m^2 moves the fix by a gain; a peer's error of delta is one of 2 (offset)' delta, and the
     # vehicle's own height enters all three with the opposite sign.
     gains = trilateration.gains(centres)
-    systematic = {one.peer: (np.outer(gains[:, i], 2.0 * offsets[i]), one.systematic_covariance) for i, one in enumerate(chosen)}
-    systematic[vehicle] = (gains @ (-2.0 * heights)[:, np.newaxis], np.array([[height_variance_m2]]))
+    sensitivities = {one.peer: np.outer(gains[:, i], 2.0 * offsets[i]) for i, one in enumerate(chosen)}
+    sensitivities[vehicle] = gains @ (-2.0 * heights)[:, np.newaxis]
+    lasting = {one.peer: one.lasting_covariance for one in chosen}
+    lasting[vehicle] = np.array([[height_variance_m2]])
     white = np.array([one.centre_covariance for one in chosen])
     return Fix(
         peers=tuple(one.peer for one in chosen),
         position_m=fix_m,
         covariance=trilateration.corrected_covariance(centres, at_m, range_covariance, white),
         hdop=float(horizontal_dilution(offsets / np.linalg.norm(offsets, axis=-1, keepdims=True))),
-        systematic=systematic,
+        sensitivities=sensitivities,
+        lasting=lasting,
     )

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Collection, Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -29,12 +28,13 @@ from gcs_coloc.core.measurements import (
     Residual,
     Unknown,
 )
-from gcs_coloc.estimators import fix as fixing
 from gcs_coloc.estimators.checks import is_sound
-from gcs_coloc.estimators.circles import Circle, make_circle, range_residual
-from gcs_coloc.estimators.cv import CvFilter, density, transition
+from gcs_coloc.estimators.circles import range_residual
+from gcs_coloc.estimators.cv import CvFilter, density, position_rows
+from gcs_coloc.estimators.epoch_fix import circles_of, fix_of
 from gcs_coloc.estimators.epochs import Epoch, EpochGatherer
-from gcs_coloc.estimators.gating import NisGate, threshold
+from gcs_coloc.estimators.fix import Fix
+from gcs_coloc.estimators.gating import NisGate
 from gcs_coloc.estimators.qu_zhang_settings import QuZhangSettings
 from gcs_coloc.estimators.subject import CONFIRMATIONS, Subject
 from gcs_coloc.estimators.track import Track
@@ -99,7 +99,8 @@ class QuZhang:
         reason = self._why_unknown(track, subject, at_s)
         if reason is not None or track is None or track.horizontal is None or track.vertical is None:
             return Unknown(vehicle, at_s, reason or "no position yet")
-        state, covariance = self._horizontal(track, track.horizontal, subject, at_s)
+        state, _ = track.horizontal.predicted(at_s)
+        covariance = self._covariance(track, track.horizontal, subject, at_s)
         vertical_state, vertical_covariance = track.vertical.predicted(at_s)
         vertical_covariance[0, 0] += track.sigma_v_m**2
         sigma_m = _largest_sigma(covariance)
@@ -137,7 +138,7 @@ class QuZhang:
             NisGate(settings.gate_probability, settings.gate_patience),
         )
         track = self._tracks.get(vehicle)
-        fresh = track is not None and at_s - track.position_at_s <= settings.max_prediction_s
+        fresh = track is not None and track.position_age_s(at_s) <= settings.max_prediction_s
         if track is not None and track.horizontal is not None and fresh:
             # Its receiver's lasting error stays in the state that the ranges take over.
             track.horizontal.add_position_variance(track.sigma_h_m**2)
@@ -155,11 +156,12 @@ class QuZhang:
                 density(settings.q_vertical_m2ps2, PAPER_STEP_S),
                 settings.gate_probability,
                 settings.gate_patience,
+                settings.late_window_s,
             )
         return self._tracks[vehicle]
 
     def _is_late(self, one: CvFilter | None, measured_at_s: float) -> bool:
-        late = one is not None and measured_at_s < one.at_s - self._settings.late_window_s
+        late = one is not None and one.is_too_late(measured_at_s)
         self._counts["too late"] += late
         return late
 
@@ -169,8 +171,7 @@ class QuZhang:
             self._counts["position of a vehicle without GPS"] += 1
             return
         track = self._track(vehicle)
-        gap_s = measurement.measured_at_s - track.position_at_s
-        if vehicle in self._former or gap_s > self._settings.max_prediction_s:
+        if vehicle in self._former or track.position_age_s(measurement.measured_at_s) > self._settings.max_prediction_s:
             self._former.pop(vehicle, None)
             track.start(measurement)
             self._counts["position used"] += 1
@@ -208,10 +209,12 @@ class QuZhang:
             track.horizontal = None
         if self._is_late(track.horizontal, at_s):
             return
-        circles, reasons = self._circles(track, epoch, at_s)
+        peers = {peer: one for peer, one in self._tracks.items() if peer not in self._former and peer not in self._subjects}
+        circles, reasons = circles_of(epoch, track, peers, at_s, self._settings)
+        self._counts["range to a peer without a fresh position"] += len(reasons)
         predicted = None if track.horizontal is None else track.horizontal.predicted(at_s)
-        solution = self._solve(vehicle, track, circles, None if predicted is None else predicted[0][[0, 2]], at_s)
-        fix: fixing.Fix | None = None
+        solution = fix_of(vehicle, track, circles, None if predicted is None else predicted[0][[0, 2]], at_s, self._settings)
+        fix: Fix | None = None
         if isinstance(solution, str):
             refused: str | None = "; ".join([solution, *reasons])
         else:
@@ -225,86 +228,44 @@ class QuZhang:
             if predicted is not None:
                 self._residuals.append(range_residual(vehicle, one, predicted, epoch.ranges[one.peer].measured_at_s, verdict))
 
-    def _use(self, vehicle: int, track: Track, subject: Subject, fix: fixing.Fix, at_s: float) -> str | None:
+    def _use(self, vehicle: int, track: Track, subject: Subject, fix: Fix, at_s: float) -> str | None:
         """Give a fix to the filter, or start it; return the reason why it was refused, if it was."""
         if track.horizontal is None:
             if _largest_sigma_2d(fix.covariance) > self._settings.max_sigma_m:
                 return "the geometry is too poor to start from"
-            track.start_horizontal(at_s, fix.position_m, fix.covariance)
+            track.start_horizontal(at_s, fix.position_m, fix.covariance, sensitivities=fix.sensitivities)
             subject.start(fix, at_s)
             return None
-        nis, innovation_m, sigma_m = subject.judge(track.horizontal, fix, fix.covariance, at_s)
+        nis, innovation_m, sigma_m = subject.judge(track.horizontal, fix, at_s)
         verdict = subject.gate.judge(nis, 2)
         refused = None if verdict.accepted else f"the fix is {innovation_m:.0f} m from the prediction (NIS {nis:.0f})"
         if verdict.accepted:
-            subject.take(track.horizontal, fix, fix.covariance, at_s)
-        else:
+            track.horizontal.update(fix.position_m, fix.covariance, position_rows(2), at_s, fix.sensitivities)
+            subject.accept(fix, at_s)
+        elif verdict.inflation > 1.0:
             track.horizontal.widen(verdict.inflation)
         self._residuals.append(Residual(vehicle, None, at_s, innovation_m, sigma_m, nis, 2, refused))
         return refused
 
-    def _solve(
-        self, vehicle: int, track: Track, circles: list[Circle], predicted_m: FloatArray | None, at_s: float
-    ) -> fixing.Fix | str:
-        """Return the fix with the covariance that the settings choose, or the reason why there is none."""
-        settings = self._settings
-        if track.vertical is None:
-            return "no height of its own"
-        fix = fixing.solve(
-            vehicle,
-            circles,
-            predicted_m,
-            float(track.vertical.predicted(at_s)[1][0, 0]) + track.sigma_v_m**2,
-            min_flatness=settings.min_flatness,
-            misclosure_limit=threshold(settings.gate_probability, 1),
-        )
-        if isinstance(fix, str):
-            return fix
-        if not settings.lasting_peer_errors:
-            fix = replace(fix, systematic={})
-        if settings.covariance == "constant":
-            return replace(fix, covariance=settings.constant_sigma_m**2 * np.eye(2))
-        if settings.covariance == "published":
-            published = fixing.published_covariance(fix, circles, predicted_m)
-            if not np.isfinite(published).all():
-                return "two peers are seen in one direction"
-            return replace(fix, covariance=published)
-        return fix
-
-    def _circles(self, track: Track, epoch: Epoch, at_s: float) -> tuple[list[Circle], list[str]]:
-        """Return the circles of the epoch's usable ranges, and why others are not usable."""
-        circles, reasons = [], []
-        for peer, measurement in sorted(epoch.ranges.items()):
-            peer_track = self._tracks.get(peer)
-            age_s = math.inf if peer_track is None else measurement.measured_at_s - peer_track.position_at_s
-            if peer_track is None or peer in self._former or age_s > self._settings.peer_age_limit_s:
-                reasons.append(f"vehicle {peer} has no fresh position")
-                self._counts["range to a peer without a fresh position"] += 1
-            elif track.vertical is not None:
-                circles.append(make_circle(peer, measurement, peer_track, track, at_s, self._settings.lasting_peer_errors))
-        return circles, reasons
-
-    def _horizontal(
-        self, track: Track, horizontal: CvFilter, subject: Subject | None, at_s: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return state (4,) and covariance (4, 4) at a time, with the lasting errors that the filter takes as white."""
-        state, covariance = horizontal.predicted(at_s)
+    def _covariance(self, track: Track, horizontal: CvFilter, subject: Subject | None, at_s: float) -> FloatArray:
+        """Return the covariance (4, 4) of the horizontal state at a time, lasting errors included."""
         if subject is not None:
-            return state, covariance + subject.systematic_covariance(transition(at_s - horizontal.at_s, 2))
+            return subject.covariance(horizontal, at_s)
+        covariance = horizontal.predicted(at_s)[1]
         if self._settings.lasting_peer_errors:
             covariance[[0, 2], [0, 2]] += track.sigma_h_m**2
-        return state, covariance
+        return covariance
 
     def _is_lost(self, track: Track, horizontal: CvFilter, subject: Subject, at_s: float) -> bool:
         """Whether nothing is left of the prediction that a new fix could be judged by."""
         too_long = at_s - subject.last_fix_s > self._settings.max_prediction_s
-        return too_long or _largest_sigma(self._horizontal(track, horizontal, subject, at_s)[1]) > self._settings.max_sigma_m
+        return too_long or _largest_sigma(self._covariance(track, horizontal, subject, at_s)) > self._settings.max_sigma_m
 
     def _why_unknown(self, track: Track | None, subject: Subject | None, at_s: float) -> str | None:
         if subject is None:
             if track is None or track.horizontal is None:
                 return "no position yet"
-            age_s = at_s - track.position_at_s
+            age_s = track.position_age_s(at_s)
             return f"no position for {age_s:.1f} s" if age_s > self._settings.max_prediction_s else None
         if track is None or track.horizontal is None:
             return _with_cause("not located yet", subject)

@@ -22,8 +22,8 @@ class QuZhangSettings:
         q_vertical_m2ps2: the same for the height; the default fits climbs that change by about 1 m/s in a second.
         epoch_window_s: ranges that were measured within this time make one fix.
         epoch_wait_s: an incomplete epoch is closed this long after its first range arrived.
-        late_window_s: measurements older than the filter by more than this are dropped; younger late ones are taken in by
-            stepping the state back.
+        late_window_s: measurements older than their filter by more than this are dropped; younger late ones count as if they
+            had come in order.
         peer_age_limit_s: a peer without a position for longer is not used.
         min_flatness: least height over longest side of the peers' triangle.
         gate_probability: of accepting a measurement that agrees with its stated noise.

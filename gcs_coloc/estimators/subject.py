@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.estimators.cv import CvFilter, nis, position_rows
+from gcs_coloc.estimators.cv import CvFilter, Sensitivities, nis, position_rows
 from gcs_coloc.estimators.epochs import EpochGatherer
 from gcs_coloc.estimators.fix import Fix
 from gcs_coloc.estimators.gating import NisGate
@@ -21,8 +21,8 @@ CONFIRMATIONS = 3
 class Subject:
     """State of one vehicle without GPS beside its filters.
 
-    `systematic` holds for each vehicle whose lasting error has entered, the sensitivity (4, k) of the state to it and its
-    covariance (k, k): a Schmidt ("consider") part of the covariance, which shrinks only as its sensitivity does.
+    `lasting` holds the covariance (k, k) of the lasting error of each vehicle that has entered the filter; the filter holds how
+    far it has.
     `reason` says in words why the last epoch gave no fix, and is None if it gave one.
     """
 
@@ -33,51 +33,44 @@ class Subject:
     reason: str | None = "no ranges yet"
     peers: tuple[int, ...] = ()
     hdop: float = math.inf
-    systematic: dict[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+    lasting: dict[int, FloatArray] = field(default_factory=dict)
 
-    def judge(self, horizontal: CvFilter, fix: Fix, R: FloatArray, at_s: float) -> tuple[float, float, float]:
-        """Return NIS, innovation length and its sigma, m, of a fix of covariance R (2, 2) against the filter's prediction.
+    def judge(self, horizontal: CvFilter, fix: Fix, at_s: float) -> tuple[float, float, float]:
+        """Return NIS, innovation length and its sigma, m, of a fix against the filter's prediction.
 
-        Filter and fix share the peers' lasting errors: their difference carries the difference of the sensitivities only.
+        Filter and fix share the peers' lasting errors: only the difference of the sensitivities shows between them.
         """
         H = position_rows(2)
-        innovation, S = horizontal.innovation(fix.position_m, R, H, at_s)
-        differences = {vehicle: (H @ sensitivity, B) for vehicle, (sensitivity, B) in self.systematic.items()}
-        for vehicle, (of_fix, B) in fix.systematic.items():
-            of_state = differences[vehicle][0] if vehicle in differences else np.zeros_like(of_fix)
-            differences[vehicle] = (of_state - of_fix, B)
-        for difference, B in differences.values():
-            S = S + difference @ B @ difference.T
+        innovation, S = horizontal.innovation(fix.position_m, fix.covariance, H, at_s)
+        differences = {vehicle: H @ one for vehicle, one in horizontal.predicted_sensitivities(at_s).items()}
+        for vehicle, one in fix.sensitivities.items():
+            differences[vehicle] = differences.get(vehicle, 0.0) - one
+        S = S + lasting_covariance(differences, {**self.lasting, **fix.lasting}, 2)
         return nis(innovation, S), float(np.linalg.norm(innovation)), float(np.sqrt(np.trace(S)))
 
-    def take(self, horizontal: CvFilter, fix: Fix, R: FloatArray, at_s: float) -> None:
-        """Update the filter with a fix, and the sensitivities with it."""
-        F = horizontal.propagate(at_s)
-        K, H = horizontal.update(fix.position_m, R, position_rows(2), at_s)
-        keep = (np.eye(4) - K @ H) @ F
-        self.systematic = {vehicle: (keep @ sensitivity, B) for vehicle, (sensitivity, B) in self.systematic.items()}
-        for vehicle, (of_fix, B) in fix.systematic.items():
-            before = self.systematic[vehicle][0] if vehicle in self.systematic else 0.0
-            self.systematic[vehicle] = (before + K @ of_fix, B)
-        self._remember(fix, at_s)
-
-    def start(self, fix: Fix, at_s: float) -> None:
-        """Take a fix that the filter has been started from."""
-        place = position_rows(2).T
-        self.systematic = {vehicle: (place @ of_fix, B) for vehicle, (of_fix, B) in fix.systematic.items()}
-        self.confirmations = 0
-        self.gate.refused_in_a_row = 0
-        self._remember(fix, at_s)
-
-    def systematic_covariance(self, F: FloatArray) -> FloatArray:
-        """Return the lasting part of the covariance, shape (4, 4), after a transition F (4, 4)."""
-        total = np.zeros((4, 4))
-        for sensitivity, B in self.systematic.values():
-            total += F @ sensitivity @ B @ sensitivity.T @ F.T
-        return total
-
-    def _remember(self, fix: Fix, at_s: float) -> None:
+    def accept(self, fix: Fix, at_s: float) -> None:
+        """Remember a fix that the filter has taken."""
+        self.lasting.update(fix.lasting)
         self.last_fix_s = max(self.last_fix_s, at_s)
         self.confirmations += 1
         self.reason = None
         self.peers, self.hdop = fix.peers, fix.hdop
+
+    def start(self, fix: Fix, at_s: float) -> None:
+        """Remember a fix that the filter has been started from."""
+        self.confirmations = 0
+        self.gate.refused_in_a_row = 0
+        self.accept(fix, at_s)
+
+    def covariance(self, horizontal: CvFilter, at_s: float) -> FloatArray:
+        """Return the covariance, shape (4, 4), of the predicted state at a time, with the lasting errors in it."""
+        white = horizontal.predicted(at_s)[1]
+        return white + lasting_covariance(horizontal.predicted_sensitivities(at_s), self.lasting, 4)
+
+
+def lasting_covariance(sensitivities: Sensitivities, lasting: dict[int, FloatArray], rows: int) -> FloatArray:
+    """Return the covariance, shape (rows, rows), that independent lasting errors (k, k) cause through sensitivities (rows, k)."""
+    total = np.zeros((rows, rows))
+    for vehicle, one in sensitivities.items():
+        total += one @ lasting[vehicle] @ one.T
+    return total
