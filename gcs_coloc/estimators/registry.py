@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import sys
 import types
 import typing
 from collections.abc import Mapping
@@ -78,13 +79,17 @@ def _load_file(path: str) -> types.ModuleType:
     file = Path(path).expanduser()
     if not file.is_file():
         raise EstimatorError(f"there is no estimator file {path}")
-    spec = importlib.util.spec_from_file_location(file.stem, file)
+    # The full path as the module's name: two files of one name do not meet, and nothing installed is hidden.
+    spec = importlib.util.spec_from_file_location(str(file.resolve()), file)
     if spec is None or spec.loader is None:
         raise EstimatorError(f"cannot import estimator file {path}")
     module = importlib.util.module_from_spec(spec)
+    # Dataclasses look their own module up while they are made.
+    sys.modules[spec.name] = module
     try:
         spec.loader.exec_module(module)
     except Exception as error:  # a plug-in's import can raise anything
+        del sys.modules[spec.name]
         raise EstimatorError(f"cannot import estimator file {path}: {_described(error)}") from error
     return module
 
