@@ -7,17 +7,20 @@ import logging
 import signal
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from rich.console import Console
 
 from gcs_coloc.config import Settings
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import ClockReference, GpsInput, GpsWord, OperatorWord, RouteReport, StreamRequest, ToVehicle
+from gcs_coloc.core.messages import ClockReference, GpsWord, Notice, OperatorWord, RouteReport, ToVehicle
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.address import parse
 from gcs_coloc.links.base import Address, Link
 from gcs_coloc.links.factory import make_link
-from gcs_coloc.links.routes import Blocked, RouteTable
+from gcs_coloc.links.refusals import Refusals
+from gcs_coloc.links.routes import Blocked, Route, RouteTable
+from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.decoder import Decoder, Frame
 from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.sinks import console as console_sink
@@ -27,6 +30,7 @@ log = logging.getLogger("gcs_coloc")
 
 _VIEW_EVERY_S = 0.5
 _HEARTBEAT_EVERY_S = 1.0
+_REFUSALS_EVERY_S = 10.0
 _EARLIEST_PLAUSIBLE_UNIX_S = 1_704_067_200.0  # 2024-01-01: a host that says less has no clock battery and no time yet
 
 
@@ -41,6 +45,10 @@ class Service:
         self._routes = RouteTable()
         self._links = [make_link(parse(text), self._on_datagram, clock) for text in settings.links]
         self._engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
+        self._counts = Counts()
+        self._refusals = Refusals(
+            [self._decoder.counts, self._routes.counts, self._counts, *(link.counts for link in self._links)]
+        )
         self._hub = Hub()
         self._timer: asyncio.TimerHandle | None = None
         self._stopping = asyncio.Event()
@@ -70,6 +78,7 @@ class Service:
                     group.create_task(console_sink.show(self._hub.subscribe(), console)),
                     group.create_task(self._every(_VIEW_EVERY_S, self._publish_view)),
                     group.create_task(self._every(_HEARTBEAT_EVERY_S, self._each_second)),
+                    group.create_task(self._every(_REFUSALS_EVERY_S, self._tell_refusals)),
                 ]
                 self._wake()
                 await self._stopping.wait()
@@ -114,7 +123,7 @@ class Service:
     def _poll(self) -> None:
         self._timer = None
         for output in self._engine.poll(self._clock()):
-            if isinstance(output, GpsInput | StreamRequest):
+            if isinstance(output, ToVehicle):
                 self._send(output)
             else:
                 self._hub.publish(output)
@@ -125,7 +134,12 @@ class Service:
         # Asked again for every message: an address that came to be shared a moment ago must get nothing.
         if isinstance(route, Blocked):
             return
-        route.link.send(route.address, self._encoder.encode(output, route))
+        try:
+            payload = self._encoder.encode(output, route)
+        except ValueError:
+            self._counts.add("output that no message can hold")
+            return
+        route.link.send(route.address, payload)
 
     async def _every(self, period_s: float, act: Callable[[], None]) -> None:
         while True:
@@ -133,17 +147,21 @@ class Service:
             await asyncio.sleep(period_s)
 
     def _publish_view(self) -> None:
-        self._hub.publish(self._engine.view(self._clock()))
+        view = self._engine.view(self._clock())
+        self._hub.publish(replace(view, refused=view.refused | self._refusals.totals()))
+
+    def _tell_refusals(self) -> None:
+        text = self._refusals.news()
+        if text is not None:
+            self._hub.publish(Notice(self._clock(), None, "warning", text))
 
     def _each_second(self) -> None:
         now_s, unix_s = self._clock(), time.time()
         offset_s = unix_s - now_s if unix_s >= _EARLIEST_PLAUSIBLE_UNIX_S else None
         self._engine.receive(ClockReference(now_s, offset_s))
-        for vehicle in self._engine.fleet:
-            route = self._routes.route(vehicle.sysid, now_s)
-            if not isinstance(route, Blocked):
-                route.link.send(route.address, self._encoder.heartbeat(route))
-        for link in self._links:
-            # A vehicle or router may wait for our first frame before it sends any.
-            if link.remote is not None:
-                link.send(link.remote, self._encoder.heartbeat((link.name, link.remote)))
+        routes = (self._routes.route(vehicle.sysid, now_s) for vehicle in self._engine.fleet)
+        # A vehicle or router may wait for our first frame before it sends any, hence the links' remotes.
+        greeted = {route for route in routes if isinstance(route, Route)}
+        greeted |= {Route(link, link.remote) for link in self._links if link.remote is not None}
+        for route in greeted:
+            route.link.send(route.address, self._encoder.heartbeat(route))

@@ -1,0 +1,42 @@
+"""What the links and the decoder have refused: totals for observers, and now and then a line for the operator."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+# Part of every healthy day: other programs' messages, our own frames come back, radios that deliver twice.
+_QUIET = frozenset({"not_wanted", "unknown_message", "echo", "duplicate"})
+_MENDS = {
+    "address_conflict": "two senders use one system id: give every vehicle its own (SYSID_THISMAV or MAV_SYSID)",
+    "route_table_full": "more senders than there is room for: is something flooding the link?",
+}
+
+
+class Refusals:
+    """Looks at several counts by reason."""
+
+    def __init__(self, sources: Sequence[Mapping[str, int]]) -> None:
+        self._sources = sources
+        self._told: Counter[str] = Counter()
+
+    def totals(self) -> dict[str, int]:
+        """How often each reason occurred since the start, those of a healthy day left out."""
+        return dict(self._sum())
+
+    def news(self) -> str | None:
+        """What has been refused since the last call, in one line with the mend where there is one; None where nothing was."""
+        now = self._sum()
+        grown = now - self._told
+        self._told = now
+        if not grown:
+            return None
+        items = ", ".join(f"{reason} {times}" for reason, times in grown.most_common(6))
+        mends = "; ".join(_MENDS[reason] for reason in grown if reason in _MENDS)
+        return f"refused on the links: {items}" + (f" ({mends})" if mends else "")
+
+    def _sum(self) -> Counter[str]:
+        total: Counter[str] = Counter()
+        for source in self._sources:
+            total.update({reason: times for reason, times in source.items() if reason not in _QUIET})
+        return total
