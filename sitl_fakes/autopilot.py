@@ -22,6 +22,7 @@ class Autopilot:
         self._params = params
         self._guidance = guidance
         self._heading_to_hold: float | None = None
+        self._last_used = 0
 
     def receive_own_fix(self, fix: GpsFix, at_s: float) -> None:
         """Take a message of the aircraft's own receiver."""
@@ -40,6 +41,7 @@ class Autopilot:
         self.in_use = receiver_in_use(self.receivers, self._params, at_s, self.in_use)
         if instance == self.in_use and refusal(receiver, self._params, at_s) is None:
             self.navigation.correct(fix, at_s)
+            self._last_used = instance
 
     def heading_command_rad(self, air: AirData, at_s: float, step_s: float) -> float:
         """Carry the estimate over one step and return the heading to fly, rad; without a position, the present heading is
@@ -61,8 +63,8 @@ class Autopilot:
             return "none"
         if self.navigation.since_position_s(at_s) > _SOURCE_HOLDS_S:
             return "dead_reckoning"
-        name = f"gps{self.in_use + 1}"
-        return f"{name} injected" if is_injected(self.in_use, self._params) else name
+        name = f"gps{self._last_used + 1}"
+        return f"{name} injected" if is_injected(self._last_used, self._params) else name
 
     def own_gps_in_use(self, at_s: float) -> bool:
         """Whether the aircraft's own receiver is the one in use, and used."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import count
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -65,6 +66,7 @@ class Vehicle:
     def _start_autopilot(self, at_s: float) -> None:
         self.autopilot = Autopilot(self.params, self._guidance)
         self._mav = mavlink.MAVLink(None, srcSystem=self.sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._sequence = count()
         self.streams = Streams(stream(self._seed, Purpose.PHASES, self.sysid), at_s, self._scenario.truth_messages)
 
     @property
@@ -125,10 +127,12 @@ class Vehicle:
             self._booting_until_s = None
             self._start_autopilot(at_s)
 
+    def _next_sequence(self) -> int:
+        return next(self._sequence) % 256
+
     def _pack(self, message: Any) -> bytes:
-        frame = bytes(message.pack(self._mav))
-        self._mav.seq = (self._mav.seq + 1) % 256
-        return frame
+        self._mav.seq = self._next_sequence()
+        return bytes(message.pack(self._mav))
 
     def snapshot(self, at_s: float) -> Snapshot:
         """Return what telemetry is made from, now."""
@@ -183,12 +187,11 @@ class Vehicle:
         common: dict[str, Any] = {
             "sysid": self.sysid,
             "compid": mavlink.MAV_COMP_ID_AUTOPILOT1,
-            "frame_sequence": self._mav.seq,
+            "frame_sequence": self._next_sequence(),
             "time_usec": round(time_s * 1e6),
             "peer_system": sample.peer,
             "range_m": sample.range_m,
             "range_std_m": sample.stated_sigma_m,
             "sequence": sample.sequence,
         }
-        self._mav.seq = (self._mav.seq + 1) % 256
         return peer_range_frame(**common) if ranging.message == "peer_range" else ranging_beacon_frame(**common)

@@ -108,7 +108,9 @@ def test_with_auto_switch_4_a_healthy_receiver_is_kept_and_with_1_a_better_looki
 
 def test_a_stopped_stream_lingers_for_four_seconds_and_then_the_plane_dead_reckons():
     fleet, _ = flown()
-    out = fleet.advance(18.0)
+    out = fleet.advance(12.9)
+    assert fleet.truth()[1].source == "gps2 injected"
+    out += fleet.advance(18.0)
     fixes = [m.fix_type for m in parse(out, "GPS2_RAW", 1)]
     assert fixes.count(3) == pytest.approx(20, abs=1)
     assert fixes[-5:] == [1] * 5
