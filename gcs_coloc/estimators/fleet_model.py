@@ -1,6 +1,8 @@
-"""The fleet as the filter knows it, fed in the order of measuring: who is a subject, who is in which cluster, who is used as a peer.
+"""The fleet as the filter knows it, fed in the order of measuring: who is a subject, who is in which cluster, who is used as a
+peer.
 
-Only vehicles that a subject ranges have states in a filter. Of any other healthy vehicle only a few recent reports are kept, from which
+Only vehicles that a subject ranges have states in a filter. Of any other healthy vehicle only a few recent reports are kept,
+from which
 a filter for it is started at the moment when it is needed.
 """
 

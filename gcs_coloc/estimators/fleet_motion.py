@@ -22,8 +22,10 @@ BARO_ERROR = 10
 REPORT_ERROR = slice(11, 14)
 STAMP_ERROR = 14
 SIZE = 15
-"""The block of one vehicle: position and velocity (3 each, ENU), wind (east, north), errors of airspeed (m/s), heading (rad), barometric
-height (m), position reports (3, m) and their time stamps (s: reports are of this much later than they say). A fixed anchor has a block of its position alone."""
+"""The block of one vehicle: position and velocity (3 each, ENU), wind (east, north), errors of airspeed (m/s), heading (rad),
+barometric
+height (m), position reports (3, m) and their time stamps (s: reports are of this much later than they say). A fixed anchor has
+a block of its position alone."""
 
 GRAVITY_MPS2 = 9.80665
 _LEAST_TURN_RAD = 1e-4

@@ -1,6 +1,7 @@
 """How much of a stream's error is white and how much is slow, told from the stream itself.
 
-A receiver states how large its error is, never how it is spread over time. White noise of the stated size makes each report differ
+A receiver states how large its error is, never how it is spread over time. White noise of the stated size makes each report
+differ
 from the smooth curve through its predecessors; the error of a navigation filter's output, or of a receiver's fix, hardly does,
 for it drifts over minutes. So: what the reports are seen to scatter is white, the rest of what was stated is slow. To take
 slow error for white makes a filter overconfident within seconds; so whiteness has to be proven, and manoeuvres count against it.
@@ -10,17 +11,21 @@ from __future__ import annotations
 
 import math
 
-_MEMORY_SAMPLES = 300.0
+_MEMORY_SAMPLES = 1000.0
 _PROOF_SAMPLES = 10.0
 _LONGEST_GAP_S = 2.0
 _JERK_MPS3 = 3.0
 _MOST_SIGMAS = 4.0
+_OVERLAP = 2.3
+"""How much more the variance of third differences scatters than that of independent values: the sum of their squared
+correlations.
+"""
 
 Values = tuple[float, ...]
 
 
 class Whiteness:
-    """Estimates the variance of the white part of one stream of k values measured together. Immutable in its parts: copy freely."""
+    """Estimates the variance of the white part of one stream of k values measured together. Immutable in its parts: copy freely.
 
     __slots__ = ("_history", "_sum_m2", "_weight")
 
@@ -62,5 +67,7 @@ class Whiteness:
     def split(self, sigma_m: float, least_slow_share: float) -> tuple[float, float]:
         """Return the sigmas (white, slow) in metres of a report with the stated sigma."""
         white_m2 = max(self._sum_m2, 0.0) / (self._weight + _PROOF_SAMPLES)
-        slow_m2 = max(sigma_m * sigma_m - white_m2, (least_slow_share * sigma_m) ** 2)
+        # Two standard errors of a variance told from overlapping differences: a stream that may well be white is taken for white.
+        likely_m2 = white_m2 * (1.0 + 2.0 * math.sqrt(_OVERLAP * 2.0 / max(self._weight, 1.0)))
+        slow_m2 = max(sigma_m * sigma_m - likely_m2, (least_slow_share * sigma_m) ** 2)
         return math.sqrt(max(white_m2, (0.05 * sigma_m) ** 2)), math.sqrt(slow_m2)

@@ -13,18 +13,22 @@ class FleetSettings:
 
     Motion: `acceleration_density_m2ps3` (horizontal) and `climb_density_m2ps3` (vertical) hold in steady flight; the
     horizontal one is multiplied by up to `manoeuvre_gain` as far as the measurements ask for more velocity corrections, over
-    `manoeuvre_memory_s`, than steady flight explains. `aided_density_m2ps3` holds beyond the turn that a fresh bank angle explains,
+    `manoeuvre_memory_s`, than steady flight explains. `aided_density_m2ps3` holds beyond the turn that a fresh bank angle
+    explains,
     up to an error of `turn_share` of its sideways acceleration.
 
     Air data: `wind_sigma_mps` is the spread of the horizontal wind, which changes over `wind_time_s`; `airspeed_sigma_mps` and
-    `heading_sigma_rad` are slow errors of airspeed and heading over `air_error_time_s`; `air_noise_mps` is their fast part (gusts,
+    `heading_sigma_rad` are slow errors of airspeed and heading over `air_error_time_s`; `air_noise_mps` is their fast part
+    (gusts,
     sideslip), correlated over `air_noise_time_s`. An attitude is used for `attitude_fresh_s`.
 
-    Reports of position: the part of their error that is not seen to be white is slow, over `report_error_time_s`, and never less than
+    Reports of position: the part of their error that is not seen to be white is slow, over `report_error_time_s`, and never
+    less than
     `least_slow_share` of the stated sigma. A barometric height has the same treatment with `baro_error_time_s`.
     `stamp_sigma_s` is the error of time stamps, slow over `stamp_error_time_s` in one vehicle's reports.
 
-    Ranges: each pair has a bias of `range_bias_sigma_m` that changes over `range_bias_time_s`, and as far as its ranges are not seen to
+    Ranges: each pair has a bias of `range_bias_sigma_m` that changes over `range_bias_time_s`, and as far as its ranges are not
+    seen to
     scatter as stated, up to `range_slow_share` of the stated sigma comes again for `range_slow_time_s` (multipath, antennas).
     An innovation beyond `gate_sigma` is refused, one beyond `doubt_sigma` counts less.
 
@@ -56,12 +60,12 @@ class FleetSettings:
     baro_error_time_s: float = 300.0
     stamp_sigma_s: float = 0.03
     stamp_error_time_s: float = 100.0
-    range_bias_sigma_m: float = 0.02
+    range_bias_sigma_m: float = 0.01
     range_bias_time_s: float = 300.0
     range_slow_share: float = 0.5
     range_slow_time_s: float = 1.0
-    gate_sigma: float = 5.0
-    doubt_sigma: float = 2.5
+    gate_sigma: float = 4.0
+    doubt_sigma: float = 2.0
     peers_per_subject: int = 8
     peer_fresh_s: float = 5.0
     peer_kept_s: float = 30.0

@@ -37,7 +37,7 @@ class StartProblem:
         self._heights: list[tuple[float, float, float]] = []
 
     def add_range(self, peer: int, near: PositionMeasurement, past: list[PositionMeasurement], m: RangeMeasurement) -> None:
-        """Take a range with the peer's report nearest in time, carried over by its velocity (stated, or told from past reports)."""
+        """Take a range with the peer's report nearest in time, carried over by its velocity (stated, or told from past reports).
         velocity = near.velocity_enu_mps or _slope(past)
         step_s = m.measured_at_s - near.measured_at_s
         e, n, u = (x + v * step_s for x, v in zip(near.position_enu_m, velocity, strict=True))
@@ -64,7 +64,7 @@ class StartProblem:
     def heights(self) -> FloatArray:
         """Return (m, 3): time s, height, sigma widened so that all of them together tell what one does: their error is slow."""
         widen = math.sqrt(max(len(self._heights), 1))
-        return np.array([(t, u, sigma * widen) for t, u, sigma in self._heights]).reshape(-1, 3)
+        return np.array([(t, u, sigma * widen) for t, u, sigma in self._heights], dtype=np.float64).reshape(-1, 3)
 
 
 def _slope(past: list[PositionMeasurement]) -> tuple[float, float, float]:
@@ -127,7 +127,7 @@ def _starting_points(ranges: FloatArray, heights: FloatArray) -> FloatArray:
     order = np.argsort(rough, kind="stable")
     # The best ones crowd together: take every other to reach the far side too.
     near, far = order[: _STARTS // 2], order[_STARTS // 2 :: max(1, len(order) // (_STARTS // 2))]
-    return candidates[np.concatenate([near, far])]
+    return np.asarray(candidates[np.concatenate([near, far])])
 
 
 def _misses(x: FloatArray, ranges: FloatArray) -> FloatArray:

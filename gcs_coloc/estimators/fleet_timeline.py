@@ -1,7 +1,9 @@
 """Measurements put into the order of measuring, whatever the order in which they arrived.
 
-The timeline keeps the events of the last window and, every now and then in it, a copy of the model. An event that belongs before others
-already applied takes the model back to the copy before it, and what followed is applied anew. That is put off until an answer is wanted,
+The timeline keeps the events of the last window and, every now and then in it, a copy of the model. An event that belongs
+before others
+already applied takes the model back to the copy before it, and what followed is applied anew. That is put off until an answer
+is wanted,
 so a burst of late events costs one replay. The result is bit for bit what arrival in order gives.
 """
 
@@ -30,7 +32,7 @@ Model = TypeVar("Model", bound=Replayable)
 
 
 class Entry(Generic[Event]):
-    """One event with its place in time; `outcome` is what it came to when it was last applied, `told` whether that was reported."""
+    """One event with its place in time; `outcome` is what it came to when it was last applied, `told` whether that was reported.
 
     __slots__ = ("event", "key", "outcome", "told")
 

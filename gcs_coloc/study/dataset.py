@@ -77,7 +77,8 @@ def read_dataset(directory: Path) -> Dataset:
     """Read a data set.
 
     Raises:
-        DataError: a file is missing or something in it is wrong; the text names the file, and line and column where there are any.
+        DataError: a file is missing or something in it is wrong; the text names the file, and line and column where there are
+        any.
 
     """
     if not directory.is_dir():

@@ -65,7 +65,8 @@ class Evaluation:
 def evaluate(directory: Path, estimator: Estimator, cpu_s: Callable[[], float] = time.process_time) -> Evaluation:
     """Read the data set in `directory`, run `estimator` over it and score it.
 
-    A node is a subject from its last position report on, and is scored from then on; one that has none is a subject from the start.
+    A node is a subject from its last position report on, and is scored from then on; one that has none is a subject from the
+    start.
 
     Raises:
         DataError: the data set cannot be read.
@@ -134,12 +135,11 @@ def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[],
 def _feed(dataset: Dataset) -> list[Measurement]:
     """Return what the estimator is given, in order of arrival: anchors first, and in two dimensions the height of the plane."""
     first_s = min(m.measured_at_s for m in dataset.measurements)
-    anchors: list[Measurement] = []
-    for node in dataset.nodes:
-        if node.place_enu_m is not None and node.sigma_m is not None:
-            anchors.append(
-                PositionMeasurement(node.vehicle, first_s, first_s, node.place_enu_m, node.sigma_m, node.sigma_m, static=True)
-            )
+    anchors: list[Measurement] = [
+        PositionMeasurement(node.vehicle, first_s, first_s, node.place_enu_m, node.sigma_m, node.sigma_m, static=True)
+        for node in dataset.nodes
+        if node.place_enu_m is not None and node.sigma_m is not None
+    ]
     moving = list(dataset.measurements)
     if dataset.dims == 2:
         moving.extend(_plane(dataset))
@@ -148,7 +148,7 @@ def _feed(dataset: Dataset) -> list[Measurement]:
 
 
 def _plane(dataset: Dataset) -> Iterator[Measurement]:
-    """Yield heights for the subjects of a flat data set: all nodes move in one plane, and that is knowledge like a barometer's."""
+    """Yield heights for the subjects of a flat data set: all nodes move in one plane, and that is knowledge like a barometer's.
     places = [node.place_enu_m[2] for node in dataset.nodes if node.place_enu_m is not None]
     reports = [m.position_enu_m[2] for m in dataset.measurements if isinstance(m, PositionMeasurement)]
     plane_m = float(np.median(places + reports)) if places or reports else 0.0
