@@ -74,9 +74,7 @@ def pair_key(a: int, b: int, device: int) -> tuple[int, int, int]:
 def initial_block(
     report: PositionMeasurement, white: tuple[float, float], slow: tuple[float, float], s: FleetSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """Return mean (15,) and covariance (15, 15) of a vehicle from one position report; white and slow sigmas are (horizontal,
-    vertical).
-    """
+    """Return mean (15,) and covariance (15, 15) of a vehicle from one report; sigmas in m are (horizontal, vertical)."""
     x = np.zeros(SIZE)
     P = np.zeros((SIZE, SIZE))
     x[POSITION] = report.position_enu_m
@@ -201,9 +199,7 @@ class Cluster:
             monitor.add(we, wn, wu, whitened)
 
     def take_position(self, m: PositionMeasurement, white: tuple[float, float], slow: tuple[float, float]) -> Verdict:
-        """Correct with a report of position, and velocity where given; white and slow sigmas are (horizontal, vertical) in
-        metres.
-        """
+        """Correct with a report of position, and velocity where given; sigmas in m are (horizontal, vertical)."""
         record, joint, at_s = self.records[m.vehicle], self.joint, m.measured_at_s
         since_s = at_s - record.informed_at_s
         self.bring(m.vehicle, at_s)
@@ -337,9 +333,7 @@ class Cluster:
         return Verdict(USED, 0.0, 0.0, nis, 2)
 
     def take_range(self, m: RangeMeasurement, slow_m: float) -> Verdict:
-        """Correct with a slant range between two vehicles of the cluster; `slow_m` is the sigma of the part of its error that
-        lasts.
-        """
+        """Correct with a slant range between two vehicles; `slow_m` is the sigma of the part of its error that lasts."""
         s, joint, at_s = self.settings, self.joint, m.measured_at_s
         a, b = m.from_vehicle, m.to_vehicle
         self.bring(a, at_s)

@@ -17,15 +17,13 @@ _LONGEST_GAP_S = 2.0
 _JERK_MPS3 = 3.0
 _MOST_SIGMAS = 4.0
 _OVERLAP = 2.3
-"""How much more the variance of third differences scatters than that of independent values: the sum of their squared
-correlations.
-"""
+"""How much more the variance of third differences scatters than that of independent values: sum of squared correlations."""
 
 Values = tuple[float, ...]
 
 
 class Whiteness:
-    """Estimates the variance of the white part of one stream of k values measured together. Immutable in its parts: copy freely.
+    """Estimates the variance of the white part of one stream of k values that are measured together."""
 
     __slots__ = ("_history", "_sum_m2", "_weight")
 

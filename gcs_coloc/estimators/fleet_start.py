@@ -37,7 +37,7 @@ class StartProblem:
         self._heights: list[tuple[float, float, float]] = []
 
     def add_range(self, peer: int, near: PositionMeasurement, past: list[PositionMeasurement], m: RangeMeasurement) -> None:
-        """Take a range with the peer's report nearest in time, carried over by its velocity (stated, or told from past reports).
+        """Take a range with the peer's report nearest in time, carried over by its velocity (stated, or told from the past)."""
         velocity = near.velocity_enu_mps or _slope(past)
         step_s = m.measured_at_s - near.measured_at_s
         e, n, u = (x + v * step_s for x, v in zip(near.position_enu_m, velocity, strict=True))

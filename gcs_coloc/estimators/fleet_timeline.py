@@ -32,7 +32,7 @@ Model = TypeVar("Model", bound=Replayable)
 
 
 class Entry(Generic[Event]):
-    """One event with its place in time; `outcome` is what it came to when it was last applied, `told` whether that was reported.
+    """One event with its place in time; `outcome` is what it came to when last applied, `told` whether that was reported."""
 
     __slots__ = ("event", "key", "outcome", "told")
 

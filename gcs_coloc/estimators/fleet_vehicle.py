@@ -61,9 +61,7 @@ class ManoeuvreMonitor:
         return self.c_u * self.c_u / self.C_uu if self.C_uu > 1e-150 else 1.0
 
     def ratio(self) -> float:
-        """Return c' C^-1 c / 2 of the horizontal corrections, 1 on average in steady flight; 1 as long as there is nothing to
-        judge by.
-        """
+        """Return c' C^-1 c / 2 of the horizontal corrections, 1 on average in steady flight and with nothing to judge by."""
         det = self.C_ee * self.C_nn - self.C_en * self.C_en
         if det <= 1e-9 * self.C_ee * self.C_nn or det < 1e-300:
             trace = self.C_ee + self.C_nn

@@ -148,7 +148,7 @@ def _feed(dataset: Dataset) -> list[Measurement]:
 
 
 def _plane(dataset: Dataset) -> Iterator[Measurement]:
-    """Yield heights for the subjects of a flat data set: all nodes move in one plane, and that is knowledge like a barometer's.
+    """Yield heights for the subjects of a flat data set: that all nodes move in one plane is knowledge like a barometer's."""
     places = [node.place_enu_m[2] for node in dataset.nodes if node.place_enu_m is not None]
     reports = [m.position_enu_m[2] for m in dataset.measurements if isinstance(m, PositionMeasurement)]
     plane_m = float(np.median(places + reports)) if places or reports else 0.0
