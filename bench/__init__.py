@@ -1,0 +1,1 @@
+"""Benchmarks: speed as ratios to references measured in the same run. `make bench`."""

@@ -1,0 +1,43 @@
+"""`python -m bench [--quick] [--json FILE] [SECTION ...]`: run the benchmarks and print one table."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from bench import memory, service_cpu
+from bench.figures import Figure
+
+_SECTIONS: dict[str, Callable[[bool], list[Figure]]] = {"service": service_cpu.measure, "memory": memory.measure}
+
+
+def main() -> None:
+    """Run the sections that are asked for, all by default."""
+    parser = argparse.ArgumentParser(prog="bench", description=__doc__)
+    parser.add_argument("sections", nargs="*", metavar="SECTION", help=f"one of {', '.join(_SECTIONS)}; all by default")
+    parser.add_argument("--quick", action="store_true", help="shorter runs")
+    parser.add_argument("--json", type=Path, help="write the figures to a file")
+    arguments = parser.parse_args()
+    for section in arguments.sections:
+        if section not in _SECTIONS:
+            parser.error(f"no section {section!r}; there are {', '.join(_SECTIONS)}")
+    figures: list[Figure] = []
+    for section in arguments.sections or _SECTIONS:
+        figures += _SECTIONS[section](arguments.quick)
+    table = Table("section", "figure", "measured", "goal", "")
+    for figure in figures:
+        verdict = "" if figure.reached is None else ("reached" if figure.reached else "NOT reached")
+        table.add_row(figure.section, figure.name, figure.value, figure.goal, verdict)
+    Console(width=150).print(table)
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps([asdict(figure) for figure in figures], indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
