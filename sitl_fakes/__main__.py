@@ -1,6 +1,5 @@
-"""`python -m sitl_fakes`: the command line."""
+"""`python -m sitl_fakes`: the same as `sitl-fakes`."""
 
 from sitl_fakes.cli import main
 
-if __name__ == "__main__":
-    main()
+main()

@@ -19,6 +19,8 @@ _DEFLECTION_LIMIT_RAD = math.radians(30.0)
 _ROLL_TIME_CONSTANT_S = 0.3
 _ROLL_RATE_SHARE = 0.2
 _YAW_DAMPING_PER_S = 3.0
+_BANK_LIMIT_RAD = math.radians(45.0)
+_HEADING_RATE_PER_S = 0.6
 
 State = tuple[float, float, float, float, float, float, float, float, float]
 
@@ -26,6 +28,11 @@ State = tuple[float, float, float, float, float, float, float, float, float]
 def wrap_pi(angle_rad: float) -> float:
     """Return the angle brought into [-pi, pi)."""
     return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def turn_radius_m(airspeed_mps: float) -> float:
+    """Radius (m) of the tightest turn: V^2 / (g tan(bank limit))."""
+    return airspeed_mps**2 / (GRAVITY_MPS2 * math.tan(_BANK_LIMIT_RAD))
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,25 +53,16 @@ class FlightState:
 class LateralAircraft:
     """An aircraft at constant airspeed under its heading hold; `step` moves it by one time step (fourth-order Runge-Kutta).
 
-    The heading hold (Fig. 4): heading error times a gain gives the bank that turns at `heading_rate_per_s` times the error,
-    limited to `bank_limit_deg`; bank error and roll rate drive the aileron. The rudder is driven by the yaw rate beyond the
+    The heading hold (Fig. 4): heading error times a gain gives the bank that turns at 0.6 rad/s per rad of error,
+    limited to 45 degrees; bank error and roll rate drive the aileron. The rudder is driven by the yaw rate beyond the
     turn's own (a yaw damper that does not fight a steady turn). Gains follow the derivatives, so that the response is the
     same at every airspeed.
     """
 
-    def __init__(
-        self,
-        east_m: float,
-        north_m: float,
-        heading_rad: float,
-        airspeed_mps: float,
-        bank_limit_deg: float = 45.0,
-        heading_rate_per_s: float = 0.6,
-    ) -> None:
+    def __init__(self, east_m: float, north_m: float, heading_rad: float, airspeed_mps: float) -> None:
         self.airspeed_mps = airspeed_mps
         self.derivatives = aerosonde(airspeed_mps)
-        self._bank_limit = math.radians(bank_limit_deg)
-        self._heading_gain = airspeed_mps * heading_rate_per_s / GRAVITY_MPS2
+        self._heading_gain = airspeed_mps * _HEADING_RATE_PER_S / GRAVITY_MPS2
         d = self.derivatives
         self._k_rate = _ROLL_RATE_SHARE * -d.l_p / d.l_da
         self._k_bank = (-d.l_p + self._k_rate * d.l_da) / (d.l_da * _ROLL_TIME_CONSTANT_S)
@@ -79,7 +77,7 @@ class LateralAircraft:
     def step(self, heading_cmd_rad: float, step_s: float, wind_east_mps: float = 0.0, wind_north_mps: float = 0.0) -> None:
         """Fly one step towards a commanded heading (rad, from the frame's north), in a wind that blows towards east, north."""
         bank_cmd = math.atan(self._heading_gain * wrap_pi(heading_cmd_rad - self._state[6]))
-        bank_cmd = max(-self._bank_limit, min(self._bank_limit, bank_cmd))
+        bank_cmd = max(-_BANK_LIMIT_RAD, min(_BANK_LIMIT_RAD, bank_cmd))
         x = self._state
         h = step_s
         k1 = self.rates(x, bank_cmd, wind_east_mps, wind_north_mps)

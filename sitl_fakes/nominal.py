@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl_fakes.dynamics import LateralAircraft
+from sitl_fakes.dynamics import LateralAircraft, turn_radius_m
 from sitl_fakes.guidance import EndOfRoute, Guidance, Point, Route, heading_for_course
 
 PAPER_ROUTES: tuple[tuple[Point, ...], ...] = (
@@ -52,14 +52,14 @@ def fly_routes(
 ) -> NominalFlight:
     """Fly each route from its first waypoint, heading along its first leg; sample 0 is the start, sample k is k steps later.
 
-    `waypoint_radius_m` defaults to two seconds of flight. The wind is constant and blows towards east and north.
+    `waypoint_radius_m` defaults to the radius of the tightest turn. The wind is constant and blows towards east and north.
     """
     steps = round(duration_s / step_s)
     columns: NDArray[np.float64] = np.empty((len(routes), steps + 1, 7))
     legs = np.empty((len(routes), steps + 1), dtype=np.int64)
     for v, waypoints in enumerate(routes):
         route = Route(waypoints, end_of_route)
-        guidance = Guidance(route, airspeed_mps, 2.0 * airspeed_mps if waypoint_radius_m is None else waypoint_radius_m)
+        guidance = Guidance(route, airspeed_mps, waypoint_radius_m or turn_radius_m(airspeed_mps))
         start = waypoints[0]
         aircraft = LateralAircraft(start[0], start[1], route.track(0).track_heading_rad(start), airspeed_mps)
         for k in range(steps + 1):

@@ -18,6 +18,7 @@ SystemId = Annotated[int, Field(ge=1, le=254)]
 _Share = Annotated[float, Field(ge=0.0, le=1.0)]
 _NotNegative = Annotated[float, Field(ge=0.0)]
 _Positive = Annotated[float, Field(gt=0.0)]
+_Rate = Annotated[float, Field(gt=0.0, le=50.0)]
 
 
 class _Table(BaseModel):
@@ -48,7 +49,7 @@ class Gps(_Table):
     `h_acc`, `v_acc` and `vel_acc` of GPS_RAW_INT state these sigmas.
     """
 
-    rate_hz: _Positive = 5.0
+    rate_hz: _Rate = 5.0
     sigma_h_m: _Positive = 1.5
     sigma_v_m: _Positive = 3.0
     sigma_velocity_mps: _Positive = 0.3
@@ -61,7 +62,7 @@ class Gps(_Table):
 class Ranging(_Table):
     """The ranging devices: rate per peer, noise, bias per pair (drawn once), outliers (always long), loss, message."""
 
-    rate_hz: _Positive = 10.0
+    rate_hz: _Rate = 10.0
     sigma_m: _Positive = 0.5
     stated_sigma_m: _NotNegative | None = None
     bias_sigma_m: _NotNegative = 0.0

@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sitl_fakes.autopilot import Autopilot
 from sitl_fakes.clock import BootClock
 from sitl_fakes.commands import handle
+from sitl_fakes.dynamics import turn_radius_m
 from sitl_fakes.fault_board import FaultBoard
 from sitl_fakes.faults import Fault, LinkDropout, Reboot
 from sitl_fakes.flight import Flight
@@ -51,7 +52,7 @@ class Vehicle:
         )
         airspeed = spec.airspeed_mps or scenario.airspeed_mps
         self._route = Route(spec.waypoints, spec.end_of_route or scenario.end_of_route, scenario.hold_radius_m)
-        self._guidance = Guidance(self._route, airspeed, scenario.waypoint_radius_m or 2.0 * airspeed)
+        self._guidance = Guidance(self._route, airspeed, scenario.waypoint_radius_m or turn_radius_m(airspeed))
         start = spec.waypoints[0]
         heading = self._route.track(0).track_heading_rad(start)
         self._flight = Flight(scenario, spec.sysid, frame, seed, start, heading, spec.height_m, airspeed)

@@ -59,10 +59,10 @@ def test_table_1_is_flown_from_its_first_waypoints_at_50_mps(paper_flight):
     assert np.abs(moved - paper_flight.ve_mps)[:, 1:-1].max() < 0.05
 
 
-# At 50 m/s the routes' lengths alone take 240, 358, 224 and 300 s. A turn of 45 deg bank has a radius of 255 m: swinging wide
-# and coming back costs up to about 3 s a right angle, 13 s at UAV2's turn of 143 deg.
+# At 50 m/s the routes' lengths alone take 240, 358, 224 and 300 s. The tightest turn has a radius of 255 m: a right angle cut
+# short saves up to 0.43 of that, UAV2's turn of 143 deg swings wide by a few seconds. The last waypoint is passed within 25 m.
 @pytest.mark.parametrize(
-    ("uav", "earliest_s", "latest_s"), [(1, 238.0, 248.0), (2, 356.0, 373.0), (3, 222.0, 236.0), (4, 296.0, 308.0)]
+    ("uav", "earliest_s", "latest_s"), [(1, 235.0, 242.0), (2, 356.0, 365.0), (3, 222.0, 228.0), (4, 293.0, 301.0)]
 )
 def test_the_last_waypoints_of_table_1_are_reached_when_they_should_be(uav, earliest_s, latest_s):
     route = PAPER_ROUTES[uav - 1]
@@ -84,7 +84,7 @@ def test_table_1_is_tracked_closely_except_just_after_turns(paper_flight):
         leg = paper_flight.leg[uav, ::50]
         since_turn = np.arange(len(leg)) - np.array([np.flatnonzero(leg == number)[0] for number in leg])
         assert off[(leg == 0) | (since_turn > 60)].max() < 20.0
-        assert off.max() < 500.0
+        assert off.max() < 400.0
 
 
 def test_a_loop_comes_round_and_a_hold_stays():
