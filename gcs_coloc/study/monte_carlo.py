@@ -1,0 +1,34 @@
+"""Runs a function over seeds on several cores, with progress, in an order that does not depend on the number of cores."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from typing import TypeVar
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+Progress = Callable[[int, int], None]
+"""Called with how many of how many tasks are done."""
+
+
+def run_tasks(function: Callable[[Task], Result], tasks: Sequence[Task], jobs: int, progress: Progress) -> list[Result]:
+    """Return the function's results in the order of the tasks.
+
+    With one job everything runs in this process; otherwise the function, tasks and results must be picklable.
+    """
+    progress(0, len(tasks))
+    if jobs <= 1:
+        results = []
+        for done, task in enumerate(tasks, start=1):
+            results.append(function(task))
+            progress(done, len(tasks))
+        return results
+    # A forked child would inherit the locks of whatever threads its parent has.
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        futures = [pool.submit(function, task) for task in tasks]
+        for done, _ in enumerate(as_completed(futures), start=1):
+            progress(done, len(tasks))
+        return [future.result() for future in futures]
