@@ -1,0 +1,92 @@
+"""Posterior Cramer-Rao bound along a flight: what no unbiased estimator of a vehicle can be better than.
+
+The bound is the information recursion of Tichavsky et al. (1998) for a constant-velocity vehicle with white acceleration, its
+measurement Jacobians taken at the true positions: J' = (F J^-1 F' + Q)^-1 + sum of h' h / r. With Jacobians that do not depend on
+the estimate it is the Riccati recursion of the filter that knows the truth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_coloc.core.errors import UsageError
+from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.estimators.cv import transition, white_acceleration_noise
+
+
+@dataclass(frozen=True, slots=True)
+class BoundOptions:
+    """What is known of a flight's subject. Raises UsageError for values without a bound.
+
+    Attributes:
+        range_sigma_m: white noise of each range.
+        peer_sigma_m: of each peer's position, per axis, new in every range.
+        density_m2ps3: spectral density of the subject's acceleration: how much it is left to itself between ranges.
+        start_sigma_m: of the subject's position at the start, per axis.
+        start_speed_sigma_mps: of its velocity at the start, per axis.
+
+    """
+
+    range_sigma_m: float = 20.0
+    peer_sigma_m: float = 4.0
+    density_m2ps3: float = 1.0
+    start_sigma_m: float = 15.0
+    start_speed_sigma_mps: float = 1.0
+
+    def __post_init__(self) -> None:
+        positive = (self.range_sigma_m, self.start_sigma_m, self.start_speed_sigma_mps)
+        if min(positive) <= 0.0 or self.peer_sigma_m < 0.0 or self.density_m2ps3 < 0.0:
+            raise UsageError("a bound needs sigmas above 0, and a peer sigma and an acceleration density not below 0")
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """The bound at each time: `covariance` (T, 2 d, 2 d) of [x, vx, y, vy, ...] in d dimensions, m and m/s."""
+
+    times_s: FloatArray
+    covariance: FloatArray
+
+    @property
+    def horizontal_sigma_m(self) -> FloatArray:
+        """Root of the summed variances of east and north, shape (T,), m: the least RMSE at each time."""
+        return np.asarray(np.sqrt(self.covariance[:, 0, 0] + self.covariance[:, 2, 2]))
+
+    def horizontal_rmse_m(self, until_s: float = np.inf) -> float:
+        """Return the least horizontal RMSE over the flight up to a time, m."""
+        part = self.times_s <= until_s
+        return float(np.sqrt(np.mean(self.horizontal_sigma_m[part] ** 2)))
+
+
+def run_bound(times_s: FloatArray, positions_m: FloatArray, subject: int, options: BoundOptions) -> Bound:
+    """Return the bound on one vehicle's state from its ranges to all others at every time.
+
+    Args:
+        times_s: shape (T,), ascending.
+        positions_m: shape (V, T, d), true positions of V vehicles in d = 2 or 3 dimensions.
+        subject: index of the vehicle to be located.
+        options: noises.
+
+    """
+    axes = positions_m.shape[-1]
+    offsets = positions_m[subject] - np.delete(positions_m, subject, axis=0)
+    with np.errstate(invalid="ignore"):
+        units = offsets / np.linalg.norm(offsets, axis=-1, keepdims=True)
+    # A peer at the very place of the subject has no direction to tell.
+    H = np.zeros((*units.shape[:-1], 2 * axes))
+    H[..., ::2] = np.nan_to_num(units)
+    variance = options.range_sigma_m**2 + options.peer_sigma_m**2
+    information = np.einsum("vti,vtj->tij", H, H) / variance
+    P = np.diag([options.start_sigma_m**2, options.start_speed_sigma_mps**2] * axes)
+    covariances = np.empty((len(times_s), 2 * axes, 2 * axes))
+    before_s = times_s[0]
+    for k, time_s in enumerate(times_s):
+        F = transition(time_s - before_s, axes)
+        P = F @ P @ F.T + white_acceleration_noise(time_s - before_s, options.density_m2ps3, axes)
+        if k > 0:
+            P = np.linalg.inv(np.linalg.inv(P) + information[k])
+            P = 0.5 * (P + P.T)
+        covariances[k] = P
+        before_s = time_s
+    return Bound(times_s, covariances)
