@@ -40,6 +40,7 @@ LEAST_AIRSPEED_MPS = 5.0
 """Below this an airspeed sensor and a coordinated turn mean nothing."""
 _STEEPEST_BANK_RAD = 1.2
 _COAST_TIME_S = 2.0
+_COAST_GAIN = 5.0
 _TURN_TIME_S = 1.0
 _UNKNOWN_VELOCITY_MPS = 30.0
 _REPORT_VELOCITY_TIME_S = 1.0
@@ -144,7 +145,7 @@ class Cluster:
             climb += uneven
         elif at_s - record.informed_at_s > _COAST_TIME_S:
             # Nobody has seen steady flight lately: a manoeuvre may have begun since.
-            gain = max(gain, 1.0 + ((at_s - record.informed_at_s) / _COAST_TIME_S) ** 2)
+            gain = max(gain, min(((at_s - record.informed_at_s) / _COAST_TIME_S) ** 2, _COAST_GAIN))
         density *= min(gain, s.manoeuvre_gain)
         climb *= min(gain_v, s.manoeuvre_gain)
         F = transition(step_s, turn)
@@ -231,6 +232,11 @@ class Cluster:
         nis = float(innovation @ np.linalg.solve(S, innovation))
         # Twice the degrees of freedom widen the gate as the chi-square distribution widens.
         limit = self.settings.gate_sigma**2 + 2.0 * k
+        if nis > limit:
+            # Noise that was not seen before to be white: as large as the report itself says.
+            noise[:3] = [m.sigma_h_m**2, m.sigma_h_m**2, m.sigma_v_m**2]
+            S = self._report_covariance(PHt, m.vehicle, velocity, noise)
+            nis = float(innovation @ np.linalg.solve(S, innovation))
         if nis > limit:
             # A hard manoeuvre since the last report explains much: one that began then, at any acceleration a vehicle stands.
             jolt = self._jolt(since_s)

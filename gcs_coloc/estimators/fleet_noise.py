@@ -12,10 +12,11 @@ from __future__ import annotations
 import math
 
 _MEMORY_SAMPLES = 1000.0
-_PROOF_SAMPLES = 10.0
+_PROOF_SAMPLES = 20.0
 _LONGEST_GAP_S = 2.0
 _JERK_MPS3 = 3.0
 _MOST_SIGMAS = 4.0
+_WELL_KNOWN = 0.25
 _OVERLAP = 2.3
 """How much more the variance of third differences scatters than that of independent values: sum of squared correlations."""
 
@@ -65,7 +66,8 @@ class Whiteness:
     def split(self, sigma_m: float, least_slow_share: float) -> tuple[float, float]:
         """Return the sigmas (white, slow) in metres of a report with the stated sigma."""
         white_m2 = max(self._sum_m2, 0.0) / (self._weight + _PROOF_SAMPLES)
-        # Two standard errors of a variance told from overlapping differences: a stream that may well be white is taken for white.
-        likely_m2 = white_m2 * (1.0 + 2.0 * math.sqrt(_OVERLAP * 2.0 / max(self._weight, 1.0)))
+        # Once that variance is well known, a stream that may well be white (two standard errors) is taken for white.
+        error = math.sqrt(2.0 * _OVERLAP / max(self._weight, 1.0))
+        likely_m2 = white_m2 * (1.0 + 2.0 * error) if error < _WELL_KNOWN else white_m2
         slow_m2 = max(sigma_m * sigma_m - likely_m2, (least_slow_share * sigma_m) ** 2)
         return math.sqrt(max(white_m2, (0.05 * sigma_m) ** 2)), math.sqrt(slow_m2)

@@ -62,7 +62,7 @@ class FleetSettings:
     stamp_error_time_s: float = 100.0
     range_bias_sigma_m: float = 0.01
     range_bias_time_s: float = 300.0
-    range_slow_share: float = 0.5
+    range_slow_share: float = 0.6
     range_slow_time_s: float = 1.0
     gate_sigma: float = 4.0
     doubt_sigma: float = 2.0

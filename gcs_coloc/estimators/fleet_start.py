@@ -22,7 +22,7 @@ _LEAST_PEERS = 2
 _HUBER = 2.0
 _OUTLIER_SIGMAS = 5.0
 _MOST_OUTLIERS = 0.3
-_MOST_COST_PER_RANGE = 3.0
+_MOST_MEAN_SQUARE = 3.0
 _CLEARLY_WORSE = 15.0
 _VELOCITY_PRIOR_MPS = (30.0, 30.0, 5.0)
 _HEIGHT_PRIOR_M = 300.0
@@ -87,8 +87,8 @@ def solve_start(problem: StartProblem, limit_sigma_m: float) -> tuple[FloatArray
     x, cost, normal = _descend(_starting_points(ranges, heights), ranges, heights)
     best = int(np.argmin(cost))
     miss = _misses(x[best : best + 1], ranges)[0]
-    outliers = float(np.mean(np.abs(miss) > _OUTLIER_SIGMAS))
-    if cost[best] > _MOST_COST_PER_RANGE * len(ranges) or outliers > _MOST_OUTLIERS:
+    fits = np.abs(miss) <= _OUTLIER_SIGMAS
+    if 1.0 - fits.mean() > _MOST_OUTLIERS or float(np.mean(miss[fits] ** 2)) > _MOST_MEAN_SQUARE:
         return "the ranges contradict each other: no place fits them"
     covariance = np.linalg.inv(normal[best])
     worst_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))

@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gcs_coloc.estimators.fleet_motion import SIZE, add_acceleration_noise, transition, turn_rate_radps
+
+
+@pytest.mark.parametrize("turn_radps", [0.4, -0.25, 1e-6, 0.0])
+def test_the_turn_is_that_of_small_steps_with_the_wind_carrying_along(turn_radps):
+    airspeed, heading, wind = 24.0, 0.7, np.array([-5.0, 3.0])
+    x = np.zeros(SIZE)
+    x[3:5] = airspeed * np.array([math.sin(heading), math.cos(heading)]) + wind
+    x[6:8] = wind
+    moved = transition(1.7, turn_radps) @ x
+    place, steps = np.zeros(2), 20_000
+    for k in range(steps):
+        psi = heading + turn_radps * 1.7 * (k + 0.5) / steps
+        place += (airspeed * np.array([math.sin(psi), math.cos(psi)]) + wind) * 1.7 / steps
+    end = heading + turn_radps * 1.7
+    np.testing.assert_allclose(moved[:2], place, atol=1e-4)
+    np.testing.assert_allclose(moved[3:5], airspeed * np.array([math.sin(end), math.cos(end)]) + wind, atol=1e-9)
+
+
+def test_the_turn_rate_is_that_of_textbooks():
+    # 30 degrees of bank at 50 m/s: 6.49 degrees a second.
+    assert math.degrees(turn_rate_radps(math.radians(30.0), 50.0)) == pytest.approx(6.488, abs=1e-3)
+
+
+def test_acceleration_noise_of_two_steps_is_that_of_one():
+    one, two = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
+    add_acceleration_noise(one, 1.0, 2.0, 0.5)
+    add_acceleration_noise(two, 0.4, 2.0, 0.5)
+    F = transition(0.6, None)
+    two = F @ two @ F.T
+    add_acceleration_noise(two, 0.6, 2.0, 0.5)
+    np.testing.assert_allclose(one, two, atol=1e-12)

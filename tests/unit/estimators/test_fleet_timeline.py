@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from gcs_coloc.estimators.fleet_timeline import Entry, Timeline
+
+
+class Tape:
+    """Writes down what it is given; a model whose state depends on every order there is."""
+
+    def __init__(self, words: tuple[str, ...] = ()) -> None:
+        self.words = words
+
+    def copy(self) -> Tape:
+        return Tape(self.words)
+
+
+def write(tape: Tape, entry: Entry[str]) -> str:
+    tape.words = (*tape.words, entry.event)
+    return "written"
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations(range(5)))[::7])
+def test_any_order_of_arrival_gives_the_order_of_time(order):
+    timeline: Timeline[Tape, str] = Timeline(Tape(), write, 10.0)
+    for i in order:
+        assert timeline.insert((i * 0.15,), str(i))
+        timeline.catch_up()
+    assert timeline.model.words == ("0", "1", "2", "3", "4")
+
+
+def test_the_same_key_is_taken_once():
+    timeline: Timeline[Tape, str] = Timeline(Tape(), write, 10.0)
+    assert timeline.insert((1.0, 2.0), "x")
+    assert not timeline.insert((1.0, 2.0), "x")
+
+
+def test_what_is_older_than_the_window_is_settled_and_forgotten():
+    timeline: Timeline[Tape, str] = Timeline(Tape(), write, 1.0)
+    for k in range(1000):
+        timeline.insert((k * 0.05,), str(k))
+        timeline.settle(k * 0.05)
+    timeline.catch_up()
+    assert len(timeline._entries) < 30
+    assert len(timeline._copies) < 16
+    assert timeline.outcomes() == {"written": 1000}
+    assert timeline.model.words == tuple(map(str, range(1000)))
+
+
+def test_a_late_event_within_the_window_is_put_in_its_place_after_settling():
+    timeline: Timeline[Tape, str] = Timeline(Tape(), write, 1.0)
+    for k in range(100):
+        timeline.insert((k * 0.1,), str(k))
+        timeline.settle(k * 0.1)
+        timeline.catch_up()
+    timeline.insert((9.05,), "late")
+    assert timeline.catch_up().words[-10:] == ("90", "late", "91", "92", "93", "94", "95", "96", "97", "98", "99")[-10:]
