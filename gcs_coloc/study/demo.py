@@ -68,7 +68,8 @@ def main(
     check = next(v.params["EK3_GPS_CHECK"] for v in scenario.vehicle if v.sysid == SUBJECT)
     console.print(
         f"   The paper's noise (GPS {scenario.gps.sigma_h_m:.0f} m, ranges {scenario.ranging.sigma_m:.0f} m) makes positions "
-        f"coarser than EKF3 takes by default: UAV{SUBJECT} flies with EK3_GPS_CHECK={check:.0f}, as its operator would have to decide."
+        f"coarser than EKF3 takes by default: UAV{SUBJECT} flies with EK3_GPS_CHECK={check:.0f}, as its operator would have to "
+        "decide."
     )
     live = _fly_live(scenario_file, estimator, seed, out, console)
     console.print(f"\n[bold]2. The whole flight[/], {scenario.duration_s:.0f} s, through the same engine in process.")
