@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gcs_coloc.core.errors import DataError
+from gcs_coloc.core.measurements import AltitudeMeasurement, AttitudeMeasurement, PositionMeasurement, RangeMeasurement
+from gcs_coloc.study.dataset import read_dataset
+
+FILES = {
+    "meta.toml": """
+name = "small"
+source = "made up"
+licence = "CC0"
+dims = 3
+[origin]
+lat_deg = 47.0
+lon_deg = 8
+alt_m = 400.0
+[[node]]
+id = "tag"
+role = "subject"
+[[node]]
+id = "A"
+role = "anchor"
+e_m = 0.0
+n_m = 0.0
+u_m = 2.0
+sigma_m = 0.02
+[[node]]
+id = "B"
+role = "peer"
+""",
+    "positions.csv": "t_s,id,e_m,n_m,u_m,sigma_h_m,sigma_v_m,ve_mps,vn_mps,vu_mps,sigma_vel_mps,arrival_s\n"
+    "0.0,tag,1,2,3,1,1,0,0,0,0.5,0.2\n0.5,B,10,2,3,1,1.5,5,0,0,0.5,0.6\n",
+    "ranges.csv": "t_s,from_id,to_id,range_m,sigma_m\n1.0,tag,A,3.5,0.2\n1.1,tag,B,9,0.2\n",
+    "altitude.csv": "t_s,id,u_m,sigma_v_m\n1.0,tag,3.0,1.0\n",
+    "attitude.csv": "t_s,id,roll_rad,pitch_rad,yaw_rad,airspeed_mps\n1.0,tag,0.1,0.0,1.5,20\n",
+    "truth.csv": "t_s,id,e_m,n_m,u_m\n1.0,tag,1.1,2.0,3.0\n1.5,tag,1.2,2.0,3.0\n",
+}
+
+
+def write(directory: Path, **changed: str | None) -> Path:
+    for name, text in FILES.items():
+        text = changed.get(name.replace(".", "_"), text)
+        if text is not None:
+            (directory / name).write_text(text)
+    return directory
+
+
+def test_everything_is_read(tmp_path):
+    dataset = read_dataset(write(tmp_path))
+    assert (dataset.name, dataset.dims, dataset.origin) == ("small", 3, (47.0, 8.0, 400.0))
+    assert [(n.id, n.vehicle, n.role) for n in dataset.nodes] == [("tag", 1, "subject"), ("A", 2, "anchor"), ("B", 3, "peer")]
+    assert dataset.nodes[1].place_enu_m == (0.0, 0.0, 2.0)
+    assert PositionMeasurement(3, 0.5, 0.6, (10.0, 2.0, 3.0), 1.0, 1.5, (5.0, 0.0, 0.0), 0.5) in dataset.measurements
+    assert RangeMeasurement(1, 2, 1.0, 1.0, 3.5, 0.2) in dataset.measurements
+    assert AltitudeMeasurement(1, 1.0, 1.0, 3.0, 1.0) in dataset.measurements
+    assert AttitudeMeasurement(1, 1.0, 1.0, 0.1, 0.0, 1.5, 20.0) in dataset.measurements
+    assert [m.arrived_at_s for m in dataset.measurements] == sorted(m.arrived_at_s for m in dataset.measurements)
+    assert dataset.truth[1].positions_enu_m.tolist() == [[1.1, 2.0, 3.0], [1.2, 2.0, 3.0]]
+
+
+def test_optional_files_and_columns_may_be_left_out(tmp_path):
+    positions = "t_s,id,e_m,n_m,u_m,sigma_h_m,sigma_v_m\n0.0,tag,1,2,3,1,1\n"
+    dataset = read_dataset(write(tmp_path, altitude_csv=None, attitude_csv=None, positions_csv=positions))
+    assert len(dataset.measurements) == 3
+
+
+BAD_ROWS = [
+    ("ranges_csv", "t_s,from_id,to_id,range_m,sigma_m\n1.0,tag,A,3.5,0.2\n1.1,tag,B,nine,0.2\n", "line 3, column 4 (range_m)"),
+    ("ranges_csv", "t_s,from_id,to_id,range_m,sigma_m\n1.0,tag,A,nan,0.2\n", "line 2, column 4 (range_m)"),
+    ("ranges_csv", "t_s,from_id,to_id,range_m,sigma_m\n1.0,tag,A,-1,0.2\n", "line 2, column 4 (range_m)"),
+    ("ranges_csv", "t_s,from_id,to_id,range_m,sigma_m\n1.0,tag,A,3,0\n", "line 2, column 5 (sigma_m)"),
+    ("ranges_csv", "t_s,from_id,to_id,range_m,sigma_m\n1.0,tag,C,3,1\n", "line 2, column 3 (to_id)"),
+    ("ranges_csv", "t_s,from_id,to_id,range_m,sigma_m\n1.0,tag,tag,3,1\n", "line 2, column 3 (to_id)"),
+    ("ranges_csv", "t_s,from_id,to_id,range_m,sigma_m\n1.0,tag,A,3\n", "line 2, column 5"),
+    ("ranges_csv", "t_s,from_id,to_id,range_m,sigma_m\n1.0,tag,A,3,1,7\n", "line 2, column 6"),
+    ("ranges_csv", "t_s,from_id,to_id,range,sigma_m\n1.0,tag,A,3,1\n", "line 1, column 4"),
+    ("ranges_csv", "t_s,from_id,to_id,range_m,sigma_m,arrival_s\n1.0,tag,A,3,1,0.5\n", "line 2, column 6 (arrival_s)"),
+    ("ranges_csv", "", "line 1, column 1"),
+    ("ranges_csv", "t_s,from_id,to_id,range_m,sigma_m\n", "no rows"),
+    ("positions_csv", "t_s,id,e_m,n_m,u_m,sigma_h_m,sigma_v_m\n0,A,1,2,3,1,1\n", "line 2, column 2 (id)"),
+    ("positions_csv", "t_s,id,e_m,n_m,u_m,sigma_h_m,sigma_v_m,ve_mps\n0,tag,1,2,3,1,1,3\n", "line 1, column 8"),
+    ("truth_csv", "t_s,id,e_m,n_m,u_m\n", "no rows"),
+    ("truth_csv", "t_s,id,e_m,n_m,u_m\n1,B,1,2,3\n", "no row of any subject"),
+    ("truth_csv", "t_s,id,e_m,n_m,u_m\n2,tag,1,2,3\n1,tag,1,2,3\n", "line 3, column 1 (t_s)"),
+    ("attitude_csv", "t_s,id,roll_rad,pitch_rad,yaw_rad,airspeed_mps\n1,tag,0,0,inf,20\n", "line 2, column 5 (yaw_rad)"),
+    ("altitude_csv", "t_s,id,u_m,sigma_v_m\n1,tag,,1\n", "line 2, column 3 (u_m)"),
+    ("meta_toml", "name = ", "not TOML"),
+    ("meta_toml", FILES["meta.toml"].replace("dims = 3", "dims = 4"), "dims"),
+    ("meta_toml", FILES["meta.toml"].replace('"peer"', '"friend"'), "role"),
+    ("meta_toml", FILES["meta.toml"].replace('id = "B"', 'id = "A"'), "two nodes"),
+    ("meta_toml", FILES["meta.toml"].replace('"subject"', '"peer"'), "nothing to locate"),
+    ("meta_toml", FILES["meta.toml"].replace("e_m = 0.0", ""), "e_m"),
+    ("meta_toml", FILES["meta.toml"].replace("dims = 3", "dims = 3\ncolour = 1"), "colour"),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "where"), BAD_ROWS, ids=[f"{n}-{w}" for n, _, w in BAD_ROWS])
+def test_what_is_wrong_is_named_with_its_place(tmp_path, name, text, where):
+    with pytest.raises(DataError) as raised:
+        read_dataset(write(tmp_path, **{name: text}))
+    assert name.replace("_csv", ".csv").replace("_toml", ".toml") in str(raised.value)
+    assert where in str(raised.value)
+
+
+@pytest.mark.parametrize("name", ["meta.toml", "positions.csv", "ranges.csv", "truth.csv"])
+def test_a_missing_file_is_named(tmp_path, name):
+    with pytest.raises(DataError, match=name.replace(".", r"\.")):
+        read_dataset(write(tmp_path, **{name.replace(".", "_"): None}))
+
+
+def test_a_missing_directory_is_named(tmp_path):
+    with pytest.raises(DataError, match="no such directory"):
+        read_dataset(tmp_path / "nothing")
+
+
+def test_bytes_that_are_no_text_are_named(tmp_path):
+    write(tmp_path)
+    (tmp_path / "truth.csv").write_bytes(b"t_s,id,e_m,n_m,u_m\n\xff\xfe")
+    with pytest.raises(DataError, match="truth"):
+        read_dataset(tmp_path)

@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, Measurement, Residual, Unknown
+from gcs_coloc.estimators.fleet_filter import FleetFilter
+from gcs_coloc.study.evaluate import evaluate
+from gcs_coloc.study.evaluation_plot import plot
+from gcs_coloc.study.scoring import Series, score
+from tests.recordings import recording
+
+
+def write_walk(directory: Path, dims: int) -> Path:
+    """A walker between four anchors, exact ranges, arrivals 0.2 s late."""
+    anchors = {"A": (0.0, 0.0), "B": (30.0, 0.0), "C": (0.0, 30.0), "D": (30.0, 30.0)}
+    meta = f'name = "walk"\nsource = "made"\nlicence = "CC0"\ndims = {dims}\n[[node]]\nid = "w"\nrole = "subject"\n'
+    heights = dict(zip(anchors, (1.0, 1.0, 1.0, 1.0) if dims == 2 else (0.0, 6.0, 6.0, 0.0), strict=True))
+    ranges = ["t_s,from_id,to_id,range_m,sigma_m,arrival_s"]
+    truth = ["t_s,id,e_m,n_m,u_m"]
+    for name, (e, n) in anchors.items():
+        meta += f'[[node]]\nid = "{name}"\nrole = "anchor"\ne_m = {e}\nn_m = {n}\nu_m = {heights[name]}\nsigma_m = 0.01\n'
+    for k in range(200):
+        t = 0.1 * k
+        here = (10.0 + 0.5 * t, 8.0 + 0.3 * t, 1.0)
+        for name, (e, n) in anchors.items():
+            r = math.dist(here, (e, n, heights[name]))
+            ranges.append(f"{t:.3f},w,{name},{r:.5f},0.1,{t + 0.2:.3f}")
+        if k >= 50:
+            truth.append(f"{t:.3f},w,{here[0]},{here[1]},{here[2]}")
+    (directory / "meta.toml").write_text(meta)
+    (directory / "ranges.csv").write_text("\n".join(ranges) + "\n")
+    (directory / "truth.csv").write_text("\n".join(truth) + "\n")
+    header = "t_s,id,e_m,n_m,u_m,sigma_h_m,sigma_v_m\n"
+    (directory / "positions.csv").write_text(header + "0.0,w,10,8,1,1,1\n")
+    return directory
+
+
+@pytest.mark.parametrize("dims", [2, 3])
+def test_a_walk_is_followed_and_scored(tmp_path, dims):
+    evaluation = evaluate(write_walk(tmp_path, dims), FleetFilter())
+    (subject,) = evaluation.subjects
+    assert subject.score.share_known == 1.0
+    assert subject.score.first_known_s == pytest.approx(5.0)
+    assert subject.score.horizontal is not None
+    assert subject.score.horizontal.rmse_m < 0.3
+    assert subject.score.anees_expected == dims
+    figures = json.loads(json.dumps(evaluation.as_dict()))
+    assert figures["subjects"]["w"]["epochs"] == 150
+
+
+def test_the_picture_is_drawn(tmp_path):
+    pytest.importorskip("matplotlib")
+    picture = tmp_path / "walk.png"
+    plot(evaluate(write_walk(tmp_path, 2), FleetFilter()), picture)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+class Recorder:
+    """Answers with the newest arrival it has heard of, and writes down what it was asked."""
+
+    name = "recorder"
+
+    def __init__(self) -> None:
+        self.newest_s = -math.inf
+        self.asked: list[tuple[float, float]] = []
+        self.subjects: list[tuple[frozenset[int], float]] = []
+        self.heights = 0
+
+    def set_subjects(self, subjects: Collection[int], at_s: float) -> None:
+        self.subjects.append((frozenset(subjects), at_s))
+
+    def add(self, measurement: Measurement) -> None:
+        self.newest_s = max(self.newest_s, measurement.arrived_at_s)
+        self.heights += isinstance(measurement, AltitudeMeasurement)
+
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
+        self.asked.append((at_s, self.newest_s))
+        return Unknown(vehicle, at_s, "never")
+
+    def take_residuals(self) -> list[Residual]:
+        return []
+
+    def counts(self) -> Mapping[str, int]:
+        return {}
+
+
+def test_scoring_is_causal_and_a_subject_is_one_after_its_last_report(tmp_path):
+    recorder = Recorder()
+    evaluation = evaluate(write_walk(tmp_path, 3), recorder)
+    assert len(recorder.asked) == 150
+    assert all(newest <= at + 1e-9 for at, newest in recorder.asked)
+    assert all(newest > at - 0.11 for at, newest in recorder.asked)
+    ((subjects, at_s),) = recorder.subjects
+    assert subjects == {1}
+    assert 0.0 < at_s <= 0.2
+    assert recorder.heights == 0
+    score_of_none = evaluation.subjects[0].score
+    assert (score_of_none.share_known, score_of_none.horizontal, score_of_none.anees) == (0.0, None, None)
+
+
+def test_two_dimensions_tell_the_estimator_the_plane(tmp_path):
+    recorder = Recorder()
+    evaluate(write_walk(tmp_path, 2), recorder)
+    assert recorder.heights > 50
+
+
+def test_the_figures_are_those_worked_out_by_hand():
+    truth = np.zeros((4, 3))
+    estimate = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 2.0], [np.nan] * 3, [6.0, 8.0, 0.0]])
+    covariance = np.broadcast_to(4.0 * np.eye(3), (4, 3, 3))
+    result = score(Series(np.arange(4.0) + 10.0, truth, estimate, covariance), 9.0, 3)
+    assert result.share_known == 0.75
+    assert result.first_known_s == 1.0
+    assert result.horizontal is not None
+    assert result.spatial is not None
+    assert result.horizontal.rmse_m == pytest.approx(math.sqrt((25.0 + 0.0 + 100.0) / 3.0))
+    assert result.spatial.rmse_m == pytest.approx(math.sqrt((25.0 + 4.0 + 100.0) / 3.0))
+    assert result.horizontal.median_m == 5.0
+    assert result.horizontal.max_m == 10.0
+    assert result.anees == pytest.approx((25.0 + 4.0 + 100.0) / 4.0 / 3.0)
+    assert result.covered_95 == pytest.approx(1.0 / 3.0)  # the bound is 2.45 times 2 m
+
+
+def test_real_outdoor_ranges_are_located_as_well_as_with_an_inertial_unit():
+    evaluation = evaluate(recording("hanyang") / "los_b4", FleetFilter())
+    (subject,) = evaluation.subjects
+    assert subject.score.share_known == 1.0
+    assert subject.score.spatial is not None
+    assert subject.score.spatial.rmse_m <= 0.70  # the authors' filter with an inertial unit
