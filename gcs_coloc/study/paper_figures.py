@@ -37,7 +37,7 @@ def draw_figures(study: PaperStudy, titles: Mapping[str, str], out_dir: Path) ->
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         draw(figure, study, titles)
-        figure.savefig(out_dir / name, dpi=80)
+        figure.savefig(out_dir / name, dpi=70)
         written.append(out_dir / name)
     return written
 
@@ -65,7 +65,7 @@ def _detail(figure: Any, study: PaperStudy, titles: Mapping[str, str]) -> None:
     _place_estimates(axes, study, titles)
     axes.set_xlim(flown[:, 0].min() - 0.2, flown[:, 0].max() + 0.2)
     axes.set_ylim(flown[:, 1].min() - 0.2, flown[:, 1].max() + 0.2)
-    _finish(axes, f"Figure 6: UAV4 in the first {study.options.first_part_s:g} s", "east, km", "north, km")
+    _finish(axes, f"Figure 6: UAV4 in the first {study.options.first_part_s:g} s", "east, km", "north, km", legend="lower left")
 
 
 def _place_estimates(axes: Any, study: PaperStudy, titles: Mapping[str, str]) -> None:
@@ -104,7 +104,7 @@ def _honesty(figure: Any, study: PaperStudy, titles: Mapping[str, str]) -> None:
         axes.set_xlabel("time, s")
 
 
-def _finish(axes: Any, title: str | None, x: str | None, y: str | None) -> None:
+def _finish(axes: Any, title: str | None, x: str | None, y: str | None, legend: str = "upper left") -> None:
     if title:
         axes.set_title(title)
     if x:
@@ -112,4 +112,4 @@ def _finish(axes: Any, title: str | None, x: str | None, y: str | None) -> None:
     if y:
         axes.set_ylabel(y)
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, loc="upper right")
+    axes.legend(fontsize=8, loc=legend)

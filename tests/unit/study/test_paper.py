@@ -121,7 +121,7 @@ def test_a_directory_that_cannot_be_made_is_one_clear_error(study: PaperStudy, t
     [
         {"seeds": 0},
         {"jobs": 0},
-        {"fleet_seeds": 21},
+        {"fleet_seeds": -1},
         {"qs": ()},
         {"qs": (-1.0, 5.0)},
         {"figure_q": 7.0},
