@@ -22,22 +22,24 @@ def draw(scenario: Scenario, subject: int, lost_s: float, with_service: Flight, 
     grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1))
     track, error, route, hdop = (figure.add_subplot(grid[:, 0]), *(figure.add_subplot(grid[i, 1]) for i in range(3)))
 
+    fleet = track.inset_axes((0.045, 0.04, 0.36, 0.36))
     for vehicle in scenario.vehicle:
-        samples = with_service.samples[vehicle.sysid]
-        east, north = _track(samples)
-        if vehicle.sysid != subject:
-            track.plot(east, north, color="0.6", lw=1)
-            track.annotate(f"UAV{vehicle.sysid}", (east[0], north[0]), color="0.4", fontsize=9)
+        east, north = _track(with_service.samples[vehicle.sysid])
+        fleet.plot(east, north, color="#0072b2" if vehicle.sysid == subject else "0.5", lw=1)
+        fleet.annotate(f"{vehicle.sysid}", (east[0], north[0]), fontsize=8)
+    fleet.set_title("the fleet, km", fontsize=8)
+    fleet.tick_params(labelsize=7)
+    fleet.set_aspect("equal", adjustable="datalim")
     waypoints = np.array(next(v.waypoints for v in scenario.vehicle if v.sysid == subject)) / 1e3
     track.plot(waypoints[:, 0], waypoints[:, 1], "k:", lw=1, marker="s", ms=4, label=f"UAV{subject}: planned route")
     track.plot(*_track(without.samples[subject]), color="#d55e00", lw=1.5, label="flown without the service")
     track.plot(*_track(with_service.samples[subject]), color="#0072b2", lw=1.8, label="flown with the service")
     at_loss = next(s for s in with_service.samples[subject] if s.at_s >= lost_s)
     track.plot(at_loss.truth.east_m / 1e3, at_loss.truth.north_m / 1e3, "kx", ms=9, mew=2, label="GPS lost")
-    track.set(xlabel="east, km", ylabel="north, km", title="Tracks")
-    track.axis("equal")
+    track.set(xlabel="east, km", ylabel="north, km", title=f"UAV{subject}: planned and flown")
+    track.set_aspect("equal", adjustable="datalim")
     track.grid(alpha=0.3)
-    track.legend(fontsize=8, loc="upper right")
+    track.legend(fontsize=8, loc="lower right")
 
     known = [s for s in with_service.samples[subject] if s.error_enu_m is not None and s.covariance is not None]
     times = [s.at_s for s in known]
@@ -48,8 +50,8 @@ def draw(scenario: Scenario, subject: int, lost_s: float, with_service: Flight, 
     error.legend(fontsize=8, loc="upper left")
     for flight, colour in ((without, "#d55e00"), (with_service, "#0072b2")):
         samples = flight.samples[subject]
-        route.plot([s.at_s for s in samples], [max(s.truth.off_route_m, 0.1) for s in samples], color=colour, lw=1)
-    route.set(ylabel="off its route, m", yscale="log")
+        route.plot([s.at_s for s in samples], [s.truth.off_route_m for s in samples], color=colour, lw=1)
+    route.set(ylabel="off its route, m")
     with_hdop = [s for s in with_service.samples[subject] if s.hdop is not None]
     hdop.plot([s.at_s for s in with_hdop], [s.hdop for s in with_hdop], color="#009e73", lw=1)
     hdop.set(ylabel="HDOP", xlabel="time, s", ylim=(0, 12))
