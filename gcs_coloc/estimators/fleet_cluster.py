@@ -46,6 +46,7 @@ _UNKNOWN_VELOCITY_MPS = 30.0
 _REPORT_VELOCITY_TIME_S = 1.0
 _LEAST_DISTANCE_M = 1e-3
 _HARDEST_MPS2 = 20.0
+_WELL_KNOWN_SHARE = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,25 +308,30 @@ class Cluster:
         record.attitude = m
         start = joint.start[m.vehicle]
         V = m.airspeed_mps * math.cos(m.pitch_rad)
-        se, sn = math.sin(m.yaw_rad), math.cos(m.yaw_rad)
         P, x = joint.P, joint.x
-        air = P[:, start + 3 : start + 5] - P[:, start + 6 : start + 8]
+        v, w = slice(start + 3, start + 5), slice(start + 6, start + 8)
+        air = P[:, v] - P[:, w]
+        ve, vn = (x[v] - x[w]).tolist()
+        speed = math.hypot(ve, vn)
+        spread = float(np.trace(air[v]) - np.trace(air[w]))
+        if spread < (_WELL_KNOWN_SHARE * V) ** 2 and speed > 0.5 * V:
+            # Linearised where the state is: along a noisy measured heading the gain and the innovation would share their
+            # noise, and slowly shift wind against airspeed error.
+            se, sn = ve / speed, vn / speed
+            off = math.remainder(m.yaw_rad - math.atan2(ve, vn), 2.0 * math.pi)
+            misses = (V - speed, speed * off)
+        else:
+            se, sn, speed = math.sin(m.yaw_rad), math.cos(m.yaw_rad), V
+            misses = (V - se * ve - sn * vn, se * vn - sn * ve)
         # Rows: along the nose (airspeed), across it (heading).
         PHt = np.empty((len(x), 2))
         PHt[:, 0] = se * air[:, 0] + sn * air[:, 1] + P[:, start + AIRSPEED_ERROR]
-        PHt[:, 1] = sn * air[:, 0] - se * air[:, 1] + V * P[:, start + HEADING_ERROR]
-        ve, vn = (x[start + 3 : start + 5] - x[start + 6 : start + 8]).tolist()
-        innovation = np.array(
-            [
-                V - (se * ve + sn * vn) - x[start + AIRSPEED_ERROR],
-                -(sn * ve - se * vn) - V * x[start + HEADING_ERROR],
-            ]
-        )
+        PHt[:, 1] = sn * air[:, 0] - se * air[:, 1] + speed * P[:, start + HEADING_ERROR]
+        innovation = np.array(misses) - (x[start + AIRSPEED_ERROR], speed * x[start + HEADING_ERROR])
         S = np.empty((2, 2))
-        v, w = slice(start + 3, start + 5), slice(start + 6, start + 8)
         rows = PHt[v] - PHt[w]
         S[0] = se * rows[0] + sn * rows[1] + PHt[start + AIRSPEED_ERROR]
-        S[1] = sn * rows[0] - se * rows[1] + V * PHt[start + HEADING_ERROR]
+        S[1] = sn * rows[0] - se * rows[1] + speed * PHt[start + HEADING_ERROR]
         noise = s.air_noise_mps**2 * max(1.0, s.air_noise_time_s / max(since_s, 1e-3))
         S[0, 0] += noise
         S[1, 1] += noise
