@@ -45,7 +45,7 @@ class FleetSettings:
     climb_density_m2ps3: float = 0.02
     manoeuvre_gain: float = 100.0
     manoeuvre_memory_s: float = 3.0
-    aided_density_m2ps3: float = 0.1
+    aided_density_m2ps3: float = 0.02
     turn_share: float = 0.1
     wind_sigma_mps: float = 8.0
     wind_time_s: float = 3600.0
