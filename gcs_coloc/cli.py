@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.logging import RichHandler
 
 from gcs_coloc import __version__
-from gcs_coloc.commands import replay
+from gcs_coloc.commands import evaluate, replay, study
 from gcs_coloc.core.errors import GcsColocError, UsageError
 
 PROGRAM = "gcs-coloc"
@@ -133,6 +133,8 @@ def check_config(file: Annotated[Path, typer.Argument(help="The configuration fi
 
 
 app.command("replay")(replay.replay)
+app.command("evaluate")(evaluate.evaluate)
+app.add_typer(study.app)
 
 
 def _log_to_stderr(level: LogLevel, console: Console) -> None:

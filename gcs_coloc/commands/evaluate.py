@@ -1,0 +1,44 @@
+"""`gcs-coloc evaluate`: an estimator on a data set, scored."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gcs_coloc.config import load_settings
+from gcs_coloc.estimators.registry import load_estimator
+
+
+def evaluate(
+    directory: Annotated[Path, typer.Argument(help="A data set: meta.toml, positions.csv, ranges.csv, ...", metavar="DIR")],
+    estimator: Annotated[str | None, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = None,
+    config: Annotated[Path | None, typer.Option(help="A configuration file (TOML) for the estimator and its settings.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the scores as JSON.")] = False,
+    plot: Annotated[Path | None, typer.Option(help="Draw track, error against 2-sigma, and NIS into this file.")] = None,
+) -> None:
+    """Run an estimator over a data set, causally, and score it against the truth."""
+    from gcs_coloc.study import evaluate as study
+    from gcs_coloc.study import evaluation_plot
+
+    settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {})
+    evaluation = study.evaluate(directory, load_estimator(settings.estimator.name, settings.estimator.settings))
+    if plot is not None:
+        evaluation_plot.plot(evaluation, plot)
+    if as_json:
+        print(json.dumps(evaluation.as_dict(), indent=2))
+        return
+    cost = f"{evaluation.cpu_us_per_measurement:.0f} us of CPU per measurement"
+    print(f"{evaluation.dataset}: estimator {evaluation.estimator}, {evaluation.measurements} measurements, {cost}")
+    for subject in evaluation.subjects:
+        s = subject.score
+        print(f"{subject.node.id}: {s.epochs} true positions, {s.share_known:.1%} answered", end="")
+        if s.horizontal is None or s.spatial is None or s.anees is None or s.covered_95 is None:
+            print()
+            continue
+        print(f", the first after {s.first_known_s:.1f} s")
+        for name, e in (("horizontal", s.horizontal), ("3D", s.spatial)):
+            print(f"  {name:<10} RMSE {e.rmse_m:.2f} m, median {e.median_m:.2f} m, 95 % {e.p95_m:.2f} m, most {e.max_m:.2f} m")
+        print(f"  ANEES {s.anees:.2f} ({s.anees_expected} expected), 95 % bound covers {s.covered_95:.1%}")

@@ -1,0 +1,80 @@
+"""`gcs-coloc study`: the paper's tables and figures, and the bound that no estimator beats."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+from gcs_coloc.study.paper_options import PaperOptions, QForm, QUnit
+
+app = typer.Typer(name="study", help="The paper's tables and figures; the best that any estimator can do.")
+
+
+@app.command("paper")
+def paper(
+    seeds: Annotated[int, typer.Option(help="Draws of noise.")] = 20,
+    first_seed: Annotated[int, typer.Option(help="Seed of the first draw.")] = 1,
+    jobs: Annotated[int, typer.Option(help="Processes; 0 is one per core.")] = 0,
+    fleet_seeds: Annotated[int, typer.Option(help="Draws for the fleet filter: it takes minutes for each.")] = 2,
+    q: Annotated[list[float] | None, typer.Option(help="A value of q; several times for several. Table 2's by default.")] = None,
+    end_of_route: Annotated[str, typer.Option(help="What follows the last waypoint: straight, loop or hold.")] = "straight",
+    cycle: Annotated[float, typer.Option(help="Computing cycle in seconds.")] = 0.02,
+    q_unit: Annotated[QUnit, typer.Option(help="What q counts: a variance per step, or a spectral density.")] = QUnit.PER_STEP,
+    q_form: Annotated[QForm, typer.Option(help="What a step's process noise is.")] = QForm.VELOCITY,
+    out: Annotated[Path, typer.Option(help="Directory for table, JSON and figures.")] = Path("out/paper"),
+) -> None:
+    """Fly Table 1 of Qu & Zhang, run its filters and ours on the same noise, and print Table 2 beside the published figures."""
+    from gcs_coloc.study import paper as study
+    from gcs_coloc.study import paper_report
+
+    options = PaperOptions(
+        seeds=seeds,
+        first_seed=first_seed,
+        jobs=jobs or os.cpu_count() or 1,
+        fleet_seeds=fleet_seeds,
+        end_of_route=end_of_route,
+        step_s=cycle,
+        q_form=q_form,
+        q_unit=q_unit,
+    )
+    if q:
+        options = replace(options, qs=tuple(q), figure_q=5.0 if 5.0 in q else q[0])
+    console = Console()
+    with Progress(console=console) as progress:
+        task = progress.add_task("flying", total=None)
+        result = study.run_paper_study(options, lambda done, total: progress.update(task, completed=done, total=total))
+    for table in paper_report.tables(result):
+        console.print(table)
+    for path in paper_report.write(result, out):
+        print(f"written: {path}")
+
+
+@app.command("bound")
+def bound(
+    scenario: Annotated[Path, typer.Argument(help="A scenario of the simulated aircraft (TOML).", metavar="SCENARIO")],
+    seed: Annotated[int, typer.Option(help="Seed of the flight (wind and the aircraft's own errors).")] = 1,
+    peer_sigma: Annotated[
+        float, typer.Option(help="1-sigma of each peer's position, m, new in every range; 0 is the least.")
+    ] = 0.0,
+    density: Annotated[float, typer.Option(help="How much the vehicle is left to itself: acceleration density, m^2/s^3.")] = 1.0,
+    plot: Annotated[Path | None, typer.Option(help="Draw the bound over time into this file.")] = None,
+) -> None:
+    """Compute the posterior Cramer-Rao bound along the true flight of each vehicle that loses its GPS."""
+    from gcs_coloc.study import scenario_bound
+    from gcs_coloc.study.bound import BoundOptions
+
+    bounds = scenario_bound.run(scenario, seed, BoundOptions(peer_sigma_m=peer_sigma, density_m2ps3=density))
+    for sysid, least in bounds.items():
+        sigma_m = least.horizontal_sigma_m
+        print(
+            f"vehicle {sysid}, {least.times_s[0]:.0f} to {least.times_s[-1]:.0f} s: horizontal RMSE at least "
+            f"{least.horizontal_rmse_m():.2f} m, at any one time {sigma_m.min():.2f} to {sigma_m.max():.2f} m"
+        )
+    if plot is not None:
+        scenario_bound.plot(bounds, plot)
