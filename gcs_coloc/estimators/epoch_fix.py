@@ -34,21 +34,26 @@ def circles_of(
 
 
 def fix_of(
-    vehicle: int, own: Track, circles: list[Circle], predicted_m: FloatArray | None, at_s: float, settings: QuZhangSettings
+    vehicle: int,
+    own: Track,
+    circles: list[Circle],
+    predicted: tuple[FloatArray, FloatArray] | None,
+    at_s: float,
+    settings: QuZhangSettings,
 ) -> Fix | str:
     """Return the fix with the covariance that the settings choose, or the reason in words why there is none.
 
-    `predicted_m`, shape (2,), is where the vehicle's filter expects it, None where it has none.
+    `predicted` is where the vehicle's filter expects it, position (2,) and covariance (2, 2), None where it has none.
     """
     if own.vertical is None:
         return "no height of its own"
     fix = solve(
         vehicle,
         circles,
-        predicted_m,
+        predicted,
         float(own.vertical.predicted(at_s)[1][0, 0]) + own.sigma_v_m**2,
         min_flatness=settings.min_flatness,
-        misclosure_limit=threshold(settings.gate_probability, 1),
+        nis_limit=threshold(settings.gate_probability, 1),
     )
     if isinstance(fix, str):
         return fix
@@ -57,7 +62,7 @@ def fix_of(
     if settings.covariance == "constant":
         return replace(fix, covariance=settings.constant_sigma_m**2 * np.eye(2))
     if settings.covariance == "published":
-        published = published_covariance(fix, circles, predicted_m)
+        published = published_covariance(fix, circles, None if predicted is None else predicted[0])
         if not np.isfinite(published).all():
             return "two peers are seen in one direction"
         return replace(fix, covariance=published)

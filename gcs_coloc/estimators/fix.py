@@ -40,21 +40,25 @@ class Fix:
 def solve(
     vehicle: int,
     circles: list[Circle],
-    predicted_m: FloatArray | None,
+    predicted: tuple[FloatArray, FloatArray] | None,
     height_variance_m2: float,
     *,
     min_flatness: float,
-    misclosure_limit: float,
+    nis_limit: float,
 ) -> Fix | str:
-    """Return the fix from the three peers of best geometry whose circles agree, or the reason in words why there is none.
+    """Return the fix from three peers, or the reason in words why there is none.
+
+    Of more than three, those three are taken whose fix most of the other ranges support, of these the ones that agree with the
+    prediction, of these the ones of least covariance. Where ranges contradict each other and nothing tells which is wrong,
+    there is no fix.
 
     Args:
         vehicle: whose fix it is.
-        circles: its ranges; more than three are ordered by the covariance that each three give.
-        predicted_m: shape (2,), where to linearise; None linearises each three at its own fix.
+        circles: its ranges.
+        predicted: position (2,) and covariance (2, 2) expected, where to linearise; None linearises each three at its own fix.
         height_variance_m2: of the vehicle's own height, common to all its circles.
         min_flatness: least height over longest side of the peers' triangle.
-        misclosure_limit: largest NIS, one degree of freedom, of three circles that are to meet in a point.
+        nis_limit: largest NIS, one degree of freedom, of circles that meet in a point.
 
     """
     if len(circles) < 3:
@@ -77,20 +81,57 @@ def solve(
     own_height = 4.0 * height_variance_m2 * heights[:, :, np.newaxis] * heights[:, np.newaxis, :] + 2.0 * height_variance_m2**2
     range_covariance = own_variances[:, :, np.newaxis] * np.eye(3) + own_height
     fixes = trilateration.trilaterate(centres, squared)
-    at = fixes if predicted_m is None else np.broadcast_to(predicted_m, fixes.shape)
+    at = fixes if predicted is None else np.broadcast_to(predicted[0], fixes.shape)
     fix_covariances = trilateration.corrected_covariance(centres, at, range_covariance, covariances)
 
-    best_nis = np.inf
-    for index in np.argsort(np.trace(fix_covariances, axis1=-2, axis2=-1), kind="stable"):
-        one = slice(index, index + 1)
-        spread = trilateration.misclosure_covariance(centres[one], fixes[one], range_covariance[one], covariances[one])
-        left_over, variance = trilateration.misclosure(centres[one], squared[one], fixes[one], spread)
-        nis = float(left_over[0] ** 2 / variance[0])
-        best_nis = min(best_nis, nis)
-        if nis <= misclosure_limit:
-            chosen = [candidates[i] for i in triples[index]]
-            return _fix(vehicle, chosen, fixes[index], at[index], range_covariance[index], height_variance_m2)
-    return f"the ranges do not meet in one point (NIS {best_nis:.0f})"
+    spread = trilateration.misclosure_covariance(centres, fixes, range_covariance, covariances)
+    left_over, variance = trilateration.misclosure(centres, squared, fixes, spread)
+    misclosure_nis = left_over**2 / variance
+    meet = misclosure_nis <= nis_limit
+    if not meet.any():
+        return f"the ranges do not meet in one point (NIS {misclosure_nis.min():.0f})"
+    supporters = _supporters(candidates, fixes[meet], fix_covariances[meet], height_variance_m2, nis_limit)
+    chosen = _most_supported(fixes[meet], fix_covariances[meet], supporters, predicted, nis_limit)
+    if chosen is None:
+        return "the ranges contradict each other"
+    index = np.flatnonzero(meet)[chosen]
+    return _fix(
+        vehicle, [candidates[i] for i in triples[index]], fixes[index], at[index], range_covariance[index], height_variance_m2
+    )
+
+
+def _supporters(
+    candidates: list[Circle], fixes: FloatArray, fix_covariances: FloatArray, height_variance_m2: float, nis_limit: float
+) -> FloatArray:
+    """Return how many of all circles go through each fix: shape (N,) from fixes (N, 2) and covariances (N, 2, 2)."""
+    offsets = fixes[:, np.newaxis] - np.array([one.centre_m for one in candidates])
+    misfit = np.array([one.squared_m2 for one in candidates]) - (offsets**2).sum(axis=-1)
+    centre = np.array([one.centre_covariance + one.lasting_covariance[:2, :2] for one in candidates])
+    own = np.array([one.squared_variance_m4 + 4.0 * height_variance_m2 * one.height_m**2 for one in candidates])
+    spread = fix_covariances[:, np.newaxis] + centre
+    variance = own + 2.0 * height_variance_m2**2 + 4.0 * np.einsum("nci,ncij,ncj->nc", offsets, spread, offsets)
+    return np.asarray((misfit**2 <= nis_limit * variance).sum(axis=1), dtype=np.float64)
+
+
+def _most_supported(
+    fixes: FloatArray,
+    covariances: FloatArray,
+    supporters: FloatArray,
+    predicted: tuple[FloatArray, FloatArray] | None,
+    nis_limit: float,
+) -> int | None:
+    """Return the index of the fix to take, of (N, 2), (N, 2, 2) and (N,); None where the best supported exclude each other."""
+    best = np.flatnonzero(supporters == supporters.max())
+    if predicted is not None:
+        agree = _distance_nis(fixes[best] - predicted[0], covariances[best] + predicted[1]) <= 2.0 * nis_limit
+        best = best[agree] if agree.any() else best
+    chosen = int(best[np.argmin(np.trace(covariances[best], axis1=-2, axis2=-1))])
+    apart = _distance_nis(fixes[best] - fixes[chosen], covariances[best] + covariances[chosen])
+    return chosen if (apart <= 2.0 * nis_limit).all() else None
+
+
+def _distance_nis(differences: FloatArray, covariances: FloatArray) -> FloatArray:
+    return np.asarray((differences * np.linalg.solve(covariances, differences[..., np.newaxis])[..., 0]).sum(axis=-1))
 
 
 def published_covariance(fix: Fix, circles: list[Circle], predicted_m: FloatArray | None) -> FloatArray:

@@ -212,8 +212,13 @@ class QuZhang:
         peers = {peer: one for peer, one in self._tracks.items() if peer not in self._former and peer not in self._subjects}
         circles, reasons = circles_of(epoch, track, peers, at_s, self._settings)
         self._counts["range to a peer without a fresh position"] += len(reasons)
-        predicted = None if track.horizontal is None else track.horizontal.predicted(at_s)
-        solution = fix_of(vehicle, track, circles, None if predicted is None else predicted[0][[0, 2]], at_s, self._settings)
+        predicted: tuple[FloatArray, FloatArray] | None = None
+        expected: tuple[FloatArray, FloatArray] | None = None
+        if track.horizontal is not None:
+            predicted = track.horizontal.predicted(at_s)
+            covariance = self._covariance(track, track.horizontal, subject, at_s)
+            expected = predicted[0][[0, 2]], covariance[np.ix_([0, 2], [0, 2])]
+        solution = fix_of(vehicle, track, circles, expected, at_s, self._settings)
         fix: Fix | None = None
         if isinstance(solution, str):
             refused: str | None = "; ".join([solution, *reasons])
