@@ -1,0 +1,145 @@
+import re
+from dataclasses import MISSING, fields, replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gcs_coloc.estimators.circles import Circle
+from gcs_coloc.estimators.fix import Fix, published_covariance, solve
+from gcs_coloc.estimators.qu_zhang_settings import QuZhangSettings
+
+MORE = {
+    1: np.array([0.0, 0.0, 60.0]),
+    2: np.array([900.0, 100.0, 140.0]),
+    3: np.array([200.0, 700.0, 20.0]),
+    4: np.array([800.0, 800.0, 90.0]),
+    5: np.array([-300.0, 500.0, 120.0]),
+}
+PEERS = {who: MORE[who] for who in (1, 2, 3)}
+OWN = np.array([350.0, 250.0, 100.0])
+
+
+def circles(
+    believed: dict[int, np.ndarray], own_height_m: float = OWN[2], lies_m: dict[int, float] | None = None
+) -> list[Circle]:
+    """Exact ranges to where the peers are, plus lies; centres where they are believed to be."""
+    return [
+        Circle(
+            peer=peer,
+            centre_m=place[:2],
+            centre_covariance=0.25 * np.eye(2),
+            range_m=float(np.linalg.norm(OWN - MORE[peer])) + (lies_m or {}).get(peer, 0.0),
+            range_sigma_m=1.0,
+            height_m=own_height_m - place[2],
+            height_variance_m2=0.04,
+            lasting_covariance=np.diag([4.0, 4.0, 9.0]),
+        )
+        for peer, place in believed.items()
+    ]
+
+
+def solved(of: list[Circle], predicted: tuple[np.ndarray, np.ndarray] | None = None) -> Fix:
+    fix = solve(9, of, predicted, 0.5, min_flatness=0.05, nis_limit=15.0)
+    assert isinstance(fix, Fix), fix
+    return fix
+
+
+def test_slant_ranges_to_peers_at_other_heights_give_the_place() -> None:
+    fix = solved(circles(PEERS))
+
+    assert fix.position_m == pytest.approx(OWN[:2], abs=1e-6)
+    assert sorted(fix.peers) == [1, 2, 3]
+
+
+@pytest.mark.parametrize("peer", [1, 2, 3])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_sensitivity_to_a_peers_error_is_that_of_a_finite_difference(peer: int, axis: int) -> None:
+    step = 1e-4
+    moved = {who: place + step * np.eye(3)[axis] * (who == peer) for who, place in PEERS.items()}
+    change = (solved(circles(moved)).position_m - OWN[:2]) / step
+
+    assert solved(circles(PEERS)).sensitivities[peer][:, axis] == pytest.approx(change, abs=1e-4)
+
+
+def test_the_sensitivity_to_the_own_height_is_that_of_a_finite_difference() -> None:
+    step = 1e-4
+    change = (solved(circles(PEERS, own_height_m=OWN[2] + step)).position_m - OWN[:2]) / step
+
+    assert solved(circles(PEERS)).sensitivities[9][:, 0] == pytest.approx(change, abs=1e-4)
+
+
+def test_the_covariance_is_that_of_the_finite_differences_of_what_is_new() -> None:
+    # Ranges, the peers' white errors and heights, and the own height, all independent; the second-order terms are below 1e-4.
+    expected = np.zeros((2, 2))
+    base = solved(circles(PEERS))
+    for peer, place in PEERS.items():
+        u = (OWN - place) / np.linalg.norm(OWN - place)
+        of_range = base.sensitivities[peer][:, 0] / u[0]
+        sensitivity = base.sensitivities[peer]
+        expected += np.outer(of_range, of_range) + sensitivity @ np.diag([0.25, 0.25, 0.04]) @ sensitivity.T
+    expected += 0.5 * base.sensitivities[9] @ base.sensitivities[9].T
+
+    assert base.covariance == pytest.approx(expected, rel=1e-3)
+
+
+def test_of_more_peers_the_three_of_least_covariance_are_used() -> None:
+    fix = solved(circles(MORE))
+    each = [solved([one for one in circles(MORE) if one.peer in trio]) for trio in combinations(MORE, 3)]
+
+    assert np.trace(fix.covariance) == pytest.approx(min(np.trace(one.covariance) for one in each), rel=0.2)
+
+
+@pytest.mark.parametrize("liar", sorted(MORE))
+def test_of_five_ranges_a_lying_one_is_left_out(liar: int) -> None:
+    fix = solved(circles(MORE, lies_m={liar: 90.0}))
+
+    assert liar not in fix.peers
+    assert fix.position_m == pytest.approx(OWN[:2], abs=1e-6)
+
+
+@pytest.mark.parametrize("liar", [1, 2, 3, 4])
+def test_of_four_ranges_the_prediction_tells_which_one_lies_and_without_it_nothing_does(liar: int) -> None:
+    four = {who: MORE[who] for who in (1, 2, 3, 4)}
+    lying = circles(four, lies_m={liar: 90.0})
+    cold = solve(9, lying, None, 0.5, min_flatness=0.05, nis_limit=15.0)
+
+    assert liar not in solved(lying, (OWN[:2] + 2.0, 9.0 * np.eye(2))).peers
+    assert isinstance(cold, str) or liar not in cold.peers
+
+
+def test_reasons_are_in_words() -> None:
+    line = {1: np.array([0.0, 0, 0]), 2: np.array([500.0, 1, 0]), 3: np.array([900.0, 0, 0])}
+    near = {1: np.array([0.0, 0, 0]), 2: np.array([1.0, 0, 0]), 3: np.array([0.5, 0.9, 0])}
+    noisy = [replace(one, centre_covariance=25.0 * np.eye(2)) for one in circles(near)]
+    limits = {"min_flatness": 0.05, "nis_limit": 15.0}
+
+    assert solve(9, circles(PEERS)[:2], None, 0.5, **limits) == "ranges to 2 of the 3 peers that a fix needs"
+    assert solve(9, circles(line), None, 0.5, **limits) == "the peers are nearly in one line"
+    # Three peers a metre apart whose places are known to 5 m may be in one line for all that is known.
+    assert solve(9, noisy, None, 0.5, **limits) == "the peers are nearly in one line"
+    assert "do not meet in one point" in str(solve(9, circles(PEERS, lies_m={1: 60.0}), None, 0.5, **limits))
+
+
+def test_the_published_covariance_takes_the_peers_filters_alone() -> None:
+    fix = solved(circles(PEERS))
+    one = published_covariance(fix, circles(PEERS), None)
+    louder = published_covariance(fix, [replace(each, range_sigma_m=50.0) for each in circles(PEERS)], None)
+    wider = published_covariance(fix, [replace(each, centre_covariance=np.eye(2)) for each in circles(PEERS)], None)
+
+    assert louder.tolist() == one.tolist()
+    assert wider == pytest.approx(4.0 * one)
+
+
+def test_every_setting_stands_on_the_reference_page_with_its_default() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "estimator-qu-zhang.md").read_text()
+    listed = dict(re.findall(r"^\| `(\w+)` \| `([^`]+)` \|", page, flags=re.MULTILINE))
+    spelled = {True: "true", False: "false"}
+    expected = {}
+    for one in fields(QuZhangSettings):
+        assert one.default is not MISSING
+        default = one.default
+        expected[one.name] = spelled[default] if isinstance(default, bool) else repr(default).replace("'", '"')
+
+    assert listed == expected
