@@ -13,14 +13,14 @@ from gcs_coloc.mavlink.checks import InvalidValueError
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.dialect import MESSAGE_CLASSES, OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.inbound import AUTOPILOT_CONVERTERS, CONVERTERS
-from gcs_coloc.mavlink.sequence import SequenceTracker
+from gcs_coloc.mavlink.sequence import DUPLICATE, SequenceTracker
+from gcs_coloc.mavlink.signing import LinkSigning
 
 MAX_AUTOPILOTS = 1024
 
 NOT_WANTED = "not_wanted"
 NOT_FROM_AUTOPILOT = "not_from_autopilot"
 UNKNOWN_MESSAGE = "unknown_message"
-DUPLICATE = "duplicate"
 ECHO = "echo"
 INVALID_SYSID = "invalid_value:header.sysid"
 
@@ -47,7 +47,7 @@ class Decoder:
 
     Reasons: those of `framing`; unknown_message (in no dialect of ours); not_wanted (known, but of no use to the core);
     not_from_autopilot (a message that only an autopilot can send about its vehicle, from another component);
-    duplicate; echo (our own frame come back); invalid_value:MESSAGE.field. Signatures are not verified.
+    duplicate; echo (our own frame come back); invalid_value:MESSAGE.field; those of `signing` where a link is signed.
     """
 
     def __init__(self, *, own_sysid: int = OWN_SYSID, own_compid: int = OWN_COMPID) -> None:
@@ -60,8 +60,14 @@ class Decoder:
             for number, convert in CONVERTERS.items()
         }
 
-    def decode(self, datagram: bytes, received_at_s: float, source: Hashable = None) -> list[Frame]:
-        """Decode the frames of one datagram, in order. `source` is the address it came from: each numbers its frames itself."""
+    def decode(
+        self, datagram: bytes, received_at_s: float, source: Hashable = None, signing: LinkSigning | None = None
+    ) -> list[Frame]:
+        """Decode the frames of one datagram, in order.
+
+        `source` is the address it came from: each numbers its frames itself. `signing` is how the link that it came over is
+        signed; without, signatures are passed over.
+        """
         frames: list[Frame] = []
         for raw in framing.split(datagram, self.counts, ended=True)[0]:
             sender = (raw.sysid, raw.compid)
@@ -69,6 +75,9 @@ class Decoder:
                 self.counts.add(ECHO)
             elif raw.sysid == 0:
                 self.counts.add(INVALID_SYSID)
+            # Before anything is remembered of the sender, and before its message's id decides: both are his to choose.
+            elif signing is not None and (refusal := signing.refusal(raw, received_at_s)) is not None:
+                self.counts.add(refusal)
             elif not self.sequences.note((source, *sender), raw.sequence, raw.checksum, received_at_s):
                 self.counts.add(DUPLICATE)
             elif not raw.is_known:

@@ -12,27 +12,28 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.messages import GpsInput, StreamRequest, ToVehicle
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
+from gcs_coloc.mavlink.signing import Stamp
 
 MAX_DESTINATIONS = 1024
 
 
 class Encoder:
-    """Encodes outputs as MAVLink 2, unsigned, numbering the frames of each destination on its own."""
+    """Encodes outputs as MAVLink 2, numbering the frames of each destination on its own; signed where a stamp is given."""
 
     def __init__(self, *, sysid: int = OWN_SYSID, compid: int = OWN_COMPID) -> None:
         self._mavlink = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=compid)
         self._next_sequence: OrderedDict[Hashable, int] = OrderedDict()
 
-    def encode(self, message: ToVehicle, destination: Hashable) -> bytes:
+    def encode(self, message: ToVehicle, destination: Hashable, stamp: Stamp | None = None) -> bytes:
         """Encode an output for the address `destination`.
 
         Raises ValueError where a number in it is not finite or does not fit its field.
         """
         if isinstance(message, GpsInput):
-            return self._pack(_gps_input(message), destination)
-        return self._pack(_stream_request(message), destination)
+            return self._pack(_gps_input(message), destination, stamp)
+        return self._pack(_stream_request(message), destination, stamp)
 
-    def heartbeat(self, destination: Hashable) -> bytes:
+    def heartbeat(self, destination: Hashable, stamp: Stamp | None = None) -> bytes:
         """Encode our own HEARTBEAT: an onboard controller, no autopilot."""
         message = mavlink.MAVLink_heartbeat_message(
             type=mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
@@ -42,16 +43,20 @@ class Encoder:
             system_status=mavlink.MAV_STATE_ACTIVE,
             mavlink_version=3,
         )
-        return self._pack(message, destination)
+        return self._pack(message, destination, stamp)
 
-    def _pack(self, message: Any, destination: Hashable) -> bytes:
+    def _pack(self, message: Any, destination: Hashable, stamp: Stamp | None) -> bytes:
         sequence = self._next_sequence.pop(destination, 0)
         if len(self._next_sequence) >= MAX_DESTINATIONS:
             self._next_sequence.popitem(last=False)
         self._next_sequence[destination] = (sequence + 1) & 0xFF
         self._mavlink.seq = sequence
+        signing = self._mavlink.signing
+        signing.sign_outgoing = stamp is not None
+        if stamp is not None:
+            signing.secret_key, signing.link_id, signing.timestamp = stamp.key, stamp.link_id, stamp.timestamp
         try:
-            packed: bytes = message.pack(self._mavlink)
+            packed = bytes(message.pack(self._mavlink))
         except (struct.error, OverflowError) as error:
             raise ValueError(f"{message.msgname} cannot be encoded: {error}") from error
         return packed

@@ -1,4 +1,4 @@
-"""Finding MAVLink frames among bytes, and checking them: lengths, flags, checksum. No signature is verified here."""
+"""Finding MAVLink frames among bytes, and checking them: lengths, flags, checksum. Signatures: `signing`."""
 
 from __future__ import annotations
 
@@ -52,6 +52,11 @@ class RawFrame(NamedTuple):
     checksum: int
     payload: bytes
     frame: bytes
+
+    @property
+    def is_signed(self) -> bool:
+        """Whether the frame carries a signature, right or wrong."""
+        return self.frame[0] == MAGIC_V2 and bool(self.frame[2] & INCOMPAT_SIGNED)
 
 
 def read_frame(data: bytes | mmap, start: int) -> RawFrame | str:

@@ -1,0 +1,149 @@
+"""MAVLink 2 signatures, sans-IO: which frames may be used, and how ours are stamped.
+
+Rules: https://mavlink.io/en/guide/message_signing.html. Beyond them, as an attacker makes use of what is left open: a frame
+changes nothing here before its signature is found right, and a stream's time is kept for all links together, so that what
+was heard on one link cannot be played back on another.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+from collections import OrderedDict
+from dataclasses import dataclass, field
+
+from pymavlink.dialects.v20.ardupilotmega import MAVLINK_MSG_ID_RADIO_STATUS
+
+from gcs_coloc.mavlink.framing import SIGNATURE_LENGTH, RawFrame
+from gcs_coloc.mavlink.sequence import DUPLICATE
+
+KEY_LENGTH = 32
+EPOCH_UNIX_S = 1_420_070_400
+"""2015-01-01 UTC, from which signatures count their time."""
+TICKS_PER_S = 100_000
+FIRST_CONTACT_TICKS = 60 * TICKS_PER_S
+"""A stream that was never heard may be so far behind our time; further behind it is taken for a recording."""
+LATEST_TICKS = (4_102_444_800 - EPOCH_UNIX_S) * TICKS_PER_S
+"""The year 2100. Whoever signs for later would, as both ends follow the later time, wear out the counter of 48 bits."""
+MAX_STREAMS = 1024
+
+_DIGEST_LENGTH = 6
+_TIME_LENGTH = 6
+
+UNSIGNED = "unsigned"
+UNSIGNED_RADIO_STATUS = "unsigned_radio_status"
+SIGNATURE_WRONG = "signature_wrong"
+SIGNATURE_REPLAYED = "signature_replayed"
+SIGNATURE_OLD = "signature_old"
+SIGNATURE_FUTURE = "signature_future"
+STREAMS_FULL = "signature_streams_full"
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """What one frame of ours is signed with: the key, the link's number, and a time that no other frame of ours has."""
+
+    key: bytes = field(repr=False)
+    link_id: int
+    timestamp: int
+
+
+class Signing:
+    """One secret key, the time of its signatures, and the time of every stream heard that was signed with it.
+
+    Our time is the latest of the host's clock, the last stamp given and the latest stamp that was verified. A stream is a
+    system, a component and a link number of the sender's. At most `max_streams` are kept: to forget one is safe once its
+    last stamp is so old that at a first contact it would be refused, and only such a one makes room.
+    """
+
+    def __init__(self, key: bytes, *, max_streams: int = MAX_STREAMS) -> None:
+        if len(key) != KEY_LENGTH:
+            raise ValueError(f"a signing key has {KEY_LENGTH} bytes, not {len(key)}")
+        self._key = key
+        self._max_streams = max_streams
+        self._unix_minus_service_s: float | None = None
+        self._latest = 0
+        # In the order of last hearing, so the first one is the likeliest to be out of date.
+        self._streams: OrderedDict[tuple[int, int, int], int] = OrderedDict()
+
+    @property
+    def streams(self) -> int:
+        """How many streams are kept."""
+        return len(self._streams)
+
+    def set_clock(self, unix_minus_service_s: float | None) -> None:
+        """Tell how far the host's UNIX time is ahead of the service's clock; None: the host does not know the time."""
+        self._unix_minus_service_s = unix_minus_service_s
+
+    def stamp(self, link_id: int, now_s: float) -> Stamp:
+        """The stamp of our next frame on link `link_id` (0 to 255) at service time `now_s`: later than every one before."""
+        self._latest = max(self._latest + 1, self._now(now_s))
+        return Stamp(self._key, link_id, self._latest)
+
+    def refusal(self, raw: RawFrame, now_s: float) -> str | None:
+        """Why a signed frame that came at service time `now_s` must not be used; None: it may be, and its time is noted.
+
+        signature_wrong: altered, or signed with another key; duplicate: the very frame taken last from its stream;
+        signature_replayed: older than that; signature_old: the first of its stream, and over a minute behind our time;
+        signature_future: signed for after 2100; signature_streams_full: no room for another stream.
+        """
+        frame = raw.frame
+        signature = hashlib.sha256(self._key + frame[:-_DIGEST_LENGTH]).digest()[:_DIGEST_LENGTH]
+        if not hmac.compare_digest(signature, frame[-_DIGEST_LENGTH:]):
+            return SIGNATURE_WRONG
+        timestamp = int.from_bytes(frame[-_DIGEST_LENGTH - _TIME_LENGTH : -_DIGEST_LENGTH], "little")
+        if timestamp > LATEST_TICKS:
+            return SIGNATURE_FUTURE
+        stream = (raw.sysid, raw.compid, frame[-SIGNATURE_LENGTH])
+        last = self._streams.get(stream)
+        if last is not None:
+            if timestamp <= last:
+                return DUPLICATE if timestamp == last else SIGNATURE_REPLAYED
+        else:
+            oldest = max(self._latest, self._now(now_s)) - FIRST_CONTACT_TICKS
+            if timestamp < oldest:
+                return SIGNATURE_OLD
+            if not self._has_room(oldest):
+                return STREAMS_FULL
+        self._streams[stream] = timestamp
+        self._streams.move_to_end(stream)
+        self._latest = max(self._latest, timestamp)
+        return None
+
+    def _now(self, now_s: float) -> int:
+        if self._unix_minus_service_s is None:
+            return 0
+        return int((now_s + self._unix_minus_service_s - EPOCH_UNIX_S) * TICKS_PER_S)
+
+    def _has_room(self, oldest: int) -> bool:
+        if len(self._streams) < self._max_streams:
+            return True
+        stream, last = next(iter(self._streams.items()))
+        if last >= oldest:
+            return False
+        del self._streams[stream]
+        return True
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSigning:
+    """How one link is signed. `link_id`: its number in our stamps, 0 to 255; `required`: unsigned frames are refused on it."""
+
+    signing: Signing
+    link_id: int
+    required: bool
+
+    def refusal(self, raw: RawFrame, now_s: float) -> str | None:
+        """Why a frame that came over this link must not be used, None where it may be: as `Signing.refusal`, or unsigned.
+
+        unsigned_radio_status: telemetry radios report on themselves between the frames and have no key; no use is made of it.
+        """
+        if raw.is_signed:
+            return self.signing.refusal(raw, now_s)
+        if not self.required:
+            return None
+        return UNSIGNED_RADIO_STATUS if raw.message_id == MAVLINK_MSG_ID_RADIO_STATUS else UNSIGNED
+
+    def stamp(self, now_s: float) -> Stamp:
+        """The stamp of our next frame on this link at service time `now_s`."""
+        return self.signing.stamp(self.link_id, now_s)
