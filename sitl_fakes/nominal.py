@@ -39,6 +39,9 @@ class NominalFlight:
     leg: NDArray[np.int64]
 
 
+_LONGEST_STEP_S = 0.02  # the actuators' time constant is 0.05 s
+
+
 def fly_routes(
     routes: Sequence[Sequence[Point]] = PAPER_ROUTES,
     *,
@@ -53,8 +56,10 @@ def fly_routes(
     """Fly each route from its first waypoint, heading along its first leg; sample 0 is the start, sample k is k steps later.
 
     `waypoint_radius_m` defaults to the radius of the tightest turn. The wind is constant and blows towards east and north.
+    `step_s` is the guidance's and the samples' step; the aircraft itself is integrated in steps of at most 0.02 s.
     """
     steps = round(duration_s / step_s)
+    substeps = math.ceil(step_s / _LONGEST_STEP_S - 1e-9)
     columns: NDArray[np.float64] = np.empty((len(routes), steps + 1, 7))
     legs = np.empty((len(routes), steps + 1), dtype=np.int64)
     for v, waypoints in enumerate(routes):
@@ -77,6 +82,7 @@ def fly_routes(
             legs[v, k] = guidance.leg_index
             course = guidance.course_command_rad((s.east_m, s.north_m), step_s)
             heading = heading_for_course(course, airspeed_mps, wind_east_mps, wind_north_mps)
-            aircraft.step(heading, step_s, wind_east_mps, wind_north_mps)
+            for _ in range(substeps):
+                aircraft.step(heading, step_s / substeps, wind_east_mps, wind_north_mps)
     east, north, ve, vn, phi, psi, airspeed = (columns[..., i].copy() for i in range(7))
     return NominalFlight(np.arange(steps + 1, dtype=np.float64) * step_s, east, north, ve, vn, phi, psi, airspeed, legs)

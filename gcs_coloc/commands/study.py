@@ -13,6 +13,8 @@ from rich.progress import Progress
 
 from gcs_coloc.study.paper_options import PaperOptions, QForm, QUnit
 
+_FILE_WIDTH = 140  # of tables that go to a file or pipe
+
 app = typer.Typer(name="study", help="The paper's tables and figures; the best that any estimator can do.")
 
 
@@ -46,6 +48,8 @@ def paper(
     if q:
         options = replace(options, qs=tuple(q), figure_q=5.0 if 5.0 in q else q[0])
     console = Console()
+    if not console.is_terminal:
+        console = Console(width=_FILE_WIDTH)
     with Progress(console=console) as progress:
         task = progress.add_task("flying", total=None)
         result = study.run_paper_study(options, lambda done, total: progress.update(task, completed=done, total=total))

@@ -130,3 +130,8 @@ def test_waypoint_switching_does_not_need_the_waypoint_to_be_hit():
         s = aircraft.state
         aircraft.step(guidance.course_command_rad((s.east_m, s.north_m), 0.02), 0.02)
     assert guidance.leg_index == 1
+
+
+def test_a_coarse_guidance_step_leaves_the_aircraft_stable():
+    fine, coarse = fly_routes(duration_s=100.0), fly_routes(step_s=0.1, duration_s=100.0)
+    assert np.abs(coarse.east_m - fine.east_m[:, ::5]).max() < 60.0  # a few steps' difference in when a turn begins

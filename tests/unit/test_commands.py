@@ -1,0 +1,96 @@
+"""The subcommands as a user calls them: what they print and write, and one clear line for a mistake."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def gcs_coloc(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "gcs_coloc", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=170, cwd=ROOT)
+
+
+@pytest.fixture
+def data_set(tmp_path: Path) -> Path:
+    """A tag that stands among four anchors, ranged exactly twice a second for ten seconds, with truth for the last four."""
+    anchors = {"A": (0.0, 0.0, 0.0), "B": (20.0, 0.0, 3.0), "C": (0.0, 20.0, 5.0), "D": (20.0, 20.0, 1.0)}
+    tag = (13.0, 14.0, 2.0)
+    meta = 'name = "square"\nsource = "made by hand"\nlicence = "MIT"\ndims = 3\n[[node]]\nid = "tag"\nrole = "subject"\n'
+    for name, (e, n, u) in anchors.items():
+        meta += f'[[node]]\nid = "{name}"\nrole = "anchor"\ne_m = {e}\nn_m = {n}\nu_m = {u}\nsigma_m = 0.02\n'
+    (tmp_path / "meta.toml").write_text(meta)
+    (tmp_path / "positions.csv").write_text("t_s,id,e_m,n_m,u_m,sigma_h_m,sigma_v_m\n0.0,tag,13.5,13.6,2.3,1.0,1.0\n")
+    ranges, truth = ["t_s,from_id,to_id,range_m,sigma_m"], ["t_s,id,e_m,n_m,u_m"]
+    for k in range(1, 21):
+        for name, place in anchors.items():
+            length = sum((a - b) ** 2 for a, b in zip(tag, place, strict=True)) ** 0.5
+            ranges.append(f"{k / 2:.2f},tag,{name},{length:.6f},0.1")
+        if k > 12:
+            truth.append(f"{k / 2:.2f},tag,13.0,14.0,2.0")
+    (tmp_path / "ranges.csv").write_text("\n".join(ranges) + "\n")
+    (tmp_path / "truth.csv").write_text("\n".join(truth) + "\n")
+    return tmp_path
+
+
+def test_evaluate_scores_prints_and_draws(data_set):
+    picture = data_set / "picture.png"
+    told = gcs_coloc("evaluate", str(data_set), "--plot", str(picture))
+    assert told.returncode == 0, told.stderr
+    assert "square: estimator fleet, 81 measurements" in told.stdout
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    score = json.loads(gcs_coloc("evaluate", str(data_set), "--json").stdout)["subjects"]["tag"]
+    assert score["share_known"] == 1.0
+    assert score["spatial"]["rmse_m"] < 0.3  # ranges of a stated 0.1 m that are exact, height from anchors 5 m apart
+
+
+def test_evaluate_names_the_place_of_a_mistake(data_set):
+    (data_set / "ranges.csv").write_text("t_s,from_id,to_id,range_m,sigma_m\n0.5,tag,A,x,0.1\n")
+    told = gcs_coloc("evaluate", str(data_set))
+    assert told.returncode == 1
+    assert len(told.stderr.strip().splitlines()) == 1
+    for words in ("ranges.csv", "line 2", "range_m"):
+        assert words in told.stderr
+
+
+def test_study_paper_prints_table_2_and_writes_its_files(tmp_path):
+    flags = ["--seeds", "2", "--fleet-seeds", "0", "--q", "5", "--q", "20", "--cycle", "0.1", "--jobs", "1"]
+    told = gcs_coloc("study", "paper", *flags, "--out", str(tmp_path))
+    assert told.returncode == 0, told.stderr
+    assert "14.5" in told.stdout  # the paper's own figure beside ours
+    assert {"table2.csv", "study.json", "figure5.png", "figure6.png", "figure7.png"} <= {p.name for p in tmp_path.iterdir()}
+    options = json.loads((tmp_path / "study.json").read_text())["readings"]
+    assert (options["step_s"], options["seeds"], options["qs"]) == (0.1, 2, [5.0, 20.0])
+
+
+def test_study_bound_tells_the_least_error(tmp_path):
+    picture = tmp_path / "bound.png"
+    short = tmp_path / "scenario.toml"
+    text = (ROOT / "configs/scenario-uwb.toml").read_text()
+    short.write_text(text.replace("duration_s = 300.0", "duration_s = 40.0"))
+    told = gcs_coloc("study", "bound", str(short), "--plot", str(picture))
+    assert told.returncode == 0, told.stderr
+    assert "vehicle 4, 20 to 40 s: horizontal RMSE at least 0." in told.stdout
+    assert picture.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["evaluate", "absent"], "absent"),
+        (["study", "paper", "--end-of-route", "nowhere"], "nowhere"),
+        (["study", "bound", "pyproject.toml"], "pyproject.toml"),
+        (["study"], "Missing command"),
+    ],
+)
+def test_mistakes_end_in_one_line(arguments, words):
+    told = gcs_coloc(*arguments)
+    assert told.returncode in (1, 2)
+    assert len(told.stderr.strip().splitlines()) == 1
+    assert words in told.stderr
