@@ -28,8 +28,10 @@ from gcs_coloc.estimators.fleet_motion import (
     REPORT_ERROR,
     SIZE,
     STAMP_ERROR,
+    TURN,
     VELOCITY,
     add_acceleration_noise,
+    set_turn_column,
     transition,
     turn_rate_radps,
 )
@@ -41,6 +43,9 @@ LEAST_AIRSPEED_MPS = 5.0
 _STEEPEST_BANK_RAD = 1.2
 _COAST_TIME_S = 2.0
 _COAST_GAIN = 5.0
+_TURN_GAIN = 3.0
+_LONGEST_STEP_S = 0.5
+_MOST_STEPS = 40
 _TURN_TIME_S = 1.0
 _UNKNOWN_VELOCITY_MPS = 30.0
 _REPORT_VELOCITY_TIME_S = 1.0
@@ -76,7 +81,7 @@ def pair_key(a: int, b: int, device: int) -> tuple[int, int, int]:
 def initial_block(
     report: PositionMeasurement, white: tuple[float, float], slow: tuple[float, float], s: FleetSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """Return mean (15,) and covariance (15, 15) of a vehicle from one report; sigmas in m are (horizontal, vertical)."""
+    """Return mean (16,) and covariance (16, 16) of a vehicle from one report; sigmas in m are (horizontal, vertical)."""
     x = np.zeros(SIZE)
     P = np.zeros((SIZE, SIZE))
     x[POSITION] = report.position_enu_m
@@ -97,7 +102,7 @@ def initial_block(
 
 
 def start_block(mean: FloatArray, covariance: FloatArray, s: FleetSettings) -> tuple[FloatArray, FloatArray]:
-    """Return mean (15,) and covariance (15, 15) of a vehicle from its position and velocity, (6,) and (6, 6)."""
+    """Return mean (16,) and covariance (16, 16) of a vehicle from its position and velocity, (6,) and (6, 6)."""
     x = np.zeros(SIZE)
     P = np.zeros((SIZE, SIZE))
     x[:6] = mean
@@ -112,6 +117,16 @@ def _own_slow_states(P: FloatArray, s: FleetSettings) -> None:
     P[AIRSPEED_ERROR, AIRSPEED_ERROR] = s.airspeed_sigma_mps**2
     P[HEADING_ERROR, HEADING_ERROR] = s.heading_sigma_rad**2
     P[STAMP_ERROR, STAMP_ERROR] = s.stamp_sigma_s**2
+    P[TURN, TURN] = s.turn_sigma_radps**2
+
+
+def _steps(from_s: float, to_s: float) -> list[float]:
+    """Return the ends of the steps to a later time: short, for a turn bends the way, but not many. Empty if it is not later."""
+    span_s = to_s - from_s
+    if span_s <= 0.0:
+        return []
+    count = min(math.ceil(span_s / _LONGEST_STEP_S), _MOST_STEPS)
+    return [from_s + span_s * i / count for i in range(1, count)] + [to_s]
 
 
 class Cluster:
@@ -124,14 +139,16 @@ class Cluster:
         self.records = records
         self.joint = Joint() if joint is None else joint
 
-    def motion(self, vehicle: int, step_s: float, at_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return F and Q (15, 15) of a vehicle over a step (negative: backwards) that ends at `at_s`."""
+    def motion(self, vehicle: int, x: FloatArray, step_s: float, at_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the mean (16,), its Jacobian F and the noise Q (16, 16) of a vehicle after a step (negative: back) to `at_s`."""
         s, record = self.settings, self.records[vehicle]
         attitude = record.attitude
         aided = attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s
-        turn = None
-        density, climb = s.acceleration_density_m2ps3, s.climb_density_m2ps3
-        record.manoeuvre.fade(at_s, s.manoeuvre_memory_s)
+        length = abs(step_s)
+        # A slow vehicle turns on the spot, which a turn rate does not describe.
+        slowness = 1.0 / (1.0 + float(x[3] * x[3] + x[4] * x[4]) / (s.slow_speed_mps * s.slow_speed_mps))
+        density = s.acceleration_density_m2ps3 + slowness * (s.slow_density_m2ps3 - s.acceleration_density_m2ps3)
+        climb = s.climb_density_m2ps3
         ratio, ratio_v = record.manoeuvre.ratio(), record.manoeuvre.vertical_ratio()
         gain = max(ratio * ratio, 1.0)
         gain_v = max(ratio_v * ratio_v / 3.0, 1.0)
@@ -149,9 +166,15 @@ class Cluster:
             gain = max(gain, min(((at_s - record.informed_at_s) / _COAST_TIME_S) ** 2, _COAST_GAIN))
         density *= min(gain, s.manoeuvre_gain)
         climb *= min(gain_v, s.manoeuvre_gain)
-        F = transition(step_s, turn)
+        # How long the turn of now lasts, within the step.
+        lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
+        if not aided:
+            turn = float(x[TURN]) * lasting_s / step_s
+        F = transition(step_s, turn, in_wind=aided)
+        mean = F @ x
+        if not aided:
+            set_turn_column(F, step_s, lasting_s, float(mean[3]), float(mean[4]))
         Q = np.zeros((SIZE, SIZE))
-        length = abs(step_s)
         add_acceleration_noise(Q, length, density, climb)
         for index, time_s, sigma in (
             (6, s.wind_time_s, s.wind_sigma_mps),
@@ -163,20 +186,33 @@ class Cluster:
             (12, s.report_error_time_s, record.slow_report_h_m),
             (13, s.report_error_time_s, record.slow_report_v_m),
             (14, s.stamp_error_time_s, s.stamp_sigma_s),
+            (15, s.turn_time_s, s.turn_sigma_radps * min(math.sqrt(gain), _TURN_GAIN)),
         ):
             decay = math.exp(-length / time_s)
             F[index, index] = decay
+            mean[index] *= decay
             Q[index, index] += sigma * sigma * (1.0 - decay * decay)
-        return F, Q
+        return mean, F, Q
 
     def bring(self, vehicle: int, at_s: float) -> None:
         """Propagate one vehicle to a time; a vehicle that is there already, or fixed, is left."""
         record = self.records[vehicle]
-        step_s = at_s - self.joint.time_s[vehicle]
-        if step_s <= 0.0 or record.fixed:
+        if record.fixed:
             return
-        F, Q = self.motion(vehicle, step_s, at_s)
-        self.joint.transform(vehicle, F, Q, at_s)
+        joint = self.joint
+        for to_s in _steps(joint.time_s[vehicle], at_s):
+            mean, F, Q = self.motion(vehicle, joint.x[joint.slice(vehicle)], to_s - joint.time_s[vehicle], to_s)
+            joint.transform(vehicle, mean, F, Q, to_s)
+
+    def predicted(self, vehicle: int, at_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return mean (16,) and covariance (16, 16) of a vehicle at a time after, or shortly before, that of its states."""
+        where = self.joint.slice(vehicle)
+        x, P, from_s = self.joint.x[where], self.joint.P[where, where], self.joint.time_s[vehicle]
+        for to_s in _steps(from_s, at_s) if at_s >= from_s else [at_s]:
+            x, F, Q = self.motion(vehicle, x, to_s - from_s, to_s)
+            P = F @ P @ F.T + Q
+            from_s = to_s
+        return x, P
 
     def rescale(self, vehicle: int, where: slice | int, factor: float) -> None:
         """Scale a slow state and all its covariances: its spread turned out to be other than assumed."""

@@ -80,10 +80,10 @@ class Joint:
         for key, start in other.start.items():
             self.start[key], self.size[key], self.time_s[key] = n + start, other.size[key], other.time_s[key]
 
-    def transform(self, key: Key, F: FloatArray, Q: FloatArray, at_s: float) -> None:
-        """Bring one block to time `at_s` by its transition F (m, m) and process noise Q (m, m)."""
+    def transform(self, key: Key, mean: FloatArray, F: FloatArray, Q: FloatArray, at_s: float) -> None:
+        """Bring one block to time `at_s`: its mean (m,) there, the Jacobian F (m, m) of the way and its noise Q (m, m)."""
         where = self.slice(key)
-        self.x[where] = F @ self.x[where]
+        self.x[where] = mean
         rows = F @ self.P[where]
         block = rows[:, where] @ F.T + Q
         self.P[where] = rows

@@ -365,16 +365,12 @@ class FleetModel:
             return self._idle(vehicle, record, at_s)
         joint = cluster.joint
         where = joint.slice(vehicle)
-        x, P = joint.x[where], joint.P[where, where]
         if record.fixed:
-            return self._fixed(vehicle, x, P, at_s)
+            return self._fixed(vehicle, joint.x[where], joint.P[where, where], at_s)
         step_s = at_s - joint.time_s[vehicle]
         if step_s < -_STEP_BACK_MOST_S:
             return Unknown(vehicle, at_s, f"asked for a time {-step_s:.1f} s before its newest measurement")
-        if step_s != 0.0:
-            F, Q = cluster.motion(vehicle, step_s, at_s)
-            x = F @ x
-            P = F @ P @ F.T + Q
+        x, P = cluster.predicted(vehicle, at_s)
         covariance = 0.5 * (P[:6, :6] + P[:6, :6].T)
         worst_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
         if not worst_m <= self.settings.limit_sigma_m:

@@ -21,11 +21,11 @@ HEADING_ERROR = 9
 BARO_ERROR = 10
 REPORT_ERROR = slice(11, 14)
 STAMP_ERROR = 14
-SIZE = 15
+TURN = 15
+SIZE = 16
 """The block of one vehicle: position and velocity (3 each, ENU), wind (east, north), errors of airspeed (m/s), heading (rad),
-barometric
-height (m), position reports (3, m) and their time stamps (s: reports are of this much later than they say). A fixed anchor has
-a block of its position alone."""
+barometric height (m), position reports (3, m) and their time stamps (s: reports are of this much later than they say), and the
+turn rate (rad/s, clockwise). A fixed anchor has a block of its position alone."""
 
 GRAVITY_MPS2 = 9.80665
 _LEAST_TURN_RAD = 1e-4
@@ -36,12 +36,13 @@ def turn_rate_radps(roll_rad: float, airspeed_mps: float) -> float:
     return GRAVITY_MPS2 * math.tan(roll_rad) / airspeed_mps
 
 
-def transition(step_s: float, turn_radps: float | None) -> FloatArray:
-    """Return F (15, 15) over a step without the decay of the slow states; `turn_radps` None is constant velocity."""
+def transition(step_s: float, turn_radps: float, *, in_wind: bool) -> FloatArray:
+    """Return F (16, 16) over a step without the decay of the slow states.
+
+    With `in_wind` the air velocity turns and the wind carries the vehicle along; without, the velocity over ground turns.
+    """
     F = np.eye(SIZE)
-    F[0, 3] = F[1, 4] = F[2, 5] = step_s
-    if turn_radps is None:
-        return F
+    F[2, 5] = step_s
     angle = turn_radps * step_s
     if abs(angle) < _LEAST_TURN_RAD:
         along, across = step_s, 0.5 * angle * step_s
@@ -53,6 +54,8 @@ def transition(step_s: float, turn_radps: float | None) -> FloatArray:
     F[0, 4], F[1, 3] = across, -across
     F[3, 3] = F[4, 4] = c
     F[3, 4], F[4, 3] = s, -s
+    if not in_wind:
+        return F
     F[0, 6] = F[1, 7] = step_s - along
     F[0, 7], F[1, 6] = -across, across
     F[3, 6] = F[4, 7] = 1.0 - c
@@ -60,8 +63,17 @@ def transition(step_s: float, turn_radps: float | None) -> FloatArray:
     return F
 
 
+def set_turn_column(F: FloatArray, step_s: float, lasting_s: float, ve_mps: float, vn_mps: float) -> None:
+    """Set the column of F (16, 16) that tells what an error of the turn rate does to position and velocity over a step.
+
+    `ve_mps`, `vn_mps` are the velocity after the step; `lasting_s` is by how much the heading changes for each rad/s.
+    """
+    F[3, TURN], F[4, TURN] = vn_mps * lasting_s, -ve_mps * lasting_s
+    F[0, TURN], F[1, TURN] = 0.5 * step_s * F[3, TURN], 0.5 * step_s * F[4, TURN]
+
+
 def add_acceleration_noise(Q: FloatArray, step_s: float, horizontal: float, vertical: float) -> None:
-    """Add to Q (15, 15) what white acceleration of the given densities (m^2/s^3) does over a step."""
+    """Add to Q (16, 16) what white acceleration of the given densities (m^2/s^3) does over a step."""
     half, third = 0.5 * step_s * step_s, step_s * step_s * step_s / 3.0
     for axis, density in ((0, horizontal), (1, horizontal), (2, vertical)):
         Q[axis, axis] += density * third

@@ -11,11 +11,11 @@ class FleetSettings:
 
     Order: measurements may arrive up to `window_s` after they were measured, and be stamped up to `ahead_s` ahead of arrival.
 
-    Motion: `acceleration_density_m2ps3` (horizontal) and `climb_density_m2ps3` (vertical) hold in steady flight; the
-    horizontal one is multiplied by up to `manoeuvre_gain` as far as the measurements ask for more velocity corrections, over
-    `manoeuvre_memory_s`, than steady flight explains. `aided_density_m2ps3` holds beyond the turn that a fresh bank angle
-    explains,
-    up to an error of `turn_share` of its sideways acceleration.
+    Motion: `acceleration_density_m2ps3` (horizontal, `slow_density_m2ps3` well below `slow_speed_mps`) and
+    `climb_density_m2ps3` (vertical) hold in steady flight; up to `manoeuvre_gain` times as much does as far as the measurements
+    ask for more velocity corrections, over `manoeuvre_memory_s`, than steady flight explains. The turn rate is a state, of
+    `turn_sigma_radps` in steady flight, that lasts for `turn_time_s`. With a fresh bank angle `aided_density_m2ps3` holds beyond
+    the turn that it explains, up to an error of `turn_share` of its sideways acceleration.
 
     Air data: `wind_sigma_mps` is the spread of the horizontal wind, which changes over `wind_time_s`; `airspeed_sigma_mps` and
     `heading_sigma_rad` are slow errors of airspeed and heading over `air_error_time_s`; `air_noise_mps` is their fast part
@@ -41,10 +41,14 @@ class FleetSettings:
 
     window_s: float = 1.0
     ahead_s: float = 0.5
-    acceleration_density_m2ps3: float = 1.0
+    acceleration_density_m2ps3: float = 0.3
+    slow_density_m2ps3: float = 1.0
+    slow_speed_mps: float = 5.0
     climb_density_m2ps3: float = 0.02
-    manoeuvre_gain: float = 100.0
+    manoeuvre_gain: float = 300.0
     manoeuvre_memory_s: float = 3.0
+    turn_sigma_radps: float = 0.03
+    turn_time_s: float = 3.0
     aided_density_m2ps3: float = 0.02
     turn_share: float = 0.1
     wind_sigma_mps: float = 8.0

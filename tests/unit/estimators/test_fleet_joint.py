@@ -11,6 +11,11 @@ def walk(step_s: float) -> tuple[np.ndarray, np.ndarray]:
     return F, Q
 
 
+def step(joint: Joint, key: str, at_s: float) -> None:
+    F, Q = walk(at_s - joint.time_s[key])
+    joint.transform(key, F @ joint.x[joint.slice(key)], F, Q, at_s)
+
+
 def two_walkers() -> tuple[Joint, np.random.Generator]:
     rng = np.random.default_rng(4)
     joint = Joint()
@@ -44,7 +49,7 @@ def test_blocks_at_their_own_times_give_what_the_synchronous_filter_gives():
         H = H_a if only_a else H_range
         x, P = textbook(x, P, H, 0.3, z)
         for key in ("a",) if only_a else ("a", "b"):
-            joint.transform(key, *walk(now_s - joint.time_s[key]), now_s)
+            step(joint, key, now_s)
         PHt = joint.P @ H.T
         joint.update(PHt, H @ PHt + 0.3, np.array([z - float((H @ joint.x)[0])]))
         if not only_a:
@@ -66,10 +71,9 @@ def test_scalar_update_equals_block_update():
 
 def test_a_part_is_the_marginal_and_a_copy_is_independent():
     joint, _ = two_walkers()
-    F, Q = walk(1.0)
     part = joint.part(["b"])
     copy = joint.copy()
-    copy.transform("b", F, Q, 1.0)
+    step(copy, "b", 1.0)
     np.testing.assert_array_equal(part.P, joint.P[2:, 2:])
     np.testing.assert_array_equal(part.x, joint.x[2:])
     assert joint.time_s == {"a": 0.0, "b": 0.0}

@@ -14,7 +14,7 @@ def test_the_turn_is_that_of_small_steps_with_the_wind_carrying_along(turn_radps
     x = np.zeros(SIZE)
     x[3:5] = airspeed * np.array([math.sin(heading), math.cos(heading)]) + wind
     x[6:8] = wind
-    moved = transition(1.7, turn_radps) @ x
+    moved = transition(1.7, turn_radps, in_wind=True) @ x
     place, steps = np.zeros(2), 20_000
     for k in range(steps):
         psi = heading + turn_radps * 1.7 * (k + 0.5) / steps
@@ -33,7 +33,7 @@ def test_acceleration_noise_of_two_steps_is_that_of_one():
     one, two = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
     add_acceleration_noise(one, 1.0, 2.0, 0.5)
     add_acceleration_noise(two, 0.4, 2.0, 0.5)
-    F = transition(0.6, None)
+    F = transition(0.6, 0.0, in_wind=False)
     two = F @ two @ F.T
     add_acceleration_noise(two, 0.6, 2.0, 0.5)
     np.testing.assert_allclose(one, two, atol=1e-12)
