@@ -101,6 +101,11 @@ class Aiding:
             return f"NOT SENT: {self.hindrance(vehicle)}"
         return "off"
 
+    def sends_fix(self, sysid: int) -> bool:
+        """Whether a vehicle is being sent a position, and not only the word that there is none."""
+        stream = self._streams.get(sysid)
+        return stream is not None and stream.no_fix_because is None
+
     def close(self) -> list[GpsInput]:
         """End every stream: a last message with fix_type 1 for each vehicle that is being aided."""
         last = [no_fix(sysid, self.settings.gps_id) for sysid in self._streams]

@@ -17,7 +17,7 @@ from gcs_coloc.core.gps_input import AidSettings
 from gcs_coloc.core.gps_time import TABLE_GOOD_UNTIL, table_is_old
 from gcs_coloc.core.guard import GuardedEstimator
 from gcs_coloc.core.health import GpsState, HealthSettings
-from gcs_coloc.core.measurements import Estimate, Measurement, Unknown
+from gcs_coloc.core.measurements import Estimate, FloatArray, Measurement, Unknown, Vector3
 from gcs_coloc.core.messages import (
     Airspeed,
     Attitude,
@@ -38,11 +38,13 @@ from gcs_coloc.core.messages import (
     SystemHealth,
     SystemTime,
 )
+from gcs_coloc.core.residuals import ResidualLog
 from gcs_coloc.core.streams import StreamRequests
-from gcs_coloc.core.view import FleetView, VehicleView
+from gcs_coloc.core.view import Consistency, FleetView, VehicleView
 from gcs_coloc.estimators.base import Estimator
 
 _HOUSEKEEPING_S = 0.2
+_ATTITUDE_FRESH_S = 3.0
 _SUBJECT_STATES = (GpsState.SUSPECT, GpsState.FAILED, GpsState.RECOVERING)
 _MESSAGE_IDS = {GlobalPosition: 33, Attitude: 30, Airspeed: 74, SystemHealth: 1, EkfStatus: 193, SystemTime: 2}
 
@@ -68,6 +70,7 @@ class Engine:
         self.feed = Feed(self.settings.feed)
         self.aiding = Aiding(self.settings.aid)
         self._streams = StreamRequests()
+        self._residuals = ResidualLog()
         self._outbox: list[Outbound] = []
         self._refused: Counter[str] = Counter()
         self._now_s = float("-inf")
@@ -111,6 +114,7 @@ class Engine:
             self._housekeeping_due_s = now_s + _HOUSEKEEPING_S
             for vehicle in self.fleet:
                 self._review(vehicle, now_s)
+            self._residuals.take(self.estimator.take_residuals(), now_s)
             if self.settings.request_streams:
                 self._outbox.extend(self._streams.due(now_s))
         out, self._outbox = self._outbox, []
@@ -131,9 +135,20 @@ class Engine:
 
     def view(self, now_s: float) -> FleetView:
         """The fleet as it stands, for observers."""
-        vehicles = tuple(self._view_of(vehicle, now_s) for vehicle in sorted(self.fleet, key=lambda v: v.sysid))
-        refused = self.refused() | {f"estimator: {reason}": n for reason, n in self.estimator.counts().items()}
-        return FleetView(now_s, self.estimator.name, vehicles, refused)
+        consistency = self._residuals.consistency()
+        vehicles = tuple(
+            self._view_of(vehicle, consistency.get(vehicle.sysid), now_s) for vehicle in sorted(self.fleet, key=lambda v: v.sysid)
+        )
+        frame = self.feed.frame
+        return FleetView(
+            at_s=now_s,
+            estimator=self.estimator.name,
+            vehicles=vehicles,
+            refused=self.refused() | {f"estimator: {reason}": n for reason, n in self.estimator.counts().items()},
+            ranges=self._residuals.ranges(now_s),
+            utc_minus_service_s=self._utc_minus_service_s,
+            origin=(frame.lat_deg, frame.lon_deg, frame.height_m) if frame is not None else None,
+        )
 
     def where(self, sysid: int, at_s: float) -> Estimate | Unknown:
         """The estimator's answer for one vehicle at one service time."""
@@ -172,7 +187,10 @@ class Engine:
             case GlobalPosition():
                 vehicle.position = message
                 measurement = self.feed.position(message, vehicle)
+                if measurement is not None:
+                    vehicle.delay_s = measurement.arrived_at_s - measurement.measured_at_s
             case Attitude():
+                vehicle.attitude = message
                 measurement = self.feed.attitude(message, vehicle)
             case PeerRange():
                 measurement = self.feed.range(message, vehicle, self.fleet.get(message.peer_sysid))
@@ -228,14 +246,20 @@ class Engine:
     def _say(self, at_s: float, sysid: int | None, level: str, text: str) -> None:
         self._outbox.append(Notice(at_s, sysid, level, text))
 
-    def _view_of(self, vehicle: Vehicle, now_s: float) -> VehicleView:
+    def _view_of(self, vehicle: Vehicle, consistency: Consistency | None, now_s: float) -> VehicleView:
         where = self.estimator.estimate(vehicle.sysid, now_s)
-        known = where if isinstance(where, Estimate) and self.feed.frame is not None else None
-        lat_deg = lon_deg = alt_msl_m = None
-        if known is not None and self.feed.frame is not None:
-            e, n, u = (float(x) for x in known.position_enu_m)
-            lat_deg, lon_deg, alt_msl_m = self.feed.frame.geodetic_from_enu(e, n, u)
-        claim = vehicle.position
+        frame = self.feed.frame
+        known = where if isinstance(where, Estimate) and frame is not None else None
+        enu_m = velocity_mps = covariance_m2 = lat_deg = lon_deg = alt_msl_m = claim_enu_m = None
+        if known is not None and frame is not None:
+            e, n, u = enu_m = _vector3(known.position_enu_m)
+            velocity_mps, P = _vector3(known.velocity_enu_mps), known.covariance
+            covariance_m2 = (float(P[0, 0]), float(P[0, 1]), float(P[1, 1]))
+            lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(e, n, u)
+        claim, receiver, attitude = vehicle.position, vehicle.receiver, vehicle.attitude
+        if claim is not None and frame is not None:
+            claim_enu_m = frame.enu_from_geodetic(claim.lat_deg, claim.lon_deg, claim.alt_msl_m)
+        fresh = attitude is not None and now_s - attitude.received_at_s <= _ATTITUDE_FRESH_S
         return VehicleView(
             sysid=vehicle.sysid,
             age_s=now_s - vehicle.last_heard_s,
@@ -253,4 +277,21 @@ class Engine:
             claim_lat_deg=claim.lat_deg if claim is not None else None,
             claim_lon_deg=claim.lon_deg if claim is not None else None,
             aid=self.aiding.status(vehicle),
+            aid_has_fix=self.aiding.sends_fix(vehicle.sysid),
+            hindrance=self.aiding.hindrance(vehicle),
+            operator_word=vehicle.health.word.value,
+            enu_m=enu_m,
+            velocity_enu_mps=velocity_mps,
+            covariance_h_m2=covariance_m2,
+            claim_enu_m=claim_enu_m,
+            yaw_rad=attitude.yaw_rad if attitude is not None and fresh else None,
+            fix_type=receiver.fix_type if receiver is not None else None,
+            satellites=receiver.satellites if receiver is not None else None,
+            delay_s=vehicle.delay_s,
+            consistency=consistency,
         )
+
+
+def _vector3(array: FloatArray) -> Vector3:
+    x, y, z = (float(value) for value in array)
+    return x, y, z

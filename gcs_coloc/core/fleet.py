@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from gcs_coloc.core.health import GpsHealth, HealthSettings
-from gcs_coloc.core.messages import Airspeed, Autopilot, GlobalPosition, GpsReceiver, TimeBase
+from gcs_coloc.core.messages import Airspeed, Attitude, Autopilot, GlobalPosition, GpsReceiver, TimeBase
 from gcs_coloc.core.timing import SenderClock
 
 
@@ -15,7 +15,8 @@ class Vehicle:
     """One vehicle as last heard. Times are on the service's clock, in seconds.
 
     `blocked` says why nothing can be sent to it. `range_error_m` is the 1-sigma of its ranges of late, with the errors of its
-    peers' positions in it. `last_known_enu_m` is where the estimator last had it (east, north).
+    peers' positions in it. `last_known_enu_m` is where the estimator last had it (east, north). `delay_s` is how much longer its
+    newest position was on the way than the quickest of the last minute.
     """
 
     sysid: int
@@ -28,6 +29,8 @@ class Vehicle:
     receiver: GpsReceiver | None = None
     injected_receiver: GpsReceiver | None = None
     airspeed: Airspeed | None = None
+    attitude: Attitude | None = None
+    delay_s: float | None = None
     range_error_m: float | None = None
     last_known_enu_m: tuple[float, float] | None = None
     clock: SenderClock = field(default_factory=SenderClock)

@@ -6,11 +6,52 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
+class Consistency:
+    """Whether the innovations of a vehicle's ranges have the size that the estimator says.
+
+    `nis_mean` is the normalised innovation squared per degree of freedom, averaged over the last seconds, with its 95 %
+    band for independent innovations and the degrees of freedom it was taken over.
+    """
+
+    nis_mean: float
+    band_low: float
+    band_high: float
+    degrees_of_freedom: int
+
+
+@dataclass(frozen=True, slots=True)
+class RangeView:
+    """The newest range between two vehicles as the estimator saw it; `refused` says in words why it was not used."""
+
+    from_sysid: int
+    to_sysid: int
+    age_s: float
+    innovation_m: float
+    sigma_m: float
+    nis: float
+    refused: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class LinkView:
+    """Frames of one vehicle since the start: received without copies, missing by their sequence numbers, and copies."""
+
+    sysid: int
+    received: int
+    lost: int
+    duplicates: int
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleView:
     """One vehicle as the service sees it. Positions in degrees and metres above mean sea level; None where unknown.
 
     `claim_*` is what the vehicle says of itself, `lat_deg` ... what the service holds to be true. `sigma_h_m` is 1-sigma
-    along the worst horizontal direction, `bound_95_m` the 95 % horizontal bound. `aid` says in words what is sent to it.
+    along the worst horizontal direction, `bound_95_m` the 95 % horizontal bound. `enu_m` and `velocity_enu_mps` are that
+    position and velocity in the fleet's frame, `covariance_h_m2` its horizontal covariance (east-east, east-north,
+    north-north). `yaw_rad` is the vehicle's own, from true north, clockwise. `delay_s` is how much longer its newest
+    position was on the way than the quickest of the last minute. `aid` says in words what is sent to it, `aid_has_fix`
+    whether that is a position; `hindrance` why nothing can be sent to it even if it should be.
     """
 
     sysid: int
@@ -29,13 +70,33 @@ class VehicleView:
     claim_lat_deg: float | None
     claim_lon_deg: float | None
     aid: str
+    aid_has_fix: bool = False
+    hindrance: str | None = None
+    operator_word: str = "auto"
+    enu_m: tuple[float, float, float] | None = None
+    velocity_enu_mps: tuple[float, float, float] | None = None
+    covariance_h_m2: tuple[float, float, float] | None = None
+    claim_enu_m: tuple[float, float, float] | None = None
+    yaw_rad: float | None = None
+    fix_type: int | None = None
+    satellites: int | None = None
+    delay_s: float | None = None
+    consistency: Consistency | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class FleetView:
-    """The whole fleet at one instant, with the counts of everything that was refused, by reason."""
+    """The whole fleet at one instant, with the counts of everything that was refused, by reason.
+
+    `ranges` and `links` are sorted by their system ids. `utc_minus_service_s` turns `at_s` into UNIX time; None where
+    the host does not know the time. `origin` is the fleet frame's: latitude and longitude in degrees, altitude in metres.
+    """
 
     at_s: float
     estimator: str
     vehicles: tuple[VehicleView, ...]
     refused: dict[str, int]
+    ranges: tuple[RangeView, ...] = ()
+    links: tuple[LinkView, ...] = ()
+    utc_minus_service_s: float | None = None
+    origin: tuple[float, float, float] | None = None
