@@ -36,7 +36,7 @@ from gcs_coloc.estimators.epochs import Epoch, EpochGatherer
 from gcs_coloc.estimators.fix import Fix
 from gcs_coloc.estimators.gating import NisGate
 from gcs_coloc.estimators.qu_zhang_settings import QuZhangSettings
-from gcs_coloc.estimators.subject import CONFIRMATIONS, Subject
+from gcs_coloc.estimators.subject import CONFIRMATIONS, Subject, lasting_covariance
 from gcs_coloc.estimators.track import Track
 
 PAPER_STEP_S = 0.02
@@ -103,7 +103,7 @@ class QuZhang:
         covariance = self._covariance(track, track.horizontal, subject, at_s)
         vertical_state, vertical_covariance = track.vertical.predicted(at_s)
         vertical_covariance[0, 0] += track.sigma_v_m**2
-        sigma_m = _largest_sigma(covariance)
+        sigma_m = _largest_sigma(covariance[np.ix_([0, 2], [0, 2])])
         if sigma_m > self._settings.max_sigma_m:
             return Unknown(vehicle, at_s, _with_cause(f"uncertain by {sigma_m:.0f} m (1 sigma)", subject))
         full = np.zeros((6, 6))
@@ -161,9 +161,10 @@ class QuZhang:
         return self._tracks[vehicle]
 
     def _is_late(self, one: CvFilter | None, measured_at_s: float) -> bool:
-        late = one is not None and one.is_too_late(measured_at_s)
-        self._counts["too late"] += late
-        return late
+        if one is None or not one.is_too_late(measured_at_s):
+            return False
+        self._counts["too late"] += 1
+        return True
 
     def _add_position(self, measurement: PositionMeasurement) -> None:
         vehicle = measurement.vehicle
@@ -205,7 +206,8 @@ class QuZhang:
     def _close(self, vehicle: int, subject: Subject, epoch: Epoch) -> None:
         """Make a fix of an epoch's ranges and give it to the vehicle's filter, or keep the reason why not."""
         track, at_s = self._track(vehicle), epoch.newest_s
-        if track.horizontal is not None and self._is_lost(track, track.horizontal, subject, at_s):
+        if at_s - subject.last_fix_s > self._settings.max_prediction_s:
+            # A single fix would pass any gate that is that wide: begin anew, with fixes that must agree.
             track.horizontal = None
         if self._is_late(track.horizontal, at_s):
             return
@@ -225,7 +227,7 @@ class QuZhang:
         else:
             fix, refused = solution, self._use(vehicle, track, subject, solution, at_s)
         subject.reason = refused
-        self._counts["fix used" if refused is None else "epoch without a fix" if fix is None else "fix refused by the gate"] += 1
+        self._counts["fix used" if refused is None else "epoch without a fix" if fix is None else "fix refused"] += 1
         for one in circles:
             chosen = fix is not None and one.peer in fix.peers
             verdict = refused if chosen or fix is None else "not among the three of the fix"
@@ -236,7 +238,10 @@ class QuZhang:
     def _use(self, vehicle: int, track: Track, subject: Subject, fix: Fix, at_s: float) -> str | None:
         """Give a fix to the filter, or start it; return the reason why it was refused, if it was."""
         if track.horizontal is None:
-            if _largest_sigma_2d(fix.covariance) > self._settings.max_sigma_m:
+            if (
+                _largest_sigma(fix.covariance + lasting_covariance(fix.sensitivities, fix.lasting, 2))
+                > self._settings.max_sigma_m
+            ):
                 return "the geometry is too poor to start from"
             track.start_horizontal(at_s, fix.position_m, fix.covariance, sensitivities=fix.sensitivities)
             subject.start(fix, at_s)
@@ -261,11 +266,6 @@ class QuZhang:
             covariance[[0, 2], [0, 2]] += track.sigma_h_m**2
         return covariance
 
-    def _is_lost(self, track: Track, horizontal: CvFilter, subject: Subject, at_s: float) -> bool:
-        """Whether nothing is left of the prediction that a new fix could be judged by."""
-        too_long = at_s - subject.last_fix_s > self._settings.max_prediction_s
-        return too_long or _largest_sigma(self._covariance(track, horizontal, subject, at_s)) > self._settings.max_sigma_m
-
     def _why_unknown(self, track: Track | None, subject: Subject | None, at_s: float) -> str | None:
         if subject is None:
             if track is None or track.horizontal is None:
@@ -289,9 +289,5 @@ def _with_cause(text: str, subject: Subject | None) -> str:
 
 
 def _largest_sigma(covariance: FloatArray) -> float:
-    """Return the 1-sigma along the worst horizontal direction of a state's covariance (4, 4), m."""
-    return _largest_sigma_2d(covariance[np.ix_([0, 2], [0, 2])])
-
-
-def _largest_sigma_2d(covariance: FloatArray) -> float:
+    """Return the 1-sigma, m, along the worst direction of a position's covariance (2, 2)."""
     return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
