@@ -417,3 +417,24 @@ def test_any_geometry_gives_a_definite_covariance_or_a_reason(
         assert len(peers) >= 3
     else:
         assert answer.reason
+
+
+def test_through_a_poor_geometry_it_filters_on_and_says_that_it_is_uncertain() -> None:
+    # A triangle of 40 m of height, seen from 1.5 km: the fix is good to some 100 m across. Then the peers spread out again.
+    def spreading(t: float) -> tuple[float, float, float]:
+        return (600.0, 40.0 + max(0.0, t - 40.0) * 40.0, 100.0)
+
+    paths = {
+        1: straight((0, 0, 100), (0, 0, 0)),
+        2: straight((700, 0, 100), (0, 0, 0)),
+        3: spreading,
+        4: straight((350, 1500, 110), (1, 0, 0)),
+    }
+    fleet, estimator = Fleet(paths=paths), QuZhang(QuZhangSettings(max_sigma_m=40.0))
+    fly(estimator, fleet, 0.0, 5.0)
+    fly(estimator, fleet, 5.0, 40.0, subjects=(4,))
+    poor = why_unknown(estimator, 4, 39.8)
+    fly(estimator, fleet, 40.0, 70.0, subjects=(4,))
+
+    assert poor.startswith("uncertain by")
+    assert error_m(located(estimator, 4, 69.8), fleet) < 30.0
