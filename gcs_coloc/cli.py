@@ -120,14 +120,13 @@ def run(
 
 @app.command("check-config")
 def check_config(file: Annotated[Path, typer.Argument(help="The configuration file (TOML).")]) -> None:
-    """Check a configuration file: its keys, its values, its links and its estimator."""
+    """Check a configuration file: its keys, its values, its links, its signing key and its estimator."""
     from gcs_coloc.config import load_settings
     from gcs_coloc.estimators.registry import load_estimator
-    from gcs_coloc.links.address import parse
+    from gcs_coloc.links.signed_links import SignedLinks
 
     settings = load_settings(file, {})
-    for text in settings.links:
-        parse(text)
+    SignedLinks(settings.signing, settings.links)
     load_estimator(settings.estimator.name, settings.estimator.settings)
     print(f"{file}: good; {len(settings.links)} link(s), estimator {settings.estimator.name}")
 

@@ -10,9 +10,9 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic.dataclasses import dataclass
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
@@ -63,6 +63,26 @@ class MavlinkConfig(_Section):
     component_id: int = Field(191, ge=1, le=255, description="our MAVLink component id (MAV_COMP_ID_ONBOARD_COMPUTER)")
 
 
+SigningMode = Literal["require", "accept", "off"]
+
+
+class SigningConfig(_Section):
+    """`[signing]`: MAVLink 2 signatures. A key that no link uses, and a link that wants a key where none is set, are errors."""
+
+    key_file: str = Field("", description="the file of the secret key, its mode 0600; empty: no signing")
+    mode: SigningMode = Field("off", description="require: unsigned frames are refused; accept: they are taken; off: no signing")
+    links: dict[str, SigningMode] = Field(default_factory=dict, description="the mode of single links, by connection string")
+
+    @model_validator(mode="after")
+    def _key_and_mode_agree(self) -> Self:
+        signs = any(mode != "off" for mode in (self.mode, *self.links.values()))
+        if signs and not self.key_file:
+            raise ValueError("links are to be signed, but no key_file is set")
+        if self.key_file and not signs:
+            raise ValueError('a key_file is set, but the mode is off on every link; set mode = "require"')
+        return self
+
+
 class FleetConfig(_Section):
     """`[fleet]`: the operator's word on single vehicles, and the fleet's bounds."""
 
@@ -96,6 +116,7 @@ class Settings(BaseSettings):
         (), description="connection strings: udpin:HOST:PORT, udpout:, tcp:, tcpin:, serial:DEVICE:BAUD"
     )
     mavlink: MavlinkConfig = Field(default_factory=lambda: MavlinkConfig.model_validate({}))
+    signing: SigningConfig = Field(default_factory=lambda: SigningConfig.model_validate({}))
     fleet: FleetConfig = Field(default_factory=lambda: FleetConfig.model_validate({}))
     estimator: EstimatorConfig = Field(default_factory=lambda: EstimatorConfig.model_validate({}))
     health: HealthConfig = Field(default_factory=HealthConfig)

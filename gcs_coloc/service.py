@@ -20,9 +20,11 @@ from gcs_coloc.links.base import Address, Link
 from gcs_coloc.links.factory import make_link
 from gcs_coloc.links.refusals import Refusals
 from gcs_coloc.links.routes import Blocked, Route, RouteTable
+from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.decoder import Decoder, Frame
 from gcs_coloc.mavlink.encoder import Encoder
+from gcs_coloc.mavlink.signing import Stamp
 from gcs_coloc.sinks import console as console_sink
 from gcs_coloc.sinks.hub import Hub
 
@@ -43,6 +45,8 @@ class Service:
         self._decoder = Decoder(own_sysid=ids.system_id, own_compid=ids.component_id)
         self._encoder = Encoder(sysid=ids.system_id, compid=ids.component_id)
         self._routes = RouteTable()
+        self._signed = SignedLinks(settings.signing, settings.links)
+        self._signed.set_clock(self._unix_minus_service_s(clock()))  # before the first frame: it tells a recording from news
         self._links = [make_link(parse(text), self._on_datagram, clock) for text in settings.links]
         self._engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
         self._counts = Counts()
@@ -96,7 +100,7 @@ class Service:
             await link.close()
 
     def _on_datagram(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
-        for frame in self._decoder.decode(payload, received_at_s, (link.name, address)):
+        for frame in self._decoder.decode(payload, received_at_s, (link.name, address), self._signed.of(link.name)):
             if self._learn_route(frame, link, address, received_at_s) and frame.message is not None:
                 self._engine.receive(frame.message)
                 if frame.is_autopilot_heartbeat:
@@ -135,11 +139,15 @@ class Service:
         if isinstance(route, Blocked):
             return
         try:
-            payload = self._encoder.encode(output, route)
+            payload = self._encoder.encode(output, route, self._stamp(route))
         except ValueError:
             self._counts.add("output that no message can hold")
             return
         route.link.send(route.address, payload)
+
+    def _stamp(self, route: Route) -> Stamp | None:
+        signing = self._signed.of(route.link.name)
+        return signing.stamp(self._clock()) if signing is not None else None
 
     async def _every(self, period_s: float, act: Callable[[], None]) -> None:
         while True:
@@ -155,13 +163,19 @@ class Service:
         if text is not None:
             self._hub.publish(Notice(self._clock(), None, "warning", text))
 
+    @staticmethod
+    def _unix_minus_service_s(now_s: float) -> float | None:
+        unix_s = time.time()
+        return unix_s - now_s if unix_s >= _EARLIEST_PLAUSIBLE_UNIX_S else None
+
     def _each_second(self) -> None:
-        now_s, unix_s = self._clock(), time.time()
-        offset_s = unix_s - now_s if unix_s >= _EARLIEST_PLAUSIBLE_UNIX_S else None
+        now_s = self._clock()
+        offset_s = self._unix_minus_service_s(now_s)
+        self._signed.set_clock(offset_s)
         self._engine.receive(ClockReference(now_s, offset_s))
         routes = (self._routes.route(vehicle.sysid, now_s) for vehicle in self._engine.fleet)
         # A vehicle or router may wait for our first frame before it sends any, hence the links' remotes.
         greeted = {route for route in routes if isinstance(route, Route)}
         greeted |= {Route(link, link.remote) for link in self._links if link.remote is not None}
         for route in greeted:
-            route.link.send(route.address, self._encoder.heartbeat(route))
+            route.link.send(route.address, self._encoder.heartbeat(route, self._stamp(route)))

@@ -6,9 +6,15 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 # Part of every healthy day: other programs' messages, our own frames come back, radios that deliver twice.
-_QUIET = frozenset({"not_wanted", "unknown_message", "echo", "duplicate"})
+_QUIET = frozenset({"not_wanted", "unknown_message", "echo", "duplicate", "unsigned_radio_status"})
 _MENDS = {
     "address_conflict": "two senders use one system id: give every vehicle its own (SYSID_THISMAV or MAV_SYSID)",
+    "unsigned": "a link that requires signatures: give the vehicle the key, or is somebody pretending?",
+    "signature_wrong": "the vehicle has another key than ours, or somebody is pretending",
+    "signature_replayed": "frames out of order, or somebody plays back what was recorded",
+    "signature_old": "signed over a minute before our time: a vehicle that has no time yet, or a recording",
+    "signature_future": "the vehicle's signing time is beyond 2100: its clock is wrong",
+    "signature_streams_full": "more signed senders than there is room for",
     "route_table_full": "more senders than there is room for: is something flooding the link?",
 }
 

@@ -1,0 +1,46 @@
+"""How each link is signed, by the configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from gcs_coloc.config import SigningConfig
+from gcs_coloc.core.errors import ConfigError
+from gcs_coloc.links.address import parse
+from gcs_coloc.links.key_file import read_key
+from gcs_coloc.mavlink.signing import LinkSigning, Signing
+
+
+class SignedLinks:
+    """The signing of each of the links that are given by their connection strings.
+
+    Raises:
+        ConfigError: the key file is of no use, or the configuration signs a link that there is not.
+    """
+
+    def __init__(self, config: SigningConfig, links: Sequence[str]) -> None:
+        names = [str(parse(text)) for text in links]
+        modes: dict[str, str] = dict.fromkeys(names, config.mode)
+        for text, mode in config.links.items():
+            name = str(parse(text))
+            if name not in modes:
+                raise ConfigError(f"signing.links: {text} is none of the links: {', '.join(names) or 'there is none'}")
+            modes[name] = mode
+        self._signing = Signing(read_key(Path(config.key_file))) if config.key_file else None
+        self._of: dict[str, LinkSigning] = {}
+        if self._signing is not None:
+            self._of = {
+                name: LinkSigning(self._signing, number & 0xFF, required=modes[name] == "require")
+                for number, name in enumerate(names)
+                if modes[name] != "off"
+            }
+
+    def of(self, link: str) -> LinkSigning | None:
+        """The signing of the link of that name; None where it is not signed."""
+        return self._of.get(link)
+
+    def set_clock(self, unix_minus_service_s: float | None) -> None:
+        """Tell how far UNIX time is ahead of the service's clock; None: not known."""
+        if self._signing is not None:
+            self._signing.set_clock(unix_minus_service_s)
