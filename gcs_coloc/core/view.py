@@ -88,6 +88,7 @@ class VehicleView:
 class FleetView:
     """The whole fleet at one instant, with the counts of everything that was refused, by reason.
 
+    `estimator_counts` is what the estimator made of its measurements, used ones among them.
     `ranges` and `links` are sorted by their system ids. `utc_minus_service_s` turns `at_s` into UNIX time; None where
     the host does not know the time. `origin` is the fleet frame's: latitude and longitude in degrees, altitude in metres.
     """
@@ -96,6 +97,7 @@ class FleetView:
     estimator: str
     vehicles: tuple[VehicleView, ...]
     refused: dict[str, int]
+    estimator_counts: dict[str, int]
     ranges: tuple[RangeView, ...] = ()
     links: tuple[LinkView, ...] = ()
     utc_minus_service_s: float | None = None

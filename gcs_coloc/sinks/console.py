@@ -66,7 +66,7 @@ def line(v: VehicleView) -> str:
 def table(view: FleetView) -> Table:
     """The fleet as a table."""
     refused = sum(view.refused.values())
-    out = Table(title=f"gcs-coloc, estimator {view.estimator}", caption=f"refused or set aside: {refused}" if refused else None)
+    out = Table(title=f"gcs-coloc, estimator {view.estimator}", caption=f"refused: {refused}" if refused else None)
     for heading in ("vehicle", "last heard", "GPS", "reason", "position", "1-sigma", "HDOP", "ranges", "aid"):
         out.add_column(heading)
     for v in view.vehicles:

@@ -354,4 +354,4 @@ def test_an_estimator_that_refuses_a_measurement_is_told_of_once():
     engine = Engine(estimator, settings())
     out = fly(engine, 0.0, 5.0)
     assert len([o for _, o in out if isinstance(o, Notice) and "ZeroDivisionError" in o.text]) == 1
-    assert engine.view(5.0).refused["estimator: raised an exception"] > 100
+    assert engine.view(5.0).estimator_counts["raised an exception"] > 100

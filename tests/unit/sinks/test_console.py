@@ -57,15 +57,15 @@ def rendered(view: FleetView) -> str:
 
 
 def test_the_table_shows_all_that_matters_of_each_vehicle():
-    text = rendered(FleetView(10.0, "fleet", (LOCATED, LOST), {"bad_crc": 3}))
+    text = rendered(FleetView(10.0, "fleet", (LOCATED, LOST), {"bad_crc": 3}, {}))
     for words in ("fleet", "0.4 s", "failed", "fix type 1", "47.100000 8.200000 512 m", "12.3 m", "1.4", "sending 3D fix"):
         assert words in text
     assert "unknown: no ranges for 6 s" in text
-    assert "refused or set aside: 3" in text
+    assert "refused: 3" in text
 
 
 def test_an_empty_fleet_says_so():
-    assert "no vehicle heard yet" in rendered(FleetView(0.0, "fleet", (), {}))
+    assert "no vehicle heard yet" in rendered(FleetView(0.0, "fleet", (), {}, {}))
 
 
 def test_without_a_terminal_there_are_plain_lines_at_a_calm_rate(caplog: pytest.LogCaptureFixture):
@@ -76,7 +76,7 @@ def test_without_a_terminal_there_are_plain_lines_at_a_calm_rate(caplog: pytest.
         hub.publish(HealthChanged(0.0, 4, "healthy", "failed", "no 3D fix"))
         hub.publish(Notice(0.0, None, "error", "something"))
         for i in range(24):
-            hub.publish(FleetView(i * 0.5, "fleet", (LOCATED,), {}))
+            hub.publish(FleetView(i * 0.5, "fleet", (LOCATED,), {}, {}))
         for _ in range(60):
             await asyncio.sleep(0)
         task.cancel()
