@@ -65,9 +65,12 @@ class Whiteness:
 
     def split(self, sigma_m: float, least_slow_share: float) -> tuple[float, float]:
         """Return the sigmas (white, slow) in metres of a report with the stated sigma."""
-        white_m2 = max(self._sum_m2, 0.0) / (self._weight + _PROOF_SAMPLES)
+        seen_m2 = max(self._sum_m2, 0.0)
+        least_m2 = seen_m2 / (self._weight + _PROOF_SAMPLES)
+        # Before there is proof each part may be as large as all that is stated.
+        most_m2 = (seen_m2 + _PROOF_SAMPLES * sigma_m * sigma_m) / (self._weight + _PROOF_SAMPLES)
         # Once that variance is well known, a stream that may well be white (two standard errors) is taken for white.
         error = math.sqrt(2.0 * _OVERLAP / max(self._weight, 1.0))
-        likely_m2 = white_m2 * (1.0 + 2.0 * error) if error < _WELL_KNOWN else white_m2
+        likely_m2 = least_m2 * (1.0 + 2.0 * error) if error < _WELL_KNOWN else least_m2
         slow_m2 = max(sigma_m * sigma_m - likely_m2, (least_slow_share * sigma_m) ** 2)
-        return math.sqrt(max(white_m2, (0.05 * sigma_m) ** 2)), math.sqrt(slow_m2)
+        return math.sqrt(max(most_m2, (0.05 * sigma_m) ** 2)), math.sqrt(slow_m2)

