@@ -83,6 +83,20 @@ class SigningConfig(_Section):
         return self
 
 
+class SendersConfig(_Section):
+    """`[senders]`: who may speak for a vehicle, and how much anybody may say."""
+
+    roam_after_s: float = Field(
+        5.0, gt=0, description="a vehicle that was silent for so long may turn up at another address; inf: never"
+    )
+    companions_elsewhere: bool = Field(
+        False, description="components other than the autopilot may use a vehicle's system id from addresses of their own"
+    )
+    bytes_per_s: float = Field(
+        200_000.0, ge=10_000, allow_inf_nan=False, description="what an address sends beyond this is dropped"
+    )
+
+
 class FleetConfig(_Section):
     """`[fleet]`: the operator's word on single vehicles, and the fleet's bounds."""
 
@@ -146,6 +160,7 @@ class Settings(BaseSettings):
             most_vehicles=self.fleet.most_vehicles,
         )
 
+    senders: SendersConfig = Field(default_factory=lambda: SendersConfig.model_validate({}))
 
 def load_settings(path: Path | None, flags: Mapping[str, Any]) -> Settings:
     """Read the configuration.

@@ -19,8 +19,10 @@ from gcs_coloc.links.address import parse
 from gcs_coloc.links.base import Address, Link
 from gcs_coloc.links.factory import make_link
 from gcs_coloc.links.refusals import Refusals
-from gcs_coloc.links.routes import Blocked, Route, RouteTable
+from gcs_coloc.links.routes import Blocked, RouteTable
+from gcs_coloc.links.claims import Route
 from gcs_coloc.links.signed_links import SignedLinks
+from gcs_coloc.links.intake import Intake
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.decoder import Decoder, Frame
 from gcs_coloc.mavlink.encoder import Encoder
@@ -44,14 +46,16 @@ class Service:
         ids = settings.mavlink
         self._decoder = Decoder(own_sysid=ids.system_id, own_compid=ids.component_id)
         self._encoder = Encoder(sysid=ids.system_id, compid=ids.component_id)
-        self._routes = RouteTable()
+        senders = settings.senders
+        self._intake = Intake(senders.bytes_per_s)
+        self._routes = RouteTable(roam_after_s=senders.roam_after_s, companions_elsewhere=senders.companions_elsewhere)
         self._signed = SignedLinks(settings.signing, settings.links)
         self._signed.set_clock(self._unix_minus_service_s(clock()))  # before the first frame: it tells a recording from news
         self._links = [make_link(parse(text), self._on_datagram, clock) for text in settings.links]
         self._engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
         self._counts = Counts()
         self._refusals = Refusals(
-            [self._decoder.counts, self._routes.counts, self._counts, *(link.counts for link in self._links)]
+            [self._decoder.counts, self._intake.counts, self._routes.counts, self._counts, *(link.counts for link in self._links)]
         )
         self._hub = Hub()
         self._timer: asyncio.TimerHandle | None = None
@@ -117,6 +121,8 @@ class Service:
     def _wake(self) -> None:
         """Make sure that the engine is polled when it next wants to be."""
         due_s = self._engine.next_deadline()
+        if not self._intake.admits((link, address), len(payload), received_at_s):
+            return
         loop = asyncio.get_running_loop()
         if self._timer is not None:
             if self._timer.when() <= due_s:
@@ -179,3 +185,5 @@ class Service:
         greeted |= {Route(link, link.remote) for link in self._links if link.remote is not None}
         for route in greeted:
             route.link.send(route.address, self._encoder.heartbeat(route, self._stamp(route)))
+        for sysid, text in self._routes.claims.news(now_s):
+            self._hub.publish(Notice(now_s, sysid, "warning", text))

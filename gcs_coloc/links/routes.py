@@ -10,18 +10,11 @@ from collections import OrderedDict
 from dataclasses import dataclass
 
 from gcs_coloc.links.base import Address, Link
+from gcs_coloc.links.claims import Claims, Route
 from gcs_coloc.mavlink.counts import Counts
 
 ADDRESS_CONFLICT = "address_conflict"
 TABLE_FULL = "route_table_full"
-
-
-@dataclass(frozen=True, slots=True)
-class Route:
-    """Where to send what is meant for one vehicle."""
-
-    link: Link
-    address: Address
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +33,9 @@ class _Pin:
 class RouteTable:
     """Learns from every frame heard, and answers where a vehicle is.
 
-    `roam_after_s`: how long a component must be silent at its address before it may turn up at another one.
+    `roam_after_s`: how long a system must be silent at its address before it may turn up at another one.
+    `companions_elsewhere`: components other than the autopilot may have addresses of their own; without, all of a system's
+    frames come from one address, and where two claim it, from the one with the autopilot's heartbeat.
     `shared_memory_s`: how long an autopilot, heard once, counts as living behind an address. It is long because a vehicle
     that we do not hear may still hear us. `max_components`, `max_addresses`: bounds of the tables; when one is full, only
     what is silent makes room.
@@ -50,11 +45,14 @@ class RouteTable:
         self,
         *,
         roam_after_s: float = 5.0,
+        companions_elsewhere: bool = False,
         shared_memory_s: float = 60.0,
         max_components: int = 1024,
         max_addresses: int = 256,
     ) -> None:
         self.counts = Counts()
+        self.claims = Claims()
+        self._companions_elsewhere = companions_elsewhere
         self._roam_after_s = roam_after_s
         self._shared_memory_s = shared_memory_s
         self._max_components = max_components
@@ -74,21 +72,27 @@ class RouteTable:
         if is_autopilot_heartbeat and not self._note_autopilot_at(heard, sysid, now_s):
             self.counts.add(TABLE_FULL)
             return False
-        if is_autopilot_heartbeat and self._is_pinned_elsewhere(self._autopilots.get(sysid), heard, now_s):
-            self.counts.add(ADDRESS_CONFLICT)
-            return False
-        sender = (sysid, compid)
+        autopilot = self._autopilots.get(sysid) if is_autopilot_heartbeat else None
+        sender = (sysid, compid if self._companions_elsewhere else 0)
         pin = self._components.get(sender)
-        if self._is_pinned_elsewhere(pin, heard, now_s):
-            self.counts.add(ADDRESS_CONFLICT)
-            return False
+        # Who came first with other messages does not keep the autopilot itself out.
+        rivals = (autopilot,) if is_autopilot_heartbeat and not self._companions_elsewhere else (autopilot, pin)
+        for other in rivals:
+            if other is not None and other.route != heard and now_s - other.heard_at_s < self._roam_after_s:
+                self.counts.add(ADDRESS_CONFLICT)
+                self.claims.refuse(sysid, other.route, heard)
+                return False
         if pin is None and not self._has_room(now_s):
             self.counts.add(TABLE_FULL)
             return False
         self._components[sender] = _Pin(heard, now_s)
         self._components.move_to_end(sender)
         if is_autopilot_heartbeat:
+            if autopilot is not None and autopilot.route != heard:
+                self.claims.move(sysid, autopilot.route, heard)
             self._autopilots[sysid] = _Pin(heard, now_s)
+        elif not self._companions_elsewhere and sysid in self._autopilots and self._autopilots[sysid].route == heard:
+            self._autopilots[sysid].heard_at_s = now_s
         return True
 
     def route(self, sysid: int, now_s: float) -> Route | Blocked:
@@ -108,9 +112,6 @@ class RouteTable:
                 "of them would take it. Give each vehicle its own UDP stream to us, from its own port, or its own --link"
             )
         return pin.route
-
-    def _is_pinned_elsewhere(self, pin: _Pin | None, heard: Route, now_s: float) -> bool:
-        return pin is not None and pin.route != heard and now_s - pin.heard_at_s < self._roam_after_s
 
     def _note_autopilot_at(self, heard: Route, sysid: int, now_s: float) -> bool:
         autopilots = self._autopilots_at.get(heard)

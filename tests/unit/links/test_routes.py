@@ -2,7 +2,8 @@
 
 import pytest
 
-from gcs_coloc.links.routes import Blocked, Route, RouteTable
+from gcs_coloc.links.claims import Route
+from gcs_coloc.links.routes import Blocked, RouteTable
 
 LINK = "the link"
 HERE, THERE = ("10.0.0.1", 14550), ("10.0.0.2", 14550)
@@ -43,7 +44,8 @@ def test_other_messages_of_a_vehicle_give_no_route(ears):
     assert isinstance(ears.route(1), Blocked)
 
 
-def test_companion_computer_elsewhere_is_heard_and_does_not_move_the_route(ears):
+def test_companion_computer_elsewhere_is_heard_where_that_is_allowed_and_does_not_move_the_route():
+    ears = Ears(companions_elsewhere=True)
     ears.hears(1, HERE)
     assert ears.hears(1, THERE, compid=191, autopilot=False)
     assert ears.route(1) == Route(LINK, HERE)
@@ -62,6 +64,63 @@ def test_second_autopilot_of_one_vehicle_at_another_address_is_refused(ears):
     ears.hears(1, HERE, compid=1)
     assert not ears.hears(1, THERE, compid=2)
     assert ears.route(1) == Route(LINK, HERE)
+
+
+def test_companion_computer_elsewhere_is_refused_unless_that_is_allowed(ears):
+    ears.hears(1, HERE)
+    assert not ears.hears(1, THERE, compid=191, autopilot=False)
+    assert ears.hears(1, HERE, compid=191, autopilot=False)
+    assert ears.table.counts["address_conflict"] == 1
+
+
+def test_who_came_first_without_being_an_autopilot_keeps_the_autopilot_not_out(ears):
+    ears.hears(1, THERE, compid=1, autopilot=False)
+    assert ears.hears(1, HERE)
+    assert not ears.hears(1, THERE, compid=1, autopilot=False)
+    assert ears.route(1) == Route(LINK, HERE)
+
+
+def test_any_frame_of_a_vehicle_keeps_its_autopilots_address(ears):
+    ears.hears(1, HERE)
+    for _ in range(4):
+        ears.now_s += 4.0
+        assert ears.hears(1, HERE, autopilot=False)
+        assert not ears.hears(1, THERE)
+
+
+@pytest.mark.parametrize(("roam_after_s", "roams"), [(59.0, True), (61.0, False), (float("inf"), False)])
+def test_how_soon_a_silent_vehicle_may_roam_is_a_setting(roam_after_s, roams):
+    ears = Ears(roam_after_s=roam_after_s)
+    ears.hears(1, HERE)
+    ears.now_s += 60.0
+    assert ears.hears(1, THERE) is roams
+
+
+class Named:
+    name = "udpin:0.0.0.0:14550"
+
+
+def test_a_second_claim_is_told_with_both_addresses_and_not_too_often(ears):
+    ears.hears(1, HERE, link=Named)
+    ears.hears(2, HERE, link=Named)
+    for _ in range(1000):
+        ears.hears(1, THERE, link=Named)
+    ((sysid, text),) = ears.table.claims.news(ears.now_s)
+    assert sysid == 1
+    for part in ("10.0.0.1:14550 on udpin:0.0.0.0:14550", "10.0.0.2:14550", "1000 times", "SYSID_THISMAV"):
+        assert part in text
+    assert ears.table.claims.news(ears.now_s) == []
+    ears.hears(1, THERE, link=Named)
+    assert ears.table.claims.news(ears.now_s + 9.9) == []
+    assert "1 times" in ears.table.claims.news(ears.now_s + 10.0)[0][1]
+
+
+def test_a_vehicle_that_moves_is_told(ears):
+    ears.hears(1, HERE, link=Named)
+    ears.now_s += 6.0
+    ears.hears(1, THERE, link=Named)
+    ((sysid, text),) = ears.table.claims.news(ears.now_s)
+    assert (sysid, "10.0.0.2:14550" in text, "10.0.0.1:14550" in text) == (1, True, True)
 
 
 def test_same_address_on_another_link_is_another_address(ears):
