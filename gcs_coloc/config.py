@@ -131,6 +131,7 @@ class Settings(BaseSettings):
     )
     mavlink: MavlinkConfig = Field(default_factory=lambda: MavlinkConfig.model_validate({}))
     signing: SigningConfig = Field(default_factory=lambda: SigningConfig.model_validate({}))
+    senders: SendersConfig = Field(default_factory=lambda: SendersConfig.model_validate({}))
     fleet: FleetConfig = Field(default_factory=lambda: FleetConfig.model_validate({}))
     estimator: EstimatorConfig = Field(default_factory=lambda: EstimatorConfig.model_validate({}))
     health: HealthConfig = Field(default_factory=HealthConfig)
@@ -160,7 +161,6 @@ class Settings(BaseSettings):
             most_vehicles=self.fleet.most_vehicles,
         )
 
-    senders: SendersConfig = Field(default_factory=lambda: SendersConfig.model_validate({}))
 
 def load_settings(path: Path | None, flags: Mapping[str, Any]) -> Settings:
     """Read the configuration.

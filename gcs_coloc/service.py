@@ -17,12 +17,12 @@ from gcs_coloc.core.messages import ClockReference, GpsWord, Notice, OperatorWor
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.address import parse
 from gcs_coloc.links.base import Address, Link
+from gcs_coloc.links.claims import Route
 from gcs_coloc.links.factory import make_link
+from gcs_coloc.links.intake import Intake
 from gcs_coloc.links.refusals import Refusals
 from gcs_coloc.links.routes import Blocked, RouteTable
-from gcs_coloc.links.claims import Route
 from gcs_coloc.links.signed_links import SignedLinks
-from gcs_coloc.links.intake import Intake
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.decoder import Decoder, Frame
 from gcs_coloc.mavlink.encoder import Encoder
@@ -104,6 +104,8 @@ class Service:
             await link.close()
 
     def _on_datagram(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
+        if not self._intake.admits((link, address), len(payload), received_at_s):
+            return
         for frame in self._decoder.decode(payload, received_at_s, (link.name, address), self._signed.of(link.name)):
             if self._learn_route(frame, link, address, received_at_s) and frame.message is not None:
                 self._engine.receive(frame.message)
@@ -121,8 +123,6 @@ class Service:
     def _wake(self) -> None:
         """Make sure that the engine is polled when it next wants to be."""
         due_s = self._engine.next_deadline()
-        if not self._intake.admits((link, address), len(payload), received_at_s):
-            return
         loop = asyncio.get_running_loop()
         if self._timer is not None:
             if self._timer.when() <= due_s:
@@ -179,11 +179,11 @@ class Service:
         offset_s = self._unix_minus_service_s(now_s)
         self._signed.set_clock(offset_s)
         self._engine.receive(ClockReference(now_s, offset_s))
+        for sysid, text in self._routes.claims.news(now_s):
+            self._hub.publish(Notice(now_s, sysid, "warning", text))
         routes = (self._routes.route(vehicle.sysid, now_s) for vehicle in self._engine.fleet)
         # A vehicle or router may wait for our first frame before it sends any, hence the links' remotes.
         greeted = {route for route in routes if isinstance(route, Route)}
         greeted |= {Route(link, link.remote) for link in self._links if link.remote is not None}
         for route in greeted:
             route.link.send(route.address, self._encoder.heartbeat(route, self._stamp(route)))
-        for sysid, text in self._routes.claims.news(now_s):
-            self._hub.publish(Notice(now_s, sysid, "warning", text))
