@@ -1,8 +1,7 @@
 """The `fleet` estimator: one joint filter per cluster of vehicles, fed with raw measurements at their own times.
 
 See docs/explanation/fleet-filter.md for the reasoning. This module is the outer shell: it refuses impossible values and late
-arrivals, puts
-the rest into the order of measuring, and asks the model.
+arrivals, puts the rest into the order of measuring, and asks the model.
 """
 
 from __future__ import annotations

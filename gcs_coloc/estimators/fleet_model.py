@@ -1,9 +1,7 @@
-"""The fleet as the filter knows it, fed in the order of measuring: who is a subject, who is in which cluster, who is used as a
-peer.
+"""The fleet as the filter knows it, fed in the order of measuring: who is a subject, in which cluster, and who is used as a peer.
 
 Only vehicles that a subject ranges have states in a filter. Of any other healthy vehicle only a few recent reports are kept,
-from which
-a filter for it is started at the moment when it is needed.
+from which a filter for it is started at the moment when it is needed.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from gcs_coloc.core.measurements import (
     Unknown,
 )
 from gcs_coloc.estimators.dop import horizontal_dilution
-from gcs_coloc.estimators.fleet_cluster import USED, Cluster, Verdict, initial_block, pair_key, start_block
+from gcs_coloc.estimators.fleet_cluster import Cluster, Verdict, initial_block, pair_key, start_block
 from gcs_coloc.estimators.fleet_joint import Key
 from gcs_coloc.estimators.fleet_noise import Whiteness
 from gcs_coloc.estimators.fleet_peers import choose_peers
@@ -400,6 +398,3 @@ class FleetModel:
             own.recent = ()
         alone._activate(vehicle, at_s)
         return alone.estimate(vehicle, at_s)
-
-
-__all__ = ["USED", "FleetModel"]

@@ -1,10 +1,10 @@
 """How much of a stream's error is white and how much is slow, told from the stream itself.
 
 A receiver states how large its error is, never how it is spread over time. White noise of the stated size makes each report
-differ
-from the smooth curve through its predecessors; the error of a navigation filter's output, or of a receiver's fix, hardly does,
-for it drifts over minutes. So: what the reports are seen to scatter is white, the rest of what was stated is slow. To take
-slow error for white makes a filter overconfident within seconds; so whiteness has to be proven, and manoeuvres count against it.
+differ from the smooth curve through its predecessors; the error of a navigation filter's output, or of a receiver's fix, hardly
+does, for it drifts over minutes. So: what the reports are seen to scatter is white, the rest of what was stated is slow. To
+take slow error for white makes a filter overconfident within seconds; so whiteness has to be proven, and manoeuvres count
+against it.
 """
 
 from __future__ import annotations

@@ -19,18 +19,15 @@ class FleetSettings:
 
     Air data: `wind_sigma_mps` is the spread of the horizontal wind, which changes over `wind_time_s`; `airspeed_sigma_mps` and
     `heading_sigma_rad` are slow errors of airspeed and heading over `air_error_time_s`; `air_noise_mps` is their fast part
-    (gusts,
-    sideslip), correlated over `air_noise_time_s`. An attitude is used for `attitude_fresh_s`.
+    (gusts, sideslip), correlated over `air_noise_time_s`. An attitude is used for `attitude_fresh_s`.
 
     Reports of position: the part of their error that is not seen to be white is slow, over `report_error_time_s`, and never
-    less than
-    `least_slow_share` of the stated sigma. A barometric height has the same treatment with `baro_error_time_s`.
+    less than `least_slow_share` of the stated sigma. A barometric height has the same treatment with `baro_error_time_s`.
     `stamp_sigma_s` is the error of time stamps, slow over `stamp_error_time_s` in one vehicle's reports.
 
     Ranges: each pair has a bias of `range_bias_sigma_m` that changes over `range_bias_time_s`, and as far as its ranges are not
-    seen to
-    scatter as stated, up to `range_slow_share` of the stated sigma comes again for `range_slow_time_s` (multipath, antennas).
-    An innovation beyond `gate_sigma` is refused, one beyond `doubt_sigma` counts less.
+    seen to scatter as stated, up to `range_slow_share` of the stated sigma comes again for `range_slow_time_s` (multipath,
+    antennas). An innovation beyond `gate_sigma` is refused, one beyond `doubt_sigma` counts less.
 
     Peers: at most `peers_per_subject` neighbours are used, with ranges younger than `peer_fresh_s`; a neighbour that has not been
     ranged for `peer_kept_s` is dropped from the joint state.
@@ -56,7 +53,7 @@ class FleetSettings:
     airspeed_sigma_mps: float = 1.0
     heading_sigma_rad: float = 0.03
     air_error_time_s: float = 600.0
-    air_noise_mps: float = 0.7
+    air_noise_mps: float = 0.5
     air_noise_time_s: float = 0.5
     attitude_fresh_s: float = 0.5
     report_error_time_s: float = 100.0

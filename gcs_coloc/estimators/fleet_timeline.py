@@ -1,10 +1,8 @@
 """Measurements put into the order of measuring, whatever the order in which they arrived.
 
 The timeline keeps the events of the last window and, every now and then in it, a copy of the model. An event that belongs
-before others
-already applied takes the model back to the copy before it, and what followed is applied anew. That is put off until an answer
-is wanted,
-so a burst of late events costs one replay. The result is bit for bit what arrival in order gives.
+before others already applied takes the model back to the copy before it, and what followed is applied anew. That is put off
+until an answer is wanted, so a burst of late events costs one replay. The result is bit for bit what arrival in order gives.
 """
 
 from __future__ import annotations

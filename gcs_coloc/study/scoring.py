@@ -44,10 +44,8 @@ class Score:
 
     `share_known` is the share of truth epochs with an estimate, `first_known_s` the time from becoming a subject to the first
     of them (None: never). `anees` is the mean of e' P^-1 e, which is `anees_expected` (the number of dimensions) where the
-    covariance is
-    honest: above is overconfident. `covered_95` is the share of horizontal errors within the stated 95 % bound. All figures of
-    error are None
-    without any estimate.
+    covariance is honest: above is overconfident. `covered_95` is the share of horizontal errors within the stated 95 % bound.
+    All figures of error are None without any estimate.
     """
 
     epochs: int
