@@ -43,9 +43,10 @@ def replay(
         log,
         driver.read_ranges(ranges) if ranges is not None else [],
         report.observation_times(),
-        report.output,
+        report.polled,
         report.observe,
         pace,
+        (settings.mavlink.system_id, settings.mavlink.component_id),
     )
     result: dict[str, Any] = {
         "file": str(file),

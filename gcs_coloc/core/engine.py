@@ -78,11 +78,14 @@ class Engine:
         self._warned_of_old_table = False
         self._subjects: frozenset[int] = frozenset()
         self._words: dict[int, GpsWord] = {}
-        self._housekeeping_due_s = float("-inf")
+        self._housekeeping_due_s = float("inf")
 
     def receive(self, message: Inbound) -> None:
         """Take one message. Never raises for its content: what cannot be used is counted by reason."""
         at_s = self._now_s = message.received_at_s
+        if self._housekeeping_due_s == float("inf"):
+            # The first message sets the grid of deadlines, so that a recording of the messages holds it.
+            self._housekeeping_due_s = at_s
         if isinstance(message, ClockReference):
             self._utc(message)
             return
@@ -122,7 +125,7 @@ class Engine:
         return out
 
     def next_deadline(self) -> float:
-        """The service time at which `poll` is to be called at the latest."""
+        """The service time at which `poll` is to be called at the latest; infinity before the first message."""
         return min(self._housekeeping_due_s, self.aiding.next_due_s())
 
     def close(self) -> list[GpsInput]:

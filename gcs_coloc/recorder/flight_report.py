@@ -51,7 +51,7 @@ class _Vehicle:
 
 
 class FlightReport:
-    """Watches a replay. `output` and `observe` are its two ears; `truth` is what it scores against."""
+    """Watches a replay. `polled` and `observe` are its two ears; `truth` is what it scores against."""
 
     def __init__(self, engine: Engine, truth: list[TruthPoint]) -> None:
         self._engine = engine
@@ -63,9 +63,13 @@ class FlightReport:
         """The service times at which `observe` wants to be called."""
         return sorted({point.unix_s for point in self._truth})
 
-    def output(self, at_s: float, output: Outbound) -> None:
-        """Note one output of the engine."""
+    def polled(self, at_s: float, outputs: list[Outbound]) -> None:
+        """Note the engine's outputs of one deadline."""
         del at_s
+        for output in outputs:
+            self._note(output)
+
+    def _note(self, output: Outbound) -> None:
         if isinstance(output, HealthChanged):
             self._of(output.sysid).changes.append(output)
         elif isinstance(output, GpsInput):

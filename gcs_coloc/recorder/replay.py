@@ -11,10 +11,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from gcs_coloc.core.advance import advance
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import DataError
-from gcs_coloc.core.messages import ClockReference, Inbound, Outbound, PeerRange, RouteReport, TimeBase
+from gcs_coloc.core.messages import ClockReference, Inbound, OperatorWord, Outbound, PeerRange, RouteReport, TimeBase
 from gcs_coloc.mavlink.decoder import Decoder
+from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
+from gcs_coloc.recorder.notes import ReadNote, read_note
 from gcs_coloc.recorder.tables import read_table
 from gcs_coloc.recorder.tlog import TlogReader
 
@@ -98,9 +101,10 @@ def replay(
     log: TlogReader,
     ranges: Iterable[PeerRange],
     observe: Iterable[float],
-    on_output: Callable[[float, Outbound], None],
+    on_poll: Callable[[float, list[Outbound]], None],
     on_observe: Callable[[float], None],
     pace: Callable[[float], None] = lambda _: None,
+    own: tuple[int, int] = (OWN_SYSID, OWN_COMPID),
 ) -> ReplayCounts:
     """Drive the engine through a recording.
 
@@ -109,27 +113,28 @@ def replay(
         log: the recording's frames, in order.
         ranges: ranges that the frames do not carry, in order of time.
         observe: service times (UNIX s), in order, at which `on_observe` is called when all that arrived by then is taken.
-        on_output: takes the service time and each output of the engine.
+        on_poll: takes the service time and the engine's outputs of each of its deadlines.
         on_observe: see `observe`.
         pace: called with the service time before it is reached; may wait.
+        own: the system and component id of the service that recorded: what it sent itself is passed over.
 
     Returns:
         What was gone through. The frames' own counts are the log's.
     """
     counts = ReplayCounts()
-    decoder = Decoder()
+    decoder = Decoder(own_sysid=own[0], own_compid=own[1])
     observations = iter(observe)
     due = next(observations, None)
     now_s = float("-inf")
-    for message in heapq.merge(_messages(log, decoder, counts), ranges, key=lambda m: m.received_at_s):
+    for message in heapq.merge(_messages(log, decoder, own, counts), ranges, key=lambda m: m.received_at_s):
         # A recorder's clock may be stepped back; the engine's time never is.
         arrived_s = max(message.received_at_s, now_s)
         while due is not None and due < arrived_s:
-            _advance(engine, now_s, due, on_output, pace)
+            _advance(engine, due, on_poll, pace)
             now_s = max(now_s, due)
             on_observe(due)
             due = next(observations, None)
-        _advance(engine, now_s, arrived_s, on_output, pace)
+        _advance(engine, arrived_s, on_poll, pace)
         now_s = arrived_s
         engine.receive(message)
         counts.messages += 1
@@ -138,28 +143,46 @@ def replay(
 
 
 def _advance(
-    engine: Engine, from_s: float, to_s: float, on_output: Callable[[float, Outbound], None], pace: Callable[[float], None]
+    engine: Engine, to_s: float, on_poll: Callable[[float, list[Outbound]], None], pace: Callable[[float], None]
 ) -> None:
-    while engine.next_deadline() <= to_s:
-        at_s = min(max(engine.next_deadline(), from_s), to_s)
-        if at_s == float("-inf"):
-            at_s = to_s
-        pace(at_s)
-        for output in engine.poll(at_s):
-            on_output(at_s, output)
+    pace(to_s)
+    for at_s, outputs in advance(engine, to_s):
+        on_poll(at_s, outputs)
 
 
-def _messages(log: TlogReader, decoder: Decoder, counts: ReplayCounts) -> Iterator[Inbound]:
+def _messages(log: TlogReader, decoder: Decoder, own: tuple[int, int], counts: ReplayCounts) -> Iterator[Inbound]:
     latest_s = float("-inf")
+    routes: dict[int, str | None] = {}
+    words: dict[int, OperatorWord] = {}
     for record in log:
         latest_s = max(latest_s, record.unix_s)
+        noted = read_note(record.frame, latest_s, own)
         if counts.records == 0:
             counts.first_s = latest_s
-            yield ClockReference(latest_s, 0.0)
+            if noted is None:
+                # Another program's recording: its clock is all that is known of UTC, and every vehicle is taken as reached.
+                yield ClockReference(latest_s, 0.0)
         counts.records += 1
         counts.last_s = latest_s
+        if noted is not None:
+            yield from _of_note(noted, routes, words)
+            continue
         for frame in decoder.decode(record.frame, latest_s):
             if frame.message is not None:
                 yield frame.message
             if frame.is_autopilot_heartbeat:
-                yield RouteReport(frame.sysid, latest_s, None)
+                yield RouteReport(frame.sysid, latest_s, routes.get(frame.sysid))
+
+
+def _of_note(noted: ReadNote, routes: dict[int, str | None], words: dict[int, OperatorWord]) -> Iterator[Inbound]:
+    note = noted.note
+    if isinstance(note, RouteReport):
+        # Told with the vehicle's next heartbeat, as in flight.
+        routes[note.sysid] = note.blocked
+    elif isinstance(note, OperatorWord):
+        before = words.get(note.sysid)
+        words[note.sysid] = note
+        if not noted.repeated or before is None:
+            yield note
+    else:
+        yield note

@@ -41,9 +41,9 @@ def run(path: Path, truth: list[TruthPoint]) -> tuple[list, FlightReport, TlogRe
     engine = Engine(load_estimator("fleet", {}))
     log, report, outputs = TlogReader(path), FlightReport(engine, truth), []
 
-    def take(at_s, output):
-        outputs.append((at_s, output))
-        report.output(at_s, output)
+    def take(at_s, polled):
+        outputs.extend((at_s, output) for output in polled)
+        report.polled(at_s, polled)
 
     replay(engine, log, [], report.observation_times(), take, report.observe)
     return outputs, report, log

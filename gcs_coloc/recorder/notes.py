@@ -1,0 +1,93 @@
+"""What the engine was told besides the vehicles' frames, kept in the tlog so that a replay tells it the same.
+
+The operator's words, what is known of the routes, and the host's UTC reach the engine by no frame. Each is written as a
+TUNNEL frame (385) of our own, with a private payload type and JSON inside; other programs pass over it.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from gcs_coloc.core.messages import ClockReference, GpsWord, OperatorWord, RouteReport
+from gcs_coloc.mavlink.framing import MAGIC_V2, read_frame
+
+PAYLOAD_TYPE = 46_232
+"""The TUNNEL payload type of a note; above 32767 they are private."""
+
+_MOST_BYTES = 128
+_LONGEST_REASON = 60
+
+Note = ClockReference | OperatorWord | RouteReport
+
+
+@dataclass(frozen=True, slots=True)
+class ReadNote:
+    """A note as read. `repeated`: it tells the head of a further part what was noted before, and is no news."""
+
+    note: Note
+    repeated: bool
+
+
+class NoteWriter:
+    """Packs notes as frames of ours, numbered on their own."""
+
+    def __init__(self, sysid: int, compid: int) -> None:
+        self._mavlink = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=compid)
+
+    def pack(self, note: Note, *, repeated: bool = False) -> bytes:
+        """A note as a TUNNEL frame. The reason of a blocked route is cut to 60 characters."""
+        content = _content(note)
+        if repeated:
+            content["again"] = 1
+        data = json.dumps(content, separators=(",", ":")).encode()
+        message = mavlink.MAVLink_tunnel_message(0, 0, PAYLOAD_TYPE, len(data), list(data.ljust(_MOST_BYTES, b"\0")))
+        frame = bytes(message.pack(self._mavlink))
+        self._mavlink.seq = (self._mavlink.seq + 1) & 0xFF
+        return frame
+
+
+def read_note(frame: bytes, at_s: float, own: tuple[int, int]) -> ReadNote | None:
+    """The note that a recorded frame holds, or None where it holds none.
+
+    `own` is the system and component id that recorded: nobody else's notes are obeyed.
+    """
+    if frame[0] != MAGIC_V2 or int.from_bytes(frame[7:10], "little") != mavlink.MAVLINK_MSG_ID_TUNNEL:
+        return None
+    raw = read_frame(frame, 0)
+    if isinstance(raw, str) or (raw.sysid, raw.compid) != own:
+        return None
+    message = mavlink.MAVLink_tunnel_message
+    payload = raw.payload.ljust(message.unpacker.size, b"\0")
+    fields = message.unpacker.unpack_from(payload)
+    payload_type, length, data = fields[0], fields[3], bytes(fields[4 : 4 + _MOST_BYTES])
+    if payload_type != PAYLOAD_TYPE:
+        return None
+    try:
+        content = json.loads(data[:length])
+        return ReadNote(_note(content, at_s), "again" in content)
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _content(note: Note) -> dict[str, Any]:
+    if isinstance(note, ClockReference):
+        return {"utc": note.utc_minus_service_s}
+    if isinstance(note, OperatorWord):
+        return {"word": note.word.value, "of": note.sysid}
+    text = note.blocked.encode("ascii", "replace").decode().replace('"', "'").replace("\\", "/") if note.blocked else note.blocked
+    return {"route": text[:_LONGEST_REASON] if text is not None else None, "of": note.sysid}
+
+
+def _note(content: dict[str, Any], at_s: float) -> Note:
+    if "utc" in content:
+        utc = content["utc"]
+        return ClockReference(at_s, float(utc) if utc is not None else None)
+    sysid = int(content["of"])
+    if "word" in content:
+        return OperatorWord(sysid, at_s, GpsWord(content["word"]))
+    blocked = content["route"]
+    return RouteReport(sysid, at_s, str(blocked) if blocked is not None else None)
