@@ -90,6 +90,8 @@ def run(
         list[int] | None,
         typer.Option(help="Declare the GPS of this system id healthy, whatever it says. Several times for several."),
     ] = None,
+    web: Annotated[str | None, typer.Option(help="Address of the live page, HOST:PORT; 127.0.0.1:8080 unless told.")] = None,
+    no_web: Annotated[bool, typer.Option("--no-web", help="Serve no live page.")] = False,
     log_level: Annotated[LogLevel, typer.Option(help="How much is logged.")] = LogLevel.INFO,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
@@ -110,6 +112,12 @@ def run(
         flags["estimator"] = {"name": estimator}
     if failed or healthy:
         flags["fleet"] = {key: sysids for key, sysids in (("failed", failed), ("healthy", healthy)) if sysids}
+    if web is not None and no_web:
+        raise UsageError("--web and --no-web exclude each other")
+    if web is not None:
+        flags["web"] = {"on": True, "address": web}
+    elif no_web:
+        flags["web"] = {"on": False}
     settings = load_settings(config, flags)
     if not settings.links:
         raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")

@@ -121,6 +121,35 @@ class EstimatorConfig(_Section):
     settings: dict[str, Any] = Field(default_factory=dict, description="settings of that estimator")
 
 
+class WebConfig(_Section):
+    """`[web]`: the live page, the metrics and the operator's commands."""
+
+    on: bool = Field(True, description="serve the page")
+    address: str = Field("127.0.0.1:8080", description="HOST:PORT to listen on; port 0 takes any that is free")
+    allowed_hosts: tuple[str, ...] = Field(
+        (), description="names besides IP addresses and localhost that the page may be called by"
+    )
+    token_file: str = Field("", description="file with the operator's token; without one the page is read-only")
+
+    @field_validator("address")
+    @classmethod
+    def _address(cls, address: str) -> str:
+        host, _, port = address.rpartition(":")
+        if not host or not port.isascii() or not port.isdigit() or int(port) > 65535:
+            raise ValueError(f"{address} is not HOST:PORT, as 127.0.0.1:8080")
+        return address
+
+    @property
+    def must_open(self) -> bool:
+        """Whether the address was asked for: a service without its page is then not what the operator wanted."""
+        return "address" in self.model_fields_set
+
+    def host_and_port(self) -> tuple[str, int]:
+        """The address in its parts, an IPv6 host without its brackets."""
+        host, _, port = self.address.rpartition(":")
+        return host.removeprefix("[").removesuffix("]"), int(port)
+
+
 class Settings(BaseSettings):
     """Everything that can be set. Every key has a default but `links`: a service without a link has nothing to do."""
 
@@ -134,6 +163,7 @@ class Settings(BaseSettings):
     senders: SendersConfig = Field(default_factory=lambda: SendersConfig.model_validate({}))
     fleet: FleetConfig = Field(default_factory=lambda: FleetConfig.model_validate({}))
     estimator: EstimatorConfig = Field(default_factory=lambda: EstimatorConfig.model_validate({}))
+    web: WebConfig = Field(default_factory=lambda: WebConfig.model_validate({}))
     health: HealthConfig = Field(default_factory=HealthConfig)
     feed: FeedConfig = Field(default_factory=FeedConfig)
     aid: AidConfig = Field(default_factory=AidConfig)

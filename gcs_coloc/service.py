@@ -8,12 +8,15 @@ import signal
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from gcs_coloc.config import Settings
 from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.errors import WebError
 from gcs_coloc.core.messages import ClockReference, GpsWord, Notice, OperatorWord, RouteReport, ToVehicle
+from gcs_coloc.core.view import FleetView, LinkView
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.address import parse
 from gcs_coloc.links.base import Address, Link
@@ -30,11 +33,15 @@ from gcs_coloc.mavlink.signing import Stamp
 from gcs_coloc.sinks import console as console_sink
 from gcs_coloc.sinks.hub import Hub
 
+if TYPE_CHECKING:
+    from gcs_coloc.web.server import WebServer
+
 log = logging.getLogger("gcs_coloc")
 
 _VIEW_EVERY_S = 0.5
 _HEARTBEAT_EVERY_S = 1.0
 _REFUSALS_EVERY_S = 10.0
+_ENGINE_LATE_S = 2.0
 _EARLIEST_PLAUSIBLE_UNIX_S = 1_704_067_200.0  # 2024-01-01: a host that says less has no clock battery and no time yet
 
 
@@ -58,7 +65,9 @@ class Service:
             [self._decoder.counts, self._intake.counts, self._routes.counts, self._counts, *(link.counts for link in self._links)]
         )
         self._hub = Hub()
+        self._web = self._make_web(settings)
         self._timer: asyncio.TimerHandle | None = None
+        self._polled_at_s = float("-inf")
         self._stopping = asyncio.Event()
         for word, sysids in ((GpsWord.FAILED, settings.fleet.failed), (GpsWord.HEALTHY, settings.fleet.healthy)):
             for sysid in sysids:
@@ -73,6 +82,7 @@ class Service:
 
         Raises:
             LinkError: a link cannot be opened.
+            WebError: the page's address was asked for and cannot be had.
         """
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -81,6 +91,7 @@ class Service:
             for link in self._links:
                 await link.open()
                 log.info("listening on %s", link.name)
+            self._open_web()
             async with asyncio.TaskGroup() as group:
                 background = [
                     group.create_task(console_sink.show(self._hub.subscribe(), console)),
@@ -88,8 +99,12 @@ class Service:
                     group.create_task(self._every(_HEARTBEAT_EVERY_S, self._each_second)),
                     group.create_task(self._every(_REFUSALS_EVERY_S, self._tell_refusals)),
                 ]
+                if self._web is not None:
+                    group.create_task(self._web.run())
                 self._wake()
                 await self._stopping.wait()
+                if self._web is not None:
+                    self._web.stop()
                 for task in background:
                     task.cancel()
         finally:
@@ -100,8 +115,13 @@ class Service:
             self._timer.cancel()
         for last in self._engine.close():
             self._send(last)
+        refused = self._refusals.news()
+        if refused is not None:
+            log.warning("%s", refused)
         for link in self._links:
             await link.close()
+        if self._web is not None:
+            self._web.close()
 
     def _on_datagram(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
         if not self._intake.admits((link, address), len(payload), received_at_s):
@@ -132,7 +152,8 @@ class Service:
 
     def _poll(self) -> None:
         self._timer = None
-        for output in self._engine.poll(self._clock()):
+        now_s = self._polled_at_s = self._clock()
+        for output in self._engine.poll(now_s):
             if isinstance(output, ToVehicle):
                 self._send(output)
             else:
@@ -161,8 +182,51 @@ class Service:
             await asyncio.sleep(period_s)
 
     def _publish_view(self) -> None:
+        self._hub.publish(self._look())
+
+    def _look(self) -> FleetView:
         view = self._engine.view(self._clock())
-        self._hub.publish(replace(view, refused=view.refused | self._refusals.totals()))
+        return replace(view, refused=view.refused | self._refusals.totals(), links=self._link_views())
+
+    def _link_views(self) -> tuple[LinkView, ...]:
+        # A vehicle may be heard over several links and components; the operator asks about the vehicle.
+        totals = {vehicle.sysid: [0, 0, 0] for vehicle in self._engine.fleet}
+        for (_, sysid, _), reception in self._decoder.sequences.receptions.items():
+            if sysid in totals:
+                for i, count in enumerate((reception.received, reception.lost, reception.duplicates)):
+                    totals[sysid][i] += count
+        return tuple(LinkView(sysid, *counts) for sysid, counts in sorted(totals.items()))
+
+    def _make_web(self, settings: Settings) -> WebServer | None:
+        if not settings.web.on:
+            return None
+        # Here, because a service without the page is to start without its packages.
+        from gcs_coloc.web.app import Hooks
+        from gcs_coloc.web.server import WebServer
+
+        return WebServer(settings.web, Hooks(self._look, self._obey, self._fault), self._hub.subscribe(256))
+
+    def _open_web(self) -> None:
+        if self._web is None:
+            return
+        try:
+            log.info("web page: %s", self._web.open())
+        except WebError as error:
+            if self._web.must_open:
+                raise
+            log.warning("%s; the flight goes on without the page", error)
+            self._web = None
+
+    def _obey(self, sysid: int, word: GpsWord) -> None:
+        self._engine.receive(OperatorWord(sysid, self._clock(), word))
+        self._wake()
+
+    def _fault(self) -> str | None:
+        """Why the service does not do its work, None where it does."""
+        if self._stopping.is_set():
+            return "the service is ending"
+        late_s = self._clock() - self._polled_at_s
+        return f"the engine was last run {late_s:.1f} s ago" if late_s > _ENGINE_LATE_S else None
 
     def _tell_refusals(self) -> None:
         text = self._refusals.news()

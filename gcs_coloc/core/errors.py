@@ -24,6 +24,10 @@ class LinkError(GcsColocError):
     """A link that cannot be opened: port in use, no such serial device, host not found."""
 
 
+class WebError(GcsColocError):
+    """The web page's address is in use or cannot be listened on."""
+
+
 class EstimatorError(GcsColocError):
     """An estimator that does not exist, cannot be loaded, or was given settings that it does not have."""
 

@@ -1,0 +1,80 @@
+"""The fleet as Prometheus metrics, made from one look at it for each scrape."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from prometheus_client import CollectorRegistry, ProcessCollector
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from gcs_coloc import __version__
+from gcs_coloc.core.health import GpsState
+from gcs_coloc.core.view import FleetView, LinkView, VehicleView
+
+# name, help, value: a vehicle for which the value is None has no sample.
+_GAUGES: tuple[tuple[str, str, Callable[[VehicleView], float | None]], ...] = (
+    ("last_heard_age_seconds", "Time since the vehicle was last heard.", lambda v: v.age_s),
+    ("position_sigma_meters", "1-sigma of the position along its worst horizontal direction.", lambda v: v.sigma_h_m),
+    ("position_bound_95_meters", "95 % bound of the horizontal position error.", lambda v: v.bound_95_m),
+    ("hdop", "Horizontal dilution of precision of the ranges in use.", lambda v: v.hdop),
+    ("ranges_in_use", "Neighbours whose ranges were used lately.", lambda v: float(v.ranges_in_use)),
+    (
+        "nis_mean",
+        "Mean normalised innovation squared of its ranges.",
+        lambda v: v.consistency.nis_mean if v.consistency else None,
+    ),
+    ("aid_fix", "1 while the vehicle is being sent a position.", lambda v: float(v.aid_has_fix)),
+    ("link_delay_seconds", "Delay of its newest position beyond the least of the last minute.", lambda v: v.delay_s),
+)
+_COUNTERS: tuple[tuple[str, str, Callable[[LinkView], int]], ...] = (
+    ("link_frames_received", "Frames received from the vehicle, copies left out.", lambda link: link.received),
+    ("link_frames_lost", "Frames missing by their sequence numbers.", lambda link: link.lost),
+    ("link_frames_duplicate", "Copies of frames that were received already.", lambda link: link.duplicates),
+)
+
+
+class FleetCollector(Collector):
+    """Turns the fleet as it stands into metric families. `look` is called once a scrape."""
+
+    def __init__(self, look: Callable[[], FleetView]) -> None:
+        self._look = look
+
+    def describe(self) -> list[Metric]:
+        """Nothing: which vehicles there are is known at the scrape only."""
+        return []
+
+    def collect(self) -> Iterator[Metric]:
+        """As the protocol says."""
+        view = self._look()
+        yield InfoMetricFamily("gcs_coloc_build", "Which program runs.", {"version": __version__, "estimator": view.estimator})
+        yield GaugeMetricFamily("gcs_coloc_vehicles", "Vehicles that were heard.", float(len(view.vehicles)))
+        for name, text, value in _GAUGES:
+            gauge = GaugeMetricFamily(f"gcs_coloc_vehicle_{name}", text, labels=["sysid"])
+            for vehicle in view.vehicles:
+                number = value(vehicle)
+                if number is not None:
+                    gauge.add_metric([str(vehicle.sysid)], number)
+            yield gauge
+        states = GaugeMetricFamily("gcs_coloc_vehicle_gps_state", "1 for the state its GPS is in.", labels=["sysid", "state"])
+        for vehicle in view.vehicles:
+            for state in GpsState:
+                states.add_metric([str(vehicle.sysid), state.value], float(vehicle.gps_state == state.value))
+        yield states
+        for name, text, count in _COUNTERS:
+            counter = CounterMetricFamily(f"gcs_coloc_vehicle_{name}", text, labels=["sysid"])
+            for link in view.links:
+                counter.add_metric([str(link.sysid)], float(count(link)))
+            yield counter
+        refused = CounterMetricFamily("gcs_coloc_refused", "What was refused or set aside.", labels=["reason"])
+        for reason, times in view.refused.items():
+            refused.add_metric([reason], float(times))
+        yield refused
+
+
+def fleet_registry(look: Callable[[], FleetView]) -> CollectorRegistry:
+    """A registry of its own with the fleet and this process in it."""
+    registry = CollectorRegistry()
+    registry.register(FleetCollector(look))
+    ProcessCollector(registry=registry)
+    return registry

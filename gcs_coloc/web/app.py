@@ -1,0 +1,149 @@
+"""The routes: the page and its files, one WebSocket, the operator's commands, metrics and health."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
+from pydantic import BaseModel, ConfigDict, ValidationError
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from gcs_coloc import __version__
+from gcs_coloc.core.messages import GpsWord
+from gcs_coloc.core.view import FleetView
+from gcs_coloc.sinks.metrics import fleet_registry
+from gcs_coloc.web.access import Guard, bears_token
+from gcs_coloc.web.pages import Pages
+from gcs_coloc.web.story import Story
+from gcs_coloc.web.wire import Hello
+
+_STATIC = Path(__file__).parent / "static"
+_MOST_BODY_BYTES = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Hooks:
+    """What the server may ask of the service: the fleet as it stands, the operator's word, and whether it still works.
+
+    `fault` says in words what keeps the service from its work, None where nothing does.
+    """
+
+    look: Callable[[], FleetView]
+    obey: Callable[[int, GpsWord], None]
+    fault: Callable[[], str | None]
+
+
+class GpsCommand(BaseModel):
+    """The body of a command."""
+
+    model_config = ConfigDict(extra="forbid")
+    word: GpsWord
+
+
+class _Site:
+    """The handlers and what they share."""
+
+    def __init__(self, hooks: Hooks, story: Story, pages: Pages, token: str | None) -> None:
+        self._hooks = hooks
+        self._story = story
+        self._pages = pages
+        self._token = token
+        self._instance = secrets.token_hex(8)
+        self._registry: CollectorRegistry = fleet_registry(hooks.look)
+
+    async def index(self, request: Request) -> Response:
+        """The page."""
+        del request
+        return FileResponse(_STATIC / "index.html")
+
+    async def live(self, socket: WebSocket) -> None:
+        """The page's WebSocket: hello, then events and pictures until it is closed. What the page sends is ignored."""
+        if self._pages.full:
+            await socket.close(1013, "too many pages are open")
+            return
+        page = self._pages.add()
+        sender: asyncio.Task[None] | None = None
+        try:
+            await socket.accept()
+            await socket.send_text(self._hello().model_dump_json())
+            sender = asyncio.create_task(page.send_all(self._story, socket.send_text))
+            while (await socket.receive())["type"] != "websocket.disconnect":
+                pass
+        except WebSocketDisconnect:
+            pass
+        finally:
+            self._pages.remove(page)
+            if sender is not None:
+                sender.cancel()
+                await asyncio.gather(sender, return_exceptions=True)
+
+    async def command(self, request: Request) -> Response:
+        """The operator's word on the GPS of one vehicle."""
+        if not bears_token(request.headers, self._token):
+            return PlainTextResponse("commands need the operator's token\n", status_code=403)
+        sysid = request.path_params["sysid"]
+        if sysid not in {v.sysid for v in self._hooks.look().vehicles}:
+            return PlainTextResponse(f"no vehicle {sysid} was heard\n", status_code=404)
+        body = b""
+        async for part in request.stream():
+            body += part
+            if len(body) > _MOST_BODY_BYTES:
+                return PlainTextResponse("too long\n", status_code=413)
+        try:
+            command = GpsCommand.model_validate_json(body)
+        except ValidationError:
+            return PlainTextResponse('expected {"word": "failed"}, "healthy" or "auto"\n', status_code=422)
+        self._hooks.obey(sysid, command.word)
+        return JSONResponse({"sysid": sysid, "word": command.word.value})
+
+    async def metrics(self, request: Request) -> Response:
+        """The metrics for Prometheus."""
+        del request
+        return Response(generate_latest(self._registry), headers={"content-type": CONTENT_TYPE_LATEST})
+
+    async def healthy(self, request: Request) -> Response:
+        """Whether the process answers at all."""
+        del request
+        return PlainTextResponse("ok\n")
+
+    async def ready(self, request: Request) -> Response:
+        """Whether the service does its work."""
+        del request
+        fault = self._hooks.fault()
+        return PlainTextResponse("ok\n") if fault is None else PlainTextResponse(f"{fault}\n", status_code=503)
+
+    def _hello(self) -> Hello:
+        return Hello(
+            instance=self._instance,
+            version=__version__,
+            commands=self._token is not None,
+            utc_minus_service_s=self._hooks.look().utc_minus_service_s,
+            history=self._story.history(),
+        )
+
+
+def make_app(hooks: Hooks, story: Story, pages: Pages, token: str | None, allowed_hosts: Collection[str]) -> Starlette:
+    """The application; `token` None makes it read-only."""
+    site = _Site(hooks, story, pages, token)
+    return Starlette(
+        routes=[
+            Route("/", site.index),
+            Route("/metrics", site.metrics),
+            Route("/healthz", site.healthy),
+            Route("/readyz", site.ready),
+            Route("/api/vehicles/{sysid:int}/gps", site.command, methods=["POST"]),
+            WebSocketRoute("/live", site.live),
+            Mount("/static", StaticFiles(directory=_STATIC)),
+        ],
+        middleware=[Middleware(Guard, allowed_hosts=allowed_hosts)],
+    )

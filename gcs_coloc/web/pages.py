@@ -1,0 +1,80 @@
+"""The open pages: each gets the latest picture when it can take one, and every event once. None can hold up another."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+from gcs_coloc.core.view import FleetView
+from gcs_coloc.web.picture import fleet_frame
+from gcs_coloc.web.story import Story
+
+PERIOD_S = 0.2
+MOST_PAGES = 32
+
+
+class Page:
+    """One open page. It holds at most one picture: a newer one takes the place of one that was not sent in time."""
+
+    def __init__(self) -> None:
+        self.skipped = 0
+        self._picture: str | None = None
+        self._wake = asyncio.Event()
+
+    def offer(self, picture: str) -> None:
+        """Put the newest picture in place; never waits."""
+        if self._picture is not None:
+            self.skipped += 1
+        self._picture = picture
+        self._wake.set()
+
+    async def send_all(self, story: Story, send: Callable[[str], Awaitable[None]]) -> None:
+        """Send events and pictures for ever, as fast as `send` takes them."""
+        told = 0
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            if story.newest_event > told:
+                news, told = story.events_after(told), story.newest_event
+                await send(news.model_dump_json())
+            if self._picture is not None:
+                picture, self._picture = self._picture, None
+                await send(picture)
+
+
+class Pages:
+    """All open pages. `look` gives the fleet as it stands; it is asked only while a page is open, and once for all."""
+
+    def __init__(self, look: Callable[[], FleetView], story: Story) -> None:
+        self._look = look
+        self._story = story
+        self._open: set[Page] = set()
+
+    @property
+    def full(self) -> bool:
+        """Whether there are as many pages as there may be."""
+        return len(self._open) >= MOST_PAGES
+
+    def add(self) -> Page:
+        """A new page, to be given back with `remove`."""
+        page = Page()
+        self._open.add(page)
+        return page
+
+    def remove(self, page: Page) -> None:
+        """Forget a page that was closed."""
+        self._open.discard(page)
+
+    async def run(self) -> None:
+        """Offer the latest picture to every page at a steady pace."""
+        while True:
+            if self._open:
+                self.tick()
+            await asyncio.sleep(PERIOD_S)
+
+    def tick(self) -> None:
+        """Offer one picture to every page."""
+        view = self._look()
+        picture = fleet_frame(view, self._story.links(view)).model_dump_json()
+        for page in self._open:
+            page.offer(picture)

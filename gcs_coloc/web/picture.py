@@ -1,0 +1,58 @@
+"""From the fleet's view to what the page draws: traffic lights with their reasons, ellipses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import atan2, sqrt
+
+from gcs_coloc.core.view import FleetView, VehicleView
+from gcs_coloc.web.wire import Ellipse, FleetFrame, LightColour, LinkFrame, VehicleFrame
+
+SILENT_AFTER_S = 3.0
+
+
+def fleet_frame(view: FleetView, links: Iterable[LinkFrame]) -> FleetFrame:
+    """The page's picture of one instant."""
+    return FleetFrame(
+        at_s=view.at_s,
+        estimator=view.estimator,
+        origin=view.origin,
+        vehicles=tuple(_vehicle(v) for v in view.vehicles),
+        ranges=view.ranges,
+        links=tuple(links),
+        refused=view.refused,
+    )
+
+
+def traffic_light(v: VehicleView) -> tuple[LightColour, str]:
+    """The colour for one vehicle and the reason in words; the worst thing that holds decides."""
+    if v.age_s > SILENT_AFTER_S:
+        return "bad", f"not heard for {v.age_s:.0f} s; before that: GPS {v.gps_state}, {v.gps_reason}"
+    if v.gps_state in ("failed", "recovering"):
+        located = f"within {v.bound_95_m:.0f} m (95 %)" if v.bound_95_m is not None else f"nowhere: {v.unknown_because}"
+        text = f"GPS {v.gps_state}: {v.gps_reason}. Located {located}; {v.aid}"
+        return ("caution" if v.aid_has_fix else "bad"), text
+    if v.gps_state == "suspect":
+        return "caution", f"GPS suspect: {v.gps_reason}"
+    if v.gps_state == "unknown":
+        return "unknown", v.gps_reason
+    if v.hindrance is not None:
+        return "caution", f"GPS healthy ({v.gps_reason}), but it could not be aided: {v.hindrance}"
+    return "good", f"GPS healthy: {v.gps_reason}"
+
+
+def ellipse(covariance_h_m2: tuple[float, float, float]) -> Ellipse:
+    """The 2-sigma ellipse of a covariance (east-east, east-north, north-north) in square metres."""
+    a, b, d = covariance_h_m2
+    mean, half = 0.5 * (a + d), sqrt(0.25 * (a - d) ** 2 + b * b)
+    return Ellipse(
+        semi_major_m=2.0 * sqrt(max(mean + half, 0.0)),
+        semi_minor_m=2.0 * sqrt(max(mean - half, 0.0)),
+        angle_rad=0.5 * atan2(2.0 * b, a - d),
+    )
+
+
+def _vehicle(v: VehicleView) -> VehicleFrame:
+    light, reason = traffic_light(v)
+    shape = ellipse(v.covariance_h_m2) if v.covariance_h_m2 is not None else None
+    return VehicleFrame(view=v, light=light, reason=reason, ellipse=shape)

@@ -1,0 +1,80 @@
+// Alarms stay until they are acknowledged on this page; alike ones are counted together. Every event goes to the log.
+
+import { byId, el, setText } from "./dom.js";
+
+const LOG_LINES = 200;
+
+export class Alarms {
+  constructor(timeText) {
+    this.timeText = timeText;
+    this.alarms = new Map();
+    this.newest = 0;
+    byId("acknowledge-all").addEventListener("click", () => this.acknowledge([...this.alarms.keys()]));
+  }
+
+  // A restarted service numbers its events anew; alarms of the run before stay until acknowledged.
+  begin(instance) {
+    if (this.instance === instance) return;
+    this.instance = instance;
+    this.newest = 0;
+    this.done = Number(sessionStorage.getItem(`acknowledged ${instance}`) ?? 0);
+  }
+
+  take({ events, missed }) {
+    if (missed > 0 && this.newest === 0) this.log(`${missed} older events are no longer kept`, "info");
+    for (const event of events) {
+      if (event.id <= this.newest) continue;
+      this.newest = event.id;
+      const who = event.sysid === null ? "" : `vehicle ${event.sysid}: `;
+      this.log(`${this.timeText(event.at_s)} ${who}${event.text}`, event.level);
+      if (event.alarm && event.id > this.done) this.raise(event, who);
+    }
+    this.count();
+  }
+
+  raise(event, who) {
+    const key = `${event.sysid} ${event.level} ${event.text.replace(/[\d.]+/g, "#")}`;
+    const alarm = this.alarms.get(key) ?? this.make(key, event);
+    alarm.times += 1;
+    setText(alarm.text, `${who}${event.text}`);
+    setText(alarm.when, this.timeText(event.at_s) + (alarm.times > 1 ? `, ${alarm.times} times` : ""));
+    alarm.button.setAttribute("aria-label", `Acknowledge ${who}${event.text}`);
+  }
+
+  make(key, event) {
+    const alarm = { times: 0, text: el("span", { class: "text" }), when: el("span", { class: "when" }) };
+    alarm.button = el("button", { type: "button", onclick: () => this.acknowledge([key]) }, "Acknowledge");
+    alarm.node = el("li", { class: event.level }, el("span", { class: "sign", "aria-hidden": "true" }, event.level === "error" ? "✕" : "!"),
+      alarm.text, alarm.when, alarm.button);
+    byId("alarms").prepend(alarm.node);
+    this.alarms.set(key, alarm);
+    return alarm;
+  }
+
+  acknowledge(keys) {
+    for (const key of keys) {
+      this.alarms.get(key).node.remove();
+      this.alarms.delete(key);
+    }
+    // Only when none is left can the highest number stand for all of them.
+    if (this.alarms.size === 0) {
+      this.done = this.newest;
+      sessionStorage.setItem(`acknowledged ${this.instance}`, String(this.done));
+    }
+    this.count();
+  }
+
+  count() {
+    const n = this.alarms.size;
+    setText(byId("alarm-count"), n ? `(${n})` : "");
+    byId("no-alarms").hidden = n > 0;
+    byId("acknowledge-all").hidden = n < 2;
+    document.title = n ? `(${n}) gcs-coloc` : "gcs-coloc";
+  }
+
+  log(text, level) {
+    const log = byId("log");
+    log.prepend(el("li", { class: level }, text));
+    while (log.children.length > LOG_LINES) log.lastChild.remove();
+  }
+}

@@ -1,0 +1,122 @@
+// The list of vehicles, the details of the selected one, and the operator's commands.
+
+import { age, byId, el, metres, number, setText } from "./dom.js";
+import { LIGHT_WORDS, SIGNS } from "./palette.js";
+
+const WORDS = { failed: "Declare GPS failed", healthy: "Declare GPS healthy", auto: "Decide by evidence" };
+
+export class FleetList {
+  constructor(onSelect) {
+    this.onSelect = onSelect;
+    this.cards = new Map();
+    this.selected = null;
+    for (const [word, text] of Object.entries(WORDS)) {
+      byId("words").append(el("button", { type: "submit", value: word }, text));
+    }
+    byId("commands").addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.command(event.submitter);
+    });
+  }
+
+  allowCommands(allowed) {
+    byId("commands").hidden = !allowed;
+  }
+
+  select(sysid) {
+    this.selected = sysid;
+    this.disarm();
+    setText(byId("command-result"), "");
+    for (const [id, card] of this.cards) card.button.setAttribute("aria-pressed", String(id === sysid));
+  }
+
+  show(frame, lateS) {
+    for (const vehicle of frame.vehicles) this.showCard(vehicle, lateS);
+    const chosen = frame.vehicles.find((v) => v.view.sysid === this.selected);
+    byId("details").hidden = chosen === undefined;
+    if (chosen !== undefined) this.showDetails(chosen, frame, lateS);
+  }
+
+  showCard({ view, light, reason }, lateS) {
+    const card = this.cards.get(view.sysid) ?? this.makeCard(view.sysid);
+    card.node.className = `card ${light}`;
+    setText(card.sign, SIGNS[light]);
+    setText(card.word, LIGHT_WORDS[light]);
+    setText(card.age, `last heard ${age(view.age_s + lateS)} ago`);
+    setText(card.reason, reason);
+    setText(card.numbers, view.sigma_h_m === null ? "position unknown" : `1-sigma ${metres(view.sigma_h_m)}, HDOP ${number(view.hdop)}, ${view.ranges_in_use} ranges in use`);
+  }
+
+  makeCard(sysid) {
+    const part = (name) => el("span", { class: name });
+    const card = { sign: part("sign"), word: part("word"), age: part("age"), reason: part("reason"), numbers: part("numbers") };
+    card.sign.setAttribute("aria-hidden", "true");
+    card.button = el("button", { type: "button", "aria-pressed": "false", onclick: () => this.onSelect(sysid) },
+      card.sign, el("strong", {}, `Vehicle ${sysid}`), card.word, card.age, card.reason, card.numbers);
+    card.node = el("li", {}, card.button);
+    this.cards.set(sysid, card);
+    this.cards = new Map([...this.cards].sort(([a], [b]) => a - b));
+    byId("fleet").replaceChildren(...[...this.cards.values()].map((c) => c.node));
+    return card;
+  }
+
+  showDetails({ view, reason, ellipse }, frame, lateS) {
+    setText(byId("details-title"), `Vehicle ${view.sysid}`);
+    const place = (lat, lon) => (lat === null ? "-" : `${lat.toFixed(6)}, ${lon.toFixed(6)}`);
+    const c = view.consistency;
+    const link = frame.links.find((one) => one.sysid === view.sysid);
+    const facts = {
+      state: reason,
+      "last heard": `${age(view.age_s + lateS)} ago`,
+      autopilot: view.autopilot,
+      "its receiver": view.fix_type === null ? "not heard" : `fix type ${view.fix_type}, ${view.satellites ?? "?"} satellites`,
+      "our estimate": view.enu_m === null ? `unknown: ${view.unknown_because}` : `${place(view.lat_deg, view.lon_deg)}, ${metres(view.alt_msl_m, 0)} above sea level`,
+      "its own claim": place(view.claim_lat_deg, view.claim_lon_deg),
+      "1-sigma, 95 % bound": `${metres(view.sigma_h_m)}, ${metres(view.bound_95_m)}`,
+      "2-sigma ellipse": ellipse === null ? "-" : `${metres(ellipse.semi_major_m)} by ${metres(ellipse.semi_minor_m)}`,
+      speed: view.velocity_enu_mps === null ? "-" : `${Math.hypot(view.velocity_enu_mps[0], view.velocity_enu_mps[1]).toFixed(1)} m/s`,
+      "HDOP, ranges in use": `${number(view.hdop)}, ${view.ranges_in_use}`,
+      NIS: c === null ? "-" : `${number(c.nis_mean, 2)} in ${number(c.band_low, 2)} to ${number(c.band_high, 2)}${c.nis_mean > c.band_high ? ": too large" : ""}`,
+      link: link === undefined ? "-" : `${number(link.rate_hz)} frames/s, loss ${number(link.loss_percent)} %`,
+      "sent to it": view.aid,
+      "operator's word": view.operator_word,
+    };
+    if (view.hindrance !== null) facts["cannot be aided"] = view.hindrance;
+    const list = byId("facts");
+    const names = Object.keys(facts);
+    if (list.dataset.names !== names.join()) {
+      list.dataset.names = names.join();
+      list.replaceChildren(...names.flatMap((name) => [el("dt", {}, name), el("dd")]));
+    }
+    list.querySelectorAll("dd").forEach((node, i) => setText(node, facts[names[i]]));
+  }
+
+  // A press arms the button, a second one within five seconds sends: the word decides what an aircraft follows.
+  async command(button) {
+    if (this.armed !== button) {
+      this.disarm();
+      this.armed = button;
+      button.textContent = `${WORDS[button.value]}: press again to confirm`;
+      this.disarming = setTimeout(() => this.disarm(), 5000);
+      return;
+    }
+    this.disarm();
+    const sysid = this.selected;
+    let text;
+    try {
+      const answer = await fetch(`/api/vehicles/${sysid}/gps`, {
+        method: "POST", headers: { Authorization: `Bearer ${byId("token").value}`, "Content-Type": "application/json" }, body: JSON.stringify({ word: button.value }),
+      });
+      text = answer.ok ? `vehicle ${sysid}: done` : `refused: ${(await answer.text()).trim()}`;
+    } catch {
+      text = "the service did not answer: nothing is known to have changed";
+    }
+    setText(byId("command-result"), text);
+  }
+
+  disarm() {
+    clearTimeout(this.disarming);
+    if (this.armed) this.armed.textContent = WORDS[this.armed.value];
+    this.armed = null;
+  }
+}

@@ -1,0 +1,17 @@
+// Link statistics, and what was refused by reason.
+
+import { byId, el, number } from "./dom.js";
+
+export function showLinks(frame) {
+  const delays = new Map(frame.vehicles.map((v) => [v.view.sysid, v.view.delay_s]));
+  byId("link-rows").replaceChildren(...frame.links.map((link) => {
+    const delay = delays.get(link.sysid) ?? null;
+    const cells = [number(link.rate_hz), link.loss_percent === null ? "-" : `${number(link.loss_percent)} %`,
+      delay === null ? "-" : `${(delay * 1e3).toFixed(0)} ms`, String(link.lost), String(link.duplicates)];
+    return el("tr", {}, el("th", { scope: "row" }, String(link.sysid)), ...cells.map((text) => el("td", {}, text)));
+  }));
+  const reasons = Object.entries(frame.refused).sort(([, a], [, b]) => b - a);
+  byId("refused").replaceChildren(...(reasons.length ? reasons : [["nothing", 0]]).flatMap(([reason, times]) => [
+    el("dt", {}, reason), el("dd", {}, String(times)),
+  ]));
+}

@@ -1,0 +1,87 @@
+// One WebSocket in, everything else out. What is shown is never newer than what was heard, and says so when it is old.
+
+import { age, byId, setText } from "./dom.js";
+import { Alarms } from "./alarms.js";
+import { FleetList } from "./fleet.js";
+import { showLinks } from "./links.js";
+import { FleetMap } from "./map.js";
+import { Plots } from "./plots.js";
+
+const OLD_AFTER_S = 1.5;
+const SAMPLE_EVERY_S = 1;
+
+const now = () => performance.now() / 1000;
+let offset = null;
+let frame = null;
+let frameAt = 0;
+let sampledAt = -Infinity;
+let retryS = 0.5;
+
+const timeText = (at) => (offset === null ? `${at.toFixed(1)} s` : new Date((at + offset) * 1000).toLocaleTimeString());
+const alarms = new Alarms(timeText);
+const plots = new Plots();
+const fleet = new FleetList(select);
+const map = new FleetMap(select);
+
+function select(sysid) {
+  for (const part of [fleet, map, plots]) part.select(sysid);
+  if (frame !== null) draw();
+  byId("details").scrollIntoView({ block: "nearest" });
+}
+
+function draw() {
+  fleet.show(frame, Math.max(now() - frameAt - OLD_AFTER_S, 0) && now() - frameAt);
+}
+
+function hello(message) {
+  offset = message.utc_minus_service_s;
+  sampledAt = -Infinity;
+  alarms.begin(message.instance);
+  fleet.allowCommands(message.commands);
+  plots.reset(offset);
+  plots.restore(message.history);
+  for (const one of message.history) map.restoreTrail(one.sysid, one.east_m, one.north_m);
+}
+
+function picture(message) {
+  frame = message;
+  frameAt = now();
+  draw();
+  map.show(frame);
+  if (frame.at_s - sampledAt >= SAMPLE_EVERY_S) {
+    sampledAt = frame.at_s;
+    map.extendTrails(frame.vehicles);
+    plots.add(frame);
+    showLinks(frame);
+  }
+  const lights = frame.vehicles.map((v) => v.light);
+  const bad = lights.filter((light) => light === "bad").length;
+  const caution = lights.filter((light) => light === "caution").length;
+  setText(byId("summary"), `${lights.length} vehicle${lights.length === 1 ? "" : "s"}, ${bad} in alarm, ${caution} with caution; estimator ${frame.estimator}`);
+}
+
+const takers = { hello, fleet: picture, events: (message) => alarms.take(message) };
+
+function connect() {
+  const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+  socket.addEventListener("open", () => { retryS = 0.5; });
+  socket.addEventListener("message", ({ data }) => {
+    const message = JSON.parse(data);
+    takers[message.kind](message);
+  });
+  socket.addEventListener("close", () => {
+    setTimeout(connect, retryS * 1000);
+    retryS = Math.min(retryS * 2, 5);
+  });
+}
+
+// A browser that cannot reach the service writes that to its console; asking /healthz first would not spare it.
+setInterval(() => {
+  const old = now() - frameAt;
+  const live = frame !== null && old < OLD_AFTER_S;
+  document.body.classList.toggle("old", frame !== null && !live);
+  setText(byId("connection"), live ? "live" : frame === null ? "connecting" : `NO CONNECTION: what you see is ${age(old)} old`);
+  if (frame !== null && !live) draw();
+}, 250);
+
+connect();

@@ -1,0 +1,219 @@
+// The map: an east-north grid in metres about the fleet's origin, without tiles.
+
+import { byId, svg } from "./dom.js";
+import { LIGHT_WORDS, SIGNS } from "./palette.js";
+
+const L = window.L;
+const GRID_PX = 110;
+const TRAIL_POINTS = 180;
+const at = (enu) => [enu[1], enu[0]];
+
+export class FleetMap {
+  constructor(onSelect) {
+    this.onSelect = onSelect;
+    this.marks = new Map();
+    this.ranges = new Map();
+    this.selected = null;
+    this.userMoved = false;
+    this.map = L.map("map", {
+      crs: L.CRS.Simple, minZoom: -9, maxZoom: 7, zoomSnap: 0.25, attributionControl: false, zoomControl: false, center: [0, 0], zoom: 0, fadeAnimation: false, zoomAnimation: false,
+    });
+    L.control.zoom({ position: "bottomright" }).addTo(this.map);
+    new ResizeObserver(() => this.map.invalidateSize({ animate: false })).observe(byId("map"));
+    this.map.createPane("grid").classList.add("grid-pane");
+    this.grid = L.layerGroup().addTo(this.map);
+    this.gridRenderer = L.svg({ pane: "grid" });
+    this.map.on("moveend zoomend resize", () => this.drawGrid());
+    this.map.on("dragstart", () => { this.userMoved = true; });
+    for (const kind of ["wheel", "keydown"]) byId("map").addEventListener(kind, () => { this.userMoved = true; }, { passive: true });
+    document.querySelector(".leaflet-control-zoom").addEventListener("click", () => { this.userMoved = true; });
+    byId("fit").addEventListener("click", () => { this.userMoved = false; this.fit(); });
+    this.drawGrid();
+  }
+
+  drawGrid() {
+    this.grid.clearLayers();
+    const bounds = this.map.getBounds();
+    const rough = GRID_PX / 2 ** this.map.getZoom();
+    const decade = 10 ** Math.floor(Math.log10(rough));
+    const step = [1, 2, 5, 10].map((f) => f * decade).find((s) => s >= rough);
+    const line = (from, to, value) => L.polyline([from, to], {
+      renderer: this.gridRenderer, interactive: false, className: value === 0 ? "grid-axis" : "grid-line",
+    }).addTo(this.grid);
+    const label = (point, text, className) => L.marker(point, {
+      interactive: false, keyboard: false, icon: L.divIcon({ className, html: text, iconSize: null }),
+    }).addTo(this.grid);
+    const [south, north, west, east] = [bounds.getSouth(), bounds.getNorth(), bounds.getWest(), bounds.getEast()];
+    for (let e = Math.ceil(west / step) * step; e < east; e += step) {
+      line([south, e], [north, e], Math.round(e / step));
+      label([south, e], `${+e.toPrecision(12)} m E`, "grid-label east");
+    }
+    for (let n = Math.ceil(south / step) * step; n < north; n += step) {
+      line([n, west], [n, east], Math.round(n / step));
+      label([n, west], `${+n.toPrecision(12)} m N`, "grid-label north");
+    }
+  }
+
+  restoreTrail(sysid, east, north) {
+    const mark = this.markOf(sysid);
+    mark.trail.setLatLngs(east.flatMap((e, i) => (e === null ? [] : [[north[i], e]])).slice(-TRAIL_POINTS));
+  }
+
+  extendTrails(vehicles) {
+    for (const { view } of vehicles) {
+      if (view.enu_m === null) continue;
+      const trail = this.markOf(view.sysid).trail;
+      trail.setLatLngs([...trail.getLatLngs(), at(view.enu_m)].slice(-TRAIL_POINTS));
+    }
+  }
+
+  markOf(sysid) {
+    let mark = this.marks.get(sysid);
+    if (mark === undefined) {
+      mark = { trail: L.polyline([], { className: "trail", interactive: false }).addTo(this.map) };
+      this.marks.set(sysid, mark);
+    }
+    return mark;
+  }
+
+  show(frame) {
+    const places = new Map();
+    for (const vehicle of frame.vehicles) {
+      const { view } = vehicle;
+      if (view.enu_m !== null) places.set(view.sysid, view.enu_m);
+      this.showVehicle(vehicle);
+    }
+    this.showRanges(frame.ranges, places);
+    if (!this.userMoved) this.fit();
+  }
+
+  showVehicle(vehicle) {
+    const { view, light, ellipse } = vehicle;
+    const mark = this.markOf(view.sysid);
+    const trusted = view.gps_state === "healthy";
+    const stale = view.age_s > 3;
+    const words = `Vehicle ${view.sysid}, ${LIGHT_WORDS[light]}`;
+    this.place(mark, "estimate", view.enu_m, `${words}: our estimate`, () => estimateIcon(view, light, stale));
+    this.place(mark, "claim", trusted ? null : view.claim_enu_m, `Vehicle ${view.sysid}: its own claim, not believed`, () => claimIcon(view));
+    const drawEllipse = view.enu_m !== null && ellipse !== null && !trusted;
+    this.shape(mark, "ellipse", drawEllipse ? ellipsePoints(view.enu_m, ellipse) : [], "ellipse", true);
+    const both = !trusted && view.enu_m !== null && view.claim_enu_m !== null;
+    this.shape(mark, "difference", both ? [at(view.enu_m), at(view.claim_enu_m)] : [], "difference", false);
+  }
+
+  place(mark, key, enu, title, icon) {
+    if (enu === null) {
+      mark[key]?.remove();
+      delete mark[key];
+      return;
+    }
+    const html = icon();
+    const print = html.outerHTML;
+    if (mark[key] === undefined) {
+      mark[key] = L.marker(at(enu), { icon: L.divIcon({ className: `mark ${key}-mark`, html, iconSize: [34, 34] }), zIndexOffset: key === "estimate" ? 1000 : 0 });
+      mark[key].addTo(this.map);
+      const sysid = [...this.marks].find(([, m]) => m === mark)[0];
+      mark[key].on("click keypress", (event) => {
+        if (event.type === "click" || event.originalEvent.key === "Enter") this.onSelect(sysid);
+      });
+    } else {
+      mark[key].setLatLng(at(enu));
+      if (mark[key].print !== print) mark[key].getElement().replaceChildren(html);
+    }
+    mark[key].print = print;
+    const element = mark[key].getElement();
+    if (element.getAttribute("aria-label") !== title) element.setAttribute("aria-label", title);
+    element.classList.toggle("selected", this.selected !== null && this.marks.get(this.selected) === mark);
+  }
+
+  shape(mark, key, points, className, closed) {
+    if (mark[key] === undefined) {
+      const make = closed ? L.polygon : L.polyline;
+      mark[key] = make([], { className, interactive: false }).addTo(this.map);
+    }
+    mark[key].setLatLngs(points);
+  }
+
+  showRanges(ranges, places) {
+    const seen = new Set();
+    for (const range of ranges) {
+      const [a, b] = [places.get(range.from_sysid), places.get(range.to_sysid)];
+      if (a === undefined || b === undefined) continue;
+      const key = `${range.from_sysid}-${range.to_sysid}`;
+      seen.add(key);
+      const className = rangeClass(range);
+      let line = this.ranges.get(key);
+      if (line === undefined || line.options.className !== className) {
+        line?.remove();
+        line = L.polyline([at(a), at(b)], { className, weight: 2 }).addTo(this.map);
+        line.bindTooltip("", { sticky: true });
+        this.ranges.set(key, line);
+      }
+      line.setLatLngs([at(a), at(b)]);
+      const verdict = range.refused === null ? "used" : `refused: ${range.refused}`;
+      line.setTooltipContent(document.createTextNode(
+        `${range.from_sysid} to ${range.to_sysid}: residual ${range.innovation_m.toFixed(1)} m of sigma ${range.sigma_m.toFixed(1)} m, ${range.age_s.toFixed(1)} s old, ${verdict}`,
+      ));
+    }
+    for (const [key, line] of this.ranges) {
+      if (!seen.has(key)) {
+        line.remove();
+        this.ranges.delete(key);
+      }
+    }
+  }
+
+  fit() {
+    const bounds = L.latLngBounds([]);
+    for (const mark of this.marks.values()) {
+      for (const key of ["estimate", "claim"]) if (mark[key]) bounds.extend(mark[key].getLatLng());
+      if (mark.ellipse && mark.ellipse.getLatLngs()[0]?.length) bounds.extend(mark.ellipse.getBounds());
+    }
+    if (!bounds.isValid()) return;
+    const roomy = bounds.pad(0.15);
+    // Only where a vehicle leaves the picture, or the picture is far too large: a map that creeps all the time cannot be read.
+    const view = this.map.getBounds();
+    const span = (b) => Math.max(b.getNorth() - b.getSouth(), b.getEast() - b.getWest());
+    if (view.contains(bounds) && span(view) < 6 * Math.max(span(bounds), 20)) return;
+    this.map.fitBounds(roomy, { animate: false, maxZoom: 3, padding: [30, 30] });
+  }
+
+  select(sysid) {
+    this.selected = sysid;
+  }
+}
+
+function rangeClass(range) {
+  if (range.refused !== null) return "range range-refused";
+  const size = Math.abs(range.innovation_m) / range.sigma_m;
+  return size < 1 ? "range range-1" : size < 3 ? "range range-2" : "range range-3";
+}
+
+function ellipsePoints(enu, { semi_major_m: a, semi_minor_m: b, angle_rad: angle }) {
+  return Array.from({ length: 48 }, (_, i) => {
+    const t = (2 * Math.PI * i) / 48;
+    const [x, y] = [a * Math.cos(t), b * Math.sin(t)];
+    return [enu[1] + x * Math.sin(angle) + y * Math.cos(angle), enu[0] + x * Math.cos(angle) - y * Math.sin(angle)];
+  });
+}
+
+function heading(view) {
+  if (view.yaw_rad !== null) return (view.yaw_rad * 180) / Math.PI;
+  const v = view.velocity_enu_mps;
+  return v !== null && Math.hypot(v[0], v[1]) > 2 ? (Math.atan2(v[0], v[1]) * 180) / Math.PI : null;
+}
+
+function estimateIcon(view, light, stale) {
+  const turn = heading(view);
+  const body = turn === null
+    ? svg("circle", { cx: 0, cy: 0, r: 9 })
+    : svg("path", { d: "M0 -14L9 11L0 6L-9 11Z", transform: `rotate(${turn.toFixed(0)})` });
+  return svg("svg", { class: `vehicle ${light}${stale ? " stale" : ""}`, viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
+    body, svg("text", { class: "name", x: 15, y: -7 }, `${view.sysid} ${SIGNS[light]}`));
+}
+
+function claimIcon(view) {
+  return svg("svg", { class: "vehicle claim", viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
+    svg("rect", { x: -8, y: -8, width: 16, height: 16 }), svg("path", { d: "M-8 -8L8 8M8 -8L-8 8" }),
+    svg("text", { class: "name", x: 13, y: 17 }, `${view.sysid} claims`));
+}

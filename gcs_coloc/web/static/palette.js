@@ -1,0 +1,11 @@
+// Colours that people with a colour vision deficiency can tell apart (Okabe and Ito); sign and dash say the same again.
+
+export const SIGNS = { good: "✓", caution: "!", bad: "✕", unknown: "?" };
+export const LIGHT_WORDS = { good: "good", caution: "caution", bad: "alarm", unknown: "unknown" };
+
+const SERIES = ["#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#8c6d1f", "#7f7f7f"];
+const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];
+
+export const seriesColour = (index) => SERIES[index % SERIES.length];
+export const seriesDash = (index) => DASHES[Math.floor(index / SERIES.length + index) % DASHES.length];
+export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();

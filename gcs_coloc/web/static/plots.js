@@ -1,0 +1,110 @@
+// Four plots on one time axis: 1-sigma, HDOP, NIS against its band, ranges in use. About one sample a second, ten minutes.
+
+import { byId, el } from "./dom.js";
+import { css, seriesColour, seriesDash } from "./palette.js";
+
+const uPlot = window.uPlot;
+const SAMPLES = 600;
+const HEIGHT = 150;
+const KINDS = [
+  { key: "sigma_h_m", title: "1-sigma, m" },
+  { key: "hdop", title: "HDOP" },
+  { key: "nis_mean", title: "NIS per degree of freedom, with 95 % band" },
+  { key: "ranges_in_use", title: "ranges in use" },
+];
+
+export class Plots {
+  constructor() {
+    this.reset(null);
+    this.resizing = new ResizeObserver(() => this.plots?.forEach((p) => p.setSize(size(p.root.parentNode))));
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build());
+  }
+
+  reset(offset) {
+    this.offset = offset;
+    this.rows = new Map();
+    this.sysids = [];
+    this.selected = null;
+  }
+
+  restore(history) {
+    for (const one of history) {
+      one.at_s.forEach((t, i) => {
+        this.put(t, one.sysid, Object.fromEntries([...KINDS.map((k) => k.key), "band_low", "band_high"].map((key) => [key, one[key][i]])));
+      });
+    }
+    this.rows = new Map([...this.rows].sort(([a], [b]) => a - b));
+    this.build();
+  }
+
+  add(frame) {
+    for (const { view } of frame.vehicles) {
+      const c = view.consistency;
+      this.put(frame.at_s, view.sysid, {
+        sigma_h_m: view.sigma_h_m, hdop: view.hdop, ranges_in_use: view.ranges_in_use,
+        nis_mean: c?.nis_mean ?? null, band_low: c?.band_low ?? null, band_high: c?.band_high ?? null,
+      });
+    }
+    while (this.rows.size > SAMPLES) this.rows.delete(this.rows.keys().next().value);
+    if (this.built !== this.sysids.length) this.build();
+    else this.redraw();
+  }
+
+  put(t, sysid, values) {
+    if (!this.rows.has(t)) this.rows.set(t, new Map());
+    this.rows.get(t).set(sysid, values);
+    if (!this.sysids.includes(sysid)) this.sysids = [...this.sysids, sysid].sort((a, b) => a - b);
+  }
+
+  select(sysid) {
+    this.selected = sysid;
+    this.build();
+  }
+
+  column(sysid, key) {
+    return [...this.rows.values()].map((row) => row.get(sysid)?.[key] ?? null);
+  }
+
+  data(kind) {
+    const times = [...this.rows.keys()].map((t) => t + (this.offset ?? 0));
+    const columns = this.sysids.map((id) => this.column(id, kind.key));
+    if (kind.key !== "nis_mean") return [times, ...columns];
+    // The band of the vehicle that is selected, or else of the first that has one.
+    const owner = this.selected ?? this.sysids.find((id) => this.column(id, "band_low").some((x) => x !== null)) ?? this.sysids[0];
+    return [times, ...columns, this.column(owner, "band_high"), this.column(owner, "band_low")];
+  }
+
+  build() {
+    this.plots?.forEach((p) => p.destroy());
+    this.resizing.disconnect();
+    this.built = this.sysids.length;
+    const axis = { stroke: css("--text"), grid: { stroke: css("--grid"), width: 1 }, ticks: { stroke: css("--grid") } };
+    this.plots = KINDS.map((kind) => {
+      const series = this.sysids.map((id, i) => ({
+        label: `vehicle ${id}`, stroke: seriesColour(i), dash: seriesDash(i), width: id === this.selected ? 3 : 1.5, spanGaps: false, points: { show: false },
+      }));
+      const n = series.length;
+      const isNis = kind.key === "nis_mean";
+      if (isNis) for (const label of ["band, high", "band, low"]) series.push({ label, stroke: css("--faint"), width: 1, points: { show: false } });
+      const holder = el("figure", { role: "img", "aria-label": `Plot of ${kind.title} over time` });
+      const old = byId("plots").querySelector(`[data-key="${kind.key}"]`);
+      holder.dataset.key = kind.key;
+      if (old) old.replaceWith(holder);
+      else byId("plots").append(holder);
+      const plot = new uPlot({
+        ...size(holder), title: kind.title, series: [{}, ...series], axes: [{ ...axis }, { ...axis, size: 46 }],
+        bands: isNis && n > 0 ? [{ series: [n + 1, n + 2], fill: css("--band") }] : [],
+        cursor: { sync: { key: "time" } }, scales: { x: { time: this.offset !== null }, y: { range: (_, low, high) => [0, Math.max(high ?? 1, low ?? 1, 1) * 1.1] } },
+        legend: { show: isNis ? false : kind.key === "sigma_h_m", live: false },
+      }, this.data(kind), holder);
+      this.resizing.observe(holder);
+      return plot;
+    });
+  }
+
+  redraw() {
+    KINDS.forEach((kind, i) => this.plots[i].setData(this.data(kind)));
+  }
+}
+
+const size = (holder) => ({ width: Math.max(holder.clientWidth, 200), height: HEIGHT });

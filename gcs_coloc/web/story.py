@@ -1,0 +1,124 @@
+"""What a page that opens late must know: the last minutes of each vehicle, the events, the rates of the links."""
+
+from __future__ import annotations
+
+from collections import deque
+from math import nan
+
+from gcs_coloc.core.messages import HealthChanged
+from gcs_coloc.core.view import FleetView, LinkView, VehicleView
+from gcs_coloc.sinks.hub import News, Subscription
+from gcs_coloc.web.wire import Event, EventsFrame, LinkFrame, VehicleHistory
+
+_SAMPLE_EVERY_S = 1.0
+_SAMPLES_PER_VEHICLE = 600
+_SAMPLES_SENT = 20_000
+_EVENTS = 500
+_RATE_OVER_S = 5.0
+
+_Row = tuple[float, ...]
+
+
+class Story:
+    """Follows the news; everything it keeps is bounded, the oldest goes first."""
+
+    def __init__(self) -> None:
+        self._rows: dict[int, deque[_Row]] = {}
+        self._events: deque[Event] = deque(maxlen=_EVENTS)
+        self._next_event = 1
+        self._sampled_at_s = float("-inf")
+        self._links: deque[tuple[float, dict[int, LinkView]]] = deque()
+
+    async def follow(self, news: Subscription) -> None:
+        """Take the news for ever."""
+        while True:
+            self.take(await news.get())
+
+    def take(self, news: News) -> None:
+        """Take one piece of news."""
+        if isinstance(news, FleetView):
+            self._take_view(news)
+            return
+        if isinstance(news, HealthChanged):
+            bad = news.after in ("suspect", "failed")
+            level, text = ("warning" if bad else "info"), f"GPS {news.before} -> {news.after}: {news.reason}"
+        else:
+            level, text = news.level, news.text
+        event = Event.model_validate(
+            {
+                "id": self._next_event,
+                "at_s": news.at_s,
+                "sysid": news.sysid,
+                "level": level,
+                "text": text,
+                "alarm": level != "info",
+            }
+        )
+        self._next_event += 1
+        self._events.append(event)
+
+    @property
+    def newest_event(self) -> int:
+        """The number of the newest event; 0 where there was none."""
+        return self._next_event - 1
+
+    def events_after(self, number: int) -> EventsFrame:
+        """The events with a higher number that are still kept, and how many are not."""
+        events = tuple(e for e in self._events if e.id > number)
+        return EventsFrame(events=events, missed=self.newest_event - number - len(events))
+
+    def history(self) -> tuple[VehicleHistory, ...]:
+        """The last minutes of each vehicle; fewer of them for large fleets, so that a page opens quickly."""
+        most = max(_SAMPLES_SENT // max(len(self._rows), 1), 1)
+        return tuple(_columns(sysid, list(rows)[-most:]) for sysid, rows in sorted(self._rows.items()))
+
+    def links(self, view: FleetView) -> tuple[LinkFrame, ...]:
+        """The link statistics of a view, with rate and loss over the last seconds."""
+        then_s, then = self._links[0] if self._links else (view.at_s, {})
+        return tuple(_link(link, then.get(link.sysid), view.at_s - then_s) for link in view.links)
+
+    def _take_view(self, view: FleetView) -> None:
+        self._links.append((view.at_s, {link.sysid: link for link in view.links}))
+        while view.at_s - self._links[0][0] > _RATE_OVER_S:
+            self._links.popleft()
+        if view.at_s - self._sampled_at_s < _SAMPLE_EVERY_S:
+            return
+        self._sampled_at_s = view.at_s
+        for v in view.vehicles:
+            self._rows.setdefault(v.sysid, deque(maxlen=_SAMPLES_PER_VEHICLE)).append(_row(v, view.at_s))
+
+
+def _row(v: VehicleView, at_s: float) -> _Row:
+    east_m, north_m, _ = v.enu_m if v.enu_m is not None else (nan, nan, nan)
+    c = v.consistency
+    nis = (c.nis_mean, c.band_low, c.band_high) if c is not None else (nan, nan, nan)
+    sigma_m, hdop = (x if x is not None else nan for x in (v.sigma_h_m, v.hdop))
+    return (at_s, east_m, north_m, sigma_m, hdop, float(v.ranges_in_use), *nis)
+
+
+def _columns(sysid: int, rows: list[_Row]) -> VehicleHistory:
+    at_s, *rest = zip(*rows, strict=True)
+    names = ("east_m", "north_m", "sigma_h_m", "hdop", "ranges_in_use", "nis_mean", "band_low", "band_high")
+    columns = {name: tuple(_short(x) for x in column) for name, column in zip(names, rest, strict=True)}
+    return VehicleHistory(sysid=sysid, at_s=at_s, **columns)
+
+
+def _short(x: float) -> float | None:
+    return round(x, 3) if x == x else None  # NaN differs from itself
+
+
+def _link(now: LinkView, then: LinkView | None, elapsed_s: float) -> LinkFrame:
+    rate_hz = loss_percent = None
+    if then is not None and elapsed_s > 0.0:
+        received, lost = now.received - then.received, max(now.lost - then.lost, 0)
+        rate_hz = received / elapsed_s
+        if received + lost > 0:
+            loss_percent = 100.0 * lost / (received + lost)
+    return LinkFrame(
+        sysid=now.sysid,
+        received=now.received,
+        lost=now.lost,
+        duplicates=now.duplicates,
+        rate_hz=rate_hz,
+        loss_percent=loss_percent,
+    )

@@ -1,0 +1,101 @@
+"""What the page is sent over its WebSocket, as models: docs/reference/web.md describes every field."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from gcs_coloc.core.view import RangeView, VehicleView
+
+LightColour = Literal["good", "caution", "bad", "unknown"]
+
+
+class _Wire(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Ellipse(_Wire):
+    """The 2-sigma ellipse of a horizontal position; `angle_rad` of its longer axis from east, counter-clockwise."""
+
+    semi_major_m: float
+    semi_minor_m: float
+    angle_rad: float
+
+
+class VehicleFrame(_Wire):
+    """One vehicle: the service's view of it, its traffic light and the reason for that in words."""
+
+    view: VehicleView
+    light: LightColour
+    reason: str
+    ellipse: Ellipse | None
+
+
+class LinkFrame(_Wire):
+    """Frames of one vehicle: totals since the start, and rate and loss over the last seconds (None until known)."""
+
+    sysid: int
+    received: int
+    lost: int
+    duplicates: int
+    rate_hz: float | None
+    loss_percent: float | None
+
+
+class FleetFrame(_Wire):
+    """The fleet at one instant; sent at most five times a second, only the latest."""
+
+    kind: Literal["fleet"] = "fleet"
+    at_s: float
+    estimator: str
+    origin: tuple[float, float, float] | None
+    vehicles: tuple[VehicleFrame, ...]
+    ranges: tuple[RangeView, ...]
+    links: tuple[LinkFrame, ...]
+    refused: dict[str, int]
+
+
+class Event(_Wire):
+    """Something that happened. An `alarm` stays on the page until it is acknowledged there."""
+
+    id: int
+    at_s: float
+    sysid: int | None
+    level: Literal["info", "warning", "error"]
+    text: str
+    alarm: bool
+
+
+class EventsFrame(_Wire):
+    """Events in their order, each sent once; `missed` were pushed out of the service's memory before they could be sent."""
+
+    kind: Literal["events"] = "events"
+    events: tuple[Event, ...]
+    missed: int
+
+
+class VehicleHistory(_Wire):
+    """One vehicle's last minutes, column by column, about one sample a second; None where a value was unknown."""
+
+    sysid: int
+    at_s: tuple[float, ...]
+    east_m: tuple[float | None, ...]
+    north_m: tuple[float | None, ...]
+    sigma_h_m: tuple[float | None, ...]
+    hdop: tuple[float | None, ...]
+    ranges_in_use: tuple[float | None, ...]
+    nis_mean: tuple[float | None, ...]
+    band_low: tuple[float | None, ...]
+    band_high: tuple[float | None, ...]
+
+
+class Hello(_Wire):
+    """The first message: which run of the service this is, whether it takes commands, and the last minutes."""
+
+    kind: Literal["hello"] = "hello"
+    instance: str
+    version: str
+    commands: bool
+    utc_minus_service_s: float | None
+    history: tuple[VehicleHistory, ...]
