@@ -118,6 +118,9 @@ class Service:
         refused = self._refusals.news()
         if refused is not None:
             log.warning("%s", refused)
+        refused = self._refusals.news()
+        if refused is not None:
+            log.warning("%s", refused)
         for link in self._links:
             await link.close()
         if self._web is not None:
