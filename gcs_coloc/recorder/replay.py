@@ -55,14 +55,13 @@ def read_ranges(path: Path) -> list[PeerRange]:
     """
     ranges = []
     for row in read_table(path, ("unix_s", "from_sysid", "to_sysid", "range_m"), ("sigma_m",)):
-        sigma_m = row.number_or_none("sigma_m")
         measured_at_s = row.number("unix_s")
         message = PeerRange(
             sysid=row.integer("from_sysid", 1, 255),
             received_at_s=measured_at_s,
             peer_sysid=row.integer("to_sysid", 1, 255),
             range_m=row.positive("range_m"),
-            sigma_m=row.positive("sigma_m") if sigma_m else None,
+            sigma_m=None if row.is_empty("sigma_m") else row.positive("sigma_m"),
             measured_at_s=measured_at_s,
             time_base=TimeBase.SERVICE,
             sequence=None,

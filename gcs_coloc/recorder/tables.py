@@ -1,10 +1,10 @@
-"""Strict reading of CSV tables of numbers: a malformed row is an error that names the file, the line and the column."""
+"""Strict reading of CSV tables: a malformed row is an error that names the file, the line and the column."""
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from gcs_coloc.core.errors import DataError
@@ -13,34 +13,49 @@ from gcs_coloc.core.errors import DataError
 class Row:
     """One row of a table. Its readers raise DataError that names the place."""
 
-    def __init__(self, path: Path, line: int, cells: dict[str, str]) -> None:
-        self._path, self._line, self._cells = path, line, cells
+    def __init__(self, path: Path, line: int, header: list[str], cells: list[str]) -> None:
+        self._path, self._line, self._header, self._cells = path, line, header, cells
+
+    def has(self, column: str) -> bool:
+        """Whether the table has an optional column."""
+        return column in self._header
+
+    def text(self, column: str) -> str:
+        """The cell as it stands."""
+        return self._cells[self._header.index(column)].strip()
 
     def number(self, column: str) -> float:
         """A finite number."""
-        text = self._cells[column]
+        text = self.text(column)
         try:
             value = float(text)
         except ValueError:
             raise self.error(column, f"{text!r} is not a number") from None
         if not math.isfinite(value):
-            raise self.error(column, f"{text} is not a finite number")
+            raise self.error(column, f"{text!r} is not a finite number")
         return value
 
     def positive(self, column: str) -> float:
         """A finite number above zero."""
         value = self.number(column)
         if value <= 0.0:
-            raise self.error(column, f"{self._cells[column]} must be above zero")
+            raise self.error(column, f"{value:g} has to be above 0")
         return value
 
-    def number_or_none(self, column: str) -> float | None:
-        """A finite number, or None where the column is absent or the cell empty."""
-        return self.number(column) if self._cells.get(column) else None
+    def not_negative(self, column: str) -> float:
+        """A finite number not below zero."""
+        value = self.number(column)
+        if value < 0.0:
+            raise self.error(column, f"{value:g} must not be negative")
+        return value
+
+    def is_empty(self, column: str) -> bool:
+        """Whether the column is absent or the cell empty."""
+        return not self.has(column) or not self.text(column)
 
     def integer(self, column: str, least: int, most: int) -> int:
         """A whole number from `least` to `most`."""
-        text = self._cells[column]
+        text = self.text(column)
         try:
             value = int(text)
         except ValueError:
@@ -49,45 +64,71 @@ class Row:
             raise self.error(column, f"{value} is not within {least} to {most}")
         return value
 
-    def text(self, column: str) -> str:
-        """The cell as it stands."""
-        return self._cells[column]
-
     def error(self, column: str, problem: str) -> DataError:
         """An error at this row's place, to be raised by the caller."""
-        return DataError(f"{self._path}: line {self._line}, column {column}: {problem}")
+        return DataError(f"{self._path}, line {self._line}, column {self._header.index(column) + 1} ({column}): {problem}")
 
 
 def read_table(path: Path, required: Sequence[str], optional: Sequence[str] = ()) -> Iterator[Row]:
-    """The rows of a CSV file with a header line, in order; blank lines are passed over.
+    """The rows of a CSV file with a header line, in order; blank lines are passed over, other columns ignored.
 
     Args:
         path: the file.
         required: columns that must be there, in any order.
-        optional: columns that may be there. Others are ignored.
+        optional: columns that may be there.
 
     Raises:
         DataError: the file cannot be read, a required column is missing, or a row has not as many cells as the header.
     """
+
+    def check(header: list[str]) -> None:
+        missing = [name for name in required if name not in header]
+        if missing:
+            raise DataError(f"{path}, line 1: column {missing[0]} is missing; wanted are {','.join((*required, *optional))}")
+
+    return _read(path, check)
+
+
+def read_layout(path: Path, required: Sequence[str], *optional: Sequence[str]) -> Iterator[Row]:
+    """The rows of a file whose header is the required columns, then any of the optional groups, in that order and no other.
+
+    Raises:
+        DataError: as `read_table`, or a column is where none of that name belongs.
+    """
+
+    def check(header: list[str]) -> None:
+        expected = list(required)
+        for group in optional:
+            if header[len(expected) : len(expected) + len(group)] == list(group):
+                expected += group
+        if header == expected:
+            return
+        wrong = next(
+            (i for i, (a, b) in enumerate(zip(header, expected, strict=False)) if a != b), min(len(header), len(expected))
+        )
+        layout = ",".join(required) + "".join(f"[,{','.join(group)}]" for group in optional)
+        raise DataError(f"{path}, line 1, column {wrong + 1}: the header has to be {layout}")
+
+    return _read(path, check)
+
+
+def _read(path: Path, check_header: Callable[[list[str]], None]) -> Iterator[Row]:
     try:
         with path.open(encoding="utf-8", newline="") as file:
-            yield from _rows(path, csv.reader(file, strict=True), required, optional)
+            reader = csv.reader(file, strict=True)
+            header = [name.strip() for name in next(reader, [])]
+            check_header(header)
+            for cells in reader:
+                if not cells:
+                    continue
+                if len(cells) != len(header):
+                    column = min(len(cells), len(header)) + 1
+                    problem = f"{len(cells)} cells where the header has {len(header)}"
+                    raise DataError(f"{path}, line {reader.line_num}, column {column}: {problem}")
+                yield Row(path, reader.line_num, header, cells)
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise DataError(f"{path}: is not a text file in UTF-8") from None
     except csv.Error as error:
         raise DataError(f"{path}: is not a CSV file: {error}") from None
-
-
-def _rows(path: Path, reader: Iterator[list[str]], required: Sequence[str], optional: Sequence[str]) -> Iterator[Row]:
-    header = [name.strip() for name in next(reader, [])]
-    missing = [name for name in required if name not in header]
-    if missing:
-        raise DataError(f"{path}: line 1: column {missing[0]} is missing; wanted are {','.join((*required, *optional))}")
-    for line, cells in enumerate(reader, start=2):
-        if not cells:
-            continue
-        if len(cells) != len(header):
-            raise DataError(f"{path}: line {line}: {len(cells)} cells where the header has {len(header)}")
-        yield Row(path, line, {name: cell.strip() for name, cell in zip(header, cells, strict=True)})

@@ -5,7 +5,6 @@ Strict: the first thing that is wrong is an error that names file, line and colu
 
 from __future__ import annotations
 
-import csv
 import math
 import tomllib
 from collections.abc import Callable, Iterator
@@ -25,6 +24,7 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
     Vector3,
 )
+from gcs_coloc.recorder.tables import Row, read_layout
 
 ROLES = ("subject", "peer", "anchor")
 _META_KEYS = {"name", "source", "licence", "dims", "node", "origin"}
@@ -179,103 +179,22 @@ class _Meta:
         return Node(node_id, number, role, (e, n, u), sigma)
 
 
-class _Row:
-    """One line of a CSV file, with the place of each field for the error."""
-
-    def __init__(self, path: Path, line: int, header: list[str], fields: list[str]) -> None:
-        self._path = path
-        self._line = line
-        self._header = header
-        self._fields = fields
-
-    def fail(self, column: str, text: str) -> DataError:
-        """Return the error that names this field."""
-        return DataError(f"{self._path}, line {self._line}, column {self._header.index(column) + 1} ({column}): {text}")
-
-    def has(self, column: str) -> bool:
-        """Whether the file has an optional column."""
-        return column in self._header
-
-    def text(self, column: str) -> str:
-        """Return a field as it stands."""
-        return self._fields[self._header.index(column)].strip()
-
-    def number(self, column: str) -> float:
-        """Return a finite number."""
-        text = self.text(column)
-        try:
-            value = float(text)
-        except ValueError:
-            raise self.fail(column, f"{text!r} is not a number") from None
-        if not math.isfinite(value):
-            raise self.fail(column, f"{text!r} is not a finite number")
-        return value
-
-    def above_zero(self, column: str) -> float:
-        """Return a number above 0."""
-        value = self.number(column)
-        if value <= 0.0:
-            raise self.fail(column, f"{value:g} has to be above 0")
-        return value
-
-    def not_negative(self, column: str) -> float:
-        """Return a number not below 0."""
-        value = self.number(column)
-        if value < 0.0:
-            raise self.fail(column, f"{value:g} must not be negative")
-        return value
-
-    def node(self, column: str, vehicles: dict[str, int]) -> int:
-        """Return the vehicle number of a node id."""
-        text = self.text(column)
-        if text not in vehicles:
-            raise self.fail(column, f"{text!r} is not the id of any node in meta.toml")
-        return vehicles[text]
-
-    def times(self) -> tuple[float, float]:
-        """Return when it was measured and when it arrived, in seconds."""
-        measured_at_s = self.number("t_s")
-        if not self.has("arrival_s"):
-            return measured_at_s, measured_at_s
-        arrived_at_s = self.number("arrival_s")
-        if arrived_at_s < measured_at_s:
-            raise self.fail("arrival_s", f"it arrived {measured_at_s - arrived_at_s:g} s before it was measured")
-        return measured_at_s, arrived_at_s
+def _vehicle(row: Row, column: str, vehicles: dict[str, int]) -> int:
+    text = row.text(column)
+    if text not in vehicles:
+        raise row.error(column, f"{text!r} is not the id of any node in meta.toml")
+    return vehicles[text]
 
 
-def _rows(path: Path, required: tuple[str, ...], *optional: tuple[str, ...]) -> Iterator[_Row]:
-    """Yield the rows of a file whose header is the required columns, then any of the optional groups, in that order."""
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            reader = csv.reader(file, strict=True)
-            header = [name.strip() for name in next(reader, [])]
-            _check_header(path, header, required, optional)
-            for fields in reader:
-                if not fields:
-                    continue
-                if len(fields) != len(header):
-                    column = min(len(fields), len(header)) + 1
-                    text = f"{len(fields)} fields where the header has {len(header)}"
-                    raise DataError(f"{path}, line {reader.line_num}, column {column}: {text}")
-                yield _Row(path, reader.line_num, header, fields)
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path}: not UTF-8 text (byte {error.start})") from error
-    except csv.Error as error:
-        raise DataError(f"{path}, line {reader.line_num}: not CSV: {error}") from error
-
-
-def _check_header(path: Path, header: list[str], required: tuple[str, ...], optional: tuple[tuple[str, ...], ...]) -> None:
-    expected = list(required)
-    for group in optional:
-        if header[len(expected) : len(expected) + len(group)] == list(group):
-            expected += group
-    if header == expected:
-        return
-    wrong = next((i for i, (a, b) in enumerate(zip(header, expected, strict=False)) if a != b), min(len(header), len(expected)))
-    layout = ",".join(required) + "".join(f"[,{','.join(group)}]" for group in optional)
-    raise DataError(f"{path}, line 1, column {wrong + 1}: the header has to be {layout}")
+def _times(row: Row) -> tuple[float, float]:
+    """When it was measured and when it arrived, in seconds."""
+    measured_at_s = row.number("t_s")
+    if not row.has("arrival_s"):
+        return measured_at_s, measured_at_s
+    arrived_at_s = row.number("arrival_s")
+    if arrived_at_s < measured_at_s:
+        raise row.error("arrival_s", f"it arrived {measured_at_s - arrived_at_s:g} s before it was measured")
+    return measured_at_s, arrived_at_s
 
 
 _ARRIVAL = ("arrival_s",)
@@ -283,62 +202,62 @@ _VELOCITY = ("ve_mps", "vn_mps", "vu_mps", "sigma_vel_mps")
 
 
 def _positions(path: Path, vehicles: dict[str, int], roles: dict[str, str]) -> Iterator[Measurement]:
-    for row in _rows(path, ("t_s", "id", "e_m", "n_m", "u_m", "sigma_h_m", "sigma_v_m"), _VELOCITY, _ARRIVAL):
-        vehicle = row.node("id", vehicles)
+    for row in read_layout(path, ("t_s", "id", "e_m", "n_m", "u_m", "sigma_h_m", "sigma_v_m"), _VELOCITY, _ARRIVAL):
+        vehicle = _vehicle(row, "id", vehicles)
         if roles[row.text("id")] == "anchor":
-            raise row.fail("id", "an anchor stands where meta.toml says and reports no positions")
-        measured_at_s, arrived_at_s = row.times()
+            raise row.error("id", "an anchor stands where meta.toml says and reports no positions")
+        measured_at_s, arrived_at_s = _times(row)
         moving = row.has("ve_mps")
         yield PositionMeasurement(
             vehicle=vehicle,
             measured_at_s=measured_at_s,
             arrived_at_s=arrived_at_s,
             position_enu_m=(row.number("e_m"), row.number("n_m"), row.number("u_m")),
-            sigma_h_m=row.above_zero("sigma_h_m"),
-            sigma_v_m=row.above_zero("sigma_v_m"),
+            sigma_h_m=row.positive("sigma_h_m"),
+            sigma_v_m=row.positive("sigma_v_m"),
             velocity_enu_mps=(row.number("ve_mps"), row.number("vn_mps"), row.number("vu_mps")) if moving else None,
-            sigma_velocity_mps=row.above_zero("sigma_vel_mps") if moving else None,
+            sigma_velocity_mps=row.positive("sigma_vel_mps") if moving else None,
         )
 
 
 def _ranges(path: Path, vehicles: dict[str, int], roles: dict[str, str]) -> Iterator[Measurement]:  # noqa: ARG001 - one signature for all readers
-    for row in _rows(path, ("t_s", "from_id", "to_id", "range_m", "sigma_m"), _ARRIVAL):
-        measured_at_s, arrived_at_s = row.times()
-        a, b = row.node("from_id", vehicles), row.node("to_id", vehicles)
+    for row in read_layout(path, ("t_s", "from_id", "to_id", "range_m", "sigma_m"), _ARRIVAL):
+        measured_at_s, arrived_at_s = _times(row)
+        a, b = _vehicle(row, "from_id", vehicles), _vehicle(row, "to_id", vehicles)
         if a == b:
-            raise row.fail("to_id", "a node has no range to itself")
-        yield RangeMeasurement(a, b, measured_at_s, arrived_at_s, row.not_negative("range_m"), row.above_zero("sigma_m"))
+            raise row.error("to_id", "a node has no range to itself")
+        yield RangeMeasurement(a, b, measured_at_s, arrived_at_s, row.not_negative("range_m"), row.positive("sigma_m"))
 
 
 def _altitudes(path: Path, vehicles: dict[str, int], roles: dict[str, str]) -> Iterator[Measurement]:  # noqa: ARG001 - one signature for all readers
-    for row in _rows(path, ("t_s", "id", "u_m", "sigma_v_m"), _ARRIVAL):
-        measured_at_s, arrived_at_s = row.times()
+    for row in read_layout(path, ("t_s", "id", "u_m", "sigma_v_m"), _ARRIVAL):
+        measured_at_s, arrived_at_s = _times(row)
         yield AltitudeMeasurement(
-            row.node("id", vehicles), measured_at_s, arrived_at_s, row.number("u_m"), row.above_zero("sigma_v_m")
+            _vehicle(row, "id", vehicles), measured_at_s, arrived_at_s, row.number("u_m"), row.positive("sigma_v_m")
         )
 
 
 def _attitudes(path: Path, vehicles: dict[str, int], roles: dict[str, str]) -> Iterator[Measurement]:  # noqa: ARG001 - one signature for all readers
-    for row in _rows(path, ("t_s", "id", "roll_rad", "pitch_rad", "yaw_rad", "airspeed_mps"), _ARRIVAL):
-        measured_at_s, arrived_at_s = row.times()
+    for row in read_layout(path, ("t_s", "id", "roll_rad", "pitch_rad", "yaw_rad", "airspeed_mps"), _ARRIVAL):
+        measured_at_s, arrived_at_s = _times(row)
         yield AttitudeMeasurement(
-            vehicle=row.node("id", vehicles),
+            vehicle=_vehicle(row, "id", vehicles),
             measured_at_s=measured_at_s,
             arrived_at_s=arrived_at_s,
             roll_rad=row.number("roll_rad"),
             pitch_rad=row.number("pitch_rad"),
             yaw_rad=row.number("yaw_rad"),
-            airspeed_mps=row.not_negative("airspeed_mps"),
+            airspeed_mps=None if row.is_empty("airspeed_mps") else row.not_negative("airspeed_mps"),
         )
 
 
 def _truth(path: Path, vehicles: dict[str, int]) -> dict[int, Truth]:
     rows: dict[int, list[tuple[float, float, float, float]]] = {}
-    for row in _rows(path, ("t_s", "id", "e_m", "n_m", "u_m")):
-        of_node = rows.setdefault(row.node("id", vehicles), [])
+    for row in read_layout(path, ("t_s", "id", "e_m", "n_m", "u_m")):
+        of_node = rows.setdefault(_vehicle(row, "id", vehicles), [])
         t_s = row.number("t_s")
         if of_node and t_s < of_node[-1][0]:
-            raise row.fail("t_s", f"time goes back from {of_node[-1][0]:g} s")
+            raise row.error("t_s", f"time goes back from {of_node[-1][0]:g} s")
         of_node.append((t_s, row.number("e_m"), row.number("n_m"), row.number("u_m")))
     if not rows:
         raise DataError(f"{path}: no rows")

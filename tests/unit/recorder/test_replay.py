@@ -93,12 +93,12 @@ def test_ranges_are_read_on_the_recorders_clock(tmp_path):
 @pytest.mark.parametrize(
     ("row", "words"),
     [
-        ("x,4,1,5,1", "line 2, column unix_s: 'x' is not a number"),
-        ("1,0,1,5,1", "line 2, column from_sysid: 0 is not within 1 to 255"),
-        ("1,4,4,5,1", "line 2, column to_sysid: a vehicle has no range to itself"),
-        ("1,4,1,-5,1", "line 2, column range_m: -5 must be above zero"),
-        ("1,4,1,5,-1", "line 2, column sigma_m: -1 must be above zero"),
-        ("1,4,1,5", "line 2: 4 cells where the header has 5"),
+        ("x,4,1,5,1", "line 2, column 1 .unix_s.: 'x' is not a number"),
+        ("1,0,1,5,1", "line 2, column 2 .from_sysid.: 0 is not within 1 to 255"),
+        ("1,4,4,5,1", "line 2, column 3 .to_sysid.: a vehicle has no range to itself"),
+        ("1,4,1,-5,1", "line 2, column 4 .range_m.: -5 has to be above 0"),
+        ("1,4,1,5,-1", "line 2, column 5 .sigma_m.: -1 has to be above 0"),
+        ("1,4,1,5", "line 2, column 5: 4 cells where the header has 5"),
     ],
 )
 def test_a_malformed_range_names_its_place(tmp_path, row, words):

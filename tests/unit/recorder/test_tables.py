@@ -17,7 +17,7 @@ def written(tmp_path: Path, text: str) -> Path:
 def test_reads_numbers_by_name_in_any_order_and_ignores_other_columns(tmp_path):
     rows = list(read_table(written(tmp_path, "b, x,a\n2,z,1\n\n4,z,3\n"), ["a", "b"]))
     assert [(r.number("a"), r.positive("b"), r.integer("a", 0, 9), r.text("b")) for r in rows] == [(1, 2, 1, "2"), (3, 4, 3, "4")]
-    assert rows[0].number_or_none("c") is None
+    assert rows[0].is_empty("c")
 
 
 @pytest.mark.parametrize(
@@ -25,7 +25,7 @@ def test_reads_numbers_by_name_in_any_order_and_ignores_other_columns(tmp_path):
     [
         ("", "line 1: column a is missing"),
         ("b\n1\n", "line 1: column a is missing"),
-        ("a,b\n1,2\n1\n", "line 3: 1 cells where the header has 2"),
+        ("a,b\n1,2\n1\n", "line 3, column 2: 1 cells where the header has 2"),
         ('a\n"1\n', "not a CSV file"),
     ],
 )
@@ -37,9 +37,9 @@ def test_malformed_tables(tmp_path, text, words):
 @pytest.mark.parametrize(
     ("cell", "read", "words"),
     [
-        ("x", "number", "line 2, column a: 'x' is not a number"),
-        ("nan", "number", "line 2, column a: nan is not a finite number"),
-        ("-1", "positive", "line 2, column a: -1 must be above zero"),
+        ("x", "number", "line 2, column 1 .a.: 'x' is not a number"),
+        ("nan", "number", "line 2, column 1 .a.: 'nan' is not a finite number"),
+        ("-1", "positive", "line 2, column 1 .a.: -1 has to be above 0"),
     ],
 )
 def test_malformed_cells(tmp_path, cell, read, words):
