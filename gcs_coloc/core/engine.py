@@ -191,6 +191,8 @@ class Engine:
             case GlobalPosition():
                 vehicle.position = message
                 measurement = self.feed.position(message, vehicle)
+                if vehicle.claim is not None:
+                    vehicle.health.motion.take_claim(vehicle.claim, own=not vehicle.health.aided)
                 if measurement is not None:
                     vehicle.delay_s = measurement.arrived_at_s - measurement.measured_at_s
             case Attitude():

@@ -2,6 +2,10 @@
 
 The rule that matters most stands here: a vehicle's own position becomes a PositionMeasurement only while its GPS is
 HEALTHY. Of any other vehicle only the barometric altitude, the attitude and the airspeed are evidence.
+
+What was measured at an uncertain time was measured at an uncertain place: positions are given speed times time sigma as
+further noise, ranges the relative speed times it. An estimator with a stamp error of its own (the fleet filter's 12 ms)
+counts a part twice; against a clock without TIMESYNC (50 ms) that part is nothing, and with it the sum stays on the safe side.
 """
 
 from __future__ import annotations
@@ -10,6 +14,7 @@ from collections import Counter
 from dataclasses import dataclass
 from math import hypot
 
+from gcs_coloc.core.clocks import ServiceTime, TimeSettings
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.health import GpsState
@@ -50,43 +55,52 @@ class FeedSettings:
 class Feed:
     """Turns the messages of one fleet into measurements about its origin. Refusals are counted by reason in `refused`."""
 
-    def __init__(self, settings: FeedSettings) -> None:
+    def __init__(self, settings: FeedSettings, time_settings: TimeSettings | None = None) -> None:
         self.settings = settings
+        self.time_settings = time_settings if time_settings is not None else TimeSettings()
         self.frame: LocalFrame | None = None
         self.refused: Counter[str] = Counter()
 
     def position(self, message: GlobalPosition, vehicle: Vehicle) -> Measurement | None:
-        """The position of a healthy vehicle, the barometric altitude of any other; sets the origin with the first fix."""
+        """The position of a healthy vehicle, the barometric altitude of any other; sets the origin with the first fix.
+
+        Either way the record of the vehicle keeps what it claims.
+        """
         measured_at_s = self._on_service_clock(vehicle.clock, message.boot_s, message.received_at_s, "GLOBAL_POSITION_INT")
         if measured_at_s is None:
             return None
-        if vehicle.health.state is not GpsState.HEALTHY:
-            return self._altitude(message, vehicle, measured_at_s)
-        if self.frame is None:
+        healthy = vehicle.health.state is GpsState.HEALTHY
+        if self.frame is None and healthy:
             self.frame = LocalFrame(message.lat_deg, message.lon_deg, message.alt_msl_m)
+        if self.frame is None:
+            return None
+        vehicle.claim = self._claim(message, self.frame, vehicle, measured_at_s)
+        return vehicle.claim if healthy else self._altitude(message, vehicle, measured_at_s)
+
+    def _claim(self, message: GlobalPosition, frame: LocalFrame, vehicle: Vehicle, measured_at_s: float) -> PositionMeasurement:
         ned = (message.vn_mps, message.ve_mps, message.vd_mps)
         sigma_h_m, sigma_v_m, sigma_velocity_mps = self._accuracy(vehicle.receiver)
         return PositionMeasurement(
             vehicle=message.sysid,
             measured_at_s=measured_at_s,
             arrived_at_s=message.received_at_s,
-            position_enu_m=self.frame.enu_from_geodetic(message.lat_deg, message.lon_deg, message.alt_msl_m),
-            sigma_h_m=sigma_h_m,
-            sigma_v_m=sigma_v_m,
-            velocity_enu_mps=self.frame.enu_from_ned_velocity(message.lat_deg, message.lon_deg, ned),
+            position_enu_m=frame.enu_from_geodetic(message.lat_deg, message.lon_deg, message.alt_msl_m),
+            sigma_h_m=hypot(sigma_h_m, hypot(message.vn_mps, message.ve_mps) * measured.sigma_s),
+            sigma_v_m=hypot(sigma_v_m, message.vd_mps * measured.sigma_s),
+            velocity_enu_mps=frame.enu_from_ned_velocity(message.lat_deg, message.lon_deg, ned),
             sigma_velocity_mps=sigma_velocity_mps,
         )
 
     def attitude(self, message: Attitude, vehicle: Vehicle) -> AttitudeMeasurement | None:
         """Attitude with the airspeed that was heard last, if that is fresh."""
-        measured_at_s = self._on_service_clock(vehicle.clock, message.boot_s, message.received_at_s, "ATTITUDE")
-        if measured_at_s is None:
+        measured = self._boot_time(message, vehicle, "ATTITUDE")
+        if measured is None:
             return None
         air = vehicle.airspeed
         fresh = air is not None and message.received_at_s - air.received_at_s <= _AIRSPEED_FRESH_S
         return AttitudeMeasurement(
             vehicle=message.sysid,
-            measured_at_s=measured_at_s,
+            measured_at_s=measured.at_s,
             arrived_at_s=message.received_at_s,
             roll_rad=message.roll_rad,
             pitch_rad=message.pitch_rad,
@@ -99,8 +113,8 @@ class Feed:
         if peer is None:
             self.refused["range: peer is not a vehicle that was heard"] += 1
             return None
-        measured_at_s = self._range_time(message, vehicle)
-        if measured_at_s is None:
+        measured = self._range_time(message, vehicle)
+        if measured is None:
             return None
         sigma_m = message.sigma_m if message.sigma_m is not None else self.settings.range_sigma_m
         error_m = hypot(sigma_m, self._accuracy(peer.receiver)[0])
@@ -109,10 +123,10 @@ class Feed:
         return RangeMeasurement(
             from_vehicle=message.sysid,
             to_vehicle=message.peer_sysid,
-            measured_at_s=measured_at_s,
+            measured_at_s=measured.at_s,
             arrived_at_s=message.received_at_s,
             range_m=message.range_m,
-            sigma_m=sigma_m,
+            sigma_m=hypot(sigma_m, _relative_speed_mps(vehicle, peer) * measured.sigma_s),
             device_id=message.device_id,
         )
 
@@ -121,16 +135,16 @@ class Feed:
         assert self.frame is not None
         return self.frame.up_from_height(near_enu_m[0], near_enu_m[1], alt_msl_m)
 
-    def _altitude(self, message: GlobalPosition, vehicle: Vehicle, measured_at_s: float) -> AltitudeMeasurement | None:
+    def _altitude(self, message: GlobalPosition, vehicle: Vehicle, measured: ServiceTime) -> AltitudeMeasurement | None:
         if self.frame is None:
             return None
         where = vehicle.last_known_enu_m
         return AltitudeMeasurement(
             vehicle=message.sysid,
-            measured_at_s=measured_at_s,
+            measured_at_s=measured.at_s,
             arrived_at_s=message.received_at_s,
             up_m=self.up_m(message.alt_msl_m, where if where is not None else (0.0, 0.0)),
-            sigma_m=self.settings.altitude_sigma_m,
+            sigma_m=hypot(self.settings.altitude_sigma_m, message.vd_mps * measured.sigma_s),
         )
 
     def _accuracy(self, receiver: GpsReceiver | None) -> tuple[float, float, float]:
@@ -142,11 +156,18 @@ class Feed:
         sigma_v_m = max(stated_v, s.least_position_sigma_m) if stated_v is not None else s.position_sigma_v_m
         return sigma_h_m, sigma_v_m, stated_speed if stated_speed is not None else s.velocity_sigma_mps
 
-    def _range_time(self, message: PeerRange, vehicle: Vehicle) -> float | None:
+    def _boot_time(self, message: GlobalPosition | Attitude, vehicle: Vehicle, what: str) -> ServiceTime | None:
+        if not vehicle.clock.learn(message.boot_s, message.received_at_s):
+            self.refused[f"{what}: its clock jumped"] += 1
+            return None
+        measured = vehicle.clock.to_service(message.boot_s, message.received_at_s, self.time_settings)
+        return self._fresh(measured, message.received_at_s, what)
+
+    def _range_time(self, message: PeerRange, vehicle: Vehicle) -> ServiceTime | None:
         if message.measured_at_s is None:
-            return message.received_at_s
+            return ServiceTime(message.received_at_s, self.time_settings.least_delay_sigma_s)
         if message.time_base is TimeBase.SERVICE:
-            return self._fresh(message.measured_at_s, message.received_at_s, "range")
+            return self._fresh(ServiceTime(message.measured_at_s, 0.0), message.received_at_s, "range")
         # A ranging device or companion computer may have booted apart from the autopilot.
         key = (message.time_base, message.device_id)
         clock = vehicle.range_clocks.get(key)
@@ -155,16 +176,24 @@ class Feed:
                 self.refused["range: more clocks than a vehicle may have"] += 1
                 return None
             clock = vehicle.range_clocks[key] = SenderClock()
-        return self._on_service_clock(clock, message.measured_at_s, message.received_at_s, "range")
-
-    def _on_service_clock(self, clock: SenderClock, stamp_s: float, received_at_s: float, what: str) -> float | None:
-        if not clock.learn(stamp_s, received_at_s):
-            self.refused[f"{what}: its clock jumped"] += 1
+        if not clock.learn(message.measured_at_s, message.received_at_s):
+            self.refused["range: its clock jumped"] += 1
             return None
-        return self._fresh(clock.to_service(stamp_s), received_at_s, what)
+        measured = vehicle.clock.device_to_service(clock, message.measured_at_s, message.received_at_s, self.time_settings)
+        return self._fresh(measured, message.received_at_s, "range")
 
-    def _fresh(self, measured_at_s: float, received_at_s: float, what: str) -> float | None:
-        if received_at_s - measured_at_s > self.settings.oldest_s:
+    def _fresh(self, measured: ServiceTime, received_at_s: float, what: str) -> ServiceTime | None:
+        if received_at_s - measured.at_s > self.settings.oldest_s:
             self.refused[f"{what}: measured more than {self.settings.oldest_s:g} s ago"] += 1
             return None
-        return measured_at_s
+        return measured
+
+
+def _relative_speed_mps(vehicle: Vehicle, peer: Vehicle) -> float:
+    """The most by which the range between two vehicles changes per second; one vehicle's own speed where only that is known."""
+    vn, ve, vd = (
+        (vehicle.position.vn_mps, vehicle.position.ve_mps, vehicle.position.vd_mps) if vehicle.position else (0.0, 0.0, 0.0)
+    )
+    if peer.position is not None:
+        vn, ve, vd = vn - peer.position.vn_mps, ve - peer.position.ve_mps, vd - peer.position.vd_mps
+    return hypot(vn, ve, vd)

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from gcs_coloc.core.clocks import VehicleClock
 from gcs_coloc.core.health import GpsHealth, HealthSettings
+from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages import Airspeed, Attitude, Autopilot, GlobalPosition, GpsReceiver, TimeBase
 from gcs_coloc.core.timing import SenderClock
 
@@ -16,7 +18,7 @@ class Vehicle:
 
     `blocked` says why nothing can be sent to it. `range_error_m` is the 1-sigma of its ranges of late, with the errors of its
     peers' positions in it. `last_known_enu_m` is where the estimator last had it (east, north). `delay_s` is how much longer its
-    newest position was on the way than the quickest of the last minute.
+    newest position was on the way (beyond what is assumed, where TIMESYNC is not answered).
     """
 
     sysid: int
@@ -33,7 +35,8 @@ class Vehicle:
     delay_s: float | None = None
     range_error_m: float | None = None
     last_known_enu_m: tuple[float, float] | None = None
-    clock: SenderClock = field(default_factory=SenderClock)
+    claim: PositionMeasurement | None = None
+    clock: VehicleClock = field(default_factory=VehicleClock)
     range_clocks: dict[tuple[TimeBase, int], SenderClock] = field(default_factory=dict)
 
 

@@ -5,7 +5,8 @@
 
 Evidence is what the vehicle's real receiver (receiver 0) says in GPS_RAW_INT, the GPS bit of SYS_STATUS and the EKF's
 flags. The two last speak of the receiver *in use*: while the vehicle is aided they are an echo of our own stream and
-count for nothing. The injected receiver never counts. The operator's word wins over everything.
+count for nothing. The injected receiver never counts. What the service itself finds (`motion_check`) counts as well: a
+receiver that repeats one position on the move is as good as lost. The operator's word wins over everything.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from gcs_coloc.core.messages import EkfStatus, GpsReceiver, GpsWord, SystemHealth
+from gcs_coloc.core.motion_check import MotionCheck
 
 
 class GpsState(Enum):
@@ -30,7 +32,7 @@ class GpsState(Enum):
 class HealthSettings:
     """When the machine changes its mind.
 
-    `fail_after_s`: a vehicle that has been SUSPECT for this long and has no fix is FAILED.
+    `fail_after_s`: a vehicle that has been SUSPECT for this long and has no fix, or a frozen one, is FAILED.
     `clear_after_s`: good evidence for this long without a break makes a SUSPECT vehicle HEALTHY (a jammed
     receiver's fix flickers).
     `recover_after_s`: good evidence for this long makes a RECOVERING vehicle HEALTHY.
@@ -49,7 +51,7 @@ class HealthSettings:
 
 @dataclass(slots=True)
 class GpsHealth:
-    """The state machine of one vehicle. Fed by `take`, `set_word` and `aided`; moved on by `update`."""
+    """The state machine of one vehicle. Fed by `take`, `motion`, `word` and `aided`; moved on by `update`."""
 
     settings: HealthSettings
     state: GpsState = GpsState.UNKNOWN
@@ -57,6 +59,7 @@ class GpsHealth:
     since_s: float = 0.0
     word: GpsWord = GpsWord.AUTO
     aided: bool = False
+    motion: MotionCheck = field(default_factory=MotionCheck)
     _good_since_s: float | None = field(default=None)
     _receiver: GpsReceiver | None = field(default=None)
     _system: SystemHealth | None = field(default=None)
@@ -67,6 +70,7 @@ class GpsHealth:
         if isinstance(message, GpsReceiver):
             if message.receiver == 0:
                 self._receiver = message
+                self.motion.take_receiver(message)
         elif isinstance(message, SystemHealth):
             self._system = message
         else:
@@ -122,6 +126,9 @@ class GpsHealth:
                 return f"no GPS_RAW_INT for more than {self.settings.silence_s:g} s"
         if self.aided:
             return None
+        implausible = self.motion.implausible(now_s)
+        if implausible is not None:
+            return implausible
         if self._system is not None and self._system.gps_enabled and not self._system.gps_healthy:
             return "SYS_STATUS: GPS not healthy"
         if self._ekf is not None:
@@ -138,7 +145,7 @@ class GpsHealth:
             return f"only {receiver.satellites} satellites"
         if receiver.h_acc_m is not None and receiver.h_acc_m > self.settings.max_h_acc_m:
             return f"horizontal accuracy {receiver.h_acc_m:.0f} m is worse than {self.settings.max_h_acc_m:g} m"
-        return None
+        return self.motion.frozen()
 
     def _enter(self, state: GpsState, reason: str, now_s: float) -> bool:
         changed = state is not self.state

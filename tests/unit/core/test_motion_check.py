@@ -1,0 +1,96 @@
+"""What a vehicle says of its own motion, checked against itself: what must trip, and the honest flights that must not."""
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.measurements import PositionMeasurement
+from gcs_coloc.core.messages import GpsReceiver
+from gcs_coloc.core.motion_check import MotionCheck
+
+
+def claim(t: float, east_m: float, north_m: float, ve: float, vn: float, h_acc_m: float = 1.0) -> PositionMeasurement:
+    return PositionMeasurement(1, t, t + 0.1, (east_m, north_m, 50.0), h_acc_m, 2.0, (ve, vn, 0.0), 0.3)
+
+
+def fix(t: float, lat_deg: float, fix_type: int = 3) -> GpsReceiver:
+    return GpsReceiver(1, t, 0, fix_type, lat_deg, 8.0, 500.0, 10, 1.0, 1.0, 2.0, 0.3)
+
+
+def circle(t: float, speed_mps: float, radius_m: float) -> tuple[float, float, float, float]:
+    a = speed_mps / radius_m * t
+    return radius_m * np.sin(a), radius_m * np.cos(a), speed_mps * np.cos(a), -speed_mps * np.sin(a)
+
+
+@pytest.mark.parametrize(("speed_mps", "radius_m"), [(0.0, 50.0), (1.0, 20.0), (25.0, 60.0), (25.0, 1e5)])
+@pytest.mark.parametrize(("h_acc_m", "correlation"), [(0.5, 0.0), (1.5, 0.998), (15.0, 0.0)])
+def test_no_alarm_in_half_an_hour_of_honest_flight(speed_mps, radius_m, h_acc_m, correlation):
+    """Hovering, slow, turning and straight; errors white and slow, of 0.5 to 15 m: over twelve flights of half an hour none."""
+    rng = np.random.default_rng(5)
+    check, error = MotionCheck(), h_acc_m * rng.standard_normal(2)
+    for i in range(18_000):
+        t = i / 10
+        error = correlation * error + h_acc_m * np.sqrt(1 - correlation**2) * rng.standard_normal(2)
+        e, n, ve, vn = circle(t, speed_mps, radius_m)
+        noise = 0.3 * rng.standard_normal(2)
+        check.take_claim(claim(t, e + error[0], n + error[1], ve + noise[0], vn + noise[1], h_acc_m), own=True)
+        assert check.implausible(t + 0.1) is None
+
+
+def test_a_jump_is_told_within_two_seconds_and_held_for_ten():
+    check = MotionCheck()
+    for i in range(400):
+        t = i / 10
+        check.take_claim(claim(t, 20.0 * t + (30.0 if t >= 10.0 else 0.0), 0.0, 20.0, 0.0), own=True)
+        if t < 10.0:
+            assert check.implausible(t) is None
+        elif 12.0 <= t <= 20.0:
+            assert "moved 30 m other than its velocity" in str(check.implausible(t))
+    assert check.implausible(39.9) is None
+
+
+def test_a_position_that_stands_while_the_velocity_does_not_is_told():
+    check = MotionCheck()
+    for i in range(60):
+        t = i / 10
+        check.take_claim(claim(t, 20.0 * min(t, 2.0), 0.0, 20.0, 0.0), own=True)
+    assert check.implausible(6.0) is not None
+
+
+def test_an_echo_of_our_aid_is_no_evidence():
+    check = MotionCheck()
+    for i in range(60):
+        t = i / 10
+        check.take_claim(claim(t, 100.0 * (i % 2), 0.0, 20.0, 0.0), own=False)
+    assert check.implausible(6.0) is None
+
+
+def test_a_receiver_that_repeats_itself_on_the_move_is_frozen_until_it_moves():
+    check = MotionCheck()
+    for i in range(50):
+        t = i / 5
+        check.take_claim(claim(t, 20.0 * t, 0.0, 20.0, 0.0), own=True)
+        check.take_receiver(fix(t, 47.0 + 1e-6 * min(i, 25)))
+        assert (check.frozen() is not None) == (t >= 8.0)
+    check.take_receiver(fix(10.2, 47.1))
+    assert check.frozen() is None
+
+
+def test_a_hovering_receiver_with_static_hold_and_one_without_a_fix_are_not_frozen():
+    hover, lost = MotionCheck(), MotionCheck()
+    for i in range(300):
+        t = i / 5
+        hover.take_claim(claim(t, 0.0, 0.0, 0.05, 0.0), own=True)
+        hover.take_receiver(fix(t, 47.0))
+        lost.take_claim(claim(t, 20.0 * t, 0.0, 20.0, 0.0), own=True)
+        lost.take_receiver(fix(t, 47.0, fix_type=1))
+    assert hover.frozen() is None
+    assert lost.frozen() is None
+
+
+def test_a_slow_receiver_repeated_in_telemetry_is_not_frozen():
+    check = MotionCheck()
+    for i in range(300):
+        t = i / 5
+        check.take_claim(claim(t, 25.0 * t, 0.0, 25.0, 0.0), own=True)
+        check.take_receiver(fix(t, 47.0 + 1e-4 * int(t)))
+        assert check.frozen() is None
