@@ -66,23 +66,23 @@ class Feed:
 
         Either way the record of the vehicle keeps what it claims.
         """
-        measured_at_s = self._on_service_clock(vehicle.clock, message.boot_s, message.received_at_s, "GLOBAL_POSITION_INT")
-        if measured_at_s is None:
+        measured = self._boot_time(message, vehicle, "GLOBAL_POSITION_INT")
+        if measured is None:
             return None
         healthy = vehicle.health.state is GpsState.HEALTHY
         if self.frame is None and healthy:
             self.frame = LocalFrame(message.lat_deg, message.lon_deg, message.alt_msl_m)
         if self.frame is None:
             return None
-        vehicle.claim = self._claim(message, self.frame, vehicle, measured_at_s)
-        return vehicle.claim if healthy else self._altitude(message, vehicle, measured_at_s)
+        vehicle.claim = self._claim(message, self.frame, vehicle, measured)
+        return vehicle.claim if healthy else self._altitude(message, vehicle, measured)
 
-    def _claim(self, message: GlobalPosition, frame: LocalFrame, vehicle: Vehicle, measured_at_s: float) -> PositionMeasurement:
+    def _claim(self, message: GlobalPosition, frame: LocalFrame, vehicle: Vehicle, measured: ServiceTime) -> PositionMeasurement:
         ned = (message.vn_mps, message.ve_mps, message.vd_mps)
         sigma_h_m, sigma_v_m, sigma_velocity_mps = self._accuracy(vehicle.receiver)
         return PositionMeasurement(
             vehicle=message.sysid,
-            measured_at_s=measured_at_s,
+            measured_at_s=measured.at_s,
             arrived_at_s=message.received_at_s,
             position_enu_m=frame.enu_from_geodetic(message.lat_deg, message.lon_deg, message.alt_msl_m),
             sigma_h_m=hypot(sigma_h_m, hypot(message.vn_mps, message.ve_mps) * measured.sigma_s),

@@ -135,6 +135,16 @@ class SystemTime:
 
 
 @dataclass(frozen=True, slots=True)
+class TimeSyncAnswer:
+    """TIMESYNC (111) in answer to a request: our time as echoed, and the sender's clock, both in nanoseconds."""
+
+    sysid: int
+    received_at_s: float
+    ts1_ns: int
+    tc1_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class PeerRange:
     """A slant range between two vehicles, from PEER_RANGE (181600), RANGING_BEACON (513) or a named value.
 
@@ -202,6 +212,7 @@ Inbound = (
     | Attitude
     | Airspeed
     | SystemTime
+    | TimeSyncAnswer
     | PeerRange
     | ClockReference
     | OperatorWord
@@ -248,6 +259,14 @@ class StreamRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class TimeSyncRequest:
+    """TIMESYNC (111) with tc1 0: asks one autopilot for its clock. No target field: for that vehicle's own address alone."""
+
+    sysid: int
+    ts1_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class Notice:
     """A line for the operator: something happened to a vehicle (or to the fleet, `sysid` None) that a person should read."""
 
@@ -268,6 +287,6 @@ class HealthChanged:
     reason: str
 
 
-ToVehicle = GpsInput | StreamRequest
+ToVehicle = GpsInput | StreamRequest | TimeSyncRequest
 ToOperator = Notice | HealthChanged
 Outbound = ToVehicle | ToOperator

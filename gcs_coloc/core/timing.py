@@ -1,18 +1,44 @@
 """A sender's clock mapped to the service's clock from one-way stamps.
 
 The smallest difference between arrival and stamp over the last minute belongs to the message that waited least: offset
-plus the link's least delay. Latency that varies from message to message therefore drops out; a constant part of it stays.
+plus the link's least delay. Latency that varies from message to message therefore drops out; a constant part of it stays,
+and is taken out by what `timesync` measures or by what the settings assume.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
 
 _BUCKET_S = 10.0
-_BUCKETS = 6
+_BUCKETS = 30
+_LEAST_OVER_S = 60.0
 _JUMP_S = 2.0
 _JUMPS_TO_BELIEVE = 3
+_BUCKETS_FOR_DRIFT = 4
+_CRYSTAL_DRIFT = 20e-6  # 1-sigma of an ordinary crystal: what is known before it was measured
+_WRAP_S = 2**32 / 1e3
+
+
+class Drift(NamedTuple):
+    """How fast arrival minus stamp grows, seconds per second, with its 1-sigma."""
+
+    rate: float
+    sigma: float
+
+
+def _unmeasured() -> Drift:
+    return Drift(0.0, _CRYSTAL_DRIFT)
+
+
+@dataclass(slots=True)
+class _Bucket:
+    started_s: float
+    least_at_s: float
+    least_s: float
 
 
 @dataclass(slots=True)
@@ -20,19 +46,29 @@ class SenderClock:
     """One clock of one sender: learns from each stamped message, refuses stamps that jump until they are borne out.
 
     A jump is a stamp more than 2 s ahead of what the least delay allows, or more than 2 s behind the newest stamp.
-    Three of them in a row that agree with each other are a new clock (a reboot), and the old one is forgotten.
+    Three of them in a row that agree with each other are a new clock (a reboot), and the old one is forgotten. A jump by
+    2^32 ms is none: boot times of 32 bits wrap after 49.7 days. After five minutes of silence it begins anew as well.
+    `began_at_s` is when it last did (service time), `resets` how often because of a jump.
     """
 
     resets: int = 0
-    _buckets: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_BUCKETS))
+    began_at_s: float = float("-inf")
+    drift: Drift = field(default_factory=_unmeasured)
+    _buckets: deque[_Bucket] = field(default_factory=lambda: deque(maxlen=_BUCKETS))
     _newest_stamp_s: float = float("-inf")
     _jumps: list[float] = field(default_factory=list)
 
+    @property
+    def known(self) -> bool:
+        """Whether any stamp was taken."""
+        return bool(self._buckets)
+
     def learn(self, stamp_s: float, received_at_s: float) -> bool:
         """Take one stamp; False where it jumps and must not be used."""
-        difference_s = received_at_s - stamp_s
-        while self._buckets and received_at_s - self._buckets[0][0] > _BUCKETS * _BUCKET_S:
+        while self._buckets and received_at_s - self._buckets[0].started_s > _BUCKETS * _BUCKET_S:
             self._buckets.popleft()
+        stamp_s = self.unwrapped(stamp_s)
+        difference_s = received_at_s - stamp_s
         if self._buckets and self._jumped(stamp_s, difference_s):
             self._jumps = [j for j in self._jumps if abs(j - difference_s) < _JUMP_S]
             self._jumps.append(difference_s)
@@ -40,20 +76,51 @@ class SenderClock:
                 return False
             self.resets += 1
             self._buckets.clear()
-            self._newest_stamp_s = float("-inf")
+        if not self._buckets:
+            self.began_at_s, self.drift, self._newest_stamp_s = received_at_s, _unmeasured(), float("-inf")
         self._jumps.clear()
         self._newest_stamp_s = max(self._newest_stamp_s, stamp_s)
-        if self._buckets and received_at_s - self._buckets[-1][0] < _BUCKET_S:
-            started_s, least_s = self._buckets[-1]
-            self._buckets[-1] = (started_s, min(least_s, difference_s))
-        else:
-            self._buckets.append((received_at_s, difference_s))
+        if not self._buckets or received_at_s - self._buckets[-1].started_s >= _BUCKET_S:
+            self._learn_drift()
+            self._buckets.append(_Bucket(received_at_s, received_at_s, difference_s))
+        elif difference_s < self._buckets[-1].least_s:
+            self._buckets[-1].least_at_s, self._buckets[-1].least_s = received_at_s, difference_s
         return True
 
+    def unwrapped(self, stamp_s: float) -> float:
+        """A stamp with the turns of a 32-bit millisecond counter put back where that makes it agree with the clock so far."""
+        if not self._buckets:
+            return stamp_s
+        expected_s = self._newest_stamp_s
+        turned_s = stamp_s + round((expected_s - stamp_s) / _WRAP_S) * _WRAP_S
+        silence_s = _BUCKETS * _BUCKET_S
+        return turned_s if -_JUMP_S <= turned_s - expected_s <= silence_s else stamp_s
+
+    def least_difference_s(self) -> float:
+        """Service clock minus sender's clock plus the link's least delay, for the newest stamps. Only where one is known."""
+        newest = self._buckets[-1]
+        return min(
+            bucket.least_s + self.drift.rate * (newest.least_at_s - bucket.least_at_s)
+            for bucket in self._buckets
+            if newest.started_s - bucket.started_s <= _LEAST_OVER_S
+        )
+
     def to_service(self, stamp_s: float) -> float:
-        """The service time of a stamp (seconds). Only valid after `learn` has taken one."""
-        return stamp_s + min(least_s for _, least_s in self._buckets)
+        """The service time of a stamp (seconds), late by the link's least delay. Only valid after `learn` has taken one."""
+        return self.unwrapped(stamp_s) + self.least_difference_s()
 
     def _jumped(self, stamp_s: float, difference_s: float) -> bool:
-        least_s = min(least_s for _, least_s in self._buckets)
-        return difference_s < least_s - _JUMP_S or stamp_s < self._newest_stamp_s - _JUMP_S
+        return difference_s < self.least_difference_s() - _JUMP_S or stamp_s < self._newest_stamp_s - _JUMP_S
+
+    def _learn_drift(self) -> None:
+        """Fit a line to the buckets' minima, weighed against what crystals do."""
+        if len(self._buckets) < _BUCKETS_FOR_DRIFT:
+            return
+        t = np.array([b.least_at_s for b in self._buckets])
+        d = np.array([b.least_s for b in self._buckets])
+        t, d = t - t.mean(), d - d.mean()
+        spread = float(t @ t)
+        slope = float(t @ d) / spread
+        noise2 = float(np.sum((d - slope * t) ** 2)) / (len(t) - 2) + 1e-8  # stamps of whole milliseconds
+        precision = spread / noise2 + _CRYSTAL_DRIFT**-2
+        self.drift = Drift(slope * (spread / noise2) / precision, precision**-0.5)

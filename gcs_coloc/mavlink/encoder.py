@@ -10,7 +10,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages import GpsInput, StreamRequest, ToVehicle
+from gcs_coloc.core.messages import GpsInput, StreamRequest, TimeSyncRequest, ToVehicle
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.signing import Stamp
 
@@ -31,6 +31,8 @@ class Encoder:
         """
         if isinstance(message, GpsInput):
             return self._pack(_gps_input(message), destination, stamp)
+        if isinstance(message, TimeSyncRequest):
+            return self._pack(mavlink.MAVLink_timesync_message(tc1=0, ts1=message.ts1_ns), destination, stamp)
         return self._pack(_stream_request(message), destination, stamp)
 
     def heartbeat(self, destination: Hashable, stamp: Stamp | None = None) -> bytes:

@@ -24,6 +24,7 @@ from gcs_coloc.core.messages import (
     Inbound,
     SystemHealth,
     SystemTime,
+    TimeSyncAnswer,
 )
 from gcs_coloc.mavlink import checks, ranges
 from gcs_coloc.mavlink._generated import gcs_coloc
@@ -196,6 +197,16 @@ def system_time(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Sy
     )
 
 
+def timesync(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> TimeSyncAnswer | None:
+    """TIMESYNC (111); None where it is the sender's own request (tc1 0), which others may answer."""
+    tc1_ns, ts1_ns = values
+    if tc1_ns == 0:
+        return None
+    if tc1_ns < 0:
+        raise InvalidValueError("tc1")
+    return TimeSyncAnswer(sysid=sysid, received_at_s=received_at_s, ts1_ns=ts1_ns, tc1_ns=tc1_ns)
+
+
 Converter = Callable[[int, float, tuple[Any, ...]], Inbound | None]
 
 AUTOPILOT_CONVERTERS: Mapping[int, Converter] = MappingProxyType(
@@ -207,6 +218,7 @@ AUTOPILOT_CONVERTERS: Mapping[int, Converter] = MappingProxyType(
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: global_position_int,
         mavlink.MAVLINK_MSG_ID_VFR_HUD: vfr_hud,
         mavlink.MAVLINK_MSG_ID_GPS2_RAW: gps2_raw,
+        mavlink.MAVLINK_MSG_ID_TIMESYNC: timesync,
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status_report,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
     }

@@ -109,7 +109,7 @@ def test_a_healthy_fleet_gets_no_aid_and_its_positions_reach_the_estimator():
     assert not [o for _, o in out if isinstance(o, GpsInput)]
     assert len(estimator.of(PositionMeasurement, 2)) >= 48
     position = estimator.of(PositionMeasurement, 2)[-1]
-    assert position.sigma_h_m == 1.2
+    assert position.sigma_h_m == pytest.approx(np.hypot(1.2, 20.0 * 0.05))  # 20 m/s at a time that is known to 50 ms
     assert position.sigma_v_m == 2.0
     assert position.velocity_enu_mps == pytest.approx((20.0, 0.0, 0.0), abs=0.01)
 

@@ -2,6 +2,7 @@
 
 import pytest
 
+from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.feed import Feed, FeedSettings
 from gcs_coloc.core.fleet import Fleet, Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
@@ -58,12 +59,31 @@ def test_altitude_is_brought_down_by_the_earths_curvature_at_the_last_known_plac
     [(gps(1.5, 2.5), (1.5, 2.5)), (gps(0.01, 0.01), (0.3, 0.3)), (gps(None), (5.0, 8.0)), (None, (5.0, 8.0))],
 )
 def test_the_receivers_own_accuracy_is_the_noise_where_it_states_one(receiver, expected):
-    feed = Feed(FeedSettings())
+    feed = Feed(FeedSettings(), TimeSettings(least_delay_sigma_s=1e-6))
     healthy = vehicle()
     healthy.receiver = receiver
     measurement = feed.position(position(1.0), healthy)
     assert isinstance(measurement, PositionMeasurement)
-    assert (measurement.sigma_h_m, measurement.sigma_v_m) == expected
+    assert (measurement.sigma_h_m, measurement.sigma_v_m) == pytest.approx(expected)
+
+
+def test_an_uncertain_time_is_an_uncertain_place():
+    feed = Feed(FeedSettings(), TimeSettings(least_delay_s=0.1, least_delay_sigma_s=0.5))
+    moving, peer = vehicle(), vehicle(sysid=1)
+    moving.receiver = gps(1.5, 2.5)
+    moving.position = position(1.0)  # 1 m/s north, 2 east, 3 down
+    measurement = feed.position(moving.position, moving)
+    assert isinstance(measurement, PositionMeasurement)
+    assert measurement.measured_at_s == pytest.approx(0.9)
+    assert measurement.sigma_h_m == pytest.approx((1.5**2 + 5.0 * 0.5**2) ** 0.5)
+    assert measurement.sigma_v_m == pytest.approx((2.5**2 + 9.0 * 0.5**2) ** 0.5)
+    alone = feed.range(range_message(1.0, 1.0, TimeBase.BOOT), moving, peer)
+    peer.position = moving.position
+    together = feed.range(range_message(1.1, 1.1, TimeBase.BOOT), moving, peer)
+    assert alone is not None
+    assert together is not None
+    assert alone.sigma_m == pytest.approx((0.5**2 + 14.0 * 0.5**2) ** 0.5)
+    assert together.sigma_m == 0.5  # side by side a range does not change, whenever it was measured
 
 
 def test_airspeed_goes_with_the_attitude_only_while_it_is_fresh():

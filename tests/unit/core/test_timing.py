@@ -42,13 +42,33 @@ def test_a_reboot_is_believed_with_the_third_message():
     assert clock.to_service(5.0) == 524.0
 
 
-def test_the_32_bit_millisecond_clock_wraps_as_a_reboot_does():
+def test_the_wrap_of_the_32_bit_millisecond_clock_is_no_reboot():
     clock = SenderClock()
     wrap = 2**32 / 1e3
     for i in range(20):
-        clock.learn((wrap - 5.0 + i) % wrap, float(i))
-    assert clock.resets == 1
-    assert clock.to_service(20.0 - 5.0) == pytest.approx(20.0)
+        assert clock.learn((wrap - 5.0 + i) % wrap, float(i))
+        assert clock.to_service((wrap - 5.0 + i) % wrap) == pytest.approx(i, abs=1e-6)
+    assert clock.resets == 0
+    assert clock.to_service((wrap - 5.0 + 4.0) % wrap) == pytest.approx(4.0, abs=1e-6)  # late, from before the wrap
+
+
+def test_drift_is_measured_where_the_stamps_show_it_and_is_a_crystals_otherwise():
+    rng = np.random.default_rng(5)
+    fast = SenderClock()
+    assert fast.drift.sigma == 20e-6
+    for at_s in np.arange(0.0, 300.0, 0.05):
+        fast.learn(at_s * (1 + 40e-6), at_s + rng.uniform(0.05, 0.4))
+    # The least of 200 delays in each bucket of 10 s scatters by 1.75 ms; 29 of them over 290 s give 4e-6.
+    assert fast.drift.rate == pytest.approx(-40e-6, abs=4 * 4e-6)
+    assert fast.drift.sigma < 6e-6
+
+
+def test_a_reboot_during_a_long_silence_begins_a_new_clock_at_once():
+    clock = SenderClock()
+    for stamp in range(1000, 1010):
+        clock.learn(float(stamp), float(stamp))
+    assert [clock.learn(5.0 + i, 1500.0 + i) for i in range(4)] == [True] * 4
+    assert clock.to_service(8.0) == 1503.0
 
 
 def test_late_messages_within_two_seconds_are_no_jump():
