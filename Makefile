@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint bench dialect lock clean
+.PHONY: demo test lint bench fuzz dialect lock clean
 
 # The environment with the program in it: .venv/bin/gcs-coloc.
 .venv: .venv/.ready
@@ -29,6 +29,12 @@ lint: .venv/.ready-dev
 
 bench: .venv/.ready-dev
 	$(BIN)/python -m bench
+
+# Fuzzes the codec and the signatures, guided by coverage; an input that does harm is kept among the regression cases.
+FUZZ_RUNS ?= 200000
+fuzz: .venv/.ready-dev
+	$(BIN)/python -m pip install --quiet -e '.[fuzz]'
+	$(BIN)/python tests/fuzz/fuzz_codec.py -atheris_runs=$(FUZZ_RUNS) -seed=1 -max_len=600 -artifact_prefix=tests/fuzz/regressions/
 
 # Regenerates the committed message classes from gcs_coloc/mavlink/gcs_coloc.xml.
 dialect: .venv/.ready
