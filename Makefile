@@ -19,6 +19,7 @@ demo: .venv/.ready
 	$(BIN)/python -m gcs_coloc.study.demo --out out/demo
 
 test: .venv/.ready-dev
+	sh tools/install-test-tools
 	$(BIN)/python -m pytest
 
 lint: .venv/.ready-dev

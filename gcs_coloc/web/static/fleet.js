@@ -37,6 +37,11 @@ export class FleetList {
     if (chosen !== undefined) this.showDetails(chosen, frame, lateS);
   }
 
+  clear() {
+    this.cards.clear();
+    byId("fleet").replaceChildren();
+  }
+
   showCard({ view, light, reason }, lateS) {
     const card = this.cards.get(view.sysid) ?? this.makeCard(view.sysid);
     card.node.className = `card ${light}`;
@@ -51,8 +56,9 @@ export class FleetList {
     const part = (name) => el("span", { class: name });
     const card = { sign: part("sign"), word: part("word"), age: part("age"), reason: part("reason"), numbers: part("numbers") };
     card.sign.setAttribute("aria-hidden", "true");
-    card.button = el("button", { type: "button", "aria-pressed": "false", onclick: () => this.onSelect(sysid) },
+    card.button = el("button", { type: "button", onclick: () => this.onSelect(sysid) },
       card.sign, el("strong", {}, `Vehicle ${sysid}`), card.word, card.age, card.reason, card.numbers);
+    card.button.setAttribute("aria-pressed", String(sysid === this.selected));
     card.node = el("li", {}, card.button);
     this.cards.set(sysid, card);
     this.cards = new Map([...this.cards].sort(([a], [b]) => a - b));

@@ -13,6 +13,7 @@ const SAMPLE_EVERY_S = 1;
 const now = () => performance.now() / 1000;
 let offset = null;
 let frame = null;
+let instance = null;
 let frameAt = 0;
 let sampledAt = -Infinity;
 let retryS = 0.5;
@@ -30,12 +31,19 @@ function select(sysid) {
 }
 
 function draw() {
-  fleet.show(frame, Math.max(now() - frameAt - OLD_AFTER_S, 0) && now() - frameAt);
+  // While pictures arrive the ages in them are the truth; once they stop, the ages grow with the time since.
+  const old = now() - frameAt;
+  fleet.show(frame, old < OLD_AFTER_S ? 0 : old);
 }
 
 function hello(message) {
   offset = message.utc_minus_service_s;
   sampledAt = -Infinity;
+  if (instance !== message.instance) {
+    instance = message.instance;
+    map.clear();
+    fleet.clear();
+  }
   alarms.begin(message.instance);
   fleet.allowCommands(message.commands);
   plots.reset(offset);

@@ -13,6 +13,7 @@ export class FleetMap {
     this.onSelect = onSelect;
     this.marks = new Map();
     this.ranges = new Map();
+    this.prints = new WeakMap();
     this.selected = null;
     this.userMoved = false;
     this.map = L.map("map", {
@@ -59,6 +60,14 @@ export class FleetMap {
     mark.trail.setLatLngs(east.flatMap((e, i) => (e === null ? [] : [[north[i], e]])).slice(-TRAIL_POINTS));
   }
 
+  // Another run of the service may have another origin: nothing drawn before means anything then.
+  clear() {
+    for (const mark of this.marks.values()) for (const part of Object.values(mark)) part.remove();
+    for (const line of this.ranges.values()) line.remove();
+    this.marks.clear();
+    this.ranges.clear();
+  }
+
   extendTrails(vehicles) {
     for (const { view } of vehicles) {
       if (view.enu_m === null) continue;
@@ -93,15 +102,16 @@ export class FleetMap {
     const trusted = view.gps_state === "healthy";
     const stale = view.age_s > 3;
     const words = `Vehicle ${view.sysid}, ${LIGHT_WORDS[light]}`;
-    this.place(mark, "estimate", view.enu_m, `${words}: our estimate`, () => estimateIcon(view, light, stale));
-    this.place(mark, "claim", trusted ? null : view.claim_enu_m, `Vehicle ${view.sysid}: its own claim, not believed`, () => claimIcon(view));
+    this.place(view.sysid, "estimate", view.enu_m, `${words}: our estimate`, () => estimateIcon(view, light, stale));
+    this.place(view.sysid, "claim", trusted ? null : view.claim_enu_m, `Vehicle ${view.sysid}: its own claim, not believed`, () => claimIcon(view));
     const drawEllipse = view.enu_m !== null && ellipse !== null && !trusted;
     this.shape(mark, "ellipse", drawEllipse ? ellipsePoints(view.enu_m, ellipse) : [], "ellipse", true);
     const both = !trusted && view.enu_m !== null && view.claim_enu_m !== null;
     this.shape(mark, "difference", both ? [at(view.enu_m), at(view.claim_enu_m)] : [], "difference", false);
   }
 
-  place(mark, key, enu, title, icon) {
+  place(sysid, key, enu, title, icon) {
+    const mark = this.marks.get(sysid);
     if (enu === null) {
       mark[key]?.remove();
       delete mark[key];
@@ -110,20 +120,19 @@ export class FleetMap {
     const html = icon();
     const print = html.outerHTML;
     if (mark[key] === undefined) {
-      mark[key] = L.marker(at(enu), { icon: L.divIcon({ className: `mark ${key}-mark`, html, iconSize: [34, 34] }), zIndexOffset: key === "estimate" ? 1000 : 0 });
-      mark[key].addTo(this.map);
-      const sysid = [...this.marks].find(([, m]) => m === mark)[0];
+      const divIcon = L.divIcon({ className: `mark ${key}-mark`, html, iconSize: [34, 34] });
+      mark[key] = L.marker(at(enu), { icon: divIcon, zIndexOffset: key === "estimate" ? 1000 : 0 }).addTo(this.map);
       mark[key].on("click keypress", (event) => {
         if (event.type === "click" || event.originalEvent.key === "Enter") this.onSelect(sysid);
       });
     } else {
       mark[key].setLatLng(at(enu));
-      if (mark[key].print !== print) mark[key].getElement().replaceChildren(html);
+      if (this.prints.get(mark[key]) !== print) mark[key].getElement().replaceChildren(html);
     }
-    mark[key].print = print;
+    this.prints.set(mark[key], print);
     const element = mark[key].getElement();
     if (element.getAttribute("aria-label") !== title) element.setAttribute("aria-label", title);
-    element.classList.toggle("selected", this.selected !== null && this.marks.get(this.selected) === mark);
+    element.classList.toggle("selected", this.selected === sysid);
   }
 
   shape(mark, key, points, className, closed) {

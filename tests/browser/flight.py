@@ -1,0 +1,87 @@
+"""A service process, hovering vehicles and a real browser, for the tests of the page."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from playwright.sync_api import Browser, Page, sync_playwright
+from vehicles import Hover, fly, square_fleet
+
+CHROMIUM = "/usr/bin/chromium"
+_FLAGS = ["--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--disable-background-networking"]
+
+
+def free_port(kind: socket.SocketKind) -> int:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@contextlib.contextmanager
+def service(log: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """The running process and the address of its page, which it is taken at its word for."""
+    with log.open("wb") as out:
+        process = subprocess.Popen([sys.executable, "-m", "gcs_coloc", *arguments], stdout=out, stderr=out)
+    try:
+        while not (found := re.search(r"web page: (http://\S+)", log.read_text())):
+            assert process.poll() is None, log.read_text()
+            threading.Event().wait(0.05)
+        yield process, found.group(1)
+    finally:
+        process.terminate()
+        try:
+            process.wait(10)
+        finally:
+            process.kill()
+
+
+@contextlib.contextmanager
+def flying(port: int, failed: set[int]) -> Iterator[list[Hover]]:
+    """Four vehicles in the air in the background; `failed` may be changed while they fly."""
+    landed = threading.Event()
+    with square_fleet(port) as fleet:
+        thread = threading.Thread(target=fly, args=(fleet, 300.0, failed, landed.is_set), daemon=True)
+        thread.start()
+        try:
+            yield fleet
+        finally:
+            landed.set()
+            thread.join(5)
+
+
+class Watched:
+    """A page with everything it complained of: console errors, exceptions, and requests beyond loopback."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.complaints: list[str] = []
+        page.on("console", lambda m: self.complaints.append(m.text) if m.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        page.on("request", lambda r: None if "//127.0.0.1:" in r.url else self.complaints.append(f"request to {r.url}"))
+
+
+@contextlib.contextmanager
+def browser() -> Iterator[Browser]:
+    """Debian's chromium, with every name but loopback unresolvable."""
+    with sync_playwright() as playwright:
+        rules = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=[*_FLAGS, rules])
+        try:
+            yield chromium
+        finally:
+            chromium.close()
+
+
+def wait_for(condition, what: str, at_most_s: float = 30.0) -> None:
+    deadline = time.monotonic() + at_most_s
+    while not condition():
+        assert time.monotonic() < deadline, f"waited in vain for {what}"
+        threading.Event().wait(0.1)

@@ -1,0 +1,155 @@
+"""The operator's page in a real browser, on a real service with vehicles in the air, and no network but loopback."""
+
+from __future__ import annotations
+
+import re
+import socket
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from flight import Watched, browser, flying, free_port, service, wait_for
+from playwright.sync_api import Browser, expect
+
+pytestmark = pytest.mark.integration
+
+TOKEN = "correct-horse-battery"  # of this test only
+
+
+@dataclass
+class Scene:
+    url: str
+    failed: set[int]
+    chromium: Browser
+    udp_port: int
+    folder: Path
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> Iterator[Scene]:
+    folder = tmp_path_factory.mktemp("web")
+    (folder / "token").write_text(f"{TOKEN}\n")
+    (folder / "config.toml").write_text(f'[web]\ntoken_file = "{folder / "token"}"\n')
+    port, failed = free_port(socket.SOCK_DGRAM), set()
+    arguments = ["--config", str(folder / "config.toml"), "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
+    with service(folder / "log", *arguments) as (_, url), flying(port, failed), browser() as chromium:
+        yield Scene(url, failed, chromium, port, folder)
+
+
+@pytest.fixture
+def watched(scene) -> Iterator[Watched]:
+    scene.failed.clear()
+    page = scene.chromium.new_page(viewport={"width": 1366, "height": 900})
+    page.set_default_timeout(30_000)
+    expect.set_options(timeout=30_000)
+    watched = Watched(page)
+    page.goto(scene.url)
+    yield watched
+    page.close()
+
+
+def card(page, sysid):
+    return page.locator("#fleet").get_by_role("button", name=f"Vehicle {sysid}")
+
+
+def test_four_vehicles_are_shown_and_nothing_is_complained_of(watched):
+    page = watched.page
+    for sysid in (1, 2, 3, 4):
+        expect(card(page, sysid)).to_contain_text("last heard 0.")
+        expect(page.locator("#map").get_by_role("button", name=f"Vehicle {sysid}, good: our estimate")).to_be_visible()
+    expect(page.get_by_role("status").filter(has_text="live")).to_be_visible()
+    expect(page.locator("#link-rows tr")).to_have_count(4)
+    expect(page.locator("#plots canvas")).to_have_count(4)
+    assert watched.complaints == []
+
+
+def test_a_failed_vehicle_gets_an_alarm_until_acknowledged_an_ellipse_and_its_claim_apart(watched, scene):
+    page = watched.page
+    expect(card(page, 4)).to_contain_text("GPS healthy")
+    expect(page.locator("path.ellipse:not([d='M0 0'])")).to_have_count(0)
+    scene.failed.add(4)
+    alarm = page.locator("#alarms li").filter(has_text="vehicle 4: GPS suspect -> failed")
+    expect(alarm).to_be_visible()
+    expect(card(page, 4)).to_contain_text("sending 3D fix")
+    expect(card(page, 4)).to_contain_text("caution")
+    expect(page.locator("path.ellipse:not([d='M0 0'])")).to_have_count(1)
+    expect(page.get_by_role("button", name="Vehicle 4: its own claim, not believed")).to_be_visible()
+    expect(page.locator("path.range")).to_have_count(3)
+    page.reload()
+    expect(alarm).to_be_visible()  # what nobody has acknowledged is still there for a page that opens late
+    alarm.get_by_role("button", name="Acknowledge vehicle 4").click()
+    expect(alarm).to_have_count(0)
+    assert watched.complaints == []
+
+
+def test_the_keyboard_reaches_a_vehicle_and_its_details_say_more(watched):
+    page = watched.page
+    expect(card(page, 2)).to_be_visible()
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.textContent").startswith("✓Vehicle 2"):
+            break
+    page.keyboard.press("Enter")
+    details = page.get_by_role("region", name="Vehicle 2")
+    expect(details).to_contain_text("ArduPilot")
+    expect(details).to_contain_text("10 satellites")
+    expect(card(page, 2)).to_have_attribute("aria-pressed", "true")
+
+
+@pytest.mark.parametrize("size", [(1366, 900), (800, 1180)])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_control_has_a_name_and_nothing_is_wider_than_the_screen(watched, size, scheme):
+    page = watched.page
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.emulate_media(color_scheme=scheme)
+    card(page, 4).click()
+    controls = page.locator("button:visible, input:visible, a:visible, [role=button]:visible, [role=img]:visible")
+    assert controls.count() > 12
+    for name in controls.evaluate_all(
+        "all => all.map(e => e.ariaLabel || e.textContent.trim() || e.labels?.[0]?.textContent || '')"
+    ):
+        assert name
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    text, ground = page.evaluate(
+        "['color', 'backgroundColor'].map(k => getComputedStyle(document.body)[k].match(/[0-9]+/g).slice(0, 3).map(Number))"
+    )
+    assert (sum(text) < sum(ground)) is (scheme == "light")
+    assert abs(sum(text) - sum(ground)) > 450
+
+
+def test_a_command_needs_the_token_and_a_second_press(watched):
+    page = watched.page
+    card(page, 1).click()
+    button, result = page.locator("button[value=failed]"), page.locator("#command-result")
+    page.get_by_label("Operator's token").fill("not the token at all")
+    button.click()
+    expect(button).to_have_text(re.compile("press again"))
+    expect(result).to_have_text("")
+    button.click()
+    expect(result).to_contain_text("refused")
+    page.get_by_label("Operator's token").fill(TOKEN)
+    for _ in range(2):
+        button.click()
+    expect(result).to_contain_text("done")
+    expect(card(page, 1)).to_contain_text("declared failed by the operator")
+    for _ in range(2):
+        page.locator("button[value=auto]").click()
+    expect(card(page, 1)).to_contain_text(re.compile("GPS (recovering|healthy): fix type 3"))
+
+
+def test_a_restarted_service_is_found_again_and_its_absence_is_said(scene, tmp_path):
+    udp_port, web_port = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_STREAM)
+    arguments = ["--udp", f"127.0.0.1:{udp_port}", "--web", f"127.0.0.1:{web_port}"]
+    page = scene.chromium.new_page()
+    with flying(udp_port, {4}):
+        with service(tmp_path / "first", *arguments) as (_, url):
+            page.goto(url)
+            expect(page.locator("#alarms li").filter(has_text="vehicle 4")).not_to_have_count(0, timeout=20_000)
+            expect(page.locator("#commands")).to_be_hidden()
+        expect(page.locator("#connection")).to_contain_text("NO CONNECTION", timeout=10_000)
+        with service(tmp_path / "second", *arguments):
+            expect(page.locator("#connection")).to_have_text("live", timeout=20_000)
+            expect(card(page, 4)).to_contain_text("last heard 0.", timeout=20_000)
+            wait_for(lambda: page.locator("#fleet li").count() == 4, "four vehicles")
+    page.close()
