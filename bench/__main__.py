@@ -11,13 +11,14 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from bench import flood, memory, service_cpu
+from bench import accuracy, flood, memory, service_cpu
 from bench.figures import Figure
 
 _SECTIONS: dict[str, Callable[[bool], list[Figure]]] = {
     "service": service_cpu.measure,
     "flood": flood.measure,
     "memory": memory.measure,
+    "accuracy": accuracy.measure,
 }
 
 
