@@ -70,6 +70,10 @@ class FleetCollector(Collector):
         for reason, times in view.refused.items():
             refused.add_metric([reason], float(times))
         yield refused
+        counts = CounterMetricFamily("gcs_coloc_estimator_measurements", "What became of measurements.", labels=["outcome"])
+        for outcome, times in view.estimator_counts.items():
+            counts.add_metric([outcome], float(times))
+        yield counts
 
 
 def fleet_registry(look: Callable[[], FleetView]) -> CollectorRegistry:

@@ -21,6 +21,7 @@ def fleet_frame(view: FleetView, links: Iterable[LinkFrame]) -> FleetFrame:
         ranges=view.ranges,
         links=tuple(links),
         refused=view.refused,
+        estimator_counts=view.estimator_counts,
     )
 
 

@@ -54,6 +54,7 @@ class FleetFrame(_Wire):
     ranges: tuple[RangeView, ...]
     links: tuple[LinkFrame, ...]
     refused: dict[str, int]
+    estimator_counts: dict[str, int]
 
 
 class Event(_Wire):

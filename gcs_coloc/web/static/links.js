@@ -10,8 +10,11 @@ export function showLinks(frame) {
       delay === null ? "-" : `${(delay * 1e3).toFixed(0)} ms`, String(link.lost), String(link.duplicates)];
     return el("tr", {}, el("th", { scope: "row" }, String(link.sysid)), ...cells.map((text) => el("td", {}, text)));
   }));
-  const reasons = Object.entries(frame.refused).sort(([, a], [, b]) => b - a);
-  byId("refused").replaceChildren(...(reasons.length ? reasons : [["nothing", 0]]).flatMap(([reason, times]) => [
-    el("dt", {}, reason), el("dd", {}, String(times)),
-  ]));
+  showCounts("refused", frame.refused);
+  showCounts("estimator-counts", frame.estimator_counts);
+}
+
+function showCounts(id, counts) {
+  const rows = Object.entries(counts).sort(([, a], [, b]) => b - a);
+  byId(id).replaceChildren(...(rows.length ? rows : [["nothing", 0]]).flatMap(([what, times]) => [el("dt", {}, what), el("dd", {}, String(times))]));
 }

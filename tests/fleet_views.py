@@ -1,0 +1,71 @@
+"""Views of a vehicle and a fleet for the tests of those who look on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from gcs_coloc.core.view import Consistency, FleetView, LinkView, RangeView, VehicleView
+
+HEALTHY = VehicleView(
+    sysid=1,
+    age_s=0.1,
+    autopilot="ArduPilot",
+    gps_state="healthy",
+    gps_reason="fix type 3, 10 satellites",
+    lat_deg=47.0,
+    lon_deg=8.0,
+    alt_msl_m=500.0,
+    sigma_h_m=0.8,
+    bound_95_m=1.8,
+    hdop=None,
+    ranges_in_use=0,
+    unknown_because=None,
+    claim_lat_deg=47.0,
+    claim_lon_deg=8.0,
+    aid="off",
+    enu_m=(0.0, 0.0, 0.0),
+    velocity_enu_mps=(0.0, 0.0, 0.0),
+    covariance_h_m2=(0.64, 0.0, 0.64),
+    claim_enu_m=(0.0, 0.0, 0.0),
+)
+LOCATED = replace(
+    HEALTHY,
+    sysid=4,
+    gps_state="failed",
+    gps_reason="no 3D fix: fix type 1",
+    sigma_h_m=3.0,
+    bound_95_m=6.6,
+    hdop=1.2,
+    ranges_in_use=3,
+    aid="sending 3D fix",
+    aid_has_fix=True,
+    enu_m=(120.0, 40.0, 5.0),
+    consistency=Consistency(1.1, 0.8, 1.2, 150),
+    delay_s=0.02,
+)
+LOST = replace(
+    LOCATED,
+    lat_deg=None,
+    lon_deg=None,
+    alt_msl_m=None,
+    sigma_h_m=None,
+    bound_95_m=None,
+    hdop=None,
+    ranges_in_use=0,
+    unknown_because="no ranges for 12 s",
+    aid="sending no fix: no ranges for 12 s",
+    aid_has_fix=False,
+    enu_m=None,
+    velocity_enu_mps=None,
+    covariance_h_m2=None,
+    consistency=None,
+)
+
+
+def fleet_view(at_s: float = 10.0, *vehicles: VehicleView, **other: Any) -> FleetView:
+    """A fleet of the given vehicles, of a healthy and a located one by default."""
+    seen = vehicles or (HEALTHY, LOCATED)
+    links = tuple(LinkView(v.sysid, round(20 * at_s), round(at_s), 0) for v in seen)
+    ranges = (RangeView(4, 1, 0.1, 1.5, 2.0, 0.56, None),)
+    return FleetView(at_s, "fleet", seen, {"bad_crc": 3}, {"used": 7}, **{"ranges": ranges, "links": links} | other)

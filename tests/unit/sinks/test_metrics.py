@@ -1,0 +1,62 @@
+"""The metrics tell the fleet as it is, by Prometheus' conventions, and stand in the reference."""
+
+import json
+import re
+from pathlib import Path
+
+from fleet_views import HEALTHY, LOST, fleet_view
+from prometheus_client import generate_latest
+from prometheus_client.parser import text_string_to_metric_families
+
+from gcs_coloc.sinks.metrics import fleet_registry
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def families(view):
+    text = generate_latest(fleet_registry(lambda: view)).decode()
+    return {family.name: family for family in text_string_to_metric_families(text)}
+
+
+def value(view, name, **labels):
+    found = [s.value for f in families(view).values() for s in f.samples if s.name == name and s.labels == labels]
+    return found[0] if found else None
+
+
+def test_the_numbers_are_the_views():
+    view = fleet_view(10.0)
+    assert value(view, "gcs_coloc_vehicles") == 2
+    assert value(view, "gcs_coloc_vehicle_position_sigma_meters", sysid="4") == 3.0
+    assert value(view, "gcs_coloc_vehicle_aid_fix", sysid="4") == 1
+    assert value(view, "gcs_coloc_vehicle_aid_fix", sysid="1") == 0
+    assert value(view, "gcs_coloc_vehicle_nis_mean", sysid="4") == 1.1
+    assert value(view, "gcs_coloc_vehicle_gps_state", sysid="4", state="failed") == 1
+    assert value(view, "gcs_coloc_vehicle_gps_state", sysid="4", state="healthy") == 0
+    assert value(view, "gcs_coloc_vehicle_link_frames_received_total", sysid="1") == 200
+    assert value(view, "gcs_coloc_refused_total", reason="bad_crc") == 3
+    assert value(view, "gcs_coloc_estimator_measurements_total", outcome="used") == 7
+
+
+def test_what_is_unknown_has_no_sample_instead_of_a_zero():
+    view = fleet_view(10.0, HEALTHY, LOST)
+    assert value(view, "gcs_coloc_vehicle_position_sigma_meters", sysid="4") is None
+    assert value(view, "gcs_coloc_vehicle_position_bound_95_meters", sysid="4") is None
+    assert value(view, "gcs_coloc_vehicle_aid_fix", sysid="4") == 0
+
+
+def test_every_metric_is_in_the_reference():
+    text = (ROOT / "docs/reference/metrics.md").read_text(encoding="utf-8")
+    for family in families(fleet_view(10.0)).values():
+        for sample in family.samples:
+            assert f"`{sample.name}`" in text, f"{sample.name} is not in metrics.md"
+
+
+def test_the_dashboard_asks_for_metrics_that_there_are():
+    dashboard = json.loads((ROOT / "configs/grafana-dashboard.json").read_text(encoding="utf-8"))
+    there = {s.name for f in families(fleet_view(10.0)).values() for s in f.samples}
+    asked = [t["expr"] for panel in dashboard["panels"] for t in panel.get("targets", [])]
+    assert len(asked) >= 8
+    for expression in asked:
+        names = re.findall(r"(?:gcs_coloc|process)_\w+", expression)
+        assert names
+        assert set(names) <= there, expression

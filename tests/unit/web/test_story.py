@@ -1,0 +1,62 @@
+"""What a page that opens late is told: bounded, in order, and nothing twice."""
+
+from dataclasses import replace
+
+from fleet_views import HEALTHY, LOST, fleet_view
+
+from gcs_coloc.core.messages import HealthChanged, Notice
+from gcs_coloc.core.view import LinkView
+from gcs_coloc.web.story import Story
+
+
+def test_a_failure_is_an_alarm_and_good_news_is_none():
+    story = Story()
+    story.take(HealthChanged(1.0, 4, "suspect", "failed", "no fix"))
+    story.take(HealthChanged(2.0, 4, "failed", "recovering", "back"))
+    story.take(Notice(3.0, None, "warning", "flooded"))
+    story.take(Notice(4.0, 2, "info", "heard for the first time"))
+    events = story.events_after(0).events
+    assert [(e.id, e.sysid, e.alarm) for e in events] == [(1, 4, True), (2, 4, False), (3, None, True), (4, 2, False)]
+    assert events[0].text == "GPS suspect -> failed: no fix"
+    assert [e.id for e in story.events_after(2).events] == [3, 4]
+
+
+def test_events_that_were_pushed_out_are_counted_as_missed():
+    story = Story()
+    for i in range(700):
+        story.take(Notice(float(i), 1, "info", str(i)))
+    frame = story.events_after(100)
+    assert len(frame.events) == 500
+    assert frame.missed == 100
+    assert frame.events[-1].id == story.newest_event == 700
+
+
+def test_the_history_is_one_sample_a_second_for_ten_minutes_and_unknown_is_not_zero():
+    story = Story()
+    for i in range(2 * 700):
+        story.take(fleet_view(i * 0.5, HEALTHY, LOST))
+    known, lost = story.history()
+    assert len(known.at_s) == len(known.sigma_h_m) == 600
+    assert known.at_s[-1] - known.at_s[0] == 599.0
+    assert known.sigma_h_m[-1] == 0.8
+    assert (lost.sigma_h_m[-1], lost.east_m[-1], lost.ranges_in_use[-1]) == (None, None, 0.0)
+
+
+def test_a_large_fleet_sends_a_shorter_history():
+    story = Story()
+    vehicles = [replace(HEALTHY, sysid=i) for i in range(1, 251)]
+    for i in range(120):
+        story.take(fleet_view(float(i), *vehicles))
+    assert sum(len(one.at_s) for one in story.history()) <= 20_000
+
+
+def test_rate_and_loss_are_of_the_last_seconds():
+    story = Story()
+    for i in range(21):
+        # 20 frames a second, and none lost until the last five seconds, in which one in five is.
+        lost = max(i - 10, 0) * 5
+        story.take(fleet_view(i * 0.5, HEALTHY, links=(LinkView(1, 10 * i, lost, 0),)))
+    (link,) = story.links(fleet_view(10.0, HEALTHY, links=(LinkView(1, 200, 50, 0),)))
+    assert link.rate_hz == 20.0
+    assert link.loss_percent == 100.0 * 50 / 150
+    assert Story().links(fleet_view(10.0, HEALTHY))[0].rate_hz is None

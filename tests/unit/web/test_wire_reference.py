@@ -1,0 +1,28 @@
+"""Every field of every message that the page is sent stands in the reference."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from gcs_coloc.core.view import Consistency, RangeView, VehicleView
+from gcs_coloc.web import wire
+
+TEXT = (Path(__file__).resolve().parents[3] / "docs/reference/web.md").read_text(encoding="utf-8")
+MODELS = [
+    wire.Ellipse,
+    wire.VehicleFrame,
+    wire.LinkFrame,
+    wire.FleetFrame,
+    wire.Event,
+    wire.EventsFrame,
+    wire.VehicleHistory,
+    wire.Hello,
+]
+FIELDS = [f"{model.__name__}.{name}" for model in MODELS for name in model.model_fields]
+FIELDS += [f"{view.__name__}.{f.name}" for view in (VehicleView, RangeView, Consistency) for f in dataclasses.fields(view)]
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_every_field_is_in_the_reference(field):
+    assert f"`{field.split('.')[1]}`" in TEXT
