@@ -92,6 +92,7 @@ def run(
     ] = None,
     web: Annotated[str | None, typer.Option(help="Address of the live page, HOST:PORT; 127.0.0.1:8080 unless told.")] = None,
     no_web: Annotated[bool, typer.Option("--no-web", help="Serve no live page.")] = False,
+    record: Annotated[Path | None, typer.Option(help="Record the flight in this directory.", metavar="DIR")] = None,
     log_level: Annotated[LogLevel, typer.Option(help="How much is logged.")] = LogLevel.INFO,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
@@ -118,6 +119,8 @@ def run(
         flags["web"] = {"on": True, "address": web}
     elif no_web:
         flags["web"] = {"on": False}
+    if record is not None:
+        flags["record"] = {"directory": str(record)}
     settings = load_settings(config, flags)
     if not settings.links:
         raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")

@@ -150,6 +150,13 @@ class WebConfig(_Section):
         return host.removeprefix("[").removesuffix("]"), int(port)
 
 
+class RecordConfig(_Section):
+    """`[record]`: recording the flight."""
+
+    directory: str = Field("", description="where recordings are written; none are where it is empty")
+    rotate_mb: int = Field(500, ge=1, le=100_000, description="a new pair of files is begun at this size, in megabytes")
+
+
 class Settings(BaseSettings):
     """Everything that can be set. Every key has a default but `links`: a service without a link has nothing to do."""
 
@@ -164,6 +171,7 @@ class Settings(BaseSettings):
     fleet: FleetConfig = Field(default_factory=lambda: FleetConfig.model_validate({}))
     estimator: EstimatorConfig = Field(default_factory=lambda: EstimatorConfig.model_validate({}))
     web: WebConfig = Field(default_factory=lambda: WebConfig.model_validate({}))
+    record: RecordConfig = Field(default_factory=lambda: RecordConfig.model_validate({}))
     health: HealthConfig = Field(default_factory=HealthConfig)
     feed: FeedConfig = Field(default_factory=FeedConfig)
     aid: AidConfig = Field(default_factory=AidConfig)

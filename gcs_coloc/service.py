@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from gcs_coloc.clock import ServiceClock
 from gcs_coloc.config import Settings
+from gcs_coloc.core.advance import CATCH_UP_S, advance, without_superseded
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import WebError
-from gcs_coloc.core.messages import ClockReference, GpsWord, Notice, OperatorWord, RouteReport, ToVehicle
+from gcs_coloc.core.messages import ClockReference, GpsWord, Notice, OperatorWord, Outbound, RouteReport, ToVehicle
 from gcs_coloc.core.view import FleetView, LinkView
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.address import parse
@@ -29,7 +31,9 @@ from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.decoder import Decoder, Frame
 from gcs_coloc.mavlink.encoder import Encoder
+from gcs_coloc.mavlink.framing import RawFrame
 from gcs_coloc.mavlink.signing import Stamp
+from gcs_coloc.recorder.flight import FlightRecording
 from gcs_coloc.sinks import console as console_sink
 from gcs_coloc.sinks.hub import Hub
 
@@ -49,7 +53,7 @@ class Service:
     """One fleet on its links. `run` lasts until a signal or until `stop` is called."""
 
     def __init__(self, settings: Settings) -> None:
-        self._clock = clock = time.monotonic  # the event loop's own clock: deadlines are handed to it as they are
+        self._clock = clock = ServiceClock()
         ids = settings.mavlink
         self._decoder = Decoder(own_sysid=ids.system_id, own_compid=ids.component_id)
         self._encoder = Encoder(sysid=ids.system_id, compid=ids.component_id)
@@ -64,14 +68,16 @@ class Service:
         self._refusals = Refusals(
             [self._decoder.counts, self._intake.counts, self._routes.counts, self._counts, *(link.counts for link in self._links)]
         )
+        self._recording = FlightRecording(settings.record, ids, self._engine)
         self._hub = Hub()
         self._web = self._make_web(settings)
         self._timer: asyncio.TimerHandle | None = None
-        self._polled_at_s = float("-inf")
+        self._engine_at_s = clock()
         self._stopping = asyncio.Event()
-        for word, sysids in ((GpsWord.FAILED, settings.fleet.failed), (GpsWord.HEALTHY, settings.fleet.healthy)):
-            for sysid in sysids:
-                self._engine.receive(OperatorWord(sysid, clock(), word))
+        self._words = [
+            *((sysid, GpsWord.FAILED) for sysid in settings.fleet.failed),
+            *((sysid, GpsWord.HEALTHY) for sysid in settings.fleet.healthy),
+        ]
 
     def stop(self) -> None:
         """Ask the service to end in order."""
@@ -101,7 +107,8 @@ class Service:
                 ]
                 if self._web is not None:
                     group.create_task(self._web.run())
-                self._wake()
+                for sysid, word in self._words:
+                    self._obey(sysid, word)
                 await self._stopping.wait()
                 if self._web is not None:
                     self._web.stop()
@@ -118,24 +125,29 @@ class Service:
         refused = self._refusals.news()
         if refused is not None:
             log.warning("%s", refused)
-        refused = self._refusals.news()
-        if refused is not None:
-            log.warning("%s", refused)
         for link in self._links:
             await link.close()
         if self._web is not None:
             self._web.close()
+        self._recording.close()
 
     def _on_datagram(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
         if not self._intake.admits((link, address), len(payload), received_at_s):
             return
-        for frame in self._decoder.decode(payload, received_at_s, (link.name, address), self._signed.of(link.name)):
-            if self._learn_route(frame, link, address, received_at_s) and frame.message is not None:
+        self._advance(received_at_s)
+        good: list[RawFrame] = []
+        refused: list[Frame] = []
+        for frame in self._decoder.decode(payload, received_at_s, (link.name, address), self._signed.of(link.name), good):
+            if not self._learn_route(frame, link, address, received_at_s):
+                refused.append(frame)
+            elif frame.message is not None:
                 self._engine.receive(frame.message)
                 if frame.is_autopilot_heartbeat:
                     route = self._routes.route(frame.sysid, received_at_s)
-                    blocked = route.reason if isinstance(route, Blocked) else None
-                    self._engine.receive(RouteReport(frame.sysid, received_at_s, blocked))
+                    report = RouteReport(frame.sysid, received_at_s, route.reason if isinstance(route, Blocked) else None)
+                    self._engine.receive(report)
+                    self._recording.told(report)
+        self._recording.heard(received_at_s, good, refused)
         self._wake()
 
     def _learn_route(self, frame: Frame, link: Link, address: Address, now_s: float) -> bool:
@@ -146,21 +158,37 @@ class Service:
     def _wake(self) -> None:
         """Make sure that the engine is polled when it next wants to be."""
         due_s = self._engine.next_deadline()
-        loop = asyncio.get_running_loop()
+        if due_s == float("inf"):
+            return
+        loop_s = self._clock.on_loop(due_s)
         if self._timer is not None:
-            if self._timer.when() <= due_s:
+            if self._timer.when() <= loop_s:
                 return
             self._timer.cancel()
-        self._timer = loop.call_at(due_s, self._poll)
+        self._timer = asyncio.get_running_loop().call_at(loop_s, self._poll)
 
     def _poll(self) -> None:
         self._timer = None
-        now_s = self._polled_at_s = self._clock()
-        for output in self._engine.poll(now_s):
+        self._advance(self._clock())
+        self._wake()
+
+    def _advance(self, to_s: float) -> None:
+        """Bring the engine to `to_s`, before anything that arrived then is given to it, and pass on what comes of it."""
+        self._engine_at_s = to_s
+        news: list[Outbound] = []
+        for at_s, outputs in advance(self._engine, to_s, catch_up_s=CATCH_UP_S):
+            self._recording.polled(at_s, outputs)
+            news.extend(outputs)
+        for output in without_superseded(news):
             if isinstance(output, ToVehicle):
                 self._send(output)
             else:
                 self._hub.publish(output)
+
+    def _tell(self, note: ClockReference | OperatorWord) -> None:
+        self._advance(note.received_at_s)
+        self._engine.receive(note)
+        self._recording.told(note)
         self._wake()
 
     def _send(self, output: ToVehicle) -> None:
@@ -174,6 +202,7 @@ class Service:
             self._counts.add("output that no message can hold")
             return
         route.link.send(route.address, payload)
+        self._recording.sent(self._engine_at_s, payload)
 
     def _stamp(self, route: Route) -> Stamp | None:
         signing = self._signed.of(route.link.name)
@@ -221,14 +250,13 @@ class Service:
             self._web = None
 
     def _obey(self, sysid: int, word: GpsWord) -> None:
-        self._engine.receive(OperatorWord(sysid, self._clock(), word))
-        self._wake()
+        self._tell(OperatorWord(sysid, self._clock(), word))
 
     def _fault(self) -> str | None:
         """Why the service does not do its work, None where it does."""
         if self._stopping.is_set():
             return "the service is ending"
-        late_s = self._clock() - self._polled_at_s
+        late_s = self._clock() - self._engine_at_s
         return f"the engine was last run {late_s:.1f} s ago" if late_s > _ENGINE_LATE_S else None
 
     def _tell_refusals(self) -> None:
@@ -245,7 +273,10 @@ class Service:
         now_s = self._clock()
         offset_s = self._unix_minus_service_s(now_s)
         self._signed.set_clock(offset_s)
-        self._engine.receive(ClockReference(now_s, offset_s))
+        self._tell(ClockReference(now_s, offset_s))
+        recording = self._recording.news()
+        if recording is not None:
+            self._hub.publish(Notice(now_s, None, *recording))
         for sysid, text in self._routes.claims.news(now_s):
             self._hub.publish(Notice(now_s, sysid, "warning", text))
         routes = (self._routes.route(vehicle.sysid, now_s) for vehicle in self._engine.fleet)
@@ -253,4 +284,6 @@ class Service:
         greeted = {route for route in routes if isinstance(route, Route)}
         greeted |= {Route(link, link.remote) for link in self._links if link.remote is not None}
         for route in greeted:
-            route.link.send(route.address, self._encoder.heartbeat(route, self._stamp(route)))
+            payload = self._encoder.heartbeat(route, self._stamp(route))
+            route.link.send(route.address, payload)
+            self._recording.sent(self._engine_at_s, payload)

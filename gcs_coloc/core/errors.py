@@ -34,3 +34,7 @@ class EstimatorError(GcsColocError):
 
 class DataError(GcsColocError):
     """A recording or data set that cannot be read; the text names file, line and column where there is one."""
+
+
+class RecordError(GcsColocError):
+    """The directory for recordings cannot be written to."""

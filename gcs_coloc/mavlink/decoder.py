@@ -61,12 +61,18 @@ class Decoder:
         }
 
     def decode(
-        self, datagram: bytes, received_at_s: float, source: Hashable = None, signing: LinkSigning | None = None
+        self,
+        datagram: bytes,
+        received_at_s: float,
+        source: Hashable = None,
+        signing: LinkSigning | None = None,
+        good: list[framing.RawFrame] | None = None,
     ) -> list[Frame]:
         """Decode the frames of one datagram, in order.
 
         `source` is the address it came from: each numbers its frames itself. `signing` is how the link that it came over is
-        signed; without, signatures are passed over.
+        signed; without, signatures are passed over. `good` takes every frame that is somebody else's, whole and no copy,
+        those of no use to the core too.
         """
         frames: list[Frame] = []
         for raw in framing.split(datagram, self.counts, ended=True)[0]:
@@ -80,18 +86,24 @@ class Decoder:
                 self.counts.add(refusal)
             elif not self.sequences.note((source, *sender), raw.sequence, raw.checksum, received_at_s):
                 self.counts.add(DUPLICATE)
-            elif not raw.is_known:
-                self.counts.add(UNKNOWN_MESSAGE)
-            elif raw.message_id not in self._layouts:
-                self.counts.add(NOT_WANTED)
-            elif raw.message_id in AUTOPILOT_CONVERTERS and not self._is_autopilot(sender):
-                self.counts.add(NOT_FROM_AUTOPILOT)
             else:
-                message = self._message(raw, received_at_s)
-                if isinstance(message, Heartbeat) and len(self._autopilots) < MAX_AUTOPILOTS:
-                    self._autopilots.add(sender)
-                frames.append(Frame(raw.sysid, raw.compid, raw.sequence, raw.message_id, message))
+                if good is not None:
+                    good.append(raw)
+                self._take(raw, sender, received_at_s, frames)
         return frames
+
+    def _take(self, raw: framing.RawFrame, sender: tuple[int, int], received_at_s: float, frames: list[Frame]) -> None:
+        if not raw.is_known:
+            self.counts.add(UNKNOWN_MESSAGE)
+        elif raw.message_id not in self._layouts:
+            self.counts.add(NOT_WANTED)
+        elif raw.message_id in AUTOPILOT_CONVERTERS and not self._is_autopilot(sender):
+            self.counts.add(NOT_FROM_AUTOPILOT)
+        else:
+            message = self._message(raw, received_at_s)
+            if isinstance(message, Heartbeat) and len(self._autopilots) < MAX_AUTOPILOTS:
+                self._autopilots.add(sender)
+            frames.append(Frame(raw.sysid, raw.compid, raw.sequence, raw.message_id, message))
 
     def _is_autopilot(self, sender: tuple[int, int]) -> bool:
         return sender[1] == MAV_COMP_ID_AUTOPILOT1 or sender in self._autopilots

@@ -26,9 +26,9 @@ Note = ClockReference | OperatorWord | RouteReport
 
 @dataclass(frozen=True, slots=True)
 class ReadNote:
-    """A note as read. `repeated`: it tells the head of a further part what was noted before, and is no news."""
+    """A note as read; None marks the beginning of a part. `repeated`: it stands at the head of a part and tells no news."""
 
-    note: Note
+    note: Note | None
     repeated: bool
 
 
@@ -38,9 +38,9 @@ class NoteWriter:
     def __init__(self, sysid: int, compid: int) -> None:
         self._mavlink = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=compid)
 
-    def pack(self, note: Note, *, repeated: bool = False) -> bytes:
-        """A note as a TUNNEL frame. The reason of a blocked route is cut to 60 characters."""
-        content = _content(note)
+    def pack(self, note: Note | None, *, repeated: bool = False) -> bytes:
+        """A note as a TUNNEL frame; None for the beginning of a part. A blocked route's reason is cut to 60 characters."""
+        content = _content(note) if note is not None else {"begin": 1}
         if repeated:
             content["again"] = 1
         data = json.dumps(content, separators=(",", ":")).encode()
@@ -82,7 +82,9 @@ def _content(note: Note) -> dict[str, Any]:
     return {"route": text[:_LONGEST_REASON] if text is not None else None, "of": note.sysid}
 
 
-def _note(content: dict[str, Any], at_s: float) -> Note:
+def _note(content: dict[str, Any], at_s: float) -> Note | None:
+    if "begin" in content:
+        return None
     if "utc" in content:
         utc = content["utc"]
         return ClockReference(at_s, float(utc) if utc is not None else None)

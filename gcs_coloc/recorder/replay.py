@@ -179,9 +179,9 @@ def _of_note(noted: ReadNote, routes: dict[int, str | None], words: dict[int, Op
         # Told with the vehicle's next heartbeat, as in flight.
         routes[note.sysid] = note.blocked
     elif isinstance(note, OperatorWord):
-        before = words.get(note.sysid)
+        is_news = note.sysid not in words or not noted.repeated
         words[note.sysid] = note
-        if not noted.repeated or before is None:
+        if is_news:
             yield note
-    else:
+    elif note is not None:
         yield note

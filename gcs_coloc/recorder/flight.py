@@ -1,0 +1,63 @@
+"""The service's side of a recording: what goes into it, or into nothing where none is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from pathlib import Path
+
+from gcs_coloc.config import MavlinkConfig, RecordConfig
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.messages import Outbound
+from gcs_coloc.mavlink.decoder import Frame
+from gcs_coloc.mavlink.framing import RawFrame
+from gcs_coloc.recorder.journal import Journal
+from gcs_coloc.recorder.notes import Note
+from gcs_coloc.recorder.recorder import Recorder
+
+
+class FlightRecording:
+    """Hands the flight of one engine to a recorder. Every call returns at once; without a recorder nothing is done."""
+
+    def __init__(self, wanted: RecordConfig, ids: MavlinkConfig, engine: Engine) -> None:
+        """Begin the recording.
+
+        Raises:
+            RecordError: its directory cannot be written to.
+        """
+        where = (Path(wanted.directory), wanted.rotate_mb * 1_000_000, ids.system_id, ids.component_id)
+        self._recorder = Recorder(*where) if wanted.directory else None
+        self._journal = Journal(engine)
+
+    def heard(self, at_s: float, frames: Iterable[RawFrame], refused: Collection[Frame]) -> None:
+        """Record the frames of a datagram, but those that were refused: the engine never saw them."""
+        if self._recorder is None:
+            return
+        left_out = {(frame.sysid, frame.compid, frame.sequence, frame.message_id) for frame in refused}
+        for raw in frames:
+            if (raw.sysid, raw.compid, raw.sequence, raw.message_id) not in left_out:
+                self._recorder.frame(at_s, raw.frame)
+
+    def sent(self, at_s: float, frame: bytes) -> None:
+        """Record a frame that we sent, at the engine's time: a record never lies before the one in front of it."""
+        if self._recorder is not None:
+            self._recorder.frame(at_s, frame)
+
+    def told(self, note: Note) -> None:
+        """Record what the engine was told besides frames."""
+        if self._recorder is not None:
+            self._recorder.note(note)
+
+    def polled(self, at_s: float, outputs: list[Outbound]) -> None:
+        """Record what came of one deadline of the engine."""
+        if self._recorder is not None:
+            for entry in self._journal.polled(at_s, outputs):
+                self._recorder.entry(entry)
+
+    def news(self) -> tuple[str, str] | None:
+        """Level and text for the operator, see `Recorder.news`."""
+        return self._recorder.news() if self._recorder is not None else None
+
+    def close(self) -> None:
+        """End the recording."""
+        if self._recorder is not None:
+            self._recorder.close()

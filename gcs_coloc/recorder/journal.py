@@ -1,0 +1,89 @@
+"""What is kept of a flight besides the frames: each vehicle, new residuals, health changes and notices, on the engine's grid.
+
+Made from the engine's deadlines alone, so that a replay makes the same journal to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.messages import HealthChanged, Notice, Outbound
+from gcs_coloc.core.view import RangeView, VehicleView
+
+EVERY_S = 0.2
+_SAME_S = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleEntry:
+    """One vehicle at service time `at_s` (UNIX seconds)."""
+
+    at_s: float
+    vehicle: VehicleView
+
+
+@dataclass(frozen=True, slots=True)
+class RangeEntry:
+    """What the estimator made of one range, told at service time `at_s`; `range.age_s` before that it was measured."""
+
+    at_s: float
+    range: RangeView
+
+
+Entry = VehicleEntry | RangeEntry | HealthChanged | Notice
+
+NAMES: Mapping[type, str] = {VehicleEntry: "vehicle", RangeEntry: "range", HealthChanged: "health", Notice: "notice"}
+_ADAPTERS: Mapping[type, TypeAdapter[Any]] = {kind: TypeAdapter(kind) for kind in NAMES}
+
+
+class Journal:
+    """Keeps the journal of one engine: every vehicle five times a second, everything else as it comes."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._due_s = float("-inf")
+        self._told: dict[tuple[int, int], float] = {}
+
+    def polled(self, at_s: float, outputs: list[Outbound]) -> list[Entry]:
+        """The entries of one deadline of the engine: its time and its outputs."""
+        entries: list[Entry] = [output for output in outputs if isinstance(output, HealthChanged | Notice)]
+        if at_s < self._due_s:
+            return entries
+        self._due_s = at_s + EVERY_S
+        view = self._engine.view(at_s)
+        entries.extend(VehicleEntry(at_s, vehicle) for vehicle in view.vehicles)
+        for one in view.ranges:
+            pair, measured_at_s = (one.from_sysid, one.to_sysid), at_s - one.age_s
+            if measured_at_s > self._told.get(pair, float("-inf")) + _SAME_S:
+                self._told[pair] = measured_at_s
+                entries.append(RangeEntry(at_s, one))
+        return entries
+
+
+def as_json(entry: Entry) -> bytes:
+    """An entry as one JSON object; a number that is not finite becomes null."""
+    encoded: bytes = _ADAPTERS[type(entry)].dump_json(entry)
+    return encoded
+
+
+def schema_of(kind: type) -> dict[str, Any]:
+    """The JSON schema of one kind of entry, without references: some viewers follow none."""
+    schema = _ADAPTERS[kind].json_schema(mode="serialization")
+    definitions = schema.pop("$defs", {})
+    inlined: dict[str, Any] = _inline(schema, definitions)
+    return inlined
+
+
+def _inline(part: Any, definitions: Mapping[str, Any]) -> Any:
+    if isinstance(part, list):
+        return [_inline(item, definitions) for item in part]
+    if not isinstance(part, dict):
+        return part
+    if "$ref" in part:
+        return _inline(definitions[part["$ref"].rpartition("/")[2]], definitions)
+    return {key: _inline(value, definitions) for key, value in part.items()}

@@ -1,0 +1,71 @@
+"""The journal as MCAP, the file format of Foxglove and Lichtblick: JSON messages with their schemas."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+
+from gcs_coloc.recorder.journal import NAMES, Entry, VehicleEntry, as_json, schema_of
+
+_CHUNK_BYTES = 1024
+"""Five entries of one vehicle, a second of its flight, are more: what is not yet in a whole chunk is less than a second old."""
+
+END_MARK = struct.pack("<BQI", Opcode.DATA_END, 4, 0) + struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0) + MCAP0_MAGIC
+"""Ends an MCAP file without an index. Standing behind what `take` has handed out, it makes a whole file of it."""
+
+
+class McapEncoder:
+    """Entries to the bytes of one MCAP file. `take` hands out what is complete: after a crash it opens as far as it goes."""
+
+    def __init__(self) -> None:
+        self._sink = _Sink()
+        self._writer = Writer(self._sink, chunk_size=_CHUNK_BYTES, compression=CompressionType.NONE)
+        self._writer.start(profile="", library="gcs-coloc")
+        self._schemas = {
+            kind: self._writer.register_schema(f"gcs_coloc.{name}", "jsonschema", json.dumps(schema_of(kind)).encode())
+            for kind, name in NAMES.items()
+        }
+        self._channels: dict[str, int] = {}
+
+    def add(self, entry: Entry) -> None:
+        """Add one entry at its own time. Topics: /vehicle/N, /range, /health, /notice."""
+        kind = type(entry)
+        topic = f"/vehicle/{entry.vehicle.sysid}" if isinstance(entry, VehicleEntry) else f"/{NAMES[kind]}"
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[kind])
+        time_ns = round(entry.at_s * 1e6) * 1000
+        self._writer.add_message(channel, time_ns, as_json(entry), time_ns)
+
+    def take(self) -> bytes:
+        """The bytes that were completed since the last call."""
+        return self._sink.take()
+
+    def finish(self) -> bytes:
+        """The last bytes, with the index and the end mark."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        return self._sink.take()
+
+
+class _Sink(io.BytesIO):
+    """Collects what the MCAP writer writes; `tell` goes on counting over what was taken."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._taken = 0
+
+    def tell(self) -> int:
+        """The offset in the file."""
+        return self._taken + super().tell()
+
+    def take(self) -> bytes:
+        """Everything that was written since the last call."""
+        data = self.getvalue()
+        self._taken += len(data)
+        self.seek(0)
+        self.truncate()
+        return data

@@ -1,0 +1,203 @@
+"""Records a flight: the caller only queues, a thread of its own writes. A slow or full disk costs recording, never flight."""
+
+from __future__ import annotations
+
+import errno
+import queue
+import threading
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+from gcs_coloc.core.errors import RecordError
+from gcs_coloc.core.messages import OperatorWord, RouteReport
+from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.recorder.journal import Entry
+from gcs_coloc.recorder.notes import Note, NoteWriter
+from gcs_coloc.recorder.part import Part
+from gcs_coloc.recorder.tlog_writer import tlog_record
+
+LOST = "recording: frames and entries lost"
+
+_QUEUE_ITEMS = 20_000
+_FLUSH_S = 0.5
+_SYNC_S = 1.0
+_RETRY_S = 5.0
+_JOIN_S = 5.0
+
+_Item = tuple[float, bytes] | Note | Entry
+
+
+class Recorder:
+    """One recording in a directory. `frame`, `note` and `entry` never wait and never raise; `counts` says what was lost."""
+
+    def __init__(self, directory: Path, rotate_bytes: int, sysid: int, compid: int) -> None:
+        """Make the directory and the first part.
+
+        Raises:
+            RecordError: it cannot be written to; the text says why.
+        """
+        self.counts = Counts()
+        self._directory = directory
+        self._rotate_bytes = rotate_bytes
+        self._notes = NoteWriter(sysid, compid)
+        self._routes: dict[int, str | None] = {}
+        self._queue: queue.Queue[_Item | None] = queue.Queue(_QUEUE_ITEMS)
+        self._fault: str | None = None
+        self._told: tuple[str | None, int] = (None, 0)
+        self._parts = 0
+        self._state: dict[tuple[type, int], Note] = {}
+        self._name = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            self._part: Part | None = self._open_part()
+        except OSError as error:
+            raise RecordError(f"--record {directory}: cannot be written to: {error.strerror}") from None
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def frame(self, at_s: float, frame: bytes) -> None:
+        """Record one whole frame, heard or sent, at service time `at_s` (UNIX seconds)."""
+        self._put((at_s, frame))
+
+    def note(self, note: Note) -> None:
+        """Record what the engine was told besides frames; of routes only what has changed."""
+        if isinstance(note, RouteReport):
+            if self._routes.get(note.sysid, "") == note.blocked:
+                return
+            self._routes[note.sysid] = note.blocked
+        self._put(note)
+
+    def entry(self, entry: Entry) -> None:
+        """Record one entry of the journal."""
+        self._put(entry)
+
+    def news(self) -> tuple[str, str] | None:
+        """Level and text for the operator where the recording has failed, recovered or lost something since the last call."""
+        lost, fault = self.counts.get(LOST, 0), self._fault
+        before_fault, before_lost = self._told
+        self._told = (fault, lost)
+        if fault is not None and fault != before_fault:
+            return "error", f"nothing is being recorded: {fault}; the flight goes on, and it is tried again every {_RETRY_S:g} s"
+        if fault is None and before_fault is not None:
+            return "info", f"recording again; {lost} frames and entries were lost"
+        if fault is None and lost > before_lost:
+            return "warning", f"the disk is too slow: {lost - before_lost} frames and entries were not recorded"
+        return None
+
+    def close(self) -> None:
+        """Write what is queued and end the files; a disk that does not answer for 5 s is left to itself."""
+        try:
+            self._queue.put(None, timeout=_JOIN_S)
+        except queue.Full:
+            return
+        self._thread.join(_JOIN_S)
+
+    def _put(self, item: _Item) -> None:
+        try:
+            self._queue.put_nowait(item)
+        except queue.Full:
+            self.counts.add(LOST)
+
+    def _run(self) -> None:
+        synced_at_s = retry_at_s = time.monotonic()
+        ended = False
+        while not ended:
+            items, ended = self._gather()
+            if self._part is None and time.monotonic() >= retry_at_s:
+                retry_at_s = time.monotonic() + _RETRY_S
+                self._try_to_open()
+            self._write(items)
+            if time.monotonic() - synced_at_s >= _SYNC_S:
+                synced_at_s = time.monotonic()
+                self._sync()
+        if self._part is not None:
+            self._end(self._part)
+
+    def _gather(self) -> tuple[list[_Item], bool]:
+        """What has come in over the next half second, and whether it was the last."""
+        items: list[_Item] = []
+        until_s = time.monotonic() + _FLUSH_S
+        while (left_s := until_s - time.monotonic()) > 0.0:
+            try:
+                item = self._queue.get(timeout=left_s)
+            except queue.Empty:
+                break
+            if item is None:
+                return items, True
+            items.append(item)
+        return items, False
+
+    def _write(self, items: list[_Item]) -> None:
+        if not items:
+            return
+        try:
+            self._turn_over()
+            records = self._head(items[0]) if self._part is not None and self._part.size == 0 else bytearray()
+            entries: list[Entry] = []
+            for item in items:
+                if isinstance(item, tuple):
+                    records += tlog_record(*item)
+                elif isinstance(item, Note):
+                    if isinstance(item, OperatorWord | RouteReport):
+                        self._state[type(item), item.sysid] = item
+                    records += tlog_record(item.received_at_s, self._notes.pack(item))
+                else:
+                    entries.append(item)
+            if self._part is None:
+                self.counts.add(LOST, len(items))
+            else:
+                self._part.write(bytes(records), entries)
+        except OSError as error:
+            self._fail(error, len(items))
+
+    def _turn_over(self) -> None:
+        if self._part is not None and self._part.size >= self._rotate_bytes:
+            part, self._part = self._part, None
+            self._end(part)
+            self._part = self._open_part()
+
+    def _head(self, first: _Item) -> bytearray:
+        """What a part begins with: that it is ours, and what the engine had been told before."""
+        at_s = first[0] if isinstance(first, tuple) else first.received_at_s if isinstance(first, Note) else first.at_s
+        head = bytearray(tlog_record(at_s, self._notes.pack(None)))
+        for note in self._state.values():
+            head += tlog_record(at_s, self._notes.pack(note, repeated=True))
+        return head
+
+    def _open_part(self) -> Part:
+        self._parts += 1
+        return Part(self._directory, f"gcs-coloc-{self._name}-{self._parts:03d}")
+
+    def _try_to_open(self) -> None:
+        try:
+            self._part = self._open_part()
+            self._fault = None
+        except OSError as error:
+            self._fault = _words(self._directory, error)
+
+    def _sync(self) -> None:
+        if self._part is not None:
+            try:
+                self._part.sync()
+            except OSError as error:
+                self._fail(error, 0)
+
+    def _end(self, part: Part) -> None:
+        try:
+            part.close()
+        except OSError as error:
+            self._fault = _words(self._directory, error)
+
+    def _fail(self, error: OSError, items: int) -> None:
+        self.counts.add(LOST, items)
+        self._fault = _words(self._directory, error)
+        if self._part is not None:
+            self._part.close(whole=False)
+            self._part = None
+
+
+def _words(directory: Path, error: OSError) -> str:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"{directory}: the disk is full"
+    return f"{directory}: {error.strerror}"
