@@ -93,7 +93,7 @@ class SendersConfig(_Section):
         False, description="components other than the autopilot may use a vehicle's system id from addresses of their own"
     )
     bytes_per_s: float = Field(
-        200_000.0, ge=10_000, allow_inf_nan=False, description="what an address sends beyond this is dropped"
+        200_000.0, ge=10_000, allow_inf_nan=False, description="what a vehicle's address, or all others, send beyond is dropped"
     )
 
 

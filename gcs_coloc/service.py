@@ -143,6 +143,7 @@ class Service:
             elif frame.message is not None:
                 self._engine.receive(frame.message)
                 if frame.is_autopilot_heartbeat:
+                    self._intake.know((link, address), received_at_s)
                     route = self._routes.route(frame.sysid, received_at_s)
                     report = RouteReport(frame.sysid, received_at_s, route.reason if isinstance(route, Blocked) else None)
                     self._engine.receive(report)

@@ -17,54 +17,58 @@ BURST_S = 0.25
 LEAST_COST_BYTES = 64
 """A datagram counts for as much however small it is: receiving it costs as well."""
 KEPT_S = 10.0
-"""A source that was silent for so long makes room for a new one."""
-MAX_SOURCES = 1024
+"""A known source that was silent for so long makes room for a new one."""
+MAX_KNOWN = 256
+"""More than a fleet can have vehicles."""
 
 
 class Intake:
-    """Admits up to `bytes_per_s` from each source.
+    """Admits up to `bytes_per_s` from each known source, and as much from all others together.
 
-    At most `max_sources` have a share of their own. While the table is full of sources that were heard lately, all others
-    together have one share: so many made-up addresses take as little room as one, and take nothing from those known before.
+    So a flood takes nothing from those known before it, from however many addresses it comes, and a vehicle that turns up
+    meanwhile gets through to become known. At most `max_known` are kept.
     """
 
-    def __init__(self, bytes_per_s: float, *, max_sources: int = MAX_SOURCES) -> None:
+    def __init__(self, bytes_per_s: float, *, max_known: int = MAX_KNOWN) -> None:
         self.counts = Counts()
         self._bytes_per_s = bytes_per_s
-        self._max_sources = max_sources
-        # When each source's bucket will have drained, in the order of last hearing.
+        self._max_known = max_known
+        # When each one's bucket will have drained, in the order of last hearing.
         self._drained_at_s: OrderedDict[Hashable, float] = OrderedDict()
         self._heard_at_s: dict[Hashable, float] = {}
         self._others_drained_at_s = float("-inf")
 
     @property
-    def sources(self) -> int:
+    def known(self) -> int:
         """How many sources have a share of their own."""
         return len(self._drained_at_s)
 
+    def know(self, source: Hashable, now_s: float) -> None:
+        """Give a source, shown at service time `now_s` to be a vehicle's, a share of its own, if there is room."""
+        if source not in self._drained_at_s and self._has_room(now_s):
+            self._drained_at_s[source] = self._heard_at_s[source] = now_s
+
     def admits(self, source: Hashable, size: int, now_s: float) -> bool:
         """Whether a datagram of `size` bytes that came from `source` at service time `now_s` is to be looked at."""
-        drained_at_s = self._drained_at_s.get(source)
-        own_share = drained_at_s is not None or self._has_room(now_s)
-        if drained_at_s is None:
-            drained_at_s = now_s if own_share else self._others_drained_at_s
-        drained_at_s = max(drained_at_s, now_s)
-        would_drain_at_s = drained_at_s + max(size, LEAST_COST_BYTES) / self._bytes_per_s
-        admitted = would_drain_at_s - now_s <= BURST_S
+        own = self._drained_at_s.get(source)
+        drained_at_s = max(self._others_drained_at_s if own is None else own, now_s)
+        cost_s = max(size, LEAST_COST_BYTES) / self._bytes_per_s
+        # Not whether this one still fits in: in a flood of small datagrams a larger one never would.
+        admitted = drained_at_s - now_s < BURST_S and cost_s <= BURST_S
         if admitted:
-            drained_at_s = would_drain_at_s
+            drained_at_s += cost_s
         else:
             self.counts.add(RATE_LIMITED)
-        if own_share:
+        if own is None:
+            self._others_drained_at_s = drained_at_s
+        else:
             self._drained_at_s[source] = drained_at_s
             self._drained_at_s.move_to_end(source)
             self._heard_at_s[source] = now_s
-        else:
-            self._others_drained_at_s = drained_at_s
         return admitted
 
     def _has_room(self, now_s: float) -> bool:
-        if len(self._drained_at_s) < self._max_sources:
+        if len(self._drained_at_s) < self._max_known:
             return True
         stalest = next(iter(self._drained_at_s))
         if now_s - self._heard_at_s[stalest] < KEPT_S:

@@ -15,7 +15,7 @@ _MENDS = {
     "signature_old": "signed over a minute before our time: a vehicle that has no time yet, or a recording",
     "signature_future": "the vehicle's signing time is beyond 2100: its clock is wrong",
     "signature_streams_full": "more signed senders than there is room for",
-    "rate_limited": "an address sends more than senders.bytes_per_s: a flood, or a busy router",
+    "rate_limited": "more than senders.bytes_per_s: a flood, or a busy router",
     "route_table_full": "more senders than there is room for: is something flooding the link?",
 }
 

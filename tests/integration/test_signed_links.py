@@ -5,6 +5,8 @@ from __future__ import annotations
 import random
 import signal
 import socket
+import subprocess
+import sys
 import time
 
 import pytest
@@ -128,3 +130,18 @@ def test_mavutil_with_our_key_is_heard_and_verifies_what_we_send(start_signed, f
         assert (answer.get_srcSystem(), answer.get_srcComponent()) == (254, 191)
     finally:
         peer.close()
+
+
+def test_a_key_that_others_can_read_ends_in_one_line_with_the_mend(tmp_path, free_port):
+    key_file, config = tmp_path / "signing.key", tmp_path / "coloc.toml"
+    key_file.write_text(KEY.hex())
+    key_file.chmod(0o644)
+    config.write_text(f'links = ["127.0.0.1:{free_port}"]\n[signing]\nkey_file = "{key_file}"\nmode = "require"\n')
+    for arguments in (["--config", str(config)], ["check-config", str(config)]):
+        done = subprocess.run(
+            [sys.executable, "-m", "gcs_coloc", *arguments], capture_output=True, text=True, timeout=60, check=False
+        )
+        assert (done.returncode, done.stdout) == (2, "")
+        assert len(done.stderr.strip().splitlines()) == 1
+        assert f"chmod 600 {key_file}" in done.stderr
+        assert KEY.hex() not in done.stderr
