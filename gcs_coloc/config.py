@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from pydantic.dataclasses import dataclass
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
+from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.engine import EngineSettings
 from gcs_coloc.core.errors import ConfigError
 from gcs_coloc.core.feed import FeedSettings
@@ -23,7 +24,7 @@ from gcs_coloc.core.gps_input import AidSettings
 from gcs_coloc.core.health import HealthSettings
 
 _STRICT = ConfigDict(extra="forbid")
-_MAY_BE_ZERO = ("lag_s", "gps_id")
+_MAY_BE_ZERO = ("lag_s", "gps_id", "least_delay_s")
 
 
 class _Checked:
@@ -50,6 +51,11 @@ class FeedConfig(_Checked, FeedSettings):
 @dataclass(frozen=True, config=_STRICT)
 class AidConfig(_Checked, AidSettings):
     """`[aid]`: what is sent to a vehicle without GPS."""
+
+
+@dataclass(frozen=True, config=_STRICT)
+class TimeConfig(_Checked, TimeSettings):
+    """`[time]`: whose clock says what."""
 
 
 class _Section(BaseModel):
@@ -175,6 +181,7 @@ class Settings(BaseSettings):
     health: HealthConfig = Field(default_factory=HealthConfig)
     feed: FeedConfig = Field(default_factory=FeedConfig)
     aid: AidConfig = Field(default_factory=AidConfig)
+    time: TimeConfig = Field(default_factory=TimeConfig)
 
     @classmethod
     def settings_customise_sources(
@@ -195,6 +202,7 @@ class Settings(BaseSettings):
             health=self.health,
             feed=self.feed,
             aid=self.aid,
+            time=self.time,
             request_streams=self.fleet.request_streams,
             most_vehicles=self.fleet.most_vehicles,
         )

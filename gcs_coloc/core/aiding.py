@@ -12,6 +12,7 @@ from gcs_coloc.core.health import GpsState
 from gcs_coloc.core.measurements import Estimate, Unknown
 from gcs_coloc.core.messages import Autopilot, GpsInput, Notice, Outbound
 
+_LONGEST_LEAD_S = 0.5  # beyond, a prediction is worth less than the delay costs
 _AIDED_STATES = (GpsState.FAILED, GpsState.RECOVERING)
 
 
@@ -72,14 +73,17 @@ class Aiding:
         """The GPS_INPUT messages that are due by `now_s`, with a notice where a stream gains or loses its fix.
 
         `answer` is the estimator's: where a vehicle is at a service time. Deadlines keep a fixed grid; those that a
-        late call has missed are left out, never caught up with.
+        late call has missed are left out, never caught up with. The vehicle takes the data to be `lag_s` old when they
+        arrive, so that they are for as much later as the link is known to take at least; what a message takes longer, its
+        driver finds by the time in it.
         """
         out: list[Outbound] = []
-        at_s = now_s - self.settings.lag_s
-        unix_s = at_s + utc_minus_service_s if utc_minus_service_s is not None else None
         for sysid, stream in self._streams.items():
             if now_s < stream.due_s:
                 continue
+            under_way_s = min(stream.vehicle.clock.one_way_delay_s(now_s) or 0.0, _LONGEST_LEAD_S)
+            at_s = now_s + under_way_s - self.settings.lag_s
+            unix_s = at_s + utc_minus_service_s if utc_minus_service_s is not None else None
             missed = int((now_s - stream.due_s) / self._period_s)
             stream.due_s += (missed + 1) * self._period_s
             where = answer(sysid, at_s)

@@ -52,9 +52,9 @@ class VehicleClock:
 
     def learn(self, stamp_s: float, received_at_s: float) -> bool:
         """Take one stamp; False where it jumps and must not be used."""
-        began_at_s = self.stamps.began_at_s
+        known, began_at_s = self.stamps.known, self.stamps.began_at_s
         taken = self.stamps.learn(stamp_s, received_at_s)
-        if self.stamps.began_at_s != began_at_s:
+        if known and self.stamps.began_at_s != began_at_s:
             self.round_trips.forget()
         return taken
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 from gcs_coloc.core.aiding import Aiding
 from gcs_coloc.core.bound import horizontal_bound_95_m, horizontal_sigma_m
+from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.feed import Feed, FeedSettings
 from gcs_coloc.core.fleet import Fleet, Vehicle
 from gcs_coloc.core.gps_input import AidSettings
@@ -37,6 +38,8 @@ from gcs_coloc.core.messages import (
     RouteReport,
     SystemHealth,
     SystemTime,
+    TimeSyncAnswer,
+    TimeSyncRequest,
 )
 from gcs_coloc.core.residuals import ResidualLog
 from gcs_coloc.core.streams import StreamRequests
@@ -56,6 +59,7 @@ class EngineSettings:
     health: HealthSettings = field(default_factory=HealthSettings)
     feed: FeedSettings = field(default_factory=FeedSettings)
     aid: AidSettings = field(default_factory=AidSettings)
+    time: TimeSettings = field(default_factory=TimeSettings)
     request_streams: bool = True
     most_vehicles: int = 250
 
@@ -67,7 +71,7 @@ class Engine:
         self.settings = settings if settings is not None else EngineSettings()
         self.estimator: Estimator = GuardedEstimator(estimator, self._tell_of_estimator)
         self.fleet = Fleet(self.settings.health, self.settings.most_vehicles)
-        self.feed = Feed(self.settings.feed)
+        self.feed = Feed(self.settings.feed, self.settings.time)
         self.aiding = Aiding(self.settings.aid)
         self._streams = StreamRequests()
         self._residuals = ResidualLog()
@@ -117,6 +121,7 @@ class Engine:
             self._housekeeping_due_s = now_s + _HOUSEKEEPING_S
             for vehicle in self.fleet:
                 self._review(vehicle, now_s)
+                self._ask_time(vehicle, now_s)
             self._residuals.take(self.estimator.take_residuals(), now_s)
             if self.settings.request_streams:
                 self._outbox.extend(self._streams.due(now_s))
@@ -200,6 +205,10 @@ class Engine:
                 measurement = self.feed.attitude(message, vehicle)
             case PeerRange():
                 measurement = self.feed.range(message, vehicle, self.fleet.get(message.peer_sysid))
+            case TimeSyncAnswer():
+                refusal = vehicle.clock.answered(message.ts1_ns, message.tc1_ns / 1e9, message.received_at_s)
+                if refusal is not None:
+                    self._refused[f"TIMESYNC: answer {refusal}"] += 1
             case Airspeed():
                 vehicle.airspeed = message
             case Heartbeat():
@@ -229,6 +238,13 @@ class Engine:
                 self._subjects = subjects
                 self.estimator.set_subjects(subjects, now_s)
         self._outbox.extend(self.aiding.review(vehicle, now_s))
+
+    def _ask_time(self, vehicle: Vehicle, now_s: float) -> None:
+        if vehicle.blocked is not None or vehicle.autopilot is None:
+            return
+        ts1_ns = vehicle.clock.round_trips.ask(vehicle.sysid, now_s, self.settings.time.timesync_period_s)
+        if ts1_ns is not None:
+            self._outbox.append(TimeSyncRequest(vehicle.sysid, ts1_ns))
 
     def _answer(self, sysid: int, at_s: float) -> Estimate | Unknown:
         where = self.estimator.estimate(sysid, at_s)

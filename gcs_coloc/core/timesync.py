@@ -145,4 +145,5 @@ def _estimate(exchanges: deque[_Exchange], drift: Drift) -> Synchronised:
         # Where the two contradict each other, queues in one direction have shifted the mean.
         contradiction_s = max(abs(mean_s - offset_s) - 3.0 * hypot(sigma_s, mean_sigma_s), 0.0)
         offset_s, sigma_s = min(max(mean_s, -least_up_s), least_down_s), hypot(mean_sigma_s, contradiction_s)
-    return Synchronised(now_s, offset_s, max(hypot(sigma_s, _ASYMMETRY * one_way_s), _FINEST_S), one_way_s, drift)
+    drifted_s = drift.sigma * (now_s - float(at_s.mean()))
+    return Synchronised(now_s, offset_s, max(hypot(sigma_s, _ASYMMETRY * one_way_s, drifted_s), _FINEST_S), one_way_s, drift)

@@ -12,7 +12,7 @@ import numpy as np
 
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import Estimate, FloatArray
-from gcs_coloc.core.messages import ClockReference, GpsInput, HealthChanged, RouteReport, StreamRequest
+from gcs_coloc.core.messages import ClockReference, GpsInput, HealthChanged, RouteReport, ToVehicle
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.encoder import Encoder
 from sitl_fakes.fleet import STEP_S, Fleet
@@ -98,7 +98,7 @@ def _poll(engine: Engine, until_s: float, fleet: Fleet, encoder: Encoder, flight
         for output in engine.poll(at_s):
             if isinstance(output, HealthChanged):
                 flight.changes.append(output)
-            elif isinstance(output, GpsInput | StreamRequest):
+            elif isinstance(output, ToVehicle):
                 if isinstance(output, GpsInput):
                     flight.gps_inputs[output.sysid] = flight.gps_inputs.get(output.sysid, 0) + 1
                 if aided:
