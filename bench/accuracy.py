@@ -42,11 +42,11 @@ _PEERS = ("fleet", "filterpy EKF", "filterpy UKF", "Stone Soup EKF", "GTSAM smoo
 def measure(quick: bool) -> list[Figure]:
     """Run all of it; what is not reached says so."""
     return [
-        *(figure for case in _MODEL_CASES for figure in _own_model(case, 20 if quick else 200)),
-        *_paper_flight("E2 paper's flight, 50 Hz", _PLAIN, 2 if quick else 20, 13.0, 5.5, "range-fed CV EKF 15.8 / 6.0"),
-        *_paper_flight("E3 with air data, wind 8 m/s", _AIDED, 2 if quick else 10, 7.0, None, "bound about 5.7"),
-        *_telemetry(4 if quick else 20),
-        *_two_failed(4 if quick else 20),
+        *(figure for case in _MODEL_CASES for figure in _own_model(case, 16 if quick else 200)),
+        *_paper_flight("E2 paper's flight, 50 Hz", _PLAIN, 1 if quick else 20, 13.0, 5.5, "range-fed CV EKF 15.8 / 6.0"),
+        *_paper_flight("E3 with air data, wind 8 m/s", _AIDED, 1 if quick else 10, 7.0, None, "bound about 5.7"),
+        *_telemetry(2 if quick else 20),
+        *_two_failed(2 if quick else 20),
         *accuracy_recordings.measure_ranges(),
         *accuracy_recordings.measure_replay(),
         *_peers(5.0, 1 if quick else 4),
