@@ -20,7 +20,7 @@ from gcs_coloc.core.measurements import (
     Residual,
     Unknown,
 )
-from gcs_coloc.estimators.fleet_model import FleetModel
+from gcs_coloc.estimators.fleet_hypotheses import FleetHypotheses
 from gcs_coloc.estimators.fleet_settings import FleetSettings
 from gcs_coloc.estimators.fleet_timeline import Entry, Key, Timeline
 
@@ -37,7 +37,9 @@ class FleetFilter:
 
     def __init__(self, settings: FleetSettings | None = None) -> None:
         self.settings = settings if settings is not None else FleetSettings()
-        self._timeline: Timeline[FleetModel, Event] = Timeline(FleetModel(self.settings), self._apply, self.settings.window_s)
+        self._timeline: Timeline[FleetHypotheses, Event] = Timeline(
+            FleetHypotheses(self.settings), self._apply, self.settings.window_s
+        )
         self._refused: Counter[str] = Counter()
         self._residuals: deque[Residual] = deque(maxlen=_RESIDUALS_KEPT)
         self._now_s = -math.inf
@@ -88,7 +90,7 @@ class FleetFilter:
             self._now_s = arrived_at_s
             self._timeline.settle(arrived_at_s)
 
-    def _apply(self, model: FleetModel, entry: Entry[Event]) -> str:
+    def _apply(self, model: FleetHypotheses, entry: Entry[Event]) -> str:
         event = entry.event
         if isinstance(event, frozenset):
             model.set_subjects(event, entry.key[0])

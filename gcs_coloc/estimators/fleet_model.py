@@ -59,6 +59,30 @@ class FleetModel:
         other._tidied_at_s = self._tidied_at_s
         return other
 
+    def take_over(self, other: FleetModel, vehicle: int) -> None:
+        """Replace what this model has of the vehicles in a vehicle's cluster by a copy of what another model has of them."""
+        cluster = other.clusters[vehicle]
+        members = [v for v, c in other.clusters.items() if c is cluster]
+        for member in members:
+            self._drop(member)
+            self.records[member] = other.records[member].copy()
+        taken = Cluster(self.settings, self.records, cluster.joint.copy())
+        self.clusters.update(dict.fromkeys(members, taken))
+        for key, white in other.pairs.items():
+            if key[0] in members:
+                self.pairs[key] = white.copy()
+        self._tidied_at_s = other._tidied_at_s
+
+    def learn(self, other: FleetModel, vehicles: tuple[int, ...]) -> None:
+        """Take from another model what it knows of vehicles that are in no cluster of this one."""
+        for vehicle in vehicles:
+            if vehicle in self.clusters or vehicle not in other.records:
+                continue
+            self.records[vehicle] = other.records[vehicle].copy()
+            cluster = other.clusters.get(vehicle)
+            if cluster is not None and not any(v in self.clusters for v, c in other.clusters.items() if c is cluster):
+                self.take_over(other, vehicle)
+
     def set_subjects(self, subjects: frozenset[int], at_s: float) -> None:
         """Change who is to be located; a new subject starts from its last reports if these are fresh."""
         for vehicle in sorted(subjects):
