@@ -16,6 +16,7 @@ from rich.logging import RichHandler
 from gcs_coloc import __version__
 from gcs_coloc.commands import evaluate, replay, study
 from gcs_coloc.core.errors import GcsColocError, UsageError
+from gcs_coloc.sinks.log_writer import LogWriter
 
 PROGRAM = "gcs-coloc"
 
@@ -156,4 +157,5 @@ def _log_to_stderr(level: LogLevel, console: Console) -> None:
     else:
         handler = logging.StreamHandler(sys.stderr)
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+        handler = LogWriter(handler)
     logging.basicConfig(level=level.value.upper(), handlers=[handler], force=True)

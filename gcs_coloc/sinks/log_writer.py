@@ -1,0 +1,44 @@
+"""Log lines written by a thread of their own: whoever does not read them must not hold the service up."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import queue
+import threading
+from logging.handlers import QueueHandler
+
+MOST_WAITING = 2000
+_LAST_LINES_S = 2.0
+
+
+class LogWriter(QueueHandler):
+    """Hands records to `handler` on a thread. While that is held up, `most` records wait; the newest beyond them are lost.
+
+    A pipe that nobody reads is full after 64 kB, and then every write to it waits for ever.
+    """
+
+    def __init__(self, handler: logging.Handler, most: int = MOST_WAITING) -> None:
+        self._records: queue.Queue[logging.LogRecord | None] = queue.Queue(most)
+        super().__init__(self._records)
+        self.lost = 0
+        self._writing = threading.Thread(target=self._write, args=(handler,), name="log", daemon=True)
+        self._writing.start()
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        """Queue a record; never waits."""
+        try:
+            self._records.put_nowait(record)
+        except queue.Full:
+            self.lost += 1
+
+    def close(self) -> None:
+        """Write what waits, as the program ends; where nobody reads, it is given up after a moment."""
+        with contextlib.suppress(queue.Full):
+            self._records.put_nowait(None)
+            self._writing.join(_LAST_LINES_S)
+        super().close()
+
+    def _write(self, handler: logging.Handler) -> None:
+        while (record := self._records.get()) is not None:
+            handler.handle(record)

@@ -1,0 +1,58 @@
+"""A log that nobody reads holds nothing up and loses its newest lines only."""
+
+import logging
+import threading
+
+import pytest
+
+from gcs_coloc.sinks.log_writer import LogWriter
+
+
+class Slow(logging.Handler):
+    """Writes nothing until it is let go."""
+
+    def __init__(self):
+        super().__init__()
+        self.begun, self.go = threading.Event(), threading.Event()
+        self.lines = []
+
+    def emit(self, record):
+        self.begun.set()
+        self.go.wait()
+        self.lines.append(record.getMessage())
+
+
+@pytest.fixture
+def slow():
+    handler = Slow()
+    yield handler
+    handler.go.set()
+
+
+def logged(writer, texts):
+    log = logging.Logger("test")
+    log.addHandler(writer)
+    for text in texts:
+        log.info("line %s", text)
+
+
+def test_what_is_logged_while_nobody_reads_does_not_wait(slow):
+    writer = LogWriter(slow, most=10)
+    logged(writer, ["first"])
+    assert slow.begun.wait(20)
+    logged(writer, range(1000))
+    assert writer.lost == 990
+    assert slow.lines == []
+    slow.go.set()
+    writer._records.put(None)  # waits for room, and ends the thread behind the last line
+    writer._writing.join(20)
+    assert slow.lines == ["line first", *(f"line {number}" for number in range(10))]
+
+
+def test_the_last_lines_are_written_at_the_end(slow):
+    slow.go.set()
+    writer = LogWriter(slow)
+    logged(writer, range(500))
+    writer.close()
+    assert slow.lines == [f"line {number}" for number in range(500)]
+    assert writer.lost == 0
