@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -59,12 +59,17 @@ def replay(
         "wire": dict(counts.wire),
         **report.as_dict(),
     }
-    for damage, amount in log.counts.items():
-        print(f"gcs-coloc: warning: {file}: {damage.replace('_', ' ')}: {amount}; replayed what is whole", file=sys.stderr)
+    warn_of_damage(file, log.counts)
     if as_json:
         print(json.dumps(result, indent=2))
     else:
         print("\n".join(_lines(result)))
+
+
+def warn_of_damage(file: Path, damage: Mapping[str, int]) -> None:
+    """Say on stderr what of a recording could not be read."""
+    for kind, amount in damage.items():
+        print(f"gcs-coloc: warning: {file}: {kind.replace('_', ' ')}: {amount}; replayed what is whole", file=sys.stderr)
 
 
 def _pace(speed: str) -> Callable[[float], None]:

@@ -1,0 +1,69 @@
+"""A recorded flight told again: replayed through the engine, with everything that export and report want to show of it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gcs_coloc.config import Settings
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.messages import HealthChanged, Notice, Outbound
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.recorder.flight_report import FlightReport
+from gcs_coloc.recorder.journal import Journal, RangeEntry, VehicleEntry
+from gcs_coloc.recorder.replay import ReplayCounts, read_ranges, read_truth, replay
+from gcs_coloc.recorder.tlog import TlogReader
+
+
+@dataclass(slots=True)
+class Story:
+    """What a flight came to. `tracks`: each vehicle's entries in order of time. `damage`: what of the file could not be read."""
+
+    file: Path
+    estimator: str
+    counts: ReplayCounts
+    report: FlightReport
+    damage: Mapping[str, int]
+    tracks: Mapping[int, list[VehicleEntry]] = field(default_factory=dict)
+    ranges: list[RangeEntry] = field(default_factory=list)
+    health: list[HealthChanged] = field(default_factory=list)
+    notices: list[Notice] = field(default_factory=list)
+
+
+def retell(file: Path, settings: Settings, ranges: Path | None, truth: Path | None) -> Story:
+    """Replay a recording and keep what there is to tell.
+
+    Args:
+        file: the tlog.
+        settings: those of the flight.
+        ranges: a table of ranges beside the recording, or None.
+        truth: a table of true positions, or None.
+
+    Raises:
+        DataError: a file cannot be read or is not what it should be.
+        EstimatorError: the estimator cannot be loaded.
+    """
+    engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
+    log, journal = TlogReader(file), Journal(engine)
+    report = FlightReport(engine, read_truth(truth) if truth is not None else [])
+    tracks: dict[int, list[VehicleEntry]] = defaultdict(list)
+    story = Story(file, engine.estimator.name, ReplayCounts(), report, log.counts, tracks)
+
+    def on_poll(at_s: float, outputs: list[Outbound]) -> None:
+        report.polled(at_s, outputs)
+        for entry in journal.polled(at_s, outputs):
+            if isinstance(entry, VehicleEntry):
+                tracks[entry.vehicle.sysid].append(entry)
+            elif isinstance(entry, RangeEntry):
+                story.ranges.append(entry)
+            elif isinstance(entry, HealthChanged):
+                story.health.append(entry)
+            else:
+                story.notices.append(entry)
+
+    own = (settings.mavlink.system_id, settings.mavlink.component_id)
+    told = read_ranges(ranges) if ranges is not None else []
+    story.counts = replay(engine, log, told, report.observation_times(), on_poll, report.observe, own=own)
+    return story
