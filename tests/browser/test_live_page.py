@@ -76,6 +76,9 @@ def test_a_failed_vehicle_gets_an_alarm_until_acknowledged_an_ellipse_and_its_cl
     expect(page.locator("path.ellipse:not([d='M0 0'])")).to_have_count(1)
     expect(page.get_by_role("button", name="Vehicle 4: its own claim, not believed")).to_be_visible()
     expect(page.locator("path.range")).to_have_count(3)
+    card(page, 4).click()
+    page.get_by_role("button", name="Follow it").click()
+    wait_for(lambda: page.locator("path.ellipse:not([d='M0 0'])").bounding_box()["width"] > 60, "an ellipse that can be seen")
     page.reload()
     expect(alarm).to_be_visible()  # what nobody has acknowledged is still there for a page that opens late
     alarm.get_by_role("button", name="Acknowledge vehicle 4").click()

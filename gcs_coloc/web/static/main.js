@@ -24,6 +24,8 @@ const plots = new Plots();
 const fleet = new FleetList(select);
 const map = new FleetMap(select);
 
+byId("follow").addEventListener("click", () => map.followSelected());
+
 function select(sysid) {
   for (const part of [fleet, map, plots]) part.select(sysid);
   if (frame !== null) draw();

@@ -15,7 +15,7 @@ export class FleetMap {
     this.ranges = new Map();
     this.prints = new WeakMap();
     this.selected = null;
-    this.userMoved = false;
+    this.mode = "all"; // what the map keeps in view: "all", the "selected" vehicle, or what the "user" chose
     this.map = L.map("map", {
       crs: L.CRS.Simple, minZoom: -9, maxZoom: 7, zoomSnap: 0.25, attributionControl: false, zoomControl: false, center: [0, 0], zoom: 0, fadeAnimation: false, zoomAnimation: false,
     });
@@ -25,10 +25,11 @@ export class FleetMap {
     this.grid = L.layerGroup().addTo(this.map);
     this.gridRenderer = L.svg({ pane: "grid" });
     this.map.on("moveend zoomend resize", () => this.drawGrid());
-    this.map.on("dragstart", () => { this.userMoved = true; });
-    for (const kind of ["wheel", "keydown"]) byId("map").addEventListener(kind, () => { this.userMoved = true; }, { passive: true });
-    document.querySelector(".leaflet-control-zoom").addEventListener("click", () => { this.userMoved = true; });
-    byId("fit").addEventListener("click", () => { this.userMoved = false; this.fit(); });
+    const taken = () => { this.mode = "user"; };
+    this.map.on("dragstart", taken);
+    for (const kind of ["wheel", "keydown"]) byId("map").addEventListener(kind, taken, { passive: true });
+    document.querySelector(".leaflet-control-zoom").addEventListener("click", taken);
+    byId("fit").addEventListener("click", () => { this.mode = "all"; this.fit(); });
     this.drawGrid();
   }
 
@@ -93,7 +94,8 @@ export class FleetMap {
       this.showVehicle(vehicle);
     }
     this.showRanges(frame.ranges, places);
-    if (!this.userMoved) this.fit();
+    if (this.mode === "all") this.fit();
+    if (this.mode === "selected" && places.has(this.selected)) this.map.setView(at(places.get(this.selected)), undefined, { animate: false });
   }
 
   showVehicle(vehicle) {
@@ -132,13 +134,13 @@ export class FleetMap {
     this.prints.set(mark[key], print);
     const element = mark[key].getElement();
     if (element.getAttribute("aria-label") !== title) element.setAttribute("aria-label", title);
-    element.classList.toggle("selected", this.selected === sysid);
+    element.classList.toggle("selected", key === "estimate" && this.selected === sysid);
   }
 
   shape(mark, key, points, className, closed) {
     if (mark[key] === undefined) {
       const make = closed ? L.polygon : L.polyline;
-      mark[key] = make([], { className, interactive: false }).addTo(this.map);
+      mark[key] = make([], { className, interactive: false, smoothFactor: 0 }).addTo(this.map);
     }
     mark[key].setLatLngs(points);
   }
@@ -189,6 +191,17 @@ export class FleetMap {
 
   select(sysid) {
     this.selected = sysid;
+  }
+
+  // As close as its ellipse, its claim and its own size can be told apart.
+  followSelected() {
+    const mark = this.marks.get(this.selected);
+    const bounds = L.latLngBounds([]);
+    for (const key of ["estimate", "claim"]) if (mark?.[key]) bounds.extend(mark[key].getLatLng());
+    if (mark?.ellipse.getLatLngs()[0]?.length) bounds.extend(mark.ellipse.getBounds());
+    if (!bounds.isValid()) return;
+    this.mode = "selected";
+    this.map.fitBounds(bounds.pad(1), { animate: false, maxZoom: 4 });
   }
 }
 

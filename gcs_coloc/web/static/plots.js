@@ -92,7 +92,7 @@ export class Plots {
       if (old) old.replaceWith(holder);
       else byId("plots").append(holder);
       const plot = new uPlot({
-        ...size(holder), title: kind.title, series: [{}, ...series], axes: [{ ...axis }, { ...axis, size: 46 }],
+        ...size(holder), title: kind.title, series: [{}, ...series], axes: [{ ...axis, space: 80, values: (_, times) => times.map((t) => this.clock(t)) }, { ...axis, size: 46 }],
         bands: isNis && n > 0 ? [{ series: [n + 1, n + 2], fill: css("--band") }] : [],
         cursor: { sync: { key: "time" } }, scales: { x: { time: this.offset !== null }, y: { range: (_, low, high) => [0, Math.max(high ?? 1, low ?? 1, 1) * 1.1] } },
         legend: { show: isNis ? false : kind.key === "sigma_h_m", live: false },
@@ -100,6 +100,10 @@ export class Plots {
       this.resizing.observe(holder);
       return plot;
     });
+  }
+
+  clock(t) {
+    return this.offset === null ? `${t} s` : new Date(t * 1000).toLocaleTimeString([], { hour12: false });
   }
 
   redraw() {
