@@ -18,7 +18,8 @@ from gcs_coloc.core.gps_input import AidSettings
 from gcs_coloc.core.gps_time import TABLE_GOOD_UNTIL, table_is_old
 from gcs_coloc.core.guard import GuardedEstimator
 from gcs_coloc.core.health import GpsState, HealthSettings
-from gcs_coloc.core.measurements import Estimate, FloatArray, Measurement, Unknown, Vector3
+from gcs_coloc.core.integrity import Integrity
+from gcs_coloc.core.measurements import Estimate, FloatArray, Measurement, RangeMeasurement, Unknown, Vector3
 from gcs_coloc.core.messages import (
     Airspeed,
     Attitude,
@@ -73,6 +74,7 @@ class Engine:
         self.fleet = Fleet(self.settings.health, self.settings.most_vehicles)
         self.feed = Feed(self.settings.feed, self.settings.time)
         self.aiding = Aiding(self.settings.aid)
+        self.integrity = Integrity()
         self._streams = StreamRequests()
         self._residuals = ResidualLog()
         self._outbox: list[Outbound] = []
@@ -119,6 +121,7 @@ class Engine:
         self._now_s = now_s
         if now_s >= self._housekeeping_due_s:
             self._housekeeping_due_s = now_s + _HOUSEKEEPING_S
+            self.integrity.review(now_s, self.fleet, self.feed.frame, self.estimator.estimate)
             for vehicle in self.fleet:
                 self._review(vehicle, now_s)
                 self._ask_time(vehicle, now_s)
@@ -198,6 +201,7 @@ class Engine:
                 measurement = self.feed.position(message, vehicle)
                 if vehicle.claim is not None:
                     vehicle.health.motion.take_claim(vehicle.claim, own=not vehicle.health.aided)
+                    self.integrity.claim(vehicle.claim, vehicle)
                 if measurement is not None:
                     vehicle.delay_s = measurement.arrived_at_s - measurement.measured_at_s
             case Attitude():
@@ -225,6 +229,8 @@ class Engine:
                 self._review(vehicle, message.received_at_s)
             case _:
                 pass
+        if isinstance(measurement, RangeMeasurement):
+            self.integrity.range(measurement)
         if measurement is not None:
             self.estimator.add(measurement)
 
@@ -237,6 +243,10 @@ class Engine:
             if subjects != self._subjects:
                 self._subjects = subjects
                 self.estimator.set_subjects(subjects, now_s)
+                if vehicle.health.contradiction is not None and vehicle.sysid in subjects:
+                    # What it said of late is in its state: it must start anew, from the ranges alone.
+                    self.estimator.set_subjects(subjects - {vehicle.sysid}, now_s)
+                    self.estimator.set_subjects(subjects, now_s)
         self._outbox.extend(self.aiding.review(vehicle, now_s))
 
     def _ask_time(self, vehicle: Vehicle, now_s: float) -> None:

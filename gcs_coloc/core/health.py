@@ -5,8 +5,9 @@
 
 Evidence is what the vehicle's real receiver (receiver 0) says in GPS_RAW_INT, the GPS bit of SYS_STATUS and the EKF's
 flags. The two last speak of the receiver *in use*: while the vehicle is aided they are an echo of our own stream and
-count for nothing. The injected receiver never counts. What the service itself finds (`motion_check`) counts as well: a
-receiver that repeats one position on the move is as good as lost. The operator's word wins over everything.
+count for nothing. The injected receiver never counts. What the service itself finds counts as well: a receiver that repeats
+one position on the move (`motion_check`) is as good as lost, and so is one that the ranges show to lie (`integrity`). The
+operator's word wins over everything.
 """
 
 from __future__ import annotations
@@ -26,6 +27,14 @@ class GpsState(Enum):
     SUSPECT = "suspect"
     FAILED = "failed"
     RECOVERING = "recovering"
+
+
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """What the ranges say against a vehicle's GPS position, in words; `identified`: it, and nobody else, is at fault."""
+
+    reason: str
+    identified: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +60,7 @@ class HealthSettings:
 
 @dataclass(slots=True)
 class GpsHealth:
-    """The state machine of one vehicle. Fed by `take`, `motion`, `word` and `aided`; moved on by `update`."""
+    """The state machine of one vehicle. Fed by `take`, `motion`, `contradiction`, `word` and `aided`; moved on by `update`."""
 
     settings: HealthSettings
     state: GpsState = GpsState.UNKNOWN
@@ -60,6 +69,7 @@ class GpsHealth:
     word: GpsWord = GpsWord.AUTO
     aided: bool = False
     motion: MotionCheck = field(default_factory=MotionCheck)
+    contradiction: Contradiction | None = None
     _good_since_s: float | None = field(default=None)
     _receiver: GpsReceiver | None = field(default=None)
     _system: SystemHealth | None = field(default=None)
@@ -98,6 +108,9 @@ class GpsHealth:
             return False
         if self.state is GpsState.RECOVERING:
             return self._enter(GpsState.FAILED, fault, now_s)
+        # An accusation has stood the test of several seconds before it is made.
+        if self.contradiction is not None and self.contradiction.identified:
+            return self._enter(GpsState.FAILED, fault, now_s)
         lost_fix = self._receiver is not None and self._receiver_fault(self._receiver) is not None
         if self.state is GpsState.SUSPECT and lost_fix and now_s - self.since_s >= self.settings.fail_after_s:
             return self._enter(GpsState.FAILED, fault, now_s)
@@ -124,6 +137,8 @@ class GpsHealth:
                 return fault
             if now_s - receiver.received_at_s > self.settings.silence_s:
                 return f"no GPS_RAW_INT for more than {self.settings.silence_s:g} s"
+        if self.contradiction is not None:
+            return self.contradiction.reason
         if self.aided:
             return None
         implausible = self.motion.implausible(now_s)

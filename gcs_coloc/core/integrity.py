@@ -1,0 +1,110 @@
+"""Consistency of the fleet's GPS with its ranges, between the engine's records and the test: who claims what, who has lied.
+
+A vehicle that is trusted or suspected claims what its autopilot reports. One that has failed claims nothing: its autopilot
+echoes our aid, so it is placed where the estimator has it, and the test takes that place as free. An accused one is
+believed again only after its real receiver has agreed for a while with where the ranges put it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import hypot, sqrt
+
+import numpy as np
+
+from gcs_coloc.core.bound import horizontal_sigma_m
+from gcs_coloc.core.consistency import ConsistencySettings, RangeConsistency, Track
+from gcs_coloc.core.fleet import Fleet, Vehicle
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.health import Contradiction, GpsState
+from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement, Unknown
+
+_CLAIMS_IN = (GpsState.HEALTHY, GpsState.SUSPECT)
+_PLACED_IN = (GpsState.FAILED, GpsState.RECOVERING)
+_SIGMA_V_UNKNOWN_M = 10.0
+_FIX_LATENCY_S = 0.3
+_AGREES_SIGMAS = 3.0
+_AGREES_FOR_S = 5.0
+_WELL_KNOWN_SHARE = 0.25
+
+Answer = Callable[[int, float], Estimate | Unknown]
+
+
+class Integrity:
+    """One fleet. Feed it claims and ranges, call `review` several times a second; it sets `health.contradiction`."""
+
+    def __init__(self, settings: ConsistencySettings | None = None) -> None:
+        self.ranges = RangeConsistency(settings if settings is not None else ConsistencySettings())
+        self._agrees_since_s: dict[int, float] = {}
+
+    def claim(self, claim: PositionMeasurement, vehicle: Vehicle) -> None:
+        """Take what a vehicle says of its own position; one that is not believed for want of GPS says nothing."""
+        if vehicle.health.state not in _CLAIMS_IN or vehicle.health.aided or claim.velocity_enu_mps is None:
+            return
+        track = Track(
+            claim.measured_at_s,
+            np.array(claim.position_enu_m),
+            np.array(claim.velocity_enu_mps),
+            claim.sigma_h_m,
+            claim.sigma_v_m,
+            free=False,
+        )
+        self.ranges.place(vehicle.sysid, track)
+
+    def range(self, measurement: RangeMeasurement) -> None:
+        """Take a range between two vehicles."""
+        self.ranges.range(measurement)
+
+    def review(self, now_s: float, fleet: Fleet, frame: LocalFrame | None, answer: Answer) -> None:
+        """Place the vehicles without GPS, make the test when it is due, and tell each vehicle's health what came of it."""
+        if frame is None:
+            return
+        for vehicle in fleet:
+            if vehicle.health.state in _PLACED_IN:
+                where = answer(vehicle.sysid, now_s)
+                if isinstance(where, Estimate):
+                    sigma_v_m = min(sqrt(float(where.covariance[2, 2])), _SIGMA_V_UNKNOWN_M)
+                    self.ranges.place(
+                        vehicle.sysid,
+                        Track(now_s, where.position_enu_m, where.velocity_enu_mps, 0.0, sigma_v_m, free=True),
+                    )
+                if vehicle.sysid in self.ranges.accused and self._receiver_agrees(vehicle, frame, where, now_s):
+                    self.ranges.acquit(vehicle.sysid)
+        self.ranges.review(now_s)
+        for vehicle in fleet:
+            vehicle.health.contradiction = self._contradiction(vehicle.sysid)
+
+    def _contradiction(self, sysid: int) -> Contradiction | None:
+        accusation = self.ranges.accused.get(sysid)
+        if accusation is not None:
+            peers = ", ".join(str(peer) for peer in accusation.peers)
+            text = f"its GPS position contradicts the ranges to {peers} by {accusation.size_m:.0f} m"
+            return Contradiction(text, identified=True)
+        if sysid in self.ranges.suspected:
+            others = ", ".join(str(other) for other in sorted(self.ranges.suspected - {sysid}))
+            text = f"GPS positions and ranges contradict each other; the fault is in it or in {others or 'its ranges'}"
+            return Contradiction(text, identified=False)
+        return None
+
+    def _receiver_agrees(self, vehicle: Vehicle, frame: LocalFrame, where: Estimate | Unknown, now_s: float) -> bool:
+        """Whether the real receiver has agreed for a while with a position that is known well enough to tell."""
+        fix, accusation = vehicle.receiver, self.ranges.accused[vehicle.sysid]
+        if fix is None or fix.fix_type < 3 or isinstance(where, Unknown) or now_s - fix.received_at_s > 1.0:
+            self._agrees_since_s.pop(vehicle.sysid, None)
+            return False
+        place = frame.enu_from_geodetic(fix.lat_deg, fix.lon_deg, fix.alt_msl_m)
+        age_s = now_s - fix.received_at_s
+        east_m, north_m = (float(x) for x in (where.position_enu_m - where.velocity_enu_mps * age_s)[:2])
+        miss_m = hypot(place[0] - east_m, place[1] - north_m)
+        known_m = horizontal_sigma_m(where.covariance)
+        speed_mps = hypot(float(where.velocity_enu_mps[0]), float(where.velocity_enu_mps[1]))
+        sigma_m = sqrt(known_m**2 + (fix.h_acc_m if fix.h_acc_m is not None else 5.0) ** 2 + (speed_mps * _FIX_LATENCY_S) ** 2)
+        # A position that is less well known than the lie was large would agree with anything.
+        if miss_m > _AGREES_SIGMAS * sigma_m or known_m > _WELL_KNOWN_SHARE * accusation.size_m:
+            self._agrees_since_s.pop(vehicle.sysid, None)
+            return False
+        since_s = self._agrees_since_s.setdefault(vehicle.sysid, now_s)
+        if now_s - since_s < _AGREES_FOR_S:
+            return False
+        del self._agrees_since_s[vehicle.sysid]
+        return True
