@@ -108,6 +108,12 @@ def rmse_m(tracks: Sequence[Track], until_s: float = math.inf) -> float:
     return float(np.sqrt(np.nanmean(np.concatenate(squares))))
 
 
+def relative_error_of_mse(tracks: Sequence[Track]) -> float:
+    """Return the standard error of the mean square error over independent runs, as a share of it."""
+    means = [float(np.nanmean(np.sum(t.error_m**2, axis=1))) for t in tracks]
+    return float(np.std(means, ddof=1) / math.sqrt(len(means)) / np.mean(means))
+
+
 def anees(tracks: Sequence[Track]) -> float:
     """Return the mean normalised square of the horizontal error over all runs and stated epochs; 2 where it is honest."""
     return float(np.nanmean(np.concatenate([t.nees for t in tracks])))
