@@ -201,7 +201,7 @@ export class FleetMap {
     if (mark?.ellipse.getLatLngs()[0]?.length) bounds.extend(mark.ellipse.getBounds());
     if (!bounds.isValid()) return;
     this.mode = "selected";
-    this.map.fitBounds(bounds.pad(1), { animate: false, maxZoom: 4 });
+    this.map.fitBounds(bounds.pad(1), { animate: false, maxZoom: 6 });
   }
 }
 
