@@ -24,7 +24,7 @@ from gcs_coloc.core.gps_input import AidSettings
 from gcs_coloc.core.health import HealthSettings
 
 _STRICT = ConfigDict(extra="forbid")
-_MAY_BE_ZERO = ("lag_s", "gps_id", "least_delay_s")
+_MAY_BE_ZERO = ("lag_s", "gps_id", "least_delay_s", "require_synchronised_clock")
 
 
 class _Checked:

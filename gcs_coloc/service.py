@@ -20,6 +20,7 @@ from gcs_coloc.core.errors import WebError
 from gcs_coloc.core.messages import ClockReference, GpsWord, Notice, OperatorWord, Outbound, RouteReport, ToVehicle
 from gcs_coloc.core.view import FleetView, LinkView
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.host_clock import is_synchronised
 from gcs_coloc.links.address import parse
 from gcs_coloc.links.base import Address, Link
 from gcs_coloc.links.claims import Route
@@ -274,7 +275,7 @@ class Service:
         now_s = self._clock()
         offset_s = self._unix_minus_service_s(now_s)
         self._signed.set_clock(offset_s)
-        self._tell(ClockReference(now_s, offset_s))
+        self._tell(ClockReference(now_s, offset_s, is_synchronised()))
         recording = self._recording.news()
         if recording is not None:
             self._hub.publish(Notice(now_s, None, *recording))

@@ -27,10 +27,14 @@ class _Stream:
 
 
 class Aiding:
-    """Keeps one stream of GPS_INPUT for each vehicle that is to be aided and can be reached."""
+    """Keeps one stream of GPS_INPUT for each vehicle that is to be aided and can be reached.
+
+    `withheld` says why nobody may be aided at all, or is None.
+    """
 
     def __init__(self, settings: AidSettings) -> None:
         self.settings = settings
+        self.withheld: str | None = None
         self._period_s = 1.0 / settings.rate_hz
         self._streams: dict[int, _Stream] = {}
         self._told: dict[int, str | None] = {}
@@ -59,6 +63,8 @@ class Aiding:
         """Why a vehicle cannot be aided even if it should be, in words for the operator; None where it can."""
         if vehicle.blocked is not None:
             return vehicle.blocked
+        if self.withheld is not None:
+            return self.withheld
         if vehicle.autopilot is Autopilot.PX4:
             return "PX4 does not take GPS_INPUT: nothing is sent"
         return None

@@ -24,11 +24,13 @@ class TimeSettings:
 
     `timesync_period_s`: an autopilot is asked for its time this often.
     `least_delay_s`, `least_delay_sigma_s`: assumed least one-way delay from a vehicle that does not answer TIMESYNC.
+    `require_synchronised_clock`: no aid is sent while the host's own clock is not known to be synchronised.
     """
 
     timesync_period_s: float = 1.0
     least_delay_s: float = 0.0
     least_delay_sigma_s: float = 0.05
+    require_synchronised_clock: bool = False
 
 
 class ServiceTime(NamedTuple):

@@ -15,7 +15,6 @@ from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.feed import Feed, FeedSettings
 from gcs_coloc.core.fleet import Fleet, Vehicle
 from gcs_coloc.core.gps_input import AidSettings
-from gcs_coloc.core.gps_time import TABLE_GOOD_UNTIL, table_is_old
 from gcs_coloc.core.guard import GuardedEstimator
 from gcs_coloc.core.health import GpsState, HealthSettings
 from gcs_coloc.core.integrity import Integrity
@@ -44,6 +43,7 @@ from gcs_coloc.core.messages import (
 )
 from gcs_coloc.core.residuals import ResidualLog
 from gcs_coloc.core.streams import StreamRequests
+from gcs_coloc.core.utc import Utc
 from gcs_coloc.core.view import Consistency, FleetView, VehicleView
 from gcs_coloc.estimators.base import Estimator
 
@@ -80,8 +80,8 @@ class Engine:
         self._outbox: list[Outbound] = []
         self._refused: Counter[str] = Counter()
         self._now_s = float("-inf")
-        self._utc_minus_service_s: float | None = None
-        self._warned_of_old_table = False
+        self._utc = Utc(required=self.settings.time.require_synchronised_clock)
+        self.aiding.withheld = self._utc.withheld()
         self._subjects: frozenset[int] = frozenset()
         self._words: dict[int, GpsWord] = {}
         self._housekeeping_due_s = float("inf")
@@ -93,7 +93,7 @@ class Engine:
             # The first message sets the grid of deadlines, so that a recording of the messages holds it.
             self._housekeeping_due_s = at_s
         if isinstance(message, ClockReference):
-            self._utc(message)
+            self._host_time(message)
             return
         if isinstance(message, RouteReport):
             # Word from the link layer is no sign of life.
@@ -129,7 +129,7 @@ class Engine:
             if self.settings.request_streams:
                 self._outbox.extend(self._streams.due(now_s))
         out, self._outbox = self._outbox, []
-        out.extend(self.aiding.due(now_s, self.feed.frame, self._utc_minus_service_s, self._answer))
+        out.extend(self.aiding.due(now_s, self.feed.frame, self._utc.minus_service_s(self.fleet), self._answer))
         return out
 
     def next_deadline(self) -> float:
@@ -158,7 +158,7 @@ class Engine:
             refused=self.refused(),
             estimator_counts=dict(self.estimator.counts()),
             ranges=self._residuals.ranges(now_s),
-            utc_minus_service_s=self._utc_minus_service_s,
+            utc_minus_service_s=self._utc.minus_service_s(self.fleet),
             origin=(frame.lat_deg, frame.lon_deg, frame.height_m) if frame is not None else None,
         )
 
@@ -209,6 +209,8 @@ class Engine:
                 measurement = self.feed.attitude(message, vehicle)
             case PeerRange():
                 measurement = self.feed.range(message, vehicle, self.fleet.get(message.peer_sysid))
+            case SystemTime():
+                vehicle.utc_minus_service_s = self.feed.utc_minus_service_s(message, vehicle)
             case TimeSyncAnswer():
                 refusal = vehicle.clock.answered(message.ts1_ns, message.tc1_ns / 1e9, message.received_at_s)
                 if refusal is not None:
@@ -263,14 +265,12 @@ class Engine:
             vehicle.last_known_enu_m = (float(where.position_enu_m[0]), float(where.position_enu_m[1]))
         return where
 
-    def _utc(self, message: ClockReference) -> None:
-        self._utc_minus_service_s = message.utc_minus_service_s
-        if message.utc_minus_service_s is None or self._warned_of_old_table:
-            return
-        if table_is_old(message.received_at_s + message.utc_minus_service_s):
-            self._warned_of_old_table = True
-            text = f"the leap second table is good until {TABLE_GOOD_UNTIL:%Y-%m-%d} only: GPS time may be a second off, update"
-            self._say(message.received_at_s, None, "warning", text)
+    def _host_time(self, message: ClockReference) -> None:
+        self._outbox.extend(self._utc.take(message))
+        if self.aiding.withheld != self._utc.withheld():
+            self.aiding.withheld = self._utc.withheld()
+            for vehicle in self.fleet:
+                self._outbox.extend(self.aiding.review(vehicle, message.received_at_s))
 
     def _tell_of_estimator(self, text: str) -> None:
         self._say(self._now_s, None, "error", text)

@@ -25,7 +25,7 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.core.messages import Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
+from gcs_coloc.core.messages import Attitude, GlobalPosition, GpsReceiver, PeerRange, SystemTime, TimeBase
 from gcs_coloc.core.timing import SenderClock
 
 _AIRSPEED_FRESH_S = 1.0
@@ -130,6 +130,11 @@ class Feed:
             device_id=message.device_id,
         )
 
+    def utc_minus_service_s(self, message: SystemTime, vehicle: Vehicle) -> float | None:
+        """UTC minus service clock as a vehicle knows it; None where it does not know UTC or its clock jumped."""
+        measured = self._boot_time(message, vehicle, "SYSTEM_TIME")
+        return message.unix_s - measured.at_s if message.unix_s is not None and measured is not None else None
+
     def up_m(self, alt_msl_m: float, near_enu_m: tuple[float, float]) -> float:
         """The up coordinate of an altitude over a place (east, north) in the frame. Only where there is a frame."""
         assert self.frame is not None
@@ -156,7 +161,7 @@ class Feed:
         sigma_v_m = max(stated_v, s.least_position_sigma_m) if stated_v is not None else s.position_sigma_v_m
         return sigma_h_m, sigma_v_m, stated_speed if stated_speed is not None else s.velocity_sigma_mps
 
-    def _boot_time(self, message: GlobalPosition | Attitude, vehicle: Vehicle, what: str) -> ServiceTime | None:
+    def _boot_time(self, message: GlobalPosition | Attitude | SystemTime, vehicle: Vehicle, what: str) -> ServiceTime | None:
         if not vehicle.clock.learn(message.boot_s, message.received_at_s):
             self.refused[f"{what}: its clock jumped"] += 1
             return None

@@ -19,6 +19,7 @@ class Vehicle:
     `blocked` says why nothing can be sent to it. `range_error_m` is the 1-sigma of its ranges of late, with the errors of its
     peers' positions in it. `last_known_enu_m` is where the estimator last had it (east, north). `delay_s` is how much longer its
     newest position was on the way (beyond what is assumed, where TIMESYNC is not answered).
+    `utc_minus_service_s` is UTC as it last told it.
     """
 
     sysid: int
@@ -36,6 +37,7 @@ class Vehicle:
     range_error_m: float | None = None
     last_known_enu_m: tuple[float, float] | None = None
     claim: PositionMeasurement | None = None
+    utc_minus_service_s: float | None = None
     clock: VehicleClock = field(default_factory=VehicleClock)
     range_clocks: dict[tuple[TimeBase, int], SenderClock] = field(default_factory=dict)
 

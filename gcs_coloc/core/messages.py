@@ -170,11 +170,13 @@ class PeerRange:
 class ClockReference:
     """What the host knows of UTC: UNIX time minus service clock, and whether the host's clock is disciplined.
 
-    `utc_minus_service_s` is `None` where the host does not know UTC; GPS week and time of week are then left at 0.
+    `utc_minus_service_s` is `None` where the host does not know UTC; GPS week and time of week are then left at 0 unless
+    vehicles know it. `synchronised` is `None` where the host does not tell.
     """
 
     received_at_s: float
     utc_minus_service_s: float | None
+    synchronised: bool | None = None
 
 
 class GpsWord(Enum):

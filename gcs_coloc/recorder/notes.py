@@ -75,7 +75,7 @@ def read_note(frame: bytes, at_s: float, own: tuple[int, int]) -> ReadNote | Non
 
 def _content(note: Note) -> dict[str, Any]:
     if isinstance(note, ClockReference):
-        return {"utc": note.utc_minus_service_s}
+        return {"utc": note.utc_minus_service_s, "sync": note.synchronised}
     if isinstance(note, OperatorWord):
         return {"word": note.word.value, "of": note.sysid}
     text = note.blocked.encode("ascii", "replace").decode().replace('"', "'").replace("\\", "/") if note.blocked else note.blocked
@@ -87,7 +87,8 @@ def _note(content: dict[str, Any], at_s: float) -> Note | None:
         return None
     if "utc" in content:
         utc = content["utc"]
-        return ClockReference(at_s, float(utc) if utc is not None else None)
+        sync = content.get("sync")
+        return ClockReference(at_s, float(utc) if utc is not None else None, bool(sync) if sync is not None else None)
     sysid = int(content["of"])
     if "word" in content:
         return OperatorWord(sysid, at_s, GpsWord(content["word"]))
