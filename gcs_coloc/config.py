@@ -163,6 +163,35 @@ class RecordConfig(_Section):
     rotate_mb: int = Field(500, ge=1, le=100_000, description="a new pair of files is begun at this size, in megabytes")
 
 
+class MqttConfig(_Section):
+    """`[mqtt]`: the fleet on an MQTT broker. Off while no host is set."""
+
+    host: str = Field("", description="the broker's name or address; empty: no MQTT")
+    port: int = Field(1883, ge=1, le=65535, description="the broker's port; 8883 is usual with TLS")
+    tls: bool = Field(False, description="encrypt, and check the broker's certificate and name")
+    ca_file: str = Field("", description="certificates (PEM) to check the broker's by; empty: the system's")
+    username: str = Field("", description="the user; empty: none")
+    password_file: str = Field("", description="the file of the user's password")
+    prefix: str = Field("gcs-coloc", description="the beginning of every topic")
+    fleet: str = Field("fleet", description="this fleet's name in the topics")
+    publish_hz: float = Field(1.0, gt=0, le=5, description="how often each topic is published at most")
+    commands: bool = Field(False, description="take the operator's word from the cmd topics")
+    ranges: bool = Field(False, description="take ranges from the range topics")
+
+    @field_validator("prefix", "fleet")
+    @classmethod
+    def _topic_level(cls, text: str) -> str:
+        if not text or not all(c.isascii() and (c.isalnum() or c in "-_.") for c in text):
+            raise ValueError(f"{text!r} is no part of a topic: letters, digits, -, _ and . only")
+        return text
+
+    @model_validator(mode="after")
+    def _user_and_password_agree(self) -> Self:
+        if self.password_file and not self.username:
+            raise ValueError("a password_file is set, but no username")
+        return self
+
+
 class Settings(BaseSettings):
     """Everything that can be set. Every key has a default but `links`: a service without a link has nothing to do."""
 
@@ -178,6 +207,7 @@ class Settings(BaseSettings):
     estimator: EstimatorConfig = Field(default_factory=lambda: EstimatorConfig.model_validate({}))
     web: WebConfig = Field(default_factory=lambda: WebConfig.model_validate({}))
     record: RecordConfig = Field(default_factory=lambda: RecordConfig.model_validate({}))
+    mqtt: MqttConfig = Field(default_factory=lambda: MqttConfig.model_validate({}))
     health: HealthConfig = Field(default_factory=HealthConfig)
     feed: FeedConfig = Field(default_factory=FeedConfig)
     aid: AidConfig = Field(default_factory=AidConfig)

@@ -17,7 +17,7 @@ from gcs_coloc.config import Settings
 from gcs_coloc.core.advance import CATCH_UP_S, advance, without_superseded
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import WebError
-from gcs_coloc.core.messages import ClockReference, GpsWord, Notice, OperatorWord, Outbound, RouteReport, ToVehicle
+from gcs_coloc.core.messages import ClockReference, GpsWord, Notice, OperatorWord, Outbound, PeerRange, RouteReport, ToVehicle
 from gcs_coloc.core.view import FleetView, LinkView
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.host_clock import is_synchronised
@@ -39,6 +39,7 @@ from gcs_coloc.sinks import console as console_sink
 from gcs_coloc.sinks.hub import Hub
 
 if TYPE_CHECKING:
+    from gcs_coloc.sinks.mqtt import Mqtt
     from gcs_coloc.web.server import WebServer
 
 log = logging.getLogger("gcs_coloc")
@@ -72,6 +73,7 @@ class Service:
         self._recording = FlightRecording(settings.record, ids, self._engine)
         self._hub = Hub()
         self._web = self._make_web(settings)
+        self._mqtt = self._make_mqtt(settings)
         self._timer: asyncio.TimerHandle | None = None
         self._engine_at_s = clock()
         self._stopping = asyncio.Event()
@@ -108,11 +110,15 @@ class Service:
                 ]
                 if self._web is not None:
                     group.create_task(self._web.run())
+                if self._mqtt is not None:
+                    group.create_task(self._mqtt.run())
                 for sysid, word in self._words:
                     self._obey(sysid, word)
                 await self._stopping.wait()
                 if self._web is not None:
                     self._web.stop()
+                if self._mqtt is not None:
+                    self._mqtt.stop()
                 for task in background:
                     task.cancel()
         finally:
@@ -239,6 +245,20 @@ class Service:
         from gcs_coloc.web.server import WebServer
 
         return WebServer(settings.web, Hooks(self._look, self._obey, self._fault), self._hub.subscribe(256))
+
+    def _make_mqtt(self, settings: Settings) -> Mqtt | None:
+        if not settings.mqtt.host:
+            return None
+        from gcs_coloc.sinks.mqtt import Mqtt
+        from gcs_coloc.sinks.mqtt_inbox import Hooks
+
+        hooks = Hooks(self._look, lambda: [v.sysid for v in self._engine.fleet], self._obey, self._take_range, self._clock)
+        return Mqtt(settings.mqtt, hooks, self._hub.subscribe(256), self._counts)
+
+    def _take_range(self, message: PeerRange) -> None:
+        self._advance(message.received_at_s)
+        self._engine.receive(message)
+        self._wake()
 
     def _open_web(self) -> None:
         if self._web is None:

@@ -1,0 +1,195 @@
+"""The fleet on an MQTT broker: the latest of each vehicle retained, alarms, a last will. A broker never holds up the flight."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hashlib
+import logging
+import ssl
+from collections import deque
+from pathlib import Path
+
+from aiomqtt import Client, MqttError, Will
+
+from gcs_coloc.config import MqttConfig
+from gcs_coloc.core.errors import ConfigError
+from gcs_coloc.core.messages import HealthChanged
+from gcs_coloc.core.view import FleetView
+from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.sinks.hub import News, Subscription
+from gcs_coloc.sinks.mqtt_inbox import Hooks, Inbox
+from gcs_coloc.sinks.mqtt_models import Alarm, of_vehicle, status, unix_s
+
+log = logging.getLogger("gcs_coloc")
+
+_VERSION = "v1"
+_RECONNECT_AFTER_S = (1.0, 2.0, 5.0, 10.0, 30.0)
+"""The pauses between attempts; the last one is kept until the broker is back."""
+_ANSWER_WITHIN_S = 5.0
+_KEEPALIVE_S = 10
+_LAST_WORDS_S = 1.0
+_ALARMS_KEPT = 256
+_MOST_INCOMING = 256
+
+# The client's own lines (one for each message that it drops) would drown the flight's.
+_client_log = logging.getLogger("gcs_coloc.mqtt_client")
+_client_log.setLevel(logging.CRITICAL)
+
+
+class Mqtt:
+    """One connection to one broker, made again for as long as the service runs. `run` never raises for the broker's doing."""
+
+    def __init__(self, config: MqttConfig, hooks: Hooks, news: Subscription, counts: Counts) -> None:
+        """Read the password and the certificates.
+
+        Raises:
+            ConfigError: a file cannot be read, or holds no certificates.
+        """
+        self._config = config
+        self._hooks = hooks
+        self._news = news
+        self._base = f"{config.prefix}/{_VERSION}/{config.fleet}"
+        self._inbox = Inbox(self._base, hooks, counts, commands=config.commands, ranges=config.ranges)
+        self._password = _read_password(Path(config.password_file)) if config.password_file else None
+        self._tls = _tls(config.ca_file) if config.tls else None
+        self._alarms: deque[News] = deque(maxlen=_ALARMS_KEPT)
+        self._stopping = asyncio.Event()
+        self._attempts = 0
+        self._told: str | None = None
+
+    def stop(self) -> None:
+        """Ask the connection to say goodbye and end; it takes two seconds at most."""
+        self._stopping.set()
+
+    async def run(self) -> None:
+        """Keep the broker up to date until `stop`; a fault in here is logged and the flight goes on without it."""
+        follower = asyncio.create_task(self._follow())
+        connection = asyncio.create_task(self._connect_again_and_again())
+        try:
+            await self._stopping.wait()
+            # A broker that does not answer must not hold up the last messages to the vehicles.
+            await asyncio.wait({connection}, timeout=_LAST_WORDS_S)
+        finally:
+            follower.cancel()
+            connection.cancel()
+            await asyncio.wait({follower, connection}, timeout=_LAST_WORDS_S)
+
+    async def _follow(self) -> None:
+        """Keep the newest alarms, whether there is a broker or not."""
+        while True:
+            news = await self._news.get()
+            if not isinstance(news, FleetView) and _level(news) != "info":
+                self._alarms.append(news)
+
+    async def _connect_again_and_again(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                try:
+                    await self._session()
+                except (MqttError, OSError) as error:
+                    self._tell_once(str(error))
+                pause_s = _RECONNECT_AFTER_S[min(self._attempts, len(_RECONNECT_AFTER_S) - 1)]
+                self._attempts += 1
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self._stopping.wait(), pause_s)
+        except Exception as error:
+            log.error("mqtt: ended: %s: %s; the flight goes on without it", type(error).__name__, error)
+
+    def _tell_once(self, text: str) -> None:
+        if text != self._told and not self._stopping.is_set():
+            self._told = text
+            where = f"{self._config.host}:{self._config.port}"
+            log.warning("mqtt: broker %s: %s; trying again, the flight goes on without it", where, text)
+
+    async def _session(self) -> None:
+        c = self._config
+        # The same name every time: a broker then ends a connection that hangs, and its will cannot follow our return.
+        name = "gcs" + hashlib.sha256(self._base.encode()).hexdigest()[:20]
+        will = Will(f"{self._base}/status", status(None, online=False).model_dump_json(), qos=1, retain=True)
+        async with Client(
+            c.host,
+            c.port,
+            identifier=name,
+            username=c.username or None,
+            password=self._password,
+            tls_context=self._tls,
+            will=will,
+            keepalive=_KEEPALIVE_S,
+            timeout=_ANSWER_WITHIN_S,
+            max_queued_incoming_messages=_MOST_INCOMING,
+            logger=_client_log,
+        ) as client:
+            log.info("mqtt: connected to %s:%d, topics below %s", c.host, c.port, self._base)
+            self._attempts, self._told = 0, None
+            for topic in self._inbox.topics:
+                await client.subscribe(topic)
+            tasks = [
+                asyncio.create_task(work) for work in (self._take_all(client), self._publish_all(client), self._stopping.wait())
+            ]
+            try:
+                done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
+            if self._stopping.is_set():
+                await self._publish(client, "status", status(self._hooks.look(), online=False).model_dump_json(), qos=1)
+            for task in done:
+                task.result()
+
+    async def _take_all(self, client: Client) -> None:
+        async for message in client.messages:
+            payload = message.payload if isinstance(message.payload, bytes) else b""
+            self._inbox.take(message.topic.value, payload, retained=message.retain)
+
+    async def _publish_all(self, client: Client) -> None:
+        """The latest of everything at the rate that was set. What the broker does not take in time is never sent."""
+        while True:
+            view = self._hooks.look()
+            await self._publish(client, "status", status(view, online=True).model_dump_json())
+            for vehicle in view.vehicles:
+                for name, model in of_vehicle(vehicle, unix_s(view.at_s, view)).items():
+                    await self._publish(client, f"{vehicle.sysid}/{name}", model.model_dump_json())
+            while self._alarms:
+                news = self._alarms.popleft()
+                try:
+                    await client.publish(f"{self._base}/alarms", _alarm(news, view).model_dump_json(), qos=1)
+                except MqttError:
+                    if len(self._alarms) < _ALARMS_KEPT:  # where it is full, this one is the oldest
+                        self._alarms.appendleft(news)
+                    raise
+            await asyncio.sleep(1.0 / self._config.publish_hz)
+
+    async def _publish(self, client: Client, topic: str, payload: str, qos: int = 0) -> None:
+        await client.publish(f"{self._base}/{topic}", payload, qos=qos, retain=True)
+
+
+def _level(news: News) -> str:
+    assert not isinstance(news, FleetView)
+    if isinstance(news, HealthChanged):
+        return "warning" if news.after in ("suspect", "failed") else "info"
+    return news.level
+
+
+def _alarm(news: News, view: FleetView) -> Alarm:
+    assert not isinstance(news, FleetView)
+    text = f"GPS {news.before} -> {news.after}: {news.reason}" if isinstance(news, HealthChanged) else news.text
+    content = {"at_unix_s": unix_s(news.at_s, view), "sysid": news.sysid, "level": _level(news), "text": text}
+    return Alarm.model_validate(content)
+
+
+def _read_password(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8").rstrip("\r\n")
+    except OSError as error:
+        raise ConfigError(f"mqtt.password_file: {file}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"mqtt.password_file: {file}: is not text in UTF-8") from None
+
+
+def _tls(ca_file: str) -> ssl.SSLContext:
+    try:
+        return ssl.create_default_context(cafile=ca_file or None)
+    except OSError as error:
+        raise ConfigError(f"mqtt.ca_file: {ca_file}: no certificates can be read from it: {error}") from None

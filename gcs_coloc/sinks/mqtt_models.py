@@ -1,0 +1,174 @@
+"""What is sent and taken over MQTT, as models; docs/reference/mqtt.md describes every topic and field.
+
+`python -m gcs_coloc.sinks.mqtt_models` prints their JSON schemas, which stand in docs/reference/schemas/mqtt-v1.json.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from gcs_coloc.core.messages import GpsWord, PeerRange, TimeBase
+from gcs_coloc.core.view import FleetView, VehicleView
+from gcs_coloc.mavlink.checks import RANGE_MAX_M, UNIX_TIME_FROM_US, UNIX_TIME_TO_US
+
+_UNIX_FROM_S, _UNIX_TO_S = UNIX_TIME_FROM_US / 1e6, UNIX_TIME_TO_US / 1e6
+
+
+class _Sent(BaseModel):
+    """`at_unix_s` is when this was true, UNIX time in seconds; None where the host does not know the time."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    at_unix_s: float | None
+
+
+class VehicleState(_Sent):
+    """`…/{sysid}/state`: what the vehicle says of itself, and what is sent to it. `claim_*` is its own word, not ours."""
+
+    sysid: int
+    autopilot: str
+    age_s: float
+    claim_lat_deg: float | None
+    claim_lon_deg: float | None
+    yaw_rad: float | None
+    fix_type: int | None
+    satellites: int | None
+    aid: str
+    aid_has_fix: bool
+    hindrance: str | None
+
+
+class VehicleEstimate(_Sent):
+    """`…/{sysid}/estimate`: where the service holds the vehicle to be; None, with the reason, where it does not know."""
+
+    sysid: int
+    lat_deg: float | None
+    lon_deg: float | None
+    alt_msl_m: float | None
+    velocity_enu_mps: tuple[float, float, float] | None
+    sigma_h_m: float | None
+    bound_95_m: float | None
+    hdop: float | None
+    ranges_in_use: int
+    unknown_because: str | None
+
+
+class VehicleHealth(_Sent):
+    """`…/{sysid}/health`: what the service believes of the vehicle's GPS, and the operator's word on it."""
+
+    sysid: int
+    gps_state: str
+    gps_reason: str
+    operator_word: str
+
+
+class FleetStatus(_Sent):
+    """`…/status`: whether the service is there. The broker sets `online` to false (the last will) when it is lost."""
+
+    online: bool
+    estimator: str | None
+    vehicles: tuple[int, ...]
+    refused: dict[str, int]
+
+
+class Alarm(_Sent):
+    """`…/alarms`: something that a person should read. `sysid` None: it is about the whole fleet."""
+
+    sysid: int | None
+    level: Literal["warning", "error"]
+    text: str
+
+
+class Command(BaseModel):
+    """`…/{sysid}/cmd`: the operator's word on the GPS of a vehicle."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    word: GpsWord
+
+
+class Range(BaseModel):
+    """`…/{sysid}/range`: a range that this vehicle measured. `unix_s` or `boot_s` or neither: measured on arrival."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    peer: int = Field(ge=1, le=255)
+    range_m: float = Field(gt=0.0, le=RANGE_MAX_M)
+    sigma_m: float | None = Field(None, gt=0.0, le=RANGE_MAX_M)
+    unix_s: float | None = Field(None, ge=_UNIX_FROM_S, le=_UNIX_TO_S)
+    boot_s: float | None = Field(None, ge=0.0, lt=_UNIX_FROM_S)
+    sequence: int | None = Field(None, ge=0)
+    line_of_sight: float | None = Field(None, ge=0.0, le=1.0)
+    device_id: int = Field(0, ge=0, le=255)
+
+    @model_validator(mode="after")
+    def _one_clock(self) -> Self:
+        if self.unix_s is not None and self.boot_s is not None:
+            raise ValueError("unix_s and boot_s exclude each other")
+        return self
+
+    def message(self, sysid: int, received_at_s: float) -> PeerRange:
+        """The range as the engine takes it, measured by vehicle `sysid`, arrived at a service time."""
+        measured_at_s, base = self.boot_s, TimeBase.BOOT
+        if self.unix_s is not None:
+            measured_at_s, base = self.unix_s, TimeBase.UNIX
+        elif self.boot_s is None:
+            base = TimeBase.SERVICE
+        return PeerRange(
+            sysid=sysid,
+            received_at_s=received_at_s,
+            peer_sysid=self.peer,
+            range_m=self.range_m,
+            sigma_m=self.sigma_m,
+            measured_at_s=measured_at_s,
+            time_base=base,
+            sequence=self.sequence,
+            line_of_sight=self.line_of_sight,
+            device_id=self.device_id,
+        )
+
+
+BY_TOPIC: dict[str, type[BaseModel]] = {
+    "{sysid}/state": VehicleState,
+    "{sysid}/estimate": VehicleEstimate,
+    "{sysid}/health": VehicleHealth,
+    "status": FleetStatus,
+    "alarms": Alarm,
+    "{sysid}/cmd": Command,
+    "{sysid}/range": Range,
+}
+"""Every topic below `{prefix}/v1/{fleet}/`, and what is on it."""
+
+
+def of_vehicle(v: VehicleView, at_unix_s: float | None) -> dict[str, _Sent]:
+    """What is published of one vehicle, by the last part of its topic."""
+    parts: dict[str, type[_Sent]] = {"state": VehicleState, "estimate": VehicleEstimate, "health": VehicleHealth}
+    return {
+        name: model.model_validate(
+            {"at_unix_s": at_unix_s} | {key: getattr(v, key) for key in model.model_fields if key != "at_unix_s"}
+        )
+        for name, model in parts.items()
+    }
+
+
+def status(view: FleetView | None, *, online: bool) -> FleetStatus:
+    """The fleet's status; `view` None before there is any, and for the last will, which the broker sends at an unknown time."""
+    if view is None:
+        return FleetStatus(at_unix_s=None, online=online, estimator=None, vehicles=(), refused={})
+    vehicles = tuple(v.sysid for v in view.vehicles)
+    at_unix_s = unix_s(view.at_s, view)
+    return FleetStatus(at_unix_s=at_unix_s, online=online, estimator=view.estimator, vehicles=vehicles, refused=view.refused)
+
+
+def unix_s(at_s: float, view: FleetView) -> float | None:
+    """A service time as UNIX time, None where the host does not know it."""
+    return at_s + view.utc_minus_service_s if view.utc_minus_service_s is not None else None
+
+
+def schemas() -> dict[str, Any]:
+    """The JSON schema of what is on each topic."""
+    return {topic: model.model_json_schema() for topic, model in BY_TOPIC.items()}
+
+
+if __name__ == "__main__":
+    print(json.dumps(schemas(), indent=2, ensure_ascii=False))

@@ -1,0 +1,60 @@
+"""The real mosquitto for tests: on a port of loopback, with a user and a password."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+USER, PASSWORD = "gcs", "correct horse"
+
+
+def _program(name: str) -> str:
+    found = shutil.which(name, path=os.environ.get("PATH", "") + os.pathsep + "/usr/sbin")
+    assert found is not None, f"{name} is not installed: sh tools/install-test-tools"
+    return found
+
+
+class Broker:
+    """One broker that can be killed and started again on its port. It keeps nothing over a restart."""
+
+    def __init__(self, directory: Path, port: int) -> None:
+        self.port = port
+        users, self._config = directory / "users", directory / "mosquitto.conf"
+        subprocess.run([_program("mosquitto_passwd"), "-b", "-c", users, USER, PASSWORD], check=True, capture_output=True)
+        users.chmod(0o644)  # started as root, the broker reads it as its own user
+        directory.chmod(0o755)
+        lines = [f"listener {port} 127.0.0.1", f"password_file {users}", "allow_anonymous false", "user root"]
+        self._config.write_text("\n".join(lines) + "\n")
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Start, and return when it listens."""
+        self._process = process = subprocess.Popen([_program("mosquitto"), "-c", self._config], stderr=subprocess.PIPE)
+        assert process.stderr is not None
+        for line in process.stderr:
+            if b" running" in line:
+                return
+        raise AssertionError(f"mosquitto ended with {process.wait()}")
+
+    def kill(self) -> None:
+        """End it without a word."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+            self._process = None
+
+    def signal(self, number: int) -> None:
+        """Send it a signal."""
+        assert self._process is not None
+        self._process.send_signal(number)
+
+
+def wait_until(condition, patience_s: float = 40.0) -> None:
+    """Wait for another process's doing; a test that waits `patience_s` has failed."""
+    end = time.monotonic() + patience_s
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.05)

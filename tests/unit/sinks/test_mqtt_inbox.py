@@ -1,0 +1,100 @@
+"""What comes in over MQTT: only what is allowed, only what is possible, everything else counted."""
+
+import json
+
+import pytest
+
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.messages import GpsWord, TimeBase
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.sinks.mqtt_inbox import Hooks, Inbox
+
+BASE = "p/v1/f"
+NOW_S = 1000.0
+
+
+class Desk:
+    def __init__(self, *, commands=True, ranges=True):
+        self.words, self.ranges, self.counts = [], [], Counts()
+        engine = Engine(load_estimator("fleet", {}))
+        hooks = Hooks(
+            look=lambda: engine.view(NOW_S),
+            heard=lambda: [1, 4],
+            obey=lambda sysid, word: self.words.append((sysid, word)),
+            take_range=self.ranges.append,
+            clock=lambda: NOW_S,
+        )
+        self.inbox = Inbox(BASE, hooks, self.counts, commands=commands, ranges=ranges)
+
+    def take(self, tail, content, *, retained=False):
+        payload = content if isinstance(content, bytes) else json.dumps(content).encode()
+        self.inbox.take(f"{BASE}/{tail}", payload, retained=retained)
+
+
+@pytest.mark.parametrize("word", list(GpsWord))
+def test_the_operators_word_is_taken(word):
+    desk = Desk()
+    desk.take("4/cmd", {"word": word.value})
+    assert desk.words == [(4, word)]
+    assert dict(desk.counts) == {}
+
+
+def test_nothing_is_subscribed_or_taken_that_is_not_allowed():
+    desk = Desk(commands=False, ranges=False)
+    assert desk.inbox.topics == []
+    desk.take("4/cmd", {"word": "failed"})
+    desk.take("4/range", {"peer": 1, "range_m": 10.0})
+    assert (desk.words, desk.ranges, dict(desk.counts)) == ([], [], {"mqtt_topic_not_allowed": 2})
+    assert Desk(ranges=False).inbox.topics == [f"{BASE}/+/cmd"]
+    assert Desk(commands=False).inbox.topics == [f"{BASE}/+/range"]
+
+
+@pytest.mark.parametrize(
+    ("times", "measured_at_s", "base"),
+    [
+        ({"unix_s": 1.8e9}, 1.8e9, TimeBase.UNIX),
+        ({"boot_s": 12.5}, 12.5, TimeBase.BOOT),
+        ({"boot_s": 0.0}, 0.0, TimeBase.BOOT),
+        ({}, None, TimeBase.SERVICE),
+    ],
+)
+def test_a_range_reaches_the_engine_with_its_clock(times, measured_at_s, base):
+    desk = Desk()
+    content = {"peer": 1, "range_m": 250.5, "sigma_m": 0.4, "sequence": 7, "line_of_sight": 0.5, "device_id": 3}
+    desk.take("4/range", content | times)
+    (found,) = desk.ranges
+    assert (found.sysid, found.peer_sysid, found.range_m, found.sigma_m) == (4, 1, 250.5, 0.4)
+    assert (found.measured_at_s, found.time_base, found.received_at_s) == (measured_at_s, base, NOW_S)
+    assert (found.sequence, found.line_of_sight, found.device_id) == (7, 0.5, 3)
+
+
+@pytest.mark.parametrize(
+    ("tail", "content", "retained", "reason"),
+    [
+        ("4/cmd", {"word": "failed"}, True, "mqtt_cmd_retained"),
+        ("4/cmd", {"word": "FAILED"}, False, "mqtt_cmd_invalid"),
+        ("4/cmd", {"word": "failed", "more": 1}, False, "mqtt_cmd_invalid"),
+        ("4/cmd", b"\xff\x00", False, "mqtt_cmd_invalid"),
+        ("4/cmd", b" " * 1001, False, "mqtt_cmd_too_long"),
+        ("9/cmd", {"word": "failed"}, False, "mqtt_cmd_of_unknown_vehicle"),
+        ("x/cmd", {"word": "failed"}, False, "mqtt_cmd_of_unknown_vehicle"),
+        ("4/x/cmd", {"word": "failed"}, False, "mqtt_topic_not_allowed"),
+        ("4/state", {}, False, "mqtt_topic_not_allowed"),
+        ("4/range", {"peer": 4, "range_m": 1.0}, False, "mqtt_range_to_itself"),
+        ("4/range", {"peer": 1, "range_m": 0.0}, False, "mqtt_range_invalid"),
+        ("4/range", {"peer": 1, "range_m": -5.0}, False, "mqtt_range_invalid"),
+        ("4/range", {"peer": 1, "range_m": "5"}, False, "mqtt_range_invalid"),
+        ("4/range", b'{"peer": 1, "range_m": NaN}', False, "mqtt_range_invalid"),
+        ("4/range", b'{"peer": 1, "range_m": 1e999}', False, "mqtt_range_invalid"),
+        ("4/range", {"peer": 1, "range_m": 5.0, "sigma_m": 0.0}, False, "mqtt_range_invalid"),
+        ("4/range", {"peer": 300, "range_m": 5.0}, False, "mqtt_range_invalid"),
+        ("4/range", {"peer": 1, "range_m": 5.0, "unix_s": 5.0}, False, "mqtt_range_invalid"),
+        ("4/range", {"peer": 1, "range_m": 5.0, "unix_s": 1.8e9, "boot_s": 5.0}, False, "mqtt_range_invalid"),
+        ("4/range", b"[" * 900, False, "mqtt_range_invalid"),
+    ],
+)
+def test_what_is_not_possible_is_refused_and_counted(tail, content, retained, reason):
+    desk = Desk()
+    desk.take(tail, content, retained=retained)
+    assert (desk.words, desk.ranges, dict(desk.counts)) == ([], [], {reason: 1})
