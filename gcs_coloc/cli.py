@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.logging import RichHandler
 
 from gcs_coloc import __version__
-from gcs_coloc.commands import evaluate, export, replay, study
+from gcs_coloc.commands import evaluate, export, replay, report, study
 from gcs_coloc.core.errors import GcsColocError, UsageError
 from gcs_coloc.sinks.log_writer import LogWriter
 
@@ -145,6 +145,7 @@ def check_config(file: Annotated[Path, typer.Argument(help="The configuration fi
 
 app.command("replay")(replay.replay)
 app.command("export")(export.export)
+app.command("report")(report.report)
 app.command("evaluate")(evaluate.evaluate)
 app.add_typer(study.app)
 

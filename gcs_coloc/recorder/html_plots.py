@@ -1,0 +1,116 @@
+"""The pictures of a flight's report, as PNG in data URLs: the map, and each vehicle that was without its GPS over time."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from typing import Any
+
+from gcs_coloc.core.errors import UsageError
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.recorder.journal import VehicleEntry
+from gcs_coloc.recorder.story import Story
+
+WITHOUT_GPS = ("suspect", "failed", "recovering")
+_BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#999999"
+
+
+def map_picture(story: Story) -> str | None:
+    """The tracks, east over north in metres, those without GPS in another colour; None where no vehicle was located."""
+    located = {sysid: [e for e in track if e.vehicle.lat_deg is not None] for sysid, track in story.tracks.items()}
+    first = next((track[0].vehicle for track in located.values() if track), None)
+    if first is None or first.lat_deg is None or first.lon_deg is None or first.alt_msl_m is None:
+        return None
+    frame = LocalFrame(first.lat_deg, first.lon_deg, first.alt_msl_m)
+    figure = _figure(9.0, 7.0)
+    axes = figure.subplots()
+    for sysid, track in sorted(located.items()):
+        if not track:
+            continue
+        points = [_place(frame, entry) for entry in track]
+        lost = [entry.vehicle.gps_state in WITHOUT_GPS for entry in track]
+        east, north = [p[0] for p in points], [p[1] for p in points]
+        axes.plot(east, north, color=_BLUE, lw=1)
+        axes.plot(*_only(east, north, lost), color=_RED, lw=2)
+        axes.annotate(f" {sysid}", points[-1])
+    axes.plot([], [], color=_BLUE, lw=1, label="with GPS")
+    axes.plot([], [], color=_RED, lw=2, label="without GPS: from ranges")
+    axes.set(xlabel="east, m", ylabel="north, m", aspect="equal")
+    axes.grid(alpha=0.3)
+    axes.legend()
+    return _data_url(figure)
+
+
+def vehicle_picture(story: Story, track: Sequence[VehicleEntry]) -> str:
+    """One vehicle over time: 95 % bound and 1-sigma, HDOP and ranges in use, NIS with its band; shaded where it had no GPS."""
+    start_s = story.counts.first_s
+    t = [entry.at_s - start_s for entry in track]
+    views = [entry.vehicle for entry in track]
+    figure = _figure(9.0, 7.0)
+    bound, hdop, nis = figure.subplots(3, 1, sharex=True)
+    bound.plot(t, [_or_nan(v.bound_95_m) for v in views], color=_RED, lw=1, label="95 % bound, m")
+    bound.plot(t, [_or_nan(v.sigma_h_m) for v in views], color=_BLUE, lw=1, label="1-sigma, m")
+    hdop.plot(t, [_or_nan(v.hdop) for v in views], color=_BLUE, lw=1, label="HDOP")
+    hdop.step(t, [v.ranges_in_use for v in views], color=_GREY, lw=1, where="post", label="ranges in use")
+    known = [(at, v.consistency) for at, v in zip(t, views, strict=True) if v.consistency is not None]
+    times = [at for at, _ in known]
+    nis.fill_between(times, [c.band_low for _, c in known], [c.band_high for _, c in known], color="0.85", label="95 % band")
+    nis.plot(times, [c.nis_mean for _, c in known], color=_BLUE, lw=1, label="mean NIS of its ranges, refused ones too")
+    nis.set(xlabel="s since the first frame", yscale="symlog")
+    for axes in (bound, hdop, nis):
+        for begin_s, end_s in _spans(t, [v.gps_state in WITHOUT_GPS for v in views]):
+            axes.axvspan(begin_s, end_s, color=_RED, alpha=0.08, lw=0)
+        axes.set_xlim(0.0, max(story.counts.last_s - start_s, 1e-3))
+        axes.set_ylim(bottom=0.0)
+        axes.grid(alpha=0.3)
+        axes.legend(loc="upper left")
+    return _data_url(figure)
+
+
+def _spans(t: Sequence[float], flags: Sequence[bool]) -> list[tuple[float, float]]:
+    spans: list[tuple[float, float]] = []
+    begin_s: float | None = None
+    for at_s, flag in zip(t, flags, strict=True):
+        if flag and begin_s is None:
+            begin_s = at_s
+        elif not flag and begin_s is not None:
+            spans.append((begin_s, at_s))
+            begin_s = None
+    if begin_s is not None:
+        spans.append((begin_s, t[-1]))
+    return spans
+
+
+def _place(frame: LocalFrame, entry: VehicleEntry) -> tuple[float, float]:
+    v = entry.vehicle
+    assert v.lat_deg is not None
+    assert v.lon_deg is not None
+    assert v.alt_msl_m is not None
+    return frame.enu_from_geodetic(v.lat_deg, v.lon_deg, v.alt_msl_m)[:2]
+
+
+def _only(x: list[float], y: list[float], flags: list[bool]) -> tuple[list[float], list[float]]:
+    nan = float("nan")
+    return [a if f else nan for a, f in zip(x, flags, strict=True)], [b if f else nan for b, f in zip(y, flags, strict=True)]
+
+
+def _or_nan(value: float | None) -> float:
+    return value if value is not None else float("nan")
+
+
+def _figure(width_in: float, height_in: float) -> Any:
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise UsageError('the report\'s pictures need matplotlib: pip install "gcs-coloc[plots]"') from error
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _data_url(figure: Any) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=100)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

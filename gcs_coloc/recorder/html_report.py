@@ -1,0 +1,134 @@
+"""One self-contained HTML page of a flight: what failed when, how well it was located, what was refused. It loads nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from html import escape
+from statistics import median
+from typing import Any
+
+from gcs_coloc.recorder.html_plots import WITHOUT_GPS, map_picture, vehicle_picture
+from gcs_coloc.recorder.journal import EVERY_S, VehicleEntry
+from gcs_coloc.recorder.story import Story
+
+_MOST_NOTICES = 500
+_HEAD = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
+<meta name="viewport" content="width=device-width">
+<style>
+body { font: 16px/1.45 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem;
+  color: #1a1a1a; background: #fff }
+table { border-collapse: collapse; margin: .6rem 0 }
+th, td { border-bottom: 1px solid #ccc; padding: .25rem .7rem; text-align: left }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums }
+img { max-width: 100% }
+.bad { color: #a33c00; font-weight: 600 }
+</style>
+"""
+
+
+def page(story: Story) -> str:
+    """The page as text.
+
+    Raises:
+        UsageError: matplotlib is not installed.
+    """
+    results = story.report.as_dict()
+    title = f"Flight {story.file.name}"
+    parts = [_HEAD, f"<title>{escape(title)}</title></head><body><h1>{escape(title)}</h1>", _summary(story, results)]
+    picture = map_picture(story)
+    if picture is not None:
+        parts.append(f'<img alt="Map of the tracks, east over north" src="{picture}">')
+    parts.append("<h2>What failed when</h2>" + _health(story))
+    for vehicle in results["vehicles"]:
+        track = story.tracks.get(vehicle["sysid"], [])
+        if any(entry.vehicle.gps_state in WITHOUT_GPS for entry in track):
+            parts.append(_vehicle(story, vehicle, track))
+    parts.append("<h2>What was refused</h2>" + _counts("by the service", results["refused"]))
+    parts.append(_counts("on the wire, frames passed over", story.counts.wire))
+    parts.append(_counts("by the estimator, with what it used", results["estimator_counts"]))
+    parts.append("<h2>What the operator was told</h2>" + _notices(story))
+    return "\n".join([*parts, "</body></html>\n"])
+
+
+def _summary(story: Story, results: Mapping[str, Any]) -> str:
+    counts = story.counts
+    begun = datetime.fromtimestamp(counts.first_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    fleet = f"{len(results['vehicles'])} vehicles, estimator {escape(story.estimator)}"
+    lines = [f"{begun}, {counts.last_s - counts.first_s:.1f} s, {counts.records} frames, {fleet}."]
+    lines.extend(f'<span class="bad">The file is damaged: {_words(kind)}: {n}.</span>' for kind, n in story.damage.items())
+    lines.append("Everything here was computed again from the recorded frames; all times are seconds since the first of them.")
+    return "".join(f"<p>{line}</p>" for line in lines)
+
+
+def _health(story: Story) -> str:
+    rows = (
+        (f"{change.at_s - story.counts.first_s:.1f}", str(change.sysid), change.before, change.after, change.reason)
+        for change in story.health
+    )
+    return _table(("s", "vehicle", "GPS was", "became", "because"), rows, numbers=(0, 1))
+
+
+def _vehicle(story: Story, vehicle: Mapping[str, Any], track: Sequence[VehicleEntry]) -> str:
+    sysid = vehicle["sysid"]
+    without = [entry.vehicle for entry in track if entry.vehicle.gps_state in WITHOUT_GPS]
+    located = [v for v in without if v.lat_deg is not None]
+    rows = [
+        ("without its GPS", f"{len(without) * EVERY_S:.1f} s"),
+        ("located in that time", f"{len(located) / len(without):.1%}"),
+        ("GPS_INPUT with a fix", str(vehicle["gps_input"]["fix"])),
+        ("GPS_INPUT without a fix", str(vehicle["gps_input"]["no_fix"])),
+    ]
+    bounds = [v.bound_95_m for v in located if v.bound_95_m is not None]
+    if bounds:
+        rows.append(("95 % bound, median and most", f"{median(bounds):.1f} m, {max(bounds):.1f} m"))
+    rows.extend(_score(vehicle["score"]))
+    why = sorted({v.unknown_because for v in without if v.unknown_because is not None})
+    rows.extend(("not located because", reason) for reason in why)
+    alt = f"Vehicle {sysid} over time: bound and sigma, HDOP and ranges in use, NIS"
+    picture = f'<img alt="{alt}" src="{vehicle_picture(story, track)}">'
+    return f"<h2>Vehicle {sysid} without its GPS</h2>" + _table(("", ""), rows) + picture
+
+
+def _score(score: Mapping[str, Any] | None) -> list[tuple[str, str]]:
+    if score is None or score["rmse_h_m"] is None:
+        return []
+    errors = f"{score['rmse_h_m']:.2f} m, {score['p95_h_m']:.2f} m, {score['max_h_m']:.2f} m"
+    return [
+        ("horizontal error against the truth: RMSE, 95 %, most", errors),
+        ("95 % bound covers", f"{score['bound_95_covers']:.1%}"),
+        ("error beyond three times the bound", f"{score['confident_and_wrong']:.2%}"),
+    ]
+
+
+def _counts(what: str, counts: Mapping[str, int]) -> str:
+    if not counts:
+        return f"<p>Nothing {escape(what.split(',')[0])}.</p>"
+    rows = ((_words(reason), str(times)) for reason, times in sorted(counts.items(), key=lambda item: -item[1]))
+    return _table((what, "times"), rows, numbers=(1,))
+
+
+def _notices(story: Story) -> str:
+    shown = story.notices[:_MOST_NOTICES]
+    rows = (
+        (f"{n.at_s - story.counts.first_s:.1f}", str(n.sysid) if n.sysid is not None else "fleet", n.level, n.text) for n in shown
+    )
+    left_out = len(story.notices) - len(shown)
+    more = f"<p>{left_out} further lines are left out.</p>" if left_out else ""
+    return _table(("s", "vehicle", "level", "text"), rows, numbers=(0,)) + more
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()) -> str:
+    def cells(tag: str, row: Sequence[str]) -> str:
+        kind = {True: ' class="n"', False: ""}
+        return "".join(f"<{tag}{kind[i in numbers]}>{escape(text)}</{tag}>" for i, text in enumerate(row))
+
+    head = f"<thead><tr>{cells('th', heads)}</tr></thead>" if any(heads) else ""
+    body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
+    return f"<table>{head}<tbody>{body}</tbody></table>"
+
+
+def _words(reason: str) -> str:
+    return reason.replace("_", " ")

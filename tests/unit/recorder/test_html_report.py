@@ -1,0 +1,92 @@
+"""The report of a flight: one page that says what happened and loads nothing."""
+
+from __future__ import annotations
+
+import base64
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+
+import pytest
+from recorded_flight import write_flight
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("report")
+    write_flight(directory / "flight <4>.tlog", 26.0)
+    path = directory / "flight <4>.tlog"
+    path.write_bytes(path.read_bytes()[:-5])
+    command = [sys.executable, "-m", "gcs_coloc", "report", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return done, path.with_suffix(".html").read_text(encoding="utf-8")
+
+
+class Page(HTMLParser):
+    """The page's elements with their attributes, its table rows, and the elements left open."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements, self.rows, self.stack = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.elements.append((tag, dict(attributes)))
+        if tag == "tr":
+            self.rows.append([])
+        if tag not in ("meta", "img"):
+            self.stack.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.stack.pop() == tag
+
+    def handle_data(self, data):
+        if self.stack and self.stack[-1] in ("td", "th"):
+            self.rows[-1].append(data)
+
+
+def test_the_page_is_whole_and_loads_nothing(written):
+    _, text = written
+    page = Page(text)
+    assert page.stack == []
+    sources = [a[name] for _, a in page.elements for name in ("src", "href") if name in a]
+    assert sources
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    assert not re.search(r"url\(|@import|<script|https?://", text)
+    [policy] = [a["content"] for tag, a in page.elements if a.get("http-equiv") == "Content-Security-Policy"]
+    assert policy.startswith("default-src 'none'")
+    for source in sources:
+        assert base64.b64decode(source.partition(",")[2]).startswith(b"\x89PNG")
+    assert all(a.get("alt") for tag, a in page.elements if tag == "img")
+
+
+def test_it_says_what_failed_when_and_how_well_it_was_located(written):
+    _, text = written
+    page = Page(text)
+    changes = [row for row in page.rows if len(row) == 5 and row[1] == "4"]
+    assert [row[3] for row in changes] == ["healthy", "suspect", "failed"]
+    assert 20.0 <= float(changes[-1][0]) <= 22.5
+    facts = {row[0]: row[1] for row in page.rows if len(row) == 2}
+    assert float(facts["without its GPS"].removesuffix(" s")) == pytest.approx(6.0, abs=1.0)
+    assert int(facts["GPS_INPUT with a fix"]) > 25
+    assert "Vehicle 4 without its GPS" in text
+    assert "Vehicle 1 without its GPS" not in text
+
+
+def test_damage_and_names_are_told_as_they_are(written):
+    done, text = written
+    assert "truncated: 1; replayed what is whole" in done.stderr
+    assert "The file is damaged: truncated: 1" in text
+    assert "flight &lt;4&gt;.tlog" in text
+    assert "<4>" not in text
+
+
+def test_a_page_that_cannot_be_written_is_one_line(written, tmp_path):
+    path = tmp_path / "f.tlog"
+    write_flight(path, 2.0)
+    command = [sys.executable, "-m", "gcs_coloc", "report", str(path), "--out", str(tmp_path / "absent" / "page.html")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "cannot be written" in done.stderr
