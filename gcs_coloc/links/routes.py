@@ -34,8 +34,8 @@ class RouteTable:
     """Learns from every frame heard, and answers where a vehicle is.
 
     `roam_after_s`: how long a system must be silent at its address before it may turn up at another one.
-    `companions_elsewhere`: components other than the autopilot may have addresses of their own; without, all of a system's
-    frames come from one address, and where two claim it, from the one with the autopilot's heartbeat.
+    `companions_elsewhere`: components other than the autopilot may have addresses of their own; without, all frames of a vehicle
+    come from one address, and where two claim it, from the one with the autopilot's heartbeat.
     `shared_memory_s`: how long an autopilot, heard once, counts as living behind an address. It is long because a vehicle
     that we do not hear may still hear us. `max_components`, `max_addresses`: bounds of the tables; when one is full, only
     what is silent makes room.
@@ -73,7 +73,9 @@ class RouteTable:
             self.counts.add(TABLE_FULL)
             return False
         autopilot = self._autopilots.get(sysid) if is_autopilot_heartbeat else None
-        sender = (sysid, compid if self._companions_elsewhere else 0)
+        # Who has no autopilot is no vehicle: several ground stations share one system id by custom.
+        as_one = not self._companions_elsewhere and (is_autopilot_heartbeat or sysid in self._autopilots)
+        sender = (sysid, 0 if as_one else compid)
         pin = self._components.get(sender)
         # Who came first with other messages does not keep the autopilot itself out.
         rivals = (autopilot,) if is_autopilot_heartbeat and not self._companions_elsewhere else (autopilot, pin)

@@ -80,6 +80,12 @@ def test_who_came_first_without_being_an_autopilot_keeps_the_autopilot_not_out(e
     assert ears.route(1) == Route(LINK, HERE)
 
 
+def test_ground_stations_may_share_a_system_id(ears):
+    assert ears.hears(255, HERE, compid=190, autopilot=False)
+    assert ears.hears(255, THERE, compid=230, autopilot=False)
+    assert not ears.hears(255, THERE, compid=190, autopilot=False)
+
+
 def test_any_frame_of_a_vehicle_keeps_its_autopilots_address(ears):
     ears.hears(1, HERE)
     for _ in range(4):
