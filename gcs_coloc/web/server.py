@@ -53,6 +53,7 @@ class WebServer:
                 ws="websockets-sansio",
                 http="h11",
                 ws_max_size=1024,
+                ws_per_message_deflate=False,  # would compress each picture once for every page
                 lifespan="off",
                 log_config=None,
                 log_level="warning",
