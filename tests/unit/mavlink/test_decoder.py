@@ -17,6 +17,7 @@ from gcs_coloc.core.messages import (
     SystemHealth,
     SystemTime,
     TimeBase,
+    TimeSyncAnswer,
 )
 from gcs_coloc.mavlink._generated import gcs_coloc as ours
 from gcs_coloc.mavlink.decoder import Decoder
@@ -152,6 +153,7 @@ SYS_STATUS_FIELDS = dict.fromkeys(
         (mavlink.MAVLink_attitude_message(61_250, 0.5, -0.25, 3.0, 1, 1, 1), Attitude(1, NOW_S, 61.25, 0.5, -0.25, 3.0)),
         (mavlink.MAVLink_vfr_hud_message(22.5, 20, 90, 50, 100, 0), Airspeed(1, NOW_S, 22.5)),
         (mavlink.MAVLink_system_time_message(UNIX_US, 61_250), SystemTime(1, NOW_S, 61.25, 1_700_000_000.25)),
+        (mavlink.MAVLink_timesync_message(61_250_000_000, 2**62 + 1), TimeSyncAnswer(1, NOW_S, 2**62 + 1, 61_250_000_000)),
         (mavlink.MAVLink_system_time_message(0, 61_250), SystemTime(1, NOW_S, 61.25, None)),
         (mavlink.MAVLink_system_time_message(61_250_000, 61_250), SystemTime(1, NOW_S, 61.25, None)),
         (
@@ -190,6 +192,10 @@ def test_message_is_decoded_in_the_cores_units(sent, expected):
         else:
             assert getattr(got, name) == want, name
     assert counts == {}
+
+
+def test_a_vehicles_own_request_for_the_time_is_no_answer():
+    assert decode(mavlink.MAVLink_timesync_message(0, 5)) == (None, {})
 
 
 @pytest.mark.parametrize(
@@ -237,6 +243,7 @@ def test_unknown_values_and_both_time_bases_are_told_apart(sent, changes):
         (mavlink.MAVLink_vfr_hud_message(-1.0, 20, 90, 50, 100, 0), "VFR_HUD.airspeed"),
         (mavlink.MAVLink_vfr_hud_message(1001.0, 20, 90, 50, 100, 0), "VFR_HUD.airspeed"),
         (mavlink.MAVLink_vfr_hud_message(math.inf, 20, 90, 50, 100, 0), "VFR_HUD.airspeed"),
+        (mavlink.MAVLink_timesync_message(-1, 5), "TIMESYNC.tc1"),
         (mavlink.MAVLink_system_time_message(2**64 - 1, 0), "SYSTEM_TIME.time_unix_usec"),
         (peer_range(range=0.0), "PEER_RANGE.range"),
         (peer_range(range=-5.0), "PEER_RANGE.range"),

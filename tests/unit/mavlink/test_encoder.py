@@ -6,7 +6,7 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages import GpsInput, StreamRequest
+from gcs_coloc.core.messages import GpsInput, StreamRequest, TimeSyncRequest
 from gcs_coloc.mavlink.encoder import MAX_DESTINATIONS, Encoder
 
 FIX = GpsInput(
@@ -34,6 +34,11 @@ FIX = GpsInput(
 def received(packed):
     (message,) = mavlink.MAVLink(None).parse_buffer(packed)
     return message
+
+
+def test_a_request_for_the_time_holds_ours_and_no_other():
+    got = received(Encoder().encode(TimeSyncRequest(4, 1_780_000_000_123_456_789), "vehicle 4"))
+    assert (got.get_type(), got.tc1, got.ts1) == ("TIMESYNC", 0, 1_780_000_000_123_456_789)
 
 
 def test_gps_input_holds_every_value_in_the_wires_unit():
