@@ -193,7 +193,7 @@ class Service:
             else:
                 self._hub.publish(output)
 
-    def _tell(self, note: ClockReference | OperatorWord) -> None:
+    def _tell(self, note: ClockReference | OperatorWord | PeerRange) -> None:
         self._advance(note.received_at_s)
         self._engine.receive(note)
         self._recording.told(note)
@@ -256,9 +256,7 @@ class Service:
         return Mqtt(settings.mqtt, hooks, self._hub.subscribe(256), self._counts)
 
     def _take_range(self, message: PeerRange) -> None:
-        self._advance(message.received_at_s)
-        self._engine.receive(message)
-        self._wake()
+        self._tell(message)
 
     def _open_web(self) -> None:
         if self._web is None:

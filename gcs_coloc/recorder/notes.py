@@ -1,7 +1,7 @@
 """What the engine was told besides the vehicles' frames, kept in the tlog so that a replay tells it the same.
 
-The operator's words, what is known of the routes, and the host's UTC reach the engine by no frame. Each is written as a
-TUNNEL frame (385) of our own, with a private payload type and JSON inside; other programs pass over it.
+The operator's words, what is known of the routes, the host's UTC and ranges from gateways reach the engine by no frame. Each is
+written as a TUNNEL frame (385) of our own, with a private payload type and JSON inside; other programs pass over it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages import ClockReference, GpsWord, OperatorWord, RouteReport
+from gcs_coloc.core.messages import ClockReference, GpsWord, OperatorWord, PeerRange, RouteReport, TimeBase
 from gcs_coloc.mavlink.framing import MAGIC_V2, read_frame
 
 PAYLOAD_TYPE = 46_232
@@ -20,8 +20,9 @@ PAYLOAD_TYPE = 46_232
 
 _MOST_BYTES = 128
 _LONGEST_REASON = 60
+_TIME_BASES = tuple(TimeBase)
 
-Note = ClockReference | OperatorWord | RouteReport
+Note = ClockReference | OperatorWord | RouteReport | PeerRange
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +40,16 @@ class NoteWriter:
         self._mavlink = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=compid)
 
     def pack(self, note: Note | None, *, repeated: bool = False) -> bytes:
-        """A note as a TUNNEL frame; None for the beginning of a part. A blocked route's reason is cut to 60 characters."""
+        """A note as a TUNNEL frame; None for the beginning of a part. A blocked route's reason is cut to 60 characters.
+
+        Raises ValueError for numbers with more digits than there is room for.
+        """
         content = _content(note) if note is not None else {"begin": 1}
         if repeated:
             content["again"] = 1
         data = json.dumps(content, separators=(",", ":")).encode()
+        if len(data) > _MOST_BYTES:
+            raise ValueError(f"a note of {len(data)} bytes does not fit into a TUNNEL frame")
         message = mavlink.MAVLink_tunnel_message(0, 0, PAYLOAD_TYPE, len(data), list(data.ljust(_MOST_BYTES, b"\0")))
         frame = bytes(message.pack(self._mavlink))
         self._mavlink.seq = (self._mavlink.seq + 1) & 0xFF
@@ -76,6 +82,10 @@ def read_note(frame: bytes, at_s: float, own: tuple[int, int]) -> ReadNote | Non
 def _content(note: Note) -> dict[str, Any]:
     if isinstance(note, ClockReference):
         return {"utc": note.utc_minus_service_s, "sync": note.synchronised}
+    if isinstance(note, PeerRange):
+        base = _TIME_BASES.index(note.time_base)
+        ends, told = (note.sysid, note.peer_sysid), (note.range_m, note.sigma_m, note.measured_at_s, base)
+        return {"range": [*ends, *told, note.sequence, note.line_of_sight, note.device_id]}
     if isinstance(note, OperatorWord):
         return {"word": note.word.value, "of": note.sysid}
     text = note.blocked.encode("ascii", "replace").decode().replace('"', "'").replace("\\", "/") if note.blocked else note.blocked
@@ -89,6 +99,10 @@ def _note(content: dict[str, Any], at_s: float) -> Note | None:
         utc = content["utc"]
         sync = content.get("sync")
         return ClockReference(at_s, float(utc) if utc is not None else None, bool(sync) if sync is not None else None)
+    if "range" in content:
+        sysid, peer, range_m, sigma_m, measured_at_s, base, sequence, line_of_sight, device_id = content["range"]
+        time_base = _TIME_BASES[base]
+        return PeerRange(sysid, at_s, peer, range_m, sigma_m, measured_at_s, time_base, sequence, line_of_sight, device_id)
     sysid = int(content["of"])
     if "word" in content:
         return OperatorWord(sysid, at_s, GpsWord(content["word"]))

@@ -20,6 +20,7 @@ from gcs_coloc.recorder.tlog_writer import tlog_record
 LOST = "recording: frames and entries lost"
 
 _QUEUE_ITEMS = 20_000
+_BATCH_ITEMS = 200
 _FLUSH_S = 0.5
 _SYNC_S = 1.0
 _RETRY_S = 5.0
@@ -107,7 +108,8 @@ class Recorder:
             if self._part is None and time.monotonic() >= retry_at_s:
                 retry_at_s = time.monotonic() + _RETRY_S
                 self._try_to_open()
-            self._write(items)
+            for start in range(0, len(items), _BATCH_ITEMS):
+                self._write(items[start : start + _BATCH_ITEMS])
             if time.monotonic() - synced_at_s >= _SYNC_S:
                 synced_at_s = time.monotonic()
                 self._sync()
@@ -129,8 +131,6 @@ class Recorder:
         return items, False
 
     def _write(self, items: list[_Item]) -> None:
-        if not items:
-            return
         try:
             self._turn_over()
             records = self._head(items[0]) if self._part is not None and self._part.size == 0 else bytearray()
@@ -141,7 +141,7 @@ class Recorder:
                 elif isinstance(item, Note):
                     if isinstance(item, OperatorWord | RouteReport):
                         self._state[type(item), item.sysid] = item
-                    records += tlog_record(item.received_at_s, self._notes.pack(item))
+                    records += self._note_record(item)
                 else:
                     entries.append(item)
             if self._part is None:
@@ -150,6 +150,13 @@ class Recorder:
                 self._part.write(bytes(records), entries)
         except OSError as error:
             self._fail(error, len(items))
+
+    def _note_record(self, note: Note) -> bytes:
+        try:
+            return tlog_record(note.received_at_s, self._notes.pack(note))
+        except ValueError:
+            self.counts.add(LOST)
+            return b""
 
     def _turn_over(self) -> None:
         if self._part is not None and self._part.size >= self._rotate_bytes:

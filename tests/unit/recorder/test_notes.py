@@ -1,0 +1,65 @@
+"""What the engine was told besides frames comes back from the tlog as it was, bit by bit; nobody else's notes are obeyed."""
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from gcs_coloc.core.messages import ClockReference, GpsWord, OperatorWord, PeerRange, RouteReport, TimeBase
+from gcs_coloc.recorder.notes import PAYLOAD_TYPE, NoteWriter, read_note
+
+AT_S = 1_795_216_162.424732
+OWN = (254, 191)
+
+
+@pytest.mark.parametrize(
+    "note",
+    [
+        ClockReference(AT_S, -1.1920928955078125e-07, True),
+        ClockReference(AT_S, None, None),
+        OperatorWord(250, AT_S, GpsWord.FAILED),
+        OperatorWord(4, AT_S, GpsWord.AUTO),
+        RouteReport(4, AT_S, None),
+        RouteReport(250, AT_S, "vehicles 1 and 4 are heard from one address"),
+        PeerRange(255, AT_S, 254, 1234.5678901234567, 0.12345678901234568, AT_S - 0.1, TimeBase.SERVICE, 4_294_967_295, 0.1, 255),
+        PeerRange(4, AT_S, 1, 0.1, None, None, TimeBase.UNIX, None, None, 0),
+    ],
+)
+def test_a_note_comes_back_as_it_was(note):
+    writer = NoteWriter(*OWN)
+    for repeated in (False, True):
+        try:
+            frame = writer.pack(note, repeated=repeated)
+        except ValueError:
+            assert repeated
+            assert isinstance(note, PeerRange)  # a range is never repeated at the head of a part
+            continue
+        read = read_note(frame, AT_S, OWN)
+        assert (read.note, read.repeated) == (note, repeated)
+
+
+def test_a_long_reason_with_anything_in_it_fits():
+    note = RouteReport(250, AT_S, 'ü"\\' * 200)
+    read = read_note(NoteWriter(*OWN).pack(note, repeated=True), AT_S, OWN)
+    assert isinstance(read.note, RouteReport)
+    assert read.note.blocked
+
+
+def test_the_beginning_of_a_part_is_no_news():
+    read = read_note(NoteWriter(*OWN).pack(None), AT_S, OWN)
+    assert read.note is None
+
+
+def test_what_others_send_is_no_note():
+    assert read_note(NoteWriter(4, 1).pack(OperatorWord(1, AT_S, GpsWord.HEALTHY)), AT_S, OWN) is None
+    ours = mavlink.MAVLink(None, srcSystem=OWN[0], srcComponent=OWN[1])
+    for payload_type, content in (
+        (PAYLOAD_TYPE, b"{}"),
+        (PAYLOAD_TYPE, b"\xff"),
+        (PAYLOAD_TYPE, b"[1]"),
+        (1, b'{"word":"failed","of":4}'),
+    ):
+        data = list(content.ljust(128, b"\0"))
+        tunnel = mavlink.MAVLink_tunnel_message(0, 0, payload_type, len(content), data)
+        assert read_note(tunnel.pack(ours), AT_S, OWN) is None
+    heartbeat = mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3)
+    assert read_note(heartbeat.pack(ours), AT_S, OWN) is None
+    assert read_note(heartbeat.pack(ours, force_mavlink1=True), AT_S, OWN) is None

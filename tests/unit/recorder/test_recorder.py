@@ -1,0 +1,73 @@
+"""The recorder's files: rotation, what is kept out, and that a part begins with what the engine had been told."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from gcs_coloc.core.errors import RecordError
+from gcs_coloc.core.messages import GpsWord, OperatorWord, RouteReport
+from gcs_coloc.recorder.notes import read_note
+from gcs_coloc.recorder.recorder import Recorder
+from gcs_coloc.recorder.tlog import TlogReader
+from gcs_coloc.recorder.tlog_writer import tlog_record
+
+AT_S = 1_795_216_162.424732
+OWN = (254, 191)
+
+
+def sender(*, key: bytes | None = None):
+    mav = mavlink.MAVLink(None, srcSystem=3, srcComponent=1)
+    if key is not None:
+        mav.signing.secret_key, mav.signing.sign_outgoing, mav.signing.timestamp = key, True, 1
+    return mav
+
+
+def attitude(mav, number: int) -> bytes:
+    mav.seq = number & 0xFF
+    return mavlink.MAVLink_attitude_message(number, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6).pack(mav)
+
+
+def test_a_signature_is_stripped_to_what_the_unsigned_frame_would_have_been():
+    signed, plain = attitude(sender(key=bytes(32)), 7), attitude(sender(), 7)
+    assert len(signed) == len(plain) + 13
+    assert tlog_record(AT_S, signed) == struct.pack(">Q", 1_795_216_162_424_732) + plain
+    assert tlog_record(AT_S, plain)[8:] == plain
+
+
+def test_the_key_and_what_cannot_be_stripped_are_left_out():
+    setup = mavlink.MAVLink_setup_signing_message(1, 1, list(range(32)), 1)
+    assert tlog_record(AT_S, setup.pack(sender())) == b""
+    unknown = bytes([0xFD, 9, 0, 0, 5, 1, 1, 0x11, 0x22, 0x33]) + b"\x07" * 9 + b"\x12\x34"
+    assert tlog_record(AT_S, unknown)[8:] == unknown
+    assert tlog_record(AT_S, unknown[:2] + b"\x01" + unknown[3:] + bytes(13)) == b""
+
+
+def test_parts_turn_over_by_size_join_to_the_whole_and_begin_with_what_was_told(tmp_path):
+    frames = [attitude(sender(), number) for number in range(3000)]
+    recorder = Recorder(tmp_path, 20_000, *OWN)
+    recorder.note(OperatorWord(4, AT_S, GpsWord.FAILED))
+    recorder.note(RouteReport(3, AT_S, None))
+    recorder.note(RouteReport(3, AT_S, None))
+    for number, frame in enumerate(frames):
+        recorder.frame(AT_S + number * 0.01, frame)
+    recorder.close()
+    parts = sorted(tmp_path.glob("*.tlog"))
+    assert len(parts) > 3
+    assert [p.stem for p in sorted(tmp_path.glob("*.mcap"))] == [p.stem for p in parts]
+    assert all(p.stat().st_size < 20_000 + 200 * 60 for p in parts)
+    heard = []
+    for part in parts:
+        records = list(TlogReader(part))
+        assert read_note(records[0].frame, 0.0, OWN).note is None
+        heard += [record for record in records if read_note(record.frame, 0.0, OWN) is None]
+    assert [record.frame for record in heard] == frames
+    assert heard[5].unix_s == round((AT_S + 0.05) * 1e6) / 1e6
+
+
+def test_a_directory_that_is_none_is_an_error_that_names_it(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordError, match=r"--record .*file: cannot be written to"):
+        Recorder(tmp_path / "file", 10**6, *OWN)
