@@ -17,16 +17,30 @@ def _program(name: str) -> str:
     return found
 
 
-class Broker:
-    """One broker that can be killed and started again on its port. It keeps nothing over a restart."""
+def certificate_for(name: str, directory: Path) -> tuple[Path, Path]:
+    """A new self-signed certificate for an IP address, and its key."""
+    certificate, key = directory / "cert.pem", directory / "key.pem"
+    made = ["-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=test", "-addext", f"subjectAltName=IP:{name}"]
+    command = [_program("openssl"), "req", *made, "-keyout", key, "-out", certificate]
+    subprocess.run(command, check=True, capture_output=True)
+    return certificate, key
 
-    def __init__(self, directory: Path, port: int) -> None:
+
+class Broker:
+    """One broker that can be killed and started again on its port. It keeps nothing over a restart.
+
+    With `certificate`, the files of a certificate and its key, it speaks TLS only.
+    """
+
+    def __init__(self, directory: Path, port: int, certificate: tuple[Path, Path] | None = None) -> None:
         self.port = port
         users, self._config = directory / "users", directory / "mosquitto.conf"
         subprocess.run([_program("mosquitto_passwd"), "-b", "-c", users, USER, PASSWORD], check=True, capture_output=True)
         users.chmod(0o644)  # started as root, the broker reads it as its own user
         directory.chmod(0o755)
         lines = [f"listener {port} 127.0.0.1", f"password_file {users}", "allow_anonymous false", "user root"]
+        if certificate is not None:
+            lines += [f"certfile {certificate[0]}", f"keyfile {certificate[1]}"]
         self._config.write_text("\n".join(lines) + "\n")
         self._process: subprocess.Popen[bytes] | None = None
 
