@@ -1,1 +1,1 @@
-"""Reading flights that were recorded."""
+"""Recording flights, and reading, replaying, exporting and reporting them."""

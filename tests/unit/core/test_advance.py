@@ -1,0 +1,72 @@
+"""However late and however often the engine is brought forward, its deadlines are answered with their own times."""
+
+from __future__ import annotations
+
+import random
+
+from gcs_coloc.core.advance import CATCH_UP_S, advance, without_superseded
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.messages import Autopilot, GpsInput, GpsWord, Heartbeat, Notice, OperatorWord, RouteReport
+from gcs_coloc.estimators.registry import load_estimator
+
+STARTED_S = 1_795_216_162.424732
+
+
+def flight() -> list:
+    """A vehicle that is declared to have no GPS, and so is sent GPS_INPUT without a fix, heard once a second."""
+    told = [OperatorWord(4, STARTED_S, GpsWord.FAILED)]
+    for second in range(8):
+        at_s = STARTED_S + second
+        told += [Heartbeat(4, at_s, Autopilot.ARDUPILOT, True), RouteReport(4, at_s, None)]
+    return told
+
+
+def polls(wakes_s: list[float], catch_up_s: float = float("inf")) -> list:
+    """What the engine does when it is brought forward at these times besides those of the messages."""
+    engine, out = Engine(load_estimator("fleet", {})), []
+    calls = [(m.received_at_s, i, m) for i, m in enumerate(flight())] + [(at_s, -1, None) for at_s in wakes_s]
+    for at_s, _, message in sorted(calls, key=lambda call: call[:2]):
+        out += advance(engine, at_s, catch_up_s=catch_up_s)
+        if message is not None:
+            engine.receive(message)
+    return [*out, *advance(engine, STARTED_S + 7.9, catch_up_s=catch_up_s)]
+
+
+def test_when_it_is_woken_leaves_no_trace():
+    rng = random.Random(3)
+    plain = polls([])
+    assert sum(isinstance(o, GpsInput) for _, outputs in plain for o in outputs) > 60
+    for _ in range(5):
+        assert polls([STARTED_S + rng.uniform(0.0, 7.9) for _ in range(300)], CATCH_UP_S) == plain
+
+
+def test_a_deadline_at_the_time_of_a_message_comes_after_it():
+    engine = Engine(load_estimator("fleet", {}))
+    engine.receive(OperatorWord(4, STARTED_S, GpsWord.FAILED))
+    assert list(advance(engine, STARTED_S)) == []
+    [(at_s, _)] = advance(engine, STARTED_S + 1e-6)
+    assert at_s == STARTED_S
+
+
+def test_nothing_is_due_before_the_first_message():
+    engine = Engine(load_estimator("fleet", {}))
+    assert list(advance(engine, STARTED_S)) == []
+    assert engine.next_deadline() == float("inf")
+
+
+def test_after_a_long_hold_up_missed_deadlines_are_left_out():
+    engine = Engine(load_estimator("fleet", {}))
+    for message in flight()[:3]:
+        engine.receive(message)
+    late_s = STARTED_S + 3600.0
+    times = [at_s for at_s, _ in advance(engine, late_s, catch_up_s=CATCH_UP_S)]
+    assert len(times) < 20
+    assert times[0] == late_s
+
+
+def test_only_the_newest_position_of_each_vehicle_is_sent():
+    outputs = [o for _, outputs in polls([]) for o in outputs]
+    kept = without_superseded(outputs)
+    positions = [o for o in outputs if isinstance(o, GpsInput)]
+    assert [o for o in kept if isinstance(o, GpsInput)] == positions[-1:]
+    assert [o for o in kept if isinstance(o, Notice)] == [o for o in outputs if isinstance(o, Notice)]
