@@ -14,12 +14,13 @@ from aiomqtt import Client, MqttError, Will
 
 from gcs_coloc.config import MqttConfig
 from gcs_coloc.core.errors import ConfigError
-from gcs_coloc.core.messages import HealthChanged
+from gcs_coloc.core.messages import ToOperator
 from gcs_coloc.core.view import FleetView
 from gcs_coloc.mavlink.counts import Counts
-from gcs_coloc.sinks.hub import News, Subscription
+from gcs_coloc.sinks.hub import Subscription
 from gcs_coloc.sinks.mqtt_inbox import Hooks, Inbox
 from gcs_coloc.sinks.mqtt_models import Alarm, of_vehicle, status, unix_s
+from gcs_coloc.sinks.wording import level_and_text
 
 log = logging.getLogger("gcs_coloc")
 
@@ -53,7 +54,7 @@ class Mqtt:
         self._inbox = Inbox(self._base, hooks, counts, commands=config.commands, ranges=config.ranges)
         self._password = _read_password(Path(config.password_file)) if config.password_file else None
         self._tls = _tls(config.ca_file) if config.tls else None
-        self._alarms: deque[News] = deque(maxlen=_ALARMS_KEPT)
+        self._alarms: deque[ToOperator] = deque(maxlen=_ALARMS_KEPT)
         self._stopping = asyncio.Event()
         self._attempts = 0
         self._told: str | None = None
@@ -79,7 +80,7 @@ class Mqtt:
         """Keep the newest alarms, whether there is a broker or not."""
         while True:
             news = await self._news.get()
-            if not isinstance(news, FleetView) and _level(news) != "info":
+            if not isinstance(news, FleetView) and level_and_text(news)[0] != "info":
                 self._alarms.append(news)
 
     async def _connect_again_and_again(self) -> None:
@@ -165,17 +166,9 @@ class Mqtt:
         await client.publish(f"{self._base}/{topic}", payload, qos=qos, retain=True)
 
 
-def _level(news: News) -> str:
-    assert not isinstance(news, FleetView)
-    if isinstance(news, HealthChanged):
-        return "warning" if news.after in ("suspect", "failed") else "info"
-    return news.level
-
-
-def _alarm(news: News, view: FleetView) -> Alarm:
-    assert not isinstance(news, FleetView)
-    text = f"GPS {news.before} -> {news.after}: {news.reason}" if isinstance(news, HealthChanged) else news.text
-    content = {"at_unix_s": unix_s(news.at_s, view), "sysid": news.sysid, "level": _level(news), "text": text}
+def _alarm(news: ToOperator, view: FleetView) -> Alarm:
+    level, text = level_and_text(news)
+    content = {"at_unix_s": unix_s(news.at_s, view), "sysid": news.sysid, "level": level, "text": text}
     return Alarm.model_validate(content)
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import deque
 from math import nan
 
-from gcs_coloc.core.messages import HealthChanged
 from gcs_coloc.core.view import FleetView, LinkView, VehicleView
 from gcs_coloc.sinks.hub import News, Subscription
+from gcs_coloc.sinks.wording import level_and_text
 from gcs_coloc.web.wire import Event, EventsFrame, LinkFrame, VehicleHistory
 
 _SAMPLE_EVERY_S = 1.0
@@ -39,11 +39,7 @@ class Story:
         if isinstance(news, FleetView):
             self._take_view(news)
             return
-        if isinstance(news, HealthChanged):
-            bad = news.after in ("suspect", "failed")
-            level, text = ("warning" if bad else "info"), f"GPS {news.before} -> {news.after}: {news.reason}"
-        else:
-            level, text = news.level, news.text
+        level, text = level_and_text(news)
         event = Event.model_validate(
             {
                 "id": self._next_event,
