@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from bench import accuracy, flood, memory, service_cpu
+from bench import accuracy, flood, integrity, memory, service_cpu
 from bench.figures import Figure
 
 _SECTIONS: dict[str, Callable[[bool], list[Figure]]] = {
@@ -19,6 +19,7 @@ _SECTIONS: dict[str, Callable[[bool], list[Figure]]] = {
     "flood": flood.measure,
     "memory": memory.measure,
     "accuracy": accuracy.measure,
+    "integrity": integrity.measure,
 }
 
 

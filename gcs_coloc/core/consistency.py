@@ -34,9 +34,9 @@ class ConsistencySettings:
     have in common, `slow_share` the share of their stated variance that no averaging removes.
     """
 
-    every_s: float = 0.5
-    window_s: float = 2.0
-    wait_s: float = 0.4
+    every_s: float = 0.2
+    window_s: float = 1.4
+    wait_s: float = 0.3
     accuse_after: int = 3
     suspect_after: int = 4
     least_ranges: int = 3

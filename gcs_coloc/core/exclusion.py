@@ -88,10 +88,10 @@ class Levels:
     `margin`: a fault whose explanation is worse than the best by this (twice the log likelihood ratio) is ruled out.
     """
 
-    alarm: float = 1e-5
+    alarm: float = 1e-4
     clear: float = 1e-2
     rest: float = 1e-3
-    margin: float = 12.0
+    margin: float = 10.0
 
 
 def judge(places: Mapping[int, Place], rows: Sequence[Row], levels: Levels) -> Verdict | None:
