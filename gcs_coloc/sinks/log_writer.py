@@ -21,6 +21,8 @@ class LogWriter(QueueHandler):
     def __init__(self, handler: logging.Handler, most: int = MOST_WAITING) -> None:
         self._records: queue.Queue[logging.LogRecord | None] = queue.Queue(most)
         super().__init__(self._records)
+        # The message alone, as what is queued is that: `handler` does the rest, and basicConfig would set its own form here.
+        self.setFormatter(logging.Formatter("%(message)s"))
         self.lost = 0
         self._writing = threading.Thread(target=self._write, args=(handler,), name="log", daemon=True)
         self._writing.start()

@@ -55,4 +55,4 @@ def test_a_vehicle_is_located_under_a_flood_of_false_positions_noise_and_made_up
     log = (tmp_path / "log").read_text()
     assert "Traceback" not in log
     assert "address_conflict" in log
-    assert "rate_limited" in log
+    assert "refused on the links" in log

@@ -56,3 +56,14 @@ def test_the_last_lines_are_written_at_the_end(slow):
     writer.close()
     assert slow.lines == [f"line {number}" for number in range(500)]
     assert writer.lost == 0
+
+
+def test_a_line_has_its_own_handlers_form_and_no_other(slow):
+    slow.go.set()
+    writer = LogWriter(slow)
+    root = logging.Logger("test")
+    root.addHandler(writer)
+    assert writer.formatter is not None  # else logging.basicConfig gives it one
+    root.warning("refused %d", 3)
+    writer.close()
+    assert slow.lines == ["refused 3"]
