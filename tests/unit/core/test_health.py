@@ -1,8 +1,11 @@
 """The GPS health machine: each transition, with the evidence that causes it and the reason that is told."""
 
+from dataclasses import replace
+
 import pytest
 
-from gcs_coloc.core.health import GpsHealth, GpsState, HealthSettings
+from gcs_coloc.core.health import Contradiction, GpsHealth, GpsState, HealthSettings
+from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages import EkfStatus, GpsReceiver, GpsWord, SystemHealth
 
 
@@ -136,3 +139,29 @@ def test_the_operators_word_wins_until_withdrawn():
     health.word = GpsWord.AUTO
     run(health, 10.2, 12.0, fix_type=0)
     assert health.state is GpsState.FAILED
+
+
+def test_a_receiver_frozen_on_the_move_fails_and_a_jump_is_suspect():
+    frozen, jumped = healthy_until(5.0), healthy_until(5.0)
+    for i in range(60):
+        t = 5.2 + i / 5
+        for health, east_m in ((frozen, 20.0 * t), (jumped, 20.0 * t + (40.0 if t > 8.0 else 0.0))):
+            health.motion.take_claim(PositionMeasurement(1, t, t, (east_m, 0.0, 0.0), 1.0, 2.0, (20.0, 0.0, 0.0), 0.3), own=True)
+        frozen.take(receiver(t))
+        jumped.take(replace(receiver(t), lat_deg=47.0 + 1e-5 * i))
+        frozen.update(t)
+        jumped.update(t)
+    assert frozen.state is GpsState.FAILED
+    assert "repeats one position" in frozen.reason
+    assert jumped.state is GpsState.SUSPECT
+    assert "other than its velocity" in jumped.reason
+
+
+def test_an_identified_contradiction_fails_at_once_and_an_unclear_one_is_suspect():
+    accused, among = healthy_until(5.0), healthy_until(5.0)
+    accused.contradiction = Contradiction("contradicts the ranges", identified=True)
+    among.contradiction = Contradiction("somebody lies", identified=False)
+    run(accused, 5.2, 5.2)
+    run(among, 5.2, 30.0)
+    assert accused.state is GpsState.FAILED
+    assert among.state is GpsState.SUSPECT
