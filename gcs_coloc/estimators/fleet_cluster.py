@@ -43,6 +43,8 @@ LEAST_AIRSPEED_MPS = 5.0
 _STEEPEST_BANK_RAD = 1.2
 _COAST_TIME_S = 2.0
 _COAST_GAIN = 5.0
+_NOTICED_M = 10.0
+_UNNOTICED_GAIN = 20.0
 _TURN_GAIN = 6.0
 _LONGEST_STEP_S = 0.5
 _MOST_STEPS = 40
@@ -139,8 +141,13 @@ class Cluster:
         self.records = records
         self.joint = Joint() if joint is None else joint
 
-    def motion(self, vehicle: int, x: FloatArray, step_s: float, at_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the mean (16,), its Jacobian F and the noise Q (16, 16) of a vehicle after a step (negative: back) to `at_s`."""
+    def motion(
+        self, vehicle: int, x: FloatArray, P: FloatArray, step_s: float, at_s: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the mean (16,), its Jacobian F and the noise Q (16, 16) of a vehicle after a step (negative: back) to `at_s`.
+
+        `x` (16,) and `P` (16, 16) are its state before the step.
+        """
         s, record = self.settings, self.records[vehicle]
         attitude = record.attitude
         aided = attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s
@@ -164,6 +171,11 @@ class Cluster:
         elif at_s - record.informed_at_s > _COAST_TIME_S:
             # Nobody has seen steady flight lately: a manoeuvre may have begun since.
             gain = max(gain, min(((at_s - record.informed_at_s) / _COAST_TIME_S) ** 2, _COAST_GAIN))
+        if record.subject and not aided:
+            # Where a place is known badly a manoeuvre is noticed late: one may have been under way for long.
+            half, skew = 0.5 * float(P[0, 0] + P[1, 1]), 0.5 * float(P[0, 0] - P[1, 1])
+            worst_m2 = half + math.sqrt(skew * skew + float(P[0, 1]) ** 2)
+            gain = max(gain, min(worst_m2 / (_NOTICED_M * _NOTICED_M), _UNNOTICED_GAIN))
         density *= min(gain, s.manoeuvre_gain)
         climb *= min(gain_v, s.manoeuvre_gain)
         # How long the turn of now lasts, within the step.
@@ -200,8 +212,9 @@ class Cluster:
         if record.fixed:
             return
         joint = self.joint
+        where = joint.slice(vehicle)
         for to_s in _steps(joint.time_s[vehicle], at_s):
-            mean, F, Q = self.motion(vehicle, joint.x[joint.slice(vehicle)], to_s - joint.time_s[vehicle], to_s)
+            mean, F, Q = self.motion(vehicle, joint.x[where], joint.P[where, where], to_s - joint.time_s[vehicle], to_s)
             joint.transform(vehicle, mean, F, Q, to_s)
 
     def predicted(self, vehicle: int, at_s: float) -> tuple[FloatArray, FloatArray]:
@@ -209,7 +222,7 @@ class Cluster:
         where = self.joint.slice(vehicle)
         x, P, from_s = self.joint.x[where], self.joint.P[where, where], self.joint.time_s[vehicle]
         for to_s in _steps(from_s, at_s) if at_s >= from_s else [at_s]:
-            x, F, Q = self.motion(vehicle, x, to_s - from_s, to_s)
+            x, F, Q = self.motion(vehicle, x, P, to_s - from_s, to_s)
             P = F @ P @ F.T + Q
             from_s = to_s
         return x, P
