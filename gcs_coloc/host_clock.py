@@ -1,11 +1,21 @@
-"""Whether the host's clock is disciplined, as the kernel sees it. Read by the composition root alone."""
+"""The host's own time, and whether it can be trusted. Read by the composition root alone."""
 
 from __future__ import annotations
 
 import ctypes
+import time
+
+from gcs_coloc.core.messages import ClockReference
 
 _TIMEX_BYTES = 512  # struct timex has 208 on 64-bit Linux; its first field, modes, 0 means: only read
 _TIME_ERROR = 5
+_EARLIEST_PLAUSIBLE_UNIX_S = 1_704_067_200.0  # 2024-01-01: a host that says less has no clock battery and no time yet
+
+
+def read_host_clock(now_s: float) -> ClockReference:
+    """How far the host's UNIX time is ahead of the service's at service time `now_s`, and whether it is kept right."""
+    unix_s = time.time()
+    return ClockReference(now_s, unix_s - now_s if unix_s >= _EARLIEST_PLAUSIBLE_UNIX_S else None, is_synchronised())
 
 
 def is_synchronised() -> bool | None:

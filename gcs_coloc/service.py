@@ -1,42 +1,21 @@
-"""The composition root: builds everything, ties it together, and ends it in order. Nobody else reads a clock."""
+"""The composition root: builds the fleet's path and its observers, keeps them going, and ends them in order."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import signal
-import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from gcs_coloc.clock import ServiceClock
 from gcs_coloc.config import Settings
-from gcs_coloc.core.advance import CATCH_UP_S, advance, without_superseded
-from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import WebError
-from gcs_coloc.core.messages import ClockReference, GpsWord, Notice, OperatorWord, Outbound, PeerRange, RouteReport, ToVehicle
-from gcs_coloc.core.view import FleetView, LinkView
-from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.host_clock import is_synchronised
-from gcs_coloc.links.address import parse
-from gcs_coloc.links.base import Address, Link
-from gcs_coloc.links.claims import Route
-from gcs_coloc.links.factory import make_link
-from gcs_coloc.links.intake import Intake
-from gcs_coloc.links.refusals import Refusals
-from gcs_coloc.links.routes import Blocked, RouteTable
-from gcs_coloc.links.signed_links import SignedLinks
-from gcs_coloc.mavlink.counts import Counts
-from gcs_coloc.mavlink.decoder import Decoder, Frame
-from gcs_coloc.mavlink.encoder import Encoder
-from gcs_coloc.mavlink.framing import RawFrame
-from gcs_coloc.mavlink.signing import Stamp
-from gcs_coloc.recorder.flight import FlightRecording
+from gcs_coloc.fleet_service import FleetService
+from gcs_coloc.host_clock import read_host_clock
 from gcs_coloc.sinks import console as console_sink
-from gcs_coloc.sinks.hub import Hub
 
 if TYPE_CHECKING:
     from gcs_coloc.sinks.mqtt import Mqtt
@@ -47,40 +26,17 @@ log = logging.getLogger("gcs_coloc")
 _VIEW_EVERY_S = 0.5
 _HEARTBEAT_EVERY_S = 1.0
 _REFUSALS_EVERY_S = 10.0
-_ENGINE_LATE_S = 2.0
-_EARLIEST_PLAUSIBLE_UNIX_S = 1_704_067_200.0  # 2024-01-01: a host that says less has no clock battery and no time yet
 
 
 class Service:
-    """One fleet on its links. `run` lasts until a signal or until `stop` is called."""
+    """One fleet and its observers. `run` lasts until a signal or until `stop` is called."""
 
     def __init__(self, settings: Settings) -> None:
-        self._clock = clock = ServiceClock()
-        ids = settings.mavlink
-        self._decoder = Decoder(own_sysid=ids.system_id, own_compid=ids.component_id)
-        self._encoder = Encoder(sysid=ids.system_id, compid=ids.component_id)
-        senders = settings.senders
-        self._intake = Intake(senders.bytes_per_s)
-        self._routes = RouteTable(roam_after_s=senders.roam_after_s, companions_elsewhere=senders.companions_elsewhere)
-        self._signed = SignedLinks(settings.signing, settings.links)
-        self._signed.set_clock(self._unix_minus_service_s(clock()))  # before the first frame: it tells a recording from news
-        self._links = [make_link(parse(text), self._on_datagram, clock) for text in settings.links]
-        self._engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
-        self._counts = Counts()
-        self._refusals = Refusals(
-            [self._decoder.counts, self._intake.counts, self._routes.counts, self._counts, *(link.counts for link in self._links)]
-        )
-        self._recording = FlightRecording(settings.record, ids, self._engine)
-        self._hub = Hub()
+        self._clock = ServiceClock()
+        self._fleet = FleetService(settings, self._clock, read_host_clock(self._clock()))
         self._web = self._make_web(settings)
         self._mqtt = self._make_mqtt(settings)
-        self._timer: asyncio.TimerHandle | None = None
-        self._engine_at_s = clock()
         self._stopping = asyncio.Event()
-        self._words = [
-            *((sysid, GpsWord.FAILED) for sysid in settings.fleet.failed),
-            *((sysid, GpsWord.HEALTHY) for sysid in settings.fleet.healthy),
-        ]
 
     def stop(self) -> None:
         """Ask the service to end in order."""
@@ -97,23 +53,20 @@ class Service:
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, self.stop)
         try:
-            for link in self._links:
-                await link.open()
-                log.info("listening on %s", link.name)
+            await self._fleet.open()
             self._open_web()
             async with asyncio.TaskGroup() as group:
                 background = [
-                    group.create_task(console_sink.show(self._hub.subscribe(), console)),
-                    group.create_task(self._every(_VIEW_EVERY_S, self._publish_view)),
+                    group.create_task(console_sink.show(self._fleet.hub.subscribe(), console)),
+                    group.create_task(self._every(_VIEW_EVERY_S, self._fleet.publish_view)),
                     group.create_task(self._every(_HEARTBEAT_EVERY_S, self._each_second)),
-                    group.create_task(self._every(_REFUSALS_EVERY_S, self._tell_refusals)),
+                    group.create_task(self._every(_REFUSALS_EVERY_S, self._fleet.tell_refusals)),
                 ]
                 if self._web is not None:
                     group.create_task(self._web.run())
                 if self._mqtt is not None:
                     group.create_task(self._mqtt.run())
-                for sysid, word in self._words:
-                    self._obey(sysid, word)
+                self._fleet.start()
                 await self._stopping.wait()
                 if self._web is not None:
                     self._web.stop()
@@ -122,120 +75,17 @@ class Service:
                 for task in background:
                     task.cancel()
         finally:
-            await self._end()
-
-    async def _end(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-        for last in self._engine.close():
-            self._send(last)
-        refused = self._refusals.news()
-        if refused is not None:
-            log.warning("%s", refused)
-        for link in self._links:
-            await link.close()
-        if self._web is not None:
-            self._web.close()
-        self._recording.close()
-
-    def _on_datagram(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
-        if not self._intake.admits((link, address), len(payload), received_at_s):
-            return
-        self._advance(received_at_s)
-        good: list[RawFrame] = []
-        refused: list[Frame] = []
-        for frame in self._decoder.decode(payload, received_at_s, (link.name, address), self._signed.of(link.name), good):
-            if not self._learn_route(frame, link, address, received_at_s):
-                refused.append(frame)
-            elif frame.message is not None:
-                self._engine.receive(frame.message)
-                if frame.is_autopilot_heartbeat:
-                    self._intake.know((link, address), received_at_s)
-                    route = self._routes.route(frame.sysid, received_at_s)
-                    report = RouteReport(frame.sysid, received_at_s, route.reason if isinstance(route, Blocked) else None)
-                    self._engine.receive(report)
-                    self._recording.told(report)
-        self._recording.heard(received_at_s, good, refused)
-        self._wake()
-
-    def _learn_route(self, frame: Frame, link: Link, address: Address, now_s: float) -> bool:
-        return self._routes.learn(
-            frame.sysid, frame.compid, link, address, is_autopilot_heartbeat=frame.is_autopilot_heartbeat, now_s=now_s
-        )
-
-    def _wake(self) -> None:
-        """Make sure that the engine is polled when it next wants to be."""
-        due_s = self._engine.next_deadline()
-        if due_s == float("inf"):
-            return
-        loop_s = self._clock.on_loop(due_s)
-        if self._timer is not None:
-            if self._timer.when() <= loop_s:
-                return
-            self._timer.cancel()
-        self._timer = asyncio.get_running_loop().call_at(loop_s, self._poll)
-
-    def _poll(self) -> None:
-        self._timer = None
-        self._advance(self._clock())
-        self._wake()
-
-    def _advance(self, to_s: float) -> None:
-        """Bring the engine to `to_s`, before anything that arrived then is given to it, and pass on what comes of it."""
-        self._engine_at_s = to_s
-        news: list[Outbound] = []
-        for at_s, outputs in advance(self._engine, to_s, catch_up_s=CATCH_UP_S):
-            self._recording.polled(at_s, outputs)
-            news.extend(outputs)
-        for output in without_superseded(news):
-            if isinstance(output, ToVehicle):
-                self._send(output)
-            else:
-                self._hub.publish(output)
-
-    def _tell(self, note: ClockReference | OperatorWord | PeerRange) -> None:
-        self._advance(note.received_at_s)
-        self._engine.receive(note)
-        self._recording.told(note)
-        self._wake()
-
-    def _send(self, output: ToVehicle) -> None:
-        route = self._routes.route(output.sysid, self._clock())
-        # Asked again for every message: an address that came to be shared a moment ago must get nothing.
-        if isinstance(route, Blocked):
-            return
-        try:
-            payload = self._encoder.encode(output, route, self._stamp(route))
-        except ValueError:
-            self._counts.add("output that no message can hold")
-            return
-        route.link.send(route.address, payload)
-        self._recording.sent(self._engine_at_s, payload)
-
-    def _stamp(self, route: Route) -> Stamp | None:
-        signing = self._signed.of(route.link.name)
-        return signing.stamp(self._clock()) if signing is not None else None
+            await self._fleet.close()
+            if self._web is not None:
+                self._web.close()
 
     async def _every(self, period_s: float, act: Callable[[], None]) -> None:
         while True:
             act()
             await asyncio.sleep(period_s)
 
-    def _publish_view(self) -> None:
-        self._hub.publish(self._look())
-
-    def _look(self) -> FleetView:
-        view = self._engine.view(self._clock())
-        return replace(view, refused=view.refused | self._refusals.totals(), links=self._link_views())
-
-    def _link_views(self) -> tuple[LinkView, ...]:
-        # A vehicle may be heard over several links and components; the operator asks about the vehicle.
-        totals = {vehicle.sysid: [0, 0, 0] for vehicle in self._engine.fleet}
-        for (_, sysid, _), reception in self._decoder.sequences.receptions.items():
-            if sysid in totals:
-                for i, count in enumerate((reception.received, reception.lost, reception.duplicates)):
-                    totals[sysid][i] += count
-        return tuple(LinkView(sysid, *counts) for sysid, counts in sorted(totals.items()))
+    def _each_second(self) -> None:
+        self._fleet.each_second(read_host_clock(self._clock()))
 
     def _make_web(self, settings: Settings) -> WebServer | None:
         if not settings.web.on:
@@ -244,7 +94,7 @@ class Service:
         from gcs_coloc.web.app import Hooks
         from gcs_coloc.web.server import WebServer
 
-        return WebServer(settings.web, Hooks(self._look, self._obey, self._fault), self._hub.subscribe(256))
+        return WebServer(settings.web, Hooks(self._fleet.look, self._fleet.obey, self._fault), self._fleet.hub.subscribe(256))
 
     def _make_mqtt(self, settings: Settings) -> Mqtt | None:
         if not settings.mqtt.host:
@@ -252,11 +102,9 @@ class Service:
         from gcs_coloc.sinks.mqtt import Mqtt
         from gcs_coloc.sinks.mqtt_inbox import Hooks
 
-        hooks = Hooks(self._look, lambda: [v.sysid for v in self._engine.fleet], self._obey, self._take_range, self._clock)
-        return Mqtt(settings.mqtt, hooks, self._hub.subscribe(256), self._counts)
-
-    def _take_range(self, message: PeerRange) -> None:
-        self._tell(message)
+        fleet = self._fleet
+        hooks = Hooks(fleet.look, fleet.heard, fleet.obey, fleet.take_range, self._clock)
+        return Mqtt(settings.mqtt, hooks, fleet.hub.subscribe(256), fleet.counts)
 
     def _open_web(self) -> None:
         if self._web is None:
@@ -269,41 +117,6 @@ class Service:
             log.warning("%s; the flight goes on without the page", error)
             self._web = None
 
-    def _obey(self, sysid: int, word: GpsWord) -> None:
-        self._tell(OperatorWord(sysid, self._clock(), word))
-
     def _fault(self) -> str | None:
         """Why the service does not do its work, None where it does."""
-        if self._stopping.is_set():
-            return "the service is ending"
-        late_s = self._clock() - self._engine_at_s
-        return f"the engine was last run {late_s:.1f} s ago" if late_s > _ENGINE_LATE_S else None
-
-    def _tell_refusals(self) -> None:
-        text = self._refusals.news()
-        if text is not None:
-            self._hub.publish(Notice(self._clock(), None, "warning", text))
-
-    @staticmethod
-    def _unix_minus_service_s(now_s: float) -> float | None:
-        unix_s = time.time()
-        return unix_s - now_s if unix_s >= _EARLIEST_PLAUSIBLE_UNIX_S else None
-
-    def _each_second(self) -> None:
-        now_s = self._clock()
-        offset_s = self._unix_minus_service_s(now_s)
-        self._signed.set_clock(offset_s)
-        self._tell(ClockReference(now_s, offset_s, is_synchronised()))
-        recording = self._recording.news()
-        if recording is not None:
-            self._hub.publish(Notice(now_s, None, *recording))
-        for sysid, text in self._routes.claims.news(now_s):
-            self._hub.publish(Notice(now_s, sysid, "warning", text))
-        routes = (self._routes.route(vehicle.sysid, now_s) for vehicle in self._engine.fleet)
-        # A vehicle or router may wait for our first frame before it sends any, hence the links' remotes.
-        greeted = {route for route in routes if isinstance(route, Route)}
-        greeted |= {Route(link, link.remote) for link in self._links if link.remote is not None}
-        for route in greeted:
-            payload = self._encoder.heartbeat(route, self._stamp(route))
-            route.link.send(route.address, payload)
-            self._recording.sent(self._engine_at_s, payload)
+        return "the service is ending" if self._stopping.is_set() else self._fleet.fault()

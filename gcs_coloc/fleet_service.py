@@ -1,0 +1,229 @@
+"""One fleet's straight path: links, intake, decoder, routes, engine, encoder, links; with its recording and its refusals."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from dataclasses import replace
+
+from gcs_coloc.clock import ServiceClock
+from gcs_coloc.config import Settings
+from gcs_coloc.core.advance import CATCH_UP_S, advance, without_superseded
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.messages import ClockReference, GpsWord, Notice, OperatorWord, Outbound, PeerRange, RouteReport, ToVehicle
+from gcs_coloc.core.view import FleetView, LinkView
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.links.address import parse
+from gcs_coloc.links.base import Address, Link
+from gcs_coloc.links.claims import Route
+from gcs_coloc.links.factory import make_link
+from gcs_coloc.links.intake import Intake
+from gcs_coloc.links.refusals import Refusals
+from gcs_coloc.links.routes import Blocked, RouteTable
+from gcs_coloc.links.signed_links import SignedLinks
+from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.decoder import Decoder, Frame
+from gcs_coloc.mavlink.encoder import Encoder
+from gcs_coloc.mavlink.framing import RawFrame
+from gcs_coloc.mavlink.signing import Stamp
+from gcs_coloc.recorder.flight import FlightRecording
+from gcs_coloc.sinks.hub import Hub
+
+log = logging.getLogger("gcs_coloc")
+
+_ENGINE_LATE_S = 2.0
+
+
+class FleetService:
+    """One fleet on its links. Every call returns at once; whoever holds it calls `each_second` and the other periodic ones.
+
+    `hub` tells its observers what happens, `counts` takes what they refuse.
+    """
+
+    def __init__(self, settings: Settings, clock: ServiceClock, host: ClockReference) -> None:
+        """Build everything; no link is open yet. `host` is the host's time now."""
+        self.hub = Hub()
+        self.counts = Counts()
+        self._clock = clock
+        ids = settings.mavlink
+        self._decoder = Decoder(own_sysid=ids.system_id, own_compid=ids.component_id)
+        self._encoder = Encoder(sysid=ids.system_id, compid=ids.component_id)
+        senders = settings.senders
+        self._intake = Intake(senders.bytes_per_s)
+        self._routes = RouteTable(roam_after_s=senders.roam_after_s, companions_elsewhere=senders.companions_elsewhere)
+        self._signed = SignedLinks(settings.signing, settings.links)
+        self._signed.set_clock(host.utc_minus_service_s)  # before the first frame: it tells a recording from news
+        self._links = [make_link(parse(text), self._on_datagram, clock) for text in settings.links]
+        self._engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
+        self._refusals = Refusals(
+            [self._decoder.counts, self._intake.counts, self._routes.counts, self.counts, *(link.counts for link in self._links)]
+        )
+        self._recording = FlightRecording(settings.record, ids, self._engine)
+        self._timer: asyncio.TimerHandle | None = None
+        self._engine_at_s = clock()
+        self._words = [
+            *((sysid, GpsWord.FAILED) for sysid in settings.fleet.failed),
+            *((sysid, GpsWord.HEALTHY) for sysid in settings.fleet.healthy),
+        ]
+
+    async def open(self) -> None:
+        """Open the links, one after the other. LinkError where one cannot be opened."""
+        for link in self._links:
+            await link.open()
+            log.info("listening on %s", link.name)
+
+    def start(self) -> None:
+        """Tell the engine the operator's words from the settings."""
+        for sysid, word in self._words:
+            self.obey(sysid, word)
+
+    async def close(self) -> None:
+        """Tell every aided vehicle that its fix has ended, close the links and end the recording."""
+        if self._timer is not None:
+            self._timer.cancel()
+        for last in self._engine.close():
+            self._send(last)
+        refused = self._refusals.news()
+        if refused is not None:
+            log.warning("%s", refused)
+        for link in self._links:
+            await link.close()
+        self._recording.close()
+
+    def look(self) -> FleetView:
+        """The fleet as it stands."""
+        view = self._engine.view(self._clock())
+        return replace(view, refused=view.refused | self._refusals.totals(), links=self._link_views())
+
+    def heard(self) -> list[int]:
+        """The system ids of the vehicles heard so far."""
+        return [vehicle.sysid for vehicle in self._engine.fleet]
+
+    def obey(self, sysid: int, word: GpsWord) -> None:
+        """Take the operator's word on one vehicle's GPS."""
+        self._tell(OperatorWord(sysid, self._clock(), word))
+
+    def take_range(self, message: PeerRange) -> None:
+        """Take a range that did not come over a link."""
+        self._tell(message)
+
+    def fault(self) -> str | None:
+        """Why the fleet's path does not do its work, None where it does."""
+        late_s = self._clock() - self._engine_at_s
+        return f"the engine was last run {late_s:.1f} s ago" if late_s > _ENGINE_LATE_S else None
+
+    def publish_view(self) -> None:
+        """Show the fleet to the observers."""
+        self.hub.publish(self.look())
+
+    def tell_refusals(self) -> None:
+        """Tell the observers what has been refused since the last call."""
+        text = self._refusals.news()
+        if text is not None:
+            self.hub.publish(Notice(self._clock(), None, "warning", text))
+
+    def each_second(self, host: ClockReference) -> None:
+        """Take the host's time, tell what the recorder and the routes have to tell, and greet with our heartbeat."""
+        now_s = host.received_at_s
+        self._signed.set_clock(host.utc_minus_service_s)
+        self._tell(host)
+        recording = self._recording.news()
+        if recording is not None:
+            self.hub.publish(Notice(now_s, None, *recording))
+        for sysid, text in self._routes.claims.news(now_s):
+            self.hub.publish(Notice(now_s, sysid, "warning", text))
+        routes = (self._routes.route(vehicle.sysid, now_s) for vehicle in self._engine.fleet)
+        # A vehicle or router may wait for our first frame before it sends any, hence the links' remotes.
+        greeted = {route for route in routes if isinstance(route, Route)}
+        greeted |= {Route(link, link.remote) for link in self._links if link.remote is not None}
+        for route in greeted:
+            payload = self._encoder.heartbeat(route, self._stamp(route))
+            route.link.send(route.address, payload)
+            self._recording.sent(self._engine_at_s, payload)
+
+    def _on_datagram(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
+        if not self._intake.admits((link, address), len(payload), received_at_s):
+            return
+        self._advance(received_at_s)
+        good: list[RawFrame] = []
+        refused: list[Frame] = []
+        for frame in self._decoder.decode(payload, received_at_s, (link.name, address), self._signed.of(link.name), good):
+            if not self._learn_route(frame, link, address, received_at_s):
+                refused.append(frame)
+            elif frame.message is not None:
+                self._engine.receive(frame.message)
+                if frame.is_autopilot_heartbeat:
+                    self._intake.know((link, address), received_at_s)
+                    route = self._routes.route(frame.sysid, received_at_s)
+                    report = RouteReport(frame.sysid, received_at_s, route.reason if isinstance(route, Blocked) else None)
+                    self._engine.receive(report)
+                    self._recording.told(report)
+        self._recording.heard(received_at_s, good, refused)
+        self._wake()
+
+    def _learn_route(self, frame: Frame, link: Link, address: Address, now_s: float) -> bool:
+        return self._routes.learn(
+            frame.sysid, frame.compid, link, address, is_autopilot_heartbeat=frame.is_autopilot_heartbeat, now_s=now_s
+        )
+
+    def _wake(self) -> None:
+        """Make sure that the engine is polled when it next wants to be."""
+        due_s = self._engine.next_deadline()
+        if due_s == float("inf"):
+            return
+        loop_s = self._clock.on_loop(due_s)
+        if self._timer is not None:
+            if self._timer.when() <= loop_s:
+                return
+            self._timer.cancel()
+        self._timer = asyncio.get_running_loop().call_at(loop_s, self._poll)
+
+    def _poll(self) -> None:
+        self._timer = None
+        self._advance(self._clock())
+        self._wake()
+
+    def _advance(self, to_s: float) -> None:
+        """Bring the engine to `to_s`, before anything that arrived then is given to it, and pass on what comes of it."""
+        self._engine_at_s = to_s
+        news: list[Outbound] = []
+        for at_s, outputs in advance(self._engine, to_s, catch_up_s=CATCH_UP_S):
+            self._recording.polled(at_s, outputs)
+            news.extend(outputs)
+        for output in without_superseded(news):
+            if isinstance(output, ToVehicle):
+                self._send(output)
+            else:
+                self.hub.publish(output)
+
+    def _tell(self, note: ClockReference | OperatorWord | PeerRange) -> None:
+        self._advance(note.received_at_s)
+        self._engine.receive(note)
+        self._recording.told(note)
+        self._wake()
+
+    def _send(self, output: ToVehicle) -> None:
+        route = self._routes.route(output.sysid, self._clock())
+        # Asked again for every message: an address that came to be shared a moment ago must get nothing.
+        if isinstance(route, Blocked):
+            return
+        try:
+            payload = self._encoder.encode(output, route, self._stamp(route))
+        except ValueError:
+            self.counts.add("output that no message can hold")
+            return
+        route.link.send(route.address, payload)
+        self._recording.sent(self._engine_at_s, payload)
+
+    def _stamp(self, route: Route) -> Stamp | None:
+        signing = self._signed.of(route.link.name)
+        return signing.stamp(self._clock()) if signing is not None else None
+
+    def _link_views(self) -> tuple[LinkView, ...]:
+        # A vehicle may be heard over several links and components; the operator asks about the vehicle.
+        totals = {vehicle.sysid: [0, 0, 0] for vehicle in self._engine.fleet}
+        for (_, sysid, _), reception in self._decoder.sequences.receptions.items():
+            if sysid in totals:
+                for i, count in enumerate((reception.received, reception.lost, reception.duplicates)):
+                    totals[sysid][i] += count
+        return tuple(LinkView(sysid, *counts) for sysid, counts in sorted(totals.items()))
