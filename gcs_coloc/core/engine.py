@@ -10,7 +10,6 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from gcs_coloc.core.aiding import Aiding
-from gcs_coloc.core.bound import horizontal_bound_95_m, horizontal_sigma_m
 from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.feed import Feed, FeedSettings
 from gcs_coloc.core.fleet import Fleet, Vehicle
@@ -18,7 +17,7 @@ from gcs_coloc.core.gps_input import AidSettings
 from gcs_coloc.core.guard import GuardedEstimator
 from gcs_coloc.core.health import GpsState, HealthSettings
 from gcs_coloc.core.integrity import Integrity
-from gcs_coloc.core.measurements import Estimate, FloatArray, Measurement, RangeMeasurement, Unknown, Vector3
+from gcs_coloc.core.measurements import Estimate, Measurement, RangeMeasurement, Unknown
 from gcs_coloc.core.messages import (
     Airspeed,
     Attitude,
@@ -44,11 +43,11 @@ from gcs_coloc.core.messages import (
 from gcs_coloc.core.residuals import ResidualLog
 from gcs_coloc.core.streams import StreamRequests
 from gcs_coloc.core.utc import Utc
-from gcs_coloc.core.view import Consistency, FleetView, VehicleView
+from gcs_coloc.core.vehicle_view import vehicle_view
+from gcs_coloc.core.view import FleetView
 from gcs_coloc.estimators.base import Estimator
 
 _HOUSEKEEPING_S = 0.2
-_ATTITUDE_FRESH_S = 3.0
 _SUBJECT_STATES = (GpsState.SUSPECT, GpsState.FAILED, GpsState.RECOVERING)
 _MESSAGE_IDS = {GlobalPosition: 33, Attitude: 30, Airspeed: 74, SystemHealth: 1, EkfStatus: 193, SystemTime: 2}
 
@@ -147,10 +146,13 @@ class Engine:
     def view(self, now_s: float) -> FleetView:
         """The fleet as it stands, for observers."""
         consistency = self._residuals.consistency()
-        vehicles = tuple(
-            self._view_of(vehicle, consistency.get(vehicle.sysid), now_s) for vehicle in sorted(self.fleet, key=lambda v: v.sysid)
-        )
         frame = self.feed.frame
+        vehicles = tuple(
+            vehicle_view(
+                vehicle, self.estimator.estimate(vehicle.sysid, now_s), frame, self.aiding, consistency.get(vehicle.sysid), now_s
+            )
+            for vehicle in sorted(self.fleet, key=lambda v: v.sysid)
+        )
         return FleetView(
             at_s=now_s,
             estimator=self.estimator.name,
@@ -277,53 +279,3 @@ class Engine:
 
     def _say(self, at_s: float, sysid: int | None, level: str, text: str) -> None:
         self._outbox.append(Notice(at_s, sysid, level, text))
-
-    def _view_of(self, vehicle: Vehicle, consistency: Consistency | None, now_s: float) -> VehicleView:
-        where = self.estimator.estimate(vehicle.sysid, now_s)
-        frame = self.feed.frame
-        known = where if isinstance(where, Estimate) and frame is not None else None
-        enu_m = velocity_mps = covariance_m2 = lat_deg = lon_deg = alt_msl_m = claim_enu_m = None
-        if known is not None and frame is not None:
-            e, n, u = enu_m = _vector3(known.position_enu_m)
-            velocity_mps, P = _vector3(known.velocity_enu_mps), known.covariance
-            covariance_m2 = (float(P[0, 0]), float(P[0, 1]), float(P[1, 1]))
-            lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(e, n, u)
-        claim, receiver, attitude = vehicle.position, vehicle.receiver, vehicle.attitude
-        if claim is not None and frame is not None:
-            claim_enu_m = frame.enu_from_geodetic(claim.lat_deg, claim.lon_deg, claim.alt_msl_m)
-        fresh = attitude is not None and now_s - attitude.received_at_s <= _ATTITUDE_FRESH_S
-        return VehicleView(
-            sysid=vehicle.sysid,
-            age_s=now_s - vehicle.last_heard_s,
-            autopilot=vehicle.autopilot.value if vehicle.autopilot is not None else "unknown",
-            gps_state=vehicle.health.state.value,
-            gps_reason=vehicle.health.reason,
-            lat_deg=lat_deg,
-            lon_deg=lon_deg,
-            alt_msl_m=alt_msl_m,
-            sigma_h_m=horizontal_sigma_m(known.covariance) if known is not None else None,
-            bound_95_m=horizontal_bound_95_m(known.covariance) if known is not None else None,
-            hdop=known.hdop if known is not None else None,
-            ranges_in_use=known.ranges_in_use if known is not None else 0,
-            unknown_because=where.reason if isinstance(where, Unknown) else None,
-            claim_lat_deg=claim.lat_deg if claim is not None else None,
-            claim_lon_deg=claim.lon_deg if claim is not None else None,
-            aid=self.aiding.status(vehicle),
-            aid_has_fix=self.aiding.sends_fix(vehicle.sysid),
-            hindrance=self.aiding.hindrance(vehicle),
-            operator_word=vehicle.health.word.value,
-            enu_m=enu_m,
-            velocity_enu_mps=velocity_mps,
-            covariance_h_m2=covariance_m2,
-            claim_enu_m=claim_enu_m,
-            yaw_rad=attitude.yaw_rad if attitude is not None and fresh else None,
-            fix_type=receiver.fix_type if receiver is not None else None,
-            satellites=receiver.satellites if receiver is not None else None,
-            delay_s=vehicle.delay_s,
-            consistency=consistency,
-        )
-
-
-def _vector3(array: FloatArray) -> Vector3:
-    x, y, z = (float(value) for value in array)
-    return x, y, z

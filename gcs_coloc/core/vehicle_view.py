@@ -1,0 +1,69 @@
+"""One vehicle as observers see it: its record, the estimator's answer and its aid, gathered into plain values."""
+
+from __future__ import annotations
+
+from gcs_coloc.core.aiding import Aiding
+from gcs_coloc.core.bound import horizontal_bound_95_m, horizontal_sigma_m
+from gcs_coloc.core.fleet import Vehicle
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.measurements import Estimate, FloatArray, Unknown, Vector3
+from gcs_coloc.core.view import Consistency, VehicleView
+
+_ATTITUDE_FRESH_S = 3.0
+
+
+def vehicle_view(
+    vehicle: Vehicle,
+    where: Estimate | Unknown,
+    frame: LocalFrame | None,
+    aiding: Aiding,
+    consistency: Consistency | None,
+    now_s: float,
+) -> VehicleView:
+    """One vehicle at service time `now_s`. `where` is the estimator's answer for that time, `frame` the fleet's."""
+    known = where if isinstance(where, Estimate) and frame is not None else None
+    enu_m = velocity_mps = covariance_m2 = lat_deg = lon_deg = alt_msl_m = claim_enu_m = None
+    if known is not None and frame is not None:
+        e, n, u = enu_m = _vector3(known.position_enu_m)
+        velocity_mps, P = _vector3(known.velocity_enu_mps), known.covariance
+        covariance_m2 = (float(P[0, 0]), float(P[0, 1]), float(P[1, 1]))
+        lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(e, n, u)
+    claim, receiver, attitude = vehicle.position, vehicle.receiver, vehicle.attitude
+    if claim is not None and frame is not None:
+        claim_enu_m = frame.enu_from_geodetic(claim.lat_deg, claim.lon_deg, claim.alt_msl_m)
+    fresh = attitude is not None and now_s - attitude.received_at_s <= _ATTITUDE_FRESH_S
+    return VehicleView(
+        sysid=vehicle.sysid,
+        age_s=now_s - vehicle.last_heard_s,
+        autopilot=vehicle.autopilot.value if vehicle.autopilot is not None else "unknown",
+        gps_state=vehicle.health.state.value,
+        gps_reason=vehicle.health.reason,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        alt_msl_m=alt_msl_m,
+        sigma_h_m=horizontal_sigma_m(known.covariance) if known is not None else None,
+        bound_95_m=horizontal_bound_95_m(known.covariance) if known is not None else None,
+        hdop=known.hdop if known is not None else None,
+        ranges_in_use=known.ranges_in_use if known is not None else 0,
+        unknown_because=where.reason if isinstance(where, Unknown) else None,
+        claim_lat_deg=claim.lat_deg if claim is not None else None,
+        claim_lon_deg=claim.lon_deg if claim is not None else None,
+        aid=aiding.status(vehicle),
+        aid_has_fix=aiding.sends_fix(vehicle.sysid),
+        hindrance=aiding.hindrance(vehicle),
+        operator_word=vehicle.health.word.value,
+        enu_m=enu_m,
+        velocity_enu_mps=velocity_mps,
+        covariance_h_m2=covariance_m2,
+        claim_enu_m=claim_enu_m,
+        yaw_rad=attitude.yaw_rad if attitude is not None and fresh else None,
+        fix_type=receiver.fix_type if receiver is not None else None,
+        satellites=receiver.satellites if receiver is not None else None,
+        delay_s=vehicle.delay_s,
+        consistency=consistency,
+    )
+
+
+def _vector3(array: FloatArray) -> Vector3:
+    x, y, z = (float(value) for value in array)
+    return x, y, z
