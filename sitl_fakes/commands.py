@@ -7,28 +7,15 @@ COMMAND_LONG MAV_CMD_USER_1 (31010) as `fault_of_command` reads it.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import ValidationError
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl_fakes.faults import (
-    Fault,
-    GpsFrozen,
-    GpsJammed,
-    GpsLost,
-    GpsSpoofed,
-    LinkDropout,
-    RangeBias,
-    RangeDropout,
-    RangeStuck,
-    Reboot,
-)
+from sitl_fakes.fault_commands import fault_of_command
+from sitl_fakes.flight_controller import FlightController
 from sitl_fakes.gps_input import fix_from_gps_input
 from sitl_fakes.telemetry import build
-
-if TYPE_CHECKING:
-    from sitl_fakes.vehicle import Vehicle
 
 _EXTERNAL_POSITION_ESTIMATE = 43003
 _ONLY_THE_GCS = 1
@@ -36,7 +23,7 @@ _LARGEST_PARAMETER = 1e6
 _ACCEPTED, _DENIED, _UNSUPPORTED, _FAILED = 0, 2, 3, 4
 
 
-def handle(vehicle: Vehicle, payload: bytes, at_s: float) -> list[Any]:
+def handle(vehicle: FlightController, payload: bytes, at_s: float) -> list[Any]:
     """Obey one datagram and return the messages to answer with. What is not MAVLink, or not for this vehicle, is passed over."""
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
@@ -47,7 +34,7 @@ def handle(vehicle: Vehicle, payload: bytes, at_s: float) -> list[Any]:
     return replies
 
 
-def _accepts(vehicle: Vehicle, message: Any) -> bool:
+def _accepts(vehicle: FlightController, message: Any) -> bool:
     """Whether the message is for this vehicle and from someone it listens to (MAV_OPTIONS bit 0)."""
     if getattr(message, "target_system", 0) not in (0, vehicle.sysid):
         return False
@@ -55,42 +42,42 @@ def _accepts(vehicle: Vehicle, message: Any) -> bool:
     return not int(vehicle.params["MAV_OPTIONS"]) & _ONLY_THE_GCS or message.get_srcSystem() in allowed
 
 
-def _gps_input(vehicle: Vehicle, message: Any, at_s: float) -> list[Any]:
+def _gps_input(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
     fix = fix_from_gps_input(message, vehicle.frame)
     if fix is not None:
         vehicle.autopilot.receive_gps_input(message.gps_id, fix, at_s)
     return []
 
 
-def _timesync(vehicle: Vehicle, message: Any, at_s: float) -> list[Any]:
+def _timesync(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
     return [mavlink.MAVLink_timesync_message(round(vehicle.clock.boot_s(at_s) * 1e9), message.ts1)] if message.tc1 == 0 else []
 
 
-def _param_value(vehicle: Vehicle, name: str) -> Any:
+def _param_value(vehicle: FlightController, name: str) -> Any:
     names = list(vehicle.params)
     value, kind = vehicle.params[name], vehicle.params.type_of(name)
     return mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(names), names.index(name))
 
 
-def _param_request_list(vehicle: Vehicle, _message: Any, _at_s: float) -> list[Any]:
+def _param_request_list(vehicle: FlightController, _message: Any, _at_s: float) -> list[Any]:
     return [_param_value(vehicle, name) for name in vehicle.params]
 
 
-def _param_request_read(vehicle: Vehicle, message: Any, _at_s: float) -> list[Any]:
+def _param_request_read(vehicle: FlightController, message: Any, _at_s: float) -> list[Any]:
     names = list(vehicle.params)
     if message.param_index >= 0:
         return [_param_value(vehicle, names[message.param_index])] if message.param_index < len(names) else []
     return [_param_value(vehicle, message.param_id)] if message.param_id in vehicle.params else []
 
 
-def _param_set(vehicle: Vehicle, message: Any, _at_s: float) -> list[Any]:
+def _param_set(vehicle: FlightController, message: Any, _at_s: float) -> list[Any]:
     if message.param_id not in vehicle.params or not abs(message.param_value) <= _LARGEST_PARAMETER:
         return []
     vehicle.params.set(message.param_id, message.param_value)
     return [_param_value(vehicle, message.param_id)]
 
 
-def _command_long(vehicle: Vehicle, message: Any, at_s: float) -> list[Any]:
+def _command_long(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
     if message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
         return [_ack(message, _set_interval(vehicle, message, at_s))]
     if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
@@ -101,7 +88,7 @@ def _command_long(vehicle: Vehicle, message: Any, at_s: float) -> list[Any]:
     return [_ack(message, _UNSUPPORTED)]
 
 
-def _command_int(vehicle: Vehicle, message: Any, at_s: float) -> list[Any]:
+def _command_int(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
     if message.command == _EXTERNAL_POSITION_ESTIMATE:
         return [_ack(message, _external_position(vehicle, message, at_s))]
     if message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
@@ -109,13 +96,13 @@ def _command_int(vehicle: Vehicle, message: Any, at_s: float) -> list[Any]:
     return [_ack(message, _UNSUPPORTED)]
 
 
-def _set_interval(vehicle: Vehicle, message: Any, at_s: float) -> int:
+def _set_interval(vehicle: FlightController, message: Any, at_s: float) -> int:
     if not math.isfinite(message.param1):
         return _FAILED
     return _ACCEPTED if vehicle.streams.set_interval(int(message.param1), message.param2, at_s) else _FAILED
 
 
-def _external_position(vehicle: Vehicle, message: Any, at_s: float) -> int:
+def _external_position(vehicle: FlightController, message: Any, at_s: float) -> int:
     """MAV_CMD_EXTERNAL_POSITION_ESTIMATE: taken only while dead reckoning, and only with an altitude of NaN."""
     lat_deg, lon_deg, accuracy_m = message.x * 1e-7, message.y * 1e-7, message.param3
     if not math.isnan(message.z) or abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0:
@@ -127,7 +114,7 @@ def _external_position(vehicle: Vehicle, message: Any, at_s: float) -> int:
     return _ACCEPTED
 
 
-def _user_fault(vehicle: Vehicle, message: Any, at_s: float) -> int:
+def _user_fault(vehicle: FlightController, message: Any, at_s: float) -> int:
     if message.param1 == 0.0:
         vehicle.faults.clear(at_s)
         return _ACCEPTED
@@ -139,39 +126,6 @@ def _user_fault(vehicle: Vehicle, message: Any, at_s: float) -> int:
         return _DENIED
     vehicle.faults.add(fault)
     return _ACCEPTED
-
-
-def fault_of_command(sysid: int, params: list[float], at_s: float) -> Fault | None:
-    """Read the fault that MAV_CMD_USER_1 asks for, None where it asks for none that exists.
-
-    `params[0]`: 1 GPS lost, 2 jammed, 3 frozen, 4 spoofed (params[1] direction in deg, [2] m/s, [3] step in m), 5 ranges
-    dropped, 6 biased by params[2] m, 7 stuck (params[1] the peer, 0 all), 8 link dead, 9 reboot. `params[6]`: how long, s; 0
-    for good (refused for a dead link, which no command could mend).
-    """
-    kind, second, third, fourth = params[0], params[1], params[2], params[3]
-    lasts = params[6] if params[6] != 0.0 else None
-    times: dict[str, Any] = {"vehicle": sysid, "at_s": at_s, "until_s": None if lasts is None else at_s + lasts}
-    if kind in (5.0, 6.0, 7.0):
-        times["peer"] = int(second) or None
-    if kind == 1.0:
-        return GpsLost(**times)
-    if kind == 2.0:
-        return GpsJammed(**times)
-    if kind == 3.0:
-        return GpsFrozen(**times)
-    if kind == 4.0:
-        return GpsSpoofed(**times, direction_deg=second, speed_mps=third, offset_m=fourth)
-    if kind == 5.0:
-        return RangeDropout(**times)
-    if kind == 6.0:
-        return RangeBias(**times, bias_m=third)
-    if kind == 7.0:
-        return RangeStuck(**times)
-    if kind == 8.0 and lasts is not None:
-        return LinkDropout(**times)
-    if kind == 9.0:
-        return Reboot(vehicle=sysid, at_s=at_s)
-    return None
 
 
 def _ack(message: Any, result: int) -> Any:

@@ -72,4 +72,4 @@ class Fleet:
         """Add a fault to the vehicle that it names. Raises `ScenarioError` where there is no such vehicle."""
         if fault.vehicle not in self._vehicles:
             raise ScenarioError(f"no vehicle {fault.vehicle} in this scenario")
-        self._vehicles[fault.vehicle].faults.add(fault)
+        self._vehicles[fault.vehicle].inject(fault)

@@ -1,0 +1,139 @@
+"""One vehicle's flight controller: autopilot, parameters, boot clock and message rates, and what a reboot does to them."""
+
+from __future__ import annotations
+
+from itertools import count
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from sitl_fakes.autopilot import Autopilot
+from sitl_fakes.clock import BootClock
+from sitl_fakes.fault_board import FaultBoard
+from sitl_fakes.faults import Reboot
+from sitl_fakes.flight import Flight
+from sitl_fakes.geodesy import WorldFrame
+from sitl_fakes.guidance import Guidance
+from sitl_fakes.parameters import Parameters
+from sitl_fakes.ranging import RangeSample
+from sitl_fakes.scenario import Scenario
+from sitl_fakes.scenario import Vehicle as VehicleSpec
+from sitl_fakes.seeds import Purpose, stream
+from sitl_fakes.snapshot import Snapshot
+from sitl_fakes.telemetry import Streams
+from sitl_fakes.wire import named_range, peer_range_frame, ranging_beacon_frame
+
+_BOOTING_FOR_S = 5.0
+
+
+class FlightController:
+    """What speaks MAVLink in one vehicle. `unix_epoch_s` is the UNIX time of the simulation's time zero."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        spec: VehicleSpec,
+        frame: WorldFrame,
+        flight: Flight,
+        guidance: Guidance,
+        seed: int,
+        unix_epoch_s: float,
+    ) -> None:
+        self.sysid = spec.sysid
+        self.frame = frame
+        self.params = Parameters(spec.sysid, spec.params)
+        self.faults = FaultBoard(spec.sysid, scenario.fault, self.params, scenario.origin.lat_deg)
+        self._scenario = scenario
+        self._flight = flight
+        self._guidance = guidance
+        self._seed = seed
+        self._unix_epoch_s = unix_epoch_s
+        rng = stream(seed, Purpose.CLOCK, spec.sysid)
+        offset, drift = float(rng.uniform(10.0, 600.0)), float(rng.uniform(-20.0, 20.0))
+        self.clock = BootClock(
+            offset if spec.boot_offset_s is None else spec.boot_offset_s,
+            drift if spec.clock_drift_ppm is None else spec.clock_drift_ppm,
+        )
+        self._booting_until_s: float | None = None
+        self._start_autopilot(0.0)
+
+    def _start_autopilot(self, at_s: float) -> None:
+        self.autopilot = Autopilot(self.params, self._guidance)
+        self._mav = mavlink.MAVLink(None, srcSystem=self.sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._sequence = count()
+        self.streams = Streams(stream(self._seed, Purpose.PHASES, self.sysid), at_s, self._scenario.truth_messages)
+
+    @property
+    def booting(self) -> bool:
+        """Whether it is restarting: it neither steers, listens nor speaks."""
+        return self._booting_until_s is not None
+
+    @property
+    def altitude_m(self) -> float:
+        """Barometric altitude above mean sea level, m."""
+        return self._flight.air.altitude_m
+
+    def run(self, at_s: float) -> None:
+        """Let the faults of its own befall it at a time (s): a reboot begins or is over."""
+        for fault in self.faults.active(at_s):
+            if isinstance(fault, Reboot):
+                self.faults.remove(fault)
+                self.clock.restart(at_s)
+                self._booting_until_s = at_s + _BOOTING_FOR_S
+        if self._booting_until_s is not None and at_s >= self._booting_until_s:
+            self._booting_until_s = None
+            self._start_autopilot(at_s)
+
+    def heading_command_rad(self, at_s: float, step_s: float) -> float:
+        """Heading to fly over the step that ends at a time, rad. While it boots nobody steers: the heading is held."""
+        air = self._flight.air
+        return air.heading_rad if self.booting else self.autopilot.heading_command_rad(air, at_s, step_s)
+
+    def pack(self, message: Any) -> bytes:
+        """Encode a message under the next sequence number."""
+        self._mav.seq = self._next_sequence()
+        return bytes(message.pack(self._mav))
+
+    def pack_range(self, sample: RangeSample, at_s: float) -> bytes:
+        """Encode a measured range as the scenario wants it sent."""
+        ranging, boot_s = self._scenario.ranging, self.clock.boot_s(at_s)
+        if ranging.message == "named_value":
+            return self.pack(named_range(boot_s, sample.peer, sample.range_m))
+        time_s = boot_s if ranging.time_base == "boot" else self._unix_epoch_s + at_s
+        common: dict[str, Any] = {
+            "sysid": self.sysid,
+            "compid": mavlink.MAV_COMP_ID_AUTOPILOT1,
+            "frame_sequence": self._next_sequence(),
+            "time_usec": round(time_s * 1e6),
+            "peer_system": sample.peer,
+            "range_m": sample.range_m,
+            "range_std_m": sample.stated_sigma_m,
+            "sequence": sample.sequence,
+        }
+        return peer_range_frame(**common) if ranging.message == "peer_range" else ranging_beacon_frame(**common)
+
+    def _next_sequence(self) -> int:
+        return next(self._sequence) % 256
+
+    def snapshot(self, at_s: float) -> Snapshot:
+        """Return what telemetry is made from, now."""
+        first, second = (receiver.fixed_at_s for receiver in self.autopilot.receivers)
+        return Snapshot(
+            at_s=at_s,
+            boot_s=self.clock.boot_s(at_s),
+            fixed_boot_s=(
+                None if first is None else self.clock.boot_s(first),
+                None if second is None else self.clock.boot_s(second),
+            ),
+            unix_s=self._unix_epoch_s + at_s if self.autopilot.had_gps_time else None,
+            frame=self.frame,
+            home_alt_m=self._scenario.origin.alt_msl_m,
+            global_position=self._scenario.global_position,
+            autopilot=self.autopilot,
+            second_receiver=self.params["GPS2_TYPE"] != 0,
+            air=self._flight.air,
+            climb_mps=self._flight.climb_mps,
+            true_state=self._flight.state,
+            true_velocity_mps=self._flight.velocity_mps,
+            true_lla=self._flight.lla,
+        )
