@@ -133,9 +133,9 @@ class FleetService:
         for sysid, text in self._routes.claims.news(now_s):
             self.hub.publish(Notice(now_s, sysid, "warning", text))
         routes = (self._routes.route(vehicle.sysid, now_s) for vehicle in self._engine.fleet)
-        # A vehicle or router may wait for our first frame before it sends any, hence the links' remotes.
+        # A vehicle or router may wait for our first frame before it sends any, hence the links' peers.
         greeted = {route for route in routes if isinstance(route, Route)}
-        greeted |= {Route(link, link.remote) for link in self._links if link.remote is not None}
+        greeted |= {Route(link, peer) for link in self._links for peer in link.peers}
         for route in greeted:
             payload = self._encoder.heartbeat(route, self._stamp(route))
             route.link.send(route.address, payload)

@@ -28,8 +28,8 @@ class Link(Protocol):
         ...
 
     @property
-    def remote(self) -> Address | None:
-        """Where to send before anyone was heard (a vehicle may wait for our first frame); None where we can only wait."""
+    def peers(self) -> tuple[Address, ...]:
+        """Where to send before anyone was heard (a vehicle may wait for our first frame); empty where we can only wait."""
         ...
 
     async def open(self) -> None:

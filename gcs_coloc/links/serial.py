@@ -18,8 +18,8 @@ from gcs_coloc.links.stream import (
     CONNECTION_LOST,
     MAX_UNSENT_BYTES,
     NOT_CONNECTED,
-    OUTPUT_SKIPPED,
     FrameSource,
+    Outbox,
     RetryDelays,
     retry_delays,
 )
@@ -33,17 +33,25 @@ log = logging.getLogger(__name__)
 
 
 class SerialLink:
-    """A serial device such as a telemetry radio. All vehicles behind it have one address, `remote`."""
+    """A serial device such as a telemetry radio. All vehicles behind it have one address, the one of `peers`."""
 
-    def __init__(self, address: SerialPort, handler: DatagramHandler, clock: Clock, delays: RetryDelays = retry_delays) -> None:
+    def __init__(
+        self,
+        address: SerialPort,
+        handler: DatagramHandler,
+        clock: Clock,
+        delays: RetryDelays = retry_delays,
+        most_unsent_bytes: int = MAX_UNSENT_BYTES,
+    ) -> None:
         self.counts = Counts()
-        self.remote: Address = ("serial", address.device)
+        self._far_end: Address = ("serial", address.device)
         self._address = address
         self._delays = delays
         self._port: serial.Serial | None = None
         self._fd = -1
-        self._source = FrameSource(self, self.remote, handler, clock)
-        self._unsent = b""
+        self._source = FrameSource(self, self._far_end, handler, clock)
+        self._unsent = b""  # the rest of the payload that the device is taking
+        self._outbox = Outbox(self.counts, most_unsent_bytes)
         self._lost = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
 
@@ -51,6 +59,11 @@ class SerialLink:
     def name(self) -> str:
         """Its connection string."""
         return str(self._address)
+
+    @property
+    def peers(self) -> tuple[Address, ...]:
+        """Whoever is at the far end."""
+        return (self._far_end,)
 
     async def open(self) -> None:
         """Open the device. LinkError where it does not exist, is in use, may not be opened or has no such speed."""
@@ -76,6 +89,7 @@ class SerialLink:
         self._port = serial.Serial(self._address.device, self._address.baud, timeout=0, exclusive=True)
         self._fd = self._port.fileno()
         self._unsent = b""
+        self._outbox.clear()
         self._lost.clear()
         asyncio.get_running_loop().add_reader(self._fd, self._read)
 
@@ -118,24 +132,25 @@ class SerialLink:
             self._stop()
 
     def send(self, address: Address, payload: bytes) -> None:
-        """Send frames, or skip them while the device has not taken what came before; counted either way."""
-        if self._port is None or address != self.remote:
+        """Send frames, or keep them back while the device has not taken what came before."""
+        if self._port is None or address != self._far_end:
             self.counts.add(NOT_CONNECTED)
-        elif len(self._unsent) + len(payload) > MAX_UNSENT_BYTES:
-            self.counts.add(OUTPUT_SKIPPED)
-        else:
-            self._unsent += payload
+            return
+        self._outbox.put(payload)
+        if not self._unsent:
             self._write()
 
     def _write(self) -> None:
-        try:
-            written = os.write(self._fd, self._unsent)
-        except BlockingIOError:
-            written = 0
-        except OSError:
-            self._stop()
-            return
-        self._unsent = self._unsent[written:]
+        unsent: bytes | None = self._unsent or self._outbox.take()
+        while unsent:
+            try:
+                unsent = unsent[os.write(self._fd, unsent) :] or self._outbox.take()
+            except BlockingIOError:
+                break
+            except OSError:
+                self._stop()
+                return
+        self._unsent = unsent or b""
         loop = asyncio.get_running_loop()
         if self._unsent:
             loop.add_writer(self._fd, self._write)

@@ -2,20 +2,54 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
 
 from gcs_coloc.links.base import Address, Clock, DatagramHandler, Link
+from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.framing import StreamFramer
 
 FIRST_RETRY_S = 1.0
 MAX_RETRY_S = 15.0
 
 MAX_UNSENT_BYTES = 1024
-"""Some ten frames. What waits longer is old when it arrives, and an old position is a wrong one: better skipped."""
+"""Some ten frames, to a vehicle. What waits longer is old when it arrives, and an old position is a wrong one: better skipped."""
 
 NOT_CONNECTED = "not_connected"
 OUTPUT_SKIPPED = "output_skipped"
 CONNECTION_LOST = "connection_lost"
+
+
+class Outbox:
+    """What a stream has not taken yet: whole payloads, of which the oldest are dropped and counted beyond `most_bytes`."""
+
+    def __init__(self, counts: Counts, most_bytes: int) -> None:
+        self._counts = counts
+        self._most_bytes = most_bytes
+        self._waiting: deque[bytes] = deque()
+        self._bytes = 0
+
+    def put(self, payload: bytes) -> None:
+        """Append one payload."""
+        self._waiting.append(payload)
+        self._bytes += len(payload)
+        while self._bytes > self._most_bytes:
+            self._bytes -= len(self._waiting.popleft())
+            self._counts.add(OUTPUT_SKIPPED)
+
+    def take(self) -> bytes | None:
+        """The payload that has waited longest, None where there is none."""
+        if not self._waiting:
+            return None
+        payload = self._waiting.popleft()
+        self._bytes -= len(payload)
+        return payload
+
+    def clear(self) -> None:
+        """Forget what waits: the connection it was meant for is gone."""
+        self._waiting.clear()
+        self._bytes = 0
+
 
 RetryDelays = Callable[[], Iterator[float]]
 

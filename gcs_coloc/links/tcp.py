@@ -14,8 +14,8 @@ from gcs_coloc.links.stream import (
     CONNECTION_LOST,
     MAX_UNSENT_BYTES,
     NOT_CONNECTED,
-    OUTPUT_SKIPPED,
     FrameSource,
+    Outbox,
     RetryDelays,
     retry_delays,
 )
@@ -35,11 +35,13 @@ log = logging.getLogger(__name__)
 class _Connection(asyncio.Protocol):
     """One TCP connection: frames in, and frames out as long as the peer takes them."""
 
-    def __init__(self, link: Link, handler: DatagramHandler, clock: Clock) -> None:
+    def __init__(self, link: Link, handler: DatagramHandler, clock: Clock, most_unsent_bytes: int) -> None:
         self.lost = asyncio.Event()
         self._link = link
         self._handler = handler
         self._clock = clock
+        self._outbox = Outbox(link.counts, most_unsent_bytes)
+        self._is_stalled = False
         self._source: FrameSource | None = None
         self._transport: asyncio.Transport | None = None
 
@@ -48,6 +50,8 @@ class _Connection(asyncio.Protocol):
         tcp_socket = transport.get_extra_info("socket")
         tcp_socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
         tcp_socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, PEER_SILENT_MS)
+        # What the system does not take at once is to wait in the outbox, where it can still be dropped.
+        transport.set_write_buffer_limits(high=0)
         self._transport = transport
         self._source = FrameSource(self._link, self.address, self._handler, self._clock)
 
@@ -67,11 +71,20 @@ class _Connection(asyncio.Protocol):
         self.lost.set()
 
     def send(self, payload: bytes) -> None:
-        """Hand a frame to the system, or skip it while the peer does not take what it was sent before."""
+        """Hand frames to the system, or keep them back while the peer does not take what it was sent before."""
+        self._outbox.put(payload)
+        self._write()
+
+    def pause_writing(self) -> None:
+        self._is_stalled = True
+
+    def resume_writing(self) -> None:
+        self._is_stalled = False
+        self._write()
+
+    def _write(self) -> None:
         assert self._transport is not None
-        if self._transport.get_write_buffer_size() + len(payload) > MAX_UNSENT_BYTES:
-            self._link.counts.add(OUTPUT_SKIPPED)
-        else:
+        while not self._is_stalled and (payload := self._outbox.take()) is not None:
             self._transport.write(payload)
 
     def abort(self) -> None:
@@ -83,8 +96,16 @@ class _Connection(asyncio.Protocol):
 class TcpClientLink:
     """Connects to a port, such as a simulator's or a router's. A connection that fails or ends is tried again for ever."""
 
-    def __init__(self, address: TcpClient, handler: DatagramHandler, clock: Clock, delays: RetryDelays = retry_delays) -> None:
+    def __init__(
+        self,
+        address: TcpClient,
+        handler: DatagramHandler,
+        clock: Clock,
+        delays: RetryDelays = retry_delays,
+        most_unsent_bytes: int = MAX_UNSENT_BYTES,
+    ) -> None:
         self._address = address
+        self._most_unsent_bytes = most_unsent_bytes
         self._handler = handler
         self._clock = clock
         self._delays = delays
@@ -98,9 +119,9 @@ class TcpClientLink:
         return str(self._address)
 
     @property
-    def remote(self) -> Address | None:
-        """The address of the other end, to which `send` sends; None while not connected."""
-        return self._connection.address if self._connection else None
+    def peers(self) -> tuple[Address, ...]:
+        """The address of the other end, to which `send` sends; nobody while not connected."""
+        return (self._connection.address,) if self._connection else ()
 
     async def open(self) -> None:
         """Begin to connect. LinkError where the host is not found; that nobody listens there yet is no error."""
@@ -118,7 +139,9 @@ class TcpClientLink:
         while True:
             try:
                 _, connection = await loop.create_connection(
-                    lambda: _Connection(self, self._handler, self._clock), self._address.host, self._address.port
+                    lambda: _Connection(self, self._handler, self._clock, self._most_unsent_bytes),
+                    self._address.host,
+                    self._address.port,
                 )
             except OSError as error:
                 log.log(level, "%s: cannot connect (%s), trying again", self.name, error.strerror or error)
@@ -156,8 +179,11 @@ class TcpClientLink:
 class TcpServerLink:
     """Listens for TCP connections; each client is one address."""
 
-    def __init__(self, address: TcpServer, handler: DatagramHandler, clock: Clock) -> None:
+    def __init__(
+        self, address: TcpServer, handler: DatagramHandler, clock: Clock, most_unsent_bytes: int = MAX_UNSENT_BYTES
+    ) -> None:
         self._address = address
+        self._most_unsent_bytes = most_unsent_bytes
         self._handler = handler
         self._clock = clock
         self._clients: dict[Address, _ServerConnection] = {}
@@ -170,16 +196,18 @@ class TcpServerLink:
         return str(self._address)
 
     @property
-    def remote(self) -> None:
-        """Nobody, until a client comes."""
-        return
+    def peers(self) -> tuple[Address, ...]:
+        """The clients that are connected."""
+        return tuple(self._clients)
 
     async def open(self) -> None:
         """Listen. LinkError where the port is in use, the host is not found or not ours."""
         loop = asyncio.get_running_loop()
         try:
             self._server = await loop.create_server(
-                lambda: _ServerConnection(self, self._handler, self._clock, self._clients), self._address.host, self._address.port
+                lambda: _ServerConnection(self, self._handler, self._clock, self._most_unsent_bytes, self._clients),
+                self._address.host,
+                self._address.port,
             )
         except OSError as error:
             raise network_error(self._address, error) from error
@@ -209,9 +237,14 @@ class _ServerConnection(_Connection):
     """A client's connection, in the server's list as long as it lasts."""
 
     def __init__(
-        self, link: TcpServerLink, handler: DatagramHandler, clock: Clock, clients: dict[Address, _ServerConnection]
+        self,
+        link: TcpServerLink,
+        handler: DatagramHandler,
+        clock: Clock,
+        most_unsent_bytes: int,
+        clients: dict[Address, _ServerConnection],
     ) -> None:
-        super().__init__(link, handler, clock)
+        super().__init__(link, handler, clock, most_unsent_bytes)
         self._clients = clients
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:

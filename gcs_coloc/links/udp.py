@@ -38,9 +38,9 @@ class UdpLink:
         return str(self._address)
 
     @property
-    def remote(self) -> Address | None:
-        """The address that a udpout link sends to before it has heard anyone; None for udpin or while not open."""
-        return self._remote
+    def peers(self) -> tuple[Address, ...]:
+        """The address that a udpout link sends to before it has heard anyone; nobody for udpin or while not open."""
+        return (self._remote,) if self._remote is not None else ()
 
     async def open(self) -> None:
         """Bind. LinkError where the port is in use, the host is not found or not ours."""

@@ -71,11 +71,11 @@ def test_client_cuts_the_stream_into_frames_and_sends_back():
                 await writer.drain()
             first, second = await inbox.next(), await inbox.next()
             assert [first[2], second[2]] == [heartbeat(1, 0), heartbeat(1, 1)]
-            assert first[1] == link.remote == (LOCALHOST, simulator.port)
+            assert first[1] == link.peers[0] == (LOCALHOST, simulator.port)
             assert link.counts["garbage_bytes"] == 5
 
-            ours = Encoder().heartbeat(link.remote)
-            link.send(link.remote, ours)
+            ours = Encoder().heartbeat(link.peers[0])
+            link.send(link.peers[0], ours)
             assert await asyncio.wait_for(reader.readexactly(len(ours)), PATIENCE_S) == ours
             await link.close()
             assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
@@ -112,7 +112,7 @@ def test_client_waits_for_a_listener_that_comes_late_and_warns_once(caplog):
         link = client_link(port, inbox)
         await link.open()
         await until(lambda: sum("cannot connect" in record.message for record in caplog.records) >= 3)
-        assert link.remote is None
+        assert not link.peers
         link.send((LOCALHOST, port), heartbeat(254))
         assert link.counts["not_connected"] == 1
         connections = asyncio.Queue()
@@ -138,12 +138,12 @@ def test_peer_that_does_not_read_costs_neither_time_nor_memory():
             await link.open()
             _, writer = await simulator.next_connection()
             writer.transport.pause_reading()
-            await until(lambda: link.remote is not None)
+            await until(lambda: link.peers)
             frame = Encoder().heartbeat("x")
             # More than the system's buffers of both sides may hold.
             sends = 0
             while link.counts["output_skipped"] == 0 and sends < 2_000_000:
-                link.send(link.remote, frame)
+                link.send(link.peers[0], frame)
                 sends += 1
                 if sends % 1000 == 0:
                     await asyncio.sleep(0)

@@ -94,15 +94,15 @@ def test_udpout_speaks_first_and_hears_the_answer():
     async def scenario():
         inbox, vehicle = Inbox(), vehicle_socket()
         link = UdpLink(UdpOut(LOCALHOST, vehicle.getsockname()[1]), inbox, inbox.clock)
-        assert link.remote is None
+        assert not link.peers
         await link.open()
         try:
-            link.send(link.remote, Encoder().heartbeat(link.remote))
+            link.send(link.peers[0], Encoder().heartbeat(link.peers[0]))
             hello, us = vehicle.recvfrom(2048)
             assert hello == Encoder().heartbeat("the same first frame")
             vehicle.sendto(heartbeat(1), us)
             _, address, payload, _ = await inbox.next()
-            assert (address, payload) == (link.remote, heartbeat(1))
+            assert (address, payload) == (link.peers[0], heartbeat(1))
         finally:
             vehicle.close()
             await link.close()
@@ -141,12 +141,12 @@ def test_ipv6_loopback():
         vehicle.settimeout(PATIENCE_S)
         link = UdpLink(UdpOut("::1", vehicle.getsockname()[1]), inbox, inbox.clock)
         await link.open()
-        link.send(link.remote, heartbeat(254))
+        link.send(link.peers[0], heartbeat(254))
         hello, us = vehicle.recvfrom(2048)
         vehicle.sendto(hello, us)
         _, address, payload, _ = await inbox.next()
         assert payload == heartbeat(254)
-        assert address == link.remote
+        assert address == link.peers[0]
         vehicle.close()
         await link.close()
 
