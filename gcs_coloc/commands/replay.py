@@ -111,14 +111,15 @@ def _lines(result: dict[str, Any]) -> list[str]:
 
 
 def _score(score: dict[str, Any]) -> str:
-    text = f"{score['epochs']} true positions, located {score['share_located']:.1%}"
-    if score["rmse_h_m"] is None:
+    text = f"{score['epochs']} true positions, located {score['share_known']:.1%}"
+    if score["horizontal"] is None:
         return text
+    e = score["horizontal"]
     return (
-        f"{text}, horizontal RMSE {score['rmse_h_m']:.2f} m, median {score['median_h_m']:.2f} m, "
-        f"95 % {score['p95_h_m']:.2f} m, most {score['max_h_m']:.2f} m, 3D RMSE {score['rmse_3d_m']:.2f} m; "
-        f"95 % bound covers {score['bound_95_covers']:.1%}, beyond 3 x the bound {score['confident_and_wrong']:.2%}, "
-        f"mean NEES {score['mean_nees']:.2f} (2 expected)"
+        f"{text}, horizontal RMSE {e['rmse_m']:.2f} m, median {e['median_m']:.2f} m, 95 % {e['p95_m']:.2f} m, "
+        f"most {e['max_m']:.2f} m, 3D RMSE {score['spatial']['rmse_m']:.2f} m; "
+        f"95 % bound covers {score['covered_95']:.1%}, beyond 3 x the bound {score['beyond_three_bounds']:.2%}, "
+        f"ANEES {score['anees']:.2f} ({score['anees_expected']} expected)"
     )
 
 

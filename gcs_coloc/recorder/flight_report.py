@@ -10,35 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from gcs_coloc.core.bound import horizontal_bound_95_m
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.health import GpsState
-from gcs_coloc.core.measurements import Estimate
+from gcs_coloc.core.measurements import Estimate, Vector3
 from gcs_coloc.core.messages import GpsInput, HealthChanged, Outbound
+from gcs_coloc.core.scoring import Score, score, series_of
 from gcs_coloc.recorder.replay import TruthPoint
 
 _UNTRUSTED = (GpsState.SUSPECT, GpsState.FAILED, GpsState.RECOVERING)
-
-
-@dataclass(frozen=True, slots=True)
-class Score:
-    """Errors of one vehicle while its GPS was not trusted, metres; `epochs` true positions, of which a share was answered.
-
-    `bound_95_covers` is the share of answers whose horizontal error was within their 95 % horizontal bound.
-    `confident_and_wrong` is the share whose error was beyond three times that bound. `mean_nees` is of the horizontal error
-    (2 degrees of freedom). All but `epochs` and `share_located` are None where nothing was answered.
-    """
-
-    epochs: int
-    share_located: float
-    rmse_h_m: float | None = None
-    median_h_m: float | None = None
-    p95_h_m: float | None = None
-    max_h_m: float | None = None
-    rmse_3d_m: float | None = None
-    bound_95_covers: float | None = None
-    confident_and_wrong: float | None = None
-    mean_nees: float | None = None
 
 
 @dataclass(slots=True)
@@ -46,8 +25,7 @@ class _Vehicle:
     changes: list[HealthChanged] = field(default_factory=list)
     fixes: int = 0
     no_fixes: int = 0
-    epochs: int = 0
-    errors: list[tuple[float, float, float, float]] = field(default_factory=list)  # horizontal, 3D, bound, NEES
+    epochs: list[tuple[float, Vector3, Estimate | None]] = field(default_factory=list)  # UNIX s, true east north up in m, answer
 
 
 class FlightReport:
@@ -86,25 +64,12 @@ class FlightReport:
             self._next += 1
 
     def score(self, sysid: int) -> Score | None:
-        """The score of one vehicle, None where its GPS was trusted throughout or there is no truth of it."""
+        """The score of one vehicle, in two dimensions; None where its GPS was trusted throughout or there is no truth of it."""
         vehicle = self._vehicles.get(sysid)
-        if vehicle is None or vehicle.epochs == 0:
+        if vehicle is None or not vehicle.epochs:
             return None
-        if not vehicle.errors:
-            return Score(vehicle.epochs, 0.0)
-        horizontal, spatial, bound, nees = np.array(vehicle.errors).T
-        return Score(
-            epochs=vehicle.epochs,
-            share_located=len(horizontal) / vehicle.epochs,
-            rmse_h_m=float(np.sqrt(np.mean(horizontal**2))),
-            median_h_m=float(np.median(horizontal)),
-            p95_h_m=float(np.percentile(horizontal, 95)),
-            max_h_m=float(horizontal.max()),
-            rmse_3d_m=float(np.sqrt(np.mean(spatial**2))),
-            bound_95_covers=float(np.mean(horizontal <= bound)),
-            confident_and_wrong=float(np.mean(horizontal > 3.0 * bound)),
-            mean_nees=float(np.mean(nees)),
-        )
+        times_s, truth_enu_m, answers = zip(*vehicle.epochs, strict=True)
+        return score(series_of(np.array(times_s), np.array(truth_enu_m), answers), times_s[0], dims=2)
 
     def as_dict(self) -> dict[str, Any]:
         """The report as plain values."""
@@ -133,12 +98,6 @@ class FlightReport:
         record, frame = self._engine.fleet.get(point.sysid), self._engine.feed.frame
         if record is None or frame is None or record.health.state not in _UNTRUSTED:
             return
-        vehicle = self._of(point.sysid)
-        vehicle.epochs += 1
         answer = self._engine.where(point.sysid, point.unix_s)
-        if not isinstance(answer, Estimate):
-            return
-        error = answer.position_enu_m - np.array(frame.enu_from_geodetic(point.lat_deg, point.lon_deg, point.alt_msl_m))
-        nees = float(error[:2] @ np.linalg.solve(answer.covariance[:2, :2], error[:2]))
-        bound_m = horizontal_bound_95_m(answer.covariance)
-        vehicle.errors.append((float(np.hypot(error[0], error[1])), float(np.linalg.norm(error)), bound_m, nees))
+        truth_enu_m = frame.enu_from_geodetic(point.lat_deg, point.lon_deg, point.alt_msl_m)
+        self._of(point.sysid).epochs.append((point.unix_s, truth_enu_m, answer if isinstance(answer, Estimate) else None))

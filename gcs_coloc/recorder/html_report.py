@@ -93,13 +93,14 @@ def _vehicle(story: Story, vehicle: Mapping[str, Any], track: Sequence[VehicleEn
 
 
 def _score(score: Mapping[str, Any] | None) -> list[tuple[str, str]]:
-    if score is None or score["rmse_h_m"] is None:
+    if score is None or score["horizontal"] is None:
         return []
-    errors = f"{score['rmse_h_m']:.2f} m, {score['p95_h_m']:.2f} m, {score['max_h_m']:.2f} m"
+    error = score["horizontal"]
+    errors = f"{error['rmse_m']:.2f} m, {error['p95_m']:.2f} m, {error['max_m']:.2f} m"
     return [
         ("horizontal error against the truth: RMSE, 95 %, most", errors),
-        ("95 % bound covers", f"{score['bound_95_covers']:.1%}"),
-        ("error beyond three times the bound", f"{score['confident_and_wrong']:.2%}"),
+        ("95 % bound covers", f"{score['covered_95']:.1%}"),
+        ("error beyond three times the bound", f"{score['beyond_three_bounds']:.2%}"),
     ]
 
 

@@ -19,9 +19,9 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
+from gcs_coloc.core.scoring import Score, Series, score, series_of
 from gcs_coloc.estimators.base import Estimator
 from gcs_coloc.study.dataset import Dataset, Node, read_dataset
-from gcs_coloc.study.scoring import Score, Series, score
 
 _PLANE_EVERY_S = 0.2
 _PLANE_SIGMA_M = 0.1
@@ -117,7 +117,7 @@ def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[],
             continue
         truth = wanted[node.vehicle]
         asked = truth.times_s >= since_s[node.vehicle]
-        series = _series(truth.times_s[asked], truth.positions_enu_m[asked], answers[node.vehicle])
+        series = series_of(truth.times_s[asked], truth.positions_enu_m[asked], answers[node.vehicle])
         history = np.array(nis[node.vehicle]).reshape(-1, 2)
         evaluated.append(SubjectEvaluation(node, score(series, since_s[node.vehicle], dataset.dims), series, history))
     count = len(dataset.measurements)
@@ -163,13 +163,3 @@ def _plane(dataset: Dataset) -> Iterator[Measurement]:
 def _last_report_s(dataset: Dataset, vehicle: int) -> float:
     reports = [m.arrived_at_s for m in dataset.measurements if isinstance(m, PositionMeasurement) and m.vehicle == vehicle]
     return max(reports, default=-math.inf)
-
-
-def _series(times_s: FloatArray, truth_enu_m: FloatArray, answers: list[Estimate | None]) -> Series:
-    estimates = np.full((len(times_s), 3), np.nan)
-    covariances = np.full((len(times_s), 3, 3), np.nan)
-    for i, answer in enumerate(answers):
-        if answer is not None:
-            estimates[i] = answer.position_enu_m
-            covariances[i] = answer.covariance[:3, :3]
-    return Series(times_s, truth_enu_m, estimates, covariances)

@@ -46,9 +46,9 @@ def test_the_plane_without_gps_is_located_better_than_by_a_plain_filter(report):
     assert all(sent[sysid] == {"fix": 0, "no_fix": 0} for sysid in (1, 2, 3))
     assert sent[4]["fix"] == pytest.approx(10 * 189.2, abs=5)
     score = report["vehicles"][3]["score"]
-    assert score["share_located"] == 1.0
+    assert score["share_known"] == 1.0
     # A gated constant-velocity EKF on the same data: 1.29 m and 2.45 m; the plane's own dead reckoning: up to 73 m.
-    assert score["rmse_h_m"] <= 1.0
-    assert score["p95_h_m"] <= 2.0
-    assert score["confident_and_wrong"] == 0.0
-    assert score["bound_95_covers"] >= 0.93
+    assert score["horizontal"]["rmse_m"] <= 1.0
+    assert score["horizontal"]["p95_m"] <= 2.0
+    assert score["beyond_three_bounds"] == 0.0
+    assert score["covered_95"] >= 0.93

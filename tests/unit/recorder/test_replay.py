@@ -63,11 +63,11 @@ def test_the_lost_vehicle_is_found_out_aided_and_located(recorded):
     assert len(fixes) == pytest.approx(10 * (EPOCH_S + 40.0 - changes[-1].at_s), abs=2)
     score = report.score(4)
     assert score is not None
-    assert score.share_located == 1.0
+    assert score.share_known == 1.0
     # GPS of 1.5 m on each of three peers, correlated over minutes, is what it can be as good as; 3 sigma of that.
-    assert score.rmse_h_m is not None
-    assert score.rmse_h_m < 4.5
-    assert score.confident_and_wrong == 0.0
+    assert score.horizontal is not None
+    assert score.horizontal.rmse_m < 4.5
+    assert score.beyond_three_bounds == 0.0
     assert report.score(1) is None
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, Measurement, Residual, Unknown
+from gcs_coloc.core.scoring import Series, score
 from gcs_coloc.estimators.fleet_filter import FleetFilter
 from gcs_coloc.study.evaluate import evaluate
 from gcs_coloc.study.evaluation_plot import plot
-from gcs_coloc.study.scoring import Series, score
 from tests.recordings import recording
 
 

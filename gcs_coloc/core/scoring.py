@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gcs_coloc.core.bound import horizontal_bound_95_m
-from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.measurements import Estimate, FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,8 @@ class Score:
 
     `share_known` is the share of truth epochs with an estimate, `first_known_s` the time from becoming a subject to the first
     of them (None: never). `anees` is the mean of e' P^-1 e, which is `anees_expected` (the number of dimensions) where the
-    covariance is honest: above is overconfident. `covered_95` is the share of horizontal errors within the stated 95 % bound.
+    covariance is honest: above is overconfident. `covered_95` is the share of horizontal errors within the stated 95 % bound,
+    `beyond_three_bounds` of those beyond three times it: confident and wrong.
     All figures of error are None without any estimate.
     """
 
@@ -56,6 +58,18 @@ class Score:
     anees: float | None
     anees_expected: int
     covered_95: float | None
+    beyond_three_bounds: float | None
+
+
+def series_of(times_s: FloatArray, truth_enu_m: FloatArray, answers: Sequence[Estimate | None]) -> Series:
+    """Return the series of an estimator's answers at `times_s` (T,), beside the truth (T, 3)."""
+    estimates = np.full((len(times_s), 3), np.nan)
+    covariances = np.full((len(times_s), 3, 3), np.nan)
+    for i, answer in enumerate(answers):
+        if answer is not None:
+            estimates[i] = answer.position_enu_m
+            covariances[i] = answer.covariance[:3, :3]
+    return Series(times_s, truth_enu_m, estimates, covariances)
 
 
 def normalised_squares(error_m: FloatArray, covariance_m2: FloatArray) -> FloatArray:
@@ -80,11 +94,12 @@ def score(series: Series, since_s: float, dims: int) -> Score:
     known = series.known()
     epochs = len(known)
     if not known.any():
-        return Score(epochs, 0.0, None, None, None, None, dims, None)
+        return Score(epochs, 0.0, None, None, None, None, dims, None, None)
     error = (series.estimate_enu_m - series.truth_enu_m)[known]
     covariance = series.covariance_m2[known]
     squares = normalised_squares(error[:, :dims], covariance[:, :dims, :dims])
     bounds = np.array([horizontal_bound_95_m(P) for P in covariance])
+    horizontal_m = np.linalg.norm(error[:, :2], axis=1)
     return Score(
         epochs=epochs,
         share_known=float(known.mean()),
@@ -93,5 +108,6 @@ def score(series: Series, since_s: float, dims: int) -> Score:
         spatial=error_statistics(error),
         anees=float(squares.mean()),
         anees_expected=dims,
-        covered_95=float((np.linalg.norm(error[:, :2], axis=1) <= bounds).mean()),
+        covered_95=float((horizontal_m <= bounds).mean()),
+        beyond_three_bounds=float((horizontal_m > 3.0 * bounds).mean()),
     )
