@@ -10,7 +10,17 @@ from gcs_coloc.clock import ServiceClock
 from gcs_coloc.config import Settings
 from gcs_coloc.core.advance import CATCH_UP_S, advance, without_superseded
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import ClockReference, GpsWord, Notice, OperatorWord, Outbound, PeerRange, RouteReport, ToVehicle
+from gcs_coloc.core.messages import (
+    ClockReference,
+    GpsWord,
+    Notice,
+    OperatorWord,
+    Outbound,
+    PeerRange,
+    RouteReport,
+    ToVehicle,
+    Word,
+)
 from gcs_coloc.core.view import FleetView, LinkView
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.address import parse
@@ -99,8 +109,8 @@ class FleetService:
         """The system ids of the vehicles heard so far."""
         return [vehicle.sysid for vehicle in self._engine.fleet]
 
-    def obey(self, sysid: int, word: GpsWord) -> None:
-        """Take the operator's word on one vehicle's GPS."""
+    def obey(self, sysid: int, word: Word) -> None:
+        """Take the operator's word on one vehicle."""
         self._tell(OperatorWord(sysid, self._clock(), word))
 
     def take_range(self, message: PeerRange) -> None:

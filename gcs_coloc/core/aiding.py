@@ -10,7 +10,7 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_input import AidSettings, gps_input, no_fix, why_no_fix
 from gcs_coloc.core.health import GpsState
 from gcs_coloc.core.measurements import Estimate, Unknown
-from gcs_coloc.core.messages import Autopilot, GpsInput, Notice, Outbound
+from gcs_coloc.core.messages import AidWord, Autopilot, GpsInput, Notice, Outbound
 
 _LONGEST_LEAD_S = 0.5  # beyond, a prediction is worth less than the delay costs
 _AIDED_STATES = (GpsState.FAILED, GpsState.RECOVERING)
@@ -29,19 +29,20 @@ class _Stream:
 class Aiding:
     """Keeps one stream of GPS_INPUT for each vehicle that is to be aided and can be reached.
 
-    `withheld` says why nobody may be aided at all, or is None.
+    `withheld` says why nobody may be aided at all, or is None. `words` is what the operator decided, by system id.
     """
 
     def __init__(self, settings: AidSettings) -> None:
         self.settings = settings
         self.withheld: str | None = None
+        self.words: dict[int, AidWord] = {}
         self._period_s = 1.0 / settings.rate_hz
         self._streams: dict[int, _Stream] = {}
         self._told: dict[int, str | None] = {}
 
     def review(self, vehicle: Vehicle, now_s: float) -> list[Outbound]:
         """Start or end the stream of one vehicle after its health, autopilot or route changed."""
-        wanted, hindrance = vehicle.health.state in _AIDED_STATES, self.hindrance(vehicle)
+        wanted, hindrance = self._wanted(vehicle), self.hindrance(vehicle)
         aided = wanted and hindrance is None
         stream = self._streams.get(vehicle.sysid)
         out: list[Outbound] = []
@@ -52,7 +53,10 @@ class Aiding:
             del self._streams[vehicle.sysid]
             vehicle.health.aided = False
             out.append(no_fix(vehicle.sysid, self.settings.gps_id))
-            out.append(Notice(now_s, vehicle.sysid, "info", f"aid ended: {hindrance or f'GPS {vehicle.health.state.value}'}"))
+            why = "the operator's word" if self._word(vehicle) is AidWord.OFF else f"GPS {vehicle.health.state.value}"
+            out.append(Notice(now_s, vehicle.sysid, "info", f"aid ended: {hindrance or why}"))
+        # Put under aid with a good receiver of its own, it may fly on ours: what it claims must not come back as evidence.
+        vehicle.health.captive = self._word(vehicle) is AidWord.ON
         if wanted and hindrance != self._told.get(vehicle.sysid):
             self._told[vehicle.sysid] = hindrance
             if hindrance is not None:
@@ -107,9 +111,9 @@ class Aiding:
         stream = self._streams.get(vehicle.sysid)
         if stream is not None:
             return "sending 3D fix" if stream.no_fix_because is None else f"sending no fix: {stream.no_fix_because}"
-        if vehicle.health.state in _AIDED_STATES:
+        if self._wanted(vehicle):
             return f"NOT SENT: {self.hindrance(vehicle)}"
-        return "off"
+        return "off" if self._word(vehicle) is not AidWord.OFF else "off by the operator's word"
 
     def sends_fix(self, sysid: int) -> bool:
         """Whether a vehicle is being sent a position, and not only the word that there is none."""
@@ -121,6 +125,13 @@ class Aiding:
         last = [no_fix(sysid, self.settings.gps_id) for sysid in self._streams]
         self._streams.clear()
         return last
+
+    def _word(self, vehicle: Vehicle) -> AidWord:
+        return self.words.get(vehicle.sysid, AidWord.AUTO)
+
+    def _wanted(self, vehicle: Vehicle) -> bool:
+        word = self._word(vehicle)
+        return word is AidWord.ON or (word is AidWord.AUTO and vehicle.health.state in _AIDED_STATES)
 
     def _tell(self, sysid: int, stream: _Stream, reason: str | None, now_s: float) -> list[Notice]:
         had_fix, has_fix = stream.no_fix_because is None, reason is None

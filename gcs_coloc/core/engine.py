@@ -19,6 +19,7 @@ from gcs_coloc.core.health import GpsState, HealthSettings
 from gcs_coloc.core.integrity import Integrity
 from gcs_coloc.core.measurements import Estimate, Measurement, RangeMeasurement, Unknown
 from gcs_coloc.core.messages import (
+    AidWord,
     Airspeed,
     Attitude,
     ClockReference,
@@ -82,7 +83,7 @@ class Engine:
         self._utc = Utc(required=self.settings.time.require_synchronised_clock)
         self.aiding.withheld = self._utc.withheld()
         self._subjects: frozenset[int] = frozenset()
-        self._words: dict[int, GpsWord] = {}
+        self._gps_words: dict[int, GpsWord] = {}
         self._housekeeping_due_s = float("inf")
 
     def receive(self, message: Inbound) -> None:
@@ -175,7 +176,7 @@ class Engine:
             self._refused["more vehicles than the fleet may have"] += 1
         elif not known_before:
             self._say(at_s, sysid, "info", "heard for the first time")
-            vehicle.health.word = self._words.get(sysid, GpsWord.AUTO)
+            vehicle.health.word = self._gps_words.get(sysid, GpsWord.AUTO)
         return vehicle
 
     def _reroute(self, message: RouteReport) -> None:
@@ -188,11 +189,17 @@ class Engine:
         self._outbox.extend(self.aiding.review(vehicle, message.received_at_s))
 
     def _obey(self, message: OperatorWord) -> None:
-        self._words[message.sysid] = message.word
-        self._say(message.received_at_s, message.sysid, "info", f"operator: GPS {message.word.value}")
-        vehicle = self.fleet.get(message.sysid)
+        word, sysid = message.word, message.sysid
+        vehicle = self.fleet.get(sysid)
+        if isinstance(word, AidWord):
+            self.aiding.words[sysid] = word
+            self._say(message.received_at_s, sysid, "info", f"operator: aid {word.value}")
+        else:
+            self._gps_words[sysid] = word
+            self._say(message.received_at_s, sysid, "info", f"operator: GPS {word.value}")
+            if vehicle is not None:
+                vehicle.health.word = word
         if vehicle is not None:
-            vehicle.health.word = message.word
             self._review(vehicle, message.received_at_s)
 
     def _take(self, message: Inbound, vehicle: Vehicle) -> None:
@@ -243,15 +250,15 @@ class Engine:
         if vehicle.health.update(now_s):
             after = vehicle.health.state
             self._outbox.append(HealthChanged(now_s, vehicle.sysid, before.value, after.value, vehicle.health.reason))
-            subjects = frozenset(v.sysid for v in self.fleet if v.health.state in _SUBJECT_STATES)
-            if subjects != self._subjects:
-                self._subjects = subjects
-                self.estimator.set_subjects(subjects, now_s)
-                if vehicle.health.contradiction is not None and vehicle.sysid in subjects:
-                    # What it said of late is in its state: it must start anew, from the ranges alone.
-                    self.estimator.set_subjects(subjects - {vehicle.sysid}, now_s)
-                    self.estimator.set_subjects(subjects, now_s)
         self._outbox.extend(self.aiding.review(vehicle, now_s))
+        if _is_subject(vehicle) == (vehicle.sysid in self._subjects):
+            return
+        self._subjects = subjects = self._subjects ^ {vehicle.sysid}
+        self.estimator.set_subjects(subjects, now_s)
+        if vehicle.health.contradiction is not None and vehicle.sysid in subjects:
+            # What it said of late is in its state: it must start anew, from the ranges alone.
+            self.estimator.set_subjects(subjects - {vehicle.sysid}, now_s)
+            self.estimator.set_subjects(subjects, now_s)
 
     def _ask_time(self, vehicle: Vehicle, now_s: float) -> None:
         if vehicle.blocked is not None or vehicle.autopilot is None:
@@ -279,3 +286,7 @@ class Engine:
 
     def _say(self, at_s: float, sysid: int | None, level: str, text: str) -> None:
         self._outbox.append(Notice(at_s, sysid, level, text))
+
+
+def _is_subject(vehicle: Vehicle) -> bool:
+    return vehicle.health.state in _SUBJECT_STATES or vehicle.health.captive

@@ -17,7 +17,6 @@ from math import hypot
 from gcs_coloc.core.clocks import ServiceTime, TimeSettings
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.health import GpsState
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
@@ -69,7 +68,7 @@ class Feed:
         measured = self._boot_time(message, vehicle, "GLOBAL_POSITION_INT")
         if measured is None:
             return None
-        healthy = vehicle.health.state is GpsState.HEALTHY
+        healthy = vehicle.health.trusted
         if self.frame is None and healthy:
             self.frame = LocalFrame(message.lat_deg, message.lon_deg, message.alt_msl_m)
         if self.frame is None:

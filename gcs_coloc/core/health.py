@@ -60,7 +60,10 @@ class HealthSettings:
 
 @dataclass(slots=True)
 class GpsHealth:
-    """The state machine of one vehicle. Fed by `take`, `motion`, `contradiction`, `word` and `aided`; moved on by `update`."""
+    """The state machine of one vehicle. Fed by `take`, `motion`, `contradiction`, `word` and `aided`; moved on by `update`.
+
+    `captive`: its autopilot may fly on what we send though its own receiver is good, so that what it claims is an echo.
+    """
 
     settings: HealthSettings
     state: GpsState = GpsState.UNKNOWN
@@ -68,12 +71,18 @@ class GpsHealth:
     since_s: float = 0.0
     word: GpsWord = GpsWord.AUTO
     aided: bool = False
+    captive: bool = False
     motion: MotionCheck = field(default_factory=MotionCheck)
     contradiction: Contradiction | None = None
     _good_since_s: float | None = field(default=None)
     _receiver: GpsReceiver | None = field(default=None)
     _system: SystemHealth | None = field(default=None)
     _ekf: EkfStatus | None = field(default=None)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether what the vehicle says of its own position is evidence."""
+        return self.state is GpsState.HEALTHY and not self.captive
 
     def take(self, message: GpsReceiver | SystemHealth | EkfStatus) -> None:
         """Note one piece of evidence. Reports of a receiver other than the real one are ignored."""

@@ -187,13 +187,24 @@ class GpsWord(Enum):
     HEALTHY = "healthy"
 
 
+class AidWord(Enum):
+    """The operator's word on a vehicle's aid: ON aids it whatever its GPS says, OFF never does; AUTO leaves it to its GPS."""
+
+    AUTO = "auto"
+    ON = "on"
+    OFF = "off"
+
+
+Word = GpsWord | AidWord
+
+
 @dataclass(frozen=True, slots=True)
 class OperatorWord:
-    """The operator overrides the GPS health of one vehicle; it wins over all evidence until withdrawn."""
+    """The operator decides something of one vehicle; it wins over all evidence until withdrawn. The kinds of word are apart."""
 
     sysid: int
     received_at_s: float
-    word: GpsWord
+    word: Word
 
 
 @dataclass(frozen=True, slots=True)

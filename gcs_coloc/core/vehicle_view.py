@@ -7,6 +7,7 @@ from gcs_coloc.core.bound import horizontal_bound_95_m, horizontal_sigma_m
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, FloatArray, Unknown, Vector3
+from gcs_coloc.core.messages import AidWord
 from gcs_coloc.core.view import Consistency, VehicleView
 
 _ATTITUDE_FRESH_S = 3.0
@@ -52,6 +53,7 @@ def vehicle_view(
         aid_has_fix=aiding.sends_fix(vehicle.sysid),
         hindrance=aiding.hindrance(vehicle),
         operator_word=vehicle.health.word.value,
+        aid_word=aiding.words.get(vehicle.sysid, AidWord.AUTO).value,
         enu_m=enu_m,
         velocity_enu_mps=velocity_mps,
         covariance_h_m2=covariance_m2,

@@ -51,7 +51,8 @@ class VehicleView:
     position and velocity in the fleet's frame, `covariance_h_m2` its horizontal covariance (east-east, east-north,
     north-north). `yaw_rad` is the vehicle's own, from true north, clockwise. `delay_s` is how much longer its newest
     position was on the way than the quickest of the last minute. `aid` says in words what is sent to it, `aid_has_fix`
-    whether that is a position; `hindrance` why nothing can be sent to it even if it should be.
+    whether that is a position; `hindrance` why nothing can be sent to it even if it should be. `operator_word` is the
+    operator's on its GPS, `aid_word` on its aid.
     """
 
     sysid: int
@@ -73,6 +74,7 @@ class VehicleView:
     aid_has_fix: bool = False
     hindrance: str | None = None
     operator_word: str = "auto"
+    aid_word: str = "auto"
     enu_m: tuple[float, float, float] | None = None
     velocity_enu_mps: tuple[float, float, float] | None = None
     covariance_h_m2: tuple[float, float, float] | None = None

@@ -12,8 +12,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages import ClockReference, GpsWord, OperatorWord, PeerRange, RouteReport, TimeBase
+from gcs_coloc.core.messages import AidWord, ClockReference, GpsWord, OperatorWord, PeerRange, RouteReport, TimeBase
 from gcs_coloc.mavlink.framing import MAGIC_V2, read_frame
+
+_WORDS: dict[str, type[GpsWord] | type[AidWord]] = {"word": GpsWord, "aid": AidWord}
 
 PAYLOAD_TYPE = 46_232
 """The TUNNEL payload type of a note; above 32767 they are private."""
@@ -87,7 +89,7 @@ def _content(note: Note) -> dict[str, Any]:
         ends, told = (note.sysid, note.peer_sysid), (note.range_m, note.sigma_m, note.measured_at_s, base)
         return {"range": [*ends, *told, note.sequence, note.line_of_sight, note.device_id]}
     if isinstance(note, OperatorWord):
-        return {"word": note.word.value, "of": note.sysid}
+        return {next(key for key, kind in _WORDS.items() if isinstance(note.word, kind)): note.word.value, "of": note.sysid}
     text = note.blocked.encode("ascii", "replace").decode().replace('"', "'").replace("\\", "/") if note.blocked else note.blocked
     return {"route": text[:_LONGEST_REASON] if text is not None else None, "of": note.sysid}
 
@@ -104,7 +106,8 @@ def _note(content: dict[str, Any], at_s: float) -> Note | None:
         time_base = _TIME_BASES[base]
         return PeerRange(sysid, at_s, peer, range_m, sigma_m, measured_at_s, time_base, sequence, line_of_sight, device_id)
     sysid = int(content["of"])
-    if "word" in content:
-        return OperatorWord(sysid, at_s, GpsWord(content["word"]))
+    for key, kind in _WORDS.items():
+        if key in content:
+            return OperatorWord(sysid, at_s, kind(content[key]))
     blocked = content["route"]
     return RouteReport(sysid, at_s, str(blocked) if blocked is not None else None)

@@ -47,7 +47,7 @@ class Recorder:
         self._fault: str | None = None
         self._told: tuple[str | None, int] = (None, 0)
         self._parts = 0
-        self._state: dict[tuple[type, int], Note] = {}
+        self._state: dict[tuple[type, int], Note] = {}  # the newest of each kind of word, and the route, of each vehicle
         self._name = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
         try:
             directory.mkdir(parents=True, exist_ok=True)
@@ -140,7 +140,8 @@ class Recorder:
                     records += tlog_record(*item)
                 elif isinstance(item, Note):
                     if isinstance(item, OperatorWord | RouteReport):
-                        self._state[type(item), item.sysid] = item
+                        kind = type(item.word) if isinstance(item, OperatorWord) else RouteReport
+                        self._state[kind, item.sysid] = item
                     records += self._note_record(item)
                 else:
                     entries.append(item)

@@ -152,7 +152,7 @@ def _advance(
 def _messages(log: TlogReader, decoder: Decoder, own: tuple[int, int], counts: ReplayCounts) -> Iterator[Inbound]:
     latest_s = float("-inf")
     routes: dict[int, str | None] = {}
-    words: dict[int, OperatorWord] = {}
+    words: set[tuple[int, type]] = set()
     for record in log:
         latest_s = max(latest_s, record.unix_s)
         noted = read_note(record.frame, latest_s, own)
@@ -173,14 +173,14 @@ def _messages(log: TlogReader, decoder: Decoder, own: tuple[int, int], counts: R
                 yield RouteReport(frame.sysid, latest_s, routes.get(frame.sysid))
 
 
-def _of_note(noted: ReadNote, routes: dict[int, str | None], words: dict[int, OperatorWord]) -> Iterator[Inbound]:
+def _of_note(noted: ReadNote, routes: dict[int, str | None], words: set[tuple[int, type]]) -> Iterator[Inbound]:
     note = noted.note
     if isinstance(note, RouteReport):
         # Told with the vehicle's next heartbeat, as in flight.
         routes[note.sysid] = note.blocked
     elif isinstance(note, OperatorWord):
-        is_news = note.sysid not in words or not noted.repeated
-        words[note.sysid] = note
+        is_news = (note.sysid, type(note.word)) not in words or not noted.repeated
+        words.add((note.sysid, type(note.word)))
         if is_news:
             yield note
     elif note is not None:

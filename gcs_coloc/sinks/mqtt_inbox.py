@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from pydantic import ValidationError
 
-from gcs_coloc.core.messages import GpsWord, PeerRange
+from gcs_coloc.core.messages import PeerRange, Word
 from gcs_coloc.core.view import FleetView
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.sinks.mqtt_models import Command, Range
@@ -25,7 +25,7 @@ class Hooks:
 
     look: Callable[[], FleetView]
     heard: Callable[[], Collection[int]]
-    obey: Callable[[int, GpsWord], None]
+    obey: Callable[[int, Word], None]
     take_range: Callable[[PeerRange], None]
     clock: Callable[[], float]
 
@@ -64,7 +64,7 @@ class Inbox:
             return f"{name}_of_unknown_vehicle"
         try:
             if name == "cmd":
-                self._hooks.obey(sysid, Command.model_validate_json(payload).word)
+                self._hooks.obey(sysid, Command.model_validate_json(payload).said())
                 return None
             found = Range.model_validate_json(payload)
         except ValidationError:

@@ -10,7 +10,7 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from gcs_coloc.core.messages import GpsWord, PeerRange, TimeBase
+from gcs_coloc.core.messages import AidWord, GpsWord, PeerRange, TimeBase, Word
 from gcs_coloc.core.view import FleetView, VehicleView
 from gcs_coloc.mavlink.checks import RANGE_MAX_M, UNIX_TIME_FROM_US, UNIX_TIME_TO_US
 
@@ -62,6 +62,7 @@ class VehicleHealth(_Sent):
     gps_state: str
     gps_reason: str
     operator_word: str
+    aid_word: str
 
 
 class FleetStatus(_Sent):
@@ -82,10 +83,23 @@ class Alarm(_Sent):
 
 
 class Command(BaseModel):
-    """`…/{sysid}/cmd`: the operator's word on the GPS of a vehicle."""
+    """`…/{sysid}/cmd`: the operator's word on the GPS of a vehicle, or on its aid: one of the two."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    word: GpsWord
+    word: GpsWord | None = None
+    aid: AidWord | None = None
+
+    @model_validator(mode="after")
+    def _one_word(self) -> Self:
+        if (self.word is None) == (self.aid is None):
+            raise ValueError("one word is wanted")
+        return self
+
+    def said(self) -> Word:
+        """The word that was given."""
+        word = self.word if self.word is not None else self.aid
+        assert word is not None
+        return word
 
 
 class Range(BaseModel):

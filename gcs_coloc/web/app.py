@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gcs_coloc import __version__
-from gcs_coloc.core.messages import GpsWord
+from gcs_coloc.core.messages import AidWord, GpsWord, Word
 from gcs_coloc.core.view import FleetView
 from gcs_coloc.sinks.metrics import fleet_registry
 from gcs_coloc.web.access import Guard, bears_token
@@ -39,15 +39,25 @@ class Hooks:
     """
 
     look: Callable[[], FleetView]
-    obey: Callable[[int, GpsWord], None]
+    obey: Callable[[int, Word], None]
     fault: Callable[[], str | None]
 
 
 class GpsCommand(BaseModel):
-    """The body of a command."""
+    """The body of a command on a vehicle's GPS."""
 
     model_config = ConfigDict(extra="forbid")
     word: GpsWord
+
+
+class AidCommand(BaseModel):
+    """The body of a command on a vehicle's aid."""
+
+    model_config = ConfigDict(extra="forbid")
+    word: AidWord
+
+
+_COMMANDS: Mapping[str, type[GpsCommand | AidCommand]] = {"gps": GpsCommand, "aid": AidCommand}
 
 
 class _Site:
@@ -88,10 +98,12 @@ class _Site:
                 await asyncio.gather(sender, return_exceptions=True)
 
     async def command(self, request: Request) -> Response:
-        """The operator's word on the GPS of one vehicle."""
+        """The operator's word on one vehicle."""
         if not bears_token(request.headers, self._token):
             return PlainTextResponse("commands need the operator's token\n", status_code=403)
-        sysid = request.path_params["sysid"]
+        sysid, model = request.path_params["sysid"], _COMMANDS.get(request.path_params["what"])
+        if model is None:
+            return PlainTextResponse(f"there are commands for {' and '.join(_COMMANDS)}\n", status_code=404)
         if sysid not in {v.sysid for v in self._hooks.look().vehicles}:
             return PlainTextResponse(f"no vehicle {sysid} was heard\n", status_code=404)
         body = b""
@@ -100,9 +112,10 @@ class _Site:
             if len(body) > _MOST_BODY_BYTES:
                 return PlainTextResponse("too long\n", status_code=413)
         try:
-            command = GpsCommand.model_validate_json(body)
+            command = model.model_validate_json(body)
         except ValidationError:
-            return PlainTextResponse('expected {"word": "failed"}, "healthy" or "auto"\n', status_code=422)
+            words = ", ".join(f'"{word.value}"' for word in model.model_fields["word"].annotation or ())
+            return PlainTextResponse(f'expected {{"word": WORD}}, WORD one of {words}\n', status_code=422)
         self._hooks.obey(sysid, command.word)
         return JSONResponse({"sysid": sysid, "word": command.word.value})
 
@@ -141,7 +154,7 @@ def make_app(hooks: Hooks, story: Story, pages: Pages, token: str | None, allowe
             Route("/metrics", site.metrics),
             Route("/healthz", site.healthy),
             Route("/readyz", site.ready),
-            Route("/api/vehicles/{sysid:int}/gps", site.command, methods=["POST"]),
+            Route("/api/vehicles/{sysid:int}/{what}", site.command, methods=["POST"]),
             WebSocketRoute("/live", site.live),
             Mount("/static", StaticFiles(directory=_STATIC)),
         ],

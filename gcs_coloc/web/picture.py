@@ -37,6 +37,8 @@ def traffic_light(v: VehicleView) -> tuple[LightColour, str]:
         return "caution", f"GPS suspect: {v.gps_reason}"
     if v.gps_state == "unknown":
         return "unknown", v.gps_reason
+    if v.aid_word == "on":
+        return ("caution" if v.aid_has_fix else "bad"), f"aided by the operator's word ({v.aid}); GPS healthy: {v.gps_reason}"
     if v.hindrance is not None:
         return "caution", f"GPS healthy ({v.gps_reason}), but it could not be aided: {v.hindrance}"
     return "good", f"GPS healthy: {v.gps_reason}"

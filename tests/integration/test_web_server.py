@@ -73,7 +73,13 @@ def test_a_command_is_obeyed_with_the_token_only(start_service, free_port, web_p
         assert ask(web_port, command, b"x" * 5000, **right)[0] == 413
         fly(fleet, 1.0)
         assert not fleet[3].of("GPS_INPUT")
+        assert ask(web_port, "/api/vehicles/4/aid", b'{"word": "off"}', **right) == (200, '{"sysid":4,"word":"off"}')
+        assert ask(web_port, "/api/vehicles/4/aid", body, **right)[0] == 422
+        assert ask(web_port, "/api/vehicles/4/other", body, **right)[0] == 404
         assert ask(web_port, command, body, **right) == (200, '{"sysid":4,"word":"failed"}')
+        fly(fleet, 1.0)
+        assert not fleet[3].of("GPS_INPUT")
+        assert ask(web_port, "/api/vehicles/4/aid", b'{"word": "auto"}', **right)[0] == 200
         fly(fleet, 10.0, until=lambda: bool(fleet[3].of("GPS_INPUT")))
         assert fleet[3].of("GPS_INPUT")
         assert ask(web_port, "/healthz") == (200, "ok\n")

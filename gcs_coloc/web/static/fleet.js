@@ -85,7 +85,7 @@ export class FleetList {
       NIS: c === null ? "-" : `${number(c.nis_mean, 2)} in ${number(c.band_low, 2)} to ${number(c.band_high, 2)}${c.nis_mean > c.band_high ? ": too large" : ""}`,
       link: link === undefined ? "-" : `${number(link.rate_hz)} frames/s, loss ${number(link.loss_percent)} %`,
       "sent to it": view.aid,
-      "operator's word": view.operator_word,
+      "operator's word": `GPS ${view.operator_word}, aid ${view.aid_word}`,
     };
     if (view.hindrance !== null) facts["cannot be aided"] = view.hindrance;
     const list = byId("facts");

@@ -3,7 +3,7 @@
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages import ClockReference, GpsWord, OperatorWord, PeerRange, RouteReport, TimeBase
+from gcs_coloc.core.messages import AidWord, ClockReference, GpsWord, OperatorWord, PeerRange, RouteReport, TimeBase
 from gcs_coloc.recorder.notes import PAYLOAD_TYPE, NoteWriter, read_note
 
 AT_S = 1_795_216_162.424732
@@ -17,6 +17,8 @@ OWN = (254, 191)
         ClockReference(AT_S, None, None),
         OperatorWord(250, AT_S, GpsWord.FAILED),
         OperatorWord(4, AT_S, GpsWord.AUTO),
+        OperatorWord(4, AT_S, AidWord.AUTO),
+        OperatorWord(250, AT_S, AidWord.OFF),
         RouteReport(4, AT_S, None),
         RouteReport(250, AT_S, "vehicles 1 and 4 are heard from one address"),
         PeerRange(255, AT_S, 254, 1234.5678901234567, 0.12345678901234568, AT_S - 0.1, TimeBase.SERVICE, 4_294_967_295, 0.1, 255),

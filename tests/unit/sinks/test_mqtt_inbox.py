@@ -5,7 +5,7 @@ import json
 import pytest
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import GpsWord, TimeBase
+from gcs_coloc.core.messages import AidWord, GpsWord, TimeBase
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.sinks.mqtt_inbox import Hooks, Inbox
@@ -32,10 +32,10 @@ class Desk:
         self.inbox.take(f"{BASE}/{tail}", payload, retained=retained)
 
 
-@pytest.mark.parametrize("word", list(GpsWord))
-def test_the_operators_word_is_taken(word):
+@pytest.mark.parametrize(("key", "word"), [("word", word) for word in GpsWord] + [("aid", word) for word in AidWord])
+def test_the_operators_word_is_taken(key, word):
     desk = Desk()
-    desk.take("4/cmd", {"word": word.value})
+    desk.take("4/cmd", {key: word.value})
     assert desk.words == [(4, word)]
     assert dict(desk.counts) == {}
 
@@ -75,6 +75,9 @@ def test_a_range_reaches_the_engine_with_its_clock(times, measured_at_s, base):
         ("4/cmd", {"word": "failed"}, True, "mqtt_cmd_retained"),
         ("4/cmd", {"word": "FAILED"}, False, "mqtt_cmd_invalid"),
         ("4/cmd", {"word": "failed", "more": 1}, False, "mqtt_cmd_invalid"),
+        ("4/cmd", {"word": "failed", "aid": "on"}, False, "mqtt_cmd_invalid"),
+        ("4/cmd", {"aid": "failed"}, False, "mqtt_cmd_invalid"),
+        ("4/cmd", {}, False, "mqtt_cmd_invalid"),
         ("4/cmd", b"\xff\x00", False, "mqtt_cmd_invalid"),
         ("4/cmd", b" " * 1001, False, "mqtt_cmd_too_long"),
         ("9/cmd", {"word": "failed"}, False, "mqtt_cmd_of_unknown_vehicle"),

@@ -1,0 +1,85 @@
+"""An engine flown by hand-moved time: a fleet's telemetry, an estimator that knows a straight line, and what comes out."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+import numpy as np
+
+from gcs_coloc.core.engine import Engine, EngineSettings
+from gcs_coloc.core.measurements import Estimate, Measurement, Unknown
+from gcs_coloc.core.messages import Autopilot, GlobalPosition, GpsInput, GpsReceiver, Heartbeat, Inbound, RouteReport
+
+LAT, LON, ALT = 47.0, 8.0, 500.0
+M_PER_DEGREE_EAST = 76056.0
+
+
+class StraightLine:
+    """An estimator for these tests: every vehicle flies east at 20 m/s through the origin at time 0."""
+
+    name = "straight line"
+
+    def __init__(self) -> None:
+        self.taken: list[Measurement] = []
+        self.subjects: list[tuple[frozenset[int], float]] = []
+        self.asked: list[tuple[int, float]] = []
+        self.sigma_m = 2.0
+        self.unknown: str | None = None
+
+    def set_subjects(self, subjects: Collection[int], at_s: float) -> None:
+        self.subjects.append((frozenset(subjects), at_s))
+
+    def add(self, measurement: Measurement) -> None:
+        self.taken.append(measurement)
+
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
+        self.asked.append((vehicle, at_s))
+        if self.unknown is not None:
+            return Unknown(vehicle, at_s, self.unknown)
+        covariance = np.diag([self.sigma_m**2, 1.0, 9.0, 0.25, 0.16, 0.04])
+        return Estimate(vehicle, at_s, np.array([20.0 * at_s, 0.0, 30.0]), np.array([20.0, 0.0, 1.0]), covariance, 1.5, 3)
+
+    def take_residuals(self) -> list:
+        return []
+
+    def counts(self) -> dict[str, int]:
+        return {}
+
+    def of(self, kind: type, vehicle: int) -> list[Measurement]:
+        return [m for m in self.taken if isinstance(m, kind) and vehicle in (getattr(m, "vehicle", None),)]
+
+
+def settings(**changes: object) -> EngineSettings:
+    return EngineSettings(request_streams=False, **changes)
+
+
+def telemetry(sysid: int, t: float, fix_type: int = 3, autopilot: Autopilot = Autopilot.ARDUPILOT) -> Iterable[Inbound]:
+    boot = t + 10.0 * sysid
+    step = round(t * 10)
+    lon_deg = LON + 20.0 * t / M_PER_DEGREE_EAST
+    yield GlobalPosition(sysid, t, boot, LAT + 0.001 * sysid, lon_deg, ALT + 30, 0.0, 20.0, 0.0)
+    if step % 2 == 0:
+        yield GpsReceiver(sysid, t, 0, fix_type, LAT, lon_deg, ALT, 10 if fix_type >= 3 else 3, 1.0, 1.2, 2.0, 0.4)
+    if step % 10 == 0:
+        yield Heartbeat(sysid, t, autopilot, True)
+        yield RouteReport(sysid, t, None)
+
+
+def fly(
+    engine: Engine, start_s: float, stop_s: float, failed: Collection[int] = (), sysids: Collection[int] = (1, 2, 3, 4)
+) -> list:
+    """Feed 10 Hz telemetry and poll at every deadline, as the service does; returns (time, output) pairs."""
+    out = []
+    for step in range(round(start_s * 10), round(stop_s * 10)):
+        t = step / 10
+        for sysid in sysids:
+            for message in telemetry(sysid, t, fix_type=1 if sysid in failed else 3):
+                engine.receive(message)
+        while engine.next_deadline() < t + 0.1:
+            now_s = max(engine.next_deadline(), t)
+            out.extend((now_s, o) for o in engine.poll(now_s))
+    return out
+
+
+def aids(out: list, sysid: int) -> list[tuple[float, GpsInput]]:
+    return [(t, o) for t, o in out if isinstance(o, GpsInput) and o.sysid == sysid]
