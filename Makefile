@@ -2,6 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
+# Several threads are slower than one on matrices as small as ours; the service and its commands see to it themselves.
+export OPENBLAS_NUM_THREADS = 1
 
 .PHONY: demo test lint bench fuzz dialect lock clean
 

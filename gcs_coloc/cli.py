@@ -14,7 +14,8 @@ from rich.console import Console
 from rich.logging import RichHandler
 
 from gcs_coloc import __version__
-from gcs_coloc.commands import evaluate, export, replay, report, study
+from gcs_coloc.blas import one_thread
+from gcs_coloc.commands.group import LateCommands
 from gcs_coloc.core.errors import GcsColocError, UsageError
 from gcs_coloc.sinks.log_writer import LogWriter
 
@@ -25,6 +26,7 @@ _BadCommandLine: type[Exception] = typer.BadParameter.__bases__[0]
 
 app = typer.Typer(
     name=PROGRAM,
+    cls=LateCommands,
     help="Locates MAVLink vehicles whose GPS has failed from their ranges to neighbours, and sends them their position.",
     epilog="Example: gcs-coloc --udp 14550",
     add_completion=False,
@@ -44,6 +46,7 @@ class LogLevel(str, Enum):  # noqa: UP042 - typer shows the values of a str Enum
 
 def main() -> None:
     """Entry point of `gcs-coloc`. A user's mistake ends in one line on stderr and exit code 2 or 1, never in a traceback."""
+    one_thread()
     try:
         status = app(standalone_mode=False)
     except _BadCommandLine as error:
@@ -141,13 +144,6 @@ def check_config(file: Annotated[Path, typer.Argument(help="The configuration fi
     SignedLinks(settings.signing, settings.links)
     load_estimator(settings.estimator.name, settings.estimator.settings)
     print(f"{file}: good; {len(settings.links)} link(s), estimator {settings.estimator.name}")
-
-
-app.command("replay")(replay.replay)
-app.command("export")(export.export)
-app.command("report")(report.report)
-app.command("evaluate")(evaluate.evaluate)
-app.add_typer(study.app)
 
 
 def _log_to_stderr(level: LogLevel, console: Console) -> None:

@@ -15,7 +15,7 @@ from gcs_coloc.study.paper_options import PaperOptions, QForm, QUnit
 
 _FILE_WIDTH = 140  # of tables that go to a file or pipe
 
-app = typer.Typer(name="study", help="The paper's tables and figures; the best that any estimator can do.")
+app = typer.Typer(name="study", add_completion=False, help="The paper's tables and figures; the best that any estimator can do.")
 
 
 @app.command("paper")

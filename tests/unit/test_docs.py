@@ -22,8 +22,8 @@ def options(command) -> list[str]:
 
 def all_commands(command, path="gcs-coloc"):
     yield path, command
-    for name, sub in getattr(command, "commands", {}).items():
-        yield from all_commands(sub, f"{path} {name}")
+    for name in command.list_commands(None) if hasattr(command, "list_commands") else ():
+        yield from all_commands(command.get_command(None, name), f"{path} {name}")
 
 
 @pytest.mark.parametrize(("path", "command"), list(all_commands(typer.main.get_command(app))))

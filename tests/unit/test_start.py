@@ -1,0 +1,44 @@
+"""What the command line costs before it has anything to do."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+_PRODUCT = "import numpy as np, pathlib; a = np.ones((600, 600)); a @ a; print(pathlib.Path('/proc/self/status').read_text())"
+
+
+def run(code: str, **environment: str) -> str:
+    kept = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60, env=kept | environment
+    ).stdout
+
+
+def test_the_command_line_imports_nothing_of_the_flight_before_it_is_told_to_fly():
+    loaded = json.loads(run("import sys, json, gcs_coloc.cli; print(json.dumps([m.split('.')[0] for m in sys.modules]))"))
+    assert not {"numpy", "scipy", "pydantic", "pymavlink", "starlette", "matplotlib"} & set(loaded)
+
+
+def test_the_linear_algebra_gets_one_thread():
+    told = run(f"from gcs_coloc.blas import one_thread; one_thread(); {_PRODUCT}")
+    assert "\nThreads:\t1\n" in told
+
+
+def test_who_asks_for_more_threads_gets_them():
+    told = run(
+        "from gcs_coloc.blas import one_thread; one_thread(); import os; print(os.environ['OPENBLAS_NUM_THREADS'])",
+        OPENBLAS_NUM_THREADS="2",
+    )
+    assert told.strip() == "2"
+
+
+def test_the_entry_point_sets_it_before_anything_else_is_imported():
+    told = run(
+        "import sys; sys.argv[1:] = ['--version']; import gcs_coloc.cli as cli, os\n"
+        "try: cli.main()\n"
+        "except SystemExit: print('numpy' in sys.modules, os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    assert told.splitlines()[-1] == "False 1"
