@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ipaddress
 import logging
 import sys
 import time
@@ -19,14 +20,26 @@ from sitl_fakes.shell import Address, TruthFile, run
 # Newer Typers carry a Click of their own inside; this names the base of their usage errors in either case.
 _BadCommandLine: type[Exception] = typer.BadParameter.__bases__[0]
 
+_EXAMPLE_GROUP = "239.255.40.4:14600"
+
 _app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
-def _address(text: str) -> Address:
+def _address(option: str, text: str, example: str) -> Address:
     host, colon, port = text.rpartition(":")
     if not colon or not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
-        raise ScenarioError(f"--target {text!r}: expected HOST:PORT, for example 127.0.0.1:14550")
+        raise ScenarioError(f"{option} {text!r}: expected HOST:PORT, for example {example}")
     return host.removeprefix("[").removesuffix("]"), int(port)
+
+
+def _group(text: str) -> Address:
+    address = _address("--airspace", text, _EXAMPLE_GROUP)
+    try:
+        if ipaddress.IPv4Address(address[0]).is_multicast:
+            return address
+    except ValueError:
+        pass
+    raise ScenarioError(f"--airspace {text!r}: expected an IPv4 multicast group, for example {_EXAMPLE_GROUP}")
 
 
 @_app.command()
@@ -42,14 +55,25 @@ def fly(
     port_base: Annotated[
         int | None, typer.Option(min=1, max=65280, help="Bind vehicle N to port PORT_BASE + N; default: any free port.")
     ] = None,
+    airspace: Annotated[
+        str | None,
+        typer.Option(
+            metavar="GROUP:PORT",
+            help="Fly only the vehicles of --vehicle; the others are flown by other processes in this multicast group.",
+        ),
+    ] = None,
 ) -> None:
     """Fly a scenario in real time over UDP: simulated aircraft that send and take MAVLink as ArduPilot does."""
-    address = _address(target)
+    address = _address("--target", target, "127.0.0.1:14550")
+    group = None if airspace is None else _group(airspace)
+    if group is not None and not vehicle:
+        raise ScenarioError("--airspace: name the vehicles to fly here with --vehicle")
     plan = load_scenario(scenario)
-    fleet = Fleet(plan, seed, unix_epoch_s=time.time())
+    known = [v.sysid for v in plan.vehicle]
     for sysid in vehicle or []:
-        if sysid not in fleet.sysids:
-            raise ScenarioError(f"--vehicle {sysid}: {scenario} has only {', '.join(map(str, fleet.sysids))}")
+        if sysid not in known:
+            raise ScenarioError(f"--vehicle {sysid}: {scenario} has only {', '.join(map(str, known))}")
+    fleet = Fleet(plan, seed, unix_epoch_s=time.time(), sysids=None if group is None else vehicle)
     try:
         truth_file = TruthFile(truth) if truth else None
     except OSError as error:
@@ -57,7 +81,9 @@ def fly(
     flight_s = plan.duration_s if duration is None else duration
     logging.info("%s: %d vehicles to %s for %g s, seed %d", plan.name, len(fleet.sysids), target, flight_s, seed)
     try:
-        asyncio.run(run(fleet, target=address, duration_s=flight_s, sysids=vehicle, port_base=port_base, truth=truth_file))
+        asyncio.run(
+            run(fleet, target=address, duration_s=flight_s, sysids=vehicle, port_base=port_base, truth=truth_file, airspace=group)
+        )
     finally:
         if truth_file:
             truth_file.close()

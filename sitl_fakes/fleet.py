@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from sitl_fakes.errors import ScenarioError
 from sitl_fakes.faults import Fault
-from sitl_fakes.geodesy import WorldFrame
+from sitl_fakes.geodesy import Vector, WorldFrame
 from sitl_fakes.scenario import Scenario
 from sitl_fakes.truth import VehicleTruth
 from sitl_fakes.vehicle import Vehicle
+from sitl_fakes.whereabouts import Whereabouts
 
 STEP_S = 0.02
 """Time step of the simulation, s: the paper's computing cycle."""
@@ -28,17 +30,25 @@ class Datagram:
 
 
 class Fleet:
-    """The vehicles of a scenario. Time starts at 0 s; `unix_epoch_s` is the UNIX time of that moment."""
+    """The vehicles of a scenario, or those of `sysids` while the others fly elsewhere and are told of with `sight`.
 
-    def __init__(self, scenario: Scenario, seed: int, unix_epoch_s: float = _FIRST_OF_2026_S) -> None:
+    Time starts at 0 s; `unix_epoch_s` is the UNIX time of that moment.
+    """
+
+    def __init__(
+        self, scenario: Scenario, seed: int, unix_epoch_s: float = _FIRST_OF_2026_S, sysids: Collection[int] | None = None
+    ) -> None:
         o = scenario.origin
+        self.scenario_name = scenario.name
         self.frame = WorldFrame(o.lat_deg, o.lon_deg, o.alt_msl_m, o.geoid_height_m)
-        self._vehicles = {v.sysid: Vehicle(scenario, v, self.frame, seed, unix_epoch_s) for v in scenario.vehicle}
+        flown = [v for v in scenario.vehicle if sysids is None or v.sysid in sysids]
+        self._vehicles = {v.sysid: Vehicle(scenario, v, self.frame, seed, unix_epoch_s) for v in flown}
+        self._elsewhere: dict[int, Whereabouts] = {}
         self._steps_done = -1
 
     @property
     def sysids(self) -> list[int]:
-        """System ids of the vehicles, in the scenario's order."""
+        """System ids of the vehicles that fly here, in the scenario's order."""
         return list(self._vehicles)
 
     @property
@@ -54,11 +64,24 @@ class Fleet:
             if self._steps_done > 0:
                 for vehicle in self._vehicles.values():
                     vehicle.fly(at_s, STEP_S)
-            positions = {sysid: vehicle.position_m for sysid, vehicle in self._vehicles.items()}
+            positions = self._positions_m(at_s)
             for vehicle in self._vehicles.values():
                 vehicle.work(at_s, positions)
         out = [Datagram(sysid, due, data) for sysid, v in self._vehicles.items() for due, data in v.sent(to_s + _EPSILON_S)]
         return sorted(out, key=lambda datagram: datagram.due_s)
+
+    def _positions_m(self, at_s: float) -> dict[int, Vector]:
+        elsewhere = {sysid: seen.position_at(at_s) for sysid, seen in self._elsewhere.items()}
+        here = {sysid: vehicle.position_m for sysid, vehicle in self._vehicles.items()}
+        return {sysid: position for sysid, position in elsewhere.items() if position is not None} | here
+
+    def sight(self, seen: Whereabouts) -> None:
+        """Learn where a vehicle that flies elsewhere truly is, at a simulated time. One not told of for a second is gone."""
+        self._elsewhere[seen.sysid] = seen
+
+    def whereabouts(self) -> list[Whereabouts]:
+        """Return where the vehicles that fly here truly are at `now_s`."""
+        return [Whereabouts(sysid, self.now_s, v.position_m, v.velocity_mps) for sysid, v in self._vehicles.items()]
 
     def deliver(self, sysid: int, payload: bytes, at_s: float) -> None:
         """Send a datagram to one vehicle at a time (s): it goes through the vehicle's link and is read at the next step after."""

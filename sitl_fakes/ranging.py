@@ -42,7 +42,9 @@ class Ranger:
         }
 
     def measure(self, at_s: float, own_m: Vector, others_m: Mapping[int, Vector], faults: Iterable[Fault]) -> list[RangeSample]:
-        """Return what the device reports at a time: positions are true, east, north, up in m."""
+        """Return what the device reports at a time: positions are true, east, north, up in m. A peer without one is not
+        there.
+        """
         due = [peer for peer, due_s in self._due_s.items() if due_s <= at_s + _EPSILON_S]
         if not due:
             return []
@@ -50,7 +52,8 @@ class Ranger:
         samples = []
         for peer in due:
             self._due_s[peer] += 1.0 / self._settings.rate_hz
-            sample = self._measure_one(peer, math.dist(own_m, others_m[peer]), present)
+            peer_m = others_m.get(peer)
+            sample = None if peer_m is None else self._measure_one(peer, math.dist(own_m, peer_m), present)
             if sample is not None:
                 samples.append(sample)
         return samples

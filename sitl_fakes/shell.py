@@ -8,13 +8,17 @@ import csv
 import logging
 import signal
 import socket
+import time
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TextIO
 
+from sitl_fakes.airspace import Airspace
 from sitl_fakes.errors import SocketError
 from sitl_fakes.fleet import Fleet
 from sitl_fakes.truth import CSV_HEADER, csv_row
+from sitl_fakes.whereabouts import Whereabouts
 
 _log = logging.getLogger(__name__)
 
@@ -58,25 +62,33 @@ async def run(
     sysids: Collection[int] | None = None,
     port_base: int | None = None,
     truth: TruthFile | None = None,
+    airspace: Address | None = None,
 ) -> None:
     """Fly for a duration (s) or until SIGINT or SIGTERM, in real time.
 
     All vehicles fly; those of `sysids` (default: all) have a socket, bound to `port_base` + sysid (default: any free port),
-    from which they send to `target`. What any sender sends to that socket is theirs. Raises `SocketError` where an address
-    cannot be used.
+    from which they send to `target`. What any sender sends to that socket is theirs. Over the multicast group `airspace` the
+    fleet learns of vehicles that other processes fly, and tells of its own. Raises `SocketError` where an address cannot be
+    used.
     """
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
-    started = loop.time()
+    started, started_unix_s = loop.time(), time.time()
 
     def deliver_to(sysid: int) -> Callable[[bytes], None]:
         return lambda data: fleet.deliver(sysid, data, loop.time() - started)
 
+    def see(seen: Whereabouts) -> None:
+        fleet.sight(replace(seen, at_s=seen.at_s - started_unix_s))
+
     transports: dict[int, asyncio.DatagramTransport] = {}
+    others: Airspace | None = None
     try:
         peer = await _resolve(target)
+        if airspace is not None:
+            others = Airspace(airspace, peer, fleet.scenario_name, fleet.sysids, see)
         for sysid in fleet.sysids:
             if sysids is None or sysid in sysids:
                 local = (_any_address(peer), 0 if port_base is None else port_base + sysid)
@@ -86,11 +98,15 @@ async def run(
             for sysid, payload in clock.advance(elapsed):
                 if sysid in transports:
                     transports[sysid].sendto(payload, peer)
+            if others is not None:
+                others.tell(replace(own, at_s=own.at_s + started_unix_s) for own in fleet.whereabouts())
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(stop.wait(), _TICK_S)
     finally:
         for transport in transports.values():
             transport.close()
+        if others is not None:
+            others.close()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.remove_signal_handler(number)
 

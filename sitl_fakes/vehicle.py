@@ -45,6 +45,11 @@ class Vehicle:
         """True position: east, north, up, m."""
         return self._flight.position_m
 
+    @property
+    def velocity_mps(self) -> Vector:
+        """True velocity over ground: east, north, up, m/s."""
+        return self._flight.velocity_mps
+
     def inject(self, fault: Fault) -> None:
         """Let a fault befall it."""
         self._controller.faults.add(fault)

@@ -99,6 +99,10 @@ PAPER = CONFIGS / "scenario-paper.toml"
         ([PAPER, "--seed", "-1"], 2, "--seed"),
         ([PAPER, "--duration", "x"], 2, "--duration"),
         ([PAPER, "--vehicle", "9"], 2, "--vehicle 9"),
+        ([PAPER, "--vehicle", "4", "--airspace", "10.0.0.1:14600"], 2, "expected an IPv4 multicast group"),
+        ([PAPER, "--vehicle", "4", "--airspace", "239.255.40.4"], 2, "--airspace '239.255.40.4': expected HOST:PORT"),
+        ([PAPER, "--airspace", "239.255.40.4:14600"], 2, "with --vehicle"),
+        ([PAPER, "--vehicle", "4", "--airspace", "239.255.40.4:14600", "--target", "[::1]:9"], 1, "cannot join the multicast"),
         ([PAPER, "--truth", "/no/such/dir/t.csv"], 1, "cannot write /no/such/dir/t.csv"),
     ],
 )
