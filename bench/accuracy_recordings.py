@@ -59,14 +59,8 @@ def measure_replay() -> list[Figure]:
         return [Figure("accuracy", name, f"skipped: no {directory.name} data beside the checkout", "", None)]
     engine = Engine(load_estimator("fleet", {}))
     report = FlightReport(engine, driver.read_truth(directory / "truth.csv"))
-    driver.replay(
-        engine,
-        TlogReader(directory / "flight.tlog"),
-        driver.read_ranges(directory / "ranges.csv"),
-        report.observation_times(),
-        report.polled,
-        report.observe,
-    )
+    log, ranges = TlogReader(directory / "flight.tlog"), driver.read_ranges(directory / "ranges.csv")
+    driver.replay(driver.Replay(engine, log, ranges, report.polled), report.observation_times(), report.observe)
     score = report.score(_LOST)
     if score is None or score.horizontal is None or score.covered_95 is None:
         return [Figure("accuracy", name, "never located", "located", False)]

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from gcs_coloc.clock import ServiceClock
 from gcs_coloc.config import Settings
-from gcs_coloc.core.advance import CATCH_UP_S, advance, without_superseded
+from gcs_coloc.core.advance import CATCH_UP_S, advance, was_held_up, without_superseded
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages import (
     ClockReference,
@@ -77,10 +77,11 @@ class FleetService:
         ]
 
     async def open(self) -> None:
-        """Open the links, one after the other. LinkError where one cannot be opened."""
+        """Open the links, one after the other, then the recording. LinkError, RecordError where one cannot be opened."""
         for link in self._links:
             await link.open()
             log.info("listening on %s", link.name)
+        self._recording.open()
 
     def start(self) -> None:
         """Tell the engine the operator's words from the settings."""
@@ -196,6 +197,9 @@ class FleetService:
     def _advance(self, to_s: float) -> None:
         """Bring the engine to `to_s`, before anything that arrived then is given to it, and pass on what comes of it."""
         self._engine_at_s = to_s
+        held_up = was_held_up(self._engine, to_s)
+        if held_up is not None:
+            self._recording.told(held_up)
         news: list[Outbound] = []
         for at_s, outputs in advance(self._engine, to_s, catch_up_s=CATCH_UP_S):
             self._recording.polled(at_s, outputs)

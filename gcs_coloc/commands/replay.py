@@ -38,16 +38,10 @@ def replay(
     engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
     log = TlogReader(file)
     report = FlightReport(engine, driver.read_truth(truth) if truth is not None else [])
-    counts = driver.replay(
-        engine,
-        log,
-        driver.read_ranges(ranges) if ranges is not None else [],
-        report.observation_times(),
-        report.polled,
-        report.observe,
-        pace,
-        (settings.mavlink.system_id, settings.mavlink.component_id),
-    )
+    told = driver.read_ranges(ranges) if ranges is not None else []
+    own = (settings.mavlink.system_id, settings.mavlink.component_id)
+    through = driver.Replay(engine, log, told, report.polled, own)
+    counts = driver.replay(through, report.observation_times(), report.observe, pace)
     result: dict[str, Any] = {
         "file": str(file),
         "estimator": engine.estimator.name,

@@ -8,12 +8,30 @@ half a millisecond late leaves no trace, and a recording of the messages gives t
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages import GpsInput, Outbound
 
 CATCH_UP_S = 1.0
 """A service that was held up for longer than this leaves out the deadlines that it missed instead of running them all."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldUp:
+    """The service was held up until `received_at_s` (service time, s); the deadlines from `since_s` on were missed.
+
+    It answered those that it missed by more than `CATCH_UP_S` once, at `received_at_s`. A replay must do the same.
+    """
+
+    received_at_s: float
+    since_s: float
+
+
+def was_held_up(engine: Engine, to_s: float) -> HeldUp | None:
+    """What a recording must hold of the next `advance` to `to_s` with `CATCH_UP_S`; None where it leaves nothing out."""
+    since_s = engine.next_deadline()
+    return HeldUp(to_s, since_s) if to_s - since_s > CATCH_UP_S else None
 
 
 def advance(engine: Engine, to_s: float, *, catch_up_s: float = float("inf")) -> Iterator[tuple[float, list[Outbound]]]:

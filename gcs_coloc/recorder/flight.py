@@ -19,7 +19,7 @@ class FlightRecording:
     """Hands the flight of one engine to a recorder. Every call returns at once; without a recorder nothing is done."""
 
     def __init__(self, wanted: RecordConfig, ids: MavlinkConfig, engine: Engine) -> None:
-        """Begin the recording.
+        """Prepare the recording; no file is made before `open`.
 
         Raises:
             RecordError: its directory cannot be written to.
@@ -27,6 +27,15 @@ class FlightRecording:
         where = (Path(wanted.directory), wanted.rotate_mb * 1_000_000, ids.system_id, ids.component_id)
         self._recorder = Recorder(*where) if wanted.directory else None
         self._journal = Journal(engine)
+
+    def open(self) -> None:
+        """Begin the files, with all that was handed over so far.
+
+        Raises:
+            RecordError: they cannot be made.
+        """
+        if self._recorder is not None:
+            self._recorder.open()
 
     def heard(self, at_s: float, frames: Iterable[RawFrame], refused: Collection[Frame]) -> None:
         """Record the frames of a datagram, but those that were refused: the engine never saw them."""

@@ -1,7 +1,8 @@
 """What the engine was told besides the vehicles' frames, kept in the tlog so that a replay tells it the same.
 
-The operator's words, what is known of the routes, the host's UTC and ranges from gateways reach the engine by no frame. Each is
-written as a TUNNEL frame (385) of our own, with a private payload type and JSON inside; other programs pass over it.
+The operator's words, what is known of the routes, the host's UTC and ranges from gateways reach the engine by no frame, and that
+the service was held up shows in none. Each is written as a TUNNEL frame (385) of our own, with a private payload type and JSON
+inside; other programs pass over it.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from gcs_coloc.core.advance import HeldUp
 from gcs_coloc.core.messages import AidWord, ClockReference, GpsWord, OperatorWord, PeerRange, RouteReport, TimeBase
 from gcs_coloc.mavlink.framing import MAGIC_V2, read_frame
 
@@ -24,7 +26,7 @@ _MOST_BYTES = 128
 _LONGEST_REASON = 60
 _TIME_BASES = tuple(TimeBase)
 
-Note = ClockReference | OperatorWord | RouteReport | PeerRange
+Note = ClockReference | OperatorWord | RouteReport | PeerRange | HeldUp
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +90,8 @@ def _content(note: Note) -> dict[str, Any]:
         base = _TIME_BASES.index(note.time_base)
         ends, told = (note.sysid, note.peer_sysid), (note.range_m, note.sigma_m, note.measured_at_s, base)
         return {"range": [*ends, *told, note.sequence, note.line_of_sight, note.device_id]}
+    if isinstance(note, HeldUp):
+        return {"held": note.since_s}
     if isinstance(note, OperatorWord):
         return {next(key for key, kind in _WORDS.items() if isinstance(note.word, kind)): note.word.value, "of": note.sysid}
     text = note.blocked.encode("ascii", "replace").decode().replace('"', "'").replace("\\", "/") if note.blocked else note.blocked
@@ -101,6 +105,8 @@ def _note(content: dict[str, Any], at_s: float) -> Note | None:
         utc = content["utc"]
         sync = content.get("sync")
         return ClockReference(at_s, float(utc) if utc is not None else None, bool(sync) if sync is not None else None)
+    if "held" in content:
+        return HeldUp(at_s, float(content["held"]))
     if "range" in content:
         sysid, peer, range_m, sigma_m, measured_at_s, base, sequence, line_of_sight, device_id = content["range"]
         time_base = _TIME_BASES[base]

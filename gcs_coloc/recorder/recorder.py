@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import queue
 import threading
 import time
@@ -30,13 +31,16 @@ _Item = tuple[float, bytes] | Note | Entry
 
 
 class Recorder:
-    """One recording in a directory. `frame`, `note` and `entry` never wait and never raise; `counts` says what was lost."""
+    """One recording in a directory. `frame`, `note` and `entry` never wait and never raise; `counts` says what was lost.
+
+    What is given before `open` is kept until then; without it no file is made.
+    """
 
     def __init__(self, directory: Path, rotate_bytes: int, sysid: int, compid: int) -> None:
-        """Make the directory and the first part.
+        """Make the directory.
 
         Raises:
-            RecordError: it cannot be written to; the text says why.
+            RecordError: it cannot be made or not be written to; the text says why.
         """
         self.counts = Counts()
         self._directory = directory
@@ -51,9 +55,23 @@ class Recorder:
         self._name = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
         try:
             directory.mkdir(parents=True, exist_ok=True)
-            self._part: Part | None = self._open_part()
         except OSError as error:
-            raise RecordError(f"--record {directory}: cannot be written to: {error.strerror}") from None
+            raise self._not_writable(error.strerror) from None
+        if not os.access(directory, os.W_OK | os.X_OK):
+            raise self._not_writable(os.strerror(errno.EACCES))
+        self._part: Part | None = None
+        self._thread: threading.Thread | None = None
+
+    def open(self) -> None:
+        """Begin the first part.
+
+        Raises:
+            RecordError: it cannot be made; the text says why.
+        """
+        try:
+            self._part = self._open_part()
+        except OSError as error:
+            raise self._not_writable(error.strerror) from None
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -88,11 +106,16 @@ class Recorder:
 
     def close(self) -> None:
         """Write what is queued and end the files; a disk that does not answer for 5 s is left to itself."""
+        if self._thread is None:
+            return
         try:
             self._queue.put(None, timeout=_JOIN_S)
         except queue.Full:
             return
         self._thread.join(_JOIN_S)
+
+    def _not_writable(self, why: str | None) -> RecordError:
+        return RecordError(f"--record {self._directory}: cannot be written to: {why}")
 
     def _put(self, item: _Item) -> None:
         try:

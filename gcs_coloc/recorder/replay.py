@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gcs_coloc.core.advance import advance
+from gcs_coloc.core.advance import CATCH_UP_S, HeldUp, advance
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages import ClockReference, Inbound, OperatorWord, Outbound, PeerRange, RouteReport, TimeBase
@@ -95,61 +95,107 @@ def read_truth(path: Path) -> list[TruthPoint]:
     return sorted(points, key=lambda p: p.unix_s)
 
 
+class Replay:
+    """An engine on its way through a recording, one message after the other; whoever holds it decides how fast.
+
+    However it is stepped and advanced, the engine does the same at the same recorded times.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        log: TlogReader,
+        ranges: Iterable[PeerRange],
+        on_poll: Callable[[float, list[Outbound]], None],
+        own: tuple[int, int] = (OWN_SYSID, OWN_COMPID),
+    ) -> None:
+        """Read up to the first message.
+
+        Args:
+            engine: a fresh engine.
+            log: the recording's frames, in order.
+            ranges: ranges that the frames do not carry, in order of time.
+            on_poll: takes the service time (UNIX s) and the engine's outputs of each of its deadlines.
+            own: the system and component id of the service that recorded: what it sent itself is passed over.
+
+        Raises:
+            DataError: the recording cannot be read or is none.
+        """
+        self.engine = engine
+        self.counts = ReplayCounts()
+        self.decoder = Decoder(own_sysid=own[0], own_compid=own[1])
+        self.counts.wire = self.decoder.counts
+        self._on_poll = on_poll
+        self._messages = heapq.merge(
+            _messages(log, self.decoder, own, self.counts), ranges, key=lambda message: message.received_at_s
+        )
+        self._now_s = float("-inf")
+        self._next = next(self._messages, None)
+
+    @property
+    def next_s(self) -> float | None:
+        """The service time (UNIX s) at which the next message arrives; None at the end."""
+        # A recorder's clock may be stepped back; the engine's time never is.
+        return max(self._next.received_at_s, self._now_s) if self._next is not None else None
+
+    def step(self) -> None:
+        """Bring the engine to the next message and give it to it."""
+        message, at_s = self._next, self.next_s
+        assert message is not None
+        assert at_s is not None
+        if isinstance(message, HeldUp):
+            self._advance(message.since_s)
+            self._advance(at_s, CATCH_UP_S)
+        else:
+            self._advance(at_s)
+            self.engine.receive(message)
+            self.counts.messages += 1
+        self._next = next(self._messages, None)
+
+    def advance(self, to_s: float) -> None:
+        """Bring the engine to a service time (UNIX s) before which all messages were given to it, between two of them."""
+        # While it was held up, the service did nothing.
+        self._advance(min(to_s, self._next.since_s) if isinstance(self._next, HeldUp) else to_s)
+
+    def _advance(self, to_s: float, catch_up_s: float = float("inf")) -> None:
+        self._now_s = max(self._now_s, to_s)
+        for at_s, outputs in advance(self.engine, to_s, catch_up_s=catch_up_s):
+            self._on_poll(at_s, outputs)
+
+
 def replay(
-    engine: Engine,
-    log: TlogReader,
-    ranges: Iterable[PeerRange],
-    observe: Iterable[float],
-    on_poll: Callable[[float, list[Outbound]], None],
-    on_observe: Callable[[float], None],
+    through: Replay,
+    observe: Iterable[float] = (),
+    on_observe: Callable[[float], None] = lambda _: None,
     pace: Callable[[float], None] = lambda _: None,
-    own: tuple[int, int] = (OWN_SYSID, OWN_COMPID),
 ) -> ReplayCounts:
-    """Drive the engine through a recording.
+    """Go through a recording to its end.
 
     Args:
-        engine: a fresh engine.
-        log: the recording's frames, in order.
-        ranges: ranges that the frames do not carry, in order of time.
+        through: the replay at its beginning.
         observe: service times (UNIX s), in order, at which `on_observe` is called when all that arrived by then is taken.
-        on_poll: takes the service time and the engine's outputs of each of its deadlines.
         on_observe: see `observe`.
         pace: called with the service time before it is reached; may wait.
-        own: the system and component id of the service that recorded: what it sent itself is passed over.
 
     Returns:
         What was gone through. The frames' own counts are the log's.
     """
-    counts = ReplayCounts()
-    decoder = Decoder(own_sysid=own[0], own_compid=own[1])
-    observations = iter(observe)
-    due = next(observations, None)
-    now_s = float("-inf")
-    for message in heapq.merge(_messages(log, decoder, own, counts), ranges, key=lambda m: m.received_at_s):
-        # A recorder's clock may be stepped back; the engine's time never is.
-        arrived_s = max(message.received_at_s, now_s)
-        while due is not None and due < arrived_s:
-            _advance(engine, due, on_poll, pace)
-            now_s = max(now_s, due)
-            on_observe(due)
-            due = next(observations, None)
-        _advance(engine, arrived_s, on_poll, pace)
-        now_s = arrived_s
-        engine.receive(message)
-        counts.messages += 1
-    counts.wire = decoder.counts
-    return counts
+    for due_s in observe:
+        while (at_s := through.next_s) is not None and at_s <= due_s:
+            pace(at_s)
+            through.step()
+        if through.next_s is None:
+            break
+        pace(due_s)
+        through.advance(due_s)
+        on_observe(due_s)
+    while (at_s := through.next_s) is not None:
+        pace(at_s)
+        through.step()
+    return through.counts
 
 
-def _advance(
-    engine: Engine, to_s: float, on_poll: Callable[[float, list[Outbound]], None], pace: Callable[[float], None]
-) -> None:
-    pace(to_s)
-    for at_s, outputs in advance(engine, to_s):
-        on_poll(at_s, outputs)
-
-
-def _messages(log: TlogReader, decoder: Decoder, own: tuple[int, int], counts: ReplayCounts) -> Iterator[Inbound]:
+def _messages(log: TlogReader, decoder: Decoder, own: tuple[int, int], counts: ReplayCounts) -> Iterator[Inbound | HeldUp]:
     latest_s = float("-inf")
     routes: dict[int, str | None] = {}
     words: set[tuple[int, type]] = set()
@@ -173,7 +219,7 @@ def _messages(log: TlogReader, decoder: Decoder, own: tuple[int, int], counts: R
                 yield RouteReport(frame.sysid, latest_s, routes.get(frame.sysid))
 
 
-def _of_note(noted: ReadNote, routes: dict[int, str | None], words: set[tuple[int, type]]) -> Iterator[Inbound]:
+def _of_note(noted: ReadNote, routes: dict[int, str | None], words: set[tuple[int, type]]) -> Iterator[Inbound | HeldUp]:
     note = noted.note
     if isinstance(note, RouteReport):
         # Told with the vehicle's next heartbeat, as in flight.

@@ -13,7 +13,7 @@ from gcs_coloc.core.messages import HealthChanged, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.journal import Journal, RangeEntry, VehicleEntry
-from gcs_coloc.recorder.replay import ReplayCounts, read_ranges, read_truth, replay
+from gcs_coloc.recorder.replay import Replay, ReplayCounts, read_ranges, read_truth, replay
 from gcs_coloc.recorder.tlog import TlogReader
 
 
@@ -65,5 +65,5 @@ def retell(file: Path, settings: Settings, ranges: Path | None, truth: Path | No
 
     own = (settings.mavlink.system_id, settings.mavlink.component_id)
     told = read_ranges(ranges) if ranges is not None else []
-    story.counts = replay(engine, log, told, report.observation_times(), on_poll, report.observe, own=own)
+    story.counts = replay(Replay(engine, log, told, on_poll, own), report.observation_times(), report.observe)
     return story

@@ -20,7 +20,7 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages import GpsInput
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.journal import Journal, VehicleEntry, as_json
-from gcs_coloc.recorder.replay import replay
+from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.tlog import TlogReader
 
 pytestmark = pytest.mark.integration
@@ -42,13 +42,13 @@ def journal_of(*recordings: Path) -> tuple[list[bytes], list[GpsInput]]:
         vehicles.extend(as_json(e) for e in journal.polled(at_s, outputs) if isinstance(e, VehicleEntry))
         sent.extend(o for o in outputs if isinstance(o, GpsInput))
 
-    replay(engine, TlogReader(joined), [], [], on_poll, lambda _: None)
+    replay(Replay(engine, TlogReader(joined), [], on_poll))
     return vehicles, sent
 
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory) -> Path:
-    """A flight in which vehicle 4 loses its GPS, by the word of the operator, to the orderly end of the service."""
+    """A flight to the orderly end of the service: vehicle 4 loses its GPS by the operator's word, and the service is held up."""
     directory = tmp_path_factory.mktemp("recorded")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -74,7 +74,12 @@ def flown(tmp_path_factory) -> Path:
         assert service.stderr is not None
         assert any("listening on" in line for line in service.stderr)
         with square_fleet(port) as fleet:
-            fly(fleet, 8.0, failed=[4])
+            fly(fleet, 5.0, failed=[4])
+            # Held up for longer than it catches up with: the replay has to know.
+            service.send_signal(signal.SIGSTOP)
+            fly(fleet, 2.0, failed=[4])
+            service.send_signal(signal.SIGCONT)
+            fly(fleet, 3.0, failed=[4])
         service.send_signal(signal.SIGTERM)
         service.communicate(timeout=20)
     finally:
@@ -205,6 +210,17 @@ def test_a_directory_that_cannot_be_written_to_is_one_line(free_port, tmp_path):
     assert done.returncode == 1
     assert len(done.stderr.strip().splitlines()) == 1
     assert f"--record {occupied}: cannot be written to" in done.stderr
+
+
+def test_a_link_that_cannot_be_opened_leaves_no_recording_behind(tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        where = f"127.0.0.1:{other.getsockname()[1]}"
+        command = [sys.executable, "-m", "gcs_coloc", "--udp", where, "--record", str(tmp_path), "--no-web"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert where in done.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_record_is_eight_bytes_of_time_and_the_frame(flown):

@@ -3,6 +3,7 @@
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from gcs_coloc.core.advance import HeldUp
 from gcs_coloc.core.messages import AidWord, ClockReference, GpsWord, OperatorWord, PeerRange, RouteReport, TimeBase
 from gcs_coloc.recorder.notes import PAYLOAD_TYPE, NoteWriter, read_note
 
@@ -20,6 +21,7 @@ OWN = (254, 191)
         OperatorWord(4, AT_S, AidWord.AUTO),
         OperatorWord(250, AT_S, AidWord.OFF),
         RouteReport(4, AT_S, None),
+        HeldUp(AT_S, AT_S - 1.3000000000000003),
         RouteReport(250, AT_S, "vehicles 1 and 4 are heard from one address"),
         PeerRange(255, AT_S, 254, 1234.5678901234567, 0.12345678901234568, AT_S - 0.1, TimeBase.SERVICE, 4_294_967_295, 0.1, 255),
         PeerRange(4, AT_S, 1, 0.1, None, None, TimeBase.UNIX, None, None, 0),

@@ -48,6 +48,7 @@ def test_the_key_and_what_cannot_be_stripped_are_left_out():
 def test_parts_turn_over_by_size_join_to_the_whole_and_begin_with_what_was_told(tmp_path):
     frames = [attitude(sender(), number) for number in range(3000)]
     recorder = Recorder(tmp_path, 20_000, *OWN)
+    recorder.open()
     recorder.note(OperatorWord(4, AT_S, GpsWord.FAILED))
     recorder.note(RouteReport(3, AT_S, None))
     recorder.note(RouteReport(3, AT_S, None))

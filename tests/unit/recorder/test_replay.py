@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import random
 import struct
 from pathlib import Path
 
 import pytest
 
+from gcs_coloc.core.advance import CATCH_UP_S, advance, was_held_up
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import DataError
-from gcs_coloc.core.messages import GpsInput, HealthChanged, TimeBase
+from gcs_coloc.core.messages import ClockReference, GpsInput, HealthChanged, RouteReport, TimeBase
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.mavlink.decoder import Decoder
+from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 from gcs_coloc.recorder.flight_report import FlightReport
-from gcs_coloc.recorder.replay import TruthPoint, read_ranges, read_truth, replay
+from gcs_coloc.recorder.notes import NoteWriter
+from gcs_coloc.recorder.replay import Replay, TruthPoint, read_ranges, read_truth, replay
 from gcs_coloc.recorder.tlog import TlogReader
+from gcs_coloc.recorder.tlog_writer import tlog_record
 from sitl_fakes.fleet import Fleet
 from sitl_fakes.scenario import load_scenario
 
@@ -45,7 +51,7 @@ def run(path: Path, truth: list[TruthPoint]) -> tuple[list, FlightReport, TlogRe
         outputs.extend((at_s, output) for output in polled)
         report.polled(at_s, polled)
 
-    replay(engine, log, [], report.observation_times(), take, report.observe)
+    replay(Replay(engine, log, [], take), report.observation_times(), report.observe)
     return outputs, report, log
 
 
@@ -113,3 +119,46 @@ def test_an_empty_truth_is_an_error(tmp_path):
     path.write_text("unix_s,sysid,lat_deg,lon_deg,alt_msl_m\n")
     with pytest.raises(DataError, match="holds no true position"):
         read_truth(path)
+
+
+def test_a_service_that_was_held_up_is_replayed_as_it_was(recorded, tmp_path):
+    """Nothing comes in from 24.7 s on, it wakes for the last time at 25 s, and does nothing until all arrives at once at 28 s."""
+    path, held = recorded[0], tmp_path / "held.tlog"
+    engine, decoder, notes = Engine(load_estimator("fleet", {})), Decoder(), NoteWriter(OWN_SYSID, OWN_COMPID)
+    flown, told = [], bytearray()
+    engine.receive(ClockReference(EPOCH_S, 0.0))
+    told += tlog_record(EPOCH_S, notes.pack(ClockReference(EPOCH_S, 0.0)))
+    for record in TlogReader(path):
+        at_s = EPOCH_S + 28.0 if 24.7 < record.unix_s - EPOCH_S < 28.0 else record.unix_s
+        if at_s == EPOCH_S + 28.0:
+            flown.extend((t, output) for t, polled in advance(engine, EPOCH_S + 25.0) for output in polled)
+        if (held_up := was_held_up(engine, at_s)) is not None:
+            told += tlog_record(at_s, notes.pack(held_up))
+        flown.extend((t, output) for t, polled in advance(engine, at_s, catch_up_s=CATCH_UP_S) for output in polled)
+        for frame in decoder.decode(record.frame, at_s):
+            engine.receive(frame.message)
+            if frame.is_autopilot_heartbeat:
+                engine.receive(RouteReport(frame.sysid, at_s, None))
+        told += tlog_record(at_s, record.frame)
+    held.write_bytes(told)
+    for truth in ([], recorded[1]):
+        assert run(held, truth)[0] == flown
+    assert [t for t, _ in flown if 24.75 < t - EPOCH_S < 25.0]
+    assert not [t for t, _ in flown if 25.0 < t - EPOCH_S < 26.99]
+
+
+def test_how_it_is_stepped_and_advanced_leaves_no_trace(recorded):
+    rng, outputs = random.Random(7), []
+    through = Replay(
+        Engine(load_estimator("fleet", {})),
+        TlogReader(recorded[0]),
+        [],
+        lambda at_s, polled: outputs.extend((at_s, o) for o in polled),
+    )
+    while (next_s := through.next_s) is not None:
+        if rng.random() < 0.3:
+            through.advance(
+                rng.uniform(through.engine.next_deadline(), next_s) if through.engine.next_deadline() < next_s else next_s
+            )
+        through.step()
+    assert outputs == run(recorded[0], [])[0]
