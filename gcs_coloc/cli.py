@@ -106,7 +106,7 @@ def run(
     del version
     if context.invoked_subcommand is not None:
         return
-    from gcs_coloc.config import load_settings
+    from gcs_coloc.fleets import load_fleets
     from gcs_coloc.service import Service
 
     links = [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
@@ -125,25 +125,29 @@ def run(
         flags["web"] = {"on": False}
     if record is not None:
         flags["record"] = {"directory": str(record)}
-    settings = load_settings(config, flags)
-    if not settings.links:
+    fleets = load_fleets(config, flags)
+    if not all(fleet.settings.links for fleet in fleets) or not fleets:
         raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")
     console = Console()
     _log_to_stderr(log_level, console)
-    asyncio.run(Service(settings).run(console))
+    asyncio.run(Service(fleets).run(console))
 
 
 @app.command("check-config")
 def check_config(file: Annotated[Path, typer.Argument(help="The configuration file (TOML).")]) -> None:
-    """Check a configuration file: its keys, its values, its links, its signing key and its estimator."""
-    from gcs_coloc.config import load_settings
+    """Check a configuration file: its keys, its values, its links, its signing key and its estimator, fleet by fleet."""
     from gcs_coloc.estimators.registry import load_estimator
+    from gcs_coloc.fleets import load_fleets
     from gcs_coloc.links.signed_links import SignedLinks
 
-    settings = load_settings(file, {})
-    SignedLinks(settings.signing, settings.links)
-    load_estimator(settings.estimator.name, settings.estimator.settings)
-    print(f"{file}: good; {len(settings.links)} link(s), estimator {settings.estimator.name}")
+    found = []
+    for fleet in load_fleets(file, {}):
+        settings = fleet.settings
+        SignedLinks(settings.signing, settings.links)
+        load_estimator(settings.estimator.name, settings.estimator.settings)
+        whose = f"fleet {fleet.name}: " if fleet.name else ""
+        found.append(f"{whose}{len(settings.links)} link(s), estimator {settings.estimator.name}")
+    print(f"{file}: good; {'; '.join(found)}")
 
 
 def _log_to_stderr(level: LogLevel, console: Console) -> None:

@@ -14,7 +14,7 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic.dataclasses import dataclass
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
+from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
 
 from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.engine import EngineSettings
@@ -163,6 +163,13 @@ class RecordConfig(_Section):
     rotate_mb: int = Field(500, ge=1, le=100_000, description="a new pair of files is begun at this size, in megabytes")
 
 
+def topic_level(text: str) -> str:
+    """The text, if it can be one level of an MQTT topic. Raises ValueError where it cannot."""
+    if not text or not all(c.isascii() and (c.isalnum() or c in "-_.") for c in text):
+        raise ValueError(f"{text!r} is no part of a topic: letters, digits, -, _ and . only")
+    return text
+
+
 class MqttConfig(_Section):
     """`[mqtt]`: the fleet on an MQTT broker. Off while no host is set."""
 
@@ -178,12 +185,7 @@ class MqttConfig(_Section):
     commands: bool = Field(False, description="take the operator's word from the cmd topics")
     ranges: bool = Field(False, description="take ranges from the range topics")
 
-    @field_validator("prefix", "fleet")
-    @classmethod
-    def _topic_level(cls, text: str) -> str:
-        if not text or not all(c.isascii() and (c.isalnum() or c in "-_.") for c in text):
-            raise ValueError(f"{text!r} is no part of a topic: letters, digits, -, _ and . only")
-        return text
+    _topic_levels = field_validator("prefix", "fleet")(topic_level)
 
     @model_validator(mode="after")
     def _user_and_password_agree(self) -> Self:
@@ -193,7 +195,7 @@ class MqttConfig(_Section):
 
 
 class Settings(BaseSettings):
-    """Everything that can be set. Every key has a default but `links`: a service without a link has nothing to do."""
+    """All that can be set for one fleet. Every key has a default but `links`: a service without a link has nothing to do."""
 
     model_config = SettingsConfigDict(extra="forbid", frozen=True, env_prefix="GCS_COLOC_", env_nested_delimiter="__")
 
@@ -213,19 +215,6 @@ class Settings(BaseSettings):
     aid: AidConfig = Field(default_factory=AidConfig)
     time: TimeConfig = Field(default_factory=TimeConfig)
 
-    @classmethod
-    def settings_customise_sources(
-        cls,
-        settings_cls: type[BaseSettings],
-        init_settings: PydanticBaseSettingsSource,
-        env_settings: PydanticBaseSettingsSource,
-        dotenv_settings: PydanticBaseSettingsSource,
-        file_secret_settings: PydanticBaseSettingsSource,
-    ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Flags, then environment, then the TOML file."""
-        del dotenv_settings, file_secret_settings
-        return init_settings, env_settings, TomlConfigSettingsSource(settings_cls)
-
     def engine(self) -> EngineSettings:
         """The part that the engine needs."""
         return EngineSettings(
@@ -239,7 +228,7 @@ class Settings(BaseSettings):
 
 
 def load_settings(path: Path | None, flags: Mapping[str, Any]) -> Settings:
-    """Read the configuration.
+    """Read the configuration of one fleet.
 
     Args:
         path: the TOML file, or None for none.
@@ -248,28 +237,48 @@ def load_settings(path: Path | None, flags: Mapping[str, Any]) -> Settings:
     Raises:
         ConfigError: the file cannot be read or parsed, or a key is unknown, or a value impossible; the text names them.
     """
-    if path is not None:
-        _must_parse(path)
+    table = read_table(path) if path is not None else {}
+    if isinstance(table.get("fleet"), list):
+        raise ConfigError(f"{path}: is of several fleets ([[fleet]]), where one is wanted; write that one's settings to a file")
+    return settings_of(table, flags, str(path) if path is not None else "settings")
 
-    class FromFile(Settings):
-        model_config = SettingsConfigDict(toml_file=path)
 
-    source = str(path) if path is not None else "settings"
+def read_table(path: Path) -> dict[str, Any]:
+    """The table in a TOML file.
+
+    Raises:
+        ConfigError: the file cannot be read or parsed.
+    """
     try:
-        return FromFile(**flags)
-    except ValidationError as error:
-        raise ConfigError(f"{source}: {'; '.join(_problem(e) for e in error.errors())}") from None
-
-
-def _must_parse(path: Path) -> None:
-    try:
-        tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ConfigError(f"{path}: is not a text file in UTF-8") from None
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: is not valid TOML: {error}") from None
+
+
+def settings_of(table: Mapping[str, Any], flags: Mapping[str, Any], source: str) -> Settings:
+    """Settings from the flags, then the environment, then a file's table; as `load_settings`, with `source` named in errors."""
+
+    class FromFile(Settings):
+        @classmethod
+        def settings_customise_sources(
+            cls,
+            settings_cls: type[BaseSettings],
+            init_settings: PydanticBaseSettingsSource,
+            env_settings: PydanticBaseSettingsSource,
+            dotenv_settings: PydanticBaseSettingsSource,
+            file_secret_settings: PydanticBaseSettingsSource,
+        ) -> tuple[PydanticBaseSettingsSource, ...]:
+            del dotenv_settings, file_secret_settings
+            return init_settings, env_settings, InitSettingsSource(settings_cls, init_kwargs=dict(table))
+
+    try:
+        return FromFile(**flags)
+    except ValidationError as error:
+        raise ConfigError(f"{source}: {'; '.join(_problem(e) for e in error.errors())}") from None
 
 
 def _problem(error: Any) -> str:

@@ -1,11 +1,11 @@
-"""The composition root: builds the fleet's path and its observers, keeps them going, and ends them in order."""
+"""The composition root: builds each fleet's path and its observers, keeps them going, and ends them in order."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -14,6 +14,7 @@ from gcs_coloc.clock import ServiceClock
 from gcs_coloc.config import Settings
 from gcs_coloc.core.errors import WebError
 from gcs_coloc.fleet_service import FleetService
+from gcs_coloc.fleets import FleetOf
 from gcs_coloc.host_clock import read_host_clock
 from gcs_coloc.sinks import console as console_sink
 
@@ -29,14 +30,12 @@ _REFUSALS_EVERY_S = 10.0
 
 
 class Service:
-    """One fleet and its observers. `run` lasts until a signal or until `stop` is called."""
+    """The fleets, each with its observers. `run` lasts until a signal or until `stop` is called."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, fleets: Sequence[FleetOf]) -> None:
         self._clock = ServiceClock()
-        self._fleet = FleetService(settings, self._clock, read_host_clock(self._clock()))
-        self._web = self._make_web(settings)
-        self._mqtt = self._make_mqtt(settings)
         self._stopping = asyncio.Event()
+        self._fleets = [_Observed(fleet, self._clock, self._stopping) for fleet in fleets]
 
     def stop(self) -> None:
         """Ask the service to end in order."""
@@ -50,42 +49,84 @@ class Service:
             WebError: the page's address was asked for and cannot be had.
         """
         loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, self.stop)
+        for sign in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(sign, self.stop)
         try:
-            await self._fleet.open()
-            self._open_web()
+            for fleet in self._fleets:
+                await fleet.open()
             async with asyncio.TaskGroup() as group:
-                background = [
-                    group.create_task(console_sink.show(self._fleet.hub.subscribe(), console)),
-                    group.create_task(self._every(_VIEW_EVERY_S, self._fleet.publish_view)),
-                    group.create_task(self._every(_HEARTBEAT_EVERY_S, self._each_second)),
-                    group.create_task(self._every(_REFUSALS_EVERY_S, self._fleet.tell_refusals)),
-                ]
-                if self._web is not None:
-                    group.create_task(self._web.run())
-                if self._mqtt is not None:
-                    group.create_task(self._mqtt.run())
-                self._fleet.start()
+                news = {fleet.name: fleet.path.hub.subscribe() for fleet in self._fleets}
+                background = [group.create_task(console_sink.show(news, console))]
+                for number, fleet in enumerate(self._fleets):
+                    # Not all at once: what many fleets do in the same moment holds up what is to be sent.
+                    background += fleet.start(group, number / len(self._fleets))
                 await self._stopping.wait()
-                if self._web is not None:
-                    self._web.stop()
-                if self._mqtt is not None:
-                    self._mqtt.stop()
+                for fleet in self._fleets:
+                    fleet.stop()
                 for task in background:
                     task.cancel()
         finally:
-            await self._fleet.close()
-            if self._web is not None:
-                self._web.close()
+            for fleet in self._fleets:
+                await fleet.close()
 
-    async def _every(self, period_s: float, act: Callable[[], None]) -> None:
-        while True:
-            act()
-            await asyncio.sleep(period_s)
+
+class _Observed:
+    """One fleet's path with the page and the broker that look on."""
+
+    def __init__(self, fleet: FleetOf, clock: ServiceClock, stopping: asyncio.Event) -> None:
+        self.name = fleet.name
+        self.path = FleetService(fleet.settings, clock, read_host_clock(clock()))
+        self._clock = clock
+        self._stopping = stopping
+        self._web = self._make_web(fleet.settings)
+        self._mqtt = self._make_mqtt(fleet.settings)
+
+    async def open(self) -> None:
+        """Open the links and the page's address."""
+        await self.path.open()
+        if self._web is None:
+            return
+        try:
+            log.info("%sweb page: %s", self._of, self._web.open())
+        except WebError as error:
+            if self._web.must_open:
+                raise
+            log.warning("%s; the flight goes on without the page", error)
+            self._web = None
+
+    def start(self, group: asyncio.TaskGroup, phase: float) -> list[asyncio.Task[None]]:
+        """Begin what goes on by itself, the periodic at `phase` (0 to 1) of their periods; returns the tasks to cancel."""
+        if self._web is not None:
+            group.create_task(self._web.run())
+        if self._mqtt is not None:
+            group.create_task(self._mqtt.run())
+        self.path.start()
+        periodic = (
+            (_VIEW_EVERY_S, self.path.publish_view),
+            (_HEARTBEAT_EVERY_S, self._each_second),
+            (_REFUSALS_EVERY_S, self.path.tell_refusals),
+        )
+        return [group.create_task(_every(period_s, phase * period_s, act)) for period_s, act in periodic]
+
+    def stop(self) -> None:
+        """Ask the observers to end."""
+        if self._web is not None:
+            self._web.stop()
+        if self._mqtt is not None:
+            self._mqtt.stop()
+
+    async def close(self) -> None:
+        """Tell every aided vehicle that its fix has ended, and give everything back."""
+        await self.path.close()
+        if self._web is not None:
+            self._web.close()
+
+    @property
+    def _of(self) -> str:
+        return f"fleet {self.name}: " if self.name else ""
 
     def _each_second(self) -> None:
-        self._fleet.each_second(read_host_clock(self._clock()))
+        self.path.each_second(read_host_clock(self._clock()))
 
     def _make_web(self, settings: Settings) -> WebServer | None:
         if not settings.web.on:
@@ -94,7 +135,7 @@ class Service:
         from gcs_coloc.web.app import Hooks
         from gcs_coloc.web.server import WebServer
 
-        return WebServer(settings.web, Hooks(self._fleet.look, self._fleet.obey, self._fault), self._fleet.hub.subscribe(256))
+        return WebServer(settings.web, Hooks(self.path.look, self.path.obey, self._fault), self.path.hub.subscribe(256))
 
     def _make_mqtt(self, settings: Settings) -> Mqtt | None:
         if not settings.mqtt.host:
@@ -102,21 +143,17 @@ class Service:
         from gcs_coloc.sinks.mqtt import Mqtt
         from gcs_coloc.sinks.mqtt_inbox import Hooks
 
-        fleet = self._fleet
-        hooks = Hooks(fleet.look, fleet.heard, fleet.obey, fleet.take_range, self._clock)
-        return Mqtt(settings.mqtt, hooks, fleet.hub.subscribe(256), fleet.counts)
-
-    def _open_web(self) -> None:
-        if self._web is None:
-            return
-        try:
-            log.info("web page: %s", self._web.open())
-        except WebError as error:
-            if self._web.must_open:
-                raise
-            log.warning("%s; the flight goes on without the page", error)
-            self._web = None
+        path = self.path
+        hooks = Hooks(path.look, path.heard, path.obey, path.take_range, self._clock)
+        return Mqtt(settings.mqtt, hooks, path.hub.subscribe(256), path.counts)
 
     def _fault(self) -> str | None:
         """Why the service does not do its work, None where it does."""
-        return "the service is ending" if self._stopping.is_set() else self._fleet.fault()
+        return "the service is ending" if self._stopping.is_set() else self.path.fault()
+
+
+async def _every(period_s: float, first_after_s: float, act: Callable[[], None]) -> None:
+    await asyncio.sleep(first_after_s)
+    while True:
+        act()
+        await asyncio.sleep(period_s)

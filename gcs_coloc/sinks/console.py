@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
+from collections.abc import Mapping
 
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
@@ -20,39 +22,53 @@ _STYLES = {"healthy": "green", "suspect": "yellow", "failed": "bold red", "recov
 _PLAIN_EVERY_S = 5.0
 
 
-async def show(subscription: Subscription, console: Console) -> None:
-    """Show the news for ever: a live table where `console` is a terminal, log lines where it is not."""
-    if not console.is_terminal:
-        await _log_lines(subscription)
-        return
-    with Live(console=console, auto_refresh=False, transient=False) as live:
-        while True:
-            news = await subscription.get()
-            if isinstance(news, FleetView):
-                live.update(table(news), refresh=True)
-            else:
-                _log_news(news)
+async def show(news: Mapping[str, Subscription], console: Console) -> None:
+    """Show the news of each fleet, by its name, for ever: live tables where `console` is a terminal, else log lines."""
+    async with asyncio.TaskGroup() as group:
+        if not console.is_terminal:
+            for name, subscription in news.items():
+                group.create_task(_log_lines(name, subscription))
+            return
+        views: dict[str, FleetView] = {}
+        with Live(console=console, auto_refresh=False, transient=False) as live:
+            followers = [group.create_task(_show_views(name, subscription, views, live)) for name, subscription in news.items()]
+            await asyncio.wait(followers)
 
 
-async def _log_lines(subscription: Subscription) -> None:
+async def _show_views(name: str, subscription: Subscription, views: dict[str, FleetView], live: Live) -> None:
+    while True:
+        news = await subscription.get()
+        if isinstance(news, FleetView):
+            views[name] = news
+            live.update(Group(*(table(view, name) for name, view in sorted(views.items()))), refresh=True)
+        else:
+            _log_news(name, news)
+
+
+async def _log_lines(name: str, subscription: Subscription) -> None:
     due_s = float("-inf")
     while True:
         news = await subscription.get()
         if not isinstance(news, FleetView):
-            _log_news(news)
+            _log_news(name, news)
         elif news.at_s >= due_s:
             due_s = news.at_s + _PLAIN_EVERY_S
             for vehicle in news.vehicles:
-                log.info("%s", line(vehicle))
+                log.info("%s%s", _of(name), line(vehicle))
 
 
-def _log_news(news: ToOperator) -> None:
+def _of(name: str) -> str:
+    """The beginning of a line about a fleet; one that is alone has no name."""
+    return f"{name}: " if name else ""
+
+
+def _log_news(name: str, news: ToOperator) -> None:
     if isinstance(news, HealthChanged):
         level = logging.WARNING if news.after in ("suspect", "failed") else logging.INFO
-        log.log(level, "vehicle %d: GPS %s -> %s: %s", news.sysid, news.before, news.after, news.reason)
+        log.log(level, "%svehicle %d: GPS %s -> %s: %s", _of(name), news.sysid, news.before, news.after, news.reason)
     else:
         who = f"vehicle {news.sysid}: " if news.sysid is not None else ""
-        log.log(_LEVELS[news.level], "%s%s", who, news.text)
+        log.log(_LEVELS[news.level], "%s%s%s", _of(name), who, news.text)
 
 
 def line(v: VehicleView) -> str:
@@ -63,10 +79,13 @@ def line(v: VehicleView) -> str:
     )
 
 
-def table(view: FleetView) -> Table:
-    """The fleet as a table."""
+def table(view: FleetView, name: str = "") -> Table:
+    """The fleet as a table, under its name if it has one."""
     refused = sum(view.refused.values())
-    out = Table(title=f"gcs-coloc, estimator {view.estimator}", caption=f"refused: {refused}" if refused else None)
+    out = Table(
+        title=f"gcs-coloc{f', fleet {name}' if name else ''}, estimator {view.estimator}",
+        caption=f"refused: {refused}" if refused else None,
+    )
     for heading in ("vehicle", "last heard", "GPS", "reason", "position", "1-sigma", "HDOP", "ranges", "aid"):
         out.add_column(heading)
     for v in view.vehicles:

@@ -71,7 +71,7 @@ def test_an_empty_fleet_says_so():
 def test_without_a_terminal_there_are_plain_lines_at_a_calm_rate(caplog: pytest.LogCaptureFixture):
     async def scenario():
         hub = Hub()
-        task = asyncio.create_task(show(hub.subscribe(), Console(file=io.StringIO())))
+        task = asyncio.create_task(show({"": hub.subscribe()}, Console(file=io.StringIO())))
         await asyncio.sleep(0)
         hub.publish(HealthChanged(0.0, 4, "healthy", "failed", "no 3D fix"))
         hub.publish(Notice(0.0, None, "error", "something"))

@@ -1,0 +1,105 @@
+"""`[[fleet]]`: several fleets in one process, each with settings of its own.
+
+What stands outside the fleets' tables holds for all of them; what a fleet's table says goes before it. Nothing is shared but
+the process: where two fleets would share a link, a page or a name, the configuration is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gcs_coloc.config import Settings, read_table, settings_of, topic_level
+from gcs_coloc.core.errors import ConfigError, UsageError
+from gcs_coloc.links.address import parse
+
+_SECTIONS = frozenset(Settings.model_fields) - {"fleet"}
+_FLAGS_OF_ONE = {"links": "--udp and --link", "fleet": "--failed and --healthy", "web": "--web"}
+
+
+@dataclass(frozen=True, slots=True)
+class FleetOf:
+    """One fleet of a service; `name` is empty where it is the only one and needs none."""
+
+    name: str
+    settings: Settings
+
+
+def load_fleets(path: Path | None, flags: Mapping[str, Any]) -> list[FleetOf]:
+    """The fleets of a configuration, in its order: those of its `[[fleet]]` tables, else one.
+
+    Raises:
+        ConfigError: as `load_settings`, or two fleets share what each must have for itself.
+        UsageError: a flag says something of one fleet where there are several.
+    """
+    table = read_table(path) if path is not None else {}
+    own_tables = table.pop("fleet", {})
+    if not isinstance(own_tables, list):
+        return [FleetOf("", settings_of({**table, "fleet": own_tables}, flags, str(path) if path is not None else "settings"))]
+    for key, names in _FLAGS_OF_ONE.items():
+        if key in flags and flags[key] != {"on": False}:
+            raise UsageError(f"{names}: {path} is of several fleets ([[fleet]]); say it in the table of the fleet that is meant")
+    if "links" in table:
+        raise ConfigError(f"{path}: links: of which fleet? Each [[fleet]] has links of its own")
+    fleets = [_fleet(path, number, table, own, flags) for number, own in enumerate(own_tables, 1)]
+    _nothing_shared(path, "name", fleets, lambda fleet: [fleet.name])
+    _nothing_shared(path, "links", fleets, lambda fleet: [str(parse(link)) for link in fleet.settings.links])
+    _nothing_shared(path, "web.address", fleets, _fixed_address)
+    return fleets
+
+
+def _fleet(
+    path: Path | None, number: int, common: Mapping[str, Any], own: Mapping[str, Any], flags: Mapping[str, Any]
+) -> FleetOf:
+    source = f"{path}: fleet {number}"
+    own = dict(own)
+    name = own.pop("name", None)
+    if not isinstance(name, str):
+        raise ConfigError(f'{source}: name: each [[fleet]] needs one, as name = "north"')
+    try:
+        topic_level(name)  # it is a directory and a word in the log as well
+    except ValueError as error:
+        raise ConfigError(f"{source}: name: {error}") from None
+    source = f"{source} ({name})"
+    sections = {key: own.pop(key) for key in _SECTIONS & own.keys()}
+    settings = settings_of({**_merged(common, sections), "fleet": own}, flags, source)
+    if not settings.links:
+        raise ConfigError(f"{source}: links: there is none to listen on")
+    if "fleet" in settings.mqtt.model_fields_set:
+        raise ConfigError(f"{source}: mqtt.fleet: the fleet's name stands in the topics; leave it out")
+    record, web = settings.record, settings.web
+    return FleetOf(
+        name,
+        settings.model_copy(
+            update={
+                "mqtt": settings.mqtt.model_copy(update={"fleet": name}),
+                "record": record.model_copy(update={"directory": str(Path(record.directory) / name) if record.directory else ""}),
+                "web": web.model_copy(update={"on": web.on and web.must_open}),
+            }
+        ),
+    )
+
+
+def _merged(common: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """`common` with what `own` says in its place, table by table."""
+    merged = dict(common)
+    for key, value in own.items():
+        before = merged.get(key)
+        merged[key] = _merged(before, value) if isinstance(before, dict) and isinstance(value, dict) else value
+    return merged
+
+
+def _fixed_address(fleet: FleetOf) -> list[str]:
+    web = fleet.settings.web
+    return [web.address] if web.on and web.host_and_port()[1] != 0 else []
+
+
+def _nothing_shared(path: Path | None, key: str, fleets: list[FleetOf], of: Callable[[FleetOf], list[str]]) -> None:
+    seen: dict[str, str] = {}
+    for fleet in fleets:
+        for value in of(fleet):
+            if value in seen:
+                raise ConfigError(f"{path}: {key}: {value} is given to {seen[value]} and to {fleet.name}; each needs its own")
+            seen[value] = f"fleet {fleet.name}"

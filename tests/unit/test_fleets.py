@@ -1,0 +1,117 @@
+"""Several fleets in one configuration: what is common, what is each one's own, and what must not be shared."""
+
+from pathlib import Path
+
+import pytest
+
+from gcs_coloc.config import load_settings
+from gcs_coloc.core.errors import ConfigError, UsageError
+from gcs_coloc.fleets import load_fleets
+
+TWO = """
+[aid]
+rate_hz = 8.0
+lag_s = 0.15
+[mqtt]
+host = "broker"
+[record]
+directory = "flights"
+[[fleet]]
+name = "north"
+links = ["udpin:127.0.0.1:14550"]
+failed = [4]
+[fleet.aid]
+lag_s = 0.3
+[fleet.web]
+address = "127.0.0.1:8081"
+[[fleet]]
+name = "south"
+links = ["udpin:127.0.0.1:14551"]
+[fleet.estimator]
+name = "qu_zhang"
+"""
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "coloc.toml"
+    path.write_text(text)
+    return path
+
+
+def test_what_a_fleet_says_goes_before_what_is_common_to_all(tmp_path):
+    north, south = load_fleets(written(tmp_path, TWO), {})
+    assert (north.name, south.name) == ("north", "south")
+    assert (north.settings.aid.rate_hz, north.settings.aid.lag_s) == (8.0, 0.3)
+    assert (south.settings.aid.rate_hz, south.settings.aid.lag_s) == (8.0, 0.15)
+    assert (north.settings.fleet.failed, south.settings.fleet.failed) == ((4,), ())
+    assert (north.settings.estimator.name, south.settings.estimator.name) == ("fleet", "qu_zhang")
+
+
+def test_each_fleet_has_its_own_topics_recordings_and_page(tmp_path):
+    north, south = (fleet.settings for fleet in load_fleets(written(tmp_path, TWO), {}))
+    assert (north.mqtt.host, north.mqtt.fleet, south.mqtt.fleet) == ("broker", "north", "south")
+    assert (north.record.directory, south.record.directory) == ("flights/north", "flights/south")
+    assert (north.web.on, north.web.address) == (True, "127.0.0.1:8081")
+    assert not south.web.on  # it was given no address, and there is one page to an address
+
+
+def test_flags_and_environment_win_over_a_fleets_own_table(tmp_path, monkeypatch):
+    monkeypatch.setenv("GCS_COLOC_AID__LAG_S", "0.4")
+    fleets = load_fleets(written(tmp_path, TWO), {"estimator": {"name": "fleet"}, "web": {"on": False}})
+    assert [f.settings.aid.lag_s for f in fleets] == [0.4, 0.4]
+    assert [f.settings.estimator.name for f in fleets] == ["fleet", "fleet"]
+    assert not any(f.settings.web.on for f in fleets)
+
+
+def test_a_configuration_of_one_fleet_is_what_it_always_was(tmp_path):
+    text = 'links = ["14550"]\n[fleet]\nfailed = [4]\n[mqtt]\nfleet = "mine"\n'
+    (only,) = load_fleets(written(tmp_path, text), {})
+    assert only.name == ""
+    assert only.settings.model_dump() == load_settings(tmp_path / "coloc.toml", {}).model_dump()
+    (only,) = load_fleets(None, {"links": ["14550"]})
+    assert only.settings.model_dump() == load_settings(None, {"links": ["14550"]}).model_dump()
+
+
+FLEET = '[[fleet]]\nname = "north"\nlinks = ["14550"]\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[[fleet]]\nlinks = ["14550"]\n', ["fleet 1", "name"]),
+        ('[[fleet]]\nname = "a/b"\nlinks = ["14550"]\n', ["fleet 1", "name", "letters"]),
+        ('[[fleet]]\nname = "north"\n', ["fleet 1 (north)", "links"]),
+        (FLEET + FLEET, ["name", "north"]),
+        (FLEET + FLEET.replace("north", "south"), ["links", "udpin:0.0.0.0:14550", "fleet north", "south"]),
+        (FLEET + "colour = 3\n", ["fleet 1 (north)", "fleet.colour", "unknown key"]),
+        (FLEET + "[fleet.aid]\nrate_hz = -1\n", ["fleet 1 (north)", "rate_hz", "positive"]),
+        ('links = ["14550"]\n' + FLEET, ["links", "which fleet"]),
+        ('[mqtt]\nfleet = "x"\n' + FLEET, ["mqtt.fleet"]),
+        (
+            '[web]\naddress = "127.0.0.1:8080"\n' + FLEET + FLEET.replace("north", "south").replace("50", "51"),
+            ["web.address", "fleet north", "south"],
+        ),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_with_the_fleet_and_the_key(tmp_path, text, words):
+    with pytest.raises(ConfigError) as refused:
+        load_fleets(written(tmp_path, text), {})
+    for word in words:
+        assert word in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "flags", [{"links": ["14550"]}, {"fleet": {"failed": [1]}}, {"web": {"on": True, "address": "[::1]:80"}}]
+)
+def test_a_flag_that_is_meant_for_one_fleet_is_refused_where_there_are_several(tmp_path, flags):
+    with pytest.raises(UsageError, match="several fleets"):
+        load_fleets(written(tmp_path, TWO), flags)
+
+
+def test_the_example_configuration_is_good():
+    assert len(load_fleets(Path(__file__).resolve().parents[2] / "configs/fleets.toml", {})) == 2
+
+
+def test_a_command_that_wants_one_fleet_refuses_several(tmp_path):
+    with pytest.raises(ConfigError, match="several fleets"):
+        load_settings(written(tmp_path, TWO), {})
