@@ -15,6 +15,10 @@ class BootClock:
         """Boot time (s) at a time of the simulation (s)."""
         return self._offset_s + (at_s - self._zero_at_s) * self._rate
 
+    def jump(self, by_s: float) -> None:
+        """Step by a time (s), forwards or back, as a clock does that is set."""
+        self._offset_s += by_s
+
     def restart(self, at_s: float) -> None:
         """Count from zero from a time of the simulation (s) on."""
         self._zero_at_s = at_s

@@ -1,4 +1,4 @@
-"""What a vehicle does with what it is sent: parameters, commands, TIMESYNC, GPS_INPUT. Each datagram is parsed by itself.
+"""What a vehicle does with what it is sent: parameters, commands, TIMESYNC, positions from outside. Each datagram stands alone.
 
 Faults at run time, on one vehicle: PARAM_SET of SITL's own names (SIM_GPS1_ENABLE=0, SIM_GPS1_JAM=1, SIM_GPS1_GLTCH_X/Y), or
 COMMAND_LONG MAV_CMD_USER_1 (31010) as `fault_of_command` reads it.
@@ -15,12 +15,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sitl_fakes.fault_commands import fault_of_command
 from sitl_fakes.flight_controller import FlightController
 from sitl_fakes.gps_input import fix_from_gps_input
-from sitl_fakes.telemetry import build
+from sitl_fakes.mav_result import ACCEPTED, DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED
 
 _EXTERNAL_POSITION_ESTIMATE = 43003
+_LONGEST_AGE_S = 5.0
 _ONLY_THE_GCS = 1
+_GLOBAL_FRAMES = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 _LARGEST_PARAMETER = 1e6
-_ACCEPTED, _DENIED, _UNSUPPORTED, _FAILED = 0, 2, 3, 4
 
 
 def handle(vehicle: FlightController, payload: bytes, at_s: float) -> list[Any]:
@@ -38,8 +39,9 @@ def _accepts(vehicle: FlightController, message: Any) -> bool:
     """Whether the message is for this vehicle and from someone it listens to (MAV_OPTIONS bit 0)."""
     if getattr(message, "target_system", 0) not in (0, vehicle.sysid):
         return False
-    allowed = (vehicle.params["MAV_GCS_SYSID"], vehicle.sysid)
-    return not int(vehicle.params["MAV_OPTIONS"]) & _ONLY_THE_GCS or message.get_srcSystem() in allowed
+    if not int(vehicle.params.get("MAV_OPTIONS", 0.0)) & _ONLY_THE_GCS:
+        return True
+    return message.get_srcSystem() in (vehicle.params["MAV_GCS_SYSID"], vehicle.sysid)
 
 
 def _gps_input(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
@@ -49,14 +51,31 @@ def _gps_input(vehicle: FlightController, message: Any, at_s: float) -> list[Any
     return []
 
 
+def _global_position_sensor(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
+    place = _horizontal_m(vehicle, message.lat, message.lon)
+    if place is not None and math.isfinite(message.eph):
+        vehicle.autopilot.receive_global_position(place, message.eph, at_s)
+    return []
+
+
+def _horizontal_m(vehicle: FlightController, lat_e7: int, lon_e7: int) -> tuple[float, float] | None:
+    """East and north (m) of a latitude and longitude in 1e-7 degrees, or None where there is no such place."""
+    lat_deg, lon_deg = lat_e7 * 1e-7, lon_e7 * 1e-7
+    if abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0:
+        return None
+    east, north, _ = vehicle.frame.to_enu(lat_deg, lon_deg, vehicle.altitude_m)
+    return east, north
+
+
 def _timesync(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
     return [mavlink.MAVLink_timesync_message(round(vehicle.clock.boot_s(at_s) * 1e9), message.ts1)] if message.tc1 == 0 else []
 
 
 def _param_value(vehicle: FlightController, name: str) -> Any:
-    names = list(vehicle.params)
-    value, kind = vehicle.params[name], vehicle.params.type_of(name)
-    return mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(names), names.index(name))
+    names, params = list(vehicle.params), vehicle.params
+    return mavlink.MAVLink_param_value_message(
+        name.encode(), params.on_the_wire(name), params.type_of(name), len(names), names.index(name)
+    )
 
 
 def _param_request_list(vehicle: FlightController, _message: Any, _at_s: float) -> list[Any]:
@@ -71,9 +90,12 @@ def _param_request_read(vehicle: FlightController, message: Any, _at_s: float) -
 
 
 def _param_set(vehicle: FlightController, message: Any, _at_s: float) -> list[Any]:
-    if message.param_id not in vehicle.params or not abs(message.param_value) <= _LARGEST_PARAMETER:
+    if message.param_id not in vehicle.params:
         return []
-    vehicle.params.set(message.param_id, message.param_value)
+    value = vehicle.params.from_the_wire(message.param_id, message.param_value)
+    if not abs(value) <= _LARGEST_PARAMETER:
+        return []
+    vehicle.params.set(message.param_id, value)
     return [_param_value(vehicle, message.param_id)]
 
 
@@ -81,11 +103,13 @@ def _command_long(vehicle: FlightController, message: Any, at_s: float) -> list[
     if message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
         return [_ack(message, _set_interval(vehicle, message, at_s))]
     if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
-        built = build(int(message.param1), vehicle.snapshot(at_s)) if math.isfinite(message.param1) else None
-        return [_ack(message, _FAILED)] if built is None else [_ack(message, _ACCEPTED), built]
+        built = vehicle.streams.build(int(message.param1), vehicle.snapshot(at_s)) if math.isfinite(message.param1) else None
+        return [_ack(message, FAILED)] if built is None else [_ack(message, ACCEPTED), built]
+    if message.command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
+        return _arm(vehicle, message, at_s)
     if message.command == mavlink.MAV_CMD_USER_1:
         return [_ack(message, _user_fault(vehicle, message, at_s))]
-    return [_ack(message, _UNSUPPORTED)]
+    return [_ack(message, UNSUPPORTED)]
 
 
 def _command_int(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
@@ -93,39 +117,63 @@ def _command_int(vehicle: FlightController, message: Any, at_s: float) -> list[A
         return [_ack(message, _external_position(vehicle, message, at_s))]
     if message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
         return [_ack(message, _set_interval(vehicle, message, at_s))]
-    return [_ack(message, _UNSUPPORTED)]
+    return [_ack(message, UNSUPPORTED)]
 
 
 def _set_interval(vehicle: FlightController, message: Any, at_s: float) -> int:
     if not math.isfinite(message.param1):
-        return _FAILED
-    return _ACCEPTED if vehicle.streams.set_interval(int(message.param1), message.param2, at_s) else _FAILED
+        return FAILED
+    return ACCEPTED if vehicle.streams.set_interval(int(message.param1), message.param2, at_s) else FAILED
+
+
+def _arm(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
+    """MAV_CMD_COMPONENT_ARM_DISARM. Whoever is armed flies, and is not disarmed in flight."""
+    autopilot = vehicle.autopilot
+    if message.param1 != 1.0:
+        return [_ack(message, FAILED if autopilot.armed else ACCEPTED)]
+    refusal = None if autopilot.armed else autopilot.arming_refusal(at_s)
+    if refusal is not None:
+        result = TEMPORARILY_REJECTED if vehicle.kind == "px4" else FAILED
+        return [_ack(message, result), *_status_text(refusal)]
+    autopilot.armed = True
+    return [_ack(message, ACCEPTED)]
+
+
+def _status_text(text: str) -> list[Any]:
+    """STATUSTEXT of severity critical; what is longer than its field comes in numbered pieces under one id."""
+    size, words = 50, text.encode()
+    pieces = [words[i : i + size] for i in range(0, len(words), size)]
+    number = 1 if len(pieces) > 1 else 0
+    return [mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, p, number, k) for k, p in enumerate(pieces)]
 
 
 def _external_position(vehicle: FlightController, message: Any, at_s: float) -> int:
-    """MAV_CMD_EXTERNAL_POSITION_ESTIMATE: taken only while dead reckoning, and only with an altitude of NaN."""
-    lat_deg, lon_deg, accuracy_m = message.x * 1e-7, message.y * 1e-7, message.param3
-    if not math.isnan(message.z) or abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0:
-        return _DENIED
-    if vehicle.autopilot.source(at_s) not in ("dead_reckoning", "none"):
-        return _FAILED
-    east, north, _ = vehicle.frame.to_enu(lat_deg, lon_deg, vehicle.altitude_m)
-    vehicle.autopilot.navigation.take_estimate((east, north), accuracy_m if math.isfinite(accuracy_m) else 0.0)
-    return _ACCEPTED
+    """MAV_CMD_EXTERNAL_POSITION_ESTIMATE: sent at param1 s of the sender's clock, worked out for param2 s, 1-sigma param3 m.
+
+    The altitude must be NaN, the frame a global one. Whether the rest is taken is for the autopilot to say.
+    """
+    place = _horizontal_m(vehicle, message.x, message.y)
+    if place is None or not math.isnan(message.z) or message.frame not in _GLOBAL_FRAMES:
+        return DENIED
+    sent_s = message.param1 if math.isfinite(message.param1) else at_s
+    worked_s = message.param2 if math.isfinite(message.param2) else 0.0
+    age_s = at_s - vehicle.offboard_clock.to_local_s(sent_s, at_s) + worked_s
+    accuracy_m = message.param3 if math.isfinite(message.param3) else None
+    return vehicle.autopilot.take_external_estimate(place, accuracy_m, min(max(age_s, 0.0), _LONGEST_AGE_S), at_s)
 
 
 def _user_fault(vehicle: FlightController, message: Any, at_s: float) -> int:
     if message.param1 == 0.0:
         vehicle.faults.clear(at_s)
-        return _ACCEPTED
+        return ACCEPTED
     try:
         fault = fault_of_command(vehicle.sysid, [getattr(message, f"param{i}") for i in range(1, 8)], at_s)
     except (ValidationError, OverflowError):
         fault = None
     if fault is None:
-        return _DENIED
+        return DENIED
     vehicle.faults.add(fault)
-    return _ACCEPTED
+    return ACCEPTED
 
 
 def _ack(message: Any, result: int) -> Any:
@@ -136,6 +184,7 @@ def _ack(message: Any, result: int) -> Any:
 
 _HANDLERS = {
     "GPS_INPUT": _gps_input,
+    "GLOBAL_POSITION_SENSOR": _global_position_sensor,
     "TIMESYNC": _timesync,
     "PARAM_REQUEST_LIST": _param_request_list,
     "PARAM_REQUEST_READ": _param_request_read,

@@ -9,6 +9,7 @@ from sitl_fakes.faults import Fault, GpsJammed, GpsLost, GpsSpoofed
 from sitl_fakes.parameters import Parameters
 
 _METRES_PER_DEGREE = 111_319.49
+_HARMLESS = {"SIM_GPS1_ENABLE": 1.0, "SIM_GPS1_JAM": 0.0, "SIM_GPS1_GLTCH_X": 0.0, "SIM_GPS1_GLTCH_Y": 0.0}
 
 
 class FaultBoard:
@@ -31,19 +32,20 @@ class FaultBoard:
     def clear(self, at_s: float) -> None:
         """End every fault in force, also by parameter; those to come stay."""
         self._faults = [f for f in self._faults if not f.active(at_s)]
-        self._params.set("SIM_GPS1_ENABLE", 1.0)
-        for name in ("SIM_GPS1_JAM", "SIM_GPS1_GLTCH_X", "SIM_GPS1_GLTCH_Y"):
-            self._params.set(name, 0.0)
+        for name, harmless in _HARMLESS.items():
+            if name in self._params:
+                self._params.set(name, harmless)
 
     def active(self, at_s: float) -> list[Fault]:
         """Faults in force at a time (s)."""
         active = [f for f in self._faults if f.active(at_s)]
-        if self._params["SIM_GPS1_ENABLE"] == 0:
+        simulated = {name: self._params.get(name, harmless) for name, harmless in _HARMLESS.items()}
+        if simulated["SIM_GPS1_ENABLE"] == 0:
             active.append(GpsLost(vehicle=self._sysid, at_s=at_s))
-        if self._params["SIM_GPS1_JAM"] != 0:
+        if simulated["SIM_GPS1_JAM"] != 0:
             active.append(GpsJammed(vehicle=self._sysid, at_s=at_s))
-        north = self._params["SIM_GPS1_GLTCH_X"] * _METRES_PER_DEGREE
-        east = self._params["SIM_GPS1_GLTCH_Y"] * self._east_m_per_deg
+        north = simulated["SIM_GPS1_GLTCH_X"] * _METRES_PER_DEGREE
+        east = simulated["SIM_GPS1_GLTCH_Y"] * self._east_m_per_deg
         if east != 0.0 or north != 0.0:
             direction, step = math.degrees(math.atan2(east, north)), math.hypot(east, north)
             active.append(GpsSpoofed(vehicle=self._sysid, at_s=at_s, direction_deg=direction, speed_mps=0.0, offset_m=step))

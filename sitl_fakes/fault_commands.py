@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from sitl_fakes.faults import (
+    ClockJump,
     Fault,
     GpsFrozen,
     GpsJammed,
@@ -22,8 +23,8 @@ def fault_of_command(sysid: int, params: list[float], at_s: float) -> Fault | No
     """Read the fault that MAV_CMD_USER_1 asks for, None where it asks for none that exists.
 
     `params[0]`: 1 GPS lost, 2 jammed, 3 frozen, 4 spoofed (params[1] direction in deg, [2] m/s, [3] step in m), 5 ranges
-    dropped, 6 biased by params[2] m, 7 stuck (params[1] the peer, 0 all), 8 link dead, 9 reboot. `params[6]`: how long, s; 0
-    for good (refused for a dead link, which no command could mend).
+    dropped, 6 biased by params[2] m, 7 stuck (params[1] the peer, 0 all), 8 link dead, 9 reboot, 10 clock jump by params[2] s.
+    `params[6]`: how long, s; 0 for good (refused for a dead link, which no command could mend).
     """
     kind, second, third, fourth = params[0], params[1], params[2], params[3]
     lasts = params[6] if params[6] != 0.0 else None
@@ -48,4 +49,6 @@ def fault_of_command(sysid: int, params: list[float], at_s: float) -> Fault | No
         return LinkDropout(**times)
     if kind == 9.0:
         return Reboot(vehicle=sysid, at_s=at_s)
+    if kind == 10.0:
+        return ClockJump(vehicle=sysid, at_s=at_s, by_s=third)
     return None

@@ -100,6 +100,19 @@ class Reboot(_Fault):
         return self
 
 
-Fault = GpsLost | GpsJammed | GpsFrozen | GpsSpoofed | RangeDropout | RangeBias | RangeStuck | LinkDropout | Reboot
+class ClockJump(_Fault):
+    """The autopilot's boot clock steps by `by_s`, forwards or back, without a reboot."""
+
+    kind: Literal["clock_jump"] = "clock_jump"
+    by_s: float = Field(ge=-1e6, le=1e6)
+
+    @model_validator(mode="after")
+    def _is_momentary(self) -> Self:
+        if self.until_s is not None:
+            raise ValueError("a clock jump takes no until_s")
+        return self
+
+
+Fault = GpsLost | GpsJammed | GpsFrozen | GpsSpoofed | RangeDropout | RangeBias | RangeStuck | LinkDropout | Reboot | ClockJump
 RangeFault = RangeDropout | RangeBias | RangeStuck
 AnyFault = Annotated[Fault, Field(discriminator="kind")]

@@ -15,7 +15,10 @@ _CLIMB_LIMIT_MPS = 2.0
 
 
 class Flight:
-    """One aircraft in the air at constant airspeed; it holds its barometric altitude, so it drifts with its altimeter."""
+    """One aircraft in the air at constant airspeed; it holds its barometric altitude, so it drifts with its altimeter.
+
+    While `standing` it is on the ground and does not move.
+    """
 
     def __init__(
         self,
@@ -35,6 +38,7 @@ class Flight:
         self._wind = LocalWind(scenario.wind, sysid, seed)
         self._wind_mps = self._wind.advance(0.0)
         self._sensors = AirSensors(scenario.dead_reckoning, sysid, seed)
+        self.standing = False
         self.climb_mps = 0.0
         self.lla = frame.to_lla(*self.position_m)
         self.air = self._read(0.0)
@@ -53,9 +57,15 @@ class Flight:
     @property
     def velocity_mps(self) -> Vector:
         """True velocity over ground: east, north, up, m/s."""
+        if self.standing:
+            return 0.0, 0.0, 0.0
         s, v = self._aircraft.state, self._aircraft.airspeed_mps
         course = s.psi_rad + s.beta_rad
         return v * math.sin(course) + self._wind_mps[0], v * math.cos(course) + self._wind_mps[1], self.climb_mps
+
+    def wait(self, step_s: float) -> None:
+        """Stand still on the ground for a step."""
+        self.air = self._read(step_s)
 
     def step(self, heading_cmd_rad: float, step_s: float) -> None:
         """Fly one step towards a heading of the autopilot's own compass, which has an error."""
@@ -69,4 +79,5 @@ class Flight:
 
     def _read(self, step_s: float) -> AirData:
         s = self._aircraft.state
-        return self._sensors.measure(self._aircraft.airspeed_mps, s.phi_rad, s.psi_rad, self.lla[2], step_s)
+        airspeed_mps = 0.0 if self.standing else self._aircraft.airspeed_mps
+        return self._sensors.measure(airspeed_mps, s.phi_rad, s.psi_rad, self.lla[2], step_s)

@@ -7,23 +7,27 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from sitl_fakes.ardupilot import ArduPilot
 from sitl_fakes.autopilot import Autopilot
 from sitl_fakes.clock import BootClock
 from sitl_fakes.fault_board import FaultBoard
-from sitl_fakes.faults import Reboot
+from sitl_fakes.faults import ClockJump, Reboot
 from sitl_fakes.flight import Flight
 from sitl_fakes.geodesy import WorldFrame
 from sitl_fakes.guidance import Guidance
-from sitl_fakes.parameters import Parameters
+from sitl_fakes.offboard_clock import OffboardClock
+from sitl_fakes.parameters import Kind, Parameters
+from sitl_fakes.px4 import Px4
 from sitl_fakes.ranging import RangeSample
 from sitl_fakes.scenario import Scenario
 from sitl_fakes.scenario import Vehicle as VehicleSpec
 from sitl_fakes.seeds import Purpose, stream
 from sitl_fakes.snapshot import Snapshot
-from sitl_fakes.telemetry import Streams
+from sitl_fakes.streams import Streams
 from sitl_fakes.wire import named_range, peer_range_frame, ranging_beacon_frame
 
 _BOOTING_FOR_S = 5.0
+_AUTOPILOTS: dict[Kind, type[ArduPilot] | type[Px4]] = {"ardupilot": ArduPilot, "px4": Px4}
 
 
 class FlightController:
@@ -40,8 +44,9 @@ class FlightController:
         unix_epoch_s: float,
     ) -> None:
         self.sysid = spec.sysid
+        self.kind: Kind = spec.autopilot
         self.frame = frame
-        self.params = Parameters(spec.sysid, spec.params)
+        self.params = Parameters(spec.sysid, spec.params, spec.autopilot)
         self.faults = FaultBoard(spec.sysid, scenario.fault, self.params, scenario.origin.lat_deg)
         self._scenario = scenario
         self._flight = flight
@@ -56,12 +61,14 @@ class FlightController:
         )
         self._booting_until_s: float | None = None
         self._start_autopilot(0.0)
+        self.autopilot.armed = spec.armed
 
     def _start_autopilot(self, at_s: float) -> None:
-        self.autopilot = Autopilot(self.params, self._guidance)
+        self.autopilot: Autopilot = _AUTOPILOTS[self.kind](self.params, self._guidance)
+        self.offboard_clock = OffboardClock()
         self._mav = mavlink.MAVLink(None, srcSystem=self.sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
         self._sequence = count()
-        self.streams = Streams(stream(self._seed, Purpose.PHASES, self.sysid), at_s, self._scenario.truth_messages)
+        self.streams = Streams(self.kind, stream(self._seed, Purpose.PHASES, self.sysid), at_s, self._scenario.truth_messages)
 
     @property
     def booting(self) -> bool:
@@ -74,15 +81,20 @@ class FlightController:
         return self._flight.air.altitude_m
 
     def run(self, at_s: float) -> None:
-        """Let the faults of its own befall it at a time (s): a reboot begins or is over."""
+        """Let the faults of its own befall it at a time (s): a reboot begins or is over, the clock jumps."""
         for fault in self.faults.active(at_s):
             if isinstance(fault, Reboot):
                 self.faults.remove(fault)
                 self.clock.restart(at_s)
                 self._booting_until_s = at_s + _BOOTING_FOR_S
+            elif isinstance(fault, ClockJump):
+                self.faults.remove(fault)
+                self.clock.jump(fault.by_s)
         if self._booting_until_s is not None and at_s >= self._booting_until_s:
             self._booting_until_s = None
+            armed = self.autopilot.armed
             self._start_autopilot(at_s)
+            self.autopilot.armed = armed
 
     def heading_command_rad(self, at_s: float, step_s: float) -> float:
         """Heading to fly over the step that ends at a time, rad. While it boots nobody steers: the heading is held."""
@@ -119,6 +131,7 @@ class FlightController:
         """Return what telemetry is made from, now."""
         first, second = (receiver.fixed_at_s for receiver in self.autopilot.receivers)
         return Snapshot(
+            kind=self.kind,
             at_s=at_s,
             boot_s=self.clock.boot_s(at_s),
             fixed_boot_s=(
@@ -130,7 +143,7 @@ class FlightController:
             home_alt_m=self._scenario.origin.alt_msl_m,
             global_position=self._scenario.global_position,
             autopilot=self.autopilot,
-            second_receiver=self.params["GPS2_TYPE"] != 0,
+            second_receiver=self.params.get("GPS2_TYPE", 0.0) != 0,
             air=self._flight.air,
             climb_mps=self._flight.climb_mps,
             true_state=self._flight.state,

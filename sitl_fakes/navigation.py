@@ -4,8 +4,8 @@ estimate.
 Per axis a Kalman filter with the states position (m) and wind (m/s); velocity over ground is airspeed along heading plus wind.
 East and north are alike and independent, so they share one covariance (2, 2). Without GPS this is dead reckoning: errors of
 airspeed and heading that the wind state had absorbed come out with the next turn, and a change of wind goes unseen, as on a real
-aircraft. As EKF3 does, it refuses what is off by more than five sigma, and takes the measurement over whole where
-nothing was accepted for 10 s.
+aircraft. As EKF3 and EKF2 do, it refuses what is off by more than a gate of some sigma, and takes the measurement over whole
+where nothing was accepted for some seconds.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from sitl_fakes.receivers import GpsFix
 
 _GATE_SIGMA = 5.0
-_RESET_AFTER_S = 10.0
 _POSITION_NOISE_M2PS = 0.05
 _WIND_NOISE_M2PS3 = 0.02
 _LEAST_POSITION_SIGMA_M = 0.5
@@ -34,9 +33,13 @@ class _Covariance:
 
 
 class Navigation:
-    """Position and velocity as the autopilot believes them (east, north; m, m/s). Before the first fix there is no position."""
+    """Position and velocity as the autopilot believes them (east, north; m, m/s). Before the first fix there is no position.
 
-    def __init__(self) -> None:
+    A measurement is taken over whole where nothing was accepted for `reset_after_s`.
+    """
+
+    def __init__(self, reset_after_s: float) -> None:
+        self._reset_after_s = reset_after_s
         self.position_m: tuple[float, float] | None = None
         self.glitching = False
         self._air: tuple[float, float] = (0.0, 0.0)
@@ -80,24 +83,40 @@ class Navigation:
         """Fuse a fix that passed the quality checks: its position brought forward by its age, then its velocity."""
         ve, vn, _ = fix.velocity_enu_mps
         seen = (fix.position_enu_m[0] + ve * fix.age_s, fix.position_enu_m[1] + vn * fix.age_s)
-        sigma = max(fix.h_acc_m or 0.0, _LEAST_POSITION_SIGMA_M)
-        if self.position_m is None:
-            self._take_position(seen, sigma, at_s)
+        first = self.position_m is None
+        self.correct_position(seen, fix.h_acc_m or 0.0, at_s)
+        if first:
             self._take_velocity((ve, vn), at_s)
-            return
-        innovation = (seen[0] - self.position_m[0], seen[1] - self.position_m[1])
+        else:
+            self._correct_velocity((ve, vn), max(fix.speed_acc_mps or 0.0, _LEAST_VELOCITY_SIGMA_MPS), at_s)
+
+    def correct_position(
+        self, seen_m: tuple[float, float], sigma_m: float, at_s: float, *, gate_sigma: float = _GATE_SIGMA, may_reset: bool = True
+    ) -> bool:
+        """Fuse a position (east, north, m) with its standard deviation (m); True where it was accepted.
+
+        What is beyond the gate is taken over whole after a while, if `may_reset`.
+        """
+        sigma = max(sigma_m, _LEAST_POSITION_SIGMA_M)
+        if self.position_m is None:
+            self._take_position(seen_m, sigma, at_s)
+            return True
+        innovation = (seen_m[0] - self.position_m[0], seen_m[1] - self.position_m[1])
         spread = self._p.pp + sigma**2
-        self.glitching = math.hypot(*innovation) > _GATE_SIGMA * math.sqrt(spread)
+        self.glitching = math.hypot(*innovation) > gate_sigma * math.sqrt(spread)
         if not self.glitching:
             self._update(innovation, self._p.pp / spread, self._p.pw / spread, spread)
             self._position_at_s = at_s
-        elif self.since_position_s(at_s) > _RESET_AFTER_S:
-            self._take_position(seen, sigma, at_s)
-        self._correct_velocity((ve, vn), max(fix.speed_acc_mps or 0.0, _LEAST_VELOCITY_SIGMA_MPS), at_s)
+        elif may_reset and self.since_position_s(at_s) > self._reset_after_s:
+            self._take_position(seen_m, sigma, at_s)
+        return not self.glitching
 
-    def take_estimate(self, position_m: tuple[float, float], sigma_m: float) -> None:
-        """Set the position from outside (MAV_CMD_EXTERNAL_POSITION_ESTIMATE), east and north in m, keeping the wind."""
-        self.position_m = position_m
+    def take_estimate(self, position_m: tuple[float, float], sigma_m: float, age_s: float) -> None:
+        """Set the position from outside (MAV_CMD_EXTERNAL_POSITION_ESTIMATE), east and north in m as they were `age_s` ago,
+        keeping the wind.
+        """
+        ve, vn = self.velocity_mps
+        self.position_m = (position_m[0] + ve * age_s, position_m[1] + vn * age_s)
         self._p.pp, self._p.pw = max(sigma_m, _LEAST_POSITION_SIGMA_M) ** 2, 0.0
 
     def _correct_velocity(self, seen_mps: tuple[float, float], sigma_mps: float, at_s: float) -> None:
@@ -107,7 +126,7 @@ class Navigation:
         if math.hypot(*innovation) <= _GATE_SIGMA * math.sqrt(spread):
             self._update(innovation, self._p.pw / spread, self._p.ww / spread, spread)
             self._velocity_at_s = at_s
-        elif at_s - self._velocity_at_s > _RESET_AFTER_S:
+        elif at_s - self._velocity_at_s > self._reset_after_s:
             self._take_velocity(seen_mps, at_s)
 
     def _update(self, innovation: tuple[float, float], gain_position: float, gain_wind: float, spread: float) -> None:

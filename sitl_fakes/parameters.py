@@ -1,16 +1,20 @@
-"""The autopilot parameters that matter to GPS aiding and its trials, with ArduPilot's names and meanings."""
+"""The autopilot parameters that matter to aiding and its trials, with ArduPilot's or PX4's names and meanings."""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator, Mapping
+from typing import Literal
+
+Kind = Literal["ardupilot", "px4"]
 
 REAL32 = 9
-"""MAV_PARAM_TYPE_REAL32. ArduPilot sends every value as a float, whatever its type."""
+"""MAV_PARAM_TYPE_REAL32."""
 
 INT32 = 6
 """MAV_PARAM_TYPE_INT32."""
 
-DEFAULTS: dict[str, float] = {
+_ARDUPILOT: dict[str, float] = {
     "EK3_CHECK_SCALE": 150.0,
     "EK3_GPS_CHECK": 31.0,
     "GPS1_TYPE": 1.0,
@@ -25,17 +29,32 @@ DEFAULTS: dict[str, float] = {
     "SIM_GPS1_JAM": 0.0,
     "SYSID_THISMAV": 1.0,
 }
-"""Names and defaults: a vehicle set up for GPS_INPUT on its second receiver."""
+_PX4: dict[str, float] = {
+    "EKF2_AGP_CTRL": 1.0,
+    "EKF2_AGP_GATE": 3.0,
+    "EKF2_AGP_NOISE": 0.9,
+    "EKF2_REQ_EPH": 3.0,
+    "EKF2_REQ_EPV": 5.0,
+    "EKF2_REQ_NSATS": 6.0,
+    "EKF2_REQ_SACC": 0.5,
+    "MAV_SYS_ID": 1.0,
+}
+DEFAULTS: Mapping[Kind, Mapping[str, float]] = {"ardupilot": _ARDUPILOT, "px4": _PX4}
+"""Names and defaults: a vehicle set up for GPS_INPUT on its second receiver; one set up for auxiliary global positions."""
 
-_REAL = {"SIM_GPS1_GLTCH_X", "SIM_GPS1_GLTCH_Y"}
-_READ_ONLY = {"SYSID_THISMAV"}
+_REAL = {
+    *("SIM_GPS1_GLTCH_X", "SIM_GPS1_GLTCH_Y"),
+    *("EKF2_AGP_GATE", "EKF2_AGP_NOISE", "EKF2_REQ_EPH", "EKF2_REQ_EPV", "EKF2_REQ_SACC"),
+}
+_SYSTEM_ID: Mapping[Kind, str] = {"ardupilot": "SYSID_THISMAV", "px4": "MAV_SYS_ID"}
 
 
 class Parameters(Mapping[str, float]):
     """One vehicle's parameters. They survive a reboot."""
 
-    def __init__(self, sysid: int, overrides: Mapping[str, float]) -> None:
-        self._values = {**DEFAULTS, **overrides, "SYSID_THISMAV": float(sysid)}
+    def __init__(self, sysid: int, overrides: Mapping[str, float], kind: Kind = "ardupilot") -> None:
+        self._kind: Kind = kind
+        self._values = {**DEFAULTS[kind], **overrides, _SYSTEM_ID[kind]: float(sysid)}
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
@@ -48,9 +67,21 @@ class Parameters(Mapping[str, float]):
 
     def set(self, name: str, value: float) -> None:
         """Set a parameter; integers are rounded. The vehicle's own system id stays as it is (it is the scenario's)."""
-        if name not in _READ_ONLY:
+        if name not in _SYSTEM_ID.values():
             self._values[name] = value if name in _REAL else float(round(value))
 
     def type_of(self, name: str) -> int:
         """MAV_PARAM_TYPE of a parameter."""
         return REAL32 if name in _REAL else INT32
+
+    def on_the_wire(self, name: str) -> float:
+        """The value as PARAM_VALUE carries it: PX4 puts an integer's bytes into the float field, ArduPilot its number."""
+        if self._kind == "px4" and name not in _REAL:
+            return float(struct.unpack("<f", struct.pack("<i", int(self[name])))[0])
+        return self[name]
+
+    def from_the_wire(self, name: str, field: float) -> float:
+        """A value as PARAM_SET carries it, turned into its number."""
+        if self._kind == "px4" and name not in _REAL:
+            return float(struct.unpack("<i", struct.pack("<f", field))[0])
+        return field

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from sitl_fakes.errors import ScenarioError
 from sitl_fakes.faults import AnyFault
 from sitl_fakes.guidance import EndOfRoute
-from sitl_fakes.parameters import DEFAULTS
+from sitl_fakes.parameters import DEFAULTS, Kind
 
 SystemId = Annotated[int, Field(ge=1, le=254)]
 _Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -106,7 +106,10 @@ class DeadReckoning(_Table):
 
 
 class Vehicle(_Table):
-    """One aircraft. Waypoints are [east, north] in metres from the origin; it starts at the first, along the first leg."""
+    """One aircraft. Waypoints are [east, north] in metres from the origin; it starts at the first, along the first leg.
+
+    One that is not `armed` stands there until it is armed by command.
+    """
 
     sysid: SystemId
     waypoints: list[tuple[float, float]] = Field(min_length=2)
@@ -116,6 +119,8 @@ class Vehicle(_Table):
     boot_offset_s: _NotNegative | None = None
     clock_drift_ppm: float | None = None
     ranges_to: list[SystemId] | None = None
+    autopilot: Kind = "ardupilot"
+    armed: bool = True
     params: dict[str, float] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -123,9 +128,10 @@ class Vehicle(_Table):
         for a, b in pairwise(self.waypoints):
             if a == b:
                 raise ValueError(f"two successive waypoints are equal: {list(a)}")
+        known = DEFAULTS[self.autopilot]
         for name in self.params:
-            if name not in DEFAULTS:
-                raise ValueError(f"no such parameter: {name} (known: {', '.join(DEFAULTS)})")
+            if name not in known:
+                raise ValueError(f"no such parameter: {name} (known: {', '.join(known)})")
         return self
 
 

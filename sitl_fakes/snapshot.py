@@ -8,6 +8,7 @@ from typing import Literal
 from sitl_fakes.autopilot import Autopilot
 from sitl_fakes.dynamics import FlightState
 from sitl_fakes.geodesy import Vector, WorldFrame
+from sitl_fakes.parameters import Kind
 from sitl_fakes.sensors import AirData
 
 
@@ -19,6 +20,7 @@ class Snapshot:
     the barometric ones.
     """
 
+    kind: Kind
     at_s: float
     boot_s: float
     fixed_boot_s: tuple[float | None, float | None]

@@ -33,6 +33,7 @@ class Vehicle:
         start = spec.waypoints[0]
         heading = self._route.track(0).track_heading_rad(start)
         self._flight = Flight(scenario, spec.sysid, frame, seed, start, heading, spec.height_m, airspeed)
+        self._flight.standing = not spec.armed
         self._controller = FlightController(scenario, spec, frame, self._flight, self._guidance, seed, unix_epoch_s)
         self._gps = GpsSensor(scenario.gps, spec.sysid, seed)
         self._gps_due_s = 0.0
@@ -64,8 +65,13 @@ class Vehicle:
         return self._downlink.arrived(by_s)
 
     def fly(self, at_s: float, step_s: float) -> None:
-        """Fly the step that ends at `at_s`."""
-        self._flight.step(self._controller.heading_command_rad(at_s, step_s), step_s)
+        """Fly the step that ends at `at_s`, or stand for as long as the vehicle is not armed."""
+        heading_rad = self._controller.heading_command_rad(at_s, step_s)
+        self._flight.standing = not self._controller.autopilot.armed
+        if self._flight.standing:
+            self._flight.wait(step_s)
+        else:
+            self._flight.step(heading_rad, step_s)
 
     def work(self, at_s: float, positions_m: Mapping[int, Vector]) -> None:
         """Sense, listen and speak at a time (s), given the true positions (m) of all vehicles."""

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fakes.fleet import Fleet
 from sitl_fakes.parameters import DEFAULTS
-from tests.unit.sitl_fakes.fakes_support import GroundStation, lost, parse, scenario
+from tests.unit.sitl_fakes.fakes_support import GroundStation, parse, scenario
 
 
 def said(fleet, message, kind, after_s=0.1, sysid=1, gcs=None):
@@ -33,9 +33,9 @@ def command(number, *params, target=1):
 
 def test_the_parameter_list_is_whole(fleet):
     values = said(fleet, mavlink.MAVLink_param_request_list_message(1, 1), "PARAM_VALUE")
-    assert {m.param_id: m.param_value for m in values} == {**DEFAULTS, "SYSID_THISMAV": 1.0}
-    assert [m.param_index for m in values] == list(range(len(DEFAULTS)))
-    assert {m.param_count for m in values} == {len(DEFAULTS)}
+    assert {m.param_id: m.param_value for m in values} == {**DEFAULTS["ardupilot"], "SYSID_THISMAV": 1.0}
+    assert [m.param_index for m in values] == list(range(len(DEFAULTS["ardupilot"])))
+    assert {m.param_count for m in values} == {len(DEFAULTS["ardupilot"])}
 
 
 def test_parameters_are_read_by_name_and_by_index_and_unknown_ones_are_passed_over(fleet):
@@ -125,7 +125,7 @@ def test_sitl_parameters_lose_jam_and_glitch_the_gps_and_give_it_back(fleet):
     assert raw.lat * 1e-7 - truth.lat_deg == pytest.approx(0.001, abs=1.5e-4)
 
 
-@pytest.mark.parametrize("kind", range(1, 10))
+@pytest.mark.parametrize("kind", range(1, 11))
 def test_every_fault_can_be_commanded(fleet, kind):
     ack = said(fleet, command(mavlink.MAV_CMD_USER_1, kind, 0.0, 2.0, 0.0, 0.0, 0.0, 3.0), "COMMAND_ACK")
     silent_at_once = kind in (8, 9)
@@ -145,23 +145,6 @@ def test_commanded_faults_are_cleared_by_command(fleet):
     assert parse(fleet.advance(fleet.now_s + 1.0), "GPS_RAW_INT", 1)[-1].fix_type == 1
     said(fleet, command(mavlink.MAV_CMD_USER_1, 0.0), "COMMAND_ACK")
     assert parse(fleet.advance(fleet.now_s + 1.0), "GPS_RAW_INT", 1)[-1].fix_type == 6
-
-
-def external_estimate(fleet, z=math.nan, shift_m=0.0):
-    truth = fleet.truth()[1]
-    lat, lon, _ = fleet.frame.to_lla(truth.east_m + shift_m, truth.north_m, truth.up_m)
-    return mavlink.MAVLink_command_int_message(1, 1, 0, 43003, 0, 0, 0, 0, 20.0, 0, round(lat * 1e7), round(lon * 1e7), z)
-
-
-def test_an_external_position_estimate_is_taken_only_while_dead_reckoning_and_without_altitude():
-    fleet = Fleet(scenario(fault=[lost(1, 5.0)]), 1)
-    fleet.advance(4.0)
-    assert said(fleet, external_estimate(fleet), "COMMAND_ACK")[0].result == mavlink.MAV_RESULT_FAILED
-    fleet.advance(65.0)
-    assert said(fleet, external_estimate(fleet, z=100.0), "COMMAND_ACK")[0].result == mavlink.MAV_RESULT_DENIED
-    assert said(fleet, external_estimate(fleet, shift_m=40.0), "COMMAND_ACK", after_s=0.02)[0].result == 0
-    truth = fleet.truth()[1]
-    assert truth.estimate_east_m - truth.east_m == pytest.approx(40.0, abs=2.0)
 
 
 def test_garbage_never_raises_and_never_spoils_a_good_datagram(fleet):

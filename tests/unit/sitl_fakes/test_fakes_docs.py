@@ -59,7 +59,7 @@ def test_every_key_of_a_scenario_is_in_its_section_with_its_default(heading, mod
 def test_every_fault_and_its_keys_are_in_the_reference():
     text = section("## `[[fault]]`")
     kinds = [c for c in vars(faults).values() if isinstance(c, type) and issubclass(c, BaseModel) and "kind" in c.model_fields]
-    assert len(kinds) == 9
+    assert len(kinds) == 10
     for model in kinds:
         row = next(line for line in text.splitlines() if line.startswith(f"| `{model.model_fields['kind'].default}`"))
         for key in set(model.model_fields) - {"kind", "vehicle", "at_s", "until_s"}:
@@ -69,5 +69,5 @@ def test_every_fault_and_its_keys_are_in_the_reference():
 def test_every_option_parameter_and_truth_column_is_in_the_reference():
     options = [name for p in typer.main.get_command(cli._app).params for name in p.opts if name.startswith("--")]
     assert len(options) >= 6
-    for word in [*options, *DEFAULTS, *CSV_HEADER]:
+    for word in [*options, *DEFAULTS["ardupilot"], *DEFAULTS["px4"], *CSV_HEADER]:
         assert f"`{word}`" in PROGRAM, word

@@ -122,6 +122,15 @@ def test_a_rebooted_vehicle_is_silent_starts_its_clock_anew_and_finds_its_positi
     assert fleet.truth()[1].off_route_m < 15.0
 
 
+@pytest.mark.parametrize("by_s", [40.0, -7.0])
+def test_a_clock_that_jumps_does_so_once_and_nothing_else_changes(by_s):
+    fleet, even = Fleet(scenario(fault=[fault("clock_jump", by_s=by_s)]), 1), Fleet(scenario(), 1)
+    stamps, steady = (parse(f.advance(20.0), "GLOBAL_POSITION_INT", 1) for f in (fleet, even))
+    steps = [(a.time_boot_ms - b.time_boot_ms) / 1e3 for a, b in zip(stamps, steady, strict=True)]
+    assert {round(step, 2) for step in steps} == {0.0, by_s}
+    assert [m.lat for m in stamps] == [m.lat for m in steady]
+
+
 def test_a_vehicle_rebooted_without_gps_has_no_position_and_says_so():
     fleet = Fleet(scenario(fault=[fault("gps_lost"), fault("reboot", at_s=8.0)]), 1)
     out = fleet.advance(20.0)

@@ -55,7 +55,7 @@ def test_with_gps_the_estimate_stays_close_in_wind_and_turns():
 
 
 def test_the_covariance_stays_positive_and_grows_without_fixes():
-    nav, rng = Navigation(), np.random.default_rng(2)
+    nav, rng = Navigation(reset_after_s=10.0), np.random.default_rng(2)
     for k in range(3000):
         nav.predict(20.0, 0.3, 0.02)
         if k % 10 == 0:
@@ -68,7 +68,7 @@ def test_the_covariance_stays_positive_and_grows_without_fixes():
 
 
 def test_an_outlier_is_refused_and_flagged_and_one_that_stays_is_taken_after_ten_seconds():
-    nav, at = Navigation(), 0.0
+    nav, at = Navigation(reset_after_s=10.0), 0.0
     for _ in range(100):
         at += 0.2
         nav.predict(20.0, 0.0, 0.2)

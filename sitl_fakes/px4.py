@@ -1,0 +1,89 @@
+"""PX4 as far as positions from outside go: no GPS_INPUT, an auxiliary global position, external position estimates.
+
+After PX4 1.17: EKF2's AuxGlobalPosition and its handling of VEHICLE_CMD_EXTERNAL_POSITION_ESTIMATE. A GLOBAL_POSITION_SENSOR is
+stamped on receipt. The GNSS checks are reduced to the limits of EKF2_REQ_*.
+"""
+
+from __future__ import annotations
+
+import math
+
+from sitl_fakes.autopilot import DEAD_RECKONING, NO_POSITION, Autopilot
+from sitl_fakes.guidance import Guidance
+from sitl_fakes.mav_result import ACCEPTED, TEMPORARILY_REJECTED
+from sitl_fakes.navigation import Navigation
+from sitl_fakes.parameters import Parameters
+from sitl_fakes.receivers import GpsFix
+
+_UNKNOWN_ACCURACY_M = 50.0
+_LONGEST_AGE_S = 15.0
+_HORIZONTAL = 1
+_HELD_S = 1.0
+_AUX = "aux global position"
+
+
+class Px4(Autopilot):
+    """PX4 fixed wing. Where its own receiver and the auxiliary position disagree, it stays with its receiver."""
+
+    def __init__(self, params: Parameters, guidance: Guidance) -> None:
+        super().__init__(Navigation(reset_after_s=7.0), guidance)
+        self._params = params
+        self._gps_used_at_s = self._aux_used_at_s = -math.inf
+
+    def receive_own_fix(self, fix: GpsFix, at_s: float) -> None:
+        """Take a message of the aircraft's own receiver, if it is as good as EKF2_REQ_* demand."""
+        self.had_gps_time = self.had_gps_time or fix.fix_type >= 3
+        self.receivers[0].receive(fix, at_s)
+        if self._good_enough(fix):
+            self.navigation.correct(fix, at_s)
+            self._last_used, self._gps_used_at_s = "gps1", at_s
+
+    def receive_gps_input(self, gps_id: int, fix: GpsFix, at_s: float) -> None:
+        """Pass over GPS_INPUT: PX4 does not take it."""
+
+    def receive_global_position(self, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
+        """Fuse an auxiliary position where EKF2_AGP_CTRL has it on and `eph_m` is above 0. It moves the estimate by more than the
+        gate only where nothing else has given a position of late.
+        """
+        if not int(self._params["EKF2_AGP_CTRL"]) & _HORIZONTAL or not eph_m > 0.0:
+            return
+        if self.navigation.correct_position(
+            position_m,
+            max(eph_m, self._params["EKF2_AGP_NOISE"]),
+            at_s,
+            gate_sigma=max(self._params["EKF2_AGP_GATE"], 1.0),
+            may_reset=at_s - self._gps_used_at_s > _HELD_S,
+        ):
+            self._last_used, self._aux_used_at_s = _AUX, at_s
+
+    def take_external_estimate(self, position_m: tuple[float, float], accuracy_m: float | None, age_s: float, at_s: float) -> int:
+        """Set the position, brought forward by its age, while dead reckoning."""
+        if self.source(at_s) != DEAD_RECKONING:
+            return TEMPORARILY_REJECTED
+        self.navigation.take_estimate(position_m, accuracy_m or _UNKNOWN_ACCURACY_M, min(age_s, _LONGEST_AGE_S))
+        return ACCEPTED
+
+    def arming_refusal(self, at_s: float) -> str | None:
+        """Demand a position, from whatever source."""
+        located = self.source(at_s) not in (NO_POSITION, DEAD_RECKONING)
+        return None if located else "Arming denied: Resolve system health failures first"
+
+    def injected_refusal(self, at_s: float) -> str | None:
+        """Why auxiliary positions are not used now, or None where they are."""
+        if not int(self._params["EKF2_AGP_CTRL"]) & _HORIZONTAL:
+            return "EKF2_AGP_CTRL is off"
+        return None if at_s - self._aux_used_at_s <= _HELD_S else "no auxiliary global position is fused"
+
+    def gps_healthy(self, at_s: float) -> bool:
+        """The GPS bit of SYS_STATUS: the aircraft's own receiver has a fix."""
+        return self.receivers[0].fix_type(at_s) >= 3
+
+    def _good_enough(self, fix: GpsFix) -> bool:
+        p = self._params
+        return (
+            fix.fix_type >= 3
+            and fix.satellites >= p["EKF2_REQ_NSATS"]
+            and (fix.h_acc_m or 0.0) <= p["EKF2_REQ_EPH"]
+            and (fix.v_acc_m or 0.0) <= p["EKF2_REQ_EPV"]
+            and (fix.speed_acc_mps or 0.0) <= p["EKF2_REQ_SACC"]
+        )

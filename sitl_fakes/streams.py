@@ -1,0 +1,90 @@
+"""Which message is due when: the rates at which a vehicle sends its telemetry, by kind of autopilot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from sitl_fakes import telemetry
+from sitl_fakes.parameters import Kind
+from sitl_fakes.snapshot import Snapshot
+
+_EPSILON_S = 1e-9
+
+_Builder = Callable[[Snapshot], Any]
+
+# Message id: (builder, default rate in Hz, 0 off).
+_ARDUPILOT: dict[int, tuple[_Builder, float]] = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: (telemetry.heartbeat, 1.0),
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: (telemetry.sys_status, 2.0),
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: (telemetry.system_time, 1.0),
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: (telemetry.gps_raw_int, 5.0),
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: (telemetry.attitude, 10.0),
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (telemetry.global_position_int, 10.0),
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: (telemetry.vfr_hud, 5.0),
+    mavlink.MAVLINK_MSG_ID_SIM_STATE: (telemetry.sim_state, 0.0),
+    mavlink.MAVLINK_MSG_ID_GPS2_RAW: (telemetry.gps2_raw, 5.0),
+    mavlink.MAVLINK_MSG_ID_SIMSTATE: (telemetry.simstate, 0.0),
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: (telemetry.ekf_status_report, 2.0),
+}
+_ARDUPILOT_ALONE = (mavlink.MAVLINK_MSG_ID_GPS2_RAW, mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT)
+_PX4 = {
+    **{number: stream for number, stream in _ARDUPILOT.items() if number not in _ARDUPILOT_ALONE},
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: (telemetry.estimator_status, 2.0),
+}
+_STREAMS: Mapping[Kind, Mapping[int, tuple[_Builder, float]]] = {"ardupilot": _ARDUPILOT, "px4": _PX4}
+_TRUTH_RATE_HZ = 10.0
+_TRUTH_MESSAGES = (mavlink.MAVLINK_MSG_ID_SIMSTATE, mavlink.MAVLINK_MSG_ID_SIM_STATE)
+
+
+class Streams:
+    """Which message is due when. Phases differ by message, so that a vehicle does not send everything at once."""
+
+    def __init__(self, kind: Kind, rng: np.random.Generator, starts_at_s: float, truth_messages: bool) -> None:
+        self._streams = _STREAMS[kind]
+        self._interval_s: dict[int, float] = {}
+        self._due_s: dict[int, float] = {}
+        self._defaults_hz = {message_id: rate for message_id, (_, rate) in self._streams.items()}
+        if truth_messages:
+            self._defaults_hz.update(dict.fromkeys(_TRUTH_MESSAGES, _TRUTH_RATE_HZ))
+        for message_id, rate_hz in self._defaults_hz.items():
+            phase = float(rng.random())
+            if rate_hz > 0.0:
+                self._interval_s[message_id] = 1.0 / rate_hz
+                self._due_s[message_id] = starts_at_s + phase / rate_hz
+
+    def set_interval(self, message_id: int, interval_us: float, at_s: float) -> bool:
+        """MAV_CMD_SET_MESSAGE_INTERVAL: -1 off, 0 the default rate, else microseconds. False where the message is not offered."""
+        if message_id not in self._streams or not math.isfinite(interval_us):
+            return False
+        default_hz = self._defaults_hz[message_id]
+        interval_s = interval_us * 1e-6 if interval_us > 0.0 else 1.0 / default_hz if interval_us == 0.0 and default_hz else 0.0
+        if interval_s > 0.0:
+            self._interval_s[message_id] = interval_s
+            self._due_s[message_id] = at_s + interval_s
+        else:
+            self._interval_s.pop(message_id, None)
+            self._due_s.pop(message_id, None)
+        return True
+
+    def due(self, at_s: float, take_snapshot: Callable[[float], Snapshot]) -> list[Any]:
+        """Build what is due at a time (s); each message at most once, however small its interval."""
+        if not any(due_s <= at_s + _EPSILON_S for due_s in self._due_s.values()):
+            return []
+        snapshot, out = take_snapshot(at_s), []
+        for message_id, due_s in self._due_s.items():
+            if due_s <= at_s + _EPSILON_S:
+                interval = self._interval_s[message_id]
+                self._due_s[message_id] = max(due_s + interval, at_s)
+                message = self._streams[message_id][0](snapshot)
+                if message is not None:
+                    out.append(message)
+        return out
+
+    def build(self, message_id: int, snapshot: Snapshot) -> Any | None:
+        """Build one message now (MAV_CMD_REQUEST_MESSAGE), or None where it is not offered."""
+        return self._streams[message_id][0](snapshot) if message_id in self._streams else None

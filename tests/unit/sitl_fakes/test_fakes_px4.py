@@ -1,0 +1,124 @@
+"""PX4 as a kind of vehicle: what it says of itself, what it takes from outside and what it passes over."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+from pydantic import ValidationError
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from sitl_fakes.fleet import Fleet
+from tests.unit.sitl_fakes.fakes_support import GroundStation, aid, lost, parse, scenario
+
+
+def px4(*faults, **params):
+    vehicle = {"sysid": 1, "waypoints": [[0, 0], [0, 20000]], "autopilot": "px4", "params": params}
+    return Fleet(scenario(vehicle=[vehicle], fault=list(faults)), 1)
+
+
+def stream_positions(fleet, from_s, to_s, *, eph_m=3.0, shift_east_m=0.0, interval_s=0.2):
+    """GLOBAL_POSITION_SENSOR of the true position as it is when it arrives."""
+    gcs = GroundStation()
+    for k in range(1, math.floor((to_s - from_s) / interval_s + 1e-9) + 1):
+        fleet.advance(from_s + k * interval_s)
+        t = fleet.truth()[1]
+        lat, lon, alt = fleet.frame.to_lla(t.east_m + shift_east_m, t.north_m, t.up_m)
+        message = mavlink.MAVLink_global_position_sensor_message(
+            1, 1, 0, 12345, 0, 0, 0, round(lat * 1e7), round(lon * 1e7), math.nan, alt, eph_m, 5.0
+        )
+        fleet.deliver(1, gcs.pack(message), fleet.now_s)
+    return fleet.advance(to_s + 0.6)  # until the next status has been sent
+
+
+def error_m(fleet):
+    t = fleet.truth()[1]
+    return math.hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m)
+
+
+def test_it_says_that_it_is_px4_and_sends_px4s_messages():
+    out = px4().advance(5.0)
+    assert {m.autopilot for m in parse(out, "HEARTBEAT")} == {mavlink.MAV_AUTOPILOT_PX4}
+    assert {m.flags for m in parse(out, "ESTIMATOR_STATUS")[2:]} == {831}
+    assert parse(out, "EKF_STATUS_REPORT") == []
+    assert parse(out, "GPS2_RAW") == []
+    assert len(parse(out, "GLOBAL_POSITION_INT")) == pytest.approx(50, abs=2)
+
+
+def test_without_gps_it_dead_reckons_says_so_and_passes_over_gps_input():
+    fleet = px4(lost(1))
+    fleet.advance(5.0)
+    out = aid(fleet, 1, 5.0, 30.0)
+    assert fleet.truth()[1].source == "dead_reckoning"
+    assert not parse(out, "ESTIMATOR_STATUS")[-1].flags & mavlink.ESTIMATOR_POS_HORIZ_ABS
+    assert not parse(out, "SYS_STATUS")[-1].onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_SENSOR_GPS
+
+
+def test_auxiliary_positions_keep_it_where_it_is_after_a_loss():
+    alone, aided = px4(lost(1)), px4(lost(1))
+    alone.advance(120.0)
+    aided.advance(5.0)
+    out = stream_positions(aided, 5.0, 120.0)
+    assert aided.truth()[1].source == "aux global position"
+    assert aided.truth()[1].aid_refusal is None
+    # Exact positions of 3 m stated accuracy five times a second: well below one of them.
+    assert error_m(aided) < 3.0 < error_m(alone)
+    assert parse(out, "ESTIMATOR_STATUS")[-1].flags & mavlink.ESTIMATOR_POS_HORIZ_ABS
+
+
+@pytest.mark.parametrize(
+    ("eph_m", "ctrl", "why"), [(0.0, 1, "no auxiliary"), (math.nan, 1, "no auxiliary"), (3.0, 0, "EKF2_AGP_CTRL is off")]
+)
+def test_a_position_without_accuracy_or_with_the_fusion_off_is_not_used(eph_m, ctrl, why):
+    fleet = px4(lost(1), EKF2_AGP_CTRL=ctrl)
+    fleet.advance(5.0)
+    stream_positions(fleet, 5.0, 15.0, eph_m=eph_m)
+    assert fleet.truth()[1].source == "dead_reckoning"
+    assert why in fleet.truth()[1].aid_refusal
+
+
+def test_a_position_beyond_the_gate_is_refused_while_its_own_receiver_is_good_and_taken_over_when_that_is_gone():
+    fleet = px4(lost(1, 20.0))
+    fleet.advance(5.0)
+    stream_positions(fleet, 5.0, 19.0, shift_east_m=200.0)
+    assert error_m(fleet) < 3.0
+    stream_positions(fleet, 19.6, 40.0, shift_east_m=200.0)
+    assert error_m(fleet) == pytest.approx(200.0, abs=10.0)
+
+
+def test_its_integer_parameters_travel_as_bytes_and_reals_as_numbers():
+    fleet, gcs = px4(), GroundStation()
+    fleet.advance(1.0)
+    field = struct.unpack("<f", struct.pack("<i", 0))[0]
+    fleet.deliver(1, gcs.pack(mavlink.MAVLink_param_set_message(1, 1, b"EKF2_AGP_CTRL", field, 6)), 1.0)
+    fleet.deliver(1, gcs.pack(mavlink.MAVLink_param_request_read_message(1, 1, b"EKF2_REQ_NSATS", -1)), 1.0)
+    fleet.deliver(1, gcs.pack(mavlink.MAVLink_param_request_read_message(1, 1, b"EKF2_AGP_NOISE", -1)), 1.0)
+    values = {m.param_id: (m.param_value, m.param_type) for m in parse(fleet.advance(1.1), "PARAM_VALUE")}
+    assert values["EKF2_AGP_CTRL"] == (0.0, 6)
+    assert struct.pack("<f", values["EKF2_REQ_NSATS"][0]) == struct.pack("<i", 6)
+    assert values["EKF2_AGP_NOISE"] == (pytest.approx(0.9), 9)
+    assert fleet.truth()[1].aid_refusal == "EKF2_AGP_CTRL is off"
+
+
+def test_a_parameter_of_the_other_autopilot_is_refused_in_the_scenario():
+    with pytest.raises(ValidationError, match="no such parameter: GPS2_TYPE"):
+        px4(GPS2_TYPE=14)
+
+
+def test_an_external_estimate_is_rejected_for_now_while_it_has_gps_and_taken_without():
+    fleet, gcs = px4(lost(1, 5.0)), GroundStation()
+
+    def answer(at_s):
+        fleet.advance(at_s)
+        t = fleet.truth()[1]
+        lat, lon, _ = fleet.frame.to_lla(t.east_m, t.north_m, t.up_m)
+        command = mavlink.MAVLink_command_int_message(
+            1, 1, 0, 43003, 0, 0, at_s, 0.0, 5.0, 0, round(lat * 1e7), round(lon * 1e7), math.nan
+        )
+        fleet.deliver(1, gcs.pack(command), at_s)
+        return parse(fleet.advance(at_s + 0.02), "COMMAND_ACK")[0].result
+
+    assert answer(4.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+    assert answer(90.0) == mavlink.MAV_RESULT_ACCEPTED
+    assert error_m(fleet) < 1.0
