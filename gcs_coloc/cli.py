@@ -82,6 +82,13 @@ def run(
             "serial:DEVICE:BAUD. May be given several times."
         ),
     ] = None,
+    out: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A ground tool to hand the vehicles' frames on to and take commands from: udp:HOST:PORT, udpin:HOST:PORT, "
+            "tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD. May be given several times."
+        ),
+    ] = None,
     config: Annotated[Path | None, typer.Option(help="A configuration file (TOML); flags win over it.")] = None,
     estimator: Annotated[
         str | None, typer.Option(help="fleet, qu_zhang, or a plug-in: package.module:Class or path/to/file.py:Class.")
@@ -113,6 +120,8 @@ def run(
     flags: dict[str, Any] = {}
     if links:
         flags["links"] = links
+    if out:
+        flags["out"] = out
     if estimator is not None:
         flags["estimator"] = {"name": estimator}
     if failed or healthy:
@@ -138,12 +147,14 @@ def check_config(file: Annotated[Path, typer.Argument(help="The configuration fi
     """Check a configuration file: its keys, its values, its links, its signing key and its estimator, fleet by fleet."""
     from gcs_coloc.estimators.registry import load_estimator
     from gcs_coloc.fleets import load_fleets
+    from gcs_coloc.links.forward import check_outs
     from gcs_coloc.links.signed_links import SignedLinks
 
     found = []
     for fleet in load_fleets(file, {}):
         settings = fleet.settings
-        SignedLinks(settings.signing, settings.links)
+        check_outs(settings.out, settings.links)
+        SignedLinks(settings.signing, settings.links, settings.out)
         load_estimator(settings.estimator.name, settings.estimator.settings)
         whose = f"fleet {fleet.name}: " if fleet.name else ""
         found.append(f"{whose}{len(settings.links)} link(s), estimator {settings.estimator.name}")

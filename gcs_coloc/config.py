@@ -103,6 +103,12 @@ class SendersConfig(_Section):
     )
 
 
+class ForwardConfig(_Section):
+    """`[forward]`: what the ground tools behind `out` are shown besides what the vehicles send."""
+
+    echo_gps_input: bool = Field(False, description="the GPS_INPUT that we send is shown to the ground tools, too")
+
+
 class FleetConfig(_Section):
     """`[fleet]`: the operator's word on single vehicles, and the fleet's bounds."""
 
@@ -202,9 +208,13 @@ class Settings(BaseSettings):
     links: tuple[str, ...] = Field(
         (), description="connection strings: udpin:HOST:PORT, udpout:, tcp:, tcpin:, serial:DEVICE:BAUD"
     )
+    out: tuple[str, ...] = Field(
+        (), description="ground tools to hand the vehicles' frames on to: HOST:PORT, udp:, udpin:, tcp:, tcpin:, serial:"
+    )
     mavlink: MavlinkConfig = Field(default_factory=lambda: MavlinkConfig.model_validate({}))
     signing: SigningConfig = Field(default_factory=lambda: SigningConfig.model_validate({}))
     senders: SendersConfig = Field(default_factory=lambda: SendersConfig.model_validate({}))
+    forward: ForwardConfig = Field(default_factory=lambda: ForwardConfig.model_validate({}))
     fleet: FleetConfig = Field(default_factory=lambda: FleetConfig.model_validate({}))
     estimator: EstimatorConfig = Field(default_factory=lambda: EstimatorConfig.model_validate({}))
     web: WebConfig = Field(default_factory=lambda: WebConfig.model_validate({}))

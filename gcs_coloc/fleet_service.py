@@ -12,6 +12,7 @@ from gcs_coloc.core.advance import CATCH_UP_S, advance, was_held_up, without_sup
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages import (
     ClockReference,
+    GpsInput,
     GpsWord,
     Notice,
     OperatorWord,
@@ -27,6 +28,7 @@ from gcs_coloc.links.address import parse
 from gcs_coloc.links.base import Address, Link
 from gcs_coloc.links.claims import Route
 from gcs_coloc.links.factory import make_link
+from gcs_coloc.links.forward import Forwarder, check_outs
 from gcs_coloc.links.intake import Intake
 from gcs_coloc.links.refusals import Refusals
 from gcs_coloc.links.routes import Blocked, RouteTable
@@ -60,13 +62,32 @@ class FleetService:
         self._encoder = Encoder(sysid=ids.system_id, compid=ids.component_id)
         senders = settings.senders
         self._intake = Intake(senders.bytes_per_s)
+        check_outs(settings.out, settings.links)
         self._routes = RouteTable(roam_after_s=senders.roam_after_s, companions_elsewhere=senders.companions_elsewhere)
-        self._signed = SignedLinks(settings.signing, settings.links)
+        self._signed = SignedLinks(settings.signing, settings.links, settings.out)
         self._signed.set_clock(host.utc_minus_service_s)  # before the first frame: it tells a recording from news
+        self._forwarder = Forwarder(
+            settings.out,
+            self._routes,
+            self._signed,
+            clock,
+            own=(ids.system_id, ids.component_id),
+            bytes_per_s=senders.bytes_per_s,
+            is_aided=self._is_aided,
+            forwarded=lambda raw: self._recording.forwarded(self._engine_at_s, raw),
+        )
+        self._echoes_gps_input = settings.forward.echo_gps_input
         self._links = [make_link(parse(text), self._on_datagram, clock) for text in settings.links]
         self._engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
         self._refusals = Refusals(
-            [self._decoder.counts, self._intake.counts, self._routes.counts, self.counts, *(link.counts for link in self._links)]
+            [
+                self._decoder.counts,
+                self._intake.counts,
+                self._routes.counts,
+                self.counts,
+                *(link.counts for link in self._links),
+                *self._forwarder.refusals,
+            ]
         )
         self._recording = FlightRecording(settings.record, ids, self._engine)
         self._timer: asyncio.TimerHandle | None = None
@@ -78,6 +99,7 @@ class FleetService:
 
     async def open(self) -> None:
         """Open the links, one after the other, then the recording. LinkError, RecordError where one cannot be opened."""
+        await self._forwarder.open()  # first, so that what is heard can be handed on
         for link in self._links:
             await link.open()
             log.info("listening on %s", link.name)
@@ -99,12 +121,14 @@ class FleetService:
             log.warning("%s", refused)
         for link in self._links:
             await link.close()
+        await self._forwarder.close()
         self._recording.close()
 
     def look(self) -> FleetView:
         """The fleet as it stands."""
         view = self._engine.view(self._clock())
-        return replace(view, refused=view.refused | self._refusals.totals(), links=self._link_views())
+        refused = view.refused | self._refusals.totals()
+        return replace(view, refused=refused, links=self._link_views(), outs=self._forwarder.views())
 
     def heard(self) -> list[int]:
         """The system ids of the vehicles heard so far."""
@@ -141,7 +165,7 @@ class FleetService:
         recording = self._recording.news()
         if recording is not None:
             self.hub.publish(Notice(now_s, None, *recording))
-        for sysid, text in self._routes.claims.news(now_s):
+        for sysid, text in (*self._routes.claims.news(now_s), *self._forwarder.news(now_s)):
             self.hub.publish(Notice(now_s, sysid, "warning", text))
         routes = (self._routes.route(vehicle.sysid, now_s) for vehicle in self._engine.fleet)
         # A vehicle or router may wait for our first frame before it sends any, hence the links' peers.
@@ -170,6 +194,7 @@ class FleetService:
                     self._engine.receive(report)
                     self._recording.told(report)
         self._recording.heard(received_at_s, good, refused)
+        self._forwarder.from_vehicle(good, link, address, received_at_s)
         self._wake()
 
     def _learn_route(self, frame: Frame, link: Link, address: Address, now_s: float) -> bool:
@@ -228,6 +253,12 @@ class FleetService:
             return
         route.link.send(route.address, payload)
         self._recording.sent(self._engine_at_s, payload)
+        if self._echoes_gps_input and isinstance(output, GpsInput):
+            self._forwarder.echo(payload)
+
+    def _is_aided(self, sysid: int) -> bool:
+        vehicle = self._engine.fleet.get(sysid)
+        return vehicle is not None and vehicle.health.aided
 
     def _stamp(self, route: Route) -> Stamp | None:
         signing = self._signed.of(route.link.name)

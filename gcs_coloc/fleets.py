@@ -13,10 +13,10 @@ from typing import Any
 
 from gcs_coloc.config import Settings, read_table, settings_of, topic_level
 from gcs_coloc.core.errors import ConfigError, UsageError
-from gcs_coloc.links.address import parse
+from gcs_coloc.links.address import parse, parse_out
 
 _SECTIONS = frozenset(Settings.model_fields) - {"fleet"}
-_FLAGS_OF_ONE = {"links": "--udp and --link", "fleet": "--failed and --healthy", "web": "--web"}
+_FLAGS_OF_ONE = {"links": "--udp and --link", "out": "--out", "fleet": "--failed and --healthy", "web": "--web"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +41,13 @@ def load_fleets(path: Path | None, flags: Mapping[str, Any]) -> list[FleetOf]:
     for key, names in _FLAGS_OF_ONE.items():
         if key in flags and flags[key] != {"on": False}:
             raise UsageError(f"{names}: {path} is of several fleets ([[fleet]]); say it in the table of the fleet that is meant")
-    if "links" in table:
-        raise ConfigError(f"{path}: links: of which fleet? Each [[fleet]] has links of its own")
+    for key in ("links", "out"):
+        if key in table:
+            raise ConfigError(f"{path}: {key}: of which fleet? Each [[fleet]] has {key} of its own")
     fleets = [_fleet(path, number, table, own, flags) for number, own in enumerate(own_tables, 1)]
     _nothing_shared(path, "name", fleets, lambda fleet: [fleet.name])
     _nothing_shared(path, "links", fleets, lambda fleet: [str(parse(link)) for link in fleet.settings.links])
+    _nothing_shared(path, "out", fleets, lambda fleet: [str(parse_out(out)) for out in fleet.settings.out])
     _nothing_shared(path, "web.address", fleets, _fixed_address)
     return fleets
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from gcs_coloc.core.view import Consistency, FleetView, LinkView, RangeView, VehicleView
+from gcs_coloc.core.view import Consistency, FleetView, LinkView, OutView, RangeView, VehicleView
 
 HEALTHY = VehicleView(
     sysid=1,
@@ -68,4 +68,5 @@ def fleet_view(at_s: float = 10.0, *vehicles: VehicleView, **other: Any) -> Flee
     seen = vehicles or (HEALTHY, LOCATED)
     links = tuple(LinkView(v.sysid, round(20 * at_s), round(at_s), 0) for v in seen)
     ranges = (RangeView(4, 1, 0.1, 1.5, 2.0, 0.56, None),)
-    return FleetView(at_s, "fleet", seen, {"bad_crc": 3}, {"used": 7}, **{"ranges": ranges, "links": links} | other)
+    outs = (OutView("udpout:127.0.0.1:14551", 1, 400, 12, 3),)
+    return FleetView(at_s, "fleet", seen, {"bad_crc": 3}, {"used": 7}, **{"ranges": ranges, "links": links, "outs": outs} | other)

@@ -43,6 +43,19 @@ class LinkView:
 
 
 @dataclass(frozen=True, slots=True)
+class OutView:
+    """The ground tools behind one connection string: how many can be sent to now, frames handed on to them, frames taken from
+    them, and how often what they were slow to take was dropped, since the start.
+    """
+
+    name: str
+    tools: int
+    frames_sent: int
+    frames_taken: int
+    dropped: int
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleView:
     """One vehicle as the service sees it. Positions in degrees and metres above mean sea level; None where unknown.
 
@@ -90,9 +103,9 @@ class VehicleView:
 class FleetView:
     """The whole fleet at one instant, with the counts of everything that was refused, by reason.
 
-    `estimator_counts` is what the estimator made of its measurements, used ones among them.
-    `ranges` and `links` are sorted by their system ids. `utc_minus_service_s` turns `at_s` into UNIX time; None where
-    the host does not know the time. `origin` is the fleet frame's: latitude and longitude in degrees, altitude in metres.
+    `estimator_counts` is what the estimator made of its measurements, used ones among them. `ranges` and `links` are sorted
+    by their system ids, `outs` are the ground tools. `utc_minus_service_s` turns `at_s` into UNIX time; None where the host
+    does not know the time. `origin` is the fleet frame's: latitude and longitude in degrees, altitude in metres.
     """
 
     at_s: float
@@ -102,5 +115,6 @@ class FleetView:
     estimator_counts: dict[str, int]
     ranges: tuple[RangeView, ...] = ()
     links: tuple[LinkView, ...] = ()
+    outs: tuple[OutView, ...] = ()
     utc_minus_service_s: float | None = None
     origin: tuple[float, float, float] | None = None

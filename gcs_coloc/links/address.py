@@ -15,6 +15,11 @@ FORMS = (
     "(an IPv6 address in brackets: udpin:[::]:14550)"
 )
 
+OUT_FORMS = (
+    "HOST:PORT or udp:HOST:PORT (sent to that address), udpin:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or "
+    "serial:/dev/ttyUSB0:57600 (an IPv6 address in brackets: udp:[::1]:14551)"
+)
+
 
 @dataclass(frozen=True, slots=True)
 class UdpIn:
@@ -74,7 +79,6 @@ class SerialPort:
 LinkAddress = UdpIn | UdpOut | TcpClient | TcpServer | SerialPort
 
 _NETWORK_KINDS: dict[str, type[UdpIn | UdpOut | TcpClient | TcpServer]] = {
-    "udp": UdpIn,
     "udpin": UdpIn,
     "udpout": UdpOut,
     "tcp": TcpClient,
@@ -86,17 +90,33 @@ _PORT = re.compile(r"[0-9]{1,5}", re.ASCII)
 _DEVICE = re.compile(r"(?P<device>/[^,\s]*?)(?:[:,](?P<baud>[0-9]{1,8}))?", re.ASCII)
 
 
+class _MalformedError(Exception):
+    """A text that is in no form of a connection string."""
+
+
 def parse(text: str) -> LinkAddress:
     """Read a connection string. Raises UsageError that quotes it and shows the right forms."""
+    return _parse(text, UdpIn, FORMS)
+
+
+def parse_out(text: str) -> LinkAddress:
+    """Read a ground tool's connection string: as `parse`, but `udp:` and a bare HOST:PORT are sent to, as MAVProxy's."""
+    return _parse(text, UdpOut, OUT_FORMS)
+
+
+def _parse(text: str, plain_udp: type[UdpIn | UdpOut], forms: str) -> LinkAddress:
     stripped = text.strip()
-    if stripped.startswith("/"):
-        return _serial(stripped, text)
     kind, colon, rest = stripped.partition(":")
-    if colon and kind == "serial":
-        return _serial(rest, text)
-    if colon and kind in _NETWORK_KINDS:
-        return _network(_NETWORK_KINDS[kind], rest, text)
-    return _network(UdpIn, stripped, text)
+    try:
+        if stripped.startswith("/"):
+            return _serial(stripped, text)
+        if colon and kind == "serial":
+            return _serial(rest, text)
+        if colon and kind in _NETWORK_KINDS:
+            return _network(_NETWORK_KINDS[kind], rest, text)
+        return _network(plain_udp, rest if colon and kind == "udp" else stripped, text)
+    except _MalformedError:
+        raise UsageError(f"{text!r} is no connection string; write {forms}") from None
 
 
 def _network(kind: type[UdpIn | UdpOut | TcpClient | TcpServer], place: str, text: str) -> LinkAddress:
@@ -104,12 +124,12 @@ def _network(kind: type[UdpIn | UdpOut | TcpClient | TcpServer], place: str, tex
         return kind(DEFAULT_BIND_HOST, _port(place, text))
     matched = _HOST_PORT.fullmatch(place)
     if matched is None:
-        raise _malformed(text)
+        raise _MalformedError
     host = matched["ipv6"] or matched["host"]
     try:
         host.encode("idna")
     except UnicodeError:
-        raise _malformed(text) from None
+        raise _MalformedError from None
     return kind(host, _port(matched["port"], text))
 
 
@@ -123,15 +143,11 @@ def _port(digits: str, text: str) -> int:
 def _serial(place: str, text: str) -> SerialPort:
     matched = _DEVICE.fullmatch(place)
     if matched is None:
-        raise _malformed(text)
+        raise _MalformedError
     baud = int(matched["baud"]) if matched["baud"] else DEFAULT_BAUD
     if baud == 0:
         raise UsageError(f"{text!r}: a serial device cannot run at 0 baud")
     return SerialPort(matched["device"], baud)
-
-
-def _malformed(text: str) -> UsageError:
-    return UsageError(f"{text!r} is no connection string; write {FORMS}")
 
 
 def _host_port(host: str, port: int) -> str:

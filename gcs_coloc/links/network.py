@@ -16,7 +16,8 @@ def network_error(address: UdpIn | UdpOut | TcpClient | TcpServer, error: OSErro
     if error.errno == errno.EADDRINUSE:
         return LinkError(
             f"{address}: port {address.port} is in use by another program (QGroundControl and MAVProxy listen on 14550 too); "
-            "stop it, or listen on another port and have the vehicles or that program forward to it"
+            "stop it, or have it forward to another port and listen there; or start gcs-coloc first, with --out "
+            "udp:127.0.0.1:14551, and have that program listen on 14551"
         )
     if error.errno == errno.EADDRNOTAVAIL:
         return LinkError(f"{address}: {address.host} is no address of this machine; use 0.0.0.0 to listen on all of them")

@@ -73,14 +73,12 @@ class RouteTable:
             self.counts.add(TABLE_FULL)
             return False
         autopilot = self._autopilots.get(sysid) if is_autopilot_heartbeat else None
-        # Who has no autopilot is no vehicle: several ground stations share one system id by custom.
-        as_one = not self._companions_elsewhere and (is_autopilot_heartbeat or sysid in self._autopilots)
-        sender = (sysid, 0 if as_one else compid)
+        sender = self._sender(sysid, compid, is_autopilot_heartbeat=is_autopilot_heartbeat)
         pin = self._components.get(sender)
         # Who came first with other messages does not keep the autopilot itself out.
         rivals = (autopilot,) if is_autopilot_heartbeat and not self._companions_elsewhere else (autopilot, pin)
         for other in rivals:
-            if other is not None and other.route != heard and now_s - other.heard_at_s < self._roam_after_s:
+            if other is not None and self._stands_against(other, heard, now_s):
                 self.counts.add(ADDRESS_CONFLICT)
                 self.claims.refuse(sysid, other.route, heard)
                 return False
@@ -114,6 +112,42 @@ class RouteTable:
                 "of them would take it. Give each vehicle its own UDP stream to us, from its own port, or its own --link"
             )
         return pin.route
+
+    def is_at_home(self, sysid: int, compid: int, link: Link, address: Address, now_s: float) -> bool:
+        """Whether a frame of which no note is taken comes from where its sender is. Who is not known is at home anywhere."""
+        pin = self._components.get(self._sender(sysid, compid, is_autopilot_heartbeat=False))
+        return pin is None or not self._stands_against(pin, Route(link, address), now_s)
+
+    def is_vehicle(self, sysid: int) -> bool:
+        """Whether an autopilot of that system id was heard."""
+        return sysid in self._autopilots
+
+    def reach(self, sysid: int, compid: int) -> tuple[Route, ...]:
+        """Where to send what is addressed to a component of a system, 0 being all of them; nowhere where it was not heard.
+
+        A component that was not heard itself is looked for wherever its system is: an autopilot hands on what is not for it.
+        """
+        if sysid in self._autopilots and not self._companions_elsewhere:
+            return (self._autopilots[sysid].route,)
+        pins = {sender[1]: pin.route for sender, pin in self._components.items() if sender[0] == sysid}
+        return (pins[compid],) if compid in pins else tuple(dict.fromkeys(pins.values()))
+
+    def vehicles(self) -> dict[Route, set[int]]:
+        """Every address at which a vehicle was heard last, with the system ids of the vehicles there."""
+        there: dict[Route, set[int]] = {}
+        for sysid in self._autopilots:
+            for route in self.reach(sysid, 0):
+                there.setdefault(route, set()).add(sysid)
+        return there
+
+    def _sender(self, sysid: int, compid: int, *, is_autopilot_heartbeat: bool) -> tuple[int, int]:
+        """By which ids a sender's address is kept."""
+        # Who has no autopilot is no vehicle: several ground stations share one system id by custom.
+        as_one = not self._companions_elsewhere and (is_autopilot_heartbeat or sysid in self._autopilots)
+        return sysid, 0 if as_one else compid
+
+    def _stands_against(self, pin: _Pin, heard: Route, now_s: float) -> bool:
+        return pin.route != heard and now_s - pin.heard_at_s < self._roam_after_s
 
     def _note_autopilot_at(self, heard: Route, sysid: int, now_s: float) -> bool:
         autopilots = self._autopilots_at.get(heard)

@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 
 from gcs_coloc.config import SigningConfig
-from gcs_coloc.core.errors import ConfigError
-from gcs_coloc.links.address import parse
+from gcs_coloc.core.errors import ConfigError, UsageError
+from gcs_coloc.links.address import parse, parse_out
 from gcs_coloc.links.key_file import read_key
 from gcs_coloc.mavlink.signing import LinkSigning, Signing
 
 
 class SignedLinks:
-    """The signing of each of the links that are given by their connection strings.
+    """The signing of each of the links that are given by their connection strings; `outs` are those of ground tools.
 
     Raises:
         ConfigError: the key file is of no use, or the configuration signs a link that there is not.
     """
 
-    def __init__(self, config: SigningConfig, links: Sequence[str]) -> None:
-        names = [str(parse(text)) for text in links]
+    def __init__(self, config: SigningConfig, links: Sequence[str], outs: Sequence[str] = ()) -> None:
+        names = [*(str(parse(text)) for text in links), *(str(parse_out(text)) for text in outs)]
         modes: dict[str, str] = dict.fromkeys(names, config.mode)
         for text, mode in config.links.items():
             name = str(parse(text))
+            if name not in modes:
+                with contextlib.suppress(UsageError):  # such as a bare port, which is nobody's address
+                    name = str(parse_out(text))
             if name not in modes:
                 raise ConfigError(f"signing.links: {text} is none of the links: {', '.join(names) or 'there is none'}")
             modes[name] = mode

@@ -91,6 +91,11 @@ def read_frame(data: bytes | mmap, start: int) -> RawFrame | str:
     return RawFrame(crc_extra is not None, message_id, sysid, compid, sequence, checksum, payload, data[start:end])
 
 
+def sender_of(frame: bytes) -> tuple[int, int]:
+    """The system and component id in the header of a whole frame of either version."""
+    return (frame[3], frame[4]) if frame[0] == MAGIC_V1 else (frame[5], frame[6])
+
+
 def split(data: bytes, counts: Counts, *, ended: bool) -> tuple[list[RawFrame], int]:
     """Find the good frames in `data`, and how many of its bytes are dealt with.
 

@@ -11,7 +11,7 @@ from gcs_coloc.core.messages import Outbound
 from gcs_coloc.mavlink.decoder import Frame
 from gcs_coloc.mavlink.framing import RawFrame
 from gcs_coloc.recorder.journal import Journal
-from gcs_coloc.recorder.notes import Note
+from gcs_coloc.recorder.notes import GroundTool, Note
 from gcs_coloc.recorder.recorder import Recorder
 
 
@@ -27,6 +27,7 @@ class FlightRecording:
         where = (Path(wanted.directory), wanted.rotate_mb * 1_000_000, ids.system_id, ids.component_id)
         self._recorder = Recorder(*where) if wanted.directory else None
         self._journal = Journal(engine)
+        self._ground_tools: set[tuple[int, int]] = set()
 
     def open(self) -> None:
         """Begin the files, with all that was handed over so far.
@@ -50,6 +51,16 @@ class FlightRecording:
         """Record a frame that we sent, at the engine's time: a record never lies before the one in front of it."""
         if self._recorder is not None:
             self._recorder.frame(at_s, frame)
+
+    def forwarded(self, at_s: float, raw: RawFrame) -> None:
+        """Record a ground tool's frame that went on to a vehicle, at the engine's time; the engine never saw it."""
+        if self._recorder is None:
+            return
+        sender = (raw.sysid, raw.compid)
+        if sender not in self._ground_tools:
+            self._ground_tools.add(sender)
+            self._recorder.note(GroundTool(*sender, at_s))
+        self._recorder.frame(at_s, raw.frame)
 
     def told(self, note: Note) -> None:
         """Record what the engine was told besides frames."""

@@ -26,7 +26,17 @@ _MOST_BYTES = 128
 _LONGEST_REASON = 60
 _TIME_BASES = tuple(TimeBase)
 
-Note = ClockReference | OperatorWord | RouteReport | PeerRange | HeldUp
+
+@dataclass(frozen=True, slots=True)
+class GroundTool:
+    """From now on frames of this system and component are a ground tool's on their way to a vehicle: not the engine's."""
+
+    sysid: int
+    compid: int
+    received_at_s: float
+
+
+Note = ClockReference | OperatorWord | RouteReport | PeerRange | HeldUp | GroundTool
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +96,8 @@ def read_note(frame: bytes, at_s: float, own: tuple[int, int]) -> ReadNote | Non
 def _content(note: Note) -> dict[str, Any]:
     if isinstance(note, ClockReference):
         return {"utc": note.utc_minus_service_s, "sync": note.synchronised}
+    if isinstance(note, GroundTool):
+        return {"ground": [note.sysid, note.compid]}
     if isinstance(note, PeerRange):
         base = _TIME_BASES.index(note.time_base)
         ends, told = (note.sysid, note.peer_sysid), (note.range_m, note.sigma_m, note.measured_at_s, base)
@@ -107,6 +119,9 @@ def _note(content: dict[str, Any], at_s: float) -> Note | None:
         return ClockReference(at_s, float(utc) if utc is not None else None, bool(sync) if sync is not None else None)
     if "held" in content:
         return HeldUp(at_s, float(content["held"]))
+    if "ground" in content:
+        sysid, compid = content["ground"]
+        return GroundTool(int(sysid), int(compid), at_s)
     if "range" in content:
         sysid, peer, range_m, sigma_m, measured_at_s, base, sequence, line_of_sight, device_id = content["range"]
         time_base = _TIME_BASES[base]

@@ -14,7 +14,7 @@ from gcs_coloc.core.errors import RecordError
 from gcs_coloc.core.messages import OperatorWord, RouteReport
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.recorder.journal import Entry
-from gcs_coloc.recorder.notes import Note, NoteWriter
+from gcs_coloc.recorder.notes import GroundTool, Note, NoteWriter
 from gcs_coloc.recorder.part import Part
 from gcs_coloc.recorder.tlog_writer import tlog_record
 
@@ -51,7 +51,7 @@ class Recorder:
         self._fault: str | None = None
         self._told: tuple[str | None, int] = (None, 0)
         self._parts = 0
-        self._state: dict[tuple[type, int], Note] = {}  # the newest of each kind of word, and the route, of each vehicle
+        self._state: dict[tuple[object, ...], Note] = {}  # what a new part has to repeat
         self._name = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
         try:
             directory.mkdir(parents=True, exist_ok=True)
@@ -162,9 +162,9 @@ class Recorder:
                 if isinstance(item, tuple):
                     records += tlog_record(*item)
                 elif isinstance(item, Note):
-                    if isinstance(item, OperatorWord | RouteReport):
-                        kind = type(item.word) if isinstance(item, OperatorWord) else RouteReport
-                        self._state[kind, item.sysid] = item
+                    standing = _standing_as(item)
+                    if standing is not None:
+                        self._state[standing] = item
                     records += self._note_record(item)
                 else:
                     entries.append(item)
@@ -226,6 +226,19 @@ class Recorder:
         if self._part is not None:
             self._part.close(whole=False)
             self._part = None
+
+
+def _standing_as(note: Note) -> tuple[object, ...] | None:
+    """As what a note holds until another takes its place; None where it has passed once it was told."""
+    match note:
+        case OperatorWord():
+            return type(note.word), note.sysid
+        case RouteReport():
+            return RouteReport, note.sysid
+        case GroundTool():
+            return GroundTool, note.sysid, note.compid
+        case _:
+            return None
 
 
 def _words(directory: Path, error: OSError) -> str:

@@ -17,7 +17,8 @@ from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages import ClockReference, Inbound, OperatorWord, Outbound, PeerRange, RouteReport, TimeBase
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
-from gcs_coloc.recorder.notes import ReadNote, read_note
+from gcs_coloc.mavlink.framing import sender_of
+from gcs_coloc.recorder.notes import GroundTool, ReadNote, read_note
 from gcs_coloc.recorder.tables import read_table
 from gcs_coloc.recorder.tlog import TlogReader
 
@@ -199,6 +200,7 @@ def _messages(log: TlogReader, decoder: Decoder, own: tuple[int, int], counts: R
     latest_s = float("-inf")
     routes: dict[int, str | None] = {}
     words: set[tuple[int, type]] = set()
+    ground_tools: set[tuple[int, int]] = set()
     for record in log:
         latest_s = max(latest_s, record.unix_s)
         noted = read_note(record.frame, latest_s, own)
@@ -210,7 +212,9 @@ def _messages(log: TlogReader, decoder: Decoder, own: tuple[int, int], counts: R
         counts.records += 1
         counts.last_s = latest_s
         if noted is not None:
-            yield from _of_note(noted, routes, words)
+            yield from _of_note(noted, routes, words, ground_tools)
+            continue
+        if sender_of(record.frame) in ground_tools:
             continue
         for frame in decoder.decode(record.frame, latest_s):
             if frame.message is not None:
@@ -219,7 +223,9 @@ def _messages(log: TlogReader, decoder: Decoder, own: tuple[int, int], counts: R
                 yield RouteReport(frame.sysid, latest_s, routes.get(frame.sysid))
 
 
-def _of_note(noted: ReadNote, routes: dict[int, str | None], words: set[tuple[int, type]]) -> Iterator[Inbound | HeldUp]:
+def _of_note(
+    noted: ReadNote, routes: dict[int, str | None], words: set[tuple[int, type]], ground_tools: set[tuple[int, int]]
+) -> Iterator[Inbound | HeldUp]:
     note = noted.note
     if isinstance(note, RouteReport):
         # Told with the vehicle's next heartbeat, as in flight.
@@ -229,5 +235,7 @@ def _of_note(noted: ReadNote, routes: dict[int, str | None], words: set[tuple[in
         words.add((note.sysid, type(note.word)))
         if is_news:
             yield note
+    elif isinstance(note, GroundTool):
+        ground_tools.add((note.sysid, note.compid))
     elif note is not None:
         yield note

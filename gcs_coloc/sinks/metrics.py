@@ -10,7 +10,7 @@ from prometheus_client.registry import Collector
 
 from gcs_coloc import __version__
 from gcs_coloc.core.health import GpsState
-from gcs_coloc.core.view import FleetView, LinkView, VehicleView
+from gcs_coloc.core.view import FleetView, LinkView, OutView, VehicleView
 
 # name, help, value: a vehicle for which the value is None has no sample.
 _GAUGES: tuple[tuple[str, str, Callable[[VehicleView], float | None]], ...] = (
@@ -31,6 +31,11 @@ _COUNTERS: tuple[tuple[str, str, Callable[[LinkView], int]], ...] = (
     ("link_frames_received", "Frames received from the vehicle, copies left out.", lambda link: link.received),
     ("link_frames_lost", "Frames missing by their sequence numbers.", lambda link: link.lost),
     ("link_frames_duplicate", "Copies of frames that were received already.", lambda link: link.duplicates),
+)
+_OUT_COUNTERS: tuple[tuple[str, str, Callable[[OutView], int]], ...] = (
+    ("out_frames_sent", "Vehicles' frames handed on to the ground tools.", lambda out: out.frames_sent),
+    ("out_frames_taken", "Frames taken from the ground tools.", lambda out: out.frames_taken),
+    ("out_dropped", "Datagrams and pieces that a ground tool was too slow to take.", lambda out: out.dropped),
 )
 
 
@@ -66,6 +71,15 @@ class FleetCollector(Collector):
             for link in view.links:
                 counter.add_metric([str(link.sysid)], float(count(link)))
             yield counter
+        for name, text, count_out in _OUT_COUNTERS:
+            counter = CounterMetricFamily(f"gcs_coloc_{name}", text, labels=["out"])
+            for out in view.outs:
+                counter.add_metric([out.name], float(count_out(out)))
+            yield counter
+        tools = GaugeMetricFamily("gcs_coloc_out_tools", "Ground tools that can be sent to.", labels=["out"])
+        for out in view.outs:
+            tools.add_metric([out.name], float(out.tools))
+        yield tools
         refused = CounterMetricFamily("gcs_coloc_refused", "What was refused or set aside.", labels=["reason"])
         for reason, times in view.refused.items():
             refused.add_metric([reason], float(times))

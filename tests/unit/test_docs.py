@@ -66,5 +66,5 @@ def test_the_default_configuration_file_holds_every_setting_with_its_default():
     for section, key, default in keys():
         if key == "links":
             continue
-        value = file[section][key]
+        value = file[section][key] if section else file[key]
         assert (tuple(value) if isinstance(value, list) else value) == default, f"{section}.{key}"

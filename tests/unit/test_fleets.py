@@ -86,6 +86,11 @@ FLEET = '[[fleet]]\nname = "north"\nlinks = ["14550"]\n'
         (FLEET + "colour = 3\n", ["fleet 1 (north)", "fleet.colour", "unknown key"]),
         (FLEET + "[fleet.aid]\nrate_hz = -1\n", ["fleet 1 (north)", "rate_hz", "positive"]),
         ('links = ["14550"]\n' + FLEET, ["links", "which fleet"]),
+        ('out = ["127.0.0.1:14551"]\n' + FLEET, ["out", "which fleet"]),
+        (
+            FLEET + 'out = ["h:1"]\n' + FLEET.replace("north", "south").replace("14550", "1") + 'out = ["udp:h:1"]\n',
+            ["out", "udpout:h:1", "south"],
+        ),
         ('[mqtt]\nfleet = "x"\n' + FLEET, ["mqtt.fleet"]),
         (
             '[web]\naddress = "127.0.0.1:8080"\n' + FLEET + FLEET.replace("north", "south").replace("50", "51"),
@@ -101,7 +106,13 @@ def test_what_cannot_be_meant_is_refused_with_the_fleet_and_the_key(tmp_path, te
 
 
 @pytest.mark.parametrize(
-    "flags", [{"links": ["14550"]}, {"fleet": {"failed": [1]}}, {"web": {"on": True, "address": "[::1]:80"}}]
+    "flags",
+    [
+        {"links": ["14550"]},
+        {"out": ["127.0.0.1:14551"]},
+        {"fleet": {"failed": [1]}},
+        {"web": {"on": True, "address": "[::1]:80"}},
+    ],
 )
 def test_a_flag_that_is_meant_for_one_fleet_is_refused_where_there_are_several(tmp_path, flags):
     with pytest.raises(UsageError, match="several fleets"):

@@ -1,7 +1,7 @@
 import pytest
 
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.links.address import SerialPort, TcpClient, TcpServer, UdpIn, UdpOut, parse
+from gcs_coloc.links.address import SerialPort, TcpClient, TcpServer, UdpIn, UdpOut, parse, parse_out
 
 
 @pytest.mark.parametrize(
@@ -83,3 +83,26 @@ def test_malformed_one_is_quoted_in_an_error_of_one_line(text):
 def test_error_shows_the_right_forms():
     with pytest.raises(UsageError, match=r"udpin:HOST:PORT.*serial:"):
         parse("nonsense")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("127.0.0.1:14551", UdpOut("127.0.0.1", 14551)),
+        ("udp:127.0.0.1:14551", UdpOut("127.0.0.1", 14551)),
+        ("udpout:[::1]:14551", UdpOut("::1", 14551)),
+        ("udpin:14551", UdpIn("0.0.0.0", 14551)),
+        ("tcp:10.0.0.2:5760", TcpClient("10.0.0.2", 5760)),
+        ("tcpin:5760", TcpServer("0.0.0.0", 5760)),
+        ("/dev/ttyUSB1:115200", SerialPort("/dev/ttyUSB1", 115200)),
+    ],
+)
+def test_a_ground_tool_is_sent_to_where_a_vehicle_would_be_listened_for(text, expected):
+    assert parse_out(text) == expected
+
+
+@pytest.mark.parametrize("text", ["14551", "udp:14551", "nonsense", "udp:host:99999", "serial:"])
+def test_a_ground_tools_malformed_address_is_quoted_with_the_right_forms(text):
+    with pytest.raises(UsageError, match=repr(text)) as caught:
+        parse_out(text)
+    assert "99999" in text or "udp:HOST:PORT" in str(caught.value)

@@ -226,3 +226,43 @@ def test_what_fell_silent_makes_room_although_it_came_after_a_lively_one():
     assert ears.hears(4, THERE)
     assert ears.route(4) == Route(LINK, THERE)
     assert ears.route(1) == Route(LINK, HERE)
+
+
+def test_a_vehicle_is_reached_for_others_even_where_it_shares_its_address(ears):
+    ears.hears(1, HERE)
+    ears.hears(2, HERE)
+    assert isinstance(ears.route(1), Blocked)
+    assert ears.table.reach(1, 0) == ears.table.reach(1, 190) == (Route(LINK, HERE),)
+    assert ears.table.vehicles() == {Route(LINK, HERE): {1, 2}}
+
+
+def test_who_was_not_heard_is_reached_nowhere(ears):
+    ears.hears(1, HERE)
+    assert ears.table.reach(2, 0) == ()
+    assert not ears.table.is_vehicle(2)
+    assert ears.table.is_vehicle(1)
+
+
+def test_a_system_without_an_autopilot_is_reached_but_is_no_vehicle(ears):
+    ears.hears(100, THERE, compid=25, autopilot=False)
+    assert ears.table.reach(100, 0) == (Route(LINK, THERE),)
+    assert ears.table.vehicles() == {}
+
+
+def test_a_companion_elsewhere_is_reached_there_and_the_whole_vehicle_at_both():
+    ears = Ears(companions_elsewhere=True)
+    ears.hears(1, HERE)
+    ears.hears(1, THERE, compid=191, autopilot=False)
+    assert ears.table.reach(1, 191) == (Route(LINK, THERE),)
+    assert ears.table.reach(1, 1) == (Route(LINK, HERE),)
+    assert set(ears.table.reach(1, 0)) == set(ears.table.reach(1, 154)) == {Route(LINK, HERE), Route(LINK, THERE)}
+    assert ears.table.vehicles() == {Route(LINK, HERE): {1}, Route(LINK, THERE): {1}}
+
+
+def test_a_frame_from_another_address_than_its_vehicles_is_away_from_home_until_the_vehicle_may_roam(ears):
+    ears.hears(1, HERE)
+    assert ears.table.is_at_home(1, 1, LINK, HERE, ears.now_s)
+    assert not ears.table.is_at_home(1, 154, LINK, THERE, ears.now_s)
+    assert ears.table.is_at_home(2, 1, LINK, THERE, ears.now_s)
+    assert ears.table.is_at_home(1, 154, LINK, THERE, ears.now_s + 5.0)
+    assert not ears.table.counts

@@ -1,0 +1,262 @@
+"""Between the vehicles and ground tools such as QGroundControl: raw frames on to the tools, and theirs back to the right vehicle.
+
+Nothing of a ground tool comes to the engine or into the table of routes, so that it can neither become a vehicle nor take
+one's place.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+from pymavlink.dialects.v20.ardupilotmega import MAVLINK_MSG_ID_GPS_INPUT
+
+from gcs_coloc.core.errors import UsageError
+from gcs_coloc.core.view import OutView
+from gcs_coloc.links.address import LinkAddress, SerialPort, TcpClient, TcpServer, UdpIn, UdpOut, parse, parse_out
+from gcs_coloc.links.base import Address, Clock, Link
+from gcs_coloc.links.claims import Route
+from gcs_coloc.links.factory import make_link
+from gcs_coloc.links.intake import Intake
+from gcs_coloc.links.routes import RouteTable
+from gcs_coloc.links.signed_links import SignedLinks
+from gcs_coloc.links.stream import NOT_CONNECTED, OUTPUT_SKIPPED
+from gcs_coloc.links.udp import NOT_SENT
+from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.decoder import ECHO, INVALID_SYSID
+from gcs_coloc.mavlink.framing import RawFrame, split
+from gcs_coloc.mavlink.targets import EVERYBODY, target_of
+
+MAX_TOOLS = 16
+"""Ground tools that may come to one listening UDP port."""
+TOOL_KEPT_S = 30.0
+"""A ground tool that has said nothing for so long has gone; they all send a heartbeat every second."""
+MAX_UNSENT_BYTES = 65_536
+"""What a ground tool is slow to take waits up to this; a burst of parameters is some 40,000 bytes."""
+TELL_EVERY_S = 10.0
+
+UNKNOWN_SENDER = "ground_tool_unknown_sender"
+TOO_MANY_TOOLS = "too_many_ground_tools"
+UNKNOWN_TARGET = "ground_tool_unknown_target"
+CLAIMS_VEHICLE = "ground_tool_claims_vehicle"
+GPS_INPUT_HELD_BACK = "ground_tool_gps_input"
+SENDER_AWAY = "forward_address_conflict"
+
+_LOCAL_HOSTS = {"127.0.0.1", "localhost", "::1"}
+
+log = logging.getLogger("gcs_coloc")
+
+
+@dataclass(slots=True)
+class _Out:
+    """One connection string's ground tools. `tools`: who was heard on a listening UDP port, and when."""
+
+    link: Link
+    listens: bool
+    tools: dict[Address, float] = field(default_factory=dict)
+    frames_sent: int = 0
+    frames_taken: int = 0
+
+    def peers(self, now_s: float) -> tuple[Address, ...]:
+        if not self.listens:
+            return self.link.peers
+        for address in [address for address, heard_at_s in self.tools.items() if now_s - heard_at_s > TOOL_KEPT_S]:
+            del self.tools[address]
+        return tuple(self.tools)
+
+
+class Forwarder:
+    """Hands frames on, both ways. Every call returns at once: a slow or absent ground tool loses its own oldest frames.
+
+    `routes`, `signed`: the fleet's. `is_aided` says whether a vehicle is being sent positions by us; `forwarded` takes every
+    frame that went on to a vehicle.
+    """
+
+    def __init__(
+        self,
+        outs: Sequence[str],
+        routes: RouteTable,
+        signed: SignedLinks,
+        clock: Clock,
+        *,
+        own: tuple[int, int],
+        bytes_per_s: float,
+        is_aided: Callable[[int], bool],
+        forwarded: Callable[[RawFrame], None],
+    ) -> None:
+        self.counts = Counts()
+        self._routes = routes
+        self._signed = signed
+        self._clock = clock
+        self._own = own
+        self._is_aided = is_aided
+        self._forwarded = forwarded
+        self._intake = Intake(bytes_per_s)
+        self._outs: dict[Link, _Out] = {}
+        for address in (parse_out(text) for text in outs):
+            link = make_link(address, self._on_ground, clock, most_unsent_bytes=MAX_UNSENT_BYTES)
+            self._outs[link] = _Out(link, listens=isinstance(address, UdpIn))
+        self._held_back: dict[int, str] = {}
+        self._told_at_s = float("-inf")
+
+    @property
+    def refusals(self) -> list[Counts]:
+        """What was refused or lost here, by reason."""
+        return [self.counts, self._intake.counts, *(link.counts for link in self._outs)]
+
+    async def open(self) -> None:
+        """Open the ground tools' links. LinkError where one cannot be opened."""
+        for link in self._outs:
+            await link.open()
+            log.info("forwarding to %s", link.name)
+
+    async def close(self) -> None:
+        """Close them."""
+        for link in self._outs:
+            await link.close()
+
+    def from_vehicle(self, frames: Iterable[RawFrame], link: Link, address: Address, now_s: float) -> None:
+        """Hand on what came in one datagram from a vehicle's address and was not refused by the decoder."""
+        if not self._outs:
+            return
+        good = []
+        for raw in frames:
+            if self._routes.is_at_home(raw.sysid, raw.compid, link, address, now_s):
+                good.append(raw.frame)
+            else:
+                self.counts.add(SENDER_AWAY)
+        if good:
+            self._to_ground(b"".join(good), len(good), now_s)
+
+    def echo(self, frame: bytes) -> None:
+        """Show the ground tools a frame of our own."""
+        self._to_ground(frame, 1, self._clock())
+
+    def news(self, now_s: float) -> list[tuple[int, str]]:
+        """System id and text of what the operator is to be told by now."""
+        if not self._held_back or now_s - self._told_at_s < TELL_EVERY_S:
+            return []
+        self._told_at_s = now_s
+        held_back, self._held_back = self._held_back, {}
+        text = "sends GPS_INPUT as well: it is kept from this vehicle, which is being aided by us. Stop one of the two"
+        return [(sysid, f"a ground tool on {name} {text}") for sysid, name in sorted(held_back.items())]
+
+    def views(self) -> tuple[OutView, ...]:
+        """What went on to each connection string's ground tools, and what came of them."""
+        now_s = self._clock()
+        return tuple(
+            OutView(
+                name=out.link.name,
+                tools=len(out.peers(now_s)),
+                frames_sent=out.frames_sent,
+                frames_taken=out.frames_taken,
+                dropped=sum(out.link.counts[reason] for reason in (OUTPUT_SKIPPED, NOT_CONNECTED, NOT_SENT)),
+            )
+            for out in self._outs.values()
+        )
+
+    def _to_ground(self, payload: bytes, frames: int, now_s: float) -> None:
+        for out in self._outs.values():
+            for peer in out.peers(now_s):
+                out.link.send(peer, payload)
+                out.frames_sent += frames
+
+    def _on_ground(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
+        out = self._outs[link]
+        if not self._intake.admits((link, address), len(payload), received_at_s) or not self._knows(out, address, received_at_s):
+            return
+        signing = self._signed.of(link.name)
+        for raw in split(payload, self.counts, ended=True)[0]:
+            refusal = signing.refusal(raw, received_at_s) if signing is not None else None
+            if refusal is None:
+                refusal = self._refusal(raw)
+            if refusal is not None:
+                self.counts.add(refusal)
+            else:
+                out.frames_taken += 1
+                self._to_vehicles(raw, link)
+
+    def _refusal(self, raw: RawFrame) -> str | None:
+        if (raw.sysid, raw.compid) == self._own:
+            return ECHO
+        if raw.sysid == 0:
+            return INVALID_SYSID
+        return CLAIMS_VEHICLE if self._routes.is_vehicle(raw.sysid) else None
+
+    def _knows(self, out: _Out, address: Address, now_s: float) -> bool:
+        """Whether a datagram comes from one of this link's ground tools; who comes to a listening port becomes one."""
+        if not out.listens:
+            # A port that we only send from is open to the network as well.
+            if address not in out.link.peers:
+                self.counts.add(UNKNOWN_SENDER)
+                return False
+            return True
+        if address not in out.tools and len(out.peers(now_s)) >= MAX_TOOLS:
+            self.counts.add(TOO_MANY_TOOLS)
+            return False
+        out.tools[address] = now_s
+        return True
+
+    def _to_vehicles(self, raw: RawFrame, ground: Link) -> None:
+        sysid, compid = target = target_of(raw)
+        routes: Iterable[Route]
+        if raw.message_id == MAVLINK_MSG_ID_GPS_INPUT:
+            routes = self._unaided(ground)
+        elif target == EVERYBODY or sysid == 0:
+            routes = self._routes.vehicles()
+        elif sysid == self._own[0] and compid in (0, self._own[1]):
+            return  # said to us, who take no orders over MAVLink
+        else:
+            routes = self._routes.reach(sysid, compid)
+            if not routes:
+                self.counts.add(UNKNOWN_TARGET)
+        sent = False
+        for route in routes:
+            route.link.send(route.address, raw.frame)
+            sent = True
+        if sent:
+            self._forwarded(raw)
+
+    def _unaided(self, ground: Link) -> list[Route]:
+        """Where GPS_INPUT may go, which has no target and which whoever receives it takes: not to a vehicle that we aid."""
+        routes = []
+        for route, sysids in self._routes.vehicles().items():
+            aided = [sysid for sysid in sysids if self._is_aided(sysid)]
+            if aided:
+                self.counts.add(GPS_INPUT_HELD_BACK)
+                self._held_back.update(dict.fromkeys(aided, ground.name))
+            else:
+                routes.append(route)
+        return routes
+
+
+def check_outs(outs: Sequence[str], links: Sequence[str]) -> None:
+    """Look at the connection strings of ground tools before anything is opened.
+
+    Raises:
+        UsageError: one is malformed, given twice, or leads back to one of `links`, the vehicles'.
+    """
+    vehicles = [parse(text) for text in links]
+    seen: set[LinkAddress] = set()
+    for text in outs:
+        out = parse_out(text)
+        if out in seen:
+            raise UsageError(f"out {text}: is given twice")
+        seen.add(out)
+        for link in vehicles:
+            if _meets(out, link):
+                raise UsageError(
+                    f"out {text}: leads back to the vehicles' link {link}; give the address where the ground tool is"
+                )
+
+
+def _meets(out: LinkAddress, link: LinkAddress) -> bool:
+    if isinstance(out, SerialPort) or isinstance(link, SerialPort):
+        return isinstance(out, SerialPort) and isinstance(link, SerialPort) and out.device == link.device
+    if out.port != link.port:
+        return False
+    if type(out) is type(link):
+        return out.host == link.host
+    ours = (isinstance(out, UdpOut) and isinstance(link, UdpIn)) or (isinstance(out, TcpClient) and isinstance(link, TcpServer))
+    return ours and out.host in {*_LOCAL_HOSTS, link.host}
