@@ -125,17 +125,16 @@ class Mqtt:
             self._attempts, self._told = 0, None
             for topic in self._inbox.topics:
                 await client.subscribe(topic)
-            tasks = [
-                asyncio.create_task(work) for work in (self._take_all(client), self._publish_all(client), self._stopping.wait())
-            ]
+            tasks = [asyncio.create_task(work) for work in (self._take_all(client), self._publish_all(client))]
             try:
                 done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             finally:
                 for task in tasks:
                     task.cancel()
                 await asyncio.gather(*tasks, return_exceptions=True)
-            if self._stopping.is_set():
-                await self._publish(client, "status", status(self._hooks.look(), online=False).model_dump_json(), qos=1)
+                # On every way out: the client says goodbye next, after which the broker keeps the last will to itself.
+                if self._stopping.is_set():
+                    await self._publish(client, "status", status(self._hooks.look(), online=False).model_dump_json(), qos=1)
             for task in done:
                 task.result()
 
@@ -145,8 +144,12 @@ class Mqtt:
             self._inbox.take(message.topic.value, payload, retained=message.retain)
 
     async def _publish_all(self, client: Client) -> None:
-        """The latest of everything at the rate that was set. What the broker does not take in time is never sent."""
-        while True:
+        """The latest of everything at the rate that was set, until `stop`. What the broker does not take in time is never sent.
+
+        It does not rely on being cancelled: before Python 3.12 `asyncio.wait_for`, in the client's `publish`, loses a
+        cancellation that comes together with the broker's confirmation.
+        """
+        while not self._stopping.is_set():
             view = self._hooks.look()
             await self._publish(client, "status", status(view, online=True).model_dump_json())
             for vehicle in view.vehicles:
@@ -160,7 +163,8 @@ class Mqtt:
                     if len(self._alarms) < _ALARMS_KEPT:  # where it is full, this one is the oldest
                         self._alarms.appendleft(news)
                     raise
-            await asyncio.sleep(1.0 / self._config.publish_hz)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._stopping.wait(), 1.0 / self._config.publish_hz)
 
     async def _publish(self, client: Client, topic: str, payload: str, qos: int = 0) -> None:
         await client.publish(f"{self._base}/{topic}", payload, qos=qos, retain=True)
