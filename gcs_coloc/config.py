@@ -125,6 +125,13 @@ class FleetConfig(_Section):
                 raise ValueError(f"{sysid} is not a MAVLink system id (1 to 255)")
         return sysids
 
+    @model_validator(mode="after")
+    def _one_word_each(self) -> FleetConfig:
+        both = sorted({*self.failed} & {*self.healthy})
+        if both:
+            raise ValueError(f"vehicle {both[0]} is declared failed and healthy; declare it one of the two")
+        return self
+
 
 class EstimatorConfig(_Section):
     """`[estimator]`: which estimator locates the vehicles, with its own settings in `[estimator.settings]`."""

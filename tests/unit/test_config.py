@@ -43,6 +43,7 @@ def test_flags_win_over_the_environment_which_wins_over_the_file(tmp_path, monke
         ("[aid]\nrate_hz = inf", "aid: rate_hz must be a positive number, not inf"),
         ("[aid]\nlag_s = 'x'", "aid.lag_s: input should be a valid number"),
         ("[fleet]\nfailed = [300]", "fleet.failed: 300 is not a MAVLink system id"),
+        ("[fleet]\nfailed = [2, 3]\nhealthy = [3]", "fleet: vehicle 3 is declared failed and healthy"),
         ("[mavlink]\nsystem_id = 0", "mavlink.system_id: input should be greater than or equal to 1"),
         ("links = [", "is not valid TOML"),
     ],
