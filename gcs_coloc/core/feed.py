@@ -4,8 +4,8 @@ The rule that matters most stands here: a vehicle's own position becomes a Posit
 HEALTHY. Of any other vehicle only the barometric altitude, the attitude and the airspeed are evidence.
 
 What was measured at an uncertain time was measured at an uncertain place: positions are given speed times time sigma as
-further noise, ranges the relative speed times it. An estimator with a stamp error of its own (the fleet filter's 12 ms)
-counts a part twice; against a clock without TIMESYNC (50 ms) that part is nothing, and with it the sum stays on the safe side.
+further noise, ranges the relative speed times it. That part is told as well, so that an estimator which knows of clocks can
+take it out again.
 """
 
 from __future__ import annotations
@@ -88,6 +88,7 @@ class Feed:
             sigma_v_m=hypot(sigma_v_m, message.vd_mps * measured.sigma_s),
             velocity_enu_mps=frame.enu_from_ned_velocity(message.lat_deg, message.lon_deg, ned),
             sigma_velocity_mps=sigma_velocity_mps,
+            time_sigma_s=measured.sigma_s,
         )
 
     def attitude(self, message: Attitude, vehicle: Vehicle) -> AttitudeMeasurement | None:
@@ -119,14 +120,19 @@ class Feed:
         error_m = hypot(sigma_m, self._accuracy(peer.receiver)[0])
         before_m = vehicle.range_error_m if vehicle.range_error_m is not None else error_m
         vehicle.range_error_m = before_m + _RANGE_ERROR_GAIN * (error_m - before_m)
+        late_m = _relative_speed_mps(vehicle, peer) * measured.sigma_s
+        by_own_clock = message.measured_at_s is not None and message.time_base is not TimeBase.SERVICE
         return RangeMeasurement(
             from_vehicle=message.sysid,
             to_vehicle=message.peer_sysid,
             measured_at_s=measured.at_s,
             arrived_at_s=message.received_at_s,
             range_m=message.range_m,
-            sigma_m=hypot(sigma_m, _relative_speed_mps(vehicle, peer) * measured.sigma_s),
+            sigma_m=hypot(sigma_m, late_m),
             device_id=message.device_id,
+            clock_of=message.sysid if by_own_clock else None,
+            time_sigma_s=measured.sigma_s,
+            time_sigma_m=late_m,
         )
 
     def utc_minus_service_s(self, message: SystemTime, vehicle: Vehicle) -> float | None:

@@ -21,6 +21,9 @@ class PositionMeasurement:
     """A vehicle's position, and its velocity where known, from a receiver that is trusted at that time.
 
     Never made from what a vehicle without GPS says of its own position. `static`: a fixed anchor; one report is enough.
+
+    `time_sigma_s` is how far `measured_at_s` may be off, an error that lasts as long as the clocks do. What it means in metres,
+    speed times it, is in `sigma_h_m` and `sigma_v_m` already: an estimator need not know of clocks.
     """
 
     vehicle: int
@@ -32,11 +35,16 @@ class PositionMeasurement:
     velocity_enu_mps: Vector3 | None = None
     sigma_velocity_mps: float | None = None
     static: bool = False
+    time_sigma_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class RangeMeasurement:
-    """A slant range between two vehicles; `from_vehicle` measured it. Direction carries no meaning for the value."""
+    """A slant range between two vehicles; `from_vehicle` measured it. Direction carries no meaning for the value.
+
+    `clock_of` is the vehicle by whose clock it was stamped, None for the service's. `time_sigma_s` is how far that clock may be
+    off, `time_sigma_m` what it means at the speed between the two: `sigma_m` holds that already.
+    """
 
     from_vehicle: int
     to_vehicle: int
@@ -45,6 +53,9 @@ class RangeMeasurement:
     range_m: float
     sigma_m: float
     device_id: int = 0
+    clock_of: int | None = None
+    time_sigma_s: float = 0.0
+    time_sigma_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -120,12 +120,12 @@ def _key(m: Measurement) -> Key | None:
     if isinstance(m, PositionMeasurement):
         velocity = m.velocity_enu_mps or ()
         sigmas = (m.sigma_h_m, m.sigma_v_m) + ((m.sigma_velocity_mps,) if m.sigma_velocity_mps is not None else ())
-        head, tail = (_KIND_POSITION, m.vehicle), (*m.position_enu_m, *velocity)
+        head, tail = (_KIND_POSITION, m.vehicle), (*m.position_enu_m, *velocity, m.time_sigma_s)
     elif isinstance(m, RangeMeasurement):
         if m.range_m < 0.0 or m.from_vehicle == m.to_vehicle:
             return None
         sigmas = (m.sigma_m,)
-        head, tail = (_KIND_RANGE, m.from_vehicle, m.to_vehicle, m.device_id), (m.range_m,)
+        head, tail = (_KIND_RANGE, m.from_vehicle, m.to_vehicle, m.device_id), (m.range_m, m.time_sigma_s, m.time_sigma_m)
     elif isinstance(m, AltitudeMeasurement):
         sigmas = (m.sigma_m,)
         head, tail = (_KIND_ALTITUDE, m.vehicle), (m.up_m,)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_coloc.core.measurements import Estimate, Measurement, RangeMeasurement, Unknown
-from gcs_coloc.estimators.fleet_cluster import Verdict
+from gcs_coloc.estimators.fleet_corrections import Verdict
 from gcs_coloc.estimators.fleet_mirror import blend, find_mirror, reflect
 from gcs_coloc.estimators.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet_settings import FleetSettings

@@ -46,8 +46,8 @@ def find_mirror(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
     if len(peers) < 2:
         return None
     start = joint.start[subject]
-    there = np.array([joint.x[joint.start[v] : joint.start[v] + 2] for v in peers])
-    here, velocity = joint.x[start : start + 2], joint.x[start + 3 : start + 5]
+    there = np.array([cluster.place(v)[:2] for v in peers])
+    here, velocity = cluster.place(subject)[:2], joint.x[start + 3 : start + 5]
     centre = there.mean(axis=0)
     offsets = there - centre
     spreads, axes = np.linalg.eigh(offsets.T @ offsets)
@@ -59,9 +59,7 @@ def find_mirror(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
     blur2 = np.empty(len(peers))
     across2 = 0.0
     for i, v in enumerate(peers):
-        p = joint.start[v]
-        cross = joint.P[start : start + 2, p : p + 2]
-        relative = joint.P[start : start + 2, start : start + 2] - cross - cross.T + joint.P[p : p + 2, p : p + 2]
+        relative = cluster.relative(subject, v)[1][:2, :2]
         blur2[i] = max(float(units[i] @ relative @ units[i]), 1e-6)
         across2 = max(across2, float(normal @ relative @ normal))
     blur_m = math.sqrt(float(blur2.max()))

@@ -20,23 +20,23 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
     Unknown,
 )
-from gcs_coloc.estimators.dop import horizontal_dilution
-from gcs_coloc.estimators.fleet_cluster import Cluster, Verdict, initial_block, pair_key, start_block
-from gcs_coloc.estimators.fleet_joint import Key
-from gcs_coloc.estimators.fleet_noise import Whiteness
+from gcs_coloc.estimators.fleet_answer import answer
+from gcs_coloc.estimators.fleet_blocks import initial_block, pair_key, start_block
+from gcs_coloc.estimators.fleet_cluster import Cluster
+from gcs_coloc.estimators.fleet_clusters import Clusters
+from gcs_coloc.estimators.fleet_corrections import Verdict, restate_clock, take_altitude, take_attitude, take_position, take_range
+from gcs_coloc.estimators.fleet_noise import Whiteness, without_time_error
 from gcs_coloc.estimators.fleet_peers import choose_peers
 from gcs_coloc.estimators.fleet_settings import FleetSettings
 from gcs_coloc.estimators.fleet_start import StartProblem, solve_start
 from gcs_coloc.estimators.fleet_vehicle import Neighbour, VehicleRecord
 
-_IN_USE_S = 2.0
 _CHOICE_HOLDS_S = 2.0
 _TIDY_EVERY_S = 5.0
 _START_EVERY_S = 0.5
 _LOST_SHARE = 0.5
 _REFUSAL_MEMORY = 10.0
 _REPORTS_REFUSED_MOST = 10
-_STEP_BACK_MOST_S = 2.0
 
 
 class FleetModel:
@@ -45,7 +45,7 @@ class FleetModel:
     def __init__(self, settings: FleetSettings) -> None:
         self.settings = settings
         self.records: dict[int, VehicleRecord] = {}
-        self.clusters: dict[int, Cluster] = {}
+        self.clusters = Clusters(settings, self.records)
         self.pairs: dict[tuple[int, int, int], Whiteness] = {}
         self._tidied_at_s = -math.inf
 
@@ -53,21 +53,18 @@ class FleetModel:
         """Return an independent copy."""
         other = FleetModel(self.settings)
         other.records = {vehicle: record.copy() for vehicle, record in self.records.items()}
-        copies = {id(c): Cluster(self.settings, other.records, c.joint.copy()) for c in self.clusters.values()}
-        other.clusters = {vehicle: copies[id(c)] for vehicle, c in self.clusters.items()}
+        other.clusters = self.clusters.copy(other.records)
         other.pairs = {key: white.copy() for key, white in self.pairs.items()}
         other._tidied_at_s = self._tidied_at_s
         return other
 
     def take_over(self, other: FleetModel, vehicle: int) -> None:
         """Replace what this model has of the vehicles in a vehicle's cluster by a copy of what another model has of them."""
-        cluster = other.clusters[vehicle]
-        members = [v for v, c in other.clusters.items() if c is cluster]
+        members = other.clusters.together_with(vehicle)
         for member in members:
-            self._drop(member)
+            self.clusters.drop(member)
             self.records[member] = other.records[member].copy()
-        taken = Cluster(self.settings, self.records, cluster.joint.copy())
-        self.clusters.update(dict.fromkeys(members, taken))
+        self.clusters.adopt(other.clusters[vehicle], members)
         for key, white in other.pairs.items():
             if key[0] in members:
                 self.pairs[key] = white.copy()
@@ -79,8 +76,7 @@ class FleetModel:
             if vehicle in self.clusters or vehicle not in other.records:
                 continue
             self.records[vehicle] = other.records[vehicle].copy()
-            cluster = other.clusters.get(vehicle)
-            if cluster is not None and not any(v in self.clusters for v, c in other.clusters.items() if c is cluster):
+            if vehicle in other.clusters and not any(v in self.clusters for v in other.clusters.together_with(vehicle)):
                 self.take_over(other, vehicle)
 
     def set_subjects(self, subjects: frozenset[int], at_s: float) -> None:
@@ -98,7 +94,7 @@ class FleetModel:
                 record.ranges = ()
                 record.neighbours = {}
                 # Its reports are trusted again and start a filter when one is needed.
-                self._drop(vehicle)
+                self.clusters.drop(vehicle)
                 record.recent = ()
                 record.last_position = None
                 record.reason = "no position report since its GPS was trusted again"
@@ -123,20 +119,25 @@ class FleetModel:
     def _own(self, cluster: Cluster, m: Measurement, record: VehicleRecord) -> Verdict:
         share = self.settings.least_slow_share
         if isinstance(m, PositionMeasurement):
-            white_h, slow_h = record.white_h.split(m.sigma_h_m, share)
-            white_v, slow_v = record.white_v.split(m.sigma_v_m, share)
-            return cluster.take_position(m, (white_h, white_v), (slow_h, slow_v))
+            sigma_h_m, sigma_v_m = without_time_error(m)
+            white_h, slow_h = record.white_h.split(sigma_h_m, share)
+            white_v, slow_v = record.white_v.split(sigma_v_m, share)
+            return take_position(cluster, m, (white_h, white_v), (slow_h, slow_v), self._stamp_s(m))
         if isinstance(m, AltitudeMeasurement):
-            return cluster.take_altitude(m, *record.white_baro.split(m.sigma_m, share))
+            return take_altitude(cluster, m, *record.white_baro.split(m.sigma_m, share))
         assert isinstance(m, AttitudeMeasurement)
-        return cluster.take_attitude(m)
+        return take_attitude(cluster, m)
+
+    def _stamp_s(self, m: PositionMeasurement | RangeMeasurement) -> float:
+        return math.hypot(self.settings.stamp_sigma_s, m.time_sigma_s)
 
     def _position(self, m: PositionMeasurement, record: VehicleRecord) -> Verdict:
         if record.subject:
             return Verdict("refused: position of a subject")
         record.fixed = m.static
-        record.white_h.add(m.measured_at_s, m.position_enu_m[:2], m.sigma_h_m)
-        record.white_v.add(m.measured_at_s, m.position_enu_m[2:], m.sigma_v_m)
+        sigma_h_m, sigma_v_m = without_time_error(m)
+        record.white_h.add(m.measured_at_s, m.position_enu_m[:2], sigma_h_m)
+        record.white_v.add(m.measured_at_s, m.position_enu_m[2:], sigma_v_m)
         record.remember(m)
         record.last_position = m
         cluster = self.clusters.get(m.vehicle)
@@ -149,7 +150,7 @@ class FleetModel:
         record.reports_refused += 1
         if record.reports_refused >= _REPORTS_REFUSED_MOST:
             # The reports agree with each other and not with the filter: they are the only witness of this vehicle.
-            self._drop(m.vehicle)
+            self.clusters.drop(m.vehicle)
             record.recent = (m,)
             record.reports_refused = 0
             return Verdict("peer restarted: its reports moved away")
@@ -175,11 +176,14 @@ class FleetModel:
                 return Verdict("used for a start")
             if not self._activate(vehicle, m.measured_at_s):
                 return Verdict("refused: peer without a position")
-        cluster = self._merge(*ends)
+        cluster = self.clusters.merge(*ends)
         white = self.pairs.setdefault(pair_key(*ends, m.device_id), Whiteness())
-        white.add(m.measured_at_s, (m.range_m,), m.sigma_m)
-        slow_m = self.settings.range_slow_share * white.split(m.sigma_m, self.settings.least_slow_share)[1]
-        verdict = cluster.take_range(m, slow_m)
+        sigma_m, _ = without_time_error(m)
+        white.add(m.measured_at_s, (m.range_m,), sigma_m)
+        slow_m = self.settings.range_slow_share * white.split(sigma_m, self.settings.least_slow_share)[1]
+        if m.clock_of in ends:
+            restate_clock(cluster, m.clock_of, self._stamp_s(m))
+        verdict = take_range(cluster, m, sigma_m, slow_m)
         for vehicle, other, record in zip(ends, reversed(ends), records, strict=True):
             if record.subject:
                 self._account(cluster, vehicle, other, record, verdict, m)
@@ -196,9 +200,7 @@ class FleetModel:
     ) -> None:
         """Note what became of a range at one of its ends, and find the way back when most are refused."""
         if verdict.used:
-            joint = cluster.joint
-            a, b = joint.start[vehicle], joint.start[other]
-            d = joint.x[a : a + 3] - joint.x[b : b + 3]
+            d = cluster.place(vehicle) - cluster.place(other)
             e, n, u = (d / max(math.sqrt(float(d @ d)), 1e-9)).tolist()
             record.neighbours[other] = Neighbour(m.measured_at_s, (e, n, u))
             record.informed_at_s = m.measured_at_s
@@ -226,47 +228,26 @@ class FleetModel:
         last = record.last_position
         if last is None or (at_s - last.measured_at_s > self.settings.start_age_s and not record.fixed):
             return False
-        cluster = Cluster(self.settings, self.records)
         if record.fixed:
             variances = [last.sigma_h_m**2, last.sigma_h_m**2, last.sigma_v_m**2]
-            cluster.joint.append(vehicle, np.array(last.position_enu_m), np.diag(variances), last.measured_at_s)
-            self.clusters[vehicle] = cluster
+            self.clusters.begin(vehicle, np.array(last.position_enu_m), np.diag(variances), last.measured_at_s)
             return True
         reports = [m for m in record.recent if isinstance(m, PositionMeasurement)]
         first = reports[0] if reports else last
         share = self.settings.least_slow_share
-        white_h, slow_h = record.white_h.split(first.sigma_h_m, share)
-        white_v, slow_v = record.white_v.split(first.sigma_v_m, share)
+        sigma_h_m, sigma_v_m = without_time_error(first)
+        white_h, slow_h = record.white_h.split(sigma_h_m, share)
+        white_v, slow_v = record.white_v.split(sigma_v_m, share)
+        record.stamp_s = self._stamp_s(first)
         record.slow_report_h_m, record.slow_report_v_m, record.slow_baro_m = slow_h, slow_v, 0.0
         record.attitude = None
         record.informed_at_s = record.velocity_used_at_s = first.measured_at_s
-        mean, covariance = initial_block(first, (white_h, white_v), (slow_h, slow_v), self.settings)
-        cluster.joint.append(vehicle, mean, covariance, first.measured_at_s)
+        mean, covariance = initial_block(first, (white_h, white_v), (slow_h, slow_v), record.stamp_s, self.settings)
+        cluster = self.clusters.begin(vehicle, mean, covariance, first.measured_at_s)
         for m in record.recent:
             if m is not first and m.measured_at_s >= first.measured_at_s:
                 self._own(cluster, m, record)
-        self.clusters[vehicle] = cluster
         return True
-
-    def _merge(self, a: int, b: int) -> Cluster:
-        first, second = self.clusters[a], self.clusters[b]
-        if first is not second:
-            if len(second.joint.x) > len(first.joint.x):
-                first, second = second, first
-            first.joint.join(second.joint)
-            for key in second.joint.start:
-                if isinstance(key, int):
-                    self.clusters[key] = first
-        return first
-
-    def _drop(self, vehicle: int) -> None:
-        cluster = self.clusters.pop(vehicle, None)
-        if cluster is None:
-            return
-        keys: list[Key] = [
-            key for key in cluster.joint.start if key != vehicle and not (isinstance(key, tuple) and vehicle in key[:2])
-        ]
-        cluster.joint = cluster.joint.part(keys)
 
     def _tidy(self, at_s: float) -> None:
         """Drop the vehicles that no subject has ranged for long, and part the clusters that nothing holds together any more."""
@@ -281,31 +262,8 @@ class FleetModel:
             for other in record.neighbours:
                 links.setdefault(vehicle, set()).add(other)
                 links.setdefault(other, set()).add(vehicle)
-        for vehicle in sorted(self.clusters):
-            if not self.records[vehicle].subject and vehicle not in links:
-                self._drop(vehicle)
+        self.clusters.part(links)
         self.pairs = {key: white for key, white in self.pairs.items() if key[1] in links.get(key[0], ())}
-        seen: set[int] = set()
-        for vehicle in sorted(self.clusters):
-            if vehicle in seen:
-                continue
-            members, edge = {vehicle}, [vehicle]
-            while edge:
-                for other in links.get(edge.pop(), ()):
-                    if other not in members and self.clusters.get(other) is self.clusters[vehicle]:
-                        members.add(other)
-                        edge.append(other)
-            seen |= members
-            cluster = self.clusters[vehicle]
-            keys: list[Key] = [
-                key
-                for key in cluster.joint.start
-                if key in members or (isinstance(key, tuple) and key[0] in members and key[1] in links.get(key[0], ()))
-            ]
-            if len(keys) < len(cluster.joint.start):
-                part = Cluster(self.settings, self.records, cluster.joint.part(keys))
-                for member in members:
-                    self.clusters[member] = part
 
     def _wanted(self, record: VehicleRecord, other: int, m: RangeMeasurement) -> bool:
         """Whether a neighbour is among the at most K that a subject uses."""
@@ -351,13 +309,11 @@ class FleetModel:
             record.reason = outcome
             return False
         record.slow_baro_m = record.slow_report_h_m = record.slow_report_v_m = 0.0
+        record.stamp_s = self.settings.stamp_sigma_s
         record.attitude = None
         record.informed_at_s = at_s
         record.ranges = ()
-        cluster = Cluster(self.settings, self.records)
-        mean, covariance = start_block(*outcome, self.settings)
-        cluster.joint.append(vehicle, mean, covariance, at_s)
-        self.clusters[vehicle] = cluster
+        self.clusters.begin(vehicle, *start_block(*outcome, self.settings), at_s)
         return True
 
     def _start_problem(self, vehicle: int, at_s: float) -> StartProblem:
@@ -385,28 +341,7 @@ class FleetModel:
         cluster = self.clusters.get(vehicle)
         if cluster is None:
             return self._idle(vehicle, record, at_s)
-        joint = cluster.joint
-        where = joint.slice(vehicle)
-        if record.fixed:
-            return self._fixed(vehicle, joint.x[where], joint.P[where, where], at_s)
-        step_s = at_s - joint.time_s[vehicle]
-        if step_s < -_STEP_BACK_MOST_S:
-            return Unknown(vehicle, at_s, f"asked for a time {-step_s:.1f} s before its newest measurement")
-        x, P = cluster.predicted(vehicle, at_s)
-        covariance = 0.5 * (P[:6, :6] + P[:6, :6].T)
-        worst_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-        if not worst_m <= self.settings.limit_sigma_m:
-            return Unknown(
-                vehicle, at_s, f"too uncertain: {worst_m:.0f} m (1-sigma) horizontally; more or better placed ranges are needed"
-            )
-        units = [n.unit for n in record.neighbours.values() if abs(at_s - n.at_s) <= _IN_USE_S]
-        hdop = float(horizontal_dilution(np.array(units))) if len(units) >= 2 else None
-        return Estimate(vehicle, at_s, x[:3].copy(), x[3:6].copy(), covariance, hdop, len(units))
-
-    def _fixed(self, vehicle: int, x: FloatArray, P: FloatArray, at_s: float) -> Estimate:
-        covariance = np.diag([0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6])
-        covariance[:3, :3] = P
-        return Estimate(vehicle, at_s, x.copy(), np.zeros(3), covariance, None, 0)
+        return answer(cluster, vehicle, at_s)
 
     def _idle(self, vehicle: int, record: VehicleRecord, at_s: float) -> Estimate | Unknown:
         """Answer for a vehicle that has no filter: a healthy one from its own reports, a subject with the reason why not."""

@@ -24,10 +24,12 @@ STAMP_ERROR = 14
 TURN = 15
 SIZE = 16
 """The block of one vehicle: position and velocity (3 each, ENU), wind (east, north), errors of airspeed (m/s), heading (rad),
-barometric height (m), position reports (3, m) and their time stamps (s: reports are of this much later than they say), and the
+barometric height (m), position reports (3, m) and time stamps (s: what it reports is of this much later than it says), and the
 turn rate (rad/s, clockwise). A fixed anchor has a block of its position alone."""
 
 GRAVITY_MPS2 = 9.80665
+STEEPEST_BANK_RAD = 1.2
+"""No vehicle in a coordinated turn is banked more."""
 _LEAST_TURN_RAD = 1e-4
 
 

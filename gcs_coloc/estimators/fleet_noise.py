@@ -11,16 +11,32 @@ from __future__ import annotations
 
 import math
 
+from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
+
 _MEMORY_SAMPLES = 1000.0
 _PROOF_SAMPLES = 20.0
 _LONGEST_GAP_S = 2.0
 _JERK_MPS3 = 3.0
 _MOST_SIGMAS = 4.0
 _WELL_KNOWN = 0.25
+_LEAST_REST = 0.01
 _OVERLAP = 2.3
 """How much more the variance of third differences scatters than that of independent values: sum of squared correlations."""
 
 Values = tuple[float, ...]
+
+
+def without_time_error(m: PositionMeasurement | RangeMeasurement) -> tuple[float, float]:
+    """Return the sigmas (horizontal, vertical; of a range twice the same) in m without what the uncertain time adds to them."""
+    if isinstance(m, RangeMeasurement):
+        sigma_m = _less(m.sigma_m, m.time_sigma_m if m.clock_of is not None else 0.0)
+        return sigma_m, sigma_m
+    ve, vn, vu = m.velocity_enu_mps if m.velocity_enu_mps is not None else (0.0, 0.0, 0.0)
+    return _less(m.sigma_h_m, math.hypot(ve, vn) * m.time_sigma_s), _less(m.sigma_v_m, vu * m.time_sigma_s)
+
+
+def _less(sigma_m: float, part_m: float) -> float:
+    return math.sqrt(max(sigma_m * sigma_m - part_m * part_m, _LEAST_REST * sigma_m * sigma_m))
 
 
 class Whiteness:

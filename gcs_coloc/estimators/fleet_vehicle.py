@@ -82,7 +82,7 @@ class Neighbour:
 class VehicleRecord:
     """One vehicle. `recent` and `ranges` are bounded tuples, oldest first, replaced and never changed in place.
 
-    `slow_report_h_m`, `slow_report_v_m` and `slow_baro_m` are the sigmas of the slow errors in force in the joint state.
+    `slow_report_h_m`, `slow_report_v_m`, `slow_baro_m`, `stamp_s` are the sigmas in force of the slow errors in the joint state.
     `refused_share` is the fading share of this subject's ranges that the gate refused, `refused_m2` their mean square innovation.
     """
 
@@ -98,6 +98,7 @@ class VehicleRecord:
     slow_report_h_m: float = 0.0
     slow_report_v_m: float = 0.0
     slow_baro_m: float = 0.0
+    stamp_s: float = 0.0
     manoeuvre: ManoeuvreMonitor = field(default_factory=ManoeuvreMonitor)
     neighbours: dict[int, Neighbour] = field(default_factory=dict)
     heard: dict[int, float] = field(default_factory=dict)

@@ -76,6 +76,7 @@ def test_an_uncertain_time_is_an_uncertain_place():
     assert isinstance(measurement, PositionMeasurement)
     assert measurement.measured_at_s == pytest.approx(0.9)
     assert measurement.sigma_h_m == pytest.approx((1.5**2 + 5.0 * 0.5**2) ** 0.5)
+    assert measurement.time_sigma_s == 0.5
     assert measurement.sigma_v_m == pytest.approx((2.5**2 + 9.0 * 0.5**2) ** 0.5)
     alone = feed.range(range_message(1.0, 1.0, TimeBase.BOOT), moving, peer)
     peer.position = moving.position
@@ -83,7 +84,8 @@ def test_an_uncertain_time_is_an_uncertain_place():
     assert alone is not None
     assert together is not None
     assert alone.sigma_m == pytest.approx((0.5**2 + 14.0 * 0.5**2) ** 0.5)
-    assert together.sigma_m == 0.5  # side by side a range does not change, whenever it was measured
+    assert (alone.time_sigma_s, alone.time_sigma_m) == pytest.approx((0.5, 14.0**0.5 * 0.5))
+    assert (together.sigma_m, together.time_sigma_m) == (0.5, 0.0)  # side by side a range does not change, whenever measured
 
 
 def test_airspeed_goes_with_the_attitude_only_while_it_is_fresh():
@@ -126,6 +128,7 @@ def test_boot_unix_and_unstamped_ranges_each_find_the_service_clock():
         assert boot.measured_at_s == pytest.approx(at_s)
         assert unix.measured_at_s == pytest.approx(at_s)
         assert none.measured_at_s == at_s + late_s
+        assert (boot.clock_of, unix.clock_of, none.clock_of) == (4, 4, None)
 
 
 def test_the_clocks_of_one_vehicles_ranging_devices_are_bounded():

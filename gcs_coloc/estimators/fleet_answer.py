@@ -1,0 +1,46 @@
+"""What is stated of a vehicle from the states of its cluster, or why nothing is."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gcs_coloc.core.measurements import Estimate, Unknown
+from gcs_coloc.estimators.dop import horizontal_dilution
+from gcs_coloc.estimators.fleet_cluster import Cluster
+from gcs_coloc.estimators.fleet_motion import POSITION, SIZE, STAMP_ERROR, VELOCITY
+
+_IN_USE_S = 2.0
+_STEP_BACK_MOST_S = 2.0
+
+
+def answer(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | Unknown:
+    """Return where a vehicle of a cluster is at a time near that of its states."""
+    if cluster.records[vehicle].fixed:
+        return _anchor(cluster, vehicle, at_s)
+    step_s = at_s - cluster.joint.time_s[vehicle]
+    if step_s < -_STEP_BACK_MOST_S:
+        return Unknown(vehicle, at_s, f"asked for a time {-step_s:.1f} s before its newest measurement")
+    x, P = cluster.predicted(vehicle, at_s)
+    # By the service's clock: its states go by its own.
+    G = np.eye(6, SIZE)
+    G[POSITION, VELOCITY] = -x[STAMP_ERROR] * np.eye(3)
+    G[POSITION, STAMP_ERROR] = -x[VELOCITY]
+    position, spread = x[POSITION] - x[STAMP_ERROR] * x[VELOCITY], G @ P @ G.T
+    covariance = 0.5 * (spread + spread.T)
+    worst_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    if not worst_m <= cluster.settings.limit_sigma_m:
+        return Unknown(
+            vehicle, at_s, f"too uncertain: {worst_m:.0f} m (1-sigma) horizontally; more or better placed ranges are needed"
+        )
+    units = [n.unit for n in cluster.records[vehicle].neighbours.values() if abs(at_s - n.at_s) <= _IN_USE_S]
+    hdop = float(horizontal_dilution(np.array(units))) if len(units) >= 2 else None
+    return Estimate(vehicle, at_s, position, x[VELOCITY].copy(), covariance, hdop, len(units))
+
+
+def _anchor(cluster: Cluster, vehicle: int, at_s: float) -> Estimate:
+    where = cluster.joint.slice(vehicle)
+    covariance = np.diag([0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6])
+    covariance[:3, :3] = cluster.joint.P[where, where]
+    return Estimate(vehicle, at_s, cluster.joint.x[where].copy(), np.zeros(3), covariance, None, 0)
