@@ -72,6 +72,13 @@ class VehicleClock:
         """What TIMESYNC says; None where it is not answered."""
         return self.round_trips.estimate(now_s)
 
+    def quality(self, now_s: float, settings: TimeSettings) -> tuple[str, float] | None:
+        """How the clock is known, in a word, and its 1-sigma in seconds; None before its first stamp."""
+        sync = self.synchronised(now_s)
+        if sync is not None:
+            return "TIMESYNC", sync.sigma_at_s(now_s)
+        return ("one-way", settings.least_delay_sigma_s) if self.stamps.known else None
+
     def one_way_delay_s(self, now_s: float) -> float | None:
         """The least delay of the link in one direction; None where it is not known."""
         sync = self.synchronised(now_s)

@@ -147,12 +147,10 @@ class Engine:
     def view(self, now_s: float) -> FleetView:
         """The fleet as it stands, for observers."""
         consistency = self._residuals.consistency()
-        frame = self.feed.frame
+        frame, time = self.feed.frame, self.settings.time
         vehicles = tuple(
-            vehicle_view(
-                vehicle, self.estimator.estimate(vehicle.sysid, now_s), frame, self.aiding, consistency.get(vehicle.sysid), now_s
-            )
-            for vehicle in sorted(self.fleet, key=lambda v: v.sysid)
+            vehicle_view(v, self.estimator.estimate(v.sysid, now_s), frame, self.aiding, consistency.get(v.sysid), time, now_s)
+            for v in sorted(self.fleet, key=lambda v: v.sysid)
         )
         return FleetView(
             at_s=now_s,

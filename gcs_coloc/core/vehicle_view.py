@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gcs_coloc.core.aiding import Aiding
 from gcs_coloc.core.bound import horizontal_bound_95_m, horizontal_sigma_m
+from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, FloatArray, Unknown, Vector3
@@ -19,6 +20,7 @@ def vehicle_view(
     frame: LocalFrame | None,
     aiding: Aiding,
     consistency: Consistency | None,
+    time: TimeSettings,
     now_s: float,
 ) -> VehicleView:
     """One vehicle at service time `now_s`. `where` is the estimator's answer for that time, `frame` the fleet's."""
@@ -32,6 +34,7 @@ def vehicle_view(
     claim, receiver, attitude = vehicle.position, vehicle.receiver, vehicle.attitude
     if claim is not None and frame is not None:
         claim_enu_m = frame.enu_from_geodetic(claim.lat_deg, claim.lon_deg, claim.alt_msl_m)
+    clock = vehicle.clock.quality(now_s, time)
     fresh = attitude is not None and now_s - attitude.received_at_s <= _ATTITUDE_FRESH_S
     return VehicleView(
         sysid=vehicle.sysid,
@@ -62,6 +65,8 @@ def vehicle_view(
         fix_type=receiver.fix_type if receiver is not None else None,
         satellites=receiver.satellites if receiver is not None else None,
         delay_s=vehicle.delay_s,
+        clock_method=clock[0] if clock is not None else None,
+        clock_sigma_s=clock[1] if clock is not None else None,
         consistency=consistency,
     )
 

@@ -63,7 +63,8 @@ class VehicleView:
     along the worst horizontal direction, `bound_95_m` the 95 % horizontal bound. `enu_m` and `velocity_enu_mps` are that
     position and velocity in the fleet's frame, `covariance_h_m2` its horizontal covariance (east-east, east-north,
     north-north). `yaw_rad` is the vehicle's own, from true north, clockwise. `delay_s` is how much longer its newest
-    position was on the way than the quickest of the last minute. `aid` says in words what is sent to it, `aid_has_fix`
+    position was on the way than the quickest of the last minute. `clock_method` is how its clock is known (TIMESYNC or one-way
+    stamps), `clock_sigma_s` how well. `aid` says in words what is sent to it, `aid_has_fix`
     whether that is a position; `hindrance` why nothing can be sent to it even if it should be. `operator_word` is the
     operator's on its GPS, `aid_word` on its aid.
     """
@@ -96,6 +97,8 @@ class VehicleView:
     fix_type: int | None = None
     satellites: int | None = None
     delay_s: float | None = None
+    clock_method: str | None = None
+    clock_sigma_s: float | None = None
     consistency: Consistency | None = None
 
 

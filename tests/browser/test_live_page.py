@@ -124,7 +124,7 @@ def test_every_control_has_a_name_and_nothing_is_wider_than_the_screen(watched, 
 def test_a_command_needs_the_token_and_a_second_press(watched):
     page = watched.page
     card(page, 1).click()
-    button, result = page.locator("button[value=failed]"), page.locator("#command-result")
+    button, result = page.locator("button[value='gps failed']"), page.locator("#command-result")
     page.get_by_label("Operator's token").fill("not the token at all")
     button.click()
     expect(button).to_have_text(re.compile("press again"))
@@ -137,7 +137,7 @@ def test_a_command_needs_the_token_and_a_second_press(watched):
     expect(result).to_contain_text("done")
     expect(card(page, 1)).to_contain_text("declared failed by the operator")
     for _ in range(2):
-        page.locator("button[value=auto]").click()
+        page.locator("button[value='gps auto']").click()
     expect(card(page, 1)).to_contain_text(re.compile("GPS (recovering|healthy): fix type 3"))
 
 

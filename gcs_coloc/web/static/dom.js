@@ -22,5 +22,6 @@ export function setText(node, text) {
 }
 
 export const metres = (value, digits = 1) => (value === null ? "-" : `${value.toFixed(digits)} m`);
+export const milliseconds = (seconds) => (seconds === null ? "-" : `${(seconds * 1e3).toFixed(seconds < 0.01 ? 1 : 0)} ms`);
 export const number = (value, digits = 1) => (value === null ? "-" : value.toFixed(digits));
 export const age = (seconds) => (seconds < 60 ? `${seconds.toFixed(1)} s` : `${Math.floor(seconds / 60)} min ${Math.floor(seconds % 60)} s`);

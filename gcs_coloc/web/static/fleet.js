@@ -1,17 +1,21 @@
 // The list of vehicles, the details of the selected one, and the operator's commands.
 
-import { age, byId, el, metres, number, setText } from "./dom.js";
+import { age, byId, el, metres, milliseconds, number, setText } from "./dom.js";
 import { LIGHT_WORDS, SIGNS } from "./palette.js";
 
-const WORDS = { failed: "Declare GPS failed", healthy: "Declare GPS healthy", auto: "Decide by evidence" };
+// Value: what is commanded and the word, as the service takes them.
+const WORDS = {
+  "gps failed": "Declare GPS failed", "gps healthy": "Declare GPS healthy", "gps auto": "Decide by evidence",
+  "aid on": "Aid it whatever its GPS", "aid off": "Never aid it", "aid auto": "Aid it as its GPS needs",
+};
 
 export class FleetList {
   constructor(onSelect) {
     this.onSelect = onSelect;
     this.cards = new Map();
     this.selected = null;
-    for (const [word, text] of Object.entries(WORDS)) {
-      byId("words").append(el("button", { type: "submit", value: word }, text));
+    for (const [value, text] of Object.entries(WORDS)) {
+      byId(`${value.split(" ")[0]}-words`).append(el("button", { type: "submit", value }, text));
     }
     byId("commands").addEventListener("submit", (event) => {
       event.preventDefault();
@@ -83,6 +87,7 @@ export class FleetList {
       speed: view.velocity_enu_mps === null ? "-" : `${Math.hypot(view.velocity_enu_mps[0], view.velocity_enu_mps[1]).toFixed(1)} m/s`,
       "HDOP, ranges in use": `${number(view.hdop)}, ${view.ranges_in_use}`,
       NIS: c === null ? "-" : `${number(c.nis_mean, 2)} in ${number(c.band_low, 2)} to ${number(c.band_high, 2)}${c.nis_mean > c.band_high ? ": too large" : ""}`,
+      clock: view.clock_method === null ? "-" : `${view.clock_method} ±${milliseconds(view.clock_sigma_s)}`,
       link: link === undefined ? "-" : `${number(link.rate_hz)} frames/s, loss ${number(link.loss_percent)} %`,
       "sent to it": view.aid,
       "operator's word": `GPS ${view.operator_word}, aid ${view.aid_word}`,
@@ -108,10 +113,11 @@ export class FleetList {
     }
     this.disarm();
     const sysid = this.selected;
+    const [what, word] = button.value.split(" ");
     let text;
     try {
-      const answer = await fetch(`/api/vehicles/${sysid}/gps`, {
-        method: "POST", headers: { Authorization: `Bearer ${byId("token").value}`, "Content-Type": "application/json" }, body: JSON.stringify({ word: button.value }),
+      const answer = await fetch(`/api/vehicles/${sysid}/${what}`, {
+        method: "POST", headers: { Authorization: `Bearer ${byId("token").value}`, "Content-Type": "application/json" }, body: JSON.stringify({ word }),
       });
       text = answer.ok ? `vehicle ${sysid}: done` : `refused: ${(await answer.text()).trim()}`;
     } catch {
