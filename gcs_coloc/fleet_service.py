@@ -22,7 +22,7 @@ from gcs_coloc.core.messages import (
     ToVehicle,
     Word,
 )
-from gcs_coloc.core.view import FleetView, LinkView
+from gcs_coloc.core.view import FleetView
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.address import parse
 from gcs_coloc.links.base import Address, Link
@@ -38,6 +38,7 @@ from gcs_coloc.mavlink.decoder import Decoder, Frame
 from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.mavlink.framing import RawFrame
 from gcs_coloc.mavlink.signing import Stamp
+from gcs_coloc.mavlink.truth import HeardTruth, truth_of
 from gcs_coloc.recorder.flight import FlightRecording
 from gcs_coloc.sinks.hub import Hub
 
@@ -49,13 +50,15 @@ _ENGINE_LATE_S = 2.0
 class FleetService:
     """One fleet on its links. Every call returns at once; whoever holds it calls `each_second` and the other periodic ones.
 
-    `hub` tells its observers what happens, `counts` takes what they refuse.
+    `hub` tells its observers what happens, `counts` takes what they refuse. `truths` is where a simulation says that vehicles
+    truly are, by system id: for showing alone, the engine never hears of it.
     """
 
     def __init__(self, settings: Settings, clock: ServiceClock, host: ClockReference) -> None:
         """Build everything; no link is open yet. `host` is the host's time now."""
         self.hub = Hub()
         self.counts = Counts()
+        self.truths: dict[int, HeardTruth] = {}
         self._clock = clock
         ids = settings.mavlink
         self._decoder = Decoder(own_sysid=ids.system_id, own_compid=ids.component_id)
@@ -128,7 +131,8 @@ class FleetService:
         """The fleet as it stands."""
         view = self._engine.view(self._clock())
         refused = view.refused | self._refusals.totals()
-        return replace(view, refused=refused, links=self._link_views(), outs=self._forwarder.views())
+        links = self._decoder.sequences.links(self.heard())
+        return replace(view, refused=refused, links=links, outs=self._forwarder.views())
 
     def heard(self) -> list[int]:
         """The system ids of the vehicles heard so far."""
@@ -193,14 +197,17 @@ class FleetService:
                     report = RouteReport(frame.sysid, received_at_s, route.reason if isinstance(route, Blocked) else None)
                     self._engine.receive(report)
                     self._recording.told(report)
+        for raw in good:
+            truth = truth_of(raw, received_at_s)
+            if truth is not None and self._learn_route(raw, link, address, received_at_s):
+                self.truths[raw.sysid] = truth
         self._recording.heard(received_at_s, good, refused)
         self._forwarder.from_vehicle(good, link, address, received_at_s)
         self._wake()
 
-    def _learn_route(self, frame: Frame, link: Link, address: Address, now_s: float) -> bool:
-        return self._routes.learn(
-            frame.sysid, frame.compid, link, address, is_autopilot_heartbeat=frame.is_autopilot_heartbeat, now_s=now_s
-        )
+    def _learn_route(self, frame: Frame | RawFrame, link: Link, address: Address, now_s: float) -> bool:
+        heartbeat = isinstance(frame, Frame) and frame.is_autopilot_heartbeat
+        return self._routes.learn(frame.sysid, frame.compid, link, address, is_autopilot_heartbeat=heartbeat, now_s=now_s)
 
     def _wake(self) -> None:
         """Make sure that the engine is polled when it next wants to be."""
@@ -263,12 +270,3 @@ class FleetService:
     def _stamp(self, route: Route) -> Stamp | None:
         signing = self._signed.of(route.link.name)
         return signing.stamp(self._clock()) if signing is not None else None
-
-    def _link_views(self) -> tuple[LinkView, ...]:
-        # A vehicle may be heard over several links and components; the operator asks about the vehicle.
-        totals = {vehicle.sysid: [0, 0, 0] for vehicle in self._engine.fleet}
-        for (_, sysid, _), reception in self._decoder.sequences.receptions.items():
-            if sysid in totals:
-                for i, count in enumerate((reception.received, reception.lost, reception.duplicates)):
-                    totals[sysid][i] += count
-        return tuple(LinkView(sysid, *counts) for sysid, counts in sorted(totals.items()))

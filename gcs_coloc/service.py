@@ -134,8 +134,11 @@ class _Observed:
         # Here, because a service without the page is to start without its packages.
         from gcs_coloc.web.app import Hooks
         from gcs_coloc.web.server import WebServer
+        from gcs_coloc.web.story import Story
 
-        return WebServer(settings.web, Hooks(self.path.look, self.path.obey, self._fault), self.path.hub.subscribe(256))
+        path = self.path
+        hooks = Hooks(path.look, path.obey, self._fault, path.truths.values)
+        return WebServer(settings.web, hooks, Story(), path.hub.subscribe(256))
 
     def _make_mqtt(self, settings: Settings) -> Mqtt | None:
         if not settings.mqtt.host:

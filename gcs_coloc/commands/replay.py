@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import re
 import sys
 import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
+from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
-from gcs_coloc.config import load_settings
+from gcs_coloc.config import Settings, load_settings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.estimators.registry import load_estimator
@@ -25,23 +29,39 @@ def replay(
     file: Annotated[Path, typer.Argument(help="A recording (tlog).", metavar="FILE.tlog")],
     ranges: Annotated[Path | None, typer.Option(help="Ranges: unix_s,from_sysid,to_sysid,range_m,sigma_m.")] = None,
     truth: Annotated[
-        Path | None, typer.Option(help="True positions, for scoring: unix_s,sysid,lat_deg,lon_deg,alt_msl_m.")
+        Path | None,
+        typer.Option(help="True positions, for scoring or for marks on the page: unix_s,sysid,lat_deg,lon_deg,alt_msl_m."),
     ] = None,
-    speed: Annotated[str, typer.Option(help="N times real time, or max.")] = "max",
+    speed: Annotated[
+        str | None, typer.Option(help="N times real time, or max; 1 on the page and max without it unless told.")
+    ] = None,
     config: Annotated[Path | None, typer.Option(help="A configuration file (TOML); its links are not opened.")] = None,
     estimator: Annotated[str | None, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    web: Annotated[
+        str | None,
+        typer.Option(
+            help="Show it on the live page instead, with play, pause, seek; 127.0.0.1:8080 unless told.", metavar="[HOST:PORT]"
+        ),
+    ] = None,
 ) -> None:
     """Send a recorded flight through the same engine, on recorded time, and report how well it went."""
-    pace = _pace(speed)
-    settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {})
+    if web is not None and as_json:
+        raise UsageError("--web and --json exclude each other: the page does not end with a report")
+    factor = _factor(speed if speed is not None else ("1" if web is not None else "max"))
+    flags: dict[str, Any] = {"estimator": {"name": estimator}} if estimator is not None else {}
+    if web is not None:
+        settings = load_settings(config, flags | ({"web": {"address": web}} if web else {}))
+        _show(file, settings, ranges, truth, factor)
+        return
+    settings = load_settings(config, flags)
     engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
     log = TlogReader(file)
     report = FlightReport(engine, driver.read_truth(truth) if truth is not None else [])
     told = driver.read_ranges(ranges) if ranges is not None else []
     own = (settings.mavlink.system_id, settings.mavlink.component_id)
     through = driver.Replay(engine, log, told, report.polled, own)
-    counts = driver.replay(through, report.observation_times(), report.observe, pace)
+    counts = driver.replay(through, report.observation_times(), report.observe, _pace(factor))
     result: dict[str, Any] = {
         "file": str(file),
         "estimator": engine.estimator.name,
@@ -66,15 +86,31 @@ def warn_of_damage(file: Path, damage: Mapping[str, int]) -> None:
         print(f"gcs-coloc: warning: {file}: {kind.replace('_', ' ')}: {amount}; replayed what is whole", file=sys.stderr)
 
 
-def _pace(speed: str) -> Callable[[float], None]:
+def _show(file: Path, settings: Settings, ranges: Path | None, truth: Path | None, factor: float) -> None:
+    # Here, because a replay without the page is to start without its packages.
+    from gcs_coloc.replay_service import ReplayService
+
+    service = ReplayService(file, settings, ranges, truth, factor)
+    asyncio.run(service.run())
+    warn_of_damage(file, service.log.counts)
+
+
+def _factor(speed: str) -> float:
+    """Recorded seconds a second; infinity for max."""
     if speed == "max":
-        return lambda _: None
+        return float("inf")
     try:
         factor = float(speed)
     except ValueError:
         factor = 0.0
     if not 0.0 < factor < float("inf"):
         raise UsageError(f"--speed {speed}: a number above zero, or max")
+    return factor
+
+
+def _pace(factor: float) -> Callable[[float], None]:
+    if factor == float("inf"):
+        return lambda _: None
     started: list[float] = []
 
     def wait(at_s: float) -> None:
@@ -119,3 +155,20 @@ def _score(score: dict[str, Any]) -> str:
 
 def _utc(unix_s: float) -> str:
     return datetime.fromtimestamp(unix_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+class _WebMayBeBare(TyperCommand):
+    """Lets `--web` stand without an address, for which Typer has no option."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As the base class, after an empty address was put behind a bare `--web`."""
+        full: list[str] = []
+        for arg, following in zip_longest(args, args[1:], fillvalue=""):
+            full.append(arg)
+            if arg == "--web" and not re.search(r":\w+$", following):
+                full.append("")
+        return list(super().parse_args(ctx, full))
+
+
+app = typer.Typer(add_completion=False)
+app.command("replay", cls=_WebMayBeBare)(replay)

@@ -7,7 +7,8 @@ a table beside it. Nothing is sent anywhere.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,7 +18,8 @@ from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages import ClockReference, Inbound, OperatorWord, Outbound, PeerRange, RouteReport, TimeBase
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
-from gcs_coloc.mavlink.framing import sender_of
+from gcs_coloc.mavlink.framing import RawFrame, sender_of
+from gcs_coloc.mavlink.truth import HeardTruth, truth_of
 from gcs_coloc.recorder.notes import GroundTool, ReadNote, read_note
 from gcs_coloc.recorder.tables import read_table
 from gcs_coloc.recorder.tlog import TlogReader
@@ -25,13 +27,33 @@ from gcs_coloc.recorder.tlog import TlogReader
 
 @dataclass(frozen=True, slots=True)
 class TruthPoint:
-    """Where a vehicle truly was, for scoring only. Degrees, metres above mean sea level, UNIX seconds of the recorder."""
+    """Where a vehicle truly was, to score by and to show. Degrees, metres above mean sea level, UNIX seconds of the recorder."""
 
     unix_s: float
     sysid: int
     lat_deg: float
     lon_deg: float
     alt_msl_m: float
+
+
+class TruthTable:
+    """True positions, looked up by time."""
+
+    def __init__(self, points: Sequence[TruthPoint]) -> None:
+        """Take points in order of time."""
+        self._by_vehicle: dict[int, list[TruthPoint]] = {}
+        for point in points:
+            self._by_vehicle.setdefault(point.sysid, []).append(point)
+
+    def at(self, unix_s: float) -> dict[int, HeardTruth]:
+        """Each vehicle's newest point not after a time (UNIX s), by system id."""
+        found = {}
+        for sysid, points in self._by_vehicle.items():
+            i = bisect_right(points, unix_s, key=lambda point: point.unix_s)
+            if i > 0:
+                point = points[i - 1]
+                found[sysid] = HeardTruth(sysid, point.unix_s, point.lat_deg, point.lon_deg)
+        return found
 
 
 @dataclass(slots=True)
@@ -99,6 +121,8 @@ def read_truth(path: Path) -> list[TruthPoint]:
 class Replay:
     """An engine on its way through a recording, one message after the other; whoever holds it decides how fast.
 
+    `now_s` is the service time (UNIX s) that was reached. `truths` is where a simulation says that vehicles truly are.
+
     However it is stepped and advanced, the engine does the same at the same recorded times.
     """
 
@@ -126,18 +150,19 @@ class Replay:
         self.counts = ReplayCounts()
         self.decoder = Decoder(own_sysid=own[0], own_compid=own[1])
         self.counts.wire = self.decoder.counts
+        self.truths: dict[int, HeardTruth] = {}
         self._on_poll = on_poll
         self._messages = heapq.merge(
-            _messages(log, self.decoder, own, self.counts), ranges, key=lambda message: message.received_at_s
+            _messages(log, self.decoder, own, self.counts, self.truths), ranges, key=lambda message: message.received_at_s
         )
-        self._now_s = float("-inf")
+        self.now_s = float("-inf")
         self._next = next(self._messages, None)
 
     @property
     def next_s(self) -> float | None:
         """The service time (UNIX s) at which the next message arrives; None at the end."""
         # A recorder's clock may be stepped back; the engine's time never is.
-        return max(self._next.received_at_s, self._now_s) if self._next is not None else None
+        return max(self._next.received_at_s, self.now_s) if self._next is not None else None
 
     def step(self) -> None:
         """Bring the engine to the next message and give it to it."""
@@ -159,7 +184,7 @@ class Replay:
         self._advance(min(to_s, self._next.since_s) if isinstance(self._next, HeldUp) else to_s)
 
     def _advance(self, to_s: float, catch_up_s: float = float("inf")) -> None:
-        self._now_s = max(self._now_s, to_s)
+        self.now_s = max(self.now_s, to_s)
         for at_s, outputs in advance(self.engine, to_s, catch_up_s=catch_up_s):
             self._on_poll(at_s, outputs)
 
@@ -196,7 +221,9 @@ def replay(
     return through.counts
 
 
-def _messages(log: TlogReader, decoder: Decoder, own: tuple[int, int], counts: ReplayCounts) -> Iterator[Inbound | HeldUp]:
+def _messages(
+    log: TlogReader, decoder: Decoder, own: tuple[int, int], counts: ReplayCounts, truths: dict[int, HeardTruth]
+) -> Iterator[Inbound | HeldUp]:
     latest_s = float("-inf")
     routes: dict[int, str | None] = {}
     words: set[tuple[int, type]] = set()
@@ -216,11 +243,13 @@ def _messages(log: TlogReader, decoder: Decoder, own: tuple[int, int], counts: R
             continue
         if sender_of(record.frame) in ground_tools:
             continue
-        for frame in decoder.decode(record.frame, latest_s):
+        good: list[RawFrame] = []
+        for frame in decoder.decode(record.frame, latest_s, good=good):
             if frame.message is not None:
                 yield frame.message
             if frame.is_autopilot_heartbeat:
                 yield RouteReport(frame.sysid, latest_s, routes.get(frame.sysid))
+        truths.update((raw.sysid, truth) for raw in good if (truth := truth_of(raw, latest_s)) is not None)
 
 
 def _of_note(

@@ -38,6 +38,19 @@ class TlogReader:
         self.counts = Counts()
         self._path = path
 
+    def span(self) -> tuple[float, float]:
+        """The times (UNIX s) of the first and the last record, without reading what is between.
+
+        Raises:
+            DataError: the file cannot be read or is no tlog.
+        """
+        first_s = next(iter(TlogReader(self._path))).unix_s
+        try:
+            with self._path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                return first_s, max(first_s, _last_time_s(data))
+        except OSError as error:
+            raise DataError(f"{self._path}: cannot be read: {error.strerror}") from error
+
     def __iter__(self) -> Iterator[TlogRecord]:
         try:
             if self._path.stat().st_size == 0:
@@ -85,6 +98,21 @@ def _frame_of_record(data: mmap.mmap, position: int) -> RawFrame | str:
         if following < len(data) and data[following] not in (MAGIC_V1, MAGIC_V2):
             return UNVERIFIABLE
     return found
+
+
+def _last_time_s(data: mmap.mmap) -> float:
+    """The time of the last record with a right checksum, looked for from the end."""
+    tail = SEARCHED_BYTES
+    while True:
+        at, last_s = _next_record(data, max(len(data) - tail, 0), len(data)), float("-inf")
+        while at is not None:
+            found = read_frame(data, at + _TIME.size)
+            assert isinstance(found, RawFrame)
+            last_s = _TIME.unpack_from(data, at)[0] / 1e6
+            at = _next_record(data, at + _TIME.size + len(found.frame), len(data))
+        if last_s != float("-inf") or tail >= len(data):
+            return last_s
+        tail *= 2
 
 
 def _next_record(data: mmap.mmap, start: int, end: int) -> int | None:

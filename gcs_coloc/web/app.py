@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import secrets
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,11 +20,13 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from gcs_coloc import __version__
 from gcs_coloc.core.messages import AidWord, GpsWord, Word
 from gcs_coloc.core.view import FleetView
+from gcs_coloc.mavlink.truth import HeardTruth
 from gcs_coloc.sinks.metrics import fleet_registry
 from gcs_coloc.web.access import Guard, bears_token
 from gcs_coloc.web.pages import Pages
+from gcs_coloc.web.playback import Playback
 from gcs_coloc.web.story import Story
-from gcs_coloc.web.wire import Hello
+from gcs_coloc.web.wire import Hello, PlaybackCommand
 
 _STATIC = Path(__file__).parent / "static"
 _MOST_BODY_BYTES = 1000
@@ -35,12 +36,15 @@ _MOST_BODY_BYTES = 1000
 class Hooks:
     """What the server may ask of the service: the fleet as it stands, the operator's word, and whether it still works.
 
-    `fault` says in words what keeps the service from its work, None where nothing does.
+    `fault` says in words what keeps the service from its work, None where nothing does. `truths` is where a simulation says
+    that vehicles truly are. `playback` is a replay's, which takes no word.
     """
 
     look: Callable[[], FleetView]
-    obey: Callable[[int, Word], None]
+    obey: Callable[[int, Word], None] | None
     fault: Callable[[], str | None]
+    truths: Callable[[], Iterable[HeardTruth]] = tuple
+    playback: Playback | None = None
 
 
 class GpsCommand(BaseModel):
@@ -68,7 +72,6 @@ class _Site:
         self._story = story
         self._pages = pages
         self._token = token
-        self._instance = secrets.token_hex(8)
         self._registry: CollectorRegistry = fleet_registry(hooks.look)
 
     async def index(self, request: Request) -> Response:
@@ -85,8 +88,7 @@ class _Site:
         sender: asyncio.Task[None] | None = None
         try:
             await socket.accept()
-            await socket.send_text(self._hello().model_dump_json())
-            sender = asyncio.create_task(page.send_all(self._story, socket.send_text))
+            sender = asyncio.create_task(page.send_all(self._story, self._hello, socket.send_text))
             while (await socket.receive())["type"] != "websocket.disconnect":
                 pass
         except WebSocketDisconnect:
@@ -106,18 +108,34 @@ class _Site:
             return PlainTextResponse(f"there are commands for {' and '.join(_COMMANDS)}\n", status_code=404)
         if sysid not in {v.sysid for v in self._hooks.look().vehicles}:
             return PlainTextResponse(f"no vehicle {sysid} was heard\n", status_code=404)
-        body = b""
-        async for part in request.stream():
-            body += part
-            if len(body) > _MOST_BODY_BYTES:
-                return PlainTextResponse("too long\n", status_code=413)
+        body = await _body(request)
+        if body is None:
+            return PlainTextResponse("too long\n", status_code=413)
         try:
             command = model.model_validate_json(body)
         except ValidationError:
             words = ", ".join(f'"{word.value}"' for word in model.model_fields["word"].annotation or ())
             return PlainTextResponse(f'expected {{"word": WORD}}, WORD one of {words}\n', status_code=422)
+        assert self._hooks.obey is not None
         self._hooks.obey(sysid, command.word)
         return JSONResponse({"sysid": sysid, "word": command.word.value})
+
+    async def play(self, request: Request) -> Response:
+        """Play, pause, seek, speed of a replay. No token: nothing that it does reaches an aircraft."""
+        body = await _body(request)
+        if body is None:
+            return PlainTextResponse("too long\n", status_code=413)
+        try:
+            command = PlaybackCommand.model_validate_json(body)
+        except ValidationError as error:
+            wrong = "; ".join(f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']}" for e in error.errors())
+            text = (
+                f'expected {{"playing": true or false, "speed": NUMBER or "max", "seek_s": UNIX seconds}}, any of them: {wrong}\n'
+            )
+            return PlainTextResponse(text, status_code=422)
+        assert self._hooks.playback is not None
+        self._hooks.playback.obey(command)
+        return JSONResponse({})
 
     async def metrics(self, request: Request) -> Response:
         """The metrics for Prometheus."""
@@ -135,26 +153,41 @@ class _Site:
         fault = self._hooks.fault()
         return PlainTextResponse("ok\n") if fault is None else PlainTextResponse(f"{fault}\n", status_code=503)
 
-    def _hello(self) -> Hello:
+    def _hello(self) -> str:
         return Hello(
-            instance=self._instance,
+            instance=self._story.instance,
             version=__version__,
-            commands=self._token is not None,
+            commands=self._token is not None and self._hooks.obey is not None,
+            replay=self._hooks.playback is not None,
             utc_minus_service_s=self._hooks.look().utc_minus_service_s,
             history=self._story.history(),
-        )
+        ).model_dump_json()
+
+
+async def _body(request: Request) -> bytes | None:
+    """The body of a command, None where it is too long for one."""
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > _MOST_BODY_BYTES:
+            return None
+    return body
 
 
 def make_app(hooks: Hooks, story: Story, pages: Pages, token: str | None, allowed_hosts: Collection[str]) -> Starlette:
     """The application; `token` None makes it read-only."""
     site = _Site(hooks, story, pages, token)
+    if hooks.playback is None:
+        commands = Route("/api/vehicles/{sysid:int}/{what}", site.command, methods=["POST"])
+    else:
+        commands = Route("/api/playback", site.play, methods=["POST"])
     return Starlette(
         routes=[
             Route("/", site.index),
             Route("/metrics", site.metrics),
             Route("/healthz", site.healthy),
             Route("/readyz", site.ready),
-            Route("/api/vehicles/{sysid:int}/{what}", site.command, methods=["POST"]),
+            commands,
             WebSocketRoute("/live", site.live),
             Mount("/static", StaticFiles(directory=_STATIC)),
         ],

@@ -5,9 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 
-from gcs_coloc.core.view import FleetView
-from gcs_coloc.web.picture import fleet_frame
 from gcs_coloc.web.story import Story
+from gcs_coloc.web.wire import FleetFrame
 
 PERIOD_S = 0.2
 MOST_PAGES = 32
@@ -18,35 +17,40 @@ class Page:
 
     def __init__(self) -> None:
         self.skipped = 0
-        self._picture: str | None = None
+        self._picture: tuple[str, str] | None = None
         self._wake = asyncio.Event()
 
-    def offer(self, picture: str) -> None:
-        """Put the newest picture in place; never waits."""
+    def offer(self, instance: str, picture: str) -> None:
+        """Put the newest picture of a story's instance in place; never waits."""
         if self._picture is not None:
             self.skipped += 1
-        self._picture = picture
+        self._picture = (instance, picture)
         self._wake.set()
 
-    async def send_all(self, story: Story, send: Callable[[str], Awaitable[None]]) -> None:
-        """Send events and pictures for ever, as fast as `send` takes them."""
-        told = 0
+    async def send_all(self, story: Story, hello: Callable[[], str], send: Callable[[str], Awaitable[None]]) -> None:
+        """Send hello, then events and pictures for ever, as fast as `send` takes them; hello again where the story wants it."""
+        instance, edition, told = "", 0, 0
         while True:
-            await self._wake.wait()
-            self._wake.clear()
+            if (story.instance, story.edition) != (instance, edition):
+                told = told if story.instance == instance else 0
+                instance, edition = story.instance, story.edition
+                await send(hello())
             if story.newest_event > told:
                 news, told = story.events_after(told), story.newest_event
                 await send(news.model_dump_json())
             if self._picture is not None:
-                picture, self._picture = self._picture, None
-                await send(picture)
+                (of, picture), self._picture = self._picture, None
+                if of == story.instance == instance:
+                    await send(picture)
+            await self._wake.wait()
+            self._wake.clear()
 
 
 class Pages:
-    """All open pages. `look` gives the fleet as it stands; it is asked only while a page is open, and once for all."""
+    """All open pages. `picture` makes the latest one; it is asked only while a page is open, and once for all."""
 
-    def __init__(self, look: Callable[[], FleetView], story: Story) -> None:
-        self._look = look
+    def __init__(self, picture: Callable[[], FleetFrame], story: Story) -> None:
+        self._make = picture
         self._story = story
         self._open: set[Page] = set()
 
@@ -74,7 +78,6 @@ class Pages:
 
     def tick(self) -> None:
         """Offer one picture to every page."""
-        view = self._look()
-        picture = fleet_frame(view, self._story.links(view)).model_dump_json()
+        picture = self._make().model_dump_json()
         for page in self._open:
-            page.offer(picture)
+            page.offer(self._story.instance, picture)

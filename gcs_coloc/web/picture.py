@@ -5,23 +5,31 @@ from __future__ import annotations
 from collections.abc import Iterable
 from math import atan2, sqrt
 
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.measurements import Vector3
 from gcs_coloc.core.view import FleetView, VehicleView
-from gcs_coloc.web.wire import Ellipse, FleetFrame, LightColour, LinkFrame, VehicleFrame
+from gcs_coloc.mavlink.truth import HeardTruth
+from gcs_coloc.web.wire import Ellipse, FleetFrame, LightColour, LinkFrame, PlaybackState, VehicleFrame
 
 SILENT_AFTER_S = 3.0
+_TRUTH_FRESH_S = 2.0
 
 
-def fleet_frame(view: FleetView, links: Iterable[LinkFrame]) -> FleetFrame:
+def fleet_frame(
+    view: FleetView, links: Iterable[LinkFrame], truths: Iterable[HeardTruth] = (), playback: PlaybackState | None = None
+) -> FleetFrame:
     """The page's picture of one instant."""
+    places = _true_places(view, truths)
     return FleetFrame(
         at_s=view.at_s,
         estimator=view.estimator,
         origin=view.origin,
-        vehicles=tuple(_vehicle(v) for v in view.vehicles),
+        vehicles=tuple(_vehicle(v, places.get(v.sysid)) for v in view.vehicles),
         ranges=view.ranges,
         links=tuple(links),
         refused=view.refused,
         estimator_counts=view.estimator_counts,
+        playback=playback,
     )
 
 
@@ -55,7 +63,20 @@ def ellipse(covariance_h_m2: tuple[float, float, float]) -> Ellipse:
     )
 
 
-def _vehicle(v: VehicleView) -> VehicleFrame:
+def _true_places(view: FleetView, truths: Iterable[HeardTruth]) -> dict[int, Vector3]:
+    """East, north, up in m of those truths that are no older than the picture allows. They come without a height."""
+    if view.origin is None:
+        return {}
+    frame = LocalFrame(*view.origin)
+    heights = {v.sysid: v.alt_msl_m for v in view.vehicles if v.alt_msl_m is not None}
+    return {
+        t.sysid: frame.enu_from_geodetic(t.lat_deg, t.lon_deg, heights.get(t.sysid, view.origin[2]))
+        for t in truths
+        if abs(view.at_s - t.at_s) <= _TRUTH_FRESH_S
+    }
+
+
+def _vehicle(v: VehicleView, truth_enu_m: Vector3 | None) -> VehicleFrame:
     light, reason = traffic_light(v)
     shape = ellipse(v.covariance_h_m2) if v.covariance_h_m2 is not None else None
-    return VehicleFrame(view=v, light=light, reason=reason, ellipse=shape)
+    return VehicleFrame(view=v, light=light, reason=reason, ellipse=shape, truth_enu_m=truth_enu_m)

@@ -17,7 +17,9 @@ from gcs_coloc.core.errors import ConfigError, WebError
 from gcs_coloc.sinks.hub import Subscription
 from gcs_coloc.web.app import Hooks, make_app
 from gcs_coloc.web.pages import Pages
+from gcs_coloc.web.picture import fleet_frame
 from gcs_coloc.web.story import Story
+from gcs_coloc.web.wire import FleetFrame
 
 log = logging.getLogger("gcs_coloc")
 
@@ -35,18 +37,18 @@ class _Server(uvicorn.Server):
 class WebServer:
     """The page, its commands and the metrics on one address."""
 
-    def __init__(self, config: WebConfig, hooks: Hooks, news: Subscription) -> None:
-        """Read the token and prepare everything but the socket.
+    def __init__(self, config: WebConfig, hooks: Hooks, story: Story, news: Subscription | None = None) -> None:
+        """Read the token and prepare everything but the socket. `news` is what the story follows, unless somebody else fills it.
 
         Raises:
             ConfigError: the token file cannot be read, or what is in it is no token.
         """
         self._config = config
+        self._story = story
         self._news = news
-        self._story = Story()
-        self._pages = Pages(hooks.look, self._story)
+        self._pages = Pages(lambda: _picture(hooks, story), story)
         self._token = read_token(Path(config.token_file)) if config.token_file else None
-        app = make_app(hooks, self._story, self._pages, self._token, config.allowed_hosts)
+        app = make_app(hooks, story, self._pages, self._token, config.allowed_hosts)
         self._server = _Server(
             uvicorn.Config(
                 app,
@@ -101,7 +103,11 @@ class WebServer:
     async def run(self) -> None:
         """Serve until `stop`; a fault in here is logged and the flight goes on without the page."""
         assert self._socket is not None
-        background = [asyncio.create_task(self._story.follow(self._news)), asyncio.create_task(self._pages.run())]
+        background = [asyncio.create_task(self._pages.run())]
+        if self._news is not None:
+            background.append(asyncio.create_task(self._story.follow(self._news)))
+        for task in background:
+            task.add_done_callback(_tell_of_failure)
         try:
             await self._server.serve(sockets=[self._socket])
         except Exception as error:
@@ -119,6 +125,18 @@ class WebServer:
         """Give the address back."""
         if self._socket is not None:
             self._socket.close()
+
+
+def _tell_of_failure(task: asyncio.Task[None]) -> None:
+    error = None if task.cancelled() else task.exception()
+    if error is not None:
+        log.error("web page: stands still: %s: %s; the flight goes on without it", type(error).__name__, error)
+
+
+def _picture(hooks: Hooks, story: Story) -> FleetFrame:
+    view = hooks.look()
+    playback = hooks.playback.state if hooks.playback is not None else None
+    return fleet_frame(view, story.links(view), hooks.truths(), playback)
 
 
 def read_token(file: Path) -> str:

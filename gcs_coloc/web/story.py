@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections import deque
 from math import nan
 
@@ -23,6 +24,15 @@ class Story:
     """Follows the news; everything it keeps is bounded, the oldest goes first."""
 
     def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: another flight begins, or the same one again. `instance` tells the two apart.
+
+        `edition` is raised by whoever wants the pages to be told the history again.
+        """
+        self.instance = secrets.token_hex(8)
+        self.edition = 0
         self._rows: dict[int, deque[_Row]] = {}
         self._events: deque[Event] = deque(maxlen=_EVENTS)
         self._next_event = 1

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from gcs_coloc.core.view import RangeView, VehicleView
 
@@ -24,12 +24,16 @@ class Ellipse(_Wire):
 
 
 class VehicleFrame(_Wire):
-    """One vehicle: the service's view of it, its traffic light and the reason for that in words."""
+    """One vehicle: the service's view of it, its traffic light and the reason for that in words.
+
+    `truth_enu_m` is where a simulation says that it truly is, in the fleet's frame (m).
+    """
 
     view: VehicleView
     light: LightColour
     reason: str
     ellipse: Ellipse | None
+    truth_enu_m: tuple[float, float, float] | None
 
 
 class LinkFrame(_Wire):
@@ -43,8 +47,27 @@ class LinkFrame(_Wire):
     loss_percent: float | None
 
 
+class PlaybackState(_Wire):
+    """Where a replayed flight is: UNIX seconds; `speed` None is as fast as it goes, `goal_s` where it is on its way to."""
+
+    first_s: float
+    last_s: float
+    at_s: float
+    playing: bool
+    speed: float | None
+    goal_s: float | None
+
+
+class PlaybackCommand(_Wire):
+    """What the page asks of a replay; what is left out stays as it is."""
+
+    playing: bool | None = None
+    speed: Annotated[float, Field(gt=0, allow_inf_nan=False)] | Literal["max"] | None = None
+    seek_s: FiniteFloat | None = None
+
+
 class FleetFrame(_Wire):
-    """The fleet at one instant; sent at most five times a second, only the latest."""
+    """The fleet at one instant; sent at most five times a second, only the latest. `playback` is of a replay alone."""
 
     kind: Literal["fleet"] = "fleet"
     at_s: float
@@ -55,6 +78,7 @@ class FleetFrame(_Wire):
     links: tuple[LinkFrame, ...]
     refused: dict[str, int]
     estimator_counts: dict[str, int]
+    playback: PlaybackState | None
 
 
 class Event(_Wire):
@@ -92,11 +116,12 @@ class VehicleHistory(_Wire):
 
 
 class Hello(_Wire):
-    """The first message: which run of the service this is, whether it takes commands, and the last minutes."""
+    """The first message: which run of the service this is, whether it takes commands or is a replay, and the last minutes."""
 
     kind: Literal["hello"] = "hello"
     instance: str
     version: str
     commands: bool
+    replay: bool
     utc_minus_service_s: float | None
     history: tuple[VehicleHistory, ...]

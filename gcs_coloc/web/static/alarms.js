@@ -20,6 +20,11 @@ export class Alarms {
     this.done = Number(sessionStorage.getItem(`acknowledged ${instance}`) ?? 0);
   }
 
+  clear() {
+    this.acknowledge([...this.alarms.keys()]);
+    byId("log").replaceChildren();
+  }
+
   take({ events, missed }) {
     if (missed > 0 && this.newest === 0) this.log(`${missed} older events are no longer kept`, "info");
     for (const event of events) {

@@ -5,6 +5,7 @@ import { Alarms } from "./alarms.js";
 import { FleetList } from "./fleet.js";
 import { showLinks } from "./links.js";
 import { FleetMap } from "./map.js";
+import { PlaybackBar } from "./playback.js";
 import { Plots } from "./plots.js";
 
 const OLD_AFTER_S = 1.5;
@@ -21,6 +22,7 @@ let retryS = 0.5;
 const timeText = (at) => (offset === null ? `${at.toFixed(1)} s` : new Date((at + offset) * 1000).toLocaleTimeString());
 const alarms = new Alarms(timeText);
 const plots = new Plots();
+const playback = new PlaybackBar();
 const fleet = new FleetList(select);
 const map = new FleetMap(select);
 
@@ -45,6 +47,8 @@ function hello(message) {
     instance = message.instance;
     map.clear();
     fleet.clear();
+    // What was an alarm further on in a replayed flight has not happened yet.
+    if (message.replay) alarms.clear();
   }
   alarms.begin(message.instance);
   fleet.allowCommands(message.commands);
@@ -57,6 +61,7 @@ function picture(message) {
   frame = message;
   frameAt = now();
   draw();
+  playback.show(frame.playback);
   map.show(frame);
   if (frame.at_s - sampledAt >= SAMPLE_EVERY_S) {
     sampledAt = frame.at_s;
@@ -90,7 +95,7 @@ setInterval(() => {
   const old = now() - frameAt;
   const live = frame !== null && old < OLD_AFTER_S;
   document.body.classList.toggle("old", frame !== null && !live);
-  setText(byId("connection"), live ? "live" : frame === null ? "connecting" : `NO CONNECTION: what you see is ${age(old)} old`);
+  setText(byId("connection"), live ? (frame.playback === null ? "live" : playback.words()) : frame === null ? "connecting" : `NO CONNECTION: what you see is ${age(old)} old`);
   if (frame !== null && !live) draw();
 }, 250);
 

@@ -93,6 +93,7 @@ export class FleetMap {
       if (view.enu_m !== null) places.set(view.sysid, view.enu_m);
       this.showVehicle(vehicle);
     }
+    byId("truth-key").hidden = !frame.vehicles.some((vehicle) => vehicle.truth_enu_m !== null);
     this.showRanges(frame.ranges, places);
     if (this.mode === "all") this.fit();
     if (this.mode === "selected" && places.has(this.selected)) this.map.setView(at(places.get(this.selected)), undefined, { animate: false });
@@ -106,6 +107,7 @@ export class FleetMap {
     const words = `Vehicle ${view.sysid}, ${LIGHT_WORDS[light]}`;
     this.place(view.sysid, "estimate", view.enu_m, `${words}: our estimate`, () => estimateIcon(view, light, stale));
     this.place(view.sysid, "claim", trusted ? null : view.claim_enu_m, `Vehicle ${view.sysid}: its own claim, not believed`, () => claimIcon(view));
+    this.place(view.sysid, "truth", vehicle.truth_enu_m, `Vehicle ${view.sysid}: the truth, as its simulation has it`, () => truthIcon(view));
     const drawEllipse = view.enu_m !== null && ellipse !== null && !trusted;
     this.shape(mark, "ellipse", drawEllipse ? ellipsePoints(view.enu_m, ellipse) : [], "ellipse", true);
     const both = !trusted && view.enu_m !== null && view.claim_enu_m !== null;
@@ -232,6 +234,12 @@ function estimateIcon(view, light, stale) {
     : svg("path", { d: "M0 -14L9 11L0 6L-9 11Z", transform: `rotate(${turn.toFixed(0)})` });
   return svg("svg", { class: `vehicle ${light}${stale ? " stale" : ""}`, viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
     body, svg("text", { class: "name", x: 15, y: -7 }, `${view.sysid} ${SIGNS[light]}`));
+}
+
+function truthIcon(view) {
+  return svg("svg", { class: "vehicle truth", viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
+    svg("path", { d: "M0 -13V-4M0 4V13M-13 0H-4M4 0H13" }), svg("circle", { cx: 0, cy: 0, r: 8 }),
+    svg("text", { class: "name", x: -15, y: 21 }, `${view.sysid} true`));
 }
 
 function claimIcon(view) {

@@ -15,6 +15,7 @@ const KINDS = [
 
 export class Plots {
   constructor() {
+    this.selected = null;
     this.reset(null);
     this.resizing = new ResizeObserver(() => this.plots?.forEach((p) => p.setSize(size(p.root.parentNode))));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build());
@@ -24,7 +25,6 @@ export class Plots {
     this.offset = offset;
     this.rows = new Map();
     this.sysids = [];
-    this.selected = null;
   }
 
   restore(history) {

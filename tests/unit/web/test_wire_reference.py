@@ -18,6 +18,8 @@ MODELS = [
     wire.EventsFrame,
     wire.VehicleHistory,
     wire.Hello,
+    wire.PlaybackState,
+    wire.PlaybackCommand,
 ]
 FIELDS = [f"{model.__name__}.{name}" for model in MODELS for name in model.model_fields]
 FIELDS += [f"{view.__name__}.{f.name}" for view in (VehicleView, RangeView, Consistency) for f in dataclasses.fields(view)]

@@ -1,0 +1,114 @@
+"""A recorded flight on the page in a real browser: it plays, pauses, seeks both ways by keyboard, and ends with Ctrl-C."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from flight import Watched, browser
+from playwright.sync_api import expect
+from recorded_flight import EPOCH_S, write_flight
+
+pytestmark = pytest.mark.integration
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory) -> tuple[Path, Path]:
+    """40 s, vehicle 4 without GPS after 20 s, and the truth of that vehicle."""
+    path = tmp_path_factory.mktemp("flight") / "flight.tlog"
+    truth = write_flight(path, 40.0)
+    table = path.with_name("truth.csv")
+    rows = "".join(f"{unix_s!r},4,{lat_deg!r},{lon_deg!r},600\n" for unix_s, (lat_deg, lon_deg) in truth.items())
+    table.write_text(f"unix_s,sysid,lat_deg,lon_deg,alt_msl_m\n{rows}")
+    return path, table
+
+
+@pytest.fixture
+def replayed(recording) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    path, truth = recording
+    command = [sys.executable, "-m", "gcs_coloc", "replay", str(path), "--truth", str(truth), "--web", "127.0.0.1:0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    found = re.search(r"web page: (http://\S+)", process.stdout.readline())
+    assert found is not None
+    yield process, found.group(1)
+    process.kill()
+    process.communicate()
+
+
+def test_a_flight_is_played_paused_and_sought_in_by_keyboard(replayed):
+    process, url = replayed
+    with browser() as chromium:
+        page = chromium.new_page(viewport={"width": 1366, "height": 900})
+        expect.set_options(timeout=60_000)
+        watched = Watched(page)
+        page.goto(url)
+        place = page.get_by_role("slider", name="Place in the recording")
+        state = page.locator("#connection")
+        page.get_by_role("button", name="Pause").click()
+        expect(state).to_have_text("replay, paused")
+        expect(page.locator("#commands")).to_be_hidden()
+        place.focus()
+        page.keyboard.press("End")
+        expect(place).to_have_attribute("aria-valuetext", re.compile("^0:(39|40) of 0:(39|40)$"))
+        alarm = page.locator("#alarms li").filter(has_text="vehicle 4: GPS suspect -> failed")
+        expect(alarm).to_be_visible()
+        expect(page.get_by_role("button", name="Vehicle 4: the truth")).to_be_visible()
+        expect(page.get_by_text("the truth, from the simulation")).to_be_visible()
+        place.focus()
+        page.keyboard.press("Home")
+        expect(place).to_have_attribute("aria-valuetext", re.compile("^0:00 of"))
+        expect(alarm).to_have_count(0)
+        for _ in range(4):
+            page.keyboard.press("PageUp")
+        expect(page.locator("#fleet").get_by_role("button", name="Vehicle 4")).to_contain_text("GPS healthy")
+        page.get_by_label("Speed").select_option("as fast as it goes")
+        page.get_by_role("button", name="Play").click()
+        expect(state).to_have_text("replay, at the end")
+        expect(alarm).to_be_visible()
+        assert watched.complaints == []
+    process.send_signal(signal.SIGINT)
+    _, told = process.communicate(timeout=20)
+    assert (process.returncode, told) == (0, "")
+
+
+def answer(url: str, path: str, body: bytes, **headers: str) -> int:
+    request = urllib.request.Request(f"{url}{path}", data=body, headers=headers)
+    try:
+        with urllib.request.urlopen(request, timeout=20) as found:
+            return found.status
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code
+
+
+def test_the_controls_need_no_token_but_no_foreign_page_reaches_them_and_there_are_no_commands(replayed):
+    _, url = replayed
+    assert answer(url, "api/playback", b'{"playing": false, "speed": "max"}') == 200
+    assert answer(url, "api/playback", b'{"seek_s": %f}' % (EPOCH_S + 30.0)) == 200
+    assert answer(url, "api/playback", b'{"speed": -1}') == 422
+    assert answer(url, "api/playback", b"x" * 2000) == 413
+    assert answer(url, "api/playback", b"{}", Origin="http://evil.example") == 403
+    assert answer(url, "api/vehicles/4/gps", b'{"word": "failed"}') == 404
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["--web", "--json"], 2, "exclude each other"),
+        (["--web", "--speed", "0"], 2, "--speed 0"),
+        (["--web", "999.1.1.1:0"], 1, "cannot listen"),
+    ],
+)
+def test_a_mistake_is_one_line(recording, arguments, code, words):
+    command = [sys.executable, "-m", "gcs_coloc", "replay", str(recording[0]), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, len(done.stderr.strip().splitlines())) == (code, 1)
+    assert words in done.stderr

@@ -1,0 +1,122 @@
+"""A replayed flight on the page: what is shown at a place does not depend on how it was come to, nor on the truth."""
+
+from __future__ import annotations
+
+from math import inf
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+from recorded_flight import EPOCH_S, write_flight
+
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.mavlink.truth import HeardTruth
+from gcs_coloc.recorder.playhead import Playhead
+from gcs_coloc.recorder.replay import Replay, replay
+from gcs_coloc.recorder.tlog import TlogReader
+from gcs_coloc.web.picture import fleet_frame
+from gcs_coloc.web.playback import Playback
+from gcs_coloc.web.story import Story
+from gcs_coloc.web.wire import PlaybackCommand
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("flight") / "flight.tlog"
+    write_flight(path, 30.0)
+    return path
+
+
+class Clock:
+    """A second a call: every slice of work ends after one message."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def __call__(self) -> float:
+        self.now_s += 1.0
+        return self.now_s
+
+
+def playback_of(path: Path) -> tuple[Playback, Story]:
+    story = Story()
+
+    def begin(on_poll):
+        return Replay(Engine(load_estimator("fleet", {})), TlogReader(path), [], on_poll)
+
+    return Playback(begin, Playhead(*TlogReader(path).span(), inf), story), story
+
+
+def go_to(playback: Playback, at_s: float, clock) -> None:
+    playback.obey(PlaybackCommand(playing=False, seek_s=EPOCH_S + at_s))
+    while playback.go_on(clock) or playback.state.goal_s is not None:
+        pass
+
+
+def seen(playback: Playback, story: Story) -> str:
+    view = playback.look()
+    return fleet_frame(view, story.links(view)).model_dump_json() + story.events_after(0).model_dump_json() + str(story.history())
+
+
+def test_what_is_seen_at_a_place_is_the_same_from_before_from_behind_and_in_a_plain_replay(flight):
+    playback, story = playback_of(flight)
+    go_to(playback, 24.3, lambda: 0.0)
+    assert playback.state.at_s == EPOCH_S + 24.3
+    first, instance = seen(playback, story), story.instance
+    assert '"gps_state":"failed"' in first
+    go_to(playback, 28.0, Clock())
+    assert story.instance == instance
+    assert seen(playback, story) != first
+    go_to(playback, 24.3, Clock())
+    assert story.instance != instance
+    assert seen(playback, story) == first
+
+    views, through = [], None
+
+    def look(at_s):
+        views.append(through.engine.view(at_s))
+
+    through = Replay(Engine(load_estimator("fleet", {})), TlogReader(flight), [], lambda *_: None)
+    replay(through, [EPOCH_S + 24.3], look)
+    assert playback.look().vehicles == views[0].vehicles
+
+
+def test_it_plays_to_the_end_and_stops_there(flight):
+    playback, _ = playback_of(flight)
+    while playback.state.playing:
+        playback.go_on(Clock())
+    assert playback.state.at_s == playback.state.last_s == pytest.approx(EPOCH_S + 30.0, abs=0.2)
+    assert {v.sysid for v in playback.look().vehicles} == {1, 2, 3, 4}
+    assert playback.look().links[0].received > 300
+
+
+def test_a_seek_that_is_overtaken_by_another_ends_at_the_other(flight):
+    playback, _ = playback_of(flight)
+    playback.obey(PlaybackCommand(playing=False, seek_s=EPOCH_S + 25.0))
+    for _ in range(50):
+        playback.go_on(Clock())
+    go_to(playback, 5.0, Clock())
+    assert playback.state.at_s == EPOCH_S + 5.0
+    assert {v.gps_state for v in playback.look().vehicles} <= {"healthy", "unknown"}
+
+
+@pytest.mark.parametrize(
+    "words", [{"speed": 0}, {"speed": "fast"}, {"speed": -1}, {"seek_s": "nan"}, {"playing": 3}, {"stop": True}]
+)
+def test_what_means_nothing_is_refused(words):
+    with pytest.raises(ValidationError):
+        PlaybackCommand.model_validate(words)
+
+
+def test_a_truth_is_drawn_while_it_is_fresh_and_only_for_its_vehicle(flight):
+    playback, _ = playback_of(flight)
+    go_to(playback, 20.0, lambda: 0.0)
+    view = playback.look()
+    place = view.vehicles[3]
+    fresh = HeardTruth(4, view.at_s - 1.0, place.lat_deg, place.lon_deg)
+    by_sysid = {v.view.sysid: v.truth_enu_m for v in fleet_frame(view, (), [fresh]).vehicles}
+    assert by_sysid[4] == pytest.approx(place.enu_m, abs=1e-3)
+    assert [by_sysid[sysid] for sysid in (1, 2, 3)] == [None, None, None]
+    old = fresh._replace(at_s=view.at_s - 3.0)
+    assert all(v.truth_enu_m is None for v in fleet_frame(view, (), [old]).vehicles)
