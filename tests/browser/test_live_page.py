@@ -150,6 +150,7 @@ def test_a_restarted_service_is_found_again_and_its_absence_is_said(scene, tmp_p
             page.goto(url)
             expect(page.locator("#alarms li").filter(has_text="vehicle 4")).not_to_have_count(0, timeout=20_000)
             expect(page.locator("#commands")).to_be_hidden()
+            expect(page.locator("#connection")).to_have_text("live", timeout=20_000)
         expect(page.locator("#connection")).to_contain_text("NO CONNECTION", timeout=10_000)
         with service(tmp_path / "second", *arguments):
             expect(page.locator("#connection")).to_have_text("live", timeout=20_000)
