@@ -5,7 +5,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 # Several threads are slower than one on matrices as small as ours; the service and its commands see to it themselves.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test lint bench fuzz dialect lock clean
+.PHONY: demo demo-docker demo-docker-down test lint bench fuzz dialect lock clean
 
 # The environment with the program in it: .venv/bin/gcs-coloc.
 .venv: .venv/.ready
@@ -19,6 +19,13 @@ export OPENBLAS_NUM_THREADS = 1
 
 demo: .venv/.ready
 	$(BIN)/python -m gcs_coloc.study.demo --out out/demo
+
+# The same in containers, one for each aircraft; needs Docker with Compose and nothing else.
+demo-docker:
+	sh tools/demo-docker up
+
+demo-docker-down:
+	sh tools/demo-docker down
 
 test: .venv/.ready-dev
 	sh tools/install-test-tools

@@ -1,0 +1,35 @@
+"""Waits until a vehicle is sent its position, and says in one line how well it is located. Runs where the service runs.
+
+`docker compose exec -T coloc python - SYSID < tools/until_located.py`
+"""
+
+import sys
+import time
+import urllib.request
+
+from prometheus_client.parser import text_string_to_metric_families
+
+_METRICS = "http://127.0.0.1:8080/metrics"
+_PATIENCE_S = 150.0
+
+
+def _of_vehicle(sysid: str) -> dict[str, float]:
+    with urllib.request.urlopen(_METRICS, timeout=10) as answer:
+        families = text_string_to_metric_families(answer.read().decode())
+        return {s.name: s.value for family in families for s in family.samples if s.labels.get("sysid") == sysid}
+
+
+def main(sysid: str) -> None:
+    """Wait for the vehicle; exit code 1 where it comes to nothing."""
+    end = time.monotonic() + _PATIENCE_S
+    while (now := _of_vehicle(sysid)).get("gcs_coloc_vehicle_aid_fix") != 1.0:
+        if time.monotonic() > end:
+            sys.exit(f"UAV{sysid} was not located within {_PATIENCE_S:.0f} s; what the service says: docker compose logs coloc")
+        time.sleep(0.5)
+    print(
+        f"UAV{sysid} has lost its GPS and is located: 1-sigma {now['gcs_coloc_vehicle_position_sigma_meters']:.1f} m, "
+        f"from ranges to {now['gcs_coloc_vehicle_ranges_in_use']:.0f} neighbours, HDOP {now['gcs_coloc_vehicle_hdop']:.1f}"
+    )
+
+
+main(sys.argv[1])
