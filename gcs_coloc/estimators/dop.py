@@ -10,11 +10,15 @@ What a geometry cannot observe has infinite dilution; what it can observe stays 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
+
+_PARALLEL = 1e-14
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,3 +97,17 @@ def horizontal_dilution(unit_vectors: FloatArray) -> FloatArray:
 
     """
     return np.asarray(np.sqrt(cofactor_diagonal(unit_vectors[..., :2]).sum(axis=-1)))
+
+
+def horizontal_dilution_of(units: Iterable[tuple[float, float, float]]) -> float:
+    """Return `horizontal_dilution` of one geometry, from its unit vectors, at a hundredth of the cost: for answers in flight.
+
+    Infinite where the directions are parallel to within the rounding of their squares (some 1e-7 rad).
+    """
+    ee = en = nn = 0.0
+    for e, n, _ in units:
+        ee += e * e
+        en += e * n
+        nn += n * n
+    trace, determinant = ee + nn, ee * nn - en * en
+    return math.sqrt(trace / determinant) if determinant > _PARALLEL * trace * trace else math.inf

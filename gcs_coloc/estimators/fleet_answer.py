@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from gcs_coloc.core.bound import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, Unknown
-from gcs_coloc.estimators.dop import horizontal_dilution
+from gcs_coloc.estimators.dop import horizontal_dilution_of
 from gcs_coloc.estimators.fleet_cluster import Cluster
 from gcs_coloc.estimators.fleet_motion import POSITION, SIZE, STAMP_ERROR, VELOCITY
 
@@ -29,13 +28,13 @@ def answer(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | Unknown:
     G[POSITION, STAMP_ERROR] = -x[VELOCITY]
     position, spread = x[POSITION] - x[STAMP_ERROR] * x[VELOCITY], G @ P @ G.T
     covariance = 0.5 * (spread + spread.T)
-    worst_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    worst_m = horizontal_sigma_m(covariance)
     if not worst_m <= cluster.settings.limit_sigma_m:
         return Unknown(
             vehicle, at_s, f"too uncertain: {worst_m:.0f} m (1-sigma) horizontally; more or better placed ranges are needed"
         )
     units = [n.unit for n in cluster.records[vehicle].neighbours.values() if abs(at_s - n.at_s) <= _IN_USE_S]
-    hdop = float(horizontal_dilution(np.array(units))) if len(units) >= 2 else None
+    hdop = horizontal_dilution_of(units) if len(units) >= 2 else None
     return Estimate(vehicle, at_s, position, x[VELOCITY].copy(), covariance, hdop, len(units))
 
 

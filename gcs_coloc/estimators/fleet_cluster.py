@@ -14,12 +14,12 @@ from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.estimators.fleet_joint import Joint
 from gcs_coloc.estimators.fleet_motion import (
     GRAVITY_MPS2,
-    SIZE,
     STAMP_ERROR,
     STEEPEST_BANK_RAD,
     TURN,
     VELOCITY,
-    add_acceleration_noise,
+    acceleration_noise,
+    fade_slow_states,
     set_turn_column,
     transition,
     turn_rate_radps,
@@ -107,24 +107,15 @@ class Cluster:
         # Of the error of time stamps only the vehicle's own part changes, a clock's lasts.
         own = s.stamp_sigma_s / record.stamp_s if record.stamp_s > 0.0 else 0.0
         stamp_time_s = s.stamp_error_time_s / max(own * own, _LEAST_OWN_SHARE)
-        Q = np.zeros((SIZE, SIZE))
-        add_acceleration_noise(Q, length, density, climb)
-        for index, time_s, sigma in (
-            (6, s.wind_time_s, s.wind_sigma_mps),
-            (7, s.wind_time_s, s.wind_sigma_mps),
-            (8, s.air_error_time_s, s.airspeed_sigma_mps),
-            (9, s.air_error_time_s, s.heading_sigma_rad),
-            (10, s.baro_error_time_s, record.slow_baro_m),
-            (11, s.report_error_time_s, record.slow_report_h_m),
-            (12, s.report_error_time_s, record.slow_report_h_m),
-            (13, s.report_error_time_s, record.slow_report_v_m),
-            (14, stamp_time_s, record.stamp_s),
-            (15, s.turn_time_s, s.turn_sigma_radps * min(math.sqrt(gain), _TURN_GAIN)),
-        ):
-            decay = math.exp(-length / time_s)
-            F[index, index] = decay
-            mean[index] *= decay
-            Q[index, index] += sigma * sigma * (1.0 - decay * decay)
+        Q = acceleration_noise(length, density, climb)
+        air_s, report_s = s.air_error_time_s, s.report_error_time_s
+        times_s = (s.wind_time_s, s.wind_time_s, air_s, air_s, s.baro_error_time_s, *(report_s,) * 3, stamp_time_s, s.turn_time_s)
+        sigmas = (
+            *(s.wind_sigma_mps, s.wind_sigma_mps, s.airspeed_sigma_mps, s.heading_sigma_rad, record.slow_baro_m),
+            *(record.slow_report_h_m, record.slow_report_h_m, record.slow_report_v_m, record.stamp_s),
+            s.turn_sigma_radps * min(math.sqrt(gain), _TURN_GAIN),
+        )
+        fade_slow_states(mean, F, Q, length, times_s, sigmas)
         return mean, F, Q
 
     def bring(self, vehicle: int, at_s: float) -> None:

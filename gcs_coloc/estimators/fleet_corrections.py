@@ -19,6 +19,7 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.estimators.fleet_blocks import pair_key
 from gcs_coloc.estimators.fleet_cluster import Cluster
+from gcs_coloc.estimators.fleet_joint import whiten
 from gcs_coloc.estimators.fleet_motion import (
     AIRSPEED_ERROR,
     BARO_ERROR,
@@ -91,30 +92,27 @@ def take_position(
         thin = max(1.0, _REPORT_VELOCITY_TIME_S / max(at_s - record.velocity_used_at_s, 1e-3))
         noise += [sigma_mps**2 * thin] * 3
         record.velocity_used_at_s = at_s
-    S = _report_covariance(cluster, PHt, m.vehicle, noise)
-    nis = float(innovation @ np.linalg.solve(S, innovation))
+    whitened = whiten(_report_covariance(cluster, PHt, m.vehicle, noise), innovation)
     # Twice the degrees of freedom widen the gate as the chi-square distribution widens.
     limit = cluster.settings.gate_sigma**2 + 2.0 * k
-    if nis > limit:
+    if whitened.nis > limit:
         # Noise that was not seen before to be white: as large as the report itself says.
         noise[:3] = [m.sigma_h_m**2, m.sigma_h_m**2, m.sigma_v_m**2]
-        S = _report_covariance(cluster, PHt, m.vehicle, noise)
-        nis = float(innovation @ np.linalg.solve(S, innovation))
-    if nis > limit:
+        whitened = whiten(_report_covariance(cluster, PHt, m.vehicle, noise), innovation)
+    if whitened.nis > limit:
         # A hard manoeuvre since the last report explains much: one that began then, at any acceleration a vehicle stands.
         jolt = _jolt(since_s)
         trial = PHt.copy()
         trial[start : start + 6] += jolt[:, :k]
-        S = _report_covariance(cluster, trial, m.vehicle, noise)
-        nis = float(innovation @ np.linalg.solve(S, innovation))
-        if nis > limit:
-            return Verdict("refused: position report outside the gate", 0.0, 0.0, nis, k)
+        whitened = whiten(_report_covariance(cluster, trial, m.vehicle, noise), innovation)
+        if whitened.nis > limit:
+            return Verdict("refused: position report outside the gate", 0.0, 0.0, whitened.nis, k)
         joint.P[start : start + 6, start : start + 6] += jolt
         PHt = trial
-    W, whitened = joint.update(PHt, S, innovation)
-    cluster.watch(m.vehicle, W, whitened.tolist(), at_s)
+    W = joint.update(PHt, whitened)
+    cluster.watch(m.vehicle, W, whitened.e.tolist(), at_s)
     record.informed_at_s = at_s
-    return Verdict(USED, 0.0, 0.0, nis, k)
+    return Verdict(USED, 0.0, 0.0, whitened.nis, k)
 
 
 def _report_covariance(cluster: Cluster, PHt: FloatArray, vehicle: int, noise: list[float]) -> FloatArray:
@@ -196,13 +194,15 @@ def take_attitude(cluster: Cluster, m: AttitudeMeasurement) -> Verdict:
     noise = s.air_noise_mps**2 * max(1.0, s.air_noise_time_s / max(since_s, 1e-3))
     S[0, 0] += noise
     S[1, 1] += noise
-    nis = float(innovation @ np.linalg.solve(S, innovation))
+    whitened = whiten(S, innovation)
+    nis = whitened.nis
     excess = nis / s.gate_sigma**2
     if excess > 1.0:
         S[0, 0] += (excess - 1.0) * S[0, 0]
         S[1, 1] += (excess - 1.0) * S[1, 1]
-    W, whitened = joint.update(PHt, S, innovation)
-    cluster.watch(m.vehicle, W, whitened.tolist(), m.measured_at_s)
+        whitened = whiten(S, innovation)
+    W = joint.update(PHt, whitened)
+    cluster.watch(m.vehicle, W, whitened.e.tolist(), m.measured_at_s)
     return Verdict(USED, 0.0, 0.0, nis, 2)
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gcs_coloc.core.bound import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, Measurement, RangeMeasurement, Unknown
 from gcs_coloc.estimators.fleet_corrections import Verdict
 from gcs_coloc.estimators.fleet_mirror import blend, find_mirror, reflect
@@ -117,7 +118,7 @@ class FleetHypotheses:
             x = np.concatenate([where.position_enu_m, where.velocity_enu_mps])
             other_x = np.concatenate([other.position_enu_m, other.velocity_enu_mps])
             mean, covariance = blend(x, where.covariance, other_x, other.covariance, twin.log_odds)
-            if math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1])) > self.main.settings.limit_sigma_m:
+            if horizontal_sigma_m(covariance) > self.main.settings.limit_sigma_m:
                 apart_m = math.hypot(*(other_x - x)[:2].tolist())
                 reason = f"ambiguous: another place, {apart_m:.0f} m from the first, fits the ranges as well"
                 return Unknown(vehicle, at_s, reason)

@@ -9,6 +9,7 @@ propagations and one rank-k update, whatever the number of vehicles.
 from __future__ import annotations
 
 from collections.abc import Hashable
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
@@ -16,6 +17,26 @@ from scipy.linalg import lapack
 from gcs_coloc.core.measurements import FloatArray
 
 Key = Hashable
+
+
+class Whitened(NamedTuple):
+    """An innovation brought to unit variance: e (k,) = S^-1/2 innovation, with `inverse_root` S^-1/2 (k, k), lower triangular.
+
+    `nis` is e'e, the normalised innovation squared.
+    """
+
+    e: FloatArray
+    inverse_root: FloatArray
+    nis: float
+
+
+def whiten(S: FloatArray, innovation: FloatArray) -> Whitened:
+    """Return the innovation (k,) whitened by its covariance S (k, k)."""
+    root, info = lapack.dpotrf(S, lower=1, clean=1)
+    assert info == 0, "an innovation covariance holds measurement noise and is positive definite"
+    inverse_root, _ = lapack.dtrtri(root, lower=1)
+    e = inverse_root @ innovation
+    return Whitened(e, inverse_root, float(e @ e))
 
 
 class Joint:
@@ -91,21 +112,15 @@ class Joint:
         self.P[where, where] = 0.5 * (block + block.T)
         self.time_s[key] = at_s
 
-    def update(self, PHt: FloatArray, S: FloatArray, innovation: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Take a measurement of k values: PHt (n, k) = P H', innovation covariance S (k, k), innovation (k,).
+    def update(self, PHt: FloatArray, innovation: Whitened) -> FloatArray:
+        """Take a measurement of k values: PHt (n, k) = P H' and its whitened innovation.
 
-        The covariance is reduced by W W' with W = P H' S^-T/2, which stays symmetric to the last bit.
-
-        Returns W (n, k) and the whitened innovation e (k,), so that the correction made to the mean is W e.
+        The covariance is reduced by W W' with W = P H' S^-T/2 (n, k), which stays symmetric to the last bit. Returns W.
         """
-        root, info = lapack.dpotrf(S, lower=1, clean=1)
-        assert info == 0, "an innovation covariance holds measurement noise and is positive definite"
-        inverse_root, _ = lapack.dtrtri(root, lower=1)
-        W = PHt @ inverse_root.T
-        e = inverse_root @ innovation
-        self.x += W @ e
+        W: FloatArray = PHt @ innovation.inverse_root.T
+        self.x += W @ innovation.e
         self.P -= W @ W.T
-        return W, e
+        return W
 
     def update_scalar(self, PHt: FloatArray, variance: float, innovation: float) -> FloatArray:
         """Take a measurement of one value: PHt (n,), innovation variance and innovation. Returns W (n,) as `update` does."""

@@ -31,6 +31,8 @@ GRAVITY_MPS2 = 9.80665
 STEEPEST_BANK_RAD = 1.2
 """No vehicle in a coordinated turn is banked more."""
 _LEAST_TURN_RAD = 1e-4
+_EYE = np.eye(SIZE)
+_SLOW_DIAGONAL = slice(WIND.start * (SIZE + 1), None, SIZE + 1)
 
 
 def turn_rate_radps(roll_rad: float, airspeed_mps: float) -> float:
@@ -43,7 +45,7 @@ def transition(step_s: float, turn_radps: float, *, in_wind: bool) -> FloatArray
 
     With `in_wind` the air velocity turns and the wind carries the vehicle along; without, the velocity over ground turns.
     """
-    F = np.eye(SIZE)
+    F = _EYE.copy()
     F[2, 5] = step_s
     angle = turn_radps * step_s
     if abs(angle) < _LEAST_TURN_RAD:
@@ -74,11 +76,28 @@ def set_turn_column(F: FloatArray, step_s: float, lasting_s: float, ve_mps: floa
     F[0, TURN], F[1, TURN] = 0.5 * step_s * F[3, TURN], 0.5 * step_s * F[4, TURN]
 
 
-def add_acceleration_noise(Q: FloatArray, step_s: float, horizontal: float, vertical: float) -> None:
-    """Add to Q (16, 16) what white acceleration of the given densities (m^2/s^3) does over a step."""
+def acceleration_noise(step_s: float, horizontal: float, vertical: float) -> FloatArray:
+    """Return Q (16, 16) of a step in which white acceleration of the given densities (m^2/s^3) acts."""
+    Q = np.zeros((SIZE, SIZE))
     half, third = 0.5 * step_s * step_s, step_s * step_s * step_s / 3.0
-    for axis, density in ((0, horizontal), (1, horizontal), (2, vertical)):
-        Q[axis, axis] += density * third
-        Q[axis, axis + 3] += density * half
-        Q[axis + 3, axis] += density * half
-        Q[axis + 3, axis + 3] += density * step_s
+    Q[0, 0] = Q[1, 1] = horizontal * third
+    Q[0, 3] = Q[3, 0] = Q[1, 4] = Q[4, 1] = horizontal * half
+    Q[3, 3] = Q[4, 4] = horizontal * step_s
+    Q[2, 2] = vertical * third
+    Q[2, 5] = Q[5, 2] = vertical * half
+    Q[5, 5] = vertical * step_s
+    return Q
+
+
+def fade_slow_states(
+    mean: FloatArray, F: FloatArray, Q: FloatArray, length_s: float, times_s: tuple[float, ...], sigmas: tuple[float, ...]
+) -> None:
+    """Let the states from the wind on, each a first-order Gauss-Markov process, fade towards zero over a step of a length.
+
+    `times_s` and `sigmas` are their correlation times and standard deviations. `mean` (16,), F and Q (16, 16) are changed.
+    """
+    decays = np.exp(-length_s / np.array(times_s))
+    spread = np.array(sigmas)
+    F.reshape(-1)[_SLOW_DIAGONAL] = decays
+    mean[WIND.start :] *= decays
+    Q.reshape(-1)[_SLOW_DIAGONAL] = spread * spread * (1.0 - decays * decays)

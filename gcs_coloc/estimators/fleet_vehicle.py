@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 from gcs_coloc.core.measurements import AttitudeMeasurement, Measurement, PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.fleet_noise import Whiteness
@@ -12,6 +13,17 @@ _RECENT_S = 3.0
 _RECENT_MOST = 64
 _RANGES_S = 4.0
 _RANGES_MOST = 120
+
+
+_Slotted = TypeVar("_Slotted", "ManoeuvreMonitor", "VehicleRecord")
+
+
+def _same_fields(one: _Slotted) -> _Slotted:
+    """Return a shallow copy, in a fifth of the time of `dataclasses.replace`: ten are taken of every vehicle a second."""
+    other = object.__new__(type(one))
+    for name in one.__slots__:
+        setattr(other, name, getattr(one, name))
+    return other
 
 
 @dataclass(slots=True)
@@ -115,15 +127,14 @@ class VehicleRecord:
 
     def copy(self) -> VehicleRecord:
         """Return an independent copy."""
-        return replace(
-            self,
-            white_h=self.white_h.copy(),
-            white_v=self.white_v.copy(),
-            white_baro=self.white_baro.copy(),
-            manoeuvre=replace(self.manoeuvre),
-            neighbours=dict(self.neighbours),
-            heard=dict(self.heard),
-        )
+        other = _same_fields(self)
+        other.white_h = self.white_h.copy()
+        other.white_v = self.white_v.copy()
+        other.white_baro = self.white_baro.copy()
+        other.manoeuvre = _same_fields(self.manoeuvre)
+        other.neighbours = dict(self.neighbours)
+        other.heard = dict(self.heard)
+        return other
 
     def remember(self, measurement: Measurement) -> None:
         """Keep a measurement of this vehicle's own for a few seconds: a filter for it is started from these when needed."""

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcs_coloc.estimators.dop import cofactor_diagonal, dilution, horizontal_dilution
+from gcs_coloc.estimators.dop import cofactor_diagonal, dilution, horizontal_dilution, horizontal_dilution_of
 
 
 def compass(*bearings_deg: float) -> np.ndarray:
@@ -123,3 +123,17 @@ def test_a_direction_that_does_not_exist_counts_for_nothing() -> None:
 def test_the_cofactor_diagonal_is_scale_free() -> None:
     assert cofactor_diagonal(np.array([[1e-200, 0.0], [0.0, 1e-200]])) == pytest.approx([math.inf, math.inf])
     assert cofactor_diagonal(np.array([[1e-9, 0.0], [0.0, 1e-9]])) == pytest.approx([1e18, 1e18])
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 6.28), st.floats(-1.5, 1.5)), min_size=2, max_size=8))
+def test_the_quick_horizontal_dilution_is_the_thorough_one(directions) -> None:
+    units = [(math.sin(a) * math.cos(up), math.cos(a) * math.cos(up), math.sin(up)) for a, up in directions]
+    thorough = float(horizontal_dilution(np.array(units)))
+    quick = horizontal_dilution_of(units)
+    # Below that the squares have lost what tells the directions apart; nobody flies by a dilution of a million.
+    assert quick == pytest.approx(thorough, rel=1e-3) if thorough < 1e5 else quick > 1e4
+
+
+def test_parallel_directions_have_no_quick_dilution_either() -> None:
+    assert horizontal_dilution_of([(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)]) == math.inf
+    assert horizontal_dilution_of([]) == math.inf

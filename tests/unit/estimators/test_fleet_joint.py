@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gcs_coloc.estimators.fleet_joint import Joint
+from gcs_coloc.estimators.fleet_joint import Joint, whiten
 
 
 def walk(step_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -51,7 +51,7 @@ def test_blocks_at_their_own_times_give_what_the_synchronous_filter_gives():
         for key in ("a",) if only_a else ("a", "b"):
             step(joint, key, now_s)
         PHt = joint.P @ H.T
-        joint.update(PHt, H @ PHt + 0.3, np.array([z - float((H @ joint.x)[0])]))
+        joint.update(PHt, whiten(H @ PHt + 0.3, np.array([z - float((H @ joint.x)[0])])))
         if not only_a:
             np.testing.assert_allclose(joint.x, x, rtol=1e-9, atol=1e-9)
             np.testing.assert_allclose(joint.P, P, rtol=1e-8, atol=1e-9)
@@ -64,9 +64,16 @@ def test_scalar_update_equals_block_update():
     PHt = joint.P @ H
     variance = float(H @ PHt) + 0.5
     joint.update_scalar(PHt, variance, 0.8)
-    other.update(PHt[:, np.newaxis], np.array([[variance]]), np.array([0.8]))
+    other.update(PHt[:, np.newaxis], whiten(np.array([[variance]]), np.array([0.8])))
     np.testing.assert_allclose(joint.x, other.x, rtol=1e-12)
     np.testing.assert_allclose(joint.P, other.P, rtol=1e-12, atol=1e-14)
+
+
+def test_a_whitened_innovation_is_of_unit_variance():
+    S, innovation = np.array([[2.0, 0.3], [0.3, 1.0]]), np.array([0.5, -1.2])
+    white = whiten(S, innovation)
+    np.testing.assert_allclose(white.inverse_root @ S @ white.inverse_root.T, np.eye(2), atol=1e-14)
+    np.testing.assert_allclose(white.nis, innovation @ np.linalg.inv(S) @ innovation)
 
 
 def test_a_part_is_the_marginal_and_a_copy_is_independent():

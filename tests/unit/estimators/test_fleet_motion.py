@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gcs_coloc.estimators.fleet_motion import SIZE, add_acceleration_noise, transition, turn_rate_radps
+from gcs_coloc.estimators.fleet_motion import SIZE, acceleration_noise, fade_slow_states, transition, turn_rate_radps
 
 
 @pytest.mark.parametrize("turn_radps", [0.4, -0.25, 1e-6, 0.0])
@@ -30,10 +30,20 @@ def test_the_turn_rate_is_that_of_textbooks():
 
 
 def test_acceleration_noise_of_two_steps_is_that_of_one():
-    one, two = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
-    add_acceleration_noise(one, 1.0, 2.0, 0.5)
-    add_acceleration_noise(two, 0.4, 2.0, 0.5)
     F = transition(0.6, 0.0, in_wind=False)
-    two = F @ two @ F.T
-    add_acceleration_noise(two, 0.6, 2.0, 0.5)
-    np.testing.assert_allclose(one, two, atol=1e-12)
+    two = F @ acceleration_noise(0.4, 2.0, 0.5) @ F.T + acceleration_noise(0.6, 2.0, 0.5)
+    np.testing.assert_allclose(acceleration_noise(1.0, 2.0, 0.5), two, atol=1e-12)
+
+
+def test_slow_states_keep_their_spread_however_the_step_is_cut():
+    times_s, sigmas = tuple(np.arange(1.0, 11.0)), tuple(np.linspace(0.1, 3.0, 10))
+    mean, P = np.arange(float(SIZE)), np.diag(np.r_[np.zeros(6), np.square(sigmas)])
+    once = mean.copy()
+    fade_slow_states(once, np.eye(SIZE), np.zeros((SIZE, SIZE)), 1.0, times_s, sigmas)
+    for step_s in (0.3, 0.7):
+        F, Q = np.eye(SIZE), np.zeros((SIZE, SIZE))
+        fade_slow_states(mean, F, Q, step_s, times_s, sigmas)
+        P = F @ P @ F.T + Q
+    np.testing.assert_allclose(mean, once)
+    np.testing.assert_allclose(np.diag(P)[6:], np.square(sigmas))
+    np.testing.assert_array_equal(mean[:6], np.arange(6.0))
