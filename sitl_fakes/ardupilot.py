@@ -1,6 +1,7 @@
 """ArduPilot as far as positions from outside go: two GPS ports, EKF3's gates, arming checks, external position estimates.
 
-After ArduPilot 4.7: AP_GPS, AP_Arming::gps_checks, NavEKF3_core::setLatLng, and measurements on its SITL.
+After ArduPilot 4.7: AP_GPS, AP_Arming::gps_checks, NavEKF3_core::setLatLng and SelectVelPosFusion (a change of receiver sets
+the position to the new one's), and measurements on its SITL.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from sitl_fakes.guidance import Guidance
 from sitl_fakes.mav_result import ACCEPTED, FAILED
 from sitl_fakes.navigation import Navigation
 from sitl_fakes.parameters import Parameters
-from sitl_fakes.receivers import GpsFix, is_injected, is_own, receiver_in_use, refusal
+from sitl_fakes.receivers import GpsFix, is_injected, is_own, not_live, receiver_in_use, refusal
 from sitl_fakes.sensors import AirData
 
 _POSITION_NOISE_M = 0.5
 _MOST_APART_M = 50.0
+_NOT_CHECKED_AGAIN_S = 10.0
 
 
 class ArduPilot(Autopilot):
@@ -25,6 +27,8 @@ class ArduPilot(Autopilot):
     def __init__(self, params: Parameters, guidance: Guidance) -> None:
         super().__init__(Navigation(reset_after_s=10.0), guidance)
         self._params = params
+        self._own_used_at_s = -math.inf
+        self._fused = 0
 
     def receive_own_fix(self, fix: GpsFix, at_s: float) -> None:
         """Take a message of the aircraft's own receiver, which is wired to the first port."""
@@ -89,9 +93,21 @@ class ArduPilot(Autopilot):
         receiver = self.receivers[instance]
         receiver.receive(fix, at_s)
         self._choose_receiver(at_s)
-        if instance == self.in_use and refusal(receiver, self._params, at_s) is None:
+        if instance == self.in_use and self._refusal(instance, at_s) is None:
+            if instance != self._fused:
+                self.navigation.move_to(fix)
+                self._fused = instance
             self.navigation.correct(fix, at_s)
+            if is_own(instance, self._params):
+                self._own_used_at_s = at_s
             self._last_used = f"gps{instance + 1}{' injected' if is_injected(instance, self._params) else ''}"
+
+    def _refusal(self, instance: int, at_s: float) -> str | None:
+        """Why a receiver in use is not fused: its own one, once begun with, is not checked again until it was long gone."""
+        receiver = self.receivers[instance]
+        if is_own(instance, self._params) and at_s - self._own_used_at_s <= _NOT_CHECKED_AGAIN_S:
+            return not_live(receiver, at_s)
+        return refusal(receiver, self._params, at_s)
 
     def _choose_receiver(self, at_s: float) -> None:
         self.in_use = receiver_in_use(self.receivers, self._params, at_s, self.in_use)

@@ -82,7 +82,7 @@ class Navigation:
     def correct(self, fix: GpsFix, at_s: float) -> None:
         """Fuse a fix that passed the quality checks: its position brought forward by its age, then its velocity."""
         ve, vn, _ = fix.velocity_enu_mps
-        seen = (fix.position_enu_m[0] + ve * fix.age_s, fix.position_enu_m[1] + vn * fix.age_s)
+        seen = _brought_forward(fix)
         first = self.position_m is None
         self.correct_position(seen, fix.h_acc_m or 0.0, at_s)
         if first:
@@ -110,6 +110,11 @@ class Navigation:
         elif may_reset and self.since_position_s(at_s) > self._reset_after_s:
             self._take_position(seen_m, sigma, at_s)
         return not self.glitching
+
+    def move_to(self, fix: GpsFix) -> None:
+        """Set the position to a fix, brought forward by its age; how well it is known stays as it was."""
+        if self.position_m is not None:
+            self.position_m = _brought_forward(fix)
 
     def take_estimate(self, position_m: tuple[float, float], sigma_m: float, age_s: float) -> None:
         """Set the position from outside (MAV_CMD_EXTERNAL_POSITION_ESTIMATE), east and north in m as they were `age_s` ago,
@@ -149,3 +154,8 @@ class Navigation:
         self._wind = [velocity_mps[0] - self._air[0], velocity_mps[1] - self._air[1]]
         self._p.pw, self._p.ww = 0.0, _FIRST_WIND_SIGMA_MPS**2
         self._velocity_at_s = at_s
+
+
+def _brought_forward(fix: GpsFix) -> tuple[float, float]:
+    (east, north, _), (ve, vn, _) = fix.position_enu_m, fix.velocity_enu_mps
+    return east + ve * fix.age_s, north + vn * fix.age_s

@@ -108,13 +108,18 @@ def receiver_in_use(receivers: Sequence[Receiver], params: Mapping[str, float], 
     return other if theirs > mine or (theirs == mine and more >= 2) else in_use
 
 
-def refusal(receiver: Receiver, params: Mapping[str, float], at_s: float) -> str | None:
-    """Say why EKF3 does not use the receiver now, or None: its rhythm, fix type, and the checks that EK3_GPS_CHECK turns on."""
-    fix = receiver.fix
-    if fix is None or receiver.fix_type(at_s) < 3:
+def not_live(receiver: Receiver, at_s: float) -> str | None:
+    """Say why a receiver has nothing to use now, whatever it states of itself, or None: fix type and rhythm."""
+    if receiver.fix is None or receiver.fix_type(at_s) < 3:
         return "no 3D fix"
-    if not receiver.rhythm_ok():
-        return "messages too seldom"
+    return None if receiver.rhythm_ok() else "messages too seldom"
+
+
+def refusal(receiver: Receiver, params: Mapping[str, float], at_s: float) -> str | None:
+    """Say why EKF3 does not begin to use the receiver now, or None: rhythm, fix type, the checks that EK3_GPS_CHECK turns on."""
+    dead, fix = not_live(receiver, at_s), receiver.fix
+    if dead is not None or fix is None:
+        return dead
     checks, scale = int(params["EK3_GPS_CHECK"]), params["EK3_CHECK_SCALE"] / 100.0
     if checks & _CHECK_SATELLITES and fix.satellites < 6:
         return "too few satellites"
