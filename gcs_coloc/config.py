@@ -149,6 +149,7 @@ class WebConfig(_Section):
         (), description="names besides IP addresses and localhost that the page may be called by"
     )
     token_file: str = Field("", description="file with the operator's token; without one the page is read-only")
+    tiles: str = Field("", description="a PMTiles file of raster tiles to draw under the map; empty: none")
 
     @field_validator("address")
     @classmethod

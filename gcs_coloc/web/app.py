@@ -26,6 +26,7 @@ from gcs_coloc.web.access import Guard, bears_token
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.playback import Playback
 from gcs_coloc.web.story import Story
+from gcs_coloc.web.tiles import TileFile
 from gcs_coloc.web.wire import Hello, PlaybackCommand
 
 _STATIC = Path(__file__).parent / "static"
@@ -67,11 +68,12 @@ _COMMANDS: Mapping[str, type[GpsCommand | AidCommand]] = {"gps": GpsCommand, "ai
 class _Site:
     """The handlers and what they share."""
 
-    def __init__(self, hooks: Hooks, story: Story, pages: Pages, token: str | None) -> None:
+    def __init__(self, hooks: Hooks, story: Story, pages: Pages, token: str | None, tiles: TileFile | None) -> None:
         self._hooks = hooks
         self._story = story
         self._pages = pages
         self._token = token
+        self._tiles = tiles
         self._registry: CollectorRegistry = fleet_registry(hooks.look)
 
     async def index(self, request: Request) -> Response:
@@ -137,6 +139,14 @@ class _Site:
         self._hooks.playback.obey(command)
         return JSONResponse({})
 
+    def tile(self, request: Request) -> Response:
+        """One tile of the map; 204 where there is none. No coroutine, for it reads a file: it runs in a thread."""
+        assert self._tiles is not None
+        data = self._tiles.tile(*(request.path_params[key] for key in ("zoom", "x", "y")))
+        if data is None:
+            return Response(status_code=204)
+        return Response(data, media_type=self._tiles.media_type, headers={"cache-control": "private, max-age=3600"})
+
     async def metrics(self, request: Request) -> Response:
         """The metrics for Prometheus."""
         del request
@@ -159,6 +169,7 @@ class _Site:
             version=__version__,
             commands=self._token is not None and self._hooks.obey is not None,
             replay=self._hooks.playback is not None,
+            tiles=self._tiles.info if self._tiles is not None else None,
             utc_minus_service_s=self._hooks.look().utc_minus_service_s,
             history=self._story.history(),
         ).model_dump_json()
@@ -174,9 +185,11 @@ async def _body(request: Request) -> bytes | None:
     return body
 
 
-def make_app(hooks: Hooks, story: Story, pages: Pages, token: str | None, allowed_hosts: Collection[str]) -> Starlette:
-    """The application; `token` None makes it read-only."""
-    site = _Site(hooks, story, pages, token)
+def make_app(
+    hooks: Hooks, story: Story, pages: Pages, token: str | None, tiles: TileFile | None, allowed_hosts: Collection[str]
+) -> Starlette:
+    """The application; `token` None makes it read-only, `tiles` None leaves the map without."""
+    site = _Site(hooks, story, pages, token, tiles)
     if hooks.playback is None:
         commands = Route("/api/vehicles/{sysid:int}/{what}", site.command, methods=["POST"])
     else:
@@ -188,6 +201,7 @@ def make_app(hooks: Hooks, story: Story, pages: Pages, token: str | None, allowe
             Route("/healthz", site.healthy),
             Route("/readyz", site.ready),
             commands,
+            *([Route("/tiles/{zoom:int}/{x:int}/{y:int}", site.tile)] if tiles is not None else []),
             WebSocketRoute("/live", site.live),
             Mount("/static", StaticFiles(directory=_STATIC)),
         ],

@@ -19,6 +19,7 @@ from gcs_coloc.web.app import Hooks, make_app
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.picture import fleet_frame
 from gcs_coloc.web.story import Story
+from gcs_coloc.web.tiles import TileFile
 from gcs_coloc.web.wire import FleetFrame
 
 log = logging.getLogger("gcs_coloc")
@@ -41,14 +42,15 @@ class WebServer:
         """Read the token and prepare everything but the socket. `news` is what the story follows, unless somebody else fills it.
 
         Raises:
-            ConfigError: the token file cannot be read, or what is in it is no token.
+            ConfigError: the token file or the file of tiles cannot be read, or what is in it is none.
         """
         self._config = config
         self._story = story
         self._news = news
         self._pages = Pages(lambda: _picture(hooks, story), story)
         self._token = read_token(Path(config.token_file)) if config.token_file else None
-        app = make_app(hooks, story, self._pages, self._token, config.allowed_hosts)
+        tiles = TileFile(Path(config.tiles)) if config.tiles else None
+        app = make_app(hooks, story, self._pages, self._token, tiles, config.allowed_hosts)
         self._server = _Server(
             uvicorn.Config(
                 app,

@@ -115,6 +115,14 @@ class VehicleHistory(_Wire):
     band_high: tuple[float | None, ...]
 
 
+class TilesInfo(_Wire):
+    """The tiles that there are under the map: their zooms in the usual scheme, and whose they are."""
+
+    min_zoom: int
+    max_zoom: int
+    attribution: str
+
+
 class Hello(_Wire):
     """The first message: which run of the service this is, whether it takes commands or is a replay, and the last minutes."""
 
@@ -123,5 +131,6 @@ class Hello(_Wire):
     version: str
     commands: bool
     replay: bool
+    tiles: TilesInfo | None
     utc_minus_service_s: float | None
     history: tuple[VehicleHistory, ...]

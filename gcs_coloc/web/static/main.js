@@ -51,6 +51,7 @@ function hello(message) {
     if (message.replay) alarms.clear();
   }
   alarms.begin(message.instance);
+  map.tiles.begin(message.tiles);
   fleet.allowCommands(message.commands);
   plots.reset(offset);
   plots.restore(message.history);

@@ -2,6 +2,7 @@
 
 import { byId, svg } from "./dom.js";
 import { LIGHT_WORDS, SIGNS } from "./palette.js";
+import { Tiles } from "./tiles.js";
 
 const L = window.L;
 const GRID_PX = 110;
@@ -21,6 +22,7 @@ export class FleetMap {
     });
     L.control.zoom({ position: "bottomright" }).addTo(this.map);
     new ResizeObserver(() => this.map.invalidateSize({ animate: false })).observe(byId("map"));
+    this.tiles = new Tiles(this.map);
     this.map.createPane("grid").classList.add("grid-pane");
     this.grid = L.layerGroup().addTo(this.map);
     this.gridRenderer = L.svg({ pane: "grid" });
@@ -87,6 +89,7 @@ export class FleetMap {
   }
 
   show(frame) {
+    this.tiles.setOrigin(frame.origin);
     const places = new Map();
     for (const vehicle of frame.vehicles) {
       const { view } = vehicle;

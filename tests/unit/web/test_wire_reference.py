@@ -18,6 +18,7 @@ MODELS = [
     wire.EventsFrame,
     wire.VehicleHistory,
     wire.Hello,
+    wire.TilesInfo,
     wire.PlaybackState,
     wire.PlaybackCommand,
 ]

@@ -1,0 +1,111 @@
+// Raster tiles under the map. Each is put at its own place in the east-north frame: over the tens of kilometres of a fleet
+// web Mercator and that frame differ in scale and direction, within one tile they do not.
+
+import { byId, setText } from "./dom.js";
+
+const L = window.L;
+const MOST = 80;
+const EQUATOR_M = 40075016.686;
+const [A, E2] = [6378137, 0.00669437999014];
+const rad = (deg) => (deg * Math.PI) / 180;
+
+function ecef(lat, lon, h) {
+  const [s, c] = [Math.sin(rad(lat)), Math.cos(rad(lat))];
+  const n = A / Math.sqrt(1 - E2 * s * s);
+  return [(n + h) * c * Math.cos(rad(lon)), (n + h) * c * Math.sin(rad(lon)), (n * (1 - E2) + h) * s];
+}
+
+const lonOf = (x, z) => (x / 2 ** z) * 360 - 180;
+const latOf = (y, z) => (Math.atan(Math.sinh(Math.PI * (1 - (2 * y) / 2 ** z))) * 180) / Math.PI;
+const xOf = (lon, z) => Math.floor(((lon + 180) / 360) * 2 ** z);
+const yOf = (lat, z) => Math.floor(((1 - Math.asinh(Math.tan(rad(lat))) / Math.PI) / 2) * 2 ** z);
+
+export class Tiles {
+  constructor(map) {
+    this.map = map;
+    map.createPane("tiles").classList.add("tiles-pane");
+    this.layers = new Map();
+    this.info = null;
+    this.origin = null;
+    map.on("moveend zoomend resize", () => this.draw());
+  }
+
+  // `info` is null where no tiles are set, `origin` the frame's: latitude, longitude in degrees, height in metres.
+  begin(info) {
+    this.info = info;
+    setText(byId("tiles-by"), info?.attribution ?? "");
+    this.draw();
+  }
+
+  setOrigin(origin) {
+    if (String(origin) === String(this.origin)) return;
+    this.origin = origin;
+    this.clear();
+    this.draw();
+  }
+
+  clear() {
+    for (const layer of this.layers.values()) layer.remove();
+    this.layers.clear();
+  }
+
+  enu(lat, lon) {
+    const [lat0, lon0, h] = this.origin;
+    const [p, o] = [ecef(lat, lon, h), ecef(lat0, lon0, h)];
+    const [x, y, z] = p.map((value, i) => value - o[i]);
+    const [sl, cl, sp, cp] = [Math.sin(rad(lon0)), Math.cos(rad(lon0)), Math.sin(rad(lat0)), Math.cos(rad(lat0))];
+    return [-sl * x + cl * y, -sp * cl * x - sp * sl * y + cp * z];
+  }
+
+  // Good to a few metres over tens of kilometres: it only says which tiles are in sight.
+  geodetic(east, north) {
+    const [lat0, lon0] = this.origin;
+    const s = Math.sin(rad(lat0));
+    const w = 1 - E2 * s * s;
+    const lat = lat0 + (north / ((A * (1 - E2)) / w ** 1.5)) * (180 / Math.PI);
+    return [lat, lon0 + (east / ((A / Math.sqrt(w)) * Math.cos(rad(lat)))) * (180 / Math.PI)];
+  }
+
+  inSight(zoom) {
+    const b = this.map.getBounds();
+    const corners = [[b.getWest(), b.getSouth()], [b.getEast(), b.getSouth()], [b.getWest(), b.getNorth()], [b.getEast(), b.getNorth()]].map(([e, n]) => this.geodetic(e, n));
+    const [lats, lons] = [corners.map(([lat]) => Math.max(Math.min(lat, 85), -85)), corners.map(([, lon]) => lon)];
+    const last = 2 ** zoom - 1;
+    return {
+      west: Math.max(xOf(Math.min(...lons), zoom), 0), east: Math.min(xOf(Math.max(...lons), zoom), last),
+      north: Math.max(yOf(Math.max(...lats), zoom), 0), south: Math.min(yOf(Math.min(...lats), zoom), last),
+    };
+  }
+
+  draw() {
+    if (this.info === null || this.origin === null) return;
+    const fine = Math.log2((EQUATOR_M * Math.cos(rad(this.origin[0])) * 2 ** this.map.getZoom()) / 256);
+    let zoom = Math.min(Math.round(fine), this.info.max_zoom);
+    let range = this.inSight(zoom);
+    const count = (r) => (r.east - r.west + 1) * (r.south - r.north + 1);
+    while (zoom > this.info.min_zoom && count(range) > MOST) range = this.inSight(--zoom);
+    const wanted = new Set();
+    if (zoom >= this.info.min_zoom && count(range) <= MOST) {
+      for (let x = range.west; x <= range.east; x += 1) {
+        for (let y = range.north; y <= range.south; y += 1) wanted.add(this.put(zoom, x, y));
+      }
+    }
+    for (const [key, layer] of this.layers) {
+      if (!wanted.has(key)) {
+        layer.remove();
+        this.layers.delete(key);
+      }
+    }
+  }
+
+  put(zoom, x, y) {
+    const key = `${zoom}/${x}/${y}`;
+    if (!this.layers.has(key)) {
+      const [north, south, west, east] = [latOf(y, zoom), latOf(y + 1, zoom), lonOf(x, zoom), lonOf(x + 1, zoom)];
+      const [lat, lon] = [(north + south) / 2, (west + east) / 2];
+      const bounds = [[this.enu(south, lon)[1], this.enu(lat, west)[0]], [this.enu(north, lon)[1], this.enu(lat, east)[0]]];
+      this.layers.set(key, L.imageOverlay(`/tiles/${key}`, bounds, { pane: "tiles", interactive: false, alt: "" }).addTo(this.map));
+    }
+    return key;
+  }
+}

@@ -1,0 +1,54 @@
+"""The map over tiles from a file, in a real browser: they load under the page's own policy and lie where they belong."""
+
+from __future__ import annotations
+
+import math
+import socket
+
+import pytest
+from flight import Watched, browser, flying, free_port, service, wait_for
+from playwright.sync_api import expect
+from tile_archive import write_archive
+from vehicles import LAT, LON
+
+pytestmark = pytest.mark.integration
+
+
+def tile_of(lat_deg: float, lon_deg: float, zoom: int) -> tuple[int, int, int]:
+    """The usual scheme: web Mercator, x from the west, y from the north."""
+    n = 1 << zoom
+    y = (1.0 - math.asinh(math.tan(math.radians(lat_deg))) / math.pi) / 2.0 * n
+    return zoom, math.floor((lon_deg + 180.0) / 360.0 * n), math.floor(y)
+
+
+def test_tiles_lie_under_the_vehicles_and_nothing_is_complained_of(tmp_path):
+    tiles = set()
+    for zoom in range(10, 17):
+        _, x, y = tile_of(LAT, LON, zoom)
+        tiles |= {(zoom, x + dx, y + dy) for dx in range(-8, 9) for dy in range(-8, 9)}
+    write_archive(tmp_path / "map.pmtiles", tiles)
+    (tmp_path / "coloc.toml").write_text(f'[web]\ntiles = "{tmp_path / "map.pmtiles"}"\n')
+    port = free_port(socket.SOCK_DGRAM)
+    arguments = ["--config", str(tmp_path / "coloc.toml"), "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
+    with service(tmp_path / "log", *arguments) as (_, url), flying(port, {4}), browser() as chromium:
+        page = chromium.new_page(viewport={"width": 1366, "height": 900})
+        watched = Watched(page)
+        page.goto(url)
+        expect(page.locator("#fleet li")).to_have_count(4, timeout=60_000)
+        expect(page.get_by_text("© Nobody at all")).to_be_visible(timeout=60_000)
+        pictures = page.locator(".tiles-pane img")
+        loaded = "all => all.length > 0 && all.every(e => e.complete && e.naturalWidth === 256)"
+        wait_for(lambda: pictures.evaluate_all(loaded), "tiles", 60.0)
+        # Vehicle 1 stands at the origin: its mark is on the very tile that holds that place, as far from its edges.
+        mark = page.locator("#map").get_by_role("button", name="Vehicle 1, good: our estimate").bounding_box()
+        at = (mark["x"] + mark["width"] / 2, mark["y"] + mark["height"] / 2)
+        zooms = {source.split("/")[-3] for source in pictures.evaluate_all("all => all.map(e => e.src)")}
+        [zoom] = map(int, zooms)
+        box = page.locator(f".tiles-pane img[src$='/tiles/{'/'.join(map(str, tile_of(LAT, LON, zoom)))}']").bounding_box()
+        n = 1 << zoom
+        x = (LON + 180.0) / 360.0 * n % 1.0
+        y = (1.0 - math.asinh(math.tan(math.radians(LAT))) / math.pi) / 2.0 * n % 1.0
+        assert at[0] == pytest.approx(box["x"] + x * box["width"], abs=3.0)
+        assert at[1] == pytest.approx(box["y"] + y * box["height"], abs=3.0)
+        page.screenshot(path=tmp_path / "tiles.png")
+        assert watched.complaints == []
