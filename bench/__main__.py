@@ -11,11 +11,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from bench import accuracy, flood, integrity, memory, service_cpu
+from bench import accuracy, flood, integrity, memory, operator_side, service_cpu
 from bench.figures import Figure
 
 _SECTIONS: dict[str, Callable[[bool], list[Figure]]] = {
     "service": service_cpu.measure,
+    "operator": operator_side.measure,
     "flood": flood.measure,
     "memory": memory.measure,
     "accuracy": accuracy.measure,
