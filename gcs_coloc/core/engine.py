@@ -164,8 +164,9 @@ class Engine:
         )
 
     def where(self, sysid: int, at_s: float) -> Estimate | Unknown:
-        """The estimator's answer for one vehicle at one service time."""
-        return self.estimator.estimate(sysid, at_s)
+        """The estimator's answer for one vehicle at one service time, its covariance with what a liar may have done to it."""
+        where = self.estimator.estimate(sysid, at_s)
+        return self.integrity.doubted(where) if isinstance(where, Estimate) else where
 
     def _heard(self, sysid: int, at_s: float) -> Vehicle | None:
         known_before = self.fleet.get(sysid) is not None
@@ -266,7 +267,7 @@ class Engine:
             self._outbox.append(TimeSyncRequest(vehicle.sysid, ts1_ns))
 
     def _answer(self, sysid: int, at_s: float) -> Estimate | Unknown:
-        where = self.estimator.estimate(sysid, at_s)
+        where = self.where(sysid, at_s)
         vehicle = self.fleet.get(sysid)
         if vehicle is not None and isinstance(where, Estimate):
             vehicle.last_known_enu_m = (float(where.position_enu_m[0]), float(where.position_enu_m[1]))

@@ -1,51 +1,30 @@
 """Do ranges and claimed positions agree, and if not, which single fault explains it? Pure statistics, no memory.
 
-Model, linearised at the given places: residual = range - |p_i - p_j| = -u.(e_i - e_j) + noise, u the unit vector from j to
-i, e the error of a place. A claimed position has an error of its stated size, whatever its spread over time; a vehicle
-without a claim has a free horizontal error. With the free errors projected out, r'Wr is chi-square under no fault.
+A fault adds a column or two of unknown size to the model of `adjustment`: a vehicle's claim that is off by a horizontal vector, a
+pair whose ranges are off, a device whose ranges are all off by one length; with an earlier scene, that came to be off since.
+Each is left out in turn (its columns made free); the drop of the statistic is twice the log likelihood ratio. A fault is
+possible when the rest is consistent without it.
 
-A fault adds a column or two of unknown size: a vehicle's claim that is off by a horizontal vector, a pair whose ranges
-are off, a device whose ranges are all off by one length. Each is left out in turn (its columns made free); the drop of the
-statistic is twice the log likelihood ratio. A fault is a candidate when the rest is consistent without it.
+How far a vehicle without a claim is from where it would be put without the fault is what the fault may have done to it: the
+solution separation of receiver autonomous integrity monitoring.
 
-Source: generalised likelihood ratio test of outliers in linear models (Baarda's data snooping; Teunissen, Testing Theory).
+Source: generalised likelihood ratio test of outliers in linear models (Baarda's data snooping; Teunissen, Testing Theory);
+solution separation (Brown and McBurney, 1988).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 from math import hypot
 
 import numpy as np
 from scipy.special import chdtri
 
+from gcs_coloc.core.adjustment import Adjustment, Effect, Scene
 from gcs_coloc.core.measurements import FloatArray
-
-_RANK_TOLERANCE = 1e-6
-_LEAST_INFORMATION = 1e-9  # 1/m^2: what is known no better than to 30 km is not known
-_NEWTON_STEPS = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a vehicle is held to be: ENU (3,) in m, with the 1-sigma per axis in m; `free`: horizontally nothing is claimed."""
-
-    position_enu_m: FloatArray
-    sigma_h_m: float
-    sigma_v_m: float
-    free: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """What the ranges of one device to one peer say beyond the distance of the places: residual and its 1-sigma, m."""
-
-    from_vehicle: int
-    to_vehicle: int
-    residual_m: float
-    sigma_m: float
 
 
 class Kind(Enum):
@@ -67,8 +46,12 @@ class Suspicion:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Outcome of one test. `consistent` at the alarm level; `clear` well below it. `possible`: the faults that explain what is
-    not consistent about equally well, empty where no single one does; `involved` are all vehicles that claim a position.
+    """Outcome of one test.
+
+    `consistent` at the alarm level; `clear` well below it. `possible`: the faults that explain what is not consistent about
+    equally well, empty where no single one does; `involved` are all vehicles that claim a position.
+    `offset_m`: how far each vehicle without a claim (2,) would be moved if nobody lied, `doubt_m2` the second moment (2, 2) of how
+    far it would be moved without the faults that are likely enough to count, zero where none is.
     """
 
     statistic: float
@@ -77,6 +60,8 @@ class Verdict:
     clear: bool
     possible: tuple[Suspicion, ...]
     involved: frozenset[int]
+    offset_m: Mapping[int, FloatArray]
+    doubt_m2: Mapping[int, FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,117 +69,88 @@ class Levels:
     """Chances and margins of the test.
 
     `alarm`: chance of an alarm in one test without a fault. `clear`: chance that a sound fleet is not called clear.
+    `doubted`, `feared`: a fault that is this unlikely to appear by chance begins to count in the bounds, and counts in full.
     `rest`: chance that the rest of a fleet with one fault is not called consistent.
     `margin`: a fault whose explanation is worse than the best by this (twice the log likelihood ratio) is ruled out.
     """
 
-    alarm: float = 1e-4
+    alarm: float = 1e-6
     clear: float = 1e-2
+    doubted: float = 1e-3
+    feared: float = 1e-4
     rest: float = 1e-3
     margin: float = 10.0
 
 
-def judge(places: Mapping[int, Place], rows: Sequence[Row], levels: Levels) -> Verdict | None:
-    """Test the rows against the places; None where there are more unknowns than rows and nothing can be told.
+def judge(now: Scene, levels: Levels, then: Scene | None = None, correlation: float = 0.0) -> Verdict | None:
+    """Test the ranges of a scene against its places, or what changed since an earlier one.
 
-    Every vehicle of a row must have a place, and no two places of a row may coincide.
+    `correlation` is that of one vehicle's error at the two times. None where there are more unknowns than rows and nothing can be
+    told.
     """
-    vehicles = sorted({v for row in rows for v in (row.from_vehicle, row.to_vehicle)})
-    if not vehicles:
-        return None
-    at = {vehicle: index for index, vehicle in enumerate(vehicles)}
-    shift = np.zeros((len(vehicles), 3))
-    free = [at[v] for v in vehicles if places[v].free]
-    for _ in range(_NEWTON_STEPS if free else 1):
-        H, r, W = _linearise(places, rows, at, shift)
-        B = np.concatenate([H[:, 3 * i : 3 * i + 2] for i in free], axis=1) if free else np.zeros((len(rows), 0))
-        gram, rank = _pinv(B.T @ W @ B)
-        if free:
-            step = gram @ (B.T @ W @ r)
-            for k, i in enumerate(free):
-                shift[i, :2] += step[2 * k : 2 * k + 2]
-    WB = W @ B
-    W = W - WB @ gram @ WB.T
-    dof = len(rows) - rank
+    fit = Adjustment(now, then, correlation)
+    dof = fit.degrees_of_freedom
     if dof < 1:
         return None
-    statistic = float(r @ W @ r)
-    claiming = frozenset(v for v in vehicles if not places[v].free)
-    consistent, clear = statistic <= chdtri(dof, levels.alarm), statistic <= chdtri(dof, levels.clear)
-    possible = () if consistent else _possible(places, rows, at, H, r, W, statistic, dof, levels)
-    return Verdict(statistic, dof, bool(consistent), bool(clear), possible, claiming)
+    claiming = [v for v in fit.vehicles if not fit.places[v].free]
+    found = [(Kind.VEHICLE, (v,), fit.vehicle_effect(v)) for v in claiming]
+    fear = max((_fear(effect, levels) for _, _, effect in found), default=0.0)
+    # The whole and each claim are looked at: together they may not be wrong more often than one test may.
+    each = levels.alarm / (1 + len(found))
+    alarm = fit.statistic > _limit(dof, each) or any(e.rank and e.gain > _limit(e.rank, each) for _, _, e in found)
+    if fear or alarm:
+        found += _range_faults(fit)
+    best = max((effect.gain for _, _, effect in found if effect.rank), default=0.0)
+    likely = [(kind, who, effect) for kind, who, effect in found if effect.rank and effect.gain >= best - levels.margin]
+    free = [v for v in fit.vehicles if fit.places[v].free]
+    doubt = {}
+    for vehicle in free:
+        moves = [fit.horizontal(vehicle, effect.corrections_m) for _, _, effect in likely] if fear else []
+        doubt[vehicle] = fear * sum((np.outer(move, move) for move in moves), start=np.zeros((2, 2)))
+    return Verdict(
+        statistic=fit.statistic,
+        degrees_of_freedom=dof,
+        consistent=not alarm,
+        clear=not alarm and not fear and fit.statistic <= _limit(dof, levels.clear),
+        possible=_possible(likely, fit.statistic, dof, levels) if alarm else (),
+        involved=frozenset(claiming),
+        offset_m={v: fit.horizontal(v, fit.corrections_m) for v in free},
+        doubt_m2=doubt,
+    )
 
 
-def _linearise(
-    places: Mapping[int, Place], rows: Sequence[Row], at: Mapping[int, int], shift: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the design matrix (rows, 3 vehicles), the residuals (rows,) at the shifted places, and their weight matrix."""
-    H: FloatArray = np.zeros((len(rows), 3 * len(at)))
-    r: FloatArray = np.zeros(len(rows))
-    for k, row in enumerate(rows):
-        i, j = at[row.from_vehicle], at[row.to_vehicle]
-        d = places[row.from_vehicle].position_enu_m - places[row.to_vehicle].position_enu_m
-        moved = d + shift[i] - shift[j]
-        distance_m = float(np.linalg.norm(moved))
-        unit = moved / distance_m
-        H[k, 3 * i : 3 * i + 3], H[k, 3 * j : 3 * j + 3] = unit, -unit
-        r[k] = row.residual_m + float(np.linalg.norm(d)) - distance_m
-    variances = np.zeros(3 * len(at))
-    for vehicle, i in at.items():
-        place = places[vehicle]
-        variances[3 * i : 3 * i + 3] = (0.0 if place.free else place.sigma_h_m**2,) * 2 + (place.sigma_v_m**2,)
-    S = (H * variances) @ H.T + np.diag([row.sigma_m**2 for row in rows])
-    return H, r, np.asarray(np.linalg.inv(S), dtype=np.float64)
+def _fear(effect: Effect, levels: Levels) -> float:
+    """How much a fault counts in the bounds, 0 to 1."""
+    if not effect.rank:
+        return 0.0
+    low, high = _limit(effect.rank, levels.doubted), _limit(effect.rank, levels.feared)
+    return min(max((effect.gain - low) / (high - low), 0.0), 1.0)
 
 
 def _possible(
-    places: Mapping[int, Place],
-    rows: Sequence[Row],
-    at: Mapping[int, int],
-    H: FloatArray,
-    r: FloatArray,
-    W: FloatArray,
-    statistic: float,
-    dof: int,
-    levels: Levels,
+    likely: list[tuple[Kind, tuple[int, ...], Effect]], statistic: float, dof: int, levels: Levels
 ) -> tuple[Suspicion, ...]:
-    scored: list[tuple[float, Suspicion]] = []
-    Wr = W @ r
-    for kind, vehicles, B in _faults(places, rows, at, H):
-        A = B.T @ W @ B
-        inverse, rank = _pinv(A)
-        g = B.T @ Wr
-        size = inverse @ g
-        gain = float(g @ size)
-        rest = dof - rank
-        # With nothing left over, any fault would fit: it is possible, and so is every other.
-        if rank and (rest == 0 or statistic - gain <= chdtri(rest, levels.rest)):
-            scored.append((gain, Suspicion(kind, vehicles, hypot(*size))))
-    best = max((gain for gain, _ in scored), default=0.0)
-    return tuple(suspicion for gain, suspicion in scored if gain >= best - levels.margin)
+    # With nothing left over, any fault would fit: it is possible, and so is every other.
+    return tuple(
+        Suspicion(kind, who, hypot(*effect.size_m))
+        for kind, who, effect in likely
+        if dof == effect.rank or statistic - effect.gain <= _limit(dof - effect.rank, levels.rest)
+    )
 
 
-def _faults(
-    places: Mapping[int, Place], rows: Sequence[Row], at: Mapping[int, int], H: FloatArray
-) -> list[tuple[Kind, tuple[int, ...], FloatArray]]:
-    faults: list[tuple[Kind, tuple[int, ...], FloatArray]] = [
-        (Kind.VEHICLE, (vehicle,), H[:, 3 * i : 3 * i + 2]) for vehicle, i in at.items() if not places[vehicle].free
-    ]
-    pairs = sorted({tuple(sorted((row.from_vehicle, row.to_vehicle))) for row in rows})
-    for pair in pairs:
-        column = [1.0 if {row.from_vehicle, row.to_vehicle} == set(pair) else 0.0 for row in rows]
-        faults.append((Kind.PAIR, pair, np.array(column)[:, np.newaxis]))
-    for owner in sorted({row.from_vehicle for row in rows}):
-        column = [1.0 if row.from_vehicle == owner else 0.0 for row in rows]
-        if sum(column) > 1.0:
-            faults.append((Kind.DEVICE, (owner,), np.array(column)[:, np.newaxis]))
+def _range_faults(fit: Adjustment) -> list[tuple[Kind, tuple[int, ...], Effect]]:
+    faults: list[tuple[Kind, tuple[int, ...], Effect]] = []
+    pairs: dict[tuple[int, ...], list[int]] = {}
+    devices: dict[int, list[int]] = {}
+    for number, row in enumerate(fit.rows[0]):
+        pairs.setdefault(tuple(sorted(row.pair)), []).append(number)
+        devices.setdefault(row.from_vehicle, []).append(number)
+    faults += [(Kind.PAIR, pair, fit.rows_effect(numbers)) for pair, numbers in sorted(pairs.items())]
+    faults += [(Kind.DEVICE, (owner,), fit.rows_effect(rows)) for owner, rows in sorted(devices.items()) if len(rows) > 1]
     return faults
 
 
-def _pinv(A: FloatArray) -> tuple[FloatArray, int]:
-    """Return the pseudo-inverse of a symmetric matrix and its rank; directions that nothing measures are left out."""
-    if A.shape[0] == 0:
-        return A, 0
-    values, vectors = np.linalg.eigh(A)
-    kept = values > max(float(values[-1]) * _RANK_TOLERANCE, _LEAST_INFORMATION)
-    return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T, int(kept.sum())
+@lru_cache(maxsize=1024)
+def _limit(dof: int, chance: float) -> float:
+    """What a chi-square variable passes with this chance."""
+    return float(chdtri(dof, chance))

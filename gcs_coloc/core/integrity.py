@@ -8,16 +8,18 @@ believed again only after its real receiver has agreed for a while with where th
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import hypot, sqrt
 
 import numpy as np
 
 from gcs_coloc.core.bound import horizontal_sigma_m
-from gcs_coloc.core.consistency import ConsistencySettings, RangeConsistency, Track
+from gcs_coloc.core.consistency import ConsistencySettings, RangeConsistency
 from gcs_coloc.core.fleet import Fleet, Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.health import Contradiction, GpsState
 from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement, Unknown
+from gcs_coloc.core.range_rows import Track
 
 _CLAIMS_IN = (GpsState.HEALTHY, GpsState.SUSPECT)
 _PLACED_IN = (GpsState.FAILED, GpsState.RECOVERING)
@@ -26,6 +28,7 @@ _FIX_LATENCY_S = 0.3
 _AGREES_SIGMAS = 3.0
 _AGREES_FOR_S = 5.0
 _WELL_KNOWN_SHARE = 0.25
+_DOUBT_GREW_S = 5.0  # what moved a position within so long is in its velocity, too
 
 Answer = Callable[[int, float], Estimate | Unknown]
 
@@ -34,7 +37,7 @@ class Integrity:
     """One fleet. Feed it claims and ranges, call `review` several times a second; it sets `health.contradiction`."""
 
     def __init__(self, settings: ConsistencySettings | None = None) -> None:
-        self.ranges = RangeConsistency(settings if settings is not None else ConsistencySettings())
+        self.ranges = RangeConsistency(settings)
         self._agrees_since_s: dict[int, float] = {}
 
     def claim(self, claim: PositionMeasurement, vehicle: Vehicle) -> None:
@@ -73,6 +76,16 @@ class Integrity:
         self.ranges.review(now_s)
         for vehicle in fleet:
             vehicle.health.contradiction = self._contradiction(vehicle.sysid)
+
+    def doubted(self, where: Estimate) -> Estimate:
+        """Return an estimate with what a fault that may be at work has done to it in its covariance."""
+        doubt_m2 = self.ranges.doubt_m2.get(where.vehicle)
+        if doubt_m2 is None or not doubt_m2.any():
+            return where
+        covariance = where.covariance.copy()
+        covariance[:2, :2] += doubt_m2
+        covariance[3:5, 3:5] += doubt_m2 / _DOUBT_GREW_S**2
+        return replace(where, covariance=covariance)
 
     def _contradiction(self, sysid: int) -> Contradiction | None:
         accusation = self.ranges.accused.get(sysid)

@@ -1,6 +1,20 @@
 """The engine against a lying receiver, on simulated flights: who is trusted, what is said, where the subject is put."""
 
-from bench.integrity import LIAR, SPOOFED_AT_S, STEP_S, SUBJECT, Flight, error_and_bound_m, fly_step, fresh_engine
+from math import inf
+
+from bench.integrity import walk
+from bench.integrity_flights import (
+    LIAR,
+    SPOOFED_AT_S,
+    STEP_S,
+    SUBJECT,
+    Flight,
+    Scenario,
+    error_and_bound_m,
+    fly_step,
+    fresh_engine,
+)
+from gcs_coloc.core.bound import horizontal_bound_95_m
 from gcs_coloc.core.health import GpsState
 
 SOUND = (GpsState.HEALTHY, GpsState.UNKNOWN)
@@ -11,7 +25,7 @@ def states(engine):
 
 
 def test_a_walked_off_peer_is_named_excluded_located_and_believed_again():
-    engine, flight = fresh_engine(), Flight(1, mutual=True, lost=True, spoofed_until_s=50.0)
+    engine, flight = fresh_engine(), Flight(Scenario(walk_mps=2.0), 1, honest_from_s=50.0)
     failed_at_s = back_at_s = None
     for step in range(round(86.0 / STEP_S)):
         t = step * STEP_S
@@ -21,7 +35,7 @@ def test_a_walked_off_peer_is_named_excluded_located_and_believed_again():
         assert all(state in SOUND for state in others)
         if failed_at_s is None and liar.health.state is GpsState.FAILED:
             failed_at_s = t
-            assert "its GPS position contradicts the ranges to 2, 3, 4, 5 by" in liar.health.reason
+            assert "its GPS position contradicts the ranges to 2, 3, 4, 100 by" in liar.health.reason
         if failed_at_s is not None and back_at_s is None and liar.health.state is GpsState.HEALTHY:
             back_at_s = t
         if failed_at_s is not None and t > failed_at_s + 5.0:
@@ -34,7 +48,7 @@ def test_a_walked_off_peer_is_named_excluded_located_and_believed_again():
 
 
 def test_where_ranges_cannot_tell_the_liar_from_a_bad_range_nobody_is_called_a_liar():
-    engine, flight = fresh_engine(), Flight(1, mutual=False, lost=True, spoofed_until_s=60.0)
+    engine, flight = fresh_engine(), Flight(Scenario(mutual=False, walk_mps=2.0), 1)
     suspected = set()
     for step in range(round(38.0 / STEP_S)):
         fly_step(engine, flight, step * STEP_S)
@@ -46,7 +60,36 @@ def test_where_ranges_cannot_tell_the_liar_from_a_bad_range_nobody_is_called_a_l
 
 
 def test_a_clean_flight_accuses_nobody():
-    engine, flight = fresh_engine(), Flight(3, mutual=True, lost=True, spoofed_until_s=0.0)
+    engine, flight = fresh_engine(), Flight(Scenario(), 3)
     for step in range(round(60.0 / STEP_S)):
         fly_step(engine, flight, step * STEP_S)
         assert all(state in SOUND for sysid, state in states(engine).items() if sysid != SUBJECT)
+
+
+def test_with_mutual_ranges_a_liar_is_excluded_before_the_subject_is_off_its_bound():
+    """Twelve draws, all in time; `python -m bench integrity` counts 200."""
+    for seed in range(12):
+        seen = walk((Scenario(walk_mps=2.0), seed))
+        assert seen.excluded_after_s < 10.0
+        assert seen.passed_after_s == inf
+
+
+def test_while_a_lie_is_not_named_yet_the_bound_says_what_it_may_have_done():
+    engine, flight = fresh_engine(), Flight(Scenario(walk_mps=2.0), 1)
+    grew = False
+    for step in range(round((SPOOFED_AT_S + 12.0) / STEP_S)):
+        t = step * STEP_S
+        fly_step(engine, flight, t)
+        if t > SPOOFED_AT_S and engine.fleet.get(LIAR).health.state is GpsState.HEALTHY:
+            own_m = horizontal_bound_95_m(engine.estimator.estimate(SUBJECT, t).covariance)
+            grew |= error_and_bound_m(engine, flight, t)[1] > 1.2 * own_m
+    assert grew
+
+
+def test_a_doubt_fades_once_the_liar_is_gone_and_the_estimate_agrees_with_the_ranges():
+    engine, flight = fresh_engine(), Flight(Scenario(walk_mps=2.0), 1, honest_from_s=50.0)
+    for step in range(round(120.0 / STEP_S)):
+        t = step * STEP_S
+        fly_step(engine, flight, t)
+        own_m = horizontal_bound_95_m(engine.estimator.estimate(SUBJECT, t).covariance) if t > SPOOFED_AT_S else None
+    assert error_and_bound_m(engine, flight, t)[1] < 1.05 * own_m

@@ -1,0 +1,226 @@
+"""Least-squares adjustment of claimed positions to ranges, at one time or at two: what is left over, and what a fault explains.
+
+Model, linearised at the given places: residual = range - |p_i - p_j| = u.(d_i - d_j) + noise, u the unit vector from j to i, d
+the correction that a place needs. A claimed position needs one of its stated size, whatever its spread over time; a vehicle
+without a claim a free horizontal one. A range has noise of its own and a part that all ranges of its pair have in common.
+
+With a second, earlier scene the corrections of one vehicle at the two times are correlated, as an error that wanders slowly is:
+exp(-interval / time). What changed between the two is then judged by how far honest errors wander in that time, and not by how
+large they are.
+
+Source: adjustment with prior information in normal-equation form; the statistic is r'(R + H S H')^-1 r.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray
+
+_RANK_TOLERANCE = 1e-6
+_LEAST_INFORMATION = 1e-9  # 1/m^2: what is known no better than to 30 km is not known
+_LEAST_SIGMA_M = 0.01
+_NEWTON_STEPS = 4
+_SETTLED_M = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a vehicle is held to be: ENU (3,) in m, with the 1-sigma per axis in m; `free`: horizontally nothing is claimed."""
+
+    position_enu_m: FloatArray
+    sigma_h_m: float
+    sigma_v_m: float
+    free: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What the ranges of one device to one peer say beyond the distance of the places, m: residual, its 1-sigma, and the
+    1-sigma of the part of the error that lasts.
+    """
+
+    from_vehicle: int
+    to_vehicle: int
+    residual_m: float
+    sigma_m: float
+    bias_m: float = 0.0
+
+    @property
+    def pair(self) -> tuple[int, int]:
+        """The device's vehicle and its peer."""
+        return self.from_vehicle, self.to_vehicle
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """The fleet at one time. Every vehicle of a row has a place, and no two places of a row coincide."""
+
+    at_s: float
+    places: Mapping[int, Place]
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """What freeing one fault does: the drop of the statistic, the unknowns it took, their values (m), and with it the correction
+    of every state.
+    """
+
+    gain: float
+    rank: int
+    size_m: FloatArray
+    corrections_m: FloatArray
+
+
+class Adjustment:
+    """One adjustment. States are the corrections (3 per vehicle, in the order of `vehicles`), those of `now` first."""
+
+    def __init__(self, now: Scene, then: Scene | None = None, correlation: float = 0.0) -> None:
+        """Adjust `now`, or what both scenes hold; `correlation` is that of one vehicle's corrections at the two times, 0 to 1."""
+        scenes, self.rows = _common(now, then)
+        self.vehicles = sorted({v for row in self.rows[0] for v in row.pair})
+        self.at = {vehicle: index for index, vehicle in enumerate(self.vehicles)}
+        self.places = scenes[0].places
+        self.degrees_of_freedom = 0
+        if not self.vehicles:
+            return
+        self._ends = [np.array([self.at[row.pair[end]] for row in self.rows[0]], dtype=int) for end in (0, 1)]
+        self._weights = _weights(self.rows)
+        self._prior = self._prior_information(scenes, correlation)
+        shift: FloatArray = np.zeros((len(scenes), len(self.vehicles), 3))
+        free = np.array([self.places[v].free for v in self.vehicles], dtype=bool)
+        for _ in range(_NEWTON_STEPS if free.any() else 1):
+            self._solve(scenes, shift)
+            step = self.corrections_m.reshape(shift.shape) * free[:, np.newaxis]
+            step[:, :, 2] = 0.0
+            if not np.abs(step - shift).max(initial=0.0) > _SETTLED_M:
+                break
+            shift = step
+        unknown = np.concatenate([np.repeat(free, 3)] * len(scenes)) & (np.arange(len(self._prior)) % 3 < 2)
+        known_share = 1.0 - _LEAST_INFORMATION * np.diagonal(self.covariance_m2)[unknown]
+        self.degrees_of_freedom = len(self.rows[0]) * len(scenes) - round(float(known_share.sum()))
+
+    def _prior_information(self, scenes: list[Scene], correlation: float) -> FloatArray:
+        """Return the inverse of the corrections' prior covariance: of each axis a block over the two times."""
+        size = 3 * len(self.vehicles)
+        # The inverse of [[1, c], [c, 1]] between the two times, in units of the sigmas.
+        own, cross = (1.0, 0.0) if len(scenes) == 1 else (1.0 / (1.0 - correlation**2), -correlation / (1.0 - correlation**2))
+        information = np.array([_information(scene, self.vehicles) for scene in scenes])
+        free = information[0] == _LEAST_INFORMATION
+        prior: FloatArray = np.zeros((len(scenes) * size, len(scenes) * size))
+        axis = np.arange(size)
+        for a in range(len(scenes)):
+            for b in range(len(scenes)):
+                both = np.sqrt(information[a] * information[b])
+                prior[a * size + axis, b * size + axis] = np.where(free, both * (a == b), both * (own if a == b else cross))
+        return prior
+
+    def _solve(self, scenes: list[Scene], shift: FloatArray) -> None:
+        """Linearise about the shifted places and solve; corrections are from the places as given."""
+        parts = [self._linearise(scene, rows, moved) for scene, rows, moved in zip(scenes, self.rows, shift, strict=True)]
+        H, r = [part[0] for part in parts], [part[1] for part in parts]
+        W = self._weights
+        span = range(len(scenes))
+        self._H = H
+        self._K = np.block([[H[a].T @ (W[a][b][:, np.newaxis] * H[b]) for b in span] for a in span])
+        self._weighted = [sum((W[a][b] * r[b] for b in span), start=np.zeros(len(r[a]))) for a in span]
+        g = np.concatenate([H[a].T @ self._weighted[a] for a in span])
+        self.covariance_m2: FloatArray = np.asarray(np.linalg.inv(self._K + self._prior), dtype=np.float64)
+        self.corrections_m: FloatArray = self.covariance_m2 @ g
+        self.statistic = float(sum(r[a] @ self._weighted[a] for a in span) - g @ self.corrections_m)
+        KC = self._K @ self.covariance_m2
+        self._left = self._K - KC @ self._K
+        self._score = g - self._K @ self.corrections_m
+
+    def _linearise(self, scene: Scene, rows: tuple[Row, ...], shift: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the design matrix (rows, 3 vehicles) and the residuals (rows,) at the places, linearised at the shifted ones."""
+        places = np.array([scene.places[v].position_enu_m for v in self.vehicles])
+        i, j = self._ends
+        d, moves = places[i] - places[j], shift[i] - shift[j]
+        moved = d + moves
+        distance_m = np.maximum(np.sqrt(np.sum(moved * moved, axis=1)), _LEAST_SIGMA_M)
+        unit = moved / distance_m[:, np.newaxis]
+        H: FloatArray = np.zeros((len(rows), len(self.vehicles), 3))
+        number = np.arange(len(rows))
+        H[number, i], H[number, j] = unit, -unit
+        residual_m = np.array([row.residual_m for row in rows])
+        r = residual_m + np.sqrt(np.sum(d * d, axis=1)) - distance_m + np.sum(unit * moves, axis=1)
+        return H.reshape(len(rows), -1), r
+
+    def vehicle_effect(self, vehicle: int) -> Effect:
+        """What a claim that came to be off by an unknown horizontal vector explains."""
+        i = 3 * self.at[vehicle]
+        index = slice(i, i + 2)
+        inverse, rank = pinv(self._left[index, index])
+        score = self._score[index]
+        size = inverse @ score
+        corrections = self.corrections_m - self.covariance_m2 @ (self._K[:, index] @ size)
+        return Effect(float(score @ size), rank, size, corrections)
+
+    def rows_effect(self, chosen: Iterable[int]) -> Effect:
+        """What one length that came to be on all of the chosen rows (their numbers) explains."""
+        b = np.zeros(len(self.rows[0]))
+        b[list(chosen)] = 1.0
+        c = np.concatenate([H.T @ (w * b) for H, w in zip(self._H, self._weights[0], strict=True)])
+        left = float(b @ (self._weights[0][0] * b) - c @ self.covariance_m2 @ c)
+        if left < max(_RANK_TOLERANCE * float(b @ (self._weights[0][0] * b)), _LEAST_INFORMATION):
+            return Effect(0.0, 0, np.zeros(1), self.corrections_m)
+        score = float(b @ self._weighted[0] - c @ self.corrections_m)
+        size = score / left
+        return Effect(score * size, 1, np.array([size]), self.corrections_m - self.covariance_m2 @ c * size)
+
+    def horizontal(self, vehicle: int, states: FloatArray) -> FloatArray:
+        """Return a vehicle's horizontal part (2,) of a state vector, at the time of `now`."""
+        i = 3 * self.at[vehicle]
+        return states[i : i + 2]
+
+    def horizontal_covariance_m2(self, vehicle: int) -> FloatArray:
+        """Return the covariance (2, 2) of a vehicle's horizontal correction, m^2."""
+        i = 3 * self.at[vehicle]
+        return self.covariance_m2[i : i + 2, i : i + 2]
+
+
+def _information(scene: Scene, vehicles: list[int]) -> FloatArray:
+    """Return what is known of each axis of each vehicle's correction (3 vehicles,), 1/m^2."""
+    known = []
+    for place in (scene.places[v] for v in vehicles):
+        horizontal = _LEAST_INFORMATION if place.free else max(place.sigma_h_m, _LEAST_SIGMA_M) ** -2
+        known += [horizontal, horizontal, max(place.sigma_v_m, _LEAST_SIGMA_M) ** -2]
+    return np.array(known)
+
+
+def _common(now: Scene, then: Scene | None) -> tuple[list[Scene], list[tuple[Row, ...]]]:
+    """Return the scenes and, for each, its rows; of two scenes those of the pairs that both have, in the same order."""
+    if then is None:
+        return [now], [now.rows]
+    earlier = {row.pair: row for row in then.rows}
+    pairs = [
+        (row, earlier[row.pair])
+        for row in now.rows
+        if row.pair in earlier and all(now.places[v].free == then.places[v].free for v in row.pair)
+    ]
+    return [now, then], [tuple(pair[0] for pair in pairs), tuple(pair[1] for pair in pairs)]
+
+
+def _weights(rows: list[tuple[Row, ...]]) -> list[list[FloatArray]]:
+    """Return the inverse of the rows' noise covariance: for each two scenes the weights (rows,) that tie a row to itself."""
+    variances = [np.array([row.sigma_m**2 + row.bias_m**2 for row in each]) for each in rows]
+    if len(rows) == 1:
+        return [[1.0 / variances[0]]]
+    lasting = np.array([a.bias_m * b.bias_m for a, b in zip(*rows, strict=True)])
+    determinant = variances[0] * variances[1] - lasting**2
+    return [
+        [variances[1] / determinant, -lasting / determinant],
+        [-lasting / determinant, variances[0] / determinant],
+    ]
+
+
+def pinv(A: FloatArray) -> tuple[FloatArray, int]:
+    """Return the pseudo-inverse of a symmetric matrix and its rank; directions that nothing measures are left out."""
+    values, vectors = np.linalg.eigh(A)
+    kept = values > max(float(values[-1]) * _RANK_TOLERANCE, _LEAST_INFORMATION)
+    return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T, int(kept.sum())
