@@ -40,7 +40,7 @@ _CLEAN = (
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """One lying peer: after how many s it was trusted no more, and the subject's error passed 1.5 x its bound before; inf: never."""
+    """One lying peer: when it was trusted no more, and when before the subject's error passed 1.5 x its bound; inf: never."""
 
     excluded_after_s: float
     passed_after_s: float

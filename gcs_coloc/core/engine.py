@@ -149,7 +149,7 @@ class Engine:
         consistency = self._residuals.consistency()
         frame, time = self.feed.frame, self.settings.time
         vehicles = tuple(
-            vehicle_view(v, self.estimator.estimate(v.sysid, now_s), frame, self.aiding, consistency.get(v.sysid), time, now_s)
+            vehicle_view(v, self.where(v.sysid, now_s), frame, self.aiding, consistency.get(v.sysid), time, now_s)
             for v in sorted(self.fleet, key=lambda v: v.sysid)
         )
         return FleetView(

@@ -50,8 +50,8 @@ class Verdict:
 
     `consistent` at the alarm level; `clear` well below it. `possible`: the faults that explain what is not consistent about
     equally well, empty where no single one does; `involved` are all vehicles that claim a position.
-    `offset_m`: how far each vehicle without a claim (2,) would be moved if nobody lied, `doubt_m2` the second moment (2, 2) of how
-    far it would be moved without the faults that are likely enough to count, zero where none is.
+    `offset_m`: how far each vehicle without a claim (2,) would be moved if nobody lied, `doubt_m2` the second moment (2, 2) of
+    how far it would be moved without the faults that are likely enough to count, zero where none is.
     """
 
     statistic: float
@@ -82,6 +82,9 @@ class Levels:
     margin: float = 10.0
 
 
+_Fault = tuple[Kind, tuple[int, ...], Effect]
+
+
 def judge(now: Scene, levels: Levels, then: Scene | None = None, correlation: float = 0.0) -> Verdict | None:
     """Test the ranges of a scene against its places, or what changed since an earlier one.
 
@@ -93,7 +96,7 @@ def judge(now: Scene, levels: Levels, then: Scene | None = None, correlation: fl
     if dof < 1:
         return None
     claiming = [v for v in fit.vehicles if not fit.places[v].free]
-    found = [(Kind.VEHICLE, (v,), fit.vehicle_effect(v)) for v in claiming]
+    found: list[_Fault] = [(Kind.VEHICLE, (v,), fit.vehicle_effect(v)) for v in claiming]
     fear = max((_fear(effect, levels) for _, _, effect in found), default=0.0)
     # The whole and each claim are looked at: together they may not be wrong more often than one test may.
     each = levels.alarm / (1 + len(found))
@@ -127,9 +130,7 @@ def _fear(effect: Effect, levels: Levels) -> float:
     return min(max((effect.gain - low) / (high - low), 0.0), 1.0)
 
 
-def _possible(
-    likely: list[tuple[Kind, tuple[int, ...], Effect]], statistic: float, dof: int, levels: Levels
-) -> tuple[Suspicion, ...]:
+def _possible(likely: list[_Fault], statistic: float, dof: int, levels: Levels) -> tuple[Suspicion, ...]:
     # With nothing left over, any fault would fit: it is possible, and so is every other.
     return tuple(
         Suspicion(kind, who, hypot(*effect.size_m))
@@ -138,8 +139,8 @@ def _possible(
     )
 
 
-def _range_faults(fit: Adjustment) -> list[tuple[Kind, tuple[int, ...], Effect]]:
-    faults: list[tuple[Kind, tuple[int, ...], Effect]] = []
+def _range_faults(fit: Adjustment) -> list[_Fault]:
+    faults: list[_Fault] = []
     pairs: dict[tuple[int, ...], list[int]] = {}
     devices: dict[int, list[int]] = {}
     for number, row in enumerate(fit.rows[0]):
