@@ -11,10 +11,30 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from bench import accuracy, flood, integrity, memory, operator_side, service_cpu
+from bench import (
+    accuracy,
+    decode,
+    flood,
+    integrity,
+    latency,
+    live,
+    memory,
+    operator_side,
+    scaling,
+    service_cpu,
+    startup,
+    step,
+)
 from bench.figures import Figure
 
 _SECTIONS: dict[str, Callable[[bool], list[Figure]]] = {
+    "start": startup.measure,
+    "decode": decode.measure,
+    "step": step.measure,
+    "latency": latency.measure,
+    "throughput": live.measure_throughput,
+    "vehicles": live.measure_vehicles,
+    "scaling": scaling.measure,
     "service": service_cpu.measure,
     "operator": operator_side.measure,
     "flood": flood.measure,

@@ -1,4 +1,4 @@
-"""How good the fleet filter is: the figures E1 to E7 of docs/explanation/accuracy.md, its peers beside it, and what it costs.
+"""How good the fleet filter is: the figures E1 to E7 of docs/explanation/accuracy.md, and its peers beside it.
 
 All with the estimator's default settings. Seeds are 1, 2, ... and their number stands in the name of each figure.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bench import accuracy_cost, accuracy_recordings
+from bench import accuracy_recordings
 from bench.accuracy_flights import Case, Links, Recording, record
 from bench.accuracy_model import ModelCase, bounds_rms_m, draw, recording
 from bench.accuracy_peers import FilterpyEkf, FilterpyUkf, installed
@@ -52,7 +52,6 @@ def measure(quick: bool) -> list[Figure]:
         *accuracy_recordings.measure_replay(),
         *_peers(5.0, 1 if quick else 4),
         *([] if quick else _peers(50.0, 2)),
-        *accuracy_cost.measure(quick),
     ]
 
 

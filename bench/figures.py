@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import statistics
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 
@@ -14,3 +16,12 @@ class Figure:
     value: str
     goal: str
     reached: bool | None
+
+
+def interleaved(takers: Mapping[str, Callable[[], float]], repeats: int) -> dict[str, float]:
+    """The median of what each measurement gives, taken in turn (A B A B): a machine that is busy for a while is so for all."""
+    taken: dict[str, list[float]] = {name: [] for name in takers}
+    for _ in range(repeats):
+        for name, take in takers.items():
+            taken[name].append(take())
+    return {name: statistics.median(values) for name, values in taken.items()}

@@ -103,8 +103,8 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / _TICKS
 
 
-def rss_mb(pid: int) -> float:
-    """Resident memory of a process in megabytes."""
+def rss_mb(pid: int | str) -> float:
+    """Resident memory of a process (its number, or "self") in megabytes."""
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 

@@ -1,0 +1,155 @@
+"""The whole service on live traffic of many fleets, beside programs that merely read it: CPU per message, and steadiness."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bench.figures import Figure, interleaved
+from bench.service_cpu import cpu_s, free_port, rss_mb
+
+_MAVUTIL = """
+import sys
+from pymavlink import mavutil
+link = mavutil.mavlink_connection(f"udpin:127.0.0.1:{sys.argv[1]}", dialect="ardupilotmega")
+while True:
+    link.recv_match(blocking=True)
+"""
+_RECVFROM = """
+import socket, sys
+link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+link.bind(("127.0.0.1", int(sys.argv[1])))
+while True:
+    link.recvfrom(65535)
+"""
+_VEHICLES_A_FLEET = 4
+_MOST_JITTER_MS = 20.0
+_GOAL_VEHICLES = 400
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """One program on live traffic. `share` is CPU per second, `jitter_ms` the deviations of GPS_INPUT intervals from 100 ms."""
+
+    cpu_us_per_message: float
+    share: float
+    rss_mb: float
+    jitter_ms: np.ndarray
+    outputs_per_s: float
+
+
+def measure_throughput(quick: bool) -> list[Figure]:
+    """CPU per message of the service and of the readers, in turn, on the traffic of ten fleets of four in real time."""
+    fleets, seconds, repeats = (10, 8.0, 1) if quick else (10, 20.0, 3)
+    readers = {
+        "service": lambda: _service(fleets, seconds).cpu_us_per_message,
+        "mavutil": lambda: _reader([sys.executable, "-c", _MAVUTIL], fleets, seconds),
+        "recvfrom": lambda: _reader([sys.executable, "-c", _RECVFROM], fleets, seconds),
+    }
+    mavproxy = shutil.which("mavproxy.py", path=str(Path(sys.executable).parent))
+    if mavproxy is not None:
+        readers["MAVProxy"] = lambda: _mavproxy(mavproxy, fleets, seconds)
+    cost_us = interleaved(readers, repeats)
+    ratio = cost_us["mavutil"] / cost_us["service"]
+    return [
+        Figure(
+            "throughput",
+            f"service, {fleets} fleets of four, one of each without GPS, messages per CPU second",
+            f"{1e6 / cost_us['service']:,.0f} ({cost_us['service']:.0f} us each), {ratio:.2f} x a mavutil loop that merely reads",
+            ">= 1.0 x",
+            ratio >= 1.0,
+        ),
+        *(
+            Figure("throughput", f"{name} on the same datagrams", f"{1e6 / cost:,.0f} ({cost:.1f} us each)", "", None)
+            for name, cost in cost_us.items()
+            if name != "service"
+        ),
+        *([] if mavproxy is not None else [Figure("throughput", "MAVProxy on the same datagrams", "not installed", "", None)]),
+    ]
+
+
+def measure_vehicles(quick: bool) -> list[Figure]:
+    """How many vehicles one process serves in real time, one in four without GPS."""
+    seconds = 10.0 if quick else 30.0
+    figures = []
+    for vehicles in (100, 200, _GOAL_VEHICLES):
+        run = _service(vehicles // _VEHICLES_A_FLEET, seconds)
+        p50, p99 = np.percentile(run.jitter_ms, [50, 99]) if len(run.jitter_ms) else (np.inf, np.inf)
+        expected = vehicles / _VEHICLES_A_FLEET * 10.0
+        steady = bool(p99 < _MOST_JITTER_MS and run.outputs_per_s > 0.98 * expected)
+        figures.append(
+            Figure(
+                "vehicles",
+                f"{vehicles} vehicles in fleets of four, GPS_INPUT interval off 100 ms",
+                f"p50 {p50:.1f} ms, p99 {p99:.1f} ms, {run.outputs_per_s:.0f} of {expected:.0f}/s, "
+                f"CPU {run.share:.0%}, {run.rss_mb:.0f} MB",
+                f"p99 < {_MOST_JITTER_MS:.0f} ms" if vehicles == _GOAL_VEHICLES else "",
+                steady if vehicles == _GOAL_VEHICLES else None,
+            )
+        )
+    return figures
+
+
+def _service(fleets: int, seconds: float) -> _Run:
+    ports = [free_port() for _ in range(fleets)]
+    with tempfile.TemporaryDirectory() as directory:
+        config = Path(directory) / "fleets.toml"
+        tables = (f'[[fleet]]\nname = "f{n}"\nlinks = ["udpin:127.0.0.1:{port}"]\n' for n, port in enumerate(ports))
+        config.write_text("\n".join(tables))
+        return _under_load([sys.executable, "-m", "gcs_coloc", "--config", str(config), "--log-level", "error"], ports, seconds)
+
+
+def _reader(program: list[str], fleets: int, seconds: float) -> float:
+    port = free_port()
+    return _under_load([*program, str(port)], [port] * fleets, seconds).cpu_us_per_message
+
+
+def _mavproxy(program: str, fleets: int, seconds: float) -> float:
+    port = free_port()
+    with tempfile.TemporaryDirectory() as directory:
+        command = [program, f"--master=udpin:127.0.0.1:{port}", "--daemon", "--non-interactive", f"--state-basedir={directory}"]
+        command += [f"--logfile={directory}/flight.tlog", "--streamrate=-1"]
+        return _under_load(command, [port] * fleets, seconds).cpu_us_per_message
+
+
+def _under_load(program: list[str], ports: list[int], seconds: float) -> _Run:
+    with _running(program) as process:
+        sender = subprocess.Popen(
+            [sys.executable, "-m", "bench.load_sender", str(seconds), *map(str, ports)], stdout=subprocess.PIPE, text=True
+        )
+        # The sender's preparations come on top of its warm-up; what counts is how much is used from the first look to the end.
+        samples: list[tuple[float, float]] = []
+        while sender.poll() is None:
+            time.sleep(0.25)
+            samples.append((time.monotonic(), cpu_s(process.pid)))
+        told = json.loads(sender.communicate()[0])
+        began = min(samples, key=lambda s: abs(s[0] - told["began_s"]))
+        ended = min(samples, key=lambda s: abs(s[0] - told["ended_s"]))
+        used_s, span_s = ended[1] - began[1], ended[0] - began[0]
+        return _Run(
+            cpu_us_per_message=used_s / span_s / (told["sent"] / (told["ended_s"] - told["began_s"])) * 1e6,
+            share=used_s / span_s,
+            rss_mb=rss_mb(process.pid),
+            jitter_ms=np.abs(np.array(told["intervals_ms"]) - 100.0),
+            outputs_per_s=len(told["intervals_ms"]) / (told["ended_s"] - told["began_s"]),
+        )
+
+
+@contextmanager
+def _running(program: list[str]) -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen(program, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait(20)
