@@ -8,7 +8,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-SUBCOMMANDS = ("replay", "export", "report", "evaluate", "study")
+SUBCOMMANDS = ("doctor", "replay", "export", "report", "evaluate", "study")
 """Each a module beside this one, with a function of its name, or with an `app` of subcommands."""
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from gcs_coloc.core.messages import StreamRequest
 
-_WANTED_HZ = {33: 10.0, 24: 5.0, 124: 5.0, 30: 10.0, 74: 5.0, 1: 2.0, 193: 2.0, 2: 1.0}
+WANTED_HZ = {33: 10.0, 24: 5.0, 124: 5.0, 30: 10.0, 74: 5.0, 1: 2.0, 193: 2.0, 2: 1.0}
 """MAVLink message id -> wanted rate: GLOBAL_POSITION_INT, GPS_RAW_INT, GPS2_RAW, ATTITUDE, VFR_HUD, SYS_STATUS,
 EKF_STATUS_REPORT, SYSTEM_TIME. At twice the lowest rate that serves; half of it is taken as enough."""
 
@@ -48,13 +48,13 @@ class StreamRequests:
             span_s = now_s - record.window_started_s
             if span_s < _WINDOW_S:
                 continue
-            missing = [i for i, hz in _WANTED_HZ.items() if record.heard[i] < 0.5 * hz * span_s]
+            missing = [i for i, hz in WANTED_HZ.items() if record.heard[i] < 0.5 * hz * span_s]
             record.heard.clear()
             record.window_started_s = now_s
             if not missing:
                 record.wait_s = _FIRST_RETRY_S
             elif now_s >= record.not_before_s:
-                out.extend(StreamRequest(sysid, i, round(1e6 / _WANTED_HZ[i])) for i in missing)
+                out.extend(StreamRequest(sysid, i, round(1e6 / WANTED_HZ[i])) for i in missing)
                 record.not_before_s = now_s + record.wait_s
                 record.wait_s = min(2.0 * record.wait_s, _LONGEST_RETRY_S)
         return out

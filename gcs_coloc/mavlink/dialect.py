@@ -16,6 +16,10 @@ MESSAGE_CLASSES: Mapping[int, Any] = MappingProxyType({**ardupilotmega.mavlink_m
 CRC_EXTRA: Mapping[int, int] = MappingProxyType({number: cls.crc_extra for number, cls in MESSAGE_CLASSES.items()})
 """The byte that closes each message's checksum, so that two ends with different definitions do not understand each other."""
 
+GCS_SYSID = 255
+GCS_COMPID = ardupilotmega.MAV_COMP_ID_MISSIONPLANNER
+"""Who a ground station is on the wire by custom."""
+
 OWN_SYSID = 254
 OWN_COMPID = ardupilotmega.MAV_COMP_ID_ONBOARD_COMPUTER
 """Who we are on the wire unless set otherwise: ids that are no vehicle's and no ground station's by custom."""

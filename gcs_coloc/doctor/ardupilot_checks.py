@@ -1,0 +1,119 @@
+"""Whether an ArduPilot vehicle's parameters let it take GPS_INPUT when its receiver fails, and only then."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gcs_coloc.doctor import parameters as p
+from gcs_coloc.doctor.findings import Remark, Setup, VehicleFindings, note, right, stop
+from gcs_coloc.doctor.parameters import look_up
+
+_TYPE_NONE, _TYPE_AUTO, _TYPE_MAVLINK = 0.0, 1.0, 14.0
+_AUTO_SWITCH_WRONG = {
+    0.0: "it stays with GPS_PRIMARY for ever: what is sent to it is not used when its receiver fails",
+    1.0: "it may leave a healthy receiver for what is sent to it",
+    2.0: "it blends its own receiver with what is sent to it",
+}
+_PRIMARY_UNLESS_NO_FIX = 4.0
+_SOURCE_GPS = 3.0
+_EKF3 = 3.0
+_CHECK_POSITION, _CHECK_SPEED = 8, 4
+_H_ACC_M, _V_ACC_M, _SPEED_ACC_MPS = 5.0, 7.5, 1.0
+_DRIVER_DELAY_S = 0.2
+
+
+def check(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
+    """Judge the parameters that the vehicle told. Values and meanings: ArduPilot's parameter lists of 4.5 to 4.7."""
+    yield from _senders(vehicle, setup)
+    if setup.gps_id not in (0, 1):
+        yield note(f"[aid] gps_id = {setup.gps_id}: the doctor knows the first two receivers only, and has not checked this one")
+    else:
+        yield from _receivers(vehicle, setup.gps_id)
+        yield from _delay(vehicle, setup)
+    yield from _filter(vehicle)
+
+
+def _senders(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
+    option = look_up(vehicle.parameters, p.SENDERS_OPTION)
+    lowest = look_up(vehicle.parameters, p.GCS_SYSID)
+    if option is None or lowest is None:
+        return
+    if not int(option[1]) & 1:
+        yield right(f"{option[0]} = {option[1]:g}: it listens to every system id")
+        return
+    highest = max(lowest[1], (look_up(vehicle.parameters, p.GCS_SYSID_HIGH) or lowest)[1])
+    if lowest[1] <= setup.system_id <= highest:
+        yield right(f"{option[0]} = {option[1]:g}, {lowest[0]} = {lowest[1]:g}: it listens to us, {setup.system_id}")
+        return
+    yield stop(
+        f"{option[0]} = {option[1]:g}: it listens to {lowest[0]} = {lowest[1]:g} only, and we are {setup.system_id}",
+        f"set system_id = {lowest[1]:g} in [mavlink] of gcs-coloc, or {option[0]} = {int(option[1]) & ~1} on the vehicle",
+    )
+
+
+def _receivers(vehicle: VehicleFindings, fed: int) -> Iterator[Remark]:
+    own = 1 - fed
+    yield from _wanted(
+        vehicle, p.GPS_TYPE[fed], _TYPE_MAVLINK, "it takes GPS_INPUT as a receiver", "it does not take GPS_INPUT as that receiver"
+    )
+    own_type = look_up(vehicle.parameters, p.GPS_TYPE[own])
+    if own_type is not None and own_type[1] == _TYPE_MAVLINK:
+        yield stop(
+            f"{own_type[0]} = 14: its own receiver is switched off, and what is sent to it is its only one",
+            f"set {own_type[0]} = {_TYPE_AUTO:g}, or its receiver's type",
+            (own_type[0], _TYPE_AUTO),
+        )
+    elif own_type is not None and own_type[1] == _TYPE_NONE:
+        yield note(f"{own_type[0]} = 0: it has no receiver of its own; it can be located, and helps nobody to be")
+    switch = look_up(vehicle.parameters, p.GPS_AUTO_SWITCH)
+    wrong = _AUTO_SWITCH_WRONG.get(switch[1], "that is not what was tested") if switch is not None else ""
+    yield from _wanted(
+        vehicle, p.GPS_AUTO_SWITCH, _PRIMARY_UNLESS_NO_FIX, "its own receiver is used while it has a fix, then ours", wrong
+    )
+    yield from _wanted(vehicle, p.GPS_PRIMARY, float(own), "its own receiver comes first", "what is sent to it comes first")
+
+
+def _wanted(vehicle: VehicleFindings, names: tuple[str, ...], value: float, good: str, bad: str) -> Iterator[Remark]:
+    found = look_up(vehicle.parameters, names)
+    if found is None:
+        yield stop(f"{names[0]} could not be read", "run the doctor again, nearer to the vehicle; else its firmware lacks it")
+    elif found[1] == value:
+        yield right(f"{found[0]} = {value:g}: {good}")
+    else:
+        yield stop(f"{found[0]} = {found[1]:g}: {bad}", f"set {found[0]} = {value:g}", (found[0], value))
+
+
+def _delay(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
+    found = look_up(vehicle.parameters, p.GPS_DELAY_MS[setup.gps_id])
+    if found is None:
+        return
+    assumed_s = found[1] / 1e3 or _DRIVER_DELAY_S
+    if abs(assumed_s - setup.lag_s) > 0.01:
+        yield note(
+            f"{found[0]} = {found[1]:g}: GPS_INPUT is taken to be {assumed_s:g} s old, what we send is of {setup.lag_s:g} s ago",
+            f"set lag_s = {assumed_s:g} in [aid] of gcs-coloc",
+        )
+
+
+def _filter(vehicle: VehicleFindings) -> Iterator[Remark]:
+    ekf = look_up(vehicle.parameters, p.EKF_TYPE)
+    if ekf is not None and ekf[1] != _EKF3:
+        yield note(
+            f"{ekf[0]} = {ekf[1]:g}: it does not fly on EKF3; nothing else was tested", f"set {ekf[0]} = 3", (ekf[0], _EKF3)
+        )
+    source = look_up(vehicle.parameters, p.POSITION_SOURCE)
+    if source is not None and source[1] != _SOURCE_GPS:
+        yield stop(f"{source[0]} = {source[1]:g}: its position does not come from GPS", f"set {source[0]} = 3", (source[0], 3.0))
+    velocity = look_up(vehicle.parameters, p.VELOCITY_SOURCE)
+    if velocity is not None and velocity[1] != _SOURCE_GPS:
+        yield note(f"{velocity[0]} = {velocity[1]:g}: its velocity does not come from GPS")
+    checks, scale = look_up(vehicle.parameters, p.GPS_CHECK), look_up(vehicle.parameters, p.CHECK_SCALE)
+    if checks is None or scale is None:
+        return
+    limits = []
+    if int(checks[1]) & _CHECK_POSITION:
+        limits.append(f"{_H_ACC_M * scale[1] / 100:g} m horizontally, {_V_ACC_M * scale[1] / 100:g} m vertically")
+    if int(checks[1]) & _CHECK_SPEED:
+        limits.append(f"{_SPEED_ACC_MPS * scale[1] / 100:g} m/s")
+    taken = f"up to 1-sigma of {' and '.join(limits)}" if limits else "however coarse they say they are"
+    yield right(f"{checks[0]} = {checks[1]:g}, {scale[0]} = {scale[1]:g}: positions are taken {taken}")

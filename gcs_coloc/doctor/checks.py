@@ -1,0 +1,191 @@
+"""What the doctor says: the checks that every vehicle goes through, and those of the fleet as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gcs_coloc.core.messages import Autopilot
+from gcs_coloc.core.streams import WANTED_HZ
+from gcs_coloc.doctor import ardupilot_checks
+from gcs_coloc.doctor.findings import Findings, Level, Remark, Setup, VehicleFindings, note, right, stop
+from gcs_coloc.doctor.parameters import SENDERS_OPTION, look_up
+
+LEAST_PEERS = 3
+CLOCKS_AGREE_S = 2.0
+OFTEN = 20
+_GPS_FIX_3D = 3
+
+_GLOBAL_POSITION_INT, _GPS_RAW_INT, _GPS2_RAW, _EKF_STATUS_REPORT = 33, 24, 124, 193
+_STREAMS = {
+    _GLOBAL_POSITION_INT: ("GLOBAL_POSITION_INT", "POSITION"),
+    _GPS_RAW_INT: ("GPS_RAW_INT", "EXT_STAT"),
+    _GPS2_RAW: ("GPS2_RAW", "EXT_STAT"),
+    30: ("ATTITUDE", "EXTRA1"),
+    74: ("VFR_HUD", "EXTRA2"),
+    1: ("SYS_STATUS", "EXT_STAT"),
+    _EKF_STATUS_REPORT: ("EKF_STATUS_REPORT", "EXTRA3"),
+    2: ("SYSTEM_TIME", "EXTRA3"),
+}
+"""Message id -> the message's name, and the end of the name of ArduPilot's stream rate that it belongs to."""
+_ESSENTIAL = (_GLOBAL_POSITION_INT, _GPS_RAW_INT)
+_ARDUPILOT_ONLY = (_GPS2_RAW, _EKF_STATUS_REPORT)
+_HARMFUL = {
+    "unsigned": "a link that requires signatures hears unsigned frames: give the vehicle the key",
+    "signature_wrong": "a vehicle has another key than ours",
+    "signature_old": "a vehicle signs with a time over a minute behind this computer's: set one of the two clocks",
+    "bad_crc": "frames arrive broken: a weak radio, a wrong baud rate, or two programs on one device",
+}
+
+
+def of_vehicle(vehicle: VehicleFindings, setup: Setup, fleet: frozenset[int]) -> list[Remark]:
+    """Everything that is to be said of one vehicle; `fleet` are the system ids that were heard."""
+    remarks = [*_identity(vehicle)]
+    if not setup.subjects or vehicle.sysid in setup.subjects:
+        remarks += [*_address(vehicle), *_autopilot(vehicle, setup), *_ranges(vehicle, fleet)]
+    else:
+        remarks.append(right("it is there to help locate others: whether it could be aided was not checked"))
+    return [*remarks, *_telemetry(vehicle), *_receiver(vehicle), *_clock(vehicle)]
+
+
+def of_fleet(findings: Findings, setup: Setup) -> list[Remark]:
+    """Everything that is to be said of the fleet as a whole."""
+    return [*_number(findings), *_subjects(findings, setup), *_refused(findings), *_host(findings, setup)]
+
+
+def is_ready(remarks: list[Remark]) -> bool:
+    """Whether none of the remarks is on something that would stop co-localisation."""
+    return all(remark.level is not Level.STOP for remark in remarks)
+
+
+def _identity(vehicle: VehicleFindings) -> Iterator[Remark]:
+    if vehicle.is_claimed_twice:
+        yield stop(
+            f"its system id is used at {len(vehicle.addresses)} addresses at the same time: {', '.join(vehicle.addresses)}",
+            "give every vehicle a system id of its own: SYSID_THISMAV, MAV_SYSID since ArduPilot 4.7, MAV_SYS_ID on PX4",
+        )
+
+
+def _address(vehicle: VehicleFindings) -> Iterator[Remark]:
+    if vehicle.others_there:
+        others = ", ".join(str(sysid) for sysid in vehicle.others_there)
+        yield stop(
+            f"its address is also that of vehicle {others} (a router?), and GPS_INPUT has no target: all of them would take it",
+            "give each vehicle its own UDP stream to us, from its own port, or its own --link",
+        )
+    elif not vehicle.is_claimed_twice:
+        yield right(f"it has an address of its own: {', '.join(vehicle.addresses)}")
+
+
+def _autopilot(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
+    if vehicle.autopilot is Autopilot.PX4:
+        yield stop("PX4 does not take GPS_INPUT: it can help to locate others, and cannot be aided itself")
+        return
+    if vehicle.autopilot is not Autopilot.ARDUPILOT:
+        yield stop("its autopilot is neither ArduPilot nor PX4: it can help to locate others, and cannot be aided itself")
+        return
+    if not vehicle.parameters:
+        signed = "; its frames are signed: give gcs-coloc its key" if vehicle.is_signed else ""
+        yield stop(
+            "it is heard and answers nothing, so its parameters are not checked",
+            f"see that the link goes both ways and that it listens to us (MAV_OPTIONS, signing){signed}",
+        )
+        return
+    if vehicle.answers_only_to is not None and look_up(vehicle.parameters, SENDERS_OPTION) is None:
+        yield stop(
+            f"it answers {vehicle.answers_only_to} and not us, {setup.system_id}",
+            f"set system_id = {vehicle.answers_only_to} in [mavlink] of gcs-coloc",
+        )
+    yield from ardupilot_checks.check(vehicle, setup)
+
+
+def _ranges(vehicle: VehicleFindings, fleet: frozenset[int]) -> Iterator[Remark]:
+    known, strangers = sorted(vehicle.peers & fleet), sorted(vehicle.peers - fleet)
+    listed = ", ".join(str(sysid) for sysid in known)
+    if strangers:
+        yield note(f"ranges to {', '.join(map(str, strangers))}, which are not heard: of no use unless they tell where they are")
+    if len(known) >= LEAST_PEERS:
+        yield right(f"ranges to {len(known)} others: {listed}")
+        return
+    yield stop(
+        f"ranges to {len(known)} of the {LEAST_PEERS} others that are needed to locate it" + (f": {listed}" if known else ""),
+        "see that its ranging device is on and reports PEER_RANGE with the peers' system ids; or say with --aid which vehicles "
+        "are to be located",
+    )
+
+
+def _telemetry(vehicle: VehicleFindings) -> Iterator[Remark]:
+    good = []
+    for number, wanted_hz in WANTED_HZ.items():
+        if number in _ARDUPILOT_ONLY and vehicle.autopilot is not Autopilot.ARDUPILOT:
+            continue
+        name, stream = _STREAMS[number]
+        rate_hz = vehicle.rates_hz.get(number, 0.0)
+        lacking = stop if number in _ESSENTIAL else note
+        mend = f"raise SRn_{stream} of its port (MAVn_{stream} since ArduPilot 4.7), or see whether the link carries as much"
+        if rate_hz >= 0.5 * wanted_hz:
+            good.append(f"{name} {rate_hz:.0f} Hz")
+        elif rate_hz > 0.0:
+            yield note(f"{name} comes at {rate_hz:.1f} Hz, {wanted_hz:g} Hz are wanted", mend)
+        elif number in vehicle.empty:
+            yield lacking(
+                f"{name} holds no position: the autopilot has none yet",
+                "wait for its EKF; if its receiver has a fix, EK3_GPS_CHECK may refuse the accuracy",
+            )
+        else:
+            yield lacking(f"{name} is not heard", mend)
+    if good:
+        yield right(f"heard: {', '.join(good)}")
+
+
+def _receiver(vehicle: VehicleFindings) -> Iterator[Remark]:
+    receiver = vehicle.receiver
+    if receiver is None:
+        return
+    satellites = f", {receiver.satellites} satellites" if receiver.satellites is not None else ""
+    if receiver.fix_type >= _GPS_FIX_3D:
+        yield right(f"its GPS has a fix (type {receiver.fix_type}{satellites})")
+    else:
+        yield note(f"its GPS has no 3D fix now (fix type {receiver.fix_type}{satellites})")
+
+
+def _clock(vehicle: VehicleFindings) -> Iterator[Remark]:
+    if not vehicle.answers_timesync:
+        yield note("it does not answer TIMESYNC: what it measures is placed in time by its arrival, which is less exact")
+    off_s = vehicle.utc_minus_host_s
+    if off_s is not None and abs(off_s) > CLOCKS_AGREE_S:
+        where = "ahead of" if off_s > 0 else "behind"
+        yield note(
+            f"its UTC is {abs(off_s):.0f} s {where} this computer's: ranges with UNIX times are misplaced, signatures refused",
+            "set this computer's clock (timedatectl)",
+        )
+
+
+def _number(findings: Findings) -> Iterator[Remark]:
+    heard = len(findings.vehicles)
+    if heard == 0:
+        yield stop(
+            f"no vehicle was heard in {findings.seconds:g} s",
+            "see that a vehicle sends to this computer's address and this port, and that no firewall is in between",
+        )
+    elif heard <= LEAST_PEERS:
+        yield stop(f"vehicles heard: {heard}; to locate one, {LEAST_PEERS} others are needed that know where they are")
+    else:
+        yield right(f"vehicles heard: {heard}")
+
+
+def _subjects(findings: Findings, setup: Setup) -> Iterator[Remark]:
+    for sysid in sorted(setup.subjects - {vehicle.sysid for vehicle in findings.vehicles}):
+        yield stop(f"vehicle {sysid}, which is to be located, was not heard")
+
+
+def _refused(findings: Findings) -> Iterator[Remark]:
+    for reason, text in _HARMFUL.items():
+        times = findings.refused.get(reason, 0)
+        if times >= OFTEN:
+            yield note(f"{times} times refused ({reason}): {text}")
+
+
+def _host(findings: Findings, setup: Setup) -> Iterator[Remark]:
+    if findings.host_is_synchronised is False:
+        remark = stop if setup.requires_synchronised_clock else note
+        yield remark("this computer's clock is not synchronised (NTP, GPS)", "switch it on: timedatectl set-ntp true")

@@ -1,0 +1,93 @@
+"""What was found out about a fleet and each of its vehicles: plain values, which the checks judge."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+from gcs_coloc.core.messages import Autopilot, GpsReceiver
+
+
+class Level(Enum):
+    """How a remark is meant: all right; works, but worth knowing; would stop co-localisation."""
+
+    RIGHT = "right"
+    NOTE = "note"
+    STOP = "stop"
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """One result of the doctor in words; `mend` says what to do, `parameter` which parameter of the vehicle to set to what."""
+
+    level: Level
+    text: str
+    mend: str | None = None
+    parameter: tuple[str, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """Our side: the id we speak under, the receiver instance we feed (zero-based), the age we take its data to have, and whether
+    nothing is sent while this computer's clock is not synchronised. `subjects`: the vehicles that are to be located; empty: all.
+    """
+
+    system_id: int = 254
+    gps_id: int = 1
+    lag_s: float = 0.2
+    requires_synchronised_clock: bool = False
+    subjects: frozenset[int] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleFindings:
+    """One vehicle. Rates are those of the second half of the listening, by message id, Hz.
+
+    `addresses`: where its autopilot was heard; `is_claimed_twice`: at more than one of them at the same time. `others_there`:
+    other autopilots behind one of these addresses. `parameters`: those it told, by its own names. `answers_only_to`: the system
+    id under which it answered after it had not answered ours. `empty`: messages that came with impossible values only, such
+    as a position of 0, 0. `peers`: the other ends of its ranges, whoever measured.
+    `utc_minus_host_s`: its clock's UTC against this computer's; None where it does not know UTC.
+    """
+
+    sysid: int
+    autopilot: Autopilot
+    armed: bool = False
+    addresses: tuple[str, ...] = ()
+    is_claimed_twice: bool = False
+    others_there: tuple[int, ...] = ()
+    is_signed: bool = False
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    answers_only_to: int | None = None
+    rates_hz: Mapping[int, float] = field(default_factory=dict)
+    empty: frozenset[int] = frozenset()
+    receiver: GpsReceiver | None = None
+    peers: frozenset[int] = frozenset()
+    answers_timesync: bool = False
+    utc_minus_host_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """The fleet after `seconds` of listening. `refused` counts what was not taken, by reason."""
+
+    seconds: float
+    vehicles: tuple[VehicleFindings, ...] = ()
+    refused: Mapping[str, int] = field(default_factory=dict)
+    host_is_synchronised: bool | None = None
+
+
+def right(text: str) -> Remark:
+    """A remark that all is well."""
+    return Remark(Level.RIGHT, text)
+
+
+def note(text: str, mend: str | None = None, parameter: tuple[str, float] | None = None) -> Remark:
+    """A remark that does not stop anything."""
+    return Remark(Level.NOTE, text, mend, parameter)
+
+
+def stop(text: str, mend: str | None = None, parameter: tuple[str, float] | None = None) -> Remark:
+    """A remark on what would stop co-localisation."""
+    return Remark(Level.STOP, text, mend, parameter)

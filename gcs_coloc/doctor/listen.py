@@ -1,0 +1,80 @@
+"""The doctor's ears and mouth: opens the links, hands what arrives to the survey, and sends its questions."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Hashable
+
+from gcs_coloc.clock import ServiceClock
+from gcs_coloc.config import Settings
+from gcs_coloc.core.messages import ClockReference
+from gcs_coloc.doctor.findings import Findings
+from gcs_coloc.doctor.survey import ParameterRequest, Question, Survey
+from gcs_coloc.links.address import parse
+from gcs_coloc.links.base import Address, Link
+from gcs_coloc.links.claims import Route
+from gcs_coloc.links.factory import make_link
+from gcs_coloc.links.signed_links import SignedLinks
+from gcs_coloc.mavlink.dialect import GCS_COMPID, GCS_SYSID
+from gcs_coloc.mavlink.encoder import Encoder
+from gcs_coloc.mavlink.signing import Stamp
+
+_ASK_EVERY_S = 0.1
+_HEARTBEAT_EVERY = 10
+
+
+async def listen(settings: Settings, seconds: float, clock: ServiceClock, host: ClockReference) -> Findings:
+    """Listen on the links of `settings` for so long, asking on the way.
+
+    Raises:
+        LinkError: a link cannot be opened.
+        ConfigError: the signing key is of no use.
+    """
+    ids = settings.mavlink
+    signed = SignedLinks(settings.signing, settings.links)
+    signed.set_clock(host.utc_minus_service_s)
+    survey = Survey(
+        (ids.system_id, ids.component_id),
+        clock(),
+        seconds,
+        utc_minus_service_s=host.utc_minus_service_s,
+        asks_for_streams=settings.fleet.request_streams,
+    )
+    ours, as_gcs = Encoder(sysid=ids.system_id, compid=ids.component_id), Encoder(sysid=GCS_SYSID, compid=GCS_COMPID)
+    names: dict[Hashable, str] = {}
+
+    def arrived(link: Link, address: Address, payload: bytes, at_s: float) -> None:
+        route = Route(link, address)
+        names[route] = str(route)
+        survey.take(payload, route, at_s, signed.of(link.name))
+
+    def stamp(link: Link) -> Stamp | None:
+        signing = signed.of(link.name)
+        return signing.stamp(clock()) if signing is not None else None
+
+    def ask(question: Question) -> None:
+        place, encoder = question.place, as_gcs if question.as_gcs else ours
+        assert isinstance(place, Route)
+        if isinstance(question.message, ParameterRequest):
+            payload = encoder.parameter_request(question.message.sysid, question.message.name, place, stamp(place.link))
+        else:
+            payload = encoder.encode(question.message, place, stamp(place.link))
+        place.link.send(place.address, payload)
+
+    links = [make_link(parse(text), arrived, clock) for text in settings.links]
+    try:
+        for link in links:
+            await link.open()
+        for turn in range(round(seconds / _ASK_EVERY_S)):
+            if turn % _HEARTBEAT_EVERY == 0:
+                # Some vehicles speak to nobody before they have heard a heartbeat.
+                for place in {*names, *(Route(link, peer) for link in links for peer in link.peers)}:
+                    assert isinstance(place, Route)
+                    place.link.send(place.address, ours.heartbeat(place, stamp(place.link)))
+            for question in survey.questions(clock()):
+                ask(question)
+            await asyncio.sleep(_ASK_EVERY_S)
+    finally:
+        for link in links:
+            await link.close()
+    return survey.findings(names, host_is_synchronised=host.synchronised)

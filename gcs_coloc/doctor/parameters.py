@@ -1,0 +1,98 @@
+"""Which parameters the doctor wants to know, under all the names that they have had, and which to ask for next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from gcs_coloc.core.messages import Autopilot
+
+GPS_TYPE = (("GPS1_TYPE", "GPS_TYPE"), ("GPS2_TYPE", "GPS_TYPE2"))
+"""By receiver instance; the newest name first: ArduPilot 4.6 renamed them."""
+GPS_DELAY_MS = (("GPS1_DELAY_MS", "GPS_DELAY_MS"), ("GPS2_DELAY_MS", "GPS_DELAY_MS2"))
+GPS_PRIMARY = ("GPS_PRIMARY",)
+GPS_AUTO_SWITCH = ("GPS_AUTO_SWITCH",)
+GPS_CHECK = ("EK3_GPS_CHECK",)
+CHECK_SCALE = ("EK3_CHECK_SCALE",)
+POSITION_SOURCE = ("EK3_SRC1_POSXY",)
+VELOCITY_SOURCE = ("EK3_SRC1_VELXY",)
+EKF_TYPE = ("AHRS_EKF_TYPE",)
+SENDERS_OPTION = ("MAV_OPTIONS", "SYSID_ENFORCE")
+"""Bit 0 of either: only the ground station's system ids are listened to. ArduPilot 4.7 renamed it."""
+GCS_SYSID = ("MAV_GCS_SYSID", "SYSID_MYGCS")
+GCS_SYSID_HIGH = ("MAV_GCS_SYSID_HI",)
+
+_ARDUPILOT = (
+    *GPS_TYPE,
+    GPS_AUTO_SWITCH,
+    GPS_PRIMARY,
+    SENDERS_OPTION,
+    GCS_SYSID,
+    GPS_CHECK,
+    CHECK_SCALE,
+    POSITION_SOURCE,
+    VELOCITY_SOURCE,
+    EKF_TYPE,
+    GCS_SYSID_HIGH,
+    *GPS_DELAY_MS,
+)
+WANTED: Mapping[Autopilot, tuple[tuple[str, ...], ...]] = {Autopilot.ARDUPILOT: _ARDUPILOT, Autopilot.PX4: (("EKF2_AGP_CTRL",),)}
+
+RETRY_S = 1.0
+MOST_TRIES = 6
+AT_ONCE = 8
+"""Names asked for in one go: an answer to each fits into the buffers of a slow radio."""
+OWN_TRIES = 3
+"""Tries without any answer after which a vehicle is asked under the id that ground stations have by custom."""
+
+
+def look_up(parameters: Mapping[str, float], names: tuple[str, ...]) -> tuple[str, float] | None:
+    """The parameter that goes by one of `names`: the name that the vehicle has it under, and its value."""
+    for name in names:
+        if name in parameters:
+            return name, parameters[name]
+    return None
+
+
+@dataclass(slots=True)
+class ParameterReader:
+    """Asks one vehicle, a few at a time, for what it has not told yet."""
+
+    autopilot: Autopilot
+    told: dict[str, float] = field(default_factory=dict)
+    answers_as_gcs_only: bool = False
+    _tries: dict[str, int] = field(default_factory=dict)
+    _due_s: float = float("-inf")
+    _rounds: int = 0
+
+    def heard(self, name: str, value: float) -> None:
+        """Take one parameter that the vehicle told."""
+        if not self.told and self.asks_as_gcs:
+            self.answers_as_gcs_only = True
+        self.told[name] = value
+
+    @property
+    def asks_as_gcs(self) -> bool:
+        """Whether the next questions are asked under a ground station's id, as ours gets no answer."""
+        return self.answers_as_gcs_only or (not self.told and self._rounds > OWN_TRIES)
+
+    def due(self, now_s: float) -> list[str]:
+        """The names to ask for by now."""
+        if now_s < self._due_s:
+            return []
+        open_names = [
+            name
+            for names in WANTED.get(self.autopilot, ())
+            if look_up(self.told, names) is None
+            for name in names
+            if self._tries.get(name, 0) < MOST_TRIES
+        ]
+        # Those asked least often first, so that a parameter that the vehicle does not have holds nobody up.
+        asked = sorted(open_names, key=lambda name: self._tries.get(name, 0))[:AT_ONCE]
+        if asked:
+            self._rounds += 1
+            # Where answers come, the next names can follow soon.
+            self._due_s = now_s + (RETRY_S if not self.told else RETRY_S / 2)
+        for name in asked:
+            self._tries[name] = self._tries.get(name, 0) + 1
+        return asked

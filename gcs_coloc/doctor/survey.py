@@ -1,0 +1,217 @@
+"""Finding out about a fleet, sans-IO: datagrams in, questions out, findings at the end. Time is passed in."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from gcs_coloc.core.messages import (
+    Autopilot,
+    GpsReceiver,
+    Heartbeat,
+    Inbound,
+    PeerRange,
+    SystemTime,
+    TimeSyncAnswer,
+    TimeSyncRequest,
+    ToVehicle,
+)
+from gcs_coloc.core.streams import StreamRequests
+from gcs_coloc.doctor.findings import Findings, VehicleFindings
+from gcs_coloc.doctor.parameters import ParameterReader
+from gcs_coloc.mavlink.decoder import Decoder, Frame
+from gcs_coloc.mavlink.dialect import GCS_SYSID
+from gcs_coloc.mavlink.framing import RawFrame
+from gcs_coloc.mavlink.signing import LinkSigning
+
+MAX_VEHICLES = 250
+LEAST_RANGES = 2
+_TIMESYNC_EVERY_S = 1.0
+_PARAM_VALUE = mavlink.MAVLink_param_value_message
+_INTEGER_KINDS = range(mavlink.MAV_PARAM_TYPE_UINT8, mavlink.MAV_PARAM_TYPE_INT32 + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRequest:
+    """Asks one vehicle for one parameter."""
+
+    sysid: int
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A message for the vehicle at `place`; `as_gcs`: under the ground stations' system id and not ours."""
+
+    place: Hashable
+    message: ToVehicle | ParameterRequest
+    as_gcs: bool = False
+
+
+@dataclass(slots=True)
+class _Stay:
+    """How an autopilot was heard at one place."""
+
+    first_s: float
+    last_s: float
+
+
+@dataclass(slots=True)
+class _Vehicle:
+    reader: ParameterReader
+    first_heard_s: float
+    armed: bool = False
+    is_signed: bool = False
+    stays: dict[Hashable, _Stay] = field(default_factory=dict)
+    counts: Counter[int] = field(default_factory=Counter)
+    empty: set[int] = field(default_factory=set)
+    receiver: GpsReceiver | None = None
+    answers_timesync: bool = False
+    utc_minus_host_s: float | None = None
+    ask_time_at_s: float = float("-inf")
+
+    @property
+    def place(self) -> Hashable:
+        """Where it was heard last."""
+        return max(self.stays, key=lambda place: self.stays[place].last_s)
+
+    @property
+    def is_claimed_twice(self) -> bool:
+        """Whether it was heard at two places in turn, and did not just move from one to the other."""
+        stays = sorted(self.stays.values(), key=lambda stay: stay.first_s)
+        return any(after.first_s < before.last_s for before, after in pairwise(stays))
+
+
+class Survey:
+    """A look at a fleet from `start_s` on, for `seconds`. The rates are counted in its second half, when requests have told."""
+
+    def __init__(
+        self, own: tuple[int, int], start_s: float, seconds: float, *, utc_minus_service_s: float | None, asks_for_streams: bool
+    ) -> None:
+        self._decoder = Decoder(own_sysid=own[0], own_compid=own[1])
+        self._half_s, self._end_s = start_s + seconds / 2.0, start_s + seconds
+        self._seconds = seconds
+        self._utc_minus_service_s = utc_minus_service_s
+        self._streams = StreamRequests() if asks_for_streams else None
+        self._vehicles: dict[int, _Vehicle] = {}
+        self._ranges: Counter[frozenset[int]] = Counter()
+
+    @property
+    def refused(self) -> Mapping[str, int]:
+        """What was not taken, by reason."""
+        return self._decoder.counts
+
+    def take(self, datagram: bytes, place: Hashable, at_s: float, signing: LinkSigning | None = None) -> None:
+        """Take what arrived from an address. Nothing that bytes can hold makes it raise."""
+        good: list[RawFrame] = []
+        for frame in self._decoder.decode(datagram, at_s, place, signing, good):
+            if frame.message is not None:
+                self._note(frame, frame.message, place, at_s)
+            elif frame.sysid in self._vehicles and at_s >= self._half_s:
+                self._vehicles[frame.sysid].empty.add(frame.message_id)
+        for raw in good:
+            vehicle = self._vehicles.get(raw.sysid)
+            if vehicle is not None:
+                vehicle.is_signed = vehicle.is_signed or raw.is_signed
+                if raw.message_id == _PARAM_VALUE.id:
+                    _read_parameter(raw, vehicle.reader)
+
+    def questions(self, now_s: float) -> list[Question]:
+        """What is to be asked by now, and of whom."""
+        out = []
+        for sysid, vehicle in self._vehicles.items():
+            as_gcs = vehicle.reader.asks_as_gcs
+            out += [Question(vehicle.place, ParameterRequest(sysid, name), as_gcs) for name in vehicle.reader.due(now_s)]
+            if now_s >= vehicle.ask_time_at_s:
+                vehicle.ask_time_at_s = now_s + _TIMESYNC_EVERY_S
+                out.append(Question(vehicle.place, TimeSyncRequest(sysid, max(1, round(now_s * 1e9))), as_gcs))
+        for request in self._streams.due(now_s) if self._streams is not None else []:
+            vehicle = self._vehicles[request.sysid]
+            out.append(Question(vehicle.place, request, vehicle.reader.asks_as_gcs))
+        return out
+
+    def findings(self, names: Mapping[Hashable, str], *, host_is_synchronised: bool | None) -> Findings:
+        """What was found out; `names` are the addresses in words."""
+        there: dict[Hashable, set[int]] = {}
+        for sysid, vehicle in self._vehicles.items():
+            for place in vehicle.stays:
+                there.setdefault(place, set()).add(sysid)
+        vehicles = tuple(self._findings_of(sysid, there, names) for sysid in sorted(self._vehicles))
+        return Findings(self._seconds, vehicles, dict(self.refused), host_is_synchronised)
+
+    def _findings_of(self, sysid: int, there: Mapping[Hashable, set[int]], names: Mapping[Hashable, str]) -> VehicleFindings:
+        vehicle = self._vehicles[sysid]
+        counted_s = self._end_s - max(self._half_s, vehicle.first_heard_s)
+        others = set().union(*(there[place] for place in vehicle.stays)) - {sysid}
+        return VehicleFindings(
+            sysid=sysid,
+            autopilot=vehicle.reader.autopilot,
+            armed=vehicle.armed,
+            addresses=tuple(names[place] for place in vehicle.stays),
+            is_claimed_twice=vehicle.is_claimed_twice,
+            others_there=tuple(sorted(others)),
+            is_signed=vehicle.is_signed,
+            parameters=dict(vehicle.reader.told),
+            answers_only_to=GCS_SYSID if vehicle.reader.answers_as_gcs_only else None,
+            rates_hz={number: count / counted_s for number, count in vehicle.counts.items()} if counted_s > 0.0 else {},
+            empty=frozenset(vehicle.empty - vehicle.counts.keys()),
+            receiver=vehicle.receiver,
+            peers=frozenset(
+                other
+                for pair, times in self._ranges.items()
+                if sysid in pair and times >= LEAST_RANGES
+                for other in pair - {sysid}
+            ),
+            answers_timesync=vehicle.answers_timesync,
+            utc_minus_host_s=vehicle.utc_minus_host_s,
+        )
+
+    def _note(self, frame: Frame, message: Inbound, place: Hashable, at_s: float) -> None:
+        if isinstance(message, Heartbeat):
+            self._note_autopilot(message, place, at_s)
+        vehicle = self._vehicles.get(frame.sysid)
+        if vehicle is None:
+            return
+        if at_s >= self._half_s:
+            vehicle.counts[frame.message_id] += 1
+        if self._streams is not None:
+            self._streams.heard(frame.sysid, frame.message_id, at_s)
+        match message:
+            case GpsReceiver(receiver=0):
+                vehicle.receiver = message
+            case PeerRange():
+                self._ranges[frozenset((message.sysid, message.peer_sysid))] += 1
+            case TimeSyncAnswer():
+                vehicle.answers_timesync = True
+            case SystemTime() if message.unix_s is not None and self._utc_minus_service_s is not None:
+                vehicle.utc_minus_host_s = message.unix_s - (at_s + self._utc_minus_service_s)
+            case _:
+                pass
+
+    def _note_autopilot(self, message: Heartbeat, place: Hashable, at_s: float) -> None:
+        vehicle = self._vehicles.get(message.sysid)
+        if vehicle is None:
+            if len(self._vehicles) >= MAX_VEHICLES:
+                return
+            vehicle = self._vehicles[message.sysid] = _Vehicle(ParameterReader(message.autopilot), at_s)
+        vehicle.armed = message.armed
+        if place in vehicle.stays:
+            vehicle.stays[place].last_s = at_s
+        elif len(vehicle.stays) < MAX_VEHICLES:
+            vehicle.stays[place] = _Stay(at_s, at_s)
+
+
+def _read_parameter(raw: RawFrame, reader: ParameterReader) -> None:
+    payload = raw.payload.ljust(_PARAM_VALUE.unpacker.size, b"\0")
+    value, _count, _index, name, kind = _PARAM_VALUE.unpacker.unpack_from(payload)
+    if reader.autopilot is Autopilot.PX4 and kind in _INTEGER_KINDS:
+        # PX4 puts an integer's four bytes where ArduPilot puts its value as a float.
+        (value,) = struct.unpack_from("<i", payload)
+    text = name.partition(b"\0")[0]
+    if text.isascii() and abs(value) < float("inf"):
+        reader.heard(text.decode("ascii"), float(value))

@@ -1,0 +1,89 @@
+"""The doctor against simulated aircraft in processes of their own: a wrong set-up, and the same one mended as it said."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.integration
+
+ROOT = Path(__file__).resolve().parents[2]
+PAPER = (ROOT / "configs/scenario-paper.toml").read_text()
+WRONG = {"GPS2_TYPE": 0, "GPS_PRIMARY": 1, "GPS_AUTO_SWITCH": 1, "MAV_OPTIONS": 1, "EK3_GPS_CHECK": 19}
+
+
+def scenario(tmp_path, parameters) -> Path:
+    """The paper's aircraft, with these parameters on vehicle 4."""
+    table = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
+    text = re.sub(r"params = \{ EK3_GPS_CHECK = 19 \}", f"params = {{ {table} }}", PAPER)
+    assert text != PAPER
+    path = tmp_path / "scenario.toml"
+    path.write_text(text)
+    return path
+
+
+def examine(port, flown, *arguments, **environment) -> subprocess.CompletedProcess[str]:
+    fakes = subprocess.Popen(
+        [sys.executable, "-m", "sitl_fakes", str(flown), "--target", f"127.0.0.1:{port}"], stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert fakes.stderr is not None
+        fakes.stderr.readline()  # they fly
+        command = [sys.executable, "-m", "gcs_coloc", "doctor", "--udp", f"127.0.0.1:{port}", "--seconds", "10", *arguments]
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=120, check=False, env={**os.environ, **environment}
+        )
+    finally:
+        fakes.kill()
+        fakes.communicate()
+
+
+def test_a_wrong_set_up_is_told_parameter_by_parameter_and_is_right_when_they_are_set(tmp_path, free_port):
+    told = examine(free_port, scenario(tmp_path, WRONG), "--aid", "4", "--json")
+    assert told.returncode == 1, told.stderr
+    report = json.loads(told.stdout)
+    assert not report["ready"]
+    assert [(v["sysid"], v["ready"]) for v in report["vehicles"]] == [(1, True), (2, True), (3, True), (4, False)]
+    remarks = report["vehicles"][3]["remarks"]
+    assert any("MAV_GCS_SYSID = 255 only, and we are 254" in remark["text"] for remark in remarks)
+    settings = {name: value for remark in remarks for name, value in (remark["set"] or {}).items()}
+    assert settings == {"GPS2_TYPE": 14.0, "GPS_PRIMARY": 0.0, "GPS_AUTO_SWITCH": 4.0}
+
+    mended = scenario(tmp_path, WRONG | settings)
+    told = examine(free_port, mended, "--aid", "4", GCS_COLOC_MAVLINK__SYSTEM_ID="255")
+    assert told.returncode == 0, told.stdout + told.stderr
+    lines = told.stdout.splitlines()
+    assert lines[-1] == "result: all right; co-localisation can work"
+    assert "  right  ranges to 3 others: 1, 2, 3" in lines
+    assert not any(line.startswith("  STOP") for line in lines)
+
+
+def test_where_nobody_sends_the_doctor_says_so(free_port):
+    command = [sys.executable, "-m", "gcs_coloc", "doctor", "--udp", f"127.0.0.1:{free_port}", "--seconds", "5"]
+    told = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert told.returncode == 1
+    assert "no vehicle was heard in 5 s" in told.stdout
+    assert "Traceback" not in told.stderr
+
+
+def test_a_port_in_use_and_a_missing_link_end_in_one_line(free_port):
+    doctor = [sys.executable, "-m", "gcs_coloc", "doctor", "--seconds", "5"]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", free_port))
+        told = subprocess.run(
+            [*doctor, "--udp", f"127.0.0.1:{free_port}"], capture_output=True, text=True, timeout=60, check=False
+        )
+    assert told.returncode == 1
+    assert told.stdout == ""
+    assert told.stderr.splitlines()[-1].startswith("gcs-coloc: error: udpin:")
+    told = subprocess.run(doctor, capture_output=True, text=True, timeout=60, check=False)
+    assert told.returncode == 2
+    assert len(told.stderr.strip().splitlines()) == 1
+    assert "no link to listen on" in told.stderr

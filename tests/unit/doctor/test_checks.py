@@ -1,0 +1,242 @@
+"""Each check by a table: what was found, what is said of it, and the parameter to set."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from gcs_coloc.core.messages import Autopilot, GpsReceiver
+from gcs_coloc.core.streams import WANTED_HZ
+from gcs_coloc.doctor.checks import CLOCKS_AGREE_S, OFTEN, is_ready, of_fleet, of_vehicle
+from gcs_coloc.doctor.findings import Findings, Level, Setup, VehicleFindings
+from gcs_coloc.doctor.report import Report
+
+PARAMETERS = {
+    "GPS1_TYPE": 1.0,
+    "GPS2_TYPE": 14.0,
+    "GPS_PRIMARY": 0.0,
+    "GPS_AUTO_SWITCH": 4.0,
+    "GPS1_DELAY_MS": 0.0,
+    "GPS2_DELAY_MS": 0.0,
+    "EK3_GPS_CHECK": 31.0,
+    "EK3_CHECK_SCALE": 150.0,
+    "EK3_SRC1_POSXY": 3.0,
+    "EK3_SRC1_VELXY": 3.0,
+    "AHRS_EKF_TYPE": 3.0,
+    "MAV_OPTIONS": 0.0,
+    "MAV_GCS_SYSID": 255.0,
+    "MAV_GCS_SYSID_HI": 0.0,
+}
+BEFORE_4_6 = {
+    "GPS1_TYPE": "GPS_TYPE",
+    "GPS2_TYPE": "GPS_TYPE2",
+    "GPS1_DELAY_MS": "GPS_DELAY_MS",
+    "GPS2_DELAY_MS": "GPS_DELAY_MS2",
+}
+BEFORE_4_7 = {"MAV_OPTIONS": "SYSID_ENFORCE", "MAV_GCS_SYSID": "SYSID_MYGCS"}
+RECEIVER = GpsReceiver(4, 10.0, 0, 3, 47.0, 8.0, 500.0, 12, 0.8, 0.9, 1.2, 0.2)
+GOOD = VehicleFindings(
+    sysid=4,
+    autopilot=Autopilot.ARDUPILOT,
+    addresses=("127.0.0.1:5000 on udpin:0.0.0.0:14550",),
+    parameters=PARAMETERS,
+    rates_hz=dict(WANTED_HZ),
+    receiver=RECEIVER,
+    peers=frozenset({1, 2, 3}),
+    answers_timesync=True,
+    utc_minus_host_s=0.1,
+)
+FLEET = frozenset({1, 2, 3, 4})
+
+
+def said(vehicle, setup=None, fleet=FLEET):
+    return [remark for remark in of_vehicle(vehicle, setup or Setup(), fleet) if remark.level is not Level.RIGHT]
+
+
+def with_parameters(**changes):
+    return replace(GOOD, parameters={k: v for k, v in (PARAMETERS | changes).items() if v is not None})
+
+
+def renamed(names):
+    return {names.get(name, name): value for name, value in PARAMETERS.items()}
+
+
+@pytest.mark.parametrize("names", [{}, BEFORE_4_6, BEFORE_4_6 | BEFORE_4_7])
+def test_of_a_vehicle_that_is_set_up_right_nothing_is_said_but_that(names):
+    remarks = of_vehicle(replace(GOOD, parameters=renamed(names)), Setup(), FLEET)
+    assert {remark.level for remark in remarks} == {Level.RIGHT}
+    text = " ".join(remark.text for remark in remarks)
+    assert f"{names.get('GPS2_TYPE', 'GPS2_TYPE')} = 14" in text
+    assert "7.5 m horizontally, 11.25 m vertically and 1.5 m/s" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "words", "parameter"),
+    [
+        ({"GPS2_TYPE": 0.0}, "does not take GPS_INPUT", ("GPS2_TYPE", 14.0)),
+        ({"GPS1_TYPE": 14.0}, "own receiver is switched off", ("GPS1_TYPE", 1.0)),
+        ({"GPS_AUTO_SWITCH": 0.0}, "for ever", ("GPS_AUTO_SWITCH", 4.0)),
+        ({"GPS_AUTO_SWITCH": 1.0}, "leave a healthy receiver", ("GPS_AUTO_SWITCH", 4.0)),
+        ({"GPS_AUTO_SWITCH": 2.0}, "blends", ("GPS_AUTO_SWITCH", 4.0)),
+        ({"GPS_AUTO_SWITCH": 3.0}, "not what was tested", ("GPS_AUTO_SWITCH", 4.0)),
+        ({"GPS_PRIMARY": 1.0}, "comes first", ("GPS_PRIMARY", 0.0)),
+        ({"EK3_SRC1_POSXY": 6.0}, "does not come from GPS", ("EK3_SRC1_POSXY", 3.0)),
+        ({"MAV_OPTIONS": 1.0}, "listens to MAV_GCS_SYSID = 255 only, and we are 254", None),
+        ({"GPS2_TYPE": None}, "GPS2_TYPE could not be read", None),
+    ],
+)
+def test_a_wrong_parameter_stops_and_is_named_with_its_mend(changes, words, parameter):
+    (remark,) = said(with_parameters(**changes))
+    assert remark.level is Level.STOP
+    assert words in remark.text
+    assert remark.parameter == parameter
+    assert remark.mend
+    if parameter is not None:
+        assert f"{parameter[0]} = {parameter[1]:g}" in remark.mend
+
+
+def test_the_mend_names_the_parameter_as_the_vehicle_does():
+    (remark,) = said(replace(GOOD, parameters=renamed(BEFORE_4_6) | {"GPS_TYPE2": 1.0}))
+    assert remark.parameter == ("GPS_TYPE2", 14.0)
+    assert remark.text.startswith("GPS_TYPE2 = 1:")
+
+
+@pytest.mark.parametrize(
+    ("changes", "system_id", "is_heard"),
+    [
+        ({"MAV_OPTIONS": 1.0}, 255, True),
+        ({"MAV_OPTIONS": 1.0, "MAV_GCS_SYSID": 250.0, "MAV_GCS_SYSID_HI": 254.0}, 254, True),
+        ({"MAV_OPTIONS": 1.0, "MAV_GCS_SYSID": 250.0, "MAV_GCS_SYSID_HI": 253.0}, 254, False),
+        ({"MAV_OPTIONS": 2.0}, 254, True),
+        ({"MAV_OPTIONS": 3.0}, 254, False),
+    ],
+)
+def test_whom_the_vehicle_listens_to(changes, system_id, is_heard):
+    assert is_ready(said(with_parameters(**changes), Setup(system_id=system_id))) is is_heard
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "words"),
+    [
+        (with_parameters(GPS1_TYPE=0.0), "no receiver of its own"),
+        (with_parameters(GPS2_DELAY_MS=120.0), "0.12 s old"),
+        (with_parameters(AHRS_EKF_TYPE=2.0), "EKF3"),
+        (with_parameters(EK3_SRC1_VELXY=6.0), "velocity"),
+        (replace(GOOD, receiver=replace(RECEIVER, fix_type=1, satellites=3)), "fix type 1, 3 satellites"),
+        (replace(GOOD, peers=frozenset({1, 2, 3, 9})), "9, which are not heard"),
+        (replace(GOOD, answers_timesync=False), "TIMESYNC"),
+        (replace(GOOD, utc_minus_host_s=-40.0), "40 s behind"),
+        (replace(GOOD, rates_hz=GOOD.rates_hz | {33: 2.0}), "GLOBAL_POSITION_INT comes at 2.0 Hz, 10 Hz are wanted"),
+        (replace(GOOD, rates_hz={k: v for k, v in WANTED_HZ.items() if k != 124}), "GPS2_RAW is not heard"),
+    ],
+)
+def test_what_does_not_stop_anything_is_a_note(vehicle, words):
+    (remark,) = said(vehicle)
+    assert remark.level is Level.NOTE
+    assert words in remark.text
+
+
+def test_a_lag_that_is_set_like_the_vehicles_delay_is_right():
+    assert not said(with_parameters(GPS2_DELAY_MS=120.0), Setup(lag_s=0.12))
+    assert not said(replace(GOOD, utc_minus_host_s=CLOCKS_AGREE_S))
+
+
+def test_another_receiver_instance_is_judged_as_the_fed_one():
+    swapped = with_parameters(GPS1_TYPE=14.0, GPS2_TYPE=1.0, GPS_PRIMARY=1.0)
+    assert not said(swapped, Setup(gps_id=0))
+    assert not is_ready(said(swapped, Setup(gps_id=1)))
+    (remark,) = said(GOOD, Setup(gps_id=2))
+    assert "has not checked this one" in remark.text
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "words"),
+    [
+        (replace(GOOD, autopilot=Autopilot.PX4, parameters={}), "PX4 does not take GPS_INPUT"),
+        (replace(GOOD, autopilot=Autopilot.OTHER, parameters={}), "neither ArduPilot nor PX4"),
+        (replace(GOOD, parameters={}), "answers nothing"),
+        (replace(GOOD, others_there=(1, 2)), "vehicle 1, 2 (a router?)"),
+        (replace(GOOD, is_claimed_twice=True, addresses=("a", "b")), "2 addresses at the same time: a, b"),
+        (replace(GOOD, peers=frozenset({1, 2})), "ranges to 2 of the 3 others that are needed to locate it: 1, 2"),
+        (replace(GOOD, peers=frozenset()), "ranges to 0 of the 3"),
+        (replace(GOOD, peers=frozenset({1, 2, 9})), "ranges to 2 of the 3"),
+        (replace(GOOD, rates_hz={k: v for k, v in WANTED_HZ.items() if k != 33}), "GLOBAL_POSITION_INT is not heard"),
+        (replace(GOOD, rates_hz={k: v for k, v in WANTED_HZ.items() if k != 24}), "GPS_RAW_INT is not heard"),
+        (
+            replace(GOOD, rates_hz={k: v for k, v in WANTED_HZ.items() if k != 33}, empty=frozenset({33})),
+            "GLOBAL_POSITION_INT holds no position",
+        ),
+        (
+            replace(GOOD, parameters={k: v for k, v in PARAMETERS.items() if k != "MAV_OPTIONS"}, answers_only_to=255),
+            "it answers 255 and not us, 254",
+        ),
+    ],
+)
+def test_what_stops_is_said_with_words(vehicle, words):
+    stops = [remark for remark in said(vehicle) if remark.level is Level.STOP]
+    assert len(stops) == 1
+    assert words in stops[0].text
+
+
+def test_a_silent_vehicle_with_signed_frames_may_want_the_key():
+    (remark,) = said(replace(GOOD, parameters={}, is_signed=True))
+    assert "give gcs-coloc its key" in remark.mend
+
+
+def test_px4_is_not_asked_for_what_only_ardupilot_sends():
+    rates = {k: v for k, v in WANTED_HZ.items() if k not in (124, 193)}
+    texts = [remark.text for remark in said(replace(GOOD, autopilot=Autopilot.PX4, parameters={}, rates_hz=rates))]
+    assert not any("GPS2_RAW" in text or "EKF_STATUS" in text for text in texts)
+
+
+def test_a_vehicle_that_only_helps_is_not_held_to_what_the_located_ones_need():
+    helper = replace(GOOD, sysid=1, autopilot=Autopilot.PX4, parameters={}, peers=frozenset(), others_there=(2,))
+    assert is_ready(said(helper, Setup(subjects=frozenset({4}))))
+    assert not is_ready(said(replace(helper, rates_hz={}), Setup(subjects=frozenset({4}))))
+    assert not is_ready(said(replace(helper, is_claimed_twice=True), Setup(subjects=frozenset({4}))))
+    assert not is_ready(said(replace(helper, sysid=4), Setup(subjects=frozenset({4}))))
+
+
+def fleet(**changes):
+    return Findings(15.0, tuple(replace(GOOD, sysid=sysid, peers=FLEET - {sysid}) for sysid in sorted(FLEET)), **changes)
+
+
+@pytest.mark.parametrize(
+    ("findings", "setup", "level", "words"),
+    [
+        (Findings(15.0), Setup(), Level.STOP, "no vehicle was heard in 15 s"),
+        (Findings(15.0, (GOOD,)), Setup(), Level.STOP, "vehicles heard: 1; to locate one, 3 others are needed"),
+        (fleet(), Setup(subjects=frozenset({4, 9})), Level.STOP, "vehicle 9, which is to be located, was not heard"),
+        (fleet(refused={"signature_wrong": OFTEN}), Setup(), Level.NOTE, f"{OFTEN} times refused (signature_wrong)"),
+        (fleet(host_is_synchronised=False), Setup(), Level.NOTE, "not synchronised"),
+        (fleet(host_is_synchronised=False), Setup(requires_synchronised_clock=True), Level.STOP, "not synchronised"),
+    ],
+)
+def test_what_is_said_of_the_fleet(findings, setup, level, words):
+    (remark,) = [remark for remark in of_fleet(findings, setup) if remark.level is not Level.RIGHT]
+    assert remark.level is level
+    assert words in remark.text
+
+
+def test_a_fleet_that_is_all_right():
+    findings = fleet(refused={"signature_wrong": OFTEN - 1, "not_wanted": 1000}, host_is_synchronised=True)
+    assert all(remark.level is Level.RIGHT for remark in of_fleet(findings, Setup()))
+    report = Report(findings, Setup())
+    assert report.is_ready
+    assert list(report.lines())[-1] == "result: all right; co-localisation can work"
+    assert report.as_json()["ready"] is True
+
+
+def test_the_report_says_what_stops_first_and_whom_it_stops_last():
+    good = fleet()
+    wrong = replace(good.vehicles[1], parameters=PARAMETERS | {"GPS2_TYPE": 0.0})
+    report = Report(replace(good, vehicles=(good.vehicles[0], wrong, *good.vehicles[2:])), Setup())
+    lines = list(report.lines())
+    of_two = lines.index("vehicle 2: ArduPilot, not armed")
+    assert lines[of_two + 1].startswith("  STOP   GPS2_TYPE = 0:")
+    assert lines[of_two + 1].endswith("; set GPS2_TYPE = 14")
+    assert lines[-1] == "result: something would stop co-localisation of vehicle 2"
+    vehicle = report.as_json()["vehicles"][1]
+    assert (vehicle["sysid"], vehicle["ready"]) == (2, False)
+    assert {"GPS2_TYPE": 14.0} in [remark["set"] for remark in vehicle["remarks"]]
