@@ -17,6 +17,7 @@ _FIELD_M = 5000.0
 _SPEED_MPS = 25.0
 _GPS_SIGMA_M, _RANGE_SIGMA_M, _HEIGHT_SIGMA_M = 1.5, 1.0, 1.0
 _WARM_S = 3.0
+_LOST_AT_S = 0.01  # after the reports that they start from
 
 
 def measure(quick: bool) -> list[Figure]:
@@ -59,7 +60,7 @@ def _cost(heard: int, failed: int, seconds: float) -> tuple[float, float]:
     estimator = load_estimator("fleet", {})
     for vehicle in range(1, count + 1):
         estimator.add(_report(vehicle, 0.0, start[vehicle - 1], velocity[vehicle - 1], rng))
-    estimator.set_subjects(subjects, 0.0)
+    estimator.set_subjects(subjects, _LOST_AT_S)
     spent_s, taken, t = 0.0, 0, 0.0
     while t < _WARM_S + seconds:
         t += 1.0 / _RATE_HZ

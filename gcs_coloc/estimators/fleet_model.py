@@ -288,8 +288,12 @@ class FleetModel:
         placed = [(v, there) for v in fresh if (there := self._roughly(v)) is not None]
         if here is None or len(placed) <= self.settings.peers_per_subject:
             return frozenset([v for v, _ in placed][: self.settings.peers_per_subject])
-        kept = frozenset(v for v in record.chosen)
-        return choose_peers(here, placed, kept, self.settings.peers_per_subject)
+        subjects = {vehicle: other for vehicle, other in self.records.items() if other.subject}
+        used = (other.chosen for vehicle, other in subjects.items() if vehicle != subject)
+        shared = frozenset().union(*used) - subjects.keys()
+        height_known = any(isinstance(m, AltitudeMeasurement) for m in record.recent)
+        most = self.settings.peers_per_subject
+        return choose_peers(here, placed, record.chosen, shared, most, height_known=height_known)
 
     def _roughly(self, vehicle: int) -> FloatArray | None:
         cluster, record = self.clusters.get(vehicle), self.records[vehicle]
