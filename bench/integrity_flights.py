@@ -8,10 +8,10 @@ from math import cos, exp, hypot, inf, pi, sin, sqrt
 
 import numpy as np
 
+from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.bound import horizontal_bound_95_m
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.gps_input import AidSettings
 from gcs_coloc.core.measurements import Estimate, FloatArray
 from gcs_coloc.core.messages import ClockReference, GlobalPosition, GpsReceiver, Inbound, PeerRange, TimeBase
 from gcs_coloc.estimators.registry import load_estimator

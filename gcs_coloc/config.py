@@ -16,15 +16,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from pydantic.dataclasses import dataclass
 from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
 
+from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.engine import EngineSettings
 from gcs_coloc.core.errors import ConfigError
 from gcs_coloc.core.feed import FeedSettings
-from gcs_coloc.core.gps_input import AidSettings
 from gcs_coloc.core.health import HealthSettings
 
 _STRICT = ConfigDict(extra="forbid")
-_MAY_BE_ZERO = ("lag_s", "gps_id", "least_delay_s", "require_synchronised_clock")
+_MAY_BE_ZERO = ("lag_s", "gps_id", "least_delay_s", "regain_after_s", "hand_back_s", "ek3_gps_check")
 
 
 class _Checked:
@@ -33,6 +33,8 @@ class _Checked:
     def __post_init__(self) -> None:
         for f in fields(self):  # type: ignore[arg-type]
             value = getattr(self, f.name)
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                continue
             least_ok = value >= 0 if f.name in _MAY_BE_ZERO else value > 0
             if not (math.isfinite(value) and least_ok):
                 raise ValueError(f"{f.name} must be a positive number, not {value}")
@@ -51,6 +53,12 @@ class FeedConfig(_Checked, FeedSettings):
 @dataclass(frozen=True, config=_STRICT)
 class AidConfig(_Checked, AidSettings):
     """`[aid]`: what is sent to a vehicle without GPS."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for sysid in self.ways:
+            if not 1 <= sysid <= 255:
+                raise ValueError(f"ways: {sysid} is not a MAVLink system id (1 to 255)")
 
 
 @dataclass(frozen=True, config=_STRICT)

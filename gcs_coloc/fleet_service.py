@@ -9,6 +9,7 @@ from dataclasses import replace
 from gcs_coloc.clock import ServiceClock
 from gcs_coloc.config import Settings
 from gcs_coloc.core.advance import CATCH_UP_S, advance, was_held_up, without_superseded
+from gcs_coloc.core.aid_messages import OtherAid
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages import (
     ClockReference,
@@ -76,7 +77,7 @@ class FleetService:
             clock,
             own=(ids.system_id, ids.component_id),
             bytes_per_s=senders.bytes_per_s,
-            is_aided=self._is_aided,
+            is_aided=lambda sysid: self._engine.aiding.streams(sysid),
             forwarded=lambda raw: self._recording.forwarded(self._engine_at_s, raw),
         )
         self._echoes_gps_input = settings.forward.echo_gps_input
@@ -187,6 +188,8 @@ class FleetService:
         good: list[RawFrame] = []
         refused: list[Frame] = []
         for frame in self._decoder.decode(payload, received_at_s, (link.name, address), self._signed.of(link.name), good):
+            if isinstance(frame.message, OtherAid):
+                self._note_other_aid(frame.message, link, address)
             if not self._learn_route(frame, link, address, received_at_s):
                 refused.append(frame)
             elif frame.message is not None:
@@ -204,6 +207,13 @@ class FleetService:
         self._recording.heard(received_at_s, good, refused)
         self._forwarder.from_vehicle(good, link, address, received_at_s)
         self._wake()
+
+    def _note_other_aid(self, message: OtherAid, link: Link, address: Address) -> None:
+        """Tell the engine of somebody else's GPS_INPUT, whoever sends it: every vehicle at the address it came from takes it."""
+        for sysid in self._routes.autopilots_at(link, address, message.received_at_s):
+            reached = replace(message, vehicle=sysid)
+            self._engine.receive(reached)
+            self._recording.told(reached)
 
     def _learn_route(self, frame: Frame | RawFrame, link: Link, address: Address, now_s: float) -> bool:
         heartbeat = isinstance(frame, Frame) and frame.is_autopilot_heartbeat
@@ -262,10 +272,6 @@ class FleetService:
         self._recording.sent(self._engine_at_s, payload)
         if self._echoes_gps_input and isinstance(output, GpsInput):
             self._forwarder.echo(payload)
-
-    def _is_aided(self, sysid: int) -> bool:
-        vehicle = self._engine.fleet.get(sysid)
-        return vehicle is not None and vehicle.health.aided
 
     def _stamp(self, route: Route) -> Stamp | None:
         signing = self._signed.of(route.link.name)

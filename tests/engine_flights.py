@@ -66,14 +66,19 @@ def telemetry(sysid: int, t: float, fix_type: int = 3, autopilot: Autopilot = Au
 
 
 def fly(
-    engine: Engine, start_s: float, stop_s: float, failed: Collection[int] = (), sysids: Collection[int] = (1, 2, 3, 4)
+    engine: Engine,
+    start_s: float,
+    stop_s: float,
+    failed: Collection[int] = (),
+    sysids: Collection[int] = (1, 2, 3, 4),
+    autopilot: Autopilot = Autopilot.ARDUPILOT,
 ) -> list:
     """Feed 10 Hz telemetry and poll at every deadline, as the service does; returns (time, output) pairs."""
     out = []
     for step in range(round(start_s * 10), round(stop_s * 10)):
         t = step / 10
         for sysid in sysids:
-            for message in telemetry(sysid, t, fix_type=1 if sysid in failed else 3):
+            for message in telemetry(sysid, t, 1 if sysid in failed else 3, autopilot):
                 engine.receive(message)
         while engine.next_deadline() < t + 0.1:
             now_s = max(engine.next_deadline(), t)

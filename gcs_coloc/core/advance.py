@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import GpsInput, Outbound
+from gcs_coloc.core.messages import Aid, Outbound
 
 CATCH_UP_S = 1.0
 """A service that was held up for longer than this leaves out the deadlines that it missed instead of running them all."""
@@ -48,6 +48,6 @@ def advance(engine: Engine, to_s: float, *, catch_up_s: float = float("inf")) ->
 
 
 def without_superseded(outputs: list[Outbound]) -> list[Outbound]:
-    """The outputs without the GPS_INPUT that a later one for the same vehicle replaces: an old position is never sent late."""
-    last = {output.sysid: i for i, output in enumerate(outputs) if isinstance(output, GpsInput)}
-    return [output for i, output in enumerate(outputs) if not isinstance(output, GpsInput) or last[output.sysid] == i]
+    """The outputs without the aid that a later one of its kind to the same vehicle replaces: no old position is sent late."""
+    last = {(type(output), output.sysid): i for i, output in enumerate(outputs) if isinstance(output, Aid)}
+    return [output for i, output in enumerate(outputs) if not isinstance(output, Aid) or last[type(output), output.sysid] == i]

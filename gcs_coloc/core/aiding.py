@@ -1,105 +1,115 @@
-"""Who is aided and when: the policy and the steady schedule of GPS_INPUT, one stream per aided vehicle."""
+"""Who is aided and when: the policy, with one stream of aid per vehicle. What is sent, the stream and its way know."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections import Counter
 
+from gcs_coloc.core.aid_messages import CommandResult, OtherAid, ParameterSet, ParameterValue
+from gcs_coloc.core.aid_settings import AidSettings
+from gcs_coloc.core.aid_stream import AidStream, Answer, Purpose
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.gps_input import AidSettings, gps_input, no_fix, why_no_fix
 from gcs_coloc.core.health import GpsState
-from gcs_coloc.core.measurements import Estimate, Unknown
-from gcs_coloc.core.messages import AidWord, Autopilot, GpsInput, Notice, Outbound
+from gcs_coloc.core.messages import Aid, AidWord, GpsReceiver, Notice, Outbound, PrimaryWord
+from gcs_coloc.core.other_aid import OtherAids
+from gcs_coloc.core.parameters import Parameters
+from gcs_coloc.core.primary_switch import PrimarySwitch
+from gcs_coloc.core.standby import Standby
+from gcs_coloc.core.way_choice import feeds_receiver, make_way, mismatch, way_name
 
-_LONGEST_LEAD_S = 0.5  # beyond, a prediction is worth less than the delay costs
 _AIDED_STATES = (GpsState.FAILED, GpsState.RECOVERING)
-
-
-@dataclass(slots=True)
-class _Stream:
-    """The stream of aid to one vehicle: when the next message is due, and why the last one carried no fix."""
-
-    vehicle: Vehicle
-    due_s: float
-    no_fix_because: str | None = "not sent yet"
-    sent: int = 0
+_FRESH_S = 3.0
 
 
 class Aiding:
-    """Keeps one stream of GPS_INPUT for each vehicle that is to be aided and can be reached.
+    """Keeps one stream of aid for each vehicle that is to have one and can be reached.
 
-    `withheld` says why nobody may be aided at all, or is None. `words` is what the operator decided, by system id.
+    `withheld` says why nobody may be aided at all, or is None. `words` and `primary_words` are what the operator decided, by
+    system id. `refused` counts what vehicles refuse, by reason.
     """
 
     def __init__(self, settings: AidSettings) -> None:
         self.settings = settings
         self.withheld: str | None = None
         self.words: dict[int, AidWord] = {}
-        self._period_s = 1.0 / settings.rate_hz
-        self._streams: dict[int, _Stream] = {}
+        self.primary_words: dict[int, PrimaryWord] = {}
+        self.parameters = Parameters()
+        self.primary = PrimarySwitch(settings.gps_id)
+        self.refused: Counter[str] = Counter()
+        self._others = OtherAids(settings)
+        self._standby = Standby(settings, self.parameters)
+        self._streams: dict[int, AidStream] = {}
         self._told: dict[int, str | None] = {}
 
     def review(self, vehicle: Vehicle, now_s: float) -> list[Outbound]:
-        """Start or end the stream of one vehicle after its health, autopilot or route changed."""
-        wanted, hindrance = self._wanted(vehicle), self.hindrance(vehicle)
-        aided = wanted and hindrance is None
-        stream = self._streams.get(vehicle.sysid)
-        out: list[Outbound] = []
-        if aided and stream is None:
-            self._streams[vehicle.sysid] = _Stream(vehicle, due_s=now_s)
-            vehicle.health.aided = True
-        elif not aided and stream is not None:
-            del self._streams[vehicle.sysid]
-            vehicle.health.aided = False
-            out.append(no_fix(vehicle.sysid, self.settings.gps_id))
-            why = "the operator's word" if self._word(vehicle) is AidWord.OFF else f"GPS {vehicle.health.state.value}"
-            out.append(Notice(now_s, vehicle.sysid, "info", f"aid ended: {hindrance or why}"))
-        # Put under aid with a good receiver of its own, it may fly on ours: what it claims must not come back as evidence.
-        vehicle.health.captive = self._word(vehicle) is AidWord.ON
-        if wanted and hindrance != self._told.get(vehicle.sysid):
-            self._told[vehicle.sysid] = hindrance
+        """Begin, change or end the stream of one vehicle by its health, autopilot, route and the operator's word.
+
+        Also sets `aided` and `captive` of its health.
+        """
+        out: list[Outbound] = list(self._others.review(vehicle.sysid, now_s))
+        sysid, stream = vehicle.sysid, self._streams.get(vehicle.sysid)
+        purpose, hindrance = self._purpose(vehicle, stream, now_s), self.hindrance(vehicle)
+        if purpose is Purpose.STANDBY and hindrance is None:
+            obstacle, news = self._standby.obstacle(vehicle, now_s)
+            purpose = None if obstacle is not None else purpose
+            out.extend(news)
+        if stream is not None and (purpose is None or hindrance is not None or stream.name != way_name(vehicle, self.settings)):
+            out.extend(self._end(stream, hindrance, now_s))
+            stream = None
+        if stream is None and purpose is not None and hindrance is None:
+            stream = self._streams[sysid] = self._begin(vehicle, purpose, now_s)
+        elif stream is not None and purpose is not None and purpose is not stream.purpose:
+            stream.purpose, stream.purpose_since_s = purpose, now_s
+        if stream is not None and stream.uptake is not None and (told := stream.uptake.review(now_s)) is not None:
+            out.append(Notice(now_s, sysid, *told))
+        out.extend(self.primary.review(sysid, now_s, wanted=self._primary_wanted(vehicle, stream, now_s)))
+        # A vehicle that may fly on what we send though its receiver is good: its claims must not come back as evidence.
+        vehicle.health.captive = self._word(vehicle) is AidWord.ON or self.primary.holds(sysid)
+        vehicle.health.aided = stream is not None and (vehicle.health.state in _AIDED_STATES or vehicle.health.captive)
+        if purpose is Purpose.AID and hindrance != self._told.get(sysid):
+            self._told[sysid] = hindrance
             if hindrance is not None:
-                out.append(Notice(now_s, vehicle.sysid, "error", f"needs aid and cannot be aided: {hindrance}"))
+                out.append(Notice(now_s, sysid, "error", f"needs aid and cannot be aided: {hindrance}"))
         return out
 
     def hindrance(self, vehicle: Vehicle) -> str | None:
         """Why a vehicle cannot be aided even if it should be, in words for the operator; None where it can."""
-        if vehicle.blocked is not None:
-            return vehicle.blocked
-        if self.withheld is not None:
-            return self.withheld
-        if vehicle.autopilot is Autopilot.PX4:
-            return "PX4 does not take GPS_INPUT: nothing is sent"
-        return None
+        return (
+            vehicle.blocked
+            or self.withheld
+            or mismatch(way_name(vehicle, self.settings), vehicle.autopilot)
+            or self._others.hindrance(vehicle.sysid)
+        )
 
-    def due(
-        self,
-        now_s: float,
-        frame: LocalFrame | None,
-        utc_minus_service_s: float | None,
-        answer: Callable[[int, float], Estimate | Unknown],
-    ) -> list[Outbound]:
-        """The GPS_INPUT messages that are due by `now_s`, with a notice where a stream gains or loses its fix.
+    def answered(self, result: CommandResult) -> list[Outbound]:
+        """Take a vehicle's answer to a command."""
+        stream = self._streams.get(result.sysid)
+        return list(stream.way.answered(result)) if stream is not None else []
 
-        `answer` is the estimator's: where a vehicle is at a service time. Deadlines keep a fixed grid; those that a
-        late call has missed are left out, never caught up with. The vehicle takes the data to be `lag_s` old when they
-        arrive, so that they are for as much later as the link is known to take at least; what a message takes longer, its
-        driver finds by the time in it.
-        """
+    def parameter(self, value: ParameterValue) -> list[Outbound]:
+        """Take what a vehicle tells of a parameter."""
+        self.parameters.heard(value)
+        return list(self.primary.heard(value))
+
+    def fed(self, receiver: GpsReceiver) -> None:
+        """Take what a vehicle says of the receiver that we feed."""
+        stream = self._streams.get(receiver.sysid)
+        if stream is not None and stream.uptake is not None:
+            stream.uptake.heard(receiver)
+
+    def heard_other(self, message: OtherAid) -> None:
+        """Take note of somebody else's GPS_INPUT."""
+        self._others.heard(message)
+
+    def restarted(self, sysid: int) -> None:
+        """A vehicle was rebooted: its parameters may have changed."""
+        self.parameters.forget(sysid)
+
+    def due(self, now_s: float, frame: LocalFrame | None, utc_minus_service_s: float | None, answer: Answer) -> list[Outbound]:
+        """What is due by `now_s`. `answer` is the estimator's: where a vehicle is at a service time."""
         out: list[Outbound] = []
-        for sysid, stream in self._streams.items():
-            if now_s < stream.due_s:
-                continue
-            under_way_s = min(stream.vehicle.clock.one_way_delay_s(now_s) or 0.0, _LONGEST_LEAD_S)
-            at_s = now_s + under_way_s - self.settings.lag_s
-            unix_s = at_s + utc_minus_service_s if utc_minus_service_s is not None else None
-            missed = int((now_s - stream.due_s) / self._period_s)
-            stream.due_s += (missed + 1) * self._period_s
-            where = answer(sysid, at_s)
-            out.append(gps_input(sysid, where, frame, stream.vehicle.range_error_m, unix_s, self.settings))
-            out.extend(self._tell(sysid, stream, why_no_fix(where, self.settings), now_s))
-            stream.sent += 1
+        for stream in self._streams.values():
+            out.extend(stream.tick(now_s, frame, utc_minus_service_s, answer))
         return out
 
     def next_due_s(self) -> float:
@@ -110,34 +120,82 @@ class Aiding:
         """The state of a vehicle's aid in a few words, for the operator."""
         stream = self._streams.get(vehicle.sysid)
         if stream is not None:
-            return "sending 3D fix" if stream.no_fix_because is None else f"sending no fix: {stream.no_fix_because}"
-        if self._wanted(vehicle):
+            return stream.status()
+        if self._needs_aid(vehicle):
             return f"NOT SENT: {self.hindrance(vehicle)}"
-        return "off" if self._word(vehicle) is not AidWord.OFF else "off by the operator's word"
+        if self._word(vehicle) is AidWord.OFF:
+            return "off by the operator's word"
+        return self._standby.status(vehicle.sysid) or "off"
+
+    def streams(self, sysid: int) -> bool:
+        """Whether a vehicle has a stream from us, with a fix or without."""
+        return sysid in self._streams
 
     def sends_fix(self, sysid: int) -> bool:
         """Whether a vehicle is being sent a position, and not only the word that there is none."""
         stream = self._streams.get(sysid)
         return stream is not None and stream.no_fix_because is None
 
-    def close(self) -> list[GpsInput]:
-        """End every stream: a last message with fix_type 1 for each vehicle that is being aided."""
-        last = [no_fix(sysid, self.settings.gps_id) for sysid in self._streams]
+    def taken(self, sysid: int) -> bool | None:
+        """Whether the vehicle's receiver takes our stream; None where that cannot be told."""
+        stream = self._streams.get(sysid)
+        return stream.uptake.taken if stream is not None and stream.uptake is not None else None
+
+    def close(self) -> list[Aid | ParameterSet]:
+        """End every stream, with fix_type 1 where the way can say so, and restore what was set."""
+        last = [message for stream in self._streams.values() for message in stream.way.end()]
         self._streams.clear()
-        return last
+        return [*last, *self.primary.close()]
+
+    def _begin(self, vehicle: Vehicle, purpose: Purpose, now_s: float) -> AidStream:
+        name = way_name(vehicle, self.settings)
+        way = make_way(name, vehicle, self.settings, self.parameters, self.refused)
+        return AidStream(vehicle, name, way, self.settings, now_s, purpose)
+
+    def _end(self, stream: AidStream, hindrance: str | None, now_s: float) -> list[Outbound]:
+        vehicle = stream.vehicle
+        del self._streams[vehicle.sysid]
+        why = "the operator's word" if self._word(vehicle) is AidWord.OFF else f"GPS {vehicle.health.state.value}"
+        notice = Notice(now_s, vehicle.sysid, "info", f"aid ended: {hindrance or why}")
+        # Who else feeds the same receiver is not interrupted by our last word.
+        return [notice] if self._others.hindrance(vehicle.sysid) is not None else [*stream.way.end(), notice]
 
     def _word(self, vehicle: Vehicle) -> AidWord:
         return self.words.get(vehicle.sysid, AidWord.AUTO)
 
-    def _wanted(self, vehicle: Vehicle) -> bool:
+    def _needs_aid(self, vehicle: Vehicle) -> bool:
         word = self._word(vehicle)
         return word is AidWord.ON or (word is AidWord.AUTO and vehicle.health.state in _AIDED_STATES)
 
-    def _tell(self, sysid: int, stream: _Stream, reason: str | None, now_s: float) -> list[Notice]:
-        had_fix, has_fix = stream.no_fix_because is None, reason is None
-        stream.no_fix_because = reason
-        if has_fix and not had_fix:
-            return [Notice(now_s, sysid, "info", "located: sending positions")]
-        if not has_fix and (had_fix or stream.sent == 0):
-            return [Notice(now_s, sysid, "warning", f"not located, sending fix_type 1: {reason}")]
-        return []
+    def _purpose(self, vehicle: Vehicle, stream: AidStream | None, now_s: float) -> Purpose | None:
+        state = vehicle.health.state
+        if self._needs_aid(vehicle):
+            return Purpose.AID
+        if self._word(vehicle) is AidWord.OFF:
+            return None
+        if stream is not None and stream.purpose is not Purpose.STANDBY:
+            if stream.purpose is Purpose.AID:
+                return Purpose.HAND_BACK
+            if state is not GpsState.HEALTHY:
+                stream.purpose_since_s = now_s
+            if now_s - stream.purpose_since_s < self.settings.hand_back_s or self.primary.switching(vehicle.sysid):
+                return Purpose.HAND_BACK
+        return Purpose.STANDBY if self._standby.is_for(vehicle) else None
+
+    def _primary_wanted(self, vehicle: Vehicle, stream: AidStream | None, now_s: float) -> bool:
+        """Whether GPS_PRIMARY is to be our receiver: begun only where that is seen to take what is sent, kept while aid lasts."""
+        word = self.primary_words.get(vehicle.sysid, PrimaryWord.AUTO)
+        if stream is None or stream.purpose is not Purpose.AID or not feeds_receiver(stream.name) or word is PrimaryWord.OWN:
+            return False
+        if self.primary.switching(vehicle.sysid):
+            return word is PrimaryWord.OURS or self.settings.switch_primary == "auto"
+        if stream.no_fix_because is not None or stream.uptake is None or not stream.uptake.taken:
+            return False
+        return word is PrimaryWord.OURS or (self.settings.switch_primary == "auto" and self._lies(vehicle, stream, now_s))
+
+    def _lies(self, vehicle: Vehicle, stream: AidStream, now_s: float) -> bool:
+        """Whether its own receiver, held to have failed, claims a fix all the same, or did in between (jamming flickers)."""
+        receiver, state = vehicle.receiver, vehicle.health.state
+        claims = receiver is not None and receiver.fix_type >= 3 and now_s - receiver.received_at_s <= _FRESH_S
+        stream.flickered = stream.flickered or state is GpsState.RECOVERING
+        return state is GpsState.FAILED and (claims or stream.flickered)

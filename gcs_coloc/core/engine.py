@@ -9,23 +9,24 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
+from gcs_coloc.core.aid_messages import CommandResult, OtherAid, ParameterSet, ParameterValue
+from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.aiding import Aiding
 from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.feed import Feed, FeedSettings
 from gcs_coloc.core.fleet import Fleet, Vehicle
-from gcs_coloc.core.gps_input import AidSettings
 from gcs_coloc.core.guard import GuardedEstimator
 from gcs_coloc.core.health import GpsState, HealthSettings
 from gcs_coloc.core.integrity import Integrity
 from gcs_coloc.core.measurements import Estimate, Measurement, RangeMeasurement, Unknown
 from gcs_coloc.core.messages import (
+    Aid,
     AidWord,
     Airspeed,
     Attitude,
     ClockReference,
     EkfStatus,
     GlobalPosition,
-    GpsInput,
     GpsReceiver,
     GpsWord,
     HealthChanged,
@@ -35,6 +36,7 @@ from gcs_coloc.core.messages import (
     OperatorWord,
     Outbound,
     PeerRange,
+    PrimaryWord,
     RouteReport,
     SystemHealth,
     SystemTime,
@@ -71,7 +73,9 @@ class Engine:
     def __init__(self, estimator: Estimator, settings: EngineSettings | None = None) -> None:
         self.settings = settings if settings is not None else EngineSettings()
         self.estimator: Estimator = GuardedEstimator(estimator, self._tell_of_estimator)
-        self.fleet = Fleet(self.settings.health, self.settings.most_vehicles)
+        # The receiver that we feed never counts as evidence of a vehicle's own GPS.
+        own_receiver = 1 if self.settings.aid.gps_id == 0 else 0
+        self.fleet = Fleet(self.settings.health, self.settings.most_vehicles, own_receiver)
         self.feed = Feed(self.settings.feed, self.settings.time)
         self.aiding = Aiding(self.settings.aid)
         self.integrity = Integrity()
@@ -102,6 +106,9 @@ class Engine:
         if isinstance(message, OperatorWord):
             self._obey(message)
             return
+        if isinstance(message, OtherAid):
+            self._note_other(message)
+            return
         vehicle = self._heard(message.sysid, at_s)
         if vehicle is None:
             return
@@ -109,6 +116,7 @@ class Engine:
         self._take(message, vehicle)
         if vehicle.clock.resets != resets:
             self._streams.restarted(vehicle.sysid)
+            self.aiding.restarted(vehicle.sysid)
             self._say(at_s, vehicle.sysid, "warning", "its clock jumped: taken as a reboot")
         message_id = _MESSAGE_IDS.get(type(message))
         if message_id is None and isinstance(message, GpsReceiver):
@@ -126,6 +134,7 @@ class Engine:
                 self._review(vehicle, now_s)
                 self._ask_time(vehicle, now_s)
             self._residuals.take(self.estimator.take_residuals(), now_s)
+            self._outbox.extend(self.aiding.parameters.due(now_s))
             if self.settings.request_streams:
                 self._outbox.extend(self._streams.due(now_s))
         out, self._outbox = self._outbox, []
@@ -136,13 +145,13 @@ class Engine:
         """The service time at which `poll` is to be called at the latest; infinity before the first message."""
         return min(self._housekeeping_due_s, self.aiding.next_due_s())
 
-    def close(self) -> list[GpsInput]:
-        """The last messages before the service ends: fix_type 1 to every vehicle that is being aided."""
+    def close(self) -> list[Aid | ParameterSet]:
+        """The last messages before the service ends: fix_type 1 to everyone who is being aided, and what was set is restored."""
         return self.aiding.close()
 
     def refused(self) -> dict[str, int]:
         """How often what was refused, by reason, since the start."""
-        return dict(self._refused + self.feed.refused)
+        return dict(self._refused + self.feed.refused + self.aiding.refused)
 
     def view(self, now_s: float) -> FleetView:
         """The fleet as it stands, for observers."""
@@ -193,12 +202,21 @@ class Engine:
         if isinstance(word, AidWord):
             self.aiding.words[sysid] = word
             self._say(message.received_at_s, sysid, "info", f"operator: aid {word.value}")
+        elif isinstance(word, PrimaryWord):
+            self.aiding.primary_words[sysid] = word
+            self._say(message.received_at_s, sysid, "info", f"operator: GPS_PRIMARY {word.value}")
         else:
             self._gps_words[sysid] = word
             self._say(message.received_at_s, sysid, "info", f"operator: GPS {word.value}")
             if vehicle is not None:
                 vehicle.health.word = word
         if vehicle is not None:
+            self._review(vehicle, message.received_at_s)
+
+    def _note_other(self, message: OtherAid) -> None:
+        vehicle = self.fleet.get(message.vehicle) if message.vehicle is not None else None
+        if vehicle is not None:
+            self.aiding.heard_other(message)
             self._review(vehicle, message.received_at_s)
 
     def _take(self, message: Inbound, vehicle: Vehicle) -> None:
@@ -231,12 +249,16 @@ class Engine:
                     self._review(vehicle, message.received_at_s)
             case GpsReceiver() | SystemHealth() | EkfStatus():
                 if isinstance(message, GpsReceiver):
-                    if message.receiver == 0:
+                    if message.receiver == vehicle.health.own_receiver:
                         vehicle.receiver = message
-                    else:
-                        vehicle.injected_receiver = message
+                    elif message.receiver == self.settings.aid.gps_id:
+                        self.aiding.fed(message)
                 vehicle.health.take(message)
                 self._review(vehicle, message.received_at_s)
+            case CommandResult():
+                self._outbox.extend(self.aiding.answered(message))
+            case ParameterValue():
+                self._outbox.extend(self.aiding.parameter(message))
             case _:
                 pass
         if isinstance(measurement, RangeMeasurement):

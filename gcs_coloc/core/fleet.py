@@ -30,7 +30,6 @@ class Vehicle:
     blocked: str | None = "no heartbeat of an autopilot heard yet"
     position: GlobalPosition | None = None
     receiver: GpsReceiver | None = None
-    injected_receiver: GpsReceiver | None = None
     airspeed: Airspeed | None = None
     attitude: Attitude | None = None
     delay_s: float | None = None
@@ -43,10 +42,14 @@ class Vehicle:
 
 
 class Fleet:
-    """The registry of vehicles. A vehicle is added when it is first heard; `most` bounds how many there can be."""
+    """The registry of vehicles. A vehicle is added when it is first heard; `most` bounds how many there can be.
 
-    def __init__(self, health_settings: HealthSettings, most: int) -> None:
+    `own_receiver` is the instance of the receiver that is a vehicle's own and not fed by us.
+    """
+
+    def __init__(self, health_settings: HealthSettings, most: int, own_receiver: int = 0) -> None:
         self._health_settings = health_settings
+        self._own_receiver = own_receiver
         self._most = most
         self._vehicles: dict[int, Vehicle] = {}
 
@@ -56,7 +59,7 @@ class Fleet:
         if vehicle is None:
             if len(self._vehicles) >= self._most:
                 return None
-            vehicle = Vehicle(sysid, GpsHealth(self._health_settings), at_s, at_s)
+            vehicle = Vehicle(sysid, GpsHealth(self._health_settings, self._own_receiver), at_s, at_s)
             self._vehicles[sysid] = vehicle
         vehicle.last_heard_s = at_s
         return vehicle

@@ -4,21 +4,20 @@ Position and velocity are those of `lag_s` ago, because ArduPilot's driver takes
 HDOP is what its definition says, the position's horizontal 1-sigma in units of the 1-sigma of one range (the peer's own error
 included), for the filtered position: the geometry of the moment alone would call a position bad that the filter knows well.
 
-Where the position is unknown or its 95 % horizontal bound beyond the alert limit, the message goes out all the same, at
-the same rate, with fix_type 1: the autopilot then knows that the receiver lives and has no fix.
+Where the position may not be claimed as a fix (`fix_policy`), the message goes out all the same, at the same rate, with
+fix_type 1: the autopilot then knows that the receiver lives and has no fix.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
 
-from gcs_coloc.core.bound import horizontal_bound_95_m, horizontal_sigma_m
+from gcs_coloc.core.bound import horizontal_sigma_m
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_time import gps_week_and_ms
-from gcs_coloc.core.measurements import Estimate, Unknown
+from gcs_coloc.core.measurements import Estimate
 from gcs_coloc.core.messages import GpsInput
 
 _FIX_3D, _NO_FIX = 3, 1
@@ -27,49 +26,23 @@ _UNKNOWN_ACCURACY_M = 9999.0
 _UNKNOWN_DOP = 99.99
 
 
-@dataclass(frozen=True, slots=True)
-class AidSettings:
-    """How vehicles are aided.
-
-    `rate_hz`: GPS_INPUT rate; ArduPilot calls a receiver unhealthy below 4.7 Hz.
-    `lag_s`: age that the vehicle's driver takes the data to have (its GPS_DELAY).
-    `gps_id`: zero-based receiver instance that the vehicle has set to MAVLink (1 is GPS2).
-    `alert_limit_m`: no fix is claimed while the 95 % horizontal bound is beyond this.
-    """
-
-    rate_hz: float = 10.0
-    lag_s: float = 0.2
-    gps_id: int = 1
-    alert_limit_m: float = 50.0
-
-
-def why_no_fix(answer: Estimate | Unknown, settings: AidSettings) -> str | None:
-    """Why an answer may not be claimed as a fix, in words; None where it may."""
-    if isinstance(answer, Unknown):
-        return answer.reason
-    bound_m = horizontal_bound_95_m(answer.covariance)
-    if not bound_m <= settings.alert_limit_m:
-        return f"95 % horizontal bound {bound_m:.0f} m is beyond the alert limit of {settings.alert_limit_m:g} m"
-    return None
-
-
 def gps_input(
     sysid: int,
-    answer: Estimate | Unknown,
+    answer: Estimate | None,
     frame: LocalFrame | None,
     range_error_m: float | None,
     unix_s: float | None,
-    settings: AidSettings,
+    gps_id: int,
 ) -> GpsInput:
-    """GPS_INPUT for one vehicle from the estimator's answer.
+    """GPS_INPUT for one vehicle from the estimator's answer, None where that may not be claimed as a fix.
 
     `range_error_m` is the 1-sigma of one range with the error of the peer's position in it, `unix_s` the UTC time of the
     answer; both None where unknown.
     """
     week, week_ms = gps_week_and_ms(unix_s) if unix_s is not None else (0, 0)
     time_usec = round(unix_s * 1e6) if unix_s is not None else 0
-    if frame is None or isinstance(answer, Unknown) or why_no_fix(answer, settings) is not None:
-        return no_fix(sysid, settings.gps_id, time_usec, week, week_ms)
+    if frame is None or answer is None:
+        return no_fix(sysid, gps_id, time_usec, week, week_ms)
     east_m, north_m, up_m = (float(x) for x in answer.position_enu_m)
     ve, vn, vu = (float(x) for x in answer.velocity_enu_mps)
     lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(east_m, north_m, up_m)
@@ -78,7 +51,7 @@ def gps_input(
     vert_accuracy_m = sqrt(float(p[2, 2]))
     return GpsInput(
         sysid=sysid,
-        gps_id=settings.gps_id,
+        gps_id=gps_id,
         time_usec=time_usec,
         gps_week=week,
         gps_time_of_week_ms=week_ms,

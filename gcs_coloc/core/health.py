@@ -3,11 +3,11 @@
     UNKNOWN -> HEALTHY -> SUSPECT -> FAILED -> RECOVERING -> HEALTHY
                   ^---------/           ^---------/
 
-Evidence is what the vehicle's real receiver (receiver 0) says in GPS_RAW_INT, the GPS bit of SYS_STATUS and the EKF's
-flags. The two last speak of the receiver *in use*: while the vehicle is aided they are an echo of our own stream and
-count for nothing. The injected receiver never counts. What the service itself finds counts as well: a receiver that repeats
-one position on the move (`motion_check`) is as good as lost, and so is one that the ranges show to lie (`integrity`). The
-operator's word wins over everything.
+Evidence is what the vehicle's real receiver says in GPS_RAW_INT (in GPS2_RAW where we feed the first one), the GPS bit of
+SYS_STATUS and the EKF's flags. The two last speak of the receiver *in use*: while the vehicle is aided they are an echo of our
+own stream and count for nothing. The injected receiver never counts. What the service itself finds counts as well: a receiver
+that repeats one position on the move (`motion_check`) is as good as lost, and so is one that the ranges show to lie
+(`integrity`). The operator's word wins over everything.
 """
 
 from __future__ import annotations
@@ -62,10 +62,12 @@ class HealthSettings:
 class GpsHealth:
     """The state machine of one vehicle. Fed by `take`, `motion`, `contradiction`, `word` and `aided`; moved on by `update`.
 
-    `captive`: its autopilot may fly on what we send though its own receiver is good, so that what it claims is an echo.
+    `own_receiver` is the instance of the receiver that is really its own. `captive`: its autopilot may fly on what we send
+    though its own receiver is good, so that what it claims is an echo.
     """
 
     settings: HealthSettings
+    own_receiver: int = 0
     state: GpsState = GpsState.UNKNOWN
     reason: str = "nothing heard from its GPS receiver yet"
     since_s: float = 0.0
@@ -85,9 +87,9 @@ class GpsHealth:
         return self.state is GpsState.HEALTHY and not self.captive
 
     def take(self, message: GpsReceiver | SystemHealth | EkfStatus) -> None:
-        """Note one piece of evidence. Reports of a receiver other than the real one are ignored."""
+        """Note one piece of evidence. Reports of a receiver other than its own are ignored."""
         if isinstance(message, GpsReceiver):
-            if message.receiver == 0:
+            if message.receiver == self.own_receiver:
                 self._receiver = message
                 self.motion.take_receiver(message)
         elif isinstance(message, SystemHealth):

@@ -15,6 +15,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from gcs_coloc.core.aid_messages import (
+    CommandResult,
+    ExternalPosition,
+    GlobalPositionSensor,
+    OtherAid,
+    ParameterRequest,
+    ParameterSet,
+    ParameterValue,
+)
+
 
 class Autopilot(Enum):
     """The autopilot family that a HEARTBEAT announces; it decides which aid the vehicle can take."""
@@ -195,7 +205,15 @@ class AidWord(Enum):
     OFF = "off"
 
 
-Word = GpsWord | AidWord
+class PrimaryWord(Enum):
+    """The operator's word on GPS_PRIMARY of an aided vehicle: OURS our receiver, OWN what it was before; AUTO as it is set."""
+
+    AUTO = "auto"
+    OURS = "ours"
+    OWN = "own"
+
+
+Word = GpsWord | AidWord | PrimaryWord
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,6 +245,9 @@ Inbound = (
     | SystemTime
     | TimeSyncAnswer
     | PeerRange
+    | CommandResult
+    | ParameterValue
+    | OtherAid
     | ClockReference
     | OperatorWord
     | RouteReport
@@ -300,6 +321,9 @@ class HealthChanged:
     reason: str
 
 
-ToVehicle = GpsInput | StreamRequest | TimeSyncRequest
+Aid = GpsInput | ExternalPosition | GlobalPositionSensor
+"""What tells a vehicle where it is."""
+
+ToVehicle = Aid | StreamRequest | TimeSyncRequest | ParameterRequest | ParameterSet
 ToOperator = Notice | HealthChanged
 Outbound = ToVehicle | ToOperator

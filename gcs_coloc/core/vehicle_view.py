@@ -8,7 +8,7 @@ from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, FloatArray, Unknown, Vector3
-from gcs_coloc.core.messages import AidWord
+from gcs_coloc.core.messages import AidWord, PrimaryWord
 from gcs_coloc.core.view import Consistency, VehicleView
 
 _ATTITUDE_FRESH_S = 3.0
@@ -54,9 +54,12 @@ def vehicle_view(
         claim_lon_deg=claim.lon_deg if claim is not None else None,
         aid=aiding.status(vehicle),
         aid_has_fix=aiding.sends_fix(vehicle.sysid),
+        aid_taken=aiding.taken(vehicle.sysid),
+        gps_primary=aiding.primary.status(vehicle.sysid),
         hindrance=aiding.hindrance(vehicle),
         operator_word=vehicle.health.word.value,
         aid_word=aiding.words.get(vehicle.sysid, AidWord.AUTO).value,
+        primary_word=aiding.primary_words.get(vehicle.sysid, PrimaryWord.AUTO).value,
         enu_m=enu_m,
         velocity_enu_mps=velocity_mps,
         covariance_h_m2=covariance_m2,

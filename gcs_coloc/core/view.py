@@ -64,9 +64,10 @@ class VehicleView:
     position and velocity in the fleet's frame, `covariance_h_m2` its horizontal covariance (east-east, east-north,
     north-north). `yaw_rad` is the vehicle's own, from true north, clockwise. `delay_s` is how much longer its newest
     position was on the way than the quickest of the last minute. `clock_method` is how its clock is known (TIMESYNC or one-way
-    stamps), `clock_sigma_s` how well. `aid` says in words what is sent to it, `aid_has_fix`
-    whether that is a position; `hindrance` why nothing can be sent to it even if it should be. `operator_word` is the
-    operator's on its GPS, `aid_word` on its aid.
+    stamps), `clock_sigma_s` how well. `aid` says in words what is sent to it, `aid_has_fix` whether that is a position,
+    `aid_taken` whether its receiver is seen to take it, `hindrance` why nothing can be sent to it even if it should be.
+    `gps_primary` says in words what the service does with its GPS_PRIMARY. `operator_word` is the operator's on its GPS,
+    `aid_word` on its aid, `primary_word` on its GPS_PRIMARY.
     """
 
     sysid: int
@@ -86,9 +87,12 @@ class VehicleView:
     claim_lon_deg: float | None
     aid: str
     aid_has_fix: bool = False
+    aid_taken: bool | None = None
+    gps_primary: str | None = None
     hindrance: str | None = None
     operator_word: str = "auto"
     aid_word: str = "auto"
+    primary_word: str = "auto"
     enu_m: tuple[float, float, float] | None = None
     velocity_enu_mps: tuple[float, float, float] | None = None
     covariance_h_m2: tuple[float, float, float] | None = None

@@ -95,6 +95,11 @@ class RouteTable:
             self._autopilots[sysid].heard_at_s = now_s
         return True
 
+    def autopilots_at(self, link: Link, address: Address, now_s: float) -> tuple[int, ...]:
+        """The vehicles that are reached at an address, or were a short while ago, by system id."""
+        heard = self._autopilots_at.get(Route(link, address), {})
+        return tuple(sorted(sysid for sysid, at_s in heard.items() if now_s - at_s <= self._shared_memory_s))
+
     def route(self, sysid: int, now_s: float) -> Route | Blocked:
         """Where the autopilot of a vehicle is reached, or why nothing may be sent to it."""
         pin = self._autopilots.get(sysid)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import NamedTuple
 
-from pymavlink.dialects.v20.ardupilotmega import MAV_COMP_ID_AUTOPILOT1
+from pymavlink.dialects.v20.ardupilotmega import MAV_COMP_ID_AUTOPILOT1, MAVLINK_MSG_ID_GPS_INPUT
 
 from gcs_coloc.core.messages import Heartbeat, Inbound
 from gcs_coloc.mavlink import framing
@@ -22,6 +22,7 @@ NOT_WANTED = "not_wanted"
 NOT_FROM_AUTOPILOT = "not_from_autopilot"
 UNKNOWN_MESSAGE = "unknown_message"
 ECHO = "echo"
+OWN_SYSID_USED = "own_sysid"
 INVALID_SYSID = "invalid_value:header.sysid"
 
 
@@ -47,7 +48,8 @@ class Decoder:
 
     Reasons: those of `framing`; unknown_message (in no dialect of ours); not_wanted (known, but of no use to the core);
     not_from_autopilot (a message that only an autopilot can send about its vehicle, from another component);
-    duplicate; echo (our own frame come back); invalid_value:MESSAGE.field; those of `signing` where a link is signed.
+    duplicate; echo (our own frame come back); own_sysid (our system id from another component);
+    invalid_value:MESSAGE.field; those of `signing` where a link is signed.
     """
 
     def __init__(self, *, own_sysid: int = OWN_SYSID, own_compid: int = OWN_COMPID) -> None:
@@ -79,6 +81,9 @@ class Decoder:
             sender = (raw.sysid, raw.compid)
             if sender == self._own:
                 self.counts.add(ECHO)
+            # Who else uses our system id is no vehicle; but another sender of aid must not go unnoticed by that.
+            elif raw.sysid == self._own[0] and raw.message_id != MAVLINK_MSG_ID_GPS_INPUT:
+                self.counts.add(OWN_SYSID_USED)
             elif raw.sysid == 0:
                 self.counts.add(INVALID_SYSID)
             # Before anything is remembered of the sender, and before its message's id decides: both are his to choose.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections import OrderedDict
 from collections.abc import Hashable
@@ -11,6 +10,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.messages import GpsInput, StreamRequest, TimeSyncRequest, ToVehicle
+from gcs_coloc.mavlink import aid_encoding
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.signing import Stamp
 
@@ -29,11 +29,7 @@ class Encoder:
 
         Raises ValueError where a number in it is not finite or does not fit its field.
         """
-        if isinstance(message, GpsInput):
-            return self._pack(_gps_input(message), destination, stamp)
-        if isinstance(message, TimeSyncRequest):
-            return self._pack(mavlink.MAVLink_timesync_message(tc1=0, ts1=message.ts1_ns), destination, stamp)
-        return self._pack(_stream_request(message), destination, stamp)
+        return self._pack(_wire_message(message), destination, stamp)
 
     def heartbeat(self, destination: Hashable, stamp: Stamp | None = None) -> bytes:
         """Encode our own HEARTBEAT: an onboard controller, no autopilot."""
@@ -70,9 +66,19 @@ class Encoder:
         return packed
 
 
+def _wire_message(message: ToVehicle) -> Any:
+    if isinstance(message, GpsInput):
+        return _gps_input(message)
+    if isinstance(message, TimeSyncRequest):
+        return mavlink.MAVLink_timesync_message(tc1=0, ts1=message.ts1_ns)
+    if isinstance(message, StreamRequest):
+        return _stream_request(message)
+    return aid_encoding.wire_message(message)
+
+
 def _gps_input(fix: GpsInput) -> Any:
     """GPS_INPUT (232) with no field ignored: ArduPilot fuses an ignored velocity or altitude as zero."""
-    _require_valid(fix)
+    aid_encoding.require_place(fix, "GPS_INPUT")
     return mavlink.MAVLink_gps_input_message(
         time_usec=fix.time_usec,
         gps_id=fix.gps_id,
@@ -94,14 +100,6 @@ def _gps_input(fix: GpsInput) -> Any:
         satellites_visible=fix.satellites,
         yaw=0,
     )
-
-
-def _require_valid(fix: GpsInput) -> None:
-    for name in fix.__dataclass_fields__:
-        if not math.isfinite(getattr(fix, name)):
-            raise ValueError(f"GPS_INPUT cannot be encoded: {name} is not finite")
-    if abs(fix.lat_deg) > 90.0 or abs(fix.lon_deg) > 180.0:
-        raise ValueError(f"GPS_INPUT cannot be encoded: {fix.lat_deg}, {fix.lon_deg} is no latitude and longitude")
 
 
 def _stream_request(request: StreamRequest) -> Any:

@@ -1,7 +1,8 @@
 """What the engine was told besides the vehicles' frames, kept in the tlog so that a replay tells it the same.
 
-The operator's words, what is known of the routes, the host's UTC and ranges from gateways reach the engine by no frame, and that
-the service was held up shows in none. Each is written as a TUNNEL frame (385) of our own, with a private payload type and JSON
+The operator's words, what is known of the routes, the host's UTC, whom somebody else's GPS_INPUT reaches and ranges from
+gateways reach the engine by no frame, and that the service was held up shows in none. Each is written as a TUNNEL frame (385)
+of our own, with a private payload type and JSON
 inside; other programs pass over it.
 """
 
@@ -14,10 +15,11 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.advance import HeldUp
-from gcs_coloc.core.messages import AidWord, ClockReference, GpsWord, OperatorWord, PeerRange, RouteReport, TimeBase
+from gcs_coloc.core.aid_messages import OtherAid
+from gcs_coloc.core.messages import AidWord, ClockReference, GpsWord, OperatorWord, PeerRange, PrimaryWord, RouteReport, TimeBase
 from gcs_coloc.mavlink.framing import MAGIC_V2, read_frame
 
-_WORDS: dict[str, type[GpsWord] | type[AidWord]] = {"word": GpsWord, "aid": AidWord}
+_WORDS: dict[str, type[GpsWord] | type[AidWord] | type[PrimaryWord]] = {"word": GpsWord, "aid": AidWord, "primary": PrimaryWord}
 
 PAYLOAD_TYPE = 46_232
 """The TUNNEL payload type of a note; above 32767 they are private."""
@@ -36,7 +38,7 @@ class GroundTool:
     received_at_s: float
 
 
-Note = ClockReference | OperatorWord | RouteReport | PeerRange | HeldUp | GroundTool
+Note = ClockReference | OperatorWord | RouteReport | PeerRange | HeldUp | GroundTool | OtherAid
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +106,8 @@ def _content(note: Note) -> dict[str, Any]:
         return {"range": [*ends, *told, note.sequence, note.line_of_sight, note.device_id]}
     if isinstance(note, HeldUp):
         return {"held": note.since_s}
+    if isinstance(note, OtherAid):
+        return {"other": [note.sysid, note.gps_id, note.vehicle]}
     if isinstance(note, OperatorWord):
         return {next(key for key, kind in _WORDS.items() if isinstance(note.word, kind)): note.word.value, "of": note.sysid}
     text = note.blocked.encode("ascii", "replace").decode().replace('"', "'").replace("\\", "/") if note.blocked else note.blocked
@@ -126,6 +130,9 @@ def _note(content: dict[str, Any], at_s: float) -> Note | None:
         sysid, peer, range_m, sigma_m, measured_at_s, base, sequence, line_of_sight, device_id = content["range"]
         time_base = _TIME_BASES[base]
         return PeerRange(sysid, at_s, peer, range_m, sigma_m, measured_at_s, time_base, sequence, line_of_sight, device_id)
+    if "other" in content:
+        sender, gps_id, vehicle = content["other"]
+        return OtherAid(sender, at_s, gps_id, vehicle)
     sysid = int(content["of"])
     for key, kind in _WORDS.items():
         if key in content:

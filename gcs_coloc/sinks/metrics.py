@@ -25,6 +25,11 @@ _GAUGES: tuple[tuple[str, str, Callable[[VehicleView], float | None]], ...] = (
         lambda v: v.consistency.nis_mean if v.consistency else None,
     ),
     ("aid_fix", "1 while the vehicle is being sent a position.", lambda v: float(v.aid_has_fix)),
+    (
+        "aid_taken",
+        "1 where the vehicle's receiver is seen to take what is sent, 0 where it is not.",
+        lambda v: float(v.aid_taken) if v.aid_taken is not None else None,
+    ),
     ("link_delay_seconds", "Delay of its newest position beyond the least of the last minute.", lambda v: v.delay_s),
 )
 _COUNTERS: tuple[tuple[str, str, Callable[[LinkView], int]], ...] = (

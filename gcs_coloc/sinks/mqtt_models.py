@@ -10,7 +10,7 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from gcs_coloc.core.messages import AidWord, GpsWord, PeerRange, TimeBase, Word
+from gcs_coloc.core.messages import AidWord, GpsWord, PeerRange, PrimaryWord, TimeBase, Word
 from gcs_coloc.core.view import FleetView, VehicleView
 from gcs_coloc.mavlink.checks import RANGE_MAX_M, UNIX_TIME_FROM_US, UNIX_TIME_TO_US
 
@@ -37,6 +37,8 @@ class VehicleState(_Sent):
     satellites: int | None
     aid: str
     aid_has_fix: bool
+    aid_taken: bool | None
+    gps_primary: str | None
     hindrance: str | None
 
 
@@ -63,6 +65,7 @@ class VehicleHealth(_Sent):
     gps_reason: str
     operator_word: str
     aid_word: str
+    primary_word: str
 
 
 class FleetStatus(_Sent):
@@ -83,23 +86,25 @@ class Alarm(_Sent):
 
 
 class Command(BaseModel):
-    """`…/{sysid}/cmd`: the operator's word on the GPS of a vehicle, or on its aid: one of the two."""
+    """`…/{sysid}/cmd`: the operator's word on the GPS of a vehicle, on its aid or on its GPS_PRIMARY: one of them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     word: GpsWord | None = None
     aid: AidWord | None = None
+    primary: PrimaryWord | None = None
 
     @model_validator(mode="after")
     def _one_word(self) -> Self:
-        if (self.word is None) == (self.aid is None):
+        if len(self._words()) != 1:
             raise ValueError("one word is wanted")
         return self
 
     def said(self) -> Word:
         """The word that was given."""
-        word = self.word if self.word is not None else self.aid
-        assert word is not None
-        return word
+        return self._words()[0]
+
+    def _words(self) -> list[Word]:
+        return [word for word in (self.word, self.aid, self.primary) if word is not None]
 
 
 class Range(BaseModel):

@@ -18,7 +18,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gcs_coloc import __version__
-from gcs_coloc.core.messages import AidWord, GpsWord, Word
+from gcs_coloc.core.messages import AidWord, GpsWord, PrimaryWord, Word
 from gcs_coloc.core.view import FleetView
 from gcs_coloc.mavlink.truth import HeardTruth
 from gcs_coloc.sinks.metrics import fleet_registry
@@ -62,7 +62,18 @@ class AidCommand(BaseModel):
     word: AidWord
 
 
-_COMMANDS: Mapping[str, type[GpsCommand | AidCommand]] = {"gps": GpsCommand, "aid": AidCommand}
+class PrimaryCommand(BaseModel):
+    """The body of a command on a vehicle's GPS_PRIMARY."""
+
+    model_config = ConfigDict(extra="forbid")
+    word: PrimaryWord
+
+
+_COMMANDS: Mapping[str, type[GpsCommand | AidCommand | PrimaryCommand]] = {
+    "gps": GpsCommand,
+    "aid": AidCommand,
+    "primary": PrimaryCommand,
+}
 
 
 class _Site:
@@ -107,7 +118,7 @@ class _Site:
             return PlainTextResponse("commands need the operator's token\n", status_code=403)
         sysid, model = request.path_params["sysid"], _COMMANDS.get(request.path_params["what"])
         if model is None:
-            return PlainTextResponse(f"there are commands for {' and '.join(_COMMANDS)}\n", status_code=404)
+            return PlainTextResponse(f"there are commands for {', '.join(_COMMANDS)}\n", status_code=404)
         if sysid not in {v.sysid for v in self._hooks.look().vehicles}:
             return PlainTextResponse(f"no vehicle {sysid} was heard\n", status_code=404)
         body = await _body(request)

@@ -45,6 +45,11 @@ def test_flags_win_over_the_environment_which_wins_over_the_file(tmp_path, monke
         ("[fleet]\nfailed = [300]", "fleet.failed: 300 is not a MAVLink system id"),
         ("[fleet]\nfailed = [2, 3]\nhealthy = [3]", "fleet: vehicle 3 is declared failed and healthy"),
         ("[mavlink]\nsystem_id = 0", "mavlink.system_id: input should be greater than or equal to 1"),
+        ('[aid]\nway = "gps"', "aid.way: input should be 'auto'"),
+        ('[aid.ways]\n300 = "gps_input"', "aid: ways: 300 is not a MAVLink system id"),
+        ('[aid.ways]\n4 = "gps"', "aid.ways.4: input should be 'auto'"),
+        ('[aid]\nswitch_primary = "on"', "aid.switch_primary: input should be 'off' or 'auto'"),
+        ("[aid]\nprediction_s = 0", "aid: prediction_s must be a positive number, not 0"),
         ("links = [", "is not valid TOML"),
     ],
 )
@@ -53,6 +58,11 @@ def test_errors_name_file_key_and_mend_in_one_line(tmp_path, text, words):
         load_settings(written(tmp_path, text), {})
     assert words in str(raised.value)
     assert "\n" not in str(raised.value).strip()
+
+
+def test_the_way_of_a_single_vehicle_is_read_by_its_system_id(tmp_path):
+    path = written(tmp_path, '[aid.ways]\n4 = "external_position"\n')
+    assert load_settings(path, {}).engine().aid.ways == {4: "external_position"}
 
 
 def test_a_missing_file_and_a_binary_one(tmp_path):

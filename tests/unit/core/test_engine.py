@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from engine_flights import ALT, LAT, LON, StraightLine, aids, fly, settings
 
+from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.gps_time import TABLE_GOOD_UNTIL, gps_week_and_ms
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, Measurement, PositionMeasurement, RangeMeasurement, Unknown
@@ -63,7 +64,8 @@ def test_recovery_restores_trust_only_after_the_hysteresis_and_ends_the_stream_w
     fly(engine, 5.0, 20.0, failed=[4])
     out = fly(engine, 20.0, 40.0)
     stream = aids(out, 4)
-    assert 29.5 < stream[-1][0] < 30.5
+    assert 32.5 < stream[-1][0] < 33.5  # healthy after 10 s, handed back over 3 s more
+    assert {a.fix_type for t, a in stream if 20.5 < t < 32.5} == {3}
     assert stream[-1][1].fix_type == 1
     assert min(m.measured_at_s for m in estimator.of(PositionMeasurement, 4) if m.measured_at_s > 5.1) > 29.5
     assert [s for s, _ in estimator.subjects] == [frozenset({4}), frozenset()]
@@ -129,7 +131,10 @@ def test_a_position_that_is_unknown_or_too_uncertain_is_never_claimed_as_a_fix(c
     reasons = [o.text for _, o in out if isinstance(o, Notice) and "not located" in o.text]
     assert len(reasons) == 1
     estimator.unknown, estimator.sigma_m = None, 25.4
-    assert {a.fix_type for _, a in aids(fly(engine, 10.0, 11.0, failed=[4]), 4)} == {3}
+    back = aids(fly(engine, 10.0, 14.0, failed=[4]), 4)
+    # What has only not been located yet is located at once; a bound that was beyond the limit must stay within it for 3 s.
+    expected_s = 10.0 if cause == "unknown" else 13.0
+    assert min(t for t, a in back if a.fix_type == 3) == pytest.approx(expected_s, abs=0.21)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +142,7 @@ def test_a_position_that_is_unknown_or_too_uncertain_is_never_claimed_as_a_fix(c
     [(RouteReport(4, 7.0, "shares its address with 3"), "shares its address"), (Heartbeat(4, 7.0, Autopilot.PX4, True), "PX4")],
 )
 def test_a_vehicle_that_cannot_be_reached_or_takes_no_gps_input_gets_nothing_and_the_reason_is_shown(blocking, words):
-    engine = Engine(StraightLine(), settings())
+    engine = Engine(StraightLine(), settings(aid=AidSettings(way="gps_input")))
     fly(engine, 0.0, 5.0)
     fly(engine, 5.0, 7.0, failed=[4])
     engine.receive(blocking)

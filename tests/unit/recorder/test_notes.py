@@ -4,7 +4,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.advance import HeldUp
-from gcs_coloc.core.messages import AidWord, ClockReference, GpsWord, OperatorWord, PeerRange, RouteReport, TimeBase
+from gcs_coloc.core.aid_messages import OtherAid
+from gcs_coloc.core.messages import AidWord, ClockReference, GpsWord, OperatorWord, PeerRange, PrimaryWord, RouteReport, TimeBase
 from gcs_coloc.recorder.notes import PAYLOAD_TYPE, GroundTool, NoteWriter, read_note
 
 AT_S = 1_795_216_162.424732
@@ -20,6 +21,8 @@ OWN = (254, 191)
         OperatorWord(4, AT_S, GpsWord.AUTO),
         OperatorWord(4, AT_S, AidWord.AUTO),
         OperatorWord(250, AT_S, AidWord.OFF),
+        OperatorWord(250, AT_S, PrimaryWord.OURS),
+        OtherAid(255, AT_S, 1, 250),
         RouteReport(4, AT_S, None),
         HeldUp(AT_S, AT_S - 1.3000000000000003),
         RouteReport(250, AT_S, "vehicles 1 and 4 are heard from one address"),

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import AidWord, GpsWord, TimeBase
+from gcs_coloc.core.messages import AidWord, GpsWord, PrimaryWord, TimeBase
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.sinks.mqtt_inbox import Hooks, Inbox
@@ -32,7 +32,10 @@ class Desk:
         self.inbox.take(f"{BASE}/{tail}", payload, retained=retained)
 
 
-@pytest.mark.parametrize(("key", "word"), [("word", word) for word in GpsWord] + [("aid", word) for word in AidWord])
+WORDS = [(key, word) for key, kind in (("word", GpsWord), ("aid", AidWord), ("primary", PrimaryWord)) for word in kind]
+
+
+@pytest.mark.parametrize(("key", "word"), WORDS)
 def test_the_operators_word_is_taken(key, word):
     desk = Desk()
     desk.take("4/cmd", {key: word.value})

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gcs_coloc.core import aiding
+from gcs_coloc.core import aid_stream
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, fly
@@ -37,7 +37,7 @@ def test_the_vehicle_is_told_where_it_is_when_it_hears_it(monkeypatch):
         assert sync.one_way_delay_s == pytest.approx(0.05 + 0.005, abs=0.01)
         assert sync.sigma_s < 0.01
     assert not [reason for reason in engine.refused() if "TIMESYNC" in reason]
-    monkeypatch.setattr(aiding, "_LONGEST_LEAD_S", 0.0)
+    monkeypatch.setattr(aid_stream, "_LONGEST_LEAD_S", 0.0)
     _, unaware = flown()
     # 50 ms of 100 ms mean delay at 22 m/s: 1.1 m of a systematic error that points backwards.
     assert navigation_rms_m(aware) < navigation_rms_m(unaware) - 0.5

@@ -1,0 +1,33 @@
+"""What is heard about aid: answers to commands and parameters, and GPS_INPUT that somebody else sends. As `inbound`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from gcs_coloc.core.aid_messages import CommandResult, OtherAid, ParameterValue
+from gcs_coloc.mavlink.checks import InvalidValueError
+
+
+def command_ack(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> CommandResult:
+    """COMMAND_ACK (77)."""
+    command, result, *_ = values
+    return CommandResult(sysid, received_at_s, command, result)
+
+
+def param_value(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> ParameterValue | None:
+    """PARAM_VALUE (22), integers as ArduPilot sends them: their value as a float. None for others' that are no number so."""
+    value, _count, _index, name, kind = values
+    if not math.isfinite(value):
+        return None
+    try:
+        text = name.partition(b"\0")[0].decode("ascii")
+    except UnicodeDecodeError:
+        raise InvalidValueError("param_id") from None
+    return ParameterValue(sysid, received_at_s, text, value, kind)
+
+
+def gps_input(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> OtherAid:
+    """GPS_INPUT (232) from somebody else. Whom it reaches, only the address tells that it came from."""
+    gps_id = values[15]
+    return OtherAid(sysid, received_at_s, gps_id)

@@ -1,0 +1,65 @@
+"""When an answer may be claimed as a fix, by hand-moved time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.aid_settings import AidSettings
+from gcs_coloc.core.fix_policy import FixPolicy
+from gcs_coloc.core.measurements import Estimate, Unknown
+
+
+def known(at_s: float, sigma_m: float = 2.0, ranges: int = 3) -> Estimate:
+    covariance = np.diag([sigma_m**2, 1.0, 9.0, 0.25, 0.25, 0.25])
+    return Estimate(4, at_s, np.zeros(3), np.zeros(3), covariance, 1.0, ranges)
+
+
+def unknown(at_s: float) -> Unknown:
+    return Unknown(4, at_s, "too few ranges")
+
+
+def asked(policy: FixPolicy, answers, start_s: float, own_gps: bool = False) -> list[str | None]:
+    """The policy's words on one answer each 0.1 s."""
+    return [policy.why_no_fix(answer, start_s + i / 10, own_gps=own_gps) for i, answer in enumerate(answers)]
+
+
+def test_the_first_fix_is_not_waited_for():
+    policy = FixPolicy(AidSettings(), 0.0)
+    assert asked(policy, [unknown(0.0), unknown(0.1), known(0.2)], 0.0) == ["too few ranges", "too few ranges", None]
+
+
+@pytest.mark.parametrize("fault", [known(1.0, sigma_m=26.0), unknown(1.0)])
+def test_a_fix_that_was_lost_comes_back_after_three_seconds_within_the_limit(fault):
+    policy = FixPolicy(AidSettings(), 0.0)
+    assert asked(policy, [known(0.0)] * 10, 0.0) == [None] * 10
+    assert asked(policy, [fault], 1.0) != [None]
+    after = asked(policy, [known(1.1)] * 40, 1.1)
+    returned_after_s = after.index(None) / 10
+    assert returned_after_s == pytest.approx(3.0, abs=0.11)
+    assert set(after[after.index(None) :]) == {None}
+
+
+def test_a_bound_that_swings_about_the_limit_gives_no_fix_at_all():
+    policy = FixPolicy(AidSettings(), 0.0)
+    answers = [known(0.0, sigma_m=26.0 if i % 20 == 0 else 20.0) for i in range(200)]
+    assert None not in asked(policy, answers, 0.0)
+
+
+def test_a_bound_beyond_the_limit_is_named_with_both():
+    (word,) = asked(FixPolicy(AidSettings(alert_limit_m=30.0), 0.0), [known(0.0, sigma_m=20.0)], 0.0)
+    assert word == "95 % horizontal bound 39 m is beyond the alert limit of 30 m"
+
+
+def test_prediction_alone_is_a_fix_for_ten_seconds_and_no_longer_however_small_its_bound():
+    policy = FixPolicy(AidSettings(), 0.0)
+    assert asked(policy, [known(0.0)], 0.0) == [None]
+    words = asked(policy, [known(0.1, ranges=0)] * 150, 0.1)
+    assert [word is None for word in words].count(True) == 100
+    assert words[-1] == "no range has been in use for 10 s: prediction alone"
+    assert asked(policy, [known(15.2)] * 40, 15.2).count(None) == 10  # watched for 3 s first
+
+
+def test_a_vehicle_with_its_own_gps_in_the_answer_needs_no_ranges():
+    policy = FixPolicy(AidSettings(), 0.0)
+    assert asked(policy, [known(0.0, ranges=0)] * 300, 0.0, own_gps=True) == [None] * 300

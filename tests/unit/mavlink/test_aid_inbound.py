@@ -1,0 +1,49 @@
+"""Answers to commands and parameters, and somebody else's GPS_INPUT, as pymavlink packs them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from gcs_coloc.core.aid_messages import CommandResult, OtherAid, ParameterValue
+from gcs_coloc.mavlink.decoder import Decoder
+
+FIX = mavlink.MAVLink_gps_input_message(0, 1, 0, 0, 0, 3, 470000000, 80000000, 500.0, 1.0, 1.0, 0, 0, 0, 0.5, 2.0, 3.0, 10)
+
+
+def decoded(message, sysid=4, compid=1, **options):
+    decoder = Decoder(**options)
+    frames = decoder.decode(bytes(message.pack(mavlink.MAVLink(None, srcSystem=sysid, srcComponent=compid))), 5.0)
+    return [frame.message for frame in frames], dict(decoder.counts)
+
+
+def test_the_answer_to_a_command_is_taken_from_the_autopilot_alone():
+    ack = mavlink.MAVLink_command_ack_message(43003, 4, target_system=254, target_component=191)
+    assert decoded(ack) == ([CommandResult(4, 5.0, 43003, 4)], {})
+    assert decoded(ack, compid=100) == ([], {"not_from_autopilot": 1})
+
+
+@pytest.mark.parametrize("name", [b"GPS_PRIMARY", b"SIXTEEN_LETTERS_"])
+def test_a_parameter_is_taken_with_its_name_and_type(name):
+    message = mavlink.MAVLink_param_value_message(name, 1.0, 2, 900, 17)
+    assert decoded(message) == ([ParameterValue(4, 5.0, name.decode(), 1.0, 2)], {})
+
+
+def test_a_parameter_that_is_no_number_or_has_no_name_is_none():
+    assert decoded(mavlink.MAVLink_param_value_message(b"GPS_PRIMARY", math.nan, 6, 900, 17)) == ([None], {})
+    messages, counts = decoded(mavlink.MAVLink_param_value_message(b"\xff\xfe", 1.0, 2, 900, 17))
+    assert (messages, counts) == ([None], {"invalid_value:PARAM_VALUE.param_id": 1})
+
+
+def test_somebody_elses_gps_input_is_noted_with_the_receiver_that_it_feeds():
+    assert decoded(FIX, sysid=255, compid=190) == ([OtherAid(255, 5.0, gps_id=1)], {})
+
+
+def test_our_own_system_id_from_another_component_is_refused_but_for_gps_input():
+    heartbeat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+    assert decoded(heartbeat, sysid=254, compid=190) == ([], {"own_sysid": 1})
+    assert decoded(FIX, sysid=254, compid=190) == ([OtherAid(254, 5.0, gps_id=1)], {})
+    assert decoded(FIX, sysid=254, compid=191) == ([], {"echo": 1})
+    assert decoded(heartbeat, sysid=255, compid=190, own_sysid=255) == ([], {"own_sysid": 1})
