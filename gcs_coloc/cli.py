@@ -17,7 +17,7 @@ from gcs_coloc import __version__
 from gcs_coloc.blas import one_thread
 from gcs_coloc.commands.group import LateCommands
 from gcs_coloc.core.errors import GcsColocError, UsageError
-from gcs_coloc.sinks.log_writer import LogWriter
+from gcs_coloc.sinks.log_writer import LineHandler, LogWriter, own_stream
 
 PROGRAM = "gcs-coloc"
 
@@ -137,18 +137,21 @@ def run(
     fleets = load_fleets(config, flags)
     if not all(fleet.settings.links for fleet in fleets) or not fleets:
         raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")
-    console = Console()
+    console = Console(file=own_stream(sys.stdout))
     _log_to_stderr(log_level, console)
     asyncio.run(Service(fleets).run(console))
 
 
 @app.command("check-config")
 def check_config(file: Annotated[Path, typer.Argument(help="The configuration file (TOML).")]) -> None:
-    """Check a configuration file: its keys, its values, its links, its signing key and its estimator, fleet by fleet."""
+    """Check a configuration file, fleet by fleet: keys, values, links, estimator, and every file that it names."""
     from gcs_coloc.estimators.registry import load_estimator
     from gcs_coloc.fleets import load_fleets
     from gcs_coloc.links.forward import check_outs
     from gcs_coloc.links.signed_links import SignedLinks
+    from gcs_coloc.sinks.mqtt import read_credentials
+    from gcs_coloc.web.server import read_token
+    from gcs_coloc.web.tiles import TileFile
 
     found = []
     for fleet in load_fleets(file, {}):
@@ -156,6 +159,11 @@ def check_config(file: Annotated[Path, typer.Argument(help="The configuration fi
         check_outs(settings.out, settings.links)
         SignedLinks(settings.signing, settings.links, settings.out)
         load_estimator(settings.estimator.name, settings.estimator.settings)
+        read_credentials(settings.mqtt)
+        if settings.web.token_file:
+            read_token(Path(settings.web.token_file))
+        if settings.web.tiles:
+            TileFile(Path(settings.web.tiles))
         whose = f"fleet {fleet.name}: " if fleet.name else ""
         found.append(f"{whose}{len(settings.links)} link(s), estimator {settings.estimator.name}")
     print(f"{file}: good; {'; '.join(found)}")
@@ -168,7 +176,6 @@ def _log_to_stderr(level: LogLevel, console: Console) -> None:
         handler = RichHandler(console=console, show_path=False)
         handler.setFormatter(logging.Formatter("%(message)s"))
     else:
-        handler = logging.StreamHandler(sys.stderr)
+        handler = LineHandler(own_stream(sys.stderr))
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-        handler = LogWriter(handler)
-    logging.basicConfig(level=level.value.upper(), handlers=[handler], force=True)
+    logging.basicConfig(level=level.value.upper(), handlers=[LogWriter(handler)], force=True)

@@ -213,6 +213,8 @@ class MqttConfig(_Section):
     def _user_and_password_agree(self) -> Self:
         if self.password_file and not self.username:
             raise ValueError("a password_file is set, but no username")
+        if self.ca_file and not self.tls:
+            raise ValueError("a ca_file is set, but tls is false: nothing would be encrypted")
         return self
 
 

@@ -7,13 +7,13 @@ import logging
 from collections.abc import Mapping
 
 from rich.console import Console, Group
-from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
 from gcs_coloc.core.messages import HealthChanged, ToOperator
 from gcs_coloc.core.view import FleetView, VehicleView
 from gcs_coloc.sinks.hub import Subscription
+from gcs_coloc.sinks.live_table import LiveTable
 
 log = logging.getLogger("gcs_coloc")
 
@@ -30,17 +30,21 @@ async def show(news: Mapping[str, Subscription], console: Console) -> None:
                 group.create_task(_log_lines(name, subscription))
             return
         views: dict[str, FleetView] = {}
-        with Live(console=console, auto_refresh=False, transient=False) as live:
+        live = LiveTable(console)
+        try:
             followers = [group.create_task(_show_views(name, subscription, views, live)) for name, subscription in news.items()]
             await asyncio.wait(followers)
+        finally:
+            live.close()
 
 
-async def _show_views(name: str, subscription: Subscription, views: dict[str, FleetView], live: Live) -> None:
+async def _show_views(name: str, subscription: Subscription, views: dict[str, FleetView], live: LiveTable) -> None:
     while True:
         news = await subscription.get()
         if isinstance(news, FleetView):
             views[name] = news
-            live.update(Group(*(table(view, name) for name, view in sorted(views.items()))), refresh=True)
+            now = sorted(views.items())
+            live.show(lambda now=now: Group(*(table(view, name) for name, view in now)))  # type: ignore[misc]
         else:
             _log_news(name, news)
 

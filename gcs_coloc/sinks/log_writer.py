@@ -1,15 +1,41 @@
-"""Log lines written by a thread of their own: whoever does not read them must not hold the service up."""
+"""Log lines written by a thread of their own: whoever does not read them must not hold the service up, nor its end."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import queue
 import threading
 from logging.handlers import QueueHandler
+from typing import TextIO
 
 MOST_WAITING = 2000
 _LAST_LINES_S = 2.0
+
+
+class LineHandler(logging.Handler):
+    """Writes each record as a line. Unlike the library's, it is not flushed as the program ends: that could wait for ever."""
+
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__()
+        self._stream = stream
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one line."""
+        print(self.format(record), file=self._stream, flush=True)
+
+
+def own_stream(stream: TextIO) -> TextIO:
+    """The same file as a stream of its own, for a thread that is held up in writing keeps its stream locked.
+
+    What is no file is given back as it is.
+    """
+    try:
+        number = os.dup(stream.fileno())
+    except (OSError, ValueError):
+        return stream
+    return os.fdopen(number, "w", encoding=stream.encoding, errors=stream.errors)
 
 
 class LogWriter(QueueHandler):
@@ -43,4 +69,6 @@ class LogWriter(QueueHandler):
 
     def _write(self, handler: logging.Handler) -> None:
         while (record := self._records.get()) is not None:
-            handler.handle(record)
+            # Not `handle`, whose lock the logging module waits for as the program ends.
+            with contextlib.suppress(OSError, ValueError):
+                handler.emit(record)

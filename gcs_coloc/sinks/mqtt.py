@@ -52,8 +52,7 @@ class Mqtt:
         self._news = news
         self._base = f"{config.prefix}/{_VERSION}/{config.fleet}"
         self._inbox = Inbox(self._base, hooks, counts, commands=config.commands, ranges=config.ranges)
-        self._password = _read_password(Path(config.password_file)) if config.password_file else None
-        self._tls = _tls(config.ca_file) if config.tls else None
+        self._password, self._tls = read_credentials(config)
         self._alarms: deque[ToOperator] = deque(maxlen=_ALARMS_KEPT)
         self._stopping = asyncio.Event()
         self._attempts = 0
@@ -174,6 +173,16 @@ def _alarm(news: ToOperator, view: FleetView) -> Alarm:
     level, text = level_and_text(news)
     content = {"at_unix_s": unix_s(news.at_s, view), "sysid": news.sysid, "level": level, "text": text}
     return Alarm.model_validate(content)
+
+
+def read_credentials(config: MqttConfig) -> tuple[str | None, ssl.SSLContext | None]:
+    """The password, and what checks the broker's certificate; None for what is not set.
+
+    Raises:
+        ConfigError: a file cannot be read, or holds no certificates.
+    """
+    password = _read_password(Path(config.password_file)) if config.password_file else None
+    return password, _tls(config.ca_file) if config.tls else None
 
 
 def _read_password(file: Path) -> str:

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from gcs_coloc.cli import check_config
 from gcs_coloc.config import load_settings
 from gcs_coloc.core.engine import EngineSettings
-from gcs_coloc.core.errors import ConfigError
+from gcs_coloc.core.errors import ConfigError, GcsColocError
 
 
 def written(tmp_path: Path, text: str) -> Path:
@@ -72,3 +73,20 @@ def test_a_missing_file_and_a_binary_one(tmp_path):
     binary.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match="UTF-8"):
         load_settings(binary, {})
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[mqtt]\nhost = "b"\nusername = "u"\npassword_file = "absent"\n', "mqtt.password_file: absent: cannot be read"),
+        ('[mqtt]\nhost = "b"\ntls = true\nca_file = "absent"\n', "mqtt.ca_file: absent: no certificates can be read from it"),
+        ('[web]\ntoken_file = "absent"\n', "web.token_file: absent: cannot be read"),
+        ('[web]\ntiles = "absent"\n', "web.tiles: absent: cannot be read"),
+        ('[signing]\nmode = "require"\nkey_file = "absent"\n', "absent"),
+    ],
+)
+def test_check_config_opens_every_file_that_the_configuration_names(tmp_path, monkeypatch, text, words):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "coloc.toml").write_text(f'links = ["udpin:127.0.0.1:14550"]\n{text}')
+    with pytest.raises(GcsColocError, match=words):
+        check_config(Path("coloc.toml"))

@@ -35,6 +35,7 @@ def test_it_is_off_and_takes_nothing_unless_told():
         ({"publish_hz": 5.1}, "mqtt.publish_hz: input should be less than or equal to 5"),
         ({"publish_hz": 0}, "mqtt.publish_hz: input should be greater than 0"),
         ({"password_file": "x"}, "mqtt: a password_file is set, but no username"),
+        ({"ca_file": "x"}, "mqtt: a ca_file is set, but tls is false"),
         ({"password": "x"}, "mqtt.password: unknown key"),
     ],
 )

@@ -1,0 +1,70 @@
+"""The live table on a real terminal: one that is stopped with Ctrl-S stops neither the flight nor the end of the service."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+from vehicles import fly, square_fleet
+
+pytestmark = pytest.mark.integration
+
+CTRL_S = b"\x13"
+
+
+class Terminal:
+    """A pseudo-terminal of 120 columns; what is written to it is collected in the background."""
+
+    def __init__(self) -> None:
+        self.master, self.slave = pty.openpty()
+        self.seen = b""
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        while True:
+            try:
+                self.seen += os.read(self.master, 65536)
+            except OSError:
+                return
+
+    def type(self, keys: bytes) -> None:
+        os.write(self.master, keys)
+
+
+def test_a_stopped_terminal_stops_neither_the_flight_nor_its_end(free_port):
+    terminal = Terminal()
+    service = subprocess.Popen(
+        [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{free_port}", "--no-web", "--failed", "4"],
+        stdin=terminal.slave,
+        stdout=terminal.slave,
+        stderr=terminal.slave,
+        env=os.environ | {"TERM": "xterm", "COLUMNS": "120"},
+    )
+    os.close(terminal.slave)
+    try:
+        with square_fleet(free_port) as fleet:
+            lost = fleet[3]
+            fly(fleet, 40.0, failed=[4], until=lambda: len(lost.of("GPS_INPUT")) > 10 and b"sending 3D fix" in terminal.seen)
+            assert b"sending 3D fix" in terminal.seen
+            assert b"operator: GPS failed" in terminal.seen
+            terminal.type(CTRL_S)
+            fly(fleet, 2.0, failed=[4])
+            before, shown = len(lost.of("GPS_INPUT")), len(terminal.seen)
+            # Enough for many tables, and for log lines: vehicle 1 loses its GPS as well.
+            fly(fleet, 6.0, failed=[1, 4])
+            assert len(terminal.seen) == shown
+            assert len(lost.of("GPS_INPUT")) - before >= 40  # of 60; a service that waits for its terminal sends none
+            service.send_signal(signal.SIGTERM)
+            fly(fleet, 20.0, failed=[4], until=lambda: service.poll() is not None)
+            assert service.poll() == 0
+            assert lost.of("GPS_INPUT")[-1].fix_type == 1
+    finally:
+        service.kill()
+        service.wait()
+        os.close(terminal.master)
