@@ -41,11 +41,14 @@ from gcs_coloc.mavlink.framing import RawFrame
 from gcs_coloc.mavlink.signing import Stamp
 from gcs_coloc.mavlink.truth import HeardTruth, truth_of
 from gcs_coloc.recorder.flight import FlightRecording
+from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.sinks.hub import Hub
 
 log = logging.getLogger("gcs_coloc")
 
 _ENGINE_LATE_S = 2.0
+_SEEN_JUST_NOW_S = 0.1
+_RECORDED_JUST_NOW_S = EVERY_S + 0.05
 
 
 class FleetService:
@@ -94,6 +97,7 @@ class FleetService:
             ]
         )
         self._recording = FlightRecording(settings.record, ids, self._engine)
+        self._seen: FleetView | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._engine_at_s = clock()
         self._words = [
@@ -129,8 +133,14 @@ class FleetService:
         self._recording.close()
 
     def look(self) -> FleetView:
-        """The fleet as it stands."""
-        view = self._engine.view(self._clock())
+        """The fleet as it stands, or stood a moment ago where somebody has just looked: looking costs as much as estimating."""
+        now_s = self._clock()
+        recorded = self._recording.newest_view
+        if recorded is not None and now_s - recorded.at_s <= _RECORDED_JUST_NOW_S:
+            self._seen = recorded
+        elif self._seen is None or now_s - self._seen.at_s > _SEEN_JUST_NOW_S:
+            self._seen = self._engine.view(now_s)
+        view = self._seen
         refused = view.refused | self._refusals.totals()
         links = self._decoder.sequences.links(self.heard())
         return replace(view, refused=refused, links=links, outs=self._forwarder.views())

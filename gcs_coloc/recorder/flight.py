@@ -8,6 +8,7 @@ from pathlib import Path
 from gcs_coloc.config import MavlinkConfig, RecordConfig
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages import Outbound
+from gcs_coloc.core.view import FleetView
 from gcs_coloc.mavlink.decoder import Frame
 from gcs_coloc.mavlink.framing import RawFrame
 from gcs_coloc.recorder.journal import Journal
@@ -37,6 +38,11 @@ class FlightRecording:
         """
         if self._recorder is not None:
             self._recorder.open()
+
+    @property
+    def newest_view(self) -> FleetView | None:
+        """The fleet as it was recorded last; None where nothing is."""
+        return self._journal.newest_view
 
     def heard(self, at_s: float, frames: Iterable[RawFrame], refused: Collection[Frame]) -> None:
         """Record the frames of a datagram, but those that were refused: the engine never saw them."""

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages import HealthChanged, Notice, Outbound
-from gcs_coloc.core.view import RangeView, VehicleView
+from gcs_coloc.core.view import FleetView, RangeView, VehicleView
 
 EVERY_S = 0.2
 _SAME_S = 1e-3
@@ -42,10 +42,14 @@ _ADAPTERS: Mapping[type, TypeAdapter[Any]] = {kind: TypeAdapter(kind) for kind i
 
 
 class Journal:
-    """Keeps the journal of one engine: every vehicle five times a second, everything else as it comes."""
+    """Keeps the journal of one engine: every vehicle five times a second, everything else as it comes.
+
+    `newest_view` is the one that was kept last.
+    """
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
+        self.newest_view: FleetView | None = None
         self._due_s = float("-inf")
         self._told: dict[tuple[int, int], float] = {}
 
@@ -55,7 +59,7 @@ class Journal:
         if at_s < self._due_s:
             return entries
         self._due_s = at_s + EVERY_S
-        view = self._engine.view(at_s)
+        view = self.newest_view = self._engine.view(at_s)
         entries.extend(VehicleEntry(at_s, vehicle) for vehicle in view.vehicles)
         for one in view.ranges:
             pair, measured_at_s = (one.from_sysid, one.to_sysid), at_s - one.age_s

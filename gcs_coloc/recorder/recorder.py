@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
-import queue
 import threading
 import time
+from collections import deque
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -20,11 +20,12 @@ from gcs_coloc.recorder.tlog_writer import tlog_record
 
 LOST = "recording: frames and entries lost"
 
-_QUEUE_ITEMS = 20_000
+_MOST_WAITING = 20_000
 _BATCH_ITEMS = 200
 _FLUSH_S = 0.5
 _SYNC_S = 1.0
 _RETRY_S = 5.0
+_SILENT_S = 5.0
 _JOIN_S = 5.0
 
 _Item = tuple[float, bytes] | Note | Entry
@@ -47,7 +48,9 @@ class Recorder:
         self._rotate_bytes = rotate_bytes
         self._notes = NoteWriter(sysid, compid)
         self._routes: dict[int, str | None] = {}
-        self._queue: queue.Queue[_Item | None] = queue.Queue(_QUEUE_ITEMS)
+        self._items: deque[_Item] = deque()
+        self._ending = threading.Event()
+        self._turned_at_s = time.monotonic()
         self._fault: str | None = None
         self._told: tuple[str | None, int] = (None, 0)
         self._parts = 0
@@ -72,6 +75,7 @@ class Recorder:
             self._part = self._open_part()
         except OSError as error:
             raise self._not_writable(error.strerror) from None
+        self._turned_at_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -94,10 +98,13 @@ class Recorder:
     def news(self) -> tuple[str, str] | None:
         """Level and text for the operator where the recording has failed, recovered or lost something since the last call."""
         lost, fault = self.counts.get(LOST, 0), self._fault
+        if self._thread is not None and time.monotonic() - self._turned_at_s > _SILENT_S:
+            fault = f"{self._directory}: the disk has not answered for {_SILENT_S:g} s"
         before_fault, before_lost = self._told
         self._told = (fault, lost)
         if fault is not None and fault != before_fault:
-            return "error", f"nothing is being recorded: {fault}; the flight goes on, and it is tried again every {_RETRY_S:g} s"
+            again = f", and it is tried again every {_RETRY_S:g} s" if fault == self._fault else ""
+            return "error", f"nothing is being recorded: {fault}; the flight goes on{again}"
         if fault is None and before_fault is not None:
             return "info", f"recording again; {lost} frames and entries were lost"
         if fault is None and lost > before_lost:
@@ -108,19 +115,16 @@ class Recorder:
         """Write what is queued and end the files; a disk that does not answer for 5 s is left to itself."""
         if self._thread is None:
             return
-        try:
-            self._queue.put(None, timeout=_JOIN_S)
-        except queue.Full:
-            return
+        self._ending.set()
         self._thread.join(_JOIN_S)
 
     def _not_writable(self, why: str | None) -> RecordError:
         return RecordError(f"--record {self._directory}: cannot be written to: {why}")
 
     def _put(self, item: _Item) -> None:
-        try:
-            self._queue.put_nowait(item)
-        except queue.Full:
+        if len(self._items) < _MOST_WAITING:
+            self._items.append(item)
+        else:
             self.counts.add(LOST)
 
     def _run(self) -> None:
@@ -140,18 +144,13 @@ class Recorder:
             self._end(self._part)
 
     def _gather(self) -> tuple[list[_Item], bool]:
-        """What has come in over the next half second, and whether it was the last."""
-        items: list[_Item] = []
-        until_s = time.monotonic() + _FLUSH_S
-        while (left_s := until_s - time.monotonic()) > 0.0:
-            try:
-                item = self._queue.get(timeout=left_s)
-            except queue.Empty:
-                break
-            if item is None:
-                return items, True
-            items.append(item)
-        return items, False
+        """What has come in over the next half second, and whether it was the last.
+
+        Nobody wakes this thread for an item: at hundreds a second that would cost the flight more than the writing does.
+        """
+        ended = self._ending.wait(_FLUSH_S)
+        self._turned_at_s = time.monotonic()
+        return [self._items.popleft() for _ in range(len(self._items))], ended
 
     def _write(self, items: list[_Item]) -> None:
         try:

@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from brokers import wait_until
 from mcap.reader import make_reader
 from pymavlink import mavutil
 from vehicles import fly, square_fleet
@@ -194,6 +195,32 @@ def test_a_disk_that_is_full_is_told_and_the_flight_goes_on(free_port, tmp_path)
     for path in tmp_path.glob("*.tlog"):
         if path.stat().st_size:
             assert dict(count_damage(path)) == {}
+
+
+def test_a_disk_that_hangs_is_told_once_and_holds_up_neither_the_flight_nor_its_end(free_port, tmp_path):
+    """Every write of the recorder waits for ever, as on a network disk that is gone."""
+    hang = "import os, sys, threading; os.pwrite = lambda *_: threading.Event().wait(); "
+    run = "from gcs_coloc.cli import main; main()"
+    command = [sys.executable, "-c", hang + run, "--udp", f"127.0.0.1:{free_port}", "--record", str(tmp_path), "--no-web"]
+    with (tmp_path / "log").open("wb") as log:
+        service = subprocess.Popen(command, stderr=log, stdout=subprocess.DEVNULL)
+    told = "nothing is being recorded: .*the disk has not answered for 5 s; the flight goes on"
+    try:
+        wait_until(lambda: "listening on" in (tmp_path / "log").read_text())
+        with square_fleet(free_port) as fleet:
+            fly(fleet, 2.0)
+            fly(fleet, 60.0, failed=[4], until=lambda: re.search(told, (tmp_path / "log").read_text()) is not None)
+            before = len(fleet[3].of("GPS_INPUT"))
+            fly(fleet, 4.0, failed=[4])
+            assert len(fleet[3].of("GPS_INPUT")) - before >= 28  # of 40
+            service.send_signal(signal.SIGTERM)
+            fly(fleet, 20.0, failed=[4], until=lambda: service.poll() is not None)
+            assert service.poll() == 0
+            assert fleet[3].of("GPS_INPUT")[-1].fix_type == 1
+    finally:
+        service.kill()
+        service.wait()
+    assert len(re.findall(told, (tmp_path / "log").read_text())) == 1
 
 
 def count_damage(path: Path):

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import re
 import struct
+import threading
+import time
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -10,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from gcs_coloc.core.errors import RecordError
 from gcs_coloc.core.messages import GpsWord, OperatorWord, RouteReport
 from gcs_coloc.recorder.notes import read_note
-from gcs_coloc.recorder.recorder import Recorder
+from gcs_coloc.recorder.recorder import LOST, Recorder
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.recorder.tlog_writer import tlog_record
 
@@ -66,6 +70,42 @@ def test_parts_turn_over_by_size_join_to_the_whole_and_begin_with_what_was_told(
         heard += [record for record in records if read_note(record.frame, 0.0, OWN) is None]
     assert [record.frame for record in heard] == frames
     assert heard[5].unix_s == round((AT_S + 0.05) * 1e6) / 1e6
+
+
+def test_a_disk_that_hangs_is_told_in_one_line_and_what_waits_is_bounded(tmp_path, monkeypatch):
+    """The real files; only the system's write waits, as it does on a disk that hangs."""
+    real, begun, go = os.pwrite, threading.Event(), threading.Event()
+
+    def hanging(*arguments):
+        begun.set()
+        go.wait()
+        return real(*arguments)
+
+    recorder = Recorder(tmp_path, 10**9, *OWN)
+    recorder.open()
+    monkeypatch.setattr(os, "pwrite", hanging)
+    frame = attitude(sender(), 1)
+    try:
+        recorder.frame(AT_S, frame)
+        assert begun.wait(60)
+        assert recorder.news() is None
+        for number in range(25_000):
+            recorder.frame(AT_S + number * 0.01, frame)
+        assert recorder.counts[LOST] == 5000
+        later_s = time.monotonic() + 6.0
+        monkeypatch.setattr(time, "monotonic", lambda: later_s)
+        level, text = recorder.news()
+        assert level == "error"
+        assert re.fullmatch(r"nothing is being recorded: .*: the disk has not answered for 5 s; the flight goes on", text)
+        assert recorder.news() is None
+    finally:
+        monkeypatch.undo()
+        go.set()
+    recorder.close()
+    assert recorder.news() == ("info", "recording again; 5000 frames and entries were lost")
+    [path] = tmp_path.glob("*.tlog")
+    assert sum(1 for _ in TlogReader(path)) == 1 + 1 + 20_000
+    assert not TlogReader(path).counts
 
 
 def test_a_directory_that_is_none_is_an_error_that_names_it(tmp_path):
