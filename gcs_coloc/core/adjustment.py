@@ -88,18 +88,24 @@ class Adjustment:
         self.degrees_of_freedom = 0
         if not self.vehicles:
             return
-        self._ends = [np.array([self.at[row.pair[end]] for row in self.rows[0]], dtype=int) for end in (0, 1)]
+        i, j = self._ends = [np.array([self.at[row.pair[end]] for row in self.rows[0]], dtype=int) for end in (0, 1)]
+        places = [np.array([scene.places[v].position_enu_m for v in self.vehicles]) for scene in scenes]
+        self._apart_m = [place[i] - place[j] for place in places]
+        measured = [np.array([row.residual_m for row in rows]) for rows in self.rows]
+        self._ranges_m = [residual + _lengths(d) for residual, d in zip(measured, self._apart_m, strict=True)]
         self._weights = _weights(self.rows)
         self._prior = self._prior_information(scenes, correlation)
         shift: FloatArray = np.zeros((len(scenes), len(self.vehicles), 3))
         free = np.array([self.places[v].free for v in self.vehicles], dtype=bool)
         for _ in range(_NEWTON_STEPS if free.any() else 1):
-            self._solve(scenes, shift)
+            self._solve(shift)
             step = self.corrections_m.reshape(shift.shape) * free[:, np.newaxis]
             step[:, :, 2] = 0.0
             if not np.abs(step - shift).max(initial=0.0) > _SETTLED_M:
                 break
             shift = step
+        self._left = self._K - self._K @ self.covariance_m2 @ self._K
+        self._score = self._g - self._K @ self.corrections_m
         unknown = np.concatenate([np.repeat(free, 3)] * len(scenes)) & (np.arange(len(self._prior)) % 3 < 2)
         known_share = 1.0 - _LEAST_INFORMATION * np.diagonal(self.covariance_m2)[unknown]
         self.degrees_of_freedom = len(self.rows[0]) * len(scenes) - round(float(known_share.sum()))
@@ -119,37 +125,34 @@ class Adjustment:
                 prior[a * size + axis, b * size + axis] = np.where(free, both * (a == b), both * (own if a == b else cross))
         return prior
 
-    def _solve(self, scenes: list[Scene], shift: FloatArray) -> None:
+    def _solve(self, shift: FloatArray) -> None:
         """Linearise about the shifted places and solve; corrections are from the places as given."""
-        parts = [self._linearise(scene, rows, moved) for scene, rows, moved in zip(scenes, self.rows, shift, strict=True)]
+        parts = [self._linearise(number, moved) for number, moved in enumerate(shift)]
         H, r = [part[0] for part in parts], [part[1] for part in parts]
-        W = self._weights
-        span = range(len(scenes))
+        W, size, span = self._weights, H[0].shape[1], range(len(parts))
         self._H = H
-        self._K = np.block([[H[a].T @ (W[a][b][:, np.newaxis] * H[b]) for b in span] for a in span])
+        self._K: FloatArray = np.empty((len(parts) * size, len(parts) * size))
+        for a in span:
+            for b in span:
+                self._K[a * size : (a + 1) * size, b * size : (b + 1) * size] = H[a].T @ (W[a][b][:, np.newaxis] * H[b])
         self._weighted = [sum((W[a][b] * r[b] for b in span), start=np.zeros(len(r[a]))) for a in span]
-        g = np.concatenate([H[a].T @ self._weighted[a] for a in span])
+        self._g: FloatArray = np.concatenate([H[a].T @ self._weighted[a] for a in span])
         self.covariance_m2: FloatArray = np.asarray(np.linalg.inv(self._K + self._prior), dtype=np.float64)
-        self.corrections_m: FloatArray = self.covariance_m2 @ g
-        self.statistic = float(sum(r[a] @ self._weighted[a] for a in span) - g @ self.corrections_m)
-        KC = self._K @ self.covariance_m2
-        self._left = self._K - KC @ self._K
-        self._score = g - self._K @ self.corrections_m
+        self.corrections_m: FloatArray = self.covariance_m2 @ self._g
+        self.statistic = float(sum(r[a] @ self._weighted[a] for a in span) - self._g @ self.corrections_m)
 
-    def _linearise(self, scene: Scene, rows: tuple[Row, ...], shift: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _linearise(self, scene: int, shift: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the design matrix (rows, 3 vehicles) and the residuals (rows,) at the places, linearised at the shifted ones."""
-        places = np.array([scene.places[v].position_enu_m for v in self.vehicles])
         i, j = self._ends
-        d, moves = places[i] - places[j], shift[i] - shift[j]
-        moved = d + moves
-        distance_m = np.maximum(np.sqrt(np.sum(moved * moved, axis=1)), _LEAST_SIGMA_M)
+        moves = shift[i] - shift[j]
+        moved = self._apart_m[scene] + moves
+        distance_m = np.maximum(_lengths(moved), _LEAST_SIGMA_M)
         unit = moved / distance_m[:, np.newaxis]
-        H: FloatArray = np.zeros((len(rows), len(self.vehicles), 3))
-        number = np.arange(len(rows))
+        H: FloatArray = np.zeros((len(i), len(self.vehicles), 3))
+        number = np.arange(len(i))
         H[number, i], H[number, j] = unit, -unit
-        residual_m = np.array([row.residual_m for row in rows])
-        r = residual_m + np.sqrt(np.sum(d * d, axis=1)) - distance_m + np.sum(unit * moves, axis=1)
-        return H.reshape(len(rows), -1), r
+        r = self._ranges_m[scene] - distance_m + np.einsum("ij,ij->i", unit, moves)
+        return H.reshape(len(i), -1), r
 
     def vehicle_effect(self, vehicle: int) -> Effect:
         """What a claim that came to be off by an unknown horizontal vector explains."""
@@ -224,3 +227,8 @@ def pinv(A: FloatArray) -> tuple[FloatArray, int]:
     values, vectors = np.linalg.eigh(A)
     kept = values > max(float(values[-1]) * _RANK_TOLERANCE, _LEAST_INFORMATION)
     return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T, int(kept.sum())
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    """Return the lengths (n,) of vectors (n, 3)."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
