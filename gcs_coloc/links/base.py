@@ -36,8 +36,11 @@ class Link(Protocol):
         """Start to receive. Raises LinkError, in words for the operator, where the link cannot work as it was asked for."""
         ...
 
-    def send(self, address: Address, payload: bytes) -> None:
-        """Send whole frames to an address that was heard from. Never blocks and never raises; what is not sent is counted."""
+    def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
+        """Send whole frames to an address that was heard from. Never blocks and never raises; what is not sent is counted.
+
+        What is `forwarded` for others waits behind what is not, where the link is slow.
+        """
         ...
 
     async def close(self) -> None:

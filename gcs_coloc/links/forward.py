@@ -213,7 +213,7 @@ class Forwarder:
                 self.counts.add(UNKNOWN_TARGET)
         sent = False
         for route in routes:
-            route.link.send(route.address, raw.frame)
+            route.link.send(route.address, raw.frame, forwarded=True)
             sent = True
         if sent:
             self._forwarded(raw)

@@ -131,12 +131,12 @@ class SerialLink:
         else:
             self._stop()
 
-    def send(self, address: Address, payload: bytes) -> None:
+    def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
         """Send frames, or keep them back while the device has not taken what came before."""
         if self._port is None or address != self._far_end:
             self.counts.add(NOT_CONNECTED)
             return
-        self._outbox.put(payload)
+        self._outbox.put(payload, forwarded=forwarded)
         if not self._unsent:
             self._write()
 

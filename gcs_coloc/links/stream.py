@@ -15,19 +15,27 @@ MAX_RETRY_S = 15.0
 MAX_UNSENT_BYTES = 1024
 """Some ten frames, to a vehicle. What waits longer is old when it arrives, and an old position is a wrong one: better skipped."""
 
+MAX_FORWARDED_BYTES = 8192
+"""What ground tools say to a vehicle and it is slow to take: a burst of RTCM corrections is some 1,500 bytes."""
+
 NOT_CONNECTED = "not_connected"
 OUTPUT_SKIPPED = "output_skipped"
 CONNECTION_LOST = "connection_lost"
 
 
-class Outbox:
-    """What a stream has not taken yet: whole payloads, of which the oldest are dropped and counted beyond `most_bytes`."""
+class Queue:
+    """Whole payloads that wait; the oldest are dropped and counted beyond `most_bytes`."""
 
     def __init__(self, counts: Counts, most_bytes: int) -> None:
         self._counts = counts
         self._most_bytes = most_bytes
         self._waiting: deque[bytes] = deque()
         self._bytes = 0
+
+    @property
+    def size(self) -> int:
+        """How many bytes wait."""
+        return self._bytes
 
     def put(self, payload: bytes) -> None:
         """Append one payload."""
@@ -45,10 +53,32 @@ class Outbox:
         self._bytes -= len(payload)
         return payload
 
+
+class Outbox:
+    """What a stream has not taken yet. What is forwarded waits until nothing else does, and pushes nothing else out."""
+
+    def __init__(self, counts: Counts, most_bytes: int) -> None:
+        self._bounds = (counts, most_bytes)
+        self.clear()
+
+    @property
+    def size(self) -> int:
+        """How many bytes wait."""
+        return self._first.size + self._forwarded.size
+
+    def put(self, payload: bytes, *, forwarded: bool = False) -> None:
+        """Append one payload."""
+        (self._forwarded if forwarded else self._first).put(payload)
+
+    def take(self) -> bytes | None:
+        """The payload whose turn it is, None where there is none."""
+        return self._first.take() or self._forwarded.take()
+
     def clear(self) -> None:
         """Forget what waits: the connection it was meant for is gone."""
-        self._waiting.clear()
-        self._bytes = 0
+        counts, most_bytes = self._bounds
+        self._first = Queue(counts, most_bytes)
+        self._forwarded = Queue(counts, max(most_bytes, MAX_FORWARDED_BYTES))
 
 
 RetryDelays = Callable[[], Iterator[float]]

@@ -70,9 +70,9 @@ class _Connection(asyncio.Protocol):
         self._link.counts.add(CONNECTION_LOST)
         self.lost.set()
 
-    def send(self, payload: bytes) -> None:
+    def send(self, payload: bytes, *, forwarded: bool) -> None:
         """Hand frames to the system, or keep them back while the peer does not take what it was sent before."""
-        self._outbox.put(payload)
+        self._outbox.put(payload, forwarded=forwarded)
         self._write()
 
     def pause_writing(self) -> None:
@@ -156,12 +156,12 @@ class TcpClientLink:
                 level = logging.WARNING
             await asyncio.sleep(next(delays))
 
-    def send(self, address: Address, payload: bytes) -> None:
+    def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
         """Send frames to the other end; counted as not_connected where it is gone or another one than `address`."""
         if self._connection is None or self._connection.address != address:
             self.counts.add(NOT_CONNECTED)
         else:
-            self._connection.send(payload)
+            self._connection.send(payload, forwarded=forwarded)
 
     async def close(self) -> None:
         """Disconnect and stay so."""
@@ -212,13 +212,13 @@ class TcpServerLink:
         except OSError as error:
             raise network_error(self._address, error) from error
 
-    def send(self, address: Address, payload: bytes) -> None:
+    def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
         """Send frames to one client; counted as not_connected where it is gone."""
         client = self._clients.get(address)
         if client is None:
             self.counts.add(NOT_CONNECTED)
         else:
-            client.send(payload)
+            client.send(payload, forwarded=forwarded)
 
     async def close(self) -> None:
         """Stop to listen and cut off all clients."""

@@ -82,7 +82,7 @@ class UdpLink:
                 return
             self._handler(self, address, payload, self._clock())
 
-    def send(self, address: Address, payload: bytes) -> None:
+    def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:  # noqa: ARG002 - no datagram waits
         """Send one datagram; one that the system does not take at once is dropped and counted."""
         if self._socket is None:
             self.counts.add(NOT_SENT)

@@ -103,7 +103,7 @@ def test_device_that_takes_nothing_costs_neither_time_nor_memory(radio):
         for _ in range(20_000):
             link.send(link.peers[0], frame)
         assert link.counts["output_skipped"] > 0
-        assert len(link._unsent) + link._outbox._bytes <= 1024 + len(frame)
+        assert len(link._unsent) + link._outbox.size <= 1024 + len(frame)
         # Once the far end reads again, what was kept comes out whole.
         skipped = link.counts["output_skipped"]
         accepted = (20_000 - skipped) * len(frame)

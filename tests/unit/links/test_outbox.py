@@ -1,6 +1,6 @@
 """What a slow stream has not taken is bounded, and it is the newest that is kept."""
 
-from gcs_coloc.links.stream import OUTPUT_SKIPPED, Outbox
+from gcs_coloc.links.stream import MAX_FORWARDED_BYTES, OUTPUT_SKIPPED, Outbox
 from gcs_coloc.mavlink.counts import Counts
 
 
@@ -41,3 +41,16 @@ def test_what_waited_for_a_lost_connection_is_forgotten():
     outbox.clear()
     outbox.put(b"bbbb")
     assert drained(outbox) == [b"bbbb"]
+
+
+def test_what_is_forwarded_waits_for_the_rest_and_pushes_nothing_of_it_out():
+    counts = Counts()
+    outbox = Outbox(counts, most_bytes=8)
+    outbox.put(b"fix1")
+    for _ in range(MAX_FORWARDED_BYTES // 4 + 1):
+        outbox.put(b"ftp!", forwarded=True)
+    outbox.put(b"fix2")
+    assert outbox.size == 8 + MAX_FORWARDED_BYTES
+    assert counts[OUTPUT_SKIPPED] == 1
+    assert drained(outbox)[:3] == [b"fix1", b"fix2", b"ftp!"]
+    assert outbox.size == 0
