@@ -34,6 +34,7 @@ from gcs_coloc.links.intake import Intake
 from gcs_coloc.links.refusals import Refusals
 from gcs_coloc.links.routes import Blocked, RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
+from gcs_coloc.mavlink.aid_inbound import other_aid
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.decoder import Decoder, Frame
 from gcs_coloc.mavlink.encoder import Encoder
@@ -82,6 +83,7 @@ class FleetService:
             bytes_per_s=senders.bytes_per_s,
             is_aided=lambda sysid: self._engine.aiding.streams(sysid),
             forwarded=lambda raw: self._recording.forwarded(self._engine_at_s, raw),
+            other_aid=lambda raw, sysid: self._tell(other_aid(raw, self._clock(), sysid)),
         )
         self._echoes_gps_input = settings.forward.echo_gps_input
         self._links = [make_link(parse(text), self._on_datagram, clock) for text in settings.links]
@@ -262,7 +264,7 @@ class FleetService:
             else:
                 self.hub.publish(output)
 
-    def _tell(self, note: ClockReference | OperatorWord | PeerRange) -> None:
+    def _tell(self, note: ClockReference | OperatorWord | PeerRange | OtherAid) -> None:
         self._advance(note.received_at_s)
         self._engine.receive(note)
         self._recording.told(note)

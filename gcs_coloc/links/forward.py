@@ -70,7 +70,7 @@ class Forwarder:
     """Hands frames on, both ways. Every call returns at once: a slow or absent ground tool loses its own oldest frames.
 
     `routes`, `signed`: the fleet's. `is_aided` says whether a vehicle is being sent positions by us; `forwarded` takes every
-    frame that went on to a vehicle.
+    frame that went on to a vehicle, `other_aid` every vehicle to which a ground tool's GPS_INPUT went, with the frame.
     """
 
     def __init__(
@@ -84,6 +84,7 @@ class Forwarder:
         bytes_per_s: float,
         is_aided: Callable[[int], bool],
         forwarded: Callable[[RawFrame], None],
+        other_aid: Callable[[RawFrame, int], None],
     ) -> None:
         self.counts = Counts()
         self._routes = routes
@@ -92,6 +93,7 @@ class Forwarder:
         self._own = own
         self._is_aided = is_aided
         self._forwarded = forwarded
+        self._other_aid = other_aid
         self._intake = Intake(bytes_per_s)
         self._outs: dict[Link, _Out] = {}
         for address in (parse_out(text) for text in outs):
@@ -202,7 +204,7 @@ class Forwarder:
         sysid, compid = target = target_of(raw)
         routes: Iterable[Route]
         if raw.message_id == MAVLINK_MSG_ID_GPS_INPUT:
-            routes = self._unaided(ground)
+            routes = self._unaided(raw, ground)
         elif target == EVERYBODY or sysid == 0:
             routes = self._routes.vehicles()
         elif sysid == self._own[0] and compid in (0, self._own[1]):
@@ -218,7 +220,7 @@ class Forwarder:
         if sent:
             self._forwarded(raw)
 
-    def _unaided(self, ground: Link) -> list[Route]:
+    def _unaided(self, raw: RawFrame, ground: Link) -> list[Route]:
         """Where GPS_INPUT may go, which has no target and which whoever receives it takes: not to a vehicle that we aid."""
         routes = []
         for route, sysids in self._routes.vehicles().items():
@@ -228,6 +230,8 @@ class Forwarder:
                 self._held_back.update(dict.fromkeys(aided, ground.name))
             else:
                 routes.append(route)
+                for sysid in sorted(sysids):
+                    self._other_aid(raw, sysid)
         return routes
 
 

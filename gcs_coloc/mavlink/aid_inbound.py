@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 from gcs_coloc.core.aid_messages import CommandResult, OtherAid, ParameterValue
 from gcs_coloc.mavlink.checks import InvalidValueError
+from gcs_coloc.mavlink.dialect import MESSAGE_CLASSES
+from gcs_coloc.mavlink.framing import RawFrame
 
 
 def command_ack(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> CommandResult:
@@ -25,6 +28,13 @@ def param_value(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Pa
     except UnicodeDecodeError:
         raise InvalidValueError("param_id") from None
     return ParameterValue(sysid, received_at_s, text, value, kind)
+
+
+def other_aid(raw: RawFrame, received_at_s: float, vehicle: int) -> OtherAid:
+    """A frame of GPS_INPUT (232) that is on its way to a vehicle."""
+    unpacker = MESSAGE_CLASSES[raw.message_id].unpacker
+    message = gps_input(raw.sysid, received_at_s, unpacker.unpack_from(raw.payload.ljust(unpacker.size, b"\0")))
+    return replace(message, vehicle=vehicle)
 
 
 def gps_input(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> OtherAid:

@@ -135,7 +135,7 @@ def test_what_a_ground_tool_says_goes_to_whom_it_is_meant_for(start_service, fre
     assert "address_conflict" not in log
 
 
-def test_gps_input_of_a_ground_tool_is_kept_from_the_vehicle_that_we_aid_and_the_operator_is_told(start_service, free_port, tool):
+def test_never_do_we_and_a_ground_tool_feed_one_vehicle_and_the_operator_is_told(start_service, free_port, tool):
     service = start_service("--udp", f"127.0.0.1:{free_port}", "--out", f"127.0.0.1:{tool.port}")
     with square_fleet(free_port) as fleet:
         fly(fleet, 20.0, failed=[4], until=lambda: tool.listen() or aided(fleet[3]))
@@ -147,10 +147,15 @@ def test_gps_input_of_a_ground_tool_is_kept_from_the_vehicle_that_we_aid_and_the
         fly(fleet, 20.0, failed=[4], until=lambda: tool.say(GPS_INPUT_4) or min(others()[:3]) >= 15)
         assert min(others()[:3]) >= 15
         assert others()[3] == 0
+        # Vehicle 3 needs aid while the tool feeds it: ours stands down.
+        fly(fleet, 6.0, failed=[3, 4], until=lambda: tool.say(GPS_INPUT_4))
+        assert {m.get_srcSystem() for m in fleet[2].of("GPS_INPUT")} == {255}
+        assert others()[3] == 0
     service.send_signal(signal.SIGINT)
     _, log = service.communicate(timeout=20)
     assert "vehicle 4: a ground tool on udpout" in log
     assert "ground_tool_gps_input" in log
+    assert "vehicle 3: needs aid and cannot be aided: system 255 sends it GPS_INPUT" in log
 
 
 def test_a_flight_with_a_ground_tool_replays_to_the_last_bit_and_its_commands_are_in_the_tlog(
@@ -167,6 +172,7 @@ def test_a_flight_with_a_ground_tool_replays_to_the_last_bit_and_its_commands_ar
                 # Were it the engine's, it would be a range from a vehicle 255.
                 tool.say(mavlink.MAVLink_named_value_float_message(1000, b"RNG4", 123.0))
                 tool.say(mavlink.MAVLink_command_long_message(4, 1, 400, 0, 4, 0, 0, 0, 0, 0, 0))
+                tool.say(GPS_INPUT_4)  # of which the engine is told, where it reaches a vehicle
             return False
 
         fly(fleet, 8.0, failed=[4], until=meddle)
