@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from flight import Watched, browser, flying, free_port, service, wait_for
 from playwright.sync_api import Browser, expect
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from vehicles import Hover
 
 pytestmark = pytest.mark.integration
 
@@ -24,6 +26,7 @@ class Scene:
     chromium: Browser
     udp_port: int
     folder: Path
+    fleet: list[Hover]
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +36,8 @@ def scene(tmp_path_factory) -> Iterator[Scene]:
     (folder / "config.toml").write_text(f'[web]\ntoken_file = "{folder / "token"}"\n')
     port, failed = free_port(socket.SOCK_DGRAM), set()
     arguments = ["--config", str(folder / "config.toml"), "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
-    with service(folder / "log", *arguments) as (_, url), flying(port, failed), browser() as chromium:
-        yield Scene(url, failed, chromium, port, folder)
+    with service(folder / "log", *arguments) as (_, url), flying(port, failed) as fleet, browser() as chromium:
+        yield Scene(url, failed, chromium, port, folder, fleet)
 
 
 @pytest.fixture
@@ -139,6 +142,35 @@ def test_a_command_needs_the_token_and_a_second_press(watched):
     for _ in range(2):
         page.locator("button[value='gps auto']").click()
     expect(card(page, 1)).to_contain_text(re.compile("GPS (recovering|healthy): fix type 3"))
+
+
+def test_the_word_on_a_vehicles_aid_is_given_on_the_page(watched):
+    page = watched.page
+    card(page, 2).click()
+    page.get_by_label("Operator's token").fill(TOKEN)
+    details = page.get_by_role("region", name="Vehicle 2")
+    for button, told in (("Never aid it", "aid off"), ("Aid it as its GPS needs", "aid auto")):
+        page.get_by_role("button", name=button).click()
+        page.get_by_role("button", name=f"{button}: press again").click()
+        expect(page.locator("#command-result")).to_contain_text("done")
+        expect(details).to_contain_text(told)
+
+
+def test_the_truth_of_a_simulation_is_a_mark_of_its_own(watched, scene):
+    page, hover = watched.page, scene.fleet[0]
+    expect(card(page, 1)).to_contain_text("last heard 0.")
+    expect(page.locator("#truth-key")).to_be_hidden()
+    lat_deg, lon_deg, _ = hover.lla
+    mark = page.get_by_role("button", name="Vehicle 1: the truth")
+
+    def is_told():
+        hover.send(hover.pack(mavlink.MAVLink_simstate_message(*(0.0,) * 9, round(lat_deg * 1e7), round(lon_deg * 1e7))))
+        return mark.count() == 1
+
+    wait_for(is_told, "the mark")
+    at, estimate = mark.bounding_box(), page.get_by_role("button", name="Vehicle 1, good: our estimate").bounding_box()
+    assert (at["x"], at["y"]) == pytest.approx((estimate["x"], estimate["y"]), abs=10.0)
+    expect(mark).to_have_count(0)  # what is no longer told is no longer shown
 
 
 def test_a_restarted_service_is_found_again_and_its_absence_is_said(scene, tmp_path):

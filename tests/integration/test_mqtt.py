@@ -153,6 +153,25 @@ def test_a_broker_that_hangs_delays_nothing_and_the_end_neither(start_with_broke
             broker.signal(signal.SIGCONT)
 
 
+def test_a_broker_that_hangs_is_told_and_not_again_and_again(start_with_broker, broker, observe, free_port):
+    service = start_with_broker()
+    watching = observe()
+    with square_fleet(free_port) as fleet:
+        fly(fleet, 30.0, until=lambda: watching.of("status", "online"))
+        broker.signal(signal.SIGSTOP)
+        try:
+            # The client notices after its keepalive of 10 s, and then fails to connect again and again.
+            fly(fleet, 45.0)
+            service.send_signal(signal.SIGTERM)
+            fly(fleet, 20.0, until=lambda: service.poll() is not None)
+            assert service.poll() == 0
+        finally:
+            broker.signal(signal.SIGCONT)
+    told = [line for line in service.stderr.read().splitlines() if "mqtt: broker" in line]
+    assert 1 <= len(told) <= 2, told
+    assert all("trying again, the flight goes on without it" in line for line in told)
+
+
 def test_commands_are_obeyed_only_where_they_are_allowed(start_with_broker, observe, free_port):
     service = start_with_broker()
     operator = observe()

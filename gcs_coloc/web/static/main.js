@@ -19,7 +19,7 @@ let frameAt = 0;
 let sampledAt = -Infinity;
 let retryS = 0.5;
 
-const timeText = (at) => (offset === null ? `${at.toFixed(1)} s` : new Date((at + offset) * 1000).toLocaleTimeString());
+const timeText = (at) => (offset === null ? `${at.toFixed(1)} s` : new Date((at + offset) * 1000).toLocaleTimeString([], { hour12: false }));
 const alarms = new Alarms(timeText);
 const plots = new Plots();
 const playback = new PlaybackBar();

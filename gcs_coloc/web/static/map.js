@@ -242,7 +242,7 @@ function estimateIcon(view, light, stale) {
 function truthIcon(view) {
   return svg("svg", { class: "vehicle truth", viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
     svg("path", { d: "M0 -13V-4M0 4V13M-13 0H-4M4 0H13" }), svg("circle", { cx: 0, cy: 0, r: 8 }),
-    svg("text", { class: "name", x: -15, y: 21 }, `${view.sysid} true`));
+    ...(view.gps_state === "healthy" ? [] : [svg("text", { class: "name", x: -11, y: 17, "text-anchor": "end" }, `${view.sysid} true`)]));
 }
 
 function claimIcon(view) {

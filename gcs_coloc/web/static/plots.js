@@ -9,7 +9,7 @@ const HEIGHT = 150;
 const KINDS = [
   { key: "sigma_h_m", title: "1-sigma, m" },
   { key: "hdop", title: "HDOP" },
-  { key: "nis_mean", title: "NIS per degree of freedom, with 95 % band" },
+  { key: "nis_mean", title: "NIS with its 95 % band" },
   { key: "ranges_in_use", title: "ranges in use" },
 ];
 
@@ -92,7 +92,7 @@ export class Plots {
       if (old) old.replaceWith(holder);
       else byId("plots").append(holder);
       const plot = new uPlot({
-        ...size(holder), title: kind.title, series: [{}, ...series], axes: [{ ...axis, space: 80, values: (_, times) => times.map((t) => this.clock(t)) }, { ...axis, size: 46 }],
+        ...size(holder), padding: [null, 30, null, null], title: kind.title, series: [{}, ...series], axes: [{ ...axis, space: 80, values: (_, times) => times.map((t) => this.clock(t)) }, { ...axis, size: 46 }],
         bands: isNis && n > 0 ? [{ series: [n + 1, n + 2], fill: css("--band") }] : [],
         cursor: { sync: { key: "time" } }, scales: { x: { time: this.offset !== null }, y: { range: (_, low, high) => [0, Math.max(high ?? 1, low ?? 1, 1) * 1.1] } },
         legend: { show: isNis ? false : kind.key === "sigma_h_m", live: false },
