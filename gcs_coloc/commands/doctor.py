@@ -45,8 +45,7 @@ def doctor(
     findings = asyncio.run(listen(settings, seconds, clock, read_host_clock(clock())))
     setup = Setup(
         settings.mavlink.system_id,
-        settings.aid.gps_id,
-        settings.aid.lag_s,
+        settings.aid,
         settings.time.require_synchronised_clock,
         frozenset(aid or ()),
     )

@@ -13,11 +13,16 @@ from gcs_coloc.core.ways import GlobalPositionSensorWay, GpsInputWay, Way
 
 
 def way_name(vehicle: Vehicle, settings: AidSettings) -> WayName:
+    """As `way_for`."""
+    return way_for(vehicle.sysid, vehicle.autopilot, settings)
+
+
+def way_for(sysid: int, autopilot: Autopilot | None, settings: AidSettings) -> WayName:
     """The way for a vehicle; "auto" remains for ArduPilot: GPS_INPUT, with external estimates where that is too coarse."""
-    name = settings.ways.get(vehicle.sysid, settings.way)
-    if name != "auto" or vehicle.autopilot is Autopilot.ARDUPILOT:
+    name = settings.ways.get(sysid, settings.way)
+    if name != "auto" or autopilot is Autopilot.ARDUPILOT:
         return name
-    return "global_position_sensor" if vehicle.autopilot is Autopilot.PX4 else "gps_input"
+    return "global_position_sensor" if autopilot is Autopilot.PX4 else "gps_input"
 
 
 def feeds_receiver(name: WayName) -> bool:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from gcs_coloc.core.aid_settings import AidSettings, WayName
+from gcs_coloc.core.way_choice import way_for
 from gcs_coloc.doctor import parameters as p
 from gcs_coloc.doctor.findings import Remark, Setup, VehicleFindings, note, right, stop
 from gcs_coloc.doctor.parameters import look_up
@@ -25,12 +27,16 @@ _DRIVER_DELAY_S = 0.2
 def check(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
     """Judge the parameters that the vehicle told. Values and meanings: ArduPilot's parameter lists of 4.5 to 4.7."""
     yield from _senders(vehicle, setup)
-    if setup.gps_id not in (0, 1):
-        yield note(f"[aid] gps_id = {setup.gps_id}: the doctor knows the first two receivers only, and has not checked this one")
+    aid = setup.aid
+    if way_for(vehicle.sysid, vehicle.autopilot, aid) == "external_position":
+        yield right("it is aided by MAV_CMD_EXTERNAL_POSITION_ESTIMATE alone, which needs no GPS parameter")
+    elif aid.gps_id not in (0, 1):
+        yield note(f"[aid] gps_id = {aid.gps_id}: the doctor knows the first two receivers only, and has not checked this one")
     else:
-        yield from _receivers(vehicle, setup.gps_id)
-        yield from _delay(vehicle, setup)
-    yield from _filter(vehicle)
+        yield from _receivers(vehicle, aid.gps_id)
+        yield from _delay(vehicle, aid.gps_id, aid.lag_s)
+        yield from _arming(vehicle, aid)
+    yield from _filter(vehicle, way_for(vehicle.sysid, vehicle.autopilot, aid))
 
 
 def _senders(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
@@ -83,19 +89,30 @@ def _wanted(vehicle: VehicleFindings, names: tuple[str, ...], value: float, good
         yield stop(f"{found[0]} = {found[1]:g}: {bad}", f"set {found[0]} = {value:g}", (found[0], value))
 
 
-def _delay(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
-    found = look_up(vehicle.parameters, p.GPS_DELAY_MS[setup.gps_id])
+def _arming(vehicle: VehicleFindings, aid: AidSettings) -> Iterator[Remark]:
+    if vehicle.armed or aid.standby:
+        return
+    fed = look_up(vehicle.parameters, p.GPS_TYPE[aid.gps_id])
+    if fed is not None and fed[1] == _TYPE_MAVLINK:
+        yield note(
+            f"{fed[0]} = 14: it does not arm while nothing is sent to that receiver",
+            f"set standby = true in [aid] of gcs-coloc, or arm it first and set {fed[0]} then",
+        )
+
+
+def _delay(vehicle: VehicleFindings, fed: int, lag_s: float) -> Iterator[Remark]:
+    found = look_up(vehicle.parameters, p.GPS_DELAY_MS[fed])
     if found is None:
         return
     assumed_s = found[1] / 1e3 or _DRIVER_DELAY_S
-    if abs(assumed_s - setup.lag_s) > 0.01:
+    if abs(assumed_s - lag_s) > 0.01:
         yield note(
-            f"{found[0]} = {found[1]:g}: GPS_INPUT is taken to be {assumed_s:g} s old, what we send is of {setup.lag_s:g} s ago",
+            f"{found[0]} = {found[1]:g}: GPS_INPUT is taken to be {assumed_s:g} s old, what we send is of {lag_s:g} s ago",
             f"set lag_s = {assumed_s:g} in [aid] of gcs-coloc",
         )
 
 
-def _filter(vehicle: VehicleFindings) -> Iterator[Remark]:
+def _filter(vehicle: VehicleFindings, way: WayName) -> Iterator[Remark]:
     ekf = look_up(vehicle.parameters, p.EKF_TYPE)
     if ekf is not None and ekf[1] != _EKF3:
         yield note(
@@ -116,4 +133,5 @@ def _filter(vehicle: VehicleFindings) -> Iterator[Remark]:
     if int(checks[1]) & _CHECK_SPEED:
         limits.append(f"{_SPEED_ACC_MPS * scale[1] / 100:g} m/s")
     taken = f"up to 1-sigma of {' and '.join(limits)}" if limits else "however coarse they say they are"
-    yield right(f"{checks[0]} = {checks[1]:g}, {scale[0]} = {scale[1]:g}: positions are taken {taken}")
+    coarser = "; what is coarser goes by MAV_CMD_EXTERNAL_POSITION_ESTIMATE" if limits and way == "auto" else ""
+    yield right(f"{checks[0]} = {checks[1]:g}, {scale[0]} = {scale[1]:g}: GPS positions are taken {taken}{coarser}")

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from gcs_coloc.core.messages import Autopilot
 from gcs_coloc.core.streams import WANTED_HZ
-from gcs_coloc.doctor import ardupilot_checks
+from gcs_coloc.core.way_choice import mismatch, way_for
+from gcs_coloc.doctor import ardupilot_checks, px4_checks
 from gcs_coloc.doctor.findings import Findings, Level, Remark, Setup, VehicleFindings, note, right, stop
 from gcs_coloc.doctor.parameters import SENDERS_OPTION, look_up
 
@@ -77,17 +78,18 @@ def _address(vehicle: VehicleFindings) -> Iterator[Remark]:
 
 
 def _autopilot(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
-    if vehicle.autopilot is Autopilot.PX4:
-        yield stop("PX4 does not take GPS_INPUT: it can help to locate others, and cannot be aided itself")
+    if vehicle.autopilot not in (Autopilot.ARDUPILOT, Autopilot.PX4):
+        yield stop("its autopilot is neither ArduPilot nor PX4: it can help to locate others, and was never tried with aid")
         return
-    if vehicle.autopilot is not Autopilot.ARDUPILOT:
-        yield stop("its autopilot is neither ArduPilot nor PX4: it can help to locate others, and cannot be aided itself")
+    wrong_way = mismatch(way_for(vehicle.sysid, vehicle.autopilot, setup.aid), vehicle.autopilot)
+    if wrong_way is not None:
+        yield stop(wrong_way, "it is set in [aid] of gcs-coloc")
         return
     if not vehicle.parameters:
         signed = "; its frames are signed: give gcs-coloc its key" if vehicle.is_signed else ""
         yield stop(
             "it is heard and answers nothing, so its parameters are not checked",
-            f"see that the link goes both ways and that it listens to us (MAV_OPTIONS, signing){signed}",
+            f"see that the link goes both ways and that it listens to us (its parameters, signing){signed}",
         )
         return
     if vehicle.answers_only_to is not None and look_up(vehicle.parameters, SENDERS_OPTION) is None:
@@ -95,7 +97,10 @@ def _autopilot(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
             f"it answers {vehicle.answers_only_to} and not us, {setup.system_id}",
             f"set system_id = {vehicle.answers_only_to} in [mavlink] of gcs-coloc",
         )
-    yield from ardupilot_checks.check(vehicle, setup)
+    if vehicle.autopilot is Autopilot.PX4:
+        yield from px4_checks.check(vehicle)
+    else:
+        yield from ardupilot_checks.check(vehicle, setup)
 
 
 def _ranges(vehicle: VehicleFindings, fleet: frozenset[int]) -> Iterator[Remark]:

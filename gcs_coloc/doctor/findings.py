@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
+from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.messages import Autopilot, GpsReceiver
 
 
@@ -29,13 +30,12 @@ class Remark:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """Our side: the id we speak under, the receiver instance we feed (zero-based), the age we take its data to have, and whether
-    nothing is sent while this computer's clock is not synchronised. `subjects`: the vehicles that are to be located; empty: all.
+    """Our side: the id we speak under, the settings of aid, and whether nothing is sent while this computer's clock is not
+    synchronised. `subjects`: the vehicles that are to be located; empty: all.
     """
 
     system_id: int = 254
-    gps_id: int = 1
-    lag_s: float = 0.2
+    aid: AidSettings = field(default_factory=AidSettings)
     requires_synchronised_clock: bool = False
     subjects: frozenset[int] = frozenset()
 

@@ -9,7 +9,7 @@ from gcs_coloc.clock import ServiceClock
 from gcs_coloc.config import Settings
 from gcs_coloc.core.messages import ClockReference
 from gcs_coloc.doctor.findings import Findings
-from gcs_coloc.doctor.survey import ParameterRequest, Question, Survey
+from gcs_coloc.doctor.survey import Question, Survey
 from gcs_coloc.links.address import parse
 from gcs_coloc.links.base import Address, Link
 from gcs_coloc.links.claims import Route
@@ -55,11 +55,7 @@ async def listen(settings: Settings, seconds: float, clock: ServiceClock, host: 
     def ask(question: Question) -> None:
         place, encoder = question.place, as_gcs if question.as_gcs else ours
         assert isinstance(place, Route)
-        if isinstance(question.message, ParameterRequest):
-            payload = encoder.parameter_request(question.message.sysid, question.message.name, place, stamp(place.link))
-        else:
-            payload = encoder.encode(question.message, place, stamp(place.link))
-        place.link.send(place.address, payload)
+        place.link.send(place.address, encoder.encode(question.message, place, stamp(place.link)))
 
     links = [make_link(parse(text), arrived, clock) for text in settings.links]
     try:

@@ -22,6 +22,10 @@ SENDERS_OPTION = ("MAV_OPTIONS", "SYSID_ENFORCE")
 GCS_SYSID = ("MAV_GCS_SYSID", "SYSID_MYGCS")
 GCS_SYSID_HIGH = ("MAV_GCS_SYSID_HI",)
 
+AGP_CONTROL = ("EKF2_AGP_CTRL", "EKF2_AGP0_CTRL")
+"""PX4's EKF2, auxiliary global position; newer versions have several, of which GLOBAL_POSITION_SENSOR's id selects one."""
+AGP_ID = ("EKF2_AGP0_ID",)
+
 _ARDUPILOT = (
     *GPS_TYPE,
     GPS_AUTO_SWITCH,
@@ -36,7 +40,7 @@ _ARDUPILOT = (
     GCS_SYSID_HIGH,
     *GPS_DELAY_MS,
 )
-WANTED: Mapping[Autopilot, tuple[tuple[str, ...], ...]] = {Autopilot.ARDUPILOT: _ARDUPILOT, Autopilot.PX4: (("EKF2_AGP_CTRL",),)}
+WANTED: Mapping[Autopilot, tuple[tuple[str, ...], ...]] = {Autopilot.ARDUPILOT: _ARDUPILOT, Autopilot.PX4: (AGP_CONTROL, AGP_ID)}
 
 RETRY_S = 1.0
 MOST_TRIES = 6

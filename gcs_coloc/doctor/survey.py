@@ -10,6 +10,7 @@ from itertools import pairwise
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from gcs_coloc.core.aid_messages import ParameterRequest
 from gcs_coloc.core.messages import (
     Autopilot,
     GpsReceiver,
@@ -37,19 +38,11 @@ _INTEGER_KINDS = range(mavlink.MAV_PARAM_TYPE_UINT8, mavlink.MAV_PARAM_TYPE_INT3
 
 
 @dataclass(frozen=True, slots=True)
-class ParameterRequest:
-    """Asks one vehicle for one parameter."""
-
-    sysid: int
-    name: str
-
-
-@dataclass(frozen=True, slots=True)
 class Question:
     """A message for the vehicle at `place`; `as_gcs`: under the ground stations' system id and not ours."""
 
     place: Hashable
-    message: ToVehicle | ParameterRequest
+    message: ToVehicle
     as_gcs: bool = False
 
 

@@ -43,12 +43,6 @@ class Encoder:
         )
         return self._pack(message, destination, stamp)
 
-    def parameter_request(self, sysid: int, name: str, destination: Hashable, stamp: Stamp | None = None) -> bytes:
-        """Encode PARAM_REQUEST_READ (20): asks the autopilot of a vehicle for one parameter by its name."""
-        by_name = -1
-        message = mavlink.MAVLink_param_request_read_message(sysid, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), by_name)
-        return self._pack(message, destination, stamp)
-
     def _pack(self, message: Any, destination: Hashable, stamp: Stamp | None) -> bytes:
         sequence = self._next_sequence.pop(destination, 0)
         if len(self._next_sequence) >= MAX_DESTINATIONS:

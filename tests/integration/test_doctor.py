@@ -20,10 +20,12 @@ WRONG = {"GPS2_TYPE": 0, "GPS_PRIMARY": 1, "GPS_AUTO_SWITCH": 1, "MAV_OPTIONS": 
 
 
 def scenario(tmp_path, parameters) -> Path:
-    """The paper's aircraft, with these parameters on vehicle 4."""
+    """The paper's aircraft, the first of them a PX4, with these parameters on vehicle 4."""
     table = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
-    text = re.sub(r"params = \{ EK3_GPS_CHECK = 19 \}", f"params = {{ {table} }}", PAPER)
-    assert text != PAPER
+    text, changed = re.subn(r"params = \{ EK3_GPS_CHECK = 19 \}", f"params = {{ {table} }}", PAPER)
+    px4 = 'autopilot = "px4"\nparams = { EKF2_REQ_EPH = 30, EKF2_REQ_EPV = 60, EKF2_REQ_SACC = 5 }'
+    text, changed_too = re.subn(r"params = \{ EK3_GPS_CHECK = 23 \}", px4, text, count=1)
+    assert changed == changed_too == 1
     path = tmp_path / "scenario.toml"
     path.write_text(text)
     return path
@@ -35,7 +37,7 @@ def examine(port, flown, *arguments, **environment) -> subprocess.CompletedProce
     )
     try:
         assert fakes.stderr is not None
-        fakes.stderr.readline()  # they fly
+        assert "vehicles to" in fakes.stderr.readline()
         command = [sys.executable, "-m", "gcs_coloc", "doctor", "--udp", f"127.0.0.1:{port}", "--seconds", "10", *arguments]
         return subprocess.run(
             command, capture_output=True, text=True, timeout=120, check=False, env={**os.environ, **environment}
@@ -51,6 +53,8 @@ def test_a_wrong_set_up_is_told_parameter_by_parameter_and_is_right_when_they_ar
     report = json.loads(told.stdout)
     assert not report["ready"]
     assert [(v["sysid"], v["ready"]) for v in report["vehicles"]] == [(1, True), (2, True), (3, True), (4, False)]
+    assert [v["autopilot"] for v in report["vehicles"]] == ["PX4", "ArduPilot", "ArduPilot", "ArduPilot"]
+    assert report["vehicles"][0]["parameters"] == {"EKF2_AGP_CTRL": 1.0}
     remarks = report["vehicles"][3]["remarks"]
     assert any("MAV_GCS_SYSID = 255 only, and we are 254" in remark["text"] for remark in remarks)
     settings = {name: value for remark in remarks for name, value in (remark["set"] or {}).items()}

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.messages import Autopilot, GpsReceiver
 from gcs_coloc.core.streams import WANTED_HZ
 from gcs_coloc.doctor.checks import CLOCKS_AGREE_S, OFTEN, is_ready, of_fleet, of_vehicle
@@ -39,6 +40,7 @@ RECEIVER = GpsReceiver(4, 10.0, 0, 3, 47.0, 8.0, 500.0, 12, 0.8, 0.9, 1.2, 0.2)
 GOOD = VehicleFindings(
     sysid=4,
     autopilot=Autopilot.ARDUPILOT,
+    armed=True,
     addresses=("127.0.0.1:5000 on udpin:0.0.0.0:14550",),
     parameters=PARAMETERS,
     rates_hz=dict(WANTED_HZ),
@@ -120,6 +122,7 @@ def test_whom_the_vehicle_listens_to(changes, system_id, is_heard):
     ("vehicle", "words"),
     [
         (with_parameters(GPS1_TYPE=0.0), "no receiver of its own"),
+        (replace(GOOD, armed=False), "does not arm"),
         (with_parameters(GPS2_DELAY_MS=120.0), "0.12 s old"),
         (with_parameters(AHRS_EKF_TYPE=2.0), "EKF3"),
         (with_parameters(EK3_SRC1_VELXY=6.0), "velocity"),
@@ -138,22 +141,23 @@ def test_what_does_not_stop_anything_is_a_note(vehicle, words):
 
 
 def test_a_lag_that_is_set_like_the_vehicles_delay_is_right():
-    assert not said(with_parameters(GPS2_DELAY_MS=120.0), Setup(lag_s=0.12))
+    assert not said(with_parameters(GPS2_DELAY_MS=120.0), Setup(aid=AidSettings(lag_s=0.12)))
     assert not said(replace(GOOD, utc_minus_host_s=CLOCKS_AGREE_S))
 
 
 def test_another_receiver_instance_is_judged_as_the_fed_one():
     swapped = with_parameters(GPS1_TYPE=14.0, GPS2_TYPE=1.0, GPS_PRIMARY=1.0)
-    assert not said(swapped, Setup(gps_id=0))
-    assert not is_ready(said(swapped, Setup(gps_id=1)))
-    (remark,) = said(GOOD, Setup(gps_id=2))
+    assert not said(swapped, Setup(aid=AidSettings(gps_id=0)))
+    assert not is_ready(said(swapped, Setup(aid=AidSettings(gps_id=1))))
+    (remark,) = said(GOOD, Setup(aid=AidSettings(gps_id=2)))
     assert "has not checked this one" in remark.text
 
 
 @pytest.mark.parametrize(
     ("vehicle", "words"),
     [
-        (replace(GOOD, autopilot=Autopilot.PX4, parameters={}), "PX4 does not take GPS_INPUT"),
+        (replace(GOOD, autopilot=Autopilot.PX4, parameters={}), "answers nothing"),
+        (replace(GOOD, autopilot=Autopilot.PX4, parameters={"EKF2_AGP0_ID": 1.0}), "EKF2_AGP_CTRL or EKF2_AGP0_CTRL"),
         (replace(GOOD, autopilot=Autopilot.OTHER, parameters={}), "neither ArduPilot nor PX4"),
         (replace(GOOD, parameters={}), "answers nothing"),
         (replace(GOOD, others_there=(1, 2)), "vehicle 1, 2 (a router?)"),
@@ -182,6 +186,36 @@ def test_what_stops_is_said_with_words(vehicle, words):
 def test_a_silent_vehicle_with_signed_frames_may_want_the_key():
     (remark,) = said(replace(GOOD, parameters={}, is_signed=True))
     assert "give gcs-coloc its key" in remark.mend
+
+
+@pytest.mark.parametrize(
+    ("parameters", "parameter"),
+    [
+        ({"EKF2_AGP_CTRL": 1.0}, None),
+        ({"EKF2_AGP0_CTRL": 3.0, "EKF2_AGP0_ID": 1.0}, None),
+        ({"EKF2_AGP_CTRL": 0.0}, ("EKF2_AGP_CTRL", 1.0)),
+        ({"EKF2_AGP0_CTRL": 2.0, "EKF2_AGP0_ID": 1.0}, ("EKF2_AGP0_CTRL", 3.0)),
+        ({"EKF2_AGP0_CTRL": 1.0, "EKF2_AGP0_ID": 0.0}, ("EKF2_AGP0_ID", 1.0)),
+    ],
+)
+def test_px4_must_take_an_auxiliary_global_position_of_ours(parameters, parameter):
+    told = [remark.parameter for remark in said(replace(GOOD, autopilot=Autopilot.PX4, parameters=parameters))]
+    assert told == ([parameter] if parameter is not None else [])
+
+
+def test_the_way_that_the_configuration_sets_is_the_one_that_is_checked():
+    without = with_parameters(GPS2_TYPE=0.0)
+    assert not said(without, Setup(aid=AidSettings(way="external_position")))
+    assert not said(without, Setup(aid=AidSettings(ways={4: "external_position"})))
+    assert said(without, Setup(aid=AidSettings(ways={5: "external_position"})))
+    (remark,) = said(GOOD, Setup(aid=AidSettings(way="global_position_sensor")))
+    assert "ArduPilot does not take GLOBAL_POSITION_SENSOR" in remark.text
+    (remark,) = said(replace(GOOD, autopilot=Autopilot.PX4), Setup(aid=AidSettings(way="gps_input")))
+    assert "PX4 does not take GPS_INPUT" in remark.text
+
+
+def test_a_vehicle_that_is_streamed_on_standby_may_arm():
+    assert not said(replace(GOOD, armed=False), Setup(aid=AidSettings(standby=True)))
 
 
 def test_px4_is_not_asked_for_what_only_ardupilot_sends():
@@ -233,7 +267,7 @@ def test_the_report_says_what_stops_first_and_whom_it_stops_last():
     wrong = replace(good.vehicles[1], parameters=PARAMETERS | {"GPS2_TYPE": 0.0})
     report = Report(replace(good, vehicles=(good.vehicles[0], wrong, *good.vehicles[2:])), Setup())
     lines = list(report.lines())
-    of_two = lines.index("vehicle 2: ArduPilot, not armed")
+    of_two = lines.index("vehicle 2: ArduPilot, armed")
     assert lines[of_two + 1].startswith("  STOP   GPS2_TYPE = 0:")
     assert lines[of_two + 1].endswith("; set GPS2_TYPE = 14")
     assert lines[-1] == "result: something would stop co-localisation of vehicle 2"

@@ -7,10 +7,11 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from gcs_coloc.core.aid_messages import ParameterRequest
 from gcs_coloc.core.messages import Autopilot, StreamRequest, TimeSyncRequest
 from gcs_coloc.core.streams import WANTED_HZ
 from gcs_coloc.doctor.parameters import AT_ONCE, MOST_TRIES, OWN_TRIES, RETRY_S, ParameterReader
-from gcs_coloc.doctor.survey import ParameterRequest, Survey
+from gcs_coloc.doctor.survey import Survey
 from tests.signed_frames import Signer
 
 UTC_MINUS_SERVICE_S = 1_800_000_000.0
