@@ -2,22 +2,23 @@
 # No syntax of BuildKit's own, so that docker-compose 1.29 and engines without BuildKit build it as well.
 ARG PYTHON_IMAGE=python:3.11-slim-bookworm
 
-FROM ${PYTHON_IMAGE} AS build
+FROM ${PYTHON_IMAGE} AS dependencies
 ARG PIP_INDEX_URL
 ENV PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_ROOT_USER_ACTION=ignore
 WORKDIR /src
-# Dependencies first: they change seldom, and are then taken from the engine's cache.
 COPY requirements.lock ./
+# Without what packages bring for their own tests, and pymavlink's dialects that nobody here speaks: a quarter of their size.
 RUN python -m venv --without-pip /opt/gcs-coloc \
- && python -m pip --python /opt/gcs-coloc/bin/python install --require-hashes --only-binary :all: -r requirements.lock
-COPY . ./
-RUN python -m pip wheel --no-deps --wheel-dir /wheels . \
- && python -m pip --python /opt/gcs-coloc/bin/python install --no-deps --no-index /wheels/*.whl
-# What packages bring for their own tests, and pymavlink's dialects that nobody here speaks: a third of their size.
-RUN cd /opt/gcs-coloc/lib/python3.*/site-packages \
+ && python -m pip --python /opt/gcs-coloc/bin/python install --require-hashes --only-binary :all: -r requirements.lock \
+ && cd /opt/gcs-coloc/lib/python3.*/site-packages \
  && find . -depth -type d -name tests -exec rm -r {} + \
  && rm -r pymavlink/dialects/v10 \
  && find pymavlink/dialects/v20 -type f ! -name '__init__.*' ! -name 'ardupilotmega.*' -delete
+
+FROM dependencies AS build
+COPY . ./
+RUN python -m pip wheel --no-deps --wheel-dir /wheels . \
+ && python -m pip --python /opt/gcs-coloc/bin/python install --no-deps --no-index --prefix /opt/own /wheels/*.whl
 
 FROM ${PYTHON_IMAGE}
 LABEL org.opencontainers.image.title="gcs-coloc" \
@@ -28,7 +29,9 @@ LABEL org.opencontainers.image.title="gcs-coloc" \
 RUN groupadd --gid 10001 gcs-coloc \
  && useradd --uid 10001 --gid gcs-coloc --no-create-home --home-dir /nonexistent --shell /usr/sbin/nologin gcs-coloc \
  && install -d -o gcs-coloc -g gcs-coloc -m 0750 /var/lib/gcs-coloc/recordings /var/lib/gcs-coloc/secrets
-COPY --from=build /opt/gcs-coloc /opt/gcs-coloc
+# In two layers: a new version of the project alone is a small one.
+COPY --from=dependencies /opt/gcs-coloc /opt/gcs-coloc
+COPY --from=build /opt/own /opt/gcs-coloc
 ENV PATH=/opt/gcs-coloc/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1
 USER 10001:10001
 WORKDIR /var/lib/gcs-coloc

@@ -49,6 +49,7 @@ def demo():
         yield demo
     finally:
         demo.compose("down", "--volumes", "--remove-orphans", "--timeout", "5")
+        demo.run("docker", "image", "prune", "--force", "--filter", "label=org.opencontainers.image.title=gcs-coloc")
     assert demo.left() == []
 
 
@@ -161,6 +162,6 @@ def test_in_the_field_the_service_runs_alone_on_the_hosts_network(demo, free_por
     wait_until(lambda: address.search(demo.log(container)), PATIENCE_S)
     (page,) = address.findall(demo.log(container))
     assert demo.fetch(f"{page}readyz") == "ok\n"
-    demo.run("docker", "stop", "--time", "2", container)
+    demo.run("docker", "stop", container)
     assert demo.run("docker", "inspect", "--format", "{{.State.ExitCode}}", container) == "0\n"
     demo.run("docker", "rm", container)
