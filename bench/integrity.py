@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, replace
 from math import inf, isfinite
 
 import numpy as np
 
+from bench.accuracy_runs import on_all_cores
 from bench.figures import Figure
 from bench.integrity_flights import SPOOFED_AT_S, STEP_S, SUBJECT, Flight, Scenario, error_and_bound_m, fly_step, fresh_engine
 from gcs_coloc.core.health import GpsState
-from gcs_coloc.study.monte_carlo import run_tasks
 
 _GIVEN_UP_S = 60.0
 _FLIGHT_S = 300.0
@@ -54,7 +53,7 @@ def measure(quick: bool) -> list[Figure]:
 
 
 def _exclusion(name: str, scenario: Scenario, runs: int) -> Figure:
-    walks = run_tasks(walk, [(scenario, seed) for seed in range(runs)], os.cpu_count() or 1)
+    walks = on_all_cores(f"peer spoofed: {name}", walk, [(scenario, seed) for seed in range(runs)])
     kept = float(np.mean([w.excluded_after_s < w.passed_after_s for w in walks]))
     passed = float(np.mean([isfinite(w.passed_after_s) for w in walks]))
     median_s = float(np.median([w.excluded_after_s for w in walks]))
@@ -94,7 +93,7 @@ def _false_exclusions(hours: float) -> list[Figure]:
         count = max(round(hours * share * 3600.0 / vehicles / _FLIGHT_S), 1)
         flights.append((name, count, vehicles))
         tasks += [(scenario, 1000 + seed) for seed in range(count)]
-    excluded = iter(run_tasks(false_exclusions, tasks, os.cpu_count() or 1))
+    excluded = iter(on_all_cores("clean flights", false_exclusions, tasks))
     figures, total, vehicle_hours = [], 0, 0.0
     for name, count, vehicles in flights:
         here, share_h = sum(next(excluded) for _ in range(count)), count * vehicles * _FLIGHT_S / 3600.0

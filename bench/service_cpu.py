@@ -97,6 +97,11 @@ def _wait(seconds: float) -> None:
     select.select([], [], [], seconds)
 
 
+def waited_s(pid: int) -> float:
+    """For how long a process was ready to run and waited for a core, s, since its start (Linux: schedstat's second number)."""
+    return int(Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()[1]) / 1e9
+
+
 def cpu_s(pid: int) -> float:
     """CPU time of a process in seconds."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
