@@ -9,7 +9,7 @@ from dataclasses import replace
 from gcs_coloc.clock import ServiceClock
 from gcs_coloc.config import Settings
 from gcs_coloc.core.advance import CATCH_UP_S, advance, was_held_up, without_superseded
-from gcs_coloc.core.aid_messages import OtherAid
+from gcs_coloc.core.aid_messages import OtherAid, ParameterSet
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages import (
     ClockReference,
@@ -126,6 +126,11 @@ class FleetService:
             self._timer.cancel()
         for last in self._engine.close():
             self._send(last)
+            if isinstance(last, ParameterSet):
+                # No time is left to wait for the answer and try again.
+                self._send(last)
+                self._send(last)
+                log.warning("vehicle %d: %s set back to %g, unconfirmed: the service ends", last.sysid, last.name, last.value)
         refused = self._refusals.news()
         if refused is not None:
             log.warning("%s", refused)

@@ -102,13 +102,10 @@ class PrimarySwitch:
         return []
 
     def close(self) -> list[ParameterSet]:
-        """What restores every vehicle before the service ends; no time is left to see it confirmed, so it is sent thrice."""
-        out = []
-        for sysid, switch in self._switches.items():
-            if switch.before is not None:
-                out += [ParameterSet(sysid, NAME, switch.before.value, switch.before.kind)] * 3
+        """What restores every vehicle before the service ends; no time is left to see it confirmed."""
+        held = [(sysid, switch.before) for sysid, switch in self._switches.items() if switch.before is not None]
         self._switches.clear()
-        return out
+        return [ParameterSet(sysid, NAME, before.value, before.kind) for sysid, before in held]
 
     def _message(self, sysid: int, switch: _Switch) -> ParameterRequest | ParameterSet:
         if switch.before is None:

@@ -40,13 +40,15 @@ def traffic_light(v: VehicleView) -> tuple[LightColour, str]:
     if v.gps_state in ("failed", "recovering"):
         located = f"within {v.bound_95_m:.0f} m (95 %)" if v.bound_95_m is not None else f"nowhere: {v.unknown_because}"
         text = f"GPS {v.gps_state}: {v.gps_reason}. Located {located}; {v.aid}"
-        return ("caution" if v.aid_has_fix else "bad"), text
+        return ("caution" if v.aid_has_fix and v.aid_taken is not False else "bad"), text
     if v.gps_state == "suspect":
         return "caution", f"GPS suspect: {v.gps_reason}"
     if v.gps_state == "unknown":
         return "unknown", v.gps_reason
     if v.aid_word == "on":
         return ("caution" if v.aid_has_fix else "bad"), f"aided by the operator's word ({v.aid}); GPS healthy: {v.gps_reason}"
+    if v.aid_taken is False:
+        return "caution", f"GPS healthy ({v.gps_reason}), but {v.aid}"
     if v.hindrance is not None:
         return "caution", f"GPS healthy ({v.gps_reason}), but it could not be aided: {v.hindrance}"
     return "good", f"GPS healthy: {v.gps_reason}"
