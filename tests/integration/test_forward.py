@@ -175,13 +175,13 @@ def test_a_flight_with_a_ground_tool_replays_to_the_last_bit_and_its_commands_ar
                 tool.say(GPS_INPUT_4)  # of which the engine is told, where it reaches a vehicle
             return False
 
-        fly(fleet, 8.0, failed=[4], until=meddle)
+        fly(fleet, 6.0, failed=[4], until=meddle)
         commands = sum(m.command == 400 for m in fleet[3].of("COMMAND_LONG"))
     service.send_signal(signal.SIGTERM)
     service.communicate(timeout=20)
     live, (replayed, _) = live_vehicles(only(tmp_path, "mcap")), journal_of(only(tmp_path, "tlog"))
     assert live[: len(replayed)] == replayed
-    assert len(replayed) > 0.9 * len(live) > 4 * 5 * 4
+    assert len(replayed) > 0.9 * len(live) > 4 * 5 * 3
     with closing(mavutil.mavlink_connection(str(only(tmp_path, "tlog")))) as log:
         recorded = []
         while (message := log.recv_match(type=["COMMAND_LONG"])) is not None:
@@ -205,7 +205,7 @@ def test_a_ground_tool_that_does_not_read_costs_the_flight_nothing(start_service
                     fleet[0].send(*(fleet[0].pack(blob) for _ in range(8)))
                 return False
 
-            fly(fleet, 8.0, failed=[4], until=flood)
+            fly(fleet, 6.0, failed=[4], until=flood)
             assert aided(fleet[3])
     service.send_signal(signal.SIGINT)
     _, log = service.communicate(timeout=20)
