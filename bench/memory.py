@@ -47,10 +47,12 @@ def main() -> None:
     import gcs_coloc.service  # noqa: F401 - what the service has in memory besides the flight
     from bench.service_cpu import rss_mb
     from bench.traffic import Sent
+    from gcs_coloc.garbage import collect_seldom
     from gcs_coloc.mavlink.decoder import Decoder
 
     minute = [Sent(*entry) for entry in pickle.load(sys.stdin.buffer)]
     flight, sizes_mb = Flight(), []
+    collect_seldom()
     for lap in range(int(sys.argv[1])):
         flight.decoder = Decoder()
         flight.take(sent._replace(at_s=sent.at_s + lap * _LAP_S) for sent in minute)

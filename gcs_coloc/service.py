@@ -15,6 +15,7 @@ from gcs_coloc.config import Settings
 from gcs_coloc.core.errors import WebError
 from gcs_coloc.fleet_service import FleetService
 from gcs_coloc.fleets import FleetOf
+from gcs_coloc.garbage import collect_seldom
 from gcs_coloc.host_clock import read_host_clock
 from gcs_coloc.sinks import console as console_sink
 
@@ -54,6 +55,7 @@ class Service:
         try:
             for fleet in self._fleets:
                 await fleet.open()
+            collect_seldom()
             async with asyncio.TaskGroup() as group:
                 news = {fleet.name: fleet.path.hub.subscribe() for fleet in self._fleets}
                 background = [group.create_task(console_sink.show(news, console))]
