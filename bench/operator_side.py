@@ -110,6 +110,8 @@ def measure(quick: bool) -> list[Figure]:
     ratio = full.cpu_s / bare.cpu_s
     late = {name: np.abs(np.array(flight.intervals_ms) - 100.0) for name, flight in (("bare", bare), ("observed", full))}
     p99 = {name: float(np.percentile(values, 99)) for name, values in late.items()}
+    # What the p99 of the bare service is in one quarter of the run and not in another is noise.
+    spread = [float(np.percentile(quarter, 99)) for quarter in np.array_split(late["bare"], 4)]
     work = f"{read / PAGES / seconds:.1f} messages/s a page, {closed} closed, {recorded / 1e6:.1f} MB recorded"
     return [
         Figure(
@@ -123,8 +125,8 @@ def measure(quick: bool) -> list[Figure]:
             "operator",
             "GPS_INPUT interval, deviation from 100 ms, p50 and p99",
             ", ".join(f"{name} {np.percentile(values, 50):.1f} and {p99[name]:.1f} ms" for name, values in late.items()),
-            "p99 within 2 ms of the bare one",
-            p99["observed"] <= p99["bare"] + 2.0,
+            f"p99 within those of the bare one's quarters, {min(spread):.1f} to {max(spread):.1f} ms",
+            p99["observed"] <= max(spread),
         ),
     ]
 

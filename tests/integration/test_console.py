@@ -1,7 +1,8 @@
-"""The live table on a real terminal: one that is stopped with Ctrl-S stops neither the flight nor the end of the service."""
+"""Who does not read what the service writes, a stopped terminal or a full pipe, stops neither the flight nor its end."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import signal
@@ -68,3 +69,29 @@ def test_a_stopped_terminal_stops_neither_the_flight_nor_its_end(free_port):
         service.kill()
         service.wait()
         os.close(terminal.master)
+
+
+def test_a_log_that_nobody_reads_stops_neither_the_flight_nor_its_end(free_port):
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, bytes(1024))
+    os.set_blocking(writing, True)
+    command = [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{free_port}", "--no-web"]
+    service = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=writing)
+    os.close(writing)
+    try:
+        with square_fleet(free_port) as fleet:
+            lost = fleet[3]
+            fly(fleet, 40.0, failed=[], until=lambda: bool(lost.received))
+            fly(fleet, 40.0, failed=[4], until=lambda: sum(m.fix_type == 3 for m in lost.of("GPS_INPUT")) > 20)
+            assert sum(m.fix_type == 3 for m in lost.of("GPS_INPUT")) > 20
+            service.send_signal(signal.SIGTERM)
+            fly(fleet, 20.0, failed=[4], until=lambda: service.poll() is not None)
+            assert service.poll() == 0
+            assert lost.of("GPS_INPUT")[-1].fix_type == 1
+    finally:
+        service.kill()
+        service.wait()
+        os.close(reading)
