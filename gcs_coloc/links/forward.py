@@ -10,7 +10,7 @@ import logging
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
-from pymavlink.dialects.v20.ardupilotmega import MAVLINK_MSG_ID_GPS_INPUT
+from pymavlink.dialects.v20.ardupilotmega import MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR, MAVLINK_MSG_ID_GPS_INPUT
 
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.view import OutView
@@ -40,9 +40,11 @@ UNKNOWN_SENDER = "ground_tool_unknown_sender"
 TOO_MANY_TOOLS = "too_many_ground_tools"
 UNKNOWN_TARGET = "ground_tool_unknown_target"
 CLAIMS_VEHICLE = "ground_tool_claims_vehicle"
-GPS_INPUT_HELD_BACK = "ground_tool_gps_input"
+AID_HELD_BACK = "ground_tool_aid"
 SENDER_AWAY = "forward_address_conflict"
 
+_AID = {MAVLINK_MSG_ID_GPS_INPUT: "GPS_INPUT", MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR: "GLOBAL_POSITION_SENSOR"}
+"""Messages by which vehicles are sent positions at a rate, by id."""
 _LOCAL_HOSTS = {"127.0.0.1", "localhost", "::1"}
 
 log = logging.getLogger("gcs_coloc")
@@ -99,7 +101,7 @@ class Forwarder:
         for address in (parse_out(text) for text in outs):
             link = make_link(address, self._on_ground, clock, most_unsent_bytes=MAX_UNSENT_BYTES)
             self._outs[link] = _Out(link, listens=isinstance(address, UdpIn))
-        self._held_back: dict[int, str] = {}
+        self._held_back: dict[int, tuple[str, str]] = {}
         self._told_at_s = float("-inf")
 
     @property
@@ -141,8 +143,8 @@ class Forwarder:
             return []
         self._told_at_s = now_s
         held_back, self._held_back = self._held_back, {}
-        text = "sends GPS_INPUT as well: it is kept from this vehicle, which is being aided by us. Stop one of the two"
-        return [(sysid, f"a ground tool on {name} {text}") for sysid, name in sorted(held_back.items())]
+        text = "as well: it is kept from this vehicle, which is being aided by us. Stop one of the two"
+        return [(sysid, f"a ground tool on {name} sends {what} {text}") for sysid, (name, what) in sorted(held_back.items())]
 
     def views(self) -> tuple[OutView, ...]:
         """What went on to each connection string's ground tools, and what came of them."""
@@ -203,9 +205,7 @@ class Forwarder:
     def _to_vehicles(self, raw: RawFrame, ground: Link) -> None:
         sysid, compid = target = target_of(raw)
         routes: Iterable[Route]
-        if raw.message_id == MAVLINK_MSG_ID_GPS_INPUT:
-            routes = self._unaided(raw, ground)
-        elif target == EVERYBODY or sysid == 0:
+        if target == EVERYBODY or sysid == 0:
             routes = self._routes.vehicles()
         elif sysid == self._own[0] and compid in (0, self._own[1]):
             return  # said to us, who take no orders over MAVLink
@@ -213,6 +213,8 @@ class Forwarder:
             routes = self._routes.reach(sysid, compid)
             if not routes:
                 self.counts.add(UNKNOWN_TARGET)
+        if raw.message_id in _AID:
+            routes = self._unaided(raw, routes, ground)
         sent = False
         for route in routes:
             route.link.send(route.address, raw.frame, forwarded=True)
@@ -220,19 +222,21 @@ class Forwarder:
         if sent:
             self._forwarded(raw)
 
-    def _unaided(self, raw: RawFrame, ground: Link) -> list[Route]:
-        """Where GPS_INPUT may go, which has no target and which whoever receives it takes: not to a vehicle that we aid."""
-        routes = []
-        for route, sysids in self._routes.vehicles().items():
+    def _unaided(self, raw: RawFrame, routes: Iterable[Route], ground: Link) -> list[Route]:
+        """Those of the addresses where nobody is aided by us: of two senders of positions a vehicle would take both, in turns."""
+        vehicles, unaided = self._routes.vehicles(), []
+        for route in routes:
+            sysids = vehicles.get(route, set())
             aided = [sysid for sysid in sysids if self._is_aided(sysid)]
             if aided:
-                self.counts.add(GPS_INPUT_HELD_BACK)
-                self._held_back.update(dict.fromkeys(aided, ground.name))
-            else:
-                routes.append(route)
+                self.counts.add(AID_HELD_BACK)
+                self._held_back.update(dict.fromkeys(aided, (ground.name, _AID[raw.message_id])))
+                continue
+            unaided.append(route)
+            if raw.message_id == MAVLINK_MSG_ID_GPS_INPUT:
                 for sysid in sorted(sysids):
                     self._other_aid(raw, sysid)
-        return routes
+        return unaided
 
 
 def check_outs(outs: Sequence[str], links: Sequence[str]) -> None:

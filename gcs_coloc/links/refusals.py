@@ -20,7 +20,7 @@ _MENDS = {
     "too_many_ground_tools": "more ground tools on one port than there is room for",
     "ground_tool_unknown_target": "a ground tool speaks to a system that was never heard",
     "ground_tool_claims_vehicle": "a ground tool uses a vehicle's system id: give it its own (255 by custom)",
-    "ground_tool_gps_input": "a ground tool sends GPS_INPUT to a vehicle that we aid: stop one of the two",
+    "ground_tool_aid": "a ground tool sends positions to a vehicle that we aid: stop one of the two",
     "forward_address_conflict": "frames under a vehicle's system id from another address than its own are not handed on",
     "rate_limited": "more than senders.bytes_per_s: a flood, or a busy router",
     "route_table_full": "more senders than there is room for: is something flooding the link?",

@@ -154,7 +154,7 @@ def test_never_do_we_and_a_ground_tool_feed_one_vehicle_and_the_operator_is_told
     service.send_signal(signal.SIGINT)
     _, log = service.communicate(timeout=20)
     assert "vehicle 4: a ground tool on udpout" in log
-    assert "ground_tool_gps_input" in log
+    assert "ground_tool_aid" in log
     assert "vehicle 3: needs aid and cannot be aided: system 255 sends it GPS_INPUT" in log
 
 

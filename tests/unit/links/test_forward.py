@@ -5,7 +5,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.config import SigningConfig
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.links.forward import MAX_TOOLS, TOOL_KEPT_S, Forwarder, check_outs
+from gcs_coloc.links.forward import MAX_TOOLS, TELL_EVERY_S, TOOL_KEPT_S, Forwarder, check_outs
 from gcs_coloc.links.routes import RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.framing import read_frame
@@ -77,6 +77,7 @@ class Between:
 
     def __init__(self, signing=None):
         self.radio, self.now_s, self.forwarded = Radio(), 100.0, []
+        self.aided, self.other_aid = set(), []
         self.routes = RouteTable()
         for sysid in (1, 2):
             self.routes.learn(sysid, 1, self.radio, f"vehicle {sysid}", is_autopilot_heartbeat=True, now_s=self.now_s)
@@ -87,9 +88,9 @@ class Between:
             lambda: self.now_s,
             own=(254, 191),
             bytes_per_s=200_000.0,
-            is_aided=lambda sysid: False,
+            is_aided=lambda sysid: sysid in self.aided,
             forwarded=self.forwarded.append,
-            other_aid=lambda raw, sysid: None,
+            other_aid=lambda raw, sysid: self.other_aid.append(sysid),
         )
         (self.ground,) = self.forwarder._outs
 
@@ -181,3 +182,21 @@ def test_frames_under_a_vehicles_system_id_from_elsewhere_are_not_shown_to_the_t
     assert between.forwarder.views()[0].frames_sent == 1
     between.forwarder.from_vehicle(heard[:1], between.radio, "vehicle 1", between.now_s)
     assert between.forwarder.views()[0].frames_sent == 2
+
+
+def test_positions_of_a_ground_tool_are_kept_from_the_vehicle_that_we_aid_and_told_now_and_then():
+    between = Between()
+    between.aided.add(2)
+    tool = Signer(255, key=None)
+    between.say(tool.pack(mavlink.MAVLink_gps_input_message(0, 1, 0, 0, 0, 3, 1, 1, 0, 1, 1, 0, 0, 0, 1, 1, 1, 9)))
+    for sysid in (1, 2):
+        between.say(tool.pack(mavlink.MAVLink_global_position_sensor_message(sysid, 1, 1, 0, 1, 0, 0, 1, 1, 1.0, 1.0, 1.0, 1.0)))
+    assert [address for address, _ in between.radio.sent] == ["vehicle 1", "vehicle 1"]
+    assert between.other_aid == [1]
+    assert between.forwarder.counts["ground_tool_aid"] == 2
+    ((sysid, text),) = between.forwarder.news(between.now_s)
+    assert sysid == 2
+    assert "GLOBAL_POSITION_SENSOR" in text
+    between.say(tool.pack(mavlink.MAVLink_gps_input_message(0, 1, 0, 0, 0, 3, 1, 1, 0, 1, 1, 0, 0, 0, 1, 1, 1, 9)))
+    assert between.forwarder.news(between.now_s + 1.0) == []
+    assert between.forwarder.news(between.now_s + TELL_EVERY_S)[0][0] == 2
