@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from math import hypot
 
 import numpy as np
 
@@ -223,10 +224,17 @@ def _weights(rows: list[tuple[Row, ...]]) -> list[list[FloatArray]]:
 
 
 def pinv(A: FloatArray) -> tuple[FloatArray, int]:
-    """Return the pseudo-inverse of a symmetric matrix and its rank; directions that nothing measures are left out."""
-    values, vectors = np.linalg.eigh(A)
-    kept = values > max(float(values[-1]) * _RANK_TOLERANCE, _LEAST_INFORMATION)
-    return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T, int(kept.sum())
+    """Return the pseudo-inverse of a symmetric (2, 2) matrix and its rank; directions that nothing measures are left out."""
+    a, b, d = float(A[0, 0]), float(A[0, 1]), float(A[1, 1])
+    mean, half = 0.5 * (a + d), hypot(0.5 * (a - d), b)
+    larger, smaller = mean + half, mean - half
+    least = max(larger * _RANK_TOLERANCE, _LEAST_INFORMATION)
+    if smaller > least:
+        return np.array([[d, -b], [-b, a]]) / (a * d - b * b), 2
+    if larger > least:
+        # The projection on the larger one's direction, over it.
+        return np.array([[a - smaller, b], [b, d - smaller]]) / (2.0 * half * larger), 1
+    return np.zeros((2, 2)), 0
 
 
 def _lengths(vectors: FloatArray) -> FloatArray:
