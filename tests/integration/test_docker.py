@@ -148,7 +148,7 @@ def test_the_image_holds_the_locked_versions_our_packages_and_nothing_else_of_ou
     locked = [Requirement(line.rstrip(" \\")) for line in lines]
     here = {r.name: str(r.specifier).removeprefix("==") for r in locked if r.marker is None or r.marker.evaluate(found["python"])}
     assert {canonicalize_name(name): version for name, version in found["versions"].items()} == {**here, "gcs-coloc": __version__}
-    tracked = demo.run("git", "ls-files", "gcs_coloc", "sitl_fakes").split()
+    tracked = demo.run("git", "ls-files", "--cached", "--others", "--exclude-standard", "gcs_coloc", "sitl_fakes").split()
     assert sorted(found["ours"]) == sorted(tracked)
     for nothing in ("tests", "state", "compilers"):
         assert found[nothing] == [], nothing
