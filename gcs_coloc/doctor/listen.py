@@ -20,7 +20,7 @@ from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.mavlink.signing import Stamp
 
 _ASK_EVERY_S = 0.1
-_HEARTBEAT_EVERY = 10
+_HEARTBEAT_EVERY_S = 1.0
 
 
 async def listen(settings: Settings, seconds: float, clock: ServiceClock, host: ClockReference) -> Findings:
@@ -33,9 +33,10 @@ async def listen(settings: Settings, seconds: float, clock: ServiceClock, host: 
     ids = settings.mavlink
     signed = SignedLinks(settings.signing, settings.links)
     signed.set_clock(host.utc_minus_service_s)
+    start_s = clock()
     survey = Survey(
         (ids.system_id, ids.component_id),
-        clock(),
+        start_s,
         seconds,
         utc_minus_service_s=host.utc_minus_service_s,
         asks_for_streams=settings.fleet.request_streams,
@@ -61,13 +62,15 @@ async def listen(settings: Settings, seconds: float, clock: ServiceClock, host: 
     try:
         for link in links:
             await link.open()
-        for turn in range(round(seconds / _ASK_EVERY_S)):
-            if turn % _HEARTBEAT_EVERY == 0:
+        greet_at_s = start_s
+        while (now_s := clock()) < start_s + seconds:
+            if now_s >= greet_at_s:
+                greet_at_s = now_s + _HEARTBEAT_EVERY_S
                 # Some vehicles speak to nobody before they have heard a heartbeat.
                 for place in {*names, *(Route(link, peer) for link in links for peer in link.peers)}:
                     assert isinstance(place, Route)
                     place.link.send(place.address, ours.heartbeat(place, stamp(place.link)))
-            for question in survey.questions(clock()):
+            for question in survey.questions(now_s):
                 ask(question)
             await asyncio.sleep(_ASK_EVERY_S)
     finally:
