@@ -31,13 +31,16 @@ _SIGMA_PER_DEVIATION = 1.4826  # of a Gaussian over its median absolute deviatio
 class RowSettings:
     """How ranges become rows.
 
-    A row has the ranges of the last `window_s`, once positions have had `wait_s` to arrive, and counts from `least_ranges` on.
+    A row has the ranges of the last `window_s` if these are `enough_ranges`, else of the last `longest_s`, once positions have
+    had `wait_s` to arrive, and counts from `least_ranges` on.
     `range_bias_m` is the 1-sigma of what all ranges of a pair have in common, `slow_share` the share of their stated variance
     that no averaging removes.
     """
 
-    window_s: float = 1.4
-    wait_s: float = 0.3
+    window_s: float = 1.0
+    longest_s: float = 1.4
+    wait_s: float = 0.2
+    enough_ranges: int = 5
     least_ranges: int = 3
     range_bias_m: float = 0.3
     slow_share: float = 0.1
@@ -86,7 +89,9 @@ class RangeRows:
         places: dict[int, Place] = {}
         rows: list[Row] = []
         per_device: Counter[int] = Counter()
-        for (i, j), samples in sorted(self._samples.items()):
+        for (i, j), kept in sorted(self._samples.items()):
+            recent = [sample for sample in kept if sample[0] > now_s - s.wait_s - s.window_s]
+            samples = recent if len(recent) >= s.enough_ranges else list(kept)
             if len(samples) < s.least_ranges or per_device[i] >= _PEERS_PER_DEVICE:
                 continue
             a, b = self._at(i, middle_s), self._at(j, middle_s)
@@ -97,7 +102,7 @@ class RangeRows:
             per_device[i] += 1
         return Scene(middle_s, places, tuple(rows))
 
-    def _row(self, i: int, j: int, samples: deque[tuple[float, float, float]]) -> Row:
+    def _row(self, i: int, j: int, samples: list[tuple[float, float, float]]) -> Row:
         s = self.settings
         residual_m, stated_m = median(sample[1] for sample in samples), median(sample[2] for sample in samples)
         scatter_m = _SIGMA_PER_DEVIATION * median(abs(sample[1] - residual_m) for sample in samples)
@@ -119,7 +124,7 @@ class RangeRows:
             samples.append((m.measured_at_s, m.range_m - distance_m, m.sigma_m))
         self._pending.clear()
         self._pending.extend(waiting)
-        oldest_s = ready_s - self.settings.window_s
+        oldest_s = ready_s - self.settings.longest_s
         for pair, samples in list(self._samples.items()):
             fresh = [sample for sample in samples if sample[0] > oldest_s]
             if fresh:
