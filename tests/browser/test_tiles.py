@@ -50,5 +50,4 @@ def test_tiles_lie_under_the_vehicles_and_nothing_is_complained_of(tmp_path):
         y = (1.0 - math.asinh(math.tan(math.radians(LAT))) / math.pi) / 2.0 * n % 1.0
         assert at[0] == pytest.approx(box["x"] + x * box["width"], abs=3.0)
         assert at[1] == pytest.approx(box["y"] + y * box["height"], abs=3.0)
-        page.screenshot(path=tmp_path / "tiles.png")
         assert watched.complaints == []

@@ -190,7 +190,7 @@ export class FleetMap {
     // Only where a vehicle leaves the picture, or the picture is far too large: a map that creeps all the time cannot be read.
     const view = this.map.getBounds();
     const span = (b) => Math.max(b.getNorth() - b.getSouth(), b.getEast() - b.getWest());
-    if (view.contains(bounds) && span(view) < 6 * Math.max(span(bounds), 20)) return;
+    if (view.contains(bounds.pad(0.05)) && span(view) < 6 * Math.max(span(bounds), 20)) return;
     this.map.fitBounds(roomy, { animate: false, maxZoom: 3, padding: [30, 30] });
   }
 
