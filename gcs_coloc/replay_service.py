@@ -41,7 +41,7 @@ class ReplayService:
             return Replay(engine, self._log, told, on_poll, own)
 
         story = Story()
-        self._playback = Playback(begin, Playhead(*self._log.span(), speed), story)
+        self._playback = Playback(begin, Playhead(*self._log.span(), speed), story, lambda: self._log.counts)
         web = settings.web.model_copy(update={"token_file": ""})
         self._web = WebServer(web, Hooks(self._playback.look, None, lambda: None, self._truths, self._playback), story)
 

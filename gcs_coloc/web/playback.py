@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from gcs_coloc.core.messages import Outbound, ToOperator
+from gcs_coloc.core.messages import Notice, Outbound, ToOperator
 from gcs_coloc.core.view import FleetView
 from gcs_coloc.recorder.playhead import Playhead
 from gcs_coloc.recorder.replay import Replay
@@ -23,13 +23,20 @@ OnPoll = Callable[[float, list[Outbound]], None]
 
 
 class Playback:
-    """One recording and its page's story. `begin` makes a replay at its beginning, with a fresh engine."""
+    """One recording and its page's story. `begin` makes a replay at its beginning, with a fresh engine.
 
-    def __init__(self, begin: Callable[[OnPoll], Replay], head: Playhead, story: Story) -> None:
+    `damage` says what of the file could not be read so far, by kind; the operator is told at the end.
+    """
+
+    def __init__(
+        self, begin: Callable[[OnPoll], Replay], head: Playhead, story: Story, damage: Callable[[], Mapping[str, int]] = dict
+    ) -> None:
         """Read up to the first message. DataError where the recording is none."""
         self._begin = begin
         self._head = head
         self._story = story
+        self._damage = damage
+        self._told_damage = False
         self._sample_due_s = float("-inf")
         self._replay = begin(self._polled)
 
@@ -100,9 +107,15 @@ class Playback:
         if moving and self._head.goal_s is None:
             # The pages saw little of what lies between.
             self._story.edition += 1
+        if self._replay.next_s is None and not self._told_damage:
+            self._told_damage = True
+            for kind, amount in self._damage().items():
+                text = f"the recording is damaged: {kind.replace('_', ' ')}: {amount}; replayed what is whole"
+                self._story.take(Notice(at_s, None, "warning", text))
 
     def _begin_again(self) -> None:
         self._story.reset()
+        self._told_damage = False
         self._sample_due_s = float("-inf")
         self._replay = self._begin(self._polled)
 

@@ -40,12 +40,13 @@ class Clock:
 
 
 def playback_of(path: Path) -> tuple[Playback, Story]:
-    story = Story()
+    story, logs = Story(), []
 
     def begin(on_poll):
-        return Replay(Engine(load_estimator("fleet", {})), TlogReader(path), [], on_poll)
+        logs.append(TlogReader(path))
+        return Replay(Engine(load_estimator("fleet", {})), logs[-1], [], on_poll)
 
-    return Playback(begin, Playhead(*TlogReader(path).span(), inf), story), story
+    return Playback(begin, Playhead(*TlogReader(path).span(), inf), story, lambda: logs[-1].counts), story
 
 
 def go_to(playback: Playback, at_s: float, clock) -> None:
@@ -89,6 +90,19 @@ def test_it_plays_to_the_end_and_stops_there(flight):
     assert playback.state.at_s == playback.state.last_s == pytest.approx(EPOCH_S + 30.0, abs=0.2)
     assert {v.sysid for v in playback.look().vehicles} == {1, 2, 3, 4}
     assert playback.look().links[0].received > 300
+
+
+def test_a_recording_that_is_cut_off_is_played_to_its_last_whole_message_and_says_so(flight, tmp_path):
+    cut = tmp_path / "cut.tlog"
+    cut.write_bytes(flight.read_bytes()[: flight.stat().st_size // 4 - 3])
+    playback, story = playback_of(cut)
+    for _ in range(2):
+        go_to(playback, 1.0, lambda: 0.0)
+        assert not [e for e in story.events_after(0).events if "damaged" in e.text]
+        go_to(playback, 100.0, lambda: 0.0)
+        [told] = [e.text for e in story.events_after(0).events if "damaged" in e.text]
+        assert told == "the recording is damaged: truncated: 1; replayed what is whole"
+    assert playback.state.at_s == playback.state.last_s < EPOCH_S + 10.0
 
 
 def test_a_seek_that_is_overtaken_by_another_ends_at_the_other(flight):
