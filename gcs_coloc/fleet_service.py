@@ -102,6 +102,7 @@ class FleetService:
         self._seen: FleetView | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._engine_at_s = clock()
+        self._is_ending = False
         self._words = [
             *((sysid, GpsWord.FAILED) for sysid in settings.fleet.failed),
             *((sysid, GpsWord.HEALTHY) for sysid in settings.fleet.healthy),
@@ -119,6 +120,10 @@ class FleetService:
         """Tell the engine the operator's words from the settings."""
         for sysid, word in self._words:
             self.obey(sysid, word)
+
+    def stop(self) -> None:
+        """Look at nothing that arrives from now on: what a busy service has waiting must not hold up its end."""
+        self._is_ending = True
 
     async def close(self) -> None:
         """Tell every aided vehicle that its fix has ended, close the links and end the recording."""
@@ -199,7 +204,7 @@ class FleetService:
             self._recording.sent(self._engine_at_s, payload)
 
     def _on_datagram(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
-        if not self._intake.admits((link, address), len(payload), received_at_s):
+        if self._is_ending or not self._intake.admits((link, address), len(payload), received_at_s):
             return
         self._advance(received_at_s)
         good: list[RawFrame] = []

@@ -111,7 +111,8 @@ class _Observed:
         return [group.create_task(_every(period_s, phase * period_s, act)) for period_s, act in periodic]
 
     def stop(self) -> None:
-        """Ask the observers to end."""
+        """Look at nothing more, and ask the observers to end."""
+        self.path.stop()
         if self._web is not None:
             self._web.stop()
         if self._mqtt is not None:
