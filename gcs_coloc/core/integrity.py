@@ -18,15 +18,16 @@ from gcs_coloc.core.consistency import ConsistencySettings, RangeConsistency
 from gcs_coloc.core.fleet import Fleet, Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.health import Contradiction, GpsState
-from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement, Unknown
+from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement, RangeMeasurement, Unknown
 from gcs_coloc.core.range_rows import Track
 
 _CLAIMS_IN = (GpsState.HEALTHY, GpsState.SUSPECT)
 _PLACED_IN = (GpsState.FAILED, GpsState.RECOVERING)
 _SIGMA_V_UNKNOWN_M = 10.0
-_FIX_LATENCY_S = 0.3
+_LONGEST_FIX_LATENCY_S = 0.5
+_STANDS_MPS = 1.0
 _AGREES_SIGMAS = 3.0
-_AGREES_FOR_S = 5.0
+_AGREES_FOR_S = 15.0
 _WELL_KNOWN_SHARE = 0.25
 _DOUBT_GREW_S = 5.0  # what moved a position within so long is in its velocity, too
 
@@ -38,7 +39,7 @@ class Integrity:
 
     def __init__(self, settings: ConsistencySettings | None = None) -> None:
         self.ranges = RangeConsistency(settings)
-        self._agrees_since_s: dict[int, float] = {}
+        self._agrees_since: dict[int, tuple[float, FloatArray]] = {}
 
     def claim(self, claim: PositionMeasurement, vehicle: Vehicle) -> None:
         """Take what a vehicle says of its own position; one that is not believed for want of GPS says nothing."""
@@ -103,21 +104,31 @@ class Integrity:
         """Whether the real receiver has agreed for a while with a position that is known well enough to tell."""
         fix, accusation = vehicle.receiver, self.ranges.accused[vehicle.sysid]
         if fix is None or fix.fix_type < 3 or isinstance(where, Unknown) or now_s - fix.received_at_s > 1.0:
-            self._agrees_since_s.pop(vehicle.sysid, None)
+            self._agrees_since.pop(vehicle.sysid, None)
             return False
-        place = frame.enu_from_geodetic(fix.lat_deg, fix.lon_deg, fix.alt_msl_m)
-        age_s = now_s - fix.received_at_s
-        east_m, north_m = (float(x) for x in (where.position_enu_m - where.velocity_enu_mps * age_s)[:2])
-        miss_m = hypot(place[0] - east_m, place[1] - north_m)
+        place = np.array(frame.enu_from_geodetic(fix.lat_deg, fix.lon_deg, fix.alt_msl_m)[:2])
+        age_s, velocity = now_s - fix.received_at_s, where.velocity_enu_mps[:2]
+        miss = place - (where.position_enu_m[:2] - velocity * age_s)
         known_m = horizontal_sigma_m(where.covariance)
-        speed_mps = hypot(float(where.velocity_enu_mps[0]), float(where.velocity_enu_mps[1]))
-        sigma_m = sqrt(known_m**2 + (fix.h_acc_m if fix.h_acc_m is not None else 5.0) ** 2 + (speed_mps * _FIX_LATENCY_S) ** 2)
+        sigma_m = hypot(known_m, fix.h_acc_m if fix.h_acc_m is not None else 5.0)
+        since_s, first_miss = self._agrees_since.setdefault(vehicle.sysid, (now_s, miss))
         # A position that is less well known than the lie was large would agree with anything.
-        if miss_m > _AGREES_SIGMAS * sigma_m or known_m > _WELL_KNOWN_SHARE * accusation.size_m:
-            self._agrees_since_s.pop(vehicle.sysid, None)
+        if not _explained(miss, velocity, sigma_m) or known_m > _WELL_KNOWN_SHARE * accusation.size_m:
+            self._agrees_since.pop(vehicle.sysid)
             return False
-        since_s = self._agrees_since_s.setdefault(vehicle.sysid, now_s)
+        if float(np.hypot(*(miss - first_miss))) > _AGREES_SIGMAS * sigma_m:
+            # It is on its way past the true place, not back at it.
+            self._agrees_since[vehicle.sysid] = (now_s, miss)
+            return False
         if now_s - since_s < _AGREES_FOR_S:
             return False
-        del self._agrees_since_s[vehicle.sysid]
+        del self._agrees_since[vehicle.sysid]
         return True
+
+
+def _explained(miss: FloatArray, velocity_mps: FloatArray, sigma_m: float) -> bool:
+    """Whether a receiver may miss by so much (east and north, m): by its errors, and behind by what it flew since the fix."""
+    speed_mps = float(np.hypot(*velocity_mps))
+    along = velocity_mps / speed_mps if speed_mps > _STANDS_MPS else np.zeros(2)
+    behind_m = min(max(-float(miss @ along), 0.0), speed_mps * _LONGEST_FIX_LATENCY_S)
+    return float(np.hypot(*(miss + behind_m * along))) <= _AGREES_SIGMAS * sigma_m
