@@ -92,7 +92,7 @@ class _Observed:
             log.info("%sweb page: %s", self._of, self._web.open())
         except WebError as error:
             if self._web.must_open:
-                raise
+                raise WebError(f"{error}; or leave the page out: --no-web") from None
             log.warning("%s; the flight goes on without the page", error)
             self._web = None
 

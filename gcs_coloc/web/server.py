@@ -91,9 +91,7 @@ class WebServer:
         except OSError as error:
             self.close()
             if error.errno == errno.EADDRINUSE:
-                text = (
-                    f"web page: {self._config.address} is in use; choose another with --web HOST:PORT, or leave it out: --no-web"
-                )
+                text = f"web page: {self._config.address} is in use; choose another with --web HOST:PORT"
             else:
                 text = f"web page: cannot listen on {self._config.address}: {error.strerror}"
             raise WebError(text) from None

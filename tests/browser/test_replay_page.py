@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import signal
+import socket
 import subprocess
 import sys
 import urllib.error
@@ -112,3 +113,14 @@ def test_a_mistake_is_one_line(recording, arguments, code, words):
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, len(done.stderr.strip().splitlines())) == (code, 1)
     assert words in done.stderr
+
+
+def test_an_address_that_is_taken_is_one_line_with_the_mend(recording):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        address = f"127.0.0.1:{other.getsockname()[1]}"
+        command = [sys.executable, "-m", "gcs_coloc", "replay", str(recording[0]), "--web", address]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    told = f"gcs-coloc: error: web page: {address} is in use; choose another with --web HOST:PORT\n"
+    assert (done.returncode, done.stderr) == (1, told)

@@ -161,3 +161,15 @@ def test_recorded_flight_of_four_planes():
     times = [unix_s for unix_s, _ in records]
     assert times == sorted(times)
     assert 421.0 < times[-1] - times[0] < 422.0
+
+
+@pytest.mark.parametrize("tail", [b"", b"\x55" * 100_000, record(9999)[:-3], struct.pack(">Q", 0)])
+def test_the_first_and_the_last_time_are_found_without_reading_what_is_between(tmp_path, tail):
+    content = b"".join(record(number) for number in range(5000)) + tail
+    first_s, last_s = reader(tmp_path, content).span()
+    assert (first_s, last_s) == (STARTED_US / 1e6, (STARTED_US + 4999 * 100_000) / 1e6)
+
+
+def test_what_is_no_tlog_has_no_first_time(tmp_path):
+    with pytest.raises(DataError, match="is no tlog"):
+        reader(tmp_path, b"\x00" * 1000).span()
