@@ -134,6 +134,9 @@ class Engine:
                 self._review(vehicle, now_s)
                 self._ask_time(vehicle, now_s)
             self._residuals.take(self.estimator.take_residuals(), now_s)
+            misfit = self._residuals.misfit()
+            for vehicle in self.fleet:
+                vehicle.range_misfit = misfit.get(vehicle.sysid)
             self._outbox.extend(self.aiding.parameters.due(now_s))
             if self.settings.request_streams:
                 self._outbox.extend(self._streams.due(now_s))

@@ -1,10 +1,14 @@
-"""Whether an answer of the estimator may be claimed as a fix: alert limit, hysteresis, and no long life on prediction alone."""
+"""Whether an answer may be claimed as a fix: alert limit, hysteresis, ranges that fit it, no long life on prediction alone."""
 
 from __future__ import annotations
+
+from math import sqrt
 
 from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.bound import horizontal_bound_95_m
 from gcs_coloc.core.measurements import Estimate, Unknown
+
+_MOST_MISFIT = 3.0  # 0.45 where the covariance is true, below 0.9 in all simulated flights; here half are beyond 1.7 sigma
 
 
 class FixPolicy:
@@ -17,10 +21,13 @@ class FixPolicy:
         self._lost = False
         self._had_fix = False
 
-    def why_no_fix(self, answer: Estimate | Unknown, now_s: float, *, own_gps: bool) -> str | None:
+    def why_no_fix(
+        self, answer: Estimate | Unknown, now_s: float, *, own_gps: bool, range_misfit: float | None = None
+    ) -> str | None:
         """Why the answer may not be claimed as a fix, in words; None where it may. Times never decrease from call to call.
 
-        `own_gps`: the vehicle's own receiver is in the answer, so that it needs no ranges.
+        `own_gps`: the vehicle's own receiver is in the answer, so that it needs no ranges. `range_misfit`: the median NIS per
+        degree of freedom of its ranges of late, None where there are too few.
         """
         if isinstance(answer, Unknown):
             # Not to be located yet is no loss of a fix: the first one is waited for by the vehicle.
@@ -30,6 +37,8 @@ class FixPolicy:
         if own_gps or answer.ranges_in_use > 0:
             self._ranged_at_s = now_s
         fault = self._fault(answer, now_s)
+        if fault is None and not own_gps and range_misfit is not None and range_misfit > _MOST_MISFIT:
+            fault = f"half of its ranges are {sqrt(range_misfit):.1f} sigma or more off where it is held to be"
         if fault is not None:
             self._lost, self._sound_since_s = True, None
             return fault

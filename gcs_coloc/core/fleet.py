@@ -17,8 +17,9 @@ class Vehicle:
     """One vehicle as last heard. Times are on the service's clock, in seconds.
 
     `blocked` says why nothing can be sent to it. `range_error_m` is the 1-sigma of its ranges of late, with the errors of its
-    peers' positions in it. `last_known_enu_m` is where the estimator last had it (east, north). `delay_s` is how much longer its
-    newest position was on the way (beyond what is assumed, where TIMESYNC is not answered).
+    peers' positions in it. `range_misfit` is the median NIS of those of the last seconds, its own and to it. `last_known_enu_m`
+    is where the estimator last had it (east, north). `delay_s` is how much longer its newest position was on the way (beyond
+    what is assumed, where TIMESYNC is not answered).
     `utc_minus_service_s` is UTC as it last told it.
     """
 
@@ -34,6 +35,7 @@ class Vehicle:
     attitude: Attitude | None = None
     delay_s: float | None = None
     range_error_m: float | None = None
+    range_misfit: float | None = None
     last_known_enu_m: tuple[float, float] | None = None
     claim: PositionMeasurement | None = None
     utc_minus_service_s: float | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 from functools import lru_cache
+from statistics import median
 
 from scipy.special import gammaincinv
 
@@ -13,6 +14,7 @@ from gcs_coloc.core.view import Consistency, RangeView
 
 _KEPT_S = 5.0
 _MOST = 4000
+_LEAST_FOR_MISFIT = 12
 
 
 class ResidualLog:
@@ -55,6 +57,19 @@ class ResidualLog:
                 low, high = _band_95(degrees)
                 out[vehicle] = Consistency(nis / degrees, low, high, degrees)
         return out
+
+    def misfit(self) -> dict[int, float]:
+        """For each vehicle with enough ranges, its own and those to it: the median NIS per degree of freedom, refused ones
+        included.
+
+        It is 0.45 for a consistent filter, and outliers hardly change it.
+        """
+        found: dict[int, list[float]] = {}
+        for r in self._recent:
+            assert r.to_vehicle is not None
+            for vehicle in (r.from_vehicle, r.to_vehicle):
+                found.setdefault(vehicle, []).append(r.nis / max(r.degrees_of_freedom, 1))
+        return {vehicle: median(nis) for vehicle, nis in found.items() if len(nis) >= _LEAST_FOR_MISFIT}
 
 
 @lru_cache(maxsize=1024)

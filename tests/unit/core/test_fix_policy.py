@@ -63,3 +63,15 @@ def test_prediction_alone_is_a_fix_for_ten_seconds_and_no_longer_however_small_i
 def test_a_vehicle_with_its_own_gps_in_the_answer_needs_no_ranges():
     policy = FixPolicy(AidSettings(), 0.0)
     assert asked(policy, [known(0.0, ranges=0)] * 300, 0.0, own_gps=True) == [None] * 300
+
+
+def test_a_position_that_half_of_its_ranges_contradict_is_no_fix_however_small_its_bound():
+    policy = FixPolicy(AidSettings(), 0.0)
+    assert policy.why_no_fix(known(0.0), 0.0, own_gps=False, range_misfit=0.9) is None
+    word = policy.why_no_fix(known(0.1), 0.1, own_gps=False, range_misfit=4.0)
+    assert word == "half of its ranges are 2.0 sigma or more off where it is held to be"
+    assert policy.why_no_fix(known(0.2), 0.2, own_gps=False, range_misfit=0.5) == "good enough again, watched for 3 s"
+
+
+def test_the_ranges_say_nothing_of_a_vehicle_on_its_own_gps():
+    assert FixPolicy(AidSettings(), 0.0).why_no_fix(known(0.0), 0.0, own_gps=True, range_misfit=9.0) is None

@@ -48,3 +48,21 @@ def test_refused_ranges_count_against_consistency():
     log.take([residual(10.0)] * 50 + [residual(10.0, 9.0, refused="gate")] * 5, 10.0)
     c = log.consistency()[4]
     assert c.nis_mean > c.band_high
+
+
+@pytest.mark.parametrize(("scale", "low", "high"), [(1.0, 0.3, 0.65), (3.0, 2.7, 5.8)])
+def test_the_misfit_is_the_median_of_both_ends_and_outliers_hardly_change_it(scale, low, high):
+    innovations = np.random.default_rng(4).normal(0.0, scale, 200)
+    log = ResidualLog()
+    log.take([residual(10.0, float(x)) for x in innovations], 10.0)
+    # The median of 200 draws of chi-square with one degree of freedom is within 0.455 +- 0.16 with 99 %, times the scale squared.
+    assert low < log.misfit()[4] < high
+    assert log.misfit()[1] == log.misfit()[4]
+    log.take([residual(10.0, 50.0, refused="gate")] * 40, 10.0)
+    assert log.misfit()[4] < 1.6 * high
+
+
+def test_too_few_ranges_have_no_misfit():
+    log = ResidualLog()
+    log.take([residual(10.0)] * 11, 10.0)
+    assert log.misfit() == {}
