@@ -74,6 +74,9 @@ class Cluster:
         slowness = 1.0 / (1.0 + float(x[3] * x[3] + x[4] * x[4]) / (s.slow_speed_mps * s.slow_speed_mps))
         density = s.acceleration_density_m2ps3 + slowness * (s.slow_density_m2ps3 - s.acceleration_density_m2ps3)
         climb = s.climb_density_m2ps3
+        if record.subject and record.slow_baro_m == 0.0:
+            # Nobody tells its height: what flies fast soon climbs fast.
+            climb += (1.0 - slowness) * max(s.unseen_climb_density_m2ps3 - climb, 0.0)
         ratio, ratio_v = record.manoeuvre.ratio(), record.manoeuvre.vertical_ratio()
         gain = max(ratio * ratio, 1.0)
         gain_v = max(ratio_v * ratio_v / 3.0, 1.0)

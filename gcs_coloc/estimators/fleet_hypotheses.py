@@ -92,8 +92,7 @@ class FleetHypotheses:
                 return
             x, P = cluster.predicted(subject, at_s)
             other_x, other_P = other.predicted(subject, at_s)
-            d = (other_x - x)[[0, 1, 3, 4]]
-            S = (P + other_P)[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])]
+            d, S = (other_x - x)[:6], (P + other_P)[:6, :6]
             if float(d @ np.linalg.solve(S, d)) < _ONE_AGAIN:
                 del self.twins[subject]
             return

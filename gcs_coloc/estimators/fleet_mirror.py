@@ -1,7 +1,7 @@
-"""The mirror image of a subject that ranges peers near one line: when the filter may have taken it, and what it is.
+"""The mirror image of a subject that ranges peers in one plane: when the filter may have taken it, and what it is.
 
-Ranges with peers on one line are the same on both sides of it. Near the line they hardly tell the motion across it either, so a
-turn there leads to either side unseen.
+Ranges with peers in one plane are the same on both sides of it: to the right and left of peers on one line, above and below peers
+at one height. Near the plane they hardly tell the motion across it either, so a turn there leads to either side unseen.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray
 from gcs_coloc.estimators.fleet_cluster import Cluster
 from gcs_coloc.estimators.fleet_motion import SIZE, TURN
 
@@ -23,11 +23,12 @@ _TOLD_APART = 2.0
 _LEAST_SPREAD_SIGMAS = 3.0
 _SAME_PLACE = 1.0
 _COVERED_SIGMAS = 3.0
+_LEVEL = 0.7
 
 
 @dataclass(frozen=True, slots=True)
 class Mirror:
-    """A line through `at_m` (east, north) with the unit normal `normal`; at the subject it moves along it at `speed_mps`."""
+    """A plane through `at_m` (3,) with the unit normal `normal` (3,); at the subject it moves along it at `speed_mps`."""
 
     at_m: FloatArray
     normal: FloatArray
@@ -35,70 +36,104 @@ class Mirror:
 
 
 def find_mirror(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
-    """Return the line of a subject's peers if the ranges do not tell on which side of it the subject is going to leave it.
+    """Return the plane that a subject's peers are in if it is not told on which side of it the subject is going to leave it.
 
-    None where the peers are not on one line, where the subject is too far from it to have changed the side, where it crosses
-    so fast that it cannot have turned back within the stretch in which the ranges are blind across the line, or where its
+    That is the vertical plane through peers on one line, or the level one through three and more where no height is heard. None
+    where the peers are not in one plane, where the subject is too far from it to have changed the side, where it crosses
+    so fast that it cannot have turned back within the stretch in which the ranges are blind across the plane, or where its
     mirror image is as yet the same as the state.
     """
-    joint, record = cluster.joint, cluster.records[subject]
-    peers = [v for v, n in record.neighbours.items() if at_s - n.at_s <= _IN_USE_S and v in joint.start]
+    neighbours = cluster.records[subject].neighbours
+    peers = [v for v, n in neighbours.items() if at_s - n.at_s <= _IN_USE_S and v in cluster.joint.start]
     if len(peers) < 2:
         return None
+    there = np.array([cluster.place(v) for v in peers])
+    offsets = there - there.mean(axis=0)
+    spreads, axes = np.linalg.eigh(offsets[:, :2].T @ offsets[:, :2])
+    normal, along = np.append(axes[:, 0], 0.0), np.append(axes[:, 1], 0.0)
+    mirror = _across(cluster, subject, at_s, peers, there, normal, along[:, np.newaxis], float(spreads[1]))
+    if mirror is not None or len(peers) < 3:
+        return mirror
+    spreads, axes = np.linalg.eigh(offsets.T @ offsets)
+    if abs(float(axes[2, 0])) < _LEVEL:
+        return None
+    return _across(cluster, subject, at_s, peers, there, axes[:, 0], axes[:, 1:], float(spreads[1]))
+
+
+def _across(
+    cluster: Cluster,
+    subject: int,
+    at_s: float,
+    peers: list[int],
+    there: FloatArray,
+    normal: FloatArray,
+    within: FloatArray,
+    least_spread_m2: float,
+) -> Mirror | None:
+    """Test one plane: unit normal (3,), axes within it (3, m), and the least sum of squares of the peers (k, 3) along these."""
+    joint, record = cluster.joint, cluster.records[subject]
     start = joint.start[subject]
-    there = np.array([cluster.place(v)[:2] for v in peers])
-    here, velocity = cluster.place(subject)[:2], joint.x[start + 3 : start + 5]
+    here, velocity = cluster.place(subject), joint.x[start + 3 : start + 6]
     centre = there.mean(axis=0)
     offsets = there - centre
-    spreads, axes = np.linalg.eigh(offsets.T @ offsets)
-    normal, along = axes[:, 0], axes[:, 1]
     away_m = float((here - centre) @ normal)
     to_peers = here - there
-    distance_m = np.maximum(np.hypot(to_peers[:, 0], to_peers[:, 1]), 1.0)
+    distance_m = np.maximum(np.linalg.norm(to_peers, axis=1), 1.0)
     units = to_peers / distance_m[:, np.newaxis]
     blur2 = np.empty(len(peers))
     across2 = 0.0
     for i, v in enumerate(peers):
-        relative = cluster.relative(subject, v)[1][:2, :2]
+        relative = cluster.relative(subject, v)[1]
         blur2[i] = max(float(units[i] @ relative @ units[i]), 1e-6)
         across2 = max(across2, float(normal @ relative @ normal))
     blur_m = math.sqrt(float(blur2.max()))
-    if math.sqrt(float(spreads[1])) < _LEAST_SPREAD_SIGMAS * blur_m:
+    if math.sqrt(least_spread_m2) < _LEAST_SPREAD_SIGMAS * blur_m:
         return None
-    # Within this distance of the line the ranges change by less than they are uncertain.
+    # Within this distance of the plane the ranges change by less than they are uncertain.
     blind_m = math.sqrt(2.0 * blur_m * float(distance_m.min()))
     if abs(away_m) > max(_NEAR_SIGMAS * math.sqrt(across2), blind_m):
         return None
     reach_m = max(abs(away_m), blind_m)
     told = 2.0 * reach_m * (offsets @ normal) / distance_m
-    if float(np.sum(told * told / blur2)) > _TOLD_APART:
+    told2 = float(np.sum(told * told / blur2))
+    for m in record.recent:
+        if isinstance(m, AltitudeMeasurement) and at_s - m.measured_at_s <= _IN_USE_S:
+            told2 += (2.0 * reach_m * float(normal[2]) / m.sigma_m) ** 2
+            break
+    if told2 > _TOLD_APART:
         return None
-    speed_mps = _line_speed(cluster, peers, offsets @ along, float((here - centre) @ along), normal)
+    speed_mps = _plane_speed(cluster, peers, offsets @ within, (here - centre) @ within, normal)
     closing = float(velocity @ normal) - speed_mps
-    spread_v = math.sqrt(float(normal @ joint.P[start + 3 : start + 5, start + 3 : start + 5] @ normal))
+    spread_v = math.sqrt(float(normal @ joint.P[start + 3 : start + 6, start + 3 : start + 6] @ normal))
     attitude = record.attitude
     aided = attitude is not None and at_s - attitude.measured_at_s <= cluster.settings.attitude_fresh_s
     turn = 0.0 if aided else math.sqrt(_HARDEST_TURN_MPS2 * blind_m)
     if abs(closing) > _SPEED_SIGMAS * spread_v + turn:
         return None
+    if abs(float(normal[2])) > _LEVEL and abs(closing) < _SPEED_SIGMAS * spread_v:
+        # Level flight beside the plane does not come to its other side.
+        return None
     both = np.array([away_m, closing])
     G = np.zeros((2, SIZE))
-    G[0, 0:2] = G[1, 3:5] = normal
+    G[0, 0:3] = G[1, 3:6] = normal
     where = joint.slice(subject)
     apart = 2.0 * float(both @ np.linalg.solve(G @ joint.P[where, where] @ G.T, both))
     return Mirror(centre, normal, speed_mps) if apart > _SAME_PLACE else None
 
 
-def _line_speed(cluster: Cluster, peers: list[int], abscissae_m: FloatArray, at_m: float, normal: FloatArray) -> float:
-    """Return the speed along its normal, in m/s, of the line through the peers, at a place along it."""
+def _plane_speed(cluster: Cluster, peers: list[int], within_m: FloatArray, at_m: FloatArray, normal: FloatArray) -> float:
+    """Return the speed along its normal, m/s, of the plane through the peers, at a place `at_m` (m,) in it.
+
+    `within_m` (k, m) is where the peers are in it, about their mean.
+    """
     joint = cluster.joint
     speeds = np.zeros(len(peers))
     for i, v in enumerate(peers):
         if not cluster.records[v].fixed:
             p = joint.start[v]
-            speeds[i] = joint.x[p + 3 : p + 5] @ normal
-    slope = float(abscissae_m @ speeds) / float(abscissae_m @ abscissae_m)
-    return float(speeds.mean()) + slope * at_m
+            speeds[i] = joint.x[p + 3 : p + 6] @ normal
+    slopes = np.linalg.solve(within_m.T @ within_m, within_m.T @ speeds)
+    return float(speeds.mean() + slopes @ at_m)
 
 
 def reflect(cluster: Cluster, subject: int, mirror: Mirror) -> None:
@@ -107,12 +142,13 @@ def reflect(cluster: Cluster, subject: int, mirror: Mirror) -> None:
     where = joint.slice(subject)
     n = mirror.normal
     M = np.eye(SIZE)
-    M[0:2, 0:2] -= 2.0 * np.outer(n, n)
-    M[3:5, 3:5] = M[0:2, 0:2]
-    M[TURN, TURN] = -1.0
+    M[0:3, 0:3] -= 2.0 * np.outer(n, n)
+    M[3:6, 3:6] = M[0:3, 0:3]
+    # A rate about the vertical turns round in an upright mirror and stays what it is in a level one.
+    M[TURN, TURN] = 2.0 * float(n[2]) ** 2 - 1.0
     offset = np.zeros(SIZE)
-    offset[0:2] = 2.0 * float(mirror.at_m @ n) * n
-    offset[3:5] = 2.0 * mirror.speed_mps * n
+    offset[0:3] = 2.0 * float(mirror.at_m @ n) * n
+    offset[3:6] = 2.0 * mirror.speed_mps * n
     joint.x[where] = M @ joint.x[where] + offset
     rows = M @ joint.P[where]
     block = rows[:, where] @ M.T

@@ -12,7 +12,8 @@ class FleetSettings:
     Order: measurements may arrive up to `window_s` after they were measured, and be stamped up to `ahead_s` ahead of arrival.
 
     Motion: `acceleration_density_m2ps3` (horizontal, `slow_density_m2ps3` well below `slow_speed_mps`) and
-    `climb_density_m2ps3` (vertical) hold in steady flight; up to `manoeuvre_gain` times as much does as far as the measurements
+    `climb_density_m2ps3` (vertical; towards `unseen_climb_density_m2ps3` the faster a subject flies whose own height nobody
+    tells) hold in steady flight; up to `manoeuvre_gain` times as much does as far as the measurements
     ask for more velocity corrections, over `manoeuvre_memory_s`, than steady flight explains. The turn rate is a state, of
     `turn_sigma_radps` in steady flight, that lasts for `turn_time_s`. With a fresh bank angle `aided_density_m2ps3` holds beyond
     the turn that it explains, up to an error of `turn_share` of its sideways acceleration.
@@ -42,6 +43,7 @@ class FleetSettings:
     slow_density_m2ps3: float = 1.0
     slow_speed_mps: float = 5.0
     climb_density_m2ps3: float = 0.02
+    unseen_climb_density_m2ps3: float = 0.1
     manoeuvre_gain: float = 300.0
     manoeuvre_memory_s: float = 3.0
     turn_sigma_radps: float = 0.03
