@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.figures import Figure, interleaved
-from bench.service_cpu import cpu_s, free_port, rss_mb
+from bench.service_cpu import cpu_s, free_port, free_ports, rss_mb
 
 _MAVUTIL = """
 import sys
@@ -101,7 +101,7 @@ def measure_vehicles(quick: bool) -> list[Figure]:
 
 
 def _service(fleets: int, seconds: float) -> _Run:
-    ports = [free_port() for _ in range(fleets)]
+    ports = free_ports(fleets)
     with tempfile.TemporaryDirectory() as directory:
         config = Path(directory) / "fleets.toml"
         tables = (f'[[fleet]]\nname = "f{n}"\nlinks = ["udpin:127.0.0.1:{port}"]\n' for n, port in enumerate(ports))
@@ -133,6 +133,8 @@ def _under_load(program: list[str], ports: list[int], seconds: float) -> _Run:
             time.sleep(0.25)
             samples.append((time.monotonic(), cpu_s(process.pid)))
         told = json.loads(sender.communicate()[0])
+        if process.poll() is not None:
+            raise RuntimeError(f"{' '.join(program[:4])} ended by itself with {process.returncode}")
         began = min(samples, key=lambda s: abs(s[0] - told["began_s"]))
         ended = min(samples, key=lambda s: abs(s[0] - told["ended_s"]))
         used_s, span_s = ended[1] - began[1], ended[0] - began[0]
