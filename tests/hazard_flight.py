@@ -1,0 +1,152 @@
+"""A fleet of the fakes flown against the engine in one process, on MAVLink bytes and simulated time, while something goes wrong.
+
+What is asked of an outcome is what counts in the air: whom the service trusted and when, whether it claimed a fix, how far that
+was off the truth in units of what it claimed, and how far off the truth the autopilot that took it believed itself to be.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from math import hypot
+from pathlib import Path
+from typing import Any
+
+from gcs_coloc.core.bound import horizontal_bound_95_m
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.messages import GpsInput, Notice, Outbound
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.study.closed_loop import Flight, Sample, fly
+from sitl_fakes.scenario import Scenario
+
+CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+SUBJECT = 4
+"""The aircraft in the middle of the four-ship, which loses its GPS in most hazards."""
+BELIEVED = ("healthy", "unknown")
+
+
+class _Watched(Engine):
+    """An engine that keeps what it sends and says, with the time."""
+
+    def __init__(self) -> None:
+        super().__init__(load_estimator("fleet", {}))
+        self.said: list[tuple[float, Outbound]] = []
+
+    def poll(self, now_s: float) -> list[Outbound]:
+        out = super().poll(now_s)
+        self.said += [(now_s, message) for message in out]
+        return out
+
+
+@dataclass(frozen=True)
+class Stated:
+    """A moment at which the service claimed to know where a vehicle is: its error and its 95 % bound, horizontal, m."""
+
+    at_s: float
+    error_m: float
+    bound_m: float
+
+
+@dataclass
+class Outcome:
+    """What a flight came to. Times are seconds since the start."""
+
+    flight: Flight
+    said: list[tuple[float, Outbound]]
+
+    def first(self, sysid: int, *states: str, after_s: float = 0.0) -> float:
+        """When a vehicle's GPS health first became one of some states; infinity for never."""
+        times = (c.at_s for c in self.flight.changes if c.sysid == sysid and c.after in states and c.at_s >= after_s)
+        return min(times, default=float("inf"))
+
+    def distrusted(self, after_s: float) -> set[int]:
+        """Vehicles whose GPS was called failed after a time."""
+        return {c.sysid for c in self.flight.changes if c.after == "failed" and c.at_s >= after_s}
+
+    def reason(self, sysid: int, state: str) -> str:
+        """The words with which a vehicle's GPS first came into a state."""
+        return next(c.reason for c in self.flight.changes if c.sysid == sysid and c.after == state)
+
+    def fix_types(self, sysid: int, from_s: float, to_s: float = float("inf")) -> list[int]:
+        """Fix types of the GPS_INPUT sent to a vehicle within a time."""
+        return [m.fix_type for t, m in self.said if isinstance(m, GpsInput) and m.sysid == sysid and from_s <= t < to_s]
+
+    def share_located(self, sysid: int, from_s: float, to_s: float = float("inf")) -> float:
+        """Share of the GPS_INPUT within a time that claimed a fix."""
+        types = self.fix_types(sysid, from_s, to_s)
+        return sum(t == 3 for t in types) / len(types)
+
+    def stated(self, sysid: int, from_s: float, to_s: float = float("inf")) -> list[Stated]:
+        """The moments within a time at which the last GPS_INPUT to a vehicle claimed a fix."""
+        sends = [(t, m.fix_type) for t, m in self.said if isinstance(m, GpsInput) and m.sysid == sysid]
+        out, k, claims = [], 0, False
+        for sample in self.flight.samples[sysid]:
+            while k < len(sends) and sends[k][0] <= sample.at_s:
+                claims, k = sends[k][1] == 3, k + 1
+            fresh = k > 0 and sample.at_s - sends[k - 1][0] < 1.0
+            if claims and fresh and from_s <= sample.at_s < to_s and sample.error_enu_m is not None:
+                assert sample.covariance is not None
+                error_m = hypot(float(sample.error_enu_m[0]), float(sample.error_enu_m[1]))
+                out.append(Stated(sample.at_s, error_m, horizontal_bound_95_m(sample.covariance)))
+        return out
+
+    def worst_stated_m(self, sysid: int, from_s: float, to_s: float = float("inf")) -> float:
+        """The largest error among what was claimed as a fix within a time, m."""
+        return max((s.error_m for s in self.stated(sysid, from_s, to_s)), default=0.0)
+
+    def worst_ratio(self, sysid: int, from_s: float, to_s: float = float("inf")) -> float:
+        """The largest error within a time in units of the 95 % bound that was claimed with it."""
+        return max((s.error_m / s.bound_m for s in self.stated(sysid, from_s, to_s)), default=0.0)
+
+    def worst_belief_m(self, sysid: int, from_s: float, to_s: float = float("inf")) -> float:
+        """How far the vehicle's autopilot believed itself from where it was, at most, within a time, m."""
+        return max(_belief_error_m(s) for s in self.flight.samples[sysid] if from_s <= s.at_s < to_s)
+
+    def words(self, sysid: int) -> list[str]:
+        """What the operator was told about a vehicle."""
+        return [m.text for _, m in self.said if isinstance(m, Notice) and m.sysid == sysid]
+
+
+def _belief_error_m(sample: Sample) -> float:
+    t = sample.truth
+    if t.estimate_east_m is None or t.estimate_north_m is None:
+        return float("inf")
+    return hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m)
+
+
+def fault(kind: str, vehicle: int = SUBJECT, at_s: float = 15.0, **more: Any) -> dict[str, Any]:
+    """A fault of a scenario; by default it befalls the subject at 15 s."""
+    return {"kind": kind, "vehicle": vehicle, "at_s": at_s, **more}
+
+
+def fly_through(
+    *faults: dict[str, Any],
+    duration_s: float,
+    seed: int = 1,
+    mutual: bool = False,
+    params: dict[str, float] | None = None,
+    scenario: str = "uwb",
+) -> Outcome:
+    """Fly a scenario of configs/ with faults in place of its own.
+
+    Args:
+        faults: as in a scenario file.
+        duration_s: how long.
+        seed: of all noise.
+        mutual: whether all measure ranges, not the subject alone.
+        params: autopilot parameters of the subject.
+        scenario: name of the scenario.
+    """
+    with (CONFIGS / f"scenario-{scenario}.toml").open("rb") as file:
+        table = tomllib.load(file)
+    table["fault"] = list(faults)
+    everyone = [v["sysid"] for v in table["vehicle"]]
+    losers = {f["vehicle"] for f in faults if f["kind"] == "gps_lost"} | {SUBJECT}
+    for vehicle in table["vehicle"]:
+        if mutual or vehicle["sysid"] in losers:
+            vehicle["ranges_to"] = [peer for peer in everyone if peer != vehicle["sysid"]]
+        if vehicle["sysid"] == SUBJECT:
+            vehicle["params"] = {**vehicle.get("params", {}), **(params or {})}
+    engine = _Watched()
+    flight = fly(Scenario.model_validate(table), seed, engine, duration_s=duration_s)
+    return Outcome(flight, engine.said)

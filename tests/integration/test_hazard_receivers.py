@@ -1,0 +1,111 @@
+"""Receivers that fail, freeze, are jammed or walked off, on the subject and on a peer: whole flights on MAVLink bytes.
+
+The four-ship of configs/scenario-uwb.toml: GPS of 1.5 m with errors that last a minute, ranges of 0.5 m with 3 % outliers,
+telemetry up to 0.15 s late. Undisturbed, over seeds 1 to 8, the subject is located to 4.0 m at the worst (`SOUND_M` is half as
+much again) and to 1.5 times its 95 % bound at the worst, as the peers' slow errors last a whole flight; with the seed of these
+flights to 0.7 times, so that `HONEST` leaves room for as much again and nothing for a lie.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.hazard_flight import SUBJECT, fault, fly_through
+
+SOUND_M = 6.0
+HONEST = 1.5
+PEER = 1
+OTHERS = {2, 3}
+"""Peers that nothing befalls."""
+LOST = fault("gps_lost")
+FROM_S = 25.0
+"""When a hazard of these flights begins; the subject has been located by then."""
+
+
+def test_a_lost_gps_is_failed_at_once_and_the_aircraft_flies_on_what_it_is_sent():
+    out = fly_through(fault("gps_lost", at_s=20.0), duration_s=50.0)
+    assert out.first(SUBJECT, "failed") < 22.0
+    assert out.distrusted(0.0) == {SUBJECT}
+    assert out.share_located(SUBJECT, 25.0) > 0.98
+    assert out.worst_stated_m(SUBJECT, 25.0) < SOUND_M
+    assert out.worst_ratio(SUBJECT, 25.0) < HONEST
+    assert out.worst_belief_m(SUBJECT, 25.0) < 1.5 * SOUND_M
+    assert not out.fix_types(PEER, 0.0)
+
+
+def test_a_frozen_receiver_is_failed_though_it_calls_itself_healthy():
+    out = fly_through(fault("gps_frozen", at_s=20.0), duration_s=45.0)
+    assert out.first(SUBJECT, "failed") < 26.0
+    assert "position" in out.reason(SUBJECT, "failed")
+    assert out.distrusted(0.0) == {SUBJECT}
+    assert out.worst_stated_m(SUBJECT, 20.0) < SOUND_M
+
+
+@pytest.mark.parametrize("primary", [0, 1])
+def test_a_jammed_receiver_is_never_believed_and_gps_primary_decides_whether_the_aircraft_is_saved(primary):
+    out = fly_through(fault("gps_jammed", at_s=20.0), duration_s=45.0, params={"GPS_PRIMARY": primary})
+    assert out.first(SUBJECT, "failed") < 23.0
+    assert out.first(SUBJECT, "healthy", after_s=20.0) == float("inf")
+    assert out.distrusted(0.0) == {SUBJECT}
+    assert out.worst_stated_m(SUBJECT, 24.0) < SOUND_M
+    # With the jammed receiver as primary the autopilot goes back to it whenever it has a fix: the service cannot help that.
+    believed_m = out.worst_belief_m(SUBJECT, 25.0)
+    assert believed_m < 1.5 * SOUND_M if primary else believed_m > 50.0
+
+
+@pytest.mark.parametrize(
+    ("speed_mps", "mutual"),
+    [(0.5, True), (2.0, True), (10.0, True), (2.0, False)],
+    ids=["0.5 m/s", "2 m/s", "10 m/s", "2 m/s, the subject's ranges only"],
+)
+def test_a_peer_walked_off_is_found_and_what_the_subject_is_told_meanwhile_stays_within_what_is_claimed(speed_mps, mutual):
+    # Half a metre a second hides in a receiver's own slow errors for a long time; the bound grows meanwhile.
+    lasts_s = 65.0 if speed_mps < 1.0 else 35.0
+    walked_off = fault("gps_spoofed", PEER, FROM_S, speed_mps=speed_mps)
+    out = fly_through(LOST, walked_off, duration_s=FROM_S + lasts_s, mutual=mutual)
+    assert out.first(PEER, "suspect", "failed", after_s=FROM_S) < FROM_S + 0.8 * lasts_s
+    assert out.first(PEER, "healthy", after_s=FROM_S + 0.8 * lasts_s) == float("inf")
+    assert not out.distrusted(FROM_S) & OTHERS
+    assert out.worst_ratio(SUBJECT, FROM_S) < HONEST
+
+
+def test_a_peer_whose_position_steps_is_suspected_at_once_and_harms_nobody():
+    step = fault("gps_spoofed", PEER, FROM_S, speed_mps=0.0, offset_m=100.0)
+    out = fly_through(LOST, step, duration_s=FROM_S + 20.0, mutual=True)
+    assert out.first(PEER, "suspect", "failed", after_s=FROM_S) < FROM_S + 2.0
+    assert out.first(PEER, "failed", after_s=FROM_S) < FROM_S + 20.0
+    assert not out.distrusted(FROM_S) & OTHERS
+    assert out.worst_stated_m(SUBJECT, FROM_S) < SOUND_M
+    assert out.worst_ratio(SUBJECT, FROM_S) < HONEST
+
+
+@pytest.mark.parametrize("kind", ["gps_frozen", "gps_jammed"])
+def test_a_second_aircraft_that_fails_is_located_as_well_and_the_first_is_not_harmed(kind):
+    out = fly_through(LOST, fault(kind, PEER, FROM_S), duration_s=FROM_S + 20.0, mutual=True)
+    assert out.first(PEER, "failed", after_s=FROM_S) < FROM_S + 6.0
+    assert not out.distrusted(FROM_S) & OTHERS
+    assert out.share_located(PEER, FROM_S + 8.0) > 0.9
+    for sysid in (SUBJECT, PEER):
+        assert out.worst_stated_m(sysid, FROM_S + 8.0) < SOUND_M
+        assert out.worst_ratio(sysid, FROM_S + 8.0) < HONEST
+
+
+def test_two_that_fail_at_once_are_both_located_from_three():
+    out = fly_through(fault("gps_lost", 4, 20.0), fault("gps_lost", 5, 20.0), duration_s=50.0, scenario="two-failed")
+    assert out.distrusted(0.0) == {4, 5}
+    for sysid in (4, 5):
+        assert out.share_located(sysid, 30.0) > 0.95
+        assert out.worst_ratio(sysid, 30.0) < HONEST
+        assert out.worst_stated_m(sysid, 30.0) < 2.0 * SOUND_M
+
+
+@pytest.mark.parametrize(("speed_mps", "within_s"), [(0.5, 35.0), (2.0, 12.0), (10.0, 3.0)], ids=["0.5 m/s", "2 m/s", "10 m/s"])
+def test_a_subject_walked_off_is_found_by_the_ranges_and_not_believed_again_while_it_lies(speed_mps, within_s):
+    walked_off = fault("gps_spoofed", SUBJECT, FROM_S, speed_mps=speed_mps)
+    out = fly_through(walked_off, duration_s=FROM_S + within_s + 20.0, mutual=True)
+    found_s = out.first(SUBJECT, "suspect", "failed", after_s=FROM_S)
+    assert found_s < FROM_S + within_s
+    failed_s = out.first(SUBJECT, "failed", after_s=FROM_S)
+    assert out.first(SUBJECT, "healthy", after_s=failed_s) == float("inf")
+    assert not out.distrusted(FROM_S) & {PEER, *OTHERS}
+    assert out.worst_ratio(SUBJECT, failed_s) < HONEST
