@@ -1,0 +1,64 @@
+"""Aid in the closed loop, over MAVLink bytes on simulated time: what the simulated autopilots do with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.aid_settings import AidSettings
+from gcs_coloc.core.engine import Engine, EngineSettings
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.study.closed_loop import Flight, fly
+from sitl_fakes.faults import GpsJammed, GpsLost
+from sitl_fakes.scenario import Scenario, load_scenario
+
+CONFIGS = Path(__file__).resolve().parents[3] / "configs"
+SUBJECT = 4
+LOST_S = 20.0
+
+
+def scenario(fault: type, **ranging: object) -> Scenario:
+    uwb = load_scenario(CONFIGS / "scenario-uwb.toml")
+    changed = {"fault": [fault(vehicle=SUBJECT, at_s=LOST_S)], "ranging": uwb.ranging.model_copy(update=ranging)}
+    return uwb.model_copy(update=changed)
+
+
+def flown(what: Scenario, duration_s: float, **aid: object) -> tuple[Flight, Engine]:
+    engine = Engine(load_estimator("fleet", {}), EngineSettings(aid=AidSettings(**aid)))
+    return fly(what, 7, engine, duration_s=duration_s), engine
+
+
+def sources(flight: Flight, from_s: float) -> dict[str, int]:
+    seen = [s.truth.source for s in flight.samples[SUBJECT] if s.at_s >= from_s]
+    return {source: seen.count(source) for source in set(seen)}
+
+
+def off_in_its_own_position_m(flight: Flight, from_s: float) -> float:
+    samples = [s.truth for s in flight.samples[SUBJECT] if s.at_s >= from_s]
+    return max(float(np.hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m)) for t in samples)
+
+
+@pytest.mark.parametrize("switch", ["auto", "off"])
+def test_a_jammed_aircraft_flies_on_our_positions_alone_once_its_primary_receiver_is_switched(switch):
+    flight, engine = flown(scenario(GpsJammed), 50.0, switch_primary=switch)
+    seen = sources(flight, LOST_S + 10.0)
+    assert ("gps1" not in seen) is (switch == "auto")
+    assert engine.aiding.primary.status(SUBJECT) == ("ours" if switch == "auto" else None)
+    assert engine.aiding.taken(SUBJECT)
+
+
+def test_standby_fails_over_without_dead_reckoning():
+    flight, engine = flown(scenario(GpsLost), 40.0, standby=True)
+    assert set(sources(flight, 5.0)) == {"gps1", "gps2 injected"}
+    assert engine.view(40.0).vehicles[0].aid == "standby: sending 3D fix"
+
+
+def test_a_position_too_coarse_for_the_ekf_reaches_the_aircraft_by_external_estimates():
+    flight, engine = flown(scenario(GpsLost, sigma_m=30.0, bias_sigma_m=0.0, rate_hz=3.0), 62.0)
+    assert "external position estimates, for it is too coarse for GPS_INPUT" in engine.view(62.0).vehicles[3].aid
+    assert set(sources(flight, 55.0)) == {"dead_reckoning"}  # it uses no GPS, and certainly not ours and the estimates in turns
+    assert not [reason for reason in engine.refused() if "external position estimate" in reason]
+    # Within the alert limit, as every position that it was told.
+    assert off_in_its_own_position_m(flight, LOST_S + 5.0) < 50.0
