@@ -125,6 +125,7 @@ def fly_through(
     seed: int = 1,
     mutual: bool = False,
     params: dict[str, float] | None = None,
+    autopilot: str = "ardupilot",
     scenario: str = "uwb",
 ) -> Outcome:
     """Fly a scenario of configs/ with faults in place of its own.
@@ -135,6 +136,7 @@ def fly_through(
         seed: of all noise.
         mutual: whether all measure ranges, not the subject alone.
         params: autopilot parameters of the subject.
+        autopilot: kind of the subject's autopilot.
         scenario: name of the scenario.
     """
     with (CONFIGS / f"scenario-{scenario}.toml").open("rb") as file:
@@ -147,6 +149,7 @@ def fly_through(
             vehicle["ranges_to"] = [peer for peer in everyone if peer != vehicle["sysid"]]
         if vehicle["sysid"] == SUBJECT:
             vehicle["params"] = {**vehicle.get("params", {}), **(params or {})}
+            vehicle["autopilot"] = autopilot
     engine = _Watched()
     flight = fly(Scenario.model_validate(table), seed, engine, duration_s=duration_s)
     return Outcome(flight, engine.said)

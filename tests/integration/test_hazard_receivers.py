@@ -33,6 +33,13 @@ def test_a_lost_gps_is_failed_at_once_and_the_aircraft_flies_on_what_it_is_sent(
     assert not out.fix_types(PEER, 0.0)
 
 
+def test_a_px4_that_loses_its_gps_flies_on_global_position_sensor():
+    out = fly_through(LOST, duration_s=40.0, autopilot="px4")
+    assert {s.truth.source for s in out.flight.samples[SUBJECT] if s.at_s > 20.0} == {"aux global position"}
+    assert out.worst_belief_m(SUBJECT, 20.0) < 1.5 * SOUND_M
+    assert not out.fix_types(SUBJECT, 0.0)
+
+
 def test_a_frozen_receiver_is_failed_though_it_calls_itself_healthy():
     out = fly_through(fault("gps_frozen", at_s=20.0), duration_s=45.0)
     assert out.first(SUBJECT, "failed") < 26.0
