@@ -35,6 +35,7 @@ while True:
 _VEHICLES_A_FLEET = 4
 _MOST_JITTER_MS = 20.0
 _GOAL_VEHICLES = 400
+_START_WITHIN_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +125,7 @@ def _mavproxy(program: str, fleets: int, seconds: float) -> float:
 
 def _under_load(program: list[str], ports: list[int], seconds: float) -> _Run:
     with _running(program) as process:
+        _wait_until_bound(process, ports)
         sender = subprocess.Popen(
             [sys.executable, "-m", "bench.load_sender", str(seconds), *map(str, ports)], stdout=subprocess.PIPE, text=True
         )
@@ -145,6 +147,16 @@ def _under_load(program: list[str], ports: list[int], seconds: float) -> _Run:
             jitter_ms=np.abs(np.array(told["intervals_ms"]) - 100.0),
             outputs_per_s=len(told["intervals_ms"]) / (told["ended_s"] - told["began_s"]),
         )
+
+
+def _wait_until_bound(process: subprocess.Popen[bytes], ports: list[int]) -> None:
+    """Wait until the program listens: before that, one of the sender's many sockets might be given one of its ports."""
+    wanted = {f"{port:04X}" for port in ports}
+    until_s = time.monotonic() + _START_WITHIN_S
+    while not wanted <= {line.split()[1].rpartition(":")[2] for line in Path("/proc/net/udp").read_text().splitlines()[1:]}:
+        if process.poll() is not None or time.monotonic() > until_s:
+            raise RuntimeError(f"{' '.join(map(str, process.args[:4]))} does not listen on its ports")  # type: ignore[index]
+        time.sleep(0.1)
 
 
 @contextmanager
