@@ -13,6 +13,7 @@ from rich.table import Table
 
 from bench import (
     accuracy,
+    coverage,
     decode,
     flood,
     garbage,
@@ -43,6 +44,7 @@ _SECTIONS: dict[str, Callable[[bool], list[Figure]]] = {
     "memory": memory.measure,
     "accuracy": accuracy.measure,
     "integrity": integrity.measure,
+    "coverage": coverage.measure,
 }
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from bench.accuracy_flights import Case, Recording, record
+from gcs_coloc.core.bound import horizontal_bound_95_m
 from gcs_coloc.core.measurements import Estimate, FloatArray, Measurement, Unknown
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.monte_carlo import Result, Task, run_tasks
@@ -37,11 +38,12 @@ class Locator(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One subject of one run: errors (T, 2) m and normalised squares (T,), NaN where nothing was stated."""
+    """One subject of one run: errors (T, 2) m, normalised squares (T,) and 95 % bounds (T,) m, NaN where nothing was stated."""
 
     asked_s: FloatArray
     error_m: FloatArray
     nees: FloatArray
+    bound_m: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,12 +80,13 @@ def take(recording: Recording, estimator: Locator) -> Run:
 
 def _track(asked_s: FloatArray, truth_m: FloatArray, answers: Sequence[Estimate | Unknown]) -> Track:
     error = np.full((len(answers), 2), np.nan)
-    nees = np.full(len(answers), np.nan)
+    nees, bound = np.full(len(answers), np.nan), np.full(len(answers), np.nan)
     for i, answer in enumerate(answers):
         if isinstance(answer, Estimate):
             error[i] = answer.position_enu_m[:2] - truth_m[i]
             nees[i] = error[i] @ np.linalg.solve(answer.covariance[:2, :2], error[i])
-    return Track(asked_s, error, nees)
+            bound[i] = horizontal_bound_95_m(answer.covariance)
+    return Track(asked_s, error, nees, bound)
 
 
 def fleet_through(task: tuple[Case, int]) -> Run:

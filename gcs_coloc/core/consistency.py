@@ -27,17 +27,18 @@ class ConsistencySettings:
 
     A test is made every `every_s`: of the present, and of its change since each of `intervals_s` ago, in which an honest error
     wanders as a Gauss-Markov process of `wander_time_s` does. A liar is accused after `accuse_after` tests in a row that point
-    at it alone, those among whom it cannot be told are suspected after `suspect_after`. A doubt about a position is watched for
-    `doubt_watched_s` after the last test that raised it, and fades over `doubt_time_s`.
+    at it alone, those among whom it cannot be told are suspected after `suspect_after`. A doubt about a position fades over
+    `doubt_time_s`; while somebody is accused or suspected, and for `watched_s` more, it fades over `watched_time_s`.
     """
 
     every_s: float = 0.2
     intervals_s: tuple[float, ...] = (2.0, 5.0, 12.0)
     wander_time_s: float = 30.0
-    accuse_after: int = 2
-    suspect_after: int = 3
-    doubt_watched_s: float = 30.0
-    doubt_time_s: float = 10.0
+    accuse_after: int = 3
+    suspect_after: int = 6
+    doubt_time_s: float = 2.0
+    watched_s: float = 30.0
+    watched_time_s: float = 10.0
     rows: RowSettings = field(default_factory=RowSettings)
     levels: Levels = field(default_factory=Levels)
 
@@ -144,7 +145,6 @@ class RangeConsistency:
 
     def _doubt(self, verdicts: Mapping[float, Verdict], scene: Scene, now_s: float) -> None:
         s = self.settings
-        fade = exp(-s.every_s / s.doubt_time_s)
         for vehicle in {v for verdict in verdicts.values() for v in verdict.doubt_m2}:
             # What came about within an interval has gone on for as long as the scene is old.
             age_s = now_s - scene.at_s
@@ -156,12 +156,14 @@ class RangeConsistency:
                 ),
                 key=np.trace,
             )
-            if np.trace(new) > 0.0:
-                self._watched_until_s[vehicle] = now_s + s.doubt_watched_s
+            if self.accused or self.suspected:
+                self._watched_until_s[vehicle] = now_s + s.watched_s
+            watched = now_s < self._watched_until_s.get(vehicle, now_s)
             present = verdicts.get(0.0)
-            if present is not None and vehicle in present.offset_m and now_s < self._watched_until_s.get(vehicle, now_s):
+            if watched and present is not None and vehicle in present.offset_m:
                 # What is left of the fault in the estimate, when the liar is not asked any more.
                 new = new + np.outer(present.offset_m[vehicle], present.offset_m[vehicle])
+            fade = exp(-s.every_s / (s.watched_time_s if watched else s.doubt_time_s))
             old = self.doubt_m2.get(vehicle)
             if old is not None and np.trace(old) * fade > np.trace(new):
                 new = old * fade

@@ -76,8 +76,8 @@ class Levels:
 
     alarm: float = 1e-6
     clear: float = 1e-2
-    doubted: float = 1e-2
-    feared: float = 1e-3
+    doubted: float = 5e-3
+    feared: float = 5e-4
     rest: float = 1e-3
     margin: float = 10.0
 

@@ -24,7 +24,7 @@ _PEERS_PER_DEVICE = 8
 _LEAST_DISTANCE_M = 1.0
 _MEDIAN_VARIANCE_GAIN = 1.57  # of the median of Gaussian values over that of their mean
 _at_s = attrgetter("at_s")
-_SIGMA_PER_DEVIATION = 1.4826  # of a Gaussian over its median absolute deviation
+_QUARTILES_PER_SIGMA = 1.35  # distance of a Gaussian's quartiles over its sigma
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,10 @@ class RangeRows:
     def _row(self, i: int, j: int, samples: list[tuple[float, float, float]]) -> Row:
         s = self.settings
         residual_m, stated_m = median(sample[1] for sample in samples), median(sample[2] for sample in samples)
-        scatter_m = _SIGMA_PER_DEVIATION * median(abs(sample[1] - residual_m) for sample in samples)
+        # Where so many are late that the median is one of them, the quartiles lie far apart.
+        ordered = sorted(sample[1] for sample in samples)
+        quarter = len(ordered) // 4
+        scatter_m = (ordered[-1 - quarter] - ordered[quarter]) / _QUARTILES_PER_SIGMA
         noise_m2 = max(stated_m, scatter_m) ** 2 * _MEDIAN_VARIANCE_GAIN / len(samples)
         return Row(i, j, residual_m, sqrt(noise_m2 + s.slow_share * stated_m**2), s.range_bias_m)
 
