@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import gc
 import logging
 import sys
 from enum import Enum
@@ -140,11 +139,7 @@ def run(
         raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")
     console = Console(file=own_stream(sys.stdout))
     _log_to_stderr(log_level, console)
-    service = Service(fleets)
-    # What the start has built stays: a full collection that looked at it each time would hold up the aid for 50 ms and more.
-    gc.collect()
-    gc.freeze()
-    asyncio.run(service.run(console))
+    asyncio.run(Service(fleets).run(console))
 
 
 @app.command("check-config")
