@@ -67,7 +67,7 @@ def test_a_jammed_receiver_is_never_believed_and_gps_primary_decides_whether_the
 )
 def test_a_peer_walked_off_is_found_and_what_the_subject_is_told_meanwhile_stays_within_what_is_claimed(speed_mps, mutual):
     # Half a metre a second hides in a receiver's own slow errors for a long time; the bound grows meanwhile.
-    lasts_s = 65.0 if speed_mps < 1.0 else 35.0
+    lasts_s = 65.0 if speed_mps < 1.0 else 25.0
     walked_off = fault("gps_spoofed", PEER, FROM_S, speed_mps=speed_mps)
     out = fly_through(LOST, walked_off, duration_s=FROM_S + lasts_s, mutual=mutual)
     assert out.first(PEER, "suspect", "failed", after_s=FROM_S) < FROM_S + 0.8 * lasts_s
@@ -86,9 +86,8 @@ def test_a_peer_whose_position_steps_is_suspected_at_once_and_harms_nobody():
     assert out.worst_ratio(SUBJECT, FROM_S) < HONEST
 
 
-@pytest.mark.parametrize("kind", ["gps_frozen", "gps_jammed"])
-def test_a_second_aircraft_that_fails_is_located_as_well_and_the_first_is_not_harmed(kind):
-    out = fly_through(LOST, fault(kind, PEER, FROM_S), duration_s=FROM_S + 20.0, mutual=True)
+def test_a_peer_that_is_jammed_is_located_as_well_and_the_first_is_not_harmed():
+    out = fly_through(LOST, fault("gps_jammed", PEER, FROM_S), duration_s=FROM_S + 20.0, mutual=True)
     assert out.first(PEER, "failed", after_s=FROM_S) < FROM_S + 6.0
     assert not out.distrusted(FROM_S) & OTHERS
     assert out.share_located(PEER, FROM_S + 8.0) > 0.9
