@@ -42,7 +42,7 @@ class Navigation:
         self._reset_after_s = reset_after_s
         self.position_m: tuple[float, float] | None = None
         self.glitching = False
-        self._air: tuple[float, float] = (0.0, 0.0)
+        self._air: tuple[float, float] | None = None  # not measured yet
         self._wind = [0.0, 0.0]
         self._p = _Covariance(0.0, 0.0, _FIRST_WIND_SIGMA_MPS**2)
         self._position_at_s = -math.inf
@@ -51,7 +51,8 @@ class Navigation:
     @property
     def velocity_mps(self) -> tuple[float, float]:
         """Velocity over ground, east and north, m/s."""
-        return self._air[0] + self._wind[0], self._air[1] + self._wind[1]
+        air_east, air_north = self._air or (0.0, 0.0)
+        return air_east + self._wind[0], air_north + self._wind[1]
 
     @property
     def wind_mps(self) -> tuple[float, float]:
@@ -151,6 +152,8 @@ class Navigation:
         self.glitching = False
 
     def _take_velocity(self, velocity_mps: tuple[float, float], at_s: float) -> None:
+        if self._air is None:
+            return  # without the airspeed beside it, all of the velocity would be taken for wind
         self._wind = [velocity_mps[0] - self._air[0], velocity_mps[1] - self._air[1]]
         self._p.pw, self._p.ww = 0.0, _FIRST_WIND_SIGMA_MPS**2
         self._velocity_at_s = at_s

@@ -115,3 +115,11 @@ def test_ekf_flags_and_gps_health_follow_the_loss_as_seen_on_arduplane():
     assert {m.flags for m in parse(aided, "EKF_STATUS_REPORT", 1)[-4:]} == {831}
     assert {m.onboard_control_sensors_health & 0x20 for m in parse(aided, "SYS_STATUS", 1)[-4:]} == {0x20}
     assert {m.fix_type for m in parse(aided, "GPS_RAW_INT", 1)} == {1}
+
+
+def test_a_fix_that_comes_before_any_airspeed_is_not_taken_for_wind():
+    nav = Navigation(reset_after_s=10.0)
+    nav.correct(fix(0.0, 0.0, 0.0, 50.0), 0.0)
+    assert nav.wind_mps == (0.0, 0.0)
+    nav.predict(50.0, 0.0, 0.02)
+    assert nav.velocity_mps == pytest.approx((0.0, 50.0))
