@@ -18,6 +18,7 @@ from gcs_coloc.estimators.fleet_motion import (
     STEEPEST_BANK_RAD,
     TURN,
     VELOCITY,
+    WIND,
     acceleration_noise,
     fade_slow_states,
     set_turn_column,
@@ -197,9 +198,14 @@ class Cluster:
             monitor.add(we, wn, wu, whitened)
 
     def widen(self, vehicle: int, position_m2: float) -> None:
-        """Add uncertainty to a vehicle that the ranges contradict: position variance in m^2 per axis, velocity to match."""
-        start = self.joint.start[vehicle]
+        """Add uncertainty to a vehicle that the ranges contradict: position variance in m^2 per axis, velocity to match.
+
+        The wind goes with the velocity: one that was learned from a false velocity would bring it back with the next air data.
+        """
+        P, start = self.joint.P, self.joint.start[vehicle]
         time2_s2 = 4.0
         for axis in range(3):
-            self.joint.P[start + axis, start + axis] += position_m2
-            self.joint.P[start + 3 + axis, start + 3 + axis] += position_m2 / time2_s2
+            P[start + axis, start + axis] += position_m2
+            P[start + 3 + axis, start + 3 + axis] += position_m2 / time2_s2
+        for axis in (WIND.start, WIND.start + 1):
+            P[start + axis, start + axis] += position_m2 / time2_s2
