@@ -40,9 +40,9 @@ def doctor(
     settings = load_settings(config, flags)
     if not settings.links:
         raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")
-    print(f"listening on {', '.join(settings.links)} for {seconds:g} s", file=sys.stderr)
+    told = f"listening on {', '.join(settings.links)} for {seconds:g} s"
     clock = ServiceClock()
-    findings = asyncio.run(listen(settings, seconds, clock, read_host_clock(clock())))
+    findings = asyncio.run(listen(settings, seconds, clock, read_host_clock(clock()), lambda: print(told, file=sys.stderr)))
     setup = Setup(
         settings.mavlink.system_id,
         settings.aid,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 
 from gcs_coloc.clock import ServiceClock
 from gcs_coloc.config import Settings
@@ -23,8 +23,10 @@ _ASK_EVERY_S = 0.1
 _HEARTBEAT_EVERY_S = 1.0
 
 
-async def listen(settings: Settings, seconds: float, clock: ServiceClock, host: ClockReference) -> Findings:
-    """Listen on the links of `settings` for so long, asking on the way.
+async def listen(
+    settings: Settings, seconds: float, clock: ServiceClock, host: ClockReference, opened: Callable[[], None]
+) -> Findings:
+    """Listen on the links of `settings` for so long, asking on the way; `opened` is called once they are open.
 
     Raises:
         LinkError: a link cannot be opened.
@@ -62,6 +64,7 @@ async def listen(settings: Settings, seconds: float, clock: ServiceClock, host: 
     try:
         for link in links:
             await link.open()
+        opened()
         greet_at_s = start_s
         while (now_s := clock()) < start_s + seconds:
             if now_s >= greet_at_s:

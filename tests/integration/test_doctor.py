@@ -86,7 +86,8 @@ def test_a_port_in_use_and_a_missing_link_end_in_one_line(free_port):
         )
     assert told.returncode == 1
     assert told.stdout == ""
-    assert told.stderr.splitlines()[-1].startswith("gcs-coloc: error: udpin:")
+    (line,) = told.stderr.splitlines()
+    assert line.startswith("gcs-coloc: error: udpin:")
     told = subprocess.run(doctor, capture_output=True, text=True, timeout=60, check=False)
     assert told.returncode == 2
     assert len(told.stderr.strip().splitlines()) == 1

@@ -53,7 +53,7 @@ def examine(signing):
         settings = Settings(links=(f"udpout:127.0.0.1:{port}",), signing=signing)
         clock = ServiceClock()
         try:
-            return await listen(settings, 4.0, clock, read_host_clock(clock()))
+            return await listen(settings, 4.0, clock, read_host_clock(clock()), lambda: None)
         finally:
             transport.close()
 
