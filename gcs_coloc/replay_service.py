@@ -23,8 +23,12 @@ from gcs_coloc.web.story import Story
 class ReplayService:
     """Serves one recording. `run` lasts until a signal."""
 
-    def __init__(self, file: Path, settings: Settings, ranges: Path | None, truth: Path | None, speed: float) -> None:
-        """Read what there is beside the recording, and its beginning and end. `speed` in recorded seconds a second.
+    def __init__(
+        self, file: Path, settings: Settings, ranges: Path | None, truth: Path | None, speed: float, *, as_flown: bool = True
+    ) -> None:
+        """Read what there is beside the recording, and its beginning and end.
+
+        `speed` in recorded seconds a second, `as_flown` as `Replay`.
 
         Raises:
             DataError: a file cannot be read or is not what it should be.
@@ -38,7 +42,7 @@ class ReplayService:
         def begin(on_poll: OnPoll) -> Replay:
             engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
             self._log = TlogReader(file)
-            return Replay(engine, self._log, told, on_poll, own)
+            return Replay(engine, self._log, told, on_poll, own, as_flown=as_flown)
 
         story = Story()
         self._playback = Playback(begin, Playhead(*self._log.span(), speed), story, lambda: self._log.counts)

@@ -28,7 +28,7 @@ def report(
 ) -> None:
     """Write one self-contained HTML page of a recorded flight."""
     settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {})
-    story = retell(file, settings, ranges, truth)
+    story = retell(file, settings, ranges, truth, as_flown=estimator is None)
     warn_of_damage(file, story.damage)
     path = out if out is not None else file.with_suffix(".html")
     try:

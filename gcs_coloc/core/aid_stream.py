@@ -31,9 +31,22 @@ class Purpose(Enum):
 
 
 class AidStream:
-    """One vehicle's. `no_fix_because` is why the last message carried no fix, `uptake` whether its receiver takes them."""
+    """One vehicle's. `no_fix_because` is why the last message carried no fix, `uptake` whether its receiver takes them.
 
-    def __init__(self, vehicle: Vehicle, name: WayName, way: Way, settings: AidSettings, now_s: float, purpose: Purpose) -> None:
+    `on_air`: what is told is sent; else what the vehicle says of its receiver is no answer to it, and `uptake` is None.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        name: WayName,
+        way: Way,
+        settings: AidSettings,
+        now_s: float,
+        purpose: Purpose,
+        *,
+        on_air: bool = True,
+    ) -> None:
         self.vehicle = vehicle
         self.name = name
         self.way = way
@@ -42,7 +55,8 @@ class AidStream:
         self.due_s = now_s
         self.no_fix_because: str | None = "not sent yet"
         self.flickered = False
-        watched = feeds_receiver(name) and settings.gps_id < _WATCHED_RECEIVERS
+        self._on_air = on_air
+        watched = on_air and feeds_receiver(name) and settings.gps_id < _WATCHED_RECEIVERS
         self.uptake = Uptake(settings.gps_id, now_s) if watched else None
         self._policy = FixPolicy(settings, now_s)
         self._period_s = 1.0 / settings.rate_hz
@@ -75,6 +89,7 @@ class AidStream:
             no_fix_because=reason,
             locate=lambda at_s: answer(vehicle.sysid, at_s),
             standby=self.purpose is not Purpose.AID,
+            on_air=self._on_air,
         )
         out: list[Outbound] = list(self.way.tell(moment))
         for message in out:

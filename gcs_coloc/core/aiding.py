@@ -25,12 +25,14 @@ class Aiding:
     """Keeps one stream of aid for each vehicle that is to have one and can be reached.
 
     `withheld` says why nobody may be aided at all, or is None. `words` and `primary_words` are what the operator decided, by
-    system id. `refused` counts what vehicles refuse, by reason.
+    system id. `on_air`: what is to be sent is sent, so that vehicles can be expected to take it. `refused` counts what vehicles
+    refuse, by reason.
     """
 
     def __init__(self, settings: AidSettings) -> None:
         self.settings = settings
         self.withheld: str | None = None
+        self.on_air = True
         self.words: dict[int, AidWord] = {}
         self.primary_words: dict[int, PrimaryWord] = {}
         self.parameters = Parameters()
@@ -150,7 +152,7 @@ class Aiding:
     def _begin(self, vehicle: Vehicle, purpose: Purpose, now_s: float) -> AidStream:
         name = way_name(vehicle, self.settings)
         way = make_way(name, vehicle, self.settings, self.parameters, self.refused)
-        return AidStream(vehicle, name, way, self.settings, now_s, purpose)
+        return AidStream(vehicle, name, way, self.settings, now_s, purpose, on_air=self.on_air)
 
     def _end(self, stream: AidStream, hindrance: str | None, now_s: float) -> list[Outbound]:
         vehicle = stream.vehicle

@@ -33,6 +33,7 @@ from gcs_coloc.core.messages import (
     Heartbeat,
     Inbound,
     Notice,
+    OffAir,
     OperatorWord,
     Outbound,
     PeerRange,
@@ -98,6 +99,9 @@ class Engine:
             self._housekeeping_due_s = at_s
         if isinstance(message, ClockReference):
             self._host_time(message)
+            return
+        if isinstance(message, OffAir):
+            self.aiding.on_air = False
             return
         if isinstance(message, RouteReport):
             # Word from the link layer is no sign of life.

@@ -62,7 +62,7 @@ class ExternalPositionWay:
         lat_deg, lon_deg, _ = frame.geodetic_from_enu(*(float(x) for x in where.position_enu_m))
         sent_s = (moment.now_s - self._clock_began_s) % _WRAPS_S
         out: list[Aid | Notice] = []
-        if self._unanswered == _UNANSWERED:
+        if self._unanswered == _UNANSWERED and moment.on_air:
             out.append(Notice(moment.now_s, self._sysid, "warning", "it does not answer to external position estimates"))
         self._unanswered += 1
         return [*out, ExternalPosition(self._sysid, sent_s, lat_deg, lon_deg, horizontal_sigma_m(where.covariance))]

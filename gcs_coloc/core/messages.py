@@ -234,6 +234,16 @@ class RouteReport:
     blocked: str | None
 
 
+@dataclass(frozen=True, slots=True)
+class OffAir:
+    """From now on nothing that the engine has to send reaches anybody: how vehicles answer to it is not to be judged.
+
+    So it is when somebody else's recording is replayed, or a flight of ours in another way than it was flown.
+    """
+
+    received_at_s: float
+
+
 Inbound = (
     Heartbeat
     | GlobalPosition
@@ -251,6 +261,7 @@ Inbound = (
     | ClockReference
     | OperatorWord
     | RouteReport
+    | OffAir
 )
 
 

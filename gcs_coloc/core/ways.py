@@ -27,6 +27,7 @@ class Moment:
 
     `where` is the answer for the time that the way's `age_s` asks for, `arrives_s` when what is sent now arrives,
     `no_fix_because` the policy's word on it; `locate` answers for other times. `standby`: the vehicle's own receiver is in use.
+    `on_air`: what is told is sent, so that an answer may be expected.
     """
 
     now_s: float
@@ -37,6 +38,7 @@ class Moment:
     no_fix_because: str | None
     locate: Callable[[float], Estimate | Unknown]
     standby: bool
+    on_air: bool = True
 
     def unix_us(self, at_s: float) -> int:
         """A service time as UNIX time in microseconds, 0 where that is not known."""

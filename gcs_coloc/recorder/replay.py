@@ -15,7 +15,7 @@ from pathlib import Path
 from gcs_coloc.core.advance import CATCH_UP_S, HeldUp, advance
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import DataError
-from gcs_coloc.core.messages import ClockReference, Inbound, OperatorWord, Outbound, PeerRange, RouteReport, TimeBase
+from gcs_coloc.core.messages import ClockReference, Inbound, OffAir, OperatorWord, Outbound, PeerRange, RouteReport, TimeBase
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.framing import RawFrame, sender_of
@@ -133,6 +133,8 @@ class Replay:
         ranges: Iterable[PeerRange],
         on_poll: Callable[[float, list[Outbound]], None],
         own: tuple[int, int] = (OWN_SYSID, OWN_COMPID),
+        *,
+        as_flown: bool = True,
     ) -> None:
         """Read up to the first message.
 
@@ -142,6 +144,8 @@ class Replay:
             ranges: ranges that the frames do not carry, in order of time.
             on_poll: takes the service time (UNIX s) and the engine's outputs of each of its deadlines.
             own: the system and component id of the service that recorded: what it sent itself is passed over.
+            as_flown: the engine is the one of the flight. Else, as with another program's recording, what it sends was never on
+                the air, and how vehicles take it is not judged.
 
         Raises:
             DataError: the recording cannot be read or is none.
@@ -153,7 +157,9 @@ class Replay:
         self.truths: dict[int, HeardTruth] = {}
         self._on_poll = on_poll
         self._messages = heapq.merge(
-            _messages(log, self.decoder, own, self.counts, self.truths), ranges, key=lambda message: message.received_at_s
+            _messages(log, self.decoder, own, self.counts, self.truths, as_flown=as_flown),
+            ranges,
+            key=lambda message: message.received_at_s,
         )
         self.now_s = float("-inf")
         self._next = next(self._messages, None)
@@ -222,7 +228,13 @@ def replay(
 
 
 def _messages(
-    log: TlogReader, decoder: Decoder, own: tuple[int, int], counts: ReplayCounts, truths: dict[int, HeardTruth]
+    log: TlogReader,
+    decoder: Decoder,
+    own: tuple[int, int],
+    counts: ReplayCounts,
+    truths: dict[int, HeardTruth],
+    *,
+    as_flown: bool,
 ) -> Iterator[Inbound | HeldUp]:
     latest_s = float("-inf")
     routes: dict[int, str | None] = {}
@@ -233,6 +245,8 @@ def _messages(
         noted = read_note(record.frame, latest_s, own)
         if counts.records == 0:
             counts.first_s = latest_s
+            if noted is None or not as_flown:
+                yield OffAir(latest_s)
             if noted is None:
                 # Another program's recording: its clock is all that is known of UTC, and every vehicle is taken as reached.
                 yield ClockReference(latest_s, 0.0)

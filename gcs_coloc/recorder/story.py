@@ -32,7 +32,7 @@ class Story:
     notices: list[Notice] = field(default_factory=list)
 
 
-def retell(file: Path, settings: Settings, ranges: Path | None, truth: Path | None) -> Story:
+def retell(file: Path, settings: Settings, ranges: Path | None, truth: Path | None, *, as_flown: bool = True) -> Story:
     """Replay a recording and keep what there is to tell.
 
     Args:
@@ -40,6 +40,7 @@ def retell(file: Path, settings: Settings, ranges: Path | None, truth: Path | No
         settings: those of the flight.
         ranges: a table of ranges beside the recording, or None.
         truth: a table of true positions, or None.
+        as_flown: as `Replay`.
 
     Raises:
         DataError: a file cannot be read or is not what it should be.
@@ -65,5 +66,6 @@ def retell(file: Path, settings: Settings, ranges: Path | None, truth: Path | No
 
     own = (settings.mavlink.system_id, settings.mavlink.component_id)
     told = read_ranges(ranges) if ranges is not None else []
-    story.counts = replay(Replay(engine, log, told, on_poll, own), report.observation_times(), report.observe)
+    through = Replay(engine, log, told, on_poll, own, as_flown=as_flown)
+    story.counts = replay(through, report.observation_times(), report.observe)
     return story

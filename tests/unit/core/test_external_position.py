@@ -10,7 +10,7 @@ from engine_flights import StraightLine, fly, settings
 from gcs_coloc.core.aid_messages import CommandResult, ExternalPosition, ParameterRequest, ParameterValue
 from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import GpsInput, Notice, PeerRange, TimeBase
+from gcs_coloc.core.messages import GpsInput, Notice, OffAir, PeerRange, TimeBase
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 COMMAND = 43003
@@ -93,6 +93,14 @@ def test_a_vehicle_that_does_not_answer_keeps_its_gps_input_and_is_told_of_once(
     out = flown(engine_with(10.0), 5.0, 25.0, None)
     assert fix_types(out, 7.0) == {3}
     assert texts(out).count("it does not answer to external position estimates") == 1
+
+
+def test_where_nothing_is_on_the_air_no_answer_is_missed():
+    engine = engine_with(10.0)
+    engine.receive(OffAir(5.0))
+    out = flown(engine, 5.0, 25.0, None)
+    assert of(out, ExternalPosition)
+    assert not [text for text in texts(out) if "does not answer" in text or "not taken" in text]
 
 
 def test_the_vehicles_own_checks_decide_what_is_coarse():

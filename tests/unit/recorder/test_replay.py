@@ -11,7 +11,7 @@ import pytest
 from gcs_coloc.core.advance import CATCH_UP_S, advance, was_held_up
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import DataError
-from gcs_coloc.core.messages import ClockReference, GpsInput, HealthChanged, RouteReport, TimeBase
+from gcs_coloc.core.messages import ClockReference, GpsInput, HealthChanged, Notice, RouteReport, TimeBase
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
@@ -75,6 +75,33 @@ def test_the_lost_vehicle_is_found_out_aided_and_located(recorded):
     assert score.horizontal.rmse_m < 4.5
     assert score.beyond_three_bounds == 0.0
     assert report.score(1) is None
+
+
+def told_of(path: Path, **how) -> set[str]:
+    told: set[str] = set()
+    through = Replay(
+        Engine(load_estimator("fleet", {})),
+        TlogReader(path),
+        [],
+        lambda _, polled: told.update(o.text for o in polled if isinstance(o, Notice)),
+        **how,
+    )
+    replay(through)
+    return told
+
+
+def test_only_in_our_own_recording_as_it_was_flown_is_it_judged_whether_our_stream_is_taken(recorded, tmp_path):
+    """Vehicle 4 is located, and its GPS2 says nothing of it: as nothing was sent in the flight of another program."""
+    path, ours = recorded[0], tmp_path / "ours.tlog"
+    ours.write_bytes(
+        tlog_record(EPOCH_S, NoteWriter(OWN_SYSID, OWN_COMPID).pack(ClockReference(EPOCH_S, 0.0))) + path.read_bytes()
+    )
+    alarms = [
+        {text for text in told if "not taken" in text} for told in (told_of(ours), told_of(ours, as_flown=False), told_of(path))
+    ]
+    assert all("GPS_INPUT is not taken" in text for text in alarms[0])
+    assert [len(texts) for texts in alarms] == [1, 0, 0]
+    assert "located: sending positions" in told_of(path)
 
 
 def test_a_recording_cut_off_in_a_frame_replays_to_its_last_whole_message_and_says_so(recorded, tmp_path):
