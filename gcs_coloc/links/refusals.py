@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 
 # Part of every healthy day: other programs' messages, our own frames come back, radios that deliver twice.
 _QUIET = frozenset({"not_wanted", "unknown_message", "echo", "duplicate", "unsigned_radio_status"})
+# Counted and shown, but nothing to warn of: vehicles answer to every ground station that commands them.
+_UNTOLD = frozenset({"answer_to_another"})
 _MENDS = {
     "address_conflict": "two senders use one system id: give every vehicle its own (SYSID_THISMAV or MAV_SYSID)",
     "unsigned": "a link that requires signatures: give the vehicle the key, or is somebody pretending?",
@@ -44,6 +46,8 @@ class Refusals:
         now = self._sum()
         grown = now - self._told
         self._told = now
+        for reason in _UNTOLD:
+            del grown[reason]
         if not grown:
             return None
         items = ", ".join(f"{reason} {times}" for reason, times in grown.most_common(6))

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import NamedTuple
 
-from pymavlink.dialects.v20.ardupilotmega import MAV_COMP_ID_AUTOPILOT1, MAVLINK_MSG_ID_GPS_INPUT
+from pymavlink.dialects.v20.ardupilotmega import (
+    MAV_COMP_ID_AUTOPILOT1,
+    MAVLINK_MSG_ID_COMMAND_ACK,
+    MAVLINK_MSG_ID_GPS_INPUT,
+)
 
 from gcs_coloc.core.messages import Heartbeat, Inbound
 from gcs_coloc.mavlink import framing
@@ -15,6 +19,7 @@ from gcs_coloc.mavlink.dialect import MESSAGE_CLASSES, OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.inbound import AUTOPILOT_CONVERTERS, CONVERTERS
 from gcs_coloc.mavlink.sequence import DUPLICATE, SequenceTracker
 from gcs_coloc.mavlink.signing import LinkSigning
+from gcs_coloc.mavlink.targets import target_of
 
 MAX_AUTOPILOTS = 1024
 
@@ -22,6 +27,7 @@ NOT_WANTED = "not_wanted"
 NOT_FROM_AUTOPILOT = "not_from_autopilot"
 UNKNOWN_MESSAGE = "unknown_message"
 ECHO = "echo"
+ANSWER_TO_ANOTHER = "answer_to_another"
 OWN_SYSID_USED = "own_sysid"
 INVALID_SYSID = "invalid_value:header.sysid"
 
@@ -48,8 +54,8 @@ class Decoder:
 
     Reasons: those of `framing`; unknown_message (in no dialect of ours); not_wanted (known, but of no use to the core);
     not_from_autopilot (a message that only an autopilot can send about its vehicle, from another component);
-    duplicate; echo (our own frame come back); own_sysid (our system id from another component);
-    invalid_value:MESSAGE.field; those of `signing` where a link is signed.
+    answer_to_another (COMMAND_ACK addressed to another ground station); duplicate; echo (our own frame come back);
+    own_sysid (our system id from another component); invalid_value:MESSAGE.field; those of `signing` where a link is signed.
     """
 
     def __init__(self, *, own_sysid: int = OWN_SYSID, own_compid: int = OWN_COMPID) -> None:
@@ -113,7 +119,14 @@ class Decoder:
     def _is_autopilot(self, sender: tuple[int, int]) -> bool:
         return sender[1] == MAV_COMP_ID_AUTOPILOT1 or sender in self._autopilots
 
+    def _is_for_us(self, raw: framing.RawFrame) -> bool:
+        """Whether a frame is addressed to us or, as in MAVLink 1 where these fields are absent, to nobody in particular."""
+        return all(target in (0, own) for target, own in zip(target_of(raw), self._own, strict=True))
+
     def _message(self, raw: framing.RawFrame, received_at_s: float) -> Inbound | None:
+        if raw.message_id == MAVLINK_MSG_ID_COMMAND_ACK and not self._is_for_us(raw):
+            self.counts.add(ANSWER_TO_ANOTHER)
+            return None
         unpacker, name, convert = self._layouts[raw.message_id]
         # MAVLink 2 cuts off trailing zeros, MAVLink 1 knows no extension fields, a newer sender may add fields of its own.
         payload = raw.payload.ljust(unpacker.size, b"\0")

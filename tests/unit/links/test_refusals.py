@@ -19,3 +19,11 @@ def test_only_what_is_new_is_told():
     wire.add("bad_crc", 2)
     assert refusals.news() == "refused on the links: bad_crc 2"
     assert refusals.totals() == {"bad_crc": 5, "address_conflict": 1}
+
+
+def test_answers_to_another_ground_station_are_counted_and_nothing_to_warn_of():
+    wire = Counts()
+    refusals = Refusals([wire])
+    wire.add("answer_to_another", 7)
+    assert refusals.news() is None
+    assert refusals.totals() == {"answer_to_another": 7}

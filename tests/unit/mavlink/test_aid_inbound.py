@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from pymavlink.dialects.v10 import ardupilotmega as mavlink1
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.aid_messages import CommandResult, OtherAid, ParameterValue
@@ -23,6 +24,31 @@ def test_the_answer_to_a_command_is_taken_from_the_autopilot_alone():
     ack = mavlink.MAVLink_command_ack_message(43003, 4, target_system=254, target_component=191)
     assert decoded(ack) == ([CommandResult(4, 5.0, 43003, 4)], {})
     assert decoded(ack, compid=100) == ([], {"not_from_autopilot": 1})
+
+
+@pytest.mark.parametrize(
+    ("target", "ours"),
+    [
+        ((254, 191), True),
+        ((0, 0), True),
+        ((254, 0), True),
+        ((255, 190), False),
+        ((254, 190), False),
+        ((255, 0), False),
+        ((0, 190), False),
+    ],
+)
+def test_the_answer_to_another_ground_stations_command_is_not_taken_for_ours(target, ours):
+    ack = mavlink.MAVLink_command_ack_message(43003, 0, target_system=target[0], target_component=target[1])
+    taken, counts = decoded(ack)
+    assert (taken, counts) == (([CommandResult(4, 5.0, 43003, 0)], {}) if ours else ([None], {"answer_to_another": 1}))
+
+
+def test_an_answer_in_mavlink_1_has_no_address_and_is_taken():
+    ack = mavlink1.MAVLink_command_ack_message(43003, 0)
+    frame = bytes(ack.pack(mavlink1.MAVLink(None, srcSystem=4, srcComponent=1)))
+    assert (frame[0], frame[1]) == (0xFE, 3)
+    assert [taken.message for taken in Decoder().decode(frame, 5.0)] == [CommandResult(4, 5.0, 43003, 0)]
 
 
 @pytest.mark.parametrize("name", [b"GPS_PRIMARY", b"SIXTEEN_LETTERS_"])
