@@ -53,6 +53,7 @@ class Outcome:
 
     flight: Flight
     said: list[tuple[float, Outbound]]
+    refused: dict[str, int]
 
     def first(self, sysid: int, *states: str, after_s: float = 0.0) -> float:
         """When a vehicle's GPS health first became one of some states; infinity for never."""
@@ -101,6 +102,10 @@ class Outcome:
     def worst_belief_m(self, sysid: int, from_s: float, to_s: float = float("inf")) -> float:
         """How far the vehicle's autopilot believed itself from where it was, at most, within a time, m."""
         return max(_belief_error_m(s) for s in self.flight.samples[sysid] if from_s <= s.at_s < to_s)
+
+    def warnings(self, sysid: int) -> list[tuple[float, str]]:
+        """What the operator was warned of about a vehicle, with the time."""
+        return [(t, m.text) for t, m in self.said if isinstance(m, Notice) and m.sysid == sysid and m.level == "warning"]
 
     def words(self, sysid: int) -> list[str]:
         """What the operator was told about a vehicle."""
@@ -152,4 +157,4 @@ def fly_through(
             vehicle["autopilot"] = autopilot
     engine = _Watched()
     flight = fly(Scenario.model_validate(table), seed, engine, duration_s=duration_s)
-    return Outcome(flight, engine.said)
+    return Outcome(flight, engine.said, engine.refused())

@@ -241,7 +241,7 @@ class Engine:
                 vehicle.attitude = message
                 measurement = self.feed.attitude(message, vehicle)
             case PeerRange():
-                measurement = self.feed.range(message, vehicle, self.fleet.get(message.peer_sysid))
+                measurement = self._range(message, vehicle)
             case SystemTime():
                 vehicle.utc_minus_service_s = self.feed.utc_minus_service_s(message, vehicle)
             case TimeSyncAnswer():
@@ -272,6 +272,19 @@ class Engine:
             self.integrity.range(measurement)
         if measurement is not None:
             self.estimator.add(measurement)
+
+    def _range(self, message: PeerRange, vehicle: Vehicle) -> RangeMeasurement | None:
+        pair = (message.peer_sysid, message.device_id)
+        stuck = pair in vehicle.range_repeats.stuck
+        measurement = self.feed.range(message, vehicle, self.fleet.get(message.peer_sysid))
+        if stuck != (pair in vehicle.range_repeats.stuck):
+            device = f"its ranging device {message.device_id}"
+            if stuck:
+                self._say(message.received_at_s, vehicle.sysid, "info", f"{device} measures {message.peer_sysid} again")
+            else:
+                text = f"{device} repeats one value, {message.range_m:.2f} m to {message.peer_sysid}: it is stuck and not used"
+                self._say(message.received_at_s, vehicle.sysid, "warning", text)
+        return measurement
 
     def _review(self, vehicle: Vehicle, now_s: float) -> None:
         before = vehicle.health.state

@@ -116,6 +116,9 @@ class Feed:
         measured = self._range_time(message, vehicle)
         if measured is None:
             return None
+        if vehicle.range_repeats.take(message.peer_sysid, message.device_id, message.range_m, message.measured_at_s):
+            self.refused["range: its device repeats one value"] += 1
+            return None
         sigma_m = message.sigma_m if message.sigma_m is not None else self.settings.range_sigma_m
         error_m = hypot(sigma_m, self._accuracy(peer.receiver)[0])
         before_m = vehicle.range_error_m if vehicle.range_error_m is not None else error_m

@@ -9,6 +9,7 @@ from gcs_coloc.core.clocks import VehicleClock
 from gcs_coloc.core.health import GpsHealth, HealthSettings
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages import Airspeed, Attitude, Autopilot, GlobalPosition, GpsReceiver, TimeBase
+from gcs_coloc.core.repeated_range import RangeRepeats
 from gcs_coloc.core.timing import SenderClock
 
 
@@ -20,7 +21,7 @@ class Vehicle:
     peers' positions in it. `range_misfit` is the median NIS of those of the last seconds, its own and to it. `last_known_enu_m`
     is where the estimator last had it (east, north). `delay_s` is how much longer its newest position was on the way (beyond
     what is assumed, where TIMESYNC is not answered).
-    `utc_minus_service_s` is UTC as it last told it.
+    `utc_minus_service_s` is UTC as it last told it. `range_repeats` knows which of its ranges are stuck.
     """
 
     sysid: int
@@ -41,6 +42,7 @@ class Vehicle:
     utc_minus_service_s: float | None = None
     clock: VehicleClock = field(default_factory=VehicleClock)
     range_clocks: dict[tuple[TimeBase, int], SenderClock] = field(default_factory=dict)
+    range_repeats: RangeRepeats = field(default_factory=RangeRepeats)
 
 
 class Fleet:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from engine_flights import ALT, LAT, LON, StraightLine, aids, fly, settings
+from engine_flights import ALT, LAT, LON, StraightLine, aids, fly, settings, telemetry
 
 from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
@@ -285,3 +285,25 @@ def test_an_estimator_that_refuses_a_measurement_is_told_of_once():
     out = fly(engine, 0.0, 5.0)
     assert len([o for _, o in out if isinstance(o, Notice) and "ZeroDivisionError" in o.text]) == 1
     assert engine.view(5.0).estimator_counts["raised an exception"] > 100
+
+
+def test_a_stuck_ranging_device_is_named_its_ranges_are_refused_and_its_first_new_value_is_used():
+    rng = np.random.default_rng(1)
+    engine = Engine(StraightLine(), settings())
+    said, value = [], 500.0
+    for step in range(200):
+        t = step * 0.1
+        for sysid in (1, 4):
+            for message in telemetry(sysid, t):
+                engine.receive(message)
+        if not 100 <= step < 150:
+            value = 500.0 + float(rng.standard_normal())
+        engine.receive(PeerRange(4, t, 1, value, 1.0, t, TimeBase.BOOT, step, None, 7))
+        said += [(step, m) for m in engine.poll(t) if isinstance(m, Notice) and "ranging device" in m.text]
+    (stuck, found), (back, again) = said
+    assert 102 <= stuck <= 110
+    assert (found.sysid, found.level) == (4, "warning")
+    assert found.text.startswith("its ranging device 7 repeats one value, ")
+    assert "m to 1: it is stuck" in found.text
+    assert (back, again.text) == (150, "its ranging device 7 measures 1 again")
+    assert engine.refused() == {"range: its device repeats one value": 150 - stuck}
