@@ -8,61 +8,30 @@ With a second, earlier scene the corrections of one vehicle at the two times are
 exp(-interval / time). What changed between the two is then judged by how far honest errors wander in that time, and not by how
 large they are.
 
+One scene is adjusted with several earlier ones in one stroke: arrays are (tests, 2 scenes, ...). A row that takes no part in a
+test has no weight there; so have all of the earlier scene in a test that has none.
+
 Source: adjustment with prior information in normal-equation form; the statistic is r'(R + H S H')^-1 r.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import hypot
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.scene import LEAST_INFORMATION, LEAST_SIGMA_M, Row, Scene, SceneArrays
 
 _RANK_TOLERANCE = 1e-6
-_LEAST_INFORMATION = 1e-9  # 1/m^2: what is known no better than to 30 km is not known
-_LEAST_SIGMA_M = 0.01
 _NEWTON_STEPS = 4
 _SETTLED_M = 0.5
 
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a vehicle is held to be: ENU (3,) in m, with the 1-sigma per axis in m; `free`: horizontally nothing is claimed."""
-
-    position_enu_m: FloatArray
-    sigma_h_m: float
-    sigma_v_m: float
-    free: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """What the ranges of one device to one peer say beyond the distance of the places, m: residual, its 1-sigma, and the
-    1-sigma of the part of the error that lasts.
-    """
-
-    from_vehicle: int
-    to_vehicle: int
-    residual_m: float
-    sigma_m: float
-    bias_m: float = 0.0
-
-    @property
-    def pair(self) -> tuple[int, int]:
-        """The device's vehicle and its peer."""
-        return self.from_vehicle, self.to_vehicle
-
-
-@dataclass(frozen=True, slots=True)
-class Scene:
-    """The fleet at one time. Every vehicle of a row has a place, and no two places of a row coincide."""
-
-    at_s: float
-    places: Mapping[int, Place]
-    rows: tuple[Row, ...]
+Past = tuple[Scene | None, float]
+"""An earlier scene, and the correlation (0 to 1) of one vehicle's corrections at the two times; None: the present alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,166 +46,223 @@ class Effect:
     corrections_m: FloatArray
 
 
+def adjust(now: Scene, pasts: Sequence[Past]) -> list[Adjustment]:
+    """Adjust `now` with each of the earlier scenes, or alone where there is None."""
+    solution = _Solution(now.arrays, pasts)
+    return [Adjustment(now, solution, number) for number in range(len(pasts))]
+
+
 class Adjustment:
-    """One adjustment. States are the corrections (3 per vehicle, in the order of `vehicles`), those of `now` first."""
+    """One adjustment. States are the corrections (3 per vehicle of the scene's arrays), those of `now` first.
 
-    def __init__(self, now: Scene, then: Scene | None = None, correlation: float = 0.0) -> None:
-        """Adjust `now`, or what both scenes hold; `correlation` is that of one vehicle's corrections at the two times, 0 to 1."""
-        scenes, self.rows = _common(now, then)
-        self.vehicles = sorted({v for row in self.rows[0] for v in row.pair})
-        self.at = {vehicle: index for index, vehicle in enumerate(self.vehicles)}
-        self.places = scenes[0].places
-        self.degrees_of_freedom = 0
-        if not self.vehicles:
-            return
-        i, j = self._ends = [np.array([self.at[row.pair[end]] for row in self.rows[0]], dtype=int) for end in (0, 1)]
-        places = [np.array([scene.places[v].position_enu_m for v in self.vehicles]) for scene in scenes]
-        self._apart_m = [place[i] - place[j] for place in places]
-        measured = [np.array([row.residual_m for row in rows]) for rows in self.rows]
-        self._ranges_m = [residual + _lengths(d) for residual, d in zip(measured, self._apart_m, strict=True)]
-        self._weights = _weights(self.rows)
-        self._prior = self._prior_information(scenes, correlation)
-        shift: FloatArray = np.zeros((len(scenes), len(self.vehicles), 3))
-        free = np.array([self.places[v].free for v in self.vehicles], dtype=bool)
-        for _ in range(_NEWTON_STEPS if free.any() else 1):
-            self._solve(shift)
-            step = self.corrections_m.reshape(shift.shape) * free[:, np.newaxis]
-            step[:, :, 2] = 0.0
-            if not np.abs(step - shift).max(initial=0.0) > _SETTLED_M:
-                break
-            shift = step
-        self._left = self._K - self._K @ self.covariance_m2 @ self._K
-        self._score = self._g - self._K @ self.corrections_m
-        unknown = np.concatenate([np.repeat(free, 3)] * len(scenes)) & (np.arange(len(self._prior)) % 3 < 2)
-        known_share = 1.0 - _LEAST_INFORMATION * np.diagonal(self.covariance_m2)[unknown]
-        self.degrees_of_freedom = len(self.rows[0]) * len(scenes) - round(float(known_share.sum()))
+    `rows` are the rows of `now` that take part, `vehicles` those that they are about.
+    """
 
-    def _prior_information(self, scenes: list[Scene], correlation: float) -> FloatArray:
-        """Return the inverse of the corrections' prior covariance: of each axis a block over the two times."""
-        size = 3 * len(self.vehicles)
-        # The inverse of [[1, c], [c, 1]] between the two times, in units of the sigmas.
-        own, cross = (1.0, 0.0) if len(scenes) == 1 else (1.0 / (1.0 - correlation**2), -correlation / (1.0 - correlation**2))
-        information = np.array([_information(scene, self.vehicles) for scene in scenes])
-        free = information[0] == _LEAST_INFORMATION
-        prior: FloatArray = np.zeros((len(scenes) * size, len(scenes) * size))
-        axis = np.arange(size)
-        for a in range(len(scenes)):
-            for b in range(len(scenes)):
-                both = np.sqrt(information[a] * information[b])
-                prior[a * size + axis, b * size + axis] = np.where(free, both * (a == b), both * (own if a == b else cross))
-        return prior
+    def __init__(self, now: Scene, solution: _Solution, number: int) -> None:
+        self.places = now.places
+        self.statistic = float(solution.statistics[number])
+        self.degrees_of_freedom = int(solution.degrees_of_freedom[number])
+        self.corrections_m = solution.corrections_m[number]
+        self._kept = np.flatnonzero(solution.kept[number])
+        self.rows: tuple[Row, ...] = now.rows
+        self.vehicles: tuple[int, ...] = now.arrays.vehicles
+        if len(self._kept) < len(now.rows):
+            self.rows = tuple(now.rows[n] for n in self._kept)
+            self.vehicles = tuple(sorted({v for row in self.rows for v in row.pair}))
+        self._at = {vehicle: index for index, vehicle in enumerate(now.arrays.vehicles)}
+        self._solution = solution
+        self._number = number
 
-    def _solve(self, shift: FloatArray) -> None:
-        """Linearise about the shifted places and solve; corrections are from the places as given."""
-        parts = [self._linearise(number, moved) for number, moved in enumerate(shift)]
-        H, r = [part[0] for part in parts], [part[1] for part in parts]
-        W, size, span = self._weights, H[0].shape[1], range(len(parts))
-        self._H = H
-        self._K: FloatArray = np.empty((len(parts) * size, len(parts) * size))
-        for a in span:
-            for b in span:
-                self._K[a * size : (a + 1) * size, b * size : (b + 1) * size] = H[a].T @ (W[a][b][:, np.newaxis] * H[b])
-        self._weighted = [sum((W[a][b] * r[b] for b in span), start=np.zeros(len(r[a]))) for a in span]
-        self._g: FloatArray = np.concatenate([H[a].T @ self._weighted[a] for a in span])
-        self.covariance_m2: FloatArray = np.asarray(np.linalg.inv(self._K + self._prior), dtype=np.float64)
-        self.corrections_m: FloatArray = self.covariance_m2 @ self._g
-        self.statistic = float(sum(r[a] @ self._weighted[a] for a in span) - self._g @ self.corrections_m)
-
-    def _linearise(self, scene: int, shift: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the design matrix (rows, 3 vehicles) and the residuals (rows,) at the places, linearised at the shifted ones."""
-        i, j = self._ends
-        moves = shift[i] - shift[j]
-        moved = self._apart_m[scene] + moves
-        distance_m = np.maximum(_lengths(moved), _LEAST_SIGMA_M)
-        unit = moved / distance_m[:, np.newaxis]
-        H: FloatArray = np.zeros((len(i), len(self.vehicles), 3))
-        number = np.arange(len(i))
-        H[number, i], H[number, j] = unit, -unit
-        r = self._ranges_m[scene] - distance_m + np.einsum("ij,ij->i", unit, moves)
-        return H.reshape(len(i), -1), r
+    def claim_gain(self, vehicle: int) -> tuple[float, int]:
+        """The drop of the statistic and the unknowns that `vehicle_effect` tells of."""
+        gains, ranks, _ = self._solution.claim_effects
+        at = self._at[vehicle]
+        return float(gains[self._number, at]), int(ranks[self._number, at])
 
     def vehicle_effect(self, vehicle: int) -> Effect:
         """What a claim that came to be off by an unknown horizontal vector explains."""
-        i = 3 * self.at[vehicle]
-        index = slice(i, i + 2)
-        inverse, rank = pinv(self._left[index, index])
-        score = self._score[index]
-        size = inverse @ score
-        corrections = self.corrections_m - self.covariance_m2 @ (self._K[:, index] @ size)
-        return Effect(float(score @ size), rank, size, corrections)
+        gain, rank = self.claim_gain(vehicle)
+        at = self._at[vehicle]
+        size = self._solution.claim_effects[2][self._number, at]
+        information = self._solution.information[self._number][:, 3 * at : 3 * at + 2]
+        return Effect(gain, rank, size, self.corrections_m - self._solution.covariance_m2[self._number] @ (information @ size))
 
     def rows_effect(self, chosen: Iterable[int]) -> Effect:
         """What one length that came to be on all of the chosen rows (their numbers) explains."""
-        b = np.zeros(len(self.rows[0]))
-        b[list(chosen)] = 1.0
-        c = np.concatenate([H.T @ (w * b) for H, w in zip(self._H, self._weights[0], strict=True)])
-        left = float(b @ (self._weights[0][0] * b) - c @ self.covariance_m2 @ c)
-        if left < max(_RANK_TOLERANCE * float(b @ (self._weights[0][0] * b)), _LEAST_INFORMATION):
+        rows = self._kept[list(chosen)]
+        alone, score, c = self._solution.length_on(self._number, rows)
+        moved = self._solution.covariance_m2[self._number] @ c
+        left = alone - float(c @ moved)
+        if left < max(_RANK_TOLERANCE * alone, LEAST_INFORMATION):
             return Effect(0.0, 0, np.zeros(1), self.corrections_m)
-        score = float(b @ self._weighted[0] - c @ self.corrections_m)
+        score -= float(c @ self.corrections_m)
         size = score / left
-        return Effect(score * size, 1, np.array([size]), self.corrections_m - self.covariance_m2 @ c * size)
+        return Effect(score * size, 1, np.array([size]), self.corrections_m - moved * size)
 
     def horizontal(self, vehicle: int, states: FloatArray) -> FloatArray:
         """Return a vehicle's horizontal part (2,) of a state vector, at the time of `now`."""
-        i = 3 * self.at[vehicle]
+        i = 3 * self._at[vehicle]
         return states[i : i + 2]
 
-    def horizontal_covariance_m2(self, vehicle: int) -> FloatArray:
-        """Return the covariance (2, 2) of a vehicle's horizontal correction, m^2."""
-        i = 3 * self.at[vehicle]
-        return self.covariance_m2[i : i + 2, i : i + 2]
+
+class _Solution:
+    """The adjustments of one scene with several earlier ones. `kept` (tests, rows): the rows that take part."""
+
+    def __init__(self, now: SceneArrays, pasts: Sequence[Past]) -> None:
+        tests, rows, states = len(pasts), len(now.pairs), 3 * len(now.vehicles)
+        self._now = now
+        self.kept: NDArray[np.bool_] = np.ones((tests, rows), dtype=bool)
+        self._apart_m: FloatArray = np.empty((tests, 2, rows, 3))
+        self._apart_m[:] = now.apart_m
+        self._ranges_m: FloatArray = np.empty((tests, 2, rows))
+        self._ranges_m[:] = now.ranges_m
+        self._weights: FloatArray = np.zeros((tests, 2, 2, rows))
+        earlier: FloatArray = np.empty((tests, states))
+        earlier[:] = now.informations
+        scenes: NDArray[np.intp] = np.ones(tests, dtype=int)
+        for test, (past, _) in enumerate(pasts):
+            if past is None:
+                self._weights[test, 0, 0] = 1.0 / now.variances_m2
+            else:
+                scenes[test] = 2
+                self._add(test, past.arrays, earlier)
+        self._prior = _prior_information(now, earlier, np.array([0.0 if past is None else c for past, c in pasts]))
+        free_variances_m2 = self._solve_by_newton()
+        known_shares = 1.0 - LEAST_INFORMATION * free_variances_m2
+        self.degrees_of_freedom = self.kept.sum(axis=1) * scenes - np.round(known_shares.sum(axis=1)).astype(int)
+
+    def _add(self, test: int, then: SceneArrays, earlier: FloatArray) -> None:
+        """Lay an earlier scene beside the present one: the rows of the pairs that both have, and what was known of the places."""
+        now = self._now
+        mine: slice | list[int] = slice(None)
+        theirs: slice | list[int] = slice(None)
+        if now.pairs == then.pairs and (now.free == then.free).all():
+            earlier[test] = then.informations
+        else:
+            mine, theirs = _common(now, then)
+            self.kept[test] = False
+            self.kept[test, mine] = True
+            was_at = {vehicle: index for index, vehicle in enumerate(then.vehicles)}
+            for at, vehicle in enumerate(now.vehicles):
+                if vehicle in was_at and now.free[at] == then.free[was_at[vehicle]]:
+                    was = was_at[vehicle]
+                    earlier[test, 3 * at : 3 * at + 3] = then.informations[3 * was : 3 * was + 3]
+        self._apart_m[test, 1, mine] = then.apart_m[theirs]
+        self._ranges_m[test, 1, mine] = then.ranges_m[theirs]
+        now_m2, then_m2 = now.variances_m2[mine], then.variances_m2[theirs]
+        lasting_m2 = now.biases_m[mine] * then.biases_m[theirs]
+        determinant = now_m2 * then_m2 - lasting_m2**2
+        # The inverse of a pair's noise covariance at the two times, which ties its rows to each other alone.
+        self._weights[test, 0, 0, mine] = then_m2 / determinant
+        self._weights[test, 1, 1, mine] = now_m2 / determinant
+        self._weights[test, 0, 1, mine] = self._weights[test, 1, 0, mine] = -lasting_m2 / determinant
+
+    def _solve_by_newton(self) -> FloatArray:
+        """Solve, and where a free place has to move far, again about where it moves; return the free states' variances, m^2."""
+        vehicles, tests = len(self._now.vehicles), len(self._weights)
+        free = np.flatnonzero(np.repeat(self._now.free, 3) & (np.arange(3 * vehicles) % 3 < 2))
+        free = np.concatenate([free, free + 3 * vehicles])
+        shift: FloatArray = np.zeros((tests, 6 * vehicles))
+        settled: NDArray[np.bool_] = np.zeros(tests, dtype=bool)
+        for _ in range(_NEWTON_STEPS if len(free) else 1):
+            free_variances_m2 = self._solve(shift.reshape(tests, 2, vehicles, 3), free)
+            step = self.corrections_m[:, free]
+            settled |= ~(np.abs(step - shift[:, free]).max(axis=1, initial=0.0) > _SETTLED_M)
+            if settled.all():
+                break
+            shift[:, free] = np.where(settled[:, np.newaxis], shift[:, free], step)
+        return free_variances_m2
+
+    def _solve(self, shift: FloatArray, free: NDArray[np.intp]) -> FloatArray:
+        """Linearise about the shifted places and solve; corrections are from the places as given."""
+        tests, _, vehicles, _ = shift.shape
+        i, j = self._now.ends
+        moves = shift[:, :, i] - shift[:, :, j]
+        moved = self._apart_m + moves
+        distances_m = np.maximum(np.sqrt((moved * moved).sum(axis=3)), LEAST_SIGMA_M)
+        units = moved / distances_m[..., np.newaxis]
+        residuals_m = self._ranges_m - distances_m + (units * moves).sum(axis=3)
+        rows = np.arange(len(i))
+        design: FloatArray = np.zeros((tests, 2, len(i), vehicles, 3))
+        design[:, :, rows, i] = units
+        design[:, :, rows, j] = -units
+        H = design.reshape(tests, 2, len(i), 3 * vehicles)
+        self._transposed = H.transpose(0, 1, 3, 2)
+        self._weighted_m = (self._weights * residuals_m[:, np.newaxis]).sum(axis=2)
+        self._g: FloatArray = (self._transposed @ self._weighted_m[..., np.newaxis]).reshape(tests, 6 * vehicles)
+        blocks = self._transposed[:, :, np.newaxis] @ (self._weights[..., np.newaxis] * H[:, np.newaxis])
+        self.information: FloatArray = blocks.transpose(0, 1, 3, 2, 4).reshape(tests, 6 * vehicles, 6 * vehicles)
+        asked: FloatArray = np.zeros((tests, 6 * vehicles, 1 + len(free)))
+        asked[:, :, 0] = self._g
+        asked[:, free, 1 + np.arange(len(free))] = 1.0
+        answers: FloatArray = np.asarray(np.linalg.solve(self.information + self._prior, asked), dtype=np.float64)
+        self.corrections_m: FloatArray = answers[:, :, 0]
+        self.statistics = (residuals_m * self._weighted_m).sum(axis=(1, 2)) - (self._g * self.corrections_m).sum(axis=1)
+        return np.asarray(answers[:, free, 1 + np.arange(len(free))])
+
+    @cached_property
+    def covariance_m2(self) -> FloatArray:
+        """The covariance of all states (tests, states, states)."""
+        return np.asarray(np.linalg.inv(self.information + self._prior))
+
+    @cached_property
+    def claim_effects(self) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
+        """For each test and vehicle, what a correction of its place at `now` by an unknown horizontal vector explains of the
+        statistic (tests, vehicles), the unknowns it takes (tests, vehicles), and the vector (tests, vehicles, 2), m.
+        """
+        K, vehicles = self.information, len(self._now.vehicles)
+        left = K - K @ self.covariance_m2 @ K
+        score = self._g - (K @ self.corrections_m[..., np.newaxis])[..., 0]
+        at = (3 * np.arange(vehicles))[:, np.newaxis] + np.arange(2)
+        inverses, ranks = pinv(left[:, at[:, :, np.newaxis], at[:, np.newaxis, :]])
+        scores = score[:, at]
+        sizes = (inverses @ scores[..., np.newaxis])[..., 0]
+        return (scores * sizes).sum(axis=2), ranks, sizes
+
+    def length_on(self, test: int, rows: NDArray[np.intp]) -> tuple[float, float, FloatArray]:
+        """One length b on some rows of `now`: b'Wb, b'Wr and H'Wb (states,), W the inverse of the rows' noise."""
+        weights = self._weights[test, :, 0, rows].T
+        c = (self._transposed[test][:, :, rows] @ weights[..., np.newaxis])[..., 0]
+        return float(weights[0].sum()), float(self._weighted_m[test, 0, rows].sum()), c.reshape(-1)
 
 
-def _information(scene: Scene, vehicles: list[int]) -> FloatArray:
-    """Return what is known of each axis of each vehicle's correction (3 vehicles,), 1/m^2."""
-    known = []
-    for place in (scene.places[v] for v in vehicles):
-        horizontal = _LEAST_INFORMATION if place.free else max(place.sigma_h_m, _LEAST_SIGMA_M) ** -2
-        known += [horizontal, horizontal, max(place.sigma_v_m, _LEAST_SIGMA_M) ** -2]
-    return np.array(known)
+def _prior_information(now: SceneArrays, earlier: FloatArray, correlations: FloatArray) -> FloatArray:
+    """Return the inverse of the corrections' prior covariance (tests, states, states): of each axis a block over two times."""
+    tests, size = earlier.shape
+    axis = np.arange(size)
+    roots = np.sqrt(np.stack([np.broadcast_to(now.informations, earlier.shape), earlier]))
+    # The inverse of [[1, c], [c, 1]] between the two times, in units of the sigmas; what is free at one time is so for itself.
+    claimed = now.informations != LEAST_INFORMATION
+    own = np.where(claimed, (1.0 / (1.0 - correlations**2))[:, np.newaxis], 1.0)
+    cross = np.where(claimed, (-correlations / (1.0 - correlations**2))[:, np.newaxis], 0.0)
+    prior: FloatArray = np.zeros((tests, 2, size, 2, size))
+    for a in (0, 1):
+        prior[:, a, axis, a, axis] = roots[a] ** 2 * own
+        prior[:, a, axis, 1 - a, axis] = roots[0] * roots[1] * cross
+    return prior.reshape(tests, 2 * size, 2 * size)
 
 
-def _common(now: Scene, then: Scene | None) -> tuple[list[Scene], list[tuple[Row, ...]]]:
-    """Return the scenes and, for each, its rows; of two scenes those of the pairs that both have, in the same order."""
-    if then is None:
-        return [now], [now.rows]
-    earlier = {row.pair: row for row in then.rows}
-    pairs = [
-        (row, earlier[row.pair])
-        for row in now.rows
-        if row.pair in earlier and all(now.places[v].free == then.places[v].free for v in row.pair)
-    ]
-    return [now, then], [tuple(pair[0] for pair in pairs), tuple(pair[1] for pair in pairs)]
+def _common(now: SceneArrays, then: SceneArrays) -> tuple[list[int], list[int]]:
+    """Return the numbers, in each of two scenes, of the rows that both have, between vehicles that claim as much in both."""
+    earlier = {pair: number for number, pair in enumerate(then.pairs)}
+    was_free = dict(zip(then.vehicles, then.free, strict=True))
+    is_free = dict(zip(now.vehicles, now.free, strict=True))
+    mine = [n for n, pair in enumerate(now.pairs) if pair in earlier and all(is_free[v] == was_free[v] for v in pair)]
+    return mine, [earlier[now.pairs[n]] for n in mine]
 
 
-def _weights(rows: list[tuple[Row, ...]]) -> list[list[FloatArray]]:
-    """Return the inverse of the rows' noise covariance: for each two scenes the weights (rows,) that tie a row to itself."""
-    variances = [np.array([row.sigma_m**2 + row.bias_m**2 for row in each]) for each in rows]
-    if len(rows) == 1:
-        return [[1.0 / variances[0]]]
-    lasting = np.array([a.bias_m * b.bias_m for a, b in zip(*rows, strict=True)])
-    determinant = variances[0] * variances[1] - lasting**2
-    return [
-        [variances[1] / determinant, -lasting / determinant],
-        [-lasting / determinant, variances[0] / determinant],
-    ]
-
-
-def pinv(A: FloatArray) -> tuple[FloatArray, int]:
-    """Return the pseudo-inverse of a symmetric (2, 2) matrix and its rank; directions that nothing measures are left out."""
-    a, b, d = float(A[0, 0]), float(A[0, 1]), float(A[1, 1])
-    mean, half = 0.5 * (a + d), hypot(0.5 * (a - d), b)
+def pinv(A: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Return the pseudo-inverses of symmetric (..., 2, 2) matrices and their ranks; what nothing measures is left out."""
+    a, b, d = A[..., 0, 0], A[..., 0, 1], A[..., 1, 1]
+    mean, half = 0.5 * (a + d), np.hypot(0.5 * (a - d), b)
     larger, smaller = mean + half, mean - half
-    least = max(larger * _RANK_TOLERANCE, _LEAST_INFORMATION)
-    if smaller > least:
-        return np.array([[d, -b], [-b, a]]) / (a * d - b * b), 2
-    if larger > least:
-        # The projection on the larger one's direction, over it.
-        return np.array([[a - smaller, b], [b, d - smaller]]) / (2.0 * half * larger), 1
-    return np.zeros((2, 2)), 0
-
-
-def _lengths(vectors: FloatArray) -> FloatArray:
-    """Return the lengths (n,) of vectors (n, 3)."""
-    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
+    least = np.maximum(larger * _RANK_TOLERANCE, LEAST_INFORMATION)
+    ranks = (larger > least).astype(int) + (smaller > least)
+    # Of rank one the projection on the larger one's direction, over it: the same form with the smaller one taken away.
+    adjugate = np.where(
+        (ranks == 2)[..., np.newaxis, np.newaxis],
+        np.stack([np.stack([d, -b], -1), np.stack([-b, a], -1)], -2),
+        np.stack([np.stack([a - smaller, b], -1), np.stack([b, d - smaller], -1)], -2),
+    )
+    over = np.where(ranks == 2, a * d - b * b, np.where(ranks == 1, 2.0 * half * larger, np.inf))
+    return adjugate / over[..., np.newaxis, np.newaxis], ranks

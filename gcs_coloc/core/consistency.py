@@ -13,10 +13,11 @@ from math import exp
 
 import numpy as np
 
-from gcs_coloc.core.adjustment import Scene
-from gcs_coloc.core.exclusion import Kind, Levels, Verdict, judge
+from gcs_coloc.core.adjustment import Past
+from gcs_coloc.core.exclusion import Kind, Levels, Verdict, judge_all
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
 from gcs_coloc.core.range_rows import RangeRows, RowSettings, Track
+from gcs_coloc.core.scene import Scene
 
 _SCENE_APART_S = 0.3
 
@@ -115,12 +116,13 @@ class RangeConsistency:
     def _verdicts(self, scene: Scene) -> dict[float, Verdict]:
         """Return the verdict of each test that can tell something, by its interval; 0 for the test of the present alone."""
         s = self.settings
-        verdicts = {0.0: judge(scene, s.levels)}
+        pasts: dict[float, Past] = {0.0: (None, 0.0)}
         for interval_s in s.intervals_s:
             wanted_s = scene.at_s - interval_s
             then = min(self._scenes, key=lambda past: abs(past.at_s - wanted_s), default=None)
             if then is not None and abs(then.at_s - wanted_s) <= _SCENE_APART_S:
-                verdicts[interval_s] = judge(scene, s.levels, then, exp(-interval_s / s.wander_time_s))
+                pasts[interval_s] = (then, exp(-interval_s / s.wander_time_s))
+        verdicts = dict(zip(pasts, judge_all(scene, s.levels, list(pasts.values())), strict=True))
         return {interval_s: verdict for interval_s, verdict in verdicts.items() if verdict is not None}
 
     def _weigh(self, verdict: Verdict, scene: Scene, streak: _Streak) -> None:

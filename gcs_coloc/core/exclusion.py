@@ -14,7 +14,7 @@ solution separation (Brown and McBurney, 1988).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
@@ -23,8 +23,9 @@ from math import hypot
 import numpy as np
 from scipy.special import chdtri
 
-from gcs_coloc.core.adjustment import Adjustment, Effect, Scene
+from gcs_coloc.core.adjustment import Adjustment, Effect, Past, adjust
 from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.scene import Scene
 
 
 class Kind(Enum):
@@ -91,18 +92,29 @@ def judge(now: Scene, levels: Levels, then: Scene | None = None, correlation: fl
     `correlation` is that of one vehicle's error at the two times. None where there are more unknowns than rows and nothing can be
     told.
     """
-    fit = Adjustment(now, then, correlation)
+    return judge_all(now, levels, [(then, correlation)])[0]
+
+
+def judge_all(now: Scene, levels: Levels, pasts: Sequence[Past]) -> list[Verdict | None]:
+    """Make several tests of one scene, each as `judge` makes it."""
+    return [_judge(fit, levels) for fit in adjust(now, pasts)]
+
+
+def _judge(fit: Adjustment, levels: Levels) -> Verdict | None:
     dof = fit.degrees_of_freedom
     if dof < 1:
         return None
     claiming = [v for v in fit.vehicles if not fit.places[v].free]
-    found: list[_Fault] = [(Kind.VEHICLE, (v,), fit.vehicle_effect(v)) for v in claiming]
-    fear = max((_fear(effect, levels) for _, _, effect in found), default=0.0)
     # The whole and each claim are looked at: together they may not be wrong more often than one test may.
-    each = levels.alarm / (1 + len(found))
-    alarm = fit.statistic > _limit(dof, each) or any(e.rank and e.gain > _limit(e.rank, each) for _, _, e in found)
+    each = levels.alarm / (1 + len(claiming))
+    # No fault explains more than there is: where that is too little for any to count, none need be looked at.
+    telling = fit.statistic > min(_limit(1, levels.doubted), _limit(1, each))
+    gains = [fit.claim_gain(v) for v in claiming] if telling else []
+    fear = max((_fear(gain, rank, levels) for gain, rank in gains), default=0.0)
+    alarm = fit.statistic > _limit(dof, each) or any(rank and gain > _limit(rank, each) for gain, rank in gains)
+    found: list[_Fault] = []
     if fear or alarm:
-        found += _range_faults(fit)
+        found = [(Kind.VEHICLE, (v,), fit.vehicle_effect(v)) for v in claiming] + _range_faults(fit)
     best = max((effect.gain for _, _, effect in found if effect.rank), default=0.0)
     likely = [(kind, who, effect) for kind, who, effect in found if effect.rank and effect.gain >= best - levels.margin]
     free = [v for v in fit.vehicles if fit.places[v].free]
@@ -122,12 +134,12 @@ def judge(now: Scene, levels: Levels, then: Scene | None = None, correlation: fl
     )
 
 
-def _fear(effect: Effect, levels: Levels) -> float:
+def _fear(gain: float, rank: int, levels: Levels) -> float:
     """How much a fault counts in the bounds, 0 to 1."""
-    if not effect.rank:
+    if not rank:
         return 0.0
-    low, high = _limit(effect.rank, levels.doubted), _limit(effect.rank, levels.feared)
-    return min(max((effect.gain - low) / (high - low), 0.0), 1.0)
+    low, high = _limit(rank, levels.doubted), _limit(rank, levels.feared)
+    return min(max((gain - low) / (high - low), 0.0), 1.0)
 
 
 def _possible(likely: list[_Fault], statistic: float, dof: int, levels: Levels) -> tuple[Suspicion, ...]:
@@ -143,7 +155,7 @@ def _range_faults(fit: Adjustment) -> list[_Fault]:
     faults: list[_Fault] = []
     pairs: dict[tuple[int, ...], list[int]] = {}
     devices: dict[int, list[int]] = {}
-    for number, row in enumerate(fit.rows[0]):
+    for number, row in enumerate(fit.rows):
         pairs.setdefault(tuple(sorted(row.pair)), []).append(number)
         devices.setdefault(row.from_vehicle, []).append(number)
     faults += [(Kind.PAIR, pair, fit.rows_effect(numbers)) for pair, numbers in sorted(pairs.items())]

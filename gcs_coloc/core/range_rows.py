@@ -13,8 +13,8 @@ from math import dist, sqrt
 from operator import attrgetter
 from statistics import median
 
-from gcs_coloc.core.adjustment import Place, Row, Scene
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
+from gcs_coloc.core.scene import Place, Row, Scene
 
 _PLACES_KEPT = 64
 _SAMPLES_KEPT = 64

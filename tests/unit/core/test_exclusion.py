@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gcs_coloc.core.adjustment import Place, Row, Scene
 from gcs_coloc.core.exclusion import Kind, Levels, judge
+from gcs_coloc.core.scene import Place, Row, Scene
 
 SIGMA_GPS_M, SIGMA_RANGE_M = 1.5, 0.6
 TRUE = {

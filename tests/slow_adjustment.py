@@ -1,0 +1,190 @@
+"""The adjustment row by row and test by test, as its definition reads: what the fast one is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import hypot
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.scene import Row, Scene
+
+_RANK_TOLERANCE = 1e-6
+_LEAST_INFORMATION = 1e-9  # 1/m^2: what is known no better than to 30 km is not known
+_LEAST_SIGMA_M = 0.01
+_NEWTON_STEPS = 4
+_SETTLED_M = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """What freeing one fault does: the drop of the statistic, the unknowns it took, their values (m), and with it the correction
+    of every state.
+    """
+
+    gain: float
+    rank: int
+    size_m: FloatArray
+    corrections_m: FloatArray
+
+
+class Adjustment:
+    """One adjustment. States are the corrections (3 per vehicle, in the order of `vehicles`), those of `now` first."""
+
+    def __init__(self, now: Scene, then: Scene | None = None, correlation: float = 0.0) -> None:
+        """Adjust `now`, or what both scenes hold; `correlation` is that of one vehicle's corrections at the two times, 0 to 1."""
+        scenes, self.rows = _common(now, then)
+        self.vehicles = sorted({v for row in self.rows[0] for v in row.pair})
+        self.at = {vehicle: index for index, vehicle in enumerate(self.vehicles)}
+        self.places = scenes[0].places
+        self.degrees_of_freedom = 0
+        if not self.vehicles:
+            return
+        i, j = self._ends = [np.array([self.at[row.pair[end]] for row in self.rows[0]], dtype=int) for end in (0, 1)]
+        places = [np.array([scene.places[v].position_enu_m for v in self.vehicles]) for scene in scenes]
+        self._apart_m = [place[i] - place[j] for place in places]
+        measured = [np.array([row.residual_m for row in rows]) for rows in self.rows]
+        self._ranges_m = [residual + _lengths(d) for residual, d in zip(measured, self._apart_m, strict=True)]
+        self._weights = _weights(self.rows)
+        self._prior = self._prior_information(scenes, correlation)
+        shift: FloatArray = np.zeros((len(scenes), len(self.vehicles), 3))
+        free = np.array([self.places[v].free for v in self.vehicles], dtype=bool)
+        for _ in range(_NEWTON_STEPS if free.any() else 1):
+            self._solve(shift)
+            step = self.corrections_m.reshape(shift.shape) * free[:, np.newaxis]
+            step[:, :, 2] = 0.0
+            if not np.abs(step - shift).max(initial=0.0) > _SETTLED_M:
+                break
+            shift = step
+        self._left = self._K - self._K @ self.covariance_m2 @ self._K
+        self._score = self._g - self._K @ self.corrections_m
+        unknown = np.concatenate([np.repeat(free, 3)] * len(scenes)) & (np.arange(len(self._prior)) % 3 < 2)
+        known_share = 1.0 - _LEAST_INFORMATION * np.diagonal(self.covariance_m2)[unknown]
+        self.degrees_of_freedom = len(self.rows[0]) * len(scenes) - round(float(known_share.sum()))
+
+    def _prior_information(self, scenes: list[Scene], correlation: float) -> FloatArray:
+        """Return the inverse of the corrections' prior covariance: of each axis a block over the two times."""
+        size = 3 * len(self.vehicles)
+        # The inverse of [[1, c], [c, 1]] between the two times, in units of the sigmas.
+        own, cross = (1.0, 0.0) if len(scenes) == 1 else (1.0 / (1.0 - correlation**2), -correlation / (1.0 - correlation**2))
+        information = np.array([_information(scene, self.vehicles) for scene in scenes])
+        free = information[0] == _LEAST_INFORMATION
+        prior: FloatArray = np.zeros((len(scenes) * size, len(scenes) * size))
+        axis = np.arange(size)
+        for a in range(len(scenes)):
+            for b in range(len(scenes)):
+                both = np.sqrt(information[a] * information[b])
+                prior[a * size + axis, b * size + axis] = np.where(free, both * (a == b), both * (own if a == b else cross))
+        return prior
+
+    def _solve(self, shift: FloatArray) -> None:
+        """Linearise about the shifted places and solve; corrections are from the places as given."""
+        parts = [self._linearise(number, moved) for number, moved in enumerate(shift)]
+        H, r = [part[0] for part in parts], [part[1] for part in parts]
+        W, size, span = self._weights, H[0].shape[1], range(len(parts))
+        self._H = H
+        self._K: FloatArray = np.empty((len(parts) * size, len(parts) * size))
+        for a in span:
+            for b in span:
+                self._K[a * size : (a + 1) * size, b * size : (b + 1) * size] = H[a].T @ (W[a][b][:, np.newaxis] * H[b])
+        self._weighted = [sum((W[a][b] * r[b] for b in span), start=np.zeros(len(r[a]))) for a in span]
+        self._g: FloatArray = np.concatenate([H[a].T @ self._weighted[a] for a in span])
+        self.covariance_m2: FloatArray = np.asarray(np.linalg.inv(self._K + self._prior), dtype=np.float64)
+        self.corrections_m: FloatArray = self.covariance_m2 @ self._g
+        self.statistic = float(sum(r[a] @ self._weighted[a] for a in span) - self._g @ self.corrections_m)
+
+    def _linearise(self, scene: int, shift: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the design matrix (rows, 3 vehicles) and the residuals (rows,) at the places, linearised at the shifted ones."""
+        i, j = self._ends
+        moves = shift[i] - shift[j]
+        moved = self._apart_m[scene] + moves
+        distance_m = np.maximum(_lengths(moved), _LEAST_SIGMA_M)
+        unit = moved / distance_m[:, np.newaxis]
+        H: FloatArray = np.zeros((len(i), len(self.vehicles), 3))
+        number = np.arange(len(i))
+        H[number, i], H[number, j] = unit, -unit
+        r = self._ranges_m[scene] - distance_m + np.einsum("ij,ij->i", unit, moves)
+        return H.reshape(len(i), -1), r
+
+    def vehicle_effect(self, vehicle: int) -> Effect:
+        """What a claim that came to be off by an unknown horizontal vector explains."""
+        i = 3 * self.at[vehicle]
+        index = slice(i, i + 2)
+        inverse, rank = pinv(self._left[index, index])
+        score = self._score[index]
+        size = inverse @ score
+        corrections = self.corrections_m - self.covariance_m2 @ (self._K[:, index] @ size)
+        return Effect(float(score @ size), rank, size, corrections)
+
+    def rows_effect(self, chosen: Iterable[int]) -> Effect:
+        """What one length that came to be on all of the chosen rows (their numbers) explains."""
+        b = np.zeros(len(self.rows[0]))
+        b[list(chosen)] = 1.0
+        c = np.concatenate([H.T @ (w * b) for H, w in zip(self._H, self._weights[0], strict=True)])
+        left = float(b @ (self._weights[0][0] * b) - c @ self.covariance_m2 @ c)
+        if left < max(_RANK_TOLERANCE * float(b @ (self._weights[0][0] * b)), _LEAST_INFORMATION):
+            return Effect(0.0, 0, np.zeros(1), self.corrections_m)
+        score = float(b @ self._weighted[0] - c @ self.corrections_m)
+        size = score / left
+        return Effect(score * size, 1, np.array([size]), self.corrections_m - self.covariance_m2 @ c * size)
+
+    def horizontal(self, vehicle: int, states: FloatArray) -> FloatArray:
+        """Return a vehicle's horizontal part (2,) of a state vector, at the time of `now`."""
+        i = 3 * self.at[vehicle]
+        return states[i : i + 2]
+
+
+def _information(scene: Scene, vehicles: list[int]) -> FloatArray:
+    """Return what is known of each axis of each vehicle's correction (3 vehicles,), 1/m^2."""
+    known = []
+    for place in (scene.places[v] for v in vehicles):
+        horizontal = _LEAST_INFORMATION if place.free else max(place.sigma_h_m, _LEAST_SIGMA_M) ** -2
+        known += [horizontal, horizontal, max(place.sigma_v_m, _LEAST_SIGMA_M) ** -2]
+    return np.array(known)
+
+
+def _common(now: Scene, then: Scene | None) -> tuple[list[Scene], list[tuple[Row, ...]]]:
+    """Return the scenes and, for each, its rows; of two scenes those of the pairs that both have, in the same order."""
+    if then is None:
+        return [now], [now.rows]
+    earlier = {row.pair: row for row in then.rows}
+    pairs = [
+        (row, earlier[row.pair])
+        for row in now.rows
+        if row.pair in earlier and all(now.places[v].free == then.places[v].free for v in row.pair)
+    ]
+    return [now, then], [tuple(pair[0] for pair in pairs), tuple(pair[1] for pair in pairs)]
+
+
+def _weights(rows: list[tuple[Row, ...]]) -> list[list[FloatArray]]:
+    """Return the inverse of the rows' noise covariance: for each two scenes the weights (rows,) that tie a row to itself."""
+    variances = [np.array([row.sigma_m**2 + row.bias_m**2 for row in each]) for each in rows]
+    if len(rows) == 1:
+        return [[1.0 / variances[0]]]
+    lasting = np.array([a.bias_m * b.bias_m for a, b in zip(*rows, strict=True)])
+    determinant = variances[0] * variances[1] - lasting**2
+    return [
+        [variances[1] / determinant, -lasting / determinant],
+        [-lasting / determinant, variances[0] / determinant],
+    ]
+
+
+def pinv(A: FloatArray) -> tuple[FloatArray, int]:
+    """Return the pseudo-inverse of a symmetric (2, 2) matrix and its rank; directions that nothing measures are left out."""
+    a, b, d = float(A[0, 0]), float(A[0, 1]), float(A[1, 1])
+    mean, half = 0.5 * (a + d), hypot(0.5 * (a - d), b)
+    larger, smaller = mean + half, mean - half
+    least = max(larger * _RANK_TOLERANCE, _LEAST_INFORMATION)
+    if smaller > least:
+        return np.array([[d, -b], [-b, a]]) / (a * d - b * b), 2
+    if larger > least:
+        # The projection on the larger one's direction, over it.
+        return np.array([[a - smaller, b], [b, d - smaller]]) / (2.0 * half * larger), 1
+    return np.zeros((2, 2)), 0
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    """Return the lengths (n,) of vectors (n, 3)."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
