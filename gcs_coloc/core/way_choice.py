@@ -18,11 +18,12 @@ def way_name(vehicle: Vehicle, settings: AidSettings) -> WayName:
 
 
 def way_for(sysid: int, autopilot: Autopilot | None, settings: AidSettings) -> WayName:
-    """The way for a vehicle; "auto" remains for ArduPilot: GPS_INPUT, with external estimates where that is too coarse."""
+    """The way for a vehicle; "auto" remains for ArduPilot: GPS_INPUT, with external estimates where that is too coarse.
+
+    It also remains for an autopilot that nobody knows to take any of them, for which it is none (`mismatch`).
+    """
     name = settings.ways.get(sysid, settings.way)
-    if name != "auto" or autopilot is Autopilot.ARDUPILOT:
-        return name
-    return "global_position_sensor" if autopilot is Autopilot.PX4 else "gps_input"
+    return "global_position_sensor" if name == "auto" and autopilot is Autopilot.PX4 else name
 
 
 def feeds_receiver(name: WayName) -> bool:
@@ -31,7 +32,12 @@ def feeds_receiver(name: WayName) -> bool:
 
 
 def mismatch(name: WayName, autopilot: Autopilot | None) -> str | None:
-    """Why a way is none for an autopilot, in words for the operator; None where it is."""
+    """Why a way is none for an autopilot, in words for the operator; None where it is one, or the operator's own choice."""
+    if name == "auto" and autopilot is not Autopilot.ARDUPILOT:
+        return (
+            "its autopilot is neither ArduPilot nor PX4, and nobody knows what it takes: "
+            "where you have tried one, set the way of its aid ([aid] ways)"
+        )
     if autopilot is Autopilot.PX4 and feeds_receiver(name):
         return "PX4 does not take GPS_INPUT: set the way of its aid to auto or global_position_sensor"
     if autopilot is Autopilot.ARDUPILOT and name == "global_position_sensor":

@@ -78,12 +78,15 @@ def _address(vehicle: VehicleFindings) -> Iterator[Remark]:
 
 
 def _autopilot(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
-    if vehicle.autopilot not in (Autopilot.ARDUPILOT, Autopilot.PX4):
-        yield stop("its autopilot is neither ArduPilot nor PX4: it can help to locate others, and was never tried with aid")
-        return
-    wrong_way = mismatch(way_for(vehicle.sysid, vehicle.autopilot, setup.aid), vehicle.autopilot)
+    way = way_for(vehicle.sysid, vehicle.autopilot, setup.aid)
+    wrong_way = mismatch(way, vehicle.autopilot)
     if wrong_way is not None:
-        yield stop(wrong_way, "it is set in [aid] of gcs-coloc")
+        yield stop(wrong_way, f"set way, or ways.{vehicle.sysid} for this vehicle alone, in [aid] of gcs-coloc")
+        return
+    if vehicle.autopilot not in (Autopilot.ARDUPILOT, Autopilot.PX4):
+        yield note(
+            f"its autopilot is neither ArduPilot nor PX4: it is aided by {way}, as set; whether it takes that, nobody knows"
+        )
         return
     if not vehicle.parameters:
         signed = "; its frames are signed: give gcs-coloc its key" if vehicle.is_signed else ""

@@ -56,6 +56,18 @@ def test_aid_on_streams_to_a_healthy_vehicle_whose_own_claims_then_count_for_not
     assert max(m.measured_at_s for m in estimator.of(PositionMeasurement, 4)) > 14.5
 
 
+def test_to_an_unknown_autopilot_nothing_is_sent_unless_a_way_is_set():
+    for way, sent in (("auto", False), ("gps_input", True)):
+        engine = Engine(StraightLine(), settings(aid=AidSettings(way=way, standby=True)))
+        fly(engine, 0.0, 5.0, autopilot=Autopilot.OTHER)
+        out = fly(engine, 5.0, 10.0, failed=[4], autopilot=Autopilot.OTHER)
+        assert any(isinstance(o, Aid) for _, o in out) is sent
+        alarms = [o.text for _, o in out if isinstance(o, Notice) and "cannot be aided: its autopilot is neither" in o.text]
+        assert len(alarms) == (0 if sent else 1)
+        assert all("set the way of its aid ([aid] ways)" in text for text in alarms)
+        assert vehicle_4(engine, 10.0).aid.startswith("sending 3D fix" if sent else "NOT SENT: its autopilot is neither")
+
+
 def test_the_word_on_the_aid_leaves_the_word_on_the_gps_alone():
     engine = Engine(StraightLine(), settings())
     fly(engine, 0.0, 2.0)

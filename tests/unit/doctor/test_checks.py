@@ -214,6 +214,16 @@ def test_the_way_that_the_configuration_sets_is_the_one_that_is_checked():
     assert "PX4 does not take GPS_INPUT" in remark.text
 
 
+def test_an_unknown_autopilot_is_aided_as_it_is_set_and_stops_where_nothing_is():
+    unknown = replace(GOOD, autopilot=Autopilot.OTHER, parameters={})
+    (remark,) = said(unknown)
+    assert (remark.level, remark.mend) == (Level.STOP, "set way, or ways.4 for this vehicle alone, in [aid] of gcs-coloc")
+    for aid in (AidSettings(way="gps_input"), AidSettings(ways={4: "gps_input"})):
+        (remark,) = said(unknown, Setup(aid=aid))
+        assert remark.level is Level.NOTE
+        assert "it is aided by gps_input, as set" in remark.text
+
+
 def test_a_vehicle_that_is_streamed_on_standby_may_arm():
     assert not said(replace(GOOD, armed=False), Setup(aid=AidSettings(standby=True)))
 
