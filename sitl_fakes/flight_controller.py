@@ -68,7 +68,8 @@ class FlightController:
         self.offboard_clock = OffboardClock()
         self._mav = mavlink.MAVLink(None, srcSystem=self.sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
         self._sequence = count()
-        self.streams = Streams(self.kind, stream(self._seed, Purpose.PHASES, self.sysid), at_s, self._scenario.truth_messages)
+        phases = stream(self._seed, Purpose.PHASES, self.sysid)
+        self.streams = Streams(self.kind, self.params, phases, at_s, self._scenario.truth_messages)
 
     @property
     def booting(self) -> bool:

@@ -41,14 +41,32 @@ _TRUTH_RATE_HZ = 10.0
 _TRUTH_MESSAGES = (mavlink.MAVLINK_MSG_ID_SIMSTATE, mavlink.MAVLINK_MSG_ID_SIM_STATE)
 
 
+_RATE_PARAMETERS: Mapping[int, str] = {
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: "MAV1_EXT_STAT",
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: "MAV1_EXT_STAT",
+    mavlink.MAVLINK_MSG_ID_GPS2_RAW: "MAV1_EXT_STAT",
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: "MAV1_POSITION",
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: "MAV1_EXTRA1",
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: "MAV1_EXTRA2",
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: "MAV1_EXTRA3",
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: "MAV1_EXTRA3",
+}
+"""ArduPilot's stream that a message belongs to; here its rate bounds the message's own one. Read at boot, as from 4.7 on."""
+
+
 class Streams:
     """Which message is due when. Phases differ by message, so that a vehicle does not send everything at once."""
 
-    def __init__(self, kind: Kind, rng: np.random.Generator, starts_at_s: float, truth_messages: bool) -> None:
+    def __init__(
+        self, kind: Kind, params: Mapping[str, float], rng: np.random.Generator, starts_at_s: float, truth_messages: bool
+    ) -> None:
         self._streams = _STREAMS[kind]
         self._interval_s: dict[int, float] = {}
         self._due_s: dict[int, float] = {}
-        self._defaults_hz = {message_id: rate for message_id, (_, rate) in self._streams.items()}
+        self._defaults_hz = {
+            message_id: min(rate, params.get(_RATE_PARAMETERS.get(message_id, ""), rate))
+            for message_id, (_, rate) in self._streams.items()
+        }
         if truth_messages:
             self._defaults_hz.update(dict.fromkeys(_TRUTH_MESSAGES, _TRUTH_RATE_HZ))
         for message_id, rate_hz in self._defaults_hz.items():

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gcs_coloc.core.messages import Autopilot
-from gcs_coloc.core.streams import WANTED_HZ
 from gcs_coloc.core.way_choice import mismatch, way_for
-from gcs_coloc.doctor import ardupilot_checks, px4_checks
+from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
 from gcs_coloc.doctor.findings import Findings, Level, Remark, Setup, VehicleFindings, note, right, stop
 from gcs_coloc.doctor.parameters import SENDERS_OPTION, look_up
 
@@ -16,20 +15,6 @@ CLOCKS_AGREE_S = 2.0
 OFTEN = 20
 _GPS_FIX_3D = 3
 
-_GLOBAL_POSITION_INT, _GPS_RAW_INT, _GPS2_RAW, _EKF_STATUS_REPORT = 33, 24, 124, 193
-_STREAMS = {
-    _GLOBAL_POSITION_INT: ("GLOBAL_POSITION_INT", "POSITION"),
-    _GPS_RAW_INT: ("GPS_RAW_INT", "EXT_STAT"),
-    _GPS2_RAW: ("GPS2_RAW", "EXT_STAT"),
-    30: ("ATTITUDE", "EXTRA1"),
-    74: ("VFR_HUD", "EXTRA2"),
-    1: ("SYS_STATUS", "EXT_STAT"),
-    _EKF_STATUS_REPORT: ("EKF_STATUS_REPORT", "EXTRA3"),
-    2: ("SYSTEM_TIME", "EXTRA3"),
-}
-"""Message id -> the message's name, and the end of the name of ArduPilot's stream rate that it belongs to."""
-_ESSENTIAL = (_GLOBAL_POSITION_INT, _GPS_RAW_INT)
-_ARDUPILOT_ONLY = (_GPS2_RAW, _EKF_STATUS_REPORT)
 _HARMFUL = {
     "unsigned": "a link that requires signatures hears unsigned frames: give the vehicle the key",
     "signature_wrong": "a vehicle has another key than ours",
@@ -45,7 +30,7 @@ def of_vehicle(vehicle: VehicleFindings, setup: Setup, fleet: frozenset[int]) ->
         remarks += [*_address(vehicle), *_autopilot(vehicle, setup), *_ranges(vehicle, fleet)]
     else:
         remarks.append(right("it is there to help locate others: whether it could be aided was not checked"))
-    return [*remarks, *_telemetry(vehicle), *_receiver(vehicle), *_clock(vehicle)]
+    return [*remarks, *stream_checks.check(vehicle), *_receiver(vehicle), *_clock(vehicle)]
 
 
 def of_fleet(findings: Findings, setup: Setup) -> list[Remark]:
@@ -119,30 +104,6 @@ def _ranges(vehicle: VehicleFindings, fleet: frozenset[int]) -> Iterator[Remark]
         "see that its ranging device is on and reports PEER_RANGE with the peers' system ids; or say with --aid which vehicles "
         "are to be located",
     )
-
-
-def _telemetry(vehicle: VehicleFindings) -> Iterator[Remark]:
-    good = []
-    for number, wanted_hz in WANTED_HZ.items():
-        if number in _ARDUPILOT_ONLY and vehicle.autopilot is not Autopilot.ARDUPILOT:
-            continue
-        name, stream = _STREAMS[number]
-        rate_hz = vehicle.rates_hz.get(number, 0.0)
-        lacking = stop if number in _ESSENTIAL else note
-        mend = f"raise SRn_{stream} of its port (MAVn_{stream} since ArduPilot 4.7), or see whether the link carries as much"
-        if rate_hz >= 0.5 * wanted_hz:
-            good.append(f"{name} {rate_hz:.0f} Hz")
-        elif rate_hz > 0.0:
-            yield note(f"{name} comes at {rate_hz:.1f} Hz, {wanted_hz:g} Hz are wanted", mend)
-        elif number in vehicle.empty:
-            yield lacking(
-                f"{name} holds no position: the autopilot has none yet",
-                "wait for its EKF; if its receiver has a fix, EK3_GPS_CHECK may refuse the accuracy",
-            )
-        else:
-            yield lacking(f"{name} is not heard", mend)
-    if good:
-        yield right(f"heard: {', '.join(good)}")
 
 
 def _receiver(vehicle: VehicleFindings) -> Iterator[Remark]:

@@ -44,10 +44,11 @@ class Setup:
 class VehicleFindings:
     """One vehicle. Rates are those of the second half of the listening, by message id, Hz.
 
-    `addresses`: where its autopilot was heard; `is_claimed_twice`: at more than one of them at the same time. `others_there`:
-    other autopilots behind one of these addresses. `parameters`: those it told, by its own names. `answers_only_to`: the system
-    id under which it answered after it had not answered ours. `empty`: messages that came with impossible values only, such
-    as a position of 0, 0. `peers`: the other ends of its ranges, whoever measured.
+    `is_mavlink_1`: its autopilot sent no frame of MAVLink 2, though we did. `addresses`: where its autopilot was heard;
+    `is_claimed_twice`: at more than one of them at the same time. `others_there`: other autopilots behind one of these
+    addresses. `parameters`: those it told, by its own names. `answers_only_to`: the system id under which it answered after it
+    had not answered ours. `empty`: messages that came with impossible values only, such as a position of 0, 0. `peers`: the
+    other ends of its ranges, whoever measured.
     `utc_minus_host_s`: its clock's UTC against this computer's; None where it does not know UTC.
     """
 
@@ -58,6 +59,7 @@ class VehicleFindings:
     is_claimed_twice: bool = False
     others_there: tuple[int, ...] = ()
     is_signed: bool = False
+    is_mavlink_1: bool = False
     parameters: Mapping[str, float] = field(default_factory=dict)
     answers_only_to: int | None = None
     rates_hz: Mapping[int, float] = field(default_factory=dict)

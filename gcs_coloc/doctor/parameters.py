@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from gcs_coloc.core.messages import Autopilot
+from gcs_coloc.doctor import ports
 
 GPS_TYPE = (("GPS1_TYPE", "GPS_TYPE"), ("GPS2_TYPE", "GPS_TYPE2"))
 """By receiver instance; the newest name first: ArduPilot 4.6 renamed them."""
@@ -41,6 +42,7 @@ _ARDUPILOT = (
     *GPS_DELAY_MS,
 )
 WANTED: Mapping[Autopilot, tuple[tuple[str, ...], ...]] = {Autopilot.ARDUPILOT: _ARDUPILOT, Autopilot.PX4: (AGP_CONTROL, AGP_ID)}
+"""Those of aid; of its ports, `ports` knows."""
 
 RETRY_S = 1.0
 MOST_TRIES = 6
@@ -86,7 +88,7 @@ class ParameterReader:
             return []
         open_names = [
             name
-            for names in WANTED.get(self.autopilot, ())
+            for names in (*WANTED.get(self.autopilot, ()), *ports.wanted(self.autopilot, self.told))
             if look_up(self.told, names) is None
             for name in names
             if self._tries.get(name, 0) < MOST_TRIES

@@ -27,7 +27,7 @@ from gcs_coloc.doctor.findings import Findings, VehicleFindings
 from gcs_coloc.doctor.parameters import ParameterReader
 from gcs_coloc.mavlink.decoder import Decoder, Frame
 from gcs_coloc.mavlink.dialect import GCS_SYSID
-from gcs_coloc.mavlink.framing import RawFrame
+from gcs_coloc.mavlink.framing import MAGIC_V1, RawFrame
 from gcs_coloc.mavlink.signing import LinkSigning
 
 MAX_VEHICLES = 250
@@ -60,6 +60,7 @@ class _Vehicle:
     first_heard_s: float
     armed: bool = False
     is_signed: bool = False
+    magics: set[int] = field(default_factory=set)
     stays: dict[Hashable, _Stay] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
     empty: set[int] = field(default_factory=set)
@@ -111,6 +112,8 @@ class Survey:
             vehicle = self._vehicles.get(raw.sysid)
             if vehicle is not None:
                 vehicle.is_signed = vehicle.is_signed or raw.is_signed
+                if at_s >= self._half_s and raw.compid == mavlink.MAV_COMP_ID_AUTOPILOT1:
+                    vehicle.magics.add(raw.frame[0])
                 if raw.message_id == _PARAM_VALUE.id:
                     _read_parameter(raw, vehicle.reader)
 
@@ -149,6 +152,7 @@ class Survey:
             is_claimed_twice=vehicle.is_claimed_twice,
             others_there=tuple(sorted(others)),
             is_signed=vehicle.is_signed,
+            is_mavlink_1=vehicle.magics == {MAGIC_V1},
             parameters=dict(vehicle.reader.told),
             answers_only_to=GCS_SYSID if vehicle.reader.answers_as_gcs_only else None,
             rates_hz={number: count / counted_s for number, count in vehicle.counts.items()} if counted_s > 0.0 else {},

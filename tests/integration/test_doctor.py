@@ -69,6 +69,26 @@ def test_a_wrong_set_up_is_told_parameter_by_parameter_and_is_right_when_they_ar
     assert not any(line.startswith("  STOP") for line in lines)
 
 
+def test_positions_that_come_too_slowly_are_told_with_the_parameter_that_mends_it(tmp_path, free_port):
+    """Where the service is not to ask for rates, those of the vehicle's port count."""
+    coarse = {"EK3_GPS_CHECK": 19}
+    quiet = {"GCS_COLOC_FLEET__REQUEST_STREAMS": "false"}
+    told = examine(
+        free_port, scenario(tmp_path, coarse | {"MAV1_POSITION": 1, "MAV1_EXT_STAT": 0}), "--aid", "4", "--json", **quiet
+    )
+    assert told.returncode == 1, told.stderr
+    remarks = json.loads(told.stdout)["vehicles"][3]["remarks"]
+    settings = {name: value for remark in remarks for name, value in (remark["set"] or {}).items()}
+    assert settings["MAV1_POSITION"] == 10.0
+    assert settings["MAV1_EXT_STAT"] == 5.0
+    assert any(r["level"] == "stop" and r["text"] == "GPS_RAW_INT is not heard" for r in remarks)
+    assert any(r["text"].startswith("GLOBAL_POSITION_INT comes at ") for r in remarks)
+
+    told = examine(free_port, scenario(tmp_path, coarse | settings), "--aid", "4", **quiet)
+    assert told.returncode == 0, told.stdout + told.stderr
+    assert "SERIAL" not in told.stdout
+
+
 def test_where_nobody_sends_the_doctor_says_so(free_port):
     command = [sys.executable, "-m", "gcs_coloc", "doctor", "--udp", f"127.0.0.1:{free_port}", "--seconds", "5"]
     told = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)

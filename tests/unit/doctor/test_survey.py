@@ -76,6 +76,33 @@ def test_a_vehicle_is_asked_for_its_parameters_until_it_has_told_them_under_any_
     assert vehicle.answers_only_to is None
 
 
+def test_of_its_ports_only_those_that_speak_mavlink_are_asked_for_their_rates(field):
+    known = {"SERIAL0_PROTOCOL": 2.0, "SERIAL1_PROTOCOL": 5.0, "SERIAL2_PROTOCOL": 1.0, "SR1_POSITION": 4.0}
+    asked = set()
+    for step in range(200):
+        field.beat(step * 0.1, 1)
+        for name, _ in field.asked(step * 0.1):
+            asked.add(name)
+            if name in known:
+                field.hear(step * 0.1, 1, value(name, known[name]))
+    assert {"SERIAL7_PROTOCOL", "MAV1_EXTRA1", "SR0_EXTRA1", "MAV2_POSITION", "SERIAL0_BAUD", "SERIAL2_BAUD"} <= asked
+    assert not asked & {"MAV3_POSITION", "SR2_POSITION", "SERIAL1_BAUD", "MAV_0_CONFIG"}
+    assert field.found()[0].parameters == known
+
+
+def test_who_speaks_mavlink_1_though_we_do_not_is_found(field):
+    for step in range(20):
+        field.beat(step * 1.0, 1, 2)
+        old = mavlink.MAVLink(None, srcSystem=2, srcComponent=1)
+        old.seq = step
+        field.survey.take(HEARTBEATS[Autopilot.ARDUPILOT].pack(old, force_mavlink1=True), "address of 2", step * 1.0 + 0.5)
+    for step in range(10, 20):
+        old = mavlink.MAVLink(None, srcSystem=3, srcComponent=1)
+        old.seq = step
+        field.survey.take(HEARTBEATS[Autopilot.ARDUPILOT].pack(old, force_mavlink1=True), "address of 1", step * 1.0 + 0.5)
+    assert [(v.sysid, v.is_mavlink_1) for v in field.found("address of 1")] == [(1, False), (2, False), (3, True)]
+
+
 def test_questions_are_few_at_a_time_and_end():
     reader = ParameterReader(Autopilot.ARDUPILOT)
     tries = {}

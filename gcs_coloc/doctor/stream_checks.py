@@ -1,0 +1,122 @@
+"""Whether a vehicle's messages come as often as they are wanted, and what to set where they do not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gcs_coloc.core.messages import Autopilot
+from gcs_coloc.core.streams import WANTED_HZ
+from gcs_coloc.doctor.findings import Remark, VehicleFindings, note, right, stop
+from gcs_coloc.doctor.parameters import look_up
+from gcs_coloc.doctor.ports import STREAMS, instances, serial_ports
+
+_GLOBAL_POSITION_INT, _GPS_RAW_INT, _GPS2_RAW, _EKF_STATUS_REPORT = 33, 24, 124, 193
+_STREAMS = {
+    _GLOBAL_POSITION_INT: ("GLOBAL_POSITION_INT", "POSITION"),
+    _GPS_RAW_INT: ("GPS_RAW_INT", "EXT_STAT"),
+    _GPS2_RAW: ("GPS2_RAW", "EXT_STAT"),
+    30: ("ATTITUDE", "EXTRA1"),
+    74: ("VFR_HUD", "EXTRA2"),
+    1: ("SYS_STATUS", "EXT_STAT"),
+    _EKF_STATUS_REPORT: ("EKF_STATUS_REPORT", "EXTRA3"),
+    2: ("SYSTEM_TIME", "EXTRA3"),
+}
+"""Message id -> the message's name, and the end of the name of ArduPilot's stream rate that it belongs to."""
+_STREAM_HZ = {stream: max(WANTED_HZ[number] for number, (_, its) in _STREAMS.items() if its == stream) for stream in STREAMS}
+_ESSENTIAL = (_GLOBAL_POSITION_INT, _GPS_RAW_INT)
+_ARDUPILOT_ONLY = (_GPS2_RAW, _EKF_STATUS_REPORT)
+
+_PX4_ENOUGH_BYTES_PER_S = 3000.0  # what is wanted takes about 2000, with three ranges at 5 Hz
+_PX4_QUIET_MODES = {1.0: "Custom", 3.0: "OSD", 4.0: "Magic", 7.0: "Minimal", 9.0: "Iridium"}
+_PX4_ONBOARD = 2.0
+
+_CARRIES = "see whether the link carries as much"
+
+Mend = tuple[str, tuple[str, float] | None]
+"""What to do in words, and the parameter to set where there is but one."""
+
+
+def check(vehicle: VehicleFindings) -> Iterator[Remark]:
+    """Judge the rates that were measured, and what the vehicle's ports speak."""
+    good = []
+    for number, wanted_hz in WANTED_HZ.items():
+        if number in _ARDUPILOT_ONLY and vehicle.autopilot is not Autopilot.ARDUPILOT:
+            continue
+        name, stream = _STREAMS[number]
+        rate_hz = vehicle.rates_hz.get(number, 0.0)
+        lacking = stop if number in _ESSENTIAL else note
+        if rate_hz >= 0.5 * wanted_hz:
+            good.append(f"{name} {rate_hz:.0f} Hz")
+        elif rate_hz > 0.0:
+            yield note(f"{name} comes at {rate_hz:.1f} Hz, {wanted_hz:g} Hz are wanted", *_mend(vehicle, stream))
+        elif number in vehicle.empty:
+            yield lacking(
+                f"{name} holds no position: the autopilot has none yet",
+                "wait for its EKF; if its receiver has a fix, EK3_GPS_CHECK may refuse the accuracy",
+            )
+        else:
+            yield lacking(f"{name} is not heard", *_mend(vehicle, stream))
+    if good:
+        yield right(f"heard: {', '.join(good)}")
+    yield from _protocol(vehicle)
+
+
+def _protocol(vehicle: VehicleFindings) -> Iterator[Remark]:
+    if not vehicle.is_mavlink_1:
+        return
+    text = "it speaks MAVLink 1 to us, which carries no PEER_RANGE, no signatures, and not the accuracy of its GPS"
+    names = [port.protocol_name for port in serial_ports(vehicle.parameters) if port.is_mavlink_1]
+    if names:
+        yield note(text, f"set {' = 2 or '.join(names)} = 2", (names[0], 2.0) if len(names) == 1 else None)
+    else:
+        yield note(text, "let its port speak MAVLink 2 (ArduPilot: SERIALn_PROTOCOL = 2; PX4: MAV_PROTO_VER = 2)")
+
+
+def _mend(vehicle: VehicleFindings, stream: str) -> Mend:
+    if vehicle.autopilot is Autopilot.ARDUPILOT:
+        return _ardupilot_mend(vehicle, stream)
+    return _px4_mend(vehicle) if vehicle.autopilot is Autopilot.PX4 else (_CARRIES, None)
+
+
+def _ardupilot_mend(vehicle: VehicleFindings, stream: str) -> Mend:
+    wanted_hz = _STREAM_HZ[stream]
+    ports = serial_ports(vehicle.parameters)
+    rates = [(port, found) for port in ports if (found := look_up(vehicle.parameters, port.rate_names(stream))) is not None]
+    if not rates:
+        return f"raise SRn_{stream} of its port (MAVn_{stream} since ArduPilot 4.7), or {_CARRIES}", None
+    low = [(port, name, rate_hz) for port, (name, rate_hz) in rates if rate_hz < wanted_hz]
+    bauds = [
+        f"{port.baud_name} = {vehicle.parameters[port.baud_name]:g}" for port in ports if port.baud_name in vehicle.parameters
+    ]
+    carries = _carries(bauds)
+    if not low:
+        asked = ", ".join(f"{name} = {rate_hz:g}" for _, (name, rate_hz) in rates)
+        return f"{asked} asks for as much: {carries}, and whether another ground station sets other rates", None
+    choice = " or ".join(f"{name} = {wanted_hz:g} (SERIAL{port.number}, now {rate_hz:g})" for port, name, rate_hz in low)
+    which = ", that of the port we are on" if len(rates) > 1 else ""
+    return f"set {choice}{which}; if that does not help, {carries}", (low[0][1], wanted_hz) if len(rates) == 1 else None
+
+
+def _carries(bauds: list[str]) -> str:
+    return f"{_CARRIES} ({', '.join(bauds)})" if bauds else _CARRIES
+
+
+def _px4_mend(vehicle: VehicleFindings) -> Mend:
+    told = vehicle.parameters
+    changes: list[tuple[str, float, str]] = []
+    bauds: list[str] = []
+    for instance in instances(told):
+        where = f"TELEM{instance.telem}" if instance.telem is not None else f"instance {instance.number}"
+        rate, mode, baud = told.get(instance.rate_name), told.get(instance.mode_name), instance.baud_name
+        if rate is not None and 0.0 < rate < _PX4_ENOUGH_BYTES_PER_S:
+            changes.append((instance.rate_name, 0.0, f"{where}, now {rate:g} bytes/s; 0 is half of what its baud rate carries"))
+        if mode is not None and mode in _PX4_QUIET_MODES:
+            changes.append((instance.mode_name, _PX4_ONBOARD, f"{where}, Onboard; now {mode:g}, {_PX4_QUIET_MODES[mode]}"))
+        if baud is not None and baud in told:
+            bauds.append(f"{baud} = {told[baud]:g}")
+    carries = _carries(bauds)
+    if not changes:
+        return f"{carries}, and MAV_n_RATE and MAV_n_MODE of its instance", None
+    listed = ", ".join(f"{name} = {value:g} ({why})" for name, value, why in changes)
+    (name, value, _), *others = changes
+    return f"set {listed}; if that does not help, {carries}", (name, value) if not others else None

@@ -1,0 +1,97 @@
+"""Messages that come too slowly, and the parameter to set: by the port that the vehicle says it has."""
+
+from __future__ import annotations
+
+import pytest
+
+from gcs_coloc.core.messages import Autopilot
+from gcs_coloc.core.streams import WANTED_HZ
+from gcs_coloc.doctor.findings import Level, VehicleFindings
+from gcs_coloc.doctor.stream_checks import check
+
+SLOW = {**WANTED_HZ, 33: 2.0}
+ONE_PORT = {"SERIAL0_PROTOCOL": 2.0, "SERIAL0_BAUD": 115.0, "SERIAL3_PROTOCOL": 5.0}
+TWO_PORTS = {"SERIAL0_PROTOCOL": 2.0, "SERIAL1_PROTOCOL": -1.0, "SERIAL2_PROTOCOL": 1.0, "SERIAL2_BAUD": 57.0}
+
+
+def said(autopilot, parameters, rates_hz=SLOW, **changes):
+    vehicle = VehicleFindings(4, autopilot, parameters=parameters, rates_hz=rates_hz, **changes)
+    return [remark for remark in check(vehicle) if remark.level is not Level.RIGHT]
+
+
+def position(autopilot, parameters):
+    (remark,) = said(autopilot, parameters)
+    assert remark.level is Level.NOTE
+    assert remark.text == "GLOBAL_POSITION_INT comes at 2.0 Hz, 10 Hz are wanted"
+    return remark
+
+
+@pytest.mark.parametrize("name", ["MAV1_POSITION", "SR0_POSITION"])
+def test_the_stream_of_the_only_port_is_to_be_set_under_its_own_name(name):
+    remark = position(Autopilot.ARDUPILOT, {**ONE_PORT, name: 2.0})
+    assert remark.parameter == (name, 10.0)
+    assert remark.mend.startswith(f"set {name} = 10 (SERIAL0, now 2)")
+    assert remark.mend.endswith("see whether the link carries as much (SERIAL0_BAUD = 115)")
+
+
+def test_of_several_ports_each_is_named_by_its_place_among_those_that_speak_mavlink():
+    """SERIAL2 is the second of them: its rates are SR1_ or MAV2_."""
+    remark = position(Autopilot.ARDUPILOT, {**TWO_PORTS, "SR0_POSITION": 0.0, "SR1_POSITION": 4.0})
+    assert "SR0_POSITION = 10 (SERIAL0, now 0) or SR1_POSITION = 10 (SERIAL2, now 4), that of the port we are on" in remark.mend
+    assert remark.parameter is None
+    remark = position(Autopilot.ARDUPILOT, {**TWO_PORTS, "MAV1_POSITION": 10.0, "MAV2_POSITION": 4.0})
+    assert remark.mend.startswith("set MAV2_POSITION = 10 (SERIAL2, now 4), that of the port we are on")
+
+
+def test_where_the_rate_is_high_enough_the_link_is_to_blame_and_where_none_was_told_the_names_are_said():
+    remark = position(Autopilot.ARDUPILOT, {**ONE_PORT, "MAV1_POSITION": 10.0})
+    assert remark.parameter is None
+    assert remark.mend.startswith(
+        "MAV1_POSITION = 10 asks for as much: see whether the link carries as much (SERIAL0_BAUD = 115)"
+    )
+    assert "SRn_POSITION" in position(Autopilot.ARDUPILOT, {}).mend
+
+
+def test_what_is_not_heard_at_all_stops_with_the_same_mend():
+    rates = {number: hz for number, hz in WANTED_HZ.items() if number != 24}
+    (remark,) = said(Autopilot.ARDUPILOT, {**ONE_PORT, "MAV1_EXT_STAT": 0.0}, rates)
+    assert (remark.level, remark.parameter) == (Level.STOP, ("MAV1_EXT_STAT", 5.0))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "parameter", "words"),
+    [
+        (
+            {"MAV_0_CONFIG": 101.0, "MAV_0_RATE": 1200.0, "MAV_0_MODE": 0.0, "SER_TEL1_BAUD": 57600.0},
+            ("MAV_0_RATE", 0.0),
+            (
+                "set MAV_0_RATE = 0 (TELEM1, now 1200 bytes/s; 0 is half of what its baud rate carries); "
+                "if that does not help, see whether the link carries as much (SER_TEL1_BAUD = 57600)"
+            ),
+        ),
+        (
+            {"MAV_1_CONFIG": 1000.0, "MAV_1_RATE": 100000.0, "MAV_1_MODE": 7.0},
+            ("MAV_1_MODE", 2.0),
+            "(instance 1, Onboard; now 7, Minimal)",
+        ),
+        (
+            {"MAV_0_CONFIG": 101.0, "MAV_0_RATE": 1200.0, "MAV_0_MODE": 1.0},
+            None,
+            "MAV_0_MODE = 2 (TELEM1, Onboard; now 1, Custom)",
+        ),
+        ({"MAV_0_CONFIG": 101.0, "MAV_0_RATE": 0.0, "MAV_0_MODE": 2.0}, None, "MAV_n_RATE and MAV_n_MODE of its instance"),
+        ({"MAV_0_CONFIG": 0.0, "MAV_0_RATE": 1200.0}, None, "MAV_n_RATE and MAV_n_MODE of its instance"),
+    ],
+)
+def test_of_px4_the_rate_and_the_mode_of_each_instance_that_is_on_are_looked_at(parameters, parameter, words):
+    remark = position(Autopilot.PX4, parameters)
+    assert remark.parameter == parameter
+    assert words in remark.mend
+
+
+def test_a_port_that_speaks_mavlink_1_is_named():
+    (remark,) = said(Autopilot.ARDUPILOT, TWO_PORTS, WANTED_HZ, is_mavlink_1=True)
+    assert (remark.level, remark.parameter) == (Level.NOTE, ("SERIAL2_PROTOCOL", 2.0))
+    assert "carries no PEER_RANGE" in remark.text
+    (remark,) = said(Autopilot.PX4, {}, WANTED_HZ, is_mavlink_1=True)
+    assert "MAV_PROTO_VER = 2" in remark.mend
