@@ -17,7 +17,7 @@ _MENDS = {
     "signature_old": "signed over a minute before our time: a vehicle that has no time yet, or a recording",
     "signature_future": "the vehicle's signing time is beyond 2100: its clock is wrong",
     "signature_streams_full": "more signed senders than there is room for",
-    "not_sent": "the system does not send there: is it a broadcast address, or is there no way to it?",
+    "not_sent": "the system does not send there: is there no way to it?",
     "output_skipped": "somebody on a serial or TCP link takes less than it is sent; the oldest was dropped",
     "ground_tool_unknown_sender": "only the ground tool at the address of `out` is listened to there",
     "too_many_ground_tools": "more ground tools on one port than there is room for",

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import socket
+from ipaddress import ip_address
 from typing import Any
 
+from gcs_coloc.core.errors import LinkError
 from gcs_coloc.links.address import UdpIn, UdpOut
 from gcs_coloc.links.base import Address, Clock, DatagramHandler
 from gcs_coloc.links.network import network_error
@@ -16,6 +19,8 @@ DATAGRAMS_PER_WAKE = 64
 """After so many in a row the event loop gets its turn, lest a flood keeps everything else from running."""
 RECEIVE_BUFFER_BYTES = 1 << 20
 """Room for a second of many vehicles while the process is held up; the system may grant less."""
+
+_EVERYBODY_HERE = "255.255.255.255"  # not known to the system as such where it has no network
 
 NOT_SENT = "not_sent"
 RECEIVE_ERROR = "receive_error"
@@ -43,9 +48,11 @@ class UdpLink:
         return (self._remote,) if self._remote is not None else ()
 
     async def open(self) -> None:
-        """Bind. LinkError where the port is in use, the host is not found or not ours."""
+        """Bind. LinkError where the port is in use, the host is not found or not ours, or to send to it is to send to all."""
         loop = asyncio.get_running_loop()
         family, sockaddr = await self._resolve(loop)
+        if isinstance(self._address, UdpOut):
+            _require_one_host(self._address, family, sockaddr)
         udp_socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
             udp_socket.setblocking(False)
@@ -98,3 +105,28 @@ class UdpLink:
             asyncio.get_running_loop().remove_reader(self._socket)
             self._socket.close()
             self._socket = None
+
+
+def _require_one_host(address: UdpOut, family: socket.AddressFamily, sockaddr: Any) -> None:
+    """LinkError where an address is a broadcast or multicast one: what is meant for one would reach all, and any could answer.
+
+    Which addresses are broadcast ones depends on the network masks; only the system knows, and says so by asking for
+    SO_BROADCAST.
+    """
+    kind = "multicast" if ip_address(sockaddr[0].partition("%")[0]).is_multicast else None
+    if sockaddr[0] == _EVERYBODY_HERE or (
+        kind is None and family == socket.AF_INET and not _connects(sockaddr) and _connects(sockaddr, broadcast=True)
+    ):
+        kind = "broadcast"
+    if kind is not None:
+        raise LinkError(
+            f"{address}: {address.host} is a {kind} address: everybody there would get what is sent, and whose answers count "
+            f"could not be told; give the one host's address, or listen (udpin:{address.port}) and have each of them connect"
+        )
+
+
+def _connects(sockaddr: Any, *, broadcast: bool = False) -> bool:
+    """Whether the system would send to an address; False only where it does not permit it. Nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, broadcast)
+        return probe.connect_ex(sockaddr) != errno.EACCES

@@ -198,3 +198,27 @@ def test_what_cannot_be_sent_is_counted_and_never_raised():
         return dict(link.counts)
 
     assert asyncio.run(scenario()) == {"not_sent": 4}
+
+
+@pytest.mark.parametrize("host", ["127.255.255.255", "255.255.255.255", "239.1.2.3"])
+def test_an_address_that_reaches_everybody_is_refused_with_the_mend(host):
+    """127.255.255.255 is the broadcast address of the loopback network, as 192.168.1.255 may be of another."""
+    link = UdpLink(UdpOut(host, 14550), Inbox(), lambda: 0.0)
+    with pytest.raises(
+        LinkError, match=r"is a (broad|multi)cast address: .*; give the one host's address, or listen \(udpin:14550\)"
+    ):
+        asyncio.run(link.open())
+    assert link.peers == ()
+
+
+@pytest.mark.parametrize("host", ["127.0.0.255", "127.0.0.1"])
+def test_an_address_that_only_looks_like_a_broadcast_one_is_one_host(host):
+    async def scenario():
+        link = UdpLink(UdpOut(host, 14550), Inbox(), lambda: 0.0)
+        await link.open()
+        try:
+            return link.peers
+        finally:
+            await link.close()
+
+    assert asyncio.run(scenario()) == ((host, 14550),)
