@@ -13,7 +13,7 @@ from bench.accuracy_flights import Case, Recording, record
 from bench.accuracy_peers import FilterpyEkf, installed
 from bench.figures import Figure, interleaved
 from gcs_coloc.core.measurements import Measurement, PositionMeasurement, RangeMeasurement
-from gcs_coloc.estimators.fleet_motion import SIZE, TURN, acceleration_noise, transition
+from gcs_coloc.estimators.fleet_motion import SIZE, TURN, Step
 from gcs_coloc.estimators.registry import load_estimator
 
 _RATE_HZ = 5.0
@@ -37,6 +37,7 @@ class SameStatesEkf:
         self._filter.x, self._filter.P = np.zeros(n), np.eye(n)
         self._at_s = start[0].measured_at_s
         self._subject = subject
+        self._step = Step()
         for m in start:
             self._filter.x[self._index[m.vehicle] : self._index[m.vehicle] + 3] = m.position_enu_m
 
@@ -56,8 +57,9 @@ class SameStatesEkf:
         slow = math.exp(-step_s / _SLOW_TIME_S)
         for i in self._index.values():
             block = slice(i, i + SIZE)
-            F[block, block] = transition(step_s, float(self._filter.x[i + TURN]), in_wind=False)
-            Q[block, block] = acceleration_noise(step_s, _DENSITY_M2PS3, _CLIMB_M2PS3)
+            self._step.move(self._filter.x[block].tolist(), step_s, float(self._filter.x[i + TURN]), in_wind=False)
+            self._step.disturb(step_s, _DENSITY_M2PS3, _CLIMB_M2PS3)
+            F[block, block], Q[block, block] = self._step.F, self._step.Q
         for k in (*(i + s for i in self._index.values() for s in range(6, SIZE)), *range(len(self._index) * SIZE, n)):
             F[k, k] = slow
             Q[k, k] = _SLOW_SIGMA**2 * (1.0 - slow * slow)

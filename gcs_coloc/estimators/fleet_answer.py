@@ -12,6 +12,7 @@ from gcs_coloc.estimators.fleet_motion import POSITION, SIZE, STAMP_ERROR, VELOC
 
 _IN_USE_S = 2.0
 _STEP_BACK_MOST_S = 2.0
+_STATED = np.eye(6, SIZE)
 
 
 def answer(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | Unknown:
@@ -23,11 +24,13 @@ def answer(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | Unknown:
         return Unknown(vehicle, at_s, f"asked for a time {-step_s:.1f} s before its newest measurement")
     x, P = cluster.predicted(vehicle, at_s)
     # By the service's clock: its states go by its own.
-    G = np.eye(6, SIZE)
-    G[POSITION, VELOCITY] = -x[STAMP_ERROR] * np.eye(3)
+    late_s = x.item(STAMP_ERROR)
+    G = _STATED.copy()
+    G[0, 3] = G[1, 4] = G[2, 5] = -late_s
     G[POSITION, STAMP_ERROR] = -x[VELOCITY]
-    position, spread = x[POSITION] - x[STAMP_ERROR] * x[VELOCITY], G @ P @ G.T
-    covariance = 0.5 * (spread + spread.T)
+    position, spread = x[POSITION] - late_s * x[VELOCITY], G @ P @ G.T
+    covariance = spread + spread.T
+    covariance *= 0.5
     worst_m = horizontal_sigma_m(covariance)
     if not worst_m <= cluster.settings.limit_sigma_m:
         return Unknown(
@@ -39,7 +42,6 @@ def answer(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | Unknown:
 
 
 def _anchor(cluster: Cluster, vehicle: int, at_s: float) -> Estimate:
-    where = cluster.joint.slice(vehicle)
     covariance = np.diag([0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6])
-    covariance[:3, :3] = cluster.joint.P[where, where]
-    return Estimate(vehicle, at_s, cluster.joint.x[where].copy(), np.zeros(3), covariance, None, 0)
+    covariance[:3, :3] = cluster.joint.covariance(vehicle)
+    return Estimate(vehicle, at_s, cluster.joint.mean(vehicle).copy(), np.zeros(3), covariance, None, 0)

@@ -7,22 +7,22 @@ neighbours. `fleet_corrections` brings the vehicles of a measurement to its time
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.linalg import blas
 
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.estimators.fleet_joint import Joint
 from gcs_coloc.estimators.fleet_motion import (
     GRAVITY_MPS2,
+    SIZE,
     STAMP_ERROR,
     STEEPEST_BANK_RAD,
     TURN,
     VELOCITY,
     WIND,
-    acceleration_noise,
-    fade_slow_states,
-    set_turn_column,
-    transition,
+    Step,
     turn_rate_radps,
 )
 from gcs_coloc.estimators.fleet_settings import FleetSettings
@@ -39,6 +39,11 @@ _TURN_TIME_S = 1.0
 _LEAST_OWN_SHARE = 1e-3
 _CLEARLY_LESS = 0.9
 _CLEARLY_MORE = 1.1
+_ANCHOR = np.eye(3)
+_PLACE = np.eye(3, SIZE)
+
+Horizontal = tuple[float, float, float]
+"""Variances of a horizontal position, m^2: east, east with north, north."""
 
 
 def _steps(from_s: float, to_s: float) -> list[float]:
@@ -51,28 +56,30 @@ def _steps(from_s: float, to_s: float) -> list[float]:
 
 
 class Cluster:
-    """The joint state of some vehicles (`records` is shared with the model: this changes the records of its own vehicles)."""
+    """The joint state of some vehicles.
 
-    __slots__ = ("joint", "records", "settings")
+    `records` is shared with the model: this changes the records of its own vehicles. `step` is room to work in for who has no
+    state of it: clusters may share one.
+    """
 
-    def __init__(self, settings: FleetSettings, records: dict[int, VehicleRecord], joint: Joint | None = None) -> None:
+    __slots__ = ("joint", "records", "settings", "step")
+
+    def __init__(self, settings: FleetSettings, records: Mapping[int, VehicleRecord], step: Step, joint: Joint) -> None:
         self.settings = settings
         self.records = records
-        self.joint = Joint() if joint is None else joint
+        self.step = step
+        self.joint = joint
 
-    def motion(
-        self, vehicle: int, x: FloatArray, P: FloatArray, step_s: float, at_s: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the mean (16,), its Jacobian F and the noise Q (16, 16) of a vehicle after a step (negative: back) to `at_s`.
+    def motion(self, vehicle: int, x: Sequence[float], variances: Horizontal, step_s: float, at_s: float) -> tuple[float, ...]:
+        """Fill `step` with the way of a vehicle over a step (negative: back) to `at_s`; return the mean of its first five states.
 
-        `x` (16,) and `P` (16, 16) are its state before the step.
+        `x` (16,) and `variances` are its state before the step, the latter of its horizontal position.
         """
-        s, record = self.settings, self.records[vehicle]
+        s, record, step = self.settings, self.records[vehicle], self.step
         attitude = record.attitude
-        aided = attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s
         length = abs(step_s)
         # A slow vehicle turns on the spot, which a turn rate does not describe.
-        slowness = 1.0 / (1.0 + float(x[3] * x[3] + x[4] * x[4]) / (s.slow_speed_mps * s.slow_speed_mps))
+        slowness = 1.0 / (1.0 + (x[3] * x[3] + x[4] * x[4]) / (s.slow_speed_mps * s.slow_speed_mps))
         density = s.acceleration_density_m2ps3 + slowness * (s.slow_density_m2ps3 - s.acceleration_density_m2ps3)
         climb = s.climb_density_m2ps3
         if record.subject and record.slow_baro_m == 0.0:
@@ -81,6 +88,9 @@ class Cluster:
         ratio, ratio_v = record.manoeuvre.ratio(), record.manoeuvre.vertical_ratio()
         gain = max(ratio * ratio, 1.0)
         gain_v = max(ratio_v * ratio_v / 3.0, 1.0)
+        # How long the turn of now lasts, within the step.
+        lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
+        aided = attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s
         if aided:
             assert attitude is not None
             assert attitude.airspeed_mps is not None
@@ -90,119 +100,125 @@ class Cluster:
             uneven = 2.0 * _TURN_TIME_S * (s.turn_share * GRAVITY_MPS2 * math.tan(roll)) ** 2
             density = s.aided_density_m2ps3 + uneven
             climb += uneven
-        elif at_s - record.informed_at_s > _COAST_TIME_S:
-            # Nobody has seen steady flight lately: a manoeuvre may have begun since.
-            gain = max(gain, min(((at_s - record.informed_at_s) / _COAST_TIME_S) ** 2, _COAST_GAIN))
-        if record.subject and not aided:
-            # Where a place is known badly a manoeuvre is noticed late: one may have been under way for long.
-            half, skew = 0.5 * float(P[0, 0] + P[1, 1]), 0.5 * float(P[0, 0] - P[1, 1])
-            worst_m2 = half + math.sqrt(skew * skew + float(P[0, 1]) ** 2)
-            gain = max(gain, min(worst_m2 / (_NOTICED_M * _NOTICED_M), _UNNOTICED_GAIN))
-        density *= min(gain, s.manoeuvre_gain)
-        climb *= min(gain_v, s.manoeuvre_gain)
-        # How long the turn of now lasts, within the step.
-        lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
+        else:
+            turn = x[TURN] * lasting_s / step_s
+            if at_s - record.informed_at_s > _COAST_TIME_S:
+                # Nobody has seen steady flight lately: a manoeuvre may have begun since.
+                gain = max(gain, min(((at_s - record.informed_at_s) / _COAST_TIME_S) ** 2, _COAST_GAIN))
+            if record.subject:
+                # Where a place is known badly a manoeuvre is noticed late: one may have been under way for long.
+                ee_m2, en_m2, nn_m2 = variances
+                half, skew = 0.5 * (ee_m2 + nn_m2), 0.5 * (ee_m2 - nn_m2)
+                worst_m2 = half + math.sqrt(skew * skew + en_m2 * en_m2)
+                gain = max(gain, min(worst_m2 / (_NOTICED_M * _NOTICED_M), _UNNOTICED_GAIN))
+        mean = step.move(x, step_s, turn, in_wind=aided)
         if not aided:
-            turn = float(x[TURN]) * lasting_s / step_s
-        F = transition(step_s, turn, in_wind=aided)
-        mean = F @ x
-        if not aided:
-            set_turn_column(F, step_s, lasting_s, float(mean[3]), float(mean[4]))
+            step.turn(step_s, lasting_s, mean[3], mean[4])
+        step.disturb(length, density * min(gain, s.manoeuvre_gain), climb * min(gain_v, s.manoeuvre_gain))
         # Of the error of time stamps only the vehicle's own part changes, a clock's lasts.
         own = s.stamp_sigma_s / record.stamp_s if record.stamp_s > 0.0 else 0.0
         stamp_time_s = s.stamp_error_time_s / max(own * own, _LEAST_OWN_SHARE)
-        Q = acceleration_noise(length, density, climb)
-        air_s, report_s = s.air_error_time_s, s.report_error_time_s
-        times_s = (s.wind_time_s, s.wind_time_s, air_s, air_s, s.baro_error_time_s, *(report_s,) * 3, stamp_time_s, s.turn_time_s)
-        sigmas = (
-            *(s.wind_sigma_mps, s.wind_sigma_mps, s.airspeed_sigma_mps, s.heading_sigma_rad, record.slow_baro_m),
-            *(record.slow_report_h_m, record.slow_report_h_m, record.slow_report_v_m, record.stamp_s),
-            s.turn_sigma_radps * min(math.sqrt(gain), _TURN_GAIN),
+        wind_s, air_s, report_s = s.wind_time_s, s.air_error_time_s, s.report_error_time_s
+        wind_mps, report_m = s.wind_sigma_mps, record.slow_report_h_m
+        turning = s.turn_sigma_radps * min(math.sqrt(gain), _TURN_GAIN)
+        step.fade(
+            length,
+            (wind_s, wind_s, air_s, air_s, s.baro_error_time_s, report_s, report_s, report_s, stamp_time_s, s.turn_time_s),
+            (
+                *(wind_mps, wind_mps, s.airspeed_sigma_mps, s.heading_sigma_rad, record.slow_baro_m),
+                *(report_m, report_m, record.slow_report_v_m, record.stamp_s, turning),
+            ),
         )
-        fade_slow_states(mean, F, Q, length, times_s, sigmas)
-        return mean, F, Q
+        return mean
 
     def bring(self, vehicle: int, at_s: float) -> None:
         """Propagate one vehicle to a time; a vehicle that is there already, or fixed, is left."""
-        record = self.records[vehicle]
-        if record.fixed:
-            return
         joint = self.joint
-        where = joint.slice(vehicle)
-        for to_s in _steps(joint.time_s[vehicle], at_s):
-            mean, F, Q = self.motion(vehicle, joint.x[where], joint.P[where, where], to_s - joint.time_s[vehicle], to_s)
-            joint.transform(vehicle, mean, F, Q, to_s)
+        from_s = joint.time_s[vehicle]
+        if at_s <= from_s or self.records[vehicle].fixed:
+            return
+        A, step, where = joint.A, self.step, joint.slice(vehicle)
+        e, n = where.start, where.start + 1
+        for to_s in _steps(from_s, at_s):
+            variances = (A.item(e, e), A.item(e, n), A.item(n, n))
+            mean = self.motion(vehicle, A[0, where].tolist(), variances, to_s - from_s, to_s)
+            joint.transform(vehicle, mean, step.F, step.Q, to_s)
+            from_s = to_s
 
     def predicted(self, vehicle: int, at_s: float) -> tuple[FloatArray, FloatArray]:
         """Return mean (16,) and covariance (16, 16) of a vehicle at a time after, or shortly before, that of its states."""
-        where = self.joint.slice(vehicle)
-        x, P, from_s = self.joint.x[where], self.joint.P[where, where], self.joint.time_s[vehicle]
+        joint, step = self.joint, self.step
+        x, P, from_s = joint.mean(vehicle), joint.covariance(vehicle), joint.time_s[vehicle]
         for to_s in _steps(from_s, at_s) if at_s >= from_s else [at_s]:
-            x, F, Q = self.motion(vehicle, x, P, to_s - from_s, to_s)
-            P = F @ P @ F.T + Q
+            variances = (P.item(0, 0), P.item(0, 1), P.item(1, 1))
+            mean = self.motion(vehicle, x.tolist(), variances, to_s - from_s, to_s)
+            x = step.F @ x
+            x[: len(mean)] = mean
+            P = step.F @ P @ step.F.T
+            P += step.Q
             from_s = to_s
         return x, P
 
-    def place(self, vehicle: int) -> FloatArray:
-        """Return where a vehicle is, (3,), at the time of its states.
+    def place(self, vehicle: int) -> tuple[float, float, float]:
+        """Return where a vehicle is, at the time of its states.
 
         What a vehicle says of itself is all late by the one error of its clock, and its states go by that clock.
         """
-        start, x = self.joint.start[vehicle], self.joint.x
+        x = self.joint.mean(vehicle).tolist()
         if self.records[vehicle].fixed:
-            return x[start : start + 3].copy()
-        there: FloatArray = x[start : start + 3] - x[start + STAMP_ERROR] * x[start + 3 : start + 6]
-        return there
+            return x[0], x[1], x[2]
+        late_s = x[STAMP_ERROR]
+        return x[0] - late_s * x[3], x[1] - late_s * x[4], x[2] - late_s * x[5]
 
-    def placed(self, vehicle: int, A: FloatArray) -> FloatArray:
-        """Return A G' (..., 3) with G the Jacobian of `place`; `A` (..., n)."""
-        start, x = self.joint.start[vehicle], self.joint.x
+    def placing(self, vehicle: int) -> FloatArray:
+        """Return the Jacobian of `place`, (3, m), by the m states of the vehicle."""
         if self.records[vehicle].fixed:
-            return A[..., start : start + 3]
-        late = start + STAMP_ERROR
-        v = slice(start + 3, start + 6)
-        placed: FloatArray = A[..., start : start + 3] - x[late] * A[..., v] - A[..., late, np.newaxis] * x[v]
-        return placed
+            return _ANCHOR
+        x, G = self.joint.mean(vehicle), _PLACE.copy()
+        G[0, 3] = G[1, 4] = G[2, 5] = -x[STAMP_ERROR]
+        G[:, STAMP_ERROR] = -x[VELOCITY]
+        return G
 
     def relative(self, a: int, b: int) -> tuple[FloatArray, FloatArray]:
-        """Return the covariance of all states with the place of `a` relative to `b`, (n, 3), and that place's own, (3, 3)."""
-        with_all = self.placed(a, self.joint.P) - self.placed(b, self.joint.P)
-        return with_all, self.placed(a, with_all.T) - self.placed(b, with_all.T)
+        """Return the covariance of all states with the place of `a` relative to `b`, (1 + n, 3), and that place's own, (3, 3).
+
+        Row 0 of the former means nothing.
+        """
+        A, Ga, Gb, at_a, at_b = self.joint.A, self.placing(a), self.placing(b), self.joint.slice(a), self.joint.slice(b)
+        with_a = blas.dgemm(1.0, A[at_a].T, Ga.T)
+        with_all: FloatArray = blas.dgemm(-1.0, A[at_b].T, Gb.T, beta=1.0, c=with_a, overwrite_c=1)
+        return with_all, Ga @ with_all[at_a] - Gb @ with_all[at_b]
 
     def restate(self, vehicle: int, where: slice, before: float, now: float) -> float:
         """Take a new sigma of a vehicle's slow errors where it is clearly another one; return the one now in force."""
+        if _CLEARLY_LESS * before <= now <= _CLEARLY_MORE * before:
+            return before
         joint = self.joint
         start = joint.start[vehicle]
-        index = slice(start + where.start, start + where.stop)
-        if now < _CLEARLY_LESS * before:
-            factor = now / before
-            joint.x[index] *= factor
-            joint.P[index] *= factor
-            joint.P[:, index] *= factor
-            return now
-        if now > _CLEARLY_MORE * before:
+        first, stop = start + where.start, start + where.stop
+        if now < before:
+            joint.scale(first, stop, now / before)
+        else:
             # What is more than before may have come all at once.
-            joint.P[range(index.start, index.stop), range(index.start, index.stop)] += now * now - before * before
-            return now
-        return before
+            joint.A[range(first, stop), range(first, stop)] += now * now - before * before
+        return now
 
-    def watch(self, vehicle: int, W: FloatArray, e: FloatArray | tuple[float, ...], at_s: float) -> None:
-        """Note for the manoeuvre monitor by how much a correction W e, W (n, k), e (k,), changed a vehicle's velocity."""
-        if self.records[vehicle].fixed:
+    def watch(self, vehicle: int, W: FloatArray, innovations: Sequence[float], at_s: float) -> None:
+        """Note for the manoeuvre monitor how much a correction, W (1 + n, k) and k innovations, changed a velocity."""
+        record = self.records[vehicle]
+        if record.fixed:
             return
-        monitor = self.records[vehicle].manoeuvre
-        monitor.fade(at_s, self.settings.manoeuvre_memory_s)
+        record.manoeuvre.fade(at_s, self.settings.manoeuvre_memory_s)
         start = self.joint.start[vehicle] + VELOCITY.start
         east, north, up = W[start : start + 3].tolist()
-        for we, wn, wu, whitened in zip(east, north, up, e, strict=True):
-            monitor.add(we, wn, wu, whitened)
+        record.manoeuvre.add(east, north, up, innovations)
 
     def widen(self, vehicle: int, position_m2: float) -> None:
         """Add uncertainty to a vehicle that the ranges contradict: position variance in m^2 per axis, velocity to match.
 
         The wind goes with the velocity: one that was learned from a false velocity would bring it back with the next air data.
         """
-        P, start = self.joint.P, self.joint.start[vehicle]
+        P, start = self.joint.A, self.joint.start[vehicle]
         time2_s2 = 4.0
         for axis in range(3):
             P[start + axis, start + axis] += position_m2

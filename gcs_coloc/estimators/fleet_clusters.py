@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.estimators.fleet_cluster import Cluster
-from gcs_coloc.estimators.fleet_joint import Key
+from gcs_coloc.estimators.fleet_joint import Joint, Key
+from gcs_coloc.estimators.fleet_motion import Step
 from gcs_coloc.estimators.fleet_settings import FleetSettings
 from gcs_coloc.estimators.fleet_vehicle import VehicleRecord
 
@@ -17,17 +18,18 @@ class Clusters:
     `records` is shared with the model.
     """
 
-    __slots__ = ("_of", "_records", "_settings")
+    __slots__ = ("_of", "_records", "_settings", "_step")
 
-    def __init__(self, settings: FleetSettings, records: dict[int, VehicleRecord]) -> None:
+    def __init__(self, settings: FleetSettings, records: Mapping[int, VehicleRecord], step: Step | None = None) -> None:
         self._settings = settings
         self._records = records
         self._of: dict[int, Cluster] = {}
+        self._step = Step() if step is None else step
 
-    def copy(self, records: dict[int, VehicleRecord]) -> Clusters:
+    def copy(self, records: Mapping[int, VehicleRecord]) -> Clusters:
         """Return an independent copy for a model with the records given."""
-        other = Clusters(self._settings, records)
-        copies = {id(c): Cluster(self._settings, records, c.joint.copy()) for c in self._of.values()}
+        other = Clusters(self._settings, records, self._step)
+        copies = {id(c): other._cluster(c.joint.copy()) for c in self._of.values()}
         other._of = {vehicle: copies[id(c)] for vehicle, c in self._of.items()}
         return other
 
@@ -48,19 +50,19 @@ class Clusters:
 
     def begin(self, vehicle: int, mean: FloatArray, covariance: FloatArray, at_s: float) -> Cluster:
         """Begin a cluster of one vehicle: mean (m,) and covariance (m, m) of its states at a time."""
-        cluster = self._of[vehicle] = Cluster(self._settings, self._records)
+        cluster = self._of[vehicle] = self._cluster(Joint())
         cluster.joint.append(vehicle, mean, covariance, at_s)
         return cluster
 
     def adopt(self, cluster: Cluster, vehicles: list[int]) -> None:
         """Take a copy of another model's cluster for its vehicles, which must be in none here."""
-        self._of.update(dict.fromkeys(vehicles, Cluster(self._settings, self._records, cluster.joint.copy())))
+        self._of.update(dict.fromkeys(vehicles, self._cluster(cluster.joint.copy())))
 
     def merge(self, a: int, b: int) -> Cluster:
         """Return the one cluster that holds both vehicles, made of their two if need be."""
         first, second = self._of[a], self._of[b]
         if first is not second:
-            if len(second.joint.x) > len(first.joint.x):
+            if len(second.joint.A) > len(first.joint.A):
                 first, second = second, first
             first.joint.join(second.joint)
             for key in second.joint.start:
@@ -101,6 +103,9 @@ class Clusters:
                 if key in members or (isinstance(key, tuple) and key[0] in members and key[1] in links.get(key[0], ()))
             ]
             if len(keys) < len(cluster.joint.start):
-                part = Cluster(self._settings, self._records, cluster.joint.part(keys))
+                part = self._cluster(cluster.joint.part(keys))
                 for member in members:
                     self._of[member] = part
+
+    def _cluster(self, joint: Joint) -> Cluster:
+        return Cluster(self._settings, self._records, self._step, joint)

@@ -12,7 +12,7 @@ from collections.abc import Hashable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 
 from gcs_coloc.core.measurements import FloatArray
 
@@ -20,36 +20,47 @@ Key = Hashable
 
 
 class Whitened(NamedTuple):
-    """An innovation brought to unit variance: e (k,) = S^-1/2 innovation, with `inverse_root` S^-1/2 (k, k), lower triangular.
+    """A measurement of k values brought to innovations of unit variance and independent of each other.
 
-    `nis` is e'e, the normalised innovation squared.
+    `W` (1 + n, k) holds their covariances with the states from row 1 on, and less these innovations in row 0: what
+    `Joint.correct` takes. `nis` is the sum of their squares, the normalised innovation squared.
     """
 
-    e: FloatArray
-    inverse_root: FloatArray
+    W: FloatArray
     nis: float
 
+    def innovations(self) -> list[float]:
+        """The k innovations of unit variance."""
+        return [-e for e in self.W[0].tolist()]
 
-def whiten(S: FloatArray, innovation: FloatArray) -> Whitened:
-    """Return the innovation (k,) whitened by its covariance S (k, k)."""
-    root, info = lapack.dpotrf(S, lower=1, clean=1)
+
+def whiten(HA: FloatArray, S: FloatArray) -> Whitened:
+    """Return k measured values whitened by the covariance S (k, k) of their innovations.
+
+    HA (k, 1 + n) holds their covariances with all states, and in column 0 what was expected less what was measured.
+    """
+    root, info = lapack.dpotrf(S.T, lower=1, clean=0)
     assert info == 0, "an innovation covariance holds measurement noise and is positive definite"
-    inverse_root, _ = lapack.dtrtri(root, lower=1)
-    e = inverse_root @ innovation
-    return Whitened(e, inverse_root, float(e @ e))
+    W = blas.dtrsm(1.0, root, HA.T, side=1, lower=1, trans_a=1)
+    e = W[0]
+    return Whitened(W, float(e @ e))
 
 
 class Joint:
-    """Mean `x` (n,) and covariance `P` (n, n) over named blocks of states.
+    """Mean and covariance of n states in named blocks, in one array.
 
-    `start` maps each block's key to its first index, `size` to its length, `time_s` to the time at which its states hold.
+    `A` (1 + n, 1 + n) is the covariance with the mean before it: in row 0, and the same in column 0; its corner means nothing.
+    So one product gives the covariances of a combination of states with all of them and its mean, and one rank-k update
+    corrects covariance and mean. It is symmetric to the last bit where the BLAS computes both halves in the same way, else
+    to rounding, which does not grow: whatever brings a block forward makes it symmetric.
+
+    `start` maps each block's key to its first index in `A`, `size` to its length, `time_s` to the time at which its states hold.
     """
 
-    __slots__ = ("P", "size", "start", "time_s", "x")
+    __slots__ = ("A", "size", "start", "time_s")
 
     def __init__(self) -> None:
-        self.x: FloatArray = np.zeros(0)
-        self.P: FloatArray = np.zeros((0, 0))
+        self.A: FloatArray = np.zeros((1, 1))
         self.start: dict[Key, int] = {}
         self.size: dict[Key, int] = {}
         self.time_s: dict[Key, float] = {}
@@ -57,75 +68,91 @@ class Joint:
     def copy(self) -> Joint:
         """Return an independent copy."""
         other = Joint()
-        other.x = self.x.copy()
-        other.P = self.P.copy()
+        other.A = self.A.copy()
         other.start = dict(self.start)
         other.size = dict(self.size)
         other.time_s = dict(self.time_s)
         return other
 
     def slice(self, key: Key) -> slice:
-        """Return where a block lies in `x` and `P`."""
+        """Return where a block lies in `A`."""
         start = self.start[key]
         return slice(start, start + self.size[key])
 
+    def mean(self, key: Key) -> FloatArray:
+        """Return the mean (m,) of a block: a view, not to be written to."""
+        return self.A[0, self.slice(key)]
+
+    def covariance(self, key: Key) -> FloatArray:
+        """Return the covariance (m, m) of a block: a view."""
+        where = self.slice(key)
+        return self.A[where, where]
+
     def append(self, key: Key, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
         """Append a block that is independent of all others: mean (m,), covariance (m, m), at its time."""
-        n, m = len(self.x), len(mean)
-        P = np.zeros((n + m, n + m))
-        P[:n, :n] = self.P
-        P[n:, n:] = covariance
-        self.P = P
-        self.x = np.concatenate([self.x, mean])
+        n, m = len(self.A), len(mean)
+        self._extend(m)
+        self.A[0, n:] = self.A[n:, 0] = mean
+        self.A[n:, n:] = covariance
         self.start[key], self.size[key], self.time_s[key] = n, m, at_s
 
     def part(self, keys: list[Key]) -> Joint:
         """Return the marginal density of some blocks, in the order given."""
         other = Joint()
-        index: list[int] = []
+        index = [0]
         for key in keys:
             other.start[key], other.size[key], other.time_s[key] = len(index), self.size[key], self.time_s[key]
             index.extend(range(self.start[key], self.start[key] + self.size[key]))
-        other.x = self.x[index]
-        other.P = self.P[np.ix_(index, index)]
+        other.A = self.A[np.ix_(index, index)]
         return other
 
     def join(self, other: Joint) -> None:
         """Take in the blocks of another density, independent of this one."""
-        n, m = len(self.x), len(other.x)
-        P = np.zeros((n + m, n + m))
-        P[:n, :n] = self.P
-        P[n:, n:] = other.P
-        self.P = P
-        self.x = np.concatenate([self.x, other.x])
+        n = len(self.A)
+        self._extend(len(other.A) - 1)
+        self.A[0, n:] = self.A[n:, 0] = other.A[0, 1:]
+        self.A[n:, n:] = other.A[1:, 1:]
         for key, start in other.start.items():
-            self.start[key], self.size[key], self.time_s[key] = n + start, other.size[key], other.time_s[key]
+            self.start[key], self.size[key], self.time_s[key] = n + start - 1, other.size[key], other.time_s[key]
 
-    def transform(self, key: Key, mean: FloatArray, F: FloatArray, Q: FloatArray, at_s: float) -> None:
-        """Bring one block to time `at_s`: its mean (m,) there, the Jacobian F (m, m) of the way and its noise Q (m, m)."""
-        where = self.slice(key)
-        self.x[where] = mean
-        rows = F @ self.P[where]
-        block = rows[:, where] @ F.T + Q
-        self.P[where] = rows
-        self.P[:, where] = rows.T
-        self.P[where, where] = 0.5 * (block + block.T)
+    def _extend(self, m: int) -> None:
+        n = len(self.A)
+        A = np.zeros((n + m, n + m))
+        A[:n, :n] = self.A
+        self.A = A
+
+    def transform(self, key: Key, mean: tuple[float, ...], F: FloatArray, Q: FloatArray, at_s: float) -> None:
+        """Bring one block to time `at_s`: the Jacobian F (m, m) of the way, its noise Q (m, m), and the mean there.
+
+        `mean` may be shorter than m: the rest goes by F.
+        """
+        A, where = self.A, self.slice(key)
+        columns = blas.dgemm(1.0, A[where].T, F.T)
+        rows = columns.T
+        rows[: len(mean), 0] = mean
+        block = rows[:, where] @ F.T
+        block += Q
+        A[where] = rows
+        A[:, where] = columns
+        np.multiply(block + block.T, 0.5, out=A[where, where])
         self.time_s[key] = at_s
 
-    def update(self, PHt: FloatArray, innovation: Whitened) -> FloatArray:
-        """Take a measurement of k values: PHt (n, k) = P H' and its whitened innovation.
+    def expect(self, key: Key, H: FloatArray) -> FloatArray:
+        """Return (k, 1 + n): the mean, then the covariances with all states, of the combinations H (k, m) of a block's states."""
+        HA: FloatArray = blas.dgemm(1.0, self.A[self.slice(key)].T, H.T).T
+        return HA
 
-        The covariance is reduced by W W' with W = P H' S^-T/2 (n, k), which stays symmetric to the last bit. Returns W.
-        """
-        W: FloatArray = PHt @ innovation.inverse_root.T
-        self.x += W @ innovation.e
-        self.P -= W @ W.T
+    def correct(self, W: FloatArray) -> None:
+        """Take whitened measurements, W (1 + n, k) of `Whitened`: the covariance is reduced by W W', which keeps it symmetric."""
+        blas.dgemm(-1.0, W, W, beta=1.0, c=self.A.T, trans_b=1, overwrite_c=1)
+
+    def correct_scalar(self, hA: FloatArray, variance: float) -> FloatArray:
+        """Take one measured value, hA (1 + n,) as a row of `whiten`, with its innovation's variance; return W (1 + n, 1)."""
+        W: FloatArray = (hA * (1.0 / variance**0.5))[:, np.newaxis]
+        self.correct(W)
         return W
 
-    def update_scalar(self, PHt: FloatArray, variance: float, innovation: float) -> FloatArray:
-        """Take a measurement of one value: PHt (n,), innovation variance and innovation. Returns W (n,) as `update` does."""
-        root = float(np.sqrt(variance))
-        W: FloatArray = PHt * (1.0 / root)
-        self.x += W * (innovation / root)
-        self.P -= W[:, np.newaxis] * W
-        return W
+    def scale(self, first: int, stop: int, factor: float) -> None:
+        """Scale some neighbouring states, mean and covariances, by a factor."""
+        self.A[first:stop] *= factor
+        self.A[:, first:stop] *= factor

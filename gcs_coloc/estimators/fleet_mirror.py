@@ -73,7 +73,7 @@ def _across(
     """Test one plane: unit normal (3,), axes within it (3, m), and the least sum of squares of the peers (k, 3) along these."""
     joint, record = cluster.joint, cluster.records[subject]
     start = joint.start[subject]
-    here, velocity = cluster.place(subject), joint.x[start + 3 : start + 6]
+    here, velocity = np.array(cluster.place(subject)), joint.A[0, start + 3 : start + 6]
     centre = there.mean(axis=0)
     offsets = there - centre
     away_m = float((here - centre) @ normal)
@@ -104,7 +104,7 @@ def _across(
         return None
     speed_mps = _plane_speed(cluster, peers, offsets @ within, (here - centre) @ within, normal)
     closing = float(velocity @ normal) - speed_mps
-    spread_v = math.sqrt(float(normal @ joint.P[start + 3 : start + 6, start + 3 : start + 6] @ normal))
+    spread_v = math.sqrt(float(normal @ joint.A[start + 3 : start + 6, start + 3 : start + 6] @ normal))
     attitude = record.attitude
     aided = attitude is not None and at_s - attitude.measured_at_s <= cluster.settings.attitude_fresh_s
     turn = 0.0 if aided else math.sqrt(_HARDEST_TURN_MPS2 * blind_m)
@@ -116,8 +116,7 @@ def _across(
     both = np.array([away_m, closing])
     G = np.zeros((2, SIZE))
     G[0, 0:3] = G[1, 3:6] = normal
-    where = joint.slice(subject)
-    apart = 2.0 * float(both @ np.linalg.solve(G @ joint.P[where, where] @ G.T, both))
+    apart = 2.0 * float(both @ np.linalg.solve(G @ joint.covariance(subject) @ G.T, both))
     return Mirror(centre, normal, speed_mps) if apart > _SAME_PLACE else None
 
 
@@ -131,16 +130,14 @@ def _plane_speed(cluster: Cluster, peers: list[int], within_m: FloatArray, at_m:
     for i, v in enumerate(peers):
         if not cluster.records[v].fixed:
             p = joint.start[v]
-            speeds[i] = joint.x[p + 3 : p + 6] @ normal
+            speeds[i] = joint.A[0, p + 3 : p + 6] @ normal
     slopes = np.linalg.solve(within_m.T @ within_m, within_m.T @ speeds)
     return float(speeds.mean() + slopes @ at_m)
 
 
 def reflect(cluster: Cluster, subject: int, mirror: Mirror) -> None:
     """Turn a subject's state into its mirror image, with all its covariances."""
-    joint = cluster.joint
-    where = joint.slice(subject)
-    n = mirror.normal
+    joint, n = cluster.joint, mirror.normal
     M = np.eye(SIZE)
     M[0:3, 0:3] -= 2.0 * np.outer(n, n)
     M[3:6, 3:6] = M[0:3, 0:3]
@@ -149,12 +146,8 @@ def reflect(cluster: Cluster, subject: int, mirror: Mirror) -> None:
     offset = np.zeros(SIZE)
     offset[0:3] = 2.0 * float(mirror.at_m @ n) * n
     offset[3:6] = 2.0 * mirror.speed_mps * n
-    joint.x[where] = M @ joint.x[where] + offset
-    rows = M @ joint.P[where]
-    block = rows[:, where] @ M.T
-    joint.P[where] = rows
-    joint.P[:, where] = rows.T
-    joint.P[where, where] = 0.5 * (block + block.T)
+    mean = M @ joint.mean(subject) + offset
+    joint.transform(subject, tuple(mean.tolist()), M, np.zeros((SIZE, SIZE)), joint.time_s[subject])
 
 
 def blend(

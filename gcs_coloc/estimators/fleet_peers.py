@@ -4,11 +4,49 @@ from __future__ import annotations
 
 import numpy as np
 
-from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, RangeMeasurement
+from gcs_coloc.estimators.fleet_clusters import Clusters
+from gcs_coloc.estimators.fleet_settings import FleetSettings
+from gcs_coloc.estimators.fleet_vehicle import Records
 
+_CHOICE_HOLDS_S = 2.0
 _STAY_BONUS = 1.2
 _SHARED_BONUS = 1.5
 _PRIOR_INFORMATION = 1e-3
+
+
+def is_wanted(clusters: Clusters, records: Records, subject: int, m: RangeMeasurement, s: FleetSettings) -> bool:
+    """Whether the other end of a subject's range is among the at most K neighbours that it uses; chooses anew every 2 s."""
+    record = records.writable(subject)
+    other = m.to_vehicle if m.from_vehicle == subject else m.from_vehicle
+    at_s = m.measured_at_s
+    if other not in record.chosen and len(record.heard) <= s.peers_per_subject:
+        record.chosen = frozenset(record.heard)
+    if at_s - record.chosen_at_s >= _CHOICE_HOLDS_S:
+        record.chosen_at_s = at_s
+        fresh = sorted(v for v, t in record.heard.items() if at_s - t <= s.peer_fresh_s)
+        few = len(fresh) <= s.peers_per_subject
+        record.chosen = frozenset(fresh) if few else _choose(clusters, records, subject, fresh, s.peers_per_subject)
+    return other in record.chosen
+
+
+def _choose(clusters: Clusters, records: Records, subject: int, fresh: list[int], most: int) -> frozenset[int]:
+    here, record = _roughly(clusters, records, subject), records[subject]
+    placed = [(v, there) for v in fresh if (there := _roughly(clusters, records, v)) is not None]
+    if here is None or len(placed) <= most:
+        return frozenset([v for v, _ in placed][:most])
+    subjects = {vehicle: other for vehicle, other in records.items() if other.subject}
+    used = (other.chosen for vehicle, other in subjects.items() if vehicle != subject)
+    shared = frozenset().union(*used) - subjects.keys()
+    height_known = any(isinstance(m, AltitudeMeasurement) for m in record.recent)
+    return choose_peers(here, placed, record.chosen, shared, most, height_known=height_known)
+
+
+def _roughly(clusters: Clusters, records: Records, vehicle: int) -> FloatArray | None:
+    cluster, record = clusters.get(vehicle), records[vehicle]
+    if cluster is not None:
+        return cluster.joint.mean(vehicle)[:3]
+    return np.array(record.last_position.position_enu_m) if record.last_position is not None else None
 
 
 def choose_peers(

@@ -66,10 +66,10 @@ def test_the_mirror_image_above_a_level_plane_sinks_where_the_state_climbs_and_t
     records = {1: VehicleRecord(subject=True)}
     clusters = Clusters(FleetSettings(), records)
     state = start_block(np.array([10.0, 20.0, 130.0, 5.0, 6.0, 3.0]), np.eye(6), FleetSettings())
+    state[0][TURN] = 0.1
     cluster = clusters.begin(1, *state, 0.0)
-    cluster.joint.x[TURN] = 0.1
-    before = cluster.joint.P.copy()
+    before = cluster.joint.covariance(1).copy()
     reflect(cluster, 1, Mirror(np.array([0.0, 0.0, 100.0]), np.array([0.0, 0.0, 1.0]), 1.0))
-    np.testing.assert_allclose(cluster.joint.x[:6], [10.0, 20.0, 70.0, 5.0, 6.0, -1.0])
-    assert cluster.joint.x[TURN] == pytest.approx(0.1)
-    np.testing.assert_allclose(cluster.joint.P, before, atol=1e-12)
+    np.testing.assert_allclose(cluster.joint.mean(1)[:6], [10.0, 20.0, 70.0, 5.0, 6.0, -1.0])
+    assert cluster.joint.mean(1)[TURN] == pytest.approx(0.1)
+    np.testing.assert_allclose(cluster.joint.covariance(1), before, atol=1e-12)

@@ -13,7 +13,19 @@ def walk(step_s: float) -> tuple[np.ndarray, np.ndarray]:
 
 def step(joint: Joint, key: str, at_s: float) -> None:
     F, Q = walk(at_s - joint.time_s[key])
-    joint.transform(key, F @ joint.x[joint.slice(key)], F, Q, at_s)
+    joint.transform(key, tuple((F @ joint.mean(key)).tolist()), F, Q, at_s)
+
+
+def whole(joint: Joint) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance of all states, the mean the same in row and column."""
+    np.testing.assert_array_equal(joint.A[0, 1:], joint.A[1:, 0])
+    return joint.A[0, 1:].copy(), joint.A[1:, 1:].copy()
+
+
+def measured(joint: Joint, H: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """What `whiten` takes of values z that measure H x."""
+    x, P = whole(joint)
+    return np.column_stack([H @ x - z, H @ P])
 
 
 def two_walkers() -> tuple[Joint, np.random.Generator]:
@@ -34,7 +46,7 @@ def textbook(x: np.ndarray, P: np.ndarray, H: np.ndarray, R: float, z: float) ->
 
 def test_blocks_at_their_own_times_give_what_the_synchronous_filter_gives():
     joint, rng = two_walkers()
-    x, P = joint.x.copy(), joint.P.copy()
+    x, P = whole(joint)
     H_range = np.array([[1.0, 0.0, -1.0, 0.0]])
     H_a = np.array([[1.0, 0.0, 0.0, 0.0]])
     now_s = 0.0
@@ -50,30 +62,41 @@ def test_blocks_at_their_own_times_give_what_the_synchronous_filter_gives():
         x, P = textbook(x, P, H, 0.3, z)
         for key in ("a",) if only_a else ("a", "b"):
             step(joint, key, now_s)
-        PHt = joint.P @ H.T
-        joint.update(PHt, whiten(H @ PHt + 0.3, np.array([z - float((H @ joint.x)[0])])))
+        HA = measured(joint, H, np.array([z]))
+        joint.correct(whiten(HA, HA[:, 1:] @ H.T + 0.3).W)
         if not only_a:
-            np.testing.assert_allclose(joint.x, x, rtol=1e-9, atol=1e-9)
-            np.testing.assert_allclose(joint.P, P, rtol=1e-8, atol=1e-9)
+            np.testing.assert_allclose(whole(joint)[0], x, rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(whole(joint)[1], P, rtol=1e-8, atol=1e-9)
 
 
 def test_scalar_update_equals_block_update():
     joint, _ = two_walkers()
     other = joint.copy()
-    H = np.array([1.0, 0.2, -1.0, 0.1])
-    PHt = joint.P @ H
-    variance = float(H @ PHt) + 0.5
-    joint.update_scalar(PHt, variance, 0.8)
-    other.update(PHt[:, np.newaxis], whiten(np.array([[variance]]), np.array([0.8])))
-    np.testing.assert_allclose(joint.x, other.x, rtol=1e-12)
-    np.testing.assert_allclose(joint.P, other.P, rtol=1e-12, atol=1e-14)
+    H = np.array([[1.0, 0.2, -1.0, 0.1]])
+    HA = measured(joint, H, np.array([0.8]))
+    S = HA[:, 1:] @ H.T + 0.5
+    np.testing.assert_allclose(joint.correct_scalar(HA[0], float(S[0, 0])), whiten(HA, S).W, rtol=1e-12)
+    other.correct(whiten(HA, S).W)
+    np.testing.assert_allclose(whole(joint)[0], whole(other)[0], rtol=1e-12)
+    np.testing.assert_allclose(whole(joint)[1], whole(other)[1], rtol=1e-12, atol=1e-14)
 
 
-def test_a_whitened_innovation_is_of_unit_variance():
-    S, innovation = np.array([[2.0, 0.3], [0.3, 1.0]]), np.array([0.5, -1.2])
-    white = whiten(S, innovation)
-    np.testing.assert_allclose(white.inverse_root @ S @ white.inverse_root.T, np.eye(2), atol=1e-14)
-    np.testing.assert_allclose(white.nis, innovation @ np.linalg.inv(S) @ innovation)
+def test_what_is_expected_of_a_block_is_the_mean_and_the_covariance_with_all():
+    joint, rng = two_walkers()
+    x, P = whole(joint)
+    H = rng.normal(size=(3, 2))
+    np.testing.assert_allclose(joint.expect("b", H), np.column_stack([H @ x[2:], H @ P[2:]]))
+
+
+def test_a_whitened_measurement_has_innovations_of_unit_variance():
+    joint, rng = two_walkers()
+    H, z = rng.normal(size=(2, 4)), np.array([0.5, -1.2])
+    HA = measured(joint, H, z)
+    S = HA[:, 1:] @ H.T + np.eye(2)
+    white = whiten(HA, S)
+    np.testing.assert_allclose(white.nis, HA[:, 0] @ np.linalg.inv(S) @ HA[:, 0])
+    np.testing.assert_allclose(white.nis, np.square(white.innovations()).sum())
+    np.testing.assert_allclose(white.W @ white.W.T, HA.T @ np.linalg.inv(S) @ HA)
 
 
 def test_a_part_is_the_marginal_and_a_copy_is_independent():
@@ -81,10 +104,11 @@ def test_a_part_is_the_marginal_and_a_copy_is_independent():
     part = joint.part(["b"])
     copy = joint.copy()
     step(copy, "b", 1.0)
-    np.testing.assert_array_equal(part.P, joint.P[2:, 2:])
-    np.testing.assert_array_equal(part.x, joint.x[2:])
+    np.testing.assert_array_equal(part.covariance("b"), joint.covariance("b"))
+    np.testing.assert_array_equal(part.mean("b"), joint.mean("b"))
+    assert len(part.A) == 3
     assert joint.time_s == {"a": 0.0, "b": 0.0}
-    assert not np.allclose(copy.P, joint.P)
+    assert not np.allclose(copy.A, joint.A)
 
 
 def test_joined_densities_are_independent():
@@ -92,5 +116,15 @@ def test_joined_densities_are_independent():
     second = first.part(["b"])
     first = first.part(["a"])
     first.join(second)
-    assert first.slice("b") == slice(2, 4)
-    assert not first.P[:2, 2:].any()
+    assert first.slice("b") == slice(3, 5)
+    assert not first.A[1:3, 3:].any()
+    np.testing.assert_array_equal(first.mean("b"), second.mean("b"))
+
+
+def test_scaled_states_are_scaled_in_mean_and_covariances():
+    joint, _ = two_walkers()
+    x, P = whole(joint)
+    joint.scale(2, 4, 0.5)
+    D = np.diag([1.0, 0.5, 0.5, 1.0])
+    np.testing.assert_allclose(whole(joint)[0], D @ x)
+    np.testing.assert_allclose(whole(joint)[1], D @ P @ D)

@@ -1,0 +1,131 @@
+"""How a slant range corrects the joint state of a cluster of vehicles, and the way back where most are refused.
+
+The correction is of second order, with the pair's own slow errors.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gcs_coloc.core.measurements import RangeMeasurement
+from gcs_coloc.estimators.fleet_blocks import pair_key
+from gcs_coloc.estimators.fleet_cluster import Cluster
+from gcs_coloc.estimators.fleet_corrections import USED, Verdict
+from gcs_coloc.estimators.fleet_motion import STAMP_ERROR
+from gcs_coloc.estimators.fleet_vehicle import Neighbour
+
+_LEAST_DISTANCE_M = 1e-3
+_LOST_SHARE = 0.5
+_REFUSAL_MEMORY = 10.0
+
+
+def take_range(cluster: Cluster, m: RangeMeasurement, sigma_m: float, slow_m: float) -> Verdict:
+    """Correct with a slant range between two vehicles.
+
+    `sigma_m` is that of the range itself, `slow_m` of the part of its error that lasts.
+    """
+    s, joint, at_s = cluster.settings, cluster.joint, m.measured_at_s
+    a, b = m.from_vehicle, m.to_vehicle
+    cluster.bring(a, at_s)
+    cluster.bring(b, at_s)
+    bias = _pair(cluster, m, slow_m)
+    A = joint.A
+    (ax, ay, az), (bx, by, bz) = cluster.place(a), cluster.place(b)
+    dx, dy, dz = ax - bx, ay - by, az - bz
+    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    if distance < _LEAST_DISTANCE_M:
+        return Verdict("refused: both ends estimated at one place")
+    ux, uy, uz = u = (dx / distance, dy / distance, dz / distance)
+    relative, M = cluster.relative(a, b)
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = M.tolist()
+    mx, my, mz = xx * ux + xy * uy + xz * uz, yx * ux + yy * uy + yz * uz, zx * ux + zy * uy + zz * uz
+    along = ux * mx + uy * my + uz * mz
+    # Second order: a range to an uncertain place is on average longer than to its mean, and its spread grows.
+    across_trace = max(xx + yy + zz - along, 0.0)
+    norm2 = xx * xx + yy * yy + zz * zz + xy * xy + yx * yx + xz * xz + zx * zx + yz * yz + zy * zy
+    square = norm2 - 2.0 * (mx * mx + my * my + mz * mz) + along * along
+    longer = 0.5 * across_trace / distance
+    spread = max(0.5 * square / (distance * distance), 0.0)
+    closing = _closing_mps(cluster, a, u) - _closing_mps(cluster, b, u)
+    noise = sigma_m * sigma_m + (closing * s.stamp_sigma_s) ** 2
+    # The expansion fails where the uncertainty is as large as the distance: there it may not outgrow the first order.
+    spread = min(spread, along + noise)
+    longer = min(longer, math.sqrt(along + noise))
+    hA = relative @ u
+    own = hA.item(bias) + hA.item(bias + 1)
+    errors = A[bias] + A[bias + 1]
+    clock = m.clock_of if m.clock_of in (a, b) and not cluster.records[m.clock_of].fixed else None
+    if clock is not None:
+        # It is of as much later than it says as the reports of the vehicle that stamped it.
+        late = joint.start[clock] + STAMP_ERROR
+        own += closing * hA.item(late)
+        errors += closing * A[late]
+    # The range is the distance, of which `hA` knows, and its errors.
+    variance = along + 2.0 * own + errors.item(bias) + errors.item(bias + 1) + spread + noise
+    if clock is not None:
+        variance += closing * errors.item(late)
+    hA += errors
+    innovation = m.range_m - (distance + longer + errors.item(0))
+    hA[0] = -innovation
+    nis = innovation * innovation / variance
+    sigma = math.sqrt(variance)
+    if nis > s.gate_sigma**2:
+        return Verdict("refused: range outside the gate", innovation, sigma, nis, 1)
+    if nis > s.doubt_sigma**2:
+        # Huber's weight: beyond the doubt the pull of an innovation grows no more.
+        variance *= math.sqrt(nis) / s.doubt_sigma
+    W = joint.correct_scalar(hA, variance)
+    whitened = (innovation / math.sqrt(variance),)
+    cluster.watch(a, W, whitened, at_s)
+    cluster.watch(b, W, whitened, at_s)
+    return Verdict(USED, innovation, sigma, nis, 1)
+
+
+def _closing_mps(cluster: Cluster, vehicle: int, u: tuple[float, float, float]) -> float:
+    if cluster.records[vehicle].fixed:
+        return 0.0
+    x = cluster.joint.mean(vehicle).tolist()
+    return float(u[0] * x[3] + u[1] * x[4] + u[2] * x[5])
+
+
+def _pair(cluster: Cluster, m: RangeMeasurement, slow_m: float) -> int:
+    """Bring the pair's two range errors (bias and slow part) to the time of a range; return the index of the first."""
+    s, joint = cluster.settings, cluster.joint
+    key = pair_key(m.from_vehicle, m.to_vehicle, m.device_id)
+    sigmas = (s.range_bias_sigma_m, slow_m)
+    if key not in joint.start:
+        joint.append(key, np.zeros(2), np.diag(np.square(sigmas)), m.measured_at_s)
+        return joint.start[key]
+    index = joint.start[key]
+    step_s = m.measured_at_s - joint.time_s[key]
+    if step_s > 0.0:
+        decays = (math.exp(-step_s / s.range_bias_time_s), math.exp(-step_s / s.range_slow_time_s))
+        for i, decay, sigma in zip((index, index + 1), decays, sigmas, strict=True):
+            joint.scale(i, i + 1, decay)
+            joint.A[i, i] += sigma * sigma * (1.0 - decay * decay)
+        joint.time_s[key] = m.measured_at_s
+    return index
+
+
+def account(cluster: Cluster, vehicle: int, other: int, verdict: Verdict, m: RangeMeasurement) -> None:
+    """Note at a subject what became of its range with another vehicle, and find the way back when most are refused."""
+    record = cluster.records[vehicle]
+    if verdict.used:
+        (ax, ay, az), (bx, by, bz) = cluster.place(vehicle), cluster.place(other)
+        e, n, u = ax - bx, ay - by, az - bz
+        distance = max(math.sqrt(e * e + n * n + u * u), 1e-9)
+        record.neighbours[other] = Neighbour(m.measured_at_s, (e / distance, n / distance, u / distance))
+        record.informed_at_s = m.measured_at_s
+        record.refused_share -= record.refused_share / _REFUSAL_MEMORY
+        return
+    if verdict.degrees_of_freedom == 0:
+        return
+    record.refused_share += (1.0 - record.refused_share) / _REFUSAL_MEMORY
+    square = verdict.innovation_m**2
+    record.refused_m2 = square if record.refused_share <= 1.0 / _REFUSAL_MEMORY else 0.7 * record.refused_m2 + 0.3 * square
+    if record.refused_share > _LOST_SHARE:
+        # Most of what is heard contradicts the state: the state is what is wrong, or nobody can tell.
+        cluster.widen(vehicle, record.refused_m2)
+        record.refused_share = 0.0
