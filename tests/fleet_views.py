@@ -68,5 +68,5 @@ def fleet_view(at_s: float = 10.0, *vehicles: VehicleView, **other: Any) -> Flee
     seen = vehicles or (HEALTHY, LOCATED)
     links = tuple(LinkView(v.sysid, round(20 * at_s), round(at_s), 0) for v in seen)
     ranges = (RangeView(4, 1, 0.1, 1.5, 2.0, 0.56, None),)
-    outs = (OutView("udpout:127.0.0.1:14551", 1, 400, 12, 3),)
+    outs = (OutView("udpout:127.0.0.1:14551", 1, round(40 * at_s), 12, 3, 2),)
     return FleetView(at_s, "fleet", seen, {"bad_crc": 3}, {"used": 7}, **{"ranges": ranges, "links": links, "outs": outs} | other)

@@ -45,7 +45,7 @@ class LinkView:
 @dataclass(frozen=True, slots=True)
 class OutView:
     """The ground tools behind one connection string: how many can be sent to now, frames handed on to them, frames taken from
-    them, and how often what they were slow to take was dropped, since the start.
+    them, how often what they were slow to take was dropped, and how often what they sent was refused, since the start.
     """
 
     name: str
@@ -53,6 +53,7 @@ class OutView:
     frames_sent: int
     frames_taken: int
     dropped: int
+    refused: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,6 +59,7 @@ class _Out:
     tools: dict[Address, float] = field(default_factory=dict)
     frames_sent: int = 0
     frames_taken: int = 0
+    refused: int = 0
 
     def peers(self, now_s: float) -> tuple[Address, ...]:
         if not self.listens:
@@ -156,6 +157,7 @@ class Forwarder:
                 frames_sent=out.frames_sent,
                 frames_taken=out.frames_taken,
                 dropped=sum(out.link.counts[reason] for reason in (OUTPUT_SKIPPED, NOT_CONNECTED, NOT_SENT)),
+                refused=out.refused,
             )
             for out in self._outs.values()
         )
@@ -168,18 +170,28 @@ class Forwarder:
 
     def _on_ground(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
         out = self._outs[link]
-        if not self._intake.admits((link, address), len(payload), received_at_s) or not self._knows(out, address, received_at_s):
+        if not self._intake.admits((link, address), len(payload), received_at_s):
+            out.refused += 1
             return
-        signing = self._signed.of(link.name)
-        for raw in split(payload, self.counts, ended=True)[0]:
+        if not self._knows(out, address, received_at_s):
+            return
+        signing, damage = self._signed.of(link.name), Counts()
+        for raw in split(payload, damage, ended=True)[0]:
             refusal = signing.refusal(raw, received_at_s) if signing is not None else None
             if refusal is None:
                 refusal = self._refusal(raw)
             if refusal is not None:
-                self.counts.add(refusal)
+                self._refuse(out, refusal)
             else:
                 out.frames_taken += 1
-                self._to_vehicles(raw, link)
+                self._to_vehicles(raw, out)
+        for reason, times in damage.items():
+            self.counts.add(reason, times)
+        out.refused += bool(damage)
+
+    def _refuse(self, out: _Out, reason: str) -> None:
+        self.counts.add(reason)
+        out.refused += 1
 
     def _refusal(self, raw: RawFrame) -> str | None:
         if (raw.sysid, raw.compid) == self._own:
@@ -193,16 +205,16 @@ class Forwarder:
         if not out.listens:
             # A port that we only send from is open to the network as well.
             if address not in out.link.peers:
-                self.counts.add(UNKNOWN_SENDER)
+                self._refuse(out, UNKNOWN_SENDER)
                 return False
             return True
         if address not in out.tools and len(out.peers(now_s)) >= MAX_TOOLS:
-            self.counts.add(TOO_MANY_TOOLS)
+            self._refuse(out, TOO_MANY_TOOLS)
             return False
         out.tools[address] = now_s
         return True
 
-    def _to_vehicles(self, raw: RawFrame, ground: Link) -> None:
+    def _to_vehicles(self, raw: RawFrame, out: _Out) -> None:
         sysid, compid = target = target_of(raw)
         routes: Iterable[Route]
         if target == EVERYBODY or sysid == 0:
@@ -212,9 +224,9 @@ class Forwarder:
         else:
             routes = self._routes.reach(sysid, compid)
             if not routes:
-                self.counts.add(UNKNOWN_TARGET)
+                self._refuse(out, UNKNOWN_TARGET)
         if raw.message_id in _AID:
-            routes = self._unaided(raw, routes, ground)
+            routes = self._unaided(raw, routes, out)
         sent = False
         for route in routes:
             route.link.send(route.address, raw.frame, forwarded=True)
@@ -222,15 +234,15 @@ class Forwarder:
         if sent:
             self._forwarded(raw)
 
-    def _unaided(self, raw: RawFrame, routes: Iterable[Route], ground: Link) -> list[Route]:
+    def _unaided(self, raw: RawFrame, routes: Iterable[Route], out: _Out) -> list[Route]:
         """Those of the addresses where nobody is aided by us: of two senders of positions a vehicle would take both, in turns."""
         vehicles, unaided = self._routes.vehicles(), []
         for route in routes:
             sysids = vehicles.get(route, set())
             aided = [sysid for sysid in sysids if self._is_aided(sysid)]
             if aided:
-                self.counts.add(AID_HELD_BACK)
-                self._held_back.update(dict.fromkeys(aided, (ground.name, _AID[raw.message_id])))
+                self._refuse(out, AID_HELD_BACK)
+                self._held_back.update(dict.fromkeys(aided, (out.link.name, _AID[raw.message_id])))
                 continue
             unaided.append(route)
             if raw.message_id == MAVLINK_MSG_ID_GPS_INPUT:

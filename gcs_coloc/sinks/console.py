@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gcs_coloc.core.messages import HealthChanged, ToOperator
-from gcs_coloc.core.view import FleetView, VehicleView
+from gcs_coloc.core.view import FleetView, OutView, VehicleView
 from gcs_coloc.sinks.hub import Subscription
 from gcs_coloc.sinks.live_table import LiveTable
 
@@ -59,6 +59,8 @@ async def _log_lines(name: str, subscription: Subscription) -> None:
             due_s = news.at_s + _PLAIN_EVERY_S
             for vehicle in news.vehicles:
                 log.info("%s%s", _of(name), line(vehicle))
+            for out in news.outs:
+                log.info("%s%s", _of(name), out_line(out))
 
 
 def _of(name: str) -> str:
@@ -83,12 +85,21 @@ def line(v: VehicleView) -> str:
     )
 
 
+def out_line(out: OutView) -> str:
+    """The ground tools behind one connection string in one plain line."""
+    return (
+        f"ground tools on {out.name}: {out.tools}, frames sent {out.frames_sent}, taken {out.frames_taken}, "
+        f"dropped {out.dropped}, refused {out.refused}"
+    )
+
+
 def table(view: FleetView, name: str = "") -> Table:
     """The fleet as a table, under its name if it has one."""
     refused = sum(view.refused.values())
+    below = [*([f"refused: {refused}"] if refused else []), *map(out_line, view.outs)]
     out = Table(
         title=f"gcs-coloc{f', fleet {name}' if name else ''}, estimator {view.estimator}",
-        caption=f"refused: {refused}" if refused else None,
+        caption="\n".join(below) or None,
     )
     for heading in ("vehicle", "last heard", "GPS", "reason", "position", "1-sigma", "HDOP", "ranges", "aid"):
         out.add_column(heading)

@@ -41,6 +41,7 @@ _OUT_COUNTERS: tuple[tuple[str, str, Callable[[OutView], int]], ...] = (
     ("out_frames_sent", "Vehicles' frames handed on to the ground tools.", lambda out: out.frames_sent),
     ("out_frames_taken", "Frames taken from the ground tools.", lambda out: out.frames_taken),
     ("out_dropped", "Datagrams and pieces that a ground tool was too slow to take.", lambda out: out.dropped),
+    ("out_refused", "Frames and datagrams of the ground tools that were refused.", lambda out: out.refused),
 )
 
 

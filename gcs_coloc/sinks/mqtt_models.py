@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -68,6 +69,18 @@ class VehicleHealth(_Sent):
     primary_word: str
 
 
+class GroundTools(BaseModel):
+    """The ground tools behind one connection string of `out`: how many now; frames and refusals since the start."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    name: str
+    tools: int
+    frames_sent: int
+    frames_taken: int
+    dropped: int
+    refused: int
+
+
 class FleetStatus(_Sent):
     """`…/status`: whether the service is there. The broker sets `online` to false (the last will) when it is lost."""
 
@@ -75,6 +88,7 @@ class FleetStatus(_Sent):
     estimator: str | None
     vehicles: tuple[int, ...]
     refused: dict[str, int]
+    outs: tuple[GroundTools, ...]
 
 
 class Alarm(_Sent):
@@ -173,10 +187,16 @@ def of_vehicle(v: VehicleView, at_unix_s: float | None) -> dict[str, _Sent]:
 def status(view: FleetView | None, *, online: bool) -> FleetStatus:
     """The fleet's status; `view` None before there is any, and for the last will, which the broker sends at an unknown time."""
     if view is None:
-        return FleetStatus(at_unix_s=None, online=online, estimator=None, vehicles=(), refused={})
+        return FleetStatus(at_unix_s=None, online=online, estimator=None, vehicles=(), refused={}, outs=())
     vehicles = tuple(v.sysid for v in view.vehicles)
-    at_unix_s = unix_s(view.at_s, view)
-    return FleetStatus(at_unix_s=at_unix_s, online=online, estimator=view.estimator, vehicles=vehicles, refused=view.refused)
+    return FleetStatus(
+        at_unix_s=unix_s(view.at_s, view),
+        online=online,
+        estimator=view.estimator,
+        vehicles=vehicles,
+        refused=view.refused,
+        outs=tuple(GroundTools(**asdict(out)) for out in view.outs),
+    )
 
 
 def unix_s(at_s: float, view: FleetView) -> float | None:

@@ -136,7 +136,7 @@ def _tell_of_failure(task: asyncio.Task[None]) -> None:
 def _picture(hooks: Hooks, story: Story) -> FleetFrame:
     view = hooks.look()
     playback = hooks.playback.state if hooks.playback is not None else None
-    return fleet_frame(view, story.links(view), hooks.truths(), playback)
+    return fleet_frame(view, story.links(view), hooks.truths(), playback, story.outs(view))
 
 
 def read_token(file: Path) -> str:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import secrets
 from collections import deque
+from dataclasses import asdict
 from math import nan
 
-from gcs_coloc.core.view import FleetView, LinkView, VehicleView
+from gcs_coloc.core.view import FleetView, LinkView, OutView, VehicleView
 from gcs_coloc.sinks.hub import News, Subscription
 from gcs_coloc.sinks.wording import level_and_text
-from gcs_coloc.web.wire import Event, EventsFrame, LinkFrame, VehicleHistory
+from gcs_coloc.web.wire import Event, EventsFrame, LinkFrame, OutFrame, VehicleHistory
 
 _SAMPLE_EVERY_S = 1.0
 _SAMPLES_PER_VEHICLE = 600
@@ -38,6 +39,7 @@ class Story:
         self._next_event = 1
         self._sampled_at_s = float("-inf")
         self._links: deque[tuple[float, dict[int, LinkView]]] = deque()
+        self._outs: deque[tuple[float, dict[str, OutView]]] = deque()
 
     async def follow(self, news: Subscription) -> None:
         """Take the news for ever."""
@@ -83,10 +85,17 @@ class Story:
         then_s, then = self._links[0] if self._links else (view.at_s, {})
         return tuple(_link(link, then.get(link.sysid), view.at_s - then_s) for link in view.links)
 
+    def outs(self, view: FleetView) -> tuple[OutFrame, ...]:
+        """The ground tools of a view, with the rate over the last seconds."""
+        then_s, then = self._outs[0] if self._outs else (view.at_s, {})
+        return tuple(_out(out, then.get(out.name), view.at_s - then_s) for out in view.outs)
+
     def _take_view(self, view: FleetView) -> None:
         self._links.append((view.at_s, {link.sysid: link for link in view.links}))
+        self._outs.append((view.at_s, {out.name: out for out in view.outs}))
         while view.at_s - self._links[0][0] > _RATE_OVER_S:
             self._links.popleft()
+            self._outs.popleft()
         if view.at_s - self._sampled_at_s < _SAMPLE_EVERY_S:
             return
         self._sampled_at_s = view.at_s
@@ -128,3 +137,8 @@ def _link(now: LinkView, then: LinkView | None, elapsed_s: float) -> LinkFrame:
         rate_hz=rate_hz,
         loss_percent=loss_percent,
     )
+
+
+def _out(now: OutView, then: OutView | None, elapsed_s: float) -> OutFrame:
+    rate_hz = (now.frames_sent - then.frames_sent) / elapsed_s if then is not None and elapsed_s > 0.0 else None
+    return OutFrame(**asdict(now), rate_hz=rate_hz)

@@ -47,6 +47,18 @@ class LinkFrame(_Wire):
     loss_percent: float | None
 
 
+class OutFrame(_Wire):
+    """The ground tools behind one connection string: how many now, totals, and frames handed on a second (None until known)."""
+
+    name: str
+    tools: int
+    frames_sent: int
+    frames_taken: int
+    dropped: int
+    refused: int
+    rate_hz: float | None
+
+
 class PlaybackState(_Wire):
     """Where a replayed flight is: UNIX seconds; `speed` None is as fast as it goes, `goal_s` where it is on its way to."""
 
@@ -76,6 +88,7 @@ class FleetFrame(_Wire):
     vehicles: tuple[VehicleFrame, ...]
     ranges: tuple[RangeView, ...]
     links: tuple[LinkFrame, ...]
+    outs: tuple[OutFrame, ...]
     refused: dict[str, int]
     estimator_counts: dict[str, int]
     playback: PlaybackState | None

@@ -25,6 +25,7 @@ class Scene:
     failed: set[int]
     chromium: Browser
     udp_port: int
+    out_port: int
     folder: Path
     fleet: list[Hover]
 
@@ -34,10 +35,11 @@ def scene(tmp_path_factory) -> Iterator[Scene]:
     folder = tmp_path_factory.mktemp("web")
     (folder / "token").write_text(f"{TOKEN}\n")
     (folder / "config.toml").write_text(f'[web]\ntoken_file = "{folder / "token"}"\n')
-    port, failed = free_port(socket.SOCK_DGRAM), set()
-    arguments = ["--config", str(folder / "config.toml"), "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
+    port, out_port, failed = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_DGRAM), set()
+    ground = ["--out", f"udpin:127.0.0.1:{out_port}"]
+    arguments = [*ground, "--config", str(folder / "config.toml"), "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
     with service(folder / "log", *arguments) as (_, url), flying(port, failed) as fleet, browser() as chromium:
-        yield Scene(url, failed, chromium, port, folder, fleet)
+        yield Scene(url, failed, chromium, port, out_port, folder, fleet)
 
 
 @pytest.fixture
@@ -64,6 +66,24 @@ def test_four_vehicles_are_shown_and_nothing_is_complained_of(watched):
     expect(page.get_by_role("status").filter(has_text="live")).to_be_visible()
     expect(page.locator("#link-rows tr")).to_have_count(4)
     expect(page.locator("#plots canvas")).to_have_count(4)
+    assert watched.complaints == []
+
+
+def test_a_ground_tool_is_shown_with_what_goes_to_it_and_what_is_refused_of_it(watched, scene):
+    cells = watched.page.locator("#out-rows tr").locator("th, td")
+    expect(cells.first).to_have_text(f"udpin:127.0.0.1:{scene.out_port}")
+    expect(cells.nth(1)).to_have_text("0")
+    sender = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tool:
+        tool.sendto(beat.pack(sender), ("127.0.0.1", scene.out_port))
+        sender.srcSystem = 3  # a vehicle's
+        tool.sendto(beat.pack(sender), ("127.0.0.1", scene.out_port))
+        expect(cells.nth(1)).to_have_text("1")
+        expect(cells.nth(2)).to_have_text(re.compile(r"^[1-9][0-9]*\.[0-9]$"))
+        expect(cells.nth(3)).to_have_text("1")
+        expect(cells.nth(5)).to_have_text("1")
+    expect(watched.page.get_by_role("table", name="Ground tools")).to_be_visible()
     assert watched.complaints == []
 
 

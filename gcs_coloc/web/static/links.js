@@ -1,4 +1,4 @@
-// Link statistics, and what was refused by reason.
+// Link statistics, ground tools, and what was refused by reason.
 
 import { byId, el, number } from "./dom.js";
 
@@ -10,8 +10,17 @@ export function showLinks(frame) {
       delay === null ? "-" : `${(delay * 1e3).toFixed(0)} ms`, String(link.lost), String(link.duplicates)];
     return el("tr", {}, el("th", { scope: "row" }, String(link.sysid)), ...cells.map((text) => el("td", {}, text)));
   }));
+  showOuts(frame.outs);
   showCounts("refused", frame.refused);
   showCounts("estimator-counts", frame.estimator_counts);
+}
+
+function showOuts(outs) {
+  byId("outs").hidden = outs.length === 0;
+  byId("out-rows").replaceChildren(...outs.map((out) => {
+    const cells = [out.tools, number(out.rate_hz), out.frames_taken, out.dropped, out.refused].map(String);
+    return el("tr", {}, el("th", { scope: "row" }, out.name), ...cells.map((text) => el("td", {}, text)));
+  }));
 }
 
 function showCounts(id, counts) {

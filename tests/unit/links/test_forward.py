@@ -123,7 +123,7 @@ def test_one_port_has_room_for_so_many_tools_and_for_another_when_one_has_gone()
     between.say(command(), tool="one too many")
     assert between.tools == MAX_TOOLS
     assert len(between.radio.sent) == MAX_TOOLS
-    assert between.forwarder.counts["too_many_ground_tools"] == 1
+    assert between.forwarder.counts["too_many_ground_tools"] == between.forwarder.views()[0].refused == 1
     between.now_s += TOOL_KEPT_S + 0.1
     between.say(command(), tool="one too many")
     assert len(between.radio.sent) == MAX_TOOLS + 1
@@ -144,6 +144,7 @@ def test_what_is_not_handed_on_to_a_vehicle_is_counted(frame, reason):
     between.say(frame)
     assert between.radio.sent == between.forwarded == []
     assert between.forwarder.counts[reason] == 1
+    assert between.forwarder.views()[0].refused == 1
 
 
 def test_a_command_to_us_is_nobodys_elses():

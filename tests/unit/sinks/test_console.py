@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from gcs_coloc.core.messages import HealthChanged, Notice
-from gcs_coloc.core.view import FleetView, VehicleView
+from gcs_coloc.core.view import FleetView, OutView, VehicleView
 from gcs_coloc.sinks.console import show, table
 from gcs_coloc.sinks.hub import Hub
 
@@ -62,6 +62,25 @@ def test_the_table_shows_all_that_matters_of_each_vehicle():
         assert words in text
     assert "unknown: no ranges for 6 s" in text
     assert "refused: 3" in text
+
+
+def test_what_becomes_of_a_ground_tools_frames_is_told_on_the_table_and_in_plain_lines(caplog: pytest.LogCaptureFixture):
+    view = FleetView(0.0, "fleet", (LOCATED,), {}, {}, outs=(OutView("udpout:127.0.0.1:14551", 1, 400, 12, 3, 2),))
+    words = "ground tools on udpout:127.0.0.1:14551: 1, frames sent 400, taken 12, dropped 3, refused 2"
+    assert words in rendered(view)
+
+    async def scenario():
+        hub = Hub()
+        task = asyncio.create_task(show({"north": hub.subscribe()}, Console(file=io.StringIO())))
+        await asyncio.sleep(0)
+        hub.publish(view)
+        for _ in range(10):
+            await asyncio.sleep(0)
+        task.cancel()
+
+    with caplog.at_level(logging.INFO, logger="gcs_coloc"):
+        asyncio.run(scenario())
+    assert caplog.records[-1].getMessage() == f"north: {words}"
 
 
 def test_an_empty_fleet_says_so():

@@ -60,3 +60,14 @@ def test_rate_and_loss_are_of_the_last_seconds():
     assert link.rate_hz == 20.0
     assert link.loss_percent == 100.0 * 50 / 150
     assert Story().links(fleet_view(10.0, HEALTHY))[0].rate_hz is None
+
+
+def test_what_goes_to_a_ground_tool_is_told_with_its_rate_over_the_last_seconds():
+    story = Story()
+    for i in range(21):
+        story.take(fleet_view(i * 0.5, HEALTHY))
+    (out,) = story.outs(fleet_view(10.0, HEALTHY))
+    assert (out.name, out.tools, out.rate_hz) == ("udpout:127.0.0.1:14551", 1, 40.0)
+    assert (out.frames_sent, out.frames_taken, out.dropped, out.refused) == (400, 12, 3, 2)
+    assert Story().outs(fleet_view(10.0, HEALTHY))[0].rate_hz is None
+    assert story.outs(fleet_view(10.0, HEALTHY, outs=())) == ()

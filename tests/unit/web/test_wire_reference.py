@@ -13,6 +13,7 @@ MODELS = [
     wire.Ellipse,
     wire.VehicleFrame,
     wire.LinkFrame,
+    wire.OutFrame,
     wire.FleetFrame,
     wire.Event,
     wire.EventsFrame,
