@@ -40,7 +40,7 @@ from gcs_coloc.mavlink.decoder import Decoder, Frame
 from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.mavlink.framing import RawFrame
 from gcs_coloc.mavlink.signing import Stamp
-from gcs_coloc.mavlink.truth import HeardTruth, truth_of
+from gcs_coloc.mavlink.truth import TRUTH_IDS, HeardTruth, truth_of
 from gcs_coloc.recorder.flight import FlightRecording
 from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.sinks.hub import Hub
@@ -101,6 +101,7 @@ class FleetService:
         self._recording = FlightRecording(settings.record, ids, self._engine)
         self._seen: FleetView | None = None
         self._timer: asyncio.TimerHandle | None = None
+        self._wakes_at_s = float("inf")
         self._engine_at_s = clock()
         self._is_ending = False
         self._words = [
@@ -223,12 +224,16 @@ class FleetService:
                     self._engine.receive(report)
                     self._recording.told(report)
         for raw in good:
-            truth = truth_of(raw, received_at_s)
-            if truth is not None and self._learn_route(raw, link, address, received_at_s):
-                self.truths[raw.sysid] = truth
+            if raw.message_id in TRUTH_IDS:
+                self._note_truth(raw, link, address, received_at_s)
         self._recording.heard(received_at_s, good, refused)
         self._forwarder.from_vehicle(good, link, address, received_at_s)
         self._wake()
+
+    def _note_truth(self, raw: RawFrame, link: Link, address: Address, now_s: float) -> None:
+        truth = truth_of(raw, now_s)
+        if truth is not None and self._learn_route(raw, link, address, now_s):
+            self.truths[raw.sysid] = truth
 
     def _note_other_aid(self, message: OtherAid, link: Link, address: Address) -> None:
         """Tell the engine of somebody else's GPS_INPUT, whoever sends it: every vehicle at the address it came from takes it."""
@@ -244,23 +249,23 @@ class FleetService:
     def _wake(self) -> None:
         """Make sure that the engine is polled when it next wants to be."""
         due_s = self._engine.next_deadline()
-        if due_s == float("inf"):
+        if due_s >= self._wakes_at_s:
             return
-        loop_s = self._clock.on_loop(due_s)
         if self._timer is not None:
-            if self._timer.when() <= loop_s:
-                return
             self._timer.cancel()
-        self._timer = asyncio.get_running_loop().call_at(loop_s, self._poll)
+        self._wakes_at_s = due_s
+        self._timer = asyncio.get_running_loop().call_at(self._clock.on_loop(due_s), self._poll)
 
     def _poll(self) -> None:
-        self._timer = None
+        self._timer, self._wakes_at_s = None, float("inf")
         self._advance(self._clock())
         self._wake()
 
     def _advance(self, to_s: float) -> None:
         """Bring the engine to `to_s`, before anything that arrived then is given to it, and pass on what comes of it."""
         self._engine_at_s = to_s
+        if self._engine.next_deadline() >= to_s:
+            return
         held_up = was_held_up(self._engine, to_s)
         if held_up is not None:
             self._recording.told(held_up)

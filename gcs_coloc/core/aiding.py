@@ -41,6 +41,7 @@ class Aiding:
         self._others = OtherAids(settings)
         self._standby = Standby(settings, self.parameters)
         self._streams: dict[int, AidStream] = {}
+        self._next_due_s = float("inf")
         self._told: dict[int, str | None] = {}
 
     def review(self, vehicle: Vehicle, now_s: float) -> list[Outbound]:
@@ -60,6 +61,7 @@ class Aiding:
             stream = None
         if stream is None and purpose is not None and hindrance is None:
             stream = self._streams[sysid] = self._begin(vehicle, purpose, now_s)
+            self._schedule()
         elif stream is not None and purpose is not None and purpose is not stream.purpose:
             stream.purpose, stream.purpose_since_s = purpose, now_s
         if stream is not None and stream.uptake is not None and (told := stream.uptake.review(now_s)) is not None:
@@ -110,13 +112,16 @@ class Aiding:
     def due(self, now_s: float, frame: LocalFrame | None, utc_minus_service_s: float | None, answer: Answer) -> list[Outbound]:
         """What is due by `now_s`. `answer` is the estimator's: where a vehicle is at a service time."""
         out: list[Outbound] = []
+        if now_s < self._next_due_s:
+            return out
         for stream in self._streams.values():
             out.extend(stream.tick(now_s, frame, utc_minus_service_s, answer))
+        self._schedule()
         return out
 
     def next_due_s(self) -> float:
         """When the next message is due; infinity where nobody is aided."""
-        return min((stream.due_s for stream in self._streams.values()), default=float("inf"))
+        return self._next_due_s
 
     def status(self, vehicle: Vehicle) -> str:
         """The state of a vehicle's aid in a few words, for the operator."""
@@ -147,7 +152,12 @@ class Aiding:
         """End every stream, with fix_type 1 where the way can say so, and restore what was set."""
         last = [message for stream in self._streams.values() for message in stream.way.end()]
         self._streams.clear()
+        self._schedule()
         return [*last, *self.primary.close()]
+
+    def _schedule(self) -> None:
+        # Asked for with every datagram, it changes with every message that is sent.
+        self._next_due_s = min((stream.due_s for stream in self._streams.values()), default=float("inf"))
 
     def _begin(self, vehicle: Vehicle, purpose: Purpose, now_s: float) -> AidStream:
         name = way_name(vehicle, self.settings)
@@ -157,6 +167,7 @@ class Aiding:
     def _end(self, stream: AidStream, hindrance: str | None, now_s: float) -> list[Outbound]:
         vehicle = stream.vehicle
         del self._streams[vehicle.sysid]
+        self._schedule()
         why = "the operator's word" if self._word(vehicle) is AidWord.OFF else f"GPS {vehicle.health.state.value}"
         notice = Notice(now_s, vehicle.sysid, "info", f"aid ended: {hindrance or why}")
         # Who else feeds the same receiver is not interrupted by our last word.

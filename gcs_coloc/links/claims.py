@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from gcs_coloc.links.base import Address, Link
 
@@ -10,8 +10,7 @@ TELL_EVERY_S = 10.0
 """A pretender may send a hundred frames a second; one line of news in this time is what a person can use."""
 
 
-@dataclass(frozen=True, slots=True)
-class Route:
+class Route(NamedTuple):
     """Where to send what is meant for one vehicle."""
 
     link: Link

@@ -85,7 +85,10 @@ class RouteTable:
         if pin is None and not self._has_room(now_s):
             self.counts.add(TABLE_FULL)
             return False
-        self._components[sender] = _Pin(heard, now_s)
+        if pin is not None and pin.route == heard:
+            pin.heard_at_s = now_s
+        else:
+            self._components[sender] = _Pin(heard, now_s)
         self._components.move_to_end(sender)
         if is_autopilot_heartbeat:
             if autopilot is not None and autopilot.route != heard:

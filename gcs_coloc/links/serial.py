@@ -46,6 +46,7 @@ class SerialLink:
         self.counts = Counts()
         self._far_end: Address = ("serial", address.device)
         self._address = address
+        self.name = str(address)
         self._delays = delays
         self._port: serial.Serial | None = None
         self._fd = -1
@@ -54,11 +55,6 @@ class SerialLink:
         self._outbox = Outbox(self.counts, most_unsent_bytes)
         self._lost = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
-
-    @property
-    def name(self) -> str:
-        """Its connection string."""
-        return str(self._address)
 
     @property
     def peers(self) -> tuple[Address, ...]:

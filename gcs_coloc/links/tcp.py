@@ -105,6 +105,7 @@ class TcpClientLink:
         most_unsent_bytes: int = MAX_UNSENT_BYTES,
     ) -> None:
         self._address = address
+        self.name = str(address)
         self._most_unsent_bytes = most_unsent_bytes
         self._handler = handler
         self._clock = clock
@@ -112,11 +113,6 @@ class TcpClientLink:
         self._connection: _Connection | None = None
         self._task: asyncio.Task[None] | None = None
         self.counts = Counts()
-
-    @property
-    def name(self) -> str:
-        """Its connection string."""
-        return str(self._address)
 
     @property
     def peers(self) -> tuple[Address, ...]:
@@ -183,17 +179,13 @@ class TcpServerLink:
         self, address: TcpServer, handler: DatagramHandler, clock: Clock, most_unsent_bytes: int = MAX_UNSENT_BYTES
     ) -> None:
         self._address = address
+        self.name = str(address)
         self._most_unsent_bytes = most_unsent_bytes
         self._handler = handler
         self._clock = clock
         self._clients: dict[Address, _ServerConnection] = {}
         self._server: asyncio.Server | None = None
         self.counts = Counts()
-
-    @property
-    def name(self) -> str:
-        """Its connection string."""
-        return str(self._address)
 
     @property
     def peers(self) -> tuple[Address, ...]:

@@ -31,16 +31,12 @@ class UdpLink:
 
     def __init__(self, address: UdpIn | UdpOut, handler: DatagramHandler, clock: Clock) -> None:
         self._address = address
+        self.name = str(address)
         self._handler = handler
         self._clock = clock
         self._socket: socket.socket | None = None
         self._remote: Address | None = None
         self.counts = Counts()
-
-    @property
-    def name(self) -> str:
-        """Its connection string."""
-        return str(self._address)
 
     @property
     def peers(self) -> tuple[Address, ...]:

@@ -12,6 +12,8 @@ from gcs_coloc.mavlink.dialect import MESSAGE_CLASSES
 from gcs_coloc.mavlink.framing import RawFrame
 
 _IN_E7 = {mavlink.MAVLINK_MSG_ID_SIMSTATE: ("lat", "lng"), mavlink.MAVLINK_MSG_ID_SIM_STATE: ("lat_int", "lon_int")}
+TRUTH_IDS = frozenset(_IN_E7)
+"""The messages that may hold it."""
 
 
 class HeardTruth(NamedTuple):
