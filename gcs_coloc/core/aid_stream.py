@@ -78,8 +78,13 @@ class AidStream:
         if isinstance(where, Unknown) and self.purpose is not Purpose.AID and now_s - self.purpose_since_s < _FIRST_REPORT_S:
             # Trusted again, it has not reported yet: a message left out is less than the word that there is no fix.
             return []
-        trusted, misfit = vehicle.health.trusted, vehicle.range_misfit
-        reason = self._policy.why_no_fix(where, now_s, own_gps=trusted, range_misfit=misfit)
+        reason = self._policy.why_no_fix(
+            where,
+            now_s,
+            own_gps=vehicle.health.trusted,
+            range_misfit=vehicle.range_misfit,
+            range_jump_m=vehicle.range_jump_m,
+        )
         moment = Moment(
             now_s=now_s,
             arrives_s=arrives_s,

@@ -44,6 +44,7 @@ from gcs_coloc.core.messages import (
     TimeSyncAnswer,
     TimeSyncRequest,
 )
+from gcs_coloc.core.range_jumps import RangeJumps
 from gcs_coloc.core.residuals import ResidualLog
 from gcs_coloc.core.streams import StreamRequests
 from gcs_coloc.core.utc import Utc
@@ -82,6 +83,8 @@ class Engine:
         self.integrity = Integrity()
         self._streams = StreamRequests()
         self._residuals = ResidualLog()
+        self._jumps = RangeJumps()
+        self._jumps_m: dict[int, float] = {}
         self._outbox: list[Outbound] = []
         self._refused: Counter[str] = Counter()
         self._now_s = float("-inf")
@@ -137,16 +140,26 @@ class Engine:
             for vehicle in self.fleet:
                 self._review(vehicle, now_s)
                 self._ask_time(vehicle, now_s)
-            self._residuals.take(self.estimator.take_residuals(), now_s)
             misfit = self._residuals.misfit()
             for vehicle in self.fleet:
                 vehicle.range_misfit = misfit.get(vehicle.sysid)
             self._outbox.extend(self.aiding.parameters.due(now_s))
             if self.settings.request_streams:
                 self._outbox.extend(self._streams.due(now_s))
+        self._note_residuals(now_s)
         out, self._outbox = self._outbox, []
         out.extend(self.aiding.due(now_s, self.feed.frame, self._utc.minus_service_s(self.fleet), self._answer))
         return out
+
+    def _note_residuals(self, now_s: float) -> None:
+        residuals = self.estimator.take_residuals()
+        self._residuals.take(residuals, now_s)
+        self._jumps.take(residuals, now_s)
+        sizes_m = self._jumps.sizes_m(now_s)
+        if sizes_m != self._jumps_m:
+            self._jumps_m = sizes_m
+            for vehicle in self.fleet:
+                vehicle.range_jump_m = sizes_m.get(vehicle.sysid)
 
     def next_deadline(self) -> float:
         """The service time at which `poll` is to be called at the latest; infinity before the first message."""

@@ -22,12 +22,19 @@ class FixPolicy:
         self._had_fix = False
 
     def why_no_fix(
-        self, answer: Estimate | Unknown, now_s: float, *, own_gps: bool, range_misfit: float | None = None
+        self,
+        answer: Estimate | Unknown,
+        now_s: float,
+        *,
+        own_gps: bool,
+        range_misfit: float | None = None,
+        range_jump_m: float | None = None,
     ) -> str | None:
         """Why the answer may not be claimed as a fix, in words; None where it may. Times never decrease from call to call.
 
         `own_gps`: the vehicle's own receiver is in the answer, so that it needs no ranges. `range_misfit`: the median NIS per
-        degree of freedom of its ranges of late, None where there are too few.
+        degree of freedom of its ranges of late, None where there are too few. `range_jump_m`: by what length all of its
+        ranges have just come to be off, None where they have not.
         """
         if isinstance(answer, Unknown):
             # Not to be located yet is no loss of a fix: the first one is waited for by the vehicle.
@@ -39,6 +46,8 @@ class FixPolicy:
         fault = self._fault(answer, now_s)
         if fault is None and not own_gps and range_misfit is not None and range_misfit > _MOST_MISFIT:
             fault = f"half of its ranges are {sqrt(range_misfit):.1f} sigma or more off where it is held to be"
+        if fault is None and not own_gps and range_jump_m is not None:
+            fault = f"all of its ranges jumped by {range_jump_m:.0f} m"
         if fault is not None:
             self._lost, self._sound_since_s = True, None
             return fault

@@ -18,9 +18,10 @@ class Vehicle:
     """One vehicle as last heard. Times are on the service's clock, in seconds.
 
     `blocked` says why nothing can be sent to it. `range_error_m` is the 1-sigma of its ranges of late, with the errors of its
-    peers' positions in it. `range_misfit` is the median NIS of those of the last seconds, its own and to it. `last_known_enu_m`
-    is where the estimator last had it (east, north). `delay_s` is how much longer its newest position was on the way (beyond
-    what is assumed, where TIMESYNC is not answered).
+    peers' positions in it. `range_misfit` is the median NIS of those of the last seconds, its own and to it; `range_jump_m` is by
+    what length all that it measures have just come to be off. `last_known_enu_m` is where the estimator last had it (east,
+    north). `delay_s` is how much longer its newest position was on the way (beyond what is assumed, where TIMESYNC is not
+    answered).
     `utc_minus_service_s` is UTC as it last told it. `range_repeats` knows which of its ranges are stuck.
     """
 
@@ -37,6 +38,7 @@ class Vehicle:
     delay_s: float | None = None
     range_error_m: float | None = None
     range_misfit: float | None = None
+    range_jump_m: float | None = None
     last_known_enu_m: tuple[float, float] | None = None
     claim: PositionMeasurement | None = None
     utc_minus_service_s: float | None = None

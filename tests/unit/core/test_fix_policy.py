@@ -75,3 +75,12 @@ def test_a_position_that_half_of_its_ranges_contradict_is_no_fix_however_small_i
 
 def test_the_ranges_say_nothing_of_a_vehicle_on_its_own_gps():
     assert FixPolicy(AidSettings(), 0.0).why_no_fix(known(0.0), 0.0, own_gps=True, range_misfit=9.0) is None
+
+
+def test_no_fix_is_claimed_from_the_jump_of_all_ranges_until_the_position_has_been_watched_for_three_seconds():
+    policy = FixPolicy(AidSettings(), 0.0)
+    assert policy.why_no_fix(known(0.0), 0.0, own_gps=False) is None
+    assert policy.why_no_fix(known(0.1), 0.1, own_gps=False, range_jump_m=19.6) == "all of its ranges jumped by 20 m"
+    assert policy.why_no_fix(known(0.2), 0.2, own_gps=False) == "good enough again, watched for 3 s"
+    assert policy.why_no_fix(known(3.3), 3.3, own_gps=False) is None
+    assert policy.why_no_fix(known(3.4), 3.4, own_gps=True, range_jump_m=19.6) is None
