@@ -156,14 +156,15 @@ def check_config(file: Annotated[Path, typer.Argument(help="The configuration fi
     found = []
     for fleet in load_fleets(file, {}):
         settings = fleet.settings
-        check_outs(settings.out, settings.links)
-        SignedLinks(settings.signing, settings.links, settings.out)
-        load_estimator(settings.estimator.name, settings.estimator.settings)
-        read_credentials(settings.mqtt)
-        if settings.web.token_file:
-            read_token(Path(settings.web.token_file))
-        if settings.web.tiles:
-            TileFile(Path(settings.web.tiles))
+        with fleet.named():
+            check_outs(settings.out, settings.links)
+            SignedLinks(settings.signing, settings.links, settings.out)
+            load_estimator(settings.estimator.name, settings.estimator.settings)
+            read_credentials(settings.mqtt)
+            if settings.web.token_file:
+                read_token(Path(settings.web.token_file))
+            if settings.web.tiles:
+                TileFile(Path(settings.web.tiles))
         whose = f"fleet {fleet.name}: " if fleet.name else ""
         found.append(f"{whose}{len(settings.links)} link(s), estimator {settings.estimator.name}")
     print(f"{file}: good; {'; '.join(found)}")

@@ -255,22 +255,6 @@ class Settings(BaseSettings):
         )
 
 
-def load_settings(path: Path | None, flags: Mapping[str, Any]) -> Settings:
-    """Read the configuration of one fleet.
-
-    Args:
-        path: the TOML file, or None for none.
-        flags: settings from the command line, nested as in the file.
-
-    Raises:
-        ConfigError: the file cannot be read or parsed, or a key is unknown, or a value impossible; the text names them.
-    """
-    table = read_table(path) if path is not None else {}
-    if isinstance(table.get("fleet"), list):
-        raise ConfigError(f"{path}: is of several fleets ([[fleet]]), where one is wanted; write that one's settings to a file")
-    return settings_of(table, flags, str(path) if path is not None else "settings")
-
-
 def read_table(path: Path) -> dict[str, Any]:
     """The table in a TOML file.
 
@@ -288,7 +272,11 @@ def read_table(path: Path) -> dict[str, Any]:
 
 
 def settings_of(table: Mapping[str, Any], flags: Mapping[str, Any], source: str) -> Settings:
-    """Settings from the flags, then the environment, then a file's table; as `load_settings`, with `source` named in errors."""
+    """Settings from the flags, then the environment, then a file's table; `source` is named in errors.
+
+    Raises:
+        ConfigError: a key is unknown, or a value impossible; the text names them.
+    """
 
     class FromFile(Settings):
         @classmethod

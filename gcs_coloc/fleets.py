@@ -6,13 +6,14 @@ the process: where two fleets would share a link, a page or a name, the configur
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from gcs_coloc.config import Settings, read_table, settings_of, topic_level
-from gcs_coloc.core.errors import ConfigError, UsageError
+from gcs_coloc.core.errors import ConfigError, GcsColocError, UsageError
 from gcs_coloc.links.address import parse, parse_out
 
 _SECTIONS = frozenset(Settings.model_fields) - {"fleet"}
@@ -26,25 +27,60 @@ class FleetOf:
     name: str
     settings: Settings
 
+    @contextmanager
+    def named(self) -> Iterator[None]:
+        """What goes wrong within is this fleet's, and says so where there are several."""
+        try:
+            yield
+        except GcsColocError as error:
+            if not self.name:
+                raise
+            raise type(error)(f"fleet {self.name}: {error}") from None
 
-def load_fleets(path: Path | None, flags: Mapping[str, Any]) -> list[FleetOf]:
+
+def load_fleets(path: Path | None, flags: Mapping[str, Any]) -> Sequence[FleetOf]:
     """The fleets of a configuration, in its order: those of its `[[fleet]]` tables, else one.
 
     Raises:
-        ConfigError: as `load_settings`, or two fleets share what each must have for itself.
+        ConfigError: the file cannot be read, or a key or value is wrong, or two fleets share what each must have for itself.
         UsageError: a flag says something of one fleet where there are several.
     """
     table = read_table(path) if path is not None else {}
-    own_tables = table.pop("fleet", {})
-    if not isinstance(own_tables, list):
-        return [FleetOf("", settings_of({**table, "fleet": own_tables}, flags, str(path) if path is not None else "settings"))]
+    if not isinstance(table.get("fleet"), list):
+        return [FleetOf("", settings_of(table, flags, str(path) if path is not None else "settings"))]
     for key, names in _FLAGS_OF_ONE.items():
         if key in flags and flags[key] != {"on": False}:
             raise UsageError(f"{names}: {path} is of several fleets ([[fleet]]); say it in the table of the fleet that is meant")
+    return _several(path, table, flags)
+
+
+def load_settings(path: Path | None, flags: Mapping[str, Any], fleet: str | None = None) -> Settings:
+    """The settings of one fleet: the one called `fleet` where the configuration is of several, else the only one.
+
+    Raises:
+        ConfigError: as `load_fleets`.
+        UsageError: the configuration is of several fleets and none is named, or has none of that name.
+    """
+    table = read_table(path) if path is not None else {}
+    if not isinstance(table.get("fleet"), list):
+        if fleet is not None:
+            raise UsageError(f"--fleet {fleet}: {f'{path} has no [[fleet]]' if path else 'there is no --config'}: leave it out")
+        return settings_of(table, flags, str(path) if path is not None else "settings")
+    # All of them are read for what is wrong with any; the flags are for the one.
+    names = [each.name for each in _several(path, table, {})]
+    if fleet is None:
+        raise UsageError(f"{path}: is of several fleets ([[fleet]]): say which with --fleet: {', '.join(names)}")
+    if fleet not in names:
+        raise UsageError(f"--fleet {fleet}: {path} has no such fleet, but {', '.join(names)}")
+    number = names.index(fleet)
+    return _fleet(path, number + 1, table, table["fleet"][number], flags).settings
+
+
+def _several(path: Path | None, table: Mapping[str, Any], flags: Mapping[str, Any]) -> Sequence[FleetOf]:
     for key in ("links", "out"):
         if key in table:
             raise ConfigError(f"{path}: {key}: of which fleet? Each [[fleet]] has {key} of its own")
-    fleets = [_fleet(path, number, table, own, flags) for number, own in enumerate(own_tables, 1)]
+    fleets = [_fleet(path, number, table, own, flags) for number, own in enumerate(table["fleet"], 1)]
     _nothing_shared(path, "name", fleets, lambda fleet: [fleet.name])
     _nothing_shared(path, "links", fleets, lambda fleet: [str(parse(link)) for link in fleet.settings.links])
     _nothing_shared(path, "out", fleets, lambda fleet: [str(parse_out(out)) for out in fleet.settings.out])

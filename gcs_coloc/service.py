@@ -36,7 +36,11 @@ class Service:
     def __init__(self, fleets: Sequence[FleetOf]) -> None:
         self._clock = ServiceClock()
         self._stopping = asyncio.Event()
-        self._fleets = [_Observed(fleet, self._clock, self._stopping) for fleet in fleets]
+        self._fleets = [self._observed(fleet) for fleet in fleets]
+
+    def _observed(self, fleet: FleetOf) -> _Observed:
+        with fleet.named():
+            return _Observed(fleet, self._clock, self._stopping)
 
     def stop(self) -> None:
         """Ask the service to end in order."""

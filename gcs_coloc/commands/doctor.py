@@ -11,11 +11,11 @@ from typing import Annotated, Any
 import typer
 
 from gcs_coloc.clock import ServiceClock
-from gcs_coloc.config import load_settings
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.doctor.findings import Setup
 from gcs_coloc.doctor.listen import listen
 from gcs_coloc.doctor.report import Report
+from gcs_coloc.fleets import load_settings
 from gcs_coloc.host_clock import read_host_clock
 
 
@@ -27,6 +27,7 @@ def doctor(
         list[str] | None, typer.Option(help="A link to vehicles, by connection string. May be given several times.")
     ] = None,
     config: Annotated[Path | None, typer.Option(help="The configuration file (TOML) of the flight; flags win over it.")] = None,
+    fleet: Annotated[str | None, typer.Option(help="Which fleet of the configuration file, where that is of several.")] = None,
     aid: Annotated[
         list[int] | None,
         typer.Option(help="A vehicle (system id) that is to be located; several times for several. All, unless told."),
@@ -37,7 +38,7 @@ def doctor(
     """Check the set-up before a flight: the vehicles' parameters, telemetry, ranges, addresses and clocks."""
     links = [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
     flags: dict[str, Any] = {"links": links} if links else {}
-    settings = load_settings(config, flags)
+    settings = load_settings(config, flags, fleet)
     if not settings.links:
         raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")
     told = f"listening on {', '.join(settings.links)} for {seconds:g} s"

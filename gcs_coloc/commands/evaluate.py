@@ -8,14 +8,15 @@ from typing import Annotated
 
 import typer
 
-from gcs_coloc.config import load_settings
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.fleets import load_settings
 
 
 def evaluate(
     directory: Annotated[Path, typer.Argument(help="A data set: meta.toml, positions.csv, ranges.csv, ...", metavar="DIR")],
     estimator: Annotated[str | None, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = None,
     config: Annotated[Path | None, typer.Option(help="A configuration file (TOML) for the estimator and its settings.")] = None,
+    fleet: Annotated[str | None, typer.Option(help="Which fleet of the configuration file, where that is of several.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the scores as JSON.")] = False,
     plot: Annotated[Path | None, typer.Option(help="Draw track, error against 2-sigma, and NIS into this file.")] = None,
 ) -> None:
@@ -23,7 +24,7 @@ def evaluate(
     from gcs_coloc.study import evaluate as study
     from gcs_coloc.study import evaluation_plot
 
-    settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {})
+    settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {}, fleet)
     evaluation = study.evaluate(directory, load_estimator(settings.estimator.name, settings.estimator.settings))
     if plot is not None:
         evaluation_plot.plot(evaluation, plot)

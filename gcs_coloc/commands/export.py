@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from gcs_coloc.commands.replay import warn_of_damage
-from gcs_coloc.config import load_settings
 from gcs_coloc.core.errors import UsageError
+from gcs_coloc.fleets import load_settings
 from gcs_coloc.recorder import export as writer
 from gcs_coloc.recorder.story import retell
 
@@ -21,10 +21,11 @@ def export(
         Path | None, typer.Option(help="Directory for the files; that of the recording unless told.", metavar="DIR")
     ] = None,
     config: Annotated[Path | None, typer.Option(help="The configuration file (TOML) of the flight.")] = None,
+    fleet: Annotated[str | None, typer.Option(help="Which fleet of the configuration file, where that is of several.")] = None,
     estimator: Annotated[str | None, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = None,
 ) -> None:
     """Write a recorded flight as CSV, GeoJSON and KML."""
-    settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {})
+    settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {}, fleet)
     story = retell(file, settings, ranges, None, as_flown=estimator is None)
     warn_of_damage(file, story.damage)
     base = (out if out is not None else file.parent) / file.stem

@@ -16,10 +16,11 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from gcs_coloc.config import Settings, load_settings
+from gcs_coloc.config import Settings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.fleets import load_settings
 from gcs_coloc.recorder import replay as driver
 from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.tlog import TlogReader
@@ -36,6 +37,7 @@ def replay(
         str | None, typer.Option(help="N times real time, or max; 1 on the page and max without it unless told.")
     ] = None,
     config: Annotated[Path | None, typer.Option(help="A configuration file (TOML); its links are not opened.")] = None,
+    fleet: Annotated[str | None, typer.Option(help="Which fleet of the configuration file, where that is of several.")] = None,
     estimator: Annotated[str | None, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     web: Annotated[
@@ -51,10 +53,10 @@ def replay(
     factor = _factor(speed if speed is not None else ("1" if web is not None else "max"))
     flags: dict[str, Any] = {"estimator": {"name": estimator}} if estimator is not None else {}
     if web is not None:
-        settings = load_settings(config, flags | ({"web": {"address": web}} if web else {}))
+        settings = load_settings(config, flags | ({"web": {"address": web}} if web else {}), fleet)
         _show(file, settings, ranges, truth, factor, as_flown=estimator is None)
         return
-    settings = load_settings(config, flags)
+    settings = load_settings(config, flags, fleet)
     engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
     log = TlogReader(file)
     report = FlightReport(engine, driver.read_truth(truth) if truth is not None else [])

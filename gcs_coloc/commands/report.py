@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from gcs_coloc.commands.replay import warn_of_damage
-from gcs_coloc.config import load_settings
 from gcs_coloc.core.errors import UsageError
+from gcs_coloc.fleets import load_settings
 from gcs_coloc.recorder.html_report import page
 from gcs_coloc.recorder.story import retell
 
@@ -24,10 +24,11 @@ def report(
         Path | None, typer.Option(help="The page; FILE.html beside the recording unless told.", metavar="FILE")
     ] = None,
     config: Annotated[Path | None, typer.Option(help="The configuration file (TOML) of the flight.")] = None,
+    fleet: Annotated[str | None, typer.Option(help="Which fleet of the configuration file, where that is of several.")] = None,
     estimator: Annotated[str | None, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = None,
 ) -> None:
     """Write one self-contained HTML page of a recorded flight."""
-    settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {})
+    settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {}, fleet)
     story = retell(file, settings, ranges, truth, as_flown=estimator is None)
     warn_of_damage(file, story.damage)
     path = out if out is not None else file.with_suffix(".html")

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from gcs_coloc.config import load_settings
-from gcs_coloc.core.errors import ConfigError, UsageError
-from gcs_coloc.fleets import load_fleets
+from gcs_coloc.cli import check_config
+from gcs_coloc.core.errors import ConfigError, EstimatorError, UsageError
+from gcs_coloc.fleets import load_fleets, load_settings
+from gcs_coloc.service import Service
 
 TWO = """
 [aid]
@@ -123,6 +124,39 @@ def test_the_example_configuration_is_good():
     assert len(load_fleets(Path(__file__).resolve().parents[2] / "configs/fleets.toml", {})) == 2
 
 
-def test_a_command_that_wants_one_fleet_refuses_several(tmp_path):
-    with pytest.raises(ConfigError, match="several fleets"):
-        load_settings(written(tmp_path, TWO), {})
+@pytest.mark.parametrize("name", ["north", "south"])
+def test_one_of_several_fleets_is_as_in_the_service(tmp_path, name):
+    path = written(tmp_path, TWO)
+    (same,) = [fleet.settings for fleet in load_fleets(path, {}) if fleet.name == name]
+    assert load_settings(path, {}, name).model_dump() == same.model_dump()
+    told = load_settings(path, {"links": ["14999"], "web": {"address": "127.0.0.1:9"}}, name)
+    assert (told.links, told.web.address, told.aid.lag_s) == (("14999",), "127.0.0.1:9", same.aid.lag_s)
+
+
+@pytest.mark.parametrize(
+    ("text", "fleet", "words"),
+    [
+        (TWO, None, "is of several fleets .*: say which with --fleet: north, south"),
+        (TWO, "east", "--fleet east: .* has no such fleet, but north, south"),
+        ('links = ["14550"]', "north", r"--fleet north: .*coloc.toml has no \[\[fleet\]\]"),
+        (TWO + "colour = 3", "north", "south.*colour"),
+    ],
+)
+def test_which_fleet_is_meant_has_to_be_said_and_there_has_to_be_one(tmp_path, text, fleet, words):
+    with pytest.raises(UsageError, match=words):
+        load_settings(written(tmp_path, text), {}, fleet)
+
+
+def test_a_fleet_without_a_file_is_a_mistake():
+    with pytest.raises(UsageError, match="--fleet north: there is no --config"):
+        load_settings(None, {}, "north")
+
+
+def test_what_is_wrong_with_one_fleet_names_it(tmp_path):
+    path = written(tmp_path, TWO.replace("qu_zhang", "qu_zang"))
+    with pytest.raises(EstimatorError, match=r"^fleet south: .*qu_zang"):
+        check_config(path)
+    with pytest.raises(EstimatorError, match=r"^fleet south: .*qu_zang"):
+        Service(load_fleets(path, {}))
+    with pytest.raises(EstimatorError, match=r"^[^f]"):
+        check_config(written(tmp_path, 'links = ["14550"]\n[estimator]\nname = "qu_zang"\n'))

@@ -2,8 +2,8 @@
 
 import pytest
 
-from gcs_coloc.config import load_settings
 from gcs_coloc.core.errors import ConfigError
+from gcs_coloc.fleets import load_settings
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.sinks.hub import Subscription
 from gcs_coloc.sinks.mqtt import Mqtt
