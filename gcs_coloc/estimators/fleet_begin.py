@@ -54,7 +54,7 @@ def begin_from_ranges(clusters: Clusters, records: Records, vehicle: int, at_s: 
     record.stamp_s = s.stamp_sigma_s
     record.attitude = None
     record.informed_at_s = at_s
-    record.ranges = ()
+    record.ranged = ()
     clusters.begin(vehicle, *start_block(*outcome, s), at_s)
     return True
 

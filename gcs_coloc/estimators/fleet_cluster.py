@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import blas
 
-from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet_joint import Joint
 from gcs_coloc.estimators.fleet_motion import (
     GRAVITY_MPS2,
@@ -44,6 +45,19 @@ _PLACE = np.eye(3, SIZE)
 
 Horizontal = tuple[float, float, float]
 """Variances of a horizontal position, m^2: east, east with north, north."""
+
+
+class End(NamedTuple):
+    """One end of a range: where its states are in `A`, its place (m) and velocity (m/s), and the Jacobian G (3, m) of the place.
+
+    Place and velocity are as `Cluster.place` has them: a fixed anchor has neither velocity nor clock.
+    """
+
+    vehicle: int
+    where: slice
+    place: Vector3
+    velocity: Vector3
+    G: FloatArray
 
 
 def _steps(from_s: float, to_s: float) -> list[float]:
@@ -159,7 +173,7 @@ class Cluster:
             from_s = to_s
         return x, P
 
-    def place(self, vehicle: int) -> tuple[float, float, float]:
+    def place(self, vehicle: int) -> Vector3:
         """Return where a vehicle is, at the time of its states.
 
         What a vehicle says of itself is all late by the one error of its clock, and its states go by that clock.
@@ -170,24 +184,27 @@ class Cluster:
         late_s = x[STAMP_ERROR]
         return x[0] - late_s * x[3], x[1] - late_s * x[4], x[2] - late_s * x[5]
 
-    def placing(self, vehicle: int) -> FloatArray:
-        """Return the Jacobian of `place`, (3, m), by the m states of the vehicle."""
+    def end(self, vehicle: int) -> End:
+        """Return what a vehicle is as one end of a range."""
+        where = self.joint.slice(vehicle)
+        x = self.joint.A[0, where].tolist()
         if self.records[vehicle].fixed:
-            return _ANCHOR
-        x, G = self.joint.mean(vehicle), _PLACE.copy()
-        G[0, 3] = G[1, 4] = G[2, 5] = -x[STAMP_ERROR]
-        G[:, STAMP_ERROR] = -x[VELOCITY]
-        return G
+            return End(vehicle, where, (x[0], x[1], x[2]), (0.0, 0.0, 0.0), _ANCHOR)
+        late_s, ve, vn, vu = x[STAMP_ERROR], x[3], x[4], x[5]
+        G = _PLACE.copy()
+        G[0, 3] = G[1, 4] = G[2, 5] = -late_s
+        G[0, STAMP_ERROR], G[1, STAMP_ERROR], G[2, STAMP_ERROR] = -ve, -vn, -vu
+        return End(vehicle, where, (x[0] - late_s * ve, x[1] - late_s * vn, x[2] - late_s * vu), (ve, vn, vu), G)
 
-    def relative(self, a: int, b: int) -> tuple[FloatArray, FloatArray]:
+    def relative(self, a: End, b: End) -> tuple[FloatArray, FloatArray]:
         """Return the covariance of all states with the place of `a` relative to `b`, (1 + n, 3), and that place's own, (3, 3).
 
         Row 0 of the former means nothing.
         """
-        A, Ga, Gb, at_a, at_b = self.joint.A, self.placing(a), self.placing(b), self.joint.slice(a), self.joint.slice(b)
-        with_a = blas.dgemm(1.0, A[at_a].T, Ga.T)
-        with_all: FloatArray = blas.dgemm(-1.0, A[at_b].T, Gb.T, beta=1.0, c=with_a, overwrite_c=1)
-        return with_all, Ga @ with_all[at_a] - Gb @ with_all[at_b]
+        A = self.joint.A
+        with_a = blas.dgemm(1.0, A[a.where].T, a.G.T)
+        with_all: FloatArray = blas.dgemm(-1.0, A[b.where].T, b.G.T, beta=1.0, c=with_a, overwrite_c=1)
+        return with_all, a.G @ with_all[a.where] - b.G @ with_all[b.where]
 
     def restate(self, vehicle: int, where: slice, before: float, now: float) -> float:
         """Take a new sigma of a vehicle's slow errors where it is clearly another one; return the one now in force."""
@@ -197,7 +214,7 @@ class Cluster:
         start = joint.start[vehicle]
         first, stop = start + where.start, start + where.stop
         if now < before:
-            joint.scale(first, stop, now / before)
+            joint.scale(first, np.full(stop - first, now / before))
         else:
             # What is more than before may have come all at once.
             joint.A[range(first, stop), range(first, stop)] += now * now - before * before

@@ -7,13 +7,14 @@ at one height. Near the plane they hardly tell the motion across it either, so a
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray
-from gcs_coloc.estimators.fleet_cluster import Cluster
-from gcs_coloc.estimators.fleet_motion import SIZE, TURN
+from gcs_coloc.estimators.fleet_cluster import Cluster, End
+from gcs_coloc.estimators.fleet_motion import POSITION, SIZE, STAMP_ERROR, TURN, VELOCITY
 
 _IN_USE_S = 2.0
 _NEAR_SIGMAS = 4.0
@@ -24,6 +25,8 @@ _LEAST_SPREAD_SIGMAS = 3.0
 _SAME_PLACE = 1.0
 _COVERED_SIGMAS = 3.0
 _LEVEL = 0.7
+_LEAST_DISTANCE_M = 1.0
+_LEAST_BLUR_M = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,90 +50,119 @@ def find_mirror(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
     peers = [v for v, n in neighbours.items() if at_s - n.at_s <= _IN_USE_S and v in cluster.joint.start]
     if len(peers) < 2:
         return None
-    there = np.array([cluster.place(v) for v in peers])
-    offsets = there - there.mean(axis=0)
-    spreads, axes = np.linalg.eigh(offsets[:, :2].T @ offsets[:, :2])
-    normal, along = np.append(axes[:, 0], 0.0), np.append(axes[:, 1], 0.0)
-    mirror = _across(cluster, subject, at_s, peers, there, normal, along[:, np.newaxis], float(spreads[1]))
-    if mirror is not None or len(peers) < 3:
-        return mirror
+    view = _View(cluster, subject, peers, at_s)
+    ee, en, nn = (sum(o[i] * o[j] for o in view.offsets) for i, j in ((0, 0), (0, 1), (1, 1)))
+    course = 0.5 * math.atan2(2.0 * en, ee - nn)
+    e, n = math.cos(course), math.sin(course)
+    if view.may_be_near((-n, e, 0.0)):
+        longest_m2 = 0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en)
+        mirror = _across(view, np.array([-n, e, 0.0]), np.array([[e], [n], [0.0]]), longest_m2)
+        if mirror is not None:
+            return mirror
+    if len(peers) < 3 or view.height_told(_LEVEL, view.blind_m(_LEAST_BLUR_M)) > _TOLD_APART:
+        return None
+    offsets = np.array(view.offsets)
     spreads, axes = np.linalg.eigh(offsets.T @ offsets)
-    if abs(float(axes[2, 0])) < _LEVEL:
+    normal = axes[:, 0]
+    if abs(float(normal[2])) < _LEVEL or not view.may_be_near(normal.tolist()):
         return None
-    return _across(cluster, subject, at_s, peers, there, axes[:, 0], axes[:, 1:], float(spreads[1]))
+    return _across(view, normal, axes[:, 1:], float(spreads[1]))
 
 
-def _across(
-    cluster: Cluster,
-    subject: int,
-    at_s: float,
-    peers: list[int],
-    there: FloatArray,
-    normal: FloatArray,
-    within: FloatArray,
-    least_spread_m2: float,
-) -> Mirror | None:
-    """Test one plane: unit normal (3,), axes within it (3, m), and the least sum of squares of the peers (k, 3) along these."""
-    joint, record = cluster.joint, cluster.records[subject]
-    start = joint.start[subject]
-    here, velocity = np.array(cluster.place(subject)), joint.A[0, start + 3 : start + 6]
-    centre = there.mean(axis=0)
-    offsets = there - centre
-    away_m = float((here - centre) @ normal)
-    to_peers = here - there
-    distance_m = np.maximum(np.linalg.norm(to_peers, axis=1), 1.0)
-    units = to_peers / distance_m[:, np.newaxis]
-    blur2 = np.empty(len(peers))
-    across2 = 0.0
-    for i, v in enumerate(peers):
-        relative = cluster.relative(subject, v)[1]
-        blur2[i] = max(float(units[i] @ relative @ units[i]), 1e-6)
-        across2 = max(across2, float(normal @ relative @ normal))
-    blur_m = math.sqrt(float(blur2.max()))
-    if math.sqrt(least_spread_m2) < _LEAST_SPREAD_SIGMAS * blur_m:
+class _View:
+    """A subject and its peers at a time: where they are and how well that is known, as far as it costs little.
+
+    `offset` is the subject's place about the mean `centre` of its peers, `offsets` theirs. `most_m` is at least as large as the
+    sigma of any way between the subject and a peer in any direction.
+    """
+
+    def __init__(self, cluster: Cluster, subject: int, peers: list[int], at_s: float) -> None:
+        self.cluster = cluster
+        self.own = cluster.end(subject)
+        self.peers = [cluster.end(v) for v in peers]
+        ce, cn, cu = (sum(peer.place[axis] for peer in self.peers) / len(peers) for axis in range(3))
+        self.centre = (ce, cn, cu)
+        self.offsets = [(e - ce, n - cn, u - cu) for e, n, u in (peer.place for peer in self.peers)]
+        e, n, u = self.own.place
+        self.offset = (e - ce, n - cn, u - cu)
+        self.nearest_m = max(min(math.dist(self.own.place, peer.place) for peer in self.peers), _LEAST_DISTANCE_M)
+        self.most_m = _most_m(cluster, self.own) + max(_most_m(cluster, peer) for peer in self.peers)
+        record = cluster.records[subject]
+        attitude = record.attitude
+        self.aided = attitude is not None and at_s - attitude.measured_at_s <= cluster.settings.attitude_fresh_s
+        heights = (m.sigma_m for m in record.recent if isinstance(m, AltitudeMeasurement) and at_s - m.measured_at_s <= _IN_USE_S)
+        self._height_sigma_m = next(heights, math.inf)
+
+    def blind_m(self, blur_m: float) -> float:
+        """Within this distance of a plane the ranges change by less than they are uncertain."""
+        return math.sqrt(2.0 * blur_m * self.nearest_m)
+
+    def height_told(self, upwards: float, reach_m: float) -> float:
+        """How clearly the subject's own height tells the two sides of a plane apart, whose unit normal has this part upwards."""
+        return (2.0 * reach_m * upwards / self._height_sigma_m) ** 2
+
+    def may_be_near(self, normal: Sequence[float]) -> bool:
+        """Whether the subject may be so near to a plane through the centre that it matters, whatever the covariances are."""
+        away_m = sum(o * n for o, n in zip(self.offset, normal, strict=True))
+        return abs(away_m) <= max(_NEAR_SIGMAS * self.most_m, self.blind_m(self.most_m))
+
+
+def _most_m(cluster: Cluster, end: End) -> float:
+    """Return a bound on the sigma of a vehicle's place in any direction, m: as if all errors in it were one."""
+    A, first = cluster.joint.A, end.where.start
+    variances = [A.item(first + i, first + i) for i in range(end.G.shape[1])]
+    if end.G.shape[1] < SIZE:
+        return math.sqrt(sum(variances))
+    late_s, speed_mps = abs(float(end.G[0, VELOCITY.start])), math.hypot(*end.velocity)
+    moved_m = late_s * math.sqrt(sum(variances[VELOCITY])) + speed_mps * math.sqrt(variances[STAMP_ERROR])
+    return math.sqrt(sum(variances[POSITION])) + moved_m
+
+
+def _across(view: _View, normal: FloatArray, within: FloatArray, least_spread_m2: float) -> Mirror | None:
+    """Test one plane: unit normal (3,), axes within it (3, m), and the least sum of squares of the peers along these."""
+    offsets, offset, upwards = np.array(view.offsets), np.array(view.offset), abs(float(normal[2]))
+    away_m = float(offset @ normal)
+    to_peers = offset - offsets
+    distance_m = np.maximum(np.sqrt((to_peers * to_peers).sum(axis=1)), _LEAST_DISTANCE_M)
+    blur2, across2, blind_m = np.empty(len(view.peers)), 0.0, 0.0
+    for i, peer in enumerate(view.peers):
+        apart_m2, unit = view.cluster.relative(view.own, peer)[1], to_peers[i] / distance_m[i]
+        blur2[i] = max(float(unit @ apart_m2 @ unit), _LEAST_BLUR_M**2)
+        across2 = max(across2, float(normal @ apart_m2 @ normal))
+        blind_m = max(blind_m, view.blind_m(math.sqrt(float(blur2[i]))))
+        if view.height_told(upwards, max(abs(away_m), blind_m)) > _TOLD_APART:
+            return None
+    if math.sqrt(least_spread_m2) < _LEAST_SPREAD_SIGMAS * math.sqrt(float(blur2.max())):
         return None
-    # Within this distance of the plane the ranges change by less than they are uncertain.
-    blind_m = math.sqrt(2.0 * blur_m * float(distance_m.min()))
     if abs(away_m) > max(_NEAR_SIGMAS * math.sqrt(across2), blind_m):
         return None
     reach_m = max(abs(away_m), blind_m)
     told = 2.0 * reach_m * (offsets @ normal) / distance_m
-    told2 = float(np.sum(told * told / blur2))
-    for m in record.recent:
-        if isinstance(m, AltitudeMeasurement) and at_s - m.measured_at_s <= _IN_USE_S:
-            told2 += (2.0 * reach_m * float(normal[2]) / m.sigma_m) ** 2
-            break
-    if told2 > _TOLD_APART:
+    if float(np.sum(told * told / blur2)) + view.height_told(upwards, reach_m) > _TOLD_APART:
         return None
-    speed_mps = _plane_speed(cluster, peers, offsets @ within, (here - centre) @ within, normal)
-    closing = float(velocity @ normal) - speed_mps
-    spread_v = math.sqrt(float(normal @ joint.A[start + 3 : start + 6, start + 3 : start + 6] @ normal))
-    attitude = record.attitude
-    aided = attitude is not None and at_s - attitude.measured_at_s <= cluster.settings.attitude_fresh_s
-    turn = 0.0 if aided else math.sqrt(_HARDEST_TURN_MPS2 * blind_m)
+    speed_mps = _plane_speed(view, offsets @ within, offset @ within, normal)
+    closing = float(np.dot(view.own.velocity, normal)) - speed_mps
+    P = view.cluster.joint.covariance(view.own.vehicle)
+    spread_v = math.sqrt(float(normal @ P[VELOCITY, VELOCITY] @ normal))
+    turn = 0.0 if view.aided else math.sqrt(_HARDEST_TURN_MPS2 * blind_m)
     if abs(closing) > _SPEED_SIGMAS * spread_v + turn:
         return None
-    if abs(float(normal[2])) > _LEVEL and abs(closing) < _SPEED_SIGMAS * spread_v:
+    if upwards > _LEVEL and abs(closing) < _SPEED_SIGMAS * spread_v:
         # Level flight beside the plane does not come to its other side.
         return None
     both = np.array([away_m, closing])
     G = np.zeros((2, SIZE))
-    G[0, 0:3] = G[1, 3:6] = normal
-    apart = 2.0 * float(both @ np.linalg.solve(G @ joint.covariance(subject) @ G.T, both))
-    return Mirror(centre, normal, speed_mps) if apart > _SAME_PLACE else None
+    G[0, POSITION] = G[1, VELOCITY] = normal
+    twice = 2.0 * float(both @ np.linalg.solve(G @ P @ G.T, both))
+    return Mirror(np.array(view.centre), normal, speed_mps) if twice > _SAME_PLACE else None
 
 
-def _plane_speed(cluster: Cluster, peers: list[int], within_m: FloatArray, at_m: FloatArray, normal: FloatArray) -> float:
+def _plane_speed(view: _View, within_m: FloatArray, at_m: FloatArray, normal: FloatArray) -> float:
     """Return the speed along its normal, m/s, of the plane through the peers, at a place `at_m` (m,) in it.
 
     `within_m` (k, m) is where the peers are in it, about their mean.
     """
-    joint = cluster.joint
-    speeds = np.zeros(len(peers))
-    for i, v in enumerate(peers):
-        if not cluster.records[v].fixed:
-            p = joint.start[v]
-            speeds[i] = joint.A[0, p + 3 : p + 6] @ normal
+    speeds = np.array([peer.velocity for peer in view.peers]) @ normal
     slopes = np.linalg.solve(within_m.T @ within_m, within_m.T @ speeds)
     return float(speeds.mean() + slopes @ at_m)
 

@@ -87,11 +87,11 @@ class FleetModel:
         for vehicle in [v for v, record in self.records.items() if record.subject and v not in subjects]:
             record = self.records.writable(vehicle)
             record.subject = False
-            record.ranges = ()
+            record.ranged = ()
             record.neighbours = {}
             # Its reports are trusted again and start a filter when one is needed.
             self.clusters.drop(vehicle)
-            record.recent = ()
+            record.own = ()
             record.last_position = None
             record.reason = "no position report since its GPS was trusted again"
 
@@ -132,7 +132,7 @@ class FleetModel:
         if record.reports_refused >= _REPORTS_REFUSED_MOST:
             # The reports agree with each other and not with the filter: they are the only witness of this vehicle.
             self.clusters.drop(m.vehicle)
-            record.recent = (m,)
+            record.own = (m,)
             record.reports_refused = 0
             return Verdict("peer restarted: its reports moved away")
         return verdict
@@ -207,6 +207,6 @@ class FleetModel:
         alone.records.take(self.records, vehicle)
         if record.last_position.velocity_enu_mps is not None:
             # Its last report has all that a filter over the others would tell; this is asked often.
-            alone.records[vehicle].recent = ()
+            alone.records[vehicle].own = ()
         alone._activate(vehicle, at_s)
         return alone.estimate(vehicle, at_s)

@@ -27,17 +27,16 @@ def take_range(cluster: Cluster, m: RangeMeasurement, sigma_m: float, slow_m: fl
     `sigma_m` is that of the range itself, `slow_m` of the part of its error that lasts.
     """
     s, joint, at_s = cluster.settings, cluster.joint, m.measured_at_s
-    a, b = m.from_vehicle, m.to_vehicle
-    cluster.bring(a, at_s)
-    cluster.bring(b, at_s)
+    cluster.bring(m.from_vehicle, at_s)
+    cluster.bring(m.to_vehicle, at_s)
     bias = _pair(cluster, m, slow_m)
-    A = joint.A
-    (ax, ay, az), (bx, by, bz) = cluster.place(a), cluster.place(b)
+    a, b, A = cluster.end(m.from_vehicle), cluster.end(m.to_vehicle), joint.A
+    (ax, ay, az), (bx, by, bz) = a.place, b.place
     dx, dy, dz = ax - bx, ay - by, az - bz
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
     if distance < _LEAST_DISTANCE_M:
         return Verdict("refused: both ends estimated at one place")
-    ux, uy, uz = u = (dx / distance, dy / distance, dz / distance)
+    ux, uy, uz = (dx / distance, dy / distance, dz / distance)
     relative, M = cluster.relative(a, b)
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = M.tolist()
     mx, my, mz = xx * ux + xy * uy + xz * uz, yx * ux + yy * uy + yz * uz, zx * ux + zy * uy + zz * uz
@@ -48,15 +47,16 @@ def take_range(cluster: Cluster, m: RangeMeasurement, sigma_m: float, slow_m: fl
     square = norm2 - 2.0 * (mx * mx + my * my + mz * mz) + along * along
     longer = 0.5 * across_trace / distance
     spread = max(0.5 * square / (distance * distance), 0.0)
-    closing = _closing_mps(cluster, a, u) - _closing_mps(cluster, b, u)
+    (ave, avn, avu), (bve, bvn, bvu) = a.velocity, b.velocity
+    closing = ux * (ave - bve) + uy * (avn - bvn) + uz * (avu - bvu)
     noise = sigma_m * sigma_m + (closing * s.stamp_sigma_s) ** 2
     # The expansion fails where the uncertainty is as large as the distance: there it may not outgrow the first order.
     spread = min(spread, along + noise)
     longer = min(longer, math.sqrt(along + noise))
-    hA = relative @ u
+    hA = relative @ (ux, uy, uz)
     own = hA.item(bias) + hA.item(bias + 1)
     errors = A[bias] + A[bias + 1]
-    clock = m.clock_of if m.clock_of in (a, b) and not cluster.records[m.clock_of].fixed else None
+    clock = m.clock_of if m.clock_of in (a.vehicle, b.vehicle) and not cluster.records[m.clock_of].fixed else None
     if clock is not None:
         # It is of as much later than it says as the reports of the vehicle that stamped it.
         late = joint.start[clock] + STAMP_ERROR
@@ -78,16 +78,9 @@ def take_range(cluster: Cluster, m: RangeMeasurement, sigma_m: float, slow_m: fl
         variance *= math.sqrt(nis) / s.doubt_sigma
     W = joint.correct_scalar(hA, variance)
     whitened = (innovation / math.sqrt(variance),)
-    cluster.watch(a, W, whitened, at_s)
-    cluster.watch(b, W, whitened, at_s)
+    cluster.watch(a.vehicle, W, whitened, at_s)
+    cluster.watch(b.vehicle, W, whitened, at_s)
     return Verdict(USED, innovation, sigma, nis, 1)
-
-
-def _closing_mps(cluster: Cluster, vehicle: int, u: tuple[float, float, float]) -> float:
-    if cluster.records[vehicle].fixed:
-        return 0.0
-    x = cluster.joint.mean(vehicle).tolist()
-    return float(u[0] * x[3] + u[1] * x[4] + u[2] * x[5])
 
 
 def _pair(cluster: Cluster, m: RangeMeasurement, slow_m: float) -> int:
@@ -102,8 +95,8 @@ def _pair(cluster: Cluster, m: RangeMeasurement, slow_m: float) -> int:
     step_s = m.measured_at_s - joint.time_s[key]
     if step_s > 0.0:
         decays = (math.exp(-step_s / s.range_bias_time_s), math.exp(-step_s / s.range_slow_time_s))
+        joint.scale(index, np.array(decays))
         for i, decay, sigma in zip((index, index + 1), decays, sigmas, strict=True):
-            joint.scale(i, i + 1, decay)
             joint.A[i, i] += sigma * sigma * (1.0 - decay * decay)
         joint.time_s[key] = m.measured_at_s
     return index

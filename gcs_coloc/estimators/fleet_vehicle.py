@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from operator import attrgetter
+from typing import TypeVar
 
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
@@ -91,7 +92,7 @@ class Neighbour:
 
 @dataclass(slots=True)
 class VehicleRecord:
-    """One vehicle. `recent` and `ranges` are bounded tuples, oldest first, replaced and never changed in place.
+    """One vehicle. `own` and `ranged` are what it measured of itself and its ranges, oldest first, at least those of late.
 
     `slow_report_h_m`, `slow_report_v_m`, `slow_baro_m`, `stamp_s` are the sigmas in force of the slow errors in the joint state.
     `refused_share` is the fading share of this subject's ranges that the gate refused, `refused_m2` their mean square innovation.
@@ -100,8 +101,8 @@ class VehicleRecord:
     subject: bool = False
     fixed: bool = False
     last_position: PositionMeasurement | None = None
-    recent: tuple[OwnMeasurement, ...] = ()
-    ranges: tuple[RangeMeasurement, ...] = ()
+    own: tuple[OwnMeasurement, ...] = ()
+    ranged: tuple[RangeMeasurement, ...] = ()
     white_h: Whiteness = field(default_factory=Whiteness)
     white_v: Whiteness = field(default_factory=Whiteness)
     white_baro: Whiteness = field(default_factory=Whiteness)
@@ -137,19 +138,30 @@ class VehicleRecord:
 
     def remember(self, measurement: OwnMeasurement) -> None:
         """Keep a measurement of this vehicle's own for a few seconds: a filter for it is started from these when needed."""
-        oldest_s = measurement.measured_at_s - _RECENT_S
-        recent = self.recent
-        if len(recent) >= _RECENT_MOST or (recent and recent[0].measured_at_s < oldest_s):
-            recent = tuple(m for m in recent[1 - _RECENT_MOST :] if m.measured_at_s >= oldest_s)
-        self.recent = (*recent, measurement)
+        kept = self.own if len(self.own) < 2 * _RECENT_MOST else self.own[-_RECENT_MOST:]
+        self.own = (*kept, measurement)
 
     def remember_range(self, measurement: RangeMeasurement) -> None:
         """Keep a range for a few seconds: a subject without a position is started from these."""
-        oldest_s = measurement.measured_at_s - _RANGES_S
-        ranges = self.ranges
-        if len(ranges) >= _RANGES_MOST or (ranges and ranges[0].measured_at_s < oldest_s):
-            ranges = tuple(m for m in ranges[1 - _RANGES_MOST :] if m.measured_at_s >= oldest_s)
-        self.ranges = (*ranges, measurement)
+        kept = self.ranged if len(self.ranged) < 2 * _RANGES_MOST else self.ranged[-_RANGES_MOST:]
+        self.ranged = (*kept, measurement)
+
+    @property
+    def recent(self) -> tuple[OwnMeasurement, ...]:
+        """The own measurements of the last 3 s before the newest, 64 at most, oldest first."""
+        return _since(self.own[-_RECENT_MOST:], _RECENT_S)
+
+    @property
+    def ranges(self) -> tuple[RangeMeasurement, ...]:
+        """The ranges of the last 4 s before the newest, 120 at most, oldest first."""
+        return _since(self.ranged[-_RANGES_MOST:], _RANGES_S)
+
+
+_Measured = TypeVar("_Measured", OwnMeasurement, RangeMeasurement)
+
+
+def _since(measured: tuple[_Measured, ...], span_s: float) -> tuple[_Measured, ...]:
+    return tuple(m for m in measured if m.measured_at_s >= measured[-1].measured_at_s - span_s)
 
 
 # All fields at once, in their order: a copy is made of every vehicle that is heard, ten times a second.
