@@ -1,8 +1,11 @@
-"""How far off a position may be, from its covariance: 1-sigma along the worst direction, and the 95 % horizontal bound."""
+"""How far off a position may be, from its covariance: 1-sigma along the worst direction, and the 95 % horizontal bound.
+
+Closed forms: numpy's general ones cost several times as much for two and three directions.
+"""
 
 from __future__ import annotations
 
-from math import sqrt
+from math import acos, cos, sqrt
 
 from gcs_coloc.core.measurements import FloatArray
 
@@ -25,6 +28,23 @@ def horizontal_bound_95_m(covariance: FloatArray) -> float:
     index = min(int(place), 9)
     below, above = _RADIUS_95[index], _RADIUS_95[index + 1]
     return larger_m * (below + (place - index) * (above - below))
+
+
+def worst_sigma(covariance: FloatArray) -> float:
+    """1-sigma along the worst direction of a covariance (3, 3): root of its largest eigenvalue, in the root of its unit.
+
+    Source: the trigonometric solution of the characteristic equation (Smith 1961).
+    """
+    (a, b, c), (_, d, e), (_, _, f) = covariance.tolist()
+    mean = (a + d + f) / 3.0
+    a, d, f = a - mean, d - mean, f - mean
+    scale = sqrt((a * a + d * d + f * f + 2.0 * (b * b + c * c + e * e)) / 6.0)
+    cube = scale**3
+    if cube == 0.0:
+        return sqrt(max(mean, 0.0))
+    determinant = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
+    angle = acos(min(max(0.5 * determinant / cube, -1.0), 1.0)) / 3.0
+    return sqrt(max(mean + 2.0 * scale * cos(angle), 0.0))
 
 
 def _axes_m(covariance: FloatArray) -> tuple[float, float]:

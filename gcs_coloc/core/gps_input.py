@@ -12,9 +12,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-import numpy as np
-
-from gcs_coloc.core.bound import horizontal_sigma_m
+from gcs_coloc.core.bound import horizontal_sigma_m, worst_sigma
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_time import gps_week_and_ms
 from gcs_coloc.core.measurements import Estimate
@@ -43,8 +41,8 @@ def gps_input(
     time_usec = round(unix_s * 1e6) if unix_s is not None else 0
     if frame is None or answer is None:
         return no_fix(sysid, gps_id, time_usec, week, week_ms)
-    east_m, north_m, up_m = (float(x) for x in answer.position_enu_m)
-    ve, vn, vu = (float(x) for x in answer.velocity_enu_mps)
+    east_m, north_m, up_m = answer.position_enu_m.tolist()
+    ve, vn, vu = answer.velocity_enu_mps.tolist()
     lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(east_m, north_m, up_m)
     vn_mps, ve_mps, vd_mps = frame.ned_from_enu_velocity(lat_deg, lon_deg, (ve, vn, vu))
     p = answer.covariance
@@ -64,7 +62,7 @@ def gps_input(
         vn_mps=vn_mps,
         ve_mps=ve_mps,
         vd_mps=vd_mps,
-        speed_accuracy_mps=float(sqrt(max(np.linalg.eigvalsh(p[3:6, 3:6])[-1], 0.0))),
+        speed_accuracy_mps=worst_sigma(p[3:6, 3:6]),
         horiz_accuracy_m=horizontal_sigma_m(p),
         vert_accuracy_m=vert_accuracy_m,
         satellites=_SATELLITES_WITH_FIX,

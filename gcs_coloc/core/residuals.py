@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterable
 from functools import lru_cache
 from statistics import median
@@ -64,11 +64,12 @@ class ResidualLog:
 
         It is 0.45 for a consistent filter, and outliers hardly change it.
         """
-        found: dict[int, list[float]] = {}
+        found: defaultdict[int, list[float]] = defaultdict(list)
         for r in self._recent:
             assert r.to_vehicle is not None
-            for vehicle in (r.from_vehicle, r.to_vehicle):
-                found.setdefault(vehicle, []).append(r.nis / max(r.degrees_of_freedom, 1))
+            nis = r.nis / r.degrees_of_freedom if r.degrees_of_freedom > 1 else r.nis
+            found[r.from_vehicle].append(nis)
+            found[r.to_vehicle].append(nis)
         return {vehicle: median(nis) for vehicle, nis in found.items() if len(nis) >= _LEAST_FOR_MISFIT}
 
 

@@ -55,6 +55,7 @@ class SenderClock:
     began_at_s: float = float("-inf")
     drift: Drift = field(default_factory=_unmeasured)
     _buckets: deque[_Bucket] = field(default_factory=lambda: deque(maxlen=_BUCKETS))
+    _least_s: float | None = None  # what `least_difference_s` answers until a bucket changes
     _newest_stamp_s: float = float("-inf")
     _jumps: list[float] = field(default_factory=list)
 
@@ -67,6 +68,7 @@ class SenderClock:
         """Take one stamp; False where it jumps and must not be used."""
         while self._buckets and received_at_s - self._buckets[0].started_s > _BUCKETS * _BUCKET_S:
             self._buckets.popleft()
+            self._least_s = None
         stamp_s = self.unwrapped(stamp_s)
         difference_s = received_at_s - stamp_s
         if self._buckets and self._jumped(stamp_s, difference_s):
@@ -83,8 +85,10 @@ class SenderClock:
         if not self._buckets or received_at_s - self._buckets[-1].started_s >= _BUCKET_S:
             self._learn_drift()
             self._buckets.append(_Bucket(received_at_s, received_at_s, difference_s))
+            self._least_s = None
         elif difference_s < self._buckets[-1].least_s:
             self._buckets[-1].least_at_s, self._buckets[-1].least_s = received_at_s, difference_s
+            self._least_s = None
         return True
 
     def unwrapped(self, stamp_s: float) -> float:
@@ -98,12 +102,14 @@ class SenderClock:
 
     def least_difference_s(self) -> float:
         """Service clock minus sender's clock plus the link's least delay, for the newest stamps. Only where one is known."""
-        newest = self._buckets[-1]
-        return min(
-            bucket.least_s + self.drift.rate * (newest.least_at_s - bucket.least_at_s)
-            for bucket in self._buckets
-            if newest.started_s - bucket.started_s <= _LEAST_OVER_S
-        )
+        if self._least_s is None:
+            newest = self._buckets[-1]
+            self._least_s = min(
+                bucket.least_s + self.drift.rate * (newest.least_at_s - bucket.least_at_s)
+                for bucket in self._buckets
+                if newest.started_s - bucket.started_s <= _LEAST_OVER_S
+            )
+        return self._least_s
 
     def to_service(self, stamp_s: float) -> float:
         """The service time of a stamp (seconds), late by the link's least delay. Only valid after `learn` has taken one."""

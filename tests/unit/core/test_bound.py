@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from gcs_coloc.core.bound import horizontal_bound_95_m, horizontal_sigma_m
+from gcs_coloc.core.bound import horizontal_bound_95_m, horizontal_sigma_m, worst_sigma
 
 
 def test_a_round_error_gives_chi_square_with_two_degrees_of_freedom():
@@ -37,3 +37,13 @@ def test_it_does_not_depend_on_the_axes_directions(a, b, angle):
 
 def test_no_error_is_no_bound():
     assert horizontal_bound_95_m(np.zeros((3, 3))) == 0.0
+
+
+def test_the_worst_of_three_directions_is_the_root_of_the_largest_eigenvalue():
+    rng = np.random.default_rng(5)
+    for k in range(300):
+        root = rng.standard_normal((3, 3)) * 10.0 ** rng.uniform(-3.0, 3.0, 3)
+        covariance = root @ root.T if k % 3 else np.diag(10.0 ** rng.integers(-2, 2, 3))
+        assert worst_sigma(covariance) == pytest.approx(np.sqrt(np.linalg.eigvalsh(covariance)[-1]), rel=1e-7)
+    assert worst_sigma(np.eye(3) * 4.0) == 2.0
+    assert worst_sigma(np.zeros((3, 3))) == 0.0
