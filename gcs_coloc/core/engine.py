@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from gcs_coloc.core.aid_messages import CommandResult, OtherAid, ParameterSet, ParameterValue
+from gcs_coloc.core.aid_messages import OtherAid, ParameterSet
 from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.aiding import Aiding
 from gcs_coloc.core.clocks import TimeSettings
@@ -18,7 +18,7 @@ from gcs_coloc.core.fleet import Fleet, Vehicle
 from gcs_coloc.core.guard import GuardedEstimator
 from gcs_coloc.core.health import GpsState, HealthSettings
 from gcs_coloc.core.integrity import Integrity
-from gcs_coloc.core.measurements import Estimate, Measurement, RangeMeasurement, Unknown
+from gcs_coloc.core.measurements import Estimate, Unknown
 from gcs_coloc.core.messages import (
     Aid,
     AidWord,
@@ -30,23 +30,22 @@ from gcs_coloc.core.messages import (
     GpsReceiver,
     GpsWord,
     HealthChanged,
-    Heartbeat,
     Inbound,
     Notice,
     OffAir,
     OperatorWord,
     Outbound,
-    PeerRange,
     PrimaryWord,
     RouteReport,
     SystemHealth,
     SystemTime,
-    TimeSyncAnswer,
     TimeSyncRequest,
+    ToldAside,
 )
 from gcs_coloc.core.range_jumps import RangeJumps
 from gcs_coloc.core.residuals import ResidualLog
 from gcs_coloc.core.streams import StreamRequests
+from gcs_coloc.core.telemetry import Telemetry
 from gcs_coloc.core.utc import Utc
 from gcs_coloc.core.vehicle_view import vehicle_view
 from gcs_coloc.core.view import FleetView
@@ -93,6 +92,7 @@ class Engine:
         self._subjects: frozenset[int] = frozenset()
         self._gps_words: dict[int, GpsWord] = {}
         self._housekeeping_due_s = float("inf")
+        self._telemetry = Telemetry(self.fleet, self.feed, self.aiding, self.integrity, self.estimator, self._tell)
 
     def receive(self, message: Inbound) -> None:
         """Take one message. Never raises for its content: what cannot be used is counted by reason."""
@@ -100,27 +100,15 @@ class Engine:
         if self._housekeeping_due_s == float("inf"):
             # The first message sets the grid of deadlines, so that a recording of the messages holds it.
             self._housekeeping_due_s = at_s
-        if isinstance(message, ClockReference):
-            self._host_time(message)
-            return
-        if isinstance(message, OffAir):
-            self.aiding.on_air = False
-            return
-        if isinstance(message, RouteReport):
-            # Word from the link layer is no sign of life.
-            self._reroute(message)
-            return
-        if isinstance(message, OperatorWord):
-            self._obey(message)
-            return
-        if isinstance(message, OtherAid):
-            self._note_other(message)
+        if isinstance(message, ToldAside):
+            self._note(message)
             return
         vehicle = self._heard(message.sysid, at_s)
         if vehicle is None:
             return
         resets = vehicle.clock.resets
-        self._take(message, vehicle)
+        if self._telemetry.take(message, vehicle):
+            self._review(vehicle, at_s)
         if vehicle.clock.resets != resets:
             self._streams.restarted(vehicle.sysid)
             self.aiding.restarted(vehicle.sysid)
@@ -171,7 +159,7 @@ class Engine:
 
     def refused(self) -> dict[str, int]:
         """How often what was refused, by reason, since the start."""
-        return dict(self._refused + self.feed.refused + self.aiding.refused)
+        return dict(self._refused + self._telemetry.refused + self.feed.refused + self.aiding.refused)
 
     def view(self, now_s: float) -> FleetView:
         """The fleet as it stands, for observers."""
@@ -207,6 +195,19 @@ class Engine:
             vehicle.health.word = self._gps_words.get(sysid, GpsWord.AUTO)
         return vehicle
 
+    def _note(self, message: ToldAside) -> None:
+        match message:
+            case ClockReference():
+                self._host_time(message)
+            case OffAir():
+                self.aiding.on_air = False
+            case RouteReport():
+                self._reroute(message)
+            case OperatorWord():
+                self._obey(message)
+            case OtherAid():
+                self._note_other(message)
+
     def _reroute(self, message: RouteReport) -> None:
         vehicle = self.fleet.get(message.sysid)
         if vehicle is None or vehicle.blocked == message.blocked:
@@ -238,66 +239,6 @@ class Engine:
         if vehicle is not None:
             self.aiding.heard_other(message)
             self._review(vehicle, message.received_at_s)
-
-    def _take(self, message: Inbound, vehicle: Vehicle) -> None:
-        measurement: Measurement | None = None
-        match message:
-            case GlobalPosition():
-                vehicle.position = message
-                measurement = self.feed.position(message, vehicle)
-                if vehicle.claim is not None:
-                    vehicle.health.motion.take_claim(vehicle.claim, own=not vehicle.health.aided)
-                    self.integrity.claim(vehicle.claim, vehicle)
-                if measurement is not None:
-                    vehicle.delay_s = measurement.arrived_at_s - measurement.measured_at_s
-            case Attitude():
-                vehicle.attitude = message
-                measurement = self.feed.attitude(message, vehicle)
-            case PeerRange():
-                measurement = self._range(message, vehicle)
-            case SystemTime():
-                vehicle.utc_minus_service_s = self.feed.utc_minus_service_s(message, vehicle)
-            case TimeSyncAnswer():
-                refusal = vehicle.clock.answered(message.ts1_ns, message.tc1_ns / 1e9, message.received_at_s)
-                if refusal is not None:
-                    self._refused[f"TIMESYNC: answer {refusal}"] += 1
-            case Airspeed():
-                vehicle.airspeed = message
-            case Heartbeat():
-                if vehicle.autopilot is not message.autopilot:
-                    vehicle.autopilot = message.autopilot
-                    self._review(vehicle, message.received_at_s)
-            case GpsReceiver() | SystemHealth() | EkfStatus():
-                if isinstance(message, GpsReceiver):
-                    if message.receiver == vehicle.health.own_receiver:
-                        vehicle.receiver = message
-                    elif message.receiver == self.settings.aid.gps_id:
-                        self.aiding.fed(message)
-                vehicle.health.take(message)
-                self._review(vehicle, message.received_at_s)
-            case CommandResult():
-                self._outbox.extend(self.aiding.answered(message))
-            case ParameterValue():
-                self._outbox.extend(self.aiding.parameter(message))
-            case _:
-                pass
-        if isinstance(measurement, RangeMeasurement):
-            self.integrity.range(measurement)
-        if measurement is not None:
-            self.estimator.add(measurement)
-
-    def _range(self, message: PeerRange, vehicle: Vehicle) -> RangeMeasurement | None:
-        pair = (message.peer_sysid, message.device_id)
-        stuck = pair in vehicle.range_repeats.stuck
-        measurement = self.feed.range(message, vehicle, self.fleet.get(message.peer_sysid))
-        if stuck != (pair in vehicle.range_repeats.stuck):
-            device = f"its ranging device {message.device_id}"
-            if stuck:
-                self._say(message.received_at_s, vehicle.sysid, "info", f"{device} measures {message.peer_sysid} again")
-            else:
-                text = f"{device} repeats one value, {message.range_m:.2f} m to {message.peer_sysid}: it is stuck and not used"
-                self._say(message.received_at_s, vehicle.sysid, "warning", text)
-        return measurement
 
     def _review(self, vehicle: Vehicle, now_s: float) -> None:
         before = vehicle.health.state
@@ -337,6 +278,9 @@ class Engine:
 
     def _tell_of_estimator(self, text: str) -> None:
         self._say(self._now_s, None, "error", text)
+
+    def _tell(self, output: Outbound) -> None:
+        self._outbox.append(output)
 
     def _say(self, at_s: float, sysid: int | None, level: str, text: str) -> None:
         self._outbox.append(Notice(at_s, sysid, level, text))

@@ -244,7 +244,7 @@ class OffAir:
     received_at_s: float
 
 
-Inbound = (
+FromVehicle = (
     Heartbeat
     | GlobalPosition
     | GpsReceiver
@@ -257,12 +257,13 @@ Inbound = (
     | PeerRange
     | CommandResult
     | ParameterValue
-    | OtherAid
-    | ClockReference
-    | OperatorWord
-    | RouteReport
-    | OffAir
 )
+"""What vehicles say of themselves."""
+
+ToldAside = OtherAid | ClockReference | OperatorWord | RouteReport | OffAir
+"""What the host, the operator and the links say: no sign of life of a vehicle."""
+
+Inbound = FromVehicle | ToldAside
 
 
 @dataclass(frozen=True, slots=True)
