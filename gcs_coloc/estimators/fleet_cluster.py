@@ -99,9 +99,7 @@ class Cluster:
         if record.subject and record.slow_baro_m == 0.0:
             # Nobody tells its height: what flies fast soon climbs fast.
             climb += (1.0 - slowness) * max(s.unseen_climb_density_m2ps3 - climb, 0.0)
-        ratio, ratio_v = record.manoeuvre.ratio(), record.manoeuvre.vertical_ratio()
-        gain = max(ratio * ratio, 1.0)
-        gain_v = max(ratio_v * ratio_v / 3.0, 1.0)
+        gain, gain_v = record.manoeuvre.gains()
         # How long the turn of now lasts, within the step.
         lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
         aided = attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s
@@ -225,10 +223,9 @@ class Cluster:
         record = self.records[vehicle]
         if record.fixed:
             return
-        record.manoeuvre.fade(at_s, self.settings.manoeuvre_memory_s)
         start = self.joint.start[vehicle] + VELOCITY.start
         east, north, up = W[start : start + 3].tolist()
-        record.manoeuvre.add(east, north, up, innovations)
+        record.manoeuvre.take(at_s, self.settings.manoeuvre_memory_s, east, north, up, innovations)
 
     def widen(self, vehicle: int, position_m2: float) -> None:
         """Add uncertainty to a vehicle that the ranges contradict: position variance in m^2 per axis, velocity to match.

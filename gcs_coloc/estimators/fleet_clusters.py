@@ -29,7 +29,8 @@ class Clusters:
     def copy(self, records: Mapping[int, VehicleRecord]) -> Clusters:
         """Return an independent copy for a model with the records given."""
         other = Clusters(self._settings, records, self._step)
-        copies = {id(c): other._cluster(c.joint.copy()) for c in self._of.values()}
+        clusters = {id(c): c for c in self._of.values()}
+        copies = {key: other._cluster(c.joint.copy()) for key, c in clusters.items()}
         other._of = {vehicle: copies[id(c)] for vehicle, c in self._of.items()}
         return other
 

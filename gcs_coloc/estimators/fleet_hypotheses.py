@@ -42,7 +42,7 @@ class FleetHypotheses:
 
     def copy(self) -> FleetHypotheses:
         """Return an independent copy."""
-        other = FleetHypotheses(self.main.settings)
+        other = object.__new__(FleetHypotheses)
         other.main = self.main.copy()
         other.twins = {subject: Twin(twin.model.copy(), twin.log_odds) for subject, twin in self.twins.items()}
         other._looked_at_s = dict(self._looked_at_s)

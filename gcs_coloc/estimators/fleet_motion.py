@@ -31,7 +31,7 @@ GRAVITY_MPS2 = 9.80665
 STEEPEST_BANK_RAD = 1.2
 """No vehicle in a coordinated turn is banked more."""
 _LEAST_TURN_RAD = 1e-4
-_SLOW = range(WIND.start, SIZE)
+_SLOW_DIAGONAL = tuple(range(WIND.start * (SIZE + 1), SIZE * SIZE, SIZE + 1))
 _E, _N, _U, _VE, _VN, _VU, _WE, _WN = range(8)
 
 
@@ -120,9 +120,11 @@ class Step:
 
         `times_s` and `sigmas` are their correlation times and standard deviations.
         """
-        f, q, before_s, decay = self._f, self._q, math.nan, 1.0
-        for state, time_s, sigma in zip(_SLOW, times_s, sigmas, strict=True):
+        f, q, before_s = self._f, self._q, math.nan
+        decay = fresh = 0.0
+        for diagonal, time_s, sigma in zip(_SLOW_DIAGONAL, times_s, sigmas, strict=True):
             if time_s != before_s:
                 before_s, decay = time_s, math.exp(-length_s / time_s)
-            f[state * (SIZE + 1)] = decay
-            q[state * (SIZE + 1)] = sigma * sigma * (1.0 - decay * decay)
+                fresh = 1.0 - decay * decay
+            f[diagonal] = decay
+            q[diagonal] = sigma * sigma * fresh

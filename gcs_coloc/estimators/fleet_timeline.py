@@ -8,7 +8,7 @@ until an answer is wanted, so a burst of late events costs one replay. The resul
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, insort
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
@@ -64,14 +64,14 @@ class Timeline(Generic[Model, Event]):
 
     def insert(self, key: Key, event: Event) -> bool:
         """Take an event; False if the very same key is there already."""
-        entry = Entry(key, event)
-        at = bisect_left(self._entries, key, key=_key_of)
-        if at < len(self._entries) and self._entries[at].key == key:
+        entries = self._entries
+        if not entries or entries[-1].key < key:
+            entries.append(Entry(key, event))
+            return True
+        at = bisect_left(entries, key, key=_key_of)
+        if entries[at].key == key:
             return False
-        if at == len(self._entries):
-            self._entries.append(entry)
-        else:
-            insort(self._entries, entry, key=_key_of)
+        entries.insert(at, Entry(key, event))
         if at < self._applied:
             self._go_back(at)
         return True
@@ -93,9 +93,9 @@ class Timeline(Generic[Model, Event]):
         oldest_s = now_s - self._window_s
         if len(self._copies) < 2 and self._entry_time(0) < oldest_s:
             self.catch_up()
+        # A copy holds what was applied: what is before it need not be caught up with, and what is after it may still be late.
         if len(self._copies) < 2 or self._entry_time(self._copies[1][0]) >= oldest_s:
             return
-        self.catch_up()
         keep = 0
         while keep + 1 < len(self._copies) and self._entry_time(self._copies[keep + 1][0]) < oldest_s:
             keep += 1

@@ -42,38 +42,35 @@ class ManoeuvreMonitor:
     C_uu: float = 0.0
     at_s: float = -math.inf
 
-    def fade(self, at_s: float, memory_s: float) -> None:
-        """Let the sums fade to a time."""
-        if at_s <= self.at_s:
-            return
-        f = math.exp(-(at_s - self.at_s) / memory_s)
-        self.c_e *= f
-        self.c_n *= f
+    def take(
+        self, at_s: float, memory_s: float, we: Sequence[float], wn: Sequence[float], wu: Sequence[float], e: Sequence[float]
+    ) -> None:
+        """Fade to a time, and take the corrections (we, wn, wu) e made to the velocity by innovations e of unit variance."""
+        f = math.exp(-(at_s - self.at_s) / memory_s) if at_s > self.at_s else 1.0
         g = f * f
-        self.C_ee *= g
-        self.C_en *= g
-        self.C_nn *= g
-        self.c_u *= f
-        self.C_uu *= g
-        self.at_s = at_s
+        c_e, c_n, c_u = self.c_e * f, self.c_n * f, self.c_u * f
+        C_ee, C_en, C_nn, C_uu = self.C_ee * g, self.C_en * g, self.C_nn * g, self.C_uu * g
+        for east, north, up, innovation in zip(we, wn, wu, e, strict=True):
+            c_e += east * innovation
+            c_n += north * innovation
+            c_u += up * innovation
+            C_ee += east * east
+            C_en += east * north
+            C_nn += north * north
+            C_uu += up * up
+        self.c_e, self.c_n, self.c_u = c_e, c_n, c_u
+        self.C_ee, self.C_en, self.C_nn, self.C_uu = C_ee, C_en, C_nn, C_uu
+        self.at_s = max(at_s, self.at_s)
 
-    def add(self, we: Sequence[float], wn: Sequence[float], wu: Sequence[float], innovations: Sequence[float]) -> None:
-        """Take the corrections (we, wn, wu) * innovation made to the velocity by innovations of unit variance."""
-        for e, n, u, innovation in zip(we, wn, wu, innovations, strict=True):
-            self.c_e += e * innovation
-            self.c_n += n * innovation
-            self.c_u += u * innovation
-            self.C_ee += e * e
-            self.C_en += e * n
-            self.C_nn += n * n
-            self.C_uu += u * u
+    def gains(self) -> tuple[float, float]:
+        """Return by how much the accelerations, horizontally and vertically, exceed those of steady flight: 1 where they do not.
 
-    def vertical_ratio(self) -> float:
-        """Return c^2 / C of the vertical corrections, 1 on average in steady flight and while there is nothing to judge by."""
-        return self.c_u * self.c_u / self.C_uu if self.C_uu > 1e-150 else 1.0
+        The squares of c' C^-1 c / 2 and of c^2 / C, which are 1 on average in steady flight and with nothing to judge by.
+        """
+        ratio, ratio_v = self._ratio(), self.c_u * self.c_u / self.C_uu if self.C_uu > 1e-150 else 1.0
+        return max(ratio * ratio, 1.0), max(ratio_v * ratio_v / 3.0, 1.0)
 
-    def ratio(self) -> float:
-        """Return c' C^-1 c / 2 of the horizontal corrections, 1 on average in steady flight and with nothing to judge by."""
+    def _ratio(self) -> float:
         det = self.C_ee * self.C_nn - self.C_en * self.C_en
         if det <= 1e-9 * self.C_ee * self.C_nn or det < 1e-300:
             trace = self.C_ee + self.C_nn
