@@ -212,7 +212,7 @@ class Cluster:
         start = joint.start[vehicle]
         first, stop = start + where.start, start + where.stop
         if now < before:
-            joint.scale(first, np.full(stop - first, now / before))
+            joint.scale(first, stop, now / before)
         else:
             # What is more than before may have come all at once.
             joint.A[range(first, stop), range(first, stop)] += now * now - before * before

@@ -152,8 +152,7 @@ class Joint:
         self.correct(W)
         return W
 
-    def scale(self, first: int, factors: FloatArray) -> None:
-        """Scale neighbouring states from the index `first` on, mean and covariances, by their factors (m,)."""
-        where = slice(first, first + len(factors))
-        self.A[where] *= factors[:, np.newaxis]
-        self.A[:, where] *= factors
+    def scale(self, first: int, stop: int, factor: float) -> None:
+        """Scale neighbouring states, mean and covariances, by one factor."""
+        self.A[first:stop] *= factor
+        self.A[:, first:stop] *= factor

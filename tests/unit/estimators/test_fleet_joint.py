@@ -124,7 +124,7 @@ def test_joined_densities_are_independent():
 def test_scaled_states_are_scaled_in_mean_and_covariances():
     joint, _ = two_walkers()
     x, P = whole(joint)
-    joint.scale(2, np.full(2, 0.5))
+    joint.scale(2, 4, 0.5)
     D = np.diag([1.0, 0.5, 0.5, 1.0])
     np.testing.assert_allclose(whole(joint)[0], D @ x)
     np.testing.assert_allclose(whole(joint)[1], D @ P @ D)
