@@ -65,7 +65,7 @@ class Service:
                 background = [group.create_task(console_sink.show(news, console))]
                 for number, fleet in enumerate(self._fleets):
                     # Not all at once: what many fleets do in the same moment holds up what is to be sent.
-                    background += fleet.start(group, number / len(self._fleets))
+                    background += fleet.start(group, number / len(self._fleets), on_terminal=console.is_terminal)
                 await self._stopping.wait()
                 for fleet in self._fleets:
                     fleet.stop()
@@ -100,15 +100,19 @@ class _Observed:
             log.warning("%s; the flight goes on without the page", error)
             self._web = None
 
-    def start(self, group: asyncio.TaskGroup, phase: float) -> list[asyncio.Task[None]]:
-        """Begin what goes on by itself, the periodic at `phase` (0 to 1) of their periods; returns the tasks to cancel."""
+    def start(self, group: asyncio.TaskGroup, phase: float, *, on_terminal: bool) -> list[asyncio.Task[None]]:
+        """Begin what goes on by itself, the periodic at `phase` (0 to 1) of their periods; returns the tasks to cancel.
+
+        The fleet is looked at as often as somebody is to see it: seldom where there is neither a page nor a live table.
+        """
         if self._web is not None:
             group.create_task(self._web.run())
         if self._mqtt is not None:
             group.create_task(self._mqtt.run())
         self.path.start()
+        seen_live = on_terminal or self._web is not None
         periodic = (
-            (_VIEW_EVERY_S, self.path.publish_view),
+            (_VIEW_EVERY_S if seen_live else console_sink.PLAIN_EVERY_S, self.path.publish_view),
             (_HEARTBEAT_EVERY_S, self._each_second),
             (_REFUSALS_EVERY_S, self.path.tell_refusals),
         )

@@ -19,7 +19,8 @@ log = logging.getLogger("gcs_coloc")
 
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 _STYLES = {"healthy": "green", "suspect": "yellow", "failed": "bold red", "recovering": "cyan", "unknown": "dim"}
-_PLAIN_EVERY_S = 5.0
+PLAIN_EVERY_S = 5.0
+"""Log lines of all vehicles come this often where there is no terminal."""
 
 
 async def show(news: Mapping[str, Subscription], console: Console) -> None:
@@ -56,7 +57,7 @@ async def _log_lines(name: str, subscription: Subscription) -> None:
         if not isinstance(news, FleetView):
             _log_news(name, news)
         elif news.at_s >= due_s:
-            due_s = news.at_s + _PLAIN_EVERY_S
+            due_s = news.at_s + PLAIN_EVERY_S
             for vehicle in news.vehicles:
                 log.info("%s%s", _of(name), line(vehicle))
             for out in news.outs:
