@@ -51,6 +51,9 @@ class Aiding:
         """
         out: list[Outbound] = list(self._others.review(vehicle.sysid, now_s))
         sysid, stream = vehicle.sysid, self._streams.get(vehicle.sysid)
+        if stream is not None and stream.purpose is Purpose.HAND_BACK and vehicle.health.state is not GpsState.HEALTHY:
+            # It is handed back only to a receiver that has been healthy all the while.
+            stream.purpose_since_s = now_s
         purpose, hindrance = self._purpose(vehicle, stream, now_s), self.hindrance(vehicle)
         if purpose is Purpose.STANDBY and hindrance is None:
             obstacle, news = self._standby.obstacle(vehicle, now_s)
@@ -181,7 +184,7 @@ class Aiding:
         return word is AidWord.ON or (word is AidWord.AUTO and vehicle.health.state in _AIDED_STATES)
 
     def _purpose(self, vehicle: Vehicle, stream: AidStream | None, now_s: float) -> Purpose | None:
-        state = vehicle.health.state
+        """Why a vehicle is to have a stream now; None where it is to have none."""
         if self._needs_aid(vehicle):
             return Purpose.AID
         if self._word(vehicle) is AidWord.OFF:
@@ -189,8 +192,6 @@ class Aiding:
         if stream is not None and stream.purpose is not Purpose.STANDBY:
             if stream.purpose is Purpose.AID:
                 return Purpose.HAND_BACK
-            if state is not GpsState.HEALTHY:
-                stream.purpose_since_s = now_s
             if now_s - stream.purpose_since_s < self.settings.hand_back_s or self.primary.switching(vehicle.sysid):
                 return Purpose.HAND_BACK
         return Purpose.STANDBY if self._standby.is_for(vehicle) else None
