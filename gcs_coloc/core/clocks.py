@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from gcs_coloc.core.timesync import RoundTrips, Synchronised
-from gcs_coloc.core.timing import SenderClock
+from gcs_coloc.core.timesync import LEAST_STEP_S, RoundTrips, Synchronised
+from gcs_coloc.core.timing import JUMPS_TO_BELIEVE, SenderClock
 
 _SAME_CLOCK_S = 0.05
 _ONE_WAY_SIGMA_S = 0.005  # how far the least of a minute's one-way delays may be from the link's least
@@ -46,6 +46,7 @@ class VehicleClock:
 
     stamps: SenderClock = field(default_factory=SenderClock)
     round_trips: RoundTrips = field(default_factory=RoundTrips)
+    _too_early: int = 0
 
     @property
     def resets(self) -> int:
@@ -54,6 +55,12 @@ class VehicleClock:
 
     def learn(self, stamp_s: float, received_at_s: float) -> bool:
         """Take one stamp; False where it jumps and must not be used."""
+        if self._is_too_early(stamp_s, received_at_s):
+            self._too_early += 1
+            if self._too_early < JUMPS_TO_BELIEVE:
+                return False
+            self._begin_anew()
+        self._too_early = 0
         known, began_at_s = self.stamps.known, self.stamps.began_at_s
         taken = self.stamps.learn(stamp_s, received_at_s)
         if known and self.stamps.began_at_s != began_at_s:
@@ -64,9 +71,12 @@ class VehicleClock:
         """Take an answer to TIMESYNC; returns why it is refused, or None where it is taken."""
         if not self.stamps.known:
             return "came before its boot time is known"
-        return self.round_trips.answered(
+        refusal = self.round_trips.answered(
             ts1_ns, self.stamps.unwrapped(tc1_s), received_at_s, self.stamps.least_difference_s(), self.stamps.drift
         )
+        if self.round_trips.stepped:
+            self._begin_anew()
+        return refusal
 
     def synchronised(self, now_s: float) -> Synchronised | None:
         """What TIMESYNC says; None where it is not answered."""
@@ -101,3 +111,16 @@ class VehicleClock:
         least_delay_s = self.stamps.least_difference_s() - sync.offset_at_s(now_s)
         sigma_s = (sync.sigma_at_s(now_s) ** 2 + _ONE_WAY_SIGMA_S**2) ** 0.5
         return ServiceTime(device.to_service(stamp_s) - least_delay_s, sigma_s)
+
+    def _is_too_early(self, stamp_s: float, received_at_s: float) -> bool:
+        """Whether a stamp came before it was made, by a clock that TIMESYNC tells: it was stepped forward."""
+        newest = self.round_trips.newest
+        # For nearly every stamp this is all: drift adds milliseconds, and a stamp that has wrapped is far behind.
+        if newest is None or stamp_s + newest.offset_s - received_at_s < LEAST_STEP_S:
+            return False
+        sync = self.synchronised(received_at_s)
+        return sync is not None and stamp_s + sync.offset_at_s(received_at_s) - received_at_s > sync.step_s(received_at_s)
+
+    def _begin_anew(self) -> None:
+        self.stamps.begin_anew()
+        self.round_trips.forget()

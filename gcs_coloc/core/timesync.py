@@ -32,6 +32,9 @@ _UNANSWERED_SLOWDOWN = 10.0
 _ENOUGH = 9
 _SPACINGS = 8
 _FINEST_S = 0.0005
+LEAST_STEP_S = 0.1
+_STEP_SIGMAS = 4.0
+_CONTRADICTIONS_TO_BELIEVE = 2
 _ASYMMETRY = 0.1  # how much the least delays up and down may differ, 1-sigma, as a share of one of them
 
 
@@ -55,6 +58,10 @@ class Synchronised(NamedTuple):
         """Its 1-sigma at another service time."""
         return hypot(self.sigma_s, self.drift.sigma * (at_s - self.at_s))
 
+    def step_s(self, at_s: float) -> float:
+        """What is further off than this cannot be for any delay of the link: the clock was stepped."""
+        return max(self.one_way_delay_s, LEAST_STEP_S) + _STEP_SIGMAS * self.sigma_at_s(at_s)
+
 
 class _Exchange(NamedTuple):
     at_s: float
@@ -64,13 +71,19 @@ class _Exchange(NamedTuple):
 
 @dataclass(slots=True)
 class RoundTrips:
-    """The exchanges of one autopilot of the last five minutes: when to ask, which answers count, what they say."""
+    """The exchanges of one autopilot of the last five minutes: when to ask, which answers count, what they say.
+
+    `contradictions`: how many in a row no delay of the link explains, as one was answered before it was asked or heard before
+    it was sent. `newest` is what the last ones said, however long ago.
+    """
+
+    contradictions: int = 0
+    newest: Synchronised | None = None
 
     _pending: dict[int, float] = field(default_factory=dict)
     _exchanges: deque[_Exchange] = field(default_factory=lambda: deque(maxlen=_MOST_EXCHANGES))
     _asked_at_s: float = float("-inf")
     _unanswered: int = 0
-    _estimate: Synchronised | None = None
 
     def ask(self, sysid: int, now_s: float, period_s: float) -> int | None:
         """Our time in ns to put into a request that is due now, or None. Quick at first, seldom where nobody answers."""
@@ -96,6 +109,10 @@ class RoundTrips:
         round_trip_s = received_at_s - asked_at_s
         if not 0.0 <= round_trip_s <= _OLDEST_ANSWER_S:
             return "is too old"
+        if self._contradicts(asked_at_s, stamp_s, received_at_s):
+            self.contradictions += 1
+            return "contradicts those before it"
+        self.contradictions = 0
         excess_s = received_at_s - stamp_s - least_difference_s
         if not -_PLAUSIBLE_S <= excess_s <= round_trip_s + _PLAUSIBLE_S:
             return "does not fit its boot time"
@@ -103,26 +120,41 @@ class RoundTrips:
         self._exchanges.append(_Exchange(received_at_s, stamp_s - asked_at_s, received_at_s - stamp_s))
         while received_at_s - self._exchanges[0].at_s > _WINDOW_S:
             self._exchanges.popleft()
-        self._estimate = _estimate(self._exchanges, drift)
+        self.newest = _estimate(self._exchanges, drift)
         return None
+
+    @property
+    def stepped(self) -> bool:
+        """Whether the sender's clock is seen to have been stepped."""
+        return self.contradictions >= _CONTRADICTIONS_TO_BELIEVE
 
     def estimate(self, now_s: float) -> Synchronised | None:
         """What the exchanges say; None where there was none in the last five minutes."""
-        if self._estimate is None or now_s - self._estimate.at_s > _WINDOW_S:
+        if self.newest is None or now_s - self.newest.at_s > _WINDOW_S:
             return None
-        return self._estimate
+        return self.newest
 
     def forget(self) -> None:
         """The sender has rebooted: its clock is another one."""
         self._pending.clear()
         self._exchanges.clear()
-        self._estimate = None
+        self.newest = None
         self._unanswered = 0
+        self.contradictions = 0
+
+    def _contradicts(self, asked_at_s: float, stamp_s: float, received_at_s: float) -> bool:
+        """Whether the sender's clock, by what is known of it, was read before it was asked for or after its answer arrived."""
+        known = self.estimate(received_at_s)
+        if known is None:
+            return False
+        read_at_s, step_s = stamp_s + known.offset_at_s(received_at_s), known.step_s(received_at_s)
+        return not asked_at_s - step_s <= read_at_s <= received_at_s + step_s
 
     def _wait_s(self, period_s: float) -> float:
         if self._unanswered >= _UNANSWERED:
             return _UNANSWERED_SLOWDOWN * period_s
-        return min(_QUICK_PERIOD_S, period_s) if len(self._exchanges) < _QUICK_EXCHANGES else period_s
+        is_quick = self.contradictions > 0 or len(self._exchanges) < _QUICK_EXCHANGES
+        return min(_QUICK_PERIOD_S, period_s) if is_quick else period_s
 
 
 def _estimate(exchanges: deque[_Exchange], drift: Drift) -> Synchronised:

@@ -17,7 +17,10 @@ _BUCKET_S = 10.0
 _BUCKETS = 30
 _LEAST_OVER_S = 60.0
 _JUMP_S = 2.0
-_JUMPS_TO_BELIEVE = 3
+_LEAST_JUMP_S = 0.5
+_BEYOND_OVERTAKING = 1.5
+_OVERTAKING_KNOWN_S = 10.0
+JUMPS_TO_BELIEVE = 3
 _BUCKETS_FOR_DRIFT = 4
 _CRYSTAL_DRIFT = 20e-6  # 1-sigma of an ordinary crystal: what is known before it was measured
 _WRAP_S = 2**32 / 1e3
@@ -39,15 +42,19 @@ class _Bucket:
     started_s: float
     least_at_s: float
     least_s: float
+    overtaken_s: float = 0.0
 
 
 @dataclass(slots=True)
 class SenderClock:
     """One clock of one sender: learns from each stamped message, refuses stamps that jump until they are borne out.
 
-    A jump is a stamp more than 2 s ahead of what the least delay allows, or more than 2 s behind the newest stamp.
-    Three of them in a row that agree with each other are a new clock (a reboot), and the old one is forgotten. A jump by
-    2^32 ms is none: boot times of 32 bits wrap after 49.7 days. After five minutes of silence it begins anew as well.
+    A jump is a stamp more than 2 s ahead of what the least delay allows, or further behind the newest stamp than messages
+    overtake each other on this link (what waits in a queue comes late, but in order): than 1.5 times the most of the last
+    minute, between 0.5 and 2 s. After one of them, one behind the newest at all and late by as much is another.
+    Three that agree with each other, with no newer stamp of the old clock in between, are a new clock (a reboot), and the old
+    one is forgotten. A jump by 2^32 ms is none: boot times of 32 bits wrap after 49.7 days. After five minutes of silence it
+    begins anew as well.
     `began_at_s` is when it last did (service time), `resets` how often because of a jump.
     """
 
@@ -71,17 +78,18 @@ class SenderClock:
             self._least_s = None
         stamp_s = self.unwrapped(stamp_s)
         difference_s = received_at_s - stamp_s
-        if self._buckets and self._jumped(stamp_s, difference_s):
-            self._jumps = [j for j in self._jumps if abs(j - difference_s) < _JUMP_S]
+        if self._buckets and (jump_s := self._jumped(stamp_s, difference_s, received_at_s)) is not None:
+            self._jumps = [j for j in self._jumps if abs(j - difference_s) < jump_s]
             self._jumps.append(difference_s)
-            if len(self._jumps) < _JUMPS_TO_BELIEVE:
+            if len(self._jumps) < JUMPS_TO_BELIEVE:
                 return False
-            self.resets += 1
-            self._buckets.clear()
+            self.begin_anew()
         if not self._buckets:
             self.began_at_s, self.drift, self._newest_stamp_s = received_at_s, _unmeasured(), float("-inf")
-        self._jumps.clear()
-        self._newest_stamp_s = max(self._newest_stamp_s, stamp_s)
+        behind_s = self._newest_stamp_s - stamp_s
+        if behind_s < 0.0:
+            self._newest_stamp_s = stamp_s
+            self._jumps.clear()
         if not self._buckets or received_at_s - self._buckets[-1].started_s >= _BUCKET_S:
             self._learn_drift()
             self._buckets.append(_Bucket(received_at_s, received_at_s, difference_s))
@@ -89,7 +97,14 @@ class SenderClock:
         elif difference_s < self._buckets[-1].least_s:
             self._buckets[-1].least_at_s, self._buckets[-1].least_s = received_at_s, difference_s
             self._least_s = None
+        if behind_s > self._buckets[-1].overtaken_s:
+            self._buckets[-1].overtaken_s = behind_s
         return True
+
+    def begin_anew(self) -> None:
+        """Forget the clock: it is another one from the next stamp on."""
+        self.resets += 1
+        self._buckets.clear()
 
     def unwrapped(self, stamp_s: float) -> float:
         """A stamp with the turns of a 32-bit millisecond counter put back where that makes it agree with the clock so far."""
@@ -115,8 +130,24 @@ class SenderClock:
         """The service time of a stamp (seconds), late by the link's least delay. Only valid after `learn` has taken one."""
         return self.unwrapped(stamp_s) + self.least_difference_s()
 
-    def _jumped(self, stamp_s: float, difference_s: float) -> bool:
-        return difference_s < self.least_difference_s() - _JUMP_S or stamp_s < self._newest_stamp_s - _JUMP_S
+    def _jumped(self, stamp_s: float, difference_s: float, received_at_s: float) -> float | None:
+        """What a stamp is beyond to be a jump, s; None where it is none."""
+        if difference_s < self.least_difference_s() - _JUMP_S:
+            return _JUMP_S
+        off_s = self._newest_stamp_s - stamp_s
+        if self._jumps and off_s > 0.0:
+            off_s = max(off_s, difference_s - self.least_difference_s())
+        if off_s <= _LEAST_JUMP_S:
+            return None
+        jump_s = self._overtaking_s(received_at_s)
+        return jump_s if off_s > jump_s else None
+
+    def _overtaking_s(self, received_at_s: float) -> float:
+        """How far behind a newer one a message may come, s."""
+        if received_at_s - self.began_at_s < _OVERTAKING_KNOWN_S:
+            return _JUMP_S
+        seen_s = max((b.overtaken_s for b in self._buckets if received_at_s - b.started_s <= _LEAST_OVER_S), default=_JUMP_S)
+        return min(max(_BEYOND_OVERTAKING * seen_s, _LEAST_JUMP_S), _JUMP_S)
 
     def _learn_drift(self) -> None:
         """Fit a line to the buckets' minima, weighed against what crystals do."""

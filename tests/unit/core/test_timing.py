@@ -78,6 +78,60 @@ def test_late_messages_within_two_seconds_are_no_jump():
     assert clock.to_service(8.5) == 8.5
 
 
+RATE_HZ = 20.0
+
+
+def heard(delays_s, start_s=0.0):
+    """Arrivals with stamps, in the order of arrival, of messages that are under way for these delays."""
+    sent_s = start_s + np.arange(len(delays_s)) / RATE_HZ
+    return sorted((float(at_s + delay_s), float(at_s)) for at_s, delay_s in zip(sent_s, delays_s, strict=True))
+
+
+def queued(rng, count):
+    """Delays of a link that stands still now and then for up to 5 s and then delivers all at once, in order."""
+    sent_s = np.arange(count) / RATE_HZ
+    arrival_s = sent_s + rng.uniform(0.05, 0.07, count)
+    for begin_s in rng.uniform(0.0, sent_s[-1], count // 400):
+        stop_s = begin_s + rng.uniform(0.2, 5.0)
+        held = (arrival_s >= begin_s) & (arrival_s < stop_s)
+        arrival_s[held] = stop_s
+    return np.maximum.accumulate(arrival_s) + 1e-6 * np.arange(count) - sent_s
+
+
+LINKS = {
+    "50 to 400 ms, overtaking": lambda rng, count: rng.uniform(0.05, 0.4, count),
+    "an exponential tail, overtaking": lambda rng, count: np.minimum(0.05 + rng.exponential(0.1, count), 1.0),
+    "two paths, 50 and 450 ms": lambda rng, count: np.where(rng.random(count) < 0.5, 0.05, 0.45) + rng.uniform(0.0, 0.02, count),
+    "stands still and catches up": queued,
+}
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_no_delay_of_a_link_is_taken_for_a_jump(link):
+    for seed in range(5):
+        clock, rng = SenderClock(), np.random.default_rng(seed)
+        refused = sum(not clock.learn(stamp_s, arrival_s) for arrival_s, stamp_s in heard(LINKS[link](rng, 6000)))
+        assert clock.resets == 0
+        assert refused <= 6  # of 6000: single ones from far behind, before it is known how far
+
+
+@pytest.mark.parametrize("link", ["50 to 400 ms, overtaking", "two paths, 50 and 450 ms", "stands still and catches up"])
+def test_a_step_back_by_a_second_is_noticed_by_its_stamps_where_messages_do_not_overtake_each_other_by_as_much(link):
+    noticed_after_s = []
+    for seed in range(9):
+        clock, rng = SenderClock(), np.random.default_rng(seed)
+        for arrival_s, stamp_s in heard(LINKS[link](rng, 1200)):
+            clock.learn(stamp_s, arrival_s)
+        before = clock.resets
+        noticed_after_s.append(float("inf"))
+        for arrival_s, stamp_s in heard(LINKS[link](rng, 200), start_s=60.0):
+            clock.learn(stamp_s - 1.0, arrival_s)
+            if clock.resets > before and noticed_after_s[-1] == float("inf"):
+                noticed_after_s[-1] = arrival_s - 60.0
+        assert clock.resets <= before + 1
+    assert max(noticed_after_s) < 0.8
+
+
 def test_after_a_long_silence_the_old_offset_is_forgotten():
     clock = SenderClock()
     clock.learn(0.0, 0.0)
