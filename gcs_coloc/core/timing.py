@@ -105,6 +105,7 @@ class SenderClock:
         """Forget the clock: it is another one from the next stamp on."""
         self.resets += 1
         self._buckets.clear()
+        self._least_s = None
 
     def unwrapped(self, stamp_s: float) -> float:
         """A stamp with the turns of a 32-bit millisecond counter put back where that makes it agree with the clock so far."""
