@@ -102,4 +102,5 @@ class _Motion:
         if jacobians is not None:
             for i, block in enumerate(self._jacobians):
                 jacobians[i] = block
-        return after - self._F @ before
+        residual: FloatArray = after - self._F @ before
+        return residual

@@ -83,7 +83,8 @@ def draw(case: ModelCase, runs: int, seed: int) -> ModelDraws:
     """Return draws of the case and their bound: Tichavsky's information recursion, its expectations taken over the draws."""
     s, rng = FleetSettings(), np.random.default_rng(seed)
     step_s = 1.0 / case.rate_hz
-    times = np.arange(-round(case.healthy_s * case.rate_hz), round(case.duration_s * case.rate_hz) + 1) * step_s
+    epochs = np.arange(-round(case.healthy_s * case.rate_hz), round(case.duration_s * case.rate_hz) + 1)
+    times = np.asarray(epochs * step_s, dtype=np.float64)
     slow_share = s.least_slow_share
     error = _Slow((runs, 4, 2), slow_share * GPS_SIGMA_M, s.report_error_time_s, step_s, rng)
     height_error = _Slow((runs, 4), slow_share * _HEIGHT_SIGMA_M, s.report_error_time_s, step_s, rng)

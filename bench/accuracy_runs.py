@@ -124,8 +124,7 @@ def anees(tracks: Sequence[Track]) -> float:
 
 def band_95(runs: int, dof: int = 2) -> tuple[float, float]:
     """Return the 95 % chi-square band of the mean of normalised squares over independent runs at one epoch."""
-    low, high = chi2.ppf([0.025, 0.975], dof * runs) / runs
-    return float(low), float(high)
+    return float(chi2.ppf(0.025, dof * runs)) / runs, float(chi2.ppf(0.975, dof * runs)) / runs
 
 
 def unknown_share(tracks: Sequence[Track]) -> float:

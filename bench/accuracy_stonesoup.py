@@ -20,7 +20,7 @@ from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
 _ORIGIN = datetime(2020, 1, 1, tzinfo=UTC)
 
 
-class _RangeOnly(NonLinearGaussianMeasurement):
+class _RangeOnly(NonLinearGaussianMeasurement):  # type: ignore[misc] # it has no types
     """A range to a place in the plane; Stone Soup itself has ranges with bearings only."""
 
     place_m: FloatArray = np.zeros(2)

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 import time
+from functools import partial
 
 from bench.figures import Figure, interleaved
 from bench.flight import Flight
@@ -26,7 +27,7 @@ def measure(quick: bool) -> list[Figure]:
         pauses_ms[how].append(told["longest_ms"])
         return float(told["us"])
 
-    cost_us = interleaved({how: lambda how=how: run(how) for how in pauses_ms}, 1 if quick else 5)
+    cost_us = interleaved({how: partial(run, how) for how in pauses_ms}, 1 if quick else 5)
     longest = {how: max(values) for how, values in pauses_ms.items()}
     ratio = cost_us["default"] / cost_us["ours"]
     return [

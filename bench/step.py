@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
@@ -132,7 +132,7 @@ def measure(quick: bool) -> list[Figure]:
     ]
 
 
-def _cost_us(flight: Recording, cut: list[Measurement], estimator) -> float:  # type: ignore[no-untyped-def]
+def _cost_us(flight: Recording, cut: Sequence[Measurement], estimator) -> float:  # type: ignore[no-untyped-def]
     (subject,) = flight.truth_m
     for m in flight.start:
         estimator.add(m)
@@ -147,7 +147,7 @@ def _cost_us(flight: Recording, cut: list[Measurement], estimator) -> float:  # 
     return _per_range(time.process_time() - began_s, cut)
 
 
-def _same_states_us(flight: Recording, cut: list[Measurement]) -> float:
+def _same_states_us(flight: Recording, cut: Sequence[Measurement]) -> float:
     (subject,) = flight.truth_m
     last = {m.vehicle: m for m in flight.start if isinstance(m, PositionMeasurement)}
     ekf = SameStatesEkf(list(last.values()), subject)
@@ -157,5 +157,5 @@ def _same_states_us(flight: Recording, cut: list[Measurement]) -> float:
     return _per_range(time.process_time() - began_s, cut)
 
 
-def _per_range(spent_s: float, cut: list[Measurement]) -> float:
+def _per_range(spent_s: float, cut: Sequence[Measurement]) -> float:
     return spent_s / sum(isinstance(m, RangeMeasurement) for m in cut) * 1e6
