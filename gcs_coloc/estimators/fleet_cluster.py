@@ -48,16 +48,27 @@ Horizontal = tuple[float, float, float]
 
 
 class End(NamedTuple):
-    """One end of a range: where its states are in `A`, its place (m) and velocity (m/s), and the Jacobian G (3, m) of the place.
+    """One end of a range: where its states are in `A`, its place (m), velocity (m/s), and how late its time stamps are (s).
 
-    Place and velocity are as `Cluster.place` has them: a fixed anchor has neither velocity nor clock.
+    The place is as `Cluster.place` has it. A fixed anchor has neither velocity nor clock.
     """
 
     vehicle: int
     where: slice
     place: Vector3
-    velocity: Vector3
-    G: FloatArray
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    late_s: float | None = None
+
+
+def _placing(end: End) -> FloatArray:
+    """Return the Jacobian (3, m) of a vehicle's place by its m states."""
+    if end.late_s is None:
+        return _ANCHOR
+    G = _PLACE.copy()
+    G[0, 3] = G[1, 4] = G[2, 5] = -end.late_s
+    ve, vn, vu = end.velocity
+    G[0, STAMP_ERROR], G[1, STAMP_ERROR], G[2, STAMP_ERROR] = -ve, -vn, -vu
+    return G
 
 
 def _steps(from_s: float, to_s: float) -> list[float]:
@@ -187,22 +198,19 @@ class Cluster:
         where = self.joint.slice(vehicle)
         x = self.joint.A[0, where].tolist()
         if self.records[vehicle].fixed:
-            return End(vehicle, where, (x[0], x[1], x[2]), (0.0, 0.0, 0.0), _ANCHOR)
+            return End(vehicle, where, (x[0], x[1], x[2]))
         late_s, ve, vn, vu = x[STAMP_ERROR], x[3], x[4], x[5]
-        G = _PLACE.copy()
-        G[0, 3] = G[1, 4] = G[2, 5] = -late_s
-        G[0, STAMP_ERROR], G[1, STAMP_ERROR], G[2, STAMP_ERROR] = -ve, -vn, -vu
-        return End(vehicle, where, (x[0] - late_s * ve, x[1] - late_s * vn, x[2] - late_s * vu), (ve, vn, vu), G)
+        return End(vehicle, where, (x[0] - late_s * ve, x[1] - late_s * vn, x[2] - late_s * vu), (ve, vn, vu), late_s)
 
     def relative(self, a: End, b: End) -> tuple[FloatArray, FloatArray]:
         """Return the covariance of all states with the place of `a` relative to `b`, (1 + n, 3), and that place's own, (3, 3).
 
         Row 0 of the former means nothing.
         """
-        A = self.joint.A
-        with_a = blas.dgemm(1.0, A[a.where].T, a.G.T)
-        with_all: FloatArray = blas.dgemm(-1.0, A[b.where].T, b.G.T, beta=1.0, c=with_a, overwrite_c=1)
-        return with_all, a.G @ with_all[a.where] - b.G @ with_all[b.where]
+        A, Ga, Gb = self.joint.A, _placing(a), _placing(b)
+        with_a = blas.dgemm(1.0, A[a.where].T, Ga.T)
+        with_all: FloatArray = blas.dgemm(-1.0, A[b.where].T, Gb.T, beta=1.0, c=with_a, overwrite_c=1)
+        return with_all, Ga @ with_all[a.where] - Gb @ with_all[b.where]
 
     def restate(self, vehicle: int, where: slice, before: float, now: float) -> float:
         """Take a new sigma of a vehicle's slow errors where it is clearly another one; return the one now in force."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray
+from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, Vector3
 from gcs_coloc.estimators.fleet_cluster import Cluster, End
 from gcs_coloc.estimators.fleet_motion import POSITION, SIZE, STAMP_ERROR, TURN, VELOCITY
 
@@ -51,20 +51,24 @@ def find_mirror(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
     if len(peers) < 2:
         return None
     view = _View(cluster, subject, peers, at_s)
-    ee, en, nn = (sum(o[i] * o[j] for o in view.offsets) for i, j in ((0, 0), (0, 1), (1, 1)))
+    ee = en = nn = 0.0
+    for e, n, _ in view.offsets:
+        ee += e * e
+        en += e * n
+        nn += n * n
     course = 0.5 * math.atan2(2.0 * en, ee - nn)
     e, n = math.cos(course), math.sin(course)
-    if view.may_be_near((-n, e, 0.0)):
+    if view.may_be_open((-n, e, 0.0)):
         longest_m2 = 0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en)
         mirror = _across(view, np.array([-n, e, 0.0]), np.array([[e], [n], [0.0]]), longest_m2)
         if mirror is not None:
             return mirror
-    if len(peers) < 3 or view.height_told(_LEVEL, view.blind_m(_LEAST_BLUR_M)) > _TOLD_APART:
+    if len(peers) < 3 or view.height_told(_LEVEL, view.blind_m(view.blur_m(0))) > _TOLD_APART:
         return None
     offsets = np.array(view.offsets)
     spreads, axes = np.linalg.eigh(offsets.T @ offsets)
     normal = axes[:, 0]
-    if abs(float(normal[2])) < _LEVEL or not view.may_be_near(normal.tolist()):
+    if abs(float(normal[2])) < _LEVEL or not view.may_be_open(normal.tolist()):
         return None
     return _across(view, normal, axes[:, 1:], float(spreads[1]))
 
@@ -72,26 +76,38 @@ def find_mirror(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
 class _View:
     """A subject and its peers at a time: where they are and how well that is known, as far as it costs little.
 
-    `offset` is the subject's place about the mean `centre` of its peers, `offsets` theirs. `most_m` is at least as large as the
-    sigma of any way between the subject and a peer in any direction.
+    `offset` is the subject's place about the mean `centre` of its peers, `offsets` theirs, `distance_m` how far it is from each.
+    `most_m` is at least as large as the sigma of any way between the subject and a peer in any direction.
     """
 
     def __init__(self, cluster: Cluster, subject: int, peers: list[int], at_s: float) -> None:
         self.cluster = cluster
         self.own = cluster.end(subject)
         self.peers = [cluster.end(v) for v in peers]
-        ce, cn, cu = (sum(peer.place[axis] for peer in self.peers) / len(peers) for axis in range(3))
-        self.centre = (ce, cn, cu)
-        self.offsets = [(e - ce, n - cn, u - cu) for e, n, u in (peer.place for peer in self.peers)]
+        places = [peer.place for peer in self.peers]
+        ce, cn, cu = self.centre = [math.fsum(axis) / len(peers) for axis in zip(*places, strict=True)]
+        self.offsets: list[Vector3] = [(e - ce, n - cn, u - cu) for e, n, u in places]
         e, n, u = self.own.place
         self.offset = (e - ce, n - cn, u - cu)
-        self.nearest_m = max(min(math.dist(self.own.place, peer.place) for peer in self.peers), _LEAST_DISTANCE_M)
-        self.most_m = _most_m(cluster, self.own) + max(_most_m(cluster, peer) for peer in self.peers)
+        self.distance_m = [max(math.dist(self.own.place, place), _LEAST_DISTANCE_M) for place in places]
+        self.nearest_m = min(self.distance_m)
+        most_m = _most_m(cluster, self.own) + max(_most_m(cluster, peer) for peer in self.peers)
+        self.most_m = max(most_m, _LEAST_BLUR_M)
         record = cluster.records[subject]
         attitude = record.attitude
         self.aided = attitude is not None and at_s - attitude.measured_at_s <= cluster.settings.attitude_fresh_s
-        heights = (m.sigma_m for m in record.recent if isinstance(m, AltitudeMeasurement) and at_s - m.measured_at_s <= _IN_USE_S)
-        self._height_sigma_m = next(heights, math.inf)
+        self._height_sigma_m = math.inf
+        for m in reversed(record.own):
+            if at_s - m.measured_at_s > _IN_USE_S:
+                break
+            if isinstance(m, AltitudeMeasurement):
+                self._height_sigma_m = m.sigma_m
+
+    def blur_m(self, i: int) -> float:
+        """The sigma of the distance to a peer."""
+        apart_m2 = self.cluster.relative(self.own, self.peers[i])[1]
+        unit = np.subtract(self.offset, self.offsets[i]) / self.distance_m[i]
+        return max(math.sqrt(max(float(unit @ apart_m2 @ unit), 0.0)), _LEAST_BLUR_M)
 
     def blind_m(self, blur_m: float) -> float:
         """Within this distance of a plane the ranges change by less than they are uncertain."""
@@ -101,29 +117,38 @@ class _View:
         """How clearly the subject's own height tells the two sides of a plane apart, whose unit normal has this part upwards."""
         return (2.0 * reach_m * upwards / self._height_sigma_m) ** 2
 
-    def may_be_near(self, normal: Sequence[float]) -> bool:
-        """Whether the subject may be so near to a plane through the centre that it matters, whatever the covariances are."""
-        away_m = sum(o * n for o, n in zip(self.offset, normal, strict=True))
-        return abs(away_m) <= max(_NEAR_SIGMAS * self.most_m, self.blind_m(self.most_m))
+    def may_be_open(self, normal: Sequence[float]) -> bool:
+        """Whether it may be open on which side of a plane through the centre the subject is, whatever the covariances are.
+
+        It is not too far from the plane, and the peers are not too far off it to tell the sides apart.
+        """
+        ne, nn, nu = normal
+        away_m = self.offset[0] * ne + self.offset[1] * nn + self.offset[2] * nu
+        blind_m = self.blind_m(self.most_m)
+        if abs(away_m) > max(_NEAR_SIGMAS * self.most_m, blind_m):
+            return False
+        slopes = ((e * ne + n * nn + u * nu) / d for (e, n, u), d in zip(self.offsets, self.distance_m, strict=True))
+        # The ratio of the blind stretch to the blur only falls as the blur grows.
+        told = 2.0 * blind_m / self.most_m
+        return told * told * sum(slope * slope for slope in slopes) <= _TOLD_APART
 
 
 def _most_m(cluster: Cluster, end: End) -> float:
     """Return a bound on the sigma of a vehicle's place in any direction, m: as if all errors in it were one."""
-    A, first = cluster.joint.A, end.where.start
-    variances = [A.item(first + i, first + i) for i in range(end.G.shape[1])]
-    if end.G.shape[1] < SIZE:
-        return math.sqrt(sum(variances))
-    late_s, speed_mps = abs(float(end.G[0, VELOCITY.start])), math.hypot(*end.velocity)
-    moved_m = late_s * math.sqrt(sum(variances[VELOCITY])) + speed_mps * math.sqrt(variances[STAMP_ERROR])
-    return math.sqrt(sum(variances[POSITION])) + moved_m
+    A, p = cluster.joint.A, end.where.start
+    place_m = math.sqrt(A.item(p, p) + A.item(p + 1, p + 1) + A.item(p + 2, p + 2))
+    if end.late_s is None:
+        return place_m
+    v, s = p + VELOCITY.start, p + STAMP_ERROR
+    speed_sigma_mps = math.sqrt(A.item(v, v) + A.item(v + 1, v + 1) + A.item(v + 2, v + 2))
+    return place_m + abs(end.late_s) * speed_sigma_mps + math.hypot(*end.velocity) * math.sqrt(A.item(s, s))
 
 
 def _across(view: _View, normal: FloatArray, within: FloatArray, least_spread_m2: float) -> Mirror | None:
     """Test one plane: unit normal (3,), axes within it (3, m), and the least sum of squares of the peers along these."""
     offsets, offset, upwards = np.array(view.offsets), np.array(view.offset), abs(float(normal[2]))
-    away_m = float(offset @ normal)
+    away_m, distance_m = float(offset @ normal), np.array(view.distance_m)
     to_peers = offset - offsets
-    distance_m = np.maximum(np.sqrt((to_peers * to_peers).sum(axis=1)), _LEAST_DISTANCE_M)
     blur2, across2, blind_m = np.empty(len(view.peers)), 0.0, 0.0
     for i, peer in enumerate(view.peers):
         apart_m2, unit = view.cluster.relative(view.own, peer)[1], to_peers[i] / distance_m[i]
