@@ -24,6 +24,7 @@ class StraightLine:
         self.subjects: list[tuple[frozenset[int], float]] = []
         self.asked: list[tuple[int, float]] = []
         self.sigma_m = 2.0
+        self.sigma_v_m = 3.0
         self.unknown: str | None = None
 
     def set_subjects(self, subjects: Collection[int], at_s: float) -> None:
@@ -36,7 +37,7 @@ class StraightLine:
         self.asked.append((vehicle, at_s))
         if self.unknown is not None:
             return Unknown(vehicle, at_s, self.unknown)
-        covariance = np.diag([self.sigma_m**2, 1.0, 9.0, 0.25, 0.16, 0.04])
+        covariance = np.diag([self.sigma_m**2, 1.0, self.sigma_v_m**2, 0.25, 0.16, 0.04])
         return Estimate(vehicle, at_s, np.array([20.0 * at_s, 0.0, 30.0]), np.array([20.0, 0.0, 1.0]), covariance, 1.5, 3)
 
     def take_residuals(self) -> list:

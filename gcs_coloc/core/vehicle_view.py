@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 from gcs_coloc.core.aiding import Aiding
 from gcs_coloc.core.bound import horizontal_bound_95_m, horizontal_sigma_m
 from gcs_coloc.core.clocks import TimeSettings
@@ -60,6 +62,7 @@ def vehicle_view(
         operator_word=vehicle.health.word.value,
         aid_word=aiding.words.get(vehicle.sysid, AidWord.AUTO).value,
         primary_word=aiding.primary_words.get(vehicle.sysid, PrimaryWord.AUTO).value,
+        sigma_v_m=sqrt(float(known.covariance[2, 2])) if known is not None else None,
         enu_m=enu_m,
         velocity_enu_mps=velocity_mps,
         covariance_h_m2=covariance_m2,

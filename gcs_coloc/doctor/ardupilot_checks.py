@@ -17,7 +17,7 @@ _AUTO_SWITCH_WRONG = {
     2.0: "it blends its own receiver with what is sent to it",
 }
 _PRIMARY_UNLESS_NO_FIX = 4.0
-_SOURCE_GPS = 3.0
+_SOURCE_GPS, _SOURCE_BAROMETER = 3.0, 1.0
 _EKF3 = 3.0
 _CHECK_POSITION, _CHECK_SPEED = 8, 4
 _H_ACC_M, _V_ACC_M, _SPEED_ACC_MPS = 5.0, 7.5, 1.0
@@ -124,6 +124,14 @@ def _filter(vehicle: VehicleFindings, way: WayName) -> Iterator[Remark]:
     velocity = look_up(vehicle.parameters, p.VELOCITY_SOURCE)
     if velocity is not None and velocity[1] != _SOURCE_GPS:
         yield note(f"{velocity[0]} = {velocity[1]:g}: its velocity does not come from GPS")
+    height = look_up(vehicle.parameters, p.HEIGHT_SOURCE)
+    if height is not None and height[1] == _SOURCE_GPS:
+        yield note(
+            f"{height[0]} = {height[1]:g}: it flies on the height that GPS tells, and so on the one that we work out, "
+            "which no alert limit guards",
+            f"set {height[0]} = {_SOURCE_BAROMETER:g}, its barometer",
+            (height[0], _SOURCE_BAROMETER),
+        )
     checks, scale = look_up(vehicle.parameters, p.GPS_CHECK), look_up(vehicle.parameters, p.CHECK_SCALE)
     if checks is None or scale is None:
         return

@@ -17,6 +17,7 @@ GPS_CHECK = ("EK3_GPS_CHECK",)
 CHECK_SCALE = ("EK3_CHECK_SCALE",)
 POSITION_SOURCE = ("EK3_SRC1_POSXY",)
 VELOCITY_SOURCE = ("EK3_SRC1_VELXY",)
+HEIGHT_SOURCE = ("EK3_SRC1_POSZ",)
 EKF_TYPE = ("AHRS_EKF_TYPE",)
 SENDERS_OPTION = ("MAV_OPTIONS", "SYSID_ENFORCE")
 """Bit 0 of either: only the ground station's system ids are listened to. ArduPilot 4.7 renamed it."""
@@ -37,6 +38,7 @@ _ARDUPILOT = (
     CHECK_SCALE,
     POSITION_SOURCE,
     VELOCITY_SOURCE,
+    HEIGHT_SOURCE,
     EKF_TYPE,
     GCS_SYSID_HIGH,
     *GPS_DELAY_MS,

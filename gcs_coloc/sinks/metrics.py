@@ -16,6 +16,7 @@ from gcs_coloc.core.view import FleetView, LinkView, OutView, VehicleView
 _GAUGES: tuple[tuple[str, str, Callable[[VehicleView], float | None]], ...] = (
     ("last_heard_age_seconds", "Time since the vehicle was last heard.", lambda v: v.age_s),
     ("position_sigma_meters", "1-sigma of the position along its worst horizontal direction.", lambda v: v.sigma_h_m),
+    ("height_sigma_meters", "1-sigma of the height.", lambda v: v.sigma_v_m),
     ("position_bound_95_meters", "95 % bound of the horizontal position error.", lambda v: v.bound_95_m),
     ("hdop", "Horizontal dilution of precision of the ranges in use.", lambda v: v.hdop),
     ("ranges_in_use", "Neighbours whose ranges were used lately.", lambda v: float(v.ranges_in_use)),

@@ -52,6 +52,7 @@ class VehicleEstimate(_Sent):
     alt_msl_m: float | None
     velocity_enu_mps: tuple[float, float, float] | None
     sigma_h_m: float | None
+    sigma_v_m: float | None
     bound_95_m: float | None
     hdop: float | None
     ranges_in_use: int

@@ -80,7 +80,7 @@ export class FleetList {
       "last heard": `${age(view.age_s + lateS)} ago`,
       autopilot: view.autopilot,
       "its receiver": view.fix_type === null ? "not heard" : `fix type ${view.fix_type}, ${view.satellites ?? "?"} satellites`,
-      "our estimate": view.enu_m === null ? `unknown: ${view.unknown_because}` : `${place(view.lat_deg, view.lon_deg)}, ${metres(view.alt_msl_m, 0)} above sea level`,
+      "our estimate": view.enu_m === null ? `unknown: ${view.unknown_because}` : `${place(view.lat_deg, view.lon_deg)}, ${metres(view.alt_msl_m, 0)} ±${metres(view.sigma_v_m, 0)} above sea level`,
       "its own claim": place(view.claim_lat_deg, view.claim_lon_deg),
       "1-sigma, 95 % bound": `${metres(view.sigma_h_m)}, ${metres(view.bound_95_m)}`,
       "2-sigma ellipse": ellipse === null ? "-" : `${metres(ellipse.semi_major_m)} by ${metres(ellipse.semi_minor_m)}`,

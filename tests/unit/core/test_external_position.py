@@ -75,6 +75,27 @@ def test_a_coarse_position_goes_by_estimates_once_the_vehicle_takes_them_and_gps
     assert engine.view(20.0).vehicles[3].aid_has_fix
 
 
+def test_a_height_that_is_not_known_is_stated_and_the_horizontal_position_goes_by_estimates_without_one():
+    engine = engine_with(2.0)
+    engine.estimator._inner.sigma_v_m = 80.0
+    out = flown(engine, 5.0, 20.0, ACCEPTED)
+    stated = [o for t, o in of(out, GpsInput) if o.fix_type == 3 and t > 5.5]
+    assert {o.vert_accuracy_m for o in stated} == {80.0}
+    assert {o.horiz_accuracy_m for o in stated} == {2.0}
+    assert len(of(out, ExternalPosition)) > 8  # of which none has a height
+    assert fix_types(out, 8.0) == {1}
+    assert any("vertical accuracy 80.0 m, it takes 11.25 m" in text for text in texts(out))
+    assert engine.view(20.0).vehicles[3].sigma_v_m == 80.0
+
+
+def test_a_vehicle_that_does_not_check_it_and_flies_its_barometer_keeps_its_fix_however_little_the_height_is_known():
+    engine = engine_with(2.0)
+    engine.estimator._inner.sigma_v_m = 80.0
+    out = flown(engine, 5.0, 15.0, ACCEPTED, checks=23.0)
+    assert fix_types(out, 8.0) == {3}
+    assert {o.vert_accuracy_m for t, o in of(out, GpsInput) if t > 8.0} == {80.0}
+
+
 def test_where_the_vehicle_refuses_them_gps_input_goes_on_and_the_refusals_are_counted_and_told_once():
     engine = engine_with(10.0)
     out = flown(engine, 5.0, 20.0, FAILED)

@@ -27,6 +27,7 @@ def test_the_numbers_are_the_views():
     view = fleet_view(10.0)
     assert value(view, "gcs_coloc_vehicles") == 2
     assert value(view, "gcs_coloc_vehicle_position_sigma_meters", sysid="4") == 3.0
+    assert value(view, "gcs_coloc_vehicle_height_sigma_meters", sysid="4") == 4.0
     assert value(view, "gcs_coloc_vehicle_aid_fix", sysid="4") == 1
     assert value(view, "gcs_coloc_vehicle_aid_fix", sysid="1") == 0
     assert value(view, "gcs_coloc_vehicle_nis_mean", sysid="4") == 1.1
