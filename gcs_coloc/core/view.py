@@ -63,12 +63,12 @@ class VehicleView:
     `claim_*` is what the vehicle says of itself, `lat_deg` ... what the service holds to be true. `sigma_h_m` is 1-sigma
     along the worst horizontal direction, `sigma_v_m` that of the height, `bound_95_m` the 95 % horizontal bound. `enu_m` and
     `velocity_enu_mps` are that position and velocity in the fleet's frame, `covariance_h_m2` its horizontal covariance
-    (east-east, east-north, north-north). `yaw_rad` is the vehicle's own, from true north, clockwise. `delay_s` is how
-    much longer its newest position was on the way than the quickest of the last minute. `clock_method` is how its clock is
-    known (TIMESYNC or one-way stamps), `clock_sigma_s` how well. `aid` says in words what is sent to it, `aid_has_fix` whether that is a position,
-    `aid_taken` whether its receiver is seen to take it, `hindrance` why nothing can be sent to it even if it should be.
-    `gps_primary` says in words what the service does with its GPS_PRIMARY. `operator_word` is the operator's on its GPS,
-    `aid_word` on its aid, `primary_word` on its GPS_PRIMARY.
+    (east-east, east-north, north-north). `yaw_rad` is the vehicle's own, from true north, clockwise. `delay_s` is how much
+    longer its newest position was on the way than the quickest of the last minute. `clock_method` is how its clock is known
+    (TIMESYNC or one-way stamps), `clock_sigma_s` how well. `aid` says in words what is sent to it, `aid_has_fix` whether that
+    is a position, `aid_taken` whether its receiver is seen to take it, `hindrance` why nothing can be sent to it even if it
+    should be. `gps_primary` says in words what the service does with its GPS_PRIMARY. `operator_word` is the operator's on
+    its GPS, `aid_word` on its aid, `primary_word` on its GPS_PRIMARY.
     """
 
     sysid: int
