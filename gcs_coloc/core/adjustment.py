@@ -63,13 +63,13 @@ class Adjustment:
         self.statistic = float(solution.statistics[number])
         self.degrees_of_freedom = int(solution.degrees_of_freedom[number])
         self.corrections_m = solution.corrections_m[number]
-        self._kept = np.flatnonzero(solution.kept[number])
         self.rows: tuple[Row, ...] = now.rows
         self.vehicles: tuple[int, ...] = now.arrays.vehicles
+        self._kept = solution.kept[number]
         if len(self._kept) < len(now.rows):
             self.rows = tuple(now.rows[n] for n in self._kept)
             self.vehicles = tuple(sorted({v for row in self.rows for v in row.pair}))
-        self._at = {vehicle: index for index, vehicle in enumerate(now.arrays.vehicles)}
+        self._at = now.arrays.at
         self._solution = solution
         self._number = number
 
@@ -89,7 +89,7 @@ class Adjustment:
 
     def rows_effect(self, chosen: Iterable[int]) -> Effect:
         """What one length that came to be on all of the chosen rows (their numbers) explains."""
-        rows = self._kept[list(chosen)]
+        rows = np.array([self._kept[n] for n in chosen], dtype=np.intp)
         alone, score, c = self._solution.length_on(self._number, rows)
         moved = self._solution.covariance_m2[self._number] @ c
         left = alone - float(c @ moved)
@@ -106,30 +106,31 @@ class Adjustment:
 
 
 class _Solution:
-    """The adjustments of one scene with several earlier ones. `kept` (tests, rows): the rows that take part."""
+    """The adjustments of one scene with several earlier ones. `kept`: for each test the numbers of the rows that take part."""
 
     def __init__(self, now: SceneArrays, pasts: Sequence[Past]) -> None:
-        tests, rows, states = len(pasts), len(now.pairs), 3 * len(now.vehicles)
+        tests, rows = len(pasts), len(now.pairs)
         self._now = now
-        self.kept: NDArray[np.bool_] = np.ones((tests, rows), dtype=bool)
+        self.kept: list[Sequence[int]] = [range(rows)] * tests
         self._apart_m: FloatArray = np.empty((tests, 2, rows, 3))
-        self._apart_m[:] = now.apart_m
+        self._units: FloatArray = np.empty((tests, 2, rows, 3))
         self._ranges_m: FloatArray = np.empty((tests, 2, rows))
-        self._ranges_m[:] = now.ranges_m
+        self._residuals_m: FloatArray = np.empty((tests, 2, rows))
+        self._apart_m[:], self._units[:], self._ranges_m[:] = now.apart_m, now.units, now.ranges_m
+        self._residuals_m[:] = now.residuals_m
         self._weights: FloatArray = np.zeros((tests, 2, 2, rows))
-        earlier: FloatArray = np.empty((tests, states))
-        earlier[:] = now.informations
-        scenes: NDArray[np.intp] = np.ones(tests, dtype=int)
+        earlier: FloatArray = np.empty((tests, len(now.roots)))
+        earlier[:] = now.roots
         for test, (past, _) in enumerate(pasts):
             if past is None:
                 self._weights[test, 0, 0] = 1.0 / now.variances_m2
             else:
-                scenes[test] = 2
                 self._add(test, past.arrays, earlier)
-        self._prior = _prior_information(now, earlier, np.array([0.0 if past is None else c for past, c in pasts]))
+        self._prior = _prior_information(now, earlier, [0.0 if past is None else c for past, c in pasts])
         free_variances_m2 = self._solve_by_newton()
-        known_shares = 1.0 - LEAST_INFORMATION * free_variances_m2
-        self.degrees_of_freedom = self.kept.sum(axis=1) * scenes - np.round(known_shares.sum(axis=1)).astype(int)
+        taking_part = [len(kept) * (1 if past is None else 2) for kept, (past, _) in zip(self.kept, pasts, strict=True)]
+        known = [round(shares) for shares in (1.0 - LEAST_INFORMATION * free_variances_m2).sum(axis=1).tolist()]
+        self.degrees_of_freedom = [rows - unknown for rows, unknown in zip(taking_part, known, strict=True)]
 
     def _add(self, test: int, then: SceneArrays, earlier: FloatArray) -> None:
         """Lay an earlier scene beside the present one: the rows of the pairs that both have, and what was known of the places."""
@@ -137,21 +138,21 @@ class _Solution:
         mine: slice | list[int] = slice(None)
         theirs: slice | list[int] = slice(None)
         if now.pairs == then.pairs and (now.free == then.free).all():
-            earlier[test] = then.informations
+            earlier[test] = then.roots
         else:
             mine, theirs = _common(now, then)
-            self.kept[test] = False
-            self.kept[test, mine] = True
-            was_at = {vehicle: index for index, vehicle in enumerate(then.vehicles)}
-            for at, vehicle in enumerate(now.vehicles):
-                if vehicle in was_at and now.free[at] == then.free[was_at[vehicle]]:
-                    was = was_at[vehicle]
-                    earlier[test, 3 * at : 3 * at + 3] = then.informations[3 * was : 3 * was + 3]
+            self.kept[test] = mine
+            for vehicle, at in now.at.items():
+                was = then.at.get(vehicle)
+                if was is not None and now.free[at] == then.free[was]:
+                    earlier[test, 3 * at : 3 * at + 3] = then.roots[3 * was : 3 * was + 3]
         self._apart_m[test, 1, mine] = then.apart_m[theirs]
+        self._units[test, 1, mine] = then.units[theirs]
         self._ranges_m[test, 1, mine] = then.ranges_m[theirs]
+        self._residuals_m[test, 1, mine] = then.residuals_m[theirs]
         now_m2, then_m2 = now.variances_m2[mine], then.variances_m2[theirs]
         lasting_m2 = now.biases_m[mine] * then.biases_m[theirs]
-        determinant = now_m2 * then_m2 - lasting_m2**2
+        determinant = now_m2 * then_m2 - lasting_m2 * lasting_m2
         # The inverse of a pair's noise covariance at the two times, which ties its rows to each other alone.
         self._weights[test, 0, 0, mine] = then_m2 / determinant
         self._weights[test, 1, 1, mine] = now_m2 / determinant
@@ -160,35 +161,39 @@ class _Solution:
     def _solve_by_newton(self) -> FloatArray:
         """Solve, and where a free place has to move far, again about where it moves; return the free states' variances, m^2."""
         vehicles, tests = len(self._now.vehicles), len(self._weights)
-        free = np.flatnonzero(np.repeat(self._now.free, 3) & (np.arange(3 * vehicles) % 3 < 2))
-        free = np.concatenate([free, free + 3 * vehicles])
+        free = np.concatenate([self._now.free_states, self._now.free_states + 3 * vehicles])
         shift: FloatArray = np.zeros((tests, 6 * vehicles))
-        settled: NDArray[np.bool_] = np.zeros(tests, dtype=bool)
-        for _ in range(_NEWTON_STEPS if len(free) else 1):
-            free_variances_m2 = self._solve(shift.reshape(tests, 2, vehicles, 3), free)
+        free_variances_m2 = self._solve(self._units, self._residuals_m, free)
+        for _ in range(_NEWTON_STEPS - 1):
             step = self.corrections_m[:, free]
-            settled |= ~(np.abs(step - shift[:, free]).max(axis=1, initial=0.0) > _SETTLED_M)
-            if settled.all():
+            moving = np.abs(step - shift[:, free]).max(axis=1, initial=0.0) > _SETTLED_M
+            if not moving.any():
                 break
-            shift[:, free] = np.where(settled[:, np.newaxis], shift[:, free], step)
+            shift[:, free] = np.where(moving[:, np.newaxis], step, shift[:, free])
+            free_variances_m2 = self._solve(*self._linearise(shift.reshape(tests, 2, vehicles, 3)), free)
         return free_variances_m2
 
-    def _solve(self, shift: FloatArray, free: NDArray[np.intp]) -> FloatArray:
-        """Linearise about the shifted places and solve; corrections are from the places as given."""
-        tests, _, vehicles, _ = shift.shape
+    def _linearise(self, shift: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the rows' directions and residuals about the shifted places, for corrections of the places as given."""
         i, j = self._now.ends
         moves = shift[:, :, i] - shift[:, :, j]
         moved = self._apart_m + moves
-        distances_m = np.maximum(np.sqrt((moved * moved).sum(axis=3)), LEAST_SIGMA_M)
+        distances_m = np.maximum(np.sqrt(np.einsum("tsra,tsra->tsr", moved, moved)), LEAST_SIGMA_M)
         units = moved / distances_m[..., np.newaxis]
-        residuals_m = self._ranges_m - distances_m + (units * moves).sum(axis=3)
-        rows = np.arange(len(i))
-        design: FloatArray = np.zeros((tests, 2, len(i), vehicles, 3))
-        design[:, :, rows, i] = units
-        design[:, :, rows, j] = -units
-        H = design.reshape(tests, 2, len(i), 3 * vehicles)
+        return units, self._ranges_m - distances_m + np.einsum("tsra,tsra->tsr", units, moves)
+
+    def _solve(self, units: FloatArray, residuals_m: FloatArray, free: NDArray[np.intp]) -> FloatArray:
+        """Solve with these directions and residuals of the rows; return the free states' variances, m^2."""
+        tests, _, rows, _ = units.shape
+        vehicles = len(self._now.vehicles)
+        i, j = self._now.ends
+        number = np.arange(rows)
+        design: FloatArray = np.zeros((tests, 2, rows, vehicles, 3))
+        design[:, :, number, i] = units
+        design[:, :, number, j] = -units
+        H = design.reshape(tests, 2, rows, 3 * vehicles)
         self._transposed = H.transpose(0, 1, 3, 2)
-        self._weighted_m = (self._weights * residuals_m[:, np.newaxis]).sum(axis=2)
+        self._weighted_m = np.einsum("tabr,tbr->tar", self._weights, residuals_m)
         self._g: FloatArray = (self._transposed @ self._weighted_m[..., np.newaxis]).reshape(tests, 6 * vehicles)
         blocks = self._transposed[:, :, np.newaxis] @ (self._weights[..., np.newaxis] * H[:, np.newaxis])
         self.information: FloatArray = blocks.transpose(0, 1, 3, 2, 4).reshape(tests, 6 * vehicles, 6 * vehicles)
@@ -197,7 +202,8 @@ class _Solution:
         asked[:, free, 1 + np.arange(len(free))] = 1.0
         answers: FloatArray = np.asarray(np.linalg.solve(self.information + self._prior, asked), dtype=np.float64)
         self.corrections_m: FloatArray = answers[:, :, 0]
-        self.statistics = (residuals_m * self._weighted_m).sum(axis=(1, 2)) - (self._g * self.corrections_m).sum(axis=1)
+        explained = np.einsum("ts,ts->t", self._g, self.corrections_m)
+        self.statistics = np.einsum("tsr,tsr->t", residuals_m, self._weighted_m) - explained
         return np.asarray(answers[:, free, 1 + np.arange(len(free))])
 
     @cached_property
@@ -226,28 +232,25 @@ class _Solution:
         return float(weights[0].sum()), float(self._weighted_m[test, 0, rows].sum()), c.reshape(-1)
 
 
-def _prior_information(now: SceneArrays, earlier: FloatArray, correlations: FloatArray) -> FloatArray:
+def _prior_information(now: SceneArrays, earlier: FloatArray, correlations: Sequence[float]) -> FloatArray:
     """Return the inverse of the corrections' prior covariance (tests, states, states): of each axis a block over two times."""
     tests, size = earlier.shape
-    axis = np.arange(size)
-    roots = np.sqrt(np.stack([np.broadcast_to(now.informations, earlier.shape), earlier]))
     # The inverse of [[1, c], [c, 1]] between the two times, in units of the sigmas; what is free at one time is so for itself.
-    claimed = now.informations != LEAST_INFORMATION
-    own = np.where(claimed, (1.0 / (1.0 - correlations**2))[:, np.newaxis], 1.0)
-    cross = np.where(claimed, (-correlations / (1.0 - correlations**2))[:, np.newaxis], 0.0)
-    prior: FloatArray = np.zeros((tests, 2, size, 2, size))
-    for a in (0, 1):
-        prior[:, a, axis, a, axis] = roots[a] ** 2 * own
-        prior[:, a, axis, 1 - a, axis] = roots[0] * roots[1] * cross
+    own = np.where(now.claimed, [[1.0 / (1.0 - c * c)] for c in correlations], 1.0)
+    cross = now.claimed * [[-c / (1.0 - c * c)] for c in correlations] * now.roots * earlier
+    prior: FloatArray = np.zeros((tests, 4 * size * size))
+    below = 2 * size + 1  # from an element of a diagonal to the next one
+    prior[:, : 2 * size * size : below] = now.roots * now.roots * own
+    prior[:, 2 * size * size + size :: below] = earlier * earlier * own
+    prior[:, size : 2 * size * size : below] = prior[:, 2 * size * size :: below] = cross
     return prior.reshape(tests, 2 * size, 2 * size)
 
 
 def _common(now: SceneArrays, then: SceneArrays) -> tuple[list[int], list[int]]:
     """Return the numbers, in each of two scenes, of the rows that both have, between vehicles that claim as much in both."""
     earlier = {pair: number for number, pair in enumerate(then.pairs)}
-    was_free = dict(zip(then.vehicles, then.free, strict=True))
-    is_free = dict(zip(now.vehicles, now.free, strict=True))
-    mine = [n for n, pair in enumerate(now.pairs) if pair in earlier and all(is_free[v] == was_free[v] for v in pair)]
+    as_before = {v for v in now.vehicles if v in then.at and now.free[now.at[v]] == then.free[then.at[v]]}
+    mine = [n for n, pair in enumerate(now.pairs) if pair in earlier and as_before.issuperset(pair)]
     return mine, [earlier[now.pairs[n]] for n in mine]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,21 +48,28 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class SceneArrays:
-    """A scene's rows and their vehicles as arrays, in the order of `pairs` and of `vehicles`.
+    """A scene's rows and their vehicles as arrays, in the order of `pairs` and of `vehicles` (`at`: a vehicle's place in that).
 
     `ends` (2, rows) are the places of a row's two vehicles in `vehicles`, `apart_m` (rows, 3) the vectors from the second to the
-    first, `informations` (3 vehicles,) what is known of each axis of the places, 1/m^2. Lengths in m, variances in m^2.
+    first and `units` their directions, `roots` (3 vehicles,) the root of what is known of each axis of the places, 1/m, and
+    `claimed` whether that is more than nothing. `free_states` are those, of 3 for each vehicle, of which nothing is claimed.
+    Lengths in m, variances in m^2.
     """
 
     pairs: tuple[tuple[int, int], ...]
     vehicles: tuple[int, ...]
+    at: Mapping[int, int]
     free: NDArray[np.bool_]
+    free_states: NDArray[np.intp]
     ends: NDArray[np.intp]
     apart_m: FloatArray
+    units: FloatArray
     ranges_m: FloatArray
+    residuals_m: FloatArray
     variances_m2: FloatArray
     biases_m: FloatArray
-    informations: FloatArray
+    roots: FloatArray
+    claimed: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -82,19 +90,28 @@ class Scene:
         positions = np.array([place.position_enu_m for place in places]).reshape(-1, 3)
         ends = np.array([(at[i], at[j]) for i, j in pairs], dtype=np.intp).reshape(-1, 2).T
         apart_m = positions[ends[0]] - positions[ends[1]]
+        distances_m = np.maximum(np.sqrt(np.einsum("ij,ij->i", apart_m, apart_m)), LEAST_SIGMA_M)
         told = np.array([(row.residual_m, row.sigma_m, row.bias_m) for row in self.rows]).reshape(-1, 3).T
         known: list[float] = []
         for place in places:
-            horizontal = LEAST_INFORMATION if place.free else max(place.sigma_h_m, LEAST_SIGMA_M) ** -2
-            known += [horizontal, horizontal, max(place.sigma_v_m, LEAST_SIGMA_M) ** -2]
+            horizontal = sqrt(LEAST_INFORMATION) if place.free else 1.0 / max(place.sigma_h_m, LEAST_SIGMA_M)
+            known += [horizontal, horizontal, 1.0 / max(place.sigma_v_m, LEAST_SIGMA_M)]
+        free = [3 * n + axis for n, place in enumerate(places) if place.free for axis in (0, 1)]
+        claimed = np.ones(len(known), dtype=bool)
+        claimed[free] = False
         return SceneArrays(
             pairs=pairs,
             vehicles=vehicles,
+            at=at,
             free=np.array([place.free for place in places], dtype=bool),
+            free_states=np.array(free, dtype=np.intp),
             ends=ends,
             apart_m=apart_m,
-            ranges_m=told[0] + np.sqrt((apart_m**2).sum(axis=1)),
+            units=apart_m / distances_m[:, np.newaxis],
+            ranges_m=told[0] + distances_m,
+            residuals_m=told[0],
             variances_m2=told[1] ** 2 + told[2] ** 2,
             biases_m=told[2],
-            informations=np.array(known),
+            roots=np.array(known),
+            claimed=claimed,
         )
