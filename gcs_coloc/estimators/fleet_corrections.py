@@ -78,8 +78,8 @@ def stamp_sigma_s(m: PositionMeasurement | RangeMeasurement, s: FleetSettings) -
 def split_report(record: VehicleRecord, m: PositionMeasurement, s: FleetSettings) -> tuple[Sigmas, Sigmas]:
     """Return the white and the slow part of a report's sigmas, each (horizontal, vertical) in m."""
     sigma_h_m, sigma_v_m = without_time_error(m)
-    white_h_m, slow_h_m = record.white_h.split(sigma_h_m, s.least_slow_share)
-    white_v_m, slow_v_m = record.white_v.split(sigma_v_m, s.least_slow_share)
+    white_h_m, slow_h_m = record.white.split(0, sigma_h_m, s.least_slow_share)
+    white_v_m, slow_v_m = record.white.split(1, sigma_v_m, s.least_slow_share)
     return (white_h_m, white_v_m), (slow_h_m, slow_v_m)
 
 
@@ -89,7 +89,7 @@ def take_own(cluster: Cluster, m: OwnMeasurement) -> Verdict:
     if isinstance(m, PositionMeasurement):
         return take_position(cluster, m, *split_report(record, m, s), stamp_sigma_s(m, s))
     if isinstance(m, AltitudeMeasurement):
-        return take_altitude(cluster, m, *record.white_baro.split(m.sigma_m, s.least_slow_share))
+        return take_altitude(cluster, m, *record.white_baro.split(0, m.sigma_m, s.least_slow_share))
     return take_attitude(cluster, m)
 
 

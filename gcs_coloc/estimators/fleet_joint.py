@@ -130,11 +130,10 @@ class Joint:
         columns = blas.dgemm(1.0, A[where].T, F.T)
         rows = columns.T
         rows[: len(mean), 0] = mean
-        block = rows[:, where] @ F.T
-        block += Q
+        half = blas.dgemm(0.5, columns[where], F.T, beta=0.5, c=Q.T, trans_a=1)
         A[where] = rows
         A[:, where] = columns
-        np.multiply(block + block.T, 0.5, out=A[where, where])
+        np.add(half, half.T, out=A[where, where])
         self.time_s[key] = at_s
 
     def expect(self, key: Key, H: FloatArray) -> FloatArray:

@@ -105,7 +105,7 @@ class FleetModel:
         if isinstance(m, PositionMeasurement):
             return self._position(m, record)
         if isinstance(m, AltitudeMeasurement):
-            record.white_baro.add(m.measured_at_s, (m.up_m,), m.sigma_m)
+            record.white_baro.add(m.measured_at_s, ((m.up_m,),), (m.sigma_m,))
         record.remember(m)
         cluster = self.clusters.get(m.vehicle)
         if cluster is None:
@@ -116,9 +116,8 @@ class FleetModel:
         if record.subject:
             return Verdict("refused: position of a subject")
         record.fixed = m.static
-        sigma_h_m, sigma_v_m = without_time_error(m)
-        record.white_h.add(m.measured_at_s, m.position_enu_m[:2], sigma_h_m)
-        record.white_v.add(m.measured_at_s, m.position_enu_m[2:], sigma_v_m)
+        e, n, u = m.position_enu_m
+        record.white.add(m.measured_at_s, ((e, n), (u,)), without_time_error(m))
         record.remember(m)
         record.last_position = m
         cluster = self.clusters.get(m.vehicle)
@@ -159,8 +158,8 @@ class FleetModel:
         cluster = self.clusters.merge(*ends)
         white = self.pairs.setdefault(pair_key(*ends, m.device_id), Whiteness())
         sigma_m, _ = without_time_error(m)
-        white.add(m.measured_at_s, (m.range_m,), sigma_m)
-        slow_m = self.settings.range_slow_share * white.split(sigma_m, self.settings.least_slow_share)[1]
+        white.add(m.measured_at_s, ((m.range_m,),), (sigma_m,))
+        slow_m = self.settings.range_slow_share * white.split(0, sigma_m, self.settings.least_slow_share)[1]
         if m.clock_of in ends:
             restate_clock(cluster, m.clock_of, stamp_sigma_s(m, self.settings))
         verdict = take_range(cluster, m, sigma_m, slow_m)

@@ -13,7 +13,7 @@ import math
 
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
 
-_MEMORY_SAMPLES = 1000.0
+_FADE = 1.0 - 1.0 / 1000.0
 _PROOF_SAMPLES = 20.0
 _LONGEST_GAP_S = 2.0
 _JERK_MPS3 = 3.0
@@ -22,6 +22,8 @@ _WELL_KNOWN = 0.25
 _LEAST_REST = 0.01
 _OVERLAP = 2.3
 """How much more the variance of third differences scatters than that of independent values: sum of squared correlations."""
+
+_NOTHING_SEEN = (0.0, 0.0)
 
 Values = tuple[float, ...]
 
@@ -40,23 +42,25 @@ def _less(sigma_m: float, part_m: float) -> float:
 
 
 class Whiteness:
-    """Estimates the variance of the white part of one stream of k values that are measured together."""
+    """Estimates the variance of the white part of one stream of values that are measured together.
 
-    __slots__ = ("_history", "_sum_m2", "_weight")
+    The values may be of several groups, horizontal and vertical ones: their noise is told apart, one variance for each group.
+    """
+
+    __slots__ = ("_history", "_seen")
 
     def __init__(self) -> None:
-        self._history: tuple[tuple[float, Values], ...] = ()
-        self._sum_m2 = 0.0
-        self._weight = 0.0
+        self._history: tuple[tuple[float, tuple[Values, ...]], ...] = ()
+        self._seen: dict[int, tuple[float, float]] = {}
 
     def copy(self) -> Whiteness:
         """Return an independent copy."""
         other = Whiteness()
-        other._history, other._sum_m2, other._weight = self._history, self._sum_m2, self._weight
+        other._history, other._seen = self._history, self._seen.copy()
         return other
 
-    def add(self, at_s: float, values: Values, sigma_m: float) -> None:
-        """Take one report (metres) with its stated sigma; times must not decrease."""
+    def add(self, at_s: float, groups: tuple[Values, ...], sigmas_m: Values) -> None:
+        """Take one report (metres, by groups) with the stated sigma of each group; times must not decrease."""
         history = self._history
         if history and not 0.0 < at_s - history[-1][0] <= _LONGEST_GAP_S:
             history = ()
@@ -68,25 +72,28 @@ class Whiteness:
             wc = (at_s - ta) * (at_s - tb) / ((tc - ta) * (tc - tb))
             gain = 1.0 + wa * wa + wb * wb + wc * wc
             bend_m = _JERK_MPS3 * (at_s - ta) * (at_s - tb) * (at_s - tc) / 6.0
-            most_m2 = (_MOST_SIGMAS * sigma_m) ** 2
-            fade = 1.0 - 1.0 / _MEMORY_SAMPLES
-            for z, za, zb, zc in zip(values, a, b, c, strict=True):
-                miss_m = z - wa * za - wb * zb - wc * zc
-                self._sum_m2 += min((miss_m * miss_m - bend_m * bend_m) / gain, most_m2)
-                self._weight += 1.0
-            self._sum_m2 *= fade
-            self._weight *= fade
+            bend_m2 = bend_m * bend_m
+            for i, sigma_m in enumerate(sigmas_m):
+                sum_m2, weight = self._seen.get(i, _NOTHING_SEEN)
+                most_m2 = (_MOST_SIGMAS * sigma_m) ** 2
+                for z, za, zb, zc in zip(groups[i], a[i], b[i], c[i], strict=True):
+                    miss_m = z - wa * za - wb * zb - wc * zc
+                    square_m2 = (miss_m * miss_m - bend_m2) / gain
+                    sum_m2 += square_m2 if square_m2 < most_m2 else most_m2
+                    weight += 1.0
+                self._seen[i] = sum_m2 * _FADE, weight * _FADE
             history = history[1:]
-        self._history = (*history, (at_s, values))
+        self._history = (*history, (at_s, groups))
 
-    def split(self, sigma_m: float, least_slow_share: float) -> tuple[float, float]:
-        """Return the sigmas (white, slow) in metres of a report with the stated sigma."""
-        seen_m2 = max(self._sum_m2, 0.0)
-        least_m2 = seen_m2 / (self._weight + _PROOF_SAMPLES)
+    def split(self, group: int, sigma_m: float, least_slow_share: float) -> tuple[float, float]:
+        """Return the sigmas (white, slow) in metres of a report with the stated sigma of one group."""
+        sum_m2, weight = self._seen.get(group, _NOTHING_SEEN)
+        seen_m2 = max(sum_m2, 0.0)
+        least_m2 = seen_m2 / (weight + _PROOF_SAMPLES)
         # Before there is proof each part may be as large as all that is stated.
-        most_m2 = (seen_m2 + _PROOF_SAMPLES * sigma_m * sigma_m) / (self._weight + _PROOF_SAMPLES)
+        most_m2 = (seen_m2 + _PROOF_SAMPLES * sigma_m * sigma_m) / (weight + _PROOF_SAMPLES)
         # Once that variance is well known, a stream that may well be white (two standard errors) is taken for white.
-        error = math.sqrt(2.0 * _OVERLAP / max(self._weight, 1.0))
+        error = math.sqrt(2.0 * _OVERLAP / max(weight, 1.0))
         likely_m2 = least_m2 * (1.0 + 2.0 * error) if error < _WELL_KNOWN else least_m2
         slow_m2 = max(sigma_m * sigma_m - likely_m2, (least_slow_share * sigma_m) ** 2)
         return math.sqrt(max(most_m2, (0.05 * sigma_m) ** 2)), math.sqrt(slow_m2)

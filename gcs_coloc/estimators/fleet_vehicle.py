@@ -91,6 +91,7 @@ class Neighbour:
 class VehicleRecord:
     """One vehicle. `own` and `ranged` are what it measured of itself and its ranges, oldest first, at least those of late.
 
+    `white` tells the noise of its reports, horizontally and vertically, `white_baro` that of its heights.
     `slow_report_h_m`, `slow_report_v_m`, `slow_baro_m`, `stamp_s` are the sigmas in force of the slow errors in the joint state.
     `refused_share` is the fading share of this subject's ranges that the gate refused, `refused_m2` their mean square innovation.
     """
@@ -100,8 +101,7 @@ class VehicleRecord:
     last_position: PositionMeasurement | None = None
     own: tuple[OwnMeasurement, ...] = ()
     ranged: tuple[RangeMeasurement, ...] = ()
-    white_h: Whiteness = field(default_factory=Whiteness)
-    white_v: Whiteness = field(default_factory=Whiteness)
+    white: Whiteness = field(default_factory=Whiteness)
     white_baro: Whiteness = field(default_factory=Whiteness)
     attitude: AttitudeMeasurement | None = None
     slow_report_h_m: float = 0.0
@@ -125,8 +125,7 @@ class VehicleRecord:
     def copy(self) -> VehicleRecord:
         """Return an independent copy."""
         other = VehicleRecord(*_RECORDED(self))
-        other.white_h = self.white_h.copy()
-        other.white_v = self.white_v.copy()
+        other.white = self.white.copy()
         other.white_baro = self.white_baro.copy()
         other.manoeuvre = ManoeuvreMonitor(*_MONITORED(self.manoeuvre))
         other.neighbours = dict(self.neighbours)
