@@ -151,7 +151,7 @@ def test_a_command_needs_the_token_and_a_second_press(watched):
     page.get_by_label("Operator's token").fill("not the token at all")
     button.click()
     expect(button).to_have_text(re.compile("press again"))
-    expect(result).to_have_text("")
+    expect(result).to_have_text("Vehicle 1: It is located from its ranges and sent that position; its own is not believed.")
     button.click()
     expect(result).to_contain_text("refused")
     page.get_by_label("Operator's token").fill(TOKEN)
@@ -174,6 +174,53 @@ def test_the_word_on_a_vehicles_aid_is_given_on_the_page(watched):
         page.get_by_role("button", name=f"{button}: press again").click()
         expect(page.locator("#command-result")).to_contain_text("done")
         expect(details).to_contain_text(told)
+
+
+def answer_for_gps_primary(hover: Hover, value: float) -> None:
+    """As an autopilot does whose second receiver takes our fix; `value` is what its GPS_PRIMARY is at first."""
+    real32, taken = mavlink.MAV_PARAM_TYPE_REAL32, 0
+    while True:
+        news = hover.received[taken:]
+        taken += len(news)
+        for _, message in news:
+            if message.get_type() in ("PARAM_REQUEST_READ", "PARAM_SET"):
+                value = getattr(message, "param_value", value)
+                hover.send(hover.pack(mavlink.MAVLink_param_value_message(b"GPS_PRIMARY", value, real32, 1, 0)))
+        if fixes := hover.of("GPS_INPUT"):
+            place = (fixes[-1].lat, fixes[-1].lon, round(fixes[-1].alt * 1e3))
+            hover.send(hover.pack(mavlink.MAVLink_gps2_raw_message(0, 3, *place, 80, 100, 0, 0, 7, 0, 0)))
+        yield value
+
+
+def test_gps_primary_is_set_and_restored_from_the_page_with_what_that_does_in_words(watched, scene):
+    page, hover = watched.page, scene.fleet[3]
+    autopilot = answer_for_gps_primary(hover, 0.0)
+    scene.failed.add(4)
+    expect(card(page, 4)).to_contain_text("sending 3D fix")
+    card(page, 4).click()
+    page.get_by_label("Operator's token").fill(TOKEN)
+    details = page.get_by_role("region", name="Vehicle 4")
+    for button, effect, value in (
+        ("Set GPS_PRIMARY to our receiver", "whatever its own receiver says", 1.0),
+        ("Restore GPS_PRIMARY", "even if that lies", 0.0),
+    ):
+        page.get_by_role("button", name=button).click()
+        expect(page.locator("#command-result")).to_contain_text(effect)
+        page.get_by_role("button", name=f"{button}: press again").click()
+        expect(page.locator("#command-result")).to_contain_text("done")
+        told = "GPS_PRIMARY set to 1, our receiver; it was 0" if value else "GPS_PRIMARY restored to 0"
+        expected = (value, True)
+        wait_for(lambda told=told, e=expected: (next(autopilot), told in page.locator("#log").inner_text()) == e, told)
+    expect(details).to_contain_text("GPS_PRIMARY own")
+    assert watched.complaints == []
+
+
+def test_without_tiles_nothing_that_draws_them_is_loaded(watched):
+    page = watched.page
+    expect(card(page, 1)).to_be_visible()
+    loaded = page.evaluate("performance.getEntriesByType('resource').map(e => e.name.split('/').pop())")
+    assert "map.js" in loaded
+    assert "tiles.js" not in loaded
 
 
 def test_the_truth_of_a_simulation_is_a_mark_of_its_own(watched, scene):

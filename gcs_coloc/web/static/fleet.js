@@ -1,36 +1,17 @@
-// The list of vehicles, the details of the selected one, and the operator's commands.
+// The list of vehicles and the details of the selected one.
 
 import { age, byId, el, metres, milliseconds, number, setText } from "./dom.js";
 import { LIGHT_WORDS, SIGNS } from "./palette.js";
-
-// Value: what is commanded and the word, as the service takes them.
-const WORDS = {
-  "gps failed": "Declare GPS failed", "gps healthy": "Declare GPS healthy", "gps auto": "Decide by evidence",
-  "aid on": "Aid it whatever its GPS", "aid off": "Never aid it", "aid auto": "Aid it as its GPS needs",
-};
 
 export class FleetList {
   constructor(onSelect) {
     this.onSelect = onSelect;
     this.cards = new Map();
     this.selected = null;
-    for (const [value, text] of Object.entries(WORDS)) {
-      byId(`${value.split(" ")[0]}-words`).append(el("button", { type: "submit", value }, text));
-    }
-    byId("commands").addEventListener("submit", (event) => {
-      event.preventDefault();
-      this.command(event.submitter);
-    });
-  }
-
-  allowCommands(allowed) {
-    byId("commands").hidden = !allowed;
   }
 
   select(sysid) {
     this.selected = sysid;
-    this.disarm();
-    setText(byId("command-result"), "");
     for (const [id, card] of this.cards) card.button.setAttribute("aria-pressed", String(id === sysid));
   }
 
@@ -90,8 +71,9 @@ export class FleetList {
       clock: view.clock_method === null ? "-" : `${view.clock_method} ±${milliseconds(view.clock_sigma_s)}`,
       link: link === undefined ? "-" : `${number(link.rate_hz)} frames/s, loss ${number(link.loss_percent)} %`,
       "sent to it": view.aid,
-      "operator's word": `GPS ${view.operator_word}, aid ${view.aid_word}`,
+      "operator's word": `GPS ${view.operator_word}, aid ${view.aid_word}, GPS_PRIMARY ${view.primary_word}`,
     };
+    if (view.gps_primary !== null) facts.GPS_PRIMARY = view.gps_primary;
     if (view.hindrance !== null) facts["cannot be aided"] = view.hindrance;
     const list = byId("facts");
     const names = Object.keys(facts);
@@ -100,35 +82,5 @@ export class FleetList {
       list.replaceChildren(...names.flatMap((name) => [el("dt", {}, name), el("dd")]));
     }
     list.querySelectorAll("dd").forEach((node, i) => setText(node, facts[names[i]]));
-  }
-
-  // A press arms the button, a second one within five seconds sends: the word decides what an aircraft follows.
-  async command(button) {
-    if (this.armed !== button) {
-      this.disarm();
-      this.armed = button;
-      button.textContent = `${WORDS[button.value]}: press again to confirm`;
-      this.disarming = setTimeout(() => this.disarm(), 5000);
-      return;
-    }
-    this.disarm();
-    const sysid = this.selected;
-    const [what, word] = button.value.split(" ");
-    let text;
-    try {
-      const answer = await fetch(`/api/vehicles/${sysid}/${what}`, {
-        method: "POST", headers: { Authorization: `Bearer ${byId("token").value}`, "Content-Type": "application/json" }, body: JSON.stringify({ word }),
-      });
-      text = answer.ok ? `vehicle ${sysid}: done` : `refused: ${(await answer.text()).trim()}`;
-    } catch {
-      text = "the service did not answer: nothing is known to have changed";
-    }
-    setText(byId("command-result"), text);
-  }
-
-  disarm() {
-    clearTimeout(this.disarming);
-    if (this.armed) this.armed.textContent = WORDS[this.armed.value];
-    this.armed = null;
   }
 }

@@ -2,6 +2,7 @@
 
 import { age, byId, setText } from "./dom.js";
 import { Alarms } from "./alarms.js";
+import { Commands } from "./commands.js";
 import { FleetList } from "./fleet.js";
 import { showLinks } from "./links.js";
 import { FleetMap } from "./map.js";
@@ -25,11 +26,12 @@ const plots = new Plots();
 const playback = new PlaybackBar();
 const fleet = new FleetList(select);
 const map = new FleetMap(select);
+const commands = new Commands();
 
 byId("follow").addEventListener("click", () => map.followSelected());
 
 function select(sysid) {
-  for (const part of [fleet, map, plots]) part.select(sysid);
+  for (const part of [fleet, map, plots, commands]) part.select(sysid);
   if (frame !== null) draw();
   byId("details").scrollIntoView({ block: "nearest" });
 }
@@ -51,8 +53,8 @@ function hello(message) {
     if (message.replay) alarms.clear();
   }
   alarms.begin(message.instance);
-  map.tiles.begin(message.tiles);
-  fleet.allowCommands(message.commands);
+  map.showTiles(message.tiles);
+  commands.allow(message.commands);
   plots.reset(offset);
   plots.restore(message.history);
   for (const one of message.history) map.restoreTrail(one.sysid, one.east_m, one.north_m);

@@ -1,8 +1,7 @@
-// The map: an east-north grid in metres about the fleet's origin, without tiles.
+// The map: an east-north grid in metres about the fleet's origin, over tiles where there are some.
 
 import { byId, svg } from "./dom.js";
 import { LIGHT_WORDS, SIGNS } from "./palette.js";
-import { Tiles } from "./tiles.js";
 
 const L = window.L;
 const GRID_PX = 110;
@@ -16,13 +15,14 @@ export class FleetMap {
     this.ranges = new Map();
     this.prints = new WeakMap();
     this.selected = null;
+    this.origin = null;
     this.mode = "all"; // what the map keeps in view: "all", the "selected" vehicle, or what the "user" chose
     this.map = L.map("map", {
       crs: L.CRS.Simple, minZoom: -9, maxZoom: 7, zoomSnap: 0.25, attributionControl: false, zoomControl: false, center: [0, 0], zoom: 0, fadeAnimation: false, zoomAnimation: false,
     });
     L.control.zoom({ position: "bottomright" }).addTo(this.map);
     new ResizeObserver(() => this.map.invalidateSize({ animate: false })).observe(byId("map"));
-    this.tiles = new Tiles(this.map);
+    this.tiles = null;
     this.map.createPane("grid").classList.add("grid-pane");
     this.grid = L.layerGroup().addTo(this.map);
     this.gridRenderer = L.svg({ pane: "grid" });
@@ -33,6 +33,15 @@ export class FleetMap {
     document.querySelector(".leaflet-control-zoom").addEventListener("click", taken);
     byId("fit").addEventListener("click", () => { this.mode = "all"; this.fit(); });
     this.drawGrid();
+  }
+
+  // What draws them is loaded only where there are some; `info` is null where there are none.
+  async showTiles(info) {
+    if (info === null && this.tiles === null) return;
+    const { Tiles } = await import("./tiles.js");
+    this.tiles ??= new Tiles(this.map);
+    this.tiles.begin(info);
+    this.tiles.setOrigin(this.origin);
   }
 
   drawGrid() {
@@ -89,7 +98,8 @@ export class FleetMap {
   }
 
   show(frame) {
-    this.tiles.setOrigin(frame.origin);
+    this.origin = frame.origin;
+    this.tiles?.setOrigin(frame.origin);
     const places = new Map();
     for (const vehicle of frame.vehicles) {
       const { view } = vehicle;
