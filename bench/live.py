@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from bench.figures import Figure, interleaved
-from bench.service_cpu import cpu_s, free_port, free_ports, rss_mb
+from bench.load import put_under_load, wait_until_bound
+from bench.service_cpu import free_port, free_ports, rss_mb
 
 _MAVUTIL = """
 import sys
@@ -35,7 +34,6 @@ while True:
 _VEHICLES_A_FLEET = 4
 _MOST_JITTER_MS = 20.0
 _GOAL_VEHICLES = 400
-_START_WITHIN_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,38 +123,17 @@ def _mavproxy(program: str, fleets: int, seconds: float) -> float:
 
 def _under_load(program: list[str], ports: list[int], seconds: float) -> _Run:
     with _running(program) as process:
-        _wait_until_bound(process, ports)
-        sender = subprocess.Popen(
-            [sys.executable, "-m", "bench.load_sender", str(seconds), *map(str, ports)], stdout=subprocess.PIPE, text=True
-        )
-        # The sender's preparations come on top of its warm-up; what counts is how much is used from the first look to the end.
-        samples: list[tuple[float, float]] = []
-        while sender.poll() is None:
-            time.sleep(0.25)
-            samples.append((time.monotonic(), cpu_s(process.pid)))
-        told = json.loads(sender.communicate()[0])
-        if process.poll() is not None:
-            raise RuntimeError(f"{' '.join(program[:4])} ended by itself with {process.returncode}")
-        began = min(samples, key=lambda s: abs(s[0] - told["began_s"]))
-        ended = min(samples, key=lambda s: abs(s[0] - told["ended_s"]))
-        used_s, span_s = ended[1] - began[1], ended[0] - began[0]
+        wait_until_bound(process, ports)
+        load = put_under_load([process], [str(port) for port in ports], seconds)
+        intervals_ms = np.concatenate([np.diff(fleet["gps_input_s"]) * 1e3 for fleet in load.fleets])
+        share = load.used_s[0] / load.span_s
         return _Run(
-            cpu_us_per_message=used_s / span_s / (told["sent"] / (told["ended_s"] - told["began_s"])) * 1e6,
-            share=used_s / span_s,
+            cpu_us_per_message=share / load.messages_per_s * 1e6,
+            share=share,
             rss_mb=rss_mb(process.pid),
-            jitter_ms=np.abs(np.array(told["intervals_ms"]) - 100.0),
-            outputs_per_s=len(told["intervals_ms"]) / (told["ended_s"] - told["began_s"]),
+            jitter_ms=np.abs(intervals_ms - 100.0),
+            outputs_per_s=len(intervals_ms) / load.span_s,
         )
-
-
-def _wait_until_bound(process: subprocess.Popen[bytes], ports: list[int]) -> None:
-    """Wait until the program listens: before that, one of the sender's many sockets might be given one of its ports."""
-    wanted = {f"{port:04X}" for port in ports}
-    until_s = time.monotonic() + _START_WITHIN_S
-    while not wanted <= {line.split()[1].rpartition(":")[2] for line in Path("/proc/net/udp").read_text().splitlines()[1:]}:
-        if process.poll() is not None or time.monotonic() > until_s:
-            raise RuntimeError(f"{' '.join(map(str, process.args[:4]))} does not listen on its ports")  # type: ignore[index]
-        time.sleep(0.1)
 
 
 @contextmanager

@@ -1,7 +1,12 @@
-"""`python -m bench.load_sender SECONDS PORT...`: the traffic of a fleet of four to each port, in real time, and what comes back.
+"""`python -m bench.load_sender SECONDS FLEET...`: the traffic of a fleet of four to each port, in real time, and what comes back.
 
-Each vehicle has a socket of its own, each fleet its own phase. Prints, as JSON, the datagrams sent in the time after the warm-up,
-when that time began and ended (time.monotonic), and the intervals in ms between the GPS_INPUT of each aided vehicle.
+FLEET is PORT or PORT,OUT,LEAD: OUT is a port of ours to which the service hands each frame on once it has taken it (`--out`), and
+the first datagram goes LEAD seconds ahead of the others, for it sets the service's grid of deadlines. Each vehicle has a socket
+of its own, each fleet its own phase.
+
+Prints, as JSON, the datagrams sent in the time after the warm-up, when that time began and ended (time.monotonic), and of each
+fleet when GPS_INPUT came (`gps_input_s`) and when each range of the vehicle without GPS was sent and handed on (`ranges_s`). Both
+are UNIX seconds, timed by the kernel where they come in: how late this process gets its turn does not count.
 """
 
 from __future__ import annotations
@@ -13,55 +18,87 @@ import socket
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from itertools import repeat
 
 from pymavlink.dialects.v20.ardupilotmega import MAVLINK_MSG_ID_GPS_INPUT
 
-from bench.traffic import WARM_S, fleet_traffic, message_id_of
+from bench.kernel_time import arrived_at_s, want_arrival_times
+from bench.traffic import LOST, WARM_S, Sent, fleet_traffic, message_id_of
+from gcs_coloc.mavlink._generated.gcs_coloc import MAVLINK_MSG_ID_PEER_RANGE
 
 _TICK_S = 0.001
 
 
+@dataclass
+class _Fleet:
+    port: int
+    out: int | None = None
+    lead_s: float = 0.0
+    gps_input_s: list[float] = field(default_factory=list)
+    ranges_s: list[tuple[float, float]] = field(default_factory=list)
+    sent_at_s: dict[bytes, float] = field(default_factory=dict)
+
+
 def main() -> None:
     """Send, and listen in between."""
-    seconds, ports = float(sys.argv[1]), [int(text) for text in sys.argv[2:]]
+    seconds, fleets = float(sys.argv[1]), [_fleet(text) for text in sys.argv[2:]]
     traffic = fleet_traffic(seconds + 2.0)
-    vehicles = sorted({sent.sysid for sent in traffic})
-    sockets = {
-        (fleet, sysid): socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for fleet in range(len(ports)) for sysid in vehicles
-    }
     listening = select.epoll()
-    of_descriptor = {}
-    for sender in sockets.values():
-        sender.bind(("127.0.0.1", 0))
-        sender.setblocking(False)
-        listening.register(sender, select.EPOLLIN)
-        of_descriptor[sender.fileno()] = sender
+    senders: dict[tuple[int, int], socket.socket] = {}
+    of_descriptor: dict[int, tuple[socket.socket, _Fleet, bool]] = {}
 
-    def fleets_own(fleet: int) -> Iterator[tuple[float, int, int, bytes]]:
-        phase_s = fleet / len(ports)
-        return ((sent.at_s + phase_s, number, sent.sysid, sent.payload) for sent, number in zip(traffic, repeat(fleet)))
+    def socket_of(fleet: _Fleet, *, is_out: bool) -> socket.socket:
+        opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        opened.setblocking(False)
+        want_arrival_times(opened)
+        opened.bind(("127.0.0.1", (fleet.out or 0) if is_out else 0))
+        listening.register(opened, select.EPOLLIN)
+        of_descriptor[opened.fileno()] = opened, fleet, is_out
+        return opened
 
-    last_s: dict[int, float] = {}
-    intervals_ms: list[float] = []
+    for number, fleet in enumerate(fleets):
+        senders |= {(number, sysid): socket_of(fleet, is_out=False) for sysid in {sent.sysid for sent in traffic}}
+        if fleet.out is not None:
+            socket_of(fleet, is_out=True)
     sent_count = 0
-    start_s = time.monotonic()
+    start_s = time.monotonic() + max(fleet.lead_s for fleet in fleets)
     began_s, end_s = start_s + WARM_S, start_s + WARM_S + seconds
-    for at_s, fleet, sysid, payload in heapq.merge(*(fleets_own(fleet) for fleet in range(len(ports)))):
+    timetable = (_timetable(traffic, number / len(fleets), number, fleet.lead_s) for number, fleet in enumerate(fleets))
+    for at_s, number, sysid, payload in heapq.merge(*timetable):
         while start_s + at_s > (now_s := time.monotonic()):
             for descriptor, _ in listening.poll(min(start_s + at_s - now_s, _TICK_S)):
-                frame = of_descriptor[descriptor].recv(4096)
-                if message_id_of(frame) != MAVLINK_MSG_ID_GPS_INPUT:
-                    continue
-                came_s = time.monotonic()
-                if descriptor in last_s and came_s >= began_s:
-                    intervals_ms.append((came_s - last_s[descriptor]) * 1e3)
-                last_s[descriptor] = came_s
+                _take(*of_descriptor[descriptor], measuring=now_s >= began_s)
         if now_s >= end_s:
             break
-        sockets[fleet, sysid].sendto(payload, ("127.0.0.1", ports[fleet]))
+        fleet = fleets[number]
+        if fleet.out is not None and sysid == LOST and message_id_of(payload) == MAVLINK_MSG_ID_PEER_RANGE:
+            fleet.sent_at_s[payload] = time.time()
+        senders[number, sysid].sendto(payload, ("127.0.0.1", fleet.port))
         sent_count += now_s >= began_s
-    print(json.dumps({"sent": sent_count, "began_s": began_s, "ended_s": time.monotonic(), "intervals_ms": intervals_ms}))
+    told = [{"gps_input_s": fleet.gps_input_s, "ranges_s": fleet.ranges_s} for fleet in fleets]
+    print(json.dumps({"sent": sent_count, "began_s": began_s, "ended_s": time.monotonic(), "fleets": told}))
+
+
+def _fleet(text: str) -> _Fleet:
+    port, *probe = text.split(",")
+    return _Fleet(int(port), int(probe[0]), float(probe[1])) if probe else _Fleet(int(port))
+
+
+def _timetable(traffic: list[Sent], phase_s: float, number: int, lead_s: float) -> Iterator[tuple[float, int, int, bytes]]:
+    for n, (sent, fleet) in enumerate(zip(traffic, repeat(number))):
+        yield sent.at_s + phase_s - (lead_s if n == 0 else 0.0), fleet, sent.sysid, sent.payload
+
+
+def _take(ready: socket.socket, fleet: _Fleet, is_out: bool, *, measuring: bool) -> None:
+    data, control, _, _ = ready.recvmsg(4096, 64)
+    at_s = arrived_at_s(control)
+    if is_out:
+        sent_at_s = fleet.sent_at_s.pop(data, None)
+        if sent_at_s is not None and measuring:
+            fleet.ranges_s.append((sent_at_s, at_s))
+    elif measuring and message_id_of(data) == MAVLINK_MSG_ID_GPS_INPUT:
+        fleet.gps_input_s.append(at_s)
 
 
 if __name__ == "__main__":

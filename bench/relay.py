@@ -5,13 +5,11 @@ from __future__ import annotations
 import contextlib
 import select
 import socket
-import struct
 import time
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-_TIMESPEC = struct.Struct("@ll")
-_SO_TIMESTAMPNS = 35  # Linux; the socket module does not name it
+from bench.kernel_time import arrived_at_s, want_arrival_times
 
 
 class Relay(contextlib.AbstractContextManager["Relay"]):
@@ -47,7 +45,7 @@ class Relay(contextlib.AbstractContextManager["Relay"]):
                 self._front.sendto(data, self._owners[ready])
                 for message in parser.parse_buffer(data) or []:
                     if message.get_type() == "GPS_INPUT":
-                        now_s = _sent_at_s(control)
+                        now_s = arrived_at_s(control)
                         if ready in last_s:
                             intervals_ms.append((now_s - last_s[ready]) * 1e3)
                         last_s[ready] = now_s
@@ -56,14 +54,7 @@ class Relay(contextlib.AbstractContextManager["Relay"]):
     def _back(self, address: tuple[str, int]) -> socket.socket:
         if address not in self._backs:
             back = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            back.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+            want_arrival_times(back)
             back.bind(("127.0.0.1", 0))
             self._backs[address], self._owners[back] = back, address
         return self._backs[address]
-
-
-def _sent_at_s(control: list[tuple[int, int, bytes]]) -> float:
-    """Return the kernel's time of a datagram from what came with it."""
-    stamp = next(data for level, kind, data in control if (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS))
-    seconds, nanoseconds = _TIMESPEC.unpack(stamp[: _TIMESPEC.size])
-    return float(seconds + nanoseconds * 1e-9)
