@@ -44,6 +44,7 @@ from gcs_coloc.mavlink.truth import TRUTH_IDS, HeardTruth, truth_of
 from gcs_coloc.recorder.flight import FlightRecording
 from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.sinks.hub import Hub
+from gcs_coloc.sinks.lulls import Lulls
 
 log = logging.getLogger("gcs_coloc")
 
@@ -55,13 +56,14 @@ _RECORDED_JUST_NOW_S = EVERY_S + 0.05
 class FleetService:
     """One fleet on its links. Every call returns at once; whoever holds it calls `each_second` and the other periodic ones.
 
-    `hub` tells its observers what happens, `counts` takes what they refuse. `truths` is where a simulation says that vehicles
-    truly are, by system id: for showing alone, the engine never hears of it.
+    `hub` tells its observers what happens, `lulls` when they may take their time, `counts` takes what they refuse. `truths` is
+    where a simulation says that vehicles truly are, by system id: for showing alone, the engine never hears of it.
     """
 
     def __init__(self, settings: Settings, clock: ServiceClock, host: ClockReference) -> None:
         """Build everything; no link is open yet. `host` is the host's time now."""
         self.hub = Hub()
+        self.lulls = Lulls()
         self.counts = Counts()
         self.truths: dict[int, HeardTruth] = {}
         self._clock = clock
@@ -270,10 +272,19 @@ class FleetService:
         if held_up is not None:
             self._recording.told(held_up)
         news: list[Outbound] = []
+        is_lull = False
         for at_s, outputs in advance(self._engine, to_s, catch_up_s=CATCH_UP_S):
-            self._recording.polled(at_s, outputs)
             news.extend(outputs)
-        for output in without_superseded(news):
+            if self._engine.next_deadline() >= to_s:
+                # Before the journal looks at the engine: that takes as long as estimating, and vehicles are waiting.
+                self._pass_on(without_superseded(news))
+                is_lull = True
+            self._recording.polled(at_s, outputs)
+        if is_lull:
+            self.lulls.begin()
+
+    def _pass_on(self, outputs: list[Outbound]) -> None:
+        for output in outputs:
             if isinstance(output, ToVehicle):
                 self._send(output)
             else:

@@ -116,7 +116,7 @@ class _Observed:
             (_HEARTBEAT_EVERY_S, self._each_second),
             (_REFUSALS_EVERY_S, self.path.tell_refusals),
         )
-        return [group.create_task(_every(period_s, phase * period_s, act)) for period_s, act in periodic]
+        return [group.create_task(self._every(period_s, phase, act)) for period_s, act in periodic]
 
     def stop(self) -> None:
         """Look at nothing more, and ask the observers to end."""
@@ -136,6 +136,10 @@ class _Observed:
     def _of(self) -> str:
         return f"fleet {self.name}: " if self.name else ""
 
+    async def _every(self, period_s: float, phase: float, act: Callable[[], None]) -> None:
+        async for _ in self.path.lulls.every(period_s, phase):
+            act()
+
     def _each_second(self) -> None:
         self.path.each_second(read_host_clock(self._clock()))
 
@@ -148,7 +152,7 @@ class _Observed:
         from gcs_coloc.web.story import Story
 
         path = self.path
-        hooks = Hooks(path.look, path.obey, self._fault, path.truths.values)
+        hooks = Hooks(path.look, path.obey, self._fault, path.truths.values, lulls=path.lulls)
         return WebServer(settings.web, hooks, Story(), path.hub.subscribe(256))
 
     def _make_mqtt(self, settings: Settings) -> Mqtt | None:
@@ -164,10 +168,3 @@ class _Observed:
     def _fault(self) -> str | None:
         """Why the service does not do its work, None where it does."""
         return "the service is ending" if self._stopping.is_set() else self.path.fault()
-
-
-async def _every(period_s: float, first_after_s: float, act: Callable[[], None]) -> None:
-    await asyncio.sleep(first_after_s)
-    while True:
-        act()
-        await asyncio.sleep(period_s)

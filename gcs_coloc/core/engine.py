@@ -69,7 +69,10 @@ class EngineSettings:
 
 
 class Engine:
-    """One fleet: registry, GPS health, estimator and aid. Deterministic: the same calls give the same outputs."""
+    """One fleet: registry, GPS health, estimator and aid. Deterministic: the same calls give the same outputs.
+
+    `reviewed_at_s` is the deadline (service time) at which every vehicle was reviewed last, five times a second.
+    """
 
     def __init__(self, estimator: Estimator, settings: EngineSettings | None = None) -> None:
         self.settings = settings if settings is not None else EngineSettings()
@@ -92,6 +95,7 @@ class Engine:
         self._subjects: frozenset[int] = frozenset()
         self._gps_words: dict[int, GpsWord] = {}
         self._housekeeping_due_s = float("inf")
+        self.reviewed_at_s = float("-inf")
         self._telemetry = Telemetry(self.fleet, self.feed, self.aiding, self.integrity, self.estimator, self._tell)
 
     def receive(self, message: Inbound) -> None:
@@ -124,6 +128,7 @@ class Engine:
         self._now_s = now_s
         if now_s >= self._housekeeping_due_s:
             self._housekeeping_due_s = now_s + _HOUSEKEEPING_S
+            self.reviewed_at_s = now_s
             self.integrity.review(now_s, self.fleet, self.feed.frame, self.estimator.estimate)
             for vehicle in self.fleet:
                 self._review(vehicle, now_s)

@@ -48,6 +48,10 @@ class FlightRecording:
         """Record the frames of a datagram, but those that were refused: the engine never saw them."""
         if self._recorder is None:
             return
+        if not refused:
+            for raw in frames:
+                self._recorder.frame(at_s, raw.frame)
+            return
         left_out = {(frame.sysid, frame.compid, frame.sequence, frame.message_id) for frame in refused}
         for raw in frames:
             if (raw.sysid, raw.compid, raw.sequence, raw.message_id) not in left_out:

@@ -152,8 +152,10 @@ class Mqtt:
             view = self._hooks.look()
             await self._publish(client, "status", status(view, online=True).model_dump_json())
             for vehicle in view.vehicles:
-                for name, model in of_vehicle(vehicle, unix_s(view.at_s, view)).items():
-                    await self._publish(client, f"{vehicle.sysid}/{name}", model.model_dump_json())
+                # One vehicle's in a stroke: each takes the event loop several turns. Not everyone's: that would hold it up.
+                models = of_vehicle(vehicle, unix_s(view.at_s, view))
+                topics = ((f"{vehicle.sysid}/{name}", model.model_dump_json()) for name, model in models.items())
+                await asyncio.gather(*(self._publish(client, topic, payload) for topic, payload in topics))
             while self._alarms:
                 news = self._alarms.popleft()
                 try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
@@ -21,6 +21,7 @@ from gcs_coloc import __version__
 from gcs_coloc.core.messages import AidWord, GpsWord, PrimaryWord, Word
 from gcs_coloc.core.view import FleetView
 from gcs_coloc.mavlink.truth import HeardTruth
+from gcs_coloc.sinks.lulls import Lulls
 from gcs_coloc.sinks.metrics import fleet_registry
 from gcs_coloc.web.access import Guard, bears_token
 from gcs_coloc.web.pages import Pages
@@ -38,7 +39,7 @@ class Hooks:
     """What the server may ask of the service: the fleet as it stands, the operator's word, and whether it still works.
 
     `fault` says in words what keeps the service from its work, None where nothing does. `truths` is where a simulation says
-    that vehicles truly are. `playback` is a replay's, which takes no word.
+    that vehicles truly are. `playback` is a replay's, which takes no word. In `lulls` the pages' pictures are made and sent.
     """
 
     look: Callable[[], FleetView]
@@ -46,6 +47,7 @@ class Hooks:
     fault: Callable[[], str | None]
     truths: Callable[[], Iterable[HeardTruth]] = tuple
     playback: Playback | None = None
+    lulls: Lulls = field(default_factory=Lulls)
 
 
 class GpsCommand(BaseModel):

@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 
+from gcs_coloc.sinks.lulls import Lulls
 from gcs_coloc.web.story import Story
 from gcs_coloc.web.wire import FleetFrame
 
 PERIOD_S = 0.2
 MOST_PAGES = 32
+_PAGES_AT_A_TIME = 8
 
 
 class Page:
@@ -49,9 +51,10 @@ class Page:
 class Pages:
     """All open pages. `picture` makes the latest one; it is asked only while a page is open, and once for all."""
 
-    def __init__(self, picture: Callable[[], FleetFrame], story: Story) -> None:
+    def __init__(self, picture: Callable[[], FleetFrame], story: Story, lulls: Lulls) -> None:
         self._make = picture
         self._story = story
+        self._lulls = lulls
         self._open: set[Page] = set()
 
     @property
@@ -71,13 +74,14 @@ class Pages:
 
     async def run(self) -> None:
         """Offer the latest picture to every page at a steady pace."""
-        while True:
+        async for _ in self._lulls.every(PERIOD_S):
             if self._open:
-                self.tick()
-            await asyncio.sleep(PERIOD_S)
+                await self.tick()
 
-    def tick(self) -> None:
-        """Offer one picture to every page."""
-        picture = self._make().model_dump_json()
-        for page in self._open:
-            page.offer(self._story.instance, picture)
+    async def tick(self) -> None:
+        """Offer one picture to every page, to a few at a time: what arrives meanwhile does not wait for all of them."""
+        instance, picture = self._story.instance, self._make().model_dump_json()
+        for n, page in enumerate(list(self._open), start=1):
+            page.offer(instance, picture)
+            if n % _PAGES_AT_A_TIME == 0:
+                await asyncio.sleep(0)

@@ -47,7 +47,7 @@ class WebServer:
         self._config = config
         self._story = story
         self._news = news
-        self._pages = Pages(lambda: _picture(hooks, story), story)
+        self._pages = Pages(lambda: _picture(hooks, story), story, hooks.lulls)
         self._token = read_token(Path(config.token_file)) if config.token_file else None
         tiles = TileFile(Path(config.tiles)) if config.tiles else None
         app = make_app(hooks, story, self._pages, self._token, tiles, config.allowed_hosts)

@@ -6,6 +6,7 @@ import json
 from fleet_views import fleet_view
 
 from gcs_coloc.core.messages import Notice
+from gcs_coloc.sinks.lulls import Lulls
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.picture import fleet_frame
 from gcs_coloc.web.story import Story
@@ -19,7 +20,7 @@ def test_a_stuck_page_gets_the_latest_picture_and_every_event_while_another_gets
     async def scene():
         looks = iter(range(1, 100))
         story = Story()
-        pages = Pages(lambda: fleet_frame(fleet_view(float(next(looks))), ()), story)
+        pages = Pages(lambda: fleet_frame(fleet_view(float(next(looks))), ()), story, Lulls())
         stuck, good = pages.add(), pages.add()
         may_read = asyncio.Event()
         sent = {"stuck": [], "good": []}
@@ -34,7 +35,7 @@ def test_a_stuck_page_gets_the_latest_picture_and_every_event_while_another_gets
         tasks = [asyncio.create_task(stuck.send_all(story, hello, slow)), asyncio.create_task(good.send_all(story, hello, quick))]
         for i in range(10):
             story.take(Notice(float(i), 1, "warning", f"event {i}"))
-            pages.tick()
+            await pages.tick()
             for _ in range(5):
                 await asyncio.sleep(0)
         assert [m["at_s"] for m in sent["good"] if m["kind"] == "fleet"] == [float(i) for i in range(1, 11)]
@@ -55,7 +56,7 @@ def test_a_stuck_page_gets_the_latest_picture_and_every_event_while_another_gets
 
 
 def test_there_is_an_end_to_how_many_pages_may_be_open():
-    pages = Pages(lambda: fleet_frame(fleet_view(), ()), Story())
+    pages = Pages(lambda: fleet_frame(fleet_view(), ()), Story(), Lulls())
     opened = [pages.add() for _ in range(32)]
     assert pages.full
     pages.remove(opened[0])

@@ -1,0 +1,49 @@
+"""When observers may take their time: right after what was due has been sent, as far from the next deadline as can be."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+
+_WAIT_S = 0.5
+
+
+class Lulls:
+    """The lulls of one fleet's path: `begin` one whenever the outputs of a deadline have been sent."""
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[float, asyncio.Future[None]]] = []
+
+    def begin(self) -> None:
+        """Give their turn to those whose time has come."""
+        now_s = asyncio.get_running_loop().time()
+        for due_s, turn in self._waiting:
+            if due_s <= now_s:
+                _give(turn)
+        self._waiting = [(due_s, turn) for due_s, turn in self._waiting if not turn.done()]
+
+    async def every(self, period_s: float, phase: float = 0.0) -> AsyncIterator[None]:
+        """Turns that are `period_s` apart, the first after `phase` (0 to 1) of it; each waits for a lull.
+
+        It waits for half a period or `_WAIT_S` at most: where nothing is heard there are no deadlines. What was missed is not
+        caught up with.
+        """
+        loop = asyncio.get_running_loop()
+        due_s = loop.time() + phase * period_s
+        while True:
+            turn = loop.create_future()
+            self._waiting.append((due_s, turn))
+            timer = loop.call_at(due_s + min(0.5 * period_s, _WAIT_S), _give, turn)
+            try:
+                await turn
+            finally:
+                timer.cancel()
+            # What has arrived while the outputs were made goes first.
+            await asyncio.sleep(0)
+            yield
+            due_s = max(due_s + period_s, loop.time())
+
+
+def _give(turn: asyncio.Future[None]) -> None:
+    if not turn.done():
+        turn.set_result(None)

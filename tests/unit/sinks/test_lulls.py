@@ -1,0 +1,73 @@
+"""Lulls: periodic work waits for the moment after the outputs, but not for ever, and it keeps its pace."""
+
+import asyncio
+
+from gcs_coloc.sinks.lulls import Lulls
+
+
+class SteppedLoop(asyncio.SelectorEventLoop):
+    """Its time passes by hand."""
+
+    now_s = 100.0
+
+    def time(self) -> float:
+        return self.now_s
+
+
+async def settle() -> None:
+    for _ in range(5):
+        await asyncio.sleep(0)
+
+
+def turns_of(period_s: float, phase: float, lulls_at_s: list[float], until_s: float, step_s: float = 0.01) -> list[float]:
+    """When the turns come, seconds after the start, with lulls at these times."""
+    loop, turns = SteppedLoop(), []
+
+    def note() -> None:
+        turns.append(round(loop.now_s - 100.0, 6))
+
+    async def scene():
+        lulls = Lulls()
+
+        async def work():
+            async for _ in lulls.every(period_s, phase):
+                note()
+
+        task = asyncio.create_task(work())
+        await settle()
+        for step in range(1, round(until_s / step_s) + 1):
+            loop.now_s = 100.0 + step * step_s
+            if any(abs(step * step_s - at_s) < 1e-9 for at_s in lulls_at_s):
+                lulls.begin()
+            await settle()
+        task.cancel()
+
+    with asyncio.Runner(loop_factory=lambda: loop) as runner:
+        runner.run(scene())
+    return turns
+
+
+def test_each_turn_comes_with_the_first_lull_after_its_time_and_the_pace_is_kept():
+    lulls_at_s = [0.03 + 0.1 * n for n in range(20)]
+    assert turns_of(0.2, 0.5, lulls_at_s, 1.0) == [0.13, 0.33, 0.53, 0.73, 0.93]
+
+
+def test_without_lulls_turns_come_all_the_same_half_a_period_late():
+    assert turns_of(0.2, 0.0, [], 0.75) == [0.1, 0.3, 0.5, 0.7]
+
+
+def test_what_was_missed_is_not_caught_up_with():
+    """From 0.2 to 1.2 s the loop gets no turn of its own: one coarse step."""
+    assert turns_of(0.2, 0.0, [], 4.0, step_s=1.0) == [1.0, 2.0, 3.0, 4.0]
+
+
+def test_work_that_has_ended_is_not_waited_for():
+    async def scene():
+        lulls = Lulls()
+        task = asyncio.create_task(anext(lulls.every(10.0)))
+        await asyncio.sleep(0)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        lulls.begin()
+
+    asyncio.run(scene())
