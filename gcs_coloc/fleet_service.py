@@ -207,12 +207,14 @@ class FleetService:
             self._recording.sent(self._engine_at_s, payload)
 
     def _on_datagram(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
-        if self._is_ending or not self._intake.admits((link, address), len(payload), received_at_s):
+        source = (link, address)
+        if self._is_ending or not self._intake.admits(source, len(payload), received_at_s):
             return
         self._advance(received_at_s)
         good: list[RawFrame] = []
         refused: list[Frame] = []
-        for frame in self._decoder.decode(payload, received_at_s, (link.name, address), self._signed.of(link.name), good):
+        frames = self._decoder.decode(payload, received_at_s, source, self._signed.of(link.name), good)
+        for frame in frames:
             if isinstance(frame.message, OtherAid):
                 self._note_other_aid(frame.message, link, address)
             if not self._learn_route(frame, link, address, received_at_s):
@@ -220,7 +222,7 @@ class FleetService:
             elif frame.message is not None:
                 self._engine.receive(frame.message)
                 if frame.is_autopilot_heartbeat:
-                    self._intake.know((link, address), received_at_s)
+                    self._intake.know(source, received_at_s)
                     route = self._routes.route(frame.sysid, received_at_s)
                     report = RouteReport(frame.sysid, received_at_s, route.reason if isinstance(route, Blocked) else None)
                     self._engine.receive(report)
@@ -230,7 +232,8 @@ class FleetService:
                 self._note_truth(raw, link, address, received_at_s)
         self._recording.heard(received_at_s, good, refused)
         self._forwarder.from_vehicle(good, link, address, received_at_s)
-        self._wake()
+        if frames:  # by what the engine has not received no deadline comes sooner
+            self._wake()
 
     def _note_truth(self, raw: RawFrame, link: Link, address: Address, now_s: float) -> None:
         truth = truth_of(raw, now_s)

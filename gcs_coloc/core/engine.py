@@ -156,7 +156,8 @@ class Engine:
 
     def next_deadline(self) -> float:
         """The service time at which `poll` is to be called at the latest; infinity before the first message."""
-        return min(self._housekeeping_due_s, self.aiding.next_due_s())
+        housekeeping_s, aid_s = self._housekeeping_due_s, self.aiding.next_due_s()
+        return housekeeping_s if housekeeping_s < aid_s else aid_s
 
     def close(self) -> list[Aid | ParameterSet]:
         """The last messages before the service ends: fix_type 1 to everyone who is being aided, and what was set is restored."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Hashable
+from dataclasses import dataclass
 
 from gcs_coloc.mavlink.counts import Counts
 
@@ -22,6 +23,14 @@ MAX_KNOWN = 256
 """More than a fleet can have vehicles."""
 
 
+@dataclass(slots=True)
+class _Share:
+    """One known source: when its bucket will have drained, and when it was last heard; service times, s."""
+
+    drained_at_s: float
+    heard_at_s: float
+
+
 class Intake:
     """Admits up to `bytes_per_s` from each known source, and as much from all others together.
 
@@ -33,25 +42,24 @@ class Intake:
         self.counts = Counts()
         self._bytes_per_s = bytes_per_s
         self._max_known = max_known
-        # When each one's bucket will have drained, in the order of last hearing.
-        self._drained_at_s: OrderedDict[Hashable, float] = OrderedDict()
-        self._heard_at_s: dict[Hashable, float] = {}
+        # In the order of last hearing.
+        self._known: OrderedDict[Hashable, _Share] = OrderedDict()
         self._others_drained_at_s = float("-inf")
 
     @property
     def known(self) -> int:
         """How many sources have a share of their own."""
-        return len(self._drained_at_s)
+        return len(self._known)
 
     def know(self, source: Hashable, now_s: float) -> None:
         """Give a source, shown at service time `now_s` to be a vehicle's, a share of its own, if there is room."""
-        if source not in self._drained_at_s and self._has_room(now_s):
-            self._drained_at_s[source] = self._heard_at_s[source] = now_s
+        if source not in self._known and self._has_room(now_s):
+            self._known[source] = _Share(now_s, now_s)
 
     def admits(self, source: Hashable, size: int, now_s: float) -> bool:
         """Whether a datagram of `size` bytes that came from `source` at service time `now_s` is to be looked at."""
-        own = self._drained_at_s.get(source)
-        drained_at_s = max(self._others_drained_at_s if own is None else own, now_s)
+        own = self._known.get(source)
+        drained_at_s = max(self._others_drained_at_s if own is None else own.drained_at_s, now_s)
         cost_s = max(size, LEAST_COST_BYTES) / self._bytes_per_s
         # Not whether this one still fits in: in a flood of small datagrams a larger one never would.
         admitted = drained_at_s - now_s < BURST_S and cost_s <= BURST_S
@@ -62,16 +70,15 @@ class Intake:
         if own is None:
             self._others_drained_at_s = drained_at_s
         else:
-            self._drained_at_s[source] = drained_at_s
-            self._drained_at_s.move_to_end(source)
-            self._heard_at_s[source] = now_s
+            own.drained_at_s, own.heard_at_s = drained_at_s, now_s
+            self._known.move_to_end(source)
         return admitted
 
     def _has_room(self, now_s: float) -> bool:
-        if len(self._drained_at_s) < self._max_known:
+        if len(self._known) < self._max_known:
             return True
-        stalest = next(iter(self._drained_at_s))
-        if now_s - self._heard_at_s[stalest] < KEPT_S:
+        stalest = next(iter(self._known))
+        if now_s - self._known[stalest].heard_at_s < KEPT_S:
             return False
-        del self._drained_at_s[stalest], self._heard_at_s[stalest]
+        del self._known[stalest]
         return True
