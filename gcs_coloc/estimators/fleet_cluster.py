@@ -71,11 +71,11 @@ def _placing(end: End) -> FloatArray:
     return G
 
 
-def _steps(from_s: float, to_s: float) -> list[float]:
+def _steps(from_s: float, to_s: float) -> Sequence[float]:
     """Return the ends of the steps to a later time: short, for a turn bends the way, but not many. Empty if it is not later."""
     span_s = to_s - from_s
-    if span_s <= 0.0:
-        return []
+    if span_s <= _LONGEST_STEP_S:
+        return (to_s,) if span_s > 0.0 else ()
     count = min(math.ceil(span_s / _LONGEST_STEP_S), _MOST_STEPS)
     return [from_s + span_s * i / count for i in range(1, count)] + [to_s]
 
@@ -160,7 +160,7 @@ class Cluster:
         from_s = joint.time_s[vehicle]
         if at_s <= from_s or self.records[vehicle].fixed:
             return
-        A, step, where = joint.A, self.step, joint.slice(vehicle)
+        A, step, where = joint.A, self.step, joint.where[vehicle]
         e, n = where.start, where.start + 1
         for to_s in _steps(from_s, at_s):
             variances = (A.item(e, e), A.item(e, n), A.item(n, n))
@@ -195,7 +195,7 @@ class Cluster:
 
     def end(self, vehicle: int) -> End:
         """Return what a vehicle is as one end of a range."""
-        where = self.joint.slice(vehicle)
+        where = self.joint.where[vehicle]
         x = self.joint.A[0, where].tolist()
         if self.records[vehicle].fixed:
             return End(vehicle, where, (x[0], x[1], x[2]))
@@ -217,7 +217,7 @@ class Cluster:
         if _CLEARLY_LESS * before <= now <= _CLEARLY_MORE * before:
             return before
         joint = self.joint
-        start = joint.start[vehicle]
+        start = joint.where[vehicle].start
         first, stop = start + where.start, start + where.stop
         if now < before:
             joint.scale(first, stop, now / before)
@@ -231,7 +231,7 @@ class Cluster:
         record = self.records[vehicle]
         if record.fixed:
             return
-        start = self.joint.start[vehicle] + VELOCITY.start
+        start = self.joint.where[vehicle].start + VELOCITY.start
         east, north, up = W[start : start + 3].tolist()
         record.manoeuvre.take(at_s, self.settings.manoeuvre_memory_s, east, north, up, innovations)
 
@@ -240,7 +240,7 @@ class Cluster:
 
         The wind goes with the velocity: one that was learned from a false velocity would bring it back with the next air data.
         """
-        P, start = self.joint.A, self.joint.start[vehicle]
+        P, start = self.joint.A, self.joint.where[vehicle].start
         time2_s2 = 4.0
         for axis in range(3):
             P[start + axis, start + axis] += position_m2

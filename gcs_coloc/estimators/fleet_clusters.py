@@ -66,7 +66,7 @@ class Clusters:
             if len(second.joint.A) > len(first.joint.A):
                 first, second = second, first
             first.joint.join(second.joint)
-            for key in second.joint.start:
+            for key in second.joint.where:
                 if isinstance(key, int):
                     self._of[key] = first
         return first
@@ -77,7 +77,7 @@ class Clusters:
         if cluster is None:
             return
         keys: list[Key] = [
-            key for key in cluster.joint.start if key != vehicle and not (isinstance(key, tuple) and vehicle in key[:2])
+            key for key in cluster.joint.where if key != vehicle and not (isinstance(key, tuple) and vehicle in key[:2])
         ]
         cluster.joint = cluster.joint.part(keys)
 
@@ -100,10 +100,10 @@ class Clusters:
             seen |= members
             keys: list[Key] = [
                 key
-                for key in cluster.joint.start
+                for key in cluster.joint.where
                 if key in members or (isinstance(key, tuple) and key[0] in members and key[1] in links.get(key[0], ()))
             ]
-            if len(keys) < len(cluster.joint.start):
+            if len(keys) < len(cluster.joint.where):
                 part = self._cluster(cluster.joint.part(keys))
                 for member in members:
                     self._of[member] = part

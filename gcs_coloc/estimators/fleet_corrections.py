@@ -117,7 +117,7 @@ def take_position(cluster: Cluster, m: PositionMeasurement, white: Sigmas, slow:
         thin = max(1.0, _REPORT_VELOCITY_TIME_S / max(at_s - record.velocity_used_at_s, 1e-3))
         noise += [m.sigma_velocity_mps**2 * thin] * 3
         record.velocity_used_at_s = at_s
-    k, where = len(reported), joint.slice(m.vehicle)
+    k, where = len(reported), joint.where[m.vehicle]
     H = _REPORTED[:k]
     HA = joint.expect(m.vehicle, H)
     HA[:, 0] -= reported
@@ -164,7 +164,7 @@ def _jolt(since_s: float) -> FloatArray:
 def take_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, slow_m: float) -> Verdict:
     """Correct with a barometric height whose error is partly white, partly slow."""
     record, joint = cluster.records[m.vehicle], cluster.joint
-    start = joint.start[m.vehicle]
+    start = joint.where[m.vehicle].start
     b = start + BARO_ERROR
     record.slow_baro_m = cluster.restate(m.vehicle, _BARO, record.slow_baro_m, slow_m)
     cluster.bring(m.vehicle, m.measured_at_s)
@@ -191,7 +191,7 @@ def take_attitude(cluster: Cluster, m: AttitudeMeasurement) -> Verdict:
     cluster.bring(m.vehicle, m.measured_at_s)
     since_s = m.measured_at_s - record.attitude.measured_at_s if record.attitude is not None else s.air_noise_time_s
     record.attitude = m
-    where = joint.slice(m.vehicle)
+    where = joint.where[m.vehicle]
     V = m.airspeed_mps * math.cos(m.pitch_rad)
     x, P = joint.mean(m.vehicle).tolist(), joint.covariance(m.vehicle)
     ve, vn = x[3] - x[6], x[4] - x[7]

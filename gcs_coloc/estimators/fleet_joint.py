@@ -54,38 +54,31 @@ class Joint:
     corrects covariance and mean. It is symmetric to the last bit where the BLAS computes both halves in the same way, else
     to rounding, which does not grow: whatever brings a block forward makes it symmetric.
 
-    `start` maps each block's key to its first index in `A`, `size` to its length, `time_s` to the time at which its states hold.
+    `where` maps each block's key to where it lies in `A`, `time_s` to the time at which its states hold.
     """
 
-    __slots__ = ("A", "size", "start", "time_s")
+    __slots__ = ("A", "time_s", "where")
 
     def __init__(self) -> None:
         self.A: FloatArray = np.zeros((1, 1))
-        self.start: dict[Key, int] = {}
-        self.size: dict[Key, int] = {}
+        self.where: dict[Key, slice] = {}
         self.time_s: dict[Key, float] = {}
 
     def copy(self) -> Joint:
         """Return an independent copy."""
-        other = Joint()
+        other = object.__new__(Joint)
         other.A = self.A.copy()
-        other.start = dict(self.start)
-        other.size = dict(self.size)
-        other.time_s = dict(self.time_s)
+        other.where = self.where.copy()
+        other.time_s = self.time_s.copy()
         return other
-
-    def slice(self, key: Key) -> slice:
-        """Return where a block lies in `A`."""
-        start = self.start[key]
-        return slice(start, start + self.size[key])
 
     def mean(self, key: Key) -> FloatArray:
         """Return the mean (m,) of a block: a view, not to be written to."""
-        return self.A[0, self.slice(key)]
+        return self.A[0, self.where[key]]
 
     def covariance(self, key: Key) -> FloatArray:
         """Return the covariance (m, m) of a block: a view."""
-        where = self.slice(key)
+        where = self.where[key]
         return self.A[where, where]
 
     def append(self, key: Key, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
@@ -94,15 +87,16 @@ class Joint:
         self._extend(m)
         self.A[0, n:] = self.A[n:, 0] = mean
         self.A[n:, n:] = covariance
-        self.start[key], self.size[key], self.time_s[key] = n, m, at_s
+        self.where[key], self.time_s[key] = slice(n, n + m), at_s
 
     def part(self, keys: list[Key]) -> Joint:
         """Return the marginal density of some blocks, in the order given."""
         other = Joint()
         index = [0]
         for key in keys:
-            other.start[key], other.size[key], other.time_s[key] = len(index), self.size[key], self.time_s[key]
-            index.extend(range(self.start[key], self.start[key] + self.size[key]))
+            first, where = len(index), self.where[key]
+            index.extend(range(where.start, where.stop))
+            other.where[key], other.time_s[key] = slice(first, len(index)), self.time_s[key]
         other.A = self.A[np.ix_(index, index)]
         return other
 
@@ -112,8 +106,9 @@ class Joint:
         self._extend(len(other.A) - 1)
         self.A[0, n:] = self.A[n:, 0] = other.A[0, 1:]
         self.A[n:, n:] = other.A[1:, 1:]
-        for key, start in other.start.items():
-            self.start[key], self.size[key], self.time_s[key] = n + start - 1, other.size[key], other.time_s[key]
+        for key, where in other.where.items():
+            self.where[key] = slice(n + where.start - 1, n + where.stop - 1)
+        self.time_s.update(other.time_s)
 
     def _extend(self, m: int) -> None:
         n = len(self.A)
@@ -126,7 +121,7 @@ class Joint:
 
         `mean` may be shorter than m: the rest goes by F.
         """
-        A, where = self.A, self.slice(key)
+        A, where = self.A, self.where[key]
         columns = blas.dgemm(1.0, A[where].T, F.T)
         rows = columns.T
         rows[: len(mean), 0] = mean
@@ -138,7 +133,7 @@ class Joint:
 
     def expect(self, key: Key, H: FloatArray) -> FloatArray:
         """Return (k, 1 + n): the mean, then the covariances with all states, of the combinations H (k, m) of a block's states."""
-        HA: FloatArray = blas.dgemm(1.0, self.A[self.slice(key)].T, H.T).T
+        HA: FloatArray = blas.dgemm(1.0, self.A[self.where[key]].T, H.T).T
         return HA
 
     def correct(self, W: FloatArray) -> None:

@@ -47,7 +47,7 @@ def find_mirror(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
     mirror image is as yet the same as the state.
     """
     neighbours = cluster.records[subject].neighbours
-    peers = [v for v, n in neighbours.items() if at_s - n.at_s <= _IN_USE_S and v in cluster.joint.start]
+    peers = [v for v, n in neighbours.items() if at_s - n.at_s <= _IN_USE_S and v in cluster.joint.where]
     if len(peers) < 2:
         return None
     view = _View(cluster, subject, peers, at_s)

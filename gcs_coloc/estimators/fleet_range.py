@@ -59,7 +59,7 @@ def take_range(cluster: Cluster, m: RangeMeasurement, sigma_m: float, slow_m: fl
     clock = m.clock_of if m.clock_of in (a.vehicle, b.vehicle) and not cluster.records[m.clock_of].fixed else None
     if clock is not None:
         # It is of as much later than it says as the reports of the vehicle that stamped it.
-        late = joint.start[clock] + STAMP_ERROR
+        late = joint.where[clock].start + STAMP_ERROR
         own += closing * hA.item(late)
         errors += closing * A[late]
     # The range is the distance, of which `hA` knows, and its errors.
@@ -88,10 +88,10 @@ def _pair(cluster: Cluster, m: RangeMeasurement, slow_m: float) -> int:
     s, joint = cluster.settings, cluster.joint
     key = pair_key(m.from_vehicle, m.to_vehicle, m.device_id)
     sigmas = (s.range_bias_sigma_m, slow_m)
-    if key not in joint.start:
+    if key not in joint.where:
         joint.append(key, np.zeros(2), np.diag(np.square(sigmas)), m.measured_at_s)
-        return joint.start[key]
-    index = joint.start[key]
+        return len(joint.A) - len(sigmas)
+    index: int = joint.where[key].start
     step_s = m.measured_at_s - joint.time_s[key]
     if step_s > 0.0:
         decays = (math.exp(-step_s / s.range_bias_time_s), math.exp(-step_s / s.range_slow_time_s))

@@ -116,7 +116,7 @@ def test_joined_densities_are_independent():
     second = first.part(["b"])
     first = first.part(["a"])
     first.join(second)
-    assert first.slice("b") == slice(3, 5)
+    assert first.where["b"] == slice(3, 5)
     assert not first.A[1:3, 3:].any()
     np.testing.assert_array_equal(first.mean("b"), second.mean("b"))
 
