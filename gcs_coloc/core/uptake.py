@@ -25,7 +25,6 @@ class Uptake:
         self._message = "GPS_RAW_INT" if gps_id == 0 else "GPS2_RAW"
         self._gps_id = gps_id
         self._fix: GpsInput | None = None
-        self._fix_since_s: float | None = None
         self._no_fix_since_s: float | None = began_at_s
         self._heard: GpsReceiver | None = None
         self._wrong_since_s: float | None = None
@@ -35,9 +34,8 @@ class Uptake:
         """Note what was sent."""
         if message.fix_type >= _HAS_FIX:
             self._fix, self._no_fix_since_s = message, None
-            self._fix_since_s = now_s if self._fix_since_s is None else self._fix_since_s
         else:
-            self._fix, self._fix_since_s = None, None
+            self._fix = None
             self._no_fix_since_s = now_s if self._no_fix_since_s is None else self._no_fix_since_s
 
     def heard(self, receiver: GpsReceiver) -> None:
