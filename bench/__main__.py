@@ -26,12 +26,14 @@ from bench import (
     service_cpu,
     startup,
     step,
+    unused,
 )
 from bench.figures import Figure
 
 _SECTIONS: dict[str, Callable[[bool], list[Figure]]] = {
     "start": startup.measure,
     "decode": decode.measure,
+    "unused": unused.measure,
     "step": step.measure,
     "latency": latency.measure,
     "throughput": live.measure_throughput,

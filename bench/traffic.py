@@ -27,7 +27,7 @@ _LATENCY_S, _JITTER_S = 0.02, 0.02
 _EVERY_SECOND = (1, 2, 24, 30, 74, 124, 193)
 _POSITION, _POSITION_HZ = 33, 10.0
 # What an ArduPlane sends besides, taken from one: the service passes these over.
-_OTHERS = (62, 163, 178, 125, 152, 42, 36, 65, 27, 116, 129, 29, 137, 168, 136, 32, 87, 147, 11020, 11030, 295, 241)
+OTHERS = (62, 163, 178, 125, 152, 42, 36, 65, 27, 116, 129, 29, 137, 168, 136, 32, 87, 147, 11020, 11030, 295, 241)
 _SEED = 1
 
 
@@ -52,9 +52,9 @@ def fleet_traffic(seconds: float) -> list[Sent]:
     sent = [Sent(d.due_s, d.sysid, d.payload) for d in fleet.advance(end_s)]
     sent = [s for s in sent if message_id_of(s.payload) != mavlink.MAVLINK_MSG_ID_COMMAND_ACK]
     for sysid in fleet.sysids:
-        for n, message_id in enumerate(_OTHERS):
+        for n, message_id in enumerate(OTHERS):
             frame = _filled(sysid, message_id)
-            sent += [Sent(second + n / len(_OTHERS), sysid, frame) for second in range(int(end_s))]
+            sent += [Sent(second + n / len(OTHERS), sysid, frame) for second in range(int(end_s))]
     return _numbered(sorted(sent))
 
 

@@ -75,15 +75,16 @@ class UdpLink:
         return family, sockaddr
 
     def _drain(self, udp_socket: socket.socket) -> None:
+        receive, handle, now = udp_socket.recvfrom, self._handler, self._clock
         for _ in range(DATAGRAMS_PER_WAKE):
             try:
-                payload, address = udp_socket.recvfrom(MAX_DATAGRAM)
+                payload, address = receive(MAX_DATAGRAM)
             except BlockingIOError:
                 return
             except OSError:  # an ICMP error that an earlier send brought back
                 self.counts.add(RECEIVE_ERROR)
                 return
-            self._handler(self, address, payload, self._clock())
+            handle(self, address, payload, now())
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:  # noqa: ARG002 - no datagram waits
         """Send one datagram; one that the system does not take at once is dropped and counted."""

@@ -17,7 +17,10 @@ class Counts(Mapping[str, int]):
     def add(self, reason: str, times: int = 1) -> None:
         """Count `reason` as having occurred `times` more times."""
         by_reason = self._by_reason
-        if reason not in by_reason and len(by_reason) >= MAX_REASONS:
+        if reason in by_reason:
+            by_reason[reason] += times
+            return
+        if len(by_reason) >= MAX_REASONS:
             reason = OTHER
         by_reason[reason] = by_reason.get(reason, 0) + times
 

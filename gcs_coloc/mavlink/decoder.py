@@ -95,7 +95,7 @@ class Decoder:
             # Before anything is remembered of the sender, and before its message's id decides: both are his to choose.
             elif signing is not None and (refusal := signing.refusal(raw, received_at_s)) is not None:
                 self.counts.add(refusal)
-            elif not self.sequences.note((source, *sender), raw.sequence, raw.checksum, received_at_s):
+            elif not self.sequences.note((source, raw.sysid, raw.compid), raw.sequence, raw.checksum, received_at_s):
                 self.counts.add(DUPLICATE)
             else:
                 if good is not None:
