@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gcs_coloc.config import Settings, read_table, settings_of, topic_level
+from gcs_coloc.config import Settings, read_table, settings_of
+from gcs_coloc.config_sections import topic_level
 from gcs_coloc.core.errors import ConfigError, GcsColocError, UsageError
 from gcs_coloc.links.address import parse, parse_out
 

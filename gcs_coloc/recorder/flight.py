@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from gcs_coloc.config import MavlinkConfig, RecordConfig
+from gcs_coloc.config_sections import MavlinkConfig, RecordConfig
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages import Outbound
 from gcs_coloc.core.view import FleetView

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from aiomqtt import Client, MqttError, Will
 
-from gcs_coloc.config import MqttConfig
+from gcs_coloc.config_sections import MqttConfig
 from gcs_coloc.core.errors import ConfigError
 from gcs_coloc.core.messages import ToOperator
 from gcs_coloc.core.view import FleetView

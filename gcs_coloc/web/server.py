@@ -12,7 +12,7 @@ from pathlib import Path
 
 import uvicorn
 
-from gcs_coloc.config import WebConfig
+from gcs_coloc.config_sections import WebConfig
 from gcs_coloc.core.errors import ConfigError, WebError
 from gcs_coloc.sinks.hub import Subscription
 from gcs_coloc.web.app import Hooks, make_app

@@ -3,7 +3,7 @@
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.config import SigningConfig
+from gcs_coloc.config_sections import SigningConfig
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.links.forward import MAX_TOOLS, TELL_EVERY_S, TOOL_KEPT_S, Forwarder, check_outs
 from gcs_coloc.links.routes import RouteTable
