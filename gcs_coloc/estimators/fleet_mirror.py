@@ -7,7 +7,7 @@ at one height. Near the plane they hardly tell the motion across it either, so a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,7 +63,7 @@ def find_mirror(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
         mirror = _across(view, np.array([-n, e, 0.0]), np.array([[e], [n], [0.0]]), longest_m2)
         if mirror is not None:
             return mirror
-    if len(peers) < 3 or view.height_told(_LEVEL, view.blind_m(view.blur_m(0))) > _TOLD_APART:
+    if len(peers) < 3 or any(view.height_told(_LEVEL, view.blind_m(least)) > _TOLD_APART for least in view.least_blurs_m()):
         return None
     offsets = np.array(view.offsets)
     spreads, axes = np.linalg.eigh(offsets.T @ offsets)
@@ -103,11 +103,12 @@ class _View:
             if isinstance(m, AltitudeMeasurement):
                 self._height_sigma_m = m.sigma_m
 
-    def blur_m(self, i: int) -> float:
-        """The sigma of the distance to a peer."""
-        apart_m2 = self.cluster.relative(self.own, self.peers[i])[1]
-        unit = np.subtract(self.offset, self.offsets[i]) / self.distance_m[i]
-        return max(math.sqrt(max(float(unit @ apart_m2 @ unit), 0.0)), _LEAST_BLUR_M)
+    def least_blurs_m(self) -> Iterator[float]:
+        """What the largest sigma of a distance to a peer is at least: first without looking, then that to one of them."""
+        yield _LEAST_BLUR_M
+        apart_m2 = self.cluster.relative(self.own, self.peers[0])[1]
+        unit = np.subtract(self.offset, self.offsets[0]) / self.distance_m[0]
+        yield math.sqrt(max(float(unit @ apart_m2 @ unit), 0.0))
 
     def blind_m(self, blur_m: float) -> float:
         """Within this distance of a plane the ranges change by less than they are uncertain."""

@@ -95,9 +95,7 @@ def _pair(cluster: Cluster, m: RangeMeasurement, slow_m: float) -> int:
     step_s = m.measured_at_s - joint.time_s[key]
     if step_s > 0.0:
         decays = (math.exp(-step_s / s.range_bias_time_s), math.exp(-step_s / s.range_slow_time_s))
-        for i, decay, sigma in zip((index, index + 1), decays, sigmas, strict=True):
-            joint.scale(i, i + 1, decay)
-            joint.A[i, i] += sigma * sigma * (1.0 - decay * decay)
+        joint.fade(key, decays, sigmas)
         joint.time_s[key] = m.measured_at_s
     return index
 

@@ -128,3 +128,14 @@ def test_scaled_states_are_scaled_in_mean_and_covariances():
     D = np.diag([1.0, 0.5, 0.5, 1.0])
     np.testing.assert_allclose(whole(joint)[0], D @ x)
     np.testing.assert_allclose(whole(joint)[1], D @ P @ D)
+
+
+def test_two_fading_states_keep_their_spread_and_lose_their_correlations():
+    joint, _ = two_walkers()
+    x, P = whole(joint)
+    joint.fade("b", (0.9, 0.4), (2.0, 3.0))
+    D = np.diag([1.0, 1.0, 0.9, 0.4])
+    np.testing.assert_allclose(whole(joint)[0], D @ x)
+    fresh = np.diag([0.0, 0.0, 4.0 * (1.0 - 0.81), 9.0 * (1.0 - 0.16)])
+    np.testing.assert_allclose(whole(joint)[1], D @ P @ D + fresh)
+    np.testing.assert_array_equal(joint.A, joint.A.T)
