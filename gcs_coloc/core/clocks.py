@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from gcs_coloc.core.timesync import LEAST_STEP_S, RoundTrips, Synchronised
+from gcs_coloc.core.timesync import RoundTrips, Synchronised
 from gcs_coloc.core.timing import JUMPS_TO_BELIEVE, SenderClock
 
 _SAME_CLOCK_S = 0.05
@@ -55,7 +55,9 @@ class VehicleClock:
 
     def learn(self, stamp_s: float, received_at_s: float) -> bool:
         """Take one stamp; False where it jumps and must not be used."""
-        if self._is_too_early(stamp_s, received_at_s):
+        causality = self.round_trips.causality
+        # A stamp that has wrapped is far behind, so that this needs no unwrapping.
+        if causality is not None and causality.is_too_early(stamp_s, received_at_s):
             self._too_early += 1
             if self._too_early < JUMPS_TO_BELIEVE:
                 return False
@@ -111,15 +113,6 @@ class VehicleClock:
         least_delay_s = self.stamps.least_difference_s() - sync.offset_at_s(now_s)
         sigma_s = (sync.sigma_at_s(now_s) ** 2 + _ONE_WAY_SIGMA_S**2) ** 0.5
         return ServiceTime(device.to_service(stamp_s) - least_delay_s, sigma_s)
-
-    def _is_too_early(self, stamp_s: float, received_at_s: float) -> bool:
-        """Whether a stamp came before it was made, by a clock that TIMESYNC tells: it was stepped forward."""
-        newest = self.round_trips.newest
-        # For nearly every stamp this is all: drift adds milliseconds, and a stamp that has wrapped is far behind.
-        if newest is None or stamp_s + newest.offset_s - received_at_s < LEAST_STEP_S:
-            return False
-        sync = self.synchronised(received_at_s)
-        return sync is not None and stamp_s + sync.offset_at_s(received_at_s) - received_at_s > sync.step_s(received_at_s)
 
     def _begin_anew(self) -> None:
         self.stamps.begin_anew()

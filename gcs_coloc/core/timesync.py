@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from itertools import islice
 from math import hypot, sqrt
 from typing import NamedTuple
 
@@ -27,13 +28,14 @@ _OLDEST_ANSWER_S = 3.0
 _PLAUSIBLE_S = 0.5
 _QUICK_PERIOD_S = 0.2
 _QUICK_EXCHANGES = 50
+_MOST_RECENT = 10
 _UNANSWERED = 20
 _UNANSWERED_SLOWDOWN = 10.0
 _ENOUGH = 9
 _SPACINGS = 8
 _FINEST_S = 0.0005
-LEAST_STEP_S = 0.1
-_STEP_SIGMAS = 4.0
+_STEP_S = 0.1
+_RECENT_S = 10.0  # in which a clock that is wrong by a per cent, as a slow simulation's, drifts by less than a step
 _CONTRADICTIONS_TO_BELIEVE = 2
 _ASYMMETRY = 0.1  # how much the least delays up and down may differ, 1-sigma, as a share of one of them
 
@@ -58,10 +60,6 @@ class Synchronised(NamedTuple):
         """Its 1-sigma at another service time."""
         return hypot(self.sigma_s, self.drift.sigma * (at_s - self.at_s))
 
-    def step_s(self, at_s: float) -> float:
-        """What is further off than this cannot be for any delay of the link: the clock was stepped."""
-        return max(self.one_way_delay_s, LEAST_STEP_S) + _STEP_SIGMAS * self.sigma_at_s(at_s)
-
 
 class _Exchange(NamedTuple):
     at_s: float
@@ -69,21 +67,40 @@ class _Exchange(NamedTuple):
     down_s: float
 
 
+class Causality(NamedTuple):
+    """Between what the offset (service clock minus sender's) is, whatever the delays: by the exchanges of the 10 s to `at_s`."""
+
+    at_s: float
+    low_s: float
+    high_s: float
+
+    def is_too_early(self, stamp_s: float, received_at_s: float) -> bool:
+        """Whether a stamp was made after it arrived: the clock was stepped forward."""
+        early_s = stamp_s + self.low_s - received_at_s
+        return early_s > _STEP_S and received_at_s - self.at_s <= _RECENT_S
+
+    def excludes(self, exchange: _Exchange) -> bool:
+        """Whether an exchange was answered before it was asked, or heard before it was sent: the clock was stepped."""
+        is_recent = exchange.at_s - self.at_s <= _RECENT_S
+        return is_recent and not (-exchange.up_s <= self.high_s + _STEP_S and exchange.down_s >= self.low_s - _STEP_S)
+
+
 @dataclass(slots=True)
 class RoundTrips:
     """The exchanges of one autopilot of the last five minutes: when to ask, which answers count, what they say.
 
     `contradictions`: how many in a row no delay of the link explains, as one was answered before it was asked or heard before
-    it was sent. `newest` is what the last ones said, however long ago.
+    it was sent. `causality` is what the last ones leave for the offset.
     """
 
     contradictions: int = 0
-    newest: Synchronised | None = None
+    causality: Causality | None = None
 
     _pending: dict[int, float] = field(default_factory=dict)
     _exchanges: deque[_Exchange] = field(default_factory=lambda: deque(maxlen=_MOST_EXCHANGES))
     _asked_at_s: float = float("-inf")
     _unanswered: int = 0
+    _estimate: Synchronised | None = None
 
     def ask(self, sysid: int, now_s: float, period_s: float) -> int | None:
         """Our time in ns to put into a request that is due now, or None. Quick at first, seldom where nobody answers."""
@@ -109,7 +126,8 @@ class RoundTrips:
         round_trip_s = received_at_s - asked_at_s
         if not 0.0 <= round_trip_s <= _OLDEST_ANSWER_S:
             return "is too old"
-        if self._contradicts(asked_at_s, stamp_s, received_at_s):
+        exchange = _Exchange(received_at_s, stamp_s - asked_at_s, received_at_s - stamp_s)
+        if self.causality is not None and self.causality.excludes(exchange):
             self.contradictions += 1
             return "contradicts those before it"
         self.contradictions = 0
@@ -117,10 +135,11 @@ class RoundTrips:
         if not -_PLAUSIBLE_S <= excess_s <= round_trip_s + _PLAUSIBLE_S:
             return "does not fit its boot time"
         self._unanswered = 0
-        self._exchanges.append(_Exchange(received_at_s, stamp_s - asked_at_s, received_at_s - stamp_s))
+        self._exchanges.append(exchange)
         while received_at_s - self._exchanges[0].at_s > _WINDOW_S:
             self._exchanges.popleft()
-        self.newest = _estimate(self._exchanges, drift)
+        self._estimate = _estimate(self._exchanges, drift)
+        self.causality = _causality(self._exchanges)
         return None
 
     @property
@@ -130,31 +149,30 @@ class RoundTrips:
 
     def estimate(self, now_s: float) -> Synchronised | None:
         """What the exchanges say; None where there was none in the last five minutes."""
-        if self.newest is None or now_s - self.newest.at_s > _WINDOW_S:
+        if self._estimate is None or now_s - self._estimate.at_s > _WINDOW_S:
             return None
-        return self.newest
+        return self._estimate
 
     def forget(self) -> None:
         """The sender has rebooted: its clock is another one."""
         self._pending.clear()
         self._exchanges.clear()
-        self.newest = None
+        self._estimate = None
+        self.causality = None
         self._unanswered = 0
         self.contradictions = 0
-
-    def _contradicts(self, asked_at_s: float, stamp_s: float, received_at_s: float) -> bool:
-        """Whether the sender's clock, by what is known of it, was read before it was asked for or after its answer arrived."""
-        known = self.estimate(received_at_s)
-        if known is None:
-            return False
-        read_at_s, step_s = stamp_s + known.offset_at_s(received_at_s), known.step_s(received_at_s)
-        return not asked_at_s - step_s <= read_at_s <= received_at_s + step_s
 
     def _wait_s(self, period_s: float) -> float:
         if self._unanswered >= _UNANSWERED:
             return _UNANSWERED_SLOWDOWN * period_s
         is_quick = self.contradictions > 0 or len(self._exchanges) < _QUICK_EXCHANGES
         return min(_QUICK_PERIOD_S, period_s) if is_quick else period_s
+
+
+def _causality(exchanges: deque[_Exchange]) -> Causality:
+    at_s = exchanges[-1].at_s
+    recent = [exchange for exchange in islice(reversed(exchanges), _MOST_RECENT) if at_s - exchange.at_s <= _RECENT_S]
+    return Causality(at_s, max(-exchange.up_s for exchange in recent), min(exchange.down_s for exchange in recent))
 
 
 def _estimate(exchanges: deque[_Exchange], drift: Drift) -> Synchronised:

@@ -170,6 +170,15 @@ def test_a_smaller_step_is_noticed_with_two_exchanges_or_three_stamps_that_no_de
         assert abs(vehicle.error_s(70.0)) < 0.02
 
 
+@pytest.mark.parametrize("drift", [-0.01, 0.01])
+@pytest.mark.parametrize("delay", [UNIFORM, QUEUE], ids=["uniform", "queue"])
+def test_a_clock_that_goes_wrong_by_a_per_cent_as_a_slow_simulations_does_is_not_taken_for_one_that_steps(delay, drift):
+    for seed in range(4):
+        vehicle = Exchange(seed, 30.0, drift, delay, delay)
+        vehicle.run(0.0, 200.0)
+        assert (vehicle.clock.resets, vehicle.stamps_refused) == (0, 0)
+
+
 def test_a_single_answer_that_cannot_be_is_refused_and_begins_nothing_anew():
     vehicle = Exchange(8, 300.0, 0.0, QUEUE, QUEUE)
     vehicle.run(0.0, 60.0)
