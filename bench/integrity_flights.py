@@ -13,7 +13,8 @@ from gcs_coloc.core.bound import horizontal_bound_95_m
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, FloatArray
-from gcs_coloc.core.messages import ClockReference, GlobalPosition, GpsReceiver, Inbound, PeerRange, TimeBase
+from gcs_coloc.core.messages import GlobalPosition, GpsReceiver, Inbound, PeerRange, TimeBase
+from gcs_coloc.core.words import ClockReference
 from gcs_coloc.estimators.registry import load_estimator
 
 STEP_S = 0.2

@@ -11,19 +11,10 @@ from gcs_coloc.config import Settings
 from gcs_coloc.core.advance import CATCH_UP_S, advance, was_held_up, without_superseded
 from gcs_coloc.core.aid_messages import OtherAid, ParameterSet
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import (
-    ClockReference,
-    GpsInput,
-    GpsWord,
-    Notice,
-    OperatorWord,
-    Outbound,
-    PeerRange,
-    RouteReport,
-    ToVehicle,
-    Word,
-)
+from gcs_coloc.core.messages import PeerRange
+from gcs_coloc.core.outputs import GpsInput, Notice, Outbound, ToVehicle
 from gcs_coloc.core.view import FleetView
+from gcs_coloc.core.words import ClockReference, GpsWord, OperatorWord, RouteReport, Word
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.address import parse
 from gcs_coloc.links.base import Address, Link

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import time
 
-from gcs_coloc.core.messages import ClockReference
+from gcs_coloc.core.words import ClockReference
 
 _TIMEX_BYTES = 512  # struct timex has 208 on 64-bit Linux; its first field, modes, 0 means: only read
 _TIME_ERROR = 5

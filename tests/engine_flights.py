@@ -8,7 +8,9 @@ import numpy as np
 
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.measurements import Estimate, Measurement, Unknown
-from gcs_coloc.core.messages import Autopilot, GlobalPosition, GpsInput, GpsReceiver, Heartbeat, Inbound, RouteReport
+from gcs_coloc.core.messages import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, Inbound
+from gcs_coloc.core.outputs import GpsInput
+from gcs_coloc.core.words import RouteReport
 
 LAT, LON, ALT = 47.0, 8.0, 500.0
 M_PER_DEGREE_EAST = 76056.0

@@ -14,7 +14,7 @@ from typing import Any
 
 from gcs_coloc.core.bound import horizontal_bound_95_m
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import GpsInput, Notice, Outbound
+from gcs_coloc.core.outputs import GpsInput, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, Sample, fly
 from sitl_fakes.scenario import Scenario

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import Aid, Outbound
+from gcs_coloc.core.outputs import Aid, Outbound
 
 CATCH_UP_S = 1.0
 """A service that was held up for longer than this leaves out the deadlines that it missed instead of running them all."""

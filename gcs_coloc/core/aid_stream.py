@@ -10,7 +10,7 @@ from gcs_coloc.core.fix_policy import FixPolicy
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, Unknown
-from gcs_coloc.core.messages import GpsInput, Notice, Outbound
+from gcs_coloc.core.outputs import GpsInput, Notice, Outbound
 from gcs_coloc.core.uptake import Uptake
 from gcs_coloc.core.way_choice import feeds_receiver
 from gcs_coloc.core.ways import Moment, Way

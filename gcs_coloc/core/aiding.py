@@ -10,12 +10,14 @@ from gcs_coloc.core.aid_stream import AidStream, Answer, Purpose
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.health import GpsState
-from gcs_coloc.core.messages import Aid, AidWord, GpsReceiver, Notice, Outbound, PrimaryWord
+from gcs_coloc.core.messages import GpsReceiver
 from gcs_coloc.core.other_aid import OtherAids
+from gcs_coloc.core.outputs import Aid, Notice, Outbound
 from gcs_coloc.core.parameters import Parameters
 from gcs_coloc.core.primary_switch import PrimarySwitch
 from gcs_coloc.core.standby import Standby
 from gcs_coloc.core.way_choice import feeds_receiver, make_way, mismatch, way_name
+from gcs_coloc.core.words import AidWord, PrimaryWord
 
 _AIDED_STATES = (GpsState.FAILED, GpsState.RECOVERING)
 _FRESH_S = 3.0

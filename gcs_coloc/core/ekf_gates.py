@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gcs_coloc.core.messages import GpsInput
+from gcs_coloc.core.outputs import GpsInput
 
 CHECK, SCALE = "EK3_GPS_CHECK", "EK3_CHECK_SCALE"
 _SATELLITES, _HDOP, _SPEED, _POSITION = 1, 2, 4, 8

@@ -19,29 +19,8 @@ from gcs_coloc.core.guard import GuardedEstimator
 from gcs_coloc.core.health import GpsState, HealthSettings
 from gcs_coloc.core.integrity import Integrity
 from gcs_coloc.core.measurements import Estimate, Unknown
-from gcs_coloc.core.messages import (
-    Aid,
-    AidWord,
-    Airspeed,
-    Attitude,
-    ClockReference,
-    EkfStatus,
-    GlobalPosition,
-    GpsReceiver,
-    GpsWord,
-    HealthChanged,
-    Inbound,
-    Notice,
-    OffAir,
-    OperatorWord,
-    Outbound,
-    PrimaryWord,
-    RouteReport,
-    SystemHealth,
-    SystemTime,
-    TimeSyncRequest,
-    ToldAside,
-)
+from gcs_coloc.core.messages import Airspeed, Attitude, EkfStatus, GlobalPosition, GpsReceiver, Inbound, SystemHealth, SystemTime
+from gcs_coloc.core.outputs import Aid, HealthChanged, Notice, Outbound, TimeSyncRequest
 from gcs_coloc.core.range_jumps import RangeJumps
 from gcs_coloc.core.residuals import ResidualLog
 from gcs_coloc.core.streams import StreamRequests
@@ -49,6 +28,7 @@ from gcs_coloc.core.telemetry import Telemetry
 from gcs_coloc.core.utc import Utc
 from gcs_coloc.core.vehicle_view import vehicle_view
 from gcs_coloc.core.view import FleetView
+from gcs_coloc.core.words import AidWord, ClockReference, GpsWord, OffAir, OperatorWord, PrimaryWord, RouteReport, ToldAside
 from gcs_coloc.estimators.base import Estimator
 
 _HOUSEKEEPING_S = 0.2

@@ -16,7 +16,7 @@ from gcs_coloc.core.ekf_gates import CHECK, SCALE, EkfGates
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.gps_input import no_fix
 from gcs_coloc.core.measurements import Unknown
-from gcs_coloc.core.messages import Aid, GpsInput, Notice
+from gcs_coloc.core.outputs import Aid, GpsInput, Notice
 from gcs_coloc.core.parameters import Parameters
 from gcs_coloc.core.ways import GpsInputWay, Moment
 

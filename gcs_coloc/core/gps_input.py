@@ -16,7 +16,7 @@ from gcs_coloc.core.bound import horizontal_sigma_m, worst_sigma
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_time import gps_week_and_ms
 from gcs_coloc.core.measurements import Estimate
-from gcs_coloc.core.messages import GpsInput
+from gcs_coloc.core.outputs import GpsInput
 
 _FIX_3D, _NO_FIX = 3, 1
 _SATELLITES_WITH_FIX = 7  # enough for EKF3 (6), never so many that a switch by count would prefer us to a real receiver

@@ -15,8 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 
-from gcs_coloc.core.messages import EkfStatus, GpsReceiver, GpsWord, SystemHealth
+from gcs_coloc.core.messages import EkfStatus, GpsReceiver, SystemHealth
 from gcs_coloc.core.motion_check import MotionCheck
+from gcs_coloc.core.words import GpsWord
 
 
 class GpsState(Enum):

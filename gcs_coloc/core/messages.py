@@ -1,6 +1,6 @@
-"""What the engine takes in and gives out: frozen messages with units in their names.
+"""What vehicles say: frozen messages with units in their names. What others say: `words`; what the engine gives out: `outputs`.
 
-Conventions for all of them:
+Conventions for all of them, those of `words`, `outputs` and `aid_messages` as well:
 
 - `sysid` is the MAVLink system id of the vehicle the message is about.
 - `received_at_s` is the arrival time on the service's clock (seconds, monotonic, arbitrary epoch).
@@ -15,15 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from gcs_coloc.core.aid_messages import (
-    CommandResult,
-    ExternalPosition,
-    GlobalPositionSensor,
-    OtherAid,
-    ParameterRequest,
-    ParameterSet,
-    ParameterValue,
-)
+from gcs_coloc.core.aid_messages import CommandResult, ParameterValue
+from gcs_coloc.core.words import ToldAside
 
 
 class Autopilot(Enum):
@@ -176,74 +169,6 @@ class PeerRange:
     device_id: int
 
 
-@dataclass(frozen=True, slots=True)
-class ClockReference:
-    """What the host knows of UTC: UNIX time minus service clock, and whether the host's clock is disciplined.
-
-    `utc_minus_service_s` is `None` where the host does not know UTC; GPS week and time of week are then left at 0 unless
-    vehicles know it. `synchronised` is `None` where the host does not tell.
-    """
-
-    received_at_s: float
-    utc_minus_service_s: float | None
-    synchronised: bool | None = None
-
-
-class GpsWord(Enum):
-    """The operator's word on a vehicle's GPS; AUTO gives the decision back to the state machine."""
-
-    AUTO = "auto"
-    FAILED = "failed"
-    HEALTHY = "healthy"
-
-
-class AidWord(Enum):
-    """The operator's word on a vehicle's aid: ON aids it whatever its GPS says, OFF never does; AUTO leaves it to its GPS."""
-
-    AUTO = "auto"
-    ON = "on"
-    OFF = "off"
-
-
-class PrimaryWord(Enum):
-    """The operator's word on GPS_PRIMARY of an aided vehicle: OURS our receiver, OWN what it was before; AUTO as it is set."""
-
-    AUTO = "auto"
-    OURS = "ours"
-    OWN = "own"
-
-
-Word = GpsWord | AidWord | PrimaryWord
-
-
-@dataclass(frozen=True, slots=True)
-class OperatorWord:
-    """The operator decides something of one vehicle; it wins over all evidence until withdrawn. The kinds of word are apart."""
-
-    sysid: int
-    received_at_s: float
-    word: Word
-
-
-@dataclass(frozen=True, slots=True)
-class RouteReport:
-    """What the link layer knows about reaching a vehicle: `blocked` says why nothing may be sent to it, or is None."""
-
-    sysid: int
-    received_at_s: float
-    blocked: str | None
-
-
-@dataclass(frozen=True, slots=True)
-class OffAir:
-    """From now on nothing that the engine has to send reaches anybody: how vehicles answer to it is not to be judged.
-
-    So it is when somebody else's recording is replayed, or a flight of ours in another way than it was flown.
-    """
-
-    received_at_s: float
-
-
 FromVehicle = (
     Heartbeat
     | GlobalPosition
@@ -260,82 +185,4 @@ FromVehicle = (
 )
 """What vehicles say of themselves."""
 
-ToldAside = OtherAid | ClockReference | OperatorWord | RouteReport | OffAir
-"""What the host, the operator and the links say: no sign of life of a vehicle."""
-
 Inbound = FromVehicle | ToldAside
-
-
-@dataclass(frozen=True, slots=True)
-class GpsInput:
-    """GPS_INPUT (232) for one vehicle: a synthetic fix, to be sent to that vehicle's own address and nowhere else.
-
-    The message has no target field. `fix_type` is 3, or 1 where the position is unknown or too uncertain.
-    `gps_id` is the zero-based receiver instance. `gps_week` 0 means that the time is not known.
-    `yaw` is never sent: a course over ground is not a heading.
-    """
-
-    sysid: int
-    gps_id: int
-    time_usec: int
-    gps_week: int
-    gps_time_of_week_ms: int
-    fix_type: int
-    lat_deg: float
-    lon_deg: float
-    alt_msl_m: float
-    hdop: float
-    vdop: float
-    vn_mps: float
-    ve_mps: float
-    vd_mps: float
-    speed_accuracy_mps: float
-    horiz_accuracy_m: float
-    vert_accuracy_m: float
-    satellites: int
-
-
-@dataclass(frozen=True, slots=True)
-class StreamRequest:
-    """COMMAND_LONG MAV_CMD_SET_MESSAGE_INTERVAL (511): asks one vehicle for one message at one rate."""
-
-    sysid: int
-    message_id: int
-    interval_us: int
-
-
-@dataclass(frozen=True, slots=True)
-class TimeSyncRequest:
-    """TIMESYNC (111) with tc1 0: asks one autopilot for its clock. No target field: for that vehicle's own address alone."""
-
-    sysid: int
-    ts1_ns: int
-
-
-@dataclass(frozen=True, slots=True)
-class Notice:
-    """A line for the operator: something happened to a vehicle (or to the fleet, `sysid` None) that a person should read."""
-
-    at_s: float
-    sysid: int | None
-    level: str
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class HealthChanged:
-    """The GPS health of a vehicle went from one state to another; states are `GpsState` values, the reason is in words."""
-
-    at_s: float
-    sysid: int
-    before: str
-    after: str
-    reason: str
-
-
-Aid = GpsInput | ExternalPosition | GlobalPositionSensor
-"""What tells a vehicle where it is."""
-
-ToVehicle = Aid | StreamRequest | TimeSyncRequest | ParameterRequest | ParameterSet
-ToOperator = Notice | HealthChanged
-Outbound = ToVehicle | ToOperator

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from gcs_coloc.core.aid_messages import OtherAid
 from gcs_coloc.core.aid_settings import AidSettings
-from gcs_coloc.core.messages import Notice
+from gcs_coloc.core.outputs import Notice
 
 
 @dataclass(slots=True)

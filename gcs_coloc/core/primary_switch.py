@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from gcs_coloc.core.aid_messages import ParameterRequest, ParameterSet, ParameterValue
-from gcs_coloc.core.messages import Notice
+from gcs_coloc.core.outputs import Notice
 from gcs_coloc.core.parameters import RETRY_S
 
 NAME = "GPS_PRIMARY"

@@ -10,7 +10,7 @@ from __future__ import annotations
 from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.health import GpsState
-from gcs_coloc.core.messages import Notice
+from gcs_coloc.core.outputs import Notice
 from gcs_coloc.core.parameters import Parameters
 from gcs_coloc.core.primary_switch import NAME as PRIMARY
 from gcs_coloc.core.way_choice import feeds_receiver, way_name

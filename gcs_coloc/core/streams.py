@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from gcs_coloc.core.messages import StreamRequest
+from gcs_coloc.core.outputs import StreamRequest
 
 WANTED_HZ = {33: 10.0, 24: 5.0, 124: 5.0, 30: 10.0, 74: 5.0, 1: 2.0, 193: 2.0, 2: 1.0}
 """MAVLink message id -> wanted rate: GLOBAL_POSITION_INT, GPS_RAW_INT, GPS2_RAW, ATTITUDE, VFR_HUD, SYS_STATUS,

@@ -19,13 +19,12 @@ from gcs_coloc.core.messages import (
     GlobalPosition,
     GpsReceiver,
     Heartbeat,
-    Notice,
-    Outbound,
     PeerRange,
     SystemHealth,
     SystemTime,
     TimeSyncAnswer,
 )
+from gcs_coloc.core.outputs import Notice, Outbound
 from gcs_coloc.estimators.base import Estimator
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from math import cos, hypot, radians
 
-from gcs_coloc.core.messages import GpsInput, GpsReceiver
+from gcs_coloc.core.messages import GpsReceiver
+from gcs_coloc.core.outputs import GpsInput
 
 _JUDGED_AFTER_S = 5.0
 _SILENCE_S = 3.0

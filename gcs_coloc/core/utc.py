@@ -8,7 +8,8 @@ from statistics import median
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.gps_time import TABLE_GOOD_UNTIL, table_is_old
 from gcs_coloc.core.health import GpsState
-from gcs_coloc.core.messages import ClockReference, Notice
+from gcs_coloc.core.outputs import Notice
+from gcs_coloc.core.words import ClockReference
 
 _UNDISCIPLINED = "the host's clock is not synchronised (NTP or the like)"
 _UNTOLD = "the host does not tell whether its clock is synchronised"

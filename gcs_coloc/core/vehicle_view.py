@@ -10,8 +10,8 @@ from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, FloatArray, Unknown, Vector3
-from gcs_coloc.core.messages import AidWord, PrimaryWord
 from gcs_coloc.core.view import Consistency, VehicleView
+from gcs_coloc.core.words import AidWord, PrimaryWord
 
 _ATTITUDE_FRESH_S = 3.0
 

@@ -18,7 +18,7 @@ from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_input import gps_input, no_fix
 from gcs_coloc.core.measurements import Estimate, Unknown
-from gcs_coloc.core.messages import Aid, Notice
+from gcs_coloc.core.outputs import Aid, Notice
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable
 
 from gcs_coloc.clock import ServiceClock
 from gcs_coloc.config import Settings
-from gcs_coloc.core.messages import ClockReference
+from gcs_coloc.core.words import ClockReference
 from gcs_coloc.doctor.findings import Findings
 from gcs_coloc.doctor.survey import Question, Survey
 from gcs_coloc.links.address import parse

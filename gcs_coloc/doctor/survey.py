@@ -11,17 +11,8 @@ from itertools import pairwise
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.aid_messages import ParameterRequest
-from gcs_coloc.core.messages import (
-    Autopilot,
-    GpsReceiver,
-    Heartbeat,
-    Inbound,
-    PeerRange,
-    SystemTime,
-    TimeSyncAnswer,
-    TimeSyncRequest,
-    ToVehicle,
-)
+from gcs_coloc.core.messages import Autopilot, GpsReceiver, Heartbeat, Inbound, PeerRange, SystemTime, TimeSyncAnswer
+from gcs_coloc.core.outputs import TimeSyncRequest, ToVehicle
 from gcs_coloc.core.streams import StreamRequests
 from gcs_coloc.doctor.findings import Findings, VehicleFindings
 from gcs_coloc.doctor.parameters import ParameterReader

@@ -8,7 +8,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.aid_messages import ExternalPosition, GlobalPositionSensor, ParameterRequest, ParameterSet
-from gcs_coloc.core.messages import GpsInput
+from gcs_coloc.core.outputs import GpsInput
 
 _SENSOR_ID = 1
 _BY_NAME = -1

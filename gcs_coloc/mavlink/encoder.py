@@ -9,7 +9,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages import GpsInput, StreamRequest, TimeSyncRequest, ToVehicle
+from gcs_coloc.core.outputs import GpsInput, StreamRequest, TimeSyncRequest, ToVehicle
 from gcs_coloc.mavlink import aid_encoding
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.signing import Stamp

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gcs_coloc.config_sections import MavlinkConfig, RecordConfig
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import Outbound
+from gcs_coloc.core.outputs import Outbound
 from gcs_coloc.core.view import FleetView
 from gcs_coloc.mavlink.decoder import Frame
 from gcs_coloc.mavlink.framing import RawFrame

@@ -13,7 +13,7 @@ import numpy as np
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.health import GpsState
 from gcs_coloc.core.measurements import Estimate, Vector3
-from gcs_coloc.core.messages import GpsInput, HealthChanged, Outbound
+from gcs_coloc.core.outputs import GpsInput, HealthChanged, Outbound
 from gcs_coloc.core.scoring import Score, score, series_of
 from gcs_coloc.recorder.replay import TruthPoint
 

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import HealthChanged, Notice, Outbound
+from gcs_coloc.core.outputs import HealthChanged, Notice, Outbound
 from gcs_coloc.core.view import FleetView, RangeView, VehicleView
 
 EVERY_S = 0.2

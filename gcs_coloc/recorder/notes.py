@@ -16,7 +16,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.advance import HeldUp
 from gcs_coloc.core.aid_messages import OtherAid
-from gcs_coloc.core.messages import AidWord, ClockReference, GpsWord, OperatorWord, PeerRange, PrimaryWord, RouteReport, TimeBase
+from gcs_coloc.core.messages import PeerRange, TimeBase
+from gcs_coloc.core.words import AidWord, ClockReference, GpsWord, OperatorWord, PrimaryWord, RouteReport
 from gcs_coloc.mavlink.framing import MAGIC_V2, read_frame
 
 _WORDS: dict[str, type[GpsWord] | type[AidWord] | type[PrimaryWord]] = {"word": GpsWord, "aid": AidWord, "primary": PrimaryWord}

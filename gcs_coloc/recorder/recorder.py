@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gcs_coloc.core.errors import RecordError
-from gcs_coloc.core.messages import OperatorWord, RouteReport
+from gcs_coloc.core.words import OperatorWord, RouteReport
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.recorder.journal import Entry
 from gcs_coloc.recorder.notes import GroundTool, Note, NoteWriter

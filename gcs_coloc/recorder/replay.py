@@ -15,7 +15,9 @@ from pathlib import Path
 from gcs_coloc.core.advance import CATCH_UP_S, HeldUp, advance
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import DataError
-from gcs_coloc.core.messages import ClockReference, Inbound, OffAir, OperatorWord, Outbound, PeerRange, RouteReport, TimeBase
+from gcs_coloc.core.messages import Inbound, PeerRange, TimeBase
+from gcs_coloc.core.outputs import Outbound
+from gcs_coloc.core.words import ClockReference, OffAir, OperatorWord, RouteReport
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.framing import RawFrame, sender_of

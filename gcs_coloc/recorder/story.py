@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gcs_coloc.config import Settings
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import HealthChanged, Notice, Outbound
+from gcs_coloc.core.outputs import HealthChanged, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.journal import Journal, RangeEntry, VehicleEntry

@@ -10,7 +10,7 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
-from gcs_coloc.core.messages import HealthChanged, ToOperator
+from gcs_coloc.core.outputs import HealthChanged, ToOperator
 from gcs_coloc.core.view import FleetView, OutView, VehicleView
 from gcs_coloc.sinks.hub import Subscription
 from gcs_coloc.sinks.live_table import LiveTable

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 
-from gcs_coloc.core.messages import ToOperator
+from gcs_coloc.core.outputs import ToOperator
 from gcs_coloc.core.view import FleetView
 
 News = FleetView | ToOperator

@@ -14,7 +14,7 @@ from aiomqtt import Client, MqttError, Will
 
 from gcs_coloc.config_sections import MqttConfig
 from gcs_coloc.core.errors import ConfigError
-from gcs_coloc.core.messages import ToOperator
+from gcs_coloc.core.outputs import ToOperator
 from gcs_coloc.core.view import FleetView
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.sinks.hub import Subscription

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from pydantic import ValidationError
 
-from gcs_coloc.core.messages import PeerRange, Word
+from gcs_coloc.core.messages import PeerRange
 from gcs_coloc.core.view import FleetView
+from gcs_coloc.core.words import Word
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.sinks.mqtt_models import Command, Range
 

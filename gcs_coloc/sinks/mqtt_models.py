@@ -11,8 +11,9 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from gcs_coloc.core.messages import AidWord, GpsWord, PeerRange, PrimaryWord, TimeBase, Word
+from gcs_coloc.core.messages import PeerRange, TimeBase
 from gcs_coloc.core.view import FleetView, VehicleView
+from gcs_coloc.core.words import AidWord, GpsWord, PrimaryWord, Word
 from gcs_coloc.mavlink.checks import RANGE_MAX_M, UNIX_TIME_FROM_US, UNIX_TIME_TO_US
 
 _UNIX_FROM_S, _UNIX_TO_S = UNIX_TIME_FROM_US / 1e6, UNIX_TIME_TO_US / 1e6

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gcs_coloc.core.messages import HealthChanged, ToOperator
+from gcs_coloc.core.outputs import HealthChanged, ToOperator
 
 
 def level_and_text(news: ToOperator) -> tuple[str, str]:

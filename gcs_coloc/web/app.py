@@ -18,8 +18,8 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gcs_coloc import __version__
-from gcs_coloc.core.messages import AidWord, GpsWord, PrimaryWord, Word
 from gcs_coloc.core.view import FleetView
+from gcs_coloc.core.words import AidWord, GpsWord, PrimaryWord, Word
 from gcs_coloc.mavlink.truth import HeardTruth
 from gcs_coloc.sinks.lulls import Lulls
 from gcs_coloc.sinks.metrics import fleet_registry

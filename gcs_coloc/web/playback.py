@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from gcs_coloc.core.messages import Notice, Outbound, ToOperator
+from gcs_coloc.core.outputs import Notice, Outbound, ToOperator
 from gcs_coloc.core.view import FleetView
 from gcs_coloc.recorder.playhead import Playhead
 from gcs_coloc.recorder.replay import Replay

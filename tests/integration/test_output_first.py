@@ -9,7 +9,7 @@ import pytest
 from vehicles import Hover
 
 from gcs_coloc.clock import ServiceClock
-from gcs_coloc.core.messages import ToVehicle
+from gcs_coloc.core.outputs import ToVehicle
 from gcs_coloc.fleet_service import FleetService
 from gcs_coloc.fleets import load_settings
 from gcs_coloc.host_clock import read_host_clock

@@ -18,7 +18,7 @@ from pymavlink import mavutil
 from vehicles import fly, square_fleet
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import GpsInput
+from gcs_coloc.core.outputs import GpsInput
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.journal import Journal, VehicleEntry, as_json
 from gcs_coloc.recorder.replay import Replay, replay

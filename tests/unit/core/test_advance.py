@@ -6,7 +6,9 @@ import random
 
 from gcs_coloc.core.advance import CATCH_UP_S, advance, without_superseded
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import Autopilot, GpsInput, GpsWord, Heartbeat, Notice, OperatorWord, RouteReport
+from gcs_coloc.core.messages import Autopilot, Heartbeat
+from gcs_coloc.core.outputs import GpsInput, Notice
+from gcs_coloc.core.words import GpsWord, OperatorWord, RouteReport
 from gcs_coloc.estimators.registry import load_estimator
 
 STARTED_S = 1_795_216_162.424732

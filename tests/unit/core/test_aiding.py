@@ -11,18 +11,9 @@ from gcs_coloc.core.aid_messages import GlobalPositionSensor, OtherAid, Paramete
 from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.messages import (
-    Aid,
-    AidWord,
-    Autopilot,
-    GpsInput,
-    GpsReceiver,
-    GpsWord,
-    Heartbeat,
-    Notice,
-    OperatorWord,
-    PrimaryWord,
-)
+from gcs_coloc.core.messages import Autopilot, GpsReceiver, Heartbeat
+from gcs_coloc.core.outputs import Aid, GpsInput, Notice
+from gcs_coloc.core.words import AidWord, GpsWord, OperatorWord, PrimaryWord
 
 
 def vehicle_4(engine: Engine, now_s: float):

@@ -10,20 +10,9 @@ from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.gps_time import TABLE_GOOD_UNTIL, gps_week_and_ms
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, Measurement, PositionMeasurement, RangeMeasurement, Unknown
-from gcs_coloc.core.messages import (
-    Autopilot,
-    ClockReference,
-    GlobalPosition,
-    GpsInput,
-    GpsWord,
-    Heartbeat,
-    Notice,
-    OperatorWord,
-    PeerRange,
-    RouteReport,
-    StreamRequest,
-    TimeBase,
-)
+from gcs_coloc.core.messages import Autopilot, GlobalPosition, Heartbeat, PeerRange, TimeBase
+from gcs_coloc.core.outputs import GpsInput, Notice, StreamRequest
+from gcs_coloc.core.words import ClockReference, GpsWord, OperatorWord, RouteReport
 
 
 def test_a_healthy_fleet_gets_no_aid_and_its_positions_reach_the_estimator():

@@ -10,7 +10,9 @@ from engine_flights import StraightLine, fly, settings
 from gcs_coloc.core.aid_messages import CommandResult, ExternalPosition, ParameterRequest, ParameterValue
 from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import GpsInput, Notice, OffAir, PeerRange, TimeBase
+from gcs_coloc.core.messages import PeerRange, TimeBase
+from gcs_coloc.core.outputs import GpsInput, Notice
+from gcs_coloc.core.words import OffAir
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 COMMAND = 43003

@@ -6,7 +6,8 @@ import pytest
 
 from gcs_coloc.core.health import Contradiction, GpsHealth, GpsState, HealthSettings
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.messages import EkfStatus, GpsReceiver, GpsWord, SystemHealth
+from gcs_coloc.core.messages import EkfStatus, GpsReceiver, SystemHealth
+from gcs_coloc.core.words import GpsWord
 
 
 def receiver(

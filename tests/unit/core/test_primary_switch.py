@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gcs_coloc.core.aid_messages import ParameterRequest, ParameterSet, ParameterValue
-from gcs_coloc.core.messages import Notice
+from gcs_coloc.core.outputs import Notice
 from gcs_coloc.core.primary_switch import PrimarySwitch
 
 INT8 = 2

@@ -11,20 +11,9 @@ from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.gps_time import gps_week_and_ms
 from gcs_coloc.core.measurements import Estimate
-from gcs_coloc.core.messages import (
-    Autopilot,
-    ClockReference,
-    GlobalPosition,
-    GpsInput,
-    GpsReceiver,
-    GpsWord,
-    Heartbeat,
-    Notice,
-    OperatorWord,
-    RouteReport,
-    SystemTime,
-    TimeSyncRequest,
-)
+from gcs_coloc.core.messages import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, SystemTime
+from gcs_coloc.core.outputs import GpsInput, Notice, TimeSyncRequest
+from gcs_coloc.core.words import ClockReference, GpsWord, OperatorWord, RouteReport
 from gcs_coloc.host_clock import is_synchronised
 
 UNIX_S = 1_780_000_000.0

@@ -5,7 +5,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.advance import HeldUp
 from gcs_coloc.core.aid_messages import OtherAid
-from gcs_coloc.core.messages import AidWord, ClockReference, GpsWord, OperatorWord, PeerRange, PrimaryWord, RouteReport, TimeBase
+from gcs_coloc.core.messages import PeerRange, TimeBase
+from gcs_coloc.core.words import AidWord, ClockReference, GpsWord, OperatorWord, PrimaryWord, RouteReport
 from gcs_coloc.recorder.notes import PAYLOAD_TYPE, GroundTool, NoteWriter, read_note
 
 AT_S = 1_795_216_162.424732

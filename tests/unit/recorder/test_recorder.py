@@ -12,7 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.errors import RecordError
-from gcs_coloc.core.messages import GpsWord, OperatorWord, RouteReport
+from gcs_coloc.core.words import GpsWord, OperatorWord, RouteReport
 from gcs_coloc.recorder.notes import read_note
 from gcs_coloc.recorder.recorder import LOST, Recorder
 from gcs_coloc.recorder.tlog import TlogReader

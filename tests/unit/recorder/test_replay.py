@@ -11,7 +11,9 @@ import pytest
 from gcs_coloc.core.advance import CATCH_UP_S, advance, was_held_up
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import DataError
-from gcs_coloc.core.messages import ClockReference, GpsInput, HealthChanged, Notice, RouteReport, TimeBase
+from gcs_coloc.core.messages import TimeBase
+from gcs_coloc.core.outputs import GpsInput, HealthChanged, Notice
+from gcs_coloc.core.words import ClockReference, RouteReport
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID

@@ -7,7 +7,7 @@ import logging
 import pytest
 from rich.console import Console
 
-from gcs_coloc.core.messages import HealthChanged, Notice
+from gcs_coloc.core.outputs import HealthChanged, Notice
 from gcs_coloc.core.view import FleetView, OutView, VehicleView
 from gcs_coloc.sinks.console import show, table
 from gcs_coloc.sinks.hub import Hub

@@ -2,7 +2,7 @@
 
 import asyncio
 
-from gcs_coloc.core.messages import Notice
+from gcs_coloc.core.outputs import Notice
 from gcs_coloc.sinks.hub import Hub
 
 

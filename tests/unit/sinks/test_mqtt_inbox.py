@@ -5,7 +5,8 @@ import json
 import pytest
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import AidWord, GpsWord, PrimaryWord, TimeBase
+from gcs_coloc.core.messages import TimeBase
+from gcs_coloc.core.words import AidWord, GpsWord, PrimaryWord
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.sinks.mqtt_inbox import Hooks, Inbox

@@ -5,7 +5,7 @@ import json
 
 from fleet_views import fleet_view
 
-from gcs_coloc.core.messages import Notice
+from gcs_coloc.core.outputs import Notice
 from gcs_coloc.sinks.lulls import Lulls
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.picture import fleet_frame

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from fleet_views import HEALTHY, LOST, fleet_view
 
-from gcs_coloc.core.messages import HealthChanged, Notice
+from gcs_coloc.core.outputs import HealthChanged, Notice
 from gcs_coloc.core.view import LinkView
 from gcs_coloc.web.story import Story
 
