@@ -49,7 +49,10 @@ export class Commands {
     this.armed = button;
     const [text, effect] = WORDS[button.value];
     setText(button, `${text}: press again to confirm`);
-    setText(byId("command-result"), `Vehicle ${this.sysid}: ${effect}`);
+    const told = byId("command-result");
+    setText(told, `Vehicle ${this.sysid}: ${effect}`);
+    button.closest("fieldset").append(told);
+    told.scrollIntoView({ block: "nearest" });
     this.disarming = setTimeout(() => {
       this.disarm();
       setText(byId("command-result"), "");
