@@ -57,3 +57,18 @@ def test_a_late_event_within_the_window_is_put_in_its_place_after_settling():
         timeline.catch_up()
     timeline.insert((9.05,), "late")
     assert timeline.catch_up().words[-10:] == ("90", "late", "91", "92", "93", "94", "95", "96", "97", "98", "99")[-10:]
+
+
+def test_to_forget_applies_nothing_that_may_still_be_preceded_by_something_late():
+    timeline: Timeline[Tape, str] = Timeline(Tape(), write, 1.0)
+    for k in range(20):
+        timeline.insert((k * 0.1,), str(k))
+    timeline.catch_up()
+    before = timeline.model.words
+    for k in range(20, 25):
+        timeline.insert((k * 0.1,), str(k))
+        timeline.settle(k * 0.1)
+    assert timeline.model.words == before
+    assert sum(timeline.settled.values()) > 0
+    timeline.insert((2.05,), "late")
+    assert timeline.catch_up().words == (*map(str, range(21)), "late", "21", "22", "23", "24")
