@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,15 +29,16 @@ class Load:
 
 def put_under_load(programs: Sequence[subprocess.Popen[bytes]], fleets: Sequence[str], seconds: float) -> Load:
     """Send to `fleets` (see `bench.load_sender`) for a time after the warm-up. RuntimeError where a program ends meanwhile."""
-    sender = subprocess.Popen(
-        [sys.executable, "-m", "bench.load_sender", str(seconds), *fleets], stdout=subprocess.PIPE, text=True
-    )
-    # The sender's preparations come on top of its warm-up; what counts is how much is used from the first look to the end.
     samples: list[tuple[float, list[float]]] = []
-    while sender.poll() is None:
-        time.sleep(0.25)
-        samples.append((time.monotonic(), [cpu_s(program.pid) for program in programs]))
-    told = json.loads(sender.communicate()[0])
+    # To a file: a hundred fleets' tale is longer than a pipe holds, and nobody reads until the sender has ended.
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as tale:
+        sender = subprocess.Popen([sys.executable, "-m", "bench.load_sender", str(seconds), *fleets], stdout=tale)
+        # The sender's preparations come on top of its warm-up; what counts is how much is used from the first look to the end.
+        while sender.poll() is None:
+            time.sleep(0.25)
+            samples.append((time.monotonic(), [cpu_s(program.pid) for program in programs]))
+        tale.seek(0)
+        told = json.load(tale)
     for program in programs:
         if program.poll() is not None:
             raise RuntimeError(f"{_words(program)} ended by itself with {program.returncode}")
