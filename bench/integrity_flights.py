@@ -66,7 +66,7 @@ class _Course:
 
 
 class Flight:
-    """One draw of a scenario; vehicle 1 lies until `honest_from_s`."""
+    """One draw of a scenario; vehicle 1 lies until `honest_from_s`, walked `away` (a unit vector)."""
 
     def __init__(self, scenario: Scenario, seed: int, honest_from_s: float = inf) -> None:
         self.scenario = s = scenario
@@ -93,7 +93,7 @@ class Flight:
         self._slow_m = s.gps_sigma_m * sqrt(1.0 - s.gps_white_share)
         self._error = {v: self._slow_m * rng.standard_normal(3) for v in self.courses}
         towards = rng.uniform(0, 2 * pi)
-        self._away = np.array((cos(towards), sin(towards), 0.0))
+        self.away = np.array((cos(towards), sin(towards), 0.0))
 
     def messages(self, t: float) -> Iterator[Inbound]:
         """Yield what all vehicles say at one step."""
@@ -105,8 +105,8 @@ class Flight:
             velocity = velocity + 0.2 * rng.standard_normal(3)
             claimed = position + self._error[v] + white_m * rng.standard_normal(3)
             if v == LIAR and SPOOFED_AT_S < t < self._honest_from_s:
-                claimed = claimed + ((t - SPOOFED_AT_S) * s.walk_mps + s.jump_m) * self._away
-                velocity = velocity + s.walk_mps * self._away
+                claimed = claimed + ((t - SPOOFED_AT_S) * s.walk_mps + s.jump_m) * self.away
+                velocity = velocity + s.walk_mps * self.away
             lat, lon, alt = _ORIGIN.geodetic_from_enu(*(float(x) for x in claimed))
             ve, vn, vu = (float(x) for x in velocity)
             lost = s.lost and v == SUBJECT and t > LOST_AT_S
@@ -134,6 +134,11 @@ def fly_step(engine: Engine, flight: Flight, t: float) -> None:
     for message in flight.messages(t):
         engine.receive(message)
     engine.poll(t)
+
+
+def enu_m(message: GlobalPosition) -> FloatArray:
+    """Return the position that a message claims, in the flights' own frame (3,), m."""
+    return np.array(_ORIGIN.enu_from_geodetic(message.lat_deg, message.lon_deg, message.alt_msl_m))
 
 
 def error_and_bound_m(engine: Engine, flight: Flight, t: float) -> tuple[float, float] | None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from gcs_coloc.core.adjustment import Past
 from gcs_coloc.core.exclusion import Kind, Levels, Verdict, judge_all
+from gcs_coloc.core.lie_watch import LieWatch, WatchSettings
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
 from gcs_coloc.core.range_rows import RangeRows, RowSettings, Track
 from gcs_coloc.core.scene import Scene
@@ -40,8 +41,10 @@ class ConsistencySettings:
     doubt_time_s: float = 2.0
     watched_s: float = 30.0
     watched_time_s: float = 10.0
+    suspected_s: float = 20.0
     rows: RowSettings = field(default_factory=RowSettings)
     levels: Levels = field(default_factory=Levels)
+    watch: WatchSettings = field(default_factory=WatchSettings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +78,10 @@ class RangeConsistency:
         self.accused: dict[int, Accusation] = {}
         self.suspected: frozenset[int] = frozenset()
         self.doubt_m2: dict[int, FloatArray] = {}
-        self._rows = RangeRows(self.settings.rows)
+        self._watch = LieWatch(self.settings.watch)
+        self._rows = RangeRows(self.settings.rows, self._watch)
+        self._faded_m2: dict[int, FloatArray] = {}
+        self._suspected_until_s: dict[int, float] = {}
         self._scenes: deque[Scene] = deque(maxlen=round(max(self.settings.intervals_s) / self.settings.every_s) + 2)
         self._streaks = {interval_s: _Streak() for interval_s in (0.0, *self.settings.intervals_s)}
         self._watched_until_s: dict[int, float] = {}
@@ -100,18 +106,38 @@ class RangeConsistency:
             return
         self._due_s = now_s + self.settings.every_s
         scene = self._rows.scene(now_s)
+        self._suspect(scene, now_s)
+        self._test(scene, now_s)
+        watched = self._watch.doubt_m2(now_s)
+        self.doubt_m2 = {
+            vehicle: max((doubt[vehicle] for doubt in (self._faded_m2, watched) if vehicle in doubt), key=np.trace)
+            for vehicle in self._faded_m2.keys() | watched.keys()
+        }
+
+    def _suspect(self, scene: Scene, now_s: float) -> None:
+        """Suspect whom the lines to a vehicle without GPS speak against, where there are no others that tell more."""
+        self._watch.step(now_s - self.settings.rows.wait_s, self.suspected | self.accused.keys())
+        if not any(not scene.places[a].free and not scene.places[b].free for a, b in (row.pair for row in scene.rows)):
+            self._suspected_until_s |= dict.fromkeys(self._watch.suspects(now_s), now_s + self.settings.suspected_s)
+        self._suspected_until_s = {v: until_s for v, until_s in self._suspected_until_s.items() if until_s > now_s}
+        self.suspected |= self._suspected_until_s.keys()
+
+    def _test(self, scene: Scene, now_s: float) -> None:
         verdicts = self._verdicts(scene)
         self._scenes.append(scene)
         if not verdicts:
             if now_s - self._told_s > 10.0 * self.settings.rows.window_s:
-                self.suspected = frozenset()
+                self._clear()
             return
         self._told_s = now_s
         self._doubt(verdicts, scene, now_s)
         for interval_s, verdict in verdicts.items():
             self._weigh(verdict, scene, self._streaks[interval_s])
         if all(verdict.clear for verdict in verdicts.values()):
-            self.suspected = frozenset()
+            self._clear()
+
+    def _clear(self) -> None:
+        self.suspected = frozenset(self._suspected_until_s)
 
     def _verdicts(self, scene: Scene) -> dict[float, Verdict]:
         """Return the verdict of each test that can tell something, by its interval; 0 for the test of the present alone."""
@@ -166,7 +192,7 @@ class RangeConsistency:
                 # What is left of the fault in the estimate, when the liar is not asked any more.
                 new = new + np.outer(present.offset_m[vehicle], present.offset_m[vehicle])
             fade = exp(-s.every_s / (s.watched_time_s if watched else s.doubt_time_s))
-            old = self.doubt_m2.get(vehicle)
+            old = self._faded_m2.get(vehicle)
             if old is not None and np.trace(old) * fade > np.trace(new):
                 new = old * fade
-            self.doubt_m2[vehicle] = new
+            self._faded_m2[vehicle] = new
