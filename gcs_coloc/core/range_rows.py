@@ -49,7 +49,7 @@ class RowSettings:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Where a vehicle is held to be at one time: ENU (3,) in m and m/s, else as `adjustment.Place`."""
+    """Where a vehicle is held to be at one time: ENU (3,) in m and m/s, else as `scene.Place`."""
 
     at_s: float
     position_enu_m: FloatArray
