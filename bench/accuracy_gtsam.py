@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import SupportsFloat, SupportsIndex, SupportsInt
+
 import gtsam
 import numpy as np
 
@@ -12,6 +14,11 @@ from gcs_coloc.estimators.cv import transition, white_acceleration_noise
 _LAG_S = 5.0
 _ORDER = [0, 2, 1, 3]
 """From [e, ve, n, vn] to [e, n, ve, vn]: the smoother's keys are a place and a velocity of two values each."""
+
+
+# As gtsam's own signatures want them.
+_Key = SupportsInt | SupportsIndex
+_Stamp = SupportsFloat | SupportsIndex
 
 
 class GtsamSmoother(RangePeer):
@@ -65,7 +72,7 @@ class GtsamSmoother(RangePeer):
         self._values = gtsam.Values()
         self._values.insert(self._place_key(), self._mean[[0, 2]])
         self._values.insert(self._velocity_key(), self._mean[[1, 3]])
-        self._stamps = {self._place_key(): self._at_s, self._velocity_key(): self._at_s}
+        self._stamps: dict[_Key, _Stamp] = {self._place_key(): self._at_s, self._velocity_key(): self._at_s}
         self._pending = True
 
     def _finish_epoch(self) -> None:

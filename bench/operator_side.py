@@ -92,14 +92,18 @@ def measure(quick: bool) -> list[Figure]:
     if mosquitto is None:
         return [Figure("operator", "CPU", "skipped: mosquitto is not installed", "", None)]
     arms = {"bare": _Arm(), "observed": _Arm()}
+    floor_s = 0.0
     work: list[str] = []
     with tempfile.TemporaryDirectory() as name, _broker(mosquitto, Path(name)) as mqtt_port:
         for repeat in range(len(_LEADS_S)):
             leads_s = [_LEADS_S[repeat], _LEADS_S[(repeat + 1) % len(_LEADS_S)]]
-            work.append(_repeat(arms, leads_s, measured_s, Path(name) / str(repeat), mqtt_port))
+            did, used_s = _repeat(arms, leads_s, measured_s, Path(name) / str(repeat), mqtt_port)
+            work.append(did)
+            floor_s += used_s
     bare, observed = arms.values()
     ratio = observed.used_s / observed.span_s / (bare.used_s / bare.span_s)
     shares = f"{observed.used_s / observed.span_s:.1%} and {bare.used_s / bare.span_s:.1%} of a core"
+    floor = f"{1.0 + floor_s / bare.used_s:.3f} ({floor_s / bare.span_s:.1%} of a core)"
     return [
         Figure(
             "operator",
@@ -108,6 +112,7 @@ def measure(quick: bool) -> list[Figure]:
             "< 1.15",
             ratio < 1.15,
         ),
+        Figure("operator", "the same if they cost no more than their bytes do through the same libraries", floor, "", None),
         *(_delay(name, bare, observed) for name in bare.delays_ms),
     ]
 
@@ -135,8 +140,8 @@ def _behind_grid(out_s: np.ndarray) -> np.ndarray:
     return np.asarray(late_s - late_s.min())
 
 
-def _repeat(arms: dict[str, _Arm], leads_s: Sequence[float], seconds: float, folder: Path, mqtt_port: int) -> str:
-    """Start both anew and measure them; what the observers did meanwhile, in words."""
+def _repeat(arms: dict[str, _Arm], leads_s: Sequence[float], seconds: float, folder: Path, mqtt_port: int) -> tuple[str, float]:
+    """Start all anew and measure them; what the observers did meanwhile, in words, and the CPU time of the floor in s."""
     folder.mkdir()
     config = folder / "coloc.toml"
     config.write_text(f'[mqtt]\nhost = "127.0.0.1"\nport = {mqtt_port}\n')
@@ -145,31 +150,38 @@ def _repeat(arms: dict[str, _Arm], leads_s: Sequence[float], seconds: float, fol
     heard, outs = ports[:2], ports[2:]
     with contextlib.ExitStack() as stack:
         services = [
-            stack.enter_context(_service(folder / f"{number}.log", heard[number], outs[number], arguments))
+            stack.enter_context(_running(folder / f"{number}.log", _service(heard[number], outs[number], arguments)))
             for number, arguments in enumerate((["--no-web"], observers))
         ]
         for service, port in zip(services, heard, strict=True):
             wait_until_bound(service, [port])
-        pages = _open_pages(folder / "1.log")
+        messages = ["-m", "bench.observer_floor", str(mqtt_port), str(folder)]
+        floor = stack.enter_context(_running(folder / "floor.log", messages))
+        pages, floor_pages = _open_pages(folder / "1.log"), _open_pages(folder / "floor.log")
         fleets = [f"{port},{out},{lead_s}" for port, out, lead_s in zip(heard, outs, leads_s, strict=True)]
-        load = put_under_load(services, fleets, seconds)
+        load = put_under_load([*services, floor], fleets, seconds)
         read, closed = (int(word) for word in pages.communicate("", 20)[0].split())
-    for arm, fleet, used_s in zip(arms.values(), load.fleets, load.used_s, strict=True):
+        floor_pages.communicate("", 20)
+    *used, floor_s = load.used_s
+    for arm, fleet, used_s in zip(arms.values(), load.fleets, used, strict=True):
         arm.add(fleet, used_s, load.span_s)
     recorded = sum(path.stat().st_size for path in (folder / "flights").iterdir())
-    return f"{read / PAGES:.0f} messages to a page, {closed} closed, {recorded / 1e6:.1f} MB recorded"
+    return f"{read / PAGES:.0f} messages to a page, {closed} closed, {recorded / 1e6:.1f} MB recorded", floor_s
+
+
+def _service(port: int, out: int, arguments: list[str]) -> list[str]:
+    return ["-m", "gcs_coloc", "--udp", f"127.0.0.1:{port}", "--out", f"udp:127.0.0.1:{out}", *arguments]
 
 
 @contextlib.contextmanager
-def _service(log: Path, port: int, out: int, arguments: list[str]) -> Iterator[subprocess.Popen[bytes]]:
-    links = ["--udp", f"127.0.0.1:{port}", "--out", f"udp:127.0.0.1:{out}"]
+def _running(log: Path, arguments: list[str]) -> Iterator[subprocess.Popen[bytes]]:
     with log.open("wb") as written:
-        service = subprocess.Popen([sys.executable, "-m", "gcs_coloc", *links, *arguments], stdout=written, stderr=written)
+        program = subprocess.Popen([sys.executable, *arguments], stdout=written, stderr=written)
     try:
-        yield service
+        yield program
     finally:
-        service.terminate()
-        service.wait(20)
+        program.terminate()
+        program.wait(20)
 
 
 def _open_pages(log: Path) -> subprocess.Popen[str]:

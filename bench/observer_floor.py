@@ -1,0 +1,69 @@
+"""The floor under what observers cost: as many bytes as often, through the same libraries, from a program that does nothing else.
+
+`python -m bench.observer_floor MQTT_PORT FOLDER` says where its page is, and goes on until it is ended.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import sys
+import threading
+from pathlib import Path
+
+import uvicorn
+from aiomqtt import Client
+from starlette.applications import Starlette
+from starlette.routing import WebSocketRoute
+from starlette.websockets import WebSocket
+
+# As a fleet of four makes them: a picture, a vehicle's topic, half a second of tlog and of MCAP.
+_PICTURE = "x" * 6_200
+_PAYLOAD = "x" * 400
+_TOPICS = 13
+_WRITTEN = (b"x" * 4_000, b"x" * 14_000)
+_PICTURE_EVERY_S, _PUBLISH_EVERY_S, _WRITE_EVERY_S = 0.2, 1.0, 0.5
+
+
+async def _live(page: WebSocket) -> None:
+    await page.accept()
+    while True:
+        await page.send_text(_PICTURE)
+        await asyncio.sleep(_PICTURE_EVERY_S)
+
+
+async def _publish(port: int) -> None:
+    async with Client("127.0.0.1", port) as client:
+        while True:
+            for number in range(_TOPICS):
+                await client.publish(f"floor/{number}", _PAYLOAD, retain=True)
+            await asyncio.sleep(_PUBLISH_EVERY_S)
+
+
+def _record(folder: Path) -> None:
+    files = [(folder / f"floor-{len(data)}").open("wb", buffering=0) for data in _WRITTEN]
+    pause = threading.Event()
+    while True:
+        for file, data in zip(files, _WRITTEN, strict=True):
+            for _ in range(round(1.0 / _WRITE_EVERY_S)):
+                pause.wait(_WRITE_EVERY_S / len(files))
+                file.write(data)
+            os.fdatasync(file.fileno())
+
+
+async def _run(mqtt_port: int, folder: Path) -> None:
+    threading.Thread(target=_record, args=(folder,), daemon=True).start()
+    where = socket.create_server(("127.0.0.1", 0))
+    print(f"web page: http://127.0.0.1:{where.getsockname()[1]}/", flush=True)
+    app = Starlette(routes=[WebSocketRoute("/live", _live)])
+    server = uvicorn.Server(
+        uvicorn.Config(app, ws="websockets-sansio", http="h11", ws_per_message_deflate=False, lifespan="off", log_config=None)
+    )
+    async with asyncio.TaskGroup() as group:
+        group.create_task(_publish(mqtt_port))
+        group.create_task(server.serve(sockets=[where]))
+
+
+if __name__ == "__main__":
+    asyncio.run(_run(int(sys.argv[1]), Path(sys.argv[2])))
