@@ -11,7 +11,7 @@ from gcs_coloc.web.wire import FleetFrame
 
 PERIOD_S = 0.2
 MOST_PAGES = 32
-_PAGES_AT_A_TIME = 8
+_PAGES_AT_A_TIME = 2
 
 
 class Page:
