@@ -12,15 +12,19 @@ class Lulls:
     """The lulls of one fleet's path: `begin` one whenever the outputs of a deadline have been sent."""
 
     def __init__(self) -> None:
-        self._waiting: list[tuple[float, asyncio.Future[None]]] = []
+        self._due_s: dict[asyncio.Future[None], float] = {}
+
+    @property
+    def waiting(self) -> int:
+        """How many turns are waited for."""
+        return len(self._due_s)
 
     def begin(self) -> None:
         """Give their turn to those whose time has come."""
         now_s = asyncio.get_running_loop().time()
-        for due_s, turn in self._waiting:
+        for turn, due_s in self._due_s.items():
             if due_s <= now_s:
                 _give(turn)
-        self._waiting = [(due_s, turn) for due_s, turn in self._waiting if not turn.done()]
 
     async def every(self, period_s: float, phase: float = 0.0) -> AsyncIterator[None]:
         """Turns that are `period_s` apart, the first after `phase` (0 to 1) of it; each waits for a lull.
@@ -32,12 +36,13 @@ class Lulls:
         due_s = loop.time() + phase * period_s
         while True:
             turn = loop.create_future()
-            self._waiting.append((due_s, turn))
+            self._due_s[turn] = due_s
             timer = loop.call_at(due_s + min(0.5 * period_s, _WAIT_S), _give, turn)
             try:
                 await turn
             finally:
                 timer.cancel()
+                del self._due_s[turn]
             # What has arrived while the outputs were made goes first.
             await asyncio.sleep(0)
             yield

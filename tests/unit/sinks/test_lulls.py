@@ -66,8 +66,29 @@ def test_work_that_has_ended_is_not_waited_for():
         lulls = Lulls()
         task = asyncio.create_task(anext(lulls.every(10.0)))
         await asyncio.sleep(0)
+        assert lulls.waiting == 1
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
+        assert lulls.waiting == 0
         lulls.begin()
+
+    asyncio.run(scene())
+
+
+def test_turns_that_came_without_a_lull_are_not_remembered():
+    """On the ground with the vehicles off, and in a replay, there is never one."""
+
+    async def scene():
+        lulls = Lulls()
+        async for number in counted(lulls.every(1e-4)):
+            assert lulls.waiting == 0
+            if number == 20:
+                break
+
+    async def counted(turns):
+        number = 0
+        async for _ in turns:
+            number += 1
+            yield number
 
     asyncio.run(scene())
