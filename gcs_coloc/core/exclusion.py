@@ -86,17 +86,12 @@ class Levels:
 _Fault = tuple[Kind, tuple[int, ...], Effect]
 
 
-def judge(now: Scene, levels: Levels, then: Scene | None = None, correlation: float = 0.0) -> Verdict | None:
-    """Test the ranges of a scene against its places, or what changed since an earlier one.
-
-    `correlation` is that of one vehicle's error at the two times. None where there are more unknowns than rows and nothing can be
-    told.
-    """
-    return judge_all(now, levels, [(then, correlation)])[0]
-
-
 def judge_all(now: Scene, levels: Levels, pasts: Sequence[Past]) -> list[Verdict | None]:
-    """Make several tests of one scene, each as `judge` makes it."""
+    """Test the ranges of a scene against its places, or what changed since earlier ones.
+
+    A past is (None, 0) for the test of the present alone, else an earlier scene and the correlation of one vehicle's error at the
+    two times. None where there are more unknowns than rows and nothing can be told.
+    """
     return [_judge(fit, levels) for fit in adjust(now, pasts)]
 
 

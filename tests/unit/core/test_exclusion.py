@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_coloc.core.exclusion import Kind, Levels, judge
+from gcs_coloc.core.exclusion import Kind, Levels, judge_all
 from gcs_coloc.core.scene import Place, Row, Scene
 
 SIGMA_GPS_M, SIGMA_RANGE_M = 1.5, 0.6
@@ -14,6 +14,11 @@ TRUE = {
     4: (-900.0, 700.0, 140.0),
     5: (200.0, 600.0, 110.0),
 }
+
+
+def judge(now, levels, then=None, correlation=0.0):
+    (verdict,) = judge_all(now, levels, [(then, correlation)])
+    return verdict
 
 
 def scene(rng, *, mutual, lies=None, free=(5,), pair_error=None, device_error=None):
