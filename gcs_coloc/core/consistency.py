@@ -1,6 +1,6 @@
 """Tests claimed positions against ranges, for what they are and for how they changed, and remembers who lied.
 
-One test is `exclusion.judge`: of the present scene alone, and against scenes of some seconds ago. Here is what they need of
+One test is `exclusion.judge_all`'s: of the present scene alone, and against scenes of some seconds ago. Here is what they need of
 memory: the streaks that an accusation takes, its end, and how long a doubt about a position lasts.
 """
 
@@ -30,7 +30,8 @@ class ConsistencySettings:
     A test is made every `every_s`: of the present, and of its change since each of `intervals_s` ago, in which an honest error
     wanders as a Gauss-Markov process of `wander_time_s` does. A liar is accused after `accuse_after` tests in a row that point
     at it alone, those among whom it cannot be told are suspected after `suspect_after`. A doubt about a position fades over
-    `doubt_time_s`; while somebody is accused or suspected, and for `watched_s` more, it fades over `watched_time_s`.
+    `doubt_time_s`; while somebody is accused or suspected, and for `watched_s` more, it fades over `watched_time_s`. Whom the
+    lines to a vehicle without GPS speak against is suspected for `suspected_s` since.
     """
 
     every_s: float = 0.2
@@ -118,7 +119,7 @@ class RangeConsistency:
         """Suspect whom the lines to a vehicle without GPS speak against, where there are no others that tell more."""
         self._watch.step(now_s - self.settings.rows.wait_s, self.suspected | self.accused.keys())
         if not any(not scene.places[a].free and not scene.places[b].free for a, b in (row.pair for row in scene.rows)):
-            self._suspected_until_s |= dict.fromkeys(self._watch.suspects(now_s), now_s + self.settings.suspected_s)
+            self._suspected_until_s |= dict.fromkeys(self._watch.suspects(), now_s + self.settings.suspected_s)
         self._suspected_until_s = {v: until_s for v, until_s in self._suspected_until_s.items() if until_s > now_s}
         self.suspected |= self._suspected_until_s.keys()
 

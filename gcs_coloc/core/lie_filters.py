@@ -140,19 +140,20 @@ class LieFilters:
             del self._seen_s[p]
         self._regroup([p for p in self.peers if p not in liars])
 
+    def chances(self) -> list[tuple[int | None, float]]:
+        """How likely it is of each who may lie that it does; None for the vehicle's own ranging device."""
+        return list(zip([*self.peers, None], np.exp(self._log_chance[1:]).tolist(), strict=True))
+
     def hypotheses(self, now_s: float) -> list[Hypothesis]:
         """What may be, of those that somebody lies; a lie that grows is taken to have gone on doing so since the last lines."""
-        out = []
-        chances = np.exp(self._log_chance)
-        for m, liar in enumerate([*self.peers, None], start=1):
-            size_m, rate_mps = float(self._x[m, _SIZE]), float(self._x[m, _RATE])
-            ahead = 1.0 + rate_mps * (now_s - self.at_s) / size_m if size_m else 1.0
-            moved_m = (self._x[m, :2] - self._x[0, :2]) * min(max(ahead, 1.0), _FURTHEST_AHEAD)
-            wider_m2 = self._P[m, :2, :2] - self._P[0, :2, :2]
-            values, axes = np.linalg.eigh(wider_m2)
-            moved_m2 = np.outer(moved_m, moved_m) + (axes * np.maximum(values, 0.0)) @ axes.T
-            out.append(Hypothesis(liar, float(chances[m]), moved_m2))
-        return out
+        x, honest = self._x[1:], self._x[0]
+        size_m, rate_mps = x[:, _SIZE], x[:, _RATE]
+        grown = np.divide(rate_mps * (now_s - self.at_s), size_m, out=np.zeros(len(x)), where=size_m != 0.0)
+        moved_m = (x[:, :2] - honest[:2]) * np.clip(1.0 + grown, 1.0, _FURTHEST_AHEAD)[:, np.newaxis]
+        values, axes = np.linalg.eigh(self._P[1:, :2, :2] - self._P[0, :2, :2])
+        wider_m2 = (axes * np.maximum(values, 0.0)[:, np.newaxis]) @ axes.transpose(0, 2, 1)
+        moved_m2 = moved_m[:, :, np.newaxis] * moved_m[:, np.newaxis] + wider_m2
+        return [Hypothesis(liar, chance, m2) for (liar, chance), m2 in zip(self.chances(), moved_m2, strict=True)]
 
     def _regroup(self, peers: list[int]) -> None:
         """Go on with other peers; what is known of those that stay is kept."""

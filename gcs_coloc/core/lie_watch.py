@@ -12,7 +12,7 @@ from statistics import median
 
 import numpy as np
 
-from gcs_coloc.core.lie_filters import Hypothesis, LieFilters, LieSettings, Line
+from gcs_coloc.core.lie_filters import LieFilters, LieSettings, Line
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
 from gcs_coloc.core.scene import Place
 
@@ -95,27 +95,28 @@ class LieWatch:
         """Return for each vehicle the second moment (2, 2) of how far lies that count may have moved it."""
         s, zero = self.settings, np.zeros((2, 2))
         return {
-            vehicle: sum((min(h.chance / s.counts_at, 1.0) * h.moved_m2 for h in hypotheses), start=zero)
-            for vehicle, hypotheses in self._told(now_s)
+            vehicle: sum((min(h.chance / s.counts_at, 1.0) * h.moved_m2 for h in filters.hypotheses(now_s)), start=zero)
+            for vehicle, filters in self._telling()
         }
 
-    def suspects(self, now_s: float) -> frozenset[int]:
+    def suspects(self) -> frozenset[int]:
         """Return those of whom one lies, as far as can be told. None where a vehicle's own device is the likeliest to be off."""
         s, out = self.settings, set[int]()
-        for _, hypotheses in self._told(now_s):
-            if sum(h.chance for h in hypotheses) < 1.0 - s.honest:
+        for _, filters in self._telling():
+            chances = filters.chances()
+            if sum(chance for _, chance in chances) < 1.0 - s.honest:
                 continue
             left = 1.0
-            for h in sorted(hypotheses, key=lambda h: -h.chance):
-                if left < s.left_out or (h.liar is None and left == 1.0):
+            for liar, chance in sorted(chances, key=lambda each: -each[1]):
+                if left < s.left_out or (liar is None and left == 1.0):
                     break
-                left -= h.chance
-                out |= {h.liar} if h.liar is not None else set()
+                left -= chance
+                out |= {liar} if liar is not None else set()
         return frozenset(out)
 
-    def _told(self, now_s: float) -> Iterable[tuple[int, list[Hypothesis]]]:
+    def _telling(self) -> Iterable[tuple[int, LieFilters]]:
         least = self.settings.least_peers
-        return ((v, f.hypotheses(now_s)) for v, f in self._filters.items() if len(f.peers) >= least)
+        return ((vehicle, filters) for vehicle, filters in self._filters.items() if len(filters.peers) >= least)
 
     def _line(self, r: _Ranges) -> Line:
         unit = r.apart_m / sqrt(float(r.apart_m @ r.apart_m))

@@ -51,10 +51,10 @@ def test_a_peer_that_walks_off_is_suspected_whoever_measures_and_the_doubt_point
         watch = LieWatch()
         flight = Flight(watch, reversed_for=reversed_for)
         t = flight.fly(0.0, 20.0)
-        assert watch.suspects(t) == frozenset()
+        assert watch.suspects() == frozenset()
         before_m2 = float(np.trace(watch.doubt_m2(t)[SUBJECT]))
         t = flight.fly(20.0, 30.0, walk_mps=2.0)
-        assert watch.suspects(t) == {LIAR}
+        assert watch.suspects() == {LIAR}
         values, axes = np.linalg.eigh(watch.doubt_m2(t)[SUBJECT])
         # 20 m along the line, of which least squares hands on a half.
         assert 25.0 < values[1] < 200.0
@@ -68,14 +68,14 @@ def test_who_is_not_believed_any_more_is_left_out_and_nobody_else_is_suspected()
     flight.fly(0.0, 20.0)
     flight.fly(20.0, 30.0, walk_mps=2.0)
     t = flight.fly(30.0, 60.0, walk_mps=2.0, disbelieved={LIAR})
-    assert watch.suspects(t) == frozenset()
+    assert watch.suspects() == frozenset()
     assert float(np.trace(watch.doubt_m2(t)[SUBJECT])) < 2.0
 
 
 def test_three_lines_are_needed_to_say_anything_and_ranges_between_claims_say_nothing():
     watch = LieWatch()
     t = Flight(watch, around={1: 0.1, 2: 1.7}).fly(0.0, 40.0, walk_mps=5.0)
-    assert watch.suspects(t) == frozenset()
+    assert watch.suspects() == frozenset()
     assert watch.doubt_m2(t) == {}
     watch = LieWatch()
     t = Flight(watch).fly(0.0, 40.0, walk_mps=5.0, own_free=False)
