@@ -12,8 +12,8 @@ from filterpy.kalman import ExtendedKalmanFilter
 from bench.accuracy_flights import Case, Recording, record
 from bench.accuracy_peers import FilterpyEkf, installed
 from bench.figures import Figure, interleaved
-from gcs_coloc.core.measurements import Measurement, PositionMeasurement, RangeMeasurement
-from gcs_coloc.estimators.fleet_motion import SIZE, TURN, Step
+from gcs_coloc.core.measurements import AltitudeMeasurement, Measurement, PositionMeasurement, RangeMeasurement
+from gcs_coloc.estimators.fleet_motion import BARO_ERROR, SIZE, TURN, Step
 from gcs_coloc.estimators.registry import load_estimator
 
 _RATE_HZ = 5.0
@@ -25,7 +25,7 @@ _SLOW_TIME_S, _SLOW_SIGMA = 100.0, 1.0
 class SameStatesEkf:
     """filterpy's ExtendedKalmanFilter with the fleet filter's states in one vector: 16 a vehicle and 2 a pair, all dense.
 
-    It takes positions and ranges, each at its own time; heights and what the fleet filter does besides are left out.
+    It takes the same measurements, each at its own time; what the fleet filter does besides is left out.
     """
 
     def __init__(self, start: list[PositionMeasurement], subject: int) -> None:
@@ -48,6 +48,8 @@ class SameStatesEkf:
             self._at_s = m.measured_at_s
         if isinstance(m, PositionMeasurement) and m.vehicle in self._index:
             self._position(m)
+        elif isinstance(m, AltitudeMeasurement) and m.vehicle in self._index:
+            self._altitude(m)
         elif isinstance(m, RangeMeasurement):
             self._range(m)
 
@@ -74,6 +76,12 @@ class SameStatesEkf:
         H[np.arange(3), i + 11 + np.arange(3)] = 1.0
         z = np.array([*m.position_enu_m, *(m.velocity_enu_mps or ())])
         self._filter.update(z, lambda _: H, lambda x: H @ x, R=np.eye(k) * m.sigma_h_m**2)
+
+    def _altitude(self, m: AltitudeMeasurement) -> None:
+        i = self._index[m.vehicle]
+        H = np.zeros((1, len(self._filter.x)))
+        H[0, [i + 2, i + BARO_ERROR]] = 1.0
+        self._filter.update(np.array([m.up_m]), lambda _: H, lambda x: H @ x, R=np.array([[m.sigma_m**2]]))
 
     def _range(self, m: RangeMeasurement) -> None:
         a, b, pair = self._index[m.from_vehicle], self._index[m.to_vehicle], self._pairs[m.to_vehicle]
