@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import sys
 from enum import Enum
@@ -18,6 +19,7 @@ from gcs_coloc.blas import one_thread
 from gcs_coloc.commands.group import LateCommands
 from gcs_coloc.core.errors import GcsColocError, UsageError
 from gcs_coloc.sinks.log_writer import LineHandler, LogWriter, own_stream
+from gcs_coloc.standard_streams import NOBODY_READS, discard_output, open_all
 
 PROGRAM = "gcs-coloc"
 
@@ -47,14 +49,23 @@ class LogLevel(str, Enum):  # noqa: UP042 - typer shows the values of a str Enum
 def main() -> None:
     """Entry point of `gcs-coloc`. A user's mistake ends in one line on stderr and exit code 2 or 1, never in a traceback."""
     one_thread()
+    open_all()
     try:
         status = app(standalone_mode=False)
+        sys.stdout.flush()
     except _BadCommandLine as error:
         _fail(f"{error.format_message().replace('Value error, ', '')} (see {PROGRAM} --help)", UsageError.exit_code)  # type: ignore[attr-defined]
     except GcsColocError as error:
         _fail(str(error), error.exit_code)
     except (typer.Abort, KeyboardInterrupt):
         sys.exit(130)
+    except OSError as error:
+        if error.errno not in NOBODY_READS or error.filename is not None:
+            raise
+        discard_output()
+        if error.errno == errno.EPIPE:  # the reader, such as `head`, has what it wanted
+            sys.exit(1)
+        _fail(f"the output cannot be written: {error.strerror}", 1)
     sys.exit(status if isinstance(status, int) else 0)
 
 
@@ -103,13 +114,13 @@ def run(
     ] = None,
     web: Annotated[str | None, typer.Option(help="Address of the live page, HOST:PORT; 127.0.0.1:8080 unless told.")] = None,
     no_web: Annotated[bool, typer.Option("--no-web", help="Serve no live page.")] = False,
-    record: Annotated[Path | None, typer.Option(help="Record the flight in this directory.", metavar="DIR")] = None,
+    record: Annotated[str | None, typer.Option(help="Record the flight in this directory.", metavar="DIR")] = None,
     log_level: Annotated[LogLevel, typer.Option(help="How much is logged.")] = LogLevel.INFO,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    """Run the service on the links that are given, until Ctrl-C or SIGTERM."""
+    """Run the service on the links that are given, until Ctrl-C, SIGTERM or SIGHUP."""
     del version
     if context.invoked_subcommand is not None:
         return
@@ -133,7 +144,9 @@ def run(
     elif no_web:
         flags["web"] = {"on": False}
     if record is not None:
-        flags["record"] = {"directory": str(record)}
+        if not record:
+            raise UsageError("--record '': names no directory; . is the one you are in")
+        flags["record"] = {"directory": record}
     fleets = load_fleets(config, flags)
     if not all(fleet.settings.links for fleet in fleets) or not fleets:
         raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")

@@ -28,6 +28,8 @@ log = logging.getLogger("gcs_coloc")
 _VIEW_EVERY_S = 0.5
 _HEARTBEAT_EVERY_S = 1.0
 _REFUSALS_EVERY_S = 10.0
+# SIGHUP comes when the terminal closes or its connection breaks: without it the aided vehicles would not be told.
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Service:
@@ -54,8 +56,9 @@ class Service:
             WebError: the page's address was asked for and cannot be had.
         """
         loop = asyncio.get_running_loop()
-        for sign in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(sign, self.stop)
+        for sign in _ENDING:
+            if signal.getsignal(sign) is not signal.SIG_IGN:  # as nohup has SIGHUP
+                loop.add_signal_handler(sign, self.stop)
         try:
             for fleet in self._fleets:
                 await fleet.open()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import pty
 import signal
 import subprocess
 import sys
+import termios
 import threading
 
 import pytest
@@ -95,3 +97,28 @@ def test_a_log_that_nobody_reads_stops_neither_the_flight_nor_its_end(free_port)
         service.kill()
         service.wait()
         os.close(reading)
+
+
+def test_a_terminal_that_is_closed_ends_the_flight_in_order(free_port):
+    master, slave = pty.openpty()
+    service = subprocess.Popen(
+        [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{free_port}", "--no-web", "--failed", "4"],
+        stdin=slave,
+        stdout=slave,
+        stderr=slave,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # the service's own terminal, as a login shell's
+    )
+    os.close(slave)
+    try:
+        with square_fleet(free_port) as fleet:
+            lost = fleet[3]
+            fly(fleet, 40.0, failed=[4], until=lambda: len(lost.of("GPS_INPUT")) > 10)
+            assert len(lost.of("GPS_INPUT")) > 10
+            os.close(master)
+            fly(fleet, 20.0, failed=[4], until=lambda: service.poll() is not None)
+            assert service.wait(10) == 0
+            assert lost.of("GPS_INPUT")[-1].fix_type == 1
+    finally:
+        service.kill()
+        service.wait()
