@@ -5,13 +5,14 @@ Flags win over the environment (`GCS_COLOC_...`, nested keys joined by two under
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field, ValidationError
-from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
+from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict, SettingsError
 
 from gcs_coloc.config_sections import (
     AidConfig,
@@ -31,11 +32,14 @@ from gcs_coloc.config_sections import (
 from gcs_coloc.core.engine import EngineSettings
 from gcs_coloc.core.errors import ConfigError
 
+_ENVIRONMENT = "GCS_COLOC_"
+_LEVEL = "__"
+
 
 class Settings(BaseSettings):
     """All that can be set for one fleet. Every key has a default but `links`: a service without a link has nothing to do."""
 
-    model_config = SettingsConfigDict(extra="forbid", frozen=True, env_prefix="GCS_COLOC_", env_nested_delimiter="__")
+    model_config = SettingsConfigDict(extra="forbid", frozen=True, env_prefix=_ENVIRONMENT, env_nested_delimiter=_LEVEL)
 
     links: tuple[str, ...] = Field(
         (), description="connection strings: udpin:HOST:PORT, udpout:, tcp:, tcpin:, serial:DEVICE:BAUD"
@@ -76,7 +80,7 @@ def read_table(path: Path) -> dict[str, Any]:
         ConfigError: the file cannot be read or parsed.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Windows' editors begin a file with a byte order mark
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -105,15 +109,35 @@ def settings_of(table: Mapping[str, Any], flags: Mapping[str, Any], source: str)
             del dotenv_settings, file_secret_settings
             return init_settings, env_settings, InitSettingsSource(settings_cls, init_kwargs=dict(table))
 
+    _refuse_unknown_variables()
     try:
         return FromFile(**flags)
+    except SettingsError as error:
+        # Its own text names the field, its cause what is wrong with the JSON.
+        raise ConfigError(
+            f"environment variable {_ENVIRONMENT}...: {error}; lists and tables are JSON, as '[\"14550\"]'"
+        ) from None
     except ValidationError as error:
         raise ConfigError(f"{source}: {'; '.join(_problem(e) for e in error.errors())}") from None
+
+
+def _refuse_unknown_variables() -> None:
+    """pydantic-settings passes over a variable whose section does not exist; a key in one that does is refused with the rest."""
+    for name in sorted(os.environ):
+        if not name.upper().startswith(_ENVIRONMENT):
+            continue
+        section = name[len(_ENVIRONMENT) :].lower().split(_LEVEL)[0]
+        if section not in Settings.model_fields:
+            raise ConfigError(f"environment variable {name}: there is no {section!r} to set; see the configuration reference")
 
 
 def _problem(error: Any) -> str:
     key = ".".join(str(part) for part in error["loc"])
     if error["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         return f"{key}: unknown key; see the configuration reference for those there are"
+    if error["type"] == "tuple_type":
+        return f"{key}: must be a list, in brackets: [...]"
+    if error["type"] in ("dataclass_type", "model_type", "dict_type"):
+        return f"{key}: must be a table of settings, [{key}]"
     text = error["msg"].removeprefix("Value error, ")
     return f"{key}: {text[0].lower() + text[1:]}" if key else text

@@ -18,6 +18,16 @@ _STRICT = ConfigDict(extra="forbid")
 _MAY_BE_ZERO = ("lag_s", "gps_id", "least_delay_s", "regain_after_s", "hand_back_s", "ek3_gps_check")
 
 
+_LIMITS = {
+    "rate_hz": (1.0, 50.0),
+    "external_rate_hz": (0.1, 10.0),
+    "lag_s": (0.0, 1.0),
+    "gps_id": (0, 1),
+    "timesync_period_s": (0.1, 60.0),
+}
+"""Beyond these a value is a slip, such as milliseconds for seconds, that floods a link or reaches no receiver of the vehicle."""
+
+
 class _Checked:
     """Refuses numbers that no setting of the core can mean: negative, zero where a duration or sigma is meant, not finite."""
 
@@ -29,6 +39,9 @@ class _Checked:
             least_ok = value >= 0 if f.name in _MAY_BE_ZERO else value > 0
             if not (math.isfinite(value) and least_ok):
                 raise ValueError(f"{f.name} must be a positive number, not {value}")
+            least, most = _LIMITS.get(f.name, (0, math.inf))
+            if not least <= value <= most:
+                raise ValueError(f"{f.name} must be from {least:g} to {most:g}, not {value:g}")
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -206,4 +219,6 @@ class MqttConfig(_Section):
             raise ValueError("a password_file is set, but no username")
         if self.ca_file and not self.tls:
             raise ValueError("a ca_file is set, but tls is false: nothing would be encrypted")
+        if not self.host and (self.commands or self.ranges):
+            raise ValueError("commands or ranges are to be taken, but no host is set: there is no broker to take them from")
         return self

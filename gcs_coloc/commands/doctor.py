@@ -30,7 +30,9 @@ def doctor(
     fleet: Annotated[str | None, typer.Option(help="Which fleet of the configuration file, where that is of several.")] = None,
     aid: Annotated[
         list[int] | None,
-        typer.Option(help="A vehicle (system id) that is to be located; several times for several. All, unless told."),
+        typer.Option(
+            min=1, max=255, help="A vehicle (system id) that is to be located; several times for several. All, unless told."
+        ),
     ] = None,
     seconds: Annotated[float, typer.Option(min=5.0, max=3600.0, help="How long to listen.")] = 15.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,

@@ -28,7 +28,7 @@ class WebError(GcsColocError):
     """The web page's address is in use or cannot be listened on."""
 
 
-class EstimatorError(GcsColocError):
+class EstimatorError(UsageError):
     """An estimator that does not exist, cannot be loaded, or was given settings that it does not have."""
 
 

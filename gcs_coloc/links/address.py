@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import combinations
 
 from gcs_coloc.core.errors import UsageError
 
@@ -85,7 +87,7 @@ _NETWORK_KINDS: dict[str, type[UdpIn | UdpOut | TcpClient | TcpServer]] = {
     "tcpin": TcpServer,
 }
 _LISTENING = (UdpIn, TcpServer)
-_HOST_PORT = re.compile(r"(?:\[(?P<ipv6>[0-9A-Fa-f:.]+(?:%\w+)?)\]|(?P<host>[^\[\]:/\s]+)):(?P<port>[0-9]{1,5})", re.ASCII)
+_HOST_PORT = re.compile(r"(?:\[(?P<ipv6>[0-9A-Fa-f:.]+(?:%[\w.-]+)?)\]|(?P<host>[^\[\]:/\s]+)):(?P<port>[0-9]{1,5})", re.ASCII)
 _PORT = re.compile(r"[0-9]{1,5}", re.ASCII)
 _DEVICE = re.compile(r"(?P<device>/[^,\s]*?)(?:[:,](?P<baud>[0-9]{1,8}))?", re.ASCII)
 
@@ -102,6 +104,25 @@ def parse(text: str) -> LinkAddress:
 def parse_out(text: str) -> LinkAddress:
     """Read a ground tool's connection string: as `parse`, but `udp:` and a bare HOST:PORT are sent to, as MAVProxy's."""
     return _parse(text, UdpOut, OUT_FORMS)
+
+
+def parse_links(texts: Iterable[str]) -> list[LinkAddress]:
+    """Read the connection strings of the vehicles' links. Raises UsageError where one is malformed, or two are the same place."""
+    links = [parse(text) for text in texts]
+    for one, other in combinations(links, 2):
+        if _same_place(one, other):
+            both = f"{one} is given twice" if one == other else f"{one} and {other} are the same place"
+            raise UsageError(f"{both}; leave one out")
+    return links
+
+
+def _same_place(one: LinkAddress, other: LinkAddress) -> bool:
+    if isinstance(one, SerialPort) or isinstance(other, SerialPort):
+        return isinstance(one, SerialPort) and isinstance(other, SerialPort) and one.device == other.device
+    if type(one) is not type(other) or one.port != other.port:
+        return False
+    hosts = {one.host, other.host}
+    return len(hosts) == 1 or (isinstance(one, _LISTENING) and DEFAULT_BIND_HOST in hosts and not any(":" in h for h in hosts))
 
 
 def _parse(text: str, plain_udp: type[UdpIn | UdpOut], forms: str) -> LinkAddress:

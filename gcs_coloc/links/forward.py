@@ -14,7 +14,7 @@ from pymavlink.dialects.v20.ardupilotmega import MAVLINK_MSG_ID_GLOBAL_POSITION_
 
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.view import OutView
-from gcs_coloc.links.address import LinkAddress, SerialPort, TcpClient, TcpServer, UdpIn, UdpOut, parse, parse_out
+from gcs_coloc.links.address import LinkAddress, SerialPort, TcpClient, TcpServer, UdpIn, UdpOut, parse_links, parse_out
 from gcs_coloc.links.base import Address, Clock, Link
 from gcs_coloc.links.claims import Route
 from gcs_coloc.links.factory import make_link
@@ -252,12 +252,12 @@ class Forwarder:
 
 
 def check_outs(outs: Sequence[str], links: Sequence[str]) -> None:
-    """Look at the connection strings of ground tools before anything is opened.
+    """Look at the connection strings of ground tools, and of the vehicles' links, before anything is opened.
 
     Raises:
-        UsageError: one is malformed, given twice, or leads back to one of `links`, the vehicles'.
+        UsageError: one is malformed, given twice, or a tool's leads back to one of `links`, the vehicles'.
     """
-    vehicles = [parse(text) for text in links]
+    vehicles = parse_links(links)
     seen: set[LinkAddress] = set()
     for text in outs:
         out = parse_out(text)

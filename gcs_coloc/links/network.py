@@ -23,4 +23,6 @@ def network_error(address: UdpIn | UdpOut | TcpClient | TcpServer, error: OSErro
         return LinkError(f"{address}: {address.host} is no address of this machine; use 0.0.0.0 to listen on all of them")
     if error.errno == errno.EACCES:
         return LinkError(f"{address}: no permission to listen on port {address.port}; take one above 1023")
+    if error.errno == errno.EINVAL and address.host.lower().startswith("fe80:") and "%" not in address.host:
+        return LinkError(f"{address}: a link-local address needs its interface, as [{address.host}%eth0]")
     return LinkError(f"{address}: cannot be opened: {error.strerror or error}")

@@ -71,6 +71,8 @@ class SerialLink:
 
     def _cannot_open(self, error: Exception) -> str:
         number = getattr(error, "errno", None)
+        if number is None and isinstance(error.__context__, termios.error):
+            number = error.__context__.args[0]  # pyserial's own error has but the text of it
         device = self._address.device
         if number == errno.ENOENT:
             return f"there is no device {device}; is it plugged in?"
@@ -78,6 +80,8 @@ class SerialLink:
             return f"no permission to open {device}; add yourself to its group (often: sudo usermod -aG dialout $USER)"
         if number == errno.EWOULDBLOCK:
             return f"{device} is in use by another program; stop that"
+        if number in (errno.ENOTTY, errno.EISDIR, errno.ENODEV, errno.ENXIO):
+            return f"{device} is no serial device; name the radio's, such as /dev/ttyUSB0 (ls /dev/serial/by-id shows them)"
         return f"{device} cannot be opened as a serial device: {error}"
 
     def _start(self) -> None:

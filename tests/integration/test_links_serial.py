@@ -145,7 +145,7 @@ def test_file_that_is_no_serial_device_is_refused(tmp_path):
     path = tmp_path / "file"
     path.write_text("hello")
     link = SerialLink(SerialPort(str(path), 57600), Inbox(), lambda: 0.0)
-    with pytest.raises(LinkError, match="cannot be opened as a serial device"):
+    with pytest.raises(LinkError, match="is no serial device"):
         asyncio.run(link.open())
 
 

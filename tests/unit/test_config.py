@@ -51,6 +51,15 @@ def test_flags_win_over_the_environment_which_wins_over_the_file(tmp_path, monke
         ('[aid.ways]\n4 = "gps"', "aid.ways.4: input should be 'auto'"),
         ('[aid]\nswitch_primary = "on"', "aid.switch_primary: input should be 'off' or 'auto'"),
         ("[aid]\nprediction_s = 0", "aid: prediction_s must be a positive number, not 0"),
+        ("[aid]\nrate_hz = 1000", "aid: rate_hz must be from 1 to 50, not 1000"),
+        ("[aid]\nlag_s = 200", "aid: lag_s must be from 0 to 1, not 200"),
+        ("[aid]\ngps_id = 2", "aid: gps_id must be from 0 to 1, not 2"),
+        ("[aid]\nexternal_rate_hz = 0.01", "aid: external_rate_hz must be from 0.1 to 10, not 0.01"),
+        ("[time]\ntimesync_period_s = 0.001", "time: timesync_period_s must be from 0.1 to 60, not 0.001"),
+        ("[mqtt]\nranges = true", "mqtt: commands or ranges are to be taken, but no host is set"),
+        ('links = "14550"', "links: must be a list, in brackets"),
+        ("aid = 1", "aid: must be a table of settings, [aid]"),
+        ("web = 1", "web: must be a table of settings, [web]"),
         ("links = [", "is not valid TOML"),
     ],
 )
@@ -73,6 +82,29 @@ def test_a_missing_file_and_a_binary_one(tmp_path):
     binary.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match="UTF-8"):
         load_settings(binary, {})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("GCS_COLOC_AIDD__RATE_HZ", "8", "GCS_COLOC_AIDD__RATE_HZ: there is no 'aidd' to set"),
+        ("GCS_COLOC_AID__RATE", "8", "aid.rate: unknown key"),
+        ("GCS_COLOC_LINKS", "14550,14551", r'"links".*lists and tables are JSON'),
+        ("GCS_COLOC_FLEET__FAILED", "[4", r'"fleet".*lists and tables are JSON'),
+        ("GCS_COLOC_FLEET__FAILED", "4", "fleet.failed: must be a list"),
+    ],
+)
+def test_a_mistake_in_an_environment_variable_is_refused_as_one_in_the_file(monkeypatch, name, value, words):
+    monkeypatch.setenv(name, value)
+    with pytest.raises(ConfigError, match=words) as raised:
+        load_settings(None, {})
+    assert "\n" not in str(raised.value)
+
+
+def test_a_file_that_begins_with_a_byte_order_mark_is_read(tmp_path):
+    path = tmp_path / "coloc.toml"
+    path.write_bytes("\ufeff[aid]\r\nrate_hz = 5.0\r\n".encode())
+    assert load_settings(path, {}).aid.rate_hz == 5.0
 
 
 @pytest.mark.parametrize(

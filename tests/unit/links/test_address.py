@@ -1,7 +1,7 @@
 import pytest
 
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.links.address import SerialPort, TcpClient, TcpServer, UdpIn, UdpOut, parse, parse_out
+from gcs_coloc.links.address import SerialPort, TcpClient, TcpServer, UdpIn, UdpOut, parse, parse_links, parse_out
 
 
 @pytest.mark.parametrize(
@@ -106,3 +106,35 @@ def test_a_ground_tools_malformed_address_is_quoted_with_the_right_forms(text):
     with pytest.raises(UsageError, match=repr(text)) as caught:
         parse_out(text)
     assert "99999" in text or "udp:HOST:PORT" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "links",
+    [
+        ["14550", "14550"],
+        ["udpin:14550", "127.0.0.1:14550"],
+        ["tcp:10.0.0.2:5760", "tcp:10.0.0.2:5760"],
+        ["tcpin:0.0.0.0:5760", "tcpin:10.0.0.2:5760"],
+        ["/dev/ttyUSB0", "serial:/dev/ttyUSB0:115200"],
+    ],
+)
+def test_two_links_of_one_place_are_refused_by_name(links):
+    with pytest.raises(UsageError, match="leave one out") as raised:
+        parse_links(["tcp:10.0.0.9:1", *links])
+    assert str(parse(links[1])) in str(raised.value)
+
+
+def test_links_of_different_places_are_taken_in_their_order():
+    links = [
+        "udpin:127.0.0.1:14550",
+        "udpin:127.0.0.2:14550",
+        "tcpin:14550",
+        "udpin:[::1]:14550",
+        "udpout:127.0.0.1:14550",
+        "/dev/ttyS0",
+    ]
+    assert parse_links(links) == [parse(text) for text in links]
+
+
+def test_an_interface_of_any_name_may_stand_behind_a_link_local_address():
+    assert parse("udpin:[fe80::1%br-lan.100]:14550") == UdpIn("fe80::1%br-lan.100", 14550)
