@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 from dataclasses import replace
 
@@ -15,6 +14,7 @@ from gcs_coloc.core.messages import PeerRange
 from gcs_coloc.core.outputs import GpsInput, Notice, Outbound, ToVehicle
 from gcs_coloc.core.view import FleetView
 from gcs_coloc.core.words import ClockReference, GpsWord, OperatorWord, RouteReport, Word
+from gcs_coloc.deadline import Deadline
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.address import parse
 from gcs_coloc.links.base import Address, Link
@@ -93,8 +93,7 @@ class FleetService:
         )
         self._recording = FlightRecording(settings.record, ids, self._engine)
         self._seen: FleetView | None = None
-        self._timer: asyncio.TimerHandle | None = None
-        self._wakes_at_s = float("inf")
+        self._deadline = Deadline(clock, self._poll)
         self._engine_at_s = clock()
         self._is_ending = False
         self._words = [
@@ -121,8 +120,7 @@ class FleetService:
 
     async def close(self) -> None:
         """Tell every aided vehicle that its fix has ended, close the links and end the recording."""
-        if self._timer is not None:
-            self._timer.cancel()
+        self._deadline.cancel()
         for last in self._engine.close():
             self._send(last)
             if isinstance(last, ParameterSet):
@@ -244,16 +242,9 @@ class FleetService:
 
     def _wake(self) -> None:
         """Make sure that the engine is polled when it next wants to be."""
-        due_s = self._engine.next_deadline()
-        if due_s >= self._wakes_at_s:
-            return
-        if self._timer is not None:
-            self._timer.cancel()
-        self._wakes_at_s = due_s
-        self._timer = asyncio.get_running_loop().call_at(self._clock.on_loop(due_s), self._poll)
+        self._deadline.by(self._engine.next_deadline())
 
     def _poll(self) -> None:
-        self._timer, self._wakes_at_s = None, float("inf")
         self._advance(self._clock())
         self._wake()
 
