@@ -6,10 +6,12 @@ memory: the streaks that an accusation takes, its end, and how long a doubt abou
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import exp
+from operator import attrgetter
 
 import numpy as np
 
@@ -21,6 +23,7 @@ from gcs_coloc.core.range_rows import RangeRows, RowSettings, Track
 from gcs_coloc.core.scene import Scene
 
 _SCENE_APART_S = 0.3
+_at_s = attrgetter("at_s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,15 +145,23 @@ class RangeConsistency:
 
     def _verdicts(self, scene: Scene) -> dict[float, Verdict]:
         """Return the verdict of each test that can tell something, by its interval; 0 for the test of the present alone."""
+        if not scene.rows:
+            return {}
         s = self.settings
         pasts: dict[float, Past] = {0.0: (None, 0.0)}
         for interval_s in s.intervals_s:
-            wanted_s = scene.at_s - interval_s
-            then = min(self._scenes, key=lambda past: abs(past.at_s - wanted_s), default=None)
-            if then is not None and abs(then.at_s - wanted_s) <= _SCENE_APART_S:
+            then = self._nearest(scene.at_s - interval_s)
+            if then is not None:
                 pasts[interval_s] = (then, exp(-interval_s / s.wander_time_s))
         verdicts = dict(zip(pasts, judge_all(scene, s.levels, list(pasts.values())), strict=True))
         return {interval_s: verdict for interval_s, verdict in verdicts.items() if verdict is not None}
+
+    def _nearest(self, wanted_s: float) -> Scene | None:
+        """The remembered scene next to a time; None where there is none near it."""
+        later = bisect_left(self._scenes, wanted_s, key=_at_s)
+        next_to = [self._scenes[n] for n in (later - 1, later) if 0 <= n < len(self._scenes)]
+        then = min(next_to, key=lambda past: abs(past.at_s - wanted_s), default=None)
+        return then if then is not None and abs(then.at_s - wanted_s) <= _SCENE_APART_S else None
 
     def _weigh(self, verdict: Verdict, scene: Scene, streak: _Streak) -> None:
         kinds = {s.kind for s in verdict.possible}
