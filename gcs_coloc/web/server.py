@@ -29,10 +29,24 @@ _MOST_CONNECTIONS = 128
 
 
 class _Server(uvicorn.Server):
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self._ending = asyncio.Event()
+
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         """Signals are the service's: it has last words to send."""
         yield
+
+    async def main_loop(self) -> None:
+        """Wait for the end, and wake for nothing before it: uvicorn's own looks whether to end ten times a second."""
+        await self.on_tick(0)
+        await self._ending.wait()
+
+    def end(self) -> None:
+        """Take no more requests, and let `serve` return."""
+        self.should_exit = True
+        self._ending.set()
 
 
 class WebServer:
@@ -63,6 +77,7 @@ class WebServer:
                 log_level="warning",
                 access_log=False,
                 server_header=False,
+                date_header=False,  # uvicorn's is kept up to date by its ticks; `Guard` adds one
                 proxy_headers=False,
                 limit_concurrency=_MOST_CONNECTIONS,
                 timeout_graceful_shutdown=1,
@@ -119,7 +134,7 @@ class WebServer:
 
     def stop(self) -> None:
         """Ask the server to end; open pages are told, and are waited for one second at most."""
-        self._server.should_exit = True
+        self._server.end()
 
     def close(self) -> None:
         """Give the address back."""
