@@ -16,6 +16,7 @@ from gcs_coloc.core.measurements import (
     FloatArray,
     PositionMeasurement,
     RangeMeasurement,
+    Vector3,
 )
 from gcs_coloc.estimators.fleet_cluster import Cluster
 from gcs_coloc.estimators.fleet_joint import whiten
@@ -50,13 +51,17 @@ _REPORTED[range(3), range(REPORT_ERROR.start, REPORT_ERROR.stop)] = 1.0
 
 
 class Verdict(NamedTuple):
-    """What became of a measurement: `used` or not and why, with the innovation where there was one to judge."""
+    """What became of a measurement: `used` or not and why, with the innovation where there was one to judge.
+
+    `unit`: of a range that was used, its direction.
+    """
 
     outcome: str
     innovation_m: float = 0.0
     sigma_m: float = 0.0
     nis: float = 0.0
     degrees_of_freedom: int = 0
+    unit: Vector3 = (0.0, 0.0, 0.0)
 
     @property
     def used(self) -> bool:

@@ -21,7 +21,7 @@ from gcs_coloc.estimators.fleet_begin import begin_from_ranges, begin_from_repor
 from gcs_coloc.estimators.fleet_blocks import pair_key
 from gcs_coloc.estimators.fleet_clusters import Clusters
 from gcs_coloc.estimators.fleet_corrections import Verdict, restate_clock, stamp_sigma_s, take_own
-from gcs_coloc.estimators.fleet_noise import Whiteness, without_time_error
+from gcs_coloc.estimators.fleet_noise import NOTHING_HEARD, Whiteness, without_time_error
 from gcs_coloc.estimators.fleet_peers import is_wanted
 from gcs_coloc.estimators.fleet_range import account, take_range
 from gcs_coloc.estimators.fleet_settings import FleetSettings
@@ -50,7 +50,7 @@ class FleetModel:
         other.settings = self.settings
         other.records = self.records.copy()
         other.clusters = self.clusters.copy(other.records)
-        other.pairs = {key: white.copy() for key, white in self.pairs.items()}
+        other.pairs = self.pairs.copy()
         other._tidied_at_s = self._tidied_at_s
         return other
 
@@ -63,7 +63,7 @@ class FleetModel:
         self.clusters.adopt(other.clusters[vehicle], members)
         for key, white in other.pairs.items():
             if key[0] in members:
-                self.pairs[key] = white.copy()
+                self.pairs[key] = white
         self._tidied_at_s = other._tidied_at_s
 
     def learn(self, other: FleetModel, vehicles: tuple[int, ...]) -> None:
@@ -105,7 +105,7 @@ class FleetModel:
         if isinstance(m, PositionMeasurement):
             return self._position(m, record)
         if isinstance(m, AltitudeMeasurement):
-            record.white_baro.add(m.measured_at_s, ((m.up_m,),), (m.sigma_m,))
+            record.white_baro = record.white_baro.heard(m.measured_at_s, ((m.up_m,),), (m.sigma_m,))
         record.remember(m)
         cluster = self.clusters.get(m.vehicle)
         if cluster is None:
@@ -117,7 +117,7 @@ class FleetModel:
             return Verdict("refused: position of a subject")
         record.fixed = m.static
         e, n, u = m.position_enu_m
-        record.white.add(m.measured_at_s, ((e, n), (u,)), without_time_error(m))
+        record.white = record.white.heard(m.measured_at_s, ((e, n), (u,)), without_time_error(m))
         record.remember(m)
         record.last_position = m
         cluster = self.clusters.get(m.vehicle)
@@ -156,13 +156,13 @@ class FleetModel:
             if not self._activate(vehicle, m.measured_at_s):
                 return Verdict("refused: peer without a position")
         cluster = self.clusters.merge(*ends)
-        white = self.pairs.setdefault(pair_key(*ends, m.device_id), Whiteness())
+        pair = pair_key(*ends, m.device_id)
         sigma_m, _ = without_time_error(m)
-        white.add(m.measured_at_s, ((m.range_m,),), (sigma_m,))
+        white = self.pairs[pair] = self.pairs.get(pair, NOTHING_HEARD).heard(m.measured_at_s, ((m.range_m,),), (sigma_m,))
         slow_m = self.settings.range_slow_share * white.split(0, sigma_m, self.settings.least_slow_share)[1]
         if m.clock_of in ends:
             restate_clock(cluster, m.clock_of, stamp_sigma_s(m, self.settings))
-        verdict = take_range(cluster, m, sigma_m, slow_m)
+        verdict = take_range(cluster, pair, m, sigma_m, slow_m)
         for subject, other in subjects:
             account(cluster, subject, other, verdict, m)
         return verdict

@@ -42,52 +42,50 @@ def _less(sigma_m: float, part_m: float) -> float:
 
 
 class Whiteness:
-    """Estimates the variance of the white part of one stream of values that are measured together.
+    """Estimates the variance of the white part of one stream of values that are measured together. Never changes: `heard` tells
+    what is known with one report more.
 
     The values may be of several groups, horizontal and vertical ones: their noise is told apart, one variance for each group.
     """
 
     __slots__ = ("_history", "_seen")
 
-    def __init__(self) -> None:
-        self._history: tuple[tuple[float, tuple[Values, ...]], ...] = ()
-        self._seen: dict[int, tuple[float, float]] = {}
+    def __init__(
+        self, history: tuple[tuple[float, tuple[Values, ...]], ...] = (), seen: tuple[tuple[float, float], ...] = ()
+    ) -> None:
+        self._history = history
+        self._seen = seen
 
-    def copy(self) -> Whiteness:
-        """Return an independent copy."""
-        other = Whiteness()
-        other._history, other._seen = self._history, self._seen.copy()
-        return other
-
-    def add(self, at_s: float, groups: tuple[Values, ...], sigmas_m: Values) -> None:
-        """Take one report (metres, by groups) with the stated sigma of each group; times must not decrease."""
-        history = self._history
+    def heard(self, at_s: float, groups: tuple[Values, ...], sigmas_m: Values) -> Whiteness:
+        """Return what is known with one more report (metres, by groups) of these stated sigmas; times must not decrease."""
+        history, seen = self._history, self._seen
         if history and not 0.0 < at_s - history[-1][0] <= _LONGEST_GAP_S:
             history = ()
-        if len(history) == 3:
-            (ta, a), (tb, b), (tc, c) = history
-            # The parabola through the last three reports, carried on to this one.
-            wa = (at_s - tb) * (at_s - tc) / ((ta - tb) * (ta - tc))
-            wb = (at_s - ta) * (at_s - tc) / ((tb - ta) * (tb - tc))
-            wc = (at_s - ta) * (at_s - tb) / ((tc - ta) * (tc - tb))
-            gain = 1.0 + wa * wa + wb * wb + wc * wc
-            bend_m = _JERK_MPS3 * (at_s - ta) * (at_s - tb) * (at_s - tc) / 6.0
-            bend_m2 = bend_m * bend_m
-            for i, sigma_m in enumerate(sigmas_m):
-                sum_m2, weight = self._seen.get(i, _NOTHING_SEEN)
-                most_m2 = (_MOST_SIGMAS * sigma_m) ** 2
-                for z, za, zb, zc in zip(groups[i], a[i], b[i], c[i], strict=True):
-                    miss_m = z - wa * za - wb * zb - wc * zc
-                    square_m2 = (miss_m * miss_m - bend_m2) / gain
-                    sum_m2 += square_m2 if square_m2 < most_m2 else most_m2
-                    weight += 1.0
-                self._seen[i] = sum_m2 * _FADE, weight * _FADE
-            history = history[1:]
-        self._history = (*history, (at_s, groups))
+        if len(history) < 3:
+            return Whiteness((*history, (at_s, groups)), seen)
+        (ta, a), (tb, b), (tc, c) = history
+        # The parabola through the last three reports, carried on to this one.
+        wa = (at_s - tb) * (at_s - tc) / ((ta - tb) * (ta - tc))
+        wb = (at_s - ta) * (at_s - tc) / ((tb - ta) * (tb - tc))
+        wc = (at_s - ta) * (at_s - tb) / ((tc - ta) * (tc - tb))
+        gain = 1.0 + wa * wa + wb * wb + wc * wc
+        bend_m = _JERK_MPS3 * (at_s - ta) * (at_s - tb) * (at_s - tc) / 6.0
+        bend_m2 = bend_m * bend_m
+        now = []
+        for i, sigma_m in enumerate(sigmas_m):
+            sum_m2, weight = seen[i] if seen else _NOTHING_SEEN
+            most_m2 = (_MOST_SIGMAS * sigma_m) ** 2
+            for z, za, zb, zc in zip(groups[i], a[i], b[i], c[i], strict=True):
+                miss_m = z - wa * za - wb * zb - wc * zc
+                square_m2 = (miss_m * miss_m - bend_m2) / gain
+                sum_m2 += square_m2 if square_m2 < most_m2 else most_m2
+                weight += 1.0
+            now.append((sum_m2 * _FADE, weight * _FADE))
+        return Whiteness((history[1], history[2], (at_s, groups)), tuple(now))
 
     def split(self, group: int, sigma_m: float, least_slow_share: float) -> tuple[float, float]:
         """Return the sigmas (white, slow) in metres of a report with the stated sigma of one group."""
-        sum_m2, weight = self._seen.get(group, _NOTHING_SEEN)
+        sum_m2, weight = self._seen[group] if self._seen else _NOTHING_SEEN
         seen_m2 = max(sum_m2, 0.0)
         least_m2 = seen_m2 / (weight + _PROOF_SAMPLES)
         # Before there is proof each part may be as large as all that is stated.
@@ -97,3 +95,6 @@ class Whiteness:
         likely_m2 = least_m2 * (1.0 + 2.0 * error) if error < _WELL_KNOWN else least_m2
         slow_m2 = max(sigma_m * sigma_m - likely_m2, (least_slow_share * sigma_m) ** 2)
         return math.sqrt(max(most_m2, (0.05 * sigma_m) ** 2)), math.sqrt(slow_m2)
+
+
+NOTHING_HEARD = Whiteness()

@@ -10,9 +10,9 @@ import math
 import numpy as np
 
 from gcs_coloc.core.measurements import RangeMeasurement
-from gcs_coloc.estimators.fleet_blocks import pair_key
 from gcs_coloc.estimators.fleet_cluster import Cluster
 from gcs_coloc.estimators.fleet_corrections import USED, Verdict
+from gcs_coloc.estimators.fleet_joint import Key
 from gcs_coloc.estimators.fleet_motion import STAMP_ERROR
 from gcs_coloc.estimators.fleet_vehicle import Neighbour
 
@@ -21,15 +21,15 @@ _LOST_SHARE = 0.5
 _REFUSAL_MEMORY = 10.0
 
 
-def take_range(cluster: Cluster, m: RangeMeasurement, sigma_m: float, slow_m: float) -> Verdict:
-    """Correct with a slant range between two vehicles.
+def take_range(cluster: Cluster, pair: Key, m: RangeMeasurement, sigma_m: float, slow_m: float) -> Verdict:
+    """Correct with a slant range between two vehicles, whose errors are the block `pair` (`pair_key`).
 
     `sigma_m` is that of the range itself, `slow_m` of the part of its error that lasts.
     """
     s, joint, at_s = cluster.settings, cluster.joint, m.measured_at_s
     cluster.bring(m.from_vehicle, at_s)
     cluster.bring(m.to_vehicle, at_s)
-    bias = _pair(cluster, m, slow_m)
+    bias = _pair(cluster, pair, m.measured_at_s, slow_m)
     a, b, A = cluster.end(m.from_vehicle), cluster.end(m.to_vehicle), joint.A
     (ax, ay, az), (bx, by, bz) = a.place, b.place
     dx, dy, dz = ax - bx, ay - by, az - bz
@@ -80,23 +80,22 @@ def take_range(cluster: Cluster, m: RangeMeasurement, sigma_m: float, slow_m: fl
     whitened = (innovation / math.sqrt(variance),)
     cluster.watch(a.vehicle, W, whitened, at_s)
     cluster.watch(b.vehicle, W, whitened, at_s)
-    return Verdict(USED, innovation, sigma, nis, 1)
+    return Verdict(USED, innovation, sigma, nis, 1, (ux, uy, uz))
 
 
-def _pair(cluster: Cluster, m: RangeMeasurement, slow_m: float) -> int:
+def _pair(cluster: Cluster, pair: Key, at_s: float, slow_m: float) -> int:
     """Bring the pair's two range errors (bias and slow part) to the time of a range; return the index of the first."""
     s, joint = cluster.settings, cluster.joint
-    key = pair_key(m.from_vehicle, m.to_vehicle, m.device_id)
     sigmas = (s.range_bias_sigma_m, slow_m)
-    if key not in joint.where:
-        joint.append(key, np.zeros(2), np.diag(np.square(sigmas)), m.measured_at_s)
+    if pair not in joint.where:
+        joint.append(pair, np.zeros(2), np.diag(np.square(sigmas)), at_s)
         return len(joint.A) - len(sigmas)
-    index: int = joint.where[key].start
-    step_s = m.measured_at_s - joint.time_s[key]
+    index: int = joint.where[pair].start
+    step_s = at_s - joint.time_s[pair]
     if step_s > 0.0:
         decays = (math.exp(-step_s / s.range_bias_time_s), math.exp(-step_s / s.range_slow_time_s))
-        joint.fade(key, decays, sigmas)
-        joint.time_s[key] = m.measured_at_s
+        joint.fade(pair, decays, sigmas)
+        joint.time_s[pair] = at_s
     return index
 
 
@@ -104,10 +103,7 @@ def account(cluster: Cluster, vehicle: int, other: int, verdict: Verdict, m: Ran
     """Note at a subject what became of its range with another vehicle, and find the way back when most are refused."""
     record = cluster.records[vehicle]
     if verdict.used:
-        (ax, ay, az), (bx, by, bz) = cluster.place(vehicle), cluster.place(other)
-        e, n, u = ax - bx, ay - by, az - bz
-        distance = max(math.sqrt(e * e + n * n + u * u), 1e-9)
-        record.neighbours[other] = Neighbour(m.measured_at_s, (e / distance, n / distance, u / distance))
+        record.neighbours[other] = Neighbour(m.measured_at_s, verdict.unit)
         record.informed_at_s = m.measured_at_s
         record.refused_share -= record.refused_share / _REFUSAL_MEMORY
         return

@@ -14,7 +14,7 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.estimators.fleet_noise import Whiteness
+from gcs_coloc.estimators.fleet_noise import NOTHING_HEARD, Whiteness
 
 _RECENT_S = 3.0
 _RECENT_MOST = 64
@@ -81,7 +81,7 @@ class ManoeuvreMonitor:
 
 @dataclass(slots=True)
 class Neighbour:
-    """What the last range between a subject and one neighbour was: its time and the unit vector from the neighbour."""
+    """What the last range between a subject and one neighbour was: its time and a unit vector along it."""
 
     at_s: float
     unit: tuple[float, float, float]
@@ -101,8 +101,8 @@ class VehicleRecord:
     last_position: PositionMeasurement | None = None
     own: tuple[OwnMeasurement, ...] = ()
     ranged: tuple[RangeMeasurement, ...] = ()
-    white: Whiteness = field(default_factory=Whiteness)
-    white_baro: Whiteness = field(default_factory=Whiteness)
+    white: Whiteness = NOTHING_HEARD
+    white_baro: Whiteness = NOTHING_HEARD
     attitude: AttitudeMeasurement | None = None
     slow_report_h_m: float = 0.0
     slow_report_v_m: float = 0.0
@@ -125,8 +125,6 @@ class VehicleRecord:
     def copy(self) -> VehicleRecord:
         """Return an independent copy."""
         other = VehicleRecord(*_RECORDED(self))
-        other.white = self.white.copy()
-        other.white_baro = self.white_baro.copy()
         other.manoeuvre = ManoeuvreMonitor(*_MONITORED(self.manoeuvre))
         other.neighbours = dict(self.neighbours)
         other.heard = dict(self.heard)

@@ -17,7 +17,7 @@ def stream(white_m: float, slow_m: float, hz: float, seconds: float, seed: int, 
         t = k / hz
         slow = decay * slow + math.sqrt(1.0 - decay**2) * slow_m * rng.normal(size=2)
         z = 22.0 * t + 0.5 * accel_mps2 * t * t + slow + white_m * rng.normal(size=2)
-        told.add(t, (tuple(z.tolist()),), (math.hypot(white_m, slow_m),))
+        told = told.heard(t, (tuple(z.tolist()),), (math.hypot(white_m, slow_m),))
     return told
 
 
@@ -50,9 +50,9 @@ def test_a_gap_starts_the_comparison_anew():
     told, other = Whiteness(), Whiteness()
     smooth = ((0.0, 0.0), (0.1, 2.0), (0.2, 4.0), (60.0, 900.0), (60.1, 902.0), (60.2, 904.0), (60.3, 906.0))
     for t, z in smooth:
-        told.add(t, ((z,),), (1.0,))
+        told = told.heard(t, ((z,),), (1.0,))
     for t, z in smooth[3:]:
-        other.add(t, ((z,),), (1.0,))
+        other = other.heard(t, ((z,),), (1.0,))
     assert told.split(0, 1.0, 0.1) == other.split(0, 1.0, 0.1)
 
 
@@ -61,8 +61,8 @@ def test_groups_of_one_stream_are_told_apart_as_streams_of_their_own():
     both, rough, fine = Whiteness(), Whiteness(), Whiteness()
     for k in range(200):
         e, n, u = (rng.normal(size=3) * (3.0, 3.0, 0.2)).tolist()
-        both.add(0.1 * k, ((e, n), (u,)), (3.0, 1.0))
-        rough.add(0.1 * k, ((e, n),), (3.0,))
-        fine.add(0.1 * k, ((u,),), (1.0,))
+        both = both.heard(0.1 * k, ((e, n), (u,)), (3.0, 1.0))
+        rough = rough.heard(0.1 * k, ((e, n),), (3.0,))
+        fine = fine.heard(0.1 * k, ((u,),), (1.0,))
     assert both.split(0, 3.0, 0.1) == rough.split(0, 3.0, 0.1)
     assert both.split(1, 1.0, 0.1) == fine.split(0, 1.0, 0.1)
