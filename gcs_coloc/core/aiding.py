@@ -85,6 +85,7 @@ class Aiding:
         """Why a vehicle cannot be aided even if it should be, in words for the operator; None where it can."""
         return (
             vehicle.blocked
+            or vehicle.health.doubled
             or self.withheld
             or mismatch(way_name(vehicle, self.settings), vehicle.autopilot)
             or self._others.hindrance(vehicle.sysid)

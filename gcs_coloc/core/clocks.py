@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from gcs_coloc.core.timesync import RoundTrips, Synchronised
 from gcs_coloc.core.timing import JUMPS_TO_BELIEVE, SenderClock
+from gcs_coloc.core.two_clocks import TwoClocks
 
 _SAME_CLOCK_S = 0.05
 _ONE_WAY_SIGMA_S = 0.005  # how far the least of a minute's one-way delays may be from the link's least
@@ -46,6 +47,7 @@ class VehicleClock:
 
     stamps: SenderClock = field(default_factory=SenderClock)
     round_trips: RoundTrips = field(default_factory=RoundTrips)
+    twins: TwoClocks = field(default_factory=TwoClocks)
     _too_early: int = 0
 
     @property
@@ -55,6 +57,7 @@ class VehicleClock:
 
     def learn(self, stamp_s: float, received_at_s: float) -> bool:
         """Take one stamp; False where it jumps and must not be used."""
+        self.twins.take(stamp_s, received_at_s)
         causality = self.round_trips.causality
         # A stamp that has wrapped is far behind, so that this needs no unwrapping.
         if causality is not None and causality.is_too_early(stamp_s, received_at_s):

@@ -33,6 +33,9 @@ from gcs_coloc.estimators.base import Estimator
 
 _HOUSEKEEPING_S = 0.2
 _SUBJECT_STATES = (GpsState.SUSPECT, GpsState.FAILED, GpsState.RECOVERING)
+_DOUBLED = (
+    "two autopilots use its system id; give each its own (MAV_SYSID, SYSID_THISMAV before ArduPilot 4.7; MAV_SYS_ID on PX4)"
+)
 _MESSAGE_IDS = {GlobalPosition: 33, Attitude: 30, Airspeed: 74, SystemHealth: 1, EkfStatus: 193, SystemTime: 2}
 
 
@@ -93,7 +96,7 @@ class Engine:
         resets = vehicle.clock.resets
         if self._telemetry.take(message, vehicle):
             self._review(vehicle, at_s)
-        if vehicle.clock.resets != resets:
+        if vehicle.clock.resets != resets and vehicle.health.doubled is None:
             self._streams.restarted(vehicle.sysid)
             self.aiding.restarted(vehicle.sysid)
             self._say(at_s, vehicle.sysid, "warning", "its clock jumped: taken as a reboot")
@@ -227,6 +230,7 @@ class Engine:
             self._review(vehicle, message.received_at_s)
 
     def _review(self, vehicle: Vehicle, now_s: float) -> None:
+        self._look_for_twins(vehicle, now_s)
         before = vehicle.health.state
         if vehicle.health.update(now_s):
             after = vehicle.health.state
@@ -240,6 +244,16 @@ class Engine:
             # What it said of late is in its state: it must start anew, from the ranges alone.
             self.estimator.set_subjects(subjects - {vehicle.sysid}, now_s)
             self.estimator.set_subjects(subjects, now_s)
+
+    def _look_for_twins(self, vehicle: Vehicle, now_s: float) -> None:
+        doubled = _DOUBLED if vehicle.clock.twins.seen(now_s) else None
+        if doubled == vehicle.health.doubled:
+            return
+        vehicle.health.doubled = doubled
+        if doubled is not None:
+            self._say(now_s, vehicle.sysid, "error", f"{doubled}; nothing is sent to them, and no position of theirs is used")
+        else:
+            self._say(now_s, vehicle.sysid, "info", "only one autopilot uses its system id any more")
 
     def _ask_time(self, vehicle: Vehicle, now_s: float) -> None:
         if vehicle.blocked is not None or vehicle.autopilot is None:

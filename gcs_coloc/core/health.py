@@ -64,7 +64,8 @@ class GpsHealth:
     """The state machine of one vehicle. Fed by `take`, `motion`, `contradiction`, `word` and `aided`; moved on by `update`.
 
     `own_receiver` is the instance of the receiver that is really its own. `captive`: its autopilot may fly on what we send
-    though its own receiver is good, so that what it claims is an echo.
+    though its own receiver is good, so that what it claims is an echo. `doubled` says in words that two autopilots speak under
+    its system id, so that nothing that is said of one vehicle is said of one.
     """
 
     settings: HealthSettings
@@ -77,6 +78,7 @@ class GpsHealth:
     captive: bool = False
     motion: MotionCheck = field(default_factory=MotionCheck)
     contradiction: Contradiction | None = None
+    doubled: str | None = None
     _good_since_s: float | None = field(default=None)
     _receiver: GpsReceiver | None = field(default=None)
     _system: SystemHealth | None = field(default=None)
@@ -142,6 +144,8 @@ class GpsHealth:
 
     def _fault(self, now_s: float) -> str | None:
         """The worst thing that the evidence says, or None."""
+        if self.doubled is not None:
+            return self.doubled
         receiver = self._receiver
         if receiver is not None:
             fault = self._receiver_fault(receiver)
