@@ -67,7 +67,8 @@ class GlobalPosition:
 class GpsReceiver:
     """GPS_RAW_INT (24, `receiver` 0) or GPS2_RAW (124, `receiver` 1): what one receiver says of itself.
 
-    `h_acc_m`, `v_acc_m` and `speed_acc_mps` are 1-sigma; ArduPilot leaves them at their last good value when a fix is lost.
+    Without a fix (`fix_type` below 2) its position is 0, 0, 0. `h_acc_m`, `v_acc_m` and `speed_acc_mps` are 1-sigma; ArduPilot
+    leaves them at their last good value when a fix is lost.
     """
 
     sysid: int

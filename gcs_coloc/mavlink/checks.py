@@ -23,11 +23,6 @@ def latitude_longitude_deg(lat_e7: int, lon_e7: int) -> tuple[float, float]:
     """Check a position in 1e-7 degrees and return it in degrees. 0, 0 is what a receiver without a position sends."""
     if lat_e7 == 0 and lon_e7 == 0:
         raise InvalidValueError("lat_lon_zero")
-    return unfixed_latitude_longitude_deg(lat_e7, lon_e7)
-
-
-def unfixed_latitude_longitude_deg(lat_e7: int, lon_e7: int) -> tuple[float, float]:
-    """As `latitude_longitude_deg`, for a receiver that says itself that it has no fix: 0, 0 is allowed."""
     if abs(lat_e7) > 900_000_000:
         raise InvalidValueError("lat")
     if abs(lon_e7) > 1_800_000_000:

@@ -43,10 +43,16 @@ _AUTOPILOTS = {
 }
 
 
+_NO_VEHICLES = frozenset((6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48))
+"""MAV_TYPEs of ground stations and of parts of a vehicle: companion computers (18), gimbals (26), ADS-B (27), cameras (30) and so
+on, the newest a gripper (48). Many of them name an autopilot in their HEARTBEAT that they are not. By number: older pymavlinks
+lack some of the names."""
+
+
 def heartbeat(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Heartbeat | None:
     """HEARTBEAT (0); None where the sender is no autopilot (a ground station, a companion computer, a camera)."""
     _custom_mode, vehicle_type, autopilot, base_mode, _system_status, _version = values
-    if autopilot == mavlink.MAV_AUTOPILOT_INVALID or vehicle_type == mavlink.MAV_TYPE_GCS:
+    if autopilot == mavlink.MAV_AUTOPILOT_INVALID or vehicle_type in _NO_VEHICLES:
         return None
     return Heartbeat(
         sysid=sysid,
@@ -99,11 +105,12 @@ def _gps_receiver(
     """`place`: latitude and longitude in 1e-7 deg, altitude in mm. `accuracies`: horizontal, vertical in mm, speed in mm/s."""
     if fix_type > mavlink.GPS_FIX_TYPE_PPP:
         raise InvalidValueError("fix_type")
-    lat_e7, lon_e7, alt_mm = place
+    lat_deg = lon_deg = alt_msl_m = 0.0
+    # Without a fix there is no position, and whatever stands in its place must not keep the news from us that the fix is lost.
     if fix_type >= mavlink.GPS_FIX_TYPE_2D_FIX:
+        lat_e7, lon_e7, alt_mm = place
         lat_deg, lon_deg = checks.latitude_longitude_deg(lat_e7, lon_e7)
-    else:
-        lat_deg, lon_deg = checks.unfixed_latitude_longitude_deg(lat_e7, lon_e7)
+        alt_msl_m = checks.altitude_m(alt_mm)
     h_acc_mm, v_acc_mm, speed_acc_mmps = accuracies
     return GpsReceiver(
         sysid=sysid,
@@ -112,7 +119,7 @@ def _gps_receiver(
         fix_type=fix_type,
         lat_deg=lat_deg,
         lon_deg=lon_deg,
-        alt_msl_m=checks.altitude_m(alt_mm),
+        alt_msl_m=alt_msl_m,
         satellites=None if satellites == UINT8_MAX else satellites,
         hdop=None if eph in (0, UINT16_MAX) else eph / 1e2,
         h_acc_m=_thousandths(h_acc_mm),

@@ -205,6 +205,7 @@ def test_a_vehicles_own_request_for_the_time_is_no_answer():
         (gps_raw(eph=65535, epv=65535), {"hdop": None}),
         (gps_raw(satellites_visible=255), {"satellites": None}),
         (gps_raw(fix_type=1, lat=0, lon=0, alt=0), {"fix_type": 1, "lat_deg": 0.0, "lon_deg": 0.0}),
+        (gps_raw(fix_type=0, lat=2**31 - 1, lon=2**31 - 1, alt=-(2**31)), {"fix_type": 0, "lat_deg": 0.0, "lon_deg": 0.0}),
         (peer_range(range_std=0.0), {"sigma_m": None}),
         (peer_range(quality=255), {"line_of_sight": None}),
         (peer_range(quality=0), {"line_of_sight": 0.0}),
@@ -236,7 +237,8 @@ def test_unknown_values_and_both_time_bases_are_told_apart(sent, changes):
         (global_position(alt=100_000_001), "GLOBAL_POSITION_INT.alt"),
         (gps_raw(lat=0, lon=0), "GPS_RAW_INT.lat_lon_zero"),
         (gps_raw(fix_type=9), "GPS_RAW_INT.fix_type"),
-        (gps_raw(fix_type=0, lat=-900_000_001), "GPS_RAW_INT.lat"),
+        (gps_raw(fix_type=2, lat=-900_000_001), "GPS_RAW_INT.lat"),
+        (gps_raw(alt=2**31 - 1), "GPS_RAW_INT.alt"),
         (mavlink.MAVLink_attitude_message(0, math.nan, 0, 0, 0, 0, 0), "ATTITUDE.roll"),
         (mavlink.MAVLink_attitude_message(0, 0, math.inf, 0, 0, 0, 0), "ATTITUDE.pitch"),
         (mavlink.MAVLink_attitude_message(0, 0, 0, 350.0, 0, 0, 0), "ATTITUDE.yaw"),
@@ -281,6 +283,9 @@ def test_impossible_value_is_refused_with_message_and_field(sent, reason):
     [
         heartbeat(autopilot=mavlink.MAV_AUTOPILOT_INVALID),
         heartbeat(kind=mavlink.MAV_TYPE_GCS, autopilot=mavlink.MAV_AUTOPILOT_GENERIC),
+        heartbeat(kind=mavlink.MAV_TYPE_ONBOARD_CONTROLLER, autopilot=mavlink.MAV_AUTOPILOT_GENERIC),
+        heartbeat(kind=mavlink.MAV_TYPE_GIMBAL, autopilot=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA),
+        heartbeat(kind=mavlink.MAV_TYPE_ADSB, autopilot=mavlink.MAV_AUTOPILOT_GENERIC),
         mavlink.MAVLink_vfr_hud_message(math.nan, 20, 90, 50, 100, 0),
         named_value(name=b"volt"),
         named_value(name=b"RNG"),
@@ -378,7 +383,7 @@ def test_recorded_flight_decodes_as_pymavlink_decodes_it():
             assert (message.fix_type, message.satellites, message.lat_deg) == (
                 sent.fix_type,
                 sent.satellites_visible,
-                sent.lat / 1e7,
+                sent.lat / 1e7 if sent.fix_type >= 2 else 0.0,
             )
             assert message.h_acc_m == (sent.h_acc / 1e3 or None)
         elif isinstance(message, Attitude):
