@@ -24,11 +24,12 @@ from gcs_coloc.mavlink.truth import HeardTruth
 from gcs_coloc.sinks.lulls import Lulls
 from gcs_coloc.sinks.metrics import fleet_registry
 from gcs_coloc.web.access import Guard, bears_token
+from gcs_coloc.web.live_socket import send_frame_of
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.playback import Playback
 from gcs_coloc.web.story import Story
 from gcs_coloc.web.tiles import TileFile
-from gcs_coloc.web.wire import Hello, PlaybackCommand
+from gcs_coloc.web.wire import HIDDEN, Hello, PlaybackCommand
 
 _STATIC = Path(__file__).parent / "static"
 _MOST_BODY_BYTES = 1000
@@ -95,17 +96,17 @@ class _Site:
         return FileResponse(_STATIC / "index.html")
 
     async def live(self, socket: WebSocket) -> None:
-        """The page's WebSocket: hello, then events and pictures until it is closed. What the page sends is ignored."""
+        """The page's WebSocket: hello, then events and pictures until it is closed. The page says whether it is looked at."""
         if self._pages.full:
             await socket.close(1013, "too many pages are open")
             return
-        page = self._pages.add()
+        page = self._pages.add(send_frame_of(socket.scope))
         sender: asyncio.Task[None] | None = None
         try:
             await socket.accept()
             sender = asyncio.create_task(page.send_all(self._story, self._hello, socket.send_text))
-            while (await socket.receive())["type"] != "websocket.disconnect":
-                pass
+            while (message := await socket.receive())["type"] != "websocket.disconnect":
+                page.show(message.get("text") != HIDDEN)
         except WebSocketDisconnect:
             pass
         finally:

@@ -6,52 +6,65 @@ import asyncio
 from collections.abc import Awaitable, Callable
 
 from gcs_coloc.sinks.lulls import Lulls
+from gcs_coloc.web.live_socket import SendFrame, text_frame
 from gcs_coloc.web.story import Story
-from gcs_coloc.web.wire import FleetFrame
 
 PERIOD_S = 0.2
 MOST_PAGES = 32
-_PAGES_AT_A_TIME = 2
+_PAGES_AT_A_TIME = 4
 
 
 class Page:
-    """One open page. It holds at most one picture: a newer one takes the place of one that was not sent in time."""
+    """One open page. It is offered every picture; one that comes before it has taken the last is not for it."""
 
-    def __init__(self) -> None:
+    def __init__(self, send_frame: SendFrame) -> None:
         self.skipped = 0
-        self._picture: tuple[str, str] | None = None
+        self._visible = True
+        self._send_frame = send_frame
+        self._instance, self._edition, self._told = "", 0, 0
         self._wake = asyncio.Event()
 
-    def offer(self, instance: str, picture: str) -> None:
-        """Put the newest picture of a story's instance in place; never waits."""
-        if self._picture is not None:
-            self.skipped += 1
-        self._picture = (instance, picture)
-        self._wake.set()
+    @property
+    def visible(self) -> bool:
+        """Whether anybody looks at it: one in a tab behind others is sent events alone."""
+        return self._visible
+
+    def offer(self, story: Story, picture: bytes) -> None:
+        """Send the newest picture, and have its task tell what else is new; never waits."""
+        if (story.instance, story.edition) == (self._instance, self._edition):
+            if self._visible and not self._send_frame(picture):
+                self.skipped += 1
+            if story.newest_event > self._told:
+                self._wake.set()
+        else:
+            self._wake.set()
+
+    def show(self, visible: bool) -> None:
+        """Note whether anybody looks at it. Who looks again is told what went by, by hello's history."""
+        if visible and not self._visible:
+            self._edition = -1
+            self._wake.set()
+        self._visible = visible
 
     async def send_all(self, story: Story, hello: Callable[[], str], send: Callable[[str], Awaitable[None]]) -> None:
-        """Send hello, then events and pictures for ever, as fast as `send` takes them; hello again where the story wants it."""
-        instance, edition, told = "", 0, 0
+        """Send hello and then events for ever, as fast as `send` takes them; hello again where the story wants it."""
         while True:
-            if (story.instance, story.edition) != (instance, edition):
-                told = told if story.instance == instance else 0
+            if (story.instance, story.edition) != (self._instance, self._edition):
+                told = self._told if story.instance == self._instance else 0
                 instance, edition = story.instance, story.edition
                 await send(hello())
-            if story.newest_event > told:
-                news, told = story.events_after(told), story.newest_event
+                self._instance, self._edition, self._told = instance, edition, told
+            if story.newest_event > self._told:
+                news, self._told = story.events_after(self._told), story.newest_event
                 await send(news.model_dump_json())
-            if self._picture is not None:
-                (of, picture), self._picture = self._picture, None
-                if of == story.instance == instance:
-                    await send(picture)
             await self._wake.wait()
             self._wake.clear()
 
 
 class Pages:
-    """All open pages. `picture` makes the latest one; it is asked only while a page is open, and once for all."""
+    """All open pages. `picture` makes the latest one, as JSON; it is asked only while one is looked at, and once for all."""
 
-    def __init__(self, picture: Callable[[], FleetFrame], story: Story, lulls: Lulls) -> None:
+    def __init__(self, picture: Callable[[], str], story: Story, lulls: Lulls) -> None:
         self._make = picture
         self._story = story
         self._lulls = lulls
@@ -62,9 +75,9 @@ class Pages:
         """Whether there are as many pages as there may be."""
         return len(self._open) >= MOST_PAGES
 
-    def add(self) -> Page:
+    def add(self, send_frame: SendFrame) -> Page:
         """A new page, to be given back with `remove`."""
-        page = Page()
+        page = Page(send_frame)
         self._open.add(page)
         return page
 
@@ -80,8 +93,11 @@ class Pages:
 
     async def tick(self) -> None:
         """Offer one picture to every page, to a few at a time: what arrives meanwhile does not wait for all of them."""
-        instance, picture = self._story.instance, self._make().model_dump_json()
+        instance = self._story.instance
+        picture = text_frame(self._make()) if any(page.visible for page in self._open) else b""
         for n, page in enumerate(list(self._open), start=1):
-            page.offer(instance, picture)
+            page.offer(self._story, picture)
             if n % _PAGES_AT_A_TIME == 0:
                 await asyncio.sleep(0)
+                if self._story.instance != instance:  # the picture is of another flight
+                    return

@@ -16,6 +16,7 @@ from gcs_coloc.config_sections import WebConfig
 from gcs_coloc.core.errors import ConfigError, WebError
 from gcs_coloc.sinks.hub import Subscription
 from gcs_coloc.web.app import Hooks, make_app
+from gcs_coloc.web.live_socket import LiveSocket
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.picture import fleet_frame
 from gcs_coloc.web.story import Story
@@ -26,6 +27,8 @@ log = logging.getLogger("gcs_coloc")
 
 _SHORTEST_TOKEN = 16
 _MOST_CONNECTIONS = 128
+_MOST_UNSENT_BYTES = 16_384
+"""What a page is slow to take waits here up to this, two or three pictures: the system would keep minutes of old ones for it."""
 
 
 class _Server(uvicorn.Server):
@@ -61,14 +64,14 @@ class WebServer:
         self._config = config
         self._story = story
         self._news = news
-        self._pages = Pages(lambda: _picture(hooks, story), story, hooks.lulls)
+        self._pages = Pages(lambda: _picture(hooks, story).model_dump_json(), story, hooks.lulls)
         self._token = read_token(Path(config.token_file)) if config.token_file else None
         tiles = TileFile(Path(config.tiles)) if config.tiles else None
         app = make_app(hooks, story, self._pages, self._token, tiles, config.allowed_hosts)
         self._server = _Server(
             uvicorn.Config(
                 app,
-                ws="websockets-sansio",
+                ws=LiveSocket,
                 http="h11",
                 ws_max_size=1024,
                 ws_per_message_deflate=False,  # would compress each picture once for every page
@@ -101,6 +104,8 @@ class WebServer:
             family, kind, protocol, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
             self._socket = socket.socket(family, kind, protocol)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if hasattr(socket, "TCP_NOTSENT_LOWAT"):  # of Linux and macOS; connections inherit it
+                self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _MOST_UNSENT_BYTES)
             self._socket.bind(where)
             self._socket.listen(64)
         except OSError as error:

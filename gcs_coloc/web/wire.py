@@ -8,6 +8,9 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from gcs_coloc.core.view import RangeView, VehicleView
 
+HIDDEN = "hidden"
+"""What a page sends when nobody looks at it any more; anything else says that somebody does."""
+
 LightColour = Literal["good", "caution", "bad", "unknown"]
 
 

@@ -80,9 +80,25 @@ function picture(message) {
 
 const takers = { hello, fleet: picture, events: (message) => alarms.take(message) };
 
+let socket = null;
+let shownAt = 0;
+
+// A page that nobody looks at needs no pictures; the history tells it afterwards what went by.
+function tellVisibility() {
+  if (socket?.readyState === WebSocket.OPEN) socket.send(document.hidden ? "hidden" : "visible");
+}
+
+document.addEventListener("visibilitychange", () => {
+  if (!document.hidden) shownAt = now();
+  tellVisibility();
+});
+
 function connect() {
-  const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
-  socket.addEventListener("open", () => { retryS = 0.5; });
+  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+  socket.addEventListener("open", () => {
+    retryS = 0.5;
+    if (document.hidden) tellVisibility();
+  });
   socket.addEventListener("message", ({ data }) => {
     const message = JSON.parse(data);
     takers[message.kind](message);
@@ -95,10 +111,11 @@ function connect() {
 
 // A browser that cannot reach the service writes that to its console; asking /healthz first would not spare it.
 setInterval(() => {
+  if (document.hidden) return;
   const old = now() - frameAt;
   const live = frame !== null && old < OLD_AFTER_S;
   document.body.classList.toggle("old", frame !== null && !live);
-  setText(byId("connection"), live ? (frame.playback === null ? "live" : playback.words()) : frame === null ? "connecting" : `NO CONNECTION: what you see is ${age(old)} old`);
+  setText(byId("connection"), live ? (frame.playback === null ? "live" : playback.words()) : frame === null ? "connecting" : `${now() - shownAt < OLD_AFTER_S ? "catching up" : "NO CONNECTION"}: what you see is ${age(old)} old`);
   if (frame !== null && !live) draw();
 }, 250);
 
