@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from gcs_coloc.core.guard import GuardedEstimator
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.fleets import load_settings
 
@@ -25,7 +27,11 @@ def evaluate(
     from gcs_coloc.study import evaluation_plot
 
     settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {}, fleet)
-    evaluation = study.evaluate(directory, load_estimator(settings.estimator.name, settings.estimator.settings))
+    # As in flight: what it fails at is told and scored as no answer.
+    guarded = GuardedEstimator(
+        load_estimator(settings.estimator.name, settings.estimator.settings), lambda text: print(text, file=sys.stderr)
+    )
+    evaluation = study.evaluate(directory, guarded)
     if plot is not None:
         evaluation_plot.plot(evaluation, plot)
     if as_json:

@@ -138,6 +138,9 @@ def _lines(result: dict[str, Any]) -> list[str]:
         )
         if vehicle["score"] is not None:
             out.append("  while its GPS was not trusted: " + _score(vehicle["score"]))
+    for error in result["errors"]:
+        whose = f"vehicle {error['sysid']}: " if error["sysid"] is not None else ""
+        out.append(f"error at {error['at_s'] - first_s:.1f} s: {whose}{error['text']}")
     out.extend(f"refused: {reason}: {times}" for reason, times in sorted(result["refused"].items()))
     return out
 

@@ -46,11 +46,13 @@ def load_estimator(name: str, settings: Mapping[str, Any]) -> Estimator:
     if lacking:
         raise EstimatorError(f"estimator {name!r} lacks {', '.join(lacking)} of the estimator protocol")
     settings_type = _settings_type(name, cls)
-    if settings_type is None:
-        if settings:
-            raise EstimatorError(f"estimator {name!r} has no settings, but was given {', '.join(sorted(settings))}")
-        return typing.cast("Estimator", cls())
-    return typing.cast("Estimator", cls(_make_settings(name, settings_type, settings)))
+    if settings_type is None and settings:
+        raise EstimatorError(f"estimator {name!r} has no settings, but was given {', '.join(sorted(settings))}")
+    arguments = [] if settings_type is None else [_make_settings(name, settings_type, settings)]
+    try:
+        return typing.cast("Estimator", cls(*arguments))
+    except Exception as error:  # a plug-in can raise anything
+        raise EstimatorError(f"estimator {name!r} cannot be made: {_described(error)}") from error
 
 
 def _load_class(name: str) -> type:

@@ -13,7 +13,7 @@ import numpy as np
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.health import GpsState
 from gcs_coloc.core.measurements import Estimate, Vector3
-from gcs_coloc.core.outputs import GpsInput, HealthChanged, Outbound
+from gcs_coloc.core.outputs import GpsInput, HealthChanged, Notice, Outbound
 from gcs_coloc.core.scoring import Score, score, series_of
 from gcs_coloc.recorder.replay import TruthPoint
 
@@ -36,6 +36,7 @@ class FlightReport:
         self._truth = truth
         self._next = 0
         self._vehicles: dict[int, _Vehicle] = {}
+        self._errors: list[Notice] = []
 
     def observation_times(self) -> list[float]:
         """The service times at which `observe` wants to be called."""
@@ -50,6 +51,9 @@ class FlightReport:
     def _note(self, output: Outbound) -> None:
         if isinstance(output, HealthChanged):
             self._of(output.sysid).changes.append(output)
+        elif isinstance(output, Notice):
+            if output.level == "error":
+                self._errors.append(output)
         elif isinstance(output, GpsInput):
             vehicle = self._of(output.sysid)
             if output.fix_type >= 3:
@@ -87,6 +91,7 @@ class FlightReport:
             )
         return {
             "vehicles": vehicles,
+            "errors": [{"at_s": e.at_s, "sysid": e.sysid, "text": e.text} for e in self._errors],
             "refused": self._engine.refused(),
             "estimator_counts": dict(self._engine.estimator.counts()),
         }

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from recorded_flight import write_flight
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -48,6 +49,38 @@ def test_evaluate_scores_prints_and_draws(data_set):
     score = json.loads(gcs_coloc("evaluate", str(data_set), "--json").stdout)["subjects"]["tag"]
     assert score["share_known"] == 1.0
     assert score["spatial"]["rmse_m"] < 0.3  # ranges of a stated 0.1 m that are exact, height from anchors 5 m apart
+
+
+FORGETFUL = """
+class Forgetful:
+    name = "forgetful"
+    def set_subjects(self, subjects, at_s): pass
+    def add(self, measurement): raise LookupError("nothing learnt")
+    def estimate(self, vehicle, at_s): pass
+    def take_residuals(self): return []
+    def counts(self): return {}
+"""
+
+
+def test_evaluate_takes_an_estimator_by_its_file_and_tells_where_it_fails(data_set):
+    file = data_set / "forgetful.py"
+    file.write_text(FORGETFUL)
+    told = gcs_coloc("evaluate", str(data_set), "--estimator", f"{file}:Forgetful")
+    assert told.returncode == 0, told.stderr
+    assert "LookupError: nothing learnt (forgetful.py, line 5)" in told.stderr
+    assert "is no position with a covariance" in told.stderr
+    assert len(told.stderr.strip().splitlines()) == 2
+    assert "8 true positions, 0.0% answered" in told.stdout
+
+
+def test_replay_tells_what_the_operator_was_told_as_an_error(tmp_path):
+    (tmp_path / "forgetful.py").write_text(FORGETFUL)
+    write_flight(tmp_path / "flight.tlog", 3.0)
+    told = gcs_coloc("replay", str(tmp_path / "flight.tlog"), "--estimator", f"{tmp_path}/forgetful.py:Forgetful")
+    assert told.returncode == 0, told.stderr
+    (line,) = [line for line in told.stdout.splitlines() if "LookupError" in line]
+    assert line.startswith("error at 0.")
+    assert "forgetful.py, line 5" in line
 
 
 def test_evaluate_names_the_place_of_a_mistake(data_set):
