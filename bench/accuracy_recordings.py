@@ -9,6 +9,7 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder import replay as driver
 from gcs_coloc.recorder.flight_report import FlightReport
+from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.study.evaluate import evaluate
 
@@ -58,8 +59,8 @@ def measure_replay() -> list[Figure]:
     if not directory.is_dir():
         return [Figure("accuracy", name, f"skipped: no {directory.name} data beside the checkout", "", None)]
     engine = Engine(load_estimator("fleet", {}))
-    report = FlightReport(engine, driver.read_truth(directory / "truth.csv"))
-    log, ranges = TlogReader(directory / "flight.tlog"), driver.read_ranges(directory / "ranges.csv")
+    report = FlightReport(engine, read_truth(directory / "truth.csv"))
+    log, ranges = TlogReader(directory / "flight.tlog"), read_ranges(directory / "ranges.csv")
     driver.replay(driver.Replay(engine, log, ranges, report.polled), report.observation_times(), report.observe)
     score = report.score(_LOST)
     if score is None or score.horizontal is None or score.covered_95 is None:

@@ -12,7 +12,8 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.truth import HeardTruth
 from gcs_coloc.recorder.playhead import Playhead
-from gcs_coloc.recorder.replay import Replay, TruthTable, read_ranges, read_truth
+from gcs_coloc.recorder.replay import Replay
+from gcs_coloc.recorder.side_tables import TruthTable, read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.web.app import Hooks
 from gcs_coloc.web.playback import OnPoll, Playback
@@ -37,15 +38,13 @@ class ReplayService:
         own = (settings.mavlink.system_id, settings.mavlink.component_id)
         told = read_ranges(ranges) if ranges is not None else []
         self._table = TruthTable(read_truth(truth)) if truth is not None else None
-        self._log = TlogReader(file)
 
         def begin(on_poll: OnPoll) -> Replay:
             engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
-            self._log = TlogReader(file)
-            return Replay(engine, self._log, told, on_poll, own, as_flown=as_flown)
+            return Replay(engine, TlogReader(file), told, on_poll, own, as_flown=as_flown)
 
         story = Story()
-        self._playback = Playback(begin, Playhead(*self._log.span(), speed), story, lambda: self._log.counts)
+        self._playback = Playback(begin, Playhead(*TlogReader(file).span(), speed), story)
         web = settings.web.model_copy(update={"token_file": ""})
         self._web = WebServer(web, Hooks(self._playback.look, None, lambda: None, self._truths, self._playback), story)
 
@@ -56,7 +55,7 @@ class ReplayService:
     @property
     def log(self) -> TlogReader:
         """The recording as far as it was read."""
-        return self._log
+        return self._playback.replay.log
 
     async def run(self) -> None:
         """Serve until a signal.

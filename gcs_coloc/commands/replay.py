@@ -23,6 +23,7 @@ from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.fleets import load_settings
 from gcs_coloc.recorder import replay as driver
 from gcs_coloc.recorder.flight_report import FlightReport
+from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 
 
@@ -59,8 +60,8 @@ def replay(
     settings = load_settings(config, flags, fleet)
     engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
     log = TlogReader(file)
-    report = FlightReport(engine, driver.read_truth(truth) if truth is not None else [])
-    told = driver.read_ranges(ranges) if ranges is not None else []
+    report = FlightReport(engine, read_truth(truth) if truth is not None else [])
+    told = read_ranges(ranges) if ranges is not None else []
     own = (settings.mavlink.system_id, settings.mavlink.component_id)
     through = driver.Replay(engine, log, told, report.polled, own, as_flown=estimator is None)
     counts = driver.replay(through, report.observation_times(), report.observe, _pace(factor))

@@ -54,6 +54,10 @@ class Step:
         self._f = cast("memoryview[float]", self.F.reshape(-1).data)
         self._q = cast("memoryview[float]", self.Q.reshape(-1).data)
 
+    def __reduce__(self) -> tuple[type[Step], tuple[()]]:
+        """A copy is a new one: nothing in it outlasts a step."""
+        return Step, ()
+
     def move(self, x: Sequence[float], step_s: float, turn_radps: float, *, in_wind: bool) -> tuple[float, ...]:
         """Set F but for the decay of the slow states; return the mean of the first five states after it, from `x` (16,).
 

@@ -31,6 +31,10 @@ ANSWER_TO_ANOTHER = "answer_to_another"
 OWN_SYSID_USED = "own_sysid"
 INVALID_SYSID = "invalid_value:header.sysid"
 
+_LAYOUTS = {
+    number: (MESSAGE_CLASSES[number].unpacker, MESSAGE_CLASSES[number].msgname, convert) for number, convert in CONVERTERS.items()
+}
+
 
 class Frame(NamedTuple):
     """A frame of a message that we decode: whose it is, and what it holds for the core (None: nothing, or it was refused)."""
@@ -63,10 +67,6 @@ class Decoder:
         self.sequences = SequenceTracker()
         self._own = (own_sysid, own_compid)
         self._autopilots: set[tuple[int, int]] = set()
-        self._layouts = {
-            number: (MESSAGE_CLASSES[number].unpacker, MESSAGE_CLASSES[number].msgname, convert)
-            for number, convert in CONVERTERS.items()
-        }
 
     def decode(
         self,
@@ -106,7 +106,7 @@ class Decoder:
     def _take(self, raw: framing.RawFrame, sender: tuple[int, int], received_at_s: float, frames: list[Frame]) -> None:
         if not raw.is_known:
             self.counts.add(UNKNOWN_MESSAGE)
-        elif raw.message_id not in self._layouts:
+        elif raw.message_id not in _LAYOUTS:
             self.counts.add(NOT_WANTED)
         elif raw.message_id in AUTOPILOT_CONVERTERS and not self._is_autopilot(sender):
             self.counts.add(NOT_FROM_AUTOPILOT)
@@ -127,7 +127,7 @@ class Decoder:
         if raw.message_id == MAVLINK_MSG_ID_COMMAND_ACK and not self._is_for_us(raw):
             self.counts.add(ANSWER_TO_ANOTHER)
             return None
-        unpacker, name, convert = self._layouts[raw.message_id]
+        unpacker, name, convert = _LAYOUTS[raw.message_id]
         # MAVLink 2 cuts off trailing zeros, MAVLink 1 knows no extension fields, a newer sender may add fields of its own.
         payload = raw.payload.ljust(unpacker.size, b"\0")
         try:

@@ -15,7 +15,7 @@ from gcs_coloc.core.health import GpsState
 from gcs_coloc.core.measurements import Estimate, Vector3
 from gcs_coloc.core.outputs import GpsInput, HealthChanged, Notice, Outbound
 from gcs_coloc.core.scoring import Score, score, series_of
-from gcs_coloc.recorder.replay import TruthPoint
+from gcs_coloc.recorder.side_tables import TruthPoint
 
 _UNTRUSTED = (GpsState.SUSPECT, GpsState.FAILED, GpsState.RECOVERING)
 

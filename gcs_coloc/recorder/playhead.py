@@ -39,6 +39,11 @@ class Playhead:
         """Go to a place (UNIX s) at full speed; beyond the recording is its beginning or its end."""
         self.goal_s = min(max(to_s, self.first_s), self.last_s)
 
+    def halt(self) -> None:
+        """Go no further, neither playing nor to a place that was asked for."""
+        self.goal_s = None
+        self.playing = False
+
     def due_s(self, now_s: float) -> float:
         """The place where it ought to be now."""
         if self.goal_s is not None:

@@ -13,7 +13,9 @@ from gcs_coloc.core.outputs import HealthChanged, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.journal import Journal, RangeEntry, VehicleEntry
-from gcs_coloc.recorder.replay import Replay, ReplayCounts, read_ranges, read_truth, replay
+from gcs_coloc.recorder.recorded_messages import ReplayCounts
+from gcs_coloc.recorder.replay import Replay, replay
+from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 
 

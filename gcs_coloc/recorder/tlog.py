@@ -31,11 +31,12 @@ class TlogReader:
 
     Where the file is damaged, reading goes on at the next record whose frame has a right checksum. `counts` then holds
     damaged_bytes, and truncated if the file ends within a record. Iterating raises DataError where the file cannot be
-    read or is no tlog.
+    read or is no tlog. `position` is the offset behind the record that was read last.
     """
 
     def __init__(self, path: Path) -> None:
         self.counts = Counts()
+        self.position = 0
         self._path = path
 
     def span(self) -> tuple[float, float]:
@@ -52,24 +53,32 @@ class TlogReader:
             raise DataError(f"{self._path}: cannot be read: {error.strerror}") from error
 
     def __iter__(self) -> Iterator[TlogRecord]:
+        return self.records_from(0)
+
+    def records_from(self, position: int) -> Iterator[TlogRecord]:
+        """The records from an offset on at which one begins, as `position` was.
+
+        Raises:
+            DataError: as iterating does.
+        """
         try:
             if self._path.stat().st_size == 0:
                 raise DataError(f"{self._path}: is empty, no tlog")
             with self._path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                yield from self._records(data)
+                yield from self._records(data, position)
         except OSError as error:
             raise DataError(f"{self._path}: cannot be read: {error.strerror}") from error
 
-    def _records(self, data: mmap.mmap) -> Iterator[TlogRecord]:
-        position, size = 0, len(data)
-        found_any = False
+    def _records(self, data: mmap.mmap, position: int) -> Iterator[TlogRecord]:
+        size = len(data)
+        found_any = position > 0
         while position < size:
             found = _frame_of_record(data, position)
             if isinstance(found, RawFrame):
                 (time_us,) = _TIME.unpack_from(data, position)
-                yield TlogRecord(time_us / 1e6, found.frame)
                 found_any = True
-                position += _TIME.size + len(found.frame)
+                self.position = position = position + _TIME.size + len(found.frame)
+                yield TlogRecord(time_us / 1e6, found.frame)
                 continue
             resume = _next_record(data, position + 1, size if found_any else min(size, SEARCHED_BYTES))
             if resume is not None:
@@ -84,6 +93,7 @@ class TlogReader:
                 self.counts.add(TRUNCATED)
             else:
                 self.counts.add(DAMAGED_BYTES, size - position)
+            self.position = size
             return
 
 

@@ -137,7 +137,7 @@ class _Site:
         return JSONResponse({"sysid": sysid, "word": command.word.value})
 
     async def play(self, request: Request) -> Response:
-        """Play, pause, seek, speed of a replay. No token: nothing that it does reaches an aircraft."""
+        """Play, pause, seek, speed of a replay; answers with its state. No token: nothing that it does reaches an aircraft."""
         body = await _body(request)
         if body is None:
             return PlainTextResponse("too long\n", status_code=413)
@@ -146,12 +146,13 @@ class _Site:
         except ValidationError as error:
             wrong = "; ".join(f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']}" for e in error.errors())
             text = (
-                f'expected {{"playing": true or false, "speed": NUMBER or "max", "seek_s": UNIX seconds}}, any of them: {wrong}\n'
+                f'expected {{"playing": true or false, "speed": NUMBER or "max", "seek_s": UNIX seconds, "halt": true}}, '
+                f"any of them: {wrong}\n"
             )
             return PlainTextResponse(text, status_code=422)
         assert self._hooks.playback is not None
         self._hooks.playback.obey(command)
-        return JSONResponse({})
+        return Response(self._hooks.playback.state.model_dump_json(), media_type="application/json")
 
     def tile(self, request: Request) -> Response:
         """One tile of the map; 204 where there is none. No coroutine, for it reads a file: it runs in a thread."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import secrets
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import asdict
 from math import nan
+from typing import Any
 
 from gcs_coloc.core.view import FleetView, LinkView, OutView, VehicleView
 from gcs_coloc.sinks.hub import News, Subscription
@@ -40,6 +42,20 @@ class Story:
         self._sampled_at_s = float("-inf")
         self._links: deque[tuple[float, dict[int, LinkView]]] = deque()
         self._outs: deque[tuple[float, dict[str, OutView]]] = deque()
+
+    def state(self) -> dict[str, Any]:
+        """Everything that it was told, see `restore`."""
+        return {name: value for name, value in vars(self).items() if name not in ("instance", "edition")}
+
+    def restore(self, state: Mapping[str, Any], *, anew: bool) -> None:
+        """Know what a story of the same flight knew at another place; `anew`: at an earlier one, pages are to forget this one.
+
+        What the state holds is this one's from now on: it wants a copy to be kept.
+        """
+        vars(self).update(state)
+        if anew:
+            self.instance = secrets.token_hex(8)
+            self.edition = 0
 
     async def follow(self, news: Subscription) -> None:
         """Take the news for ever."""

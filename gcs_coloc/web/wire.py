@@ -63,7 +63,10 @@ class OutFrame(_Wire):
 
 
 class PlaybackState(_Wire):
-    """Where a replayed flight is: UNIX seconds; `speed` None is as fast as it goes, `goal_s` where it is on its way to."""
+    """Where a replayed flight is: UNIX seconds; `speed` None is as fast as it goes, `goal_s` where it is on its way to.
+
+    `obeyed` counts the commands so far: a page tells by it whether this was said before its own command or after.
+    """
 
     first_s: float
     last_s: float
@@ -71,11 +74,13 @@ class PlaybackState(_Wire):
     playing: bool
     speed: float | None
     goal_s: float | None
+    obeyed: int
 
 
 class PlaybackCommand(_Wire):
-    """What the page asks of a replay; what is left out stays as it is."""
+    """What the page asks of a replay; what is left out stays as it is. `halt` stops it where it is, on its way to a place too."""
 
+    halt: Literal[True] | None = None
     playing: bool | None = None
     speed: Annotated[float, Field(gt=0, allow_inf_nan=False)] | Literal["max"] | None = None
     seek_s: FiniteFloat | None = None

@@ -19,7 +19,8 @@ from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.notes import NoteWriter
-from gcs_coloc.recorder.replay import Replay, TruthPoint, read_ranges, read_truth, replay
+from gcs_coloc.recorder.replay import Replay, replay
+from gcs_coloc.recorder.side_tables import TruthPoint, read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.recorder.tlog_writer import tlog_record
 from sitl_fakes.fleet import Fleet

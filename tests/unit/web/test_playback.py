@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from math import inf
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from recorded_flight import EPOCH_S, write_flight
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.truth import HeardTruth
+from gcs_coloc.recorder.checkpoints import Checkpoints
 from gcs_coloc.recorder.playhead import Playhead
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.tlog import TlogReader
@@ -28,6 +30,20 @@ def flight(tmp_path_factory) -> Path:
     return path
 
 
+@pytest.fixture
+def plugin(tmp_path) -> str:
+    """An estimator of a researcher's own, which cannot be copied: it holds a function made within another."""
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "from gcs_coloc.estimators.fleet_filter import FleetFilter\n"
+        "class Mine(FleetFilter):\n"
+        "    def __init__(self):\n"
+        "        super().__init__()\n"
+        "        self.work = lambda: 0\n"
+    )
+    return f"{path}:Mine"
+
+
 class Clock:
     """A second a call: every slice of work ends after one message."""
 
@@ -39,14 +55,25 @@ class Clock:
         return self.now_s
 
 
-def playback_of(path: Path) -> tuple[Playback, Story]:
-    story, logs = Story(), []
+Outputs = list[tuple[float, str]]
+
+
+def playback_of(path: Path, estimator: str = "fleet", outputs: Outputs | None = None) -> tuple[Playback, Story]:
+    """A state is kept every 300 messages; `outputs` gets what the engine puts out."""
+    story = Story()
 
     def begin(on_poll):
-        logs.append(TlogReader(path))
-        return Replay(Engine(load_estimator("fleet", {})), logs[-1], [], on_poll)
+        def polled(at_s, told):
+            if outputs is not None:
+                outputs.append((at_s, repr(told)))
+            on_poll(at_s, told)
 
-    return Playback(begin, Playhead(*TlogReader(path).span(), inf), story, lambda: logs[-1].counts), story
+        return Replay(Engine(load_estimator(estimator, {})), TlogReader(path), [], polled)
+
+    def keeping(beginning):
+        return Checkpoints(beginning, every_s=300.0)
+
+    return Playback(begin, Playhead(*TlogReader(path).span(), inf), story, keeping), story
 
 
 def go_to(playback: Playback, at_s: float, clock) -> None:
@@ -83,6 +110,80 @@ def test_what_is_seen_at_a_place_is_the_same_from_before_from_behind_and_in_a_pl
     assert playback.look().vehicles == views[0].vehicles
 
 
+@pytest.mark.parametrize("estimator", ["fleet", "qu_zhang"])
+def test_after_any_seeks_everything_that_is_put_out_and_seen_is_that_of_an_undisturbed_replay(flight, estimator):
+    """To the last bit: the texts hold every digit of every number."""
+    outputs: Outputs = []
+    engine = Engine(load_estimator(estimator, {}))
+    replay(Replay(engine, TlogReader(flight), [], lambda at_s, told: outputs.append((at_s, repr(told)))))
+    undisturbed = dict(outputs)
+    assert len(undisturbed) == len(outputs) > 200
+
+    rng, clock = random.Random(11), Clock()
+    sought: Outputs = []
+    playback, story = playback_of(flight, estimator, sought)
+    for place in [30.0, *(rng.uniform(0.0, 30.0) for _ in range(12)), 0.0, 30.0]:
+        sought.clear()
+        go_to(playback, place, clock)
+        if rng.random() < 0.3:
+            playback.obey(PlaybackCommand(seek_s=EPOCH_S + rng.uniform(0.0, 30.0)))
+            for _ in range(40):
+                playback.go_on(clock)
+        assert len(sought) < 0.6 * len(outputs) or place == 30.0
+        for at_s, told in sought:
+            assert told == undisturbed[at_s]
+    place = rng.uniform(21.0, 29.0)
+    go_to(playback, place, clock)
+    plain, plain_story = playback_of(flight, estimator)
+    go_to(plain, place, lambda: 0.0)
+    assert seen(playback, story) == seen(plain, plain_story)
+
+
+def test_a_state_is_gone_on_from_instead_of_the_beginning_also_forwards(flight):
+    outputs: Outputs = []
+    playback, story = playback_of(flight, outputs=outputs)
+    go_to(playback, 30.0, Clock())
+    whole, instance = len(outputs), story.instance
+    for place in (3.0, 28.0):
+        outputs.clear()
+        go_to(playback, place, Clock())
+        assert len(outputs) < whole / 8
+        assert outputs[0][0] > EPOCH_S + place - 3.0
+    assert story.instance != instance
+    instance, edition = story.instance, story.edition
+    go_to(playback, 29.0, Clock())
+    assert (story.instance, story.edition) == (instance, edition + 1)
+
+
+def test_an_estimator_that_cannot_be_copied_is_replayed_from_the_beginning_and_that_is_said_once(flight, plugin, caplog):
+    outputs: Outputs = []
+    playback, _ = playback_of(flight, plugin, outputs)
+    plain, _ = playback_of(flight, "fleet")
+    for place in (24.0, 10.0, 22.0, 5.0):
+        go_to(playback, place, Clock())
+    go_to(plain, 5.0, lambda: 0.0)
+    assert outputs[-1][0] < EPOCH_S + 5.0
+    assert [at_s for at_s, _ in outputs].count(outputs[0][0]) == 3
+    assert playback.look().vehicles == plain.look().vehicles
+    [told] = [record.getMessage() for record in caplog.records]
+    assert "estimator fleet cannot be copied (" in told
+    assert "lambda" in told
+
+
+def test_it_is_stopped_on_its_way_to_a_place(flight):
+    playback, _ = playback_of(flight)
+    playback.obey(PlaybackCommand(seek_s=EPOCH_S + 25.0))
+    for _ in range(300):
+        playback.go_on(Clock())
+    before = playback.state
+    assert (before.goal_s, before.playing, before.obeyed) == (EPOCH_S + 25.0, True, 1)
+    playback.obey(PlaybackCommand(halt=True))
+    assert not playback.go_on(Clock())
+    after = playback.state
+    assert (after.goal_s, after.playing, after.obeyed) == (None, False, 2)
+    assert before.at_s == after.at_s < EPOCH_S + 25.0
+
+
 def test_it_plays_to_the_end_and_stops_there(flight):
     playback, _ = playback_of(flight)
     while playback.state.playing:
@@ -116,7 +217,7 @@ def test_a_seek_that_is_overtaken_by_another_ends_at_the_other(flight):
 
 
 @pytest.mark.parametrize(
-    "words", [{"speed": 0}, {"speed": "fast"}, {"speed": -1}, {"seek_s": "nan"}, {"playing": 3}, {"stop": True}]
+    "words", [{"speed": 0}, {"speed": "fast"}, {"speed": -1}, {"seek_s": "nan"}, {"playing": 3}, {"stop": True}, {"halt": False}]
 )
 def test_what_means_nothing_is_refused(words):
     with pytest.raises(ValidationError):

@@ -1,0 +1,132 @@
+"""What a recording holds for the core, message by message in order of arrival: its frames, its notes, and ranges from a table.
+
+Where it stands can be kept and gone back to.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from gcs_coloc.core.advance import HeldUp
+from gcs_coloc.core.messages import Inbound, PeerRange
+from gcs_coloc.core.words import ClockReference, OffAir, OperatorWord, RouteReport
+from gcs_coloc.mavlink.decoder import Decoder
+from gcs_coloc.mavlink.framing import RawFrame, sender_of
+from gcs_coloc.mavlink.truth import HeardTruth, truth_of
+from gcs_coloc.recorder.notes import GroundTool, ReadNote, read_note
+from gcs_coloc.recorder.tlog import TlogReader, TlogRecord
+
+
+@dataclass(slots=True)
+class ReplayCounts:
+    """What a replay went through: times of the first and last record (UNIX s), frames in the file, messages for the core.
+
+    `wire` counts what the decoder set aside, by reason.
+    """
+
+    first_s: float = 0.0
+    last_s: float = 0.0
+    records: int = 0
+    messages: int = 0
+    wire: Mapping[str, int] = field(default_factory=dict)
+
+
+class RecordedMessages:
+    """The messages of one recording. `truths` is where a simulation says that vehicles truly are, up to the last message.
+
+    Args:
+        log: the recording's frames, in order.
+        ranges: ranges that the frames do not carry, in order of time.
+        own: the system and component id of the service that recorded: what it sent itself is passed over.
+        as_flown: as `Replay`.
+    """
+
+    def __init__(self, log: TlogReader, ranges: Sequence[PeerRange], own: tuple[int, int], *, as_flown: bool) -> None:
+        self.log = log
+        self.decoder = Decoder(own_sysid=own[0], own_compid=own[1])
+        self.counts = ReplayCounts(wire=self.decoder.counts)
+        self.truths: dict[int, HeardTruth] = {}
+        self._records: Iterator[TlogRecord] = iter(log)
+        self._ranges = ranges
+        self._own = own
+        self._as_flown = as_flown
+        self._latest_s = float("-inf")
+        self._routes: dict[int, str | None] = {}
+        self._words: set[tuple[int, type]] = set()
+        self._ground_tools: set[tuple[int, int]] = set()
+        self._of_record: deque[Inbound | HeldUp] = deque()
+        self._truths_of_record: list[HeardTruth] = []
+        self._ranges_taken = 0
+
+    def state(self) -> dict[str, Any]:
+        """Where it stands, all but the table of ranges; see `restore`."""
+        return {name: value for name, value in vars(self).items() if name not in ("_records", "_ranges")}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go to where another one of the same recording stood. What the state holds is this one's from now on."""
+        vars(self).update(state)
+        self._records = self.log.records_from(self.log.position)
+
+    def next(self) -> Inbound | HeldUp | None:
+        """The next message; None at the end. One of the table comes after those of the recording that arrived with it.
+
+        Raises:
+            DataError: the recording cannot be read or is none.
+        """
+        while not self._of_record:
+            self.truths.update((truth.sysid, truth) for truth in self._truths_of_record)
+            self._truths_of_record.clear()
+            record = next(self._records, None)
+            if record is None:
+                break
+            self._take(record)
+        if self._ranges_taken < len(self._ranges):
+            told = self._ranges[self._ranges_taken]
+            if not self._of_record or told.received_at_s < self._of_record[0].received_at_s:
+                self._ranges_taken += 1
+                return told
+        return self._of_record.popleft() if self._of_record else None
+
+    def _take(self, record: TlogRecord) -> None:
+        counts, found = self.counts, self._of_record
+        at_s = self._latest_s = max(self._latest_s, record.unix_s)
+        noted = read_note(record.frame, at_s, self._own)
+        if counts.records == 0:
+            counts.first_s = at_s
+            if noted is None or not self._as_flown:
+                found.append(OffAir(at_s))
+            if noted is None:
+                # Another program's recording: its clock is all that is known of UTC, and every vehicle is taken as reached.
+                found.append(ClockReference(at_s, 0.0))
+        counts.records += 1
+        counts.last_s = at_s
+        if noted is not None:
+            self._take_note(noted)
+            return
+        if sender_of(record.frame) in self._ground_tools:
+            return
+        good: list[RawFrame] = []
+        for frame in self.decoder.decode(record.frame, at_s, good=good):
+            if frame.message is not None:
+                found.append(frame.message)
+            if frame.is_autopilot_heartbeat:
+                found.append(RouteReport(frame.sysid, at_s, self._routes.get(frame.sysid)))
+        self._truths_of_record.extend(truth for raw in good if (truth := truth_of(raw, at_s)) is not None)
+
+    def _take_note(self, noted: ReadNote) -> None:
+        note = noted.note
+        if isinstance(note, RouteReport):
+            # Told with the vehicle's next heartbeat, as in flight.
+            self._routes[note.sysid] = note.blocked
+        elif isinstance(note, OperatorWord):
+            is_news = (note.sysid, type(note.word)) not in self._words or not noted.repeated
+            self._words.add((note.sysid, type(note.word)))
+            if is_news:
+                self._of_record.append(note)
+        elif isinstance(note, GroundTool):
+            self._ground_tools.add((note.sysid, note.compid))
+        elif note is not None:
+            self._of_record.append(note)

@@ -1,0 +1,92 @@
+"""The tables beside a recording: ranges that its frames do not carry, and where the vehicles truly were."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gcs_coloc.core.errors import DataError
+from gcs_coloc.core.messages import PeerRange, TimeBase
+from gcs_coloc.mavlink.truth import HeardTruth
+from gcs_coloc.recorder.tables import read_table
+
+
+@dataclass(frozen=True, slots=True)
+class TruthPoint:
+    """Where a vehicle truly was, to score by and to show. Degrees, metres above mean sea level, UNIX seconds of the recorder."""
+
+    unix_s: float
+    sysid: int
+    lat_deg: float
+    lon_deg: float
+    alt_msl_m: float
+
+
+class TruthTable:
+    """True positions, looked up by time."""
+
+    def __init__(self, points: Sequence[TruthPoint]) -> None:
+        """Take points in order of time."""
+        self._by_vehicle: dict[int, list[TruthPoint]] = {}
+        for point in points:
+            self._by_vehicle.setdefault(point.sysid, []).append(point)
+
+    def at(self, unix_s: float) -> dict[int, HeardTruth]:
+        """Each vehicle's newest point not after a time (UNIX s), by system id."""
+        found = {}
+        for sysid, points in self._by_vehicle.items():
+            i = bisect_right(points, unix_s, key=lambda point: point.unix_s)
+            if i > 0:
+                point = points[i - 1]
+                found[sysid] = HeardTruth(sysid, point.unix_s, point.lat_deg, point.lon_deg)
+        return found
+
+
+def read_ranges(path: Path) -> list[PeerRange]:
+    """The ranges of a table `unix_s,from_sysid,to_sysid,range_m,sigma_m` in order of time. `unix_s` is the measuring time.
+
+    Raises:
+        DataError: as `read_table`, or a value is impossible.
+    """
+    ranges = []
+    for row in read_table(path, ("unix_s", "from_sysid", "to_sysid", "range_m"), ("sigma_m",)):
+        measured_at_s = row.number("unix_s")
+        message = PeerRange(
+            sysid=row.integer("from_sysid", 1, 255),
+            received_at_s=measured_at_s,
+            peer_sysid=row.integer("to_sysid", 1, 255),
+            range_m=row.positive("range_m"),
+            sigma_m=None if row.is_empty("sigma_m") else row.positive("sigma_m"),
+            measured_at_s=measured_at_s,
+            time_base=TimeBase.SERVICE,
+            sequence=None,
+            line_of_sight=None,
+            device_id=0,
+        )
+        if message.sysid == message.peer_sysid:
+            raise row.error("to_sysid", "a vehicle has no range to itself")
+        ranges.append(message)
+    return sorted(ranges, key=lambda r: r.received_at_s)
+
+
+def read_truth(path: Path) -> list[TruthPoint]:
+    """The true positions of a table `unix_s,sysid,lat_deg,lon_deg,alt_msl_m` in order of time.
+
+    Raises:
+        DataError: as `read_table`, or the table is empty.
+    """
+    points = [
+        TruthPoint(
+            unix_s=row.number("unix_s"),
+            sysid=row.integer("sysid", 1, 255),
+            lat_deg=row.number("lat_deg"),
+            lon_deg=row.number("lon_deg"),
+            alt_msl_m=row.number("alt_msl_m"),
+        )
+        for row in read_table(path, ("unix_s", "sysid", "lat_deg", "lon_deg", "alt_msl_m"))
+    ]
+    if not points:
+        raise DataError(f"{path}: holds no true position; a row for each time and vehicle is wanted")
+    return sorted(points, key=lambda p: p.unix_s)
