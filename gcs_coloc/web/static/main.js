@@ -97,6 +97,7 @@ function connect() {
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
   socket.addEventListener("open", () => {
     retryS = 0.5;
+    playback.begin();
     if (document.hidden) tellVisibility();
   });
   socket.addEventListener("message", ({ data }) => {
