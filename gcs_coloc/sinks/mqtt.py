@@ -6,11 +6,14 @@ import asyncio
 import contextlib
 import hashlib
 import logging
+import math
 import ssl
 from collections import deque
+from collections.abc import Iterable
 from pathlib import Path
 
 from aiomqtt import Client, MqttError, Will
+from pydantic import BaseModel
 
 from gcs_coloc.config_sections import MqttConfig
 from gcs_coloc.core.errors import ConfigError
@@ -32,6 +35,8 @@ _KEEPALIVE_S = 10
 _LAST_WORDS_S = 1.0
 _ALARMS_KEPT = 256
 _MOST_INCOMING = 256
+_AT_A_TIME = 16
+"""Publications in a stroke, some 20 us each: a large fleet's all at once would hold the flight up."""
 
 # The client's own lines (one for each message that it drops) would drown the flight's.
 _client_log = logging.getLogger("gcs_coloc.mqtt_client")
@@ -133,7 +138,8 @@ class Mqtt:
                 await asyncio.gather(*tasks, return_exceptions=True)
                 # On every way out: the client says goodbye next, after which the broker keeps the last will to itself.
                 if self._stopping.is_set():
-                    await self._publish(client, "status", status(self._hooks.look(), online=False).model_dump_json(), qos=1)
+                    last_words = status(self._hooks.look(), online=False).model_dump_json()
+                    await client.publish(f"{self._base}/status", last_words, qos=1, retain=True)
             for task in done:
                 task.result()
 
@@ -150,12 +156,13 @@ class Mqtt:
         """
         while not self._stopping.is_set():
             view = self._hooks.look()
-            await self._publish(client, "status", status(view, online=True).model_dump_json())
+            latest: dict[str, BaseModel] = {"status": status(view, online=True)}
             for vehicle in view.vehicles:
-                # One vehicle's in a stroke: each takes the event loop several turns. Not everyone's: that would hold it up.
                 models = of_vehicle(vehicle, unix_s(view.at_s, view))
-                topics = ((f"{vehicle.sysid}/{name}", model.model_dump_json()) for name, model in models.items())
-                await asyncio.gather(*(self._publish(client, topic, payload) for topic, payload in topics))
+                latest |= {f"{vehicle.sysid}/{name}": model for name, model in models.items()}
+            topics = list(latest.items())
+            for start in range(0, len(topics), _AT_A_TIME):
+                await self._publish_together(client, topics[start : start + _AT_A_TIME])
             while self._alarms:
                 news = self._alarms.popleft()
                 try:
@@ -167,8 +174,14 @@ class Mqtt:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._stopping.wait(), 1.0 / self._config.publish_hz)
 
-    async def _publish(self, client: Client, topic: str, payload: str, qos: int = 0) -> None:
-        await client.publish(f"{self._base}/{topic}", payload, qos=qos, retain=True)
+    async def _publish_together(self, client: Client, topics: Iterable[tuple[str, BaseModel]]) -> None:
+        """Publish in a stroke, with one limit of time for all: a publication by itself takes several turns of the event loop."""
+        content = [(f"{self._base}/{topic}", model.model_dump_json()) for topic, model in topics]
+        try:
+            async with asyncio.timeout(_ANSWER_WITHIN_S):
+                await asyncio.gather(*(client.publish(*one, retain=True, timeout=math.inf) for one in content))
+        except TimeoutError:
+            raise MqttError("Operation timed out") from None
 
 
 def _alarm(news: ToOperator, view: FleetView) -> Alarm:
