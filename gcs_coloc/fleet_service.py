@@ -137,17 +137,24 @@ class FleetService:
         self._recording.close()
 
     def look(self) -> FleetView:
-        """The fleet as it stands, or stood a moment ago where somebody has just looked: looking costs as much as estimating."""
+        """The fleet as it stands, with all that is counted."""
+        view = self.glance()
+        refused = view.refused | self._refusals.totals()
+        links = self._decoder.sequences.links(self.heard())
+        return replace(view, refused=refused, links=links, outs=self._forwarder.views())
+
+    def glance(self) -> FleetView:
+        """The fleet as it stands, or stood a moment ago where somebody has just looked: looking costs as much as estimating.
+
+        What is counted outside of the engine is left out: links, ground tools, and most of what is refused.
+        """
         now_s = self._clock()
         recorded = self._recording.newest_view
         if recorded is not None and now_s - recorded.at_s <= _RECORDED_JUST_NOW_S:
             self._seen = recorded
         elif self._seen is None or now_s - self._seen.at_s > _SEEN_JUST_NOW_S:
             self._seen = self._engine.view(now_s)
-        view = self._seen
-        refused = view.refused | self._refusals.totals()
-        links = self._decoder.sequences.links(self.heard())
-        return replace(view, refused=refused, links=links, outs=self._forwarder.views())
+        return self._seen
 
     def heard(self) -> list[int]:
         """The system ids of the vehicles heard so far."""

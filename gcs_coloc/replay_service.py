@@ -46,7 +46,9 @@ class ReplayService:
         story = Story()
         self._playback = Playback(begin, Playhead(*TlogReader(file).span(), speed), story)
         web = settings.web.model_copy(update={"token_file": ""})
-        self._web = WebServer(web, Hooks(self._playback.look, None, lambda: None, self._truths, self._playback), story)
+        self._web = WebServer(
+            web, Hooks(self._playback.look, self._playback.look, None, lambda: None, self._truths, self._playback), story
+        )
 
     def _truths(self) -> Iterable[HeardTruth]:
         heard = self._playback.replay.truths

@@ -155,7 +155,7 @@ class _Observed:
         from gcs_coloc.web.story import Story
 
         path = self.path
-        hooks = Hooks(path.look, path.obey, self._fault, path.truths.values, lulls=path.lulls)
+        hooks = Hooks(path.look, path.glance, path.obey, self._fault, path.truths.values, lulls=path.lulls)
         return WebServer(settings.web, hooks, Story(), path.hub.subscribe(256))
 
     def _make_mqtt(self, settings: Settings) -> Mqtt | None:

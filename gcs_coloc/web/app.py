@@ -39,11 +39,13 @@ _MOST_BODY_BYTES = 1000
 class Hooks:
     """What the server may ask of the service: the fleet as it stands, the operator's word, and whether it still works.
 
-    `fault` says in words what keeps the service from its work, None where nothing does. `truths` is where a simulation says
-    that vehicles truly are. `playback` is a replay's, which takes no word. In `lulls` the pages' pictures are made and sent.
+    `glance` is `look` without what is counted, for many times a second. `fault` says in words what keeps the service from its
+    work, None where nothing does. `truths` is where a simulation says that vehicles truly are. `playback` is a replay's, which
+    takes no word. In `lulls` the pages' pictures are made and sent.
     """
 
     look: Callable[[], FleetView]
+    glance: Callable[[], FleetView]
     obey: Callable[[int, Word], None] | None
     fault: Callable[[], str | None]
     truths: Callable[[], Iterable[HeardTruth]] = tuple

@@ -12,7 +12,7 @@ from websockets.protocol import State
 _EXTENSION = "gcs_coloc.frame"
 
 SendFrame = Callable[[bytes], bool]
-"""Hands a whole frame to the system now; False, and nothing sent, where the system has not yet taken what was sent before."""
+"""Hands whole frames to the system now; False, and nothing sent, where the system has not yet taken what was sent before."""
 
 
 class LiveSocket(WebSocketsSansIOProtocol):
@@ -36,6 +36,6 @@ def send_frame_of(scope: MutableMapping[str, Any]) -> SendFrame:
     return send
 
 
-def text_frame(text: str) -> bytes:
-    """A text message as the one frame that a server sends of it: not masked, not compressed."""
-    return Frame(Opcode.TEXT, text.encode()).serialize(mask=False)
+def text_frame(text: bytes) -> bytes:
+    """A text message (UTF-8) as the one frame that a server sends of it: not masked, not compressed."""
+    return Frame(Opcode.TEXT, text).serialize(mask=False)

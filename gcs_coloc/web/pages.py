@@ -11,6 +11,7 @@ from gcs_coloc.web.story import Story
 
 PERIOD_S = 0.2
 MOST_PAGES = 32
+_COUNTS_EVERY = 5
 _PAGES_AT_A_TIME = 4
 
 
@@ -62,10 +63,15 @@ class Page:
 
 
 class Pages:
-    """All open pages. `picture` makes the latest one, as JSON; it is asked only while one is looked at, and once for all."""
+    """All open pages. `picture` makes the latest one and `counts` what is shown once a second, both as JSON.
 
-    def __init__(self, picture: Callable[[], str], story: Story, lulls: Lulls) -> None:
-        self._make = picture
+    They are asked only while a page is looked at, and once for all.
+    """
+
+    def __init__(self, picture: Callable[[], bytes], counts: Callable[[], bytes], story: Story, lulls: Lulls) -> None:
+        self._picture = picture
+        self._counts = counts
+        self._turn = 0
         self._story = story
         self._lulls = lulls
         self._open: set[Page] = set()
@@ -94,10 +100,16 @@ class Pages:
     async def tick(self) -> None:
         """Offer one picture to every page, to a few at a time: what arrives meanwhile does not wait for all of them."""
         instance = self._story.instance
-        picture = text_frame(self._make()) if any(page.visible for page in self._open) else b""
+        picture = self._frames() if any(page.visible for page in self._open) else b""
         for n, page in enumerate(list(self._open), start=1):
             page.offer(self._story, picture)
             if n % _PAGES_AT_A_TIME == 0:
                 await asyncio.sleep(0)
                 if self._story.instance != instance:  # the picture is of another flight
                     return
+
+    def _frames(self) -> bytes:
+        """The frames of one turn."""
+        self._turn += 1
+        picture = text_frame(self._picture())
+        return picture + text_frame(self._counts()) if self._turn % _COUNTS_EVERY == 0 else picture

@@ -9,19 +9,13 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Vector3
 from gcs_coloc.core.view import FleetView, VehicleView
 from gcs_coloc.mavlink.truth import HeardTruth
-from gcs_coloc.web.wire import Ellipse, FleetFrame, LightColour, LinkFrame, OutFrame, PlaybackState, VehicleFrame
+from gcs_coloc.web.wire import Ellipse, FleetFrame, LightColour, PlaybackState, VehicleFrame
 
 SILENT_AFTER_S = 3.0
 _TRUTH_FRESH_S = 2.0
 
 
-def fleet_frame(
-    view: FleetView,
-    links: Iterable[LinkFrame],
-    truths: Iterable[HeardTruth] = (),
-    playback: PlaybackState | None = None,
-    outs: Iterable[OutFrame] = (),
-) -> FleetFrame:
+def fleet_frame(view: FleetView, truths: Iterable[HeardTruth] = (), playback: PlaybackState | None = None) -> FleetFrame:
     """The page's picture of one instant."""
     places = _true_places(view, truths)
     return FleetFrame(
@@ -30,10 +24,6 @@ def fleet_frame(
         origin=view.origin,
         vehicles=tuple(_vehicle(v, places.get(v.sysid)) for v in view.vehicles),
         ranges=view.ranges,
-        links=tuple(links),
-        outs=tuple(outs),
-        refused=view.refused,
-        estimator_counts=view.estimator_counts,
         playback=playback,
     )
 

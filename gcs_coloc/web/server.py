@@ -21,7 +21,7 @@ from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.picture import fleet_frame
 from gcs_coloc.web.story import Story
 from gcs_coloc.web.tiles import TileFile
-from gcs_coloc.web.wire import FleetFrame
+from gcs_coloc.web.wire import fleet_json
 
 log = logging.getLogger("gcs_coloc")
 
@@ -64,7 +64,9 @@ class WebServer:
         self._config = config
         self._story = story
         self._news = news
-        self._pages = Pages(lambda: _picture(hooks, story).model_dump_json(), story, hooks.lulls)
+        self._pages = Pages(
+            lambda: _picture(hooks), lambda: story.counts(hooks.look()).model_dump_json().encode(), story, hooks.lulls
+        )
         self._token = read_token(Path(config.token_file)) if config.token_file else None
         tiles = TileFile(Path(config.tiles)) if config.tiles else None
         app = make_app(hooks, story, self._pages, self._token, tiles, config.allowed_hosts)
@@ -153,10 +155,13 @@ def _tell_of_failure(task: asyncio.Task[None]) -> None:
         log.error("web page: stands still: %s: %s; the flight goes on without it", type(error).__name__, error)
 
 
-def _picture(hooks: Hooks, story: Story) -> FleetFrame:
-    view = hooks.look()
+def _picture(hooks: Hooks) -> bytes:
     playback = hooks.playback.state if hooks.playback is not None else None
-    return fleet_frame(view, story.links(view), hooks.truths(), playback, story.outs(view))
+    return fleet_json(fleet_frame(hooks.glance(), hooks.truths(), playback))
+
+
+def _counts(hooks: Hooks, story: Story) -> bytes:
+    return story.counts(hooks.look()).model_dump_json().encode()
 
 
 def read_token(file: Path) -> str:

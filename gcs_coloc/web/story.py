@@ -12,7 +12,7 @@ from typing import Any
 from gcs_coloc.core.view import FleetView, LinkView, OutView, VehicleView
 from gcs_coloc.sinks.hub import News, Subscription
 from gcs_coloc.sinks.wording import level_and_text
-from gcs_coloc.web.wire import Event, EventsFrame, LinkFrame, OutFrame, VehicleHistory
+from gcs_coloc.web.wire import CountsFrame, Event, EventsFrame, LinkFrame, OutFrame, VehicleHistory
 
 _SAMPLE_EVERY_S = 1.0
 _SAMPLES_PER_VEHICLE = 600
@@ -96,15 +96,16 @@ class Story:
         most = max(_SAMPLES_SENT // max(len(self._rows), 1), 1)
         return tuple(_columns(sysid, list(rows)[-most:]) for sysid, rows in sorted(self._rows.items()))
 
-    def links(self, view: FleetView) -> tuple[LinkFrame, ...]:
-        """The link statistics of a view, with rate and loss over the last seconds."""
-        then_s, then = self._links[0] if self._links else (view.at_s, {})
-        return tuple(_link(link, then.get(link.sysid), view.at_s - then_s) for link in view.links)
-
-    def outs(self, view: FleetView) -> tuple[OutFrame, ...]:
-        """The ground tools of a view, with the rate over the last seconds."""
-        then_s, then = self._outs[0] if self._outs else (view.at_s, {})
-        return tuple(_out(out, then.get(out.name), view.at_s - then_s) for out in view.outs)
+    def counts(self, view: FleetView) -> CountsFrame:
+        """What is counted in a view, with rates and loss over the last seconds."""
+        links_s, links = self._links[0] if self._links else (view.at_s, {})
+        outs_s, outs = self._outs[0] if self._outs else (view.at_s, {})
+        return CountsFrame(
+            links=tuple(_link(link, links.get(link.sysid), view.at_s - links_s) for link in view.links),
+            outs=tuple(_out(out, outs.get(out.name), view.at_s - outs_s) for out in view.outs),
+            refused=view.refused,
+            estimator_counts=view.estimator_counts,
+        )
 
     def _take_view(self, view: FleetView) -> None:
         self._links.append((view.at_s, {link.sysid: link for link in view.links}))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
 from gcs_coloc.core.view import RangeView, VehicleView
 
@@ -18,7 +19,8 @@ class _Wire(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class Ellipse(_Wire):
+@dataclass(frozen=True, slots=True)
+class Ellipse:
     """The 2-sigma ellipse of a horizontal position; `angle_rad` of its longer axis from east, counter-clockwise."""
 
     semi_major_m: float
@@ -26,7 +28,8 @@ class Ellipse(_Wire):
     angle_rad: float
 
 
-class VehicleFrame(_Wire):
+@dataclass(frozen=True, slots=True)
+class VehicleFrame:
     """One vehicle: the service's view of it, its traffic light and the reason for that in words.
 
     `truth_enu_m` is where a simulation says that it truly is, in the fleet's frame (m).
@@ -86,20 +89,31 @@ class PlaybackCommand(_Wire):
     seek_s: FiniteFloat | None = None
 
 
-class FleetFrame(_Wire):
+@dataclass(frozen=True, slots=True)
+class FleetFrame:
     """The fleet at one instant; sent at most five times a second, only the latest. `playback` is of a replay alone."""
 
-    kind: Literal["fleet"] = "fleet"
     at_s: float
     estimator: str
     origin: tuple[float, float, float] | None
     vehicles: tuple[VehicleFrame, ...]
     ranges: tuple[RangeView, ...]
+    playback: PlaybackState | None
+    kind: Literal["fleet"] = "fleet"
+
+
+fleet_json = TypeAdapter(FleetFrame).dump_json
+"""A `FleetFrame` as JSON: of values that are ours nothing is checked, five times a second."""
+
+
+class CountsFrame(_Wire):
+    """What is counted, sent once a second: the links, the ground tools, what was refused, what became of measurements."""
+
+    kind: Literal["counts"] = "counts"
     links: tuple[LinkFrame, ...]
     outs: tuple[OutFrame, ...]
     refused: dict[str, int]
     estimator_counts: dict[str, int]
-    playback: PlaybackState | None
 
 
 class Event(_Wire):

@@ -15,11 +15,11 @@ export class FleetList {
     for (const [id, card] of this.cards) card.button.setAttribute("aria-pressed", String(id === sysid));
   }
 
-  show(frame, lateS) {
+  show(frame, links, lateS) {
     for (const vehicle of frame.vehicles) this.showCard(vehicle, lateS);
     const chosen = frame.vehicles.find((v) => v.view.sysid === this.selected);
     byId("details").hidden = chosen === undefined;
-    if (chosen !== undefined) this.showDetails(chosen, frame, lateS);
+    if (chosen !== undefined) this.showDetails(chosen, links, lateS);
   }
 
   clear() {
@@ -51,11 +51,11 @@ export class FleetList {
     return card;
   }
 
-  showDetails({ view, reason, ellipse }, frame, lateS) {
+  showDetails({ view, reason, ellipse }, links, lateS) {
     setText(byId("details-title"), `Vehicle ${view.sysid}`);
     const place = (lat, lon) => (lat === null ? "-" : `${lat.toFixed(6)}, ${lon.toFixed(6)}`);
     const c = view.consistency;
-    const link = frame.links.find((one) => one.sysid === view.sysid);
+    const link = links.find((one) => one.sysid === view.sysid);
     const facts = {
       state: reason,
       "last heard": `${age(view.age_s + lateS)} ago`,

@@ -2,17 +2,17 @@
 
 import { byId, el, number } from "./dom.js";
 
-export function showLinks(frame) {
-  const delays = new Map(frame.vehicles.map((v) => [v.view.sysid, v.view.delay_s]));
-  byId("link-rows").replaceChildren(...frame.links.map((link) => {
+export function showCounts({ links, outs, refused, estimator_counts }, vehicles) {
+  const delays = new Map(vehicles.map((v) => [v.view.sysid, v.view.delay_s]));
+  byId("link-rows").replaceChildren(...links.map((link) => {
     const delay = delays.get(link.sysid) ?? null;
     const cells = [number(link.rate_hz), link.loss_percent === null ? "-" : `${number(link.loss_percent)} %`,
       delay === null ? "-" : `${(delay * 1e3).toFixed(0)} ms`, String(link.lost), String(link.duplicates)];
     return el("tr", {}, el("th", { scope: "row" }, String(link.sysid)), ...cells.map((text) => el("td", {}, text)));
   }));
-  showOuts(frame.outs);
-  showCounts("refused", frame.refused);
-  showCounts("estimator-counts", frame.estimator_counts);
+  showOuts(outs);
+  showTable("refused", refused);
+  showTable("estimator-counts", estimator_counts);
 }
 
 function showOuts(outs) {
@@ -23,7 +23,7 @@ function showOuts(outs) {
   }));
 }
 
-function showCounts(id, counts) {
+function showTable(id, counts) {
   const rows = Object.entries(counts).sort(([, a], [, b]) => b - a);
   byId(id).replaceChildren(...(rows.length ? rows : [["nothing", 0]]).flatMap(([what, times]) => [el("dt", {}, what), el("dd", {}, String(times))]));
 }

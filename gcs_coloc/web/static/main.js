@@ -4,7 +4,7 @@ import { age, byId, setText } from "./dom.js";
 import { Alarms } from "./alarms.js";
 import { Commands } from "./commands.js";
 import { FleetList } from "./fleet.js";
-import { showLinks } from "./links.js";
+import { showCounts } from "./links.js";
 import { FleetMap } from "./map.js";
 import { PlaybackBar } from "./playback.js";
 import { Plots } from "./plots.js";
@@ -15,6 +15,7 @@ const SAMPLE_EVERY_S = 1;
 const now = () => performance.now() / 1000;
 let offset = null;
 let frame = null;
+let counts = null;
 let instance = null;
 let frameAt = 0;
 let sampledAt = -Infinity;
@@ -39,7 +40,7 @@ function select(sysid) {
 function draw() {
   // While pictures arrive the ages in them are the truth; once they stop, the ages grow with the time since.
   const old = now() - frameAt;
-  fleet.show(frame, old < OLD_AFTER_S ? 0 : old);
+  fleet.show(frame, counts?.links ?? [], old < OLD_AFTER_S ? 0 : old);
 }
 
 function hello(message) {
@@ -70,7 +71,6 @@ function picture(message) {
     sampledAt = frame.at_s;
     map.extendTrails(frame.vehicles);
     plots.add(frame);
-    showLinks(frame);
   }
   const lights = frame.vehicles.map((v) => v.light);
   const bad = lights.filter((light) => light === "bad").length;
@@ -78,7 +78,12 @@ function picture(message) {
   setText(byId("summary"), `${lights.length} vehicle${lights.length === 1 ? "" : "s"}, ${bad} in alarm, ${caution} with caution; estimator ${frame.estimator}`);
 }
 
-const takers = { hello, fleet: picture, events: (message) => alarms.take(message) };
+function counted(message) {
+  counts = message;
+  showCounts(counts, frame?.vehicles ?? []);
+}
+
+const takers = { hello, fleet: picture, counts: counted, events: (message) => alarms.take(message) };
 
 let socket = null;
 let shownAt = 0;

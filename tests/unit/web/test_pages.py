@@ -12,6 +12,17 @@ from gcs_coloc.web.live_socket import text_frame
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.picture import fleet_frame
 from gcs_coloc.web.story import Story
+from gcs_coloc.web.wire import fleet_json
+
+
+def messages(frames):
+    """The texts of unmasked frames, none longer than 64 KiB."""
+    out = []
+    while frames:
+        size, start = (frames[1], 2) if frames[1] < 126 else (int.from_bytes(frames[2:4], "big"), 4)
+        out.append(json.loads(frames[start : start + size]))
+        frames = frames[start + size :]
+    return out
 
 
 class Browser:
@@ -24,7 +35,7 @@ class Browser:
 
     def send_frame(self, frame):
         if self.reads:
-            self.got.append(json.loads(frame[frame.index(b"{") :]))
+            self.got += messages(frame)
         return self.reads
 
     async def send(self, text):
@@ -48,11 +59,14 @@ class Scene:
     def __init__(self):
         self.story = Story()
         self.made = 0
-        self.pages = Pages(self.picture, self.story, Lulls())
+        self.pages = Pages(self.picture, self.counts, self.story, Lulls())
 
     def picture(self):
         self.made += 1
-        return fleet_frame(fleet_view(float(self.made)), ()).model_dump_json()
+        return fleet_json(fleet_frame(fleet_view(float(self.made))))
+
+    def counts(self):
+        return self.story.counts(fleet_view(float(self.made))).model_dump_json().encode()
 
     @asynccontextmanager
     async def opened(self, *browsers):
@@ -131,9 +145,20 @@ def test_a_page_is_told_of_another_flight_before_it_sees_a_picture_of_it():
     asyncio.run(go())
 
 
+def test_what_is_counted_comes_with_every_fifth_picture():
+    async def go():
+        scene, browser = Scene(), Browser()
+        async with scene.opened(browser):
+            for _ in range(10):
+                await scene.tick()
+        assert [m["kind"] for m in browser.got] == ["hello", *[*["fleet"] * 5, "counts"] * 2]
+
+    asyncio.run(go())
+
+
 def test_a_frame_for_all_pages_is_one_unmasked_text_frame():
-    assert text_frame("é") == b"\x81\x02\xc3\xa9"
-    assert text_frame("x" * 300)[:4] == b"\x81\x7e\x01\x2c"
+    assert text_frame("é".encode()) == b"\x81\x02\xc3\xa9"
+    assert text_frame(b"x" * 300)[:4] == b"\x81\x7e\x01\x2c"
 
 
 def test_there_is_an_end_to_how_many_pages_may_be_open():

@@ -46,7 +46,7 @@ def test_the_ellipse_has_the_axes_of_the_covariance(angle):
 
 def test_a_position_that_is_unknown_has_no_ellipse_and_the_frame_says_all_of_the_view():
     view = fleet_view(10.0, HEALTHY, LOST)
-    frame = fleet_frame(view, ())
+    frame = fleet_frame(view)
     assert [v.view for v in frame.vehicles] == list(view.vehicles)
     assert frame.vehicles[1].ellipse is None
-    assert (frame.ranges, frame.refused, frame.at_s) == (view.ranges, view.refused, 10.0)
+    assert (frame.ranges, frame.at_s) == (view.ranges, 10.0)

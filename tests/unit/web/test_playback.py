@@ -20,7 +20,7 @@ from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.web.picture import fleet_frame
 from gcs_coloc.web.playback import Playback
 from gcs_coloc.web.story import Story
-from gcs_coloc.web.wire import PlaybackCommand
+from gcs_coloc.web.wire import PlaybackCommand, fleet_json
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,8 @@ def go_to(playback: Playback, at_s: float, clock) -> None:
 
 def seen(playback: Playback, story: Story) -> str:
     view = playback.look()
-    return fleet_frame(view, story.links(view)).model_dump_json() + story.events_after(0).model_dump_json() + str(story.history())
+    told = (story.counts(view).model_dump_json(), story.events_after(0).model_dump_json(), str(story.history()))
+    return "".join((fleet_json(fleet_frame(view)).decode(), *told))
 
 
 def test_what_is_seen_at_a_place_is_the_same_from_before_from_behind_and_in_a_plain_replay(flight):
@@ -230,8 +231,8 @@ def test_a_truth_is_drawn_while_it_is_fresh_and_only_for_its_vehicle(flight):
     view = playback.look()
     place = view.vehicles[3]
     fresh = HeardTruth(4, view.at_s - 1.0, place.lat_deg, place.lon_deg)
-    by_sysid = {v.view.sysid: v.truth_enu_m for v in fleet_frame(view, (), [fresh]).vehicles}
+    by_sysid = {v.view.sysid: v.truth_enu_m for v in fleet_frame(view, [fresh]).vehicles}
     assert by_sysid[4] == pytest.approx(place.enu_m, abs=1e-3)
     assert [by_sysid[sysid] for sysid in (1, 2, 3)] == [None, None, None]
     old = fresh._replace(at_s=view.at_s - 3.0)
-    assert all(v.truth_enu_m is None for v in fleet_frame(view, (), [old]).vehicles)
+    assert all(v.truth_enu_m is None for v in fleet_frame(view, [old]).vehicles)

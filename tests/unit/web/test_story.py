@@ -56,7 +56,7 @@ def test_rate_and_loss_are_of_the_last_seconds():
         # 20 frames a second, and none lost until the last five seconds, in which one in five is.
         lost = max(i - 10, 0) * 5
         story.take(fleet_view(i * 0.5, HEALTHY, links=(LinkView(1, 10 * i, lost, 0),)))
-    (link,) = story.links(fleet_view(10.0, HEALTHY, links=(LinkView(1, 200, 50, 0),)))
+    (link,) = story.counts(fleet_view(10.0, HEALTHY, links=(LinkView(1, 200, 50, 0),))).links
     assert link.rate_hz == 20.0
     assert link.loss_percent == 100.0 * 50 / 150
     assert Story().links(fleet_view(10.0, HEALTHY))[0].rate_hz is None
@@ -66,8 +66,8 @@ def test_what_goes_to_a_ground_tool_is_told_with_its_rate_over_the_last_seconds(
     story = Story()
     for i in range(21):
         story.take(fleet_view(i * 0.5, HEALTHY))
-    (out,) = story.outs(fleet_view(10.0, HEALTHY))
+    (out,) = story.counts(fleet_view(10.0, HEALTHY)).outs
     assert (out.name, out.tools, out.rate_hz) == ("udpout:127.0.0.1:14551", 1, 40.0)
     assert (out.frames_sent, out.frames_taken, out.dropped, out.refused) == (400, 12, 3, 2)
-    assert Story().outs(fleet_view(10.0, HEALTHY))[0].rate_hz is None
-    assert story.outs(fleet_view(10.0, HEALTHY, outs=())) == ()
+    assert Story().counts(fleet_view(10.0, HEALTHY)).outs[0].rate_hz is None
+    assert story.counts(fleet_view(10.0, HEALTHY, outs=())).outs == ()

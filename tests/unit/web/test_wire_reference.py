@@ -10,11 +10,9 @@ from gcs_coloc.web import wire
 
 TEXT = (Path(__file__).resolve().parents[3] / "docs/reference/web.md").read_text(encoding="utf-8")
 MODELS = [
-    wire.Ellipse,
-    wire.VehicleFrame,
     wire.LinkFrame,
     wire.OutFrame,
-    wire.FleetFrame,
+    wire.CountsFrame,
     wire.Event,
     wire.EventsFrame,
     wire.VehicleHistory,
@@ -23,8 +21,9 @@ MODELS = [
     wire.PlaybackState,
     wire.PlaybackCommand,
 ]
+VALUES = (wire.Ellipse, wire.VehicleFrame, wire.FleetFrame, VehicleView, RangeView, Consistency)
 FIELDS = [f"{model.__name__}.{name}" for model in MODELS for name in model.model_fields]
-FIELDS += [f"{view.__name__}.{f.name}" for view in (VehicleView, RangeView, Consistency) for f in dataclasses.fields(view)]
+FIELDS += [f"{view.__name__}.{f.name}" for view in VALUES for f in dataclasses.fields(view)]
 
 
 @pytest.mark.parametrize("field", FIELDS)
