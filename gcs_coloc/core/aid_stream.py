@@ -9,6 +9,7 @@ from gcs_coloc.core.aid_settings import AidSettings, WayName
 from gcs_coloc.core.fix_policy import FixPolicy
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.grid import Grid
 from gcs_coloc.core.measurements import Estimate, Unknown
 from gcs_coloc.core.outputs import GpsInput, Notice, Outbound
 from gcs_coloc.core.uptake import Uptake
@@ -44,6 +45,7 @@ class AidStream:
         settings: AidSettings,
         now_s: float,
         purpose: Purpose,
+        grid: Grid,
         *,
         on_air: bool = True,
     ) -> None:
@@ -55,6 +57,7 @@ class AidStream:
         self.due_s = now_s
         self.no_fix_because: str | None = "not sent yet"
         self.flickered = False
+        self._grid = grid
         self._on_air = on_air
         watched = on_air and feeds_receiver(name) and settings.gps_id < _WATCHED_RECEIVERS
         self.uptake = Uptake(settings.gps_id, now_s) if watched else None
@@ -65,13 +68,13 @@ class AidStream:
     def tick(self, now_s: float, frame: LocalFrame | None, utc_minus_service_s: float | None, answer: Answer) -> list[Outbound]:
         """What is due by `now_s`: the way's messages, and a notice where the fix is gained or lost.
 
-        Deadlines keep a fixed grid; those that a late call has missed are left out, never caught up with. The vehicle takes the
-        data to be `age_s` old when they arrive, so that they are for as much later as the link is known to take at least; what a
-        message takes longer, a driver finds by the time in it.
+        Deadlines keep the fleet's grid, so that all vehicles' are due at once; those that a late call has missed are left out,
+        never caught up with. The vehicle takes the data to be `age_s` old when they arrive, so that they are for as much later as
+        the link is known to take at least; what a message takes longer, a driver finds by the time in it.
         """
         if now_s < self.due_s:
             return []
-        self.due_s += (int((now_s - self.due_s) / self._period_s) + 1) * self._period_s
+        self.due_s = self._grid.after(now_s, self._period_s)
         vehicle = self.vehicle
         arrives_s = now_s + min(vehicle.clock.one_way_delay_s(now_s) or 0.0, _LONGEST_LEAD_S)
         where = answer(vehicle.sysid, arrives_s - self.way.age_s)

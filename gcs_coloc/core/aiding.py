@@ -9,6 +9,7 @@ from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.aid_stream import AidStream, Answer, Purpose
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.grid import Grid
 from gcs_coloc.core.health import GpsState
 from gcs_coloc.core.messages import GpsReceiver
 from gcs_coloc.core.other_aid import OtherAids
@@ -27,14 +28,15 @@ class Aiding:
     """Keeps one stream of aid for each vehicle that is to have one and can be reached.
 
     `withheld` says why nobody may be aided at all, or is None. `words` and `primary_words` are what the operator decided, by
-    system id. `on_air`: what is to be sent is sent, so that vehicles can be expected to take it. `refused` counts what vehicles
-    refuse, by reason.
+    system id. `on_air`: what is to be sent is sent, so that vehicles can be expected to take it. `grid`: the times of the
+    streams that begin from now on. `refused` counts what vehicles refuse, by reason.
     """
 
     def __init__(self, settings: AidSettings) -> None:
         self.settings = settings
         self.withheld: str | None = None
         self.on_air = True
+        self.grid = Grid(0.0)
         self.words: dict[int, AidWord] = {}
         self.primary_words: dict[int, PrimaryWord] = {}
         self.parameters = Parameters()
@@ -168,7 +170,7 @@ class Aiding:
     def _begin(self, vehicle: Vehicle, purpose: Purpose, now_s: float) -> AidStream:
         name = way_name(vehicle, self.settings)
         way = make_way(name, vehicle, self.settings, self.parameters, self.refused)
-        return AidStream(vehicle, name, way, self.settings, now_s, purpose, on_air=self.on_air)
+        return AidStream(vehicle, name, way, self.settings, now_s, purpose, self.grid, on_air=self.on_air)
 
     def _end(self, stream: AidStream, hindrance: str | None, now_s: float) -> list[Outbound]:
         vehicle = stream.vehicle

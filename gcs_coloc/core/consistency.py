@@ -23,6 +23,7 @@ from gcs_coloc.core.range_rows import RangeRows, RowSettings, Track
 from gcs_coloc.core.scene import Scene
 
 _SCENE_APART_S = 0.3
+_SAME_S = 1e-3  # deadlines that are as close as this are meant to be the same
 _at_s = attrgetter("at_s")
 
 
@@ -108,7 +109,7 @@ class RangeConsistency:
         """Make the tests if they are due, and move accusations, suspicions and doubts on."""
         if now_s < self._due_s:
             return
-        self._due_s = now_s + self.settings.every_s
+        self._due_s = now_s + self.settings.every_s - _SAME_S
         scene = self._rows.scene(now_s)
         self._suspect(scene, now_s)
         self._test(scene, now_s)

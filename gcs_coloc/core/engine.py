@@ -15,6 +15,7 @@ from gcs_coloc.core.aiding import Aiding
 from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.feed import Feed, FeedSettings
 from gcs_coloc.core.fleet import Fleet, Vehicle
+from gcs_coloc.core.grid import Grid
 from gcs_coloc.core.guard import GuardedEstimator
 from gcs_coloc.core.health import GpsState, HealthSettings
 from gcs_coloc.core.integrity import Integrity
@@ -87,6 +88,7 @@ class Engine:
         if self._housekeeping_due_s == float("inf"):
             # The first message sets the grid of deadlines, so that a recording of the messages holds it.
             self._housekeeping_due_s = at_s
+            self.aiding.grid = Grid(at_s)
         if isinstance(message, ToldAside):
             self._note(message)
             return
@@ -110,7 +112,7 @@ class Engine:
         """Everything that is to be sent or told by now."""
         self._now_s = now_s
         if now_s >= self._housekeeping_due_s:
-            self._housekeeping_due_s = now_s + _HOUSEKEEPING_S
+            self._housekeeping_due_s = self.aiding.grid.after(now_s, _HOUSEKEEPING_S)
             self.reviewed_at_s = now_s
             self.integrity.review(now_s, self.fleet, self.feed.frame, self.estimator.estimate)
             for vehicle in self.fleet:
