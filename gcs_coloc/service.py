@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 log = logging.getLogger("gcs_coloc")
 
 _VIEW_EVERY_S = 0.5
+_SAMPLE_EVERY_S = 1.0
+"""Without a terminal only the page's history wants views; what it shows live it looks at by itself."""
 _HEARTBEAT_EVERY_S = 1.0
 _REFUSALS_EVERY_S = 10.0
 # SIGHUP comes when the terminal closes or its connection breaks: without it the aided vehicles would not be told.
@@ -108,14 +110,14 @@ class _Observed:
 
         The fleet is looked at as often as somebody is to see it: seldom where there is neither a page nor a live table.
         """
+        watched_s = _SAMPLE_EVERY_S if self._web is not None else console_sink.PLAIN_EVERY_S
         if self._web is not None:
             group.create_task(self._web.run())
         if self._mqtt is not None:
             group.create_task(self._mqtt.run())
         self.path.start()
-        seen_live = on_terminal or self._web is not None
         periodic = (
-            (_VIEW_EVERY_S if seen_live else console_sink.PLAIN_EVERY_S, self.path.publish_view),
+            (_VIEW_EVERY_S if on_terminal else watched_s, self.path.publish_view),
             (_HEARTBEAT_EVERY_S, self._each_second),
             (_REFUSALS_EVERY_S, self.path.tell_refusals),
         )

@@ -59,7 +59,7 @@ def test_rate_and_loss_are_of_the_last_seconds():
     (link,) = story.counts(fleet_view(10.0, HEALTHY, links=(LinkView(1, 200, 50, 0),))).links
     assert link.rate_hz == 20.0
     assert link.loss_percent == 100.0 * 50 / 150
-    assert Story().links(fleet_view(10.0, HEALTHY))[0].rate_hz is None
+    assert Story().counts(fleet_view(10.0, HEALTHY)).links[0].rate_hz is None
 
 
 def test_what_goes_to_a_ground_tool_is_told_with_its_rate_over_the_last_seconds():
