@@ -114,5 +114,4 @@ class ClockJump(_Fault):
 
 
 Fault = GpsLost | GpsJammed | GpsFrozen | GpsSpoofed | RangeDropout | RangeBias | RangeStuck | LinkDropout | Reboot | ClockJump
-RangeFault = RangeDropout | RangeBias | RangeStuck
 AnyFault = Annotated[Fault, Field(discriminator="kind")]

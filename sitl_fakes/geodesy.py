@@ -62,8 +62,6 @@ class WorldFrame:
 
     def __init__(self, lat_deg: float, lon_deg: float, alt_msl_m: float, geoid_height_m: float = 0.0) -> None:
         self.geoid_height_m = geoid_height_m
-        self._lat_deg = lat_deg
-        self._lon_deg = lon_deg
         self._origin = geodetic_to_ecef(lat_deg, lon_deg, alt_msl_m + geoid_height_m)
         self._axes = _enu_axes(lat_deg, lon_deg)
         self._rows: list[list[float]] = self._axes.tolist()

@@ -114,7 +114,6 @@ class VehicleRecord:
     chosen: frozenset[int] = frozenset()
     chosen_at_s: float = -math.inf
     informed_at_s: float = -math.inf
-    position_used_at_s: float = -math.inf
     velocity_used_at_s: float = -math.inf
     refused_share: float = 0.0
     refused_m2: float = 0.0

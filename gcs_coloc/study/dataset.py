@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -262,6 +262,3 @@ def _truth(path: Path, vehicles: dict[str, int]) -> dict[int, Truth]:
     if not rows:
         raise DataError(f"{path}: no rows")
     return {vehicle: Truth(np.array(r)[:, 0], np.array(r)[:, 1:]) for vehicle, r in rows.items()}
-
-
-Reader = Callable[[Path, dict[str, int], dict[str, str]], Iterator[Measurement]]
