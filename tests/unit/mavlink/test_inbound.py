@@ -1,0 +1,259 @@
+"""Frames packed by pymavlink's own generated code become the core's messages; impossible ones are refused with a reason."""
+
+import math
+
+import pytest
+from packed_messages import (
+    NOW_S,
+    UNIX_US,
+    debug_vect,
+    global_position,
+    gps_raw,
+    heartbeat,
+    named_value,
+    pack,
+    peer_range,
+    ranging_beacon,
+)
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from gcs_coloc.core.messages import (
+    Airspeed,
+    Attitude,
+    Autopilot,
+    EkfStatus,
+    GlobalPosition,
+    GpsReceiver,
+    Heartbeat,
+    PeerRange,
+    SystemHealth,
+    SystemTime,
+    TimeBase,
+    TimeSyncAnswer,
+)
+from gcs_coloc.mavlink.decoder import Decoder
+
+
+def decode(message, **kwargs):
+    """The core's message of one packed message, and the counts."""
+    decoder = Decoder()
+    (frame,) = decoder.decode(pack(message, **kwargs), NOW_S)
+    return frame.message, dict(decoder.counts)
+
+
+A_RANGE = PeerRange(
+    sysid=1,
+    received_at_s=NOW_S,
+    peer_sysid=3,
+    range_m=812.5,
+    sigma_m=0.25,
+    measured_at_s=61.25,
+    time_base=TimeBase.BOOT,
+    sequence=None,
+    line_of_sight=None,
+    device_id=0,
+)
+
+
+def with_changes(message, **changes):
+    fields = {name: getattr(message, name) for name in message.__slots__}
+    return type(message)(**(fields | changes))
+
+
+EKF_FIELDS = dict.fromkeys(
+    ["velocity_variance", "pos_horiz_variance", "pos_vert_variance", "compass_variance", "terrain_alt_variance"], 0.1
+)
+
+
+ESTIMATOR_FIELDS = dict.fromkeys(
+    ["vel_ratio", "pos_horiz_ratio", "pos_vert_ratio", "mag_ratio", "hagl_ratio", "tas_ratio", "pos_horiz_accuracy"], 0.1
+) | {"pos_vert_accuracy": 0.1, "time_usec": 5}
+
+
+SYS_STATUS_FIELDS = dict.fromkeys(
+    ["load", "voltage_battery", "current_battery", "battery_remaining", "drop_rate_comm", "errors_comm"]
+    + [f"errors_count{n}" for n in range(1, 5)],
+    0,
+)
+
+
+@pytest.mark.parametrize(
+    ("sent", "expected"),
+    [
+        (heartbeat(base_mode=128), Heartbeat(1, NOW_S, Autopilot.ARDUPILOT, armed=True)),
+        (heartbeat(autopilot=mavlink.MAV_AUTOPILOT_PX4, base_mode=127), Heartbeat(1, NOW_S, Autopilot.PX4, armed=False)),
+        (heartbeat(autopilot=mavlink.MAV_AUTOPILOT_PPZ), Heartbeat(1, NOW_S, Autopilot.OTHER, armed=False)),
+        (
+            global_position(),
+            GlobalPosition(1, NOW_S, 61.25, -35.3632621, 149.1652374, 584.19, vn_mps=15.0, ve_mps=-2.5, vd_mps=-0.3),
+        ),
+        (gps_raw(), GpsReceiver(1, NOW_S, 0, 6, -35.3632621, 149.1652374, 584.19, 10, 1.21, 0.3, 0.45, 0.12)),
+        (
+            mavlink.MAVLink_gps2_raw_message(
+                UNIX_US, 3, 10, 20, 30_000, 150, 200, 0, 0, 255, 0, 0, h_acc=300, v_acc=450, vel_acc=120, alt_ellipsoid=1, yaw=9
+            ),
+            GpsReceiver(1, NOW_S, 1, 3, 1e-6, 2e-6, 30.0, None, 1.5, 0.3, 0.45, 0.12),
+        ),
+        (mavlink.MAVLink_attitude_message(61_250, 0.5, -0.25, 3.0, 1, 1, 1), Attitude(1, NOW_S, 61.25, 0.5, -0.25, 3.0)),
+        (mavlink.MAVLink_vfr_hud_message(22.5, 20, 90, 50, 100, 0), Airspeed(1, NOW_S, 22.5)),
+        (mavlink.MAVLink_system_time_message(UNIX_US, 61_250), SystemTime(1, NOW_S, 61.25, 1_700_000_000.25)),
+        (mavlink.MAVLink_timesync_message(61_250_000_000, 2**62 + 1), TimeSyncAnswer(1, NOW_S, 2**62 + 1, 61_250_000_000)),
+        (mavlink.MAVLink_system_time_message(0, 61_250), SystemTime(1, NOW_S, 61.25, None)),
+        (mavlink.MAVLink_system_time_message(61_250_000, 61_250), SystemTime(1, NOW_S, 61.25, None)),
+        (
+            mavlink.MAVLink_sys_status_message(
+                onboard_control_sensors_present=0x20,
+                onboard_control_sensors_enabled=0xFFFFFFFF,
+                onboard_control_sensors_health=0xFFFFFFDF,
+                **SYS_STATUS_FIELDS,
+            ),
+            SystemHealth(1, NOW_S, gps_present=True, gps_enabled=True, gps_healthy=False),
+        ),
+        # The flags that ArduPlane sent 1 s before and 10 s after it lost its GPS, and each family's bit for glitches.
+        (mavlink.MAVLink_ekf_status_report_message(flags=831, **EKF_FIELDS), EkfStatus(1, NOW_S, True, False, False)),
+        (mavlink.MAVLink_ekf_status_report_message(flags=303, **EKF_FIELDS), EkfStatus(1, NOW_S, False, False, False)),
+        (mavlink.MAVLink_ekf_status_report_message(flags=128 + 32768, **EKF_FIELDS), EkfStatus(1, NOW_S, False, True, True)),
+        (mavlink.MAVLink_ekf_status_report_message(flags=1024, **EKF_FIELDS), EkfStatus(1, NOW_S, False, False, False)),
+        (mavlink.MAVLink_estimator_status_message(flags=16 + 1024, **ESTIMATOR_FIELDS), EkfStatus(1, NOW_S, True, False, True)),
+        (
+            mavlink.MAVLink_estimator_status_message(flags=128 + 32768, **ESTIMATOR_FIELDS),
+            EkfStatus(1, NOW_S, False, True, False),
+        ),
+        (peer_range(), with_changes(A_RANGE, sequence=65_535, line_of_sight=0.8, device_id=2)),
+        (ranging_beacon(), with_changes(A_RANGE, sequence=200)),
+        (named_value(), with_changes(A_RANGE, sigma_m=None)),
+        (debug_vect(), with_changes(A_RANGE, line_of_sight=0.8)),
+    ],
+    ids=lambda value: getattr(value, "msgname", ""),
+)
+def test_message_is_decoded_in_the_cores_units(sent, expected):
+    got, counts = decode(sent)
+    assert type(got) is type(expected)
+    for name in expected.__slots__:
+        want = getattr(expected, name)
+        if isinstance(want, float):
+            assert getattr(got, name) == pytest.approx(want, rel=1e-7, abs=1e-12), name
+        else:
+            assert getattr(got, name) == want, name
+    assert counts == {}
+
+
+def test_a_vehicles_own_request_for_the_time_is_no_answer():
+    assert decode(mavlink.MAVLink_timesync_message(0, 5)) == (None, {})
+
+
+@pytest.mark.parametrize(
+    ("sent", "changes"),
+    [
+        (gps_raw(h_acc=0, v_acc=0, vel_acc=0), {"h_acc_m": None, "v_acc_m": None, "speed_acc_mps": None}),
+        (gps_raw(eph=65535, epv=65535), {"hdop": None}),
+        (gps_raw(satellites_visible=255), {"satellites": None}),
+        (gps_raw(fix_type=1, lat=0, lon=0, alt=0), {"fix_type": 1, "lat_deg": 0.0, "lon_deg": 0.0}),
+        (gps_raw(fix_type=0, lat=2**31 - 1, lon=2**31 - 1, alt=-(2**31)), {"fix_type": 0, "lat_deg": 0.0, "lon_deg": 0.0}),
+        (peer_range(range_std=0.0), {"sigma_m": None}),
+        (peer_range(quality=255), {"line_of_sight": None}),
+        (peer_range(quality=0), {"line_of_sight": 0.0}),
+        (peer_range(time_usec=0), {"measured_at_s": None, "time_base": TimeBase.SERVICE}),
+        (peer_range(time_usec=UNIX_US), {"measured_at_s": UNIX_US / 1e6, "time_base": TimeBase.UNIX}),
+        (ranging_beacon(range_accuracy=0xFFFFFFFF), {"sigma_m": None}),
+        (ranging_beacon(range_accuracy=0), {"sigma_m": None}),
+        (named_value(boot_ms=0), {"measured_at_s": None, "time_base": TimeBase.SERVICE}),
+        (named_value(name=b"RNG254"), {"peer_sysid": 254}),
+        (named_value(name=b"RNG7\x00junk"), {"peer_sysid": 7}),
+        (debug_vect(y=0.0, z=-1.0), {"sigma_m": None, "line_of_sight": None}),
+        (debug_vect(time_usec=UNIX_US), {"time_base": TimeBase.UNIX}),
+    ],
+)
+def test_unknown_values_and_both_time_bases_are_told_apart(sent, changes):
+    got, counts = decode(sent)
+    assert {name: getattr(got, name) for name in changes} == changes
+    assert counts == {}
+
+
+@pytest.mark.parametrize(
+    ("sent", "reason"),
+    [
+        (global_position(lat=900_000_001), "GLOBAL_POSITION_INT.lat"),
+        (global_position(lat=2_147_000_000), "GLOBAL_POSITION_INT.lat"),
+        (global_position(lon=-1_800_000_001), "GLOBAL_POSITION_INT.lon"),
+        (global_position(lat=0, lon=0), "GLOBAL_POSITION_INT.lat_lon_zero"),
+        (global_position(alt=-1_000_001), "GLOBAL_POSITION_INT.alt"),
+        (global_position(alt=100_000_001), "GLOBAL_POSITION_INT.alt"),
+        (gps_raw(lat=0, lon=0), "GPS_RAW_INT.lat_lon_zero"),
+        (gps_raw(fix_type=9), "GPS_RAW_INT.fix_type"),
+        (gps_raw(fix_type=2, lat=-900_000_001), "GPS_RAW_INT.lat"),
+        (gps_raw(alt=2**31 - 1), "GPS_RAW_INT.alt"),
+        (mavlink.MAVLink_attitude_message(0, math.nan, 0, 0, 0, 0, 0), "ATTITUDE.roll"),
+        (mavlink.MAVLink_attitude_message(0, 0, math.inf, 0, 0, 0, 0), "ATTITUDE.pitch"),
+        (mavlink.MAVLink_attitude_message(0, 0, 0, 350.0, 0, 0, 0), "ATTITUDE.yaw"),
+        (mavlink.MAVLink_vfr_hud_message(-1.0, 20, 90, 50, 100, 0), "VFR_HUD.airspeed"),
+        (mavlink.MAVLink_vfr_hud_message(1001.0, 20, 90, 50, 100, 0), "VFR_HUD.airspeed"),
+        (mavlink.MAVLink_vfr_hud_message(math.inf, 20, 90, 50, 100, 0), "VFR_HUD.airspeed"),
+        (mavlink.MAVLink_timesync_message(-1, 5), "TIMESYNC.tc1"),
+        (mavlink.MAVLink_system_time_message(2**64 - 1, 0), "SYSTEM_TIME.time_unix_usec"),
+        (peer_range(range=0.0), "PEER_RANGE.range"),
+        (peer_range(range=-5.0), "PEER_RANGE.range"),
+        (peer_range(range=1e6), "PEER_RANGE.range"),
+        (peer_range(range=math.nan), "PEER_RANGE.range"),
+        (peer_range(range=math.inf), "PEER_RANGE.range"),
+        (peer_range(range_std=-0.1), "PEER_RANGE.range_std"),
+        (peer_range(range_std=math.nan), "PEER_RANGE.range_std"),
+        (peer_range(peer_system=0), "PEER_RANGE.peer_system"),
+        (peer_range(peer_system=1), "PEER_RANGE.peer_system"),
+        (peer_range(quality=101), "PEER_RANGE.quality"),
+        (peer_range(time_usec=2**64 - 1), "PEER_RANGE.time_usec"),
+        (ranging_beacon(range=0xFFFFFFFF), "RANGING_BEACON.range"),
+        (ranging_beacon(range=0), "RANGING_BEACON.range"),
+        (ranging_beacon(beacon_id=1), "RANGING_BEACON.beacon_id"),
+        (ranging_beacon(beacon_id=256), "RANGING_BEACON.beacon_id"),
+        (named_value(name=b"RNG0"), "NAMED_VALUE_FLOAT.name"),
+        (named_value(name=b"RNG1"), "NAMED_VALUE_FLOAT.name"),
+        (named_value(name=b"RNG256"), "NAMED_VALUE_FLOAT.name"),
+        (named_value(value=math.nan), "NAMED_VALUE_FLOAT.value"),
+        (debug_vect(x=-1.0), "DEBUG_VECT.x"),
+        (debug_vect(y=math.nan), "DEBUG_VECT.y"),
+        (debug_vect(z=math.nan), "DEBUG_VECT.z"),
+        (debug_vect(z=100.5), "DEBUG_VECT.z"),
+    ],
+)
+def test_impossible_value_is_refused_with_message_and_field(sent, reason):
+    got, counts = decode(sent)
+    assert got is None
+    assert counts == {f"invalid_value:{reason}": 1}
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        heartbeat(autopilot=mavlink.MAV_AUTOPILOT_INVALID),
+        heartbeat(kind=mavlink.MAV_TYPE_GCS, autopilot=mavlink.MAV_AUTOPILOT_GENERIC),
+        heartbeat(kind=mavlink.MAV_TYPE_ONBOARD_CONTROLLER, autopilot=mavlink.MAV_AUTOPILOT_GENERIC),
+        heartbeat(kind=mavlink.MAV_TYPE_GIMBAL, autopilot=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA),
+        heartbeat(kind=mavlink.MAV_TYPE_ADSB, autopilot=mavlink.MAV_AUTOPILOT_GENERIC),
+        mavlink.MAVLink_vfr_hud_message(math.nan, 20, 90, 50, 100, 0),
+        named_value(name=b"volt"),
+        named_value(name=b"RNG"),
+        named_value(name=b"RNGx"),
+        named_value(name=b"xRNG3"),
+        debug_vect(name=b"\xff\xfe\x00\x00"),
+    ],
+)
+def test_message_that_holds_nothing_for_the_core(sent):
+    assert decode(sent) == (None, {})
+
+
+@pytest.mark.parametrize("version_1", [False, True])
+def test_fields_left_off_the_wire_are_zero(version_1):
+    """MAVLink 2 cuts off trailing zeros, MAVLink 1 knows no extension fields."""
+    sent = gps_raw(satellites_visible=0, h_acc=0, v_acc=0, vel_acc=0)
+    if version_1:
+        sent.unpacker = type("BaseFields", (), {"pack": staticmethod(lambda *values: type(sent).unpacker.pack(*values)[:30])})
+    got, counts = decode(sent, force_mavlink1=version_1)
+    assert (got.satellites, got.h_acc_m, got.fix_type) == (0, None, 6)
+    assert counts == {}
+
+
+def test_fields_that_a_newer_definition_adds_are_passed_over():
+    sent = heartbeat()
+    sent.unpacker = type("Longer", (), {"pack": staticmethod(lambda *values: type(sent).unpacker.pack(*values) + b"\x07\x07")})
+    assert decode(sent)[0] == Heartbeat(1, NOW_S, Autopilot.ARDUPILOT, armed=False)
