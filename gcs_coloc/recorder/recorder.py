@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import threading
 import time
 from collections import deque
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from gcs_coloc.core.errors import RecordError
@@ -27,6 +28,7 @@ _SYNC_S = 1.0
 _RETRY_S = 5.0
 _SILENT_S = 5.0
 _JOIN_S = 5.0
+_NAMES = 3600
 
 _Item = tuple[float, bytes] | Note | Entry
 
@@ -55,9 +57,11 @@ class Recorder:
         self._told: tuple[str | None, int] = (None, 0)
         self._parts = 0
         self._state: dict[tuple[object, ...], Note] = {}  # what a new part has to repeat
-        self._name = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+        self._name = ""
         try:
             directory.mkdir(parents=True, exist_ok=True)
+        except FileExistsError:
+            raise self._not_writable("it is a file and no directory") from None
         except OSError as error:
             raise self._not_writable(error.strerror) from None
         if not os.access(directory, os.W_OK | os.X_OK):
@@ -72,7 +76,7 @@ class Recorder:
             RecordError: it cannot be made; the text says why.
         """
         try:
-            self._part = self._open_part()
+            self._part = self._open_first()
         except OSError as error:
             raise self._not_writable(error.strerror) from None
         self._turned_at_s = time.monotonic()
@@ -195,9 +199,24 @@ class Recorder:
             head += tlog_record(at_s, self._notes.pack(note, repeated=True))
         return head
 
+    def _open_first(self) -> Part:
+        """Begin under the name of this second, or of the next that is free.
+
+        Another service may have begun in it, and a computer without a battery for its clock begins every day at the same time.
+        """
+        begun = datetime.now(UTC)
+        for later_s in range(_NAMES):
+            self._name = (begun + timedelta(seconds=later_s)).strftime("%Y%m%dT%H%M%SZ")
+            with contextlib.suppress(FileExistsError):
+                return Part(self._directory, self._part_name(1))
+        return Part(self._directory, self._part_name(1))
+
+    def _part_name(self, number: int) -> str:
+        self._parts = number
+        return f"gcs-coloc-{self._name}-{number:03d}"
+
     def _open_part(self) -> Part:
-        self._parts += 1
-        return Part(self._directory, f"gcs-coloc-{self._name}-{self._parts:03d}")
+        return Part(self._directory, self._part_name(self._parts + 1))
 
     def _try_to_open(self) -> None:
         try:

@@ -49,6 +49,24 @@ def test_the_key_and_what_cannot_be_stripped_are_left_out():
     assert tlog_record(AT_S, unknown[:2] + b"\x01" + unknown[3:] + bytes(13)) == b""
 
 
+def test_two_recordings_that_begin_in_one_second_get_names_of_their_own(tmp_path):
+    recorders = [Recorder(tmp_path, 20_000, *OWN) for _ in range(3)]
+    for recorder in recorders:
+        recorder.open()
+    for number, recorder in enumerate(recorders):
+        recorder.frame(AT_S, attitude(sender(), number))
+        recorder.close()
+    logs = sorted(tmp_path.glob("*.tlog"))
+    assert len(logs) == len(list(tmp_path.glob("*-001.mcap"))) == 3
+    assert {len(list(TlogReader(log))) for log in logs} == {2}  # what a part begins with, and the one frame of its own
+
+
+def test_a_file_in_the_place_of_the_directory_is_named_as_one(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordError, match="cannot be written to: it is a file and no directory"):
+        Recorder(tmp_path / "file", 20_000, *OWN)
+
+
 def test_parts_turn_over_by_size_join_to_the_whole_and_begin_with_what_was_told(tmp_path):
     frames = [attitude(sender(), number) for number in range(3000)]
     recorder = Recorder(tmp_path, 20_000, *OWN)
