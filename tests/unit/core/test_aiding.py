@@ -191,6 +191,15 @@ def test_standby_waits_for_parameters_by_which_the_vehicle_stays_with_its_own_re
     assert len(aids(fly(engine, 10.0, 14.0, failed=[4]), 4)) > 25  # aid needs none of it
 
 
+def test_what_stands_against_standby_is_told_once_and_only_when_the_vehicle_has_told_its_parameters():
+    engine = Engine(StraightLine(), settings(aid=AidSettings(standby=True)))
+    silent = fly(engine, 0.0, 5.0)
+    parameters_told(engine, 5.0, GPS_AUTO_SWITCH=1.0, GPS_PRIMARY=0.0)
+    told = fly(engine, 5.0, 10.0)
+    assert not [o for _, o in silent if isinstance(o, Notice) and "no standby" in o.text]
+    assert len([o for _, o in told if isinstance(o, Notice) and "no standby" in o.text]) == 1
+
+
 def test_without_standby_a_healthy_vehicle_gets_nothing():
     engine = Engine(StraightLine(), settings())
     out = fly(engine, 0.0, 5.0)

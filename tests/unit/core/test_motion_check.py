@@ -48,6 +48,24 @@ def test_a_jump_is_told_within_two_seconds_and_held_for_ten():
     assert check.implausible(39.9) is None
 
 
+def test_positions_that_are_off_for_less_than_a_second_are_passed_over():
+    check = MotionCheck()
+    for i in range(200):
+        t = i / 10
+        check.take_claim(claim(t, 20.0 * t + (30.0 if 10.0 <= t < 10.8 else 0.0), 0.0, 20.0, 0.0), own=True)
+        assert check.implausible(t + 0.1) is None
+
+
+@pytest.mark.parametrize(("jump_m", "is_told"), [(95.0, False), (120.0, True)])
+def test_a_jump_counts_beyond_five_sigmas_of_two_positions(jump_m, is_told):
+    """Two positions of 15 m (1-sigma) are 21.2 m apart (1-sigma): 106 m, and 2 m that always pass."""
+    check = MotionCheck()
+    for i in range(120):
+        t = i / 10
+        check.take_claim(claim(t, 20.0 * t + (jump_m if t >= 10.0 else 0.0), 0.0, 20.0, 0.0, h_acc_m=15.0), own=True)
+    assert (check.implausible(12.0) is not None) is is_told
+
+
 def test_a_position_that_stands_while_the_velocity_does_not_is_told():
     check = MotionCheck()
     for i in range(60):

@@ -57,6 +57,12 @@ def test_what_is_not_taken_raises_one_alarm_after_some_seconds_and_is_cleared_wh
     assert (uptake.taken, uptake.fault) == (True, None)
 
 
+@pytest.mark.parametrize(("off_m", "is_told"), [(85.0, False), (95.0, True)])
+def test_a_receiver_may_be_fifty_metres_and_two_seconds_of_flight_off_what_is_sent(off_m, is_told):
+    """The vehicle flies 20 m/s north: 90 m."""
+    assert bool(run(Uptake(1, 0.0), 0.0, 30.0, FIX, (3, 47.0 + off_m / 111_320.0))) is is_told
+
+
 def test_the_fix_that_lingers_for_a_few_seconds_raises_nothing():
     uptake = Uptake(1, 0.0)
     run(uptake, 0.0, 10.0, FIX, (3, 47.0))
