@@ -86,6 +86,7 @@ class Playback:
     def obey(self, command: PlaybackCommand) -> None:
         """Do what the page asks for."""
         self._obeyed += 1
+        before = self._motion
         if command.halt:
             self._head.halt()
         if command.speed is not None:
@@ -94,6 +95,16 @@ class Playback:
             self._head.seek(command.seek_s)
         if command.playing is not None:
             (self._head.play if command.playing else self._head.pause)()
+        self._tell_whole_after(before)
+
+    @property
+    def _motion(self) -> tuple[bool, bool]:
+        return self._head.playing, self._head.goal_s is not None
+
+    def _tell_whole_after(self, before: tuple[bool, bool]) -> None:
+        if any(was and not still for was, still in zip(before, self._motion, strict=True)):
+            # The pages saw little of what it moved through.
+            self._story.edition += 1
 
     async def run(self) -> None:
         """Go on for ever. DataError where the recording can no longer be read."""
@@ -123,11 +134,9 @@ class Playback:
         return False
 
     def _reached(self, at_s: float, due_s: float) -> None:
-        moving = self._head.goal_s is not None
+        before = self._motion
         self._head.reached(at_s, due_s)
-        if moving and self._head.goal_s is None:
-            # The pages saw little of what lies between.
-            self._story.edition += 1
+        self._tell_whole_after(before)
         if self._replay.next_s is None and not self._told_damage:
             self._told_damage = True
             for kind, amount in self._replay.log.counts.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import signal
 import socket
@@ -17,6 +18,9 @@ from flight import Watched, browser
 from playwright.sync_api import expect
 from recorded_flight import EPOCH_S, write_flight
 
+from gcs_coloc.recorder.tlog import TlogReader
+from gcs_coloc.recorder.tlog_writer import tlog_record
+
 pytestmark = pytest.mark.integration
 
 
@@ -31,17 +35,36 @@ def recording(tmp_path_factory) -> tuple[Path, Path]:
     return path, table
 
 
-@pytest.fixture
-def replayed(recording) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    path, truth = recording
-    command = [sys.executable, "-m", "gcs_coloc", "replay", str(path), "--truth", str(truth), "--web", "127.0.0.1:0"]
+@pytest.fixture(scope="module")
+def long_recording(recording, tmp_path_factory) -> Path:
+    """The same flight thirty times on end, 20 min: more than is computed while one looks at it."""
+    path = tmp_path_factory.mktemp("long") / "long.tlog"
+    once = list(TlogReader(recording[0]))
+    with path.open("wb") as file:
+        for n in range(30):
+            file.writelines(tlog_record(record.unix_s + 40.0 * n, record.frame) for record in once)
+    return path
+
+
+@contextlib.contextmanager
+def replaying(path: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    command = [sys.executable, "-m", "gcs_coloc", "replay", str(path), *options, "--web", "127.0.0.1:0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     found = re.search(r"web page: (http://\S+)", process.stdout.readline())
     assert found is not None
-    yield process, found.group(1)
-    process.kill()
-    process.communicate()
+    try:
+        yield process, found.group(1)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def replayed(recording) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    path, truth = recording
+    with replaying(path, "--truth", str(truth)) as running:
+        yield running
 
 
 def test_a_flight_is_played_paused_and_sought_in_by_keyboard(replayed):
@@ -80,6 +103,49 @@ def test_a_flight_is_played_paused_and_sought_in_by_keyboard(replayed):
     assert (process.returncode, told) == (0, "")
 
 
+def test_a_long_way_to_a_place_is_shown_redirected_and_stopped_by_button_and_key(long_recording):
+    with replaying(long_recording) as (_, url), browser() as chromium:
+        page = chromium.new_page(viewport={"width": 1366, "height": 900})
+        expect.set_options(timeout=60_000)
+        watched = Watched(page)
+        page.goto(url)
+        place, shown = page.get_by_role("slider", name="Place in the recording"), page.locator("#place-text")
+        stop, state = page.get_by_role("button", name="Stop here"), page.locator("#connection")
+        page.get_by_role("button", name="Pause").click()
+        expect(state).to_have_text("replay, paused")
+        expect(stop).to_be_disabled()
+        place.focus()
+        page.keyboard.press("End")
+        expect(shown).to_have_text(re.compile(r"^computing \d+:\d\d of (19:59|20:00)$"))
+        expect(shown).to_have_text(re.compile(r"^computing 0:[3-5]\d of|^computing [1-9]"))
+        expect(state).to_have_text("replay, computing")
+        # Another place, behind it, instead.
+        page.keyboard.press("Home")
+        expect(shown).to_have_text(re.compile(r"^0:00 of (19:59|20:00)$"))
+        expect(state).to_have_text("replay, paused")
+        page.keyboard.press("End")
+        expect(stop).to_be_enabled()
+        stop.click()
+        expect(state).to_have_text("replay, paused")
+        expect(shown).to_have_text(re.compile(r"^\d+:\d\d of (19:59|20:00)$"))
+        place.focus()
+        page.keyboard.press("End")
+        expect(stop).to_be_enabled()
+        page.keyboard.press("Escape")
+        expect(stop).to_be_disabled()
+        expect(state).to_have_text("replay, paused")
+        page.keyboard.press("Space")
+        expect(state).to_have_text("replay")
+        page.keyboard.press("Space")
+        expect(state).to_have_text("replay, paused")
+        page.keyboard.press("Home")
+        for _ in range(30):
+            page.keyboard.press("ArrowRight")
+        expect(place).to_have_value("30")
+        expect(shown).to_have_text(re.compile(r"^0:30 of"))
+        assert watched.complaints == []
+
+
 def answer(url: str, path: str, body: bytes, **headers: str) -> int:
     request = urllib.request.Request(f"{url}{path}", data=body, headers=headers)
     try:
@@ -94,6 +160,7 @@ def test_the_controls_need_no_token_but_no_foreign_page_reaches_them_and_there_a
     _, url = replayed
     assert answer(url, "api/playback", b'{"playing": false, "speed": "max"}') == 200
     assert answer(url, "api/playback", b'{"seek_s": %f}' % (EPOCH_S + 30.0)) == 200
+    assert answer(url, "api/playback", b'{"halt": true}') == 200
     assert answer(url, "api/playback", b'{"speed": -1}') == 422
     assert answer(url, "api/playback", b"x" * 2000) == 413
     assert answer(url, "api/playback", b"{}", Origin="http://evil.example") == 403

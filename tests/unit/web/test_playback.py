@@ -172,23 +172,25 @@ def test_an_estimator_that_cannot_be_copied_is_replayed_from_the_beginning_and_t
 
 
 def test_it_is_stopped_on_its_way_to_a_place(flight):
-    playback, _ = playback_of(flight)
+    playback, story = playback_of(flight)
     playback.obey(PlaybackCommand(seek_s=EPOCH_S + 25.0))
     for _ in range(300):
         playback.go_on(Clock())
-    before = playback.state
+    before, edition = playback.state, story.edition
     assert (before.goal_s, before.playing, before.obeyed) == (EPOCH_S + 25.0, True, 1)
     playback.obey(PlaybackCommand(halt=True))
     assert not playback.go_on(Clock())
     after = playback.state
     assert (after.goal_s, after.playing, after.obeyed) == (None, False, 2)
     assert before.at_s == after.at_s < EPOCH_S + 25.0
+    assert story.edition == edition + 1
 
 
 def test_it_plays_to_the_end_and_stops_there(flight):
-    playback, _ = playback_of(flight)
+    playback, story = playback_of(flight)
     while playback.state.playing:
         playback.go_on(Clock())
+    assert story.edition == 1
     assert playback.state.at_s == playback.state.last_s == pytest.approx(EPOCH_S + 30.0, abs=0.2)
     assert {v.sysid for v in playback.look().vehicles} == {1, 2, 3, 4}
     assert playback.look().links[0].received > 300
