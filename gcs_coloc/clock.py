@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+from time import monotonic_ns, time_ns
 
 _RESOLUTION_S = 2e-6
 
@@ -15,12 +15,13 @@ class ServiceClock:
     """
 
     def __init__(self) -> None:
-        self._started_unix_us = time.time_ns() // 1000
-        self._started_ns = time.monotonic_ns()
+        self._started_unix_us = time_ns() // 1000
+        self._started_ns = monotonic_ns()
+        self._unix_minus_monotonic_ns = self._started_unix_us * 1000 - self._started_ns
 
     def __call__(self) -> float:
         """The time now, seconds."""
-        return (self._started_unix_us + (time.monotonic_ns() - self._started_ns) // 1000) / 1e6
+        return (monotonic_ns() + self._unix_minus_monotonic_ns) // 1000 / 1e6
 
     def on_loop(self, at_s: float) -> float:
         """When, on the event loop's clock, this clock has passed `at_s`: a reading taken then is later."""

@@ -92,6 +92,7 @@ class FleetService:
             ]
         )
         self._recording = FlightRecording(settings.record, ids, self._engine)
+        self._hands_on = bool(settings.record.directory or settings.out)
         self._seen: FleetView | None = None
         self._deadline = Deadline(clock, self._poll)
         self._engine_at_s = clock()
@@ -206,7 +207,10 @@ class FleetService:
         source = (link, address)
         if self._is_ending or not self._intake.admits(source, len(payload), received_at_s):
             return
-        self._advance(received_at_s)
+        # The timer fires no later than the engine's next deadline, and most datagrams come before that.
+        if received_at_s > self._deadline.at_s:
+            self._advance(received_at_s)
+        self._engine_at_s = received_at_s
         good: list[RawFrame] = []
         refused: list[Frame] = []
         frames = self._decoder.decode(payload, received_at_s, source, self._signed.of(link.name), good)
@@ -226,8 +230,9 @@ class FleetService:
         for raw in good:
             if raw.message_id in TRUTH_IDS:
                 self._note_truth(raw, link, address, received_at_s)
-        self._recording.heard(received_at_s, good, refused)
-        self._forwarder.from_vehicle(good, link, address, received_at_s)
+        if self._hands_on:
+            self._recording.heard(received_at_s, good, refused)
+            self._forwarder.from_vehicle(good, link, address, received_at_s)
         if frames:  # by what the engine has not received no deadline comes sooner
             self._wake()
 

@@ -6,7 +6,6 @@ rate algorithm of ITU-T I.371).
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Hashable
 from dataclasses import dataclass
 
@@ -42,8 +41,7 @@ class Intake:
         self.counts = Counts()
         self._bytes_per_s = bytes_per_s
         self._max_known = max_known
-        # In the order of last hearing.
-        self._known: OrderedDict[Hashable, _Share] = OrderedDict()
+        self._known: dict[Hashable, _Share] = {}
         self._others_drained_at_s = float("-inf")
 
     @property
@@ -59,8 +57,10 @@ class Intake:
     def admits(self, source: Hashable, size: int, now_s: float) -> bool:
         """Whether a datagram of `size` bytes that came from `source` at service time `now_s` is to be looked at."""
         own = self._known.get(source)
-        drained_at_s = max(self._others_drained_at_s if own is None else own.drained_at_s, now_s)
-        cost_s = max(size, LEAST_COST_BYTES) / self._bytes_per_s
+        drained_at_s = self._others_drained_at_s if own is None else own.drained_at_s
+        if drained_at_s < now_s:
+            drained_at_s = now_s
+        cost_s = (size if size > LEAST_COST_BYTES else LEAST_COST_BYTES) / self._bytes_per_s
         # Not whether this one still fits in: in a flood of small datagrams a larger one never would.
         admitted = drained_at_s - now_s < BURST_S and cost_s <= BURST_S
         if admitted:
@@ -71,13 +71,12 @@ class Intake:
             self._others_drained_at_s = drained_at_s
         else:
             own.drained_at_s, own.heard_at_s = drained_at_s, now_s
-            self._known.move_to_end(source)
         return admitted
 
     def _has_room(self, now_s: float) -> bool:
         if len(self._known) < self._max_known:
             return True
-        stalest = next(iter(self._known))
+        stalest = min(self._known, key=lambda source: self._known[source].heard_at_s)
         if now_s - self._known[stalest].heard_at_s < KEPT_S:
             return False
         del self._known[stalest]

@@ -84,31 +84,30 @@ class Decoder:
         """
         frames: list[Frame] = []
         for raw in framing.split(datagram, self.counts, ended=True)[0]:
-            sender = (raw.sysid, raw.compid)
+            sysid, compid = sender = (raw.sysid, raw.compid)
             if sender == self._own:
                 self.counts.add(ECHO)
             # Who else uses our system id is no vehicle; but another sender of aid must not go unnoticed by that.
-            elif raw.sysid == self._own[0] and raw.message_id != MAVLINK_MSG_ID_GPS_INPUT:
+            elif sysid == self._own[0] and raw.message_id != MAVLINK_MSG_ID_GPS_INPUT:
                 self.counts.add(OWN_SYSID_USED)
-            elif raw.sysid == 0:
+            elif sysid == 0:
                 self.counts.add(INVALID_SYSID)
             # Before anything is remembered of the sender, and before its message's id decides: both are his to choose.
             elif signing is not None and (refusal := signing.refusal(raw, received_at_s)) is not None:
                 self.counts.add(refusal)
-            elif not self.sequences.note((source, raw.sysid, raw.compid), raw.sequence, raw.checksum, received_at_s):
+            elif not self.sequences.note((source, sysid, compid), raw.sequence, raw.checksum, received_at_s):
                 self.counts.add(DUPLICATE)
             else:
                 if good is not None:
                     good.append(raw)
-                self._take(raw, sender, received_at_s, frames)
+                if raw.message_id in _LAYOUTS:
+                    self._take(raw, sender, received_at_s, frames)
+                else:
+                    self.counts.add(NOT_WANTED if raw.is_known else UNKNOWN_MESSAGE)
         return frames
 
     def _take(self, raw: framing.RawFrame, sender: tuple[int, int], received_at_s: float, frames: list[Frame]) -> None:
-        if not raw.is_known:
-            self.counts.add(UNKNOWN_MESSAGE)
-        elif raw.message_id not in _LAYOUTS:
-            self.counts.add(NOT_WANTED)
-        elif raw.message_id in AUTOPILOT_CONVERTERS and not self._is_autopilot(sender):
+        if raw.message_id in AUTOPILOT_CONVERTERS and not self._is_autopilot(sender):
             self.counts.add(NOT_FROM_AUTOPILOT)
         else:
             message = self._message(raw, received_at_s)

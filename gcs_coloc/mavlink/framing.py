@@ -33,6 +33,7 @@ UNVERIFIABLE = "unverifiable"
 REST_DROPPED = "rest_dropped"
 
 ANY_MAGIC = re.compile(b"[\xfd\xfe]")
+_new = tuple.__new__
 _ONE_BYTE = tuple(bytes((value,)) for value in range(256))
 _HEADER_V1 = struct.Struct("<5B")  # after the magic byte: length, sequence, system, component, message id
 _HEADER_V2 = struct.Struct("<6BHB")  # length, incompat and compat flags, sequence, system, component, message id (24 bits)
@@ -88,7 +89,8 @@ def read_frame(data: bytes | mmap, start: int) -> RawFrame | str:
     if crc_extra is not None and mcrf4xx(data[start + 1 : payload_end] + _ONE_BYTE[crc_extra]) != checksum:
         return BAD_CRC
     payload = data[payload_start:payload_end]
-    return RawFrame(crc_extra is not None, message_id, sysid, compid, sequence, checksum, payload, data[start:end])
+    # As RawFrame(...) does, at half the time.
+    return _new(RawFrame, (crc_extra is not None, message_id, sysid, compid, sequence, checksum, payload, data[start:end]))
 
 
 def sender_of(frame: bytes) -> tuple[int, int]:
