@@ -42,7 +42,7 @@ LOCATED = replace(
     aid="sending 3D fix",
     aid_has_fix=True,
     enu_m=(120.0, 40.0, 5.0),
-    consistency=Consistency(1.1, 0.8, 1.2, 150),
+    consistency=Consistency(0.5, 0.3, 0.6, 150, 3),
     delay_s=0.02,
 )
 LOST = replace(

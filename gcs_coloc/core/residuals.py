@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterable
 from functools import lru_cache
 from statistics import median
 
-from scipy.special import gammaincinv
+from scipy.special import betaincinv, gammaincinv
 
 from gcs_coloc.core.measurements import Residual
 from gcs_coloc.core.view import Consistency, RangeView
@@ -22,60 +22,67 @@ class ResidualLog:
 
     def __init__(self) -> None:
         self._recent: deque[Residual] = deque(maxlen=_MOST)
+        self._newest: dict[tuple[int, int], Residual] = {}
+        self._consistency: dict[int, Consistency] | None = {}
 
     def take(self, residuals: Iterable[Residual], now_s: float) -> None:
         """Add what the estimator has handed out, and forget what is too old."""
-        self._recent.extend(r for r in residuals if r.to_vehicle is not None)
-        while self._recent and now_s - self._recent[0].measured_at_s > _KEPT_S:
-            self._recent.popleft()
-
-    def ranges(self, now_s: float) -> tuple[RangeView, ...]:
-        """The newest residual of each pair, in the order of the pairs."""
-        newest: dict[tuple[int, int], Residual] = {}
-        for r in self._recent:
-            assert r.to_vehicle is not None
+        recent, newest = self._recent, self._newest
+        for r in residuals:
+            if r.to_vehicle is None:
+                continue
+            recent.append(r)
             pair = (r.from_vehicle, r.to_vehicle)
             if pair not in newest or r.measured_at_s >= newest[pair].measured_at_s:
                 newest[pair] = r
+            self._consistency = None
+        while recent and now_s - recent[0].measured_at_s > _KEPT_S:
+            recent.popleft()
+            self._consistency = None
+        for pair in [pair for pair, r in newest.items() if now_s - r.measured_at_s > _KEPT_S]:
+            del newest[pair]
+
+    def ranges(self, now_s: float) -> tuple[RangeView, ...]:
+        """The newest residual of each pair, in the order of the pairs."""
         return tuple(
             RangeView(a, b, now_s - r.measured_at_s, r.innovation_m, r.sigma_m, r.nis, r.refused)
-            for (a, b), r in sorted(newest.items())
+            for (a, b), r in sorted(self._newest.items(), key=lambda newest: newest[0])
         )
 
     def consistency(self) -> dict[int, Consistency]:
-        """For each vehicle that measured ranges: its mean NIS per degree of freedom, refused ranges included, and the band.
+        """For each vehicle at an end of a range: the median NIS of its ranges, refused ones included, and the band of it.
 
-        Refused ranges count: leaving them out would make every filter look consistent.
+        Refused ranges count: leaving them out would make every filter look consistent. In the median a few that multipath made
+        too long hardly show, which their mean would be full of; where half of the ranges contradict the position it does.
         """
-        sums: dict[int, tuple[float, int]] = {}
-        for r in self._recent:
-            nis, degrees = sums.get(r.from_vehicle, (0.0, 0))
-            sums[r.from_vehicle] = (nis + r.nis, degrees + r.degrees_of_freedom)
-        out = {}
-        for vehicle, (nis, degrees) in sums.items():
-            if degrees > 0:
-                low, high = _band_95(degrees)
-                out[vehicle] = Consistency(nis / degrees, low, high, degrees)
-        return out
+        if self._consistency is None:
+            found: defaultdict[int, list[float]] = defaultdict(list)
+            refused: Counter[int] = Counter()
+            for r in self._recent:
+                assert r.to_vehicle is not None
+                nis = r.nis / r.degrees_of_freedom if r.degrees_of_freedom > 1 else r.nis
+                for end in (r.from_vehicle, r.to_vehicle):
+                    found[end].append(nis)
+                    if r.refused is not None:
+                        refused[end] += 1
+            self._consistency = {
+                end: Consistency(median(nis), *_band_95(len(nis)), len(nis), refused[end]) for end, nis in found.items()
+            }
+        return self._consistency
 
     def misfit(self) -> dict[int, float]:
-        """For each vehicle with enough ranges, its own and those to it: the median NIS per degree of freedom, refused ones
-        included.
-
-        It is 0.45 for a consistent filter, and outliers hardly change it.
-        """
-        found: defaultdict[int, list[float]] = defaultdict(list)
-        for r in self._recent:
-            assert r.to_vehicle is not None
-            nis = r.nis / r.degrees_of_freedom if r.degrees_of_freedom > 1 else r.nis
-            found[r.from_vehicle].append(nis)
-            found[r.to_vehicle].append(nis)
-        return {vehicle: median(nis) for vehicle, nis in found.items() if len(nis) >= _LEAST_FOR_MISFIT}
+        """The median NIS of each vehicle that has enough ranges to be judged by them; 0.45 for a consistent filter."""
+        return {vehicle: c.nis_median for vehicle, c in self.consistency().items() if c.ranges >= _LEAST_FOR_MISFIT}
 
 
 @lru_cache(maxsize=1024)
-def _band_95(degrees: int) -> tuple[float, float]:
-    """Where the mean of a consistent filter's NIS per degree of freedom lies with 95 %."""
+def _band_95(count: int) -> tuple[float, float]:
+    """Where the median of so many independent NIS, chi-square with one degree of freedom each, lies with 95 %.
+
+    Source: the distribution function at the median of n draws is beta distributed with both parameters (n + 1) / 2; exact for
+    odd n, closely so for even.
+    """
     # The chi-square quantile through the inverse incomplete gamma function: scipy.stats takes half a second to import.
-    low, high = (2.0 * float(gammaincinv(0.5 * degrees, p)) for p in (0.025, 0.975))
-    return low / degrees, high / degrees
+    half = 0.5 * (count + 1)
+    low, high = (2.0 * float(gammaincinv(0.5, float(betaincinv(half, half, p)))) for p in (0.025, 0.975))
+    return low, high

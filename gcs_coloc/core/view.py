@@ -7,16 +7,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """Whether the innovations of a vehicle's ranges have the size that the estimator says.
+    """Whether the innovations of a vehicle's ranges, its own and those to it, have the size that the estimator says.
 
-    `nis_mean` is the normalised innovation squared per degree of freedom, averaged over the last seconds, with its 95 %
-    band for independent innovations and the degrees of freedom it was taken over.
+    `nis_median` is the median of their normalised innovation squared over the last seconds, refused ones included, with the 95 %
+    band of that median for independent innovations; of `ranges` in all, `refused` were not used.
     """
 
-    nis_mean: float
+    nis_median: float
     band_low: float
     band_high: float
-    degrees_of_freedom: int
+    ranges: int
+    refused: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,7 +68,7 @@ def write_kml(story: Story, path: Path) -> None:
 
 def _row(entry: VehicleEntry) -> list[Any]:
     v = entry.vehicle
-    nis = v.consistency.nis_mean if v.consistency is not None else None
+    nis = v.consistency.nis_median if v.consistency is not None else None
     return [
         f"{entry.at_s:.6f}", v.sysid, _number(v.lat_deg, 8), _number(v.lon_deg, 8), _number(v.alt_msl_m, 3),
         _number(v.sigma_h_m, 3), _number(v.bound_95_m, 3), _number(v.hdop, 3), _number(nis, 4), v.ranges_in_use,

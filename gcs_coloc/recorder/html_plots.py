@@ -56,7 +56,7 @@ def vehicle_picture(story: Story, track: Sequence[VehicleEntry]) -> str:
     known = [(at, v.consistency) for at, v in zip(t, views, strict=True) if v.consistency is not None]
     times = [at for at, _ in known]
     nis.fill_between(times, [c.band_low for _, c in known], [c.band_high for _, c in known], color="0.85", label="95 % band")
-    nis.plot(times, [c.nis_mean for _, c in known], color=_BLUE, lw=1, label="mean NIS of its ranges, refused ones too")
+    nis.plot(times, [c.nis_median for _, c in known], color=_BLUE, lw=1, label="median NIS of its ranges, refused ones too")
     nis.set(xlabel="s since the first frame", yscale="symlog")
     for axes in (bound, hdop, nis):
         for begin_s, end_s in _spans(t, [v.gps_state in WITHOUT_GPS for v in views]):

@@ -21,9 +21,14 @@ _GAUGES: tuple[tuple[str, str, Callable[[VehicleView], float | None]], ...] = (
     ("hdop", "Horizontal dilution of precision of the ranges in use.", lambda v: v.hdop),
     ("ranges_in_use", "Neighbours whose ranges were used lately.", lambda v: float(v.ranges_in_use)),
     (
-        "nis_mean",
-        "Mean normalised innovation squared of its ranges.",
-        lambda v: v.consistency.nis_mean if v.consistency else None,
+        "nis_median",
+        "Median normalised innovation squared of its ranges of the last 5 s, refused ones included.",
+        lambda v: v.consistency.nis_median if v.consistency else None,
+    ),
+    (
+        "ranges_refused_ratio",
+        "Share of its ranges of the last 5 s that were refused.",
+        lambda v: v.consistency.refused / v.consistency.ranges if v.consistency else None,
     ),
     ("aid_fix", "1 while the vehicle is being sent a position.", lambda v: float(v.aid_has_fix)),
     (

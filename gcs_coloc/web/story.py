@@ -124,14 +124,14 @@ class Story:
 def _row(v: VehicleView, at_s: float) -> _Row:
     east_m, north_m, _ = v.enu_m if v.enu_m is not None else (nan, nan, nan)
     c = v.consistency
-    nis = (c.nis_mean, c.band_low, c.band_high) if c is not None else (nan, nan, nan)
+    nis = (c.nis_median, c.band_low, c.band_high) if c is not None else (nan, nan, nan)
     sigma_m, hdop = (x if x is not None else nan for x in (v.sigma_h_m, v.hdop))
     return (at_s, east_m, north_m, sigma_m, hdop, float(v.ranges_in_use), *nis)
 
 
 def _columns(sysid: int, rows: list[_Row]) -> VehicleHistory:
     at_s, *rest = zip(*rows, strict=True)
-    names = ("east_m", "north_m", "sigma_h_m", "hdop", "ranges_in_use", "nis_mean", "band_low", "band_high")
+    names = ("east_m", "north_m", "sigma_h_m", "hdop", "ranges_in_use", "nis_median", "band_low", "band_high")
     columns = {name: tuple(_short(x) for x in column) for name, column in zip(names, rest, strict=True)}
     return VehicleHistory(sysid=sysid, at_s=at_s, **columns)
 

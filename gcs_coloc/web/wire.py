@@ -145,7 +145,7 @@ class VehicleHistory(_Wire):
     sigma_h_m: tuple[float | None, ...]
     hdop: tuple[float | None, ...]
     ranges_in_use: tuple[float | None, ...]
-    nis_mean: tuple[float | None, ...]
+    nis_median: tuple[float | None, ...]
     band_low: tuple[float | None, ...]
     band_high: tuple[float | None, ...]
 

@@ -67,7 +67,7 @@ export class FleetList {
       "2-sigma ellipse": ellipse === null ? "-" : `${metres(ellipse.semi_major_m)} by ${metres(ellipse.semi_minor_m)}`,
       speed: view.velocity_enu_mps === null ? "-" : `${Math.hypot(view.velocity_enu_mps[0], view.velocity_enu_mps[1]).toFixed(1)} m/s`,
       "HDOP, ranges in use": `${number(view.hdop)}, ${view.ranges_in_use}`,
-      NIS: c === null ? "-" : `${number(c.nis_mean, 2)} in ${number(c.band_low, 2)} to ${number(c.band_high, 2)}${c.nis_mean > c.band_high ? ": too large" : ""}`,
+      "median NIS": c === null ? "-" : `${number(c.nis_median, 2)}, ${c.nis_median > c.band_high ? "above its band" : "band"} ${number(c.band_low, 2)} to ${number(c.band_high, 2)}; ${c.refused} of ${c.ranges} ranges refused`,
       clock: view.clock_method === null ? "-" : `${view.clock_method} ±${milliseconds(view.clock_sigma_s)}`,
       link: link === undefined ? "-" : `${number(link.rate_hz)} frames/s, loss ${number(link.loss_percent)} %`,
       "sent to it": view.aid,

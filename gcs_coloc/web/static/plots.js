@@ -9,7 +9,7 @@ const HEIGHT = 150;
 const KINDS = [
   { key: "sigma_h_m", title: "1-sigma, m" },
   { key: "hdop", title: "HDOP" },
-  { key: "nis_mean", title: "NIS with its 95 % band" },
+  { key: "nis_median", title: "median NIS with its 95 % band" },
   { key: "ranges_in_use", title: "ranges in use" },
 ];
 
@@ -42,7 +42,7 @@ export class Plots {
       const c = view.consistency;
       this.put(frame.at_s, view.sysid, {
         sigma_h_m: view.sigma_h_m, hdop: view.hdop, ranges_in_use: view.ranges_in_use,
-        nis_mean: c?.nis_mean ?? null, band_low: c?.band_low ?? null, band_high: c?.band_high ?? null,
+        nis_median: c?.nis_median ?? null, band_low: c?.band_low ?? null, band_high: c?.band_high ?? null,
       });
     }
     while (this.rows.size > SAMPLES) this.rows.delete(this.rows.keys().next().value);
@@ -68,7 +68,7 @@ export class Plots {
   data(kind) {
     const times = [...this.rows.keys()].map((t) => t + (this.offset ?? 0));
     const columns = this.sysids.map((id) => this.column(id, kind.key));
-    if (kind.key !== "nis_mean") return [times, ...columns];
+    if (kind.key !== "nis_median") return [times, ...columns];
     // The band of the vehicle that is selected, or else of the first that has one.
     const owner = this.selected ?? this.sysids.find((id) => this.column(id, "band_low").some((x) => x !== null)) ?? this.sysids[0];
     return [times, ...columns, this.column(owner, "band_high"), this.column(owner, "band_low")];
@@ -84,7 +84,7 @@ export class Plots {
         label: `vehicle ${id}`, stroke: seriesColour(i), dash: seriesDash(i), width: id === this.selected ? 3 : 1.5, spanGaps: false, points: { show: false },
       }));
       const n = series.length;
-      const isNis = kind.key === "nis_mean";
+      const isNis = kind.key === "nis_median";
       if (isNis) for (const label of ["band, high", "band, low"]) series.push({ label, stroke: css("--faint"), width: 1, points: { show: false } });
       const holder = el("figure", { role: "img", "aria-label": `Plot of ${kind.title} over time` });
       const old = byId("plots").querySelector(`[data-key="${kind.key}"]`);

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from gcs_coloc.core.measurements import Residual
 from gcs_coloc.core.residuals import ResidualLog
@@ -30,24 +29,45 @@ def test_what_is_older_than_five_seconds_is_forgotten_and_fixes_are_left_out():
     assert log.consistency() == {}
 
 
-@pytest.mark.parametrize(("scale", "inside"), [(1.0, True), (1.6, False), (0.5, False)])
-def test_the_band_holds_a_consistent_filter_and_no_other(scale, inside):
+@pytest.mark.parametrize("count", [1, 5, 12, 75, 200])
+def test_the_band_holds_the_median_of_a_consistent_filter_with_95_percent(count):
+    medians = np.median(np.random.default_rng(3).chisquare(1, (20_000, count)), axis=1)
+    log = ResidualLog()
+    log.take([residual(10.0)] * count, 10.0)
+    c = log.consistency()[4]
+    assert c.ranges == count
+    # 20,000 draws: the share is known to 0.0015 (1-sigma); for an even count the band is an approximation.
+    assert np.mean(medians < c.band_low) == pytest.approx(0.025, abs=0.008)
+    assert np.mean(medians > c.band_high) == pytest.approx(0.025, abs=0.008)
+
+
+@pytest.mark.parametrize(("scale", "place"), [(1.0, "within"), (1.6, "above"), (0.5, "below")])
+def test_innovations_of_another_size_than_the_filter_says_are_out_of_the_band(scale, place):
     innovations = np.random.default_rng(3).normal(0.0, scale, 200)
     log = ResidualLog()
     log.take([residual(10.0, float(x)) for x in innovations], 10.0)
     c = log.consistency()[4]
-    assert c.degrees_of_freedom == 200
-    assert c.band_low == pytest.approx(chi2.ppf(0.025, 200) / 200)
-    assert c.band_high == pytest.approx(chi2.ppf(0.975, 200) / 200)
-    assert c.nis_mean == pytest.approx(float(np.mean(innovations**2)))
-    assert (c.band_low <= c.nis_mean <= c.band_high) is inside
+    assert c.nis_median == pytest.approx(float(np.median(innovations**2)))
+    assert place == ("below" if c.nis_median < c.band_low else "above" if c.nis_median > c.band_high else "within")
 
 
-def test_refused_ranges_count_against_consistency():
+def test_a_few_refused_ranges_hardly_change_the_median_and_are_counted_half_of_them_do():
+    few, half = ResidualLog(), ResidualLog()
+    sound = [residual(10.0, float(x)) for x in np.random.default_rng(5).normal(0.0, 1.0, 100)]
+    few.take([*sound, *[residual(10.0, 30.0, refused="gate")] * 5], 10.0)
+    half.take([*sound, *[residual(10.0, 30.0, refused="gate")] * 110], 10.0)
+    c = few.consistency()[4]
+    assert c.band_low < c.nis_median < c.band_high
+    assert (c.ranges, c.refused) == (105, 5)
+    assert half.consistency()[4].nis_median > 100.0
+
+
+def test_both_ends_of_a_range_are_told_and_what_is_too_old_is_not():
     log = ResidualLog()
-    log.take([residual(10.0)] * 50 + [residual(10.0, 9.0, refused="gate")] * 5, 10.0)
-    c = log.consistency()[4]
-    assert c.nis_mean > c.band_high
+    log.take([residual(10.0), residual(10.0, 2.0, peer=2), residual(12.0, 3.0, peer=2)], 12.0)
+    assert {vehicle: c.ranges for vehicle, c in log.consistency().items()} == {1: 1, 2: 2, 4: 3}
+    log.take([], 16.0)
+    assert {vehicle: c.nis_median for vehicle, c in log.consistency().items()} == {2: 9.0, 4: 9.0}
 
 
 @pytest.mark.parametrize(("scale", "low", "high"), [(1.0, 0.3, 0.65), (3.0, 2.7, 5.8)])

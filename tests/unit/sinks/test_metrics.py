@@ -30,7 +30,8 @@ def test_the_numbers_are_the_views():
     assert value(view, "gcs_coloc_vehicle_height_sigma_meters", sysid="4") == 4.0
     assert value(view, "gcs_coloc_vehicle_aid_fix", sysid="4") == 1
     assert value(view, "gcs_coloc_vehicle_aid_fix", sysid="1") == 0
-    assert value(view, "gcs_coloc_vehicle_nis_mean", sysid="4") == 1.1
+    assert value(view, "gcs_coloc_vehicle_nis_median", sysid="4") == 0.5
+    assert value(view, "gcs_coloc_vehicle_ranges_refused_ratio", sysid="4") == 3 / 150
     assert value(view, "gcs_coloc_vehicle_gps_state", sysid="4", state="failed") == 1
     assert value(view, "gcs_coloc_vehicle_gps_state", sysid="4", state="healthy") == 0
     assert value(view, "gcs_coloc_vehicle_link_frames_received_total", sysid="1") == 200
