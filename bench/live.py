@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.figures import Figure, interleaved
-from bench.load import put_under_load, wait_until_bound
+from bench.load import cores, put_under_load, wait_until_bound
 from bench.service_cpu import free_port, free_ports, rss_mb
 
 _MAVUTIL = """
@@ -38,10 +39,14 @@ _GOAL_VEHICLES = 400
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """One program on live traffic. `share` is CPU per second, `jitter_ms` the deviations of GPS_INPUT intervals from 100 ms."""
+    """One program on live traffic. `share` is CPU per second, `jitter_ms` the deviations of GPS_INPUT intervals from 100 ms.
+
+    `waited_share` is for how much of the time it was ready to run and another program had the core.
+    """
 
     cpu_us_per_message: float
     share: float
+    waited_share: float
     rss_mb: float
     jitter_ms: np.ndarray
     outputs_per_s: float
@@ -78,10 +83,10 @@ def measure_throughput(quick: bool) -> list[Figure]:
 
 
 def measure_vehicles(quick: bool) -> list[Figure]:
-    """How many vehicles one process serves in real time, one in four without GPS."""
+    """How many vehicles one process serves in real time on one core, one in four without GPS; the load comes from another."""
     seconds = 10.0 if quick else 30.0
     figures = []
-    for vehicles in (100, 200, _GOAL_VEHICLES):
+    for vehicles in (100, 150, 200, _GOAL_VEHICLES):
         run = _service(vehicles // _VEHICLES_A_FLEET, seconds)
         p50, p99 = np.percentile(run.jitter_ms, [50, 99]) if len(run.jitter_ms) else (np.inf, np.inf)
         expected = vehicles / _VEHICLES_A_FLEET * 10.0
@@ -91,7 +96,8 @@ def measure_vehicles(quick: bool) -> list[Figure]:
                 "vehicles",
                 f"{vehicles} vehicles in fleets of four, GPS_INPUT interval off 100 ms",
                 f"p50 {p50:.1f} ms, p99 {p99:.1f} ms, {run.outputs_per_s:.0f} of {expected:.0f}/s, "
-                f"CPU {run.share:.0%}, {run.rss_mb:.0f} MB",
+                f"CPU {run.share:.0%}, {run.cpu_us_per_message:.0f} us a message, {run.rss_mb:.0f} MB; "
+                f"ready without a core {run.waited_share:.0%} of the time",
                 f"p99 < {_MOST_JITTER_MS:.0f} ms" if vehicles == _GOAL_VEHICLES else "",
                 steady if vehicles == _GOAL_VEHICLES else None,
             )
@@ -122,14 +128,17 @@ def _mavproxy(program: str, fleets: int, seconds: float) -> float:
 
 
 def _under_load(program: list[str], ports: list[int], seconds: float) -> _Run:
+    core, others = cores()
     with _running(program) as process:
+        os.sched_setaffinity(process.pid, core)
         wait_until_bound(process, ports)
-        load = put_under_load([process], [str(port) for port in ports], seconds)
+        load = put_under_load([process], [str(port) for port in ports], seconds, sender_on=others)
         intervals_ms = np.concatenate([np.diff(fleet["gps_input_s"]) * 1e3 for fleet in load.fleets])
         share = load.used_s[0] / load.span_s
         return _Run(
             cpu_us_per_message=share / load.messages_per_s * 1e6,
             share=share,
+            waited_share=load.waited_s[0] / load.span_s,
             rss_mb=rss_mb(process.pid),
             jitter_ms=np.abs(intervals_ms - 100.0),
             outputs_per_s=len(intervals_ms) / load.span_s,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -12,31 +13,49 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.service_cpu import cpu_s
+from bench.service_cpu import cpu_s, waited_s
 
 _START_WITHIN_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """`span_s` and `used_s` of each process are of the time after the warm-up; `fleets` as `bench.load_sender` tells them."""
+    """`span_s`, and `used_s` and `waited_s` of each process, are of the time after the warm-up.
+
+    `waited_s` is for how long it was ready to run and had no core. `fleets` as `bench.load_sender` tells them.
+    """
 
     messages_per_s: float
     span_s: float
     used_s: list[float]
+    waited_s: list[float]
     fleets: list[dict[str, Any]]
 
 
-def put_under_load(programs: Sequence[subprocess.Popen[bytes]], fleets: Sequence[str], seconds: float) -> Load:
-    """Send to `fleets` (see `bench.load_sender`) for a time after the warm-up. RuntimeError where a program ends meanwhile."""
-    samples: list[tuple[float, list[float]]] = []
+def cores() -> tuple[set[int], set[int]]:
+    """A core for the program that is measured, and those for the sender of its load; the same where there is only one."""
+    first, *others = sorted(os.sched_getaffinity(0), reverse=True)
+    return {first}, set(others) or {first}
+
+
+def put_under_load(
+    programs: Sequence[subprocess.Popen[bytes]], fleets: Sequence[str], seconds: float, sender_on: set[int] | None = None
+) -> Load:
+    """Send to `fleets` (see `bench.load_sender`) for a time after the warm-up, from the cores `sender_on` (any by default).
+
+    RuntimeError where a program ends meanwhile.
+    """
+    samples: list[tuple[float, list[float], list[float]]] = []
     # To a file: a hundred fleets' tale is longer than a pipe holds, and nobody reads until the sender has ended.
     with tempfile.TemporaryFile("w+", encoding="utf-8") as tale:
         sender = subprocess.Popen([sys.executable, "-m", "bench.load_sender", str(seconds), *fleets], stdout=tale)
+        if sender_on is not None:
+            os.sched_setaffinity(sender.pid, sender_on)
         # The sender's preparations come on top of its warm-up; what counts is how much is used from the first look to the end.
         while sender.poll() is None:
             time.sleep(0.25)
-            samples.append((time.monotonic(), [cpu_s(program.pid) for program in programs]))
+            pids = [program.pid for program in programs]
+            samples.append((time.monotonic(), [cpu_s(pid) for pid in pids], [waited_s(pid) for pid in pids]))
         tale.seek(0)
         told = json.load(tale)
     for program in programs:
@@ -48,6 +67,7 @@ def put_under_load(programs: Sequence[subprocess.Popen[bytes]], fleets: Sequence
         messages_per_s=told["sent"] / (told["ended_s"] - told["began_s"]),
         span_s=ended[0] - began[0],
         used_s=[after_s - before_s for before_s, after_s in zip(began[1], ended[1], strict=True)],
+        waited_s=[after_s - before_s for before_s, after_s in zip(began[2], ended[2], strict=True)],
         fleets=told["fleets"],
     )
 
