@@ -19,6 +19,9 @@ from gcs_coloc.mavlink.truth import HeardTruth, truth_of
 from gcs_coloc.recorder.notes import GroundTool, ReadNote, read_note
 from gcs_coloc.recorder.tlog import TlogReader, TlogRecord
 
+_LONGEST_GAP_S = 600.0
+"""What lies beyond so long a gap is another flight, or the recorder's clock was set: the deadlines between are left out."""
+
 
 @dataclass(slots=True)
 class ReplayCounts:
@@ -92,6 +95,7 @@ class RecordedMessages:
 
     def _take(self, record: TlogRecord) -> None:
         counts, found = self.counts, self._of_record
+        gap_ends_s = self._latest_s + _LONGEST_GAP_S
         at_s = self._latest_s = max(self._latest_s, record.unix_s)
         noted = read_note(record.frame, at_s, self._own)
         if counts.records == 0:
@@ -101,6 +105,8 @@ class RecordedMessages:
             if noted is None:
                 # Another program's recording: its clock is all that is known of UTC, and every vehicle is taken as reached.
                 found.append(ClockReference(at_s, 0.0))
+        elif at_s > gap_ends_s:
+            found.append(HeldUp(at_s, gap_ends_s))
         counts.records += 1
         counts.last_s = at_s
         if noted is not None:

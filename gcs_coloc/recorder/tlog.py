@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+import stat
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,17 @@ SEARCHED_BYTES = 1 << 16
 """A file without one good record in so many bytes is no tlog."""
 
 _TIME = struct.Struct(">Q")
+_NO_TIME_US = 4_102_444_800_000_000
+"""From the year 2100 on the eight bytes before a frame are taken for no time."""
+
+_OTHERS = {
+    b"\x1f\x8b": "is compressed; unpack it with gunzip first",
+    b"PK\x03\x04": "is a zip archive; unpack it first",
+    b"\x89MCAP": "is an MCAP file; the .tlog that was recorded beside it is wanted",
+    b"\xa3\x95": "is an onboard log of ArduPilot; a log of the telemetry (.tlog) is wanted",
+    b"ULog": "is an onboard log of PX4; a log of the telemetry (.tlog) is wanted",
+}
+"""What a file is that begins so, and the mend."""
 
 
 class TlogRecord(NamedTuple):
@@ -62,7 +74,10 @@ class TlogReader:
             DataError: as iterating does.
         """
         try:
-            if self._path.stat().st_size == 0:
+            about = self._path.stat()
+            if not (stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode)):
+                raise DataError(f"{self._path}: is no file; a recording cannot be replayed from a pipe or device")
+            if stat.S_ISREG(about.st_mode) and about.st_size == 0:
                 raise DataError(f"{self._path}: is empty, no tlog")
             with self._path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
                 yield from self._records(data, position)
@@ -80,6 +95,8 @@ class TlogReader:
                 self.position = position = position + _TIME.size + len(found.frame)
                 yield TlogRecord(time_us / 1e6, found.frame)
                 continue
+            if not found_any and (other := _other_kind(data)) is not None:
+                raise DataError(f"{self._path}: {other}")
             resume = _next_record(data, position + 1, size if found_any else min(size, SEARCHED_BYTES))
             if resume is not None:
                 self.counts.add(DAMAGED_BYTES, resume - position)
@@ -101,6 +118,8 @@ def _frame_of_record(data: mmap.mmap, position: int) -> RawFrame | str:
     start = position + _TIME.size
     if start >= len(data):
         return TRUNCATED
+    if not _is_time(data, position):
+        return UNVERIFIABLE
     found = read_frame(data, start)
     if isinstance(found, RawFrame) and not found.is_known:
         # Its checksum cannot be verified; that a record follows where it ends vouches for its length.
@@ -108,6 +127,27 @@ def _frame_of_record(data: mmap.mmap, position: int) -> RawFrame | str:
         if following < len(data) and data[following] not in (MAGIC_V1, MAGIC_V2):
             return UNVERIFIABLE
     return found
+
+
+def _is_time(data: mmap.mmap, position: int) -> bool:
+    time_us: int = _TIME.unpack_from(data, position)[0]
+    return time_us < _NO_TIME_US
+
+
+def _other_kind(data: mmap.mmap) -> str | None:
+    """What a file is that does not begin with a record, and the mend; None where it may be a damaged tlog."""
+    for beginning, words in _OTHERS.items():
+        if data[: len(beginning)] == beginning:
+            return words
+    for magic in ANY_MAGIC.finditer(data, 0, min(len(data), SEARCHED_BYTES)):
+        found = read_frame(data, magic.start())
+        if isinstance(found, RawFrame) and found.is_known:
+            end = magic.start() + len(found.frame)
+            following = read_frame(data, end) if end < len(data) else None
+            if isinstance(following, RawFrame) and following.is_known:
+                return "holds MAVLink frames without times, as MAVProxy's .tlog.raw; the .tlog itself is wanted"
+            return None
+    return None
 
 
 def _last_time_s(data: mmap.mmap) -> float:
@@ -129,6 +169,6 @@ def _next_record(data: mmap.mmap, start: int, end: int) -> int | None:
     """The first offset in [start, end) of a record whose frame has a right checksum."""
     for magic in ANY_MAGIC.finditer(data, start + _TIME.size, end):
         found = read_frame(data, magic.start())
-        if isinstance(found, RawFrame) and found.is_known:
+        if isinstance(found, RawFrame) and found.is_known and _is_time(data, magic.start() - _TIME.size):
             return magic.start() - _TIME.size
     return None

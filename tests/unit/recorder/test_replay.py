@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import struct
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -175,6 +176,23 @@ def test_a_service_that_was_held_up_is_replayed_as_it_was(recorded, tmp_path):
         assert run(held, truth)[0] == flown
     assert [t for t, _ in flown if 24.75 < t - EPOCH_S < 25.0]
     assert not [t for t, _ in flown if 25.0 < t - EPOCH_S < 26.99]
+
+
+def test_days_between_two_flights_of_one_file_are_left_out(recorded, tmp_path):
+    """At five deadlines a second a year would be 160 million of them."""
+    path, joined = recorded[0], tmp_path / "joined.tlog"
+    flight = list(TlogReader(path))[:2000]
+    year_s = 365.0 * 86400.0
+    with joined.open("wb") as file:
+        file.writelines(tlog_record(record.unix_s, record.frame) for record in flight)
+        file.writelines(tlog_record(record.unix_s + year_s, record.frame) for record in flight)
+    polled: list[float] = []
+    through = Replay(Engine(load_estimator("fleet", {})), TlogReader(joined), [], lambda at_s, _: polled.append(at_s - EPOCH_S))
+    replay(through)
+    assert {v.sysid for v in through.engine.view(through.now_s).vehicles if v.age_s < 1.0} == {1, 2, 3, 4}
+    [(before_s, after_s)] = [(a, b) for a, b in pairwise(polled) if b - a > 10.0]
+    assert before_s == pytest.approx(flight[-1].unix_s - EPOCH_S + 600.0, abs=1.0)
+    assert after_s == pytest.approx(year_s, abs=1.0)
 
 
 def test_how_it_is_stepped_and_advanced_leaves_no_trace(recorded):

@@ -1,5 +1,7 @@
 """Tlogs of an independent writer are read whole, and damage costs only what is damaged."""
 
+import gzip
+import os
 import struct
 
 import pytest
@@ -146,6 +148,49 @@ def test_empty_missing_and_unreadable_files_are_errors(tmp_path):
         list(TlogReader(tmp_path / "none.tlog"))
     with pytest.raises(DataError, match="cannot be read"):
         list(TlogReader(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (gzip.compress(record(0)), "is compressed; unpack it with gunzip first"),
+        (b"PK\x03\x04" + record(0), "is a zip archive"),
+        (b"\x89MCAP0\r\n" + bytes(100), "the .tlog that was recorded beside it is wanted"),
+        (b"\xa3\x95\x80\x80YFMT" + bytes(100), "is an onboard log of ArduPilot"),
+        (b"ULog\x01\x12\x35" + bytes(100), "is an onboard log of PX4"),
+        (frame(0) + frame(1) + frame(2), "holds MAVLink frames without times"),
+        (frame(0)[5:] + frame(1) + frame(2), "holds MAVLink frames without times"),
+        (frame(0), "is no tlog"),
+        (b"unix_s,sysid\n1,2\n", "is no tlog"),
+    ],
+)
+def test_what_is_something_else_is_called_by_its_name_with_the_mend(tmp_path, content, words):
+    with pytest.raises(DataError, match=words):
+        list(reader(tmp_path, content))
+
+
+def test_a_pipe_is_refused_before_anything_waits_for_it(tmp_path):
+    os.mkfifo(tmp_path / "pipe.tlog")
+    with pytest.raises(DataError, match="is no file"):
+        list(TlogReader(tmp_path / "pipe.tlog"))
+
+
+def test_a_record_with_an_impossible_time_is_damage(tmp_path):
+    impossible = b"\xff" + record(1)[1:]
+    log = reader(tmp_path, record(0) + impossible + record(2))
+    assert numbers(log) == [0, 2]
+    assert dict(log.counts) == {"damaged_bytes": len(impossible)}
+
+
+def test_reading_goes_on_from_where_it_was_left(tmp_path):
+    log = reader(tmp_path, b"xxx" + b"".join(map(record, range(5))) + b"yy")
+    records = iter(log)
+    assert numbers([next(records), next(records)]) == [0, 1]
+    counted = dict(log.counts)
+    assert numbers(log.records_from(log.position)) == [2, 3, 4]
+    assert (counted, dict(log.counts)) == ({"damaged_bytes": 3}, {"damaged_bytes": 3, "truncated": 1})
+    assert list(log.records_from(log.position)) == []
+    assert log.counts["truncated"] == 1
 
 
 def test_reading_twice_gives_the_same(tmp_path):
