@@ -92,7 +92,7 @@ def test_a_failed_vehicle_gets_an_alarm_until_acknowledged_an_ellipse_and_its_cl
     expect(card(page, 4)).to_contain_text("GPS healthy")
     expect(page.locator("path.ellipse:not([d='M0 0'])")).to_have_count(0)
     scene.failed.add(4)
-    alarm = page.locator("#alarms li").filter(has_text="vehicle 4: GPS suspect -> failed")
+    alarm = page.locator("#alarms li").filter(has_text="vehicle 4: GPS suspect\u00a0→\u00a0failed")
     expect(alarm).to_be_visible()
     expect(card(page, 4)).to_contain_text("sending 3D fix")
     expect(card(page, 4)).to_contain_text("caution")

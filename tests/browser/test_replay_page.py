@@ -82,7 +82,7 @@ def test_a_flight_is_played_paused_and_sought_in_by_keyboard(replayed):
         place.focus()
         page.keyboard.press("End")
         expect(place).to_have_attribute("aria-valuetext", re.compile("^0:(39|40) of 0:(39|40)$"))
-        alarm = page.locator("#alarms li").filter(has_text="vehicle 4: GPS suspect -> failed")
+        alarm = page.locator("#alarms li").filter(has_text="vehicle 4: GPS suspect\u00a0→\u00a0failed")
         expect(alarm).to_be_visible()
         expect(page.get_by_role("button", name="Vehicle 4: the truth")).to_be_visible()
         expect(page.get_by_text("the truth, from the simulation")).to_be_visible()

@@ -1,6 +1,6 @@
 // Alarms stay until they are acknowledged on this page; alike ones are counted together. Every event goes to the log.
 
-import { byId, el, setText } from "./dom.js";
+import { byId, el, prose, setText } from "./dom.js";
 
 const LOG_LINES = 200;
 
@@ -30,20 +30,20 @@ export class Alarms {
     for (const event of events) {
       if (event.id <= this.newest) continue;
       this.newest = event.id;
-      const who = event.sysid === null ? "" : `vehicle ${event.sysid}: `;
-      this.log(`${this.timeText(event.at_s)} ${who}${event.text}`, event.level);
-      if (event.alarm && event.id > this.done) this.raise(event, who);
+      const text = `${event.sysid === null ? "" : `vehicle ${event.sysid}: `}${prose(event.text)}`;
+      this.log(`${this.timeText(event.at_s)} ${text}`, event.level);
+      if (event.alarm && event.id > this.done) this.raise(event, text);
     }
     this.count();
   }
 
-  raise(event, who) {
+  raise(event, text) {
     const key = `${event.sysid} ${event.level} ${event.text.replace(/[\d.]+/g, "#")}`;
     const alarm = this.alarms.get(key) ?? this.make(key, event);
     alarm.times += 1;
-    setText(alarm.text, `${who}${event.text}`);
+    setText(alarm.text, text);
     setText(alarm.when, this.timeText(event.at_s) + (alarm.times > 1 ? `, ${alarm.times} times` : ""));
-    alarm.button.setAttribute("aria-label", `Acknowledge ${who}${event.text}`);
+    alarm.button.setAttribute("aria-label", `Acknowledge ${text}`);
   }
 
   make(key, event) {
@@ -72,6 +72,9 @@ export class Alarms {
   count() {
     const n = this.alarms.size;
     setText(byId("alarm-count"), n ? `(${n})` : "");
+    // The list may be out of sight, scrolled away by a vehicle's details.
+    byId("alarm-link").hidden = n === 0;
+    setText(byId("alarm-link"), n === 1 ? "1 alarm" : `${n} alarms`);
     byId("no-alarms").hidden = n > 0;
     byId("acknowledge-all").hidden = n < 2;
     document.title = n ? `(${n}) gcs-coloc` : "gcs-coloc";

@@ -21,6 +21,9 @@ export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
+// An arrow keeps what is on its two sides together.
+export const prose = (text) => text.replaceAll(" -> ", "\u00a0\u2192\u00a0");
+
 export const metres = (value, digits = 1) => (value === null ? "-" : `${value.toFixed(digits)} m`);
 export const milliseconds = (seconds) => (seconds === null ? "-" : `${(seconds * 1e3).toFixed(seconds < 0.01 ? 1 : 0)} ms`);
 export const number = (value, digits = 1) => (value === null ? "-" : value.toFixed(digits));

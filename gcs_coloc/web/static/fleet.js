@@ -34,7 +34,8 @@ export class FleetList {
     setText(card.word, LIGHT_WORDS[light]);
     setText(card.age, `last heard ${age(view.age_s + lateS)} ago`);
     setText(card.reason, reason);
-    setText(card.numbers, view.sigma_h_m === null ? "position unknown" : `1-sigma ${metres(view.sigma_h_m)}, HDOP ${number(view.hdop)}, ${view.ranges_in_use} ranges in use`);
+    const ranges = view.ranges_in_use > 0 ? `, HDOP ${number(view.hdop)}, ${view.ranges_in_use} ranges in use` : "";
+    setText(card.numbers, view.sigma_h_m === null ? "position unknown" : `1-sigma ${metres(view.sigma_h_m)}${ranges}`);
   }
 
   makeCard(sysid) {

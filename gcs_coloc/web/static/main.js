@@ -61,6 +61,16 @@ function hello(message) {
   for (const one of message.history) map.restoreTrail(one.sysid, one.east_m, one.north_m);
 }
 
+// In a long list those that need a look may be out of sight: they are named at the top.
+function summary({ vehicles, estimator }) {
+  const named = (light, words) => {
+    const sysids = vehicles.filter((v) => v.light === light).map((v) => v.view.sysid);
+    return `${sysids.length} ${words}${sysids.length ? ` (${sysids.join(", ")})` : ""}`;
+  };
+  const heard = `${vehicles.length} vehicle${vehicles.length === 1 ? "" : "s"}`;
+  return `${heard}, ${named("bad", "in alarm")}, ${named("caution", "with caution")}; estimator ${estimator}`;
+}
+
 function picture(message) {
   frame = message;
   frameAt = now();
@@ -72,10 +82,7 @@ function picture(message) {
     map.extendTrails(frame.vehicles);
     plots.add(frame);
   }
-  const lights = frame.vehicles.map((v) => v.light);
-  const bad = lights.filter((light) => light === "bad").length;
-  const caution = lights.filter((light) => light === "caution").length;
-  setText(byId("summary"), `${lights.length} vehicle${lights.length === 1 ? "" : "s"}, ${bad} in alarm, ${caution} with caution; estimator ${frame.estimator}`);
+  setText(byId("summary"), summary(frame));
 }
 
 function counted(message) {

@@ -1,6 +1,6 @@
 // Four plots on one time axis: 1-sigma, HDOP, NIS against its band, ranges in use. About one sample a second, ten minutes.
 
-import { byId, el } from "./dom.js";
+import { byId, el, svg } from "./dom.js";
 import { css, seriesColour, seriesDash } from "./palette.js";
 
 const uPlot = window.uPlot;
@@ -79,6 +79,7 @@ export class Plots {
     this.resizing.disconnect();
     this.built = this.sysids.length;
     const axis = { stroke: css("--text"), grid: { stroke: css("--grid"), width: 1 }, ticks: { stroke: css("--grid") } };
+    this.nameSeries();
     this.plots = KINDS.map((kind) => {
       const series = this.sysids.map((id, i) => ({
         label: `vehicle ${id}`, stroke: seriesColour(i), dash: seriesDash(i), width: id === this.selected ? 3 : 1.5, spanGaps: false, points: { show: false },
@@ -90,16 +91,24 @@ export class Plots {
       const old = byId("plots").querySelector(`[data-key="${kind.key}"]`);
       holder.dataset.key = kind.key;
       if (old) old.replaceWith(holder);
-      else byId("plots").append(holder);
+      else byId("series").before(holder);
       const plot = new uPlot({
         ...size(holder), padding: [null, 30, null, null], title: kind.title, series: [{}, ...series], axes: [{ ...axis, space: 80, values: (_, times) => times.map((t) => this.clock(t)) }, { ...axis, size: 46 }],
         bands: isNis && n > 0 ? [{ series: [n + 1, n + 2], fill: css("--band") }] : [],
         cursor: { sync: { key: "time" } }, scales: { x: { time: this.offset !== null }, y: { range: (_, low, high) => [0, Math.max(high ?? 1, low ?? 1, 1) * 1.1] } },
-        legend: { show: isNis ? false : kind.key === "sigma_h_m", live: false },
+        legend: { show: false },
       }, this.data(kind), holder);
       this.resizing.observe(holder);
       return plot;
     });
+  }
+
+  // One legend for all plots: that of a single one stands in a column and is as long as the fleet.
+  nameSeries() {
+    byId("series").replaceChildren(...this.sysids.map((id, i) => el("li", { class: id === this.selected ? "chosen" : null },
+      svg("svg", { viewBox: "0 0 36 14", "aria-hidden": "true" },
+        svg("path", { d: "M0 7H36", stroke: seriesColour(i), "stroke-width": 3, "stroke-dasharray": seriesDash(i).join(" ") || null })),
+      `vehicle ${id}`)));
   }
 
   clock(t) {
