@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 import socket
 import sys
@@ -18,26 +19,42 @@ from starlette.applications import Starlette
 from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket
 
+from gcs_coloc.web.live_socket import LiveSocket, SendFrame, send_frame_of, text_frame
+
 # As a fleet of four makes them: a picture, a vehicle's topic, half a second of tlog and of MCAP.
-_PICTURE = "x" * 6_200
+_PICTURE = text_frame(b"x" * 5_500)
 _PAYLOAD = "x" * 400
 _TOPICS = 13
 _WRITTEN = (b"x" * 4_000, b"x" * 14_000)
+_pages: list[SendFrame] = []
 _PICTURE_EVERY_S, _PUBLISH_EVERY_S, _WRITE_EVERY_S = 0.2, 1.0, 0.5
+
+
+class _Server(uvicorn.Server):
+    async def main_loop(self) -> None:
+        """Wait for ever, and wake for nothing, as the service's own does."""
+        await self.on_tick(0)
+        await asyncio.Event().wait()
 
 
 async def _live(page: WebSocket) -> None:
     await page.accept()
+    _pages.append(send_frame_of(page.scope))
+    await asyncio.Event().wait()
+
+
+async def _show() -> None:
     while True:
-        await page.send_text(_PICTURE)
+        for send in _pages:
+            send(_PICTURE)
         await asyncio.sleep(_PICTURE_EVERY_S)
 
 
 async def _publish(port: int) -> None:
     async with Client("127.0.0.1", port) as client:
         while True:
-            for number in range(_TOPICS):
-                await client.publish(f"floor/{number}", _PAYLOAD, retain=True)
+            topics = (f"floor/{number}" for number in range(_TOPICS))
+            await asyncio.gather(*(client.publish(topic, _PAYLOAD, retain=True, timeout=math.inf) for topic in topics))
             await asyncio.sleep(_PUBLISH_EVERY_S)
 
 
@@ -57,11 +74,12 @@ async def _run(mqtt_port: int, folder: Path) -> None:
     where = socket.create_server(("127.0.0.1", 0))
     print(f"web page: http://127.0.0.1:{where.getsockname()[1]}/", flush=True)
     app = Starlette(routes=[WebSocketRoute("/live", _live)])
-    server = uvicorn.Server(
-        uvicorn.Config(app, ws="websockets-sansio", http="h11", ws_per_message_deflate=False, lifespan="off", log_config=None)
+    server = _Server(
+        uvicorn.Config(app, ws=LiveSocket, http="h11", ws_per_message_deflate=False, lifespan="off", log_config=None)
     )
     async with asyncio.TaskGroup() as group:
         group.create_task(_publish(mqtt_port))
+        group.create_task(_show())
         group.create_task(server.serve(sockets=[where]))
 
 

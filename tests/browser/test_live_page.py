@@ -96,6 +96,8 @@ def test_a_failed_vehicle_gets_an_alarm_until_acknowledged_an_ellipse_and_its_cl
     expect(alarm).to_be_visible()
     expect(card(page, 4)).to_contain_text("sending 3D fix")
     expect(card(page, 4)).to_contain_text("caution")
+    expect(page.locator("#summary")).to_contain_text("1 with caution (4)")
+    expect(page.get_by_role("link", name="alarm")).to_be_visible()
     expect(page.locator("path.ellipse:not([d='M0 0'])")).to_have_count(1)
     expect(page.get_by_role("button", name="Vehicle 4: its own claim, not believed")).to_be_visible()
     expect(page.locator("path.range")).to_have_count(3)
@@ -107,6 +109,36 @@ def test_a_failed_vehicle_gets_an_alarm_until_acknowledged_an_ellipse_and_its_cl
     alarm.get_by_role("button", name="Acknowledge vehicle 4").click()
     expect(alarm).to_have_count(0)
     assert watched.complaints == []
+
+
+def test_a_page_that_is_behind_others_is_sent_no_pictures_and_is_up_to_date_when_it_is_looked_at_again(scene):
+    hidden, seen = (scene.chromium.new_page() for _ in range(2))
+    kinds = {hidden: [], seen: []}
+    for page, got in kinds.items():
+        note = lambda frame, got=got: got.append(re.search(r'"kind":"(\w+)"', frame)[1])  # noqa: E731
+        page.on("websocket", lambda socket, note=note: socket.on("framereceived", note))
+        page.goto(scene.url)
+        expect(page.get_by_role("status").filter(has_text="live")).to_be_visible()
+
+    def pictures(page):
+        page.evaluate("0")  # lets what has arrived be told
+        return kinds[page].count("fleet")
+
+    def look(page, state):
+        hide = f"Object.defineProperty(document, 'hidden', {{value: {state}, configurable: true}})"
+        page.evaluate(f"{hide}; document.dispatchEvent(new Event('visibilitychange'))")
+
+    look(hidden, "true")
+    before, until = pictures(hidden), pictures(seen) + 15
+    wait_for(lambda: pictures(seen) >= until, "pictures of the other page")
+    assert pictures(hidden) <= before + 3
+    hellos = kinds[hidden].count("hello")
+    look(hidden, "false")
+    wait_for(lambda: pictures(hidden) > before + 5, "pictures again")
+    assert kinds[hidden].count("hello") == hellos + 1
+    expect(hidden.get_by_role("status").filter(has_text="live")).to_be_visible()
+    for page in kinds:
+        page.close()
 
 
 def test_the_keyboard_reaches_a_vehicle_and_its_details_say_more(watched):
