@@ -20,7 +20,7 @@ _HEAD = """<!doctype html>
 <style>
 body { font: 16px/1.45 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem;
   color: #1a1a1a; background: #fff }
-table { border-collapse: collapse; margin: .6rem 0 }
+table { border-collapse: collapse; margin: .6rem 0; display: block; overflow-x: auto }
 th, td { border-bottom: 1px solid #ccc; padding: .25rem .7rem; text-align: left }
 td.n, th.n { text-align: right; font-variant-numeric: tabular-nums }
 img { max-width: 100% }
