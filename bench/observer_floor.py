@@ -6,11 +6,13 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import os
 import socket
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import uvicorn
@@ -31,6 +33,11 @@ _PICTURE_EVERY_S, _PUBLISH_EVERY_S, _WRITE_EVERY_S = 0.2, 1.0, 0.5
 
 
 class _Server(uvicorn.Server):
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """A signal ends this program at once."""
+        yield
+
     async def main_loop(self) -> None:
         """Wait for ever, and wake for nothing, as the service's own does."""
         await self.on_tick(0)
