@@ -266,3 +266,14 @@ def test_a_frame_from_another_address_than_its_vehicles_is_away_from_home_until_
     assert ears.table.is_at_home(2, 1, LINK, THERE, ears.now_s)
     assert ears.table.is_at_home(1, 154, LINK, THERE, ears.now_s + 5.0)
     assert not ears.table.counts
+
+
+def test_who_is_reached_at_an_address_is_known_for_a_minute_after_it_was_heard(ears):
+    ears.hears(1, HERE)
+    ears.now_s += 30.0
+    ears.hears(2, HERE)
+    ears.now_s += 29.0
+    assert ears.table.autopilots_at(LINK, HERE, ears.now_s) == (1, 2)
+    ears.now_s += 2.0
+    assert ears.table.autopilots_at(LINK, HERE, ears.now_s) == (2,)
+    assert ears.table.autopilots_at(LINK, THERE, ears.now_s) == ()
