@@ -118,7 +118,7 @@ def test_after_any_seeks_everything_that_is_put_out_and_seen_is_that_of_an_undis
     engine = Engine(load_estimator(estimator, {}))
     replay(Replay(engine, TlogReader(flight), [], lambda at_s, told: outputs.append((at_s, repr(told)))))
     undisturbed = dict(outputs)
-    assert len(undisturbed) == len(outputs) > 200
+    assert len(undisturbed) == len(outputs) > 150  # of some 200 deadlines; not each has something to put out
 
     rng, clock = random.Random(11), Clock()
     sought: Outputs = []
