@@ -43,12 +43,17 @@ def is_ready(remarks: list[Remark]) -> bool:
     return all(remark.level is not Level.STOP for remark in remarks)
 
 
+_OWN_SYSID = "give every vehicle a system id of its own: SYSID_THISMAV, MAV_SYSID since ArduPilot 4.7, MAV_SYS_ID on PX4"
+
+
 def _identity(vehicle: VehicleFindings) -> Iterator[Remark]:
     if vehicle.is_claimed_twice:
         yield stop(
             f"its system id is used at {len(vehicle.addresses)} addresses at the same time: {', '.join(vehicle.addresses)}",
-            "give every vehicle a system id of its own: SYSID_THISMAV, MAV_SYSID since ArduPilot 4.7, MAV_SYS_ID on PX4",
+            _OWN_SYSID,
         )
+    elif vehicle.has_two_clocks:
+        yield stop("its boot times are those of two autopilots in turn: two use its system id", _OWN_SYSID)
 
 
 def _address(vehicle: VehicleFindings) -> Iterator[Remark]:

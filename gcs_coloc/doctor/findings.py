@@ -45,7 +45,8 @@ class VehicleFindings:
     """One vehicle. Rates are those of the second half of the listening, by message id, Hz.
 
     `is_mavlink_1`: its autopilot sent no frame of MAVLink 2, though we did. `addresses`: where its autopilot was heard;
-    `is_claimed_twice`: at more than one of them at the same time. `others_there`: other autopilots behind one of these
+    `is_claimed_twice`: at more than one of them at the same time; `has_two_clocks`: its boot times are those of two autopilots
+    in turn, wherever they are. `others_there`: other autopilots behind one of these
     addresses. `parameters`: those it told, by its own names. `answers_only_to`: the system id under which it answered after it
     had not answered ours. `empty`: messages that came with impossible values only, such as a position of 0, 0. `peers`: the
     other ends of its ranges, whoever measured.
@@ -57,6 +58,7 @@ class VehicleFindings:
     armed: bool = False
     addresses: tuple[str, ...] = ()
     is_claimed_twice: bool = False
+    has_two_clocks: bool = False
     others_there: tuple[int, ...] = ()
     is_signed: bool = False
     is_mavlink_1: bool = False

@@ -11,9 +11,20 @@ from itertools import pairwise
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.aid_messages import ParameterRequest
-from gcs_coloc.core.messages import Autopilot, GpsReceiver, Heartbeat, Inbound, PeerRange, SystemTime, TimeSyncAnswer
+from gcs_coloc.core.messages import (
+    Attitude,
+    Autopilot,
+    GlobalPosition,
+    GpsReceiver,
+    Heartbeat,
+    Inbound,
+    PeerRange,
+    SystemTime,
+    TimeSyncAnswer,
+)
 from gcs_coloc.core.outputs import TimeSyncRequest, ToVehicle
 from gcs_coloc.core.streams import StreamRequests
+from gcs_coloc.core.two_clocks import TwoClocks
 from gcs_coloc.doctor.findings import Findings, VehicleFindings
 from gcs_coloc.doctor.parameters import ParameterReader
 from gcs_coloc.mavlink.decoder import Decoder, Frame
@@ -58,6 +69,7 @@ class _Vehicle:
     receiver: GpsReceiver | None = None
     answers_timesync: bool = False
     utc_minus_host_s: float | None = None
+    twins: TwoClocks = field(default_factory=TwoClocks)
     ask_time_at_s: float = float("-inf")
 
     @property
@@ -141,6 +153,7 @@ class Survey:
             armed=vehicle.armed,
             addresses=tuple(names[place] for place in vehicle.stays),
             is_claimed_twice=vehicle.is_claimed_twice,
+            has_two_clocks=vehicle.twins.seen(self._end_s),
             others_there=tuple(sorted(others)),
             is_signed=vehicle.is_signed,
             is_mavlink_1=vehicle.magics == {MAGIC_V1},
@@ -169,6 +182,8 @@ class Survey:
             vehicle.counts[frame.message_id] += 1
         if self._streams is not None:
             self._streams.heard(frame.sysid, frame.message_id, at_s)
+        if isinstance(message, GlobalPosition | Attitude | SystemTime):
+            vehicle.twins.take(message.boot_s, at_s)
         match message:
             case GpsReceiver(receiver=0):
                 vehicle.receiver = message

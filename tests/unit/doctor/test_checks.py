@@ -164,6 +164,7 @@ def test_another_receiver_instance_is_judged_as_the_fed_one():
         (replace(GOOD, parameters={}), "answers nothing"),
         (replace(GOOD, others_there=(1, 2)), "vehicle 1, 2 (a router?)"),
         (replace(GOOD, is_claimed_twice=True, addresses=("a", "b")), "2 addresses at the same time: a, b"),
+        (replace(GOOD, has_two_clocks=True), "two use its system id"),
         (replace(GOOD, peers=frozenset({1, 2})), "ranges to 2 of the 3 others that are needed to locate it: 1, 2"),
         (replace(GOOD, peers=frozenset()), "ranges to 0 of the 3"),
         (replace(GOOD, peers=frozenset({1, 2, 9})), "ranges to 2 of the 3"),

@@ -187,6 +187,14 @@ def test_a_system_id_that_two_use_is_found_and_one_that_moved_is_none(field):
     assert not moved.is_claimed_twice
 
 
+def test_two_autopilots_with_one_system_id_at_one_address_are_told_by_their_clocks(field):
+    field.beat(0.0, 1, 2)
+    for step in range(16):
+        for sysid, boot_ms in ((1, 60_000), (1, 900_000), (2, 60_000)):
+            field.hear(step * 0.9 + 0.1, sysid, mavlink.MAVLink_system_time_message(0, boot_ms + step * 900))
+    assert [v.has_two_clocks for v in field.found()] == [True, False]
+
+
 def test_ranges_count_for_both_ends_whoever_measured_and_a_single_one_for_nobody(field):
     field.beat(0.0, 1, 2, 3)
     for _ in range(2):
