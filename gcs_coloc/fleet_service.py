@@ -272,10 +272,11 @@ class FleetService:
         is_lull = False
         for at_s, outputs in advance(self._engine, to_s, catch_up_s=CATCH_UP_S):
             news.extend(outputs)
-            if self._engine.next_deadline() >= to_s:
-                # Before the journal looks at the engine: that takes as long as estimating, and vehicles are waiting.
+            if self._engine.next_aid_s() >= to_s:
+                # Before the fleet is reviewed and the journal looks at it: that takes longer than estimating, and vehicles wait.
                 self._pass_on(without_superseded(news))
-                is_lull = True
+                news = []
+                is_lull = self._engine.next_deadline() >= to_s
             self._recording.polled(at_s, outputs)
         if is_lull:
             self.lulls.begin()

@@ -37,6 +37,8 @@ def was_held_up(engine: Engine, to_s: float) -> HeldUp | None:
 def advance(engine: Engine, to_s: float, *, catch_up_s: float = float("inf")) -> Iterator[tuple[float, list[Outbound]]]:
     """Poll the engine at each deadline before `to_s`: the time and what came of it, one by one.
 
+    What vehicles wait for comes first: where the fleet is reviewed at the same time, that is a poll of its own after it.
+
     Args:
         engine: the engine; every message that arrived before `to_s` has been received.
         to_s: service time, seconds. A deadline at this very time waits for the next call.
@@ -44,7 +46,7 @@ def advance(engine: Engine, to_s: float, *, catch_up_s: float = float("inf")) ->
     """
     while (due_s := engine.next_deadline()) < to_s:
         at_s = due_s if to_s - due_s <= catch_up_s else to_s
-        yield at_s, engine.poll(at_s)
+        yield at_s, engine.serve(at_s) if engine.next_aid_s() <= at_s else engine.poll(at_s)
 
 
 def without_superseded(outputs: list[Outbound]) -> list[Outbound]:

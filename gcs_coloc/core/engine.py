@@ -124,6 +124,11 @@ class Engine:
             self._outbox.extend(self.aiding.parameters.due(now_s))
             if self.settings.request_streams:
                 self._outbox.extend(self._streams.due(now_s))
+        return self.serve(now_s)
+
+    def serve(self, now_s: float) -> list[Outbound]:
+        """What aided vehicles are to be sent by now, and what there was to tell: `poll` without its review of the fleet."""
+        self._now_s = now_s
         self._note_residuals(now_s)
         out, self._outbox = self._outbox, []
         out.extend(self.aiding.due(now_s, self.feed.frame, self._utc.minus_service_s(self.fleet), self._answer))
@@ -143,6 +148,10 @@ class Engine:
         """The service time at which `poll` is to be called at the latest; infinity before the first message."""
         housekeeping_s, aid_s = self._housekeeping_due_s, self.aiding.next_due_s()
         return housekeeping_s if housekeeping_s < aid_s else aid_s
+
+    def next_aid_s(self) -> float:
+        """The service time at which the next vehicle is to be sent its aid; infinity where nobody is aided."""
+        return self.aiding.next_due_s()
 
     def close(self) -> list[Aid | ParameterSet]:
         """The last messages before the service ends: fix_type 1 to everyone who is being aided, and what was set is restored."""

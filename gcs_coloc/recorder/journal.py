@@ -57,7 +57,8 @@ class Journal:
         """The entries of one deadline of the engine: its time and its outputs."""
         entries: list[Entry] = [output for output in outputs if isinstance(output, HealthChanged | Notice)]
         # A deadline that takes long by itself is passed over where a short one follows: what arrives must not wait for both.
-        is_long = self._engine.reviewed_at_s == at_s and self._engine.next_deadline() < at_s + EVERY_S - _SAME_S
+        next_s = self._engine.next_deadline()
+        is_long = next_s <= at_s or (self._engine.reviewed_at_s == at_s and next_s < at_s + EVERY_S - _SAME_S)
         if at_s < self._due_s or is_long:
             return entries
         self._due_s = at_s + EVERY_S - _SAME_S

@@ -67,3 +67,17 @@ def test_vehicles_that_lost_their_gps_at_different_times_are_sent_their_aid_at_t
     assert sent_at_s[2][0] == UNIX_S + 1.237
     assert set(sent_at_s[2][1:] + sent_at_s[3][1:]) <= set(sent_at_s[1])
     assert len(sent_at_s[3]) == pytest.approx(74, abs=1)
+
+
+def test_a_vehicle_is_sent_its_aid_before_the_fleet_is_reviewed_at_the_same_time():
+    engine = Engine(load_estimator("fleet", {}))
+    engine.receive(Heartbeat(1, UNIX_S, Autopilot.ARDUPILOT, armed=True))
+    engine.receive(RouteReport(1, UNIX_S, None))
+    engine.receive(OperatorWord(1, UNIX_S, GpsWord.FAILED))
+    reviews = []
+    for at_s, outputs in advance(engine, UNIX_S + 3.0):
+        if engine.reviewed_at_s == at_s:
+            reviews.append(at_s)
+            assert not any(isinstance(output, GpsInput) for output in outputs)
+            assert engine.next_aid_s() > at_s
+    assert len(reviews) == 15
