@@ -28,6 +28,8 @@ from bench.traffic import LOST, WARM_S, Sent, fleet_traffic, message_id_of
 from gcs_coloc.mavlink._generated.gcs_coloc import MAVLINK_MSG_ID_PEER_RANGE
 
 _TICK_S = 0.001
+_APART_S = 0.5 * (5.0**0.5 - 1.0)
+"""From fleet to fleet: by the golden ratio they come at different times of every period, a second's and a tenth's alike."""
 
 
 @dataclass
@@ -64,7 +66,7 @@ def main() -> None:
     sent_count = 0
     start_s = time.monotonic() + max(fleet.lead_s for fleet in fleets)
     began_s, end_s = start_s + WARM_S, start_s + WARM_S + seconds
-    timetable = (_timetable(traffic, number / len(fleets), number, fleet.lead_s) for number, fleet in enumerate(fleets))
+    timetable = (_timetable(traffic, number * _APART_S % 1.0, number, fleet.lead_s) for number, fleet in enumerate(fleets))
     for at_s, number, sysid, payload in heapq.merge(*timetable):
         while start_s + at_s > (now_s := time.monotonic()):
             for descriptor, _ in listening.poll(min(start_s + at_s - now_s, _TICK_S)):
