@@ -22,7 +22,12 @@ _BadCommandLine: type[Exception] = typer.BadParameter.__bases__[0]
 
 _EXAMPLE_GROUP = "239.255.40.4:14600"
 
-_app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+_app = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 
 
 def _address(option: str, text: str, example: str) -> Address:
