@@ -132,7 +132,10 @@ def _lines(result: dict[str, Any]) -> list[str]:
     out = [f"{result['file']}: {result['records']} frames, {span}, estimator {result['estimator']}"]
     for vehicle in result["vehicles"]:
         sent = vehicle["gps_input"]
-        out.append(f"vehicle {vehicle['sysid']}: GPS_INPUT with a fix {sent['fix']}, without {sent['no_fix']}")
+        line = f"vehicle {vehicle['sysid']}: GPS_INPUT with a fix {sent['fix']}, without {sent['no_fix']}"
+        for name, key in (("external position estimates", "external_positions"), ("GLOBAL_POSITION_SENSOR", "global_positions")):
+            line += f", {name} {vehicle[key]}" if vehicle[key] else ""
+        out.append(line)
         out.extend(
             f"  {change['at_s'] - first_s:8.1f} s  GPS {change['before']} -> {change['after']}: {change['reason']}"
             for change in vehicle["health"]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from gcs_coloc.core.aid_messages import ExternalPosition, GlobalPositionSensor
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.health import GpsState
 from gcs_coloc.core.measurements import Estimate, Vector3
@@ -25,6 +26,8 @@ class _Vehicle:
     changes: list[HealthChanged] = field(default_factory=list)
     fixes: int = 0
     no_fixes: int = 0
+    external_positions: int = 0
+    global_positions: int = 0
     epochs: list[tuple[float, Vector3, Estimate | None]] = field(default_factory=list)  # UNIX s, true east north up in m, answer
 
 
@@ -54,6 +57,10 @@ class FlightReport:
         elif isinstance(output, Notice):
             if output.level == "error":
                 self._errors.append(output)
+        elif isinstance(output, ExternalPosition):
+            self._of(output.sysid).external_positions += 1
+        elif isinstance(output, GlobalPositionSensor):
+            self._of(output.sysid).global_positions += 1
         elif isinstance(output, GpsInput):
             vehicle = self._of(output.sysid)
             if output.fix_type >= 3:
@@ -86,6 +93,8 @@ class FlightReport:
                     "sysid": record.sysid,
                     "health": [asdict(change) for change in mine.changes],
                     "gps_input": {"fix": mine.fixes, "no_fix": mine.no_fixes},
+                    "external_positions": mine.external_positions,
+                    "global_positions": mine.global_positions,
                     "score": asdict(score) if score is not None else None,
                 }
             )

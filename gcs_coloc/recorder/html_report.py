@@ -81,6 +81,8 @@ def _vehicle(story: Story, vehicle: Mapping[str, Any], track: Sequence[VehicleEn
         ("GPS_INPUT with a fix", str(vehicle["gps_input"]["fix"])),
         ("GPS_INPUT without a fix", str(vehicle["gps_input"]["no_fix"])),
     ]
+    other_ways = (("external position estimates", "external_positions"), ("GLOBAL_POSITION_SENSOR", "global_positions"))
+    rows.extend((name, str(vehicle[key])) for name, key in other_ways if vehicle[key])
     bounds = [v.bound_95_m for v in located if v.bound_95_m is not None]
     if bounds:
         rows.append(("95 % bound, median and most", f"{median(bounds):.1f} m, {max(bounds):.1f} m"))

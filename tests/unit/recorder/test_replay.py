@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 from gcs_coloc.core.advance import CATCH_UP_S, advance, was_held_up
-from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.aid_messages import ExternalPosition
+from gcs_coloc.core.aid_settings import AidSettings
+from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages import TimeBase
 from gcs_coloc.core.outputs import GpsInput, HealthChanged, Notice
@@ -47,8 +49,8 @@ def recorded(tmp_path_factory) -> tuple[Path, list[TruthPoint]]:
     return path, truth
 
 
-def run(path: Path, truth: list[TruthPoint]) -> tuple[list, FlightReport, TlogReader]:
-    engine = Engine(load_estimator("fleet", {}))
+def run(path: Path, truth: list[TruthPoint], aid: AidSettings | None = None) -> tuple[list, FlightReport, TlogReader]:
+    engine = Engine(load_estimator("fleet", {}), EngineSettings(aid=aid if aid is not None else AidSettings()))
     log, report, outputs = TlogReader(path), FlightReport(engine, truth), []
 
     def take(at_s, polled):
@@ -92,6 +94,15 @@ def told_of(path: Path, **how) -> set[str]:
     )
     replay(through)
     return told
+
+
+def test_positions_that_go_by_another_way_are_counted_as_such(recorded):
+    path, truth = recorded
+    outputs, report, _ = run(path, truth, AidSettings(way="external_position"))
+    sent = sum(isinstance(o, ExternalPosition) for _, o in outputs)
+    (lost,) = (v for v in report.as_dict()["vehicles"] if v["sysid"] == 4)
+    assert lost["external_positions"] == sent > 5
+    assert (lost["gps_input"], lost["global_positions"]) == ({"fix": 0, "no_fix": 0}, 0)
 
 
 def test_only_in_our_own_recording_as_it_was_flown_is_it_judged_whether_our_stream_is_taken(recorded, tmp_path):
