@@ -26,6 +26,7 @@ from gcs_coloc.estimators.fleet_motion import (
     Step,
     turn_rate_radps,
 )
+from gcs_coloc.estimators.fleet_onsets import NONE, OnsetsOf, Shift, forget, push, renew, shift_of
 from gcs_coloc.estimators.fleet_settings import FleetSettings
 from gcs_coloc.estimators.fleet_vehicle import VehicleRecord
 
@@ -113,7 +114,7 @@ class Cluster:
         gain, gain_v = record.manoeuvre.gains()
         # How long the turn of now lasts, within the step.
         lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
-        aided = attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s
+        aided = record.aided(at_s, s.attitude_fresh_s)
         if aided:
             assert attitude is not None
             assert attitude.airspeed_mps is not None
@@ -160,13 +161,29 @@ class Cluster:
         from_s = joint.time_s[vehicle]
         if at_s <= from_s or self.records[vehicle].fixed:
             return
+        untold = self._turns_untold(vehicle, at_s)
         A, step, where = joint.A, self.step, joint.where[vehicle]
         e, n = where.start, where.start + 1
         for to_s in _steps(from_s, at_s):
             variances = (A.item(e, e), A.item(e, n), A.item(n, n))
             mean = self.motion(vehicle, A[0, where].tolist(), variances, to_s - from_s, to_s)
             joint.transform(vehicle, mean, step.F, step.Q, to_s)
+            if untold:
+                push(joint, vehicle, self.records[vehicle].onsets, to_s - from_s, self.settings)
             from_s = to_s
+
+    def _turns_untold(self, vehicle: int, at_s: float) -> bool:
+        """Whether a vehicle may begin to manoeuvre by a time without telling; sees to the onsets that are held possible."""
+        record = self.records[vehicle]
+        if not record.subject:
+            return False
+        if record.aided(at_s, self.settings.attitude_fresh_s):
+            if record.onsets != NONE:
+                forget(self.joint, vehicle)
+                record.onsets = NONE
+            return False
+        record.onsets = renew(self.joint, vehicle, record.onsets, self.settings)
+        return True
 
     def predicted(self, vehicle: int, at_s: float) -> tuple[FloatArray, FloatArray]:
         """Return mean (16,) and covariance (16, 16) of a vehicle at a time after, or shortly before, that of its states."""
@@ -181,6 +198,16 @@ class Cluster:
             P += step.Q
             from_s = to_s
         return x, P
+
+    def unnoticed(self, vehicle: int, at_s: float) -> Shift | None:
+        """Return what manoeuvres that nobody has told of add to a vehicle's first six states at a time; None for nothing."""
+        joint, step_s = self.joint, at_s - self.joint.time_s[vehicle]
+        total: Shift | None = None
+        for key in joint.where:
+            if isinstance(key, OnsetsOf):
+                shift = shift_of(joint, vehicle, key.vehicle, self.records[key.vehicle].onsets, step_s, self.settings)
+                total = shift if total is None else Shift(total.mean + shift.mean, total.covariance + shift.covariance)
+        return total
 
     def place(self, vehicle: int) -> Vector3:
         """Return where a vehicle is, at the time of its states.

@@ -15,6 +15,7 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
 )
 from gcs_coloc.estimators.fleet_noise import NOTHING_HEARD, Whiteness
+from gcs_coloc.estimators.fleet_onsets import NONE, Onsets
 
 _RECENT_S = 3.0
 _RECENT_MOST = 64
@@ -93,6 +94,7 @@ class VehicleRecord:
 
     `white` tells the noise of its reports, horizontally and vertically, `white_baro` that of its heights.
     `slow_report_h_m`, `slow_report_v_m`, `slow_baro_m`, `stamp_s` are the sigmas in force of the slow errors in the joint state.
+    `onsets` is when manoeuvres may have begun that a subject does not tell of.
     `refused_share` is the fading share of this subject's ranges that the gate refused, `refused_m2` their mean square innovation.
     """
 
@@ -118,6 +120,7 @@ class VehicleRecord:
     refused_share: float = 0.0
     refused_m2: float = 0.0
     reports_refused: int = 0
+    onsets: Onsets = NONE
     start_tried_at_s: float = -math.inf
     reason: str = "no measurement of it was heard"
 
@@ -138,6 +141,10 @@ class VehicleRecord:
         """Keep a range for a few seconds: a subject without a position is started from these."""
         kept = self.ranged if len(self.ranged) < 2 * _RANGES_MOST else self.ranged[-_RANGES_MOST:]
         self.ranged = (*kept, measurement)
+
+    def aided(self, at_s: float, fresh_s: float) -> bool:
+        """Whether the bank angle is told at a time, by an attitude that is not older than `fresh_s`."""
+        return self.attitude is not None and at_s - self.attitude.measured_at_s <= fresh_s
 
     @property
     def recent(self) -> tuple[OwnMeasurement, ...]:

@@ -1,0 +1,143 @@
+"""Manoeuvres that may have begun unnoticed: what they would have done to the states of a cluster, and how likely each is.
+
+Where ranges tell little in a second, a hard turn takes a subject several sigmas away before its innovations show it. So for a
+subject that tells no attitude it is held possible that a constant horizontal acceleration a began at one of a few recent times.
+What it has done to the joint states since, S a, follows from the very propagations and corrections that their mean went through,
+whatever its gains were; how well the innovations e = h S a + noise agree with it gives its likelihood. The joint density itself
+stays that of the flight without it. Source: input estimation (Chan, Hu, Plant 1979), with a prior over the acceleration and its
+onset in place of a test.
+
+An acceleration lasts until it has changed the velocity by as much as the subject flies fast: a turn by a right angle or so.
+
+All of it is kept in the joint array by the operations that it has anyway. The block of a subject's onsets is one of states
+without an uncertainty of their own: its covariances with the others are S, its mean is the sum of (h S)' e / s^2 over the
+measurements, and its own covariance less the sum of (h S)' h S / s^2.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.estimators.fleet_joint import Joint
+from gcs_coloc.estimators.fleet_settings import FleetSettings
+
+_SLOTS = 6
+_SPACING_S = 1.5
+_LIKELY = 0.5
+_NEGLIGIBLE = 1e-3
+_MOST_GAIN = 50.0
+
+Onsets = tuple[float, ...]
+"""When the manoeuvre of each slot began, s; infinite for an empty slot."""
+
+NONE: Onsets = (math.inf,) * _SLOTS
+
+
+class OnsetsOf(NamedTuple):
+    """The key of the block of a vehicle's onsets, two states for each slot: acceleration to the east and to the north."""
+
+    vehicle: int
+
+
+class Shift(NamedTuple):
+    """What manoeuvres that may have begun add to n states: to their mean (n,) and to their covariance (n, n)."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+def renew(joint: Joint, vehicle: int, onsets: Onsets, s: FleetSettings) -> Onsets:
+    """Hold it possible that a manoeuvre begins now, if it is time for that; the oldest onset gives way, or all that are likely.
+
+    What is likely then goes into the joint density.
+    """
+    key, at_s = OnsetsOf(vehicle), joint.time_s[vehicle]
+    if key not in joint.where:
+        joint.append(key, np.zeros(2 * _SLOTS), np.zeros((2 * _SLOTS, 2 * _SLOTS)), at_s)
+        onsets = NONE
+    if any(at_s - _SPACING_S < onset < math.inf for onset in onsets):
+        return onsets
+    on = joint.where[key]
+    slot = onsets.index(math.inf) if math.inf in onsets else onsets.index(min(onsets))
+    weights = _weigh(joint, on, s)
+    if weights.chances.sum() > _LIKELY or (onsets[slot] < math.inf and weights.chances[slot] > _NEGLIGIBLE):
+        shift = _shift(joint.A[1:, on], weights)
+        joint.A[0, 1:] += shift.mean
+        joint.A[1:, 0] = joint.A[0, 1:]
+        joint.A[1:, 1:] += shift.covariance
+        forget(joint, vehicle)
+        onsets, slot = NONE, 0
+    else:
+        joint.clear(on.start + 2 * slot, on.start + 2 * slot + 2)
+    return (*onsets[:slot], at_s, *onsets[slot + 1 :])
+
+
+def push(joint: Joint, vehicle: int, onsets: Onsets, step_s: float, s: FleetSettings) -> None:
+    """Let the accelerations that have begun act on a vehicle over a step, by which its states have just been propagated."""
+    where, on = joint.where[vehicle], joint.where[OnsetsOf(vehicle)]
+    S = joint.A[where.start : where.start + 6, on]
+    _act(S, joint, vehicle, onsets, step_s, s)
+    joint.A[on, where.start : where.start + 6] = S.T
+
+
+def forget(joint: Joint, vehicle: int) -> None:
+    """Hold no manoeuvre of a vehicle possible that began before now."""
+    on = joint.where.get(OnsetsOf(vehicle))
+    if on is not None:
+        joint.clear(on.start, on.stop)
+
+
+def shift_of(joint: Joint, vehicle: int, by: int, onsets: Onsets, step_s: float, s: FleetSettings) -> Shift:
+    """Return what the onsets of the vehicle `by` add to the position and velocity, (6,), of a vehicle a step after its time."""
+    where, on = joint.where[vehicle], joint.where[OnsetsOf(by)]
+    S = joint.A[where.start : where.start + 6, on].copy()
+    S[:3] += step_s * S[3:]
+    if by == vehicle:
+        _act(S, joint, vehicle, onsets, step_s, s)
+    return _shift(S, _weigh(joint, on, s))
+
+
+class _Weights(NamedTuple):
+    """The chance of each of the onsets (k,), and the mean (k, 2) and covariance (k, 2, 2) of its acceleration, m/s^2."""
+
+    chances: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+
+
+def _act(S: FloatArray, joint: Joint, vehicle: int, onsets: Onsets, step_s: float, s: FleetSettings) -> None:
+    start = joint.where[vehicle].start
+    speed_mps = math.hypot(joint.A.item(0, start + 3), joint.A.item(0, start + 4))
+    oldest_s = joint.time_s[vehicle] - max(speed_mps / s.onset_acceleration_mps2, _SPACING_S)
+    acting = np.array([step_s if oldest_s <= onset < math.inf else 0.0 for onset in onsets])
+    for axis in (0, 1):
+        S[axis, axis::2] += (0.5 * step_s) * acting
+        S[axis + 3, axis::2] += acting
+
+
+def _weigh(joint: Joint, on: slice, s: FleetSettings) -> _Weights:
+    each = range(_SLOTS)
+    # By slots: mean, information and prior of each one's acceleration alone.
+    information = -joint.A[on, on].reshape(_SLOTS, 2, _SLOTS, 2)[each, :, each, :]
+    told = joint.A[0, on].reshape(_SLOTS, 2)
+    prior_m2ps4 = s.onset_acceleration_mps2**2
+    covariance = np.linalg.inv(information + np.eye(2) / prior_m2ps4).astype(np.float64, copy=False)
+    mean = np.einsum("kij,kj->ki", covariance, told)
+    gain = 0.5 * np.einsum("ki,ki->k", told, mean) + 0.5 * np.log(np.linalg.det(covariance) / prior_m2ps4**2)
+    before = _SPACING_S * s.onset_rate_per_s
+    odds = before * np.exp(np.minimum(gain, _MOST_GAIN))
+    return _Weights(odds / (1.0 - min(_SLOTS * before, 0.5) + odds.sum()), mean, covariance)
+
+
+def _shift(S: FloatArray, weights: _Weights) -> Shift:
+    """Return the mean of the mixture of all onsets and of none, and what its covariance is beyond that of none; S (n, 2 k)."""
+    parts = S.reshape(len(S), _SLOTS, 2)
+    shifts = np.einsum("nki,ki->kn", parts, weights.mean)
+    mean = weights.chances @ shifts
+    spreads = np.einsum("nki,kij->nkj", parts, weights.covariance * weights.chances[:, np.newaxis, np.newaxis])
+    covariance = spreads.reshape(S.shape) @ S.T + (shifts.T * weights.chances) @ shifts - np.outer(mean, mean)
+    return Shift(mean, covariance)
