@@ -17,8 +17,11 @@ from gcs_coloc.estimators.fleet_motion import STAMP_ERROR
 from gcs_coloc.estimators.fleet_vehicle import Neighbour
 
 _LEAST_DISTANCE_M = 1e-3
-_LOST_SHARE = 0.5
-_REFUSAL_MEMORY = 10.0
+# Of a subject that is not where it is held to be four of five ranges are refused, of one that is at most one of three: the
+# logarithms of how much likelier a refused and a used range are for the former, and from which sum on it is taken to be lost.
+_REFUSED_TELLS, _USED_TELLS, _LOST = 0.88, -1.2, 7.0
+_REFUSED_MEMORY = 0.7
+_DISTRUST_KEPT = 0.8
 
 
 def take_range(cluster: Cluster, pair: Key, m: RangeMeasurement, sigma_m: float, slow_m: float) -> Verdict:
@@ -49,7 +52,7 @@ def take_range(cluster: Cluster, pair: Key, m: RangeMeasurement, sigma_m: float,
     spread = max(0.5 * square / (distance * distance), 0.0)
     (ave, avn, avu), (bve, bvn, bvu) = a.velocity, b.velocity
     closing = ux * (ave - bve) + uy * (avn - bvn) + uz * (avu - bvu)
-    noise = sigma_m * sigma_m + (closing * s.stamp_sigma_s) ** 2
+    noise = sigma_m * sigma_m + _distrust_m2(cluster, m) + (closing * s.stamp_sigma_s) ** 2
     # The expansion fails where the uncertainty is as large as the distance: there it may not outgrow the first order.
     spread = min(spread, along + noise)
     longer = min(longer, math.sqrt(along + noise))
@@ -99,20 +102,28 @@ def _pair(cluster: Cluster, pair: Key, at_s: float, slow_m: float) -> int:
     return index
 
 
+def _distrust_m2(cluster: Cluster, m: RangeMeasurement) -> float:
+    """Return the variance that a range is given beyond its own, m^2, since its vehicle was found to be lost."""
+    return max(cluster.records[m.from_vehicle].distrust_m2, cluster.records[m.to_vehicle].distrust_m2)
+
+
 def account(cluster: Cluster, vehicle: int, other: int, verdict: Verdict, m: RangeMeasurement) -> None:
     """Note at a subject what became of its range with another vehicle, and find the way back when most are refused."""
     record = cluster.records[vehicle]
     if verdict.used:
         record.neighbours[other] = Neighbour(m.measured_at_s, verdict.unit)
         record.informed_at_s = m.measured_at_s
-        record.refused_share -= record.refused_share / _REFUSAL_MEMORY
+        record.lost_evidence = max(record.lost_evidence + _USED_TELLS, 0.0)
+        record.distrust_m2 *= _DISTRUST_KEPT
         return
     if verdict.degrees_of_freedom == 0:
         return
-    record.refused_share += (1.0 - record.refused_share) / _REFUSAL_MEMORY
-    square = verdict.innovation_m**2
-    record.refused_m2 = square if record.refused_share <= 1.0 / _REFUSAL_MEMORY else 0.7 * record.refused_m2 + 0.3 * square
-    if record.refused_share > _LOST_SHARE:
-        # Most of what is heard contradicts the state: the state is what is wrong, or nobody can tell.
+    square, kept = verdict.innovation_m**2, _REFUSED_MEMORY if record.lost_evidence > 0.0 else 0.0
+    record.refused_m2 = kept * record.refused_m2 + (1.0 - kept) * square
+    record.lost_evidence += _REFUSED_TELLS
+    if record.lost_evidence > _LOST:
+        # Most of what is heard contradicts the state: the state is what is wrong, or nobody can tell. So the next ranges are
+        # believed no more than the state is, until some have agreed with each other.
         cluster.widen(vehicle, record.refused_m2)
-        record.refused_share = 0.0
+        record.distrust_m2 = record.refused_m2
+        record.lost_evidence = 0.0

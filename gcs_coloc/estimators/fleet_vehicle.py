@@ -95,7 +95,8 @@ class VehicleRecord:
     `white` tells the noise of its reports, horizontally and vertically, `white_baro` that of its heights.
     `slow_report_h_m`, `slow_report_v_m`, `slow_baro_m`, `stamp_s` are the sigmas in force of the slow errors in the joint state.
     `onsets` is when manoeuvres may have begun that a subject does not tell of.
-    `refused_share` is the fading share of this subject's ranges that the gate refused, `refused_m2` their mean square innovation.
+    `lost_evidence` is the evidence of the ranges that the gate refused and let pass that this subject is not where it is held to
+    be, `refused_m2` the mean square innovation of the former, `distrust_m2` what ranges are believed less since it was lost.
     """
 
     subject: bool = False
@@ -117,8 +118,9 @@ class VehicleRecord:
     chosen_at_s: float = -math.inf
     informed_at_s: float = -math.inf
     velocity_used_at_s: float = -math.inf
-    refused_share: float = 0.0
+    lost_evidence: float = 0.0
     refused_m2: float = 0.0
+    distrust_m2: float = 0.0
     reports_refused: int = 0
     onsets: Onsets = NONE
     start_tried_at_s: float = -math.inf
