@@ -118,6 +118,12 @@ def test_a_vehicle_that_does_not_answer_keeps_its_gps_input_and_is_told_of_once(
     assert texts(out).count("it does not answer to external position estimates") == 1
 
 
+def test_a_vehicle_is_held_not_to_answer_after_five_estimates():
+    out = flown(engine_with(10.0), 5.0, 20.0)
+    told_at_s = next(t for t, o in of(out, Notice) if "it does not answer" in o.text)
+    assert len([t for t, _ in of(out, ExternalPosition) if t < told_at_s]) == 5
+
+
 def test_where_nothing_is_on_the_air_no_answer_is_missed():
     engine = engine_with(10.0)
     engine.receive(OffAir(5.0))

@@ -76,7 +76,13 @@ def test_stream_request_is_a_command_to_the_vehicles_autopilot():
 
 def test_heartbeat_says_that_we_are_no_autopilot():
     got = received(Encoder().heartbeat("vehicle 4"))
-    assert (got.type, got.autopilot, got.system_status, got.base_mode) == (18, 8, mavlink.MAV_STATE_ACTIVE, 0)
+    assert (got.type, got.autopilot, got.system_status, got.base_mode, got.mavlink_version) == (
+        18,
+        8,
+        mavlink.MAV_STATE_ACTIVE,
+        0,
+        3,
+    )
 
 
 def test_own_ids_are_254_and_191_unless_set():
