@@ -63,7 +63,7 @@ def renew(joint: Joint, vehicle: int, onsets: Onsets, s: FleetSettings) -> Onset
         return onsets
     on = joint.where[key]
     slot = onsets.index(math.inf) if math.inf in onsets else onsets.index(min(onsets))
-    weights = _weigh(joint, on, s)
+    weights = _weigh(joint, vehicle, s)
     if weights.chances.sum() > _LIKELY or (onsets[slot] < math.inf and weights.chances[slot] > _NEGLIGIBLE):
         shift = _shift(joint.A[1:, on], weights)
         joint.A[0, 1:] += shift.mean
@@ -98,7 +98,7 @@ def shift_of(joint: Joint, vehicle: int, by: int, onsets: Onsets, step_s: float,
     S[:3] += step_s * S[3:]
     if by == vehicle:
         _act(S, joint, vehicle, onsets, step_s, s)
-    return _shift(S, _weigh(joint, on, s))
+    return _shift(S, _weigh(joint, by, s))
 
 
 class _Weights(NamedTuple):
@@ -110,21 +110,30 @@ class _Weights(NamedTuple):
 
 
 def _act(S: FloatArray, joint: Joint, vehicle: int, onsets: Onsets, step_s: float, s: FleetSettings) -> None:
-    start = joint.where[vehicle].start
-    speed_mps = math.hypot(joint.A.item(0, start + 3), joint.A.item(0, start + 4))
-    oldest_s = joint.time_s[vehicle] - max(speed_mps / s.onset_acceleration_mps2, _SPACING_S)
+    lasting_s = _speed_mps(joint, vehicle, s) / _acceleration_mps2(joint, vehicle, s)
+    oldest_s = joint.time_s[vehicle] - lasting_s
     acting = np.array([step_s if oldest_s <= onset < math.inf else 0.0 for onset in onsets])
     for axis in (0, 1):
         S[axis, axis::2] += (0.5 * step_s) * acting
         S[axis + 3, axis::2] += acting
 
 
-def _weigh(joint: Joint, on: slice, s: FleetSettings) -> _Weights:
-    each = range(_SLOTS)
+def _speed_mps(joint: Joint, vehicle: int, s: FleetSettings) -> float:
+    """Return how much a vehicle may change its velocity at once: by as much as it has, or as a slow one has."""
+    start = joint.where[vehicle].start
+    return max(math.hypot(joint.A.item(0, start + 3), joint.A.item(0, start + 4)), s.slow_speed_mps)
+
+
+def _acceleration_mps2(joint: Joint, vehicle: int, s: FleetSettings) -> float:
+    return min(s.onset_acceleration_mps2, _speed_mps(joint, vehicle, s) / _SPACING_S)
+
+
+def _weigh(joint: Joint, vehicle: int, s: FleetSettings) -> _Weights:
+    on, each = joint.where[OnsetsOf(vehicle)], range(_SLOTS)
     # By slots: mean, information and prior of each one's acceleration alone.
     information = -joint.A[on, on].reshape(_SLOTS, 2, _SLOTS, 2)[each, :, each, :]
     told = joint.A[0, on].reshape(_SLOTS, 2)
-    prior_m2ps4 = s.onset_acceleration_mps2**2
+    prior_m2ps4 = _acceleration_mps2(joint, vehicle, s) ** 2
     covariance = np.linalg.inv(information + np.eye(2) / prior_m2ps4).astype(np.float64, copy=False)
     mean = np.einsum("kij,kj->ki", covariance, told)
     gain = 0.5 * np.einsum("ki,ki->k", told, mean) + 0.5 * np.log(np.linalg.det(covariance) / prior_m2ps4**2)
