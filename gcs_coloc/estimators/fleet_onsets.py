@@ -64,7 +64,7 @@ def renew(joint: Joint, vehicle: int, onsets: Onsets, s: FleetSettings) -> Onset
     on = joint.where[key]
     slot = onsets.index(math.inf) if math.inf in onsets else onsets.index(min(onsets))
     weights = _weigh(joint, vehicle, s)
-    if weights.chances.sum() > _LIKELY or (onsets[slot] < math.inf and weights.chances[slot] > _NEGLIGIBLE):
+    if sum(weights.chances) > _LIKELY or (onsets[slot] < math.inf and weights.chances[slot] > _NEGLIGIBLE):
         shift = _shift(joint.A[1:, on], weights)
         joint.A[0, 1:] += shift.mean
         joint.A[1:, 0] = joint.A[0, 1:]
@@ -94,19 +94,24 @@ def forget(joint: Joint, vehicle: int) -> None:
 def shift_of(joint: Joint, vehicle: int, by: int, onsets: Onsets, step_s: float, s: FleetSettings) -> Shift:
     """Return what the onsets of the vehicle `by` add to the position and velocity, (6,), of a vehicle a step after its time."""
     where, on = joint.where[vehicle], joint.where[OnsetsOf(by)]
-    S = joint.A[where.start : where.start + 6, on].copy()
-    S[:3] += step_s * S[3:]
-    if by == vehicle:
-        _act(S, joint, vehicle, onsets, step_s, s)
+    S = joint.A[where.start : where.start + 6, on]
+    if step_s != 0.0:
+        S = S.copy()
+        S[:3] += step_s * S[3:]
+        if by == vehicle:
+            _act(S, joint, vehicle, onsets, step_s, s)
     return _shift(S, _weigh(joint, by, s))
 
 
 class _Weights(NamedTuple):
-    """The chance of each of the onsets (k,), and the mean (k, 2) and covariance (k, 2, 2) of its acceleration, m/s^2."""
+    """The chance of each of the onsets, and what they are worth: the accelerations of all, m/s^2, each by its chance.
 
-    chances: FloatArray
+    `mean` (2 k,) and `square` (2 k, 2 k) are their first and second moments: it is one of them, or none, never two.
+    """
+
+    chances: list[float]
     mean: FloatArray
-    covariance: FloatArray
+    square: FloatArray
 
 
 def _act(S: FloatArray, joint: Joint, vehicle: int, onsets: Onsets, step_s: float, s: FleetSettings) -> None:
@@ -129,24 +134,33 @@ def _acceleration_mps2(joint: Joint, vehicle: int, s: FleetSettings) -> float:
 
 
 def _weigh(joint: Joint, vehicle: int, s: FleetSettings) -> _Weights:
-    on, each = joint.where[OnsetsOf(vehicle)], range(_SLOTS)
-    # By slots: mean, information and prior of each one's acceleration alone.
-    information = -joint.A[on, on].reshape(_SLOTS, 2, _SLOTS, 2)[each, :, each, :]
-    told = joint.A[0, on].reshape(_SLOTS, 2)
-    prior_m2ps4 = _acceleration_mps2(joint, vehicle, s) ** 2
-    covariance = np.linalg.inv(information + np.eye(2) / prior_m2ps4).astype(np.float64, copy=False)
-    mean = np.einsum("kij,kj->ki", covariance, told)
-    gain = 0.5 * np.einsum("ki,ki->k", told, mean) + 0.5 * np.log(np.linalg.det(covariance) / prior_m2ps4**2)
+    on = joint.where[OnsetsOf(vehicle)]
+    told, known = joint.A[0, on].tolist(), joint.A[on, on].tolist()
+    prior = 1.0 / _acceleration_mps2(joint, vehicle, s) ** 2
     before = _SPACING_S * s.onset_rate_per_s
-    odds = before * np.exp(np.minimum(gain, _MOST_GAIN))
-    return _Weights(odds / (1.0 - min(_SLOTS * before, 0.5) + odds.sum()), mean, covariance)
+    odds, means, spreads = [], [], []
+    for e in range(0, 2 * _SLOTS, 2):
+        # Its acceleration alone: information and prior, from which mean and covariance.
+        n = e + 1
+        ee, en, nn = prior - known[e][e], -known[e][n], prior - known[n][n]
+        det = ee * nn - en * en
+        east, north = (nn * told[e] - en * told[n]) / det, (ee * told[n] - en * told[e]) / det
+        gain = 0.5 * (told[e] * east + told[n] * north + math.log(prior * prior / det))
+        odds.append(before * math.exp(min(gain, _MOST_GAIN)))
+        means.append((east, north))
+        spreads.append((nn / det, -en / det, ee / det))
+    whole = 1.0 - min(_SLOTS * before, 0.5) + sum(odds)
+    chances = [odd / whole for odd in odds]
+    mean, square = np.zeros(2 * _SLOTS), np.zeros((2 * _SLOTS, 2 * _SLOTS))
+    for k, (chance, (east, north), (ee, en, nn)) in enumerate(zip(chances, means, spreads, strict=True)):
+        e, n = 2 * k, 2 * k + 1
+        mean[e], mean[n] = chance * east, chance * north
+        square[e, e], square[n, n] = chance * (ee + east * east), chance * (nn + north * north)
+        square[e, n] = square[n, e] = chance * (en + east * north)
+    return _Weights(chances, mean, square)
 
 
 def _shift(S: FloatArray, weights: _Weights) -> Shift:
     """Return the mean of the mixture of all onsets and of none, and what its covariance is beyond that of none; S (n, 2 k)."""
-    parts = S.reshape(len(S), _SLOTS, 2)
-    shifts = np.einsum("nki,ki->kn", parts, weights.mean)
-    mean = weights.chances @ shifts
-    spreads = np.einsum("nki,kij->nkj", parts, weights.covariance * weights.chances[:, np.newaxis, np.newaxis])
-    covariance = spreads.reshape(S.shape) @ S.T + (shifts.T * weights.chances) @ shifts - np.outer(mean, mean)
-    return Shift(mean, covariance)
+    mean = S @ weights.mean
+    return Shift(mean, S @ weights.square @ S.T - np.outer(mean, mean))
