@@ -89,6 +89,6 @@ def test_check_config_goes_through_every_fleet(two_fleets):
     assert "fleet north: 1 link(s), estimator fleet; fleet south: 1 link(s), estimator fleet" in done.stdout
     two_fleets.write_text(two_fleets.read_text() + '[fleet.estimator]\nname = "absent"\n')
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
     assert "absent" in done.stderr
