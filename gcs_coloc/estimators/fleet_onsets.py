@@ -104,14 +104,14 @@ def shift_of(joint: Joint, vehicle: int, by: int, onsets: Onsets, step_s: float,
 
 
 class _Weights(NamedTuple):
-    """The chance of each of the onsets, and what they are worth: the accelerations of all, m/s^2, each by its chance.
+    """For each of the onsets (k,): its chance, the mean of its acceleration (east, north; m/s^2), and the covariance of that."""
 
-    `mean` (2 k,) and `square` (2 k, 2 k) are their first and second moments: it is one of them, or none, never two.
-    """
-
-    chances: list[float]
-    mean: FloatArray
-    square: FloatArray
+    chances: FloatArray
+    east: FloatArray
+    north: FloatArray
+    ee: FloatArray
+    en: FloatArray
+    nn: FloatArray
 
 
 def _act(S: FloatArray, joint: Joint, vehicle: int, onsets: Onsets, step_s: float, s: FleetSettings) -> None:
@@ -134,33 +134,27 @@ def _acceleration_mps2(joint: Joint, vehicle: int, s: FleetSettings) -> float:
 
 
 def _weigh(joint: Joint, vehicle: int, s: FleetSettings) -> _Weights:
-    on = joint.where[OnsetsOf(vehicle)]
-    told, known = joint.A[0, on].tolist(), joint.A[on, on].tolist()
+    A, on = joint.A, joint.where[OnsetsOf(vehicle)]
     prior = 1.0 / _acceleration_mps2(joint, vehicle, s) ** 2
+    # The 2 by 2 of each slot by itself, in closed form: this is asked with every answer.
+    diagonal, beside = A.diagonal()[on], A.diagonal(1)[on]
+    ee, nn, en = prior - diagonal[::2], prior - diagonal[1::2], -beside[::2]
+    det = ee * nn - en * en
+    told_e, told_n = A[0, on.start : on.stop : 2], A[0, on.start + 1 : on.stop : 2]
+    east, north = (nn * told_e - en * told_n) / det, (ee * told_n - en * told_e) / det
+    gain = 0.5 * (told_e * east + told_n * north - np.log(det / prior**2))
     before = _SPACING_S * s.onset_rate_per_s
-    odds, means, spreads = [], [], []
-    for e in range(0, 2 * _SLOTS, 2):
-        # Its acceleration alone: information and prior, from which mean and covariance.
-        n = e + 1
-        ee, en, nn = prior - known[e][e], -known[e][n], prior - known[n][n]
-        det = ee * nn - en * en
-        east, north = (nn * told[e] - en * told[n]) / det, (ee * told[n] - en * told[e]) / det
-        gain = 0.5 * (told[e] * east + told[n] * north + math.log(prior * prior / det))
-        odds.append(before * math.exp(min(gain, _MOST_GAIN)))
-        means.append((east, north))
-        spreads.append((nn / det, -en / det, ee / det))
-    whole = 1.0 - min(_SLOTS * before, 0.5) + sum(odds)
-    chances = [odd / whole for odd in odds]
-    mean, square = np.zeros(2 * _SLOTS), np.zeros((2 * _SLOTS, 2 * _SLOTS))
-    for k, (chance, (east, north), (ee, en, nn)) in enumerate(zip(chances, means, spreads, strict=True)):
-        e, n = 2 * k, 2 * k + 1
-        mean[e], mean[n] = chance * east, chance * north
-        square[e, e], square[n, n] = chance * (ee + east * east), chance * (nn + north * north)
-        square[e, n] = square[n, e] = chance * (en + east * north)
-    return _Weights(chances, mean, square)
+    odds = before * np.exp(np.minimum(gain, _MOST_GAIN))
+    chances = odds / (1.0 - min(_SLOTS * before, 0.5) + odds.sum())
+    return _Weights(chances, east, north, nn / det, -en / det, ee / det)
 
 
-def _shift(S: FloatArray, weights: _Weights) -> Shift:
+def _shift(S: FloatArray, w: _Weights) -> Shift:
     """Return the mean of the mixture of all onsets and of none, and what its covariance is beyond that of none; S (n, 2 k)."""
-    mean = S @ weights.mean
-    return Shift(mean, S @ weights.square @ S.T - np.outer(mean, mean))
+    east, north = S[:, ::2], S[:, 1::2]
+    shifts = east * w.east + north * w.north
+    mean = shifts @ w.chances
+    half = (east * (0.5 * w.chances * w.ee) + north * (w.chances * w.en)) @ east.T
+    half += (north * (0.5 * w.chances * w.nn)) @ north.T + (shifts * (0.5 * w.chances)) @ shifts.T
+    half -= np.multiply.outer(0.5 * mean, mean)
+    return Shift(mean, half + half.T)
