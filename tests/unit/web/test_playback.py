@@ -117,8 +117,10 @@ def test_after_any_seeks_everything_that_is_put_out_and_seen_is_that_of_an_undis
     outputs: Outputs = []
     engine = Engine(load_estimator(estimator, {}))
     replay(Replay(engine, TlogReader(flight), [], lambda at_s, told: outputs.append((at_s, repr(told)))))
-    undisturbed = dict(outputs)
-    assert len(undisturbed) == len(outputs) > 150  # of some 200 deadlines; not each has something to put out
+    undisturbed: dict[float, list[str]] = {}  # at one time what vehicles wait for, and then what the review of the fleet brings
+    for at_s, told in outputs:
+        undisturbed.setdefault(at_s, []).append(told)
+    assert len(undisturbed) > 150  # of some 200 deadlines; not each has something to put out
 
     rng, clock = random.Random(11), Clock()
     sought: Outputs = []
@@ -132,7 +134,7 @@ def test_after_any_seeks_everything_that_is_put_out_and_seen_is_that_of_an_undis
                 playback.go_on(clock)
         assert len(sought) < 0.6 * len(outputs) or place == 30.0
         for at_s, told in sought:
-            assert told == undisturbed[at_s]
+            assert told in undisturbed[at_s]
     place = rng.uniform(21.0, 29.0)
     go_to(playback, place, clock)
     plain, plain_story = playback_of(flight, estimator)
