@@ -23,11 +23,6 @@ def answer(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | Unknown:
     if step_s < -_STEP_BACK_MOST_S:
         return Unknown(vehicle, at_s, f"asked for a time {-step_s:.1f} s before its newest measurement")
     x, P = cluster.predicted(vehicle, at_s)
-    unnoticed = cluster.unnoticed(vehicle, at_s)
-    if unnoticed is not None:
-        x, P = x.copy(), P.copy()
-        x[:6] += unnoticed.mean
-        P[:6, :6] += unnoticed.covariance
     # By the service's clock: its states go by its own.
     late_s = x.item(STAMP_ERROR)
     G = _STATED.copy()

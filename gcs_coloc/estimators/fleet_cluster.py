@@ -26,12 +26,13 @@ from gcs_coloc.estimators.fleet_motion import (
     Step,
     turn_rate_radps,
 )
-from gcs_coloc.estimators.fleet_onsets import NONE, OnsetsOf, Shift, forget, push, renew, shift_of
 from gcs_coloc.estimators.fleet_settings import FleetSettings
 from gcs_coloc.estimators.fleet_vehicle import VehicleRecord
 
 _COAST_TIME_S = 2.0
 _COAST_GAIN = 5.0
+_NOTICED_M = 10.0
+_UNNOTICED_GAIN = 20.0
 _TURN_GAIN = 6.0
 _LONGEST_STEP_S = 0.5
 _MOST_STEPS = 40
@@ -41,6 +42,9 @@ _CLEARLY_LESS = 0.9
 _CLEARLY_MORE = 1.1
 _ANCHOR = np.eye(3)
 _PLACE = np.eye(3, SIZE)
+
+Horizontal = tuple[float, float, float]
+"""Variances of a horizontal position, m^2: east, east with north, north."""
 
 
 class End(NamedTuple):
@@ -91,10 +95,10 @@ class Cluster:
         self.step = step
         self.joint = joint
 
-    def motion(self, vehicle: int, x: Sequence[float], step_s: float, at_s: float) -> tuple[float, ...]:
+    def motion(self, vehicle: int, x: Sequence[float], variances: Horizontal, step_s: float, at_s: float) -> tuple[float, ...]:
         """Fill `step` with the way of a vehicle over a step (negative: back) to `at_s`; return the mean of its first five states.
 
-        `x` (16,) is its state before the step.
+        `x` (16,) and `variances` are its state before the step, the latter of its horizontal position.
         """
         s, record, step = self.settings, self.records[vehicle], self.step
         attitude = record.attitude
@@ -109,7 +113,7 @@ class Cluster:
         gain, gain_v = record.manoeuvre.gains()
         # How long the turn of now lasts, within the step.
         lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
-        aided = record.aided(at_s, s.attitude_fresh_s)
+        aided = attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s
         if aided:
             assert attitude is not None
             assert attitude.airspeed_mps is not None
@@ -124,6 +128,12 @@ class Cluster:
             if at_s - record.informed_at_s > _COAST_TIME_S:
                 # Nobody has seen steady flight lately: a manoeuvre may have begun since.
                 gain = max(gain, min(((at_s - record.informed_at_s) / _COAST_TIME_S) ** 2, _COAST_GAIN))
+            if record.subject:
+                # Where a place is known badly a manoeuvre is noticed late: one may have been under way for long.
+                ee_m2, en_m2, nn_m2 = variances
+                half, skew = 0.5 * (ee_m2 + nn_m2), 0.5 * (ee_m2 - nn_m2)
+                worst_m2 = half + math.sqrt(skew * skew + en_m2 * en_m2)
+                gain = max(gain, min(worst_m2 / (_NOTICED_M * _NOTICED_M), _UNNOTICED_GAIN))
         mean = step.move(x, step_s, turn, in_wind=aided)
         if not aided:
             step.turn(step_s, lasting_s, mean[3], mean[4])
@@ -150,50 +160,27 @@ class Cluster:
         from_s = joint.time_s[vehicle]
         if at_s <= from_s or self.records[vehicle].fixed:
             return
-        untold = self._turns_untold(vehicle, at_s)
         A, step, where = joint.A, self.step, joint.where[vehicle]
+        e, n = where.start, where.start + 1
         for to_s in _steps(from_s, at_s):
-            mean = self.motion(vehicle, A[0, where].tolist(), to_s - from_s, to_s)
+            variances = (A.item(e, e), A.item(e, n), A.item(n, n))
+            mean = self.motion(vehicle, A[0, where].tolist(), variances, to_s - from_s, to_s)
             joint.transform(vehicle, mean, step.F, step.Q, to_s)
-            if untold:
-                push(joint, vehicle, self.records[vehicle].onsets, to_s - from_s, self.settings)
             from_s = to_s
-
-    def _turns_untold(self, vehicle: int, at_s: float) -> bool:
-        """Whether a vehicle may begin to manoeuvre by a time without telling; sees to the onsets that are held possible."""
-        record = self.records[vehicle]
-        if not record.subject:
-            return False
-        if record.aided(at_s, self.settings.attitude_fresh_s):
-            if record.onsets != NONE:
-                forget(self.joint, vehicle)
-                record.onsets = NONE
-            return False
-        record.onsets = renew(self.joint, vehicle, record.onsets, self.settings)
-        return True
 
     def predicted(self, vehicle: int, at_s: float) -> tuple[FloatArray, FloatArray]:
         """Return mean (16,) and covariance (16, 16) of a vehicle at a time after, or shortly before, that of its states."""
         joint, step = self.joint, self.step
         x, P, from_s = joint.mean(vehicle), joint.covariance(vehicle), joint.time_s[vehicle]
         for to_s in _steps(from_s, at_s) if at_s >= from_s else [at_s]:
-            mean = self.motion(vehicle, x.tolist(), to_s - from_s, to_s)
+            variances = (P.item(0, 0), P.item(0, 1), P.item(1, 1))
+            mean = self.motion(vehicle, x.tolist(), variances, to_s - from_s, to_s)
             x = step.F @ x
             x[: len(mean)] = mean
             P = step.F @ P @ step.F.T
             P += step.Q
             from_s = to_s
         return x, P
-
-    def unnoticed(self, vehicle: int, at_s: float) -> Shift | None:
-        """Return what manoeuvres that nobody has told of add to a vehicle's first six states at a time; None for nothing."""
-        joint, step_s = self.joint, at_s - self.joint.time_s[vehicle]
-        total: Shift | None = None
-        for key in joint.where:
-            if isinstance(key, OnsetsOf):
-                shift = shift_of(joint, vehicle, key.vehicle, self.records[key.vehicle].onsets, step_s, self.settings)
-                total = shift if total is None else Shift(total.mean + shift.mean, total.covariance + shift.covariance)
-        return total
 
     def place(self, vehicle: int) -> Vector3:
         """Return where a vehicle is, at the time of its states.

@@ -8,7 +8,6 @@ from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.estimators.fleet_cluster import Cluster
 from gcs_coloc.estimators.fleet_joint import Joint, Key
 from gcs_coloc.estimators.fleet_motion import Step
-from gcs_coloc.estimators.fleet_onsets import OnsetsOf
 from gcs_coloc.estimators.fleet_settings import FleetSettings
 from gcs_coloc.estimators.fleet_vehicle import VehicleRecord
 
@@ -77,7 +76,9 @@ class Clusters:
         cluster = self._of.pop(vehicle, None)
         if cluster is None:
             return
-        keys: list[Key] = [key for key in cluster.joint.where if vehicle not in owners(key)]
+        keys: list[Key] = [
+            key for key in cluster.joint.where if key != vehicle and not (isinstance(key, tuple) and vehicle in key[:2])
+        ]
         cluster.joint = cluster.joint.part(keys)
 
     def part(self, links: Mapping[int, set[int]]) -> None:
@@ -100,7 +101,7 @@ class Clusters:
             keys: list[Key] = [
                 key
                 for key in cluster.joint.where
-                if (of := owners(key))[0] in members and (len(of) == 1 or of[1] in links.get(of[0], ()))
+                if key in members or (isinstance(key, tuple) and key[0] in members and key[1] in links.get(key[0], ()))
             ]
             if len(keys) < len(cluster.joint.where):
                 part = self._cluster(cluster.joint.part(keys))
@@ -109,13 +110,3 @@ class Clusters:
 
     def _cluster(self, joint: Joint) -> Cluster:
         return Cluster(self._settings, self._records, self._step, joint)
-
-
-def owners(key: Key) -> tuple[int, ...]:
-    """Return the vehicle that a block is of, or the two whose pair it is of."""
-    if isinstance(key, OnsetsOf):
-        return (key.vehicle,)
-    if isinstance(key, tuple):
-        return key[:2]
-    assert isinstance(key, int)
-    return (key,)

@@ -151,11 +151,6 @@ class Joint:
         self.A[first:stop] *= factor
         self.A[:, first:stop] *= factor
 
-    def clear(self, first: int, stop: int) -> None:
-        """Set neighbouring states to zero, mean and covariances."""
-        self.A[first:stop] = 0.0
-        self.A[:, first:stop] = 0.0
-
     def fade(self, key: Key, decays: tuple[float, float], sigmas: tuple[float, float]) -> None:
         """Let a block of two first-order Gauss-Markov states fade by their factors towards zero, with their spreads `sigmas`."""
         A, where = self.A, self.where[key]

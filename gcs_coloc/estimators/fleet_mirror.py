@@ -15,7 +15,6 @@ import numpy as np
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, Vector3
 from gcs_coloc.estimators.fleet_cluster import Cluster, End
 from gcs_coloc.estimators.fleet_motion import POSITION, SIZE, STAMP_ERROR, TURN, VELOCITY
-from gcs_coloc.estimators.fleet_onsets import forget
 
 _IN_USE_S = 2.0
 _NEAR_SIGMAS = 4.0
@@ -95,7 +94,8 @@ class _View:
         most_m = _most_m(cluster, self.own) + max(_most_m(cluster, peer) for peer in self.peers)
         self.most_m = max(most_m, _LEAST_BLUR_M)
         record = cluster.records[subject]
-        self.aided = record.aided(at_s, cluster.settings.attitude_fresh_s)
+        attitude = record.attitude
+        self.aided = attitude is not None and at_s - attitude.measured_at_s <= cluster.settings.attitude_fresh_s
         self._height_sigma_m = math.inf
         for m in reversed(record.own):
             if at_s - m.measured_at_s > _IN_USE_S:
@@ -205,7 +205,6 @@ def reflect(cluster: Cluster, subject: int, mirror: Mirror) -> None:
     offset[0:3] = 2.0 * float(mirror.at_m @ n) * n
     offset[3:6] = 2.0 * mirror.speed_mps * n
     mean = M @ joint.mean(subject) + offset
-    forget(joint, subject)
     joint.transform(subject, tuple(mean.tolist()), M, np.zeros((SIZE, SIZE)), joint.time_s[subject])
 
 

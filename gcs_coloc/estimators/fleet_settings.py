@@ -18,9 +18,6 @@ class FleetSettings:
     `turn_sigma_radps` in steady flight, that lasts for `turn_time_s`. With a fresh bank angle `aided_density_m2ps3` holds beyond
     the turn that it explains, up to an error of `turn_share` of its sideways acceleration.
 
-    A subject without attitude may begin to accelerate by `onset_acceleration_mps2` (per axis) at any time, `onset_rate_per_s`
-    times a second, without notice.
-
     Air data: `wind_sigma_mps` is the spread of the horizontal wind, which changes over `wind_time_s`; `airspeed_sigma_mps` and
     `heading_sigma_rad` are slow errors of airspeed and heading over `air_error_time_s`; `air_noise_mps` is their fast part
     (gusts, sideslip), correlated over `air_noise_time_s`. An attitude is used for `attitude_fresh_s`.
@@ -53,8 +50,6 @@ class FleetSettings:
     turn_time_s: float = 3.0
     aided_density_m2ps3: float = 0.02
     turn_share: float = 0.1
-    onset_rate_per_s: float = 1.0 / 60.0
-    onset_acceleration_mps2: float = 8.0
     wind_sigma_mps: float = 8.0
     wind_time_s: float = 3600.0
     airspeed_sigma_mps: float = 1.0

@@ -15,7 +15,6 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
 )
 from gcs_coloc.estimators.fleet_noise import NOTHING_HEARD, Whiteness
-from gcs_coloc.estimators.fleet_onsets import NONE, Onsets
 
 _RECENT_S = 3.0
 _RECENT_MOST = 64
@@ -94,7 +93,6 @@ class VehicleRecord:
 
     `white` tells the noise of its reports, horizontally and vertically, `white_baro` that of its heights.
     `slow_report_h_m`, `slow_report_v_m`, `slow_baro_m`, `stamp_s` are the sigmas in force of the slow errors in the joint state.
-    `onsets` is when manoeuvres may have begun that a subject does not tell of.
     `lost_evidence` is the evidence of the ranges that the gate refused and let pass that this subject is not where it is held to
     be, `refused_m2` the mean square innovation of the former, `distrust_m2` what ranges are believed less since it was lost.
     """
@@ -122,7 +120,6 @@ class VehicleRecord:
     refused_m2: float = 0.0
     distrust_m2: float = 0.0
     reports_refused: int = 0
-    onsets: Onsets = NONE
     start_tried_at_s: float = -math.inf
     reason: str = "no measurement of it was heard"
 
@@ -143,10 +140,6 @@ class VehicleRecord:
         """Keep a range for a few seconds: a subject without a position is started from these."""
         kept = self.ranged if len(self.ranged) < 2 * _RANGES_MOST else self.ranged[-_RANGES_MOST:]
         self.ranged = (*kept, measurement)
-
-    def aided(self, at_s: float, fresh_s: float) -> bool:
-        """Whether the bank angle is told at a time, by an attitude that is not older than `fresh_s`."""
-        return self.attitude is not None and at_s - self.attitude.measured_at_s <= fresh_s
 
     @property
     def recent(self) -> tuple[OwnMeasurement, ...]:
