@@ -30,8 +30,7 @@ _SAMPLE_EVERY_S = 1.0
 """Without a terminal only the page's history wants views; what it shows live it looks at by itself."""
 _HEARTBEAT_EVERY_S = 1.0
 _REFUSALS_EVERY_S = 10.0
-# SIGHUP comes when the terminal closes or its connection breaks: without it the aided vehicles would not be told.
-_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
 class Service:
@@ -59,8 +58,10 @@ class Service:
         """
         loop = asyncio.get_running_loop()
         for sign in _ENDING:
-            if signal.getsignal(sign) is not signal.SIG_IGN:  # as nohup has SIGHUP
-                loop.add_signal_handler(sign, self.stop)
+            loop.add_signal_handler(sign, self.stop)
+        # The terminal was closed or its connection broke: the aided vehicles are to be told. Under nohup the flight goes on.
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            loop.add_signal_handler(signal.SIGHUP, self.stop)
         try:
             for fleet in self._fleets:
                 await fleet.open()

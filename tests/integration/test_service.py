@@ -50,6 +50,33 @@ def test_a_vehicle_that_loses_its_gps_is_located_and_nobody_else_gets_anything(s
         assert [m.fix_type for m in fleet[3].of("GPS_INPUT")][-1] == 1
 
 
+def started_ignoring(ignored: str, port: int) -> subprocess.Popen[str]:
+    """The service, listening, as a shell starts it that ignores a signal."""
+    service = [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{port}", "--no-web"]
+    ignoring = ["sh", "-c", f"trap '' {ignored}; exec \"$@\"", "sh"]
+    process = subprocess.Popen([*ignoring, *service], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    next(line for line in process.stderr if "listening on" in line)
+    return process
+
+
+# A script's job in the background ignores SIGINT from the start.
+@pytest.mark.parametrize(("ignored", "sent"), [("QUIT", signal.SIGHUP), ("INT", signal.SIGINT), ("TERM", signal.SIGTERM)])
+def test_a_signal_ends_the_service_however_it_was_started(ignored, sent, free_port):
+    with started_ignoring(ignored, free_port) as service:
+        service.send_signal(sent)
+        assert service.wait(20) == 0
+
+
+def test_under_nohup_the_flight_goes_on_when_the_terminal_closes(free_port):
+    with started_ignoring("HUP", free_port) as service, square_fleet(free_port) as fleet:
+        service.send_signal(signal.SIGHUP)
+        fly(fleet, 20.0, until=lambda: bool(fleet[0].of("HEARTBEAT")))
+        assert fleet[0].of("HEARTBEAT")
+        service.send_signal(signal.SIGTERM)
+        assert service.wait(20) == 0
+
+
 def test_two_autopilots_behind_one_address_get_nothing_and_the_operator_is_told(start_service, free_port):
     service = start_service("--udp", f"127.0.0.1:{free_port}")
     with square_fleet(free_port, behind_a_router=True) as fleet:
