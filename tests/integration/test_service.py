@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import random
 import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
 
 import pytest
 from vehicles import LAT, LON, M_PER_DEG_LAT, M_PER_DEG_LON, fly, square_fleet
@@ -50,14 +52,18 @@ def test_a_vehicle_that_loses_its_gps_is_located_and_nobody_else_gets_anything(s
         assert [m.fix_type for m in fleet[3].of("GPS_INPUT")][-1] == 1
 
 
-def started_ignoring(ignored: str, port: int) -> subprocess.Popen[str]:
+@contextlib.contextmanager
+def started_ignoring(ignored: str, port: int) -> Iterator[subprocess.Popen[str]]:
     """The service, listening, as a shell starts it that ignores a signal."""
     service = [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{port}", "--no-web"]
     ignoring = ["sh", "-c", f"trap '' {ignored}; exec \"$@\"", "sh"]
-    process = subprocess.Popen([*ignoring, *service], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    next(line for line in process.stderr if "listening on" in line)
-    return process
+    with subprocess.Popen([*ignoring, *service], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        next(line for line in process.stderr if "listening on" in line)
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 # A script's job in the background ignores SIGINT from the start.
