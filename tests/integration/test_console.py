@@ -99,6 +99,12 @@ def test_a_log_that_nobody_reads_stops_neither_the_flight_nor_its_end(free_port)
         os.close(reading)
 
 
+def log_in() -> None:
+    """Make stdin the process's own terminal, as a login shell's; whoever runs the tests may do so under nohup."""
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 def test_a_terminal_that_is_closed_ends_the_flight_in_order(free_port):
     master, slave = pty.openpty()
     service = subprocess.Popen(
@@ -107,7 +113,7 @@ def test_a_terminal_that_is_closed_ends_the_flight_in_order(free_port):
         stdout=slave,
         stderr=slave,
         start_new_session=True,
-        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # the service's own terminal, as a login shell's
+        preexec_fn=log_in,
     )
     os.close(slave)
     try:

@@ -53,11 +53,16 @@ def test_a_vehicle_that_loses_its_gps_is_located_and_nobody_else_gets_anything(s
 
 
 @contextlib.contextmanager
-def started_ignoring(ignored: str, port: int) -> Iterator[subprocess.Popen[str]]:
-    """The service, listening, as a shell starts it that ignores a signal."""
-    service = [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{port}", "--no-web"]
-    ignoring = ["sh", "-c", f"trap '' {ignored}; exec \"$@\"", "sh"]
-    with subprocess.Popen([*ignoring, *service], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+def started_ignoring(ignored: signal.Signals | None, port: int) -> Iterator[subprocess.Popen[str]]:
+    """The service, listening, started by a program that ignores this signal and no other."""
+
+    def prepare() -> None:
+        for sign in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
+            signal.signal(sign, signal.SIG_IGN if sign is ignored else signal.SIG_DFL)
+
+    command = [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{port}", "--no-web"]
+    streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, preexec_fn=prepare, text=True, **streams) as process:
         assert process.stderr is not None
         next(line for line in process.stderr if "listening on" in line)
         try:
@@ -67,7 +72,9 @@ def started_ignoring(ignored: str, port: int) -> Iterator[subprocess.Popen[str]]
 
 
 # A script's job in the background ignores SIGINT from the start.
-@pytest.mark.parametrize(("ignored", "sent"), [("QUIT", signal.SIGHUP), ("INT", signal.SIGINT), ("TERM", signal.SIGTERM)])
+@pytest.mark.parametrize(
+    ("ignored", "sent"), [(None, signal.SIGHUP), (signal.SIGINT, signal.SIGINT), (signal.SIGTERM, signal.SIGTERM)]
+)
 def test_a_signal_ends_the_service_however_it_was_started(ignored, sent, free_port):
     with started_ignoring(ignored, free_port) as service:
         service.send_signal(sent)
@@ -75,7 +82,7 @@ def test_a_signal_ends_the_service_however_it_was_started(ignored, sent, free_po
 
 
 def test_under_nohup_the_flight_goes_on_when_the_terminal_closes(free_port):
-    with started_ignoring("HUP", free_port) as service, square_fleet(free_port) as fleet:
+    with started_ignoring(signal.SIGHUP, free_port) as service, square_fleet(free_port) as fleet:
         service.send_signal(signal.SIGHUP)
         fly(fleet, 20.0, until=lambda: bool(fleet[0].of("HEARTBEAT")))
         assert fleet[0].of("HEARTBEAT")
