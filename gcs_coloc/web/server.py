@@ -160,10 +160,6 @@ def _picture(hooks: Hooks) -> bytes:
     return fleet_json(fleet_frame(hooks.glance(), hooks.truths(), playback))
 
 
-def _counts(hooks: Hooks, story: Story) -> bytes:
-    return story.counts(hooks.look()).model_dump_json().encode()
-
-
 def read_token(file: Path) -> str:
     """The operator's token: the only line of a file.
 
