@@ -43,9 +43,9 @@ _AUTOPILOTS = {
 }
 
 
-_NO_VEHICLES = frozenset((6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48))
+_NO_VEHICLES = frozenset((6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48, 49))
 """MAV_TYPEs of ground stations and of parts of a vehicle: companion computers (18), gimbals (26), ADS-B (27), cameras (30) and so
-on, the newest a gripper (48). Many of them name an autopilot in their HEARTBEAT that they are not. By number: older pymavlinks
+on, the newest a radio (49). Many of them name an autopilot in their HEARTBEAT that they are not. By number: older pymavlinks
 lack some of the names."""
 
 

@@ -230,6 +230,7 @@ def test_impossible_value_is_refused_with_message_and_field(sent, reason):
         heartbeat(kind=mavlink.MAV_TYPE_ONBOARD_CONTROLLER, autopilot=mavlink.MAV_AUTOPILOT_GENERIC),
         heartbeat(kind=mavlink.MAV_TYPE_GIMBAL, autopilot=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA),
         heartbeat(kind=mavlink.MAV_TYPE_ADSB, autopilot=mavlink.MAV_AUTOPILOT_GENERIC),
+        heartbeat(kind=49, autopilot=mavlink.MAV_AUTOPILOT_GENERIC),  # a radio, which pymavlink does not know by name yet
         mavlink.MAVLink_vfr_hud_message(math.nan, 20, 90, 50, 100, 0),
         named_value(name=b"volt"),
         named_value(name=b"RNG"),
