@@ -54,7 +54,8 @@ class Frame(NamedTuple):
 class Decoder:
     """Decodes datagrams. Nothing that bytes can hold makes it raise: what is of no use is in `counts`, by reason.
 
-    A component is an autopilot if its id is 1, or once it has sent an autopilot's heartbeat.
+    A component is an autopilot if its id is 1, or once it has sent an autopilot's heartbeat, as long as no component 1 of its
+    system has: a companion computer's script may announce one of any kind.
 
     Reasons: those of `framing`; unknown_message (in no dialect of ours); not_wanted (known, but of no use to the core);
     not_from_autopilot (a message that only an autopilot can send about its vehicle, from another component);
@@ -111,12 +112,20 @@ class Decoder:
             self.counts.add(NOT_FROM_AUTOPILOT)
         else:
             message = self._message(raw, received_at_s)
-            if isinstance(message, Heartbeat) and len(self._autopilots) < MAX_AUTOPILOTS:
-                self._autopilots.add(sender)
+            if isinstance(message, Heartbeat):
+                if self._is_beside_autopilot(sender):
+                    message = None
+                elif len(self._autopilots) < MAX_AUTOPILOTS:
+                    self._autopilots.add(sender)
             frames.append(Frame(raw.sysid, raw.compid, raw.sequence, raw.message_id, message))
 
     def _is_autopilot(self, sender: tuple[int, int]) -> bool:
-        return sender[1] == MAV_COMP_ID_AUTOPILOT1 or sender in self._autopilots
+        return sender[1] == MAV_COMP_ID_AUTOPILOT1 or (sender in self._autopilots and not self._is_beside_autopilot(sender))
+
+    def _is_beside_autopilot(self, sender: tuple[int, int]) -> bool:
+        """Whether a component has its system's autopilot, component 1, beside it."""
+        sysid, compid = sender
+        return compid != MAV_COMP_ID_AUTOPILOT1 and (sysid, MAV_COMP_ID_AUTOPILOT1) in self._autopilots
 
     def _is_for_us(self, raw: framing.RawFrame) -> bool:
         """Whether a frame is addressed to us or, as in MAVLink 1 where these fields are absent, to nobody in particular."""

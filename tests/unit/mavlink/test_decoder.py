@@ -1,5 +1,6 @@
 """Whose frames are taken, which are passed over or refused, and that a recorded flight decodes as pymavlink decodes it."""
 
+import pytest
 from packed_messages import NOW_S, heartbeat, pack, peer_range
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -36,6 +37,19 @@ def test_autopilot_with_a_component_id_of_its_own_is_believed_after_its_heartbea
     assert decoder.decode(pack(attitude, compid=50), NOW_S) == []
     decoder.decode(pack(heartbeat(), compid=50, sequence=1), NOW_S)
     assert decoder.decode(pack(attitude, compid=50, sequence=2), NOW_S)[0].message is not None
+
+
+@pytest.mark.parametrize("announced", [{"kind": 0, "autopilot": 0}, {"kind": 0}, {"kind": 2, "autopilot": 12}])
+def test_script_beside_an_autopilot_is_none_whatever_its_heartbeat_says(announced):
+    """A companion's script often announces itself as generic, or as what it was copied from; the aid's way hangs on it."""
+    decoder = Decoder()
+    attitude = mavlink.MAVLink_attitude_message(61_250, 0.5, -0.25, 3.0, 1, 1, 1)
+    assert decoder.decode(pack(heartbeat(**announced), compid=191), NOW_S)[0].is_autopilot_heartbeat
+    assert decoder.decode(pack(heartbeat()), NOW_S)[0].is_autopilot_heartbeat
+    beside = decoder.decode(pack(heartbeat(**announced), compid=191, sequence=1) + pack(attitude, compid=191, sequence=2), NOW_S)
+    assert [frame.message for frame in beside] == [None]
+    assert decoder.counts["not_from_autopilot"] == 1
+    assert decoder.decode(pack(heartbeat(**announced), sysid=2, compid=191), NOW_S)[0].is_autopilot_heartbeat
 
 
 def test_frames_that_are_none_of_our_business_are_counted():
