@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from pathlib import Path
 
@@ -35,12 +36,15 @@ class Part:
         self._mcap.append(self._encoder.take())
 
     def sync(self) -> None:
-        """Have the system bring it to the disk: it outlives a loss of power from then on."""
+        """Have the system bring it to the disk: it outlives a loss of power from then on. OSError where a file was deleted."""
         self._tlog.sync()
         self._mcap.sync()
 
     def close(self, *, whole: bool = True) -> None:
-        """Close both files; `whole`: end the MCAP file with its index. OSError where that cannot be written."""
+        """Close both files; `whole`: end the MCAP file with its index. OSError where that cannot be written.
+
+        A file that nothing could be written to is removed.
+        """
         try:
             if whole:
                 self._mcap.append(self._encoder.finish(), last=True)
@@ -56,6 +60,7 @@ class _File:
     """
 
     def __init__(self, path: Path, end_mark: bytes = b"") -> None:
+        self._path = path
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         self._end_mark = end_mark
         self.size = 0
@@ -74,8 +79,14 @@ class _File:
 
     def sync(self) -> None:
         os.fdatasync(self._fd)
+        if os.fstat(self._fd).st_nlink == 0:
+            # The system goes on taking what nobody will ever read.
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self._path))
 
     def close(self) -> None:
+        if self.size == 0:
+            with contextlib.suppress(OSError):
+                self._path.unlink()
         os.close(self._fd)
 
     def _write(self, at: int, data: bytes) -> None:

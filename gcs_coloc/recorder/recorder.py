@@ -52,7 +52,7 @@ class Recorder:
         self._routes: dict[int, str | None] = {}
         self._items: deque[_Item] = deque()
         self._ending = threading.Event()
-        self._turned_at_s = time.monotonic()
+        self._turned_at_s = self._retry_at_s = time.monotonic()
         self._fault: str | None = None
         self._told: tuple[str | None, int] = (None, 0)
         self._parts = 0
@@ -132,34 +132,34 @@ class Recorder:
             self.counts.add(LOST)
 
     def _run(self) -> None:
-        synced_at_s = retry_at_s = time.monotonic()
+        synced_at_s = time.monotonic()
         ended = False
         while not ended:
-            items, ended = self._gather()
-            if self._part is None and time.monotonic() >= retry_at_s:
-                retry_at_s = time.monotonic() + _RETRY_S
+            # Nobody wakes this thread for an item: at hundreds a second that would cost the flight more than the writing does.
+            ended = self._ending.wait(_FLUSH_S)
+            self._turned_at_s = time.monotonic()
+            if self._part is None and (ended or self._turned_at_s >= self._retry_at_s):
                 self._try_to_open()
-            for start in range(0, len(items), _BATCH_ITEMS):
-                self._write(items[start : start + _BATCH_ITEMS])
-            if time.monotonic() - synced_at_s >= _SYNC_S:
+            self._write_waiting()
+            if ended or time.monotonic() - synced_at_s >= _SYNC_S:
                 synced_at_s = time.monotonic()
                 self._sync()
         if self._part is not None:
             self._end(self._part)
+        self.counts.add(LOST, len(self._items))
 
-    def _gather(self) -> tuple[list[_Item], bool]:
-        """What has come in over the next half second, and whether it was the last.
+    def _write_waiting(self) -> None:
+        """Write what has come in until now; where nothing can be written it waits for the next part."""
+        waiting = len(self._items)
+        while waiting and self._part is not None:
+            items = [self._items.popleft() for _ in range(min(waiting, _BATCH_ITEMS))]
+            waiting -= len(items)
+            self._write(self._part, items)
 
-        Nobody wakes this thread for an item: at hundreds a second that would cost the flight more than the writing does.
-        """
-        ended = self._ending.wait(_FLUSH_S)
-        self._turned_at_s = time.monotonic()
-        return [self._items.popleft() for _ in range(len(self._items))], ended
-
-    def _write(self, items: list[_Item]) -> None:
+    def _write(self, part: Part, items: list[_Item]) -> None:
         try:
-            self._turn_over()
-            records = self._head(items[0]) if self._part is not None and self._part.size == 0 else bytearray()
+            part = self._turned_over(part)
+            records = self._head(items[0]) if part.size == 0 else bytearray()
             entries: list[Entry] = []
             for item in items:
                 if isinstance(item, tuple):
@@ -171,10 +171,7 @@ class Recorder:
                     records += self._note_record(item)
                 else:
                     entries.append(item)
-            if self._part is None:
-                self.counts.add(LOST, len(items))
-            else:
-                self._part.write(bytes(records), entries)
+            part.write(bytes(records), entries)
         except OSError as error:
             self._fail(error, len(items))
 
@@ -185,11 +182,13 @@ class Recorder:
             self.counts.add(LOST)
             return b""
 
-    def _turn_over(self) -> None:
-        if self._part is not None and self._part.size >= self._rotate_bytes:
-            part, self._part = self._part, None
-            self._end(part)
-            self._part = self._open_part()
+    def _turned_over(self, part: Part) -> Part:
+        if part.size < self._rotate_bytes:
+            return part
+        self._part = None
+        self._end(part)
+        self._part = self._open_part()
+        return self._part
 
     def _head(self, first: _Item) -> bytearray:
         """What a part begins with: that it is ours, and what the engine had been told before."""
@@ -221,16 +220,17 @@ class Recorder:
     def _try_to_open(self) -> None:
         try:
             self._part = self._open_part()
-            self._fault = None
         except OSError as error:
-            self._fault = _words(self._directory, error)
+            self._fail(error, 0)
 
     def _sync(self) -> None:
-        if self._part is not None:
-            try:
-                self._part.sync()
-            except OSError as error:
-                self._fail(error, 0)
+        if self._part is None or self._part.size == 0:
+            return
+        try:
+            self._part.sync()
+            self._fault = None  # not before: a full disk still makes new files
+        except OSError as error:
+            self._fail(error, 0)
 
     def _end(self, part: Part) -> None:
         try:
@@ -241,7 +241,10 @@ class Recorder:
     def _fail(self, error: OSError, items: int) -> None:
         self.counts.add(LOST, items)
         self._fault = _words(self._directory, error)
+        self._retry_at_s = time.monotonic() + _RETRY_S
         if self._part is not None:
+            if self._part.size == 0:
+                self._parts -= 1  # nothing is left of it, and its name is free
             self._part.close(whole=False)
             self._part = None
 
@@ -262,4 +265,6 @@ def _standing_as(note: Note) -> tuple[object, ...] | None:
 def _words(directory: Path, error: OSError) -> str:
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"{directory}: the disk is full"
+    if error.errno == errno.ENOENT:
+        return f"{directory}: the directory, or a file in it, was taken away; put the directory or its disk back"
     return f"{directory}: {error.strerror}"
