@@ -16,7 +16,7 @@ from gcs_coloc.core.view import FleetView
 from gcs_coloc.core.words import ClockReference, GpsWord, OperatorWord, RouteReport, Word
 from gcs_coloc.deadline import Deadline
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.links.address import parse
+from gcs_coloc.links.address import opened, parse
 from gcs_coloc.links.base import Address, Link
 from gcs_coloc.links.claims import Route
 from gcs_coloc.links.factory import make_link
@@ -79,7 +79,9 @@ class FleetService:
             other_aid=lambda raw, sysid: self._tell(other_aid(raw, self._clock(), sysid)),
         )
         self._echoes_gps_input = settings.forward.echo_gps_input
-        self._links = [make_link(parse(text), self._on_datagram, clock) for text in settings.links]
+        addresses = [parse(text) for text in settings.links]
+        self._links = [make_link(address, self._on_datagram, clock) for address in addresses]
+        self._opened = [opened(address) for address in addresses]
         self._engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
         self._refusals = Refusals(
             [
@@ -105,9 +107,9 @@ class FleetService:
     async def open(self) -> None:
         """Open the links, one after the other, then the recording. LinkError, RecordError where one cannot be opened."""
         await self._forwarder.open()  # first, so that what is heard can be handed on
-        for link in self._links:
+        for link, what_it_does in zip(self._links, self._opened, strict=True):
             await link.open()
-            log.info("listening on %s", link.name)
+            log.info("%s", what_it_does)
         self._recording.open()
 
     def start(self) -> None:

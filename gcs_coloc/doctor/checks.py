@@ -13,6 +13,7 @@ from gcs_coloc.doctor.parameters import SENDERS_OPTION, look_up
 LEAST_PEERS = 3
 CLOCKS_AGREE_S = 2.0
 OFTEN = 20
+MUCH_BYTES = 200
 _GPS_FIX_3D = 3
 
 _HARMFUL = {
@@ -136,10 +137,17 @@ def _clock(vehicle: VehicleFindings) -> Iterator[Remark]:
 
 def _number(findings: Findings) -> Iterator[Remark]:
     heard = len(findings.vehicles)
-    if heard == 0:
+    garbage_bytes = findings.refused.get("garbage_bytes", 0)
+    if heard == 0 and garbage_bytes >= MUCH_BYTES:
+        yield stop(
+            f"no vehicle was heard in {findings.seconds:g} s, but {garbage_bytes} bytes that are no MAVLink",
+            "see that a serial link has the radio's baud rate (serial:DEVICE:BAUD), and that no other program sends here",
+        )
+    elif heard == 0:
         yield stop(
             f"no vehicle was heard in {findings.seconds:g} s",
-            "see that a vehicle sends to this computer's address and this port, and that no firewall is in between",
+            "see that a vehicle is on and sends here: on a network to this computer's address and this port, with no firewall in "
+            "between; on a serial device through a radio that is linked",
         )
     elif heard <= LEAST_PEERS:
         yield stop(f"vehicles heard: {heard}; to locate one, {LEAST_PEERS} others are needed that know where they are")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import Callable, Hashable
+from dataclasses import replace
 
 from gcs_coloc.clock import ServiceClock
 from gcs_coloc.config import Settings
@@ -79,4 +81,6 @@ async def listen(
     finally:
         for link in links:
             await link.close()
-    return survey.findings(names, host_is_synchronised=host.synchronised)
+    findings = survey.findings(names, host_is_synchronised=host.synchronised)
+    # What a stream brings is cut into frames by its link, which counts what is none.
+    return replace(findings, refused=sum((Counter(link.counts) for link in links), Counter(findings.refused)))

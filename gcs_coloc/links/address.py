@@ -92,6 +92,17 @@ _PORT = re.compile(r"[0-9]{1,5}", re.ASCII)
 _DEVICE = re.compile(r"(?P<device>/[^,\s]*?)(?:[:,](?P<baud>[0-9]{1,8}))?", re.ASCII)
 
 
+def opened(address: LinkAddress) -> str:
+    """What a link does once it is open, in words for the operator."""
+    match address:
+        case TcpClient():
+            return f"connecting to {address}"
+        case UdpOut():
+            return f"sending to {address}"
+        case _:
+            return f"listening on {address}"
+
+
 class _MalformedError(Exception):
     """A text that is in no form of a connection string."""
 

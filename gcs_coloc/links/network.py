@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import errno
+import os
 import socket
 
 from gcs_coloc.core.errors import LinkError
 from gcs_coloc.links.address import TcpClient, TcpServer, UdpIn, UdpOut
+
+
+def reason(error: OSError) -> str:
+    """The system's words for an error: asyncio puts its own, and the address once more, in their place."""
+    return os.strerror(error.errno) if error.errno is not None and error.errno > 0 else error.strerror or str(error)
 
 
 def network_error(address: UdpIn | UdpOut | TcpClient | TcpServer, error: OSError) -> LinkError:
@@ -25,4 +31,4 @@ def network_error(address: UdpIn | UdpOut | TcpClient | TcpServer, error: OSErro
         return LinkError(f"{address}: no permission to listen on port {address.port}; take one above 1023")
     if error.errno == errno.EINVAL and address.host.lower().startswith("fe80:") and "%" not in address.host:
         return LinkError(f"{address}: a link-local address needs its interface, as [{address.host}%eth0]")
-    return LinkError(f"{address}: cannot be opened: {error.strerror or error}")
+    return LinkError(f"{address}: cannot be opened: {reason(error)}")

@@ -10,6 +10,7 @@ _QUIET = frozenset({"not_wanted", "unknown_message", "echo", "duplicate", "unsig
 # Counted and shown, but nothing to warn of: vehicles answer to every ground station that commands them.
 _UNTOLD = frozenset({"answer_to_another"})
 _MENDS = {
+    "garbage_bytes": "bytes that are no MAVLink: where nobody is heard on a serial link, a wrong baud rate",
     "address_conflict": "two senders use one system id: give every vehicle its own (SYSID_THISMAV or MAV_SYSID)",
     "unsigned": "a link that requires signatures: give the vehicle the key, or is somebody pretending?",
     "signature_wrong": "the vehicle has another key than ours, or somebody is pretending",

@@ -9,7 +9,7 @@ import socket
 
 from gcs_coloc.links.address import TcpClient, TcpServer
 from gcs_coloc.links.base import Address, Clock, DatagramHandler, Link
-from gcs_coloc.links.network import network_error
+from gcs_coloc.links.network import network_error, reason
 from gcs_coloc.links.stream import (
     CONNECTION_LOST,
     MAX_UNSENT_BYTES,
@@ -140,7 +140,7 @@ class TcpClientLink:
                     self._address.port,
                 )
             except OSError as error:
-                log.log(level, "%s: cannot connect (%s), trying again", self.name, error.strerror or error)
+                log.log(level, "%s: cannot connect (%s), trying again", self.name, reason(error))
                 level = logging.DEBUG
             else:
                 log.info("%s: connected", self.name)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import re
 import socket
 import subprocess
 import sys
+import tty
 from pathlib import Path
 
 import pytest
@@ -95,6 +97,24 @@ def test_where_nobody_sends_the_doctor_says_so(free_port):
     assert told.returncode == 1
     assert "no vehicle was heard in 5 s" in told.stdout
     assert "Traceback" not in told.stderr
+
+
+def test_a_serial_device_that_brings_no_mavlink_is_asked_for_its_baud_rate():
+    """What a radio at another speed looks like: bytes that mean nothing."""
+    far_end, near_end = os.openpty()
+    tty.setraw(near_end)
+    garbage = random.Random(1)
+    command = [sys.executable, "-m", "gcs_coloc", "doctor", "--link", os.ttyname(near_end), "--seconds", "5"]
+    told = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert told.stderr is not None
+    assert "listening on" in told.stderr.readline()
+    for _ in range(10):
+        os.write(far_end, garbage.randbytes(100))
+    out, _ = told.communicate(timeout=60)
+    os.close(far_end)
+    os.close(near_end)
+    assert told.returncode == 1
+    assert re.search(r"no vehicle was heard in 5 s, but \d+ bytes that are no MAVLink; .*baud rate", out)
 
 
 def test_a_port_in_use_and_a_missing_link_end_in_one_line(free_port):

@@ -253,6 +253,7 @@ def fleet(**changes):
     ("findings", "setup", "level", "words"),
     [
         (Findings(15.0), Setup(), Level.STOP, "no vehicle was heard in 15 s"),
+        (Findings(15.0, refused={"garbage_bytes": 900}), Setup(), Level.STOP, "in 15 s, but 900 bytes that are no MAVLink"),
         (Findings(15.0, (GOOD,)), Setup(), Level.STOP, "vehicles heard: 1; to locate one, 3 others are needed"),
         (fleet(), Setup(subjects=frozenset({4, 9})), Level.STOP, "vehicle 9, which is to be located, was not heard"),
         (fleet(refused={"signature_wrong": OFTEN}), Setup(), Level.NOTE, f"{OFTEN} times refused (signature_wrong)"),

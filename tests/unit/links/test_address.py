@@ -1,7 +1,7 @@
 import pytest
 
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.links.address import SerialPort, TcpClient, TcpServer, UdpIn, UdpOut, parse, parse_links, parse_out
+from gcs_coloc.links.address import SerialPort, TcpClient, TcpServer, UdpIn, UdpOut, opened, parse, parse_links, parse_out
 
 
 @pytest.mark.parametrize(
@@ -138,3 +138,17 @@ def test_links_of_different_places_are_taken_in_their_order():
 
 def test_an_interface_of_any_name_may_stand_behind_a_link_local_address():
     assert parse("udpin:[fe80::1%br-lan.100]:14550") == UdpIn("fe80::1%br-lan.100", 14550)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("14550", "listening on udpin:0.0.0.0:14550"),
+        ("tcpin:5760", "listening on tcpin:0.0.0.0:5760"),
+        ("tcp:localhost:5760", "connecting to tcp:localhost:5760"),
+        ("udpout:localhost:14550", "sending to udpout:localhost:14550"),
+        ("/dev/ttyUSB0", "listening on serial:/dev/ttyUSB0:57600"),
+    ],
+)
+def test_the_operator_is_told_what_a_link_does(text, words):
+    assert opened(parse(text)) == words
