@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
+
+import pytest
 
 _PRODUCT = "import numpy as np, pathlib; a = np.ones((600, 600)); a @ a; print(pathlib.Path('/proc/self/status').read_text())"
 
@@ -42,3 +45,25 @@ def test_the_entry_point_sets_it_before_anything_else_is_imported():
         "except SystemExit: print('numpy' in sys.modules, os.environ['OPENBLAS_NUM_THREADS'])"
     )
     assert told.splitlines()[-1] == "False 1"
+
+
+_INTERRUPTED = """
+import os, signal, sys
+class Interrupts:
+    def find_spec(self, name, path=None, target=None):
+        if name == {name!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Interrupts())
+sys.argv = ["gcs-coloc", "--udp", "127.0.0.1:1", "--no-web"]
+from gcs_coloc.__main__ import main
+main()
+"""
+
+
+@pytest.mark.parametrize(("imported", "status"), [("typer", -signal.SIGINT), ("rich.logging", -signal.SIGINT), ("numpy", 130)])
+def test_ctrl_c_while_packages_are_imported_ends_it_without_a_traceback(imported, status):
+    done = subprocess.run(
+        [sys.executable, "-c", _INTERRUPTED.format(name=imported)], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (status, "", "")
