@@ -9,7 +9,7 @@ Source: closed formulas of the WGS 84 ellipsoid; the inverse by Bowring's method
 
 from __future__ import annotations
 
-from math import atan2, cos, degrees, hypot, radians, sin, sqrt
+from math import atan2, cos, degrees, dist, hypot, radians, sin, sqrt
 
 from gcs_coloc.core.measurements import Vector3
 
@@ -41,6 +41,11 @@ def ecef_to_geodetic(x_m: float, y_m: float, z_m: float) -> Vector3:
     normal_m = _SEMI_MAJOR_M / sqrt(1.0 - _E2 * sin_lat * sin_lat)
     height_m = p_m * cos_lat + z_m * sin_lat - _SEMI_MAJOR_M * _SEMI_MAJOR_M / normal_m
     return degrees(lat), degrees(atan2(y_m, x_m)), height_m
+
+
+def horizontal_distance_m(a_lat_deg: float, a_lon_deg: float, b_lat_deg: float, b_lon_deg: float) -> float:
+    """The straight distance in metres between two places on the ellipsoid, in degrees; along it but for 1e-8 below 3 km."""
+    return dist(geodetic_to_ecef(a_lat_deg, a_lon_deg, 0.0), geodetic_to_ecef(b_lat_deg, b_lon_deg, 0.0))
 
 
 class LocalFrame:

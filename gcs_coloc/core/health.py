@@ -7,7 +7,7 @@ Evidence is what the vehicle's real receiver says in GPS_RAW_INT (in GPS2_RAW wh
 SYS_STATUS and the EKF's flags. The two last speak of the receiver *in use*: while the vehicle is aided they are an echo of our
 own stream and count for nothing. The injected receiver never counts. What the service itself finds counts as well: a receiver
 that repeats one position on the move (`motion_check`) is as good as lost, and so is one that the ranges show to lie
-(`integrity`). The operator's word wins over everything.
+(`integrity`); a position other than the receiver's (`receiver_check`) is suspect. The operator's word wins over everything.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from enum import Enum
 
 from gcs_coloc.core.messages import EkfStatus, GpsReceiver, SystemHealth
 from gcs_coloc.core.motion_check import MotionCheck
+from gcs_coloc.core.receiver_check import ReceiverCheck
 from gcs_coloc.core.words import GpsWord
 
 
@@ -61,7 +62,7 @@ class HealthSettings:
 
 @dataclass(slots=True)
 class GpsHealth:
-    """The state machine of one vehicle. Fed by `take`, `motion`, `contradiction`, `word` and `aided`; moved on by `update`.
+    """The state machine of one vehicle. Fed by `take`, `motion`, `own_fix`, `contradiction`, `word`, `aided`; moved by `update`.
 
     `own_receiver` is the instance of the receiver that is really its own. `captive`: its autopilot may fly on what we send
     though its own receiver is good, so that what it claims is an echo. `doubled` says in words that two autopilots speak under
@@ -77,6 +78,7 @@ class GpsHealth:
     aided: bool = False
     captive: bool = False
     motion: MotionCheck = field(default_factory=MotionCheck)
+    own_fix: ReceiverCheck = field(default_factory=ReceiverCheck)
     contradiction: Contradiction | None = None
     doubled: str | None = None
     _good_since_s: float | None = field(default=None)
@@ -160,6 +162,8 @@ class GpsHealth:
         implausible = self.motion.implausible(now_s)
         if implausible is not None:
             return implausible
+        if self.own_fix.contradiction is not None:
+            return self.own_fix.contradiction
         if self._system is not None and self._system.gps_enabled and not self._system.gps_healthy:
             return "SYS_STATUS: GPS not healthy"
         if self._ekf is not None:

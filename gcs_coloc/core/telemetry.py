@@ -126,6 +126,7 @@ class Telemetry:
     def _receiver(self, message: GpsReceiver, vehicle: Vehicle) -> bool:
         if message.receiver == vehicle.health.own_receiver:
             vehicle.receiver = message
+            vehicle.health.own_fix.take(message, vehicle.position)
         elif message.receiver == self._aiding.settings.gps_id:
             self._aiding.fed(message)
         return self._evidence(message, vehicle)

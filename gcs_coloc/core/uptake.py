@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from math import cos, hypot, radians
+from math import hypot
 
+from gcs_coloc.core.geodesy import horizontal_distance_m
 from gcs_coloc.core.messages import GpsReceiver
 from gcs_coloc.core.outputs import GpsInput
 
 _JUDGED_AFTER_S = 5.0
 _SILENCE_S = 3.0
 _LINGERS_S = 6.0  # ArduPilot keeps a fix for 4 s after the last message with one
-_M_PER_DEG = 111_320.0
 _NEAR_M, _NEAR_S = 50.0, 2.0
 _HAS_FIX = 3
 _NOT_OURS = "is it a receiver of its own, or does somebody else feed it?"
@@ -75,10 +75,8 @@ class Uptake:
             return None
         if heard.fix_type < _HAS_FIX:
             return f"its {self._name} says fix type {heard.fix_type} while positions are sent; {mend}"
-        north_m = (heard.lat_deg - self._fix.lat_deg) * _M_PER_DEG
-        east_deg = (heard.lon_deg - self._fix.lon_deg + 180.0) % 360.0 - 180.0
-        east_m = east_deg * _M_PER_DEG * cos(radians(self._fix.lat_deg))
-        off_m, speed_mps = hypot(north_m, east_m), hypot(self._fix.vn_mps, self._fix.ve_mps)
+        off_m = horizontal_distance_m(heard.lat_deg, heard.lon_deg, self._fix.lat_deg, self._fix.lon_deg)
+        speed_mps = hypot(self._fix.vn_mps, self._fix.ve_mps)
         if off_m > _NEAR_M + _NEAR_S * speed_mps:
             return f"its {self._name} is {off_m:.0f} m off what is sent: {_NOT_OURS}"
         return None
