@@ -13,16 +13,16 @@ from gcs_coloc.recorder.journal import VehicleEntry
 from gcs_coloc.recorder.story import Story
 
 WITHOUT_GPS = ("suspect", "failed", "recovering")
+_NIS_TICKS = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 1e3, 1e4, 1e5, 1e6)
 _BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#999999"
 
 
 def map_picture(story: Story) -> str | None:
-    """The tracks, east over north in metres, those without GPS in another colour; None where no vehicle was located."""
+    """The tracks in the fleet's frame, those without GPS in another colour; None where no vehicle was located."""
     located = {sysid: [e for e in track if e.vehicle.lat_deg is not None] for sysid, track in story.tracks.items()}
-    first = next((track[0].vehicle for track in located.values() if track), None)
-    if first is None or first.lat_deg is None or first.lon_deg is None or first.alt_msl_m is None:
+    frame = story.frame
+    if frame is None or not any(located.values()):
         return None
-    frame = LocalFrame(first.lat_deg, first.lon_deg, first.alt_msl_m)
     figure = _figure(9.0, 7.0)
     axes = figure.subplots()
     for sysid, track in sorted(located.items()):
@@ -38,16 +38,18 @@ def map_picture(story: Story) -> str | None:
     axes.plot([], [], color=_RED, lw=2, label="without GPS: from ranges")
     axes.set(xlabel="east, m", ylabel="north, m", aspect="equal")
     axes.grid(alpha=0.3)
-    axes.legend()
+    figure.legend(loc="outside upper center", ncols=2)
     return _data_url(figure)
 
 
 def vehicle_picture(story: Story, track: Sequence[VehicleEntry]) -> str:
     """One vehicle over time: 95 % bound and 1-sigma, HDOP and ranges in use, NIS with its band; shaded where it had no GPS."""
+    figure = _figure(9.0, 7.0)
+    from matplotlib import ticker
+
     start_s = story.counts.first_s
     t = [entry.at_s - start_s for entry in track]
     views = [entry.vehicle for entry in track]
-    figure = _figure(9.0, 7.0)
     bound, hdop, nis = figure.subplots(3, 1, sharex=True)
     bound.plot(t, [_or_nan(v.bound_95_m) for v in views], color=_RED, lw=1, label="95 % bound, m")
     bound.plot(t, [_or_nan(v.sigma_h_m) for v in views], color=_BLUE, lw=1, label="1-sigma, m")
@@ -58,6 +60,8 @@ def vehicle_picture(story: Story, track: Sequence[VehicleEntry]) -> str:
     nis.fill_between(times, [c.band_low for _, c in known], [c.band_high for _, c in known], color="0.85", label="95 % band")
     nis.plot(times, [c.nis_median for _, c in known], color=_BLUE, lw=1, label="median NIS of its ranges, refused ones too")
     nis.set(xlabel="s since the first frame", yscale="symlog")
+    nis.yaxis.set_major_locator(ticker.FixedLocator(_NIS_TICKS))
+    nis.yaxis.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
     for axes in (bound, hdop, nis):
         for begin_s, end_s in _spans(t, [v.gps_state in WITHOUT_GPS for v in views]):
             axes.axvspan(begin_s, end_s, color=_RED, alpha=0.08, lw=0)

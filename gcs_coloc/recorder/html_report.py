@@ -39,8 +39,10 @@ def page(story: Story) -> str:
     title = f"Flight {story.file.name}"
     parts = [_HEAD, f"<title>{escape(title)}</title></head><body><h1>{escape(title)}</h1>", _summary(story, results)]
     picture = map_picture(story)
-    if picture is not None:
+    if picture is not None and story.frame is not None:
+        origin = f"{story.frame.lat_deg:.7f}, {story.frame.lon_deg:.7f}"
         parts.append(f'<img alt="Map of the tracks, east over north" src="{picture}">')
+        parts.append(f"<p>East and north of {origin}, where the fleet's first fix was, as on the live page's map.</p>")
     parts.append("<h2>What failed when</h2>" + _health(story))
     for vehicle in results["vehicles"]:
         track = story.tracks.get(vehicle["sysid"], [])

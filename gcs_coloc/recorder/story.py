@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gcs_coloc.config import Settings
 from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.outputs import HealthChanged, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.flight_report import FlightReport
@@ -21,7 +22,11 @@ from gcs_coloc.recorder.tlog import TlogReader
 
 @dataclass(slots=True)
 class Story:
-    """What a flight came to. `tracks`: each vehicle's entries in order of time. `damage`: what of the file could not be read."""
+    """What a flight came to.
+
+    `tracks`: each vehicle's entries in order of time. `damage`: what of the file could not be read. `frame`: the fleet's, about
+    its first fix; None where there was none.
+    """
 
     file: Path
     estimator: str
@@ -32,6 +37,7 @@ class Story:
     ranges: list[RangeEntry] = field(default_factory=list)
     health: list[HealthChanged] = field(default_factory=list)
     notices: list[Notice] = field(default_factory=list)
+    frame: LocalFrame | None = None
 
 
 def retell(file: Path, settings: Settings, ranges: Path | None, truth: Path | None, *, as_flown: bool = True) -> Story:
@@ -70,4 +76,5 @@ def retell(file: Path, settings: Settings, ranges: Path | None, truth: Path | No
     told = read_ranges(ranges) if ranges is not None else []
     through = Replay(engine, log, told, on_poll, own, as_flown=as_flown)
     story.counts = replay(through, report.observation_times(), report.observe)
+    story.frame = engine.feed.frame
     return story

@@ -11,6 +11,13 @@ from html.parser import HTMLParser
 import pytest
 from recorded_flight import write_flight
 
+from gcs_coloc.config import Settings
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.recorder.replay import Replay, replay
+from gcs_coloc.recorder.story import retell
+from gcs_coloc.recorder.tlog import TlogReader
+
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
@@ -72,6 +79,17 @@ def test_it_says_what_failed_when_and_how_well_it_was_located(written):
     assert int(facts["GPS_INPUT with a fix"]) > 25
     assert "Vehicle 4 without its GPS" in text
     assert "Vehicle 1 without its GPS" not in text
+
+
+def test_the_map_names_its_origin_and_it_is_that_of_the_live_page(written, tmp_path):
+    _, text = written
+    write_flight(tmp_path / "f.tlog", 26.0)
+    story = retell(tmp_path / "f.tlog", Settings(), None, None)
+    engine = Engine(load_estimator("fleet", {}))
+    replay(Replay(engine, TlogReader(tmp_path / "f.tlog"), [], lambda at_s, outputs: None))
+    lat_deg, lon_deg, _ = engine.view(story.counts.last_s).origin
+    assert (story.frame.lat_deg, story.frame.lon_deg) == (lat_deg, lon_deg)
+    assert f"East and north of {lat_deg:.7f}, {lon_deg:.7f}," in text
 
 
 def test_damage_and_names_are_told_as_they_are(written):
