@@ -7,7 +7,7 @@ from collections import Counter
 from gcs_coloc.core.aid_messages import CommandResult, OtherAid, ParameterSet, ParameterValue
 from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.aid_stream import AidStream, Answer, Purpose
-from gcs_coloc.core.fleet import Vehicle
+from gcs_coloc.core.fleet import NO_HEARTBEAT_YET, Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.grid import Grid
 from gcs_coloc.core.health import GpsState
@@ -22,6 +22,7 @@ from gcs_coloc.core.words import AidWord, PrimaryWord
 
 _AIDED_STATES = (GpsState.FAILED, GpsState.RECOVERING)
 _FRESH_S = 3.0
+_HEARTBEAT_WITHIN_S = 3.0  # autopilots send one each second
 
 
 class Aiding:
@@ -77,7 +78,8 @@ class Aiding:
         # A vehicle that may fly on what we send though its receiver is good: its claims must not come back as evidence.
         vehicle.health.captive = self._word(vehicle) is AidWord.ON or self.primary.holds(sysid)
         vehicle.health.aided = stream is not None and (vehicle.health.state in _AIDED_STATES or vehicle.health.captive)
-        if purpose is Purpose.AID and hindrance != self._told.get(sysid):
+        is_new = hindrance == NO_HEARTBEAT_YET and now_s - vehicle.first_heard_s < _HEARTBEAT_WITHIN_S
+        if purpose is Purpose.AID and hindrance != self._told.get(sysid) and not is_new:
             self._told[sysid] = hindrance
             if hindrance is not None:
                 out.append(Notice(now_s, sysid, "error", f"needs aid and cannot be aided: {hindrance}"))

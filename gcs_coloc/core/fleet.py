@@ -12,6 +12,8 @@ from gcs_coloc.core.messages import Airspeed, Attitude, Autopilot, GlobalPositio
 from gcs_coloc.core.repeated_range import RangeRepeats
 from gcs_coloc.core.timing import SenderClock
 
+NO_HEARTBEAT_YET = "no heartbeat of an autopilot heard yet"
+
 
 @dataclass(slots=True)
 class Vehicle:
@@ -30,7 +32,7 @@ class Vehicle:
     first_heard_s: float
     last_heard_s: float
     autopilot: Autopilot | None = None
-    blocked: str | None = "no heartbeat of an autopilot heard yet"
+    blocked: str | None = NO_HEARTBEAT_YET
     position: GlobalPosition | None = None
     receiver: GpsReceiver | None = None
     airspeed: Airspeed | None = None

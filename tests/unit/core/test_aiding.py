@@ -47,6 +47,23 @@ def test_aid_on_streams_to_a_healthy_vehicle_whose_own_claims_then_count_for_not
     assert max(m.measured_at_s for m in estimator.of(PositionMeasurement, 4)) > 14.5
 
 
+def heard_without_a_heartbeat(engine: Engine, from_s: int, to_s: int) -> list[str]:
+    """What the operator is told of a vehicle whose receiver is heard once a second, and nothing else."""
+    out = []
+    for at_s in range(from_s, to_s):
+        engine.receive(GpsReceiver(4, float(at_s), 0, 3, 47.0, 8.0, 500.0, 10, 0.8, 0.8, 1.2, 0.2))
+        out += engine.poll(at_s + 0.5)
+    return [o.text for o in out if isinstance(o, Notice)]
+
+
+def test_a_vehicle_that_has_just_come_is_given_time_for_its_heartbeat_before_an_alarm():
+    engine = Engine(StraightLine(), settings())
+    engine.receive(OperatorWord(4, 0.0, GpsWord.FAILED))
+    assert not any("cannot be aided" in text for text in heard_without_a_heartbeat(engine, 0, 3))
+    told = [text for text in heard_without_a_heartbeat(engine, 3, 6) if "cannot be aided" in text]
+    assert told == ["needs aid and cannot be aided: no heartbeat of an autopilot heard yet"]
+
+
 def test_to_an_unknown_autopilot_nothing_is_sent_unless_a_way_is_set():
     for way, sent in (("auto", False), ("gps_input", True)):
         engine = Engine(StraightLine(), settings(aid=AidSettings(way=way, standby=True)))
