@@ -118,7 +118,10 @@ def vfr_hud(s: Snapshot) -> Any:
     """VFR_HUD (74)."""
     ground_speed = math.hypot(*s.autopilot.navigation.velocity_mps)
     heading_deg = round(math.degrees(_local_heading(s))) % 360
-    return mavlink.MAVLink_vfr_hud_message(s.air.airspeed_mps, ground_speed, heading_deg, 50, s.air.altitude_m, s.climb_mps)
+    # Calibrated airspeed, as the message is defined: less than the true one where the air is thin (ISO 2533).
+    temperature_share = 1.0 - 0.0065 * s.air.altitude_m / 288.15
+    calibrated_mps = s.air.airspeed_mps * temperature_share ** (4.2559 / 2.0)
+    return mavlink.MAVLink_vfr_hud_message(calibrated_mps, ground_speed, heading_deg, 50, s.air.altitude_m, s.climb_mps)
 
 
 def ekf_status_report(s: Snapshot) -> Any:

@@ -66,7 +66,7 @@ def telemetry(sysid: int, t: float, fix_type: int = 3, autopilot: Autopilot = Au
             sysid, t, 0, fix_type, LAT + 0.001 * sysid, lon_deg, ALT, 10 if fix_type >= 3 else 3, 1.0, 1.2, 2.0, 0.4
         )
     if step % 10 == 0:
-        yield Heartbeat(sysid, t, autopilot, True)
+        yield Heartbeat(sysid, t, autopilot, True, winged=True)
         yield RouteReport(sysid, t, None)
 
 

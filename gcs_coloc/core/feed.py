@@ -14,6 +14,7 @@ from collections import Counter
 from dataclasses import dataclass
 from math import hypot
 
+from gcs_coloc.core.air_data import true_airspeed_mps
 from gcs_coloc.core.clocks import ServiceTime, TimeSettings
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
@@ -92,12 +93,15 @@ class Feed:
         )
 
     def attitude(self, message: Attitude, vehicle: Vehicle) -> AttitudeMeasurement | None:
-        """Attitude with the airspeed that was heard last, if that is fresh."""
+        """Attitude with the true airspeed by what was heard last, if that is fresh and the vehicle flies on wings.
+
+        A multirotor flies to any side, and banks to do so without turning: what it tells of the air says nothing of its course.
+        """
         measured = self._boot_time(message, vehicle, "ATTITUDE")
         if measured is None:
             return None
         air = vehicle.airspeed
-        fresh = air is not None and message.received_at_s - air.received_at_s <= _AIRSPEED_FRESH_S
+        fresh = vehicle.winged and air is not None and message.received_at_s - air.received_at_s <= _AIRSPEED_FRESH_S
         return AttitudeMeasurement(
             vehicle=message.sysid,
             measured_at_s=measured.at_s,
@@ -105,7 +109,7 @@ class Feed:
             roll_rad=message.roll_rad,
             pitch_rad=message.pitch_rad,
             yaw_rad=message.yaw_rad,
-            airspeed_mps=air.airspeed_mps if air is not None and fresh else None,
+            airspeed_mps=true_airspeed_mps(air.airspeed_mps, self._alt_msl_m(vehicle)) if air is not None and fresh else None,
         )
 
     def range(self, message: PeerRange, vehicle: Vehicle, peer: Vehicle | None) -> RangeMeasurement | None:
@@ -159,6 +163,12 @@ class Feed:
             up_m=self.up_m(message.alt_msl_m, where if where is not None else (0.0, 0.0)),
             sigma_m=hypot(self.settings.altitude_sigma_m, message.vd_mps * measured.sigma_s),
         )
+
+    def _alt_msl_m(self, vehicle: Vehicle) -> float:
+        """The altitude of a vehicle; that of the fleet's origin, or sea level, where it tells none."""
+        if vehicle.position is not None:
+            return vehicle.position.alt_msl_m
+        return self.frame.height_m if self.frame is not None else 0.0
 
     def _accuracy(self, receiver: GpsReceiver | None) -> tuple[float, float, float]:
         s = self.settings

@@ -23,8 +23,8 @@ class Vehicle:
     peers' positions in it. `range_misfit` is the median NIS of those of the last seconds, its own and to it; `range_jump_m` is by
     what length all that it measures have just come to be off. `last_known_enu_m` is where the estimator last had it (east,
     north). `delay_s` is how much longer its newest position was on the way (beyond what is assumed, where TIMESYNC is not
-    answered).
-    `utc_minus_service_s` is UTC as it last told it. `range_repeats` knows which of its ranges are stuck.
+    answered). `winged` says that it flies along its nose and turns by banking. `utc_minus_service_s` is UTC as it last told it.
+    `range_repeats` knows which of its ranges are stuck.
     """
 
     sysid: int
@@ -32,6 +32,7 @@ class Vehicle:
     first_heard_s: float
     last_heard_s: float
     autopilot: Autopilot | None = None
+    winged: bool = False
     blocked: str | None = NO_HEARTBEAT_YET
     position: GlobalPosition | None = None
     receiver: GpsReceiver | None = None

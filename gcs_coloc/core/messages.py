@@ -37,12 +37,16 @@ class TimeBase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Heartbeat:
-    """HEARTBEAT (0) of an autopilot component. Heartbeats of ground stations and peripherals are not turned into this."""
+    """HEARTBEAT (0) of an autopilot component. Heartbeats of ground stations and peripherals are not turned into this.
+
+    `winged`: the vehicle is of a type that flies along its nose and turns by banking.
+    """
 
     sysid: int
     received_at_s: float
     autopilot: Autopilot
     armed: bool
+    winged: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +125,7 @@ class Attitude:
 
 @dataclass(frozen=True, slots=True)
 class Airspeed:
-    """VFR_HUD (74): airspeed. The wire message carries no time."""
+    """VFR_HUD (74): calibrated or indicated airspeed. The wire message carries no time."""
 
     sysid: int
     received_at_s: float

@@ -120,7 +120,7 @@ class Telemetry:
 
     def _heartbeat(self, message: Heartbeat, vehicle: Vehicle) -> bool:
         changed = vehicle.autopilot is not message.autopilot
-        vehicle.autopilot = message.autopilot
+        vehicle.autopilot, vehicle.winged = message.autopilot, message.winged
         return changed
 
     def _receiver(self, message: GpsReceiver, vehicle: Vehicle) -> bool:

@@ -48,6 +48,9 @@ _NO_VEHICLES = frozenset((6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48,
 on, the newest a radio (49). Many of them name an autopilot in their HEARTBEAT that they are not. By number: older pymavlinks
 lack some of the names."""
 
+_WINGED = frozenset((mavlink.MAV_TYPE_FIXED_WING, *range(19, 26)))
+"""MAV_TYPEs that fly along their nose and turn by banking; from 19 on VTOLs, whose airspeed is next to none while they hover."""
+
 
 def heartbeat(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Heartbeat | None:
     """HEARTBEAT (0); None where the sender is no autopilot (a ground station, a companion computer, a camera)."""
@@ -59,6 +62,7 @@ def heartbeat(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Hear
         received_at_s=received_at_s,
         autopilot=_AUTOPILOTS.get(autopilot, Autopilot.OTHER),
         armed=bool(base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
+        winged=vehicle_type in _WINGED,
     )
 
 

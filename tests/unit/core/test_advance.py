@@ -19,7 +19,7 @@ def flight() -> list:
     told = [OperatorWord(4, STARTED_S, GpsWord.FAILED)]
     for second in range(8):
         at_s = STARTED_S + second
-        told += [Heartbeat(4, at_s, Autopilot.ARDUPILOT, True), RouteReport(4, at_s, None)]
+        told += [Heartbeat(4, at_s, Autopilot.ARDUPILOT, True, winged=True), RouteReport(4, at_s, None)]
     return told
 
 

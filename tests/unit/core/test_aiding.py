@@ -315,7 +315,7 @@ def test_the_receiver_that_we_feed_never_counts_as_the_vehicles_own(gps_id):
     engine = Engine(StraightLine(), settings(aid=AidSettings(gps_id=gps_id)))
     for step in range(100):
         t = step / 10
-        engine.receive(Heartbeat(4, t, Autopilot.ARDUPILOT, True))
+        engine.receive(Heartbeat(4, t, Autopilot.ARDUPILOT, True, winged=True))
         for receiver, fix_type in ((gps_id, 3), (1 - gps_id, 1)):
             engine.receive(GpsReceiver(4, t, receiver, fix_type, 47.0, 8.0, 500.0, 10, 1.0, 1.0, 2.0, 0.4))
         engine.poll(t)

@@ -138,7 +138,10 @@ def test_a_position_that_is_unknown_or_too_uncertain_is_never_claimed_as_a_fix(c
 
 @pytest.mark.parametrize(
     ("blocking", "words"),
-    [(RouteReport(4, 7.0, "shares its address with 3"), "shares its address"), (Heartbeat(4, 7.0, Autopilot.PX4, True), "PX4")],
+    [
+        (RouteReport(4, 7.0, "shares its address with 3"), "shares its address"),
+        (Heartbeat(4, 7.0, Autopilot.PX4, True, winged=True), "PX4"),
+    ],
 )
 def test_a_vehicle_that_cannot_be_reached_or_takes_no_gps_input_gets_nothing_and_the_reason_is_shown(blocking, words):
     engine = Engine(StraightLine(), settings(aid=AidSettings(way="gps_input")))

@@ -91,6 +91,7 @@ def test_an_uncertain_time_is_an_uncertain_place():
 def test_airspeed_goes_with_the_attitude_only_while_it_is_fresh():
     feed = Feed(FeedSettings())
     record = vehicle()
+    record.winged = True
     record.airspeed = Airspeed(4, 10.0, 22.0)
     fresh = feed.attitude(Attitude(4, 10.9, 10.9, 0.1, 0.2, 0.3), record)
     stale = feed.attitude(Attitude(4, 11.1, 11.1, 0.1, 0.2, 0.3), record)
@@ -98,6 +99,16 @@ def test_airspeed_goes_with_the_attitude_only_while_it_is_fresh():
     assert stale is not None
     assert (fresh.airspeed_mps, stale.airspeed_mps) == (22.0, None)
     assert (fresh.roll_rad, fresh.pitch_rad, fresh.yaw_rad) == (0.1, 0.2, 0.3)
+
+
+@pytest.mark.parametrize(("winged", "airspeed_mps"), [(True, pytest.approx(22.0 * 1.1607, rel=1e-3)), (False, None)])
+def test_airspeed_is_the_true_one_at_the_vehicles_altitude_and_only_where_it_flies_on_wings(winged, airspeed_mps):
+    """At 3000 m a plane that tells 22 m/s moves at 25.5; a multirotor may do so to any side."""
+    feed, record = Feed(FeedSettings()), vehicle()
+    record.winged, record.airspeed, record.position = winged, Airspeed(4, 10.0, 22.0), position(10.0, alt_m=3000.0)
+    measurement = feed.attitude(Attitude(4, 10.1, 10.1, 0.1, 0.2, 0.3), record)
+    assert measurement is not None
+    assert measurement.airspeed_mps == airspeed_mps
 
 
 def test_a_jumping_clock_is_refused_and_counted():

@@ -59,7 +59,7 @@ def test_vehicles_that_lost_their_gps_at_different_times_are_sent_their_aid_at_t
 
     for sysid, lost_at_s in zip(sent_at_s, (UNIX_S, UNIX_S + 1.237, UNIX_S + 2.611), strict=True):
         fly(lost_at_s)
-        engine.receive(Heartbeat(sysid, lost_at_s, Autopilot.ARDUPILOT, armed=True))
+        engine.receive(Heartbeat(sysid, lost_at_s, Autopilot.ARDUPILOT, armed=True, winged=True))
         engine.receive(RouteReport(sysid, lost_at_s, None))
         engine.receive(OperatorWord(sysid, lost_at_s, GpsWord.FAILED))
     fly(UNIX_S + 10.0)
@@ -71,7 +71,7 @@ def test_vehicles_that_lost_their_gps_at_different_times_are_sent_their_aid_at_t
 
 def test_a_vehicle_is_sent_its_aid_before_the_fleet_is_reviewed_at_the_same_time():
     engine = Engine(load_estimator("fleet", {}))
-    engine.receive(Heartbeat(1, UNIX_S, Autopilot.ARDUPILOT, armed=True))
+    engine.receive(Heartbeat(1, UNIX_S, Autopilot.ARDUPILOT, armed=True, winged=True))
     engine.receive(RouteReport(1, UNIX_S, None))
     engine.receive(OperatorWord(1, UNIX_S, GpsWord.FAILED))
     reviews = []

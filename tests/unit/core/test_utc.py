@@ -55,7 +55,7 @@ def fly(e: Engine, start_s: float, stop_s: float, lie_s: float = 0.0) -> list:
             e.receive(GpsReceiver(sysid, t, 0, 3, 47.0, 8.0, 500.0, 10, 1.0, 1.0, 1.0, 0.5))
             unix_s = None if sysid == 4 else UNIX_S + t + (lie_s if sysid == 3 else 0.0)
             e.receive(SystemTime(sysid, t, t + sysid, unix_s))
-            e.receive(Heartbeat(sysid, t, Autopilot.ARDUPILOT, True))
+            e.receive(Heartbeat(sysid, t, Autopilot.ARDUPILOT, True, winged=True))
             e.receive(RouteReport(sysid, t, None))
         out += e.poll(t)
     return out

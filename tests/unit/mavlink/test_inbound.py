@@ -80,9 +80,15 @@ SYS_STATUS_FIELDS = dict.fromkeys(
 @pytest.mark.parametrize(
     ("sent", "expected"),
     [
-        (heartbeat(base_mode=128), Heartbeat(1, NOW_S, Autopilot.ARDUPILOT, armed=True)),
-        (heartbeat(autopilot=mavlink.MAV_AUTOPILOT_PX4, base_mode=127), Heartbeat(1, NOW_S, Autopilot.PX4, armed=False)),
-        (heartbeat(autopilot=mavlink.MAV_AUTOPILOT_PPZ), Heartbeat(1, NOW_S, Autopilot.OTHER, armed=False)),
+        (heartbeat(base_mode=128), Heartbeat(1, NOW_S, Autopilot.ARDUPILOT, armed=True, winged=True)),
+        (
+            heartbeat(autopilot=mavlink.MAV_AUTOPILOT_PX4, base_mode=127),
+            Heartbeat(1, NOW_S, Autopilot.PX4, armed=False, winged=True),
+        ),
+        (heartbeat(autopilot=mavlink.MAV_AUTOPILOT_PPZ), Heartbeat(1, NOW_S, Autopilot.OTHER, armed=False, winged=True)),
+        (heartbeat(mavlink.MAV_TYPE_QUADROTOR), Heartbeat(1, NOW_S, Autopilot.ARDUPILOT, armed=False, winged=False)),
+        (heartbeat(mavlink.MAV_TYPE_GROUND_ROVER), Heartbeat(1, NOW_S, Autopilot.ARDUPILOT, armed=False, winged=False)),
+        (heartbeat(mavlink.MAV_TYPE_VTOL_TILTROTOR), Heartbeat(1, NOW_S, Autopilot.ARDUPILOT, armed=False, winged=True)),
         (
             global_position(),
             GlobalPosition(1, NOW_S, 61.25, -35.3632621, 149.1652374, 584.19, vn_mps=15.0, ve_mps=-2.5, vd_mps=-0.3),
@@ -257,4 +263,4 @@ def test_fields_left_off_the_wire_are_zero(version_1):
 def test_fields_that_a_newer_definition_adds_are_passed_over():
     sent = heartbeat()
     sent.unpacker = type("Longer", (), {"pack": staticmethod(lambda *values: type(sent).unpacker.pack(*values) + b"\x07\x07")})
-    assert decode(sent)[0] == Heartbeat(1, NOW_S, Autopilot.ARDUPILOT, armed=False)
+    assert decode(sent)[0] == Heartbeat(1, NOW_S, Autopilot.ARDUPILOT, armed=False, winged=True)
