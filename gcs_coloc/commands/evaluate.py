@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,8 @@ import typer
 from gcs_coloc.core.guard import GuardedEstimator
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.fleets import load_settings
+
+_MOST_REASONS = 3
 
 
 def evaluate(
@@ -44,8 +47,18 @@ def evaluate(
         print(f"{subject.node.id}: {s.epochs} true positions, {s.share_known:.1%} answered", end="")
         if s.horizontal is None or s.spatial is None or s.anees is None or s.covered_95 is None:
             print()
+            _print_unanswered(subject.unanswered)
             continue
         print(f", the first after {s.first_known_s:.1f} s")
         for name, e in (("horizontal", s.horizontal), ("3D", s.spatial)):
             print(f"  {name:<10} RMSE {e.rmse_m:.2f} m, median {e.median_m:.2f} m, 95 % {e.p95_m:.2f} m, most {e.max_m:.2f} m")
+        _print_unanswered(subject.unanswered)
         print(f"  ANEES {s.anees:.2f} ({s.anees_expected} expected), 95 % bound covers {s.covered_95:.1%}")
+    counts = ", ".join(f"{what} {times}" for what, times in sorted(evaluation.counts.items(), key=lambda item: -item[1]))
+    if counts:
+        print(f"measurements: {counts}")
+
+
+def _print_unanswered(reasons: Mapping[str, int]) -> None:
+    for reason, times in list(reasons.items())[:_MOST_REASONS]:
+        print(f"  not answered {times} times: {reason}{' (the first time)' if times > 1 else ''}")

@@ -9,6 +9,8 @@ from pathlib import Path
 
 from gcs_coloc.core.errors import DataError
 
+_OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs"}
+
 
 class Row:
     """One row of a table. Its readers raise DataError that names the place."""
@@ -107,16 +109,21 @@ def read_layout(path: Path, required: Sequence[str], *optional: Sequence[str]) -
             (i for i, (a, b) in enumerate(zip(header, expected, strict=False)) if a != b), min(len(header), len(expected))
         )
         layout = ",".join(required) + "".join(f"[,{','.join(group)}]" for group in optional)
-        raise DataError(f"{path}, line 1, column {wrong + 1}: the header has to be {layout}")
+        there = f"{header[wrong]!r} stands there" if wrong < len(header) else "nothing stands there"
+        raise DataError(f"{path}, line 1, column {wrong + 1}: {there}; the header has to be {layout}")
 
     return _read(path, check)
 
 
 def _read(path: Path, check_header: Callable[[list[str]], None]) -> Iterator[Row]:
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with path.open(encoding="utf-8-sig", newline="") as file:  # spreadsheets begin UTF-8 with a byte order mark
             reader = csv.reader(file, strict=True)
             header = [name.strip() for name in next(reader, [])]
+            other = next((sign for sign in _OTHER_SEPARATORS if len(header) == 1 and sign in header[0]), None)
+            if other is not None:
+                what = _OTHER_SEPARATORS[other]
+                raise DataError(f"{path}, line 1: its columns are separated by {what}; write commas, and points in numbers")
             check_header(header)
             for cells in reader:
                 if not cells:

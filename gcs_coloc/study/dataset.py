@@ -110,7 +110,7 @@ class _Meta:
 
     def __init__(self, path: Path) -> None:
         try:
-            content = tomllib.loads(path.read_text(encoding="utf-8"))
+            content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
         except OSError as error:
             raise DataError(f"{path}: {error.strerror or error}") from error
         except UnicodeDecodeError as error:

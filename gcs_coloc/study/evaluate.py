@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from gcs_coloc.core.measurements import (
     Measurement,
     PositionMeasurement,
     RangeMeasurement,
+    Unknown,
 )
 from gcs_coloc.core.scoring import Score, Series, score, series_of
 from gcs_coloc.estimators.base import Estimator
@@ -25,16 +28,21 @@ from gcs_coloc.study.dataset import Dataset, Node, read_dataset
 
 _PLANE_EVERY_S = 0.2
 _PLANE_SIGMA_M = 0.1
+_NUMBER = re.compile(r"[0-9.]+")
 
 
 @dataclass(frozen=True, slots=True)
 class SubjectEvaluation:
-    """One subject: its score, the epochs behind it, and the normalised innovations (N, 2) of its ranges: time in s, NIS."""
+    """One subject: its score, the epochs behind it, and the normalised innovations (N, 2) of its ranges: time in s, NIS.
+
+    `unanswered`: how many epochs have no estimate, by the estimator's reason as it was first given, whatever numbers are in it.
+    """
 
     node: Node
     score: Score
     series: Series
     nis: FloatArray
+    unanswered: Mapping[str, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +65,7 @@ class Evaluation:
             "estimator": self.estimator,
             "measurements": self.measurements,
             "cpu_us_per_measurement": self.cpu_us_per_measurement,
-            "subjects": {subject.node.id: asdict(subject.score) for subject in self.subjects},
+            "subjects": {s.node.id: asdict(s.score) | {"unanswered": dict(s.unanswered)} for s in self.subjects},
             "counts": dict(self.counts),
         }
 
@@ -82,7 +90,7 @@ def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[],
     last_report_s = {node.vehicle: _last_report_s(dataset, node.vehicle) for node in dataset.subjects()}
     since_s = {vehicle: max(t, start_s) for vehicle, t in last_report_s.items()}
     wanted = {node.vehicle: dataset.truth[node.vehicle] for node in dataset.subjects() if node.vehicle in dataset.truth}
-    answers: dict[int, list[Estimate | None]] = {vehicle: [] for vehicle in wanted}
+    answers: dict[int, list[Estimate | Unknown]] = {vehicle: [] for vehicle in wanted}
     nis: dict[int, list[tuple[float, float]]] = {vehicle: [] for vehicle in since_s}
     questions = sorted((t, vehicle) for vehicle, truth in wanted.items() for t in truth.times_s.tolist() if t >= since_s[vehicle])
     subjects: frozenset[int] = frozenset()
@@ -93,8 +101,7 @@ def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[],
         nonlocal next_question
         while next_question < len(questions) and questions[next_question][0] < at_s:
             t, vehicle = questions[next_question]
-            answer = estimator.estimate(vehicle, t)
-            answers[vehicle].append(answer if isinstance(answer, Estimate) else None)
+            answers[vehicle].append(estimator.estimate(vehicle, t))
             next_question += 1
 
     for m in feed:
@@ -117,9 +124,12 @@ def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[],
             continue
         truth = wanted[node.vehicle]
         asked = truth.times_s >= since_s[node.vehicle]
-        series = series_of(truth.times_s[asked], truth.positions_enu_m[asked], answers[node.vehicle])
+        told = answers[node.vehicle]
+        known = [answer if isinstance(answer, Estimate) else None for answer in told]
+        unanswered = _by_reason(answer.reason for answer in told if isinstance(answer, Unknown))
+        series = series_of(truth.times_s[asked], truth.positions_enu_m[asked], known)
         history = np.array(nis[node.vehicle]).reshape(-1, 2)
-        evaluated.append(SubjectEvaluation(node, score(series, since_s[node.vehicle], dataset.dims), series, history))
+        evaluated.append(SubjectEvaluation(node, score(series, since_s[node.vehicle], dataset.dims), series, history, unanswered))
     count = len(dataset.measurements)
     return Evaluation(
         dataset=dataset.name,
@@ -130,6 +140,12 @@ def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[],
         subjects=tuple(evaluated),
         counts=estimator.counts(),
     )
+
+
+def _by_reason(reasons: Iterable[str]) -> dict[str, int]:
+    first: dict[str, str] = {}
+    times: Counter[str] = Counter(first.setdefault(_NUMBER.sub("", reason), reason) for reason in reasons)
+    return dict(times.most_common())
 
 
 def _feed(dataset: Dataset) -> list[Measurement]:

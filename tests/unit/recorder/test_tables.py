@@ -27,11 +27,19 @@ def test_reads_numbers_by_name_in_any_order_and_ignores_other_columns(tmp_path):
         ("b\n1\n", "line 1: column a is missing"),
         ("a,b\n1,2\n1\n", "line 3, column 2: 1 cells where the header has 2"),
         ('a\n"1\n', "not a CSV file"),
+        ("a;b\n1,5;2\n", "line 1: its columns are separated by semicolons; write commas, and points in numbers"),
+        ("a\tb\n1\t2\n", "line 1: its columns are separated by tabs"),
     ],
 )
 def test_malformed_tables(tmp_path, text, words):
     with pytest.raises(DataError, match=words):
         list(read_table(written(tmp_path, text), ["a"]))
+
+
+def test_what_spreadsheets_put_into_a_table_is_read(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_bytes(b"\xef\xbb\xbfa,b\r\n1,2\r\n")
+    assert [(row.number("a"), row.number("b")) for row in read_table(path, ["a", "b"])] == [(1.0, 2.0)]
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
+import sys
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
@@ -52,6 +54,22 @@ def test_a_walk_is_followed_and_scored(tmp_path, dims):
     assert subject.score.anees_expected == dims
     figures = json.loads(json.dumps(evaluation.as_dict()))
     assert figures["subjects"]["w"]["epochs"] == 150
+
+
+def test_why_there_is_no_answer_is_told_by_reason_in_the_words_of_the_first_time(tmp_path):
+    walk = write_walk(tmp_path, 3)
+    ranges = (walk / "ranges.csv").read_text().splitlines()
+    (walk / "ranges.csv").write_text("\n".join([ranges[0], *(line for line in ranges if ",w,A," in line)]))
+    (subject,) = evaluate(walk, FleetFilter()).subjects
+    missing = round(subject.score.epochs * (1.0 - subject.score.share_known))
+    assert missing > 10
+    [(reason, times)] = subject.unanswered.items()
+    assert times == missing
+    assert "too uncertain" in reason
+    command = [sys.executable, "-m", "gcs_coloc", "evaluate", str(walk)]
+    told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
+    assert f"  not answered {missing} times: {reason} (the first time)" in told.splitlines()
+    assert "measurements: used " in told
 
 
 def test_the_picture_is_drawn(tmp_path):
