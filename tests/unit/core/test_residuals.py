@@ -1,5 +1,7 @@
 """What is kept of the residuals: the newest of each pair, and a consistency that a wrong filter cannot pass."""
 
+import statistics
+
 import numpy as np
 import pytest
 
@@ -68,6 +70,49 @@ def test_both_ends_of_a_range_are_told_and_what_is_too_old_is_not():
     assert {vehicle: c.ranges for vehicle, c in log.consistency().items()} == {1: 1, 2: 2, 4: 3}
     log.take([], 16.0)
     assert {vehicle: c.nis_median for vehicle, c in log.consistency().items()} == {2: 9.0, 4: 9.0}
+
+
+def test_what_comes_and_goes_one_by_one_leaves_what_a_look_at_all_that_is_left_finds():
+    rng = np.random.default_rng(11)
+    log, told = ResidualLog(), []
+    for step in range(120):
+        now_s = 0.2 * step
+        new = [
+            Residual(
+                from_vehicle=int(ends[0]),
+                to_vehicle=int(ends[1]),
+                # Late and out of order, as from several links.
+                measured_at_s=now_s - float(rng.uniform(0.0, 0.5)),
+                innovation_m=1.0,
+                sigma_m=1.0,
+                nis=float(rng.choice([0.0, 1.0, rng.chisquare(1)])),
+                degrees_of_freedom=int(rng.integers(1, 3)),
+                refused="gate" if rng.random() < 0.2 else None,
+            )
+            for ends in (rng.choice(5, 2, replace=False) for _ in range(int(rng.integers(0, 60)) if step < 80 else 0))
+        ]
+        log.take(new, now_s)
+        told += new
+        # Only from the front: what came out of order stays until what came before it is too old.
+        while told and now_s - told[0].measured_at_s > 5.0:
+            told.pop(0)
+        seen = log.consistency()
+        for vehicle in range(5):
+            of_it = [r for r in told if vehicle in (r.from_vehicle, r.to_vehicle)]
+            if not of_it:
+                assert vehicle not in seen
+                continue
+            c = seen[vehicle]
+            assert c.nis_median == statistics.median(r.nis / r.degrees_of_freedom for r in of_it)
+            assert (c.ranges, c.refused) == (len(of_it), sum(r.refused is not None for r in of_it))
+    assert not told, "the end of it was seen, too"
+
+
+def test_of_more_than_four_thousand_residuals_the_first_are_forgotten():
+    log = ResidualLog()
+    log.take([residual(10.0, 7.0, refused="gate")] * 3000 + [residual(10.0)] * 2000, 10.0)
+    c = log.consistency()[4]
+    assert (c.ranges, c.refused, c.nis_median) == (4000, 2000, 25.0)
 
 
 @pytest.mark.parametrize(("scale", "low", "high"), [(1.0, 0.3, 0.65), (3.0, 2.7, 5.8)])
