@@ -11,19 +11,16 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from gcs_coloc.recorder.journal import NAMES, Entry, VehicleEntry, as_json, schema_of
 
-_CHUNK_BYTES = 1400
-"""Two entries of one vehicle, 0.4 s of its flight, are more: what is in no whole chunk yet is no older."""
-
 END_MARK = struct.pack("<BQI", Opcode.DATA_END, 4, 0) + struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0) + MCAP0_MAGIC
 """Ends an MCAP file without an index. Standing behind what `take` has handed out, it makes a whole file of it."""
 
 
 class McapEncoder:
-    """Entries to the bytes of one MCAP file. `take` hands out what is complete: after a crash it opens as far as it goes."""
+    """Entries to the bytes of one MCAP file. What `take` has handed out opens after a crash."""
 
     def __init__(self) -> None:
         self._sink = _Sink()
-        self._writer = Writer(self._sink, chunk_size=_CHUNK_BYTES, compression=CompressionType.NONE)
+        self._writer = Writer(self._sink, compression=CompressionType.NONE)
         self._writer.start(profile="", library="gcs-coloc")
         self._schemas = {
             kind: self._writer.register_schema(f"gcs_coloc.{name}", "jsonschema", json.dumps(schema_of(kind)).encode())
@@ -42,7 +39,8 @@ class McapEncoder:
         self._writer.add_message(channel, time_ns, as_json(entry), time_ns)
 
     def take(self) -> bytes:
-        """The bytes that were completed since the last call."""
+        """The bytes of what was added since the last call. Each call makes a chunk, which costs as much as two entries."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
         return self._sink.take()
 
     def finish(self) -> bytes:
