@@ -83,7 +83,7 @@ class FleetFilter:
     def counts(self) -> Mapping[str, int]:
         """How often what happened to measurements, by reason."""
         self._timeline.catch_up()
-        return dict(sorted((self._timeline.outcomes() + self._refused).items()))
+        return dict(sorted((self._timeline.outcomes + self._refused).items()))
 
     def _hear(self, arrived_at_s: float) -> None:
         if arrived_at_s > self._now_s:

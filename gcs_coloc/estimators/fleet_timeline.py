@@ -44,6 +44,8 @@ class Entry(Generic[Event]):
 class Timeline(Generic[Model, Event]):
     """Applies events to a model in the order of their keys, the first element of which is the time in seconds.
 
+    `outcomes` counts what came of the events, of each what it came to when it was last applied.
+
     Args:
         model: the model in its first state.
         apply: applies one event to a model and returns the outcome in words.
@@ -53,7 +55,7 @@ class Timeline(Generic[Model, Event]):
 
     def __init__(self, model: Model, apply: Callable[[Model, Entry[Event]], str], window_s: float) -> None:
         self.model = model
-        self.settled: Counter[str] = Counter()
+        self.outcomes: Counter[str] = Counter()
         self._apply = apply
         self._window_s = window_s
         self._entries: list[Entry[Event]] = []
@@ -84,7 +86,10 @@ class Timeline(Generic[Model, Event]):
             if at_s - self._copied_at_s >= _COPY_EVERY_S:
                 self._copies.append((self._applied, self._copy(self.model)))
                 self._copied_at_s = at_s
+            if entry.outcome is not None:
+                self.outcomes[entry.outcome] -= 1
             entry.outcome = self._apply(self.model, entry)
+            self.outcomes[entry.outcome] += 1
             self._applied += 1
         return self.model
 
@@ -100,16 +105,9 @@ class Timeline(Generic[Model, Event]):
         while keep + 1 < len(self._copies) and self._entry_time(self._copies[keep + 1][0]) < oldest_s:
             keep += 1
         cut = self._copies[keep][0]
-        for entry in self._entries[:cut]:
-            assert entry.outcome is not None
-            self.settled[entry.outcome] += 1
         del self._entries[:cut]
         self._applied -= cut
         self._copies = [(index - cut, copy) for index, copy in self._copies[keep:]]
-
-    def outcomes(self) -> Counter[str]:
-        """How often what came of the events, settled or not."""
-        return self.settled + Counter(entry.outcome for entry in self._entries[: self._applied] if entry.outcome is not None)
 
     def _go_back(self, at: int) -> None:
         while len(self._copies) > 1 and self._copies[-1][0] > at:

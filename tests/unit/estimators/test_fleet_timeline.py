@@ -45,7 +45,7 @@ def test_what_is_older_than_the_window_is_settled_and_forgotten():
     timeline.catch_up()
     assert len(timeline._entries) < 30
     assert len(timeline._copies) < 16
-    assert timeline.outcomes() == {"written": 1000}
+    assert timeline.outcomes == {"written": 1000}
     assert timeline.model.words == tuple(map(str, range(1000)))
 
 
@@ -69,6 +69,6 @@ def test_to_forget_applies_nothing_that_may_still_be_preceded_by_something_late(
         timeline.insert((k * 0.1,), str(k))
         timeline.settle(k * 0.1)
     assert timeline.model.words == before
-    assert sum(timeline.settled.values()) > 0
+    assert len(timeline._entries) < 25, "something was forgotten"
     timeline.insert((2.05,), "late")
     assert timeline.catch_up().words == (*map(str, range(21)), "late", "21", "22", "23", "24")
