@@ -21,13 +21,18 @@ def horizontal_sigma_m(covariance: FloatArray) -> float:
 
 def horizontal_bound_95_m(covariance: FloatArray) -> float:
     """Radius in m that holds the horizontal error with 95 % if the top-left (2, 2) block of the covariance is true."""
+    return horizontal_sigma_and_bound_95_m(covariance)[1]
+
+
+def horizontal_sigma_and_bound_95_m(covariance: FloatArray) -> tuple[float, float]:
+    """`horizontal_sigma_m` and `horizontal_bound_95_m` at once."""
     larger_m, smaller_m = _axes_m(covariance)
     if larger_m == 0.0:
-        return 0.0
+        return 0.0, 0.0
     place = 10.0 * smaller_m / larger_m
     index = min(int(place), 9)
     below, above = _RADIUS_95[index], _RADIUS_95[index + 1]
-    return larger_m * (below + (place - index) * (above - below))
+    return larger_m, larger_m * (below + (place - index) * (above - below))
 
 
 def worst_sigma(covariance: FloatArray) -> float:
@@ -48,6 +53,6 @@ def worst_sigma(covariance: FloatArray) -> float:
 
 
 def _axes_m(covariance: FloatArray) -> tuple[float, float]:
-    a, b, d = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
+    a, b, d = covariance.item(0, 0), covariance.item(0, 1), covariance.item(1, 1)
     mean, half = 0.5 * (a + d), sqrt(0.25 * (a - d) ** 2 + b * b)
     return sqrt(max(mean + half, 0.0)), sqrt(max(mean - half, 0.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 from gcs_coloc.core.aiding import Aiding
-from gcs_coloc.core.bound import horizontal_bound_95_m, horizontal_sigma_m
+from gcs_coloc.core.bound import horizontal_sigma_and_bound_95_m
 from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
@@ -26,12 +26,17 @@ def vehicle_view(
     now_s: float,
 ) -> VehicleView:
     """One vehicle at service time `now_s`. `where` is the estimator's answer for that time, `frame` the fleet's."""
-    known = where if isinstance(where, Estimate) and frame is not None else None
     enu_m = velocity_mps = covariance_m2 = lat_deg = lon_deg = alt_msl_m = claim_enu_m = None
-    if known is not None and frame is not None:
-        e, n, u = enu_m = _vector3(known.position_enu_m)
-        velocity_mps, P = _vector3(known.velocity_enu_mps), known.covariance
-        covariance_m2 = (float(P[0, 0]), float(P[0, 1]), float(P[1, 1]))
+    sigma_h_m = sigma_v_m = bound_95_m = hdop = None
+    ranges_in_use = 0
+    if isinstance(where, Estimate) and frame is not None:
+        P = where.covariance
+        e, n, u = enu_m = _vector3(where.position_enu_m)
+        velocity_mps = _vector3(where.velocity_enu_mps)
+        covariance_m2 = (P.item(0, 0), P.item(0, 1), P.item(1, 1))
+        sigma_h_m, bound_95_m = horizontal_sigma_and_bound_95_m(P)
+        sigma_v_m = sqrt(P.item(2, 2))
+        hdop, ranges_in_use = where.hdop, where.ranges_in_use
         lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(e, n, u)
     claim, receiver, attitude = vehicle.position, vehicle.receiver, vehicle.attitude
     if claim is not None and frame is not None:
@@ -47,10 +52,10 @@ def vehicle_view(
         lat_deg=lat_deg,
         lon_deg=lon_deg,
         alt_msl_m=alt_msl_m,
-        sigma_h_m=horizontal_sigma_m(known.covariance) if known is not None else None,
-        bound_95_m=horizontal_bound_95_m(known.covariance) if known is not None else None,
-        hdop=known.hdop if known is not None else None,
-        ranges_in_use=known.ranges_in_use if known is not None else 0,
+        sigma_h_m=sigma_h_m,
+        bound_95_m=bound_95_m,
+        hdop=hdop,
+        ranges_in_use=ranges_in_use,
         unknown_because=where.reason if isinstance(where, Unknown) else None,
         claim_lat_deg=claim.lat_deg if claim is not None else None,
         claim_lon_deg=claim.lon_deg if claim is not None else None,
@@ -62,7 +67,7 @@ def vehicle_view(
         operator_word=vehicle.health.word.value,
         aid_word=aiding.words.get(vehicle.sysid, AidWord.AUTO).value,
         primary_word=aiding.primary_words.get(vehicle.sysid, PrimaryWord.AUTO).value,
-        sigma_v_m=sqrt(float(known.covariance[2, 2])) if known is not None else None,
+        sigma_v_m=sigma_v_m,
         enu_m=enu_m,
         velocity_enu_mps=velocity_mps,
         covariance_h_m2=covariance_m2,
@@ -78,5 +83,5 @@ def vehicle_view(
 
 
 def _vector3(array: FloatArray) -> Vector3:
-    x, y, z = (float(value) for value in array)
+    x, y, z = array.tolist()
     return x, y, z

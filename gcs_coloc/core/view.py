@@ -57,7 +57,8 @@ class OutView:
     refused: int
 
 
-@dataclass(frozen=True, slots=True)
+# Not frozen, and yet nobody changes one: to make one of so many fields would take four times as long, many times a second.
+@dataclass(slots=True)
 class VehicleView:
     """One vehicle as the service sees it. Positions in degrees and metres above mean sea level; None where unknown.
 
