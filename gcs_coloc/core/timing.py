@@ -22,6 +22,7 @@ _BEYOND_OVERTAKING = 1.5
 _OVERTAKING_KNOWN_S = 10.0
 JUMPS_TO_BELIEVE = 3
 _BUCKETS_FOR_DRIFT = 4
+_MOST_DRIFT = 0.1  # a simulation may run slow by a per cent; a stamp that lags more is no clock that runs
 _CRYSTAL_DRIFT = 20e-6  # 1-sigma of an ordinary crystal: what is known before it was measured
 _WRAP_S = 2**32 / 1e3
 
@@ -151,7 +152,10 @@ class SenderClock:
         return min(max(_BEYOND_OVERTAKING * seen_s, _LEAST_JUMP_S), _JUMP_S)
 
     def _learn_drift(self) -> None:
-        """Fit a line to the buckets' minima, weighed against what crystals do."""
+        """Fit a line to the buckets' minima, weighed against what crystals do.
+
+        A stamp that stands still (a sender that leaves it at 0) is not followed: what bears it then grows older and older.
+        """
         if len(self._buckets) < _BUCKETS_FOR_DRIFT:
             return
         t = np.array([b.least_at_s for b in self._buckets])
@@ -159,6 +163,9 @@ class SenderClock:
         t, d = t - t.mean(), d - d.mean()
         spread = float(t @ t)
         slope = float(t @ d) / spread
+        if abs(slope) > _MOST_DRIFT:
+            self.drift = _unmeasured()
+            return
         noise2 = float(np.sum((d - slope * t) ** 2)) / (len(t) - 2) + 1e-8  # stamps of whole milliseconds
         precision = spread / noise2 + _CRYSTAL_DRIFT**-2
         self.drift = Drift(slope * (spread / noise2) / precision, precision**-0.5)

@@ -137,3 +137,19 @@ def test_after_a_long_silence_the_old_offset_is_forgotten():
     clock.learn(0.0, 0.0)
     clock.learn(1000.0, 1000.5)
     assert clock.to_service(1000.0) == 1000.5
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.001, 0.5])
+def test_a_stamp_that_stands_still_or_crawls_is_not_followed_as_a_clock(rate):
+    """Senders that leave time_boot_ms at 0, or count seconds in it: what bears such a stamp must not be taken for fresh."""
+    clock = SenderClock()
+    arrivals = np.arange(0.0, 600.0, 0.1)
+    ages_s = [t - clock.to_service(rate * t) for t in arrivals if clock.learn(rate * t, t)]
+    assert min(ages_s[200:]) > 5.0
+
+
+def test_a_simulation_that_runs_slow_by_a_per_cent_is_followed():
+    clock = SenderClock()
+    for arrival in np.arange(0.0, 600.0, 0.1):
+        assert clock.learn(0.99 * arrival, arrival)
+    assert clock.to_service(0.99 * 600.0) == pytest.approx(600.0, abs=0.15)
