@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
-from scipy.linalg import blas
 
 from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet_joint import Joint
 from gcs_coloc.estimators.fleet_motion import (
     GRAVITY_MPS2,
-    SIZE,
     STAMP_ERROR,
     STEEPEST_BANK_RAD,
     TURN,
@@ -40,8 +38,7 @@ _TURN_TIME_S = 1.0
 _LEAST_OWN_SHARE = 1e-3
 _CLEARLY_LESS = 0.9
 _CLEARLY_MORE = 1.1
-_ANCHOR = np.eye(3)
-_PLACE = np.eye(3, SIZE)
+_new = tuple.__new__
 
 Horizontal = tuple[float, float, float]
 """Variances of a horizontal position, m^2: east, east with north, north."""
@@ -60,15 +57,21 @@ class End(NamedTuple):
     late_s: float | None = None
 
 
-def _placing(end: End) -> FloatArray:
-    """Return the Jacobian (3, m) of a vehicle's place by its m states."""
-    if end.late_s is None:
-        return _ANCHOR
-    G = _PLACE.copy()
-    G[0, 3] = G[1, 4] = G[2, 5] = -end.late_s
+def _write_place(g: memoryview[float], n: int, end: End, unit: Vector3, sign: float) -> None:
+    """Write a sign times the Jacobian of a vehicle's place by its states into four flat rows of n: along `unit`, E, N, U."""
+    e, late_s = end.where.start, end.late_s
+    ux, uy, uz = unit
+    g[e], g[e + 1], g[e + 2] = sign * ux, sign * uy, sign * uz
+    g[n + e] = g[2 * n + e + 1] = g[3 * n + e + 2] = sign
+    if late_s is None:
+        return
+    late_s *= -sign
+    v, s = e + VELOCITY.start, e + STAMP_ERROR
+    g[v], g[v + 1], g[v + 2] = late_s * ux, late_s * uy, late_s * uz
+    g[n + v] = g[2 * n + v + 1] = g[3 * n + v + 2] = late_s
     ve, vn, vu = end.velocity
-    G[0, STAMP_ERROR], G[1, STAMP_ERROR], G[2, STAMP_ERROR] = -ve, -vn, -vu
-    return G
+    g[s] = -sign * (ux * ve + uy * vn + uz * vu)
+    g[n + s], g[2 * n + s], g[3 * n + s] = -sign * ve, -sign * vn, -sign * vu
 
 
 def _steps(from_s: float, to_s: float) -> Sequence[float]:
@@ -141,15 +144,13 @@ class Cluster:
         # Of the error of time stamps only the vehicle's own part changes, a clock's lasts.
         own = s.stamp_sigma_s / record.stamp_s if record.stamp_s > 0.0 else 0.0
         stamp_time_s = s.stamp_error_time_s / max(own * own, _LEAST_OWN_SHARE)
-        wind_s, air_s, report_s = s.wind_time_s, s.air_error_time_s, s.report_error_time_s
-        wind_mps, report_m = s.wind_sigma_mps, record.slow_report_h_m
         turning = s.turn_sigma_radps * min(math.sqrt(gain), _TURN_GAIN)
         step.fade(
             length,
-            (wind_s, wind_s, air_s, air_s, s.baro_error_time_s, report_s, report_s, report_s, stamp_time_s, s.turn_time_s),
+            (s.wind_time_s, s.air_error_time_s, s.baro_error_time_s, s.report_error_time_s, stamp_time_s, s.turn_time_s),
             (
-                *(wind_mps, wind_mps, s.airspeed_sigma_mps, s.heading_sigma_rad, record.slow_baro_m),
-                *(report_m, report_m, record.slow_report_v_m, record.stamp_s, turning),
+                *(s.wind_sigma_mps, s.airspeed_sigma_mps, s.heading_sigma_rad, record.slow_baro_m),
+                *(record.slow_report_h_m, record.slow_report_v_m, record.stamp_s, turning),
             ),
         )
         return mean
@@ -162,7 +163,7 @@ class Cluster:
             return
         A, step, where = joint.A, self.step, joint.where[vehicle]
         e, n = where.start, where.start + 1
-        for to_s in _steps(from_s, at_s):
+        for to_s in (at_s,) if at_s - from_s <= _LONGEST_STEP_S else _steps(from_s, at_s):
             variances = (A.item(e, e), A.item(e, n), A.item(n, n))
             mean = self.motion(vehicle, A[0, where].tolist(), variances, to_s - from_s, to_s)
             joint.transform(vehicle, mean, step.F, step.Q, to_s)
@@ -200,17 +201,18 @@ class Cluster:
         if self.records[vehicle].fixed:
             return End(vehicle, where, (x[0], x[1], x[2]))
         late_s, ve, vn, vu = x[STAMP_ERROR], x[3], x[4], x[5]
-        return End(vehicle, where, (x[0] - late_s * ve, x[1] - late_s * vn, x[2] - late_s * vu), (ve, vn, vu), late_s)
+        place = (x[0] - late_s * ve, x[1] - late_s * vn, x[2] - late_s * vu)
+        # As End(...) does, at half the time.
+        return _new(End, (vehicle, where, place, (ve, vn, vu), late_s))
 
-    def relative(self, a: End, b: End) -> tuple[FloatArray, FloatArray]:
-        """Return the covariance of all states with the place of `a` relative to `b`, (1 + n, 3), and that place's own, (3, 3).
-
-        Row 0 of the former means nothing.
-        """
-        A, Ga, Gb = self.joint.A, _placing(a), _placing(b)
-        with_a = blas.dgemm(1.0, A[a.where].T, Ga.T)
-        with_all: FloatArray = blas.dgemm(-1.0, A[b.where].T, Gb.T, beta=1.0, c=with_a, overwrite_c=1)
-        return with_all, Ga @ with_all[a.where] - Gb @ with_all[b.where]
+    def way(self, a: End, b: End, unit: Vector3) -> FloatArray:
+        """Return the Jacobian (4, 1 + n) of the way from `b` to `a` by all states: along a unit vector, and east, north, up."""
+        n = len(self.joint.A)
+        G = np.zeros((4, n))
+        flat = cast("memoryview[float]", G.reshape(-1).data)
+        _write_place(flat, n, a, unit, 1.0)
+        _write_place(flat, n, b, unit, -1.0)
+        return G
 
     def restate(self, vehicle: int, where: slice, before: float, now: float) -> float:
         """Take a new sigma of a vehicle's slow errors where it is clearly another one; return the one now in force."""

@@ -69,7 +69,8 @@ class FleetHypotheses:
                 twin.log_odds += _evidence(verdict, twin.model.apply(m))
         if isinstance(m, RangeMeasurement):
             for vehicle in ends:
-                if m.measured_at_s - self._looked_at_s.get(vehicle, -math.inf) >= _LOOK_EVERY_S:
+                is_due = m.measured_at_s - self._looked_at_s.get(vehicle, -math.inf) >= _LOOK_EVERY_S
+                if is_due and self.main.records[vehicle].subject:
                     self._look(vehicle, m.measured_at_s)
         return verdict
 
@@ -78,7 +79,7 @@ class FleetHypotheses:
         self._looked_at_s[subject] = at_s
         cluster = self.main.clusters.get(subject)
         twin = self.twins.get(subject)
-        if cluster is None or not self.main.records[subject].subject:
+        if cluster is None:
             self.twins.pop(subject, None)
             return
         if twin is not None:

@@ -39,9 +39,11 @@ def whiten(HA: FloatArray, S: FloatArray) -> Whitened:
 
     HA (k, 1 + n) holds their covariances with all states, and in column 0 what was expected less what was measured.
     """
-    root, info = lapack.dpotrf(S.T, lower=1, clean=0)
+    root, info = lapack.dpotrf(S.T, lower=1, clean=1)
     assert info == 0, "an innovation covariance holds measurement noise and is positive definite"
-    W = blas.dtrsm(1.0, root, HA.T, side=1, lower=1, trans_a=1)
+    # For so few values the inverse of the root is quicker than to solve with it.
+    inverse, _ = lapack.dtrtri(root, lower=1)
+    W = blas.dgemm(1.0, HA.T, inverse, trans_b=1)
     e = W[0]
     return Whitened(W, float(e @ e))
 
@@ -135,6 +137,14 @@ class Joint:
         """Return (k, 1 + n): the mean, then the covariances with all states, of the combinations H (k, m) of a block's states."""
         HA: FloatArray = blas.dgemm(1.0, self.A[self.where[key]].T, H.T).T
         return HA
+
+    def foresee(self, G: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what is expected of the combinations G (k, 1 + n) of all states, column 0 of it zero.
+
+        That is their mean and their covariances with all states, (k, 1 + n), and those among themselves, (k, k).
+        """
+        columns = blas.dgemm(1.0, self.A.T, G.T)
+        return columns.T, blas.dgemm(1.0, columns, G.T, trans_a=1)
 
     def correct(self, W: FloatArray) -> None:
         """Take whitened measurements, W (1 + n, k) of `Whitened`: the covariance is reduced by W W', which keeps it symmetric."""

@@ -106,9 +106,13 @@ class _View:
     def least_blurs_m(self) -> Iterator[float]:
         """What the largest sigma of a distance to a peer is at least: first without looking, then that to one of them."""
         yield _LEAST_BLUR_M
-        apart_m2 = self.cluster.relative(self.own, self.peers[0])[1]
-        unit = np.subtract(self.offset, self.offsets[0]) / self.distance_m[0]
-        yield math.sqrt(max(float(unit @ apart_m2 @ unit), 0.0))
+        yield math.sqrt(max(float(self.apart_m2(0)[0, 0]), 0.0))
+
+    def apart_m2(self, i: int) -> FloatArray:
+        """Return the covariance (4, 4) of the way from peer i to the subject: along the line between them, east, north, up."""
+        (e, n, u), (pe, pn, pu), distance_m = self.offset, self.offsets[i], self.distance_m[i]
+        unit = ((e - pe) / distance_m, (n - pn) / distance_m, (u - pu) / distance_m)
+        return self.cluster.joint.foresee(self.cluster.way(self.own, self.peers[i], unit))[1]
 
     def blind_m(self, blur_m: float) -> float:
         """Within this distance of a plane the ranges change by less than they are uncertain."""
@@ -149,12 +153,11 @@ def _across(view: _View, normal: FloatArray, within: FloatArray, least_spread_m2
     """Test one plane: unit normal (3,), axes within it (3, m), and the least sum of squares of the peers along these."""
     offsets, offset, upwards = np.array(view.offsets), np.array(view.offset), abs(float(normal[2]))
     away_m, distance_m = float(offset @ normal), np.array(view.distance_m)
-    to_peers = offset - offsets
     blur2, across2, blind_m = np.empty(len(view.peers)), 0.0, 0.0
-    for i, peer in enumerate(view.peers):
-        apart_m2, unit = view.cluster.relative(view.own, peer)[1], to_peers[i] / distance_m[i]
-        blur2[i] = max(float(unit @ apart_m2 @ unit), _LEAST_BLUR_M**2)
-        across2 = max(across2, float(normal @ apart_m2 @ normal))
+    for i in range(len(view.peers)):
+        apart_m2 = view.apart_m2(i)
+        blur2[i] = max(float(apart_m2[0, 0]), _LEAST_BLUR_M**2)
+        across2 = max(across2, float(normal @ apart_m2[1:, 1:] @ normal))
         blind_m = max(blind_m, view.blind_m(math.sqrt(float(blur2[i]))))
         if view.height_told(upwards, max(abs(away_m), blind_m)) > _TOLD_APART:
             return None

@@ -138,11 +138,13 @@ class FleetModel:
 
     def _range(self, m: RangeMeasurement) -> Verdict:
         ends = (m.from_vehicle, m.to_vehicle)
-        subjects = [(vehicle, other) for vehicle, other in (ends, ends[::-1]) if self.records.writable(vehicle).subject]
+        first, second = self.records.writable(ends[0]), self.records.writable(ends[1])
+        subjects = [(*ends, first)] if first.subject else []
+        if second.subject:
+            subjects.append((*ends[::-1], second))
         if not subjects:
             return _NO_SUBJECT
-        for subject, other in subjects:
-            record = self.records[subject]
+        for subject, other, record in subjects:
             record.remember_range(m)
             record.heard[other] = m.measured_at_s
             if not is_wanted(self.clusters, self.records, subject, m, self.settings):
@@ -163,7 +165,7 @@ class FleetModel:
         if m.clock_of in ends:
             restate_clock(cluster, m.clock_of, stamp_sigma_s(m, self.settings))
         verdict = take_range(cluster, pair, m, sigma_m, slow_m)
-        for subject, other in subjects:
+        for subject, other, _ in subjects:
             account(cluster, subject, other, verdict, m)
         return verdict
 

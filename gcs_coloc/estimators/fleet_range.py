@@ -33,15 +33,26 @@ def take_range(cluster: Cluster, pair: Key, m: RangeMeasurement, sigma_m: float,
     cluster.bring(m.from_vehicle, at_s)
     cluster.bring(m.to_vehicle, at_s)
     bias = _pair(cluster, pair, m.measured_at_s, slow_m)
-    a, b, A = cluster.end(m.from_vehicle), cluster.end(m.to_vehicle), joint.A
+    a, b = cluster.end(m.from_vehicle), cluster.end(m.to_vehicle)
     (ax, ay, az), (bx, by, bz) = a.place, b.place
     dx, dy, dz = ax - bx, ay - by, az - bz
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
     if distance < _LEAST_DISTANCE_M:
         return Verdict("refused: both ends estimated at one place")
-    ux, uy, uz = (dx / distance, dy / distance, dz / distance)
-    relative, M = cluster.relative(a, b)
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = M.tolist()
+    unit = ux, uy, uz = (dx / distance, dy / distance, dz / distance)
+    (ave, avn, avu), (bve, bvn, bvu) = a.velocity, b.velocity
+    closing = ux * (ave - bve) + uy * (avn - bvn) + uz * (avu - bvu)
+    # In the first row the range itself: the distance and its errors.
+    G = cluster.way(a, b, unit)
+    G[0, bias] = G[0, bias + 1] = 1.0
+    errors = joint.A.item(0, bias) + joint.A.item(0, bias + 1)
+    clock = a if m.clock_of == a.vehicle else b if m.clock_of == b.vehicle else None
+    if clock is not None and clock.late_s is not None:
+        # It is of as much later than it says as the reports of the vehicle that stamped it.
+        G[0, clock.where.start + STAMP_ERROR] += closing
+        errors += closing * clock.late_s
+    HA, S = joint.foresee(G)
+    (first_order, *_), (_, xx, xy, xz), (_, yx, yy, yz), (_, zx, zy, zz) = S.tolist()
     mx, my, mz = xx * ux + xy * uy + xz * uz, yx * ux + yy * uy + yz * uz, zx * ux + zy * uy + zz * uz
     along = ux * mx + uy * my + uz * mz
     # Second order: a range to an uncertain place is on average longer than to its mean, and its spread grows.
@@ -50,27 +61,13 @@ def take_range(cluster: Cluster, pair: Key, m: RangeMeasurement, sigma_m: float,
     square = norm2 - 2.0 * (mx * mx + my * my + mz * mz) + along * along
     longer = 0.5 * across_trace / distance
     spread = max(0.5 * square / (distance * distance), 0.0)
-    (ave, avn, avu), (bve, bvn, bvu) = a.velocity, b.velocity
-    closing = ux * (ave - bve) + uy * (avn - bvn) + uz * (avu - bvu)
     noise = sigma_m * sigma_m + _distrust_m2(cluster, m) + (closing * s.stamp_sigma_s) ** 2
     # The expansion fails where the uncertainty is as large as the distance: there it may not outgrow the first order.
     spread = min(spread, along + noise)
     longer = min(longer, math.sqrt(along + noise))
-    hA = relative @ (ux, uy, uz)
-    own = hA.item(bias) + hA.item(bias + 1)
-    errors = A[bias] + A[bias + 1]
-    clock = m.clock_of if m.clock_of in (a.vehicle, b.vehicle) and not cluster.records[m.clock_of].fixed else None
-    if clock is not None:
-        # It is of as much later than it says as the reports of the vehicle that stamped it.
-        late = joint.where[clock].start + STAMP_ERROR
-        own += closing * hA.item(late)
-        errors += closing * A[late]
-    # The range is the distance, of which `hA` knows, and its errors.
-    variance = along + 2.0 * own + errors.item(bias) + errors.item(bias + 1) + spread + noise
-    if clock is not None:
-        variance += closing * errors.item(late)
-    hA += errors
-    innovation = m.range_m - (distance + longer + errors.item(0))
+    variance = first_order + spread + noise
+    innovation = m.range_m - (distance + longer + errors)
+    hA = HA[0]
     hA[0] = -innovation
     nis = innovation * innovation / variance
     sigma = math.sqrt(variance)
@@ -83,7 +80,7 @@ def take_range(cluster: Cluster, pair: Key, m: RangeMeasurement, sigma_m: float,
     whitened = (innovation / math.sqrt(variance),)
     cluster.watch(a.vehicle, W, whitened, at_s)
     cluster.watch(b.vehicle, W, whitened, at_s)
-    return Verdict(USED, innovation, sigma, nis, 1, (ux, uy, uz))
+    return Verdict(USED, innovation, sigma, nis, 1, unit)
 
 
 def _pair(cluster: Cluster, pair: Key, at_s: float, slow_m: float) -> int:

@@ -16,6 +16,7 @@ from typing import Generic, Protocol, TypeVar
 Key = tuple[float, ...]
 Event = TypeVar("Event")
 _COPY_EVERY_S = 0.1
+_COPY_SOONER_S = 0.05  # where the newest event need not wait for it
 
 
 class Replayable(Protocol):
@@ -83,7 +84,8 @@ class Timeline(Generic[Model, Event]):
         while self._applied < len(self._entries):
             entry = self._entries[self._applied]
             at_s = entry.key[0]
-            if at_s - self._copied_at_s >= _COPY_EVERY_S:
+            since_s = at_s - self._copied_at_s
+            if since_s >= _COPY_EVERY_S or (since_s >= _COPY_SOONER_S and self._applied < len(self._entries) - 1):
                 self._copies.append((self._applied, self._copy(self.model)))
                 self._copied_at_s = at_s
             if entry.outcome is not None:

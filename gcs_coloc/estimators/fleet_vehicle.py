@@ -67,16 +67,15 @@ class ManoeuvreMonitor:
 
         The squares of c' C^-1 c / 2 and of c^2 / C, which are 1 on average in steady flight and with nothing to judge by.
         """
-        ratio, ratio_v = self._ratio(), self.c_u * self.c_u / self.C_uu if self.C_uu > 1e-150 else 1.0
+        c_e, c_n, C_ee, C_en, C_nn = self.c_e, self.c_n, self.C_ee, self.C_en, self.C_nn
+        det = C_ee * C_nn - C_en * C_en
+        if det > 1e-9 * C_ee * C_nn and det >= 1e-300:
+            ratio = 0.5 * (C_nn * c_e * c_e - 2.0 * C_en * c_e * c_n + C_ee * c_n * c_n) / det
+        else:
+            trace = C_ee + C_nn
+            ratio = (c_e * c_e + c_n * c_n) / trace if trace > 1e-150 else 1.0
+        ratio_v = self.c_u * self.c_u / self.C_uu if self.C_uu > 1e-150 else 1.0
         return max(ratio * ratio, 1.0), max(ratio_v * ratio_v / 3.0, 1.0)
-
-    def _ratio(self) -> float:
-        det = self.C_ee * self.C_nn - self.C_en * self.C_en
-        if det <= 1e-9 * self.C_ee * self.C_nn or det < 1e-300:
-            trace = self.C_ee + self.C_nn
-            return (self.c_e * self.c_e + self.c_n * self.c_n) / trace if trace > 1e-150 else 1.0
-        c_e, c_n = self.c_e, self.c_n
-        return 0.5 * (self.C_nn * c_e * c_e - 2.0 * self.C_en * c_e * c_n + self.C_ee * c_n * c_n) / det
 
 
 @dataclass(slots=True)

@@ -67,8 +67,10 @@ def test_the_column_of_the_turn_rate_is_the_derivative_of_the_way():
 
 
 def test_slow_states_keep_their_spread_however_the_step_is_cut():
-    times_s, sigmas = tuple(np.arange(1.0, 11.0)), tuple(np.linspace(0.1, 3.0, 10))
-    mean, P = np.arange(float(SIZE)), np.diag(np.r_[np.zeros(6), np.square(sigmas)])
+    times_s, sigmas = tuple(np.arange(1.0, 7.0)), tuple(np.linspace(0.1, 3.0, 8))
+    # Wind has two components, a report three, of which the horizontal ones share a sigma.
+    spread = np.array(sigmas)[[0, 0, 1, 2, 3, 4, 4, 5, 6, 7]]
+    mean, P = np.arange(float(SIZE)), np.diag(np.r_[np.zeros(6), np.square(spread)])
     at_once = Step()
     at_once.fade(1.0, times_s, sigmas)
     once = at_once.F @ mean
@@ -77,5 +79,7 @@ def test_slow_states_keep_their_spread_however_the_step_is_cut():
         step.fade(step_s, times_s, sigmas)
         mean, P = step.F @ mean, step.F @ P @ step.F.T + step.Q
     np.testing.assert_allclose(mean, once)
-    np.testing.assert_allclose(np.diag(P)[6:], np.square(sigmas))
+    np.testing.assert_allclose(np.diag(P)[6:], np.square(spread))
     np.testing.assert_array_equal(mean[:6], np.arange(6.0))
+    of_state = np.array(times_s)[[0, 0, 1, 1, 2, 3, 3, 3, 4, 5]]
+    np.testing.assert_allclose(once[6:], np.arange(6.0, 16.0) * np.exp(-1.0 / of_state))

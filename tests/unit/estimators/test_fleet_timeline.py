@@ -72,3 +72,47 @@ def test_to_forget_applies_nothing_that_may_still_be_preceded_by_something_late(
     assert len(timeline._entries) < 25, "something was forgotten"
     timeline.insert((2.05,), "late")
     assert timeline.catch_up().words == (*map(str, range(21)), "late", "21", "22", "23", "24")
+
+
+class CountedTape(Tape):
+    """Counts how often it and what came of it was copied, and what was written."""
+
+    copies = written = 0
+
+    def copy(self) -> CountedTape:
+        CountedTape.copies += 1
+        return CountedTape(self.words)
+
+
+def write_and_count(tape: Tape, entry: Entry[str]) -> str:
+    CountedTape.written += 1
+    return write(tape, entry)
+
+
+def test_the_newest_event_waits_for_no_copy_that_the_next_one_can_make():
+    timeline: Timeline[CountedTape, str] = Timeline(CountedTape(), write_and_count, 10.0)
+    timeline.insert((0.0,), "0")
+    timeline.catch_up()
+    CountedTape.copies = 0
+    timeline.insert((0.06,), "1")
+    timeline.catch_up()
+    assert CountedTape.copies == 0
+    timeline.insert((0.07,), "2")
+    timeline.insert((0.08,), "3")
+    timeline.catch_up()
+    assert CountedTape.copies == 1
+    # What is late between the last two takes the model back no further than to that copy.
+    timeline.insert((0.075,), "late")
+    CountedTape.written = 0
+    assert timeline.catch_up().words == ("0", "1", "2", "late", "3")
+    assert CountedTape.written == 3
+
+
+def test_single_events_do_not_put_off_the_copies_for_ever():
+    timeline: Timeline[CountedTape, str] = Timeline(CountedTape(), write_and_count, 10.0)
+    CountedTape.copies = 0
+    for k in range(100):
+        timeline.insert((k * 0.02,), str(k))
+        timeline.catch_up()
+    # One before the first event that is 0.1 s after the last copy, of events 0.02 s apart.
+    assert CountedTape.copies >= 2.0 // 0.12
