@@ -43,7 +43,8 @@ class Contradiction:
 class HealthSettings:
     """When the machine changes its mind.
 
-    `fail_after_s`: a vehicle that has been SUSPECT for this long and has no fix, or a frozen one, is FAILED.
+    `fail_after_s`: a vehicle that has been SUSPECT for this long and has no fix, or a frozen one, is FAILED; so is one whose
+    receiver is not heard any more while SYS_STATUS calls its GPS unhealthy or its EKF has no absolute position.
     `clear_after_s`: good evidence for this long without a break makes a SUSPECT vehicle HEALTHY (a jammed
     receiver's fix flickers).
     `recover_after_s`: good evidence for this long makes a RECOVERING vehicle HEALTHY.
@@ -127,7 +128,7 @@ class GpsHealth:
         # An accusation has stood the test of several seconds before it is made.
         if self.contradiction is not None and self.contradiction.identified:
             return self._enter(GpsState.FAILED, fault, now_s)
-        lost_fix = self._receiver is not None and self._receiver_fault(self._receiver) is not None
+        lost_fix = self._receiver is not None and (self._receiver_fault(self._receiver) is not None or self._has_ceased(now_s))
         if self.state is GpsState.SUSPECT and lost_fix and now_s - self.since_s >= self.settings.fail_after_s:
             return self._enter(GpsState.FAILED, fault, now_s)
         return self._enter(GpsState.SUSPECT, fault, now_s)
@@ -172,6 +173,15 @@ class GpsHealth:
             if self._ekf.constant_position_mode or not self._ekf.horizontal_position_absolute:
                 return "the autopilot's EKF has no absolute position"
         return None
+
+    def _has_ceased(self, now_s: float) -> bool:
+        """Whether a receiver that is not heard any more is gone, and not just its messages: by what else the vehicle says now."""
+        oldest_s = now_s - self.settings.silence_s
+        if self._receiver is None or self._receiver.received_at_s >= oldest_s:
+            return False
+        system, ekf = self._system, self._ekf
+        unhealthy = system is not None and system.received_at_s >= oldest_s and system.gps_enabled and not system.gps_healthy
+        return unhealthy or (ekf is not None and ekf.received_at_s >= oldest_s and not ekf.horizontal_position_absolute)
 
     def _receiver_fault(self, receiver: GpsReceiver) -> str | None:
         if receiver.fix_type < 3:

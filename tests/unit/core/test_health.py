@@ -50,6 +50,41 @@ def test_a_lost_fix_is_suspect_at_once_and_failed_after_a_second(fix, words):
     assert words in health.reason
 
 
+UNHEALTHY, HEALTHY_SYSTEM = (True, True, False), (True, True, True)
+
+
+@pytest.mark.parametrize(
+    ("system", "absolute", "after"),
+    [
+        (UNHEALTHY, None, GpsState.FAILED),
+        (None, False, GpsState.FAILED),
+        (HEALTHY_SYSTEM, True, GpsState.SUSPECT),
+        (None, None, GpsState.SUSPECT),
+    ],
+)
+def test_a_receiver_that_falls_silent_is_lost_where_the_vehicle_says_so_otherwise_and_suspect_where_it_does_not(
+    system, absolute, after
+):
+    """Older PX4 sends no GPS_RAW_INT without a receiver; a poor link loses it while the receiver is sound."""
+    health = healthy_until(5.0)
+    for i in range(1, 60):
+        t = 5.0 + i / 10
+        if system is not None:
+            health.take(SystemHealth(1, t, *system))
+        if absolute is not None:
+            health.take(EkfStatus(1, t, absolute, False, False))
+        health.update(t)
+    assert health.state is after
+
+
+def test_what_was_said_before_a_receiver_fell_silent_does_not_make_it_lost():
+    health = healthy_until(5.0)
+    health.take(SystemHealth(1, 4.9, *UNHEALTHY))
+    for i in range(1, 200):
+        health.update(5.0 + i / 10)
+    assert health.state is GpsState.SUSPECT
+
+
 def test_a_short_dropout_clears_after_two_seconds():
     health = healthy_until(5.0)
     run(health, 5.2, 5.4, fix_type=1)
