@@ -116,6 +116,8 @@ class AidStream:
     def _tell(self, reason: str | None, now_s: float) -> list[Outbound]:
         had_fix, has_fix = self.no_fix_because is None, reason is None
         self.no_fix_because = reason
+        if has_fix and self._on_air:
+            self.vehicle.fix_sent_at_s = now_s
         first, self._sent = self._sent == 0, self._sent + 1
         if has_fix and not had_fix:
             return [Notice(now_s, self.vehicle.sysid, "info", "located: sending positions")]

@@ -62,7 +62,7 @@ class Feed:
         self.refused: Counter[str] = Counter()
 
     def position(self, message: GlobalPosition, vehicle: Vehicle) -> Measurement | None:
-        """The position of a healthy vehicle, the barometric altitude of any other; sets the origin with the first fix.
+        """The position of a healthy vehicle, the barometric altitude of any other, if its own; the first fix sets the origin.
 
         Either way the record of the vehicle keeps what it claims.
         """
@@ -75,6 +75,9 @@ class Feed:
         if self.frame is None:
             return None
         vehicle.claim = self._claim(message, self.frame, vehicle, measured)
+        if not self._height_is_own(message, vehicle, measured):
+            self.refused["GLOBAL_POSITION_INT: its height began with a fix of ours"] += 1
+            return None
         return vehicle.claim if healthy else self._altitude(message, vehicle, measured)
 
     def _claim(self, message: GlobalPosition, frame: LocalFrame, vehicle: Vehicle, measured: ServiceTime) -> PositionMeasurement:
@@ -151,6 +154,19 @@ class Feed:
         """The up coordinate of an altitude over a place (east, north) in the frame. Only where there is a frame."""
         assert self.frame is not None
         return self.frame.up_from_height(near_enu_m[0], near_enu_m[1], alt_msl_m)
+
+    def _height_is_own(self, message: GlobalPosition, vehicle: Vehicle, measured: ServiceTime) -> bool:
+        """Whether an autopilot's height goes back to a receiver of its own, or to what it was told on the ground.
+
+        The first fix since it booted gives its barometer the datum. Where that was ours, its height is ours come back.
+        """
+        booted_at_s = measured.at_s - vehicle.clock.stamps.unwrapped(message.boot_s)
+        is_known = vehicle.own_height_at_s is not None and booted_at_s < vehicle.own_height_at_s
+        is_before_ours = vehicle.fix_sent_at_s is None or vehicle.fix_sent_at_s < booted_at_s
+        if not (is_known or is_before_ours or vehicle.health.trusted):
+            return False
+        vehicle.own_height_at_s = message.received_at_s
+        return True
 
     def _altitude(self, message: GlobalPosition, vehicle: Vehicle, measured: ServiceTime) -> AltitudeMeasurement | None:
         if self.frame is None:

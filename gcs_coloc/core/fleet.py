@@ -24,7 +24,8 @@ class Vehicle:
     what length all that it measures have just come to be off. `last_known_enu_m` is where the estimator last had it (east,
     north). `delay_s` is how much longer its newest position was on the way (beyond what is assumed, where TIMESYNC is not
     answered). `winged` says that it flies along its nose and turns by banking. `utc_minus_service_s` is UTC as it last told it.
-    `range_repeats` knows which of its ranges are stuck.
+    `fix_sent_at_s` is when it was last sent a fix by us, `own_height_at_s` when it last told a height that goes back to none of
+    ours. `range_repeats` knows which of its ranges are stuck.
     """
 
     sysid: int
@@ -45,6 +46,8 @@ class Vehicle:
     last_known_enu_m: tuple[float, float] | None = None
     claim: PositionMeasurement | None = None
     utc_minus_service_s: float | None = None
+    fix_sent_at_s: float | None = None
+    own_height_at_s: float | None = None
     clock: VehicleClock = field(default_factory=VehicleClock)
     range_clocks: dict[tuple[TimeBase, int], SenderClock] = field(default_factory=dict)
     range_repeats: RangeRepeats = field(default_factory=RangeRepeats)

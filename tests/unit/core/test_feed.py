@@ -44,6 +44,44 @@ def test_only_a_healthy_vehicles_position_is_believed(state):
     assert measurement.up_m == pytest.approx(30.0, abs=0.01)
 
 
+def heights(feed: Feed, record: Vehicle, booted_at_s: float, from_s: int, to_s: int) -> list[bool]:
+    """Whether the height of each position, once a second, is taken as a measurement."""
+    return [feed.position(position(float(t), boot_s=t - booted_at_s), record) is not None for t in range(from_s, to_s)]
+
+
+def test_a_height_that_began_with_a_fix_of_ours_is_no_measurement():
+    """An autopilot that boots without GPS sets its barometer by the first fix that it gets: its height is ours come back."""
+    feed, record = Feed(FeedSettings()), vehicle(GpsState.FAILED)
+    feed.frame = LocalFrame(47.0, 8.0, 500.0)
+    record.fix_sent_at_s = 105.0
+    assert heights(feed, record, booted_at_s=90.0, from_s=106, to_s=110) == [False] * 4
+    assert feed.refused == {"GLOBAL_POSITION_INT: its height began with a fix of ours": 4}
+    record.health.state = GpsState.HEALTHY  # its own receiver is back, and sets it right
+    heights(feed, record, booted_at_s=90.0, from_s=110, to_s=111)
+    record.health.state = GpsState.FAILED
+    assert heights(feed, record, booted_at_s=90.0, from_s=111, to_s=113) == [True, True]
+
+
+def test_a_height_told_before_the_first_fix_of_ours_stays_a_measurement_until_the_autopilot_reboots():
+    feed, record = Feed(FeedSettings()), vehicle(GpsState.FAILED)
+    feed.frame = LocalFrame(47.0, 8.0, 500.0)
+    assert heights(feed, record, booted_at_s=90.0, from_s=100, to_s=103) == [True] * 3
+    record.fix_sent_at_s = 105.0
+    assert heights(feed, record, booted_at_s=90.0, from_s=106, to_s=109) == [True] * 3
+    record.fix_sent_at_s = 135.0
+    assert not any(heights(feed, record, booted_at_s=120.0, from_s=136, to_s=140))
+
+
+@pytest.mark.parametrize("step_s", [-3.0, 3.0, 2**32 / 1e3])
+def test_a_clock_that_steps_or_wraps_during_aid_does_not_cost_the_height(step_s):
+    feed, record = Feed(FeedSettings()), vehicle(GpsState.FAILED)
+    feed.frame = LocalFrame(47.0, 8.0, 500.0)
+    booted_at_s = 110.0 - 2**32 / 1e3 if step_s > 10.0 else 90.0
+    assert heights(feed, record, booted_at_s, 100, 110) == [True] * 10
+    record.fix_sent_at_s = 109.0
+    assert heights(feed, record, booted_at_s + step_s, 110, 120)[3:] == [True] * 7
+
+
 def test_altitude_is_brought_down_by_the_earths_curvature_at_the_last_known_place():
     feed = Feed(FeedSettings())
     feed.frame = LocalFrame(47.0, 8.0, 500.0)
