@@ -35,11 +35,11 @@ class TruthFile:
     def __init__(self, path: Path) -> None:
         self._file: TextIO = path.open("w", newline="", encoding="utf-8")
         self._writer = csv.writer(self._file)
-        self._writer.writerow(CSV_HEADER)
+        self._writer.writerow([*CSV_HEADER, "unix_s"])
 
-    def write(self, fleet: Fleet) -> None:
-        """Append one line per vehicle."""
-        self._writer.writerows(csv_row(truth) for truth in fleet.truth().values())
+    def write(self, fleet: Fleet, started_unix_s: float) -> None:
+        """Append one line per vehicle. `started_unix_s`: the UNIX time at which the simulated time was 0."""
+        self._writer.writerows([*csv_row(truth), f"{started_unix_s + truth.at_s:.4f}"] for truth in fleet.truth().values())
 
     def close(self) -> None:
         """Write out what is pending and close."""
@@ -93,7 +93,7 @@ async def run(
             if sysids is None or sysid in sysids:
                 local = (_any_address(peer), 0 if port_base is None else port_base + sysid)
                 transports[sysid] = await _open(local, deliver_to(sysid))
-        clock = _Pace(fleet, truth)
+        clock = _Pace(fleet, truth, started_unix_s)
         while not stop.is_set() and (elapsed := loop.time() - started) < duration_s:
             for sysid, payload in clock.advance(elapsed):
                 if sysid in transports:
@@ -114,8 +114,9 @@ async def run(
 class _Pace:
     """Advances the fleet to a time, stopping on the way where truth or progress is due."""
 
-    def __init__(self, fleet: Fleet, truth: TruthFile | None) -> None:
+    def __init__(self, fleet: Fleet, truth: TruthFile | None, started_unix_s: float) -> None:
         self._fleet = fleet
+        self._started_unix_s = started_unix_s
         self._truth = truth
         self._truth_number = 0
         self._progress_due_s = 0.0
@@ -126,7 +127,7 @@ class _Pace:
             out += self._fleet.advance(truth_s)
             self._truth_number += 1
             if self._truth is not None:
-                self._truth.write(self._fleet)
+                self._truth.write(self._fleet, self._started_unix_s)
         out += self._fleet.advance(to_s)
         if to_s >= self._progress_due_s:
             self._progress_due_s += _PROGRESS_INTERVAL_S

@@ -13,6 +13,7 @@ import tomllib
 
 import pytest
 
+from gcs_coloc.recorder.side_tables import read_truth
 from sitl_fakes import cli
 from sitl_fakes.errors import ScenarioError
 from sitl_fakes.fleet import Fleet
@@ -151,6 +152,7 @@ def test_the_program_sends_from_a_socket_per_vehicle_writes_the_truth_and_stops_
     rows = list(csv.DictReader(truth.read_text().splitlines()))
     assert {row["sysid"] for row in rows} == {"1", "2", "3", "4"}
     assert float(rows[-1]["at_s"]) > 0.0
+    assert {round(float(row["unix_s"]) - float(row["at_s"]), 2) for row in rows} == {round(read_truth(truth)[0].unix_s, 2)}
 
 
 def test_the_configs_are_plain_toml():
