@@ -96,6 +96,7 @@ class FleetService:
         self._recording = FlightRecording(settings.record, ids, self._engine)
         self._hands_on = bool(settings.record.directory or settings.out)
         self._seen: FleetView | None = None
+        self._counted: tuple[FleetView, FleetView] | None = None  # what was seen, and the same with what is counted
         self._deadline = Deadline(clock, self._poll)
         self._engine_at_s = clock()
         self._is_ending = False
@@ -142,9 +143,11 @@ class FleetService:
     def look(self) -> FleetView:
         """The fleet as it stands, with all that is counted."""
         view = self.glance()
-        refused = view.refused | self._refusals.totals()
-        links = self._decoder.sequences.links(self.heard())
-        return replace(view, refused=refused, links=links, outs=self._forwarder.views())
+        if self._counted is None or self._counted[0] is not view:
+            refused = view.refused | self._refusals.totals()
+            links = self._decoder.sequences.links(self.heard())
+            self._counted = view, replace(view, refused=refused, links=links, outs=self._forwarder.views())
+        return self._counted[1]
 
     def glance(self) -> FleetView:
         """The fleet as it stands, or stood a moment ago where somebody has just looked: looking costs as much as estimating.

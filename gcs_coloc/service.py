@@ -169,7 +169,7 @@ class _Observed:
 
         path = self.path
         hooks = Hooks(path.look, path.heard, path.obey, path.take_range, self._clock)
-        return Mqtt(settings.mqtt, hooks, path.hub.subscribe(256), path.counts)
+        return Mqtt(settings.mqtt, hooks, path.hub.subscribe(256), path.counts, path.lulls)
 
     def _fault(self) -> str | None:
         """Why the service does not do its work, None where it does."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from math import floor
 
 _WAIT_S = 0.5
 
@@ -13,6 +14,7 @@ class Lulls:
 
     def __init__(self) -> None:
         self._due_s: dict[asyncio.Future[None], float] = {}
+        self._start_s: float | None = None
 
     @property
     def waiting(self) -> int:
@@ -27,14 +29,19 @@ class Lulls:
                 _give(turn)
 
     async def every(self, period_s: float, phase: float = 0.0) -> AsyncIterator[None]:
-        """Turns that are `period_s` apart, the first after `phase` (0 to 1) of it; each waits for a lull.
+        """Turns that are `period_s` apart, at `phase` (0 to 1) of it; each waits for a lull.
 
-        It waits for half a period or `_WAIT_S` at most: where nothing is heard there are no deadlines. What was missed is not
-        caught up with.
+        Periods are counted from when the first of all began: what falls due together has its turns in one lull, and can share a
+        look at the fleet. Who begins later has a first turn at once. A turn waits for half a period or `_WAIT_S` at most: where
+        nothing is heard there are no deadlines. What was missed is not caught up with.
         """
         loop = asyncio.get_running_loop()
-        due_s = loop.time() + phase * period_s
+        if self._start_s is None:
+            self._start_s = loop.time()
+        first_s, number = self._start_s + phase * period_s, 0
         while True:
+            number = max(number, floor((loop.time() - first_s) / period_s))
+            due_s = first_s + number * period_s
             turn = loop.create_future()
             self._due_s[turn] = due_s
             timer = loop.call_at(due_s + min(0.5 * period_s, _WAIT_S), _give, turn)
@@ -46,7 +53,7 @@ class Lulls:
             # What has arrived while the outputs were made goes first.
             await asyncio.sleep(0)
             yield
-            due_s = max(due_s + period_s, loop.time())
+            number += 1
 
 
 def _give(turn: asyncio.Future[None]) -> None:

@@ -9,7 +9,7 @@ import logging
 import math
 import ssl
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Coroutine, Iterable
 from pathlib import Path
 
 from aiomqtt import Client, MqttError, Will
@@ -21,6 +21,7 @@ from gcs_coloc.core.outputs import ToOperator
 from gcs_coloc.core.view import FleetView
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.sinks.hub import Subscription
+from gcs_coloc.sinks.lulls import Lulls
 from gcs_coloc.sinks.mqtt_inbox import Hooks, Inbox
 from gcs_coloc.sinks.mqtt_models import Alarm, of_vehicle, status, unix_s
 from gcs_coloc.sinks.wording import level_and_text
@@ -46,8 +47,8 @@ _client_log.setLevel(logging.CRITICAL)
 class Mqtt:
     """One connection to one broker, made again for as long as the service runs. `run` never raises for the broker's doing."""
 
-    def __init__(self, config: MqttConfig, hooks: Hooks, news: Subscription, counts: Counts) -> None:
-        """Read the password and the certificates.
+    def __init__(self, config: MqttConfig, hooks: Hooks, news: Subscription, counts: Counts, lulls: Lulls) -> None:
+        """Read the password and the certificates. It publishes in `lulls`.
 
         Raises:
             ConfigError: a file cannot be read, or holds no certificates.
@@ -55,6 +56,7 @@ class Mqtt:
         self._config = config
         self._hooks = hooks
         self._news = news
+        self._lulls = lulls
         self._base = f"{config.prefix}/{_VERSION}/{config.fleet}"
         self._inbox = Inbox(self._base, hooks, counts, commands=config.commands, ranges=config.ranges)
         self._password, self._tls = read_credentials(config)
@@ -129,7 +131,12 @@ class Mqtt:
             self._attempts, self._told = 0, None
             for topic in self._inbox.topics:
                 await client.subscribe(topic)
-            tasks = [asyncio.create_task(work) for work in (self._take_all(client), self._publish_all(client))]
+            work: tuple[Coroutine[None, None, object], ...] = (
+                self._take_all(client),
+                self._publish_all(client),
+                self._stopping.wait(),
+            )
+            tasks = [asyncio.create_task(part) for part in work]
             try:
                 done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             finally:
@@ -151,28 +158,31 @@ class Mqtt:
     async def _publish_all(self, client: Client) -> None:
         """The latest of everything at the rate that was set, until `stop`. What the broker does not take in time is never sent.
 
-        It does not rely on being cancelled: before Python 3.12 `asyncio.wait_for`, in the client's `publish`, loses a
+        It does not rely on being cancelled alone: before Python 3.12 `asyncio.wait_for`, in the client's `publish`, loses a
         cancellation that comes together with the broker's confirmation.
         """
-        while not self._stopping.is_set():
-            view = self._hooks.look()
-            latest: dict[str, BaseModel] = {"status": status(view, online=True)}
-            for vehicle in view.vehicles:
-                models = of_vehicle(vehicle, unix_s(view.at_s, view))
-                latest |= {f"{vehicle.sysid}/{name}": model for name, model in models.items()}
-            topics = list(latest.items())
-            for start in range(0, len(topics), _AT_A_TIME):
-                await self._publish_together(client, topics[start : start + _AT_A_TIME])
-            while self._alarms:
-                news = self._alarms.popleft()
-                try:
-                    await client.publish(f"{self._base}/alarms", _alarm(news, view).model_dump_json(), qos=1)
-                except MqttError:
-                    if len(self._alarms) < _ALARMS_KEPT:  # where it is full, this one is the oldest
-                        self._alarms.appendleft(news)
-                    raise
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._stopping.wait(), 1.0 / self._config.publish_hz)
+        async for _ in self._lulls.every(1.0 / self._config.publish_hz):
+            await self._publish_latest(client)
+            if self._stopping.is_set():
+                return
+
+    async def _publish_latest(self, client: Client) -> None:
+        view = self._hooks.look()
+        latest: dict[str, BaseModel] = {"status": status(view, online=True)}
+        for vehicle in view.vehicles:
+            models = of_vehicle(vehicle, unix_s(view.at_s, view))
+            latest |= {f"{vehicle.sysid}/{name}": model for name, model in models.items()}
+        topics = list(latest.items())
+        for start in range(0, len(topics), _AT_A_TIME):
+            await self._publish_together(client, topics[start : start + _AT_A_TIME])
+        while self._alarms:
+            news = self._alarms.popleft()
+            try:
+                await client.publish(f"{self._base}/alarms", _alarm(news, view).model_dump_json(), qos=1)
+            except MqttError:
+                if len(self._alarms) < _ALARMS_KEPT:  # where it is full, this one is the oldest
+                    self._alarms.appendleft(news)
+                raise
 
     async def _publish_together(self, client: Client, topics: Iterable[tuple[str, BaseModel]]) -> None:
         """Publish in a stroke, with one limit of time for all: a publication by itself takes several turns of the event loop."""

@@ -61,6 +61,38 @@ def test_what_was_missed_is_not_caught_up_with():
     assert turns_of(0.2, 0.0, [], 4.0, step_s=1.0) == [1.0, 2.0, 3.0, 4.0]
 
 
+def test_what_begins_later_falls_due_with_what_began_before_after_a_first_turn_at_once():
+    loop, turns = SteppedLoop(), []
+
+    def note(name):
+        turns.append((name, round(loop.now_s - 100.0, 6)))
+
+    async def scene():
+        lulls = Lulls()
+
+        async def work(name, period_s):
+            async for _ in lulls.every(period_s):
+                note(name)
+
+        tasks = [asyncio.create_task(work("often", 0.2))]
+        await settle()
+        for step in range(1, 24):
+            loop.now_s = 100.0 + 0.1 * step
+            if step == 5:
+                tasks.append(asyncio.create_task(work("seldom", 1.0)))
+                await settle()
+            lulls.begin()
+            await settle()
+        for task in tasks:
+            task.cancel()
+
+    with asyncio.Runner(loop_factory=lambda: loop) as runner:
+        runner.run(scene())
+    often, seldom = ([at_s for name, at_s in turns if name == wanted] for wanted in ("often", "seldom"))
+    assert seldom == [0.5, 1.0, 2.0]
+    assert set(seldom[1:]) <= set(often)
+
+
 def test_work_that_has_ended_is_not_waited_for():
     async def scene():
         lulls = Lulls()
