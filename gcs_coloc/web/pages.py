@@ -12,7 +12,7 @@ from gcs_coloc.web.story import Story
 PERIOD_S = 0.2
 MOST_PAGES = 32
 _COUNTS_EVERY = 5
-_PAGES_AT_A_TIME = 4
+_PAGES_AT_A_TIME = 8
 
 
 class Page:
@@ -101,12 +101,12 @@ class Pages:
         """Offer one picture to every page, to a few at a time: what arrives meanwhile does not wait for all of them."""
         instance = self._story.instance
         picture = self._frames() if any(page.visible for page in self._open) else b""
-        for n, page in enumerate(list(self._open), start=1):
-            page.offer(self._story, picture)
-            if n % _PAGES_AT_A_TIME == 0:
+        for n, page in enumerate(list(self._open)):
+            if n and n % _PAGES_AT_A_TIME == 0:
                 await asyncio.sleep(0)
                 if self._story.instance != instance:  # the picture is of another flight
                     return
+            page.offer(self._story, picture)
 
     def _frames(self) -> bytes:
         """The frames of one turn."""
