@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import Enum
+from math import sqrt
 
 from gcs_coloc.core.aid_settings import AidSettings, WayName
 from gcs_coloc.core.fix_policy import FixPolicy
-from gcs_coloc.core.fleet import Vehicle
+from gcs_coloc.core.fleet import FixSent, Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.grid import Grid
 from gcs_coloc.core.measurements import Estimate, Unknown
@@ -88,6 +89,8 @@ class AidStream:
             range_misfit=vehicle.range_misfit,
             range_jump_m=vehicle.range_jump_m,
         )
+        if reason is None and self._on_air and isinstance(where, Estimate):
+            vehicle.fix_sent = FixSent(now_s, sqrt(float(where.covariance[2, 2])))
         moment = Moment(
             now_s=now_s,
             arrives_s=arrives_s,
@@ -116,8 +119,6 @@ class AidStream:
     def _tell(self, reason: str | None, now_s: float) -> list[Outbound]:
         had_fix, has_fix = self.no_fix_because is None, reason is None
         self.no_fix_because = reason
-        if has_fix and self._on_air:
-            self.vehicle.fix_sent_at_s = now_s
         first, self._sent = self._sent == 0, self._sent + 1
         if has_fix and not had_fix:
             return [Notice(now_s, self.vehicle.sysid, "info", "located: sending positions")]

@@ -62,7 +62,7 @@ class Feed:
         self.refused: Counter[str] = Counter()
 
     def position(self, message: GlobalPosition, vehicle: Vehicle) -> Measurement | None:
-        """The position of a healthy vehicle, the barometric altitude of any other, if its own; the first fix sets the origin.
+        """The position of a healthy vehicle, the barometric altitude of any other; sets the origin with the first fix.
 
         Either way the record of the vehicle keeps what it claims.
         """
@@ -75,9 +75,7 @@ class Feed:
         if self.frame is None:
             return None
         vehicle.claim = self._claim(message, self.frame, vehicle, measured)
-        if not self._height_is_own(message, vehicle, measured):
-            self.refused["GLOBAL_POSITION_INT: its height began with a fix of ours"] += 1
-            return None
+        _note_datum(message, vehicle, measured)
         return vehicle.claim if healthy else self._altitude(message, vehicle, measured)
 
     def _claim(self, message: GlobalPosition, frame: LocalFrame, vehicle: Vehicle, measured: ServiceTime) -> PositionMeasurement:
@@ -155,19 +153,6 @@ class Feed:
         assert self.frame is not None
         return self.frame.up_from_height(near_enu_m[0], near_enu_m[1], alt_msl_m)
 
-    def _height_is_own(self, message: GlobalPosition, vehicle: Vehicle, measured: ServiceTime) -> bool:
-        """Whether an autopilot's height goes back to a receiver of its own, or to what it was told on the ground.
-
-        The first fix since it booted gives its barometer the datum. Where that was ours, its height is ours come back.
-        """
-        booted_at_s = measured.at_s - vehicle.clock.stamps.unwrapped(message.boot_s)
-        is_known = vehicle.own_height_at_s is not None and booted_at_s < vehicle.own_height_at_s
-        is_before_ours = vehicle.fix_sent_at_s is None or vehicle.fix_sent_at_s < booted_at_s
-        if not (is_known or is_before_ours or vehicle.health.trusted):
-            return False
-        vehicle.own_height_at_s = message.received_at_s
-        return True
-
     def _altitude(self, message: GlobalPosition, vehicle: Vehicle, measured: ServiceTime) -> AltitudeMeasurement | None:
         if self.frame is None:
             return None
@@ -177,7 +162,7 @@ class Feed:
             measured_at_s=measured.at_s,
             arrived_at_s=message.received_at_s,
             up_m=self.up_m(message.alt_msl_m, where if where is not None else (0.0, 0.0)),
-            sigma_m=hypot(self.settings.altitude_sigma_m, message.vd_mps * measured.sigma_s),
+            sigma_m=hypot(self.settings.altitude_sigma_m, vehicle.height_datum_sigma_m, message.vd_mps * measured.sigma_s),
         )
 
     def _alt_msl_m(self, vehicle: Vehicle) -> float:
@@ -226,6 +211,20 @@ class Feed:
             self.refused[f"{what}: measured more than {self.settings.oldest_s:g} s ago"] += 1
             return None
         return measured
+
+
+def _note_datum(message: GlobalPosition, vehicle: Vehicle, measured: ServiceTime) -> None:
+    """Note how well an autopilot's height is known where it begins.
+
+    The first fix since it booted gives its barometer the datum. Where that was a fix of ours, its height is ours come back, and
+    no better known than that was.
+    """
+    booted_at_s, sent = measured.at_s - vehicle.clock.stamps.unwrapped(message.boot_s), vehicle.fix_sent
+    if vehicle.health.trusted:
+        vehicle.height_datum_sigma_m = 0.0
+    elif vehicle.height_told_at_s is None or booted_at_s > vehicle.height_told_at_s:
+        vehicle.height_datum_sigma_m = sent.sigma_v_m if sent is not None and sent.at_s > booted_at_s else 0.0
+    vehicle.height_told_at_s = message.received_at_s
 
 
 def _relative_speed_mps(vehicle: Vehicle, peer: Vehicle) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from gcs_coloc.core.clocks import VehicleClock
 from gcs_coloc.core.health import GpsHealth, HealthSettings
@@ -15,6 +16,13 @@ from gcs_coloc.core.timing import SenderClock
 NO_HEARTBEAT_YET = "no heartbeat of an autopilot heard yet"
 
 
+class FixSent(NamedTuple):
+    """A fix that was sent to a vehicle: when (service time, s), and the 1-sigma of its height, m."""
+
+    at_s: float
+    sigma_v_m: float
+
+
 @dataclass(slots=True)
 class Vehicle:
     """One vehicle as last heard. Times are on the service's clock, in seconds.
@@ -24,8 +32,9 @@ class Vehicle:
     what length all that it measures have just come to be off. `last_known_enu_m` is where the estimator last had it (east,
     north). `delay_s` is how much longer its newest position was on the way (beyond what is assumed, where TIMESYNC is not
     answered). `winged` says that it flies along its nose and turns by banking. `utc_minus_service_s` is UTC as it last told it.
-    `fix_sent_at_s` is when it was last sent a fix by us, `own_height_at_s` when it last told a height that goes back to none of
-    ours. `range_repeats` knows which of its ranges are stuck.
+    `fix_sent` is the last fix that it was sent by us, `height_told_at_s` when it last told its height, `height_datum_sigma_m` how
+    uncertain that is beyond its barometer, where it began with a fix of ours. `range_repeats` knows which of its ranges are
+    stuck.
     """
 
     sysid: int
@@ -46,8 +55,9 @@ class Vehicle:
     last_known_enu_m: tuple[float, float] | None = None
     claim: PositionMeasurement | None = None
     utc_minus_service_s: float | None = None
-    fix_sent_at_s: float | None = None
-    own_height_at_s: float | None = None
+    fix_sent: FixSent | None = None
+    height_told_at_s: float | None = None
+    height_datum_sigma_m: float = 0.0
     clock: VehicleClock = field(default_factory=VehicleClock)
     range_clocks: dict[tuple[TimeBase, int], SenderClock] = field(default_factory=dict)
     range_repeats: RangeRepeats = field(default_factory=RangeRepeats)

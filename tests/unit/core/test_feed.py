@@ -1,10 +1,12 @@
 """Messages to measurements: which clock, which noise, which frame, and what is refused."""
 
+from dataclasses import replace
+
 import pytest
 
 from gcs_coloc.core.clocks import TimeSettings
 from gcs_coloc.core.feed import Feed, FeedSettings
-from gcs_coloc.core.fleet import Fleet, Vehicle
+from gcs_coloc.core.fleet import FixSent, Fleet, Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.health import GpsState, HealthSettings
 from gcs_coloc.core.measurements import AltitudeMeasurement, PositionMeasurement
@@ -44,32 +46,34 @@ def test_only_a_healthy_vehicles_position_is_believed(state):
     assert measurement.up_m == pytest.approx(30.0, abs=0.01)
 
 
-def heights(feed: Feed, record: Vehicle, booted_at_s: float, from_s: int, to_s: int) -> list[bool]:
-    """Whether the height of each position, once a second, is taken as a measurement."""
-    return [feed.position(position(float(t), boot_s=t - booted_at_s), record) is not None for t in range(from_s, to_s)]
+def height_sigmas(feed: Feed, record: Vehicle, booted_at_s: float, from_s: int, to_s: int) -> list[float]:
+    """The sigma (m) of the height of each position, once a second, of a vehicle that climbs at none."""
+    told = [feed.position(replace(position(float(t), boot_s=t - booted_at_s), vd_mps=0.0), record) for t in range(from_s, to_s)]
+    return [m.sigma_m for m in told if isinstance(m, AltitudeMeasurement)]
 
 
-def test_a_height_that_began_with_a_fix_of_ours_is_no_measurement():
+def test_a_height_that_began_with_a_fix_of_ours_is_as_uncertain_as_that_was():
     """An autopilot that boots without GPS sets its barometer by the first fix that it gets: its height is ours come back."""
     feed, record = Feed(FeedSettings()), vehicle(GpsState.FAILED)
     feed.frame = LocalFrame(47.0, 8.0, 500.0)
-    record.fix_sent_at_s = 105.0
-    assert heights(feed, record, booted_at_s=90.0, from_s=106, to_s=110) == [False] * 4
-    assert feed.refused == {"GLOBAL_POSITION_INT: its height began with a fix of ours": 4}
+    record.fix_sent = FixSent(105.0, 10.0)
+    assert height_sigmas(feed, record, 90.0, 106, 108) == pytest.approx([104.0**0.5] * 2)
+    record.fix_sent = FixSent(108.0, 1.0)
+    assert height_sigmas(feed, record, 90.0, 108, 110) == pytest.approx([104.0**0.5] * 2)
     record.health.state = GpsState.HEALTHY  # its own receiver is back, and sets it right
-    heights(feed, record, booted_at_s=90.0, from_s=110, to_s=111)
+    feed.position(position(110.0, boot_s=20.0), record)
     record.health.state = GpsState.FAILED
-    assert heights(feed, record, booted_at_s=90.0, from_s=111, to_s=113) == [True, True]
+    assert height_sigmas(feed, record, 90.0, 111, 113) == [2.0, 2.0]
 
 
-def test_a_height_told_before_the_first_fix_of_ours_stays_a_measurement_until_the_autopilot_reboots():
+def test_a_height_told_before_the_first_fix_of_ours_is_the_barometers_until_the_autopilot_reboots():
     feed, record = Feed(FeedSettings()), vehicle(GpsState.FAILED)
     feed.frame = LocalFrame(47.0, 8.0, 500.0)
-    assert heights(feed, record, booted_at_s=90.0, from_s=100, to_s=103) == [True] * 3
-    record.fix_sent_at_s = 105.0
-    assert heights(feed, record, booted_at_s=90.0, from_s=106, to_s=109) == [True] * 3
-    record.fix_sent_at_s = 135.0
-    assert not any(heights(feed, record, booted_at_s=120.0, from_s=136, to_s=140))
+    assert height_sigmas(feed, record, 90.0, 100, 103) == [2.0] * 3
+    record.fix_sent = FixSent(105.0, 10.0)
+    assert height_sigmas(feed, record, 90.0, 106, 109) == [2.0] * 3
+    record.fix_sent = FixSent(135.0, 10.0)
+    assert height_sigmas(feed, record, 120.0, 136, 140)[-1] == pytest.approx(104.0**0.5)
 
 
 @pytest.mark.parametrize("step_s", [-3.0, 3.0, 2**32 / 1e3])
@@ -77,9 +81,9 @@ def test_a_clock_that_steps_or_wraps_during_aid_does_not_cost_the_height(step_s)
     feed, record = Feed(FeedSettings()), vehicle(GpsState.FAILED)
     feed.frame = LocalFrame(47.0, 8.0, 500.0)
     booted_at_s = 110.0 - 2**32 / 1e3 if step_s > 10.0 else 90.0
-    assert heights(feed, record, booted_at_s, 100, 110) == [True] * 10
-    record.fix_sent_at_s = 109.0
-    assert heights(feed, record, booted_at_s + step_s, 110, 120)[3:] == [True] * 7
+    assert height_sigmas(feed, record, booted_at_s, 100, 110) == [2.0] * 10
+    record.fix_sent = FixSent(109.0, 10.0)
+    assert set(height_sigmas(feed, record, booted_at_s + step_s, 110, 120)) == {2.0}
 
 
 def test_altitude_is_brought_down_by_the_earths_curvature_at_the_last_known_place():
