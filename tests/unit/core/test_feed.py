@@ -69,9 +69,9 @@ def test_a_height_that_began_with_a_fix_of_ours_is_as_uncertain_as_that_was():
 def test_a_height_told_before_the_first_fix_of_ours_is_the_barometers_until_the_autopilot_reboots():
     feed, record = Feed(FeedSettings()), vehicle(GpsState.FAILED)
     feed.frame = LocalFrame(47.0, 8.0, 500.0)
-    assert height_sigmas(feed, record, 90.0, 100, 103) == [2.0] * 3
+    assert height_sigmas(feed, record, 20.0, 100, 103) == [2.0] * 3
     record.fix_sent = FixSent(105.0, 10.0)
-    assert height_sigmas(feed, record, 90.0, 106, 109) == [2.0] * 3
+    assert height_sigmas(feed, record, 20.0, 106, 109) == [2.0] * 3
     record.fix_sent = FixSent(135.0, 10.0)
     assert height_sigmas(feed, record, 120.0, 136, 140)[-1] == pytest.approx(104.0**0.5)
 
