@@ -92,8 +92,10 @@ class Engine:
         if isinstance(message, ToldAside):
             self._note(message)
             return
-        vehicle = self._heard(message.sysid, at_s)
-        if vehicle is None:
+        vehicle = self.fleet.get(message.sysid)
+        if vehicle is not None:
+            vehicle.last_heard_s = at_s
+        elif (vehicle := self._first_heard(message.sysid, at_s)) is None:
             return
         resets = vehicle.clock.resets
         if self._telemetry.take(message, vehicle):
@@ -185,14 +187,13 @@ class Engine:
         where = self.estimator.estimate(sysid, at_s)
         return self.integrity.doubted(where) if isinstance(where, Estimate) else where
 
-    def _heard(self, sysid: int, at_s: float) -> Vehicle | None:
-        known_before = self.fleet.get(sysid) is not None
-        vehicle = self.fleet.heard(sysid, at_s)
+    def _first_heard(self, sysid: int, at_s: float) -> Vehicle | None:
+        vehicle = self.fleet.add(sysid, at_s)
         if vehicle is None:
             self._refused["more vehicles than the fleet may have"] += 1
-        elif not known_before:
-            self._say(at_s, sysid, "info", "heard for the first time")
-            vehicle.health.word = self._gps_words.get(sysid, GpsWord.AUTO)
+            return None
+        self._say(at_s, sysid, "info", "heard for the first time")
+        vehicle.health.word = self._gps_words.get(sysid, GpsWord.AUTO)
         return vehicle
 
     def _note(self, message: ToldAside) -> None:

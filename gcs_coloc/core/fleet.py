@@ -75,15 +75,12 @@ class Fleet:
         self._most = most
         self._vehicles: dict[int, Vehicle] = {}
 
-    def heard(self, sysid: int, at_s: float) -> Vehicle | None:
-        """The record of a vehicle that was just heard, new where it must be; None where the registry is full."""
-        vehicle = self._vehicles.get(sysid)
-        if vehicle is None:
-            if len(self._vehicles) >= self._most:
-                return None
-            vehicle = Vehicle(sysid, GpsHealth(self._health_settings, self._own_receiver), at_s, at_s)
-            self._vehicles[sysid] = vehicle
-        vehicle.last_heard_s = at_s
+    def add(self, sysid: int, at_s: float) -> Vehicle | None:
+        """A new record for a vehicle that was heard for the first time; None where the registry is full."""
+        if len(self._vehicles) >= self._most:
+            return None
+        vehicle = Vehicle(sysid, GpsHealth(self._health_settings, self._own_receiver), at_s, at_s)
+        self._vehicles[sysid] = vehicle
         return vehicle
 
     def get(self, sysid: int) -> Vehicle | None:

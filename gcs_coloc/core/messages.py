@@ -13,7 +13,7 @@ Conventions for all of them, those of `words`, `outputs` and `aid_messages` as w
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, StrEnum
 
 from gcs_coloc.core.aid_messages import CommandResult, ParameterValue
 from gcs_coloc.core.words import ToldAside
@@ -27,7 +27,7 @@ class Autopilot(Enum):
     OTHER = "other"
 
 
-class TimeBase(Enum):
+class TimeBase(StrEnum):
     """The clock in which a range's measuring time is given."""
 
     BOOT = "boot"

@@ -40,9 +40,6 @@ _CLEARLY_LESS = 0.9
 _CLEARLY_MORE = 1.1
 _new = tuple.__new__
 
-Horizontal = tuple[float, float, float]
-"""Variances of a horizontal position, m^2: east, east with north, north."""
-
 
 class End(NamedTuple):
     """One end of a range: where its states are in `A`, its place (m), velocity (m/s), and how late its time stamps are (s).
@@ -98,10 +95,10 @@ class Cluster:
         self.step = step
         self.joint = joint
 
-    def motion(self, vehicle: int, x: Sequence[float], variances: Horizontal, step_s: float, at_s: float) -> tuple[float, ...]:
+    def motion(self, vehicle: int, x: Sequence[float], P: FloatArray, step_s: float, at_s: float) -> tuple[float, ...]:
         """Fill `step` with the way of a vehicle over a step (negative: back) to `at_s`; return the mean of its first five states.
 
-        `x` (16,) and `variances` are its state before the step, the latter of its horizontal position.
+        `x` (16,) and `P` (16, 16) are its state before the step.
         """
         s, record, step = self.settings, self.records[vehicle], self.step
         attitude = record.attitude
@@ -133,7 +130,7 @@ class Cluster:
                 gain = max(gain, min(((at_s - record.informed_at_s) / _COAST_TIME_S) ** 2, _COAST_GAIN))
             if record.subject:
                 # Where a place is known badly a manoeuvre is noticed late: one may have been under way for long.
-                ee_m2, en_m2, nn_m2 = variances
+                ee_m2, en_m2, nn_m2 = P.item(0, 0), P.item(0, 1), P.item(1, 1)
                 half, skew = 0.5 * (ee_m2 + nn_m2), 0.5 * (ee_m2 - nn_m2)
                 worst_m2 = half + math.sqrt(skew * skew + en_m2 * en_m2)
                 gain = max(gain, min(worst_m2 / (_NOTICED_M * _NOTICED_M), _UNNOTICED_GAIN))
@@ -162,10 +159,9 @@ class Cluster:
         if at_s <= from_s or self.records[vehicle].fixed:
             return
         A, step, where = joint.A, self.step, joint.where[vehicle]
-        e, n = where.start, where.start + 1
+        P = A[where, where]
         for to_s in (at_s,) if at_s - from_s <= _LONGEST_STEP_S else _steps(from_s, at_s):
-            variances = (A.item(e, e), A.item(e, n), A.item(n, n))
-            mean = self.motion(vehicle, A[0, where].tolist(), variances, to_s - from_s, to_s)
+            mean = self.motion(vehicle, A[0, where].tolist(), P, to_s - from_s, to_s)
             joint.transform(vehicle, mean, step.F, step.Q, to_s)
             from_s = to_s
 
@@ -174,8 +170,7 @@ class Cluster:
         joint, step = self.joint, self.step
         x, P, from_s = joint.mean(vehicle), joint.covariance(vehicle), joint.time_s[vehicle]
         for to_s in _steps(from_s, at_s) if at_s >= from_s else [at_s]:
-            variances = (P.item(0, 0), P.item(0, 1), P.item(1, 1))
-            mean = self.motion(vehicle, x.tolist(), variances, to_s - from_s, to_s)
+            mean = self.motion(vehicle, x.tolist(), P, to_s - from_s, to_s)
             x = step.F @ x
             x[: len(mean)] = mean
             P = step.F @ P @ step.F.T

@@ -158,16 +158,20 @@ class Joint:
 
     def scale(self, first: int, stop: int, factor: float) -> None:
         """Scale neighbouring states, mean and covariances, by one factor."""
-        self.A[first:stop] *= factor
-        self.A[:, first:stop] *= factor
+        rows, columns = self.A[first:stop], self.A[:, first:stop]
+        rows *= factor
+        columns *= factor
 
     def fade(self, key: Key, decays: tuple[float, float], sigmas: tuple[float, float]) -> None:
         """Let a block of two first-order Gauss-Markov states fade by their factors towards zero, with their spreads `sigmas`."""
-        A, where = self.A, self.where[key]
-        i, j, (di, dj), (si, sj) = where.start, where.start + 1, decays, sigmas
+        A, i, (di, dj), (si, sj) = self.A, self.where[key].start, decays, sigmas
+        j = i + 1
         variance_i, covariance, variance_j = A.item(i, i), A.item(i, j), A.item(j, j)
-        A[where] *= np.array(((di,), (dj,)))
-        A[:, where] = A[where].T
+        # One by one: to scale and to write both at once takes twice the time.
+        for k, decay in ((i, di), (j, dj)):
+            row = A[k]
+            row *= decay
+            A[:, k] = row
         A[i, i] = di * di * variance_i + si * si * (1.0 - di * di)
         A[j, j] = dj * dj * variance_j + sj * sj * (1.0 - dj * dj)
         A[i, j] = A[j, i] = di * dj * covariance

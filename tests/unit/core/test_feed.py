@@ -14,7 +14,7 @@ from gcs_coloc.core.messages import Airspeed, Attitude, GlobalPosition, GpsRecei
 
 
 def vehicle(state: GpsState = GpsState.HEALTHY, sysid: int = 4) -> Vehicle:
-    record = Fleet(HealthSettings(), 10).heard(sysid, 0.0)
+    record = Fleet(HealthSettings(), 10).add(sysid, 0.0)
     assert record is not None
     record.health.state = state
     return record
