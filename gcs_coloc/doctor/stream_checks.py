@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from gcs_coloc.core.messages import Autopilot
 from gcs_coloc.core.streams import WANTED_HZ
 from gcs_coloc.doctor.findings import Remark, VehicleFindings, note, right, stop
-from gcs_coloc.doctor.parameters import look_up
+from gcs_coloc.doctor.parameters import GPS_TYPE, look_up
 from gcs_coloc.doctor.ports import STREAMS, instances, serial_ports
 
 _GLOBAL_POSITION_INT, _GPS_RAW_INT, _GPS2_RAW, _EKF_STATUS_REPORT = 33, 24, 124, 193
@@ -25,6 +25,10 @@ _STREAMS = {
 _STREAM_HZ = {stream: max(WANTED_HZ[number] for number, (_, its) in _STREAMS.items() if its == stream) for stream in STREAMS}
 _ESSENTIAL = (_GLOBAL_POSITION_INT, _GPS_RAW_INT)
 _ARDUPILOT_ONLY = (_GPS2_RAW, _EKF_STATUS_REPORT)
+_NO_POSITION = {
+    Autopilot.ARDUPILOT: "; if its receiver has a fix, EK3_GPS_CHECK may refuse the accuracy",
+    Autopilot.PX4: "; if its receiver has a fix, EKF2_REQ_EPH, EKF2_REQ_EPV or EKF2_REQ_SACC may refuse the accuracy",
+}
 
 _PX4_ENOUGH_BYTES_PER_S = 3000.0  # what is wanted takes about 2000, with three ranges at 5 Hz
 _PX4_QUIET_MODES = {1.0: "Custom", 3.0: "OSD", 4.0: "Magic", 7.0: "Minimal", 9.0: "Iridium"}
@@ -42,6 +46,8 @@ def check(vehicle: VehicleFindings) -> Iterator[Remark]:
     for number, wanted_hz in WANTED_HZ.items():
         if number in _ARDUPILOT_ONLY and vehicle.autopilot is not Autopilot.ARDUPILOT:
             continue
+        if number == _GPS2_RAW and _has_no_second_receiver(vehicle):
+            continue  # there is nothing to tell of it, however fast
         name, stream = _STREAMS[number]
         rate_hz = vehicle.rates_hz.get(number, 0.0)
         lacking = stop if number in _ESSENTIAL else note
@@ -52,13 +58,18 @@ def check(vehicle: VehicleFindings) -> Iterator[Remark]:
         elif number in vehicle.empty:
             yield lacking(
                 f"{name} holds no position: the autopilot has none yet",
-                "wait for its EKF; if its receiver has a fix, EK3_GPS_CHECK may refuse the accuracy",
+                f"wait for its EKF{_NO_POSITION.get(vehicle.autopilot, '')}",
             )
         else:
             yield lacking(f"{name} is not heard", *_mend(vehicle, stream))
     if good:
         yield right(f"heard: {', '.join(good)}")
     yield from _protocol(vehicle)
+
+
+def _has_no_second_receiver(vehicle: VehicleFindings) -> bool:
+    found = look_up(vehicle.parameters, GPS_TYPE[1])
+    return found is not None and found[1] == 0.0
 
 
 def _protocol(vehicle: VehicleFindings) -> Iterator[Remark]:

@@ -95,3 +95,23 @@ def test_a_port_that_speaks_mavlink_1_is_named():
     assert "carries no PEER_RANGE" in remark.text
     (remark,) = said(Autopilot.PX4, {}, WANTED_HZ, is_mavlink_1=True)
     assert "MAV_PROTO_VER = 2" in remark.mend
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "words"),
+    [
+        (Autopilot.ARDUPILOT, "wait for its EKF; if its receiver has a fix, EK3_GPS_CHECK may refuse the accuracy"),
+        (Autopilot.PX4, "wait for its EKF; if its receiver has a fix, EKF2_REQ_EPH, EKF2_REQ_EPV or EKF2_REQ_SACC may refuse"),
+        (Autopilot.OTHER, "wait for its EKF"),
+    ],
+)
+def test_where_the_autopilot_has_no_position_its_own_parameters_are_named(autopilot, words):
+    (remark,) = said(autopilot, {}, {k: hz for k, hz in WANTED_HZ.items() if k != 33}, empty=frozenset({33}))
+    assert remark.level is Level.STOP
+    assert remark.mend.startswith(words)
+
+
+@pytest.mark.parametrize(("parameters", "notes"), [({"GPS2_TYPE": 0.0}, 0), ({"GPS_TYPE2": 0.0}, 0), ({"GPS2_TYPE": 14.0}, 1)])
+def test_a_receiver_that_is_switched_off_is_not_missed_on_the_link(parameters, notes):
+    without = {number: hz for number, hz in WANTED_HZ.items() if number != 124}
+    assert len(said(Autopilot.ARDUPILOT, parameters, without)) == notes
