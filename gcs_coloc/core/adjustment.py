@@ -79,6 +79,10 @@ class Adjustment:
         at = self._at[vehicle]
         return float(gains[self._number, at]), int(ranks[self._number, at])
 
+    def claim_information(self, vehicle: int) -> FloatArray:
+        """Return what the test knows of a horizontal vector b of a claim (2, 2), 1/m^2: it adds b'Ib to the statistic."""
+        return np.asarray(self._solution.claim_information[self._number, self._at[vehicle]])
+
     def vehicle_effect(self, vehicle: int) -> Effect:
         """What a claim that came to be off by an unknown horizontal vector explains."""
         gain, rank = self.claim_gain(vehicle)
@@ -216,14 +220,23 @@ class _Solution:
         """For each test and vehicle, what a correction of its place at `now` by an unknown horizontal vector explains of the
         statistic (tests, vehicles), the unknowns it takes (tests, vehicles), and the vector (tests, vehicles, 2), m.
         """
-        K, vehicles = self.information, len(self._now.vehicles)
-        left = K - K @ self.covariance_m2 @ K
-        score = self._g - (K @ self.corrections_m[..., np.newaxis])[..., 0]
-        at = (3 * np.arange(vehicles))[:, np.newaxis] + np.arange(2)
-        inverses, ranks = pinv(left[:, at[:, :, np.newaxis], at[:, np.newaxis, :]])
-        scores = score[:, at]
+        score = self._g - (self.information @ self.corrections_m[..., np.newaxis])[..., 0]
+        inverses, ranks = pinv(self.claim_information)
+        scores = score[:, self._horizontal]
         sizes = (inverses @ scores[..., np.newaxis])[..., 0]
         return (scores * sizes).sum(axis=2), ranks, sizes
+
+    @cached_property
+    def claim_information(self) -> FloatArray:
+        """What each test knows of such a correction, beyond the claim's stated error, 1/m^2 (tests, vehicles, 2, 2)."""
+        K, at = self.information, self._horizontal
+        left = K - K @ self.covariance_m2 @ K
+        return np.asarray(left[:, at[:, :, np.newaxis], at[:, np.newaxis, :]])
+
+    @property
+    def _horizontal(self) -> NDArray[np.intp]:
+        """The horizontal states at `now` of each vehicle (vehicles, 2)."""
+        return (3 * np.arange(len(self._now.vehicles)))[:, np.newaxis] + np.arange(2)
 
     def length_on(self, test: int, rows: NDArray[np.intp]) -> tuple[float, float, FloatArray]:
         """One length b on some rows of `now`: b'Wb, b'Wr and H'Wb (states,), W the inverse of the rows' noise."""

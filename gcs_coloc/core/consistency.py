@@ -6,25 +6,21 @@ memory: the streaks that an accusation takes, its end, and how long a doubt abou
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import exp
-from operator import attrgetter
 
 import numpy as np
 
-from gcs_coloc.core.adjustment import Past
 from gcs_coloc.core.exclusion import Kind, Levels, Verdict, judge_all
 from gcs_coloc.core.lie_watch import LieWatch, WatchSettings
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
+from gcs_coloc.core.past_scenes import PastScenes
 from gcs_coloc.core.range_rows import RangeRows, RowSettings, Track
 from gcs_coloc.core.scene import Scene
 
-_SCENE_APART_S = 0.3
 _SAME_S = 1e-3  # deadlines that are as close as this are meant to be the same
-_at_s = attrgetter("at_s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +83,7 @@ class RangeConsistency:
         self._rows = RangeRows(self.settings.rows, self._watch)
         self._faded_m2: dict[int, FloatArray] = {}
         self._suspected_until_s: dict[int, float] = {}
-        self._scenes: deque[Scene] = deque(maxlen=round(max(self.settings.intervals_s) / self.settings.every_s) + 2)
+        self._scenes = PastScenes(self.settings.intervals_s, self.settings.wander_time_s, self.settings.every_s)
         self._streaks = {interval_s: _Streak() for interval_s in (0.0, *self.settings.intervals_s)}
         self._watched_until_s: dict[int, float] = {}
         self._due_s = float("-inf")
@@ -148,21 +144,9 @@ class RangeConsistency:
         """Return the verdict of each test that can tell something, by its interval; 0 for the test of the present alone."""
         if not scene.rows:
             return {}
-        s = self.settings
-        pasts: dict[float, Past] = {0.0: (None, 0.0)}
-        for interval_s in s.intervals_s:
-            then = self._nearest(scene.at_s - interval_s)
-            if then is not None:
-                pasts[interval_s] = (then, exp(-interval_s / s.wander_time_s))
-        verdicts = dict(zip(pasts, judge_all(scene, s.levels, list(pasts.values())), strict=True))
+        pasts = self._scenes.before(scene.at_s)
+        verdicts = dict(zip(pasts, judge_all(scene, self.settings.levels, list(pasts.values())), strict=True))
         return {interval_s: verdict for interval_s, verdict in verdicts.items() if verdict is not None}
-
-    def _nearest(self, wanted_s: float) -> Scene | None:
-        """The remembered scene next to a time; None where there is none near it."""
-        later = bisect_left(self._scenes, wanted_s, key=_at_s)
-        next_to = [self._scenes[n] for n in (later - 1, later) if 0 <= n < len(self._scenes)]
-        then = min(next_to, key=lambda past: abs(past.at_s - wanted_s), default=None)
-        return then if then is not None and abs(then.at_s - wanted_s) <= _SCENE_APART_S else None
 
     def _weigh(self, verdict: Verdict, scene: Scene, streak: _Streak) -> None:
         kinds = {s.kind for s in verdict.possible}

@@ -92,10 +92,11 @@ def judge_all(now: Scene, levels: Levels, pasts: Sequence[Past]) -> list[Verdict
     A past is (None, 0) for the test of the present alone, else an earlier scene and the correlation of one vehicle's error at the
     two times. None where there are more unknowns than rows and nothing can be told.
     """
-    return [_judge(fit, levels) for fit in adjust(now, pasts)]
+    return [judge(fit, levels) for fit in adjust(now, pasts)]
 
 
-def _judge(fit: Adjustment, levels: Levels) -> Verdict | None:
+def judge(fit: Adjustment, levels: Levels) -> Verdict | None:
+    """Judge one adjustment; None where there are more unknowns than rows and nothing can be told."""
     dof = fit.degrees_of_freedom
     if dof < 1:
         return None
@@ -103,10 +104,10 @@ def _judge(fit: Adjustment, levels: Levels) -> Verdict | None:
     # The whole and each claim are looked at: together they may not be wrong more often than one test may.
     each = levels.alarm / (1 + len(claiming))
     # No fault explains more than there is: where that is too little for any to count, none need be looked at.
-    telling = fit.statistic > min(_limit(1, levels.doubted), _limit(1, each))
+    telling = fit.statistic > min(limit(1, levels.doubted), limit(1, each))
     gains = [fit.claim_gain(v) for v in claiming] if telling else []
     fear = max((_fear(gain, rank, levels) for gain, rank in gains), default=0.0)
-    alarm = fit.statistic > _limit(dof, each) or any(rank and gain > _limit(rank, each) for gain, rank in gains)
+    alarm = fit.statistic > limit(dof, each) or any(rank and gain > limit(rank, each) for gain, rank in gains)
     found: list[_Fault] = []
     if fear or alarm:
         found = [(Kind.VEHICLE, (v,), fit.vehicle_effect(v)) for v in claiming] + _range_faults(fit)
@@ -121,7 +122,7 @@ def _judge(fit: Adjustment, levels: Levels) -> Verdict | None:
         statistic=fit.statistic,
         degrees_of_freedom=dof,
         consistent=not alarm,
-        clear=not alarm and not fear and fit.statistic <= _limit(dof, levels.clear),
+        clear=not alarm and not fear and fit.statistic <= limit(dof, levels.clear),
         possible=_possible(likely, fit.statistic, dof, levels) if alarm else (),
         involved=frozenset(claiming),
         offset_m={v: fit.horizontal(v, fit.corrections_m) for v in free},
@@ -133,7 +134,7 @@ def _fear(gain: float, rank: int, levels: Levels) -> float:
     """How much a fault counts in the bounds, 0 to 1."""
     if not rank:
         return 0.0
-    low, high = _limit(rank, levels.doubted), _limit(rank, levels.feared)
+    low, high = limit(rank, levels.doubted), limit(rank, levels.feared)
     return min(max((gain - low) / (high - low), 0.0), 1.0)
 
 
@@ -142,7 +143,7 @@ def _possible(likely: list[_Fault], statistic: float, dof: int, levels: Levels) 
     return tuple(
         Suspicion(kind, who, hypot(*effect.size_m))
         for kind, who, effect in likely
-        if dof == effect.rank or statistic - effect.gain <= _limit(dof - effect.rank, levels.rest)
+        if dof == effect.rank or statistic - effect.gain <= limit(dof - effect.rank, levels.rest)
     )
 
 
@@ -159,6 +160,6 @@ def _range_faults(fit: Adjustment) -> list[_Fault]:
 
 
 @lru_cache(maxsize=1024)
-def _limit(dof: int, chance: float) -> float:
-    """What a chi-square variable passes with this chance."""
+def limit(dof: int, chance: float) -> float:
+    """Return what a chi-square variable passes with this chance."""
     return float(chdtri(dof, chance))

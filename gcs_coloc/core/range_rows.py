@@ -61,10 +61,10 @@ class Track:
 
 @dataclass(slots=True)
 class RangeRows:
-    """The last seconds of one fleet. Ranges that positions have arrived for are handed on to `watch`."""
+    """The last seconds of one fleet. Ranges that positions have arrived for are handed on to `watch`, if there is one."""
 
     settings: RowSettings = field(default_factory=RowSettings)
-    watch: LieWatch = field(default_factory=LieWatch)
+    watch: LieWatch | None = None
     _tracks: dict[int, deque[Track]] = field(default_factory=dict)
     _pending: deque[RangeMeasurement] = field(default_factory=lambda: deque(maxlen=_PENDING_KEPT))
     _samples: dict[tuple[int, int], deque[tuple[float, float, float]]] = field(default_factory=dict)
@@ -76,7 +76,8 @@ class RangeRows:
             known = self._tracks[vehicle] = deque(maxlen=_PLACES_KEPT)
             for pair in [pair for pair in self._samples if vehicle in pair]:
                 del self._samples[pair]
-            self.watch.forget(vehicle)
+            if self.watch is not None:
+                self.watch.forget(vehicle)
         if not known or track.at_s > known[-1].at_s:
             known.append(track)
 
@@ -125,7 +126,8 @@ class RangeRows:
             a, b = self._at(m.from_vehicle, m.measured_at_s), self._at(m.to_vehicle, m.measured_at_s)
             if a is None or b is None:
                 continue
-            self.watch.range(m, a, b)
+            if self.watch is not None:
+                self.watch.range(m, a, b)
             distance_m = dist(a.position_enu_m, b.position_enu_m)
             samples = self._samples.setdefault((m.from_vehicle, m.to_vehicle), deque(maxlen=_SAMPLES_KEPT))
             samples.append((m.measured_at_s, m.range_m - distance_m, m.sigma_m))
