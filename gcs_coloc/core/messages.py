@@ -72,7 +72,7 @@ class GpsReceiver:
     """GPS_RAW_INT (24, `receiver` 0) or GPS2_RAW (124, `receiver` 1): what one receiver says of itself.
 
     Without a fix (`fix_type` below 2) its position is 0, 0, 0. `h_acc_m`, `v_acc_m` and `speed_acc_mps` are 1-sigma; ArduPilot
-    leaves them at their last good value when a fix is lost.
+    leaves them at their last good value when a fix is lost. `fixed_boot_s` is when the autopilot heard of the fix (`time_usec`).
     """
 
     sysid: int
@@ -87,6 +87,7 @@ class GpsReceiver:
     h_acc_m: float | None
     v_acc_m: float | None
     speed_acc_mps: float | None
+    fixed_boot_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,6 +33,7 @@ from gcs_coloc.mavlink.checks import InvalidValueError
 UINT8_MAX = 0xFF
 UINT16_MAX = 0xFFFF
 UINT32_MAX = 0xFFFFFFFF
+_LEAST_UNIX_US = 10**15  # 2001; no boot is 30 years ago
 
 GPS_GLITCH_ARDUPILOT = 1 << 15
 """In EKF_STATUS_REPORT. ArduPilot sends it; the dialect's enumeration and ESTIMATOR_STATUS have bit 10 in its place."""
@@ -85,21 +86,24 @@ def global_position_int(sysid: int, received_at_s: float, values: tuple[Any, ...
 
 def gps_raw_int(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> GpsReceiver:
     """GPS_RAW_INT (24): the first receiver."""
-    _time, lat_e7, lon_e7, alt_mm, eph, _epv, _speed, _course, fix, satellites, _ellipsoid, h_acc, v_acc, speed_acc, *_ = values
-    return _gps_receiver(sysid, received_at_s, 0, fix, (lat_e7, lon_e7, alt_mm), satellites, eph, (h_acc, v_acc, speed_acc))
+    time_us, lat_e7, lon_e7, alt_mm, eph, _epv, _speed, _course, fix, satellites, _ellipsoid, h_acc, v_acc, speed_acc, *_ = values
+    place = (lat_e7, lon_e7, alt_mm)
+    return _gps_receiver(sysid, received_at_s, 0, time_us, fix, place, satellites, eph, (h_acc, v_acc, speed_acc))
 
 
 def gps2_raw(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> GpsReceiver:
     """GPS2_RAW (124): the second receiver."""
-    _time, lat_e7, lon_e7, alt_mm, _dgps_age, eph, _epv, _speed, _course, fix, satellites, *rest = values
+    time_us, lat_e7, lon_e7, alt_mm, _dgps_age, eph, _epv, _speed, _course, fix, satellites, *rest = values
     _dgps_count, _yaw, _ellipsoid, h_acc, v_acc, speed_acc, _heading_acc = rest
-    return _gps_receiver(sysid, received_at_s, 1, fix, (lat_e7, lon_e7, alt_mm), satellites, eph, (h_acc, v_acc, speed_acc))
+    place = (lat_e7, lon_e7, alt_mm)
+    return _gps_receiver(sysid, received_at_s, 1, time_us, fix, place, satellites, eph, (h_acc, v_acc, speed_acc))
 
 
 def _gps_receiver(
     sysid: int,
     received_at_s: float,
     receiver: int,
+    time_us: int,
     fix_type: int,
     place: tuple[int, int, int],
     satellites: int,
@@ -129,6 +133,8 @@ def _gps_receiver(
         h_acc_m=_thousandths(h_acc_mm),
         v_acc_m=_thousandths(v_acc_mm),
         speed_acc_mps=_thousandths(speed_acc_mmps),
+        # Either since boot or UNIX time: by its magnitude, as MAVLink says.
+        fixed_boot_s=time_us / 1e6 if 0 < time_us < _LEAST_UNIX_US else None,
     )
 
 
