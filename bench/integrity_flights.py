@@ -31,6 +31,7 @@ class Scenario:
     from `radius_m` and `speed_mps`, spread over a square of +-`extent_m`. GPS errors are of `gps_sigma_m` per axis, slow over
     `gps_time_s`, `gps_white_share` of their variance white; ranges of the subject, with `mutual` of all, are of `range_sigma_m`,
     `late_share` of them 5 to `late_m` too long. Peer 1 is walked off at `walk_mps` from 20 s on, after a step of `jump_m`.
+    From `returns_at_s` on the subject's receiver has a fix again: `return_jump_m` off, and walked off at `return_walk_mps`.
     """
 
     peers: int = 4
@@ -47,6 +48,9 @@ class Scenario:
     extent_m: float = 900.0
     walk_mps: float = 0.0
     jump_m: float = 0.0
+    returns_at_s: float = inf
+    return_jump_m: float = 0.0
+    return_walk_mps: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,10 +111,13 @@ class Flight:
             if v == LIAR and SPOOFED_AT_S < t < self._honest_from_s:
                 claimed = claimed + ((t - SPOOFED_AT_S) * s.walk_mps + s.jump_m) * self.away
                 velocity = velocity + s.walk_mps * self.away
+            if v == SUBJECT and t > s.returns_at_s:
+                claimed = claimed + ((t - s.returns_at_s) * s.return_walk_mps + s.return_jump_m) * self.away
+                velocity = velocity + s.return_walk_mps * self.away
             lat, lon, alt = _ORIGIN.geodetic_from_enu(*(float(x) for x in claimed))
             ve, vn, vu = (float(x) for x in velocity)
-            lost = s.lost and v == SUBJECT and t > LOST_AT_S
-            yield GpsReceiver(v, t, 0, 1 if lost else 3, lat, lon, alt, 12, 0.9, s.gps_sigma_m, s.gps_sigma_m, 0.2)
+            lost = s.lost and v == SUBJECT and LOST_AT_S < t <= s.returns_at_s
+            yield GpsReceiver(v, t, 0, 1 if lost else 3, lat, lon, alt, 12, 0.9, s.gps_sigma_m, s.gps_sigma_m, 0.2, t)
             yield GlobalPosition(v, t, t, lat, lon, alt, vn, ve, -vu)
         for i in self.courses:
             for j in self.courses:

@@ -14,10 +14,12 @@ from gcs_coloc.core.words import RouteReport
 
 LAT, LON, ALT = 47.0, 8.0, 500.0
 M_PER_DEGREE_EAST = 76056.0
+M_APART_NORTH = 111.2
+"""How far each vehicle is north of the one before it, m: a thousandth of a degree."""
 
 
 class StraightLine:
-    """An estimator for these tests: every vehicle flies east at 20 m/s through the origin at time 0."""
+    """An estimator for these tests: each vehicle flies east at 20 m/s where its telemetry says, the first through the origin."""
 
     name = "straight line"
 
@@ -40,7 +42,8 @@ class StraightLine:
         if self.unknown is not None:
             return Unknown(vehicle, at_s, self.unknown)
         covariance = np.diag([self.sigma_m**2, 1.0, self.sigma_v_m**2, 0.25, 0.16, 0.04])
-        return Estimate(vehicle, at_s, np.array([20.0 * at_s, 0.0, 30.0]), np.array([20.0, 0.0, 1.0]), covariance, 1.5, 3)
+        place = np.array([20.0 * at_s, (vehicle - 1) * M_APART_NORTH, 30.0])
+        return Estimate(vehicle, at_s, place, np.array([20.0, 0.0, 1.0]), covariance, 1.5, 3)
 
     def take_residuals(self) -> list:
         return []

@@ -117,6 +117,9 @@ class Engine:
             self._housekeeping_due_s = self.aiding.grid.after(now_s, _HOUSEKEEPING_S)
             self.reviewed_at_s = now_s
             self.integrity.review(now_s, self.fleet, self.feed.frame, self.estimator.estimate)
+            for sysid in self.integrity.returning.misplaced:
+                self._locate_anew(sysid, now_s)
+                self._say(now_s, sysid, "warning", "its GPS is back and fits the ranges, our position did not: located anew")
             for vehicle in self.fleet:
                 self._review(vehicle, now_s)
                 self._ask_time(vehicle, now_s)
@@ -161,7 +164,8 @@ class Engine:
 
     def refused(self) -> dict[str, int]:
         """How often what was refused, by reason, since the start."""
-        return dict(self._refused + self._telemetry.refused + self.feed.refused + self.aiding.refused)
+        found_wrong = self.integrity.returning.refused
+        return dict(self._refused + self._telemetry.refused + self.feed.refused + self.aiding.refused + found_wrong)
 
     def view(self, now_s: float) -> FleetView:
         """The fleet as it stands, for observers."""
@@ -254,8 +258,11 @@ class Engine:
         self.estimator.set_subjects(subjects, now_s)
         if vehicle.health.contradiction is not None and vehicle.sysid in subjects:
             # What it said of late is in its state: it must start anew, from the ranges alone.
-            self.estimator.set_subjects(subjects - {vehicle.sysid}, now_s)
-            self.estimator.set_subjects(subjects, now_s)
+            self._locate_anew(vehicle.sysid, now_s)
+
+    def _locate_anew(self, sysid: int, now_s: float) -> None:
+        self.estimator.set_subjects(self._subjects - {sysid}, now_s)
+        self.estimator.set_subjects(self._subjects, now_s)
 
     def _look_for_twins(self, vehicle: Vehicle, now_s: float) -> None:
         doubled = _DOUBLED if vehicle.clock.twins.seen(now_s) else None

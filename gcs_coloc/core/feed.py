@@ -31,6 +31,9 @@ from gcs_coloc.core.timing import SenderClock
 _AIRSPEED_FRESH_S = 1.0
 _RANGE_CLOCKS_PER_VEHICLE = 16
 _RANGE_ERROR_GAIN = 0.1
+_FIX_AGE_S, _FIX_AGE_SIGMA_S = 0.1, 0.1  # when an autopilot stamps it; 0.11 s on ArduPlane
+_FIX_UNDER_WAY_S, _FIX_UNDER_WAY_SIGMA_S = 0.25, 0.25  # age and link together, where there is no stamp
+_LONGEST_FIX_AGE_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +92,29 @@ class Feed:
             sigma_h_m=hypot(sigma_h_m, hypot(message.vn_mps, message.ve_mps) * measured.sigma_s),
             sigma_v_m=hypot(sigma_v_m, message.vd_mps * measured.sigma_s),
             velocity_enu_mps=frame.enu_from_ned_velocity(message.lat_deg, message.lon_deg, ned),
+            sigma_velocity_mps=sigma_velocity_mps,
+            time_sigma_s=measured.sigma_s,
+        )
+
+    def receiver_fix(self, message: GpsReceiver, vehicle: Vehicle) -> PositionMeasurement | None:
+        """Where a vehicle's own receiver says that it is, whether it is to be believed or not; None without a 3D fix or a frame.
+
+        The velocity is the autopilot's. What the unknown age of the fix means at that speed is in `sigma_h_m`.
+        """
+        if self.frame is None or message.fix_type < 3:
+            return None
+        measured = self._fix_time(message, vehicle)
+        at = vehicle.position
+        ned = (at.vn_mps, at.ve_mps, at.vd_mps) if at is not None else (0.0, 0.0, 0.0)
+        sigma_h_m, sigma_v_m, sigma_velocity_mps = self._accuracy(message)
+        return PositionMeasurement(
+            vehicle=message.sysid,
+            measured_at_s=measured.at_s,
+            arrived_at_s=message.received_at_s,
+            position_enu_m=self.frame.enu_from_geodetic(message.lat_deg, message.lon_deg, message.alt_msl_m),
+            sigma_h_m=hypot(sigma_h_m, hypot(ned[0], ned[1]) * measured.sigma_s),
+            sigma_v_m=hypot(sigma_v_m, ned[2] * measured.sigma_s),
+            velocity_enu_mps=self.frame.enu_from_ned_velocity(message.lat_deg, message.lon_deg, ned),
             sigma_velocity_mps=sigma_velocity_mps,
             time_sigma_s=measured.sigma_s,
         )
@@ -186,6 +212,15 @@ class Feed:
             return None
         measured = vehicle.clock.to_service(message.boot_s, message.received_at_s, self.time_settings)
         return self._fresh(measured, message.received_at_s, what)
+
+    def _fix_time(self, message: GpsReceiver, vehicle: Vehicle) -> ServiceTime:
+        now_s = message.received_at_s
+        if message.fixed_boot_s is not None and vehicle.clock.stamps.known:
+            stamped = vehicle.clock.to_service(message.fixed_boot_s, now_s, self.time_settings)
+            # Some autopilots and simulators put another clock's time there.
+            if 0.0 <= now_s + 3.0 * stamped.sigma_s - stamped.at_s <= _LONGEST_FIX_AGE_S:
+                return ServiceTime(stamped.at_s - _FIX_AGE_S, hypot(stamped.sigma_s, _FIX_AGE_SIGMA_S))
+        return ServiceTime(now_s - _FIX_UNDER_WAY_S, _FIX_UNDER_WAY_SIGMA_S)
 
     def _range_time(self, message: PeerRange, vehicle: Vehicle) -> ServiceTime | None:
         if message.measured_at_s is None:

@@ -8,7 +8,7 @@ from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.bound import horizontal_bound_95_m
 from gcs_coloc.core.measurements import Estimate, Unknown
 
-_MOST_MISFIT = 3.0  # 0.45 where the covariance is true, below 0.9 in all simulated flights; here half are beyond 1.7 sigma
+MOST_MISFIT = 3.0  # 0.45 where the covariance is true, below 0.9 in all simulated flights; here half are beyond 1.7 sigma
 
 
 class FixPolicy:
@@ -44,7 +44,7 @@ class FixPolicy:
         if own_gps or answer.ranges_in_use > 0:
             self._ranged_at_s = now_s
         fault = self._fault(answer, now_s)
-        if fault is None and not own_gps and range_misfit is not None and range_misfit > _MOST_MISFIT:
+        if fault is None and not own_gps and range_misfit is not None and range_misfit > MOST_MISFIT:
             fault = f"half of its ranges are {sqrt(range_misfit):.1f} sigma or more off where it is held to be"
         if fault is None and not own_gps and range_jump_m is not None:
             fault = f"all of its ranges jumped by {range_jump_m:.0f} m"

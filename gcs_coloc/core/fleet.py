@@ -33,8 +33,8 @@ class Vehicle:
     north). `delay_s` is how much longer its newest position was on the way (beyond what is assumed, where TIMESYNC is not
     answered). `winged` says that it flies along its nose and turns by banking. `utc_minus_service_s` is UTC as it last told it.
     `fix_sent` is the last fix that it was sent by us, `height_told_at_s` when it last told its height, `height_datum_sigma_m` how
-    uncertain that is beyond its barometer, where it began with a fix of ours. `range_repeats` knows which of its ranges are
-    stuck.
+    uncertain that is beyond its barometer, where it began with a fix of ours. `receiver_fix` is what its receiver says while
+    that is not believed. `range_repeats` knows which of its ranges are stuck.
     """
 
     sysid: int
@@ -54,6 +54,7 @@ class Vehicle:
     range_jump_m: float | None = None
     last_known_enu_m: tuple[float, float] | None = None
     claim: PositionMeasurement | None = None
+    receiver_fix: PositionMeasurement | None = None
     utc_minus_service_s: float | None = None
     fix_sent: FixSent | None = None
     height_told_at_s: float | None = None

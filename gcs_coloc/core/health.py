@@ -66,7 +66,8 @@ class GpsHealth:
     """The state machine of one vehicle. Fed by `take`, `motion`, `own_fix`, `contradiction`, `word`, `aided`; moved by `update`.
 
     `own_receiver` is the instance of the receiver that is really its own. `captive`: its autopilot may fly on what we send
-    though its own receiver is good, so that what it claims is an echo. `doubled` says in words that two autopilots speak under
+    though its own receiver is good, so that what it claims is an echo. `return_doubted`: its receiver is back, but contradicted
+    at the moment; `return_untested`: there is nothing to hold it against. `doubled` says in words that two autopilots speak under
     its system id, so that nothing that is said of one vehicle is said of one.
     """
 
@@ -81,6 +82,8 @@ class GpsHealth:
     motion: MotionCheck = field(default_factory=MotionCheck)
     own_fix: ReceiverCheck = field(default_factory=ReceiverCheck)
     contradiction: Contradiction | None = None
+    return_doubted: bool = False
+    return_untested: bool = False
     doubled: str | None = None
     _good_since_s: float | None = field(default=None)
     _receiver: GpsReceiver | None = field(default=None)
@@ -137,10 +140,12 @@ class GpsHealth:
         receiver = self._receiver
         assert receiver is not None
         fix = f"fix type {receiver.fix_type}" + (f", {receiver.satellites} satellites" if receiver.satellites is not None else "")
-        if self.state is GpsState.FAILED:
-            return self._enter(GpsState.RECOVERING, f"{fix}: back, watched for {self.settings.recover_after_s:g} s", now_s)
-        if self.state is GpsState.RECOVERING and good_for_s < self.settings.recover_after_s:
-            return False
+        if self.state in (GpsState.FAILED, GpsState.RECOVERING):
+            untested = "; nothing to hold it against" if self.return_untested else ""
+            if self.state is GpsState.FAILED or good_for_s < self.settings.recover_after_s or self.return_doubted:
+                back = f"{fix}: back, watched for {self.settings.recover_after_s:g} s"
+                return self._enter(GpsState.RECOVERING, back + untested, now_s)
+            return self._enter(GpsState.HEALTHY, fix + untested, now_s)
         if self.state is GpsState.SUSPECT and good_for_s < self.settings.clear_after_s:
             return False
         return self._enter(GpsState.HEALTHY, fix, now_s)

@@ -7,7 +7,6 @@ believed again only after its real receiver has agreed for a while with where th
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from math import hypot, sqrt
 
@@ -20,6 +19,7 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.health import Contradiction, GpsState
 from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement, RangeMeasurement, Unknown
 from gcs_coloc.core.range_rows import Track
+from gcs_coloc.core.returning import Answer, Returning
 
 _CLAIMS_IN = (GpsState.HEALTHY, GpsState.SUSPECT)
 _PLACED_IN = (GpsState.FAILED, GpsState.RECOVERING)
@@ -31,14 +31,13 @@ _AGREES_FOR_S = 15.0
 _WELL_KNOWN_SHARE = 0.25
 _DOUBT_GREW_S = 5.0  # what moved a position within so long is in its velocity, too
 
-Answer = Callable[[int, float], Estimate | Unknown]
-
 
 class Integrity:
     """One fleet. Feed it claims and ranges, call `review` several times a second; it sets `health.contradiction`."""
 
     def __init__(self, settings: ConsistencySettings | None = None) -> None:
         self.ranges = RangeConsistency(settings)
+        self.returning = Returning(self.ranges.settings)
         self._agrees_since: dict[int, tuple[float, FloatArray]] = {}
 
     def claim(self, claim: PositionMeasurement, vehicle: Vehicle) -> None:
@@ -58,6 +57,7 @@ class Integrity:
     def range(self, measurement: RangeMeasurement) -> None:
         """Take a range between two vehicles."""
         self.ranges.range(measurement)
+        self.returning.range(measurement)
 
     def review(self, now_s: float, fleet: Fleet, frame: LocalFrame | None, answer: Answer) -> None:
         """Place the vehicles without GPS, make the test when it is due, and tell each vehicle's health what came of it."""
@@ -75,8 +75,12 @@ class Integrity:
                 if vehicle.sysid in self.ranges.accused and self._receiver_agrees(vehicle, frame, where, now_s):
                     self.ranges.acquit(vehicle.sysid)
         self.ranges.review(now_s)
+        self.returning.review(now_s, fleet, lambda sysid, at_s: self._doubted(answer(sysid, at_s)))
         for vehicle in fleet:
-            vehicle.health.contradiction = self._contradiction(vehicle.sysid)
+            sysid, health = vehicle.sysid, vehicle.health
+            health.contradiction = self._contradiction(sysid) or self.returning.contradiction(sysid)
+            health.return_doubted = self.returning.doubted(sysid)
+            health.return_untested = self.returning.untested(sysid, now_s)
 
     def doubted(self, where: Estimate) -> Estimate:
         """Return an estimate with what a fault that may be at work has done to it in its covariance."""
@@ -87,6 +91,9 @@ class Integrity:
         covariance[:2, :2] += doubt_m2
         covariance[3:5, 3:5] += doubt_m2 / _DOUBT_GREW_S**2
         return replace(where, covariance=covariance)
+
+    def _doubted(self, where: Estimate | Unknown) -> Estimate | Unknown:
+        return self.doubted(where) if isinstance(where, Estimate) else where
 
     def _contradiction(self, sysid: int) -> Contradiction | None:
         accusation = self.ranges.accused.get(sysid)

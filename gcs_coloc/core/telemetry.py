@@ -127,6 +127,7 @@ class Telemetry:
         if message.receiver == vehicle.health.own_receiver:
             vehicle.receiver = message
             vehicle.health.own_fix.take(message, vehicle.position)
+            vehicle.receiver_fix = None if vehicle.health.trusted else self._feed.receiver_fix(message, vehicle)
         elif message.receiver == self._aiding.settings.gps_id:
             self._aiding.fed(message)
         return self._evidence(message, vehicle)

@@ -115,3 +115,32 @@ def test_a_subject_walked_off_is_found_by_the_ranges_and_not_believed_again_whil
     assert out.first(SUBJECT, "healthy", after_s=failed_s) == float("inf")
     assert not out.distrusted(FROM_S) & {PEER, *OTHERS}
     assert out.worst_ratio(SUBJECT, failed_s) < HONEST
+
+
+def elsewhere(vehicle: int) -> list[dict[str, object]]:
+    """A receiver that is lost for 20 s and comes back at 40 s, 200 m off."""
+    lost = fault("gps_lost", vehicle, 20.0, until_s=40.0)
+    return [lost, fault("gps_spoofed", vehicle, 40.0, speed_mps=0.0, offset_m=200.0)]
+
+
+@pytest.mark.parametrize("primary", [0, 1])
+def test_a_receiver_that_comes_back_elsewhere_is_not_believed_and_gps_primary_decides_whether_the_aircraft_is_saved(primary):
+    out = fly_through(*elsewhere(SUBJECT), duration_s=70.0, params={"GPS_PRIMARY": primary})
+    assert out.first(SUBJECT, "failed", after_s=40.0) < 43.0
+    assert out.first(SUBJECT, "healthy", after_s=40.0) == float("inf")
+    assert "its GPS is back but" in [c.reason for c in out.flight.changes if c.sysid == SUBJECT][-1]
+    assert out.distrusted(0.0) == {SUBJECT}
+    assert out.share_located(SUBJECT, 41.0) > 0.98
+    assert out.worst_stated_m(SUBJECT, 40.0) < SOUND_M
+    assert out.worst_ratio(SUBJECT, 40.0) < HONEST
+    believed_m = out.worst_belief_m(SUBJECT, 45.0)
+    assert believed_m < 1.5 * SOUND_M if primary else believed_m > 150.0
+
+
+def test_two_that_come_back_off_by_the_same_are_neither_believed():
+    out = fly_through(*elsewhere(4), *elsewhere(5), duration_s=70.0, scenario="two-failed")
+    for sysid in (4, 5):
+        assert out.first(sysid, "healthy", after_s=40.0) == float("inf")
+        assert out.share_located(sysid, 41.0) > 0.95
+        assert out.worst_ratio(sysid, 40.0) < HONEST
+    assert out.distrusted(0.0) == {4, 5}

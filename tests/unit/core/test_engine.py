@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from engine_flights import ALT, LAT, LON, StraightLine, aids, fly, settings, telemetry
+from engine_flights import ALT, LAT, LON, M_APART_NORTH, StraightLine, aids, fly, settings, telemetry
 
 from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
@@ -80,7 +80,7 @@ def test_position_and_velocity_are_those_of_two_tenths_ago_in_the_wires_units():
     assert frame is not None
     assert (4, pytest.approx(sent_at_s - 0.2)) in estimator.asked
     e, n, u = frame.enu_from_geodetic(aid.lat_deg, aid.lon_deg, aid.alt_msl_m)
-    assert (e, n, u) == pytest.approx((20.0 * (sent_at_s - 0.2), 0.0, 30.0), abs=1e-3)
+    assert (e, n, u) == pytest.approx((20.0 * (sent_at_s - 0.2), 3.0 * M_APART_NORTH, 30.0), abs=1e-3)
     assert (aid.vn_mps, aid.ve_mps, aid.vd_mps) == pytest.approx((0.0, 20.0, -1.0), abs=1e-3)
     assert (aid.fix_type, aid.gps_id, aid.satellites) == (3, 1, 7)
     assert (aid.horiz_accuracy_m, aid.vert_accuracy_m, aid.speed_accuracy_mps) == pytest.approx((2.0, 3.0, 0.5))
