@@ -20,6 +20,7 @@ def fleet_frame(view: FleetView, truths: Iterable[HeardTruth] = (), playback: Pl
     places = _true_places(view, truths)
     return FleetFrame(
         at_s=view.at_s,
+        utc_minus_service_s=view.utc_minus_service_s,
         estimator=view.estimator,
         origin=view.origin,
         vehicles=tuple(_vehicle(v, places.get(v.sysid)) for v in view.vehicles),

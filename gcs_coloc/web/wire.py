@@ -94,6 +94,7 @@ class FleetFrame:
     """The fleet at one instant; sent at most five times a second, only the latest. `playback` is of a replay alone."""
 
     at_s: float
+    utc_minus_service_s: float | None
     estimator: str
     origin: tuple[float, float, float] | None
     vehicles: tuple[VehicleFrame, ...]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import socket
 from collections.abc import Iterator
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from flight import Watched, browser, flying, free_port, service, wait_for
-from playwright.sync_api import Browser, expect
+from playwright.sync_api import Browser, WebSocketRoute, expect
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vehicles import Hover
 
@@ -270,6 +271,33 @@ def test_the_truth_of_a_simulation_is_a_mark_of_its_own(watched, scene):
     at, estimate = mark.bounding_box(), page.get_by_role("button", name="Vehicle 1, good: our estimate").bounding_box()
     assert (at["x"], at["y"]) == pytest.approx((estimate["x"], estimate["y"]), abs=10.0)
     expect(mark).to_have_count(0)  # what is no longer told is no longer shown
+
+
+def test_times_are_told_as_soon_as_the_service_knows_what_time_it_is(scene):
+    """What a page shows that found a service in its first second again: events first, and the time of day later."""
+    knows_the_time = False
+    page = scene.chromium.new_page()
+
+    def between(browser_side: WebSocketRoute) -> None:
+        def pass_on(text: str) -> None:
+            message = json.loads(text)
+            if not knows_the_time and "utc_minus_service_s" in message:
+                text = json.dumps(message | {"utc_minus_service_s": None})
+            browser_side.send(text)
+
+        browser_side.connect_to_server().on_message(pass_on)
+
+    page.route_web_socket(re.compile("/live$"), between)
+    page.goto(scene.url)
+    scene.failed.add(4)
+    when = page.locator("#alarms li").filter(has_text="vehicle 4: GPS suspect\u00a0→\u00a0failed").locator(".when")
+    line = page.locator("#log li").filter(has_text="vehicle 4: GPS suspect\u00a0→\u00a0failed").first
+    expect(when).to_have_text(re.compile(r"^\d+\.\d s"))
+    expect(line).to_have_text(re.compile(r"^\d+\.\d s vehicle 4"))
+    knows_the_time = True
+    expect(when).to_have_text(re.compile(r"^\d\d:\d\d:\d\d"))
+    expect(line).to_have_text(re.compile(r"^\d\d:\d\d:\d\d vehicle 4"))
+    page.close()
 
 
 def test_a_restarted_service_is_found_again_and_its_absence_is_said(scene, tmp_path):

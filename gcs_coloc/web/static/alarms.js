@@ -8,6 +8,7 @@ export class Alarms {
   constructor(timeText) {
     this.timeText = timeText;
     this.alarms = new Map();
+    this.lines = [];
     this.newest = 0;
     byId("acknowledge-all").addEventListener("click", () => this.acknowledge([...this.alarms.keys()]));
   }
@@ -22,7 +23,14 @@ export class Alarms {
 
   clear() {
     this.acknowledge([...this.alarms.keys()]);
+    this.lines = [];
     byId("log").replaceChildren();
+  }
+
+  // What time it was is known only now, or is another than it was taken for.
+  tellTimes() {
+    this.alarms.forEach((alarm) => this.tellWhen(alarm));
+    this.lines.forEach((line) => this.tellLine(line));
   }
 
   take({ events, missed }) {
@@ -31,7 +39,7 @@ export class Alarms {
       if (event.id <= this.newest) continue;
       this.newest = event.id;
       const text = `${event.sysid === null ? "" : `vehicle ${event.sysid}: `}${prose(event.text)}`;
-      this.log(`${this.timeText(event.at_s)} ${text}`, event.level);
+      this.log(text, event.level, event.at_s);
       if (event.alarm && event.id > this.done) this.raise(event, text);
     }
     this.count();
@@ -42,8 +50,13 @@ export class Alarms {
     const alarm = this.alarms.get(key) ?? this.make(key, event);
     alarm.times += 1;
     setText(alarm.text, text);
-    setText(alarm.when, this.timeText(event.at_s) + (alarm.times > 1 ? `, ${alarm.times} times` : ""));
+    alarm.at = event.at_s;
+    this.tellWhen(alarm);
     alarm.button.setAttribute("aria-label", `Acknowledge ${text}`);
+  }
+
+  tellWhen({ when, at, times }) {
+    setText(when, this.timeText(at) + (times > 1 ? `, ${times} times` : ""));
   }
 
   make(key, event) {
@@ -80,9 +93,15 @@ export class Alarms {
     document.title = n ? `(${n}) gcs-coloc` : "gcs-coloc";
   }
 
-  log(text, level) {
-    const log = byId("log");
-    log.prepend(el("li", { class: level }, text));
-    while (log.children.length > LOG_LINES) log.lastChild.remove();
+  log(text, level, at = null) {
+    const line = { text, at, node: el("li", { class: level }) };
+    this.tellLine(line);
+    this.lines.push(line);
+    byId("log").prepend(line.node);
+    while (this.lines.length > LOG_LINES) this.lines.shift().node.remove();
+  }
+
+  tellLine({ node, text, at }) {
+    setText(node, at === null ? text : `${this.timeText(at)} ${text}`);
   }
 }

@@ -11,6 +11,7 @@ import { Plots } from "./plots.js";
 
 const OLD_AFTER_S = 1.5;
 const SAMPLE_EVERY_S = 1;
+const SAME_TIME_S = 0.5;
 
 const now = () => performance.now() / 1000;
 let offset = null;
@@ -41,6 +42,14 @@ function draw() {
   // While pictures arrive the ages in them are the truth; once they stop, the ages grow with the time since.
   const old = now() - frameAt;
   fleet.show(frame, counts?.links ?? [], old < OLD_AFTER_S ? 0 : old);
+}
+
+// A service that has just begun may not know the time yet, and a computer without a clock of its own is told it in flight.
+function tellTime(told) {
+  if (told === null || (offset !== null && Math.abs(told - offset) < SAME_TIME_S)) return;
+  offset = told;
+  alarms.tellTimes();
+  plots.tellTime(offset);
 }
 
 function hello(message) {
@@ -74,6 +83,7 @@ function summary({ vehicles, estimator }) {
 function picture(message) {
   frame = message;
   frameAt = now();
+  tellTime(frame.utc_minus_service_s);
   draw();
   playback.show(frame.playback);
   map.show(frame);

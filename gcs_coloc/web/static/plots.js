@@ -27,6 +27,11 @@ export class Plots {
     this.sysids = [];
   }
 
+  tellTime(offset) {
+    this.offset = offset;
+    this.build();
+  }
+
   restore(history) {
     for (const one of history) {
       one.at_s.forEach((t, i) => {
