@@ -65,7 +65,8 @@ class Recorder:
         except OSError as error:
             raise self._not_writable(error.strerror) from None
         if not os.access(directory, os.W_OK | os.X_OK):
-            raise self._not_writable(os.strerror(errno.EACCES))
+            is_read_only = os.statvfs(directory).f_flag & os.ST_RDONLY
+            raise self._not_writable(os.strerror(errno.EROFS if is_read_only else errno.EACCES))
         self._part: Part | None = None
         self._thread: threading.Thread | None = None
 

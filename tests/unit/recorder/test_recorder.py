@@ -7,6 +7,7 @@ import re
 import struct
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -130,3 +131,12 @@ def test_a_directory_that_is_none_is_an_error_that_names_it(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordError, match=r"--record .*file: cannot be written to"):
         Recorder(tmp_path / "file", 10**6, *OWN)
+
+
+def test_a_disk_that_is_mounted_read_only_is_called_so():
+    mounts = [line.split() for line in Path("/proc/mounts").read_text().splitlines()]
+    read_only = [Path(where) for _, where, _, options, *_ in mounts if "ro" in options.split(",") and Path(where).is_dir()]
+    if not read_only:
+        pytest.skip("nothing is mounted read-only here")
+    with pytest.raises(RecordError, match="cannot be written to: Read-only file system"):
+        Recorder(read_only[0], 10**6, *OWN)
