@@ -44,6 +44,11 @@ class Clusters:
         """Return a vehicle's cluster, None if it is in none."""
         return self._of.get(vehicle)
 
+    def common(self, a: int, b: int) -> Cluster | None:
+        """Return the cluster that holds both vehicles, None if none does."""
+        cluster = self._of.get(a)
+        return cluster if cluster is self._of.get(b) else None
+
     def together_with(self, vehicle: int) -> list[int]:
         """Return the vehicles in a vehicle's cluster, itself included."""
         cluster = self._of[vehicle]

@@ -147,17 +147,14 @@ class FleetModel:
         for subject, other, record in subjects:
             record.remember_range(m)
             record.heard[other] = m.measured_at_s
-            if not is_wanted(self.clusters, self.records, subject, m, self.settings):
+            if not is_wanted(self.clusters, self.records, subject, other, m.measured_at_s, self.settings):
                 return _NOT_WANTED
-        for vehicle in ends:
-            if vehicle in self.clusters:
-                continue
-            if self.records[vehicle].subject:
-                begun = begin_from_ranges(self.clusters, self.records, vehicle, m.measured_at_s, self.settings)
-                return Verdict("used for a start" if begun else "kept: waiting for a start")
-            if not self._activate(vehicle, m.measured_at_s):
-                return Verdict("refused: peer without a position")
-        cluster = self.clusters.merge(*ends)
+        cluster = self.clusters.common(*ends)
+        if cluster is None:
+            waiting = self._locate(ends, m.measured_at_s)
+            if waiting is not None:
+                return waiting
+            cluster = self.clusters.merge(*ends)
         pair = pair_key(*ends, m.device_id)
         sigma_m, _ = without_time_error(m)
         white = self.pairs[pair] = self.pairs.get(pair, NOTHING_HEARD).heard(m.measured_at_s, ((m.range_m,),), (sigma_m,))
@@ -168,6 +165,18 @@ class FleetModel:
         for subject, other, _ in subjects:
             account(cluster, subject, other, verdict, m)
         return verdict
+
+    def _locate(self, ends: tuple[int, int], at_s: float) -> Verdict | None:
+        """Begin the states of those ends of a range that have none; what the range came to where that is not possible."""
+        for vehicle in ends:
+            if vehicle in self.clusters:
+                continue
+            if self.records[vehicle].subject:
+                begun = begin_from_ranges(self.clusters, self.records, vehicle, at_s, self.settings)
+                return Verdict("used for a start" if begun else "kept: waiting for a start")
+            if not self._activate(vehicle, at_s):
+                return Verdict("refused: peer without a position")
+        return None
 
     def _activate(self, vehicle: int, at_s: float) -> bool:
         return begin_from_reports(self.clusters, self.records, vehicle, at_s, self.settings)

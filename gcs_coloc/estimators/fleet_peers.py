@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, RangeMeasurement
+from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray
 from gcs_coloc.estimators.fleet_clusters import Clusters
 from gcs_coloc.estimators.fleet_settings import FleetSettings
 from gcs_coloc.estimators.fleet_vehicle import Records
@@ -15,11 +15,12 @@ _SHARED_BONUS = 1.5
 _PRIOR_INFORMATION = 1e-3
 
 
-def is_wanted(clusters: Clusters, records: Records, subject: int, m: RangeMeasurement, s: FleetSettings) -> bool:
-    """Whether the other end of a subject's range is among the at most K neighbours that it uses; chooses anew every 2 s."""
-    record = records.writable(subject)
-    other = m.to_vehicle if m.from_vehicle == subject else m.from_vehicle
-    at_s = m.measured_at_s
+def is_wanted(clusters: Clusters, records: Records, subject: int, other: int, at_s: float, s: FleetSettings) -> bool:
+    """Whether another vehicle is among the at most K neighbours that a subject uses; chooses anew every 2 s.
+
+    The subject's record is changed: it is to be the model's own.
+    """
+    record = records[subject]
     if other not in record.chosen and len(record.heard) <= s.peers_per_subject:
         record.chosen = frozenset(record.heard)
     if at_s - record.chosen_at_s >= _CHOICE_HOLDS_S:
