@@ -19,7 +19,7 @@ class AidSettings:
     `gps_id`: zero-based receiver instance that the vehicle has set to MAVLink (1 is GPS2).
     `alert_limit_m`: no fix is claimed while the 95 % horizontal bound is beyond this.
     `regain_after_s`: a fix that was lost comes back only after the bound has been within the limit for so long.
-    `prediction_s`: no fix is claimed where no range has been in use for longer than this.
+    `prediction_s`: no fix is claimed where no range has been in use, or none that fix the place, for longer than this.
     `hand_back_s`: the stream goes on for so long after the vehicle's own GPS is healthy again.
     `standby`: healthy vehicles are streamed their own estimate.
     `switch_primary`: "auto" sets GPS_PRIMARY to our receiver on an aided vehicle whose own one lies; "off" only on command.

@@ -86,6 +86,7 @@ class AidStream:
             where,
             now_s,
             own_gps=vehicle.health.trusted,
+            air_data=vehicle.has_air_data(now_s),
             range_misfit=vehicle.range_misfit,
             range_jump_m=vehicle.range_jump_m,
         )

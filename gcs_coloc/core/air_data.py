@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from math import exp, sqrt
 
+LEAST_AIRSPEED_MPS = 5.0
+"""Below it an airspeed sensor and a coordinated turn mean nothing."""
+
 _SEA_LEVEL_K = 288.15
 _LAPSE_K_PER_M = 0.0065
 _DENSITY_EXPONENT = 4.2559

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from gcs_coloc.core.air_data import LEAST_AIRSPEED_MPS
 from gcs_coloc.core.clocks import VehicleClock
 from gcs_coloc.core.health import GpsHealth, HealthSettings
 from gcs_coloc.core.measurements import PositionMeasurement
@@ -14,6 +15,9 @@ from gcs_coloc.core.repeated_range import RangeRepeats
 from gcs_coloc.core.timing import SenderClock
 
 NO_HEARTBEAT_YET = "no heartbeat of an autopilot heard yet"
+
+
+_AIR_DATA_FRESH_S = 2.0
 
 
 class FixSent(NamedTuple):
@@ -62,6 +66,13 @@ class Vehicle:
     clock: VehicleClock = field(default_factory=VehicleClock)
     range_clocks: dict[tuple[TimeBase, int], SenderClock] = field(default_factory=dict)
     range_repeats: RangeRepeats = field(default_factory=RangeRepeats)
+
+    def has_air_data(self, now_s: float) -> bool:
+        """Whether it tells by airspeed and bank how it moves through the air: on wings, fast enough for them, and lately."""
+        air, attitude = self.airspeed, self.attitude
+        if not self.winged or air is None or attitude is None or air.airspeed_mps < LEAST_AIRSPEED_MPS:
+            return False
+        return now_s - min(air.received_at_s, attitude.received_at_s) <= _AIR_DATA_FRESH_S
 
 
 class Fleet:

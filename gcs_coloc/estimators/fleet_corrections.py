@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gcs_coloc.core.air_data import LEAST_AIRSPEED_MPS
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
@@ -35,7 +36,6 @@ from gcs_coloc.estimators.fleet_noise import without_time_error
 from gcs_coloc.estimators.fleet_settings import FleetSettings
 from gcs_coloc.estimators.fleet_vehicle import OwnMeasurement, VehicleRecord
 
-_LEAST_AIRSPEED_MPS = 5.0  # below it an airspeed sensor and a coordinated turn mean nothing
 _REPORT_VELOCITY_TIME_S = 1.0
 _HARDEST_MPS2 = 20.0
 _WELL_KNOWN_SHARE = 0.25
@@ -190,7 +190,7 @@ def take_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, slow
 def take_attitude(cluster: Cluster, m: AttitudeMeasurement) -> Verdict:
     """Turn with the bank angle from now on, and correct with the air velocity: ground velocity less wind."""
     s, record, joint = cluster.settings, cluster.records[m.vehicle], cluster.joint
-    if m.airspeed_mps is None or m.airspeed_mps < _LEAST_AIRSPEED_MPS or abs(m.roll_rad) > STEEPEST_BANK_RAD:
+    if m.airspeed_mps is None or m.airspeed_mps < LEAST_AIRSPEED_MPS or abs(m.roll_rad) > STEEPEST_BANK_RAD:
         record.attitude = None
         return Verdict("no airspeed beside the attitude")
     cluster.bring(m.vehicle, m.measured_at_s)

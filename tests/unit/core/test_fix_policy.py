@@ -10,9 +10,9 @@ from gcs_coloc.core.fix_policy import FixPolicy
 from gcs_coloc.core.measurements import Estimate, Unknown
 
 
-def known(at_s: float, sigma_m: float = 2.0, ranges: int = 3) -> Estimate:
+def known(at_s: float, sigma_m: float = 2.0, ranges: int = 3, hdop: float | None = 1.0) -> Estimate:
     covariance = np.diag([sigma_m**2, 1.0, 9.0, 0.25, 0.25, 0.25])
-    return Estimate(4, at_s, np.zeros(3), np.zeros(3), covariance, 1.0, ranges)
+    return Estimate(4, at_s, np.zeros(3), np.zeros(3), covariance, hdop, ranges)
 
 
 def unknown(at_s: float) -> Unknown:
@@ -84,3 +84,30 @@ def test_no_fix_is_claimed_from_the_jump_of_all_ranges_until_the_position_has_be
     assert policy.why_no_fix(known(0.2), 0.2, own_gps=False) == "good enough again, watched for 3 s"
     assert policy.why_no_fix(known(3.3), 3.3, own_gps=False) is None
     assert policy.why_no_fix(known(3.4), 3.4, own_gps=True, range_jump_m=19.6) is None
+
+
+@pytest.mark.parametrize("answer", [known(0.0, ranges=1, hdop=None), known(0.0, hdop=46.0), known(0.0, hdop=float("inf"))])
+def test_ranges_to_one_peer_or_along_one_line_are_a_fix_for_ten_seconds_where_nothing_tells_how_the_vehicle_moves(answer):
+    policy = FixPolicy(AidSettings(), 0.0)
+    words = asked(policy, [answer] * 150, 0.0)
+    assert [word is None for word in words].count(True) == 101
+    assert words[-1] == "its ranges, to one peer or along one line, have not fixed its place for 10 s"
+    assert asked(policy, [known(15.0)] * 40, 15.0).count(None) == 10  # watched for 3 s first
+
+
+@pytest.mark.parametrize("tells", [{"air_data": True}, {"own_gps": True}])
+def test_ranges_to_one_peer_do_for_as_long_as_the_bound_says_where_the_vehicle_tells_how_it_moves(tells):
+    policy = FixPolicy(AidSettings(), 0.0)
+    words = [policy.why_no_fix(known(0.0, ranges=1, hdop=None), i / 10, **{"own_gps": False, **tells}) for i in range(600)]
+    assert set(words) == {None}
+
+
+def test_an_estimator_that_tells_no_dilution_is_believed_with_two_ranges():
+    assert set(asked(FixPolicy(AidSettings(), 0.0), [known(0.0, ranges=2, hdop=None)] * 200, 0.0)) == {None}
+
+
+@pytest.mark.parametrize(("determined_of_ten", "is_fix"), [(1, False), (4, True)])
+def test_a_moment_in_which_ranges_seem_to_fix_the_place_does_not_make_it_known(determined_of_ten, is_fix):
+    policy = FixPolicy(AidSettings(), 0.0)
+    words = asked(policy, [known(0.0, hdop=20.0 if i % 10 < determined_of_ten else 200.0) for i in range(600)], 0.0)
+    assert set(words[300:]) == {None} if is_fix else None not in words[300:]
