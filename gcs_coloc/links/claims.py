@@ -55,6 +55,7 @@ class Claims:
 def _told(pinned: Route, claimed: Route, times: int) -> str:
     return (
         f"another sender claims to be it and is refused ({times} times): {claimed}; it is heard at {pinned}. Give every vehicle "
-        "its own system id (SYSID_THISMAV or MAV_SYSID); a companion of its own needs "
+        "its own system id (SYSID_THISMAV or MAV_SYSID); one with two radios is used over the first of them until that is "
+        "silent; a companion of its own needs "
         "senders.companions_elsewhere; otherwise, somebody is pretending"
     )
