@@ -1,5 +1,21 @@
-"""`python -m sitl_fakes`: the same as `sitl-fakes`."""
+"""`sitl-fakes` and `python -m sitl_fakes`."""
 
-from sitl_fakes.cli import main
+from __future__ import annotations
 
-main()
+import signal
+
+
+def main() -> None:
+    """Entry point. Ctrl-C while Python still reads the packages ends it at once, and without a traceback."""
+    is_heeded = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if is_heeded:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from sitl_fakes import cli
+
+    if is_heeded:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    cli.main()
+
+
+if __name__ == "__main__":
+    main()

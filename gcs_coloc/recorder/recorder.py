@@ -158,8 +158,10 @@ class Recorder:
             self._write(self._part, items)
 
     def _write(self, part: Part, items: list[_Item]) -> None:
+        size_before = part.size
         try:
             part = self._turned_over(part)
+            size_before = part.size
             records = self._head(items[0]) if part.size == 0 else bytearray()
             entries: list[Entry] = []
             for item in items:
@@ -174,7 +176,10 @@ class Recorder:
                     entries.append(item)
             part.write(bytes(records), entries)
         except OSError as error:
-            self._fail(error, len(items))
+            is_cut = part.size > size_before  # one of its two files took them, and the other did not
+            if not is_cut:
+                self._items.extendleft(reversed(items))
+            self._fail(error, len(items) if is_cut else 0)
 
     def _note_record(self, note: Note) -> bytes:
         try:

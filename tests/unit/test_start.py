@@ -55,15 +55,24 @@ class Interrupts:
             os.kill(os.getpid(), signal.SIGINT)
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.meta_path.insert(0, Interrupts())
-sys.argv = ["gcs-coloc", "--udp", "127.0.0.1:1", "--no-web"]
-from gcs_coloc.__main__ import main
+sys.argv = ["program", *{arguments!r}]
+from {package}.__main__ import main
 main()
 """
 
 
-@pytest.mark.parametrize(("imported", "status"), [("typer", -signal.SIGINT), ("rich.logging", -signal.SIGINT), ("numpy", 130)])
-def test_ctrl_c_while_packages_are_imported_ends_it_without_a_traceback(imported, status):
-    done = subprocess.run(
-        [sys.executable, "-c", _INTERRUPTED.format(name=imported)], capture_output=True, text=True, timeout=60, check=False
-    )
+@pytest.mark.parametrize(
+    ("package", "imported", "status"),
+    [
+        ("gcs_coloc", "typer", -signal.SIGINT),
+        ("gcs_coloc", "rich.logging", -signal.SIGINT),
+        ("gcs_coloc", "numpy", 130),
+        ("sitl_fakes", "typer", -signal.SIGINT),
+        ("sitl_fakes", "numpy", -signal.SIGINT),
+    ],
+)
+def test_ctrl_c_while_packages_are_imported_ends_it_without_a_traceback(package, imported, status):
+    arguments = ["--udp", "127.0.0.1:1", "--no-web"] if package == "gcs_coloc" else ["no-scenario.toml"]
+    code = _INTERRUPTED.format(name=imported, package=package, arguments=arguments)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (status, "", "")
