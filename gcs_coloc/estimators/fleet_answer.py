@@ -9,6 +9,7 @@ from gcs_coloc.core.measurements import Estimate, Unknown
 from gcs_coloc.estimators.dop import horizontal_dilution_of
 from gcs_coloc.estimators.fleet_cluster import Cluster
 from gcs_coloc.estimators.fleet_motion import POSITION, SIZE, STAMP_ERROR, VELOCITY
+from gcs_coloc.estimators.fleet_range import unchecked_variance_m2
 
 _IN_USE_S = 2.0
 _STEP_BACK_MOST_S = 2.0
@@ -31,6 +32,9 @@ def answer(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | Unknown:
     position, spread = x[POSITION] - late_s * x[VELOCITY], G @ P @ G.T
     covariance = spread + spread.T
     covariance *= 0.5
+    unchecked_m2 = unchecked_variance_m2(cluster.records[vehicle])
+    covariance[0, 0] += unchecked_m2
+    covariance[1, 1] += unchecked_m2
     worst_m = horizontal_sigma_m(covariance)
     if not worst_m <= cluster.settings.limit_sigma_m:
         return Unknown(

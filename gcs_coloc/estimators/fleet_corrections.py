@@ -53,7 +53,7 @@ _REPORTED[range(3), range(REPORT_ERROR.start, REPORT_ERROR.stop)] = 1.0
 class Verdict(NamedTuple):
     """What became of a measurement: `used` or not and why, with the innovation where there was one to judge.
 
-    `unit`: of a range that was used, its direction.
+    `unit`: of a range that was used or refused by the gate, its direction.
     """
 
     outcome: str

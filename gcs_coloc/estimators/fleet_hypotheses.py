@@ -7,14 +7,24 @@ answer covers both; once they do, the model that foresees better is the one that
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum, auto
 
 import numpy as np
 
 from gcs_coloc.core.bound import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, Measurement, RangeMeasurement, Unknown
+from gcs_coloc.estimators.fleet_cluster import Cluster
 from gcs_coloc.estimators.fleet_corrections import Verdict
-from gcs_coloc.estimators.fleet_mirror import blend, find_mirror, reflect
+from gcs_coloc.estimators.fleet_mirror import (
+    Mirror,
+    away_sigmas,
+    blend,
+    find_mirror,
+    reflect,
+    through_two,
+    told_by_motion,
+)
 from gcs_coloc.estimators.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet_settings import FleetSettings
 
@@ -22,14 +32,51 @@ _LOOK_EVERY_S = 0.25
 _DECIDED = 12.0
 _MOST_NIS = 20.0
 _ONE_AGAIN = 0.5
+_CLEARLY_ASIDE = 1.0
+_MANOEUVRE_S = 3.0
+_MOST_OF_MOTION = 3.0
+
+
+class Sides(Enum):
+    """Where a subject is in a model and in its twin: on opposite sides of a line, on the same one, or one of them near it."""
+
+    APART = auto()
+    SAME = auto()
+    OPEN = auto()
 
 
 @dataclass(slots=True)
 class Twin:
-    """A model in which one subject is at its mirror image; `log_odds` is the logarithm of its odds against the main model."""
+    """A model in which one subject is at its mirror image; `log_odds` is the logarithm of its odds against the main model.
+
+    `apart`: each of the two was clearly on its own side when last looked at.
+    """
 
     model: FleetModel
     log_odds: float = 0.0
+    apart: bool = True
+    _since_s: float = -math.inf
+    _before: float = 0.0
+    _raised: float = 0.0
+
+    def weigh(self, gain: float, at_s: float, *, by_motion: bool) -> None:
+        """Take what a measurement adds to the log odds.
+
+        A manoeuvre that a model does not foresee is in all its innovations until it is noticed. So where only the motion
+        tells the two models apart, `by_motion`, what is heard within three seconds is one, bounded, piece of evidence.
+        """
+        if not by_motion:
+            self.log_odds += gain
+            self._since_s = -math.inf
+            return
+        if at_s - self._since_s > _MANOEUVRE_S:
+            self._since_s, self._before, self._raised = at_s, self.log_odds, 0.0
+        self._raised += gain
+        self.log_odds = self._before + min(max(self._raised, -_MOST_OF_MOTION), _MOST_OF_MOTION)
+
+    def forget(self) -> None:
+        """Begin with even odds again."""
+        self.log_odds, self._since_s = 0.0, -math.inf
 
 
 class FleetHypotheses:
@@ -44,7 +91,7 @@ class FleetHypotheses:
         """Return an independent copy."""
         other = object.__new__(FleetHypotheses)
         other.main = self.main.copy()
-        other.twins = {subject: Twin(twin.model.copy(), twin.log_odds) for subject, twin in self.twins.items()}
+        other.twins = {subject: replace(twin, model=twin.model.copy()) for subject, twin in self.twins.items()}
         other._looked_at_s = dict(self._looked_at_s)
         return other
 
@@ -61,12 +108,15 @@ class FleetHypotheses:
         if not self.twins:
             verdict = self.main.apply(m)
         else:
-            concerned = [twin for twin in self.twins.values() if any(v in twin.model.clusters for v in ends)]
-            for twin in concerned:
+            concerned = [(subject, twin) for subject, twin in self.twins.items() if any(v in twin.model.clusters for v in ends)]
+            for _, twin in concerned:
                 twin.model.learn(self.main, ends)
             verdict = self.main.apply(m)
-            for twin in concerned:
-                twin.log_odds += _evidence(verdict, twin.model.apply(m))
+            for subject, twin in concerned:
+                gain = _evidence(verdict, twin.model.apply(m))
+                cluster = self.main.clusters.get(subject)
+                by_motion = cluster is not None and told_by_motion(cluster, subject, m.measured_at_s)
+                twin.weigh(gain, m.measured_at_s, by_motion=by_motion)
         if isinstance(m, RangeMeasurement):
             for vehicle in ends:
                 is_due = m.measured_at_s - self._looked_at_s.get(vehicle, -math.inf) >= _LOOK_EVERY_S
@@ -82,27 +132,41 @@ class FleetHypotheses:
         if cluster is None:
             self.twins.pop(subject, None)
             return
-        if twin is not None:
-            other = twin.model.clusters.get(subject)
-            if other is None or twin.log_odds < -_DECIDED:
-                del self.twins[subject]
-                return
-            if twin.log_odds > _DECIDED:
-                self.main.take_over(twin.model, subject)
-                del self.twins[subject]
-                return
-            x, P = cluster.predicted(subject, at_s)
-            other_x, other_P = other.predicted(subject, at_s)
-            d, S = (other_x - x)[:6], (P + other_P)[:6, :6]
-            if float(d @ np.linalg.solve(S, d)) < _ONE_AGAIN:
-                del self.twins[subject]
+        if twin is None:
+            mirror = find_mirror(cluster, subject, at_s)
+            if mirror is not None:
+                self._begin(subject, mirror)
             return
-        mirror = find_mirror(cluster, subject, at_s)
-        if mirror is not None:
-            model = FleetModel(self.main.settings)
-            model.take_over(self.main, subject)
-            reflect(model.clusters[subject], subject, mirror)
-            self.twins[subject] = Twin(model)
+        other = twin.model.clusters.get(subject)
+        if other is None:
+            del self.twins[subject]
+            return
+        mirror = through_two(cluster, subject, at_s)
+        sides = Sides.APART if mirror is None else _sides(cluster, other, subject, mirror)
+        if sides is Sides.APART and not twin.apart:
+            # Which side one that was on the line has come to is chance: what told the two apart before told something else.
+            twin.forget()
+        twin.apart = sides is Sides.APART
+        if sides is Sides.SAME or abs(twin.log_odds) > _DECIDED:
+            if twin.log_odds > 0.0:
+                self.main.take_over(twin.model, subject)
+            del self.twins[subject]
+            if mirror is not None and not twin.apart and _is_aside(self.main.clusters[subject], subject, mirror):
+                # Nobody was on its other side, so that nothing has ruled that out.
+                self._begin(subject, mirror)
+            return
+        x, P = cluster.predicted(subject, at_s)
+        other_x, other_P = other.predicted(subject, at_s)
+        d, S = (other_x - x)[:6], (P + other_P)[:6, :6]
+        if float(d @ np.linalg.solve(S, d)) < _ONE_AGAIN:
+            del self.twins[subject]
+
+    def _begin(self, subject: int, mirror: Mirror) -> None:
+        """Begin a twin in which a subject is at its mirror image."""
+        model = FleetModel(self.main.settings)
+        model.take_over(self.main, subject)
+        reflect(model.clusters[subject], subject, mirror)
+        self.twins[subject] = Twin(model)
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
         """Answer from the state as it stands: what covers all that is possible, or that it is ambiguous."""
@@ -124,6 +188,17 @@ class FleetHypotheses:
                 return Unknown(vehicle, at_s, reason)
             where = Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, where.hdop, where.ranges_in_use)
         return where
+
+
+def _sides(cluster: Cluster, other: Cluster, subject: int, mirror: Mirror) -> Sides:
+    away, other_away = away_sigmas(cluster, subject, mirror), away_sigmas(other, subject, mirror)
+    if min(abs(away), abs(other_away)) < _CLEARLY_ASIDE:
+        return Sides.OPEN
+    return Sides.SAME if away * other_away > 0.0 else Sides.APART
+
+
+def _is_aside(cluster: Cluster, subject: int, mirror: Mirror) -> bool:
+    return abs(away_sigmas(cluster, subject, mirror)) >= _CLEARLY_ASIDE
 
 
 def _evidence(main: Verdict, twin: Verdict) -> float:

@@ -20,6 +20,7 @@ _IN_USE_S = 2.0
 _NEAR_SIGMAS = 4.0
 _SPEED_SIGMAS = 2.0
 _HARDEST_TURN_MPS2 = 5.0
+_HARDEST_BESIDE_TWO_MPS2 = 9.8
 _TOLD_APART = 2.0
 _LEAST_SPREAD_SIGMAS = 3.0
 _SAME_PLACE = 1.0
@@ -73,6 +74,44 @@ def find_mirror(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
     return _across(view, normal, axes[:, 1:], float(spreads[1]))
 
 
+def is_aided(cluster: Cluster, subject: int, at_s: float) -> bool:
+    """Whether a subject tells its attitude and airspeed."""
+    attitude = cluster.records[subject].attitude
+    return attitude is not None and at_s - attitude.measured_at_s <= cluster.settings.attitude_fresh_s
+
+
+def told_by_motion(cluster: Cluster, subject: int, at_s: float) -> bool:
+    """Whether only how steadily a subject would fly tells the sides of its mirror apart: two peers are on it, no attitude."""
+    return len(_heard(cluster, subject, at_s)) <= 2 and not is_aided(cluster, subject, at_s)
+
+
+def through_two(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
+    """Return the upright plane through the two peers of a subject that ranges no more, None if it does."""
+    peers = _heard(cluster, subject, at_s)
+    if len(peers) != 2:
+        return None
+    view = _View(cluster, subject, peers, at_s)
+    e, n, _ = np.subtract(view.offsets[0], view.offsets[1]).tolist()
+    length_m = math.hypot(e, n)
+    if length_m < _LEAST_DISTANCE_M:
+        return None
+    normal, along = np.array([-n, e, 0.0]) / length_m, np.array([[e], [n], [0.0]]) / length_m
+    speed_mps = _plane_speed(view, np.array(view.offsets) @ along, np.array(view.offset) @ along, normal)
+    return Mirror(np.array(view.centre), normal, speed_mps)
+
+
+def _heard(cluster: Cluster, subject: int, at_s: float) -> list[int]:
+    """Return the peers with which ranges were heard lately, used or not: one that is refused tells the sides apart best."""
+    return [v for v, t in cluster.records[subject].heard.items() if at_s - t <= _IN_USE_S and v in cluster.joint.where]
+
+
+def away_sigmas(cluster: Cluster, subject: int, mirror: Mirror) -> float:
+    """Return how far a subject is off a plane, in its own sigmas, signed."""
+    n = mirror.normal
+    sigma_m = math.sqrt(float(n @ cluster.joint.covariance(subject)[POSITION, POSITION] @ n))
+    return float((np.array(cluster.place(subject)) - mirror.at_m) @ n) / sigma_m
+
+
 class _View:
     """A subject and its peers at a time: where they are and how well that is known, as far as it costs little.
 
@@ -94,8 +133,7 @@ class _View:
         most_m = _most_m(cluster, self.own) + max(_most_m(cluster, peer) for peer in self.peers)
         self.most_m = max(most_m, _LEAST_BLUR_M)
         record = cluster.records[subject]
-        attitude = record.attitude
-        self.aided = attitude is not None and at_s - attitude.measured_at_s <= cluster.settings.attitude_fresh_s
+        self.aided = is_aided(cluster, subject, at_s)
         self._height_sigma_m = math.inf
         for m in reversed(record.own):
             if at_s - m.measured_at_s > _IN_USE_S:
@@ -173,7 +211,9 @@ def _across(view: _View, normal: FloatArray, within: FloatArray, least_spread_m2
     closing = float(np.dot(view.own.velocity, normal)) - speed_mps
     P = view.cluster.joint.covariance(view.own.vehicle)
     spread_v = math.sqrt(float(normal @ P[VELOCITY, VELOCITY] @ normal))
-    turn = 0.0 if view.aided else math.sqrt(_HARDEST_TURN_MPS2 * blind_m)
+    # Beside two peers nothing but the motion will ever tell, and a hard turn is as hard to see.
+    hardest_mps2 = _HARDEST_BESIDE_TWO_MPS2 if len(view.peers) == 2 else _HARDEST_TURN_MPS2
+    turn = 0.0 if view.aided else math.sqrt(hardest_mps2 * blind_m)
     if abs(closing) > _SPEED_SIGMAS * spread_v + turn:
         return None
     if upwards > _LEVEL and abs(closing) < _SPEED_SIGMAS * spread_v:

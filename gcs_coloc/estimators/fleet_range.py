@@ -14,7 +14,8 @@ from gcs_coloc.estimators.fleet_cluster import Cluster
 from gcs_coloc.estimators.fleet_corrections import USED, Verdict
 from gcs_coloc.estimators.fleet_joint import Key
 from gcs_coloc.estimators.fleet_motion import STAMP_ERROR
-from gcs_coloc.estimators.fleet_vehicle import Neighbour
+from gcs_coloc.estimators.fleet_settings import FleetSettings
+from gcs_coloc.estimators.fleet_vehicle import Neighbour, VehicleRecord
 
 _LEAST_DISTANCE_M = 1e-3
 # Of a subject that is not where it is held to be four of five ranges are refused, of one that is at most one of three: the
@@ -22,6 +23,9 @@ _LEAST_DISTANCE_M = 1e-3
 _REFUSED_TELLS, _USED_TELLS, _LOST = 0.88, -1.2, 7.0
 _REFUSED_MEMORY = 0.7
 _DISTRUST_KEPT = 0.8
+_IN_USE_S = 2.0
+_ALMOST_NOTHING = 1e-6
+_COVERED_SIGMAS = 3.0
 
 
 def take_range(cluster: Cluster, pair: Key, m: RangeMeasurement, sigma_m: float, slow_m: float) -> Verdict:
@@ -72,7 +76,7 @@ def take_range(cluster: Cluster, pair: Key, m: RangeMeasurement, sigma_m: float,
     nis = innovation * innovation / variance
     sigma = math.sqrt(variance)
     if nis > s.gate_sigma**2:
-        return Verdict("refused: range outside the gate", innovation, sigma, nis, 1)
+        return Verdict("refused: range outside the gate", innovation, sigma, nis, 1, (ux, uy, uz))
     if nis > s.doubt_sigma**2:
         # Huber's weight: beyond the doubt the pull of an innovation grows no more.
         variance *= math.sqrt(nis) / s.doubt_sigma
@@ -110,7 +114,9 @@ def account(cluster: Cluster, vehicle: int, other: int, verdict: Verdict, m: Ran
     if verdict.used:
         record.neighbours[other] = Neighbour(m.measured_at_s, verdict.unit)
         record.informed_at_s = m.measured_at_s
-        record.lost_evidence = max(record.lost_evidence + _USED_TELLS, 0.0)
+        if record.unchecked in (None, other):
+            record.lost_evidence = max(record.lost_evidence + _USED_TELLS, 0.0)
+            record.unchecked = None
         record.distrust_m2 *= _DISTRUST_KEPT
         return
     if verdict.degrees_of_freedom == 0:
@@ -118,9 +124,39 @@ def account(cluster: Cluster, vehicle: int, other: int, verdict: Verdict, m: Ran
     square, kept = verdict.innovation_m**2, _REFUSED_MEMORY if record.lost_evidence > 0.0 else 0.0
     record.refused_m2 = kept * record.refused_m2 + (1.0 - kept) * square
     record.lost_evidence += _REFUSED_TELLS
+    record.unchecked = None if _contradicted(record, other, verdict, m.measured_at_s, cluster.settings) else other
     if record.lost_evidence > _LOST:
         # Most of what is heard contradicts the state: the state is what is wrong, or nobody can tell. So the next ranges are
         # believed no more than the state is, until some have agreed with each other.
         cluster.widen(vehicle, record.refused_m2)
         record.distrust_m2 = record.refused_m2
         record.lost_evidence = 0.0
+        record.unchecked = None
+
+
+def unchecked_variance_m2(record: VehicleRecord) -> float:
+    """Return the variance, m^2, by which a subject is known worse while nobody can tell whether it or a refused range is off.
+
+    It has what the refused ranges say within three sigmas, from the second in a row on: a single one is an outlier.
+    """
+    if record.unchecked is None or record.lost_evidence < 2.0 * _REFUSED_TELLS:
+        return 0.0
+    return record.refused_m2 / _COVERED_SIGMAS**2
+
+
+def _contradicted(record: VehicleRecord, other: int, refused: Verdict, at_s: float, s: FleetSettings) -> bool:
+    """Whether the ranges in use would show it if the subject were off by what a refused range with `other` says it is.
+
+    Of all horizontal displacements that explain the refused range, the one that the others notice least moves these by the
+    innovation times the root of 1 / (u' N^-1 u): N is the sum of their own u u', u a unit vector along the range. With one other
+    peer that is nothing.
+    """
+    ee = nn = _ALMOST_NOTHING
+    en = 0.0
+    for vehicle, neighbour in record.neighbours.items():
+        if vehicle != other and at_s - neighbour.at_s <= _IN_USE_S:
+            e, n, _ = neighbour.unit
+            ee, en, nn = ee + e * e, en + e * n, nn + n * n
+    e, n, _ = refused.unit
+    least = e * e * nn - 2.0 * e * n * en + n * n * ee
+    return refused.nis * (ee * nn - en * en) > s.gate_sigma**2 * least

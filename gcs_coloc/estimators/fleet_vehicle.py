@@ -93,7 +93,8 @@ class VehicleRecord:
     `white` tells the noise of its reports, horizontally and vertically, `white_baro` that of its heights.
     `slow_report_h_m`, `slow_report_v_m`, `slow_baro_m`, `stamp_s` are the sigmas in force of the slow errors in the joint state.
     `lost_evidence` is the evidence of the ranges that the gate refused and let pass that this subject is not where it is held to
-    be, `refused_m2` the mean square innovation of the former, `distrust_m2` what ranges are believed less since it was lost.
+    be, `unchecked` the neighbour of the last one refused where no others would have shown that, `refused_m2` the mean square
+    innovation of the former, `distrust_m2` what ranges are believed less since it was lost.
     """
 
     subject: bool = False
@@ -116,6 +117,7 @@ class VehicleRecord:
     informed_at_s: float = -math.inf
     velocity_used_at_s: float = -math.inf
     lost_evidence: float = 0.0
+    unchecked: int | None = None
     refused_m2: float = 0.0
     distrust_m2: float = 0.0
     reports_refused: int = 0
