@@ -12,10 +12,12 @@ from bench.accuracy_flights import Case, Links
 from bench.accuracy_runs import Track, fleet_through, on_all_cores
 from bench.figures import Figure
 from bench.integrity_flights import LOST_AT_S, STEP_S, Flight, Scenario, error_and_bound_m, fly_step, fresh_engine
+from bench.wandering import WanderingFlight
 from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.measurements import FloatArray
 
 _FLEET_FLIGHT_S = 300.0
+_TURNING_FLIGHT_S = 240.0
 _SETTLED_S = 10.0
 _CLEAN = Case(rate_hz=5.0, ask_lag_s=0.2)
 _TELEMETRY = Case(rate_hz=5.0, ask_lag_s=0.2, links=Links())
@@ -56,6 +58,7 @@ def measure(quick: bool) -> list[Figure]:
         ("paper's flight as telemetry (E4)", telemetry_flight, 6, 180),
         ("two of five without GPS", two_failed_flight, 3, 60),
         ("fleets of 4 to 9 drawn at random", fleet_flight, 12, 120),
+        ("two peers, all turning at random", two_peers_flight, 6, 60),
     )
     figures, total = [], NONE
     for name, fly, few, many in kinds:
@@ -88,10 +91,18 @@ def two_failed_flight(seed: int) -> Tally:
 
 def fleet_flight(seed: int) -> Tally:
     """Five minutes of a fleet whose size, noise, courses and ranging are drawn, through the whole engine."""
-    scenario = drawn_scenario(seed)
-    engine, flight = fresh_engine(), Flight(scenario, seed)
+    return _through_engine(Flight(drawn_scenario(seed), seed), _FLEET_FLIGHT_S)
+
+
+def two_peers_flight(seed: int) -> Tally:
+    """Four minutes with ranges to two peers only, without attitude, all turning at up to 45 degrees of bank; the whole engine."""
+    return _through_engine(WanderingFlight(Scenario(peers=2, mutual=False), seed, _TURNING_FLIGHT_S), _TURNING_FLIGHT_S)
+
+
+def _through_engine(flight: Flight, duration_s: float) -> Tally:
+    engine = fresh_engine()
     errors, bounds = [], []
-    for step in range(round(_FLEET_FLIGHT_S / STEP_S)):
+    for step in range(round(duration_s / STEP_S)):
         t = step * STEP_S
         fly_step(engine, flight, t)
         if t > LOST_AT_S + _SETTLED_S:

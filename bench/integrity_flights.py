@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import cos, exp, hypot, inf, pi, sin, sqrt
+from typing import Protocol
 
 import numpy as np
 
@@ -53,8 +54,16 @@ class Scenario:
     return_walk_mps: float = 0.0
 
 
+class Course(Protocol):
+    """Where a vehicle flies."""
+
+    def at(self, t: float) -> tuple[FloatArray, FloatArray]:
+        """Return place (m) and velocity (m/s), (3,) each, ENU."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
-class _Course:
+class _Circle:
     """A level circle: centre, radius (m), speed (m/s), phase (rad) and height (m)."""
 
     centre_m: tuple[float, float]
@@ -84,8 +93,8 @@ class Flight:
             for a in [turn + 2 * pi * v / s.peers]
         }
         centres[SUBJECT] = np.zeros(2)
-        self.courses = {
-            v: _Course(
+        self.courses: dict[int, Course] = {
+            v: _Circle(
                 (x + rng.uniform(-shift_m, shift_m), y + rng.uniform(-shift_m, shift_m)),
                 rng.uniform(*s.radius_m),
                 rng.uniform(*s.speed_mps) * rng.choice((-1.0, 1.0)),
