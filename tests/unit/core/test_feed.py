@@ -143,6 +143,18 @@ def test_airspeed_goes_with_the_attitude_only_while_it_is_fresh():
     assert (fresh.roll_rad, fresh.pitch_rad, fresh.yaw_rad) == (0.1, 0.2, 0.3)
 
 
+@pytest.mark.parametrize(
+    ("winged", "airspeed_mps", "heard_at_s", "has"),
+    [(True, 22.0, 10.0, True), (False, 22.0, 10.0, False), (True, 4.0, 10.0, False), (True, 22.0, 7.9, False)],
+)
+def test_air_data_tell_how_a_vehicle_moves_on_wings_fast_enough_and_lately(winged, airspeed_mps, heard_at_s, has):
+    record = vehicle()
+    assert not record.has_air_data(10.0)
+    record.winged, record.airspeed = winged, Airspeed(4, heard_at_s, airspeed_mps)
+    record.attitude = Attitude(4, 10.0, 10.0, 0.1, 0.2, 0.3)
+    assert record.has_air_data(10.0) is has
+
+
 @pytest.mark.parametrize(("winged", "airspeed_mps"), [(True, pytest.approx(22.0 * 1.1607, rel=1e-3)), (False, None)])
 def test_airspeed_is_the_true_one_at_the_vehicles_altitude_and_only_where_it_flies_on_wings(winged, airspeed_mps):
     """At 3000 m a plane that tells 22 m/s moves at 25.5; a multirotor may do so to any side."""
