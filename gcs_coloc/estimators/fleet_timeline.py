@@ -17,6 +17,7 @@ Key = tuple[float, ...]
 Event = TypeVar("Event")
 _COPY_EVERY_S = 0.1
 _COPY_SOONER_S = 0.05  # where the newest event need not wait for it
+_CLOSE_COPIES = 4
 
 
 class Replayable(Protocol):
@@ -88,12 +89,21 @@ class Timeline(Generic[Model, Event]):
             if since_s >= _COPY_EVERY_S or (since_s >= _COPY_SOONER_S and self._applied < len(self._entries) - 1):
                 self._copies.append((self._applied, self._copy(self.model)))
                 self._copied_at_s = at_s
+                self._thin()
             if entry.outcome is not None:
                 self.outcomes[entry.outcome] -= 1
             entry.outcome = self._apply(self.model, entry)
             self.outcomes[entry.outcome] += 1
             self._applied += 1
         return self.model
+
+    def _thin(self) -> None:
+        """Drop a copy behind the newest few that is close to the one before: hardly anything is as late as that."""
+        copies = self._copies
+        if len(copies) > _CLOSE_COPIES + 2:
+            before, after = self._entry_time(copies[-_CLOSE_COPIES - 2][0]), self._entry_time(copies[-_CLOSE_COPIES][0])
+            if after - before <= _COPY_EVERY_S + _COPY_SOONER_S:
+                del copies[-_CLOSE_COPIES - 1]
 
     def settle(self, now_s: float) -> None:
         """Forget what is older than the window: nothing can arrive before it any more."""

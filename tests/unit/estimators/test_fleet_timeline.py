@@ -116,3 +116,20 @@ def test_single_events_do_not_put_off_the_copies_for_ever():
         timeline.catch_up()
     # One before the first event that is 0.1 s after the last copy, of events 0.02 s apart.
     assert CountedTape.copies >= 2.0 // 0.12
+
+
+def test_copies_are_as_close_as_that_only_near_the_newest_event():
+    timeline: Timeline[CountedTape, str] = Timeline(CountedTape(), write_and_count, 10.0)
+    CountedTape.copies = 0
+    for k in range(0, 200, 2):
+        for one in (k, k + 1):
+            timeline.insert((one * 0.03,), str(one))
+        timeline.catch_up()
+    assert CountedTape.copies > 95
+    assert len(timeline._copies) < 60
+    for late in (5.2, 3.2, 1.2):
+        CountedTape.written = 0
+        timeline.insert((late + 0.01,), "late")
+        timeline.catch_up()
+        # Itself and what is newer, and of what is older no more than 0.15 s hold.
+        assert CountedTape.written <= 1 + (6.0 - late + 0.15) / 0.03 + 3
