@@ -164,8 +164,10 @@ class Engine:
 
     def refused(self) -> dict[str, int]:
         """How often what was refused, by reason, since the start."""
-        found_wrong = self.integrity.returning.refused
-        return dict(self._refused + self._telemetry.refused + self.feed.refused + self.aiding.refused + found_wrong)
+        total = self._refused.copy()
+        for counts in (self._telemetry.refused, self.feed.refused, self.aiding.refused, self.integrity.returning.refused):
+            total.update(counts)
+        return dict(total)
 
     def view(self, now_s: float) -> FleetView:
         """The fleet as it stands, for observers."""

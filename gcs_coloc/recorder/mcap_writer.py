@@ -1,6 +1,6 @@
 """Assembles an MCAP file from batches of messages, each batch a chunk with its index: https://mcap.dev/spec.
 
-All records are the MCAP library's but one: its writer takes five times as long for a message, and messages are all that is many.
+All records are the MCAP library's but one: its writer takes three times as long for a message, and messages are all that is many.
 """
 
 from __future__ import annotations

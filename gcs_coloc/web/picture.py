@@ -63,15 +63,12 @@ def ellipse(covariance_h_m2: tuple[float, float, float]) -> Ellipse:
 
 def _true_places(view: FleetView, truths: Iterable[HeardTruth]) -> dict[int, Vector3]:
     """East, north, up in m of those truths that are no older than the picture allows. They come without a height."""
-    if view.origin is None:
+    fresh = [t for t in truths if abs(view.at_s - t.at_s) <= _TRUTH_FRESH_S]
+    if view.origin is None or not fresh:
         return {}
     frame = LocalFrame(*view.origin)
     heights = {v.sysid: v.alt_msl_m for v in view.vehicles if v.alt_msl_m is not None}
-    return {
-        t.sysid: frame.enu_from_geodetic(t.lat_deg, t.lon_deg, heights.get(t.sysid, view.origin[2]))
-        for t in truths
-        if abs(view.at_s - t.at_s) <= _TRUTH_FRESH_S
-    }
+    return {t.sysid: frame.enu_from_geodetic(t.lat_deg, t.lon_deg, heights.get(t.sysid, view.origin[2])) for t in fresh}
 
 
 def _vehicle(v: VehicleView, truth_enu_m: Vector3 | None) -> VehicleFrame:

@@ -19,7 +19,8 @@ class _Wire(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-@dataclass(frozen=True, slots=True)
+# Not frozen, as `VehicleView` is not: the page's values are made many times a second, and sent at once.
+@dataclass(slots=True)
 class Ellipse:
     """The 2-sigma ellipse of a horizontal position; `angle_rad` of its longer axis from east, counter-clockwise."""
 
@@ -28,7 +29,7 @@ class Ellipse:
     angle_rad: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class VehicleFrame:
     """One vehicle: the service's view of it, its traffic light and the reason for that in words.
 
@@ -89,7 +90,7 @@ class PlaybackCommand(_Wire):
     seek_s: FiniteFloat | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class FleetFrame:
     """The fleet at one instant; sent at most five times a second, only the latest. `playback` is of a replay alone."""
 
