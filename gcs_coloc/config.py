@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Mapping
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ from gcs_coloc.core.errors import ConfigError
 
 _ENVIRONMENT = "GCS_COLOC_"
 _LEVEL = "__"
+_VALUE_ERROR = "Value error, "
 
 
 class Settings(BaseSettings):
@@ -118,7 +120,24 @@ def settings_of(table: Mapping[str, Any], flags: Mapping[str, Any], source: str)
             f"environment variable {_ENVIRONMENT}...: {error}; lists and tables are JSON, as '[\"14550\"]'"
         ) from None
     except ValidationError as error:
-        raise ConfigError(f"{source}: {'; '.join(_problem(e) for e in error.errors())}") from None
+        problems = [(_variable_of(e, flags) or source, _problem(e)) for e in error.errors()]
+        by_source = groupby(problems, key=lambda problem: problem[0])
+        raise ConfigError("; ".join(f"{where}: {'; '.join(text for _, text in found)}" for where, found in by_source)) from None
+
+
+def _variable_of(error: Any, flags: Mapping[str, Any]) -> str | None:
+    """The environment variable that a setting has its value from, None where it comes from a flag, the file or nowhere."""
+    # A section that is checked as a whole names its setting by the first word of the text.
+    place = (*error["loc"], *error["msg"].removeprefix(_VALUE_ERROR).split()[:1])
+    set_by_flag: Any = flags
+    for key in error["loc"]:
+        set_by_flag = set_by_flag.get(key) if isinstance(set_by_flag, Mapping) else None
+    if set_by_flag is not None:
+        return None
+    names = {name.upper(): name for name in os.environ}
+    wanted = (_ENVIRONMENT + _LEVEL.join(str(key) for key in place[:depth]).upper() for depth in range(len(place), 0, -1))
+    found = next((names[name] for name in wanted if name in names), None)
+    return f"environment variable {found}" if found is not None else None
 
 
 def _refuse_unknown_variables() -> None:
@@ -139,5 +158,5 @@ def _problem(error: Any) -> str:
         return f"{key}: must be a list, in brackets: [...]"
     if error["type"] in ("dataclass_type", "model_type", "dict_type"):
         return f"{key}: must be a table of settings, [{key}]"
-    text = error["msg"].removeprefix("Value error, ")
+    text = error["msg"].removeprefix(_VALUE_ERROR)
     return f"{key}: {text[0].lower() + text[1:]}" if key else text

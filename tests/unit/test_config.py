@@ -122,3 +122,34 @@ def test_check_config_opens_every_file_that_the_configuration_names(tmp_path, mo
     (tmp_path / "coloc.toml").write_text(f'links = ["udpin:127.0.0.1:14550"]\n{text}')
     with pytest.raises(GcsColocError, match=words):
         check_config(Path("coloc.toml"))
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "words"),
+    [
+        (
+            "GCS_COLOC_AID__RATE_HZ",
+            "abc",
+            "environment variable GCS_COLOC_AID__RATE_HZ: aid.rate_hz: input should be a valid number",
+        ),
+        (
+            "GCS_COLOC_AID__RATE_HZ",
+            "1000",
+            "environment variable GCS_COLOC_AID__RATE_HZ: aid: rate_hz must be from 1 to 50, not 1000",
+        ),
+        ("GCS_COLOC_AID", '{"lag_s": "u"}', "environment variable GCS_COLOC_AID: aid.lag_s: input should be a valid number"),
+    ],
+)
+def test_a_wrong_value_from_the_environment_is_not_blamed_on_the_file(tmp_path, monkeypatch, variable, value, words):
+    path = written(tmp_path, "[feed]\nnonsense = 1\n")
+    monkeypatch.setenv(variable, value)
+    with pytest.raises(ConfigError) as raised:
+        load_settings(path, {})
+    assert words in str(raised.value)
+    assert f"{path}: feed.nonsense: unknown key" in str(raised.value)
+
+
+def test_a_wrong_flag_is_not_blamed_on_the_environment(monkeypatch):
+    monkeypatch.setenv("GCS_COLOC_WEB__ADDRESS", "127.0.0.1:8080")
+    with pytest.raises(ConfigError, match=r"settings: web\.address: 99 is not HOST:PORT"):
+        load_settings(None, {"web": {"address": "99"}})
