@@ -22,6 +22,7 @@ from bench import (
     live,
     memory,
     operator_side,
+    returning,
     scaling,
     seek,
     service_cpu,
@@ -48,6 +49,7 @@ _SECTIONS: dict[str, Callable[[bool], list[Figure]]] = {
     "seek": seek.measure,
     "accuracy": accuracy.measure,
     "integrity": integrity.measure,
+    "returning": returning.measure,
     "coverage": coverage.measure,
 }
 

@@ -42,11 +42,13 @@ class FixCheck:
     """A finding, and how far the fix is from where ranges put the vehicle (m, horizontal), None where that is not known.
 
     `known_m`: how well the best witness that agrees with the fix knows the place, 1-sigma, m; infinity where there is none.
+    `ranged`: there were ranges to hold it against.
     """
 
     finding: Finding
     offset_m: float | None
-    known_m: float = inf
+    known_m: float
+    ranged: bool
 
 
 def check_fix(
@@ -68,19 +70,20 @@ def check_fix(
     for verdict in verdicts:
         size_m = _size_if_alone(verdict, fix.vehicle)
         if size_m is not None:
-            return FixCheck(Finding.AGAINST_RANGES, offset_m if offset_m is not None else size_m)
+            return FixCheck(Finding.AGAINST_RANGES, offset_m if offset_m is not None else size_m, inf, ranged=True)
     fitting = bool(fits) and _ranges_fit(fits[0], verdicts[0], fix.vehicle, levels)
     information = fits[0].claim_information(fix.vehicle) if fitting else np.zeros((2, 2))
     known_m = 1.0 / sqrt(max(float(np.linalg.eigvalsh(information)[0]), LEAST_INFORMATION))
     if estimate is not None and miss_m is not None and _beyond(miss_m, fix, estimate):
         if float(miss_m @ information @ miss_m) >= _WOULD_SHOW:
-            return FixCheck(Finding.ESTIMATE_OFF, offset_m, known_m)
+            return FixCheck(Finding.ESTIMATE_OFF, offset_m, known_m, ranged=True)
         if (fits and not fitting) or estimate.ranges_in_use >= _RANGES_THAT_HOLD:
-            return FixCheck(Finding.AGAINST_ESTIMATE, offset_m)
-        return FixCheck(Finding.AGREES, offset_m)
+            return FixCheck(Finding.AGAINST_ESTIMATE, offset_m, inf, ranged=bool(fits))
+        return FixCheck(Finding.AGREES, offset_m, inf, ranged=bool(fits))
     if estimate is not None:
         known_m = min(known_m, horizontal_sigma_m(estimate.covariance))
-    return FixCheck(Finding.NOTHING if estimate is None and not fits else Finding.AGREES, offset_m, known_m)
+    finding = Finding.NOTHING if estimate is None and not fits else Finding.AGREES
+    return FixCheck(finding, offset_m, known_m, ranged=bool(fits))
 
 
 def star(scene: Scene, vehicle: int, peers: Container[int]) -> Scene:

@@ -37,13 +37,13 @@ Answer = Callable[[int, float], Estimate | Unknown]
 class _Case:
     """One receiver since it has been back.
 
-    `wrong` is what has been found of it, `by_ranges` that they contradicted it and not the estimate alone, `offset_m` by how far.
+    `wrong` is what has been found of it, `offset_m` how far it was off; `ranged`: there were ranges then that could speak for it.
     """
 
     began_s: float
     finding: Finding = Finding.NOTHING
     wrong: bool = False
-    by_ranges: bool = False
+    ranged: bool = False
     offset_m: float = 0.0
     other_since_s: float | None = None
     off_since_s: float | None = None
@@ -52,9 +52,9 @@ class _Case:
     def take(self, check: FixCheck, now_s: float) -> bool:
         """Take one finding; True where the receiver has just been found wrong."""
         contradicts = check.finding in _CONTRADICTS
-        # Where the ranges have contradicted it, what is less well known than it was off would agree with anything.
-        silent = self.wrong and self.by_ranges and check.known_m > _WELL_KNOWN_SHARE * self.offset_m
-        self.by_ranges = (self.by_ranges and (self.wrong or contradicts)) or check.finding is Finding.AGAINST_RANGES
+        # What is less well known than it was off would agree with anything; where nobody can be ranged, no more is to be had.
+        silent = self.wrong and self.ranged and check.known_m > _WELL_KNOWN_SHARE * self.offset_m
+        self.ranged = (self.ranged and (self.wrong or contradicts)) or (contradicts and check.ranged)
         self.finding = check.finding
         if contradicts and check.offset_m is not None:
             self.offset_m = check.offset_m

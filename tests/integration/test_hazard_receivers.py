@@ -144,3 +144,10 @@ def test_two_that_come_back_off_by_the_same_are_neither_believed():
         assert out.share_located(sysid, 41.0) > 0.95
         assert out.worst_ratio(sysid, 40.0) < HONEST
     assert out.distrusted(0.0) == {4, 5}
+
+
+def test_three_of_four_that_come_back_off_by_the_same_are_not_believed_while_one_healthy_peer_is_ranged():
+    out = fly_through(*elsewhere(1), *elsewhere(2), *elsewhere(4), duration_s=65.0, mutual=True)
+    for sysid in (1, 2, 4):
+        assert out.first(sysid, "healthy", after_s=40.0) == float("inf")
+    assert out.distrusted(0.0) == {1, 2, 4}
