@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import io
 import json
+import struct
+
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from gcs_coloc.recorder.journal import NAMES, Entry, VehicleEntry, as_json, schema_of
-from gcs_coloc.recorder.mcap_writer import McapWriter
+
+END_MARK = struct.pack("<BQI", Opcode.DATA_END, 4, 0) + struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0) + MCAP0_MAGIC
+"""Ends an MCAP file without an index. Standing behind what `take` has handed out, it makes a whole file of it."""
 
 
 class McapEncoder:
     """Entries to the bytes of one MCAP file. What `take` has handed out opens after a crash."""
 
     def __init__(self) -> None:
-        self._writer = McapWriter("gcs-coloc")
+        self._sink = _Sink()
+        self._writer = Writer(self._sink, compression=CompressionType.NONE)
+        self._writer.start(profile="", library="gcs-coloc")
         self._schemas = {
-            kind: self._writer.schema(f"gcs_coloc.{name}", json.dumps(schema_of(kind)).encode()) for kind, name in NAMES.items()
+            kind: self._writer.register_schema(f"gcs_coloc.{name}", "jsonschema", json.dumps(schema_of(kind)).encode())
+            for kind, name in NAMES.items()
         }
         self._channels: dict[str, int] = {}
 
@@ -24,13 +34,36 @@ class McapEncoder:
         topic = f"/vehicle/{entry.vehicle.sysid}" if isinstance(entry, VehicleEntry) else f"/{NAMES[kind]}"
         channel = self._channels.get(topic)
         if channel is None:
-            channel = self._channels[topic] = self._writer.channel(topic, self._schemas[kind])
-        self._writer.message(channel, round(entry.at_s * 1e6) * 1000, as_json(entry))
+            channel = self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[kind])
+        time_ns = round(entry.at_s * 1e6) * 1000
+        self._writer.add_message(channel, time_ns, as_json(entry), time_ns)
 
     def take(self) -> bytes:
-        """The bytes of what was added since the last call. Each call makes a chunk, which costs as much as several entries."""
-        return self._writer.take()
+        """The bytes of what was added since the last call. Each call makes a chunk, which costs as much as two entries."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        return self._sink.take()
 
     def finish(self) -> bytes:
         """The last bytes, with the index and the end mark."""
-        return self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        return self._sink.take()
+
+
+class _Sink(io.BytesIO):
+    """Collects what the MCAP writer writes; `tell` goes on counting over what was taken."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._taken = 0
+
+    def tell(self) -> int:
+        """The offset in the file."""
+        return self._taken + super().tell()
+
+    def take(self) -> bytes:
+        """Everything that was written since the last call."""
+        data = self.getvalue()
+        self._taken += len(data)
+        self.seek(0)
+        self.truncate()
+        return data

@@ -8,8 +8,7 @@ import os
 from pathlib import Path
 
 from gcs_coloc.recorder.journal import Entry
-from gcs_coloc.recorder.mcap_file import McapEncoder
-from gcs_coloc.recorder.mcap_writer import END_MARK
+from gcs_coloc.recorder.mcap_file import END_MARK, McapEncoder
 
 
 class Part:
