@@ -17,6 +17,7 @@ from gcs_coloc.fleet_service import FleetService
 from gcs_coloc.fleets import FleetOf
 from gcs_coloc.garbage import collect_seldom
 from gcs_coloc.host_clock import read_host_clock
+from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.sinks import console as console_sink
 
 if TYPE_CHECKING:
@@ -158,7 +159,10 @@ class _Observed:
         from gcs_coloc.web.story import Story
 
         path = self.path
-        hooks = Hooks(path.look, path.glance, path.obey, self._fault, path.truths.values, lulls=path.lulls)
+        # At the recording's pace, so that one look at the fleet does for both.
+        hooks = Hooks(
+            *(path.look, path.glance, path.obey, self._fault, path.truths.values), lulls=path.lulls, pictures_every_s=EVERY_S
+        )
         return WebServer(settings.web, hooks, Story(), path.hub.subscribe(256))
 
     def _make_mqtt(self, settings: Settings) -> Mqtt | None:

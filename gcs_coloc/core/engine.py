@@ -32,7 +32,7 @@ from gcs_coloc.core.view import FleetView
 from gcs_coloc.core.words import AidWord, ClockReference, GpsWord, OffAir, OperatorWord, PrimaryWord, RouteReport, ToldAside
 from gcs_coloc.estimators.base import Estimator
 
-_HOUSEKEEPING_S = 0.2
+REVIEWED_EVERY_S = 0.2
 _SUBJECT_STATES = (GpsState.SUSPECT, GpsState.FAILED, GpsState.RECOVERING)
 _DOUBLED = (
     "two autopilots use its system id; give each its own (MAV_SYSID, SYSID_THISMAV before ArduPilot 4.7; MAV_SYS_ID on PX4)"
@@ -114,7 +114,7 @@ class Engine:
         """Everything that is to be sent or told by now."""
         self._now_s = now_s
         if now_s >= self._housekeeping_due_s:
-            self._housekeeping_due_s = self.aiding.grid.after(now_s, _HOUSEKEEPING_S)
+            self._housekeeping_due_s = self.aiding.grid.after(now_s, REVIEWED_EVERY_S)
             self.reviewed_at_s = now_s
             self.integrity.review(now_s, self.fleet, self.feed.frame, self.estimator.estimate)
             for sysid in self.integrity.returning.misplaced:

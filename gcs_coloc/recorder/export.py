@@ -24,7 +24,7 @@ _COLOURS = {True: "ff005ed5", False: "ffb27200"}  # KML: alpha, blue, green, red
 
 
 def write_csv(story: Story, path: Path) -> int:
-    """One row for each vehicle five times a second, in order of time; an empty cell where nothing is known. Returns the rows."""
+    """One row for each vehicle each 0.4 s, in order of time; an empty cell where nothing is known. Returns the rows."""
     entries = sorted((e for track in story.tracks.values() for e in track), key=lambda e: (e.at_s, e.vehicle.sysid))
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

@@ -11,11 +11,11 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.engine import REVIEWED_EVERY_S, Engine
 from gcs_coloc.core.outputs import HealthChanged, Notice, Outbound
 from gcs_coloc.core.view import FleetView, RangeView, VehicleView
 
-EVERY_S = 0.2
+EVERY_S = 0.4
 _SAME_S = 1e-3
 
 
@@ -42,7 +42,7 @@ _ADAPTERS: Mapping[type, TypeAdapter[Any]] = {kind: TypeAdapter(kind) for kind i
 
 
 class Journal:
-    """Keeps the journal of one engine: every vehicle five times a second, everything else as it comes.
+    """Keeps the journal of one engine: every vehicle each 0.4 s, everything else as it comes.
 
     `newest_view` is the one that was kept last.
     """
@@ -58,7 +58,7 @@ class Journal:
         entries: list[Entry] = [output for output in outputs if isinstance(output, HealthChanged | Notice)]
         # A deadline that takes long by itself is passed over where a short one follows: what arrives must not wait for both.
         next_s = self._engine.next_deadline()
-        is_long = next_s <= at_s or (self._engine.reviewed_at_s == at_s and next_s < at_s + EVERY_S - _SAME_S)
+        is_long = next_s <= at_s or (self._engine.reviewed_at_s == at_s and next_s < at_s + REVIEWED_EVERY_S - _SAME_S)
         if at_s < self._due_s or is_long:
             return entries
         self._due_s = at_s + EVERY_S - _SAME_S

@@ -41,7 +41,7 @@ class Hooks:
 
     `glance` is `look` without what is counted, for many times a second. `fault` says in words what keeps the service from its
     work, None where nothing does. `truths` is where a simulation says that vehicles truly are. `playback` is a replay's, which
-    takes no word. In `lulls` the pages' pictures are made and sent.
+    takes no word. In `lulls` the pages' pictures are made and sent, `pictures_every_s` apart.
     """
 
     look: Callable[[], FleetView]
@@ -51,6 +51,7 @@ class Hooks:
     truths: Callable[[], Iterable[HeardTruth]] = tuple
     playback: Playback | None = None
     lulls: Lulls = field(default_factory=Lulls)
+    pictures_every_s: float = 0.2
 
 
 class GpsCommand(BaseModel):

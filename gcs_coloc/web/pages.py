@@ -9,9 +9,7 @@ from gcs_coloc.sinks.lulls import Lulls
 from gcs_coloc.web.live_socket import SendFrame, text_frame
 from gcs_coloc.web.story import Story
 
-PERIOD_S = 0.2
 MOST_PAGES = 32
-_COUNTS_EVERY = 5
 _PAGES_AT_A_TIME = 8
 
 
@@ -63,14 +61,18 @@ class Page:
 
 
 class Pages:
-    """All open pages. `picture` makes the latest one and `counts` what is shown once a second, both as JSON.
+    """All open pages. `picture` makes the latest one, each `period_s`, and `counts` what is shown once a second, both as JSON.
 
     They are asked only while a page is looked at, and once for all.
     """
 
-    def __init__(self, picture: Callable[[], bytes], counts: Callable[[], bytes], story: Story, lulls: Lulls) -> None:
+    def __init__(
+        self, picture: Callable[[], bytes], counts: Callable[[], bytes], story: Story, lulls: Lulls, period_s: float
+    ) -> None:
         self._picture = picture
         self._counts = counts
+        self._period_s = period_s
+        self._counts_every = max(round(1.0 / period_s), 1)
         self._turn = 0
         self._story = story
         self._lulls = lulls
@@ -93,7 +95,7 @@ class Pages:
 
     async def run(self) -> None:
         """Offer the latest picture to every page at a steady pace."""
-        async for _ in self._lulls.every(PERIOD_S):
+        async for _ in self._lulls.every(self._period_s):
             if self._open:
                 await self.tick()
 
@@ -112,4 +114,4 @@ class Pages:
         """The frames of one turn."""
         self._turn += 1
         picture = text_frame(self._picture())
-        return picture + text_frame(self._counts()) if self._turn % _COUNTS_EVERY == 0 else picture
+        return picture + text_frame(self._counts()) if self._turn % self._counts_every == 0 else picture

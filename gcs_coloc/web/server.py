@@ -65,7 +65,11 @@ class WebServer:
         self._story = story
         self._news = news
         self._pages = Pages(
-            lambda: _picture(hooks), lambda: story.counts(hooks.look()).model_dump_json().encode(), story, hooks.lulls
+            lambda: _picture(hooks),
+            lambda: story.counts(hooks.look()).model_dump_json().encode(),
+            story,
+            hooks.lulls,
+            hooks.pictures_every_s,
         )
         self._token = read_token(Path(config.token_file)) if config.token_file else None
         tiles = TileFile(Path(config.tiles)) if config.tiles else None

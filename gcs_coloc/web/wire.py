@@ -92,7 +92,7 @@ class PlaybackCommand(_Wire):
 
 @dataclass(slots=True)
 class FleetFrame:
-    """The fleet at one instant; sent at most five times a second, only the latest. `playback` is of a replay alone."""
+    """The fleet at one instant; sent each 0.4 s at most (0.2 s in a replay), only the latest. `playback` is of a replay alone."""
 
     at_s: float
     utc_minus_service_s: float | None
@@ -105,7 +105,7 @@ class FleetFrame:
 
 
 fleet_json = TypeAdapter(FleetFrame).dump_json
-"""A `FleetFrame` as JSON: of values that are ours nothing is checked, five times a second."""
+"""A `FleetFrame` as JSON: of values that are ours nothing is checked at every picture."""
 
 
 class CountsFrame(_Wire):

@@ -59,7 +59,7 @@ class Scene:
     def __init__(self):
         self.story = Story()
         self.made = 0
-        self.pages = Pages(self.picture, self.counts, self.story, Lulls())
+        self.pages = Pages(self.picture, self.counts, self.story, Lulls(), 0.2)
 
     def picture(self):
         self.made += 1
