@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gcs_coloc.core.clocks.timing import SenderClock
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
@@ -15,7 +16,6 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.core.timing import SenderClock
 from sitl_fakes.nominal import PAPER_ROUTES, NominalFlight, fly_routes
 
 GPS_SIGMA_M = 15.0

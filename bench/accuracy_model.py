@@ -20,7 +20,7 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.estimators.fleet_settings import FleetSettings
+from gcs_coloc.estimators.fleet.settings import FleetSettings
 from sitl_fakes.nominal import PAPER_ROUTES
 
 _SPEED_MPS = 50.0

@@ -13,7 +13,7 @@ from bench.accuracy_runs import Track, fleet_through, on_all_cores
 from bench.figures import Figure
 from bench.integrity_flights import LOST_AT_S, STEP_S, Flight, Scenario, error_and_bound_m, fly_step, fresh_engine
 from bench.wandering import WanderingFlight
-from gcs_coloc.core.aid_settings import AidSettings
+from gcs_coloc.core.aid.settings import AidSettings
 from gcs_coloc.core.measurements import FloatArray
 
 _FLEET_FLIGHT_S = 300.0

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gcs_coloc.core.aid_settings import AidSettings
+from gcs_coloc.core.aid.settings import AidSettings
 from gcs_coloc.core.bound import horizontal_bound_95_m
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.geodesy import LocalFrame

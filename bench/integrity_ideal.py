@@ -25,7 +25,7 @@ from bench.integrity_flights import (
     fly_step,
     fresh_engine,
 )
-from gcs_coloc.core.integrity import Integrity
+from gcs_coloc.core.integrity.judge import Integrity
 from gcs_coloc.core.measurements import Estimate, FloatArray
 from gcs_coloc.core.messages import GlobalPosition, PeerRange
 

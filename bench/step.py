@@ -13,7 +13,7 @@ from bench.accuracy_flights import Case, Recording, record
 from bench.accuracy_peers import FilterpyEkf, installed
 from bench.figures import Figure, interleaved
 from gcs_coloc.core.measurements import AltitudeMeasurement, Measurement, PositionMeasurement, RangeMeasurement
-from gcs_coloc.estimators.fleet_motion import BARO_ERROR, SIZE, TURN, Step
+from gcs_coloc.estimators.fleet.motion import BARO_ERROR, SIZE, TURN, Step
 from gcs_coloc.estimators.registry import load_estimator
 
 _RATE_HZ = 5.0

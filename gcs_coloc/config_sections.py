@@ -9,8 +9,8 @@ from typing import Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from pydantic.dataclasses import dataclass
 
-from gcs_coloc.core.aid_settings import AidSettings
-from gcs_coloc.core.clocks import TimeSettings
+from gcs_coloc.core.aid.settings import AidSettings
+from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.feed import FeedSettings
 from gcs_coloc.core.health import HealthSettings
 

@@ -8,8 +8,8 @@ from math import hypot
 
 import numpy as np
 
+from gcs_coloc.core.integrity.scene import Row, Scene
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.core.scene import Row, Scene
 
 _RANK_TOLERANCE = 1e-6
 _LEAST_INFORMATION = 1e-9  # 1/m^2: what is known no better than to 30 km is not known

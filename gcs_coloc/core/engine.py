@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
+from gcs_coloc.core.aid.aiding import Aiding
+from gcs_coloc.core.aid.settings import AidSettings
 from gcs_coloc.core.aid_messages import OtherAid, ParameterSet
-from gcs_coloc.core.aid_settings import AidSettings
-from gcs_coloc.core.aiding import Aiding
-from gcs_coloc.core.clocks import TimeSettings
+from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.feed import Feed, FeedSettings
 from gcs_coloc.core.fleet import Fleet, Vehicle
 from gcs_coloc.core.grid import Grid
 from gcs_coloc.core.guard import GuardedEstimator
 from gcs_coloc.core.health import GpsState, HealthSettings
-from gcs_coloc.core.integrity import Integrity
+from gcs_coloc.core.integrity.judge import Integrity
 from gcs_coloc.core.measurements import Estimate, Unknown
 from gcs_coloc.core.messages import Airspeed, Attitude, EkfStatus, GlobalPosition, GpsReceiver, Inbound, SystemHealth, SystemTime
 from gcs_coloc.core.outputs import Aid, HealthChanged, Notice, Outbound, TimeSyncRequest

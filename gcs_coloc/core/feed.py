@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from math import hypot
 
 from gcs_coloc.core.air_data import true_airspeed_mps
-from gcs_coloc.core.clocks import ServiceTime, TimeSettings
+from gcs_coloc.core.clocks.timing import SenderClock
+from gcs_coloc.core.clocks.vehicle_clocks import ServiceTime, TimeSettings
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import (
@@ -26,7 +27,6 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
 )
 from gcs_coloc.core.messages import Attitude, GlobalPosition, GpsReceiver, PeerRange, SystemTime, TimeBase
-from gcs_coloc.core.timing import SenderClock
 
 _AIRSPEED_FRESH_S = 1.0
 _RANGE_CLOCKS_PER_VEHICLE = 16

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from gcs_coloc.core.air_data import LEAST_AIRSPEED_MPS
-from gcs_coloc.core.clocks import VehicleClock
+from gcs_coloc.core.clocks.timing import SenderClock
+from gcs_coloc.core.clocks.vehicle_clocks import VehicleClock
 from gcs_coloc.core.health import GpsHealth, HealthSettings
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages import Airspeed, Attitude, Autopilot, GlobalPosition, GpsReceiver, TimeBase
 from gcs_coloc.core.repeated_range import RangeRepeats
-from gcs_coloc.core.timing import SenderClock
 
 NO_HEARTBEAT_YET = "no heartbeat of an autopilot heard yet"
 

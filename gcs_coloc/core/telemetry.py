@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
+from gcs_coloc.core.aid.aiding import Aiding
 from gcs_coloc.core.aid_messages import CommandResult, ParameterValue
-from gcs_coloc.core.aiding import Aiding
 from gcs_coloc.core.feed import Feed
 from gcs_coloc.core.fleet import Fleet, Vehicle
-from gcs_coloc.core.integrity import Integrity
+from gcs_coloc.core.integrity.judge import Integrity
 from gcs_coloc.core.messages import (
     Airspeed,
     Attitude,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from math import sqrt
 
-from gcs_coloc.core.aiding import Aiding
+from gcs_coloc.core.aid.aiding import Aiding
 from gcs_coloc.core.bound import horizontal_sigma_and_bound_95_m
-from gcs_coloc.core.clocks import TimeSettings
+from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.fleet import Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, FloatArray, Unknown, Vector3

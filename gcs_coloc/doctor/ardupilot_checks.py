@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gcs_coloc.core.aid_settings import AidSettings, WayName
-from gcs_coloc.core.way_choice import way_for
+from gcs_coloc.core.aid.settings import AidSettings, WayName
+from gcs_coloc.core.aid.way_choice import way_for
 from gcs_coloc.doctor import parameters as p
 from gcs_coloc.doctor.findings import Remark, Setup, VehicleFindings, note, right, stop
 from gcs_coloc.doctor.parameters import look_up

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from gcs_coloc.core.aid.way_choice import mismatch, way_for
 from gcs_coloc.core.messages import Autopilot
-from gcs_coloc.core.way_choice import mismatch, way_for
 from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
 from gcs_coloc.doctor.findings import Findings, Level, Remark, Setup, VehicleFindings, note, right, stop
 from gcs_coloc.doctor.parameters import SENDERS_OPTION, look_up

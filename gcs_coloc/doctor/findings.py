@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from gcs_coloc.core.aid_settings import AidSettings
+from gcs_coloc.core.aid.settings import AidSettings
 from gcs_coloc.core.messages import Autopilot, GpsReceiver
 
 

@@ -11,6 +11,7 @@ from itertools import pairwise
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.aid_messages import ParameterRequest
+from gcs_coloc.core.clocks.two_clocks import TwoClocks
 from gcs_coloc.core.messages import (
     Attitude,
     Autopilot,
@@ -24,7 +25,6 @@ from gcs_coloc.core.messages import (
 )
 from gcs_coloc.core.outputs import TimeSyncRequest, ToVehicle
 from gcs_coloc.core.streams import StreamRequests
-from gcs_coloc.core.two_clocks import TwoClocks
 from gcs_coloc.doctor.findings import Findings, VehicleFindings
 from gcs_coloc.doctor.parameters import ParameterReader
 from gcs_coloc.mavlink.decoder import Decoder, Frame

@@ -22,7 +22,7 @@ from gcs_coloc.estimators.base import Estimator
 
 BUILT_IN = {
     "qu_zhang": "gcs_coloc.estimators.qu_zhang:QuZhang",
-    "fleet": "gcs_coloc.estimators.fleet_filter:FleetFilter",
+    "fleet": "gcs_coloc.estimators.fleet.filter:FleetFilter",
 }
 """Name of each built-in estimator and where its class is; imported only when it is asked for."""
 

@@ -16,7 +16,7 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.estimators.fleet_filter import FleetFilter
+from gcs_coloc.estimators.fleet.filter import FleetFilter
 
 
 def measurements(delays: list[float], seed: int) -> list[Measurement]:

@@ -9,7 +9,7 @@ from bench.accuracy_model import ModelCase, bounds_rms_m, draw
 from bench.accuracy_peers import FilterpyEkf, FilterpyUkf, installed
 from bench.accuracy_runs import anees, band_95, rmse_m, take
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
-from gcs_coloc.estimators.fleet_motion import SIZE, Step
+from gcs_coloc.estimators.fleet.motion import SIZE, Step
 from sitl_fakes.nominal import PAPER_ROUTES
 
 TEN_SECONDS = Case(rate_hz=5.0, duration_s=10.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from engine_flights import ALT, LAT, LON, M_APART_NORTH, StraightLine, aids, fly, settings, telemetry
 
-from gcs_coloc.core.aid_settings import AidSettings
+from gcs_coloc.core.aid.settings import AidSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.gps_time import TABLE_GOOD_UNTIL, gps_week_and_ms
 from gcs_coloc.core.measurements import (

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_coloc.core.clocks import TimeSettings
+from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.feed import Feed, FeedSettings
 from gcs_coloc.core.fleet import FixSent, Fleet, Vehicle
 from gcs_coloc.core.geodesy import LocalFrame

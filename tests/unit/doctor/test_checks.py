@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_coloc.core.aid_settings import AidSettings
+from gcs_coloc.core.aid.settings import AidSettings
 from gcs_coloc.core.messages import Autopilot, GpsReceiver
 from gcs_coloc.core.streams import WANTED_HZ
 from gcs_coloc.doctor.checks import CLOCKS_AGREE_S, OFTEN, is_ready, of_fleet, of_vehicle

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.health import GpsState
-from gcs_coloc.estimators.fleet_motion import Step
+from gcs_coloc.estimators.fleet.motion import Step
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.freeze import FreezeError, freeze, thaw
 

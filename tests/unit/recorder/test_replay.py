@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from gcs_coloc.core.advance import CATCH_UP_S, advance, was_held_up
+from gcs_coloc.core.aid.settings import AidSettings
 from gcs_coloc.core.aid_messages import ExternalPosition
-from gcs_coloc.core.aid_settings import AidSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages import TimeBase

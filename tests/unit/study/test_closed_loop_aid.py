@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gcs_coloc.core.aid_settings import AidSettings
+from gcs_coloc.core.aid.settings import AidSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, fly

@@ -12,7 +12,7 @@ import pytest
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, Measurement, Residual, Unknown
 from gcs_coloc.core.scoring import Series, score
-from gcs_coloc.estimators.fleet_filter import FleetFilter
+from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.study.evaluate import evaluate
 from gcs_coloc.study.evaluation_plot import plot
 from tests.recordings import recording

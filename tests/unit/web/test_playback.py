@@ -35,7 +35,7 @@ def plugin(tmp_path) -> str:
     """An estimator of a researcher's own, which cannot be copied: it holds a function made within another."""
     path = tmp_path / "mine.py"
     path.write_text(
-        "from gcs_coloc.estimators.fleet_filter import FleetFilter\n"
+        "from gcs_coloc.estimators.fleet.filter import FleetFilter\n"
         "class Mine(FleetFilter):\n"
         "    def __init__(self):\n"
         "        super().__init__()\n"

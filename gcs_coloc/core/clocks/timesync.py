@@ -1,0 +1,199 @@
+"""TIMESYNC exchanges with one autopilot: the offset of its clock from both directions of the link.
+
+We send our time (ts1), the autopilot sends it back with its own (tc1). The way up and the way down each show the offset
+with the opposite sign, plus their own delay. What makes the two delays cancel depends on the link, so two estimates are
+kept and the one that scatters less is used: the difference of the least delays up and down (best where delay comes from
+queues or has a sharp lower end), and the mean over all exchanges (best where it scatters like noise). Causality bounds
+the offset whatever the link does: nothing arrives before it was sent.
+
+Convention: MAVLink's Time Synchronization Protocol v2; ArduPilot and PX4 answer with nanoseconds since boot.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import islice
+from math import hypot, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from gcs_coloc.core.clocks.timing import Drift
+
+_WINDOW_S = 300.0
+_MOST_EXCHANGES = 400
+_MOST_PENDING = 16
+_OLDEST_ANSWER_S = 3.0
+_PLAUSIBLE_S = 0.5
+_QUICK_PERIOD_S = 0.2
+_QUICK_EXCHANGES = 50
+_MOST_RECENT = 10
+_UNANSWERED = 20
+_UNANSWERED_SLOWDOWN = 10.0
+_ENOUGH = 9
+_SPACINGS = 8
+_FINEST_S = 0.0005
+_STEP_S = 0.1
+_RECENT_S = 10.0  # in which a clock that is wrong by a per cent, as a slow simulation's, drifts by less than a step
+_CONTRADICTIONS_TO_BELIEVE = 2
+_ASYMMETRY = 0.1  # how much the least delays up and down may differ, 1-sigma, as a share of one of them
+
+
+class Synchronised(NamedTuple):
+    """Service clock minus sender's clock at `at_s` (service time), with 1-sigma, and the link's least one-way delay.
+
+    The true offset is within `one_way_delay_s` of the estimate whatever the link does.
+    """
+
+    at_s: float
+    offset_s: float
+    sigma_s: float
+    one_way_delay_s: float
+    drift: Drift
+
+    def offset_at_s(self, at_s: float) -> float:
+        """The offset at another service time."""
+        return self.offset_s + self.drift.rate * (at_s - self.at_s)
+
+    def sigma_at_s(self, at_s: float) -> float:
+        """Its 1-sigma at another service time."""
+        return hypot(self.sigma_s, self.drift.sigma * (at_s - self.at_s))
+
+
+class _Exchange(NamedTuple):
+    at_s: float
+    up_s: float
+    down_s: float
+
+
+class Causality(NamedTuple):
+    """Between what the offset (service clock minus sender's) is, whatever the delays: by the exchanges of the 10 s to `at_s`."""
+
+    at_s: float
+    low_s: float
+    high_s: float
+
+    def is_too_early(self, stamp_s: float, received_at_s: float) -> bool:
+        """Whether a stamp was made after it arrived: the clock was stepped forward."""
+        early_s = stamp_s + self.low_s - received_at_s
+        return early_s > _STEP_S and received_at_s - self.at_s <= _RECENT_S
+
+    def excludes(self, exchange: _Exchange) -> bool:
+        """Whether an exchange was answered before it was asked, or heard before it was sent: the clock was stepped."""
+        is_recent = exchange.at_s - self.at_s <= _RECENT_S
+        return is_recent and not (-exchange.up_s <= self.high_s + _STEP_S and exchange.down_s >= self.low_s - _STEP_S)
+
+
+@dataclass(slots=True)
+class RoundTrips:
+    """The exchanges of one autopilot of the last five minutes: when to ask, which answers count, what they say.
+
+    `contradictions`: how many in a row no delay of the link explains, as one was answered before it was asked or heard before
+    it was sent. `causality` is what the last ones leave for the offset.
+    """
+
+    contradictions: int = 0
+    causality: Causality | None = None
+
+    _pending: dict[int, float] = field(default_factory=dict)
+    _exchanges: deque[_Exchange] = field(default_factory=lambda: deque(maxlen=_MOST_EXCHANGES))
+    _asked_at_s: float = float("-inf")
+    _unanswered: int = 0
+    _estimate: Synchronised | None = None
+
+    def ask(self, sysid: int, now_s: float, period_s: float) -> int | None:
+        """Our time in ns to put into a request that is due now, or None. Quick at first, seldom where nobody answers."""
+        if now_s - self._asked_at_s < self._wait_s(period_s) - 1e-6:
+            return None
+        self._asked_at_s = now_s
+        self._unanswered += 1
+        # The system id in the nanoseconds tells the answers of two vehicles apart, and no request is ever 0.
+        ts1_ns = round(now_s * 1e9) + sysid
+        self._pending[ts1_ns] = now_s
+        while len(self._pending) > _MOST_PENDING:
+            del self._pending[next(iter(self._pending))]
+        return ts1_ns
+
+    def answered(self, ts1_ns: int, stamp_s: float, received_at_s: float, least_difference_s: float, drift: Drift) -> str | None:
+        """Take one answer: our time as echoed, the sender's clock (s). Returns why it is refused, or None where it is taken.
+
+        `least_difference_s` and `drift` are what its one-way stamps say.
+        """
+        asked_at_s = self._pending.pop(ts1_ns, None)
+        if asked_at_s is None:
+            return "was not asked for"
+        round_trip_s = received_at_s - asked_at_s
+        if not 0.0 <= round_trip_s <= _OLDEST_ANSWER_S:
+            return "is too old"
+        exchange = _Exchange(received_at_s, stamp_s - asked_at_s, received_at_s - stamp_s)
+        if self.causality is not None and self.causality.excludes(exchange):
+            self.contradictions += 1
+            return "contradicts those before it"
+        self.contradictions = 0
+        excess_s = received_at_s - stamp_s - least_difference_s
+        if not -_PLAUSIBLE_S <= excess_s <= round_trip_s + _PLAUSIBLE_S:
+            return "does not fit its boot time"
+        self._unanswered = 0
+        self._exchanges.append(exchange)
+        while received_at_s - self._exchanges[0].at_s > _WINDOW_S:
+            self._exchanges.popleft()
+        self._estimate = _estimate(self._exchanges, drift)
+        self.causality = _causality(self._exchanges)
+        return None
+
+    @property
+    def stepped(self) -> bool:
+        """Whether the sender's clock is seen to have been stepped."""
+        return self.contradictions >= _CONTRADICTIONS_TO_BELIEVE
+
+    def estimate(self, now_s: float) -> Synchronised | None:
+        """What the exchanges say; None where there was none in the last five minutes."""
+        if self._estimate is None or now_s - self._estimate.at_s > _WINDOW_S:
+            return None
+        return self._estimate
+
+    def forget(self) -> None:
+        """The sender has rebooted: its clock is another one."""
+        self._pending.clear()
+        self._exchanges.clear()
+        self._estimate = None
+        self.causality = None
+        self._unanswered = 0
+        self.contradictions = 0
+
+    def _wait_s(self, period_s: float) -> float:
+        if self._unanswered >= _UNANSWERED:
+            return _UNANSWERED_SLOWDOWN * period_s
+        is_quick = self.contradictions > 0 or len(self._exchanges) < _QUICK_EXCHANGES
+        return min(_QUICK_PERIOD_S, period_s) if is_quick else period_s
+
+
+def _causality(exchanges: deque[_Exchange]) -> Causality:
+    at_s = exchanges[-1].at_s
+    recent = [exchange for exchange in islice(reversed(exchanges), _MOST_RECENT) if at_s - exchange.at_s <= _RECENT_S]
+    return Causality(at_s, max(-exchange.up_s for exchange in recent), min(exchange.down_s for exchange in recent))
+
+
+def _estimate(exchanges: deque[_Exchange], drift: Drift) -> Synchronised:
+    at_s, up_s, down_s = np.array(exchanges).T
+    now_s = float(at_s[-1])
+    aged_s = drift.rate * (now_s - at_s)
+    up_s, down_s = up_s - aged_s, down_s + aged_s
+    each_s = (down_s - up_s) / 2
+    up_s, down_s = np.sort(up_s), np.sort(down_s)
+    least_up_s, least_down_s = float(up_s[0]), float(down_s[0])
+    offset_s, one_way_s = (least_down_s - least_up_s) / 2, max((least_down_s + least_up_s) / 2, 0.0)
+    n = len(exchanges)
+    if n < _ENOUGH:
+        # Nothing is known but causality: uniform between its bounds.
+        return Synchronised(now_s, offset_s, max(one_way_s / sqrt(3.0), _FINEST_S), one_way_s, drift)
+    # The least of n delays exceeds the end of their distribution by about as much as the next ones are apart.
+    sigma_s = hypot(up_s[_SPACINGS] - up_s[0], down_s[_SPACINGS] - down_s[0]) / _SPACINGS / 2
+    mean_s, mean_sigma_s = float(each_s.mean()), float(each_s.std(ddof=1)) / sqrt(n)
+    if mean_sigma_s < sigma_s:
+        # Where the two contradict each other, queues in one direction have shifted the mean.
+        contradiction_s = max(abs(mean_s - offset_s) - 3.0 * hypot(sigma_s, mean_sigma_s), 0.0)
+        offset_s, sigma_s = min(max(mean_s, -least_up_s), least_down_s), hypot(mean_sigma_s, contradiction_s)
+    drifted_s = drift.sigma * (now_s - float(at_s.mean()))
+    return Synchronised(now_s, offset_s, max(hypot(sigma_s, _ASYMMETRY * one_way_s, drifted_s), _FINEST_S), one_way_s, drift)

@@ -1,0 +1,122 @@
+"""The clocks of one vehicle: its boot clock and those of its ranging devices, mapped to the service's clock with a sigma.
+
+With TIMESYNC answered, the boot clock's offset is what the round trips say. Without, it is bounded by the least delay of
+its one-way stamps, from which the settings' assumption of that delay is taken. A ranging device or companion computer
+may have booted apart from the autopilot and answers nothing, but its stamps come down the same link: where they agree
+with the boot clock they are in it, and otherwise the link's least delay, once known, is taken from its own least difference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from gcs_coloc.core.clocks.timesync import RoundTrips, Synchronised
+from gcs_coloc.core.clocks.timing import JUMPS_TO_BELIEVE, SenderClock
+from gcs_coloc.core.clocks.two_clocks import TwoClocks
+
+_SAME_CLOCK_S = 0.05
+_ONE_WAY_SIGMA_S = 0.005  # how far the least of a minute's one-way delays may be from the link's least
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSettings:
+    """How vehicles' clocks are found.
+
+    `timesync_period_s`: an autopilot is asked for its time this often.
+    `least_delay_s`, `least_delay_sigma_s`: assumed least one-way delay from a vehicle that does not answer TIMESYNC.
+    `require_synchronised_clock`: no aid is sent while the host's own clock is not known to be synchronised.
+    """
+
+    timesync_period_s: float = 1.0
+    least_delay_s: float = 0.0
+    least_delay_sigma_s: float = 0.05
+    require_synchronised_clock: bool = False
+
+
+class ServiceTime(NamedTuple):
+    """A stamp on the service's clock with its 1-sigma, both in seconds."""
+
+    at_s: float
+    sigma_s: float
+
+
+@dataclass(slots=True)
+class VehicleClock:
+    """The boot clock of one autopilot, from its one-way stamps and from TIMESYNC."""
+
+    stamps: SenderClock = field(default_factory=SenderClock)
+    round_trips: RoundTrips = field(default_factory=RoundTrips)
+    twins: TwoClocks = field(default_factory=TwoClocks)
+    _too_early: int = 0
+
+    @property
+    def resets(self) -> int:
+        """How often the clock was begun anew (reboots)."""
+        return self.stamps.resets
+
+    def learn(self, stamp_s: float, received_at_s: float) -> bool:
+        """Take one stamp; False where it jumps and must not be used."""
+        self.twins.take(stamp_s, received_at_s)
+        causality = self.round_trips.causality
+        # A stamp that has wrapped is far behind, so that this needs no unwrapping.
+        if causality is not None and causality.is_too_early(stamp_s, received_at_s):
+            self._too_early += 1
+            if self._too_early < JUMPS_TO_BELIEVE:
+                return False
+            self._begin_anew()
+        self._too_early = 0
+        known, began_at_s = self.stamps.known, self.stamps.began_at_s
+        taken = self.stamps.learn(stamp_s, received_at_s)
+        if known and self.stamps.began_at_s != began_at_s:
+            self.round_trips.forget()
+        return taken
+
+    def answered(self, ts1_ns: int, tc1_s: float, received_at_s: float) -> str | None:
+        """Take an answer to TIMESYNC; returns why it is refused, or None where it is taken."""
+        if not self.stamps.known:
+            return "came before its boot time is known"
+        refusal = self.round_trips.answered(
+            ts1_ns, self.stamps.unwrapped(tc1_s), received_at_s, self.stamps.least_difference_s(), self.stamps.drift
+        )
+        if self.round_trips.stepped:
+            self._begin_anew()
+        return refusal
+
+    def synchronised(self, now_s: float) -> Synchronised | None:
+        """What TIMESYNC says; None where it is not answered."""
+        return self.round_trips.estimate(now_s)
+
+    def quality(self, now_s: float, settings: TimeSettings) -> tuple[str, float] | None:
+        """How the clock is known, in a word, and its 1-sigma in seconds; None before its first stamp."""
+        sync = self.synchronised(now_s)
+        if sync is not None:
+            return "TIMESYNC", sync.sigma_at_s(now_s)
+        return ("one-way", settings.least_delay_sigma_s) if self.stamps.known else None
+
+    def one_way_delay_s(self, now_s: float) -> float | None:
+        """The least delay of the link in one direction; None where it is not known."""
+        sync = self.synchronised(now_s)
+        return sync.one_way_delay_s if sync is not None else None
+
+    def to_service(self, stamp_s: float, now_s: float, settings: TimeSettings) -> ServiceTime:
+        """A stamp on the service's clock. Only valid after `learn` has taken one."""
+        sync = self.synchronised(now_s)
+        if sync is not None:
+            return ServiceTime(self.stamps.unwrapped(stamp_s) + sync.offset_at_s(now_s), sync.sigma_at_s(now_s))
+        return ServiceTime(self.stamps.to_service(stamp_s) - settings.least_delay_s, settings.least_delay_sigma_s)
+
+    def device_to_service(self, device: SenderClock, stamp_s: float, now_s: float, settings: TimeSettings) -> ServiceTime:
+        """A stamp of a ranging device of this vehicle, whose own clock has learnt it, on the service's clock."""
+        sync = self.synchronised(now_s)
+        if sync is None or not self.stamps.known:
+            return ServiceTime(device.to_service(stamp_s) - settings.least_delay_s, settings.least_delay_sigma_s)
+        if abs(device.least_difference_s() - self.stamps.least_difference_s()) < _SAME_CLOCK_S:
+            return self.to_service(stamp_s, now_s, settings)
+        least_delay_s = self.stamps.least_difference_s() - sync.offset_at_s(now_s)
+        sigma_s = (sync.sigma_at_s(now_s) ** 2 + _ONE_WAY_SIGMA_S**2) ** 0.5
+        return ServiceTime(device.to_service(stamp_s) - least_delay_s, sigma_s)
+
+    def _begin_anew(self) -> None:
+        self.stamps.begin_anew()
+        self.round_trips.forget()

@@ -1,0 +1,117 @@
+"""Which vehicle's states are in which cluster: clusters begin with one vehicle, merge with the first range, and part again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.estimators.fleet.cluster import Cluster
+from gcs_coloc.estimators.fleet.joint import Joint, Key
+from gcs_coloc.estimators.fleet.motion import Step
+from gcs_coloc.estimators.fleet.settings import FleetSettings
+from gcs_coloc.estimators.fleet.vehicle import VehicleRecord
+
+
+class Clusters:
+    """The clusters of one model, by vehicle; a vehicle that has no states in a filter is in none.
+
+    `records` is shared with the model.
+    """
+
+    __slots__ = ("_of", "_records", "_settings", "_step")
+
+    def __init__(self, settings: FleetSettings, records: Mapping[int, VehicleRecord], step: Step | None = None) -> None:
+        self._settings = settings
+        self._records = records
+        self._of: dict[int, Cluster] = {}
+        self._step = Step() if step is None else step
+
+    def copy(self, records: Mapping[int, VehicleRecord]) -> Clusters:
+        """Return an independent copy for a model with the records given."""
+        other = Clusters(self._settings, records, self._step)
+        clusters = {id(c): c for c in self._of.values()}
+        copies = {key: other._cluster(c.joint.copy()) for key, c in clusters.items()}
+        other._of = {vehicle: copies[id(c)] for vehicle, c in self._of.items()}
+        return other
+
+    def __contains__(self, vehicle: int) -> bool:
+        return vehicle in self._of
+
+    def __getitem__(self, vehicle: int) -> Cluster:
+        return self._of[vehicle]
+
+    def get(self, vehicle: int) -> Cluster | None:
+        """Return a vehicle's cluster, None if it is in none."""
+        return self._of.get(vehicle)
+
+    def common(self, a: int, b: int) -> Cluster | None:
+        """Return the cluster that holds both vehicles, None if none does."""
+        cluster = self._of.get(a)
+        return cluster if cluster is self._of.get(b) else None
+
+    def together_with(self, vehicle: int) -> list[int]:
+        """Return the vehicles in a vehicle's cluster, itself included."""
+        cluster = self._of[vehicle]
+        return [v for v, c in self._of.items() if c is cluster]
+
+    def begin(self, vehicle: int, mean: FloatArray, covariance: FloatArray, at_s: float) -> Cluster:
+        """Begin a cluster of one vehicle: mean (m,) and covariance (m, m) of its states at a time."""
+        cluster = self._of[vehicle] = self._cluster(Joint())
+        cluster.joint.append(vehicle, mean, covariance, at_s)
+        return cluster
+
+    def adopt(self, cluster: Cluster, vehicles: list[int]) -> None:
+        """Take a copy of another model's cluster for its vehicles, which must be in none here."""
+        self._of.update(dict.fromkeys(vehicles, self._cluster(cluster.joint.copy())))
+
+    def merge(self, a: int, b: int) -> Cluster:
+        """Return the one cluster that holds both vehicles, made of their two if need be."""
+        first, second = self._of[a], self._of[b]
+        if first is not second:
+            if len(second.joint.A) > len(first.joint.A):
+                first, second = second, first
+            first.joint.join(second.joint)
+            for key in second.joint.where:
+                if isinstance(key, int):
+                    self._of[key] = first
+        return first
+
+    def drop(self, vehicle: int) -> None:
+        """Forget a vehicle's states, and the range errors of its pairs."""
+        cluster = self._of.pop(vehicle, None)
+        if cluster is None:
+            return
+        keys: list[Key] = [
+            key for key in cluster.joint.where if key != vehicle and not (isinstance(key, tuple) and vehicle in key[:2])
+        ]
+        cluster.joint = cluster.joint.part(keys)
+
+    def part(self, links: Mapping[int, set[int]]) -> None:
+        """Keep only the vehicles that are linked or subjects, and only those together that links hold together."""
+        for vehicle in sorted(self._of):
+            if not self._records[vehicle].subject and vehicle not in links:
+                self.drop(vehicle)
+        seen: set[int] = set()
+        for vehicle in sorted(self._of):
+            if vehicle in seen:
+                continue
+            cluster = self._of[vehicle]
+            members, edge = {vehicle}, [vehicle]
+            while edge:
+                for other in links.get(edge.pop(), ()):
+                    if other not in members and self._of.get(other) is cluster:
+                        members.add(other)
+                        edge.append(other)
+            seen |= members
+            keys: list[Key] = [
+                key
+                for key in cluster.joint.where
+                if key in members or (isinstance(key, tuple) and key[0] in members and key[1] in links.get(key[0], ()))
+            ]
+            if len(keys) < len(cluster.joint.where):
+                part = self._cluster(cluster.joint.part(keys))
+                for member in members:
+                    self._of[member] = part
+
+    def _cluster(self, joint: Joint) -> Cluster:
+        return Cluster(self._settings, self._records, self._step, joint)

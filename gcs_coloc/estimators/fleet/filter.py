@@ -1,0 +1,141 @@
+"""The `fleet` estimator: one joint filter per cluster of vehicles, fed with raw measurements at their own times.
+
+See docs/explanation/fleet-filter.md for the reasoning. This module is the outer shell: it refuses impossible values and late
+arrivals, puts the rest into the order of measuring, and asks the model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Collection, Mapping
+
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    AttitudeMeasurement,
+    Estimate,
+    Measurement,
+    PositionMeasurement,
+    RangeMeasurement,
+    Residual,
+    Unknown,
+)
+from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
+from gcs_coloc.estimators.fleet.settings import FleetSettings
+from gcs_coloc.estimators.fleet.timeline import Entry, Key, Timeline
+
+_RESIDUALS_KEPT = 4096
+_KIND_SUBJECTS, _KIND_POSITION, _KIND_ALTITUDE, _KIND_ATTITUDE, _KIND_RANGE = range(5)
+
+Event = Measurement | frozenset[int]
+
+
+class FleetFilter:
+    """The fleet filter; meets `gcs_coloc.estimators.base.Estimator`."""
+
+    name = "fleet"
+
+    def __init__(self, settings: FleetSettings | None = None) -> None:
+        self.settings = settings if settings is not None else FleetSettings()
+        self._timeline: Timeline[FleetHypotheses, Event] = Timeline(
+            FleetHypotheses(self.settings), self._apply, self.settings.window_s
+        )
+        self._refused: Counter[str] = Counter()
+        self._residuals: deque[Residual] = deque(maxlen=_RESIDUALS_KEPT)
+        self._now_s = -math.inf
+        self._subject_changes = 0
+
+    def set_subjects(self, subjects: Collection[int], at_s: float) -> None:
+        """State which vehicles are to be located from ranges from time `at_s` on."""
+        self._hear(at_s)
+        self._subject_changes += 1
+        # Of two changes at one time the later call is the last word.
+        self._timeline.insert(
+            (max(at_s, self._now_s - self.settings.window_s), _KIND_SUBJECTS, self._subject_changes), frozenset(subjects)
+        )
+
+    def add(self, measurement: Measurement) -> None:
+        """Take one measurement; what is of no use is counted."""
+        key = _key(measurement)
+        if key is None:
+            self._refused["refused: impossible value"] += 1
+            return
+        self._hear(measurement.arrived_at_s)
+        delay_s = measurement.arrived_at_s - measurement.measured_at_s
+        if delay_s > self.settings.window_s:
+            self._refused["refused: too late"] += 1
+        elif delay_s < -self.settings.ahead_s:
+            self._refused["refused: measured in the future"] += 1
+        elif not self._timeline.insert(key, measurement):
+            self._refused["refused: heard twice"] += 1
+
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
+        """Answer where a vehicle is at a time near the present; shortly before its newest measurement is answered too."""
+        return self._timeline.catch_up().estimate(vehicle, at_s)
+
+    def take_residuals(self) -> list[Residual]:
+        """The residuals since the last call, each range once, oldest first."""
+        self._timeline.catch_up()
+        taken = list(self._residuals)
+        self._residuals.clear()
+        return taken
+
+    def counts(self) -> Mapping[str, int]:
+        """How often what happened to measurements, by reason."""
+        self._timeline.catch_up()
+        return dict(sorted((self._timeline.outcomes + self._refused).items()))
+
+    def _hear(self, arrived_at_s: float) -> None:
+        if arrived_at_s > self._now_s:
+            self._now_s = arrived_at_s
+            self._timeline.settle(arrived_at_s)
+
+    def _apply(self, model: FleetHypotheses, entry: Entry[Event]) -> str:
+        event = entry.event
+        if isinstance(event, frozenset):
+            model.set_subjects(event, entry.key[0])
+            return "subjects changed"
+        verdict = model.apply(event)
+        if isinstance(event, RangeMeasurement) and verdict.degrees_of_freedom and not entry.told:
+            entry.told = True
+            self._residuals.append(
+                Residual(
+                    from_vehicle=event.from_vehicle,
+                    to_vehicle=event.to_vehicle,
+                    measured_at_s=event.measured_at_s,
+                    innovation_m=verdict.innovation_m,
+                    sigma_m=verdict.sigma_m,
+                    nis=verdict.nis,
+                    degrees_of_freedom=verdict.degrees_of_freedom,
+                    refused=None if verdict.used else verdict.outcome,
+                )
+            )
+        return verdict.outcome
+
+
+def _key(m: Measurement) -> Key | None:
+    """Return the measurement's place in time, unique to its content, or None where a value is impossible."""
+    head: Key
+    tail: Key
+    if isinstance(m, PositionMeasurement):
+        velocity = m.velocity_enu_mps or ()
+        sigmas = (m.sigma_h_m, m.sigma_v_m) + ((m.sigma_velocity_mps,) if m.sigma_velocity_mps is not None else ())
+        head, tail = (_KIND_POSITION, m.vehicle), (*m.position_enu_m, *velocity, m.time_sigma_s)
+    elif isinstance(m, RangeMeasurement):
+        if m.range_m < 0.0 or m.from_vehicle == m.to_vehicle:
+            return None
+        sigmas = (m.sigma_m,)
+        head, tail = (_KIND_RANGE, m.from_vehicle, m.to_vehicle, m.device_id), (m.range_m, m.time_sigma_s, m.time_sigma_m)
+    elif isinstance(m, AltitudeMeasurement):
+        sigmas = (m.sigma_m,)
+        head, tail = (_KIND_ALTITUDE, m.vehicle), (m.up_m,)
+    elif isinstance(m, AttitudeMeasurement):
+        sigmas = (1.0,)
+        air = (m.airspeed_mps,) if m.airspeed_mps is not None else ()
+        head, tail = (_KIND_ATTITUDE, m.vehicle), (m.roll_rad, m.pitch_rad, m.yaw_rad, *air)
+    else:
+        return None
+    key = (m.measured_at_s, *head, *tail, *sigmas)
+    if min(sigmas) <= 0.0 or not all(map(math.isfinite, key)) or not math.isfinite(m.arrived_at_s):
+        return None
+    return key

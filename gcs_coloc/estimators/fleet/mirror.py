@@ -1,0 +1,265 @@
+"""The mirror image of a subject that ranges peers in one plane: when the filter may have taken it, and what it is.
+
+Ranges with peers in one plane are the same on both sides of it: to the right and left of peers on one line, above and below peers
+at one height. Near the plane they hardly tell the motion across it either, so a turn there leads to either side unseen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, Vector3
+from gcs_coloc.estimators.fleet.cluster import Cluster, End
+from gcs_coloc.estimators.fleet.motion import POSITION, SIZE, STAMP_ERROR, TURN, VELOCITY
+
+_IN_USE_S = 2.0
+_NEAR_SIGMAS = 4.0
+_SPEED_SIGMAS = 2.0
+_HARDEST_TURN_MPS2 = 5.0
+_HARDEST_BESIDE_TWO_MPS2 = 9.8
+_TOLD_APART = 2.0
+_LEAST_SPREAD_SIGMAS = 3.0
+_SAME_PLACE = 1.0
+_COVERED_SIGMAS = 3.0
+_LEVEL = 0.7
+_LEAST_DISTANCE_M = 1.0
+_LEAST_BLUR_M = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Mirror:
+    """A plane through `at_m` (3,) with the unit normal `normal` (3,); at the subject it moves along it at `speed_mps`."""
+
+    at_m: FloatArray
+    normal: FloatArray
+    speed_mps: float
+
+
+def find_mirror(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
+    """Return the plane that a subject's peers are in if it is not told on which side of it the subject is going to leave it.
+
+    That is the vertical plane through peers on one line, or the level one through three and more where no height is heard. None
+    where the peers are not in one plane, where the subject is too far from it to have changed the side, where it crosses
+    so fast that it cannot have turned back within the stretch in which the ranges are blind across the plane, or where its
+    mirror image is as yet the same as the state.
+    """
+    neighbours = cluster.records[subject].neighbours
+    peers = [v for v, n in neighbours.items() if at_s - n.at_s <= _IN_USE_S and v in cluster.joint.where]
+    if len(peers) < 2:
+        return None
+    view = _View(cluster, subject, peers, at_s)
+    ee = en = nn = 0.0
+    for e, n, _ in view.offsets:
+        ee += e * e
+        en += e * n
+        nn += n * n
+    course = 0.5 * math.atan2(2.0 * en, ee - nn)
+    e, n = math.cos(course), math.sin(course)
+    if view.may_be_open((-n, e, 0.0)):
+        longest_m2 = 0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en)
+        mirror = _across(view, np.array([-n, e, 0.0]), np.array([[e], [n], [0.0]]), longest_m2)
+        if mirror is not None:
+            return mirror
+    if len(peers) < 3 or any(view.height_told(_LEVEL, view.blind_m(least)) > _TOLD_APART for least in view.least_blurs_m()):
+        return None
+    offsets = np.array(view.offsets)
+    spreads, axes = np.linalg.eigh(offsets.T @ offsets)
+    normal = axes[:, 0]
+    if abs(float(normal[2])) < _LEVEL or not view.may_be_open(normal.tolist()):
+        return None
+    return _across(view, normal, axes[:, 1:], float(spreads[1]))
+
+
+def is_aided(cluster: Cluster, subject: int, at_s: float) -> bool:
+    """Whether a subject tells its attitude and airspeed."""
+    attitude = cluster.records[subject].attitude
+    return attitude is not None and at_s - attitude.measured_at_s <= cluster.settings.attitude_fresh_s
+
+
+def told_by_motion(cluster: Cluster, subject: int, at_s: float) -> bool:
+    """Whether only how steadily a subject would fly tells the sides of its mirror apart: two peers are on it, no attitude."""
+    return len(_heard(cluster, subject, at_s)) <= 2 and not is_aided(cluster, subject, at_s)
+
+
+def through_two(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
+    """Return the upright plane through the two peers of a subject that ranges no more, None if it does."""
+    peers = _heard(cluster, subject, at_s)
+    if len(peers) != 2:
+        return None
+    view = _View(cluster, subject, peers, at_s)
+    e, n, _ = np.subtract(view.offsets[0], view.offsets[1]).tolist()
+    length_m = math.hypot(e, n)
+    if length_m < _LEAST_DISTANCE_M:
+        return None
+    normal, along = np.array([-n, e, 0.0]) / length_m, np.array([[e], [n], [0.0]]) / length_m
+    speed_mps = _plane_speed(view, np.array(view.offsets) @ along, np.array(view.offset) @ along, normal)
+    return Mirror(np.array(view.centre), normal, speed_mps)
+
+
+def _heard(cluster: Cluster, subject: int, at_s: float) -> list[int]:
+    """Return the peers with which ranges were heard lately, used or not: one that is refused tells the sides apart best."""
+    return [v for v, t in cluster.records[subject].heard.items() if at_s - t <= _IN_USE_S and v in cluster.joint.where]
+
+
+def away_sigmas(cluster: Cluster, subject: int, mirror: Mirror) -> float:
+    """Return how far a subject is off a plane, in its own sigmas, signed."""
+    n = mirror.normal
+    sigma_m = math.sqrt(float(n @ cluster.joint.covariance(subject)[POSITION, POSITION] @ n))
+    return float((np.array(cluster.place(subject)) - mirror.at_m) @ n) / sigma_m
+
+
+class _View:
+    """A subject and its peers at a time: where they are and how well that is known, as far as it costs little.
+
+    `offset` is the subject's place about the mean `centre` of its peers, `offsets` theirs, `distance_m` how far it is from each.
+    `most_m` is at least as large as the sigma of any way between the subject and a peer in any direction.
+    """
+
+    def __init__(self, cluster: Cluster, subject: int, peers: list[int], at_s: float) -> None:
+        self.cluster = cluster
+        self.own = cluster.end(subject)
+        self.peers = [cluster.end(v) for v in peers]
+        places = [peer.place for peer in self.peers]
+        ce, cn, cu = self.centre = [math.fsum(axis) / len(peers) for axis in zip(*places, strict=True)]
+        self.offsets: list[Vector3] = [(e - ce, n - cn, u - cu) for e, n, u in places]
+        e, n, u = self.own.place
+        self.offset = (e - ce, n - cn, u - cu)
+        self.distance_m = [max(math.dist(self.own.place, place), _LEAST_DISTANCE_M) for place in places]
+        self.nearest_m = min(self.distance_m)
+        most_m = _most_m(cluster, self.own) + max(_most_m(cluster, peer) for peer in self.peers)
+        self.most_m = max(most_m, _LEAST_BLUR_M)
+        record = cluster.records[subject]
+        self.aided = is_aided(cluster, subject, at_s)
+        self._height_sigma_m = math.inf
+        for m in reversed(record.own):
+            if at_s - m.measured_at_s > _IN_USE_S:
+                break
+            if isinstance(m, AltitudeMeasurement):
+                self._height_sigma_m = m.sigma_m
+
+    def least_blurs_m(self) -> Iterator[float]:
+        """What the largest sigma of a distance to a peer is at least: first without looking, then that to one of them."""
+        yield _LEAST_BLUR_M
+        yield math.sqrt(max(float(self.apart_m2(0)[0, 0]), 0.0))
+
+    def apart_m2(self, i: int) -> FloatArray:
+        """Return the covariance (4, 4) of the way from peer i to the subject: along the line between them, east, north, up."""
+        (e, n, u), (pe, pn, pu), distance_m = self.offset, self.offsets[i], self.distance_m[i]
+        unit = ((e - pe) / distance_m, (n - pn) / distance_m, (u - pu) / distance_m)
+        return self.cluster.joint.foresee(self.cluster.way(self.own, self.peers[i], unit))[1]
+
+    def blind_m(self, blur_m: float) -> float:
+        """Within this distance of a plane the ranges change by less than they are uncertain."""
+        return math.sqrt(2.0 * blur_m * self.nearest_m)
+
+    def height_told(self, upwards: float, reach_m: float) -> float:
+        """How clearly the subject's own height tells the two sides of a plane apart, whose unit normal has this part upwards."""
+        return (2.0 * reach_m * upwards / self._height_sigma_m) ** 2
+
+    def may_be_open(self, normal: Sequence[float]) -> bool:
+        """Whether it may be open on which side of a plane through the centre the subject is, whatever the covariances are.
+
+        It is not too far from the plane, and the peers are not too far off it to tell the sides apart.
+        """
+        ne, nn, nu = normal
+        away_m = self.offset[0] * ne + self.offset[1] * nn + self.offset[2] * nu
+        blind_m = self.blind_m(self.most_m)
+        if abs(away_m) > max(_NEAR_SIGMAS * self.most_m, blind_m):
+            return False
+        slopes = ((e * ne + n * nn + u * nu) / d for (e, n, u), d in zip(self.offsets, self.distance_m, strict=True))
+        # The ratio of the blind stretch to the blur only falls as the blur grows.
+        told = 2.0 * blind_m / self.most_m
+        return told * told * sum(slope * slope for slope in slopes) <= _TOLD_APART
+
+
+def _most_m(cluster: Cluster, end: End) -> float:
+    """Return a bound on the sigma of a vehicle's place in any direction, m: as if all errors in it were one."""
+    A, p = cluster.joint.A, end.where.start
+    place_m = math.sqrt(A.item(p, p) + A.item(p + 1, p + 1) + A.item(p + 2, p + 2))
+    if end.late_s is None:
+        return place_m
+    v, s = p + VELOCITY.start, p + STAMP_ERROR
+    speed_sigma_mps = math.sqrt(A.item(v, v) + A.item(v + 1, v + 1) + A.item(v + 2, v + 2))
+    return place_m + abs(end.late_s) * speed_sigma_mps + math.hypot(*end.velocity) * math.sqrt(A.item(s, s))
+
+
+def _across(view: _View, normal: FloatArray, within: FloatArray, least_spread_m2: float) -> Mirror | None:
+    """Test one plane: unit normal (3,), axes within it (3, m), and the least sum of squares of the peers along these."""
+    offsets, offset, upwards = np.array(view.offsets), np.array(view.offset), abs(float(normal[2]))
+    away_m, distance_m = float(offset @ normal), np.array(view.distance_m)
+    blur2, across2, blind_m = np.empty(len(view.peers)), 0.0, 0.0
+    for i in range(len(view.peers)):
+        apart_m2 = view.apart_m2(i)
+        blur2[i] = max(float(apart_m2[0, 0]), _LEAST_BLUR_M**2)
+        across2 = max(across2, float(normal @ apart_m2[1:, 1:] @ normal))
+        blind_m = max(blind_m, view.blind_m(math.sqrt(float(blur2[i]))))
+        if view.height_told(upwards, max(abs(away_m), blind_m)) > _TOLD_APART:
+            return None
+    if math.sqrt(least_spread_m2) < _LEAST_SPREAD_SIGMAS * math.sqrt(float(blur2.max())):
+        return None
+    if abs(away_m) > max(_NEAR_SIGMAS * math.sqrt(across2), blind_m):
+        return None
+    reach_m = max(abs(away_m), blind_m)
+    told = 2.0 * reach_m * (offsets @ normal) / distance_m
+    if float(np.sum(told * told / blur2)) + view.height_told(upwards, reach_m) > _TOLD_APART:
+        return None
+    speed_mps = _plane_speed(view, offsets @ within, offset @ within, normal)
+    closing = float(np.dot(view.own.velocity, normal)) - speed_mps
+    P = view.cluster.joint.covariance(view.own.vehicle)
+    spread_v = math.sqrt(float(normal @ P[VELOCITY, VELOCITY] @ normal))
+    # Beside two peers nothing but the motion will ever tell, and a hard turn is as hard to see.
+    hardest_mps2 = _HARDEST_BESIDE_TWO_MPS2 if len(view.peers) == 2 else _HARDEST_TURN_MPS2
+    turn = 0.0 if view.aided else math.sqrt(hardest_mps2 * blind_m)
+    if abs(closing) > _SPEED_SIGMAS * spread_v + turn:
+        return None
+    if upwards > _LEVEL and abs(closing) < _SPEED_SIGMAS * spread_v:
+        # Level flight beside the plane does not come to its other side.
+        return None
+    both = np.array([away_m, closing])
+    G = np.zeros((2, SIZE))
+    G[0, POSITION] = G[1, VELOCITY] = normal
+    twice = 2.0 * float(both @ np.linalg.solve(G @ P @ G.T, both))
+    return Mirror(np.array(view.centre), normal, speed_mps) if twice > _SAME_PLACE else None
+
+
+def _plane_speed(view: _View, within_m: FloatArray, at_m: FloatArray, normal: FloatArray) -> float:
+    """Return the speed along its normal, m/s, of the plane through the peers, at a place `at_m` (m,) in it.
+
+    `within_m` (k, m) is where the peers are in it, about their mean.
+    """
+    speeds = np.array([peer.velocity for peer in view.peers]) @ normal
+    slopes = np.linalg.solve(within_m.T @ within_m, within_m.T @ speeds)
+    return float(speeds.mean() + slopes @ at_m)
+
+
+def reflect(cluster: Cluster, subject: int, mirror: Mirror) -> None:
+    """Turn a subject's state into its mirror image, with all its covariances."""
+    joint, n = cluster.joint, mirror.normal
+    M = np.eye(SIZE)
+    M[0:3, 0:3] -= 2.0 * np.outer(n, n)
+    M[3:6, 3:6] = M[0:3, 0:3]
+    # A rate about the vertical turns round in an upright mirror and stays what it is in a level one.
+    M[TURN, TURN] = 2.0 * float(n[2]) ** 2 - 1.0
+    offset = np.zeros(SIZE)
+    offset[0:3] = 2.0 * float(mirror.at_m @ n) * n
+    offset[3:6] = 2.0 * mirror.speed_mps * n
+    mean = M @ joint.mean(subject) + offset
+    joint.transform(subject, tuple(mean.tolist()), M, np.zeros((SIZE, SIZE)), joint.time_s[subject])
+
+
+def blend(
+    x: FloatArray, P: FloatArray, other_x: FloatArray, other_P: FloatArray, log_odds: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean (6,) and covariance (6, 6) of two possible states; `log_odds` is that of the other one.
+
+    The covariance is that of the mixture, and at least such that the less likely of the two is within three sigmas.
+    """
+    share = 0.5 + 0.5 * math.tanh(0.5 * log_odds)
+    d = other_x - x
+    less = min(share, 1.0 - share)
+    spread = max(less * (1.0 - less), ((1.0 - less) / _COVERED_SIGMAS) ** 2)
+    return x + share * d, (1.0 - share) * P + share * other_P + spread * np.outer(d, d)

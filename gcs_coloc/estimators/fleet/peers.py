@@ -1,0 +1,88 @@
+"""The choice of the neighbours that locate a subject best, where there are more than are worth their cost."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray
+from gcs_coloc.estimators.fleet.clusters import Clusters
+from gcs_coloc.estimators.fleet.settings import FleetSettings
+from gcs_coloc.estimators.fleet.vehicle import Records
+
+_CHOICE_HOLDS_S = 2.0
+_STAY_BONUS = 1.2
+_SHARED_BONUS = 1.5
+_PRIOR_INFORMATION = 1e-3
+
+
+def is_wanted(clusters: Clusters, records: Records, subject: int, other: int, at_s: float, s: FleetSettings) -> bool:
+    """Whether another vehicle is among the at most K neighbours that a subject uses; chooses anew every 2 s.
+
+    The subject's record is changed: it is to be the model's own.
+    """
+    record = records[subject]
+    if other not in record.chosen and len(record.heard) <= s.peers_per_subject:
+        record.chosen = frozenset(record.heard)
+    if at_s - record.chosen_at_s >= _CHOICE_HOLDS_S:
+        record.chosen_at_s = at_s
+        fresh = sorted(v for v, t in record.heard.items() if at_s - t <= s.peer_fresh_s)
+        few = len(fresh) <= s.peers_per_subject
+        record.chosen = frozenset(fresh) if few else _choose(clusters, records, subject, fresh, s.peers_per_subject)
+    return other in record.chosen
+
+
+def _choose(clusters: Clusters, records: Records, subject: int, fresh: list[int], most: int) -> frozenset[int]:
+    here, record = _roughly(clusters, records, subject), records[subject]
+    placed = [(v, there) for v in fresh if (there := _roughly(clusters, records, v)) is not None]
+    if here is None or len(placed) <= most:
+        return frozenset([v for v, _ in placed][:most])
+    subjects = {vehicle: other for vehicle, other in records.items() if other.subject}
+    used = (other.chosen for vehicle, other in subjects.items() if vehicle != subject)
+    shared = frozenset().union(*used) - subjects.keys()
+    height_known = any(isinstance(m, AltitudeMeasurement) for m in record.recent)
+    return choose_peers(here, placed, record.chosen, shared, most, height_known=height_known)
+
+
+def _roughly(clusters: Clusters, records: Records, vehicle: int) -> FloatArray | None:
+    cluster, record = clusters.get(vehicle), records[vehicle]
+    if cluster is not None:
+        return cluster.joint.mean(vehicle)[:3]
+    return np.array(record.last_position.position_enu_m) if record.last_position is not None else None
+
+
+def choose_peers(
+    here: FloatArray,
+    placed: list[tuple[int, FloatArray]],
+    kept: frozenset[int],
+    shared: frozenset[int],
+    most: int,
+    *,
+    height_known: bool,
+) -> frozenset[int]:
+    """Choose at most `most` peers greedily: each next one is that which lowers the trace of the position cofactor most.
+
+    Args:
+        here: (3,) where the subject is, ENU in metres.
+        placed: candidates with their positions (3,), in a fixed order (ties go to the first).
+        kept: those in use now; another one has to be clearly better to replace one, for each change costs correlations.
+        shared: those that other subjects use: any other one has to be carried for this subject alone.
+        most: how many may be used.
+        height_known: whether the subject tells its own height, which is then worth a range from straight above.
+
+    """
+    there = np.array([position for _, position in placed])
+    d = here - there
+    units = d / np.maximum(np.linalg.norm(d, axis=1), 1e-9)[:, np.newaxis]
+    bonus = np.array([(_STAY_BONUS if v in kept else 1.0) * (_SHARED_BONUS if v in shared else 1.0) for v, _ in placed])
+    cofactor = np.diag([1.0, 1.0, _PRIOR_INFORMATION if height_known else 1.0]) / _PRIOR_INFORMATION
+    free = np.ones(len(placed), dtype=bool)
+    chosen: list[int] = []
+    for _ in range(min(most, len(placed))):
+        cu = units @ cofactor
+        lowered = np.einsum("ij,ij->i", cu, cu) / (1.0 + np.einsum("ij,ij->i", cu, units))
+        best = int(np.argmax(np.where(free, lowered * bonus, -1.0)))
+        free[best] = False
+        chosen.append(placed[best][0])
+        g = cu[best]
+        cofactor = cofactor - np.outer(g, g) / (1.0 + float(g @ units[best]))
+    return frozenset(chosen)

@@ -1,0 +1,194 @@
+"""What the fleet filter remembers of one vehicle beside its states."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from operator import attrgetter
+from typing import TypeVar
+
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    AttitudeMeasurement,
+    PositionMeasurement,
+    RangeMeasurement,
+)
+from gcs_coloc.estimators.fleet.noise import NOTHING_HEARD, Whiteness
+
+_RECENT_S = 3.0
+_RECENT_MOST = 64
+_RANGES_S = 4.0
+_RANGES_MOST = 120
+
+OwnMeasurement = PositionMeasurement | AltitudeMeasurement | AttitudeMeasurement
+"""What a vehicle measures of itself."""
+
+
+@dataclass(slots=True)
+class ManoeuvreMonitor:
+    """Compares the velocity corrections made with those that the model foresees, horizontally and vertically.
+
+    The corrections are white under a right model, their covariance is known: their fading sum c has the fading sum C as its
+    covariance, and c' C^-1 c / 2 has mean 1. A turn that the model does not know makes it large within a second or two.
+    """
+
+    c_e: float = 0.0
+    c_n: float = 0.0
+    C_ee: float = 0.0
+    C_en: float = 0.0
+    C_nn: float = 0.0
+    c_u: float = 0.0
+    C_uu: float = 0.0
+    at_s: float = -math.inf
+
+    def take(
+        self, at_s: float, memory_s: float, we: Sequence[float], wn: Sequence[float], wu: Sequence[float], e: Sequence[float]
+    ) -> None:
+        """Fade to a time, and take the corrections (we, wn, wu) e made to the velocity by innovations e of unit variance."""
+        f = math.exp(-(at_s - self.at_s) / memory_s) if at_s > self.at_s else 1.0
+        g = f * f
+        c_e, c_n, c_u = self.c_e * f, self.c_n * f, self.c_u * f
+        C_ee, C_en, C_nn, C_uu = self.C_ee * g, self.C_en * g, self.C_nn * g, self.C_uu * g
+        for east, north, up, innovation in zip(we, wn, wu, e, strict=True):
+            c_e += east * innovation
+            c_n += north * innovation
+            c_u += up * innovation
+            C_ee += east * east
+            C_en += east * north
+            C_nn += north * north
+            C_uu += up * up
+        self.c_e, self.c_n, self.c_u = c_e, c_n, c_u
+        self.C_ee, self.C_en, self.C_nn, self.C_uu = C_ee, C_en, C_nn, C_uu
+        self.at_s = max(at_s, self.at_s)
+
+    def gains(self) -> tuple[float, float]:
+        """Return by how much the accelerations, horizontally and vertically, exceed those of steady flight: 1 where they do not.
+
+        The squares of c' C^-1 c / 2 and of c^2 / C, which are 1 on average in steady flight and with nothing to judge by.
+        """
+        c_e, c_n, C_ee, C_en, C_nn = self.c_e, self.c_n, self.C_ee, self.C_en, self.C_nn
+        det = C_ee * C_nn - C_en * C_en
+        if det > 1e-9 * C_ee * C_nn and det >= 1e-300:
+            ratio = 0.5 * (C_nn * c_e * c_e - 2.0 * C_en * c_e * c_n + C_ee * c_n * c_n) / det
+        else:
+            trace = C_ee + C_nn
+            ratio = (c_e * c_e + c_n * c_n) / trace if trace > 1e-150 else 1.0
+        ratio_v = self.c_u * self.c_u / self.C_uu if self.C_uu > 1e-150 else 1.0
+        return max(ratio * ratio, 1.0), max(ratio_v * ratio_v / 3.0, 1.0)
+
+
+@dataclass(slots=True)
+class Neighbour:
+    """What the last range between a subject and one neighbour was: its time and a unit vector along it."""
+
+    at_s: float
+    unit: tuple[float, float, float]
+
+
+@dataclass(slots=True)
+class VehicleRecord:
+    """One vehicle. `own` and `ranged` are what it measured of itself and its ranges, oldest first, at least those of late.
+
+    `white` tells the noise of its reports, horizontally and vertically, `white_baro` that of its heights.
+    `slow_report_h_m`, `slow_report_v_m`, `slow_baro_m`, `stamp_s` are the sigmas in force of the slow errors in the joint state.
+    `lost_evidence` is the evidence of the ranges that the gate refused and let pass that this subject is not where it is held to
+    be, `unchecked` the neighbour of the last one refused where no others would have shown that, `refused_m2` the mean square
+    innovation of the former, `distrust_m2` what ranges are believed less since it was lost.
+    """
+
+    subject: bool = False
+    fixed: bool = False
+    last_position: PositionMeasurement | None = None
+    own: tuple[OwnMeasurement, ...] = ()
+    ranged: tuple[RangeMeasurement, ...] = ()
+    white: Whiteness = NOTHING_HEARD
+    white_baro: Whiteness = NOTHING_HEARD
+    attitude: AttitudeMeasurement | None = None
+    slow_report_h_m: float = 0.0
+    slow_report_v_m: float = 0.0
+    slow_baro_m: float = 0.0
+    stamp_s: float = 0.0
+    manoeuvre: ManoeuvreMonitor = field(default_factory=ManoeuvreMonitor)
+    neighbours: dict[int, Neighbour] = field(default_factory=dict)
+    heard: dict[int, float] = field(default_factory=dict)
+    chosen: frozenset[int] = frozenset()
+    chosen_at_s: float = -math.inf
+    informed_at_s: float = -math.inf
+    velocity_used_at_s: float = -math.inf
+    lost_evidence: float = 0.0
+    unchecked: int | None = None
+    refused_m2: float = 0.0
+    distrust_m2: float = 0.0
+    reports_refused: int = 0
+    start_tried_at_s: float = -math.inf
+    reason: str = "no measurement of it was heard"
+
+    def copy(self) -> VehicleRecord:
+        """Return an independent copy."""
+        other = VehicleRecord(*_RECORDED(self))
+        other.manoeuvre = ManoeuvreMonitor(*_MONITORED(self.manoeuvre))
+        other.neighbours = dict(self.neighbours)
+        other.heard = dict(self.heard)
+        return other
+
+    def remember(self, measurement: OwnMeasurement) -> None:
+        """Keep a measurement of this vehicle's own for a few seconds: a filter for it is started from these when needed."""
+        kept = self.own if len(self.own) < 2 * _RECENT_MOST else self.own[-_RECENT_MOST:]
+        self.own = (*kept, measurement)
+
+    def remember_range(self, measurement: RangeMeasurement) -> None:
+        """Keep a range for a few seconds: a subject without a position is started from these."""
+        kept = self.ranged if len(self.ranged) < 2 * _RANGES_MOST else self.ranged[-_RANGES_MOST:]
+        self.ranged = (*kept, measurement)
+
+    @property
+    def recent(self) -> tuple[OwnMeasurement, ...]:
+        """The own measurements of the last 3 s before the newest, 64 at most, oldest first."""
+        return _since(self.own[-_RECENT_MOST:], _RECENT_S)
+
+    @property
+    def ranges(self) -> tuple[RangeMeasurement, ...]:
+        """The ranges of the last 4 s before the newest, 120 at most, oldest first."""
+        return _since(self.ranged[-_RANGES_MOST:], _RANGES_S)
+
+
+_Measured = TypeVar("_Measured", OwnMeasurement, RangeMeasurement)
+
+
+def _since(measured: tuple[_Measured, ...], span_s: float) -> tuple[_Measured, ...]:
+    return tuple(m for m in measured if m.measured_at_s >= measured[-1].measured_at_s - span_s)
+
+
+# All fields at once, in their order: a copy is made of every vehicle that is heard, ten times a second.
+_RECORDED = attrgetter(*(one.name for one in fields(VehicleRecord)))
+_MONITORED = attrgetter(*(one.name for one in fields(ManoeuvreMonitor)))
+
+
+class Records(dict[int, VehicleRecord]):
+    """What is remembered of all vehicles, by vehicle. Copies share the records, until one is about to be changed: `writable`."""
+
+    __slots__ = ("_own",)
+
+    def __init__(self, records: Mapping[int, VehicleRecord] | None = None) -> None:
+        super().__init__(records or {})
+        self._own: set[int] = set()
+
+    def copy(self) -> Records:
+        """Return an independent copy."""
+        self._own.clear()
+        return Records(self)
+
+    def writable(self, vehicle: int) -> VehicleRecord:
+        """Return a vehicle's record to be changed: a new one where nothing is remembered, one's own where it is shared."""
+        if vehicle in self._own:
+            return self[vehicle]
+        self._own.add(vehicle)
+        record = self.get(vehicle)
+        record = self[vehicle] = VehicleRecord() if record is None else record.copy()
+        return record
+
+    def take(self, other: Records, vehicle: int) -> None:
+        """Take what another one remembers of a vehicle."""
+        self[vehicle] = other[vehicle].copy()
+        self._own.add(vehicle)

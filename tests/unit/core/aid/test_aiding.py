@@ -1,0 +1,323 @@
+"""Who is aided and who is not, and what the operator's word on it does."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from engine_flights import StraightLine, aids, fly, settings
+
+from gcs_coloc.core.aid.settings import AidSettings
+from gcs_coloc.core.aid_messages import GlobalPositionSensor, OtherAid, ParameterRequest, ParameterSet, ParameterValue
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.measurements import PositionMeasurement
+from gcs_coloc.core.messages import Autopilot, GpsReceiver, Heartbeat
+from gcs_coloc.core.outputs import Aid, GpsInput, Notice
+from gcs_coloc.core.words import AidWord, GpsWord, OperatorWord, PrimaryWord
+
+
+def vehicle_4(engine: Engine, now_s: float):
+    return next(v for v in engine.view(now_s).vehicles if v.sysid == 4)
+
+
+def test_aid_off_ends_the_stream_with_no_fix_and_auto_begins_it_again():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 5.0)
+    fly(engine, 5.0, 8.0, failed=[4])
+    engine.receive(OperatorWord(4, 8.0, AidWord.OFF))
+    stream = aids(fly(engine, 8.0, 10.0, failed=[4]), 4)
+    assert [a.fix_type for _, a in stream] == [1]
+    assert vehicle_4(engine, 10.0).aid == "off by the operator's word"
+    engine.receive(OperatorWord(4, 10.0, AidWord.AUTO))
+    assert len(aids(fly(engine, 10.0, 12.0, failed=[4]), 4)) == pytest.approx(20, abs=1)
+
+
+def test_aid_on_streams_to_a_healthy_vehicle_whose_own_claims_then_count_for_nothing():
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    engine.receive(OperatorWord(4, 0.0, AidWord.ON))
+    out = fly(engine, 0.0, 8.0)
+    assert {a.fix_type for t, a in aids(out, 4) if t > 0.5} == {3}
+    assert vehicle_4(engine, 8.0).gps_state == "healthy"
+    assert max((m.measured_at_s for m in estimator.of(PositionMeasurement, 4)), default=0.0) < 0.5
+    assert estimator.subjects[-1][0] == {4}
+    engine.receive(OperatorWord(4, 8.0, AidWord.AUTO))
+    fly(engine, 8.0, 15.0)
+    assert estimator.subjects[-1][0] == frozenset()
+    assert max(m.measured_at_s for m in estimator.of(PositionMeasurement, 4)) > 14.5
+
+
+def heard_without_a_heartbeat(engine: Engine, from_s: int, to_s: int) -> list[str]:
+    """What the operator is told of a vehicle whose receiver is heard once a second, and nothing else."""
+    out = []
+    for at_s in range(from_s, to_s):
+        engine.receive(GpsReceiver(4, float(at_s), 0, 3, 47.0, 8.0, 500.0, 10, 0.8, 0.8, 1.2, 0.2))
+        out += engine.poll(at_s + 0.5)
+    return [o.text for o in out if isinstance(o, Notice)]
+
+
+def test_a_vehicle_that_has_just_come_is_given_time_for_its_heartbeat_before_an_alarm():
+    engine = Engine(StraightLine(), settings())
+    engine.receive(OperatorWord(4, 0.0, GpsWord.FAILED))
+    assert not any("cannot be aided" in text for text in heard_without_a_heartbeat(engine, 0, 3))
+    told = [text for text in heard_without_a_heartbeat(engine, 3, 6) if "cannot be aided" in text]
+    assert told == ["needs aid and cannot be aided: no heartbeat of an autopilot heard yet"]
+
+
+def test_to_an_unknown_autopilot_nothing_is_sent_unless_a_way_is_set():
+    for way, sent in (("auto", False), ("gps_input", True)):
+        engine = Engine(StraightLine(), settings(aid=AidSettings(way=way, standby=True)))
+        fly(engine, 0.0, 5.0, autopilot=Autopilot.OTHER)
+        out = fly(engine, 5.0, 10.0, failed=[4], autopilot=Autopilot.OTHER)
+        assert any(isinstance(o, Aid) for _, o in out) is sent
+        alarms = [o.text for _, o in out if isinstance(o, Notice) and "cannot be aided: its autopilot is neither" in o.text]
+        assert len(alarms) == (0 if sent else 1)
+        assert all("set the way of its aid ([aid] ways)" in text for text in alarms)
+        assert vehicle_4(engine, 10.0).aid.startswith("sending 3D fix" if sent else "NOT SENT: its autopilot is neither")
+
+
+def test_the_word_on_the_aid_leaves_the_word_on_the_gps_alone():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 2.0)
+    engine.receive(OperatorWord(4, 2.0, AidWord.OFF))
+    seen = vehicle_4(engine, 2.0)
+    assert (seen.operator_word, seen.aid_word) == ("auto", "off")
+
+
+def parameters_told(engine: Engine, now_s: float, **values: float) -> None:
+    for name, value in values.items():
+        engine.receive(ParameterValue(4, now_s, name, value, 2))
+
+
+def texts(out: list, sysid: int = 4) -> list[str]:
+    return [o.text for _, o in out if isinstance(o, Notice) and o.sysid == sysid]
+
+
+def test_a_px4_is_told_by_global_position_sensor_where_it_is_on_arrival():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 5.0, autopilot=Autopilot.PX4)
+    out = fly(engine, 5.0, 10.0, failed=[4], autopilot=Autopilot.PX4)
+    told = [(t, o) for t, o in out if isinstance(o, GlobalPositionSensor)]
+    assert not [o for _, o in out if isinstance(o, GpsInput)]
+    assert len(told) > 35
+    sent_at_s, last = told[-1]
+    assert (last.sysid, last.eph_m, last.epv_m) == (4, 2.0, 3.0)
+    east_m, _, up_m = engine.feed.frame.enu_from_geodetic(last.lat_deg, last.lon_deg, last.alt_msl_m)
+    assert (east_m, up_m) == pytest.approx((20.0 * sent_at_s, 30.0), abs=0.01)
+    assert vehicle_4(engine, 10.0).aid == "sending GLOBAL_POSITION_SENSOR"
+    assert engine.close() == []
+
+
+def test_a_px4_that_is_not_located_is_told_nothing():
+    estimator = StraightLine()
+    estimator.unknown = "no ranges"
+    engine = Engine(estimator, settings())
+    fly(engine, 0.0, 5.0, autopilot=Autopilot.PX4)
+    out = fly(engine, 5.0, 10.0, failed=[4], autopilot=Autopilot.PX4)
+    assert not [o for _, o in out if isinstance(o, Aid)]
+    assert "not located, sending nothing: no ranges" in texts(out)
+
+
+def test_the_way_of_a_single_vehicle_wins_and_one_that_it_cannot_take_is_refused_in_words():
+    engine = Engine(StraightLine(), settings(aid=AidSettings(ways={4: "global_position_sensor"})))
+    fly(engine, 0.0, 5.0)
+    out = fly(engine, 5.0, 10.0, failed=[3, 4])
+    assert {o.sysid for _, o in out if isinstance(o, Aid)} == {3}
+    assert "NOT SENT: ArduPilot does not take GLOBAL_POSITION_SENSOR" in vehicle_4(engine, 10.0).aid
+
+
+def test_the_stream_goes_on_for_a_while_after_the_gps_is_healthy_again_then_ends_with_no_fix():
+    engine = Engine(StraightLine(), settings(aid=AidSettings(hand_back_s=6.0)))
+    fly(engine, 0.0, 5.0)
+    fly(engine, 5.0, 8.0, failed=[4])
+    stream = aids(fly(engine, 8.0, 40.0), 4)
+    # Recovering for 10 s, healthy for 6 s more.
+    assert stream[-1][0] == pytest.approx(24.2, abs=0.5)
+    assert [a.fix_type for _, a in stream] == [3] * (len(stream) - 1) + [1]
+
+
+def test_somebody_elses_gps_input_makes_ours_stand_down_while_it_lasts_and_ten_seconds_more():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 5.0)
+    fly(engine, 5.0, 8.0, failed=[4])
+    out = []
+    for step in range(80, 120):
+        engine.receive(OtherAid(255, step / 10, gps_id=1, vehicle=4))
+        out += fly(engine, step / 10, step / 10 + 0.1, failed=[4])
+    assert not aids(out, 4)  # no last word either: it would interrupt the other one's fix
+    assert "system 255 sends it GPS_INPUT for receiver 1: ours stands down" in texts(out)
+    assert "system 255 sends it GPS_INPUT" in vehicle_4(engine, 12.0).aid
+    after = fly(engine, 12.0, 24.0, failed=[4])
+    assert aids(after, 4)[0][0] == pytest.approx(21.9, abs=0.41)
+    assert "nobody else has sent it GPS_INPUT for 10 s" in texts(after)
+    assert 255 not in [v.sysid for v in engine.view(24.0).vehicles]
+
+
+@pytest.mark.parametrize(
+    "other", [OtherAid(255, 8.0, gps_id=0, vehicle=4), OtherAid(255, 8.0, 1, None), OtherAid(255, 8.0, 1, 9)]
+)
+def test_what_feeds_another_receiver_or_another_vehicle_is_no_rival(other):
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 5.0)
+    fly(engine, 5.0, 8.0, failed=[4])
+    engine.receive(other)
+    assert len(aids(fly(engine, 8.0, 9.0, failed=[4]), 4)) == pytest.approx(10, abs=1)
+
+
+def standing_by(**values: float) -> tuple[Engine, StraightLine]:
+    estimator = StraightLine()
+    engine = Engine(estimator, settings(aid=AidSettings(standby=True)))
+    fly(engine, 0.0, 2.0)
+    parameters_told(engine, 2.0, **values)
+    return engine, estimator
+
+
+def test_standby_streams_a_healthy_vehicle_its_own_estimate_and_leaves_it_an_anchor():
+    engine, estimator = standing_by(GPS_AUTO_SWITCH=4.0, GPS_PRIMARY=0.0)
+    stream = aids(fly(engine, 2.0, 10.0), 4)
+    assert len(stream) == pytest.approx(80, abs=3)
+    assert {a.fix_type for _, a in stream} == {3}
+    seen = vehicle_4(engine, 10.0)
+    assert seen.gps_state == "healthy"
+    assert seen.aid.startswith("standby: sending 3D fix")
+    assert max(m.measured_at_s for m in estimator.of(PositionMeasurement, 4)) > 9.5
+    assert not engine.fleet.get(4).health.aided
+
+
+def test_standby_fails_over_without_a_gap():
+    engine, _ = standing_by(GPS_AUTO_SWITCH=4.0, GPS_PRIMARY=0.0)
+    stream = aids(fly(engine, 2.0, 10.0), 4) + aids(fly(engine, 10.0, 20.0, failed=[4]), 4)
+    assert {a.fix_type for _, a in stream} == {3}
+    times = [t for t, _ in stream]
+    assert [b - a for a, b in pairwise(times)] == pytest.approx([0.1] * (len(times) - 1), abs=1e-6)
+    assert vehicle_4(engine, 20.0).aid.startswith("sending 3D fix")
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"GPS_AUTO_SWITCH": 1.0, "GPS_PRIMARY": 0.0}, "GPS_AUTO_SWITCH=1 could leave its own receiver for ours: set it to 4"),
+        ({"GPS_AUTO_SWITCH": 4.0, "GPS_PRIMARY": 1.0}, "GPS_PRIMARY=1 is our receiver"),
+        ({"GPS_AUTO_SWITCH": 4.0}, "it has not told its GPS_AUTO_SWITCH and GPS_PRIMARY yet"),
+    ],
+)
+def test_standby_waits_for_parameters_by_which_the_vehicle_stays_with_its_own_receiver(values, words):
+    engine, _ = standing_by(**values)
+    assert not aids(fly(engine, 2.0, 10.0), 4)
+    assert words in vehicle_4(engine, 10.0).aid
+    assert len(aids(fly(engine, 10.0, 14.0, failed=[4]), 4)) > 25  # aid needs none of it
+
+
+def test_what_stands_against_standby_is_told_once_and_only_when_the_vehicle_has_told_its_parameters():
+    engine = Engine(StraightLine(), settings(aid=AidSettings(standby=True)))
+    silent = fly(engine, 0.0, 5.0)
+    parameters_told(engine, 5.0, GPS_AUTO_SWITCH=1.0, GPS_PRIMARY=0.0)
+    told = fly(engine, 5.0, 10.0)
+    assert not [o for _, o in silent if isinstance(o, Notice) and "no standby" in o.text]
+    assert len([o for _, o in told if isinstance(o, Notice) and "no standby" in o.text]) == 1
+
+
+def test_without_standby_a_healthy_vehicle_gets_nothing():
+    engine = Engine(StraightLine(), settings())
+    out = fly(engine, 0.0, 5.0)
+    assert not [o for _, o in out if isinstance(o, Aid | ParameterRequest)]
+
+
+class Switching:
+    """Vehicle 4 with GPS2_RAW heard as it is sent, a parameter that it keeps, and the fix type that its own receiver claims."""
+
+    def __init__(self, **aid) -> None:
+        self.engine = Engine(StraightLine(), settings(aid=AidSettings(**aid)))
+        self.primary = 0.0
+        self.out: list = []
+        fly(self.engine, 0.0, 5.0)
+
+    def fly(self, start_s: float, stop_s: float, failed: list[int]) -> None:
+        for step in range(round(start_s * 10), round(stop_s * 10)):
+            t = step / 10
+            for at_s, output in fly(self.engine, t, t + 0.1, failed=failed):
+                self.out.append((at_s, output))
+                if isinstance(output, GpsInput) and output.sysid == 4:
+                    place = (output.lat_deg, output.lon_deg, output.alt_msl_m)
+                    self.engine.receive(GpsReceiver(4, at_s, 1, output.fix_type, *place, 7, 1.0, 2.0, 3.0, 0.5))
+                if isinstance(output, ParameterSet):
+                    self.primary = output.value
+                if isinstance(output, ParameterSet | ParameterRequest) and output.name == "GPS_PRIMARY":
+                    self.engine.receive(ParameterValue(4, at_s, "GPS_PRIMARY", self.primary, 2))
+
+
+@pytest.mark.parametrize(("setting", "expected"), [("auto", 1.0), ("off", 0.0)])
+def test_the_primary_receiver_is_switched_by_setting_only_where_the_own_one_claims_a_fix(setting, expected):
+    flight = Switching(switch_primary=setting)
+    flight.engine.receive(OperatorWord(4, 5.0, GpsWord.FAILED))
+    flight.fly(5.0, 12.0, failed=[])  # its own receiver has a fix all the time
+    assert flight.primary == expected
+
+
+def test_a_receiver_that_is_simply_gone_is_no_cause_to_switch():
+    flight = Switching(switch_primary="auto")
+    flight.fly(5.0, 12.0, failed=[4])
+    assert flight.primary == 0.0
+
+
+def test_a_receiver_whose_fix_flickers_is():
+    flight = Switching(switch_primary="auto")
+    flight.fly(5.0, 8.0, failed=[4])
+    flight.fly(8.0, 9.0, failed=[])
+    flight.fly(9.0, 12.0, failed=[4])
+    assert flight.primary == 1.0
+
+
+def test_while_the_primary_receiver_is_ours_its_claims_are_an_echo_until_it_is_restored():
+    flight = Switching(switch_primary="auto")
+    flight.engine.receive(OperatorWord(4, 5.0, GpsWord.FAILED))
+    flight.fly(5.0, 12.0, failed=[])
+    assert vehicle_4(flight.engine, 12.0).gps_primary == "ours"
+    estimator = flight.engine.estimator._inner
+    flight.engine.receive(OperatorWord(4, 12.0, GpsWord.HEALTHY))
+    assert flight.engine.fleet.get(4).health.captive
+    flight.fly(12.0, 13.0, failed=[])
+    assert flight.primary == 0.0
+    assert "GPS_PRIMARY restored to 0" in texts(flight.out)
+    assert min(m.measured_at_s for m in estimator.of(PositionMeasurement, 4) if m.measured_at_s > 6.0) > 12.0
+
+
+def test_the_operators_word_switches_and_restores_it():
+    flight = Switching()
+    flight.fly(5.0, 8.0, failed=[4])
+    flight.engine.receive(OperatorWord(4, 8.0, PrimaryWord.OURS))
+    flight.fly(8.0, 10.0, failed=[4])
+    assert flight.primary == 1.0
+    flight.engine.receive(OperatorWord(4, 10.0, PrimaryWord.OWN))
+    flight.fly(10.0, 12.0, failed=[4])
+    assert flight.primary == 0.0
+
+
+def test_it_is_not_switched_to_a_receiver_that_is_not_seen_to_take_what_is_sent():
+    engine = Engine(StraightLine(), settings(aid=AidSettings(switch_primary="auto")))
+    engine.receive(OperatorWord(4, 0.0, GpsWord.FAILED))
+    out = fly(engine, 0.0, 10.0)  # no GPS2_RAW
+    assert not [o for _, o in out if isinstance(o, ParameterRequest) and o.name == "GPS_PRIMARY"]
+
+
+def test_the_end_of_the_service_restores_it_after_the_last_no_fix():
+    flight = Switching(switch_primary="auto")
+    flight.engine.receive(OperatorWord(4, 5.0, GpsWord.FAILED))
+    flight.fly(5.0, 12.0, failed=[])
+    last = flight.engine.close()
+    assert isinstance(last[0], GpsInput)
+    assert last[0].fix_type == 1
+    assert last[1:] == [ParameterSet(4, "GPS_PRIMARY", 0.0, 2)]
+
+
+@pytest.mark.parametrize("gps_id", [0, 1])
+def test_the_receiver_that_we_feed_never_counts_as_the_vehicles_own(gps_id):
+    engine = Engine(StraightLine(), settings(aid=AidSettings(gps_id=gps_id)))
+    for step in range(100):
+        t = step / 10
+        engine.receive(Heartbeat(4, t, Autopilot.ARDUPILOT, True, winged=True))
+        for receiver, fix_type in ((gps_id, 3), (1 - gps_id, 1)):
+            engine.receive(GpsReceiver(4, t, receiver, fix_type, 47.0, 8.0, 500.0, 10, 1.0, 1.0, 2.0, 0.4))
+        engine.poll(t)
+    seen = vehicle_4(engine, 10.0)
+    assert (seen.gps_state, seen.fix_type) == ("failed", 1)

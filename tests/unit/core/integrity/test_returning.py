@@ -1,0 +1,213 @@
+"""Receivers that come back, on flights through the engine: right, 200 m off, walked off, with few ranges or none, overruled."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from math import inf
+
+import numpy as np
+import pytest
+
+from bench.integrity_flights import LOST_AT_S, STEP_S, SUBJECT, Flight, Scenario, error_and_bound_m, fresh_engine
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.integrity.returning import COUNTED
+from gcs_coloc.core.measurements import Unknown
+from gcs_coloc.core.messages import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, Inbound, PeerRange, TimeBase
+from gcs_coloc.core.outputs import GpsInput, HealthChanged, Notice
+from gcs_coloc.core.words import GpsWord, OperatorWord, RouteReport
+
+BACK_S = 30.0
+RIGHT = Scenario(mutual=False, returns_at_s=BACK_S)
+OFF = replace(RIGHT, return_jump_m=200.0)
+RECOVERED_AFTER_S = 10.2  # ten seconds from the first message of the fix on
+
+Change = Callable[[float, Inbound], Inbound | None]
+
+
+@dataclass
+class Seen:
+    """What came of a flight. Times count from the receiver's return, in seconds."""
+
+    engine: Engine
+    healthy_after_s: float = inf
+    wrong_after_s: float = inf
+    reasons: list[str] = field(default_factory=list)
+    told: list[str] = field(default_factory=list)
+    fix_types: list[int] = field(default_factory=list)
+
+
+def as_it_is(_t: float, message: Inbound) -> Inbound | None:
+    return message
+
+
+def fly(scenario: Scenario, seed: int, lasts_s: float, change: Change = as_it_is, until_honest_s: float = inf) -> Seen:
+    """Fly one draw until so long after the return; each message goes through `change`, None: it is lost."""
+    flight = Flight(scenario, seed)
+
+    def messages(t: float) -> Iterable[Inbound]:
+        if t > BACK_S + until_honest_s:
+            flight.away = np.zeros(3)
+        return [m for m in (change(t, message) for message in flight.messages(t)) if m is not None]
+
+    return watch(messages, BACK_S + lasts_s)
+
+
+def watch(messages: Callable[[float], Iterable[Inbound]], until_s: float) -> Seen:
+    seen = Seen(fresh_engine())
+    for step in range(round(until_s / STEP_S)):
+        t = step * STEP_S
+        for message in messages(t):
+            seen.engine.receive(message)
+        # So that it can be aided: what it says of its own position is an echo then, and tells nothing.
+        seen.engine.receive(Heartbeat(SUBJECT, t, Autopilot.ARDUPILOT, True, winged=True))
+        seen.engine.receive(RouteReport(SUBJECT, t, None))
+        for output in seen.engine.poll(t):
+            if isinstance(output, HealthChanged) and output.sysid == SUBJECT and t > BACK_S:
+                seen.reasons.append(output.reason)
+                if output.after == "healthy":
+                    seen.healthy_after_s = min(seen.healthy_after_s, t - BACK_S)
+                elif output.after == "failed":
+                    seen.wrong_after_s = min(seen.wrong_after_s, t - BACK_S)
+            if isinstance(output, GpsInput) and t > BACK_S + 3.0:
+                seen.fix_types.append(output.fix_type)
+            if isinstance(output, Notice) and output.sysid == SUBJECT:
+                seen.told.append(output.text)
+    return seen
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [RIGHT, replace(RIGHT, mutual=True), replace(RIGHT, peers=2), replace(RIGHT, late_share=0.1)],
+    ids=["its own ranges", "ranges among all", "two peers", "a tenth of the ranges late"],
+)
+def test_a_receiver_that_comes_back_right_is_believed_after_ten_seconds_as_ever(scenario):
+    """Three draws of each; `python -m bench returning` flies hundreds."""
+    for seed in range(3):
+        seen = fly(scenario, seed, 12.0)
+        assert seen.healthy_after_s == pytest.approx(RECOVERED_AFTER_S, abs=0.01)
+        assert seen.engine.refused().get(COUNTED, 0) == 0
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [OFF, replace(OFF, mutual=True), replace(OFF, peers=2), replace(OFF, return_jump_m=25.0)],
+    ids=["its own ranges", "ranges among all", "two peers", "25 m off"],
+)
+def test_one_that_comes_back_elsewhere_is_not_believed_and_its_vehicle_stays_located(scenario):
+    for seed in range(2):
+        flight = Flight(scenario, seed)
+        seen = watch(flight.messages, BACK_S + 30.0)
+        assert seen.wrong_after_s < 3.0
+        assert seen.healthy_after_s == inf
+        assert any("its GPS is back but" in reason and "from where the ranges put it" in reason for reason in seen.reasons)
+        assert seen.engine.refused()[COUNTED] == 1
+        if scenario.peers > 2:
+            error_m, bound_m = error_and_bound_m(seen.engine, flight, BACK_S + 30.0 - STEP_S)
+            assert error_m < max(1.5 * bound_m, 6.0)
+            # Aid goes on: one message at each step, all with a fix.
+            assert len(seen.fix_types) > 130
+            assert set(seen.fix_types) == {3}
+
+
+def test_one_that_has_been_wrong_is_believed_once_it_is_right_for_a_second_and_ten():
+    seen = fly(OFF, 1, 45.0, until_honest_s=20.0)
+    assert seen.wrong_after_s < 3.0
+    assert 20.0 + RECOVERED_AFTER_S < seen.healthy_after_s < 20.0 + RECOVERED_AFTER_S + 16.0
+
+
+def test_one_that_comes_back_right_and_is_walked_off_while_it_is_watched_is_not_believed():
+    seen = fly(replace(RIGHT, return_walk_mps=2.0), 1, 40.0)
+    assert seen.healthy_after_s == inf
+    assert any("its GPS is back but" in reason for reason in seen.reasons)
+
+
+def test_with_nothing_to_hold_it_against_it_is_believed_as_ever_and_that_is_said():
+    def without_ranges(t: float, message: Inbound) -> Inbound | None:
+        return None if isinstance(message, PeerRange) and t > LOST_AT_S else message
+
+    seen = fly(OFF, 1, 12.0, without_ranges)
+    assert seen.healthy_after_s == pytest.approx(RECOVERED_AFTER_S, abs=0.01)
+    assert "nothing to hold it against" in seen.reasons[-1]
+
+
+def test_that_the_ranges_which_contradicted_it_have_ceased_says_nothing_for_it():
+    def ranges_end(t: float, message: Inbound) -> Inbound | None:
+        return None if isinstance(message, PeerRange) and t > BACK_S + 5.0 else message
+
+    assert fly(OFF, 1, 60.0, ranges_end).healthy_after_s == inf
+
+
+def test_where_the_ranges_fit_it_again_an_estimate_that_was_wrong_does_not_stand_against_it():
+    """Until the return all ranges are those of a place 158 m away, and the estimate is there, to 4 m as it says."""
+    flight = Flight(RIGHT, 1)
+    away = np.array((150.0, 50.0, 0.0))
+
+    def from_elsewhere(t: float, message: Inbound) -> Inbound | None:
+        if not isinstance(message, PeerRange) or not LOST_AT_S + 5.0 < t <= BACK_S:
+            return message
+        own, peer = flight.courses[SUBJECT].at(t)[0], flight.courses[message.peer_sysid].at(t)[0]
+        more_m = float(np.linalg.norm(own + away - peer) - np.linalg.norm(own - peer))
+        return replace(message, range_m=message.range_m + more_m)
+
+    seen = fly(RIGHT, 1, 12.0, from_elsewhere)
+    assert seen.healthy_after_s == pytest.approx(RECOVERED_AFTER_S, abs=0.01)
+
+
+def test_ranges_that_are_all_too_long_do_not_keep_a_right_receiver_off():
+    def too_long(t: float, message: Inbound) -> Inbound | None:
+        is_long = isinstance(message, PeerRange) and t > LOST_AT_S + 5.0
+        return replace(message, range_m=message.range_m + 30.0) if is_long else message
+
+    for seed in range(3):
+        assert fly(RIGHT, seed, 12.0, too_long).healthy_after_s == pytest.approx(RECOVERED_AFTER_S, abs=0.01)
+
+
+def test_the_operator_is_believed_who_declares_it_healthy():
+    flight = Flight(OFF, 1)
+
+    def messages(t: float) -> Iterable[Inbound]:
+        yield from flight.messages(t)
+        if round(t / STEP_S) == round((BACK_S + 5.0) / STEP_S):
+            yield OperatorWord(SUBJECT, t, GpsWord.HEALTHY)
+
+    seen = watch(messages, BACK_S + 8.0)
+    assert seen.wrong_after_s < 3.0
+    assert seen.healthy_after_s == pytest.approx(5.0, abs=0.3)
+    assert seen.engine.fleet.get(SUBJECT).health.reason == "declared healthy by the operator"
+
+
+def test_an_estimate_that_is_a_mirror_image_gives_way_to_a_receiver_that_fits_the_ranges():
+    """A spoofer puts the vehicle at its mirror image beside the line of two peers, where all ranges fit; all fly straight on."""
+    origin, rng = LocalFrame(47.0, 8.0, 400.0), np.random.default_rng(1)
+
+    def messages(t: float) -> Iterable[Inbound]:
+        places = {
+            1: np.array((20.0 * t, 0.0, 100.0)),
+            2: np.array((20.0 * t + 400.0, 0.0, 120.0)),
+            SUBJECT: np.array((20.0 * t + 200.0, 150.0, 110.0)),
+        }
+        for sysid, place in places.items():
+            mirrored = np.array((1.0, -1.0, 1.0)) if sysid == SUBJECT and t < 20.0 else np.ones(3)
+            lat, lon, alt = origin.geodetic_from_enu(*(float(x) for x in mirrored * place + rng.normal(0.0, 0.5, 3)))
+            lost = sysid == SUBJECT and 20.0 < t <= BACK_S
+            yield GpsReceiver(sysid, t, 0, 1 if lost else 3, lat, lon, alt, 12, 0.9, 1.5, 1.5, 0.2, t)
+            yield GlobalPosition(sysid, t, t, lat, lon, alt, 0.0, 20.0, 0.0)
+        for peer in (1, 2):
+            range_m = float(np.linalg.norm(places[SUBJECT] - places[peer]) + rng.normal(0.0, 1.0))
+            yield PeerRange(SUBJECT, t, peer, range_m, 1.0, t, TimeBase.BOOT, None, None, 0)
+
+    at_return = watch(messages, BACK_S).engine.where(SUBJECT, BACK_S)
+    assert at_return.position_enu_m[1] == pytest.approx(-150.0, abs=5.0)
+    rng = np.random.default_rng(1)
+    seen = watch(messages, BACK_S + 5.0)
+    assert isinstance(seen.engine.where(SUBJECT, BACK_S + 5.0), Unknown)
+    assert any("fits the ranges, our position did not" in text for text in seen.told)
+    rng = np.random.default_rng(1)
+    assert watch(messages, BACK_S + 12.0).healthy_after_s == pytest.approx(RECOVERED_AFTER_S, abs=0.01)
+
+
+def test_no_position_of_a_receiver_that_is_back_is_evidence_before_its_vehicle_is_healthy():
+    seen = fly(RIGHT, 1, 9.0)
+    assert seen.engine.fleet.get(SUBJECT).health.state.value == "recovering"
+    never = fly(replace(RIGHT, returns_at_s=inf), 1, 9.0)
+    assert seen.engine.estimator.counts() == never.engine.estimator.counts()

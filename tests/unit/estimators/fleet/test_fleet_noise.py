@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gcs_coloc.estimators.fleet.noise import Whiteness
+
+
+def stream(white_m: float, slow_m: float, hz: float, seconds: float, seed: int, accel_mps2: float = 0.0) -> Whiteness:
+    rng = np.random.default_rng(seed)
+    told = Whiteness()
+    slow = slow_m * rng.normal(size=2)
+    decay = math.exp(-1.0 / hz / 100.0)
+    for k in range(int(hz * seconds)):
+        t = k / hz
+        slow = decay * slow + math.sqrt(1.0 - decay**2) * slow_m * rng.normal(size=2)
+        z = 22.0 * t + 0.5 * accel_mps2 * t * t + slow + white_m * rng.normal(size=2)
+        told = told.heard(t, (tuple(z.tolist()),), (math.hypot(white_m, slow_m),))
+    return told
+
+
+def test_white_noise_is_recognised():
+    white, slow = stream(15.0, 0.0, 50.0, 60.0, seed=1).split(0, 15.0, 0.1)
+    # 3000 samples of two axes, faded over 1000: 3 % of standard error in the variance, three of them.
+    assert white == pytest.approx(15.0, rel=0.05)
+    assert slow == pytest.approx(1.5)
+
+
+def test_a_drifting_error_is_not_taken_for_white():
+    white, slow = stream(0.02, 3.0, 10.0, 120.0, seed=2).split(0, 3.0, 0.1)
+    assert white < 0.4
+    assert slow > 2.9
+
+
+def test_a_manoeuvre_is_not_taken_for_noise():
+    white, slow = stream(0.0, 0.0, 5.0, 30.0, seed=3, accel_mps2=9.0).split(0, 1.0, 0.1)
+    assert white <= 0.3
+    assert slow == pytest.approx(1.0, rel=0.01)
+
+
+def test_nothing_is_proven_by_a_few_reports():
+    white, slow = stream(15.0, 0.0, 10.0, 0.5, seed=4).split(0, 15.0, 0.1)
+    assert slow > 12.0
+    assert white > 12.0
+
+
+def test_a_gap_starts_the_comparison_anew():
+    told, other = Whiteness(), Whiteness()
+    smooth = ((0.0, 0.0), (0.1, 2.0), (0.2, 4.0), (60.0, 900.0), (60.1, 902.0), (60.2, 904.0), (60.3, 906.0))
+    for t, z in smooth:
+        told = told.heard(t, ((z,),), (1.0,))
+    for t, z in smooth[3:]:
+        other = other.heard(t, ((z,),), (1.0,))
+    assert told.split(0, 1.0, 0.1) == other.split(0, 1.0, 0.1)
+
+
+def test_groups_of_one_stream_are_told_apart_as_streams_of_their_own():
+    rng = np.random.default_rng(6)
+    both, rough, fine = Whiteness(), Whiteness(), Whiteness()
+    for k in range(200):
+        e, n, u = (rng.normal(size=3) * (3.0, 3.0, 0.2)).tolist()
+        both = both.heard(0.1 * k, ((e, n), (u,)), (3.0, 1.0))
+        rough = rough.heard(0.1 * k, ((e, n),), (3.0,))
+        fine = fine.heard(0.1 * k, ((u,),), (1.0,))
+    assert both.split(0, 3.0, 0.1) == rough.split(0, 3.0, 0.1)
+    assert both.split(1, 1.0, 0.1) == fine.split(0, 1.0, 0.1)

@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.bound import horizontal_bound_95_m
+from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionMeasurement, RangeMeasurement
+from gcs_coloc.estimators.fleet.filter import FleetFilter
+
+SUBJECT, SPEED_MPS = 9, 15.0
+ANCHORS_M = {1: (-600.0, -500.0, 0.0), 2: (700.0, -400.0, 5.0), 3: (500.0, 600.0, 10.0), 4: (-500.0, 500.0, 15.0)}
+
+
+def subject_at(t: float) -> np.ndarray:
+    return np.array([-300.0 + SPEED_MPS * t, 50.0, 100.0])
+
+
+class Flight:
+    """Ranges of 1 m to four anchors five times a second, some of them too long; `off_m` is how wrong the start is."""
+
+    def __init__(self, seed: int, late_share: float, off_m: float = 0.0) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.late_share = late_share
+        self.estimator = FleetFilter()
+        for vehicle, place in ANCHORS_M.items():
+            self.estimator.add(PositionMeasurement(vehicle, 0.0, 0.0, place, 0.3, 0.3, static=True))
+        east_m, north_m, up_m = subject_at(0.0).tolist()
+        start = (east_m, north_m + off_m, up_m)
+        self.estimator.add(PositionMeasurement(SUBJECT, 0.0, 0.0, start, 1.5, 2.0, (SPEED_MPS, 0.0, 0.0), 0.3))
+        self.estimator.set_subjects({SUBJECT}, 0.0)
+
+    def ratios(self, end_s: float) -> list[tuple[float, float]]:
+        """Fly; return the errors in units of the 95 % bounds, with their times, wherever that bound is within 50 m."""
+        out = []
+        for k in range(1, round(end_s * 5.0)):
+            t = 0.2 * k
+            self.estimator.add(AltitudeMeasurement(SUBJECT, t, t, 100.0, 2.0))
+            for p, place in ANCHORS_M.items():
+                range_m = float(np.linalg.norm(subject_at(t) - place)) + self.rng.normal()
+                if self.rng.random() < self.late_share:
+                    range_m += self.rng.uniform(5.0, 50.0)
+                self.estimator.add(RangeMeasurement(SUBJECT, p, t, t, range_m, 1.0))
+            where = self.estimator.estimate(SUBJECT, t)
+            if isinstance(where, Estimate) and (bound_m := horizontal_bound_95_m(where.covariance)) <= 50.0:
+                out.append((t, math.dist(where.position_enu_m[:2], subject_at(t)[:2]) / bound_m))
+        return out
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_three_of_ten_ranges_too_long_by_multipath_never_drag_it_beyond_what_is_stated(seed):
+    ratios = [ratio for _, ratio in Flight(seed, late_share=0.3).ratios(38.0)]
+    assert len(ratios) > 150
+    assert max(ratios) < 2.0
+
+
+def test_one_that_began_far_from_where_it_is_finds_back_and_is_not_sure_meanwhile():
+    ratios = Flight(seed=1, late_share=0.0, off_m=60.0).ratios(12.0)
+    assert max(ratio for t, ratio in ratios if t > 3.0) < 1.5
+    assert any(t > 10.0 for t, _ in ratios)
