@@ -23,7 +23,8 @@ from bench.service_cpu import free_port, free_ports
 PAGES = 8
 # The service's grid of deadlines repeats itself after 0.2 s. Over the repeats the traffic falls on it in all these places, for
 # both services alike, and the two are never at the same place at the same time.
-_LEADS_S = (0.0, 0.05, 0.1, 0.15)
+_LEADS_S = (0.0, 0.025, 0.05, 0.075, 0.1, 0.125, 0.15, 0.175)
+_APART = 3
 _GRID_S = 0.1
 # Reads as a browser does: everything, at once. What it read goes to its standard output.
 _READERS = """
@@ -87,7 +88,7 @@ _JITTER = "GPS_INPUT interval, deviation from 100 ms"
 
 def measure(quick: bool) -> list[Figure]:
     """Both services take the same traffic side by side: whatever else the machine does disturbs both alike."""
-    measured_s = 10.0 if quick else 40.0
+    measured_s = 5.0 if quick else 30.0
     mosquitto = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin")
     if mosquitto is None:
         return [Figure("operator", "CPU", "skipped: mosquitto is not installed", "", None)]
@@ -96,7 +97,7 @@ def measure(quick: bool) -> list[Figure]:
     work: list[str] = []
     with tempfile.TemporaryDirectory() as name, _broker(mosquitto, Path(name)) as mqtt_port:
         for repeat in range(len(_LEADS_S)):
-            leads_s = [_LEADS_S[repeat], _LEADS_S[(repeat + 1) % len(_LEADS_S)]]
+            leads_s = [_LEADS_S[repeat], _LEADS_S[(repeat + _APART) % len(_LEADS_S)]]
             did, used_s = _repeat(arms, leads_s, measured_s, Path(name) / str(repeat), mqtt_port)
             work.append(did)
             floor_s += used_s
