@@ -15,8 +15,6 @@ from gcs_coloc.core.messages import Airspeed, Attitude, Autopilot, GlobalPositio
 from gcs_coloc.core.repeated_range import RangeRepeats
 
 NO_HEARTBEAT_YET = "no heartbeat of an autopilot heard yet"
-
-
 _AIR_DATA_FRESH_S = 2.0
 
 

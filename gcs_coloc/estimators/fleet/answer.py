@@ -10,8 +10,8 @@ from gcs_coloc.estimators.dop import horizontal_dilution_of
 from gcs_coloc.estimators.fleet.cluster import Cluster
 from gcs_coloc.estimators.fleet.motion import POSITION, SIZE, STAMP_ERROR, VELOCITY
 from gcs_coloc.estimators.fleet.range import unchecked_variance_m2
+from gcs_coloc.estimators.fleet.vehicle import IN_USE_S
 
-_IN_USE_S = 2.0
 _STEP_BACK_MOST_S = 2.0
 _STATED = np.eye(6, SIZE)
 
@@ -40,7 +40,7 @@ def answer(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | Unknown:
         return Unknown(
             vehicle, at_s, f"too uncertain: {worst_m:.0f} m (1-sigma) horizontally; more or better placed ranges are needed"
         )
-    units = [n.unit for n in cluster.records[vehicle].neighbours.values() if abs(at_s - n.at_s) <= _IN_USE_S]
+    units = [n.unit for n in cluster.records[vehicle].neighbours.values() if abs(at_s - n.at_s) <= IN_USE_S]
     hdop = horizontal_dilution_of(units) if len(units) >= 2 else None
     return Estimate(vehicle, at_s, position, x[VELOCITY].copy(), covariance, hdop, len(units))
 

@@ -15,8 +15,8 @@ import numpy as np
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, Vector3
 from gcs_coloc.estimators.fleet.cluster import Cluster, End
 from gcs_coloc.estimators.fleet.motion import POSITION, SIZE, STAMP_ERROR, TURN, VELOCITY
+from gcs_coloc.estimators.fleet.vehicle import IN_USE_S
 
-_IN_USE_S = 2.0
 _NEAR_SIGMAS = 4.0
 _SPEED_SIGMAS = 2.0
 _HARDEST_TURN_MPS2 = 5.0
@@ -48,7 +48,7 @@ def find_mirror(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
     mirror image is as yet the same as the state.
     """
     neighbours = cluster.records[subject].neighbours
-    peers = [v for v, n in neighbours.items() if at_s - n.at_s <= _IN_USE_S and v in cluster.joint.where]
+    peers = [v for v, n in neighbours.items() if at_s - n.at_s <= IN_USE_S and v in cluster.joint.where]
     if len(peers) < 2:
         return None
     view = _View(cluster, subject, peers, at_s)
@@ -102,7 +102,7 @@ def through_two(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
 
 def _heard(cluster: Cluster, subject: int, at_s: float) -> list[int]:
     """Return the peers with which ranges were heard lately, used or not: one that is refused tells the sides apart best."""
-    return [v for v, t in cluster.records[subject].heard.items() if at_s - t <= _IN_USE_S and v in cluster.joint.where]
+    return [v for v, t in cluster.records[subject].heard.items() if at_s - t <= IN_USE_S and v in cluster.joint.where]
 
 
 def away_sigmas(cluster: Cluster, subject: int, mirror: Mirror) -> float:
@@ -136,7 +136,7 @@ class _View:
         self.aided = is_aided(cluster, subject, at_s)
         self._height_sigma_m = math.inf
         for m in reversed(record.own):
-            if at_s - m.measured_at_s > _IN_USE_S:
+            if at_s - m.measured_at_s > IN_USE_S:
                 break
             if isinstance(m, AltitudeMeasurement):
                 self._height_sigma_m = m.sigma_m

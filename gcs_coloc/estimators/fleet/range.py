@@ -15,7 +15,7 @@ from gcs_coloc.estimators.fleet.corrections import USED, Verdict
 from gcs_coloc.estimators.fleet.joint import Key
 from gcs_coloc.estimators.fleet.motion import STAMP_ERROR
 from gcs_coloc.estimators.fleet.settings import FleetSettings
-from gcs_coloc.estimators.fleet.vehicle import Neighbour, VehicleRecord
+from gcs_coloc.estimators.fleet.vehicle import IN_USE_S, Neighbour, VehicleRecord
 
 _LEAST_DISTANCE_M = 1e-3
 # Of a subject that is not where it is held to be four of five ranges are refused, of one that is at most one of three: the
@@ -23,7 +23,6 @@ _LEAST_DISTANCE_M = 1e-3
 _REFUSED_TELLS, _USED_TELLS, _LOST = 0.88, -1.2, 7.0
 _REFUSED_MEMORY = 0.7
 _DISTRUST_KEPT = 0.8
-_IN_USE_S = 2.0
 _ALMOST_NOTHING = 1e-6
 _COVERED_SIGMAS = 3.0
 
@@ -154,7 +153,7 @@ def _contradicted(record: VehicleRecord, other: int, refused: Verdict, at_s: flo
     ee = nn = _ALMOST_NOTHING
     en = 0.0
     for vehicle, neighbour in record.neighbours.items():
-        if vehicle != other and at_s - neighbour.at_s <= _IN_USE_S:
+        if vehicle != other and at_s - neighbour.at_s <= IN_USE_S:
             e, n, _ = neighbour.unit
             ee, en, nn = ee + e * e, en + e * n, nn + n * n
     e, n, _ = refused.unit

@@ -16,6 +16,9 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.estimators.fleet.noise import NOTHING_HEARD, Whiteness
 
+IN_USE_S = 2.0
+"""A neighbour whose range was used within so long is in use."""
+
 _RECENT_S = 3.0
 _RECENT_MOST = 64
 _RANGES_S = 4.0
