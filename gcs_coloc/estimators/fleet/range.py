@@ -15,7 +15,7 @@ from gcs_coloc.estimators.fleet.corrections import USED, Verdict
 from gcs_coloc.estimators.fleet.joint import Key
 from gcs_coloc.estimators.fleet.motion import STAMP_ERROR
 from gcs_coloc.estimators.fleet.settings import FleetSettings
-from gcs_coloc.estimators.fleet.vehicle import IN_USE_S, Neighbour, VehicleRecord
+from gcs_coloc.estimators.fleet.vehicle import IN_USE_S, Neighbour, RefusedRange, VehicleRecord
 
 _LEAST_DISTANCE_M = 1e-3
 # Of a subject that is not where it is held to be four of five ranges are refused, of one that is at most one of three: the
@@ -113,7 +113,8 @@ def account(cluster: Cluster, vehicle: int, other: int, verdict: Verdict, m: Ran
     if verdict.used:
         record.neighbours[other] = Neighbour(m.measured_at_s, verdict.unit)
         record.informed_at_s = m.measured_at_s
-        if record.unchecked in (None, other):
+        doubt = record.unchecked
+        if doubt is None or doubt.neighbour == other or _contradicted(record, doubt, m.measured_at_s, cluster.settings):
             record.lost_evidence = max(record.lost_evidence + _USED_TELLS, 0.0)
             record.unchecked = None
         record.distrust_m2 *= _DISTRUST_KEPT
@@ -123,7 +124,8 @@ def account(cluster: Cluster, vehicle: int, other: int, verdict: Verdict, m: Ran
     square, kept = verdict.innovation_m**2, _REFUSED_MEMORY if record.lost_evidence > 0.0 else 0.0
     record.refused_m2 = kept * record.refused_m2 + (1.0 - kept) * square
     record.lost_evidence += _REFUSED_TELLS
-    record.unchecked = None if _contradicted(record, other, verdict, m.measured_at_s, cluster.settings) else other
+    refused = RefusedRange(other, verdict.unit, verdict.nis)
+    record.unchecked = None if _contradicted(record, refused, m.measured_at_s, cluster.settings) else refused
     if record.lost_evidence > _LOST:
         # Most of what is heard contradicts the state: the state is what is wrong, or nobody can tell. So the next ranges are
         # believed no more than the state is, until some have agreed with each other.
@@ -143,8 +145,8 @@ def unchecked_variance_m2(record: VehicleRecord) -> float:
     return record.refused_m2 / _COVERED_SIGMAS**2
 
 
-def _contradicted(record: VehicleRecord, other: int, refused: Verdict, at_s: float, s: FleetSettings) -> bool:
-    """Whether the ranges in use would show it if the subject were off by what a refused range with `other` says it is.
+def _contradicted(record: VehicleRecord, refused: RefusedRange, at_s: float, s: FleetSettings) -> bool:
+    """Whether the ranges in use would show it if the subject were off by what a refused one says it is.
 
     Of all horizontal displacements that explain the refused range, the one that the others notice least moves these by the
     innovation times the root of 1 / (u' N^-1 u): N is the sum of their own u u', u a unit vector along the range. With one other
@@ -153,7 +155,7 @@ def _contradicted(record: VehicleRecord, other: int, refused: Verdict, at_s: flo
     ee = nn = _ALMOST_NOTHING
     en = 0.0
     for vehicle, neighbour in record.neighbours.items():
-        if vehicle != other and at_s - neighbour.at_s <= IN_USE_S:
+        if vehicle != refused.neighbour and at_s - neighbour.at_s <= IN_USE_S:
             e, n, _ = neighbour.unit
             ee, en, nn = ee + e * e, en + e * n, nn + n * n
     e, n, _ = refused.unit

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from operator import attrgetter
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
@@ -81,6 +81,14 @@ class ManoeuvreMonitor:
         return max(ratio * ratio, 1.0), max(ratio_v * ratio_v / 3.0, 1.0)
 
 
+class RefusedRange(NamedTuple):
+    """A range that the gate refused: the neighbour, a unit vector along it, and its NIS."""
+
+    neighbour: int
+    unit: tuple[float, float, float]
+    nis: float
+
+
 @dataclass(slots=True)
 class Neighbour:
     """What the last range between a subject and one neighbour was: its time and a unit vector along it."""
@@ -96,7 +104,7 @@ class VehicleRecord:
     `white` tells the noise of its reports, horizontally and vertically, `white_baro` that of its heights.
     `slow_report_h_m`, `slow_report_v_m`, `slow_baro_m`, `stamp_s` are the sigmas in force of the slow errors in the joint state.
     `lost_evidence` is the evidence of the ranges that the gate refused and let pass that this subject is not where it is held to
-    be, `unchecked` the neighbour of the last one refused where no others would have shown that, `refused_m2` the mean square
+    be, `unchecked` the last one refused while no others would show that, `refused_m2` the mean square
     innovation of the former, `distrust_m2` what ranges are believed less since it was lost.
     """
 
@@ -120,7 +128,7 @@ class VehicleRecord:
     informed_at_s: float = -math.inf
     velocity_used_at_s: float = -math.inf
     lost_evidence: float = 0.0
-    unchecked: int | None = None
+    unchecked: RefusedRange | None = None
     refused_m2: float = 0.0
     distrust_m2: float = 0.0
     reports_refused: int = 0

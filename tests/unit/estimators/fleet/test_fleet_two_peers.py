@@ -91,6 +91,32 @@ def test_a_sudden_hard_turn_far_from_their_line_does_not_shut_one_of_two_peers_o
     assert max(after) < 10.0
 
 
+def test_a_doubt_that_a_peer_leaves_behind_lasts_until_others_show_where_it_is():
+    """Its last four ranges are 150 m too long, and beside one other peer nobody can tell; then it is silent for good."""
+    here, count = np.array([0.0, 400.0]), round(50.0 / STEP_S)
+    peers = {1: np.array([-600.0, 0.0]), 2: np.array([600.0, 0.0]), 3: np.array([0.0, 900.0])}
+    rng, estimator, bounds_m = np.random.default_rng(1), FleetFilter(), {}
+    for k in range(count):
+        t = round(k * STEP_S, 6)
+        for v, (e, n) in {**peers, **({SUBJECT: here} if t < LOST_S else {})}.items():
+            estimator.add(PositionMeasurement(v, t, t, (e, n, HEIGHT_M), 1.0, 1.0, (0.0, 0.0, 0.0), 0.3))
+        if t < LOST_S:
+            continue
+        estimator.set_subjects({SUBJECT}, t)
+        estimator.add(AltitudeMeasurement(SUBJECT, t, t, HEIGHT_M + 0.3 * rng.normal(), 1.0))
+        for v, too_long_m in {1: 0.0, 2: 150.0 if t > 29.1 else 0.0, 3: 0.0}.items():
+            if (v == 2 and t >= 30.0) or (v == 3 and t < 34.0):
+                continue
+            r = math.dist(here, peers[v]) + too_long_m + rng.normal()
+            estimator.add(RangeMeasurement(SUBJECT, v, t, t, r, 1.0))
+        answer = estimator.estimate(SUBJECT, t)
+        assert isinstance(answer, Estimate)
+        bounds_m[t] = horizontal_bound_95_m(answer.covariance)
+    assert bounds_m[29.0] < 5.0
+    assert min(bound_m for t, bound_m in bounds_m.items() if 30.0 < t < 34.0) > 75.0
+    assert max(bound_m for t, bound_m in bounds_m.items() if t > 36.0) < 5.0
+
+
 def test_what_a_manoeuvre_tells_of_the_side_is_bounded_and_what_a_third_peer_tells_is_not():
     twin = Twin(FleetModel(FleetSettings()))
     for k in range(10):
