@@ -37,7 +37,9 @@ lint: .venv/.ready-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# What the service is measured beside, and with, has no build for every machine: the table says what is not installed.
 bench: .venv/.ready-dev
+	@$(BIN)/python -m pip install --quiet -e '.[bench]' || echo "the extra bench cannot be installed here whole"
 	$(BIN)/python -m bench
 
 # Fuzzes the codec and the signatures, guided by coverage; an input that does harm is kept among the regression cases. So many runs are

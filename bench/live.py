@@ -16,6 +16,7 @@ import numpy as np
 
 from bench.figures import Figure, interleaved
 from bench.load import cores, put_under_load, wait_until_bound
+from bench.profile import where_it_goes
 from bench.service_cpu import free_port, free_ports, rss_mb
 
 _MAVUTIL = """
@@ -79,6 +80,7 @@ def measure_throughput(quick: bool) -> list[Figure]:
             if name != "service"
         ),
         *([] if mavproxy is not None else [Figure("throughput", "MAVProxy on the same datagrams", "not installed", "", None)]),
+        *([] if ratio >= 1.0 else [_where_it_goes("throughput", fleets, seconds)]),
     ]
 
 
@@ -102,16 +104,36 @@ def measure_vehicles(quick: bool) -> list[Figure]:
                 steady if vehicles == _GOAL_VEHICLES else None,
             )
         )
+    if not figures[-1].reached:
+        figures.append(_where_it_goes("vehicles", _GOAL_VEHICLES // _VEHICLES_A_FLEET, seconds))
     return figures
 
 
 def _service(fleets: int, seconds: float) -> _Run:
     ports = free_ports(fleets)
+    with _program(ports) as program:
+        return _under_load(program, ports, seconds)
+
+
+def _where_it_goes(section: str, fleets: int, seconds: float) -> Figure:
+    ports = free_ports(fleets)
+
+    def drive(process: subprocess.Popen[bytes]) -> None:
+        wait_until_bound(process, ports)
+        put_under_load([process], [str(port) for port in ports], seconds)
+
+    with _program(ports) as program:
+        return where_it_goes(section, program, drive, within="_run_once")
+
+
+@contextmanager
+def _program(ports: list[int]) -> Iterator[list[str]]:
+    """The service's command line for a fleet at each port."""
     with tempfile.TemporaryDirectory() as directory:
         config = Path(directory) / "fleets.toml"
         tables = (f'[[fleet]]\nname = "f{n}"\nlinks = ["udpin:127.0.0.1:{port}"]\n' for n, port in enumerate(ports))
         config.write_text("\n".join(tables))
-        return _under_load([sys.executable, "-m", "gcs_coloc", "--config", str(config), "--log-level", "error"], ports, seconds)
+        yield [sys.executable, "-m", "gcs_coloc", "--config", str(config), "--log-level", "error"]
 
 
 def _reader(program: list[str], fleets: int, seconds: float) -> float:
