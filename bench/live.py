@@ -123,7 +123,7 @@ def _where_it_goes(section: str, fleets: int, seconds: float) -> Figure:
         put_under_load([process], [str(port) for port in ports], seconds)
 
     with _program(ports) as program:
-        return where_it_goes(section, program, drive, within="_run_once")
+        return where_it_goes(section, program, drive, within="BaseEventLoop._run_once")
 
 
 @contextmanager

@@ -35,7 +35,7 @@ _PARTS = (
 def where_it_goes(
     section: str, program: Sequence[str], drive: Callable[[subprocess.Popen[bytes]], object], within: str
 ) -> Figure:
-    """Run a program under py-spy, and put what it does below the function `within` into shares.
+    """Run a program under py-spy, and put what it does below the function `within` (its qualified name) into shares.
 
     `drive` is given py-spy's process, of which the program is a child, and returns when it has seen enough.
     """
@@ -65,7 +65,7 @@ def shares_by_part(stacks: Iterable[str], within: str) -> Counter[str]:
     shares: Counter[str] = Counter()
     for line in stacks:
         frames, _, count = line.rpartition(" ")
-        _, found, inner = frames.rpartition(f"{within} (")
+        _, found, inner = frames.rpartition(f";{within} (")
         if found:
             shares[_part(inner.split(";")[1:])] += int(count)
     return shares
