@@ -3,14 +3,15 @@
 from bench.profile import shares_by_part
 
 _LOOP = "<module> (gcs_coloc/__main__.py:9);run (asyncio/runners.py:190);BaseEventLoop._run_once (asyncio/base_events.py:1922)"
+_ENGINE = "Engine.receive (gcs_coloc/core/engine.py:120)"
 _TOOK = f"{_LOOP};Handle._run (asyncio/events.py:80);take (gcs_coloc/links/udp.py:70)"
 
 
 def test_the_innermost_part_of_the_service_counts_whatever_library_it_calls():
     stacks = [
-        f"{_TOOK};Engine.receive (gcs_coloc/core/engine.py:120);apply (gcs_coloc/estimators/fleet/filter.py:90);dot (numpy.py:3) 7",
-        f"{_TOOK};Engine.receive (gcs_coloc/core/engine.py:120);test (gcs_coloc/core/integrity/judge.py:40) 5",
-        f"{_TOOK};Engine.receive (gcs_coloc/core/engine.py:120) 2",
+        f"{_TOOK};{_ENGINE};apply (gcs_coloc/estimators/fleet/filter.py:90);dot (numpy.py:3) 7",
+        f"{_TOOK};{_ENGINE};test (gcs_coloc/core/integrity/judge.py:40) 5",
+        f"{_TOOK};{_ENGINE} 2",
         f"{_TOOK} 3",
         f"{_LOOP} 1",
         f"{_LOOP};Handle._run (asyncio/events.py:80) 1",
