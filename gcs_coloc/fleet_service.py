@@ -197,12 +197,17 @@ class FleetService:
         recording = self._recording.news()
         if recording is not None:
             self.hub.publish(Notice(now_s, None, *recording))
+        ahead = self._signed.news(now_s)
+        if ahead is not None:
+            self.hub.publish(Notice(now_s, None, "warning", ahead))
         for sysid, text in (*self._routes.claims.news(now_s), *self._forwarder.news(now_s)):
             self.hub.publish(Notice(now_s, sysid, "warning", text))
         routes = (self._routes.route(vehicle.sysid, now_s) for vehicle in self._engine.fleet)
         # A vehicle or router may wait for our first frame before it sends any, hence the links' peers.
         greeted = {route for route in routes if isinstance(route, Route)}
         greeted |= {Route(link, peer) for link in self._links for peer in link.peers}
+        # Who signs with the key, but behind our time, is refused until it has heard a frame of ours.
+        greeted |= {Route(*source) for source in self._decoder.take_behind() if isinstance(source, tuple)}
         for route in greeted:
             payload = self._encoder.heartbeat(route, self._stamp(route))
             route.link.send(route.address, payload)

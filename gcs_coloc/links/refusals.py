@@ -15,7 +15,7 @@ _MENDS = {
     "unsigned": "a link that requires signatures: give the vehicle the key, or is somebody pretending?",
     "signature_wrong": "the vehicle has another key than ours, or somebody is pretending",
     "signature_replayed": "frames out of order, or somebody plays back what was recorded",
-    "signature_old": "signed over a minute before our time: a vehicle that has no time yet, or a recording",
+    "signature_old": "signed over a minute before our time: a vehicle that follows ours once it hears us, or a recording",
     "signature_future": "the vehicle's signing time is beyond 2100: its clock is wrong",
     "signature_streams_full": "more signed senders than there is room for",
     "not_sent": "the system does not send there: is there no way to it?",

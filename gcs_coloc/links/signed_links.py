@@ -10,7 +10,7 @@ from gcs_coloc.config_sections import SigningConfig
 from gcs_coloc.core.errors import ConfigError, UsageError
 from gcs_coloc.links.address import parse, parse_out
 from gcs_coloc.links.key_file import read_key
-from gcs_coloc.mavlink.signing import LinkSigning, Signing
+from gcs_coloc.mavlink.signing import FIRST_CONTACT_S, LinkSigning, Signing
 
 
 class SignedLinks:
@@ -33,6 +33,7 @@ class SignedLinks:
             modes[name] = mode
         self._signing = Signing(read_key(Path(config.key_file))) if config.key_file else None
         self._of: dict[str, LinkSigning] = {}
+        self._told_ahead = False
         if self._signing is not None:
             self._of = {
                 name: LinkSigning(self._signing, number & 0xFF, required=modes[name] == "require")
@@ -48,3 +49,23 @@ class SignedLinks:
         """Tell how far UNIX time is ahead of the service's clock; None: not known."""
         if self._signing is not None:
             self._signing.set_clock(unix_minus_service_s)
+
+    def news(self, now_s: float) -> str | None:
+        """That the time of signatures runs ahead of the host's clock, once each time that it comes to do so; None otherwise."""
+        ahead_s = self._signing.ahead_s(now_s) if self._signing is not None else 0.0
+        was_told, self._told_ahead = self._told_ahead, ahead_s > FIRST_CONTACT_S
+        if was_told or not self._told_ahead:
+            return None
+        return (
+            f"the time of signatures is {_length(ahead_s)} ahead of this computer's clock: that of somebody who has the key, or "
+            "this one, was or is wrong, and by MAVLink's rules it never runs back. A vehicle that is not heard yet is refused "
+            "(signature_old) until it has heard us; set the clocks right, and start again where it cannot hear us"
+        )
+
+
+def _length(seconds: float) -> str:
+    """A length of time in the unit that suits it."""
+    for unit, unit_s in (("days", 86400.0), ("hours", 3600.0)):
+        if seconds >= 2.0 * unit_s:
+            return f"{seconds / unit_s:.0f} {unit}"
+    return f"{seconds / 60.0:.0f} minutes"

@@ -18,10 +18,12 @@ from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.dialect import MESSAGE_CLASSES, OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.inbound import AUTOPILOT_CONVERTERS, CONVERTERS
 from gcs_coloc.mavlink.sequence import DUPLICATE, SequenceTracker
-from gcs_coloc.mavlink.signing import LinkSigning
+from gcs_coloc.mavlink.signing import SIGNATURE_OLD, LinkSigning
 from gcs_coloc.mavlink.targets import target_of
 
 MAX_AUTOPILOTS = 1024
+MAX_BEHIND = 64
+"""So many sources are told the time of signatures at once."""
 
 NOT_WANTED = "not_wanted"
 NOT_FROM_AUTOPILOT = "not_from_autopilot"
@@ -68,6 +70,16 @@ class Decoder:
         self.sequences = SequenceTracker()
         self._own = (own_sysid, own_compid)
         self._autopilots: set[tuple[int, int]] = set()
+        self._behind: dict[Hashable, None] = {}
+
+    def take_behind(self) -> tuple[Hashable, ...]:
+        """The sources, 64 at most, of which a frame was refused as signature_old since the last call.
+
+        By MAVLink's rules a key holder that is behind follows the time of signatures as soon as it hears a later one.
+        """
+        behind = tuple(self._behind)
+        self._behind.clear()
+        return behind
 
     def decode(
         self,
@@ -96,6 +108,8 @@ class Decoder:
             # Before anything is remembered of the sender, and before its message's id decides: both are his to choose.
             elif signing is not None and (refusal := signing.refusal(raw, received_at_s)) is not None:
                 self.counts.add(refusal)
+                if refusal == SIGNATURE_OLD and len(self._behind) < MAX_BEHIND:
+                    self._behind[source] = None
             elif not self.sequences.note((source, sysid, compid), raw.sequence, raw.checksum, received_at_s):
                 self.counts.add(DUPLICATE)
             else:

@@ -21,7 +21,8 @@ KEY_LENGTH = 32
 EPOCH_UNIX_S = 1_420_070_400
 """2015-01-01 UTC, from which signatures count their time."""
 TICKS_PER_S = 100_000
-FIRST_CONTACT_TICKS = 60 * TICKS_PER_S
+FIRST_CONTACT_S = 60
+FIRST_CONTACT_TICKS = FIRST_CONTACT_S * TICKS_PER_S
 """A stream that was never heard may be so far behind our time; further behind it is taken for a recording."""
 LATEST_TICKS = (4_102_444_800 - EPOCH_UNIX_S) * TICKS_PER_S
 """The year 2100. Whoever signs for later would, as both ends follow the later time, wear out the counter of 48 bits."""
@@ -79,6 +80,10 @@ class Signing:
         """The stamp of our next frame on link `link_id` (0 to 255) at service time `now_s`: later than every one before."""
         self._latest = max(self._latest + 1, self._now(now_s))
         return Stamp(self._key, link_id, self._latest)
+
+    def ahead_s(self, now_s: float) -> float:
+        """How far the time of our signatures is ahead of the host's clock at service time `now_s`, s; 0 where it knows none."""
+        return 0.0 if self._unix_minus_service_s is None else max(self._latest - self._now(now_s), 0) / TICKS_PER_S
 
     def refusal(self, raw: RawFrame, now_s: float) -> str | None:
         """Why a signed frame that came at service time `now_s` must not be used; None: it may be, and its time is noted.

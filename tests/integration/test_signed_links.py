@@ -91,6 +91,54 @@ def test_a_signed_fleet_is_served_while_forged_unsigned_and_recorded_frames_are_
     assert "vehicle 77" not in log
 
 
+def follow(vehicle):
+    """Make a vehicle sign for the latest time that it has verified, as autopilots do."""
+    vehicle.parser.signing = vehicle.beacon.signing = vehicle.mav.signing
+
+
+@pytest.mark.parametrize("first_ahead_s", [0, 86_400])
+def test_a_vehicle_that_signs_behind_our_time_is_told_it_and_then_heard(start_signed, free_port, first_ahead_s):
+    # As after a start with the host's clock a day ahead, or with a vehicle's clock so: nobody's time of signatures runs back.
+    service = start_signed("require")
+    with square_fleet(free_port) as fleet:
+        for vehicle in fleet[:2]:
+            signing(vehicle)
+            follow(vehicle)
+        fleet[0].mav.signing.timestamp += first_ahead_s * 100_000
+        fleet[1].mav.signing.timestamp -= 86_400 * 100_000 if first_ahead_s == 0 else 0
+
+        def heard(vehicle):
+            return lambda: bool(vehicle.of("TIMESYNC"))  # only a vehicle is asked for its time
+
+        fly(fleet[:1], 30.0, until=heard(fleet[0]))
+        assert heard(fleet[0])()
+        fly(fleet[:2], 30.0, until=heard(fleet[1]))
+        assert heard(fleet[1])()
+    service.send_signal(signal.SIGINT)
+    _, log = service.communicate(timeout=10)
+    assert "signature_old " in log
+    assert ("24 hours ahead of this computer's clock" in log) == (first_ahead_s > 0)
+
+
+def test_a_recording_that_is_too_old_gets_a_greeting_and_is_heard_no_more_than_before(start_signed, free_port):
+    service = start_signed("require")
+    with square_fleet(free_port) as fleet:
+        vehicle = fleet[0]
+        signing(vehicle)
+        vehicle.mav.signing.timestamp -= 86_400 * 100_000
+        recorded = [frame for step in range(20) for frame in vehicle.telemetry(step, 3)]
+
+        vehicle.sock.settimeout(30.0)
+        for _ in range(3):
+            vehicle.send(*recorded)
+            vehicle.received += [(0.0, m) for m in vehicle.parser.parse_buffer(vehicle.sock.recvfrom(4096)[0])]
+        assert {m.get_type() for _, m in vehicle.received} == {"HEARTBEAT"}
+    service.send_signal(signal.SIGINT)
+    _, log = service.communicate(timeout=10)
+    assert "signature_old " in log
+    assert "vehicle 1" not in log
+
+
 def test_on_an_unsigned_link_a_pretender_is_refused_and_named(start_service, free_port):
     service = start_service("--udp", f"127.0.0.1:{free_port}")
     with square_fleet(free_port) as fleet, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as pretender:

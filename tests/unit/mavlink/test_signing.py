@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from signed_frames import KEY, OTHER_KEY, TICKS, UNIX_S, Signer, heartbeat, of_unknown_id
 
 from gcs_coloc.core.outputs import GpsInput
-from gcs_coloc.mavlink.decoder import Decoder
+from gcs_coloc.mavlink.decoder import MAX_BEHIND, Decoder
 from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.mavlink.signing import LATEST_TICKS, LinkSigning, Signing, Stamp
 
@@ -131,6 +131,33 @@ def test_a_stream_never_heard_may_be_a_minute_behind_us(behind, taken):
     assert end.takes(Signer(ticks=TICKS - behind).pack()) is taken
     assert end.counted() == ({} if taken else {"signature_old": 1})
     assert end.signing.streams == int(taken)
+
+
+def test_the_sources_of_what_is_rightly_signed_but_too_old_are_known_once_and_so_many_at_most():
+    end, late = End(), TICKS - 2 * MINUTE
+    end.decoder.decode(Signer(key=OTHER_KEY, ticks=late).pack(), NOW_S, "forger", end.link)
+    assert end.decoder.take_behind() == ()
+    for sysid in range(1, 101):
+        end.decoder.decode(Signer(sysid, ticks=late).pack(), NOW_S, sysid, end.link)
+        end.decoder.decode(Signer(sysid, ticks=late).pack(), NOW_S, sysid, end.link)
+    assert end.decoder.take_behind() == tuple(range(1, MAX_BEHIND + 1))
+    assert end.decoder.take_behind() == ()
+
+
+def test_a_vehicle_that_is_behind_is_taken_once_it_has_verified_a_frame_of_ours():
+    end, encoder, vehicle = End(), Encoder(), Signer(ticks=TICKS - 1000 * MINUTE)
+    assert not end.takes(vehicle.pack())
+    vehicle.mav.parse_buffer(encoder.heartbeat("vehicle", end.link.stamp(NOW_S)))
+    assert end.takes(vehicle.pack())
+
+
+def test_how_far_the_time_of_signatures_is_ahead_of_the_hosts_clock_is_known():
+    end = End()
+    assert end.signing.ahead_s(NOW_S) == 0.0
+    assert end.takes(Signer(ticks=TICKS + 1000 * MINUTE).pack())
+    assert end.signing.ahead_s(NOW_S) == 60_000.0
+    end.signing.set_clock(None)
+    assert end.signing.ahead_s(NOW_S) == 0.0
 
 
 def test_streams_are_told_apart_by_system_component_and_link():
