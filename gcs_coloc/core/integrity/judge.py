@@ -46,8 +46,8 @@ class Integrity:
             return
         track = Track(
             claim.measured_at_s,
-            np.array(claim.position_enu_m),
-            np.array(claim.velocity_enu_mps),
+            claim.position_enu_m,
+            claim.velocity_enu_mps,
             claim.sigma_h_m,
             claim.sigma_v_m,
             free=False,
@@ -68,10 +68,8 @@ class Integrity:
                 where = answer(vehicle.sysid, now_s)
                 if isinstance(where, Estimate):
                     sigma_v_m = min(sqrt(float(where.covariance[2, 2])), _SIGMA_V_UNKNOWN_M)
-                    self.ranges.place(
-                        vehicle.sysid,
-                        Track(now_s, where.position_enu_m, where.velocity_enu_mps, 0.0, sigma_v_m, free=True),
-                    )
+                    (e, n, u), (ve, vn, vu) = where.position_enu_m.tolist(), where.velocity_enu_mps.tolist()
+                    self.ranges.place(vehicle.sysid, Track(now_s, (e, n, u), (ve, vn, vu), 0.0, sigma_v_m, free=True))
                 if vehicle.sysid in self.ranges.accused and self._receiver_agrees(vehicle, frame, where, now_s):
                     self.ranges.acquit(vehicle.sysid)
         self.ranges.review(now_s)

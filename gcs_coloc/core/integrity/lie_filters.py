@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from math import exp, pi
+from math import exp, hypot, log, pi, sqrt
 
 import numpy as np
 
@@ -72,15 +72,15 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """One that somebody lies: how likely, and the second moment (2, 2) of how far the vehicle then is from where it would be if
+    """One that somebody lies: how likely, and the second moment of how far the vehicle then is from where it would be if
     nobody did.
 
-    `liar` is None for the vehicle's own ranging device.
+    `liar` is None for the vehicle's own ranging device. `moved_m2` is east with east, east with north, north with north.
     """
 
     liar: int | None
     chance: float
-    moved_m2: FloatArray
+    moved_m2: tuple[float, float, float]
 
 
 class LieFilters:
@@ -97,12 +97,19 @@ class LieFilters:
 
     def _clear(self, peers: int) -> None:
         models, size = peers + 2, peers + 4
-        self._x: FloatArray = np.zeros((models, size))
-        self._P: FloatArray = np.zeros((models, size, size))
-        self._P[:, [0, 1], [0, 1]] = _UNKNOWN_M2
-        self._log_chance: FloatArray = np.full(models, _NEVER)
-        self._log_chance[0] = 0.0
-        self._astray = np.zeros(models, dtype=int)
+        # Of each filter the mean in row 0 and below it the covariance, so that one product or correction is of both.
+        self._A: FloatArray = np.zeros((models, 1 + size, size))
+        self._covariances[:, [0, 1], [0, 1]] = _UNKNOWN_M2
+        self._log_chance = [0.0] + [_NEVER] * (models - 1)
+        self._astray = [0] * models
+
+    @property
+    def _means(self) -> FloatArray:
+        return self._A[:, 0]
+
+    @property
+    def _covariances(self) -> FloatArray:
+        return self._A[:, 1:]
 
     def take(self, lines: Mapping[int, Line], at_s: float) -> None:
         """Take what was measured at one time, one line for each peer. Times increase from call to call."""
@@ -116,97 +123,100 @@ class LieFilters:
         self.at_s = at_s
         self._predict(step_s)
         self._let_begin(step_s)
-        H, z = self._design(lines), np.array([line.residual_m for line in lines.values()])
-        r = np.array([line.noise_m**2 * max(self._noise.setdefault(peer, 1.0), 1.0) for peer, line in lines.items()])
+        H, z = self._design(lines), [line.residual_m for line in lines.values()]
+        r = [line.noise_m**2 * max(self._noise.setdefault(peer, 1.0), 1.0) for peer, line in lines.items()]
         self._find_again(H, z, r)
         gain = 1.0 - exp(-step_s / s.noise_time_s)
         for k, peer in enumerate(lines):
-            self._noise[peer] *= 1.0 - gain + gain * self._correct(H[:, k], float(z[k]), float(r[k]))
-        self._log_chance -= np.logaddexp.reduce(self._log_chance)
+            self._noise[peer] *= 1.0 - gain + gain * self._correct(H[:, k], z[k], r[k])
+        self._log_chance = _normalised(self._log_chance)
 
     def exclude(self, liars: Collection[int]) -> None:
         """Go on without the peers that are not believed any more, from what holds if the likeliest of them lies."""
         known = [p for p in self.peers if p in liars]
         if not known:
             return
-        best = max((1 + self.peers.index(p) for p in known), key=lambda model: float(self._log_chance[model]))
-        x, P = self._x[best].copy(), self._P[best].copy()
-        x[_SIZE:] = 0.0
-        P[_SIZE:] = P[:, _SIZE:] = 0.0
-        self._x[:], self._P[:] = x, P
-        self._log_chance[:] = _NEVER
-        self._log_chance[0] = 0.0
+        best = max((1 + self.peers.index(p) for p in known), key=self._log_chance.__getitem__)
+        A = self._A[best].copy()
+        A[_SIZE:] = A[:, _SIZE:] = 0.0
+        self._A[:] = A
+        self._log_chance = [0.0] + [_NEVER] * (len(self._A) - 1)
         for p in known:
             del self._seen_s[p]
         self._regroup([p for p in self.peers if p not in liars])
 
     def chances(self) -> list[tuple[int | None, float]]:
         """How likely it is of each who may lie that it does; None for the vehicle's own ranging device."""
-        return list(zip([*self.peers, None], np.exp(self._log_chance[1:]).tolist(), strict=True))
+        return list(zip([*self.peers, None], map(exp, self._log_chance[1:]), strict=True))
 
     def hypotheses(self, now_s: float) -> list[Hypothesis]:
         """What may be, of those that somebody lies; a lie that grows is taken to have gone on doing so since the last lines."""
-        x, honest = self._x[1:], self._x[0]
-        size_m, rate_mps = x[:, _SIZE], x[:, _RATE]
-        grown = np.divide(rate_mps * (now_s - self.at_s), size_m, out=np.zeros(len(x)), where=size_m != 0.0)
-        moved_m = (x[:, :2] - honest[:2]) * np.clip(1.0 + grown, 1.0, _FURTHEST_AHEAD)[:, np.newaxis]
-        values, axes = np.linalg.eigh(self._P[1:, :2, :2] - self._P[0, :2, :2])
-        wider_m2 = (axes * np.maximum(values, 0.0)[:, np.newaxis]) @ axes.transpose(0, 2, 1)
-        moved_m2 = moved_m[:, :, np.newaxis] * moved_m[:, np.newaxis] + wider_m2
-        return [Hypothesis(liar, chance, m2) for (liar, chance), m2 in zip(self.chances(), moved_m2, strict=True)]
+        out = []
+        (east, north), *means = self._means[:, :2].tolist()
+        lies = self._means[1:, _SIZE:].tolist()
+        wider = (self._covariances[1:, :2, :2] - self._covariances[0, :2, :2]).tolist()
+        for (liar, chance), (e, n), (size_m, rate_mps), ((ee, en), (_, nn)) in zip(
+            self.chances(), means, lies, wider, strict=True
+        ):
+            grown = rate_mps * (now_s - self.at_s) / size_m if size_m != 0.0 else 0.0
+            ahead = min(max(1.0 + grown, 1.0), _FURTHEST_AHEAD)
+            e, n = (e - east) * ahead, (n - north) * ahead
+            ee, en, nn = _positive_part(ee, en, nn)
+            out.append(Hypothesis(liar, chance, (ee + e * e, en + e * n, nn + n * n)))
+        return out
 
     def _regroup(self, peers: list[int]) -> None:
         """Go on with other peers; what is known of those that stay is kept."""
-        old, x, P, log_chance = self.peers, self._x, self._P, self._log_chance
+        old, x, P, log_chance = self.peers, self._means, self._covariances, self._log_chance
         self.peers = peers
         self._seen_s = {p: self._seen_s[p] for p in peers}
         self._clear(len(peers))
         stay = [p for p in peers if p in old]
         models = [[0, *(1 + group.index(p) for p in stay), len(group) + 1] for group in (peers, old)]
         states = [[0, 1, *(2 + group.index(p) for p in stay), len(group) + 2, len(group) + 3] for group in (peers, old)]
-        self._x[np.ix_(models[0], states[0])] = x[np.ix_(models[1], states[1])]
-        self._P[np.ix_(models[0], states[0], states[0])] = P[np.ix_(models[1], states[1], states[1])]
-        self._log_chance[models[0]] = log_chance[models[1]]
+        self._means[np.ix_(models[0], states[0])] = x[np.ix_(models[1], states[1])]
+        self._covariances[np.ix_(models[0], states[0], states[0])] = P[np.ix_(models[1], states[1], states[1])]
+        for model, was in zip(*models, strict=True):
+            self._log_chance[model] = log_chance[was]
         for k, p in enumerate(peers):
             if p not in old:
-                self._P[:, 2 + k, 2 + k] = self._claim_m[p] ** 2
-                self._x[1 + k], self._P[1 + k] = self._x[0], self._P[0]
-        self._log_chance -= np.logaddexp.reduce(self._log_chance)
+                self._covariances[:, 2 + k, 2 + k] = self._claim_m[p] ** 2
+                self._A[1 + k] = self._A[0]
+        self._log_chance = _normalised(self._log_chance)
 
     def _predict(self, step_s: float) -> None:
-        s, size = self.settings, self._P.shape[1]
+        s, A = self.settings, self._A
+        models, _, size = A.shape
         keep = exp(-step_s / s.wander_time_s)
-        F = np.diag([1.0, 1.0, *[keep] * len(self.peers), 1.0, 1.0])
-        F[_SIZE, _RATE] = step_s
-        claims_m2 = np.square([self._claim_m[p] for p in self.peers])
-        Q = np.zeros(size)
-        Q[:2] = s.place_density_m2ps * step_s
-        Q[2:_SIZE] = claims_m2 * (1.0 - keep * keep)
-        self._x = self._x @ F.T
-        self._P = F @ self._P @ F.T
-        self._P[:, range(size), range(size)] += Q
-        self._P[1:, _RATE, _RATE] += s.rate_density_m2ps3 * step_s
+        kept = [1.0, 1.0, *[keep] * len(self.peers), 1.0, 1.0]
+        A *= np.outer([1.0, *kept], kept)
+        A[:, :, _SIZE] += step_s * A[:, :, _RATE]
+        A[:, _SIZE] += step_s * A[:, _RATE]
+        place_m2, fresh = s.place_density_m2ps * step_s, 1.0 - keep * keep
+        variances = A.reshape(models, -1)[:, size :: size + 1]
+        variances += [place_m2, place_m2, *[self._claim_m[p] ** 2 * fresh for p in self.peers], 0.0, 0.0]
+        variances[1:, _RATE] += s.rate_density_m2ps3 * step_s
 
     def _let_begin(self, step_s: float) -> None:
         """Let each lie begin now, out of the honest filter, or end."""
-        s, chance = self.settings, np.exp(self._log_chance)
-        begun, going_on = chance[0] * s.begins_per_s * step_s, chance[1:] * (1.0 - s.ends_per_s * step_s)
-        fresh_x, fresh_P = self._x[0].copy(), self._P[0].copy()
-        fresh_P[_SIZE, _SIZE], fresh_P[_RATE, _RATE] = s.offset_m**2, s.rate_mps**2
-        share = (begun / np.maximum(begun + going_on, exp(_NEVER)))[:, np.newaxis]
-        x = share * fresh_x + (1.0 - share) * self._x[1:]
-        off, kept_off, part = fresh_x - x, self._x[1:] - x, share[:, :, np.newaxis]
-        self._P[1:] = part * (fresh_P + off[:, :, np.newaxis] * off[:, np.newaxis]) + (1.0 - part) * (
-            self._P[1:] + kept_off[:, :, np.newaxis] * kept_off[:, np.newaxis]
-        )
-        self._x[1:] = x
-        chance[0] += float(np.sum(chance[1:] - going_on)) - begun * len(going_on)
-        chance[1:] = going_on + begun
-        self._log_chance = np.log(np.maximum(chance, exp(_NEVER)))
+        s, least = self.settings, exp(_NEVER)
+        honest, *lying = map(exp, self._log_chance)
+        begun = honest * s.begins_per_s * step_s
+        going_on = [chance * (1.0 - s.ends_per_s * step_s) for chance in lying]
+        fresh = self._A[0].copy()
+        fresh[_SIZE, _SIZE], fresh[_RATE, _RATE] = s.offset_m**2, s.rate_mps**2
+        share = np.array([begun / max(begun + chance, least) for chance in going_on])[:, np.newaxis, np.newaxis]
+        merged = self._A[1:]
+        off = fresh - merged
+        apart = off[:, :1]
+        merged += share * off
+        merged[:, 1:] += share * (1.0 - share) * apart * apart.transpose(0, 2, 1)
+        honest += sum(lying) - sum(going_on) - begun * len(lying)
+        self._log_chance = [log(max(chance, least)) for chance in (honest, *(chance + begun for chance in going_on))]
 
     def _design(self, lines: Mapping[int, Line]) -> FloatArray:
         """Return what each line measures of the state: (models, lines, states)."""
-        models, size = self._x.shape
+        models, size = self._means.shape
         H: FloatArray = np.zeros((models, len(lines), size))
         for k, (peer, line) in enumerate(lines.items()):
             index = self.peers.index(peer)
@@ -216,27 +226,51 @@ class LieFilters:
         H[-1, :, _SIZE] = 1.0
         return H
 
-    def _find_again(self, H: FloatArray, z: FloatArray, r: FloatArray) -> None:
+    def _find_again(self, H: FloatArray, z: list[float], r: list[float]) -> None:
         """Where a filter explains less than half of the lines, time and again, the place that it goes by has jumped."""
-        variance = np.einsum("mki,mij,mkj->mk", H, self._P, H) + r
-        beyond = (z - np.einsum("mki,mi->mk", H, self._x)) ** 2 > self.settings.gate_sigma**2 * variance
-        self._astray = np.where(2 * beyond.sum(axis=1) > len(z), self._astray + 1, 0)
-        for m in np.flatnonzero(self._astray >= self.settings.lost_after):
-            self._P[m, :2] = self._P[m, :, :2] = 0.0
-            self._P[m, [0, 1], [0, 1]] = _UNKNOWN_M2
+        columns = H.transpose(0, 2, 1)
+        foreseen = self._A @ columns
+        variance = (columns * foreseen[:, 1:]).sum(axis=1) + r
+        beyond = ((z - foreseen[:, 0]) ** 2 > self.settings.gate_sigma**2 * variance).sum(axis=1).tolist()
+        self._astray = [astray + 1 if 2 * n > len(z) else 0 for astray, n in zip(self._astray, beyond, strict=True)]
+        for m, astray in enumerate(self._astray):
+            if astray >= self.settings.lost_after:
+                self._covariances[m, :2] = self._covariances[m, :, :2] = 0.0
+                self._covariances[m, [0, 1], [0, 1]] = _UNKNOWN_M2
 
     def _correct(self, h: FloatArray, z: float, r: float) -> float:
         """Correct all filters with one line and weigh them by it; return its normalised square, 1 where the noise is true."""
-        s = self.settings
-        Ph = np.einsum("mij,mj->mi", self._P, h)
-        S = np.einsum("mi,mi->m", h, Ph) + r
-        miss = z - np.einsum("mi,mi->m", h, self._x)
-        sigmas = np.minimum(np.abs(miss) / np.sqrt(S), s.gate_sigma)
-        trust = np.where(sigmas < s.gate_sigma, s.doubt_sigma / np.maximum(sigmas, s.doubt_sigma), 0.0)
-        gain = (trust / S)[:, np.newaxis] * Ph
-        self._x += gain * miss[:, np.newaxis]
-        self._P -= gain[:, :, np.newaxis] * Ph[:, np.newaxis]
-        inner = np.minimum(sigmas, s.doubt_sigma)
-        self._log_chance -= inner * (sigmas - 0.5 * inner) + 0.5 * np.log(2.0 * pi * S)
-        weights = np.exp(self._log_chance - np.logaddexp.reduce(self._log_chance))
-        return float(weights @ (sigmas * sigmas))
+        s, log_chance = self.settings, self._log_chance
+        Ah = self._A @ h[:, :, np.newaxis]
+        Ph = Ah[:, np.newaxis, 1:, 0]
+        expected_m, known_m2 = Ah[:, 0, 0].tolist(), (Ph @ h[:, :, np.newaxis])[:, 0, 0].tolist()
+        pulls, squares = [], []
+        for m in range(len(log_chance)):
+            variance = max(known_m2[m], 0.0) + r
+            sigmas = min(abs(z - expected_m[m]) / sqrt(variance), s.gate_sigma)
+            inner = min(sigmas, s.doubt_sigma)
+            # Huber's weight, and none beyond the gate.
+            pulls.append(s.doubt_sigma / max(sigmas, s.doubt_sigma) / variance if sigmas < s.gate_sigma else 0.0)
+            squares.append(sigmas * sigmas)
+            log_chance[m] -= inner * (sigmas - 0.5 * inner) + 0.5 * log(2.0 * pi * variance)
+        Ah[:, 0] -= z
+        self._A -= Ah * (np.array(pulls)[:, np.newaxis, np.newaxis] * Ph)
+        return sum([exp(chance) * square for chance, square in zip(_normalised(log_chance), squares, strict=True)], start=0.0)
+
+
+def _normalised(log_chance: list[float]) -> list[float]:
+    """Return logarithms of chances less that of their sum."""
+    most = max(log_chance)
+    total = most + log(sum(exp(one - most) for one in log_chance))
+    return [one - total for one in log_chance]
+
+
+def _positive_part(ee: float, en: float, nn: float) -> tuple[float, float, float]:
+    """Return a symmetric (2, 2) matrix without what is negative of its eigenvalues."""
+    mean, half = 0.5 * (ee + nn), hypot(0.5 * (ee - nn), en)
+    if mean >= half:
+        return ee, en, nn
+    if mean <= -half:
+        return 0.0, 0.0, 0.0
+    smaller, part = mean - half, (mean + half) / (2.0 * half)
+    return part * (ee - smaller), part * en, part * (nn - smaller)

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
-from math import dist, hypot, sqrt
+from math import hypot, sqrt
 from statistics import median
 
 import numpy as np
 
 from gcs_coloc.core.integrity.lie_filters import LieFilters, LieSettings, Line
 from gcs_coloc.core.integrity.scene import Place
-from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
+from gcs_coloc.core.measurements import FloatArray, RangeMeasurement, Vector3
 
 _LEAST_DISTANCE_M = 1.0
 _MOST_PEERS = 8
@@ -49,7 +49,7 @@ class _Ranges:
     sigmas_m: list[float]
     claim: Place
     own_sigma_v_m: float
-    apart_m: FloatArray
+    apart_m: Vector3
 
 
 class LieWatch:
@@ -65,11 +65,12 @@ class LieWatch:
         if a.free == b.free:
             return
         vehicle, peer, own, claim = (m.from_vehicle, m.to_vehicle, a, b) if a.free else (m.to_vehicle, m.from_vehicle, b, a)
-        distance_m = dist(own.position_enu_m, claim.position_enu_m)
+        (e, n, u), (peer_e, peer_n, peer_u) = own.position_enu_m, claim.position_enu_m
+        apart_m = e - peer_e, n - peer_n, u - peer_u
+        distance_m = hypot(*apart_m)
         if distance_m < _LEAST_DISTANCE_M:
             return
         lines = self._lines.setdefault(vehicle, {})
-        apart_m = own.position_enu_m - claim.position_enu_m
         known = lines.setdefault(peer, _Ranges([], [], claim, own.sigma_v_m, apart_m))
         known.residuals_m.append(m.range_m - distance_m)
         known.sigmas_m.append(m.sigma_m)
@@ -93,11 +94,14 @@ class LieWatch:
 
     def doubt_m2(self, now_s: float) -> Mapping[int, FloatArray]:
         """Return for each vehicle the second moment (2, 2) of how far lies that count may have moved it."""
-        s, zero = self.settings, np.zeros((2, 2))
-        return {
-            vehicle: sum((min(h.chance / s.counts_at, 1.0) * h.moved_m2 for h in filters.hypotheses(now_s)), start=zero)
-            for vehicle, filters in self._telling()
-        }
+        doubt_m2 = {}
+        for vehicle, filters in self._telling():
+            sum_ee = sum_en = sum_nn = 0.0
+            for h in filters.hypotheses(now_s):
+                counts, (ee, en, nn) = min(h.chance / self.settings.counts_at, 1.0), h.moved_m2
+                sum_ee, sum_en, sum_nn = sum_ee + counts * ee, sum_en + counts * en, sum_nn + counts * nn
+            doubt_m2[vehicle] = np.array([[sum_ee, sum_en], [sum_en, sum_nn]])
+        return doubt_m2
 
     def suspects(self) -> frozenset[int]:
         """Return those of whom one lies, as far as can be told. None where a vehicle's own device is the likeliest to be off."""
@@ -119,10 +123,11 @@ class LieWatch:
         return ((vehicle, filters) for vehicle, filters in self._filters.items() if len(filters.peers) >= least)
 
     def _line(self, r: _Ranges) -> Line:
-        unit = r.apart_m / sqrt(float(r.apart_m @ r.apart_m))
-        level, up = hypot(float(unit[0]), float(unit[1])), abs(float(unit[2]))
+        e, n, u = r.apart_m
+        distance_m = hypot(e, n, u)
+        level, up = hypot(e, n) / distance_m, abs(u) / distance_m
         count = len(r.residuals_m)
         shared = self.settings.slow_share * (1.0 - 1.0 / count)
         noise_m = median(r.sigmas_m) * sqrt(1.0 / count + shared)
         claim_m = hypot(r.claim.sigma_h_m * level, r.claim.sigma_v_m * up, r.own_sigma_v_m * up, self.settings.range_bias_m)
-        return Line(median(r.residuals_m), noise_m, claim_m, (float(unit[0]), float(unit[1])))
+        return Line(median(r.residuals_m), noise_m, claim_m, (e / distance_m, n / distance_m))

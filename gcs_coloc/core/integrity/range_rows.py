@@ -7,15 +7,15 @@ that is what is stated or what is seen to scatter, whichever is more.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections import Counter, deque
+from collections import deque
 from dataclasses import dataclass, field
 from math import dist, sqrt
-from operator import attrgetter
 from statistics import median
+from typing import NamedTuple
 
 from gcs_coloc.core.integrity.lie_watch import LieWatch
 from gcs_coloc.core.integrity.scene import Place, Row, Scene
-from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
+from gcs_coloc.core.measurements import RangeMeasurement, Vector3
 
 _PLACES_KEPT = 64
 _SAMPLES_KEPT = 64
@@ -24,7 +24,6 @@ _PLACE_AGE_S = 0.6
 _PEERS_PER_DEVICE = 8
 _LEAST_DISTANCE_M = 1.0
 _MEDIAN_VARIANCE_GAIN = 1.57  # of the median of Gaussian values over that of their mean
-_at_s = attrgetter("at_s")
 _QUARTILES_PER_SIGMA = 1.35  # distance of a Gaussian's quartiles over its sigma
 
 
@@ -47,16 +46,50 @@ class RowSettings:
     slow_share: float = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
-    """Where a vehicle is held to be at one time: ENU (3,) in m and m/s, else as `scene.Place`."""
+class Track(NamedTuple):
+    """Where a vehicle is held to be at one time: ENU in m and m/s, else as `scene.Place`."""
 
     at_s: float
-    position_enu_m: FloatArray
-    velocity_enu_mps: FloatArray
+    position_enu_m: Vector3
+    velocity_enu_mps: Vector3
     sigma_h_m: float
     sigma_v_m: float
     free: bool
+
+
+class _Tracks:
+    """Where one vehicle was held to be of late, claimed or free throughout; the oldest first."""
+
+    __slots__ = ("_times_s", "_tracks", "free")
+
+    def __init__(self, free: bool) -> None:
+        self.free = free
+        self._times_s: list[float] = []
+        self._tracks: list[Track] = []
+
+    def append(self, track: Track) -> None:
+        """Take one that is newer than all before; others say nothing."""
+        if self._times_s and track.at_s <= self._times_s[-1]:
+            return
+        self._times_s.append(track.at_s)
+        self._tracks.append(track)
+        if len(self._tracks) > _PLACES_KEPT:
+            del self._times_s[0], self._tracks[0]
+
+    def at(self, at_s: float) -> Place | None:
+        """Where the vehicle is held to have been: the track point next to the time, carried on by its velocity."""
+        times_s = self._times_s
+        nearest = bisect_left(times_s, at_s)
+        if nearest and (nearest == len(times_s) or at_s - times_s[nearest - 1] <= times_s[nearest] - at_s):
+            nearest -= 1
+        since_s = at_s - times_s[nearest]
+        if abs(since_s) > _PLACE_AGE_S:
+            return None
+        _, (e, n, u), (ve, vn, vu), sigma_h_m, sigma_v_m, free = self._tracks[nearest]
+        return Place((e + ve * since_s, n + vn * since_s, u + vu * since_s), sigma_h_m, sigma_v_m, free)
+
+
+_Sample = tuple[float, float, float]  # of a range: its time (s), what it is beyond the distance of the places (m), its 1-sigma
 
 
 @dataclass(slots=True)
@@ -65,21 +98,20 @@ class RangeRows:
 
     settings: RowSettings = field(default_factory=RowSettings)
     watch: LieWatch | None = None
-    _tracks: dict[int, deque[Track]] = field(default_factory=dict)
+    _tracks: dict[int, _Tracks] = field(default_factory=dict)
     _pending: deque[RangeMeasurement] = field(default_factory=lambda: deque(maxlen=_PENDING_KEPT))
-    _samples: dict[tuple[int, int], deque[tuple[float, float, float]]] = field(default_factory=dict)
+    _samples: dict[tuple[int, int], list[_Sample]] = field(default_factory=dict)
 
     def place(self, vehicle: int, track: Track) -> None:
         """Take where a vehicle is held to be. When it turns from claimed to free or back, what was heard of it is forgotten."""
         known = self._tracks.get(vehicle)
-        if known is None or known[-1].free != track.free:
-            known = self._tracks[vehicle] = deque(maxlen=_PLACES_KEPT)
+        if known is None or known.free != track.free:
+            known = self._tracks[vehicle] = _Tracks(track.free)
             for pair in [pair for pair in self._samples if vehicle in pair]:
                 del self._samples[pair]
             if self.watch is not None:
                 self.watch.forget(vehicle)
-        if not known or track.at_s > known[-1].at_s:
-            known.append(track)
+        known.append(track)
 
     def range(self, measurement: RangeMeasurement) -> None:
         """Take a range; it is compared once the positions of its time have arrived."""
@@ -90,27 +122,31 @@ class RangeRows:
         self._compare(now_s)
         s = self.settings
         middle_s = now_s - s.wait_s - 0.5 * s.window_s
+        from_s = now_s - s.wait_s - s.window_s
+        held = {vehicle: self._tracks[vehicle].at(middle_s) for vehicle in {v for pair in self._samples for v in pair}}
         places: dict[int, Place] = {}
         rows: list[Row] = []
-        per_device: Counter[int] = Counter()
+        device, in_use = -1, 0
         for (i, j), kept in sorted(self._samples.items()):
-            recent = [sample for sample in kept if sample[0] > now_s - s.wait_s - s.window_s]
-            samples = recent if len(recent) >= s.enough_ranges else list(kept)
-            if len(samples) < s.least_ranges or per_device[i] >= _PEERS_PER_DEVICE:
+            if i != device:
+                device, in_use = i, 0
+            a, b = held[i], held[j]
+            if a is None or b is None or in_use >= _PEERS_PER_DEVICE:
                 continue
-            a, b = self._at(i, middle_s), self._at(j, middle_s)
-            if a is None or b is None or dist(a.position_enu_m, b.position_enu_m) < _LEAST_DISTANCE_M:
+            recent = [sample for sample in kept if sample[0] > from_s]
+            samples = recent if len(recent) >= s.enough_ranges else kept
+            if len(samples) < s.least_ranges or dist(a.position_enu_m, b.position_enu_m) < _LEAST_DISTANCE_M:
                 continue
             places[i], places[j] = a, b
             rows.append(self._row(i, j, samples))
-            per_device[i] += 1
+            in_use += 1
         return Scene(middle_s, places, tuple(rows))
 
-    def _row(self, i: int, j: int, samples: list[tuple[float, float, float]]) -> Row:
+    def _row(self, i: int, j: int, samples: list[_Sample]) -> Row:
         s = self.settings
-        residual_m, stated_m = median(sample[1] for sample in samples), median(sample[2] for sample in samples)
+        ordered = sorted([residual_m for _, residual_m, _ in samples])
+        residual_m, stated_m = median(ordered), median([sigma_m for _, _, sigma_m in samples])
         # Where so many are late that the median is one of them, the quartiles lie far apart.
-        ordered = sorted(sample[1] for sample in samples)
         quarter = len(ordered) // 4
         scatter_m = (ordered[-1 - quarter] - ordered[quarter]) / _QUARTILES_PER_SIGMA
         noise_m2 = max(stated_m, scatter_m) ** 2 * _MEDIAN_VARIANCE_GAIN / len(samples)
@@ -119,36 +155,28 @@ class RangeRows:
     def _compare(self, now_s: float) -> None:
         """Turn the ranges that positions have arrived for into residuals."""
         ready_s = now_s - self.settings.wait_s
-        waiting = [m for m in self._pending if m.measured_at_s > ready_s]
+        waiting = []
         for m in self._pending:
-            if m.measured_at_s > ready_s:
+            at_s = m.measured_at_s
+            if at_s > ready_s:
+                waiting.append(m)
                 continue
-            a, b = self._at(m.from_vehicle, m.measured_at_s), self._at(m.to_vehicle, m.measured_at_s)
+            i, j = pair = m.from_vehicle, m.to_vehicle
+            if i not in self._tracks or j not in self._tracks:
+                continue
+            a, b = self._tracks[i].at(at_s), self._tracks[j].at(at_s)
             if a is None or b is None:
                 continue
             if self.watch is not None:
                 self.watch.range(m, a, b)
-            distance_m = dist(a.position_enu_m, b.position_enu_m)
-            samples = self._samples.setdefault((m.from_vehicle, m.to_vehicle), deque(maxlen=_SAMPLES_KEPT))
-            samples.append((m.measured_at_s, m.range_m - distance_m, m.sigma_m))
+            known = self._samples.get(pair)
+            if known is None:
+                known = self._samples[pair] = []
+            known.append((at_s, m.range_m - dist(a.position_enu_m, b.position_enu_m), m.sigma_m))
+            if len(known) > _SAMPLES_KEPT:
+                del known[0]
         self._pending.clear()
         self._pending.extend(waiting)
         oldest_s = ready_s - self.settings.longest_s
-        for pair, samples in list(self._samples.items()):
-            fresh = [sample for sample in samples if sample[0] > oldest_s]
-            if fresh:
-                self._samples[pair] = deque(fresh, maxlen=_SAMPLES_KEPT)
-            else:
-                del self._samples[pair]
-
-    def _at(self, vehicle: int, at_s: float) -> Place | None:
-        """Where a vehicle is held to have been: the track point next to the time, carried on by its velocity."""
-        tracks = self._tracks.get(vehicle)
-        if not tracks:
-            return None
-        later = bisect_left(tracks, at_s, key=_at_s)
-        near = min(tracks[max(later - 1, 0)], tracks[min(later, len(tracks) - 1)], key=lambda track: abs(track.at_s - at_s))
-        if abs(near.at_s - at_s) > _PLACE_AGE_S:
-            return None
-        position = near.position_enu_m + near.velocity_enu_mps * (at_s - near.at_s)
-        return Place(position, near.sigma_h_m, near.sigma_v_m, near.free)
+        fresh = {pair: [sample for sample in samples if sample[0] > oldest_s] for pair, samples in self._samples.items()}
+        self._samples = {pair: samples for pair, samples in fresh.items() if samples}

@@ -10,8 +10,6 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from gcs_coloc.core.aid.fix_policy import MOST_MISFIT
 from gcs_coloc.core.fleet import Fleet, Vehicle
 from gcs_coloc.core.health import Contradiction, GpsState
@@ -102,11 +100,13 @@ class Returning:
     def review(self, now_s: float, fleet: Fleet, answer: Answer) -> None:
         """Check the fixes of those who are back. `answer`: the estimator's, with what a liar may have done in its covariance."""
         back = {v.sysid: (v, fix) for v in fleet if (fix := self._fix(v, now_s)) is not None}
-        self._cases = {sysid: self._cases.get(sysid) or _Case(now_s) for sysid in back}
         self.misplaced = frozenset()
         if not back:
-            self._forget()
+            if self._cases:
+                self._cases = {}
+                self._forget()
             return
+        self._cases = {sysid: self._cases.get(sysid) or _Case(now_s) for sysid in back}
         peers = {v.sysid: v.claim for v in fleet if v.health.trusted and v.claim is not None}
         for claim in (*peers.values(), *(fix for _, fix in back.values())):
             self._place(claim)
@@ -155,7 +155,7 @@ class Returning:
     def _place(self, claim: PositionMeasurement) -> None:
         if claim.velocity_enu_mps is None:
             return
-        position, velocity = np.array(claim.position_enu_m), np.array(claim.velocity_enu_mps)
+        position, velocity = claim.position_enu_m, claim.velocity_enu_mps
         track = Track(claim.measured_at_s, position, velocity, claim.sigma_h_m, claim.sigma_v_m, free=False)
         self._rows.place(claim.vehicle, track)
 

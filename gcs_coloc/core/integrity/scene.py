@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.measurements import FloatArray, Vector3
 
 LEAST_SIGMA_M = 0.01
 """No position is known better, and no distance is shorter."""
@@ -18,18 +19,16 @@ LEAST_INFORMATION = 1e-9
 """1/m^2: what is known no better than to 30 km is not known."""
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a vehicle is held to be: ENU (3,) in m, with the 1-sigma per axis in m; `free`: horizontally nothing is claimed."""
+class Place(NamedTuple):
+    """Where a vehicle is held to be: ENU in m, with the 1-sigma per axis in m; `free`: horizontally nothing is claimed."""
 
-    position_enu_m: FloatArray
+    position_enu_m: Vector3
     sigma_h_m: float
     sigma_v_m: float
     free: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(NamedTuple):
     """What the ranges of one device to one peer say beyond the distance of the places, m: residual, its 1-sigma, and the
     1-sigma of the part of the error that lasts.
     """

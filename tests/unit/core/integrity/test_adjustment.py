@@ -55,7 +55,7 @@ def fleets():
         free = set(rng.choice(np.arange(1, vehicles + 1), size=rng.integers(0, 3), replace=False).tolist())
         now = drawn_scene(rng, vehicles, 20.0, free)
         same_pairs = drawn_scene(rng, vehicles, 18.0, free)
-        same_pairs = replace(same_pairs, rows=tuple(replace(row, residual_m=rng.normal()) for row in now.rows))
+        same_pairs = replace(same_pairs, rows=tuple(row._replace(residual_m=rng.normal()) for row in now.rows))
         pasts = [
             (None, 0.0),
             (same_pairs, 0.9),

@@ -16,7 +16,7 @@ AROUND = {1: 0.1, 2: 1.7, 3: 3.0, 4: 4.8}
 
 
 def place(east_m, north_m, free=False):
-    return Place(np.array([east_m, north_m, 100.0]), 0.0 if free else 1.5, 2.0, free)
+    return Place((east_m, north_m, 100.0), 0.0 if free else 1.5, 2.0, free)
 
 
 class Flight:

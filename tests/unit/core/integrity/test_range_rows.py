@@ -14,7 +14,7 @@ def rows_of(ranges_m, every_s=0.2):
     for k, range_m in enumerate(ranges_m):
         t = k * every_s
         for vehicle, east_m in ((1, 20.0 * t), (2, 20.0 * t + APART_M)):
-            place = Track(t, np.array([east_m, 0.0, 100.0]), np.array([20.0, 0.0, 0.0]), 1.5, 2.0, free=False)
+            place = Track(t, (east_m, 0.0, 100.0), (20.0, 0.0, 0.0), 1.5, 2.0, free=False)
             rows.place(vehicle, place)
         rows.range(RangeMeasurement(1, 2, t, t, range_m, 1.0))
     return rows.scene((len(ranges_m) - 1) * every_s + RowSettings().wait_s).rows
