@@ -5,12 +5,14 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 from pmtiles.tile import Compression, TileType, zxy_to_tileid
 from pmtiles.writer import write
 
 
+@cache
 def png(red: int, green: int, blue: int) -> bytes:
     """A picture of 256 by 256 points in one colour."""
 

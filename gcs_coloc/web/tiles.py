@@ -6,6 +6,7 @@ import gzip
 import json
 import os
 import re
+import zlib
 from functools import lru_cache
 from html import unescape
 from pathlib import Path
@@ -19,7 +20,10 @@ from gcs_coloc.web.wire import TilesInfo
 _HEADER_BYTES = 127
 _DEEPEST = 4
 _DIRECTORIES_KEPT = 64
-_MOST_TILE_BYTES = 10_000_000
+_MOST_BYTES = 10_000_000
+"""A tile or directory that claims to be longer is a damaged file's."""
+_DAMAGED = (OSError, EOFError, ValueError, IndexError, OverflowError, zlib.error)
+"""What reading a damaged directory ends with."""
 _MEDIA_TYPES = {
     TileType.PNG: "image/png",
     TileType.JPEG: "image/jpeg",
@@ -72,15 +76,13 @@ class TileFile:
         try:
             for _ in range(_DEEPEST):
                 entry = find_tile(self._directory(offset, length), tile_id)
-                if entry is None:
+                if entry is None or entry.length > _MOST_BYTES:
                     return None
                 if entry.run_length > 0:
-                    if entry.length > _MOST_TILE_BYTES:
-                        return None
                     data = os.pread(self._fd, entry.length, self._header["tile_data_offset"] + entry.offset)
                     return data if len(data) == entry.length else None
                 offset, length = self._header["leaf_directory_offset"] + entry.offset, entry.length
-        except (OSError, EOFError, ValueError, IndexError):
+        except _DAMAGED:
             pass
         return None
 

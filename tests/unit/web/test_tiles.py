@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
+import random
+from pathlib import Path
+
 import pytest
-from pmtiles.tile import TileType
+from pmtiles.tile import Entry, TileType, deserialize_header, serialize_directory, serialize_header, zxy_to_tileid
 from tile_archive import png, write_archive
 
 from gcs_coloc.core.errors import ConfigError
 from gcs_coloc.web.tiles import TileFile
 
+LIGHT, DARK = png(190, 200, 160), png(120, 160, 110)
+
+SCATTERED = random.Random(1).sample([(8, x, y) for x in range(256) for y in range(256)], 20_000)
+"""So many tiles without an order that their directory does not fit into the root: it has leaves."""
+
+
+def scattered_archive(path: Path) -> bytearray:
+    """Write the scattered tiles and three of lower zooms; return the archive's bytes."""
+    write_archive(path, [(0, 0, 0), (3, 7, 0), (3, 6, 6), *SCATTERED])
+    return bytearray(path.read_bytes())
+
 
 def test_every_tile_comes_out_as_it_went_in_and_no_other(tmp_path):
     path = tmp_path / "map.pmtiles"
-    # More than one directory holds, so that there are leaves.
-    write_archive(path, [(zoom, x, y) for zoom, n in ((0, 1), (3, 8), (7, 100)) for x in range(n) for y in range(n)])
+    assert deserialize_header(bytes(scattered_archive(path)[:127]))["leaf_directory_length"] > 0
     tiles = TileFile(path)
-    assert tiles.tile(0, 0, 0) == png(190, 200, 160)
-    assert tiles.tile(7, 98, 99) == png(120, 160, 110)
-    for missing in ((1, 0, 0), (7, 127, 127), (3, 8, 0), (-1, 0, 0), (40, 0, 0), (3, -1, 0)):
+    assert [tiles.tile(*tile) for tile in ((0, 0, 0), (3, 6, 6), (3, 7, 0))] == [LIGHT, LIGHT, DARK]
+    assert all(tiles.tile(*tile) == (DARK if (tile[1] + tile[2]) % 2 else LIGHT) for tile in SCATTERED)
+    absent = next((8, x, 0) for x in range(256) if (8, x, 0) not in SCATTERED)
+    for missing in ((1, 0, 0), (7, 127, 127), (3, 8, 0), (-1, 0, 0), (40, 0, 0), (3, -1, 0), absent):
         assert tiles.tile(*missing) is None
-    assert (tiles.info.min_zoom, tiles.info.max_zoom, tiles.media_type) == (0, 7, "image/png")
+    assert (tiles.info.min_zoom, tiles.info.max_zoom, tiles.media_type) == (0, 8, "image/png")
     assert tiles.info.attribution == "© Nobody at all"
 
 
@@ -42,5 +56,30 @@ def test_of_an_archive_that_is_cut_off_the_tiles_that_are_left_come_out(tmp_path
     path = tmp_path / "map.pmtiles"
     write_archive(path, [(1, 0, 0), (1, 0, 1)])
     path.write_bytes(path.read_bytes()[:-1])
-    assert TileFile(path).tile(1, 0, 0) == png(190, 200, 160)
+    assert TileFile(path).tile(1, 0, 0) == LIGHT
     assert TileFile(path).tile(1, 0, 1) is None
+
+
+@pytest.mark.parametrize("damage", [b"\xff" * 8, b"\0" * 8, b"\x55" * 8])
+def test_a_damaged_leaf_takes_only_its_own_tiles_with_it(tmp_path, damage):
+    path = tmp_path / "map.pmtiles"
+    content = scattered_archive(path)
+    header = deserialize_header(bytes(content[:127]))
+    # The beginning of what is compressed in the last leaf, right behind its gzip header.
+    at = content.rindex(b"\x1f\x8b\x08", 0, header["leaf_directory_offset"] + header["leaf_directory_length"]) + 10
+    content[at : at + len(damage)] = damage
+    path.write_bytes(content)
+    tiles = TileFile(path)
+    ordered = sorted(SCATTERED, key=lambda tile: zxy_to_tileid(*tile))
+    assert tiles.tile(*ordered[0]) in (LIGHT, DARK)
+    assert tiles.tile(*ordered[-1]) is None
+
+
+def test_a_leaf_that_claims_to_be_longer_than_any_file_is_not_read(tmp_path):
+    path = tmp_path / "map.pmtiles"
+    for offset, length in ((0, 1 << 62), (1 << 63, 100)):
+        root = serialize_directory([Entry(0, offset, length, 0)])
+        content = scattered_archive(path)
+        header = deserialize_header(bytes(content[:127])) | {"root_offset": len(content), "root_length": len(root)}
+        path.write_bytes(serialize_header(header) + content[127:] + root)
+        assert TileFile(path).tile(0, 0, 0) is None
