@@ -79,7 +79,9 @@ class Aiding:
         vehicle.health.captive = self._word(vehicle) is AidWord.ON or self.primary.holds(sysid)
         vehicle.health.aided = stream is not None and (vehicle.health.state in _AIDED_STATES or vehicle.health.captive)
         is_new = hindrance == NO_HEARTBEAT_YET and now_s - vehicle.first_heard_s < _HEARTBEAT_WITHIN_S
-        if purpose is Purpose.AID and hindrance != self._told.get(sysid) and not is_new:
+        if purpose is not Purpose.AID:
+            self._told.pop(sysid, None)
+        elif hindrance != self._told.get(sysid) and not is_new:
             self._told[sysid] = hindrance
             if hindrance is not None:
                 out.append(Notice(now_s, sysid, "error", f"needs aid and cannot be aided: {hindrance}"))

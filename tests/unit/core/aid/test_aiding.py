@@ -64,6 +64,18 @@ def test_a_vehicle_that_has_just_come_is_given_time_for_its_heartbeat_before_an_
     assert told == ["needs aid and cannot be aided: no heartbeat of an autopilot heard yet"]
 
 
+def test_who_needs_aid_again_and_still_cannot_be_aided_is_told_again():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 5.0, autopilot=Autopilot.OTHER)
+    told = []
+    for lost_s in (5.0, 40.0):
+        out = fly(engine, lost_s, lost_s + 10.0, failed=[4], autopilot=Autopilot.OTHER)
+        told.append([text for text in texts(out) if "cannot be aided" in text])
+        fly(engine, lost_s + 10.0, lost_s + 35.0, autopilot=Autopilot.OTHER)
+        assert vehicle_4(engine, lost_s + 35.0).gps_state == "healthy"
+    assert [len(alarms) for alarms in told] == [1, 1]
+
+
 def test_to_an_unknown_autopilot_nothing_is_sent_unless_a_way_is_set():
     for way, sent in (("auto", False), ("gps_input", True)):
         engine = Engine(StraightLine(), settings(aid=AidSettings(way=way, standby=True)))
