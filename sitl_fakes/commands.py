@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pydantic import ValidationError
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fakes.fault_commands import fault_of_command
@@ -168,7 +167,7 @@ def _user_fault(vehicle: FlightController, message: Any, at_s: float) -> int:
         return ACCEPTED
     try:
         fault = fault_of_command(vehicle.sysid, [getattr(message, f"param{i}") for i in range(1, 8)], at_s)
-    except (ValidationError, OverflowError):
+    except (ValueError, OverflowError):
         fault = None
     if fault is None:
         return DENIED

@@ -24,7 +24,8 @@ def fault_of_command(sysid: int, params: list[float], at_s: float) -> Fault | No
 
     `params[0]`: 1 GPS lost, 2 jammed, 3 frozen, 4 spoofed (params[1] direction in deg, [2] m/s, [3] step in m), 5 ranges
     dropped, 6 biased by params[2] m, 7 stuck (params[1] the peer, 0 all), 8 link dead, 9 reboot, 10 clock jump by params[2] s.
-    `params[6]`: how long, s; 0 for good (refused for a dead link, which no command could mend).
+    `params[6]`: how long, s; 0 for good (refused for a dead link, which no command could mend). Raises ValueError or
+    OverflowError where a number is not finite, or none that such a fault can have.
     """
     kind, second, third, fourth = params[0], params[1], params[2], params[3]
     lasts = params[6] if params[6] != 0.0 else None

@@ -134,7 +134,8 @@ def test_every_fault_can_be_commanded(fleet, kind):
 
 @pytest.mark.parametrize(
     "params",
-    [(99.0,), (math.nan,), (4.0, 0.0, -5.0), (4.0, math.nan, 1.0), (8.0,), (5.0, 300.0), (6.0, 2.0, math.inf), (4.0, 0.0, 1e9)],
+    [(99.0,), (math.nan,), (4.0, 0.0, -5.0), (4.0, math.nan, 1.0), (8.0,), (5.0, 300.0), (6.0, 2.0, math.inf), (4.0, 0.0, 1e9)]
+    + [(kind, not_a_peer) for kind in (5.0, 6.0, 7.0) for not_a_peer in (math.nan, math.inf)],
 )
 def test_an_impossible_fault_is_denied(fleet, params):
     assert said(fleet, command(mavlink.MAV_CMD_USER_1, *params), "COMMAND_ACK")[0].result == mavlink.MAV_RESULT_DENIED
