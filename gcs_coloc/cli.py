@@ -126,6 +126,7 @@ def run(
         return
     from gcs_coloc.fleets import load_fleets
     from gcs_coloc.service import Service
+    from gcs_coloc.sinks.live_table import SharedConsole
 
     links = [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
     flags: dict[str, Any] = {}
@@ -150,7 +151,7 @@ def run(
     fleets = load_fleets(config, flags)
     if not all(fleet.settings.links for fleet in fleets) or not fleets:
         raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")
-    console = Console(file=own_stream(sys.stdout))
+    console = SharedConsole(file=own_stream(sys.stdout))
     _log_to_stderr(log_level, console)
     asyncio.run(Service(fleets).run(console))
 

@@ -125,6 +125,7 @@ class FleetService:
     async def close(self) -> None:
         """Tell every aided vehicle that its fix has ended, close the links and end the recording."""
         self._deadline.cancel()
+        aided = sorted(vehicle.sysid for vehicle in self._engine.fleet if self._engine.aiding.streams(vehicle.sysid))
         for last in self._engine.close():
             self._send(last)
             if isinstance(last, ParameterSet):
@@ -132,6 +133,8 @@ class FleetService:
                 self._send(last)
                 self._send(last)
                 log.warning("vehicle %d: %s set back to %g, unconfirmed: the service ends", last.sysid, last.name, last.value)
+        if aided:
+            log.info("aid of vehicle %s ended: the service ends", ", ".join(map(str, aided)))
         refused = self._refusals.news()
         if refused is not None:
             log.warning("%s", refused)

@@ -8,8 +8,6 @@ import signal
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-
 from gcs_coloc.clock import ServiceClock
 from gcs_coloc.config import Settings
 from gcs_coloc.core.errors import WebError
@@ -19,6 +17,7 @@ from gcs_coloc.garbage import collect_seldom
 from gcs_coloc.host_clock import read_host_clock
 from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.sinks import console as console_sink
+from gcs_coloc.sinks.live_table import SharedConsole
 
 if TYPE_CHECKING:
     from gcs_coloc.sinks.mqtt import Mqtt
@@ -50,7 +49,7 @@ class Service:
         """Ask the service to end in order."""
         self._stopping.set()
 
-    async def run(self, console: Console) -> None:
+    async def run(self, console: SharedConsole) -> None:
         """Open the links and serve until asked to stop; then tell every aided vehicle that its fix has ended.
 
         Raises:

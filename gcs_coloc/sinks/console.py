@@ -6,14 +6,14 @@ import asyncio
 import logging
 from collections.abc import Mapping
 
-from rich.console import Console, Group
+from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
 from gcs_coloc.core.outputs import HealthChanged, ToOperator
 from gcs_coloc.core.view import FleetView, OutView, VehicleView
 from gcs_coloc.sinks.hub import Subscription
-from gcs_coloc.sinks.live_table import LiveTable
+from gcs_coloc.sinks.live_table import LiveTable, SharedConsole
 
 log = logging.getLogger("gcs_coloc")
 
@@ -23,7 +23,7 @@ PLAIN_EVERY_S = 5.0
 """Log lines of all vehicles come this often where there is no terminal."""
 
 
-async def show(news: Mapping[str, Subscription], console: Console) -> None:
+async def show(news: Mapping[str, Subscription], console: SharedConsole) -> None:
     """Show the news of each fleet, by its name, for ever: live tables where `console` is a terminal, else log lines."""
     async with asyncio.TaskGroup() as group:
         if not console.is_terminal:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from typing import Any
 
 from rich.console import Console, RenderableType
 from rich.live import Live
@@ -11,10 +12,27 @@ from rich.live import Live
 _LAST_TABLE_S = 1.0
 
 
+class SharedConsole(Console):
+    """A console on which one thread draws a table and others print lines above it.
+
+    rich works out how far up the table before begins, then draws: what another thread prints in between would leave a piece of
+    that table behind. `turn` is held for as long as either takes.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.turn = threading.RLock()
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print as rich does, when nobody else does."""
+        with self.turn:
+            super().print(*objects, **options)
+
+
 class LiveTable:
     """Always draws the newest of what it was given; what came while the terminal took nothing is left out."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: SharedConsole) -> None:
         self._console = console
         self._newest: Callable[[], RenderableType] | None = None
         self._wake = threading.Event()
@@ -35,10 +53,16 @@ class LiveTable:
 
     def _draw(self) -> None:
         # Standard output and error stay what they are: they would wait for this very terminal.
-        with Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False) as live:
-            while not self._ending:
-                self._wake.wait()
-                self._wake.clear()
-                make, self._newest = self._newest, None
-                if make is not None:
-                    live.update(make(), refresh=True)
+        live = Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
+        with self._console.turn:
+            live.start()
+        while not self._ending:
+            self._wake.wait()
+            self._wake.clear()
+            make, self._newest = self._newest, None
+            if make is not None:
+                table = make()
+                with self._console.turn:
+                    live.update(table, refresh=True)
+        with self._console.turn:
+            live.stop()

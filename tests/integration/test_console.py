@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import os
 import pty
+import re
 import signal
 import subprocess
 import sys
@@ -36,20 +37,28 @@ class Terminal:
             except OSError:
                 return
 
+    def serve(self, port: int) -> subprocess.Popen[bytes]:
+        """The service on this terminal, with vehicle 4 declared failed."""
+        service = subprocess.Popen(
+            [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{port}", "--no-web", "--failed", "4"],
+            stdin=self.slave,
+            stdout=self.slave,
+            stderr=self.slave,
+            env=os.environ | {"TERM": "xterm", "COLUMNS": "120"},
+        )
+        os.close(self.slave)
+        return service
+
+    def last_line(self) -> str:
+        return re.sub(r"\x1b\[[\d;?]*[a-zA-Z]", "", self.seen.decode(errors="replace")).splitlines()[-1]
+
     def type(self, keys: bytes) -> None:
         os.write(self.master, keys)
 
 
 def test_a_stopped_terminal_stops_neither_the_flight_nor_its_end(free_port):
     terminal = Terminal()
-    service = subprocess.Popen(
-        [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{free_port}", "--no-web", "--failed", "4"],
-        stdin=terminal.slave,
-        stdout=terminal.slave,
-        stderr=terminal.slave,
-        env=os.environ | {"TERM": "xterm", "COLUMNS": "120"},
-    )
-    os.close(terminal.slave)
+    service = terminal.serve(free_port)
     try:
         with square_fleet(free_port) as fleet:
             lost = fleet[3]
@@ -67,6 +76,25 @@ def test_a_stopped_terminal_stops_neither_the_flight_nor_its_end(free_port):
             fly(fleet, 20.0, failed=[4], until=lambda: service.poll() is not None)
             assert service.poll() == 0
             assert lost.of("GPS_INPUT")[-1].fix_type == 1
+    finally:
+        service.kill()
+        service.wait()
+        os.close(terminal.master)
+
+
+def test_the_last_line_on_a_terminal_says_whose_aid_has_ended(free_port):
+    end = "aid of vehicle 4 ended: the service ends"
+    terminal = Terminal()
+    service = terminal.serve(free_port)
+    try:
+        with square_fleet(free_port) as fleet:
+            lost = fleet[3]
+            fly(fleet, 40.0, failed=[4], until=lambda: len(lost.of("GPS_INPUT")) > 10)
+            service.send_signal(signal.SIGINT)
+            fly(fleet, 20.0, failed=[4], until=lambda: service.poll() is not None)
+            assert service.poll() == 0
+            fly(fleet, 20.0, failed=[4], until=lambda: end in terminal.last_line())
+        assert end in terminal.last_line()
     finally:
         service.kill()
         service.wait()

@@ -11,6 +11,7 @@ from gcs_coloc.core.outputs import HealthChanged, Notice
 from gcs_coloc.core.view import FleetView, OutView, VehicleView
 from gcs_coloc.sinks.console import show, table
 from gcs_coloc.sinks.hub import Hub
+from gcs_coloc.sinks.live_table import SharedConsole
 
 LOCATED = VehicleView(
     4,
@@ -71,7 +72,7 @@ def test_what_becomes_of_a_ground_tools_frames_is_told_on_the_table_and_in_plain
 
     async def scenario():
         hub = Hub()
-        task = asyncio.create_task(show({"north": hub.subscribe()}, Console(file=io.StringIO())))
+        task = asyncio.create_task(show({"north": hub.subscribe()}, SharedConsole(file=io.StringIO())))
         await asyncio.sleep(0)
         hub.publish(view)
         for _ in range(10):
@@ -90,7 +91,7 @@ def test_an_empty_fleet_says_so():
 def test_without_a_terminal_there_are_plain_lines_at_a_calm_rate(caplog: pytest.LogCaptureFixture):
     async def scenario():
         hub = Hub()
-        task = asyncio.create_task(show({"": hub.subscribe()}, Console(file=io.StringIO())))
+        task = asyncio.create_task(show({"": hub.subscribe()}, SharedConsole(file=io.StringIO())))
         await asyncio.sleep(0)
         hub.publish(HealthChanged(0.0, 4, "healthy", "failed", "no 3D fix"))
         hub.publish(Notice(0.0, None, "error", "something"))
