@@ -12,7 +12,6 @@ from gcs_coloc.core.aid_messages import OtherAid, ParameterSet
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages import PeerRange
 from gcs_coloc.core.outputs import GpsInput, Notice, Outbound, ToVehicle
-from gcs_coloc.core.view import FleetView
 from gcs_coloc.core.words import ClockReference, GpsWord, OperatorWord, RouteReport, Word
 from gcs_coloc.deadline import Deadline
 from gcs_coloc.estimators.registry import load_estimator
@@ -25,6 +24,7 @@ from gcs_coloc.links.intake import Intake
 from gcs_coloc.links.refusals import Refusals
 from gcs_coloc.links.routes import Blocked, RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
+from gcs_coloc.lookout import Lookout
 from gcs_coloc.mavlink.aid_inbound import other_aid
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.decoder import Decoder, Frame
@@ -33,22 +33,20 @@ from gcs_coloc.mavlink.framing import RawFrame
 from gcs_coloc.mavlink.signing import Stamp
 from gcs_coloc.mavlink.truth import TRUTH_IDS, HeardTruth, truth_of
 from gcs_coloc.recorder.flight import FlightRecording
-from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.sinks.hub import Hub
 from gcs_coloc.sinks.lulls import Lulls
 
 log = logging.getLogger("gcs_coloc")
 
 _ENGINE_LATE_S = 2.0
-_SEEN_JUST_NOW_S = 0.1
-_RECORDED_JUST_NOW_S = EVERY_S + 0.05
 
 
 class FleetService:
     """One fleet on its links. Every call returns at once; whoever holds it calls `each_second` and the other periodic ones.
 
-    `hub` tells its observers what happens, `lulls` when they may take their time, `counts` takes what they refuse. `truths` is
-    where a simulation says that vehicles truly are, by system id: for showing alone, the engine never hears of it.
+    `hub` tells its observers what happens, `lookout` how the fleet stands, `lulls` when they may take their time, `counts` takes
+    what they refuse. `truths` is where a simulation says that vehicles truly are, by system id: for showing alone, the engine
+    never hears of it.
     """
 
     def __init__(self, settings: Settings, clock: ServiceClock, host: ClockReference) -> None:
@@ -94,9 +92,8 @@ class FleetService:
             ]
         )
         self._recording = FlightRecording(settings.record, ids, self._engine)
+        self.lookout = Lookout(clock, self._engine, self._recording, self._decoder.sequences, self._refusals, self._forwarder)
         self._hands_on = bool(settings.record.directory or settings.out)
-        self._seen: FleetView | None = None
-        self._counted: tuple[FleetView, FleetView] | None = None  # what was seen, and the same with what is counted
         self._deadline = Deadline(clock, self._poll)
         self._engine_at_s = clock()
         self._is_ending = False
@@ -143,28 +140,6 @@ class FleetService:
         await self._forwarder.close()
         self._recording.close()
 
-    def look(self) -> FleetView:
-        """The fleet as it stands, with all that is counted."""
-        view = self.glance()
-        if self._counted is None or self._counted[0] is not view:
-            refused = view.refused | self._refusals.totals()
-            links = self._decoder.sequences.links(self.heard())
-            self._counted = view, replace(view, refused=refused, links=links, outs=self._forwarder.views())
-        return self._counted[1]
-
-    def glance(self) -> FleetView:
-        """The fleet as it stands, or stood a moment ago where somebody has just looked: looking costs as much as estimating.
-
-        What is counted outside of the engine is left out: links, ground tools, and most of what is refused.
-        """
-        now_s = self._clock()
-        recorded = self._recording.newest_view
-        if recorded is not None and now_s - recorded.at_s <= _RECORDED_JUST_NOW_S:
-            self._seen = recorded
-        elif self._seen is None or now_s - self._seen.at_s > _SEEN_JUST_NOW_S:
-            self._seen = self._engine.view(now_s)
-        return self._seen
-
     def heard(self) -> list[int]:
         """The system ids of the vehicles heard so far."""
         return [vehicle.sysid for vehicle in self._engine.fleet]
@@ -184,7 +159,7 @@ class FleetService:
 
     def publish_view(self) -> None:
         """Show the fleet to the observers."""
-        self.hub.publish(self.look())
+        self.hub.publish(self.lookout.look())
 
     def tell_refusals(self) -> None:
         """Tell the observers what has been refused since the last call."""

@@ -157,10 +157,12 @@ class _Observed:
         from gcs_coloc.web.server import WebServer
         from gcs_coloc.web.story import Story
 
-        path = self.path
+        path, lookout = self.path, self.path.lookout
         # At the recording's pace, so that one look at the fleet does for both.
         hooks = Hooks(
-            *(path.look, path.glance, path.obey, self._fault, path.truths.values), lulls=path.lulls, pictures_every_s=EVERY_S
+            *(lookout.look, lookout.glance, path.obey, self._fault, path.truths.values),
+            lulls=path.lulls,
+            pictures_every_s=EVERY_S,
         )
         return WebServer(settings.web, hooks, Story(), path.hub.subscribe(256))
 
@@ -171,7 +173,7 @@ class _Observed:
         from gcs_coloc.sinks.mqtt_inbox import Hooks
 
         path = self.path
-        hooks = Hooks(path.look, path.heard, path.obey, path.take_range, self._clock)
+        hooks = Hooks(path.lookout.look, path.heard, path.obey, path.take_range, self._clock)
         return Mqtt(settings.mqtt, hooks, path.hub.subscribe(256), path.counts, path.lulls)
 
     def _fault(self) -> str | None:
