@@ -22,6 +22,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from gcs_coloc.core.integrity.scene import LEAST_INFORMATION, LEAST_SIGMA_M, Row, Scene, SceneArrays
 from gcs_coloc.core.measurements import FloatArray
@@ -88,14 +89,14 @@ class Adjustment:
         gain, rank = self.claim_gain(vehicle)
         at = self._at[vehicle]
         size = self._solution.claim_effects[2][self._number, at]
-        information = self._solution.information[self._number][:, 3 * at : 3 * at + 2]
-        return Effect(gain, rank, size, self.corrections_m - self._solution.covariance_m2[self._number] @ (information @ size))
+        pull = size @ self._solution.information[self._number, 3 * at : 3 * at + 2]
+        return Effect(gain, rank, size, self.corrections_m - self._solution.moved(self._number, pull))
 
     def rows_effect(self, chosen: Iterable[int]) -> Effect:
         """What one length that came to be on all of the chosen rows (their numbers) explains."""
         rows = np.array([self._kept[n] for n in chosen], dtype=np.intp)
         alone, score, c = self._solution.length_on(self._number, rows)
-        moved = self._solution.covariance_m2[self._number] @ c
+        moved = self._solution.moved(self._number, c)
         left = alone - float(c @ moved)
         if left < max(_RANK_TOLERANCE * alone, LEAST_INFORMATION):
             return Effect(0.0, 0, np.zeros(1), self.corrections_m)
@@ -141,7 +142,7 @@ class _Solution:
         now = self._now
         mine: slice | list[int] = slice(None)
         theirs: slice | list[int] = slice(None)
-        if now.pairs == then.pairs and (now.free == then.free).all():
+        if now.pairs == then.pairs and now.free == then.free:
             earlier[test] = then.roots
         else:
             mine, theirs = _common(now, then)
@@ -201,19 +202,24 @@ class _Solution:
         self._g: FloatArray = (self._transposed @ self._weighted_m[..., np.newaxis]).reshape(tests, 6 * vehicles)
         blocks = self._transposed[:, :, np.newaxis] @ (self._weights[..., np.newaxis] * H[:, np.newaxis])
         self.information: FloatArray = blocks.transpose(0, 1, 3, 2, 4).reshape(tests, 6 * vehicles, 6 * vehicles)
-        asked: FloatArray = np.zeros((tests, 6 * vehicles, 1 + len(free)))
-        asked[:, :, 0] = self._g
-        asked[:, free, 1 + np.arange(len(free))] = 1.0
-        answers: FloatArray = np.asarray(np.linalg.solve(self.information + self._prior, asked), dtype=np.float64)
-        self.corrections_m: FloatArray = answers[:, :, 0]
+        asked: FloatArray = np.zeros((tests, 1 + len(free), 6 * vehicles))
+        asked[:, 0] = self._g
+        asked[:, 1 + np.arange(len(free)), free] = 1.0
+        known = self.information + self._prior
+        # Each for itself: for matrices of this size numpy's own stroke over all tests takes four times as long.
+        solved = [lapack.dgesv(known[test].T, asked[test].T, overwrite_b=1) for test in range(tests)]
+        assert not any(info for *_, info in solved), "what is known of each place leaves no state unknown"
+        self._factors = [(factors, pivots) for factors, pivots, _, _ in solved]
+        answers = np.array([answer.T for _, _, answer, _ in solved])
+        self.corrections_m: FloatArray = answers[:, 0]
         explained = np.einsum("ts,ts->t", self._g, self.corrections_m)
         self.statistics = np.einsum("tsr,tsr->t", residuals_m, self._weighted_m) - explained
-        return np.asarray(answers[:, free, 1 + np.arange(len(free))])
+        return np.asarray(answers[:, 1 + np.arange(len(free)), free])
 
-    @cached_property
-    def covariance_m2(self) -> FloatArray:
-        """The covariance of all states (tests, states, states)."""
-        return np.asarray(np.linalg.inv(self.information + self._prior))
+    def moved(self, test: int, pulls: FloatArray) -> FloatArray:
+        """The product of a test's covariance of all states and some vectors: (..., states), m in answer to 1/m."""
+        answer, _ = lapack.dgetrs(*self._factors[test], pulls.T)
+        return np.asarray(answer).T
 
     @cached_property
     def claim_effects(self) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
@@ -230,8 +236,9 @@ class _Solution:
     def claim_information(self) -> FloatArray:
         """What each test knows of such a correction, beyond the claim's stated error, 1/m^2 (tests, vehicles, 2, 2)."""
         K, at = self.information, self._horizontal
-        left = K - K @ self.covariance_m2 @ K
-        return np.asarray(left[:, at[:, :, np.newaxis], at[:, np.newaxis, :]])
+        pulls = K[:, at]
+        moved = np.array([self.moved(test, pulls[test].reshape(at.size, -1)) for test in range(len(K))]).reshape(pulls.shape)
+        return np.asarray(K[:, at[:, :, np.newaxis], at[:, np.newaxis, :]] - pulls @ moved.transpose(0, 1, 3, 2))
 
     @property
     def _horizontal(self) -> NDArray[np.intp]:

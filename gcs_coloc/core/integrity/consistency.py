@@ -111,7 +111,7 @@ class RangeConsistency:
         self._test(scene, now_s)
         watched = self._watch.doubt_m2(now_s)
         self.doubt_m2 = {
-            vehicle: max((doubt[vehicle] for doubt in (self._faded_m2, watched) if vehicle in doubt), key=np.trace)
+            vehicle: max((doubt[vehicle] for doubt in (self._faded_m2, watched) if vehicle in doubt), key=_trace)
             for vehicle in self._faded_m2.keys() | watched.keys()
         }
 
@@ -179,7 +179,7 @@ class RangeConsistency:
                     for interval_s, verdict in verdicts.items()
                     if vehicle in verdict.doubt_m2
                 ),
-                key=np.trace,
+                key=_trace,
             )
             if self.accused or self.suspected:
                 self._watched_until_s[vehicle] = now_s + s.watched_s
@@ -190,6 +190,10 @@ class RangeConsistency:
                 new = new + np.outer(present.offset_m[vehicle], present.offset_m[vehicle])
             fade = exp(-s.every_s / (s.watched_time_s if watched else s.doubt_time_s))
             old = self._faded_m2.get(vehicle)
-            if old is not None and np.trace(old) * fade > np.trace(new):
+            if old is not None and _trace(old) * fade > _trace(new):
                 new = old * fade
             self._faded_m2[vehicle] = new
+
+
+def _trace(moment_m2: FloatArray) -> float:
+    return float(moment_m2.item(0) + moment_m2.item(3))

@@ -7,7 +7,6 @@ believed again only after its real receiver has agreed for a while with where th
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import hypot, sqrt
 
 import numpy as np
@@ -88,7 +87,10 @@ class Integrity:
         covariance = where.covariance.copy()
         covariance[:2, :2] += doubt_m2
         covariance[3:5, 3:5] += doubt_m2 / _DOUBT_GREW_S**2
-        return replace(where, covariance=covariance)
+        # As `replace` does, at half the time.
+        return Estimate(
+            where.vehicle, where.at_s, where.position_enu_m, where.velocity_enu_mps, covariance, where.hdop, where.ranges_in_use
+        )
 
     def _doubted(self, where: Estimate | Unknown) -> Estimate | Unknown:
         return self.doubted(where) if isinstance(where, Estimate) else where

@@ -58,7 +58,7 @@ class SceneArrays:
     pairs: tuple[tuple[int, int], ...]
     vehicles: tuple[int, ...]
     at: Mapping[int, int]
-    free: NDArray[np.bool_]
+    free: tuple[bool, ...]
     free_states: NDArray[np.intp]
     ends: NDArray[np.intp]
     apart_m: FloatArray
@@ -102,7 +102,7 @@ class Scene:
             pairs=pairs,
             vehicles=vehicles,
             at=at,
-            free=np.array([place.free for place in places], dtype=bool),
+            free=tuple(place.free for place in places),
             free_states=np.array(free, dtype=np.intp),
             ends=ends,
             apart_m=apart_m,
