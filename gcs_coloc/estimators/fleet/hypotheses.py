@@ -26,6 +26,7 @@ from gcs_coloc.estimators.fleet.mirror import (
     told_by_motion,
 )
 from gcs_coloc.estimators.fleet.model import FleetModel
+from gcs_coloc.estimators.fleet.other_side import find_other_side
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _LOOK_EVERY_S = 0.25
@@ -133,8 +134,10 @@ class FleetHypotheses:
             self.twins.pop(subject, None)
             return
         if twin is None:
-            mirror = find_mirror(cluster, subject, at_s)
+            record = self.main.records.writable(subject)
+            mirror = find_other_side(record.other_side, cluster, subject, at_s) or find_mirror(cluster, subject, at_s)
             if mirror is not None:
+                record.other_side = None
                 self._begin(subject, mirror)
             return
         other = twin.model.clusters.get(subject)

@@ -88,8 +88,11 @@ def told_by_motion(cluster: Cluster, subject: int, at_s: float) -> bool:
 def through_two(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
     """Return the upright plane through the two peers of a subject that ranges no more, None if it does."""
     peers = _heard(cluster, subject, at_s)
-    if len(peers) != 2:
-        return None
+    return upright_through(cluster, subject, peers, at_s) if len(peers) == 2 else None
+
+
+def upright_through(cluster: Cluster, subject: int, peers: list[int], at_s: float) -> Mirror | None:
+    """Return the upright plane through two peers as a subject sees it; None where they are at one place."""
     view = _View(cluster, subject, peers, at_s)
     e, n, _ = np.subtract(view.offsets[0], view.offsets[1]).tolist()
     length_m = math.hypot(e, n)

@@ -14,6 +14,7 @@ from gcs_coloc.estimators.fleet.cluster import Cluster
 from gcs_coloc.estimators.fleet.corrections import USED, Verdict
 from gcs_coloc.estimators.fleet.joint import Key
 from gcs_coloc.estimators.fleet.motion import STAMP_ERROR
+from gcs_coloc.estimators.fleet.other_side import hold_against
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 from gcs_coloc.estimators.fleet.vehicle import IN_USE_S, Neighbour, RefusedRange, VehicleRecord
 
@@ -110,6 +111,8 @@ def _distrust_m2(cluster: Cluster, m: RangeMeasurement) -> float:
 def account(cluster: Cluster, vehicle: int, other: int, verdict: Verdict, m: RangeMeasurement) -> None:
     """Note at a subject what became of its range with another vehicle, and find the way back when most are refused."""
     record = cluster.records[vehicle]
+    if verdict.degrees_of_freedom > 0:
+        record.other_side = hold_against(record.other_side, cluster, vehicle, other, verdict, m)
     if verdict.used:
         record.neighbours[other] = Neighbour(m.measured_at_s, verdict.unit)
         record.informed_at_s = m.measured_at_s

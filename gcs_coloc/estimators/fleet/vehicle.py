@@ -89,6 +89,13 @@ class RefusedRange(NamedTuple):
     nis: float
 
 
+class OtherSide(NamedTuple):
+    """How many ranges in a row were refused and fit the mirror image, and the neighbour of the last one."""
+
+    neighbour: int
+    ranges: int
+
+
 @dataclass(slots=True)
 class Neighbour:
     """What the last range between a subject and one neighbour was: its time and a unit vector along it."""
@@ -104,8 +111,9 @@ class VehicleRecord:
     `white` tells the noise of its reports, horizontally and vertically, `white_baro` that of its heights.
     `slow_report_h_m`, `slow_report_v_m`, `slow_baro_m`, `stamp_s` are the sigmas in force of the slow errors in the joint state.
     `lost_evidence` is the evidence of the ranges that the gate refused and let pass that this subject is not where it is held to
-    be, `unchecked` the last one refused while no others would show that, `refused_m2` the mean square
-    innovation of the former, `distrust_m2` what ranges are believed less since it was lost.
+    be, `unchecked` the last one refused while no others would show that, `other_side` what refused ranges
+    say for its mirror image, `refused_m2` the mean square innovation of the former, `distrust_m2` what ranges are believed less
+    since it was lost.
     """
 
     subject: bool = False
@@ -129,6 +137,7 @@ class VehicleRecord:
     velocity_used_at_s: float = -math.inf
     lost_evidence: float = 0.0
     unchecked: RefusedRange | None = None
+    other_side: OtherSide | None = None
     refused_m2: float = 0.0
     distrust_m2: float = 0.0
     reports_refused: int = 0
