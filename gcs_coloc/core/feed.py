@@ -40,7 +40,8 @@ _LONGEST_FIX_AGE_S = 2.0
 class FeedSettings:
     """Noise that the wire does not tell, and how old a message may be. Sigmas are one standard deviation per axis.
 
-    `position_sigma_h_m`, `position_sigma_v_m`, `velocity_sigma_mps`: for receivers that state no accuracy.
+    `position_sigma_h_m`, `position_sigma_v_m`, `velocity_sigma_mps`: for receivers that state no accuracy; the first two times
+    HDOP where that is more than 1.
     `least_position_sigma_m`: no receiver is believed to be better than this.
     `range_sigma_m`: for ranges that come without one. `altitude_sigma_m`: of the barometric height.
     `oldest_s`: a message measured longer ago than this is refused.
@@ -202,8 +203,10 @@ class Feed:
         stated_h = receiver.h_acc_m if receiver is not None else None
         stated_v = receiver.v_acc_m if receiver is not None else None
         stated_speed = receiver.speed_acc_mps if receiver is not None else None
-        sigma_h_m = max(stated_h, s.least_position_sigma_m) if stated_h is not None else s.position_sigma_h_m
-        sigma_v_m = max(stated_v, s.least_position_sigma_m) if stated_v is not None else s.position_sigma_v_m
+        # The error is that of one satellite's range times the dilution; the vertical one follows the horizontal one.
+        dilution = max(receiver.hdop, 1.0) if receiver is not None and receiver.hdop is not None else 1.0
+        sigma_h_m = max(stated_h, s.least_position_sigma_m) if stated_h is not None else s.position_sigma_h_m * dilution
+        sigma_v_m = max(stated_v, s.least_position_sigma_m) if stated_v is not None else s.position_sigma_v_m * dilution
         return sigma_h_m, sigma_v_m, stated_speed if stated_speed is not None else s.velocity_sigma_mps
 
     def _boot_time(self, message: GlobalPosition | Attitude | SystemTime, vehicle: Vehicle, what: str) -> ServiceTime | None:

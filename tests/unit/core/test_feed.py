@@ -109,6 +109,19 @@ def test_the_receivers_own_accuracy_is_the_noise_where_it_states_one(receiver, e
     assert (measurement.sigma_h_m, measurement.sigma_v_m) == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(
+    ("hdop", "h_acc_m", "expected"),
+    [(None, None, (5.0, 8.0)), (0.7, None, (5.0, 8.0)), (4.0, None, (20.0, 32.0)), (4.0, 1.5, (1.5, 2.5))],
+)
+def test_where_it_states_none_its_dilution_tells_how_bad_the_receiver_is(hdop, h_acc_m, expected):
+    feed = Feed(FeedSettings(), TimeSettings(least_delay_sigma_s=1e-6))
+    healthy = vehicle()
+    healthy.receiver = replace(gps(h_acc_m, 2.5 if h_acc_m is not None else None), hdop=hdop)
+    measurement = feed.position(position(1.0), healthy)
+    assert isinstance(measurement, PositionMeasurement)
+    assert (measurement.sigma_h_m, measurement.sigma_v_m) == pytest.approx(expected)
+
+
 def test_an_uncertain_time_is_an_uncertain_place():
     feed = Feed(FeedSettings(), TimeSettings(least_delay_s=0.1, least_delay_sigma_s=0.5))
     moving, peer = vehicle(), vehicle(sysid=1)
