@@ -142,18 +142,56 @@ def test_a_page_that_is_behind_others_is_sent_no_pictures_and_is_up_to_date_when
         page.close()
 
 
-def test_the_keyboard_reaches_a_vehicle_and_its_details_say_more(watched):
+def focused(page) -> str:
+    return page.evaluate("document.activeElement.ariaLabel || document.activeElement.textContent")
+
+
+def test_the_keyboard_skips_to_the_fleet_and_a_vehicles_details_and_comes_back_from_there(watched):
     page = watched.page
     expect(card(page, 2)).to_be_visible()
-    for _ in range(40):
+    page.keyboard.press("Tab")
+    assert focused(page) == "Skip to the fleet"
+    page.keyboard.press("Enter")
+    for sysid in (1, 2):
         page.keyboard.press("Tab")
-        if page.evaluate("document.activeElement.textContent").startswith("✓Vehicle 2"):
-            break
+        assert focused(page).startswith(f"Vehicle {sysid} good")
     page.keyboard.press("Enter")
     details = page.get_by_role("region", name="Vehicle 2")
     expect(details).to_contain_text("ArduPilot")
     expect(details).to_contain_text("10 satellites")
     expect(card(page, 2)).to_have_attribute("aria-pressed", "true")
+    assert focused(page) == "Vehicle 2"
+    page.keyboard.press("Tab")
+    assert focused(page) == "Follow it"
+    page.keyboard.press("Escape")
+    assert focused(page).startswith("Vehicle 2 good")
+    assert watched.complaints == []
+
+
+def test_the_vehicles_on_the_map_are_one_stop_of_the_tab_key_with_arrow_keys_among_them(watched, scene):
+    page = watched.page
+    scene.failed.add(4)
+    expect(page.get_by_role("button", name="Vehicle 4: its own claim, not believed")).to_be_visible()
+    page.locator("#map").focus()
+    page.keyboard.press("Tab")
+    expect(page.get_by_role("toolbar", name="Vehicles on the map").locator(":focus")).to_have_count(1)
+    page.keyboard.press("Home")
+    for sysid in (1, 2, 3, 4):
+        assert re.match(f"Vehicle {sysid}, .*: our estimate", focused(page))
+        page.keyboard.press("ArrowRight")
+    assert focused(page) == "Vehicle 4: its own claim, not believed"
+    page.keyboard.press("Tab")
+    assert focused(page) == "Zoom in"
+    page.keyboard.press("Shift+Tab")
+    assert focused(page) == "Vehicle 4: its own claim, not believed"
+    scene.failed.clear()
+    expect(page.get_by_role("button", name="Vehicle 4: its own claim, not believed")).to_have_count(0)
+    neighbour = re.match(r"(Vehicle \d), .*: our estimate", focused(page))  # of what is no longer there
+    assert neighbour is not None
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("region", name=neighbour[1])).to_be_visible()
+    assert focused(page) == neighbour[1]
+    assert watched.complaints == []
 
 
 @pytest.mark.parametrize("size", [(1366, 900), (800, 1180)])

@@ -8,11 +8,20 @@ export class FleetList {
     this.onSelect = onSelect;
     this.cards = new Map();
     this.selected = null;
+    byId("details").addEventListener("keydown", ({ key }) => {
+      if (key === "Escape" && this.cameFrom?.isConnected) this.cameFrom.focus();
+    });
   }
 
   select(sysid) {
     this.selected = sysid;
     for (const [id, card] of this.cards) card.button.setAttribute("aria-pressed", String(id === sysid));
+  }
+
+  // By keyboard the details of one among twenty are far from where it was chosen; Escape leads back there.
+  enterDetails() {
+    this.cameFrom = document.activeElement;
+    byId("details-title").focus();
   }
 
   show(frame, links, lateS) {
@@ -34,15 +43,18 @@ export class FleetList {
     setText(card.word, LIGHT_WORDS[light]);
     setText(card.age, `last heard ${age(view.age_s + lateS)} ago`);
     setText(card.reason, reason);
+    // Its words but for what changes all the time, which a screen reader would say again and again.
+    const name = `Vehicle ${view.sysid} ${LIGHT_WORDS[light]}, ${reason}`;
+    if (card.button.getAttribute("aria-label") !== name) card.button.setAttribute("aria-label", name);
     const ranges = view.ranges_in_use > 0 ? `, HDOP ${number(view.hdop)}, ${view.ranges_in_use} ranges in use` : "";
     setText(card.numbers, view.sigma_h_m === null ? "position unknown" : `1-sigma ${metres(view.sigma_h_m)}${ranges}`);
   }
 
   makeCard(sysid) {
-    const part = (name) => el("span", { class: name });
+    const part = (name) => el("span", { class: name, id: `${name}-${sysid}` });
     const card = { sign: part("sign"), word: part("word"), age: part("age"), reason: part("reason"), numbers: part("numbers") };
     card.sign.setAttribute("aria-hidden", "true");
-    card.button = el("button", { type: "button", onclick: () => this.onSelect(sysid) },
+    card.button = el("button", { type: "button", "aria-describedby": `age-${sysid} numbers-${sysid}`, onclick: ({ detail }) => this.onSelect(sysid, detail === 0) },
       card.sign, el("strong", {}, `Vehicle ${sysid}`), card.word, card.age, card.reason, card.numbers);
     card.button.setAttribute("aria-pressed", String(sysid === this.selected));
     card.node = el("li", {}, card.button);

@@ -32,9 +32,10 @@ const commands = new Commands();
 
 byId("follow").addEventListener("click", () => map.followSelected());
 
-function select(sysid) {
+function select(sysid, byKeyboard) {
   for (const part of [fleet, map, plots, commands]) part.select(sysid);
   if (frame !== null) draw();
+  if (byKeyboard) fleet.enterDetails();
   byId("details").scrollIntoView({ block: "nearest" });
 }
 

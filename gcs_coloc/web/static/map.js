@@ -2,10 +2,13 @@
 
 import { byId, svg } from "./dom.js";
 import { LIGHT_WORDS, SIGNS } from "./palette.js";
+import { Roving } from "./roving.js";
 
 const L = window.L;
 const GRID_PX = 110;
 const TRAIL_POINTS = 180;
+const MARKS = ["estimate", "claim", "truth"];
+const MOVING_KEY = /^(Arrow.*|[-+=_])$/;
 const at = (enu) => [enu[1], enu[0]];
 
 export class FleetMap {
@@ -22,6 +25,10 @@ export class FleetMap {
     });
     L.control.zoom({ position: "bottomright" }).addTo(this.map);
     new ResizeObserver(() => this.map.invalidateSize({ animate: false })).observe(byId("map"));
+    const marks = this.map.getPane("markerPane");
+    marks.setAttribute("role", "toolbar");
+    marks.setAttribute("aria-label", "Vehicles on the map, arrow keys go from one to the next");
+    this.roving = new Roving(marks);
     this.tiles = null;
     this.map.createPane("grid").classList.add("grid-pane");
     this.grid = L.layerGroup().addTo(this.map);
@@ -29,7 +36,10 @@ export class FleetMap {
     this.map.on("moveend zoomend resize", () => this.drawGrid());
     const taken = () => { this.mode = "user"; };
     this.map.on("dragstart", taken);
-    for (const kind of ["wheel", "keydown"]) byId("map").addEventListener(kind, taken, { passive: true });
+    byId("map").addEventListener("wheel", taken, { passive: true });
+    byId("map").addEventListener("keydown", ({ target, key }) => {
+      if (target.id === "map" && MOVING_KEY.test(key)) taken();
+    });
     document.querySelector(".leaflet-control-zoom").addEventListener("click", taken);
     byId("fit").addEventListener("click", () => { this.mode = "all"; this.fit(); });
     this.drawGrid();
@@ -55,7 +65,7 @@ export class FleetMap {
     }).addTo(this.grid);
     const label = (point, text, className) => L.marker(point, {
       interactive: false, keyboard: false, icon: L.divIcon({ className, html: text, iconSize: null }),
-    }).addTo(this.grid);
+    }).addTo(this.grid).getElement().setAttribute("aria-hidden", "true");
     const [south, north, west, east] = [bounds.getSouth(), bounds.getNorth(), bounds.getWest(), bounds.getEast()];
     for (let e = Math.ceil(west / step) * step; e < east; e += step) {
       line([south, e], [north, e], Math.round(e / step));
@@ -74,7 +84,12 @@ export class FleetMap {
 
   // Another run of the service may have another origin: nothing drawn before means anything then.
   clear() {
-    for (const mark of this.marks.values()) for (const part of Object.values(mark)) part.remove();
+    for (const mark of this.marks.values()) {
+      for (const [key, part] of Object.entries(mark)) {
+        if (MARKS.includes(key)) this.roving.remove(part.getElement());
+        part.remove();
+      }
+    }
     for (const line of this.ranges.values()) line.remove();
     this.marks.clear();
     this.ranges.clear();
@@ -130,7 +145,9 @@ export class FleetMap {
   place(sysid, key, enu, title, icon) {
     const mark = this.marks.get(sysid);
     if (enu === null) {
-      mark[key]?.remove();
+      if (mark[key] === undefined) return;
+      this.roving.remove(mark[key].getElement());
+      mark[key].remove();
       delete mark[key];
       return;
     }
@@ -139,9 +156,13 @@ export class FleetMap {
     if (mark[key] === undefined) {
       const divIcon = L.divIcon({ className: `mark ${key}-mark`, html, iconSize: [34, 34] });
       mark[key] = L.marker(at(enu), { icon: divIcon, zIndexOffset: key === "estimate" ? 1000 : 0 }).addTo(this.map);
-      mark[key].on("click keypress", (event) => {
-        if (event.type === "click" || event.originalEvent.key === "Enter") this.onSelect(sysid);
+      mark[key].on("click", () => this.onSelect(sysid, false));
+      mark[key].on("keypress", ({ originalEvent }) => {
+        if (originalEvent.key !== "Enter" && originalEvent.key !== " ") return;
+        originalEvent.preventDefault();
+        this.onSelect(sysid, true);
       });
+      this.roving.add(mark[key].getElement(), sysid * MARKS.length + MARKS.indexOf(key));
     } else {
       mark[key].setLatLng(at(enu));
       if (this.prints.get(mark[key]) !== print) mark[key].getElement().replaceChildren(html);
@@ -173,6 +194,7 @@ export class FleetMap {
         line?.remove();
         line = L.polyline([at(a), at(b)], { className, weight: 2 }).addTo(this.map);
         line.bindTooltip("", { sticky: true });
+        line.getElement().tabIndex = -1; // Leaflet listens for its focus, which makes it a stop of the Tab key
         this.ranges.set(key, line);
       }
       line.setLatLngs([at(a), at(b)]);
