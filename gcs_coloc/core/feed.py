@@ -31,6 +31,7 @@ from gcs_coloc.core.messages import Attitude, GlobalPosition, GpsReceiver, PeerR
 _AIRSPEED_FRESH_S = 1.0
 _RANGE_CLOCKS_PER_VEHICLE = 16
 _RANGE_ERROR_GAIN = 0.1
+_OTHER_WAY_SHARE = 0.5
 _FIX_AGE_S, _FIX_AGE_SIGMA_S = 0.1, 0.1  # when an autopilot stamps it; 0.11 s on ArduPlane
 _FIX_UNDER_WAY_S, _FIX_UNDER_WAY_SIGMA_S = 0.25, 0.25  # age and link together, where there is no stamp
 _LONGEST_FIX_AGE_S = 2.0
@@ -227,7 +228,10 @@ class Feed:
 
     def _range_time(self, message: PeerRange, vehicle: Vehicle) -> ServiceTime | None:
         if message.measured_at_s is None:
-            return ServiceTime(message.received_at_s, self.time_settings.least_delay_sigma_s)
+            # As long on the way as the vehicle's newest position, or by another way: from not at all to twice as long.
+            delay_s = max(vehicle.delay_s or 0.0, 0.0)
+            sigma_s = hypot(self.time_settings.least_delay_sigma_s, _OTHER_WAY_SHARE * delay_s)
+            return self._fresh(ServiceTime(message.received_at_s - delay_s, sigma_s), message.received_at_s, "range")
         if message.time_base is TimeBase.SERVICE:
             return self._fresh(ServiceTime(message.measured_at_s, 0.0), message.received_at_s, "range")
         # A ranging device or companion computer may have booted apart from the autopilot.

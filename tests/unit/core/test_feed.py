@@ -209,6 +209,15 @@ def test_boot_unix_and_unstamped_ranges_each_find_the_service_clock():
         assert (boot.clock_of, unix.clock_of, none.clock_of) == (4, 4, None)
 
 
+@pytest.mark.parametrize(("delay_s", "at_s", "sigma_s"), [(None, 100.0, 0.05), (-0.01, 100.0, 0.05), (0.3, 99.7, 0.158)])
+def test_an_unstamped_range_is_as_old_as_its_vehicles_newest_position_was(delay_s, at_s, sigma_s):
+    record = vehicle()
+    record.delay_s = delay_s
+    measured = Feed(FeedSettings()).range(range_message(100.0, None, TimeBase.BOOT), record, vehicle(sysid=1))
+    assert measured is not None
+    assert (measured.measured_at_s, measured.time_sigma_s) == pytest.approx((at_s, sigma_s), abs=1e-3)
+
+
 def test_the_clocks_of_one_vehicles_ranging_devices_are_bounded():
     feed = Feed(FeedSettings())
     record = vehicle()
