@@ -22,7 +22,7 @@ from gcs_coloc.estimators.fleet.mirror import (
     blend,
     find_mirror,
     reflect,
-    through_two,
+    through_line,
     told_by_motion,
 )
 from gcs_coloc.estimators.fleet.model import FleetModel
@@ -50,23 +50,24 @@ class Sides(Enum):
 class Twin:
     """A model in which one subject is at its mirror image; `log_odds` is the logarithm of its odds against the main model.
 
-    `apart`: each of the two was clearly on its own side when last looked at.
+    `apart`: each of the two was clearly on its own side when last looked at; `by_motion`: only the motion told the two apart.
     """
 
     model: FleetModel
+    by_motion: bool
     log_odds: float = 0.0
     apart: bool = True
     _since_s: float = -math.inf
     _before: float = 0.0
     _raised: float = 0.0
 
-    def weigh(self, gain: float, at_s: float, *, by_motion: bool) -> None:
+    def weigh(self, gain: float, at_s: float) -> None:
         """Take what a measurement adds to the log odds.
 
         A manoeuvre that a model does not foresee is in all its innovations until it is noticed. So where only the motion
-        tells the two models apart, `by_motion`, what is heard within three seconds is one, bounded, piece of evidence.
+        tells the two models apart what is heard within three seconds is one, bounded, piece of evidence.
         """
-        if not by_motion:
+        if not self.by_motion:
             self.log_odds += gain
             self._since_s = -math.inf
             return
@@ -109,15 +110,13 @@ class FleetHypotheses:
         if not self.twins:
             verdict = self.main.apply(m)
         else:
-            concerned = [(subject, twin) for subject, twin in self.twins.items() if any(v in twin.model.clusters for v in ends)]
-            for _, twin in concerned:
+            concerned = [twin for twin in self.twins.values() if any(v in twin.model.clusters for v in ends)]
+            for twin in concerned:
                 twin.model.learn(self.main, ends)
             verdict = self.main.apply(m)
-            for subject, twin in concerned:
+            for twin in concerned:
                 gain = _evidence(verdict, twin.model.apply(m))
-                cluster = self.main.clusters.get(subject)
-                by_motion = cluster is not None and told_by_motion(cluster, subject, m.measured_at_s)
-                twin.weigh(gain, m.measured_at_s, by_motion=by_motion)
+                twin.weigh(gain, m.measured_at_s)
         if isinstance(m, RangeMeasurement):
             for vehicle in ends:
                 is_due = m.measured_at_s - self._looked_at_s.get(vehicle, -math.inf) >= _LOOK_EVERY_S
@@ -134,29 +133,30 @@ class FleetHypotheses:
             self.twins.pop(subject, None)
             return
         if twin is None:
-            record = self.main.records.writable(subject)
-            mirror = find_other_side(record.other_side, cluster, subject, at_s) or find_mirror(cluster, subject, at_s)
+            told = self.main.records[subject].other_side
+            mirror = find_other_side(told, cluster, subject, at_s) or find_mirror(cluster, subject, at_s)
             if mirror is not None:
-                record.other_side = None
-                self._begin(subject, mirror)
+                self.main.records.writable(subject).other_side = None
+                self._begin(subject, mirror, at_s)
             return
         other = twin.model.clusters.get(subject)
         if other is None:
             del self.twins[subject]
             return
-        mirror = through_two(cluster, subject, at_s)
+        mirror = through_line(cluster, subject, at_s)
         sides = Sides.APART if mirror is None else _sides(cluster, other, subject, mirror)
         if sides is Sides.APART and not twin.apart:
             # Which side one that was on the line has come to is chance: what told the two apart before told something else.
             twin.forget()
         twin.apart = sides is Sides.APART
+        twin.by_motion = told_by_motion(cluster, subject, at_s, mirror)
         if sides is Sides.SAME or abs(twin.log_odds) > _DECIDED:
             if twin.log_odds > 0.0:
                 self.main.take_over(twin.model, subject)
             del self.twins[subject]
             if mirror is not None and not twin.apart and _is_aside(self.main.clusters[subject], subject, mirror):
                 # Nobody was on its other side, so that nothing has ruled that out.
-                self._begin(subject, mirror)
+                self._begin(subject, mirror, at_s)
             return
         x, P = cluster.predicted(subject, at_s)
         other_x, other_P = other.predicted(subject, at_s)
@@ -164,12 +164,14 @@ class FleetHypotheses:
         if float(d @ np.linalg.solve(S, d)) < _ONE_AGAIN:
             del self.twins[subject]
 
-    def _begin(self, subject: int, mirror: Mirror) -> None:
+    def _begin(self, subject: int, mirror: Mirror, at_s: float) -> None:
         """Begin a twin in which a subject is at its mirror image."""
+        cluster = self.main.clusters[subject]
+        by_motion = told_by_motion(cluster, subject, at_s, through_line(cluster, subject, at_s))
         model = FleetModel(self.main.settings)
         model.take_over(self.main, subject)
         reflect(model.clusters[subject], subject, mirror)
-        self.twins[subject] = Twin(model)
+        self.twins[subject] = Twin(model, by_motion)
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
         """Answer from the state as it stands: what covers all that is possible, or that it is ambiguous."""

@@ -20,7 +20,7 @@ from gcs_coloc.estimators.fleet.vehicle import IN_USE_S
 _NEAR_SIGMAS = 4.0
 _SPEED_SIGMAS = 2.0
 _HARDEST_TURN_MPS2 = 5.0
-_HARDEST_BESIDE_TWO_MPS2 = 9.8
+_HARDEST_BESIDE_A_LINE_MPS2 = 9.8
 _TOLD_APART = 2.0
 _LEAST_SPREAD_SIGMAS = 3.0
 _SAME_PLACE = 1.0
@@ -52,15 +52,8 @@ def find_mirror(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
     if len(peers) < 2:
         return None
     view = _View(cluster, subject, peers, at_s)
-    ee = en = nn = 0.0
-    for e, n, _ in view.offsets:
-        ee += e * e
-        en += e * n
-        nn += n * n
-    course = 0.5 * math.atan2(2.0 * en, ee - nn)
-    e, n = math.cos(course), math.sin(course)
+    (e, n), longest_m2 = view.line()
     if view.may_be_open((-n, e, 0.0)):
-        longest_m2 = 0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en)
         mirror = _across(view, np.array([-n, e, 0.0]), np.array([[e], [n], [0.0]]), longest_m2)
         if mirror is not None:
             return mirror
@@ -80,27 +73,34 @@ def is_aided(cluster: Cluster, subject: int, at_s: float) -> bool:
     return attitude is not None and at_s - attitude.measured_at_s <= cluster.settings.attitude_fresh_s
 
 
-def told_by_motion(cluster: Cluster, subject: int, at_s: float) -> bool:
-    """Whether only how steadily a subject would fly tells the sides of its mirror apart: two peers are on it, no attitude."""
-    return len(_heard(cluster, subject, at_s)) <= 2 and not is_aided(cluster, subject, at_s)
+def through_line(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
+    """Return the upright plane through the peers of a subject where these are on one line, None if they are not.
 
-
-def through_two(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
-    """Return the upright plane through the two peers of a subject that ranges no more, None if it does."""
+    They are as long as the ranges to them do not tell the sides of the plane apart at the subject's distance from it.
+    """
     peers = _heard(cluster, subject, at_s)
-    return upright_through(cluster, subject, peers, at_s) if len(peers) == 2 else None
+    return upright_through(cluster, subject, peers, at_s) if len(peers) >= 2 else None
 
 
 def upright_through(cluster: Cluster, subject: int, peers: list[int], at_s: float) -> Mirror | None:
-    """Return the upright plane through two peers as a subject sees it; None where they are at one place."""
+    """Return the upright plane that two and more peers of a subject are in; None where they are in none, or all at one place."""
     view = _View(cluster, subject, peers, at_s)
-    e, n, _ = np.subtract(view.offsets[0], view.offsets[1]).tolist()
-    length_m = math.hypot(e, n)
-    if length_m < _LEAST_DISTANCE_M:
+    (e, n), longest_m2 = view.line()
+    if longest_m2 < _LEAST_DISTANCE_M**2:
         return None
-    normal, along = np.array([-n, e, 0.0]) / length_m, np.array([[e], [n], [0.0]]) / length_m
+    normal, along = np.array([-n, e, 0.0]), np.array([[e], [n], [0.0]])
+    if len(peers) > 2:
+        blur2_m2 = np.array([max(float(view.apart_m2(i)[0, 0]), _LEAST_BLUR_M**2) for i in range(len(peers))])
+        reach_m = max(abs(float(np.array(view.offset) @ normal)), view.blind_m(math.sqrt(float(blur2_m2.max()))))
+        if view.ranges_told(normal, reach_m, blur2_m2) > _TOLD_APART:
+            return None
     speed_mps = _plane_speed(view, np.array(view.offsets) @ along, np.array(view.offset) @ along, normal)
     return Mirror(np.array(view.centre), normal, speed_mps)
+
+
+def told_by_motion(cluster: Cluster, subject: int, at_s: float, line: Mirror | None) -> bool:
+    """Whether only how steadily a subject would fly tells the sides apart: its peers are on a `line` or two, no attitude."""
+    return (line is not None or len(_heard(cluster, subject, at_s)) <= 2) and not is_aided(cluster, subject, at_s)
 
 
 def _heard(cluster: Cluster, subject: int, at_s: float) -> list[int]:
@@ -159,6 +159,24 @@ class _View:
         """Within this distance of a plane the ranges change by less than they are uncertain."""
         return math.sqrt(2.0 * blur_m * self.nearest_m)
 
+    def line(self) -> tuple[tuple[float, float], float]:
+        """Return the direction (east, north) in which the peers lie, a unit vector, and the sum of squares along it, m^2."""
+        ee = en = nn = 0.0
+        for e, n, _ in self.offsets:
+            ee += e * e
+            en += e * n
+            nn += n * n
+        course = 0.5 * math.atan2(2.0 * en, ee - nn)
+        return (math.cos(course), math.sin(course)), 0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en)
+
+    def ranges_told(self, normal: FloatArray, reach_m: float, blurs_m2: FloatArray) -> float:
+        """How clearly the ranges tell the two sides of a plane apart at this distance from it, its unit normal (3,).
+
+        `blurs_m2` (k,) is how uncertain the distance to each peer is.
+        """
+        told = 2.0 * reach_m * (np.array(self.offsets) @ normal) / np.array(self.distance_m)
+        return float(np.sum(told * told / blurs_m2))
+
     def height_told(self, upwards: float, reach_m: float) -> float:
         """How clearly the subject's own height tells the two sides of a plane apart, whose unit normal has this part upwards."""
         return (2.0 * reach_m * upwards / self._height_sigma_m) ** 2
@@ -193,7 +211,7 @@ def _most_m(cluster: Cluster, end: End) -> float:
 def _across(view: _View, normal: FloatArray, within: FloatArray, least_spread_m2: float) -> Mirror | None:
     """Test one plane: unit normal (3,), axes within it (3, m), and the least sum of squares of the peers along these."""
     offsets, offset, upwards = np.array(view.offsets), np.array(view.offset), abs(float(normal[2]))
-    away_m, distance_m = float(offset @ normal), np.array(view.distance_m)
+    away_m = float(offset @ normal)
     blur2, across2, blind_m = np.empty(len(view.peers)), 0.0, 0.0
     for i in range(len(view.peers)):
         apart_m2 = view.apart_m2(i)
@@ -207,15 +225,14 @@ def _across(view: _View, normal: FloatArray, within: FloatArray, least_spread_m2
     if abs(away_m) > max(_NEAR_SIGMAS * math.sqrt(across2), blind_m):
         return None
     reach_m = max(abs(away_m), blind_m)
-    told = 2.0 * reach_m * (offsets @ normal) / distance_m
-    if float(np.sum(told * told / blur2)) + view.height_told(upwards, reach_m) > _TOLD_APART:
+    if view.ranges_told(normal, reach_m, blur2) + view.height_told(upwards, reach_m) > _TOLD_APART:
         return None
     speed_mps = _plane_speed(view, offsets @ within, offset @ within, normal)
     closing = float(np.dot(view.own.velocity, normal)) - speed_mps
     P = view.cluster.joint.covariance(view.own.vehicle)
     spread_v = math.sqrt(float(normal @ P[VELOCITY, VELOCITY] @ normal))
-    # Beside two peers nothing but the motion will ever tell, and a hard turn is as hard to see.
-    hardest_mps2 = _HARDEST_BESIDE_TWO_MPS2 if len(view.peers) == 2 else _HARDEST_TURN_MPS2
+    # Beside peers on one line nothing but the motion will tell, and a hard turn is as hard to see.
+    hardest_mps2 = _HARDEST_TURN_MPS2 if upwards > _LEVEL else _HARDEST_BESIDE_A_LINE_MPS2
     turn = 0.0 if view.aided else math.sqrt(hardest_mps2 * blind_m)
     if abs(closing) > _SPEED_SIGMAS * spread_v + turn:
         return None
