@@ -206,11 +206,14 @@ class _Solution:
         asked[:, 0] = self._g
         asked[:, 1 + np.arange(len(free)), free] = 1.0
         known = self.information + self._prior
-        # Each for itself: for matrices of this size numpy's own stroke over all tests takes four times as long.
-        solved = [lapack.dgesv(known[test].T, asked[test].T, overwrite_b=1) for test in range(tests)]
-        assert not any(info for *_, info in solved), "what is known of each place leaves no state unknown"
-        self._factors = [(factors, pivots) for factors, pivots, _, _ in solved]
-        answers = np.array([answer.T for _, _, answer, _ in solved])
+        # Each for itself: for matrices of this size numpy's own stroke over all tests takes longer.
+        self._factors: list[tuple[FloatArray, NDArray[np.intc]]] = []
+        answers: FloatArray = np.empty_like(asked)
+        for test in range(tests if vehicles else 0):
+            factors, pivots, answer, info = lapack.dgesv(known[test].T, asked[test].T)
+            assert info == 0, "what is known of each place leaves no state unknown"
+            self._factors.append((factors, pivots))
+            answers[test] = answer.T
         self.corrections_m: FloatArray = answers[:, 0]
         explained = np.einsum("ts,ts->t", self._g, self.corrections_m)
         self.statistics = np.einsum("tsr,tsr->t", residuals_m, self._weighted_m) - explained
@@ -237,7 +240,9 @@ class _Solution:
         """What each test knows of such a correction, beyond the claim's stated error, 1/m^2 (tests, vehicles, 2, 2)."""
         K, at = self.information, self._horizontal
         pulls = K[:, at]
-        moved = np.array([self.moved(test, pulls[test].reshape(at.size, -1)) for test in range(len(K))]).reshape(pulls.shape)
+        moved = np.array([self.moved(test, pulls[test].reshape(at.size, -1)) for test in range(len(self._factors))]).reshape(
+            pulls.shape
+        )
         return np.asarray(K[:, at[:, :, np.newaxis], at[:, np.newaxis, :]] - pulls @ moved.transpose(0, 1, 3, 2))
 
     @property
