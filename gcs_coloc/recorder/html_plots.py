@@ -1,10 +1,14 @@
-"""The pictures of a flight's report, as PNG in data URLs: the map, and each vehicle that was without its GPS over time."""
+"""The pictures of a flight's report, as PNG in data URLs: the map, and each vehicle that was without its GPS over time.
+
+Each is drawn twice, for a light page and for a dark one.
+"""
 
 from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from gcs_coloc.core.errors import UsageError
@@ -14,16 +18,57 @@ from gcs_coloc.recorder.story import Story
 
 WITHOUT_GPS = ("suspect", "failed", "recovering")
 _NIS_TICKS = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 1e3, 1e4, 1e5, 1e6)
-_BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#999999"
 
 
-def map_picture(story: Story) -> str | None:
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One picture as two data URLs."""
+
+    light: str
+    dark: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Ink:
+    """The colours of the lines, and matplotlib's settings for all that is around them."""
+
+    blue: str
+    red: str
+    grey: str
+    band: str
+    surroundings: Mapping[str, str] = field(default_factory=dict)
+
+
+_PAPER, _TEXT, _LINE = "#1b2128", "#e6eaee", "#5c6670"
+_LIGHT = _Ink("#0072b2", "#d55e00", "#999999", "#d9d9d9")
+_DARK = _Ink(
+    "#56b4e9",
+    "#ff8a4c",
+    "#8a949e",
+    "#36404a",
+    {
+        **dict.fromkeys(("figure.facecolor", "axes.facecolor", "legend.facecolor"), _PAPER),
+        **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.color", "ytick.color"), _TEXT),
+        **dict.fromkeys(("axes.edgecolor", "legend.edgecolor", "grid.color"), _LINE),
+    },
+)
+
+
+def map_picture(story: Story) -> Picture | None:
     """The tracks in the fleet's frame, those without GPS in another colour; None where no vehicle was located."""
     located = {sysid: [e for e in track if e.vehicle.lat_deg is not None] for sysid, track in story.tracks.items()}
     frame = story.frame
     if frame is None or not any(located.values()):
         return None
-    figure = _figure(9.0, 7.0)
+    return _in_both_inks(lambda figure, ink: _draw_map(figure, ink, frame, located))
+
+
+def vehicle_picture(story: Story, track: Sequence[VehicleEntry]) -> Picture:
+    """One vehicle over time: 95 % bound and 1-sigma, HDOP and ranges in use, NIS with its band; shaded where it had no GPS."""
+    return _in_both_inks(lambda figure, ink: _draw_vehicle(figure, ink, story, track))
+
+
+def _draw_map(figure: Any, ink: _Ink, frame: LocalFrame, located: Mapping[int, Sequence[VehicleEntry]]) -> None:
     axes = figure.subplots()
     for sysid, track in sorted(located.items()):
         if not track:
@@ -31,45 +76,41 @@ def map_picture(story: Story) -> str | None:
         points = [_place(frame, entry) for entry in track]
         lost = [entry.vehicle.gps_state in WITHOUT_GPS for entry in track]
         east, north = [p[0] for p in points], [p[1] for p in points]
-        axes.plot(east, north, color=_BLUE, lw=1)
-        axes.plot(*_only(east, north, lost), color=_RED, lw=2)
+        axes.plot(east, north, color=ink.blue, lw=1)
+        axes.plot(*_only(east, north, lost), color=ink.red, lw=2)
         axes.annotate(f" {sysid}", points[-1])
-    axes.plot([], [], color=_BLUE, lw=1, label="with GPS")
-    axes.plot([], [], color=_RED, lw=2, label="without GPS: from ranges")
+    axes.plot([], [], color=ink.blue, lw=1, label="with GPS")
+    axes.plot([], [], color=ink.red, lw=2, label="without GPS: from ranges")
     axes.set(xlabel="east, m", ylabel="north, m", aspect="equal")
     axes.grid(alpha=0.3)
     figure.legend(loc="outside upper center", ncols=2)
-    return _data_url(figure)
 
 
-def vehicle_picture(story: Story, track: Sequence[VehicleEntry]) -> str:
-    """One vehicle over time: 95 % bound and 1-sigma, HDOP and ranges in use, NIS with its band; shaded where it had no GPS."""
-    figure = _figure(9.0, 7.0)
+def _draw_vehicle(figure: Any, ink: _Ink, story: Story, track: Sequence[VehicleEntry]) -> None:
     from matplotlib import ticker
 
     start_s = story.counts.first_s
     t = [entry.at_s - start_s for entry in track]
     views = [entry.vehicle for entry in track]
     bound, hdop, nis = figure.subplots(3, 1, sharex=True)
-    bound.plot(t, [_or_nan(v.bound_95_m) for v in views], color=_RED, lw=1, label="95 % bound, m")
-    bound.plot(t, [_or_nan(v.sigma_h_m) for v in views], color=_BLUE, lw=1, label="1-sigma, m")
-    hdop.plot(t, [_or_nan(v.hdop) for v in views], color=_BLUE, lw=1, label="HDOP")
-    hdop.step(t, [v.ranges_in_use for v in views], color=_GREY, lw=1, where="post", label="ranges in use")
+    bound.plot(t, [_or_nan(v.bound_95_m) for v in views], color=ink.red, lw=1, label="95 % bound, m")
+    bound.plot(t, [_or_nan(v.sigma_h_m) for v in views], color=ink.blue, lw=1, label="1-sigma, m")
+    hdop.plot(t, [_or_nan(v.hdop) for v in views], color=ink.blue, lw=1, label="HDOP")
+    hdop.step(t, [v.ranges_in_use for v in views], color=ink.grey, lw=1, where="post", label="ranges in use")
     known = [(at, v.consistency) for at, v in zip(t, views, strict=True) if v.consistency is not None]
     times = [at for at, _ in known]
-    nis.fill_between(times, [c.band_low for _, c in known], [c.band_high for _, c in known], color="0.85", label="95 % band")
-    nis.plot(times, [c.nis_median for _, c in known], color=_BLUE, lw=1, label="median NIS of its ranges, refused ones too")
+    nis.fill_between(times, [c.band_low for _, c in known], [c.band_high for _, c in known], color=ink.band, label="95 % band")
+    nis.plot(times, [c.nis_median for _, c in known], color=ink.blue, lw=1, label="median NIS of its ranges, refused ones too")
     nis.set(xlabel="s since the first frame", yscale="symlog")
     nis.yaxis.set_major_locator(ticker.FixedLocator(_NIS_TICKS))
     nis.yaxis.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
     for axes in (bound, hdop, nis):
         for begin_s, end_s in _spans(t, [v.gps_state in WITHOUT_GPS for v in views]):
-            axes.axvspan(begin_s, end_s, color=_RED, alpha=0.08, lw=0)
+            axes.axvspan(begin_s, end_s, color=ink.red, alpha=0.08, lw=0)
         axes.set_xlim(0.0, max(story.counts.last_s - start_s, 1e-3))
         axes.set_ylim(bottom=0.0)
         axes.grid(alpha=0.3)
         axes.legend(loc="upper left")
-    return _data_url(figure)
 
 
 def _spans(t: Sequence[float], flags: Sequence[bool]) -> list[tuple[float, float]]:
@@ -103,18 +144,21 @@ def _or_nan(value: float | None) -> float:
     return value if value is not None else float("nan")
 
 
-def _figure(width_in: float, height_in: float) -> Any:
+def _in_both_inks(draw: Callable[[Any, _Ink], None]) -> Picture:
+    return Picture(*(_picture(draw, ink) for ink in (_LIGHT, _DARK)))
+
+
+def _picture(draw: Callable[[Any, _Ink], None], ink: _Ink) -> str:
     try:
+        from matplotlib import rc_context
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
         raise UsageError('the report\'s pictures need matplotlib: pip install "gcs-coloc[plots]"') from error
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _data_url(figure: Any) -> str:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=100)
+    with rc_context(dict(ink.surroundings)):
+        figure = Figure(figsize=(9.0, 7.0), layout="constrained")
+        FigureCanvasAgg(figure)
+        draw(figure, ink)
+        figure.savefig(buffer, format="png", dpi=100)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

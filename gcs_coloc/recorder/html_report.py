@@ -8,7 +8,7 @@ from html import escape
 from statistics import median
 from typing import Any
 
-from gcs_coloc.recorder.html_plots import WITHOUT_GPS, map_picture, vehicle_picture
+from gcs_coloc.recorder.html_plots import WITHOUT_GPS, Picture, map_picture, vehicle_picture
 from gcs_coloc.recorder.journal import EVERY_S, VehicleEntry
 from gcs_coloc.recorder.story import Story
 
@@ -17,14 +17,17 @@ _HEAD = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
 <meta name="viewport" content="width=device-width">
+<meta name="color-scheme" content="light dark">
 <style>
+:root { --page: #fff; --text: #1a1a1a; --line: #ccc; --bad: #a33c00 }
+@media (prefers-color-scheme: dark) { :root { --page: #1b2128; --text: #e6eaee; --line: #36404a; --bad: #ff8a4c } }
 body { font: 16px/1.45 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem;
-  color: #1a1a1a; background: #fff }
+  color: var(--text); background: var(--page); overflow-wrap: break-word }
 table { border-collapse: collapse; margin: .6rem 0; display: block; overflow-x: auto }
-th, td { border-bottom: 1px solid #ccc; padding: .25rem .7rem; text-align: left }
+th, td { border-bottom: 1px solid var(--line); padding: .25rem .7rem; text-align: left }
 td.n, th.n { text-align: right; font-variant-numeric: tabular-nums }
 img { max-width: 100% }
-.bad { color: #a33c00; font-weight: 600 }
+.bad { color: var(--bad); font-weight: 600 }
 </style>
 """
 
@@ -41,7 +44,7 @@ def page(story: Story) -> str:
     picture = map_picture(story)
     if picture is not None and story.frame is not None:
         origin = f"{story.frame.lat_deg:.7f}, {story.frame.lon_deg:.7f}"
-        parts.append(f'<img alt="Map of the tracks, east over north" src="{picture}">')
+        parts.append(_image("Map of the tracks, east over north", picture))
         parts.append(f"<p>East and north of {origin}, where the fleet's first fix was, as on the live page's map.</p>")
     parts.append("<h2>What failed when</h2>" + _health(story))
     for vehicle in results["vehicles"]:
@@ -92,8 +95,12 @@ def _vehicle(story: Story, vehicle: Mapping[str, Any], track: Sequence[VehicleEn
     why = sorted({v.unknown_because for v in without if v.unknown_because is not None})
     rows.extend(("not located because", reason) for reason in why)
     alt = f"Vehicle {sysid} over time: bound and sigma, HDOP and ranges in use, NIS"
-    picture = f'<img alt="{alt}" src="{vehicle_picture(story, track)}">'
-    return f"<h2>Vehicle {sysid} without its GPS</h2>" + _table(("", ""), rows) + picture
+    return f"<h2>Vehicle {sysid} without its GPS</h2>" + _table(("", ""), rows) + _image(alt, vehicle_picture(story, track))
+
+
+def _image(alt: str, picture: Picture) -> str:
+    dark = f'<source media="(prefers-color-scheme: dark)" srcset="{picture.dark}">'
+    return f'<picture>{dark}<img alt="{alt}" src="{picture.light}"></picture>'
 
 
 def _score(score: Mapping[str, Any] | None) -> list[tuple[str, str]]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+import io
 import re
 import subprocess
 import sys
 from html.parser import HTMLParser
 
 import pytest
+from matplotlib.image import imread
 from recorded_flight import write_flight
 
 from gcs_coloc.config import Settings
@@ -42,7 +44,7 @@ class Page(HTMLParser):
         self.elements.append((tag, dict(attributes)))
         if tag == "tr":
             self.rows.append([])
-        if tag not in ("meta", "img"):
+        if tag not in ("meta", "img", "source"):
             self.stack.append(tag)
 
     def handle_endtag(self, tag):
@@ -57,7 +59,7 @@ def test_the_page_is_whole_and_loads_nothing(written):
     _, text = written
     page = Page(text)
     assert page.stack == []
-    sources = [a[name] for _, a in page.elements for name in ("src", "href") if name in a]
+    sources = [a[name] for _, a in page.elements for name in ("src", "srcset", "href") if name in a]
     assert sources
     assert all(source.startswith("data:image/png;base64,") for source in sources)
     assert not re.search(r"url\(|@import|<script|https?://", text)
@@ -66,6 +68,21 @@ def test_the_page_is_whole_and_loads_nothing(written):
     for source in sources:
         assert base64.b64decode(source.partition(",")[2]).startswith(b"\x89PNG")
     assert all(a.get("alt") for tag, a in page.elements if tag == "img")
+
+
+def corner(data_url: str) -> float:
+    """How bright the corner of a picture is, 0 to 1."""
+    pixels = imread(io.BytesIO(base64.b64decode(data_url.partition(",")[2])), format="png")
+    return float(pixels[0, 0, :3].mean())
+
+
+def test_every_picture_is_there_for_a_light_and_for_a_dark_page(written):
+    page = Page(written[1])
+    light = [a["src"] for tag, a in page.elements if tag == "img"]
+    dark = [a["srcset"] for tag, a in page.elements if tag == "source" and a["media"] == "(prefers-color-scheme: dark)"]
+    assert len(light) == len(dark) == 2
+    assert all(corner(picture) > 0.9 for picture in light)
+    assert all(corner(picture) < 0.2 for picture in dark)
 
 
 def test_it_says_what_failed_when_and_how_well_it_was_located(written):
