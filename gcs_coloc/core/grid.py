@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import floor
 
+SAME_S = 1e-3
+"""Times that are as close as this are meant to be the same: what is due each 0.2 s is due at a deadline a little before, too."""
+
 
 @dataclass(frozen=True, slots=True)
 class Grid:

@@ -12,11 +12,11 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from gcs_coloc.core.engine import REVIEWED_EVERY_S, Engine
+from gcs_coloc.core.grid import SAME_S
 from gcs_coloc.core.outputs import HealthChanged, Notice, Outbound
 from gcs_coloc.core.view import FleetView, RangeView, VehicleView
 
 EVERY_S = 0.4
-_SAME_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,15 +58,15 @@ class Journal:
         entries: list[Entry] = [output for output in outputs if isinstance(output, HealthChanged | Notice)]
         # A deadline that takes long by itself is passed over where a short one follows: what arrives must not wait for both.
         next_s = self._engine.next_deadline()
-        is_long = next_s <= at_s or (self._engine.reviewed_at_s == at_s and next_s < at_s + REVIEWED_EVERY_S - _SAME_S)
+        is_long = next_s <= at_s or (self._engine.reviewed_at_s == at_s and next_s < at_s + REVIEWED_EVERY_S - SAME_S)
         if at_s < self._due_s or is_long:
             return entries
-        self._due_s = at_s + EVERY_S - _SAME_S
+        self._due_s = at_s + EVERY_S - SAME_S
         view = self.newest_view = self._engine.view(at_s)
         entries.extend(VehicleEntry(at_s, vehicle) for vehicle in view.vehicles)
         for one in view.ranges:
             pair, measured_at_s = (one.from_sysid, one.to_sysid), at_s - one.age_s
-            if measured_at_s > self._told.get(pair, float("-inf")) + _SAME_S:
+            if measured_at_s > self._told.get(pair, float("-inf")) + SAME_S:
                 self._told[pair] = measured_at_s
                 entries.append(RangeEntry(at_s, one))
         return entries

@@ -13,14 +13,13 @@ from math import exp
 
 import numpy as np
 
+from gcs_coloc.core.grid import SAME_S
 from gcs_coloc.core.integrity.exclusion import Kind, Levels, Verdict, judge_all
 from gcs_coloc.core.integrity.lie_watch import LieWatch, WatchSettings
 from gcs_coloc.core.integrity.past_scenes import PastScenes
 from gcs_coloc.core.integrity.range_rows import RangeRows, RowSettings, Track
 from gcs_coloc.core.integrity.scene import Scene
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
-
-_SAME_S = 1e-3  # deadlines that are as close as this are meant to be the same
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +104,7 @@ class RangeConsistency:
         """Make the tests if they are due, and move accusations, suspicions and doubts on."""
         if now_s < self._due_s:
             return
-        self._due_s = now_s + self.settings.every_s - _SAME_S
+        self._due_s = now_s + self.settings.every_s - SAME_S
         scene = self._rows.scene(now_s)
         self._suspect(scene, now_s)
         self._test(scene, now_s)
