@@ -33,7 +33,6 @@ from gcs_coloc.mavlink.checks import InvalidValueError
 UINT8_MAX = 0xFF
 UINT16_MAX = 0xFFFF
 UINT32_MAX = 0xFFFFFFFF
-_LEAST_UNIX_US = 10**15  # 2001; no boot is 30 years ago
 
 GPS_GLITCH_ARDUPILOT = 1 << 15
 """In EKF_STATUS_REPORT. ArduPilot sends it; the dialect's enumeration and ESTIMATOR_STATUS have bit 10 in its place."""
@@ -134,7 +133,7 @@ def _gps_receiver(
         v_acc_m=_thousandths(v_acc_mm),
         speed_acc_mps=_thousandths(speed_acc_mmps),
         # Either since boot or UNIX time: by its magnitude, as MAVLink says.
-        fixed_boot_s=time_us / 1e6 if 0 < time_us < _LEAST_UNIX_US else None,
+        fixed_boot_s=time_us / 1e6 if 0 < time_us < checks.UNIX_TIME_FROM_US else None,
     )
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20.ardupilotmega import MAVLINK_MSG_ID_RADIO_STATUS
 
+from gcs_coloc.mavlink.checks import UNIX_TIME_TO_US
 from gcs_coloc.mavlink.framing import SIGNATURE_LENGTH, RawFrame
 from gcs_coloc.mavlink.sequence import DUPLICATE
 
@@ -24,7 +25,7 @@ TICKS_PER_S = 100_000
 FIRST_CONTACT_S = 60
 FIRST_CONTACT_TICKS = FIRST_CONTACT_S * TICKS_PER_S
 """A stream that was never heard may be so far behind our time; further behind it is taken for a recording."""
-LATEST_TICKS = (4_102_444_800 - EPOCH_UNIX_S) * TICKS_PER_S
+LATEST_TICKS = (UNIX_TIME_TO_US // 1_000_000 - EPOCH_UNIX_S) * TICKS_PER_S
 """The year 2100. Whoever signs for later would, as both ends follow the later time, wear out the counter of 48 bits."""
 MAX_STREAMS = 1024
 

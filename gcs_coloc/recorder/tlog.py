@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gcs_coloc.core.errors import DataError
+from gcs_coloc.mavlink.checks import UNIX_TIME_TO_US
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.framing import ANY_MAGIC, MAGIC_V1, MAGIC_V2, TRUNCATED, UNVERIFIABLE, RawFrame, read_frame
 
@@ -18,9 +19,6 @@ SEARCHED_BYTES = 1 << 16
 """A file without one good record in so many bytes is no tlog."""
 
 _TIME = struct.Struct(">Q")
-_NO_TIME_US = 4_102_444_800_000_000
-"""From the year 2100 on the eight bytes before a frame are taken for no time."""
-
 _OTHERS = {
     b"\x1f\x8b": "is compressed; unpack it with gunzip first",
     b"PK\x03\x04": "is a zip archive; unpack it first",
@@ -130,8 +128,9 @@ def _frame_of_record(data: mmap.mmap, position: int) -> RawFrame | str:
 
 
 def _is_time(data: mmap.mmap, position: int) -> bool:
+    """Whether eight bytes can be the time of a record: from the year 2100 on they are taken for something else."""
     time_us: int = _TIME.unpack_from(data, position)[0]
-    return time_us < _NO_TIME_US
+    return time_us < UNIX_TIME_TO_US
 
 
 def _other_kind(data: mmap.mmap) -> str | None:
