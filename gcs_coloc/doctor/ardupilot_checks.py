@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from gcs_coloc.core.aid.ekf_gates import EkfGates
 from gcs_coloc.core.aid.settings import AidSettings, WayName
 from gcs_coloc.core.aid.way_choice import way_for
 from gcs_coloc.doctor import parameters as p
@@ -19,8 +20,6 @@ _AUTO_SWITCH_WRONG = {
 _PRIMARY_UNLESS_NO_FIX = 4.0
 _SOURCE_GPS, _SOURCE_BAROMETER = 3.0, 1.0
 _EKF3 = 3.0
-_CHECK_POSITION, _CHECK_SPEED = 8, 4
-_H_ACC_M, _V_ACC_M, _SPEED_ACC_MPS = 5.0, 7.5, 1.0
 _DRIVER_DELAY_S = 0.2
 
 
@@ -135,11 +134,11 @@ def _filter(vehicle: VehicleFindings, way: WayName) -> Iterator[Remark]:
     checks, scale = look_up(vehicle.parameters, p.GPS_CHECK), look_up(vehicle.parameters, p.CHECK_SCALE)
     if checks is None or scale is None:
         return
-    limits = []
-    if int(checks[1]) & _CHECK_POSITION:
-        limits.append(f"{_H_ACC_M * scale[1] / 100:g} m horizontally, {_V_ACC_M * scale[1] / 100:g} m vertically")
-    if int(checks[1]) & _CHECK_SPEED:
-        limits.append(f"{_SPEED_ACC_MPS * scale[1] / 100:g} m/s")
+    gates, limits = EkfGates(int(checks[1]), scale[1]), []
+    if gates.most_position_m is not None:
+        limits.append("{:g} m horizontally, {:g} m vertically".format(*gates.most_position_m))
+    if gates.most_speed_mps is not None:
+        limits.append(f"{gates.most_speed_mps:g} m/s")
     taken = f"up to 1-sigma of {' and '.join(limits)}" if limits else "however coarse they say they are"
     coarser = "; what is coarser goes by MAV_CMD_EXTERNAL_POSITION_ESTIMATE" if limits and way == "auto" else ""
     yield right(f"{checks[0]} = {checks[1]:g}, {scale[0]} = {scale[1]:g}: GPS positions are taken {taken}{coarser}")

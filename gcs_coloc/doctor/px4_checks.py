@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from gcs_coloc.doctor import parameters as p
 from gcs_coloc.doctor.findings import Remark, VehicleFindings, right, stop
 from gcs_coloc.doctor.parameters import look_up
+from gcs_coloc.mavlink.aid_encoding import SENSOR_ID
 
 _HORIZONTAL = 1
-_SENSOR_ID = 1.0
 
 
 def check(vehicle: VehicleFindings) -> Iterator[Remark]:
@@ -28,9 +28,9 @@ def check(vehicle: VehicleFindings) -> Iterator[Remark]:
         wanted = float(int(value) | _HORIZONTAL)
         yield stop(f"{name} = {value:g}: it does not take GLOBAL_POSITION_SENSOR", f"set {name} = {wanted:g}", (name, wanted))
     number = look_up(vehicle.parameters, p.AGP_ID)
-    if number is not None and number[1] != _SENSOR_ID:
+    if number is not None and number[1] != SENSOR_ID:
         yield stop(
             f"{number[0]} = {number[1]:g}: it waits for another sensor id than ours",
-            f"set {number[0]} = {_SENSOR_ID:g}",
-            (number[0], _SENSOR_ID),
+            f"set {number[0]} = {SENSOR_ID}",
+            (number[0], float(SENSOR_ID)),
         )

@@ -10,7 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from gcs_coloc.core.aid_messages import ExternalPosition, GlobalPositionSensor, ParameterRequest, ParameterSet
 from gcs_coloc.core.outputs import GpsInput
 
-_SENSOR_ID = 1
+SENSOR_ID = 1
+"""The id of our GLOBAL_POSITION_SENSOR, by which PX4's EKF2_AGPn_ID selects it."""
 _BY_NAME = -1
 
 
@@ -65,7 +66,7 @@ def _global_position_sensor(place: GlobalPositionSensor) -> Any:
     return mavlink.MAVLink_global_position_sensor_message(
         target_system=place.sysid,
         target_component=mavlink.MAV_COMP_ID_AUTOPILOT1,
-        id=_SENSOR_ID,
+        id=SENSOR_ID,
         time_usec=place.time_usec,
         processing_time=0,
         source=mavlink.GLOBAL_POSITION_SRC_PSEUDOLITES,
