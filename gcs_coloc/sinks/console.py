@@ -10,10 +10,11 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from gcs_coloc.core.outputs import HealthChanged, ToOperator
+from gcs_coloc.core.outputs import ToOperator
 from gcs_coloc.core.view import FleetView, OutView, VehicleView
 from gcs_coloc.sinks.hub import Subscription
 from gcs_coloc.sinks.live_table import LiveTable, SharedConsole
+from gcs_coloc.sinks.wording import level_and_text
 
 log = logging.getLogger("gcs_coloc")
 
@@ -70,12 +71,9 @@ def _of(name: str) -> str:
 
 
 def _log_news(name: str, news: ToOperator) -> None:
-    if isinstance(news, HealthChanged):
-        level = logging.WARNING if news.after in ("suspect", "failed") else logging.INFO
-        log.log(level, "%svehicle %d: GPS %s -> %s: %s", _of(name), news.sysid, news.before, news.after, news.reason)
-    else:
-        who = f"vehicle {news.sysid}: " if news.sysid is not None else ""
-        log.log(_LEVELS[news.level], "%s%s%s", _of(name), who, news.text)
+    level, text = level_and_text(news)
+    who = f"vehicle {news.sysid}: " if news.sysid is not None else ""
+    log.log(_LEVELS[level], "%s%s%s", _of(name), who, text)
 
 
 def line(v: VehicleView) -> str:

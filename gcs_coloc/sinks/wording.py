@@ -1,4 +1,4 @@
-"""News for the operator in words: the same on the page and on MQTT."""
+"""News for the operator in words: the same on the page, on MQTT and in the log."""
 
 from __future__ import annotations
 
