@@ -17,7 +17,7 @@ from gcs_coloc.core.feed import Feed, FeedSettings
 from gcs_coloc.core.fleet import Fleet, Vehicle
 from gcs_coloc.core.grid import Grid
 from gcs_coloc.core.guard import GuardedEstimator
-from gcs_coloc.core.health import GpsState, HealthSettings
+from gcs_coloc.core.health import DISTRUSTED, HealthSettings
 from gcs_coloc.core.integrity.judge import Integrity
 from gcs_coloc.core.measurements import Estimate, Unknown
 from gcs_coloc.core.messages import Airspeed, Attitude, EkfStatus, GlobalPosition, GpsReceiver, Inbound, SystemHealth, SystemTime
@@ -33,7 +33,6 @@ from gcs_coloc.core.words import AidWord, ClockReference, GpsWord, OffAir, Opera
 from gcs_coloc.estimators.base import Estimator
 
 REVIEWED_EVERY_S = 0.2
-_SUBJECT_STATES = (GpsState.SUSPECT, GpsState.FAILED, GpsState.RECOVERING)
 _DOUBLED = (
     "two autopilots use its system id; give each its own (MAV_SYSID, SYSID_THISMAV before ArduPilot 4.7; MAV_SYS_ID on PX4)"
 )
@@ -308,4 +307,4 @@ class Engine:
 
 
 def _is_subject(vehicle: Vehicle) -> bool:
-    return vehicle.health.state in _SUBJECT_STATES or vehicle.health.captive
+    return vehicle.health.state in DISTRUSTED or vehicle.health.captive

@@ -31,6 +31,10 @@ class GpsState(Enum):
     RECOVERING = "recovering"
 
 
+DISTRUSTED = (GpsState.SUSPECT, GpsState.FAILED, GpsState.RECOVERING)
+"""The states in which what a vehicle says of its own position is not believed, and others are to locate it."""
+
+
 @dataclass(frozen=True, slots=True)
 class Contradiction:
     """What the ranges say against a vehicle's GPS position, in words; `identified`: it, and nobody else, is at fault."""

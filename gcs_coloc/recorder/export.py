@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 from gcs_coloc.core.view import VehicleView
 from gcs_coloc.recorder.ellipse import ellipse
 from gcs_coloc.recorder.journal import VehicleEntry
-from gcs_coloc.recorder.story import Story
+from gcs_coloc.recorder.story import WITHOUT_GPS, Story
 
 COLUMNS = (
     "unix_s", "sysid", "lat_deg", "lon_deg", "alt_msl_m", "sigma_h_m", "bound_95_m", "hdop", "nis", "ranges_in_use",
@@ -120,8 +120,7 @@ def _stretches(track: Sequence[VehicleEntry]) -> Iterator[list[VehicleEntry]]:
 
 
 def _properties(vehicle: VehicleView) -> dict[str, Any]:
-    without = vehicle.gps_state in ("suspect", "failed", "recovering")
-    return {"sysid": vehicle.sysid, "gps_state": vehicle.gps_state, "without_gps": without}
+    return {"sysid": vehicle.sysid, "gps_state": vehicle.gps_state, "without_gps": vehicle.gps_state in WITHOUT_GPS}
 
 
 def _point(vehicle: VehicleView) -> tuple[float, float, float]:

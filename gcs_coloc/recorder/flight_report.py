@@ -12,13 +12,11 @@ import numpy as np
 
 from gcs_coloc.core.aid_messages import ExternalPosition, GlobalPositionSensor
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.health import GpsState
+from gcs_coloc.core.health import DISTRUSTED
 from gcs_coloc.core.measurements import Estimate, Vector3
 from gcs_coloc.core.outputs import GpsInput, HealthChanged, Notice, Outbound
 from gcs_coloc.core.scoring import Score, score, series_of
 from gcs_coloc.recorder.side_tables import TruthPoint
-
-_UNTRUSTED = (GpsState.SUSPECT, GpsState.FAILED, GpsState.RECOVERING)
 
 
 @dataclass(slots=True)
@@ -110,7 +108,7 @@ class FlightReport:
 
     def _score(self, point: TruthPoint) -> None:
         record, frame = self._engine.fleet.get(point.sysid), self._engine.feed.frame
-        if record is None or frame is None or record.health.state not in _UNTRUSTED:
+        if record is None or frame is None or record.health.state not in DISTRUSTED:
             return
         answer = self._engine.where(point.sysid, point.unix_s)
         truth_enu_m = frame.enu_from_geodetic(point.lat_deg, point.lon_deg, point.alt_msl_m)

@@ -14,9 +14,8 @@ from typing import Any
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.recorder.journal import VehicleEntry
-from gcs_coloc.recorder.story import Story
+from gcs_coloc.recorder.story import WITHOUT_GPS, Story
 
-WITHOUT_GPS = ("suspect", "failed", "recovering")
 _NIS_TICKS = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 1e3, 1e4, 1e5, 1e6)
 
 

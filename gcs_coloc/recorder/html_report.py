@@ -8,9 +8,9 @@ from html import escape
 from statistics import median
 from typing import Any
 
-from gcs_coloc.recorder.html_plots import WITHOUT_GPS, Picture, map_picture, vehicle_picture
+from gcs_coloc.recorder.html_plots import Picture, map_picture, vehicle_picture
 from gcs_coloc.recorder.journal import EVERY_S, VehicleEntry
-from gcs_coloc.recorder.story import Story
+from gcs_coloc.recorder.story import WITHOUT_GPS, Story
 
 _MOST_NOTICES = 500
 _HEAD = """<!doctype html>

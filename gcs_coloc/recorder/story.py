@@ -10,6 +10,7 @@ from pathlib import Path
 from gcs_coloc.config import Settings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.health import DISTRUSTED
 from gcs_coloc.core.outputs import HealthChanged, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.flight_report import FlightReport
@@ -18,6 +19,9 @@ from gcs_coloc.recorder.recorded_messages import ReplayCounts
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
+
+WITHOUT_GPS = tuple(state.value for state in DISTRUSTED)
+"""The words for the states of a vehicle's GPS in which it is located by its ranges."""
 
 
 @dataclass(slots=True)
