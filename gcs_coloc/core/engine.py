@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from gcs_coloc.core.aid.aiding import Aiding
 from gcs_coloc.core.aid.settings import AidSettings
 from gcs_coloc.core.aid_messages import OtherAid, ParameterSet
+from gcs_coloc.core.clocks.unanswered import Unanswered
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.feed import Feed, FeedSettings
 from gcs_coloc.core.fleet import Fleet, Vehicle
@@ -73,6 +74,7 @@ class Engine:
         self._outbox: list[Outbound] = []
         self._refused: Counter[str] = Counter()
         self._now_s = float("-inf")
+        self._unanswered = Unanswered(self.settings.time)
         self._utc = Utc(required=self.settings.time.require_synchronised_clock)
         self.aiding.withheld = self._utc.withheld()
         self._subjects: frozenset[int] = frozenset()
@@ -276,6 +278,10 @@ class Engine:
             self._say(now_s, vehicle.sysid, "info", "only one autopilot uses its system id any more")
 
     def _ask_time(self, vehicle: Vehicle, now_s: float) -> None:
+        if self.aiding.on_air:
+            unanswered = self._unanswered.news(vehicle.sysid, vehicle.clock, vehicle.first_heard_s, now_s)
+            if unanswered is not None:
+                self._say(now_s, vehicle.sysid, *unanswered)
         if vehicle.blocked is not None or vehicle.autopilot is None:
             return
         ts1_ns = vehicle.clock.round_trips.ask(vehicle.sysid, now_s, self.settings.time.timesync_period_s)
@@ -291,6 +297,7 @@ class Engine:
 
     def _host_time(self, message: ClockReference) -> None:
         self._outbox.extend(self._utc.take(message))
+        self.feed.host_utc_minus_service_s = message.utc_minus_service_s if message.synchronised else None
         if self.aiding.withheld != self._utc.withheld():
             self.aiding.withheld = self._utc.withheld()
             for vehicle in self.fleet:

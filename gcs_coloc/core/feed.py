@@ -58,12 +58,16 @@ class FeedSettings:
 
 
 class Feed:
-    """Turns the messages of one fleet into measurements about its origin. Refusals are counted by reason in `refused`."""
+    """Turns the messages of one fleet into measurements about its origin. Refusals are counted by reason in `refused`.
+
+    `host_utc_minus_service_s` is the host's UTC where that is known to be right.
+    """
 
     def __init__(self, settings: FeedSettings, time_settings: TimeSettings | None = None) -> None:
         self.settings = settings
         self.time_settings = time_settings if time_settings is not None else TimeSettings()
         self.frame: LocalFrame | None = None
+        self.host_utc_minus_service_s: float | None = None
         self.refused: Counter[str] = Counter()
 
     def position(self, message: GlobalPosition, vehicle: Vehicle) -> Measurement | None:
@@ -174,7 +178,11 @@ class Feed:
     def utc_minus_service_s(self, message: SystemTime, vehicle: Vehicle) -> float | None:
         """UTC minus service clock as a vehicle knows it; None where it does not know UTC or its clock jumped."""
         measured = self._boot_time(message, vehicle, "SYSTEM_TIME")
-        return message.unix_s - measured.at_s if message.unix_s is not None and measured is not None else None
+        if message.unix_s is None or measured is None:
+            return None
+        if self.host_utc_minus_service_s is not None and vehicle.health.trusted:
+            vehicle.clock.take_utc(message.unix_s, message.boot_s, self.host_utc_minus_service_s)
+        return message.unix_s - measured.at_s
 
     def up_m(self, alt_msl_m: float, near_enu_m: tuple[float, float]) -> float:
         """The up coordinate of an altitude over a place (east, north) in the frame. Only where there is a frame."""

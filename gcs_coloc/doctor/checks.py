@@ -125,7 +125,10 @@ def _receiver(vehicle: VehicleFindings) -> Iterator[Remark]:
 
 def _clock(vehicle: VehicleFindings) -> Iterator[Remark]:
     if not vehicle.answers_timesync:
-        yield note("it does not answer TIMESYNC: what it measures is placed in time by its arrival, which is less exact")
+        yield note(
+            "it does not answer TIMESYNC: what it measures is placed in time by its UTC, to 0.1 s, where it has GPS and this "
+            "computer's clock is synchronised, else by its arrival: set least_delay_s in [time] where you know its link's delay"
+        )
     off_s = vehicle.utc_minus_host_s
     if off_s is not None and abs(off_s) > CLOCKS_AGREE_S:
         where = "ahead of" if off_s > 0 else "behind"

@@ -23,7 +23,8 @@ _OVERTAKING_KNOWN_S = 10.0
 JUMPS_TO_BELIEVE = 3
 _BUCKETS_FOR_DRIFT = 4
 _MOST_DRIFT = 0.1  # a simulation may run slow by a per cent; a stamp that lags more is no clock that runs
-_CRYSTAL_DRIFT = 20e-6  # 1-sigma of an ordinary crystal: what is known before it was measured
+CRYSTAL_DRIFT = 20e-6
+"""1-sigma of an ordinary crystal: what is known before it was measured."""
 _WRAP_S = 2**32 / 1e3
 
 
@@ -35,7 +36,7 @@ class Drift(NamedTuple):
 
 
 def _unmeasured() -> Drift:
-    return Drift(0.0, _CRYSTAL_DRIFT)
+    return Drift(0.0, CRYSTAL_DRIFT)
 
 
 @dataclass(slots=True)
@@ -44,6 +45,8 @@ class _Bucket:
     least_at_s: float
     least_s: float
     overtaken_s: float = 0.0
+    sum_s: float = 0.0
+    count: int = 0
 
 
 @dataclass(slots=True)
@@ -98,8 +101,11 @@ class SenderClock:
         elif difference_s < self._buckets[-1].least_s:
             self._buckets[-1].least_at_s, self._buckets[-1].least_s = received_at_s, difference_s
             self._least_s = None
-        if behind_s > self._buckets[-1].overtaken_s:
-            self._buckets[-1].overtaken_s = behind_s
+        newest = self._buckets[-1]
+        newest.sum_s += difference_s
+        newest.count += 1
+        if behind_s > newest.overtaken_s:
+            newest.overtaken_s = behind_s
         return True
 
     def begin_anew(self) -> None:
@@ -127,6 +133,18 @@ class SenderClock:
                 if newest.started_s - bucket.started_s <= _LEAST_OVER_S
             )
         return self._least_s
+
+    def mean_wait_s(self) -> float:
+        """How much longer than the least of ten seconds messages are on the way on average, over the last minute, s."""
+        last_s = self._buckets[-1].started_s if self._buckets else 0.0
+        drifted_s = abs(self.drift.rate) * _BUCKET_S / 2.0
+        waited_s, count = 0.0, 0
+        for bucket in reversed(self._buckets):
+            if last_s - bucket.started_s > _LEAST_OVER_S:
+                break
+            waited_s += max(bucket.sum_s - bucket.count * (bucket.least_s + drifted_s), 0.0)
+            count += bucket.count
+        return waited_s / max(count, 1)
 
     def to_service(self, stamp_s: float) -> float:
         """The service time of a stamp (seconds), late by the link's least delay. Only valid after `learn` has taken one."""
@@ -167,5 +185,5 @@ class SenderClock:
             self.drift = _unmeasured()
             return
         noise2 = float(np.sum((d - slope * t) ** 2)) / (len(t) - 2) + 1e-8  # stamps of whole milliseconds
-        precision = spread / noise2 + _CRYSTAL_DRIFT**-2
+        precision = spread / noise2 + CRYSTAL_DRIFT**-2
         self.drift = Drift(slope * (spread / noise2) / precision, precision**-0.5)

@@ -1,22 +1,31 @@
 """The clocks of one vehicle: its boot clock and those of its ranging devices, mapped to the service's clock with a sigma.
 
 With TIMESYNC answered, the boot clock's offset is what the round trips say. Without, it is bounded by the least delay of
-its one-way stamps, from which the settings' assumption of that delay is taken. A ranging device or companion computer
-may have booted apart from the autopilot and answers nothing, but its stamps come down the same link: where they agree
-with the boot clock they are in it, and otherwise the link's least delay, once known, is taken from its own least difference.
+its one-way stamps, from which that delay is taken: what the settings say of it, or what the vehicle's UTC, which it has from
+GPS, shows against the host's. Where nothing shows it, it may be several times what messages wait beyond it. A ranging device
+or companion computer may have booted apart from the autopilot and answers nothing, but its stamps come down the same link:
+where they agree with the boot clock they are in it, and otherwise the link's least delay, once known, is taken from its own
+least difference.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import hypot
 from typing import NamedTuple
 
 from gcs_coloc.core.clocks.timesync import RoundTrips, Synchronised
-from gcs_coloc.core.clocks.timing import JUMPS_TO_BELIEVE, SenderClock
+from gcs_coloc.core.clocks.timing import CRYSTAL_DRIFT, JUMPS_TO_BELIEVE, SenderClock
 from gcs_coloc.core.clocks.two_clocks import TwoClocks
 
 _SAME_CLOCK_S = 0.05
 _ONE_WAY_SIGMA_S = 0.005  # how far the least of a minute's one-way delays may be from the link's least
+_WAITS = 4.0  # a link's least delay, 1-sigma, in mean waits beyond it: radios have about one, mobile networks two to eight
+_MOST_UNKNOWN_S = 0.25
+# An autopilot's UTC is that of a fix when it came in: behind by the receiver's computing and its serial line, and since then by
+# its own crystal, as it is not set anew while armed. 0.19 s on ArduPlane 4.7 with a simulated receiver.
+_UTC_BEHIND_S, _UTC_SIGMA_S = 0.15, 0.08
+_MOST_BY_UTC_S = 0.9  # beyond, another cause is likelier, such as a leap second that one of the two does not know
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +33,8 @@ class TimeSettings:
     """How vehicles' clocks are found.
 
     `timesync_period_s`: an autopilot is asked for its time this often.
-    `least_delay_s`, `least_delay_sigma_s`: assumed least one-way delay from a vehicle that does not answer TIMESYNC.
+    `least_delay_s`: least one-way delay from a vehicle that does not answer TIMESYNC; 0: not known, judged for each link.
+    `least_delay_sigma_s`: how far that may be off, where it is not known at the least.
     `require_synchronised_clock`: no aid is sent while the host's own clock is not known to be synchronised.
     """
 
@@ -41,6 +51,14 @@ class ServiceTime(NamedTuple):
     sigma_s: float
 
 
+class OneWay(NamedTuple):
+    """What is held of a link's least one-way delay without TIMESYNC, in a word and in s, with its 1-sigma."""
+
+    method: str
+    delay_s: float
+    sigma_s: float
+
+
 @dataclass(slots=True)
 class VehicleClock:
     """The boot clock of one autopilot, from its one-way stamps and from TIMESYNC."""
@@ -48,6 +66,7 @@ class VehicleClock:
     stamps: SenderClock = field(default_factory=SenderClock)
     round_trips: RoundTrips = field(default_factory=RoundTrips)
     twins: TwoClocks = field(default_factory=TwoClocks)
+    _by_utc: OneWay | None = None
     _too_early: int = 0
 
     @property
@@ -68,8 +87,10 @@ class VehicleClock:
         self._too_early = 0
         known, began_at_s = self.stamps.known, self.stamps.began_at_s
         taken = self.stamps.learn(stamp_s, received_at_s)
-        if known and self.stamps.began_at_s != began_at_s:
-            self.round_trips.forget()
+        if self.stamps.began_at_s != began_at_s:
+            self._by_utc = None
+            if known:
+                self.round_trips.forget()
         return taken
 
     def answered(self, ts1_ns: int, tc1_s: float, received_at_s: float) -> str | None:
@@ -83,6 +104,26 @@ class VehicleClock:
             self._begin_anew()
         return refusal
 
+    def take_utc(self, unix_s: float, boot_s: float, utc_minus_service_s: float) -> None:
+        """Take a vehicle's UTC, which it has from a healthy GPS, at its boot time; the host's, known to be right, on our clock.
+
+        Only valid after `learn` has taken the boot time. SYSTEM_TIME (2).
+        """
+        behind_s = self.stamps.to_service(boot_s) + utc_minus_service_s - unix_s
+        sigma_s = hypot(_UTC_SIGMA_S, CRYSTAL_DRIFT * boot_s)
+        is_plausible = -3.0 * sigma_s <= behind_s - _UTC_BEHIND_S <= _MOST_BY_UTC_S
+        self._by_utc = OneWay("UTC", max(behind_s - _UTC_BEHIND_S, 0.0), sigma_s) if is_plausible else None
+
+    def one_way(self, settings: TimeSettings) -> OneWay:
+        """What is held of the link's least delay where TIMESYNC is not answered."""
+        if settings.least_delay_s > 0.0:
+            return OneWay("one-way", settings.least_delay_s, settings.least_delay_sigma_s)
+        if self._by_utc is not None:
+            return self._by_utc
+        least_s = settings.least_delay_sigma_s
+        sigma_s = hypot(least_s, _WAITS * self.stamps.mean_wait_s())
+        return OneWay("one-way", 0.0, min(sigma_s, max(_MOST_UNKNOWN_S, least_s)))
+
     def synchronised(self, now_s: float) -> Synchronised | None:
         """What TIMESYNC says; None where it is not answered."""
         return self.round_trips.estimate(now_s)
@@ -92,25 +133,32 @@ class VehicleClock:
         sync = self.synchronised(now_s)
         if sync is not None:
             return "TIMESYNC", sync.sigma_at_s(now_s)
-        return ("one-way", settings.least_delay_sigma_s) if self.stamps.known else None
+        if not self.stamps.known:
+            return None
+        one_way = self.one_way(settings)
+        return one_way.method, one_way.sigma_s
 
     def one_way_delay_s(self, now_s: float) -> float | None:
         """The least delay of the link in one direction; None where it is not known."""
         sync = self.synchronised(now_s)
-        return sync.one_way_delay_s if sync is not None else None
+        if sync is not None:
+            return sync.one_way_delay_s
+        return self._by_utc.delay_s if self._by_utc is not None else None
 
     def to_service(self, stamp_s: float, now_s: float, settings: TimeSettings) -> ServiceTime:
         """A stamp on the service's clock. Only valid after `learn` has taken one."""
         sync = self.synchronised(now_s)
         if sync is not None:
             return ServiceTime(self.stamps.unwrapped(stamp_s) + sync.offset_at_s(now_s), sync.sigma_at_s(now_s))
-        return ServiceTime(self.stamps.to_service(stamp_s) - settings.least_delay_s, settings.least_delay_sigma_s)
+        one_way = self.one_way(settings)
+        return ServiceTime(self.stamps.to_service(stamp_s) - one_way.delay_s, one_way.sigma_s)
 
     def device_to_service(self, device: SenderClock, stamp_s: float, now_s: float, settings: TimeSettings) -> ServiceTime:
         """A stamp of a ranging device of this vehicle, whose own clock has learnt it, on the service's clock."""
         sync = self.synchronised(now_s)
         if sync is None or not self.stamps.known:
-            return ServiceTime(device.to_service(stamp_s) - settings.least_delay_s, settings.least_delay_sigma_s)
+            one_way = self.one_way(settings)
+            return ServiceTime(device.to_service(stamp_s) - one_way.delay_s, one_way.sigma_s)
         if abs(device.least_difference_s() - self.stamps.least_difference_s()) < _SAME_CLOCK_S:
             return self.to_service(stamp_s, now_s, settings)
         least_delay_s = self.stamps.least_difference_s() - sync.offset_at_s(now_s)
@@ -120,3 +168,4 @@ class VehicleClock:
     def _begin_anew(self) -> None:
         self.stamps.begin_anew()
         self.round_trips.forget()
+        self._by_utc = None

@@ -93,15 +93,65 @@ def test_the_one_way_delay_is_the_least_of_the_link():
     assert vehicle.clock.one_way_delay_s(120.0) == pytest.approx(0.05, abs=0.005)
 
 
-def test_without_answers_the_error_is_the_least_delay_and_its_sigma_is_the_settings():
+def test_without_answers_the_error_is_the_least_delay_and_its_sigma_is_at_least_the_settings():
     vehicle = Exchange(2, 2.0, 20e-6, UNIFORM, None)
     vehicle.run(0.0, 120.0)
     assert vehicle.clock.synchronised(120.0) is None
     assert vehicle.clock.one_way_delay_s(120.0) is None
     assert vehicle.error_s(120.0) == pytest.approx(0.05, abs=0.005)
-    assert vehicle.clock.to_service(vehicle.boot_s(120.0), 120.0, SETTINGS).sigma_s == 0.05
+    assert vehicle.clock.to_service(vehicle.boot_s(120.0), 120.0, SETTINGS).sigma_s == 0.25
     told = TimeSettings(least_delay_s=0.05, least_delay_sigma_s=0.01)
-    assert vehicle.clock.to_service(vehicle.boot_s(120.0), 120.0, told).at_s == pytest.approx(120.0, abs=0.005)
+    known = vehicle.clock.to_service(vehicle.boot_s(120.0), 120.0, told)
+    assert known.at_s == pytest.approx(120.0, abs=0.005)
+    assert known.sigma_s == 0.01
+
+
+@pytest.mark.parametrize(
+    ("mean_wait_s", "sigma_s", "drift"),
+    [(0.001, 0.05, 0.0), (0.01, 0.064, 20e-6), (0.03, 0.13, -20e-6), (0.2, 0.25, 0.0), (0.001, 0.05, -0.01), (0.001, 0.05, 0.01)],
+)
+def test_the_longer_messages_wait_on_a_link_the_less_is_known_of_its_least_delay(mean_wait_s, sigma_s, drift):
+    vehicle = Exchange(1, 5.0, drift, lambda rng: 0.05 + rng.exponential(mean_wait_s), None)
+    vehicle.run(0.0, 120.0)
+    assert vehicle.clock.quality(120.0, SETTINGS) == ("one-way", pytest.approx(sigma_s, rel=0.1))
+
+
+@pytest.mark.parametrize("utc_behind_s", [0.05, 0.15, 0.3])
+@pytest.mark.parametrize("least_s", [0.02, 0.3, 0.7])
+def test_the_utc_of_a_vehicle_shows_how_late_its_link_is(least_s, utc_behind_s):
+    vehicle = Exchange(1, 5.0, 20e-6, lambda rng: least_s + rng.exponential(0.01), None)
+    vehicle.run(0.0, 120.0)
+    vehicle.clock.take_utc(1e9 + 120.0 - utc_behind_s, vehicle.boot_s(120.0), 1e9)
+    known = vehicle.clock.to_service(vehicle.boot_s(120.0), 120.0, SETTINGS)
+    assert abs(known.at_s - 120.0) < 2.0 * known.sigma_s
+    assert vehicle.clock.quality(120.0, SETTINGS) == ("UTC", pytest.approx(0.08, abs=0.001))
+    assert vehicle.clock.one_way_delay_s(120.0) == pytest.approx(least_s, abs=0.17)
+    vehicle.run(120.0, 130.0)
+    assert abs(vehicle.error_s(130.0)) < 0.17
+
+
+@pytest.mark.parametrize("utc_behind_s", [-1.0, 1.1, 18.0, -1e6])
+def test_a_utc_that_no_link_explains_shows_nothing(utc_behind_s):
+    vehicle = Exchange(1, 5.0, 0.0, lambda _: 0.02, None)
+    vehicle.run(0.0, 60.0)
+    vehicle.clock.take_utc(1e9 + 60.0, vehicle.boot_s(60.0), 1e9)
+    assert vehicle.clock.quality(60.0, SETTINGS) == ("UTC", pytest.approx(0.08, abs=0.001))
+    vehicle.clock.take_utc(1e9 + 60.0 - utc_behind_s, vehicle.boot_s(60.0), 1e9)
+    assert vehicle.clock.quality(60.0, SETTINGS) == ("one-way", pytest.approx(0.05))
+    assert vehicle.clock.one_way_delay_s(60.0) is None
+
+
+def test_utc_counts_for_less_the_longer_a_vehicle_is_up_nothing_beside_timesync_and_is_forgotten_with_the_clock():
+    vehicle = Exchange(1, 20_000.0, 0.0, QUEUE, QUEUE)
+    vehicle.run(0.0, 60.0)
+    vehicle.clock.take_utc(1e9 + 60.0 - 0.5, vehicle.boot_s(60.0), 1e9)
+    assert vehicle.clock.quality(60.0, SETTINGS)[0] == "TIMESYNC"
+    assert vehicle.clock.one_way_delay_s(60.0) == pytest.approx(0.05, abs=0.005)
+    assert vehicle.clock.quality(400.0, SETTINGS) == ("UTC", pytest.approx(0.41, abs=0.01))
+    vehicle.clock.learn(1.0, 401.0)
+    for at_s in (401.1, 401.2, 401.3):
+        vehicle.clock.learn(at_s - 400.0, at_s)
+    assert vehicle.clock.quality(401.3, SETTINGS)[0] == "one-way"
 
 
 def test_requests_are_quick_at_first_then_at_the_set_rate_and_rare_where_nobody_answers():
@@ -123,7 +173,7 @@ def test_after_five_minutes_without_an_answer_the_bound_is_the_least_delay_again
     vehicle.up = None
     vehicle.run(60.0, 370.0)
     assert vehicle.clock.synchronised(300.0) is not None
-    assert vehicle.clock.to_service(vehicle.boot_s(370.0), 370.0, SETTINGS).sigma_s == 0.05
+    assert vehicle.clock.to_service(vehicle.boot_s(370.0), 370.0, SETTINGS).sigma_s == 0.25
 
 
 def test_a_reboot_forgets_the_old_offset_and_finds_the_new_one():
