@@ -66,7 +66,9 @@ class SenderClock:
     began_at_s: float = float("-inf")
     drift: Drift = field(default_factory=_unmeasured)
     _buckets: deque[_Bucket] = field(default_factory=lambda: deque(maxlen=_BUCKETS))
-    _least_s: float | None = None  # what `least_difference_s` answers until a bucket changes
+    # What `least_difference_s` and `mean_wait_s` answer until a bucket begins, ends or has a lesser least.
+    _least_s: float | None = None
+    _wait_s: float | None = None
     _newest_stamp_s: float = float("-inf")
     _jumps: list[float] = field(default_factory=list)
 
@@ -79,7 +81,7 @@ class SenderClock:
         """Take one stamp; False where it jumps and must not be used."""
         while self._buckets and received_at_s - self._buckets[0].started_s > _BUCKETS * _BUCKET_S:
             self._buckets.popleft()
-            self._least_s = None
+            self._least_s = self._wait_s = None
         stamp_s = self.unwrapped(stamp_s)
         difference_s = received_at_s - stamp_s
         if self._buckets and (jump_s := self._jumped(stamp_s, difference_s, received_at_s)) is not None:
@@ -97,10 +99,10 @@ class SenderClock:
         if not self._buckets or received_at_s - self._buckets[-1].started_s >= _BUCKET_S:
             self._learn_drift()
             self._buckets.append(_Bucket(received_at_s, received_at_s, difference_s))
-            self._least_s = None
+            self._least_s = self._wait_s = None
         elif difference_s < self._buckets[-1].least_s:
             self._buckets[-1].least_at_s, self._buckets[-1].least_s = received_at_s, difference_s
-            self._least_s = None
+            self._least_s = self._wait_s = None
         newest = self._buckets[-1]
         newest.sum_s += difference_s
         newest.count += 1
@@ -112,7 +114,7 @@ class SenderClock:
         """Forget the clock: it is another one from the next stamp on."""
         self.resets += 1
         self._buckets.clear()
-        self._least_s = None
+        self._least_s = self._wait_s = None
 
     def unwrapped(self, stamp_s: float) -> float:
         """A stamp with the turns of a 32-bit millisecond counter put back where that makes it agree with the clock so far."""
@@ -135,16 +137,14 @@ class SenderClock:
         return self._least_s
 
     def mean_wait_s(self) -> float:
-        """How much longer than the least of ten seconds messages are on the way on average, over the last minute, s."""
-        last_s = self._buckets[-1].started_s if self._buckets else 0.0
-        drifted_s = abs(self.drift.rate) * _BUCKET_S / 2.0
-        waited_s, count = 0.0, 0
-        for bucket in reversed(self._buckets):
-            if last_s - bucket.started_s > _LEAST_OVER_S:
-                break
-            waited_s += max(bucket.sum_s - bucket.count * (bucket.least_s + drifted_s), 0.0)
-            count += bucket.count
-        return waited_s / max(count, 1)
+        """How much longer than the least of ten seconds messages take on average, over the last minute, s. Only where one is known."""
+        if self._wait_s is None:
+            last_s = self._buckets[-1].started_s
+            of_late = [bucket for bucket in self._buckets if last_s - bucket.started_s <= _LEAST_OVER_S]
+            drifted_s = abs(self.drift.rate) * _BUCKET_S / 2.0
+            waited_s = sum(max(b.sum_s - b.count * (b.least_s + drifted_s), 0.0) for b in of_late)
+            self._wait_s = waited_s / sum(b.count for b in of_late)
+        return self._wait_s
 
     def to_service(self, stamp_s: float) -> float:
         """The service time of a stamp (seconds), late by the link's least delay. Only valid after `learn` has taken one."""

@@ -121,7 +121,7 @@ class VehicleClock:
         if self._by_utc is not None:
             return self._by_utc
         least_s = settings.least_delay_sigma_s
-        sigma_s = hypot(least_s, _WAITS * self.stamps.mean_wait_s())
+        sigma_s = hypot(least_s, _WAITS * self.stamps.mean_wait_s()) if self.stamps.known else least_s
         return OneWay("one-way", 0.0, min(sigma_s, max(_MOST_UNKNOWN_S, least_s)))
 
     def synchronised(self, now_s: float) -> Synchronised | None:
