@@ -137,7 +137,7 @@ class SenderClock:
         return self._least_s
 
     def mean_wait_s(self) -> float:
-        """How much longer than the least of ten seconds messages take on average, over the last minute, s. Only where one is known."""
+        """How much longer than the least of ten seconds messages take on average, over a minute, s. Only where one is known."""
         if self._wait_s is None:
             last_s = self._buckets[-1].started_s
             of_late = [bucket for bucket in self._buckets if last_s - bucket.started_s <= _LEAST_OVER_S]
