@@ -268,6 +268,12 @@ def test_a_frame_from_another_address_than_its_vehicles_is_away_from_home_until_
     assert not ears.table.counts
 
 
+def test_of_ground_stations_with_one_system_id_each_component_has_a_home_of_its_own(ears):
+    ears.hears(255, HERE, compid=190, autopilot=False)
+    assert not ears.table.is_at_home(255, 190, LINK, THERE, ears.now_s)
+    assert ears.table.is_at_home(255, 195, LINK, THERE, ears.now_s)
+
+
 def test_who_is_reached_at_an_address_is_known_for_a_minute_after_it_was_heard(ears):
     ears.hears(1, HERE)
     ears.now_s += 30.0

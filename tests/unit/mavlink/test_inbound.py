@@ -115,6 +115,15 @@ SYS_STATUS_FIELDS = dict.fromkeys(
             ),
             SystemHealth(1, NOW_S, gps_present=True, gps_enabled=True, gps_healthy=False),
         ),
+        (
+            mavlink.MAVLink_sys_status_message(
+                onboard_control_sensors_present=0xFFFFFFDF,
+                onboard_control_sensors_enabled=0xFFFFFFDF,
+                onboard_control_sensors_health=0x20,
+                **SYS_STATUS_FIELDS,
+            ),
+            SystemHealth(1, NOW_S, gps_present=False, gps_enabled=False, gps_healthy=True),
+        ),
         # The flags that ArduPlane sent 1 s before and 10 s after it lost its GPS, and each family's bit for glitches.
         (mavlink.MAVLink_ekf_status_report_message(flags=831, **EKF_FIELDS), EkfStatus(1, NOW_S, True, False, False)),
         (mavlink.MAVLink_ekf_status_report_message(flags=303, **EKF_FIELDS), EkfStatus(1, NOW_S, False, False, False)),
@@ -247,6 +256,20 @@ def test_impossible_value_is_refused_with_message_and_field(sent, reason):
 )
 def test_message_that_holds_nothing_for_the_core(sent):
     assert decode(sent) == (None, {})
+
+
+PARTS = {
+    *("GCS", "ONBOARD_CONTROLLER", "GIMBAL", "ADSB", "CAMERA", "CHARGING_STATION", "FLARM", "SERVO", "ODID", "BATTERY"),
+    *("PARACHUTE", "LOG", "OSD", "IMU", "GPS", "WINCH", "ILLUMINATOR", "GRIPPER"),
+}
+"""The MAV_TYPEs that are no vehicles, by name."""
+KINDS = {kind: entry.name.removeprefix("MAV_TYPE_") for kind, entry in mavlink.enums["MAV_TYPE"].items()}
+
+
+@pytest.mark.parametrize("kind", [kind for kind, name in KINDS.items() if name != "ENUM_END"], ids=KINDS.get)
+def test_every_type_of_vehicle_is_taken_for_one_and_no_part_is(kind):
+    got, _ = decode(heartbeat(kind=kind, autopilot=mavlink.MAV_AUTOPILOT_GENERIC))
+    assert (got is None) is (KINDS[kind] in PARTS)
 
 
 @pytest.mark.parametrize("version_1", [False, True])
