@@ -6,10 +6,12 @@ from collections.abc import Collection, Iterable
 
 import numpy as np
 
+from gcs_coloc.core.aid_messages import ParameterValue
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.measurements import Estimate, Measurement, Unknown
 from gcs_coloc.core.messages import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, Inbound
-from gcs_coloc.core.outputs import GpsInput
+from gcs_coloc.core.outputs import GpsInput, Notice
+from gcs_coloc.core.view import VehicleView
 from gcs_coloc.core.words import RouteReport
 
 LAT, LON, ALT = 47.0, 8.0, 500.0
@@ -96,3 +98,16 @@ def fly(
 
 def aids(out: list, sysid: int) -> list[tuple[float, GpsInput]]:
     return [(t, o) for t, o in out if isinstance(o, GpsInput) and o.sysid == sysid]
+
+
+def vehicle_4(engine: Engine, now_s: float) -> VehicleView:
+    return next(v for v in engine.view(now_s).vehicles if v.sysid == 4)
+
+
+def parameters_told(engine: Engine, now_s: float, **values: float) -> None:
+    for name, value in values.items():
+        engine.receive(ParameterValue(4, now_s, name, value, 2))
+
+
+def texts(out: list, sysid: int = 4) -> list[str]:
+    return [o.text for _, o in out if isinstance(o, Notice) and o.sysid == sysid]

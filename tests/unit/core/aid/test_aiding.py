@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import pytest
-from engine_flights import StraightLine, aids, fly, settings
+from engine_flights import StraightLine, aids, fly, settings, texts, vehicle_4
 
 from gcs_coloc.core.aid.settings import AidSettings
-from gcs_coloc.core.aid_messages import GlobalPositionSensor, OtherAid, ParameterRequest, ParameterSet, ParameterValue
+from gcs_coloc.core.aid_messages import GlobalPositionSensor, OtherAid
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages import Autopilot, GpsReceiver, Heartbeat
 from gcs_coloc.core.outputs import Aid, GpsInput, Notice
-from gcs_coloc.core.words import AidWord, GpsWord, OperatorWord, PrimaryWord
-
-
-def vehicle_4(engine: Engine, now_s: float):
-    return next(v for v in engine.view(now_s).vehicles if v.sysid == 4)
+from gcs_coloc.core.words import AidWord, GpsWord, OperatorWord
 
 
 def test_aid_off_ends_the_stream_with_no_fix_and_auto_begins_it_again():
@@ -96,15 +90,6 @@ def test_the_word_on_the_aid_leaves_the_word_on_the_gps_alone():
     assert (seen.operator_word, seen.aid_word) == ("auto", "off")
 
 
-def parameters_told(engine: Engine, now_s: float, **values: float) -> None:
-    for name, value in values.items():
-        engine.receive(ParameterValue(4, now_s, name, value, 2))
-
-
-def texts(out: list, sysid: int = 4) -> list[str]:
-    return [o.text for _, o in out if isinstance(o, Notice) and o.sysid == sysid]
-
-
 def test_a_px4_is_told_by_global_position_sensor_where_it_is_on_arrival():
     engine = Engine(StraightLine(), settings())
     fly(engine, 0.0, 5.0, autopilot=Autopilot.PX4)
@@ -174,152 +159,6 @@ def test_what_feeds_another_receiver_or_another_vehicle_is_no_rival(other):
     fly(engine, 5.0, 8.0, failed=[4])
     engine.receive(other)
     assert len(aids(fly(engine, 8.0, 9.0, failed=[4]), 4)) == pytest.approx(10, abs=1)
-
-
-def standing_by(**values: float) -> tuple[Engine, StraightLine]:
-    estimator = StraightLine()
-    engine = Engine(estimator, settings(aid=AidSettings(standby=True)))
-    fly(engine, 0.0, 2.0)
-    parameters_told(engine, 2.0, **values)
-    return engine, estimator
-
-
-def test_standby_streams_a_healthy_vehicle_its_own_estimate_and_leaves_it_an_anchor():
-    engine, estimator = standing_by(GPS_AUTO_SWITCH=4.0, GPS_PRIMARY=0.0)
-    stream = aids(fly(engine, 2.0, 10.0), 4)
-    assert len(stream) == pytest.approx(80, abs=3)
-    assert {a.fix_type for _, a in stream} == {3}
-    seen = vehicle_4(engine, 10.0)
-    assert seen.gps_state == "healthy"
-    assert seen.aid.startswith("standby: sending 3D fix")
-    assert max(m.measured_at_s for m in estimator.of(PositionMeasurement, 4)) > 9.5
-    assert not engine.fleet.get(4).health.aided
-
-
-def test_standby_fails_over_without_a_gap():
-    engine, _ = standing_by(GPS_AUTO_SWITCH=4.0, GPS_PRIMARY=0.0)
-    stream = aids(fly(engine, 2.0, 10.0), 4) + aids(fly(engine, 10.0, 20.0, failed=[4]), 4)
-    assert {a.fix_type for _, a in stream} == {3}
-    times = [t for t, _ in stream]
-    assert [b - a for a, b in pairwise(times)] == pytest.approx([0.1] * (len(times) - 1), abs=1e-6)
-    assert vehicle_4(engine, 20.0).aid.startswith("sending 3D fix")
-
-
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"GPS_AUTO_SWITCH": 1.0, "GPS_PRIMARY": 0.0}, "GPS_AUTO_SWITCH=1 could leave its own receiver for ours: set it to 4"),
-        ({"GPS_AUTO_SWITCH": 4.0, "GPS_PRIMARY": 1.0}, "GPS_PRIMARY=1 is our receiver"),
-        ({"GPS_AUTO_SWITCH": 4.0}, "it has not told its GPS_AUTO_SWITCH and GPS_PRIMARY yet"),
-    ],
-)
-def test_standby_waits_for_parameters_by_which_the_vehicle_stays_with_its_own_receiver(values, words):
-    engine, _ = standing_by(**values)
-    assert not aids(fly(engine, 2.0, 10.0), 4)
-    assert words in vehicle_4(engine, 10.0).aid
-    assert len(aids(fly(engine, 10.0, 14.0, failed=[4]), 4)) > 25  # aid needs none of it
-
-
-def test_what_stands_against_standby_is_told_once_and_only_when_the_vehicle_has_told_its_parameters():
-    engine = Engine(StraightLine(), settings(aid=AidSettings(standby=True)))
-    silent = fly(engine, 0.0, 5.0)
-    parameters_told(engine, 5.0, GPS_AUTO_SWITCH=1.0, GPS_PRIMARY=0.0)
-    told = fly(engine, 5.0, 10.0)
-    assert not [o for _, o in silent if isinstance(o, Notice) and "no standby" in o.text]
-    assert len([o for _, o in told if isinstance(o, Notice) and "no standby" in o.text]) == 1
-
-
-def test_without_standby_a_healthy_vehicle_gets_nothing():
-    engine = Engine(StraightLine(), settings())
-    out = fly(engine, 0.0, 5.0)
-    assert not [o for _, o in out if isinstance(o, Aid | ParameterRequest)]
-
-
-class Switching:
-    """Vehicle 4 with GPS2_RAW heard as it is sent, a parameter that it keeps, and the fix type that its own receiver claims."""
-
-    def __init__(self, **aid) -> None:
-        self.engine = Engine(StraightLine(), settings(aid=AidSettings(**aid)))
-        self.primary = 0.0
-        self.out: list = []
-        fly(self.engine, 0.0, 5.0)
-
-    def fly(self, start_s: float, stop_s: float, failed: list[int]) -> None:
-        for step in range(round(start_s * 10), round(stop_s * 10)):
-            t = step / 10
-            for at_s, output in fly(self.engine, t, t + 0.1, failed=failed):
-                self.out.append((at_s, output))
-                if isinstance(output, GpsInput) and output.sysid == 4:
-                    place = (output.lat_deg, output.lon_deg, output.alt_msl_m)
-                    self.engine.receive(GpsReceiver(4, at_s, 1, output.fix_type, *place, 7, 1.0, 2.0, 3.0, 0.5))
-                if isinstance(output, ParameterSet):
-                    self.primary = output.value
-                if isinstance(output, ParameterSet | ParameterRequest) and output.name == "GPS_PRIMARY":
-                    self.engine.receive(ParameterValue(4, at_s, "GPS_PRIMARY", self.primary, 2))
-
-
-@pytest.mark.parametrize(("setting", "expected"), [("auto", 1.0), ("off", 0.0)])
-def test_the_primary_receiver_is_switched_by_setting_only_where_the_own_one_claims_a_fix(setting, expected):
-    flight = Switching(switch_primary=setting)
-    flight.engine.receive(OperatorWord(4, 5.0, GpsWord.FAILED))
-    flight.fly(5.0, 12.0, failed=[])  # its own receiver has a fix all the time
-    assert flight.primary == expected
-
-
-def test_a_receiver_that_is_simply_gone_is_no_cause_to_switch():
-    flight = Switching(switch_primary="auto")
-    flight.fly(5.0, 12.0, failed=[4])
-    assert flight.primary == 0.0
-
-
-def test_a_receiver_whose_fix_flickers_is():
-    flight = Switching(switch_primary="auto")
-    flight.fly(5.0, 8.0, failed=[4])
-    flight.fly(8.0, 9.0, failed=[])
-    flight.fly(9.0, 12.0, failed=[4])
-    assert flight.primary == 1.0
-
-
-def test_while_the_primary_receiver_is_ours_its_claims_are_an_echo_until_it_is_restored():
-    flight = Switching(switch_primary="auto")
-    flight.engine.receive(OperatorWord(4, 5.0, GpsWord.FAILED))
-    flight.fly(5.0, 12.0, failed=[])
-    assert vehicle_4(flight.engine, 12.0).gps_primary == "ours"
-    estimator = flight.engine.estimator._inner
-    flight.engine.receive(OperatorWord(4, 12.0, GpsWord.HEALTHY))
-    assert flight.engine.fleet.get(4).health.captive
-    flight.fly(12.0, 13.0, failed=[])
-    assert flight.primary == 0.0
-    assert "GPS_PRIMARY restored to 0" in texts(flight.out)
-    assert min(m.measured_at_s for m in estimator.of(PositionMeasurement, 4) if m.measured_at_s > 6.0) > 12.0
-
-
-def test_the_operators_word_switches_and_restores_it():
-    flight = Switching()
-    flight.fly(5.0, 8.0, failed=[4])
-    flight.engine.receive(OperatorWord(4, 8.0, PrimaryWord.OURS))
-    flight.fly(8.0, 10.0, failed=[4])
-    assert flight.primary == 1.0
-    flight.engine.receive(OperatorWord(4, 10.0, PrimaryWord.OWN))
-    flight.fly(10.0, 12.0, failed=[4])
-    assert flight.primary == 0.0
-
-
-def test_it_is_not_switched_to_a_receiver_that_is_not_seen_to_take_what_is_sent():
-    engine = Engine(StraightLine(), settings(aid=AidSettings(switch_primary="auto")))
-    engine.receive(OperatorWord(4, 0.0, GpsWord.FAILED))
-    out = fly(engine, 0.0, 10.0)  # no GPS2_RAW
-    assert not [o for _, o in out if isinstance(o, ParameterRequest) and o.name == "GPS_PRIMARY"]
-
-
-def test_the_end_of_the_service_restores_it_after_the_last_no_fix():
-    flight = Switching(switch_primary="auto")
-    flight.engine.receive(OperatorWord(4, 5.0, GpsWord.FAILED))
-    flight.fly(5.0, 12.0, failed=[])
-    last = flight.engine.close()
-    assert isinstance(last[0], GpsInput)
-    assert last[0].fix_type == 1
-    assert last[1:] == [ParameterSet(4, "GPS_PRIMARY", 0.0, 2)]
 
 
 @pytest.mark.parametrize("gps_id", [0, 1])

@@ -1,0 +1,101 @@
+"""GPS_PRIMARY in flight: when it is set to our receiver, what the claims count for meanwhile, and how it is restored."""
+
+from __future__ import annotations
+
+import pytest
+from engine_flights import StraightLine, fly, settings, texts, vehicle_4
+
+from gcs_coloc.core.aid.settings import AidSettings
+from gcs_coloc.core.aid_messages import ParameterRequest, ParameterSet, ParameterValue
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.measurements import PositionMeasurement
+from gcs_coloc.core.messages import GpsReceiver
+from gcs_coloc.core.outputs import GpsInput
+from gcs_coloc.core.words import GpsWord, OperatorWord, PrimaryWord
+
+
+class Switching:
+    """Vehicle 4 with GPS2_RAW heard as it is sent, a parameter that it keeps, and the fix type that its own receiver claims."""
+
+    def __init__(self, **aid) -> None:
+        self.engine = Engine(StraightLine(), settings(aid=AidSettings(**aid)))
+        self.primary = 0.0
+        self.out: list = []
+        fly(self.engine, 0.0, 5.0)
+
+    def fly(self, start_s: float, stop_s: float, failed: list[int]) -> None:
+        for step in range(round(start_s * 10), round(stop_s * 10)):
+            t = step / 10
+            for at_s, output in fly(self.engine, t, t + 0.1, failed=failed):
+                self.out.append((at_s, output))
+                if isinstance(output, GpsInput) and output.sysid == 4:
+                    place = (output.lat_deg, output.lon_deg, output.alt_msl_m)
+                    self.engine.receive(GpsReceiver(4, at_s, 1, output.fix_type, *place, 7, 1.0, 2.0, 3.0, 0.5))
+                if isinstance(output, ParameterSet):
+                    self.primary = output.value
+                if isinstance(output, ParameterSet | ParameterRequest) and output.name == "GPS_PRIMARY":
+                    self.engine.receive(ParameterValue(4, at_s, "GPS_PRIMARY", self.primary, 2))
+
+
+@pytest.mark.parametrize(("setting", "expected"), [("auto", 1.0), ("off", 0.0)])
+def test_the_primary_receiver_is_switched_by_setting_only_where_the_own_one_claims_a_fix(setting, expected):
+    flight = Switching(switch_primary=setting)
+    flight.engine.receive(OperatorWord(4, 5.0, GpsWord.FAILED))
+    flight.fly(5.0, 12.0, failed=[])  # its own receiver has a fix all the time
+    assert flight.primary == expected
+
+
+def test_a_receiver_that_is_simply_gone_is_no_cause_to_switch():
+    flight = Switching(switch_primary="auto")
+    flight.fly(5.0, 12.0, failed=[4])
+    assert flight.primary == 0.0
+
+
+def test_a_receiver_whose_fix_flickers_is():
+    flight = Switching(switch_primary="auto")
+    flight.fly(5.0, 8.0, failed=[4])
+    flight.fly(8.0, 9.0, failed=[])
+    flight.fly(9.0, 12.0, failed=[4])
+    assert flight.primary == 1.0
+
+
+def test_while_the_primary_receiver_is_ours_its_claims_are_an_echo_until_it_is_restored():
+    flight = Switching(switch_primary="auto")
+    flight.engine.receive(OperatorWord(4, 5.0, GpsWord.FAILED))
+    flight.fly(5.0, 12.0, failed=[])
+    assert vehicle_4(flight.engine, 12.0).gps_primary == "ours"
+    estimator = flight.engine.estimator._inner
+    flight.engine.receive(OperatorWord(4, 12.0, GpsWord.HEALTHY))
+    assert flight.engine.fleet.get(4).health.captive
+    flight.fly(12.0, 13.0, failed=[])
+    assert flight.primary == 0.0
+    assert "GPS_PRIMARY restored to 0" in texts(flight.out)
+    assert min(m.measured_at_s for m in estimator.of(PositionMeasurement, 4) if m.measured_at_s > 6.0) > 12.0
+
+
+def test_the_operators_word_switches_and_restores_it():
+    flight = Switching()
+    flight.fly(5.0, 8.0, failed=[4])
+    flight.engine.receive(OperatorWord(4, 8.0, PrimaryWord.OURS))
+    flight.fly(8.0, 10.0, failed=[4])
+    assert flight.primary == 1.0
+    flight.engine.receive(OperatorWord(4, 10.0, PrimaryWord.OWN))
+    flight.fly(10.0, 12.0, failed=[4])
+    assert flight.primary == 0.0
+
+
+def test_it_is_not_switched_to_a_receiver_that_is_not_seen_to_take_what_is_sent():
+    engine = Engine(StraightLine(), settings(aid=AidSettings(switch_primary="auto")))
+    engine.receive(OperatorWord(4, 0.0, GpsWord.FAILED))
+    out = fly(engine, 0.0, 10.0)  # no GPS2_RAW
+    assert not [o for _, o in out if isinstance(o, ParameterRequest) and o.name == "GPS_PRIMARY"]
+
+
+def test_the_end_of_the_service_restores_it_after_the_last_no_fix():
+    flight = Switching(switch_primary="auto")
+    flight.engine.receive(OperatorWord(4, 5.0, GpsWord.FAILED))
+    flight.fly(5.0, 12.0, failed=[])
+    last = flight.engine.close()
+    assert isinstance(last[0], GpsInput)
+    assert last[0].fix_type == 1
+    assert last[1:] == [ParameterSet(4, "GPS_PRIMARY", 0.0, 2)]

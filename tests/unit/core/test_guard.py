@@ -1,0 +1,104 @@
+"""An estimator that fails in flight, in whatever way, stops nothing, is told of once, and its answers are never a fix."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from engine_flights import StraightLine, aids, fly, settings
+
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.measurements import Estimate, Measurement, Residual, Unknown
+from gcs_coloc.core.outputs import Notice
+
+
+class Faulty(StraightLine):
+    """Raises, or answers with what is no position."""
+
+    name = "faulty"
+    fault = "none"
+
+    def add(self, measurement: Measurement) -> None:
+        if self.fault == "add":
+            raise ZeroDivisionError
+        super().add(measurement)
+
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
+        if self.fault == "raise":
+            raise ValueError("singular")
+        answer = super().estimate(vehicle, at_s)
+        if self.fault == "nan" and isinstance(answer, Estimate):
+            answer.position_enu_m[1] = np.nan
+        if isinstance(answer, Estimate):
+            match self.fault:
+                case "negative":
+                    answer.covariance[0, 0] = -1.0
+                case "indefinite":
+                    answer.covariance[0, 1] = answer.covariance[1, 0] = 2.0 * answer.covariance[0, 0]
+                case "forgotten return":
+                    return None  # type: ignore[return-value]
+                case "position only":
+                    return replace(answer, covariance=answer.covariance[:3, :3])
+                case "flat":
+                    return replace(answer, position_enu_m=answer.position_enu_m[:2])
+                case "list":
+                    return replace(answer, velocity_enu_mps=[0.0, 0.0, 0.0])  # type: ignore[arg-type]
+                case "no count":
+                    return replace(answer, ranges_in_use=None)  # type: ignore[arg-type]
+        return answer
+
+    def take_residuals(self) -> list[Residual]:
+        if self.fault == "residuals":
+            return None  # type: ignore[return-value]
+        empty = Residual(4, 1, 0.0, 0.0, 1.0, np.nan, 0, None)
+        return [empty] if self.fault == "empty residual" else super().take_residuals()
+
+    def counts(self) -> dict[str, int]:
+        if self.fault == "counts":
+            raise KeyError("used")
+        return dict(super().counts())
+
+
+@pytest.mark.parametrize(
+    "fault", ["raise", "nan", "negative", "indefinite", "forgotten return", "position only", "flat", "list", "no count"]
+)
+def test_a_faulty_estimator_stops_nothing_and_its_answers_are_never_a_fix(fault):
+    estimator = Faulty()
+    engine = Engine(estimator, settings())
+    fly(engine, 0.0, 5.0)
+    estimator.fault = fault
+    out = fly(engine, 5.0, 9.0, failed=[4])
+    assert len(aids(out, 4)) > 25
+    assert {a.fix_type for _, a in aids(out, 4)} == {1}
+    assert len([o for _, o in out if isinstance(o, Notice) and o.level == "error"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("residuals", "raised an exception: TypeError"),
+        ("empty residual", "a residual that is none"),
+        ("counts", "KeyError: 'used' (test_"),
+    ],
+)
+def test_a_fault_beside_the_position_is_told_with_its_place_and_costs_no_fix(fault, words):
+    estimator = Faulty()
+    engine = Engine(estimator, settings())
+    fly(engine, 0.0, 5.0)
+    estimator.fault = fault
+    out = fly(engine, 5.0, 9.0, failed=[4])
+    assert {a.fix_type for t, a in aids(out, 4) if t > 6.5} == {3}
+    assert sum(engine.view(9.0).estimator_counts.values()) >= 1
+    told = [o.text for _, o in [*out, *fly(engine, 9.0, 9.5, failed=[4])] if isinstance(o, Notice) and o.level == "error"]
+    assert len(told) == 1
+    assert words in told[0]
+
+
+def test_an_estimator_that_refuses_a_measurement_is_told_of_once():
+    estimator = Faulty()
+    estimator.fault = "add"
+    engine = Engine(estimator, settings())
+    out = fly(engine, 0.0, 5.0)
+    assert len([o for _, o in out if isinstance(o, Notice) and "ZeroDivisionError" in o.text]) == 1
+    assert engine.view(5.0).estimator_counts["raised an exception"] > 100
