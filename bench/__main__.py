@@ -18,6 +18,7 @@ from bench import (
     flood,
     garbage,
     integrity,
+    late_links,
     latency,
     live,
     memory,
@@ -50,6 +51,7 @@ _SECTIONS: dict[str, Callable[[bool], list[Figure]]] = {
     "accuracy": accuracy.measure,
     "integrity": integrity.measure,
     "returning": returning.measure,
+    "late-links": late_links.measure,
     "coverage": coverage.measure,
 }
 

@@ -14,7 +14,7 @@ from gcs_coloc.core.bound import horizontal_bound_95_m
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, FloatArray
-from gcs_coloc.core.messages import GlobalPosition, GpsReceiver, Inbound, PeerRange, TimeBase
+from gcs_coloc.core.messages import FromVehicle, GlobalPosition, GpsReceiver, PeerRange, TimeBase
 from gcs_coloc.core.words import ClockReference
 from gcs_coloc.estimators.registry import load_estimator
 
@@ -108,7 +108,7 @@ class Flight:
         towards = rng.uniform(0, 2 * pi)
         self.away = np.array((cos(towards), sin(towards), 0.0))
 
-    def messages(self, t: float) -> Iterator[Inbound]:
+    def messages(self, t: float) -> Iterator[FromVehicle]:
         """Yield what all vehicles say at one step."""
         s, rng = self.scenario, self._rng
         keep, white_m = exp(-STEP_S / s.gps_time_s), s.gps_sigma_m * sqrt(s.gps_white_share)
