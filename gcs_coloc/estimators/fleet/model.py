@@ -161,7 +161,8 @@ class FleetModel:
         slow_m = self.settings.range_slow_share * white.split(0, sigma_m, self.settings.least_slow_share)[1]
         if m.clock_of in ends:
             restate_clock(cluster, m.clock_of, stamp_sigma_s(m, self.settings))
-        verdict = take_range(cluster, pair, m, sigma_m, slow_m)
+        # A device that is clearly seen to scatter more than it states is believed no more than that.
+        verdict = take_range(cluster, pair, m, max(sigma_m, white.proven_m(0)), slow_m)
         for subject, other, _ in subjects:
             account(cluster, subject, other, verdict, m)
         return verdict

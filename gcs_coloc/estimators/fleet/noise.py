@@ -96,5 +96,11 @@ class Whiteness:
         slow_m2 = max(sigma_m * sigma_m - likely_m2, (least_slow_share * sigma_m) ** 2)
         return math.sqrt(max(most_m2, (0.05 * sigma_m) ** 2)), math.sqrt(slow_m2)
 
+    def proven_m(self, group: int) -> float:
+        """Return by how much one group is seen to scatter at the least (1-sigma in metres, less two standard errors)."""
+        sum_m2, weight = self._seen[group] if self._seen else _NOTHING_SEEN
+        error = math.sqrt(2.0 * _OVERLAP / max(weight, 1.0))
+        return math.sqrt(max(sum_m2, 0.0) / ((weight + _PROOF_SAMPLES) * (1.0 + 2.0 * error)))
+
 
 NOTHING_HEARD = Whiteness()

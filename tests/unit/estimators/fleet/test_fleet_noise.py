@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gcs_coloc.estimators.fleet.noise import Whiteness
+from gcs_coloc.estimators.fleet.noise import NOTHING_HEARD, Whiteness
 
 
 def stream(white_m: float, slow_m: float, hz: float, seconds: float, seed: int, accel_mps2: float = 0.0) -> Whiteness:
@@ -66,3 +66,10 @@ def test_groups_of_one_stream_are_told_apart_as_streams_of_their_own():
         fine = fine.heard(0.1 * k, ((u,),), (1.0,))
     assert both.split(0, 3.0, 0.1) == rough.split(0, 3.0, 0.1)
     assert both.split(1, 1.0, 0.1) == fine.split(0, 1.0, 0.1)
+
+
+def test_a_scatter_is_proven_by_many_reports_and_never_more_than_there_is():
+    assert NOTHING_HEARD.proven_m(0) == 0.0
+    assert 0.75 < stream(1.0, 0.0, 10.0, 120.0, seed=4).proven_m(0) < 1.0
+    assert max(stream(1.0, 0.0, 10.0, 2.0, seed).proven_m(0) for seed in range(20)) < 1.0
+    assert stream(0.02, 3.0, 10.0, 120.0, seed=2).proven_m(0) < 0.4
