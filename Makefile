@@ -37,10 +37,12 @@ lint: .venv/.ready-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# A few minutes; BENCH= takes longer and measures more finely, BENCH="--quick accuracy" another section, BENCH=all everything, for hours.
+BENCH ?= --quick
 # What the service is measured beside, and with, has no build for every machine: the table says what is not installed.
 bench: .venv/.ready-dev
 	@$(BIN)/python -m pip install --quiet -e '.[bench]' || echo "the extra bench cannot be installed here whole"
-	$(BIN)/python -m bench
+	$(BIN)/python -m bench $(BENCH)
 
 # Fuzzes the codec and the signatures, guided by coverage; an input that does harm is kept among the regression cases. So many runs are
 # more than 10^7 bytes. atheris has no build for every machine: where it cannot be had, that is said.
