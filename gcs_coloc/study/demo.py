@@ -25,6 +25,7 @@ from gcs_coloc.core.errors import GcsColocError
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, fly
 from gcs_coloc.study.demo_picture import draw
+from sitl_fakes.errors import FakesError
 from sitl_fakes.scenario import Scenario, load_scenario
 
 LIVE_S = 90.0
@@ -207,5 +208,6 @@ def _free_port() -> int:
 if __name__ == "__main__":
     try:
         typer.run(main)
-    except GcsColocError as error:
-        sys.exit(f"demo: error: {error}")
+    except (GcsColocError, FakesError) as error:
+        print(f"demo: error: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
