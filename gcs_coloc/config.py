@@ -5,9 +5,12 @@ Flags win over the environment (`GCS_COLOC_...`, nested keys joined by two under
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import tomllib
 from collections.abc import Mapping
+from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -73,6 +76,11 @@ class Settings(BaseSettings):
             request_streams=self.fleet.request_streams,
             most_vehicles=self.fleet.most_vehicles,
         )
+
+    def fingerprint(self) -> str:
+        """A few digits that stand for all that the engine's answers depend on: the estimator, its settings and `engine`."""
+        all_of_it = {"estimator": self.estimator.model_dump(), "engine": asdict(self.engine())}
+        return hashlib.sha256(json.dumps(all_of_it, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
 def read_table(path: Path) -> dict[str, Any]:

@@ -33,6 +33,7 @@ from gcs_coloc.mavlink.framing import RawFrame
 from gcs_coloc.mavlink.signing import Stamp
 from gcs_coloc.mavlink.truth import TRUTH_IDS, HeardTruth, truth_of
 from gcs_coloc.recorder.flight import FlightRecording
+from gcs_coloc.recorder.notes import FlownWith
 from gcs_coloc.sinks.hub import Hub
 from gcs_coloc.sinks.lulls import Lulls
 
@@ -96,6 +97,7 @@ class FleetService:
         self._hands_on = bool(settings.record.directory or settings.out)
         self._deadline = Deadline(clock, self._poll)
         self._engine_at_s = clock()
+        self._recording.told(FlownWith(settings.fingerprint(), self._engine_at_s))
         self._is_ending = False
         self._words = [
             *((sysid, GpsWord.FAILED) for sysid in settings.fleet.failed),

@@ -24,12 +24,10 @@ from gcs_coloc.web.story import Story
 class ReplayService:
     """Serves one recording. `run` lasts until a signal."""
 
-    def __init__(
-        self, file: Path, settings: Settings, ranges: Path | None, truth: Path | None, speed: float, *, as_flown: bool = True
-    ) -> None:
+    def __init__(self, file: Path, settings: Settings, ranges: Path | None, truth: Path | None, speed: float) -> None:
         """Read what there is beside the recording, and its beginning and end.
 
-        `speed` in recorded seconds a second, `as_flown` as `Replay`.
+        `speed` in recorded seconds a second.
 
         Raises:
             DataError: a file cannot be read or is not what it should be.
@@ -41,7 +39,7 @@ class ReplayService:
 
         def begin(on_poll: OnPoll) -> Replay:
             engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
-            return Replay(engine, TlogReader(file), told, on_poll, own, as_flown=as_flown)
+            return Replay(engine, TlogReader(file), told, on_poll, own, settings.fingerprint())
 
         story = Story()
         self._playback = Playback(begin, Playhead(*TlogReader(file).span(), speed), story)

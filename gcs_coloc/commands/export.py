@@ -26,7 +26,7 @@ def export(
 ) -> None:
     """Write a recorded flight as CSV, GeoJSON and KML."""
     settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {}, fleet)
-    story = retell(file, settings, ranges, None, as_flown=estimator is None)
+    story = retell(file, settings, ranges, None)
     warn_of_damage(file, story.damage)
     base = (out if out is not None else file.parent) / file.stem
     try:

@@ -55,7 +55,7 @@ def replay(
     flags: dict[str, Any] = {"estimator": {"name": estimator}} if estimator is not None else {}
     if web is not None:
         settings = load_settings(config, flags | ({"web": {"address": web}} if web else {}), fleet)
-        _show(file, settings, ranges, truth, factor, as_flown=estimator is None)
+        _show(file, settings, ranges, truth, factor)
         return
     settings = load_settings(config, flags, fleet)
     engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
@@ -63,7 +63,7 @@ def replay(
     report = FlightReport(engine, read_truth(truth) if truth is not None else [])
     told = read_ranges(ranges) if ranges is not None else []
     own = (settings.mavlink.system_id, settings.mavlink.component_id)
-    through = driver.Replay(engine, log, told, report.polled, own, as_flown=estimator is None)
+    through = driver.Replay(engine, log, told, report.polled, own, settings.fingerprint())
     counts = driver.replay(through, report.observation_times(), report.observe, _pace(factor))
     result: dict[str, Any] = {
         "file": str(file),
@@ -89,11 +89,11 @@ def warn_of_damage(file: Path, damage: Mapping[str, int]) -> None:
         print(f"gcs-coloc: warning: {file}: {kind.replace('_', ' ')}: {amount}; replayed what is whole", file=sys.stderr)
 
 
-def _show(file: Path, settings: Settings, ranges: Path | None, truth: Path | None, factor: float, *, as_flown: bool) -> None:
+def _show(file: Path, settings: Settings, ranges: Path | None, truth: Path | None, factor: float) -> None:
     # Here, because a replay without the page is to start without its packages.
     from gcs_coloc.replay_service import ReplayService
 
-    service = ReplayService(file, settings, ranges, truth, factor, as_flown=as_flown)
+    service = ReplayService(file, settings, ranges, truth, factor)
     asyncio.run(service.run())
     warn_of_damage(file, service.log.counts)
 

@@ -29,7 +29,7 @@ def report(
 ) -> None:
     """Write one self-contained HTML page of a recorded flight."""
     settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {}, fleet)
-    story = retell(file, settings, ranges, truth, as_flown=estimator is None)
+    story = retell(file, settings, ranges, truth)
     warn_of_damage(file, story.damage)
     path = out if out is not None else file.with_suffix(".html")
     try:

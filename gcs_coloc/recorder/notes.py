@@ -1,9 +1,8 @@
 """What the engine was told besides the vehicles' frames, kept in the tlog so that a replay tells it the same.
 
 The operator's words, what is known of the routes, the host's UTC, whom somebody else's GPS_INPUT reaches and ranges from
-gateways reach the engine by no frame, and that the service was held up shows in none. Each is written as a TUNNEL frame (385)
-of our own, with a private payload type and JSON
-inside; other programs pass over it.
+gateways reach the engine by no frame, and neither that the service was held up nor what it was set to shows in one. Each is
+written as a TUNNEL frame (385) of our own, with a private payload type and JSON inside; other programs pass over it.
 """
 
 from __future__ import annotations
@@ -39,7 +38,15 @@ class GroundTool:
     received_at_s: float
 
 
-Note = ClockReference | OperatorWord | RouteReport | PeerRange | HeldUp | GroundTool | OtherAid
+@dataclass(frozen=True, slots=True)
+class FlownWith:
+    """What the engine was set to in the flight, as `Settings.fingerprint`."""
+
+    fingerprint: str
+    received_at_s: float
+
+
+Note = FlownWith | ClockReference | OperatorWord | RouteReport | PeerRange | HeldUp | GroundTool | OtherAid
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +106,8 @@ def read_note(frame: bytes, at_s: float, own: tuple[int, int]) -> ReadNote | Non
 def _content(note: Note) -> dict[str, Any]:
     if isinstance(note, ClockReference):
         return {"utc": note.utc_minus_service_s, "sync": note.synchronised}
+    if isinstance(note, FlownWith):
+        return {"settings": note.fingerprint}
     if isinstance(note, GroundTool):
         return {"ground": [note.sysid, note.compid]}
     if isinstance(note, PeerRange):
@@ -124,6 +133,8 @@ def _note(content: dict[str, Any], at_s: float) -> Note | None:
         return ClockReference(at_s, float(utc) if utc is not None else None, bool(sync) if sync is not None else None)
     if "held" in content:
         return HeldUp(at_s, float(content["held"]))
+    if "settings" in content:
+        return FlownWith(str(content["settings"]), at_s)
     if "ground" in content:
         sysid, compid = content["ground"]
         return GroundTool(int(sysid), int(compid), at_s)

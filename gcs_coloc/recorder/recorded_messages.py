@@ -16,7 +16,7 @@ from gcs_coloc.core.words import ClockReference, OffAir, OperatorWord, RouteRepo
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.framing import RawFrame, sender_of
 from gcs_coloc.mavlink.truth import HeardTruth, truth_of
-from gcs_coloc.recorder.notes import GroundTool, ReadNote, read_note
+from gcs_coloc.recorder.notes import FlownWith, GroundTool, ReadNote, read_note
 from gcs_coloc.recorder.tlog import TlogReader, TlogRecord
 
 _LONGEST_GAP_S = 600.0
@@ -44,10 +44,10 @@ class RecordedMessages:
         log: the recording's frames, in order.
         ranges: ranges that the frames do not carry, in order of time.
         own: the system and component id of the service that recorded: what it sent itself is passed over.
-        as_flown: as `Replay`.
+        flown_with: as `Replay`.
     """
 
-    def __init__(self, log: TlogReader, ranges: Sequence[PeerRange], own: tuple[int, int], *, as_flown: bool) -> None:
+    def __init__(self, log: TlogReader, ranges: Sequence[PeerRange], own: tuple[int, int], flown_with: str | None) -> None:
         self.log = log
         self.decoder = Decoder(own_sysid=own[0], own_compid=own[1])
         self.counts = ReplayCounts(wire=self.decoder.counts)
@@ -55,7 +55,8 @@ class RecordedMessages:
         self._records: Iterator[TlogRecord] = iter(log)
         self._ranges = ranges
         self._own = own
-        self._as_flown = as_flown
+        self._flown_with = flown_with
+        self._was_flown_otherwise = False
         self._latest_s = float("-inf")
         self._routes: dict[int, str | None] = {}
         self._words: set[tuple[int, type]] = set()
@@ -86,6 +87,10 @@ class RecordedMessages:
             if record is None:
                 break
             self._take(record)
+        if self._was_flown_otherwise and self._of_record:
+            # Not before the first message of the flight, which sets the grid of the deadlines.
+            self._was_flown_otherwise = False
+            self._of_record.appendleft(OffAir(self._of_record[0].received_at_s))
         if self._ranges_taken < len(self._ranges):
             told = self._ranges[self._ranges_taken]
             if not self._of_record or told.received_at_s < self._of_record[0].received_at_s:
@@ -100,11 +105,9 @@ class RecordedMessages:
         noted = read_note(record.frame, at_s, self._own)
         if counts.records == 0:
             counts.first_s = at_s
-            if noted is None or not self._as_flown:
-                found.append(OffAir(at_s))
             if noted is None:
                 # Another program's recording: its clock is all that is known of UTC, and every vehicle is taken as reached.
-                found.append(ClockReference(at_s, 0.0))
+                found += OffAir(at_s), ClockReference(at_s, 0.0)
         elif at_s > gap_ends_s:
             found.append(HeldUp(at_s, gap_ends_s))
         counts.records += 1
@@ -132,6 +135,8 @@ class RecordedMessages:
             self._words.add((note.sysid, type(note.word)))
             if is_news:
                 self._of_record.append(note)
+        elif isinstance(note, FlownWith):
+            self._was_flown_otherwise = self._flown_with not in (None, note.fingerprint)
         elif isinstance(note, GroundTool):
             self._ground_tools.add((note.sysid, note.compid))
         elif note is not None:

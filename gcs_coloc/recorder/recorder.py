@@ -15,7 +15,7 @@ from gcs_coloc.core.errors import RecordError
 from gcs_coloc.core.words import OperatorWord, RouteReport
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.recorder.journal import Entry
-from gcs_coloc.recorder.notes import GroundTool, Note, NoteWriter
+from gcs_coloc.recorder.notes import FlownWith, GroundTool, Note, NoteWriter
 from gcs_coloc.recorder.part import Part
 from gcs_coloc.recorder.tlog_writer import tlog_record
 
@@ -264,6 +264,8 @@ def _standing_as(note: Note) -> tuple[object, ...] | None:
             return RouteReport, note.sysid
         case GroundTool():
             return GroundTool, note.sysid, note.compid
+        case FlownWith():
+            return (FlownWith,)
         case _:
             return None
 

@@ -36,8 +36,7 @@ class Replay:
         ranges: Sequence[PeerRange],
         on_poll: Callable[[float, list[Outbound]], None],
         own: tuple[int, int] = (OWN_SYSID, OWN_COMPID),
-        *,
-        as_flown: bool = True,
+        flown_with: str | None = None,
     ) -> None:
         """Read up to the first message.
 
@@ -47,15 +46,15 @@ class Replay:
             ranges: ranges that the frames do not carry, in order of time.
             on_poll: takes the service time (UNIX s) and the engine's outputs of each of its deadlines.
             own: the system and component id of the service that recorded: what it sent itself is passed over.
-            as_flown: the engine is the one of the flight. Else, as with another program's recording, what it sends was never on
-                the air, and how vehicles take it is not judged.
+            flown_with: what the engine is set to, as `Settings.fingerprint`. Where the recording names something else, and in
+                another program's, what the engine sends was never on the air, and how vehicles take it is not judged.
 
         Raises:
             DataError: the recording cannot be read or is none.
         """
         self.engine = engine
         self._on_poll = on_poll
-        self._messages = RecordedMessages(log, ranges, own, as_flown=as_flown)
+        self._messages = RecordedMessages(log, ranges, own, flown_with)
         self.now_s = float("-inf")
         self._next = self._messages.next()
 

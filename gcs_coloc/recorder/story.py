@@ -44,15 +44,14 @@ class Story:
     frame: LocalFrame | None = None
 
 
-def retell(file: Path, settings: Settings, ranges: Path | None, truth: Path | None, *, as_flown: bool = True) -> Story:
+def retell(file: Path, settings: Settings, ranges: Path | None, truth: Path | None) -> Story:
     """Replay a recording and keep what there is to tell.
 
     Args:
         file: the tlog.
-        settings: those of the flight.
+        settings: those of the flight, or others.
         ranges: a table of ranges beside the recording, or None.
         truth: a table of true positions, or None.
-        as_flown: as `Replay`.
 
     Raises:
         DataError: a file cannot be read or is not what it should be.
@@ -78,7 +77,7 @@ def retell(file: Path, settings: Settings, ranges: Path | None, truth: Path | No
 
     own = (settings.mavlink.system_id, settings.mavlink.component_id)
     told = read_ranges(ranges) if ranges is not None else []
-    through = Replay(engine, log, told, on_poll, own, as_flown=as_flown)
+    through = Replay(engine, log, told, on_poll, own, settings.fingerprint())
     story.counts = replay(through, report.observation_times(), report.observe)
     story.frame = engine.feed.frame
     return story

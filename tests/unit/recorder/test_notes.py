@@ -7,7 +7,7 @@ from gcs_coloc.core.advance import HeldUp
 from gcs_coloc.core.aid_messages import OtherAid
 from gcs_coloc.core.messages import PeerRange, TimeBase
 from gcs_coloc.core.words import AidWord, ClockReference, GpsWord, OperatorWord, PrimaryWord, RouteReport
-from gcs_coloc.recorder.notes import PAYLOAD_TYPE, GroundTool, NoteWriter, read_note
+from gcs_coloc.recorder.notes import PAYLOAD_TYPE, FlownWith, GroundTool, NoteWriter, read_note
 
 AT_S = 1_795_216_162.424732
 OWN = (254, 191)
@@ -29,6 +29,7 @@ OWN = (254, 191)
         RouteReport(250, AT_S, "vehicles 1 and 4 are heard from one address"),
         PeerRange(255, AT_S, 254, 1234.5678901234567, 0.12345678901234568, AT_S - 0.1, TimeBase.SERVICE, 4_294_967_295, 0.1, 255),
         GroundTool(255, 190, AT_S),
+        FlownWith("0123456789abcdef", AT_S),
         PeerRange(4, AT_S, 1, 0.1, None, None, TimeBase.UNIX, None, None, 0),
     ],
 )

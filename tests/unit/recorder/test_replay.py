@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from gcs_coloc.config import Settings
 from gcs_coloc.core.advance import CATCH_UP_S, advance, was_held_up
 from gcs_coloc.core.aid.settings import AidSettings
 from gcs_coloc.core.aid_messages import ExternalPosition
@@ -21,7 +22,7 @@ from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 from gcs_coloc.recorder.flight_report import FlightReport
-from gcs_coloc.recorder.notes import NoteWriter
+from gcs_coloc.recorder.notes import FlownWith, NoteWriter
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.side_tables import TruthPoint, read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
@@ -105,18 +106,40 @@ def test_positions_that_go_by_another_way_are_counted_as_such(recorded):
     assert (lost["gps_input"], lost["global_positions"]) == ({"fix": 0, "no_fix": 0}, 0)
 
 
-def test_only_in_our_own_recording_as_it_was_flown_is_it_judged_whether_our_stream_is_taken(recorded, tmp_path):
-    """Vehicle 4 is located, and its GPS2 says nothing of it: as nothing was sent in the flight of another program."""
-    path, ours = recorded[0], tmp_path / "ours.tlog"
-    ours.write_bytes(
-        tlog_record(EPOCH_S, NoteWriter(OWN_SYSID, OWN_COMPID).pack(ClockReference(EPOCH_S, 0.0))) + path.read_bytes()
-    )
-    alarms = [
-        {text for text in told if "not taken" in text} for told in (told_of(ours), told_of(ours, as_flown=False), told_of(path))
-    ]
-    assert all("GPS_INPUT is not taken" in text for text in alarms[0])
-    assert [len(texts) for texts in alarms] == [1, 0, 0]
+def test_whether_our_stream_is_taken_is_judged_only_where_what_is_computed_was_sent(recorded, tmp_path):
+    """Vehicle 4 is located, and its GPS2 says nothing of it: as nothing was sent by another program, nor with other settings."""
+    path, ours, writer = recorded[0], tmp_path / "ours.tlog", NoteWriter(OWN_SYSID, OWN_COMPID)
+    flown_with = Settings().fingerprint()
+    notes = (FlownWith(flown_with, EPOCH_S - 0.03), ClockReference(EPOCH_S, 0.0))
+    ours.write_bytes(b"".join(tlog_record(note.received_at_s, writer.pack(note)) for note in notes) + path.read_bytes())
+    other = Settings.model_validate({"estimator": {"name": "qu_zhang"}}).fingerprint()
+
+    def alarms(file: Path, settings: str) -> set[str]:
+        return {text for text in told_of(file, flown_with=settings) if "not taken" in text}
+
+    def deadlines(settings: str) -> list[float]:
+        times: list[float] = []
+        replay(
+            Replay(
+                Engine(load_estimator("fleet", {})), TlogReader(ours), [], lambda at_s, _: times.append(at_s), flown_with=settings
+            )
+        )
+        return times
+
+    [alarm] = alarms(ours, flown_with)
+    assert "GPS_INPUT is not taken" in alarm
+    assert alarms(ours, other) == alarms(path, flown_with) == set()
+    assert deadlines(other) == deadlines(flown_with)  # what is asked of the vehicles by its time, as TIMESYNC, is answered alike
     assert "located: sending positions" in told_of(path)
+
+
+@pytest.mark.parametrize(
+    "section",
+    [{"estimator": {"settings": {"a": 1}}}, {"aid": {"lag_s": 0.1}}, {"health": {"silence_s": 4.0}}, {"feed": {"oldest_s": 4}}],
+)
+def test_the_fingerprint_of_settings_is_another_where_the_engine_would_answer_otherwise(section):
+    assert Settings.model_validate(section).fingerprint() != Settings().fingerprint()
+    assert Settings.model_validate({"links": ["14550"], "web": {"on": False}}).fingerprint() == Settings().fingerprint()
 
 
 def test_a_recording_cut_off_in_a_frame_replays_to_its_last_whole_message_and_says_so(recorded, tmp_path):
