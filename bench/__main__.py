@@ -66,7 +66,7 @@ _SECTIONS = _SPEED | _STUDIES
 
 def main() -> None:
     """Run the sections that are asked for, those of speed by default."""
-    parser = argparse.ArgumentParser(prog="bench", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
     parser.add_argument(
         "sections",
         nargs="*",
@@ -74,7 +74,7 @@ def main() -> None:
         help=f"speed (the default): {', '.join(_SPEED)}; studies: {', '.join(_STUDIES)}; or all",
     )
     parser.add_argument("--quick", action="store_true", help="shorter runs")
-    parser.add_argument("--json", type=Path, help="write the figures to a file")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures to a file")
     arguments = parser.parse_args()
     for section in arguments.sections:
         if section not in (*_SECTIONS, "all"):

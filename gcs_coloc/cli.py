@@ -51,10 +51,12 @@ def main() -> None:
     one_thread()
     open_all()
     try:
-        status = app(standalone_mode=False)
+        status = app(prog_name=PROGRAM, standalone_mode=False)
         sys.stdout.flush()
     except _BadCommandLine as error:
-        _fail(f"{error.format_message().replace('Value error, ', '')} (see {PROGRAM} --help)", UsageError.exit_code)  # type: ignore[attr-defined]
+        context = getattr(error, "ctx", None)
+        command = context.command_path if context is not None else PROGRAM
+        _fail(f"{error.format_message().replace('Value error, ', '')} (see {command} --help)", UsageError.exit_code)  # type: ignore[attr-defined]
     except GcsColocError as error:
         _fail(str(error), error.exit_code)
     except (typer.Abort, KeyboardInterrupt):
@@ -157,7 +159,7 @@ def run(
 
 
 @app.command("check-config")
-def check_config(file: Annotated[Path, typer.Argument(help="The configuration file (TOML).")]) -> None:
+def check_config(file: Annotated[Path, typer.Argument(help="The configuration file (TOML).", metavar="FILE")]) -> None:
     """Check a configuration file, fleet by fleet: keys, values, links, estimator, and every file that it names."""
     from gcs_coloc.estimators.registry import load_estimator
     from gcs_coloc.fleets import load_fleets

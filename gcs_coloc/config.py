@@ -39,6 +39,12 @@ from gcs_coloc.core.errors import ConfigError
 _ENVIRONMENT = "GCS_COLOC_"
 _LEVEL = "__"
 _VALUE_ERROR = "Value error, "
+_FLAGS = {
+    ("fleet", "failed"): "--failed",
+    ("fleet", "healthy"): "--healthy",
+    ("web", "address"): "--web",
+}
+"""The flags that a wrong value may have come from, by the setting."""
 
 
 class Settings(BaseSettings):
@@ -128,19 +134,31 @@ def settings_of(table: Mapping[str, Any], flags: Mapping[str, Any], source: str)
             f"environment variable {_ENVIRONMENT}...: {error}; lists and tables are JSON, as '[\"14550\"]'"
         ) from None
     except ValidationError as error:
-        problems = [(_variable_of(e, flags) or source, _problem(e)) for e in error.errors()]
+        problems = [_flag_problem(e, flags) or (_variable_of(e, flags) or source, _problem(e)) for e in error.errors()]
         by_source = groupby(problems, key=lambda problem: problem[0])
         raise ConfigError("; ".join(f"{where}: {'; '.join(text for _, text in found)}" for where, found in by_source)) from None
+
+
+def _flag_problem(error: Any, flags: Mapping[str, Any]) -> tuple[str, str] | None:
+    """The flag that a wrong value came from, and what is wrong with it; None where it came from elsewhere."""
+    setting = next((each for each in _FLAGS if each == error["loc"][: len(each)]), None)
+    if setting is None or not _set_by_flag(setting, flags):
+        return None
+    return _FLAGS[setting], _problem(error).removeprefix(".".join(str(part) for part in error["loc"]) + ": ")
+
+
+def _set_by_flag(setting: tuple[Any, ...], flags: Mapping[str, Any]) -> bool:
+    value: Any = flags
+    for key in setting:
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return value is not None
 
 
 def _variable_of(error: Any, flags: Mapping[str, Any]) -> str | None:
     """The environment variable that a setting has its value from, None where it comes from a flag, the file or nowhere."""
     # A section that is checked as a whole names its setting by the first word of the text.
     place = (*error["loc"], *error["msg"].removeprefix(_VALUE_ERROR).split()[:1])
-    set_by_flag: Any = flags
-    for key in error["loc"]:
-        set_by_flag = set_by_flag.get(key) if isinstance(set_by_flag, Mapping) else None
-    if set_by_flag is not None:
+    if _set_by_flag(error["loc"], flags):
         return None
     names = {name.upper(): name for name in os.environ}
     wanted = (_ENVIRONMENT + _LEVEL.join(str(key) for key in place[:depth]).upper() for depth in range(len(place), 0, -1))

@@ -151,5 +151,11 @@ def test_a_wrong_value_from_the_environment_is_not_blamed_on_the_file(tmp_path, 
 
 def test_a_wrong_flag_is_not_blamed_on_the_environment(monkeypatch):
     monkeypatch.setenv("GCS_COLOC_WEB__ADDRESS", "127.0.0.1:8080")
-    with pytest.raises(ConfigError, match=r"settings: web\.address: 99 is not HOST:PORT"):
+    with pytest.raises(ConfigError, match=r"^--web: 99 is not HOST:PORT"):
         load_settings(None, {"web": {"address": "99"}})
+
+
+@pytest.mark.parametrize("flag", ["failed", "healthy"])
+def test_a_wrong_value_of_a_flag_is_told_with_the_flag(flag: str) -> None:
+    with pytest.raises(ConfigError, match=f"^--{flag}: 300 is not a MAVLink system id"):
+        load_settings(None, {"fleet": {flag: [300]}})
