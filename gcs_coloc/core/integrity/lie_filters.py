@@ -161,7 +161,7 @@ class LieFilters:
             grown = rate_mps * (now_s - self.at_s) / size_m if size_m != 0.0 else 0.0
             ahead = min(max(1.0 + grown, 1.0), _FURTHEST_AHEAD)
             e, n = (e - east) * ahead, (n - north) * ahead
-            ee, en, nn = _positive_part(ee, en, nn)
+            ee, en, nn = positive_part(ee, en, nn)
             out.append(Hypothesis(liar, chance, (ee + e * e, en + e * n, nn + n * n)))
         return out
 
@@ -265,7 +265,7 @@ def _normalised(log_chance: list[float]) -> list[float]:
     return [one - total for one in log_chance]
 
 
-def _positive_part(ee: float, en: float, nn: float) -> tuple[float, float, float]:
+def positive_part(ee: float, en: float, nn: float) -> tuple[float, float, float]:
     """Return a symmetric (2, 2) matrix without what is negative of its eigenvalues."""
     mean, half = 0.5 * (ee + nn), hypot(0.5 * (ee - nn), en)
     if mean >= half:

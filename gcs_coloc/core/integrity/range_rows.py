@@ -7,7 +7,7 @@ that is what is stated or what is seen to scatter, whichever is more.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass, field
 from math import dist, sqrt
 from statistics import median
@@ -126,12 +126,10 @@ class RangeRows:
         held = {vehicle: self._tracks[vehicle].at(middle_s) for vehicle in {v for pair in self._samples for v in pair}}
         places: dict[int, Place] = {}
         rows: list[Row] = []
-        device, in_use = -1, 0
+        per_device: Counter[int] = Counter()
         for (i, j), kept in sorted(self._samples.items()):
-            if i != device:
-                device, in_use = i, 0
             a, b = held[i], held[j]
-            if a is None or b is None or in_use >= _PEERS_PER_DEVICE:
+            if a is None or b is None or per_device[i] >= _PEERS_PER_DEVICE:
                 continue
             recent = [sample for sample in kept if sample[0] > from_s]
             samples = recent if len(recent) >= s.enough_ranges else kept
@@ -139,7 +137,7 @@ class RangeRows:
                 continue
             places[i], places[j] = a, b
             rows.append(self._row(i, j, samples))
-            in_use += 1
+            per_device[i] += 1
         return Scene(middle_s, places, tuple(rows))
 
     def _row(self, i: int, j: int, samples: list[_Sample]) -> Row:

@@ -7,7 +7,7 @@ from math import cos, exp, pi, sin
 import numpy as np
 import pytest
 
-from gcs_coloc.core.integrity.lie_filters import LieFilters, Line
+from gcs_coloc.core.integrity.lie_filters import LieFilters, Line, positive_part
 
 STEP_S = 0.2
 CLAIM_M, NOISE_M, WANDER_S = 1.5, 1.0, 60.0
@@ -148,3 +148,15 @@ def test_a_place_that_jumps_is_found_again_and_nobody_is_accused_for_it():
     shift = {peer: 60.0 * unit[0] for peer, unit in lines.units.items()}
     list(flown(filters, lines, 20.0, 40.0, offset_m=shift))
     assert sum(chances(filters).values()) < 0.3
+
+
+@pytest.mark.parametrize("shift", [3.0, 0.0, -3.0], ids=["positive", "of either sign", "negative"])
+def test_the_positive_part_of_a_matrix_is_that_of_its_eigenvalues(shift):
+    rng = np.random.default_rng(11)
+    for _ in range(50):
+        half = rng.normal(size=(2, 2))
+        matrix = half + half.T + shift * np.eye(2)
+        values, axes = np.linalg.eigh(matrix)
+        ee, en, nn = positive_part(matrix[0, 0], matrix[0, 1], matrix[1, 1])
+        np.testing.assert_allclose([[ee, en], [en, nn]], axes * np.maximum(values, 0.0) @ axes.T, atol=1e-12)
+    assert positive_part(shift, 0.0, shift) == (max(shift, 0.0), 0.0, max(shift, 0.0))

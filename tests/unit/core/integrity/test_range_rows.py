@@ -38,3 +38,20 @@ def test_few_ranges_make_a_row_of_a_longer_time_and_too_few_none():
     # Every 0.5 s: two in the last second, three in the last 1.4 s.
     assert len(rows_of([APART_M] * 6, every_s=0.5)) == 1
     assert rows_of([APART_M] * 6, every_s=0.9) == ()
+
+
+def test_between_two_reports_a_place_is_the_nearer_one_carried_on_by_its_velocity():
+    """One flies at 20 m/s by its first report and at 10 m/s by its second, a second later; the other one stands."""
+    rows = RangeRows()
+    for t, east_m, ve_mps in ((0.0, 0.0, 20.0), (1.0, 20.0, 10.0)):
+        rows.place(1, Track(t, (east_m, 0.0, 100.0), (ve_mps, 0.0, 0.0), 1.5, 2.0, free=False))
+        rows.place(2, Track(t, (-APART_M, 0.0, 100.0), (0.0, 0.0, 0.0), 1.5, 2.0, free=False))
+    for t, east_m in ((0.3, 6.0), (0.5, 10.0), (0.7, 17.0), (1.2, 22.0), (1.59, 25.9)):
+        rows.range(RangeMeasurement(1, 2, t, t, APART_M + east_m + 2.0, 1.0))
+    rows.range(RangeMeasurement(1, 2, 1.61, 1.61, APART_M, 1.0))  # too long after the last report for a place
+    scene = rows.scene(1.85)
+    assert scene.places[1].position_enu_m == pytest.approx((21.5, 0.0, 100.0))
+    (row,) = scene.rows
+    assert row.residual_m == pytest.approx(2.0, abs=1e-9)
+    # All five agree to the last bit, so the noise is what is stated.
+    assert row.sigma_m == pytest.approx(np.sqrt(1.57 / 5 + 0.1), rel=1e-6)
