@@ -9,8 +9,9 @@ from pathlib import Path
 
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages import PeerRange, TimeBase
+from gcs_coloc.mavlink.checks import RANGE_MAX_M
 from gcs_coloc.mavlink.truth import HeardTruth
-from gcs_coloc.recorder.tables import read_table
+from gcs_coloc.recorder.tables import Row, read_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,7 @@ def read_ranges(path: Path) -> list[PeerRange]:
             sysid=row.integer("from_sysid", 1, 255),
             received_at_s=measured_at_s,
             peer_sysid=row.integer("to_sysid", 1, 255),
-            range_m=row.positive("range_m"),
+            range_m=_range_m(row),
             sigma_m=None if row.is_empty("sigma_m") else row.positive("sigma_m"),
             measured_at_s=measured_at_s,
             time_base=TimeBase.SERVICE,
@@ -71,6 +72,13 @@ def read_ranges(path: Path) -> list[PeerRange]:
     return sorted(ranges, key=lambda r: r.received_at_s)
 
 
+def _range_m(row: Row) -> float:
+    range_m = row.positive("range_m")
+    if range_m > RANGE_MAX_M:
+        raise row.error("range_m", f"{range_m:g} is beyond {RANGE_MAX_M:g}, as in PEER_RANGE: metres are wanted")
+    return range_m
+
+
 def read_truth(path: Path) -> list[TruthPoint]:
     """The true positions of a table `unix_s,sysid,lat_deg,lon_deg,alt_msl_m` in order of time.
 
@@ -81,8 +89,8 @@ def read_truth(path: Path) -> list[TruthPoint]:
         TruthPoint(
             unix_s=row.number("unix_s"),
             sysid=row.integer("sysid", 1, 255),
-            lat_deg=row.number("lat_deg"),
-            lon_deg=row.number("lon_deg"),
+            lat_deg=row.within("lat_deg", -90.0, 90.0, "degrees are wanted, latitude before longitude"),
+            lon_deg=row.within("lon_deg", -180.0, 360.0, "degrees are wanted"),
             alt_msl_m=row.number("alt_msl_m"),
         )
         for row in read_table(path, ("unix_s", "sysid", "lat_deg", "lon_deg", "alt_msl_m"))

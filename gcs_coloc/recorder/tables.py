@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable, Iterator, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 
 from gcs_coloc.core.errors import DataError
@@ -51,6 +52,13 @@ class Row:
             raise self.error(column, f"{value:g} must not be negative")
         return value
 
+    def within(self, column: str, least: float, most: float, what: str) -> float:
+        """A finite number from `least` to `most`; `what` says what it would have to be."""
+        value = self.number(column)
+        if not least <= value <= most:
+            raise self.error(column, f"{value:g} is not within {least:g} to {most:g}: {what}")
+        return value
+
     def is_empty(self, column: str) -> bool:
         """Whether the column is absent or the cell empty."""
         return not self.has(column) or not self.text(column)
@@ -80,13 +88,22 @@ def read_table(path: Path, required: Sequence[str], optional: Sequence[str] = ()
         optional: columns that may be there.
 
     Raises:
-        DataError: the file cannot be read, a required column is missing, or a row has not as many cells as the header.
+        DataError: the file cannot be read, a required column is missing, an optional one is called nearly so, or a row has not as
+            many cells as the header.
     """
 
     def check(header: list[str]) -> None:
         missing = [name for name in required if name not in header]
-        if missing:
-            raise DataError(f"{path}, line 1: column {missing[0]} is missing; wanted are {','.join((*required, *optional))}")
+        # A column of nearly that name would be passed over in silence, and a default stand in its place.
+        meant = {
+            name: get_close_matches(name, set(header) - {*required, *optional}, 1) for name in optional if name not in header
+        }
+        meant = {name: near for name, near in meant.items() if near}
+        if missing or meant:
+            name, near = (missing[0], []) if missing else next(iter(meant.items()))
+            there = f", but {near[0]!r} is there" if near else ""
+            wanted = ",".join((*required, *optional))
+            raise DataError(f"{path}, line 1: column {name} is missing{there}; wanted are {wanted}")
 
     return _read(path, check)
 
@@ -124,6 +141,9 @@ def _read(path: Path, check_header: Callable[[list[str]], None]) -> Iterator[Row
             if other is not None:
                 what = _OTHER_SEPARATORS[other]
                 raise DataError(f"{path}, line 1: its columns are separated by {what}; write commas, and points in numbers")
+            twice = next((name for i, name in enumerate(header) if name in header[:i]), None)
+            if twice is not None:
+                raise DataError(f"{path}, line 1, column {header.index(twice) + 1}: two columns are called {twice!r}")
             check_header(header)
             for cells in reader:
                 if not cells:

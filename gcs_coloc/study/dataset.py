@@ -31,6 +31,10 @@ _META_KEYS = {"name", "source", "licence", "dims", "node", "origin"}
 _ORIGIN_KEYS = {"lat_deg", "lon_deg", "alt_m"}
 _NODE_KEYS = {"id", "role"}
 _ANCHOR_KEYS = ("e_m", "n_m", "u_m", "sigma_m")
+_FARTHEST_M = 2e7
+"""Half way round the Earth: grids count from afar, but no further."""
+_HALF_TURN = math.pi + 0.01
+"""Radians; what is beyond by less is rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,6 +201,11 @@ def _times(row: Row) -> tuple[float, float]:
     return measured_at_s, arrived_at_s
 
 
+def _place(row: Row) -> Vector3:
+    e, n, u = (row.within(column, -_FARTHEST_M, _FARTHEST_M, "metres are wanted") for column in ("e_m", "n_m", "u_m"))
+    return (e, n, u)
+
+
 _ARRIVAL = ("arrival_s",)
 _VELOCITY = ("ve_mps", "vn_mps", "vu_mps", "sigma_vel_mps")
 
@@ -212,7 +221,7 @@ def _positions(path: Path, vehicles: dict[str, int], roles: dict[str, str]) -> I
             vehicle=vehicle,
             measured_at_s=measured_at_s,
             arrived_at_s=arrived_at_s,
-            position_enu_m=(row.number("e_m"), row.number("n_m"), row.number("u_m")),
+            position_enu_m=_place(row),
             sigma_h_m=row.positive("sigma_h_m"),
             sigma_v_m=row.positive("sigma_v_m"),
             velocity_enu_mps=(row.number("ve_mps"), row.number("vn_mps"), row.number("vu_mps")) if moving else None,
@@ -244,8 +253,8 @@ def _attitudes(path: Path, vehicles: dict[str, int], roles: dict[str, str]) -> I
             vehicle=_vehicle(row, "id", vehicles),
             measured_at_s=measured_at_s,
             arrived_at_s=arrived_at_s,
-            roll_rad=row.number("roll_rad"),
-            pitch_rad=row.number("pitch_rad"),
+            roll_rad=row.within("roll_rad", -_HALF_TURN, _HALF_TURN, "radians are wanted"),
+            pitch_rad=row.within("pitch_rad", -_HALF_TURN / 2.0, _HALF_TURN / 2.0, "radians are wanted"),
             yaw_rad=row.number("yaw_rad"),
             airspeed_mps=None if row.is_empty("airspeed_mps") else row.not_negative("airspeed_mps"),
         )
@@ -258,7 +267,7 @@ def _truth(path: Path, vehicles: dict[str, int]) -> dict[int, Truth]:
         t_s = row.number("t_s")
         if of_node and t_s < of_node[-1][0]:
             raise row.error("t_s", f"time goes back from {of_node[-1][0]:g} s")
-        of_node.append((t_s, row.number("e_m"), row.number("n_m"), row.number("u_m")))
+        of_node.append((t_s, *_place(row)))
     if not rows:
         raise DataError(f"{path}: no rows")
     return {vehicle: Truth(np.array(r)[:, 0], np.array(r)[:, 1:]) for vehicle, r in rows.items()}

@@ -168,6 +168,7 @@ def test_ranges_are_read_on_the_recorders_clock(tmp_path):
         ("1,0,1,5,1", "line 2, column 2 .from_sysid.: 0 is not within 1 to 255"),
         ("1,4,4,5,1", "line 2, column 3 .to_sysid.: a vehicle has no range to itself"),
         ("1,4,1,-5,1", "line 2, column 4 .range_m.: -5 has to be above 0"),
+        ("1,4,1,603730,1", "line 2, column 4 .range_m.: 603730 is beyond 100000, as in PEER_RANGE: metres are wanted"),
         ("1,4,1,5,-1", "line 2, column 5 .sigma_m.: -1 has to be above 0"),
         ("1,4,1,5", "line 2, column 5: 4 cells where the header has 5"),
     ],
@@ -176,6 +177,30 @@ def test_a_malformed_range_names_its_place(tmp_path, row, words):
     path = tmp_path / "ranges.csv"
     path.write_text(f"unix_s,from_sysid,to_sysid,range_m,sigma_m\n{row}\n")
     with pytest.raises(DataError, match=words):
+        read_ranges(path)
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        (
+            "1,4,149.17,-35.36,500",
+            "line 2, column 3 .lat_deg.: 149.17 is not within -90 to 90: degrees are wanted, latitude before",
+        ),
+        ("1,4,-35.36,1491700000,500", "line 2, column 4 .lon_deg.: 1.4917e.09 is not within -180 to 360: degrees are wanted"),
+    ],
+)
+def test_a_truth_that_is_no_place_in_degrees_is_an_error(tmp_path, row, words):
+    path = tmp_path / "truth.csv"
+    path.write_text(f"unix_s,sysid,lat_deg,lon_deg,alt_msl_m\n{row}\n")
+    with pytest.raises(DataError, match=words):
+        read_truth(path)
+
+
+def test_a_column_that_is_called_nearly_like_an_optional_one_is_not_passed_over(tmp_path):
+    path = tmp_path / "ranges.csv"
+    path.write_text("unix_s,from_sysid,to_sysid,range_m,sigma\n1,4,1,5,1\n")
+    with pytest.raises(DataError, match="column sigma_m is missing, but 'sigma' is there"):
         read_ranges(path)
 
 

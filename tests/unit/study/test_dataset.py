@@ -87,6 +87,22 @@ BAD_ROWS = [
     ("truth_csv", "t_s,id,e_m,n_m,u_m\n1,B,1,2,3\n", "no row of any subject"),
     ("truth_csv", "t_s,id,e_m,n_m,u_m\n2,tag,1,2,3\n1,tag,1,2,3\n", "line 3, column 1 (t_s)"),
     ("attitude_csv", "t_s,id,roll_rad,pitch_rad,yaw_rad,airspeed_mps\n1,tag,0,0,inf,20\n", "line 2, column 5 (yaw_rad)"),
+    (
+        "attitude_csv",
+        "t_s,id,roll_rad,pitch_rad,yaw_rad,airspeed_mps\n1,tag,0,4.5,1,20\n",
+        "column 4 (pitch_rad): 4.5 is not within",
+    ),
+    (
+        "attitude_csv",
+        "t_s,id,roll_rad,pitch_rad,yaw_rad,airspeed_mps\n1,tag,30,0,1,20\n",
+        "column 3 (roll_rad): 30 is not within",
+    ),
+    ("truth_csv", "t_s,id,e_m,n_m,u_m\n1,tag,473566000,2,3\n", "line 2, column 3 (e_m): 4.73566e+08 is not within"),
+    (
+        "ranges_csv",
+        "t_s,from_id,to_id,range_m,range_m\n1.0,tag,A,3.5,0.2\n",
+        "line 1, column 4: two columns are called 'range_m'",
+    ),
     ("altitude_csv", "t_s,id,u_m,sigma_v_m\n1,tag,,1\n", "line 2, column 3 (u_m)"),
     ("meta_toml", "name = ", "not TOML"),
     ("meta_toml", FILES["meta.toml"].replace("dims = 3", "dims = 4"), "dims"),
