@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from gcs_coloc.commands.doubts import warn_of_doubts
 from gcs_coloc.core.guard import GuardedEstimator
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.fleets import load_settings
@@ -35,6 +36,7 @@ def evaluate(
         load_estimator(settings.estimator.name, settings.estimator.settings), lambda text: print(text, file=sys.stderr)
     )
     evaluation = study.evaluate(directory, guarded)
+    warn_of_doubts(directory, evaluation.doubts)
     if plot is not None:
         evaluation_plot.plot(evaluation, plot)
     if as_json:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from gcs_coloc.commands.doubts import warn_of_doubts
 from gcs_coloc.commands.replay import warn_of_damage
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.fleets import load_settings
@@ -28,6 +29,7 @@ def export(
     settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {}, fleet)
     story = retell(file, settings, ranges, None)
     warn_of_damage(file, story.damage)
+    warn_of_doubts(file, story.doubts)
     base = (out if out is not None else file.parent) / file.stem
     try:
         base.parent.mkdir(parents=True, exist_ok=True)

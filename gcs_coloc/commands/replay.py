@@ -16,12 +16,15 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from gcs_coloc import __version__
+from gcs_coloc.commands.doubts import warn_of_doubts
 from gcs_coloc.config import Settings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.fleets import load_settings
 from gcs_coloc.recorder import replay as driver
+from gcs_coloc.recorder.flight_doubts import HeardMeasurements
 from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
@@ -58,14 +61,18 @@ def replay(
         _show(file, settings, ranges, truth, factor)
         return
     settings = load_settings(config, flags, fleet)
-    engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
+    heard = HeardMeasurements(load_estimator(settings.estimator.name, settings.estimator.settings))
+    engine = Engine(heard, settings.engine())
     log = TlogReader(file)
-    report = FlightReport(engine, read_truth(truth) if truth is not None else [])
+    points = read_truth(truth) if truth is not None else []
+    report = FlightReport(engine, points)
     told = read_ranges(ranges) if ranges is not None else []
     own = (settings.mavlink.system_id, settings.mavlink.component_id)
     through = driver.Replay(engine, log, told, report.polled, own, settings.fingerprint())
     counts = driver.replay(through, report.observation_times(), report.observe, _pace(factor))
+    doubts = heard.doubts(points, engine.feed.frame)
     result: dict[str, Any] = {
+        "version": __version__,
         "file": str(file),
         "estimator": engine.estimator.name,
         "first_unix_s": counts.first_s,
@@ -75,8 +82,10 @@ def replay(
         "damage": dict(log.counts),
         "wire": dict(counts.wire),
         **report.as_dict(),
+        "warnings": [doubt.as_dict() for doubt in doubts],
     }
     warn_of_damage(file, log.counts)
+    warn_of_doubts(file, doubts)
     if as_json:
         print(json.dumps(result, indent=2))
     else:

@@ -13,6 +13,8 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.health import DISTRUSTED
 from gcs_coloc.core.outputs import HealthChanged, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.plausibility.doubt import Doubt
+from gcs_coloc.recorder.flight_doubts import HeardMeasurements
 from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.journal import Journal, RangeEntry, VehicleEntry
 from gcs_coloc.recorder.recorded_messages import ReplayCounts
@@ -29,7 +31,7 @@ class Story:
     """What a flight came to.
 
     `tracks`: each vehicle's entries in order of time. `damage`: what of the file could not be read. `frame`: the fleet's, about
-    its first fix; None where there was none.
+    its first fix; None where there was none. `doubts`: what in the recording and the tables beside it does not agree.
     """
 
     file: Path
@@ -42,6 +44,7 @@ class Story:
     health: list[HealthChanged] = field(default_factory=list)
     notices: list[Notice] = field(default_factory=list)
     frame: LocalFrame | None = None
+    doubts: list[Doubt] = field(default_factory=list)
 
 
 def retell(file: Path, settings: Settings, ranges: Path | None, truth: Path | None) -> Story:
@@ -57,9 +60,11 @@ def retell(file: Path, settings: Settings, ranges: Path | None, truth: Path | No
         DataError: a file cannot be read or is not what it should be.
         EstimatorError: the estimator cannot be loaded.
     """
-    engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
+    heard = HeardMeasurements(load_estimator(settings.estimator.name, settings.estimator.settings))
+    engine = Engine(heard, settings.engine())
     log, journal = TlogReader(file), Journal(engine)
-    report = FlightReport(engine, read_truth(truth) if truth is not None else [])
+    points = read_truth(truth) if truth is not None else []
+    report = FlightReport(engine, points)
     tracks: dict[int, list[VehicleEntry]] = defaultdict(list)
     story = Story(file, engine.estimator.name, ReplayCounts(), report, log.counts, tracks)
 
@@ -80,4 +85,5 @@ def retell(file: Path, settings: Settings, ranges: Path | None, truth: Path | No
     through = Replay(engine, log, told, on_poll, own, settings.fingerprint())
     story.counts = replay(through, report.observation_times(), report.observe)
     story.frame = engine.feed.frame
+    story.doubts = heard.doubts(points, engine.feed.frame)
     return story

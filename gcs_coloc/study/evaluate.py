@@ -7,12 +7,13 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gcs_coloc import __version__
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     Estimate,
@@ -24,7 +25,9 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.core.scoring import Score, Series, score, series_of
 from gcs_coloc.estimators.base import Estimator
+from gcs_coloc.plausibility.doubt import Doubt
 from gcs_coloc.study.dataset import Dataset, Node, read_dataset
+from gcs_coloc.study.dataset_doubts import dataset_doubts
 
 _PLANE_EVERY_S = 0.2
 _PLANE_SIGMA_M = 0.1
@@ -47,7 +50,10 @@ class SubjectEvaluation:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """An estimator's result on a data set; `cpu_us_per_measurement` includes the asking at the truth's epochs."""
+    """An estimator's result on a data set; `cpu_us_per_measurement` includes the asking at the truth's epochs.
+
+    `doubts`: what in the data can hardly be what its columns say, where they were read by `evaluate`.
+    """
 
     dataset: str
     dims: int
@@ -56,10 +62,12 @@ class Evaluation:
     cpu_us_per_measurement: float
     subjects: tuple[SubjectEvaluation, ...]
     counts: Mapping[str, int]
+    doubts: tuple[Doubt, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures as plain values, for JSON."""
         return {
+            "version": __version__,
             "dataset": self.dataset,
             "dims": self.dims,
             "estimator": self.estimator,
@@ -67,6 +75,7 @@ class Evaluation:
             "cpu_us_per_measurement": self.cpu_us_per_measurement,
             "subjects": {s.node.id: asdict(s.score) | {"unanswered": dict(s.unanswered)} for s in self.subjects},
             "counts": dict(self.counts),
+            "warnings": [doubt.as_dict() for doubt in self.doubts],
         }
 
 
@@ -80,7 +89,8 @@ def evaluate(directory: Path, estimator: Estimator, cpu_s: Callable[[], float] =
         DataError: the data set cannot be read.
 
     """
-    return evaluate_dataset(read_dataset(directory), estimator, cpu_s)
+    dataset = read_dataset(directory)
+    return replace(evaluate_dataset(dataset, estimator, cpu_s), doubts=tuple(dataset_doubts(dataset)))
 
 
 def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[], float] = time.process_time) -> Evaluation:

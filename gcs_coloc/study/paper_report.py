@@ -10,6 +10,7 @@ from pathlib import Path
 
 from rich.table import Table
 
+from gcs_coloc import __version__
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.study.paper import FLEET, PaperStudy, Row, Score
 from gcs_coloc.study.paper_figures import draw_figures
@@ -105,6 +106,7 @@ def _write_csv(study: PaperStudy, path: Path) -> Path:
 def _write_json(study: PaperStudy, path: Path) -> Path:
     constant = {f"{q:g}": R.tolist() for q, R in zip(study.options.qs, study.constant_r_m2, strict=True)}
     content = {
+        "version": __version__,
         "readings": readings(study),
         "constant_r_m2_by_q": constant,
         "rows": [_row(row) for row in study.rows],

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import subprocess
 import sys
 from collections.abc import Collection, Mapping
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gcs_coloc import __version__
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, Measurement, Residual, Unknown
 from gcs_coloc.core.scoring import Series, score
 from gcs_coloc.estimators.fleet.filter import FleetFilter
@@ -71,6 +73,46 @@ def test_why_there_is_no_answer_is_told_by_reason_in_the_words_of_the_first_time
     told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
     assert f"  not answered {missing} times: {reason} (the first time)" in told.splitlines()
     assert "measurements: kept: waiting for a start 200" in told
+
+
+def test_ranges_in_millimetres_are_told_on_stderr_and_in_the_json_and_a_sound_walk_is_not_doubted(tmp_path):
+    walk = write_walk(tmp_path, 3)
+    command = [sys.executable, "-m", "gcs_coloc", "evaluate", str(walk), "--json"]
+    sound = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    assert (json.loads(sound.stdout)["warnings"], sound.stderr) == ([], "")
+    header, *rows = (walk / "ranges.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    millimetres = [",".join([*c[:3], f"{1000.0 * float(c[3]):.2f}", *c[4:]]) for c in cells]
+    (walk / "ranges.csv").write_text("\n".join([header, *millimetres]))
+    wrong = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    words = "the ranges are 1000 times the distances between the positions: are the ranges in millimetres?"
+    assert wrong.stderr == f"gcs-coloc: warning: {walk}: {words}\n"
+    figures = json.loads(wrong.stdout)
+    assert figures["version"] == __version__
+    (warning,) = figures["warnings"]
+    assert (warning["kind"], warning["text"]) == ("range_factor", words)
+    assert warning["value"] == pytest.approx(1000.0, rel=1e-3)
+
+
+def test_the_heights_of_a_flat_data_set_are_not_held_against_its_ranges(tmp_path):
+    walk = write_walk(tmp_path, 2)
+    truth = (walk / "truth.csv").read_text().splitlines()
+    (walk / "truth.csv").write_text("\n".join([truth[0], *(f"{row.rsplit(',', 1)[0]},0.0" for row in truth[1:])]))
+    meta = (walk / "meta.toml").read_text()
+    (walk / "meta.toml").write_text(meta.replace("u_m = 1.0", "u_m = 25.0"))
+    assert evaluate(walk, FleetFilter()).doubts == ()
+
+
+def test_the_figures_do_not_depend_on_the_process_or_its_hash_seed(tmp_path):
+    walk = write_walk(tmp_path, 3)
+    told = []
+    for seed in ("0", "1", "77"):
+        command = [sys.executable, "-m", "gcs_coloc", "evaluate", str(walk), "--json"]
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=True, timeout=120, env=os.environ | {"PYTHONHASHSEED": seed}
+        )
+        told.append({key: value for key, value in json.loads(done.stdout).items() if not key.startswith("cpu_")})
+    assert told[0] == told[1] == told[2]
 
 
 def test_the_picture_is_drawn(tmp_path):

@@ -1,0 +1,249 @@
+"""What is said of data in other units, axes and clocks than their columns say, and that nothing is said of sound ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_coloc.plausibility.check import doubts_of
+from gcs_coloc.plausibility.clocks import check_delays
+from gcs_coloc.plausibility.doubt import Doubt
+from gcs_coloc.plausibility.evidence import Evidence
+from gcs_coloc.plausibility.tracks import Track, track
+
+END_S = 120.0
+LOST_S = 30.0
+SUBJECT = 4
+SIGMA_GPS_M, SIGMA_RANGE_M = 1.0, 0.5
+
+
+def path(vehicle: int, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where a vehicle is and how fast: circles of their own places, sizes and directions, climbing and sinking."""
+    east_m, north_m, height_m, radius_m, rate = [
+        (0.0, 0.0, 100.0, 250.0, 0.08),
+        (1500.0, 200.0, 160.0, 300.0, -0.07),
+        (300.0, 1400.0, 130.0, 280.0, 0.06),
+        (700.0, 500.0, 145.0, 350.0, -0.06),
+    ][vehicle - 1]
+    angle = rate * t + vehicle
+    place = np.column_stack(
+        (
+            east_m + radius_m * np.cos(angle),
+            north_m + radius_m * np.sin(angle),
+            height_m + 10.0 * np.sin(t / 20.0 + vehicle),
+        )
+    )
+    speed = radius_m * rate
+    velocity = np.column_stack((-speed * np.sin(angle), speed * np.cos(angle), 0.5 * np.cos(t / 20.0 + vehicle)))
+    return place, velocity
+
+
+def fleet(seed: int) -> Evidence:
+    """Four aircraft with positions at 5 Hz; the fourth has none from 30 s on, ranges to the others at 5 Hz, and a truth."""
+    rng = np.random.default_rng(seed)
+    reports, altitudes = {}, {}
+    for vehicle in (1, 2, 3, SUBJECT):
+        t = np.arange(0.0, LOST_S if vehicle == SUBJECT else END_S, 0.2)
+        place, velocity = path(vehicle, t)
+        place = place + rng.normal(0.0, SIGMA_GPS_M, place.shape)
+        velocity = velocity + rng.normal(0.0, 0.3, place.shape)
+        reports[vehicle] = track(np.column_stack((t, place, np.full(len(t), SIGMA_GPS_M), velocity)))
+        t = np.arange(0.0, END_S, 0.5)
+        up_m = path(vehicle, t)[0][:, 2] + rng.normal(0.0, 1.0, len(t))
+        altitudes[vehicle] = np.column_stack((t, up_m, np.full(len(t), 1.0)))
+    t = np.arange(0.1, END_S, 0.2)
+    rows = []
+    for peer in (1, 2, 3):
+        distance_m = np.linalg.norm(path(SUBJECT, t)[0] - path(peer, t)[0], axis=1) + rng.normal(0.0, SIGMA_RANGE_M, len(t))
+        ends = np.full((len(t), 2), (SUBJECT, peer))
+        rows.append(np.column_stack((t, ends, distance_m, np.full(len(t), SIGMA_RANGE_M))))
+    t = np.arange(0.0, END_S, 0.5)
+    truth = {SUBJECT: Track(t, path(SUBJECT, t)[0], np.zeros(len(t)))}
+    return Evidence({v: f"UAV{v}" for v in reports}, reports, truth, np.vstack(rows), altitudes)
+
+
+Change = Callable[[Evidence], Evidence]
+
+
+def ranges(column: int, change: Callable[[np.ndarray], np.ndarray], peer: int | None = None) -> Change:
+    def changed(evidence: Evidence) -> Evidence:
+        rows = evidence.ranges.copy()
+        whose = np.ones(len(rows), dtype=bool) if peer is None else rows[:, 2] == peer
+        rows[whose, column] = change(rows[whose, column])
+        return replace(evidence, ranges=rows)
+
+    return changed
+
+
+def tracks(which: str, change: Callable[[Track], Track], vehicle: int | None = None) -> Change:
+    def changed(evidence: Evidence) -> Evidence:
+        before = getattr(evidence, which)
+        return replace(evidence, **{which: {v: change(t) if vehicle in (None, v) else t for v, t in before.items()}})
+
+    return changed
+
+
+def everywhere(change: Callable[[Track], Track]) -> Change:
+    return lambda evidence: tracks("truth", change)(tracks("reports", change)(evidence))
+
+
+def positions(factor: float | tuple[float, float, float], axes: tuple[int, int, int] = (0, 1, 2)) -> Callable[[Track], Track]:
+    return lambda t: Track(t.times_s, t.positions_enu_m[:, axes] * factor, t.sigmas_m, t.velocities_enu_mps)
+
+
+def velocities(factor: float, axes: tuple[int, int, int] = (0, 1, 2)) -> Callable[[Track], Track]:
+    return lambda t: Track(t.times_s, t.positions_enu_m, t.sigmas_m, t.velocities_enu_mps[:, axes] * factor)
+
+
+def times(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Track], Track]:
+    return lambda t: Track(change(t.times_s), t.positions_enu_m, t.sigmas_m, t.velocities_enu_mps)
+
+
+def moved(t: Track) -> Track:
+    return Track(t.times_s, t.positions_enu_m + 40.0, t.sigmas_m)
+
+
+def heights(factor: float, more_m: float = 0.0) -> Change:
+    def changed(evidence: Evidence) -> Evidence:
+        rows = {v: np.column_stack((r[:, 0], factor * r[:, 1] + more_m, r[:, 2])) for v, r in evidence.altitudes.items()}
+        return replace(evidence, altitudes=rows)
+
+    return changed
+
+
+def exchanged(peers: np.ndarray) -> np.ndarray:
+    return np.where(peers < 3, 3 - peers, peers)
+
+
+FOOT = 1.0 / 0.3048
+SWAPPED = positions(1.0, (1, 0, 2))
+DEGREES = positions((1.0 / 76_000.0, 1.0 / 111_000.0, 1.0))
+WRONG = [
+    ("ranges in millimetres", ranges(3, lambda r: 1000.0 * r), "range_factor", "the ranges in millimetres", 1000.0),
+    ("ranges in feet", ranges(3, lambda r: FOOT * r), "range_factor", "the ranges in feet", FOOT),
+    ("ranges in kilometres", ranges(3, lambda r: 0.001 * r), "range_factor", "the ranges in kilometres", 0.001),
+    ("ranges there and back", ranges(3, lambda r: 2.0 * r), "range_factor", "there and back", 2.0),
+    ("ranges as times of flight", ranges(3, lambda r: r / 0.299792458), "range_factor", "nanoseconds", 3.3356),
+    ("a factor of no unit", ranges(3, lambda r: 1.3 * r), "range_factor", "are 1.3 times", 1.3),
+    ("one device in millimetres", ranges(3, lambda r: 1000.0 * r, 2), "range_factor", "to and from UAV2", 1000.0),
+    ("ranges with a delay in the antennas", ranges(3, lambda r: r + 30.0), "range_bias", "m longer", 30.0),
+    ("ranges of two peers exchanged", ranges(2, exchanged), "range_misfit", "1-UAV4, UAV2-", None),
+    ("ranges stamped early", ranges(0, lambda t: t - 0.3), "time_offset", "0.30 s earlier", 0.3),
+    ("ranges by another clock", ranges(0, lambda t: t + 18.0), "time_offset", "18.00 s later", -18.0),
+    ("ranges in milliseconds", ranges(0, lambda t: 1000.0 * t), "slow_ranges", "milliseconds", 200.0),
+    ("ranges since 1970", ranges(0, lambda t: t + 1.7e9), "no_overlap", "one clock is wanted", None),
+    ("sigmas in millimetres", ranges(4, lambda s: 1000.0 * s), "sigma_factor", "another unit", None),
+    ("a peer by another clock", tracks("reports", times(lambda t: t + 2.0), 1), "time_offset", "the positions of UAV1", 2.0),
+    ("a peer with swapped axes", tracks("reports", SWAPPED, 2), "position_axes", "of UAV2 east and north", None),
+    ("reports in feet", tracks("reports", positions(FOOT)), "truth_factor", "reports in feet", 0.3048),
+    ("all positions in feet", everywhere(positions(FOOT)), "range_factor", "positions in feet", 0.3048),
+    ("heights of reports in feet", tracks("reports", positions((1.0, 1.0, FOOT))), "reports_feet", "heights are in feet", None),
+    ("all positions in degrees", everywhere(DEGREES), "range_misfit", "in degrees?", None),
+    ("velocities in cm/s", tracks("reports", velocities(100.0)), "velocity_factor", "cm/s", 100.0),
+    ("velocities in knots", tracks("reports", velocities(3600.0 / 1852.0)), "velocity_factor", "knots", 1.944),
+    ("velocities north first", tracks("reports", velocities(1.0, (1, 0, 2))), "velocity_axes", "swapped", None),
+    ("velocities backwards", tracks("reports", velocities(-1.0)), "velocity_sign", "opposite sign", None),
+    ("velocities of something else", tracks("reports", velocities(0.0)), "velocity_misfit", "off how the positions change", None),
+    ("truth in millimetres", tracks("truth", positions(1000.0)), "truth_factor", "truth in millimetres", 1000.0),
+    ("truth with swapped axes", tracks("truth", SWAPPED), "truth_axes", "swapped", None),
+    ("truth north, east, down", tracks("truth", positions((1.0, 1.0, -1.0), (1, 0, 2))), "truth_axes", "north, east, down", None),
+    ("truth with heights in feet", tracks("truth", positions((1.0, 1.0, FOOT))), "truth_feet", "in the truth heights", None),
+    ("truth about another origin", tracks("truth", moved), "truth_offset", "(40.", None),
+    ("truth by another clock", tracks("truth", times(lambda t: t + 1.0)), "time_offset", "1.00 s earlier", 1.0),
+    ("truth in milliseconds", tracks("truth", times(lambda t: 1000.0 * t)), "no_overlap", "of the truth", None),
+    ("heights in feet", heights(FOOT), "height_factor", "in feet", FOOT),
+    ("heights downwards", heights(-1.0), "height_sign", "downwards", None),
+    ("heights above another datum", heights(1.0, 48.0), "height_offset", "+4", 48.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "kind", "words", "value"), [w[1:] for w in WRONG], ids=[w[0] for w in WRONG])
+def test_what_is_wrong_is_told_first_in_one_line_with_the_number(change, kind, words, value):
+    first, *more = doubts_of(change(fleet(1)))
+    assert first.kind == kind
+    assert "\n" not in first.text
+    assert words in first.text
+    if value is not None:
+        assert first.value == pytest.approx(value, rel=0.02)
+    assert len({doubt.text for doubt in (first, *more)}) == 1 + len(more) <= 4
+
+
+def test_of_sound_data_nothing_is_said():
+    """Fifty fleets: one false alarm would be a rate above what a warning is worth."""
+    assert [doubts_of(fleet(seed)) for seed in range(50)] == [[]] * 50
+
+
+def test_a_tenth_of_the_ranges_far_too_long_and_a_small_bias_are_no_other_unit():
+    """Multipath and antenna delays are what estimators are for."""
+    evidence = fleet(3)
+    rng = np.random.default_rng(3)
+    rows = evidence.ranges.copy()
+    rows[:, 3] += 1.0 + np.where(rng.random(len(rows)) < 0.1, rng.uniform(5.0, 200.0, len(rows)), 0.0)
+    assert doubts_of(replace(evidence, ranges=rows)) == []
+
+
+def test_a_fleet_in_formation_has_no_clock_to_compare_but_a_unit():
+    """Distances that never change tell nothing of time; a bias and a factor cannot be told apart but by the unit's name."""
+    rng = np.random.default_rng(1)
+    t = np.arange(0.0, 60.0, 0.2)
+    way = np.column_stack((20.0 * t, 0.0 * t, np.full(len(t), 100.0)))
+    places = {1: (0.0, 0.0, 0.0), 2: (80.0, 60.0, 0.0)}
+    reports = {
+        v: track(np.column_stack((t, way + place + rng.normal(0.0, 0.5, way.shape), np.full(len(t), 0.5))))
+        for v, place in places.items()
+    }
+    rows = np.column_stack((t, np.full((len(t), 2), (1, 2)), 100.0 + rng.normal(0.0, 0.1, len(t)), np.full(len(t), 0.1)))
+    evidence = Evidence({1: "1", 2: "2"}, reports, {}, rows)
+    assert doubts_of(evidence) == []
+    rows[:, 3] *= 1000.0
+    (doubt,) = doubts_of(evidence)
+    assert (doubt.kind, doubt.value) == ("range_factor", pytest.approx(1000.0, rel=0.01))
+
+
+def test_the_places_of_anchors_are_held_against_the_ranges():
+    rng = np.random.default_rng(2)
+    t = np.arange(0.0, 60.0, 0.1)
+    walk = np.column_stack((10.0 + 0.3 * t, 5.0 + 8.0 * np.sin(t / 9.0), np.full(len(t), 1.0)))
+    places = {2: (0.0, 0.0, 2.0), 3: (40.0, 3.0, 3.0), 4: (5.0, 30.0, 1.0)}
+    rows = [
+        np.column_stack(
+            (t, np.full((len(t), 2), (1, v)), np.linalg.norm(walk - p, axis=1) + rng.normal(0.0, 0.1, len(t)), 0.1 + 0.0 * t)
+        )
+        for v, p in places.items()
+    ]
+    anchors = {v: Track(np.zeros(1), np.array([p]), np.array([0.02]), is_static=True) for v, p in places.items()}
+    evidence = Evidence({v: f"A{v}" for v in range(1, 5)}, anchors, {1: Track(t, walk, 0.0 * t)}, np.vstack(rows))
+    assert doubts_of(evidence) == []
+    swapped = {v: Track(a.times_s, a.positions_enu_m[:, (1, 0, 2)], a.sigmas_m, is_static=True) for v, a in anchors.items()}
+    (doubt,) = doubts_of(replace(evidence, reports=swapped))
+    assert doubt.kind == "position_axes"
+    assert "east and north are swapped" in doubt.text
+
+
+def test_ranges_that_stand_there_twice_are_counted_in_either_direction():
+    evidence = fleet(1)
+    back = evidence.ranges[:7][:, (0, 2, 1, 3, 4)]
+    (doubt,) = doubts_of(replace(evidence, ranges=np.vstack((evidence.ranges, evidence.ranges[:5], back))))
+    assert (doubt.kind, doubt.value) == ("repeated_ranges", 12)
+
+
+def test_arrivals_by_another_clock_are_told():
+    found = list(check_delays({"ranges": np.full(30, 1.7e9), "positions": np.full(30, 0.4), "heights": np.zeros(0)}))
+    assert [doubt.kind for doubt in found] == ["late_arrival"]
+    assert found[0].text.startswith("ranges arrive 1.7e+09 s after they were measured")
+
+
+@pytest.mark.parametrize("rows", [0, 1, 5])
+def test_a_recording_with_next_to_nothing_in_it_is_not_judged(rows):
+    evidence = fleet(1)
+    few = replace(
+        evidence, ranges=1000.0 * evidence.ranges[:rows], altitudes={v: r[:rows] for v, r in evidence.altitudes.items()}
+    )
+    assert [d for d in doubts_of(few) if d.kind.startswith(("range", "height"))] == []
+
+
+def test_a_doubt_is_plain_values_for_json():
+    assert Doubt("range_factor", "words", 2.0).as_dict() == {"kind": "range_factor", "text": "words", "value": 2.0}

@@ -1,0 +1,141 @@
+"""A recorded flight and its truth held against each other."""
+
+from __future__ import annotations
+
+import json
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.measurements import AltitudeMeasurement, PositionMeasurement, RangeMeasurement, Unknown
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.plausibility.doubt import Doubt
+from gcs_coloc.recorder import flight_doubts
+from gcs_coloc.recorder.flight_doubts import HeardMeasurements
+from gcs_coloc.recorder.replay import Replay, replay
+from gcs_coloc.recorder.side_tables import TruthPoint
+from gcs_coloc.recorder.tlog import TlogReader
+from sitl_fakes.fleet import Fleet
+from sitl_fakes.scenario import load_scenario
+
+SCENARIO = Path(__file__).resolve().parents[3] / "configs" / "scenario-uwb.toml"
+EPOCH_S = 1_780_000_000.0
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory) -> tuple[Path, HeardMeasurements, Engine, list[TruthPoint]]:
+    """40 s of the fakes' four-ship, vehicle 4 without GPS after 20 s, replayed."""
+    fleet = Fleet(load_scenario(SCENARIO), seed=3, unix_epoch_s=EPOCH_S)
+    path = tmp_path_factory.mktemp("flight") / "flight.tlog"
+    truth = []
+    with path.open("wb") as file:
+        for step in range(1, 2001):
+            for datagram in fleet.advance(step * 0.02):
+                file.write(struct.pack(">Q", round((EPOCH_S + datagram.due_s) * 1e6)) + datagram.payload)
+            if step % 10 == 0:
+                points = fleet.truth().items()
+                truth += [TruthPoint(EPOCH_S + t.at_s, v, t.lat_deg, t.lon_deg, t.alt_msl_m) for v, t in points]
+    heard = HeardMeasurements(load_estimator("fleet", {}))
+    engine = Engine(heard)
+    replay(Replay(engine, TlogReader(path), [], lambda _at_s, _outputs: None))
+    return path, heard, engine, truth
+
+
+def doubts(flown, change: Callable[[TruthPoint], TruthPoint]) -> list[Doubt]:
+    _, heard, engine, truth = flown
+    return heard.doubts([change(point) for point in truth], engine.feed.frame)
+
+
+def test_of_a_sound_flight_nothing_is_said(flown):
+    assert doubts(flown, lambda p: p) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "words"),
+    [
+        (lambda p: replace(p, lat_deg=p.lon_deg, lon_deg=p.lat_deg), "truth_elsewhere", "latitude and longitude are swapped"),
+        (lambda p: replace(p, lat_deg=-p.lat_deg), "truth_elsewhere", "km off where the vehicles report to be"),
+        (lambda p: replace(p, alt_msl_m=p.alt_msl_m / 0.3048), "truth_feet", "in the truth heights are in feet"),
+        (lambda p: replace(p, alt_msl_m=p.alt_msl_m + 48.0), "truth_offset", "(east, north, up) off what is reported"),
+        (
+            lambda p: replace(p, unix_s=p.unix_s + 5.0),
+            "time_offset",
+            "the truth of 1, 2, 3, 4 fits what is reported if it is stamped",
+        ),
+        (lambda p: replace(p, unix_s=1000.0 * p.unix_s), "no_overlap", "one clock is wanted"),
+    ],
+)
+def test_a_truth_in_other_units_axes_or_time_is_told(flown, change, kind, words):
+    (doubt,) = doubts(flown, change)
+    assert doubt.kind == kind
+    assert words in doubt.text
+
+
+def test_replay_and_report_say_it(flown, tmp_path):
+    path, _, _, truth = flown
+    table = tmp_path / "truth.csv"
+    rows = [f"{p.unix_s},{p.sysid},{p.lat_deg:.9f},{p.lon_deg:.9f},{p.alt_msl_m / 0.3048}" for p in truth]
+    table.write_text("\n".join(["unix_s,sysid,lat_deg,lon_deg,alt_msl_m", *rows]))
+    command = [sys.executable, "-m", "gcs_coloc", "replay", str(path), "--truth", str(table), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    (warning,) = json.loads(done.stdout)["warnings"]
+    assert warning["kind"] == "truth_feet"
+    assert done.stderr == f"gcs-coloc: warning: {path}: {warning['text']}\n"
+    page = tmp_path / "flight.html"
+    command = [sys.executable, "-m", "gcs_coloc", "report", str(path), "--truth", str(table), "--out", str(page)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    assert warning["text"] in done.stderr
+    assert f"The data do not agree: {warning['text']}" in page.read_text(encoding="utf-8")
+
+
+class Silent:
+    """Notes what it is given."""
+
+    name = "silent"
+
+    def __init__(self) -> None:
+        self.given: list[object] = []
+
+    def set_subjects(self, subjects, at_s):
+        self.given.append((subjects, at_s))
+
+    def add(self, measurement):
+        self.given.append(measurement)
+
+    def estimate(self, vehicle, at_s):
+        return Unknown(vehicle, at_s, "silent")
+
+    def take_residuals(self):
+        return []
+
+    def counts(self):
+        return {"given": len(self.given)}
+
+
+def test_the_estimator_is_given_everything_while_what_is_kept_stays_small(monkeypatch):
+    monkeypatch.setattr(flight_doubts, "_MOST_ROWS", 30)
+    inner = Silent()
+    heard = HeardMeasurements(inner)
+    given = [
+        m
+        for i in range(1000)
+        for m in (
+            PositionMeasurement(1, 0.1 * i, 0.1 * i, (0.0, 0.0, 0.0), 1.0, 1.0),
+            RangeMeasurement(1, 2, 0.1 * i, 0.1 * i, 5.0, 1.0),
+            AltitudeMeasurement(2, 0.1 * i, 0.1 * i, 5.0, 1.0),
+        )
+    ]
+    heard.set_subjects({2}, 0.0)
+    for m in given:
+        heard.add(m)
+    assert inner.given == [({2}, 0.0), *given]
+    assert heard.counts() == {"given": 3001}
+    assert (heard.name, heard.take_residuals()) == ("silent", [])
+    assert sum(len(rows) // 8 for rows in heard._positions.values()) + len(heard._ranges) // 5 == 30
+    assert heard.doubts([], None) == []
