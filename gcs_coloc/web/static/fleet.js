@@ -40,11 +40,12 @@ export class FleetList {
     const card = this.cards.get(view.sysid) ?? this.makeCard(view.sysid);
     card.node.className = `card ${light}`;
     setText(card.sign, SIGNS[light]);
-    setText(card.word, LIGHT_WORDS[light]);
+    const word = `${lateS > 0 ? "was " : ""}${LIGHT_WORDS[light]}`;
+    setText(card.word, word);
     setText(card.age, `last heard ${age(view.age_s + lateS)} ago`);
     setText(card.reason, reason);
     // Its words but for what changes all the time, which a screen reader would say again and again.
-    const name = `Vehicle ${view.sysid} ${LIGHT_WORDS[light]}, ${reason}`;
+    const name = `Vehicle ${view.sysid} ${word}, ${reason}`;
     if (card.button.getAttribute("aria-label") !== name) card.button.setAttribute("aria-label", name);
     const ranges = view.ranges_in_use > 0 ? `, HDOP ${number(view.hdop)}, ${view.ranges_in_use} ranges in use` : "";
     setText(card.numbers, view.sigma_h_m === null ? "position unknown" : `1-sigma ${metres(view.sigma_h_m)}${ranges}`);
