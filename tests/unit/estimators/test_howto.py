@@ -7,8 +7,14 @@ from pathlib import Path
 import numpy as np
 from fleet_in_flight import Fleet
 
+from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import Estimate, Unknown
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.recorder.flight_report import FlightReport
+from gcs_coloc.recorder.replay import Replay, replay
+from gcs_coloc.recorder.side_tables import read_ranges, read_truth
+from gcs_coloc.recorder.tlog import TlogReader
+from tests.recordings import recording
 
 TEXT = (Path(__file__).parents[3] / "docs" / "how-to" / "write-an-estimator.md").read_text()
 
@@ -39,6 +45,21 @@ def test_the_estimator_of_the_text_runs_and_pulls_towards_the_truth(tmp_path: Pa
     assert np.linalg.norm((answer.position_enu_m - fleet.at(4, 19.8))[:2]) < 60.0
     assert np.linalg.norm(fleet.at(4, 19.8) - fleet.at(4, 0.0)) > 300.0
     assert estimator.counts()["range used"] == 297
+
+
+def test_the_estimator_of_the_text_follows_a_real_aircraft_within_what_it_states(tmp_path: Path) -> None:
+    file = tmp_path / "range_pull.py"
+    file.write_text(block("python"))
+    flight = recording("arduplane")
+    engine = Engine(load_estimator(f"{file}:RangePull", tomllib.loads(block("toml"))["estimator"]["settings"]))
+    report = FlightReport(engine, read_truth(flight / "truth.csv"))
+    through = Replay(engine, TlogReader(flight / "flight.tlog"), read_ranges(flight / "ranges.csv"), report.polled)
+    replay(through, report.observation_times(), report.observe)
+    score = report.score(4)
+    assert score is not None
+    assert score.horizontal is not None
+    assert score.horizontal.rmse_m < 25.0  # its sigma_m
+    assert score.beyond_three_bounds == 0.0
 
 
 def test_the_estimator_of_the_text_is_as_short_as_promised() -> None:
