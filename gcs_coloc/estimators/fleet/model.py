@@ -29,6 +29,9 @@ from gcs_coloc.estimators.fleet.vehicle import Records, VehicleRecord
 
 _TIDY_EVERY_S = 5.0
 _REPORTS_REFUSED_MOST = 10
+_SILENT_MOST_S = 3600.0
+"""A state that nothing was heard of for longer says nothing; left to grow, it loses its digits within a month."""
+
 _NO_PART = Verdict("kept: vehicle has no part in locating a subject")
 _NO_SUBJECT = Verdict("kept: range between healthy vehicles")
 _NOT_WANTED = Verdict("kept: better placed peers are used")
@@ -183,7 +186,7 @@ class FleetModel:
         return begin_from_reports(self.clusters, self.records, vehicle, at_s, self.settings)
 
     def _tidy(self, at_s: float) -> None:
-        """Drop the vehicles that no subject has ranged for long, and part the clusters that nothing holds together any more."""
+        """Drop peers that nobody ranges and subjects silent for an hour, and part the clusters that nothing holds together."""
         self._tidied_at_s = at_s
         kept_s = self.settings.peer_kept_s
         links: dict[int, set[int]] = {}
@@ -194,6 +197,11 @@ class FleetModel:
             for other in record.neighbours:
                 links.setdefault(vehicle, set()).add(other)
                 links.setdefault(other, set()).add(vehicle)
+            cluster = self.clusters.get(vehicle)
+            if cluster is not None and not record.fixed and at_s - cluster.joint.time_s[vehicle] > _SILENT_MOST_S:
+                self.clusters.drop(vehicle)
+                record.own = ()
+                record.reason = "nothing was heard of it for more than an hour, and not enough ranges yet"
         self.clusters.part(links)
         self.pairs = {key: white for key, white in self.pairs.items() if key[1] in links.get(key[0], ())}
 

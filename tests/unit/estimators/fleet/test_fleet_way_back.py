@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from fleet_in_flight import Fleet, circling
 
 from gcs_coloc.core.bound import horizontal_bound_95_m
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionMeasurement, RangeMeasurement
@@ -71,3 +72,23 @@ def test_a_device_that_scatters_three_times_as_much_as_it_states_is_believed_les
     assert len(ratios) > 800
     assert sum(ratio > 1.0 for ratio in ratios) < 0.25 * len(ratios)
     assert max(ratios) < 2.0
+
+
+@pytest.mark.parametrize("silent_s", [600.0, 7200.0, 40.0 * 86400.0])
+def test_one_that_is_heard_again_after_minutes_hours_or_weeks_is_located_again(silent_s):
+    """After weeks its variances had lost all their digits and were negative: every estimate of the fleet failed from then on."""
+    centres_m = {1: (0.0, 0.0), 2: (1500.0, 0.0), 3: (300.0, 1600.0), 4: (700.0, 500.0)}
+    fleet = Fleet({vehicle: circling(centre, 150.0, 15.0, 80.0 + 20.0 * vehicle) for vehicle, centre in centres_m.items()})
+    estimator = FleetFilter()
+    for vehicle in fleet.paths:
+        estimator.add(fleet.position(vehicle, 0.0))
+    estimator.set_subjects({4}, 0.1)
+    errors_m = []
+    for begun_s in (0.2, silent_s):
+        for t in np.arange(begun_s, begun_s + 20.0, 0.2).tolist():
+            for measurement in fleet.round(t, (4,)):
+                estimator.add(measurement)
+            where = estimator.estimate(4, t)
+        assert isinstance(where, Estimate)
+        errors_m.append(math.dist(where.position_enu_m[:2], fleet.at(4, t)[:2]))
+    assert max(errors_m) < 5.0
