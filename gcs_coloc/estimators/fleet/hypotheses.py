@@ -16,6 +16,7 @@ from gcs_coloc.core.bound import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, Measurement, RangeMeasurement, Unknown
 from gcs_coloc.estimators.fleet.cluster import Cluster
 from gcs_coloc.estimators.fleet.corrections import Verdict
+from gcs_coloc.estimators.fleet.lost_side import Held, find_lost_side, held
 from gcs_coloc.estimators.fleet.mirror import (
     Mirror,
     away_sigmas,
@@ -30,6 +31,7 @@ from gcs_coloc.estimators.fleet.other_side import find_other_side
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _LOOK_EVERY_S = 0.25
+_GAP_S = 1.0
 _DECIDED = 12.0
 _MOST_NIS = 20.0
 _ONE_AGAIN = 0.5
@@ -88,6 +90,7 @@ class FleetHypotheses:
         self.main = FleetModel(settings)
         self.twins: dict[int, Twin] = {}
         self._looked_at_s: dict[int, float] = {}
+        self._held: dict[int, Held] = {}
 
     def copy(self) -> FleetHypotheses:
         """Return an independent copy."""
@@ -95,18 +98,23 @@ class FleetHypotheses:
         other.main = self.main.copy()
         other.twins = {subject: replace(twin, model=twin.model.copy()) for subject, twin in self.twins.items()}
         other._looked_at_s = dict(self._looked_at_s)
+        other._held = dict(self._held)
         return other
 
     def set_subjects(self, subjects: frozenset[int], at_s: float) -> None:
         """Change who is to be located, as `FleetModel.set_subjects` does."""
         self.main.set_subjects(subjects, at_s)
         self.twins = {subject: twin for subject, twin in self.twins.items() if subject in subjects}
+        self._looked_at_s = {subject: then_s for subject, then_s in self._looked_at_s.items() if subject in subjects}
+        self._held = {subject: then for subject, then in self._held.items() if subject in subjects}
         for twin in self.twins.values():
             twin.model.set_subjects(subjects & twin.model.records.keys(), at_s)
 
     def apply(self, m: Measurement) -> Verdict:
         """Take one measurement, not older than any before it."""
         ends = (m.from_vehicle, m.to_vehicle) if isinstance(m, RangeMeasurement) else (m.vehicle,)
+        if isinstance(m, RangeMeasurement):
+            self._note_gaps(m)
         if not self.twins:
             verdict = self.main.apply(m)
         else:
@@ -124,17 +132,27 @@ class FleetHypotheses:
                     self._look(vehicle, m.measured_at_s)
         return verdict
 
+    def _note_gaps(self, m: RangeMeasurement) -> None:
+        """Note where the subjects of a range are held to be just before it, where it is the first for a while."""
+        for subject in (m.from_vehicle, m.to_vehicle):
+            if m.measured_at_s - self._looked_at_s.get(subject, math.inf) > _GAP_S and subject in self.main.clusters:
+                self._held[subject] = held(self.main.clusters[subject], subject, m.measured_at_s)
+
     def _look(self, subject: int, at_s: float) -> None:
         """Decide between a subject and its mirror image, or see whether there is one."""
         self._looked_at_s[subject] = at_s
         cluster = self.main.clusters.get(subject)
         twin = self.twins.get(subject)
+        before = self._held.pop(subject, None)
         if cluster is None:
             self.twins.pop(subject, None)
             return
+        self._held[subject] = held(cluster, subject)
         if twin is None:
             told = self.main.records[subject].other_side
             mirror = find_other_side(told, cluster, subject, at_s) or find_mirror(cluster, subject, at_s)
+            if mirror is None and before is not None:
+                mirror = find_lost_side(before, cluster, subject, at_s)
             if mirror is not None:
                 self.main.records.writable(subject).other_side = None
                 self._begin(subject, mirror, at_s)
