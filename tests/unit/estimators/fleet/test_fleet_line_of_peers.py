@@ -157,8 +157,8 @@ def test_on_which_side_it_is_is_open_where_the_ranges_to_two_peers_were_lost_for
     peers = {1: still + np.array([-200.0, 0.0]), 2: still + np.array([500.0, 0.0])}
     stated = fly(np.stack([-100.0 + 8.0 * t, north_m], axis=1), peers, seed, unheard)
     assert len([row for row in stated if row[0] < 15.0]) > 40
-    # Where its mirror image is not looked at it is taken for that, 120 m off, from the return of the ranges on, for 26 s. The look
-    # comes 0.25 s later than some ranges that tell: an epoch or two.
+    # Where its mirror image is not looked at it is taken for that, 120 m off, from the return of the ranges on, for 26 s. The
+    # look comes up to 0.25 s later than the ranges: an epoch or two.
     assert sum(error_m > 3.0 * bound_m for t_s, error_m, bound_m in stated if t_s > 30.0) <= 2
 
 
