@@ -29,6 +29,7 @@ from gcs_coloc.estimators.fleet.vehicle import Records, VehicleRecord
 
 _TIDY_EVERY_S = 5.0
 _REPORTS_REFUSED_MOST = 10
+_UNDERSTATED = 1.8
 _SILENT_MOST_S = 3600.0
 """A state that nothing was heard of for longer says nothing; left to grow, it loses its digits within a month."""
 
@@ -164,8 +165,10 @@ class FleetModel:
         slow_m = self.settings.range_slow_share * white.split(0, sigma_m, self.settings.least_slow_share)[1]
         if m.clock_of in ends:
             restate_clock(cluster, m.clock_of, stamp_sigma_s(m, self.settings))
-        # A device that is clearly seen to scatter more than it states is believed no more than that.
-        verdict = take_range(cluster, pair, m, max(sigma_m, white.proven_m(0)), slow_m)
+        # A device that is seen to scatter more than it states is believed no more than that. Multipath of a tenth of the ranges,
+        # which the gate weighs by itself, makes it seem to scatter up to 1.8 times as much.
+        scatter_m = white.proven_m(0)
+        verdict = take_range(cluster, pair, m, scatter_m if scatter_m > _UNDERSTATED * sigma_m else sigma_m, slow_m)
         for subject, other, _ in subjects:
             account(cluster, subject, other, verdict, m)
         return verdict
