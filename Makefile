@@ -37,7 +37,7 @@ lint: .venv/.ready-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# A few minutes; BENCH= takes longer and measures more finely, BENCH="--quick accuracy" another section, BENCH=all everything, for hours.
+# Some eight minutes; BENCH= takes longer and measures more finely, BENCH="--quick accuracy" another section, BENCH=all everything, for hours.
 BENCH ?= --quick
 # What the service is measured beside, and with, has no build for every machine: the table says what is not installed.
 bench: .venv/.ready-dev
