@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gcs_coloc.core.clocks.timing import SenderClock
+from gcs_coloc.core.clocks.sender_clock import SenderClock
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
@@ -65,9 +65,9 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Measurements in the order of arrival; those of the start, by which the subjects still have GPS, come first.
+    """Measurements in the order of arrival; those of the start, by which the denied vehicles still have GPS, come first.
 
-    `asked_s` (T,) are the times of the questions, `truth_m` (T, 2) per subject where it was `lag_s` before.
+    `asked_s` (T,) are the times of the questions, `truth_m` (T, 2) per denied vehicle where it was `lag_s` before.
     """
 
     start: tuple[Measurement, ...]

@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.accuracy_peers import DENSITY_M2PS3, RangePeer, predicted
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
-from gcs_coloc.estimators.cv import transition, white_acceleration_noise
+from gcs_coloc.estimators.qu_zhang.cv_filter import transition, white_acceleration_noise
 
 _LAG_S = 5.0
 _ORDER = [0, 2, 1, 3]

@@ -38,7 +38,7 @@ _PAIRS = 3
 
 @dataclass(frozen=True, slots=True)
 class ModelCase:
-    """The subject has GPS for `healthy_s`; its error counts from `settled_s` to `duration_s` after the loss."""
+    """The denied vehicle has GPS for `healthy_s`; its error counts from `settled_s` to `duration_s` after the loss."""
 
     rate_hz: float
     healthy_s: float
@@ -51,7 +51,7 @@ class ModelDraws:
     """M draws of K epochs; epoch k is at `times_s[k]`, the loss at time 0.
 
     `places_m` (M, K, 4, 3) truth, `reports_m` (M, K, 4, 3), `heights_m` (M, K), `ranges_m` (M, K, 3). The bounds (K,) are of the
-    trace of the subject's horizontal covariance, NaN before they are asked for. `posterior_m2` is the posterior Cramer-Rao bound:
+    trace of the vehicle's horizontal covariance, NaN before they are asked for. `posterior_m2` is the posterior Cramer-Rao bound:
     the information is averaged over the draws, which a filter that meets one draw at a time cannot reach when the draws
     part. `along_m2` is the mean of the bounds along each drawn way.
     """
@@ -261,7 +261,7 @@ class _Bound:
         self._J = 0.5 * (J + np.swapaxes(J, -1, -2))
 
     def update(self, unit: FloatArray, range_sigma_m: FloatArray, v: FloatArray, at_s: float) -> None:
-        """Add the information of an epoch's reports (of the subject too before the loss) and ranges (after it)."""
+        """Add the information of an epoch's reports (of the denied vehicle too before the loss) and ranges (after it)."""
         if at_s <= self._begins_s:
             return
         runs = len(v)
@@ -273,17 +273,17 @@ class _Bound:
             self._J[:, where, where] += self._mean(np.swapaxes(H, -1, -2) @ H)
         if at_s <= 0.0:
             return
-        subject = _BLOCK * _SUBJECT
+        denied_vehicle = _BLOCK * _SUBJECT
         for i in range(_PAIRS):
             h = np.zeros((runs, self._J.shape[-1]))
-            h[:, subject : subject + 2] = unit[:, i]
+            h[:, denied_vehicle : denied_vehicle + 2] = unit[:, i]
             h[:, _BLOCK * i : _BLOCK * i + 2] = -unit[:, i]
             h[:, 4 * _BLOCK + 2 * i : 4 * _BLOCK + 2 * i + 2] = 1.0
             h /= range_sigma_m[:, i, np.newaxis]
             self._J += self._mean(h[:, :, np.newaxis] * h[:, np.newaxis])
 
     def trace_m2(self) -> float:
-        """Return the bound on the sum of the subject's horizontal variances, m^2, its mean over the groups."""
+        """Return the bound on the sum of the denied vehicle's horizontal variances, m^2, its mean over the groups."""
         where = slice(_BLOCK * _SUBJECT, _BLOCK * _SUBJECT + 2)
         return float(np.trace(np.linalg.inv(self._J)[:, where, where], axis1=1, axis2=2).mean())
 

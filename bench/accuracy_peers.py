@@ -14,8 +14,8 @@ from importlib.util import find_spec
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from gcs_coloc.core.measurements import Estimate, FloatArray, Measurement, PositionMeasurement, RangeMeasurement, Unknown
-from gcs_coloc.estimators.cv import transition, white_acceleration_noise
+from gcs_coloc.core.measurements import Estimate, FloatArray, Measurement, NoEstimate, PositionMeasurement, RangeMeasurement
+from gcs_coloc.estimators.qu_zhang.cv_filter import transition, white_acceleration_noise
 
 DENSITY_M2PS3 = 10.0
 """Of the peers' white acceleration, the best of 1, 3, 10 and 30 in hindsight on this very flight."""
@@ -24,11 +24,11 @@ _PLACE = [0, 2]
 
 
 class RangePeer(ABC):
-    """A constant-velocity filter of one subject, state [e, ve, n, vn] in m and m/s, fed with ranges. Meets `Locator`."""
+    """A constant-velocity filter of one denied vehicle, state [e, ve, n, vn] in m and m/s, fed with ranges. Meets `Locator`."""
 
     def __init__(self) -> None:
         self._neighbours: dict[int, tuple[float, KalmanFilter]] = {}
-        self._subject: int | None = None
+        self._denied_vehicle: int | None = None
 
     @abstractmethod
     def begin(self, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
@@ -42,14 +42,14 @@ class RangePeer(ABC):
     def state(self, at_s: float) -> tuple[FloatArray, FloatArray]:
         """Return mean (4,) and covariance (4, 4) at a time not before the newest measurement."""
 
-    def set_subjects(self, subjects: Sequence[int], at_s: float) -> None:
+    def set_denied(self, denied: Sequence[int], at_s: float) -> None:
         """Locate one vehicle from now on, from where its own filter has it."""
-        (self._subject,) = subjects
-        filtered = self._neighbour(self._subject, at_s)
+        (self._denied_vehicle,) = denied
+        filtered = self._neighbour(self._denied_vehicle, at_s)
         self.begin(filtered.x[:, 0], filtered.P, at_s)
 
     def add(self, measurement: Measurement) -> None:
-        """Take one measurement: positions of neighbours and ranges of the subject; heights mean nothing in a plane."""
+        """Take one measurement: positions of neighbours and ranges of the denied vehicle; heights mean nothing in a plane."""
         t = measurement.measured_at_s
         if isinstance(measurement, PositionMeasurement):
             place = np.array(measurement.position_enu_m[:2])
@@ -61,8 +61,8 @@ class RangePeer(ABC):
             neighbour = self._neighbour(measurement.to_vehicle, t)
             self.take_range(neighbour.x[_PLACE, 0], neighbour.P[np.ix_(_PLACE, _PLACE)], measurement)
 
-    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
-        """Answer where the subject is."""
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
+        """Answer where the denied vehicle is."""
         mean, P = self.state(at_s)
         covariance = np.eye(6)
         covariance[:2, :2] = P[np.ix_(_PLACE, _PLACE)]

@@ -7,11 +7,11 @@ from pathlib import Path
 from bench.figures import Figure
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.evaluation.evaluate import evaluate
 from gcs_coloc.recorder import replay as driver
 from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
-from gcs_coloc.study.evaluate import evaluate
 
 _DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 # Goal, and the data set's authors' filter with an IMU: 3D RMSE in m.
@@ -36,8 +36,8 @@ def measure_ranges() -> list[Figure]:
     figures = []
     for name, (goal_m, authors_m) in _HANYANG.items():
         evaluation = evaluate(directory / name, load_estimator("fleet", {}))
-        (subject,) = evaluation.subjects
-        score = subject.score
+        (denied_vehicle,) = evaluation.denied
+        score = denied_vehicle.score
         rmse_m = score.spatial.rmse_m if score.spatial is not None else float("inf")
         anees = f"{score.anees:.2f}" if score.anees is not None else "none"
         figures.append(

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from bench.accuracy_flights import Case, Recording, record
-from gcs_coloc.core.bound import horizontal_bound_95_m
-from gcs_coloc.core.measurements import Estimate, FloatArray, Measurement, Unknown
+from gcs_coloc.core.error_bound import horizontal_bound_95_m
+from gcs_coloc.core.measurements import Estimate, FloatArray, Measurement, NoEstimate
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.monte_carlo import Result, Task, run_tasks
 
@@ -23,7 +23,7 @@ from gcs_coloc.study.monte_carlo import Result, Task, run_tasks
 class Locator(Protocol):
     """The part of the estimators' protocol that a bench needs; the peers meet it too."""
 
-    def set_subjects(self, subjects: Sequence[int], at_s: float) -> None:
+    def set_denied(self, denied: Sequence[int], at_s: float) -> None:
         """State which vehicles are to be located."""
         ...
 
@@ -31,14 +31,14 @@ class Locator(Protocol):
         """Take one measurement."""
         ...
 
-    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Answer where a vehicle is."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One subject of one run: errors (T, 2) m, normalised squares (T,) and 95 % bounds (T,) m, NaN where nothing was stated."""
+    """One vehicle of one run: errors (T, 2) m, normalised squares (T,) and 95 % bounds (T,) m, NaN where nothing was stated."""
 
     asked_s: FloatArray
     error_m: FloatArray
@@ -48,7 +48,7 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run: a track for each subject, and the CPU time for each measurement, questions included, us."""
+    """One run: a track for each denied vehicle, and the CPU time for each measurement, questions included, us."""
 
     tracks: dict[int, Track]
     cpu_us: float
@@ -56,29 +56,29 @@ class Run:
 
 def take(recording: Recording, estimator: Locator) -> Run:
     """Take an estimator through a recording."""
-    subjects = sorted(recording.truth_m)
-    answers: dict[int, list[Estimate | Unknown]] = {v: [] for v in subjects}
+    denied = sorted(recording.truth_m)
+    answers: dict[int, list[Estimate | NoEstimate]] = {v: [] for v in denied}
     asked = recording.asked_s.tolist()
     next_asked = 0
     began_s = time.process_time()
     for m in recording.start:
         estimator.add(m)
-    estimator.set_subjects(subjects, recording.lost_at_s)
+    estimator.set_denied(denied, recording.lost_at_s)
     for m in recording.measurements:
         while next_asked < len(asked) and asked[next_asked] < m.arrived_at_s:
-            for v in subjects:
+            for v in denied:
                 answers[v].append(estimator.estimate(v, asked[next_asked] - recording.lag_s))
             next_asked += 1
         estimator.add(m)
     for t in asked[next_asked:]:
-        for v in subjects:
+        for v in denied:
             answers[v].append(estimator.estimate(v, t - recording.lag_s))
     cpu_s = time.process_time() - began_s
-    tracks = {v: _track(recording.asked_s, recording.truth_m[v], answers[v]) for v in subjects}
+    tracks = {v: _track(recording.asked_s, recording.truth_m[v], answers[v]) for v in denied}
     return Run(tracks, cpu_s / (len(recording.start) + len(recording.measurements)) * 1e6)
 
 
-def _track(asked_s: FloatArray, truth_m: FloatArray, answers: Sequence[Estimate | Unknown]) -> Track:
+def _track(asked_s: FloatArray, truth_m: FloatArray, answers: Sequence[Estimate | NoEstimate]) -> Track:
     error = np.full((len(answers), 2), np.nan)
     nees, bound = np.full(len(answers), np.nan), np.full(len(answers), np.nan)
     for i, answer in enumerate(answers):

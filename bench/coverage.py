@@ -13,7 +13,7 @@ from bench.accuracy_runs import Track, fleet_through, on_all_cores
 from bench.figures import Figure
 from bench.integrity_flights import LOST_AT_S, STEP_S, Flight, Scenario, error_and_bound_m, fly_step, fresh_engine
 from bench.wandering import WanderingFlight
-from gcs_coloc.core.aid.settings import AidSettings
+from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.measurements import FloatArray
 
 _FLEET_FLIGHT_S = 300.0
@@ -44,7 +44,7 @@ NONE = Tally(0, 0, 0, 0)
 
 def tally(error_m: FloatArray, bound_m: FloatArray) -> Tally:
     """Count horizontal errors (T,) against bounds (T,), NaN where no position was stated; beyond the alert limit is no fix."""
-    fix = bound_m <= AidSettings().alert_limit_m
+    fix = bound_m <= AidingSettings().alert_limit_m
     error, bound = error_m[fix], bound_m[fix]
     return Tally(len(bound_m), int(fix.sum()), int((error <= bound).sum()), int((error > 3.0 * bound).sum()))
 

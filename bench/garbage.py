@@ -12,7 +12,7 @@ from functools import partial
 from bench.figures import Figure, interleaved
 from bench.flight import Flight
 from bench.traffic import WARM_S, fleet_traffic
-from gcs_coloc.garbage import collect_seldom
+from gcs_coloc.runtime.gc_policy import collect_seldom
 
 _FLEETS = 25
 _SECONDS = 4.0

@@ -11,7 +11,7 @@ from bench.accuracy_runs import on_all_cores
 from bench.figures import Figure
 from bench.integrity_flights import SPOOFED_AT_S, STEP_S, SUBJECT, Flight, Scenario, error_and_bound_m, fly_step, fresh_engine
 from bench.integrity_ideal import FALSE_ALARMS, noticed_in_time
-from gcs_coloc.core.health import GpsState
+from gcs_coloc.core.gps_health.gps_health import GpsState
 
 _GIVEN_UP_S = 60.0
 _FLIGHT_S = 300.0
@@ -23,28 +23,28 @@ _WALKS = (
     ("mutual ranges, 5 m/s", replace(_WALKED, walk_mps=5.0), 0.2),
     ("mutual ranges, 0.5 m/s", replace(_WALKED, walk_mps=0.5), 0.2),
     ("mutual ranges, 20 m at once", replace(_WALKED, walk_mps=0.0, jump_m=20.0), 0.1),
-    ("only the subject's ranges", _ONLY_ITS_OWN, 1.0),
-    ("only the subject's ranges, eight peers", replace(_WALKED, mutual=False, peers=8), 0.1),
+    ("only the denied vehicle's ranges", _ONLY_ITS_OWN, 1.0),
+    ("only the denied vehicle's ranges, eight peers", replace(_WALKED, mutual=False, peers=8), 0.1),
 )
 _ONLY_ITS_OWN_CLEAN = Scenario(mutual=False)
 _CLEAN = (
     ("mutual ranges", Scenario(lost=False), 0.4),
-    ("a subject without GPS", Scenario(), 0.2),
+    ("a denied vehicle without GPS", Scenario(), 0.2),
     ("10 % of ranges late by multipath", Scenario(late_share=0.1), 0.1),
     ("white GPS noise", Scenario(gps_white_share=1.0), 0.05),
     ("GPS of 3 m that wanders within 15 s", Scenario(gps_sigma_m=3.0, gps_time_s=15.0), 0.05),
     ("GPS of 0.5 m, ranges of 0.3 m", Scenario(gps_sigma_m=0.5, range_sigma_m=0.3, radius_m=(60.0, 200.0)), 0.05),
     ("three peers, ranges of 5 m", Scenario(peers=3, range_sigma_m=5.0), 0.05),
     ("steep turns", Scenario(radius_m=(60.0, 120.0)), 0.05),
-    ("only the subject's ranges", _ONLY_ITS_OWN_CLEAN, 0.1),
-    ("only the subject's ranges, 10 % late", replace(_ONLY_ITS_OWN_CLEAN, late_share=0.1), 0.1),
-    ("eight peers, only the subject's ranges", replace(_ONLY_ITS_OWN_CLEAN, peers=8), 0.05),
+    ("only the denied vehicle's ranges", _ONLY_ITS_OWN_CLEAN, 0.1),
+    ("only the denied vehicle's ranges, 10 % late", replace(_ONLY_ITS_OWN_CLEAN, late_share=0.1), 0.1),
+    ("eight peers, only the denied vehicle's ranges", replace(_ONLY_ITS_OWN_CLEAN, peers=8), 0.05),
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """One lying peer: when it was trusted no more, and when before the subject's error passed 1.5 x its bound; inf: never."""
+    """One lying peer: when it was trusted no more, and when before the vehicle's error passed 1.5 x its bound; inf: never."""
 
     excluded_after_s: float
     passed_after_s: float
@@ -67,7 +67,7 @@ def _exclusion(name: str, scenario: Scenario, runs: int) -> Figure:
         "integrity",
         f"peer spoofed, {what}: {name}, {runs} runs",
         f"excluded in time in {kept:.1%}, error passed the bound first in {passed:.1%}; median after {median_s:.1f} s",
-        ">= 95 % before the subject's error passes 1.5 x its 95 % bound",
+        ">= 95 % before the denied vehicle's error passes 1.5 x its 95 % bound",
         kept >= 0.95,
     )
 
@@ -78,7 +78,7 @@ def _ideal(runs: int) -> Figure:
     told = ", ".join(f"{share:.1%} at {chance:g}" for share, chance in zip(shares, FALSE_ALARMS, strict=True))
     return Figure(
         "integrity",
-        f"a test that knows the noise, the liar, the lie's course and when it began: only the subject's ranges, {runs} runs",
+        f"a test that knows the noise, the liar, the lie's course and when it began: only the vehicle's ranges, {runs} runs",
         f"noticed before the error passed 1.5 x the bound of a clean flight in {told} false alarms per test",
         "",
         None,

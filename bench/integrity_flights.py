@@ -9,13 +9,13 @@ from typing import Protocol
 
 import numpy as np
 
-from gcs_coloc.core.aid.settings import AidSettings
-from gcs_coloc.core.bound import horizontal_bound_95_m
+from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
+from gcs_coloc.core.error_bound import horizontal_bound_95_m
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, FloatArray
-from gcs_coloc.core.messages import FromVehicle, GlobalPosition, GpsReceiver, PeerRange, TimeBase
-from gcs_coloc.core.words import ClockReference
+from gcs_coloc.core.messages.control import ClockReference
+from gcs_coloc.core.messages.inbound import FromVehicle, GlobalPosition, GpsReceiver, PeerRange, TimeBase
 from gcs_coloc.estimators.registry import load_estimator
 
 STEP_S = 0.2
@@ -28,11 +28,11 @@ _ORIGIN = LocalFrame(47.0, 8.0, 400.0)
 class Scenario:
     """What flies and what is measured.
 
-    `peers` vehicles around a subject (`lost`: its GPS fails after 5 s), each on a level circle with a radius and a speed drawn
+    `peers` vehicles around a vehicle (`lost`: its GPS fails after 5 s), each on a level circle with a radius and a speed drawn
     from `radius_m` and `speed_mps`, spread over a square of +-`extent_m`. GPS errors are of `gps_sigma_m` per axis, slow over
-    `gps_time_s`, `gps_white_share` of their variance white; ranges of the subject, with `mutual` of all, are of `range_sigma_m`,
+    `gps_time_s`, `gps_white_share` of their variance white; ranges of the vehicle, with `mutual` of all, are of `range_sigma_m`,
     `late_share` of them 5 to `late_m` too long. Peer 1 is walked off at `walk_mps` from 20 s on, after a step of `jump_m`.
-    From `returns_at_s` on the subject's receiver has a fix again: `return_jump_m` off, and walked off at `return_walk_mps`.
+    From `returns_at_s` on the vehicle's receiver has a fix again: `return_jump_m` off, and walked off at `return_walk_mps`.
     """
 
     peers: int = 4
@@ -158,12 +158,12 @@ def enu_m(message: GlobalPosition) -> FloatArray:
 
 
 def error_and_bound_m(engine: Engine, flight: Flight, t: float) -> tuple[float, float] | None:
-    """Return the subject's horizontal error and its 95 % bound; None where it would be sent no fix."""
+    """Return the denied vehicle's horizontal error and its 95 % bound; None where it would be sent no fix."""
     where, frame = engine.where(SUBJECT, t), engine.feed.frame
     if not isinstance(where, Estimate) or frame is None:
         return None
     bound_m = horizontal_bound_95_m(where.covariance)
-    if bound_m > AidSettings().alert_limit_m:
+    if bound_m > AidingSettings().alert_limit_m:
         return None
     true_m = flight.courses[SUBJECT].at(t)[0]
     east_m, north_m, _ = frame.enu_from_geodetic(*_ORIGIN.geodetic_from_enu(*(float(x) for x in true_m)))

@@ -25,16 +25,16 @@ from bench.integrity_flights import (
     fly_step,
     fresh_engine,
 )
-from gcs_coloc.core.integrity.judge import Integrity
+from gcs_coloc.core.integrity.monitor import IntegrityMonitor
 from gcs_coloc.core.measurements import Estimate, FloatArray
-from gcs_coloc.core.messages import GlobalPosition, PeerRange
+from gcs_coloc.core.messages.inbound import GlobalPosition, PeerRange
 
 FALSE_ALARMS = (1e-6, 1e-3)
 """Chances of a false alarm in one test: that of `Levels.alarm`, and one that a growing bound, but no accusation, could stand."""
 _FLIGHT_S = 80.0
 
 
-class _Blind(Integrity):
+class _Blind(IntegrityMonitor):
     """Believes everybody and doubts nothing."""
 
     def review(self, *_: object) -> None:
@@ -46,7 +46,7 @@ class _Blind(Integrity):
 
 
 def noticed_in_time(task: tuple[Scenario, int]) -> tuple[bool, ...]:
-    """For each of `FALSE_ALARMS`: whether in one draw (scenario, seed) the ideal test notices the lie before the subject's error,
+    """For each of `FALSE_ALARMS`: whether in one draw (scenario, seed) the ideal test notices the lie before the vehicle's error,
     with nobody excluded, passes 1.5 x the 95 % bound of the estimator itself.
     """
     scenario, seed = task

@@ -14,9 +14,9 @@ from bench.coverage import NONE, Tally, tally
 from bench.figures import Figure
 from bench.integrity_flights import LOST_AT_S, STEP_S, SUBJECT, Scenario, error_and_bound_m, fresh_engine
 from bench.wandering import WanderingFlight
-from gcs_coloc.core.health import GpsState
-from gcs_coloc.core.messages import FromVehicle, SystemTime
-from gcs_coloc.core.words import ClockReference
+from gcs_coloc.core.gps_health.gps_health import GpsState
+from gcs_coloc.core.messages.control import ClockReference
+from gcs_coloc.core.messages.inbound import FromVehicle, SystemTime
 
 FLIGHT_S = 120.0
 _COUNTED_FROM_S = LOST_AT_S + 20.0
@@ -55,7 +55,7 @@ def one_peer_late(rng: np.random.Generator, vehicles: tuple[int, ...]) -> Mappin
 
 
 def subject_late(rng: np.random.Generator, vehicles: tuple[int, ...]) -> Mapping[int, float]:  # noqa: ARG001
-    """The subject's link half a second late."""
+    """The denied vehicle's link half a second late."""
     return dict.fromkeys(vehicles, 0.02) | {SUBJECT: 0.5}
 
 
@@ -72,7 +72,7 @@ def each_late(rng: np.random.Generator, vehicles: tuple[int, ...]) -> Mapping[in
 _KINDS: tuple[tuple[str, Delays], ...] = (
     ("20 ms late", none_late),
     ("one peer 0.5 s late", one_peer_late),
-    ("the subject 0.5 s late", subject_late),
+    ("the denied vehicle 0.5 s late", subject_late),
     ("all 0.5 s late", all_late),
     ("each up to 0.5 s late", each_late),
 )
@@ -93,7 +93,7 @@ def measure(quick: bool) -> list[Figure]:
 
 
 def fly(drawn: tuple[Late, int]) -> Flown:
-    """Fly one draw: everybody turns at random, ranges from the subject only, nobody answers TIMESYNC."""
+    """Fly one draw: everybody turns at random, ranges from the denied vehicle only, nobody answers TIMESYNC."""
     late, seed = drawn
     flight = WanderingFlight(Scenario(mutual=False), seed, FLIGHT_S)
     vehicles = tuple(flight.courses)

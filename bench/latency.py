@@ -62,7 +62,7 @@ def _spent_us(seconds: float, also: Callable[[], float] = lambda: 0.0) -> FloatA
             flight.receive(*datagram)
             continue
         # What waits to be used is of the datagrams before.
-        flight.engine.estimator.take_residuals()
+        flight.engine.estimator.drain_residuals()
         also_before, began_ns = also(), time.process_time_ns()
         reached_filter_ns = _take(flight, datagram)
         ended_ns = time.process_time_ns()
@@ -73,7 +73,7 @@ def _spent_us(seconds: float, also: Callable[[], float] = lambda: 0.0) -> FloatA
 def _take(flight: Flight, datagram: Sent) -> int:
     flight.receive(*datagram)
     reached_filter_ns = time.process_time_ns()
-    flight.engine.estimator.take_residuals()
+    flight.engine.estimator.drain_residuals()
     return reached_filter_ns
 
 

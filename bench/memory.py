@@ -44,11 +44,11 @@ def measure(quick: bool) -> list[Figure]:
 
 def main() -> None:
     """Fly the laps. Each is a reboot of all vehicles: their clocks jump back, as they do once in a while over hours."""
-    import gcs_coloc.service  # noqa: F401 - what the service has in memory besides the flight
+    import gcs_coloc.service.service  # noqa: F401 - what the service has in memory besides the flight
     from bench.service_cpu import rss_mb
     from bench.traffic import Sent
-    from gcs_coloc.garbage import collect_seldom
     from gcs_coloc.mavlink.decoder import Decoder
+    from gcs_coloc.runtime.gc_policy import collect_seldom
 
     minute = [Sent(*entry) for entry in pickle.load(sys.stdin.buffer)]
     flight, sizes_mb = Flight(), []

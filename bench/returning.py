@@ -11,9 +11,9 @@ from scipy.stats import beta
 from bench.accuracy_runs import on_all_cores
 from bench.figures import Figure
 from bench.integrity_flights import STEP_S, SUBJECT, Flight, Scenario, fly_step, fresh_engine
-from gcs_coloc.core.health import GpsState, HealthSettings
-from gcs_coloc.core.messages import Autopilot, Heartbeat
-from gcs_coloc.core.words import RouteReport
+from gcs_coloc.core.gps_health.gps_health import GpsState, HealthSettings
+from gcs_coloc.core.messages.control import RouteReport
+from gcs_coloc.core.messages.inbound import Autopilot, Heartbeat
 
 _BACK_S = 40.0
 _WATCHED_S = 60.0

@@ -56,11 +56,11 @@ def _cost(heard: int, failed: int, seconds: float) -> tuple[float, float]:
     start = np.column_stack([rng.uniform(-0.5, 0.5, (count, 2)) * _FIELD_M, rng.uniform(50.0, 150.0, count)])
     course = rng.uniform(0.0, 2.0 * np.pi, count)
     velocity = _SPEED_MPS * np.column_stack([np.sin(course), np.cos(course), np.zeros(count)])
-    subjects = range(1, failed + 1)
+    denied = range(1, failed + 1)
     estimator = load_estimator("fleet", {})
     for vehicle in range(1, count + 1):
         estimator.add(_report(vehicle, 0.0, start[vehicle - 1], velocity[vehicle - 1], rng))
-    estimator.set_subjects(subjects, _LOST_AT_S)
+    estimator.set_denied(denied, _LOST_AT_S)
     spent_s, taken, t = 0.0, 0, 0.0
     while t < _WARM_S + seconds:
         t += 1.0 / _RATE_HZ
@@ -68,7 +68,7 @@ def _cost(heard: int, failed: int, seconds: float) -> tuple[float, float]:
         began_s = time.process_time()
         for m in batch:
             estimator.add(m)
-        for vehicle in subjects:
+        for vehicle in denied:
             estimator.estimate(vehicle, t)
         if t > _WARM_S:
             spent_s += time.process_time() - began_s

@@ -17,7 +17,7 @@ from gcs_coloc.recorder.playhead import Playhead
 from gcs_coloc.recorder.replay import Replay
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.web.playback import OnPoll, Playback
-from gcs_coloc.web.story import Story
+from gcs_coloc.web.track_history import TrackHistory
 from gcs_coloc.web.wire import PlaybackCommand
 from sitl_fakes.fleet import Fleet
 from sitl_fakes.scenario import load_scenario
@@ -89,7 +89,7 @@ def _playback(path: Path, kept: list[_Costed]) -> Playback:
         kept.append(_Costed(beginning))
         return kept[0]
 
-    return Playback(begin, Playhead(*TlogReader(path).span(), float("inf")), Story(), keeping)
+    return Playback(begin, Playhead(*TlogReader(path).span(), float("inf")), TrackHistory(), keeping)
 
 
 def _go_to(playback: Playback, place_s: float) -> float:

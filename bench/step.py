@@ -28,15 +28,15 @@ class SameStatesEkf:
     It takes the same measurements, each at its own time; what the fleet filter does besides is left out.
     """
 
-    def __init__(self, start: list[PositionMeasurement], subject: int) -> None:
+    def __init__(self, start: list[PositionMeasurement], denied_vehicle: int) -> None:
         self._index = {m.vehicle: i * SIZE for i, m in enumerate(start)}
-        peers = [m.vehicle for m in start if m.vehicle != subject]
+        peers = [m.vehicle for m in start if m.vehicle != denied_vehicle]
         n = len(start) * SIZE + len(peers) * _PAIR_STATES
         self._pairs = {peer: len(start) * SIZE + i * _PAIR_STATES for i, peer in enumerate(peers)}
         self._filter = ExtendedKalmanFilter(dim_x=n, dim_z=1)
         self._filter.x, self._filter.P = np.zeros(n), np.eye(n)
         self._at_s = start[0].measured_at_s
-        self._subject = subject
+        self._denied_vehicle = denied_vehicle
         self._step = Step()
         for m in start:
             self._filter.x[self._index[m.vehicle] : self._index[m.vehicle] + 3] = m.position_enu_m
@@ -105,7 +105,7 @@ def measure(quick: bool) -> list[Figure]:
     makers: dict[str, Callable[[], float]] = {
         "fleet": lambda: _cost_us(flight, cut, load_estimator("fleet", {})),
         "filterpy EKF, same states": lambda: _same_states_us(flight, cut),
-        "filterpy EKF, 4 states of the subject alone": lambda: _cost_us(flight, cut, FilterpyEkf()),
+        "filterpy EKF, 4 states of the denied vehicle alone": lambda: _cost_us(flight, cut, FilterpyEkf()),
     }
     if installed("stonesoup"):
         from bench.accuracy_stonesoup import StoneSoupEkf
@@ -141,24 +141,24 @@ def measure(quick: bool) -> list[Figure]:
 
 
 def _cost_us(flight: Recording, cut: Sequence[Measurement], estimator) -> float:  # type: ignore[no-untyped-def]
-    (subject,) = flight.truth_m
+    (denied_vehicle,) = flight.truth_m
     for m in flight.start:
         estimator.add(m)
-    estimator.set_subjects([subject], flight.lost_at_s)
+    estimator.set_denied([denied_vehicle], flight.lost_at_s)
     began_s, asked_s = time.process_time(), cut[0].arrived_at_s
     for m in cut:
         if m.arrived_at_s > asked_s:
-            estimator.estimate(subject, asked_s)
+            estimator.estimate(denied_vehicle, asked_s)
             asked_s = m.arrived_at_s
         estimator.add(m)
-    estimator.estimate(subject, asked_s)
+    estimator.estimate(denied_vehicle, asked_s)
     return _per_range(time.process_time() - began_s, cut)
 
 
 def _same_states_us(flight: Recording, cut: Sequence[Measurement]) -> float:
-    (subject,) = flight.truth_m
+    (denied_vehicle,) = flight.truth_m
     last = {m.vehicle: m for m in flight.start if isinstance(m, PositionMeasurement)}
-    ekf = SameStatesEkf(list(last.values()), subject)
+    ekf = SameStatesEkf(list(last.values()), denied_vehicle)
     began_s = time.process_time()
     for m in cut:
         ekf.add(m)

@@ -10,7 +10,7 @@ def main() -> None:
     is_heeded = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if is_heeded:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from gcs_coloc import cli
+    from gcs_coloc.cli import main as cli
 
     if is_heeded:
         signal.signal(signal.SIGINT, signal.default_int_handler)

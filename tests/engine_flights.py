@@ -6,13 +6,13 @@ from collections.abc import Collection, Iterable
 
 import numpy as np
 
-from gcs_coloc.core.aid_messages import ParameterValue
 from gcs_coloc.core.engine import Engine, EngineSettings
-from gcs_coloc.core.measurements import Estimate, Measurement, Unknown
-from gcs_coloc.core.messages import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, Inbound
-from gcs_coloc.core.outputs import GpsInput, Notice
-from gcs_coloc.core.view import VehicleView
-from gcs_coloc.core.words import RouteReport
+from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate
+from gcs_coloc.core.messages.aiding import ParameterValue
+from gcs_coloc.core.messages.control import RouteReport
+from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, Inbound
+from gcs_coloc.core.messages.outbound import GpsInput, Notice
+from gcs_coloc.core.snapshot import VehicleSnapshot
 
 LAT, LON, ALT = 47.0, 8.0, 500.0
 M_PER_DEGREE_EAST = 76056.0
@@ -27,27 +27,27 @@ class StraightLine:
 
     def __init__(self) -> None:
         self.taken: list[Measurement] = []
-        self.subjects: list[tuple[frozenset[int], float]] = []
+        self.denied: list[tuple[frozenset[int], float]] = []
         self.asked: list[tuple[int, float]] = []
         self.sigma_m = 2.0
         self.sigma_v_m = 3.0
         self.unknown: str | None = None
 
-    def set_subjects(self, subjects: Collection[int], at_s: float) -> None:
-        self.subjects.append((frozenset(subjects), at_s))
+    def set_denied(self, denied: Collection[int], at_s: float) -> None:
+        self.denied.append((frozenset(denied), at_s))
 
     def add(self, measurement: Measurement) -> None:
         self.taken.append(measurement)
 
-    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         self.asked.append((vehicle, at_s))
         if self.unknown is not None:
-            return Unknown(vehicle, at_s, self.unknown)
+            return NoEstimate(vehicle, at_s, self.unknown)
         covariance = np.diag([self.sigma_m**2, 1.0, self.sigma_v_m**2, 0.25, 0.16, 0.04])
         place = np.array([20.0 * at_s, (vehicle - 1) * M_APART_NORTH, 30.0])
         return Estimate(vehicle, at_s, place, np.array([20.0, 0.0, 1.0]), covariance, 1.5, 3)
 
-    def take_residuals(self) -> list:
+    def drain_residuals(self) -> list:
         return []
 
     def counts(self) -> dict[str, int]:
@@ -100,7 +100,7 @@ def aids(out: list, sysid: int) -> list[tuple[float, GpsInput]]:
     return [(t, o) for t, o in out if isinstance(o, GpsInput) and o.sysid == sysid]
 
 
-def vehicle_4(engine: Engine, now_s: float) -> VehicleView:
+def vehicle_4(engine: Engine, now_s: float) -> VehicleSnapshot:
     return next(v for v in engine.view(now_s).vehicles if v.sysid == 4)
 
 

@@ -70,10 +70,10 @@ class Fleet:
             a, b, t, t + (self.latency_s if latency_s is None else latency_s), max(distance, 0.0), self.sigma_range_m
         )
 
-    def round(self, t: float, subjects: tuple[int, ...]) -> list[Measurement]:
-        """Return one round of everything: positions of the healthy, altitudes and ranges of the subjects."""
-        healthy = [vehicle for vehicle in self.paths if vehicle not in subjects]
+    def round(self, t: float, denied: tuple[int, ...]) -> list[Measurement]:
+        """Return one round of everything: positions of the healthy, altitudes and ranges of the denied vehicles."""
+        healthy = [vehicle for vehicle in self.paths if vehicle not in denied]
         out: list[Measurement] = [self.position(vehicle, t) for vehicle in healthy]
-        out += [self.altitude(vehicle, t) for vehicle in subjects]
-        out += [self.range(vehicle, peer, t) for vehicle in subjects for peer in healthy]
+        out += [self.altitude(vehicle, t) for vehicle in denied]
+        out += [self.range(vehicle, peer, t) for vehicle in denied for peer in healthy]
         return out

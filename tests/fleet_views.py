@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from gcs_coloc.core.view import Consistency, FleetView, LinkView, OutView, RangeView, VehicleView
+from gcs_coloc.core.snapshot import Consistency, FleetSnapshot, LinkSnapshot, OutSnapshot, RangeSnapshot, VehicleSnapshot
 
-HEALTHY = VehicleView(
+HEALTHY = VehicleSnapshot(
     sysid=1,
     age_s=0.1,
     autopilot="ArduPilot",
@@ -65,10 +65,12 @@ LOST = replace(
 )
 
 
-def fleet_view(at_s: float = 10.0, *vehicles: VehicleView, **other: Any) -> FleetView:
+def fleet_view(at_s: float = 10.0, *vehicles: VehicleSnapshot, **other: Any) -> FleetSnapshot:
     """A fleet of the given vehicles, of a healthy and a located one by default."""
     seen = vehicles or (HEALTHY, LOCATED)
-    links = tuple(LinkView(v.sysid, round(20 * at_s), round(at_s), 0) for v in seen)
-    ranges = (RangeView(4, 1, 0.1, 1.5, 2.0, 0.56, None),)
-    outs = (OutView("udpout:127.0.0.1:14551", 1, round(40 * at_s), 12, 3, 2),)
-    return FleetView(at_s, "fleet", seen, {"bad_crc": 3}, {"used": 7}, **{"ranges": ranges, "links": links, "outs": outs} | other)
+    links = tuple(LinkSnapshot(v.sysid, round(20 * at_s), round(at_s), 0) for v in seen)
+    ranges = (RangeSnapshot(4, 1, 0.1, 1.5, 2.0, 0.56, None),)
+    outs = (OutSnapshot("udpout:127.0.0.1:14551", 1, round(40 * at_s), 12, 3, 2),)
+    return FleetSnapshot(
+        at_s, "fleet", seen, {"bad_crc": 3}, {"used": 7}, **{"ranges": ranges, "links": links, "outs": outs} | other
+    )

@@ -12,9 +12,9 @@ from math import hypot
 from pathlib import Path
 from typing import Any
 
-from gcs_coloc.core.bound import horizontal_bound_95_m
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.outputs import GpsInput, Notice, Outbound
+from gcs_coloc.core.error_bound import horizontal_bound_95_m
+from gcs_coloc.core.messages.outbound import GpsInput, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, Sample, fly
 from sitl_fakes.scenario import Scenario
@@ -120,7 +120,7 @@ def _belief_error_m(sample: Sample) -> float:
 
 
 def fault(kind: str, vehicle: int = SUBJECT, at_s: float = 15.0, **more: Any) -> dict[str, Any]:
-    """A fault of a scenario; by default it befalls the subject at 15 s."""
+    """A fault of a scenario; by default it befalls the denied vehicle at 15 s."""
     return {"kind": kind, "vehicle": vehicle, "at_s": at_s, **more}
 
 
@@ -139,9 +139,9 @@ def fly_through(
         faults: as in a scenario file.
         duration_s: how long.
         seed: of all noise.
-        mutual: whether all measure ranges, not the subject alone.
-        params: autopilot parameters of the subject.
-        autopilot: kind of the subject's autopilot.
+        mutual: whether all measure ranges, not the denied vehicle alone.
+        params: autopilot parameters of the denied vehicle.
+        autopilot: kind of the denied vehicle's autopilot.
         scenario: name of the scenario.
     """
     with (CONFIGS / f"scenario-{scenario}.toml").open("rb") as file:

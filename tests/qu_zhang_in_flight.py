@@ -3,28 +3,28 @@
 import numpy as np
 from fleet_in_flight import Fleet
 
-from gcs_coloc.core.measurements import Estimate, Unknown
-from gcs_coloc.estimators.qu_zhang import QuZhang
+from gcs_coloc.core.measurements import Estimate, NoEstimate
+from gcs_coloc.estimators.qu_zhang.filter import QuZhangFilter
 
 STEP_S = 0.2
 
 
-def fly(estimator: QuZhang, fleet: Fleet, start_s: float, end_s: float, subjects: tuple[int, ...] = ()) -> None:
-    estimator.set_subjects(subjects, start_s)
+def fly(estimator: QuZhangFilter, fleet: Fleet, start_s: float, end_s: float, denied: tuple[int, ...] = ()) -> None:
+    estimator.set_denied(denied, start_s)
     for k in range(round((end_s - start_s) / STEP_S)):
-        for measurement in fleet.round(start_s + k * STEP_S, subjects):
+        for measurement in fleet.round(start_s + k * STEP_S, denied):
             estimator.add(measurement)
 
 
-def located(estimator: QuZhang, vehicle: int, at_s: float) -> Estimate:
+def located(estimator: QuZhangFilter, vehicle: int, at_s: float) -> Estimate:
     answer = estimator.estimate(vehicle, at_s)
     assert isinstance(answer, Estimate), answer
     return answer
 
 
-def why_unknown(estimator: QuZhang, vehicle: int, at_s: float) -> str:
+def why_unknown(estimator: QuZhangFilter, vehicle: int, at_s: float) -> str:
     answer = estimator.estimate(vehicle, at_s)
-    assert isinstance(answer, Unknown), answer
+    assert isinstance(answer, NoEstimate), answer
     return answer.reason
 
 

@@ -8,7 +8,7 @@ from math import hypot
 
 import numpy as np
 
-from gcs_coloc.core.integrity.scene import Row, Scene
+from gcs_coloc.core.integrity.epoch import Epoch, RangeResidual
 from gcs_coloc.core.measurements import FloatArray
 
 _RANK_TOLERANCE = 1e-6
@@ -33,7 +33,7 @@ class Effect:
 class Adjustment:
     """One adjustment. States are the corrections (3 per vehicle, in the order of `vehicles`), those of `now` first."""
 
-    def __init__(self, now: Scene, then: Scene | None = None, correlation: float = 0.0) -> None:
+    def __init__(self, now: Epoch, then: Epoch | None = None, correlation: float = 0.0) -> None:
         """Adjust `now`, or what both scenes hold; `correlation` is that of one vehicle's corrections at the two times, 0 to 1."""
         scenes, self.rows = _common(now, then)
         self.vehicles = sorted({v for row in self.rows[0] for v in row.pair})
@@ -64,7 +64,7 @@ class Adjustment:
         known_share = 1.0 - _LEAST_INFORMATION * np.diagonal(self.covariance_m2)[unknown]
         self.degrees_of_freedom = len(self.rows[0]) * len(scenes) - round(float(known_share.sum()))
 
-    def _prior_information(self, scenes: list[Scene], correlation: float) -> FloatArray:
+    def _prior_information(self, scenes: list[Epoch], correlation: float) -> FloatArray:
         """Return the inverse of the corrections' prior covariance: of each axis a block over the two times."""
         size = 3 * len(self.vehicles)
         # The inverse of [[1, c], [c, 1]] between the two times, in units of the sigmas.
@@ -136,7 +136,7 @@ class Adjustment:
         return states[i : i + 2]
 
 
-def _information(scene: Scene, vehicles: list[int]) -> FloatArray:
+def _information(scene: Epoch, vehicles: list[int]) -> FloatArray:
     """Return what is known of each axis of each vehicle's correction (3 vehicles,), 1/m^2."""
     known = []
     for place in (scene.places[v] for v in vehicles):
@@ -145,7 +145,7 @@ def _information(scene: Scene, vehicles: list[int]) -> FloatArray:
     return np.array(known)
 
 
-def _common(now: Scene, then: Scene | None) -> tuple[list[Scene], list[tuple[Row, ...]]]:
+def _common(now: Epoch, then: Epoch | None) -> tuple[list[Epoch], list[tuple[RangeResidual, ...]]]:
     """Return the scenes and, for each, its rows; of two scenes those of the pairs that both have, in the same order."""
     if then is None:
         return [now], [now.rows]
@@ -158,7 +158,7 @@ def _common(now: Scene, then: Scene | None) -> tuple[list[Scene], list[tuple[Row
     return [now, then], [tuple(pair[0] for pair in pairs), tuple(pair[1] for pair in pairs)]
 
 
-def _weights(rows: list[tuple[Row, ...]]) -> list[list[FloatArray]]:
+def _weights(rows: list[tuple[RangeResidual, ...]]) -> list[list[FloatArray]]:
     """Return the inverse of the rows' noise covariance: for each two scenes the weights (rows,) that tie a row to itself."""
     variances = [np.array([row.sigma_m**2 + row.bias_m**2 for row in each]) for each in rows]
     if len(rows) == 1:

@@ -20,15 +20,15 @@ from pathlib import Path
 
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import Estimate
-from gcs_coloc.core.messages import PeerRange
-from gcs_coloc.core.outputs import Outbound, ToVehicle
+from gcs_coloc.core.messages.inbound import PeerRange
+from gcs_coloc.core.messages.outbound import Outbound, ToVehicle
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.evaluation.evaluate import evaluate
 from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.recorder import replay as driver
 from gcs_coloc.recorder.side_tables import read_ranges
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.study.closed_loop import fly
-from gcs_coloc.study.evaluate import evaluate
 from sitl_fakes.scenario import load_scenario
 
 LOOK_EVERY_S = 0.5
@@ -106,7 +106,7 @@ def of_dataset(directory: Path, estimator: str) -> str:
     except Exception as error:  # what stops an estimator today is hashed as well
         result.raw(type(error).__name__.encode())
         return result.digest()
-    for vehicle in evaluation.subjects:
+    for vehicle in evaluation.denied:
         for array in (vehicle.series.times_s, vehicle.series.estimate_enu_m, vehicle.series.covariance_m2, vehicle.nis):
             result.raw(array.tobytes())
     return result.digest()
@@ -138,13 +138,12 @@ def main() -> int:
     tasks: list[tuple[str, Callable[[Path, str], str], Path, str]] = []
     configs = Path(__file__).resolve().parents[1] / "configs"
     for estimator in ESTIMATORS:
-        for scenario in sorted(FLOWN_S):
-            tasks.append((f"{estimator} flown {scenario}", of_simulation, configs / f"{scenario}.toml", estimator))
+        tasks += [(f"{estimator} flown {name}", of_simulation, configs / f"{name}.toml", estimator) for name in sorted(FLOWN_S)]
         for directory in arguments.directories:
-            for file in sorted(directory.rglob("*.tlog")):
-                tasks.append((f"{estimator} replayed {file.relative_to(directory)}", of_recording, file, estimator))
-            for file in sorted(directory.rglob("meta.toml")):
-                tasks.append((f"{estimator} evaluated {file.parent.relative_to(directory)}", of_dataset, file.parent, estimator))
+            logs = [file.relative_to(directory) for file in sorted(directory.rglob("*.tlog"))]
+            sets = [file.parent.relative_to(directory) for file in sorted(directory.rglob("meta.toml"))]
+            tasks += [(f"{estimator} replayed {file}", of_recording, directory / file, estimator) for file in logs]
+            tasks += [(f"{estimator} evaluated {name}", of_dataset, directory / name, estimator) for name in sets]
     tasks = [task for task in tasks if arguments.only in task[0]]
     hashes: dict[str, str] = {}
     with ProcessPoolExecutor(arguments.processes) as pool:

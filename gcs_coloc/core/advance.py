@@ -11,14 +11,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.outputs import Aid, Outbound
+from gcs_coloc.core.messages.outbound import AidingMessage, Outbound
 
 CATCH_UP_S = 1.0
 """A service that was held up for longer than this leaves out the deadlines that it missed instead of running them all."""
 
 
 @dataclass(frozen=True, slots=True)
-class HeldUp:
+class Overrun:
     """The service was held up until `received_at_s` (service time, s); the deadlines from `since_s` on were missed.
 
     It answered those that it missed by more than `CATCH_UP_S` once, at `received_at_s`. A replay must do the same.
@@ -28,10 +28,10 @@ class HeldUp:
     since_s: float
 
 
-def was_held_up(engine: Engine, to_s: float) -> HeldUp | None:
+def find_overrun(engine: Engine, to_s: float) -> Overrun | None:
     """What a recording must hold of the next `advance` to `to_s` with `CATCH_UP_S`; None where it leaves nothing out."""
     since_s = engine.next_deadline()
-    return HeldUp(to_s, since_s) if to_s - since_s > CATCH_UP_S else None
+    return Overrun(to_s, since_s) if to_s - since_s > CATCH_UP_S else None
 
 
 def advance(engine: Engine, to_s: float, *, catch_up_s: float = float("inf")) -> Iterator[tuple[float, list[Outbound]]]:
@@ -51,5 +51,9 @@ def advance(engine: Engine, to_s: float, *, catch_up_s: float = float("inf")) ->
 
 def without_superseded(outputs: list[Outbound]) -> list[Outbound]:
     """The outputs without the aid that a later one of its kind to the same vehicle replaces: no old position is sent late."""
-    last = {(type(output), output.sysid): i for i, output in enumerate(outputs) if isinstance(output, Aid)}
-    return [output for i, output in enumerate(outputs) if not isinstance(output, Aid) or last[type(output), output.sysid] == i]
+    last = {(type(output), output.sysid): i for i, output in enumerate(outputs) if isinstance(output, AidingMessage)}
+    return [
+        output
+        for i, output in enumerate(outputs)
+        if not isinstance(output, AidingMessage) or last[type(output), output.sysid] == i
+    ]

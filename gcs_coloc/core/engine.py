@@ -9,29 +9,47 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from gcs_coloc.core.aid.aiding import Aiding
-from gcs_coloc.core.aid.settings import AidSettings
-from gcs_coloc.core.aid_messages import OtherAid, ParameterSet
-from gcs_coloc.core.clocks.unanswered import Unanswered
+from gcs_coloc.core.aiding.aiding import Aiding
+from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.clocks.unanswered_timesync import UnansweredTimesync
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
-from gcs_coloc.core.feed import Feed, FeedSettings
-from gcs_coloc.core.fleet import Fleet, Vehicle
-from gcs_coloc.core.grid import Grid
-from gcs_coloc.core.guard import GuardedEstimator
-from gcs_coloc.core.health import DISTRUSTED, HealthSettings
-from gcs_coloc.core.integrity.judge import Integrity
-from gcs_coloc.core.measurements import Estimate, Unknown
-from gcs_coloc.core.messages import Airspeed, Attitude, EkfStatus, GlobalPosition, GpsReceiver, Inbound, SystemHealth, SystemTime
-from gcs_coloc.core.outputs import Aid, HealthChanged, Notice, Outbound, TimeSyncRequest
+from gcs_coloc.core.estimator import Estimator
+from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, HealthSettings
+from gcs_coloc.core.guarded_estimator import GuardedEstimator
+from gcs_coloc.core.integrity.monitor import IntegrityMonitor
+from gcs_coloc.core.measurements import Estimate, NoEstimate
+from gcs_coloc.core.messages.aiding import ForeignGpsInput, ParameterSet
+from gcs_coloc.core.messages.control import (
+    AidingOverride,
+    ClockReference,
+    ControlInput,
+    GpsOverride,
+    OperatorCommand,
+    PrimaryOverride,
+    RouteReport,
+    TransmitDisabled,
+)
+from gcs_coloc.core.messages.inbound import (
+    Airspeed,
+    Attitude,
+    EkfStatus,
+    GlobalPosition,
+    GpsReceiver,
+    Inbound,
+    SystemHealth,
+    SystemTime,
+)
+from gcs_coloc.core.messages.outbound import AidingMessage, HealthChanged, Notice, Outbound, TimeSyncRequest
 from gcs_coloc.core.range_jumps import RangeJumps
-from gcs_coloc.core.residuals import ResidualLog
-from gcs_coloc.core.streams import StreamRequests
-from gcs_coloc.core.telemetry import Telemetry
+from gcs_coloc.core.residual_log import ResidualLog
+from gcs_coloc.core.snapshot import FleetSnapshot
+from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, MeasurementSettings
+from gcs_coloc.core.telemetry.stream_requests import StreamRequests
+from gcs_coloc.core.telemetry.vehicles import Vehicle, VehicleRegistry
+from gcs_coloc.core.telemetry_router import Telemetry
+from gcs_coloc.core.tick_schedule import TickSchedule
 from gcs_coloc.core.utc import Utc
-from gcs_coloc.core.vehicle_view import vehicle_view
-from gcs_coloc.core.view import FleetView
-from gcs_coloc.core.words import AidWord, ClockReference, GpsWord, OffAir, OperatorWord, PrimaryWord, RouteReport, ToldAside
-from gcs_coloc.estimators.base import Estimator
+from gcs_coloc.core.vehicle_snapshot import vehicle_snapshot
 
 REVIEWED_EVERY_S = 0.2
 _DOUBLED = (
@@ -45,8 +63,8 @@ class EngineSettings:
     """Settings of one fleet. `most_vehicles` bounds every table; `request_streams` asks vehicles for missing messages."""
 
     health: HealthSettings = field(default_factory=HealthSettings)
-    feed: FeedSettings = field(default_factory=FeedSettings)
-    aid: AidSettings = field(default_factory=AidSettings)
+    feed: MeasurementSettings = field(default_factory=MeasurementSettings)
+    aid: AidingSettings = field(default_factory=AidingSettings)
     time: TimeSettings = field(default_factory=TimeSettings)
     request_streams: bool = True
     most_vehicles: int = 250
@@ -63,10 +81,10 @@ class Engine:
         self.estimator: Estimator = GuardedEstimator(estimator, self._tell_of_estimator)
         # The receiver that we feed never counts as evidence of a vehicle's own GPS.
         own_receiver = 1 if self.settings.aid.gps_id == 0 else 0
-        self.fleet = Fleet(self.settings.health, self.settings.most_vehicles, own_receiver)
-        self.feed = Feed(self.settings.feed, self.settings.time)
+        self.fleet = VehicleRegistry(self.settings.health, self.settings.most_vehicles, own_receiver)
+        self.feed = MeasurementBuilder(self.settings.feed, self.settings.time)
         self.aiding = Aiding(self.settings.aid)
-        self.integrity = Integrity()
+        self.integrity = IntegrityMonitor()
         self._streams = StreamRequests()
         self._residuals = ResidualLog()
         self._jumps = RangeJumps()
@@ -74,11 +92,11 @@ class Engine:
         self._outbox: list[Outbound] = []
         self._refused: Counter[str] = Counter()
         self._now_s = float("-inf")
-        self._unanswered = Unanswered(self.settings.time)
+        self._unanswered = UnansweredTimesync(self.settings.time)
         self._utc = Utc(required=self.settings.time.require_synchronised_clock)
         self.aiding.withheld = self._utc.withheld()
-        self._subjects: frozenset[int] = frozenset()
-        self._gps_words: dict[int, GpsWord] = {}
+        self._denied: frozenset[int] = frozenset()
+        self._gps_words: dict[int, GpsOverride] = {}
         self._housekeeping_due_s = float("inf")
         self.reviewed_at_s = float("-inf")
         self._telemetry = Telemetry(self.fleet, self.feed, self.aiding, self.integrity, self.estimator, self._tell)
@@ -89,8 +107,8 @@ class Engine:
         if self._housekeeping_due_s == float("inf"):
             # The first message sets the grid of deadlines, so that a recording of the messages holds it.
             self._housekeeping_due_s = at_s
-            self.aiding.grid = Grid(at_s)
-        if isinstance(message, ToldAside):
+            self.aiding.grid = TickSchedule(at_s)
+        if isinstance(message, ControlInput):
             self._note(message)
             return
         vehicle = self.fleet.get(message.sysid)
@@ -101,7 +119,7 @@ class Engine:
         resets = vehicle.clock.resets
         if self._telemetry.take(message, vehicle):
             self._review(vehicle, at_s)
-        if vehicle.clock.resets != resets and vehicle.health.doubled is None:
+        if vehicle.clock.resets != resets and vehicle.health.duplicate_id is None:
             self._streams.restarted(vehicle.sysid)
             self.aiding.restarted(vehicle.sysid)
             self._say(at_s, vehicle.sysid, "warning", "its clock jumped: taken as a reboot")
@@ -141,7 +159,7 @@ class Engine:
         return out
 
     def _note_residuals(self, now_s: float) -> None:
-        residuals = self.estimator.take_residuals()
+        residuals = self.estimator.drain_residuals()
         self._residuals.take(residuals, now_s)
         self._jumps.take(residuals, now_s)
         sizes_m = self._jumps.sizes_m(now_s)
@@ -159,7 +177,7 @@ class Engine:
         """The service time at which the next vehicle is to be sent its aid; infinity where nobody is aided."""
         return self.aiding.next_due_s()
 
-    def close(self) -> list[Aid | ParameterSet]:
+    def close(self) -> list[AidingMessage | ParameterSet]:
         """The last messages before the service ends: fix_type 1 to everyone who is being aided, and what was set is restored."""
         return self.aiding.close()
 
@@ -170,15 +188,15 @@ class Engine:
             total.update(counts)
         return dict(total)
 
-    def view(self, now_s: float) -> FleetView:
+    def view(self, now_s: float) -> FleetSnapshot:
         """The fleet as it stands, for observers."""
         consistency = self._residuals.consistency()
         frame, time = self.feed.frame, self.settings.time
         vehicles = tuple(
-            vehicle_view(v, self.where(v.sysid, now_s), frame, self.aiding, consistency.get(v.sysid), time, now_s)
+            vehicle_snapshot(v, self.where(v.sysid, now_s), frame, self.aiding, consistency.get(v.sysid), time, now_s)
             for v in sorted(self.fleet, key=lambda v: v.sysid)
         )
-        return FleetView(
+        return FleetSnapshot(
             at_s=now_s,
             estimator=self.estimator.name,
             vehicles=vehicles,
@@ -189,7 +207,7 @@ class Engine:
             origin=(frame.lat_deg, frame.lon_deg, frame.height_m) if frame is not None else None,
         )
 
-    def where(self, sysid: int, at_s: float) -> Estimate | Unknown:
+    def where(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
         """The estimator's answer for one vehicle at one service time, its covariance with what a liar may have done to it."""
         where = self.estimator.estimate(sysid, at_s)
         return self.integrity.doubted(where) if isinstance(where, Estimate) else where
@@ -200,20 +218,20 @@ class Engine:
             self._refused["more vehicles than the fleet may have"] += 1
             return None
         self._say(at_s, sysid, "info", "heard for the first time")
-        vehicle.health.word = self._gps_words.get(sysid, GpsWord.AUTO)
+        vehicle.health.word = self._gps_words.get(sysid, GpsOverride.AUTO)
         return vehicle
 
-    def _note(self, message: ToldAside) -> None:
+    def _note(self, message: ControlInput) -> None:
         match message:
             case ClockReference():
                 self._host_time(message)
-            case OffAir():
+            case TransmitDisabled():
                 self.aiding.on_air = False
             case RouteReport():
                 self._reroute(message)
-            case OperatorWord():
+            case OperatorCommand():
                 self._obey(message)
-            case OtherAid():
+            case ForeignGpsInput():
                 self._note_other(message)
 
     def _reroute(self, message: RouteReport) -> None:
@@ -225,13 +243,13 @@ class Engine:
             self._say(message.received_at_s, vehicle.sysid, "warning", f"nothing can be sent to it: {message.blocked}")
         self._outbox.extend(self.aiding.review(vehicle, message.received_at_s))
 
-    def _obey(self, message: OperatorWord) -> None:
+    def _obey(self, message: OperatorCommand) -> None:
         word, sysid = message.word, message.sysid
         vehicle = self.fleet.get(sysid)
-        if isinstance(word, AidWord):
+        if isinstance(word, AidingOverride):
             self.aiding.words[sysid] = word
             self._say(message.received_at_s, sysid, "info", f"operator: aid {word.value}")
-        elif isinstance(word, PrimaryWord):
+        elif isinstance(word, PrimaryOverride):
             self.aiding.primary_words[sysid] = word
             self._say(message.received_at_s, sysid, "info", f"operator: GPS_PRIMARY {word.value}")
         else:
@@ -242,7 +260,7 @@ class Engine:
         if vehicle is not None:
             self._review(vehicle, message.received_at_s)
 
-    def _note_other(self, message: OtherAid) -> None:
+    def _note_other(self, message: ForeignGpsInput) -> None:
         vehicle = self.fleet.get(message.vehicle) if message.vehicle is not None else None
         if vehicle is not None:
             self.aiding.heard_other(message)
@@ -255,25 +273,27 @@ class Engine:
             after = vehicle.health.state
             self._outbox.append(HealthChanged(now_s, vehicle.sysid, before.value, after.value, vehicle.health.reason))
         self._outbox.extend(self.aiding.review(vehicle, now_s))
-        if _is_subject(vehicle) == (vehicle.sysid in self._subjects):
+        if _is_denied(vehicle) == (vehicle.sysid in self._denied):
             return
-        self._subjects = subjects = self._subjects ^ {vehicle.sysid}
-        self.estimator.set_subjects(subjects, now_s)
-        if vehicle.health.contradiction is not None and vehicle.sysid in subjects:
+        self._denied = denied = self._denied ^ {vehicle.sysid}
+        self.estimator.set_denied(denied, now_s)
+        if vehicle.health.contradiction is not None and vehicle.sysid in denied:
             # What it said of late is in its state: it must start anew, from the ranges alone.
             self._locate_anew(vehicle.sysid, now_s)
 
     def _locate_anew(self, sysid: int, now_s: float) -> None:
-        self.estimator.set_subjects(self._subjects - {sysid}, now_s)
-        self.estimator.set_subjects(self._subjects, now_s)
+        self.estimator.set_denied(self._denied - {sysid}, now_s)
+        self.estimator.set_denied(self._denied, now_s)
 
     def _look_for_twins(self, vehicle: Vehicle, now_s: float) -> None:
-        doubled = _DOUBLED if vehicle.clock.twins.seen(now_s) else None
-        if doubled == vehicle.health.doubled:
+        duplicate_id = _DOUBLED if vehicle.clock.twins.seen(now_s) else None
+        if duplicate_id == vehicle.health.duplicate_id:
             return
-        vehicle.health.doubled = doubled
-        if doubled is not None:
-            self._say(now_s, vehicle.sysid, "error", f"{doubled}; nothing is sent to them, and no position of theirs is used")
+        vehicle.health.duplicate_id = duplicate_id
+        if duplicate_id is not None:
+            self._say(
+                now_s, vehicle.sysid, "error", f"{duplicate_id}; nothing is sent to them, and no position of theirs is used"
+            )
         else:
             self._say(now_s, vehicle.sysid, "info", "only one autopilot uses its system id any more")
 
@@ -288,7 +308,7 @@ class Engine:
         if ts1_ns is not None:
             self._outbox.append(TimeSyncRequest(vehicle.sysid, ts1_ns))
 
-    def _answer(self, sysid: int, at_s: float) -> Estimate | Unknown:
+    def _answer(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
         where = self.where(sysid, at_s)
         vehicle = self.fleet.get(sysid)
         if vehicle is not None and isinstance(where, Estimate):
@@ -313,5 +333,5 @@ class Engine:
         self._outbox.append(Notice(at_s, sysid, level, text))
 
 
-def _is_subject(vehicle: Vehicle) -> bool:
-    return vehicle.health.state in DISTRUSTED or vehicle.health.captive
+def _is_denied(vehicle: Vehicle) -> bool:
+    return vehicle.health.state in DISTRUSTED or vehicle.health.self_fed

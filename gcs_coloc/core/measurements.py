@@ -104,7 +104,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
-class Unknown:
+class NoEstimate:
     """The honest answer where there is no estimate fit to be stated, with the reason in words."""
 
     vehicle: int

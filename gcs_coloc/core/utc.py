@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from statistics import median
 
-from gcs_coloc.core.fleet import Vehicle
-from gcs_coloc.core.gps_time import TABLE_GOOD_UNTIL, table_is_old
-from gcs_coloc.core.health import GpsState
-from gcs_coloc.core.outputs import Notice
-from gcs_coloc.core.words import ClockReference
+from gcs_coloc.core.clocks.gps_time import TABLE_GOOD_UNTIL, table_is_old
+from gcs_coloc.core.gps_health.gps_health import GpsState
+from gcs_coloc.core.messages.control import ClockReference
+from gcs_coloc.core.messages.outbound import Notice
+from gcs_coloc.core.telemetry.vehicles import Vehicle
 
 _UNDISCIPLINED = "the host's clock is not synchronised (NTP or the like)"
 _UNTOLD = "the host does not tell whether its clock is synchronised"

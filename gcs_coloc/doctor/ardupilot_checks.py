@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gcs_coloc.core.aid.ekf_gates import EkfGates
-from gcs_coloc.core.aid.settings import AidSettings, WayName
-from gcs_coloc.core.aid.way_choice import way_for
+from gcs_coloc.core.aiding.ekf_gates import EkfGates
+from gcs_coloc.core.aiding.method_choice import method_for
+from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.doctor import parameters as p
 from gcs_coloc.doctor.findings import Remark, Setup, VehicleFindings, note, right, stop
 from gcs_coloc.doctor.parameters import look_up
@@ -27,7 +27,7 @@ def check(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
     """Judge the parameters that the vehicle told. Values and meanings: ArduPilot's parameter lists of 4.5 to 4.7."""
     yield from _senders(vehicle, setup)
     aid = setup.aid
-    if way_for(vehicle.sysid, vehicle.autopilot, aid) == "external_position":
+    if method_for(vehicle.sysid, vehicle.autopilot, aid) == "external_position":
         yield right("it is aided by MAV_CMD_EXTERNAL_POSITION_ESTIMATE alone, which needs no GPS parameter")
     elif aid.gps_id not in (0, 1):
         yield note(f"[aid] gps_id = {aid.gps_id}: the doctor knows the first two receivers only, and has not checked this one")
@@ -35,7 +35,7 @@ def check(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
         yield from _receivers(vehicle, aid.gps_id)
         yield from _delay(vehicle, aid.gps_id, aid.lag_s)
         yield from _arming(vehicle, aid)
-    yield from _filter(vehicle, way_for(vehicle.sysid, vehicle.autopilot, aid))
+    yield from _filter(vehicle, method_for(vehicle.sysid, vehicle.autopilot, aid))
 
 
 def _senders(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
@@ -88,7 +88,7 @@ def _wanted(vehicle: VehicleFindings, names: tuple[str, ...], value: float, good
         yield stop(f"{found[0]} = {found[1]:g}: {bad}", f"set {found[0]} = {value:g}", (found[0], value))
 
 
-def _arming(vehicle: VehicleFindings, aid: AidSettings) -> Iterator[Remark]:
+def _arming(vehicle: VehicleFindings, aid: AidingSettings) -> Iterator[Remark]:
     if vehicle.armed or aid.standby:
         return
     fed = look_up(vehicle.parameters, p.GPS_TYPE[aid.gps_id])
@@ -111,7 +111,7 @@ def _delay(vehicle: VehicleFindings, fed: int, lag_s: float) -> Iterator[Remark]
         )
 
 
-def _filter(vehicle: VehicleFindings, way: WayName) -> Iterator[Remark]:
+def _filter(vehicle: VehicleFindings, way: AidingMethodName) -> Iterator[Remark]:
     ekf = look_up(vehicle.parameters, p.EKF_TYPE)
     if ekf is not None and ekf[1] != _EKF3:
         yield note(

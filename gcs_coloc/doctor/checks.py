@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gcs_coloc.core.aid.way_choice import mismatch, way_for
-from gcs_coloc.core.messages import Autopilot
+from gcs_coloc.core.aiding.method_choice import method_for, mismatch
+from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
 from gcs_coloc.doctor.findings import Findings, Level, Remark, Setup, VehicleFindings, note, right, stop
 from gcs_coloc.doctor.parameters import SENDERS_OPTION, look_up
@@ -27,7 +27,7 @@ _HARMFUL = {
 def of_vehicle(vehicle: VehicleFindings, setup: Setup, fleet: frozenset[int]) -> list[Remark]:
     """Everything that is to be said of one vehicle; `fleet` are the system ids that were heard."""
     remarks = [*_identity(vehicle)]
-    if not setup.subjects or vehicle.sysid in setup.subjects:
+    if not setup.denied or vehicle.sysid in setup.denied:
         remarks += [*_address(vehicle), *_autopilot(vehicle, setup), *_ranges(vehicle, fleet)]
     else:
         remarks.append(right("it is there to help locate others: whether it could be aided was not checked"))
@@ -36,7 +36,7 @@ def of_vehicle(vehicle: VehicleFindings, setup: Setup, fleet: frozenset[int]) ->
 
 def of_fleet(findings: Findings, setup: Setup) -> list[Remark]:
     """Everything that is to be said of the fleet as a whole."""
-    return [*_number(findings), *_subjects(findings, setup), *_refused(findings), *_host(findings, setup)]
+    return [*_number(findings), *_denied(findings, setup), *_refused(findings), *_host(findings, setup)]
 
 
 def is_ready(remarks: list[Remark]) -> bool:
@@ -69,7 +69,7 @@ def _address(vehicle: VehicleFindings) -> Iterator[Remark]:
 
 
 def _autopilot(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
-    way = way_for(vehicle.sysid, vehicle.autopilot, setup.aid)
+    way = method_for(vehicle.sysid, vehicle.autopilot, setup.aid)
     wrong_way = mismatch(way, vehicle.autopilot)
     if wrong_way is not None:
         yield stop(wrong_way, f"set way, or ways.{vehicle.sysid} for this vehicle alone, in [aid] of gcs-coloc")
@@ -158,8 +158,8 @@ def _number(findings: Findings) -> Iterator[Remark]:
         yield right(f"vehicles heard: {heard}")
 
 
-def _subjects(findings: Findings, setup: Setup) -> Iterator[Remark]:
-    for sysid in sorted(setup.subjects - {vehicle.sysid for vehicle in findings.vehicles}):
+def _denied(findings: Findings, setup: Setup) -> Iterator[Remark]:
+    for sysid in sorted(setup.denied - {vehicle.sysid for vehicle in findings.vehicles}):
         yield stop(f"vehicle {sysid}, which is to be located, was not heard")
 
 

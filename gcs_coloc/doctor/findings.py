@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from gcs_coloc.core.aid.settings import AidSettings
-from gcs_coloc.core.messages import Autopilot, GpsReceiver
+from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.messages.inbound import Autopilot, GpsReceiver
 
 
 class Level(Enum):
@@ -31,13 +31,13 @@ class Remark:
 @dataclass(frozen=True, slots=True)
 class Setup:
     """Our side: the id we speak under, the settings of aid, and whether nothing is sent while this computer's clock is not
-    synchronised. `subjects`: the vehicles that are to be located; empty: all.
+    synchronised. `denied`: the vehicles that are to be located; empty: all.
     """
 
     system_id: int = 254
-    aid: AidSettings = field(default_factory=AidSettings)
+    aid: AidingSettings = field(default_factory=AidingSettings)
     requires_synchronised_clock: bool = False
-    subjects: frozenset[int] = frozenset()
+    denied: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)

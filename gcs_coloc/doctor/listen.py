@@ -7,19 +7,19 @@ from collections import Counter
 from collections.abc import Callable, Hashable
 from dataclasses import replace
 
-from gcs_coloc.clock import ServiceClock
-from gcs_coloc.config import Settings
-from gcs_coloc.core.words import ClockReference
+from gcs_coloc.config.settings import Settings
+from gcs_coloc.core.messages.control import ClockReference
 from gcs_coloc.doctor.findings import Findings
 from gcs_coloc.doctor.survey import Question, Survey
 from gcs_coloc.links.address import parse
+from gcs_coloc.links.address_conflicts import Route
 from gcs_coloc.links.base import Address, Link
-from gcs_coloc.links.claims import Route
 from gcs_coloc.links.factory import make_link
 from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.dialect import GCS_COMPID, GCS_SYSID
 from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.mavlink.signing import Stamp
+from gcs_coloc.runtime.clock import ServiceClock
 
 _ASK_EVERY_S = 0.1
 _HEARTBEAT_EVERY_S = 1.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from gcs_coloc.core.messages import Autopilot
+from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.doctor import ports
 
 GPS_TYPE = (("GPS1_TYPE", "GPS_TYPE"), ("GPS2_TYPE", "GPS_TYPE2"))

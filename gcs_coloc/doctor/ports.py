@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from gcs_coloc.core.messages import Autopilot
+from gcs_coloc.core.messages.inbound import Autopilot
 
 STREAMS = ("POSITION", "EXT_STAT", "EXTRA1", "EXTRA2", "EXTRA3")
 """The ends of the names of ArduPilot's stream rates that hold what we want."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gcs_coloc.core.messages import Autopilot
-from gcs_coloc.core.streams import WANTED_HZ
+from gcs_coloc.core.messages.inbound import Autopilot
+from gcs_coloc.core.telemetry.stream_requests import WANTED_HZ
 from gcs_coloc.doctor.findings import Remark, VehicleFindings, note, right, stop
 from gcs_coloc.doctor.parameters import GPS_TYPE, look_up
 from gcs_coloc.doctor.ports import STREAMS, instances, serial_ports

@@ -10,9 +10,9 @@ from itertools import pairwise
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.aid_messages import ParameterRequest
-from gcs_coloc.core.clocks.two_clocks import TwoClocks
-from gcs_coloc.core.messages import (
+from gcs_coloc.core.clocks.duplicate_ids import DuplicateIdDetector
+from gcs_coloc.core.messages.aiding import ParameterRequest
+from gcs_coloc.core.messages.inbound import (
     Attitude,
     Autopilot,
     GlobalPosition,
@@ -23,8 +23,8 @@ from gcs_coloc.core.messages import (
     SystemTime,
     TimeSyncAnswer,
 )
-from gcs_coloc.core.outputs import TimeSyncRequest, ToVehicle
-from gcs_coloc.core.streams import StreamRequests
+from gcs_coloc.core.messages.outbound import TimeSyncRequest, ToVehicle
+from gcs_coloc.core.telemetry.stream_requests import StreamRequests
 from gcs_coloc.doctor.findings import Findings, VehicleFindings
 from gcs_coloc.doctor.parameters import ParameterReader
 from gcs_coloc.mavlink.decoder import Decoder, Frame
@@ -69,7 +69,7 @@ class _Vehicle:
     receiver: GpsReceiver | None = None
     answers_timesync: bool = False
     utc_minus_host_s: float | None = None
-    twins: TwoClocks = field(default_factory=TwoClocks)
+    twins: DuplicateIdDetector = field(default_factory=DuplicateIdDetector)
     ask_time_at_s: float = float("-inf")
 
     @property

@@ -18,15 +18,15 @@ from pathlib import Path
 from typing import Any
 
 from gcs_coloc.core.errors import EstimatorError
-from gcs_coloc.estimators.base import Estimator
+from gcs_coloc.core.estimator import Estimator
 
 BUILT_IN = {
-    "qu_zhang": "gcs_coloc.estimators.qu_zhang:QuZhang",
+    "qu_zhang": "gcs_coloc.estimators.qu_zhang.filter:QuZhangFilter",
     "fleet": "gcs_coloc.estimators.fleet.filter:FleetFilter",
 }
 """Name of each built-in estimator and where its class is; imported only when it is asked for."""
 
-_MEMBERS = ("name", "set_subjects", "add", "estimate", "take_residuals", "counts")
+_MEMBERS = ("name", "set_denied", "add", "estimate", "drain_residuals", "counts")
 
 
 def load_estimator(name: str, settings: Mapping[str, Any]) -> Estimator:

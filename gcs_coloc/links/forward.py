@@ -13,12 +13,12 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20.ardupilotmega import MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR, MAVLINK_MSG_ID_GPS_INPUT
 
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.core.view import OutView
+from gcs_coloc.core.snapshot import OutSnapshot
 from gcs_coloc.links.address import LinkAddress, SerialPort, TcpClient, TcpServer, UdpIn, UdpOut, parse_links, parse_out
+from gcs_coloc.links.address_conflicts import Route
 from gcs_coloc.links.base import Address, Clock, Link
-from gcs_coloc.links.claims import Route
 from gcs_coloc.links.factory import make_link
-from gcs_coloc.links.intake import Intake
+from gcs_coloc.links.rate_limiter import RateLimiter
 from gcs_coloc.links.routes import RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.links.stream import NOT_CONNECTED, OUTPUT_SKIPPED
@@ -73,7 +73,7 @@ class Forwarder:
     """Hands frames on, both ways. Every call returns at once: a slow or absent ground tool loses its own oldest frames.
 
     `routes`, `signed`: the fleet's. `is_aided` says whether a vehicle is being sent positions by us; `forwarded` takes every
-    frame that went on to a vehicle, `other_aid` every vehicle to which a ground tool's GPS_INPUT went, with the frame.
+    frame that went on to a vehicle, `foreign_gps_input` every vehicle to which a ground tool's GPS_INPUT went, with the frame.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class Forwarder:
         bytes_per_s: float,
         is_aided: Callable[[int], bool],
         forwarded: Callable[[RawFrame], None],
-        other_aid: Callable[[RawFrame, int], None],
+        foreign_gps_input: Callable[[RawFrame, int], None],
     ) -> None:
         self.counts = Counts()
         self._routes = routes
@@ -96,8 +96,8 @@ class Forwarder:
         self._own = own
         self._is_aided = is_aided
         self._forwarded = forwarded
-        self._other_aid = other_aid
-        self._intake = Intake(bytes_per_s)
+        self._foreign_gps_input = foreign_gps_input
+        self._rate_limiter = RateLimiter(bytes_per_s)
         self._outs: dict[Link, _Out] = {}
         for address in (parse_out(text) for text in outs):
             link = make_link(address, self._on_ground, clock, most_unsent_bytes=MAX_UNSENT_BYTES)
@@ -108,7 +108,7 @@ class Forwarder:
     @property
     def refusals(self) -> list[Counts]:
         """What was refused or lost here, by reason."""
-        return [self.counts, self._intake.counts, *(link.counts for link in self._outs)]
+        return [self.counts, self._rate_limiter.counts, *(link.counts for link in self._outs)]
 
     async def open(self) -> None:
         """Open the ground tools' links. LinkError where one cannot be opened."""
@@ -147,11 +147,11 @@ class Forwarder:
         text = "as well: it is kept from this vehicle, which is being aided by us. Stop one of the two"
         return [(sysid, f"a ground tool on {name} sends {what} {text}") for sysid, (name, what) in sorted(held_back.items())]
 
-    def views(self) -> tuple[OutView, ...]:
+    def views(self) -> tuple[OutSnapshot, ...]:
         """What went on to each connection string's ground tools, and what came of them."""
         now_s = self._clock()
         return tuple(
-            OutView(
+            OutSnapshot(
                 name=out.link.name,
                 tools=len(out.peers(now_s)),
                 frames_sent=out.frames_sent,
@@ -170,7 +170,7 @@ class Forwarder:
 
     def _on_ground(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
         out = self._outs[link]
-        if not self._intake.admits((link, address), len(payload), received_at_s):
+        if not self._rate_limiter.admits((link, address), len(payload), received_at_s):
             out.refused += 1
             return
         if not self._knows(out, address, received_at_s):
@@ -247,7 +247,7 @@ class Forwarder:
             unaided.append(route)
             if raw.message_id == MAVLINK_MSG_ID_GPS_INPUT:
                 for sysid in sorted(sysids):
-                    self._other_aid(raw, sysid)
+                    self._foreign_gps_input(raw, sysid)
         return unaided
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import dataclass
 
+from gcs_coloc.links.address_conflicts import AddressConflicts, Route
 from gcs_coloc.links.base import Address, Link
-from gcs_coloc.links.claims import Claims, Route
 from gcs_coloc.mavlink.counts import Counts
 
 ADDRESS_CONFLICT = "address_conflict"
@@ -51,7 +51,7 @@ class RouteTable:
         max_addresses: int = 256,
     ) -> None:
         self.counts = Counts()
-        self.claims = Claims()
+        self.claims = AddressConflicts()
         self._companions_elsewhere = companions_elsewhere
         self._roam_after_s = roam_after_s
         self._shared_memory_s = shared_memory_s

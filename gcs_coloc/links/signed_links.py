@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from gcs_coloc.config_sections import SigningConfig
+from gcs_coloc.config.sections import SigningConfig
 from gcs_coloc.core.errors import ConfigError, UsageError
 from gcs_coloc.links.address import parse, parse_out
 from gcs_coloc.links.key_file import read_key

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20.ardupilotmega import (
     MAVLINK_MSG_ID_GPS_INPUT,
 )
 
-from gcs_coloc.core.messages import Heartbeat, Inbound
+from gcs_coloc.core.messages.inbound import Heartbeat, Inbound
 from gcs_coloc.mavlink import framing
 from gcs_coloc.mavlink.checks import InvalidValueError
 from gcs_coloc.mavlink.counts import Counts

@@ -9,8 +9,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.outputs import GpsInput, StreamRequest, TimeSyncRequest, ToVehicle
-from gcs_coloc.mavlink import aid_encoding
+from gcs_coloc.core.messages.outbound import GpsInput, StreamRequest, TimeSyncRequest, ToVehicle
+from gcs_coloc.mavlink import aiding_encoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.signing import Stamp
 
@@ -67,12 +67,12 @@ def _wire_message(message: ToVehicle) -> Any:
         return mavlink.MAVLink_timesync_message(tc1=0, ts1=message.ts1_ns)
     if isinstance(message, StreamRequest):
         return _stream_request(message)
-    return aid_encoding.wire_message(message)
+    return aiding_encoder.wire_message(message)
 
 
 def _gps_input(fix: GpsInput) -> Any:
     """GPS_INPUT (232) with no field ignored: ArduPilot fuses an ignored velocity or altitude as zero."""
-    aid_encoding.require_place(fix, "GPS_INPUT")
+    aiding_encoder.require_place(fix, "GPS_INPUT")
     return mavlink.MAVLink_gps_input_message(
         time_usec=fix.time_usec,
         gps_id=fix.gps_id,

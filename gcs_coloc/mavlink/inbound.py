@@ -13,7 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages import (
+from gcs_coloc.core.messages.inbound import (
     Airspeed,
     Attitude,
     Autopilot,
@@ -26,7 +26,7 @@ from gcs_coloc.core.messages import (
     SystemTime,
     TimeSyncAnswer,
 )
-from gcs_coloc.mavlink import aid_inbound, checks, ranges
+from gcs_coloc.mavlink import aiding_inbound, checks, ranges
 from gcs_coloc.mavlink._generated import gcs_coloc
 from gcs_coloc.mavlink.checks import InvalidValueError
 
@@ -237,8 +237,8 @@ AUTOPILOT_CONVERTERS: Mapping[int, Converter] = MappingProxyType(
         mavlink.MAVLINK_MSG_ID_TIMESYNC: timesync,
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status_report,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
-        mavlink.MAVLINK_MSG_ID_COMMAND_ACK: aid_inbound.command_ack,
-        mavlink.MAVLINK_MSG_ID_PARAM_VALUE: aid_inbound.param_value,
+        mavlink.MAVLINK_MSG_ID_COMMAND_ACK: aiding_inbound.command_ack,
+        mavlink.MAVLINK_MSG_ID_PARAM_VALUE: aiding_inbound.param_value,
     }
 )
 """Messages that describe the vehicle if its autopilot sends them, by message id. A gimbal's ATTITUDE is not the vehicle's."""
@@ -247,7 +247,7 @@ CONVERTERS: Mapping[int, Converter] = MappingProxyType(
     {
         mavlink.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
         mavlink.MAVLINK_MSG_ID_DEBUG_VECT: ranges.debug_vect,
-        mavlink.MAVLINK_MSG_ID_GPS_INPUT: aid_inbound.gps_input,
+        mavlink.MAVLINK_MSG_ID_GPS_INPUT: aiding_inbound.gps_input,
         mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: ranges.named_value_float,
         gcs_coloc.MAVLINK_MSG_ID_RANGING_BEACON: ranges.ranging_beacon,
         gcs_coloc.MAVLINK_MSG_ID_PEER_RANGE: ranges.peer_range,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from gcs_coloc.core.messages import PeerRange, TimeBase
+from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.mavlink import checks
 from gcs_coloc.mavlink.checks import InvalidValueError
 

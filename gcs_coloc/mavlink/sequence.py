@@ -7,7 +7,7 @@ from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from gcs_coloc.core.view import LinkView
+from gcs_coloc.core.snapshot import LinkSnapshot
 
 MAX_SENDERS = 1024
 COPY_WITHIN_S = 0.5
@@ -77,14 +77,14 @@ class SequenceTracker:
             by_sender.move_to_end(sender)
         return reception.note(sequence, checksum, received_at_s)
 
-    def links(self, sysids: Collection[int]) -> tuple[LinkView, ...]:
+    def links(self, sysids: Collection[int]) -> tuple[LinkSnapshot, ...]:
         """The reception of some vehicles, each over all its links and components, in order of their system ids."""
         totals = {sysid: [0, 0, 0] for sysid in sorted(sysids)}
         for (_, sysid, _), reception in self._by_sender.items():
             if sysid in totals:
                 for i, count in enumerate((reception.received, reception.lost, reception.duplicates)):
                     totals[sysid][i] += count
-        return tuple(LinkView(sysid, *counts) for sysid, counts in totals.items())
+        return tuple(LinkSnapshot(sysid, *counts) for sysid, counts in totals.items())
 
     @property
     def receptions(self) -> Mapping[Sender, Reception]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.view import VehicleView
+from gcs_coloc.core.snapshot import VehicleSnapshot
 
 _CORNERS = 24
 _SIGMAS = 2.0
 
 
-def ellipse(vehicle: VehicleView) -> list[tuple[float, float]] | None:
+def ellipse(vehicle: VehicleSnapshot) -> list[tuple[float, float]] | None:
     """The 2-sigma ellipse: 25 corners (latitude, longitude) in degrees, the last the first; None where there is no estimate.
 
     It holds the true position with 86 % if the covariance is right.

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from gcs_coloc.core.view import VehicleView
+from gcs_coloc.core.snapshot import VehicleSnapshot
 from gcs_coloc.recorder.ellipse import ellipse
+from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
 from gcs_coloc.recorder.journal import VehicleEntry
-from gcs_coloc.recorder.story import WITHOUT_GPS, Story
 
 COLUMNS = (
     "unix_s", "sysid", "lat_deg", "lon_deg", "alt_msl_m", "sigma_h_m", "bound_95_m", "hdop", "nis", "ranges_in_use",
@@ -23,7 +23,7 @@ _KML = "http://www.opengis.net/kml/2.2"
 _COLOURS = {True: "ff005ed5", False: "ffb27200"}  # KML: alpha, blue, green, red. Without GPS, with GPS.
 
 
-def write_csv(story: Story, path: Path) -> int:
+def write_csv(story: FlightHistory, path: Path) -> int:
     """One row for each vehicle each 0.4 s, in order of time; an empty cell where nothing is known. Returns the rows."""
     entries = sorted((e for track in story.tracks.values() for e in track), key=lambda e: (e.at_s, e.vehicle.sysid))
     with path.open("w", encoding="utf-8", newline="") as file:
@@ -33,13 +33,13 @@ def write_csv(story: Story, path: Path) -> int:
     return len(entries)
 
 
-def write_geojson(story: Story, path: Path) -> None:
+def write_geojson(story: FlightHistory, path: Path) -> None:
     """The tracks as lines and, while a vehicle is located without its GPS, a 2-sigma ellipse each second. WGS 84, heights MSL."""
     features = [_feature(kind, coordinates, properties) for kind, coordinates, properties in _shapes(story)]
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False), encoding="utf-8")
 
 
-def write_kml(story: Story, path: Path) -> None:
+def write_kml(story: FlightHistory, path: Path) -> None:
     """The same as KML, for Google Earth."""
     ElementTree.register_namespace("", _KML)
     root = ElementTree.Element(f"{{{_KML}}}kml")
@@ -80,7 +80,7 @@ def _number(value: float | None, digits: int) -> str:
     return f"{value:.{digits}f}" if value is not None else ""
 
 
-def _shapes(story: Story) -> Iterator[tuple[str, Any, dict[str, Any]]]:
+def _shapes(story: FlightHistory) -> Iterator[tuple[str, Any, dict[str, Any]]]:
     """Lines and polygons with their coordinates as GeoJSON has them, and what is to be said of each."""
     for sysid, track in sorted(story.tracks.items()):
         for stretch in _stretches(track):
@@ -119,11 +119,11 @@ def _stretches(track: Sequence[VehicleEntry]) -> Iterator[list[VehicleEntry]]:
         yield stretch
 
 
-def _properties(vehicle: VehicleView) -> dict[str, Any]:
+def _properties(vehicle: VehicleSnapshot) -> dict[str, Any]:
     return {"sysid": vehicle.sysid, "gps_state": vehicle.gps_state, "without_gps": vehicle.gps_state in WITHOUT_GPS}
 
 
-def _point(vehicle: VehicleView) -> tuple[float, float, float]:
+def _point(vehicle: VehicleSnapshot) -> tuple[float, float, float]:
     assert vehicle.lat_deg is not None
     assert vehicle.lon_deg is not None
     assert vehicle.alt_msl_m is not None

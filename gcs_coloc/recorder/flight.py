@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from gcs_coloc.config_sections import MavlinkConfig, RecordConfig
+from gcs_coloc.config.sections import MavlinkConfig, RecordConfig
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.outputs import Outbound
-from gcs_coloc.core.view import FleetView
+from gcs_coloc.core.messages.outbound import Outbound
+from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.mavlink.decoder import Frame
 from gcs_coloc.mavlink.framing import RawFrame
 from gcs_coloc.recorder.journal import Journal
-from gcs_coloc.recorder.notes import GroundTool, Note
 from gcs_coloc.recorder.recorder import Recorder
+from gcs_coloc.recorder.side_channel import GroundTool, SideChannelRecord
 
 
 class FlightRecording:
@@ -40,7 +40,7 @@ class FlightRecording:
             self._recorder.open()
 
     @property
-    def newest_view(self) -> FleetView | None:
+    def newest_view(self) -> FleetSnapshot | None:
         """The fleet as it was recorded last; None where nothing is."""
         return self._journal.newest_view
 
@@ -72,7 +72,7 @@ class FlightRecording:
             self._recorder.note(GroundTool(*sender, at_s))
         self._recorder.frame(at_s, raw.frame)
 
-    def told(self, note: Note) -> None:
+    def told(self, note: SideChannelRecord) -> None:
         """Record what the engine was told besides frames."""
         if self._recorder is not None:
             self._recorder.note(note)

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from gcs_coloc.core.aid_messages import ExternalPosition, GlobalPositionSensor
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.health import DISTRUSTED
+from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
 from gcs_coloc.core.measurements import Estimate, Vector3
-from gcs_coloc.core.outputs import GpsInput, HealthChanged, Notice, Outbound
-from gcs_coloc.core.scoring import Score, score, series_of
+from gcs_coloc.core.messages.aiding import ExternalPosition, GlobalPositionSensor
+from gcs_coloc.core.messages.outbound import GpsInput, HealthChanged, Notice, Outbound
+from gcs_coloc.evaluation.scoring import Score, score, series_of
 from gcs_coloc.recorder.side_tables import TruthPoint
 
 

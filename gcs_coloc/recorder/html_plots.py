@@ -13,8 +13,8 @@ from typing import Any
 
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
 from gcs_coloc.recorder.journal import VehicleEntry
-from gcs_coloc.recorder.story import WITHOUT_GPS, Story
 
 _NIS_TICKS = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 1e3, 1e4, 1e5, 1e6)
 
@@ -53,7 +53,7 @@ _DARK = _Ink(
 )
 
 
-def map_picture(story: Story) -> Picture | None:
+def map_picture(story: FlightHistory) -> Picture | None:
     """The tracks in the fleet's frame, those without GPS in another colour; None where no vehicle was located."""
     located = {sysid: [e for e in track if e.vehicle.lat_deg is not None] for sysid, track in story.tracks.items()}
     frame = story.frame
@@ -62,7 +62,7 @@ def map_picture(story: Story) -> Picture | None:
     return _in_both_inks(lambda figure, ink: _draw_map(figure, ink, frame, located))
 
 
-def vehicle_picture(story: Story, track: Sequence[VehicleEntry]) -> Picture:
+def vehicle_picture(story: FlightHistory, track: Sequence[VehicleEntry]) -> Picture:
     """One vehicle over time: 95 % bound and 1-sigma, HDOP and ranges in use, NIS with its band; shaded where it had no GPS."""
     return _in_both_inks(lambda figure, ink: _draw_vehicle(figure, ink, story, track))
 
@@ -85,7 +85,7 @@ def _draw_map(figure: Any, ink: _Ink, frame: LocalFrame, located: Mapping[int, S
     figure.legend(loc="outside upper center", ncols=2)
 
 
-def _draw_vehicle(figure: Any, ink: _Ink, story: Story, track: Sequence[VehicleEntry]) -> None:
+def _draw_vehicle(figure: Any, ink: _Ink, story: FlightHistory, track: Sequence[VehicleEntry]) -> None:
     from matplotlib import ticker
 
     start_s = story.counts.first_s

@@ -8,9 +8,9 @@ from html import escape
 from statistics import median
 from typing import Any
 
+from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
 from gcs_coloc.recorder.html_plots import Picture, map_picture, vehicle_picture
 from gcs_coloc.recorder.journal import EVERY_S, VehicleEntry
-from gcs_coloc.recorder.story import WITHOUT_GPS, Story
 
 _MOST_NOTICES = 500
 _HEAD = """<!doctype html>
@@ -32,7 +32,7 @@ img { max-width: 100% }
 """
 
 
-def page(story: Story) -> str:
+def page(story: FlightHistory) -> str:
     """The page as text.
 
     Raises:
@@ -58,7 +58,7 @@ def page(story: Story) -> str:
     return "\n".join([*parts, "</body></html>\n"])
 
 
-def _summary(story: Story, results: Mapping[str, Any]) -> str:
+def _summary(story: FlightHistory, results: Mapping[str, Any]) -> str:
     counts = story.counts
     begun = datetime.fromtimestamp(counts.first_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
     fleet = f"{len(results['vehicles'])} vehicles, estimator {escape(story.estimator)}"
@@ -69,7 +69,7 @@ def _summary(story: Story, results: Mapping[str, Any]) -> str:
     return "".join(f"<p>{line}</p>" for line in lines)
 
 
-def _health(story: Story) -> str:
+def _health(story: FlightHistory) -> str:
     rows = (
         (f"{change.at_s - story.counts.first_s:.1f}", str(change.sysid), change.before, change.after, change.reason)
         for change in story.health
@@ -77,7 +77,7 @@ def _health(story: Story) -> str:
     return _table(("s", "vehicle", "GPS was", "became", "because"), rows, numbers=(0, 1))
 
 
-def _vehicle(story: Story, vehicle: Mapping[str, Any], track: Sequence[VehicleEntry]) -> str:
+def _vehicle(story: FlightHistory, vehicle: Mapping[str, Any], track: Sequence[VehicleEntry]) -> str:
     sysid = vehicle["sysid"]
     without = [entry.vehicle for entry in track if entry.vehicle.gps_state in WITHOUT_GPS]
     located = [v for v in without if v.lat_deg is not None]
@@ -123,7 +123,7 @@ def _counts(what: str, counts: Mapping[str, int]) -> str:
     return _table((what, "times"), rows, numbers=(1,))
 
 
-def _notices(story: Story) -> str:
+def _notices(story: FlightHistory) -> str:
     shown = story.notices[:_MOST_NOTICES]
     rows = (
         (f"{n.at_s - story.counts.first_s:.1f}", str(n.sysid) if n.sysid is not None else "fleet", n.level, n.text) for n in shown

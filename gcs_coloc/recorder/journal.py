@@ -12,9 +12,9 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from gcs_coloc.core.engine import REVIEWED_EVERY_S, Engine
-from gcs_coloc.core.grid import SAME_S
-from gcs_coloc.core.outputs import HealthChanged, Notice, Outbound
-from gcs_coloc.core.view import FleetView, RangeView, VehicleView
+from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
+from gcs_coloc.core.snapshot import FleetSnapshot, RangeSnapshot, VehicleSnapshot
+from gcs_coloc.core.tick_schedule import SAME_S
 
 EVERY_S = 0.4
 
@@ -24,7 +24,7 @@ class VehicleEntry:
     """One vehicle at service time `at_s` (UNIX seconds)."""
 
     at_s: float
-    vehicle: VehicleView
+    vehicle: VehicleSnapshot
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class RangeEntry:
     """What the estimator made of one range, told at service time `at_s`; `range.age_s` before that it was measured."""
 
     at_s: float
-    range: RangeView
+    range: RangeSnapshot
 
 
 Entry = VehicleEntry | RangeEntry | HealthChanged | Notice
@@ -49,7 +49,7 @@ class Journal:
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
-        self.newest_view: FleetView | None = None
+        self.newest_view: FleetSnapshot | None = None
         self._due_s = float("-inf")
         self._told: dict[tuple[int, int], float] = {}
 

@@ -10,13 +10,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from gcs_coloc.core.advance import HeldUp
-from gcs_coloc.core.messages import Inbound, PeerRange
-from gcs_coloc.core.words import ClockReference, OffAir, OperatorWord, RouteReport
+from gcs_coloc.core.advance import Overrun
+from gcs_coloc.core.messages.control import ClockReference, OperatorCommand, RouteReport, TransmitDisabled
+from gcs_coloc.core.messages.inbound import Inbound, PeerRange
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.framing import RawFrame, sender_of
 from gcs_coloc.mavlink.truth import HeardTruth, truth_of
-from gcs_coloc.recorder.notes import FlownWith, GroundTool, ReadNote, read_note
+from gcs_coloc.recorder.side_channel import FlownWith, GroundTool, ReadRecord, read_note
 from gcs_coloc.recorder.tlog import TlogReader, TlogRecord
 
 _LONGEST_GAP_S = 600.0
@@ -61,7 +61,7 @@ class RecordedMessages:
         self._routes: dict[int, str | None] = {}
         self._words: set[tuple[int, type]] = set()
         self._ground_tools: set[tuple[int, int]] = set()
-        self._of_record: deque[Inbound | HeldUp] = deque()
+        self._of_record: deque[Inbound | Overrun] = deque()
         self._truths_of_record: list[HeardTruth] = []
         self._ranges_taken = 0
 
@@ -74,7 +74,7 @@ class RecordedMessages:
         vars(self).update(state)
         self._records = self.log.records_from(self.log.position)
 
-    def next(self) -> Inbound | HeldUp | None:
+    def next(self) -> Inbound | Overrun | None:
         """The next message; None at the end. One of the table comes after those of the recording that arrived with it.
 
         Raises:
@@ -90,7 +90,7 @@ class RecordedMessages:
         if self._was_flown_otherwise and self._of_record:
             # Not before the first message of the flight, which sets the grid of the deadlines.
             self._was_flown_otherwise = False
-            self._of_record.appendleft(OffAir(self._of_record[0].received_at_s))
+            self._of_record.appendleft(TransmitDisabled(self._of_record[0].received_at_s))
         if self._ranges_taken < len(self._ranges):
             told = self._ranges[self._ranges_taken]
             if not self._of_record or told.received_at_s < self._of_record[0].received_at_s:
@@ -107,9 +107,9 @@ class RecordedMessages:
             counts.first_s = at_s
             if noted is None:
                 # Another program's recording: its clock is all that is known of UTC, and every vehicle is taken as reached.
-                found += OffAir(at_s), ClockReference(at_s, 0.0)
+                found += TransmitDisabled(at_s), ClockReference(at_s, 0.0)
         elif at_s > gap_ends_s:
-            found.append(HeldUp(at_s, gap_ends_s))
+            found.append(Overrun(at_s, gap_ends_s))
         counts.records += 1
         counts.last_s = at_s
         if noted is not None:
@@ -125,12 +125,12 @@ class RecordedMessages:
                 found.append(RouteReport(frame.sysid, at_s, self._routes.get(frame.sysid)))
         self._truths_of_record.extend(truth for raw in good if (truth := truth_of(raw, at_s)) is not None)
 
-    def _take_note(self, noted: ReadNote) -> None:
+    def _take_note(self, noted: ReadRecord) -> None:
         note = noted.note
         if isinstance(note, RouteReport):
             # Told with the vehicle's next heartbeat, as in flight.
             self._routes[note.sysid] = note.blocked
-        elif isinstance(note, OperatorWord):
+        elif isinstance(note, OperatorCommand):
             is_news = (note.sysid, type(note.word)) not in self._words or not noted.repeated
             self._words.add((note.sysid, type(note.word)))
             if is_news:

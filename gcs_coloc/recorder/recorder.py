@@ -12,11 +12,11 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from gcs_coloc.core.errors import RecordError
-from gcs_coloc.core.words import OperatorWord, RouteReport
+from gcs_coloc.core.messages.control import OperatorCommand, RouteReport
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.recorder.journal import Entry
-from gcs_coloc.recorder.notes import FlownWith, GroundTool, Note, NoteWriter
-from gcs_coloc.recorder.part import Part
+from gcs_coloc.recorder.log_segment import LogSegment
+from gcs_coloc.recorder.side_channel import FlownWith, GroundTool, NoteWriter, SideChannelRecord
 from gcs_coloc.recorder.tlog_writer import tlog_record
 
 LOST = "recording: frames and entries lost"
@@ -30,7 +30,7 @@ _SILENT_S = 5.0
 _JOIN_S = 5.0
 _NAMES = 3600
 
-_Item = tuple[float, bytes] | Note | Entry
+_Item = tuple[float, bytes] | SideChannelRecord | Entry
 
 
 class Recorder:
@@ -56,7 +56,7 @@ class Recorder:
         self._fault: str | None = None
         self._told: tuple[str | None, int] = (None, 0)
         self._parts = 0
-        self._state: dict[tuple[object, ...], Note] = {}  # what a new part has to repeat
+        self._state: dict[tuple[object, ...], SideChannelRecord] = {}  # what a new part has to repeat
         self._name = ""
         try:
             directory.mkdir(parents=True, exist_ok=True)
@@ -67,7 +67,7 @@ class Recorder:
         if not os.access(directory, os.W_OK | os.X_OK):
             is_read_only = os.statvfs(directory).f_flag & os.ST_RDONLY
             raise self._not_writable(os.strerror(errno.EROFS if is_read_only else errno.EACCES))
-        self._part: Part | None = None
+        self._part: LogSegment | None = None
         self._thread: threading.Thread | None = None
 
     def open(self) -> None:
@@ -88,7 +88,7 @@ class Recorder:
         """Record one whole frame, heard or sent, at service time `at_s` (UNIX seconds)."""
         self._put((at_s, frame))
 
-    def note(self, note: Note) -> None:
+    def note(self, note: SideChannelRecord) -> None:
         """Record what the engine was told besides frames; of routes only what has changed."""
         if isinstance(note, RouteReport):
             if self._routes.get(note.sysid, "") == note.blocked:
@@ -157,7 +157,7 @@ class Recorder:
             waiting -= len(items)
             self._write(self._part, items)
 
-    def _write(self, part: Part, items: list[_Item]) -> None:
+    def _write(self, part: LogSegment, items: list[_Item]) -> None:
         size_before = part.size
         try:
             part = self._turned_over(part)
@@ -167,7 +167,7 @@ class Recorder:
             for item in items:
                 if isinstance(item, tuple):
                     records += tlog_record(*item)
-                elif isinstance(item, Note):
+                elif isinstance(item, SideChannelRecord):
                     standing = _standing_as(item)
                     if standing is not None:
                         self._state[standing] = item
@@ -181,14 +181,14 @@ class Recorder:
                 self._items.extendleft(reversed(items))
             self._fail(error, len(items) if is_cut else 0)
 
-    def _note_record(self, note: Note) -> bytes:
+    def _note_record(self, note: SideChannelRecord) -> bytes:
         try:
             return tlog_record(note.received_at_s, self._notes.pack(note))
         except ValueError:
             self.counts.add(LOST)
             return b""
 
-    def _turned_over(self, part: Part) -> Part:
+    def _turned_over(self, part: LogSegment) -> LogSegment:
         if part.size < self._rotate_bytes:
             return part
         self._part = None
@@ -198,13 +198,15 @@ class Recorder:
 
     def _head(self, first: _Item) -> bytearray:
         """What a part begins with: that it is ours, and what the engine had been told before."""
-        at_s = first[0] if isinstance(first, tuple) else first.received_at_s if isinstance(first, Note) else first.at_s
+        at_s = (
+            first[0] if isinstance(first, tuple) else first.received_at_s if isinstance(first, SideChannelRecord) else first.at_s
+        )
         head = bytearray(tlog_record(at_s, self._notes.pack(None)))
         for note in self._state.values():
             head += tlog_record(at_s, self._notes.pack(note, repeated=True))
         return head
 
-    def _open_first(self) -> Part:
+    def _open_first(self) -> LogSegment:
         """Begin under the name of this second, or of the next that is free.
 
         Another service may have begun in it, and a computer without a battery for its clock begins every day at the same time.
@@ -213,15 +215,15 @@ class Recorder:
         for later_s in range(_NAMES):
             self._name = (begun + timedelta(seconds=later_s)).strftime("%Y%m%dT%H%M%SZ")
             with contextlib.suppress(FileExistsError):
-                return Part(self._directory, self._part_name(1))
-        return Part(self._directory, self._part_name(1))
+                return LogSegment(self._directory, self._part_name(1))
+        return LogSegment(self._directory, self._part_name(1))
 
     def _part_name(self, number: int) -> str:
         self._parts = number
         return f"gcs-coloc-{self._name}-{number:03d}"
 
-    def _open_part(self) -> Part:
-        return Part(self._directory, self._part_name(self._parts + 1))
+    def _open_part(self) -> LogSegment:
+        return LogSegment(self._directory, self._part_name(self._parts + 1))
 
     def _try_to_open(self) -> None:
         try:
@@ -238,7 +240,7 @@ class Recorder:
         except OSError as error:
             self._fail(error, 0)
 
-    def _end(self, part: Part) -> None:
+    def _end(self, part: LogSegment) -> None:
         try:
             part.close()
         except OSError as error:
@@ -255,10 +257,10 @@ class Recorder:
             self._part = None
 
 
-def _standing_as(note: Note) -> tuple[object, ...] | None:
+def _standing_as(note: SideChannelRecord) -> tuple[object, ...] | None:
     """As what a note holds until another takes its place; None where it has passed once it was told."""
     match note:
-        case OperatorWord():
+        case OperatorCommand():
             return type(note.word), note.sysid
         case RouteReport():
             return RouteReport, note.sysid

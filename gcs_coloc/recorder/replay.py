@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from gcs_coloc.core.advance import CATCH_UP_S, HeldUp, advance
+from gcs_coloc.core.advance import CATCH_UP_S, Overrun, advance
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import PeerRange
-from gcs_coloc.core.outputs import Outbound
+from gcs_coloc.core.messages.inbound import PeerRange
+from gcs_coloc.core.messages.outbound import Outbound
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.truth import HeardTruth
@@ -98,7 +98,7 @@ class Replay:
         message, at_s = self._next, self.next_s
         assert message is not None
         assert at_s is not None
-        if isinstance(message, HeldUp):
+        if isinstance(message, Overrun):
             self._advance(message.since_s)
             self._advance(at_s, CATCH_UP_S)
         else:
@@ -110,7 +110,7 @@ class Replay:
     def advance(self, to_s: float) -> None:
         """Bring the engine to a service time (UNIX s) before which all messages were given to it, between two of them."""
         # While it was held up, the service did nothing.
-        self._advance(min(to_s, self._next.since_s) if isinstance(self._next, HeldUp) else to_s)
+        self._advance(min(to_s, self._next.since_s) if isinstance(self._next, Overrun) else to_s)
 
     def _advance(self, to_s: float, catch_up_s: float = float("inf")) -> None:
         self.now_s = max(self.now_s, to_s)

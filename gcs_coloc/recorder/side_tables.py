@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gcs_coloc.core.errors import DataError
-from gcs_coloc.core.messages import PeerRange, TimeBase
+from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
+from gcs_coloc.evaluation.tables import TableRow, read_table
 from gcs_coloc.mavlink.checks import RANGE_MAX_M
 from gcs_coloc.mavlink.truth import HeardTruth
-from gcs_coloc.recorder.tables import Row, read_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def read_ranges(path: Path) -> list[PeerRange]:
     return sorted(ranges, key=lambda r: r.received_at_s)
 
 
-def _range_m(row: Row) -> float:
+def _range_m(row: TableRow) -> float:
     range_m = row.positive("range_m")
     if range_m > RANGE_MAX_M:
         raise row.error("range_m", f"{range_m:g} is beyond {RANGE_MAX_M:g}, as in PEER_RANGE: metres are wanted")

@@ -10,9 +10,9 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from gcs_coloc.core.outputs import ToOperator
-from gcs_coloc.core.view import FleetView, OutView, VehicleView
-from gcs_coloc.sinks.hub import Subscription
+from gcs_coloc.core.messages.outbound import ToOperator
+from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
+from gcs_coloc.sinks.event_bus import Subscription
 from gcs_coloc.sinks.live_table import LiveTable, SharedConsole
 from gcs_coloc.sinks.wording import level_and_text
 
@@ -31,7 +31,7 @@ async def show(news: Mapping[str, Subscription], console: SharedConsole) -> None
             for name, subscription in news.items():
                 group.create_task(_log_lines(name, subscription))
             return
-        views: dict[str, FleetView] = {}
+        views: dict[str, FleetSnapshot] = {}
         live = LiveTable(console)
         try:
             followers = [group.create_task(_show_views(name, subscription, views, live)) for name, subscription in news.items()]
@@ -40,10 +40,10 @@ async def show(news: Mapping[str, Subscription], console: SharedConsole) -> None
             live.close()
 
 
-async def _show_views(name: str, subscription: Subscription, views: dict[str, FleetView], live: LiveTable) -> None:
+async def _show_views(name: str, subscription: Subscription, views: dict[str, FleetSnapshot], live: LiveTable) -> None:
     while True:
         news = await subscription.get()
-        if isinstance(news, FleetView):
+        if isinstance(news, FleetSnapshot):
             views[name] = news
             now = sorted(views.items())
             live.show(lambda now=now: Group(*(table(view, name) for name, view in now)))  # type: ignore[misc]
@@ -55,7 +55,7 @@ async def _log_lines(name: str, subscription: Subscription) -> None:
     due_s = float("-inf")
     while True:
         news = await subscription.get()
-        if not isinstance(news, FleetView):
+        if not isinstance(news, FleetSnapshot):
             _log_news(name, news)
         elif news.at_s >= due_s:
             due_s = news.at_s + PLAIN_EVERY_S
@@ -76,7 +76,7 @@ def _log_news(name: str, news: ToOperator) -> None:
     log.log(_LEVELS[level], "%s%s%s", _of(name), who, text)
 
 
-def line(v: VehicleView) -> str:
+def line(v: VehicleSnapshot) -> str:
     """One vehicle in one plain line."""
     return (
         f"vehicle {v.sysid}: last heard {v.age_s:.1f} s ago, GPS {v.gps_state} ({v.gps_reason}), position {_where(v)}, "
@@ -84,7 +84,7 @@ def line(v: VehicleView) -> str:
     )
 
 
-def out_line(out: OutView) -> str:
+def out_line(out: OutSnapshot) -> str:
     """The ground tools behind one connection string in one plain line."""
     return (
         f"ground tools on {out.name}: {out.tools}, frames sent {out.frames_sent}, taken {out.frames_taken}, "
@@ -92,7 +92,7 @@ def out_line(out: OutView) -> str:
     )
 
 
-def table(view: FleetView, name: str = "") -> Table:
+def table(view: FleetSnapshot, name: str = "") -> Table:
     """The fleet as a table, under its name if it has one."""
     refused = sum(view.refused.values())
     below = [*([f"refused: {refused}"] if refused else []), *map(out_line, view.outs)]
@@ -119,7 +119,7 @@ def table(view: FleetView, name: str = "") -> Table:
     return out
 
 
-def _where(v: VehicleView) -> str:
+def _where(v: VehicleSnapshot) -> str:
     if v.lat_deg is None or v.lon_deg is None or v.alt_msl_m is None:
         return f"unknown: {v.unknown_because}"
     return f"{v.lat_deg:.6f} {v.lon_deg:.6f} {v.alt_msl_m:.0f} m"

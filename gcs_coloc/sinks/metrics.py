@@ -9,11 +9,11 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoM
 from prometheus_client.registry import Collector
 
 from gcs_coloc import __version__
-from gcs_coloc.core.health import GpsState
-from gcs_coloc.core.view import FleetView, LinkView, OutView, VehicleView
+from gcs_coloc.core.gps_health.gps_health import GpsState
+from gcs_coloc.core.snapshot import FleetSnapshot, LinkSnapshot, OutSnapshot, VehicleSnapshot
 
 # name, help, value: a vehicle for which the value is None has no sample.
-_GAUGES: tuple[tuple[str, str, Callable[[VehicleView], float | None]], ...] = (
+_GAUGES: tuple[tuple[str, str, Callable[[VehicleSnapshot], float | None]], ...] = (
     ("last_heard_age_seconds", "Time since the vehicle was last heard.", lambda v: v.age_s),
     ("position_sigma_meters", "1-sigma of the position along its worst horizontal direction.", lambda v: v.sigma_h_m),
     ("height_sigma_meters", "1-sigma of the height.", lambda v: v.sigma_v_m),
@@ -38,12 +38,12 @@ _GAUGES: tuple[tuple[str, str, Callable[[VehicleView], float | None]], ...] = (
     ),
     ("link_delay_seconds", "Delay of its newest position beyond the least of the last minute.", lambda v: v.delay_s),
 )
-_COUNTERS: tuple[tuple[str, str, Callable[[LinkView], int]], ...] = (
+_COUNTERS: tuple[tuple[str, str, Callable[[LinkSnapshot], int]], ...] = (
     ("link_frames_received", "Frames received from the vehicle, copies left out.", lambda link: link.received),
     ("link_frames_lost", "Frames missing by their sequence numbers.", lambda link: link.lost),
     ("link_frames_duplicate", "Copies of frames that were received already.", lambda link: link.duplicates),
 )
-_OUT_COUNTERS: tuple[tuple[str, str, Callable[[OutView], int]], ...] = (
+_OUT_COUNTERS: tuple[tuple[str, str, Callable[[OutSnapshot], int]], ...] = (
     ("out_frames_sent", "Vehicles' frames handed on to the ground tools.", lambda out: out.frames_sent),
     ("out_frames_taken", "Frames taken from the ground tools.", lambda out: out.frames_taken),
     ("out_dropped", "Datagrams and pieces that a ground tool was too slow to take.", lambda out: out.dropped),
@@ -54,7 +54,7 @@ _OUT_COUNTERS: tuple[tuple[str, str, Callable[[OutView], int]], ...] = (
 class FleetCollector(Collector):
     """Turns the fleet as it stands into metric families. `look` is called once a scrape."""
 
-    def __init__(self, look: Callable[[], FleetView]) -> None:
+    def __init__(self, look: Callable[[], FleetSnapshot]) -> None:
         self._look = look
 
     def describe(self) -> list[Metric]:
@@ -102,7 +102,7 @@ class FleetCollector(Collector):
         yield counts
 
 
-def fleet_registry(look: Callable[[], FleetView]) -> CollectorRegistry:
+def fleet_registry(look: Callable[[], FleetSnapshot]) -> CollectorRegistry:
     """A registry of its own with the fleet and this process in it."""
     registry = CollectorRegistry()
     registry.register(FleetCollector(look))

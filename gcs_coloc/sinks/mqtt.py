@@ -15,13 +15,13 @@ from pathlib import Path
 from aiomqtt import Client, MqttError, Will
 from pydantic import BaseModel
 
-from gcs_coloc.config_sections import MqttConfig
+from gcs_coloc.config.sections import MqttConfig
 from gcs_coloc.core.errors import ConfigError
-from gcs_coloc.core.outputs import ToOperator
-from gcs_coloc.core.view import FleetView
+from gcs_coloc.core.messages.outbound import ToOperator
+from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.mavlink.counts import Counts
-from gcs_coloc.sinks.hub import Subscription
-from gcs_coloc.sinks.lulls import Lulls
+from gcs_coloc.sinks.event_bus import Subscription
+from gcs_coloc.sinks.idle_scheduler import IdleScheduler
 from gcs_coloc.sinks.mqtt_inbox import Hooks, Inbox
 from gcs_coloc.sinks.mqtt_models import Alarm, of_vehicle, status, unix_s
 from gcs_coloc.sinks.wording import level_and_text
@@ -47,8 +47,8 @@ _client_log.setLevel(logging.CRITICAL)
 class Mqtt:
     """One connection to one broker, made again for as long as the service runs. `run` never raises for the broker's doing."""
 
-    def __init__(self, config: MqttConfig, hooks: Hooks, news: Subscription, counts: Counts, lulls: Lulls) -> None:
-        """Read the password and the certificates. It publishes in `lulls`.
+    def __init__(self, config: MqttConfig, hooks: Hooks, news: Subscription, counts: Counts, idle: IdleScheduler) -> None:
+        """Read the password and the certificates. It publishes in `idle`.
 
         Raises:
             ConfigError: a file cannot be read, or holds no certificates.
@@ -56,7 +56,7 @@ class Mqtt:
         self._config = config
         self._hooks = hooks
         self._news = news
-        self._lulls = lulls
+        self._idle = idle
         self._base = f"{config.prefix}/{_VERSION}/{config.fleet}"
         self._inbox = Inbox(self._base, hooks, counts, commands=config.commands, ranges=config.ranges)
         self._password, self._tls = read_credentials(config)
@@ -86,7 +86,7 @@ class Mqtt:
         """Keep the newest alarms, whether there is a broker or not."""
         while True:
             news = await self._news.get()
-            if not isinstance(news, FleetView) and level_and_text(news)[0] != "info":
+            if not isinstance(news, FleetSnapshot) and level_and_text(news)[0] != "info":
                 self._alarms.append(news)
 
     async def _connect_again_and_again(self) -> None:
@@ -161,7 +161,7 @@ class Mqtt:
         It does not rely on being cancelled alone: before Python 3.12 `asyncio.wait_for`, in the client's `publish`, loses a
         cancellation that comes together with the broker's confirmation.
         """
-        async for _ in self._lulls.every(1.0 / self._config.publish_hz):
+        async for _ in self._idle.every(1.0 / self._config.publish_hz):
             await self._publish_latest(client)
             if self._stopping.is_set():
                 return
@@ -194,7 +194,7 @@ class Mqtt:
             raise MqttError("Operation timed out") from None
 
 
-def _alarm(news: ToOperator, view: FleetView) -> Alarm:
+def _alarm(news: ToOperator, view: FleetSnapshot) -> Alarm:
     level, text = level_and_text(news)
     content = {"at_unix_s": unix_s(news.at_s, view), "sysid": news.sysid, "level": level, "text": text}
     return Alarm.model_validate(content)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from pydantic import ValidationError
 
-from gcs_coloc.core.messages import PeerRange
-from gcs_coloc.core.view import FleetView
-from gcs_coloc.core.words import Word
+from gcs_coloc.core.messages.control import Override
+from gcs_coloc.core.messages.inbound import PeerRange
+from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.sinks.mqtt_models import Command, Range
 
@@ -24,9 +24,9 @@ class Hooks:
     a range; `clock` is the service's, in seconds.
     """
 
-    look: Callable[[], FleetView]
+    look: Callable[[], FleetSnapshot]
     heard: Callable[[], Collection[int]]
-    obey: Callable[[int, Word], None]
+    obey: Callable[[int, Override], None]
     take_range: Callable[[PeerRange], None]
     clock: Callable[[], float]
 

@@ -11,9 +11,9 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from gcs_coloc.core.messages import PeerRange, TimeBase
-from gcs_coloc.core.view import FleetView, VehicleView
-from gcs_coloc.core.words import AidWord, GpsWord, PrimaryWord, Word
+from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, Override, PrimaryOverride
+from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
+from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 from gcs_coloc.mavlink.checks import RANGE_MAX_M, UNIX_TIME_FROM_US, UNIX_TIME_TO_US
 
 _UNIX_FROM_S, _UNIX_TO_S = UNIX_TIME_FROM_US / 1e6, UNIX_TIME_TO_US / 1e6
@@ -41,7 +41,7 @@ class VehicleState(_Sent):
     aid_has_fix: bool
     aid_taken: bool | None
     gps_primary: str | None
-    hindrance: str | None
+    inhibit_reason: str | None
 
 
 class VehicleEstimate(_Sent):
@@ -105,9 +105,9 @@ class Command(BaseModel):
     """`…/{sysid}/cmd`: the operator's word on the GPS of a vehicle, on its aid or on its GPS_PRIMARY: one of them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    word: GpsWord | None = None
-    aid: AidWord | None = None
-    primary: PrimaryWord | None = None
+    word: GpsOverride | None = None
+    aid: AidingOverride | None = None
+    primary: PrimaryOverride | None = None
 
     @model_validator(mode="after")
     def _one_word(self) -> Self:
@@ -115,11 +115,11 @@ class Command(BaseModel):
             raise ValueError("one word is wanted")
         return self
 
-    def said(self) -> Word:
+    def said(self) -> Override:
         """The word that was given."""
         return self._words()[0]
 
-    def _words(self) -> list[Word]:
+    def _words(self) -> list[Override]:
         return [word for word in (self.word, self.aid, self.primary) if word is not None]
 
 
@@ -175,7 +175,7 @@ BY_TOPIC: dict[str, type[BaseModel]] = {
 """Every topic below `{prefix}/v1/{fleet}/`, and what is on it."""
 
 
-def of_vehicle(v: VehicleView, at_unix_s: float | None) -> dict[str, _Sent]:
+def of_vehicle(v: VehicleSnapshot, at_unix_s: float | None) -> dict[str, _Sent]:
     """What is published of one vehicle, by the last part of its topic."""
     parts: dict[str, type[_Sent]] = {"state": VehicleState, "estimate": VehicleEstimate, "health": VehicleHealth}
     return {
@@ -186,7 +186,7 @@ def of_vehicle(v: VehicleView, at_unix_s: float | None) -> dict[str, _Sent]:
     }
 
 
-def status(view: FleetView | None, *, online: bool) -> FleetStatus:
+def status(view: FleetSnapshot | None, *, online: bool) -> FleetStatus:
     """The fleet's status; `view` None before there is any, and for the last will, which the broker sends at an unknown time."""
     if view is None:
         return FleetStatus(at_unix_s=None, online=online, estimator=None, vehicles=(), refused={}, outs=())
@@ -201,7 +201,7 @@ def status(view: FleetView | None, *, online: bool) -> FleetStatus:
     )
 
 
-def unix_s(at_s: float, view: FleetView) -> float | None:
+def unix_s(at_s: float, view: FleetSnapshot) -> float | None:
     """A service time as UNIX time, None where the host does not know it."""
     return at_s + view.utc_minus_service_s if view.utc_minus_service_s is not None else None
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gcs_coloc.core.outputs import HealthChanged, ToOperator
+from gcs_coloc.core.messages.outbound import HealthChanged, ToOperator
 
 
 def level_and_text(news: ToOperator) -> tuple[str, str]:

@@ -13,18 +13,18 @@ import numpy as np
 
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.estimators.cv import transition, white_acceleration_noise
+from gcs_coloc.estimators.qu_zhang.cv_filter import transition, white_acceleration_noise
 
 
 @dataclass(frozen=True, slots=True)
 class BoundOptions:
-    """What is known of a flight's subject. Raises UsageError for values without a bound.
+    """What is known of a flight's denied vehicle. Raises UsageError for values without a bound.
 
     Attributes:
         range_sigma_m: white noise of each range.
         peer_sigma_m: of each peer's position, per axis, new in every range.
-        density_m2ps3: spectral density of the subject's acceleration: how much it is left to itself between ranges.
-        start_sigma_m: of the subject's position at the start, per axis.
+        density_m2ps3: spectral density of the denied vehicle's acceleration: how much it is left to itself between ranges.
+        start_sigma_m: of the denied vehicle's position at the start, per axis.
         start_speed_sigma_mps: of its velocity at the start, per axis.
 
     """
@@ -59,21 +59,21 @@ class Bound:
         return float(np.sqrt(np.mean(self.horizontal_sigma_m[part] ** 2)))
 
 
-def run_bound(times_s: FloatArray, positions_m: FloatArray, subject: int, options: BoundOptions) -> Bound:
+def run_bound(times_s: FloatArray, positions_m: FloatArray, denied_vehicle: int, options: BoundOptions) -> Bound:
     """Return the bound on one vehicle's state from its ranges to all others at every time.
 
     Args:
         times_s: shape (T,), ascending.
         positions_m: shape (V, T, d), true positions of V vehicles in d = 2 or 3 dimensions.
-        subject: index of the vehicle to be located.
+        denied_vehicle: index of the vehicle to be located.
         options: noises.
 
     """
     axes = positions_m.shape[-1]
-    offsets = positions_m[subject] - np.delete(positions_m, subject, axis=0)
+    offsets = positions_m[denied_vehicle] - np.delete(positions_m, denied_vehicle, axis=0)
     with np.errstate(invalid="ignore"):
         units = offsets / np.linalg.norm(offsets, axis=-1, keepdims=True)
-    # A peer at the very place of the subject has no direction to tell.
+    # A peer at the very place of the denied vehicle has no direction to tell.
     H = np.zeros((*units.shape[:-1], 2 * axes))
     H[..., ::2] = np.nan_to_num(units)
     variance = options.range_sigma_m**2 + options.peer_sigma_m**2

@@ -12,8 +12,8 @@ import numpy as np
 
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import Estimate, FloatArray
-from gcs_coloc.core.outputs import GpsInput, HealthChanged, ToVehicle
-from gcs_coloc.core.words import ClockReference, RouteReport
+from gcs_coloc.core.messages.control import ClockReference, RouteReport
+from gcs_coloc.core.messages.outbound import GpsInput, HealthChanged, ToVehicle
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.encoder import Encoder
 from sitl_fakes.fleet import STEP_S, Fleet

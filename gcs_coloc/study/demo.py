@@ -37,7 +37,7 @@ _SEED = 1
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """How one flight of the subject without its GPS went; metres. `rmse_m` and `hdop` are the service's, None without it.
+    """How one flight of the denied vehicle without its GPS went; metres. `rmse_m` and `hdop` are the service's, None without it.
 
     `navigation_*` is how far the autopilot's own idea of its position was off.
     """
@@ -129,7 +129,7 @@ def _watch(fakes: subprocess.Popen[bytes], service: subprocess.Popen[bytes], tru
 
 
 def _last_row(truth: Path) -> dict[str, str] | None:
-    """The newest whole row of the subject in a truth file that is still being written."""
+    """The newest whole row of the denied vehicle in a truth file that is still being written."""
     if not truth.exists():
         return None
     with truth.open("rb") as file:
@@ -156,7 +156,7 @@ def _fly_one(scenario: Scenario, estimator: str, seed: int, aided: bool) -> Flig
 
 
 def figures(flight: Flight, lost_s: float, aided: bool) -> Figures:
-    """The figures of the subject's flight from the loss of its GPS on."""
+    """The figures of the denied vehicle's flight from the loss of its GPS on."""
     samples = [s for s in flight.samples[SUBJECT] if s.at_s >= lost_s]
     off_m = np.array([s.truth.off_route_m for s in samples])
     errors_m = np.array([np.hypot(s.error_enu_m[0], s.error_enu_m[1]) for s in samples if s.error_enu_m is not None])

@@ -1,7 +1,7 @@
 """The paper's synchronous processing of one flight, for many draws of noise, values of q and kinds of filter at once.
 
 The formulas are those of `gcs_coloc.estimators`: arrays here have leading axes for q (Q) and draw (S), and for UAV4's filter one
-more for the kind (K). UAV1-3 are peers 0-2, UAV4 is the subject. Everything is measured at every step by all.
+more for the kind (K). UAV1-3 are peers 0-2, UAV4 is the denied vehicle. Everything is measured at every step by all.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.estimators.cv import density, position_rows, step_noise, transition, white_acceleration_noise
-from gcs_coloc.estimators.trilateration import corrected_covariance, published_covariance, trilaterate
+from gcs_coloc.estimators.qu_zhang.cv_filter import density, position_rows, step_noise, transition, white_acceleration_noise
+from gcs_coloc.estimators.qu_zhang.trilateration import corrected_covariance, published_covariance, trilaterate
 from gcs_coloc.study.paper_options import PaperOptions, QForm, QUnit
 
 KINDS = ("general", "published", "published_with_range_noise", "corrected")

@@ -128,7 +128,7 @@ def run_fleet(flight: PaperFlight, seed: int, options: PaperOptions) -> Series:
     estimator = load_estimator("fleet", {})
     for uav in range(4):
         estimator.add(_position(one, uav, 0, 0.0, options))
-    estimator.set_subjects([4], 0.0)
+    estimator.set_denied([4], 0.0)
     keep_every = max(1, round(SAMPLE_S / options.step_s))
     rows = []
     for k in range(1, len(flight.times_s)):

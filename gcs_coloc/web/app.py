@@ -18,17 +18,17 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gcs_coloc import __version__
-from gcs_coloc.core.view import FleetView
-from gcs_coloc.core.words import AidWord, GpsWord, PrimaryWord, Word
+from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, Override, PrimaryOverride
+from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.mavlink.truth import HeardTruth
-from gcs_coloc.sinks.lulls import Lulls
+from gcs_coloc.sinks.idle_scheduler import IdleScheduler
 from gcs_coloc.sinks.metrics import fleet_registry
 from gcs_coloc.web.access import Guard, bears_token
 from gcs_coloc.web.live_socket import send_frame_of
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.playback import Playback
-from gcs_coloc.web.story import Story
 from gcs_coloc.web.tiles import TileFile
+from gcs_coloc.web.track_history import TrackHistory
 from gcs_coloc.web.wire import HIDDEN, Hello, PlaybackCommand
 
 _STATIC = Path(__file__).parent / "static"
@@ -41,16 +41,16 @@ class Hooks:
 
     `glance` is `look` without what is counted, for many times a second. `fault` says in words what keeps the service from its
     work, None where nothing does. `truths` is where a simulation says that vehicles truly are. `playback` is a replay's, which
-    takes no word. In `lulls` the pages' pictures are made and sent, `pictures_every_s` apart.
+    takes no word. In `idle` the pages' pictures are made and sent, `pictures_every_s` apart.
     """
 
-    look: Callable[[], FleetView]
-    glance: Callable[[], FleetView]
-    obey: Callable[[int, Word], None] | None
+    look: Callable[[], FleetSnapshot]
+    glance: Callable[[], FleetSnapshot]
+    obey: Callable[[int, Override], None] | None
     fault: Callable[[], str | None]
     truths: Callable[[], Iterable[HeardTruth]] = tuple
     playback: Playback | None = None
-    lulls: Lulls = field(default_factory=Lulls)
+    idle: IdleScheduler = field(default_factory=IdleScheduler)
     pictures_every_s: float = 0.2
 
 
@@ -58,21 +58,21 @@ class GpsCommand(BaseModel):
     """The body of a command on a vehicle's GPS."""
 
     model_config = ConfigDict(extra="forbid")
-    word: GpsWord
+    word: GpsOverride
 
 
 class AidCommand(BaseModel):
     """The body of a command on a vehicle's aid."""
 
     model_config = ConfigDict(extra="forbid")
-    word: AidWord
+    word: AidingOverride
 
 
 class PrimaryCommand(BaseModel):
     """The body of a command on a vehicle's GPS_PRIMARY."""
 
     model_config = ConfigDict(extra="forbid")
-    word: PrimaryWord
+    word: PrimaryOverride
 
 
 _COMMANDS: Mapping[str, type[GpsCommand | AidCommand | PrimaryCommand]] = {
@@ -85,7 +85,7 @@ _COMMANDS: Mapping[str, type[GpsCommand | AidCommand | PrimaryCommand]] = {
 class _Site:
     """The handlers and what they share."""
 
-    def __init__(self, hooks: Hooks, story: Story, pages: Pages, token: str | None, tiles: TileFile | None) -> None:
+    def __init__(self, hooks: Hooks, story: TrackHistory, pages: Pages, token: str | None, tiles: TileFile | None) -> None:
         self._hooks = hooks
         self._story = story
         self._pages = pages
@@ -204,7 +204,7 @@ async def _body(request: Request) -> bytes | None:
 
 
 def make_app(
-    hooks: Hooks, story: Story, pages: Pages, token: str | None, tiles: TileFile | None, allowed_hosts: Collection[str]
+    hooks: Hooks, story: TrackHistory, pages: Pages, token: str | None, tiles: TileFile | None, allowed_hosts: Collection[str]
 ) -> Starlette:
     """The application; `token` None makes it read-only, `tiles` None leaves the map without."""
     site = _Site(hooks, story, pages, token, tiles)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 
-from gcs_coloc.sinks.lulls import Lulls
+from gcs_coloc.sinks.idle_scheduler import IdleScheduler
 from gcs_coloc.web.live_socket import SendFrame, text_frame
-from gcs_coloc.web.story import Story
+from gcs_coloc.web.track_history import TrackHistory
 
 MOST_PAGES = 32
 _PAGES_AT_A_TIME = 8
@@ -28,7 +28,7 @@ class Page:
         """Whether anybody looks at it: one in a tab behind others is sent events alone."""
         return self._visible
 
-    def offer(self, story: Story, picture: bytes) -> None:
+    def offer(self, story: TrackHistory, picture: bytes) -> None:
         """Send the newest picture, and have its task tell what else is new; never waits."""
         if (story.instance, story.edition) == (self._instance, self._edition):
             if self._visible and not self._send_frame(picture):
@@ -45,7 +45,7 @@ class Page:
             self._wake.set()
         self._visible = visible
 
-    async def send_all(self, story: Story, hello: Callable[[], str], send: Callable[[str], Awaitable[None]]) -> None:
+    async def send_all(self, story: TrackHistory, hello: Callable[[], str], send: Callable[[str], Awaitable[None]]) -> None:
         """Send hello and then events for ever, as fast as `send` takes them; hello again where the story wants it."""
         while True:
             if (story.instance, story.edition) != (self._instance, self._edition):
@@ -67,7 +67,7 @@ class Pages:
     """
 
     def __init__(
-        self, picture: Callable[[], bytes], counts: Callable[[], bytes], story: Story, lulls: Lulls, period_s: float
+        self, picture: Callable[[], bytes], counts: Callable[[], bytes], story: TrackHistory, idle: IdleScheduler, period_s: float
     ) -> None:
         self._picture = picture
         self._counts = counts
@@ -75,7 +75,7 @@ class Pages:
         self._counts_every = max(round(1.0 / period_s), 1)
         self._turn = 0
         self._story = story
-        self._lulls = lulls
+        self._idle = idle
         self._open: set[Page] = set()
 
     @property
@@ -95,7 +95,7 @@ class Pages:
 
     async def run(self) -> None:
         """Offer the latest picture to every page at a steady pace."""
-        async for _ in self._lulls.every(self._period_s):
+        async for _ in self._idle.every(self._period_s):
             if self._open:
                 await self.tick()
 

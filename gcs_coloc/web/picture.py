@@ -7,7 +7,7 @@ from math import atan2, sqrt
 
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Vector3
-from gcs_coloc.core.view import FleetView, VehicleView
+from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 from gcs_coloc.mavlink.truth import HeardTruth
 from gcs_coloc.web.wire import Ellipse, FleetFrame, LightColour, PlaybackState, VehicleFrame
 
@@ -15,7 +15,7 @@ SILENT_AFTER_S = 3.0
 _TRUTH_FRESH_S = 2.0
 
 
-def fleet_frame(view: FleetView, truths: Iterable[HeardTruth] = (), playback: PlaybackState | None = None) -> FleetFrame:
+def fleet_frame(view: FleetSnapshot, truths: Iterable[HeardTruth] = (), playback: PlaybackState | None = None) -> FleetFrame:
     """The page's picture of one instant."""
     places = _true_places(view, truths)
     return FleetFrame(
@@ -29,7 +29,7 @@ def fleet_frame(view: FleetView, truths: Iterable[HeardTruth] = (), playback: Pl
     )
 
 
-def traffic_light(v: VehicleView) -> tuple[LightColour, str]:
+def traffic_light(v: VehicleSnapshot) -> tuple[LightColour, str]:
     """The colour for one vehicle and the reason in words; the worst thing that holds decides."""
     if v.age_s > SILENT_AFTER_S:
         return "bad", f"not heard for {v.age_s:.0f} s; before that: GPS {v.gps_state}, {v.gps_reason}"
@@ -45,8 +45,8 @@ def traffic_light(v: VehicleView) -> tuple[LightColour, str]:
         return ("caution" if v.aid_has_fix else "bad"), f"aided by the operator's word ({v.aid}); GPS healthy: {v.gps_reason}"
     if v.aid_taken is False:
         return "caution", f"GPS healthy ({v.gps_reason}), but {v.aid}"
-    if v.hindrance is not None:
-        return "caution", f"GPS healthy ({v.gps_reason}), but it could not be aided: {v.hindrance}"
+    if v.inhibit_reason is not None:
+        return "caution", f"GPS healthy ({v.gps_reason}), but it could not be aided: {v.inhibit_reason}"
     return "good", f"GPS healthy: {v.gps_reason}"
 
 
@@ -61,7 +61,7 @@ def ellipse(covariance_h_m2: tuple[float, float, float]) -> Ellipse:
     )
 
 
-def _true_places(view: FleetView, truths: Iterable[HeardTruth]) -> dict[int, Vector3]:
+def _true_places(view: FleetSnapshot, truths: Iterable[HeardTruth]) -> dict[int, Vector3]:
     """East, north, up in m of those truths that are no older than the picture allows. They come without a height."""
     fresh = [t for t in truths if abs(view.at_s - t.at_s) <= _TRUTH_FRESH_S]
     if view.origin is None or not fresh:
@@ -71,7 +71,7 @@ def _true_places(view: FleetView, truths: Iterable[HeardTruth]) -> dict[int, Vec
     return {t.sysid: frame.enu_from_geodetic(t.lat_deg, t.lon_deg, heights.get(t.sysid, view.origin[2])) for t in fresh}
 
 
-def _vehicle(v: VehicleView, truth_enu_m: Vector3 | None) -> VehicleFrame:
+def _vehicle(v: VehicleSnapshot, truth_enu_m: Vector3 | None) -> VehicleFrame:
     light, reason = traffic_light(v)
     shape = ellipse(v.covariance_h_m2) if v.covariance_h_m2 is not None else None
     return VehicleFrame(view=v, light=light, reason=reason, ellipse=shape, truth_enu_m=truth_enu_m)

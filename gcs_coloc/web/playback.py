@@ -12,13 +12,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from gcs_coloc.core.outputs import Notice, Outbound, ToOperator
-from gcs_coloc.core.view import FleetView
+from gcs_coloc.core.messages.outbound import Notice, Outbound, ToOperator
+from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.recorder.checkpoints import Checkpoints
 from gcs_coloc.recorder.freeze import FreezeError, freeze, thaw
 from gcs_coloc.recorder.playhead import Playhead
 from gcs_coloc.recorder.replay import Replay
-from gcs_coloc.web.story import Story
+from gcs_coloc.web.track_history import TrackHistory
 from gcs_coloc.web.wire import PlaybackCommand, PlaybackState
 
 log = logging.getLogger("gcs_coloc")
@@ -40,7 +40,7 @@ class Playback:
         self,
         begin: Callable[[OnPoll], Replay],
         head: Playhead,
-        story: Story,
+        story: TrackHistory,
         keeping: Callable[[bytes], Checkpoints] = Checkpoints,
     ) -> None:
         """Read up to the first message. DataError where the recording is none. `keeping` makes the store of states."""
@@ -75,11 +75,11 @@ class Playback:
             obeyed=self._obeyed,
         )
 
-    def look(self) -> FleetView:
+    def look(self) -> FleetSnapshot:
         """The fleet at the place that was reached."""
         return self._view(max(self._head.at_s, self._replay.now_s))
 
-    def _view(self, at_s: float) -> FleetView:
+    def _view(self, at_s: float) -> FleetSnapshot:
         through = self._replay
         view = through.engine.view(at_s)
         links = through.decoder.sequences.links({vehicle.sysid for vehicle in view.vehicles})

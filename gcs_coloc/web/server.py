@@ -12,15 +12,15 @@ from pathlib import Path
 
 import uvicorn
 
-from gcs_coloc.config_sections import WebConfig
+from gcs_coloc.config.sections import WebConfig
 from gcs_coloc.core.errors import ConfigError, WebError
-from gcs_coloc.sinks.hub import Subscription
+from gcs_coloc.sinks.event_bus import Subscription
 from gcs_coloc.web.app import Hooks, make_app
 from gcs_coloc.web.live_socket import LiveSocket
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.picture import fleet_frame
-from gcs_coloc.web.story import Story
 from gcs_coloc.web.tiles import TileFile
+from gcs_coloc.web.track_history import TrackHistory
 from gcs_coloc.web.wire import fleet_json
 
 log = logging.getLogger("gcs_coloc")
@@ -55,7 +55,7 @@ class _Server(uvicorn.Server):
 class WebServer:
     """The page, its commands and the metrics on one address."""
 
-    def __init__(self, config: WebConfig, hooks: Hooks, story: Story, news: Subscription | None = None) -> None:
+    def __init__(self, config: WebConfig, hooks: Hooks, story: TrackHistory, news: Subscription | None = None) -> None:
         """Read the token and prepare everything but the socket. `news` is what the story follows, unless somebody else fills it.
 
         Raises:
@@ -68,7 +68,7 @@ class WebServer:
             lambda: _picture(hooks),
             lambda: story.counts(hooks.look()).model_dump_json().encode(),
             story,
-            hooks.lulls,
+            hooks.idle,
             hooks.pictures_every_s,
         )
         self._token = read_token(Path(config.token_file)) if config.token_file else None

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
-from gcs_coloc.core.view import RangeView, VehicleView
+from gcs_coloc.core.snapshot import RangeSnapshot, VehicleSnapshot
 
 HIDDEN = "hidden"
 """What a page sends when nobody looks at it any more; anything else says that somebody does."""
@@ -19,7 +19,7 @@ class _Wire(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-# Not frozen, as `VehicleView` is not: the page's values are made many times a second, and sent at once.
+# Not frozen, as `VehicleSnapshot` is not: the page's values are made many times a second, and sent at once.
 @dataclass(slots=True)
 class Ellipse:
     """The 2-sigma ellipse of a horizontal position; `angle_rad` of its longer axis from east, counter-clockwise."""
@@ -36,7 +36,7 @@ class VehicleFrame:
     `truth_enu_m` is where a simulation says that it truly is, in the fleet's frame (m).
     """
 
-    view: VehicleView
+    view: VehicleSnapshot
     light: LightColour
     reason: str
     ellipse: Ellipse | None
@@ -99,7 +99,7 @@ class FleetFrame:
     estimator: str
     origin: tuple[float, float, float] | None
     vehicles: tuple[VehicleFrame, ...]
-    ranges: tuple[RangeView, ...]
+    ranges: tuple[RangeSnapshot, ...]
     playback: PlaybackState | None
     kind: Literal["fleet"] = "fleet"
 

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vehicles import Hover, fly, square_fleet
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.outputs import GpsInput, Notice
+from gcs_coloc.core.messages.outbound import GpsInput, Notice
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.tlog import TlogReader

@@ -8,10 +8,10 @@ import socket
 import pytest
 from vehicles import Hover
 
-from gcs_coloc.clock import ServiceClock
-from gcs_coloc.fleet_service import FleetService
-from gcs_coloc.fleets import load_settings
-from gcs_coloc.host_clock import read_host_clock
+from gcs_coloc.config.fleets import load_settings
+from gcs_coloc.runtime.clock import ServiceClock
+from gcs_coloc.runtime.host_clock import read_host_clock
+from gcs_coloc.service.fleet_service import FleetService
 
 pytestmark = pytest.mark.integration
 
@@ -25,7 +25,7 @@ def test_what_arrives_after_the_end_was_asked_for_is_not_looked_at(free_port):
         path = FleetService(settings, clock, read_host_clock(clock()))
         await path.open()
         path.start()
-        news = path.hub.subscribe()
+        news = path.events.subscribe()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
             sock.bind(("127.0.0.1", 0))
             first, second = (Hover(sysid, (0.0, 0.0, 50.0), ("127.0.0.1", free_port), sock) for sysid in (1, 2))

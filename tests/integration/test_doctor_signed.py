@@ -9,10 +9,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from signed_frames import heartbeat
 
-from gcs_coloc.clock import ServiceClock
-from gcs_coloc.config import Settings
+from gcs_coloc.config.settings import Settings
 from gcs_coloc.doctor.listen import listen
-from gcs_coloc.host_clock import read_host_clock
+from gcs_coloc.runtime.clock import ServiceClock
+from gcs_coloc.runtime.host_clock import read_host_clock
 
 pytestmark = pytest.mark.integration
 

@@ -26,7 +26,7 @@ def heard_from(air) -> set[int]:
 
 
 def holds(air, for_s: float) -> None:
-    """Nothing that the subject believes is far off for a time, and it goes on flying on what it is sent."""
+    """Nothing that the denied vehicle believes is far off for a time, and it goes on flying on what it is sent."""
     ends_s = air.now_s + for_s
     air.fly(LIMIT_S, lambda: air.now_s >= ends_s or air.belief_error_m(SUBJECT) > OFF_M)
     assert air.belief_error_m(SUBJECT) <= OFF_M

@@ -1,7 +1,7 @@
-"""Receivers that fail, freeze, are jammed or walked off, on the subject and on a peer: whole flights on MAVLink bytes.
+"""Receivers that fail, freeze, are jammed or walked off, on the denied vehicle and on a peer: whole flights on MAVLink bytes.
 
 The four-ship of configs/scenario-uwb.toml: GPS of 1.5 m with errors that last a minute, ranges of 0.5 m with 3 % outliers,
-telemetry up to 0.15 s late. Undisturbed, over seeds 1 to 8, the subject is located to 4.0 m at the worst (`SOUND_M` is half as
+telemetry up to 0.15 s late. Undisturbed, over seeds 1 to 8, the vehicle is located to 4.0 m at the worst (`SOUND_M` is half as
 much again) and to 1.5 times its 95 % bound at the worst, as the peers' slow errors last a whole flight; with the seed of these
 flights to 0.7 times, so that `HONEST` leaves room for as much again and nothing for a lie.
 """
@@ -19,7 +19,7 @@ OTHERS = {2, 3}
 """Peers that nothing befalls."""
 LOST = fault("gps_lost")
 FROM_S = 25.0
-"""When a hazard of these flights begins; the subject has been located by then."""
+"""When a hazard of these flights begins; the denied vehicle has been located by then."""
 
 
 def test_a_lost_gps_is_failed_at_once_and_the_aircraft_flies_on_what_it_is_sent():
@@ -63,7 +63,7 @@ def test_a_jammed_receiver_is_never_believed_and_gps_primary_decides_whether_the
 @pytest.mark.parametrize(
     ("speed_mps", "mutual"),
     [(0.5, True), (2.0, True), (10.0, True), (2.0, False)],
-    ids=["0.5 m/s", "2 m/s", "10 m/s", "2 m/s, the subject's ranges only"],
+    ids=["0.5 m/s", "2 m/s", "10 m/s", "2 m/s, the denied vehicle's ranges only"],
 )
 def test_a_peer_walked_off_is_found_and_what_the_subject_is_told_meanwhile_stays_within_what_is_claimed(speed_mps, mutual):
     # Half a metre a second hides in a receiver's own slow errors for a long time; the bound grows meanwhile.

@@ -17,7 +17,7 @@ def test_without_keys_frames_sent_again_or_forged_from_elsewhere_move_nothing_an
     service = start_service("--udp", f"127.0.0.1:{free_port}")
     with square_fleet(free_port) as fleet, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as attacker:
         fly(fleet, 20.0, until=lambda: all(v.of("HEARTBEAT") for v in fleet))
-        # What vehicle 1 said a kilometre ago, its ranges and those of the subject, each as it went over the air.
+        # What vehicle 1 said a kilometre ago, its ranges and those of the denied vehicle, each as it went over the air.
         stale, here = fleet[0], fleet[0].enu_m
         stale.enu_m = (here[0], here[1] + 1000.0, here[2])
         recorded = [frame for step in range(10) for frame in stale.telemetry(step, 3)]

@@ -9,8 +9,8 @@ import pytest
 from pymavlink import mavutil
 
 from gcs_coloc.core.errors import LinkError
-from gcs_coloc.core.messages import Heartbeat
-from gcs_coloc.core.outputs import GpsInput
+from gcs_coloc.core.messages.inbound import Heartbeat
+from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.links.address import UdpIn, UdpOut
 from gcs_coloc.links.routes import Blocked, RouteTable
 from gcs_coloc.links.udp import UdpLink

@@ -8,12 +8,12 @@ import socket
 import pytest
 from vehicles import Hover
 
-from gcs_coloc.clock import ServiceClock
-from gcs_coloc.core.outputs import ToVehicle
-from gcs_coloc.fleet_service import FleetService
-from gcs_coloc.fleets import load_settings
-from gcs_coloc.host_clock import read_host_clock
+from gcs_coloc.config.fleets import load_settings
+from gcs_coloc.core.messages.outbound import ToVehicle
 from gcs_coloc.recorder.journal import Journal
+from gcs_coloc.runtime.clock import ServiceClock
+from gcs_coloc.runtime.host_clock import read_host_clock
+from gcs_coloc.service.fleet_service import FleetService
 
 pytestmark = pytest.mark.integration
 
@@ -52,7 +52,7 @@ def test_outputs_are_at_the_vehicle_when_the_journal_looks_at_the_engine_and_the
             hover = Hover(1, (0.0, 0.0, 50.0), ("127.0.0.1", free_port), sock)
             hover.send(*hover.telemetry(0, 3))
             async with asyncio.timeout(_GENEROUS_S):
-                async for _ in path.lulls.every(0.01):
+                async for _ in path.idle.every(0.01):
                     if sum(due for due, _ in told) >= 3:
                         break
         await path.close()

@@ -18,7 +18,7 @@ from pymavlink import mavutil
 from vehicles import fly, square_fleet
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.outputs import GpsInput
+from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.journal import Journal, VehicleEntry, as_json
 from gcs_coloc.recorder.replay import Replay, replay
@@ -175,7 +175,7 @@ def times_us(path: Path) -> list[int]:
 def test_a_disk_that_is_full_is_told_and_the_flight_goes_on(free_port, tmp_path):
     """RLIMIT_FSIZE: the system refuses to let a file grow beyond 40 kB, as it does on a full disk."""
     limit = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (40000, 40000)); "
-    run = "from gcs_coloc.cli import main; sys.argv[1:] = sys.argv[1:]; main()"
+    run = "from gcs_coloc.cli.main import main; sys.argv[1:] = sys.argv[1:]; main()"
     command = [sys.executable, "-c", limit + run, "--udp", f"127.0.0.1:{free_port}", "--record", str(tmp_path), "--no-web"]
     service = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     try:
@@ -200,7 +200,7 @@ def test_a_disk_that_is_full_is_told_and_the_flight_goes_on(free_port, tmp_path)
 def test_a_disk_that_hangs_is_told_once_and_holds_up_neither_the_flight_nor_its_end(free_port, tmp_path):
     """Every write of the recorder waits for ever, as on a network disk that is gone."""
     hang = "import os, sys, threading; os.pwrite = lambda *_: threading.Event().wait(); "
-    run = "from gcs_coloc.cli import main; main()"
+    run = "from gcs_coloc.cli.main import main; main()"
     command = [sys.executable, "-c", hang + run, "--udp", f"127.0.0.1:{free_port}", "--record", str(tmp_path), "--no-web"]
     with (tmp_path / "log").open("wb") as log:
         service = subprocess.Popen(command, stderr=log, stdout=subprocess.DEVNULL)

@@ -10,7 +10,7 @@ import pytest
 from recordings import recording
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.outputs import Notice
+from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.side_tables import read_ranges

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages import Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
-from gcs_coloc.core.outputs import GpsInput
+from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
+from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.mavlink._generated import gcs_coloc as ours
 from gcs_coloc.mavlink.checks import InvalidValueError
 from gcs_coloc.mavlink.counts import Counts

@@ -20,7 +20,7 @@ from gcs_coloc.estimators.fleet.filter import FleetFilter
 
 
 def measurements(delays: list[float], seed: int) -> list[Measurement]:
-    """Two subjects, each kind of measurement, clocks that are off, and now and then a range that is far too long."""
+    """Two denied vehicles, each kind of measurement, clocks that are off, and now and then a range that is far too long."""
     rng = np.random.default_rng(seed)
     made: list[Measurement] = []
     i = 0
@@ -39,10 +39,10 @@ def measurements(delays: list[float], seed: int) -> list[Measurement]:
             else:
                 made.append(AltitudeMeasurement(v, t, arrival(t), 100.0 + rng.normal(), 2.0))
             made.append(AttitudeMeasurement(v, t, arrival(t), 0.02 * rng.normal(), 0.0, 1.57 + 0.02 * rng.normal(), 20.0))
-            for subject in (4, 5) if v < 4 and k >= 8 else ():
-                here = (500.0, 400.0) if subject == 4 else (300.0, 250.0)
+            for denied_vehicle in (4, 5) if v < 4 and k >= 8 else ():
+                here = (500.0, 400.0) if denied_vehicle == 4 else (300.0, 250.0)
                 r = float(np.hypot(here[0] - e, here[1] - n)) + rng.normal() + (80.0 if rng.random() < 0.05 else 0.0)
-                made.append(RangeMeasurement(subject, v, t, arrival(t), r, 1.0, 0, subject, 0.02, 0.4))
+                made.append(RangeMeasurement(denied_vehicle, v, t, arrival(t), r, 1.0, 0, denied_vehicle, 0.02, 0.4))
         if k >= 8:
             made.append(RangeMeasurement(4, 5, t, arrival(t), 250.0 + rng.normal(), 1.0))
     return made
@@ -66,7 +66,7 @@ def test_any_two_orders_of_arrival_give_the_same_answer(first, second, seed):
         told = False
         for i, m in enumerate(sorted(measurements(delays, seed), key=lambda m: m.arrived_at_s)):
             if not told and m.arrived_at_s >= 0.8:
-                estimator.set_subjects({4, 5}, 0.8)
+                estimator.set_denied({4, 5}, 0.8)
                 told = True
             estimator.add(m)
             if i % 17 == 0:
@@ -98,13 +98,15 @@ place = st.tuples(distance, distance, st.sampled_from([0.0, 0.5, 400.0]))
     st.sampled_from([0.3, 60.0, 1200.0]),
     st.integers(0, 3),
 )
-def test_no_geometry_and_no_length_of_flight_breaks_the_covariance(peers, subject, sigma_m, with_altitude, spacing_s, seed):
+def test_no_geometry_and_no_length_of_flight_breaks_the_covariance(
+    peers, denied_vehicle, sigma_m, with_altitude, spacing_s, seed
+):
     """Collinear, coincident, one, none, near, far, overhead; with 1200 s between rounds the flight lasts 13 hours."""
     rng = np.random.default_rng(seed)
     estimator = FleetFilter()
-    here = np.array(subject)
-    estimator.add(PositionMeasurement(9, 0.0, 0.0, subject, 1.0, 1.0, (0.0, 0.0, 0.0), 0.5))
-    estimator.set_subjects({9}, 0.01)
+    here = np.array(denied_vehicle)
+    estimator.add(PositionMeasurement(9, 0.0, 0.0, denied_vehicle, 1.0, 1.0, (0.0, 0.0, 0.0), 0.5))
+    estimator.set_denied({9}, 0.01)
     for k in range(1, 40):
         t = spacing_s * k
         for v, peer in enumerate(peers):
@@ -112,7 +114,7 @@ def test_no_geometry_and_no_length_of_flight_breaks_the_covariance(peers, subjec
             r = max(0.0, float(np.linalg.norm(here - np.array(peer))) + sigma_m * rng.normal())
             estimator.add(RangeMeasurement(9, v, t, t, r, sigma_m))
         if with_altitude:
-            estimator.add(AltitudeMeasurement(9, t, t, subject[2], 2.0))
+            estimator.add(AltitudeMeasurement(9, t, t, denied_vehicle[2], 2.0))
         for vehicle in (9, *range(len(peers))):
             where = estimator.estimate(vehicle, t)
             if isinstance(where, Estimate):
@@ -131,14 +133,14 @@ def circle(vehicle: int, t: float) -> np.ndarray:
 
 
 def test_after_two_hours_the_joint_covariance_is_symmetric_and_definite_to_rounding():
-    """Two subjects that range each other and share peers, with ranges as sharp as 5 cm: the worst for a covariance that is
+    """Two denied vehicles that range each other and share peers, with ranges as sharp as 5 cm: the worst for a covariance that is
     reduced by subtraction. The bound is a thousand times the rounding error of correlations of 90 states."""
     rng = np.random.default_rng(0)
     estimator = FleetFilter()
     for k in range(3600):
         t = 2.0 * k
         if k == 5:
-            estimator.set_subjects({4, 5}, t)
+            estimator.set_denied({4, 5}, t)
         for v in range(1, 6):
             velocity = (circle(v, t + 0.01) - circle(v, t - 0.01)) / 0.02
             if v < 4 or k < 5:

@@ -23,7 +23,7 @@ def data_set(tmp_path: Path) -> Path:
     """A tag that stands among four anchors, ranged exactly twice a second for ten seconds, with truth for the last four."""
     anchors = {"A": (0.0, 0.0, 0.0), "B": (20.0, 0.0, 3.0), "C": (0.0, 20.0, 5.0), "D": (20.0, 20.0, 1.0)}
     tag = (13.0, 14.0, 2.0)
-    meta = 'name = "square"\nsource = "made by hand"\nlicence = "MIT"\ndims = 3\n[[node]]\nid = "tag"\nrole = "subject"\n'
+    meta = 'name = "square"\nsource = "made by hand"\nlicence = "MIT"\ndims = 3\n[[node]]\nid = "tag"\nrole = "denied"\n'
     for name, (e, n, u) in anchors.items():
         meta += f'[[node]]\nid = "{name}"\nrole = "anchor"\ne_m = {e}\nn_m = {n}\nu_m = {u}\nsigma_m = 0.02\n'
     (tmp_path / "meta.toml").write_text(meta)
@@ -46,7 +46,7 @@ def test_evaluate_scores_prints_and_draws(data_set):
     assert told.returncode == 0, told.stderr
     assert "square: estimator fleet, 81 measurements" in told.stdout
     assert picture.read_bytes().startswith(b"\x89PNG")
-    score = json.loads(gcs_coloc("evaluate", str(data_set), "--json").stdout)["subjects"]["tag"]
+    score = json.loads(gcs_coloc("evaluate", str(data_set), "--json").stdout)["denied"]["tag"]
     assert score["share_known"] == 1.0
     assert score["spatial"]["rmse_m"] < 0.3  # ranges of a stated 0.1 m that are exact, height from anchors 5 m apart
 
@@ -54,10 +54,10 @@ def test_evaluate_scores_prints_and_draws(data_set):
 FORGETFUL = """
 class Forgetful:
     name = "forgetful"
-    def set_subjects(self, subjects, at_s): pass
+    def set_denied(self, denied, at_s): pass
     def add(self, measurement): raise LookupError("nothing learnt")
     def estimate(self, vehicle, at_s): pass
-    def take_residuals(self): return []
+    def drain_residuals(self): return []
     def counts(self): return {}
 """
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from gcs_coloc.cli import check_config
+from gcs_coloc.cli.main import check_config
+from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.core.engine import EngineSettings
 from gcs_coloc.core.errors import ConfigError, GcsColocError
-from gcs_coloc.fleets import load_settings
 
 
 def written(tmp_path: Path, text: str) -> Path:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
-from gcs_coloc.clock import ServiceClock
-from gcs_coloc.deadline import Deadline
+from gcs_coloc.runtime.clock import ServiceClock
+from gcs_coloc.runtime.timer import Timer
 
 SOON_S = 0.01
 GENEROUS_S = 30.0
@@ -32,7 +32,7 @@ def test_it_fires_at_the_earliest_time_once_its_clock_has_passed_that():
     async def run() -> None:
         clock = ServiceClock()
         fired = _Fired(clock)
-        deadline = Deadline(clock, fired)
+        deadline = Timer(clock, fired)
         due_s = clock() + SOON_S
         deadline.by(due_s + 2.0 * GENEROUS_S)
         deadline.by(due_s)
@@ -51,7 +51,7 @@ def test_once_cancelled_it_does_not_fire_and_can_be_asked_again():
     async def run() -> None:
         clock = ServiceClock()
         cancelled, later = _Fired(clock), _Fired(clock)
-        deadline, other = Deadline(clock, cancelled), Deadline(clock, later)
+        deadline, other = Timer(clock, cancelled), Timer(clock, later)
         deadline.by(clock())
         deadline.cancel()
         other.by(clock() + SOON_S)

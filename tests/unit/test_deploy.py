@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gcs_coloc import __version__
-from gcs_coloc.fleets import load_settings
+from gcs_coloc.config.fleets import load_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/how-to/deploy.md").read_text(encoding="utf-8")

@@ -8,8 +8,8 @@ import pytest
 import typer
 from pydantic import BaseModel
 
-from gcs_coloc.cli import app
-from gcs_coloc.config import Settings
+from gcs_coloc.cli.main import app
+from gcs_coloc.config.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (ROOT / "docs/reference/command-line.md").read_text(encoding="utf-8")

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from gcs_coloc.cli import check_config
+from gcs_coloc.cli.main import check_config
+from gcs_coloc.config.fleets import load_fleets, load_settings
 from gcs_coloc.core.errors import ConfigError, EstimatorError, UsageError
-from gcs_coloc.fleets import load_fleets, load_settings
-from gcs_coloc.service import Service
+from gcs_coloc.service.service import Service
 
 TWO = """
 [aid]

@@ -5,17 +5,17 @@ from __future__ import annotations
 import pytest
 from engine_flights import StraightLine, fly, settings
 
-from gcs_coloc.config import Settings
-from gcs_coloc.config_sections import SigningConfig
+from gcs_coloc.config.sections import SigningConfig
+from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.links.forward import Forwarder
 from gcs_coloc.links.refusals import Refusals
 from gcs_coloc.links.routes import RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
-from gcs_coloc.lookout import Lookout
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.sequence import SequenceTracker
 from gcs_coloc.recorder.flight import FlightRecording
+from gcs_coloc.service.snapshot_cache import SnapshotCache
 
 
 class HandMoved:
@@ -47,19 +47,19 @@ class Fleet:
             bytes_per_s=1e5,
             is_aided=lambda _: False,
             forwarded=lambda _: None,
-            other_aid=lambda _raw, _sysid: None,
+            foreign_gps_input=lambda _raw, _sysid: None,
         )
         refusals = Refusals([self.counts])
-        self.lookout = Lookout(self.clock, self.engine, self.recording, self.sequences, refusals, forwarder)
+        self.snapshots = SnapshotCache(self.clock, self.engine, self.recording, self.sequences, refusals, forwarder)
 
 
 def test_a_look_is_shared_for_a_tenth_of_a_second():
     fleet = Fleet()
-    first = fleet.lookout.glance()
+    first = fleet.snapshots.glance()
     fleet.clock.now_s = 5.1
-    assert fleet.lookout.glance() is first
+    assert fleet.snapshots.glance() is first
     fleet.clock.now_s = 5.11
-    assert fleet.lookout.glance().at_s == 5.11
+    assert fleet.snapshots.glance().at_s == 5.11
 
 
 def test_a_look_has_what_a_glance_leaves_out_and_counts_no_more_often_than_it_looks():
@@ -67,15 +67,15 @@ def test_a_look_has_what_a_glance_leaves_out_and_counts_no_more_often_than_it_lo
     fleet.counts.add("bad_crc", 3)
     fleet.sequences.note(("here", 2, 1), 7, 0, 5.0)
     fleet.sequences.note(("here", 77, 1), 7, 0, 5.0)
-    glance, look = fleet.lookout.glance(), fleet.lookout.look()
+    glance, look = fleet.snapshots.glance(), fleet.snapshots.look()
     assert (glance.links, glance.outs, "bad_crc" in glance.refused) == ((), (), False)
     assert [(link.sysid, link.received) for link in look.links] == [(1, 0), (2, 1), (3, 0), (4, 0)]
     assert [out.name for out in look.outs] == ["udpout:127.0.0.1:14551"]
     assert (look.at_s, look.vehicles, look.refused["bad_crc"]) == (glance.at_s, glance.vehicles, 3)
     fleet.counts.add("bad_crc")
-    assert fleet.lookout.look() is look
+    assert fleet.snapshots.look() is look
     fleet.clock.now_s = 6.0
-    assert fleet.lookout.look().refused["bad_crc"] == 4
+    assert fleet.snapshots.look().refused["bad_crc"] == 4
 
 
 @pytest.mark.parametrize(("later_s", "recorded"), [(0.44, True), (0.46, False)])
@@ -85,4 +85,4 @@ def test_what_was_recorded_is_a_look_until_the_next_is_due(tmp_path, later_s, re
     view = fleet.recording.newest_view
     assert view is not None
     fleet.clock.now_s = view.at_s + later_s
-    assert (fleet.lookout.glance() is view) is recorded
+    assert (fleet.snapshots.glance() is view) is recorded

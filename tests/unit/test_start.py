@@ -21,18 +21,19 @@ def run(code: str, **environment: str) -> str:
 
 
 def test_the_command_line_imports_nothing_of_the_flight_before_it_is_told_to_fly():
-    loaded = json.loads(run("import sys, json, gcs_coloc.cli; print(json.dumps([m.split('.')[0] for m in sys.modules]))"))
+    loaded = json.loads(run("import sys, json, gcs_coloc.cli.main; print(json.dumps([m.split('.')[0] for m in sys.modules]))"))
     assert not {"numpy", "scipy", "pydantic", "pymavlink", "starlette", "matplotlib"} & set(loaded)
 
 
 def test_the_linear_algebra_gets_one_thread():
-    told = run(f"from gcs_coloc.blas import one_thread; one_thread(); {_PRODUCT}")
+    told = run(f"from gcs_coloc.runtime.blas_threads import one_thread; one_thread(); {_PRODUCT}")
     assert "\nThreads:\t1\n" in told
 
 
 def test_who_asks_for_more_threads_gets_them():
     told = run(
-        "from gcs_coloc.blas import one_thread; one_thread(); import os; print(os.environ['OPENBLAS_NUM_THREADS'])",
+        "from gcs_coloc.runtime.blas_threads import one_thread; one_thread(); "
+        "import os; print(os.environ['OPENBLAS_NUM_THREADS'])",
         OPENBLAS_NUM_THREADS="2",
     )
     assert told.strip() == "2"
@@ -40,7 +41,7 @@ def test_who_asks_for_more_threads_gets_them():
 
 def test_the_entry_point_sets_it_before_anything_else_is_imported():
     told = run(
-        "import sys; sys.argv[1:] = ['--version']; import gcs_coloc.cli as cli, os\n"
+        "import sys; sys.argv[1:] = ['--version']; import gcs_coloc.cli.main as cli, os\n"
         "try: cli.main()\n"
         "except SystemExit: print('numpy' in sys.modules, os.environ['OPENBLAS_NUM_THREADS'])"
     )

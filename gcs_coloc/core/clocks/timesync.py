@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gcs_coloc.core.clocks.timing import Drift
+from gcs_coloc.core.clocks.sender_clock import Drift
 
 _WINDOW_S = 300.0
 _MOST_EXCHANGES = 400

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from math import hypot
 from typing import NamedTuple
 
+from gcs_coloc.core.clocks.duplicate_ids import DuplicateIdDetector
+from gcs_coloc.core.clocks.sender_clock import CRYSTAL_DRIFT, JUMPS_TO_BELIEVE, SenderClock
 from gcs_coloc.core.clocks.timesync import RoundTrips, Synchronised
-from gcs_coloc.core.clocks.timing import CRYSTAL_DRIFT, JUMPS_TO_BELIEVE, SenderClock
-from gcs_coloc.core.clocks.two_clocks import TwoClocks
 
 _SAME_CLOCK_S = 0.05
 _ONE_WAY_SIGMA_S = 0.005  # how far the least of a minute's one-way delays may be from the link's least
@@ -65,7 +65,7 @@ class VehicleClock:
 
     stamps: SenderClock = field(default_factory=SenderClock)
     round_trips: RoundTrips = field(default_factory=RoundTrips)
-    twins: TwoClocks = field(default_factory=TwoClocks)
+    twins: DuplicateIdDetector = field(default_factory=DuplicateIdDetector)
     _by_utc: OneWay | None = None
     _too_early: int = 0
 

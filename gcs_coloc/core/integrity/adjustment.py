@@ -24,14 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from gcs_coloc.core.integrity.scene import LEAST_INFORMATION, LEAST_SIGMA_M, Row, Scene, SceneArrays
+from gcs_coloc.core.integrity.epoch import LEAST_INFORMATION, LEAST_SIGMA_M, Epoch, EpochArrays, RangeResidual
 from gcs_coloc.core.measurements import FloatArray
 
 _RANK_TOLERANCE = 1e-6
 _NEWTON_STEPS = 4
 _SETTLED_M = 0.5
 
-Past = tuple[Scene | None, float]
+Past = tuple[Epoch | None, float]
 """An earlier scene, and the correlation (0 to 1) of one vehicle's corrections at the two times; None: the present alone."""
 
 
@@ -47,7 +47,7 @@ class Effect:
     corrections_m: FloatArray
 
 
-def adjust(now: Scene, pasts: Sequence[Past]) -> list[Adjustment]:
+def adjust(now: Epoch, pasts: Sequence[Past]) -> list[Adjustment]:
     """Adjust `now` with each of the earlier scenes, or alone where there is None."""
     solution = _Solution(now.arrays, pasts)
     return [Adjustment(now, solution, number) for number in range(len(pasts))]
@@ -59,12 +59,12 @@ class Adjustment:
     `rows` are the rows of `now` that take part, `vehicles` those that they are about.
     """
 
-    def __init__(self, now: Scene, solution: _Solution, number: int) -> None:
+    def __init__(self, now: Epoch, solution: _Solution, number: int) -> None:
         self.places = now.places
         self.statistic = float(solution.statistics[number])
         self.degrees_of_freedom = int(solution.degrees_of_freedom[number])
         self.corrections_m = solution.corrections_m[number]
-        self.rows: tuple[Row, ...] = now.rows
+        self.rows: tuple[RangeResidual, ...] = now.rows
         self.vehicles: tuple[int, ...] = now.arrays.vehicles
         self._kept = solution.kept[number]
         if len(self._kept) < len(now.rows):
@@ -113,7 +113,7 @@ class Adjustment:
 class _Solution:
     """The adjustments of one scene with several earlier ones. `kept`: for each test the numbers of the rows that take part."""
 
-    def __init__(self, now: SceneArrays, pasts: Sequence[Past]) -> None:
+    def __init__(self, now: EpochArrays, pasts: Sequence[Past]) -> None:
         tests, rows = len(pasts), len(now.pairs)
         self._now = now
         self.kept: list[Sequence[int]] = [range(rows)] * tests
@@ -137,7 +137,7 @@ class _Solution:
         known = [round(shares) for shares in (1.0 - LEAST_INFORMATION * free_variances_m2).sum(axis=1).tolist()]
         self.degrees_of_freedom = [rows - unknown for rows, unknown in zip(taking_part, known, strict=True)]
 
-    def _add(self, test: int, then: SceneArrays, earlier: FloatArray) -> None:
+    def _add(self, test: int, then: EpochArrays, earlier: FloatArray) -> None:
         """Lay an earlier scene beside the present one: the rows of the pairs that both have, and what was known of the places."""
         now = self._now
         mine: slice | list[int] = slice(None)
@@ -257,7 +257,7 @@ class _Solution:
         return float(weights[0].sum()), float(self._weighted_m[test, 0, rows].sum()), c.reshape(-1)
 
 
-def _prior_information(now: SceneArrays, earlier: FloatArray, correlations: Sequence[float]) -> FloatArray:
+def _prior_information(now: EpochArrays, earlier: FloatArray, correlations: Sequence[float]) -> FloatArray:
     """Return the inverse of the corrections' prior covariance (tests, states, states): of each axis a block over two times."""
     tests, size = earlier.shape
     # The inverse of [[1, c], [c, 1]] between the two times, in units of the sigmas; what is free at one time is so for itself.
@@ -271,7 +271,7 @@ def _prior_information(now: SceneArrays, earlier: FloatArray, correlations: Sequ
     return prior.reshape(tests, 2 * size, 2 * size)
 
 
-def _common(now: SceneArrays, then: SceneArrays) -> tuple[list[int], list[int]]:
+def _common(now: EpochArrays, then: EpochArrays) -> tuple[list[int], list[int]]:
     """Return the numbers, in each of two scenes, of the rows that both have, between vehicles that claim as much in both."""
     earlier = {pair: number for number, pair in enumerate(then.pairs)}
     as_before = {v for v in now.vehicles if v in then.at and now.free[now.at[v]] == then.free[then.at[v]]}

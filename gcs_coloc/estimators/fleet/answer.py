@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from gcs_coloc.core.bound import horizontal_sigma_m
-from gcs_coloc.core.measurements import Estimate, Unknown
-from gcs_coloc.estimators.dop import horizontal_dilution_of
+from gcs_coloc.core.error_bound import horizontal_sigma_m
+from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.estimators.fleet.cluster import Cluster
 from gcs_coloc.estimators.fleet.motion import POSITION, SIZE, STAMP_ERROR, VELOCITY
 from gcs_coloc.estimators.fleet.range import unchecked_variance_m2
 from gcs_coloc.estimators.fleet.vehicle import IN_USE_S
+from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution_of
 
 _STEP_BACK_MOST_S = 2.0
 _STATED = np.eye(6, SIZE)
 
 
-def answer(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | Unknown:
+def answer(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | NoEstimate:
     """Return where a vehicle of a cluster is at a time near that of its states."""
     if cluster.records[vehicle].fixed:
         return _anchor(cluster, vehicle, at_s)
     step_s = at_s - cluster.joint.time_s[vehicle]
     if step_s < -_STEP_BACK_MOST_S:
-        return Unknown(vehicle, at_s, f"asked for a time {-step_s:.1f} s before its newest measurement")
+        return NoEstimate(vehicle, at_s, f"asked for a time {-step_s:.1f} s before its newest measurement")
     x, P = cluster.predicted(vehicle, at_s)
     # By the service's clock: its states go by its own.
     late_s = x.item(STAMP_ERROR)
@@ -37,7 +37,7 @@ def answer(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | Unknown:
     covariance[1, 1] += unchecked_m2
     worst_m = horizontal_sigma_m(covariance)
     if not worst_m <= cluster.settings.limit_sigma_m:
-        return Unknown(
+        return NoEstimate(
             vehicle, at_s, f"too uncertain: {worst_m:.0f} m (1-sigma) horizontally; more or better placed ranges are needed"
         )
     units = [n.unit for n in cluster.records[vehicle].neighbours.values() if abs(at_s - n.at_s) <= IN_USE_S]

@@ -1,4 +1,4 @@
-"""How a vehicle gets its states in a filter: from its recent reports, or a subject without a position from its ranges alone."""
+"""How a vehicle gets its states in a filter: from its recent reports, or a vehicle without a position from its ranges alone."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def begin_from_reports(clusters: Clusters, records: Records, vehicle: int, at_s:
 
 
 def begin_from_ranges(clusters: Clusters, records: Records, vehicle: int, at_s: float, s: FleetSettings) -> bool:
-    """Try to find a subject without a position from its recent ranges alone; why it was not found stands in its record."""
+    """Try to find a denied vehicle without a position from its recent ranges alone; why it was not found stands in its record."""
     record = records.writable(vehicle)
     if at_s - record.start_tried_at_s < _START_EVERY_S:
         return False
@@ -64,7 +64,7 @@ def _start_problem(records: Records, vehicle: int, at_s: float, s: FleetSettings
     for m in records[vehicle].ranges:
         peer = m.to_vehicle if m.from_vehicle == vehicle else m.from_vehicle
         report = records[peer].last_position
-        if report is None or records[peer].subject:
+        if report is None or records[peer].denied_vehicle:
             continue
         past = [r for r in records[peer].recent if isinstance(r, PositionMeasurement)]
         near = min(past, key=lambda r: abs(r.measured_at_s - m.measured_at_s), default=report)

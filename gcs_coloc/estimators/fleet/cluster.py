@@ -1,6 +1,6 @@
 """The joint state of a cluster of vehicles: how it moves on in time, where its vehicles are, and what widens it.
 
-A cluster is a set of vehicles whose states are correlated: the subjects that range each other or share neighbours, and these
+A cluster is a set of vehicles whose states are correlated: the vehicles that range each other or share neighbours, and these
 neighbours. `corrections` brings the vehicles of a measurement to its time and corrects the joint density.
 """
 
@@ -107,7 +107,7 @@ class Cluster:
         slowness = 1.0 / (1.0 + (x[3] * x[3] + x[4] * x[4]) / (s.slow_speed_mps * s.slow_speed_mps))
         density = s.acceleration_density_m2ps3 + slowness * (s.slow_density_m2ps3 - s.acceleration_density_m2ps3)
         climb = s.climb_density_m2ps3
-        if record.subject and record.slow_baro_m == 0.0:
+        if record.denied_vehicle and record.slow_baro_m == 0.0:
             # Nobody tells its height: what flies fast soon climbs fast.
             climb += (1.0 - slowness) * max(s.unseen_climb_density_m2ps3 - climb, 0.0)
         gain, gain_v = record.manoeuvre.gains()
@@ -128,7 +128,7 @@ class Cluster:
             if at_s - record.informed_at_s > _COAST_TIME_S:
                 # Nobody has seen steady flight lately: a manoeuvre may have begun since.
                 gain = max(gain, min(((at_s - record.informed_at_s) / _COAST_TIME_S) ** 2, _COAST_GAIN))
-            if record.subject:
+            if record.denied_vehicle:
                 # Where a place is known badly a manoeuvre is noticed late: one may have been under way for long.
                 ee_m2, en_m2, nn_m2 = P.item(0, 0), P.item(0, 1), P.item(1, 1)
                 half, skew = 0.5 * (ee_m2 + nn_m2), 0.5 * (ee_m2 - nn_m2)

@@ -87,9 +87,9 @@ class Clusters:
         cluster.joint = cluster.joint.part(keys)
 
     def part(self, links: Mapping[int, set[int]]) -> None:
-        """Keep only the vehicles that are linked or subjects, and only those together that links hold together."""
+        """Keep only the vehicles that are linked or denied vehicles, and only those together that links hold together."""
         for vehicle in sorted(self._of):
-            if not self._records[vehicle].subject and vehicle not in links:
+            if not self._records[vehicle].denied_vehicle and vehicle not in links:
                 self.drop(vehicle)
         seen: set[int] = set()
         for vehicle in sorted(self._of):

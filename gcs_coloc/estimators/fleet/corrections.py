@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gcs_coloc.core.air_data import LEAST_AIRSPEED_MPS
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
@@ -19,6 +18,7 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
     Vector3,
 )
+from gcs_coloc.core.telemetry.air_data import LEAST_AIRSPEED_MPS
 from gcs_coloc.estimators.fleet.cluster import Cluster
 from gcs_coloc.estimators.fleet.joint import whiten
 from gcs_coloc.estimators.fleet.motion import (
@@ -50,7 +50,7 @@ _REPORTED = np.eye(6, SIZE)
 _REPORTED[range(3), range(REPORT_ERROR.start, REPORT_ERROR.stop)] = 1.0
 
 
-class Verdict(NamedTuple):
+class UpdateResult(NamedTuple):
     """What became of a measurement: `used` or not and why, with the innovation where there was one to judge.
 
     `unit`: of a range that was used or refused by the gate, its direction.
@@ -88,7 +88,7 @@ def split_report(record: VehicleRecord, m: PositionMeasurement, s: FleetSettings
     return (white_h_m, white_v_m), (slow_h_m, slow_v_m)
 
 
-def take_own(cluster: Cluster, m: OwnMeasurement) -> Verdict:
+def take_own(cluster: Cluster, m: OwnMeasurement) -> UpdateResult:
     """Correct with what a vehicle of the cluster measured of itself, its error taken apart as its stream has shown."""
     record, s = cluster.records[m.vehicle], cluster.settings
     if isinstance(m, PositionMeasurement):
@@ -105,7 +105,7 @@ def restate_clock(cluster: Cluster, vehicle: int, sigma_s: float) -> None:
         record.stamp_s = cluster.restate(vehicle, _STAMP, record.stamp_s, sigma_s)
 
 
-def take_position(cluster: Cluster, m: PositionMeasurement, white: Sigmas, slow: Sigmas, stamp_s: float) -> Verdict:
+def take_position(cluster: Cluster, m: PositionMeasurement, white: Sigmas, slow: Sigmas, stamp_s: float) -> UpdateResult:
     """Correct with a report of position, and velocity where given; sigmas in m are (horizontal, vertical)."""
     record, joint, at_s = cluster.records[m.vehicle], cluster.joint, m.measured_at_s
     since_s = at_s - record.informed_at_s
@@ -139,12 +139,12 @@ def take_position(cluster: Cluster, m: PositionMeasurement, white: Sigmas, slow:
         HA[:, where.start : where.start + 6] += jolt[:k]
         whitened = whiten(HA, _with_noise(HA[:, where] @ H.T, noise))
         if whitened.nis > limit:
-            return Verdict("refused: position report outside the gate", 0.0, 0.0, whitened.nis, k)
+            return UpdateResult("refused: position report outside the gate", 0.0, 0.0, whitened.nis, k)
         joint.covariance(m.vehicle)[:6, :6] += jolt
     joint.correct(whitened.W)
     cluster.watch(m.vehicle, whitened.W, whitened.innovations(), at_s)
     record.informed_at_s = at_s
-    return Verdict(USED, 0.0, 0.0, whitened.nis, k)
+    return UpdateResult(USED, 0.0, 0.0, whitened.nis, k)
 
 
 def _with_noise(S: FloatArray, noise: list[float]) -> FloatArray:
@@ -166,7 +166,7 @@ def _jolt(since_s: float) -> FloatArray:
     return jolt
 
 
-def take_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, slow_m: float) -> Verdict:
+def take_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, slow_m: float) -> UpdateResult:
     """Correct with a barometric height whose error is partly white, partly slow."""
     record, joint = cluster.records[m.vehicle], cluster.joint
     start = joint.where[m.vehicle].start
@@ -184,15 +184,15 @@ def take_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, slow
     W = joint.correct_scalar(hA, variance)
     sigma_m = math.sqrt(variance)
     cluster.watch(m.vehicle, W, (innovation / sigma_m,), m.measured_at_s)
-    return Verdict(USED, innovation, sigma_m, nis, 1)
+    return UpdateResult(USED, innovation, sigma_m, nis, 1)
 
 
-def take_attitude(cluster: Cluster, m: AttitudeMeasurement) -> Verdict:
+def take_attitude(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResult:
     """Turn with the bank angle from now on, and correct with the air velocity: ground velocity less wind."""
     s, record, joint = cluster.settings, cluster.records[m.vehicle], cluster.joint
     if m.airspeed_mps is None or m.airspeed_mps < LEAST_AIRSPEED_MPS or abs(m.roll_rad) > STEEPEST_BANK_RAD:
         record.attitude = None
-        return Verdict("no airspeed beside the attitude")
+        return UpdateResult("no airspeed beside the attitude")
     cluster.bring(m.vehicle, m.measured_at_s)
     since_s = m.measured_at_s - record.attitude.measured_at_s if record.attitude is not None else s.air_noise_time_s
     record.attitude = m
@@ -229,4 +229,4 @@ def take_attitude(cluster: Cluster, m: AttitudeMeasurement) -> Verdict:
         whitened = whiten(HA, S)
     joint.correct(whitened.W)
     cluster.watch(m.vehicle, whitened.W, whitened.innovations(), m.measured_at_s)
-    return Verdict(USED, 0.0, 0.0, nis, 2)
+    return UpdateResult(USED, 0.0, 0.0, nis, 2)

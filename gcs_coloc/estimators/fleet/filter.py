@@ -15,10 +15,10 @@ from gcs_coloc.core.measurements import (
     AttitudeMeasurement,
     Estimate,
     Measurement,
+    NoEstimate,
     PositionMeasurement,
     RangeMeasurement,
     Residual,
-    Unknown,
 )
 from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -31,7 +31,7 @@ Event = Measurement | frozenset[int]
 
 
 class FleetFilter:
-    """The fleet filter; meets `gcs_coloc.estimators.base.Estimator`."""
+    """The fleet filter; meets `gcs_coloc.core.estimator.Estimator`."""
 
     name = "fleet"
 
@@ -45,13 +45,13 @@ class FleetFilter:
         self._now_s = -math.inf
         self._subject_changes = 0
 
-    def set_subjects(self, subjects: Collection[int], at_s: float) -> None:
+    def set_denied(self, denied: Collection[int], at_s: float) -> None:
         """State which vehicles are to be located from ranges from time `at_s` on."""
         self._hear(at_s)
         self._subject_changes += 1
         # Of two changes at one time the later call is the last word.
         self._timeline.insert(
-            (max(at_s, self._now_s - self.settings.window_s), _KIND_SUBJECTS, self._subject_changes), frozenset(subjects)
+            (max(at_s, self._now_s - self.settings.window_s), _KIND_SUBJECTS, self._subject_changes), frozenset(denied)
         )
 
     def add(self, measurement: Measurement) -> None:
@@ -69,11 +69,11 @@ class FleetFilter:
         elif not self._timeline.insert(key, measurement):
             self._refused["refused: heard twice"] += 1
 
-    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Answer where a vehicle is at a time near the present; shortly before its newest measurement is answered too."""
         return self._timeline.catch_up().estimate(vehicle, at_s)
 
-    def take_residuals(self) -> list[Residual]:
+    def drain_residuals(self) -> list[Residual]:
         """The residuals since the last call, each range once, oldest first."""
         self._timeline.catch_up()
         taken = list(self._residuals)
@@ -93,8 +93,8 @@ class FleetFilter:
     def _apply(self, model: FleetHypotheses, entry: Entry[Event]) -> str:
         event = entry.event
         if isinstance(event, frozenset):
-            model.set_subjects(event, entry.key[0])
-            return "subjects changed"
+            model.set_denied(event, entry.key[0])
+            return "denied vehicles changed"
         verdict = model.apply(event)
         if isinstance(event, RangeMeasurement) and verdict.degrees_of_freedom and not entry.told:
             entry.told = True

@@ -1,4 +1,4 @@
-"""The model of the fleet and, for each subject that may be on either side of a line of peers, its twin: the mirror image.
+"""The model of the fleet and, for each denied vehicle that may be on either side of a line of peers, its twin: the mirror image.
 
 Both take the same measurements. How well each foresees them gives the odds between them. As long as these do not decide, the
 answer covers both; once they do, the model that foresees better is the one that is kept.
@@ -12,10 +12,10 @@ from enum import Enum, auto
 
 import numpy as np
 
-from gcs_coloc.core.bound import horizontal_sigma_m
-from gcs_coloc.core.measurements import Estimate, Measurement, RangeMeasurement, Unknown
+from gcs_coloc.core.error_bound import horizontal_sigma_m
+from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, RangeMeasurement
 from gcs_coloc.estimators.fleet.cluster import Cluster
-from gcs_coloc.estimators.fleet.corrections import Verdict
+from gcs_coloc.estimators.fleet.corrections import UpdateResult
 from gcs_coloc.estimators.fleet.lost_side import Held, find_lost_side, held
 from gcs_coloc.estimators.fleet.mirror import (
     Mirror,
@@ -41,7 +41,7 @@ _MOST_OF_MOTION = 3.0
 
 
 class Sides(Enum):
-    """Where a subject is in a model and in its twin: on opposite sides of a line, on the same one, or one of them near it."""
+    """Where a vehicle is in a model and in its twin: on opposite sides of a line, on the same one, or one of them near it."""
 
     APART = auto()
     SAME = auto()
@@ -50,7 +50,7 @@ class Sides(Enum):
 
 @dataclass(slots=True)
 class Twin:
-    """A model in which one subject is at its mirror image; `log_odds` is the logarithm of its odds against the main model.
+    """A model in which one denied vehicle is at its mirror image; `log_odds` is the logarithm of its odds against the main model.
 
     `apart`: each of the two was clearly on its own side when last looked at; `by_motion`: only the motion told the two apart.
     """
@@ -84,7 +84,7 @@ class Twin:
 
 
 class FleetHypotheses:
-    """The main model and its twins, by subject. `copy` is an independent copy; everything else changes it in place."""
+    """The main model and its twins, by denied vehicle. `copy` is an independent copy; everything else changes it in place."""
 
     def __init__(self, settings: FleetSettings) -> None:
         self.main = FleetModel(settings)
@@ -96,21 +96,23 @@ class FleetHypotheses:
         """Return an independent copy."""
         other = object.__new__(FleetHypotheses)
         other.main = self.main.copy()
-        other.twins = {subject: replace(twin, model=twin.model.copy()) for subject, twin in self.twins.items()}
+        other.twins = {denied_vehicle: replace(twin, model=twin.model.copy()) for denied_vehicle, twin in self.twins.items()}
         other._looked_at_s = dict(self._looked_at_s)
         other._held = dict(self._held)
         return other
 
-    def set_subjects(self, subjects: frozenset[int], at_s: float) -> None:
-        """Change who is to be located, as `FleetModel.set_subjects` does."""
-        self.main.set_subjects(subjects, at_s)
-        self.twins = {subject: twin for subject, twin in self.twins.items() if subject in subjects}
-        self._looked_at_s = {subject: then_s for subject, then_s in self._looked_at_s.items() if subject in subjects}
-        self._held = {subject: then for subject, then in self._held.items() if subject in subjects}
+    def set_denied(self, denied: frozenset[int], at_s: float) -> None:
+        """Change who is to be located, as `FleetModel.set_denied` does."""
+        self.main.set_denied(denied, at_s)
+        self.twins = {denied_vehicle: twin for denied_vehicle, twin in self.twins.items() if denied_vehicle in denied}
+        self._looked_at_s = {
+            denied_vehicle: then_s for denied_vehicle, then_s in self._looked_at_s.items() if denied_vehicle in denied
+        }
+        self._held = {denied_vehicle: then for denied_vehicle, then in self._held.items() if denied_vehicle in denied}
         for twin in self.twins.values():
-            twin.model.set_subjects(subjects & twin.model.records.keys(), at_s)
+            twin.model.set_denied(denied & twin.model.records.keys(), at_s)
 
-    def apply(self, m: Measurement) -> Verdict:
+    def apply(self, m: Measurement) -> UpdateResult:
         """Take one measurement, not older than any before it."""
         ends = (m.from_vehicle, m.to_vehicle) if isinstance(m, RangeMeasurement) else (m.vehicle,)
         if isinstance(m, RangeMeasurement):
@@ -128,79 +130,82 @@ class FleetHypotheses:
         if isinstance(m, RangeMeasurement):
             for vehicle in ends:
                 is_due = m.measured_at_s - self._looked_at_s.get(vehicle, -math.inf) >= _LOOK_EVERY_S
-                if is_due and self.main.records[vehicle].subject:
+                if is_due and self.main.records[vehicle].denied_vehicle:
                     self._look(vehicle, m.measured_at_s)
         return verdict
 
     def _note_gaps(self, m: RangeMeasurement) -> None:
-        """Note where the subjects of a range are held to be just before it, where it is the first for a while."""
-        for subject in (m.from_vehicle, m.to_vehicle):
-            if m.measured_at_s - self._looked_at_s.get(subject, math.inf) > _GAP_S and subject in self.main.clusters:
-                self._held[subject] = held(self.main.clusters[subject], subject, m.measured_at_s)
+        """Note where the denied vehicles of a range are held to be just before it, where it is the first for a while."""
+        for denied_vehicle in (m.from_vehicle, m.to_vehicle):
+            if (
+                m.measured_at_s - self._looked_at_s.get(denied_vehicle, math.inf) > _GAP_S
+                and denied_vehicle in self.main.clusters
+            ):
+                self._held[denied_vehicle] = held(self.main.clusters[denied_vehicle], denied_vehicle, m.measured_at_s)
 
-    def _look(self, subject: int, at_s: float) -> None:
-        """Decide between a subject and its mirror image, or see whether there is one."""
-        self._looked_at_s[subject] = at_s
-        cluster = self.main.clusters.get(subject)
-        twin = self.twins.get(subject)
-        before = self._held.pop(subject, None)
+    def _look(self, denied_vehicle: int, at_s: float) -> None:
+        """Decide between a denied vehicle and its mirror image, or see whether there is one."""
+        self._looked_at_s[denied_vehicle] = at_s
+        cluster = self.main.clusters.get(denied_vehicle)
+        twin = self.twins.get(denied_vehicle)
+        before = self._held.pop(denied_vehicle, None)
         if cluster is None:
-            self.twins.pop(subject, None)
+            self.twins.pop(denied_vehicle, None)
             return
-        self._held[subject] = held(cluster, subject)
+        self._held[denied_vehicle] = held(cluster, denied_vehicle)
         if twin is None:
-            told = self.main.records[subject].other_side
-            mirror = find_other_side(told, cluster, subject, at_s) or find_mirror(cluster, subject, at_s)
+            told = self.main.records[denied_vehicle].other_side
+            mirror = find_other_side(told, cluster, denied_vehicle, at_s) or find_mirror(cluster, denied_vehicle, at_s)
             if mirror is None and before is not None:
-                mirror = find_lost_side(before, cluster, subject, at_s)
+                mirror = find_lost_side(before, cluster, denied_vehicle, at_s)
             if mirror is not None:
-                self.main.records.writable(subject).other_side = None
-                self._begin(subject, mirror, at_s)
+                self.main.records.writable(denied_vehicle).other_side = None
+                self._begin(denied_vehicle, mirror, at_s)
             return
-        other = twin.model.clusters.get(subject)
+        other = twin.model.clusters.get(denied_vehicle)
         if other is None:
-            del self.twins[subject]
+            del self.twins[denied_vehicle]
             return
-        mirror = through_line(cluster, subject, at_s)
-        sides = Sides.APART if mirror is None else _sides(cluster, other, subject, mirror)
+        mirror = through_line(cluster, denied_vehicle, at_s)
+        sides = Sides.APART if mirror is None else _sides(cluster, other, denied_vehicle, mirror)
         if sides is Sides.APART and not twin.apart:
             # Which side one that was on the line has come to is chance: what told the two apart before told something else.
             twin.forget()
         twin.apart = sides is Sides.APART
-        twin.by_motion = told_by_motion(cluster, subject, at_s, mirror)
+        twin.by_motion = told_by_motion(cluster, denied_vehicle, at_s, mirror)
         if sides is Sides.SAME or abs(twin.log_odds) > _DECIDED:
             if twin.log_odds > 0.0:
-                self.main.take_over(twin.model, subject)
-            del self.twins[subject]
-            if mirror is not None and not twin.apart and _is_aside(self.main.clusters[subject], subject, mirror):
+                self.main.take_over(twin.model, denied_vehicle)
+            del self.twins[denied_vehicle]
+            if mirror is not None and not twin.apart and _is_aside(self.main.clusters[denied_vehicle], denied_vehicle, mirror):
                 # Nobody was on its other side, so that nothing has ruled that out.
-                self._begin(subject, mirror, at_s)
+                self._begin(denied_vehicle, mirror, at_s)
             return
-        x, P = cluster.predicted(subject, at_s)
-        other_x, other_P = other.predicted(subject, at_s)
+        x, P = cluster.predicted(denied_vehicle, at_s)
+        other_x, other_P = other.predicted(denied_vehicle, at_s)
         d, S = (other_x - x)[:6], (P + other_P)[:6, :6]
         if float(d @ np.linalg.solve(S, d)) < _ONE_AGAIN:
-            del self.twins[subject]
+            del self.twins[denied_vehicle]
 
-    def _begin(self, subject: int, mirror: Mirror, at_s: float) -> None:
-        """Begin a twin in which a subject is at its mirror image."""
-        cluster = self.main.clusters[subject]
-        by_motion = told_by_motion(cluster, subject, at_s, through_line(cluster, subject, at_s))
+    def _begin(self, denied_vehicle: int, mirror: Mirror, at_s: float) -> None:
+        """Begin a twin in which a denied vehicle is at its mirror image."""
+        cluster = self.main.clusters[denied_vehicle]
+        by_motion = told_by_motion(cluster, denied_vehicle, at_s, through_line(cluster, denied_vehicle, at_s))
         model = FleetModel(self.main.settings)
-        model.take_over(self.main, subject)
-        reflect(model.clusters[subject], subject, mirror)
-        self.twins[subject] = Twin(model, by_motion)
+        model.take_over(self.main, denied_vehicle)
+        reflect(model.clusters[denied_vehicle], denied_vehicle, mirror)
+        self.twins[denied_vehicle] = Twin(model, by_motion)
 
-    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Answer from the state as it stands: what covers all that is possible, or that it is ambiguous."""
         where = self.main.estimate(vehicle, at_s)
         for twin in self.twins.values():
-            if isinstance(where, Unknown):
+            if isinstance(where, NoEstimate):
                 return where
             if vehicle not in twin.model.clusters:
                 continue
             other = twin.model.estimate(vehicle, at_s)
-            if isinstance(other, Unknown):
+            if isinstance(other, NoEstimate):
                 return other
             x = np.concatenate([where.position_enu_m, where.velocity_enu_mps])
             other_x = np.concatenate([other.position_enu_m, other.velocity_enu_mps])
@@ -208,23 +213,23 @@ class FleetHypotheses:
             if horizontal_sigma_m(covariance) > self.main.settings.limit_sigma_m:
                 apart_m = math.hypot(*(other_x - x)[:2].tolist())
                 reason = f"ambiguous: another place, {apart_m:.0f} m from the first, fits the ranges as well"
-                return Unknown(vehicle, at_s, reason)
+                return NoEstimate(vehicle, at_s, reason)
             where = Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, where.hdop, where.ranges_in_use)
         return where
 
 
-def _sides(cluster: Cluster, other: Cluster, subject: int, mirror: Mirror) -> Sides:
-    away, other_away = away_sigmas(cluster, subject, mirror), away_sigmas(other, subject, mirror)
+def _sides(cluster: Cluster, other: Cluster, denied_vehicle: int, mirror: Mirror) -> Sides:
+    away, other_away = away_sigmas(cluster, denied_vehicle, mirror), away_sigmas(other, denied_vehicle, mirror)
     if min(abs(away), abs(other_away)) < _CLEARLY_ASIDE:
         return Sides.OPEN
     return Sides.SAME if away * other_away > 0.0 else Sides.APART
 
 
-def _is_aside(cluster: Cluster, subject: int, mirror: Mirror) -> bool:
-    return abs(away_sigmas(cluster, subject, mirror)) >= _CLEARLY_ASIDE
+def _is_aside(cluster: Cluster, denied_vehicle: int, mirror: Mirror) -> bool:
+    return abs(away_sigmas(cluster, denied_vehicle, mirror)) >= _CLEARLY_ASIDE
 
 
-def _evidence(main: Verdict, twin: Verdict) -> float:
+def _evidence(main: UpdateResult, twin: UpdateResult) -> float:
     """Return by how much a measurement raises the log odds of the twin: one that neither foresees tells little."""
     if main.degrees_of_freedom == 0 or twin.degrees_of_freedom == 0:
         return 0.0

@@ -1,6 +1,6 @@
 """The side of a line of peers that a few ranges seem to tell.
 
-A subject whose ranges are missing for a while may soon be on either side of the line through two peers. The ranges that make its
+A vehicle whose ranges are missing for a while may soon be on either side of the line through two peers. The ranges that make its
 place sure again are linearised where it was held to be, so they put it on that side, though the other one fits as well.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from gcs_coloc.core.bound import horizontal_sigma_m
+from gcs_coloc.core.error_bound import horizontal_sigma_m
 from gcs_coloc.estimators.fleet.cluster import Cluster
 from gcs_coloc.estimators.fleet.mirror import Mirror, away_sigmas, through_line
 
@@ -19,7 +19,7 @@ _CLEARLY_ASIDE = 1.0
 
 
 class Held(NamedTuple):
-    """Where a subject was held to be: east and north in m, their covariance in m^2, and its larger axis in m."""
+    """Where a denied vehicle was held to be: east and north in m, their covariance in m^2, and its larger axis in m."""
 
     east_m: float
     north_m: float
@@ -29,19 +29,23 @@ class Held(NamedTuple):
     sigma_m: float
 
 
-def held(cluster: Cluster, subject: int, at_s: float | None = None) -> Held:
-    """Return where a subject is held to be at a time, by default that of its states."""
+def held(cluster: Cluster, denied_vehicle: int, at_s: float | None = None) -> Held:
+    """Return where a denied vehicle is held to be at a time, by default that of its states."""
     joint = cluster.joint
-    x, P = (joint.mean(subject), joint.covariance(subject)) if at_s is None else cluster.predicted(subject, at_s)
+    x, P = (
+        (joint.mean(denied_vehicle), joint.covariance(denied_vehicle))
+        if at_s is None
+        else cluster.predicted(denied_vehicle, at_s)
+    )
     return Held(x.item(0), x.item(1), P.item(0, 0), P.item(0, 1), P.item(1, 1), horizontal_sigma_m(P))
 
 
-def find_lost_side(before: Held, cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
-    """Return the plane of a subject's peers if only ranges on its line have since told the subject on which side it is."""
-    if horizontal_sigma_m(cluster.joint.covariance(subject)) > _SURER * before.sigma_m:
+def find_lost_side(before: Held, cluster: Cluster, denied_vehicle: int, at_s: float) -> Mirror | None:
+    """Return the plane of a vehicle's peers if only ranges on its line have since told the denied vehicle on which side it is."""
+    if horizontal_sigma_m(cluster.joint.covariance(denied_vehicle)) > _SURER * before.sigma_m:
         return None
-    mirror = through_line(cluster, subject, at_s)
-    if mirror is None or abs(away_sigmas(cluster, subject, mirror)) < _CLEARLY_ASIDE:
+    mirror = through_line(cluster, denied_vehicle, at_s)
+    if mirror is None or abs(away_sigmas(cluster, denied_vehicle, mirror)) < _CLEARLY_ASIDE:
         return None
     (e, n, _), (at_e, at_n, _) = mirror.normal.tolist(), mirror.at_m.tolist()
     away_m = (before.east_m - at_e) * e + (before.north_m - at_n) * n

@@ -1,4 +1,4 @@
-"""The mirror image of a subject that ranges peers in one plane: when the filter may have taken it, and what it is.
+"""The mirror image of a denied vehicle that ranges peers in one plane: when the filter may have taken it, and what it is.
 
 Ranges with peers in one plane are the same on both sides of it: to the right and left of peers on one line, above and below peers
 at one height. Near the plane they hardly tell the motion across it either, so a turn there leads to either side unseen.
@@ -32,26 +32,26 @@ _LEAST_BLUR_M = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Mirror:
-    """A plane through `at_m` (3,) with the unit normal `normal` (3,); at the subject it moves along it at `speed_mps`."""
+    """A plane through `at_m` (3,) with the unit normal `normal` (3,); at the denied vehicle it moves along it at `speed_mps`."""
 
     at_m: FloatArray
     normal: FloatArray
     speed_mps: float
 
 
-def find_mirror(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
-    """Return the plane that a subject's peers are in if it is not told on which side of it the subject is going to leave it.
+def find_mirror(cluster: Cluster, denied_vehicle: int, at_s: float) -> Mirror | None:
+    """Return the plane that a vehicle's peers are in if it is not told on which side of it the vehicle is going to leave it.
 
     That is the vertical plane through peers on one line, or the level one through three and more where no height is heard. None
-    where the peers are not in one plane, where the subject is too far from it to have changed the side, where it crosses
+    where the peers are not in one plane, where the denied vehicle is too far from it to have changed the side, where it crosses
     so fast that it cannot have turned back within the stretch in which the ranges are blind across the plane, or where its
     mirror image is as yet the same as the state.
     """
-    neighbours = cluster.records[subject].neighbours
+    neighbours = cluster.records[denied_vehicle].neighbours
     peers = [v for v, n in neighbours.items() if at_s - n.at_s <= IN_USE_S and v in cluster.joint.where]
     if len(peers) < 2:
         return None
-    view = _View(cluster, subject, peers, at_s)
+    view = _View(cluster, denied_vehicle, peers, at_s)
     (e, n), longest_m2 = view.line()
     if view.may_be_open((-n, e, 0.0)):
         mirror = _across(view, np.array([-n, e, 0.0]), np.array([[e], [n], [0.0]]), longest_m2)
@@ -67,24 +67,24 @@ def find_mirror(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
     return _across(view, normal, axes[:, 1:], float(spreads[1]))
 
 
-def is_aided(cluster: Cluster, subject: int, at_s: float) -> bool:
-    """Whether a subject tells its attitude and airspeed."""
-    attitude = cluster.records[subject].attitude
+def is_aided(cluster: Cluster, denied_vehicle: int, at_s: float) -> bool:
+    """Whether a denied vehicle tells its attitude and airspeed."""
+    attitude = cluster.records[denied_vehicle].attitude
     return attitude is not None and at_s - attitude.measured_at_s <= cluster.settings.attitude_fresh_s
 
 
-def through_line(cluster: Cluster, subject: int, at_s: float) -> Mirror | None:
-    """Return the upright plane through the peers of a subject where these are on one line, None if they are not.
+def through_line(cluster: Cluster, denied_vehicle: int, at_s: float) -> Mirror | None:
+    """Return the upright plane through the peers of a denied vehicle where these are on one line, None if they are not.
 
-    They are as long as the ranges to them do not tell the sides of the plane apart at the subject's distance from it.
+    They are as long as the ranges to them do not tell the sides of the plane apart at the denied vehicle's distance from it.
     """
-    peers = _heard(cluster, subject, at_s)
-    return upright_through(cluster, subject, peers, at_s) if len(peers) >= 2 else None
+    peers = _heard(cluster, denied_vehicle, at_s)
+    return upright_through(cluster, denied_vehicle, peers, at_s) if len(peers) >= 2 else None
 
 
-def upright_through(cluster: Cluster, subject: int, peers: list[int], at_s: float) -> Mirror | None:
-    """Return the upright plane that two and more peers of a subject are in; None where they are in none, or all at one place."""
-    view = _View(cluster, subject, peers, at_s)
+def upright_through(cluster: Cluster, denied_vehicle: int, peers: list[int], at_s: float) -> Mirror | None:
+    """Return the upright plane that two and more peers of a vehicle are in; None where they are in none, or all at one place."""
+    view = _View(cluster, denied_vehicle, peers, at_s)
     (e, n), longest_m2 = view.line()
     if longest_m2 < _LEAST_DISTANCE_M**2:
         return None
@@ -98,33 +98,33 @@ def upright_through(cluster: Cluster, subject: int, peers: list[int], at_s: floa
     return Mirror(np.array(view.centre), normal, speed_mps)
 
 
-def told_by_motion(cluster: Cluster, subject: int, at_s: float, line: Mirror | None) -> bool:
-    """Whether only how steadily a subject would fly tells the sides apart: its peers are on a `line` or two, no attitude."""
-    return (line is not None or len(_heard(cluster, subject, at_s)) <= 2) and not is_aided(cluster, subject, at_s)
+def told_by_motion(cluster: Cluster, denied_vehicle: int, at_s: float, line: Mirror | None) -> bool:
+    """Whether only how steadily a vehicle would fly tells the sides apart: its peers are on a `line` or two, no attitude."""
+    return (line is not None or len(_heard(cluster, denied_vehicle, at_s)) <= 2) and not is_aided(cluster, denied_vehicle, at_s)
 
 
-def _heard(cluster: Cluster, subject: int, at_s: float) -> list[int]:
+def _heard(cluster: Cluster, denied_vehicle: int, at_s: float) -> list[int]:
     """Return the peers with which ranges were heard lately, used or not: one that is refused tells the sides apart best."""
-    return [v for v, t in cluster.records[subject].heard.items() if at_s - t <= IN_USE_S and v in cluster.joint.where]
+    return [v for v, t in cluster.records[denied_vehicle].heard.items() if at_s - t <= IN_USE_S and v in cluster.joint.where]
 
 
-def away_sigmas(cluster: Cluster, subject: int, mirror: Mirror) -> float:
-    """Return how far a subject is off a plane, in its own sigmas, signed."""
+def away_sigmas(cluster: Cluster, denied_vehicle: int, mirror: Mirror) -> float:
+    """Return how far a denied vehicle is off a plane, in its own sigmas, signed."""
     n = mirror.normal
-    sigma_m = math.sqrt(float(n @ cluster.joint.covariance(subject)[POSITION, POSITION] @ n))
-    return float((np.array(cluster.place(subject)) - mirror.at_m) @ n) / sigma_m
+    sigma_m = math.sqrt(float(n @ cluster.joint.covariance(denied_vehicle)[POSITION, POSITION] @ n))
+    return float((np.array(cluster.place(denied_vehicle)) - mirror.at_m) @ n) / sigma_m
 
 
 class _View:
-    """A subject and its peers at a time: where they are and how well that is known, as far as it costs little.
+    """A denied vehicle and its peers at a time: where they are and how well that is known, as far as it costs little.
 
-    `offset` is the subject's place about the mean `centre` of its peers, `offsets` theirs, `distance_m` how far it is from each.
-    `most_m` is at least as large as the sigma of any way between the subject and a peer in any direction.
+    `offset` is the vehicle's place about the mean `centre` of its peers, `offsets` theirs, `distance_m` how far it is from each.
+    `most_m` is at least as large as the sigma of any way between the denied vehicle and a peer in any direction.
     """
 
-    def __init__(self, cluster: Cluster, subject: int, peers: list[int], at_s: float) -> None:
+    def __init__(self, cluster: Cluster, denied_vehicle: int, peers: list[int], at_s: float) -> None:
         self.cluster = cluster
-        self.own = cluster.end(subject)
+        self.own = cluster.end(denied_vehicle)
         self.peers = [cluster.end(v) for v in peers]
         places = [peer.place for peer in self.peers]
         ce, cn, cu = self.centre = [math.fsum(axis) / len(peers) for axis in zip(*places, strict=True)]
@@ -135,8 +135,8 @@ class _View:
         self.nearest_m = min(self.distance_m)
         most_m = _most_m(cluster, self.own) + max(_most_m(cluster, peer) for peer in self.peers)
         self.most_m = max(most_m, _LEAST_BLUR_M)
-        record = cluster.records[subject]
-        self.aided = is_aided(cluster, subject, at_s)
+        record = cluster.records[denied_vehicle]
+        self.aided = is_aided(cluster, denied_vehicle, at_s)
         self._height_sigma_m = math.inf
         for m in reversed(record.own):
             if at_s - m.measured_at_s > IN_USE_S:
@@ -150,7 +150,7 @@ class _View:
         yield math.sqrt(max(float(self.apart_m2(0)[0, 0]), 0.0))
 
     def apart_m2(self, i: int) -> FloatArray:
-        """Return the covariance (4, 4) of the way from peer i to the subject: along the line between them, east, north, up."""
+        """Return the covariance (4, 4) of the way from peer i to the vehicle: along the line between them, east, north, up."""
         (e, n, u), (pe, pn, pu), distance_m = self.offset, self.offsets[i], self.distance_m[i]
         unit = ((e - pe) / distance_m, (n - pn) / distance_m, (u - pu) / distance_m)
         return self.cluster.joint.foresee(self.cluster.way(self.own, self.peers[i], unit))[1]
@@ -178,11 +178,11 @@ class _View:
         return float(np.sum(told * told / blurs_m2))
 
     def height_told(self, upwards: float, reach_m: float) -> float:
-        """How clearly the subject's own height tells the two sides of a plane apart, whose unit normal has this part upwards."""
+        """How clearly the vehicle's own height tells the two sides of a plane apart, whose unit normal has this part upwards."""
         return (2.0 * reach_m * upwards / self._height_sigma_m) ** 2
 
     def may_be_open(self, normal: Sequence[float]) -> bool:
-        """Whether it may be open on which side of a plane through the centre the subject is, whatever the covariances are.
+        """Whether it may be open on which side of a plane through the centre the denied vehicle is, whatever the covariances are.
 
         It is not too far from the plane, and the peers are not too far off it to tell the sides apart.
         """
@@ -256,8 +256,8 @@ def _plane_speed(view: _View, within_m: FloatArray, at_m: FloatArray, normal: Fl
     return float(speeds.mean() + slopes @ at_m)
 
 
-def reflect(cluster: Cluster, subject: int, mirror: Mirror) -> None:
-    """Turn a subject's state into its mirror image, with all its covariances."""
+def reflect(cluster: Cluster, denied_vehicle: int, mirror: Mirror) -> None:
+    """Turn a denied vehicle's state into its mirror image, with all its covariances."""
     joint, n = cluster.joint, mirror.normal
     M = np.eye(SIZE)
     M[0:3, 0:3] -= 2.0 * np.outer(n, n)
@@ -267,8 +267,8 @@ def reflect(cluster: Cluster, subject: int, mirror: Mirror) -> None:
     offset = np.zeros(SIZE)
     offset[0:3] = 2.0 * float(mirror.at_m @ n) * n
     offset[3:6] = 2.0 * mirror.speed_mps * n
-    mean = M @ joint.mean(subject) + offset
-    joint.transform(subject, tuple(mean.tolist()), M, np.zeros((SIZE, SIZE)), joint.time_s[subject])
+    mean = M @ joint.mean(denied_vehicle) + offset
+    joint.transform(denied_vehicle, tuple(mean.tolist()), M, np.zeros((SIZE, SIZE)), joint.time_s[denied_vehicle])
 
 
 def blend(

@@ -1,6 +1,6 @@
-"""The fleet as the filter knows it, fed in the order of measuring: who is a subject, in which cluster, and who is used as a peer.
+"""The fleet as the filter knows it, fed in the order of measuring: who is a vehicle, in which cluster, and who is used as a peer.
 
-Only vehicles that a subject ranges have states in a filter. Of any other healthy vehicle only a few recent reports are kept,
+Only vehicles that a vehicle ranges have states in a filter. Of any other healthy vehicle only a few recent reports are kept,
 from which a filter for it is started at the moment when it is needed.
 """
 
@@ -12,15 +12,15 @@ from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     Estimate,
     Measurement,
+    NoEstimate,
     PositionMeasurement,
     RangeMeasurement,
-    Unknown,
 )
 from gcs_coloc.estimators.fleet.answer import answer
 from gcs_coloc.estimators.fleet.begin import begin_from_ranges, begin_from_reports
 from gcs_coloc.estimators.fleet.blocks import pair_key
 from gcs_coloc.estimators.fleet.clusters import Clusters
-from gcs_coloc.estimators.fleet.corrections import Verdict, restate_clock, stamp_sigma_s, take_own
+from gcs_coloc.estimators.fleet.corrections import UpdateResult, restate_clock, stamp_sigma_s, take_own
 from gcs_coloc.estimators.fleet.noise import NOTHING_HEARD, Whiteness, without_time_error
 from gcs_coloc.estimators.fleet.peers import is_wanted
 from gcs_coloc.estimators.fleet.range import account, take_range
@@ -33,9 +33,9 @@ _UNDERSTATED = 1.8
 _SILENT_MOST_S = 3600.0
 """A state that nothing was heard of for longer says nothing; left to grow, it loses its digits within a month."""
 
-_NO_PART = Verdict("kept: vehicle has no part in locating a subject")
-_NO_SUBJECT = Verdict("kept: range between healthy vehicles")
-_NOT_WANTED = Verdict("kept: better placed peers are used")
+_NO_PART = UpdateResult("kept: vehicle has no part in locating a denied vehicle")
+_NO_SUBJECT = UpdateResult("kept: range between healthy vehicles")
+_NOT_WANTED = UpdateResult("kept: better placed peers are used")
 
 
 class FleetModel:
@@ -79,18 +79,18 @@ class FleetModel:
             if vehicle in other.clusters and not any(v in self.clusters for v in other.clusters.together_with(vehicle)):
                 self.take_over(other, vehicle)
 
-    def set_subjects(self, subjects: frozenset[int], at_s: float) -> None:
-        """Change who is to be located; a new subject starts from its last reports if these are fresh."""
-        for vehicle in sorted(subjects):
+    def set_denied(self, denied: frozenset[int], at_s: float) -> None:
+        """Change who is to be located; a new denied vehicle starts from its last reports if these are fresh."""
+        for vehicle in sorted(denied):
             record = self.records.writable(vehicle)
-            if record.subject:
+            if record.denied_vehicle:
                 continue
-            record.subject = True
+            record.denied_vehicle = True
             if vehicle not in self.clusters and not self._activate(vehicle, at_s):
                 record.reason = "no fresh position to start from, and not enough ranges yet"
-        for vehicle in [v for v, record in self.records.items() if record.subject and v not in subjects]:
+        for vehicle in [v for v, record in self.records.items() if record.denied_vehicle and v not in denied]:
             record = self.records.writable(vehicle)
-            record.subject = False
+            record.denied_vehicle = False
             record.ranged = ()
             record.neighbours = {}
             # Its reports are trusted again and start a filter when one is needed.
@@ -99,7 +99,7 @@ class FleetModel:
             record.last_position = None
             record.reason = "no position report since its GPS was trusted again"
 
-    def apply(self, m: Measurement) -> Verdict:
+    def apply(self, m: Measurement) -> UpdateResult:
         """Take one measurement, not older than any before it."""
         if m.measured_at_s - self._tidied_at_s > _TIDY_EVERY_S:
             self._tidy(m.measured_at_s)
@@ -116,9 +116,9 @@ class FleetModel:
             return _NO_PART
         return take_own(cluster, m)
 
-    def _position(self, m: PositionMeasurement, record: VehicleRecord) -> Verdict:
-        if record.subject:
-            return Verdict("refused: position of a subject")
+    def _position(self, m: PositionMeasurement, record: VehicleRecord) -> UpdateResult:
+        if record.denied_vehicle:
+            return UpdateResult("refused: position of a denied vehicle")
         record.fixed = m.static
         e, n, u = m.position_enu_m
         record.white = record.white.heard(m.measured_at_s, ((e, n), (u,)), without_time_error(m))
@@ -137,21 +137,21 @@ class FleetModel:
             self.clusters.drop(m.vehicle)
             record.own = (m,)
             record.reports_refused = 0
-            return Verdict("peer restarted: its reports moved away")
+            return UpdateResult("peer restarted: its reports moved away")
         return verdict
 
-    def _range(self, m: RangeMeasurement) -> Verdict:
+    def _range(self, m: RangeMeasurement) -> UpdateResult:
         ends = (m.from_vehicle, m.to_vehicle)
         first, second = self.records.writable(ends[0]), self.records.writable(ends[1])
-        subjects = [(*ends, first)] if first.subject else []
-        if second.subject:
-            subjects.append((*ends[::-1], second))
-        if not subjects:
+        denied = [(*ends, first)] if first.denied_vehicle else []
+        if second.denied_vehicle:
+            denied.append((*ends[::-1], second))
+        if not denied:
             return _NO_SUBJECT
-        for subject, other, record in subjects:
+        for denied_vehicle, other, record in denied:
             record.remember_range(m)
             record.heard[other] = m.measured_at_s
-            if not is_wanted(self.clusters, self.records, subject, other, m.measured_at_s, self.settings):
+            if not is_wanted(self.clusters, self.records, denied_vehicle, other, m.measured_at_s, self.settings):
                 return _NOT_WANTED
         cluster = self.clusters.common(*ends)
         if cluster is None:
@@ -169,31 +169,31 @@ class FleetModel:
         # which the gate weighs by itself, makes it seem to scatter up to 1.8 times as much.
         scatter_m = white.proven_m(0)
         verdict = take_range(cluster, pair, m, scatter_m if scatter_m > _UNDERSTATED * sigma_m else sigma_m, slow_m)
-        for subject, other, _ in subjects:
-            account(cluster, subject, other, verdict, m)
+        for denied_vehicle, other, _ in denied:
+            account(cluster, denied_vehicle, other, verdict, m)
         return verdict
 
-    def _locate(self, ends: tuple[int, int], at_s: float) -> Verdict | None:
+    def _locate(self, ends: tuple[int, int], at_s: float) -> UpdateResult | None:
         """Begin the states of those ends of a range that have none; what the range came to where that is not possible."""
         for vehicle in ends:
             if vehicle in self.clusters:
                 continue
-            if self.records[vehicle].subject:
+            if self.records[vehicle].denied_vehicle:
                 begun = begin_from_ranges(self.clusters, self.records, vehicle, at_s, self.settings)
-                return Verdict("used for a start" if begun else "kept: waiting for a start")
+                return UpdateResult("used for a start" if begun else "kept: waiting for a start")
             if not self._activate(vehicle, at_s):
-                return Verdict("refused: peer without a position")
+                return UpdateResult("refused: peer without a position")
         return None
 
     def _activate(self, vehicle: int, at_s: float) -> bool:
         return begin_from_reports(self.clusters, self.records, vehicle, at_s, self.settings)
 
     def _tidy(self, at_s: float) -> None:
-        """Drop peers that nobody ranges and subjects silent for an hour, and part the clusters that nothing holds together."""
+        """Drop peers that nobody ranges and vehicles silent for an hour, and part the clusters that nothing holds together."""
         self._tidied_at_s = at_s
         kept_s = self.settings.peer_kept_s
         links: dict[int, set[int]] = {}
-        for vehicle in [v for v, record in self.records.items() if record.subject]:
+        for vehicle in [v for v, record in self.records.items() if record.denied_vehicle]:
             record = self.records.writable(vehicle)
             record.heard = {other: t for other, t in record.heard.items() if at_s - t <= kept_s}
             record.neighbours = {other: n for other, n in record.neighbours.items() if at_s - n.at_s <= kept_s}
@@ -208,23 +208,23 @@ class FleetModel:
         self.clusters.part(links)
         self.pairs = {key: white for key, white in self.pairs.items() if key[1] in links.get(key[0], ())}
 
-    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Answer from the state as it stands."""
         record = self.records.get(vehicle)
         if record is None:
-            return Unknown(vehicle, at_s, "no measurement of it was heard")
+            return NoEstimate(vehicle, at_s, "no measurement of it was heard")
         cluster = self.clusters.get(vehicle)
         if cluster is None:
             return self._idle(vehicle, record, at_s)
         return answer(cluster, vehicle, at_s)
 
-    def _idle(self, vehicle: int, record: VehicleRecord, at_s: float) -> Estimate | Unknown:
-        """Answer for a vehicle that has no filter: a healthy one from its own reports, a subject with the reason why not."""
-        if record.subject or record.last_position is None:
-            return Unknown(vehicle, at_s, record.reason)
+    def _idle(self, vehicle: int, record: VehicleRecord, at_s: float) -> Estimate | NoEstimate:
+        """Answer for a vehicle that has no filter: a healthy one from its own reports, a vehicle with the reason why not."""
+        if record.denied_vehicle or record.last_position is None:
+            return NoEstimate(vehicle, at_s, record.reason)
         age_s = at_s - record.last_position.measured_at_s
         if age_s > self.settings.start_age_s and not record.fixed:
-            return Unknown(vehicle, at_s, f"no position report for {age_s:.0f} s")
+            return NoEstimate(vehicle, at_s, f"no position report for {age_s:.0f} s")
         alone = FleetModel(self.settings)
         alone.records.take(self.records, vehicle)
         if record.last_position.velocity_enu_mps is not None:

@@ -1,4 +1,4 @@
-"""The choice of the neighbours that locate a subject best, where there are more than are worth their cost."""
+"""The choice of the neighbours that locate a denied vehicle best, where there are more than are worth their cost."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ _SHARED_BONUS = 1.5
 _PRIOR_INFORMATION = 1e-3
 
 
-def is_wanted(clusters: Clusters, records: Records, subject: int, other: int, at_s: float, s: FleetSettings) -> bool:
-    """Whether another vehicle is among the at most K neighbours that a subject uses; chooses anew every 2 s.
+def is_wanted(clusters: Clusters, records: Records, denied_vehicle: int, other: int, at_s: float, s: FleetSettings) -> bool:
+    """Whether another vehicle is among the at most K neighbours that a denied vehicle uses; chooses anew every 2 s.
 
-    The subject's record is changed: it is to be the model's own.
+    The denied vehicle's record is changed: it is to be the model's own.
     """
-    record = records[subject]
+    record = records[denied_vehicle]
     if other not in record.chosen and len(record.heard) <= s.peers_per_subject:
         record.chosen = frozenset(record.heard)
     if at_s - record.chosen_at_s >= _CHOICE_HOLDS_S:
         record.chosen_at_s = at_s
         fresh = sorted(v for v, t in record.heard.items() if at_s - t <= s.peer_fresh_s)
         few = len(fresh) <= s.peers_per_subject
-        record.chosen = frozenset(fresh) if few else _choose(clusters, records, subject, fresh, s.peers_per_subject)
+        record.chosen = frozenset(fresh) if few else _choose(clusters, records, denied_vehicle, fresh, s.peers_per_subject)
     return other in record.chosen
 
 
-def _choose(clusters: Clusters, records: Records, subject: int, fresh: list[int], most: int) -> frozenset[int]:
-    here, record = _roughly(clusters, records, subject), records[subject]
+def _choose(clusters: Clusters, records: Records, denied_vehicle: int, fresh: list[int], most: int) -> frozenset[int]:
+    here, record = _roughly(clusters, records, denied_vehicle), records[denied_vehicle]
     placed = [(v, there) for v in fresh if (there := _roughly(clusters, records, v)) is not None]
     if here is None or len(placed) <= most:
         return frozenset([v for v, _ in placed][:most])
-    subjects = {vehicle: other for vehicle, other in records.items() if other.subject}
-    used = (other.chosen for vehicle, other in subjects.items() if vehicle != subject)
-    shared = frozenset().union(*used) - subjects.keys()
+    denied = {vehicle: other for vehicle, other in records.items() if other.denied_vehicle}
+    used = (other.chosen for vehicle, other in denied.items() if vehicle != denied_vehicle)
+    shared = frozenset().union(*used) - denied.keys()
     height_known = any(isinstance(m, AltitudeMeasurement) for m in record.recent)
     return choose_peers(here, placed, record.chosen, shared, most, height_known=height_known)
 
@@ -62,12 +62,12 @@ def choose_peers(
     """Choose at most `most` peers greedily: each next one is that which lowers the trace of the position cofactor most.
 
     Args:
-        here: (3,) where the subject is, ENU in metres.
+        here: (3,) where the denied vehicle is, ENU in metres.
         placed: candidates with their positions (3,), in a fixed order (ties go to the first).
         kept: those in use now; another one has to be clearly better to replace one, for each change costs correlations.
-        shared: those that other subjects use: any other one has to be carried for this subject alone.
+        shared: those that other denied vehicles use: any other one has to be carried for this denied vehicle alone.
         most: how many may be used.
-        height_known: whether the subject tells its own height, which is then worth a range from straight above.
+        height_known: whether the denied vehicle tells its own height, which is then worth a range from straight above.
 
     """
     there = np.array([position for _, position in placed])

@@ -11,7 +11,7 @@ import numpy as np
 
 from gcs_coloc.core.measurements import RangeMeasurement
 from gcs_coloc.estimators.fleet.cluster import Cluster
-from gcs_coloc.estimators.fleet.corrections import USED, Verdict
+from gcs_coloc.estimators.fleet.corrections import USED, UpdateResult
 from gcs_coloc.estimators.fleet.joint import Key
 from gcs_coloc.estimators.fleet.motion import STAMP_ERROR
 from gcs_coloc.estimators.fleet.other_side import hold_against
@@ -19,7 +19,7 @@ from gcs_coloc.estimators.fleet.settings import FleetSettings
 from gcs_coloc.estimators.fleet.vehicle import IN_USE_S, Neighbour, RefusedRange, VehicleRecord
 
 _LEAST_DISTANCE_M = 1e-3
-# Of a subject that is not where it is held to be four of five ranges are refused, of one that is at most one of three: the
+# Of a denied vehicle that is not where it is held to be four of five ranges are refused, of one that is at most one of three: the
 # logarithms of how much likelier a refused and a used range are for the former, and from which sum on it is taken to be lost.
 _REFUSED_TELLS, _USED_TELLS, _LOST = 0.88, -1.2, 7.0
 _REFUSED_MEMORY = 0.7
@@ -28,7 +28,7 @@ _ALMOST_NOTHING = 1e-6
 _COVERED_SIGMAS = 3.0
 
 
-def take_range(cluster: Cluster, pair: Key, m: RangeMeasurement, sigma_m: float, slow_m: float) -> Verdict:
+def take_range(cluster: Cluster, pair: Key, m: RangeMeasurement, sigma_m: float, slow_m: float) -> UpdateResult:
     """Correct with a slant range between two vehicles, whose errors are the block `pair` (`pair_key`).
 
     `sigma_m` is that of the range itself, `slow_m` of the part of its error that lasts.
@@ -42,7 +42,7 @@ def take_range(cluster: Cluster, pair: Key, m: RangeMeasurement, sigma_m: float,
     dx, dy, dz = ax - bx, ay - by, az - bz
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
     if distance < _LEAST_DISTANCE_M:
-        return Verdict("refused: both ends estimated at one place")
+        return UpdateResult("refused: both ends estimated at one place")
     unit = ux, uy, uz = (dx / distance, dy / distance, dz / distance)
     (ave, avn, avu), (bve, bvn, bvu) = a.velocity, b.velocity
     closing = ux * (ave - bve) + uy * (avn - bvn) + uz * (avu - bvu)
@@ -76,7 +76,7 @@ def take_range(cluster: Cluster, pair: Key, m: RangeMeasurement, sigma_m: float,
     nis = innovation * innovation / variance
     sigma = math.sqrt(variance)
     if nis > s.gate_sigma**2:
-        return Verdict("refused: range outside the gate", innovation, sigma, nis, 1, (ux, uy, uz))
+        return UpdateResult("refused: range outside the gate", innovation, sigma, nis, 1, (ux, uy, uz))
     if nis > s.doubt_sigma**2:
         # Huber's weight: beyond the doubt the pull of an innovation grows no more.
         variance *= math.sqrt(nis) / s.doubt_sigma
@@ -84,7 +84,7 @@ def take_range(cluster: Cluster, pair: Key, m: RangeMeasurement, sigma_m: float,
     whitened = (innovation / math.sqrt(variance),)
     cluster.watch(a.vehicle, W, whitened, at_s)
     cluster.watch(b.vehicle, W, whitened, at_s)
-    return Verdict(USED, innovation, sigma, nis, 1, unit)
+    return UpdateResult(USED, innovation, sigma, nis, 1, unit)
 
 
 def _pair(cluster: Cluster, pair: Key, at_s: float, slow_m: float) -> int:
@@ -108,8 +108,8 @@ def _distrust_m2(cluster: Cluster, m: RangeMeasurement) -> float:
     return max(cluster.records[m.from_vehicle].distrust_m2, cluster.records[m.to_vehicle].distrust_m2)
 
 
-def account(cluster: Cluster, vehicle: int, other: int, verdict: Verdict, m: RangeMeasurement) -> None:
-    """Note at a subject what became of its range with another vehicle, and find the way back when most are refused."""
+def account(cluster: Cluster, vehicle: int, other: int, verdict: UpdateResult, m: RangeMeasurement) -> None:
+    """Note at a denied vehicle what became of its range with another vehicle, and find the way back when most are refused."""
     record = cluster.records[vehicle]
     if verdict.degrees_of_freedom > 0:
         record.other_side = hold_against(record.other_side, cluster, vehicle, other, verdict, m)
@@ -139,7 +139,7 @@ def account(cluster: Cluster, vehicle: int, other: int, verdict: Verdict, m: Ran
 
 
 def unchecked_variance_m2(record: VehicleRecord) -> float:
-    """Return the variance, m^2, by which a subject is known worse while nobody can tell whether it or a refused range is off.
+    """Return the variance, m^2, by which a vehicle is known worse while nobody can tell whether it or a refused range is off.
 
     It has what the refused ranges say within three sigmas, from the second in a row on: a single one is an outlier.
     """
@@ -149,7 +149,7 @@ def unchecked_variance_m2(record: VehicleRecord) -> float:
 
 
 def _contradicted(record: VehicleRecord, refused: RefusedRange, at_s: float, s: FleetSettings) -> bool:
-    """Whether the ranges in use would show it if the subject were off by what a refused one says it is.
+    """Whether the ranges in use would show it if the denied vehicle were off by what a refused one says it is.
 
     Of all horizontal displacements that explain the refused range, the one that the others notice least moves these by the
     innovation times the root of 1 / (u' N^-1 u): N is the sum of their own u u', u a unit vector along the range. With one other

@@ -12,7 +12,7 @@ class FleetSettings:
     Order: measurements may arrive up to `window_s` after they were measured, and be stamped up to `ahead_s` ahead of arrival.
 
     Motion: `acceleration_density_m2ps3` (horizontal, `slow_density_m2ps3` well below `slow_speed_mps`) and
-    `climb_density_m2ps3` (vertical; towards `unseen_climb_density_m2ps3` the faster a subject flies whose own height nobody
+    `climb_density_m2ps3` (vertical; towards `unseen_climb_density_m2ps3` the faster a vehicle flies whose own height nobody
     tells) hold in steady flight; up to `manoeuvre_gain` times as much does as far as the measurements
     ask for more velocity corrections, over `manoeuvre_memory_s`, than steady flight explains. The turn rate is a state, of
     `turn_sigma_radps` in steady flight, that lasts for `turn_time_s`. With a fresh bank angle `aided_density_m2ps3` holds beyond

@@ -1,4 +1,4 @@
-"""Where a subject is, from ranges alone: robust least squares from many starting points, and the honesty about what fits as well.
+"""Where a vehicle is, from ranges alone: robust least squares from many starting points, and the honesty about what fits as well.
 
 Few or badly placed peers allow a mirror image. What the altitude and the motion within some seconds do not decide is declared
 ambiguous; only a mirror image straight above or below is stated, as one place with the height left open.
@@ -29,7 +29,7 @@ _HEIGHT_PRIOR_M = 300.0
 
 
 class StartProblem:
-    """The recent ranges of one subject, with where its peers were, and its own heights. Times are relative to `at_s`."""
+    """The recent ranges of one denied vehicle, with where its peers were, and its own heights. Times are relative to `at_s`."""
 
     def __init__(self, at_s: float) -> None:
         self.at_s = at_s
@@ -44,7 +44,7 @@ class StartProblem:
         self._rows.append((peer, m.measured_at_s - self.at_s, e, n, u, m.range_m, m.sigma_m, near.sigma_h_m))
 
     def add_altitude(self, m: AltitudeMeasurement) -> None:
-        """Take a height of the subject itself."""
+        """Take a height of the denied vehicle itself."""
         self._heights.append((m.measured_at_s - self.at_s, m.up_m, m.sigma_m))
 
     def peers(self) -> Counter[int]:

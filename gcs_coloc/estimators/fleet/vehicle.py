@@ -98,7 +98,7 @@ class OtherSide(NamedTuple):
 
 @dataclass(slots=True)
 class Neighbour:
-    """What the last range between a subject and one neighbour was: its time and a unit vector along it."""
+    """What the last range between a denied vehicle and one neighbour was: its time and a unit vector along it."""
 
     at_s: float
     unit: tuple[float, float, float]
@@ -110,13 +110,13 @@ class VehicleRecord:
 
     `white` tells the noise of its reports, horizontally and vertically, `white_baro` that of its heights.
     `slow_report_h_m`, `slow_report_v_m`, `slow_baro_m`, `stamp_s` are the sigmas in force of the slow errors in the joint state.
-    `lost_evidence` is the evidence of the ranges that the gate refused and let pass that this subject is not where it is held to
+    `lost_evidence` is the evidence of the ranges that the gate refused and let pass that this vehicle is not where it is held to
     be, `unchecked` the last one refused while no others would show that, `other_side` what refused ranges
     say for its mirror image, `refused_m2` the mean square innovation of the former, `distrust_m2` what ranges are believed less
     since it was lost.
     """
 
-    subject: bool = False
+    denied_vehicle: bool = False
     fixed: bool = False
     last_position: PositionMeasurement | None = None
     own: tuple[OwnMeasurement, ...] = ()
@@ -158,7 +158,7 @@ class VehicleRecord:
         self.own = (*kept, measurement)
 
     def remember_range(self, measurement: RangeMeasurement) -> None:
-        """Keep a range for a few seconds: a subject without a position is started from these."""
+        """Keep a range for a few seconds: a denied vehicle without a position is started from these."""
         kept = self.ranged if len(self.ranged) < 2 * _RANGES_MOST else self.ranged[-_RANGES_MOST:]
         self.ranged = (*kept, measurement)
 

@@ -88,7 +88,7 @@ export class FleetList {
       "operator's word": `GPS ${view.operator_word}, aid ${view.aid_word}, GPS_PRIMARY ${view.primary_word}`,
     };
     if (view.gps_primary !== null) facts.GPS_PRIMARY = view.gps_primary;
-    if (view.hindrance !== null) facts["cannot be aided"] = view.hindrance;
+    if (view.inhibit_reason !== null) facts["cannot be aided"] = view.inhibit_reason;
     const list = byId("facts");
     const names = Object.keys(facts);
     if (list.dataset.names !== names.join()) {

@@ -6,9 +6,9 @@ import random
 
 from gcs_coloc.core.advance import CATCH_UP_S, advance, without_superseded
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import Autopilot, Heartbeat
-from gcs_coloc.core.outputs import GpsInput, Notice
-from gcs_coloc.core.words import GpsWord, OperatorWord, RouteReport
+from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, RouteReport
+from gcs_coloc.core.messages.inbound import Autopilot, Heartbeat
+from gcs_coloc.core.messages.outbound import GpsInput, Notice
 from gcs_coloc.estimators.registry import load_estimator
 
 STARTED_S = 1_795_216_162.424732
@@ -16,7 +16,7 @@ STARTED_S = 1_795_216_162.424732
 
 def flight() -> list:
     """A vehicle that is declared to have no GPS, and so is sent GPS_INPUT without a fix, heard once a second."""
-    told = [OperatorWord(4, STARTED_S, GpsWord.FAILED)]
+    told = [OperatorCommand(4, STARTED_S, GpsOverride.FAILED)]
     for second in range(8):
         at_s = STARTED_S + second
         told += [Heartbeat(4, at_s, Autopilot.ARDUPILOT, True, winged=True), RouteReport(4, at_s, None)]
@@ -44,7 +44,7 @@ def test_when_it_is_woken_leaves_no_trace():
 
 def test_a_deadline_at_the_time_of_a_message_comes_after_it():
     engine = Engine(load_estimator("fleet", {}))
-    engine.receive(OperatorWord(4, STARTED_S, GpsWord.FAILED))
+    engine.receive(OperatorCommand(4, STARTED_S, GpsOverride.FAILED))
     assert list(advance(engine, STARTED_S)) == []
     [(at_s, _)] = advance(engine, STARTED_S + 1e-6)
     assert at_s == STARTED_S

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from engine_flights import ALT, LAT, LON, M_APART_NORTH, StraightLine, aids, fly, settings, telemetry
 
-from gcs_coloc.core.aid.settings import AidSettings
+from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.clocks.gps_time import TABLE_GOOD_UNTIL, gps_week_and_ms
 from gcs_coloc.core.engine import Engine, EngineSettings
-from gcs_coloc.core.gps_time import TABLE_GOOD_UNTIL, gps_week_and_ms
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.core.messages import Autopilot, GlobalPosition, Heartbeat, PeerRange, TimeBase
-from gcs_coloc.core.outputs import GpsInput, Notice, StreamRequest
-from gcs_coloc.core.words import ClockReference, GpsWord, OperatorWord, RouteReport
+from gcs_coloc.core.messages.control import ClockReference, GpsOverride, OperatorCommand, RouteReport
+from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, Heartbeat, PeerRange, TimeBase
+from gcs_coloc.core.messages.outbound import GpsInput, Notice, StreamRequest
 
 
 def test_a_healthy_fleet_gets_no_aid_and_its_positions_reach_the_estimator():
@@ -61,7 +61,7 @@ def test_recovery_restores_trust_only_after_the_hysteresis_and_ends_the_stream_w
     assert {a.fix_type for t, a in stream if 20.5 < t < 32.5} == {3}
     assert stream[-1][1].fix_type == 1
     assert min(m.measured_at_s for m in estimator.of(PositionMeasurement, 4) if m.measured_at_s > 5.1) > 29.5
-    assert [s for s, _ in estimator.subjects] == [frozenset({4}), frozenset()]
+    assert [s for s, _ in estimator.denied] == [frozenset({4}), frozenset()]
 
 
 def test_position_and_velocity_are_those_of_two_tenths_ago_in_the_wires_units():
@@ -138,7 +138,7 @@ def test_a_position_that_is_unknown_or_too_uncertain_is_never_claimed_as_a_fix(c
     ],
 )
 def test_a_vehicle_that_cannot_be_reached_or_takes_no_gps_input_gets_nothing_and_the_reason_is_shown(blocking, words):
-    engine = Engine(StraightLine(), settings(aid=AidSettings(way="gps_input")))
+    engine = Engine(StraightLine(), settings(aid=AidingSettings(way="gps_input")))
     fly(engine, 0.0, 5.0)
     fly(engine, 5.0, 7.0, failed=[4])
     engine.receive(blocking)
@@ -151,11 +151,11 @@ def test_a_vehicle_that_cannot_be_reached_or_takes_no_gps_input_gets_nothing_and
 def test_the_operators_word_holds_from_before_the_vehicle_is_heard():
     estimator = StraightLine()
     engine = Engine(estimator, settings())
-    engine.receive(OperatorWord(4, 0.0, GpsWord.FAILED))
+    engine.receive(OperatorCommand(4, 0.0, GpsOverride.FAILED))
     out = fly(engine, 0.0, 3.0)
     assert {a.fix_type for t, a in aids(out, 4) if t > 0.5} == {3}
     assert not estimator.of(PositionMeasurement, 4)
-    engine.receive(OperatorWord(4, 3.0, GpsWord.AUTO))
+    engine.receive(OperatorCommand(4, 3.0, GpsOverride.AUTO))
     fly(engine, 3.0, 15.0)
     assert engine.view(15.0).vehicles[3].gps_state == "healthy"
 

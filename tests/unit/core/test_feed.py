@@ -5,16 +5,16 @@ from dataclasses import replace
 import pytest
 
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
-from gcs_coloc.core.feed import Feed, FeedSettings
-from gcs_coloc.core.fleet import FixSent, Fleet, Vehicle
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.health import GpsState, HealthSettings
+from gcs_coloc.core.gps_health.gps_health import GpsState, HealthSettings
 from gcs_coloc.core.measurements import AltitudeMeasurement, PositionMeasurement
-from gcs_coloc.core.messages import Airspeed, Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
+from gcs_coloc.core.messages.inbound import Airspeed, Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
+from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, MeasurementSettings
+from gcs_coloc.core.telemetry.vehicles import FixSent, Vehicle, VehicleRegistry
 
 
 def vehicle(state: GpsState = GpsState.HEALTHY, sysid: int = 4) -> Vehicle:
-    record = Fleet(HealthSettings(), 10).add(sysid, 0.0)
+    record = VehicleRegistry(HealthSettings(), 10).add(sysid, 0.0)
     assert record is not None
     record.health.state = state
     return record
@@ -29,7 +29,7 @@ def gps(h_acc_m: float | None, v_acc_m: float | None = None) -> GpsReceiver:
 
 
 def test_the_first_healthy_position_is_the_origin():
-    feed = Feed(FeedSettings())
+    feed = MeasurementBuilder(MeasurementSettings())
     assert feed.position(position(1.0), vehicle(GpsState.FAILED)) is None
     first = feed.position(position(2.0), vehicle())
     assert isinstance(first, PositionMeasurement)
@@ -39,14 +39,14 @@ def test_the_first_healthy_position_is_the_origin():
 
 @pytest.mark.parametrize("state", [s for s in GpsState if s is not GpsState.HEALTHY])
 def test_only_a_healthy_vehicles_position_is_believed(state):
-    feed = Feed(FeedSettings())
+    feed = MeasurementBuilder(MeasurementSettings())
     feed.frame = LocalFrame(47.0, 8.0, 500.0)
     measurement = feed.position(position(1.0), vehicle(state))
     assert isinstance(measurement, AltitudeMeasurement)
     assert measurement.up_m == pytest.approx(30.0, abs=0.01)
 
 
-def height_sigmas(feed: Feed, record: Vehicle, booted_at_s: float, from_s: int, to_s: int) -> list[float]:
+def height_sigmas(feed: MeasurementBuilder, record: Vehicle, booted_at_s: float, from_s: int, to_s: int) -> list[float]:
     """The sigma (m) of the height of each position, once a second, of a vehicle that climbs at none."""
     told = [feed.position(replace(position(float(t), boot_s=t - booted_at_s), vd_mps=0.0), record) for t in range(from_s, to_s)]
     return [m.sigma_m for m in told if isinstance(m, AltitudeMeasurement)]
@@ -54,7 +54,7 @@ def height_sigmas(feed: Feed, record: Vehicle, booted_at_s: float, from_s: int, 
 
 def test_a_height_that_began_with_a_fix_of_ours_is_as_uncertain_as_that_was():
     """An autopilot that boots without GPS sets its barometer by the first fix that it gets: its height is ours come back."""
-    feed, record = Feed(FeedSettings()), vehicle(GpsState.FAILED)
+    feed, record = MeasurementBuilder(MeasurementSettings()), vehicle(GpsState.FAILED)
     feed.frame = LocalFrame(47.0, 8.0, 500.0)
     record.fix_sent = FixSent(105.0, 10.0)
     assert height_sigmas(feed, record, 90.0, 106, 108) == pytest.approx([104.0**0.5] * 2)
@@ -67,7 +67,7 @@ def test_a_height_that_began_with_a_fix_of_ours_is_as_uncertain_as_that_was():
 
 
 def test_a_height_told_before_the_first_fix_of_ours_is_the_barometers_until_the_autopilot_reboots():
-    feed, record = Feed(FeedSettings()), vehicle(GpsState.FAILED)
+    feed, record = MeasurementBuilder(MeasurementSettings()), vehicle(GpsState.FAILED)
     feed.frame = LocalFrame(47.0, 8.0, 500.0)
     assert height_sigmas(feed, record, 20.0, 100, 103) == [2.0] * 3
     record.fix_sent = FixSent(105.0, 10.0)
@@ -78,7 +78,7 @@ def test_a_height_told_before_the_first_fix_of_ours_is_the_barometers_until_the_
 
 @pytest.mark.parametrize("step_s", [-3.0, 3.0, 2**32 / 1e3])
 def test_a_clock_that_steps_or_wraps_during_aid_does_not_cost_the_height(step_s):
-    feed, record = Feed(FeedSettings()), vehicle(GpsState.FAILED)
+    feed, record = MeasurementBuilder(MeasurementSettings()), vehicle(GpsState.FAILED)
     feed.frame = LocalFrame(47.0, 8.0, 500.0)
     booted_at_s = 110.0 - 2**32 / 1e3 if step_s > 10.0 else 90.0
     assert height_sigmas(feed, record, booted_at_s, 100, 110) == [2.0] * 10
@@ -87,7 +87,7 @@ def test_a_clock_that_steps_or_wraps_during_aid_does_not_cost_the_height(step_s)
 
 
 def test_altitude_is_brought_down_by_the_earths_curvature_at_the_last_known_place():
-    feed = Feed(FeedSettings())
+    feed = MeasurementBuilder(MeasurementSettings())
     feed.frame = LocalFrame(47.0, 8.0, 500.0)
     failed = vehicle(GpsState.FAILED)
     failed.last_known_enu_m = (0.0, 20_000.0)
@@ -101,7 +101,7 @@ def test_altitude_is_brought_down_by_the_earths_curvature_at_the_last_known_plac
     [(gps(1.5, 2.5), (1.5, 2.5)), (gps(0.01, 0.01), (0.3, 0.3)), (gps(None), (5.0, 8.0)), (None, (5.0, 8.0))],
 )
 def test_the_receivers_own_accuracy_is_the_noise_where_it_states_one(receiver, expected):
-    feed = Feed(FeedSettings(), TimeSettings(least_delay_sigma_s=1e-6))
+    feed = MeasurementBuilder(MeasurementSettings(), TimeSettings(least_delay_sigma_s=1e-6))
     healthy = vehicle()
     healthy.receiver = receiver
     measurement = feed.position(position(1.0), healthy)
@@ -114,7 +114,7 @@ def test_the_receivers_own_accuracy_is_the_noise_where_it_states_one(receiver, e
     [(None, None, (5.0, 8.0)), (0.7, None, (5.0, 8.0)), (4.0, None, (20.0, 32.0)), (4.0, 1.5, (1.5, 2.5))],
 )
 def test_where_it_states_none_its_dilution_tells_how_bad_the_receiver_is(hdop, h_acc_m, expected):
-    feed = Feed(FeedSettings(), TimeSettings(least_delay_sigma_s=1e-6))
+    feed = MeasurementBuilder(MeasurementSettings(), TimeSettings(least_delay_sigma_s=1e-6))
     healthy = vehicle()
     healthy.receiver = replace(gps(h_acc_m, 2.5 if h_acc_m is not None else None), hdop=hdop)
     measurement = feed.position(position(1.0), healthy)
@@ -123,7 +123,7 @@ def test_where_it_states_none_its_dilution_tells_how_bad_the_receiver_is(hdop, h
 
 
 def test_an_uncertain_time_is_an_uncertain_place():
-    feed = Feed(FeedSettings(), TimeSettings(least_delay_s=0.1, least_delay_sigma_s=0.5))
+    feed = MeasurementBuilder(MeasurementSettings(), TimeSettings(least_delay_s=0.1, least_delay_sigma_s=0.5))
     moving, peer = vehicle(), vehicle(sysid=1)
     moving.receiver = gps(1.5, 2.5)
     moving.position = position(1.0)  # 1 m/s north, 2 east, 3 down
@@ -144,7 +144,7 @@ def test_an_uncertain_time_is_an_uncertain_place():
 
 
 def test_airspeed_goes_with_the_attitude_only_while_it_is_fresh():
-    feed = Feed(FeedSettings())
+    feed = MeasurementBuilder(MeasurementSettings())
     record = vehicle()
     record.winged = True
     record.airspeed = Airspeed(4, 10.0, 22.0)
@@ -171,7 +171,7 @@ def test_air_data_tell_how_a_vehicle_moves_on_wings_fast_enough_and_lately(winge
 @pytest.mark.parametrize(("winged", "airspeed_mps"), [(True, pytest.approx(22.0 * 1.1607, rel=1e-3)), (False, None)])
 def test_airspeed_is_the_true_one_at_the_vehicles_altitude_and_only_where_it_flies_on_wings(winged, airspeed_mps):
     """At 3000 m a plane that tells 22 m/s moves at 25.5; a multirotor may do so to any side."""
-    feed, record = Feed(FeedSettings()), vehicle()
+    feed, record = MeasurementBuilder(MeasurementSettings()), vehicle()
     record.winged, record.airspeed, record.position = winged, Airspeed(4, 10.0, 22.0), position(10.0, alt_m=3000.0)
     measurement = feed.attitude(Attitude(4, 10.1, 10.1, 0.1, 0.2, 0.3), record)
     assert measurement is not None
@@ -179,7 +179,7 @@ def test_airspeed_is_the_true_one_at_the_vehicles_altitude_and_only_where_it_fli
 
 
 def test_a_jumping_clock_is_refused_and_counted():
-    feed = Feed(FeedSettings())
+    feed = MeasurementBuilder(MeasurementSettings())
     record = vehicle()
     feed.position(position(1.0), record)
     assert feed.position(position(1.1, boot_s=1e6), record) is None
@@ -191,7 +191,7 @@ def range_message(at_s: float, stamp_s: float | None, base: TimeBase, device: in
 
 
 def test_boot_unix_and_unstamped_ranges_each_find_the_service_clock():
-    feed = Feed(FeedSettings())
+    feed = MeasurementBuilder(MeasurementSettings())
     record = vehicle()
     known = vehicle(sysid=1)
     for i in range(5):
@@ -213,13 +213,15 @@ def test_boot_unix_and_unstamped_ranges_each_find_the_service_clock():
 def test_an_unstamped_range_is_as_old_as_its_vehicles_newest_position_was(delay_s, at_s, sigma_s):
     record = vehicle()
     record.delay_s = delay_s
-    measured = Feed(FeedSettings()).range(range_message(100.0, None, TimeBase.BOOT), record, vehicle(sysid=1))
+    measured = MeasurementBuilder(MeasurementSettings()).range(
+        range_message(100.0, None, TimeBase.BOOT), record, vehicle(sysid=1)
+    )
     assert measured is not None
     assert (measured.measured_at_s, measured.time_sigma_s) == pytest.approx((at_s, sigma_s), abs=1e-3)
 
 
 def test_the_clocks_of_one_vehicles_ranging_devices_are_bounded():
-    feed = Feed(FeedSettings())
+    feed = MeasurementBuilder(MeasurementSettings())
     record = vehicle()
     for device in range(40):
         feed.range(range_message(1.0, 1.0, TimeBase.BOOT, device), record, vehicle(sysid=1))
@@ -228,7 +230,7 @@ def test_the_clocks_of_one_vehicles_ranging_devices_are_bounded():
 
 
 def test_the_range_error_holds_the_peers_own_and_follows_slowly():
-    feed = Feed(FeedSettings())
+    feed = MeasurementBuilder(MeasurementSettings())
     record, peer = vehicle(), vehicle(sysid=1)
     peer.receiver = gps(1.2)
     feed.range(range_message(1.0, None, TimeBase.BOOT), record, peer)

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from gcs_coloc.core.advance import advance
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.grid import Grid
-from gcs_coloc.core.messages import Autopilot, Heartbeat
-from gcs_coloc.core.outputs import GpsInput
-from gcs_coloc.core.words import GpsWord, OperatorWord, RouteReport
+from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, RouteReport
+from gcs_coloc.core.messages.inbound import Autopilot, Heartbeat
+from gcs_coloc.core.messages.outbound import GpsInput
+from gcs_coloc.core.tick_schedule import TickSchedule
 from gcs_coloc.estimators.registry import load_estimator
 
 UNIX_S = 1_780_000_000.0
@@ -24,7 +24,7 @@ PERIODS_S = (1.0, 0.2, 0.125, 0.1, 1.0 / 15.0, 1.0 / 30.0)
 
 @given(st.integers(0, 10**6), st.integers(0, 10**6), st.sampled_from(PERIODS_S), st.integers(-2, 2))
 def test_the_next_time_is_later_by_a_period_at_the_most_however_close_to_one_it_is_asked_for(start_us, steps, period_s, off):
-    grid = Grid(UNIX_S + start_us / 1e6)
+    grid = TickSchedule(UNIX_S + start_us / 1e6)
     now_s = round(grid.start_s + steps * period_s, 6) + off * 2.4e-7
     after_s = grid.after(now_s, period_s)
     assert now_s < after_s <= now_s + period_s + 2e-6
@@ -34,7 +34,7 @@ def test_the_next_time_is_later_by_a_period_at_the_most_however_close_to_one_it_
 def test_periods_that_divide_each_other_meet_at_the_same_numbers():
     rng = random.Random(1)
     for _ in range(100):
-        grid = Grid(UNIX_S + rng.randrange(10**6) / 1e6)
+        grid = TickSchedule(UNIX_S + rng.randrange(10**6) / 1e6)
         at_s, met = grid.start_s, []
         for _ in range(100):
             at_s = grid.after(at_s, 0.2)
@@ -61,7 +61,7 @@ def test_vehicles_that_lost_their_gps_at_different_times_are_sent_their_aid_at_t
         fly(lost_at_s)
         engine.receive(Heartbeat(sysid, lost_at_s, Autopilot.ARDUPILOT, armed=True, winged=True))
         engine.receive(RouteReport(sysid, lost_at_s, None))
-        engine.receive(OperatorWord(sysid, lost_at_s, GpsWord.FAILED))
+        engine.receive(OperatorCommand(sysid, lost_at_s, GpsOverride.FAILED))
     fly(UNIX_S + 10.0)
     # The first one when it is wanted, and all that follow with the others'.
     assert sent_at_s[2][0] == UNIX_S + 1.237
@@ -73,7 +73,7 @@ def test_a_vehicle_is_sent_its_aid_before_the_fleet_is_reviewed_at_the_same_time
     engine = Engine(load_estimator("fleet", {}))
     engine.receive(Heartbeat(1, UNIX_S, Autopilot.ARDUPILOT, armed=True, winged=True))
     engine.receive(RouteReport(1, UNIX_S, None))
-    engine.receive(OperatorWord(1, UNIX_S, GpsWord.FAILED))
+    engine.receive(OperatorCommand(1, UNIX_S, GpsOverride.FAILED))
     reviews = []
     for at_s, outputs in advance(engine, UNIX_S + 3.0):
         if engine.reviewed_at_s == at_s:

@@ -9,8 +9,8 @@ import pytest
 from engine_flights import StraightLine, aids, fly, settings
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.measurements import Estimate, Measurement, Residual, Unknown
-from gcs_coloc.core.outputs import Notice
+from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, Residual
+from gcs_coloc.core.messages.outbound import Notice
 
 
 class Faulty(StraightLine):
@@ -24,7 +24,7 @@ class Faulty(StraightLine):
             raise ZeroDivisionError
         super().add(measurement)
 
-    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         if self.fault == "raise":
             raise ValueError("singular")
         answer = super().estimate(vehicle, at_s)
@@ -48,11 +48,11 @@ class Faulty(StraightLine):
                     return replace(answer, ranges_in_use=None)  # type: ignore[arg-type]
         return answer
 
-    def take_residuals(self) -> list[Residual]:
+    def drain_residuals(self) -> list[Residual]:
         if self.fault == "residuals":
             return None  # type: ignore[return-value]
         empty = Residual(4, 1, 0.0, 0.0, 1.0, np.nan, 0, None)
-        return [empty] if self.fault == "empty residual" else super().take_residuals()
+        return [empty] if self.fault == "empty residual" else super().drain_residuals()
 
     def counts(self) -> dict[str, int]:
         if self.fault == "counts":

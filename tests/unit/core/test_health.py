@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_coloc.core.health import Contradiction, GpsHealth, GpsState, HealthSettings
+from gcs_coloc.core.gps_health.gps_health import Contradiction, GpsHealth, GpsState, HealthSettings
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.messages import EkfStatus, GpsReceiver, SystemHealth
-from gcs_coloc.core.words import GpsWord
+from gcs_coloc.core.messages.control import GpsOverride
+from gcs_coloc.core.messages.inbound import EkfStatus, GpsReceiver, SystemHealth
 
 
 def receiver(
@@ -165,14 +165,14 @@ def test_the_autopilots_own_doubt_makes_suspect_unless_it_is_an_echo_of_our_aid(
 
 def test_the_operators_word_wins_until_withdrawn():
     health = healthy_until(5.0)
-    health.word = GpsWord.FAILED
+    health.word = GpsOverride.FAILED
     run(health, 5.2, 6.0)
     assert health.state is GpsState.FAILED
     assert "operator" in health.reason
-    health.word = GpsWord.HEALTHY
+    health.word = GpsOverride.HEALTHY
     run(health, 6.2, 10.0, fix_type=0)
     assert health.state is GpsState.HEALTHY
-    health.word = GpsWord.AUTO
+    health.word = GpsOverride.AUTO
     run(health, 10.2, 12.0, fix_type=0)
     assert health.state is GpsState.FAILED
 

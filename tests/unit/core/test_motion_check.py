@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from gcs_coloc.core.gps_health.motion_check import MotionCheck
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.messages import GpsReceiver
-from gcs_coloc.core.motion_check import MotionCheck
+from gcs_coloc.core.messages.inbound import GpsReceiver
 
 
 def claim(t: float, east_m: float, north_m: float, ve: float, vn: float, h_acc_m: float = 1.0) -> PositionMeasurement:

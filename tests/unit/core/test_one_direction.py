@@ -9,9 +9,9 @@ import pytest
 
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.messages import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, PeerRange, TimeBase
-from gcs_coloc.core.outputs import GpsInput
-from gcs_coloc.core.words import RouteReport
+from gcs_coloc.core.messages.control import RouteReport
+from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, PeerRange, TimeBase
+from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.estimators.registry import load_estimator
 
 FRAME = LocalFrame(47.0, 8.0, 500.0)
@@ -29,7 +29,7 @@ def state(sysid: int, t: float) -> tuple[tuple[float, float, float], tuple[float
 
 
 def flown(peers: int, seed: int) -> list[tuple[float, GpsInput]]:
-    """What a circling subject is sent that loses its GPS at `LOST_S`; GPS errors of 1 m that wander, ranges of 1 m at 5 Hz."""
+    """What a circling vehicle is sent that loses its GPS at `LOST_S`; GPS errors of 1 m that wander, ranges of 1 m at 5 Hz."""
     rng, engine = np.random.default_rng(seed), Engine(load_estimator("fleet", {}), EngineSettings(request_streams=False))
     sysids = [*range(1, peers + 1), SUBJECT]
     error_m = {sysid: rng.standard_normal(3) for sysid in sysids}

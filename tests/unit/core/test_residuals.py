@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.measurements import Residual
-from gcs_coloc.core.residuals import ResidualLog
+from gcs_coloc.core.residual_log import ResidualLog
 
 
 def residual(at_s: float, innovation_m: float = 1.0, peer: int | None = 1, refused: str | None = None) -> Residual:

@@ -9,7 +9,7 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import FromVehicle
+from gcs_coloc.core.messages.inbound import FromVehicle
 from gcs_coloc.estimators.registry import load_estimator
 
 

@@ -7,14 +7,14 @@ import ctypes
 import numpy as np
 import pytest
 
+from gcs_coloc.core.clocks.gps_time import gps_week_and_ms
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
-from gcs_coloc.core.gps_time import gps_week_and_ms
 from gcs_coloc.core.measurements import Estimate
-from gcs_coloc.core.messages import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, SystemTime
-from gcs_coloc.core.outputs import GpsInput, Notice, TimeSyncRequest
-from gcs_coloc.core.words import ClockReference, GpsWord, OperatorWord, RouteReport
-from gcs_coloc.host_clock import is_synchronised
+from gcs_coloc.core.messages.control import ClockReference, GpsOverride, OperatorCommand, RouteReport
+from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, SystemTime
+from gcs_coloc.core.messages.outbound import GpsInput, Notice, TimeSyncRequest
+from gcs_coloc.runtime.host_clock import is_synchronised
 
 UNIX_S = 1_780_000_000.0
 
@@ -24,7 +24,7 @@ class Somewhere:
 
     name = "somewhere"
 
-    def set_subjects(self, subjects, at_s):
+    def set_denied(self, denied, at_s):
         """Nothing depends on it here."""
 
     def add(self, measurement):
@@ -33,7 +33,7 @@ class Somewhere:
     def estimate(self, vehicle, at_s):
         return Estimate(vehicle, at_s, np.zeros(3), np.zeros(3), np.eye(6), 1.0, 3)
 
-    def take_residuals(self):
+    def drain_residuals(self):
         return []
 
     def counts(self):
@@ -46,7 +46,7 @@ def engine(required: bool = False) -> Engine:
 
 def fly(e: Engine, start_s: float, stop_s: float, lie_s: float = 0.0) -> list:
     """Vehicles 1 to 3 are healthy and know UTC (3 is wrong by `lie_s`), vehicle 4 is declared failed."""
-    e.receive(OperatorWord(4, start_s, GpsWord.FAILED))
+    e.receive(OperatorCommand(4, start_s, GpsOverride.FAILED))
     out = []
     for step in range(round(start_s * 10), round(stop_s * 10)):
         t = step / 10

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_coloc.core.aid.settings import AidSettings
-from gcs_coloc.core.messages import Autopilot, GpsReceiver
-from gcs_coloc.core.streams import WANTED_HZ
+from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.messages.inbound import Autopilot, GpsReceiver
+from gcs_coloc.core.telemetry.stream_requests import WANTED_HZ
 from gcs_coloc.doctor.checks import CLOCKS_AGREE_S, OFTEN, is_ready, of_fleet, of_vehicle
 from gcs_coloc.doctor.findings import Findings, Level, Setup, VehicleFindings
 from gcs_coloc.doctor.report import Report
@@ -143,15 +143,15 @@ def test_what_does_not_stop_anything_is_a_note(vehicle, words):
 
 
 def test_a_lag_that_is_set_like_the_vehicles_delay_is_right():
-    assert not said(with_parameters(GPS2_DELAY_MS=120.0), Setup(aid=AidSettings(lag_s=0.12)))
+    assert not said(with_parameters(GPS2_DELAY_MS=120.0), Setup(aid=AidingSettings(lag_s=0.12)))
     assert not said(replace(GOOD, utc_minus_host_s=CLOCKS_AGREE_S))
 
 
 def test_another_receiver_instance_is_judged_as_the_fed_one():
     swapped = with_parameters(GPS1_TYPE=14.0, GPS2_TYPE=1.0, GPS_PRIMARY=1.0)
-    assert not said(swapped, Setup(aid=AidSettings(gps_id=0)))
-    assert not is_ready(said(swapped, Setup(aid=AidSettings(gps_id=1))))
-    (remark,) = said(GOOD, Setup(aid=AidSettings(gps_id=2)))
+    assert not said(swapped, Setup(aid=AidingSettings(gps_id=0)))
+    assert not is_ready(said(swapped, Setup(aid=AidingSettings(gps_id=1))))
+    (remark,) = said(GOOD, Setup(aid=AidingSettings(gps_id=2)))
     assert "has not checked this one" in remark.text
 
 
@@ -208,12 +208,12 @@ def test_px4_must_take_an_auxiliary_global_position_of_ours(parameters, paramete
 
 def test_the_way_that_the_configuration_sets_is_the_one_that_is_checked():
     without = with_parameters(GPS2_TYPE=0.0)
-    assert not said(without, Setup(aid=AidSettings(way="external_position")))
-    assert not said(without, Setup(aid=AidSettings(ways={4: "external_position"})))
-    assert said(without, Setup(aid=AidSettings(ways={5: "external_position"})))
-    (remark,) = said(GOOD, Setup(aid=AidSettings(way="global_position_sensor")))
+    assert not said(without, Setup(aid=AidingSettings(way="external_position")))
+    assert not said(without, Setup(aid=AidingSettings(ways={4: "external_position"})))
+    assert said(without, Setup(aid=AidingSettings(ways={5: "external_position"})))
+    (remark,) = said(GOOD, Setup(aid=AidingSettings(way="global_position_sensor")))
     assert "ArduPilot does not take GLOBAL_POSITION_SENSOR" in remark.text
-    (remark,) = said(replace(GOOD, autopilot=Autopilot.PX4), Setup(aid=AidSettings(way="gps_input")))
+    (remark,) = said(replace(GOOD, autopilot=Autopilot.PX4), Setup(aid=AidingSettings(way="gps_input")))
     assert "PX4 does not take GPS_INPUT" in remark.text
 
 
@@ -221,14 +221,14 @@ def test_an_unknown_autopilot_is_aided_as_it_is_set_and_stops_where_nothing_is()
     unknown = replace(GOOD, autopilot=Autopilot.OTHER, parameters={})
     (remark,) = said(unknown)
     assert (remark.level, remark.mend) == (Level.STOP, "set way, or ways.4 for this vehicle alone, in [aid] of gcs-coloc")
-    for aid in (AidSettings(way="gps_input"), AidSettings(ways={4: "gps_input"})):
+    for aid in (AidingSettings(way="gps_input"), AidingSettings(ways={4: "gps_input"})):
         (remark,) = said(unknown, Setup(aid=aid))
         assert remark.level is Level.NOTE
         assert "it is aided by gps_input, as set" in remark.text
 
 
 def test_a_vehicle_that_is_streamed_on_standby_may_arm():
-    assert not said(replace(GOOD, armed=False), Setup(aid=AidSettings(standby=True)))
+    assert not said(replace(GOOD, armed=False), Setup(aid=AidingSettings(standby=True)))
 
 
 def test_px4_is_not_asked_for_what_only_ardupilot_sends():
@@ -239,10 +239,10 @@ def test_px4_is_not_asked_for_what_only_ardupilot_sends():
 
 def test_a_vehicle_that_only_helps_is_not_held_to_what_the_located_ones_need():
     helper = replace(GOOD, sysid=1, autopilot=Autopilot.PX4, parameters={}, peers=frozenset(), others_there=(2,))
-    assert is_ready(said(helper, Setup(subjects=frozenset({4}))))
-    assert not is_ready(said(replace(helper, rates_hz={}), Setup(subjects=frozenset({4}))))
-    assert not is_ready(said(replace(helper, is_claimed_twice=True), Setup(subjects=frozenset({4}))))
-    assert not is_ready(said(replace(helper, sysid=4), Setup(subjects=frozenset({4}))))
+    assert is_ready(said(helper, Setup(denied=frozenset({4}))))
+    assert not is_ready(said(replace(helper, rates_hz={}), Setup(denied=frozenset({4}))))
+    assert not is_ready(said(replace(helper, is_claimed_twice=True), Setup(denied=frozenset({4}))))
+    assert not is_ready(said(replace(helper, sysid=4), Setup(denied=frozenset({4}))))
 
 
 def fleet(**changes):
@@ -255,7 +255,7 @@ def fleet(**changes):
         (Findings(15.0), Setup(), Level.STOP, "no vehicle was heard in 15 s"),
         (Findings(15.0, refused={"garbage_bytes": 900}), Setup(), Level.STOP, "in 15 s, but 900 bytes that are no MAVLink"),
         (Findings(15.0, (GOOD,)), Setup(), Level.STOP, "vehicles heard: 1; to locate one, 3 others are needed"),
-        (fleet(), Setup(subjects=frozenset({4, 9})), Level.STOP, "vehicle 9, which is to be located, was not heard"),
+        (fleet(), Setup(denied=frozenset({4, 9})), Level.STOP, "vehicle 9, which is to be located, was not heard"),
         (fleet(refused={"signature_wrong": OFTEN}), Setup(), Level.NOTE, f"{OFTEN} times refused (signature_wrong)"),
         (fleet(host_is_synchronised=False), Setup(), Level.NOTE, "not synchronised"),
         (fleet(host_is_synchronised=False), Setup(requires_synchronised_clock=True), Level.STOP, "not synchronised"),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gcs_coloc.core.messages import Autopilot
-from gcs_coloc.core.streams import WANTED_HZ
+from gcs_coloc.core.messages.inbound import Autopilot
+from gcs_coloc.core.telemetry.stream_requests import WANTED_HZ
 from gcs_coloc.doctor.findings import Level, VehicleFindings
 from gcs_coloc.doctor.stream_checks import check
 

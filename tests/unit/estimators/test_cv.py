@@ -5,7 +5,7 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcs_coloc.estimators.cv import (
+from gcs_coloc.estimators.qu_zhang.cv_filter import (
     CvFilter,
     density,
     nis,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcs_coloc.estimators.dop import cofactor_diagonal, dilution, horizontal_dilution, horizontal_dilution_of
+from gcs_coloc.estimators.qu_zhang.dop import cofactor_diagonal, dilution, horizontal_dilution, horizontal_dilution_of
 
 
 def compass(*bearings_deg: float) -> np.ndarray:

@@ -1,12 +1,12 @@
 from gcs_coloc.core.measurements import RangeMeasurement
-from gcs_coloc.estimators.epochs import EpochGatherer
+from gcs_coloc.estimators.qu_zhang.epochs import RangeEpochGatherer
 
 
 def one_range(peer: int, measured_at_s: float, arrived_at_s: float) -> RangeMeasurement:
     return RangeMeasurement(9, peer, measured_at_s, arrived_at_s, 100.0, 1.0)
 
 
-def peers_of(gatherer: EpochGatherer, *ranges: tuple[int, float, float]) -> list[list[int]]:
+def peers_of(gatherer: RangeEpochGatherer, *ranges: tuple[int, float, float]) -> list[list[int]]:
     complete = []
     for peer, measured_at_s, arrived_at_s in ranges:
         epoch = gatherer.add(peer, one_range(peer, measured_at_s, arrived_at_s))
@@ -16,14 +16,14 @@ def peers_of(gatherer: EpochGatherer, *ranges: tuple[int, float, float]) -> list
 
 
 def test_an_epoch_is_complete_as_soon_as_all_who_were_heard_are_in() -> None:
-    gatherer = EpochGatherer(0.25, 0.5)
+    gatherer = RangeEpochGatherer(0.25, 0.5)
 
     assert peers_of(gatherer, (1, 0.0, 0.1), (2, 0.0, 0.1), (3, 0.05, 0.1)) == [[1, 2, 3]]
     assert gatherer.take_due(100.0) == []
 
 
 def test_a_fourth_peer_is_waited_for_and_not_for_ever() -> None:
-    gatherer = EpochGatherer(0.25, 0.5)
+    gatherer = RangeEpochGatherer(0.25, 0.5)
     peers_of(gatherer, (1, 0.0, 0.0), (2, 0.0, 0.0), (3, 0.0, 0.0), (4, 0.0, 0.0))
     gatherer.take_due(0.9)
 
@@ -36,7 +36,7 @@ def test_a_fourth_peer_is_waited_for_and_not_for_ever() -> None:
 
 
 def test_ranges_of_later_epochs_that_overtake_find_their_own() -> None:
-    gatherer = EpochGatherer(0.25, 0.5)
+    gatherer = RangeEpochGatherer(0.25, 0.5)
     complete = peers_of(
         gatherer, (1, 0.0, 0.05), (1, 0.1, 0.15), (2, 0.0, 0.2), (1, 0.2, 0.25), (2, 0.1, 0.3), (3, 0.0, 0.4), (3, 0.1, 0.5)
     )
@@ -47,13 +47,13 @@ def test_ranges_of_later_epochs_that_overtake_find_their_own() -> None:
 
 
 def test_ranges_too_far_apart_in_time_are_no_epoch() -> None:
-    gatherer = EpochGatherer(0.25, 0.5)
+    gatherer = RangeEpochGatherer(0.25, 0.5)
 
     assert peers_of(gatherer, (1, 0.0, 0.3), (2, 0.3, 0.3), (3, 0.15, 0.3)) == []
 
 
 def test_due_epochs_come_oldest_first_and_waiting_ones_are_bounded() -> None:
-    gatherer = EpochGatherer(0.01, 0.5)
+    gatherer = RangeEpochGatherer(0.01, 0.5)
     for k in range(200):
         gatherer.add(1, one_range(1, 10.0 - 0.04 * k, 10.0))
     due = gatherer.take_due(10.1)

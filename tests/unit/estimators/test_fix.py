@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gcs_coloc.estimators.circles import Circle
-from gcs_coloc.estimators.fix import Fix, published_covariance, solve
-from gcs_coloc.estimators.qu_zhang_settings import QuZhangSettings
+from gcs_coloc.estimators.qu_zhang.circles import Circle
+from gcs_coloc.estimators.qu_zhang.fix import Fix, published_covariance, solve
+from gcs_coloc.estimators.qu_zhang.settings import QuZhangSettings
 
 MORE = {
     1: np.array([0.0, 0.0, 60.0]),

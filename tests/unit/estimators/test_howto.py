@@ -8,7 +8,7 @@ import numpy as np
 from fleet_in_flight import Fleet
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.measurements import Estimate, Unknown
+from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.replay import Replay, replay
@@ -31,11 +31,11 @@ def test_the_estimator_of_the_text_runs_and_pulls_towards_the_truth(tmp_path: Pa
     config = tomllib.loads(block("toml"))["estimator"]
     estimator = load_estimator(config["name"].replace(file.name, str(file)), config["settings"])
     fleet = Fleet()
-    assert isinstance(estimator.estimate(4, 0.0), Unknown)
+    assert isinstance(estimator.estimate(4, 0.0), NoEstimate)
 
     for measurement in fleet.round(0.0, ()):
         estimator.add(measurement)
-    estimator.set_subjects([4], 0.1)
+    estimator.set_denied([4], 0.1)
     for k in range(1, 100):
         for measurement in fleet.round(0.2 * k, (4,)):
             estimator.add(measurement)

@@ -3,14 +3,14 @@ from pathlib import Path
 import pytest
 
 from gcs_coloc.core.errors import EstimatorError
-from gcs_coloc.estimators.qu_zhang import QuZhang
+from gcs_coloc.estimators.qu_zhang.filter import QuZhangFilter
 from gcs_coloc.estimators.registry import BUILT_IN, load_estimator
 
 PLUG_IN = """
 from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
-from gcs_coloc.core.measurements import Unknown
+from gcs_coloc.core.measurements import NoEstimate
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class Settings:
 class Bare:
     name = "bare"
 
-    def set_subjects(self, subjects, at_s): ...
+    def set_denied(self, denied, at_s): ...
     def add(self, measurement): ...
-    def estimate(self, vehicle, at_s): return Unknown(vehicle, at_s, "never")
-    def take_residuals(self): return []
+    def estimate(self, vehicle, at_s): return NoEstimate(vehicle, at_s, "never")
+    def drain_residuals(self): return []
     def counts(self): return {}
 
 
@@ -71,7 +71,7 @@ def test_every_built_in_name_loads_and_names_itself(name: str) -> None:
 def test_settings_reach_the_estimator_and_an_integer_serves_as_a_float() -> None:
     estimator = load_estimator("qu_zhang", {"max_sigma_m": 50, "covariance": "published"})
 
-    assert isinstance(estimator, QuZhang)
+    assert isinstance(estimator, QuZhangFilter)
     assert estimator._settings.max_sigma_m == 50.0
     assert isinstance(estimator._settings.max_sigma_m, float)
     assert estimator._settings.covariance == "published"
@@ -88,7 +88,7 @@ def test_a_plug_in_file_and_a_plug_in_module(plug_in: str) -> None:
     assert estimator.settings.gain == 2.0  # type: ignore[attr-defined]
     assert estimator.settings.weights == (1.0, 2.5)  # type: ignore[attr-defined]
     assert load_estimator(f"{plug_in}:Bare", {}).name == "bare"
-    assert load_estimator("gcs_coloc.estimators.qu_zhang:QuZhang", {}).name == "qu_zhang"
+    assert load_estimator("gcs_coloc.estimators.qu_zhang.filter:QuZhangFilter", {}).name == "qu_zhang"
 
 
 @pytest.mark.parametrize(
@@ -102,8 +102,8 @@ def test_a_plug_in_file_and_a_plug_in_module(plug_in: str) -> None:
         ("qu_zhang", {"max_sigma_m": -1.0}, "must be a number above 0"),
         ("no.such.module:Thing", {}, "cannot import estimator module no.such.module"),
         ("no_such_file.py:Thing", {}, "there is no estimator file"),
-        ("gcs_coloc.estimators.qu_zhang:Missing", {}, "has no class Missing"),
-        ("PLUG:Half", {}, "lacks set_subjects, add, estimate"),
+        ("gcs_coloc.estimators.qu_zhang.filter:Missing", {}, "has no class Missing"),
+        ("PLUG:Half", {}, "lacks set_denied, add, estimate"),
         ("PLUG:Bare", {"gain": 1.0}, "has no settings"),
         ("PLUG:Mine", {}, "needs the setting 'gain'"),
         ("PLUG:Mine", {"gain": -1.0}, "gain is below zero"),

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from gcs_coloc.estimators.trilateration import (
+from gcs_coloc.estimators.qu_zhang.trilateration import (
     barycentric_gradients,
     corrected_covariance,
     flatness,

@@ -3,7 +3,7 @@
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.config_sections import SigningConfig
+from gcs_coloc.config.sections import SigningConfig
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.links.forward import MAX_TOOLS, TELL_EVERY_S, TOOL_KEPT_S, Forwarder, check_outs
 from gcs_coloc.links.routes import RouteTable
@@ -77,7 +77,7 @@ class Between:
 
     def __init__(self, signing=None):
         self.radio, self.now_s, self.forwarded = Radio(), 100.0, []
-        self.aided, self.other_aid = set(), []
+        self.aided, self.foreign_gps_input = set(), []
         self.routes = RouteTable()
         for sysid in (1, 2):
             self.routes.learn(sysid, 1, self.radio, f"vehicle {sysid}", is_autopilot_heartbeat=True, now_s=self.now_s)
@@ -90,7 +90,7 @@ class Between:
             bytes_per_s=200_000.0,
             is_aided=lambda sysid: sysid in self.aided,
             forwarded=self.forwarded.append,
-            other_aid=lambda raw, sysid: self.other_aid.append(sysid),
+            foreign_gps_input=lambda raw, sysid: self.foreign_gps_input.append(sysid),
         )
         (self.ground,) = self.forwarder._outs
 
@@ -193,7 +193,7 @@ def test_positions_of_a_ground_tool_are_kept_from_the_vehicle_that_we_aid_and_to
     for sysid in (1, 2):
         between.say(tool.pack(mavlink.MAVLink_global_position_sensor_message(sysid, 1, 1, 0, 1, 0, 0, 1, 1, 1.0, 1.0, 1.0, 1.0)))
     assert [address for address, _ in between.radio.sent] == ["vehicle 1", "vehicle 1"]
-    assert between.other_aid == [1]
+    assert between.foreign_gps_input == [1]
     assert between.forwarder.counts["ground_tool_aid"] == 2
     ((sysid, text),) = between.forwarder.news(between.now_s)
     assert sysid == 2

@@ -4,103 +4,103 @@ import random
 
 import pytest
 
-from gcs_coloc.links.intake import BURST_S, KEPT_S, LEAST_COST_BYTES, Intake
+from gcs_coloc.links.rate_limiter import BURST_S, KEPT_S, LEAST_COST_BYTES, RateLimiter
 
 RATE = 100_000.0
 VEHICLE, HOSTILE = "10.0.0.1:14550", "6.6.6.6:6666"
 
 
-def admitted(intake, source, size, per_s, from_s, seconds):
+def admitted(rate_limiter, source, size, per_s, from_s, seconds):
     """How many of evenly spaced datagrams are admitted."""
-    return sum(intake.admits(source, size, from_s + number / per_s) for number in range(round(per_s * seconds)))
+    return sum(rate_limiter.admits(source, size, from_s + number / per_s) for number in range(round(per_s * seconds)))
 
 
 @pytest.mark.parametrize("size", [LEAST_COST_BYTES, 300, 1400])
 def test_a_flood_gets_its_share_and_a_vehicle_beside_it_everything(size):
-    intake = Intake(RATE)
-    intake.know(VEHICLE, 0.0)
+    rate_limiter = RateLimiter(RATE)
+    rate_limiter.know(VEHICLE, 0.0)
     flood = vehicle = 0
     for number in range(40_000):  # 2 s at 20,000/s, a datagram of the vehicle after every two hundredth
-        flood += intake.admits(HOSTILE, size, number / 20_000)
+        flood += rate_limiter.admits(HOSTILE, size, number / 20_000)
         if number % 200 == 0:
-            vehicle += intake.admits(VEHICLE, 400, number / 20_000)
+            vehicle += rate_limiter.admits(VEHICLE, 400, number / 20_000)
     assert vehicle == 200
     share = RATE * (2.0 + BURST_S)
     assert share - size <= flood * size <= share + size
-    assert intake.counts["rate_limited"] == 40_000 - flood
+    assert rate_limiter.counts["rate_limited"] == 40_000 - flood
 
 
 @pytest.mark.parametrize("size", [0, 1, LEAST_COST_BYTES])
 def test_small_datagrams_are_not_free(size):
-    assert admitted(Intake(RATE), HOSTILE, size, 20_000, 0.0, 1.0) == pytest.approx(
+    assert admitted(RateLimiter(RATE), HOSTILE, size, 20_000, 0.0, 1.0) == pytest.approx(
         RATE * (1.0 + BURST_S) / LEAST_COST_BYTES, abs=2
     )
 
 
 def test_no_datagram_is_larger_than_a_burst():
-    intake = Intake(RATE)
-    assert not intake.admits(HOSTILE, round(RATE * BURST_S) + 1, 0.0)
-    assert intake.admits(HOSTILE, round(RATE * BURST_S), 0.0)
+    rate_limiter = RateLimiter(RATE)
+    assert not rate_limiter.admits(HOSTILE, round(RATE * BURST_S) + 1, 0.0)
+    assert rate_limiter.admits(HOSTILE, round(RATE * BURST_S), 0.0)
 
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_known_source_has_no_more_than_its_share(known):
-    intake = Intake(RATE)
+    rate_limiter = RateLimiter(RATE)
     if known:
-        intake.know(HOSTILE, 0.0)
-    assert admitted(intake, HOSTILE, 1000, 20_000, 0.0, 2.0) == pytest.approx(RATE * (2.0 + BURST_S) / 1000, abs=2)
+        rate_limiter.know(HOSTILE, 0.0)
+    assert admitted(rate_limiter, HOSTILE, 1000, 20_000, 0.0, 2.0) == pytest.approx(RATE * (2.0 + BURST_S) / 1000, abs=2)
 
 
 def test_what_was_held_back_comes_through_at_once():
-    intake = Intake(RATE)
-    assert all(intake.admits(VEHICLE, 400, 5.0) for _ in range(50))
+    rate_limiter = RateLimiter(RATE)
+    assert all(rate_limiter.admits(VEHICLE, 400, 5.0) for _ in range(50))
 
 
 def test_who_was_cut_down_is_heard_again_as_soon_as_it_is_quiet():
-    intake = Intake(RATE)
-    admitted(intake, HOSTILE, 1000, 1000, 0.0, 1.0)
-    assert not intake.admits(HOSTILE, 1000, 1.0)
-    assert intake.admits(HOSTILE, 1000, 1.0 + 1000 / RATE)
+    rate_limiter = RateLimiter(RATE)
+    admitted(rate_limiter, HOSTILE, 1000, 1000, 0.0, 1.0)
+    assert not rate_limiter.admits(HOSTILE, 1000, 1.0)
+    assert rate_limiter.admits(HOSTILE, 1000, 1.0 + 1000 / RATE)
 
 
 def test_made_up_addresses_have_one_share_together_and_take_none_from_a_vehicle():
-    intake = Intake(RATE)
-    intake.know(VEHICLE, 0.0)
+    rate_limiter = RateLimiter(RATE)
+    rate_limiter.know(VEHICLE, 0.0)
     taken = 0
     for number in range(100_000):  # 5 s at 20,000/s, each from another address
         now_s = number / 20_000
-        taken += intake.admits(("6.6.6.6", number), 1000, now_s)
+        taken += rate_limiter.admits(("6.6.6.6", number), 1000, now_s)
         if number % 2000 == 0:
-            assert intake.admits(VEHICLE, 400, now_s)
-    assert intake.known == 1
+            assert rate_limiter.admits(VEHICLE, 400, now_s)
+    assert rate_limiter.known == 1
     assert taken == pytest.approx(RATE * (5.0 + BURST_S) / 1000, abs=2)
 
 
 def test_a_vehicle_that_turns_up_during_a_flood_gets_through_and_is_then_known():
-    intake = Intake(RATE)
+    rate_limiter = RateLimiter(RATE)
     rng = random.Random(1)
     # A vehicle that sends 400 bytes twenty times a second among 20,000 small hostile datagrams, for 10 s: of 16,000 places that
     # the share has, every thousandth is the vehicle's, so 16 are expected, and fewer than 4 in one seed of 5000.
     through = 0
     for number in range(200_000):
         now_s = number / 20_000
-        through += intake.admits(VEHICLE, 400, now_s) if rng.random() < 0.001 else 0
-        intake.admits(("6.6.6.6", number), 60, now_s)
+        through += rate_limiter.admits(VEHICLE, 400, now_s) if rng.random() < 0.001 else 0
+        rate_limiter.admits(("6.6.6.6", number), 60, now_s)
     assert through >= 4
-    intake.know(VEHICLE, 10.0)
-    assert all(intake.admits(VEHICLE, 400, 10.0) for _ in range(50))
+    rate_limiter.know(VEHICLE, 10.0)
+    assert all(rate_limiter.admits(VEHICLE, 400, 10.0) for _ in range(50))
 
 
 def test_lively_sources_are_kept_and_silent_ones_make_room():
-    intake = Intake(RATE, max_known=2)
-    intake.know("a", 0.0)
-    intake.know("b", 0.0)
-    intake.know("c", KEPT_S - 0.1)
-    assert intake.known == 2
-    assert sum(intake.admits("c", 1000, KEPT_S) for _ in range(100)) < 100  # as one of all others
-    assert intake.admits("a", 400, KEPT_S)
-    intake.know("c", KEPT_S)
-    assert intake.known == 2
-    assert intake.admits("c", 1000, KEPT_S)  # in the place of b
-    intake.know("b", KEPT_S)
-    assert not intake.admits("b", 1000, KEPT_S)
+    rate_limiter = RateLimiter(RATE, max_known=2)
+    rate_limiter.know("a", 0.0)
+    rate_limiter.know("b", 0.0)
+    rate_limiter.know("c", KEPT_S - 0.1)
+    assert rate_limiter.known == 2
+    assert sum(rate_limiter.admits("c", 1000, KEPT_S) for _ in range(100)) < 100  # as one of all others
+    assert rate_limiter.admits("a", 400, KEPT_S)
+    rate_limiter.know("c", KEPT_S)
+    assert rate_limiter.known == 2
+    assert rate_limiter.admits("c", 1000, KEPT_S)  # in the place of b
+    rate_limiter.know("b", KEPT_S)
+    assert not rate_limiter.admits("b", 1000, KEPT_S)

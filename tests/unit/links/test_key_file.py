@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from gcs_coloc.config_sections import SigningConfig
+from gcs_coloc.config.sections import SigningConfig
 from gcs_coloc.core.errors import ConfigError
 from gcs_coloc.links.key_file import read_key
 from gcs_coloc.links.signed_links import SignedLinks

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from signed_frames import KEY, UNIX_S, Signer
 
-from gcs_coloc.config_sections import SigningConfig
+from gcs_coloc.config.sections import SigningConfig
 from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.decoder import Decoder
 

@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v10 import ardupilotmega as mavlink1
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.aid_messages import CommandResult, OtherAid, ParameterValue
+from gcs_coloc.core.messages.aiding import CommandResult, ForeignGpsInput, ParameterValue
 from gcs_coloc.mavlink.decoder import Decoder
 
 FIX = mavlink.MAVLink_gps_input_message(0, 1, 0, 0, 0, 3, 470000000, 80000000, 500.0, 1.0, 1.0, 0, 0, 0, 0.5, 2.0, 3.0, 10)
@@ -64,12 +64,12 @@ def test_a_parameter_that_is_no_number_or_has_no_name_is_none():
 
 
 def test_somebody_elses_gps_input_is_noted_with_the_receiver_that_it_feeds():
-    assert decoded(FIX, sysid=255, compid=190) == ([OtherAid(255, 5.0, gps_id=1)], {})
+    assert decoded(FIX, sysid=255, compid=190) == ([ForeignGpsInput(255, 5.0, gps_id=1)], {})
 
 
 def test_our_own_system_id_from_another_component_is_refused_but_for_gps_input():
     heartbeat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
     assert decoded(heartbeat, sysid=254, compid=190) == ([], {"own_sysid": 1})
-    assert decoded(FIX, sysid=254, compid=190) == ([OtherAid(254, 5.0, gps_id=1)], {})
+    assert decoded(FIX, sysid=254, compid=190) == ([ForeignGpsInput(254, 5.0, gps_id=1)], {})
     assert decoded(FIX, sysid=254, compid=191) == ([], {"echo": 1})
     assert decoded(heartbeat, sysid=255, compid=190, own_sysid=255) == ([], {"own_sysid": 1})

@@ -4,7 +4,7 @@ import pytest
 from packed_messages import NOW_S, heartbeat, pack, peer_range
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages import (
+from gcs_coloc.core.messages.inbound import (
     Airspeed,
     Attitude,
     GlobalPosition,

@@ -6,7 +6,7 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.outputs import GpsInput, StreamRequest, TimeSyncRequest
+from gcs_coloc.core.messages.outbound import GpsInput, StreamRequest, TimeSyncRequest
 from gcs_coloc.mavlink.encoder import MAX_DESTINATIONS, Encoder
 
 FIX = GpsInput(

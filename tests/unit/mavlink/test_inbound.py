@@ -17,7 +17,7 @@ from packed_messages import (
 )
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages import (
+from gcs_coloc.core.messages.inbound import (
     Airspeed,
     Attitude,
     Autopilot,

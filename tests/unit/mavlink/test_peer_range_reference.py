@@ -9,7 +9,7 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages import PeerRange
+from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.mavlink._generated import gcs_coloc as ours
 from gcs_coloc.mavlink.decoder import Decoder
 

@@ -6,7 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from signed_frames import KEY, OTHER_KEY, TICKS, UNIX_S, Signer, heartbeat, of_unknown_id
 
-from gcs_coloc.core.outputs import GpsInput
+from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.mavlink.decoder import MAX_BEHIND, Decoder
 from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.mavlink.signing import LATEST_TICKS, LinkSigning, Signing, Stamp

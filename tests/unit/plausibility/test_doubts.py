@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_coloc.plausibility.check import doubts_of
-from gcs_coloc.plausibility.clocks import check_delays
-from gcs_coloc.plausibility.doubt import Doubt
-from gcs_coloc.plausibility.evidence import Evidence
-from gcs_coloc.plausibility.tracks import Track, track
+from gcs_coloc.evaluation.data_checks.check import run_checks
+from gcs_coloc.evaluation.data_checks.clocks import check_delays
+from gcs_coloc.evaluation.data_checks.evidence import Evidence
+from gcs_coloc.evaluation.data_checks.finding import DataFinding
+from gcs_coloc.evaluation.data_checks.tracks import PositionTrack, track
 
 END_S = 120.0
 LOST_S = 30.0
@@ -61,7 +61,7 @@ def fleet(seed: int) -> Evidence:
         ends = np.full((len(t), 2), (SUBJECT, peer))
         rows.append(np.column_stack((t, ends, distance_m, np.full(len(t), SIGMA_RANGE_M))))
     t = np.arange(0.0, END_S, 0.5)
-    truth = {SUBJECT: Track(t, path(SUBJECT, t)[0], np.zeros(len(t)))}
+    truth = {SUBJECT: PositionTrack(t, path(SUBJECT, t)[0], np.zeros(len(t)))}
     return Evidence({v: f"UAV{v}" for v in reports}, reports, truth, np.vstack(rows), altitudes)
 
 
@@ -78,7 +78,7 @@ def ranges(column: int, change: Callable[[np.ndarray], np.ndarray], peer: int | 
     return changed
 
 
-def tracks(which: str, change: Callable[[Track], Track], vehicle: int | None = None) -> Change:
+def tracks(which: str, change: Callable[[PositionTrack], PositionTrack], vehicle: int | None = None) -> Change:
     def changed(evidence: Evidence) -> Evidence:
         before = getattr(evidence, which)
         return replace(evidence, **{which: {v: change(t) if vehicle in (None, v) else t for v, t in before.items()}})
@@ -86,24 +86,26 @@ def tracks(which: str, change: Callable[[Track], Track], vehicle: int | None = N
     return changed
 
 
-def everywhere(change: Callable[[Track], Track]) -> Change:
+def everywhere(change: Callable[[PositionTrack], PositionTrack]) -> Change:
     return lambda evidence: tracks("truth", change)(tracks("reports", change)(evidence))
 
 
-def positions(factor: float | tuple[float, float, float], axes: tuple[int, int, int] = (0, 1, 2)) -> Callable[[Track], Track]:
-    return lambda t: Track(t.times_s, t.positions_enu_m[:, axes] * factor, t.sigmas_m, t.velocities_enu_mps)
+def positions(
+    factor: float | tuple[float, float, float], axes: tuple[int, int, int] = (0, 1, 2)
+) -> Callable[[PositionTrack], PositionTrack]:
+    return lambda t: PositionTrack(t.times_s, t.positions_enu_m[:, axes] * factor, t.sigmas_m, t.velocities_enu_mps)
 
 
-def velocities(factor: float, axes: tuple[int, int, int] = (0, 1, 2)) -> Callable[[Track], Track]:
-    return lambda t: Track(t.times_s, t.positions_enu_m, t.sigmas_m, t.velocities_enu_mps[:, axes] * factor)
+def velocities(factor: float, axes: tuple[int, int, int] = (0, 1, 2)) -> Callable[[PositionTrack], PositionTrack]:
+    return lambda t: PositionTrack(t.times_s, t.positions_enu_m, t.sigmas_m, t.velocities_enu_mps[:, axes] * factor)
 
 
-def times(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Track], Track]:
-    return lambda t: Track(change(t.times_s), t.positions_enu_m, t.sigmas_m, t.velocities_enu_mps)
+def times(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[PositionTrack], PositionTrack]:
+    return lambda t: PositionTrack(change(t.times_s), t.positions_enu_m, t.sigmas_m, t.velocities_enu_mps)
 
 
-def moved(t: Track) -> Track:
-    return Track(t.times_s, t.positions_enu_m + 40.0, t.sigmas_m)
+def moved(t: PositionTrack) -> PositionTrack:
+    return PositionTrack(t.times_s, t.positions_enu_m + 40.0, t.sigmas_m)
 
 
 def heights(factor: float, more_m: float = 0.0) -> Change:
@@ -162,7 +164,7 @@ WRONG = [
 
 @pytest.mark.parametrize(("change", "kind", "words", "value"), [w[1:] for w in WRONG], ids=[w[0] for w in WRONG])
 def test_what_is_wrong_is_told_first_in_one_line_with_the_number(change, kind, words, value):
-    first, *more = doubts_of(change(fleet(1)))
+    first, *more = run_checks(change(fleet(1)))
     assert first.kind == kind
     assert "\n" not in first.text
     assert words in first.text
@@ -173,7 +175,7 @@ def test_what_is_wrong_is_told_first_in_one_line_with_the_number(change, kind, w
 
 def test_of_sound_data_nothing_is_said():
     """Fifty fleets: one false alarm would be a rate above what a warning is worth."""
-    assert [doubts_of(fleet(seed)) for seed in range(50)] == [[]] * 50
+    assert [run_checks(fleet(seed)) for seed in range(50)] == [[]] * 50
 
 
 def test_a_tenth_of_the_ranges_far_too_long_and_a_small_bias_are_no_other_unit():
@@ -182,7 +184,7 @@ def test_a_tenth_of_the_ranges_far_too_long_and_a_small_bias_are_no_other_unit()
     rng = np.random.default_rng(3)
     rows = evidence.ranges.copy()
     rows[:, 3] += 1.0 + np.where(rng.random(len(rows)) < 0.1, rng.uniform(5.0, 200.0, len(rows)), 0.0)
-    assert doubts_of(replace(evidence, ranges=rows)) == []
+    assert run_checks(replace(evidence, ranges=rows)) == []
 
 
 def test_a_fleet_in_formation_has_no_clock_to_compare_but_a_unit():
@@ -197,9 +199,9 @@ def test_a_fleet_in_formation_has_no_clock_to_compare_but_a_unit():
     }
     rows = np.column_stack((t, np.full((len(t), 2), (1, 2)), 100.0 + rng.normal(0.0, 0.1, len(t)), np.full(len(t), 0.1)))
     evidence = Evidence({1: "1", 2: "2"}, reports, {}, rows)
-    assert doubts_of(evidence) == []
+    assert run_checks(evidence) == []
     rows[:, 3] *= 1000.0
-    (doubt,) = doubts_of(evidence)
+    (doubt,) = run_checks(evidence)
     assert (doubt.kind, doubt.value) == ("range_factor", pytest.approx(1000.0, rel=0.01))
 
 
@@ -214,11 +216,13 @@ def test_the_places_of_anchors_are_held_against_the_ranges():
         )
         for v, p in places.items()
     ]
-    anchors = {v: Track(np.zeros(1), np.array([p]), np.array([0.02]), is_static=True) for v, p in places.items()}
-    evidence = Evidence({v: f"A{v}" for v in range(1, 5)}, anchors, {1: Track(t, walk, 0.0 * t)}, np.vstack(rows))
-    assert doubts_of(evidence) == []
-    swapped = {v: Track(a.times_s, a.positions_enu_m[:, (1, 0, 2)], a.sigmas_m, is_static=True) for v, a in anchors.items()}
-    (doubt,) = doubts_of(replace(evidence, reports=swapped))
+    anchors = {v: PositionTrack(np.zeros(1), np.array([p]), np.array([0.02]), is_static=True) for v, p in places.items()}
+    evidence = Evidence({v: f"A{v}" for v in range(1, 5)}, anchors, {1: PositionTrack(t, walk, 0.0 * t)}, np.vstack(rows))
+    assert run_checks(evidence) == []
+    swapped = {
+        v: PositionTrack(a.times_s, a.positions_enu_m[:, (1, 0, 2)], a.sigmas_m, is_static=True) for v, a in anchors.items()
+    }
+    (doubt,) = run_checks(replace(evidence, reports=swapped))
     assert doubt.kind == "position_axes"
     assert "east and north are swapped" in doubt.text
 
@@ -226,7 +230,7 @@ def test_the_places_of_anchors_are_held_against_the_ranges():
 def test_ranges_that_stand_there_twice_are_counted_in_either_direction():
     evidence = fleet(1)
     back = evidence.ranges[:7][:, (0, 2, 1, 3, 4)]
-    (doubt,) = doubts_of(replace(evidence, ranges=np.vstack((evidence.ranges, evidence.ranges[:5], back))))
+    (doubt,) = run_checks(replace(evidence, ranges=np.vstack((evidence.ranges, evidence.ranges[:5], back))))
     assert (doubt.kind, doubt.value) == ("repeated_ranges", 12)
 
 
@@ -242,8 +246,8 @@ def test_a_recording_with_next_to_nothing_in_it_is_not_judged(rows):
     few = replace(
         evidence, ranges=1000.0 * evidence.ranges[:rows], altitudes={v: r[:rows] for v, r in evidence.altitudes.items()}
     )
-    assert [d for d in doubts_of(few) if d.kind.startswith(("range", "height"))] == []
+    assert [d for d in run_checks(few) if d.kind.startswith(("range", "height"))] == []
 
 
 def test_a_doubt_is_plain_values_for_json():
-    assert Doubt("range_factor", "words", 2.0).as_dict() == {"kind": "range_factor", "text": "words", "value": 2.0}
+    assert DataFinding("range_factor", "words", 2.0).as_dict() == {"kind": "range_factor", "text": "words", "value": 2.0}

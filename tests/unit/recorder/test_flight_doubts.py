@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.measurements import AltitudeMeasurement, PositionMeasurement, RangeMeasurement, Unknown
+from gcs_coloc.core.measurements import AltitudeMeasurement, NoEstimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.plausibility.doubt import Doubt
-from gcs_coloc.recorder import flight_doubts
-from gcs_coloc.recorder.flight_doubts import HeardMeasurements
+from gcs_coloc.evaluation.data_checks.finding import DataFinding
+from gcs_coloc.recorder import flight_findings as flight_doubts
+from gcs_coloc.recorder.flight_findings import HeardMeasurements
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.side_tables import TruthPoint
 from gcs_coloc.recorder.tlog import TlogReader
@@ -47,7 +47,7 @@ def flown(tmp_path_factory) -> tuple[Path, HeardMeasurements, Engine, list[Truth
     return path, heard, engine, truth
 
 
-def doubts(flown, change: Callable[[TruthPoint], TruthPoint]) -> list[Doubt]:
+def doubts(flown, change: Callable[[TruthPoint], TruthPoint]) -> list[DataFinding]:
     _, heard, engine, truth = flown
     return heard.doubts([change(point) for point in truth], engine.feed.frame)
 
@@ -102,16 +102,16 @@ class Silent:
     def __init__(self) -> None:
         self.given: list[object] = []
 
-    def set_subjects(self, subjects, at_s):
-        self.given.append((subjects, at_s))
+    def set_denied(self, denied, at_s):
+        self.given.append((denied, at_s))
 
     def add(self, measurement):
         self.given.append(measurement)
 
     def estimate(self, vehicle, at_s):
-        return Unknown(vehicle, at_s, "silent")
+        return NoEstimate(vehicle, at_s, "silent")
 
-    def take_residuals(self):
+    def drain_residuals(self):
         return []
 
     def counts(self):
@@ -131,11 +131,11 @@ def test_the_estimator_is_given_everything_while_what_is_kept_stays_small(monkey
             AltitudeMeasurement(2, 0.1 * i, 0.1 * i, 5.0, 1.0),
         )
     ]
-    heard.set_subjects({2}, 0.0)
+    heard.set_denied({2}, 0.0)
     for m in given:
         heard.add(m)
     assert inner.given == [({2}, 0.0), *given]
     assert heard.counts() == {"given": 3001}
-    assert (heard.name, heard.take_residuals()) == ("silent", [])
+    assert (heard.name, heard.drain_residuals()) == ("silent", [])
     assert sum(len(rows) // 8 for rows in heard._positions.values()) + len(heard._ranges) // 5 == 30
     assert heard.doubts([], None) == []

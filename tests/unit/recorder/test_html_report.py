@@ -13,11 +13,11 @@ import pytest
 from matplotlib.image import imread
 from recorded_flight import write_flight
 
-from gcs_coloc.config import Settings
+from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.recorder.flight_history import read_history
 from gcs_coloc.recorder.replay import Replay, replay
-from gcs_coloc.recorder.story import retell
 from gcs_coloc.recorder.tlog import TlogReader
 
 
@@ -101,7 +101,7 @@ def test_it_says_what_failed_when_and_how_well_it_was_located(written):
 def test_the_map_names_its_origin_and_it_is_that_of_the_live_page(written, tmp_path):
     _, text = written
     write_flight(tmp_path / "f.tlog", 26.0)
-    story = retell(tmp_path / "f.tlog", Settings(), None, None)
+    story = read_history(tmp_path / "f.tlog", Settings(), None, None)
     engine = Engine(load_estimator("fleet", {}))
     replay(Replay(engine, TlogReader(tmp_path / "f.tlog"), [], lambda at_s, outputs: None))
     lat_deg, lon_deg, _ = engine.view(story.counts.last_s).origin

@@ -3,11 +3,18 @@
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.advance import HeldUp
-from gcs_coloc.core.aid_messages import OtherAid
-from gcs_coloc.core.messages import PeerRange, TimeBase
-from gcs_coloc.core.words import AidWord, ClockReference, GpsWord, OperatorWord, PrimaryWord, RouteReport
-from gcs_coloc.recorder.notes import PAYLOAD_TYPE, FlownWith, GroundTool, NoteWriter, read_note
+from gcs_coloc.core.advance import Overrun
+from gcs_coloc.core.messages.aiding import ForeignGpsInput
+from gcs_coloc.core.messages.control import (
+    AidingOverride,
+    ClockReference,
+    GpsOverride,
+    OperatorCommand,
+    PrimaryOverride,
+    RouteReport,
+)
+from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
+from gcs_coloc.recorder.side_channel import PAYLOAD_TYPE, FlownWith, GroundTool, NoteWriter, read_note
 
 AT_S = 1_795_216_162.424732
 OWN = (254, 191)
@@ -18,14 +25,14 @@ OWN = (254, 191)
     [
         ClockReference(AT_S, -1.1920928955078125e-07, True),
         ClockReference(AT_S, None, None),
-        OperatorWord(250, AT_S, GpsWord.FAILED),
-        OperatorWord(4, AT_S, GpsWord.AUTO),
-        OperatorWord(4, AT_S, AidWord.AUTO),
-        OperatorWord(250, AT_S, AidWord.OFF),
-        OperatorWord(250, AT_S, PrimaryWord.OURS),
-        OtherAid(255, AT_S, 1, 250),
+        OperatorCommand(250, AT_S, GpsOverride.FAILED),
+        OperatorCommand(4, AT_S, GpsOverride.AUTO),
+        OperatorCommand(4, AT_S, AidingOverride.AUTO),
+        OperatorCommand(250, AT_S, AidingOverride.OFF),
+        OperatorCommand(250, AT_S, PrimaryOverride.OURS),
+        ForeignGpsInput(255, AT_S, 1, 250),
         RouteReport(4, AT_S, None),
-        HeldUp(AT_S, AT_S - 1.3000000000000003),
+        Overrun(AT_S, AT_S - 1.3000000000000003),
         RouteReport(250, AT_S, "vehicles 1 and 4 are heard from one address"),
         PeerRange(255, AT_S, 254, 1234.5678901234567, 0.12345678901234568, AT_S - 0.1, TimeBase.SERVICE, 4_294_967_295, 0.1, 255),
         GroundTool(255, 190, AT_S),
@@ -59,7 +66,7 @@ def test_the_beginning_of_a_part_is_no_news():
 
 
 def test_what_others_send_is_no_note():
-    assert read_note(NoteWriter(4, 1).pack(OperatorWord(1, AT_S, GpsWord.HEALTHY)), AT_S, OWN) is None
+    assert read_note(NoteWriter(4, 1).pack(OperatorCommand(1, AT_S, GpsOverride.HEALTHY)), AT_S, OWN) is None
     ours = mavlink.MAVLink(None, srcSystem=OWN[0], srcComponent=OWN[1])
     for payload_type, content in (
         (PAYLOAD_TYPE, b"{}"),

@@ -13,9 +13,9 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.errors import RecordError
-from gcs_coloc.core.words import GpsWord, OperatorWord, RouteReport
-from gcs_coloc.recorder.notes import read_note
+from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, RouteReport
 from gcs_coloc.recorder.recorder import LOST, Recorder
+from gcs_coloc.recorder.side_channel import read_note
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.recorder.tlog_writer import tlog_record
 
@@ -72,7 +72,7 @@ def test_parts_turn_over_by_size_join_to_the_whole_and_begin_with_what_was_told(
     frames = [attitude(sender(), number) for number in range(3000)]
     recorder = Recorder(tmp_path, 20_000, *OWN)
     recorder.open()
-    recorder.note(OperatorWord(4, AT_S, GpsWord.FAILED))
+    recorder.note(OperatorCommand(4, AT_S, GpsOverride.FAILED))
     recorder.note(RouteReport(3, AT_S, None))
     recorder.note(RouteReport(3, AT_S, None))
     for number, frame in enumerate(frames):

@@ -9,21 +9,21 @@ from pathlib import Path
 
 import pytest
 
-from gcs_coloc.config import Settings
-from gcs_coloc.core.advance import CATCH_UP_S, advance, was_held_up
-from gcs_coloc.core.aid.settings import AidSettings
-from gcs_coloc.core.aid_messages import ExternalPosition
+from gcs_coloc.config.settings import Settings
+from gcs_coloc.core.advance import CATCH_UP_S, advance, find_overrun
+from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.errors import DataError
-from gcs_coloc.core.messages import TimeBase
-from gcs_coloc.core.outputs import GpsInput, HealthChanged, Notice
-from gcs_coloc.core.words import ClockReference, RouteReport
+from gcs_coloc.core.messages.aiding import ExternalPosition
+from gcs_coloc.core.messages.control import ClockReference, RouteReport
+from gcs_coloc.core.messages.inbound import TimeBase
+from gcs_coloc.core.messages.outbound import GpsInput, HealthChanged, Notice
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 from gcs_coloc.recorder.flight_report import FlightReport
-from gcs_coloc.recorder.notes import FlownWith, NoteWriter
 from gcs_coloc.recorder.replay import Replay, replay
+from gcs_coloc.recorder.side_channel import FlownWith, NoteWriter
 from gcs_coloc.recorder.side_tables import TruthPoint, read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.recorder.tlog_writer import tlog_record
@@ -50,8 +50,8 @@ def recorded(tmp_path_factory) -> tuple[Path, list[TruthPoint]]:
     return path, truth
 
 
-def run(path: Path, truth: list[TruthPoint], aid: AidSettings | None = None) -> tuple[list, FlightReport, TlogReader]:
-    engine = Engine(load_estimator("fleet", {}), EngineSettings(aid=aid if aid is not None else AidSettings()))
+def run(path: Path, truth: list[TruthPoint], aid: AidingSettings | None = None) -> tuple[list, FlightReport, TlogReader]:
+    engine = Engine(load_estimator("fleet", {}), EngineSettings(aid=aid if aid is not None else AidingSettings()))
     log, report, outputs = TlogReader(path), FlightReport(engine, truth), []
 
     def take(at_s, polled):
@@ -99,7 +99,7 @@ def told_of(path: Path, **how) -> set[str]:
 
 def test_positions_that_go_by_another_way_are_counted_as_such(recorded):
     path, truth = recorded
-    outputs, report, _ = run(path, truth, AidSettings(way="external_position"))
+    outputs, report, _ = run(path, truth, AidingSettings(way="external_position"))
     sent = sum(isinstance(o, ExternalPosition) for _, o in outputs)
     (lost,) = (v for v in report.as_dict()["vehicles"] if v["sysid"] == 4)
     assert lost["external_positions"] == sent > 5
@@ -222,7 +222,7 @@ def test_a_service_that_was_held_up_is_replayed_as_it_was(recorded, tmp_path):
         at_s = EPOCH_S + 28.0 if 24.7 < record.unix_s - EPOCH_S < 28.0 else record.unix_s
         if at_s == EPOCH_S + 28.0:
             flown.extend((t, output) for t, polled in advance(engine, EPOCH_S + 25.0) for output in polled)
-        if (held_up := was_held_up(engine, at_s)) is not None:
+        if (held_up := find_overrun(engine, at_s)) is not None:
             told += tlog_record(at_s, notes.pack(held_up))
         flown.extend((t, output) for t, polled in advance(engine, at_s, catch_up_s=CATCH_UP_S) for output in polled)
         for frame in decoder.decode(record.frame, at_s):

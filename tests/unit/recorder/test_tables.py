@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from gcs_coloc.core.errors import DataError
-from gcs_coloc.recorder.tables import read_table
+from gcs_coloc.evaluation.tables import read_table
 
 
 def written(tmp_path: Path, text: str) -> Path:

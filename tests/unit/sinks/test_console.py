@@ -7,13 +7,13 @@ import logging
 import pytest
 from rich.console import Console
 
-from gcs_coloc.core.outputs import HealthChanged, Notice
-from gcs_coloc.core.view import FleetView, OutView, VehicleView
+from gcs_coloc.core.messages.outbound import HealthChanged, Notice
+from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
 from gcs_coloc.sinks.console import show, table
-from gcs_coloc.sinks.hub import Hub
+from gcs_coloc.sinks.event_bus import EventBus
 from gcs_coloc.sinks.live_table import SharedConsole
 
-LOCATED = VehicleView(
+LOCATED = VehicleSnapshot(
     4,
     0.4,
     "ArduPilot",
@@ -31,7 +31,7 @@ LOCATED = VehicleView(
     8.0,
     "sending 3D fix",
 )
-LOST = VehicleView(
+LOST = VehicleSnapshot(
     5,
     0.1,
     "ArduPilot",
@@ -51,14 +51,14 @@ LOST = VehicleView(
 )
 
 
-def rendered(view: FleetView) -> str:
+def rendered(view: FleetSnapshot) -> str:
     console = Console(file=io.StringIO(), width=200)
     console.print(table(view))
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 
 def test_the_table_shows_all_that_matters_of_each_vehicle():
-    text = rendered(FleetView(10.0, "fleet", (LOCATED, LOST), {"bad_crc": 3}, {}))
+    text = rendered(FleetSnapshot(10.0, "fleet", (LOCATED, LOST), {"bad_crc": 3}, {}))
     for words in ("fleet", "0.4 s", "failed", "fix type 1", "47.100000 8.200000 512 m", "12.3 m", "1.4", "sending 3D fix"):
         assert words in text
     assert "unknown: no ranges for 6 s" in text
@@ -66,15 +66,15 @@ def test_the_table_shows_all_that_matters_of_each_vehicle():
 
 
 def test_what_becomes_of_a_ground_tools_frames_is_told_on_the_table_and_in_plain_lines(caplog: pytest.LogCaptureFixture):
-    view = FleetView(0.0, "fleet", (LOCATED,), {}, {}, outs=(OutView("udpout:127.0.0.1:14551", 1, 400, 12, 3, 2),))
+    view = FleetSnapshot(0.0, "fleet", (LOCATED,), {}, {}, outs=(OutSnapshot("udpout:127.0.0.1:14551", 1, 400, 12, 3, 2),))
     words = "ground tools on udpout:127.0.0.1:14551: 1, frames sent 400, taken 12, dropped 3, refused 2"
     assert words in rendered(view)
 
     async def scenario():
-        hub = Hub()
-        task = asyncio.create_task(show({"north": hub.subscribe()}, SharedConsole(file=io.StringIO())))
+        events = EventBus()
+        task = asyncio.create_task(show({"north": events.subscribe()}, SharedConsole(file=io.StringIO())))
         await asyncio.sleep(0)
-        hub.publish(view)
+        events.publish(view)
         for _ in range(10):
             await asyncio.sleep(0)
         task.cancel()
@@ -85,18 +85,18 @@ def test_what_becomes_of_a_ground_tools_frames_is_told_on_the_table_and_in_plain
 
 
 def test_an_empty_fleet_says_so():
-    assert "no vehicle heard yet" in rendered(FleetView(0.0, "fleet", (), {}, {}))
+    assert "no vehicle heard yet" in rendered(FleetSnapshot(0.0, "fleet", (), {}, {}))
 
 
 def test_without_a_terminal_there_are_plain_lines_at_a_calm_rate(caplog: pytest.LogCaptureFixture):
     async def scenario():
-        hub = Hub()
-        task = asyncio.create_task(show({"": hub.subscribe()}, SharedConsole(file=io.StringIO())))
+        events = EventBus()
+        task = asyncio.create_task(show({"": events.subscribe()}, SharedConsole(file=io.StringIO())))
         await asyncio.sleep(0)
-        hub.publish(HealthChanged(0.0, 4, "healthy", "failed", "no 3D fix"))
-        hub.publish(Notice(0.0, None, "error", "something"))
+        events.publish(HealthChanged(0.0, 4, "healthy", "failed", "no 3D fix"))
+        events.publish(Notice(0.0, None, "error", "something"))
         for i in range(24):
-            hub.publish(FleetView(i * 0.5, "fleet", (LOCATED,), {}, {}))
+            events.publish(FleetSnapshot(i * 0.5, "fleet", (LOCATED,), {}, {}))
         for _ in range(60):
             await asyncio.sleep(0)
         task.cancel()

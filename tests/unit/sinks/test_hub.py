@@ -2,8 +2,8 @@
 
 import asyncio
 
-from gcs_coloc.core.outputs import Notice
-from gcs_coloc.sinks.hub import Hub
+from gcs_coloc.core.messages.outbound import Notice
+from gcs_coloc.sinks.event_bus import EventBus
 
 
 def notice(i: int) -> Notice:
@@ -12,10 +12,10 @@ def notice(i: int) -> Notice:
 
 def test_each_observer_gets_all_news_in_order():
     async def scenario():
-        hub = Hub()
-        one, two = hub.subscribe(), hub.subscribe()
+        events = EventBus()
+        one, two = events.subscribe(), events.subscribe()
         for i in range(3):
-            hub.publish(notice(i))
+            events.publish(notice(i))
         return [(await one.get()).text for _ in range(3)], [(await two.get()).text for _ in range(3)]
 
     assert asyncio.run(scenario()) == (["0", "1", "2"], ["0", "1", "2"])
@@ -23,10 +23,10 @@ def test_each_observer_gets_all_news_in_order():
 
 def test_a_slow_observer_loses_its_oldest_news_and_counts_them():
     async def scenario():
-        hub = Hub()
-        slow, fast = hub.subscribe(most=2), hub.subscribe(most=10)
+        events = EventBus()
+        slow, fast = events.subscribe(most=2), events.subscribe(most=10)
         for i in range(5):
-            hub.publish(notice(i))
+            events.publish(notice(i))
         return [(await slow.get()).text for _ in range(2)], slow.lost, fast.lost
 
     assert asyncio.run(scenario()) == (["3", "4"], 3, 0)
@@ -34,11 +34,11 @@ def test_a_slow_observer_loses_its_oldest_news_and_counts_them():
 
 def test_an_observer_that_waits_is_woken():
     async def scenario():
-        hub = Hub()
-        subscription = hub.subscribe()
+        events = EventBus()
+        subscription = events.subscribe()
         waiting = asyncio.create_task(subscription.get())
         await asyncio.sleep(0)
-        hub.publish(notice(7))
+        events.publish(notice(7))
         return (await asyncio.wait_for(waiting, 5)).text
 
     assert asyncio.run(scenario()) == "7"

@@ -2,7 +2,7 @@
 
 import asyncio
 
-from gcs_coloc.sinks.lulls import Lulls
+from gcs_coloc.sinks.idle_scheduler import IdleScheduler
 
 
 class SteppedLoop(asyncio.SelectorEventLoop):
@@ -27,10 +27,10 @@ def turns_of(period_s: float, phase: float, lulls_at_s: list[float], until_s: fl
         turns.append(round(loop.now_s - 100.0, 6))
 
     async def scene():
-        lulls = Lulls()
+        idle = IdleScheduler()
 
         async def work():
-            async for _ in lulls.every(period_s, phase):
+            async for _ in idle.every(period_s, phase):
                 note()
 
         task = asyncio.create_task(work())
@@ -38,7 +38,7 @@ def turns_of(period_s: float, phase: float, lulls_at_s: list[float], until_s: fl
         for step in range(1, round(until_s / step_s) + 1):
             loop.now_s = 100.0 + step * step_s
             if any(abs(step * step_s - at_s) < 1e-9 for at_s in lulls_at_s):
-                lulls.begin()
+                idle.begin()
             await settle()
         task.cancel()
 
@@ -68,10 +68,10 @@ def test_what_begins_later_falls_due_with_what_began_before_after_a_first_turn_a
         turns.append((name, round(loop.now_s - 100.0, 6)))
 
     async def scene():
-        lulls = Lulls()
+        idle = IdleScheduler()
 
         async def work(name, period_s):
-            async for _ in lulls.every(period_s):
+            async for _ in idle.every(period_s):
                 note(name)
 
         tasks = [asyncio.create_task(work("often", 0.2))]
@@ -81,7 +81,7 @@ def test_what_begins_later_falls_due_with_what_began_before_after_a_first_turn_a
             if step == 5:
                 tasks.append(asyncio.create_task(work("seldom", 1.0)))
                 await settle()
-            lulls.begin()
+            idle.begin()
             await settle()
         for task in tasks:
             task.cancel()
@@ -95,14 +95,14 @@ def test_what_begins_later_falls_due_with_what_began_before_after_a_first_turn_a
 
 def test_work_that_has_ended_is_not_waited_for():
     async def scene():
-        lulls = Lulls()
-        task = asyncio.create_task(anext(lulls.every(10.0)))
+        idle = IdleScheduler()
+        task = asyncio.create_task(anext(idle.every(10.0)))
         await asyncio.sleep(0)
-        assert lulls.waiting == 1
+        assert idle.waiting == 1
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
-        assert lulls.waiting == 0
-        lulls.begin()
+        assert idle.waiting == 0
+        idle.begin()
 
     asyncio.run(scene())
 
@@ -111,9 +111,9 @@ def test_turns_that_came_without_a_lull_are_not_remembered():
     """On the ground with the vehicles off, and in a replay, there is never one."""
 
     async def scene():
-        lulls = Lulls()
-        async for number in counted(lulls.every(1e-4)):
-            assert lulls.waiting == 0
+        idle = IdleScheduler()
+        async for number in counted(idle.every(1e-4)):
+            assert idle.waiting == 0
             if number == 20:
                 break
 

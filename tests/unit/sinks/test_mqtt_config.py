@@ -2,11 +2,11 @@
 
 import pytest
 
+from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.core.errors import ConfigError
-from gcs_coloc.fleets import load_settings
 from gcs_coloc.mavlink.counts import Counts
-from gcs_coloc.sinks.hub import Subscription
-from gcs_coloc.sinks.lulls import Lulls
+from gcs_coloc.sinks.event_bus import Subscription
+from gcs_coloc.sinks.idle_scheduler import IdleScheduler
 from gcs_coloc.sinks.mqtt import Mqtt
 from gcs_coloc.sinks.mqtt_inbox import Hooks
 
@@ -19,7 +19,7 @@ def connection(**mqtt):
     def unasked(*_):
         raise AssertionError("asked before there is a connection")
 
-    return Mqtt(settings(**mqtt), Hooks(unasked, unasked, unasked, unasked, unasked), Subscription(8), Counts(), Lulls())
+    return Mqtt(settings(**mqtt), Hooks(unasked, unasked, unasked, unasked, unasked), Subscription(8), Counts(), IdleScheduler())
 
 
 def test_it_is_off_and_takes_nothing_unless_told():

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import TimeBase
-from gcs_coloc.core.words import AidWord, GpsWord, PrimaryWord
+from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, PrimaryOverride
+from gcs_coloc.core.messages.inbound import TimeBase
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.sinks.mqtt_inbox import Hooks, Inbox
@@ -33,7 +33,9 @@ class Desk:
         self.inbox.take(f"{BASE}/{tail}", payload, retained=retained)
 
 
-WORDS = [(key, word) for key, kind in (("word", GpsWord), ("aid", AidWord), ("primary", PrimaryWord)) for word in kind]
+WORDS = [
+    (key, word) for key, kind in (("word", GpsOverride), ("aid", AidingOverride), ("primary", PrimaryOverride)) for word in kind
+]
 
 
 @pytest.mark.parametrize(("key", "word"), WORDS)

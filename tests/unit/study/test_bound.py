@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.estimators.cv import CvFilter, transition
+from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, transition
 from gcs_coloc.study.bound import BoundOptions, run_bound
 
 TIMES = 0.5 * np.arange(41)

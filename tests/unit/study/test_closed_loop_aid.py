@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gcs_coloc.core.aid.settings import AidSettings
+from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, fly
@@ -26,7 +26,7 @@ def scenario(fault: type, **ranging: object) -> Scenario:
 
 
 def flown(what: Scenario, duration_s: float, **aid: object) -> tuple[Flight, Engine]:
-    engine = Engine(load_estimator("fleet", {}), EngineSettings(aid=AidSettings(**aid)))
+    engine = Engine(load_estimator("fleet", {}), EngineSettings(aid=AidingSettings(**aid)))
     return fly(what, 7, engine, duration_s=duration_s), engine
 
 

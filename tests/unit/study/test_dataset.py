@@ -6,7 +6,7 @@ import pytest
 
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.measurements import AltitudeMeasurement, AttitudeMeasurement, PositionMeasurement, RangeMeasurement
-from gcs_coloc.study.dataset import read_dataset
+from gcs_coloc.evaluation.dataset import read_dataset
 
 FILES = {
     "meta.toml": """
@@ -20,7 +20,7 @@ lon_deg = 8
 alt_m = 400.0
 [[node]]
 id = "tag"
-role = "subject"
+role = "denied"
 [[node]]
 id = "A"
 role = "anchor"
@@ -52,7 +52,7 @@ def write(directory: Path, **changed: str | None) -> Path:
 def test_everything_is_read(tmp_path):
     dataset = read_dataset(write(tmp_path))
     assert (dataset.name, dataset.dims, dataset.origin) == ("small", 3, (47.0, 8.0, 400.0))
-    assert [(n.id, n.vehicle, n.role) for n in dataset.nodes] == [("tag", 1, "subject"), ("A", 2, "anchor"), ("B", 3, "peer")]
+    assert [(n.id, n.vehicle, n.role) for n in dataset.nodes] == [("tag", 1, "denied"), ("A", 2, "anchor"), ("B", 3, "peer")]
     assert dataset.nodes[1].place_enu_m == (0.0, 0.0, 2.0)
     assert PositionMeasurement(3, 0.5, 0.6, (10.0, 2.0, 3.0), 1.0, 1.5, (5.0, 0.0, 0.0), 0.5) in dataset.measurements
     assert RangeMeasurement(1, 2, 1.0, 1.0, 3.5, 0.2) in dataset.measurements
@@ -84,7 +84,7 @@ BAD_ROWS = [
     ("positions_csv", "t_s,id,e_m,n_m,u_m,sigma_h_m,sigma_v_m\n0,A,1,2,3,1,1\n", "line 2, column 2 (id)"),
     ("positions_csv", "t_s,id,e_m,n_m,u_m,sigma_h_m,sigma_v_m,ve_mps\n0,tag,1,2,3,1,1,3\n", "line 1, column 8"),
     ("truth_csv", "t_s,id,e_m,n_m,u_m\n", "no rows"),
-    ("truth_csv", "t_s,id,e_m,n_m,u_m\n1,B,1,2,3\n", "no row of any subject"),
+    ("truth_csv", "t_s,id,e_m,n_m,u_m\n1,B,1,2,3\n", "no row of any denied vehicle"),
     ("truth_csv", "t_s,id,e_m,n_m,u_m\n2,tag,1,2,3\n1,tag,1,2,3\n", "line 3, column 1 (t_s)"),
     ("attitude_csv", "t_s,id,roll_rad,pitch_rad,yaw_rad,airspeed_mps\n1,tag,0,0,inf,20\n", "line 2, column 5 (yaw_rad)"),
     (
@@ -108,7 +108,7 @@ BAD_ROWS = [
     ("meta_toml", FILES["meta.toml"].replace("dims = 3", "dims = 4"), "dims"),
     ("meta_toml", FILES["meta.toml"].replace('"peer"', '"friend"'), "role"),
     ("meta_toml", FILES["meta.toml"].replace('id = "B"', 'id = "A"'), "two nodes"),
-    ("meta_toml", FILES["meta.toml"].replace('"subject"', '"peer"'), "nothing to locate"),
+    ("meta_toml", FILES["meta.toml"].replace('"denied"', '"peer"'), "nothing to locate"),
     ("meta_toml", FILES["meta.toml"].replace("e_m = 0.0", ""), "e_m"),
     ("meta_toml", FILES["meta.toml"].replace("dims = 3", "dims = 3\ncolour = 1"), "colour"),
 ]

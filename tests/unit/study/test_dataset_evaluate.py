@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 from gcs_coloc import __version__
-from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, Measurement, Residual, Unknown
-from gcs_coloc.core.scoring import Series, score
+from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, Measurement, NoEstimate, Residual
 from gcs_coloc.estimators.fleet.filter import FleetFilter
-from gcs_coloc.study.evaluate import evaluate
-from gcs_coloc.study.evaluation_plot import plot
+from gcs_coloc.evaluation.evaluate import evaluate
+from gcs_coloc.evaluation.plot import plot
+from gcs_coloc.evaluation.scoring import Series, score
 from tests.recordings import recording
 
 
 def write_walk(directory: Path, dims: int) -> Path:
     """A walker between four anchors, exact ranges, arrivals 0.2 s late."""
     anchors = {"A": (0.0, 0.0), "B": (30.0, 0.0), "C": (0.0, 30.0), "D": (30.0, 30.0)}
-    meta = f'name = "walk"\nsource = "made"\nlicence = "CC0"\ndims = {dims}\n[[node]]\nid = "w"\nrole = "subject"\n'
+    meta = f'name = "walk"\nsource = "made"\nlicence = "CC0"\ndims = {dims}\n[[node]]\nid = "w"\nrole = "denied"\n'
     heights = dict(zip(anchors, (1.0, 1.0, 1.0, 1.0) if dims == 2 else (0.0, 6.0, 6.0, 0.0), strict=True))
     ranges = ["t_s,from_id,to_id,range_m,sigma_m,arrival_s"]
     truth = ["t_s,id,e_m,n_m,u_m"]
@@ -48,14 +48,14 @@ def write_walk(directory: Path, dims: int) -> Path:
 @pytest.mark.parametrize("dims", [2, 3])
 def test_a_walk_is_followed_and_scored(tmp_path, dims):
     evaluation = evaluate(write_walk(tmp_path, dims), FleetFilter())
-    (subject,) = evaluation.subjects
-    assert subject.score.share_known == 1.0
-    assert subject.score.first_known_s == pytest.approx(5.0)
-    assert subject.score.horizontal is not None
-    assert subject.score.horizontal.rmse_m < 0.3
-    assert subject.score.anees_expected == dims
+    (denied_vehicle,) = evaluation.denied
+    assert denied_vehicle.score.share_known == 1.0
+    assert denied_vehicle.score.first_known_s == pytest.approx(5.0)
+    assert denied_vehicle.score.horizontal is not None
+    assert denied_vehicle.score.horizontal.rmse_m < 0.3
+    assert denied_vehicle.score.anees_expected == dims
     figures = json.loads(json.dumps(evaluation.as_dict()))
-    assert figures["subjects"]["w"]["epochs"] == 150
+    assert figures["denied"]["w"]["epochs"] == 150
 
 
 def test_why_there_is_no_answer_is_told_by_reason_in_the_words_of_the_first_time(tmp_path):
@@ -63,10 +63,10 @@ def test_why_there_is_no_answer_is_told_by_reason_in_the_words_of_the_first_time
     ranges = (walk / "ranges.csv").read_text().splitlines()
     (walk / "positions.csv").write_text((walk / "positions.csv").read_text().splitlines()[0])
     (walk / "ranges.csv").write_text("\n".join([ranges[0], *(line for line in ranges if ",w,A," in line)]))
-    (subject,) = evaluate(walk, FleetFilter()).subjects
-    missing = subject.score.epochs
-    assert subject.score.share_known == 0.0
-    [(reason, times)] = subject.unanswered.items()
+    (denied_vehicle,) = evaluate(walk, FleetFilter()).denied
+    missing = denied_vehicle.score.epochs
+    assert denied_vehicle.score.share_known == 0.0
+    [(reason, times)] = denied_vehicle.unanswered.items()
     assert times == missing
     assert reason.startswith("waiting for ranges to start from")
     command = [sys.executable, "-m", "gcs_coloc", "evaluate", str(walk)]
@@ -130,21 +130,21 @@ class Recorder:
     def __init__(self) -> None:
         self.newest_s = -math.inf
         self.asked: list[tuple[float, float]] = []
-        self.subjects: list[tuple[frozenset[int], float]] = []
+        self.denied: list[tuple[frozenset[int], float]] = []
         self.heights = 0
 
-    def set_subjects(self, subjects: Collection[int], at_s: float) -> None:
-        self.subjects.append((frozenset(subjects), at_s))
+    def set_denied(self, denied: Collection[int], at_s: float) -> None:
+        self.denied.append((frozenset(denied), at_s))
 
     def add(self, measurement: Measurement) -> None:
         self.newest_s = max(self.newest_s, measurement.arrived_at_s)
         self.heights += isinstance(measurement, AltitudeMeasurement)
 
-    def estimate(self, vehicle: int, at_s: float) -> Estimate | Unknown:
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         self.asked.append((at_s, self.newest_s))
-        return Unknown(vehicle, at_s, "never")
+        return NoEstimate(vehicle, at_s, "never")
 
-    def take_residuals(self) -> list[Residual]:
+    def drain_residuals(self) -> list[Residual]:
         return []
 
     def counts(self) -> Mapping[str, int]:
@@ -157,11 +157,11 @@ def test_scoring_is_causal_and_a_subject_is_one_after_its_last_report(tmp_path):
     assert len(recorder.asked) == 150
     assert all(newest <= at + 1e-9 for at, newest in recorder.asked)
     assert all(newest > at - 0.11 for at, newest in recorder.asked)
-    ((subjects, at_s),) = recorder.subjects
-    assert subjects == {1}
+    ((denied, at_s),) = recorder.denied
+    assert denied == {1}
     assert 0.0 < at_s <= 0.2
     assert recorder.heights == 0
-    score_of_none = evaluation.subjects[0].score
+    score_of_none = evaluation.denied[0].score
     assert (score_of_none.share_known, score_of_none.horizontal, score_of_none.anees) == (0.0, None, None)
 
 
@@ -190,7 +190,7 @@ def test_the_figures_are_those_worked_out_by_hand():
 
 def test_real_outdoor_ranges_are_located_as_well_as_with_an_inertial_unit():
     evaluation = evaluate(recording("hanyang") / "los_b4", FleetFilter())
-    (subject,) = evaluation.subjects
-    assert subject.score.share_known == 1.0
-    assert subject.score.spatial is not None
-    assert subject.score.spatial.rmse_m <= 0.70  # the authors' filter with an inertial unit
+    (denied_vehicle,) = evaluation.denied
+    assert denied_vehicle.score.share_known == 1.0
+    assert denied_vehicle.score.spatial is not None
+    assert denied_vehicle.score.spatial.rmse_m <= 0.70  # the authors' filter with an inertial unit

@@ -3,8 +3,8 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionMeasurement, RangeMeasurement
-from gcs_coloc.estimators.qu_zhang import QuZhang
-from gcs_coloc.estimators.qu_zhang_settings import QuZhangSettings
+from gcs_coloc.estimators.qu_zhang.filter import QuZhangFilter
+from gcs_coloc.estimators.qu_zhang.settings import QuZhangSettings
 from gcs_coloc.study.paper_filters import KINDS, PaperFilters, draw, predict, process_noise, update
 from gcs_coloc.study.paper_options import PaperOptions, QForm, QUnit
 
@@ -71,7 +71,7 @@ def test_the_live_estimator_gives_the_same_on_synchronous_measurements() -> None
     positions, velocities = flight(100)
     one = draw(positions, velocities, 9, options)
     filters = PaperFilters([one], np.eye(2)[np.newaxis], options)
-    live = QuZhang(QuZhangSettings(q_m2ps2=2.0, lasting_peer_errors=False, gate_probability=1.0 - 1e-12))
+    live = QuZhangFilter(QuZhangSettings(q_m2ps2=2.0, lasting_peer_errors=False, gate_probability=1.0 - 1e-12))
 
     def position(uav: int, k: int) -> PositionMeasurement:
         (e, n), (ve, vn), t = one.gps_m[uav, k].tolist(), one.start_velocity_mps[uav].tolist(), 0.02 * k
@@ -81,8 +81,8 @@ def test_the_live_estimator_gives_the_same_on_synchronous_measurements() -> None
 
     for uav in range(4):
         live.add(position(uav, 0))
-    live.set_subjects([4], 0.0)
-    # A vehicle that turns subject keeps its receiver's lasting error; the paper's starts from the same fix without.
+    live.set_denied([4], 0.0)
+    # A vehicle that turns denied vehicle keeps its receiver's lasting error; the paper's starts from the same fix without.
     live._tracks[4].horizontal.add_position_variance(-(15.0**2))  # type: ignore[union-attr]
     for k in range(1, 101):
         step = filters.step(k)

@@ -6,12 +6,12 @@ from contextlib import asynccontextmanager
 
 from fleet_views import fleet_view
 
-from gcs_coloc.core.outputs import Notice
-from gcs_coloc.sinks.lulls import Lulls
+from gcs_coloc.core.messages.outbound import Notice
+from gcs_coloc.sinks.idle_scheduler import IdleScheduler
 from gcs_coloc.web.live_socket import text_frame
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.picture import fleet_frame
-from gcs_coloc.web.story import Story
+from gcs_coloc.web.track_history import TrackHistory
 from gcs_coloc.web.wire import fleet_json
 
 
@@ -57,9 +57,9 @@ def hello():
 
 class Scene:
     def __init__(self):
-        self.story = Story()
+        self.story = TrackHistory()
         self.made = 0
-        self.pages = Pages(self.picture, self.counts, self.story, Lulls(), 0.2)
+        self.pages = Pages(self.picture, self.counts, self.story, IdleScheduler(), 0.2)
 
     def picture(self):
         self.made += 1

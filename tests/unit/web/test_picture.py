@@ -14,7 +14,7 @@ from gcs_coloc.web.picture import ellipse, fleet_frame, traffic_light
     ("vehicle", "colour", "words"),
     [
         (HEALTHY, "good", "fix type 3, 10 satellites"),
-        (replace(HEALTHY, hindrance="PX4 does not take GPS_INPUT"), "caution", "PX4 does not take GPS_INPUT"),
+        (replace(HEALTHY, inhibit_reason="PX4 does not take GPS_INPUT"), "caution", "PX4 does not take GPS_INPUT"),
         (replace(HEALTHY, gps_state="suspect", gps_reason="only 3 satellites"), "caution", "only 3 satellites"),
         (replace(HEALTHY, gps_state="unknown", gps_reason="nothing heard"), "unknown", "nothing heard"),
         (replace(HEALTHY, aid_word="on", aid="sending 3D fix", aid_has_fix=True), "caution", "aided by the operator's word"),

@@ -19,7 +19,7 @@ from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.web.picture import fleet_frame
 from gcs_coloc.web.playback import Playback
-from gcs_coloc.web.story import Story
+from gcs_coloc.web.track_history import TrackHistory
 from gcs_coloc.web.wire import PlaybackCommand, fleet_json
 
 
@@ -58,9 +58,9 @@ class Clock:
 Outputs = list[tuple[float, str]]
 
 
-def playback_of(path: Path, estimator: str = "fleet", outputs: Outputs | None = None) -> tuple[Playback, Story]:
+def playback_of(path: Path, estimator: str = "fleet", outputs: Outputs | None = None) -> tuple[Playback, TrackHistory]:
     """A state is kept every 300 messages; `outputs` gets what the engine puts out."""
-    story = Story()
+    story = TrackHistory()
 
     def begin(on_poll):
         def polled(at_s, told):
@@ -82,7 +82,7 @@ def go_to(playback: Playback, at_s: float, clock) -> None:
         pass
 
 
-def seen(playback: Playback, story: Story) -> str:
+def seen(playback: Playback, story: TrackHistory) -> str:
     view = playback.look()
     told = (story.counts(view).model_dump_json(), story.events_after(0).model_dump_json(), str(story.history()))
     return "".join((fleet_json(fleet_frame(view)).decode(), *told))

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 from fleet_views import HEALTHY, LOST, fleet_view
 
-from gcs_coloc.core.outputs import HealthChanged, Notice
-from gcs_coloc.core.view import LinkView
-from gcs_coloc.web.story import Story
+from gcs_coloc.core.messages.outbound import HealthChanged, Notice
+from gcs_coloc.core.snapshot import LinkSnapshot
+from gcs_coloc.web.track_history import TrackHistory
 
 
 def test_a_failure_is_an_alarm_and_good_news_is_none():
-    story = Story()
+    story = TrackHistory()
     story.take(HealthChanged(1.0, 4, "suspect", "failed", "no fix"))
     story.take(HealthChanged(2.0, 4, "failed", "recovering", "back"))
     story.take(Notice(3.0, None, "warning", "flooded"))
@@ -22,7 +22,7 @@ def test_a_failure_is_an_alarm_and_good_news_is_none():
 
 
 def test_events_that_were_pushed_out_are_counted_as_missed():
-    story = Story()
+    story = TrackHistory()
     for i in range(700):
         story.take(Notice(float(i), 1, "info", str(i)))
     frame = story.events_after(100)
@@ -32,7 +32,7 @@ def test_events_that_were_pushed_out_are_counted_as_missed():
 
 
 def test_the_history_is_one_sample_a_second_for_ten_minutes_and_unknown_is_not_zero():
-    story = Story()
+    story = TrackHistory()
     for i in range(2 * 700):
         story.take(fleet_view(i * 0.5, HEALTHY, LOST))
     known, lost = story.history()
@@ -43,7 +43,7 @@ def test_the_history_is_one_sample_a_second_for_ten_minutes_and_unknown_is_not_z
 
 
 def test_a_large_fleet_sends_a_shorter_history():
-    story = Story()
+    story = TrackHistory()
     vehicles = [replace(HEALTHY, sysid=i) for i in range(1, 251)]
     for i in range(120):
         story.take(fleet_view(float(i), *vehicles))
@@ -51,23 +51,23 @@ def test_a_large_fleet_sends_a_shorter_history():
 
 
 def test_rate_and_loss_are_of_the_last_seconds():
-    story = Story()
+    story = TrackHistory()
     for i in range(21):
         # 20 frames a second, and none lost until the last five seconds, in which one in five is.
         lost = max(i - 10, 0) * 5
-        story.take(fleet_view(i * 0.5, HEALTHY, links=(LinkView(1, 10 * i, lost, 0),)))
-    (link,) = story.counts(fleet_view(10.0, HEALTHY, links=(LinkView(1, 200, 50, 0),))).links
+        story.take(fleet_view(i * 0.5, HEALTHY, links=(LinkSnapshot(1, 10 * i, lost, 0),)))
+    (link,) = story.counts(fleet_view(10.0, HEALTHY, links=(LinkSnapshot(1, 200, 50, 0),))).links
     assert link.rate_hz == 20.0
     assert link.loss_percent == 100.0 * 50 / 150
-    assert Story().counts(fleet_view(10.0, HEALTHY)).links[0].rate_hz is None
+    assert TrackHistory().counts(fleet_view(10.0, HEALTHY)).links[0].rate_hz is None
 
 
 def test_what_goes_to_a_ground_tool_is_told_with_its_rate_over_the_last_seconds():
-    story = Story()
+    story = TrackHistory()
     for i in range(21):
         story.take(fleet_view(i * 0.5, HEALTHY))
     (out,) = story.counts(fleet_view(10.0, HEALTHY)).outs
     assert (out.name, out.tools, out.rate_hz) == ("udpout:127.0.0.1:14551", 1, 40.0)
     assert (out.frames_sent, out.frames_taken, out.dropped, out.refused) == (400, 12, 3, 2)
-    assert Story().counts(fleet_view(10.0, HEALTHY)).outs[0].rate_hz is None
+    assert TrackHistory().counts(fleet_view(10.0, HEALTHY)).outs[0].rate_hz is None
     assert story.counts(fleet_view(10.0, HEALTHY, outs=())).outs == ()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_coloc.core.view import Consistency, RangeView, VehicleView
+from gcs_coloc.core.snapshot import Consistency, RangeSnapshot, VehicleSnapshot
 from gcs_coloc.web import wire
 
 TEXT = (Path(__file__).resolve().parents[3] / "docs/reference/web.md").read_text(encoding="utf-8")
@@ -21,7 +21,7 @@ MODELS = [
     wire.PlaybackState,
     wire.PlaybackCommand,
 ]
-VALUES = (wire.Ellipse, wire.VehicleFrame, wire.FleetFrame, VehicleView, RangeView, Consistency)
+VALUES = (wire.Ellipse, wire.VehicleFrame, wire.FleetFrame, VehicleSnapshot, RangeSnapshot, Consistency)
 FIELDS = [f"{model.__name__}.{name}" for model in MODELS for name in model.model_fields]
 FIELDS += [f"{view.__name__}.{f.name}" for view in VALUES for f in dataclasses.fields(view)]
 

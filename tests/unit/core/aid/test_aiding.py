@@ -5,39 +5,39 @@ from __future__ import annotations
 import pytest
 from engine_flights import StraightLine, aids, fly, settings, texts, vehicle_4
 
-from gcs_coloc.core.aid.settings import AidSettings
-from gcs_coloc.core.aid_messages import GlobalPositionSensor, OtherAid
+from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.messages import Autopilot, GpsReceiver, Heartbeat
-from gcs_coloc.core.outputs import Aid, GpsInput, Notice
-from gcs_coloc.core.words import AidWord, GpsWord, OperatorWord
+from gcs_coloc.core.messages.aiding import ForeignGpsInput, GlobalPositionSensor
+from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, OperatorCommand
+from gcs_coloc.core.messages.inbound import Autopilot, GpsReceiver, Heartbeat
+from gcs_coloc.core.messages.outbound import AidingMessage, GpsInput, Notice
 
 
 def test_aid_off_ends_the_stream_with_no_fix_and_auto_begins_it_again():
     engine = Engine(StraightLine(), settings())
     fly(engine, 0.0, 5.0)
     fly(engine, 5.0, 8.0, failed=[4])
-    engine.receive(OperatorWord(4, 8.0, AidWord.OFF))
+    engine.receive(OperatorCommand(4, 8.0, AidingOverride.OFF))
     stream = aids(fly(engine, 8.0, 10.0, failed=[4]), 4)
     assert [a.fix_type for _, a in stream] == [1]
     assert vehicle_4(engine, 10.0).aid == "off by the operator's word"
-    engine.receive(OperatorWord(4, 10.0, AidWord.AUTO))
+    engine.receive(OperatorCommand(4, 10.0, AidingOverride.AUTO))
     assert len(aids(fly(engine, 10.0, 12.0, failed=[4]), 4)) == pytest.approx(20, abs=1)
 
 
 def test_aid_on_streams_to_a_healthy_vehicle_whose_own_claims_then_count_for_nothing():
     estimator = StraightLine()
     engine = Engine(estimator, settings())
-    engine.receive(OperatorWord(4, 0.0, AidWord.ON))
+    engine.receive(OperatorCommand(4, 0.0, AidingOverride.ON))
     out = fly(engine, 0.0, 8.0)
     assert {a.fix_type for t, a in aids(out, 4) if t > 0.5} == {3}
     assert vehicle_4(engine, 8.0).gps_state == "healthy"
     assert max((m.measured_at_s for m in estimator.of(PositionMeasurement, 4)), default=0.0) < 0.5
-    assert estimator.subjects[-1][0] == {4}
-    engine.receive(OperatorWord(4, 8.0, AidWord.AUTO))
+    assert estimator.denied[-1][0] == {4}
+    engine.receive(OperatorCommand(4, 8.0, AidingOverride.AUTO))
     fly(engine, 8.0, 15.0)
-    assert estimator.subjects[-1][0] == frozenset()
+    assert estimator.denied[-1][0] == frozenset()
     assert max(m.measured_at_s for m in estimator.of(PositionMeasurement, 4)) > 14.5
 
 
@@ -52,7 +52,7 @@ def heard_without_a_heartbeat(engine: Engine, from_s: int, to_s: int) -> list[st
 
 def test_a_vehicle_that_has_just_come_is_given_time_for_its_heartbeat_before_an_alarm():
     engine = Engine(StraightLine(), settings())
-    engine.receive(OperatorWord(4, 0.0, GpsWord.FAILED))
+    engine.receive(OperatorCommand(4, 0.0, GpsOverride.FAILED))
     assert not any("cannot be aided" in text for text in heard_without_a_heartbeat(engine, 0, 3))
     told = [text for text in heard_without_a_heartbeat(engine, 3, 6) if "cannot be aided" in text]
     assert told == ["needs aid and cannot be aided: no heartbeat of an autopilot heard yet"]
@@ -72,10 +72,10 @@ def test_who_needs_aid_again_and_still_cannot_be_aided_is_told_again():
 
 def test_to_an_unknown_autopilot_nothing_is_sent_unless_a_way_is_set():
     for way, sent in (("auto", False), ("gps_input", True)):
-        engine = Engine(StraightLine(), settings(aid=AidSettings(way=way, standby=True)))
+        engine = Engine(StraightLine(), settings(aid=AidingSettings(way=way, standby=True)))
         fly(engine, 0.0, 5.0, autopilot=Autopilot.OTHER)
         out = fly(engine, 5.0, 10.0, failed=[4], autopilot=Autopilot.OTHER)
-        assert any(isinstance(o, Aid) for _, o in out) is sent
+        assert any(isinstance(o, AidingMessage) for _, o in out) is sent
         alarms = [o.text for _, o in out if isinstance(o, Notice) and "cannot be aided: its autopilot is neither" in o.text]
         assert len(alarms) == (0 if sent else 1)
         assert all("set the way of its aid ([aid] ways)" in text for text in alarms)
@@ -85,7 +85,7 @@ def test_to_an_unknown_autopilot_nothing_is_sent_unless_a_way_is_set():
 def test_the_word_on_the_aid_leaves_the_word_on_the_gps_alone():
     engine = Engine(StraightLine(), settings())
     fly(engine, 0.0, 2.0)
-    engine.receive(OperatorWord(4, 2.0, AidWord.OFF))
+    engine.receive(OperatorCommand(4, 2.0, AidingOverride.OFF))
     seen = vehicle_4(engine, 2.0)
     assert (seen.operator_word, seen.aid_word) == ("auto", "off")
 
@@ -111,20 +111,20 @@ def test_a_px4_that_is_not_located_is_told_nothing():
     engine = Engine(estimator, settings())
     fly(engine, 0.0, 5.0, autopilot=Autopilot.PX4)
     out = fly(engine, 5.0, 10.0, failed=[4], autopilot=Autopilot.PX4)
-    assert not [o for _, o in out if isinstance(o, Aid)]
+    assert not [o for _, o in out if isinstance(o, AidingMessage)]
     assert "not located, sending nothing: no ranges" in texts(out)
 
 
 def test_the_way_of_a_single_vehicle_wins_and_one_that_it_cannot_take_is_refused_in_words():
-    engine = Engine(StraightLine(), settings(aid=AidSettings(ways={4: "global_position_sensor"})))
+    engine = Engine(StraightLine(), settings(aid=AidingSettings(ways={4: "global_position_sensor"})))
     fly(engine, 0.0, 5.0)
     out = fly(engine, 5.0, 10.0, failed=[3, 4])
-    assert {o.sysid for _, o in out if isinstance(o, Aid)} == {3}
+    assert {o.sysid for _, o in out if isinstance(o, AidingMessage)} == {3}
     assert "NOT SENT: ArduPilot does not take GLOBAL_POSITION_SENSOR" in vehicle_4(engine, 10.0).aid
 
 
 def test_the_stream_goes_on_for_a_while_after_the_gps_is_healthy_again_then_ends_with_no_fix():
-    engine = Engine(StraightLine(), settings(aid=AidSettings(hand_back_s=6.0)))
+    engine = Engine(StraightLine(), settings(aid=AidingSettings(hand_back_s=6.0)))
     fly(engine, 0.0, 5.0)
     fly(engine, 5.0, 8.0, failed=[4])
     stream = aids(fly(engine, 8.0, 40.0), 4)
@@ -139,7 +139,7 @@ def test_somebody_elses_gps_input_makes_ours_stand_down_while_it_lasts_and_ten_s
     fly(engine, 5.0, 8.0, failed=[4])
     out = []
     for step in range(80, 120):
-        engine.receive(OtherAid(255, step / 10, gps_id=1, vehicle=4))
+        engine.receive(ForeignGpsInput(255, step / 10, gps_id=1, vehicle=4))
         out += fly(engine, step / 10, step / 10 + 0.1, failed=[4])
     assert not aids(out, 4)  # no last word either: it would interrupt the other one's fix
     assert "system 255 sends it GPS_INPUT for receiver 1: ours stands down" in texts(out)
@@ -151,7 +151,7 @@ def test_somebody_elses_gps_input_makes_ours_stand_down_while_it_lasts_and_ten_s
 
 
 @pytest.mark.parametrize(
-    "other", [OtherAid(255, 8.0, gps_id=0, vehicle=4), OtherAid(255, 8.0, 1, None), OtherAid(255, 8.0, 1, 9)]
+    "other", [ForeignGpsInput(255, 8.0, gps_id=0, vehicle=4), ForeignGpsInput(255, 8.0, 1, None), ForeignGpsInput(255, 8.0, 1, 9)]
 )
 def test_what_feeds_another_receiver_or_another_vehicle_is_no_rival(other):
     engine = Engine(StraightLine(), settings())
@@ -163,7 +163,7 @@ def test_what_feeds_another_receiver_or_another_vehicle_is_no_rival(other):
 
 @pytest.mark.parametrize("gps_id", [0, 1])
 def test_the_receiver_that_we_feed_never_counts_as_the_vehicles_own(gps_id):
-    engine = Engine(StraightLine(), settings(aid=AidSettings(gps_id=gps_id)))
+    engine = Engine(StraightLine(), settings(aid=AidingSettings(gps_id=gps_id)))
     for step in range(100):
         t = step / 10
         engine.receive(Heartbeat(4, t, Autopilot.ARDUPILOT, True, winged=True))

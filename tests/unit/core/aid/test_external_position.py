@@ -7,12 +7,12 @@ from itertools import pairwise
 import pytest
 from engine_flights import StraightLine, fly, settings
 
-from gcs_coloc.core.aid.settings import AidSettings
-from gcs_coloc.core.aid_messages import CommandResult, ExternalPosition, ParameterRequest, ParameterValue
+from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import PeerRange, TimeBase
-from gcs_coloc.core.outputs import GpsInput, Notice
-from gcs_coloc.core.words import OffAir
+from gcs_coloc.core.messages.aiding import CommandResult, ExternalPosition, ParameterRequest, ParameterValue
+from gcs_coloc.core.messages.control import TransmitDisabled
+from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
+from gcs_coloc.core.messages.outbound import GpsInput, Notice
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 COMMAND = 43003
@@ -36,7 +36,7 @@ def flown(engine: Engine, start_s: float, stop_s: float, result: int | None = No
 def engine_with(sigma_m: float, **aid) -> Engine:
     estimator = StraightLine()
     estimator.sigma_m = sigma_m
-    engine = Engine(estimator, settings(aid=AidSettings(**aid)))
+    engine = Engine(estimator, settings(aid=AidingSettings(**aid)))
     fly(engine, 0.0, 5.0)
     return engine
 
@@ -126,7 +126,7 @@ def test_a_vehicle_is_held_not_to_answer_after_five_estimates():
 
 def test_where_nothing_is_on_the_air_no_answer_is_missed():
     engine = engine_with(10.0)
-    engine.receive(OffAir(5.0))
+    engine.receive(TransmitDisabled(5.0))
     out = flown(engine, 5.0, 25.0, None)
     assert of(out, ExternalPosition)
     assert not [text for text in texts(out) if "does not answer" in text or "not taken" in text]

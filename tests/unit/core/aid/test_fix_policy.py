@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gcs_coloc.core.aid.fix_policy import FixPolicy
-from gcs_coloc.core.aid.settings import AidSettings
-from gcs_coloc.core.measurements import Estimate, Unknown
+from gcs_coloc.core.aiding.fix_policy import FixPolicy
+from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.measurements import Estimate, NoEstimate
 
 
 def known(at_s: float, sigma_m: float = 2.0, ranges: int = 3, hdop: float | None = 1.0) -> Estimate:
@@ -15,8 +15,8 @@ def known(at_s: float, sigma_m: float = 2.0, ranges: int = 3, hdop: float | None
     return Estimate(4, at_s, np.zeros(3), np.zeros(3), covariance, hdop, ranges)
 
 
-def unknown(at_s: float) -> Unknown:
-    return Unknown(4, at_s, "too few ranges")
+def unknown(at_s: float) -> NoEstimate:
+    return NoEstimate(4, at_s, "too few ranges")
 
 
 def asked(policy: FixPolicy, answers, start_s: float, own_gps: bool = False) -> list[str | None]:
@@ -25,13 +25,13 @@ def asked(policy: FixPolicy, answers, start_s: float, own_gps: bool = False) -> 
 
 
 def test_the_first_fix_is_not_waited_for():
-    policy = FixPolicy(AidSettings(), 0.0)
+    policy = FixPolicy(AidingSettings(), 0.0)
     assert asked(policy, [unknown(0.0), unknown(0.1), known(0.2)], 0.0) == ["too few ranges", "too few ranges", None]
 
 
 @pytest.mark.parametrize("fault", [known(1.0, sigma_m=26.0), unknown(1.0)])
 def test_a_fix_that_was_lost_comes_back_after_three_seconds_within_the_limit(fault):
-    policy = FixPolicy(AidSettings(), 0.0)
+    policy = FixPolicy(AidingSettings(), 0.0)
     assert asked(policy, [known(0.0)] * 10, 0.0) == [None] * 10
     assert asked(policy, [fault], 1.0) != [None]
     after = asked(policy, [known(1.1)] * 40, 1.1)
@@ -41,18 +41,18 @@ def test_a_fix_that_was_lost_comes_back_after_three_seconds_within_the_limit(fau
 
 
 def test_a_bound_that_swings_about_the_limit_gives_no_fix_at_all():
-    policy = FixPolicy(AidSettings(), 0.0)
+    policy = FixPolicy(AidingSettings(), 0.0)
     answers = [known(0.0, sigma_m=26.0 if i % 20 == 0 else 20.0) for i in range(200)]
     assert None not in asked(policy, answers, 0.0)
 
 
 def test_a_bound_beyond_the_limit_is_named_with_both():
-    (word,) = asked(FixPolicy(AidSettings(alert_limit_m=30.0), 0.0), [known(0.0, sigma_m=20.0)], 0.0)
+    (word,) = asked(FixPolicy(AidingSettings(alert_limit_m=30.0), 0.0), [known(0.0, sigma_m=20.0)], 0.0)
     assert word == "95 % horizontal bound 39 m is beyond the alert limit of 30 m"
 
 
 def test_prediction_alone_is_a_fix_for_ten_seconds_and_no_longer_however_small_its_bound():
-    policy = FixPolicy(AidSettings(), 0.0)
+    policy = FixPolicy(AidingSettings(), 0.0)
     assert asked(policy, [known(0.0)], 0.0) == [None]
     words = asked(policy, [known(0.1, ranges=0)] * 150, 0.1)
     assert [word is None for word in words].count(True) == 100
@@ -61,12 +61,12 @@ def test_prediction_alone_is_a_fix_for_ten_seconds_and_no_longer_however_small_i
 
 
 def test_a_vehicle_with_its_own_gps_in_the_answer_needs_no_ranges():
-    policy = FixPolicy(AidSettings(), 0.0)
+    policy = FixPolicy(AidingSettings(), 0.0)
     assert asked(policy, [known(0.0, ranges=0)] * 300, 0.0, own_gps=True) == [None] * 300
 
 
 def test_a_position_that_half_of_its_ranges_contradict_is_no_fix_however_small_its_bound():
-    policy = FixPolicy(AidSettings(), 0.0)
+    policy = FixPolicy(AidingSettings(), 0.0)
     assert policy.why_no_fix(known(0.0), 0.0, own_gps=False, range_misfit=0.9) is None
     word = policy.why_no_fix(known(0.1), 0.1, own_gps=False, range_misfit=4.0)
     assert word == "half of its ranges are 2.0 sigma or more off where it is held to be"
@@ -74,11 +74,11 @@ def test_a_position_that_half_of_its_ranges_contradict_is_no_fix_however_small_i
 
 
 def test_the_ranges_say_nothing_of_a_vehicle_on_its_own_gps():
-    assert FixPolicy(AidSettings(), 0.0).why_no_fix(known(0.0), 0.0, own_gps=True, range_misfit=9.0) is None
+    assert FixPolicy(AidingSettings(), 0.0).why_no_fix(known(0.0), 0.0, own_gps=True, range_misfit=9.0) is None
 
 
 def test_no_fix_is_claimed_from_the_jump_of_all_ranges_until_the_position_has_been_watched_for_three_seconds():
-    policy = FixPolicy(AidSettings(), 0.0)
+    policy = FixPolicy(AidingSettings(), 0.0)
     assert policy.why_no_fix(known(0.0), 0.0, own_gps=False) is None
     assert policy.why_no_fix(known(0.1), 0.1, own_gps=False, range_jump_m=19.6) == "all of its ranges jumped by 20 m"
     assert policy.why_no_fix(known(0.2), 0.2, own_gps=False) == "good enough again, watched for 3 s"
@@ -88,7 +88,7 @@ def test_no_fix_is_claimed_from_the_jump_of_all_ranges_until_the_position_has_be
 
 @pytest.mark.parametrize("answer", [known(0.0, ranges=1, hdop=None), known(0.0, hdop=46.0), known(0.0, hdop=float("inf"))])
 def test_ranges_to_one_peer_or_along_one_line_are_a_fix_for_ten_seconds_where_nothing_tells_how_the_vehicle_moves(answer):
-    policy = FixPolicy(AidSettings(), 0.0)
+    policy = FixPolicy(AidingSettings(), 0.0)
     words = asked(policy, [answer] * 150, 0.0)
     assert [word is None for word in words].count(True) == 101
     assert words[-1] == "its ranges, to one peer or along one line, have not fixed its place for 10 s"
@@ -97,17 +97,17 @@ def test_ranges_to_one_peer_or_along_one_line_are_a_fix_for_ten_seconds_where_no
 
 @pytest.mark.parametrize("tells", [{"air_data": True}, {"own_gps": True}])
 def test_ranges_to_one_peer_do_for_as_long_as_the_bound_says_where_the_vehicle_tells_how_it_moves(tells):
-    policy = FixPolicy(AidSettings(), 0.0)
+    policy = FixPolicy(AidingSettings(), 0.0)
     words = [policy.why_no_fix(known(0.0, ranges=1, hdop=None), i / 10, **{"own_gps": False, **tells}) for i in range(600)]
     assert set(words) == {None}
 
 
 def test_an_estimator_that_tells_no_dilution_is_believed_with_two_ranges():
-    assert set(asked(FixPolicy(AidSettings(), 0.0), [known(0.0, ranges=2, hdop=None)] * 200, 0.0)) == {None}
+    assert set(asked(FixPolicy(AidingSettings(), 0.0), [known(0.0, ranges=2, hdop=None)] * 200, 0.0)) == {None}
 
 
 @pytest.mark.parametrize(("determined_of_ten", "is_fix"), [(1, False), (4, True)])
 def test_a_moment_in_which_ranges_seem_to_fix_the_place_does_not_make_it_known(determined_of_ten, is_fix):
-    policy = FixPolicy(AidSettings(), 0.0)
+    policy = FixPolicy(AidingSettings(), 0.0)
     words = asked(policy, [known(0.0, hdop=20.0 if i % 10 < determined_of_ten else 200.0) for i in range(600)], 0.0)
     assert set(words[300:]) == {None} if is_fix else None not in words[300:]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from gcs_coloc.core.aid.parameters import Parameters
-from gcs_coloc.core.aid_messages import ParameterRequest, ParameterValue
+from gcs_coloc.core.aiding.parameters import Parameters
+from gcs_coloc.core.messages.aiding import ParameterRequest, ParameterValue
 
 
 def asked_over(

@@ -5,20 +5,20 @@ from __future__ import annotations
 import pytest
 from engine_flights import StraightLine, fly, settings, texts, vehicle_4
 
-from gcs_coloc.core.aid.settings import AidSettings
-from gcs_coloc.core.aid_messages import ParameterRequest, ParameterSet, ParameterValue
+from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.messages import GpsReceiver
-from gcs_coloc.core.outputs import GpsInput
-from gcs_coloc.core.words import GpsWord, OperatorWord, PrimaryWord
+from gcs_coloc.core.messages.aiding import ParameterRequest, ParameterSet, ParameterValue
+from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, PrimaryOverride
+from gcs_coloc.core.messages.inbound import GpsReceiver
+from gcs_coloc.core.messages.outbound import GpsInput
 
 
 class Switching:
     """Vehicle 4 with GPS2_RAW heard as it is sent, a parameter that it keeps, and the fix type that its own receiver claims."""
 
     def __init__(self, **aid) -> None:
-        self.engine = Engine(StraightLine(), settings(aid=AidSettings(**aid)))
+        self.engine = Engine(StraightLine(), settings(aid=AidingSettings(**aid)))
         self.primary = 0.0
         self.out: list = []
         fly(self.engine, 0.0, 5.0)
@@ -40,7 +40,7 @@ class Switching:
 @pytest.mark.parametrize(("setting", "expected"), [("auto", 1.0), ("off", 0.0)])
 def test_the_primary_receiver_is_switched_by_setting_only_where_the_own_one_claims_a_fix(setting, expected):
     flight = Switching(switch_primary=setting)
-    flight.engine.receive(OperatorWord(4, 5.0, GpsWord.FAILED))
+    flight.engine.receive(OperatorCommand(4, 5.0, GpsOverride.FAILED))
     flight.fly(5.0, 12.0, failed=[])  # its own receiver has a fix all the time
     assert flight.primary == expected
 
@@ -61,12 +61,12 @@ def test_a_receiver_whose_fix_flickers_is():
 
 def test_while_the_primary_receiver_is_ours_its_claims_are_an_echo_until_it_is_restored():
     flight = Switching(switch_primary="auto")
-    flight.engine.receive(OperatorWord(4, 5.0, GpsWord.FAILED))
+    flight.engine.receive(OperatorCommand(4, 5.0, GpsOverride.FAILED))
     flight.fly(5.0, 12.0, failed=[])
     assert vehicle_4(flight.engine, 12.0).gps_primary == "ours"
     estimator = flight.engine.estimator._inner
-    flight.engine.receive(OperatorWord(4, 12.0, GpsWord.HEALTHY))
-    assert flight.engine.fleet.get(4).health.captive
+    flight.engine.receive(OperatorCommand(4, 12.0, GpsOverride.HEALTHY))
+    assert flight.engine.fleet.get(4).health.self_fed
     flight.fly(12.0, 13.0, failed=[])
     assert flight.primary == 0.0
     assert "GPS_PRIMARY restored to 0" in texts(flight.out)
@@ -76,24 +76,24 @@ def test_while_the_primary_receiver_is_ours_its_claims_are_an_echo_until_it_is_r
 def test_the_operators_word_switches_and_restores_it():
     flight = Switching()
     flight.fly(5.0, 8.0, failed=[4])
-    flight.engine.receive(OperatorWord(4, 8.0, PrimaryWord.OURS))
+    flight.engine.receive(OperatorCommand(4, 8.0, PrimaryOverride.OURS))
     flight.fly(8.0, 10.0, failed=[4])
     assert flight.primary == 1.0
-    flight.engine.receive(OperatorWord(4, 10.0, PrimaryWord.OWN))
+    flight.engine.receive(OperatorCommand(4, 10.0, PrimaryOverride.OWN))
     flight.fly(10.0, 12.0, failed=[4])
     assert flight.primary == 0.0
 
 
 def test_it_is_not_switched_to_a_receiver_that_is_not_seen_to_take_what_is_sent():
-    engine = Engine(StraightLine(), settings(aid=AidSettings(switch_primary="auto")))
-    engine.receive(OperatorWord(4, 0.0, GpsWord.FAILED))
+    engine = Engine(StraightLine(), settings(aid=AidingSettings(switch_primary="auto")))
+    engine.receive(OperatorCommand(4, 0.0, GpsOverride.FAILED))
     out = fly(engine, 0.0, 10.0)  # no GPS2_RAW
     assert not [o for _, o in out if isinstance(o, ParameterRequest) and o.name == "GPS_PRIMARY"]
 
 
 def test_the_end_of_the_service_restores_it_after_the_last_no_fix():
     flight = Switching(switch_primary="auto")
-    flight.engine.receive(OperatorWord(4, 5.0, GpsWord.FAILED))
+    flight.engine.receive(OperatorCommand(4, 5.0, GpsOverride.FAILED))
     flight.fly(5.0, 12.0, failed=[])
     last = flight.engine.close()
     assert isinstance(last[0], GpsInput)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from gcs_coloc.core.aid.primary_switch import PrimarySwitch
-from gcs_coloc.core.aid_messages import ParameterRequest, ParameterSet, ParameterValue
-from gcs_coloc.core.outputs import Notice
+from gcs_coloc.core.aiding.primary_switch import PrimarySwitch
+from gcs_coloc.core.messages.aiding import ParameterRequest, ParameterSet, ParameterValue
+from gcs_coloc.core.messages.outbound import Notice
 
 INT8 = 2
 

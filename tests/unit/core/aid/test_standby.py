@@ -7,16 +7,16 @@ from itertools import pairwise
 import pytest
 from engine_flights import StraightLine, aids, fly, parameters_told, settings, vehicle_4
 
-from gcs_coloc.core.aid.settings import AidSettings
-from gcs_coloc.core.aid_messages import ParameterRequest
+from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.outputs import Aid, Notice
+from gcs_coloc.core.messages.aiding import ParameterRequest
+from gcs_coloc.core.messages.outbound import AidingMessage, Notice
 
 
 def standing_by(**values: float) -> tuple[Engine, StraightLine]:
     estimator = StraightLine()
-    engine = Engine(estimator, settings(aid=AidSettings(standby=True)))
+    engine = Engine(estimator, settings(aid=AidingSettings(standby=True)))
     fly(engine, 0.0, 2.0)
     parameters_told(engine, 2.0, **values)
     return engine, estimator
@@ -59,7 +59,7 @@ def test_standby_waits_for_parameters_by_which_the_vehicle_stays_with_its_own_re
 
 
 def test_what_stands_against_standby_is_told_once_and_only_when_the_vehicle_has_told_its_parameters():
-    engine = Engine(StraightLine(), settings(aid=AidSettings(standby=True)))
+    engine = Engine(StraightLine(), settings(aid=AidingSettings(standby=True)))
     silent = fly(engine, 0.0, 5.0)
     parameters_told(engine, 5.0, GPS_AUTO_SWITCH=1.0, GPS_PRIMARY=0.0)
     told = fly(engine, 5.0, 10.0)
@@ -70,4 +70,4 @@ def test_what_stands_against_standby_is_told_once_and_only_when_the_vehicle_has_
 def test_without_standby_a_healthy_vehicle_gets_nothing():
     engine = Engine(StraightLine(), settings())
     out = fly(engine, 0.0, 5.0)
-    assert not [o for _, o in out if isinstance(o, Aid | ParameterRequest)]
+    assert not [o for _, o in out if isinstance(o, AidingMessage | ParameterRequest)]

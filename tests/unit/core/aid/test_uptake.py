@@ -6,34 +6,34 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_coloc.core.aid.gps_input import no_fix
-from gcs_coloc.core.aid.uptake import Uptake
-from gcs_coloc.core.messages import GpsReceiver
+from gcs_coloc.core.aiding.acknowledgement import FixAcknowledgement
+from gcs_coloc.core.aiding.gps_input import no_fix
+from gcs_coloc.core.messages.inbound import GpsReceiver
 
 FIX = replace(no_fix(4, 1), fix_type=3, lat_deg=47.0, lon_deg=179.9999, vn_mps=20.0)
 
 
-def run(uptake: Uptake, start_s: float, stop_s: float, sent, heard) -> list[tuple[float, str, str]]:
+def run(acknowledgement: FixAcknowledgement, start_s: float, stop_s: float, sent, heard) -> list[tuple[float, str, str]]:
     """Send ten times, hear and review five times a second; `heard` is a fix type with degrees north, or None for silence."""
     news = []
     for step in range(round(start_s * 10), round(stop_s * 10)):
         now_s = step / 10
-        uptake.sent(sent, now_s)
+        acknowledgement.sent(sent, now_s)
         if step % 2 == 0:
             if heard is not None:
                 fix_type, lat_deg = heard
                 lon_deg = sent.lon_deg if sent.fix_type == 3 else 0.0
-                uptake.heard(GpsReceiver(4, now_s, 1, fix_type, lat_deg, lon_deg, 0.0, 7, 1.0, 2.0, 3.0, 0.5))
-            told = uptake.review(now_s)
+                acknowledgement.heard(GpsReceiver(4, now_s, 1, fix_type, lat_deg, lon_deg, 0.0, 7, 1.0, 2.0, 3.0, 0.5))
+            told = acknowledgement.review(now_s)
             if told is not None:
                 news.append((now_s, *told))
     return news
 
 
 def test_a_stream_that_is_taken_is_known_to_be_and_raises_nothing():
-    uptake = Uptake(1, 0.0)
-    assert run(uptake, 0.0, 30.0, FIX, (3, 47.0002)) == []
-    assert uptake.taken is True
+    acknowledgement = FixAcknowledgement(1, 0.0)
+    assert run(acknowledgement, 0.0, 30.0, FIX, (3, 47.0002)) == []
+    assert acknowledgement.taken is True
 
 
 @pytest.mark.parametrize(
@@ -47,35 +47,35 @@ def test_a_stream_that_is_taken_is_known_to_be_and_raises_nothing():
     ],
 )
 def test_what_is_not_taken_raises_one_alarm_after_some_seconds_and_is_cleared_when_it_is(sent, heard, words):
-    uptake = Uptake(1, 0.0)
-    ((at_s, level, text),) = run(uptake, 0.0, 30.0, sent, heard)
+    acknowledgement = FixAcknowledgement(1, 0.0)
+    ((at_s, level, text),) = run(acknowledgement, 0.0, 30.0, sent, heard)
     assert 4.9 < at_s < 11.5  # five seconds of it, six more until a fix of ours would no longer linger
     assert level == "error"
     assert words in text
-    assert uptake.taken is False
-    assert [told[1:] for told in run(uptake, 30.0, 35.0, FIX, (3, 47.0))] == [("info", "GPS_INPUT is taken")]
-    assert (uptake.taken, uptake.fault) == (True, None)
+    assert acknowledgement.taken is False
+    assert [told[1:] for told in run(acknowledgement, 30.0, 35.0, FIX, (3, 47.0))] == [("info", "GPS_INPUT is taken")]
+    assert (acknowledgement.taken, acknowledgement.fault) == (True, None)
 
 
 @pytest.mark.parametrize(("off_m", "is_told"), [(85.0, False), (95.0, True)])
 def test_a_receiver_may_be_fifty_metres_and_two_seconds_of_flight_off_what_is_sent(off_m, is_told):
     """The vehicle flies 20 m/s north: 90 m."""
-    assert bool(run(Uptake(1, 0.0), 0.0, 30.0, FIX, (3, 47.0 + off_m / 111_320.0))) is is_told
+    assert bool(run(FixAcknowledgement(1, 0.0), 0.0, 30.0, FIX, (3, 47.0 + off_m / 111_320.0))) is is_told
 
 
 def test_the_fix_that_lingers_for_a_few_seconds_raises_nothing():
-    uptake = Uptake(1, 0.0)
-    run(uptake, 0.0, 10.0, FIX, (3, 47.0))
-    assert run(uptake, 10.0, 14.0, no_fix(4, 1), (3, 47.0)) == []
-    assert run(uptake, 14.0, 30.0, no_fix(4, 1), (1, 47.0)) == []
+    acknowledgement = FixAcknowledgement(1, 0.0)
+    run(acknowledgement, 0.0, 10.0, FIX, (3, 47.0))
+    assert run(acknowledgement, 10.0, 14.0, no_fix(4, 1), (3, 47.0)) == []
+    assert run(acknowledgement, 14.0, 30.0, no_fix(4, 1), (1, 47.0)) == []
 
 
 def test_that_both_say_there_is_no_fix_shows_nothing():
-    uptake = Uptake(1, 0.0)
-    assert run(uptake, 0.0, 20.0, no_fix(4, 1), (1, 0.0)) == []
-    assert uptake.taken is None
+    acknowledgement = FixAcknowledgement(1, 0.0)
+    assert run(acknowledgement, 0.0, 20.0, no_fix(4, 1), (1, 0.0)) == []
+    assert acknowledgement.taken is None
 
 
 def test_the_first_receiver_is_watched_where_it_is_the_one_we_feed():
-    ((_, _, text),) = run(Uptake(0, 0.0), 0.0, 10.0, FIX, None)
+    ((_, _, text),) = run(FixAcknowledgement(0, 0.0), 0.0, 10.0, FIX, None)
     assert "no GPS_RAW_INT is heard from it; are GPS1_TYPE=14, gps_id=0" in text

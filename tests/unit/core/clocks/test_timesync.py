@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from gcs_coloc.core.clocks.timing import SenderClock
+from gcs_coloc.core.clocks.sender_clock import SenderClock
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings, VehicleClock
 
 Delay = Callable[[np.random.Generator], float]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_coloc.core.clocks.timing import SenderClock
+from gcs_coloc.core.clocks.sender_clock import SenderClock
 
 
 def test_jittered_latency_drops_out_but_for_the_least_delay():

@@ -7,17 +7,17 @@ from dataclasses import replace
 
 from engine_flights import StraightLine, aids, fly, settings, telemetry
 
-from gcs_coloc.core.clocks.two_clocks import TwoClocks
+from gcs_coloc.core.clocks.duplicate_ids import DuplicateIdDetector
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import GlobalPosition, GpsReceiver
-from gcs_coloc.core.outputs import Notice
+from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver
+from gcs_coloc.core.messages.outbound import Notice
 
 WRAP_S = 2**32 / 1e3
 
 
 def seen_at(stamps: list[tuple[float, float]]) -> list[float]:
     """The arrival times at which two clocks are seen in stamps of (boot time, arrival time)."""
-    clocks, out = TwoClocks(), []
+    clocks, out = DuplicateIdDetector(), []
     for stamp_s, received_at_s in stamps:
         clocks.take(stamp_s, received_at_s)
         if clocks.seen(received_at_s):
@@ -56,7 +56,7 @@ def test_two_autopilots_behind_one_address_get_nothing_are_no_anchor_and_are_tol
     estimator = StraightLine()
     engine = Engine(estimator, settings())
 
-    def doubled(begin_s: float, end_s: float, fix_type: int) -> list:
+    def duplicate_id(begin_s: float, end_s: float, fix_type: int) -> list:
         out = []
         for k in range(round((end_s - begin_s) * 10)):
             t = begin_s + 0.1 * k
@@ -69,12 +69,12 @@ def test_two_autopilots_behind_one_address_get_nothing_are_no_anchor_and_are_tol
         return out
 
     fly(engine, 0.0, 3.0)
-    out = doubled(3.0, 10.0, fix_type=3)
+    out = duplicate_id(3.0, 10.0, fix_type=3)
     told = [o.text for _, o in out if isinstance(o, Notice) and o.level == "error" and o.sysid == 4]
     assert len(told) == 1
     assert told[0].startswith("two autopilots use its system id; give each its own")
     assert engine.view(10.0).vehicles[3].gps_state == "suspect"
-    assert not aids(doubled(10.0, 20.0, fix_type=1), 4)
+    assert not aids(duplicate_id(10.0, 20.0, fix_type=1), 4)
     assert "NOT SENT: two autopilots" in engine.view(20.0).vehicles[3].aid
     back = fly(engine, 20.0, 40.0, failed=[4])
     assert 3 in {a.fix_type for t, a in aids(back, 4) if t > 32.0}

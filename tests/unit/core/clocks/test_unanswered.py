@@ -6,9 +6,9 @@ import pytest
 
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages import SystemTime, TimeSyncAnswer
-from gcs_coloc.core.outputs import Notice, TimeSyncRequest
-from gcs_coloc.core.words import ClockReference, OffAir
+from gcs_coloc.core.messages.control import ClockReference, TransmitDisabled
+from gcs_coloc.core.messages.inbound import SystemTime, TimeSyncAnswer
+from gcs_coloc.core.messages.outbound import Notice, TimeSyncRequest
 from tests.engine_flights import StraightLine, settings, telemetry
 
 UNIX_S = 1.8e9
@@ -30,7 +30,7 @@ def told(
     engine = Engine(StraightLine(), settings(time=time if time is not None else TimeSettings()))
     engine.receive(ClockReference(0.0, UNIX_S, host))
     if not on_air:
-        engine.receive(OffAir(0.0))
+        engine.receive(TransmitDisabled(0.0))
     out = []
     for step in range(round(duration_s * 10)):
         t = step / 10

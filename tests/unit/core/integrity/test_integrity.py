@@ -1,4 +1,4 @@
-"""The engine against a lying receiver, on simulated flights: who is trusted, what is said, where the subject is put."""
+"""The engine against a lying receiver, on simulated flights: who is trusted, what is said, where the denied vehicle is put."""
 
 from math import inf
 
@@ -16,8 +16,8 @@ from bench.integrity_flights import (
     fly_step,
     fresh_engine,
 )
-from gcs_coloc.core.bound import horizontal_bound_95_m
-from gcs_coloc.core.health import GpsState
+from gcs_coloc.core.error_bound import horizontal_bound_95_m
+from gcs_coloc.core.gps_health.gps_health import GpsState
 
 SOUND = (GpsState.HEALTHY, GpsState.UNKNOWN)
 

@@ -7,7 +7,7 @@ from math import cos, exp, pi, sin
 import numpy as np
 import pytest
 
-from gcs_coloc.core.integrity.lie_filters import LieFilters, Line, positive_part
+from gcs_coloc.core.integrity.fault_filters import FaultFilters, Line, positive_part
 
 STEP_S = 0.2
 CLAIM_M, NOISE_M, WANDER_S = 1.5, 1.0, 60.0
@@ -50,7 +50,7 @@ def chances(filters):
 
 def test_a_lie_that_grows_is_found_out_and_whose_it_is():
     for seed in range(20):
-        filters, lines = LieFilters(), Lines(seed)
+        filters, lines = FaultFilters(), Lines(seed)
         list(flown(filters, lines, 0.0, 20.0))
         list(flown(filters, lines, 20.0, 32.0, rate_mps={1: 2.0}))
         told = chances(filters)
@@ -62,7 +62,7 @@ def test_what_a_lie_has_done_is_told_while_it_is_only_likely_and_it_is_as_far_as
     units = np.array([Lines(0).units[peer] for peer in AROUND])
     ratios = []
     for seed in range(20):
-        filters, lines = LieFilters(), Lines(seed)
+        filters, lines = FaultFilters(), Lines(seed)
         list(flown(filters, lines, 0.0, 20.0))
         list(flown(filters, lines, 20.0, 28.0, rate_mps={1: 2.0}))
         moved_m = np.linalg.norm(np.linalg.solve(units.T @ units, units[0] * 16.0))
@@ -77,7 +77,7 @@ def test_honest_errors_that_wander_and_ranges_that_are_noisier_than_stated_accus
     """Four times four minutes: a lie is held for a few per cent likely, and never nearly so that it has consequences (0.9999)."""
     worst, mean = [], []
     for seed in range(4):
-        filters, lines = LieFilters(), Lines(seed, white_m=white_m)
+        filters, lines = FaultFilters(), Lines(seed, white_m=white_m)
         told = [sum(chances(filters).values()) for t in flown(filters, lines, 0.0, 240.0) if t > 60.0]
         worst.append(max(told))
         mean.append(np.mean(told))
@@ -87,7 +87,7 @@ def test_honest_errors_that_wander_and_ranges_that_are_noisier_than_stated_accus
 
 def test_late_ranges_accuse_nobody():
     for seed in range(4):
-        filters, lines = LieFilters(), Lines(seed)
+        filters, lines = FaultFilters(), Lines(seed)
         for step in range(600):
             late = {peer: lines.rng.uniform(5.0, 100.0) for peer in AROUND if lines.rng.random() < 0.1}
             filters.take(lines.at(late), step * STEP_S)
@@ -96,7 +96,7 @@ def test_late_ranges_accuse_nobody():
 
 def test_a_device_that_is_off_is_told_from_a_peer_that_lies():
     for seed in range(10):
-        filters, lines = LieFilters(), Lines(seed, around={1: 0.0, 2: pi / 3, 3: 2 * pi / 3, 4: pi})
+        filters, lines = FaultFilters(), Lines(seed, around={1: 0.0, 2: pi / 3, 3: 2 * pi / 3, 4: pi})
         list(flown(filters, lines, 0.0, 20.0))
         list(flown(filters, lines, 20.0, 40.0, rate_mps=dict.fromkeys((1, 2, 3, 4), 1.0)))
         told = chances(filters)
@@ -104,7 +104,7 @@ def test_a_device_that_is_off_is_told_from_a_peer_that_lies():
 
 
 def test_two_peers_in_one_line_cannot_be_told_apart_and_both_are_likely():
-    filters, lines = LieFilters(), Lines(3, around={1: 0.0, 2: pi, 3: pi / 2, 4: 3 * pi / 2})
+    filters, lines = FaultFilters(), Lines(3, around={1: 0.0, 2: pi, 3: pi / 2, 4: 3 * pi / 2})
     list(flown(filters, lines, 0.0, 20.0))
     list(flown(filters, lines, 20.0, 32.0, rate_mps={1: 2.0}))
     told = chances(filters)
@@ -114,7 +114,7 @@ def test_two_peers_in_one_line_cannot_be_told_apart_and_both_are_likely():
 
 
 def test_without_the_liar_the_others_are_honest_again_and_the_next_lie_is_found_as_well():
-    filters, lines = LieFilters(), Lines(5, around={**AROUND, 5: 2.4})
+    filters, lines = FaultFilters(), Lines(5, around={**AROUND, 5: 2.4})
     list(flown(filters, lines, 0.0, 20.0))
     list(flown(filters, lines, 20.0, 30.0, rate_mps={1: 2.0}))
     filters.exclude({1})
@@ -130,7 +130,7 @@ def test_without_the_liar_the_others_are_honest_again_and_the_next_lie_is_found_
 
 
 def test_a_peer_that_comes_later_and_one_that_goes_change_nothing_for_the_others():
-    filters, lines = LieFilters(), Lines(7)
+    filters, lines = FaultFilters(), Lines(7)
     late = lines.units.pop(4)
     list(flown(filters, lines, 0.0, 10.0))
     assert filters.peers == [1, 2, 3]
@@ -143,7 +143,7 @@ def test_a_peer_that_comes_later_and_one_that_goes_change_nothing_for_the_others
 
 
 def test_a_place_that_jumps_is_found_again_and_nobody_is_accused_for_it():
-    filters, lines = LieFilters(), Lines(9)
+    filters, lines = FaultFilters(), Lines(9)
     list(flown(filters, lines, 0.0, 20.0))
     shift = {peer: 60.0 * unit[0] for peer, unit in lines.units.items()}
     list(flown(filters, lines, 20.0, 40.0, offset_m=shift))

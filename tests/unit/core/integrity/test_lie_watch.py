@@ -6,8 +6,8 @@ from math import cos, sin
 
 import numpy as np
 
-from gcs_coloc.core.integrity.lie_watch import LieWatch
-from gcs_coloc.core.integrity.scene import Place
+from gcs_coloc.core.integrity.epoch import PositionPrior
+from gcs_coloc.core.integrity.fault_monitor import FaultMonitor
 from gcs_coloc.core.measurements import RangeMeasurement
 
 STEP_S, APART_M = 0.2, 800.0
@@ -16,11 +16,11 @@ AROUND = {1: 0.1, 2: 1.7, 3: 3.0, 4: 4.8}
 
 
 def place(east_m, north_m, free=False):
-    return Place((east_m, north_m, 100.0), 0.0 if free else 1.5, 2.0, free)
+    return PositionPrior((east_m, north_m, 100.0), 0.0 if free else 1.5, 2.0, free)
 
 
 class Flight:
-    """A subject at the origin among peers that stand; from 20 s on peer 1 claims to be further and further off."""
+    """A denied vehicle at the origin among peers that stand; from 20 s on peer 1 claims to be further and further off."""
 
     def __init__(self, watch, seed=1, around=AROUND, towards=0.1, reversed_for=()):
         self.watch, self.rng, self.around, self.towards, self.reversed_for = (
@@ -48,7 +48,7 @@ class Flight:
 
 def test_a_peer_that_walks_off_is_suspected_whoever_measures_and_the_doubt_points_along_its_line():
     for reversed_for in ((), (1, 2, 3, 4)):
-        watch = LieWatch()
+        watch = FaultMonitor()
         flight = Flight(watch, reversed_for=reversed_for)
         t = flight.fly(0.0, 20.0)
         assert watch.suspects() == frozenset()
@@ -63,7 +63,7 @@ def test_a_peer_that_walks_off_is_suspected_whoever_measures_and_the_doubt_point
 
 
 def test_who_is_not_believed_any_more_is_left_out_and_nobody_else_is_suspected():
-    watch = LieWatch()
+    watch = FaultMonitor()
     flight = Flight(watch, around={**AROUND, 5: 2.4})
     flight.fly(0.0, 20.0)
     flight.fly(20.0, 30.0, walk_mps=2.0)
@@ -73,17 +73,17 @@ def test_who_is_not_believed_any_more_is_left_out_and_nobody_else_is_suspected()
 
 
 def test_three_lines_are_needed_to_say_anything_and_ranges_between_claims_say_nothing():
-    watch = LieWatch()
+    watch = FaultMonitor()
     t = Flight(watch, around={1: 0.1, 2: 1.7}).fly(0.0, 40.0, walk_mps=5.0)
     assert watch.suspects() == frozenset()
     assert watch.doubt_m2(t) == {}
-    watch = LieWatch()
+    watch = FaultMonitor()
     t = Flight(watch).fly(0.0, 40.0, walk_mps=5.0, own_free=False)
     assert watch.doubt_m2(t) == {}
 
 
 def test_a_vehicle_that_is_forgotten_or_has_no_lines_for_half_a_minute_is_no_more_in_doubt():
-    watch = LieWatch()
+    watch = FaultMonitor()
     t = Flight(watch).fly(0.0, 30.0, walk_mps=2.0)
     assert SUBJECT in watch.doubt_m2(t)
     watch.step(t + 31.0, ())

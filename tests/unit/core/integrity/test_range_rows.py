@@ -3,21 +3,21 @@
 import numpy as np
 import pytest
 
-from gcs_coloc.core.integrity.range_rows import RangeRows, RowSettings, Track
+from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeResidualSettings, ReportedTrack
 from gcs_coloc.core.measurements import RangeMeasurement
 
 APART_M = 1000.0
 
 
 def rows_of(ranges_m, every_s=0.2):
-    rows = RangeRows()
+    rows = RangeResidualBuffer()
     for k, range_m in enumerate(ranges_m):
         t = k * every_s
         for vehicle, east_m in ((1, 20.0 * t), (2, 20.0 * t + APART_M)):
-            place = Track(t, (east_m, 0.0, 100.0), (20.0, 0.0, 0.0), 1.5, 2.0, free=False)
+            place = ReportedTrack(t, (east_m, 0.0, 100.0), (20.0, 0.0, 0.0), 1.5, 2.0, free=False)
             rows.place(vehicle, place)
         rows.range(RangeMeasurement(1, 2, t, t, range_m, 1.0))
-    return rows.scene((len(ranges_m) - 1) * every_s + RowSettings().wait_s).rows
+    return rows.scene((len(ranges_m) - 1) * every_s + RangeResidualSettings().wait_s).rows
 
 
 def test_a_single_late_range_does_not_move_a_row():
@@ -42,10 +42,10 @@ def test_few_ranges_make_a_row_of_a_longer_time_and_too_few_none():
 
 def test_between_two_reports_a_place_is_the_nearer_one_carried_on_by_its_velocity():
     """One flies at 20 m/s by its first report and at 10 m/s by its second, a second later; the other one stands."""
-    rows = RangeRows()
+    rows = RangeResidualBuffer()
     for t, east_m, ve_mps in ((0.0, 0.0, 20.0), (1.0, 20.0, 10.0)):
-        rows.place(1, Track(t, (east_m, 0.0, 100.0), (ve_mps, 0.0, 0.0), 1.5, 2.0, free=False))
-        rows.place(2, Track(t, (-APART_M, 0.0, 100.0), (0.0, 0.0, 0.0), 1.5, 2.0, free=False))
+        rows.place(1, ReportedTrack(t, (east_m, 0.0, 100.0), (ve_mps, 0.0, 0.0), 1.5, 2.0, free=False))
+        rows.place(2, ReportedTrack(t, (-APART_M, 0.0, 100.0), (0.0, 0.0, 0.0), 1.5, 2.0, free=False))
     for t, east_m in ((0.3, 6.0), (0.5, 10.0), (0.7, 17.0), (1.2, 22.0), (1.59, 25.9)):
         rows.range(RangeMeasurement(1, 2, t, t, APART_M + east_m + 2.0, 1.0))
     rows.range(RangeMeasurement(1, 2, 1.61, 1.61, APART_M, 1.0))  # too long after the last report for a place

@@ -10,11 +10,11 @@ import pytest
 from bench.integrity_flights import LOST_AT_S, STEP_S, SUBJECT, Flight, Scenario, error_and_bound_m, fresh_engine
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.integrity.returning import COUNTED
-from gcs_coloc.core.measurements import Unknown
-from gcs_coloc.core.messages import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, Inbound, PeerRange, TimeBase
-from gcs_coloc.core.outputs import GpsInput, HealthChanged, Notice
-from gcs_coloc.core.words import GpsWord, OperatorWord, RouteReport
+from gcs_coloc.core.integrity.reacquisition import COUNTED
+from gcs_coloc.core.measurements import NoEstimate
+from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, RouteReport
+from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, Inbound, PeerRange, TimeBase
+from gcs_coloc.core.messages.outbound import GpsInput, HealthChanged, Notice
 
 BACK_S = 30.0
 RIGHT = Scenario(mutual=False, returns_at_s=BACK_S)
@@ -168,7 +168,7 @@ def test_the_operator_is_believed_who_declares_it_healthy():
     def messages(t: float) -> Iterable[Inbound]:
         yield from flight.messages(t)
         if round(t / STEP_S) == round((BACK_S + 5.0) / STEP_S):
-            yield OperatorWord(SUBJECT, t, GpsWord.HEALTHY)
+            yield OperatorCommand(SUBJECT, t, GpsOverride.HEALTHY)
 
     seen = watch(messages, BACK_S + 8.0)
     assert seen.wrong_after_s < 3.0
@@ -200,7 +200,7 @@ def test_an_estimate_that_is_a_mirror_image_gives_way_to_a_receiver_that_fits_th
     assert at_return.position_enu_m[1] == pytest.approx(-150.0, abs=5.0)
     rng = np.random.default_rng(1)
     seen = watch(messages, BACK_S + 5.0)
-    assert isinstance(seen.engine.where(SUBJECT, BACK_S + 5.0), Unknown)
+    assert isinstance(seen.engine.where(SUBJECT, BACK_S + 5.0), NoEstimate)
     assert any("fits the ranges, our position did not" in text for text in seen.told)
     rng = np.random.default_rng(1)
     assert watch(messages, BACK_S + 12.0).healthy_after_s == pytest.approx(RECOVERED_AFTER_S, abs=0.01)

@@ -23,7 +23,7 @@ def subject_at(t: float) -> np.ndarray:
 
 
 def climb(seed: int) -> list[float]:
-    """Four peers at 100 to 200 m; the subject climbs from 200 m and tells no height. Returns its errors upwards in sigmas."""
+    """Four peers at 100 to 200 m; the vehicle climbs from 200 m and tells no height. Returns its errors upwards in sigmas."""
     rng = np.random.default_rng(seed)
     peers = {
         p: (rng.uniform(-1500.0, 1500.0, 2), rng.uniform(0.0, 2.0 * math.pi), rng.uniform(100.0, 200.0)) for p in range(1, 5)
@@ -38,7 +38,7 @@ def climb(seed: int) -> list[float]:
     for k in range(round(END_S * 10.0)):
         t = 0.1 * k
         if k == round(LOST_S * 10.0):
-            estimator.set_subjects({SUBJECT}, t)
+            estimator.set_denied({SUBJECT}, t)
         reports = {p: (peer_at(p, t), (peer_at(p, t + 0.1) - peer_at(p, t - 0.1)) / 0.2) for p in peers}
         if t < LOST_S:
             reports[SUBJECT] = (subject_at(t), np.array([15.0, 5.0, 0.0]))
@@ -63,7 +63,7 @@ def test_a_climb_through_the_height_of_the_peers_that_nobody_tells_leaves_the_he
 
 
 def test_the_mirror_image_above_a_level_plane_sinks_where_the_state_climbs_and_turns_as_it_does():
-    records = {1: VehicleRecord(subject=True)}
+    records = {1: VehicleRecord(denied_vehicle=True)}
     clusters = Clusters(FleetSettings(), records)
     state = start_block(np.array([10.0, 20.0, 130.0, 5.0, 6.0, 3.0]), np.eye(6), FleetSettings())
     state[0][TURN] = 0.1

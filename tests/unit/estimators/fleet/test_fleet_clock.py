@@ -37,7 +37,7 @@ def fly(seed: int, *, told: bool, stamped_by_subject: bool) -> tuple[list[float]
     for k in range(round(END_S * 10.0)):
         t = 0.1 * k
         if k == round(LOST_S * 10.0):
-            estimator.set_subjects({SUBJECT}, t)
+            estimator.set_denied({SUBJECT}, t)
         for vehicle, path in way.items():
             noise, u = rng.normal(size=6), velocity(vehicle, t + late_s[vehicle])
             place = path(t + late_s[vehicle]) + 0.1 * noise[:3]
@@ -82,7 +82,7 @@ def test_clocks_that_are_off_are_found_out_where_their_uncertainty_is_told(stamp
 def test_a_receiver_that_says_that_it_got_worse_is_believed_at_once():
     estimator = FleetFilter()
     estimator.add(PositionMeasurement(SUBJECT, 0.0, 0.0, (300.0, 300.0, 100.0), 0.5, 0.5, (0.0, 0.0, 0.0), 0.3))
-    estimator.set_subjects({SUBJECT}, 0.01)
+    estimator.set_denied({SUBJECT}, 0.01)
     rng = np.random.default_rng(1)
     places = {1: (0.0, 0.0, 100.0), 2: (600.0, 0.0, 110.0), 3: (0.0, 600.0, 90.0)}
     for k in range(1, 400):

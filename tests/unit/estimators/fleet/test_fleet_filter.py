@@ -6,16 +6,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from gcs_coloc.core.estimator import Estimator
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
     Estimate,
     Measurement,
+    NoEstimate,
     PositionMeasurement,
     RangeMeasurement,
-    Unknown,
 )
-from gcs_coloc.estimators.base import Estimator
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
@@ -40,22 +40,22 @@ FLEET: dict[int, Path3] = {
 
 
 class Flight:
-    """Feeds an estimator with simulated measurements; the subjects report positions until `lost_s`, then altitudes only."""
+    """Feeds an estimator with simulated measurements; the vehicles report positions until `lost_s`, then altitudes only."""
 
-    def __init__(self, estimator: Estimator, subjects: set[int], lost_s: float = 3.0, seed: int = 0) -> None:
+    def __init__(self, estimator: Estimator, denied: set[int], lost_s: float = 3.0, seed: int = 0) -> None:
         self.estimator = estimator
-        self.subjects = subjects
+        self.denied = denied
         self.lost_s = lost_s
         self.rng = np.random.default_rng(seed)
         self.now_s = 0.0
         self.range_offset_m = 0.0
-        self.pairs: list[tuple[int, int]] = [(s, p) for s in sorted(subjects) for p in (1, 2, 3)]
+        self.pairs: list[tuple[int, int]] = [(s, p) for s in sorted(denied) for p in (1, 2, 3)]
         self.range_sigma_m = 1.0
 
     def own(self, vehicle: int, t: float) -> Measurement:
         noise = self.rng.normal(size=3)
         place = FLEET[vehicle](t)
-        if vehicle in self.subjects and t >= self.lost_s:
+        if vehicle in self.denied and t >= self.lost_s:
             return AltitudeMeasurement(vehicle, t, t, float(place[2]) + 0.5 + 0.2 * float(noise[2]), 2.0)
         velocity = (FLEET[vehicle](t + 0.01) - FLEET[vehicle](t - 0.01)) / 0.02
         return PositionMeasurement(vehicle, t, t, tuple((place + 0.3 * noise).tolist()), 0.5, 0.5, tuple(velocity.tolist()), 0.3)
@@ -64,7 +64,7 @@ class Flight:
         while self.now_s < until_s - 1e-9:
             t = self.now_s
             if t >= self.lost_s:
-                self.estimator.set_subjects(self.subjects, t)
+                self.estimator.set_denied(self.denied, t)
             for vehicle in FLEET:
                 self.estimator.add(self.own(vehicle, t))
             if round(t * 10) % 2 == 0:
@@ -132,7 +132,7 @@ def test_two_failed_vehicles_that_range_each_other_help_each_other():
 def test_it_starts_cold_from_ranges_alone():
     flight = Flight(FleetFilter(), {4}, lost_s=0.0)
     where = flight.estimator.estimate(4, 0.0)
-    assert isinstance(where, Unknown)
+    assert isinstance(where, NoEstimate)
     flight.run(15.0)
     assert flight.error_m(4) < 5.0
 
@@ -142,7 +142,7 @@ def test_cold_with_two_peers_it_says_that_it_is_ambiguous():
     flight.pairs = [(4, 1), (4, 2)]
     flight.run(3.0)
     where = flight.estimator.estimate(4, flight.now_s)
-    assert isinstance(where, Unknown)
+    assert isinstance(where, NoEstimate)
     assert "ambiguous" in where.reason
 
 
@@ -168,11 +168,11 @@ def test_a_wrong_state_is_not_kept_against_the_ranges():
 def test_gross_outliers_are_refused_and_told():
     flight = Flight(FleetFilter(), {4})
     flight.run(20.0)
-    flight.estimator.take_residuals()
+    flight.estimator.drain_residuals()
     t = flight.now_s
     r = float(np.linalg.norm(FLEET[4](t) - FLEET[1](t)))
     flight.estimator.add(RangeMeasurement(4, 1, t, t, r + 60.0, 1.0))
-    (residual,) = flight.estimator.take_residuals()
+    (residual,) = flight.estimator.drain_residuals()
     assert residual.refused is not None
     assert residual.innovation_m == pytest.approx(60.0, abs=6.0)
     assert flight.error_m(4) < 3.0
@@ -187,7 +187,7 @@ def test_positions_of_a_subject_are_no_evidence():
     assert isinstance(before, Estimate)
     assert isinstance(after, Estimate)
     np.testing.assert_array_equal(before.position_enu_m, after.position_enu_m)
-    assert flight.estimator.counts()["refused: position of a subject"] == 1
+    assert flight.estimator.counts()["refused: position of a denied vehicle"] == 1
 
 
 def test_without_ranges_it_becomes_unknown_in_the_end():
@@ -196,7 +196,7 @@ def test_without_ranges_it_becomes_unknown_in_the_end():
     flight.pairs = []
     flight.run(200.0)
     where = flight.estimator.estimate(4, 200.0)
-    assert isinstance(where, Unknown)
+    assert isinstance(where, NoEstimate)
     assert "uncertain" in where.reason
 
 
@@ -226,7 +226,7 @@ def test_impossible_late_future_and_double_values_are_counted_and_change_nothing
 
 def test_a_vehicle_never_heard_of_is_unknown_with_the_reason():
     where = FleetFilter().estimate(7, 0.0)
-    assert isinstance(where, Unknown)
+    assert isinstance(where, NoEstimate)
     assert "no measurement" in where.reason
 
 
@@ -248,7 +248,7 @@ def test_it_answers_for_shortly_before_the_newest_measurement():
 def test_a_vehicle_whose_gps_is_back_is_its_own_witness_again():
     flight = Flight(FleetFilter(), {4})
     flight.run(20.0)
-    flight.subjects = set()
+    flight.denied = set()
     flight.run(22.0)
     assert flight.error_m(4) < 2.0
 
@@ -257,14 +257,14 @@ def test_at_most_k_peers_are_used():
     estimator = FleetFilter(FleetSettings(peers_per_subject=3))
     rng = np.random.default_rng(1)
     places = {v: np.array([*rng.uniform(-2000.0, 2000.0, 2), rng.uniform(80.0, 200.0)]) for v in range(10, 40)}
-    subject = np.array([0.0, 0.0, 100.0])
+    denied_vehicle = np.array([0.0, 0.0, 100.0])
     estimator.add(PositionMeasurement(1, 0.0, 0.0, (0.0, 0.0, 100.0), 1.0, 1.0, (0.0, 0.0, 0.0), 0.3))
-    estimator.set_subjects({1}, 0.01)
+    estimator.set_denied({1}, 0.01)
     for k in range(1, 60):
         t = 0.1 * k
         for v, place in places.items():
             estimator.add(PositionMeasurement(v, t, t, tuple(place.tolist()), 0.5, 0.5, (0.0, 0.0, 0.0), 0.3))
-            estimator.add(RangeMeasurement(1, v, t, t, float(np.linalg.norm(place - subject)), 1.0))
+            estimator.add(RangeMeasurement(1, v, t, t, float(np.linalg.norm(place - denied_vehicle)), 1.0))
     where = estimator.estimate(1, 6.0)
     assert isinstance(where, Estimate)
     assert where.ranges_in_use <= 6  # three, and those changed within the last two seconds

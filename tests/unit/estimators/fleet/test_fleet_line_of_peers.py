@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gcs_coloc.core.bound import horizontal_bound_95_m
+from gcs_coloc.core.error_bound import horizontal_bound_95_m
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.hypotheses import Twin
@@ -34,7 +34,7 @@ def course(seed: int, duration_s: float, extent_m: float) -> np.ndarray:
 
 
 def fly(
-    subject: np.ndarray, peers: dict[int, np.ndarray], seed: int, unheard: dict[int, tuple[float, float]] | None = None
+    denied_vehicle: np.ndarray, peers: dict[int, np.ndarray], seed: int, unheard: dict[int, tuple[float, float]] | None = None
 ) -> list[tuple[float, float, float]]:
     """Time, horizontal error and 95 % bound, wherever the latter is within the alert limit; ranges of 1 m to the peers.
 
@@ -42,16 +42,16 @@ def fly(
     """
     rng = np.random.default_rng(seed)
     estimator, stated = FleetFilter(), []
-    for k, here in enumerate(subject[:-1]):
+    for k, here in enumerate(denied_vehicle[:-1]):
         t = round(k * STEP_S, 6)
-        told = peers if t >= LOST_S else {**peers, SUBJECT: subject}
+        told = peers if t >= LOST_S else {**peers, SUBJECT: denied_vehicle}
         for v, places in told.items():
             e, n = (places[k] + rng.normal(size=2)).tolist()
             ve, vn = ((places[k + 1] - places[k]) / STEP_S + 0.2 * rng.normal(size=2)).tolist()
             estimator.add(PositionMeasurement(v, t, t, (e, n, HEIGHT_M), 1.0, 1.0, (ve, vn, 0.0), 0.3))
         if t < LOST_S:
             continue
-        estimator.set_subjects({SUBJECT}, t)
+        estimator.set_denied({SUBJECT}, t)
         estimator.add(AltitudeMeasurement(SUBJECT, t, t, HEIGHT_M + 0.3 * rng.normal(), 1.0))
         for v, places in peers.items():
             r = math.dist(here, places[k]) + rng.normal()
@@ -109,7 +109,7 @@ def test_a_doubt_that_a_peer_leaves_behind_lasts_until_others_show_where_it_is()
             estimator.add(PositionMeasurement(v, t, t, (e, n, HEIGHT_M), 1.0, 1.0, (0.0, 0.0, 0.0), 0.3))
         if t < LOST_S:
             continue
-        estimator.set_subjects({SUBJECT}, t)
+        estimator.set_denied({SUBJECT}, t)
         estimator.add(AltitudeMeasurement(SUBJECT, t, t, HEIGHT_M + 0.3 * rng.normal(), 1.0))
         for v, too_long_m in {1: 0.0, 2: 150.0 if t > 29.1 else 0.0, 3: 0.0}.items():
             if (v == 2 and t >= 30.0) or (v == 3 and t < 34.0):
@@ -125,7 +125,7 @@ def test_a_doubt_that_a_peer_leaves_behind_lasts_until_others_show_where_it_is()
 
 
 def convoy(seed: int, duration_s: float, behind: dict[int, int]) -> dict[int, np.ndarray]:
-    """Places (k, 2) of vehicles one behind the other at 20 m/s on a straight course; the subject weaves 20 m across it.
+    """Places (k, 2) of vehicles one behind the other at 20 m/s on a straight course; the denied vehicle weaves 20 m across it.
 
     `behind` tells how many gaps of 150 m each is behind the first.
     """

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from gcs_coloc.core.measurements import AltitudeMeasurement, PositionMeasurement, RangeMeasurement, Unknown
+from gcs_coloc.core.measurements import AltitudeMeasurement, NoEstimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 
 STEP_S = 0.2
@@ -61,13 +61,13 @@ def fly(kind: str, seed: int, peers: dict[int, tuple[float, float]], aside_from_
             e, n = (here + rng.normal(size=2)).tolist()
             estimator.add(PositionMeasurement(4, t, t, (e, n, 120.0), 1.0, 1.0, (ve, vn, 0.0), 0.3))
             continue
-        estimator.set_subjects({4}, t)
+        estimator.set_denied({4}, t)
         estimator.add(AltitudeMeasurement(4, t, t, 120.0 + 0.3 * rng.normal(), 1.0))
         for v, place in (peers | (ASIDE if t >= aside_from_s else {})).items():
             r = math.dist((*here, 120.0), (*place, 100.0)) + 2.0 * rng.normal()
             estimator.add(RangeMeasurement(4, v, t, t, r, 2.0))
         answer = estimator.estimate(4, t)
-        if isinstance(answer, Unknown):
+        if isinstance(answer, NoEstimate):
             flown.reasons.append(answer.reason)
             continue
         d = answer.position_enu_m[:2] - here

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gcs_coloc.core.bound import horizontal_bound_95_m
+from gcs_coloc.core.error_bound import horizontal_bound_95_m
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 
@@ -27,7 +27,7 @@ def fly(
         estimator.add(PositionMeasurement(v, 0.0, 0.0, (east_m, north_m, 0.0), 0.3, 0.3, static=True))
     start = (-200.0, 180.0 * side, HEIGHT_M)
     estimator.add(PositionMeasurement(SUBJECT, 0.0, 0.0, start, 1.5, 2.0, (SPEED_MPS, 0.0, 0.0), 0.3))
-    estimator.set_subjects({SUBJECT}, 0.05)
+    estimator.set_denied({SUBJECT}, 0.05)
     for k in range(1, 25 * len(peers)):
         t = k / len(peers)
         here = (-200.0 + SPEED_MPS * t, 180.0, HEIGHT_M)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.estimators.dop import horizontal_dilution
 from gcs_coloc.estimators.fleet.peers import choose_peers
+from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution
 
 NONE: frozenset[int] = frozenset()
 HERE = np.array([0.0, 0.0, 100.0])

@@ -10,12 +10,12 @@ from gcs_coloc.estimators.fleet.start import StartProblem, solve_start
 LIMIT_M = 200.0
 
 
-def problem(subject, peers, *, altitude=True, velocity=(0.0, 0.0, 0.0), sigma_m=1.0, seed=0, late=()):
+def problem(denied_vehicle, peers, *, altitude=True, velocity=(0.0, 0.0, 0.0), sigma_m=1.0, seed=0, late=()):
     rng = np.random.default_rng(seed)
     p = StartProblem(4.0)
     for k in range(20):
         t = 0.2 * k
-        where = np.array(subject) + np.array(velocity) * (t - 4.0)
+        where = np.array(denied_vehicle) + np.array(velocity) * (t - 4.0)
         for i, peer in enumerate(peers):
             report = PositionMeasurement(i, 0.0, 0.0, peer, 0.3, 0.3, (0.0, 0.0, 0.0), 0.2)
             r = float(np.linalg.norm(where - np.array(peer))) + sigma_m * rng.normal() + (80.0 if (k, i) in late else 0.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fleet_in_flight import Fleet, circling
 
-from gcs_coloc.core.bound import horizontal_bound_95_m
+from gcs_coloc.core.error_bound import horizontal_bound_95_m
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 
@@ -34,7 +34,7 @@ class Flight:
         east_m, north_m, up_m = subject_at(0.0).tolist()
         start = (east_m, north_m + off_m, up_m)
         self.estimator.add(PositionMeasurement(SUBJECT, 0.0, 0.0, start, 1.5, 2.0, (SPEED_MPS, 0.0, 0.0), 0.3))
-        self.estimator.set_subjects({SUBJECT}, 0.0)
+        self.estimator.set_denied({SUBJECT}, 0.0)
 
     def ratios(self, end_s: float) -> list[tuple[float, float]]:
         """Fly; return the errors in units of the 95 % bounds, with their times, wherever that bound is within 50 m."""
@@ -82,7 +82,7 @@ def test_one_that_is_heard_again_after_minutes_hours_or_weeks_is_located_again(s
     estimator = FleetFilter()
     for vehicle in fleet.paths:
         estimator.add(fleet.position(vehicle, 0.0))
-    estimator.set_subjects({4}, 0.1)
+    estimator.set_denied({4}, 0.1)
     errors_m = []
     for begun_s in (0.2, silent_s):
         for t in np.arange(begun_s, begun_s + 20.0, 0.2).tolist():

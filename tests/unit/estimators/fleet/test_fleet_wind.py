@@ -19,7 +19,7 @@ def subject_at(t: float) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_wind_learned_from_a_false_velocity_does_not_outlast_the_ranges_that_contradict_it(seed):
-    """Until its loss the subject reports twice its speed, which beside its airspeed makes a wind of 50 m/s.
+    """Until its loss the denied vehicle reports twice its speed, which beside its airspeed makes a wind of 50 m/s.
 
     In the end it is known to be where it is: within four sigmas, and these no more than what 30 m ranges give in a minute.
     """
@@ -28,7 +28,7 @@ def test_a_wind_learned_from_a_false_velocity_does_not_outlast_the_ranges_that_c
     for k in range(round(END_S * 10.0)):
         t = 0.1 * k
         if k == round(LOST_S * 10.0):
-            estimator.set_subjects({SUBJECT}, t)
+            estimator.set_denied({SUBJECT}, t)
         for p, (east, north) in PEERS.items():
             at = np.array([east, north, 100.0]) + 0.5 * rng.normal(size=3)
             estimator.add(PositionMeasurement(p, t, t, tuple(at.tolist()), 2.0, 3.0, (0.0, 0.0, 0.0), 0.5))

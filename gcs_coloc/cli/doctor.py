@@ -1,0 +1,61 @@
+"""`gcs-coloc doctor`: listens to the vehicles and says what would stop co-localisation, and the mend."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from gcs_coloc.config.fleets import load_settings
+from gcs_coloc.core.errors import UsageError
+from gcs_coloc.doctor.findings import Setup
+from gcs_coloc.doctor.listen import listen
+from gcs_coloc.doctor.report import Report
+from gcs_coloc.runtime.clock import ServiceClock
+from gcs_coloc.runtime.host_clock import read_host_clock
+
+
+def doctor(
+    udp: Annotated[
+        list[str] | None, typer.Option(help="Listen for vehicles on a UDP port: PORT or HOST:PORT. May be given several times.")
+    ] = None,
+    link: Annotated[
+        list[str] | None, typer.Option(help="A link to vehicles, by connection string. May be given several times.")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="The configuration file (TOML) of the flight; flags win over it.")] = None,
+    fleet: Annotated[str | None, typer.Option(help="Which fleet of the configuration file, where that is of several.")] = None,
+    aid: Annotated[
+        list[int] | None,
+        typer.Option(
+            min=1, max=255, help="A vehicle (system id) that is to be located; several times for several. All, unless told."
+        ),
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=5.0, max=3600.0, help="How long to listen.")] = 15.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+) -> None:
+    """Check the set-up before a flight: the vehicles' parameters, telemetry, ranges, addresses and clocks."""
+    links = [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
+    flags: dict[str, Any] = {"links": links} if links else {}
+    settings = load_settings(config, flags, fleet)
+    if not settings.links:
+        raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")
+    told = f"listening on {', '.join(settings.links)} for {seconds:g} s"
+    clock = ServiceClock()
+    findings = asyncio.run(listen(settings, seconds, clock, read_host_clock(clock()), lambda: print(told, file=sys.stderr)))
+    setup = Setup(
+        settings.mavlink.system_id,
+        settings.aid,
+        settings.time.require_synchronised_clock,
+        frozenset(aid or ()),
+    )
+    report = Report(findings, setup)
+    if as_json:
+        print(json.dumps(report.as_json(), indent=2))
+    else:
+        print("\n".join(report.lines()))
+    if not report.is_ready:
+        raise typer.Exit(1)

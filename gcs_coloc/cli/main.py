@@ -1,0 +1,198 @@
+"""The command line. Plain `gcs-coloc --udp 14550` runs the service; everything else is a subcommand."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import sys
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.logging import RichHandler
+
+from gcs_coloc import __version__
+from gcs_coloc.cli.command_group import LateCommands
+from gcs_coloc.core.errors import GcsColocError, UsageError
+from gcs_coloc.runtime.blas_threads import one_thread
+from gcs_coloc.runtime.standard_streams import NOBODY_READS, discard_output, open_all
+from gcs_coloc.sinks.log_writer import LineHandler, LogWriter, own_stream
+
+PROGRAM = "gcs-coloc"
+
+# Newer Typers carry a Click of their own inside; this names the base of their usage errors in either case.
+_BadCommandLine: type[Exception] = typer.BadParameter.__bases__[0]
+
+app = typer.Typer(
+    name=PROGRAM,
+    cls=LateCommands,
+    help="Locates MAVLink vehicles whose GPS has failed from their ranges to neighbours, and sends them their position.",
+    epilog="Example: gcs-coloc --udp 14550",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+class LogLevel(str, Enum):  # noqa: UP042 - typer shows the values of a str Enum as choices
+    """How much is logged."""
+
+    DEBUG = "debug"
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+def main() -> None:
+    """Entry point of `gcs-coloc`. A user's mistake ends in one line on stderr and exit code 2 or 1, never in a traceback."""
+    one_thread()
+    open_all()
+    try:
+        status = app(prog_name=PROGRAM, standalone_mode=False)
+        sys.stdout.flush()
+    except _BadCommandLine as error:
+        context = getattr(error, "ctx", None)
+        command = context.command_path if context is not None else PROGRAM
+        _fail(f"{error.format_message().replace('Value error, ', '')} (see {command} --help)", UsageError.exit_code)  # type: ignore[attr-defined]
+    except GcsColocError as error:
+        _fail(str(error), error.exit_code)
+    except (typer.Abort, KeyboardInterrupt):
+        sys.exit(130)
+    except OSError as error:
+        if error.errno not in NOBODY_READS or error.filename is not None:
+            raise
+        discard_output()
+        if error.errno == errno.EPIPE:  # the reader, such as `head`, has what it wanted
+            sys.exit(1)
+        _fail(f"the output cannot be written: {error.strerror}", 1)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _fail(text: str, code: int) -> None:
+    print(f"{PROGRAM}: error: {' '.join(text.split())}", file=sys.stderr)
+    sys.exit(code)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"{PROGRAM} {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def run(
+    context: typer.Context,
+    udp: Annotated[
+        list[str] | None, typer.Option(help="Listen for vehicles on a UDP port: PORT or HOST:PORT. May be given several times.")
+    ] = None,
+    link: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A link to vehicles: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or "
+            "serial:DEVICE:BAUD. May be given several times."
+        ),
+    ] = None,
+    out: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A ground tool to hand the vehicles' frames on to and take commands from: udp:HOST:PORT, udpin:HOST:PORT, "
+            "tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD. May be given several times."
+        ),
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="A configuration file (TOML); flags win over it.")] = None,
+    estimator: Annotated[
+        str | None, typer.Option(help="fleet, qu_zhang, or a plug-in: package.module:Class or path/to/file.py:Class.")
+    ] = None,
+    failed: Annotated[
+        list[int] | None,
+        typer.Option(help="Declare the GPS of this system id failed, whatever it says. Several times for several."),
+    ] = None,
+    healthy: Annotated[
+        list[int] | None,
+        typer.Option(help="Declare the GPS of this system id healthy, whatever it says. Several times for several."),
+    ] = None,
+    web: Annotated[str | None, typer.Option(help="Address of the live page, HOST:PORT; 127.0.0.1:8080 unless told.")] = None,
+    no_web: Annotated[bool, typer.Option("--no-web", help="Serve no live page.")] = False,
+    record: Annotated[str | None, typer.Option(help="Record the flight in this directory.", metavar="DIR")] = None,
+    log_level: Annotated[LogLevel, typer.Option(help="How much is logged.")] = LogLevel.INFO,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Run the service on the links that are given, until Ctrl-C, SIGTERM or SIGHUP."""
+    del version
+    if context.invoked_subcommand is not None:
+        return
+    from gcs_coloc.config.fleets import load_fleets
+    from gcs_coloc.service.service import Service
+    from gcs_coloc.sinks.live_table import SharedConsole
+
+    links = [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
+    flags: dict[str, Any] = {}
+    if links:
+        flags["links"] = links
+    if out:
+        flags["out"] = out
+    if estimator is not None:
+        flags["estimator"] = {"name": estimator}
+    if failed or healthy:
+        flags["fleet"] = {key: sysids for key, sysids in (("failed", failed), ("healthy", healthy)) if sysids}
+    if web is not None and no_web:
+        raise UsageError("--web and --no-web exclude each other")
+    if web is not None:
+        flags["web"] = {"on": True, "address": web}
+    elif no_web:
+        flags["web"] = {"on": False}
+    if record is not None:
+        if not record:
+            raise UsageError("--record '': names no directory; . is the one you are in")
+        flags["record"] = {"directory": record}
+    fleets = load_fleets(config, flags)
+    if not all(fleet.settings.links for fleet in fleets) or not fleets:
+        raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")
+    console = SharedConsole(file=own_stream(sys.stdout))
+    _log_to_stderr(log_level, console)
+    asyncio.run(Service(fleets).run(console))
+
+
+@app.command("check-config")
+def check_config(file: Annotated[Path, typer.Argument(help="The configuration file (TOML).", metavar="FILE")]) -> None:
+    """Check a configuration file, fleet by fleet: keys, values, links, estimator, and every file that it names."""
+    from gcs_coloc.config.fleets import load_fleets
+    from gcs_coloc.estimators.registry import load_estimator
+    from gcs_coloc.links.forward import check_outs
+    from gcs_coloc.links.signed_links import SignedLinks
+    from gcs_coloc.sinks.mqtt import read_credentials
+    from gcs_coloc.web.server import read_token
+    from gcs_coloc.web.tiles import TileFile
+
+    found = []
+    for fleet in load_fleets(file, {}):
+        settings = fleet.settings
+        with fleet.named():
+            check_outs(settings.out, settings.links)
+            SignedLinks(settings.signing, settings.links, settings.out)
+            load_estimator(settings.estimator.name, settings.estimator.settings)
+            read_credentials(settings.mqtt)
+            if settings.web.token_file:
+                read_token(Path(settings.web.token_file))
+            if settings.web.tiles:
+                TileFile(Path(settings.web.tiles))
+        whose = f"fleet {fleet.name}: " if fleet.name else ""
+        found.append(f"{whose}{len(settings.links)} link(s), estimator {settings.estimator.name}")
+    print(f"{file}: good; {'; '.join(found)}")
+
+
+def _log_to_stderr(level: LogLevel, console: Console) -> None:
+    handler: logging.Handler
+    if console.is_terminal:
+        # Through the table's own console, so that lines scroll above it.
+        handler = RichHandler(console=console, show_path=False)
+        handler.setFormatter(logging.Formatter("%(message)s"))
+    else:
+        handler = LineHandler(own_stream(sys.stderr))
+        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    logging.basicConfig(level=level.value.upper(), handlers=[LogWriter(handler)], force=True)

@@ -1,0 +1,188 @@
+"""Configuration: a TOML file, environment variables and command-line flags become frozen settings; unknown keys are refused.
+
+Flags win over the environment (`GCS_COLOC_...`, nested keys joined by two underscores), which wins over the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, ValidationError
+from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict, SettingsError
+
+from gcs_coloc.config.sections import (
+    AidingConfig,
+    EstimatorConfig,
+    FleetConfig,
+    ForwardConfig,
+    HealthConfig,
+    MavlinkConfig,
+    MeasurementConfig,
+    MqttConfig,
+    RecordConfig,
+    SendersConfig,
+    SigningConfig,
+    TimeConfig,
+    WebConfig,
+)
+from gcs_coloc.core.engine import EngineSettings
+from gcs_coloc.core.errors import ConfigError
+
+_ENVIRONMENT = "GCS_COLOC_"
+_LEVEL = "__"
+_VALUE_ERROR = "Value error, "
+_FLAGS = {
+    ("fleet", "failed"): "--failed",
+    ("fleet", "healthy"): "--healthy",
+    ("web", "address"): "--web",
+}
+"""The flags that a wrong value may have come from, by the setting."""
+
+
+class Settings(BaseSettings):
+    """All that can be set for one fleet. Every key has a default but `links`: a service without a link has nothing to do."""
+
+    model_config = SettingsConfigDict(extra="forbid", frozen=True, env_prefix=_ENVIRONMENT, env_nested_delimiter=_LEVEL)
+
+    links: tuple[str, ...] = Field(
+        (), description="connection strings: udpin:HOST:PORT, udpout:, tcp:, tcpin:, serial:DEVICE:BAUD"
+    )
+    out: tuple[str, ...] = Field(
+        (), description="ground tools to hand the vehicles' frames on to: HOST:PORT, udp:, udpin:, tcp:, tcpin:, serial:"
+    )
+    mavlink: MavlinkConfig = Field(default_factory=lambda: MavlinkConfig.model_validate({}))
+    signing: SigningConfig = Field(default_factory=lambda: SigningConfig.model_validate({}))
+    senders: SendersConfig = Field(default_factory=lambda: SendersConfig.model_validate({}))
+    forward: ForwardConfig = Field(default_factory=lambda: ForwardConfig.model_validate({}))
+    fleet: FleetConfig = Field(default_factory=lambda: FleetConfig.model_validate({}))
+    estimator: EstimatorConfig = Field(default_factory=lambda: EstimatorConfig.model_validate({}))
+    web: WebConfig = Field(default_factory=lambda: WebConfig.model_validate({}))
+    record: RecordConfig = Field(default_factory=lambda: RecordConfig.model_validate({}))
+    mqtt: MqttConfig = Field(default_factory=lambda: MqttConfig.model_validate({}))
+    health: HealthConfig = Field(default_factory=HealthConfig)
+    feed: MeasurementConfig = Field(default_factory=MeasurementConfig)
+    aid: AidingConfig = Field(default_factory=AidingConfig)
+    time: TimeConfig = Field(default_factory=TimeConfig)
+
+    def engine(self) -> EngineSettings:
+        """The part that the engine needs."""
+        return EngineSettings(
+            health=self.health,
+            feed=self.feed,
+            aid=self.aid,
+            time=self.time,
+            request_streams=self.fleet.request_streams,
+            most_vehicles=self.fleet.most_vehicles,
+        )
+
+    def fingerprint(self) -> str:
+        """A few digits that stand for all that the engine's answers depend on: the estimator, its settings and `engine`."""
+        all_of_it = {"estimator": self.estimator.model_dump(), "engine": asdict(self.engine())}
+        return hashlib.sha256(json.dumps(all_of_it, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def read_table(path: Path) -> dict[str, Any]:
+    """The table in a TOML file.
+
+    Raises:
+        ConfigError: the file cannot be read or parsed.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Windows' editors begin a file with a byte order mark
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: is not a text file in UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: is not valid TOML: {error}") from None
+
+
+def settings_of(table: Mapping[str, Any], flags: Mapping[str, Any], source: str) -> Settings:
+    """Settings from the flags, then the environment, then a file's table; `source` is named in errors.
+
+    Raises:
+        ConfigError: a key is unknown, or a value impossible; the text names them.
+    """
+
+    class FromFile(Settings):
+        @classmethod
+        def settings_customise_sources(
+            cls,
+            settings_cls: type[BaseSettings],
+            init_settings: PydanticBaseSettingsSource,
+            env_settings: PydanticBaseSettingsSource,
+            dotenv_settings: PydanticBaseSettingsSource,
+            file_secret_settings: PydanticBaseSettingsSource,
+        ) -> tuple[PydanticBaseSettingsSource, ...]:
+            del dotenv_settings, file_secret_settings
+            return init_settings, env_settings, InitSettingsSource(settings_cls, init_kwargs=dict(table))
+
+    _refuse_unknown_variables()
+    try:
+        return FromFile(**flags)
+    except SettingsError as error:
+        # Its own text names the field, its cause what is wrong with the JSON.
+        raise ConfigError(
+            f"environment variable {_ENVIRONMENT}...: {error}; lists and tables are JSON, as '[\"14550\"]'"
+        ) from None
+    except ValidationError as error:
+        problems = [_flag_problem(e, flags) or (_variable_of(e, flags) or source, _problem(e)) for e in error.errors()]
+        by_source = groupby(problems, key=lambda problem: problem[0])
+        raise ConfigError("; ".join(f"{where}: {'; '.join(text for _, text in found)}" for where, found in by_source)) from None
+
+
+def _flag_problem(error: Any, flags: Mapping[str, Any]) -> tuple[str, str] | None:
+    """The flag that a wrong value came from, and what is wrong with it; None where it came from elsewhere."""
+    setting = next((each for each in _FLAGS if each == error["loc"][: len(each)]), None)
+    if setting is None or not _set_by_flag(setting, flags):
+        return None
+    return _FLAGS[setting], _problem(error).removeprefix(".".join(str(part) for part in error["loc"]) + ": ")
+
+
+def _set_by_flag(setting: tuple[Any, ...], flags: Mapping[str, Any]) -> bool:
+    value: Any = flags
+    for key in setting:
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return value is not None
+
+
+def _variable_of(error: Any, flags: Mapping[str, Any]) -> str | None:
+    """The environment variable that a setting has its value from, None where it comes from a flag, the file or nowhere."""
+    # A section that is checked as a whole names its setting by the first word of the text.
+    place = (*error["loc"], *error["msg"].removeprefix(_VALUE_ERROR).split()[:1])
+    if _set_by_flag(error["loc"], flags):
+        return None
+    names = {name.upper(): name for name in os.environ}
+    wanted = (_ENVIRONMENT + _LEVEL.join(str(key) for key in place[:depth]).upper() for depth in range(len(place), 0, -1))
+    found = next((names[name] for name in wanted if name in names), None)
+    return f"environment variable {found}" if found is not None else None
+
+
+def _refuse_unknown_variables() -> None:
+    """pydantic-settings passes over a variable whose section does not exist; a key in one that does is refused with the rest."""
+    for name in sorted(os.environ):
+        if not name.upper().startswith(_ENVIRONMENT):
+            continue
+        section = name[len(_ENVIRONMENT) :].lower().split(_LEVEL)[0]
+        if section not in Settings.model_fields:
+            raise ConfigError(f"environment variable {name}: there is no {section!r} to set; see the configuration reference")
+
+
+def _problem(error: Any) -> str:
+    key = ".".join(str(part) for part in error["loc"])
+    if error["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        return f"{key}: unknown key; see the configuration reference for those there are"
+    if error["type"] == "tuple_type":
+        return f"{key}: must be a list, in brackets: [...]"
+    if error["type"] in ("dataclass_type", "model_type", "dict_type"):
+        return f"{key}: must be a table of settings, [{key}]"
+    text = error["msg"].removeprefix(_VALUE_ERROR)
+    return f"{key}: {text[0].lower() + text[1:]}" if key else text

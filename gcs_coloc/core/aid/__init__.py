@@ -1,1 +1,0 @@
-"""The aid of a vehicle without GPS: who gets it and when, which way it goes, what is said, and what became of it."""

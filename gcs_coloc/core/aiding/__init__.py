@@ -1,0 +1,1 @@
+"""Who is sent a position, by which method, and whether the autopilot uses it."""

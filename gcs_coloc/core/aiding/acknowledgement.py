@@ -1,0 +1,82 @@
+"""Whether a vehicle takes our GPS_INPUT: what it says of the receiver that we feed (GPS2_RAW) against what was sent."""
+
+from __future__ import annotations
+
+from math import hypot
+
+from gcs_coloc.core.geodesy import horizontal_distance_m
+from gcs_coloc.core.messages.inbound import GpsReceiver
+from gcs_coloc.core.messages.outbound import GpsInput
+
+_JUDGED_AFTER_S = 5.0
+_SILENCE_S = 3.0
+_LINGERS_S = 6.0  # ArduPilot keeps a fix for 4 s after the last message with one
+_NEAR_M, _NEAR_S = 50.0, 2.0
+_HAS_FIX = 3
+_NOT_OURS = "is it a receiver of its own, or does somebody else feed it?"
+
+
+class FixAcknowledgement:
+    """One stream of GPS_INPUT to one vehicle. `taken` is None until it can be told, and then why it is not, is in `fault`."""
+
+    def __init__(self, gps_id: int, began_at_s: float) -> None:
+        self.taken: bool | None = None
+        self.fault: str | None = None
+        self._name = f"GPS{gps_id + 1}"
+        self._message = "GPS_RAW_INT" if gps_id == 0 else "GPS2_RAW"
+        self._gps_id = gps_id
+        self._fix: GpsInput | None = None
+        self._no_fix_since_s: float | None = began_at_s
+        self._heard: GpsReceiver | None = None
+        self._wrong_since_s: float | None = None
+        self._alarmed = False
+
+    def sent(self, message: GpsInput, now_s: float) -> None:
+        """Note what was sent."""
+        if message.fix_type >= _HAS_FIX:
+            self._fix, self._no_fix_since_s = message, None
+        else:
+            self._fix = None
+            self._no_fix_since_s = now_s if self._no_fix_since_s is None else self._no_fix_since_s
+
+    def heard(self, receiver: GpsReceiver) -> None:
+        """Note what the vehicle says of the receiver that we feed."""
+        self._heard = receiver
+
+    def review(self, now_s: float) -> tuple[str, str] | None:
+        """Judge; level and text of what is to be told, where it has changed."""
+        fault = self._fault_now(now_s)
+        if fault is not None:
+            self._wrong_since_s = now_s if self._wrong_since_s is None else self._wrong_since_s
+            if now_s - self._wrong_since_s < _JUDGED_AFTER_S:
+                return None
+            self.taken, self.fault = False, fault
+            if self._alarmed:
+                return None
+            self._alarmed = True
+            return "error", f"GPS_INPUT is not taken: {fault}"
+        self._wrong_since_s, self.fault = None, None
+        # A vehicle that says as we do that there is no fix has shown nothing yet.
+        self.taken = True if self._fix is not None else None if self.taken is False else self.taken
+        if not (self._alarmed and self.taken):
+            return None
+        self._alarmed = False
+        return "info", "GPS_INPUT is taken"
+
+    def _fault_now(self, now_s: float) -> str | None:
+        heard = self._heard
+        mend = f"are {self._name}_TYPE=14, gps_id={self._gps_id} and MAV_OPTIONS right?"
+        if heard is None or now_s - heard.received_at_s > _SILENCE_S:
+            return f"no {self._message} is heard from it; {mend}"
+        if self._fix is None:
+            since_s = self._no_fix_since_s
+            if since_s is not None and now_s - since_s > _LINGERS_S and heard.fix_type >= _HAS_FIX:
+                return f"its {self._name} has a fix that was not sent: {_NOT_OURS}"
+            return None
+        if heard.fix_type < _HAS_FIX:
+            return f"its {self._name} says fix type {heard.fix_type} while positions are sent; {mend}"
+        off_m = horizontal_distance_m(heard.lat_deg, heard.lon_deg, self._fix.lat_deg, self._fix.lon_deg)
+        speed_mps = hypot(self._fix.vn_mps, self._fix.ve_mps)
+        if off_m > _NEAR_M + _NEAR_S * speed_mps:
+            return f"its {self._name} is {off_m:.0f} m off what is sent: {_NOT_OURS}"
+        return None

@@ -1,0 +1,53 @@
+"""Somebody else who sends a vehicle GPS_INPUT: two senders for one receiver would be taken in turns, so ours stands down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.messages.aiding import ForeignGpsInput
+from gcs_coloc.core.messages.outbound import Notice
+
+
+@dataclass(slots=True)
+class _Other:
+    sender: int
+    heard_at_s: float
+    told: bool = False
+
+
+class ForeignGpsInputMonitor:
+    """Which vehicles somebody else feeds on the receiver instance that we feed; what feeds another one is no rival."""
+
+    def __init__(self, settings: AidingSettings) -> None:
+        self._gps_id = settings.gps_id
+        self._stand_down_s = settings.stand_down_s
+        self._others: dict[int, _Other] = {}
+
+    def heard(self, message: ForeignGpsInput) -> None:
+        """Take note of one message."""
+        if message.vehicle is None or message.gps_id != self._gps_id:
+            return
+        other = self._others.get(message.vehicle)
+        if other is None:
+            self._others[message.vehicle] = _Other(message.sysid, message.received_at_s)
+        else:
+            other.sender, other.heard_at_s = message.sysid, message.received_at_s
+
+    def review(self, sysid: int, now_s: float) -> list[Notice]:
+        """What is to be told of a vehicle's other sender: once when it is there, and when it has been gone for a while."""
+        other = self._others.get(sysid)
+        if other is None:
+            return []
+        if now_s - other.heard_at_s > self._stand_down_s:
+            del self._others[sysid]
+            return [Notice(now_s, sysid, "info", f"nobody else has sent it GPS_INPUT for {self._stand_down_s:g} s")]
+        if other.told:
+            return []
+        other.told = True
+        return [Notice(now_s, sysid, "error", f"{self.inhibit_reason(sysid)}: ours stands down")]
+
+    def inhibit_reason(self, sysid: int) -> str | None:
+        """Why a vehicle is not aided, in words; None where nobody else does."""
+        other = self._others.get(sysid)
+        return f"system {other.sender} sends it GPS_INPUT for receiver {self._gps_id}" if other is not None else None

@@ -1,0 +1,97 @@
+"""What is said to an aided vehicle: an Estimate turned into the content of GPS_INPUT, honest or not at all.
+
+Position and velocity are those of `lag_s` ago, because ArduPilot's driver takes the data to be that old (GPS_DELAY).
+HDOP is what its definition says, the position's horizontal 1-sigma in units of the 1-sigma of one range (the peer's own error
+included), for the filtered position: the geometry of the moment alone would call a position bad that the filter knows well.
+
+Where the position may not be claimed as a fix (`fix_policy`), the message goes out all the same, at the same rate, with
+fix_type 1: the autopilot then knows that the receiver lives and has no fix.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from gcs_coloc.core.clocks.gps_time import gps_week_and_ms
+from gcs_coloc.core.error_bound import horizontal_sigma_m, worst_sigma
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.measurements import Estimate
+from gcs_coloc.core.messages.outbound import GpsInput
+
+_FIX_3D, _NO_FIX = 3, 1
+_SATELLITES_WITH_FIX = 7  # enough for EKF3 (6), never so many that a switch by count would prefer us to a real receiver
+_UNKNOWN_ACCURACY_M = 9999.0
+_UNKNOWN_DOP = 99.99
+
+
+def gps_input(
+    sysid: int,
+    answer: Estimate | None,
+    frame: LocalFrame | None,
+    range_error_m: float | None,
+    unix_s: float | None,
+    gps_id: int,
+) -> GpsInput:
+    """GPS_INPUT for one vehicle from the estimator's answer, None where that may not be claimed as a fix.
+
+    `range_error_m` is the 1-sigma of one range with the error of the peer's position in it, `unix_s` the UTC time of the
+    answer; both None where unknown.
+    """
+    week, week_ms = gps_week_and_ms(unix_s) if unix_s is not None else (0, 0)
+    time_usec = round(unix_s * 1e6) if unix_s is not None else 0
+    if frame is None or answer is None:
+        return no_fix(sysid, gps_id, time_usec, week, week_ms)
+    east_m, north_m, up_m = answer.position_enu_m.tolist()
+    ve, vn, vu = answer.velocity_enu_mps.tolist()
+    lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(east_m, north_m, up_m)
+    vn_mps, ve_mps, vd_mps = frame.ned_from_enu_velocity(lat_deg, lon_deg, (ve, vn, vu))
+    p = answer.covariance
+    vert_accuracy_m = sqrt(float(p[2, 2]))
+    return GpsInput(
+        sysid=sysid,
+        gps_id=gps_id,
+        time_usec=time_usec,
+        gps_week=week,
+        gps_time_of_week_ms=week_ms,
+        fix_type=_FIX_3D,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        alt_msl_m=alt_msl_m,
+        hdop=_dop(sqrt(float(p[0, 0] + p[1, 1])), range_error_m),
+        vdop=_dop(vert_accuracy_m, range_error_m),
+        vn_mps=vn_mps,
+        ve_mps=ve_mps,
+        vd_mps=vd_mps,
+        speed_accuracy_mps=worst_sigma(p[3:6, 3:6]),
+        horiz_accuracy_m=horizontal_sigma_m(p),
+        vert_accuracy_m=vert_accuracy_m,
+        satellites=_SATELLITES_WITH_FIX,
+    )
+
+
+def _dop(sigma_m: float, range_error_m: float | None) -> float:
+    return min(sigma_m / range_error_m, _UNKNOWN_DOP) if range_error_m is not None else _UNKNOWN_DOP
+
+
+def no_fix(sysid: int, gps_id: int, time_usec: int = 0, gps_week: int = 0, gps_time_of_week_ms: int = 0) -> GpsInput:
+    """GPS_INPUT that says: this receiver is alive and has no fix."""
+    return GpsInput(
+        sysid=sysid,
+        gps_id=gps_id,
+        time_usec=time_usec,
+        gps_week=gps_week,
+        gps_time_of_week_ms=gps_time_of_week_ms,
+        fix_type=_NO_FIX,
+        lat_deg=0.0,
+        lon_deg=0.0,
+        alt_msl_m=0.0,
+        hdop=_UNKNOWN_DOP,
+        vdop=_UNKNOWN_DOP,
+        vn_mps=0.0,
+        ve_mps=0.0,
+        vd_mps=0.0,
+        speed_accuracy_mps=_UNKNOWN_ACCURACY_M,
+        horiz_accuracy_m=_UNKNOWN_ACCURACY_M,
+        vert_accuracy_m=_UNKNOWN_ACCURACY_M,
+        satellites=0,
+    )

@@ -1,0 +1,1 @@
+"""The GPS health of each vehicle: a state machine fed with evidence."""

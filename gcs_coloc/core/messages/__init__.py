@@ -1,0 +1,1 @@
+"""The messages that enter and leave the core, all frozen, each with its time."""

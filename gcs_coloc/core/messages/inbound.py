@@ -1,0 +1,194 @@
+"""What vehicles say: frozen messages with units in their names. What others say: `words`; what the engine gives out: `outputs`.
+
+Conventions for all of them, those of `words`, `outputs` and `aid_messages` as well:
+
+- `sysid` is the MAVLink system id of the vehicle the message is about.
+- `received_at_s` is the arrival time on the service's clock (seconds, monotonic, arbitrary epoch).
+- `boot_s` is the sender's own clock, seconds since its boot; `None` where the wire message carries no time.
+- Angles are radians except latitudes and longitudes, which are degrees (WGS 84).
+- Altitudes are metres above mean sea level, velocities are metres per second in north, east, down.
+- An optional field is `None` where the sender marked it as unknown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+
+from gcs_coloc.core.messages.aiding import CommandResult, ParameterValue
+from gcs_coloc.core.messages.control import ControlInput
+
+
+class Autopilot(Enum):
+    """The autopilot family that a HEARTBEAT announces; it decides which aid the vehicle can take."""
+
+    ARDUPILOT = "ArduPilot"
+    PX4 = "PX4"
+    OTHER = "other"
+
+
+class TimeBase(StrEnum):
+    """The clock in which a range's measuring time is given."""
+
+    BOOT = "boot"
+    UNIX = "unix"
+    SERVICE = "service"
+
+
+@dataclass(frozen=True, slots=True)
+class Heartbeat:
+    """HEARTBEAT (0) of an autopilot component. Heartbeats of ground stations and peripherals are not turned into this.
+
+    `winged`: the vehicle is of a type that flies along its nose and turns by banking.
+    """
+
+    sysid: int
+    received_at_s: float
+    autopilot: Autopilot
+    armed: bool
+    winged: bool
+
+
+@dataclass(frozen=True, slots=True)
+class GlobalPosition:
+    """GLOBAL_POSITION_INT (33): the autopilot's own position estimate.
+
+    For a vehicle without GPS this is dead reckoning or an echo of what we sent: only its altitude is evidence then.
+    """
+
+    sysid: int
+    received_at_s: float
+    boot_s: float
+    lat_deg: float
+    lon_deg: float
+    alt_msl_m: float
+    vn_mps: float
+    ve_mps: float
+    vd_mps: float
+
+
+@dataclass(frozen=True, slots=True)
+class GpsReceiver:
+    """GPS_RAW_INT (24, `receiver` 0) or GPS2_RAW (124, `receiver` 1): what one receiver says of itself.
+
+    Without a fix (`fix_type` below 2) its position is 0, 0, 0. `h_acc_m`, `v_acc_m` and `speed_acc_mps` are 1-sigma; ArduPilot
+    leaves them at their last good value when a fix is lost. `fixed_boot_s` is when the autopilot heard of the fix (`time_usec`).
+    """
+
+    sysid: int
+    received_at_s: float
+    receiver: int
+    fix_type: int
+    lat_deg: float
+    lon_deg: float
+    alt_msl_m: float
+    satellites: int | None
+    hdop: float | None
+    h_acc_m: float | None
+    v_acc_m: float | None
+    speed_acc_mps: float | None
+    fixed_boot_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SystemHealth:
+    """SYS_STATUS (1), the GPS bit (0x20) of its three sensor masks."""
+
+    sysid: int
+    received_at_s: float
+    gps_present: bool
+    gps_enabled: bool
+    gps_healthy: bool
+
+
+@dataclass(frozen=True, slots=True)
+class EkfStatus:
+    """EKF_STATUS_REPORT (193, ArduPilot) or ESTIMATOR_STATUS (230, PX4), reduced to the flags that both have."""
+
+    sysid: int
+    received_at_s: float
+    horizontal_position_absolute: bool
+    constant_position_mode: bool
+    gps_glitching: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Attitude:
+    """ATTITUDE (30): roll, pitch and yaw of the body in radians; yaw from true north, clockwise."""
+
+    sysid: int
+    received_at_s: float
+    boot_s: float
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Airspeed:
+    """VFR_HUD (74): calibrated or indicated airspeed. The wire message carries no time."""
+
+    sysid: int
+    received_at_s: float
+    airspeed_mps: float
+
+
+@dataclass(frozen=True, slots=True)
+class SystemTime:
+    """SYSTEM_TIME (2): the sender's UNIX time (None until it has one) beside its boot time."""
+
+    sysid: int
+    received_at_s: float
+    boot_s: float
+    unix_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSyncAnswer:
+    """TIMESYNC (111) in answer to a request: our time as echoed, and the sender's clock, both in nanoseconds."""
+
+    sysid: int
+    received_at_s: float
+    ts1_ns: int
+    tc1_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class PeerRange:
+    """A slant range between two vehicles, from PEER_RANGE (181600), RANGING_BEACON (513) or a named value.
+
+    `sysid` is the vehicle that measured and reports it, `peer_sysid` the other end. `measured_at_s` is on the clock
+    that `time_base` names, `None` where the wire message carries no time. `sigma_m` is `None` where it is unknown.
+    `line_of_sight` is the sender's own hint: 0 certainly obstructed to 1 certainly clear, `None` unknown.
+    `device_id` tells apart several ranging devices of one vehicle.
+    """
+
+    sysid: int
+    received_at_s: float
+    peer_sysid: int
+    range_m: float
+    sigma_m: float | None
+    measured_at_s: float | None
+    time_base: TimeBase
+    sequence: int | None
+    line_of_sight: float | None
+    device_id: int
+
+
+FromVehicle = (
+    Heartbeat
+    | GlobalPosition
+    | GpsReceiver
+    | SystemHealth
+    | EkfStatus
+    | Attitude
+    | Airspeed
+    | SystemTime
+    | TimeSyncAnswer
+    | PeerRange
+    | CommandResult
+    | ParameterValue
+)
+"""What vehicles say of themselves."""
+
+Inbound = FromVehicle | ControlInput

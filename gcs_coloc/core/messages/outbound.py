@@ -1,0 +1,82 @@
+"""What the engine gives out, for vehicles and for the operator. Conventions as in `messages`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gcs_coloc.core.messages.aiding import ExternalPosition, GlobalPositionSensor, ParameterRequest, ParameterSet
+
+
+@dataclass(frozen=True, slots=True)
+class GpsInput:
+    """GPS_INPUT (232) for one vehicle: a synthetic fix, to be sent to that vehicle's own address and nowhere else.
+
+    The message has no target field. `fix_type` is 3, or 1 where the position is unknown or too uncertain.
+    `gps_id` is the zero-based receiver instance. `gps_week` 0 means that the time is not known.
+    `yaw` is never sent: a course over ground is not a heading.
+    """
+
+    sysid: int
+    gps_id: int
+    time_usec: int
+    gps_week: int
+    gps_time_of_week_ms: int
+    fix_type: int
+    lat_deg: float
+    lon_deg: float
+    alt_msl_m: float
+    hdop: float
+    vdop: float
+    vn_mps: float
+    ve_mps: float
+    vd_mps: float
+    speed_accuracy_mps: float
+    horiz_accuracy_m: float
+    vert_accuracy_m: float
+    satellites: int
+
+
+@dataclass(frozen=True, slots=True)
+class StreamRequest:
+    """COMMAND_LONG MAV_CMD_SET_MESSAGE_INTERVAL (511): asks one vehicle for one message at one rate."""
+
+    sysid: int
+    message_id: int
+    interval_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSyncRequest:
+    """TIMESYNC (111) with tc1 0: asks one autopilot for its clock. No target field: for that vehicle's own address alone."""
+
+    sysid: int
+    ts1_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """A line for the operator: something happened to a vehicle (or to the fleet, `sysid` None) that a person should read."""
+
+    at_s: float
+    sysid: int | None
+    level: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class HealthChanged:
+    """The GPS health of a vehicle went from one state to another; states are `GpsState` values, the reason is in words."""
+
+    at_s: float
+    sysid: int
+    before: str
+    after: str
+    reason: str
+
+
+AidingMessage = GpsInput | ExternalPosition | GlobalPositionSensor
+"""What tells a vehicle where it is."""
+
+ToVehicle = AidingMessage | StreamRequest | TimeSyncRequest | ParameterRequest | ParameterSet
+ToOperator = Notice | HealthChanged
+Outbound = ToVehicle | ToOperator

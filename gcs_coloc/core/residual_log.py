@@ -1,0 +1,115 @@
+"""What the estimator made of the ranges of late: the newest residual of each pair, and each vehicle's consistency."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, insort
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
+
+from scipy.special import betaincinv, gammaincinv
+
+from gcs_coloc.core.measurements import Residual
+from gcs_coloc.core.snapshot import Consistency, RangeSnapshot
+
+_KEPT_S = 5.0
+_MOST = 4000
+_LEAST_FOR_MISFIT = 12
+
+
+class ResidualLog:
+    """The residuals measured in the last 5 s, at most 4000 of them. Fixes (residuals without a peer) are left out."""
+
+    def __init__(self) -> None:
+        self._recent: deque[Residual] = deque()
+        self._newest: dict[tuple[int, int], Residual] = {}
+        self._nis: dict[int, list[float]] = {}  # of each vehicle, ascending
+        self._refused: Counter[int] = Counter()
+        self._consistency: dict[int, Consistency] = {}  # of those vehicles of which nothing has come or gone since
+
+    def take(self, residuals: Iterable[Residual], now_s: float) -> None:
+        """Add what the estimator has handed out, and forget what is too old."""
+        recent, newest = self._recent, self._newest
+        for r in residuals:
+            if r.to_vehicle is None:
+                continue
+            if len(recent) == _MOST:
+                self._drop(recent.popleft())
+            recent.append(r)
+            self._add(r)
+            pair = (r.from_vehicle, r.to_vehicle)
+            if pair not in newest or r.measured_at_s >= newest[pair].measured_at_s:
+                newest[pair] = r
+        while recent and now_s - recent[0].measured_at_s > _KEPT_S:
+            self._drop(recent.popleft())
+        for pair in [pair for pair, r in newest.items() if now_s - r.measured_at_s > _KEPT_S]:
+            del newest[pair]
+
+    def ranges(self, now_s: float) -> tuple[RangeSnapshot, ...]:
+        """The newest residual of each pair, in the order of the pairs."""
+        return tuple(
+            RangeSnapshot(a, b, now_s - r.measured_at_s, r.innovation_m, r.sigma_m, r.nis, r.refused)
+            for (a, b), r in sorted(self._newest.items(), key=lambda newest: newest[0])
+        )
+
+    def consistency(self) -> Mapping[int, Consistency]:
+        """For each vehicle at an end of a range: the median NIS of its ranges, refused ones included, and the band of it.
+
+        It is valid until the next `take`.
+
+        Refused ranges count: leaving them out would make every filter look consistent. In the median a few that multipath made
+        too long hardly show, which their mean would be full of; where half of the ranges contradict the position it does.
+        """
+        found = self._consistency
+        for end in self._nis.keys() - found.keys():
+            nis = self._nis[end]
+            found[end] = Consistency(_median(nis), *_band_95(len(nis)), len(nis), self._refused[end])
+        return found
+
+    def misfit(self) -> dict[int, float]:
+        """The median NIS of each vehicle that has enough ranges to be judged by them; 0.45 for a consistent filter."""
+        return {vehicle: c.nis_median for vehicle, c in self.consistency().items() if c.ranges >= _LEAST_FOR_MISFIT}
+
+    def _add(self, r: Residual) -> None:
+        nis = _per_degree(r)
+        for end in _ends(r):
+            insort(self._nis.setdefault(end, []), nis)
+            self._refused[end] += r.refused is not None
+            self._consistency.pop(end, None)
+
+    def _drop(self, r: Residual) -> None:
+        nis = _per_degree(r)
+        for end in _ends(r):
+            ascending = self._nis[end]
+            del ascending[bisect_left(ascending, nis)]
+            self._refused[end] -= r.refused is not None
+            self._consistency.pop(end, None)
+            if not ascending:
+                del self._nis[end], self._refused[end]
+
+
+def _ends(r: Residual) -> tuple[int, int]:
+    assert r.to_vehicle is not None
+    return r.from_vehicle, r.to_vehicle
+
+
+def _per_degree(r: Residual) -> float:
+    return r.nis / r.degrees_of_freedom if r.degrees_of_freedom > 1 else r.nis
+
+
+def _median(ascending: list[float]) -> float:
+    half = len(ascending) // 2
+    return ascending[half] if len(ascending) % 2 else (ascending[half - 1] + ascending[half]) / 2
+
+
+@lru_cache(maxsize=1024)
+def _band_95(count: int) -> tuple[float, float]:
+    """Where the median of so many independent NIS, chi-square with one degree of freedom each, lies with 95 %.
+
+    Source: the distribution function at the median of n draws is beta distributed with both parameters (n + 1) / 2; exact for
+    odd n, closely so for even.
+    """
+    # The chi-square quantile through the inverse incomplete gamma function: scipy.stats takes half a second to import.
+    half = 0.5 * (count + 1)
+    low, high = (2.0 * float(gammaincinv(0.5, float(betaincinv(half, half, p)))) for p in (0.025, 0.975))
+    return low, high

@@ -1,0 +1,1 @@
+"""What each vehicle says of itself, and the measurements made from it."""

@@ -1,0 +1,87 @@
+"""One vehicle as observers see it: its record, the estimator's answer and its aid, gathered into plain values."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from gcs_coloc.core.aiding.aiding import Aiding
+from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
+from gcs_coloc.core.error_bound import horizontal_sigma_and_bound_95_m
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.measurements import Estimate, FloatArray, NoEstimate, Vector3
+from gcs_coloc.core.messages.control import AidingOverride, PrimaryOverride
+from gcs_coloc.core.snapshot import Consistency, VehicleSnapshot
+from gcs_coloc.core.telemetry.vehicles import Vehicle
+
+_ATTITUDE_FRESH_S = 3.0
+
+
+def vehicle_snapshot(
+    vehicle: Vehicle,
+    where: Estimate | NoEstimate,
+    frame: LocalFrame | None,
+    aiding: Aiding,
+    consistency: Consistency | None,
+    time: TimeSettings,
+    now_s: float,
+) -> VehicleSnapshot:
+    """One vehicle at service time `now_s`. `where` is the estimator's answer for that time, `frame` the fleet's."""
+    enu_m = velocity_mps = covariance_m2 = lat_deg = lon_deg = alt_msl_m = claim_enu_m = None
+    sigma_h_m = sigma_v_m = bound_95_m = hdop = None
+    ranges_in_use = 0
+    if isinstance(where, Estimate) and frame is not None:
+        P = where.covariance
+        e, n, u = enu_m = _vector3(where.position_enu_m)
+        velocity_mps = _vector3(where.velocity_enu_mps)
+        covariance_m2 = (P.item(0, 0), P.item(0, 1), P.item(1, 1))
+        sigma_h_m, bound_95_m = horizontal_sigma_and_bound_95_m(P)
+        sigma_v_m = sqrt(P.item(2, 2))
+        hdop, ranges_in_use = where.hdop, where.ranges_in_use
+        lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(e, n, u)
+    claim, receiver, attitude = vehicle.position, vehicle.receiver, vehicle.attitude
+    if claim is not None and frame is not None:
+        claim_enu_m = frame.enu_from_geodetic(claim.lat_deg, claim.lon_deg, claim.alt_msl_m)
+    clock = vehicle.clock.quality(now_s, time)
+    fresh = attitude is not None and now_s - attitude.received_at_s <= _ATTITUDE_FRESH_S
+    return VehicleSnapshot(
+        sysid=vehicle.sysid,
+        age_s=now_s - vehicle.last_heard_s,
+        autopilot=vehicle.autopilot.value if vehicle.autopilot is not None else "unknown",
+        gps_state=vehicle.health.state.value,
+        gps_reason=vehicle.health.reason,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        alt_msl_m=alt_msl_m,
+        sigma_h_m=sigma_h_m,
+        bound_95_m=bound_95_m,
+        hdop=hdop,
+        ranges_in_use=ranges_in_use,
+        unknown_because=where.reason if isinstance(where, NoEstimate) else None,
+        claim_lat_deg=claim.lat_deg if claim is not None else None,
+        claim_lon_deg=claim.lon_deg if claim is not None else None,
+        aid=aiding.status(vehicle),
+        aid_has_fix=aiding.sends_fix(vehicle.sysid),
+        aid_taken=aiding.taken(vehicle.sysid),
+        gps_primary=aiding.primary.status(vehicle.sysid),
+        inhibit_reason=aiding.inhibit_reason(vehicle),
+        operator_word=vehicle.health.word.value,
+        aid_word=aiding.words.get(vehicle.sysid, AidingOverride.AUTO).value,
+        primary_word=aiding.primary_words.get(vehicle.sysid, PrimaryOverride.AUTO).value,
+        sigma_v_m=sigma_v_m,
+        enu_m=enu_m,
+        velocity_enu_mps=velocity_mps,
+        covariance_h_m2=covariance_m2,
+        claim_enu_m=claim_enu_m,
+        yaw_rad=attitude.yaw_rad if attitude is not None and fresh else None,
+        fix_type=receiver.fix_type if receiver is not None else None,
+        satellites=receiver.satellites if receiver is not None else None,
+        delay_s=vehicle.delay_s,
+        clock_method=clock[0] if clock is not None else None,
+        clock_sigma_s=clock[1] if clock is not None else None,
+        consistency=consistency,
+    )
+
+
+def _vector3(array: FloatArray) -> Vector3:
+    x, y, z = array.tolist()
+    return x, y, z

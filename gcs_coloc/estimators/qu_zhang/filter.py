@@ -1,0 +1,295 @@
+"""The stack of Qu & Zhang (AIAA 2010-8187) for live, asynchronous measurements.
+
+Each vehicle has a constant-velocity Kalman filter. The ranges of a vehicle without GPS to three peers are solved for a position
+in closed form, and that fix is the observation of the vehicle's own filter, with a covariance that follows the geometry.
+
+What the paper leaves out and flying needs: ranges of one epoch measured at different instants are brought together by shifting
+each circle with the vehicle's predicted displacement; heights turn slant ranges into horizontal ones; of more than three peers
+the best three that agree are used; fixes are gated; and the errors of the peers, which last for minutes where the filter takes
+them as new every time, are carried beside the filter so that the stated covariance does not average them away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Collection, Mapping
+
+import numpy as np
+
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    AttitudeMeasurement,
+    Estimate,
+    FloatArray,
+    Measurement,
+    NoEstimate,
+    PositionMeasurement,
+    RangeMeasurement,
+    Residual,
+)
+from gcs_coloc.estimators.checks import is_sound
+from gcs_coloc.estimators.qu_zhang.circles import range_residual
+from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, density, position_rows
+from gcs_coloc.estimators.qu_zhang.denied_vehicle import CONFIRMATIONS, DeniedVehicleFilter, lasting_covariance
+from gcs_coloc.estimators.qu_zhang.epoch_fix import circles_of, fix_of
+from gcs_coloc.estimators.qu_zhang.epochs import RangeEpoch, RangeEpochGatherer
+from gcs_coloc.estimators.qu_zhang.fix import Fix
+from gcs_coloc.estimators.qu_zhang.gating import NisGate
+from gcs_coloc.estimators.qu_zhang.settings import QuZhangSettings
+from gcs_coloc.estimators.qu_zhang.track import PeerTrack
+
+PAPER_STEP_S = 0.02
+"""The paper's computing cycle, to which its q belongs (it prints 0.02 ms, which only 50 Hz makes sense of)."""
+
+_IN_USE_S = 2.0
+"""Ranges count as in use for this long after their fix."""
+
+_RESIDUALS_KEPT = 2000
+
+
+class QuZhangFilter:
+    """The paper's estimator; meets `gcs_coloc.core.estimator.Estimator`."""
+
+    def __init__(self, settings: QuZhangSettings | None = None) -> None:
+        self._settings = settings or QuZhangSettings()
+        self._tracks: dict[int, PeerTrack] = {}
+        self._denied: dict[int, DeniedVehicleFilter] = {}
+        self._former: dict[int, DeniedVehicleFilter] = {}
+        self._residuals: deque[Residual] = deque(maxlen=_RESIDUALS_KEPT)
+        self._counts: Counter[str] = Counter()
+
+    @property
+    def name(self) -> str:
+        """The name that the configuration chooses it by."""
+        return "qu_zhang"
+
+    def set_denied(self, denied: Collection[int], at_s: float) -> None:
+        """State which vehicles are to be located from ranges from `at_s` on."""
+        for vehicle in set(self._denied) - set(denied):
+            # Its state came from ranges; the first position from its own receiver begins a new track.
+            self._former[vehicle] = self._denied.pop(vehicle)
+        for vehicle in sorted(set(denied) - set(self._denied)):
+            former = vehicle in self._former
+            self._denied[vehicle] = self._former.pop(vehicle) if former else self._new_subject(vehicle, at_s)
+
+    def add(self, measurement: Measurement) -> None:
+        """Take one measurement; never raises for its values."""
+        for vehicle, denied_vehicle in self._denied.items():
+            for epoch in denied_vehicle.gatherer.take_due(measurement.arrived_at_s):
+                self._close(vehicle, denied_vehicle, epoch)
+        if not is_sound(measurement):
+            self._counts["impossible value"] += 1
+        elif measurement.measured_at_s > measurement.arrived_at_s + self._settings.late_window_s:
+            # One such time would carry a filter into the future and make everything after it late.
+            self._counts["measured in the future"] += 1
+        elif isinstance(measurement, RangeMeasurement):
+            self._add_range(measurement)
+        elif isinstance(measurement, PositionMeasurement):
+            self._add_position(measurement)
+        elif isinstance(measurement, AltitudeMeasurement):
+            self._add_altitude(measurement)
+        elif isinstance(measurement, AttitudeMeasurement):
+            self._counts["attitude not used by this estimator"] += 1
+
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
+        """Answer where a vehicle is at a time near the present, by prediction from its filters."""
+        track = self._tracks.get(vehicle)
+        denied_vehicle = self._denied.get(vehicle) or self._former.get(vehicle)
+        reason = self._why_unknown(track, denied_vehicle, at_s)
+        if reason is not None or track is None or track.horizontal is None or track.vertical is None:
+            return NoEstimate(vehicle, at_s, reason or "no position yet")
+        state, _ = track.horizontal.predicted(at_s)
+        covariance = self._covariance(track, track.horizontal, denied_vehicle, at_s)
+        vertical_state, vertical_covariance = track.vertical.predicted(at_s)
+        vertical_covariance[0, 0] += track.sigma_v_m**2
+        sigma_m = _largest_sigma(covariance[np.ix_([0, 2], [0, 2])])
+        if sigma_m > self._settings.max_sigma_m:
+            return NoEstimate(vehicle, at_s, _with_cause(f"uncertain by {sigma_m:.0f} m (1 sigma)", denied_vehicle))
+        full = np.zeros((6, 6))
+        # [e, ve, n, vn] and [u, vu] to [e, n, u, ve, vn, vu].
+        full[np.ix_([0, 3, 1, 4], [0, 3, 1, 4])] = covariance
+        full[np.ix_([2, 5], [2, 5])] = vertical_covariance
+        fresh = denied_vehicle is not None and at_s - denied_vehicle.last_fix_s <= _IN_USE_S
+        return Estimate(
+            vehicle=vehicle,
+            at_s=at_s,
+            position_enu_m=np.array([state[0], state[2], vertical_state[0]]),
+            velocity_enu_mps=np.array([state[1], state[3], vertical_state[1]]),
+            covariance=0.5 * (full + full.T),
+            hdop=denied_vehicle.hdop if denied_vehicle is not None and fresh and math.isfinite(denied_vehicle.hdop) else None,
+            ranges_in_use=len(denied_vehicle.peers) if denied_vehicle is not None and fresh else 0,
+        )
+
+    def drain_residuals(self) -> list[Residual]:
+        """Return the residuals of fixes and of their ranges since the last call, oldest first."""
+        taken = list(self._residuals)
+        self._residuals.clear()
+        return taken
+
+    def counts(self) -> Mapping[str, int]:
+        """Return how often what happened to measurements and epochs, by reason in words."""
+        return dict(self._counts)
+
+    def _new_subject(self, vehicle: int, at_s: float) -> DeniedVehicleFilter:
+        settings = self._settings
+        denied_vehicle = DeniedVehicleFilter(
+            RangeEpochGatherer(settings.epoch_window_s, settings.epoch_wait_s),
+            NisGate(settings.gate_probability, settings.gate_patience),
+        )
+        track = self._tracks.get(vehicle)
+        fresh = track is not None and track.position_age_s(at_s) <= settings.max_prediction_s
+        if track is not None and track.horizontal is not None and fresh:
+            # Its receiver's lasting error stays in the state that the ranges take over.
+            track.horizontal.add_position_variance(track.sigma_h_m**2)
+            denied_vehicle.last_fix_s = track.position_at_s
+            denied_vehicle.confirmations = CONFIRMATIONS
+        elif track is not None:
+            track.horizontal = None
+        return denied_vehicle
+
+    def _track(self, vehicle: int) -> PeerTrack:
+        settings = self._settings
+        if vehicle not in self._tracks:
+            self._tracks[vehicle] = PeerTrack(
+                density(settings.q_m2ps2, PAPER_STEP_S),
+                density(settings.q_vertical_m2ps2, PAPER_STEP_S),
+                settings.gate_probability,
+                settings.gate_patience,
+                settings.late_window_s,
+            )
+        return self._tracks[vehicle]
+
+    def _is_late(self, one: CvFilter | None, measured_at_s: float) -> bool:
+        if one is None or not one.is_too_late(measured_at_s):
+            return False
+        self._counts["too late"] += 1
+        return True
+
+    def _add_position(self, measurement: PositionMeasurement) -> None:
+        vehicle = measurement.vehicle
+        if vehicle in self._denied:
+            self._counts["position of a vehicle without GPS"] += 1
+            return
+        track = self._track(vehicle)
+        if vehicle in self._former or track.position_age_s(measurement.measured_at_s) > self._settings.max_prediction_s:
+            self._former.pop(vehicle, None)
+            track.start(measurement)
+            self._counts["position used"] += 1
+        elif not self._is_late(track.horizontal, measurement.measured_at_s):
+            self._counts["position used" if track.add_position(measurement) else "position refused by the gate"] += 1
+
+    def _add_altitude(self, measurement: AltitudeMeasurement) -> None:
+        if measurement.vehicle not in self._denied:
+            # A vehicle with GPS states its height with its position.
+            self._counts["altitude of a vehicle with GPS"] += 1
+            return
+        track = self._track(measurement.vehicle)
+        if not self._is_late(track.vertical, measurement.measured_at_s):
+            self._counts["altitude used" if track.add_altitude(measurement) else "altitude refused by the gate"] += 1
+
+    def _add_range(self, measurement: RangeMeasurement) -> None:
+        ends = (measurement.from_vehicle, measurement.to_vehicle)
+        located = [(own, peer) for own, peer in (ends, ends[::-1]) if own in self._denied]
+        if not located:
+            self._counts["range between vehicles with GPS"] += 1
+        elif len(located) == 2:
+            # A fix from another fix would count the same peers' errors twice.
+            self._counts["range between vehicles without GPS"] += 1
+        else:
+            [(vehicle, peer)] = located
+            denied_vehicle = self._denied[vehicle]
+            epoch = denied_vehicle.gatherer.add(peer, measurement)
+            if epoch is not None:
+                self._close(vehicle, denied_vehicle, epoch)
+
+    def _close(self, vehicle: int, denied_vehicle: DeniedVehicleFilter, epoch: RangeEpoch) -> None:
+        """Make a fix of an epoch's ranges and give it to the vehicle's filter, or keep the reason why not."""
+        track, at_s = self._track(vehicle), epoch.newest_s
+        if at_s - denied_vehicle.last_fix_s > self._settings.max_prediction_s:
+            # A single fix would pass any gate that is that wide: begin anew, with fixes that must agree.
+            track.horizontal = None
+        if self._is_late(track.horizontal, at_s):
+            return
+        peers = {peer: one for peer, one in self._tracks.items() if peer not in self._former and peer not in self._denied}
+        circles, reasons = circles_of(epoch, track, peers, at_s, self._settings)
+        self._counts["range to a peer without a fresh position"] += len(reasons)
+        predicted: tuple[FloatArray, FloatArray] | None = None
+        expected: tuple[FloatArray, FloatArray] | None = None
+        if track.horizontal is not None:
+            predicted = track.horizontal.predicted(at_s)
+            covariance = self._covariance(track, track.horizontal, denied_vehicle, at_s)
+            expected = predicted[0][[0, 2]], covariance[np.ix_([0, 2], [0, 2])]
+        solution = fix_of(vehicle, track, circles, expected, at_s, self._settings)
+        fix: Fix | None = None
+        if isinstance(solution, str):
+            refused: str | None = "; ".join([solution, *reasons])
+        else:
+            fix, refused = solution, self._use(vehicle, track, denied_vehicle, solution, at_s)
+        denied_vehicle.reason = refused
+        self._counts["fix used" if refused is None else "epoch without a fix" if fix is None else "fix refused"] += 1
+        for one in circles:
+            chosen = fix is not None and one.peer in fix.peers
+            verdict = refused if chosen or fix is None else "not among the three of the fix"
+            self._counts["range used" if verdict is None else "range not used"] += 1
+            if predicted is not None:
+                self._residuals.append(range_residual(vehicle, one, predicted, epoch.ranges[one.peer].measured_at_s, verdict))
+
+    def _use(self, vehicle: int, track: PeerTrack, denied_vehicle: DeniedVehicleFilter, fix: Fix, at_s: float) -> str | None:
+        """Give a fix to the filter, or start it; return the reason why it was refused, if it was."""
+        if track.horizontal is None:
+            if (
+                _largest_sigma(fix.covariance + lasting_covariance(fix.sensitivities, fix.lasting, 2))
+                > self._settings.max_sigma_m
+            ):
+                return "the geometry is too poor to start from"
+            track.start_horizontal(at_s, fix.position_m, fix.covariance, sensitivities=fix.sensitivities)
+            denied_vehicle.start(fix, at_s)
+            return None
+        nis, innovation_m, sigma_m = denied_vehicle.judge(track.horizontal, fix, at_s)
+        verdict = denied_vehicle.gate.judge(nis, 2)
+        refused = None if verdict.accepted else f"the fix is {innovation_m:.0f} m from the prediction (NIS {nis:.0f})"
+        if verdict.accepted:
+            track.horizontal.update(fix.position_m, fix.covariance, position_rows(2), at_s, fix.sensitivities)
+            denied_vehicle.accept(fix, at_s)
+        elif verdict.inflation > 1.0:
+            track.horizontal.widen(verdict.inflation)
+        self._residuals.append(Residual(vehicle, None, at_s, innovation_m, sigma_m, nis, 2, refused))
+        return refused
+
+    def _covariance(
+        self, track: PeerTrack, horizontal: CvFilter, denied_vehicle: DeniedVehicleFilter | None, at_s: float
+    ) -> FloatArray:
+        """Return the covariance (4, 4) of the horizontal state at a time, lasting errors included."""
+        if denied_vehicle is not None:
+            return denied_vehicle.covariance(horizontal, at_s)
+        covariance = horizontal.predicted(at_s)[1]
+        if self._settings.lasting_peer_errors:
+            covariance[[0, 2], [0, 2]] += track.sigma_h_m**2
+        return covariance
+
+    def _why_unknown(self, track: PeerTrack | None, denied_vehicle: DeniedVehicleFilter | None, at_s: float) -> str | None:
+        if denied_vehicle is None:
+            if track is None or track.horizontal is None:
+                return "no position yet"
+            age_s = track.position_age_s(at_s)
+            return f"no position for {age_s:.1f} s" if age_s > self._settings.max_prediction_s else None
+        if track is None or track.horizontal is None:
+            return _with_cause("not located yet", denied_vehicle)
+        if track.vertical is None:
+            return "no height of its own"
+        age_s = at_s - denied_vehicle.last_fix_s
+        if age_s > self._settings.max_prediction_s:
+            return _with_cause(f"no fix for {age_s:.1f} s", denied_vehicle)
+        if denied_vehicle.confirmations < CONFIRMATIONS:
+            return f"only {denied_vehicle.confirmations} of {CONFIRMATIONS} fixes that must agree after a start from ranges"
+        return None
+
+
+def _with_cause(text: str, denied_vehicle: DeniedVehicleFilter | None) -> str:
+    return f"{text}: {denied_vehicle.reason}" if denied_vehicle is not None and denied_vehicle.reason else text
+
+
+def _largest_sigma(covariance: FloatArray) -> float:
+    """Return the 1-sigma, m, along the worst direction of a position's covariance (2, 2)."""
+    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))

@@ -1,0 +1,157 @@
+"""What is known of one vehicle from its own sensors: a horizontal and a vertical constant-velocity filter."""
+
+from __future__ import annotations
+
+import math
+from types import MappingProxyType
+
+import numpy as np
+
+from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, PositionMeasurement
+from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, Sensitivities, nis, position_rows, velocity_rows
+from gcs_coloc.estimators.qu_zhang.gating import NisGate
+
+UNKNOWN_SPEED_SIGMA_MPS = 30.0
+"""Of a vehicle that has not told its velocity: any aircraft that ranges between vehicles are used for."""
+
+_UNKNOWN_CLIMB_SIGMA_MPS = 5.0
+
+
+class PeerTrack:
+    """The filters of one vehicle, and the sigmas that its receiver stated last.
+
+    Args:
+        density_m2ps3: spectral density of the horizontal acceleration.
+        vertical_density_m2ps3: of the vertical acceleration.
+        gate_probability: of accepting a consistent position.
+        gate_patience: refusals in a row before the filter is doubted.
+        memory_s: how late a measurement may come.
+
+    """
+
+    def __init__(
+        self,
+        density_m2ps3: float,
+        vertical_density_m2ps3: float,
+        gate_probability: float,
+        gate_patience: int,
+        memory_s: float,
+    ) -> None:
+        self._memory_s = memory_s
+        self._density = density_m2ps3
+        self._vertical_density = vertical_density_m2ps3
+        self._gate = NisGate(gate_probability, gate_patience)
+        self._vertical_gate = NisGate(gate_probability, gate_patience)
+        self.horizontal: CvFilter | None = None
+        self.vertical: CvFilter | None = None
+        self.position_at_s = -math.inf
+        self.static = False
+        self.sigma_h_m = 0.0
+        self.sigma_v_m = 0.0
+
+    def position_age_s(self, at_s: float) -> float:
+        """Return how old the newest position is at a time; that of a fixed anchor does not age."""
+        return 0.0 if self.static else at_s - self.position_at_s
+
+    def start(self, measurement: PositionMeasurement) -> None:
+        """Begin anew from one position."""
+        self.static = measurement.static
+        east_north, up = np.array(measurement.position_enu_m[:2]), np.array(measurement.position_enu_m[2:])
+        at_s = measurement.measured_at_s
+        velocity, sigma = measurement.velocity_enu_mps, measurement.sigma_velocity_mps
+        if self.static:
+            horizontal_sigma, climb_sigma, velocity = 0.0, 0.0, (0.0, 0.0, 0.0)
+        elif velocity is None or sigma is None:
+            horizontal_sigma, climb_sigma, velocity = UNKNOWN_SPEED_SIGMA_MPS, _UNKNOWN_CLIMB_SIGMA_MPS, (0.0, 0.0, 0.0)
+        else:
+            horizontal_sigma, climb_sigma = sigma, sigma
+        self.start_horizontal(at_s, east_north, measurement.sigma_h_m**2 * np.eye(2), np.array(velocity[:2]), horizontal_sigma)
+        self._start_vertical(at_s, up, measurement.sigma_v_m, np.array(velocity[2:]), climb_sigma)
+        self._remember(measurement)
+
+    def start_horizontal(
+        self,
+        at_s: float,
+        position_m: FloatArray,
+        covariance: FloatArray,
+        velocity_mps: FloatArray | None = None,
+        velocity_sigma_mps: float = UNKNOWN_SPEED_SIGMA_MPS,
+        sensitivities: Sensitivities = MappingProxyType({}),
+    ) -> None:
+        """Begin the horizontal filter anew.
+
+        Args:
+            at_s: time of the position.
+            position_m: shape (2,).
+            covariance: shape (2, 2), m^2.
+            velocity_mps: shape (2,), or None where unknown.
+            velocity_sigma_mps: of each axis.
+            sensitivities: of the position to lasting errors, see `CvFilter`.
+
+        """
+        velocity = np.zeros(2) if velocity_mps is None else velocity_mps
+        self.horizontal = CvFilter(
+            at_s,
+            position_m,
+            covariance,
+            velocity,
+            velocity_sigma_mps**2,
+            0.0 if self.static else self._density,
+            memory_s=self._memory_s,
+            sensitivities=sensitivities,
+        )
+
+    def add_position(self, measurement: PositionMeasurement) -> bool:
+        """Take a position, and velocity where known; return whether the gate let it pass. The first starts the filters."""
+        if self.horizontal is None or self.vertical is None:
+            self.start(measurement)
+            return True
+        velocity, sigma = measurement.velocity_enu_mps, measurement.sigma_velocity_mps
+        values = [np.array(measurement.position_enu_m)]
+        variances = [np.array([measurement.sigma_h_m**2] * 2 + [measurement.sigma_v_m**2])]
+        rows = [position_rows]
+        if velocity is not None and sigma is not None and not self.static:
+            values.append(np.array(velocity))
+            variances.append(np.full(3, sigma**2))
+            rows.append(velocity_rows)
+        at_s = measurement.measured_at_s
+        accepted = True
+        for one, gate, axes in ((self.horizontal, self._gate, [0, 1]), (self.vertical, self._vertical_gate, [2])):
+            z = np.concatenate([value[axes] for value in values])
+            R = np.diag(np.concatenate([variance[axes] for variance in variances]))
+            H = np.vstack([row(len(axes)) for row in rows])
+            accepted &= _gated_update(one, gate, z, R, H, at_s)
+        if accepted:
+            self._remember(measurement)
+        return accepted
+
+    def add_altitude(self, measurement: AltitudeMeasurement) -> bool:
+        """Take a height; return whether the gate let it pass. Starts the vertical filter if there is none."""
+        at_s, up = measurement.measured_at_s, np.array([measurement.up_m])
+        if self.vertical is None:
+            self._start_vertical(at_s, up, measurement.sigma_m, np.zeros(1), _UNKNOWN_CLIMB_SIGMA_MPS)
+            accepted = True
+        else:
+            R = np.array([[measurement.sigma_m**2]])
+            accepted = _gated_update(self.vertical, self._vertical_gate, up, R, position_rows(1), at_s)
+        if accepted:
+            self.sigma_v_m = measurement.sigma_m
+        return accepted
+
+    def _start_vertical(self, at_s: float, up_m: FloatArray, sigma_m: float, climb_mps: FloatArray, sigma_mps: float) -> None:
+        variance = np.array([[sigma_m**2]])
+        density = 0.0 if self.static else self._vertical_density
+        self.vertical = CvFilter(at_s, up_m, variance, climb_mps, sigma_mps**2, density, memory_s=self._memory_s)
+
+    def _remember(self, measurement: PositionMeasurement) -> None:
+        self.position_at_s = max(self.position_at_s, measurement.measured_at_s)
+        self.sigma_h_m, self.sigma_v_m = measurement.sigma_h_m, measurement.sigma_v_m
+
+
+def _gated_update(one: CvFilter, gate: NisGate, z: FloatArray, R: FloatArray, H: FloatArray, at_s: float) -> bool:
+    verdict = gate.judge(nis(*one.innovation(z, R, H, at_s)), len(z))
+    if verdict.accepted:
+        one.update(z, R, H, at_s)
+    elif verdict.inflation > 1.0:
+        one.widen(verdict.inflation)
+    return verdict.accepted

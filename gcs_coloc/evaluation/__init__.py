@@ -1,0 +1,1 @@
+"""Data sets, data checks and scoring; no IO but reading tables."""

@@ -1,0 +1,1 @@
+"""Checks that positions, ranges and truth of a recording agree in units, axes and clocks."""

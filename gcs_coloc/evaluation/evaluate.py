@@ -1,0 +1,191 @@
+"""Runs an estimator over a data set and scores it: causally, so an estimate uses only what had arrived by its time."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gcs_coloc import __version__
+from gcs_coloc.core.estimator import Estimator
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    Estimate,
+    FloatArray,
+    Measurement,
+    NoEstimate,
+    PositionMeasurement,
+    RangeMeasurement,
+)
+from gcs_coloc.evaluation.data_checks.finding import DataFinding
+from gcs_coloc.evaluation.dataset import Dataset, Node, read_dataset
+from gcs_coloc.evaluation.dataset_findings import dataset_findings
+from gcs_coloc.evaluation.scoring import Score, Series, score, series_of
+
+_PLANE_EVERY_S = 0.2
+_PLANE_SIGMA_M = 0.1
+_NUMBER = re.compile(r"[0-9.]+")
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleEvaluation:
+    """One denied vehicle: its score, the epochs behind it, and the normalised innovations (N, 2) of its ranges: time in s, NIS.
+
+    `unanswered`: how many epochs have no estimate, by the estimator's reason as it was first given, whatever numbers are in it.
+    """
+
+    node: Node
+    score: Score
+    series: Series
+    nis: FloatArray
+    unanswered: Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """An estimator's result on a data set; `cpu_us_per_measurement` includes the asking at the truth's epochs.
+
+    `doubts`: what in the data can hardly be what its columns say, where they were read by `evaluate`.
+    """
+
+    dataset: str
+    dims: int
+    estimator: str
+    measurements: int
+    cpu_us_per_measurement: float
+    denied: tuple[VehicleEvaluation, ...]
+    counts: Mapping[str, int]
+    doubts: tuple[DataFinding, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as plain values, for JSON."""
+        return {
+            "version": __version__,
+            "dataset": self.dataset,
+            "dims": self.dims,
+            "estimator": self.estimator,
+            "measurements": self.measurements,
+            "cpu_us_per_measurement": self.cpu_us_per_measurement,
+            "denied": {s.node.id: asdict(s.score) | {"unanswered": dict(s.unanswered)} for s in self.denied},
+            "counts": dict(self.counts),
+            "warnings": [doubt.as_dict() for doubt in self.doubts],
+        }
+
+
+def evaluate(directory: Path, estimator: Estimator, cpu_s: Callable[[], float] = time.process_time) -> Evaluation:
+    """Read the data set in `directory`, run `estimator` over it and score it.
+
+    A node is a vehicle from its last position report on, and is scored from then on; one that has none is a vehicle from the
+    start.
+
+    Raises:
+        DataError: the data set cannot be read.
+
+    """
+    dataset = read_dataset(directory)
+    return replace(evaluate_dataset(dataset, estimator, cpu_s), doubts=tuple(dataset_findings(dataset)))
+
+
+def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[], float] = time.process_time) -> Evaluation:
+    """Run an estimator over a data set that is in memory and score it. `cpu_s` tells the CPU time spent so far."""
+    feed = _feed(dataset)
+    start_s = feed[0].arrived_at_s
+    last_report_s = {node.vehicle: _last_report_s(dataset, node.vehicle) for node in dataset.denied()}
+    since_s = {vehicle: max(t, start_s) for vehicle, t in last_report_s.items()}
+    wanted = {node.vehicle: dataset.truth[node.vehicle] for node in dataset.denied() if node.vehicle in dataset.truth}
+    answers: dict[int, list[Estimate | NoEstimate]] = {vehicle: [] for vehicle in wanted}
+    nis: dict[int, list[tuple[float, float]]] = {vehicle: [] for vehicle in since_s}
+    questions = sorted((t, vehicle) for vehicle, truth in wanted.items() for t in truth.times_s.tolist() if t >= since_s[vehicle])
+    denied: frozenset[int] = frozenset()
+    next_question = 0
+    began_s = cpu_s()
+
+    def ask_before(at_s: float) -> None:
+        nonlocal next_question
+        while next_question < len(questions) and questions[next_question][0] < at_s:
+            t, vehicle = questions[next_question]
+            answers[vehicle].append(estimator.estimate(vehicle, t))
+            next_question += 1
+
+    for m in feed:
+        ask_before(m.arrived_at_s)
+        failed = frozenset(vehicle for vehicle, t in last_report_s.items() if t < m.arrived_at_s)
+        if failed != denied:
+            denied = failed
+            estimator.set_denied(denied, m.arrived_at_s)
+        estimator.add(m)
+        if isinstance(m, RangeMeasurement):
+            for residual in estimator.drain_residuals():
+                for end in (residual.from_vehicle, residual.to_vehicle):
+                    if end in nis and end is not None:
+                        nis[end].append((residual.measured_at_s, residual.nis / residual.degrees_of_freedom))
+    ask_before(math.inf)
+    spent_s = cpu_s() - began_s
+    evaluated = []
+    for node in dataset.denied():
+        if node.vehicle not in wanted:
+            continue
+        truth = wanted[node.vehicle]
+        asked = truth.times_s >= since_s[node.vehicle]
+        told = answers[node.vehicle]
+        known = [answer if isinstance(answer, Estimate) else None for answer in told]
+        unanswered = _by_reason(answer.reason for answer in told if isinstance(answer, NoEstimate))
+        series = series_of(truth.times_s[asked], truth.positions_enu_m[asked], known)
+        history = np.array(nis[node.vehicle]).reshape(-1, 2)
+        evaluated.append(VehicleEvaluation(node, score(series, since_s[node.vehicle], dataset.dims), series, history, unanswered))
+    count = len(dataset.measurements)
+    return Evaluation(
+        dataset=dataset.name,
+        dims=dataset.dims,
+        estimator=estimator.name,
+        measurements=count,
+        cpu_us_per_measurement=spent_s / count * 1e6,
+        denied=tuple(evaluated),
+        counts=estimator.counts(),
+    )
+
+
+def _by_reason(reasons: Iterable[str]) -> dict[str, int]:
+    first: dict[str, str] = {}
+    times: Counter[str] = Counter(first.setdefault(_NUMBER.sub("", reason), reason) for reason in reasons)
+    return dict(times.most_common())
+
+
+def _feed(dataset: Dataset) -> list[Measurement]:
+    """Return what the estimator is given, in order of arrival: anchors first, and in two dimensions the height of the plane."""
+    first_s = min(m.measured_at_s for m in dataset.measurements)
+    anchors: list[Measurement] = [
+        PositionMeasurement(node.vehicle, first_s, first_s, node.place_enu_m, node.sigma_m, node.sigma_m, static=True)
+        for node in dataset.nodes
+        if node.place_enu_m is not None and node.sigma_m is not None
+    ]
+    moving = list(dataset.measurements)
+    if dataset.dims == 2:
+        moving.extend(_plane(dataset))
+        moving.sort(key=lambda m: m.arrived_at_s)
+    return anchors + moving
+
+
+def _plane(dataset: Dataset) -> Iterator[Measurement]:
+    """Yield heights for the vehicles of a flat data set: that all nodes move in one plane is knowledge like a barometer's."""
+    places = [node.place_enu_m[2] for node in dataset.nodes if node.place_enu_m is not None]
+    reports = [m.position_enu_m[2] for m in dataset.measurements if isinstance(m, PositionMeasurement)]
+    plane_m = float(np.median(places + reports)) if places or reports else 0.0
+    for node in dataset.denied():
+        last_s = -math.inf
+        for m in dataset.measurements:
+            if m.arrived_at_s - last_s >= _PLANE_EVERY_S:
+                last_s = m.arrived_at_s
+                yield AltitudeMeasurement(node.vehicle, m.arrived_at_s, m.arrived_at_s, plane_m, _PLANE_SIGMA_M)
+
+
+def _last_report_s(dataset: Dataset, vehicle: int) -> float:
+    reports = [m.arrived_at_s for m in dataset.measurements if isinstance(m, PositionMeasurement) and m.vehicle == vehicle]
+    return max(reports, default=-math.inf)

@@ -1,0 +1,89 @@
+"""A recorded flight told again: replayed through the engine, with everything that export and report want to show of it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gcs_coloc.config.settings import Settings
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
+from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.evaluation.data_checks.finding import DataFinding
+from gcs_coloc.recorder.flight_findings import HeardMeasurements
+from gcs_coloc.recorder.flight_report import FlightReport
+from gcs_coloc.recorder.journal import Journal, RangeEntry, VehicleEntry
+from gcs_coloc.recorder.recorded_messages import ReplayCounts
+from gcs_coloc.recorder.replay import Replay, replay
+from gcs_coloc.recorder.side_tables import read_ranges, read_truth
+from gcs_coloc.recorder.tlog import TlogReader
+
+WITHOUT_GPS = tuple(state.value for state in DISTRUSTED)
+"""The words for the states of a vehicle's GPS in which it is located by its ranges."""
+
+
+@dataclass(slots=True)
+class FlightHistory:
+    """What a flight came to.
+
+    `tracks`: each vehicle's entries in order of time. `damage`: what of the file could not be read. `frame`: the fleet's, about
+    its first fix; None where there was none. `doubts`: what in the recording and the tables beside it does not agree.
+    """
+
+    file: Path
+    estimator: str
+    counts: ReplayCounts
+    report: FlightReport
+    damage: Mapping[str, int]
+    tracks: Mapping[int, list[VehicleEntry]] = field(default_factory=dict)
+    ranges: list[RangeEntry] = field(default_factory=list)
+    health: list[HealthChanged] = field(default_factory=list)
+    notices: list[Notice] = field(default_factory=list)
+    frame: LocalFrame | None = None
+    doubts: list[DataFinding] = field(default_factory=list)
+
+
+def read_history(file: Path, settings: Settings, ranges: Path | None, truth: Path | None) -> FlightHistory:
+    """Replay a recording and keep what there is to tell.
+
+    Args:
+        file: the tlog.
+        settings: those of the flight, or others.
+        ranges: a table of ranges beside the recording, or None.
+        truth: a table of true positions, or None.
+
+    Raises:
+        DataError: a file cannot be read or is not what it should be.
+        EstimatorError: the estimator cannot be loaded.
+    """
+    heard = HeardMeasurements(load_estimator(settings.estimator.name, settings.estimator.settings))
+    engine = Engine(heard, settings.engine())
+    log, journal = TlogReader(file), Journal(engine)
+    points = read_truth(truth) if truth is not None else []
+    report = FlightReport(engine, points)
+    tracks: dict[int, list[VehicleEntry]] = defaultdict(list)
+    story = FlightHistory(file, engine.estimator.name, ReplayCounts(), report, log.counts, tracks)
+
+    def on_poll(at_s: float, outputs: list[Outbound]) -> None:
+        report.polled(at_s, outputs)
+        for entry in journal.polled(at_s, outputs):
+            if isinstance(entry, VehicleEntry):
+                tracks[entry.vehicle.sysid].append(entry)
+            elif isinstance(entry, RangeEntry):
+                story.ranges.append(entry)
+            elif isinstance(entry, HealthChanged):
+                story.health.append(entry)
+            else:
+                story.notices.append(entry)
+
+    own = (settings.mavlink.system_id, settings.mavlink.component_id)
+    told = read_ranges(ranges) if ranges is not None else []
+    through = Replay(engine, log, told, on_poll, own, settings.fingerprint())
+    story.counts = replay(through, report.observation_times(), report.observe)
+    story.frame = engine.feed.frame
+    story.doubts = heard.doubts(points, engine.feed.frame)
+    return story

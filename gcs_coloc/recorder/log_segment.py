@@ -1,0 +1,96 @@
+"""One part of a recording: a tlog and an MCAP file side by side, written so that what was written opens after a crash."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+from pathlib import Path
+
+from gcs_coloc.recorder.journal import Entry
+from gcs_coloc.recorder.mcap_file import END_MARK, McapEncoder
+
+
+class LogSegment:
+    """Two files `NAME.tlog` and `NAME.mcap`, new. OSError where they cannot be made or written."""
+
+    def __init__(self, directory: Path, name: str) -> None:
+        self._tlog = _File(directory / f"{name}.tlog")
+        try:
+            self._mcap = _File(directory / f"{name}.mcap", END_MARK)
+        except OSError:
+            self._tlog.close()
+            raise
+        self._encoder = McapEncoder()
+
+    @property
+    def size(self) -> int:
+        """The bytes written so far, of both files."""
+        return self._tlog.size + self._mcap.size
+
+    def write(self, records: bytes, entries: list[Entry]) -> None:
+        """Hand records of the tlog and entries of the journal to the system: they outlive this process from then on."""
+        self._tlog.append(records)
+        for entry in entries:
+            self._encoder.add(entry)
+        self._mcap.append(self._encoder.take())
+
+    def sync(self) -> None:
+        """Have the system bring it to the disk: it outlives a loss of power from then on. OSError where a file was deleted."""
+        self._tlog.sync()
+        self._mcap.sync()
+
+    def close(self, *, whole: bool = True) -> None:
+        """Close both files; `whole`: end the MCAP file with its index. OSError where that cannot be written.
+
+        A file that nothing could be written to is removed.
+        """
+        try:
+            if whole:
+                self._mcap.append(self._encoder.finish(), last=True)
+        finally:
+            self._tlog.close()
+            self._mcap.close()
+
+
+class _File:
+    """A new file of whole appends: one that fails half-way is taken back.
+
+    `end_mark` stands behind the last append at every moment and is written over by the next.
+    """
+
+    def __init__(self, path: Path, end_mark: bytes = b"") -> None:
+        self._path = path
+        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        self._end_mark = end_mark
+        self.size = 0
+
+    def append(self, data: bytes, *, last: bool = False) -> None:
+        if not data:
+            return
+        try:
+            self._write(self.size, data if last else data + self._end_mark)
+        except OSError:
+            os.ftruncate(self._fd, self.size)
+            with contextlib.suppress(OSError):
+                self._write(self.size, self._end_mark)
+            raise
+        self.size += len(data)
+
+    def sync(self) -> None:
+        os.fdatasync(self._fd)
+        if os.fstat(self._fd).st_nlink == 0:
+            # The system goes on taking what nobody will ever read.
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self._path))
+
+    def close(self) -> None:
+        if self.size == 0:
+            with contextlib.suppress(OSError):
+                self._path.unlink()
+        os.close(self._fd)
+
+    def _write(self, at: int, data: bytes) -> None:
+        view = memoryview(data)
+        while view:
+            written = os.pwrite(self._fd, view, at)
+            view, at = view[written:], at + written

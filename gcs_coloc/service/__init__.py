@@ -1,0 +1,1 @@
+"""The composition root: the process, one fleet's path, a replay's."""

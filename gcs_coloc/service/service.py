@@ -1,0 +1,181 @@
+"""The composition root: builds each fleet's path and its observers, keeps them going, and ends them in order."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import signal
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from gcs_coloc.config.fleets import FleetOf
+from gcs_coloc.config.settings import Settings
+from gcs_coloc.core.errors import WebError
+from gcs_coloc.recorder.journal import EVERY_S
+from gcs_coloc.runtime.clock import ServiceClock
+from gcs_coloc.runtime.gc_policy import collect_seldom
+from gcs_coloc.runtime.host_clock import read_host_clock
+from gcs_coloc.service.fleet_service import FleetService
+from gcs_coloc.sinks import console as console_sink
+from gcs_coloc.sinks.live_table import SharedConsole
+
+if TYPE_CHECKING:
+    from gcs_coloc.sinks.mqtt import Mqtt
+    from gcs_coloc.web.server import WebServer
+
+log = logging.getLogger("gcs_coloc")
+
+_VIEW_EVERY_S = 0.5
+_SAMPLE_EVERY_S = 1.0
+"""Without a terminal only the page's history wants views; what it shows live it looks at by itself."""
+_HEARTBEAT_EVERY_S = 1.0
+_REFUSALS_EVERY_S = 10.0
+_ENDING = (signal.SIGINT, signal.SIGTERM)
+
+
+class Service:
+    """The fleets, each with its observers. `run` lasts until a signal or until `stop` is called."""
+
+    def __init__(self, fleets: Sequence[FleetOf]) -> None:
+        self._clock = ServiceClock()
+        self._stopping = asyncio.Event()
+        self._fleets = [self._observed(fleet) for fleet in fleets]
+
+    def _observed(self, fleet: FleetOf) -> _Observed:
+        with fleet.named():
+            return _Observed(fleet, self._clock, self._stopping)
+
+    def stop(self) -> None:
+        """Ask the service to end in order."""
+        self._stopping.set()
+
+    async def run(self, console: SharedConsole) -> None:
+        """Open the links and serve until asked to stop; then tell every aided vehicle that its fix has ended.
+
+        Raises:
+            LinkError: a link cannot be opened.
+            WebError: the page's address was asked for and cannot be had.
+        """
+        loop = asyncio.get_running_loop()
+        for sign in _ENDING:
+            loop.add_signal_handler(sign, self.stop)
+        # The terminal was closed or its connection broke: the aided vehicles are to be told. Under nohup the flight goes on.
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            loop.add_signal_handler(signal.SIGHUP, self.stop)
+        try:
+            for fleet in self._fleets:
+                await fleet.open()
+            collect_seldom()
+            async with asyncio.TaskGroup() as group:
+                news = {fleet.name: fleet.path.events.subscribe() for fleet in self._fleets}
+                background = [group.create_task(console_sink.show(news, console))]
+                for number, fleet in enumerate(self._fleets):
+                    # Not all at once: what many fleets do in the same moment holds up what is to be sent.
+                    background += fleet.start(group, number / len(self._fleets), on_terminal=console.is_terminal)
+                await self._stopping.wait()
+                for fleet in self._fleets:
+                    fleet.stop()
+                for task in background:
+                    task.cancel()
+        finally:
+            for fleet in self._fleets:
+                await fleet.close()
+
+
+class _Observed:
+    """One fleet's path with the page and the broker that look on."""
+
+    def __init__(self, fleet: FleetOf, clock: ServiceClock, stopping: asyncio.Event) -> None:
+        self.name = fleet.name
+        self.path = FleetService(fleet.settings, clock, read_host_clock(clock()))
+        self._clock = clock
+        self._stopping = stopping
+        self._web = self._make_web(fleet.settings)
+        self._mqtt = self._make_mqtt(fleet.settings)
+
+    async def open(self) -> None:
+        """Open the links and the page's address."""
+        await self.path.open()
+        if self._web is None:
+            return
+        try:
+            log.info("%sweb page: %s", self._of, self._web.open())
+        except WebError as error:
+            if self._web.must_open:
+                raise WebError(f"{error}; or leave the page out: --no-web") from None
+            log.warning("%s; the flight goes on without the page", error)
+            self._web = None
+
+    def start(self, group: asyncio.TaskGroup, phase: float, *, on_terminal: bool) -> list[asyncio.Task[None]]:
+        """Begin what goes on by itself, the periodic at `phase` (0 to 1) of their periods; returns the tasks to cancel.
+
+        The fleet is looked at as often as somebody is to see it: seldom where there is neither a page nor a live table.
+        """
+        watched_s = _SAMPLE_EVERY_S if self._web is not None else console_sink.PLAIN_EVERY_S
+        if self._web is not None:
+            group.create_task(self._web.run())
+        if self._mqtt is not None:
+            group.create_task(self._mqtt.run())
+        self.path.start()
+        periodic = (
+            (_VIEW_EVERY_S if on_terminal else watched_s, self.path.publish_view),
+            (_HEARTBEAT_EVERY_S, self._each_second),
+            (_REFUSALS_EVERY_S, self.path.tell_refusals),
+        )
+        return [group.create_task(self._every(period_s, phase, act)) for period_s, act in periodic]
+
+    def stop(self) -> None:
+        """Look at nothing more, and ask the observers to end."""
+        self.path.stop()
+        if self._web is not None:
+            self._web.stop()
+        if self._mqtt is not None:
+            self._mqtt.stop()
+
+    async def close(self) -> None:
+        """Tell every aided vehicle that its fix has ended, and give everything back."""
+        await self.path.close()
+        if self._web is not None:
+            self._web.close()
+
+    @property
+    def _of(self) -> str:
+        return f"fleet {self.name}: " if self.name else ""
+
+    async def _every(self, period_s: float, phase: float, act: Callable[[], None]) -> None:
+        async for _ in self.path.idle.every(period_s, phase):
+            act()
+
+    def _each_second(self) -> None:
+        self.path.each_second(read_host_clock(self._clock()))
+
+    def _make_web(self, settings: Settings) -> WebServer | None:
+        if not settings.web.on:
+            return None
+        # Here, because a service without the page is to start without its packages.
+        from gcs_coloc.web.app import Hooks
+        from gcs_coloc.web.server import WebServer
+        from gcs_coloc.web.track_history import TrackHistory
+
+        path, snapshots = self.path, self.path.snapshots
+        # At the recording's pace, so that one look at the fleet does for both.
+        hooks = Hooks(
+            *(snapshots.look, snapshots.glance, path.obey, self._fault, path.truths.values),
+            idle=path.idle,
+            pictures_every_s=EVERY_S,
+        )
+        return WebServer(settings.web, hooks, TrackHistory(), path.events.subscribe(256))
+
+    def _make_mqtt(self, settings: Settings) -> Mqtt | None:
+        if not settings.mqtt.host:
+            return None
+        from gcs_coloc.sinks.mqtt import Mqtt
+        from gcs_coloc.sinks.mqtt_inbox import Hooks
+
+        path = self.path
+        hooks = Hooks(path.snapshots.look, path.heard, path.obey, path.take_range, self._clock)
+        return Mqtt(settings.mqtt, hooks, path.events.subscribe(256), path.counts, path.idle)
+
+    def _fault(self) -> str | None:
+        """Why the service does not do its work, None where it does."""
+        return "the service is ending" if self._stopping.is_set() else self.path.fault()
