@@ -22,7 +22,7 @@ def _of_vehicle(sysid: str) -> dict[str, float]:
 def main(sysid: str) -> None:
     """Wait for the vehicle; exit code 1 where it comes to nothing."""
     end = time.monotonic() + _PATIENCE_S
-    while (now := _of_vehicle(sysid)).get("gcs_coloc_vehicle_aid_fix") != 1.0:
+    while (now := _of_vehicle(sysid)).get("gcs_coloc_vehicle_aiding_fix") != 1.0:
         if time.monotonic() > end:
             sys.exit(f"UAV{sysid} was not located within {_PATIENCE_S:.0f} s; what the service says: docker compose logs coloc")
         time.sleep(0.5)

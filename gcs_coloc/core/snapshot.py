@@ -62,15 +62,16 @@ class OutSnapshot:
 class VehicleSnapshot:
     """One vehicle as the service sees it. Positions in degrees and metres above mean sea level; None where unknown.
 
-    `claim_*` is what the vehicle says of itself, `lat_deg` ... what the service holds to be true. `sigma_h_m` is 1-sigma
-    along the worst horizontal direction, `sigma_v_m` that of the height, `bound_95_m` the 95 % horizontal bound. `enu_m` and
-    `velocity_enu_mps` are that position and velocity in the fleet's frame, `covariance_h_m2` its horizontal covariance
-    (east-east, east-north, north-north). `yaw_rad` is the vehicle's own, from true north, clockwise. `delay_s` is how much
-    longer its newest position was on the way than the quickest of the last minute. `clock_method` is how its clock is known
-    (TIMESYNC or one-way stamps), `clock_sigma_s` how well. `aid` says in words what is sent to it, `aid_has_fix` whether that
-    is a position, `aid_taken` whether its receiver is seen to take it, `inhibit_reason` why nothing can be sent to it even if it
-    should be. `gps_primary` says in words what the service does with its GPS_PRIMARY. `operator_word` is the operator's on
-    its GPS, `aid_word` on its aid, `primary_word` on its GPS_PRIMARY.
+    `lat_deg`, `lon_deg`, `alt_msl_m` are the service's estimate, `reported_*` is what the vehicle says of itself.
+    `sigma_h_m` is 1-sigma along the worst horizontal direction, `sigma_v_m` that of the height, `bound_95_m` the 95 % horizontal
+    bound. `no_estimate_reason` says why there is no estimate.
+    `enu_m` and `velocity_enu_mps` are the estimate in the fleet's frame, `covariance_h_m2` its horizontal covariance (east-east,
+    east-north, north-north). `yaw_rad` is the vehicle's own, from true north, clockwise.
+    `aiding` says in words what is sent to it, `aiding_has_fix` whether that is a position, `fix_acknowledged` whether its
+    receiver shows our fix, `inhibit_reason` why nothing can be sent to it. `gps_primary` says what the service does with its
+    GPS_PRIMARY. `gps_override`, `aiding_override`, `primary_override` are the operator's decisions on these three.
+    `delay_s` is how much longer its newest position was under way than the quickest of the last minute. `clock_method` is how its
+    clock is known (TIMESYNC or one-way stamps), `clock_sigma_s` how well.
     """
 
     sysid: int
@@ -85,22 +86,22 @@ class VehicleSnapshot:
     bound_95_m: float | None
     hdop: float | None
     ranges_in_use: int
-    unknown_because: str | None
-    claim_lat_deg: float | None
-    claim_lon_deg: float | None
-    aid: str
-    aid_has_fix: bool = False
-    aid_taken: bool | None = None
+    no_estimate_reason: str | None
+    reported_lat_deg: float | None
+    reported_lon_deg: float | None
+    aiding: str
+    aiding_has_fix: bool = False
+    fix_acknowledged: bool | None = None
     gps_primary: str | None = None
     inhibit_reason: str | None = None
-    operator_word: str = "auto"
-    aid_word: str = "auto"
-    primary_word: str = "auto"
+    gps_override: str = "auto"
+    aiding_override: str = "auto"
+    primary_override: str = "auto"
     sigma_v_m: float | None = None
     enu_m: tuple[float, float, float] | None = None
     velocity_enu_mps: tuple[float, float, float] | None = None
     covariance_h_m2: tuple[float, float, float] | None = None
-    claim_enu_m: tuple[float, float, float] | None = None
+    reported_enu_m: tuple[float, float, float] | None = None
     yaw_rad: float | None = None
     fix_type: int | None = None
     satellites: int | None = None

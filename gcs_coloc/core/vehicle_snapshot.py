@@ -26,7 +26,7 @@ def vehicle_snapshot(
     now_s: float,
 ) -> VehicleSnapshot:
     """One vehicle at service time `now_s`. `where` is the estimator's answer for that time, `frame` the fleet's."""
-    enu_m = velocity_mps = covariance_m2 = lat_deg = lon_deg = alt_msl_m = claim_enu_m = None
+    enu_m = velocity_mps = covariance_m2 = lat_deg = lon_deg = alt_msl_m = reported_enu_m = None
     sigma_h_m = sigma_v_m = bound_95_m = hdop = None
     ranges_in_use = 0
     if isinstance(where, Estimate) and frame is not None:
@@ -40,7 +40,7 @@ def vehicle_snapshot(
         lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(e, n, u)
     claim, receiver, attitude = vehicle.position, vehicle.receiver, vehicle.attitude
     if claim is not None and frame is not None:
-        claim_enu_m = frame.enu_from_geodetic(claim.lat_deg, claim.lon_deg, claim.alt_msl_m)
+        reported_enu_m = frame.enu_from_geodetic(claim.lat_deg, claim.lon_deg, claim.alt_msl_m)
     clock = vehicle.clock.quality(now_s, time)
     fresh = attitude is not None and now_s - attitude.received_at_s <= _ATTITUDE_FRESH_S
     return VehicleSnapshot(
@@ -56,22 +56,22 @@ def vehicle_snapshot(
         bound_95_m=bound_95_m,
         hdop=hdop,
         ranges_in_use=ranges_in_use,
-        unknown_because=where.reason if isinstance(where, NoEstimate) else None,
-        claim_lat_deg=claim.lat_deg if claim is not None else None,
-        claim_lon_deg=claim.lon_deg if claim is not None else None,
-        aid=aiding.status(vehicle),
-        aid_has_fix=aiding.sends_fix(vehicle.sysid),
-        aid_taken=aiding.taken(vehicle.sysid),
+        no_estimate_reason=where.reason if isinstance(where, NoEstimate) else None,
+        reported_lat_deg=claim.lat_deg if claim is not None else None,
+        reported_lon_deg=claim.lon_deg if claim is not None else None,
+        aiding=aiding.status(vehicle),
+        aiding_has_fix=aiding.sends_fix(vehicle.sysid),
+        fix_acknowledged=aiding.taken(vehicle.sysid),
         gps_primary=aiding.primary.status(vehicle.sysid),
         inhibit_reason=aiding.inhibit_reason(vehicle),
-        operator_word=vehicle.health.word.value,
-        aid_word=aiding.words.get(vehicle.sysid, AidingOverride.AUTO).value,
-        primary_word=aiding.primary_words.get(vehicle.sysid, PrimaryOverride.AUTO).value,
+        gps_override=vehicle.health.word.value,
+        aiding_override=aiding.words.get(vehicle.sysid, AidingOverride.AUTO).value,
+        primary_override=aiding.primary_words.get(vehicle.sysid, PrimaryOverride.AUTO).value,
         sigma_v_m=sigma_v_m,
         enu_m=enu_m,
         velocity_enu_mps=velocity_mps,
         covariance_h_m2=covariance_m2,
-        claim_enu_m=claim_enu_m,
+        reported_enu_m=reported_enu_m,
         yaw_rad=attitude.yaw_rad if attitude is not None and fresh else None,
         fix_type=receiver.fix_type if receiver is not None else None,
         satellites=receiver.satellites if receiver is not None else None,

@@ -16,7 +16,7 @@ from gcs_coloc.recorder.journal import VehicleEntry
 
 COLUMNS = (
     "unix_s", "sysid", "lat_deg", "lon_deg", "alt_msl_m", "sigma_h_m", "bound_95_m", "hdop", "nis", "ranges_in_use",
-    "gps_state", "aid_has_fix", "unknown_because",
+    "gps_state", "aiding_has_fix", "no_estimate_reason",
 )  # fmt: skip
 _ELLIPSE_EVERY_S = 1.0
 _KML = "http://www.opengis.net/kml/2.2"
@@ -72,7 +72,7 @@ def _row(entry: VehicleEntry) -> list[Any]:
     return [
         f"{entry.at_s:.6f}", v.sysid, _number(v.lat_deg, 8), _number(v.lon_deg, 8), _number(v.alt_msl_m, 3),
         _number(v.sigma_h_m, 3), _number(v.bound_95_m, 3), _number(v.hdop, 3), _number(nis, 4), v.ranges_in_use,
-        v.gps_state, int(v.aid_has_fix), v.unknown_because or "",
+        v.gps_state, int(v.aiding_has_fix), v.no_estimate_reason or "",
     ]  # fmt: skip
 
 

@@ -93,7 +93,7 @@ def _vehicle(story: FlightHistory, vehicle: Mapping[str, Any], track: Sequence[V
     if bounds:
         rows.append(("95 % bound, median and most", f"{median(bounds):.1f} m, {max(bounds):.1f} m"))
     rows.extend(_score(vehicle["score"]))
-    why = sorted({v.unknown_because for v in without if v.unknown_because is not None})
+    why = sorted({v.no_estimate_reason for v in without if v.no_estimate_reason is not None})
     rows.extend(("not located because", reason) for reason in why)
     alt = f"Vehicle {sysid} over time: bound and sigma, HDOP and ranges in use, NIS"
     return f"<h2>Vehicle {sysid} without its GPS</h2>" + _table(("", ""), rows) + _image(alt, vehicle_picture(story, track))

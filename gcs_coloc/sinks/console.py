@@ -80,7 +80,7 @@ def line(v: VehicleSnapshot) -> str:
     """One vehicle in one plain line."""
     return (
         f"vehicle {v.sysid}: last heard {v.age_s:.1f} s ago, GPS {v.gps_state} ({v.gps_reason}), position {_where(v)}, "
-        f"1-sigma {_number(v.sigma_h_m, 'm')}, HDOP {_number(v.hdop)}, {v.ranges_in_use} ranges in use, aid {v.aid}"
+        f"1-sigma {_number(v.sigma_h_m, 'm')}, HDOP {_number(v.hdop)}, {v.ranges_in_use} ranges in use, aid {v.aiding}"
     )
 
 
@@ -112,7 +112,7 @@ def table(view: FleetSnapshot, name: str = "") -> Table:
             _number(v.sigma_h_m, "m"),
             _number(v.hdop),
             str(v.ranges_in_use),
-            v.aid,
+            v.aiding,
         )
     if not view.vehicles:
         out.add_row("none", "", "", "no vehicle heard yet", "", "", "", "", "")
@@ -121,7 +121,7 @@ def table(view: FleetSnapshot, name: str = "") -> Table:
 
 def _where(v: VehicleSnapshot) -> str:
     if v.lat_deg is None or v.lon_deg is None or v.alt_msl_m is None:
-        return f"unknown: {v.unknown_because}"
+        return f"unknown: {v.no_estimate_reason}"
     return f"{v.lat_deg:.6f} {v.lon_deg:.6f} {v.alt_msl_m:.0f} m"
 
 

@@ -30,11 +30,11 @@ _GAUGES: tuple[tuple[str, str, Callable[[VehicleSnapshot], float | None]], ...] 
         "Share of its ranges of the last 5 s that were refused.",
         lambda v: v.consistency.refused / v.consistency.ranges if v.consistency else None,
     ),
-    ("aid_fix", "1 while the vehicle is being sent a position.", lambda v: float(v.aid_has_fix)),
+    ("aiding_fix", "1 while the vehicle is being sent a position.", lambda v: float(v.aiding_has_fix)),
     (
-        "aid_taken",
+        "fix_acknowledged",
         "1 where the vehicle's receiver is seen to take what is sent, 0 where it is not.",
-        lambda v: float(v.aid_taken) if v.aid_taken is not None else None,
+        lambda v: float(v.fix_acknowledged) if v.fix_acknowledged is not None else None,
     ),
     ("link_delay_seconds", "Delay of its newest position beyond the least of the last minute.", lambda v: v.delay_s),
 )

@@ -27,19 +27,19 @@ class _Sent(BaseModel):
 
 
 class VehicleState(_Sent):
-    """`…/{sysid}/state`: what the vehicle says of itself, and what is sent to it. `claim_*` is its own word, not ours."""
+    """`…/{sysid}/state`: what the vehicle says of itself (`reported_*`), and what is sent to it."""
 
     sysid: int
     autopilot: str
     age_s: float
-    claim_lat_deg: float | None
-    claim_lon_deg: float | None
+    reported_lat_deg: float | None
+    reported_lon_deg: float | None
     yaw_rad: float | None
     fix_type: int | None
     satellites: int | None
-    aid: str
-    aid_has_fix: bool
-    aid_taken: bool | None
+    aiding: str
+    aiding_has_fix: bool
+    fix_acknowledged: bool | None
     gps_primary: str | None
     inhibit_reason: str | None
 
@@ -57,7 +57,7 @@ class VehicleEstimate(_Sent):
     bound_95_m: float | None
     hdop: float | None
     ranges_in_use: int
-    unknown_because: str | None
+    no_estimate_reason: str | None
 
 
 class VehicleHealth(_Sent):
@@ -66,9 +66,9 @@ class VehicleHealth(_Sent):
     sysid: int
     gps_state: str
     gps_reason: str
-    operator_word: str
-    aid_word: str
-    primary_word: str
+    gps_override: str
+    aiding_override: str
+    primary_override: str
 
 
 class GroundTools(BaseModel):

@@ -34,17 +34,19 @@ def traffic_light(v: VehicleSnapshot) -> tuple[LightColour, str]:
     if v.age_s > SILENT_AFTER_S:
         return "bad", f"not heard for {v.age_s:.0f} s; before that: GPS {v.gps_state}, {v.gps_reason}"
     if v.gps_state in ("failed", "recovering"):
-        located = f"within {v.bound_95_m:.0f} m (95 %)" if v.bound_95_m is not None else f"nowhere: {v.unknown_because}"
-        text = f"GPS {v.gps_state}: {v.gps_reason}. Located {located}; {v.aid}"
-        return ("caution" if v.aid_has_fix and v.aid_taken is not False else "bad"), text
+        located = f"within {v.bound_95_m:.0f} m (95 %)" if v.bound_95_m is not None else f"nowhere: {v.no_estimate_reason}"
+        text = f"GPS {v.gps_state}: {v.gps_reason}. Located {located}; {v.aiding}"
+        return ("caution" if v.aiding_has_fix and v.fix_acknowledged is not False else "bad"), text
     if v.gps_state == "suspect":
         return "caution", f"GPS suspect: {v.gps_reason}"
     if v.gps_state == "unknown":
         return "unknown", v.gps_reason
-    if v.aid_word == "on":
-        return ("caution" if v.aid_has_fix else "bad"), f"aided by the operator's word ({v.aid}); GPS healthy: {v.gps_reason}"
-    if v.aid_taken is False:
-        return "caution", f"GPS healthy ({v.gps_reason}), but {v.aid}"
+    if v.aiding_override == "on":
+        return (
+            "caution" if v.aiding_has_fix else "bad"
+        ), f"aided by the operator's word ({v.aiding}); GPS healthy: {v.gps_reason}"
+    if v.fix_acknowledged is False:
+        return "caution", f"GPS healthy ({v.gps_reason}), but {v.aiding}"
     if v.inhibit_reason is not None:
         return "caution", f"GPS healthy ({v.gps_reason}), but it could not be aided: {v.inhibit_reason}"
     return "good", f"GPS healthy: {v.gps_reason}"

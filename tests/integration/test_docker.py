@@ -55,7 +55,7 @@ def demo():
 
 def located(demo) -> dict:
     """UAV4's next estimate once it is being sent its position."""
-    while not demo.published("4/state")["aid_has_fix"]:
+    while not demo.published("4/state")["aiding_has_fix"]:
         pass
     return demo.published("4/estimate")
 
@@ -111,7 +111,7 @@ def test_a_broker_that_dies_comes_back_and_the_service_finds_it_again(demo):
     demo.kill("broker")
     wait_until(lambda: demo.inspect("broker")["RestartCount"] == before["broker"] + 1 and demo.is_healthy("broker"), PATIENCE_S)
     assert demo.published("status")["online"] is True
-    assert located(demo)["unknown_because"] is None
+    assert located(demo)["no_estimate_reason"] is None
     assert demo.inspect("coloc")["RestartCount"] == before["coloc"]
 
 

@@ -94,7 +94,7 @@ def test_the_latest_is_retained_and_back_after_the_broker_was_killed(start_with_
     first = observe()
     with square_fleet(free_port) as fleet:
         fly(fleet, 1.5)
-        fly(fleet, 30.0, failed=[4], until=lambda: fixes(fleet[3]) >= 10 and first.of("4/state", "aid_has_fix"))
+        fly(fleet, 30.0, failed=[4], until=lambda: fixes(fleet[3]) >= 10 and first.of("4/state", "aiding_has_fix"))
         assert (first.of("4/health", "gps_state"), first.of("1/health", "gps_state")) == ("failed", "healthy")
         assert (first.of("status", "online"), first.of("status", "vehicles")) == (True, [1, 2, 3, 4])
         e, n, _ = fleet[3].enu_m
@@ -179,7 +179,7 @@ def test_commands_are_obeyed_only_where_they_are_allowed(start_with_broker, obse
         fly(fleet, 20.0, until=lambda: operator.of("1/health", "gps_state") == "healthy")
         operator.publish("1/cmd", {"word": "failed"})
         fly(fleet, 1.0)
-        assert (operator.of("1/health", "gps_state"), operator.of("1/health", "operator_word")) == ("healthy", "auto")
+        assert (operator.of("1/health", "gps_state"), operator.of("1/health", "gps_override")) == ("healthy", "auto")
         service.send_signal(signal.SIGTERM)
         service.communicate(timeout=20)
         operator.newest.clear()
@@ -189,8 +189,8 @@ def test_commands_are_obeyed_only_where_they_are_allowed(start_with_broker, obse
         operator.publish("1/cmd", {"word": "failed"})
         operator.publish("2/cmd", {"word": "nonsense"})
         fly(fleet, 20.0, until=lambda: operator.of("1/health", "gps_state") == "failed" and operator.of("status", "refused"))
-        assert operator.of("1/health", "operator_word") == "failed"
-        assert operator.of("2/health", "operator_word") == "auto"
+        assert operator.of("1/health", "gps_override") == "failed"
+        assert operator.of("2/health", "gps_override") == "auto"
         assert operator.of("status", "refused").get("mqtt_cmd_invalid") == 1
 
 

@@ -101,7 +101,7 @@ def test_the_replay_computes_what_the_live_run_computed_to_the_last_bit(flown):
     assert live[: len(replayed)] == replayed
     assert len(replayed) > 0.9 * len(live)
     located = [json.loads(v)["vehicle"] for v in replayed]
-    assert any(v["sysid"] == 4 and v["aid_has_fix"] and v["lat_deg"] is not None for v in located)
+    assert any(v["sysid"] == 4 and v["aiding_has_fix"] and v["lat_deg"] is not None for v in located)
 
 
 def test_the_replay_is_the_same_every_time(flown):

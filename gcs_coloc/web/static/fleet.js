@@ -75,8 +75,8 @@ export class FleetList {
       "last heard": `${age(view.age_s + lateS)} ago`,
       autopilot: view.autopilot,
       "its receiver": view.fix_type === null ? "not heard" : `fix type ${view.fix_type}, ${view.satellites ?? "?"} satellites`,
-      "our estimate": view.enu_m === null ? `unknown: ${view.unknown_because}` : `${place(view.lat_deg, view.lon_deg)}, ${metres(view.alt_msl_m, 0)} ±${metres(view.sigma_v_m, 0)} above sea level`,
-      "its own claim": place(view.claim_lat_deg, view.claim_lon_deg),
+      "our estimate": view.enu_m === null ? `unknown: ${view.no_estimate_reason}` : `${place(view.lat_deg, view.lon_deg)}, ${metres(view.alt_msl_m, 0)} ±${metres(view.sigma_v_m, 0)} above sea level`,
+      "its own claim": place(view.reported_lat_deg, view.reported_lon_deg),
       "1-sigma, 95 % bound": `${metres(view.sigma_h_m)}, ${metres(view.bound_95_m)}`,
       "2-sigma ellipse": ellipse === null ? "-" : `${metres(ellipse.semi_major_m)} by ${metres(ellipse.semi_minor_m)}`,
       speed: view.velocity_enu_mps === null ? "-" : `${Math.hypot(view.velocity_enu_mps[0], view.velocity_enu_mps[1]).toFixed(1)} m/s`,
@@ -84,8 +84,8 @@ export class FleetList {
       "median NIS": c === null ? "-" : `${number(c.nis_median, 2)}, ${c.nis_median > c.band_high ? "above its band" : "band"} ${number(c.band_low, 2)} to ${number(c.band_high, 2)}; ${c.refused} of ${c.ranges} ranges refused`,
       clock: view.clock_method === null ? "-" : `${view.clock_method} ±${milliseconds(view.clock_sigma_s)}`,
       link: link === undefined ? "-" : `${number(link.rate_hz)} frames/s, loss ${number(link.loss_percent)} %`,
-      "sent to it": view.aid,
-      "operator's word": `GPS ${view.operator_word}, aid ${view.aid_word}, GPS_PRIMARY ${view.primary_word}`,
+      "sent to it": view.aiding,
+      "operator's word": `GPS ${view.gps_override}, aid ${view.aiding_override}, GPS_PRIMARY ${view.primary_override}`,
     };
     if (view.gps_primary !== null) facts.GPS_PRIMARY = view.gps_primary;
     if (view.inhibit_reason !== null) facts["cannot be aided"] = view.inhibit_reason;

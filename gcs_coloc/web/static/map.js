@@ -134,12 +134,12 @@ export class FleetMap {
     const stale = view.age_s > 3;
     const words = `Vehicle ${view.sysid}, ${LIGHT_WORDS[light]}`;
     this.place(view.sysid, "estimate", view.enu_m, `${words}: our estimate`, () => estimateIcon(view, light, stale));
-    this.place(view.sysid, "claim", trusted ? null : view.claim_enu_m, `Vehicle ${view.sysid}: its own claim, not believed`, () => claimIcon(view));
+    this.place(view.sysid, "claim", trusted ? null : view.reported_enu_m, `Vehicle ${view.sysid}: its own claim, not believed`, () => claimIcon(view));
     this.place(view.sysid, "truth", vehicle.truth_enu_m, `Vehicle ${view.sysid}: the truth, as its simulation has it`, () => truthIcon(view));
     const drawEllipse = view.enu_m !== null && ellipse !== null && !trusted;
     this.shape(mark, "ellipse", drawEllipse ? ellipsePoints(view.enu_m, ellipse) : [], "ellipse", true);
-    const both = !trusted && view.enu_m !== null && view.claim_enu_m !== null;
-    this.shape(mark, "difference", both ? [at(view.enu_m), at(view.claim_enu_m)] : [], "difference", false);
+    const both = !trusted && view.enu_m !== null && view.reported_enu_m !== null;
+    this.shape(mark, "difference", both ? [at(view.enu_m), at(view.reported_enu_m)] : [], "difference", false);
   }
 
   place(sysid, key, enu, title, icon) {

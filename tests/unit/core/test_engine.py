@@ -145,7 +145,7 @@ def test_a_vehicle_that_cannot_be_reached_or_takes_no_gps_input_gets_nothing_and
     last = [o for o in engine.poll(7.0) if isinstance(o, GpsInput)]
     assert [o.fix_type for o in last] == [1]
     assert not [o for o in engine.poll(7.5) if isinstance(o, GpsInput)]
-    assert words in next(v.aid for v in engine.view(7.5).vehicles if v.sysid == 4)
+    assert words in next(v.aiding for v in engine.view(7.5).vehicles if v.sysid == 4)
 
 
 def test_the_operators_word_holds_from_before_the_vehicle_is_heard():

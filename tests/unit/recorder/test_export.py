@@ -41,7 +41,7 @@ def test_the_table_holds_every_vehicle_five_times_a_second_and_where_it_truly_wa
     assert len(mine) == pytest.approx(2.5 * 30, abs=5)
     lost = [row for row in mine if row["gps_state"] == "failed" and row["lat_deg"]]
     assert len(lost) > 2.5 * 6
-    assert all(row["aid_has_fix"] == "1" for row in lost[5:])
+    assert all(row["aiding_has_fix"] == "1" for row in lost[5:])
     for row in lost:
         at = min(truth, key=lambda t: abs(t - float(row["unix_s"])))
         # Within three times its own bound, and what it flies (below 30 m/s) in the 0.1 s to the next true position.

@@ -28,8 +28,8 @@ def test_the_numbers_are_the_views():
     assert value(view, "gcs_coloc_vehicles") == 2
     assert value(view, "gcs_coloc_vehicle_position_sigma_meters", sysid="4") == 3.0
     assert value(view, "gcs_coloc_vehicle_height_sigma_meters", sysid="4") == 4.0
-    assert value(view, "gcs_coloc_vehicle_aid_fix", sysid="4") == 1
-    assert value(view, "gcs_coloc_vehicle_aid_fix", sysid="1") == 0
+    assert value(view, "gcs_coloc_vehicle_aiding_fix", sysid="4") == 1
+    assert value(view, "gcs_coloc_vehicle_aiding_fix", sysid="1") == 0
     assert value(view, "gcs_coloc_vehicle_nis_median", sysid="4") == 0.5
     assert value(view, "gcs_coloc_vehicle_ranges_refused_ratio", sysid="4") == 3 / 150
     assert value(view, "gcs_coloc_vehicle_gps_state", sysid="4", state="failed") == 1
@@ -45,7 +45,7 @@ def test_what_is_unknown_has_no_sample_instead_of_a_zero():
     view = fleet_view(10.0, HEALTHY, LOST)
     assert value(view, "gcs_coloc_vehicle_position_sigma_meters", sysid="4") is None
     assert value(view, "gcs_coloc_vehicle_position_bound_95_meters", sysid="4") is None
-    assert value(view, "gcs_coloc_vehicle_aid_fix", sysid="4") == 0
+    assert value(view, "gcs_coloc_vehicle_aiding_fix", sysid="4") == 0
 
 
 def test_every_metric_is_in_the_reference():

@@ -21,7 +21,7 @@ def test_aid_off_ends_the_stream_with_no_fix_and_auto_begins_it_again():
     engine.receive(OperatorCommand(4, 8.0, AidingOverride.OFF))
     stream = aids(fly(engine, 8.0, 10.0, failed=[4]), 4)
     assert [a.fix_type for _, a in stream] == [1]
-    assert vehicle_4(engine, 10.0).aid == "off by the operator's word"
+    assert vehicle_4(engine, 10.0).aiding == "off by the operator's word"
     engine.receive(OperatorCommand(4, 10.0, AidingOverride.AUTO))
     assert len(aids(fly(engine, 10.0, 12.0, failed=[4]), 4)) == pytest.approx(20, abs=1)
 
@@ -79,7 +79,7 @@ def test_to_an_unknown_autopilot_nothing_is_sent_unless_a_way_is_set():
         alarms = [o.text for _, o in out if isinstance(o, Notice) and "cannot be aided: its autopilot is neither" in o.text]
         assert len(alarms) == (0 if sent else 1)
         assert all("set the way of its aid ([aid] ways)" in text for text in alarms)
-        assert vehicle_4(engine, 10.0).aid.startswith("sending 3D fix" if sent else "NOT SENT: its autopilot is neither")
+        assert vehicle_4(engine, 10.0).aiding.startswith("sending 3D fix" if sent else "NOT SENT: its autopilot is neither")
 
 
 def test_the_word_on_the_aid_leaves_the_word_on_the_gps_alone():
@@ -87,7 +87,7 @@ def test_the_word_on_the_aid_leaves_the_word_on_the_gps_alone():
     fly(engine, 0.0, 2.0)
     engine.receive(OperatorCommand(4, 2.0, AidingOverride.OFF))
     seen = vehicle_4(engine, 2.0)
-    assert (seen.operator_word, seen.aid_word) == ("auto", "off")
+    assert (seen.gps_override, seen.aiding_override) == ("auto", "off")
 
 
 def test_a_px4_is_told_by_global_position_sensor_where_it_is_on_arrival():
@@ -101,7 +101,7 @@ def test_a_px4_is_told_by_global_position_sensor_where_it_is_on_arrival():
     assert (last.sysid, last.eph_m, last.epv_m) == (4, 2.0, 3.0)
     east_m, _, up_m = engine.feed.frame.enu_from_geodetic(last.lat_deg, last.lon_deg, last.alt_msl_m)
     assert (east_m, up_m) == pytest.approx((20.0 * sent_at_s, 30.0), abs=0.01)
-    assert vehicle_4(engine, 10.0).aid == "sending GLOBAL_POSITION_SENSOR"
+    assert vehicle_4(engine, 10.0).aiding == "sending GLOBAL_POSITION_SENSOR"
     assert engine.close() == []
 
 
@@ -120,7 +120,7 @@ def test_the_way_of_a_single_vehicle_wins_and_one_that_it_cannot_take_is_refused
     fly(engine, 0.0, 5.0)
     out = fly(engine, 5.0, 10.0, failed=[3, 4])
     assert {o.sysid for _, o in out if isinstance(o, AidingMessage)} == {3}
-    assert "NOT SENT: ArduPilot does not take GLOBAL_POSITION_SENSOR" in vehicle_4(engine, 10.0).aid
+    assert "NOT SENT: ArduPilot does not take GLOBAL_POSITION_SENSOR" in vehicle_4(engine, 10.0).aiding
 
 
 def test_the_stream_goes_on_for_a_while_after_the_gps_is_healthy_again_then_ends_with_no_fix():
@@ -143,7 +143,7 @@ def test_somebody_elses_gps_input_makes_ours_stand_down_while_it_lasts_and_ten_s
         out += fly(engine, step / 10, step / 10 + 0.1, failed=[4])
     assert not aids(out, 4)  # no last word either: it would interrupt the other one's fix
     assert "system 255 sends it GPS_INPUT for receiver 1: ours stands down" in texts(out)
-    assert "system 255 sends it GPS_INPUT" in vehicle_4(engine, 12.0).aid
+    assert "system 255 sends it GPS_INPUT" in vehicle_4(engine, 12.0).aiding
     after = fly(engine, 12.0, 24.0, failed=[4])
     assert aids(after, 4)[0][0] == pytest.approx(21.9, abs=0.41)
     assert "nobody else has sent it GPS_INPUT for 10 s" in texts(after)

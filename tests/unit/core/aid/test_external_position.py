@@ -73,8 +73,8 @@ def test_a_coarse_position_goes_by_estimates_once_the_vehicle_takes_them_and_gps
     east_m, _, _ = frame.enu_from_geodetic(last.lat_deg, last.lon_deg, 530.0)
     assert east_m == pytest.approx(20.0 * sent_at_s, abs=0.01)  # where it is when the command arrives, not 0.2 s before
     assert last.sent_s == pytest.approx(sent_at_s, abs=0.01)
-    assert "external position estimates, for it is too coarse" in engine.view(20.0).vehicles[3].aid
-    assert engine.view(20.0).vehicles[3].aid_has_fix
+    assert "external position estimates, for it is too coarse" in engine.view(20.0).vehicles[3].aiding
+    assert engine.view(20.0).vehicles[3].aiding_has_fix
 
 
 def test_a_height_that_is_not_known_is_stated_and_the_horizontal_position_goes_by_estimates_without_one():

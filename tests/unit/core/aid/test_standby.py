@@ -29,7 +29,7 @@ def test_standby_streams_a_healthy_vehicle_its_own_estimate_and_leaves_it_an_anc
     assert {a.fix_type for _, a in stream} == {3}
     seen = vehicle_4(engine, 10.0)
     assert seen.gps_state == "healthy"
-    assert seen.aid.startswith("standby: sending 3D fix")
+    assert seen.aiding.startswith("standby: sending 3D fix")
     assert max(m.measured_at_s for m in estimator.of(PositionMeasurement, 4)) > 9.5
     assert not engine.fleet.get(4).health.aided
 
@@ -40,7 +40,7 @@ def test_standby_fails_over_without_a_gap():
     assert {a.fix_type for _, a in stream} == {3}
     times = [t for t, _ in stream]
     assert [b - a for a, b in pairwise(times)] == pytest.approx([0.1] * (len(times) - 1), abs=1e-6)
-    assert vehicle_4(engine, 20.0).aid.startswith("sending 3D fix")
+    assert vehicle_4(engine, 20.0).aiding.startswith("sending 3D fix")
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_standby_fails_over_without_a_gap():
 def test_standby_waits_for_parameters_by_which_the_vehicle_stays_with_its_own_receiver(values, words):
     engine, _ = standing_by(**values)
     assert not aids(fly(engine, 2.0, 10.0), 4)
-    assert words in vehicle_4(engine, 10.0).aid
+    assert words in vehicle_4(engine, 10.0).aiding
     assert len(aids(fly(engine, 10.0, 14.0, failed=[4]), 4)) > 25  # aid needs none of it
 
 

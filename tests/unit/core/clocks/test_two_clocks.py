@@ -75,6 +75,6 @@ def test_two_autopilots_behind_one_address_get_nothing_are_no_anchor_and_are_tol
     assert told[0].startswith("two autopilots use its system id; give each its own")
     assert engine.view(10.0).vehicles[3].gps_state == "suspect"
     assert not aids(duplicate_id(10.0, 20.0, fix_type=1), 4)
-    assert "NOT SENT: two autopilots" in engine.view(20.0).vehicles[3].aid
+    assert "NOT SENT: two autopilots" in engine.view(20.0).vehicles[3].aiding
     back = fly(engine, 20.0, 40.0, failed=[4])
     assert 3 in {a.fix_type for t, a in aids(back, 4) if t > 32.0}
