@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from gcs_coloc.links.base import Address, Link
 
-TELL_EVERY_S = 10.0
+WARN_EVERY_S = 10.0
 """A pretender may send a hundred frames a second; one line of news in this time is what a person can use."""
 
 
@@ -26,35 +26,35 @@ class AddressConflicts:
     def __init__(self) -> None:
         self._refused: dict[int, tuple[Route, Route, int]] = {}
         self._moved: dict[int, tuple[Route, Route]] = {}
-        self._told_at_s: dict[int, float] = {}
+        self._warned_at_s: dict[int, float] = {}
 
-    def refuse(self, sysid: int, pinned: Route, claimed: Route) -> None:
-        """Note that frames of `sysid`, which is heard at `pinned`, were refused from `claimed`."""
+    def add_refusal(self, sysid: int, bound: Route, claimed: Route) -> None:
+        """Note that frames of `sysid`, which is heard at `bound`, were refused from `claimed`."""
         times = self._refused[sysid][2] if sysid in self._refused else 0
-        self._refused[sysid] = (pinned, claimed, times + 1)
+        self._refused[sysid] = (bound, claimed, times + 1)
 
-    def move(self, sysid: int, before: Route, after: Route) -> None:
+    def add_move(self, sysid: int, before: Route, after: Route) -> None:
         """Note that a vehicle, silent at one address, has turned up at another one."""
         self._moved[sysid] = (before, after)
 
-    def news(self, now_s: float) -> list[tuple[int, str]]:
+    def pending_warnings(self, now_s: float) -> list[tuple[int, str]]:
         """System id and text of what is to be told by now."""
         out = []
         for sysid in sorted(self._refused.keys() | self._moved.keys()):
-            if now_s - self._told_at_s.get(sysid, float("-inf")) < TELL_EVERY_S:
+            if now_s - self._warned_at_s.get(sysid, float("-inf")) < WARN_EVERY_S:
                 continue
-            self._told_at_s[sysid] = now_s
+            self._warned_at_s[sysid] = now_s
             if sysid in self._moved:
                 before, after = self._moved.pop(sysid)
                 out.append((sysid, f"is heard from another address now: {after}, before from {before}"))
             if sysid in self._refused:
-                out.append((sysid, _told(*self._refused.pop(sysid))))
+                out.append((sysid, _refusal_warning(*self._refused.pop(sysid))))
         return out
 
 
-def _told(pinned: Route, claimed: Route, times: int) -> str:
+def _refusal_warning(bound: Route, claimed: Route, times: int) -> str:
     return (
-        f"another sender claims to be it and is refused ({times} times): {claimed}; it is heard at {pinned}. Give every vehicle "
+        f"another sender claims to be it and is refused ({times} times): {claimed}; it is heard at {bound}. Give every vehicle "
         "its own system id (SYSID_THISMAV or MAV_SYSID); one with two radios is used over the first of them until that is "
         "silent; a companion of its own needs "
         "senders.companions_elsewhere; otherwise, somebody is pretending"

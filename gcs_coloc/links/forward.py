@@ -34,16 +34,16 @@ TOOL_KEPT_S = 30.0
 """A ground tool that has said nothing for so long has gone; they all send a heartbeat every second."""
 MAX_UNSENT_BYTES = 65_536
 """What a ground tool is slow to take waits up to this; a burst of parameters is some 40,000 bytes."""
-TELL_EVERY_S = 10.0
+WARN_EVERY_S = 10.0
 
 UNKNOWN_SENDER = "ground_tool_unknown_sender"
 TOO_MANY_TOOLS = "too_many_ground_tools"
 UNKNOWN_TARGET = "ground_tool_unknown_target"
 CLAIMS_VEHICLE = "ground_tool_claims_vehicle"
-AID_HELD_BACK = "ground_tool_aid"
+AIDING_WITHHELD = "ground_tool_aid"
 SENDER_AWAY = "forward_address_conflict"
 
-_AID = {MAVLINK_MSG_ID_GPS_INPUT: "GPS_INPUT", MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR: "GLOBAL_POSITION_SENSOR"}
+_AIDING_MESSAGES = {MAVLINK_MSG_ID_GPS_INPUT: "GPS_INPUT", MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR: "GLOBAL_POSITION_SENSOR"}
 """Messages by which vehicles are sent positions at a rate, by id."""
 _LOCAL_HOSTS = {"127.0.0.1", "localhost", "::1"}
 
@@ -102,8 +102,8 @@ class Forwarder:
         for address in (parse_out(text) for text in outs):
             link = make_link(address, self._on_ground, clock, most_unsent_bytes=MAX_UNSENT_BYTES)
             self._outs[link] = _Out(link, listens=isinstance(address, UdpIn))
-        self._held_back: dict[int, tuple[str, str]] = {}
-        self._told_at_s = float("-inf")
+        self._withheld: dict[int, tuple[str, str]] = {}
+        self._warned_at_s = float("-inf")
 
     @property
     def refusals(self) -> list[Counts]:
@@ -127,7 +127,7 @@ class Forwarder:
             return
         good = []
         for raw in frames:
-            if self._routes.is_at_home(raw.sysid, raw.compid, link, address, now_s):
+            if self._routes.comes_from_its_binding(raw.sysid, raw.compid, link, address, now_s):
                 good.append(raw.frame)
             else:
                 self.counts.add(SENDER_AWAY)
@@ -138,16 +138,16 @@ class Forwarder:
         """Show the ground tools a frame of our own."""
         self._to_ground(frame, 1, self._clock())
 
-    def news(self, now_s: float) -> list[tuple[int, str]]:
+    def pending_warnings(self, now_s: float) -> list[tuple[int, str]]:
         """System id and text of what the operator is to be told by now."""
-        if not self._held_back or now_s - self._told_at_s < TELL_EVERY_S:
+        if not self._withheld or now_s - self._warned_at_s < WARN_EVERY_S:
             return []
-        self._told_at_s = now_s
-        held_back, self._held_back = self._held_back, {}
+        self._warned_at_s = now_s
+        withheld, self._withheld = self._withheld, {}
         text = "as well: it is kept from this vehicle, which is being aided by us. Stop one of the two"
-        return [(sysid, f"a ground tool on {name} sends {what} {text}") for sysid, (name, what) in sorted(held_back.items())]
+        return [(sysid, f"a ground tool on {name} sends {what} {text}") for sysid, (name, what) in sorted(withheld.items())]
 
-    def views(self) -> tuple[OutSnapshot, ...]:
+    def snapshots(self) -> tuple[OutSnapshot, ...]:
         """What went on to each connection string's ground tools, and what came of them."""
         now_s = self._clock()
         return tuple(
@@ -173,7 +173,7 @@ class Forwarder:
         if not self._rate_limiter.admits((link, address), len(payload), received_at_s):
             out.refused += 1
             return
-        if not self._knows(out, address, received_at_s):
+        if not self._admits_sender(out, address, received_at_s):
             return
         signing, damage = self._signed.of(link.name), Counts()
         for raw in split(payload, damage, ended=True)[0]:
@@ -200,7 +200,7 @@ class Forwarder:
             return INVALID_SYSID
         return CLAIMS_VEHICLE if self._routes.is_vehicle(raw.sysid) else None
 
-    def _knows(self, out: _Out, address: Address, now_s: float) -> bool:
+    def _admits_sender(self, out: _Out, address: Address, now_s: float) -> bool:
         """Whether a datagram comes from one of this link's ground tools; who comes to a listening port becomes one."""
         if not out.listens:
             # A port that we only send from is open to the network as well.
@@ -225,7 +225,7 @@ class Forwarder:
             routes = self._routes.reach(sysid, compid)
             if not routes:
                 self._refuse(out, UNKNOWN_TARGET)
-        if raw.message_id in _AID:
+        if raw.message_id in _AIDING_MESSAGES:
             routes = self._unaided(raw, routes, out)
         sent = False
         for route in routes:
@@ -241,8 +241,8 @@ class Forwarder:
             sysids = vehicles.get(route, set())
             aided = [sysid for sysid in sysids if self._is_aided(sysid)]
             if aided:
-                self._refuse(out, AID_HELD_BACK)
-                self._held_back.update(dict.fromkeys(aided, (out.link.name, _AID[raw.message_id])))
+                self._refuse(out, AIDING_WITHHELD)
+                self._withheld.update(dict.fromkeys(aided, (out.link.name, _AIDING_MESSAGES[raw.message_id])))
                 continue
             unaided.append(route)
             if raw.message_id == MAVLINK_MSG_ID_GPS_INPUT:

@@ -18,7 +18,7 @@ LEAST_COST_BYTES = 64
 """A datagram counts for as much however small it is: receiving it costs as well."""
 KEPT_S = 10.0
 """A known source that was silent for so long makes room for a new one."""
-MAX_KNOWN = 256
+MAX_SOURCES = 256
 """More than a fleet can have vehicles."""
 
 
@@ -34,30 +34,30 @@ class RateLimiter:
     """Admits up to `bytes_per_s` from each known source, and as much from all others together.
 
     So a flood takes nothing from those known before it, from however many addresses it comes, and a vehicle that turns up
-    meanwhile gets through to become known. At most `max_known` are kept.
+    meanwhile gets through to become known. At most `max_sources` are kept.
     """
 
-    def __init__(self, bytes_per_s: float, *, max_known: int = MAX_KNOWN) -> None:
+    def __init__(self, bytes_per_s: float, *, max_sources: int = MAX_SOURCES) -> None:
         self.counts = Counts()
         self._bytes_per_s = bytes_per_s
-        self._max_known = max_known
-        self._known: dict[Hashable, _TokenBucket] = {}
-        self._others_drained_at_s = float("-inf")
+        self._max_sources = max_sources
+        self._sources: dict[Hashable, _TokenBucket] = {}
+        self._shared_drained_at_s = float("-inf")
 
     @property
-    def known(self) -> int:
+    def sources(self) -> int:
         """How many sources have a share of their own."""
-        return len(self._known)
+        return len(self._sources)
 
-    def know(self, source: Hashable, now_s: float) -> None:
+    def add_source(self, source: Hashable, now_s: float) -> None:
         """Give a source, shown at service time `now_s` to be a vehicle's, a share of its own, if there is room."""
-        if source not in self._known and self._has_room(now_s):
-            self._known[source] = _TokenBucket(now_s, now_s)
+        if source not in self._sources and self._has_room(now_s):
+            self._sources[source] = _TokenBucket(now_s, now_s)
 
     def admits(self, source: Hashable, size: int, now_s: float) -> bool:
         """Whether a datagram of `size` bytes that came from `source` at service time `now_s` is to be looked at."""
-        own = self._known.get(source)
-        drained_at_s = self._others_drained_at_s if own is None else own.drained_at_s
+        own = self._sources.get(source)
+        drained_at_s = self._shared_drained_at_s if own is None else own.drained_at_s
         if drained_at_s < now_s:
             drained_at_s = now_s
         cost_s = (size if size > LEAST_COST_BYTES else LEAST_COST_BYTES) / self._bytes_per_s
@@ -68,16 +68,16 @@ class RateLimiter:
         else:
             self.counts.add(RATE_LIMITED)
         if own is None:
-            self._others_drained_at_s = drained_at_s
+            self._shared_drained_at_s = drained_at_s
         else:
             own.drained_at_s, own.heard_at_s = drained_at_s, now_s
         return admitted
 
     def _has_room(self, now_s: float) -> bool:
-        if len(self._known) < self._max_known:
+        if len(self._sources) < self._max_sources:
             return True
-        stalest = min(self._known, key=lambda source: self._known[source].heard_at_s)
-        if now_s - self._known[stalest].heard_at_s < KEPT_S:
+        stalest = min(self._sources, key=lambda source: self._sources[source].heard_at_s)
+        if now_s - self._sources[stalest].heard_at_s < KEPT_S:
             return False
-        del self._known[stalest]
+        del self._sources[stalest]
         return True

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 # Part of every healthy day: other programs' messages, our own frames come back, radios that deliver twice.
 _QUIET = frozenset({"not_wanted", "unknown_message", "echo", "duplicate", "unsigned_radio_status"})
 # Counted and shown, but nothing to warn of: vehicles answer to every ground station that commands them.
-_UNTOLD = frozenset({"answer_to_another"})
-_MENDS = {
+_NOT_WARNED_OF = frozenset({"answer_to_another"})
+_REMEDIES = {
     "garbage_bytes": "bytes that are no MAVLink: where nobody is heard on a serial link, a wrong baud rate",
     "address_conflict": "two senders use one system id: give every vehicle its own (SYSID_THISMAV or MAV_SYSID)",
     "unsigned": "a link that requires signatures: give the vehicle the key, or is somebody pretending?",
@@ -36,24 +36,24 @@ class Refusals:
 
     def __init__(self, sources: Sequence[Mapping[str, int]]) -> None:
         self._sources = sources
-        self._told: Counter[str] = Counter()
+        self._reported: Counter[str] = Counter()
 
     def totals(self) -> dict[str, int]:
         """How often each reason occurred since the start, those of a healthy day left out."""
         return dict(self._sum())
 
-    def news(self) -> str | None:
+    def pending_warning(self) -> str | None:
         """What has been refused since the last call, in one line with the mend where there is one; None where nothing was."""
         now = self._sum()
-        grown = now - self._told
-        self._told = now
-        for reason in _UNTOLD:
+        grown = now - self._reported
+        self._reported = now
+        for reason in _NOT_WARNED_OF:
             del grown[reason]
         if not grown:
             return None
         items = ", ".join(f"{reason} {times}" for reason, times in grown.most_common(6))
-        mends = "; ".join(_MENDS[reason] for reason in grown if reason in _MENDS)
-        return f"refused on the links: {items}" + (f" ({mends})" if mends else "")
+        remedies = "; ".join(_REMEDIES[reason] for reason in grown if reason in _REMEDIES)
+        return f"refused on the links: {items}" + (f" ({remedies})" if remedies else "")
 
     def _sum(self) -> Counter[str]:
         total: Counter[str] = Counter()

@@ -25,7 +25,7 @@ class Blocked:
 
 
 @dataclass(slots=True)
-class _Pin:
+class _Binding:
     route: Route
     heard_at_s: float
 
@@ -51,16 +51,16 @@ class RouteTable:
         max_addresses: int = 256,
     ) -> None:
         self.counts = Counts()
-        self.claims = AddressConflicts()
+        self.conflicts = AddressConflicts()
         self._companions_elsewhere = companions_elsewhere
         self._roam_after_s = roam_after_s
         self._shared_memory_s = shared_memory_s
         self._max_components = max_components
         self._max_addresses = max_addresses
         # Both are in the order of last hearing, so the first entry is the one silent for longest.
-        self._components: OrderedDict[tuple[int, int], _Pin] = OrderedDict()
+        self._components: OrderedDict[tuple[int, int], _Binding] = OrderedDict()
         self._autopilots_at: OrderedDict[Route, dict[int, float]] = OrderedDict()
-        self._autopilots: dict[int, _Pin] = {}
+        self._autopilots: dict[int, _Binding] = {}
 
     def learn(self, sysid: int, compid: int, link: Link, address: Address, *, is_autopilot_heartbeat: bool, now_s: float) -> bool:
         """Take note of one frame; False if it must not be used, because its sender's ids belong to another address.
@@ -69,31 +69,31 @@ class RouteTable:
         """
         heard = Route(link, address)
         # Before any refusal: an autopilot that we refuse at this address would still take what is sent there.
-        if is_autopilot_heartbeat and not self._note_autopilot_at(heard, sysid, now_s):
+        if is_autopilot_heartbeat and not self._add_autopilot_at(heard, sysid, now_s):
             self.counts.add(TABLE_FULL)
             return False
         autopilot = self._autopilots.get(sysid) if is_autopilot_heartbeat else None
         sender = self._sender(sysid, compid, is_autopilot_heartbeat=is_autopilot_heartbeat)
-        pin = self._components.get(sender)
+        binding = self._components.get(sender)
         # Who came first with other messages does not keep the autopilot itself out.
-        rivals = (autopilot,) if is_autopilot_heartbeat and not self._companions_elsewhere else (autopilot, pin)
+        rivals = (autopilot,) if is_autopilot_heartbeat and not self._companions_elsewhere else (autopilot, binding)
         for other in rivals:
             if other is not None and self._stands_against(other, heard, now_s):
                 self.counts.add(ADDRESS_CONFLICT)
-                self.claims.refuse(sysid, other.route, heard)
+                self.conflicts.add_refusal(sysid, other.route, heard)
                 return False
-        if pin is None and not self._has_room(now_s):
+        if binding is None and not self._has_room(now_s):
             self.counts.add(TABLE_FULL)
             return False
-        if pin is not None and pin.route == heard:
-            pin.heard_at_s = now_s
+        if binding is not None and binding.route == heard:
+            binding.heard_at_s = now_s
         else:
-            self._components[sender] = _Pin(heard, now_s)
+            self._components[sender] = _Binding(heard, now_s)
         self._components.move_to_end(sender)
         if is_autopilot_heartbeat:
             if autopilot is not None and autopilot.route != heard:
-                self.claims.move(sysid, autopilot.route, heard)
-            self._autopilots[sysid] = _Pin(heard, now_s)
+                self.conflicts.add_move(sysid, autopilot.route, heard)
+            self._autopilots[sysid] = _Binding(heard, now_s)
         elif not self._companions_elsewhere and sysid in self._autopilots and self._autopilots[sysid].route == heard:
             self._autopilots[sysid].heard_at_s = now_s
         return True
@@ -105,12 +105,12 @@ class RouteTable:
 
     def route(self, sysid: int, now_s: float) -> Route | Blocked:
         """Where the autopilot of a vehicle is reached, or why nothing may be sent to it."""
-        pin = self._autopilots.get(sysid)
-        if pin is None:
+        binding = self._autopilots.get(sysid)
+        if binding is None:
             return Blocked(f"no autopilot heartbeat of vehicle {sysid} has been heard yet")
         others = sorted(
             other
-            for other, heard_at_s in self._autopilots_at.get(pin.route, {}).items()
+            for other, heard_at_s in self._autopilots_at.get(binding.route, {}).items()
             if other != sysid and now_s - heard_at_s <= self._shared_memory_s
         )
         if others:
@@ -119,12 +119,12 @@ class RouteTable:
                 f"vehicles {listed} and {sysid} are heard from one address (a router?), and GPS_INPUT has no target field: all "
                 "of them would take it. Give each vehicle its own UDP stream to us, from its own port, or its own --link"
             )
-        return pin.route
+        return binding.route
 
-    def is_at_home(self, sysid: int, compid: int, link: Link, address: Address, now_s: float) -> bool:
+    def comes_from_its_binding(self, sysid: int, compid: int, link: Link, address: Address, now_s: float) -> bool:
         """Whether a frame of which no note is taken comes from where its sender is. Who is not known is at home anywhere."""
-        pin = self._components.get(self._sender(sysid, compid, is_autopilot_heartbeat=False))
-        return pin is None or not self._stands_against(pin, Route(link, address), now_s)
+        binding = self._components.get(self._sender(sysid, compid, is_autopilot_heartbeat=False))
+        return binding is None or not self._stands_against(binding, Route(link, address), now_s)
 
     def is_vehicle(self, sysid: int) -> bool:
         """Whether an autopilot of that system id was heard."""
@@ -137,8 +137,8 @@ class RouteTable:
         """
         if sysid in self._autopilots and not self._companions_elsewhere:
             return (self._autopilots[sysid].route,)
-        pins = {sender[1]: pin.route for sender, pin in self._components.items() if sender[0] == sysid}
-        return (pins[compid],) if compid in pins else tuple(dict.fromkeys(pins.values()))
+        bindings = {sender[1]: binding.route for sender, binding in self._components.items() if sender[0] == sysid}
+        return (bindings[compid],) if compid in bindings else tuple(dict.fromkeys(bindings.values()))
 
     def vehicles(self) -> dict[Route, set[int]]:
         """Every address at which a vehicle was heard last, with the system ids of the vehicles there."""
@@ -154,10 +154,10 @@ class RouteTable:
         as_one = not self._companions_elsewhere and (is_autopilot_heartbeat or sysid in self._autopilots)
         return sysid, 0 if as_one else compid
 
-    def _stands_against(self, pin: _Pin, heard: Route, now_s: float) -> bool:
-        return pin.route != heard and now_s - pin.heard_at_s < self._roam_after_s
+    def _stands_against(self, binding: _Binding, heard: Route, now_s: float) -> bool:
+        return binding.route != heard and now_s - binding.heard_at_s < self._roam_after_s
 
-    def _note_autopilot_at(self, heard: Route, sysid: int, now_s: float) -> bool:
+    def _add_autopilot_at(self, heard: Route, sysid: int, now_s: float) -> bool:
         autopilots = self._autopilots_at.get(heard)
         if autopilots is None:
             if len(self._autopilots_at) >= self._max_addresses:

@@ -33,7 +33,7 @@ class SignedLinks:
             modes[name] = mode
         self._signing = Signing(read_key(Path(config.key_file))) if config.key_file else None
         self._of: dict[str, LinkSigning] = {}
-        self._told_ahead = False
+        self._warned_ahead = False
         if self._signing is not None:
             self._of = {
                 name: LinkSigning(self._signing, number & 0xFF, required=modes[name] == "require")
@@ -50,11 +50,11 @@ class SignedLinks:
         if self._signing is not None:
             self._signing.set_clock(unix_minus_service_s)
 
-    def news(self, now_s: float) -> str | None:
+    def pending_warning(self, now_s: float) -> str | None:
         """That the time of signatures runs ahead of the host's clock, once each time that it comes to do so; None otherwise."""
         ahead_s = self._signing.ahead_s(now_s) if self._signing is not None else 0.0
-        was_told, self._told_ahead = self._told_ahead, ahead_s > FIRST_CONTACT_S
-        if was_told or not self._told_ahead:
+        was_warned, self._warned_ahead = self._warned_ahead, ahead_s > FIRST_CONTACT_S
+        if was_warned or not self._warned_ahead:
             return None
         return (
             f"the time of signatures is {_length(ahead_s)} ahead of this computer's clock: that of somebody who has the key, or "

@@ -72,7 +72,7 @@ class Decoder:
         self._autopilots: set[tuple[int, int]] = set()
         self._behind: dict[Hashable, None] = {}
 
-    def take_behind(self) -> tuple[Hashable, ...]:
+    def pop_behind(self) -> tuple[Hashable, ...]:
         """The sources, 64 at most, of which a frame was refused as signature_old since the last call.
 
         By MAVLink's rules a key holder that is behind follows the time of signatures as soon as it hears a later one.
@@ -110,7 +110,7 @@ class Decoder:
                 self.counts.add(refusal)
                 if refusal == SIGNATURE_OLD and len(self._behind) < MAX_BEHIND:
                     self._behind[source] = None
-            elif not self.sequences.note((source, sysid, compid), raw.sequence, raw.checksum, received_at_s):
+            elif not self.sequences.add((source, sysid, compid), raw.sequence, raw.checksum, received_at_s):
                 self.counts.add(DUPLICATE)
             else:
                 if good is not None:

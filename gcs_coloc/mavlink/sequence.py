@@ -35,7 +35,7 @@ class Reception:
     _last: int | None = None
     _recent: dict[int, float] = field(default_factory=dict, repr=False)
 
-    def note(self, sequence: int, checksum: int, received_at_s: float) -> bool:
+    def add(self, sequence: int, checksum: int, received_at_s: float) -> bool:
         """Count one frame; False where it is a copy: number and checksum of another not older than `COPY_WITHIN_S`."""
         recent = self._recent
         fingerprint = sequence << 16 | checksum
@@ -65,7 +65,7 @@ class SequenceTracker:
     def __init__(self) -> None:
         self._by_sender: OrderedDict[Sender, Reception] = OrderedDict()
 
-    def note(self, sender: Sender, sequence: int, checksum: int, received_at_s: float) -> bool:
+    def add(self, sender: Sender, sequence: int, checksum: int, received_at_s: float) -> bool:
         """Count one frame of `sender`; False where it is a duplicate and must not be used again."""
         by_sender = self._by_sender
         reception = by_sender.get(sender)
@@ -75,7 +75,7 @@ class SequenceTracker:
             reception = by_sender[sender] = Reception()
         else:
             by_sender.move_to_end(sender)
-        return reception.note(sequence, checksum, received_at_s)
+        return reception.add(sequence, checksum, received_at_s)
 
     def links(self, sysids: Collection[int]) -> tuple[LinkSnapshot, ...]:
         """The reception of some vehicles, each over all its links and components, in order of their system ids."""

@@ -65,7 +65,7 @@ class FleetService:
         check_outs(settings.out, settings.links)
         self._routes = RouteTable(roam_after_s=senders.roam_after_s, companions_elsewhere=senders.companions_elsewhere)
         self._signed = SignedLinks(settings.signing, settings.links, settings.out)
-        self._signed.set_clock(host.utc_minus_service_s)  # before the first frame: it tells a recording from news
+        self._signed.set_clock(host.utc_minus_service_s)  # before the first frame: a recorded frame is known by its old time
         self._forwarder = Forwarder(
             settings.out,
             self._routes,
@@ -75,7 +75,7 @@ class FleetService:
             bytes_per_s=senders.bytes_per_s,
             is_aided=lambda sysid: self._engine.aiding.streams(sysid),
             forwarded=lambda raw: self._recording.forwarded(self._engine_at_s, raw),
-            foreign_gps_input=lambda raw, sysid: self._tell(foreign_gps_input(raw, self._clock(), sysid)),
+            foreign_gps_input=lambda raw, sysid: self._apply(foreign_gps_input(raw, self._clock(), sysid)),
         )
         self._echoes_gps_input = settings.forward.echo_gps_input
         addresses = [parse(text) for text in settings.links]
@@ -96,12 +96,12 @@ class FleetService:
         self.snapshots = SnapshotCache(
             clock, self._engine, self._recording, self._decoder.sequences, self._refusals, self._forwarder
         )
-        self._hands_on = bool(settings.record.directory or settings.out)
+        self._keeps_frames = bool(settings.record.directory or settings.out)
         self._deadline = Timer(clock, self._poll)
         self._engine_at_s = clock()
         self._recording.told(FlownWith(settings.fingerprint(), self._engine_at_s))
         self._is_ending = False
-        self._words = [
+        self._overrides = [
             *((sysid, GpsOverride.FAILED) for sysid in settings.fleet.failed),
             *((sysid, GpsOverride.HEALTHY) for sysid in settings.fleet.healthy),
         ]
@@ -116,8 +116,8 @@ class FleetService:
 
     def start(self) -> None:
         """Tell the engine the operator's words from the settings."""
-        for sysid, word in self._words:
-            self.obey(sysid, word)
+        for sysid, override in self._overrides:
+            self.apply_command(sysid, override)
 
     def stop(self) -> None:
         """Look at nothing that arrives from now on: what a busy service has waiting must not hold up its end."""
@@ -136,7 +136,7 @@ class FleetService:
                 log.warning("vehicle %d: %s set back to %g, unconfirmed: the service ends", last.sysid, last.name, last.value)
         if aided:
             log.info("aid of vehicle %s ended: the service ends", ", ".join(map(str, aided)))
-        refused = self._refusals.news()
+        refused = self._refusals.pending_warning()
         if refused is not None:
             log.warning("%s", refused)
         for link in self._links:
@@ -144,30 +144,30 @@ class FleetService:
         await self._forwarder.close()
         self._recording.close()
 
-    def heard(self) -> list[int]:
+    def known_sysids(self) -> list[int]:
         """The system ids of the vehicles heard so far."""
         return [vehicle.sysid for vehicle in self._engine.fleet]
 
-    def obey(self, sysid: int, word: Override) -> None:
+    def apply_command(self, sysid: int, override: Override) -> None:
         """Take the operator's word on one vehicle."""
-        self._tell(OperatorCommand(sysid, self._clock(), word))
+        self._apply(OperatorCommand(sysid, self._clock(), override))
 
-    def take_range(self, message: PeerRange) -> None:
+    def add_range(self, message: PeerRange) -> None:
         """Take a range that did not come over a link."""
-        self._tell(message)
+        self._apply(message)
 
     def fault(self) -> str | None:
         """Why the fleet's path does not do its work, None where it does."""
         late_s = self._clock() - self._engine_at_s
         return f"the engine was last run {late_s:.1f} s ago" if late_s > _ENGINE_LATE_S else None
 
-    def publish_view(self) -> None:
+    def publish_snapshot(self) -> None:
         """Show the fleet to the observers."""
-        self.events.publish(self.snapshots.look())
+        self.events.publish(self.snapshots.snapshot())
 
-    def tell_refusals(self) -> None:
+    def publish_refusals(self) -> None:
         """Tell the observers what has been refused since the last call."""
-        text = self._refusals.news()
+        text = self._refusals.pending_warning()
         if text is not None:
             self.events.publish(Notice(self._clock(), None, "warning", text))
 
@@ -175,21 +175,21 @@ class FleetService:
         """Take the host's time, tell what the recorder and the routes have to tell, and greet with our heartbeat."""
         now_s = host.received_at_s
         self._signed.set_clock(host.utc_minus_service_s)
-        self._tell(host)
+        self._apply(host)
         recording = self._recording.news()
         if recording is not None:
             self.events.publish(Notice(now_s, None, *recording))
-        ahead = self._signed.news(now_s)
+        ahead = self._signed.pending_warning(now_s)
         if ahead is not None:
             self.events.publish(Notice(now_s, None, "warning", ahead))
-        for sysid, text in (*self._routes.claims.news(now_s), *self._forwarder.news(now_s)):
+        for sysid, text in (*self._routes.conflicts.pending_warnings(now_s), *self._forwarder.pending_warnings(now_s)):
             self.events.publish(Notice(now_s, sysid, "warning", text))
         routes = (self._routes.route(vehicle.sysid, now_s) for vehicle in self._engine.fleet)
         # A vehicle or router may wait for our first frame before it sends any, hence the links' peers.
         greeted = {route for route in routes if isinstance(route, Route)}
         greeted |= {Route(link, peer) for link in self._links for peer in link.peers}
         # Who signs with the key, but behind our time, is refused until it has heard a frame of ours.
-        greeted |= {Route(*source) for source in self._decoder.take_behind() if isinstance(source, tuple)}
+        greeted |= {Route(*source) for source in self._decoder.pop_behind() if isinstance(source, tuple)}
         for route in greeted:
             payload = self._encoder.heartbeat(route, self._stamp(route))
             route.link.send(route.address, payload)
@@ -208,32 +208,32 @@ class FleetService:
         frames = self._decoder.decode(payload, received_at_s, source, self._signed.of(link.name), good)
         for frame in frames:
             if isinstance(frame.message, ForeignGpsInput):
-                self._note_foreign_gps_input(frame.message, link, address)
+                self._apply_foreign_gps_input(frame.message, link, address)
             if not self._learn_route(frame, link, address, received_at_s):
                 refused.append(frame)
             elif frame.message is not None:
                 self._engine.receive(frame.message)
                 if frame.is_autopilot_heartbeat:
-                    self._rate_limiter.know(source, received_at_s)
+                    self._rate_limiter.add_source(source, received_at_s)
                     route = self._routes.route(frame.sysid, received_at_s)
                     report = RouteReport(frame.sysid, received_at_s, route.reason if isinstance(route, Blocked) else None)
                     self._engine.receive(report)
                     self._recording.told(report)
         for raw in good:
             if raw.message_id in TRUTH_IDS:
-                self._note_truth(raw, link, address, received_at_s)
-        if self._hands_on:
+                self._record_truth(raw, link, address, received_at_s)
+        if self._keeps_frames:
             self._recording.heard(received_at_s, good, refused)
             self._forwarder.from_vehicle(good, link, address, received_at_s)
         if frames:  # by what the engine has not received no deadline comes sooner
             self._wake()
 
-    def _note_truth(self, raw: RawFrame, link: Link, address: Address, now_s: float) -> None:
+    def _record_truth(self, raw: RawFrame, link: Link, address: Address, now_s: float) -> None:
         truth = truth_of(raw, now_s)
         if truth is not None and self._learn_route(raw, link, address, now_s):
             self.truths[raw.sysid] = truth
 
-    def _note_foreign_gps_input(self, message: ForeignGpsInput, link: Link, address: Address) -> None:
+    def _apply_foreign_gps_input(self, message: ForeignGpsInput, link: Link, address: Address) -> None:
         """Tell the engine of somebody else's GPS_INPUT, whoever sends it: every vehicle at the address it came from takes it."""
         for sysid in self._routes.autopilots_at(link, address, message.received_at_s):
             reached = replace(message, vehicle=sysid)
@@ -257,33 +257,33 @@ class FleetService:
         self._engine_at_s = to_s
         if self._engine.next_deadline() >= to_s:
             return
-        held_up = find_overrun(self._engine, to_s)
-        if held_up is not None:
-            self._recording.told(held_up)
-        news: list[Outbound] = []
-        is_lull = False
+        overrun = find_overrun(self._engine, to_s)
+        if overrun is not None:
+            self._recording.told(overrun)
+        unsent: list[Outbound] = []
+        is_idle = False
         for at_s, outputs in advance(self._engine, to_s, catch_up_s=CATCH_UP_S):
-            news.extend(outputs)
+            unsent.extend(outputs)
             if self._engine.next_aid_s() >= to_s:
                 # Before the fleet is reviewed and the journal looks at it: that takes longer than estimating, and vehicles wait.
-                self._pass_on(without_superseded(news))
-                news = []
-                is_lull = self._engine.next_deadline() >= to_s
+                self._emit(without_superseded(unsent))
+                unsent = []
+                is_idle = self._engine.next_deadline() >= to_s
             self._recording.polled(at_s, outputs)
-        if is_lull:
-            self.idle.begin()
+        if is_idle:
+            self.idle.start_slots()
 
-    def _pass_on(self, outputs: list[Outbound]) -> None:
+    def _emit(self, outputs: list[Outbound]) -> None:
         for output in outputs:
             if isinstance(output, ToVehicle):
                 self._send(output)
             else:
                 self.events.publish(output)
 
-    def _tell(self, note: ClockReference | OperatorCommand | PeerRange | ForeignGpsInput) -> None:
-        self._advance(note.received_at_s)
-        self._engine.receive(note)
-        self._recording.told(note)
+    def _apply(self, message: ClockReference | OperatorCommand | PeerRange | ForeignGpsInput) -> None:
+        self._advance(message.received_at_s)
+        self._engine.receive(message)
+        self._recording.told(message)
         self._wake()
 
     def _send(self, output: ToVehicle) -> None:

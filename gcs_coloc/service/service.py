@@ -118,9 +118,9 @@ class _Observed:
             group.create_task(self._mqtt.run())
         self.path.start()
         periodic = (
-            (_VIEW_EVERY_S if on_terminal else watched_s, self.path.publish_view),
+            (_VIEW_EVERY_S if on_terminal else watched_s, self.path.publish_snapshot),
             (_HEARTBEAT_EVERY_S, self._each_second),
-            (_REFUSALS_EVERY_S, self.path.tell_refusals),
+            (_REFUSALS_EVERY_S, self.path.publish_refusals),
         )
         return [group.create_task(self._every(period_s, phase, act)) for period_s, act in periodic]
 
@@ -160,7 +160,7 @@ class _Observed:
         path, snapshots = self.path, self.path.snapshots
         # At the recording's pace, so that one look at the fleet does for both.
         hooks = Hooks(
-            *(snapshots.look, snapshots.glance, path.obey, self._fault, path.truths.values),
+            *(snapshots.snapshot, snapshots.recent_snapshot, path.apply_command, self._fault, path.truths.values),
             idle=path.idle,
             pictures_every_s=EVERY_S,
         )
@@ -170,10 +170,10 @@ class _Observed:
         if not settings.mqtt.host:
             return None
         from gcs_coloc.sinks.mqtt import Mqtt
-        from gcs_coloc.sinks.mqtt_inbox import Hooks
+        from gcs_coloc.sinks.mqtt_inbox import MqttHooks
 
         path = self.path
-        hooks = Hooks(path.snapshots.look, path.heard, path.obey, path.take_range, self._clock)
+        hooks = MqttHooks(path.snapshots.snapshot, path.known_sysids, path.apply_command, path.add_range, self._clock)
         return Mqtt(settings.mqtt, hooks, path.events.subscribe(256), path.counts, path.idle)
 
     def _fault(self) -> str | None:

@@ -13,8 +13,8 @@ from gcs_coloc.recorder.flight import FlightRecording
 from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.runtime.clock import ServiceClock
 
-_SEEN_JUST_NOW_S = 0.1
-_RECORDED_JUST_NOW_S = EVERY_S + 0.05
+_RECENT_S = 0.1
+_RECENT_RECORDED_S = EVERY_S + 0.05
 
 
 class SnapshotCache:
@@ -38,27 +38,27 @@ class SnapshotCache:
         self._sequences = sequences
         self._refusals = refusals
         self._forwarder = forwarder
-        self._seen: FleetSnapshot | None = None
+        self._recent: FleetSnapshot | None = None
         self._counted: tuple[FleetSnapshot, FleetSnapshot] | None = None  # what was seen, and the same with what is counted
 
-    def look(self) -> FleetSnapshot:
+    def snapshot(self) -> FleetSnapshot:
         """The fleet as it stands, with all that is counted."""
-        view = self.glance()
+        view = self.recent_snapshot()
         if self._counted is None or self._counted[0] is not view:
             refused = view.refused | self._refusals.totals()
             links = self._sequences.links({vehicle.sysid for vehicle in view.vehicles})
-            self._counted = view, replace(view, refused=refused, links=links, outs=self._forwarder.views())
+            self._counted = view, replace(view, refused=refused, links=links, outs=self._forwarder.snapshots())
         return self._counted[1]
 
-    def glance(self) -> FleetSnapshot:
+    def recent_snapshot(self) -> FleetSnapshot:
         """The fleet as it stands, or stood a moment ago where somebody has just looked.
 
         What is counted outside of the engine is left out: links, ground tools, and most of what is refused.
         """
         now_s = self._clock()
         recorded = self._recording.newest_view
-        if recorded is not None and now_s - recorded.at_s <= _RECORDED_JUST_NOW_S:
-            self._seen = recorded
-        elif self._seen is None or now_s - self._seen.at_s > _SEEN_JUST_NOW_S:
-            self._seen = self._engine.view(now_s)
-        return self._seen
+        if recorded is not None and now_s - recorded.at_s <= _RECENT_RECORDED_S:
+            self._recent = recorded
+        elif self._recent is None or now_s - self._recent.at_s > _RECENT_S:
+            self._recent = self._engine.view(now_s)
+        return self._recent

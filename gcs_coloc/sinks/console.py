@@ -24,44 +24,46 @@ PLAIN_EVERY_S = 5.0
 """Log lines of all vehicles come this often where there is no terminal."""
 
 
-async def show(news: Mapping[str, Subscription], console: SharedConsole) -> None:
-    """Show the news of each fleet, by its name, for ever: live tables where `console` is a terminal, else log lines."""
+async def show(events: Mapping[str, Subscription], console: SharedConsole) -> None:
+    """Show the events of each fleet, by its name, for ever: live tables where `console` is a terminal, else log lines."""
     async with asyncio.TaskGroup() as group:
         if not console.is_terminal:
-            for name, subscription in news.items():
+            for name, subscription in events.items():
                 group.create_task(_log_lines(name, subscription))
             return
-        views: dict[str, FleetSnapshot] = {}
+        snapshots: dict[str, FleetSnapshot] = {}
         live = LiveTable(console)
         try:
-            followers = [group.create_task(_show_views(name, subscription, views, live)) for name, subscription in news.items()]
+            followers = [
+                group.create_task(_show_snapshots(name, subscription, snapshots, live)) for name, subscription in events.items()
+            ]
             await asyncio.wait(followers)
         finally:
             live.close()
 
 
-async def _show_views(name: str, subscription: Subscription, views: dict[str, FleetSnapshot], live: LiveTable) -> None:
+async def _show_snapshots(name: str, subscription: Subscription, snapshots: dict[str, FleetSnapshot], live: LiveTable) -> None:
     while True:
-        news = await subscription.get()
-        if isinstance(news, FleetSnapshot):
-            views[name] = news
-            now = sorted(views.items())
-            live.show(lambda now=now: Group(*(table(view, name) for name, view in now)))  # type: ignore[misc]
+        event = await subscription.get()
+        if isinstance(event, FleetSnapshot):
+            snapshots[name] = event
+            now = sorted(snapshots.items())
+            live.show(lambda now=now: Group(*(table(snapshot, name) for name, snapshot in now)))  # type: ignore[misc]
         else:
-            _log_news(name, news)
+            _log_event(name, event)
 
 
 async def _log_lines(name: str, subscription: Subscription) -> None:
     due_s = float("-inf")
     while True:
-        news = await subscription.get()
-        if not isinstance(news, FleetSnapshot):
-            _log_news(name, news)
-        elif news.at_s >= due_s:
-            due_s = news.at_s + PLAIN_EVERY_S
-            for vehicle in news.vehicles:
+        event = await subscription.get()
+        if not isinstance(event, FleetSnapshot):
+            _log_event(name, event)
+        elif event.at_s >= due_s:
+            due_s = event.at_s + PLAIN_EVERY_S
+            for vehicle in event.vehicles:
                 log.info("%s%s", _of(name), line(vehicle))
-            for out in news.outs:
+            for out in event.outs:
                 log.info("%s%s", _of(name), out_line(out))
 
 
@@ -70,9 +72,9 @@ def _of(name: str) -> str:
     return f"{name}: " if name else ""
 
 
-def _log_news(name: str, news: ToOperator) -> None:
-    level, text = level_and_text(news)
-    who = f"vehicle {news.sysid}: " if news.sysid is not None else ""
+def _log_event(name: str, event: ToOperator) -> None:
+    level, text = level_and_text(event)
+    who = f"vehicle {event.sysid}: " if event.sysid is not None else ""
     log.log(_LEVELS[level], "%s%s%s", _of(name), who, text)
 
 
@@ -92,17 +94,17 @@ def out_line(out: OutSnapshot) -> str:
     )
 
 
-def table(view: FleetSnapshot, name: str = "") -> Table:
+def table(snapshot: FleetSnapshot, name: str = "") -> Table:
     """The fleet as a table, under its name if it has one."""
-    refused = sum(view.refused.values())
-    below = [*([f"refused: {refused}"] if refused else []), *map(out_line, view.outs)]
+    refused = sum(snapshot.refused.values())
+    below = [*([f"refused: {refused}"] if refused else []), *map(out_line, snapshot.outs)]
     out = Table(
-        title=f"gcs-coloc{f', fleet {name}' if name else ''}, estimator {view.estimator}",
+        title=f"gcs-coloc{f', fleet {name}' if name else ''}, estimator {snapshot.estimator}",
         caption="\n".join(below) or None,
     )
     for heading in ("vehicle", "last heard", "GPS", "reason", "position", "1-sigma", "HDOP", "ranges", "aid"):
         out.add_column(heading)
-    for v in view.vehicles:
+    for v in snapshot.vehicles:
         out.add_row(
             str(v.sysid),
             f"{v.age_s:.1f} s",
@@ -114,7 +116,7 @@ def table(view: FleetSnapshot, name: str = "") -> Table:
             str(v.ranges_in_use),
             v.aiding,
         )
-    if not view.vehicles:
+    if not snapshot.vehicles:
         out.add_row("none", "", "", "no vehicle heard yet", "", "", "", "", "")
     return out
 

@@ -1,4 +1,4 @@
-"""The hub between the engine and its observers: each observer has its own bounded queue and loses its own oldest news."""
+"""The event bus between the engine and its observers: each has a bounded queue and loses its own oldest events."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ FleetEvent = FleetSnapshot | ToOperator
 
 
 class Subscription:
-    """One observer's queue. `lost` counts the news that were dropped because the observer was slow."""
+    """One observer's queue. `lost` counts the events that were dropped because the observer was slow."""
 
     def __init__(self, most: int) -> None:
         self.lost = 0
         self._queue: deque[FleetEvent] = deque(maxlen=most)
         self._arrived = asyncio.Event()
 
-    def put(self, news: FleetEvent) -> None:
-        """Append one piece of news; never waits."""
+    def put(self, event: FleetEvent) -> None:
+        """Append an event; never waits."""
         if len(self._queue) == self._queue.maxlen:
             self.lost += 1
-        self._queue.append(news)
+        self._queue.append(event)
         self._arrived.set()
 
     async def get(self) -> FleetEvent:
-        """The oldest news in the queue; waits for some."""
+        """The oldest event in the queue; waits for one."""
         while not self._queue:
             self._arrived.clear()
             await self._arrived.wait()
@@ -35,18 +35,18 @@ class Subscription:
 
 
 class EventBus:
-    """Hands each piece of news to every observer without waiting for any."""
+    """Passes each event to every observer without waiting for any of them."""
 
     def __init__(self) -> None:
         self._subscriptions: list[Subscription] = []
 
     def subscribe(self, most: int = 64) -> Subscription:
-        """A new observer's queue of at most `most` pieces of news."""
+        """A new observer's queue of at most `most` events."""
         subscription = Subscription(most)
         self._subscriptions.append(subscription)
         return subscription
 
-    def publish(self, news: FleetEvent) -> None:
-        """Give one piece of news to every observer."""
+    def publish(self, event: FleetEvent) -> None:
+        """Pass an event to every observer."""
         for subscription in self._subscriptions:
-            subscription.put(news)
+            subscription.put(event)

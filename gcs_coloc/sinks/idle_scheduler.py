@@ -1,4 +1,4 @@
-"""When observers may take their time: right after what was due has been sent, as far from the next deadline as can be."""
+"""Slots for observers: right after the outputs of a deadline were sent, as far from the next deadline as possible."""
 
 from __future__ import annotations
 
@@ -6,11 +6,15 @@ import asyncio
 from collections.abc import AsyncIterator
 from math import floor
 
-_WAIT_S = 0.5
+_MAX_WAIT_S = 0.5
+"""A slot starts this much late at most. Chosen: where nobody is heard there are no deadlines, and the page is still to move."""
 
 
 class IdleScheduler:
-    """The lulls of one fleet's path: `begin` one whenever the outputs of a deadline have been sent."""
+    """Starts periodic work of observers in the idle time of one fleet's path.
+
+    The path calls `start_slots` whenever the outputs of a deadline have been sent.
+    """
 
     def __init__(self) -> None:
         self._due_s: dict[asyncio.Future[None], float] = {}
@@ -18,22 +22,22 @@ class IdleScheduler:
 
     @property
     def waiting(self) -> int:
-        """How many turns are waited for."""
+        """How many slots are waited for."""
         return len(self._due_s)
 
-    def begin(self) -> None:
-        """Give their turn to those whose time has come."""
+    def start_slots(self) -> None:
+        """Start every slot that is due."""
         now_s = asyncio.get_running_loop().time()
-        for turn, due_s in self._due_s.items():
+        for slot, due_s in self._due_s.items():
             if due_s <= now_s:
-                _give(turn)
+                _start(slot)
 
     async def every(self, period_s: float, phase: float = 0.0) -> AsyncIterator[None]:
-        """Turns that are `period_s` apart, at `phase` (0 to 1) of it; each waits for a lull.
+        """Slots that are `period_s` apart, at `phase` (0 to 1) of the period; each waits for idle time.
 
-        Periods are counted from when the first of all began: what falls due together has its turns in one lull, and can share a
-        look at the fleet. Who begins later has a first turn at once. A turn waits for half a period or `_WAIT_S` at most: where
-        nothing is heard there are no deadlines. What was missed is not caught up with.
+        All periods are counted from the first call. Slots that are due together start in the same idle time, and can share a
+        snapshot of the fleet. The first slot of a later caller starts at once. A slot waits for half a period, or
+        `_MAX_WAIT_S`, at most. Missed slots are left out.
         """
         loop = asyncio.get_running_loop()
         if self._start_s is None:
@@ -42,20 +46,20 @@ class IdleScheduler:
         while True:
             number = max(number, floor((loop.time() - first_s) / period_s))
             due_s = first_s + number * period_s
-            turn = loop.create_future()
-            self._due_s[turn] = due_s
-            timer = loop.call_at(due_s + min(0.5 * period_s, _WAIT_S), _give, turn)
+            slot = loop.create_future()
+            self._due_s[slot] = due_s
+            timer = loop.call_at(due_s + min(0.5 * period_s, _MAX_WAIT_S), _start, slot)
             try:
-                await turn
+                await slot
             finally:
                 timer.cancel()
-                del self._due_s[turn]
+                del self._due_s[slot]
             # What has arrived while the outputs were made goes first.
             await asyncio.sleep(0)
             yield
             number += 1
 
 
-def _give(turn: asyncio.Future[None]) -> None:
-    if not turn.done():
-        turn.set_result(None)
+def _start(slot: asyncio.Future[None]) -> None:
+    if not slot.done():
+        slot.set_result(None)

@@ -1,4 +1,4 @@
-"""The fleet as Prometheus metrics, made from one look at it for each scrape."""
+"""The fleet as Prometheus metrics, made from one snapshot for each scrape."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ _OUT_COUNTERS: tuple[tuple[str, str, Callable[[OutSnapshot], int]], ...] = (
 
 
 class FleetCollector(Collector):
-    """Turns the fleet as it stands into metric families. `look` is called once a scrape."""
+    """Turns the fleet as it stands into metric families. `snapshot` is called once a scrape."""
 
-    def __init__(self, look: Callable[[], FleetSnapshot]) -> None:
-        self._look = look
+    def __init__(self, snapshot: Callable[[], FleetSnapshot]) -> None:
+        self._snapshot = snapshot
 
     def describe(self) -> list[Metric]:
         """Nothing: which vehicles there are is known at the scrape only."""
@@ -63,48 +63,48 @@ class FleetCollector(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """As the protocol says."""
-        view = self._look()
-        yield InfoMetricFamily("gcs_coloc_build", "Which program runs.", {"version": __version__, "estimator": view.estimator})
-        yield GaugeMetricFamily("gcs_coloc_vehicles", "Vehicles that were heard.", float(len(view.vehicles)))
+        fleet = self._snapshot()
+        yield InfoMetricFamily("gcs_coloc_build", "Which program runs.", {"version": __version__, "estimator": fleet.estimator})
+        yield GaugeMetricFamily("gcs_coloc_vehicles", "Vehicles that were heard.", float(len(fleet.vehicles)))
         for name, text, value in _GAUGES:
             gauge = GaugeMetricFamily(f"gcs_coloc_vehicle_{name}", text, labels=["sysid"])
-            for vehicle in view.vehicles:
+            for vehicle in fleet.vehicles:
                 number = value(vehicle)
                 if number is not None:
                     gauge.add_metric([str(vehicle.sysid)], number)
             yield gauge
         states = GaugeMetricFamily("gcs_coloc_vehicle_gps_state", "1 for the state its GPS is in.", labels=["sysid", "state"])
-        for vehicle in view.vehicles:
+        for vehicle in fleet.vehicles:
             for state in GpsState:
                 states.add_metric([str(vehicle.sysid), state.value], float(vehicle.gps_state == state.value))
         yield states
         for name, text, count in _COUNTERS:
             counter = CounterMetricFamily(f"gcs_coloc_vehicle_{name}", text, labels=["sysid"])
-            for link in view.links:
+            for link in fleet.links:
                 counter.add_metric([str(link.sysid)], float(count(link)))
             yield counter
         for name, text, count_out in _OUT_COUNTERS:
             counter = CounterMetricFamily(f"gcs_coloc_{name}", text, labels=["out"])
-            for out in view.outs:
+            for out in fleet.outs:
                 counter.add_metric([out.name], float(count_out(out)))
             yield counter
         tools = GaugeMetricFamily("gcs_coloc_out_tools", "Ground tools that can be sent to.", labels=["out"])
-        for out in view.outs:
+        for out in fleet.outs:
             tools.add_metric([out.name], float(out.tools))
         yield tools
         refused = CounterMetricFamily("gcs_coloc_refused", "What was refused or set aside.", labels=["reason"])
-        for reason, times in view.refused.items():
+        for reason, times in fleet.refused.items():
             refused.add_metric([reason], float(times))
         yield refused
         counts = CounterMetricFamily("gcs_coloc_estimator_measurements", "What became of measurements.", labels=["outcome"])
-        for outcome, times in view.estimator_counts.items():
+        for outcome, times in fleet.estimator_counts.items():
             counts.add_metric([outcome], float(times))
         yield counts
 
 
-def fleet_registry(look: Callable[[], FleetSnapshot]) -> CollectorRegistry:
+def fleet_registry(snapshot: Callable[[], FleetSnapshot]) -> CollectorRegistry:
     """A registry of its own with the fleet and this process in it."""
     registry = CollectorRegistry()
-    registry.register(FleetCollector(look))
+    registry.register(FleetCollector(snapshot))
     ProcessCollector(registry=registry)
     return registry

@@ -22,7 +22,7 @@ from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.sinks.event_bus import Subscription
 from gcs_coloc.sinks.idle_scheduler import IdleScheduler
-from gcs_coloc.sinks.mqtt_inbox import Hooks, Inbox
+from gcs_coloc.sinks.mqtt_inbox import MqttHooks, MqttInbox
 from gcs_coloc.sinks.mqtt_models import Alarm, of_vehicle, status, unix_s
 from gcs_coloc.sinks.wording import level_and_text
 
@@ -33,7 +33,7 @@ _RECONNECT_AFTER_S = (1.0, 2.0, 5.0, 10.0, 30.0)
 """The pauses between attempts; the last one is kept until the broker is back."""
 _ANSWER_WITHIN_S = 5.0
 _KEEPALIVE_S = 10
-_LAST_WORDS_S = 1.0
+_GOODBYE_S = 1.0
 _ALARMS_KEPT = 256
 _MOST_INCOMING = 256
 _AT_A_TIME = 16
@@ -47,7 +47,7 @@ _client_log.setLevel(logging.CRITICAL)
 class Mqtt:
     """One connection to one broker, made again for as long as the service runs. `run` never raises for the broker's doing."""
 
-    def __init__(self, config: MqttConfig, hooks: Hooks, news: Subscription, counts: Counts, idle: IdleScheduler) -> None:
+    def __init__(self, config: MqttConfig, hooks: MqttHooks, events: Subscription, counts: Counts, idle: IdleScheduler) -> None:
         """Read the password and the certificates. It publishes in `idle`.
 
         Raises:
@@ -55,15 +55,15 @@ class Mqtt:
         """
         self._config = config
         self._hooks = hooks
-        self._news = news
+        self._events = events
         self._idle = idle
         self._base = f"{config.prefix}/{_VERSION}/{config.fleet}"
-        self._inbox = Inbox(self._base, hooks, counts, commands=config.commands, ranges=config.ranges)
+        self._inbox = MqttInbox(self._base, hooks, counts, commands=config.commands, ranges=config.ranges)
         self._password, self._tls = read_credentials(config)
         self._alarms: deque[ToOperator] = deque(maxlen=_ALARMS_KEPT)
         self._stopping = asyncio.Event()
         self._attempts = 0
-        self._told: str | None = None
+        self._warned_of: str | None = None
 
     def stop(self) -> None:
         """Ask the connection to say goodbye and end; it takes two seconds at most."""
@@ -76,18 +76,18 @@ class Mqtt:
         try:
             await self._stopping.wait()
             # A broker that does not answer must not hold up the last messages to the vehicles.
-            await asyncio.wait({connection}, timeout=_LAST_WORDS_S)
+            await asyncio.wait({connection}, timeout=_GOODBYE_S)
         finally:
             follower.cancel()
             connection.cancel()
-            await asyncio.wait({follower, connection}, timeout=_LAST_WORDS_S)
+            await asyncio.wait({follower, connection}, timeout=_GOODBYE_S)
 
     async def _follow(self) -> None:
         """Keep the newest alarms, whether there is a broker or not."""
         while True:
-            news = await self._news.get()
-            if not isinstance(news, FleetSnapshot) and level_and_text(news)[0] != "info":
-                self._alarms.append(news)
+            event = await self._events.get()
+            if not isinstance(event, FleetSnapshot) and level_and_text(event)[0] != "info":
+                self._alarms.append(event)
 
     async def _connect_again_and_again(self) -> None:
         try:
@@ -95,7 +95,7 @@ class Mqtt:
                 try:
                     await self._session()
                 except (MqttError, OSError) as error:
-                    self._tell_once(str(error))
+                    self._warn_once(str(error))
                 pause_s = _RECONNECT_AFTER_S[min(self._attempts, len(_RECONNECT_AFTER_S) - 1)]
                 self._attempts += 1
                 with contextlib.suppress(TimeoutError):
@@ -103,9 +103,9 @@ class Mqtt:
         except Exception as error:
             log.error("mqtt: ended: %s: %s; the flight goes on without it", type(error).__name__, error)
 
-    def _tell_once(self, text: str) -> None:
-        if text != self._told and not self._stopping.is_set():
-            self._told = text
+    def _warn_once(self, text: str) -> None:
+        if text != self._warned_of and not self._stopping.is_set():
+            self._warned_of = text
             where = f"{self._config.host}:{self._config.port}"
             log.warning("mqtt: broker %s: %s; trying again, the flight goes on without it", where, text)
 
@@ -128,11 +128,11 @@ class Mqtt:
             logger=_client_log,
         ) as client:
             log.info("mqtt: connected to %s:%d, topics below %s", c.host, c.port, self._base)
-            self._attempts, self._told = 0, None
+            self._attempts, self._warned_of = 0, None
             for topic in self._inbox.topics:
                 await client.subscribe(topic)
             work: tuple[Coroutine[None, None, object], ...] = (
-                self._take_all(client),
+                self._receive_all(client),
                 self._publish_all(client),
                 self._stopping.wait(),
             )
@@ -145,15 +145,15 @@ class Mqtt:
                 await asyncio.gather(*tasks, return_exceptions=True)
                 # On every way out: the client says goodbye next, after which the broker keeps the last will to itself.
                 if self._stopping.is_set():
-                    last_words = status(self._hooks.look(), online=False).model_dump_json()
-                    await client.publish(f"{self._base}/status", last_words, qos=1, retain=True)
+                    goodbye = status(self._hooks.snapshot(), online=False).model_dump_json()
+                    await client.publish(f"{self._base}/status", goodbye, qos=1, retain=True)
             for task in done:
                 task.result()
 
-    async def _take_all(self, client: Client) -> None:
+    async def _receive_all(self, client: Client) -> None:
         async for message in client.messages:
             payload = message.payload if isinstance(message.payload, bytes) else b""
-            self._inbox.take(message.topic.value, payload, retained=message.retain)
+            self._inbox.receive(message.topic.value, payload, retained=message.retain)
 
     async def _publish_all(self, client: Client) -> None:
         """The latest of everything at the rate that was set, until `stop`. What the broker does not take in time is never sent.
@@ -167,21 +167,21 @@ class Mqtt:
                 return
 
     async def _publish_latest(self, client: Client) -> None:
-        view = self._hooks.look()
-        latest: dict[str, BaseModel] = {"status": status(view, online=True)}
-        for vehicle in view.vehicles:
-            models = of_vehicle(vehicle, unix_s(view.at_s, view))
+        snapshot = self._hooks.snapshot()
+        latest: dict[str, BaseModel] = {"status": status(snapshot, online=True)}
+        for vehicle in snapshot.vehicles:
+            models = of_vehicle(vehicle, unix_s(snapshot.at_s, snapshot))
             latest |= {f"{vehicle.sysid}/{name}": model for name, model in models.items()}
         topics = list(latest.items())
         for start in range(0, len(topics), _AT_A_TIME):
             await self._publish_together(client, topics[start : start + _AT_A_TIME])
         while self._alarms:
-            news = self._alarms.popleft()
+            event = self._alarms.popleft()
             try:
-                await client.publish(f"{self._base}/alarms", _alarm(news, view).model_dump_json(), qos=1)
+                await client.publish(f"{self._base}/alarms", _alarm(event, snapshot).model_dump_json(), qos=1)
             except MqttError:
                 if len(self._alarms) < _ALARMS_KEPT:  # where it is full, this one is the oldest
-                    self._alarms.appendleft(news)
+                    self._alarms.appendleft(event)
                 raise
 
     async def _publish_together(self, client: Client, topics: Iterable[tuple[str, BaseModel]]) -> None:
@@ -194,9 +194,9 @@ class Mqtt:
             raise MqttError("Operation timed out") from None
 
 
-def _alarm(news: ToOperator, view: FleetSnapshot) -> Alarm:
-    level, text = level_and_text(news)
-    content = {"at_unix_s": unix_s(news.at_s, view), "sysid": news.sysid, "level": level, "text": text}
+def _alarm(event: ToOperator, snapshot: FleetSnapshot) -> Alarm:
+    level, text = level_and_text(event)
+    content = {"at_unix_s": unix_s(event.at_s, snapshot), "sysid": event.sysid, "level": level, "text": text}
     return Alarm.model_validate(content)
 
 

@@ -17,24 +17,24 @@ _MOST_BYTES = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class Hooks:
+class MqttHooks:
     """What the MQTT side may ask of the service.
 
     `look` is the fleet as it stands, `heard` the system ids heard so far, `obey` takes the operator's word, `take_range`
     a range; `clock` is the service's, in seconds.
     """
 
-    look: Callable[[], FleetSnapshot]
-    heard: Callable[[], Collection[int]]
-    obey: Callable[[int, Override], None]
-    take_range: Callable[[PeerRange], None]
+    snapshot: Callable[[], FleetSnapshot]
+    known_sysids: Callable[[], Collection[int]]
+    apply_command: Callable[[int, Override], None]
+    add_range: Callable[[PeerRange], None]
     clock: Callable[[], float]
 
 
-class Inbox:
+class MqttInbox:
     """Takes messages below `base`, a topic; counts into `counts`."""
 
-    def __init__(self, base: str, hooks: Hooks, counts: Counts, *, commands: bool, ranges: bool) -> None:
+    def __init__(self, base: str, hooks: MqttHooks, counts: Counts, *, commands: bool, ranges: bool) -> None:
         self._base = base
         self._hooks = hooks
         self._counts = counts
@@ -45,7 +45,7 @@ class Inbox:
         """The topics to subscribe to; none where nothing is allowed."""
         return [f"{self._base}/+/{name}" for name in self._allowed]
 
-    def take(self, topic: str, payload: bytes, *, retained: bool) -> None:
+    def receive(self, topic: str, payload: bytes, *, retained: bool) -> None:
         """Take one message. Never raises for its content."""
         reason = self._refusal(topic, payload, retained)
         if reason is not None:
@@ -61,16 +61,16 @@ class Inbox:
         if len(payload) > _MOST_BYTES:
             return f"{name}_too_long"
         sysid = int(sysid_text) if sysid_text.isascii() and sysid_text.isdigit() and len(sysid_text) <= 3 else None
-        if sysid is None or sysid not in self._hooks.heard():
+        if sysid is None or sysid not in self._hooks.known_sysids():
             return f"{name}_of_unknown_vehicle"
         try:
             if name == "cmd":
-                self._hooks.obey(sysid, Command.model_validate_json(payload).said())
+                self._hooks.apply_command(sysid, Command.model_validate_json(payload).override())
                 return None
             found = Range.model_validate_json(payload)
         except ValidationError:
             return f"{name}_invalid"
         if found.peer == sysid:
             return "range_to_itself"
-        self._hooks.take_range(found.message(sysid, self._hooks.clock()))
+        self._hooks.add_range(found.message(sysid, self._hooks.clock()))
         return None

@@ -110,16 +110,16 @@ class Command(BaseModel):
     primary: PrimaryOverride | None = None
 
     @model_validator(mode="after")
-    def _one_word(self) -> Self:
-        if len(self._words()) != 1:
+    def _one_override(self) -> Self:
+        if len(self._overrides()) != 1:
             raise ValueError("one word is wanted")
         return self
 
-    def said(self) -> Override:
+    def override(self) -> Override:
         """The word that was given."""
-        return self._words()[0]
+        return self._overrides()[0]
 
-    def _words(self) -> list[Override]:
+    def _overrides(self) -> list[Override]:
         return [word for word in (self.word, self.aid, self.primary) if word is not None]
 
 
@@ -186,24 +186,24 @@ def of_vehicle(v: VehicleSnapshot, at_unix_s: float | None) -> dict[str, _Sent]:
     }
 
 
-def status(view: FleetSnapshot | None, *, online: bool) -> FleetStatus:
-    """The fleet's status; `view` None before there is any, and for the last will, which the broker sends at an unknown time."""
-    if view is None:
+def status(snapshot: FleetSnapshot | None, *, online: bool) -> FleetStatus:
+    """The fleet's status; `snapshot` is None before the first one, and for the last will, which has no time."""
+    if snapshot is None:
         return FleetStatus(at_unix_s=None, online=online, estimator=None, vehicles=(), refused={}, outs=())
-    vehicles = tuple(v.sysid for v in view.vehicles)
+    vehicles = tuple(v.sysid for v in snapshot.vehicles)
     return FleetStatus(
-        at_unix_s=unix_s(view.at_s, view),
+        at_unix_s=unix_s(snapshot.at_s, snapshot),
         online=online,
-        estimator=view.estimator,
+        estimator=snapshot.estimator,
         vehicles=vehicles,
-        refused=view.refused,
-        outs=tuple(GroundTools(**asdict(out)) for out in view.outs),
+        refused=snapshot.refused,
+        outs=tuple(GroundTools(**asdict(out)) for out in snapshot.outs),
     )
 
 
-def unix_s(at_s: float, view: FleetSnapshot) -> float | None:
+def unix_s(at_s: float, snapshot: FleetSnapshot) -> float | None:
     """A service time as UNIX time, None where the host does not know it."""
-    return at_s + view.utc_minus_service_s if view.utc_minus_service_s is not None else None
+    return at_s + snapshot.utc_minus_service_s if snapshot.utc_minus_service_s is not None else None
 
 
 def schemas() -> dict[str, Any]:

@@ -1,13 +1,13 @@
-"""News for the operator in words: the same on the page, on MQTT and in the log."""
+"""The wording of events for the operator: the same on the page, on MQTT and in the log."""
 
 from __future__ import annotations
 
 from gcs_coloc.core.messages.outbound import HealthChanged, ToOperator
 
 
-def level_and_text(news: ToOperator) -> tuple[str, str]:
-    """How serious a piece of news is (`info`, `warning`, `error`), and what it says. What is not `info` is an alarm."""
-    if isinstance(news, HealthChanged):
-        bad = news.after in ("suspect", "failed")
-        return ("warning" if bad else "info"), f"GPS {news.before} -> {news.after}: {news.reason}"
-    return news.level, news.text
+def level_and_text(event: ToOperator) -> tuple[str, str]:
+    """The level of an event (`info`, `warning`, `error`) and its text. What is not `info` is an alarm."""
+    if isinstance(event, HealthChanged):
+        bad = event.after in ("suspect", "failed")
+        return ("warning" if bad else "info"), f"GPS {event.before} -> {event.after}: {event.reason}"
+    return event.level, event.text

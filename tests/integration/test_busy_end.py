@@ -32,12 +32,12 @@ def test_what_arrives_after_the_end_was_asked_for_is_not_looked_at(free_port):
             first.send(*first.telemetry(0, 3))
             async with asyncio.timeout(_GENEROUS_S):
                 await news.get()  # that it was heard for the first time
-            before = path.heard()
+            before = path.known_sysids()
             path.stop()
             second.send(*second.telemetry(0, 3))
             for _ in range(100):  # loopback has delivered at once; the loop has had its turns
                 await asyncio.sleep(0)
-            after = path.heard()
+            after = path.known_sysids()
         await path.close()
         return before, after
 

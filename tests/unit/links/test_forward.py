@@ -5,7 +5,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.config.sections import SigningConfig
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.links.forward import MAX_TOOLS, TELL_EVERY_S, TOOL_KEPT_S, Forwarder, check_outs
+from gcs_coloc.links.forward import MAX_TOOLS, TOOL_KEPT_S, WARN_EVERY_S, Forwarder, check_outs
 from gcs_coloc.links.routes import RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.framing import read_frame
@@ -99,7 +99,7 @@ class Between:
 
     @property
     def tools(self):
-        return self.forwarder.views()[0].tools
+        return self.forwarder.snapshots()[0].tools
 
 
 def command(sysid=2, sender=255, key=None):
@@ -123,7 +123,7 @@ def test_one_port_has_room_for_so_many_tools_and_for_another_when_one_has_gone()
     between.say(command(), tool="one too many")
     assert between.tools == MAX_TOOLS
     assert len(between.radio.sent) == MAX_TOOLS
-    assert between.forwarder.counts["too_many_ground_tools"] == between.forwarder.views()[0].refused == 1
+    assert between.forwarder.counts["too_many_ground_tools"] == between.forwarder.snapshots()[0].refused == 1
     between.now_s += TOOL_KEPT_S + 0.1
     between.say(command(), tool="one too many")
     assert len(between.radio.sent) == MAX_TOOLS + 1
@@ -144,7 +144,7 @@ def test_what_is_not_handed_on_to_a_vehicle_is_counted(frame, reason):
     between.say(frame)
     assert between.radio.sent == between.forwarded == []
     assert between.forwarder.counts[reason] == 1
-    assert between.forwarder.views()[0].refused == 1
+    assert between.forwarder.snapshots()[0].refused == 1
 
 
 def test_a_command_to_us_is_nobodys_elses():
@@ -180,9 +180,9 @@ def test_frames_under_a_vehicles_system_id_from_elsewhere_are_not_shown_to_the_t
     heard = [read_frame(Signer(sysid, key=None).pack(), 0) for sysid in (1, 9)]
     between.forwarder.from_vehicle(heard, between.radio, "somebody", between.now_s)
     assert between.forwarder.counts["forward_address_conflict"] == 1
-    assert between.forwarder.views()[0].frames_sent == 1
+    assert between.forwarder.snapshots()[0].frames_sent == 1
     between.forwarder.from_vehicle(heard[:1], between.radio, "vehicle 1", between.now_s)
-    assert between.forwarder.views()[0].frames_sent == 2
+    assert between.forwarder.snapshots()[0].frames_sent == 2
 
 
 def test_positions_of_a_ground_tool_are_kept_from_the_vehicle_that_we_aid_and_told_now_and_then():
@@ -195,9 +195,9 @@ def test_positions_of_a_ground_tool_are_kept_from_the_vehicle_that_we_aid_and_to
     assert [address for address, _ in between.radio.sent] == ["vehicle 1", "vehicle 1"]
     assert between.foreign_gps_input == [1]
     assert between.forwarder.counts["ground_tool_aid"] == 2
-    ((sysid, text),) = between.forwarder.news(between.now_s)
+    ((sysid, text),) = between.forwarder.pending_warnings(between.now_s)
     assert sysid == 2
     assert "GLOBAL_POSITION_SENSOR" in text
     between.say(tool.pack(mavlink.MAVLink_gps_input_message(0, 1, 0, 0, 0, 3, 1, 1, 0, 1, 1, 0, 0, 0, 1, 1, 1, 9)))
-    assert between.forwarder.news(between.now_s + 1.0) == []
-    assert between.forwarder.news(between.now_s + TELL_EVERY_S)[0][0] == 2
+    assert between.forwarder.pending_warnings(between.now_s + 1.0) == []
+    assert between.forwarder.pending_warnings(between.now_s + WARN_EVERY_S)[0][0] == 2

@@ -18,7 +18,7 @@ def admitted(rate_limiter, source, size, per_s, from_s, seconds):
 @pytest.mark.parametrize("size", [LEAST_COST_BYTES, 300, 1400])
 def test_a_flood_gets_its_share_and_a_vehicle_beside_it_everything(size):
     rate_limiter = RateLimiter(RATE)
-    rate_limiter.know(VEHICLE, 0.0)
+    rate_limiter.add_source(VEHICLE, 0.0)
     flood = vehicle = 0
     for number in range(40_000):  # 2 s at 20,000/s, a datagram of the vehicle after every two hundredth
         flood += rate_limiter.admits(HOSTILE, size, number / 20_000)
@@ -47,7 +47,7 @@ def test_no_datagram_is_larger_than_a_burst():
 def test_a_known_source_has_no_more_than_its_share(known):
     rate_limiter = RateLimiter(RATE)
     if known:
-        rate_limiter.know(HOSTILE, 0.0)
+        rate_limiter.add_source(HOSTILE, 0.0)
     assert admitted(rate_limiter, HOSTILE, 1000, 20_000, 0.0, 2.0) == pytest.approx(RATE * (2.0 + BURST_S) / 1000, abs=2)
 
 
@@ -65,14 +65,14 @@ def test_who_was_cut_down_is_heard_again_as_soon_as_it_is_quiet():
 
 def test_made_up_addresses_have_one_share_together_and_take_none_from_a_vehicle():
     rate_limiter = RateLimiter(RATE)
-    rate_limiter.know(VEHICLE, 0.0)
+    rate_limiter.add_source(VEHICLE, 0.0)
     taken = 0
     for number in range(100_000):  # 5 s at 20,000/s, each from another address
         now_s = number / 20_000
         taken += rate_limiter.admits(("6.6.6.6", number), 1000, now_s)
         if number % 2000 == 0:
             assert rate_limiter.admits(VEHICLE, 400, now_s)
-    assert rate_limiter.known == 1
+    assert rate_limiter.sources == 1
     assert taken == pytest.approx(RATE * (5.0 + BURST_S) / 1000, abs=2)
 
 
@@ -87,20 +87,20 @@ def test_a_vehicle_that_turns_up_during_a_flood_gets_through_and_is_then_known()
         through += rate_limiter.admits(VEHICLE, 400, now_s) if rng.random() < 0.001 else 0
         rate_limiter.admits(("6.6.6.6", number), 60, now_s)
     assert through >= 4
-    rate_limiter.know(VEHICLE, 10.0)
+    rate_limiter.add_source(VEHICLE, 10.0)
     assert all(rate_limiter.admits(VEHICLE, 400, 10.0) for _ in range(50))
 
 
 def test_lively_sources_are_kept_and_silent_ones_make_room():
-    rate_limiter = RateLimiter(RATE, max_known=2)
-    rate_limiter.know("a", 0.0)
-    rate_limiter.know("b", 0.0)
-    rate_limiter.know("c", KEPT_S - 0.1)
-    assert rate_limiter.known == 2
+    rate_limiter = RateLimiter(RATE, max_sources=2)
+    rate_limiter.add_source("a", 0.0)
+    rate_limiter.add_source("b", 0.0)
+    rate_limiter.add_source("c", KEPT_S - 0.1)
+    assert rate_limiter.sources == 2
     assert sum(rate_limiter.admits("c", 1000, KEPT_S) for _ in range(100)) < 100  # as one of all others
     assert rate_limiter.admits("a", 400, KEPT_S)
-    rate_limiter.know("c", KEPT_S)
-    assert rate_limiter.known == 2
+    rate_limiter.add_source("c", KEPT_S)
+    assert rate_limiter.sources == 2
     assert rate_limiter.admits("c", 1000, KEPT_S)  # in the place of b
-    rate_limiter.know("b", KEPT_S)
+    rate_limiter.add_source("b", KEPT_S)
     assert not rate_limiter.admits("b", 1000, KEPT_S)

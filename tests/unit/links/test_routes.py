@@ -111,21 +111,21 @@ def test_a_second_claim_is_told_with_both_addresses_and_not_too_often(ears):
     ears.hears(2, HERE, link=Named)
     for _ in range(1000):
         ears.hears(1, THERE, link=Named)
-    ((sysid, text),) = ears.table.claims.news(ears.now_s)
+    ((sysid, text),) = ears.table.conflicts.pending_warnings(ears.now_s)
     assert sysid == 1
     for part in ("10.0.0.1:14550 on udpin:0.0.0.0:14550", "10.0.0.2:14550", "1000 times", "SYSID_THISMAV"):
         assert part in text
-    assert ears.table.claims.news(ears.now_s) == []
+    assert ears.table.conflicts.pending_warnings(ears.now_s) == []
     ears.hears(1, THERE, link=Named)
-    assert ears.table.claims.news(ears.now_s + 9.9) == []
-    assert "1 times" in ears.table.claims.news(ears.now_s + 10.0)[0][1]
+    assert ears.table.conflicts.pending_warnings(ears.now_s + 9.9) == []
+    assert "1 times" in ears.table.conflicts.pending_warnings(ears.now_s + 10.0)[0][1]
 
 
 def test_a_vehicle_that_moves_is_told(ears):
     ears.hears(1, HERE, link=Named)
     ears.now_s += 6.0
     ears.hears(1, THERE, link=Named)
-    ((sysid, text),) = ears.table.claims.news(ears.now_s)
+    ((sysid, text),) = ears.table.conflicts.pending_warnings(ears.now_s)
     assert (sysid, "10.0.0.2:14550" in text, "10.0.0.1:14550" in text) == (1, True, True)
 
 
@@ -261,17 +261,17 @@ def test_a_companion_elsewhere_is_reached_there_and_the_whole_vehicle_at_both():
 
 def test_a_frame_from_another_address_than_its_vehicles_is_away_from_home_until_the_vehicle_may_roam(ears):
     ears.hears(1, HERE)
-    assert ears.table.is_at_home(1, 1, LINK, HERE, ears.now_s)
-    assert not ears.table.is_at_home(1, 154, LINK, THERE, ears.now_s)
-    assert ears.table.is_at_home(2, 1, LINK, THERE, ears.now_s)
-    assert ears.table.is_at_home(1, 154, LINK, THERE, ears.now_s + 5.0)
+    assert ears.table.comes_from_its_binding(1, 1, LINK, HERE, ears.now_s)
+    assert not ears.table.comes_from_its_binding(1, 154, LINK, THERE, ears.now_s)
+    assert ears.table.comes_from_its_binding(2, 1, LINK, THERE, ears.now_s)
+    assert ears.table.comes_from_its_binding(1, 154, LINK, THERE, ears.now_s + 5.0)
     assert not ears.table.counts
 
 
 def test_of_ground_stations_with_one_system_id_each_component_has_a_home_of_its_own(ears):
     ears.hears(255, HERE, compid=190, autopilot=False)
-    assert not ears.table.is_at_home(255, 190, LINK, THERE, ears.now_s)
-    assert ears.table.is_at_home(255, 195, LINK, THERE, ears.now_s)
+    assert not ears.table.comes_from_its_binding(255, 190, LINK, THERE, ears.now_s)
+    assert ears.table.comes_from_its_binding(255, 195, LINK, THERE, ears.now_s)
 
 
 def test_who_is_reached_at_an_address_is_known_for_a_minute_after_it_was_heard(ears):

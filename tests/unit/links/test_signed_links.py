@@ -27,23 +27,23 @@ def signed(tmp_path):
     ("ahead_s", "words"), [(90, "2 minutes"), (10_800, "3 hours"), (86_400, "24 hours"), (604_800, "7 days")]
 )
 def test_a_time_of_signatures_that_a_vehicle_brought_ahead_is_told_once(signed, ahead_s, words):
-    assert signed.news(NOW_S) is None
+    assert signed.pending_warning(NOW_S) is None
     vehicle = Signer()
     vehicle.mav.signing.timestamp += ahead_s * 100_000
     assert Decoder().decode(vehicle.pack(), NOW_S, "address", signed.of(LINK))
-    assert f"{words} ahead of this computer's clock" in signed.news(NOW_S)
-    assert signed.news(NOW_S + 1.0) is None
+    assert f"{words} ahead of this computer's clock" in signed.pending_warning(NOW_S)
+    assert signed.pending_warning(NOW_S + 1.0) is None
 
 
 def test_so_is_one_that_the_hosts_own_clock_left_behind_when_it_was_set_back_and_again_after_it_was_right(signed):
     signed.of(LINK).stamp(NOW_S)
-    assert signed.news(NOW_S) is None
+    assert signed.pending_warning(NOW_S) is None
     for _ in range(2):
         signed.set_clock(UNIX_S - NOW_S - 7200.0)
-        assert "2 hours ahead" in signed.news(NOW_S)
+        assert "2 hours ahead" in signed.pending_warning(NOW_S)
         signed.set_clock(UNIX_S - NOW_S)
-        assert signed.news(NOW_S) is None
+        assert signed.pending_warning(NOW_S) is None
 
 
 def test_links_without_a_key_have_no_time_of_signatures():
-    assert SignedLinks(SigningConfig(), [LINK]).news(NOW_S) is None
+    assert SignedLinks(SigningConfig(), [LINK]).pending_warning(NOW_S) is None

@@ -4,9 +4,7 @@ VEHICLE = ("address", 1, 1)
 
 
 def heard(tracker, sequences):
-    return [
-        tracker.note(VEHICLE, sequence & 0xFF, checksum=sequence * 7919 & 0xFFFF, received_at_s=0.0) for sequence in sequences
-    ]
+    return [tracker.add(VEHICLE, sequence & 0xFF, checksum=sequence * 7919 & 0xFFFF, received_at_s=0.0) for sequence in sequences]
 
 
 def tally(tracker):
@@ -40,37 +38,37 @@ def test_copy_is_refused_even_when_late():
 
 def test_same_number_with_another_checksum_is_no_copy():
     tracker = SequenceTracker()
-    assert tracker.note(VEHICLE, 9, checksum=1, received_at_s=0.0)
-    assert tracker.note(VEHICLE, 9, checksum=2, received_at_s=0.0)
+    assert tracker.add(VEHICLE, 9, checksum=1, received_at_s=0.0)
+    assert tracker.add(VEHICLE, 9, checksum=2, received_at_s=0.0)
 
 
 def test_sender_that_never_counts_on_is_heard():
     """Its heartbeat has the same bytes each time; only a copy that comes at once is taken for a copy."""
     tracker = SequenceTracker()
     for second in range(10):
-        assert tracker.note(VEHICLE, 0, checksum=1, received_at_s=float(second))
-        assert not tracker.note(VEHICLE, 0, checksum=1, received_at_s=second + 0.2)
+        assert tracker.add(VEHICLE, 0, checksum=1, received_at_s=float(second))
+        assert not tracker.add(VEHICLE, 0, checksum=1, received_at_s=second + 0.2)
     assert tally(tracker) == (10, 0, 10)
 
 
 def test_memory_of_one_sender_is_bounded():
     tracker = SequenceTracker()
     for number in range(5000):
-        assert tracker.note(VEHICLE, number & 0xFF, checksum=number, received_at_s=0.0)
+        assert tracker.add(VEHICLE, number & 0xFF, checksum=number, received_at_s=0.0)
     assert len(tracker.receptions[VEHICLE]._recent) == REMEMBERED_FRAMES
 
 
 def test_senders_are_apart_by_address_and_component():
     tracker = SequenceTracker()
     for sender in [VEHICLE, ("elsewhere", 1, 1), ("address", 1, 191), ("address", 2, 1)]:
-        assert tracker.note(sender, 7, checksum=1, received_at_s=0.0)
+        assert tracker.add(sender, 7, checksum=1, received_at_s=0.0)
     assert len(tracker.receptions) == 4
 
 
 def test_flood_of_senders_is_bounded_and_a_lively_one_stays():
     tracker = SequenceTracker()
     for number in range(3 * MAX_SENDERS):
-        tracker.note(("made up", number, 1), 0, checksum=0, received_at_s=0.0)
-        tracker.note(VEHICLE, number & 0xFF, checksum=number & 0xFFFF, received_at_s=0.0)
+        tracker.add(("made up", number, 1), 0, checksum=0, received_at_s=0.0)
+        tracker.add(VEHICLE, number & 0xFF, checksum=number & 0xFFFF, received_at_s=0.0)
     assert len(tracker.receptions) == MAX_SENDERS
     assert tally(tracker) == (3 * MAX_SENDERS, 0, 0)

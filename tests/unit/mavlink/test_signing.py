@@ -136,12 +136,12 @@ def test_a_stream_never_heard_may_be_a_minute_behind_us(behind, taken):
 def test_the_sources_of_what_is_rightly_signed_but_too_old_are_known_once_and_so_many_at_most():
     end, late = End(), TICKS - 2 * MINUTE
     end.decoder.decode(Signer(key=OTHER_KEY, ticks=late).pack(), NOW_S, "forger", end.link)
-    assert end.decoder.take_behind() == ()
+    assert end.decoder.pop_behind() == ()
     for sysid in range(1, 101):
         end.decoder.decode(Signer(sysid, ticks=late).pack(), NOW_S, sysid, end.link)
         end.decoder.decode(Signer(sysid, ticks=late).pack(), NOW_S, sysid, end.link)
-    assert end.decoder.take_behind() == tuple(range(1, MAX_BEHIND + 1))
-    assert end.decoder.take_behind() == ()
+    assert end.decoder.pop_behind() == tuple(range(1, MAX_BEHIND + 1))
+    assert end.decoder.pop_behind() == ()
 
 
 def test_a_vehicle_that_is_behind_is_taken_once_it_has_verified_a_frame_of_ours():

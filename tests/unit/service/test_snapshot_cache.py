@@ -1,4 +1,4 @@
-"""Those who look at a fleet within a moment of each other share one look; what is recorded is one, too."""
+"""Observers who want a snapshot within a moment of each other share one; what is recorded is one, too."""
 
 from __future__ import annotations
 
@@ -53,36 +53,36 @@ class Fleet:
         self.snapshots = SnapshotCache(self.clock, self.engine, self.recording, self.sequences, refusals, forwarder)
 
 
-def test_a_look_is_shared_for_a_tenth_of_a_second():
+def test_a_snapshot_is_shared_for_a_tenth_of_a_second():
     fleet = Fleet()
-    first = fleet.snapshots.glance()
+    first = fleet.snapshots.recent_snapshot()
     fleet.clock.now_s = 5.1
-    assert fleet.snapshots.glance() is first
+    assert fleet.snapshots.recent_snapshot() is first
     fleet.clock.now_s = 5.11
-    assert fleet.snapshots.glance().at_s == 5.11
+    assert fleet.snapshots.recent_snapshot().at_s == 5.11
 
 
-def test_a_look_has_what_a_glance_leaves_out_and_counts_no_more_often_than_it_looks():
+def test_a_full_snapshot_has_what_a_recent_one_leaves_out_and_is_counted_once():
     fleet = Fleet()
     fleet.counts.add("bad_crc", 3)
-    fleet.sequences.note(("here", 2, 1), 7, 0, 5.0)
-    fleet.sequences.note(("here", 77, 1), 7, 0, 5.0)
-    glance, look = fleet.snapshots.glance(), fleet.snapshots.look()
-    assert (glance.links, glance.outs, "bad_crc" in glance.refused) == ((), (), False)
-    assert [(link.sysid, link.received) for link in look.links] == [(1, 0), (2, 1), (3, 0), (4, 0)]
-    assert [out.name for out in look.outs] == ["udpout:127.0.0.1:14551"]
-    assert (look.at_s, look.vehicles, look.refused["bad_crc"]) == (glance.at_s, glance.vehicles, 3)
+    fleet.sequences.add(("here", 2, 1), 7, 0, 5.0)
+    fleet.sequences.add(("here", 77, 1), 7, 0, 5.0)
+    recent, full = fleet.snapshots.recent_snapshot(), fleet.snapshots.snapshot()
+    assert (recent.links, recent.outs, "bad_crc" in recent.refused) == ((), (), False)
+    assert [(link.sysid, link.received) for link in full.links] == [(1, 0), (2, 1), (3, 0), (4, 0)]
+    assert [out.name for out in full.outs] == ["udpout:127.0.0.1:14551"]
+    assert (full.at_s, full.vehicles, full.refused["bad_crc"]) == (recent.at_s, recent.vehicles, 3)
     fleet.counts.add("bad_crc")
-    assert fleet.snapshots.look() is look
+    assert fleet.snapshots.snapshot() is full
     fleet.clock.now_s = 6.0
-    assert fleet.snapshots.look().refused["bad_crc"] == 4
+    assert fleet.snapshots.snapshot().refused["bad_crc"] == 4
 
 
 @pytest.mark.parametrize(("later_s", "recorded"), [(0.44, True), (0.46, False)])
-def test_what_was_recorded_is_a_look_until_the_next_is_due(tmp_path, later_s, recorded):
+def test_a_recorded_snapshot_serves_until_the_next_is_due(tmp_path, later_s, recorded):
     fleet = Fleet(directory=str(tmp_path / "flights"))
     fleet.recording.polled(fleet.engine.reviewed_at_s, [])
-    view = fleet.recording.newest_view
-    assert view is not None
-    fleet.clock.now_s = view.at_s + later_s
-    assert (fleet.snapshots.glance() is view) is recorded
+    recorded_snapshot = fleet.recording.newest_view
+    assert recorded_snapshot is not None
+    fleet.clock.now_s = recorded_snapshot.at_s + later_s
+    assert (fleet.snapshots.recent_snapshot() is recorded_snapshot) is recorded

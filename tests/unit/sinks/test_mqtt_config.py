@@ -8,7 +8,7 @@ from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.sinks.event_bus import Subscription
 from gcs_coloc.sinks.idle_scheduler import IdleScheduler
 from gcs_coloc.sinks.mqtt import Mqtt
-from gcs_coloc.sinks.mqtt_inbox import Hooks
+from gcs_coloc.sinks.mqtt_inbox import MqttHooks
 
 
 def settings(**mqtt):
@@ -19,7 +19,9 @@ def connection(**mqtt):
     def unasked(*_):
         raise AssertionError("asked before there is a connection")
 
-    return Mqtt(settings(**mqtt), Hooks(unasked, unasked, unasked, unasked, unasked), Subscription(8), Counts(), IdleScheduler())
+    return Mqtt(
+        settings(**mqtt), MqttHooks(unasked, unasked, unasked, unasked, unasked), Subscription(8), Counts(), IdleScheduler()
+    )
 
 
 def test_it_is_off_and_takes_nothing_unless_told():

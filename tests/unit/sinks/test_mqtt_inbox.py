@@ -9,7 +9,7 @@ from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, Primary
 from gcs_coloc.core.messages.inbound import TimeBase
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.counts import Counts
-from gcs_coloc.sinks.mqtt_inbox import Hooks, Inbox
+from gcs_coloc.sinks.mqtt_inbox import MqttHooks, MqttInbox
 
 BASE = "p/v1/f"
 NOW_S = 1000.0
@@ -19,18 +19,18 @@ class Desk:
     def __init__(self, *, commands=True, ranges=True):
         self.words, self.ranges, self.counts = [], [], Counts()
         engine = Engine(load_estimator("fleet", {}))
-        hooks = Hooks(
-            look=lambda: engine.view(NOW_S),
-            heard=lambda: [1, 4],
-            obey=lambda sysid, word: self.words.append((sysid, word)),
-            take_range=self.ranges.append,
+        hooks = MqttHooks(
+            snapshot=lambda: engine.view(NOW_S),
+            known_sysids=lambda: [1, 4],
+            apply_command=lambda sysid, word: self.words.append((sysid, word)),
+            add_range=self.ranges.append,
             clock=lambda: NOW_S,
         )
-        self.inbox = Inbox(BASE, hooks, self.counts, commands=commands, ranges=ranges)
+        self.inbox = MqttInbox(BASE, hooks, self.counts, commands=commands, ranges=ranges)
 
     def take(self, tail, content, *, retained=False):
         payload = content if isinstance(content, bytes) else json.dumps(content).encode()
-        self.inbox.take(f"{BASE}/{tail}", payload, retained=retained)
+        self.inbox.receive(f"{BASE}/{tail}", payload, retained=retained)
 
 
 WORDS = [
