@@ -15,11 +15,11 @@ from bench.flight import Flight
 from bench.profile import where_it_goes
 from bench.traffic import LOST, WARM_S, Sent, fleet_traffic, message_id_of
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.estimators.fleet.joint import Joint
+from gcs_coloc.estimators.fleet.ekf.state import JointState
 from gcs_coloc.mavlink._generated.gcs_coloc import MAVLINK_MSG_ID_PEER_RANGE
 
 _P50_US, _P99_US = 150.0, 500.0
-_ALGEBRA = ("transform", "foresee", "expect", "correct_scalar", "fade")
+_ALGEBRA = ("propagate", "predict_measurement", "predict_block_measurement", "correct_scalar", "decay")
 
 
 def measure(quick: bool) -> list[Figure]:
@@ -80,7 +80,7 @@ def _take(flight: Flight, datagram: Sent) -> int:
 @contextmanager
 def _algebra_timed() -> Iterator[list[int]]:
     """Time the calls of the filter's linear algebra: the list's one value is the sum so far, ns."""
-    spent_ns, plain = [0], {name: getattr(Joint, name) for name in _ALGEBRA}
+    spent_ns, plain = [0], {name: getattr(JointState, name) for name in _ALGEBRA}
 
     def timed(call: Callable[..., Any]) -> Callable[..., Any]:
         def run(*arguments: Any, **named: Any) -> Any:
@@ -92,12 +92,12 @@ def _algebra_timed() -> Iterator[list[int]]:
         return run
 
     for name, call in plain.items():
-        setattr(Joint, name, timed(call))
+        setattr(JointState, name, timed(call))
     try:
         yield spent_ns
     finally:
         for name, call in plain.items():
-            setattr(Joint, name, call)
+            setattr(JointState, name, call)
 
 
 if __name__ == "__main__":

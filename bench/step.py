@@ -13,7 +13,7 @@ from bench.accuracy_flights import Case, Recording, record
 from bench.accuracy_peers import FilterpyEkf, installed
 from bench.figures import Figure, interleaved
 from gcs_coloc.core.measurements import AltitudeMeasurement, Measurement, PositionMeasurement, RangeMeasurement
-from gcs_coloc.estimators.fleet.motion import BARO_ERROR, SIZE, TURN, Step
+from gcs_coloc.estimators.fleet.ekf._kernels import BARO_ERROR, SIZE, TURN, Transition
 from gcs_coloc.estimators.registry import load_estimator
 
 _RATE_HZ = 5.0
@@ -37,7 +37,7 @@ class SameStatesEkf:
         self._filter.x, self._filter.P = np.zeros(n), np.eye(n)
         self._at_s = start[0].measured_at_s
         self._denied_vehicle = denied_vehicle
-        self._step = Step()
+        self._step = Transition()
         for m in start:
             self._filter.x[self._index[m.vehicle] : self._index[m.vehicle] + 3] = m.position_enu_m
 
@@ -59,8 +59,8 @@ class SameStatesEkf:
         slow = math.exp(-step_s / _SLOW_TIME_S)
         for i in self._index.values():
             block = slice(i, i + SIZE)
-            self._step.move(self._filter.x[block].tolist(), step_s, float(self._filter.x[i + TURN]), in_wind=False)
-            self._step.disturb(step_s, _DENSITY_M2PS3, _CLIMB_M2PS3)
+            self._step.set_motion(self._filter.x[block].tolist(), step_s, float(self._filter.x[i + TURN]), in_wind=False)
+            self._step.set_acceleration_noise(step_s, _DENSITY_M2PS3, _CLIMB_M2PS3)
             F[block, block], Q[block, block] = self._step.F, self._step.Q
         for k in (*(i + s for i in self._index.values() for s in range(6, SIZE)), *range(len(self._index) * SIZE, n)):
             F[k, k] = slow

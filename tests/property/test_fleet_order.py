@@ -154,7 +154,7 @@ def test_after_two_hours_the_joint_covariance_is_symmetric_and_definite_to_round
             r = float(np.linalg.norm(circle(a, t) - circle(b, t))) + 0.05 * rng.normal()
             estimator.add(RangeMeasurement(a, b, t, t, r, 0.05, 0, a, 0.01, 0.1))
         if k % 600 == 599:
-            A = estimator._timeline.catch_up().main.clusters[4].joint.A
+            A = estimator._buffer.process().main.clusters[4].joint.A
             np.testing.assert_array_equal(A, A.T)
             P = A[1:, 1:]
             sigma = np.sqrt(np.diag(P))

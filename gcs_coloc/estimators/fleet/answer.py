@@ -6,10 +6,10 @@ import numpy as np
 
 from gcs_coloc.core.error_bound import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, NoEstimate
-from gcs_coloc.estimators.fleet.cluster import Cluster
-from gcs_coloc.estimators.fleet.motion import POSITION, SIZE, STAMP_ERROR, VELOCITY
-from gcs_coloc.estimators.fleet.range import unchecked_variance_m2
-from gcs_coloc.estimators.fleet.vehicle import IN_USE_S
+from gcs_coloc.estimators.fleet.ekf._kernels import POSITION, SIZE, STAMP_ERROR, VELOCITY
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S
+from gcs_coloc.estimators.fleet.outliers import unresolved_outlier_variance_m2
 from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution_of
 
 _STEP_BACK_MOST_S = 2.0
@@ -18,12 +18,12 @@ _STATED = np.eye(6, SIZE)
 
 def answer(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | NoEstimate:
     """Return where a vehicle of a cluster is at a time near that of its states."""
-    if cluster.records[vehicle].fixed:
+    if cluster.records[vehicle].static:
         return _anchor(cluster, vehicle, at_s)
     step_s = at_s - cluster.joint.time_s[vehicle]
     if step_s < -_STEP_BACK_MOST_S:
         return NoEstimate(vehicle, at_s, f"asked for a time {-step_s:.1f} s before its newest measurement")
-    x, P = cluster.predicted(vehicle, at_s)
+    x, P = cluster.predict(vehicle, at_s)
     # By the service's clock: its states go by its own.
     late_s = x.item(STAMP_ERROR)
     G = _STATED.copy()
@@ -32,7 +32,7 @@ def answer(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | NoEstimate
     position, spread = x[POSITION] - late_s * x[VELOCITY], G @ P @ G.T
     covariance = spread + spread.T
     covariance *= 0.5
-    unchecked_m2 = unchecked_variance_m2(cluster.records[vehicle])
+    unchecked_m2 = unresolved_outlier_variance_m2(cluster.records[vehicle])
     covariance[0, 0] += unchecked_m2
     covariance[1, 1] += unchecked_m2
     worst_m = horizontal_sigma_m(covariance)

@@ -21,8 +21,8 @@ from gcs_coloc.core.measurements import (
     Residual,
 )
 from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
+from gcs_coloc.estimators.fleet.out_of_sequence import Entry, Key, OosmBuffer
 from gcs_coloc.estimators.fleet.settings import FleetSettings
-from gcs_coloc.estimators.fleet.timeline import Entry, Key, Timeline
 
 _RESIDUALS_KEPT = 4096
 _KIND_SUBJECTS, _KIND_POSITION, _KIND_ALTITUDE, _KIND_ATTITUDE, _KIND_RANGE = range(5)
@@ -37,7 +37,7 @@ class FleetFilter:
 
     def __init__(self, settings: FleetSettings | None = None) -> None:
         self.settings = settings if settings is not None else FleetSettings()
-        self._timeline: Timeline[FleetHypotheses, Event] = Timeline(
+        self._buffer: OosmBuffer[FleetHypotheses, Event] = OosmBuffer(
             FleetHypotheses(self.settings), self._apply, self.settings.window_s
         )
         self._refused: Counter[str] = Counter()
@@ -50,7 +50,7 @@ class FleetFilter:
         self._hear(at_s)
         self._subject_changes += 1
         # Of two changes at one time the later call is the last word.
-        self._timeline.insert(
+        self._buffer.insert(
             (max(at_s, self._now_s - self.settings.window_s), _KIND_SUBJECTS, self._subject_changes), frozenset(denied)
         )
 
@@ -66,51 +66,51 @@ class FleetFilter:
             self._refused["refused: too late"] += 1
         elif delay_s < -self.settings.ahead_s:
             self._refused["refused: measured in the future"] += 1
-        elif not self._timeline.insert(key, measurement):
+        elif not self._buffer.insert(key, measurement):
             self._refused["refused: heard twice"] += 1
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Answer where a vehicle is at a time near the present; shortly before its newest measurement is answered too."""
-        return self._timeline.catch_up().estimate(vehicle, at_s)
+        return self._buffer.process().estimate(vehicle, at_s)
 
     def drain_residuals(self) -> list[Residual]:
         """The residuals since the last call, each range once, oldest first."""
-        self._timeline.catch_up()
+        self._buffer.process()
         taken = list(self._residuals)
         self._residuals.clear()
         return taken
 
     def counts(self) -> Mapping[str, int]:
         """How often what happened to measurements, by reason."""
-        self._timeline.catch_up()
-        return dict(sorted((self._timeline.outcomes + self._refused).items()))
+        self._buffer.process()
+        return dict(sorted((self._buffer.outcomes + self._refused).items()))
 
     def _hear(self, arrived_at_s: float) -> None:
         if arrived_at_s > self._now_s:
             self._now_s = arrived_at_s
-            self._timeline.settle(arrived_at_s)
+            self._buffer.commit(arrived_at_s)
 
     def _apply(self, model: FleetHypotheses, entry: Entry[Event]) -> str:
         event = entry.event
         if isinstance(event, frozenset):
             model.set_denied(event, entry.key[0])
             return "denied vehicles changed"
-        verdict = model.apply(event)
-        if isinstance(event, RangeMeasurement) and verdict.degrees_of_freedom and not entry.told:
-            entry.told = True
+        result = model.apply(event)
+        if isinstance(event, RangeMeasurement) and result.degrees_of_freedom and not entry.reported:
+            entry.reported = True
             self._residuals.append(
                 Residual(
                     from_vehicle=event.from_vehicle,
                     to_vehicle=event.to_vehicle,
                     measured_at_s=event.measured_at_s,
-                    innovation_m=verdict.innovation_m,
-                    sigma_m=verdict.sigma_m,
-                    nis=verdict.nis,
-                    degrees_of_freedom=verdict.degrees_of_freedom,
-                    refused=None if verdict.used else verdict.outcome,
+                    innovation_m=result.innovation_m,
+                    sigma_m=result.sigma_m,
+                    nis=result.nis,
+                    degrees_of_freedom=result.degrees_of_freedom,
+                    refused=None if result.used else result.outcome,
                 )
             )
-        return verdict.outcome
+        return result.outcome
 
 
 def _key(m: Measurement) -> Key | None:

@@ -1,4 +1,4 @@
-"""The model of the fleet and, for each denied vehicle that may be on either side of a line of peers, its twin: the mirror image.
+"""The main model and, for each denied vehicle whose side of its peers is unknown, a reflection hypothesis.
 
 Both take the same measurements. How well each foresees them gives the odds between them. As long as these do not decide, the
 answer covers both; once they do, the model that foresees better is the one that is kept.
@@ -14,20 +14,20 @@ import numpy as np
 
 from gcs_coloc.core.error_bound import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, RangeMeasurement
-from gcs_coloc.estimators.fleet.cluster import Cluster
-from gcs_coloc.estimators.fleet.corrections import UpdateResult
-from gcs_coloc.estimators.fleet.lost_side import Held, find_lost_side, held
-from gcs_coloc.estimators.fleet.mirror import (
-    Mirror,
-    away_sigmas,
-    blend,
-    find_mirror,
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.update import UpdateResult
+from gcs_coloc.estimators.fleet.fleet_model import FleetModel
+from gcs_coloc.estimators.fleet.lost_side import SavedEstimate, plane_after_gap, save_estimate
+from gcs_coloc.estimators.fleet.reflection import (
+    ReflectionPlane,
+    find_reflection_plane,
+    mixture,
+    offset_sigmas,
+    only_motion_discriminates,
     reflect,
-    through_line,
-    told_by_motion,
+    vertical_plane_through_line,
 )
-from gcs_coloc.estimators.fleet.model import FleetModel
-from gcs_coloc.estimators.fleet.other_side import find_other_side
+from gcs_coloc.estimators.fleet.reflection_evidence import plane_of_refused_ranges
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _LOOK_EVERY_S = 0.25
@@ -40,8 +40,8 @@ _MANOEUVRE_S = 3.0
 _MOST_OF_MOTION = 3.0
 
 
-class Sides(Enum):
-    """Where a vehicle is in a model and in its twin: on opposite sides of a line, on the same one, or one of them near it."""
+class RelativeSide(Enum):
+    """On which sides of the reflection plane a vehicle is in the main model and in its hypothesis."""
 
     APART = auto()
     SAME = auto()
@@ -49,27 +49,27 @@ class Sides(Enum):
 
 
 @dataclass(slots=True)
-class Twin:
+class ReflectionHypothesis:
     """A model in which one denied vehicle is at its mirror image; `log_odds` is the logarithm of its odds against the main model.
 
-    `apart`: each of the two was clearly on its own side when last looked at; `by_motion`: only the motion told the two apart.
+    `apart`: each of the two was clearly on its own side when last looked at; `motion_only`: only the motion told the two apart.
     """
 
     model: FleetModel
-    by_motion: bool
+    motion_only: bool
     log_odds: float = 0.0
-    apart: bool = True
+    separated: bool = True
     _since_s: float = -math.inf
     _before: float = 0.0
     _raised: float = 0.0
 
-    def weigh(self, gain: float, at_s: float) -> None:
+    def add_evidence(self, gain: float, at_s: float) -> None:
         """Take what a measurement adds to the log odds.
 
         A manoeuvre that a model does not foresee is in all its innovations until it is noticed. So where only the motion
         tells the two models apart what is heard within three seconds is one, bounded, piece of evidence.
         """
-        if not self.by_motion:
+        if not self.motion_only:
             self.log_odds += gain
             self._since_s = -math.inf
             return
@@ -78,138 +78,149 @@ class Twin:
         self._raised += gain
         self.log_odds = self._before + min(max(self._raised, -_MOST_OF_MOTION), _MOST_OF_MOTION)
 
-    def forget(self) -> None:
+    def reset_odds(self) -> None:
         """Begin with even odds again."""
         self.log_odds, self._since_s = 0.0, -math.inf
 
 
 class FleetHypotheses:
-    """The main model and its twins, by denied vehicle. `copy` is an independent copy; everything else changes it in place."""
+    """The main model and its reflection hypotheses, by denied vehicle; all methods but `copy` change it in place."""
 
     def __init__(self, settings: FleetSettings) -> None:
         self.main = FleetModel(settings)
-        self.twins: dict[int, Twin] = {}
-        self._looked_at_s: dict[int, float] = {}
-        self._held: dict[int, Held] = {}
+        self.hypotheses: dict[int, ReflectionHypothesis] = {}
+        self._tested_at_s: dict[int, float] = {}
+        self._saved: dict[int, SavedEstimate] = {}
 
     def copy(self) -> FleetHypotheses:
         """Return an independent copy."""
         other = object.__new__(FleetHypotheses)
         other.main = self.main.copy()
-        other.twins = {denied_vehicle: replace(twin, model=twin.model.copy()) for denied_vehicle, twin in self.twins.items()}
-        other._looked_at_s = dict(self._looked_at_s)
-        other._held = dict(self._held)
+        other.hypotheses = {
+            denied_vehicle: replace(hypothesis, model=hypothesis.model.copy())
+            for denied_vehicle, hypothesis in self.hypotheses.items()
+        }
+        other._tested_at_s = dict(self._tested_at_s)
+        other._saved = dict(self._saved)
         return other
 
     def set_denied(self, denied: frozenset[int], at_s: float) -> None:
         """Change who is to be located, as `FleetModel.set_denied` does."""
         self.main.set_denied(denied, at_s)
-        self.twins = {denied_vehicle: twin for denied_vehicle, twin in self.twins.items() if denied_vehicle in denied}
-        self._looked_at_s = {
-            denied_vehicle: then_s for denied_vehicle, then_s in self._looked_at_s.items() if denied_vehicle in denied
-        }
-        self._held = {denied_vehicle: then for denied_vehicle, then in self._held.items() if denied_vehicle in denied}
-        for twin in self.twins.values():
-            twin.model.set_denied(denied & twin.model.records.keys(), at_s)
+        self.hypotheses = {v: h for v, h in self.hypotheses.items() if v in denied}
+        self._tested_at_s = {v: then_s for v, then_s in self._tested_at_s.items() if v in denied}
+        self._saved = {denied_vehicle: then for denied_vehicle, then in self._saved.items() if denied_vehicle in denied}
+        for hypothesis in self.hypotheses.values():
+            hypothesis.model.set_denied(denied & hypothesis.model.records.keys(), at_s)
 
     def apply(self, m: Measurement) -> UpdateResult:
         """Take one measurement, not older than any before it."""
         ends = (m.from_vehicle, m.to_vehicle) if isinstance(m, RangeMeasurement) else (m.vehicle,)
         if isinstance(m, RangeMeasurement):
-            self._note_gaps(m)
-        if not self.twins:
-            verdict = self.main.apply(m)
+            self._save_before_gap(m)
+        if not self.hypotheses:
+            result = self.main.apply(m)
         else:
-            concerned = [twin for twin in self.twins.values() if any(v in twin.model.clusters for v in ends)]
-            for twin in concerned:
-                twin.model.learn(self.main, ends)
-            verdict = self.main.apply(m)
-            for twin in concerned:
-                gain = _evidence(verdict, twin.model.apply(m))
-                twin.weigh(gain, m.measured_at_s)
+            concerned = [
+                hypothesis for hypothesis in self.hypotheses.values() if any(v in hypothesis.model.clusters for v in ends)
+            ]
+            for hypothesis in concerned:
+                hypothesis.model.import_vehicles(self.main, ends)
+            result = self.main.apply(m)
+            for hypothesis in concerned:
+                gain = _evidence(result, hypothesis.model.apply(m))
+                hypothesis.add_evidence(gain, m.measured_at_s)
         if isinstance(m, RangeMeasurement):
             for vehicle in ends:
-                is_due = m.measured_at_s - self._looked_at_s.get(vehicle, -math.inf) >= _LOOK_EVERY_S
+                is_due = m.measured_at_s - self._tested_at_s.get(vehicle, -math.inf) >= _LOOK_EVERY_S
                 if is_due and self.main.records[vehicle].denied_vehicle:
-                    self._look(vehicle, m.measured_at_s)
-        return verdict
+                    self._test(vehicle, m.measured_at_s)
+        return result
 
-    def _note_gaps(self, m: RangeMeasurement) -> None:
+    def _save_before_gap(self, m: RangeMeasurement) -> None:
         """Note where the denied vehicles of a range are held to be just before it, where it is the first for a while."""
         for denied_vehicle in (m.from_vehicle, m.to_vehicle):
             if (
-                m.measured_at_s - self._looked_at_s.get(denied_vehicle, math.inf) > _GAP_S
+                m.measured_at_s - self._tested_at_s.get(denied_vehicle, math.inf) > _GAP_S
                 and denied_vehicle in self.main.clusters
             ):
-                self._held[denied_vehicle] = held(self.main.clusters[denied_vehicle], denied_vehicle, m.measured_at_s)
+                self._saved[denied_vehicle] = save_estimate(self.main.clusters[denied_vehicle], denied_vehicle, m.measured_at_s)
 
-    def _look(self, denied_vehicle: int, at_s: float) -> None:
+    def _test(self, denied_vehicle: int, at_s: float) -> None:
         """Decide between a denied vehicle and its mirror image, or see whether there is one."""
-        self._looked_at_s[denied_vehicle] = at_s
+        self._tested_at_s[denied_vehicle] = at_s
         cluster = self.main.clusters.get(denied_vehicle)
-        twin = self.twins.get(denied_vehicle)
-        before = self._held.pop(denied_vehicle, None)
+        hypothesis = self.hypotheses.get(denied_vehicle)
+        before = self._saved.pop(denied_vehicle, None)
         if cluster is None:
-            self.twins.pop(denied_vehicle, None)
+            self.hypotheses.pop(denied_vehicle, None)
             return
-        self._held[denied_vehicle] = held(cluster, denied_vehicle)
-        if twin is None:
-            told = self.main.records[denied_vehicle].other_side
-            mirror = find_other_side(told, cluster, denied_vehicle, at_s) or find_mirror(cluster, denied_vehicle, at_s)
-            if mirror is None and before is not None:
-                mirror = find_lost_side(before, cluster, denied_vehicle, at_s)
-            if mirror is not None:
-                self.main.records.writable(denied_vehicle).other_side = None
-                self._begin(denied_vehicle, mirror, at_s)
+        self._saved[denied_vehicle] = save_estimate(cluster, denied_vehicle)
+        if hypothesis is None:
+            told = self.main.records[denied_vehicle].reflection_evidence
+            plane = plane_of_refused_ranges(told, cluster, denied_vehicle, at_s) or find_reflection_plane(
+                cluster, denied_vehicle, at_s
+            )
+            if plane is None and before is not None:
+                plane = plane_after_gap(before, cluster, denied_vehicle, at_s)
+            if plane is not None:
+                self.main.records.writable(denied_vehicle).reflection_evidence = None
+                self._branch(denied_vehicle, plane, at_s)
             return
-        other = twin.model.clusters.get(denied_vehicle)
+        other = hypothesis.model.clusters.get(denied_vehicle)
         if other is None:
-            del self.twins[denied_vehicle]
+            del self.hypotheses[denied_vehicle]
             return
-        mirror = through_line(cluster, denied_vehicle, at_s)
-        sides = Sides.APART if mirror is None else _sides(cluster, other, denied_vehicle, mirror)
-        if sides is Sides.APART and not twin.apart:
+        plane = vertical_plane_through_line(cluster, denied_vehicle, at_s)
+        sides = RelativeSide.APART if plane is None else _sides(cluster, other, denied_vehicle, plane)
+        if sides is RelativeSide.APART and not hypothesis.separated:
             # Which side one that was on the line has come to is chance: what told the two apart before told something else.
-            twin.forget()
-        twin.apart = sides is Sides.APART
-        twin.by_motion = told_by_motion(cluster, denied_vehicle, at_s, mirror)
-        if sides is Sides.SAME or abs(twin.log_odds) > _DECIDED:
-            if twin.log_odds > 0.0:
-                self.main.take_over(twin.model, denied_vehicle)
-            del self.twins[denied_vehicle]
-            if mirror is not None and not twin.apart and _is_aside(self.main.clusters[denied_vehicle], denied_vehicle, mirror):
+            hypothesis.reset_odds()
+        hypothesis.separated = sides is RelativeSide.APART
+        hypothesis.motion_only = only_motion_discriminates(cluster, denied_vehicle, at_s, plane)
+        if sides is RelativeSide.SAME or abs(hypothesis.log_odds) > _DECIDED:
+            if hypothesis.log_odds > 0.0:
+                self.main.replace_from(hypothesis.model, denied_vehicle)
+            del self.hypotheses[denied_vehicle]
+            if (
+                plane is not None
+                and not hypothesis.separated
+                and _is_aside(self.main.clusters[denied_vehicle], denied_vehicle, plane)
+            ):
                 # Nobody was on its other side, so that nothing has ruled that out.
-                self._begin(denied_vehicle, mirror, at_s)
+                self._branch(denied_vehicle, plane, at_s)
             return
-        x, P = cluster.predicted(denied_vehicle, at_s)
-        other_x, other_P = other.predicted(denied_vehicle, at_s)
+        x, P = cluster.predict(denied_vehicle, at_s)
+        other_x, other_P = other.predict(denied_vehicle, at_s)
         d, S = (other_x - x)[:6], (P + other_P)[:6, :6]
         if float(d @ np.linalg.solve(S, d)) < _ONE_AGAIN:
-            del self.twins[denied_vehicle]
+            del self.hypotheses[denied_vehicle]
 
-    def _begin(self, denied_vehicle: int, mirror: Mirror, at_s: float) -> None:
-        """Begin a twin in which a denied vehicle is at its mirror image."""
+    def _branch(self, denied_vehicle: int, plane: ReflectionPlane, at_s: float) -> None:
+        """Begin a hypothesis in which a denied vehicle is at its mirror image."""
         cluster = self.main.clusters[denied_vehicle]
-        by_motion = told_by_motion(cluster, denied_vehicle, at_s, through_line(cluster, denied_vehicle, at_s))
+        motion_only = only_motion_discriminates(
+            cluster, denied_vehicle, at_s, vertical_plane_through_line(cluster, denied_vehicle, at_s)
+        )
         model = FleetModel(self.main.settings)
-        model.take_over(self.main, denied_vehicle)
-        reflect(model.clusters[denied_vehicle], denied_vehicle, mirror)
-        self.twins[denied_vehicle] = Twin(model, by_motion)
+        model.replace_from(self.main, denied_vehicle)
+        reflect(model.clusters[denied_vehicle], denied_vehicle, plane)
+        self.hypotheses[denied_vehicle] = ReflectionHypothesis(model, motion_only)
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Answer from the state as it stands: what covers all that is possible, or that it is ambiguous."""
         where = self.main.estimate(vehicle, at_s)
-        for twin in self.twins.values():
+        for hypothesis in self.hypotheses.values():
             if isinstance(where, NoEstimate):
                 return where
-            if vehicle not in twin.model.clusters:
+            if vehicle not in hypothesis.model.clusters:
                 continue
-            other = twin.model.estimate(vehicle, at_s)
+            other = hypothesis.model.estimate(vehicle, at_s)
             if isinstance(other, NoEstimate):
                 return other
             x = np.concatenate([where.position_enu_m, where.velocity_enu_mps])
             other_x = np.concatenate([other.position_enu_m, other.velocity_enu_mps])
-            mean, covariance = blend(x, where.covariance, other_x, other.covariance, twin.log_odds)
+            mean, covariance = mixture(x, where.covariance, other_x, other.covariance, hypothesis.log_odds)
             if horizontal_sigma_m(covariance) > self.main.settings.limit_sigma_m:
                 apart_m = math.hypot(*(other_x - x)[:2].tolist())
                 reason = f"ambiguous: another place, {apart_m:.0f} m from the first, fits the ranges as well"
@@ -218,22 +229,22 @@ class FleetHypotheses:
         return where
 
 
-def _sides(cluster: Cluster, other: Cluster, denied_vehicle: int, mirror: Mirror) -> Sides:
-    away, other_away = away_sigmas(cluster, denied_vehicle, mirror), away_sigmas(other, denied_vehicle, mirror)
+def _sides(cluster: Cluster, other: Cluster, denied_vehicle: int, plane: ReflectionPlane) -> RelativeSide:
+    away, other_away = offset_sigmas(cluster, denied_vehicle, plane), offset_sigmas(other, denied_vehicle, plane)
     if min(abs(away), abs(other_away)) < _CLEARLY_ASIDE:
-        return Sides.OPEN
-    return Sides.SAME if away * other_away > 0.0 else Sides.APART
+        return RelativeSide.OPEN
+    return RelativeSide.SAME if away * other_away > 0.0 else RelativeSide.APART
 
 
-def _is_aside(cluster: Cluster, denied_vehicle: int, mirror: Mirror) -> bool:
-    return abs(away_sigmas(cluster, denied_vehicle, mirror)) >= _CLEARLY_ASIDE
+def _is_aside(cluster: Cluster, denied_vehicle: int, plane: ReflectionPlane) -> bool:
+    return abs(offset_sigmas(cluster, denied_vehicle, plane)) >= _CLEARLY_ASIDE
 
 
-def _evidence(main: UpdateResult, twin: UpdateResult) -> float:
-    """Return by how much a measurement raises the log odds of the twin: one that neither foresees tells little."""
-    if main.degrees_of_freedom == 0 or twin.degrees_of_freedom == 0:
+def _evidence(main: UpdateResult, hypothesis: UpdateResult) -> float:
+    """Return by how much a measurement raises the log odds of the hypothesis: one that neither foresees tells little."""
+    if main.degrees_of_freedom == 0 or hypothesis.degrees_of_freedom == 0:
         return 0.0
-    gain = 0.5 * (min(main.nis, _MOST_NIS) - min(twin.nis, _MOST_NIS))
-    if main.sigma_m > 0.0 and twin.sigma_m > 0.0:
-        gain += math.log(main.sigma_m / twin.sigma_m)
+    gain = 0.5 * (min(main.nis, _MOST_NIS) - min(hypothesis.nis, _MOST_NIS))
+    if main.sigma_m > 0.0 and hypothesis.sigma_m > 0.0:
+        gain += math.log(main.sigma_m / hypothesis.sigma_m)
     return gain

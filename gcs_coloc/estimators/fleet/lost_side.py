@@ -10,15 +10,15 @@ import math
 from typing import NamedTuple
 
 from gcs_coloc.core.error_bound import horizontal_sigma_m
-from gcs_coloc.estimators.fleet.cluster import Cluster
-from gcs_coloc.estimators.fleet.mirror import Mirror, away_sigmas, through_line
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.reflection import ReflectionPlane, offset_sigmas, vertical_plane_through_line
 
 _SURER = 0.9
 _EITHER_SIGMAS = 4.0
 _CLEARLY_ASIDE = 1.0
 
 
-class Held(NamedTuple):
+class SavedEstimate(NamedTuple):
     """Where a denied vehicle was held to be: east and north in m, their covariance in m^2, and its larger axis in m."""
 
     east_m: float
@@ -29,25 +29,23 @@ class Held(NamedTuple):
     sigma_m: float
 
 
-def held(cluster: Cluster, denied_vehicle: int, at_s: float | None = None) -> Held:
+def save_estimate(cluster: Cluster, denied_vehicle: int, at_s: float | None = None) -> SavedEstimate:
     """Return where a denied vehicle is held to be at a time, by default that of its states."""
     joint = cluster.joint
     x, P = (
-        (joint.mean(denied_vehicle), joint.covariance(denied_vehicle))
-        if at_s is None
-        else cluster.predicted(denied_vehicle, at_s)
+        (joint.mean(denied_vehicle), joint.covariance(denied_vehicle)) if at_s is None else cluster.predict(denied_vehicle, at_s)
     )
-    return Held(x.item(0), x.item(1), P.item(0, 0), P.item(0, 1), P.item(1, 1), horizontal_sigma_m(P))
+    return SavedEstimate(x.item(0), x.item(1), P.item(0, 0), P.item(0, 1), P.item(1, 1), horizontal_sigma_m(P))
 
 
-def find_lost_side(before: Held, cluster: Cluster, denied_vehicle: int, at_s: float) -> Mirror | None:
+def plane_after_gap(before: SavedEstimate, cluster: Cluster, denied_vehicle: int, at_s: float) -> ReflectionPlane | None:
     """Return the plane of a vehicle's peers if only ranges on its line have since told the denied vehicle on which side it is."""
     if horizontal_sigma_m(cluster.joint.covariance(denied_vehicle)) > _SURER * before.sigma_m:
         return None
-    mirror = through_line(cluster, denied_vehicle, at_s)
-    if mirror is None or abs(away_sigmas(cluster, denied_vehicle, mirror)) < _CLEARLY_ASIDE:
+    plane = vertical_plane_through_line(cluster, denied_vehicle, at_s)
+    if plane is None or abs(offset_sigmas(cluster, denied_vehicle, plane)) < _CLEARLY_ASIDE:
         return None
-    (e, n, _), (at_e, at_n, _) = mirror.normal.tolist(), mirror.at_m.tolist()
+    (e, n, _), (at_e, at_n, _) = plane.normal.tolist(), plane.point_m.tolist()
     away_m = (before.east_m - at_e) * e + (before.north_m - at_n) * n
     variance_m2 = e * e * before.ee_m2 + 2.0 * e * n * before.en_m2 + n * n * before.nn_m2
-    return mirror if abs(away_m) < _EITHER_SIGMAS * math.sqrt(max(variance_m2, 0.0)) else None
+    return plane if abs(away_m) < _EITHER_SIGMAS * math.sqrt(max(variance_m2, 0.0)) else None

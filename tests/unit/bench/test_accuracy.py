@@ -9,7 +9,7 @@ from bench.accuracy_model import ModelCase, bounds_rms_m, draw
 from bench.accuracy_peers import FilterpyEkf, FilterpyUkf, installed
 from bench.accuracy_runs import anees, band_95, rmse_m, take
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
-from gcs_coloc.estimators.fleet.motion import SIZE, Step
+from gcs_coloc.estimators.fleet.ekf._kernels import SIZE, Transition
 from sitl_fakes.nominal import PAPER_ROUTES
 
 TEN_SECONDS = Case(rate_hz=5.0, duration_s=10.0)
@@ -22,7 +22,7 @@ def test_the_mean_of_the_drawn_motion_is_the_filters_own():
     state = np.zeros(SIZE)
     state[3:6] = velocity[0, 0]
     effective_radps = turn_radps * turn_time_s * (1.0 - np.exp(-step_s / turn_time_s)) / step_s
-    after = Step().move(state.tolist(), step_s, effective_radps, in_wind=False)
+    after = Transition().set_motion(state.tolist(), step_s, effective_radps, in_wind=False)
     np.testing.assert_allclose(moved.way[0, 0], after[:3], rtol=1e-12)
     np.testing.assert_allclose(moved.velocity[0, 0], [*after[3:5], velocity[0, 0, 2]], rtol=1e-12)
 

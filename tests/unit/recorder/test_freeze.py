@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.gps_health.gps_health import GpsState
-from gcs_coloc.estimators.fleet.motion import Step
+from gcs_coloc.estimators.fleet.ekf._kernels import Transition
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.freeze import FreezeError, freeze, thaw
 
@@ -76,8 +76,8 @@ def test_circles_bound_methods_enumerations_and_read_only_mappings_stay_what_the
 
 
 def test_the_room_to_work_in_of_a_step_is_made_anew():
-    step = again({"step": Step()})["step"]
-    step.move((0.0,) * 16, 0.5, 0.1, in_wind=True)
+    step = again({"step": Transition()})["step"]
+    step.set_motion((0.0,) * 16, 0.5, 0.1, in_wind=True)
     assert step.F[0, 3] != 0.0
 
 

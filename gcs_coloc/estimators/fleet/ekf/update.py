@@ -19,9 +19,7 @@ from gcs_coloc.core.measurements import (
     Vector3,
 )
 from gcs_coloc.core.telemetry.air_data import LEAST_AIRSPEED_MPS
-from gcs_coloc.estimators.fleet.cluster import Cluster
-from gcs_coloc.estimators.fleet.joint import whiten
-from gcs_coloc.estimators.fleet.motion import (
+from gcs_coloc.estimators.fleet.ekf._kernels import (
     AIRSPEED_ERROR,
     BARO_ERROR,
     HEADING_ERROR,
@@ -32,9 +30,11 @@ from gcs_coloc.estimators.fleet.motion import (
     VELOCITY,
     WIND,
 )
-from gcs_coloc.estimators.fleet.noise import without_time_error
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import without_time_error
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.records import OwnMeasurement, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.state import whiten
 from gcs_coloc.estimators.fleet.settings import FleetSettings
-from gcs_coloc.estimators.fleet.vehicle import OwnMeasurement, VehicleRecord
 
 _REPORT_VELOCITY_TIME_S = 1.0
 _HARDEST_MPS2 = 20.0
@@ -75,44 +75,44 @@ Sigmas = tuple[float, float]
 """Horizontal and vertical, m."""
 
 
-def stamp_sigma_s(m: PositionMeasurement | RangeMeasurement, s: FleetSettings) -> float:
+def time_stamp_offset_sigma_s(m: PositionMeasurement | RangeMeasurement, s: FleetSettings) -> float:
     """Return the sigma of the error of the stamps that a measurement is of, s."""
     return math.hypot(s.stamp_sigma_s, m.time_sigma_s)
 
 
-def split_report(record: VehicleRecord, m: PositionMeasurement, s: FleetSettings) -> tuple[Sigmas, Sigmas]:
+def split_report_noise(record: VehicleRecord, m: PositionMeasurement, s: FleetSettings) -> tuple[Sigmas, Sigmas]:
     """Return the white and the slow part of a report's sigmas, each (horizontal, vertical) in m."""
     sigma_h_m, sigma_v_m = without_time_error(m)
-    white_h_m, slow_h_m = record.white.split(0, sigma_h_m, s.least_slow_share)
-    white_v_m, slow_v_m = record.white.split(1, sigma_v_m, s.least_slow_share)
+    white_h_m, slow_h_m = record.report_noise.split(0, sigma_h_m, s.least_slow_share)
+    white_v_m, slow_v_m = record.report_noise.split(1, sigma_v_m, s.least_slow_share)
     return (white_h_m, white_v_m), (slow_h_m, slow_v_m)
 
 
-def take_own(cluster: Cluster, m: OwnMeasurement) -> UpdateResult:
+def update_own(cluster: Cluster, m: OwnMeasurement) -> UpdateResult:
     """Correct with what a vehicle of the cluster measured of itself, its error taken apart as its stream has shown."""
     record, s = cluster.records[m.vehicle], cluster.settings
     if isinstance(m, PositionMeasurement):
-        return take_position(cluster, m, *split_report(record, m, s), stamp_sigma_s(m, s))
+        return update_position_report(cluster, m, *split_report_noise(record, m, s), time_stamp_offset_sigma_s(m, s))
     if isinstance(m, AltitudeMeasurement):
-        return take_altitude(cluster, m, *record.white_baro.split(0, m.sigma_m, s.least_slow_share))
-    return take_attitude(cluster, m)
+        return update_altitude(cluster, m, *record.altitude_noise.split(0, m.sigma_m, s.least_slow_share))
+    return update_air_velocity(cluster, m)
 
 
-def restate_clock(cluster: Cluster, vehicle: int, sigma_s: float) -> None:
+def update_time_stamp_sigma(cluster: Cluster, vehicle: int, sigma_s: float) -> None:
     """Take a new sigma of the error of a vehicle's time stamps."""
     record = cluster.records[vehicle]
-    if not record.fixed:
-        record.stamp_s = cluster.restate(vehicle, _STAMP, record.stamp_s, sigma_s)
+    if not record.static:
+        record.time_stamp_offset_sigma_s = cluster.change_sigma(vehicle, _STAMP, record.time_stamp_offset_sigma_s, sigma_s)
 
 
-def take_position(cluster: Cluster, m: PositionMeasurement, white: Sigmas, slow: Sigmas, stamp_s: float) -> UpdateResult:
+def update_position_report(cluster: Cluster, m: PositionMeasurement, white: Sigmas, slow: Sigmas, stamp_s: float) -> UpdateResult:
     """Correct with a report of position, and velocity where given; sigmas in m are (horizontal, vertical)."""
     record, joint, at_s = cluster.records[m.vehicle], cluster.joint, m.measured_at_s
-    since_s = at_s - record.informed_at_s
-    cluster.bring(m.vehicle, at_s)
-    record.slow_report_h_m = cluster.restate(m.vehicle, _REPORT_ERROR_H, record.slow_report_h_m, slow[0])
-    record.slow_report_v_m = cluster.restate(m.vehicle, _REPORT_ERROR_V, record.slow_report_v_m, slow[1])
-    restate_clock(cluster, m.vehicle, stamp_s)
+    since_s = at_s - record.updated_at_s
+    cluster.propagate(m.vehicle, at_s)
+    record.report_error_sigma_h_m = cluster.change_sigma(m.vehicle, _REPORT_ERROR_H, record.report_error_sigma_h_m, slow[0])
+    record.report_error_sigma_v_m = cluster.change_sigma(m.vehicle, _REPORT_ERROR_V, record.report_error_sigma_v_m, slow[1])
+    update_time_stamp_sigma(cluster, m.vehicle, stamp_s)
     reported: tuple[float, ...] = m.position_enu_m
     white_h_m2, white_v_m2 = white[0] ** 2, white[1] ** 2
     noise = [white_h_m2, white_h_m2, white_v_m2]
@@ -124,7 +124,7 @@ def take_position(cluster: Cluster, m: PositionMeasurement, white: Sigmas, slow:
         record.velocity_used_at_s = at_s
     k, where = len(reported), joint.where[m.vehicle]
     H = _REPORTED[:k]
-    HA = joint.expect(m.vehicle, H)
+    HA = joint.predict_block_measurement(m.vehicle, H)
     HA[:, 0] -= reported
     whitened = whiten(HA, _with_noise(HA[:, where] @ H.T, noise))
     # Twice the degrees of freedom widen the gate as the chi-square distribution widens.
@@ -142,8 +142,8 @@ def take_position(cluster: Cluster, m: PositionMeasurement, white: Sigmas, slow:
             return UpdateResult("refused: position report outside the gate", 0.0, 0.0, whitened.nis, k)
         joint.covariance(m.vehicle)[:6, :6] += jolt
     joint.correct(whitened.W)
-    cluster.watch(m.vehicle, whitened.W, whitened.innovations(), at_s)
-    record.informed_at_s = at_s
+    cluster.update_manoeuvre_detector(m.vehicle, whitened.W, whitened.innovations(), at_s)
+    record.updated_at_s = at_s
     return UpdateResult(USED, 0.0, 0.0, whitened.nis, k)
 
 
@@ -166,13 +166,13 @@ def _jolt(since_s: float) -> FloatArray:
     return jolt
 
 
-def take_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, slow_m: float) -> UpdateResult:
+def update_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, slow_m: float) -> UpdateResult:
     """Correct with a barometric height whose error is partly white, partly slow."""
     record, joint = cluster.records[m.vehicle], cluster.joint
     start = joint.where[m.vehicle].start
     b = start + BARO_ERROR
-    record.slow_baro_m = cluster.restate(m.vehicle, _BARO, record.slow_baro_m, slow_m)
-    cluster.bring(m.vehicle, m.measured_at_s)
+    record.baro_error_sigma_m = cluster.change_sigma(m.vehicle, _BARO, record.baro_error_sigma_m, slow_m)
+    cluster.propagate(m.vehicle, m.measured_at_s)
     hA = joint.A[start + 2] + joint.A[b]
     variance = hA.item(start + 2) + hA.item(b) + white_m * white_m
     innovation = m.up_m - hA.item(0)
@@ -183,17 +183,17 @@ def take_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, slow
         variance += innovation * innovation
     W = joint.correct_scalar(hA, variance)
     sigma_m = math.sqrt(variance)
-    cluster.watch(m.vehicle, W, (innovation / sigma_m,), m.measured_at_s)
+    cluster.update_manoeuvre_detector(m.vehicle, W, (innovation / sigma_m,), m.measured_at_s)
     return UpdateResult(USED, innovation, sigma_m, nis, 1)
 
 
-def take_attitude(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResult:
+def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResult:
     """Turn with the bank angle from now on, and correct with the air velocity: ground velocity less wind."""
     s, record, joint = cluster.settings, cluster.records[m.vehicle], cluster.joint
     if m.airspeed_mps is None or m.airspeed_mps < LEAST_AIRSPEED_MPS or abs(m.roll_rad) > STEEPEST_BANK_RAD:
         record.attitude = None
         return UpdateResult("no airspeed beside the attitude")
-    cluster.bring(m.vehicle, m.measured_at_s)
+    cluster.propagate(m.vehicle, m.measured_at_s)
     since_s = m.measured_at_s - record.attitude.measured_at_s if record.attitude is not None else s.air_noise_time_s
     record.attitude = m
     where = joint.where[m.vehicle]
@@ -216,7 +216,7 @@ def take_attitude(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResult:
     H[0, VELOCITY.start : WIND.stop] = (se, sn, 0.0, -se, -sn)
     H[1, VELOCITY.start : WIND.stop] = (sn, -se, 0.0, -sn, se)
     H[0, AIRSPEED_ERROR], H[1, HEADING_ERROR] = 1.0, speed
-    HA = joint.expect(m.vehicle, H)
+    HA = joint.predict_block_measurement(m.vehicle, H)
     HA[:, 0] = (x[AIRSPEED_ERROR] - misses[0], speed * x[HEADING_ERROR] - misses[1])
     noise = s.air_noise_mps**2 * max(1.0, s.air_noise_time_s / max(since_s, 1e-3))
     S = _with_noise(HA[:, where] @ H.T, [noise, noise])
@@ -228,5 +228,5 @@ def take_attitude(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResult:
         S[1, 1] += (excess - 1.0) * S[1, 1]
         whitened = whiten(HA, S)
     joint.correct(whitened.W)
-    cluster.watch(m.vehicle, whitened.W, whitened.innovations(), m.measured_at_s)
+    cluster.update_manoeuvre_detector(m.vehicle, whitened.W, whitened.innovations(), m.measured_at_s)
     return UpdateResult(USED, 0.0, 0.0, nis, 2)

@@ -28,7 +28,7 @@ _VELOCITY_PRIOR_MPS = (30.0, 30.0, 5.0)
 _HEIGHT_PRIOR_M = 300.0
 
 
-class StartProblem:
+class MultilaterationProblem:
     """The recent ranges of one denied vehicle, with where its peers were, and its own heights. Times are relative to `at_s`."""
 
     def __init__(self, at_s: float) -> None:
@@ -78,7 +78,7 @@ def _slope(past: list[PositionMeasurement]) -> tuple[float, float, float]:
     return (e, n, u)
 
 
-def solve_start(problem: StartProblem, limit_sigma_m: float) -> tuple[FloatArray, FloatArray] | str:
+def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float) -> tuple[FloatArray, FloatArray] | str:
     """Return mean (6,) and covariance (6, 6) of position and velocity at the problem's time, or why there is none, in words."""
     peers = problem.peers()
     if len(peers) < _LEAST_PEERS or sum(peers.values()) < _LEAST_RANGES:
@@ -86,9 +86,9 @@ def solve_start(problem: StartProblem, limit_sigma_m: float) -> tuple[FloatArray
     ranges, heights = problem.ranges(), problem.heights()
     x, cost, normal = _descend(_starting_points(ranges, heights), ranges, heights)
     best = int(np.argmin(cost))
-    miss = _misses(x[best : best + 1], ranges)[0]
-    fits = np.abs(miss) <= _OUTLIER_SIGMAS
-    if 1.0 - fits.mean() > _MOST_OUTLIERS or float(np.mean(miss[fits] ** 2)) > _MOST_MEAN_SQUARE:
+    residual = _residuals(x[best : best + 1], ranges)[0]
+    fits = np.abs(residual) <= _OUTLIER_SIGMAS
+    if 1.0 - fits.mean() > _MOST_OUTLIERS or float(np.mean(residual[fits] ** 2)) > _MOST_MEAN_SQUARE:
         return "the ranges contradict each other: no place fits them"
     covariance = np.linalg.inv(normal[best])
     worst_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
@@ -123,14 +123,14 @@ def _starting_points(ranges: FloatArray, heights: FloatArray) -> FloatArray:
         points[:, 2] = heights[-1, 1]
     candidates = np.zeros((len(points), 6))
     candidates[:, :3] = points
-    rough = np.minimum(np.abs(_misses(candidates, ranges)), 50.0).sum(axis=1)
+    rough = np.minimum(np.abs(_residuals(candidates, ranges)), 50.0).sum(axis=1)
     order = np.argsort(rough, kind="stable")
     # The best ones crowd together: take every other to reach the far side too.
     near, far = order[: _STARTS // 2], order[_STARTS // 2 :: max(1, len(order) // (_STARTS // 2))]
     return np.asarray(candidates[np.concatenate([near, far])])
 
 
-def _misses(x: FloatArray, ranges: FloatArray) -> FloatArray:
+def _residuals(x: FloatArray, ranges: FloatArray) -> FloatArray:
     """Return (s, n): how far each range is from what each state (s, 6) foresees, in sigmas."""
     where = x[:, np.newaxis, :3] + x[:, np.newaxis, 3:] * ranges[:, 0, np.newaxis]
     distance = np.linalg.norm(where - ranges[:, 1:4], axis=2)
@@ -171,14 +171,14 @@ def _linearise(
     distance = np.maximum(np.linalg.norm(d, axis=2), 1e-6)
     u = d / distance[:, :, np.newaxis]
     J = np.concatenate([u, u * t], axis=2) / ranges[:, 5, np.newaxis]
-    miss = (ranges[:, 4] - distance) / ranges[:, 5]
-    size = np.abs(miss)
+    residual = (ranges[:, 4] - distance) / ranges[:, 5]
+    size = np.abs(residual)
     weight = np.minimum(1.0, _HUBER / np.maximum(size, 1e-12))
     cost = np.where(size <= _HUBER, size * size, 2.0 * _HUBER * size - _HUBER * _HUBER).sum(axis=1)
     JW = J * weight[:, :, np.newaxis]
     normal = np.einsum("sni,snj->sij", JW, J) + prior
     off = centre - x
-    gradient = np.einsum("sni,sn->si", JW, miss) + off @ prior
+    gradient = np.einsum("sni,sn->si", JW, residual) + off @ prior
     cost = cost + np.einsum("si,ij,sj->s", off, prior, off)
     if len(heights):
         H = np.zeros((len(heights), 6))

@@ -41,8 +41,8 @@ def _less(sigma_m: float, part_m: float) -> float:
     return math.sqrt(max(sigma_m * sigma_m - part_m * part_m, _LEAST_REST * sigma_m * sigma_m))
 
 
-class Whiteness:
-    """Estimates the variance of the white part of one stream of values that are measured together. Never changes: `heard` tells
+class NoiseSplit:
+    """Estimates the variance of the white part of one stream of values that are measured together. Never changes: `updated` tells
     what is known with one report more.
 
     The values may be of several groups, horizontal and vertical ones: their noise is told apart, one variance for each group.
@@ -56,13 +56,13 @@ class Whiteness:
         self._history = history
         self._seen = seen
 
-    def heard(self, at_s: float, groups: tuple[Values, ...], sigmas_m: Values) -> Whiteness:
+    def updated(self, at_s: float, groups: tuple[Values, ...], sigmas_m: Values) -> NoiseSplit:
         """Return what is known with one more report (metres, by groups) of these stated sigmas; times must not decrease."""
         history, seen = self._history, self._seen
         if history and not 0.0 < at_s - history[-1][0] <= _LONGEST_GAP_S:
             history = ()
         if len(history) < 3:
-            return Whiteness((*history, (at_s, groups)), seen)
+            return NoiseSplit((*history, (at_s, groups)), seen)
         (ta, a), (tb, b), (tc, c) = history
         # The parabola through the last three reports, carried on to this one.
         wa = (at_s - tb) * (at_s - tc) / ((ta - tb) * (ta - tc))
@@ -81,7 +81,7 @@ class Whiteness:
                 sum_m2 += square_m2 if square_m2 < most_m2 else most_m2
                 weight += 1.0
             now.append((sum_m2 * _FADE, weight * _FADE))
-        return Whiteness((history[1], history[2], (at_s, groups)), tuple(now))
+        return NoiseSplit((history[1], history[2], (at_s, groups)), tuple(now))
 
     def split(self, group: int, sigma_m: float, least_slow_share: float) -> tuple[float, float]:
         """Return the sigmas (white, slow) in metres of a report with the stated sigma of one group."""
@@ -96,11 +96,11 @@ class Whiteness:
         slow_m2 = max(sigma_m * sigma_m - likely_m2, (least_slow_share * sigma_m) ** 2)
         return math.sqrt(max(most_m2, (0.05 * sigma_m) ** 2)), math.sqrt(slow_m2)
 
-    def proven_m(self, group: int) -> float:
+    def lower_bound_m(self, group: int) -> float:
         """Return by how much one group is seen to scatter at the least (1-sigma in metres, less two standard errors)."""
         sum_m2, weight = self._seen[group] if self._seen else _NOTHING_SEEN
         error = math.sqrt(2.0 * _OVERLAP / max(weight, 1.0))
         return math.sqrt(max(sum_m2, 0.0) / ((weight + _PROOF_SAMPLES) * (1.0 + 2.0 * error)))
 
 
-NOTHING_HEARD = Whiteness()
+NO_SAMPLES = NoiseSplit()

@@ -8,8 +8,8 @@ import pytest
 from gcs_coloc.core.error_bound import horizontal_bound_95_m
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.fleet.filter import FleetFilter
-from gcs_coloc.estimators.fleet.hypotheses import Twin
-from gcs_coloc.estimators.fleet.model import FleetModel
+from gcs_coloc.estimators.fleet.fleet_model import FleetModel
+from gcs_coloc.estimators.fleet.hypotheses import ReflectionHypothesis
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 SUBJECT, STEP_S, LOST_S, HEIGHT_M = 9, 0.2, 3.0, 100.0
@@ -163,14 +163,14 @@ def test_on_which_side_it_is_is_open_where_the_ranges_to_two_peers_were_lost_for
 
 
 def test_what_a_manoeuvre_tells_of_the_side_is_bounded_and_what_a_third_peer_tells_is_not():
-    twin = Twin(FleetModel(FleetSettings()), by_motion=True)
+    hypothesis = ReflectionHypothesis(FleetModel(FleetSettings()), motion_only=True)
     for k in range(10):
-        twin.weigh(4.0, 0.2 * k)
-    assert twin.log_odds == 3.0
+        hypothesis.add_evidence(4.0, 0.2 * k)
+    assert hypothesis.log_odds == 3.0
     for k in range(10):
-        twin.weigh(-4.0, 4.0 + 0.2 * k)
-    assert twin.log_odds == 0.0
-    twin.by_motion = False
+        hypothesis.add_evidence(-4.0, 4.0 + 0.2 * k)
+    assert hypothesis.log_odds == 0.0
+    hypothesis.motion_only = False
     for k in range(10):
-        twin.weigh(4.0, 8.0 + 0.2 * k)
-    assert twin.log_odds == 40.0
+        hypothesis.add_evidence(4.0, 8.0 + 0.2 * k)
+    assert hypothesis.log_odds == 40.0

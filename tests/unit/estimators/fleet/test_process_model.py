@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gcs_coloc.estimators.fleet.motion import SIZE, TURN, Step, turn_rate_radps
+from gcs_coloc.estimators.fleet.ekf._kernels import SIZE, TURN, Transition, turn_rate_radps
 
 
 @pytest.mark.parametrize("turn_radps", [0.4, -0.25, 1e-6, 0.0])
@@ -14,8 +14,8 @@ def test_the_turn_is_that_of_small_steps_with_the_wind_carrying_along(turn_radps
     x = np.zeros(SIZE)
     x[3:5] = airspeed * np.array([math.sin(heading), math.cos(heading)]) + wind
     x[6:8] = wind
-    step = Step()
-    mean = step.move(x.tolist(), 1.7, turn_radps, in_wind=True)
+    step = Transition()
+    mean = step.set_motion(x.tolist(), 1.7, turn_radps, in_wind=True)
     moved = step.F @ x
     np.testing.assert_allclose(mean, moved[:5], rtol=1e-12)
     place, steps = np.zeros(2), 20_000
@@ -33,33 +33,33 @@ def test_the_turn_rate_is_that_of_textbooks():
 
 
 def test_acceleration_noise_of_two_steps_is_that_of_one():
-    first, second, both = Step(), Step(), Step()
+    first, second, both = Transition(), Transition(), Transition()
     for step, step_s in ((first, 0.4), (second, 0.6), (both, 1.0)):
-        step.move([0.0] * SIZE, step_s, 0.0, in_wind=False)
-        step.disturb(step_s, 2.0, 0.5)
+        step.set_motion([0.0] * SIZE, step_s, 0.0, in_wind=False)
+        step.set_acceleration_noise(step_s, 2.0, 0.5)
     np.testing.assert_allclose(both.Q, second.F @ first.Q @ second.F.T + second.Q, atol=1e-12)
 
 
 def test_a_step_leaves_nothing_of_the_step_before():
     x = np.linspace(-3.0, 5.0, SIZE).tolist()
-    used, new = Step(), Step()
-    used.move(x, 0.7, 0.4, in_wind=True)
-    used.turn(0.7, 0.6, 20.0, -3.0)
+    used, new = Transition(), Transition()
+    used.set_motion(x, 0.7, 0.4, in_wind=True)
+    used.set_turn_column(0.7, 0.6, 20.0, -3.0)
     for step in (used, new):
-        mean = step.move(x, 0.2, 0.1, in_wind=False)
-        step.turn(0.2, 0.19, mean[3], mean[4])
+        mean = step.set_motion(x, 0.2, 0.1, in_wind=False)
+        step.set_turn_column(0.2, 0.19, mean[3], mean[4])
     np.testing.assert_array_equal(used.F, new.F)
-    used.move(x, 0.3, 0.1, in_wind=True)
-    new.move(x, 0.3, 0.1, in_wind=True)
+    used.set_motion(x, 0.3, 0.1, in_wind=True)
+    new.set_motion(x, 0.3, 0.1, in_wind=True)
     np.testing.assert_array_equal(used.F, new.F)
     assert not used.F[:6, TURN].any()
 
 
 def test_the_column_of_the_turn_rate_is_the_derivative_of_the_way():
     x, lasting_s, d = [0.0] * 3 + [12.0, -20.0] + [0.0] * 11, 0.1, 1e-6
-    step = Step()
-    ends = [step.move(x, 0.1, turn, in_wind=False) for turn in (0.2 - d, 0.2, 0.2 + d)]
-    step.turn(0.1, lasting_s, ends[1][3], ends[1][4])
+    step = Transition()
+    ends = [step.set_motion(x, 0.1, turn, in_wind=False) for turn in (0.2 - d, 0.2, 0.2 + d)]
+    step.set_turn_column(0.1, lasting_s, ends[1][3], ends[1][4])
     slope = (np.array(ends[2]) - np.array(ends[0])) / (2.0 * d)
     np.testing.assert_allclose(step.F[[3, 4], TURN], slope[[3, 4]], rtol=1e-6)
     # To first order in the angle.
@@ -71,12 +71,12 @@ def test_slow_states_keep_their_spread_however_the_step_is_cut():
     # Wind has two components, a report three, of which the horizontal ones share a sigma.
     spread = np.array(sigmas)[[0, 0, 1, 2, 3, 4, 4, 5, 6, 7]]
     mean, P = np.arange(float(SIZE)), np.diag(np.r_[np.zeros(6), np.square(spread)])
-    at_once = Step()
-    at_once.fade(1.0, times_s, sigmas)
+    at_once = Transition()
+    at_once.set_gauss_markov(1.0, times_s, sigmas)
     once = at_once.F @ mean
     for step_s in (0.3, 0.7):
-        step = Step()
-        step.fade(step_s, times_s, sigmas)
+        step = Transition()
+        step.set_gauss_markov(step_s, times_s, sigmas)
         mean, P = step.F @ mean, step.F @ P @ step.F.T + step.Q
     np.testing.assert_allclose(mean, once)
     np.testing.assert_allclose(np.diag(P)[6:], np.square(spread))

@@ -13,19 +13,19 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray, Vector3
-from gcs_coloc.estimators.fleet.joint import Joint
-from gcs_coloc.estimators.fleet.motion import (
+from gcs_coloc.estimators.fleet.ekf._kernels import (
     GRAVITY_MPS2,
     STAMP_ERROR,
     STEEPEST_BANK_RAD,
     TURN,
     VELOCITY,
     WIND,
-    Step,
+    Transition,
     turn_rate_radps,
 )
+from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.state import JointState
 from gcs_coloc.estimators.fleet.settings import FleetSettings
-from gcs_coloc.estimators.fleet.vehicle import VehicleRecord
 
 _COAST_TIME_S = 2.0
 _COAST_GAIN = 5.0
@@ -41,7 +41,7 @@ _CLEARLY_MORE = 1.1
 _new = tuple.__new__
 
 
-class End(NamedTuple):
+class RangeEnd(NamedTuple):
     """One end of a range: where its states are in `A`, its place (m), velocity (m/s), and how late its time stamps are (s).
 
     The place is as `Cluster.place` has it. A fixed anchor has neither velocity nor clock.
@@ -49,23 +49,23 @@ class End(NamedTuple):
 
     vehicle: int
     where: slice
-    place: Vector3
+    position: Vector3
     velocity: Vector3 = (0.0, 0.0, 0.0)
-    late_s: float | None = None
+    time_stamp_offset_s: float | None = None
 
 
-def _write_place(g: memoryview[float], n: int, end: End, unit: Vector3, sign: float) -> None:
+def _write_place(g: memoryview[float], n: int, end: RangeEnd, unit: Vector3, sign: float) -> None:
     """Write a sign times the Jacobian of a vehicle's place by its states into four flat rows of n: along `unit`, E, N, U."""
-    e, late_s = end.where.start, end.late_s
+    e, time_stamp_offset_s = end.where.start, end.time_stamp_offset_s
     ux, uy, uz = unit
     g[e], g[e + 1], g[e + 2] = sign * ux, sign * uy, sign * uz
     g[n + e] = g[2 * n + e + 1] = g[3 * n + e + 2] = sign
-    if late_s is None:
+    if time_stamp_offset_s is None:
         return
-    late_s *= -sign
+    time_stamp_offset_s *= -sign
     v, s = e + VELOCITY.start, e + STAMP_ERROR
-    g[v], g[v + 1], g[v + 2] = late_s * ux, late_s * uy, late_s * uz
-    g[n + v] = g[2 * n + v + 1] = g[3 * n + v + 2] = late_s
+    g[v], g[v + 1], g[v + 2] = time_stamp_offset_s * ux, time_stamp_offset_s * uy, time_stamp_offset_s * uz
+    g[n + v] = g[2 * n + v + 1] = g[3 * n + v + 2] = time_stamp_offset_s
     ve, vn, vu = end.velocity
     g[s] = -sign * (ux * ve + uy * vn + uz * vu)
     g[n + s], g[2 * n + s], g[3 * n + s] = -sign * ve, -sign * vn, -sign * vu
@@ -89,7 +89,9 @@ class Cluster:
 
     __slots__ = ("joint", "records", "settings", "step")
 
-    def __init__(self, settings: FleetSettings, records: Mapping[int, VehicleRecord], step: Step, joint: Joint) -> None:
+    def __init__(
+        self, settings: FleetSettings, records: Mapping[int, VehicleRecord], step: Transition, joint: JointState
+    ) -> None:
         self.settings = settings
         self.records = records
         self.step = step
@@ -107,7 +109,7 @@ class Cluster:
         slowness = 1.0 / (1.0 + (x[3] * x[3] + x[4] * x[4]) / (s.slow_speed_mps * s.slow_speed_mps))
         density = s.acceleration_density_m2ps3 + slowness * (s.slow_density_m2ps3 - s.acceleration_density_m2ps3)
         climb = s.climb_density_m2ps3
-        if record.denied_vehicle and record.slow_baro_m == 0.0:
+        if record.denied_vehicle and record.baro_error_sigma_m == 0.0:
             # Nobody tells its height: what flies fast soon climbs fast.
             climb += (1.0 - slowness) * max(s.unseen_climb_density_m2ps3 - climb, 0.0)
         gain, gain_v = record.manoeuvre.gains()
@@ -125,47 +127,47 @@ class Cluster:
             climb += uneven
         else:
             turn = x[TURN] * lasting_s / step_s
-            if at_s - record.informed_at_s > _COAST_TIME_S:
+            if at_s - record.updated_at_s > _COAST_TIME_S:
                 # Nobody has seen steady flight lately: a manoeuvre may have begun since.
-                gain = max(gain, min(((at_s - record.informed_at_s) / _COAST_TIME_S) ** 2, _COAST_GAIN))
+                gain = max(gain, min(((at_s - record.updated_at_s) / _COAST_TIME_S) ** 2, _COAST_GAIN))
             if record.denied_vehicle:
                 # Where a place is known badly a manoeuvre is noticed late: one may have been under way for long.
                 ee_m2, en_m2, nn_m2 = P.item(0, 0), P.item(0, 1), P.item(1, 1)
                 half, skew = 0.5 * (ee_m2 + nn_m2), 0.5 * (ee_m2 - nn_m2)
                 worst_m2 = half + math.sqrt(skew * skew + en_m2 * en_m2)
                 gain = max(gain, min(worst_m2 / (_NOTICED_M * _NOTICED_M), _UNNOTICED_GAIN))
-        mean = step.move(x, step_s, turn, in_wind=aided)
+        mean = step.set_motion(x, step_s, turn, in_wind=aided)
         if not aided:
-            step.turn(step_s, lasting_s, mean[3], mean[4])
-        step.disturb(length, density * min(gain, s.manoeuvre_gain), climb * min(gain_v, s.manoeuvre_gain))
+            step.set_turn_column(step_s, lasting_s, mean[3], mean[4])
+        step.set_acceleration_noise(length, density * min(gain, s.manoeuvre_gain), climb * min(gain_v, s.manoeuvre_gain))
         # Of the error of time stamps only the vehicle's own part changes, a clock's lasts.
-        own = s.stamp_sigma_s / record.stamp_s if record.stamp_s > 0.0 else 0.0
+        own = s.stamp_sigma_s / record.time_stamp_offset_sigma_s if record.time_stamp_offset_sigma_s > 0.0 else 0.0
         stamp_time_s = s.stamp_error_time_s / max(own * own, _LEAST_OWN_SHARE)
         turning = s.turn_sigma_radps * min(math.sqrt(gain), _TURN_GAIN)
-        step.fade(
+        step.set_gauss_markov(
             length,
             (s.wind_time_s, s.air_error_time_s, s.baro_error_time_s, s.report_error_time_s, stamp_time_s, s.turn_time_s),
             (
-                *(s.wind_sigma_mps, s.airspeed_sigma_mps, s.heading_sigma_rad, record.slow_baro_m),
-                *(record.slow_report_h_m, record.slow_report_v_m, record.stamp_s, turning),
+                *(s.wind_sigma_mps, s.airspeed_sigma_mps, s.heading_sigma_rad, record.baro_error_sigma_m),
+                *(record.report_error_sigma_h_m, record.report_error_sigma_v_m, record.time_stamp_offset_sigma_s, turning),
             ),
         )
         return mean
 
-    def bring(self, vehicle: int, at_s: float) -> None:
+    def propagate(self, vehicle: int, at_s: float) -> None:
         """Propagate one vehicle to a time; a vehicle that is there already, or fixed, is left."""
         joint = self.joint
         from_s = joint.time_s[vehicle]
-        if at_s <= from_s or self.records[vehicle].fixed:
+        if at_s <= from_s or self.records[vehicle].static:
             return
         A, step, where = joint.A, self.step, joint.where[vehicle]
         P = A[where, where]
         for to_s in (at_s,) if at_s - from_s <= _LONGEST_STEP_S else _steps(from_s, at_s):
             mean = self.motion(vehicle, A[0, where].tolist(), P, to_s - from_s, to_s)
-            joint.transform(vehicle, mean, step.F, step.Q, to_s)
+            joint.propagate(vehicle, mean, step.F, step.Q, to_s)
             from_s = to_s
 
-    def predicted(self, vehicle: int, at_s: float) -> tuple[FloatArray, FloatArray]:
+    def predict(self, vehicle: int, at_s: float) -> tuple[FloatArray, FloatArray]:
         """Return mean (16,) and covariance (16, 16) of a vehicle at a time after, or shortly before, that of its states."""
         joint, step = self.joint, self.step
         x, P, from_s = joint.mean(vehicle), joint.covariance(vehicle), joint.time_s[vehicle]
@@ -178,29 +180,29 @@ class Cluster:
             from_s = to_s
         return x, P
 
-    def place(self, vehicle: int) -> Vector3:
+    def position(self, vehicle: int) -> Vector3:
         """Return where a vehicle is, at the time of its states.
 
         What a vehicle says of itself is all late by the one error of its clock, and its states go by that clock.
         """
         x = self.joint.mean(vehicle).tolist()
-        if self.records[vehicle].fixed:
+        if self.records[vehicle].static:
             return x[0], x[1], x[2]
-        late_s = x[STAMP_ERROR]
-        return x[0] - late_s * x[3], x[1] - late_s * x[4], x[2] - late_s * x[5]
+        time_stamp_offset_s = x[STAMP_ERROR]
+        return x[0] - time_stamp_offset_s * x[3], x[1] - time_stamp_offset_s * x[4], x[2] - time_stamp_offset_s * x[5]
 
-    def end(self, vehicle: int) -> End:
+    def range_end(self, vehicle: int) -> RangeEnd:
         """Return what a vehicle is as one end of a range."""
         where = self.joint.where[vehicle]
         x = self.joint.A[0, where].tolist()
-        if self.records[vehicle].fixed:
-            return End(vehicle, where, (x[0], x[1], x[2]))
-        late_s, ve, vn, vu = x[STAMP_ERROR], x[3], x[4], x[5]
-        place = (x[0] - late_s * ve, x[1] - late_s * vn, x[2] - late_s * vu)
-        # As End(...) does, at half the time.
-        return _new(End, (vehicle, where, place, (ve, vn, vu), late_s))
+        if self.records[vehicle].static:
+            return RangeEnd(vehicle, where, (x[0], x[1], x[2]))
+        time_stamp_offset_s, ve, vn, vu = x[STAMP_ERROR], x[3], x[4], x[5]
+        place = (x[0] - time_stamp_offset_s * ve, x[1] - time_stamp_offset_s * vn, x[2] - time_stamp_offset_s * vu)
+        # As RangeEnd(...) does, at half the time.
+        return _new(RangeEnd, (vehicle, where, place, (ve, vn, vu), time_stamp_offset_s))
 
-    def way(self, a: End, b: End, unit: Vector3) -> FloatArray:
+    def range_jacobian(self, a: RangeEnd, b: RangeEnd, unit: Vector3) -> FloatArray:
         """Return the Jacobian (4, 1 + n) of the way from `b` to `a` by all states: along a unit vector, and east, north, up."""
         n = len(self.joint.A)
         G = np.zeros((4, n))
@@ -209,7 +211,7 @@ class Cluster:
         _write_place(flat, n, b, unit, -1.0)
         return G
 
-    def restate(self, vehicle: int, where: slice, before: float, now: float) -> float:
+    def change_sigma(self, vehicle: int, where: slice, before: float, now: float) -> float:
         """Take a new sigma of a vehicle's slow errors where it is clearly another one; return the one now in force."""
         if _CLEARLY_LESS * before <= now <= _CLEARLY_MORE * before:
             return before
@@ -223,16 +225,16 @@ class Cluster:
             joint.A[range(first, stop), range(first, stop)] += now * now - before * before
         return now
 
-    def watch(self, vehicle: int, W: FloatArray, innovations: Sequence[float], at_s: float) -> None:
+    def update_manoeuvre_detector(self, vehicle: int, W: FloatArray, innovations: Sequence[float], at_s: float) -> None:
         """Note for the manoeuvre monitor how much a correction, W (1 + n, k) and k innovations, changed a velocity."""
         record = self.records[vehicle]
-        if record.fixed:
+        if record.static:
             return
         start = self.joint.where[vehicle].start + VELOCITY.start
         east, north, up = W[start : start + 3].tolist()
-        record.manoeuvre.take(at_s, self.settings.manoeuvre_memory_s, east, north, up, innovations)
+        record.manoeuvre.update(at_s, self.settings.manoeuvre_memory_s, east, north, up, innovations)
 
-    def widen(self, vehicle: int, position_m2: float) -> None:
+    def inflate_covariance(self, vehicle: int, position_m2: float) -> None:
         """Add uncertainty to a vehicle that the ranges contradict: position variance in m^2 per axis, velocity to match.
 
         The wind goes with the velocity: one that was learned from a false velocity would bring it back with the next air data.

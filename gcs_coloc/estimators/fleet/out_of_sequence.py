@@ -1,6 +1,6 @@
 """Measurements put into the order of measuring, whatever the order in which they arrived.
 
-The timeline keeps the events of the last window and, every now and then in it, a copy of the model. An event that belongs
+The buffer keeps the events of the last window and, every now and then in it, a copy of the model. An event that belongs
 before others already applied takes the model back to the copy before it, and what followed is applied anew. That is put off
 until an answer is wanted, so a burst of late events costs one replay. The result is bit for bit what arrival in order gives.
 """
@@ -21,7 +21,7 @@ _CLOSE_COPIES = 4
 
 
 class Replayable(Protocol):
-    """What the timeline drives."""
+    """What the buffer drives."""
 
     def copy(self) -> Replayable:
         """Return an independent copy."""
@@ -32,18 +32,18 @@ Model = TypeVar("Model", bound=Replayable)
 
 
 class Entry(Generic[Event]):
-    """One event with its place in time; `outcome` is what it came to when last applied, `told` whether that was reported."""
+    """One event with its place in time; `outcome` is what it came to when last applied, `reported` whether that was reported."""
 
-    __slots__ = ("event", "key", "outcome", "told")
+    __slots__ = ("event", "key", "outcome", "reported")
 
     def __init__(self, key: Key, event: Event) -> None:
         self.key = key
         self.event = event
         self.outcome: str | None = None
-        self.told = False
+        self.reported = False
 
 
-class Timeline(Generic[Model, Event]):
+class OosmBuffer(Generic[Model, Event]):
     """Applies events to a model in the order of their keys, the first element of which is the time in seconds.
 
     `outcomes` counts what came of the events, of each what it came to when it was last applied.
@@ -77,10 +77,10 @@ class Timeline(Generic[Model, Event]):
             return False
         entries.insert(at, Entry(key, event))
         if at < self._applied:
-            self._go_back(at)
+            self._restore(at)
         return True
 
-    def catch_up(self) -> Model:
+    def process(self) -> Model:
         """Apply all events that are not applied yet and return the model."""
         while self._applied < len(self._entries):
             entry = self._entries[self._applied]
@@ -89,7 +89,7 @@ class Timeline(Generic[Model, Event]):
             if since_s >= _COPY_EVERY_S or (since_s >= _COPY_SOONER_S and self._applied < len(self._entries) - 1):
                 self._copies.append((self._applied, self._copy(self.model)))
                 self._copied_at_s = at_s
-                self._thin()
+                self._prune_copies()
             if entry.outcome is not None:
                 self.outcomes[entry.outcome] -= 1
             entry.outcome = self._apply(self.model, entry)
@@ -97,7 +97,7 @@ class Timeline(Generic[Model, Event]):
             self._applied += 1
         return self.model
 
-    def _thin(self) -> None:
+    def _prune_copies(self) -> None:
         """Drop a copy behind the newest few that is close to the one before: hardly anything is as late as that."""
         copies = self._copies
         if len(copies) > _CLOSE_COPIES + 2:
@@ -105,11 +105,11 @@ class Timeline(Generic[Model, Event]):
             if after - before <= _COPY_EVERY_S + _COPY_SOONER_S:
                 del copies[-_CLOSE_COPIES - 1]
 
-    def settle(self, now_s: float) -> None:
+    def commit(self, now_s: float) -> None:
         """Forget what is older than the window: nothing can arrive before it any more."""
         oldest_s = now_s - self._window_s
         if len(self._copies) < 2 and self._entry_time(0) < oldest_s:
-            self.catch_up()
+            self.process()
         # A copy holds what was applied: what is before it need not be caught up with, and what is after it may still be late.
         if len(self._copies) < 2 or self._entry_time(self._copies[1][0]) >= oldest_s:
             return
@@ -121,7 +121,7 @@ class Timeline(Generic[Model, Event]):
         self._applied -= cut
         self._copies = [(index - cut, copy) for index, copy in self._copies[keep:]]
 
-    def _go_back(self, at: int) -> None:
+    def _restore(self, at: int) -> None:
         while len(self._copies) > 1 and self._copies[-1][0] > at:
             self._copies.pop()
         index, copy = self._copies[-1]

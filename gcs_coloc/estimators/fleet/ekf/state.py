@@ -23,7 +23,7 @@ class Whitened(NamedTuple):
     """A measurement of k values brought to innovations of unit variance and independent of each other.
 
     `W` (1 + n, k) holds their covariances with the states from row 1 on, and less these innovations in row 0: what
-    `Joint.correct` takes. `nis` is the sum of their squares, the normalised innovation squared.
+    `JointState.correct` takes. `nis` is the sum of their squares, the normalised innovation squared.
     """
 
     W: FloatArray
@@ -48,7 +48,7 @@ def whiten(HA: FloatArray, S: FloatArray) -> Whitened:
     return Whitened(W, float(e @ e))
 
 
-class Joint:
+class JointState:
     """Mean and covariance of n states in named blocks, in one array.
 
     `A` (1 + n, 1 + n) is the covariance with the mean before it: in row 0, and the same in column 0; its corner means nothing.
@@ -66,9 +66,9 @@ class Joint:
         self.where: dict[Key, slice] = {}
         self.time_s: dict[Key, float] = {}
 
-    def copy(self) -> Joint:
+    def copy(self) -> JointState:
         """Return an independent copy."""
-        other = object.__new__(Joint)
+        other = object.__new__(JointState)
         other.A = self.A.copy()
         other.where = self.where.copy()
         other.time_s = self.time_s.copy()
@@ -83,7 +83,7 @@ class Joint:
         where = self.where[key]
         return self.A[where, where]
 
-    def append(self, key: Key, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
+    def augment(self, key: Key, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
         """Append a block that is independent of all others: mean (m,), covariance (m, m), at its time."""
         n, m = len(self.A), len(mean)
         self._extend(m)
@@ -91,9 +91,9 @@ class Joint:
         self.A[n:, n:] = covariance
         self.where[key], self.time_s[key] = slice(n, n + m), at_s
 
-    def part(self, keys: list[Key]) -> Joint:
+    def marginalise(self, keys: list[Key]) -> JointState:
         """Return the marginal density of some blocks, in the order given."""
-        other = Joint()
+        other = JointState()
         index = [0]
         for key in keys:
             first, where = len(index), self.where[key]
@@ -102,7 +102,7 @@ class Joint:
         other.A = self.A[np.ix_(index, index)]
         return other
 
-    def join(self, other: Joint) -> None:
+    def augment_with(self, other: JointState) -> None:
         """Take in the blocks of another density, independent of this one."""
         n = len(self.A)
         self._extend(len(other.A) - 1)
@@ -118,7 +118,7 @@ class Joint:
         A[:n, :n] = self.A
         self.A = A
 
-    def transform(self, key: Key, mean: tuple[float, ...], F: FloatArray, Q: FloatArray, at_s: float) -> None:
+    def propagate(self, key: Key, mean: tuple[float, ...], F: FloatArray, Q: FloatArray, at_s: float) -> None:
         """Bring one block to time `at_s`: the Jacobian F (m, m) of the way, its noise Q (m, m), and the mean there.
 
         `mean` may be shorter than m: the rest goes by F.
@@ -133,12 +133,12 @@ class Joint:
         np.add(half, half.T, out=A[where, where])
         self.time_s[key] = at_s
 
-    def expect(self, key: Key, H: FloatArray) -> FloatArray:
+    def predict_block_measurement(self, key: Key, H: FloatArray) -> FloatArray:
         """Return (k, 1 + n): the mean, then the covariances with all states, of the combinations H (k, m) of a block's states."""
         HA: FloatArray = blas.dgemm(1.0, self.A[self.where[key]].T, H.T).T
         return HA
 
-    def foresee(self, G: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def predict_measurement(self, G: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what is expected of the combinations G (k, 1 + n) of all states, column 0 of it zero.
 
         That is their mean and their covariances with all states, (k, 1 + n), and those among themselves, (k, k).
@@ -162,7 +162,7 @@ class Joint:
         rows *= factor
         columns *= factor
 
-    def fade(self, key: Key, decays: tuple[float, float], sigmas: tuple[float, float]) -> None:
+    def decay(self, key: Key, decays: tuple[float, float], sigmas: tuple[float, float]) -> None:
         """Let a block of two first-order Gauss-Markov states fade by their factors towards zero, with their spreads `sigmas`."""
         A, i, (di, dj), (si, sj) = self.A, self.where[key].start, decays, sigmas
         j = i + 1

@@ -56,7 +56,7 @@ def turn_rate_radps(roll_rad: float, airspeed_mps: float) -> float:
     return GRAVITY_MPS2 * math.tan(roll_rad) / airspeed_mps
 
 
-class Step:
+class Transition:
     """The Jacobian F and the noise Q, both (16, 16), of one step of one vehicle; filled anew for each step.
 
     The entries are written through flat views: to write single elements of an array costs twice the time.
@@ -70,11 +70,11 @@ class Step:
         self._f = cast("memoryview[float]", self.F.reshape(-1).data)
         self._q = cast("memoryview[float]", self.Q.reshape(-1).data)
 
-    def __reduce__(self) -> tuple[type[Step], tuple[()]]:
+    def __reduce__(self) -> tuple[type[Transition], tuple[()]]:
         """A copy is a new one: nothing in it outlasts a step."""
-        return Step, ()
+        return Transition, ()
 
-    def move(self, x: Sequence[float], step_s: float, turn_radps: float, *, in_wind: bool) -> tuple[float, ...]:
+    def set_motion(self, x: Sequence[float], step_s: float, turn_radps: float, *, in_wind: bool) -> tuple[float, ...]:
         """Set F but for the decay of the slow states; return the mean of the first five states after it, from `x` (16,).
 
         With `in_wind` the air velocity turns and the wind carries the vehicle along; without, the velocity over ground turns.
@@ -114,7 +114,7 @@ class Step:
             c * an - s * ae + wn,
         )
 
-    def turn(self, step_s: float, lasting_s: float, ve_mps: float, vn_mps: float) -> None:
+    def set_turn_column(self, step_s: float, lasting_s: float, ve_mps: float, vn_mps: float) -> None:
         """Set the column of F that tells what an error of the turn rate does to position and velocity over a step.
 
         `ve_mps`, `vn_mps` are the velocity after the step; `lasting_s` is by how much the heading changes for each rad/s.
@@ -123,7 +123,7 @@ class Step:
         f[_VE_TURN], f[_VN_TURN] = east, north
         f[_E_TURN], f[_N_TURN] = 0.5 * step_s * east, 0.5 * step_s * north
 
-    def disturb(self, length_s: float, horizontal: float, vertical: float) -> None:
+    def set_acceleration_noise(self, length_s: float, horizontal: float, vertical: float) -> None:
         """Set the noise of a step in which white acceleration of the given densities (m^2/s^3) acts."""
         q, half, third = self._q, 0.5 * length_s * length_s, length_s * length_s * length_s / 3.0
         q[_E_E] = q[_N_N] = horizontal * third
@@ -133,7 +133,7 @@ class Step:
         q[_U_VU] = q[_VU_U] = vertical * half
         q[_VU_VU] = vertical * length_s
 
-    def fade(self, length_s: float, times_s: Sequence[float], sigmas: Sequence[float]) -> None:
+    def set_gauss_markov(self, length_s: float, times_s: Sequence[float], sigmas: Sequence[float]) -> None:
         """Let the ten states from the wind on, first-order Gauss-Markov processes, fade towards zero over a step of a length.
 
         `times_s` are the correlation times of wind, errors of air data, barometric height, reports and stamps, and turn rate.

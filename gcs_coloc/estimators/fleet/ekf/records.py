@@ -14,7 +14,7 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.estimators.fleet.noise import NOTHING_HEARD, Whiteness
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseSplit
 
 IN_USE_S = 2.0
 """A neighbour whose range was used within so long is in use."""
@@ -29,7 +29,7 @@ OwnMeasurement = PositionMeasurement | AltitudeMeasurement | AttitudeMeasurement
 
 
 @dataclass(slots=True)
-class ManoeuvreMonitor:
+class ManoeuvreDetector:
     """Compares the velocity corrections made with those that the model foresees, horizontally and vertically.
 
     The corrections are white under a right model, their covariance is known: their fading sum c has the fading sum C as its
@@ -45,7 +45,7 @@ class ManoeuvreMonitor:
     C_uu: float = 0.0
     at_s: float = -math.inf
 
-    def take(
+    def update(
         self, at_s: float, memory_s: float, we: Sequence[float], wn: Sequence[float], wu: Sequence[float], e: Sequence[float]
     ) -> None:
         """Fade to a time, and take the corrections (we, wn, wu) e made to the velocity by innovations e of unit variance."""
@@ -81,7 +81,7 @@ class ManoeuvreMonitor:
         return max(ratio * ratio, 1.0), max(ratio_v * ratio_v / 3.0, 1.0)
 
 
-class RefusedRange(NamedTuple):
+class UnresolvedOutlier(NamedTuple):
     """A range that the gate refused: the neighbour, a unit vector along it, and its NIS."""
 
     neighbour: int
@@ -89,7 +89,7 @@ class RefusedRange(NamedTuple):
     nis: float
 
 
-class OtherSide(NamedTuple):
+class ReflectionEvidence(NamedTuple):
     """How many ranges in a row were refused and fit the mirror image, and the neighbour of the last one."""
 
     neighbour: int
@@ -106,71 +106,76 @@ class Neighbour:
 
 @dataclass(slots=True)
 class VehicleRecord:
-    """One vehicle. `own` and `ranged` are what it measured of itself and its ranges, oldest first, at least those of late.
+    """What the filter keeps of one vehicle beside its states.
 
-    `white` tells the noise of its reports, horizontally and vertically, `white_baro` that of its heights.
-    `slow_report_h_m`, `slow_report_v_m`, `slow_baro_m`, `stamp_s` are the sigmas in force of the slow errors in the joint state.
-    `lost_evidence` is the evidence of the ranges that the gate refused and let pass that this vehicle is not where it is held to
-    be, `unchecked` the last one refused while no others would show that, `other_side` what refused ranges
-    say for its mirror image, `refused_m2` the mean square innovation of the former, `distrust_m2` what ranges are believed less
-    since it was lost.
+    `own_measurements` and `range_measurements` are the recent ones, oldest first.
+    `report_noise` and `altitude_noise` are the coloured/white splits of its position reports and barometric heights.
+    The four `..._sigma_...` are the sigmas in force of its slow errors in the joint state.
+    `cusum` is the CUSUM statistic of refused against used ranges: evidence that the state is wrong.
+    `unresolved_outlier` is the last refused range that the ranges in use could not have contradicted.
+    `reflection_evidence` counts refused ranges that fit the reflected state. `refused_innovation_m2` is the mean squared
+    innovation of refused ranges, `range_noise_inflation_m2` the variance added to ranges after a re-inflation.
     """
 
     denied_vehicle: bool = False
-    fixed: bool = False
+    static: bool = False
     last_position: PositionMeasurement | None = None
-    own: tuple[OwnMeasurement, ...] = ()
-    ranged: tuple[RangeMeasurement, ...] = ()
-    white: Whiteness = NOTHING_HEARD
-    white_baro: Whiteness = NOTHING_HEARD
+    own_measurements: tuple[OwnMeasurement, ...] = ()
+    range_measurements: tuple[RangeMeasurement, ...] = ()
+    report_noise: NoiseSplit = NO_SAMPLES
+    altitude_noise: NoiseSplit = NO_SAMPLES
     attitude: AttitudeMeasurement | None = None
-    slow_report_h_m: float = 0.0
-    slow_report_v_m: float = 0.0
-    slow_baro_m: float = 0.0
-    stamp_s: float = 0.0
-    manoeuvre: ManoeuvreMonitor = field(default_factory=ManoeuvreMonitor)
+    report_error_sigma_h_m: float = 0.0
+    report_error_sigma_v_m: float = 0.0
+    baro_error_sigma_m: float = 0.0
+    time_stamp_offset_sigma_s: float = 0.0
+    manoeuvre: ManoeuvreDetector = field(default_factory=ManoeuvreDetector)
     neighbours: dict[int, Neighbour] = field(default_factory=dict)
-    heard: dict[int, float] = field(default_factory=dict)
-    chosen: frozenset[int] = frozenset()
-    chosen_at_s: float = -math.inf
-    informed_at_s: float = -math.inf
+    last_range_s: dict[int, float] = field(default_factory=dict)
+    selected_peers: frozenset[int] = frozenset()
+    selected_at_s: float = -math.inf
+    updated_at_s: float = -math.inf
     velocity_used_at_s: float = -math.inf
-    lost_evidence: float = 0.0
-    unchecked: RefusedRange | None = None
-    other_side: OtherSide | None = None
-    refused_m2: float = 0.0
-    distrust_m2: float = 0.0
+    cusum: float = 0.0
+    unresolved_outlier: UnresolvedOutlier | None = None
+    reflection_evidence: ReflectionEvidence | None = None
+    refused_innovation_m2: float = 0.0
+    range_noise_inflation_m2: float = 0.0
     reports_refused: int = 0
-    start_tried_at_s: float = -math.inf
-    reason: str = "no measurement of it was heard"
+    initialisation_tried_at_s: float = -math.inf
+    no_estimate_reason: str = "no measurement of it was heard"
 
     def copy(self) -> VehicleRecord:
         """Return an independent copy."""
         other = VehicleRecord(*_RECORDED(self))
-        other.manoeuvre = ManoeuvreMonitor(*_MONITORED(self.manoeuvre))
+        other.manoeuvre = ManoeuvreDetector(*_MONITORED(self.manoeuvre))
         other.neighbours = dict(self.neighbours)
-        other.heard = dict(self.heard)
+        other.last_range_s = dict(self.last_range_s)
         return other
 
-    def remember(self, measurement: OwnMeasurement) -> None:
+    def add_own(self, measurement: OwnMeasurement) -> None:
         """Keep a measurement of this vehicle's own for a few seconds: a filter for it is started from these when needed."""
-        kept = self.own if len(self.own) < 2 * _RECENT_MOST else self.own[-_RECENT_MOST:]
-        self.own = (*kept, measurement)
+        kept = self.own_measurements if len(self.own_measurements) < 2 * _RECENT_MOST else self.own_measurements[-_RECENT_MOST:]
+        self.own_measurements = (*kept, measurement)
 
-    def remember_range(self, measurement: RangeMeasurement) -> None:
+    def add_range(self, measurement: RangeMeasurement) -> None:
         """Keep a range for a few seconds: a denied vehicle without a position is started from these."""
-        kept = self.ranged if len(self.ranged) < 2 * _RANGES_MOST else self.ranged[-_RANGES_MOST:]
-        self.ranged = (*kept, measurement)
+        kept = (
+            self.range_measurements
+            if len(self.range_measurements) < 2 * _RANGES_MOST
+            else self.range_measurements[-_RANGES_MOST:]
+        )
+        self.range_measurements = (*kept, measurement)
 
     @property
-    def recent(self) -> tuple[OwnMeasurement, ...]:
+    def recent_own(self) -> tuple[OwnMeasurement, ...]:
         """The own measurements of the last 3 s before the newest, 64 at most, oldest first."""
-        return _since(self.own[-_RECENT_MOST:], _RECENT_S)
+        return _since(self.own_measurements[-_RECENT_MOST:], _RECENT_S)
 
     @property
-    def ranges(self) -> tuple[RangeMeasurement, ...]:
+    def recent_ranges(self) -> tuple[RangeMeasurement, ...]:
         """The ranges of the last 4 s before the newest, 120 at most, oldest first."""
-        return _since(self.ranged[-_RANGES_MOST:], _RANGES_S)
+        return _since(self.range_measurements[-_RANGES_MOST:], _RANGES_S)
 
 
 _Measured = TypeVar("_Measured", OwnMeasurement, RangeMeasurement)
@@ -182,7 +187,7 @@ def _since(measured: tuple[_Measured, ...], span_s: float) -> tuple[_Measured, .
 
 # All fields at once, in their order: a copy is made of every vehicle that is heard, ten times a second.
 _RECORDED = attrgetter(*(one.name for one in fields(VehicleRecord)))
-_MONITORED = attrgetter(*(one.name for one in fields(ManoeuvreMonitor)))
+_MONITORED = attrgetter(*(one.name for one in fields(ManoeuvreDetector)))
 
 
 class Records(dict[int, VehicleRecord]):
@@ -208,7 +213,7 @@ class Records(dict[int, VehicleRecord]):
         record = self[vehicle] = VehicleRecord() if record is None else record.copy()
         return record
 
-    def take(self, other: Records, vehicle: int) -> None:
+    def copy_from(self, other: Records, vehicle: int) -> None:
         """Take what another one remembers of a vehicle."""
         self[vehicle] = other[vehicle].copy()
         self._own.add(vehicle)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.estimators.fleet.peers import choose_peers
+from gcs_coloc.estimators.fleet.peer_selection import select_peers
 from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution
 
 NONE: frozenset[int] = frozenset()
@@ -25,16 +25,16 @@ def hdop(chosen: frozenset[int], placed: list[tuple[int, FloatArray]], here: Flo
 def test_eight_of_sixty_are_nearly_as_good_as_the_best_eight_in_a_round(seed):
     placed = fleet(seed)
     # Eight directions at equal angles have sqrt(4 / 8) of two ranges at a right angle: HDOP 0.707, nothing is better.
-    assert hdop(choose_peers(HERE, placed, NONE, NONE, 8, height_known=True), placed) < 0.75
+    assert hdop(select_peers(HERE, placed, NONE, NONE, 8, height_known=True), placed) < 0.75
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_two_subjects_share_most_of_their_peers_and_lose_little_by_it(seed):
     placed = fleet(seed)
     there = np.array([800.0, -600.0, 120.0])
-    first = choose_peers(HERE, placed, NONE, NONE, 8, height_known=True)
-    second = choose_peers(there, placed, NONE, first, 8, height_known=True)
-    alone = choose_peers(there, placed, NONE, NONE, 8, height_known=True)
+    first = select_peers(HERE, placed, NONE, NONE, 8, height_known=True)
+    second = select_peers(there, placed, NONE, first, 8, height_known=True)
+    alone = select_peers(there, placed, NONE, NONE, 8, height_known=True)
     assert len(first & second) >= 5
     assert hdop(second, placed, there) < 1.1 * hdop(alone, placed, there)
 
@@ -42,6 +42,6 @@ def test_two_subjects_share_most_of_their_peers_and_lose_little_by_it(seed):
 def test_a_subject_that_tells_its_height_spends_its_choice_on_the_horizontal():
     placed = [(v, np.array([2000.0 * np.sin(v), 2000.0 * np.cos(v), 100.0])) for v in range(12)]
     placed.extend((90 + v, np.array([100.0 + 40.0 * v, 90.0, 400.0])) for v in range(3))
-    without, told = (choose_peers(HERE, placed, NONE, NONE, 3, height_known=known) for known in (False, True))
+    without, told = (select_peers(HERE, placed, NONE, NONE, 3, height_known=known) for known in (False, True))
     assert without & {90, 91, 92}
     assert hdop(told, placed) < 0.9 * hdop(without, placed)

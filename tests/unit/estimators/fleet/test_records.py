@@ -1,18 +1,18 @@
 from __future__ import annotations
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, RangeMeasurement
-from gcs_coloc.estimators.fleet.vehicle import Records, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.records import Records, VehicleRecord
 
 
 def test_copies_share_a_record_until_one_of_them_changes_it():
     first = Records()
     for vehicle in (1, 2, 3):
-        first.writable(vehicle).heard[9] = 0.0
+        first.writable(vehicle).last_range_s[9] = 0.0
     second = first.copy()
     assert all(second[vehicle] is first[vehicle] for vehicle in (1, 2, 3))
-    first.writable(1).heard[9] = 1.0
-    second.writable(2).manoeuvre.take(5.0, 3.0, [0.1], [0.2], [0.3], [1.0])
-    assert (first[1].heard[9], second[1].heard[9]) == (1.0, 0.0)
+    first.writable(1).last_range_s[9] = 1.0
+    second.writable(2).manoeuvre.update(5.0, 3.0, [0.1], [0.2], [0.3], [1.0])
+    assert (first[1].last_range_s[9], second[1].last_range_s[9]) == (1.0, 0.0)
     assert (first[2].manoeuvre.c_n, second[2].manoeuvre.c_n) == (0.0, 0.2)
     assert second[3] is first[3]
 
@@ -32,9 +32,9 @@ def test_a_record_is_copied_once_and_then_changed_in_place():
 def test_what_is_remembered_ends_three_seconds_before_the_newest_and_at_64():
     record = VehicleRecord()
     for k in range(300):
-        record.remember(AltitudeMeasurement(1, 0.1 * k, 0.1 * k, float(k), 1.0))
-        record.remember_range(RangeMeasurement(1, 2, 0.01 * k, 0.01 * k, float(k), 1.0))
-        assert len(record.own) <= 128
-        assert len(record.ranged) <= 240
-    assert [m.up_m for m in record.recent] == [float(k) for k in range(269, 300)]
-    assert [m.range_m for m in record.ranges] == [float(k) for k in range(180, 300)]
+        record.add_own(AltitudeMeasurement(1, 0.1 * k, 0.1 * k, float(k), 1.0))
+        record.add_range(RangeMeasurement(1, 2, 0.01 * k, 0.01 * k, float(k), 1.0))
+        assert len(record.own_measurements) <= 128
+        assert len(record.range_measurements) <= 240
+    assert [m.up_m for m in record.recent_own] == [float(k) for k in range(269, 300)]
+    assert [m.range_m for m in record.recent_ranges] == [float(k) for k in range(180, 300)]

@@ -5,19 +5,19 @@ import math
 import numpy as np
 import pytest
 
-from gcs_coloc.estimators.fleet.noise import NOTHING_HEARD, Whiteness
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseSplit
 
 
-def stream(white_m: float, slow_m: float, hz: float, seconds: float, seed: int, accel_mps2: float = 0.0) -> Whiteness:
+def stream(white_m: float, slow_m: float, hz: float, seconds: float, seed: int, accel_mps2: float = 0.0) -> NoiseSplit:
     rng = np.random.default_rng(seed)
-    told = Whiteness()
+    told = NoiseSplit()
     slow = slow_m * rng.normal(size=2)
     decay = math.exp(-1.0 / hz / 100.0)
     for k in range(int(hz * seconds)):
         t = k / hz
         slow = decay * slow + math.sqrt(1.0 - decay**2) * slow_m * rng.normal(size=2)
         z = 22.0 * t + 0.5 * accel_mps2 * t * t + slow + white_m * rng.normal(size=2)
-        told = told.heard(t, (tuple(z.tolist()),), (math.hypot(white_m, slow_m),))
+        told = told.updated(t, (tuple(z.tolist()),), (math.hypot(white_m, slow_m),))
     return told
 
 
@@ -47,29 +47,29 @@ def test_nothing_is_proven_by_a_few_reports():
 
 
 def test_a_gap_starts_the_comparison_anew():
-    told, other = Whiteness(), Whiteness()
+    told, other = NoiseSplit(), NoiseSplit()
     smooth = ((0.0, 0.0), (0.1, 2.0), (0.2, 4.0), (60.0, 900.0), (60.1, 902.0), (60.2, 904.0), (60.3, 906.0))
     for t, z in smooth:
-        told = told.heard(t, ((z,),), (1.0,))
+        told = told.updated(t, ((z,),), (1.0,))
     for t, z in smooth[3:]:
-        other = other.heard(t, ((z,),), (1.0,))
+        other = other.updated(t, ((z,),), (1.0,))
     assert told.split(0, 1.0, 0.1) == other.split(0, 1.0, 0.1)
 
 
 def test_groups_of_one_stream_are_told_apart_as_streams_of_their_own():
     rng = np.random.default_rng(6)
-    both, rough, fine = Whiteness(), Whiteness(), Whiteness()
+    both, rough, fine = NoiseSplit(), NoiseSplit(), NoiseSplit()
     for k in range(200):
         e, n, u = (rng.normal(size=3) * (3.0, 3.0, 0.2)).tolist()
-        both = both.heard(0.1 * k, ((e, n), (u,)), (3.0, 1.0))
-        rough = rough.heard(0.1 * k, ((e, n),), (3.0,))
-        fine = fine.heard(0.1 * k, ((u,),), (1.0,))
+        both = both.updated(0.1 * k, ((e, n), (u,)), (3.0, 1.0))
+        rough = rough.updated(0.1 * k, ((e, n),), (3.0,))
+        fine = fine.updated(0.1 * k, ((u,),), (1.0,))
     assert both.split(0, 3.0, 0.1) == rough.split(0, 3.0, 0.1)
     assert both.split(1, 1.0, 0.1) == fine.split(0, 1.0, 0.1)
 
 
 def test_a_scatter_is_proven_by_many_reports_and_never_more_than_there_is():
-    assert NOTHING_HEARD.proven_m(0) == 0.0
-    assert 0.75 < stream(1.0, 0.0, 10.0, 120.0, seed=4).proven_m(0) < 1.0
-    assert max(stream(1.0, 0.0, 10.0, 2.0, seed).proven_m(0) for seed in range(20)) < 1.0
-    assert stream(0.02, 3.0, 10.0, 120.0, seed=2).proven_m(0) < 0.4
+    assert NO_SAMPLES.lower_bound_m(0) == 0.0
+    assert 0.75 < stream(1.0, 0.0, 10.0, 120.0, seed=4).lower_bound_m(0) < 1.0
+    assert max(stream(1.0, 0.0, 10.0, 2.0, seed).lower_bound_m(0) for seed in range(20)) < 1.0
+    assert stream(0.02, 3.0, 10.0, 120.0, seed=2).lower_bound_m(0) < 0.4

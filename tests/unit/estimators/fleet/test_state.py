@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gcs_coloc.estimators.fleet.joint import Joint, whiten
+from gcs_coloc.estimators.fleet.ekf.state import JointState, whiten
 
 
 def walk(step_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -11,29 +11,29 @@ def walk(step_s: float) -> tuple[np.ndarray, np.ndarray]:
     return F, Q
 
 
-def step(joint: Joint, key: str, at_s: float) -> None:
+def step(joint: JointState, key: str, at_s: float) -> None:
     F, Q = walk(at_s - joint.time_s[key])
-    joint.transform(key, tuple((F @ joint.mean(key)).tolist()), F, Q, at_s)
+    joint.propagate(key, tuple((F @ joint.mean(key)).tolist()), F, Q, at_s)
 
 
-def whole(joint: Joint) -> tuple[np.ndarray, np.ndarray]:
+def whole(joint: JointState) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of all states, the mean the same in row and column."""
     np.testing.assert_array_equal(joint.A[0, 1:], joint.A[1:, 0])
     return joint.A[0, 1:].copy(), joint.A[1:, 1:].copy()
 
 
-def measured(joint: Joint, H: np.ndarray, z: np.ndarray) -> np.ndarray:
+def measured(joint: JointState, H: np.ndarray, z: np.ndarray) -> np.ndarray:
     """What `whiten` takes of values z that measure H x."""
     x, P = whole(joint)
     return np.column_stack([H @ x - z, H @ P])
 
 
-def two_walkers() -> tuple[Joint, np.random.Generator]:
+def two_walkers() -> tuple[JointState, np.random.Generator]:
     rng = np.random.default_rng(4)
-    joint = Joint()
+    joint = JointState()
     for key in ("a", "b"):
         root = rng.normal(size=(2, 2))
-        joint.append(key, rng.normal(size=2), root @ root.T + np.eye(2), 0.0)
+        joint.augment(key, rng.normal(size=2), root @ root.T + np.eye(2), 0.0)
     return joint, rng
 
 
@@ -85,7 +85,7 @@ def test_what_is_expected_of_a_block_is_the_mean_and_the_covariance_with_all():
     joint, rng = two_walkers()
     x, P = whole(joint)
     H = rng.normal(size=(3, 2))
-    np.testing.assert_allclose(joint.expect("b", H), np.column_stack([H @ x[2:], H @ P[2:]]))
+    np.testing.assert_allclose(joint.predict_block_measurement("b", H), np.column_stack([H @ x[2:], H @ P[2:]]))
 
 
 def test_a_whitened_measurement_has_innovations_of_unit_variance():
@@ -101,7 +101,7 @@ def test_a_whitened_measurement_has_innovations_of_unit_variance():
 
 def test_a_part_is_the_marginal_and_a_copy_is_independent():
     joint, _ = two_walkers()
-    part = joint.part(["b"])
+    part = joint.marginalise(["b"])
     copy = joint.copy()
     step(copy, "b", 1.0)
     np.testing.assert_array_equal(part.covariance("b"), joint.covariance("b"))
@@ -113,9 +113,9 @@ def test_a_part_is_the_marginal_and_a_copy_is_independent():
 
 def test_joined_densities_are_independent():
     first, _ = two_walkers()
-    second = first.part(["b"])
-    first = first.part(["a"])
-    first.join(second)
+    second = first.marginalise(["b"])
+    first = first.marginalise(["a"])
+    first.augment_with(second)
     assert first.where["b"] == slice(3, 5)
     assert not first.A[1:3, 3:].any()
     np.testing.assert_array_equal(first.mean("b"), second.mean("b"))
@@ -133,7 +133,7 @@ def test_scaled_states_are_scaled_in_mean_and_covariances():
 def test_two_fading_states_keep_their_spread_and_lose_their_correlations():
     joint, _ = two_walkers()
     x, P = whole(joint)
-    joint.fade("b", (0.9, 0.4), (2.0, 3.0))
+    joint.decay("b", (0.9, 0.4), (2.0, 3.0))
     D = np.diag([1.0, 1.0, 0.9, 0.4])
     np.testing.assert_allclose(whole(joint)[0], D @ x)
     fresh = np.diag([0.0, 0.0, 4.0 * (1.0 - 0.81), 9.0 * (1.0 - 0.16)])

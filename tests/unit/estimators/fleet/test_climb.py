@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement
-from gcs_coloc.estimators.fleet.blocks import start_block
-from gcs_coloc.estimators.fleet.clusters import Clusters
+from gcs_coloc.estimators.fleet.cluster_set import ClusterSet
+from gcs_coloc.estimators.fleet.ekf._kernels import TURN
+from gcs_coloc.estimators.fleet.ekf.blocks import block_from_estimate
+from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.filter import FleetFilter
-from gcs_coloc.estimators.fleet.mirror import Mirror, reflect
-from gcs_coloc.estimators.fleet.motion import TURN
+from gcs_coloc.estimators.fleet.reflection import ReflectionPlane, reflect
 from gcs_coloc.estimators.fleet.settings import FleetSettings
-from gcs_coloc.estimators.fleet.vehicle import VehicleRecord
 
 SUBJECT = 9
 LOST_S, CLIMB_S, TOP_S, END_S = 5.0, 30.0, 70.0, 75.0
@@ -64,12 +64,12 @@ def test_a_climb_through_the_height_of_the_peers_that_nobody_tells_leaves_the_he
 
 def test_the_mirror_image_above_a_level_plane_sinks_where_the_state_climbs_and_turns_as_it_does():
     records = {1: VehicleRecord(denied_vehicle=True)}
-    clusters = Clusters(FleetSettings(), records)
-    state = start_block(np.array([10.0, 20.0, 130.0, 5.0, 6.0, 3.0]), np.eye(6), FleetSettings())
+    clusters = ClusterSet(FleetSettings(), records)
+    state = block_from_estimate(np.array([10.0, 20.0, 130.0, 5.0, 6.0, 3.0]), np.eye(6), FleetSettings())
     state[0][TURN] = 0.1
-    cluster = clusters.begin(1, *state, 0.0)
+    cluster = clusters.initialise(1, *state, 0.0)
     before = cluster.joint.covariance(1).copy()
-    reflect(cluster, 1, Mirror(np.array([0.0, 0.0, 100.0]), np.array([0.0, 0.0, 1.0]), 1.0))
+    reflect(cluster, 1, ReflectionPlane(np.array([0.0, 0.0, 100.0]), np.array([0.0, 0.0, 1.0]), 1.0))
     np.testing.assert_allclose(cluster.joint.mean(1)[:6], [10.0, 20.0, 70.0, 5.0, 6.0, -1.0])
     assert cluster.joint.mean(1)[TURN] == pytest.approx(0.1)
     np.testing.assert_allclose(cluster.joint.covariance(1), before, atol=1e-12)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.estimators.fleet.cluster import Cluster
-from gcs_coloc.estimators.fleet.joint import Joint, Key
-from gcs_coloc.estimators.fleet.motion import Step
+from gcs_coloc.estimators.fleet.ekf._kernels import Transition
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.state import JointState, Key
 from gcs_coloc.estimators.fleet.settings import FleetSettings
-from gcs_coloc.estimators.fleet.vehicle import VehicleRecord
 
 
-class Clusters:
+class ClusterSet:
     """The clusters of one model, by vehicle; a vehicle that has no states in a filter is in none.
 
     `records` is shared with the model.
@@ -20,15 +20,15 @@ class Clusters:
 
     __slots__ = ("_of", "_records", "_settings", "_step")
 
-    def __init__(self, settings: FleetSettings, records: Mapping[int, VehicleRecord], step: Step | None = None) -> None:
+    def __init__(self, settings: FleetSettings, records: Mapping[int, VehicleRecord], step: Transition | None = None) -> None:
         self._settings = settings
         self._records = records
         self._of: dict[int, Cluster] = {}
-        self._step = Step() if step is None else step
+        self._step = Transition() if step is None else step
 
-    def copy(self, records: Mapping[int, VehicleRecord]) -> Clusters:
+    def copy(self, records: Mapping[int, VehicleRecord]) -> ClusterSet:
         """Return an independent copy for a model with the records given."""
-        other = Clusters(self._settings, records, self._step)
+        other = ClusterSet(self._settings, records, self._step)
         clusters = {id(c): c for c in self._of.values()}
         copies = {key: other._cluster(c.joint.copy()) for key, c in clusters.items()}
         other._of = {vehicle: copies[id(c)] for vehicle, c in self._of.items()}
@@ -49,18 +49,18 @@ class Clusters:
         cluster = self._of.get(a)
         return cluster if cluster is self._of.get(b) else None
 
-    def together_with(self, vehicle: int) -> list[int]:
+    def members(self, vehicle: int) -> list[int]:
         """Return the vehicles in a vehicle's cluster, itself included."""
         cluster = self._of[vehicle]
         return [v for v, c in self._of.items() if c is cluster]
 
-    def begin(self, vehicle: int, mean: FloatArray, covariance: FloatArray, at_s: float) -> Cluster:
+    def initialise(self, vehicle: int, mean: FloatArray, covariance: FloatArray, at_s: float) -> Cluster:
         """Begin a cluster of one vehicle: mean (m,) and covariance (m, m) of its states at a time."""
-        cluster = self._of[vehicle] = self._cluster(Joint())
-        cluster.joint.append(vehicle, mean, covariance, at_s)
+        cluster = self._of[vehicle] = self._cluster(JointState())
+        cluster.joint.augment(vehicle, mean, covariance, at_s)
         return cluster
 
-    def adopt(self, cluster: Cluster, vehicles: list[int]) -> None:
+    def add_copy(self, cluster: Cluster, vehicles: list[int]) -> None:
         """Take a copy of another model's cluster for its vehicles, which must be in none here."""
         self._of.update(dict.fromkeys(vehicles, self._cluster(cluster.joint.copy())))
 
@@ -70,13 +70,13 @@ class Clusters:
         if first is not second:
             if len(second.joint.A) > len(first.joint.A):
                 first, second = second, first
-            first.joint.join(second.joint)
+            first.joint.augment_with(second.joint)
             for key in second.joint.where:
                 if isinstance(key, int):
                     self._of[key] = first
         return first
 
-    def drop(self, vehicle: int) -> None:
+    def remove(self, vehicle: int) -> None:
         """Forget a vehicle's states, and the range errors of its pairs."""
         cluster = self._of.pop(vehicle, None)
         if cluster is None:
@@ -84,13 +84,13 @@ class Clusters:
         keys: list[Key] = [
             key for key in cluster.joint.where if key != vehicle and not (isinstance(key, tuple) and vehicle in key[:2])
         ]
-        cluster.joint = cluster.joint.part(keys)
+        cluster.joint = cluster.joint.marginalise(keys)
 
-    def part(self, links: Mapping[int, set[int]]) -> None:
+    def prune(self, links: Mapping[int, set[int]]) -> None:
         """Keep only the vehicles that are linked or denied vehicles, and only those together that links hold together."""
         for vehicle in sorted(self._of):
             if not self._records[vehicle].denied_vehicle and vehicle not in links:
-                self.drop(vehicle)
+                self.remove(vehicle)
         seen: set[int] = set()
         for vehicle in sorted(self._of):
             if vehicle in seen:
@@ -109,9 +109,9 @@ class Clusters:
                 if key in members or (isinstance(key, tuple) and key[0] in members and key[1] in links.get(key[0], ()))
             ]
             if len(keys) < len(cluster.joint.where):
-                part = self._cluster(cluster.joint.part(keys))
+                part = self._cluster(cluster.joint.marginalise(keys))
                 for member in members:
                     self._of[member] = part
 
-    def _cluster(self, joint: Joint) -> Cluster:
+    def _cluster(self, joint: JointState) -> Cluster:
         return Cluster(self._settings, self._records, self._step, joint)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray, PositionMeasurement
-from gcs_coloc.estimators.fleet.motion import (
+from gcs_coloc.estimators.fleet.ekf._kernels import (
     AIRSPEED_ERROR,
     HEADING_ERROR,
     POSITION,
@@ -25,12 +25,12 @@ def pair_key(a: int, b: int, device: int) -> tuple[int, int, int]:
     return (a, b, device) if a < b else (b, a, device)
 
 
-def initial_block(
+def block_from_report(
     report: PositionMeasurement, white: tuple[float, float], slow: tuple[float, float], stamp_s: float, s: FleetSettings
 ) -> tuple[FloatArray, FloatArray]:
     """Return mean (16,) and covariance (16, 16) of a vehicle from one report.
 
-    Sigmas in m are (horizontal, vertical), `stamp_s` is that of the report's time.
+    Sigmas in m are (horizontal, vertical), `time_stamp_offset_sigma_s` is that of the report's time.
     """
     x = np.zeros(SIZE)
     P = np.zeros((SIZE, SIZE))
@@ -51,7 +51,7 @@ def initial_block(
     return x, P
 
 
-def start_block(mean: FloatArray, covariance: FloatArray, s: FleetSettings) -> tuple[FloatArray, FloatArray]:
+def block_from_estimate(mean: FloatArray, covariance: FloatArray, s: FleetSettings) -> tuple[FloatArray, FloatArray]:
     """Return mean (16,) and covariance (16, 16) of a vehicle from its position and velocity, (6,) and (6, 6)."""
     x = np.zeros(SIZE)
     P = np.zeros((SIZE, SIZE))
