@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from bench.figures import Figure, interleaved
 from bench.traffic import Sent, fleet_traffic
 from gcs_coloc.mavlink import framing
-from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.decoder import Decoder
+from gcs_coloc.mavlink.refusals import Counts
 
 
 def measure(quick: bool) -> list[Figure]:

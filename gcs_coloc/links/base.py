@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.refusals import Counts
 
 Address = tuple[Any, ...]
 """Where bytes came from and can be sent back to: a UDP socket address, or the identity of a stream's connection."""

@@ -21,11 +21,9 @@ from gcs_coloc.links.factory import make_link
 from gcs_coloc.links.rate_limiter import RateLimiter
 from gcs_coloc.links.routes import RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
-from gcs_coloc.links.stream import NOT_CONNECTED, OUTPUT_SKIPPED
-from gcs_coloc.links.udp import NOT_SENT
-from gcs_coloc.mavlink.counts import Counts
-from gcs_coloc.mavlink.decoder import ECHO, INVALID_SYSID
+from gcs_coloc.mavlink.decoder import INVALID_SYSID
 from gcs_coloc.mavlink.framing import RawFrame, split
+from gcs_coloc.mavlink.refusals import Counts, Reason, Refusal
 from gcs_coloc.mavlink.targets import EVERYBODY, target_of
 
 MAX_TOOLS = 16
@@ -36,15 +34,11 @@ MAX_UNSENT_BYTES = 65_536
 """What a ground tool is slow to take waits up to this; a burst of parameters is some 40,000 bytes."""
 WARN_EVERY_S = 10.0
 
-UNKNOWN_SENDER = "ground_tool_unknown_sender"
-TOO_MANY_TOOLS = "too_many_ground_tools"
-UNKNOWN_TARGET = "ground_tool_unknown_target"
-CLAIMS_VEHICLE = "ground_tool_claims_vehicle"
-AIDING_WITHHELD = "ground_tool_aid"
-SENDER_AWAY = "forward_address_conflict"
 
 _AIDING_MESSAGES = {MAVLINK_MSG_ID_GPS_INPUT: "GPS_INPUT", MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR: "GLOBAL_POSITION_SENSOR"}
 """Messages by which vehicles are sent positions at a rate, by id."""
+_DROPPED = (Refusal.OUTPUT_SKIPPED, Refusal.NOT_CONNECTED, Refusal.NOT_SENT)
+"""Reasons why a frame did not go to a ground tool."""
 _LOCAL_HOSTS = {"127.0.0.1", "localhost", "::1"}
 
 log = logging.getLogger("gcs_coloc")
@@ -130,7 +124,7 @@ class Forwarder:
             if self._routes.comes_from_its_binding(raw.sysid, raw.compid, link, address, now_s):
                 good.append(raw.frame)
             else:
-                self.counts.add(SENDER_AWAY)
+                self.counts.add(Refusal.FORWARD_ADDRESS_CONFLICT)
         if good:
             self._to_ground(b"".join(good), len(good), now_s)
 
@@ -156,7 +150,7 @@ class Forwarder:
                 tools=len(out.peers(now_s)),
                 frames_sent=out.frames_sent,
                 frames_taken=out.frames_taken,
-                dropped=sum(out.link.counts[reason] for reason in (OUTPUT_SKIPPED, NOT_CONNECTED, NOT_SENT)),
+                dropped=sum(out.link.counts[reason] for reason in _DROPPED),
                 refused=out.refused,
             )
             for out in self._outs.values()
@@ -177,7 +171,7 @@ class Forwarder:
             return
         signing, damage = self._signed.of(link.name), Counts()
         for raw in split(payload, damage, ended=True)[0]:
-            refusal = signing.refusal(raw, received_at_s) if signing is not None else None
+            refusal: Reason | None = signing.refusal(raw, received_at_s) if signing is not None else None
             if refusal is None:
                 refusal = self._refusal(raw)
             if refusal is not None:
@@ -185,31 +179,30 @@ class Forwarder:
             else:
                 out.frames_taken += 1
                 self._to_vehicles(raw, out)
-        for reason, times in damage.items():
-            self.counts.add(reason, times)
+        self.counts.add_all(damage)
         out.refused += bool(damage)
 
-    def _refuse(self, out: _Out, reason: str) -> None:
+    def _refuse(self, out: _Out, reason: Reason) -> None:
         self.counts.add(reason)
         out.refused += 1
 
-    def _refusal(self, raw: RawFrame) -> str | None:
+    def _refusal(self, raw: RawFrame) -> Reason | None:
         if (raw.sysid, raw.compid) == self._own:
-            return ECHO
+            return Refusal.ECHO
         if raw.sysid == 0:
             return INVALID_SYSID
-        return CLAIMS_VEHICLE if self._routes.is_vehicle(raw.sysid) else None
+        return Refusal.GROUND_TOOL_USES_VEHICLE_ID if self._routes.is_vehicle(raw.sysid) else None
 
     def _admits_sender(self, out: _Out, address: Address, now_s: float) -> bool:
         """Whether a datagram comes from one of this link's ground tools; who comes to a listening port becomes one."""
         if not out.listens:
             # A port that we only send from is open to the network as well.
             if address not in out.link.peers:
-                self._refuse(out, UNKNOWN_SENDER)
+                self._refuse(out, Refusal.UNKNOWN_GROUND_TOOL)
                 return False
             return True
         if address not in out.tools and len(out.peers(now_s)) >= MAX_TOOLS:
-            self._refuse(out, TOO_MANY_TOOLS)
+            self._refuse(out, Refusal.TOO_MANY_GROUND_TOOLS)
             return False
         out.tools[address] = now_s
         return True
@@ -224,7 +217,7 @@ class Forwarder:
         else:
             routes = self._routes.reach(sysid, compid)
             if not routes:
-                self._refuse(out, UNKNOWN_TARGET)
+                self._refuse(out, Refusal.GROUND_TOOL_UNKNOWN_TARGET)
         if raw.message_id in _AIDING_MESSAGES:
             routes = self._unaided(raw, routes, out)
         sent = False
@@ -241,7 +234,7 @@ class Forwarder:
             sysids = vehicles.get(route, set())
             aided = [sysid for sysid in sysids if self._is_aided(sysid)]
             if aided:
-                self._refuse(out, AIDING_WITHHELD)
+                self._refuse(out, Refusal.GROUND_TOOL_AIDING)
                 self._withheld.update(dict.fromkeys(aided, (out.link.name, _AIDING_MESSAGES[raw.message_id])))
                 continue
             unaided.append(route)

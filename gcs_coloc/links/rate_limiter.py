@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass
 
-from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.refusals import Counts, Refusal
 
-RATE_LIMITED = "rate_limited"
 BURST_S = 0.25
 """A source may send the bytes of this time at once, such as what a radio held back. It bounds a single datagram, too."""
 LEAST_COST_BYTES = 64
@@ -66,7 +65,7 @@ class RateLimiter:
         if admitted:
             drained_at_s += cost_s
         else:
-            self.counts.add(RATE_LIMITED)
+            self.counts.add(Refusal.RATE_LIMITED)
         if own is None:
             self._shared_drained_at_s = drained_at_s
         else:

@@ -11,10 +11,7 @@ from dataclasses import dataclass
 
 from gcs_coloc.links.address_conflicts import AddressConflicts, Route
 from gcs_coloc.links.base import Address, Link
-from gcs_coloc.mavlink.counts import Counts
-
-ADDRESS_CONFLICT = "address_conflict"
-TABLE_FULL = "route_table_full"
+from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +67,7 @@ class RouteTable:
         heard = Route(link, address)
         # Before any refusal: an autopilot that we refuse at this address would still take what is sent there.
         if is_autopilot_heartbeat and not self._add_autopilot_at(heard, sysid, now_s):
-            self.counts.add(TABLE_FULL)
+            self.counts.add(Refusal.ROUTE_TABLE_FULL)
             return False
         autopilot = self._autopilots.get(sysid) if is_autopilot_heartbeat else None
         sender = self._sender(sysid, compid, is_autopilot_heartbeat=is_autopilot_heartbeat)
@@ -79,11 +76,11 @@ class RouteTable:
         rivals = (autopilot,) if is_autopilot_heartbeat and not self._companions_elsewhere else (autopilot, binding)
         for other in rivals:
             if other is not None and self._stands_against(other, heard, now_s):
-                self.counts.add(ADDRESS_CONFLICT)
+                self.counts.add(Refusal.ADDRESS_CONFLICT)
                 self.conflicts.add_refusal(sysid, other.route, heard)
                 return False
         if binding is None and not self._has_room(now_s):
-            self.counts.add(TABLE_FULL)
+            self.counts.add(Refusal.ROUTE_TABLE_FULL)
             return False
         if binding is not None and binding.route == heard:
             binding.heard_at_s = now_s

@@ -15,15 +15,13 @@ from gcs_coloc.core.errors import LinkError
 from gcs_coloc.links.address import SerialPort
 from gcs_coloc.links.base import Address, Clock, DatagramHandler
 from gcs_coloc.links.stream import (
-    CONNECTION_LOST,
     MAX_UNSENT_BYTES,
-    NOT_CONNECTED,
     FrameSource,
     Outbox,
     RetryDelays,
     retry_delays,
 )
-from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 READ_BYTES = 4096
 
@@ -107,7 +105,7 @@ class SerialLink:
     async def _stay_open(self) -> None:
         while True:
             await self._lost.wait()
-            self.counts.add(CONNECTION_LOST)
+            self.counts.add(Refusal.CONNECTION_LOST)
             log.warning("%s: device lost, opening it again when it is back", self.name)
             for delay_s in self._delays():
                 await asyncio.sleep(delay_s)
@@ -134,7 +132,7 @@ class SerialLink:
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
         """Send frames, or keep them back while the device has not taken what came before."""
         if self._port is None or address != self._far_end:
-            self.counts.add(NOT_CONNECTED)
+            self.counts.add(Refusal.NOT_CONNECTED)
             return
         self._outbox.put(payload, forwarded=forwarded)
         if not self._unsent:

@@ -6,8 +6,8 @@ from collections import deque
 from collections.abc import Callable, Iterator
 
 from gcs_coloc.links.base import Address, Clock, DatagramHandler, Link
-from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.framing import StreamFramer
+from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 FIRST_RETRY_S = 1.0
 MAX_RETRY_S = 15.0
@@ -17,10 +17,6 @@ MAX_UNSENT_BYTES = 1024
 
 MAX_FORWARDED_BYTES = 8192
 """What ground tools say to a vehicle and it is slow to take: a burst of RTCM corrections is some 1,500 bytes."""
-
-NOT_CONNECTED = "not_connected"
-OUTPUT_SKIPPED = "output_skipped"
-CONNECTION_LOST = "connection_lost"
 
 
 class Queue:
@@ -43,7 +39,7 @@ class Queue:
         self._bytes += len(payload)
         while self._bytes > self._most_bytes:
             self._bytes -= len(self._waiting.popleft())
-            self._counts.add(OUTPUT_SKIPPED)
+            self._counts.add(Refusal.OUTPUT_SKIPPED)
 
     def take(self) -> bytes | None:
         """The payload that has waited longest, None where there is none."""

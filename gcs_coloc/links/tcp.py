@@ -11,15 +11,13 @@ from gcs_coloc.links.address import TcpClient, TcpServer
 from gcs_coloc.links.base import Address, Clock, DatagramHandler, Link
 from gcs_coloc.links.network import network_error, reason
 from gcs_coloc.links.stream import (
-    CONNECTION_LOST,
     MAX_UNSENT_BYTES,
-    NOT_CONNECTED,
     FrameSource,
     Outbox,
     RetryDelays,
     retry_delays,
 )
-from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 MAX_CLIENTS = 64
 SEND_BUFFER_BYTES = 4096
@@ -27,7 +25,6 @@ SEND_BUFFER_BYTES = 4096
 PEER_SILENT_MS = 10_000
 """A connection whose peer has not acknowledged anything for so long is dead, and is dropped."""
 
-TOO_MANY_CLIENTS = "too_many_clients"
 
 log = logging.getLogger(__name__)
 
@@ -67,7 +64,7 @@ class _Connection(asyncio.Protocol):
         self._source.feed(data)
 
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 - asyncio's signature
-        self._link.counts.add(CONNECTION_LOST)
+        self._link.counts.add(Refusal.CONNECTION_LOST)
         self.lost.set()
 
     def send(self, payload: bytes, *, forwarded: bool) -> None:
@@ -155,7 +152,7 @@ class TcpClientLink:
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
         """Send frames to the other end; counted as not_connected where it is gone or another one than `address`."""
         if self._connection is None or self._connection.address != address:
-            self.counts.add(NOT_CONNECTED)
+            self.counts.add(Refusal.NOT_CONNECTED)
         else:
             self._connection.send(payload, forwarded=forwarded)
 
@@ -208,7 +205,7 @@ class TcpServerLink:
         """Send frames to one client; counted as not_connected where it is gone."""
         client = self._clients.get(address)
         if client is None:
-            self.counts.add(NOT_CONNECTED)
+            self.counts.add(Refusal.NOT_CONNECTED)
         else:
             client.send(payload, forwarded=forwarded)
 
@@ -242,7 +239,7 @@ class _ServerConnection(_Connection):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
         if len(self._clients) >= MAX_CLIENTS:
-            self._link.counts.add(TOO_MANY_CLIENTS)
+            self._link.counts.add(Refusal.TOO_MANY_CLIENTS)
             self.abort()
         else:
             self._clients[self.address] = self

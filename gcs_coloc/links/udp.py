@@ -12,7 +12,7 @@ from gcs_coloc.core.errors import LinkError
 from gcs_coloc.links.address import UdpIn, UdpOut
 from gcs_coloc.links.base import Address, Clock, DatagramHandler
 from gcs_coloc.links.network import network_error
-from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 MAX_DATAGRAM = 65535
 DATAGRAMS_PER_WAKE = 64
@@ -21,9 +21,6 @@ RECEIVE_BUFFER_BYTES = 1 << 20
 """Room for a second of many vehicles while the process is held up; the system may grant less."""
 
 _EVERYBODY_HERE = "255.255.255.255"  # not known to the system as such where it has no network
-
-NOT_SENT = "not_sent"
-RECEIVE_ERROR = "receive_error"
 
 
 class UdpLink:
@@ -82,19 +79,19 @@ class UdpLink:
             except BlockingIOError:
                 return
             except OSError:  # an ICMP error that an earlier send brought back
-                self.counts.add(RECEIVE_ERROR)
+                self.counts.add(Refusal.RECEIVE_ERROR)
                 return
             handle(self, address, payload, now())
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:  # noqa: ARG002 - no datagram waits
         """Send one datagram; one that the system does not take at once is dropped and counted."""
         if self._socket is None:
-            self.counts.add(NOT_SENT)
+            self.counts.add(Refusal.NOT_SENT)
             return
         try:
             self._socket.sendto(payload, address)
         except (OSError, TypeError):  # TypeError: an address of another family or link
-            self.counts.add(NOT_SENT)
+            self.counts.add(Refusal.NOT_SENT)
 
     async def close(self) -> None:
         """Close the socket."""

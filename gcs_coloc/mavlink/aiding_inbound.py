@@ -10,6 +10,7 @@ from gcs_coloc.core.messages.aiding import CommandResult, ForeignGpsInput, Param
 from gcs_coloc.mavlink.checks import InvalidValueError
 from gcs_coloc.mavlink.dialect import MESSAGE_CLASSES
 from gcs_coloc.mavlink.framing import RawFrame
+from gcs_coloc.mavlink.refusals import Field
 
 
 def command_ack(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> CommandResult:
@@ -26,7 +27,7 @@ def param_value(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Pa
     try:
         text = name.partition(b"\0")[0].decode("ascii")
     except UnicodeDecodeError:
-        raise InvalidValueError("param_id") from None
+        raise InvalidValueError(Field.PARAM_ID) from None
     return ParameterValue(sysid, received_at_s, text, value, kind)
 
 

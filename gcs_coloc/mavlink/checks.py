@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from gcs_coloc.mavlink.refusals import Field
+
 ALTITUDE_MIN_M = -1000.0
 ALTITUDE_MAX_M = 100_000.0
 SPEED_MAX_MPS = 1000.0
@@ -16,17 +18,21 @@ UNIX_TIME_TO_US = 4_102_444_800_000_000
 
 
 class InvalidValueError(Exception):
-    """A field of a message holds a value that is impossible. Its text is the field's name. It never leaves this package."""
+    """A field of a message holds a value that is impossible. It never leaves this package."""
+
+    def __init__(self, field: Field) -> None:
+        super().__init__(field)
+        self.field = field
 
 
 def latitude_longitude_deg(lat_e7: int, lon_e7: int) -> tuple[float, float]:
     """Check a position in 1e-7 degrees and return it in degrees. 0, 0 is what a receiver without a position sends."""
     if lat_e7 == 0 and lon_e7 == 0:
-        raise InvalidValueError("lat_lon_zero")
+        raise InvalidValueError(Field.LAT_LON_ZERO)
     if abs(lat_e7) > 900_000_000:
-        raise InvalidValueError("lat")
+        raise InvalidValueError(Field.LAT)
     if abs(lon_e7) > 1_800_000_000:
-        raise InvalidValueError("lon")
+        raise InvalidValueError(Field.LON)
     return lat_e7 / 1e7, lon_e7 / 1e7
 
 
@@ -34,39 +40,39 @@ def altitude_m(alt_mm: int) -> float:
     """Check an altitude in millimetres and return it in metres."""
     altitude = alt_mm / 1e3
     if not ALTITUDE_MIN_M <= altitude <= ALTITUDE_MAX_M:
-        raise InvalidValueError("alt")
+        raise InvalidValueError(Field.ALT)
     return altitude
 
 
-def speed_mps(speed: float, field: str) -> float:
+def speed_mps(speed: float, field: Field) -> float:
     """Check the magnitude of a speed in m/s."""
     if not 0.0 <= speed <= SPEED_MAX_MPS:
         raise InvalidValueError(field)
     return speed
 
 
-def angle_rad(angle: float, field: str) -> float:
+def angle_rad(angle: float, field: Field) -> float:
     """Check an angle in radians: finite and within one turn either way."""
     if not abs(angle) <= ANGLE_MAX_RAD:
         raise InvalidValueError(field)
     return angle
 
 
-def range_m(distance: float, field: str) -> float:
+def range_m(distance: float, field: Field) -> float:
     """Check a slant range in metres: above 0, up to `RANGE_MAX_M`."""
     if not 0.0 < distance <= RANGE_MAX_M:
         raise InvalidValueError(field)
     return distance
 
 
-def range_sigma_m(sigma: float, field: str) -> float | None:
+def range_sigma_m(sigma: float, field: Field) -> float | None:
     """Check the standard deviation of a range in metres; 0 means unknown."""
     if not 0.0 <= sigma <= RANGE_MAX_M:
         raise InvalidValueError(field)
     return sigma if sigma > 0.0 else None
 
 
-def peer_sysid(peer: int, sender: int, field: str) -> int:
+def peer_sysid(peer: int, sender: int, field: Field) -> int:
     """Check the system id at the other end of a range: a system id, and not the sender's own."""
     if not 1 <= peer <= 255 or peer == sender:
         raise InvalidValueError(field)

@@ -14,24 +14,19 @@ from pymavlink.dialects.v20.ardupilotmega import (
 from gcs_coloc.core.messages.inbound import Heartbeat, Inbound
 from gcs_coloc.mavlink import framing
 from gcs_coloc.mavlink.checks import InvalidValueError
-from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.dialect import MESSAGE_CLASSES, OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.inbound import AUTOPILOT_CONVERTERS, CONVERTERS
-from gcs_coloc.mavlink.sequence import DUPLICATE, SequenceTracker
-from gcs_coloc.mavlink.signing import SIGNATURE_OLD, LinkSigning
+from gcs_coloc.mavlink.refusals import Counts, Field, InvalidValue, Refusal
+from gcs_coloc.mavlink.sequence import SequenceTracker
+from gcs_coloc.mavlink.signing import LinkSigning
 from gcs_coloc.mavlink.targets import target_of
 
 MAX_AUTOPILOTS = 1024
 MAX_BEHIND = 64
 """So many sources are told the time of signatures at once."""
 
-NOT_WANTED = "not_wanted"
-NOT_FROM_AUTOPILOT = "not_from_autopilot"
-UNKNOWN_MESSAGE = "unknown_message"
-ECHO = "echo"
-ANSWER_TO_ANOTHER = "answer_to_another"
-OWN_SYSID_USED = "own_sysid"
-INVALID_SYSID = "invalid_value:header.sysid"
+INVALID_SYSID = InvalidValue("header", Field.SYSID)
+"""System id 0 addresses everybody and is no sender's."""
 
 _LAYOUTS = {
     number: (MESSAGE_CLASSES[number].unpacker, MESSAGE_CLASSES[number].msgname, convert) for number, convert in CONVERTERS.items()
@@ -99,31 +94,31 @@ class Decoder:
         for raw in framing.split(datagram, self.counts, ended=True)[0]:
             sysid, compid = sender = (raw.sysid, raw.compid)
             if sender == self._own:
-                self.counts.add(ECHO)
+                self.counts.add(Refusal.ECHO)
             # Who else uses our system id is no vehicle; but another sender of aid must not go unnoticed by that.
             elif sysid == self._own[0] and raw.message_id != MAVLINK_MSG_ID_GPS_INPUT:
-                self.counts.add(OWN_SYSID_USED)
+                self.counts.add(Refusal.OWN_SYSID_USED)
             elif sysid == 0:
                 self.counts.add(INVALID_SYSID)
             # Before anything is remembered of the sender, and before its message's id decides: both are his to choose.
             elif signing is not None and (refusal := signing.refusal(raw, received_at_s)) is not None:
                 self.counts.add(refusal)
-                if refusal == SIGNATURE_OLD and len(self._behind) < MAX_BEHIND:
+                if refusal == Refusal.SIGNATURE_OLD and len(self._behind) < MAX_BEHIND:
                     self._behind[source] = None
             elif not self.sequences.add((source, sysid, compid), raw.sequence, raw.checksum, received_at_s):
-                self.counts.add(DUPLICATE)
+                self.counts.add(Refusal.DUPLICATE)
             else:
                 if good is not None:
                     good.append(raw)
                 if raw.message_id in _LAYOUTS:
                     self._take(raw, sender, received_at_s, frames)
                 else:
-                    self.counts.add(NOT_WANTED if raw.is_known else UNKNOWN_MESSAGE)
+                    self.counts.add(Refusal.NOT_WANTED if raw.is_known else Refusal.UNKNOWN_MESSAGE)
         return frames
 
     def _take(self, raw: framing.RawFrame, sender: tuple[int, int], received_at_s: float, frames: list[Frame]) -> None:
         if raw.message_id in AUTOPILOT_CONVERTERS and not self._is_autopilot(sender):
-            self.counts.add(NOT_FROM_AUTOPILOT)
+            self.counts.add(Refusal.NOT_FROM_AUTOPILOT)
         else:
             message = self._message(raw, received_at_s)
             if isinstance(message, Heartbeat):
@@ -147,7 +142,7 @@ class Decoder:
 
     def _message(self, raw: framing.RawFrame, received_at_s: float) -> Inbound | None:
         if raw.message_id == MAVLINK_MSG_ID_COMMAND_ACK and not self._is_for_us(raw):
-            self.counts.add(ANSWER_TO_ANOTHER)
+            self.counts.add(Refusal.ANSWER_TO_ANOTHER)
             return None
         unpacker, name, convert = _LAYOUTS[raw.message_id]
         # MAVLink 2 cuts off trailing zeros, MAVLink 1 knows no extension fields, a newer sender may add fields of its own.
@@ -155,5 +150,5 @@ class Decoder:
         try:
             return convert(raw.sysid, received_at_s, unpacker.unpack_from(payload))
         except InvalidValueError as refused:
-            self.counts.add(f"invalid_value:{name}.{refused}")
+            self.counts.add(InvalidValue(name, refused.field))
             return None

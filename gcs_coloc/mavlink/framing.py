@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from fastcrc.crc16 import mcrf4xx
 
-from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.dialect import CRC_EXTRA
+from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 MAGIC_V1 = 0xFE
 MAGIC_V2 = 0xFD
@@ -24,13 +24,6 @@ MAX_FRAME_LENGTH = HEADER_LENGTH_V2 + 255 + CHECKSUM_LENGTH + SIGNATURE_LENGTH
 MAX_FALSE_STARTS = 512
 """A datagram with more magic bytes that begin no frame is made to keep us busy; so many cost about a millisecond."""
 
-GARBAGE_BYTES = "garbage_bytes"
-NO_MAGIC = "no_magic"
-TRUNCATED = "truncated"
-BAD_CRC = "bad_crc"
-UNKNOWN_INCOMPAT_FLAGS = "unknown_incompat_flags"
-UNVERIFIABLE = "unverifiable"
-REST_DROPPED = "rest_dropped"
 
 ANY_MAGIC = re.compile(b"[\xfd\xfe]")
 _new = tuple.__new__
@@ -60,34 +53,34 @@ class RawFrame(NamedTuple):
         return self.frame[0] == MAGIC_V2 and bool(self.frame[2] & INCOMPAT_SIGNED)
 
 
-def read_frame(data: bytes | mmap, start: int) -> RawFrame | str:
-    """Read the frame that begins at `start`, or tell why there is none: no_magic, truncated, unknown_incompat_flags, bad_crc."""
+def read_frame(data: bytes | mmap, start: int) -> RawFrame | Refusal:
+    """Read the frame that begins at `start`; or why there is none: NO_MAGIC, TRUNCATED, UNKNOWN_INCOMPAT_FLAGS, BAD_CRC."""
     size = len(data)
     magic = data[start]
     if magic == MAGIC_V2:
         payload_start = start + HEADER_LENGTH_V2
         if payload_start > size:
-            return TRUNCATED
+            return Refusal.TRUNCATED
         length, incompat, _, sequence, sysid, compid, id_low, id_high = _HEADER_V2.unpack_from(data, start + 1)
         if incompat & ~INCOMPAT_SIGNED:
-            return UNKNOWN_INCOMPAT_FLAGS
+            return Refusal.UNKNOWN_INCOMPAT_FLAGS
         message_id = id_low | id_high << 16
     elif magic == MAGIC_V1:
         payload_start = start + HEADER_LENGTH_V1
         if payload_start > size:
-            return TRUNCATED
+            return Refusal.TRUNCATED
         length, sequence, sysid, compid, message_id = _HEADER_V1.unpack_from(data, start + 1)
         incompat = 0
     else:
-        return NO_MAGIC
+        return Refusal.NO_MAGIC
     payload_end = payload_start + length
     end = payload_end + CHECKSUM_LENGTH + (SIGNATURE_LENGTH if incompat else 0)
     if end > size:
-        return TRUNCATED
+        return Refusal.TRUNCATED
     checksum = data[payload_end] | data[payload_end + 1] << 8
     crc_extra = CRC_EXTRA.get(message_id)
     if crc_extra is not None and mcrf4xx(data[start + 1 : payload_end] + _ONE_BYTE[crc_extra]) != checksum:
-        return BAD_CRC
+        return Refusal.BAD_CRC
     payload = data[payload_start:payload_end]
     # As RawFrame(...) does, at half the time.
     return _new(RawFrame, (crc_extra is not None, message_id, sysid, compid, sequence, checksum, payload, data[start:end]))
@@ -112,7 +105,7 @@ def split(data: bytes, counts: Counts, *, ended: bool) -> tuple[list[RawFrame], 
     position, size, false_starts = 0, len(data), 0
     while position < size:
         found = read_frame(data, position)
-        if isinstance(found, str):
+        if isinstance(found, Refusal):
             fault = found
         else:
             end = position + len(found.frame)
@@ -120,19 +113,19 @@ def split(data: bytes, counts: Counts, *, ended: bool) -> tuple[list[RawFrame], 
                 frames.append(found)
                 position = end
                 continue
-            fault = UNVERIFIABLE if end < size else TRUNCATED
-        if fault == TRUNCATED and not ended:
+            fault = Refusal.UNVERIFIABLE if end < size else Refusal.TRUNCATED
+        if fault == Refusal.TRUNCATED and not ended:
             break
-        if fault != NO_MAGIC:
+        if fault != Refusal.NO_MAGIC:
             counts.add(fault)
             false_starts += 1
         if ended and false_starts > MAX_FALSE_STARTS:
-            counts.add(REST_DROPPED)
-            counts.add(GARBAGE_BYTES, size - position)
+            counts.add(Refusal.REST_DROPPED)
+            counts.add(Refusal.GARBAGE_BYTES, size - position)
             return frames, size
         next_magic = ANY_MAGIC.search(data, position + 1)
         resume = next_magic.start() if next_magic else size
-        counts.add(GARBAGE_BYTES, resume - position)
+        counts.add(Refusal.GARBAGE_BYTES, resume - position)
         position = resume
     return frames, position
 

@@ -29,6 +29,7 @@ from gcs_coloc.core.messages.inbound import (
 from gcs_coloc.mavlink import aiding_inbound, checks, ranges
 from gcs_coloc.mavlink._generated import gcs_coloc
 from gcs_coloc.mavlink.checks import InvalidValueError
+from gcs_coloc.mavlink.refusals import Field
 
 UINT8_MAX = 0xFF
 UINT16_MAX = 0xFFFF
@@ -111,7 +112,7 @@ def _gps_receiver(
 ) -> GpsReceiver:
     """`place`: latitude and longitude in 1e-7 deg, altitude in mm. `accuracies`: horizontal, vertical in mm, speed in mm/s."""
     if fix_type > mavlink.GPS_FIX_TYPE_PPP:
-        raise InvalidValueError("fix_type")
+        raise InvalidValueError(Field.FIX_TYPE)
     lat_deg = lon_deg = alt_msl_m = 0.0
     # Without a fix there is no position, and whatever stands in its place must not keep the news from us that the fix is lost.
     if fix_type >= mavlink.GPS_FIX_TYPE_2D_FIX:
@@ -186,9 +187,9 @@ def attitude(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Attit
         sysid=sysid,
         received_at_s=received_at_s,
         boot_s=boot_ms / 1e3,
-        roll_rad=checks.angle_rad(roll, "roll"),
-        pitch_rad=checks.angle_rad(pitch, "pitch"),
-        yaw_rad=checks.angle_rad(yaw, "yaw"),
+        roll_rad=checks.angle_rad(roll, Field.ROLL),
+        pitch_rad=checks.angle_rad(pitch, Field.PITCH),
+        yaw_rad=checks.angle_rad(yaw, Field.YAW),
     )
 
 
@@ -197,14 +198,14 @@ def vfr_hud(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Airspe
     airspeed, *_ = values
     if math.isnan(airspeed):
         return None
-    return Airspeed(sysid=sysid, received_at_s=received_at_s, airspeed_mps=checks.speed_mps(airspeed, "airspeed"))
+    return Airspeed(sysid=sysid, received_at_s=received_at_s, airspeed_mps=checks.speed_mps(airspeed, Field.AIRSPEED))
 
 
 def system_time(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> SystemTime:
     """SYSTEM_TIME (2); a UNIX time before September 2001 is a clock that has not been set."""
     unix_us, boot_ms = values
     if unix_us > checks.UNIX_TIME_TO_US:
-        raise InvalidValueError("time_unix_usec")
+        raise InvalidValueError(Field.TIME_UNIX_USEC)
     return SystemTime(
         sysid=sysid,
         received_at_s=received_at_s,
@@ -219,7 +220,7 @@ def timesync(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> TimeS
     if tc1_ns == 0:
         return None
     if tc1_ns < 0:
-        raise InvalidValueError("tc1")
+        raise InvalidValueError(Field.TC1)
     return TimeSyncAnswer(sysid=sysid, received_at_s=received_at_s, ts1_ns=ts1_ns, tc1_ns=tc1_ns)
 
 

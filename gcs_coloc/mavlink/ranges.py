@@ -12,6 +12,7 @@ from typing import Any
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.mavlink import checks
 from gcs_coloc.mavlink.checks import InvalidValueError
+from gcs_coloc.mavlink.refusals import Field
 
 UINT32_MAX = 0xFFFFFFFF
 QUALITY_UNKNOWN = 255
@@ -26,13 +27,13 @@ def peer_range(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Pee
     return PeerRange(
         sysid=sysid,
         received_at_s=received_at_s,
-        peer_sysid=checks.peer_sysid(peer, sysid, "peer_system"),
-        range_m=checks.range_m(distance, "range"),
-        sigma_m=checks.range_sigma_m(range_std, "range_std"),
+        peer_sysid=checks.peer_sysid(peer, sysid, Field.PEER_SYSTEM),
+        range_m=checks.range_m(distance, Field.RANGE),
+        sigma_m=checks.range_sigma_m(range_std, Field.RANGE_STD),
         measured_at_s=measured_at_s,
         time_base=time_base,
         sequence=sequence,
-        line_of_sight=None if quality == QUALITY_UNKNOWN else _probability(quality, "quality"),
+        line_of_sight=None if quality == QUALITY_UNKNOWN else _probability(quality, Field.QUALITY),
         device_id=device_id,
     )
 
@@ -48,9 +49,9 @@ def ranging_beacon(sysid: int, received_at_s: float, values: tuple[Any, ...]) ->
     return PeerRange(
         sysid=sysid,
         received_at_s=received_at_s,
-        peer_sysid=checks.peer_sysid(beacon_id, sysid, "beacon_id"),
-        range_m=checks.range_m(range_mm / 1e3, "range"),
-        sigma_m=None if range_accuracy_mm == UINT32_MAX else checks.range_sigma_m(range_accuracy_mm / 1e3, "range_accuracy"),
+        peer_sysid=checks.peer_sysid(beacon_id, sysid, Field.BEACON_ID),
+        range_m=checks.range_m(range_mm / 1e3, Field.RANGE),
+        sigma_m=None if range_accuracy_mm == UINT32_MAX else checks.range_sigma_m(range_accuracy_mm / 1e3, Field.RANGE_ACCURACY),
         measured_at_s=measured_at_s,
         time_base=time_base,
         sequence=sequence,
@@ -68,8 +69,8 @@ def named_value_float(sysid: int, received_at_s: float, values: tuple[Any, ...])
     return PeerRange(
         sysid=sysid,
         received_at_s=received_at_s,
-        peer_sysid=checks.peer_sysid(peer, sysid, "name"),
-        range_m=checks.range_m(value, "value"),
+        peer_sysid=checks.peer_sysid(peer, sysid, Field.NAME),
+        range_m=checks.range_m(value, Field.VALUE),
         sigma_m=None,
         measured_at_s=boot_ms / 1e3 if boot_ms else None,
         time_base=TimeBase.BOOT if boot_ms else TimeBase.SERVICE,
@@ -89,13 +90,13 @@ def debug_vect(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Pee
     return PeerRange(
         sysid=sysid,
         received_at_s=received_at_s,
-        peer_sysid=checks.peer_sysid(peer, sysid, "name"),
-        range_m=checks.range_m(x, "x"),
-        sigma_m=checks.range_sigma_m(y, "y"),
+        peer_sysid=checks.peer_sysid(peer, sysid, Field.NAME),
+        range_m=checks.range_m(x, Field.X),
+        sigma_m=checks.range_sigma_m(y, Field.Y),
         measured_at_s=measured_at_s,
         time_base=time_base,
         sequence=None,
-        line_of_sight=None if z < 0.0 else _probability(z, "z"),
+        line_of_sight=None if z < 0.0 else _probability(z, Field.Z),
         device_id=0,
     )
 
@@ -109,11 +110,11 @@ def _measuring_time(time_usec: int) -> tuple[float | None, TimeBase]:
     if time_usec == 0:
         return None, TimeBase.SERVICE
     if time_usec > checks.UNIX_TIME_TO_US:
-        raise InvalidValueError("time_usec")
+        raise InvalidValueError(Field.TIME_USEC)
     return time_usec / 1e6, TimeBase.UNIX if time_usec >= checks.UNIX_TIME_FROM_US else TimeBase.BOOT
 
 
-def _probability(percent: float, field: str) -> float:
+def _probability(percent: float, field: Field) -> float:
     if not 0.0 <= percent <= 100.0:
         raise InvalidValueError(field)
     return percent / 100.0

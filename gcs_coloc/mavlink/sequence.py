@@ -15,8 +15,6 @@ COPY_WITHIN_S = 0.5
 counts on sends the same heartbeat every second."""
 REMEMBERED_FRAMES = 128
 
-DUPLICATE = "duplicate"
-"""The reason by which copies are counted."""
 
 Sender = tuple[Hashable, int, int]
 """Source address, system id, component id: each numbers its frames on its own."""

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20.ardupilotmega import MAVLINK_MSG_ID_RADIO_STATUS
 
 from gcs_coloc.mavlink.checks import UNIX_TIME_TO_US
 from gcs_coloc.mavlink.framing import SIGNATURE_LENGTH, RawFrame
-from gcs_coloc.mavlink.sequence import DUPLICATE
+from gcs_coloc.mavlink.refusals import Refusal
 
 KEY_LENGTH = 32
 EPOCH_UNIX_S = 1_420_070_400
@@ -31,14 +31,6 @@ MAX_STREAMS = 1024
 
 _DIGEST_LENGTH = 6
 _TIME_LENGTH = 6
-
-UNSIGNED = "unsigned"
-UNSIGNED_RADIO_STATUS = "unsigned_radio_status"
-SIGNATURE_WRONG = "signature_wrong"
-SIGNATURE_REPLAYED = "signature_replayed"
-SIGNATURE_OLD = "signature_old"
-SIGNATURE_FUTURE = "signature_future"
-STREAMS_FULL = "signature_streams_full"
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +78,7 @@ class Signing:
         """How far the time of our signatures is ahead of the host's clock at service time `now_s`, s; 0 where it knows none."""
         return 0.0 if self._unix_minus_service_s is None else max(self._latest - self._now(now_s), 0) / TICKS_PER_S
 
-    def refusal(self, raw: RawFrame, now_s: float) -> str | None:
+    def refusal(self, raw: RawFrame, now_s: float) -> Refusal | None:
         """Why a signed frame that came at service time `now_s` must not be used; None: it may be, and its time is noted.
 
         signature_wrong: altered, or signed with another key; duplicate: the very frame taken last from its stream;
@@ -96,21 +88,21 @@ class Signing:
         frame = raw.frame
         signature = hashlib.sha256(self._key + frame[:-_DIGEST_LENGTH]).digest()[:_DIGEST_LENGTH]
         if not hmac.compare_digest(signature, frame[-_DIGEST_LENGTH:]):
-            return SIGNATURE_WRONG
+            return Refusal.SIGNATURE_WRONG
         timestamp = int.from_bytes(frame[-_DIGEST_LENGTH - _TIME_LENGTH : -_DIGEST_LENGTH], "little")
         if timestamp > LATEST_TICKS:
-            return SIGNATURE_FUTURE
+            return Refusal.SIGNATURE_FUTURE
         stream = (raw.sysid, raw.compid, frame[-SIGNATURE_LENGTH])
         last = self._streams.get(stream)
         if last is not None:
             if timestamp <= last:
-                return DUPLICATE if timestamp == last else SIGNATURE_REPLAYED
+                return Refusal.DUPLICATE if timestamp == last else Refusal.SIGNATURE_REPLAYED
         else:
             oldest = max(self._latest, self._now(now_s)) - FIRST_CONTACT_TICKS
             if timestamp < oldest:
-                return SIGNATURE_OLD
+                return Refusal.SIGNATURE_OLD
             if not self._has_room(oldest):
-                return STREAMS_FULL
+                return Refusal.SIGNATURE_STREAMS_FULL
         self._streams[stream] = timestamp
         self._streams.move_to_end(stream)
         self._latest = max(self._latest, timestamp)
@@ -139,7 +131,7 @@ class LinkSigning:
     link_id: int
     required: bool
 
-    def refusal(self, raw: RawFrame, now_s: float) -> str | None:
+    def refusal(self, raw: RawFrame, now_s: float) -> Refusal | None:
         """Why a frame that came over this link must not be used, None where it may be: as `Signing.refusal`, or unsigned.
 
         unsigned_radio_status: telemetry radios report on themselves between the frames and have no key; no use is made of it.
@@ -148,7 +140,7 @@ class LinkSigning:
             return self.signing.refusal(raw, now_s)
         if not self.required:
             return None
-        return UNSIGNED_RADIO_STATUS if raw.message_id == MAVLINK_MSG_ID_RADIO_STATUS else UNSIGNED
+        return Refusal.UNSIGNED_RADIO_STATUS if raw.message_id == MAVLINK_MSG_ID_RADIO_STATUS else Refusal.UNSIGNED
 
     def stamp(self, now_s: float) -> Stamp:
         """The stamp of our next frame on this link at service time `now_s`."""

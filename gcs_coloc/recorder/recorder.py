@@ -13,13 +13,11 @@ from pathlib import Path
 
 from gcs_coloc.core.errors import RecordError
 from gcs_coloc.core.messages.control import OperatorCommand, RouteReport
-from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.refusals import Counts, Refusal
 from gcs_coloc.recorder.journal import Entry
 from gcs_coloc.recorder.log_segment import LogSegment
 from gcs_coloc.recorder.side_channel import FlownWith, GroundTool, NoteWriter, SideChannelRecord
 from gcs_coloc.recorder.tlog_writer import tlog_record
-
-LOST = "recording: frames and entries lost"
 
 _MOST_WAITING = 20_000
 _BATCH_ITEMS = 200
@@ -102,7 +100,7 @@ class Recorder:
 
     def news(self) -> tuple[str, str] | None:
         """Level and text for the operator where the recording has failed, recovered or lost something since the last call."""
-        lost, fault = self.counts.get(LOST, 0), self._fault
+        lost, fault = self.counts.get(Refusal.NOT_RECORDED, 0), self._fault
         if self._thread is not None and time.monotonic() - self._turned_at_s > _SILENT_S:
             fault = f"{self._directory}: the disk has not answered for {_SILENT_S:g} s"
         before_fault, before_lost = self._told
@@ -130,7 +128,7 @@ class Recorder:
         if len(self._items) < _MOST_WAITING:
             self._items.append(item)
         else:
-            self.counts.add(LOST)
+            self.counts.add(Refusal.NOT_RECORDED)
 
     def _run(self) -> None:
         synced_at_s = time.monotonic()
@@ -147,7 +145,7 @@ class Recorder:
                 self._sync()
         if self._part is not None:
             self._end(self._part)
-        self.counts.add(LOST, len(self._items))
+        self.counts.add(Refusal.NOT_RECORDED, len(self._items))
 
     def _write_waiting(self) -> None:
         """Write what has come in until now; where nothing can be written it waits for the next part."""
@@ -185,7 +183,7 @@ class Recorder:
         try:
             return tlog_record(note.received_at_s, self._notes.pack(note))
         except ValueError:
-            self.counts.add(LOST)
+            self.counts.add(Refusal.NOT_RECORDED)
             return b""
 
     def _turned_over(self, part: LogSegment) -> LogSegment:
@@ -247,7 +245,7 @@ class Recorder:
             self._fault = _words(self._directory, error)
 
     def _fail(self, error: OSError, items: int) -> None:
-        self.counts.add(LOST, items)
+        self.counts.add(Refusal.NOT_RECORDED, items)
         self._fault = _words(self._directory, error)
         self._retry_at_s = time.monotonic() + _RETRY_S
         if self._part is not None:

@@ -11,10 +11,9 @@ from typing import NamedTuple
 
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.mavlink.checks import UNIX_TIME_TO_US
-from gcs_coloc.mavlink.counts import Counts
-from gcs_coloc.mavlink.framing import ANY_MAGIC, MAGIC_V1, MAGIC_V2, TRUNCATED, UNVERIFIABLE, RawFrame, read_frame
+from gcs_coloc.mavlink.framing import ANY_MAGIC, MAGIC_V1, MAGIC_V2, RawFrame, read_frame
+from gcs_coloc.mavlink.refusals import Counts, Refusal
 
-DAMAGED_BYTES = "damaged_bytes"
 SEARCHED_BYTES = 1 << 16
 """A file without one good record in so many bytes is no tlog."""
 
@@ -97,33 +96,33 @@ class TlogReader:
                 raise DataError(f"{self._path}: {other}")
             resume = _next_record(data, position + 1, size if found_any else min(size, SEARCHED_BYTES))
             if resume is not None:
-                self.counts.add(DAMAGED_BYTES, resume - position)
+                self.counts.add(Refusal.DAMAGED_BYTES, resume - position)
                 position = resume
                 continue
             if not found_any:
                 raise DataError(
                     f"{self._path}: is no tlog: no MAVLink frame follows a time at byte 0, nor up to byte {SEARCHED_BYTES}"
                 )
-            if found == TRUNCATED:
-                self.counts.add(TRUNCATED)
+            if found == Refusal.TRUNCATED:
+                self.counts.add(Refusal.TRUNCATED)
             else:
-                self.counts.add(DAMAGED_BYTES, size - position)
+                self.counts.add(Refusal.DAMAGED_BYTES, size - position)
             self.position = size
             return
 
 
-def _frame_of_record(data: mmap.mmap, position: int) -> RawFrame | str:
+def _frame_of_record(data: mmap.mmap, position: int) -> RawFrame | Refusal:
     start = position + _TIME.size
     if start >= len(data):
-        return TRUNCATED
+        return Refusal.TRUNCATED
     if not _is_time(data, position):
-        return UNVERIFIABLE
+        return Refusal.UNVERIFIABLE
     found = read_frame(data, start)
     if isinstance(found, RawFrame) and not found.is_known:
         # Its checksum cannot be verified; that a record follows where it ends vouches for its length.
         following = start + len(found.frame) + _TIME.size
         if following < len(data) and data[following] not in (MAGIC_V1, MAGIC_V2):
-            return UNVERIFIABLE
+            return Refusal.UNVERIFIABLE
     return found
 
 

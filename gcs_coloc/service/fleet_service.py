@@ -19,14 +19,13 @@ from gcs_coloc.links.base import Address, Link
 from gcs_coloc.links.factory import make_link
 from gcs_coloc.links.forward import Forwarder, check_outs
 from gcs_coloc.links.rate_limiter import RateLimiter
-from gcs_coloc.links.refusals import Refusals
 from gcs_coloc.links.routes import Blocked, RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.aiding_inbound import foreign_gps_input
-from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.decoder import Decoder, Frame
 from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.mavlink.framing import RawFrame
+from gcs_coloc.mavlink.refusals import Counts, Refusal, Refusals
 from gcs_coloc.mavlink.signing import Stamp
 from gcs_coloc.mavlink.truth import TRUTH_IDS, HeardTruth, truth_of
 from gcs_coloc.recorder.flight import FlightRecording
@@ -294,7 +293,7 @@ class FleetService:
         try:
             payload = self._encoder.encode(output, route, self._stamp(route))
         except ValueError:
-            self.counts.add("output that no message can hold")
+            self.counts.add(Refusal.NOT_ENCODABLE)
             return
         route.link.send(route.address, payload)
         self._recording.sent(self._engine_at_s, payload)

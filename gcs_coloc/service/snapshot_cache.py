@@ -7,7 +7,7 @@ from dataclasses import replace
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.links.forward import Forwarder
-from gcs_coloc.links.refusals import Refusals
+from gcs_coloc.mavlink.refusals import Refusals
 from gcs_coloc.mavlink.sequence import SequenceTracker
 from gcs_coloc.recorder.flight import FlightRecording
 from gcs_coloc.recorder.journal import EVERY_S

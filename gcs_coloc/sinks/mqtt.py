@@ -19,7 +19,7 @@ from gcs_coloc.config.sections import MqttConfig
 from gcs_coloc.core.errors import ConfigError
 from gcs_coloc.core.messages.outbound import ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot
-from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.refusals import Counts
 from gcs_coloc.sinks.event_bus import Subscription
 from gcs_coloc.sinks.idle_scheduler import IdleScheduler
 from gcs_coloc.sinks.mqtt_inbox import MqttHooks, MqttInbox

@@ -1,27 +1,47 @@
-"""What comes in over MQTT: commands and ranges, each only where the settings allow it. What is refused is counted by reason."""
+"""Commands and ranges that come in over MQTT, each only where the settings allow it. Refusals are counted by reason."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from enum import StrEnum
 
 from pydantic import ValidationError
 
 from gcs_coloc.core.messages.control import Override
 from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.snapshot import FleetSnapshot
-from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.refusals import Counts
 from gcs_coloc.sinks.mqtt_models import Command, Range
 
-_MOST_BYTES = 1000
+_MAX_PAYLOAD_BYTES = 1000
+"""Chosen: five times the longest valid message; a longer one is not parsed."""
+
+
+class MqttRefusal(StrEnum):
+    """Why an MQTT message was refused. Its value is the `reason` label of the metric."""
+
+    TOPIC_NOT_ALLOWED = "mqtt_topic_not_allowed"
+    """Commands or ranges are not switched on."""
+    COMMAND_RETAINED = "mqtt_cmd_retained"
+    """A retained command would be applied anew with every reconnection, long after it was meant."""
+    COMMAND_TOO_LONG = "mqtt_cmd_too_long"
+    COMMAND_OF_UNKNOWN_VEHICLE = "mqtt_cmd_of_unknown_vehicle"
+    COMMAND_INVALID = "mqtt_cmd_invalid"
+    RANGE_RETAINED = "mqtt_range_retained"
+    """A retained range is old."""
+    RANGE_TOO_LONG = "mqtt_range_too_long"
+    RANGE_OF_UNKNOWN_VEHICLE = "mqtt_range_of_unknown_vehicle"
+    RANGE_INVALID = "mqtt_range_invalid"
+    RANGE_TO_ITSELF = "mqtt_range_to_itself"
 
 
 @dataclass(frozen=True, slots=True)
 class MqttHooks:
-    """What the MQTT side may ask of the service.
+    """What the MQTT side may request of the service.
 
-    `look` is the fleet as it stands, `heard` the system ids heard so far, `obey` takes the operator's word, `take_range`
-    a range; `clock` is the service's, in seconds.
+    `snapshot` is the fleet as it stands, `known_sysids` the system ids heard so far, `apply_command` applies an operator's
+    override, `add_range` adds a range; `clock` is the service's, in seconds.
     """
 
     snapshot: Callable[[], FleetSnapshot]
@@ -32,7 +52,7 @@ class MqttHooks:
 
 
 class MqttInbox:
-    """Takes messages below `base`, a topic; counts into `counts`."""
+    """Receives messages below `base`, a topic; counts refusals into `counts`."""
 
     def __init__(self, base: str, hooks: MqttHooks, counts: Counts, *, commands: bool, ranges: bool) -> None:
         self._base = base
@@ -46,31 +66,39 @@ class MqttInbox:
         return [f"{self._base}/+/{name}" for name in self._allowed]
 
     def receive(self, topic: str, payload: bytes, *, retained: bool) -> None:
-        """Take one message. Never raises for its content."""
-        reason = self._refusal(topic, payload, retained)
-        if reason is not None:
-            self._counts.add(f"mqtt_{reason}")
+        """Apply one message, or count why it is refused. Never raises for its content."""
+        refusal = self._apply(topic, payload, retained)
+        if refusal is not None:
+            self._counts.add(refusal)
 
-    def _refusal(self, topic: str, payload: bytes, retained: bool) -> str | None:
+    def _apply(self, topic: str, payload: bytes, retained: bool) -> MqttRefusal | None:
         sysid_text, _, name = topic.removeprefix(f"{self._base}/").partition("/")
         if name not in self._allowed:
-            return "topic_not_allowed"
+            return MqttRefusal.TOPIC_NOT_ALLOWED
+        is_command = name == "cmd"
         if retained:
-            # A retained word would be obeyed anew with every reconnection, long after it was meant.
-            return f"{name}_retained"
-        if len(payload) > _MOST_BYTES:
-            return f"{name}_too_long"
+            return MqttRefusal.COMMAND_RETAINED if is_command else MqttRefusal.RANGE_RETAINED
+        if len(payload) > _MAX_PAYLOAD_BYTES:
+            return MqttRefusal.COMMAND_TOO_LONG if is_command else MqttRefusal.RANGE_TOO_LONG
         sysid = int(sysid_text) if sysid_text.isascii() and sysid_text.isdigit() and len(sysid_text) <= 3 else None
         if sysid is None or sysid not in self._hooks.known_sysids():
-            return f"{name}_of_unknown_vehicle"
+            return MqttRefusal.COMMAND_OF_UNKNOWN_VEHICLE if is_command else MqttRefusal.RANGE_OF_UNKNOWN_VEHICLE
+        return self._apply_command(sysid, payload) if is_command else self._add_range(sysid, payload)
+
+    def _apply_command(self, sysid: int, payload: bytes) -> MqttRefusal | None:
         try:
-            if name == "cmd":
-                self._hooks.apply_command(sysid, Command.model_validate_json(payload).override())
-                return None
-            found = Range.model_validate_json(payload)
+            command = Command.model_validate_json(payload)
         except ValidationError:
-            return f"{name}_invalid"
-        if found.peer == sysid:
-            return "range_to_itself"
-        self._hooks.add_range(found.message(sysid, self._hooks.clock()))
+            return MqttRefusal.COMMAND_INVALID
+        self._hooks.apply_command(sysid, command.override())
+        return None
+
+    def _add_range(self, sysid: int, payload: bytes) -> MqttRefusal | None:
+        try:
+            measured = Range.model_validate_json(payload)
+        except ValidationError:
+            return MqttRefusal.RANGE_INVALID
+        if measured.peer == sysid:
+            return MqttRefusal.RANGE_TO_ITSELF
+        self._hooks.add_range(measured.message(sysid, self._hooks.clock()))
         return None

@@ -129,7 +129,7 @@ def test_what_a_ground_tool_says_goes_to_whom_it_is_meant_for(start_service, fre
         assert [len(v.of("MANUAL_CONTROL")) for v in fleet] == [0, 0, 1, 0]
     service.send_signal(signal.SIGINT)
     _, log = service.communicate(timeout=20)
-    for reason in ("ground_tool_claims_vehicle 1", "ground_tool_unknown_sender 1", "ground_tool_unknown_target 1"):
+    for reason in ("ground_tool_uses_vehicle_id 1", "ground_tool_unknown_sender 1", "ground_tool_unknown_target 1"):
         assert reason in log
     assert "vehicle 255" not in log
     assert "address_conflict" not in log
@@ -154,7 +154,7 @@ def test_never_do_we_and_a_ground_tool_feed_one_vehicle_and_the_operator_is_told
     service.send_signal(signal.SIGINT)
     _, log = service.communicate(timeout=20)
     assert "vehicle 4: a ground tool on udpout" in log
-    assert "ground_tool_aid" in log
+    assert "ground_tool_aiding" in log
     assert "vehicle 3: needs aid and cannot be aided: system 255 sends it GPS_INPUT" in log
 
 

@@ -12,12 +12,12 @@ from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceive
 from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.mavlink._generated import gcs_coloc as ours
 from gcs_coloc.mavlink.checks import InvalidValueError
-from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.dialect import MESSAGE_CLASSES
 from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.mavlink.framing import MAX_FRAME_LENGTH, StreamFramer, split
 from gcs_coloc.mavlink.inbound import CONVERTERS
+from gcs_coloc.mavlink.refusals import Counts
 
 OWN = (254, 190)
 float32 = st.floats(width=32)

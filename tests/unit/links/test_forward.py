@@ -132,7 +132,7 @@ def test_one_port_has_room_for_so_many_tools_and_for_another_when_one_has_gone()
 @pytest.mark.parametrize(
     ("frame", "reason"),
     [
-        (command(sender=1), "ground_tool_claims_vehicle"),
+        (command(sender=1), "ground_tool_uses_vehicle_id"),
         (command(sender=0), "invalid_value:header.sysid"),
         (Signer(254, compid=191, key=None).pack(), "echo"),
         (command(sysid=77), "ground_tool_unknown_target"),
@@ -194,7 +194,7 @@ def test_positions_of_a_ground_tool_are_kept_from_the_vehicle_that_we_aid_and_to
         between.say(tool.pack(mavlink.MAVLink_global_position_sensor_message(sysid, 1, 1, 0, 1, 0, 0, 1, 1, 1.0, 1.0, 1.0, 1.0)))
     assert [address for address, _ in between.radio.sent] == ["vehicle 1", "vehicle 1"]
     assert between.foreign_gps_input == [1]
-    assert between.forwarder.counts["ground_tool_aid"] == 2
+    assert between.forwarder.counts["ground_tool_aiding"] == 2
     ((sysid, text),) = between.forwarder.pending_warnings(between.now_s)
     assert sysid == 2
     assert "GLOBAL_POSITION_SENSOR" in text

@@ -1,7 +1,7 @@
 """What a slow stream has not taken is bounded, and it is the newest that is kept."""
 
-from gcs_coloc.links.stream import MAX_FORWARDED_BYTES, OUTPUT_SKIPPED, Outbox
-from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.links.stream import MAX_FORWARDED_BYTES, Outbox
+from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 
 def drained(outbox):
@@ -14,7 +14,7 @@ def test_the_oldest_make_room_for_the_newest_and_are_counted():
     for payload in (b"aaaa", b"bbbb", b"cccc", b"dd"):
         outbox.put(payload)
     assert drained(outbox) == [b"bbbb", b"cccc", b"dd"]
-    assert counts[OUTPUT_SKIPPED] == 1
+    assert counts[Refusal.OUTPUT_SKIPPED] == 1
 
 
 def test_what_was_taken_makes_room_again():
@@ -32,7 +32,7 @@ def test_a_payload_larger_than_the_bound_is_dropped_and_nothing_else_is_harmed()
     outbox.put(b"aaaaa")
     outbox.put(b"bb")
     assert drained(outbox) == [b"bb"]
-    assert counts[OUTPUT_SKIPPED] == 1
+    assert counts[Refusal.OUTPUT_SKIPPED] == 1
 
 
 def test_what_waited_for_a_lost_connection_is_forgotten():
@@ -51,6 +51,6 @@ def test_what_is_forwarded_waits_for_the_rest_and_pushes_nothing_of_it_out():
         outbox.put(b"ftp!", forwarded=True)
     outbox.put(b"fix2")
     assert outbox.size == 8 + MAX_FORWARDED_BYTES
-    assert counts[OUTPUT_SKIPPED] == 1
+    assert counts[Refusal.OUTPUT_SKIPPED] == 1
     assert drained(outbox)[:3] == [b"fix1", b"fix2", b"ftp!"]
     assert outbox.size == 0

@@ -4,8 +4,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.mavlink import framing
-from gcs_coloc.mavlink.counts import Counts
 from gcs_coloc.mavlink.framing import StreamFramer, split
+from gcs_coloc.mavlink.refusals import Counts
 
 
 def sender(sysid=1):

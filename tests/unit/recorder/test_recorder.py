@@ -14,7 +14,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.errors import RecordError
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, RouteReport
-from gcs_coloc.recorder.recorder import LOST, Recorder
+from gcs_coloc.mavlink.refusals import Refusal
+from gcs_coloc.recorder.recorder import Recorder
 from gcs_coloc.recorder.side_channel import read_note
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.recorder.tlog_writer import tlog_record
@@ -110,7 +111,7 @@ def test_a_disk_that_hangs_is_told_in_one_line_and_what_waits_is_bounded(tmp_pat
         assert recorder.news() is None
         for number in range(25_000):
             recorder.frame(AT_S + number * 0.01, frame)
-        assert recorder.counts[LOST] == 5000
+        assert recorder.counts[Refusal.NOT_RECORDED] == 5000
         later_s = time.monotonic() + 6.0
         monkeypatch.setattr(time, "monotonic", lambda: later_s)
         level, text = recorder.news()

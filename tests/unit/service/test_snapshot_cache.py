@@ -9,10 +9,9 @@ from gcs_coloc.config.sections import SigningConfig
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.links.forward import Forwarder
-from gcs_coloc.links.refusals import Refusals
 from gcs_coloc.links.routes import RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
-from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.refusals import Counts, Refusal, Refusals
 from gcs_coloc.mavlink.sequence import SequenceTracker
 from gcs_coloc.recorder.flight import FlightRecording
 from gcs_coloc.service.snapshot_cache import SnapshotCache
@@ -64,7 +63,7 @@ def test_a_snapshot_is_shared_for_a_tenth_of_a_second():
 
 def test_a_full_snapshot_has_what_a_recent_one_leaves_out_and_is_counted_once():
     fleet = Fleet()
-    fleet.counts.add("bad_crc", 3)
+    fleet.counts.add(Refusal.BAD_CRC, 3)
     fleet.sequences.add(("here", 2, 1), 7, 0, 5.0)
     fleet.sequences.add(("here", 77, 1), 7, 0, 5.0)
     recent, full = fleet.snapshots.recent_snapshot(), fleet.snapshots.snapshot()
@@ -72,7 +71,7 @@ def test_a_full_snapshot_has_what_a_recent_one_leaves_out_and_is_counted_once():
     assert [(link.sysid, link.received) for link in full.links] == [(1, 0), (2, 1), (3, 0), (4, 0)]
     assert [out.name for out in full.outs] == ["udpout:127.0.0.1:14551"]
     assert (full.at_s, full.vehicles, full.refused["bad_crc"]) == (recent.at_s, recent.vehicles, 3)
-    fleet.counts.add("bad_crc")
+    fleet.counts.add(Refusal.BAD_CRC)
     assert fleet.snapshots.snapshot() is full
     fleet.clock.now_s = 6.0
     assert fleet.snapshots.snapshot().refused["bad_crc"] == 4

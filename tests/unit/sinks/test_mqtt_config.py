@@ -4,7 +4,7 @@ import pytest
 
 from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.core.errors import ConfigError
-from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.refusals import Counts
 from gcs_coloc.sinks.event_bus import Subscription
 from gcs_coloc.sinks.idle_scheduler import IdleScheduler
 from gcs_coloc.sinks.mqtt import Mqtt

@@ -8,7 +8,7 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, PrimaryOverride
 from gcs_coloc.core.messages.inbound import TimeBase
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.mavlink.counts import Counts
+from gcs_coloc.mavlink.refusals import Counts
 from gcs_coloc.sinks.mqtt_inbox import MqttHooks, MqttInbox
 
 BASE = "p/v1/f"
