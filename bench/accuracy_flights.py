@@ -38,7 +38,7 @@ _FIFTH_ROUTE = ((5000.0, 3000.0), (9000.0, 3000.0), (9000.0, -3000.0), (3000.0, 
 class Links:
     """Telemetry as it arrives: delays in s, clock offsets in s, drift, share lost, share of ranges late by multipath, m."""
 
-    least_delay_s: tuple[float, float] = (0.05, 0.2)
+    min_delay_s: tuple[float, float] = (0.05, 0.2)
     jitter_s: float = 0.2
     clock_offset_s: float = 2.0
     clock_drift: float = 20e-6
@@ -163,7 +163,7 @@ def _over(links: Links, rows: list[tuple[int, Measurement]], count: int, rng: np
     """Return what arrives, in order, its stamps brought to the service's clock by the service's own means."""
     offset_s = rng.uniform(-links.clock_offset_s, links.clock_offset_s, count + 1)
     drift = 1.0 + rng.choice([-links.clock_drift, links.clock_drift], count + 1)
-    least_s = rng.uniform(*links.least_delay_s, count + 1)
+    least_s = rng.uniform(*links.min_delay_s, count + 1)
     clocks = [SenderClock() for _ in range(count + 1)]
     for sender, clock in enumerate(clocks):
         # The vehicles were heard before one of them lost its GPS.

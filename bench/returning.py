@@ -11,13 +11,13 @@ from scipy.stats import beta
 from bench.accuracy_runs import on_all_cores
 from bench.figures import Figure
 from bench.integrity_flights import STEP_S, SUBJECT, Flight, Scenario, fly_step, fresh_engine
-from gcs_coloc.core.gps_health.gps_health import GpsState, HealthSettings
+from gcs_coloc.core.gps_health.gps_health import GpsHealthSettings, GpsState
 from gcs_coloc.core.messages.control import RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot, Heartbeat
 
 _BACK_S = 40.0
 _WATCHED_S = 60.0
-_IN_TIME_S = HealthSettings().recover_after_s + 2.0 * STEP_S
+_IN_TIME_S = GpsHealthSettings().recover_after_s + 2.0 * STEP_S
 _RIGHT = Scenario(mutual=False, returns_at_s=_BACK_S)
 _OFF = replace(_RIGHT, return_jump_m=200.0)
 _RIGHT_FLIGHTS = (

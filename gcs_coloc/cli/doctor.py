@@ -48,7 +48,7 @@ def doctor(
     findings = asyncio.run(listen(settings, seconds, clock, read_host_clock(clock()), lambda: print(told, file=sys.stderr)))
     setup = Setup(
         settings.mavlink.system_id,
-        settings.aid,
+        settings.aiding,
         settings.time.require_synchronised_clock,
         frozenset(aid or ()),
     )

@@ -11,11 +11,11 @@ from pydantic.dataclasses import dataclass
 
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
-from gcs_coloc.core.gps_health.gps_health import HealthSettings
+from gcs_coloc.core.gps_health.gps_health import GpsHealthSettings
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementSettings
 
 _STRICT = ConfigDict(extra="forbid")
-_MAY_BE_ZERO = ("lag_s", "gps_id", "least_delay_s", "regain_after_s", "hand_back_s", "ek3_gps_check")
+_MAY_BE_ZERO = ("lag_s", "gps_id", "min_delay_s", "regain_after_s", "hand_back_s", "ek3_gps_check")
 
 
 _LIMITS = {
@@ -45,24 +45,24 @@ class _Checked:
 
 
 @dataclass(frozen=True, config=_STRICT)
-class HealthConfig(_Checked, HealthSettings):
-    """`[health]`: when a vehicle's GPS is taken to have failed, and to be back."""
+class GpsHealthConfig(_Checked, GpsHealthSettings):
+    """`[gps_health]`: when a vehicle's GPS is taken to have failed, and to be back."""
 
 
 @dataclass(frozen=True, config=_STRICT)
 class MeasurementConfig(_Checked, MeasurementSettings):
-    """`[feed]`: noise that the wire does not tell."""
+    """`[measurements]`: noise that the wire does not tell."""
 
 
 @dataclass(frozen=True, config=_STRICT)
 class AidingConfig(_Checked, AidingSettings):
-    """`[aid]`: what is sent to a vehicle without GPS."""
+    """`[aiding]`: what is sent to a vehicle without GPS."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for sysid in self.ways:
+        for sysid in self.methods:
             if not 1 <= sysid <= 255:
-                raise ValueError(f"ways: {sysid} is not a MAVLink system id (1 to 255)")
+                raise ValueError(f"methods: {sysid} is not a MAVLink system id (1 to 255)")
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -104,7 +104,7 @@ class SigningConfig(_Section):
 class SendersConfig(_Section):
     """`[senders]`: who may speak for a vehicle, and how much anybody may say."""
 
-    roam_after_s: float = Field(
+    rebind_after_s: float = Field(
         5.0, gt=0, description="a vehicle that was silent for so long may turn up at another address; inf: never"
     )
     companions_elsewhere: bool = Field(
@@ -126,7 +126,7 @@ class FleetConfig(_Section):
 
     failed: tuple[int, ...] = Field((), description="system ids whose GPS is declared failed, whatever it says")
     healthy: tuple[int, ...] = Field((), description="system ids whose GPS is declared healthy, whatever it says")
-    most_vehicles: int = Field(250, ge=2, le=250, description="vehicles beyond this number are refused")
+    max_vehicles: int = Field(250, ge=2, le=250, description="vehicles beyond this number are refused")
     request_streams: bool = Field(True, description="ask vehicles for the messages that are missing (SET_MESSAGE_INTERVAL)")
 
     @field_validator("failed", "healthy")

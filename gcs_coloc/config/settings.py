@@ -18,12 +18,13 @@ from typing import Any
 from pydantic import Field, ValidationError
 from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict, SettingsError
 
+from gcs_coloc.config.renamed_keys import new_name
 from gcs_coloc.config.sections import (
     AidingConfig,
     EstimatorConfig,
     FleetConfig,
     ForwardConfig,
-    HealthConfig,
+    GpsHealthConfig,
     MavlinkConfig,
     MeasurementConfig,
     MqttConfig,
@@ -67,20 +68,20 @@ class Settings(BaseSettings):
     web: WebConfig = Field(default_factory=lambda: WebConfig.model_validate({}))
     record: RecordConfig = Field(default_factory=lambda: RecordConfig.model_validate({}))
     mqtt: MqttConfig = Field(default_factory=lambda: MqttConfig.model_validate({}))
-    health: HealthConfig = Field(default_factory=HealthConfig)
-    feed: MeasurementConfig = Field(default_factory=MeasurementConfig)
-    aid: AidingConfig = Field(default_factory=AidingConfig)
+    gps_health: GpsHealthConfig = Field(default_factory=GpsHealthConfig)
+    measurements: MeasurementConfig = Field(default_factory=MeasurementConfig)
+    aiding: AidingConfig = Field(default_factory=AidingConfig)
     time: TimeConfig = Field(default_factory=TimeConfig)
 
     def engine(self) -> EngineSettings:
         """The part that the engine needs."""
         return EngineSettings(
-            health=self.health,
-            feed=self.feed,
-            aid=self.aid,
+            gps_health=self.gps_health,
+            measurements=self.measurements,
+            aiding=self.aiding,
             time=self.time,
             request_streams=self.fleet.request_streams,
-            most_vehicles=self.fleet.most_vehicles,
+            max_vehicles=self.fleet.max_vehicles,
         )
 
     def fingerprint(self) -> str:
@@ -172,6 +173,9 @@ def _refuse_unknown_variables() -> None:
         if not name.upper().startswith(_ENVIRONMENT):
             continue
         section = name[len(_ENVIRONMENT) :].lower().split(_LEVEL)[0]
+        if (renamed := new_name(section)) is not None:
+            right = f"{_ENVIRONMENT}{renamed.upper()}{name[len(_ENVIRONMENT) + len(section) :]}"
+            raise ConfigError(f"environment variable {name}: is called {right} since version 0.2")
         if section not in Settings.model_fields:
             raise ConfigError(f"environment variable {name}: there is no {section!r} to set; see the configuration reference")
 
@@ -179,6 +183,8 @@ def _refuse_unknown_variables() -> None:
 def _problem(error: Any) -> str:
     key = ".".join(str(part) for part in error["loc"])
     if error["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        if (renamed := new_name(key)) is not None or (renamed := new_name(key.removeprefix("fleet."))) is not None:
+            return f"{key}: is called {renamed} since version 0.2"
         return f"{key}: unknown key; see the configuration reference for those there are"
     if error["type"] == "tuple_type":
         return f"{key}: must be a list, in brackets: [...]"

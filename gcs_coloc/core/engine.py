@@ -14,7 +14,7 @@ from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.clocks.unanswered_timesync import UnansweredTimesync
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.estimator import Estimator
-from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, HealthSettings
+from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsHealthSettings
 from gcs_coloc.core.guarded_estimator import GuardedEstimator
 from gcs_coloc.core.integrity.monitor import IntegrityMonitor
 from gcs_coloc.core.measurements import Estimate, NoEstimate
@@ -60,14 +60,14 @@ _MESSAGE_IDS = {GlobalPosition: 33, Attitude: 30, Airspeed: 74, SystemHealth: 1,
 
 @dataclass(frozen=True, slots=True)
 class EngineSettings:
-    """Settings of one fleet. `most_vehicles` bounds every table; `request_streams` asks vehicles for missing messages."""
+    """Settings of one fleet. `max_vehicles` bounds every table; `request_streams` asks vehicles for missing messages."""
 
-    health: HealthSettings = field(default_factory=HealthSettings)
-    feed: MeasurementSettings = field(default_factory=MeasurementSettings)
-    aid: AidingSettings = field(default_factory=AidingSettings)
+    gps_health: GpsHealthSettings = field(default_factory=GpsHealthSettings)
+    measurements: MeasurementSettings = field(default_factory=MeasurementSettings)
+    aiding: AidingSettings = field(default_factory=AidingSettings)
     time: TimeSettings = field(default_factory=TimeSettings)
     request_streams: bool = True
-    most_vehicles: int = 250
+    max_vehicles: int = 250
 
 
 class Engine:
@@ -80,10 +80,10 @@ class Engine:
         self.settings = settings if settings is not None else EngineSettings()
         self.estimator: Estimator = GuardedEstimator(estimator, self._tell_of_estimator)
         # The receiver that we feed never counts as evidence of a vehicle's own GPS.
-        own_receiver = 1 if self.settings.aid.gps_id == 0 else 0
-        self.fleet = VehicleRegistry(self.settings.health, self.settings.most_vehicles, own_receiver)
-        self.feed = MeasurementBuilder(self.settings.feed, self.settings.time)
-        self.aiding = Aiding(self.settings.aid)
+        own_receiver = 1 if self.settings.aiding.gps_id == 0 else 0
+        self.fleet = VehicleRegistry(self.settings.gps_health, self.settings.max_vehicles, own_receiver)
+        self.feed = MeasurementBuilder(self.settings.measurements, self.settings.time)
+        self.aiding = Aiding(self.settings.aiding)
         self.integrity = IntegrityMonitor()
         self._streams = StreamRequests()
         self._residuals = ResidualLog()

@@ -26,11 +26,11 @@ _DRIVER_DELAY_S = 0.2
 def check(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
     """Judge the parameters that the vehicle told. Values and meanings: ArduPilot's parameter lists of 4.5 to 4.7."""
     yield from _senders(vehicle, setup)
-    aid = setup.aid
+    aid = setup.aiding
     if method_for(vehicle.sysid, vehicle.autopilot, aid) == "external_position":
         yield right("it is aided by MAV_CMD_EXTERNAL_POSITION_ESTIMATE alone, which needs no GPS parameter")
     elif aid.gps_id not in (0, 1):
-        yield note(f"[aid] gps_id = {aid.gps_id}: the doctor knows the first two receivers only, and has not checked this one")
+        yield note(f"[aiding] gps_id = {aid.gps_id}: the doctor knows the first two receivers only, and has not checked this one")
     else:
         yield from _receivers(vehicle, aid.gps_id)
         yield from _delay(vehicle, aid.gps_id, aid.lag_s)
@@ -95,7 +95,7 @@ def _arming(vehicle: VehicleFindings, aid: AidingSettings) -> Iterator[Remark]:
     if fed is not None and fed[1] == _TYPE_MAVLINK:
         yield note(
             f"{fed[0]} = 14: it does not arm while nothing is sent to that receiver",
-            f"set standby = true in [aid] of gcs-coloc, or arm it first and set {fed[0]} then",
+            f"set standby = true in [aiding] of gcs-coloc, or arm it first and set {fed[0]} then",
         )
 
 
@@ -107,7 +107,7 @@ def _delay(vehicle: VehicleFindings, fed: int, lag_s: float) -> Iterator[Remark]
     if abs(assumed_s - lag_s) > 0.01:
         yield note(
             f"{found[0]} = {found[1]:g}: GPS_INPUT is taken to be {assumed_s:g} s old, what we send is of {lag_s:g} s ago",
-            f"set lag_s = {assumed_s:g} in [aid] of gcs-coloc",
+            f"set lag_s = {assumed_s:g} in [aiding] of gcs-coloc",
         )
 
 

@@ -69,10 +69,10 @@ def _address(vehicle: VehicleFindings) -> Iterator[Remark]:
 
 
 def _autopilot(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
-    way = method_for(vehicle.sysid, vehicle.autopilot, setup.aid)
+    way = method_for(vehicle.sysid, vehicle.autopilot, setup.aiding)
     wrong_way = mismatch(way, vehicle.autopilot)
     if wrong_way is not None:
-        yield stop(wrong_way, f"set way, or ways.{vehicle.sysid} for this vehicle alone, in [aid] of gcs-coloc")
+        yield stop(wrong_way, f"set method, or methods.{vehicle.sysid} for this vehicle alone, in [aiding] of gcs-coloc")
         return
     if vehicle.autopilot not in (Autopilot.ARDUPILOT, Autopilot.PX4):
         yield note(
@@ -127,7 +127,7 @@ def _clock(vehicle: VehicleFindings) -> Iterator[Remark]:
     if not vehicle.answers_timesync:
         yield note(
             "it does not answer TIMESYNC: what it measures is placed in time by its UTC, to 0.1 s, where it has GPS and this "
-            "computer's clock is synchronised, else by its arrival: set least_delay_s in [time] where you know its link's delay"
+            "computer's clock is synchronised, else by its arrival: set min_delay_s in [time] where you know its link's delay"
         )
     off_s = vehicle.utc_minus_host_s
     if off_s is not None and abs(off_s) > CLOCKS_AGREE_S:

@@ -35,7 +35,7 @@ class Setup:
     """
 
     system_id: int = 254
-    aid: AidingSettings = field(default_factory=AidingSettings)
+    aiding: AidingSettings = field(default_factory=AidingSettings)
     requires_synchronised_clock: bool = False
     denied: frozenset[int] = frozenset()
 

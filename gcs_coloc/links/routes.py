@@ -30,7 +30,7 @@ class _Binding:
 class RouteTable:
     """Learns from every frame heard, and answers where a vehicle is.
 
-    `roam_after_s`: how long a system must be silent at its address before it may turn up at another one.
+    `rebind_after_s`: how long a system must be silent at its address before it may turn up at another one.
     `companions_elsewhere`: components other than the autopilot may have addresses of their own; without, all frames of a vehicle
     come from one address, and where two claim it, from the one with the autopilot's heartbeat.
     `shared_memory_s`: how long an autopilot, heard once, counts as living behind an address. It is long because a vehicle
@@ -41,7 +41,7 @@ class RouteTable:
     def __init__(
         self,
         *,
-        roam_after_s: float = 5.0,
+        rebind_after_s: float = 5.0,
         companions_elsewhere: bool = False,
         shared_memory_s: float = 60.0,
         max_components: int = 1024,
@@ -50,7 +50,7 @@ class RouteTable:
         self.counts = Counts()
         self.conflicts = AddressConflicts()
         self._companions_elsewhere = companions_elsewhere
-        self._roam_after_s = roam_after_s
+        self._rebind_after_s = rebind_after_s
         self._shared_memory_s = shared_memory_s
         self._max_components = max_components
         self._max_addresses = max_addresses
@@ -152,7 +152,7 @@ class RouteTable:
         return sysid, 0 if as_one else compid
 
     def _stands_against(self, binding: _Binding, heard: Route, now_s: float) -> bool:
-        return binding.route != heard and now_s - binding.heard_at_s < self._roam_after_s
+        return binding.route != heard and now_s - binding.heard_at_s < self._rebind_after_s
 
     def _add_autopilot_at(self, heard: Route, sysid: int, now_s: float) -> bool:
         autopilots = self._autopilots_at.get(heard)
@@ -171,7 +171,7 @@ class RouteTable:
         if len(self._components) < self._max_components:
             return True
         stalest = next(iter(self._components))
-        if now_s - self._components[stalest].heard_at_s < self._roam_after_s:
+        if now_s - self._components[stalest].heard_at_s < self._rebind_after_s:
             return False
         del self._components[stalest]
         return True

@@ -62,7 +62,7 @@ class FleetService:
         senders = settings.senders
         self._rate_limiter = RateLimiter(senders.bytes_per_s)
         check_outs(settings.out, settings.links)
-        self._routes = RouteTable(roam_after_s=senders.roam_after_s, companions_elsewhere=senders.companions_elsewhere)
+        self._routes = RouteTable(rebind_after_s=senders.rebind_after_s, companions_elsewhere=senders.companions_elsewhere)
         self._signed = SignedLinks(settings.signing, settings.links, settings.out)
         self._signed.set_clock(host.utc_minus_service_s)  # before the first frame: a recorded frame is known by its old time
         self._forwarder = Forwarder(

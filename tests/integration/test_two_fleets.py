@@ -36,7 +36,7 @@ def two_fleets(tmp_path, ports):
         for name, port in zip(("north", "south"), ports, strict=True)
     ]
     path.write_text(
-        f'[record]\ndirectory = "{tmp_path / "flights"}"\n' + "\n".join(tables) + "\n[fleet.aid]\nalert_limit_m = 60\n"
+        f'[record]\ndirectory = "{tmp_path / "flights"}"\n' + "\n".join(tables) + "\n[fleet.aiding]\nalert_limit_m = 60\n"
     )
     return path
 

@@ -6,6 +6,8 @@ import pytest
 
 from gcs_coloc.cli.main import check_config
 from gcs_coloc.config.fleets import load_settings
+from gcs_coloc.config.renamed_keys import RENAMED
+from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.engine import EngineSettings
 from gcs_coloc.core.errors import ConfigError, GcsColocError
 
@@ -19,46 +21,51 @@ def written(tmp_path: Path, text: str) -> Path:
 def test_the_defaults_are_the_cores_own():
     settings = load_settings(None, {})
     engine, default = settings.engine(), EngineSettings()
-    for part in ("health", "feed", "aid"):
+    for part in ("gps_health", "measurements", "aiding"):
         ours, theirs = getattr(engine, part), getattr(default, part)
         assert {name: getattr(ours, name) for name in theirs.__dataclass_fields__} == {
             name: getattr(theirs, name) for name in theirs.__dataclass_fields__
         }
-    assert (engine.request_streams, engine.most_vehicles) == (default.request_streams, default.most_vehicles)
+    assert (engine.request_streams, engine.max_vehicles) == (default.request_streams, default.max_vehicles)
     assert (settings.mavlink.system_id, settings.mavlink.component_id) == (254, 191)
 
 
 def test_flags_win_over_the_environment_which_wins_over_the_file(tmp_path, monkeypatch):
-    path = written(tmp_path, 'links = ["14550"]\n[aid]\nrate_hz = 8.0\nlag_s = 0.1\n[estimator]\nname = "qu_zhang"\n')
-    monkeypatch.setenv("GCS_COLOC_AID__RATE_HZ", "9")
+    path = written(tmp_path, 'links = ["14550"]\n[aiding]\nrate_hz = 8.0\nlag_s = 0.1\n[estimator]\nname = "qu_zhang"\n')
+    monkeypatch.setenv("GCS_COLOC_AIDING__RATE_HZ", "9")
     settings = load_settings(path, {"estimator": {"name": "fleet"}})
-    assert (settings.links, settings.aid.rate_hz, settings.aid.lag_s, settings.estimator.name) == (("14550",), 9.0, 0.1, "fleet")
+    assert (settings.links, settings.aiding.rate_hz, settings.aiding.lag_s, settings.estimator.name) == (
+        ("14550",),
+        9.0,
+        0.1,
+        "fleet",
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("nonsense = 1", "nonsense: unknown key"),
-        ("[health]\nfail_after = 1", "health.fail_after: unknown key"),
-        ("[aid]\nrate_hz = 0", "aid: rate_hz must be a positive number, not 0"),
-        ("[aid]\nrate_hz = inf", "aid: rate_hz must be a positive number, not inf"),
-        ("[aid]\nlag_s = 'x'", "aid.lag_s: input should be a valid number"),
+        ("[gps_health]\nfail_after = 1", "gps_health.fail_after: unknown key"),
+        ("[aiding]\nrate_hz = 0", "aiding: rate_hz must be a positive number, not 0"),
+        ("[aiding]\nrate_hz = inf", "aiding: rate_hz must be a positive number, not inf"),
+        ("[aiding]\nlag_s = 'x'", "aiding.lag_s: input should be a valid number"),
         ("[fleet]\nfailed = [300]", "fleet.failed: 300 is not a MAVLink system id"),
         ("[fleet]\nfailed = [2, 3]\nhealthy = [3]", "fleet: vehicle 3 is declared failed and healthy"),
         ("[mavlink]\nsystem_id = 0", "mavlink.system_id: input should be greater than or equal to 1"),
-        ('[aid]\nway = "gps"', "aid.way: input should be 'auto'"),
-        ('[aid.ways]\n300 = "gps_input"', "aid: ways: 300 is not a MAVLink system id"),
-        ('[aid.ways]\n4 = "gps"', "aid.ways.4: input should be 'auto'"),
-        ('[aid]\nswitch_primary = "on"', "aid.switch_primary: input should be 'off' or 'auto'"),
-        ("[aid]\nprediction_s = 0", "aid: prediction_s must be a positive number, not 0"),
-        ("[aid]\nrate_hz = 1000", "aid: rate_hz must be from 1 to 50, not 1000"),
-        ("[aid]\nlag_s = 200", "aid: lag_s must be from 0 to 1, not 200"),
-        ("[aid]\ngps_id = 2", "aid: gps_id must be from 0 to 1, not 2"),
-        ("[aid]\nexternal_rate_hz = 0.01", "aid: external_rate_hz must be from 0.1 to 10, not 0.01"),
+        ('[aiding]\nmethod = "gps"', "aiding.method: input should be 'auto'"),
+        ('[aiding.methods]\n300 = "gps_input"', "aiding: methods: 300 is not a MAVLink system id"),
+        ('[aiding.methods]\n4 = "gps"', "aiding.methods.4: input should be 'auto'"),
+        ('[aiding]\nswitch_primary = "on"', "aiding.switch_primary: input should be 'off' or 'auto'"),
+        ("[aiding]\nprediction_s = 0", "aiding: prediction_s must be a positive number, not 0"),
+        ("[aiding]\nrate_hz = 1000", "aiding: rate_hz must be from 1 to 50, not 1000"),
+        ("[aiding]\nlag_s = 200", "aiding: lag_s must be from 0 to 1, not 200"),
+        ("[aiding]\ngps_id = 2", "aiding: gps_id must be from 0 to 1, not 2"),
+        ("[aiding]\nexternal_rate_hz = 0.01", "aiding: external_rate_hz must be from 0.1 to 10, not 0.01"),
         ("[time]\ntimesync_period_s = 0.001", "time: timesync_period_s must be from 0.1 to 60, not 0.001"),
         ("[mqtt]\nranges = true", "mqtt: commands or ranges are to be taken, but no host is set"),
         ('links = "14550"', "links: must be a list, in brackets"),
-        ("aid = 1", "aid: must be a table of settings, [aid]"),
+        ("aiding = 1", "aiding: must be a table of settings, [aiding]"),
         ("web = 1", "web: must be a table of settings, [web]"),
         ("links = [", "is not valid TOML"),
     ],
@@ -71,8 +78,8 @@ def test_errors_name_file_key_and_mend_in_one_line(tmp_path, text, words):
 
 
 def test_the_way_of_a_single_vehicle_is_read_by_its_system_id(tmp_path):
-    path = written(tmp_path, '[aid.ways]\n4 = "external_position"\n')
-    assert load_settings(path, {}).engine().aid.ways == {4: "external_position"}
+    path = written(tmp_path, '[aiding.methods]\n4 = "external_position"\n')
+    assert load_settings(path, {}).engine().aiding.methods == {4: "external_position"}
 
 
 def test_a_missing_file_and_a_binary_one(tmp_path):
@@ -87,8 +94,8 @@ def test_a_missing_file_and_a_binary_one(tmp_path):
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
-        ("GCS_COLOC_AIDD__RATE_HZ", "8", "GCS_COLOC_AIDD__RATE_HZ: there is no 'aidd' to set"),
-        ("GCS_COLOC_AID__RATE", "8", "aid.rate: unknown key"),
+        ("GCS_COLOC_AIDED__RATE_HZ", "8", "GCS_COLOC_AIDED__RATE_HZ: there is no 'aided' to set"),
+        ("GCS_COLOC_AIDING__RATE", "8", "aiding.rate: unknown key"),
         ("GCS_COLOC_LINKS", "14550,14551", r'"links".*lists and tables are JSON'),
         ("GCS_COLOC_FLEET__FAILED", "[4", r'"fleet".*lists and tables are JSON'),
         ("GCS_COLOC_FLEET__FAILED", "4", "fleet.failed: must be a list"),
@@ -103,8 +110,8 @@ def test_a_mistake_in_an_environment_variable_is_refused_as_one_in_the_file(monk
 
 def test_a_file_that_begins_with_a_byte_order_mark_is_read(tmp_path):
     path = tmp_path / "coloc.toml"
-    path.write_bytes("\ufeff[aid]\r\nrate_hz = 5.0\r\n".encode())
-    assert load_settings(path, {}).aid.rate_hz == 5.0
+    path.write_bytes("\ufeff[aiding]\r\nrate_hz = 5.0\r\n".encode())
+    assert load_settings(path, {}).aiding.rate_hz == 5.0
 
 
 @pytest.mark.parametrize(
@@ -128,25 +135,29 @@ def test_check_config_opens_every_file_that_the_configuration_names(tmp_path, mo
     ("variable", "value", "words"),
     [
         (
-            "GCS_COLOC_AID__RATE_HZ",
+            "GCS_COLOC_AIDING__RATE_HZ",
             "abc",
-            "environment variable GCS_COLOC_AID__RATE_HZ: aid.rate_hz: input should be a valid number",
+            "environment variable GCS_COLOC_AIDING__RATE_HZ: aiding.rate_hz: input should be a valid number",
         ),
         (
-            "GCS_COLOC_AID__RATE_HZ",
+            "GCS_COLOC_AIDING__RATE_HZ",
             "1000",
-            "environment variable GCS_COLOC_AID__RATE_HZ: aid: rate_hz must be from 1 to 50, not 1000",
+            "environment variable GCS_COLOC_AIDING__RATE_HZ: aiding: rate_hz must be from 1 to 50, not 1000",
         ),
-        ("GCS_COLOC_AID", '{"lag_s": "u"}', "environment variable GCS_COLOC_AID: aid.lag_s: input should be a valid number"),
+        (
+            "GCS_COLOC_AIDING",
+            '{"lag_s": "u"}',
+            "environment variable GCS_COLOC_AIDING: aiding.lag_s: input should be a valid number",
+        ),
     ],
 )
 def test_a_wrong_value_from_the_environment_is_not_blamed_on_the_file(tmp_path, monkeypatch, variable, value, words):
-    path = written(tmp_path, "[feed]\nnonsense = 1\n")
+    path = written(tmp_path, "[measurements]\nnonsense = 1\n")
     monkeypatch.setenv(variable, value)
     with pytest.raises(ConfigError) as raised:
         load_settings(path, {})
     assert words in str(raised.value)
-    assert f"{path}: feed.nonsense: unknown key" in str(raised.value)
+    assert f"{path}: measurements.nonsense: unknown key" in str(raised.value)
 
 
 def test_a_wrong_flag_is_not_blamed_on_the_environment(monkeypatch):
@@ -159,3 +170,40 @@ def test_a_wrong_flag_is_not_blamed_on_the_environment(monkeypatch):
 def test_a_wrong_value_of_a_flag_is_told_with_the_flag(flag: str) -> None:
     with pytest.raises(ConfigError, match=f"^--{flag}: 300 is not a MAVLink system id"):
         load_settings(None, {"fleet": {flag: [300]}})
+
+
+def test_every_key_of_0_1_is_refused_with_its_name_of_0_2(tmp_path):
+    assert RENAMED
+    for old, new in RENAMED.items():
+        section, _, key = old.partition(".")
+        text = f"[{section}]\n{key} = 1\n" if key else f"[{section}]\n"
+        with pytest.raises(ConfigError) as raised:
+            load_settings(written(tmp_path, text), {})
+        told = new if section in Settings.model_fields else RENAMED[section]
+        assert f"is called {told} since version 0.2" in str(raised.value)
+        section, _, key = new.partition(".")
+        assert section in Settings.model_fields
+        assert not key or key in _fields_of(section)
+
+
+def _fields_of(section: str) -> frozenset[str]:
+    made = getattr(Settings(), section)
+    return frozenset(getattr(type(made), "model_fields", None) or type(made).__dataclass_fields__)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[aiding]\nway = "auto"', "aiding.way: is called aiding.method since version 0.2"),
+        ("[measurements]\noldest_s = 1", "measurements.oldest_s: is called measurements.max_age_s since version 0.2"),
+    ],
+)
+def test_an_old_key_in_a_renamed_section_is_told_by_its_new_name(tmp_path, text, words):
+    with pytest.raises(ConfigError, match=words):
+        load_settings(written(tmp_path, text), {})
+
+
+def test_an_environment_variable_of_an_old_section_is_told_by_its_new_name(monkeypatch):
+    monkeypatch.setenv("GCS_COLOC_AID__RATE_HZ", "8")
+    with pytest.raises(ConfigError, match=r"GCS_COLOC_AID__RATE_HZ: is called GCS_COLOC_AIDING__RATE_HZ since version 0\.2"):
+        load_settings(None, {})

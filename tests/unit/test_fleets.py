@@ -10,7 +10,7 @@ from gcs_coloc.core.errors import ConfigError, EstimatorError, UsageError
 from gcs_coloc.service.service import Service
 
 TWO = """
-[aid]
+[aiding]
 rate_hz = 8.0
 lag_s = 0.15
 [mqtt]
@@ -21,7 +21,7 @@ directory = "flights"
 name = "north"
 links = ["udpin:127.0.0.1:14550"]
 failed = [4]
-[fleet.aid]
+[fleet.aiding]
 lag_s = 0.3
 [fleet.web]
 address = "127.0.0.1:8081"
@@ -42,8 +42,8 @@ def written(tmp_path: Path, text: str) -> Path:
 def test_what_a_fleet_says_goes_before_what_is_common_to_all(tmp_path):
     north, south = load_fleets(written(tmp_path, TWO), {})
     assert (north.name, south.name) == ("north", "south")
-    assert (north.settings.aid.rate_hz, north.settings.aid.lag_s) == (8.0, 0.3)
-    assert (south.settings.aid.rate_hz, south.settings.aid.lag_s) == (8.0, 0.15)
+    assert (north.settings.aiding.rate_hz, north.settings.aiding.lag_s) == (8.0, 0.3)
+    assert (south.settings.aiding.rate_hz, south.settings.aiding.lag_s) == (8.0, 0.15)
     assert (north.settings.fleet.failed, south.settings.fleet.failed) == ((4,), ())
     assert (north.settings.estimator.name, south.settings.estimator.name) == ("fleet", "qu_zhang")
 
@@ -57,9 +57,9 @@ def test_each_fleet_has_its_own_topics_recordings_and_page(tmp_path):
 
 
 def test_flags_and_environment_win_over_a_fleets_own_table(tmp_path, monkeypatch):
-    monkeypatch.setenv("GCS_COLOC_AID__LAG_S", "0.4")
+    monkeypatch.setenv("GCS_COLOC_AIDING__LAG_S", "0.4")
     fleets = load_fleets(written(tmp_path, TWO), {"estimator": {"name": "fleet"}, "web": {"on": False}})
-    assert [f.settings.aid.lag_s for f in fleets] == [0.4, 0.4]
+    assert [f.settings.aiding.lag_s for f in fleets] == [0.4, 0.4]
     assert [f.settings.estimator.name for f in fleets] == ["fleet", "fleet"]
     assert not any(f.settings.web.on for f in fleets)
 
@@ -85,7 +85,7 @@ FLEET = '[[fleet]]\nname = "north"\nlinks = ["14550"]\n'
         (FLEET + FLEET, ["name", "north"]),
         (FLEET + FLEET.replace("north", "south"), ["links", "udpin:0.0.0.0:14550", "fleet north", "south"]),
         (FLEET + "colour = 3\n", ["fleet 1 (north)", "fleet.colour", "unknown key"]),
-        (FLEET + "[fleet.aid]\nrate_hz = -1\n", ["fleet 1 (north)", "rate_hz", "positive"]),
+        (FLEET + "[fleet.aiding]\nrate_hz = -1\n", ["fleet 1 (north)", "rate_hz", "positive"]),
         ('links = ["14550"]\n' + FLEET, ["links", "which fleet"]),
         ('out = ["127.0.0.1:14551"]\n' + FLEET, ["out", "which fleet"]),
         (
@@ -130,7 +130,7 @@ def test_one_of_several_fleets_is_as_in_the_service(tmp_path, name):
     (same,) = [fleet.settings for fleet in load_fleets(path, {}) if fleet.name == name]
     assert load_settings(path, {}, name).model_dump() == same.model_dump()
     told = load_settings(path, {"links": ["14999"], "web": {"address": "127.0.0.1:9"}}, name)
-    assert (told.links, told.web.address, told.aid.lag_s) == (("14999",), "127.0.0.1:9", same.aid.lag_s)
+    assert (told.links, told.web.address, told.aiding.lag_s) == (("14999",), "127.0.0.1:9", same.aiding.lag_s)
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ def method_for(sysid: int, autopilot: Autopilot | None, settings: AidingSettings
 
     It also remains for an autopilot that nobody knows to take any of them, for which it is none (`mismatch`).
     """
-    name = settings.ways.get(sysid, settings.way)
+    name = settings.methods.get(sysid, settings.method)
     return "global_position_sensor" if name == "auto" and autopilot is Autopilot.PX4 else name
 
 
@@ -36,12 +36,12 @@ def mismatch(name: AidingMethodName, autopilot: Autopilot | None) -> str | None:
     if name == "auto" and autopilot is not Autopilot.ARDUPILOT:
         return (
             "its autopilot is neither ArduPilot nor PX4, and nobody knows what it takes: "
-            "where you have tried one, set the way of its aid ([aid] ways)"
+            "where you have tried one, set its aiding method ([aiding] methods)"
         )
     if autopilot is Autopilot.PX4 and feeds_receiver(name):
-        return "PX4 does not take GPS_INPUT: set the way of its aid to auto or global_position_sensor"
+        return "PX4 does not take GPS_INPUT: set its aiding method to auto or global_position_sensor"
     if autopilot is Autopilot.ARDUPILOT and name == "global_position_sensor":
-        return "ArduPilot does not take GLOBAL_POSITION_SENSOR: set the way of its aid to auto or gps_input"
+        return "ArduPilot does not take GLOBAL_POSITION_SENSOR: set its aiding method to auto or gps_input"
     return None
 
 

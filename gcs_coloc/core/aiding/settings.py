@@ -1,4 +1,4 @@
-"""The settings of aid: `[aid]` of the configuration."""
+"""The settings of aid: `[aiding]` of the configuration."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ AidingMethodName = Literal["auto", "gps_input", "external_position", "global_pos
 class AidingSettings:
     """How vehicles are aided.
 
-    `way`: by which message; "auto" goes by the autopilot. `ways`: the same for single vehicles, by system id.
+    `method`: by which message; "auto" goes by the autopilot. `methods`: the same for single vehicles, by system id.
     `rate_hz`: GPS_INPUT rate; ArduPilot calls a receiver unhealthy below 4.7 Hz. `external_rate_hz`: that of external estimates.
     `lag_s`: age that the vehicle's driver takes GPS_INPUT to have (its GPS_DELAY).
     `gps_id`: zero-based receiver instance that the vehicle has set to MAVLink (1 is GPS2).
@@ -27,8 +27,8 @@ class AidingSettings:
     `ek3_gps_check`, `ek3_check_scale`: the vehicle's parameters of these names, until it has told them itself.
     """
 
-    way: AidingMethodName = "auto"
-    ways: Mapping[int, AidingMethodName] = field(default_factory=dict)
+    method: AidingMethodName = "auto"
+    methods: Mapping[int, AidingMethodName] = field(default_factory=dict)
     rate_hz: float = 10.0
     external_rate_hz: float = 1.0
     lag_s: float = 0.2

@@ -18,7 +18,7 @@ class UnansweredTimesync:
 
     def news(self, sysid: int, clock: VehicleClock, first_heard_s: float, now_s: float) -> tuple[str, str] | None:
         """Level and text of what is to be told of a vehicle at service time `now_s`; None: nothing."""
-        if now_s - first_heard_s < _WAITED_S or not clock.stamps.known or self._settings.least_delay_s > 0.0:
+        if now_s - first_heard_s < _WAITED_S or not clock.stamps.known or self._settings.min_delay_s > 0.0:
             return None
         if clock.synchronised(now_s) is not None:
             self._told.pop(sysid, None)
@@ -32,6 +32,6 @@ class UnansweredTimesync:
             return "info", f"it does not answer TIMESYNC: by its UTC its link is {held}"
         text = (
             f"it does not answer TIMESYNC, and nothing else shows how late its link is: held to be {held}. Beyond that it is off "
-            "along its course unseen, 2 m for each 0.1 s at 20 m/s; set least_delay_s and least_delay_sigma_s where you know them"
+            "along its course unseen, 2 m for each 0.1 s at 20 m/s; set min_delay_s and min_delay_sigma_s where you know them"
         )
         return "warning", text

@@ -33,14 +33,14 @@ class TimeSettings:
     """How vehicles' clocks are found.
 
     `timesync_period_s`: an autopilot is asked for its time this often.
-    `least_delay_s`: least one-way delay from a vehicle that does not answer TIMESYNC; 0: not known, judged for each link.
-    `least_delay_sigma_s`: how far that may be off, where it is not known at the least.
+    `min_delay_s`: least one-way delay from a vehicle that does not answer TIMESYNC; 0: not known, judged for each link.
+    `min_delay_sigma_s`: how far that may be off, where it is not known at the least.
     `require_synchronised_clock`: no aid is sent while the host's own clock is not known to be synchronised.
     """
 
     timesync_period_s: float = 1.0
-    least_delay_s: float = 0.0
-    least_delay_sigma_s: float = 0.05
+    min_delay_s: float = 0.0
+    min_delay_sigma_s: float = 0.05
     require_synchronised_clock: bool = False
 
 
@@ -116,11 +116,11 @@ class VehicleClock:
 
     def one_way(self, settings: TimeSettings) -> OneWay:
         """What is held of the link's least delay where TIMESYNC is not answered."""
-        if settings.least_delay_s > 0.0:
-            return OneWay("one-way", settings.least_delay_s, settings.least_delay_sigma_s)
+        if settings.min_delay_s > 0.0:
+            return OneWay("one-way", settings.min_delay_s, settings.min_delay_sigma_s)
         if self._by_utc is not None:
             return self._by_utc
-        least_s = settings.least_delay_sigma_s
+        least_s = settings.min_delay_sigma_s
         sigma_s = hypot(least_s, _WAITS * self.stamps.mean_wait_s()) if self.stamps.known else least_s
         return OneWay("one-way", 0.0, min(sigma_s, max(_MOST_UNKNOWN_S, least_s)))
 
@@ -161,9 +161,9 @@ class VehicleClock:
             return ServiceTime(device.to_service(stamp_s) - one_way.delay_s, one_way.sigma_s)
         if abs(device.least_difference_s() - self.stamps.least_difference_s()) < _SAME_CLOCK_S:
             return self.to_service(stamp_s, now_s, settings)
-        least_delay_s = self.stamps.least_difference_s() - sync.offset_at_s(now_s)
+        min_delay_s = self.stamps.least_difference_s() - sync.offset_at_s(now_s)
         sigma_s = (sync.sigma_at_s(now_s) ** 2 + _ONE_WAY_SIGMA_S**2) ** 0.5
-        return ServiceTime(device.to_service(stamp_s) - least_delay_s, sigma_s)
+        return ServiceTime(device.to_service(stamp_s) - min_delay_s, sigma_s)
 
     def _begin_anew(self) -> None:
         self.stamps.begin_anew()

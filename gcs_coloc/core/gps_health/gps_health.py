@@ -44,7 +44,7 @@ class Contradiction:
 
 
 @dataclass(frozen=True, slots=True)
-class HealthSettings:
+class GpsHealthSettings:
     """When the machine changes its mind.
 
     `fail_after_s`: a vehicle that has been SUSPECT for this long and has no fix, or a frozen one, is FAILED; so is one whose
@@ -75,7 +75,7 @@ class GpsHealth:
     its system id, so that nothing that is said of one vehicle is said of one.
     """
 
-    settings: HealthSettings
+    settings: GpsHealthSettings
     own_receiver: int = 0
     state: GpsState = GpsState.UNKNOWN
     reason: str = "nothing heard from its GPS receiver yet"

@@ -43,18 +43,18 @@ class MeasurementSettings:
 
     `position_sigma_h_m`, `position_sigma_v_m`, `velocity_sigma_mps`: for receivers that state no accuracy; the first two times
     HDOP where that is more than 1.
-    `least_position_sigma_m`: no receiver is believed to be better than this.
+    `min_position_sigma_m`: no receiver is believed to be better than this.
     `range_sigma_m`: for ranges that come without one. `altitude_sigma_m`: of the barometric height.
-    `oldest_s`: a message measured longer ago than this is refused.
+    `max_age_s`: a message measured longer ago than this is refused.
     """
 
     position_sigma_h_m: float = 5.0
     position_sigma_v_m: float = 8.0
     velocity_sigma_mps: float = 0.5
-    least_position_sigma_m: float = 0.3
+    min_position_sigma_m: float = 0.3
     range_sigma_m: float = 5.0
     altitude_sigma_m: float = 2.0
-    oldest_s: float = 5.0
+    max_age_s: float = 5.0
 
 
 class MeasurementBuilder:
@@ -214,8 +214,8 @@ class MeasurementBuilder:
         stated_speed = receiver.speed_acc_mps if receiver is not None else None
         # The error is that of one satellite's range times the dilution; the vertical one follows the horizontal one.
         dilution = max(receiver.hdop, 1.0) if receiver is not None and receiver.hdop is not None else 1.0
-        sigma_h_m = max(stated_h, s.least_position_sigma_m) if stated_h is not None else s.position_sigma_h_m * dilution
-        sigma_v_m = max(stated_v, s.least_position_sigma_m) if stated_v is not None else s.position_sigma_v_m * dilution
+        sigma_h_m = max(stated_h, s.min_position_sigma_m) if stated_h is not None else s.position_sigma_h_m * dilution
+        sigma_v_m = max(stated_v, s.min_position_sigma_m) if stated_v is not None else s.position_sigma_v_m * dilution
         return sigma_h_m, sigma_v_m, stated_speed if stated_speed is not None else s.velocity_sigma_mps
 
     def _boot_time(self, message: GlobalPosition | Attitude | SystemTime, vehicle: Vehicle, what: str) -> ServiceTime | None:
@@ -238,7 +238,7 @@ class MeasurementBuilder:
         if message.measured_at_s is None:
             # As long on the way as the vehicle's newest position, or by another way: from not at all to twice as long.
             delay_s = max(vehicle.delay_s or 0.0, 0.0)
-            sigma_s = hypot(self.time_settings.least_delay_sigma_s, _OTHER_WAY_SHARE * delay_s)
+            sigma_s = hypot(self.time_settings.min_delay_sigma_s, _OTHER_WAY_SHARE * delay_s)
             return self._fresh(ServiceTime(message.received_at_s - delay_s, sigma_s), message.received_at_s, "range")
         if message.time_base is TimeBase.SERVICE:
             return self._fresh(ServiceTime(message.measured_at_s, 0.0), message.received_at_s, "range")
@@ -257,8 +257,8 @@ class MeasurementBuilder:
         return self._fresh(measured, message.received_at_s, "range")
 
     def _fresh(self, measured: ServiceTime, received_at_s: float, what: str) -> ServiceTime | None:
-        if received_at_s - measured.at_s > self.settings.oldest_s:
-            self.refused[f"{what}: measured more than {self.settings.oldest_s:g} s ago"] += 1
+        if received_at_s - measured.at_s > self.settings.max_age_s:
+            self.refused[f"{what}: measured more than {self.settings.max_age_s:g} s ago"] += 1
             return None
         return measured
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from gcs_coloc.core.clocks.sender_clock import SenderClock
 from gcs_coloc.core.clocks.vehicle_clocks import VehicleClock
-from gcs_coloc.core.gps_health.gps_health import GpsHealth, HealthSettings
+from gcs_coloc.core.gps_health.gps_health import GpsHealth, GpsHealthSettings
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.inbound import Airspeed, Attitude, Autopilot, GlobalPosition, GpsReceiver, TimeBase
 from gcs_coloc.core.telemetry.air_data import LEAST_AIRSPEED_MPS
@@ -79,7 +79,7 @@ class VehicleRegistry:
     `own_receiver` is the instance of the receiver that is a vehicle's own and not fed by us.
     """
 
-    def __init__(self, health_settings: HealthSettings, most: int, own_receiver: int = 0) -> None:
+    def __init__(self, health_settings: GpsHealthSettings, most: int, own_receiver: int = 0) -> None:
         self._health_settings = health_settings
         self._own_receiver = own_receiver
         self._most = most

@@ -138,7 +138,7 @@ def test_a_position_that_is_unknown_or_too_uncertain_is_never_claimed_as_a_fix(c
     ],
 )
 def test_a_vehicle_that_cannot_be_reached_or_takes_no_gps_input_gets_nothing_and_the_reason_is_shown(blocking, words):
-    engine = Engine(StraightLine(), settings(aid=AidingSettings(way="gps_input")))
+    engine = Engine(StraightLine(), settings(aiding=AidingSettings(method="gps_input")))
     fly(engine, 0.0, 5.0)
     fly(engine, 5.0, 7.0, failed=[4])
     engine.receive(blocking)
@@ -226,7 +226,7 @@ def test_missing_streams_are_asked_for_ever_less_often_and_at_once_after_a_reboo
 
 
 def test_more_vehicles_than_the_bound_are_refused():
-    engine = Engine(StraightLine(), settings(most_vehicles=2))
+    engine = Engine(StraightLine(), settings(max_vehicles=2))
     fly(engine, 0.0, 1.0, sysids=(1, 2, 3))
     assert [v.sysid for v in engine.view(1.0).vehicles] == [1, 2]
     assert engine.refused()["more vehicles than the fleet may have"] > 10

@@ -6,7 +6,7 @@ import pytest
 
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.gps_health.gps_health import GpsState, HealthSettings
+from gcs_coloc.core.gps_health.gps_health import GpsHealthSettings, GpsState
 from gcs_coloc.core.measurements import AltitudeMeasurement, PositionMeasurement
 from gcs_coloc.core.messages.inbound import Airspeed, Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, MeasurementSettings
@@ -14,7 +14,7 @@ from gcs_coloc.core.telemetry.vehicles import FixSent, Vehicle, VehicleRegistry
 
 
 def vehicle(state: GpsState = GpsState.HEALTHY, sysid: int = 4) -> Vehicle:
-    record = VehicleRegistry(HealthSettings(), 10).add(sysid, 0.0)
+    record = VehicleRegistry(GpsHealthSettings(), 10).add(sysid, 0.0)
     assert record is not None
     record.health.state = state
     return record
@@ -101,7 +101,7 @@ def test_altitude_is_brought_down_by_the_earths_curvature_at_the_last_known_plac
     [(gps(1.5, 2.5), (1.5, 2.5)), (gps(0.01, 0.01), (0.3, 0.3)), (gps(None), (5.0, 8.0)), (None, (5.0, 8.0))],
 )
 def test_the_receivers_own_accuracy_is_the_noise_where_it_states_one(receiver, expected):
-    feed = MeasurementBuilder(MeasurementSettings(), TimeSettings(least_delay_sigma_s=1e-6))
+    feed = MeasurementBuilder(MeasurementSettings(), TimeSettings(min_delay_sigma_s=1e-6))
     healthy = vehicle()
     healthy.receiver = receiver
     measurement = feed.position(position(1.0), healthy)
@@ -114,7 +114,7 @@ def test_the_receivers_own_accuracy_is_the_noise_where_it_states_one(receiver, e
     [(None, None, (5.0, 8.0)), (0.7, None, (5.0, 8.0)), (4.0, None, (20.0, 32.0)), (4.0, 1.5, (1.5, 2.5))],
 )
 def test_where_it_states_none_its_dilution_tells_how_bad_the_receiver_is(hdop, h_acc_m, expected):
-    feed = MeasurementBuilder(MeasurementSettings(), TimeSettings(least_delay_sigma_s=1e-6))
+    feed = MeasurementBuilder(MeasurementSettings(), TimeSettings(min_delay_sigma_s=1e-6))
     healthy = vehicle()
     healthy.receiver = replace(gps(h_acc_m, 2.5 if h_acc_m is not None else None), hdop=hdop)
     measurement = feed.position(position(1.0), healthy)
@@ -123,7 +123,7 @@ def test_where_it_states_none_its_dilution_tells_how_bad_the_receiver_is(hdop, h
 
 
 def test_an_uncertain_time_is_an_uncertain_place():
-    feed = MeasurementBuilder(MeasurementSettings(), TimeSettings(least_delay_s=0.1, least_delay_sigma_s=0.5))
+    feed = MeasurementBuilder(MeasurementSettings(), TimeSettings(min_delay_s=0.1, min_delay_sigma_s=0.5))
     moving, peer = vehicle(), vehicle(sysid=1)
     moving.receiver = gps(1.5, 2.5)
     moving.position = position(1.0)  # 1 m/s north, 2 east, 3 down

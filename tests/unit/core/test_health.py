@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_coloc.core.gps_health.gps_health import Contradiction, GpsHealth, GpsState, HealthSettings
+from gcs_coloc.core.gps_health.gps_health import Contradiction, GpsHealth, GpsHealthSettings, GpsState
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.messages.inbound import EkfStatus, GpsReceiver, SystemHealth
@@ -17,7 +17,7 @@ def receiver(
 
 
 def healthy_until(t_s: float) -> GpsHealth:
-    health = GpsHealth(HealthSettings())
+    health = GpsHealth(GpsHealthSettings())
     for i in range(int(t_s * 5) + 1):
         health.take(receiver(i / 5))
         health.update(i / 5)
@@ -32,7 +32,7 @@ def run(health: GpsHealth, start_s: float, stop_s: float, **fix: object) -> None
 
 
 def test_nothing_heard_is_unknown():
-    health = GpsHealth(HealthSettings())
+    health = GpsHealth(GpsHealthSettings())
     health.update(100.0)
     assert health.state is GpsState.UNKNOWN
 

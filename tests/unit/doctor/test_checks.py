@@ -143,15 +143,15 @@ def test_what_does_not_stop_anything_is_a_note(vehicle, words):
 
 
 def test_a_lag_that_is_set_like_the_vehicles_delay_is_right():
-    assert not said(with_parameters(GPS2_DELAY_MS=120.0), Setup(aid=AidingSettings(lag_s=0.12)))
+    assert not said(with_parameters(GPS2_DELAY_MS=120.0), Setup(aiding=AidingSettings(lag_s=0.12)))
     assert not said(replace(GOOD, utc_minus_host_s=CLOCKS_AGREE_S))
 
 
 def test_another_receiver_instance_is_judged_as_the_fed_one():
     swapped = with_parameters(GPS1_TYPE=14.0, GPS2_TYPE=1.0, GPS_PRIMARY=1.0)
-    assert not said(swapped, Setup(aid=AidingSettings(gps_id=0)))
-    assert not is_ready(said(swapped, Setup(aid=AidingSettings(gps_id=1))))
-    (remark,) = said(GOOD, Setup(aid=AidingSettings(gps_id=2)))
+    assert not said(swapped, Setup(aiding=AidingSettings(gps_id=0)))
+    assert not is_ready(said(swapped, Setup(aiding=AidingSettings(gps_id=1))))
+    (remark,) = said(GOOD, Setup(aiding=AidingSettings(gps_id=2)))
     assert "has not checked this one" in remark.text
 
 
@@ -208,27 +208,30 @@ def test_px4_must_take_an_auxiliary_global_position_of_ours(parameters, paramete
 
 def test_the_way_that_the_configuration_sets_is_the_one_that_is_checked():
     without = with_parameters(GPS2_TYPE=0.0)
-    assert not said(without, Setup(aid=AidingSettings(way="external_position")))
-    assert not said(without, Setup(aid=AidingSettings(ways={4: "external_position"})))
-    assert said(without, Setup(aid=AidingSettings(ways={5: "external_position"})))
-    (remark,) = said(GOOD, Setup(aid=AidingSettings(way="global_position_sensor")))
+    assert not said(without, Setup(aiding=AidingSettings(method="external_position")))
+    assert not said(without, Setup(aiding=AidingSettings(methods={4: "external_position"})))
+    assert said(without, Setup(aiding=AidingSettings(methods={5: "external_position"})))
+    (remark,) = said(GOOD, Setup(aiding=AidingSettings(method="global_position_sensor")))
     assert "ArduPilot does not take GLOBAL_POSITION_SENSOR" in remark.text
-    (remark,) = said(replace(GOOD, autopilot=Autopilot.PX4), Setup(aid=AidingSettings(way="gps_input")))
+    (remark,) = said(replace(GOOD, autopilot=Autopilot.PX4), Setup(aiding=AidingSettings(method="gps_input")))
     assert "PX4 does not take GPS_INPUT" in remark.text
 
 
 def test_an_unknown_autopilot_is_aided_as_it_is_set_and_stops_where_nothing_is():
     unknown = replace(GOOD, autopilot=Autopilot.OTHER, parameters={})
     (remark,) = said(unknown)
-    assert (remark.level, remark.mend) == (Level.STOP, "set way, or ways.4 for this vehicle alone, in [aid] of gcs-coloc")
-    for aid in (AidingSettings(way="gps_input"), AidingSettings(ways={4: "gps_input"})):
-        (remark,) = said(unknown, Setup(aid=aid))
+    assert (remark.level, remark.mend) == (
+        Level.STOP,
+        "set method, or methods.4 for this vehicle alone, in [aiding] of gcs-coloc",
+    )
+    for aid in (AidingSettings(method="gps_input"), AidingSettings(methods={4: "gps_input"})):
+        (remark,) = said(unknown, Setup(aiding=aid))
         assert remark.level is Level.NOTE
         assert "it is aided by gps_input, as set" in remark.text
 
 
 def test_a_vehicle_that_is_streamed_on_standby_may_arm():
-    assert not said(replace(GOOD, armed=False), Setup(aid=AidingSettings(standby=True)))
+    assert not said(replace(GOOD, armed=False), Setup(aiding=AidingSettings(standby=True)))
 
 
 def test_px4_is_not_asked_for_what_only_ardupilot_sends():

@@ -94,9 +94,9 @@ def test_any_frame_of_a_vehicle_keeps_its_autopilots_address(ears):
         assert not ears.hears(1, THERE)
 
 
-@pytest.mark.parametrize(("roam_after_s", "roams"), [(59.0, True), (61.0, False), (float("inf"), False)])
-def test_how_soon_a_silent_vehicle_may_roam_is_a_setting(roam_after_s, roams):
-    ears = Ears(roam_after_s=roam_after_s)
+@pytest.mark.parametrize(("rebind_after_s", "roams"), [(59.0, True), (61.0, False), (float("inf"), False)])
+def test_how_soon_a_silent_vehicle_may_roam_is_a_setting(rebind_after_s, roams):
+    ears = Ears(rebind_after_s=rebind_after_s)
     ears.hears(1, HERE)
     ears.now_s += 60.0
     assert ears.hears(1, THERE) is roams

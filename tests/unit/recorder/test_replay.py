@@ -51,7 +51,7 @@ def recorded(tmp_path_factory) -> tuple[Path, list[TruthPoint]]:
 
 
 def run(path: Path, truth: list[TruthPoint], aid: AidingSettings | None = None) -> tuple[list, FlightReport, TlogReader]:
-    engine = Engine(load_estimator("fleet", {}), EngineSettings(aid=aid if aid is not None else AidingSettings()))
+    engine = Engine(load_estimator("fleet", {}), EngineSettings(aiding=aid if aid is not None else AidingSettings()))
     log, report, outputs = TlogReader(path), FlightReport(engine, truth), []
 
     def take(at_s, polled):
@@ -99,7 +99,7 @@ def told_of(path: Path, **how) -> set[str]:
 
 def test_positions_that_go_by_another_way_are_counted_as_such(recorded):
     path, truth = recorded
-    outputs, report, _ = run(path, truth, AidingSettings(way="external_position"))
+    outputs, report, _ = run(path, truth, AidingSettings(method="external_position"))
     sent = sum(isinstance(o, ExternalPosition) for _, o in outputs)
     (lost,) = (v for v in report.as_dict()["vehicles"] if v["sysid"] == 4)
     assert lost["external_positions"] == sent > 5
@@ -135,7 +135,12 @@ def test_whether_our_stream_is_taken_is_judged_only_where_what_is_computed_was_s
 
 @pytest.mark.parametrize(
     "section",
-    [{"estimator": {"settings": {"a": 1}}}, {"aid": {"lag_s": 0.1}}, {"health": {"silence_s": 4.0}}, {"feed": {"oldest_s": 4}}],
+    [
+        {"estimator": {"settings": {"a": 1}}},
+        {"aiding": {"lag_s": 0.1}},
+        {"gps_health": {"silence_s": 4.0}},
+        {"measurements": {"max_age_s": 4}},
+    ],
 )
 def test_the_fingerprint_of_settings_is_another_where_the_engine_would_answer_otherwise(section):
     assert Settings.model_validate(section).fingerprint() != Settings().fingerprint()

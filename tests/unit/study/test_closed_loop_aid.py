@@ -26,7 +26,7 @@ def scenario(fault: type, **ranging: object) -> Scenario:
 
 
 def flown(what: Scenario, duration_s: float, **aid: object) -> tuple[Flight, Engine]:
-    engine = Engine(load_estimator("fleet", {}), EngineSettings(aid=AidingSettings(**aid)))
+    engine = Engine(load_estimator("fleet", {}), EngineSettings(aiding=AidingSettings(**aid)))
     return fly(what, 7, engine, duration_s=duration_s), engine
 
 

@@ -72,13 +72,13 @@ def test_who_needs_aid_again_and_still_cannot_be_aided_is_told_again():
 
 def test_to_an_unknown_autopilot_nothing_is_sent_unless_a_way_is_set():
     for way, sent in (("auto", False), ("gps_input", True)):
-        engine = Engine(StraightLine(), settings(aid=AidingSettings(way=way, standby=True)))
+        engine = Engine(StraightLine(), settings(aiding=AidingSettings(method=way, standby=True)))
         fly(engine, 0.0, 5.0, autopilot=Autopilot.OTHER)
         out = fly(engine, 5.0, 10.0, failed=[4], autopilot=Autopilot.OTHER)
         assert any(isinstance(o, AidingMessage) for _, o in out) is sent
         alarms = [o.text for _, o in out if isinstance(o, Notice) and "cannot be aided: its autopilot is neither" in o.text]
         assert len(alarms) == (0 if sent else 1)
-        assert all("set the way of its aid ([aid] ways)" in text for text in alarms)
+        assert all("set its aiding method ([aiding] methods)" in text for text in alarms)
         assert vehicle_4(engine, 10.0).aiding.startswith("sending 3D fix" if sent else "NOT SENT: its autopilot is neither")
 
 
@@ -116,7 +116,7 @@ def test_a_px4_that_is_not_located_is_told_nothing():
 
 
 def test_the_way_of_a_single_vehicle_wins_and_one_that_it_cannot_take_is_refused_in_words():
-    engine = Engine(StraightLine(), settings(aid=AidingSettings(ways={4: "global_position_sensor"})))
+    engine = Engine(StraightLine(), settings(aiding=AidingSettings(methods={4: "global_position_sensor"})))
     fly(engine, 0.0, 5.0)
     out = fly(engine, 5.0, 10.0, failed=[3, 4])
     assert {o.sysid for _, o in out if isinstance(o, AidingMessage)} == {3}
@@ -124,7 +124,7 @@ def test_the_way_of_a_single_vehicle_wins_and_one_that_it_cannot_take_is_refused
 
 
 def test_the_stream_goes_on_for_a_while_after_the_gps_is_healthy_again_then_ends_with_no_fix():
-    engine = Engine(StraightLine(), settings(aid=AidingSettings(hand_back_s=6.0)))
+    engine = Engine(StraightLine(), settings(aiding=AidingSettings(hand_back_s=6.0)))
     fly(engine, 0.0, 5.0)
     fly(engine, 5.0, 8.0, failed=[4])
     stream = aids(fly(engine, 8.0, 40.0), 4)
@@ -163,7 +163,7 @@ def test_what_feeds_another_receiver_or_another_vehicle_is_no_rival(other):
 
 @pytest.mark.parametrize("gps_id", [0, 1])
 def test_the_receiver_that_we_feed_never_counts_as_the_vehicles_own(gps_id):
-    engine = Engine(StraightLine(), settings(aid=AidingSettings(gps_id=gps_id)))
+    engine = Engine(StraightLine(), settings(aiding=AidingSettings(gps_id=gps_id)))
     for step in range(100):
         t = step / 10
         engine.receive(Heartbeat(4, t, Autopilot.ARDUPILOT, True, winged=True))

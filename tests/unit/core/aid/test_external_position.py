@@ -36,7 +36,7 @@ def flown(engine: Engine, start_s: float, stop_s: float, result: int | None = No
 def engine_with(sigma_m: float, **aid) -> Engine:
     estimator = StraightLine()
     estimator.sigma_m = sigma_m
-    engine = Engine(estimator, settings(aid=AidingSettings(**aid)))
+    engine = Engine(estimator, settings(aiding=AidingSettings(**aid)))
     fly(engine, 0.0, 5.0)
     return engine
 
@@ -156,7 +156,7 @@ def test_no_estimate_is_sent_while_the_position_may_not_be_claimed():
 
 @pytest.mark.parametrize("sigma_m", [2.0, 10.0])
 def test_chosen_by_setting_they_are_sent_alone(sigma_m):
-    out = flown(engine_with(sigma_m, way="external_position"), 5.0, 15.0, ACCEPTED)
+    out = flown(engine_with(sigma_m, method="external_position"), 5.0, 15.0, ACCEPTED)
     assert not of(out, GpsInput)
     assert len(of(out, ExternalPosition)) == pytest.approx(9, abs=1)
 

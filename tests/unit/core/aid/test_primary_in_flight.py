@@ -18,7 +18,7 @@ class Switching:
     """Vehicle 4 with GPS2_RAW heard as it is sent, a parameter that it keeps, and the fix type that its own receiver claims."""
 
     def __init__(self, **aid) -> None:
-        self.engine = Engine(StraightLine(), settings(aid=AidingSettings(**aid)))
+        self.engine = Engine(StraightLine(), settings(aiding=AidingSettings(**aid)))
         self.primary = 0.0
         self.out: list = []
         fly(self.engine, 0.0, 5.0)
@@ -85,7 +85,7 @@ def test_the_operators_word_switches_and_restores_it():
 
 
 def test_it_is_not_switched_to_a_receiver_that_is_not_seen_to_take_what_is_sent():
-    engine = Engine(StraightLine(), settings(aid=AidingSettings(switch_primary="auto")))
+    engine = Engine(StraightLine(), settings(aiding=AidingSettings(switch_primary="auto")))
     engine.receive(OperatorCommand(4, 0.0, GpsOverride.FAILED))
     out = fly(engine, 0.0, 10.0)  # no GPS2_RAW
     assert not [o for _, o in out if isinstance(o, ParameterRequest) and o.name == "GPS_PRIMARY"]

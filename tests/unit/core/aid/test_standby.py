@@ -16,7 +16,7 @@ from gcs_coloc.core.messages.outbound import AidingMessage, Notice
 
 def standing_by(**values: float) -> tuple[Engine, StraightLine]:
     estimator = StraightLine()
-    engine = Engine(estimator, settings(aid=AidingSettings(standby=True)))
+    engine = Engine(estimator, settings(aiding=AidingSettings(standby=True)))
     fly(engine, 0.0, 2.0)
     parameters_told(engine, 2.0, **values)
     return engine, estimator
@@ -59,7 +59,7 @@ def test_standby_waits_for_parameters_by_which_the_vehicle_stays_with_its_own_re
 
 
 def test_what_stands_against_standby_is_told_once_and_only_when_the_vehicle_has_told_its_parameters():
-    engine = Engine(StraightLine(), settings(aid=AidingSettings(standby=True)))
+    engine = Engine(StraightLine(), settings(aiding=AidingSettings(standby=True)))
     silent = fly(engine, 0.0, 5.0)
     parameters_told(engine, 5.0, GPS_AUTO_SWITCH=1.0, GPS_PRIMARY=0.0)
     told = fly(engine, 5.0, 10.0)

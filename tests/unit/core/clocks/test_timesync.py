@@ -100,7 +100,7 @@ def test_without_answers_the_error_is_the_least_delay_and_its_sigma_is_at_least_
     assert vehicle.clock.one_way_delay_s(120.0) is None
     assert vehicle.error_s(120.0) == pytest.approx(0.05, abs=0.005)
     assert vehicle.clock.to_service(vehicle.boot_s(120.0), 120.0, SETTINGS).sigma_s == 0.25
-    told = TimeSettings(least_delay_s=0.05, least_delay_sigma_s=0.01)
+    told = TimeSettings(min_delay_s=0.05, min_delay_sigma_s=0.01)
     known = vehicle.clock.to_service(vehicle.boot_s(120.0), 120.0, told)
     assert known.at_s == pytest.approx(120.0, abs=0.005)
     assert known.sigma_s == 0.01
@@ -295,4 +295,4 @@ def test_a_device_on_the_autopilots_clock_uses_its_offset_and_another_the_links_
     assert first.sigma_s < second.sigma_s < 0.01
     unanswered = VehicleClock().device_to_service(other, 199.0 + 1.7e9, 200.0, SETTINGS)
     assert unanswered.at_s == pytest.approx(199.05, abs=0.003)
-    assert unanswered.sigma_s == SETTINGS.least_delay_sigma_s
+    assert unanswered.sigma_s == SETTINGS.min_delay_sigma_s

@@ -71,7 +71,7 @@ def test_the_utc_of_a_vehicle_without_gps_shows_nothing():
 
 
 def test_nothing_is_told_where_timesync_is_answered_the_delay_is_set_or_nobody_is_asked():
-    for known in ({"answers_until_s": 99.0}, {"time": TimeSettings(least_delay_s=0.3)}, {"on_air": False}):
+    for known in ({"answers_until_s": 99.0}, {"time": TimeSettings(min_delay_s=0.3)}, {"on_air": False}):
         assert told(**known)[1] == []
 
 
