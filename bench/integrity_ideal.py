@@ -26,7 +26,8 @@ from bench.integrity_flights import (
     fresh_engine,
 )
 from gcs_coloc.core.integrity.monitor import IntegrityMonitor
-from gcs_coloc.core.measurements import Estimate, FloatArray
+from gcs_coloc.core.integrity.report import IntegrityReport
+from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.core.messages.inbound import GlobalPosition, PeerRange
 
 FALSE_ALARMS = (1e-6, 1e-3)
@@ -35,14 +36,11 @@ _FLIGHT_S = 80.0
 
 
 class _Blind(IntegrityMonitor):
-    """Believes everybody and doubts nothing."""
+    """Detects no fault and inflates no covariance."""
 
-    def review(self, *_: object) -> None:
+    def review(self, *_: object) -> IntegrityReport:
         """Test nothing."""
-
-    def doubted(self, where: Estimate) -> Estimate:
-        """Return the estimator's answer as it is."""
-        return where
+        return IntegrityReport()
 
 
 def noticed_in_time(task: tuple[Scenario, int]) -> tuple[bool, ...]:

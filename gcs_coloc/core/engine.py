@@ -14,9 +14,10 @@ from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.clocks.unanswered_timesync import UnansweredTimesync
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.estimator import Estimator
-from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsHealthSettings
+from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, Contradiction, GpsHealthSettings
 from gcs_coloc.core.guarded_estimator import GuardedEstimator
-from gcs_coloc.core.integrity.monitor import IntegrityMonitor
+from gcs_coloc.core.integrity.monitor import PLACED_BY_ESTIMATE, IntegrityMonitor
+from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus, ReviewedVehicle
 from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.core.messages.aiding import ForeignGpsInput, ParameterSet
 from gcs_coloc.core.messages.control import (
@@ -52,6 +53,7 @@ from gcs_coloc.core.utc import Utc
 from gcs_coloc.core.vehicle_snapshot import vehicle_snapshot
 
 REVIEWED_EVERY_S = 0.2
+_REJECTED_FIXES = "GPS: back, but contradicted by ranges"
 _DOUBLED = (
     "two autopilots use its system id; give each its own (MAV_SYSID, SYSID_THISMAV before ArduPilot 4.7; MAV_SYS_ID on PX4)"
 )
@@ -85,6 +87,7 @@ class Engine:
         self.feed = MeasurementBuilder(self.settings.measurements, self.settings.time)
         self.aiding = Aiding(self.settings.aiding)
         self.integrity = IntegrityMonitor()
+        self._integrity_report = IntegrityReport()
         self._streams = StreamRequests()
         self._residuals = ResidualLog()
         self._jumps = RangeJumps()
@@ -135,8 +138,8 @@ class Engine:
         if now_s >= self._housekeeping_due_s:
             self._housekeeping_due_s = self.aiding.grid.after(now_s, REVIEWED_EVERY_S)
             self.reviewed_at_s = now_s
-            self.integrity.review(now_s, self.fleet, self.feed.frame, self.estimator.estimate)
-            for sysid in self.integrity.returning.misplaced:
+            self._review_integrity(now_s)
+            for sysid in self._integrity_report.diverged:
                 self._locate_anew(sysid, now_s)
                 self._say(now_s, sysid, "warning", "its GPS is back and fits the ranges, our position did not: located anew")
             for vehicle in self.fleet:
@@ -184,8 +187,10 @@ class Engine:
     def refused(self) -> dict[str, int]:
         """How often what was refused, by reason, since the start."""
         total = self._refused.copy()
-        for counts in (self._telemetry.refused, self.feed.refused, self.aiding.refused, self.integrity.returning.refused):
+        for counts in (self._telemetry.refused, self.feed.refused, self.aiding.refused):
             total.update(counts)
+        if self._integrity_report.rejected_fixes:
+            total[_REJECTED_FIXES] += self._integrity_report.rejected_fixes
         return dict(total)
 
     def view(self, now_s: float) -> FleetSnapshot:
@@ -208,9 +213,34 @@ class Engine:
         )
 
     def where(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
-        """The estimator's answer for one vehicle at one service time, its covariance with what a liar may have done to it."""
+        """The estimator's answer for one vehicle at one service time, its covariance inflated by the solution separation."""
         where = self.estimator.estimate(sysid, at_s)
-        return self.integrity.doubted(where) if isinstance(where, Estimate) else where
+        return self._integrity_report.inflate(where) if isinstance(where, Estimate) else where
+
+    def _review_integrity(self, now_s: float) -> None:
+        vehicles = [self._reviewed(vehicle, now_s) for vehicle in self.fleet]
+        report = self._integrity_report = self.integrity.review(now_s, vehicles, self.feed.frame)
+        for vehicle in self.fleet:
+            fault, status = report.faults.get(vehicle.sysid), report.reacquisitions.get(vehicle.sysid)
+            vehicle.health.contradiction = Contradiction(fault.text, fault.is_identified) if fault is not None else None
+            vehicle.health.return_doubted = status is ReacquisitionStatus.CONTRADICTED
+            vehicle.health.return_untested = status is ReacquisitionStatus.UNTESTED
+
+    def _reviewed(self, vehicle: Vehicle, now_s: float) -> ReviewedVehicle:
+        health = vehicle.health
+        where = self.estimator.estimate(vehicle.sysid, now_s) if health.state in PLACED_BY_ESTIMATE else None
+        return ReviewedVehicle(
+            vehicle.sysid,
+            health.state,
+            is_trusted=health.trusted,
+            is_automatic=health.word is GpsOverride.AUTO,
+            reported=vehicle.claim,
+            receiver=vehicle.receiver,
+            receiver_fix=vehicle.receiver_fix,
+            estimate=where if isinstance(where, Estimate) else None,
+            median_nis=vehicle.range_misfit,
+            range_jump_m=vehicle.range_jump_m,
+        )
 
     def _first_heard(self, sysid: int, at_s: float) -> Vehicle | None:
         vehicle = self.fleet.add(sysid, at_s)

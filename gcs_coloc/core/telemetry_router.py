@@ -72,7 +72,7 @@ class Telemetry:
         measurement = self._feed.position(message, vehicle)
         if vehicle.claim is not None:
             vehicle.health.motion.take_claim(vehicle.claim, own=not vehicle.health.aided)
-            self._integrity.claim(vehicle.claim, vehicle)
+            self._integrity.add_position(vehicle.claim, vehicle.health.state, is_aided=vehicle.health.aided)
         if measurement is not None:
             vehicle.delay_s = measurement.arrived_at_s - measurement.measured_at_s
             self._estimator.add(measurement)
@@ -92,7 +92,7 @@ class Telemetry:
         if stuck != (pair in vehicle.range_repeats.stuck):
             self._tell_of_device(message, was_stuck=stuck)
         if measurement is not None:
-            self._integrity.range(measurement)
+            self._integrity.add_range(measurement)
             self._estimator.add(measurement)
         return False
 

@@ -7,11 +7,11 @@ from math import sqrt
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.error_bound import horizontal_bound_95_m
 from gcs_coloc.core.measurements import Estimate, NoEstimate
+from gcs_coloc.core.residual_log import CONSISTENT_MEDIAN_NIS
 
 _MOST_HDOP = 30.0  # from 46 on positions in turns were off by ten times their bound, up to 27 never beyond it
 _WEARS_OFF = 3.0
 _LONGEST_STEP_S = 1.0
-MOST_MISFIT = 3.0  # 0.45 where the covariance is true, below 0.9 in all simulated flights; here half are beyond 1.7 sigma
 
 
 class FixPolicy:
@@ -52,7 +52,7 @@ class FixPolicy:
             self._ranged_at_s = now_s
         self._note_geometry(now_s, is_determined=own_gps or air_data or _is_determined(answer))
         fault = self._fault(answer, now_s)
-        if fault is None and not own_gps and range_misfit is not None and range_misfit > MOST_MISFIT:
+        if fault is None and not own_gps and range_misfit is not None and range_misfit > CONSISTENT_MEDIAN_NIS:
             fault = f"half of its ranges are {sqrt(range_misfit):.1f} sigma or more off where it is held to be"
         if fault is None and not own_gps and range_jump_m is not None:
             fault = f"all of its ranges jumped by {range_jump_m:.0f} m"

@@ -1,141 +1,125 @@
-"""Consistency of the fleet's GPS with its ranges, between the engine's records and the test: who claims what, who has lied.
+"""The integrity stage of one fleet: reported positions, ranges and estimates in, one `IntegrityReport` out.
 
-A vehicle that is trusted or suspected claims what its autopilot reports. One that has failed claims nothing: its autopilot
-echoes our aid, so it is placed where the estimator has it, and the test takes that place as free. An accused one is
-believed again only after its real receiver has agreed for a while with where the ranges put it.
+A vehicle that is healthy or suspect has its reported position as a prior. One whose GPS has failed has none: its autopilot
+echoes our fix, so it stands where the estimator has it, free to move horizontally. An identified vehicle is readmitted only
+after its real receiver has agreed for a while with where the ranges put it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from math import hypot, sqrt
 
 import numpy as np
 
 from gcs_coloc.core.error_bound import horizontal_sigma_m
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.gps_health.gps_health import Contradiction, GpsState
+from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.integrity.range_consistency import ConsistencySettings, RangeConsistency
 from gcs_coloc.core.integrity.range_residuals import ReportedTrack
-from gcs_coloc.core.integrity.reacquisition import Answer, ReacquisitionMonitor
-from gcs_coloc.core.measurements import Estimate, FloatArray, NoEstimate, PositionMeasurement, RangeMeasurement
-from gcs_coloc.core.telemetry.vehicles import Vehicle, VehicleRegistry
+from gcs_coloc.core.integrity.reacquisition import ReacquisitionMonitor
+from gcs_coloc.core.integrity.report import FaultReason, IntegrityReport, PositionFault, ReviewedVehicle
+from gcs_coloc.core.measurements import FloatArray, PositionMeasurement, RangeMeasurement
 
-_CLAIMS_IN = (GpsState.HEALTHY, GpsState.SUSPECT)
-_PLACED_IN = (GpsState.FAILED, GpsState.RECOVERING)
-_SIGMA_V_UNKNOWN_M = 10.0
-_LONGEST_FIX_LATENCY_S = 0.5
-_STANDS_MPS = 1.0
-_AGREES_SIGMAS = 3.0
-_AGREES_FOR_S = 15.0
-_WELL_KNOWN_SHARE = 0.25
-_DOUBT_GREW_S = 5.0  # what moved a position within so long is in its velocity, too
+PLACED_BY_ESTIMATE = (GpsState.FAILED, GpsState.RECOVERING)
+"""The states in which the review needs the estimator's answer for a vehicle."""
+_PLACED_BY_REPORT = (GpsState.HEALTHY, GpsState.SUSPECT)
+_LARGEST_SIGMA_V_M = 10.0  # chosen: a free height would cost each range its information
+_LONGEST_FIX_LATENCY_S = 0.5  # of GNSS receivers without configured delay; PX4 EKF2_GPS_DELAY is at most 0.3 s
+_LEAST_SPEED_MPS = 1.0  # below it a course says nothing
+_AGREES_SIGMAS = 3.0  # 99.7 % of a Gaussian
+_AGREES_FOR_S = 15.0  # chosen: longer readmits later, shorter readmits a spoofed receiver that passes by
+_WELL_KNOWN_SHARE = 0.25  # of the fault's size; chosen: four sigmas tell the fault from none
+_OLDEST_FIX_S = 1.0  # of a receiver at 1 Hz
 
 
 class IntegrityMonitor:
-    """One fleet. Feed it claims and ranges, call `review` several times a second; it sets `health.contradiction`."""
+    """Detects, isolates and bounds faults of reported positions. Call `review` several times a second."""
 
     def __init__(self, settings: ConsistencySettings | None = None) -> None:
-        self.ranges = RangeConsistency(settings)
-        self.returning = ReacquisitionMonitor(self.ranges.settings)
-        self._agrees_since: dict[int, tuple[float, FloatArray]] = {}
+        self._consistency = RangeConsistency(settings)
+        self._reacquisition = ReacquisitionMonitor(self._consistency.settings)
+        self._agreements: dict[int, tuple[float, FloatArray]] = {}
 
-    def claim(self, claim: PositionMeasurement, vehicle: Vehicle) -> None:
-        """Take what a vehicle says of its own position; one that is not believed for want of GPS says nothing."""
-        if vehicle.health.state not in _CLAIMS_IN or vehicle.health.aided or claim.velocity_enu_mps is None:
+    def add_position(self, position: PositionMeasurement, gps_state: GpsState, *, is_aided: bool) -> None:
+        """Add the position that a vehicle reports; one that is aided, or has no GPS, reports nothing of its own."""
+        if gps_state not in _PLACED_BY_REPORT or is_aided or position.velocity_enu_mps is None:
             return
         track = ReportedTrack(
-            claim.measured_at_s,
-            claim.position_enu_m,
-            claim.velocity_enu_mps,
-            claim.sigma_h_m,
-            claim.sigma_v_m,
+            position.measured_at_s,
+            position.position_enu_m,
+            position.velocity_enu_mps,
+            position.sigma_h_m,
+            position.sigma_v_m,
             free=False,
         )
-        self.ranges.place(vehicle.sysid, track)
+        self._consistency.place(position.vehicle, track)
 
-    def range(self, measurement: RangeMeasurement) -> None:
-        """Take a range between two vehicles."""
-        self.ranges.range(measurement)
-        self.returning.range(measurement)
+    def add_range(self, measurement: RangeMeasurement) -> None:
+        """Add a range between two vehicles."""
+        self._consistency.range(measurement)
+        self._reacquisition.add_range(measurement)
 
-    def review(self, now_s: float, fleet: VehicleRegistry, frame: LocalFrame | None, answer: Answer) -> None:
-        """Place the vehicles without GPS, make the test when it is due, and tell each vehicle's health what came of it."""
+    def review(self, now_s: float, vehicles: Sequence[ReviewedVehicle], frame: LocalFrame | None) -> IntegrityReport:
+        """Test what was added up to now (service time, s). Without a frame there is no position to test."""
         if frame is None:
-            return
-        for vehicle in fleet:
-            if vehicle.health.state in _PLACED_IN:
-                where = answer(vehicle.sysid, now_s)
-                if isinstance(where, Estimate):
-                    sigma_v_m = min(sqrt(float(where.covariance[2, 2])), _SIGMA_V_UNKNOWN_M)
+            return IntegrityReport()
+        for vehicle in vehicles:
+            if vehicle.gps_state in PLACED_BY_ESTIMATE:
+                where = vehicle.estimate
+                if where is not None:
+                    sigma_v_m = min(sqrt(float(where.covariance[2, 2])), _LARGEST_SIGMA_V_M)
                     (e, n, u), (ve, vn, vu) = where.position_enu_m.tolist(), where.velocity_enu_mps.tolist()
-                    self.ranges.place(vehicle.sysid, ReportedTrack(now_s, (e, n, u), (ve, vn, vu), 0.0, sigma_v_m, free=True))
-                if vehicle.sysid in self.ranges.accused and self._receiver_agrees(vehicle, frame, where, now_s):
-                    self.ranges.acquit(vehicle.sysid)
-        self.ranges.review(now_s)
-        self.returning.review(now_s, fleet, lambda sysid, at_s: self._doubted(answer(sysid, at_s)))
-        for vehicle in fleet:
-            sysid, health = vehicle.sysid, vehicle.health
-            health.contradiction = self._contradiction(sysid) or self.returning.contradiction(sysid)
-            health.return_doubted = self.returning.doubted(sysid)
-            health.return_untested = self.returning.untested(sysid, now_s)
+                    track = ReportedTrack(now_s, (e, n, u), (ve, vn, vu), 0.0, sigma_v_m, free=True)
+                    self._consistency.place(vehicle.sysid, track)
+                if vehicle.sysid in self._consistency.accused and self._receiver_agrees(vehicle, frame, now_s):
+                    self._consistency.acquit(vehicle.sysid)
+        self._consistency.review(now_s)
+        tested = IntegrityReport(separation_m2=dict(self._consistency.doubt_m2))
+        inflated = [replace(v, estimate=tested.inflate(v.estimate)) if v.estimate is not None else v for v in vehicles]
+        reacquired = self._reacquisition.review(now_s, inflated)
+        sysids = [vehicle.sysid for vehicle in vehicles]
+        faults = {sysid: fault for sysid in sysids if (fault := self._fault(sysid)) is not None}
+        return replace(reacquired, faults={**reacquired.faults, **faults}, separation_m2=tested.separation_m2)
 
-    def doubted(self, where: Estimate) -> Estimate:
-        """Return an estimate with what a fault that may be at work has done to it in its covariance."""
-        doubt_m2 = self.ranges.doubt_m2.get(where.vehicle)
-        if doubt_m2 is None or not doubt_m2.any():
-            return where
-        covariance = where.covariance.copy()
-        covariance[:2, :2] += doubt_m2
-        covariance[3:5, 3:5] += doubt_m2 / _DOUBT_GREW_S**2
-        # As `replace` does, at half the time.
-        return Estimate(
-            where.vehicle, where.at_s, where.position_enu_m, where.velocity_enu_mps, covariance, where.hdop, where.ranges_in_use
-        )
-
-    def _doubted(self, where: Estimate | NoEstimate) -> Estimate | NoEstimate:
-        return self.doubted(where) if isinstance(where, Estimate) else where
-
-    def _contradiction(self, sysid: int) -> Contradiction | None:
-        accusation = self.ranges.accused.get(sysid)
-        if accusation is not None:
-            peers = ", ".join(str(peer) for peer in accusation.peers)
-            text = f"its GPS position contradicts the ranges to {peers} by {accusation.size_m:.0f} m"
-            return Contradiction(text, identified=True)
-        if sysid in self.ranges.suspected:
-            others = ", ".join(str(other) for other in sorted(self.ranges.suspected - {sysid}))
-            text = f"GPS positions and ranges contradict each other; the fault is in it or in {others or 'its ranges'}"
-            return Contradiction(text, identified=False)
+    def _fault(self, sysid: int) -> PositionFault | None:
+        identified = self._consistency.accused.get(sysid)
+        if identified is not None:
+            return PositionFault(FaultReason.CONTRADICTS_RANGES, identified.size_m, identified.peers)
+        if sysid in self._consistency.suspected:
+            return PositionFault(FaultReason.NOT_ISOLATED, others=tuple(sorted(self._consistency.suspected - {sysid})))
         return None
 
-    def _receiver_agrees(self, vehicle: Vehicle, frame: LocalFrame, where: Estimate | NoEstimate, now_s: float) -> bool:
-        """Whether the real receiver has agreed for a while with a position that is known well enough to tell."""
-        fix, accusation = vehicle.receiver, self.ranges.accused[vehicle.sysid]
-        if fix is None or fix.fix_type < 3 or isinstance(where, NoEstimate) or now_s - fix.received_at_s > 1.0:
-            self._agrees_since.pop(vehicle.sysid, None)
+    def _receiver_agrees(self, vehicle: ReviewedVehicle, frame: LocalFrame, now_s: float) -> bool:
+        """Whether the real receiver has agreed for a while with an estimate that is accurate enough to tell."""
+        fix, where, fault = vehicle.receiver, vehicle.estimate, self._consistency.accused[vehicle.sysid]
+        if fix is None or fix.fix_type < 3 or where is None or now_s - fix.received_at_s > _OLDEST_FIX_S:
+            self._agreements.pop(vehicle.sysid, None)
             return False
-        place = np.array(frame.enu_from_geodetic(fix.lat_deg, fix.lon_deg, fix.alt_msl_m)[:2])
+        reported_m = np.array(frame.enu_from_geodetic(fix.lat_deg, fix.lon_deg, fix.alt_msl_m)[:2])
         age_s, velocity = now_s - fix.received_at_s, where.velocity_enu_mps[:2]
-        miss = place - (where.position_enu_m[:2] - velocity * age_s)
+        difference_m = reported_m - (where.position_enu_m[:2] - velocity * age_s)
         known_m = horizontal_sigma_m(where.covariance)
         sigma_m = hypot(known_m, fix.h_acc_m if fix.h_acc_m is not None else 5.0)
-        since_s, first_miss = self._agrees_since.setdefault(vehicle.sysid, (now_s, miss))
-        # A position that is less well known than the lie was large would agree with anything.
-        if not _explained(miss, velocity, sigma_m) or known_m > _WELL_KNOWN_SHARE * accusation.size_m:
-            self._agrees_since.pop(vehicle.sysid)
+        since_s, first_m = self._agreements.setdefault(vehicle.sysid, (now_s, difference_m))
+        # An estimate that is less certain than the fault was large agrees with anything.
+        if not _is_explained(difference_m, velocity, sigma_m) or known_m > _WELL_KNOWN_SHARE * fault.size_m:
+            self._agreements.pop(vehicle.sysid)
             return False
-        if float(np.hypot(*(miss - first_miss))) > _AGREES_SIGMAS * sigma_m:
-            # It is on its way past the true place, not back at it.
-            self._agrees_since[vehicle.sysid] = (now_s, miss)
+        if float(np.hypot(*(difference_m - first_m))) > _AGREES_SIGMAS * sigma_m:
+            # The reported position passes the true one and goes on.
+            self._agreements[vehicle.sysid] = (now_s, difference_m)
             return False
         if now_s - since_s < _AGREES_FOR_S:
             return False
-        del self._agrees_since[vehicle.sysid]
+        del self._agreements[vehicle.sysid]
         return True
 
 
-def _explained(miss: FloatArray, velocity_mps: FloatArray, sigma_m: float) -> bool:
-    """Whether a receiver may miss by so much (east and north, m): by its errors, and behind by what it flew since the fix."""
+def _is_explained(difference_m: FloatArray, velocity_mps: FloatArray, sigma_m: float) -> bool:
+    """Whether noise and latency explain a fix that is off by so much (east, north)."""
     speed_mps = float(np.hypot(*velocity_mps))
-    along = velocity_mps / speed_mps if speed_mps > _STANDS_MPS else np.zeros(2)
-    behind_m = min(max(-float(miss @ along), 0.0), speed_mps * _LONGEST_FIX_LATENCY_S)
-    return float(np.hypot(*(miss + behind_m * along))) <= _AGREES_SIGMAS * sigma_m
+    along = velocity_mps / speed_mps if speed_mps > _LEAST_SPEED_MPS else np.zeros(2)
+    behind_m = min(max(-float(difference_m @ along), 0.0), speed_mps * _LONGEST_FIX_LATENCY_S)
+    return float(np.hypot(*(difference_m + behind_m * along))) <= _AGREES_SIGMAS * sigma_m

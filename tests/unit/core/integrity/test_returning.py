@@ -10,13 +10,13 @@ import pytest
 from bench.integrity_flights import LOST_AT_S, STEP_S, SUBJECT, Flight, Scenario, error_and_bound_m, fresh_engine
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.integrity.reacquisition import COUNTED
 from gcs_coloc.core.measurements import NoEstimate
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, Inbound, PeerRange, TimeBase
 from gcs_coloc.core.messages.outbound import GpsInput, HealthChanged, Notice
 
 BACK_S = 30.0
+COUNTED = "GPS: back, but contradicted by ranges"
 RIGHT = Scenario(mutual=False, returns_at_s=BACK_S)
 OFF = replace(RIGHT, return_jump_m=200.0)
 RECOVERED_AFTER_S = 10.2  # ten seconds from the first message of the fix on
