@@ -52,7 +52,7 @@ class OutSnapshot:
     name: str
     tools: int
     frames_sent: int
-    frames_taken: int
+    frames_accepted: int
     dropped: int
     refused: int
 

@@ -52,7 +52,7 @@ class _Out:
     listens: bool
     tools: dict[Address, float] = field(default_factory=dict)
     frames_sent: int = 0
-    frames_taken: int = 0
+    frames_accepted: int = 0
     refused: int = 0
 
     def peers(self, now_s: float) -> tuple[Address, ...]:
@@ -149,7 +149,7 @@ class Forwarder:
                 name=out.link.name,
                 tools=len(out.peers(now_s)),
                 frames_sent=out.frames_sent,
-                frames_taken=out.frames_taken,
+                frames_accepted=out.frames_accepted,
                 dropped=sum(out.link.counts[reason] for reason in _DROPPED),
                 refused=out.refused,
             )
@@ -177,7 +177,7 @@ class Forwarder:
             if refusal is not None:
                 self._refuse(out, refusal)
             else:
-                out.frames_taken += 1
+                out.frames_accepted += 1
                 self._to_vehicles(raw, out)
         self.counts.add_all(damage)
         out.refused += bool(damage)

@@ -89,7 +89,7 @@ def line(v: VehicleSnapshot) -> str:
 def out_line(out: OutSnapshot) -> str:
     """The ground tools behind one connection string in one plain line."""
     return (
-        f"ground tools on {out.name}: {out.tools}, frames sent {out.frames_sent}, taken {out.frames_taken}, "
+        f"ground tools on {out.name}: {out.tools}, frames sent {out.frames_sent}, accepted {out.frames_accepted}, "
         f"dropped {out.dropped}, refused {out.refused}"
     )
 

@@ -33,7 +33,7 @@ _GAUGES: tuple[tuple[str, str, Callable[[VehicleSnapshot], float | None]], ...] 
     ("aiding_fix", "1 while the vehicle is being sent a position.", lambda v: float(v.aiding_has_fix)),
     (
         "fix_acknowledged",
-        "1 where the vehicle's receiver is seen to take what is sent, 0 where it is not.",
+        "1 where the vehicle's receiver shows our fix, 0 where it does not.",
         lambda v: float(v.fix_acknowledged) if v.fix_acknowledged is not None else None,
     ),
     ("link_delay_seconds", "Delay of its newest position beyond the least of the last minute.", lambda v: v.delay_s),
@@ -44,9 +44,9 @@ _COUNTERS: tuple[tuple[str, str, Callable[[LinkSnapshot], int]], ...] = (
     ("link_frames_duplicate", "Copies of frames that were received already.", lambda link: link.duplicates),
 )
 _OUT_COUNTERS: tuple[tuple[str, str, Callable[[OutSnapshot], int]], ...] = (
-    ("out_frames_sent", "Vehicles' frames handed on to the ground tools.", lambda out: out.frames_sent),
-    ("out_frames_taken", "Frames taken from the ground tools.", lambda out: out.frames_taken),
-    ("out_dropped", "Datagrams and pieces that a ground tool was too slow to take.", lambda out: out.dropped),
+    ("out_frames_sent", "Vehicles' frames forwarded to the ground tools.", lambda out: out.frames_sent),
+    ("out_frames_accepted", "Frames accepted from the ground tools.", lambda out: out.frames_accepted),
+    ("out_dropped", "Datagrams and pieces that a ground tool was too slow to receive.", lambda out: out.dropped),
     ("out_refused", "Frames and datagrams of the ground tools that were refused.", lambda out: out.refused),
 )
 

@@ -23,12 +23,11 @@ from gcs_coloc.mavlink.refusals import Counts
 from gcs_coloc.sinks.event_bus import Subscription
 from gcs_coloc.sinks.idle_scheduler import IdleScheduler
 from gcs_coloc.sinks.mqtt_inbox import MqttHooks, MqttInbox
-from gcs_coloc.sinks.mqtt_models import Alarm, of_vehicle, status, unix_s
+from gcs_coloc.sinks.mqtt_models import TOPIC_VERSION, Alarm, of_vehicle, status, unix_s
 from gcs_coloc.sinks.wording import level_and_text
 
 log = logging.getLogger("gcs_coloc")
 
-_VERSION = "v1"
 _RECONNECT_AFTER_S = (1.0, 2.0, 5.0, 10.0, 30.0)
 """The pauses between attempts; the last one is kept until the broker is back."""
 _ANSWER_WITHIN_S = 5.0
@@ -57,7 +56,7 @@ class Mqtt:
         self._hooks = hooks
         self._events = events
         self._idle = idle
-        self._base = f"{config.prefix}/{_VERSION}/{config.fleet}"
+        self._base = f"{config.prefix}/{TOPIC_VERSION}/{config.fleet}"
         self._inbox = MqttInbox(self._base, hooks, counts, commands=config.commands, ranges=config.ranges)
         self._password, self._tls = read_credentials(config)
         self._alarms: deque[ToOperator] = deque(maxlen=_ALARMS_KEPT)

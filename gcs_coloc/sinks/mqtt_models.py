@@ -1,6 +1,6 @@
-"""What is sent and taken over MQTT, as models; docs/reference/mqtt.md describes every topic and field.
+"""The MQTT messages, published and received, as models; docs/reference/mqtt.md describes every topic and field.
 
-`python -m gcs_coloc.sinks.mqtt_models` prints their JSON schemas, which stand in docs/reference/schemas/mqtt-v1.json.
+`python -m gcs_coloc.sinks.mqtt_models` prints their JSON schemas, which stand in docs/reference/schemas/mqtt-v2.json.
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, Overrid
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 from gcs_coloc.mavlink.checks import RANGE_MAX_M, UNIX_TIME_FROM_US, UNIX_TIME_TO_US
+
+TOPIC_VERSION = "v2"
+"""Stands in every topic. A change that breaks readers makes it the next one; v1 was that of version 0.1."""
 
 _UNIX_FROM_S, _UNIX_TO_S = UNIX_TIME_FROM_US / 1e6, UNIX_TIME_TO_US / 1e6
 
@@ -45,7 +48,7 @@ class VehicleState(_Sent):
 
 
 class VehicleEstimate(_Sent):
-    """`…/{sysid}/estimate`: where the service holds the vehicle to be; None, with the reason, where it does not know."""
+    """`…/{sysid}/estimate`: the service's estimate of the vehicle's position; None, with the reason, where there is none."""
 
     sysid: int
     lat_deg: float | None
@@ -61,7 +64,7 @@ class VehicleEstimate(_Sent):
 
 
 class VehicleHealth(_Sent):
-    """`…/{sysid}/health`: what the service believes of the vehicle's GPS, and the operator's word on it."""
+    """`…/{sysid}/health`: the state of the vehicle's GPS as the service sees it, and the operator's overrides."""
 
     sysid: int
     gps_state: str
@@ -78,13 +81,13 @@ class GroundTools(BaseModel):
     name: str
     tools: int
     frames_sent: int
-    frames_taken: int
+    frames_accepted: int
     dropped: int
     refused: int
 
 
 class FleetStatus(_Sent):
-    """`…/status`: whether the service is there. The broker sets `online` to false (the last will) when it is lost."""
+    """`…/status`: whether the service is connected. The broker sets `online` to false (the last will) when it is lost."""
 
     online: bool
     estimator: str | None
@@ -102,29 +105,29 @@ class Alarm(_Sent):
 
 
 class Command(BaseModel):
-    """`…/{sysid}/cmd`: the operator's word on the GPS of a vehicle, on its aid or on its GPS_PRIMARY: one of them."""
+    """`…/{sysid}/cmd`: the operator overrides the GPS state of a vehicle, its aiding, or its GPS_PRIMARY: one of them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    word: GpsOverride | None = None
-    aid: AidingOverride | None = None
-    primary: PrimaryOverride | None = None
+    gps: GpsOverride | None = None
+    aiding: AidingOverride | None = None
+    gps_primary: PrimaryOverride | None = None
 
     @model_validator(mode="after")
     def _one_override(self) -> Self:
         if len(self._overrides()) != 1:
-            raise ValueError("one word is wanted")
+            raise ValueError("one override is wanted")
         return self
 
     def override(self) -> Override:
-        """The word that was given."""
+        """The override that was given."""
         return self._overrides()[0]
 
     def _overrides(self) -> list[Override]:
-        return [word for word in (self.word, self.aid, self.primary) if word is not None]
+        return [override for override in (self.gps, self.aiding, self.gps_primary) if override is not None]
 
 
 class Range(BaseModel):
-    """`…/{sysid}/range`: a range that this vehicle measured. `unix_s` or `boot_s` or neither: measured on arrival."""
+    """`…/{sysid}/range`: a range that this vehicle measured at `unix_s` or `boot_s`; without both, on arrival."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
     peer: int = Field(ge=1, le=255)
@@ -143,7 +146,7 @@ class Range(BaseModel):
         return self
 
     def message(self, sysid: int, received_at_s: float) -> PeerRange:
-        """The range as the engine takes it, measured by vehicle `sysid`, arrived at a service time."""
+        """The range as the engine receives it: measured by vehicle `sysid`, received at a service time in s."""
         measured_at_s, base = self.boot_s, TimeBase.BOOT
         if self.unix_s is not None:
             measured_at_s, base = self.unix_s, TimeBase.UNIX
@@ -172,7 +175,7 @@ BY_TOPIC: dict[str, type[BaseModel]] = {
     "{sysid}/cmd": Command,
     "{sysid}/range": Range,
 }
-"""Every topic below `{prefix}/v1/{fleet}/`, and what is on it."""
+"""Every topic below `{prefix}/v2/{fleet}/`, and what is on it."""
 
 
 def of_vehicle(v: VehicleSnapshot, at_unix_s: float | None) -> dict[str, _Sent]:

@@ -60,7 +60,7 @@ class OutFrame(_Wire):
     name: str
     tools: int
     frames_sent: int
-    frames_taken: int
+    frames_accepted: int
     dropped: int
     refused: int
     rate_hz: float | None

@@ -77,7 +77,7 @@ class Demo:
         """The next message that the broker gets on a topic of the fleet; what it kept from before does not count."""
         wait = ["-R", "-C", "1", "-W", "60"]
         said: Mapping[str, Any] = json.loads(
-            self.in_container("broker", "mosquitto_sub", *wait, "-t", f"gcs-coloc/v1/demo/{topic}")
+            self.in_container("broker", "mosquitto_sub", *wait, "-t", f"gcs-coloc/v2/demo/{topic}")
         )
         return said
 

@@ -16,7 +16,7 @@ from vehicles import LAT, LON, M_PER_DEG_LAT, M_PER_DEG_LON, fly, square_fleet
 
 pytestmark = pytest.mark.integration
 
-BASE = "gcs-coloc/v1/test"
+BASE = "gcs-coloc/v2/test"
 
 
 class Observer:
@@ -177,7 +177,7 @@ def test_commands_are_obeyed_only_where_they_are_allowed(start_with_broker, obse
     operator = observe()
     with square_fleet(free_port) as fleet:
         fly(fleet, 20.0, until=lambda: operator.of("1/health", "gps_state") == "healthy")
-        operator.publish("1/cmd", {"word": "failed"})
+        operator.publish("1/cmd", {"gps": "failed"})
         fly(fleet, 1.0)
         assert (operator.of("1/health", "gps_state"), operator.of("1/health", "gps_override")) == ("healthy", "auto")
         service.send_signal(signal.SIGTERM)
@@ -186,8 +186,8 @@ def test_commands_are_obeyed_only_where_they_are_allowed(start_with_broker, obse
 
         start_with_broker(more="commands = true\n")
         fly(fleet, 20.0, until=lambda: operator.of("1/health", "gps_state") == "healthy")
-        operator.publish("1/cmd", {"word": "failed"})
-        operator.publish("2/cmd", {"word": "nonsense"})
+        operator.publish("1/cmd", {"gps": "failed"})
+        operator.publish("2/cmd", {"gps": "nonsense"})
         fly(fleet, 20.0, until=lambda: operator.of("1/health", "gps_state") == "failed" and operator.of("status", "refused"))
         assert operator.of("1/health", "gps_override") == "failed"
         assert operator.of("2/health", "gps_override") == "auto"

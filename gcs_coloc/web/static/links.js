@@ -18,7 +18,7 @@ export function showCounts({ links, outs, refused, estimator_counts }, vehicles)
 function showOuts(outs) {
   byId("outs").hidden = outs.length === 0;
   byId("out-rows").replaceChildren(...outs.map((out) => {
-    const cells = [out.tools, number(out.rate_hz), out.frames_taken, out.dropped, out.refused].map(String);
+    const cells = [out.tools, number(out.rate_hz), out.frames_accepted, out.dropped, out.refused].map(String);
     return el("tr", {}, el("th", { scope: "row" }, out.name), ...cells.map((text) => el("td", {}, text)));
   }));
 }

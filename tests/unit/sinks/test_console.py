@@ -67,7 +67,7 @@ def test_the_table_shows_all_that_matters_of_each_vehicle():
 
 def test_what_becomes_of_a_ground_tools_frames_is_told_on_the_table_and_in_plain_lines(caplog: pytest.LogCaptureFixture):
     view = FleetSnapshot(0.0, "fleet", (LOCATED,), {}, {}, outs=(OutSnapshot("udpout:127.0.0.1:14551", 1, 400, 12, 3, 2),))
-    words = "ground tools on udpout:127.0.0.1:14551: 1, frames sent 400, taken 12, dropped 3, refused 2"
+    words = "ground tools on udpout:127.0.0.1:14551: 1, frames sent 400, accepted 12, dropped 3, refused 2"
     assert words in rendered(view)
 
     async def scenario():

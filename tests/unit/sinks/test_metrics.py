@@ -36,7 +36,7 @@ def test_the_numbers_are_the_views():
     assert value(view, "gcs_coloc_vehicle_gps_state", sysid="4", state="healthy") == 0
     assert value(view, "gcs_coloc_vehicle_link_frames_received_total", sysid="1") == 200
     assert value(view, "gcs_coloc_refused_total", reason="bad_crc") == 3
-    counts = ("tools", "frames_sent_total", "frames_taken_total", "dropped_total", "refused_total")
+    counts = ("tools", "frames_sent_total", "frames_accepted_total", "dropped_total", "refused_total")
     assert [value(view, f"gcs_coloc_out_{c}", out="udpout:127.0.0.1:14551") for c in counts] == [1, 400, 12, 3, 2]
     assert value(view, "gcs_coloc_estimator_measurements_total", outcome="used") == 7
 

@@ -11,18 +11,18 @@ from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.refusals import Counts
 from gcs_coloc.sinks.mqtt_inbox import MqttHooks, MqttInbox
 
-BASE = "p/v1/f"
+BASE = "p/v2/f"
 NOW_S = 1000.0
 
 
 class Desk:
     def __init__(self, *, commands=True, ranges=True):
-        self.words, self.ranges, self.counts = [], [], Counts()
+        self.overrides, self.ranges, self.counts = [], [], Counts()
         engine = Engine(load_estimator("fleet", {}))
         hooks = MqttHooks(
             snapshot=lambda: engine.view(NOW_S),
             known_sysids=lambda: [1, 4],
-            apply_command=lambda sysid, word: self.words.append((sysid, word)),
+            apply_command=lambda sysid, override: self.overrides.append((sysid, override)),
             add_range=self.ranges.append,
             clock=lambda: NOW_S,
         )
@@ -33,25 +33,24 @@ class Desk:
         self.inbox.receive(f"{BASE}/{tail}", payload, retained=retained)
 
 
-WORDS = [
-    (key, word) for key, kind in (("word", GpsOverride), ("aid", AidingOverride), ("primary", PrimaryOverride)) for word in kind
-]
+KINDS = (("gps", GpsOverride), ("aiding", AidingOverride), ("gps_primary", PrimaryOverride))
+OVERRIDES = [(key, override) for key, kind in KINDS for override in kind]
 
 
-@pytest.mark.parametrize(("key", "word"), WORDS)
-def test_the_operators_word_is_taken(key, word):
+@pytest.mark.parametrize(("key", "override"), OVERRIDES)
+def test_an_operators_override_is_applied(key, override):
     desk = Desk()
-    desk.take("4/cmd", {key: word.value})
-    assert desk.words == [(4, word)]
+    desk.take("4/cmd", {key: override.value})
+    assert desk.overrides == [(4, override)]
     assert dict(desk.counts) == {}
 
 
 def test_nothing_is_subscribed_or_taken_that_is_not_allowed():
     desk = Desk(commands=False, ranges=False)
     assert desk.inbox.topics == []
-    desk.take("4/cmd", {"word": "failed"})
+    desk.take("4/cmd", {"gps": "failed"})
     desk.take("4/range", {"peer": 1, "range_m": 10.0})
-    assert (desk.words, desk.ranges, dict(desk.counts)) == ([], [], {"mqtt_topic_not_allowed": 2})
+    assert (desk.overrides, desk.ranges, dict(desk.counts)) == ([], [], {"mqtt_topic_not_allowed": 2})
     assert Desk(ranges=False).inbox.topics == [f"{BASE}/+/cmd"]
     assert Desk(commands=False).inbox.topics == [f"{BASE}/+/range"]
 
@@ -78,17 +77,18 @@ def test_a_range_reaches_the_engine_with_its_clock(times, measured_at_s, base):
 @pytest.mark.parametrize(
     ("tail", "content", "retained", "reason"),
     [
-        ("4/cmd", {"word": "failed"}, True, "mqtt_cmd_retained"),
-        ("4/cmd", {"word": "FAILED"}, False, "mqtt_cmd_invalid"),
-        ("4/cmd", {"word": "failed", "more": 1}, False, "mqtt_cmd_invalid"),
-        ("4/cmd", {"word": "failed", "aid": "on"}, False, "mqtt_cmd_invalid"),
-        ("4/cmd", {"aid": "failed"}, False, "mqtt_cmd_invalid"),
+        ("4/cmd", {"gps": "failed"}, True, "mqtt_cmd_retained"),
+        ("4/cmd", {"gps": "FAILED"}, False, "mqtt_cmd_invalid"),
+        ("4/cmd", {"gps": "failed", "more": 1}, False, "mqtt_cmd_invalid"),
+        ("4/cmd", {"gps": "failed", "aiding": "on"}, False, "mqtt_cmd_invalid"),
+        ("4/cmd", {"aiding": "failed"}, False, "mqtt_cmd_invalid"),
+        ("4/cmd", {"word": "failed"}, False, "mqtt_cmd_invalid"),
         ("4/cmd", {}, False, "mqtt_cmd_invalid"),
         ("4/cmd", b"\xff\x00", False, "mqtt_cmd_invalid"),
         ("4/cmd", b" " * 1001, False, "mqtt_cmd_too_long"),
-        ("9/cmd", {"word": "failed"}, False, "mqtt_cmd_of_unknown_vehicle"),
-        ("x/cmd", {"word": "failed"}, False, "mqtt_cmd_of_unknown_vehicle"),
-        ("4/x/cmd", {"word": "failed"}, False, "mqtt_topic_not_allowed"),
+        ("9/cmd", {"gps": "failed"}, False, "mqtt_cmd_of_unknown_vehicle"),
+        ("x/cmd", {"gps": "failed"}, False, "mqtt_cmd_of_unknown_vehicle"),
+        ("4/x/cmd", {"gps": "failed"}, False, "mqtt_topic_not_allowed"),
         ("4/state", {}, False, "mqtt_topic_not_allowed"),
         ("4/range", {"peer": 4, "range_m": 1.0}, False, "mqtt_range_to_itself"),
         ("4/range", {"peer": 1, "range_m": 0.0}, False, "mqtt_range_invalid"),
@@ -106,4 +106,4 @@ def test_a_range_reaches_the_engine_with_its_clock(times, measured_at_s, base):
 def test_what_is_not_possible_is_refused_and_counted(tail, content, retained, reason):
     desk = Desk()
     desk.take(tail, content, retained=retained)
-    assert (desk.words, desk.ranges, dict(desk.counts)) == ([], [], {reason: 1})
+    assert (desk.overrides, desk.ranges, dict(desk.counts)) == ([], [], {reason: 1})

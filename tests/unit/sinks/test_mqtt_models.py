@@ -11,7 +11,7 @@ def test_the_status_holds_the_ground_tools_and_the_last_will_none():
         "name": "udpout:127.0.0.1:14551",
         "tools": 1,
         "frames_sent": 400,
-        "frames_taken": 12,
+        "frames_accepted": 12,
         "dropped": 3,
         "refused": 2,
     }

@@ -24,5 +24,5 @@ def test_every_topic_is_in_the_reference_with_every_field(topic):
 
 
 def test_the_published_schemas_are_those_of_the_models():
-    published = json.loads((REFERENCE / "schemas/mqtt-v1.json").read_text(encoding="utf-8"))
-    assert published == schemas(), "renew it: python -m gcs_coloc.sinks.mqtt_models > docs/reference/schemas/mqtt-v1.json"
+    published = json.loads((REFERENCE / "schemas/mqtt-v2.json").read_text(encoding="utf-8"))
+    assert published == schemas(), "renew it: python -m gcs_coloc.sinks.mqtt_models > docs/reference/schemas/mqtt-v2.json"

@@ -68,6 +68,6 @@ def test_what_goes_to_a_ground_tool_is_told_with_its_rate_over_the_last_seconds(
         story.take(fleet_view(i * 0.5, HEALTHY))
     (out,) = story.counts(fleet_view(10.0, HEALTHY)).outs
     assert (out.name, out.tools, out.rate_hz) == ("udpout:127.0.0.1:14551", 1, 40.0)
-    assert (out.frames_sent, out.frames_taken, out.dropped, out.refused) == (400, 12, 3, 2)
+    assert (out.frames_sent, out.frames_accepted, out.dropped, out.refused) == (400, 12, 3, 2)
     assert TrackHistory().counts(fleet_view(10.0, HEALTHY)).outs[0].rate_hz is None
     assert story.counts(fleet_view(10.0, HEALTHY, outs=())).outs == ()
