@@ -36,7 +36,7 @@ def evaluate(
         load_estimator(settings.estimator.name, settings.estimator.settings), lambda text: print(text, file=sys.stderr)
     )
     evaluation = study.evaluate(directory, guarded)
-    warn_of_findings(directory, evaluation.doubts)
+    warn_of_findings(directory, evaluation.findings)
     if plot is not None:
         evaluation_plot.plot(evaluation, plot)
     if as_json:

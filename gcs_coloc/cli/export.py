@@ -29,7 +29,7 @@ def export(
     settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {}, fleet)
     story = read_history(file, settings, ranges, None)
     warn_of_damage(file, story.damage)
-    warn_of_findings(file, story.doubts)
+    warn_of_findings(file, story.findings)
     base = (out if out is not None else file.parent) / file.stem
     try:
         base.parent.mkdir(parents=True, exist_ok=True)

@@ -70,7 +70,7 @@ def replay(
     own = (settings.mavlink.system_id, settings.mavlink.component_id)
     through = driver.Replay(engine, log, told, report.polled, own, settings.fingerprint())
     counts = driver.replay(through, report.observation_times(), report.observe, _pace(factor))
-    doubts = heard.doubts(points, engine.feed.frame)
+    findings = heard.findings(points, engine.feed.frame)
     result: dict[str, Any] = {
         "version": __version__,
         "file": str(file),
@@ -82,10 +82,10 @@ def replay(
         "damage": dict(log.counts),
         "wire": dict(counts.wire),
         **report.as_dict(),
-        "warnings": [doubt.as_dict() for doubt in doubts],
+        "warnings": [finding.as_dict() for finding in findings],
     }
     warn_of_damage(file, log.counts)
-    warn_of_findings(file, doubts)
+    warn_of_findings(file, findings)
     if as_json:
         print(json.dumps(result, indent=2))
     else:

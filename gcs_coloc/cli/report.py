@@ -32,7 +32,7 @@ def report(
     settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {}, fleet)
     story = read_history(file, settings, ranges, truth)
     warn_of_damage(file, story.damage)
-    warn_of_findings(file, story.doubts)
+    warn_of_findings(file, story.findings)
     path = out if out is not None else file.with_suffix(".html")
     try:
         path.write_text(page(story), encoding="utf-8")

@@ -6,10 +6,10 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from gcs_coloc.evaluation.data_checks.finding import DataFinding
+from gcs_coloc.evaluation.data_checks.findings import DataFinding
 
 
-def warn_of_findings(path: Path, doubts: Iterable[DataFinding]) -> None:
+def warn_of_findings(path: Path, findings: Iterable[DataFinding]) -> None:
     """Say what does not agree, one line each."""
-    for doubt in doubts:
-        print(f"gcs-coloc: warning: {path}: {doubt.text}", file=sys.stderr)
+    for finding in findings:
+        print(f"gcs-coloc: warning: {path}: {finding.text}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""What a data set says against itself."""
+"""The data checks of a data set."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from collections import defaultdict
 import numpy as np
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, PositionMeasurement, RangeMeasurement
-from gcs_coloc.evaluation.data_checks.check import run_checks
-from gcs_coloc.evaluation.data_checks.clocks import check_delays
-from gcs_coloc.evaluation.data_checks.evidence import Evidence
-from gcs_coloc.evaluation.data_checks.finding import DataFinding
-from gcs_coloc.evaluation.data_checks.tracks import PositionTrack, track
+from gcs_coloc.evaluation.data_checks.checks import check_delays, run_checks
+from gcs_coloc.evaluation.data_checks.findings import DataFinding
+from gcs_coloc.evaluation.data_checks.recorded_data import PositionTrack, RecordedData, position_track
 from gcs_coloc.evaluation.dataset import Dataset
 
 _NO_VELOCITY = (float("nan"),) * 3
@@ -19,7 +17,7 @@ _KINDS = {PositionMeasurement: "positions", RangeMeasurement: "ranges", Altitude
 
 
 def dataset_findings(dataset: Dataset) -> list[DataFinding]:
-    """Return what in a data set can hardly be what its columns say: other units, axes or clocks, rows that stand there twice."""
+    """Return what does not agree in a data set: units, axes, clocks, offsets, repeated ranges."""
     delays: dict[str, list[float]] = defaultdict(list)
     positions: dict[int, list[tuple[float, ...]]] = defaultdict(list)
     heights: dict[int, list[tuple[float, ...]]] = defaultdict(list)
@@ -37,12 +35,12 @@ def dataset_findings(dataset: Dataset) -> list[DataFinding]:
             ranges.append((m.measured_at_s, m.from_vehicle, m.to_vehicle, m.range_m, m.sigma_m))
         elif isinstance(m, AltitudeMeasurement) and dataset.dims == 3:
             heights[m.vehicle].append((m.measured_at_s, m.up_m, m.sigma_m))
-    reports = {vehicle: track(np.array(rows)) for vehicle, rows in positions.items()}
+    reports = {vehicle: position_track(np.array(rows)) for vehicle, rows in positions.items()}
     for node in dataset.nodes:
         if node.place_enu_m is not None and node.sigma_m is not None:
             place = np.array([node.place_enu_m]) * (1.0, 1.0, height)
             reports[node.vehicle] = PositionTrack(np.zeros(1), place, np.array([node.sigma_m]), is_static=True)
-    evidence = Evidence(
+    data = RecordedData(
         names={node.vehicle: node.id for node in dataset.nodes},
         reports=reports,
         truth={
@@ -50,6 +48,6 @@ def dataset_findings(dataset: Dataset) -> list[DataFinding]:
             for vehicle, true in dataset.truth.items()
         },
         ranges=np.array(ranges, dtype=float).reshape(-1, 5),
-        altitudes={vehicle: np.array(rows) for vehicle, rows in heights.items()},
+        heights={vehicle: np.array(rows) for vehicle, rows in heights.items()},
     )
-    return [*check_delays({kind: np.array(found) for kind, found in delays.items()}), *run_checks(evidence)]
+    return [*check_delays({kind: np.array(found) for kind, found in delays.items()}), *run_checks(data)]

@@ -24,7 +24,7 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.evaluation.data_checks.finding import DataFinding
+from gcs_coloc.evaluation.data_checks.findings import DataFinding
 from gcs_coloc.evaluation.dataset import Dataset, Node, read_dataset
 from gcs_coloc.evaluation.dataset_findings import dataset_findings
 from gcs_coloc.evaluation.scoring import Score, Series, score, series_of
@@ -52,7 +52,7 @@ class VehicleEvaluation:
 class Evaluation:
     """An estimator's result on a data set; `cpu_us_per_measurement` includes the asking at the truth's epochs.
 
-    `doubts`: what in the data can hardly be what its columns say, where they were read by `evaluate`.
+    `findings`: what in the data can hardly be what its columns say, where they were read by `evaluate`.
     """
 
     dataset: str
@@ -62,7 +62,7 @@ class Evaluation:
     cpu_us_per_measurement: float
     denied: tuple[VehicleEvaluation, ...]
     counts: Mapping[str, int]
-    doubts: tuple[DataFinding, ...] = ()
+    findings: tuple[DataFinding, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures as plain values, for JSON."""
@@ -75,7 +75,7 @@ class Evaluation:
             "cpu_us_per_measurement": self.cpu_us_per_measurement,
             "denied": {s.node.id: asdict(s.score) | {"unanswered": dict(s.unanswered)} for s in self.denied},
             "counts": dict(self.counts),
-            "warnings": [doubt.as_dict() for doubt in self.doubts],
+            "warnings": [finding.as_dict() for finding in self.findings],
         }
 
 
@@ -90,7 +90,7 @@ def evaluate(directory: Path, estimator: Estimator, cpu_s: Callable[[], float] =
 
     """
     dataset = read_dataset(directory)
-    return replace(evaluate_dataset(dataset, estimator, cpu_s), doubts=tuple(dataset_findings(dataset)))
+    return replace(evaluate_dataset(dataset, estimator, cpu_s), findings=tuple(dataset_findings(dataset)))
 
 
 def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[], float] = time.process_time) -> Evaluation:

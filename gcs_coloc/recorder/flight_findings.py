@@ -19,10 +19,9 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
     Residual,
 )
-from gcs_coloc.evaluation.data_checks.check import run_checks
-from gcs_coloc.evaluation.data_checks.evidence import Evidence
-from gcs_coloc.evaluation.data_checks.finding import DataFinding
-from gcs_coloc.evaluation.data_checks.tracks import PositionTrack, track
+from gcs_coloc.evaluation.data_checks.checks import run_checks
+from gcs_coloc.evaluation.data_checks.findings import DataFinding, FindingKind, finding
+from gcs_coloc.evaluation.data_checks.recorded_data import PositionTrack, RecordedData, position_track
 from gcs_coloc.recorder.side_tables import TruthPoint
 
 _POSITION_EVERY_S = 0.5
@@ -76,11 +75,11 @@ class HeardMeasurements:
         """As the protocol says."""
         return self._inner.counts()
 
-    def doubts(self, truth: Sequence[TruthPoint], frame: LocalFrame | None) -> list[DataFinding]:
+    def findings(self, truth: Sequence[TruthPoint], frame: LocalFrame | None) -> list[DataFinding]:
         """Return what does not agree among positions, ranges and the truth, in the frame of the fleet."""
         if frame is None:
             return []
-        reports = {vehicle: track(np.array(rows).reshape(-1, 8)) for vehicle, rows in self._positions.items()}
+        reports = {vehicle: position_track(np.array(rows).reshape(-1, 8)) for vehicle, rows in self._positions.items()}
         places: dict[int, list[TruthPoint]] = defaultdict(list)
         for point in truth:
             places[point.sysid].append(point)
@@ -88,7 +87,9 @@ class HeardMeasurements:
         elsewhere = list(_elsewhere(true, places, frame))
         ranges = np.array(self._ranges).reshape(-1, 5)
         names = {vehicle: str(vehicle) for vehicle in {*reports, *true, *ranges[:, 1:3].astype(int).ravel().tolist()}}
-        return elsewhere + run_checks(Evidence(names, reports, {} if elsewhere else true, ranges, origin_height_m=frame.height_m))
+        return elsewhere + run_checks(
+            RecordedData(names, reports, {} if elsewhere else true, ranges, origin_height_m=frame.height_m)
+        )
 
     def _is_due(self, what: tuple[int, int], at_s: float, every_s: float) -> bool:
         if self._rows >= _MOST_ROWS or at_s < self._next_s.get(what, float("-inf")):
@@ -100,7 +101,7 @@ class HeardMeasurements:
 
 def _enu(points: Sequence[TruthPoint], frame: LocalFrame) -> PositionTrack:
     rows = [(p.unix_s, *frame.enu_from_geodetic(p.lat_deg, p.lon_deg, p.alt_msl_m), 0.0) for p in points]
-    return track(np.array(rows))
+    return position_track(np.array(rows))
 
 
 def _elsewhere(
@@ -113,8 +114,8 @@ def _elsewhere(
     sysid = next(iter(off_m))
     swapped = [frame.enu_from_geodetic(p.lon_deg, p.lat_deg, p.alt_msl_m) for p in places[sysid] if abs(p.lon_deg) <= 90.0]
     is_swapped = bool(swapped) and _away_m(np.array(swapped)) < _ELSEWHERE_M
-    text = f"the truth lies {off_m[sysid] / 1000.0:.0f} km off where the vehicles report to be"
-    yield DataFinding("truth_elsewhere", text + (": latitude and longitude are swapped" if is_swapped else ""), off_m[sysid])
+    question = ": are latitude and longitude swapped?" if is_swapped else ""
+    yield finding(FindingKind.TRUTH_ELSEWHERE, off_m[sysid], km=off_m[sysid] / 1000.0, question=question)
 
 
 def _away_m(positions_enu_m: FloatArray) -> float:

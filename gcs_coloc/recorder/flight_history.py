@@ -13,7 +13,7 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.evaluation.data_checks.finding import DataFinding
+from gcs_coloc.evaluation.data_checks.findings import DataFinding
 from gcs_coloc.recorder.flight_findings import HeardMeasurements
 from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.journal import Journal, RangeEntry, VehicleEntry
@@ -31,7 +31,7 @@ class FlightHistory:
     """What a flight came to.
 
     `tracks`: each vehicle's entries in order of time. `damage`: what of the file could not be read. `frame`: the fleet's, about
-    its first fix; None where there was none. `doubts`: what in the recording and the tables beside it does not agree.
+    its first fix; None where there was none. `findings`: what in the recording and the tables beside it does not agree.
     """
 
     file: Path
@@ -44,7 +44,7 @@ class FlightHistory:
     health: list[HealthChanged] = field(default_factory=list)
     notices: list[Notice] = field(default_factory=list)
     frame: LocalFrame | None = None
-    doubts: list[DataFinding] = field(default_factory=list)
+    findings: list[DataFinding] = field(default_factory=list)
 
 
 def read_history(file: Path, settings: Settings, ranges: Path | None, truth: Path | None) -> FlightHistory:
@@ -85,5 +85,5 @@ def read_history(file: Path, settings: Settings, ranges: Path | None, truth: Pat
     through = Replay(engine, log, told, on_poll, own, settings.fingerprint())
     story.counts = replay(through, report.observation_times(), report.observe)
     story.frame = engine.feed.frame
-    story.doubts = heard.doubts(points, engine.feed.frame)
+    story.findings = heard.findings(points, engine.feed.frame)
     return story

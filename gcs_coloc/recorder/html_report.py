@@ -64,7 +64,7 @@ def _summary(story: FlightHistory, results: Mapping[str, Any]) -> str:
     fleet = f"{len(results['vehicles'])} vehicles, estimator {escape(story.estimator)}"
     lines = [f"{begun}, {counts.last_s - counts.first_s:.1f} s, {counts.records} frames, {fleet}."]
     lines.extend(f'<span class="bad">The file is damaged: {_words(kind)}: {n}.</span>' for kind, n in story.damage.items())
-    lines.extend(f'<span class="bad">The data do not agree: {escape(doubt.text)}</span>' for doubt in story.doubts)
+    lines.extend(f'<span class="bad">The data do not agree: {escape(finding.text)}</span>' for finding in story.findings)
     lines.append("Everything here was computed again from the recorded frames; all times are seconds since the first of them.")
     return "".join(f"<p>{line}</p>" for line in lines)
 

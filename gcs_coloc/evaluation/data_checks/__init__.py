@@ -1,1 +1,1 @@
-"""Checks that positions, ranges and truth of a recording agree in units, axes and clocks."""
+"""Data checks: whether positions, ranges and truth of a recording agree in units, axes and clocks."""

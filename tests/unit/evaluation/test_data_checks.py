@@ -1,4 +1,4 @@
-"""What is said of data in other units, axes and clocks than their columns say, and that nothing is said of sound ones."""
+"""Data checks find other units, axes and clocks than the columns say, and nothing in sound data."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_coloc.evaluation.data_checks.check import run_checks
-from gcs_coloc.evaluation.data_checks.clocks import check_delays
-from gcs_coloc.evaluation.data_checks.evidence import Evidence
-from gcs_coloc.evaluation.data_checks.finding import DataFinding
-from gcs_coloc.evaluation.data_checks.tracks import PositionTrack, track
+from gcs_coloc.evaluation.data_checks.checks import check_delays, run_checks
+from gcs_coloc.evaluation.data_checks.findings import DataFinding, FindingKind
+from gcs_coloc.evaluation.data_checks.recorded_data import PositionTrack, RecordedData, position_track
 
 END_S = 120.0
 LOST_S = 30.0
-SUBJECT = 4
+DENIED = 4
 SIGMA_GPS_M, SIGMA_RANGE_M = 1.0, 0.5
 
 
@@ -41,53 +39,53 @@ def path(vehicle: int, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return place, velocity
 
 
-def fleet(seed: int) -> Evidence:
+def fleet(seed: int) -> RecordedData:
     """Four aircraft with positions at 5 Hz; the fourth has none from 30 s on, ranges to the others at 5 Hz, and a truth."""
     rng = np.random.default_rng(seed)
     reports, altitudes = {}, {}
-    for vehicle in (1, 2, 3, SUBJECT):
-        t = np.arange(0.0, LOST_S if vehicle == SUBJECT else END_S, 0.2)
+    for vehicle in (1, 2, 3, DENIED):
+        t = np.arange(0.0, LOST_S if vehicle == DENIED else END_S, 0.2)
         place, velocity = path(vehicle, t)
         place = place + rng.normal(0.0, SIGMA_GPS_M, place.shape)
         velocity = velocity + rng.normal(0.0, 0.3, place.shape)
-        reports[vehicle] = track(np.column_stack((t, place, np.full(len(t), SIGMA_GPS_M), velocity)))
+        reports[vehicle] = position_track(np.column_stack((t, place, np.full(len(t), SIGMA_GPS_M), velocity)))
         t = np.arange(0.0, END_S, 0.5)
         up_m = path(vehicle, t)[0][:, 2] + rng.normal(0.0, 1.0, len(t))
         altitudes[vehicle] = np.column_stack((t, up_m, np.full(len(t), 1.0)))
     t = np.arange(0.1, END_S, 0.2)
     rows = []
     for peer in (1, 2, 3):
-        distance_m = np.linalg.norm(path(SUBJECT, t)[0] - path(peer, t)[0], axis=1) + rng.normal(0.0, SIGMA_RANGE_M, len(t))
-        ends = np.full((len(t), 2), (SUBJECT, peer))
+        distance_m = np.linalg.norm(path(DENIED, t)[0] - path(peer, t)[0], axis=1) + rng.normal(0.0, SIGMA_RANGE_M, len(t))
+        ends = np.full((len(t), 2), (DENIED, peer))
         rows.append(np.column_stack((t, ends, distance_m, np.full(len(t), SIGMA_RANGE_M))))
     t = np.arange(0.0, END_S, 0.5)
-    truth = {SUBJECT: PositionTrack(t, path(SUBJECT, t)[0], np.zeros(len(t)))}
-    return Evidence({v: f"UAV{v}" for v in reports}, reports, truth, np.vstack(rows), altitudes)
+    truth = {DENIED: PositionTrack(t, path(DENIED, t)[0], np.zeros(len(t)))}
+    return RecordedData({v: f"UAV{v}" for v in reports}, reports, truth, np.vstack(rows), altitudes)
 
 
-Change = Callable[[Evidence], Evidence]
+Change = Callable[[RecordedData], RecordedData]
 
 
 def ranges(column: int, change: Callable[[np.ndarray], np.ndarray], peer: int | None = None) -> Change:
-    def changed(evidence: Evidence) -> Evidence:
-        rows = evidence.ranges.copy()
+    def changed(data: RecordedData) -> RecordedData:
+        rows = data.ranges.copy()
         whose = np.ones(len(rows), dtype=bool) if peer is None else rows[:, 2] == peer
         rows[whose, column] = change(rows[whose, column])
-        return replace(evidence, ranges=rows)
+        return replace(data, ranges=rows)
 
     return changed
 
 
 def tracks(which: str, change: Callable[[PositionTrack], PositionTrack], vehicle: int | None = None) -> Change:
-    def changed(evidence: Evidence) -> Evidence:
-        before = getattr(evidence, which)
-        return replace(evidence, **{which: {v: change(t) if vehicle in (None, v) else t for v, t in before.items()}})
+    def changed(data: RecordedData) -> RecordedData:
+        before = getattr(data, which)
+        return replace(data, **{which: {v: change(t) if vehicle in (None, v) else t for v, t in before.items()}})
 
     return changed
 
 
 def everywhere(change: Callable[[PositionTrack], PositionTrack]) -> Change:
-    return lambda evidence: tracks("truth", change)(tracks("reports", change)(evidence))
+    return lambda data: tracks("truth", change)(tracks("reports", change)(data))
 
 
 def positions(
@@ -109,9 +107,9 @@ def moved(t: PositionTrack) -> PositionTrack:
 
 
 def heights(factor: float, more_m: float = 0.0) -> Change:
-    def changed(evidence: Evidence) -> Evidence:
-        rows = {v: np.column_stack((r[:, 0], factor * r[:, 1] + more_m, r[:, 2])) for v, r in evidence.altitudes.items()}
-        return replace(evidence, altitudes=rows)
+    def changed(data: RecordedData) -> RecordedData:
+        rows = {v: np.column_stack((r[:, 0], factor * r[:, 1] + more_m, r[:, 2])) for v, r in data.heights.items()}
+        return replace(data, heights=rows)
 
     return changed
 
@@ -122,69 +120,64 @@ def exchanged(peers: np.ndarray) -> np.ndarray:
 
 FOOT = 1.0 / 0.3048
 SWAPPED = positions(1.0, (1, 0, 2))
-DEGREES = positions((1.0 / 76_000.0, 1.0 / 111_000.0, 1.0))
 WRONG = [
-    ("ranges in millimetres", ranges(3, lambda r: 1000.0 * r), "range_factor", "the ranges in millimetres", 1000.0),
-    ("ranges in feet", ranges(3, lambda r: FOOT * r), "range_factor", "the ranges in feet", FOOT),
-    ("ranges in kilometres", ranges(3, lambda r: 0.001 * r), "range_factor", "the ranges in kilometres", 0.001),
-    ("ranges there and back", ranges(3, lambda r: 2.0 * r), "range_factor", "there and back", 2.0),
-    ("ranges as times of flight", ranges(3, lambda r: r / 0.299792458), "range_factor", "nanoseconds", 3.3356),
+    ("ranges in millimetres", ranges(3, lambda r: 1000.0 * r), "range_factor", "ranges in mm, or the positions in km", 1000.0),
+    ("ranges in centimetres", ranges(3, lambda r: 100.0 * r), "range_factor", "the ranges in cm?", 100.0),
+    ("ranges in feet", ranges(3, lambda r: FOOT * r), "range_factor", "the ranges in ft?", FOOT),
+    ("ranges in kilometres", ranges(3, lambda r: 0.001 * r), "range_factor", "the ranges in km?", 0.001),
     ("a factor of no unit", ranges(3, lambda r: 1.3 * r), "range_factor", "are 1.3 times", 1.3),
     ("one device in millimetres", ranges(3, lambda r: 1000.0 * r, 2), "range_factor", "to and from UAV2", 1000.0),
-    ("ranges with a delay in the antennas", ranges(3, lambda r: r + 30.0), "range_bias", "m longer", 30.0),
+    ("ranges with a delay in the antennas", ranges(3, lambda r: r + 30.0), "range_bias", "m off the distances", 30.0),
     ("ranges of two peers exchanged", ranges(2, exchanged), "range_misfit", "1-UAV4, UAV2-", None),
-    ("ranges stamped early", ranges(0, lambda t: t - 0.3), "time_offset", "0.30 s earlier", 0.3),
-    ("ranges by another clock", ranges(0, lambda t: t + 18.0), "time_offset", "18.00 s later", -18.0),
+    ("ranges stamped early", ranges(0, lambda t: t - 0.3), "time_offset", "0.30 s ahead", 0.3),
+    ("ranges by another clock", ranges(0, lambda t: t + 18.0), "time_offset", "18.00 s behind", -18.0),
     ("ranges in milliseconds", ranges(0, lambda t: 1000.0 * t), "slow_ranges", "milliseconds", 200.0),
-    ("ranges since 1970", ranges(0, lambda t: t + 1.7e9), "no_overlap", "one clock is wanted", None),
-    ("sigmas in millimetres", ranges(4, lambda s: 1000.0 * s), "sigma_factor", "another unit", None),
-    ("a peer by another clock", tracks("reports", times(lambda t: t + 2.0), 1), "time_offset", "the positions of UAV1", 2.0),
-    ("a peer with swapped axes", tracks("reports", SWAPPED, 2), "position_axes", "of UAV2 east and north", None),
-    ("reports in feet", tracks("reports", positions(FOOT)), "truth_factor", "reports in feet", 0.3048),
-    ("all positions in feet", everywhere(positions(FOOT)), "range_factor", "positions in feet", 0.3048),
-    ("heights of reports in feet", tracks("reports", positions((1.0, 1.0, FOOT))), "reports_feet", "heights are in feet", None),
-    ("all positions in degrees", everywhere(DEGREES), "range_misfit", "in degrees?", None),
-    ("velocities in cm/s", tracks("reports", velocities(100.0)), "velocity_factor", "cm/s", 100.0),
-    ("velocities in knots", tracks("reports", velocities(3600.0 / 1852.0)), "velocity_factor", "knots", 1.944),
+    ("ranges since 1970", ranges(0, lambda t: t + 1.7e9), "no_overlap", "one clock", None),
+    ("a peer by another clock", tracks("reports", times(lambda t: t + 2.0), 1), "time_offset", "of the positions of UAV1", 2.0),
+    ("a peer with swapped axes", tracks("reports", SWAPPED, 2), "position_axes", "swapped in the positions of UAV2", None),
+    ("reports in feet", tracks("reports", positions(FOOT)), "truth_factor", "reports in ft", 0.3048),
+    ("all positions in feet", everywhere(positions(FOOT)), "range_factor", "positions in ft", 0.3048),
+    ("heights of reports in feet", tracks("reports", positions((1.0, 1.0, FOOT))), "truth_height_factor", "ones in ft", None),
+    ("velocities in cm/s", tracks("reports", velocities(100.0)), "velocity_factor", "velocities in cm/s", 100.0),
     ("velocities north first", tracks("reports", velocities(1.0, (1, 0, 2))), "velocity_axes", "swapped", None),
     ("velocities backwards", tracks("reports", velocities(-1.0)), "velocity_sign", "opposite sign", None),
-    ("velocities of something else", tracks("reports", velocities(0.0)), "velocity_misfit", "off how the positions change", None),
-    ("truth in millimetres", tracks("truth", positions(1000.0)), "truth_factor", "truth in millimetres", 1000.0),
+    ("velocities of something else", tracks("reports", velocities(0.0)), "velocity_misfit", "off the rate of change", None),
+    ("truth in millimetres", tracks("truth", positions(1000.0)), "truth_factor", "truth in mm", 1000.0),
     ("truth with swapped axes", tracks("truth", SWAPPED), "truth_axes", "swapped", None),
     ("truth north, east, down", tracks("truth", positions((1.0, 1.0, -1.0), (1, 0, 2))), "truth_axes", "north, east, down", None),
-    ("truth with heights in feet", tracks("truth", positions((1.0, 1.0, FOOT))), "truth_feet", "in the truth heights", None),
+    ("truth with heights in feet", tracks("truth", positions((1.0, 1.0, FOOT))), "truth_height_factor", "truth in ft", None),
     ("truth about another origin", tracks("truth", moved), "truth_offset", "(40.", None),
-    ("truth by another clock", tracks("truth", times(lambda t: t + 1.0)), "time_offset", "1.00 s earlier", 1.0),
+    ("truth by another clock", tracks("truth", times(lambda t: t + 1.0)), "time_offset", "truth of UAV4 is 1.00 s ahead", 1.0),
     ("truth in milliseconds", tracks("truth", times(lambda t: 1000.0 * t)), "no_overlap", "of the truth", None),
-    ("heights in feet", heights(FOOT), "height_factor", "in feet", FOOT),
+    ("heights in feet", heights(FOOT), "height_factor", "heights in ft", FOOT),
     ("heights downwards", heights(-1.0), "height_sign", "downwards", None),
     ("heights above another datum", heights(1.0, 48.0), "height_offset", "+4", 48.0),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("change", "kind", "words", "value"), [w[1:] for w in WRONG], ids=[w[0] for w in WRONG])
-def test_what_is_wrong_is_told_first_in_one_line_with_the_number(change, kind, words, value):
+def test_an_error_in_the_data_is_the_first_finding_in_one_line_with_the_number(change, kind, words, value):
     first, *more = run_checks(change(fleet(1)))
     assert first.kind == kind
     assert "\n" not in first.text
     assert words in first.text
     if value is not None:
         assert first.value == pytest.approx(value, rel=0.02)
-    assert len({doubt.text for doubt in (first, *more)}) == 1 + len(more) <= 4
+    assert len({finding.text for finding in (first, *more)}) == 1 + len(more) <= 4
 
 
-def test_of_sound_data_nothing_is_said():
+def test_sound_data_have_no_findings():
     """Fifty fleets: one false alarm would be a rate above what a warning is worth."""
     assert [run_checks(fleet(seed)) for seed in range(50)] == [[]] * 50
 
 
 def test_a_tenth_of_the_ranges_far_too_long_and_a_small_bias_are_no_other_unit():
     """Multipath and antenna delays are what estimators are for."""
-    evidence = fleet(3)
+    data = fleet(3)
     rng = np.random.default_rng(3)
-    rows = evidence.ranges.copy()
+    rows = data.ranges.copy()
     rows[:, 3] += 1.0 + np.where(rng.random(len(rows)) < 0.1, rng.uniform(5.0, 200.0, len(rows)), 0.0)
-    assert run_checks(replace(evidence, ranges=rows)) == []
+    assert run_checks(replace(data, ranges=rows)) == []
 
 
 def test_a_fleet_in_formation_has_no_clock_to_compare_but_a_unit():
@@ -194,18 +187,18 @@ def test_a_fleet_in_formation_has_no_clock_to_compare_but_a_unit():
     way = np.column_stack((20.0 * t, 0.0 * t, np.full(len(t), 100.0)))
     places = {1: (0.0, 0.0, 0.0), 2: (80.0, 60.0, 0.0)}
     reports = {
-        v: track(np.column_stack((t, way + place + rng.normal(0.0, 0.5, way.shape), np.full(len(t), 0.5))))
+        v: position_track(np.column_stack((t, way + place + rng.normal(0.0, 0.5, way.shape), np.full(len(t), 0.5))))
         for v, place in places.items()
     }
     rows = np.column_stack((t, np.full((len(t), 2), (1, 2)), 100.0 + rng.normal(0.0, 0.1, len(t)), np.full(len(t), 0.1)))
-    evidence = Evidence({1: "1", 2: "2"}, reports, {}, rows)
-    assert run_checks(evidence) == []
+    data = RecordedData({1: "1", 2: "2"}, reports, {}, rows)
+    assert run_checks(data) == []
     rows[:, 3] *= 1000.0
-    (doubt,) = run_checks(evidence)
-    assert (doubt.kind, doubt.value) == ("range_factor", pytest.approx(1000.0, rel=0.01))
+    (finding,) = run_checks(data)
+    assert (finding.kind, finding.value) == ("range_factor", pytest.approx(1000.0, rel=0.01))
 
 
-def test_the_places_of_anchors_are_held_against_the_ranges():
+def test_the_positions_of_anchors_are_compared_with_the_ranges():
     rng = np.random.default_rng(2)
     t = np.arange(0.0, 60.0, 0.1)
     walk = np.column_stack((10.0 + 0.3 * t, 5.0 + 8.0 * np.sin(t / 9.0), np.full(len(t), 1.0)))
@@ -217,37 +210,39 @@ def test_the_places_of_anchors_are_held_against_the_ranges():
         for v, p in places.items()
     ]
     anchors = {v: PositionTrack(np.zeros(1), np.array([p]), np.array([0.02]), is_static=True) for v, p in places.items()}
-    evidence = Evidence({v: f"A{v}" for v in range(1, 5)}, anchors, {1: PositionTrack(t, walk, 0.0 * t)}, np.vstack(rows))
-    assert run_checks(evidence) == []
+    data = RecordedData({v: f"A{v}" for v in range(1, 5)}, anchors, {1: PositionTrack(t, walk, 0.0 * t)}, np.vstack(rows))
+    assert run_checks(data) == []
     swapped = {
         v: PositionTrack(a.times_s, a.positions_enu_m[:, (1, 0, 2)], a.sigmas_m, is_static=True) for v, a in anchors.items()
     }
-    (doubt,) = run_checks(replace(evidence, reports=swapped))
-    assert doubt.kind == "position_axes"
-    assert "east and north are swapped" in doubt.text
+    (finding,) = run_checks(replace(data, reports=swapped))
+    assert finding.kind == "position_axes"
+    assert "east and north are swapped" in finding.text
 
 
-def test_ranges_that_stand_there_twice_are_counted_in_either_direction():
-    evidence = fleet(1)
-    back = evidence.ranges[:7][:, (0, 2, 1, 3, 4)]
-    (doubt,) = run_checks(replace(evidence, ranges=np.vstack((evidence.ranges, evidence.ranges[:5], back))))
-    assert (doubt.kind, doubt.value) == ("repeated_ranges", 12)
+def test_repeated_ranges_are_counted_in_either_direction():
+    data = fleet(1)
+    back = data.ranges[:7][:, (0, 2, 1, 3, 4)]
+    (finding,) = run_checks(replace(data, ranges=np.vstack((data.ranges, data.ranges[:5], back))))
+    assert (finding.kind, finding.value) == ("repeated_ranges", 12)
 
 
-def test_arrivals_by_another_clock_are_told():
+def test_arrivals_by_another_clock_are_a_finding():
     found = list(check_delays({"ranges": np.full(30, 1.7e9), "positions": np.full(30, 0.4), "heights": np.zeros(0)}))
-    assert [doubt.kind for doubt in found] == ["late_arrival"]
+    assert [finding.kind for finding in found] == ["late_arrival"]
     assert found[0].text.startswith("ranges arrive 1.7e+09 s after they were measured")
 
 
 @pytest.mark.parametrize("rows", [0, 1, 5])
-def test_a_recording_with_next_to_nothing_in_it_is_not_judged(rows):
-    evidence = fleet(1)
-    few = replace(
-        evidence, ranges=1000.0 * evidence.ranges[:rows], altitudes={v: r[:rows] for v, r in evidence.altitudes.items()}
-    )
+def test_a_recording_with_few_rows_is_not_checked(rows):
+    data = fleet(1)
+    few = replace(data, ranges=1000.0 * data.ranges[:rows], heights={v: r[:rows] for v, r in data.heights.items()})
     assert [d for d in run_checks(few) if d.kind.startswith(("range", "height"))] == []
 
 
-def test_a_doubt_is_plain_values_for_json():
-    assert DataFinding("range_factor", "words", 2.0).as_dict() == {"kind": "range_factor", "text": "words", "value": 2.0}
+def test_a_finding_is_plain_values_for_json():
+    assert DataFinding(FindingKind.RANGE_FACTOR, "words", 2.0).as_dict() == {
+        "kind": "range_factor",
+        "text": "words",
+        "value": 2.0,
+    }

@@ -75,7 +75,7 @@ def test_why_there_is_no_answer_is_told_by_reason_in_the_words_of_the_first_time
     assert "measurements: kept: waiting for a start 200" in told
 
 
-def test_ranges_in_millimetres_are_told_on_stderr_and_in_the_json_and_a_sound_walk_is_not_doubted(tmp_path):
+def test_ranges_in_millimetres_are_warned_of_on_stderr_and_in_the_json_and_a_sound_walk_is_not(tmp_path):
     walk = write_walk(tmp_path, 3)
     command = [sys.executable, "-m", "gcs_coloc", "evaluate", str(walk), "--json"]
     sound = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
@@ -85,7 +85,7 @@ def test_ranges_in_millimetres_are_told_on_stderr_and_in_the_json_and_a_sound_wa
     millimetres = [",".join([*c[:3], f"{1000.0 * float(c[3]):.2f}", *c[4:]]) for c in cells]
     (walk / "ranges.csv").write_text("\n".join([header, *millimetres]))
     wrong = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
-    words = "the ranges are 1000 times the distances between the positions: are the ranges in millimetres?"
+    words = "the ranges are 1000 times the distances between the positions: are the ranges in mm, or the positions in km?"
     assert wrong.stderr == f"gcs-coloc: warning: {walk}: {words}\n"
     figures = json.loads(wrong.stdout)
     assert figures["version"] == __version__
@@ -100,7 +100,7 @@ def test_the_heights_of_a_flat_data_set_are_not_held_against_its_ranges(tmp_path
     (walk / "truth.csv").write_text("\n".join([truth[0], *(f"{row.rsplit(',', 1)[0]},0.0" for row in truth[1:])]))
     meta = (walk / "meta.toml").read_text()
     (walk / "meta.toml").write_text(meta.replace("u_m = 1.0", "u_m = 25.0"))
-    assert evaluate(walk, FleetFilter()).doubts == ()
+    assert evaluate(walk, FleetFilter()).findings == ()
 
 
 def test_the_figures_do_not_depend_on_the_process_or_its_hash_seed(tmp_path):

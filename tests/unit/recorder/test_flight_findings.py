@@ -15,7 +15,7 @@ import pytest
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import AltitudeMeasurement, NoEstimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.evaluation.data_checks.finding import DataFinding
+from gcs_coloc.evaluation.data_checks.findings import DataFinding
 from gcs_coloc.recorder import flight_findings as flight_doubts
 from gcs_coloc.recorder.flight_findings import HeardMeasurements
 from gcs_coloc.recorder.replay import Replay, replay
@@ -47,34 +47,34 @@ def flown(tmp_path_factory) -> tuple[Path, HeardMeasurements, Engine, list[Truth
     return path, heard, engine, truth
 
 
-def doubts(flown, change: Callable[[TruthPoint], TruthPoint]) -> list[DataFinding]:
+def findings(flown, change: Callable[[TruthPoint], TruthPoint]) -> list[DataFinding]:
     _, heard, engine, truth = flown
-    return heard.doubts([change(point) for point in truth], engine.feed.frame)
+    return heard.findings([change(point) for point in truth], engine.feed.frame)
 
 
 def test_of_a_sound_flight_nothing_is_said(flown):
-    assert doubts(flown, lambda p: p) == []
+    assert findings(flown, lambda p: p) == []
 
 
 @pytest.mark.parametrize(
     ("change", "kind", "words"),
     [
-        (lambda p: replace(p, lat_deg=p.lon_deg, lon_deg=p.lat_deg), "truth_elsewhere", "latitude and longitude are swapped"),
-        (lambda p: replace(p, lat_deg=-p.lat_deg), "truth_elsewhere", "km off where the vehicles report to be"),
-        (lambda p: replace(p, alt_msl_m=p.alt_msl_m / 0.3048), "truth_feet", "in the truth heights are in feet"),
-        (lambda p: replace(p, alt_msl_m=p.alt_msl_m + 48.0), "truth_offset", "(east, north, up) off what is reported"),
+        (lambda p: replace(p, lat_deg=p.lon_deg, lon_deg=p.lat_deg), "truth_elsewhere", "are latitude and longitude swapped?"),
+        (lambda p: replace(p, lat_deg=-p.lat_deg), "truth_elsewhere", "km off the reported positions"),
+        (lambda p: replace(p, alt_msl_m=p.alt_msl_m / 0.3048), "truth_height_factor", "are those of the truth in ft?"),
+        (lambda p: replace(p, alt_msl_m=p.alt_msl_m + 48.0), "truth_offset", "(east, north, up) off the reported positions"),
         (
             lambda p: replace(p, unix_s=p.unix_s + 5.0),
             "time_offset",
-            "the truth of 1, 2, 3, 4 fits what is reported if it is stamped",
+            "the clock of the truth of 1, 2, 3, 4 is",
         ),
-        (lambda p: replace(p, unix_s=1000.0 * p.unix_s), "no_overlap", "one clock is wanted"),
+        (lambda p: replace(p, unix_s=1000.0 * p.unix_s), "no_overlap", "one clock"),
     ],
 )
 def test_a_truth_in_other_units_axes_or_time_is_told(flown, change, kind, words):
-    (doubt,) = doubts(flown, change)
-    assert doubt.kind == kind
-    assert words in doubt.text
+    (finding,) = findings(flown, change)
+    assert finding.kind == kind
+    assert words in finding.text
 
 
 def test_replay_and_report_say_it(flown, tmp_path):
@@ -85,7 +85,7 @@ def test_replay_and_report_say_it(flown, tmp_path):
     command = [sys.executable, "-m", "gcs_coloc", "replay", str(path), "--truth", str(table), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
     (warning,) = json.loads(done.stdout)["warnings"]
-    assert warning["kind"] == "truth_feet"
+    assert warning["kind"] == "truth_height_factor"
     assert done.stderr == f"gcs-coloc: warning: {path}: {warning['text']}\n"
     page = tmp_path / "flight.html"
     command = [sys.executable, "-m", "gcs_coloc", "report", str(path), "--truth", str(table), "--out", str(page)]
@@ -138,4 +138,4 @@ def test_the_estimator_is_given_everything_while_what_is_kept_stays_small(monkey
     assert heard.counts() == {"given": 3001}
     assert (heard.name, heard.drain_residuals()) == ("silent", [])
     assert sum(len(rows) // 8 for rows in heard._positions.values()) + len(heard._ranges) // 5 == 30
-    assert heard.doubts([], None) == []
+    assert heard.findings([], None) == []

@@ -1,0 +1,262 @@
+"""All data checks of a recording: clocks, truth, ranges, heights, velocities and repeated ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.evaluation.data_checks.findings import (
+    DataFinding,
+    Explanation,
+    FindingKind,
+    choose,
+    clock_words,
+    finding,
+    join_vehicles,
+    median_misfit_m,
+    median_ratio,
+    unit_question,
+)
+from gcs_coloc.evaluation.data_checks.range_checks import check_ranges
+from gcs_coloc.evaluation.data_checks.recorded_data import PositionTrack, RecordedData, find_time_offset_s, thinned
+
+_SLOW_S = 20.0
+"""Median time between two ranges of a pair above which times can hardly be seconds; chosen: radios range every 0.01 to 5 s."""
+_LATE_S = 10.0
+"""Median delay of arrival above which it can hardly be by one clock; chosen: telemetry radios buffer up to some seconds."""
+_APART_S = 60.0
+"""Positions so long before the first range or after the last one still count as of their time; chosen: a vehicle's start-up."""
+_LEAST_OVERLAP = 0.02
+"""Share of the positions that must be of the time of the ranges; chosen: a flight of an hour ranged for two minutes."""
+_LEAST_ROWS = 20
+"""Values that a vehicle needs to be checked; chosen: a median of fewer moves with single outliers."""
+_MOST_ROWS = 1000
+"""Values of a vehicle that are compared, evenly spaced; chosen: the search for a clock offset takes below a second."""
+_SUSPECT_SIGMAS = 5.0
+"""Median misfit, in stated sigmas, that is a finding; chosen: receivers state 2 to 3 times too little under multipath."""
+_FOOT_M = 0.3048
+"""ISO 31-1."""
+_FAR_SIGMAS = 100.0
+_MOST_STEPS = 64
+"""Velocities are integrated over displacements of 100 position sigmas, 64 reports at most; chosen: noise makes 1 % of those."""
+_SPEED_SHARE = 0.1
+_SPEED_MPS = 0.5
+"""A velocity may be off by 10 % and 0.5 m/s; chosen: receivers filter it, and reports are rounded."""
+
+_AXES = (
+    ((1, 0, 2), (1.0, 1.0, 1.0), "east and north are swapped"),
+    ((0, 1, 2), (1.0, 1.0, -1.0), "heights count downwards"),
+    ((1, 0, 2), (1.0, 1.0, -1.0), "the axes are north, east, down"),
+)
+"""Frames that are mistaken for east, north, up: the order of the axes, their signs, and the words."""
+
+
+def run_checks(data: RecordedData) -> list[DataFinding]:
+    """Return all findings, the most basic first. The checks correct nothing: an estimator gets the data as they are."""
+    truth = list(_check_truth(data))
+    return [
+        *_check_clocks(data),
+        *truth,
+        # A truth that contradicts the reports is no witness against the ranges.
+        *check_ranges(data, trust_truth=not truth),
+        *_check_heights(data),
+        *_check_velocities(data),
+        *_check_repeats(data),
+    ]
+
+
+def check_delays(delays_s: Mapping[str, FloatArray]) -> Iterator[DataFinding]:
+    """Yield kinds of measurements (delays (N,) in s by the kind's name) that arrive too late for one clock."""
+    for name, delays in delays_s.items():
+        if len(delays) and (delay_s := float(np.median(delays))) > _LATE_S:
+            yield finding(FindingKind.LATE_ARRIVAL, delay_s, name)
+
+
+def _check_clocks(data: RecordedData) -> Iterator[DataFinding]:
+    """Yield tracks that are not of the time of the ranges, and times that can hardly be seconds."""
+    ranges_s = data.ranges[:, 0]
+    if len(ranges_s) == 0:
+        return
+    for name, tracks in (("reported positions", data.reports), ("truth", data.truth)):
+        times = [track.times_s for track in tracks.values() if not track.is_static]
+        if not times:
+            continue
+        times_s = np.concatenate(times)
+        near = float(((times_s >= ranges_s.min() - _APART_S) & (times_s <= ranges_s.max() + _APART_S)).mean())
+        if near < _LEAST_OVERLAP:
+            yield finding(FindingKind.NO_OVERLAP, near, name, span=_span(times_s), range_span=_span(ranges_s))
+    a, b = np.sort(data.ranges[:, 1:3], axis=1).T
+    order = np.lexsort((ranges_s, b, a))
+    same_pair = (np.diff(a[order]) == 0) & (np.diff(b[order]) == 0)
+    spacings_s = np.diff(ranges_s[order])[same_pair]
+    if len(spacings_s) and (spacing_s := float(np.median(spacings_s))) > _SLOW_S:
+        yield finding(FindingKind.SLOW_RANGES, spacing_s)
+
+
+def _span(times_s: FloatArray) -> str:
+    return f"{times_s.min():.10g} to {times_s.max():.10g} s"
+
+
+def _check_repeats(data: RecordedData) -> Iterator[DataFinding]:
+    """Yield how many ranges repeat time, vehicles (in either direction) and value of another one."""
+    pair = np.sort(data.ranges[:, 1:3], axis=1)
+    keys = np.column_stack((data.ranges[:, 0], pair, data.ranges[:, 3]))
+    keys = keys[np.lexsort(keys.T)]
+    count = int((keys[1:] == keys[:-1]).all(axis=1).sum())
+    if count:
+        yield finding(FindingKind.REPEATED_RANGES, count)
+
+
+def _check_truth(data: RecordedData) -> Iterator[DataFinding]:
+    """Yield how the truth differs from what vehicles report, where that is more than they state."""
+    return join_vehicles(_truth_findings(data))
+
+
+def _truth_findings(data: RecordedData) -> Iterator[tuple[str, DataFinding]]:
+    for vehicle, truth in data.truth.items():
+        reports = data.reports.get(vehicle)
+        if reports is None or reports.is_static:
+            continue
+        rows = np.column_stack((reports.times_s, reports.positions_enu_m, reports.sigmas_m))
+        rows = thinned(rows[truth.at(reports.times_s)[1]], _MOST_ROWS)
+        if len(rows) < _LEAST_ROWS:
+            continue
+        times_s, reported, sigma_m = rows[:, 0], rows[:, 1:4], float(np.median(rows[:, 4]))
+        misfit_m = median_misfit_m(np.linalg.norm(truth.at(times_s)[0] - reported, axis=1))
+        if misfit_m > _SUSPECT_SIGMAS * sigma_m:
+            explanations = _truth_explanations(truth, sigma_m, times_s, reported, misfit_m, data.origin_height_m)
+            unexplained = finding(FindingKind.TRUTH_MISFIT, misfit_m, sigma_m=sigma_m)
+            yield data.names[vehicle], choose(explanations, misfit_m, sigma_m) or unexplained
+
+
+def _truth_explanations(
+    truth: PositionTrack, sigma_m: float, times_s: FloatArray, reported: FloatArray, misfit_m: float, origin_height_m: float
+) -> Iterator[Explanation]:
+    true = truth.at(times_s)[0]
+
+    def left_m(changed: FloatArray) -> float:
+        return median_misfit_m(np.linalg.norm(changed - reported, axis=1))
+
+    factor = median_ratio(np.linalg.norm(true, axis=1), np.linalg.norm(reported, axis=1))
+    question = unit_question(factor, "the truth in {}", "the reports in {}")
+    if question:
+        yield Explanation(left_m(true / factor), finding(FindingKind.TRUTH_FACTOR, factor, question=question))
+    for axes, signs, words in _AXES:
+        yield Explanation(left_m(true[:, axes] * signs), finding(FindingKind.TRUTH_AXES, axes=words))
+    for factor in (1.0 / _FOOT_M, _FOOT_M):
+        scaled = true.copy()
+        scaled[:, 2] = (true[:, 2] + origin_height_m) / factor - origin_height_m
+        question = unit_question(factor, "those of the truth in {}", "the reported ones in {}")
+        yield Explanation(left_m(scaled), finding(FindingKind.TRUTH_HEIGHT_FACTOR, factor, question=question))
+
+    def shifted(by_s: float) -> FloatArray:
+        positions, known = truth.at(times_s + by_s)
+        return np.where(known, np.linalg.norm(positions - reported, axis=1), np.nan)
+
+    offset_s, after_m = find_time_offset_s(shifted)
+    clock = finding(
+        FindingKind.TIME_OFFSET,
+        offset_s,
+        of="the truth of {who}",
+        than="the reports",
+        offset=clock_words(offset_s),
+        before_m=misfit_m,
+        after_m=after_m,
+    )
+    yield Explanation(after_m, clock)
+    apart = np.median(true - reported, axis=0)
+    # An offset of any size fits by chance more easily: it must explain all of the misfit.
+    if left_m(true - apart) <= _SUSPECT_SIGMAS * sigma_m:
+        vector = "(" + ", ".join(f"{x:.1f}" for x in apart) + ")"
+        yield Explanation(left_m(true - apart), finding(FindingKind.TRUTH_OFFSET, float(np.linalg.norm(apart)), offset=vector))
+
+
+def _check_heights(data: RecordedData) -> Iterator[DataFinding]:
+    """Yield how reported heights differ from those of the positions, or of the truth where there are none."""
+    return join_vehicles(_height_findings(data))
+
+
+def _height_findings(data: RecordedData) -> Iterator[tuple[str, DataFinding]]:
+    for vehicle, heights in data.heights.items():
+        for tracks, of in ((data.reports, "positions"), (data.truth, "truth")):
+            if vehicle not in tracks:
+                continue
+            positions, known = tracks[vehicle].at(heights[:, 0])
+            if known.sum() < _LEAST_ROWS:
+                continue
+            reported_m, up_m = heights[known, 1], positions[known, 2]
+            sigma_m = float(np.hypot(np.median(heights[known, 2]), np.median(tracks[vehicle].sigmas_m)))
+            misfit_m = median_misfit_m(reported_m - up_m)
+            if misfit_m > _SUSPECT_SIGMAS * sigma_m:
+                unexplained = finding(FindingKind.HEIGHT_MISFIT, misfit_m, of=of, sigma_m=sigma_m)
+                yield data.names[vehicle], choose(_height_explanations(of, reported_m, up_m), misfit_m, sigma_m) or unexplained
+            break
+
+
+def _height_explanations(of: str, reported_m: FloatArray, up_m: FloatArray) -> Iterator[Explanation]:
+    factor = median_ratio(reported_m, up_m)
+    if factor < 0.0:
+        yield Explanation(median_misfit_m(-reported_m - up_m), finding(FindingKind.HEIGHT_SIGN, of=of))
+    elif question := unit_question(factor, "the heights in {}", f"those of the {of} in {{}}"):
+        left_m = median_misfit_m(reported_m / factor - up_m)
+        yield Explanation(left_m, finding(FindingKind.HEIGHT_FACTOR, factor, of=of, question=question))
+    offset_m = float(np.median(reported_m - up_m))
+    yield Explanation(median_misfit_m(reported_m - offset_m - up_m), finding(FindingKind.HEIGHT_OFFSET, offset_m, of=of))
+
+
+def _check_velocities(data: RecordedData) -> Iterator[DataFinding]:
+    """Yield how velocities differ from the rate of change of the positions that come with them."""
+    return join_vehicles(_velocity_findings(data))
+
+
+def _velocity_findings(data: RecordedData) -> Iterator[tuple[str, DataFinding]]:
+    for vehicle, reports in data.reports.items():
+        displacements = _displacements(reports)
+        if displacements is None:
+            continue
+        moved_m, integrated_m, span_s = displacements
+        sigma_m = float(np.median(reports.sigmas_m))
+        misfit_m = median_misfit_m(np.linalg.norm(integrated_m - moved_m, axis=1))
+        length_m = float(np.median(np.linalg.norm(moved_m, axis=1)))
+        if misfit_m > 2.0 * _SUSPECT_SIGMAS * sigma_m + _SPEED_SHARE * length_m + _SPEED_MPS * span_s:
+            unexplained = finding(FindingKind.VELOCITY_MISFIT, misfit_m / span_s)
+            yield data.names[vehicle], choose(_velocity_explanations(integrated_m, moved_m), misfit_m, sigma_m) or unexplained
+
+
+def _displacements(reports: PositionTrack) -> tuple[FloatArray, FloatArray, float] | None:
+    """Return displacements (N, 3), m, by the positions and by the integrated velocities, and the median time of one, s."""
+    velocities = reports.velocities_enu_mps
+    if reports.is_static or velocities is None or np.isnan(velocities).any() or len(velocities) < _LEAST_ROWS:
+        return None
+    steps = np.diff(reports.times_s)[:, np.newaxis] * 0.5 * (velocities[1:] + velocities[:-1])
+    integral = np.vstack((np.zeros(3), np.cumsum(steps, axis=0)))
+    spacing_s, positions = float(np.median(np.diff(reports.times_s))), reports.positions_enu_m
+    far_m = _FAR_SIGMAS * float(np.median(reports.sigmas_m))
+    ahead = 1
+    while (
+        ahead < _MOST_STEPS
+        and len(integral) > 2 * ahead + _LEAST_ROWS
+        and np.median(np.linalg.norm(positions[ahead:] - positions[:-ahead], axis=1)) < far_m
+    ):
+        ahead *= 2
+    if len(integral) < ahead + _LEAST_ROWS:
+        return None
+    spans_s = reports.times_s[ahead:] - reports.times_s[:-ahead]
+    whole = (spans_s > 0.0) & (spans_s < 2.0 * ahead * spacing_s)
+    moved, integrated = (positions[ahead:] - positions[:-ahead])[whole], (integral[ahead:] - integral[:-ahead])[whole]
+    return (moved, integrated, float(np.median(spans_s[whole]))) if len(moved) >= _LEAST_ROWS else None
+
+
+def _velocity_explanations(integrated_m: FloatArray, moved_m: FloatArray) -> Iterator[Explanation]:
+    def left_m(changed: FloatArray) -> float:
+        return median_misfit_m(np.linalg.norm(changed - moved_m, axis=1))
+
+    factor = median_ratio(np.linalg.norm(integrated_m, axis=1), np.linalg.norm(moved_m, axis=1))
+    question = unit_question(factor, "the velocities in {}/s", "the positions in {}")
+    if question:
+        yield Explanation(left_m(integrated_m / factor), finding(FindingKind.VELOCITY_FACTOR, factor, question=question))
+    for axes, signs, words in _AXES:
+        yield Explanation(left_m(integrated_m[:, axes] * signs), finding(FindingKind.VELOCITY_AXES, axes=words))
+    yield Explanation(left_m(-integrated_m), finding(FindingKind.VELOCITY_SIGN))

@@ -1,0 +1,253 @@
+"""Checks of ranges against the distances between the reported (or else true) positions of their two ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.evaluation.data_checks.findings import (
+    DataFinding,
+    Explanation,
+    FindingKind,
+    choose,
+    clock_words,
+    finding,
+    median_misfit_m,
+    unit_question,
+)
+from gcs_coloc.evaluation.data_checks.recorded_data import (
+    Mask,
+    PositionTrack,
+    RecordedData,
+    find_small_time_offset_s,
+    find_time_offset_s,
+    thinned,
+)
+
+_LEAST_ROWS = 20
+"""Ranges that a pair needs to be checked; chosen: a median of fewer moves with single outliers."""
+_MOST_ROWS_OF_PAIR = 400
+"""Ranges of a pair that are compared, evenly spaced; chosen: the check of a fleet of ten takes below a second."""
+_SUSPECT_SIGMAS = 3.0
+"""Median misfit, in stated sigmas, from which a pair is checked further; chosen: a Gaussian's median is 0.67."""
+_UNEXPLAINED_SIGMAS = 5.0
+"""Median misfit, in stated sigmas, that is reported even if nothing explains it; chosen: sigmas are often stated too small."""
+_BETTER_BY_TIME = 0.7
+"""Share of the misfit that a small time offset may leave; chosen: it must explain half of the variance."""
+_MOST_PAIRS_NAMED = 4
+_RATE_SPAN_S = 2.0
+"""Half the time over which the rate of change of a distance is measured; chosen: noise of 1 m makes 0.35 m/s of it."""
+
+PositionShift = Callable[[int, bool], float]
+"""By how many seconds later the positions of a vehicle are used, of its truth (True) or of its reports (False)."""
+
+
+def _no_shift(vehicle: int, is_truth: bool) -> float:  # noqa: ARG001 - a PositionShift
+    return 0.0
+
+
+def _shift_all(by_s: float) -> PositionShift:
+    return lambda _vehicle, _is_truth: by_s
+
+
+def check_ranges(data: RecordedData, *, trust_truth: bool) -> Iterator[DataFinding]:
+    """Yield the finding on the ranges or the positions at their ends; a trusted truth stands in for missing reports."""
+    pairs = list(_pairs(data, trust_truth=trust_truth))
+    if not pairs:
+        return
+    suspect = [pair for pair in pairs if pair.misfit_m() > _SUSPECT_SIGMAS * pair.sigma_m()]
+    bad = _RangeSet(suspect) if suspect else None
+    clock = _small_clock_offset(_RangeSet(pairs), bad)
+    if clock is not None:
+        yield clock
+    elif bad is not None:
+        blame = _blame(suspect, pairs, data.names)
+        explained = choose(_explanations(bad, blame), bad.misfit_m)
+        if explained is not None:
+            yield explained
+        elif bad.misfit_m > _UNEXPLAINED_SIGMAS * bad.sigma_m:
+            yield finding(FindingKind.RANGE_MISFIT, bad.misfit_m, blame.ranges, sigma_m=bad.sigma_m)
+
+
+@dataclass(slots=True)
+class _Pair:
+    """The ranges (N, 5) of two vehicles, and whether each end's position is from the truth (N, 2) or from its own reports."""
+
+    ends: tuple[int, int]
+    rows: FloatArray
+    from_truth: Mask
+    data: RecordedData
+
+    def positions(self, side: int, shift: PositionShift = _no_shift) -> FloatArray:
+        """Return the positions (N, 3) of one end at the times of the ranges, shifted; NaN where unknown."""
+        vehicle = self.ends[side]
+        positions = np.full((len(self.rows), 3), np.nan)
+        for is_truth, tracks in ((False, self.data.reports), (True, self.data.truth)):
+            mine = self.from_truth[:, side] == is_truth
+            if mine.any():
+                found, known = tracks[vehicle].at(self.rows[mine, 0] + shift(vehicle, is_truth))
+                positions[mine] = np.where(known[:, np.newaxis], found, np.nan)
+        return positions
+
+    def sigma_m(self) -> float:
+        """Return the stated sigma of range and both positions together, median."""
+        squares = self.rows[:, 4] ** 2
+        for side, vehicle in enumerate(self.ends):
+            if not self.from_truth[:, side].all():
+                squares = squares + float(np.median(self.data.reports[vehicle].sigmas_m)) ** 2
+        return float(np.sqrt(np.median(squares)))
+
+    def misfit_m(self) -> float:
+        """Return the median of |range - distance|."""
+        return median_misfit_m(np.abs(self.rows[:, 3] - np.linalg.norm(self.positions(0) - self.positions(1), axis=1)))
+
+    def moves(self) -> list[bool]:
+        """Return for each end whether it moves: it is no anchor."""
+        return [not (end in self.data.reports and self.data.reports[end].is_static) for end in self.ends]
+
+
+def _pairs(data: RecordedData, *, trust_truth: bool) -> Iterator[_Pair]:
+    ends = np.sort(data.ranges[:, 1:3], axis=1)
+    truth: Mapping[int, PositionTrack] = data.truth if trust_truth else {}
+    for a, b in np.unique(ends, axis=0).astype(int).tolist():
+        rows = thinned(data.ranges[(ends[:, 0] == a) & (ends[:, 1] == b)], _MOST_ROWS_OF_PAIR)
+        reported, known = np.zeros((2, len(rows), 2), dtype=bool)
+        for side, vehicle in enumerate((a, b)):
+            if vehicle in data.reports:
+                reported[:, side] = data.reports[vehicle].at(rows[:, 0])[1]
+            if vehicle in truth:
+                known[:, side] = truth[vehicle].at(rows[:, 0])[1]
+        usable = (reported | known).all(axis=1)
+        if usable.sum() >= _LEAST_ROWS:
+            yield _Pair((a, b), rows[usable], ~reported[usable], data)
+
+
+@dataclass(frozen=True, slots=True)
+class _Blame:
+    """What the suspect ranges are called, and the one vehicle they all share, if no sound range is with it."""
+
+    ranges: str
+    vehicle: int | None = None
+    name: str = ""
+
+
+def _blame(suspect: list[_Pair], pairs: list[_Pair], names: Mapping[int, str]) -> _Blame:
+    if len(suspect) == len(pairs):
+        return _Blame("the ranges")
+    sound = {vehicle for pair in pairs if pair not in suspect for vehicle in pair.ends}
+    shared = {vehicle for pair in suspect for vehicle in pair.ends} - sound
+    if len(shared) == 1 and all(shared & set(pair.ends) for pair in suspect):
+        vehicle = shared.pop()
+        return _Blame(f"the ranges to and from {names[vehicle]}", vehicle, names[vehicle])
+    named = [f"{names[a]}-{names[b]}" for a, b in (pair.ends for pair in suspect[:_MOST_PAIRS_NAMED])]
+    return _Blame(f"the ranges {', '.join(named)}{', ...' if len(suspect) > _MOST_PAIRS_NAMED else ''}")
+
+
+class _RangeSet:
+    """The ranges (N,) of several pairs with the positions of both ends (N, 2, 3), under one or another reading."""
+
+    def __init__(self, pairs: list[_Pair]) -> None:
+        self.pairs = pairs
+        self.range_m = np.concatenate([pair.rows[:, 3] for pair in pairs])
+        self.from_truth = np.concatenate([pair.from_truth for pair in pairs])
+        self.vehicles = np.concatenate([np.broadcast_to(pair.ends, (len(pair.rows), 2)) for pair in pairs])
+        self.moves = np.concatenate([np.broadcast_to(pair.moves(), (len(pair.rows), 2)) for pair in pairs])
+        self.ends = self._ends()
+        self.distances_m = np.linalg.norm(self.ends[:, 0] - self.ends[:, 1], axis=1)
+        self.sigma_m = float(np.median([pair.sigma_m() for pair in pairs]))
+        self.misfit_m = median_misfit_m(self.range_m - self.distances_m)
+
+    def _ends(self, shift: PositionShift = _no_shift) -> FloatArray:
+        sides = [np.concatenate([pair.positions(side, shift) for pair in self.pairs]) for side in (0, 1)]
+        return np.stack(sides, axis=1)
+
+    def swapped_misfit_m(self, whose: Mask) -> float:
+        """Return the median misfit if east and north are exchanged in some positions (N, 2)."""
+        ends = self.ends.copy()
+        ends[whose] = ends[whose][:, (1, 0, 2)]
+        return median_misfit_m(self.range_m - np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
+
+    def shifted_misfits_m(self, shift: PositionShift) -> FloatArray:
+        """Return the misfits (N,) if positions of other times are used."""
+        ends = self._ends(shift)
+        return np.asarray(self.range_m - np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
+
+    def rate_mps(self) -> float:
+        """Return the median rate of change of the distances, over a time in which the noise of positions makes little of it."""
+        before, after = (self._ends(_shift_all(by_s)) for by_s in (-_RATE_SPAN_S, _RATE_SPAN_S))
+        change_m = np.linalg.norm(after[:, 0] - after[:, 1], axis=1) - np.linalg.norm(before[:, 0] - before[:, 1], axis=1)
+        rates = np.abs(change_m[np.isfinite(change_m)]) / (2.0 * _RATE_SPAN_S)
+        return float(np.median(rates)) if len(rates) else 0.0
+
+
+def _explanations(bad: _RangeSet, blame: _Blame) -> Iterator[Explanation]:
+    """Yield what may be wrong, simplest first: the unit, the axes, a clock, a bias, a factor of no unit."""
+    factor, scaled_m = 0.0, float("inf")
+    sound = bad.distances_m > 0.0
+    if sound.any() and (factor := float(np.nanmedian(bad.range_m[sound] / bad.distances_m[sound]))) > 0.0:
+        scaled_m = median_misfit_m(bad.range_m / factor - bad.distances_m)
+        question = unit_question(factor, "the ranges in {}", "the positions in {}")
+        if question:
+            yield Explanation(scaled_m, finding(FindingKind.RANGE_FACTOR, factor, blame.ranges, question=question))
+    for of, whose in _position_groups(bad, blame):
+        if whose.any():
+            left_m = bad.swapped_misfit_m(whose)
+            swapped = finding(
+                FindingKind.POSITION_AXES,
+                None,
+                blame.ranges,
+                axes="east and north are swapped",
+                of=of,
+                before_m=bad.misfit_m,
+                after_m=left_m,
+            )
+            yield Explanation(left_m, swapped)
+    for of, shift in _clocks(bad, blame):
+        offset_s, left_m = find_time_offset_s(lambda by_s, shift=shift: bad.shifted_misfits_m(shift(by_s)))  # type: ignore[misc]
+        yield Explanation(left_m, _clock_finding(of, blame.ranges, offset_s, bad.misfit_m, left_m))
+    bias_m = float(np.nanmedian(bad.range_m - bad.distances_m))
+    # A bias or factor of any size fits by chance more easily: it must explain all of the misfit.
+    if (left_m := median_misfit_m(bad.range_m - bias_m - bad.distances_m)) <= _SUSPECT_SIGMAS * bad.sigma_m:
+        yield Explanation(left_m, finding(FindingKind.RANGE_BIAS, bias_m, blame.ranges))
+    if scaled_m <= _SUSPECT_SIGMAS * bad.sigma_m:
+        yield Explanation(scaled_m, finding(FindingKind.RANGE_FACTOR, factor, blame.ranges, question=""))
+
+
+def _position_groups(bad: _RangeSet, blame: _Blame) -> Iterator[tuple[str, Mask]]:
+    if blame.vehicle is not None:
+        yield f"positions of {blame.name}", bad.vehicles == blame.vehicle
+        return
+    yield "truth", bad.from_truth
+    yield "reported positions", ~bad.from_truth & bad.moves
+    yield "positions of the anchors", ~bad.moves
+
+
+def _clocks(bad: _RangeSet, blame: _Blame) -> Iterator[tuple[str, Callable[[float], PositionShift]]]:
+    """Yield the positions that may have a clock of their own, in words, and how they are shifted."""
+    if not bad.moves.any():
+        return
+    yield "the positions", _shift_all
+    if blame.vehicle is not None:
+        yield f"the positions of {blame.name}", lambda by_s: lambda vehicle, _: by_s if vehicle == blame.vehicle else 0.0
+    if bad.from_truth.any() and (~bad.from_truth & bad.moves).any():
+        yield "the truth", lambda by_s: lambda _, is_truth: by_s if is_truth else 0.0
+
+
+def _clock_finding(of: str, than: str, offset_s: float, before_m: float, after_m: float) -> DataFinding:
+    offset = clock_words(offset_s)
+    return finding(FindingKind.TIME_OFFSET, offset_s, of=of, than=than, offset=offset, before_m=before_m, after_m=after_m)
+
+
+def _small_clock_offset(every: _RangeSet, bad: _RangeSet | None) -> DataFinding | None:
+    """Return the offset of all positions if it moves vehicles by more than the noise, though it is hidden in most pairs."""
+    if not every.moves.any():
+        return None
+    offset_s, left_m = find_small_time_offset_s(lambda by_s: every.shifted_misfits_m(_shift_all(by_s)))
+    if left_m >= _BETTER_BY_TIME * every.misfit_m or abs(offset_s) * every.rate_mps() <= every.sigma_m:
+        return None
+    if bad is not None and median_misfit_m(bad.shifted_misfits_m(_shift_all(offset_s))) > _SUSPECT_SIGMAS * bad.sigma_m:
+        return None
+    return _clock_finding("the positions", "the ranges", offset_s, every.misfit_m, left_m)

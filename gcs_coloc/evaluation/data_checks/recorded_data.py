@@ -1,0 +1,104 @@
+"""The data of a recording that the checks compare: position tracks, ranges and heights by vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.evaluation.data_checks.findings import median_misfit_m
+
+_GAP_SPACINGS = 2.5
+_SHORTEST_GAP_S = 2.0
+_LONGEST_GAP_S = 30.0
+"""Reports further apart than 2.5 times their median spacing, within 2 to 30 s, are a gap; chosen: one lost report is none."""
+_FINE_S = np.linspace(-2.0, 2.0, 81)
+_COARSE_S = np.concatenate((np.linspace(-30.0, 30.0, 241), np.arange(31.0, 121.0), -np.arange(31.0, 121.0)))
+"""Time offsets tried, s: 0.05 s apart to 2 s, 0.25 s to 30 s, 1 s to 2 min; chosen: a vehicle at 20 m/s is 20 m off at 1 s."""
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class PositionTrack:
+    """Positions (T, 3), ENU in m, at ascending times (T,) in s, with one standard deviation (T,) of each, m.
+
+    Velocities (T, 3) are ENU in m/s, NaN where unknown. The static track of an anchor has one position, which holds always.
+    """
+
+    times_s: FloatArray
+    positions_enu_m: FloatArray
+    sigmas_m: FloatArray
+    velocities_enu_mps: FloatArray | None = None
+    is_static: bool = False
+    gap_s: float = field(init=False)
+    """Positions further apart than this are not interpolated."""
+
+    def __post_init__(self) -> None:
+        spacing_s = float(np.median(np.diff(self.times_s))) if len(self.times_s) > 1 else 0.0
+        object.__setattr__(self, "gap_s", min(max(_GAP_SPACINGS * spacing_s, _SHORTEST_GAP_S), _LONGEST_GAP_S))
+
+    def at(self, times_s: FloatArray) -> tuple[FloatArray, Mask]:
+        """Return positions (N, 3) at times (N,), linear between two reports, and whether each is known (N,)."""
+        if self.is_static:
+            return np.broadcast_to(self.positions_enu_m[0], (len(times_s), 3)), np.ones(len(times_s), dtype=bool)
+        if len(self.times_s) < 2:
+            return np.zeros((len(times_s), 3)), np.zeros(len(times_s), dtype=bool)
+        after = np.clip(np.searchsorted(self.times_s, times_s), 1, len(self.times_s) - 1)
+        before = after - 1
+        span_s = self.times_s[after] - self.times_s[before]
+        known = (times_s >= self.times_s[before]) & (times_s <= self.times_s[after]) & (span_s <= self.gap_s)
+        share = np.clip((times_s - self.times_s[before]) / np.where(span_s > 0.0, span_s, 1.0), 0.0, 1.0)[:, np.newaxis]
+        return (1.0 - share) * self.positions_enu_m[before] + share * self.positions_enu_m[after], known
+
+
+def position_track(rows: FloatArray) -> PositionTrack:
+    """Return the track of rows (T, 5 or 8) in any order: time s, east, north, up m, sigma m, and velocity ENU m/s."""
+    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+    return PositionTrack(rows[:, 0], rows[:, 1:4], rows[:, 4], rows[:, 5:8] if rows.shape[1] == 8 else None)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedData:
+    """What the checks compare, by vehicle number."""
+
+    names: Mapping[int, str]
+    """What a user calls each vehicle."""
+    reports: Mapping[int, PositionTrack]
+    """Positions that vehicles report, and those of anchors."""
+    truth: Mapping[int, PositionTrack]
+    ranges: FloatArray
+    """(N, 5): time in s, the numbers of the two vehicles, range and sigma in m."""
+    heights: Mapping[int, FloatArray] = field(default_factory=dict)
+    """Of each vehicle (T, 3): time in s, height and sigma in m."""
+    origin_height_m: float = 0.0
+    """Height of the frame's origin above mean sea level, where heights were brought into the frame from there."""
+
+
+def thinned(rows: FloatArray, most: int) -> FloatArray:
+    """Return at most `most` of the rows, evenly spaced."""
+    return rows if len(rows) <= most else rows[np.linspace(0, len(rows) - 1, most).astype(int)]
+
+
+MisfitOfOffset = Callable[[float], FloatArray]
+"""The misfits (N,), m, if positions of so many seconds later are used; NaN where nothing can be compared."""
+
+
+def find_time_offset_s(misfit: MisfitOfOffset) -> tuple[float, float]:
+    """Return the offset within 2 minutes that leaves the least median misfit, s, and that misfit, m."""
+    coarse_s, _ = _best_offset(misfit, np.concatenate((_FINE_S, _COARSE_S)))
+    return _best_offset(misfit, coarse_s + np.linspace(-0.05, 0.05, 11) * max(1.0, min(abs(coarse_s), 10.0)))
+
+
+def find_small_time_offset_s(misfit: MisfitOfOffset) -> tuple[float, float]:
+    """Return as `find_time_offset_s`, within 2 s."""
+    return _best_offset(misfit, _FINE_S)
+
+
+def _best_offset(misfit: MisfitOfOffset, offsets_s: FloatArray) -> tuple[float, float]:
+    medians_m = [median_misfit_m(misfit(float(offset_s))) for offset_s in offsets_s]
+    best = int(np.argmin(medians_m))
+    return float(offsets_s[best]), medians_m[best]
