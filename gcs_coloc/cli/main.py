@@ -163,7 +163,7 @@ def check_config(file: Annotated[Path, typer.Argument(help="The configuration fi
     """Check a configuration file, fleet by fleet: keys, values, links, estimator, and every file that it names."""
     from gcs_coloc.config.fleets import load_fleets
     from gcs_coloc.estimators.registry import load_estimator
-    from gcs_coloc.links.forward import check_outs
+    from gcs_coloc.links.registry import check_outs
     from gcs_coloc.links.signed_links import SignedLinks
     from gcs_coloc.sinks.mqtt import read_credentials
     from gcs_coloc.web.server import read_token

@@ -15,7 +15,7 @@ from typing import Any
 from gcs_coloc.config.sections import topic_level
 from gcs_coloc.config.settings import Settings, read_table, settings_of
 from gcs_coloc.core.errors import ConfigError, GcsColocError, UsageError
-from gcs_coloc.links.address import parse, parse_out
+from gcs_coloc.links.registry import parse, parse_out
 
 _SECTIONS = frozenset(Settings.model_fields) - {"fleet"}
 _FLAGS_OF_ONE = {"links": "--udp and --link", "out": "--out", "fleet": "--failed and --healthy", "web": "--web"}

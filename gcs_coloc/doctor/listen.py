@@ -11,10 +11,8 @@ from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.messages.control import ClockReference
 from gcs_coloc.doctor.findings import Findings
 from gcs_coloc.doctor.survey import Question, Survey
-from gcs_coloc.links.address import parse
-from gcs_coloc.links.address_conflicts import Route
-from gcs_coloc.links.base import Address, Link
-from gcs_coloc.links.factory import make_link
+from gcs_coloc.links.base import Address, Link, Route
+from gcs_coloc.links.registry import parse
 from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.dialect import GCS_COMPID, GCS_SYSID
 from gcs_coloc.mavlink.encoder import Encoder
@@ -62,7 +60,7 @@ async def listen(
         assert isinstance(place, Route)
         place.link.send(place.address, encoder.encode(question.message, place, stamp(place.link)))
 
-    links = [make_link(parse(text), arrived, clock) for text in settings.links]
+    links = [parse(text).make_link(arrived, clock) for text in settings.links]
     try:
         for link in links:
             await link.open()

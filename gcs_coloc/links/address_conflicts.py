@@ -2,22 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from gcs_coloc.links.base import Address, Link
+from gcs_coloc.links.base import Route
 
 WARN_EVERY_S = 10.0
 """A pretender may send a hundred frames a second; one line of news in this time is what a person can use."""
-
-
-class Route(NamedTuple):
-    """Where to send what is meant for one vehicle."""
-
-    link: Link
-    address: Address
-
-    def __str__(self) -> str:
-        return f"{':'.join(str(part) for part in self.address[:2])} on {self.link.name}"
 
 
 class AddressConflicts:

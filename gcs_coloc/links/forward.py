@@ -12,13 +12,10 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20.ardupilotmega import MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR, MAVLINK_MSG_ID_GPS_INPUT
 
-from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.snapshot import OutSnapshot
-from gcs_coloc.links.address import LinkAddress, SerialPort, TcpClient, TcpServer, UdpIn, UdpOut, parse_links, parse_out
-from gcs_coloc.links.address_conflicts import Route
-from gcs_coloc.links.base import Address, Clock, Link
-from gcs_coloc.links.factory import make_link
+from gcs_coloc.links.base import Address, Clock, Link, Route
 from gcs_coloc.links.rate_limiter import RateLimiter
+from gcs_coloc.links.registry import parse_out
 from gcs_coloc.links.routes import RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.decoder import INVALID_SYSID
@@ -39,7 +36,6 @@ _AIDING_MESSAGES = {MAVLINK_MSG_ID_GPS_INPUT: "GPS_INPUT", MAVLINK_MSG_ID_GLOBAL
 """Messages by which vehicles are sent positions at a rate, by id."""
 _DROPPED = (Refusal.OUTPUT_SKIPPED, Refusal.NOT_CONNECTED, Refusal.NOT_SENT)
 """Reasons why a frame did not go to a ground tool."""
-_LOCAL_HOSTS = {"127.0.0.1", "localhost", "::1"}
 
 log = logging.getLogger("gcs_coloc")
 
@@ -94,8 +90,8 @@ class Forwarder:
         self._rate_limiter = RateLimiter(bytes_per_s)
         self._outs: dict[Link, _Out] = {}
         for address in (parse_out(text) for text in outs):
-            link = make_link(address, self._on_ground, clock, most_unsent_bytes=MAX_UNSENT_BYTES)
-            self._outs[link] = _Out(link, listens=isinstance(address, UdpIn))
+            link = address.make_link(self._on_ground, clock, most_unsent_bytes=MAX_UNSENT_BYTES)
+            self._outs[link] = _Out(link, listens=address.LEARNS_PEERS)
         self._withheld: dict[int, tuple[str, str]] = {}
         self._warned_at_s = float("-inf")
 
@@ -242,34 +238,3 @@ class Forwarder:
                 for sysid in sorted(sysids):
                     self._foreign_gps_input(raw, sysid)
         return unaided
-
-
-def check_outs(outs: Sequence[str], links: Sequence[str]) -> None:
-    """Look at the connection strings of ground tools, and of the vehicles' links, before anything is opened.
-
-    Raises:
-        UsageError: one is malformed, given twice, or a tool's leads back to one of `links`, the vehicles'.
-    """
-    vehicles = parse_links(links)
-    seen: set[LinkAddress] = set()
-    for text in outs:
-        out = parse_out(text)
-        if out in seen:
-            raise UsageError(f"out {text}: is given twice")
-        seen.add(out)
-        for link in vehicles:
-            if _meets(out, link):
-                raise UsageError(
-                    f"out {text}: leads back to the vehicles' link {link}; give the address where the ground tool is"
-                )
-
-
-def _meets(out: LinkAddress, link: LinkAddress) -> bool:
-    if isinstance(out, SerialPort) or isinstance(link, SerialPort):
-        return isinstance(out, SerialPort) and isinstance(link, SerialPort) and out.device == link.device
-    if out.port != link.port:
-        return False
-    if type(out) is type(link):
-        return out.host == link.host
-    ours = (isinstance(out, UdpOut) and isinstance(link, UdpIn)) or (isinstance(out, TcpClient) and isinstance(link, TcpServer))
-    return ours and out.host in {*_LOCAL_HOSTS, link.host}

@@ -1,13 +1,84 @@
-"""What UDP and TCP links share: telling in words why a host or port cannot be used."""
+"""What UDP and TCP links share: host and port of a connection string, and why they cannot be used, in words."""
 
 from __future__ import annotations
 
 import errno
 import os
+import re
 import socket
+from dataclasses import dataclass
+from typing import ClassVar, Self
 
 from gcs_coloc.core.errors import LinkError
-from gcs_coloc.links.address import TcpClient, TcpServer, UdpIn, UdpOut
+from gcs_coloc.links.base import LinkAddress, MalformedAddressError
+
+DEFAULT_BIND_HOST = "0.0.0.0"  # noqa: S104 - vehicles are on the network, listening there is the purpose
+MAX_PORT = 65535
+"""Ports are 16 bits; 0 is none (RFC 768, RFC 9293)."""
+
+_LOCAL_HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
+_HOST_PORT = re.compile(r"(?:\[(?P<ipv6>[0-9A-Fa-f:.]+(?:%[\w.-]+)?)\]|(?P<host>[^\[\]:/\s]+)):(?P<port>[0-9]{1,5})", re.ASCII)
+_PORT = re.compile(r"[0-9]{1,5}", re.ASCII)
+
+
+@dataclass(frozen=True)
+class NetworkAddress(LinkAddress):
+    """A host and a port, of a scheme that listens there or one that sends there."""
+
+    SCHEME: ClassVar[str]
+    LISTENS: ClassVar[bool]
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return f"{self.SCHEME}:[{self.host}]:{self.port}" if ":" in self.host else f"{self.SCHEME}:{self.host}:{self.port}"
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read HOST:PORT, an IPv6 address in brackets; of a scheme that listens, PORT too."""
+        if cls.LISTENS and _PORT.fullmatch(text):
+            return cls(DEFAULT_BIND_HOST, _port(text))
+        matched = _HOST_PORT.fullmatch(text)
+        if matched is None:
+            raise MalformedAddressError
+        host = matched["ipv6"] or matched["host"]
+        try:
+            host.encode("idna")
+        except UnicodeError:
+            raise MalformedAddressError from None
+        return cls(host, _port(matched["port"]))
+
+    @property
+    def opening(self) -> str:
+        """Listening, or connecting."""
+        return f"listening on {self}" if self.LISTENS else f"connecting to {self}"
+
+    def is_same_place(self, other: LinkAddress) -> bool:
+        """Same scheme, port and host; listening on all IPv4 addresses is listening on each."""
+        if not isinstance(other, NetworkAddress) or type(self) is not type(other) or self.port != other.port:
+            return False
+        hosts = {self.host, other.host}
+        return len(hosts) == 1 or (self.LISTENS and DEFAULT_BIND_HOST in hosts and not any(":" in host for host in hosts))
+
+    def leads_to(self, link: LinkAddress) -> bool:
+        """Same scheme, port and host; or the one listens where the other sends to, on this machine."""
+        if not isinstance(link, NetworkAddress) or self.port != link.port:
+            return False
+        if type(self) is type(link):
+            return self.host == link.host
+        return self.sends_to(link) and self.host in {*_LOCAL_HOSTS, link.host}
+
+    def sends_to(self, link: LinkAddress) -> bool:  # noqa: ARG002 - the listening schemes send to nobody by themselves
+        """Whether this scheme sends to what the scheme of `link` listens to."""
+        return False
+
+
+def _port(digits: str) -> int:
+    port = int(digits)
+    if not 1 <= port <= MAX_PORT:
+        raise MalformedAddressError(f"port {port} does not exist, ports are 1 to {MAX_PORT}")
+    return port
 
 
 def reason(error: OSError) -> str:
@@ -15,7 +86,7 @@ def reason(error: OSError) -> str:
     return os.strerror(error.errno) if error.errno is not None and error.errno > 0 else error.strerror or str(error)
 
 
-def network_error(address: UdpIn | UdpOut | TcpClient | TcpServer, error: OSError) -> LinkError:
+def network_error(address: NetworkAddress, error: OSError) -> LinkError:
     """Make the error, in words for the operator, of a host that cannot be resolved or a port that cannot be bound."""
     if isinstance(error, socket.gaierror):
         return LinkError(f"{address}: host {address.host!r} is not found ({error.strerror})")

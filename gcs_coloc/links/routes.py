@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import dataclass
 
-from gcs_coloc.links.address_conflicts import AddressConflicts, Route
-from gcs_coloc.links.base import Address, Link
+from gcs_coloc.links.address_conflicts import AddressConflicts
+from gcs_coloc.links.base import Address, Link, Route
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 

@@ -1,4 +1,4 @@
-"""A serial device, read and written without blocking; one that is unplugged is opened again when it is back."""
+"""Scheme `serial`: a serial device, read and written without blocking, and opened again when it is plugged in again."""
 
 from __future__ import annotations
 
@@ -7,27 +7,68 @@ import contextlib
 import errno
 import logging
 import os
+import re
 import termios
+from dataclasses import dataclass
+from typing import Self
 
 import serial
 
 from gcs_coloc.core.errors import LinkError
-from gcs_coloc.links.address import SerialPort
-from gcs_coloc.links.base import Address, Clock, DatagramHandler
-from gcs_coloc.links.stream import (
-    MAX_UNSENT_BYTES,
-    FrameSource,
-    Outbox,
-    RetryDelays,
-    retry_delays,
-)
+from gcs_coloc.links.base import MAX_UNSENT_BYTES, Address, Clock, DatagramHandler, LinkAddress, MalformedAddressError
+from gcs_coloc.links.stream import FrameSource, Outbox, RetryDelays, retry_delays
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
+DEFAULT_BAUD = 57600
+"""The factory setting of SiK telemetry radios, and of SERIAL1_BAUD in ArduPilot."""
 READ_BYTES = 4096
+"""Chosen: more than a radio at 921600 baud delivers in 40 ms, so one read empties the system's buffer."""
 
+_DEVICE = re.compile(r"(?P<device>/[^,\s]*?)(?:[:,](?P<baud>[0-9]{1,8}))?", re.ASCII)
 _DEVICE_ERRORS = (OSError, ValueError, termios.error)  # pyserial's own is an OSError; a speed that does not exist, a ValueError
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SerialDevice(LinkAddress):
+    """A serial device, such as a telemetry radio, and its speed."""
+
+    FORM = "serial:/dev/ttyUSB0:57600"
+
+    device: str
+    baud: int
+
+    def __str__(self) -> str:
+        return f"serial:{self.device}:{self.baud}"
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read DEVICE, DEVICE:BAUD or DEVICE,BAUD; DEVICE is a path."""
+        matched = _DEVICE.fullmatch(text)
+        if matched is None:
+            raise MalformedAddressError
+        baud = int(matched["baud"]) if matched["baud"] else DEFAULT_BAUD
+        if baud == 0:
+            raise MalformedAddressError("a serial device cannot run at 0 baud")
+        return cls(matched["device"], baud)
+
+    @property
+    def opening(self) -> str:
+        """Listening."""
+        return f"listening on {self}"
+
+    def is_same_place(self, other: LinkAddress) -> bool:
+        """The same device, at whatever speed."""
+        return isinstance(other, SerialDevice) and self.device == other.device
+
+    def leads_to(self, link: LinkAddress) -> bool:
+        """The same device."""
+        return self.is_same_place(link)
+
+    def make_link(self, handler: DatagramHandler, clock: Clock, *, most_unsent_bytes: int = MAX_UNSENT_BYTES) -> SerialLink:
+        """Make the link."""
+        return SerialLink(self, handler, clock, most_unsent_bytes=most_unsent_bytes)
 
 
 class SerialLink:
@@ -35,7 +76,7 @@ class SerialLink:
 
     def __init__(
         self,
-        address: SerialPort,
+        address: SerialDevice,
         handler: DatagramHandler,
         clock: Clock,
         delays: RetryDelays = retry_delays,

@@ -1,16 +1,40 @@
-"""How each link is signed, by the configuration."""
+"""How each link is signed, by the settings, and the reading of the key file."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+import hashlib
+import os
+import stat
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Protocol
 
-from gcs_coloc.config.sections import SigningConfig
 from gcs_coloc.core.errors import ConfigError, UsageError
-from gcs_coloc.links.address import parse, parse_out
-from gcs_coloc.links.key_file import read_key
-from gcs_coloc.mavlink.signing import FIRST_CONTACT_S, LinkSigning, Signing
+from gcs_coloc.links.registry import parse, parse_out
+from gcs_coloc.mavlink.signing import FIRST_CONTACT_S, KEY_LENGTH, LinkSigning, Signing
+
+_MAX_KEY_FILE_BYTES = 4096
+"""Chosen: longer than any passphrase; more of a file is not read."""
+
+
+class SigningSettings(Protocol):
+    """What the settings say about signing; the configuration's section `[signing]` is one."""
+
+    @property
+    def key_file(self) -> str:
+        """The file of the secret key; empty: no signing."""
+        ...
+
+    @property
+    def mode(self) -> str:
+        """Of every link that is not in `links`: require, accept, off."""
+        ...
+
+    @property
+    def links(self) -> Mapping[str, str]:
+        """The mode of single links, by connection string."""
+        ...
 
 
 class SignedLinks:
@@ -20,10 +44,10 @@ class SignedLinks:
         ConfigError: the key file is of no use, or the configuration signs a link that there is not.
     """
 
-    def __init__(self, config: SigningConfig, links: Sequence[str], outs: Sequence[str] = ()) -> None:
+    def __init__(self, settings: SigningSettings, links: Sequence[str], outs: Sequence[str] = ()) -> None:
         names = [*(str(parse(text)) for text in links), *(str(parse_out(text)) for text in outs)]
-        modes: dict[str, str] = dict.fromkeys(names, config.mode)
-        for text, mode in config.links.items():
+        modes: dict[str, str] = dict.fromkeys(names, settings.mode)
+        for text, mode in settings.links.items():
             name = str(parse(text))
             if name not in modes:
                 with contextlib.suppress(UsageError):  # such as a bare port, which is nobody's address
@@ -31,7 +55,7 @@ class SignedLinks:
             if name not in modes:
                 raise ConfigError(f"signing.links: {text} is none of the links: {', '.join(names) or 'there is none'}")
             modes[name] = mode
-        self._signing = Signing(read_key(Path(config.key_file))) if config.key_file else None
+        self._signing = Signing(read_key(Path(settings.key_file))) if settings.key_file else None
         self._of: dict[str, LinkSigning] = {}
         self._warned_ahead = False
         if self._signing is not None:
@@ -46,12 +70,12 @@ class SignedLinks:
         return self._of.get(link)
 
     def set_clock(self, unix_minus_service_s: float | None) -> None:
-        """Tell how far UNIX time is ahead of the service's clock; None: not known."""
+        """Set how far UNIX time is ahead of the service's clock, s; None: not known."""
         if self._signing is not None:
             self._signing.set_clock(unix_minus_service_s)
 
     def pending_warning(self, now_s: float) -> str | None:
-        """That the time of signatures runs ahead of the host's clock, once each time that it comes to do so; None otherwise."""
+        """A warning, once each time that the time of signatures comes to run ahead of the host's clock; None otherwise."""
         ahead_s = self._signing.ahead_s(now_s) if self._signing is not None else 0.0
         was_warned, self._warned_ahead = self._warned_ahead, ahead_s > FIRST_CONTACT_S
         if was_warned or not self._warned_ahead:
@@ -69,3 +93,55 @@ def _length(seconds: float) -> str:
         if seconds >= 2.0 * unit_s:
             return f"{seconds / unit_s:.0f} {unit}"
     return f"{seconds / 60.0:.0f} minutes"
+
+
+def read_key(path: Path) -> bytes:
+    """Read the 32 bytes of a signing key.
+
+    The file holds 64 hexadecimal digits; or else one line of text, a passphrase, whose SHA-256 (of the line in UTF-8 without
+    its end) is the key, as Mission Planner and MAVProxy make it; or else the 32 bytes themselves.
+
+    Raises:
+        ConfigError: the file cannot be read, can be read by others than its owner, or holds no key.
+    """
+    content = _read_private(path)
+    text = _line(content)
+    if text is None:
+        key = content
+    elif len(text) == 2 * KEY_LENGTH and all(digit in "0123456789abcdefABCDEF" for digit in text):
+        key = bytes.fromhex(text)
+    else:
+        key = hashlib.sha256(text.encode("utf-8")).digest()
+    if len(key) != KEY_LENGTH:
+        raise ConfigError(
+            f"{path}: holds no signing key; wanted are 64 hexadecimal digits, a passphrase on one line, or {KEY_LENGTH} bytes"
+        )
+    if not any(key):
+        raise ConfigError(f"{path}: a key of zeros means no signing in MAVLink; make one with: openssl rand -hex {KEY_LENGTH}")
+    return key
+
+
+def _read_private(path: Path) -> bytes:
+    try:
+        # O_NONBLOCK: a pipe in place of the file must not block the program.
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+            # Of the open file, not of the path: what is checked is what is read.
+            mode = os.fstat(file.fileno()).st_mode
+            if not stat.S_ISREG(mode):
+                raise ConfigError(f"{path}: is no file")
+            if mode & (stat.S_IRWXG | stat.S_IRWXO):
+                raise ConfigError(
+                    f"{path}: the signing key can be used by others (mode {stat.S_IMODE(mode):04o}); run: chmod 600 {path}"
+                )
+            return file.read(_MAX_KEY_FILE_BYTES)
+    except OSError as error:
+        raise ConfigError(f"{path}: the signing key cannot be read: {error.strerror}") from None
+
+
+def _line(content: bytes) -> str | None:
+    """The one line of text in a file, without its end; None where the file holds something else."""
+    try:
+        text = content.decode("utf-8").removesuffix("\n").removesuffix("\r")
+    except UnicodeDecodeError:
+        return None
+    return text if text.isprintable() and text else None

@@ -12,9 +12,6 @@ from gcs_coloc.mavlink.refusals import Counts, Refusal
 FIRST_RETRY_S = 1.0
 MAX_RETRY_S = 15.0
 
-MAX_UNSENT_BYTES = 1024
-"""Some ten frames, to a vehicle. What waits longer is old when it arrives, and an old position is a wrong one: better skipped."""
-
 MAX_FORWARDED_BYTES = 8192
 """What ground tools say to a vehicle and it is slow to take: a burst of RTCM corrections is some 1,500 bytes."""
 

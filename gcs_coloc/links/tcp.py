@@ -1,4 +1,4 @@
-"""TCP: a client that connects again when it is cut off, and a server for several clients."""
+"""Schemes `tcp` and `tcpin`: a client that connects again when it is cut off, and a server for several clients."""
 
 from __future__ import annotations
 
@@ -7,16 +7,9 @@ import contextlib
 import logging
 import socket
 
-from gcs_coloc.links.address import TcpClient, TcpServer
-from gcs_coloc.links.base import Address, Clock, DatagramHandler, Link
-from gcs_coloc.links.network import network_error, reason
-from gcs_coloc.links.stream import (
-    MAX_UNSENT_BYTES,
-    FrameSource,
-    Outbox,
-    RetryDelays,
-    retry_delays,
-)
+from gcs_coloc.links.base import MAX_UNSENT_BYTES, Address, Clock, DatagramHandler, Link, LinkAddress
+from gcs_coloc.links.network import NetworkAddress, network_error, reason
+from gcs_coloc.links.stream import FrameSource, Outbox, RetryDelays, retry_delays
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 MAX_CLIENTS = 64
@@ -27,6 +20,34 @@ PEER_SILENT_MS = 10_000
 
 
 log = logging.getLogger(__name__)
+
+
+class TcpClient(NetworkAddress):
+    """Connect to a listening TCP port, again and again when the connection is lost."""
+
+    SCHEME = "tcp"
+    FORM = "tcp:HOST:PORT"
+    LISTENS = False
+
+    def sends_to(self, link: LinkAddress) -> bool:
+        """A tcpin link receives what is sent here."""
+        return isinstance(link, TcpServer)
+
+    def make_link(self, handler: DatagramHandler, clock: Clock, *, most_unsent_bytes: int = MAX_UNSENT_BYTES) -> TcpClientLink:
+        """Make the link, which connects again for as long as it is open."""
+        return TcpClientLink(self, handler, clock, most_unsent_bytes=most_unsent_bytes)
+
+
+class TcpServer(NetworkAddress):
+    """Accept TCP connections."""
+
+    SCHEME = "tcpin"
+    FORM = "tcpin:HOST:PORT"
+    LISTENS = True
+
+    def make_link(self, handler: DatagramHandler, clock: Clock, *, most_unsent_bytes: int = MAX_UNSENT_BYTES) -> TcpServerLink:
+        """Make the link."""
+        return TcpServerLink(self, handler, clock, most_unsent_bytes=most_unsent_bytes)
 
 
 class _Connection(asyncio.Protocol):

@@ -1,4 +1,4 @@
-"""UDP on a non-blocking socket of our own, drained by the event loop."""
+"""Schemes `udpin` and `udpout`: UDP on a non-blocking socket of our own, drained by the event loop."""
 
 from __future__ import annotations
 
@@ -9,24 +9,63 @@ from ipaddress import ip_address
 from typing import Any
 
 from gcs_coloc.core.errors import LinkError
-from gcs_coloc.links.address import UdpIn, UdpOut
-from gcs_coloc.links.base import Address, Clock, DatagramHandler
-from gcs_coloc.links.network import network_error
+from gcs_coloc.links.base import MAX_UNSENT_BYTES, Address, Clock, DatagramHandler, LinkAddress
+from gcs_coloc.links.network import NetworkAddress, network_error
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
-MAX_DATAGRAM = 65535
+MAX_DATAGRAM_BYTES = 65535
+"""The 16-bit length field of UDP (RFC 768)."""
 DATAGRAMS_PER_WAKE = 64
-"""After so many in a row the event loop gets its turn, lest a flood keeps everything else from running."""
+"""After so many in a row the event loop runs again. Chosen: a flood must not keep everything else from running."""
 RECEIVE_BUFFER_BYTES = 1 << 20
-"""Room for a second of many vehicles while the process is held up; the system may grant less."""
+"""Chosen: a second of 200 vehicles at 5 kB/s while the process is delayed; the system may grant less."""
 
-_EVERYBODY_HERE = "255.255.255.255"  # not known to the system as such where it has no network
+_LIMITED_BROADCAST = "255.255.255.255"
+"""RFC 919. A system without a network does not know it as a broadcast address."""
+
+
+class _UdpAddress(NetworkAddress):
+    def make_link(
+        self,
+        handler: DatagramHandler,
+        clock: Clock,
+        *,
+        most_unsent_bytes: int = MAX_UNSENT_BYTES,  # noqa: ARG002 - no datagram waits
+    ) -> UdpLink:
+        """Make the link; no datagram waits in it."""
+        return UdpLink(self, handler, clock)
+
+
+class UdpIn(_UdpAddress):
+    """Listen for datagrams; answers go to the address each vehicle was heard from."""
+
+    SCHEME = "udpin"
+    FORM = "udpin:HOST:PORT"
+    LISTENS = True
+    LEARNS_PEERS = True
+
+
+class UdpOut(_UdpAddress):
+    """Send the first datagram to a known address, from a port that the system chooses."""
+
+    SCHEME = "udpout"
+    FORM = "udpout:HOST:PORT"
+    LISTENS = False
+
+    @property
+    def opening(self) -> str:
+        """Sending: UDP has no connection."""
+        return f"sending to {self}"
+
+    def sends_to(self, link: LinkAddress) -> bool:
+        """A udpin link receives what is sent here."""
+        return isinstance(link, UdpIn)
 
 
 class UdpLink:
     """A UDP socket: bound to a port that vehicles send to (udpin), or sending first to one of theirs (udpout)."""
 
-    def __init__(self, address: UdpIn | UdpOut, handler: DatagramHandler, clock: Clock) -> None:
+    def __init__(self, address: NetworkAddress, handler: DatagramHandler, clock: Clock) -> None:
         self._address = address
         self.name = str(address)
         self._handler = handler
@@ -44,14 +83,14 @@ class UdpLink:
         """Bind. LinkError where the port is in use, the host is not found or not ours, or to send to it is to send to all."""
         loop = asyncio.get_running_loop()
         family, sockaddr = await self._resolve(loop)
-        if isinstance(self._address, UdpOut):
+        if not self._address.LISTENS:
             _require_one_host(self._address, family, sockaddr)
         udp_socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
             udp_socket.setblocking(False)
             udp_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
             # Neither SO_REUSEADDR nor SO_REUSEPORT: with them a second program would silently take our vehicles' datagrams.
-            if isinstance(self._address, UdpIn):
+            if self._address.LISTENS:
                 udp_socket.bind(sockaddr)
             else:
                 udp_socket.bind(("", 0))
@@ -75,7 +114,7 @@ class UdpLink:
         receive, handle, now = udp_socket.recvfrom, self._handler, self._clock
         for _ in range(DATAGRAMS_PER_WAKE):
             try:
-                payload, address = receive(MAX_DATAGRAM)
+                payload, address = receive(MAX_DATAGRAM_BYTES)
             except BlockingIOError:
                 return
             except OSError:  # an ICMP error that an earlier send brought back
@@ -101,14 +140,14 @@ class UdpLink:
             self._socket = None
 
 
-def _require_one_host(address: UdpOut, family: socket.AddressFamily, sockaddr: Any) -> None:
+def _require_one_host(address: NetworkAddress, family: socket.AddressFamily, sockaddr: Any) -> None:
     """LinkError where an address is a broadcast or multicast one: what is meant for one would reach all, and any could answer.
 
     Which addresses are broadcast ones depends on the network masks; only the system knows, and says so by asking for
     SO_BROADCAST.
     """
     kind = "multicast" if ip_address(sockaddr[0].partition("%")[0]).is_multicast else None
-    if sockaddr[0] == _EVERYBODY_HERE or (
+    if sockaddr[0] == _LIMITED_BROADCAST or (
         kind is None and family == socket.AF_INET and not _connects(sockaddr) and _connects(sockaddr, broadcast=True)
     ):
         kind = "broadcast"

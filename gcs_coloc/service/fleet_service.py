@@ -13,12 +13,10 @@ from gcs_coloc.core.messages.control import ClockReference, GpsOverride, Operato
 from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.messages.outbound import GpsInput, Notice, Outbound, ToVehicle
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.links.address import opened, parse
-from gcs_coloc.links.address_conflicts import Route
-from gcs_coloc.links.base import Address, Link
-from gcs_coloc.links.factory import make_link
-from gcs_coloc.links.forward import Forwarder, check_outs
+from gcs_coloc.links.base import Address, Link, Route
+from gcs_coloc.links.forward import Forwarder
 from gcs_coloc.links.rate_limiter import RateLimiter
+from gcs_coloc.links.registry import check_outs, parse
 from gcs_coloc.links.routes import Blocked, RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.aiding_inbound import foreign_gps_input
@@ -78,8 +76,8 @@ class FleetService:
         )
         self._echoes_gps_input = settings.forward.echo_gps_input
         addresses = [parse(text) for text in settings.links]
-        self._links = [make_link(address, self._on_datagram, clock) for address in addresses]
-        self._opened = [opened(address) for address in addresses]
+        self._links = [address.make_link(self._on_datagram, clock) for address in addresses]
+        self._openings = [address.opening for address in addresses]
         self._engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
         self._refusals = Refusals(
             [
@@ -108,9 +106,9 @@ class FleetService:
     async def open(self) -> None:
         """Open the links, one after the other, then the recording. LinkError, RecordError where one cannot be opened."""
         await self._forwarder.open()  # first, so that what is heard can be handed on
-        for link, what_it_does in zip(self._links, self._opened, strict=True):
+        for link, opening in zip(self._links, self._openings, strict=True):
             await link.open()
-            log.info("%s", what_it_does)
+            log.info("%s", opening)
         self._recording.open()
 
     def start(self) -> None:

@@ -10,8 +10,7 @@ import tty
 import pytest
 
 from gcs_coloc.core.errors import LinkError
-from gcs_coloc.links.address import SerialPort
-from gcs_coloc.links.serial import SerialLink
+from gcs_coloc.links.serial import SerialDevice, SerialLink
 from gcs_coloc.mavlink.encoder import Encoder
 from tests.integration.link_peers import Inbox, heartbeat, until
 
@@ -51,7 +50,7 @@ def radio(tmp_path):
 
 
 def serial_link(radio, inbox):
-    return SerialLink(SerialPort(str(radio.path), 57600), inbox, inbox.clock, delays=lambda: itertools.repeat(0.0))
+    return SerialLink(SerialDevice(str(radio.path), 57600), inbox, inbox.clock, delays=lambda: itertools.repeat(0.0))
 
 
 def test_frames_go_both_ways(radio):
@@ -135,7 +134,7 @@ def test_unplugged_device_is_opened_again_when_it_is_back(radio):
 
 
 def test_device_that_does_not_exist_is_one_clear_line(tmp_path):
-    link = SerialLink(SerialPort(str(tmp_path / "ttyUSB7"), 57600), Inbox(), lambda: 0.0)
+    link = SerialLink(SerialDevice(str(tmp_path / "ttyUSB7"), 57600), Inbox(), lambda: 0.0)
     with pytest.raises(LinkError) as raised:
         asyncio.run(link.open())
     assert str(raised.value) == f"{link.name}: there is no device {tmp_path}/ttyUSB7; is it plugged in?"
@@ -144,7 +143,7 @@ def test_device_that_does_not_exist_is_one_clear_line(tmp_path):
 def test_file_that_is_no_serial_device_is_refused(tmp_path):
     path = tmp_path / "file"
     path.write_text("hello")
-    link = SerialLink(SerialPort(str(path), 57600), Inbox(), lambda: 0.0)
+    link = SerialLink(SerialDevice(str(path), 57600), Inbox(), lambda: 0.0)
     with pytest.raises(LinkError, match="is no serial device"):
         asyncio.run(link.open())
 

@@ -11,9 +11,8 @@ from pymavlink import mavutil
 from gcs_coloc.core.errors import LinkError
 from gcs_coloc.core.messages.inbound import Heartbeat
 from gcs_coloc.core.messages.outbound import GpsInput
-from gcs_coloc.links.address import UdpIn, UdpOut
 from gcs_coloc.links.routes import Blocked, RouteTable
-from gcs_coloc.links.udp import UdpLink
+from gcs_coloc.links.udp import UdpIn, UdpLink, UdpOut
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.encoder import Encoder
 from tests.integration.link_peers import PATIENCE_S, Inbox, free_port, heartbeat

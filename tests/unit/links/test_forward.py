@@ -5,7 +5,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.config.sections import SigningConfig
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.links.forward import MAX_TOOLS, TOOL_KEPT_S, WARN_EVERY_S, Forwarder, check_outs
+from gcs_coloc.links.forward import MAX_TOOLS, TOOL_KEPT_S, WARN_EVERY_S, Forwarder
+from gcs_coloc.links.registry import check_outs
 from gcs_coloc.links.routes import RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.framing import read_frame

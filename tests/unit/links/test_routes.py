@@ -2,7 +2,7 @@
 
 import pytest
 
-from gcs_coloc.links.address_conflicts import Route
+from gcs_coloc.links.base import Route
 from gcs_coloc.links.routes import Blocked, RouteTable
 
 LINK = "the link"

@@ -1,7 +1,10 @@
 import pytest
 
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.links.address import SerialPort, TcpClient, TcpServer, UdpIn, UdpOut, opened, parse, parse_links, parse_out
+from gcs_coloc.links.registry import parse, parse_links, parse_out
+from gcs_coloc.links.serial import SerialDevice
+from gcs_coloc.links.tcp import TcpClient, TcpServer
+from gcs_coloc.links.udp import UdpIn, UdpOut
 
 
 @pytest.mark.parametrize(
@@ -21,14 +24,14 @@ from gcs_coloc.links.address import SerialPort, TcpClient, TcpServer, UdpIn, Udp
         ("tcp:[::1]:5760", TcpClient("::1", 5760)),
         ("tcpin:5760", TcpServer("0.0.0.0", 5760)),
         ("tcpin:127.0.0.1:5760", TcpServer("127.0.0.1", 5760)),
-        ("serial:/dev/ttyUSB0", SerialPort("/dev/ttyUSB0", 57600)),
-        ("serial:/dev/ttyUSB0:115200", SerialPort("/dev/ttyUSB0", 115200)),
-        ("/dev/ttyACM0", SerialPort("/dev/ttyACM0", 57600)),
-        ("/dev/ttyACM0,921600", SerialPort("/dev/ttyACM0", 921600)),
-        ("/dev/serial/by-id/usb-3D_Robotics-if00-port0", SerialPort("/dev/serial/by-id/usb-3D_Robotics-if00-port0", 57600)),
+        ("serial:/dev/ttyUSB0", SerialDevice("/dev/ttyUSB0", 57600)),
+        ("serial:/dev/ttyUSB0:115200", SerialDevice("/dev/ttyUSB0", 115200)),
+        ("/dev/ttyACM0", SerialDevice("/dev/ttyACM0", 57600)),
+        ("/dev/ttyACM0,921600", SerialDevice("/dev/ttyACM0", 921600)),
+        ("/dev/serial/by-id/usb-3D_Robotics-if00-port0", SerialDevice("/dev/serial/by-id/usb-3D_Robotics-if00-port0", 57600)),
         (
             "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0:57600",
-            SerialPort("/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0", 57600),
+            SerialDevice("/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0", 57600),
         ),
     ],
 )
@@ -94,7 +97,7 @@ def test_error_shows_the_right_forms():
         ("udpin:14551", UdpIn("0.0.0.0", 14551)),
         ("tcp:10.0.0.2:5760", TcpClient("10.0.0.2", 5760)),
         ("tcpin:5760", TcpServer("0.0.0.0", 5760)),
-        ("/dev/ttyUSB1:115200", SerialPort("/dev/ttyUSB1", 115200)),
+        ("/dev/ttyUSB1:115200", SerialDevice("/dev/ttyUSB1", 115200)),
     ],
 )
 def test_a_ground_tool_is_sent_to_where_a_vehicle_would_be_listened_for(text, expected):
@@ -151,4 +154,4 @@ def test_an_interface_of_any_name_may_stand_behind_a_link_local_address():
     ],
 )
 def test_the_operator_is_told_what_a_link_does(text, words):
-    assert opened(parse(text)) == words
+    assert parse(text).opening == words
