@@ -159,7 +159,7 @@ def enu_m(message: GlobalPosition) -> FloatArray:
 
 def error_and_bound_m(engine: Engine, flight: Flight, t: float) -> tuple[float, float] | None:
     """Return the denied vehicle's horizontal error and its 95 % bound; None where it would be sent no fix."""
-    where, frame = engine.where(SUBJECT, t), engine.feed.frame
+    where, frame = engine.estimate(SUBJECT, t), engine.frame
     if not isinstance(where, Estimate) or frame is None:
         return None
     bound_m = horizontal_bound_95_m(where.covariance)

@@ -28,6 +28,7 @@ class StraightLine:
     def __init__(self) -> None:
         self.taken: list[Measurement] = []
         self.denied: list[tuple[frozenset[int], float]] = []
+        self.resets: list[tuple[int, float]] = []
         self.asked: list[tuple[int, float]] = []
         self.sigma_m = 2.0
         self.sigma_v_m = 3.0
@@ -35,6 +36,9 @@ class StraightLine:
 
     def set_denied(self, denied: Collection[int], at_s: float) -> None:
         self.denied.append((frozenset(denied), at_s))
+
+    def reset(self, vehicle: int, at_s: float) -> None:
+        self.resets.append((vehicle, at_s))
 
     def add(self, measurement: Measurement) -> None:
         self.taken.append(measurement)
@@ -101,7 +105,7 @@ def aids(out: list, sysid: int) -> list[tuple[float, GpsInput]]:
 
 
 def vehicle_4(engine: Engine, now_s: float) -> VehicleSnapshot:
-    return next(v for v in engine.view(now_s).vehicles if v.sysid == 4)
+    return next(v for v in engine.snapshot(now_s).vehicles if v.sysid == 4)
 
 
 def parameters_told(engine: Engine, now_s: float, **values: float) -> None:

@@ -62,10 +62,10 @@ class OutputHash:
 
     def engine(self, engine: Engine, now_s: float) -> None:
         """Add the engine's answers about all vehicles."""
-        for vehicle in engine.view(now_s).vehicles:
+        for vehicle in engine.snapshot(now_s).vehicles:
             self.numbers(now_s, vehicle.sysid)
             self.raw(vehicle.gps_state.encode())
-            self.estimate(engine.where(vehicle.sysid, now_s))
+            self.estimate(engine.estimate(vehicle.sysid, now_s))
 
     def digest(self) -> str:
         """Return the hash as text."""

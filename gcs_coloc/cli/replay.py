@@ -70,7 +70,7 @@ def replay(
     own = (settings.mavlink.system_id, settings.mavlink.component_id)
     through = driver.Replay(engine, log, told, report.polled, own, settings.fingerprint())
     counts = driver.replay(through, report.observation_times(), report.observe, _pace(factor))
-    findings = heard.findings(points, engine.feed.frame)
+    findings = heard.findings(points, engine.frame)
     result: dict[str, Any] = {
         "version": __version__,
         "file": str(file),

@@ -14,6 +14,7 @@ from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.clocks.unanswered_timesync import UnansweredTimesync
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.estimator import Estimator
+from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, Contradiction, GpsHealthSettings
 from gcs_coloc.core.guarded_estimator import GuardedEstimator
 from gcs_coloc.core.integrity.monitor import PLACED_BY_ESTIMATE, IntegrityMonitor
@@ -140,7 +141,7 @@ class Engine:
             self.reviewed_at_s = now_s
             self._review_integrity(now_s)
             for sysid in self._integrity_report.diverged:
-                self._locate_anew(sysid, now_s)
+                self.estimator.reset(sysid, now_s)
                 self._say(now_s, sysid, "warning", "its GPS is back and fits the ranges, our position did not: located anew")
             for vehicle in self.fleet:
                 self._review(vehicle, now_s)
@@ -193,12 +194,12 @@ class Engine:
             total[_REJECTED_FIXES] += self._integrity_report.rejected_fixes
         return dict(total)
 
-    def view(self, now_s: float) -> FleetSnapshot:
+    def snapshot(self, now_s: float) -> FleetSnapshot:
         """The fleet as it stands, for observers."""
         consistency = self._residuals.consistency()
         frame, time = self.feed.frame, self.settings.time
         vehicles = tuple(
-            vehicle_snapshot(v, self.where(v.sysid, now_s), frame, self.aiding, consistency.get(v.sysid), time, now_s)
+            vehicle_snapshot(v, self.estimate(v.sysid, now_s), frame, self.aiding, consistency.get(v.sysid), time, now_s)
             for v in sorted(self.fleet, key=lambda v: v.sysid)
         )
         return FleetSnapshot(
@@ -212,7 +213,7 @@ class Engine:
             origin=(frame.lat_deg, frame.lon_deg, frame.height_m) if frame is not None else None,
         )
 
-    def where(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
+    def estimate(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
         """The estimator's answer for one vehicle at one service time, its covariance inflated by the solution separation."""
         where = self.estimator.estimate(sysid, at_s)
         return self._integrity_report.inflate(where) if isinstance(where, Estimate) else where
@@ -242,6 +243,11 @@ class Engine:
             range_jump_m=vehicle.range_jump_m,
         )
 
+    @property
+    def frame(self) -> LocalFrame | None:
+        """The fleet's frame; None until a vehicle with healthy GPS has set its origin."""
+        return self.feed.frame
+
     def _first_heard(self, sysid: int, at_s: float) -> Vehicle | None:
         vehicle = self.fleet.add(sysid, at_s)
         if vehicle is None:
@@ -260,7 +266,7 @@ class Engine:
             case RouteReport():
                 self._reroute(message)
             case OperatorCommand():
-                self._obey(message)
+                self._apply_command(message)
             case ForeignGpsInput():
                 self._note_other(message)
 
@@ -273,20 +279,20 @@ class Engine:
             self._say(message.received_at_s, vehicle.sysid, "warning", f"nothing can be sent to it: {message.blocked}")
         self._outbox.extend(self.aiding.review(vehicle, message.received_at_s))
 
-    def _obey(self, message: OperatorCommand) -> None:
-        word, sysid = message.word, message.sysid
+    def _apply_command(self, message: OperatorCommand) -> None:
+        override, sysid = message.override, message.sysid
         vehicle = self.fleet.get(sysid)
-        if isinstance(word, AidingOverride):
-            self.aiding.words[sysid] = word
-            self._say(message.received_at_s, sysid, "info", f"operator: aid {word.value}")
-        elif isinstance(word, PrimaryOverride):
-            self.aiding.primary_words[sysid] = word
-            self._say(message.received_at_s, sysid, "info", f"operator: GPS_PRIMARY {word.value}")
+        if isinstance(override, AidingOverride):
+            self.aiding.words[sysid] = override
+            self._say(message.received_at_s, sysid, "info", f"operator: aid {override.value}")
+        elif isinstance(override, PrimaryOverride):
+            self.aiding.primary_words[sysid] = override
+            self._say(message.received_at_s, sysid, "info", f"operator: GPS_PRIMARY {override.value}")
         else:
-            self._gps_words[sysid] = word
-            self._say(message.received_at_s, sysid, "info", f"operator: GPS {word.value}")
+            self._gps_words[sysid] = override
+            self._say(message.received_at_s, sysid, "info", f"operator: GPS {override.value}")
             if vehicle is not None:
-                vehicle.health.word = word
+                vehicle.health.word = override
         if vehicle is not None:
             self._review(vehicle, message.received_at_s)
 
@@ -309,11 +315,7 @@ class Engine:
         self.estimator.set_denied(denied, now_s)
         if vehicle.health.contradiction is not None and vehicle.sysid in denied:
             # What it said of late is in its state: it must start anew, from the ranges alone.
-            self._locate_anew(vehicle.sysid, now_s)
-
-    def _locate_anew(self, sysid: int, now_s: float) -> None:
-        self.estimator.set_denied(self._denied - {sysid}, now_s)
-        self.estimator.set_denied(self._denied, now_s)
+            self.estimator.reset(vehicle.sysid, now_s)
 
     def _look_for_twins(self, vehicle: Vehicle, now_s: float) -> None:
         duplicate_id = _DOUBLED if vehicle.clock.twins.seen(now_s) else None
@@ -339,7 +341,7 @@ class Engine:
             self._outbox.append(TimeSyncRequest(vehicle.sysid, ts1_ns))
 
     def _answer(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
-        where = self.where(sysid, at_s)
+        where = self.estimate(sysid, at_s)
         vehicle = self.fleet.get(sysid)
         if vehicle is not None and isinstance(where, Estimate):
             vehicle.last_known_enu_m = (float(where.position_enu_m[0]), float(where.position_enu_m[1]))

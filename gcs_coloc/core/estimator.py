@@ -23,8 +23,15 @@ class Estimator(Protocol):
     def set_denied(self, denied: Collection[int], at_s: float) -> None:
         """State which vehicles are to be located from ranges from time `at_s` on.
 
-        A vehicle that is a vehicle sends no PositionMeasurement until it is none any more. One that becomes a denied vehicle
-        in flight starts from its last trusted measurements, if these are fresh.
+        The estimator gets no PositionMeasurement of a denied vehicle. One that becomes denied in flight starts from its last
+        trusted measurements, if these are fresh.
+        """
+        ...
+
+    def reset(self, vehicle: int, at_s: float) -> None:
+        """Initialise the position of a denied vehicle anew at time `at_s`, without what it reported of itself before.
+
+        The engine calls it when such reports have proved wrong. An estimator whose state holds none of them does nothing.
         """
         ...
 

@@ -42,6 +42,13 @@ class GuardedEstimator:
         except Exception as error:
             self._fault(_RAISED, error)
 
+    def reset(self, vehicle: int, at_s: float) -> None:
+        """As the protocol says."""
+        try:
+            self._inner.reset(vehicle, at_s)
+        except Exception as error:
+            self._fault(_RAISED, error)
+
     def add(self, measurement: Measurement) -> None:
         """As the protocol says."""
         try:

@@ -26,7 +26,7 @@ BUILT_IN = {
 }
 """Name of each built-in estimator and where its class is; imported only when it is asked for."""
 
-_MEMBERS = ("name", "set_denied", "add", "estimate", "drain_residuals", "counts")
+_MEMBERS = ("name", "set_denied", "reset", "add", "estimate", "drain_residuals", "counts")
 
 
 def load_estimator(name: str, settings: Mapping[str, Any]) -> Estimator:

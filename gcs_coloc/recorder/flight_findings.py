@@ -53,6 +53,10 @@ class HeardMeasurements:
         """As the protocol says."""
         self._inner.set_denied(denied, at_s)
 
+    def reset(self, vehicle: int, at_s: float) -> None:
+        """As the protocol says."""
+        self._inner.reset(vehicle, at_s)
+
     def add(self, measurement: Measurement) -> None:
         """As the protocol says."""
         m = measurement

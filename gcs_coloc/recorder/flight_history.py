@@ -84,6 +84,6 @@ def read_history(file: Path, settings: Settings, ranges: Path | None, truth: Pat
     told = read_ranges(ranges) if ranges is not None else []
     through = Replay(engine, log, told, on_poll, own, settings.fingerprint())
     story.counts = replay(through, report.observation_times(), report.observe)
-    story.frame = engine.feed.frame
-    story.findings = heard.findings(points, engine.feed.frame)
+    story.frame = engine.frame
+    story.findings = heard.findings(points, engine.frame)
     return story

@@ -107,9 +107,9 @@ class FlightReport:
         return self._vehicles.setdefault(sysid, _Vehicle())
 
     def _score(self, point: TruthPoint) -> None:
-        record, frame = self._engine.fleet.get(point.sysid), self._engine.feed.frame
+        record, frame = self._engine.fleet.get(point.sysid), self._engine.frame
         if record is None or frame is None or record.health.state not in DISTRUSTED:
             return
-        answer = self._engine.where(point.sysid, point.unix_s)
+        answer = self._engine.estimate(point.sysid, point.unix_s)
         truth_enu_m = frame.enu_from_geodetic(point.lat_deg, point.lon_deg, point.alt_msl_m)
         self._of(point.sysid).epochs.append((point.unix_s, truth_enu_m, answer if isinstance(answer, Estimate) else None))

@@ -62,7 +62,7 @@ class Journal:
         if at_s < self._due_s or is_long:
             return entries
         self._due_s = at_s + EVERY_S - SAME_S
-        view = self.newest_view = self._engine.view(at_s)
+        view = self.newest_view = self._engine.snapshot(at_s)
         entries.extend(VehicleEntry(at_s, vehicle) for vehicle in view.vehicles)
         for one in view.ranges:
             pair, measured_at_s = (one.from_sysid, one.to_sysid), at_s - one.age_s

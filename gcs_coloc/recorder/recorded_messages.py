@@ -131,8 +131,8 @@ class RecordedMessages:
             # Told with the vehicle's next heartbeat, as in flight.
             self._routes[note.sysid] = note.blocked
         elif isinstance(note, OperatorCommand):
-            is_news = (note.sysid, type(note.word)) not in self._words or not noted.repeated
-            self._words.add((note.sysid, type(note.word)))
+            is_news = (note.sysid, type(note.override)) not in self._words or not noted.repeated
+            self._words.add((note.sysid, type(note.override)))
             if is_news:
                 self._of_record.append(note)
         elif isinstance(note, FlownWith):

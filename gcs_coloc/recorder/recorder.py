@@ -259,7 +259,7 @@ def _standing_as(note: SideChannelRecord) -> tuple[object, ...] | None:
     """As what a note holds until another takes its place; None where it has passed once it was told."""
     match note:
         case OperatorCommand():
-            return type(note.word), note.sysid
+            return type(note.override), note.sysid
         case RouteReport():
             return RouteReport, note.sysid
         case GroundTool():

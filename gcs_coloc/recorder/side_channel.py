@@ -132,7 +132,10 @@ def _content(note: SideChannelRecord) -> dict[str, Any]:
     if isinstance(note, ForeignGpsInput):
         return {"other": [note.sysid, note.gps_id, note.vehicle]}
     if isinstance(note, OperatorCommand):
-        return {next(key for key, kind in _WORDS.items() if isinstance(note.word, kind)): note.word.value, "of": note.sysid}
+        return {
+            next(key for key, kind in _WORDS.items() if isinstance(note.override, kind)): note.override.value,
+            "of": note.sysid,
+        }
     text = note.blocked.encode("ascii", "replace").decode().replace('"', "'").replace("\\", "/") if note.blocked else note.blocked
     return {"route": text[:_LONGEST_REASON] if text is not None else None, "of": note.sysid}
 

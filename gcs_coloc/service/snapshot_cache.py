@@ -60,5 +60,5 @@ class SnapshotCache:
         if recorded is not None and now_s - recorded.at_s <= _RECENT_RECORDED_S:
             self._recent = recorded
         elif self._recent is None or now_s - self._recent.at_s > _RECENT_S:
-            self._recent = self._engine.view(now_s)
+            self._recent = self._engine.snapshot(now_s)
         return self._recent

@@ -107,12 +107,12 @@ def _poll(engine: Engine, until_s: float, fleet: Fleet, encoder: Encoder, flight
 
 
 def _sample(engine: Engine, now_s: float, fleet: Fleet, flight: Flight) -> None:
-    frame = engine.feed.frame
+    frame = engine.frame
     if frame is None:
         return
     for sysid, truth in fleet.truth().items():
         record = engine.fleet.get(sysid)
-        answer = engine.where(sysid, now_s)
+        answer = engine.estimate(sysid, now_s)
         error, covariance, hdop = None, None, None
         if isinstance(answer, Estimate):
             error = answer.position_enu_m - np.array(frame.enu_from_geodetic(truth.lat_deg, truth.lon_deg, truth.alt_msl_m))

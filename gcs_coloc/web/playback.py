@@ -81,7 +81,7 @@ class Playback:
 
     def _view(self, at_s: float) -> FleetSnapshot:
         through = self._replay
-        view = through.engine.view(at_s)
+        view = through.engine.snapshot(at_s)
         links = through.decoder.sequences.links({vehicle.sysid for vehicle in view.vehicles})
         return replace(view, refused=view.refused | dict(through.decoder.counts), links=links)
 

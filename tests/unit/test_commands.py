@@ -55,6 +55,7 @@ FORGETFUL = """
 class Forgetful:
     name = "forgetful"
     def set_denied(self, denied, at_s): pass
+    def reset(self, vehicle, at_s): pass
     def add(self, measurement): raise LookupError("nothing learnt")
     def estimate(self, vehicle, at_s): pass
     def drain_residuals(self): return []
@@ -67,7 +68,7 @@ def test_evaluate_takes_an_estimator_by_its_file_and_tells_where_it_fails(data_s
     file.write_text(FORGETFUL)
     told = gcs_coloc("evaluate", str(data_set), "--estimator", f"{file}:Forgetful")
     assert told.returncode == 0, told.stderr
-    assert "LookupError: nothing learnt (forgetful.py, line 5)" in told.stderr
+    assert "LookupError: nothing learnt (forgetful.py, line 6)" in told.stderr
     assert "is no position with a covariance" in told.stderr
     assert len(told.stderr.strip().splitlines()) == 2
     assert "8 true positions, 0.0% answered" in told.stdout
@@ -80,7 +81,7 @@ def test_replay_tells_what_the_operator_was_told_as_an_error(tmp_path):
     assert told.returncode == 0, told.stderr
     (line,) = [line for line in told.stdout.splitlines() if "LookupError" in line]
     assert line.startswith("error at 0.")
-    assert "forgetful.py, line 5" in line
+    assert "forgetful.py, line 6" in line
 
 
 def test_evaluate_names_the_place_of_a_mistake(data_set):

@@ -22,7 +22,7 @@ class ClockReference:
 
 
 class GpsOverride(Enum):
-    """The operator's word on a vehicle's GPS; AUTO gives the decision back to the state machine."""
+    """The operator's decision on a vehicle's GPS; AUTO gives the decision back to the state machine."""
 
     AUTO = "auto"
     FAILED = "failed"
@@ -30,7 +30,7 @@ class GpsOverride(Enum):
 
 
 class AidingOverride(Enum):
-    """The operator's word on a vehicle's aid: ON aids it whatever its GPS says, OFF never does; AUTO leaves it to its GPS."""
+    """The operator's decision on aiding a vehicle: ON whatever its GPS says, OFF never; AUTO leaves it to its GPS."""
 
     AUTO = "auto"
     ON = "on"
@@ -38,7 +38,7 @@ class AidingOverride(Enum):
 
 
 class PrimaryOverride(Enum):
-    """The operator's word on GPS_PRIMARY of an aided vehicle: OURS our receiver, OWN what it was before; AUTO as it is set."""
+    """The operator's decision on GPS_PRIMARY of an aided vehicle: OURS our receiver, OWN what it was; AUTO as it is set."""
 
     AUTO = "auto"
     OURS = "ours"
@@ -50,11 +50,11 @@ Override = GpsOverride | AidingOverride | PrimaryOverride
 
 @dataclass(frozen=True, slots=True)
 class OperatorCommand:
-    """The operator decides something of one vehicle; it wins over all evidence until withdrawn. The kinds of word are apart."""
+    """One decision of the operator on one vehicle; it wins over all evidence until withdrawn."""
 
     sysid: int
     received_at_s: float
-    word: Override
+    override: Override
 
 
 @dataclass(frozen=True, slots=True)

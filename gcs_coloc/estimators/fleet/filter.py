@@ -44,15 +44,23 @@ class FleetFilter:
         self._residuals: deque[Residual] = deque(maxlen=_RESIDUALS_KEPT)
         self._now_s = -math.inf
         self._subject_changes = 0
+        self._denied: frozenset[int] = frozenset()
 
     def set_denied(self, denied: Collection[int], at_s: float) -> None:
         """State which vehicles are to be located from ranges from time `at_s` on."""
+        self._denied = frozenset(denied)
         self._hear(at_s)
         self._subject_changes += 1
         # Of two changes at one time the later call is the last word.
         self._buffer.insert(
             (max(at_s, self._now_s - self.settings.window_s), _KIND_SUBJECTS, self._subject_changes), frozenset(denied)
         )
+
+    def reset(self, vehicle: int, at_s: float) -> None:
+        """Discard a denied vehicle's state and initialise it anew from ranges: trusted and denied again at one time."""
+        denied = self._denied
+        self.set_denied(denied - {vehicle}, at_s)
+        self.set_denied(denied, at_s)
 
     def add(self, measurement: Measurement) -> None:
         """Take one measurement; what is of no use is counted."""

@@ -73,6 +73,9 @@ class QuZhangFilter:
             former = vehicle in self._former
             self._denied[vehicle] = self._former.pop(vehicle) if former else self._new_subject(vehicle, at_s)
 
+    def reset(self, vehicle: int, at_s: float) -> None:
+        """As the protocol says; nothing to do, as each epoch is located from ranges alone."""
+
     def add(self, measurement: Measurement) -> None:
         """Take one measurement; never raises for its values."""
         for vehicle, denied_vehicle in self._denied.items():

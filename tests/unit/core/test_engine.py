@@ -70,7 +70,7 @@ def test_position_and_velocity_are_those_of_two_tenths_ago_in_the_wires_units():
     fly(engine, 0.0, 5.0)
     out = fly(engine, 5.0, 10.0, failed=[4])
     sent_at_s, aid = aids(out, 4)[-1]
-    frame = engine.feed.frame
+    frame = engine.frame
     assert frame is not None
     assert (4, pytest.approx(sent_at_s - 0.2)) in estimator.asked
     e, n, u = frame.enu_from_geodetic(aid.lat_deg, aid.lon_deg, aid.alt_msl_m)
@@ -145,7 +145,7 @@ def test_a_vehicle_that_cannot_be_reached_or_takes_no_gps_input_gets_nothing_and
     last = [o for o in engine.poll(7.0) if isinstance(o, GpsInput)]
     assert [o.fix_type for o in last] == [1]
     assert not [o for o in engine.poll(7.5) if isinstance(o, GpsInput)]
-    assert words in next(v.aiding for v in engine.view(7.5).vehicles if v.sysid == 4)
+    assert words in next(v.aiding for v in engine.snapshot(7.5).vehicles if v.sysid == 4)
 
 
 def test_the_operators_word_holds_from_before_the_vehicle_is_heard():
@@ -157,7 +157,7 @@ def test_the_operators_word_holds_from_before_the_vehicle_is_heard():
     assert not estimator.of(PositionMeasurement, 4)
     engine.receive(OperatorCommand(4, 3.0, GpsOverride.AUTO))
     fly(engine, 3.0, 15.0)
-    assert engine.view(15.0).vehicles[3].gps_state == "healthy"
+    assert engine.snapshot(15.0).vehicles[3].gps_state == "healthy"
 
 
 def test_closing_sends_a_last_no_fix_to_everyone_being_aided():
@@ -228,7 +228,7 @@ def test_missing_streams_are_asked_for_ever_less_often_and_at_once_after_a_reboo
 def test_more_vehicles_than_the_bound_are_refused():
     engine = Engine(StraightLine(), settings(max_vehicles=2))
     fly(engine, 0.0, 1.0, sysids=(1, 2, 3))
-    assert [v.sysid for v in engine.view(1.0).vehicles] == [1, 2]
+    assert [v.sysid for v in engine.snapshot(1.0).vehicles] == [1, 2]
     assert engine.refused()["more vehicles than the fleet may have"] > 10
 
 

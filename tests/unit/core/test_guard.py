@@ -89,7 +89,7 @@ def test_a_fault_beside_the_position_is_told_with_its_place_and_costs_no_fix(fau
     estimator.fault = fault
     out = fly(engine, 5.0, 9.0, failed=[4])
     assert {a.fix_type for t, a in aids(out, 4) if t > 6.5} == {3}
-    assert sum(engine.view(9.0).estimator_counts.values()) >= 1
+    assert sum(engine.snapshot(9.0).estimator_counts.values()) >= 1
     told = [o.text for _, o in [*out, *fly(engine, 9.0, 9.5, failed=[4])] if isinstance(o, Notice) and o.level == "error"]
     assert len(told) == 1
     assert words in told[0]
@@ -101,4 +101,4 @@ def test_an_estimator_that_refuses_a_measurement_is_told_of_once():
     engine = Engine(estimator, settings())
     out = fly(engine, 0.0, 5.0)
     assert len([o for _, o in out if isinstance(o, Notice) and "ZeroDivisionError" in o.text]) == 1
-    assert engine.view(5.0).estimator_counts["raised an exception"] > 100
+    assert engine.snapshot(5.0).estimator_counts["raised an exception"] > 100

@@ -27,6 +27,9 @@ class Somewhere:
     def set_denied(self, denied, at_s):
         """Nothing depends on it here."""
 
+    def reset(self, vehicle, at_s):
+        """Nothing depends on it here."""
+
     def add(self, measurement):
         """Nothing depends on it here."""
 
@@ -88,7 +91,7 @@ def test_where_a_synchronised_clock_is_required_no_aid_is_sent_without(state):
     e.receive(ClockReference(0.0, UNIX_S, state))
     out = fly(e, 0.0, 3.0)
     assert not [o for o in out if isinstance(o, GpsInput)]
-    assert "clock is" in next(v.aiding for v in e.view(3.0).vehicles if v.sysid == 4)
+    assert "clock is" in next(v.aiding for v in e.snapshot(3.0).vehicles if v.sysid == 4)
     e.receive(ClockReference(3.0, UNIX_S, True))
     assert len(aids(fly(e, 3.0, 4.0))) >= 9
     e.receive(ClockReference(4.0, UNIX_S, state))

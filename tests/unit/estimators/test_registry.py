@@ -30,6 +30,7 @@ class Bare:
     name = "bare"
 
     def set_denied(self, denied, at_s): ...
+    def reset(self, vehicle, at_s): ...
     def add(self, measurement): ...
     def estimate(self, vehicle, at_s): return NoEstimate(vehicle, at_s, "never")
     def drain_residuals(self): return []
@@ -103,7 +104,7 @@ def test_a_plug_in_file_and_a_plug_in_module(plug_in: str) -> None:
         ("no.such.module:Thing", {}, "cannot import estimator module no.such.module"),
         ("no_such_file.py:Thing", {}, "there is no estimator file"),
         ("gcs_coloc.estimators.qu_zhang.filter:Missing", {}, "has no class Missing"),
-        ("PLUG:Half", {}, "lacks set_denied, add, estimate"),
+        ("PLUG:Half", {}, "lacks set_denied, reset, add, estimate"),
         ("PLUG:Bare", {"gain": 1.0}, "has no settings"),
         ("PLUG:Mine", {}, "needs the setting 'gain'"),
         ("PLUG:Mine", {"gain": -1.0}, "gain is below zero"),

@@ -49,7 +49,7 @@ def flown(tmp_path_factory) -> tuple[Path, HeardMeasurements, Engine, list[Truth
 
 def findings(flown, change: Callable[[TruthPoint], TruthPoint]) -> list[DataFinding]:
     _, heard, engine, truth = flown
-    return heard.findings([change(point) for point in truth], engine.feed.frame)
+    return heard.findings([change(point) for point in truth], engine.frame)
 
 
 def test_of_a_sound_flight_nothing_is_said(flown):

@@ -104,7 +104,7 @@ def test_the_map_names_its_origin_and_it_is_that_of_the_live_page(written, tmp_p
     story = read_history(tmp_path / "f.tlog", Settings(), None, None)
     engine = Engine(load_estimator("fleet", {}))
     replay(Replay(engine, TlogReader(tmp_path / "f.tlog"), [], lambda at_s, outputs: None))
-    lat_deg, lon_deg, _ = engine.view(story.counts.last_s).origin
+    lat_deg, lon_deg, _ = engine.snapshot(story.counts.last_s).origin
     assert (story.frame.lat_deg, story.frame.lon_deg) == (lat_deg, lon_deg)
     assert f"East and north of {lat_deg:.7f}, {lon_deg:.7f}," in text
 

@@ -253,7 +253,7 @@ def test_days_between_two_flights_of_one_file_are_left_out(recorded, tmp_path):
     polled: list[float] = []
     through = Replay(Engine(load_estimator("fleet", {})), TlogReader(joined), [], lambda at_s, _: polled.append(at_s - EPOCH_S))
     replay(through)
-    assert {v.sysid for v in through.engine.view(through.now_s).vehicles if v.age_s < 1.0} == {1, 2, 3, 4}
+    assert {v.sysid for v in through.engine.snapshot(through.now_s).vehicles if v.age_s < 1.0} == {1, 2, 3, 4}
     [(before_s, after_s)] = [(a, b) for a, b in pairwise(polled) if b - a > 10.0]
     assert before_s == pytest.approx(flight[-1].unix_s - EPOCH_S + 600.0, abs=1.0)
     assert after_s == pytest.approx(year_s, abs=1.0)

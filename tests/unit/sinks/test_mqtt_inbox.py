@@ -20,7 +20,7 @@ class Desk:
         self.overrides, self.ranges, self.counts = [], [], Counts()
         engine = Engine(load_estimator("fleet", {}))
         hooks = MqttHooks(
-            snapshot=lambda: engine.view(NOW_S),
+            snapshot=lambda: engine.snapshot(NOW_S),
             known_sysids=lambda: [1, 4],
             apply_command=lambda sysid, override: self.overrides.append((sysid, override)),
             add_range=self.ranges.append,

@@ -52,12 +52,12 @@ def test_a_jammed_aircraft_flies_on_our_positions_alone_once_its_primary_receive
 def test_standby_fails_over_without_dead_reckoning():
     flight, engine = flown(scenario(GpsLost), 40.0, standby=True)
     assert set(sources(flight, 5.0)) == {"gps1", "gps2 injected"}
-    assert engine.view(40.0).vehicles[0].aiding == "standby: sending 3D fix"
+    assert engine.snapshot(40.0).vehicles[0].aiding == "standby: sending 3D fix"
 
 
 def test_a_position_too_coarse_for_the_ekf_reaches_the_aircraft_by_external_estimates():
     flight, engine = flown(scenario(GpsLost, sigma_m=30.0, bias_sigma_m=0.0, rate_hz=3.0), 62.0)
-    assert "external position estimates, for it is too coarse for GPS_INPUT" in engine.view(62.0).vehicles[3].aiding
+    assert "external position estimates, for it is too coarse for GPS_INPUT" in engine.snapshot(62.0).vehicles[3].aiding
     assert set(sources(flight, 55.0)) == {"dead_reckoning"}  # it uses no GPS, and certainly not ours and the estimates in turns
     assert not [reason for reason in engine.refused() if "external position estimate" in reason]
     # Within the alert limit, as every position that it was told.

@@ -104,7 +104,7 @@ def test_what_is_seen_at_a_place_is_the_same_from_before_from_behind_and_in_a_pl
     views, through = [], None
 
     def look(at_s):
-        views.append(through.engine.view(at_s))
+        views.append(through.engine.snapshot(at_s))
 
     through = Replay(Engine(load_estimator("fleet", {})), TlogReader(flight), [], lambda *_: None)
     replay(through, [EPOCH_S + 24.3], look)

@@ -99,7 +99,7 @@ def test_a_px4_is_told_by_global_position_sensor_where_it_is_on_arrival():
     assert len(told) > 35
     sent_at_s, last = told[-1]
     assert (last.sysid, last.eph_m, last.epv_m) == (4, 2.0, 3.0)
-    east_m, _, up_m = engine.feed.frame.enu_from_geodetic(last.lat_deg, last.lon_deg, last.alt_msl_m)
+    east_m, _, up_m = engine.frame.enu_from_geodetic(last.lat_deg, last.lon_deg, last.alt_msl_m)
     assert (east_m, up_m) == pytest.approx((20.0 * sent_at_s, 30.0), abs=0.01)
     assert vehicle_4(engine, 10.0).aiding == "sending GLOBAL_POSITION_SENSOR"
     assert engine.close() == []
@@ -147,7 +147,7 @@ def test_somebody_elses_gps_input_makes_ours_stand_down_while_it_lasts_and_ten_s
     after = fly(engine, 12.0, 24.0, failed=[4])
     assert aids(after, 4)[0][0] == pytest.approx(21.9, abs=0.41)
     assert "nobody else has sent it GPS_INPUT for 10 s" in texts(after)
-    assert 255 not in [v.sysid for v in engine.view(24.0).vehicles]
+    assert 255 not in [v.sysid for v in engine.snapshot(24.0).vehicles]
 
 
 @pytest.mark.parametrize(

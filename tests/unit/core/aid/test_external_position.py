@@ -68,13 +68,13 @@ def test_a_coarse_position_goes_by_estimates_once_the_vehicle_takes_them_and_gps
     assert len(gaps) > 8
     assert fix_types(out, estimates[1][0]) == {1}
     assert estimates[0][1].accuracy_m == 10.0
-    frame = engine.feed.frame
+    frame = engine.frame
     sent_at_s, last = estimates[-1]
     east_m, _, _ = frame.enu_from_geodetic(last.lat_deg, last.lon_deg, 530.0)
     assert east_m == pytest.approx(20.0 * sent_at_s, abs=0.01)  # where it is when the command arrives, not 0.2 s before
     assert last.sent_s == pytest.approx(sent_at_s, abs=0.01)
-    assert "external position estimates, for it is too coarse" in engine.view(20.0).vehicles[3].aiding
-    assert engine.view(20.0).vehicles[3].aiding_has_fix
+    assert "external position estimates, for it is too coarse" in engine.snapshot(20.0).vehicles[3].aiding
+    assert engine.snapshot(20.0).vehicles[3].aiding_has_fix
 
 
 def test_a_height_that_is_not_known_is_stated_and_the_horizontal_position_goes_by_estimates_without_one():
@@ -87,7 +87,7 @@ def test_a_height_that_is_not_known_is_stated_and_the_horizontal_position_goes_b
     assert len(of(out, ExternalPosition)) > 8  # of which none has a height
     assert fix_types(out, 8.0) == {1}
     assert any("vertical accuracy 80.0 m, it takes 11.25 m" in text for text in texts(out))
-    assert engine.view(20.0).vehicles[3].sigma_v_m == 80.0
+    assert engine.snapshot(20.0).vehicles[3].sigma_v_m == 80.0
 
 
 def test_a_vehicle_that_does_not_check_it_and_flies_its_barometer_keeps_its_fix_however_little_the_height_is_known():

@@ -73,8 +73,8 @@ def test_two_autopilots_behind_one_address_get_nothing_are_no_anchor_and_are_tol
     told = [o.text for _, o in out if isinstance(o, Notice) and o.level == "error" and o.sysid == 4]
     assert len(told) == 1
     assert told[0].startswith("two autopilots use its system id; give each its own")
-    assert engine.view(10.0).vehicles[3].gps_state == "suspect"
+    assert engine.snapshot(10.0).vehicles[3].gps_state == "suspect"
     assert not aids(duplicate_id(10.0, 20.0, fix_type=1), 4)
-    assert "NOT SENT: two autopilots" in engine.view(20.0).vehicles[3].aiding
+    assert "NOT SENT: two autopilots" in engine.snapshot(20.0).vehicles[3].aiding
     back = fly(engine, 20.0, 40.0, failed=[4])
     assert 3 in {a.fix_type for t, a in aids(back, 4) if t > 32.0}

@@ -52,14 +52,14 @@ def test_what_nothing_shows_is_a_warning_once_for_each_vehicle():
         engine, notices = told(**without)
         assert [(n.sysid, n.level) for n in notices] == [(1, "warning"), (2, "warning")]
         assert "held to be 0.00 s late, give or take 0.05 s" in notices[0].text
-        assert {v.clock_method for v in engine.view(40.0).vehicles} == {"one-way"}
+        assert {v.clock_method for v in engine.snapshot(40.0).vehicles} == {"one-way"}
 
 
 def test_what_its_utc_shows_is_told_and_used_before_and_after_its_gps_is_lost():
     engine, notices = told(late_s=0.65, failed_from_s=25.0)
     assert [(n.sysid, n.level) for n in notices] == [(1, "info"), (2, "info")]
     assert "by its UTC its link is 0.50 s late, give or take 0.08 s" in notices[0].text
-    for vehicle in engine.view(40.0).vehicles:
+    for vehicle in engine.snapshot(40.0).vehicles:
         assert (vehicle.clock_method, vehicle.clock_sigma_s) == ("UTC", pytest.approx(0.08, abs=0.001))
     assert engine.fleet.get(1).claim.measured_at_s == pytest.approx(39.4)
 
@@ -67,7 +67,7 @@ def test_what_its_utc_shows_is_told_and_used_before_and_after_its_gps_is_lost():
 def test_the_utc_of_a_vehicle_without_gps_shows_nothing():
     engine, notices = told(late_s=0.65, failed_from_s=-1.0)
     assert {n.level for n in notices} == {"warning"}
-    assert {v.clock_method for v in engine.view(40.0).vehicles} == {"one-way"}
+    assert {v.clock_method for v in engine.snapshot(40.0).vehicles} == {"one-way"}
 
 
 def test_nothing_is_told_where_timesync_is_answered_the_delay_is_set_or_nobody_is_asked():

@@ -196,11 +196,11 @@ def test_an_estimate_that_is_a_mirror_image_gives_way_to_a_receiver_that_fits_th
             range_m = float(np.linalg.norm(places[SUBJECT] - places[peer]) + rng.normal(0.0, 1.0))
             yield PeerRange(SUBJECT, t, peer, range_m, 1.0, t, TimeBase.BOOT, None, None, 0)
 
-    at_return = watch(messages, BACK_S).engine.where(SUBJECT, BACK_S)
+    at_return = watch(messages, BACK_S).engine.estimate(SUBJECT, BACK_S)
     assert at_return.position_enu_m[1] == pytest.approx(-150.0, abs=5.0)
     rng = np.random.default_rng(1)
     seen = watch(messages, BACK_S + 5.0)
-    assert isinstance(seen.engine.where(SUBJECT, BACK_S + 5.0), NoEstimate)
+    assert isinstance(seen.engine.estimate(SUBJECT, BACK_S + 5.0), NoEstimate)
     assert any("fits the ranges, our position did not" in text for text in seen.told)
     rng = np.random.default_rng(1)
     assert watch(messages, BACK_S + 12.0).healthy_after_s == pytest.approx(RECOVERED_AFTER_S, abs=0.01)
