@@ -5,7 +5,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 # Several threads are slower than one on matrices as small as ours; the service and its commands see to it themselves.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo demo-docker demo-docker-down test lint bench fuzz dialect lock clean
+.PHONY: demo demo-docker demo-docker-down test lint docs bench fuzz dialect lock clean
 
 # The environment with the program in it: .venv/bin/gcs-coloc.
 .venv: .venv/.ready
@@ -37,6 +37,11 @@ lint: .venv/.ready-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# The site of documentation and API reference, out/docs/index.html. A broken link, anchor or reference ends the build.
+docs: .venv/.ready-dev
+	rm -rf out/docs docs/reference/modules
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --builder html docs out/docs
+
 # Some eight minutes; BENCH= takes longer and measures more finely, BENCH="--quick accuracy" another section, BENCH=all everything, for hours.
 BENCH ?= --quick
 # What the service is measured beside, and with, has no build for every machine: the table says what is not installed.
@@ -60,7 +65,7 @@ dialect: .venv/.ready
 # Renews the lock files from pyproject.toml; needs uv.
 lock: 
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --extra plots -o requirements.lock pyproject.toml
-	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --extra plots --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
+	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --extra plots --extra dev --extra docs -c requirements.lock -o requirements-dev.lock pyproject.toml
 
 clean:
 	rm -rf .venv out build *.egg-info
