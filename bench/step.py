@@ -13,7 +13,8 @@ from bench.accuracy_flights import Case, Recording, record
 from bench.accuracy_peers import FilterpyEkf, installed
 from bench.figures import Figure, interleaved
 from gcs_coloc.core.measurements import AltitudeMeasurement, Measurement, PositionMeasurement, RangeMeasurement
-from gcs_coloc.estimators.fleet.ekf._kernels import BARO_ERROR, SIZE, TURN, Transition
+from gcs_coloc.estimators.fleet.ekf._kernels import Transition
+from gcs_coloc.estimators.fleet.ekf.state import BARO_ERROR, SIZE, TURN
 from gcs_coloc.estimators.registry import load_estimator
 
 _RATE_HZ = 5.0

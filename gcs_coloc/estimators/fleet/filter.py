@@ -20,6 +20,7 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
     Residual,
 )
+from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
 from gcs_coloc.estimators.fleet.out_of_sequence import Entry, Key, OosmBuffer
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -66,16 +67,16 @@ class FleetFilter:
         """Take one measurement; what is of no use is counted."""
         key = _key(measurement)
         if key is None:
-            self._refused["refused: impossible value"] += 1
+            self._refused[Outcome.REFUSED_IMPOSSIBLE] += 1
             return
         self._hear(measurement.arrived_at_s)
         delay_s = measurement.arrived_at_s - measurement.measured_at_s
         if delay_s > self.settings.window_s:
-            self._refused["refused: too late"] += 1
+            self._refused[Outcome.REFUSED_TOO_LATE] += 1
         elif delay_s < -self.settings.ahead_s:
-            self._refused["refused: measured in the future"] += 1
+            self._refused[Outcome.REFUSED_FUTURE] += 1
         elif not self._buffer.insert(key, measurement):
-            self._refused["refused: heard twice"] += 1
+            self._refused[Outcome.REFUSED_DUPLICATE] += 1
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Answer where a vehicle is at a time near the present; shortly before its newest measurement is answered too."""
@@ -102,7 +103,7 @@ class FleetFilter:
         event = entry.event
         if isinstance(event, frozenset):
             model.set_denied(event, entry.key[0])
-            return "denied vehicles changed"
+            return Outcome.DENIED_CHANGED
         result = model.apply(event)
         if isinstance(event, RangeMeasurement) and result.degrees_of_freedom and not entry.reported:
             entry.reported = True

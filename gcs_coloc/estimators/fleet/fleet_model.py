@@ -1,13 +1,16 @@
-"""The fleet as the filter knows it, fed in the order of measuring: who is a vehicle, in which cluster, and who is used as a peer.
+"""The fleet as one filter knows it: records of all vehicles, clusters with states, updates in the order of measuring.
 
-Only vehicles that a vehicle ranges have states in a filter. Of any other healthy vehicle only a few recent reports are kept,
-from which a filter for it is started at the moment when it is needed.
+Only vehicles that a denied vehicle ranges have states. Of any other healthy vehicle only a few recent reports are kept, from
+which its states are initialised when a range needs them.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from gcs_coloc.core.error_bound import horizontal_sigma_m
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     Estimate,
@@ -16,31 +19,41 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.estimators.fleet.answer import answer
+from gcs_coloc.estimators.fleet.ambiguity.outliers import monitor_range, unresolved_outlier_variance_m2
 from gcs_coloc.estimators.fleet.cluster_set import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseSplit, without_time_error
-from gcs_coloc.estimators.fleet.ekf.blocks import pair_key
-from gcs_coloc.estimators.fleet.ekf.range_update import update_range
-from gcs_coloc.estimators.fleet.ekf.records import Records, VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.update import UpdateResult, time_stamp_offset_sigma_s, update_own, update_time_stamp_sigma
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
+from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, Records, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TIME_STAMP_OFFSET, VELOCITY, pair_key
+from gcs_coloc.estimators.fleet.ekf.update import (
+    change_time_stamp_offset_sigma,
+    time_stamp_offset_sigma_s,
+    update_own,
+    update_range,
+)
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_ranges, initialise_from_reports
-from gcs_coloc.estimators.fleet.outliers import monitor_range
 from gcs_coloc.estimators.fleet.peer_selection import is_selected
 from gcs_coloc.estimators.fleet.settings import FleetSettings
+from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution_of
 
 _PRUNE_EVERY_S = 5.0
+"""Chosen: pruning walks over all vehicles."""
 _REPORTS_REFUSED_MOST = 10
+"""Chosen: reports refused in a row agree with each other, not with the filter: a second at 10 Hz."""
 _UNDERSTATED = 1.8
+"""Observed scatter over stated sigma from which on a device counts as optimistic: multipath of a tenth of the ranges, which the
+gate weighs one by one, looks like up to 1.8 times the noise."""
 _SILENT_MOST_S = 3600.0
-"""A state that nothing was heard of for longer says nothing; left to grow, it loses its digits within a month."""
-
-_NO_PART = UpdateResult("kept: vehicle has no part in locating a denied vehicle")
-_NO_SUBJECT = UpdateResult("kept: range between healthy vehicles")
-_NOT_WANTED = UpdateResult("kept: better placed peers are used")
+"""Chosen: a state without updates for longer carries no information; growing for a month it would lose its digits."""
+_STEP_BACK_MOST_S = 2.0
+"""Chosen: further back the prediction with negative steps does not hold."""
+_STATED = np.eye(6, SIZE)
+"""Position and velocity of a vehicle's block."""
 
 
 class FleetModel:
-    """The state of the whole filter. `copy` is an independent copy; everything else changes it in place."""
+    """Records and clusters of one fleet. All methods but `copy` and `estimate` change it in place."""
 
     def __init__(self, settings: FleetSettings) -> None:
         self.settings = settings
@@ -60,19 +73,19 @@ class FleetModel:
         return other
 
     def replace_from(self, other: FleetModel, vehicle: int) -> None:
-        """Replace what this model has of the vehicles in a vehicle's cluster by a copy of what another model has of them."""
+        """Replace the vehicles of one vehicle's cluster by copies of those in another model."""
         members = other.clusters.members(vehicle)
         for member in members:
             self.clusters.remove(member)
             self.records.copy_from(other.records, member)
         self.clusters.add_copy(other.clusters[vehicle], members)
-        for key, white in other.pairs.items():
+        for key, noise in other.pairs.items():
             if key[0] in members:
-                self.pairs[key] = white
+                self.pairs[key] = noise
         self._pruned_at_s = other._pruned_at_s
 
     def import_vehicles(self, other: FleetModel, vehicles: tuple[int, ...]) -> None:
-        """Take from another model what it knows of vehicles that are in no cluster of this one."""
+        """Copy from another model the vehicles that are in no cluster of this one, with their clusters where possible."""
         for vehicle in vehicles:
             if vehicle in self.clusters or vehicle not in other.records:
                 continue
@@ -81,7 +94,7 @@ class FleetModel:
                 self.replace_from(other, vehicle)
 
     def set_denied(self, denied: frozenset[int], at_s: float) -> None:
-        """Change who is to be located; a new denied vehicle starts from its last reports if these are fresh."""
+        """Change which vehicles are denied; a new one is initialised from its last reports if these are fresh."""
         for vehicle in sorted(denied):
             record = self.records.writable(vehicle)
             if record.denied_vehicle:
@@ -94,14 +107,14 @@ class FleetModel:
             record.denied_vehicle = False
             record.range_measurements = ()
             record.neighbours = {}
-            # Its reports are trusted again and start a filter when one is needed.
+            # Its new reports initialise its states when a range needs them; the old ones are not to be trusted.
             self.clusters.remove(vehicle)
             record.own_measurements = ()
             record.last_position = None
             record.no_estimate_reason = "no position report since its GPS was trusted again"
 
     def apply(self, m: Measurement) -> UpdateResult:
-        """Take one measurement, not older than any before it."""
+        """Update with one measurement, not older than any before it."""
         if m.measured_at_s - self._pruned_at_s > _PRUNE_EVERY_S:
             self._prune(m.measured_at_s)
         if isinstance(m, RangeMeasurement):
@@ -114,12 +127,12 @@ class FleetModel:
         record.add_own(m)
         cluster = self.clusters.get(m.vehicle)
         if cluster is None:
-            return _NO_PART
+            return UpdateResult(Outcome.KEPT_NO_STATE)
         return update_own(cluster, m)
 
     def _update_position(self, m: PositionMeasurement, record: VehicleRecord) -> UpdateResult:
         if record.denied_vehicle:
-            return UpdateResult("refused: position of a denied vehicle")
+            return UpdateResult(Outcome.REFUSED_DENIED_POSITION)
         record.static = m.static
         e, n, u = m.position_enu_m
         record.report_noise = record.report_noise.updated(m.measured_at_s, ((e, n), (u,)), without_time_error(m))
@@ -127,18 +140,17 @@ class FleetModel:
         record.last_position = m
         cluster = self.clusters.get(m.vehicle)
         if cluster is None or record.static:
-            return _NO_PART
+            return UpdateResult(Outcome.KEPT_NO_STATE)
         result = update_own(cluster, m)
         if result.used:
             record.reports_refused = 0
             return result
         record.reports_refused += 1
         if record.reports_refused >= _REPORTS_REFUSED_MOST:
-            # The reports agree with each other and not with the filter: they are the only witness of this vehicle.
             self.clusters.remove(m.vehicle)
             record.own_measurements = (m,)
             record.reports_refused = 0
-            return UpdateResult("peer restarted: its reports moved away")
+            return UpdateResult(Outcome.REINITIALISED)
         return result
 
     def _update_range(self, m: RangeMeasurement) -> UpdateResult:
@@ -148,12 +160,12 @@ class FleetModel:
         if second.denied_vehicle:
             denied.append((*ends[::-1], second))
         if not denied:
-            return _NO_SUBJECT
+            return UpdateResult(Outcome.KEPT_NOT_DENIED)
         for denied_vehicle, other, record in denied:
             record.add_range(m)
             record.last_range_s[other] = m.measured_at_s
             if not is_selected(self.clusters, self.records, denied_vehicle, other, m.measured_at_s, self.settings):
-                return _NOT_WANTED
+                return UpdateResult(Outcome.KEPT_NOT_SELECTED)
         cluster = self.clusters.common(*ends)
         if cluster is None:
             waiting = self._initialise_ends(ends, m.measured_at_s)
@@ -162,35 +174,34 @@ class FleetModel:
             cluster = self.clusters.merge(*ends)
         pair = pair_key(*ends, m.device_id)
         sigma_m, _ = without_time_error(m)
-        white = self.pairs[pair] = self.pairs.get(pair, NO_SAMPLES).updated(m.measured_at_s, ((m.range_m,),), (sigma_m,))
-        slow_m = self.settings.range_slow_share * white.split(0, sigma_m, self.settings.least_slow_share)[1]
+        noise = self.pairs.get(pair, NO_SAMPLES).updated(m.measured_at_s, ((m.range_m,),), (sigma_m,))
+        self.pairs[pair] = noise
+        coloured_m = self.settings.range_slow_share * noise.split(0, sigma_m, self.settings.least_slow_share)[1]
         if m.clock_of in ends:
-            update_time_stamp_sigma(cluster, m.clock_of, time_stamp_offset_sigma_s(m, self.settings))
-        # A device that is seen to scatter more than it states is believed no more than that. Multipath of a tenth of the ranges,
-        # which the gate weighs by itself, makes it seem to scatter up to 1.8 times as much.
-        scatter_m = white.lower_bound_m(0)
-        result = update_range(cluster, pair, m, scatter_m if scatter_m > _UNDERSTATED * sigma_m else sigma_m, slow_m)
+            change_time_stamp_offset_sigma(cluster, m.clock_of, time_stamp_offset_sigma_s(m, self.settings))
+        scatter_m = noise.lower_bound_m(0)
+        result = update_range(cluster, pair, m, scatter_m if scatter_m > _UNDERSTATED * sigma_m else sigma_m, coloured_m)
         for denied_vehicle, other, _ in denied:
             monitor_range(cluster, denied_vehicle, other, result, m)
         return result
 
     def _initialise_ends(self, ends: tuple[int, int], at_s: float) -> UpdateResult | None:
-        """Begin the states of those ends of a range that have none; what the range came to where that is not possible."""
+        """Initialise those ends of a range that have no states; return what became of the range where it is not used."""
         for vehicle in ends:
             if vehicle in self.clusters:
                 continue
             if self.records[vehicle].denied_vehicle:
-                begun = initialise_from_ranges(self.clusters, self.records, vehicle, at_s, self.settings)
-                return UpdateResult("used for a start" if begun else "kept: waiting for a start")
+                found = initialise_from_ranges(self.clusters, self.records, vehicle, at_s, self.settings)
+                return UpdateResult(Outcome.INITIALISED if found else Outcome.KEPT_INITIALISING)
             if not self._initialise(vehicle, at_s):
-                return UpdateResult("refused: peer without a position")
+                return UpdateResult(Outcome.REFUSED_PEER_WITHOUT_POSITION)
         return None
 
     def _initialise(self, vehicle: int, at_s: float) -> bool:
         return initialise_from_reports(self.clusters, self.records, vehicle, at_s, self.settings)
 
     def _prune(self, at_s: float) -> None:
-        """Drop peers that nobody ranges and vehicles silent for an hour, and part the clusters that nothing holds together."""
+        """Remove peers without recent ranges and vehicles silent for an hour; marginalise clusters that no range links."""
         self._pruned_at_s = at_s
         kept_s = self.settings.peer_kept_s
         links: dict[int, set[int]] = {}
@@ -207,20 +218,20 @@ class FleetModel:
                 record.own_measurements = ()
                 record.no_estimate_reason = "nothing was heard of it for more than an hour, and not enough ranges yet"
         self.clusters.prune(links)
-        self.pairs = {key: white for key, white in self.pairs.items() if key[1] in links.get(key[0], ())}
+        self.pairs = {key: noise for key, noise in self.pairs.items() if key[1] in links.get(key[0], ())}
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
-        """Answer from the state as it stands."""
+        """Return where a vehicle is at a time near that of its states, or why that is unknown."""
         record = self.records.get(vehicle)
         if record is None:
             return NoEstimate(vehicle, at_s, "no measurement of it was heard")
         cluster = self.clusters.get(vehicle)
         if cluster is None:
             return self._estimate_without_state(vehicle, record, at_s)
-        return answer(cluster, vehicle, at_s)
+        return _estimate(cluster, vehicle, at_s)
 
     def _estimate_without_state(self, vehicle: int, record: VehicleRecord, at_s: float) -> Estimate | NoEstimate:
-        """Answer for a vehicle that has no filter: a healthy one from its own reports, a vehicle with the reason why not."""
+        """Estimate a healthy vehicle from its own reports; of a denied one return the reason why there is none."""
         if record.denied_vehicle or record.last_position is None:
             return NoEstimate(vehicle, at_s, record.no_estimate_reason)
         age_s = at_s - record.last_position.measured_at_s
@@ -229,7 +240,38 @@ class FleetModel:
         alone = FleetModel(self.settings)
         alone.records.copy_from(self.records, vehicle)
         if record.last_position.velocity_enu_mps is not None:
-            # Its last report has all that a filter over the others would tell; this is asked often.
+            # Filtering the earlier reports too would hardly change the estimate, and this is called often.
             alone.records[vehicle].own_measurements = ()
         alone._initialise(vehicle, at_s)
         return alone.estimate(vehicle, at_s)
+
+
+def _estimate(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | NoEstimate:
+    """Estimate a vehicle of a cluster on the service's clock, eq. (10): p - tau v with its covariance."""
+    record = cluster.records[vehicle]
+    if record.static:
+        covariance = np.diag([0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6])
+        covariance[:3, :3] = cluster.joint.covariance(vehicle)
+        return Estimate(vehicle, at_s, cluster.joint.mean(vehicle).copy(), np.zeros(3), covariance, None, 0)
+    step_s = at_s - cluster.joint.time_s[vehicle]
+    if step_s < -_STEP_BACK_MOST_S:
+        return NoEstimate(vehicle, at_s, f"asked for a time {-step_s:.1f} s before its newest measurement")
+    x, P = cluster.predict(vehicle, at_s)
+    offset_s = x.item(TIME_STAMP_OFFSET)
+    G = _STATED.copy()
+    G[0, 3] = G[1, 4] = G[2, 5] = -offset_s
+    G[POSITION, TIME_STAMP_OFFSET] = -x[VELOCITY]
+    position, spread = x[POSITION] - offset_s * x[VELOCITY], G @ P @ G.T
+    covariance = spread + spread.T
+    covariance *= 0.5
+    unresolved_m2 = unresolved_outlier_variance_m2(record)
+    covariance[0, 0] += unresolved_m2
+    covariance[1, 1] += unresolved_m2
+    worst_m = horizontal_sigma_m(covariance)
+    if not worst_m <= cluster.settings.limit_sigma_m:
+        return NoEstimate(
+            vehicle, at_s, f"too uncertain: {worst_m:.0f} m (1-sigma) horizontally; more or better placed ranges are needed"
+        )
+    units = [n.unit for n in record.neighbours.values() if abs(at_s - n.at_s) <= IN_USE_S]
+    hdop = horizontal_dilution_of(units) if len(units) >= 2 else None
+    return Estimate(vehicle, at_s, position, x[VELOCITY].copy(), covariance, hdop, len(units))

@@ -1,7 +1,7 @@
-"""The main model and, for each denied vehicle whose side of its peers is unknown, a reflection hypothesis.
+"""Multiple hypotheses: the main model and, for a denied vehicle on an unknown side of its peers, the reflected one.
 
-Both take the same measurements. How well each foresees them gives the odds between them. As long as these do not decide, the
-answer covers both; once they do, the model that foresees better is the one that is kept.
+Both are updated with the same measurements. Their likelihoods give the odds, eq. (24). Until the odds decide, an estimate is
+the mixture of both; then the likelier model is kept (Bar-Shalom, Li, Kirubarajan 2001, section 11.6, static multiple models).
 """
 
 from __future__ import annotations
@@ -14,45 +14,60 @@ import numpy as np
 
 from gcs_coloc.core.error_bound import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, RangeMeasurement
-from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
-from gcs_coloc.estimators.fleet.ekf.update import UpdateResult
-from gcs_coloc.estimators.fleet.fleet_model import FleetModel
-from gcs_coloc.estimators.fleet.lost_side import SavedEstimate, plane_after_gap, save_estimate
-from gcs_coloc.estimators.fleet.reflection import (
+from gcs_coloc.estimators.fleet.ambiguity.reflection import (
     ReflectionPlane,
     find_reflection_plane,
     mixture,
     offset_sigmas,
-    only_motion_discriminates,
+    only_motion_separates,
     reflect,
     vertical_plane_through_line,
 )
-from gcs_coloc.estimators.fleet.reflection_evidence import plane_of_refused_ranges
+from gcs_coloc.estimators.fleet.ambiguity.reflection_evidence import (
+    SavedEstimate,
+    plane_after_gap,
+    plane_of_refused_ranges,
+    save_estimate,
+)
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
+from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
-_LOOK_EVERY_S = 0.25
+_TEST_EVERY_S = 0.25
+"""Chosen: a reflection develops over seconds; a test costs about as much as an update."""
 _GAP_S = 1.0
-_DECIDED = 12.0
+"""Chosen: after a gap of this length the estimate is saved to test the side that the next ranges confirm."""
+_DECIDED_LOG_ODDS = 12.0
+"""Chosen: odds of 160,000; a wrong decision is confident and lasts."""
 _MOST_NIS = 20.0
-_ONE_AGAIN = 0.5
-_CLEARLY_ASIDE = 1.0
+"""Chosen: bounds the evidence of one measurement: an outlier of both models says little."""
+_MERGED_NIS = 0.5
+"""Chosen: hypotheses closer than 0.7 sigma of six components are merged."""
+_CLEARLY_ASIDE_SIGMAS = 1.0
+"""Chosen: within one sigma of the plane a state is on neither side."""
 _MANOEUVRE_S = 3.0
+"""Chosen: an unmodelled manoeuvre is in all innovations of so long; they are one piece of evidence."""
 _MOST_OF_MOTION = 3.0
+"""Chosen: bounds the log odds that one such manoeuvre contributes."""
 
 
 class RelativeSide(Enum):
     """On which sides of the reflection plane a vehicle is in the main model and in its hypothesis."""
 
     APART = auto()
+    """On opposite sides."""
     SAME = auto()
+    """Both on one side."""
     OPEN = auto()
+    """At least one of them too near to the plane."""
 
 
 @dataclass(slots=True)
 class ReflectionHypothesis:
-    """A model in which one denied vehicle is at its mirror image; `log_odds` is the logarithm of its odds against the main model.
+    """A model in which one denied vehicle is reflected; `log_odds` is the logarithm of its odds against the main model.
 
-    `apart`: each of the two was clearly on its own side when last looked at; `motion_only`: only the motion told the two apart.
+    `motion_only`: only the process model separates the two. `separated`: in the last test they were on opposite sides.
     """
 
     model: FleetModel
@@ -64,11 +79,7 @@ class ReflectionHypothesis:
     _raised: float = 0.0
 
     def add_evidence(self, gain: float, at_s: float) -> None:
-        """Take what a measurement adds to the log odds.
-
-        A manoeuvre that a model does not foresee is in all its innovations until it is noticed. So where only the motion
-        tells the two models apart what is heard within three seconds is one, bounded, piece of evidence.
-        """
+        """Add the log-likelihood ratio of one measurement to the log odds, bounded where only motion separates, eq. (24)."""
         if not self.motion_only:
             self.log_odds += gain
             self._since_s = -math.inf
@@ -79,7 +90,7 @@ class ReflectionHypothesis:
         self.log_odds = self._before + min(max(self._raised, -_MOST_OF_MOTION), _MOST_OF_MOTION)
 
     def reset_odds(self) -> None:
-        """Begin with even odds again."""
+        """Set even odds."""
         self.log_odds, self._since_s = 0.0, -math.inf
 
 
@@ -96,34 +107,29 @@ class FleetHypotheses:
         """Return an independent copy."""
         other = object.__new__(FleetHypotheses)
         other.main = self.main.copy()
-        other.hypotheses = {
-            denied_vehicle: replace(hypothesis, model=hypothesis.model.copy())
-            for denied_vehicle, hypothesis in self.hypotheses.items()
-        }
+        other.hypotheses = {v: replace(h, model=h.model.copy()) for v, h in self.hypotheses.items()}
         other._tested_at_s = dict(self._tested_at_s)
         other._saved = dict(self._saved)
         return other
 
     def set_denied(self, denied: frozenset[int], at_s: float) -> None:
-        """Change who is to be located, as `FleetModel.set_denied` does."""
+        """Change which vehicles are denied, as `FleetModel.set_denied` does."""
         self.main.set_denied(denied, at_s)
         self.hypotheses = {v: h for v, h in self.hypotheses.items() if v in denied}
         self._tested_at_s = {v: then_s for v, then_s in self._tested_at_s.items() if v in denied}
-        self._saved = {denied_vehicle: then for denied_vehicle, then in self._saved.items() if denied_vehicle in denied}
+        self._saved = {v: saved for v, saved in self._saved.items() if v in denied}
         for hypothesis in self.hypotheses.values():
             hypothesis.model.set_denied(denied & hypothesis.model.records.keys(), at_s)
 
     def apply(self, m: Measurement) -> UpdateResult:
-        """Take one measurement, not older than any before it."""
+        """Update all models with one measurement, not older than any before it."""
         ends = (m.from_vehicle, m.to_vehicle) if isinstance(m, RangeMeasurement) else (m.vehicle,)
         if isinstance(m, RangeMeasurement):
             self._save_before_gap(m)
         if not self.hypotheses:
             result = self.main.apply(m)
         else:
-            concerned = [
-                hypothesis for hypothesis in self.hypotheses.values() if any(v in hypothesis.model.clusters for v in ends)
-            ]
+            concerned = [h for h in self.hypotheses.values() if any(v in h.model.clusters for v in ends)]
             for hypothesis in concerned:
                 hypothesis.model.import_vehicles(self.main, ends)
             result = self.main.apply(m)
@@ -132,22 +138,21 @@ class FleetHypotheses:
                 hypothesis.add_evidence(gain, m.measured_at_s)
         if isinstance(m, RangeMeasurement):
             for vehicle in ends:
-                is_due = m.measured_at_s - self._tested_at_s.get(vehicle, -math.inf) >= _LOOK_EVERY_S
+                is_due = m.measured_at_s - self._tested_at_s.get(vehicle, -math.inf) >= _TEST_EVERY_S
                 if is_due and self.main.records[vehicle].denied_vehicle:
                     self._test(vehicle, m.measured_at_s)
         return result
 
     def _save_before_gap(self, m: RangeMeasurement) -> None:
-        """Note where the denied vehicles of a range are held to be just before it, where it is the first for a while."""
+        """Save the predicted estimate of the denied vehicles of a range that is the first after a gap."""
         for denied_vehicle in (m.from_vehicle, m.to_vehicle):
-            if (
-                m.measured_at_s - self._tested_at_s.get(denied_vehicle, math.inf) > _GAP_S
-                and denied_vehicle in self.main.clusters
-            ):
-                self._saved[denied_vehicle] = save_estimate(self.main.clusters[denied_vehicle], denied_vehicle, m.measured_at_s)
+            gap_s = m.measured_at_s - self._tested_at_s.get(denied_vehicle, math.inf)
+            cluster = self.main.clusters.get(denied_vehicle)
+            if gap_s > _GAP_S and cluster is not None:
+                self._saved[denied_vehicle] = save_estimate(cluster, denied_vehicle, m.measured_at_s)
 
     def _test(self, denied_vehicle: int, at_s: float) -> None:
-        """Decide between a denied vehicle and its mirror image, or see whether there is one."""
+        """Test whether a denied vehicle has a reflection, or decide between it and its hypothesis."""
         self._tested_at_s[denied_vehicle] = at_s
         cluster = self.main.clusters.get(denied_vehicle)
         hypothesis = self.hypotheses.get(denied_vehicle)
@@ -157,10 +162,9 @@ class FleetHypotheses:
             return
         self._saved[denied_vehicle] = save_estimate(cluster, denied_vehicle)
         if hypothesis is None:
-            told = self.main.records[denied_vehicle].reflection_evidence
-            plane = plane_of_refused_ranges(told, cluster, denied_vehicle, at_s) or find_reflection_plane(
-                cluster, denied_vehicle, at_s
-            )
+            evidence = self.main.records[denied_vehicle].reflection_evidence
+            plane = plane_of_refused_ranges(evidence, cluster, denied_vehicle, at_s)
+            plane = plane or find_reflection_plane(cluster, denied_vehicle, at_s)
             if plane is None and before is not None:
                 plane = plane_after_gap(before, cluster, denied_vehicle, at_s)
             if plane is not None:
@@ -174,41 +178,37 @@ class FleetHypotheses:
         plane = vertical_plane_through_line(cluster, denied_vehicle, at_s)
         sides = RelativeSide.APART if plane is None else _sides(cluster, other, denied_vehicle, plane)
         if sides is RelativeSide.APART and not hypothesis.separated:
-            # Which side one that was on the line has come to is chance: what told the two apart before told something else.
+            # From the plane either side was reached by chance: the odds so far are of another question.
             hypothesis.reset_odds()
         hypothesis.separated = sides is RelativeSide.APART
-        hypothesis.motion_only = only_motion_discriminates(cluster, denied_vehicle, at_s, plane)
-        if sides is RelativeSide.SAME or abs(hypothesis.log_odds) > _DECIDED:
+        hypothesis.motion_only = only_motion_separates(cluster, denied_vehicle, at_s, plane)
+        if sides is RelativeSide.SAME or abs(hypothesis.log_odds) > _DECIDED_LOG_ODDS:
             if hypothesis.log_odds > 0.0:
                 self.main.replace_from(hypothesis.model, denied_vehicle)
             del self.hypotheses[denied_vehicle]
-            if (
-                plane is not None
-                and not hypothesis.separated
-                and _is_aside(self.main.clusters[denied_vehicle], denied_vehicle, plane)
-            ):
-                # Nobody was on its other side, so that nothing has ruled that out.
+            cluster = self.main.clusters[denied_vehicle]
+            if plane is not None and not hypothesis.separated and _is_aside(cluster, denied_vehicle, plane):
+                # No hypothesis was on the other side, so nothing has ruled it out.
                 self._branch(denied_vehicle, plane, at_s)
             return
         x, P = cluster.predict(denied_vehicle, at_s)
         other_x, other_P = other.predict(denied_vehicle, at_s)
         d, S = (other_x - x)[:6], (P + other_P)[:6, :6]
-        if float(d @ np.linalg.solve(S, d)) < _ONE_AGAIN:
+        if float(d @ np.linalg.solve(S, d)) < _MERGED_NIS:
             del self.hypotheses[denied_vehicle]
 
     def _branch(self, denied_vehicle: int, plane: ReflectionPlane, at_s: float) -> None:
-        """Begin a hypothesis in which a denied vehicle is at its mirror image."""
+        """Add the hypothesis that a denied vehicle is reflected in a plane."""
         cluster = self.main.clusters[denied_vehicle]
-        motion_only = only_motion_discriminates(
-            cluster, denied_vehicle, at_s, vertical_plane_through_line(cluster, denied_vehicle, at_s)
-        )
+        line = vertical_plane_through_line(cluster, denied_vehicle, at_s)
+        motion_only = only_motion_separates(cluster, denied_vehicle, at_s, line)
         model = FleetModel(self.main.settings)
         model.replace_from(self.main, denied_vehicle)
         reflect(model.clusters[denied_vehicle], denied_vehicle, plane)
         self.hypotheses[denied_vehicle] = ReflectionHypothesis(model, motion_only)
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
-        """Answer from the state as it stands: what covers all that is possible, or that it is ambiguous."""
+        """Return the mixture of all hypotheses, eq. (25), or that the position is ambiguous."""
         where = self.main.estimate(vehicle, at_s)
         for hypothesis in self.hypotheses.values():
             if isinstance(where, NoEstimate):
@@ -231,17 +231,17 @@ class FleetHypotheses:
 
 def _sides(cluster: Cluster, other: Cluster, denied_vehicle: int, plane: ReflectionPlane) -> RelativeSide:
     away, other_away = offset_sigmas(cluster, denied_vehicle, plane), offset_sigmas(other, denied_vehicle, plane)
-    if min(abs(away), abs(other_away)) < _CLEARLY_ASIDE:
+    if min(abs(away), abs(other_away)) < _CLEARLY_ASIDE_SIGMAS:
         return RelativeSide.OPEN
     return RelativeSide.SAME if away * other_away > 0.0 else RelativeSide.APART
 
 
 def _is_aside(cluster: Cluster, denied_vehicle: int, plane: ReflectionPlane) -> bool:
-    return abs(offset_sigmas(cluster, denied_vehicle, plane)) >= _CLEARLY_ASIDE
+    return abs(offset_sigmas(cluster, denied_vehicle, plane)) >= _CLEARLY_ASIDE_SIGMAS
 
 
 def _evidence(main: UpdateResult, hypothesis: UpdateResult) -> float:
-    """Return by how much a measurement raises the log odds of the hypothesis: one that neither foresees tells little."""
+    """Return the log-likelihood ratio of a measurement, hypothesis against main model, eq. (24)."""
     if main.degrees_of_freedom == 0 or hypothesis.degrees_of_freedom == 0:
         return 0.0
     gain = 0.5 * (min(main.nis, _MOST_NIS) - min(hypothesis.nis, _MOST_NIS))

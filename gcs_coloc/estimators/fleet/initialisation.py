@@ -1,22 +1,35 @@
-"""How a vehicle gets its states in a filter: from its recent reports, or a vehicle without a position from its ranges alone."""
+"""Initialisation of a vehicle's states: from its recent reports, or by multilateration from ranges alone."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from gcs_coloc.core.measurements import AltitudeMeasurement, PositionMeasurement
+from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, PositionMeasurement
 from gcs_coloc.estimators.fleet.cluster_set import ClusterSet
-from gcs_coloc.estimators.fleet.ekf.blocks import block_from_estimate, block_from_report
 from gcs_coloc.estimators.fleet.ekf.records import Records
+from gcs_coloc.estimators.fleet.ekf.state import (
+    AIRSPEED_ERROR,
+    HEADING_ERROR,
+    POSITION,
+    REPORT_ERROR,
+    SIZE,
+    TIME_STAMP_OFFSET,
+    TURN,
+    VELOCITY,
+    WIND,
+)
 from gcs_coloc.estimators.fleet.ekf.update import split_report_noise, time_stamp_offset_sigma_s, update_own
 from gcs_coloc.estimators.fleet.multilateration import MultilaterationProblem, solve_multilateration
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
-_START_EVERY_S = 0.5
+_UNKNOWN_VELOCITY_MPS = 30.0
+"""Chosen: sigma of a velocity that nobody reports, as of a fast small aircraft."""
+_TRY_EVERY_S = 0.5
+"""Chosen: one multilateration costs some milliseconds."""
 
 
 def initialise_from_reports(clusters: ClusterSet, records: Records, vehicle: int, at_s: float, s: FleetSettings) -> bool:
-    """Begin a vehicle's states from its recent reports; False if these are not fresh."""
+    """Initialise a vehicle's states from its recent reports; False if these are not fresh."""
     record = records.writable(vehicle)
     last = record.last_position
     if last is None or (at_s - last.measured_at_s > s.start_age_s and not record.static):
@@ -27,12 +40,12 @@ def initialise_from_reports(clusters: ClusterSet, records: Records, vehicle: int
         return True
     reports = [m for m in record.recent_own if isinstance(m, PositionMeasurement)]
     first = reports[0] if reports else last
-    white, slow = split_report_noise(record, first, s)
+    white, coloured = split_report_noise(record, first, s)
     record.time_stamp_offset_sigma_s = time_stamp_offset_sigma_s(first, s)
-    (record.report_error_sigma_h_m, record.report_error_sigma_v_m), record.baro_error_sigma_m = slow, 0.0
+    (record.report_error_sigma_h_m, record.report_error_sigma_v_m), record.baro_error_sigma_m = coloured, 0.0
     record.attitude = None
     record.updated_at_s = record.velocity_used_at_s = first.measured_at_s
-    mean, covariance = block_from_report(first, white, slow, record.time_stamp_offset_sigma_s, s)
+    mean, covariance = block_from_report(first, white, coloured, record.time_stamp_offset_sigma_s, s)
     cluster = clusters.initialise(vehicle, mean, covariance, first.measured_at_s)
     for m in record.recent_own:
         if m is not first and m.measured_at_s >= first.measured_at_s:
@@ -41,25 +54,26 @@ def initialise_from_reports(clusters: ClusterSet, records: Records, vehicle: int
 
 
 def initialise_from_ranges(clusters: ClusterSet, records: Records, vehicle: int, at_s: float, s: FleetSettings) -> bool:
-    """Try to find a denied vehicle without a position from its recent ranges alone; why it was not found stands in its record."""
+    """Initialise a denied vehicle from its recent ranges alone; False, with the reason in its record, where that fails."""
     record = records.writable(vehicle)
-    if at_s - record.initialisation_tried_at_s < _START_EVERY_S:
+    if at_s - record.initialisation_tried_at_s < _TRY_EVERY_S:
         return False
     record.initialisation_tried_at_s = at_s
-    outcome = solve_multilateration(_multilateration_problem(records, vehicle, at_s, s), s.limit_sigma_m)
-    if isinstance(outcome, str):
-        record.no_estimate_reason = outcome
+    solution = solve_multilateration(_multilateration_problem(records, vehicle, at_s, s), s.limit_sigma_m)
+    if isinstance(solution, str):
+        record.no_estimate_reason = solution
         return False
     record.baro_error_sigma_m = record.report_error_sigma_h_m = record.report_error_sigma_v_m = 0.0
     record.time_stamp_offset_sigma_s = s.stamp_sigma_s
     record.attitude = None
     record.updated_at_s = at_s
     record.range_measurements = ()
-    clusters.initialise(vehicle, *block_from_estimate(*outcome, s), at_s)
+    clusters.initialise(vehicle, *block_from_estimate(*solution, s), at_s)
     return True
 
 
 def _multilateration_problem(records: Records, vehicle: int, at_s: float, s: FleetSettings) -> MultilaterationProblem:
+    """Return the recent ranges of a vehicle to peers with fresh reports, and its own heights."""
     problem = MultilaterationProblem(at_s)
     for m in records[vehicle].recent_ranges:
         peer = m.to_vehicle if m.from_vehicle == vehicle else m.from_vehicle
@@ -75,3 +89,53 @@ def _multilateration_problem(records: Records, vehicle: int, at_s: float, s: Fle
         if isinstance(own, AltitudeMeasurement):
             problem.add_altitude(own)
     return problem
+
+
+def block_from_report(
+    report: PositionMeasurement,
+    white: tuple[float, float],
+    coloured: tuple[float, float],
+    offset_sigma_s: float,
+    s: FleetSettings,
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean (16,) and covariance (16, 16) of a vehicle from one report: p = z - b_p - noise.
+
+    `white` and `coloured` are sigmas in m (horizontal, vertical), `offset_sigma_s` that of the time-stamp offset.
+    """
+    x = np.zeros(SIZE)
+    P = np.zeros((SIZE, SIZE))
+    x[POSITION] = report.position_enu_m
+    for axis in range(3):
+        w, c = white[axis // 2], coloured[axis // 2]
+        P[axis, axis] = w * w + c * c
+        e = REPORT_ERROR.start + axis
+        P[e, e] = c * c
+        P[axis, e] = P[e, axis] = -c * c
+    sigma = _UNKNOWN_VELOCITY_MPS
+    if report.velocity_enu_mps is not None and report.sigma_velocity_mps is not None:
+        x[VELOCITY] = report.velocity_enu_mps
+        sigma = report.sigma_velocity_mps
+    for axis in (3, 4, 5):
+        P[axis, axis] = sigma * sigma
+    _set_slow_errors(P, offset_sigma_s, s)
+    return x, P
+
+
+def block_from_estimate(mean: FloatArray, covariance: FloatArray, s: FleetSettings) -> tuple[FloatArray, FloatArray]:
+    """Return mean (16,) and covariance (16, 16) of a vehicle from its position and velocity, (6,) and (6, 6)."""
+    x = np.zeros(SIZE)
+    P = np.zeros((SIZE, SIZE))
+    x[:6] = mean
+    P[:6, :6] = covariance
+    _set_slow_errors(P, s.stamp_sigma_s, s)
+    return x, P
+
+
+def _set_slow_errors(P: FloatArray, offset_sigma_s: float, s: FleetSettings) -> None:
+    """Write the steady-state variances of the Gauss-Markov components but the report error."""
+    for axis in (WIND.start, WIND.start + 1):
+        P[axis, axis] = s.wind_sigma_mps**2
+    P[AIRSPEED_ERROR, AIRSPEED_ERROR] = s.airspeed_sigma_mps**2
+    P[HEADING_ERROR, HEADING_ERROR] = s.heading_sigma_rad**2
+    P[TIME_STAMP_OFFSET, TIME_STAMP_OFFSET] = offset_sigma_s**2
+    P[TURN, TURN] = s.turn_sigma_radps**2

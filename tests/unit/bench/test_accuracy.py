@@ -9,7 +9,8 @@ from bench.accuracy_model import ModelCase, bounds_rms_m, draw
 from bench.accuracy_peers import FilterpyEkf, FilterpyUkf, installed
 from bench.accuracy_runs import anees, band_95, rmse_m, take
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
-from gcs_coloc.estimators.fleet.ekf._kernels import SIZE, Transition
+from gcs_coloc.estimators.fleet.ekf._kernels import Transition
+from gcs_coloc.estimators.fleet.ekf.state import SIZE
 from sitl_fakes.nominal import PAPER_ROUTES
 
 TEN_SECONDS = Case(rate_hz=5.0, duration_s=10.0)

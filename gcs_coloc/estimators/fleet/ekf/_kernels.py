@@ -1,45 +1,30 @@
-"""How a vehicle's states move between measurements, and where they lie in its block.
+"""Unrolled code for speed: F and Q of one vehicle, and the range Jacobian, written entry by entry through flat views.
 
-Steady flight is constant velocity disturbed by white acceleration. With a fresh bank angle the air velocity turns at
-g tan(roll) / V (a coordinated turn) and the wind carries the vehicle along; what is left to chance is then much less.
-All slow errors are first-order Gauss-Markov processes.
+Writing single elements of a numpy array costs twice the time. The plain matrix forms stand in
+tests/unit/estimators/fleet/reference.py; tests hold that both are equal.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
-POSITION = slice(0, 3)
-VELOCITY = slice(3, 6)
-WIND = slice(6, 8)
-AIRSPEED_ERROR = 8
-HEADING_ERROR = 9
-BARO_ERROR = 10
-REPORT_ERROR = slice(11, 14)
-STAMP_ERROR = 14
-TURN = 15
-SIZE = 16
-"""The block of one vehicle: position and velocity (3 each, ENU), wind (east, north), errors of airspeed (m/s), heading (rad),
-barometric height (m), position reports (3, m) and time stamps (s: what it reports is of this much later than it says), and the
-turn rate (rad/s, clockwise). A fixed anchor has a block of its position alone."""
+from gcs_coloc.core.measurements import FloatArray, Vector3
+from gcs_coloc.estimators.fleet.ekf.state import SIZE, TIME_STAMP_OFFSET, TURN, VELOCITY, WIND
 
-GRAVITY_MPS2 = 9.80665
-STEEPEST_BANK_RAD = 1.2
-"""No vehicle in a coordinated turn is banked more."""
 _LEAST_TURN_RAD = 1e-4
+"""Below this angle the turn is expanded to first order: sin(a)/a rounds badly. The error is a^2/6 of the step, 2e-9."""
 _E, _N, _U, _VE, _VN, _VU, _WE, _WN = range(8)
 
 
 def _entries(row: int, *columns: int) -> tuple[int, ...]:
-    """Where entries of a row of a block (16, 16) lie in it where it is flat."""
+    """Return the indices of entries of one row of a (16, 16) block in its flat view."""
     return tuple(row * SIZE + column for column in columns)
 
 
-# Known beforehand, for a step writes some forty of them.
 _E_E, _E_VE, _E_VN, _E_WE, _E_WN, _E_TURN = _entries(_E, _E, _VE, _VN, _WE, _WN, TURN)
 _N_N, _N_VE, _N_VN, _N_WE, _N_WN, _N_TURN = _entries(_N, _N, _VE, _VN, _WE, _WN, TURN)
 _U_U, _U_VU = _entries(_U, _U, _VU)
@@ -51,16 +36,8 @@ _WE_WE, _WN_WN, _AIRSPEED, _HEADING, _BARO, _REPORT_E, _REPORT_N, _REPORT_U, _ST
 )
 
 
-def turn_rate_radps(roll_rad: float, airspeed_mps: float) -> float:
-    """Return the rate of a coordinated turn, clockwise positive: g tan(roll) / V."""
-    return GRAVITY_MPS2 * math.tan(roll_rad) / airspeed_mps
-
-
 class Transition:
-    """The Jacobian F and the noise Q, both (16, 16), of one step of one vehicle; filled anew for each step.
-
-    The entries are written through flat views: to write single elements of an array costs twice the time.
-    """
+    """F and Q, both (16, 16), of one step of one vehicle. The same arrays are filled anew for each step."""
 
     __slots__ = ("F", "Q", "_f", "_q")
 
@@ -75,9 +52,10 @@ class Transition:
         return Transition, ()
 
     def set_motion(self, x: Sequence[float], step_s: float, turn_radps: float, *, in_wind: bool) -> tuple[float, ...]:
-        """Set F but for the decay of the slow states; return the mean of the first five states after it, from `x` (16,).
+        """Write F of eq. (3) and (4); return the first five components of the mean after the step, from `x` (16,).
 
-        With `in_wind` the air velocity turns and the wind carries the vehicle along; without, the velocity over ground turns.
+        With `in_wind` the velocity through the air turns, without (w = 0) the velocity over ground. The decay of the
+        Gauss-Markov components is not written here.
         """
         angle = turn_radps * step_s
         if abs(angle) < _LEAST_TURN_RAD:
@@ -86,7 +64,6 @@ class Transition:
             along, across = math.sin(angle) / turn_radps, (1.0 - math.cos(angle)) / turn_radps
         c, s = math.cos(angle), math.sin(angle)
         f = self._f
-        # Position and velocity over ground follow from the air velocity v - w that turns, and the wind w that does not.
         f[_E_VE] = f[_N_VN] = along
         f[_E_VN] = across
         f[_N_VE] = -across
@@ -115,16 +92,16 @@ class Transition:
         )
 
     def set_turn_column(self, step_s: float, lasting_s: float, ve_mps: float, vn_mps: float) -> None:
-        """Set the column of F that tells what an error of the turn rate does to position and velocity over a step.
+        """Write the column of F for the turn rate, eq. (5), linearised at the velocity after the step.
 
-        `ve_mps`, `vn_mps` are the velocity after the step; `lasting_s` is by how much the heading changes for each rad/s.
+        `lasting_s` is the change of heading for each rad/s of turn rate.
         """
         f, east, north = self._f, vn_mps * lasting_s, -ve_mps * lasting_s
         f[_VE_TURN], f[_VN_TURN] = east, north
         f[_E_TURN], f[_N_TURN] = 0.5 * step_s * east, 0.5 * step_s * north
 
     def set_acceleration_noise(self, length_s: float, horizontal: float, vertical: float) -> None:
-        """Set the noise of a step in which white acceleration of the given densities (m^2/s^3) acts."""
+        """Write Q of white acceleration, eq. (6), with densities in m^2/s^3."""
         q, half, third = self._q, 0.5 * length_s * length_s, length_s * length_s * length_s / 3.0
         q[_E_E] = q[_N_N] = horizontal * third
         q[_E_VE] = q[_VE_E] = q[_N_VN] = q[_VN_N] = horizontal * half
@@ -134,11 +111,11 @@ class Transition:
         q[_VU_VU] = vertical * length_s
 
     def set_gauss_markov(self, length_s: float, times_s: Sequence[float], sigmas: Sequence[float]) -> None:
-        """Let the ten states from the wind on, first-order Gauss-Markov processes, fade towards zero over a step of a length.
+        """Write F and Q of the ten first-order Gauss-Markov components, from the wind on, eq. (7).
 
-        `times_s` are the correlation times of wind, errors of air data, barometric height, reports and stamps, and turn rate.
-        `sigmas` are the standard deviations of wind (each of both), errors of airspeed, heading, barometric height, reports
-        (horizontally, vertically) and stamps, and turn rate.
+        `times_s` are the correlation times of wind, air data errors, barometric height, reports, time stamps, and turn rate.
+        `sigmas` are the steady-state sigmas of wind, errors of airspeed, heading, barometric height, reports (horizontal,
+        vertical), time stamps, and turn rate.
         """
         exp, f, q = math.exp, self._f, self._q
         wind_s, air_s, baro_s, report_s, stamp_s, turn_s = times_s
@@ -161,3 +138,42 @@ class Transition:
         f[_STAMP], q[_STAMP] = decay, stamp * stamp * (1.0 - decay * decay)
         decay = exp(-length_s / turn_s)
         f[_TURN], q[_TURN] = decay, turn * turn * (1.0 - decay * decay)
+
+
+class RangeEnd(NamedTuple):
+    """One end of a range: its slice of the joint state, position (m) by eq. (10), velocity (m/s), time-stamp offset (s).
+
+    A static anchor has neither velocity nor time-stamp offset.
+    """
+
+    vehicle: int
+    where: slice
+    position: Vector3
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    time_stamp_offset_s: float | None = None
+
+
+def range_jacobian(size: int, a: RangeEnd, b: RangeEnd, unit: Vector3) -> FloatArray:
+    """Return the Jacobian (4, size) of the vector from `b` to `a`: along a unit vector, then its east, north and up parts."""
+    G = np.zeros((4, size))
+    flat = cast("memoryview[float]", G.reshape(-1).data)
+    _write_position(flat, size, a, unit, 1.0)
+    _write_position(flat, size, b, unit, -1.0)
+    return G
+
+
+def _write_position(g: memoryview[float], n: int, end: RangeEnd, unit: Vector3, sign: float) -> None:
+    """Write sign times the Jacobian of eq. (10) into four flat rows of n: along `unit`, east, north, up."""
+    e, offset_s = end.where.start, end.time_stamp_offset_s
+    ux, uy, uz = unit
+    g[e], g[e + 1], g[e + 2] = sign * ux, sign * uy, sign * uz
+    g[n + e] = g[2 * n + e + 1] = g[3 * n + e + 2] = sign
+    if offset_s is None:
+        return
+    offset_s *= -sign
+    v, s = e + VELOCITY.start, e + TIME_STAMP_OFFSET
+    g[v], g[v + 1], g[v + 2] = offset_s * ux, offset_s * uy, offset_s * uz
+    g[n + v] = g[2 * n + v + 1] = g[3 * n + v + 2] = offset_s
+    ve, vn, vu = end.velocity
+    g[s] = -sign * (ux * ve + uy * vn + uz * vu)
+    g[n + s], g[2 * n + s], g[3 * n + s] = -sign * ve, -sign * vn, -sign * vu

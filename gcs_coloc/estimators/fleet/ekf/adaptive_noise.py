@@ -1,27 +1,38 @@
-"""How much of a stream's error is white and how much is slow, told from the stream itself.
+"""Adaptive noise: the coloured/white split of a stream's error, and the manoeuvre detector that inflates process noise.
 
 A receiver states how large its error is, never how it is spread over time. White noise of the stated size makes each report
-differ from the smooth curve through its predecessors; the error of a navigation filter's output, or of a receiver's fix, hardly
-does, for it drifts over minutes. So: what the reports are seen to scatter is white, the rest of what was stated is slow. To
-take slow error for white makes a filter overconfident within seconds; so whiteness has to be proven, and manoeuvres count
-against it.
+differ from the smooth curve through its predecessors; the error of a navigation filter's output hardly does, it drifts over
+minutes. So the observed scatter is white, the rest of the stated variance coloured, eq. (16). Coloured error taken for white
+makes a filter overconfident within seconds; so whiteness has to be proven, and manoeuvres count against it.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from operator import attrgetter
 
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
 
-_FADE = 1.0 - 1.0 / 1000.0
+_DECAY = 1.0 - 1.0 / 1000.0
+"""Chosen: the split follows a change of the noise over 1000 samples."""
 _PROOF_SAMPLES = 20.0
+"""Chosen: with so many samples half of the observed scatter counts as proven white."""
 _LONGEST_GAP_S = 2.0
+"""Chosen: over longer gaps a manoeuvre cannot be told from noise."""
 _JERK_MPS3 = 3.0
+"""Chosen: jerk of usual flight; what it bends the track within four samples does not count as noise."""
 _MOST_SIGMAS = 4.0
+"""Chosen: one outlier counts as no more than this many stated sigmas."""
 _WELL_KNOWN = 0.25
+"""Chosen: relative standard error of the white variance from which on it is used at its upper bound."""
 _LEAST_REST = 0.01
+"""Chosen: share of the stated variance that remains when the uncertain time explains all of it."""
+_LEAST_WHITE_SHARE = 0.05
+"""Chosen: least white sigma as a share of the stated one, which keeps S positive definite."""
 _OVERLAP = 2.3
-"""How much more the variance of third differences scatters than that of independent values: sum of squared correlations."""
+"""Sum of the squared correlations of third differences (1, 15/20, 6/20, 1/20, both signs): their variance scatters more."""
 
 _NOTHING_SEEN = (0.0, 0.0)
 
@@ -29,7 +40,7 @@ Values = tuple[float, ...]
 
 
 def without_time_error(m: PositionMeasurement | RangeMeasurement) -> tuple[float, float]:
-    """Return the sigmas (horizontal, vertical; of a range twice the same) in m without what the uncertain time adds to them."""
+    """Return the sigmas (horizontal, vertical; of a range both the same) in m without the part of the uncertain time."""
     if isinstance(m, RangeMeasurement):
         sigma_m = _less(m.sigma_m, m.time_sigma_m if m.clock_of is not None else 0.0)
         return sigma_m, sigma_m
@@ -42,10 +53,9 @@ def _less(sigma_m: float, part_m: float) -> float:
 
 
 class NoiseSplit:
-    """Estimates the variance of the white part of one stream of values that are measured together. Never changes: `updated` tells
-    what is known with one report more.
+    """Coloured/white split of the noise of one stream of values measured together, eq. (16). Immutable.
 
-    The values may be of several groups, horizontal and vertical ones: their noise is told apart, one variance for each group.
+    The values may be of several groups (horizontal, vertical), each with a variance of its own.
     """
 
     __slots__ = ("_history", "_seen")
@@ -57,14 +67,14 @@ class NoiseSplit:
         self._seen = seen
 
     def updated(self, at_s: float, groups: tuple[Values, ...], sigmas_m: Values) -> NoiseSplit:
-        """Return what is known with one more report (metres, by groups) of these stated sigmas; times must not decrease."""
+        """Return the split after one more sample: values in m by groups, stated sigmas by group; times must not decrease."""
         history, seen = self._history, self._seen
         if history and not 0.0 < at_s - history[-1][0] <= _LONGEST_GAP_S:
             history = ()
         if len(history) < 3:
             return NoiseSplit((*history, (at_s, groups)), seen)
         (ta, a), (tb, b), (tc, c) = history
-        # The parabola through the last three reports, carried on to this one.
+        # The parabola through the last three samples, extrapolated to this one.
         wa = (at_s - tb) * (at_s - tc) / ((ta - tb) * (ta - tc))
         wb = (at_s - ta) * (at_s - tc) / ((tb - ta) * (tb - tc))
         wc = (at_s - ta) * (at_s - tb) / ((tc - ta) * (tc - tb))
@@ -76,31 +86,93 @@ class NoiseSplit:
             sum_m2, weight = seen[i] if seen else _NOTHING_SEEN
             most_m2 = (_MOST_SIGMAS * sigma_m) ** 2
             for z, za, zb, zc in zip(groups[i], a[i], b[i], c[i], strict=True):
-                miss_m = z - wa * za - wb * zb - wc * zc
-                square_m2 = (miss_m * miss_m - bend_m2) / gain
+                residual_m = z - wa * za - wb * zb - wc * zc
+                square_m2 = (residual_m * residual_m - bend_m2) / gain
                 sum_m2 += square_m2 if square_m2 < most_m2 else most_m2
                 weight += 1.0
-            now.append((sum_m2 * _FADE, weight * _FADE))
+            now.append((sum_m2 * _DECAY, weight * _DECAY))
         return NoiseSplit((history[1], history[2], (at_s, groups)), tuple(now))
 
-    def split(self, group: int, sigma_m: float, least_slow_share: float) -> tuple[float, float]:
-        """Return the sigmas (white, slow) in metres of a report with the stated sigma of one group."""
+    def split(self, group: int, sigma_m: float, min_coloured_share: float) -> tuple[float, float]:
+        """Return the sigmas (white, coloured) in m of a sample with the stated sigma of one group."""
         sum_m2, weight = self._seen[group] if self._seen else _NOTHING_SEEN
         seen_m2 = max(sum_m2, 0.0)
         least_m2 = seen_m2 / (weight + _PROOF_SAMPLES)
-        # Before there is proof each part may be as large as all that is stated.
+        # Without proof each part may be as large as the whole.
         most_m2 = (seen_m2 + _PROOF_SAMPLES * sigma_m * sigma_m) / (weight + _PROOF_SAMPLES)
-        # Once that variance is well known, a stream that may well be white (two standard errors) is taken for white.
+        # Once the white variance is well known, its upper bound (two standard errors) counts as white.
         error = math.sqrt(2.0 * _OVERLAP / max(weight, 1.0))
         likely_m2 = least_m2 * (1.0 + 2.0 * error) if error < _WELL_KNOWN else least_m2
-        slow_m2 = max(sigma_m * sigma_m - likely_m2, (least_slow_share * sigma_m) ** 2)
-        return math.sqrt(max(most_m2, (0.05 * sigma_m) ** 2)), math.sqrt(slow_m2)
+        coloured_m2 = max(sigma_m * sigma_m - likely_m2, (min_coloured_share * sigma_m) ** 2)
+        return math.sqrt(max(most_m2, (_LEAST_WHITE_SHARE * sigma_m) ** 2)), math.sqrt(coloured_m2)
 
     def lower_bound_m(self, group: int) -> float:
-        """Return by how much one group is seen to scatter at the least (1-sigma in metres, less two standard errors)."""
+        """Return the lower bound of the white sigma of one group, m: the observed one less two standard errors."""
         sum_m2, weight = self._seen[group] if self._seen else _NOTHING_SEEN
         error = math.sqrt(2.0 * _OVERLAP / max(weight, 1.0))
         return math.sqrt(max(sum_m2, 0.0) / ((weight + _PROOF_SAMPLES) * (1.0 + 2.0 * error)))
 
 
 NO_SAMPLES = NoiseSplit()
+"""The split of a stream without samples."""
+
+
+@dataclass(slots=True)
+class ManoeuvreDetector:
+    """Manoeuvre detector: compares the velocity corrections made with their predicted covariance, eq. (9).
+
+    Under a right model the corrections are white with a known covariance. Their exponentially decaying sum c then has the
+    decaying sum C as its covariance, and c' C^-1 c / 2 has mean 1. An unmodelled turn makes it large within a second or two.
+    Compare Bar-Shalom, Li, Kirubarajan 2001, section 11.2 (adjustable level process noise, fading-memory NIS).
+    """
+
+    c_e: float = 0.0
+    c_n: float = 0.0
+    C_ee: float = 0.0
+    C_en: float = 0.0
+    C_nn: float = 0.0
+    c_u: float = 0.0
+    C_uu: float = 0.0
+    at_s: float = -math.inf
+
+    def update(
+        self, at_s: float, memory_s: float, we: Sequence[float], wn: Sequence[float], wu: Sequence[float], e: Sequence[float]
+    ) -> None:
+        """Decay to a time, then add the velocity corrections (we, wn, wu) e of the whitened innovations e."""
+        f = math.exp(-(at_s - self.at_s) / memory_s) if at_s > self.at_s else 1.0
+        g = f * f
+        c_e, c_n, c_u = self.c_e * f, self.c_n * f, self.c_u * f
+        C_ee, C_en, C_nn, C_uu = self.C_ee * g, self.C_en * g, self.C_nn * g, self.C_uu * g
+        for east, north, up, innovation in zip(we, wn, wu, e, strict=True):
+            c_e += east * innovation
+            c_n += north * innovation
+            c_u += up * innovation
+            C_ee += east * east
+            C_en += east * north
+            C_nn += north * north
+            C_uu += up * up
+        self.c_e, self.c_n, self.c_u = c_e, c_n, c_u
+        self.C_ee, self.C_en, self.C_nn, self.C_uu = C_ee, C_en, C_nn, C_uu
+        self.at_s = max(at_s, self.at_s)
+
+    def gains(self) -> tuple[float, float]:
+        """Return the process noise gains (horizontal, vertical), at least 1, eq. (9).
+
+        They are the squares of c' C^-1 c / 2 and of c^2 / C (a third of it), 1 in steady flight and without data.
+        """
+        c_e, c_n, C_ee, C_en, C_nn = self.c_e, self.c_n, self.C_ee, self.C_en, self.C_nn
+        det = C_ee * C_nn - C_en * C_en
+        if det > 1e-9 * C_ee * C_nn and det >= 1e-300:
+            ratio = 0.5 * (C_nn * c_e * c_e - 2.0 * C_en * c_e * c_n + C_ee * c_n * c_n) / det
+        else:
+            trace = C_ee + C_nn
+            ratio = (c_e * c_e + c_n * c_n) / trace if trace > 1e-150 else 1.0
+        ratio_v = self.c_u * self.c_u / self.C_uu if self.C_uu > 1e-150 else 1.0
+        return max(ratio * ratio, 1.0), max(ratio_v * ratio_v / 3.0, 1.0)
+
+    def copy(self) -> ManoeuvreDetector:
+        """Return an independent copy."""
+        return ManoeuvreDetector(*_DETECTOR_FIELDS(self))
+
+
+_DETECTOR_FIELDS = attrgetter(*(one.name for one in fields(ManoeuvreDetector)))

@@ -1,9 +1,8 @@
-"""One Gaussian over the states of several vehicles, each at its own time.
+"""The joint state of several vehicles: what its components are, and the Gaussian density over them.
 
-Vehicles are disturbed independently of each other, so the joint density may hold every vehicle at a different time: to bring one
-vehicle forward touches its own rows and columns only, and a measurement between two vehicles that corrects a third one through
-their correlation corrects it at that third one's own (earlier) time, exactly. A measurement therefore costs one or two small
-propagations and one rank-k update, whatever the number of vehicles.
+Each vehicle's block holds at the vehicle's own time. Vehicles are disturbed independently of each other, so propagating one
+touches its own rows and columns only, and a measurement between two vehicles corrects a third one through their correlation
+at that one's own, earlier time, exactly. A measurement costs one or two small propagations and one rank-k update.
 """
 
 from __future__ import annotations
@@ -16,32 +15,60 @@ from scipy.linalg import blas, lapack
 
 from gcs_coloc.core.measurements import FloatArray
 
+# Components of one vehicle's block, eq. (1) of docs/explanation/fleet-filter.md. A static anchor's block is its position alone.
+POSITION = slice(0, 3)
+"""Position p east, north, up, m; integrates the velocity, eq. (4). It holds by the vehicle's own clock, eq. (10)."""
+VELOCITY = slice(3, 6)
+"""Velocity v over ground east, north, up, m/s; turns at a rate and is disturbed by white acceleration, eq. (3) and (6)."""
+WIND = slice(6, 8)
+"""Horizontal wind w east, north, m/s; Gauss-Markov, eq. (7), as are all components below."""
+AIRSPEED_ERROR = 8
+"""Error b_V of the airspeed, m/s."""
+HEADING_ERROR = 9
+"""Error b_psi of the heading, rad."""
+BARO_ERROR = 10
+"""Error b_h of the barometric height, m."""
+REPORT_ERROR = slice(11, 14)
+"""Error b_p of the position reports east, north, up, m."""
+TIME_STAMP_OFFSET = 14
+"""Offset tau of the vehicle's time stamps, s: what it reports was measured this much later than its stamp says."""
+TURN = 15
+"""Turn rate omega, rad/s, clockwise."""
+SIZE = 16
+"""Number of components of a moving vehicle."""
+
 Key = Hashable
+"""Key of a block: a vehicle's system id, or `pair_key` for the two range errors of a ranging pair."""
+
+
+def pair_key(a: int, b: int, device: int) -> tuple[int, int, int]:
+    """Return the key of the block of a ranging pair's bias b and coloured error c, eq. (14), the same for both directions."""
+    return (a, b, device) if a < b else (b, a, device)
 
 
 class Whitened(NamedTuple):
-    """A measurement of k values brought to innovations of unit variance and independent of each other.
+    """A measurement of k values whose innovations are whitened: independent, of unit variance, eq. (19).
 
-    `W` (1 + n, k) holds their covariances with the states from row 1 on, and less these innovations in row 0: what
-    `JointState.correct` takes. `nis` is the sum of their squares, the normalised innovation squared.
+    `W` (1 + n, k) is what `JointState.correct` needs: minus the whitened innovations in row 0, below them their covariances
+    with the states. `nis` is the normalised innovation squared, nu' S^-1 nu.
     """
 
     W: FloatArray
     nis: float
 
     def innovations(self) -> list[float]:
-        """The k innovations of unit variance."""
+        """The k whitened innovations."""
         return [-e for e in self.W[0].tolist()]
 
 
 def whiten(HA: FloatArray, S: FloatArray) -> Whitened:
-    """Return k measured values whitened by the covariance S (k, k) of their innovations.
+    """Whiten k measured values by their innovation covariance S (k, k), eq. (19).
 
-    HA (k, 1 + n) holds their covariances with all states, and in column 0 what was expected less what was measured.
+    HA (k, 1 + n) holds minus the innovation in column 0, then the covariances H P of the prediction with all states.
     """
     root, info = lapack.dpotrf(S.T, lower=1, clean=1)
     assert info == 0, "an innovation covariance holds measurement noise and is positive definite"
-    # For so few values the inverse of the root is quicker than to solve with it.
+    # For so few values the inverse of the root is quicker than solving with it.
     inverse, _ = lapack.dtrtri(root, lower=1)
     W = blas.dgemm(1.0, HA.T, inverse, trans_b=1)
     e = W[0]
@@ -51,12 +78,12 @@ def whiten(HA: FloatArray, S: FloatArray) -> Whitened:
 class JointState:
     """Mean and covariance of n states in named blocks, in one array.
 
-    `A` (1 + n, 1 + n) is the covariance with the mean before it: in row 0, and the same in column 0; its corner means nothing.
-    So one product gives the covariances of a combination of states with all of them and its mean, and one rank-k update
-    corrects covariance and mean. It is symmetric to the last bit where the BLAS computes both halves in the same way, else
-    to rounding, which does not grow: whatever brings a block forward makes it symmetric.
+    `A` (1 + n, 1 + n) is the covariance, with the mean before it in row 0 and column 0; A[0, 0] means nothing. So one product
+    gives the mean of a combination of states and its covariances with all of them, and one rank-k update corrects both.
+    It is symmetric to the last bit where the BLAS computes both halves alike, else to rounding that does not grow: each
+    propagation makes its block symmetric.
 
-    `where` maps each block's key to where it lies in `A`, `time_s` to the time at which its states hold.
+    `where` is the slice of each block in `A`, `time_s` the time at which its states hold.
     """
 
     __slots__ = ("A", "time_s", "where")
@@ -84,7 +111,7 @@ class JointState:
         return self.A[where, where]
 
     def augment(self, key: Key, mean: FloatArray, covariance: FloatArray, at_s: float) -> None:
-        """Append a block that is independent of all others: mean (m,), covariance (m, m), at its time."""
+        """Augment by a block that is independent of all others: mean (m,), covariance (m, m), at its time."""
         n, m = len(self.A), len(mean)
         self._extend(m)
         self.A[0, n:] = self.A[n:, 0] = mean
@@ -92,7 +119,7 @@ class JointState:
         self.where[key], self.time_s[key] = slice(n, n + m), at_s
 
     def marginalise(self, keys: list[Key]) -> JointState:
-        """Return the marginal density of some blocks, in the order given."""
+        """Marginalise: return the density of some blocks, in the order given."""
         other = JointState()
         index = [0]
         for key in keys:
@@ -103,7 +130,7 @@ class JointState:
         return other
 
     def augment_with(self, other: JointState) -> None:
-        """Take in the blocks of another density, independent of this one."""
+        """Augment by the blocks of another density, independent of this one."""
         n = len(self.A)
         self._extend(len(other.A) - 1)
         self.A[0, n:] = self.A[n:, 0] = other.A[0, 1:]
@@ -119,9 +146,9 @@ class JointState:
         self.A = A
 
     def propagate(self, key: Key, mean: tuple[float, ...], F: FloatArray, Q: FloatArray, at_s: float) -> None:
-        """Bring one block to time `at_s`: the Jacobian F (m, m) of the way, its noise Q (m, m), and the mean there.
+        """Propagate one block to `at_s`: P = F P F' + Q with F and Q (m, m), and the given mean.
 
-        `mean` may be shorter than m: the rest goes by F.
+        `mean` may be shorter than m: F propagates the rest.
         """
         A, where = self.A, self.where[key]
         columns = blas.dgemm(1.0, A[where].T, F.T)
@@ -134,40 +161,40 @@ class JointState:
         self.time_s[key] = at_s
 
     def predict_block_measurement(self, key: Key, H: FloatArray) -> FloatArray:
-        """Return (k, 1 + n): the mean, then the covariances with all states, of the combinations H (k, m) of a block's states."""
+        """Return (k, 1 + n), the mean H x and the covariances H P with all states, for H (k, m) on one block."""
         HA: FloatArray = blas.dgemm(1.0, self.A[self.where[key]].T, H.T).T
         return HA
 
-    def predict_measurement(self, G: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what is expected of the combinations G (k, 1 + n) of all states, column 0 of it zero.
+    def predict_measurement(self, H: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return (k, 1 + n), the mean H x and the covariances H P with all states, and H P H' (k, k).
 
-        That is their mean and their covariances with all states, (k, 1 + n), and those among themselves, (k, k).
+        H (k, 1 + n) is the Jacobian by all states; its column 0 is zero.
         """
-        columns = blas.dgemm(1.0, self.A.T, G.T)
-        return columns.T, blas.dgemm(1.0, columns, G.T, trans_a=1)
+        columns = blas.dgemm(1.0, self.A.T, H.T)
+        return columns.T, blas.dgemm(1.0, columns, H.T, trans_a=1)
 
     def correct(self, W: FloatArray) -> None:
-        """Take whitened measurements, W (1 + n, k) of `Whitened`: the covariance is reduced by W W', which keeps it symmetric."""
+        """Correct with whitened measurements, W (1 + n, k) of `Whitened`: A = A - W W', eq. (19), which keeps it symmetric."""
         blas.dgemm(-1.0, W, W, beta=1.0, c=self.A.T, trans_b=1, overwrite_c=1)
 
     def correct_scalar(self, hA: FloatArray, variance: float) -> FloatArray:
-        """Take one measured value, hA (1 + n,) as a row of `whiten`, with its innovation's variance; return W (1 + n, 1)."""
+        """Correct with one value, hA (1 + n,) as a row of `whiten`, and its innovation's variance; return W (1 + n, 1)."""
         W: FloatArray = (hA * (1.0 / variance**0.5))[:, np.newaxis]
         self.correct(W)
         return W
 
     def scale(self, first: int, stop: int, factor: float) -> None:
-        """Scale neighbouring states, mean and covariances, by one factor."""
+        """Scale the states from `first` to before `stop`, mean and covariances, by one factor."""
         rows, columns = self.A[first:stop], self.A[:, first:stop]
         rows *= factor
         columns *= factor
 
     def decay(self, key: Key, decays: tuple[float, float], sigmas: tuple[float, float]) -> None:
-        """Let a block of two first-order Gauss-Markov states fade by their factors towards zero, with their spreads `sigmas`."""
+        """Propagate a block of two Gauss-Markov states, eq. (7), by their decay factors and steady-state sigmas."""
         A, i, (di, dj), (si, sj) = self.A, self.where[key].start, decays, sigmas
         j = i + 1
         variance_i, covariance, variance_j = A.item(i, i), A.item(i, j), A.item(j, j)
-        # One by one: to scale and to write both at once takes twice the time.
+        # One by one: scaling and writing both at once takes twice the time.
         for k, decay in ((i, di), (j, dj)):
             row = A[k]
             row *= decay

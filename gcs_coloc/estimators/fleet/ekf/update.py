@@ -1,12 +1,11 @@
-"""How the measurements that a vehicle makes of itself correct the joint state of its cluster: reports, heights, attitude.
+"""The measurement update: propagate to the time of a measurement, linearise, gate, correct.
 
-Each is taken at its own time, to which the vehicle is brought.
+Gate: eq. (17). Huber weight: eq. (18). Correction: eq. (19).
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,80 +15,30 @@ from gcs_coloc.core.measurements import (
     FloatArray,
     PositionMeasurement,
     RangeMeasurement,
-    Vector3,
 )
 from gcs_coloc.core.telemetry.air_data import LEAST_AIRSPEED_MPS
-from gcs_coloc.estimators.fleet.ekf._kernels import (
-    AIRSPEED_ERROR,
-    BARO_ERROR,
-    HEADING_ERROR,
-    REPORT_ERROR,
-    SIZE,
-    STAMP_ERROR,
-    STEEPEST_BANK_RAD,
-    VELOCITY,
-    WIND,
-)
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import without_time_error
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, altitude, position_report, slant_range
+from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
+from gcs_coloc.estimators.fleet.ekf.process_model import STEEPEST_BANK_RAD
 from gcs_coloc.estimators.fleet.ekf.records import OwnMeasurement, VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.state import whiten
+from gcs_coloc.estimators.fleet.ekf.state import BARO_ERROR, REPORT_ERROR, TIME_STAMP_OFFSET, Key, whiten
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
-_REPORT_VELOCITY_TIME_S = 1.0
 _HARDEST_MPS2 = 20.0
-_WELL_KNOWN_SHARE = 0.25
+"""Chosen: 2 g, the hardest manoeuvre that a position report outside the gate is explained by."""
 _REPORT_ERROR_H = slice(REPORT_ERROR.start, REPORT_ERROR.start + 2)
 _REPORT_ERROR_V = slice(REPORT_ERROR.start + 2, REPORT_ERROR.stop)
 _BARO = slice(BARO_ERROR, BARO_ERROR + 1)
-_STAMP = slice(STAMP_ERROR, STAMP_ERROR + 1)
-_AIR = ((3, 6), (4, 7))
-"""Velocity over ground and wind, east and north."""
-# What a report tells: position with its error in the first three rows, velocity in the rest.
-_REPORTED = np.eye(6, SIZE)
-_REPORTED[range(3), range(REPORT_ERROR.start, REPORT_ERROR.stop)] = 1.0
-
-
-class UpdateResult(NamedTuple):
-    """What became of a measurement: `used` or not and why, with the innovation where there was one to judge.
-
-    `unit`: of a range that was used or refused by the gate, its direction.
-    """
-
-    outcome: str
-    innovation_m: float = 0.0
-    sigma_m: float = 0.0
-    nis: float = 0.0
-    degrees_of_freedom: int = 0
-    unit: Vector3 = (0.0, 0.0, 0.0)
-
-    @property
-    def used(self) -> bool:
-        """Whether the state was corrected."""
-        return self.outcome == USED
-
-
-USED = "used"
+_OFFSET = slice(TIME_STAMP_OFFSET, TIME_STAMP_OFFSET + 1)
 
 Sigmas = tuple[float, float]
 """Horizontal and vertical, m."""
 
 
-def time_stamp_offset_sigma_s(m: PositionMeasurement | RangeMeasurement, s: FleetSettings) -> float:
-    """Return the sigma of the error of the stamps that a measurement is of, s."""
-    return math.hypot(s.stamp_sigma_s, m.time_sigma_s)
-
-
-def split_report_noise(record: VehicleRecord, m: PositionMeasurement, s: FleetSettings) -> tuple[Sigmas, Sigmas]:
-    """Return the white and the slow part of a report's sigmas, each (horizontal, vertical) in m."""
-    sigma_h_m, sigma_v_m = without_time_error(m)
-    white_h_m, slow_h_m = record.report_noise.split(0, sigma_h_m, s.least_slow_share)
-    white_v_m, slow_v_m = record.report_noise.split(1, sigma_v_m, s.least_slow_share)
-    return (white_h_m, white_v_m), (slow_h_m, slow_v_m)
-
-
 def update_own(cluster: Cluster, m: OwnMeasurement) -> UpdateResult:
-    """Correct with what a vehicle of the cluster measured of itself, its error taken apart as its stream has shown."""
+    """Correct with what a vehicle of the cluster measured of itself, its noise split as its stream has shown, eq. (16)."""
     record, s = cluster.records[m.vehicle], cluster.settings
     if isinstance(m, PositionMeasurement):
         return update_position_report(cluster, m, *split_report_noise(record, m, s), time_stamp_offset_sigma_s(m, s))
@@ -98,135 +47,153 @@ def update_own(cluster: Cluster, m: OwnMeasurement) -> UpdateResult:
     return update_air_velocity(cluster, m)
 
 
-def update_time_stamp_sigma(cluster: Cluster, vehicle: int, sigma_s: float) -> None:
-    """Take a new sigma of the error of a vehicle's time stamps."""
-    record = cluster.records[vehicle]
-    if not record.static:
-        record.time_stamp_offset_sigma_s = cluster.change_sigma(vehicle, _STAMP, record.time_stamp_offset_sigma_s, sigma_s)
+def update_position_report(
+    cluster: Cluster, m: PositionMeasurement, white: Sigmas, coloured: Sigmas, offset_sigma_s: float
+) -> UpdateResult:
+    """Correct with a position report, and its velocity where given, eq. (11).
 
-
-def update_position_report(cluster: Cluster, m: PositionMeasurement, white: Sigmas, slow: Sigmas, stamp_s: float) -> UpdateResult:
-    """Correct with a report of position, and velocity where given; sigmas in m are (horizontal, vertical)."""
+    A report outside the gate is tried again with the noise that it states, then with a hard manoeuvre since the last one.
+    """
     record, joint, at_s = cluster.records[m.vehicle], cluster.joint, m.measured_at_s
     since_s = at_s - record.updated_at_s
     cluster.propagate(m.vehicle, at_s)
-    record.report_error_sigma_h_m = cluster.change_sigma(m.vehicle, _REPORT_ERROR_H, record.report_error_sigma_h_m, slow[0])
-    record.report_error_sigma_v_m = cluster.change_sigma(m.vehicle, _REPORT_ERROR_V, record.report_error_sigma_v_m, slow[1])
-    update_time_stamp_sigma(cluster, m.vehicle, stamp_s)
-    reported: tuple[float, ...] = m.position_enu_m
-    white_h_m2, white_v_m2 = white[0] ** 2, white[1] ** 2
-    noise = [white_h_m2, white_h_m2, white_v_m2]
-    if m.velocity_enu_mps is not None and m.sigma_velocity_mps is not None:
-        reported += m.velocity_enu_mps
-        # A navigation filter's velocity error is correlated too: more reports a second do not tell more.
-        thin = max(1.0, _REPORT_VELOCITY_TIME_S / max(at_s - record.velocity_used_at_s, 1e-3))
-        noise += [m.sigma_velocity_mps**2 * thin] * 3
+    record.report_error_sigma_h_m = cluster.change_sigma(m.vehicle, _REPORT_ERROR_H, record.report_error_sigma_h_m, coloured[0])
+    record.report_error_sigma_v_m = cluster.change_sigma(m.vehicle, _REPORT_ERROR_V, record.report_error_sigma_v_m, coloured[1])
+    change_time_stamp_offset_sigma(cluster, m.vehicle, offset_sigma_s)
+    HA, H, where, R = linear = position_report(joint, m, white, at_s - record.velocity_used_at_s)
+    k = len(H)
+    if k > len(m.position_enu_m):
         record.velocity_used_at_s = at_s
-    k, where = len(reported), joint.where[m.vehicle]
-    H = _REPORTED[:k]
-    HA = joint.predict_block_measurement(m.vehicle, H)
-    HA[:, 0] -= reported
-    whitened = whiten(HA, _with_noise(HA[:, where] @ H.T, noise))
-    # Twice the degrees of freedom widen the gate as the chi-square distribution widens.
+    whitened = whiten(HA, linear.innovation_covariance(R))
+    # The gate widens as the standard deviation of the chi-square distribution does.
     limit = cluster.settings.gate_sigma**2 + 2.0 * k
     if whitened.nis > limit:
-        # Noise that was not seen before to be white: as large as the report itself says.
-        noise[:3] = [m.sigma_h_m**2, m.sigma_h_m**2, m.sigma_v_m**2]
-        whitened = whiten(HA, _with_noise(HA[:, where] @ H.T, noise))
+        R[:3] = [m.sigma_h_m**2, m.sigma_h_m**2, m.sigma_v_m**2]
+        whitened = whiten(HA, linear.innovation_covariance(R))
     if whitened.nis > limit:
-        # A hard manoeuvre since the last report explains much: one that began then, at any acceleration a vehicle stands.
-        jolt = _jolt(since_s)
-        HA[:, where.start : where.start + 6] += jolt[:k]
-        whitened = whiten(HA, _with_noise(HA[:, where] @ H.T, noise))
+        manoeuvre = _manoeuvre_covariance(since_s)
+        HA[:, where.start : where.start + 6] += manoeuvre[:k]
+        whitened = whiten(HA, linear.innovation_covariance(R))
         if whitened.nis > limit:
-            return UpdateResult("refused: position report outside the gate", 0.0, 0.0, whitened.nis, k)
-        joint.covariance(m.vehicle)[:6, :6] += jolt
+            return UpdateResult(Outcome.REFUSED_POSITION_GATE, 0.0, 0.0, whitened.nis, k)
+        joint.covariance(m.vehicle)[:6, :6] += manoeuvre
     joint.correct(whitened.W)
     cluster.update_manoeuvre_detector(m.vehicle, whitened.W, whitened.innovations(), at_s)
     record.updated_at_s = at_s
-    return UpdateResult(USED, 0.0, 0.0, whitened.nis, k)
+    return UpdateResult(Outcome.USED, 0.0, 0.0, whitened.nis, k)
 
 
-def _with_noise(S: FloatArray, noise: list[float]) -> FloatArray:
-    """Add the variances (k,) of noise to the diagonal of S (k, k), in place."""
-    diagonal = S.reshape(-1)[:: len(noise) + 1]
-    diagonal += noise
-    return S
-
-
-def _jolt(since_s: float) -> FloatArray:
-    """Return what an unknown constant acceleration since a time ago adds to position and velocity, (6, 6)."""
-    speed = _HARDEST_MPS2 * since_s
-    way = 0.5 * speed * since_s
-    jolt = np.zeros((6, 6))
-    for axis in range(3):
-        jolt[axis, axis] = way * way
-        jolt[axis, axis + 3] = jolt[axis + 3, axis] = way * speed
-        jolt[axis + 3, axis + 3] = speed * speed
-    return jolt
-
-
-def update_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, slow_m: float) -> UpdateResult:
-    """Correct with a barometric height whose error is partly white, partly slow."""
+def update_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, coloured_m: float) -> UpdateResult:
+    """Correct with a barometric height, eq. (12), its noise inflated outside the gate: a barometer drifts, it does not jump."""
     record, joint = cluster.records[m.vehicle], cluster.joint
-    start = joint.where[m.vehicle].start
-    b = start + BARO_ERROR
-    record.baro_error_sigma_m = cluster.change_sigma(m.vehicle, _BARO, record.baro_error_sigma_m, slow_m)
+    record.baro_error_sigma_m = cluster.change_sigma(m.vehicle, _BARO, record.baro_error_sigma_m, coloured_m)
     cluster.propagate(m.vehicle, m.measured_at_s)
-    hA = joint.A[start + 2] + joint.A[b]
-    variance = hA.item(start + 2) + hA.item(b) + white_m * white_m
-    innovation = m.up_m - hA.item(0)
-    hA[0] = -innovation
+    hA, innovation, variance = altitude(joint, m, white_m)
     nis = innovation * innovation / variance
     if nis > cluster.settings.gate_sigma**2:
-        # The barometer is the vehicle's own and drifts, it does not jump: believe it less, but do not lose it.
         variance += innovation * innovation
     W = joint.correct_scalar(hA, variance)
     sigma_m = math.sqrt(variance)
     cluster.update_manoeuvre_detector(m.vehicle, W, (innovation / sigma_m,), m.measured_at_s)
-    return UpdateResult(USED, innovation, sigma_m, nis, 1)
+    return UpdateResult(Outcome.USED, innovation, sigma_m, nis, 1)
 
 
 def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResult:
-    """Turn with the bank angle from now on, and correct with the air velocity: ground velocity less wind."""
+    """Turn with the bank angle from now on, and correct with airspeed and heading, eq. (13), inflated outside the gate."""
     s, record, joint = cluster.settings, cluster.records[m.vehicle], cluster.joint
     if m.airspeed_mps is None or m.airspeed_mps < LEAST_AIRSPEED_MPS or abs(m.roll_rad) > STEEPEST_BANK_RAD:
         record.attitude = None
-        return UpdateResult("no airspeed beside the attitude")
+        return UpdateResult(Outcome.KEPT_NO_AIRSPEED)
     cluster.propagate(m.vehicle, m.measured_at_s)
     since_s = m.measured_at_s - record.attitude.measured_at_s if record.attitude is not None else s.air_noise_time_s
     record.attitude = m
-    where = joint.where[m.vehicle]
-    V = m.airspeed_mps * math.cos(m.pitch_rad)
-    x, P = joint.mean(m.vehicle).tolist(), joint.covariance(m.vehicle)
-    ve, vn = x[3] - x[6], x[4] - x[7]
-    speed = math.hypot(ve, vn)
-    spread = sum(P.item(v, v) - 2.0 * P.item(v, w) + P.item(w, w) for v, w in _AIR)
-    if spread < (_WELL_KNOWN_SHARE * V) ** 2 and speed > 0.5 * V:
-        # Linearised where the state is: along a noisy measured heading the gain and the innovation would share their
-        # noise, and slowly shift wind against airspeed error.
-        se, sn = ve / speed, vn / speed
-        off = math.remainder(m.yaw_rad - math.atan2(ve, vn), 2.0 * math.pi)
-        misses = (V - speed, speed * off)
-    else:
-        se, sn, speed = math.sin(m.yaw_rad), math.cos(m.yaw_rad), V
-        misses = (V - se * ve - sn * vn, se * vn - sn * ve)
-    # Rows: along the nose (airspeed), across it (heading).
-    H = np.zeros((2, SIZE))
-    H[0, VELOCITY.start : WIND.stop] = (se, sn, 0.0, -se, -sn)
-    H[1, VELOCITY.start : WIND.stop] = (sn, -se, 0.0, -sn, se)
-    H[0, AIRSPEED_ERROR], H[1, HEADING_ERROR] = 1.0, speed
-    HA = joint.predict_block_measurement(m.vehicle, H)
-    HA[:, 0] = (x[AIRSPEED_ERROR] - misses[0], speed * x[HEADING_ERROR] - misses[1])
-    noise = s.air_noise_mps**2 * max(1.0, s.air_noise_time_s / max(since_s, 1e-3))
-    S = _with_noise(HA[:, where] @ H.T, [noise, noise])
-    whitened = whiten(HA, S)
+    linear = air_velocity(joint, m, m.airspeed_mps, since_s, s)
+    S = linear.innovation_covariance(linear.R)
+    whitened = whiten(linear.HA, S)
     nis = whitened.nis
     excess = nis / s.gate_sigma**2
     if excess > 1.0:
         S[0, 0] += (excess - 1.0) * S[0, 0]
         S[1, 1] += (excess - 1.0) * S[1, 1]
-        whitened = whiten(HA, S)
+        whitened = whiten(linear.HA, S)
     joint.correct(whitened.W)
     cluster.update_manoeuvre_detector(m.vehicle, whitened.W, whitened.innovations(), m.measured_at_s)
-    return UpdateResult(USED, 0.0, 0.0, nis, 2)
+    return UpdateResult(Outcome.USED, 0.0, 0.0, nis, 2)
+
+
+def update_range(cluster: Cluster, pair: Key, m: RangeMeasurement, white_m: float, coloured_m: float) -> UpdateResult:
+    """Correct with a slant range between two vehicles of the cluster, eq. (14) and (15).
+
+    `pair` is the `pair_key` of its bias and coloured error, whose steady-state sigma is `coloured_m`; `white_m` is the sigma of
+    the range itself. Since an inflation of the covariance of one end its noise is inflated too.
+    """
+    s, joint, at_s = cluster.settings, cluster.joint, m.measured_at_s
+    cluster.propagate(m.from_vehicle, at_s)
+    cluster.propagate(m.to_vehicle, at_s)
+    index = _propagate_pair(cluster, pair, at_s, coloured_m)
+    ends = cluster.range_end(m.from_vehicle), cluster.range_end(m.to_vehicle)
+    records = cluster.records
+    inflation_m2 = max(records[m.from_vehicle].range_noise_inflation_m2, records[m.to_vehicle].range_noise_inflation_m2)
+    linear = slant_range(joint, ends, index, m, white_m * white_m + inflation_m2, s.stamp_sigma_s)
+    if linear is None:
+        return UpdateResult(Outcome.REFUSED_SAME_PLACE)
+    hA, innovation, variance, unit = linear
+    nis = innovation * innovation / variance
+    sigma = math.sqrt(variance)
+    if nis > s.gate_sigma**2:
+        return UpdateResult(Outcome.REFUSED_RANGE_GATE, innovation, sigma, nis, 1, unit)
+    if nis > s.doubt_sigma**2:
+        variance *= math.sqrt(nis) / s.doubt_sigma
+    W = joint.correct_scalar(hA, variance)
+    whitened = (innovation / math.sqrt(variance),)
+    cluster.update_manoeuvre_detector(m.from_vehicle, W, whitened, at_s)
+    cluster.update_manoeuvre_detector(m.to_vehicle, W, whitened, at_s)
+    return UpdateResult(Outcome.USED, innovation, sigma, nis, 1, unit)
+
+
+def time_stamp_offset_sigma_s(m: PositionMeasurement | RangeMeasurement, s: FleetSettings) -> float:
+    """Return the sigma of the time-stamp offset that a measurement states, s."""
+    return math.hypot(s.stamp_sigma_s, m.time_sigma_s)
+
+
+def split_report_noise(record: VehicleRecord, m: PositionMeasurement, s: FleetSettings) -> tuple[Sigmas, Sigmas]:
+    """Return the white and the coloured sigmas of a position report, each (horizontal, vertical) in m, eq. (16)."""
+    sigma_h_m, sigma_v_m = without_time_error(m)
+    white_h_m, coloured_h_m = record.report_noise.split(0, sigma_h_m, s.least_slow_share)
+    white_v_m, coloured_v_m = record.report_noise.split(1, sigma_v_m, s.least_slow_share)
+    return (white_h_m, white_v_m), (coloured_h_m, coloured_v_m)
+
+
+def change_time_stamp_offset_sigma(cluster: Cluster, vehicle: int, sigma_s: float) -> None:
+    """Change the sigma of a vehicle's time-stamp offset."""
+    record = cluster.records[vehicle]
+    if not record.static:
+        record.time_stamp_offset_sigma_s = cluster.change_sigma(vehicle, _OFFSET, record.time_stamp_offset_sigma_s, sigma_s)
+
+
+def _manoeuvre_covariance(since_s: float) -> FloatArray:
+    """Return what an unknown constant acceleration since a time ago adds to position and velocity, (6, 6), eq. (20)."""
+    speed = _HARDEST_MPS2 * since_s
+    way = 0.5 * speed * since_s
+    covariance = np.zeros((6, 6))
+    for axis in range(3):
+        covariance[axis, axis] = way * way
+        covariance[axis, axis + 3] = covariance[axis + 3, axis] = way * speed
+        covariance[axis + 3, axis + 3] = speed * speed
+    return covariance
+
+
+def _propagate_pair(cluster: Cluster, pair: Key, at_s: float, coloured_m: float) -> int:
+    """Propagate a pair's range errors (bias, coloured) to the time of a range, eq. (7); return the index of the first."""
+    s, joint = cluster.settings, cluster.joint
+    sigmas = (s.range_bias_sigma_m, coloured_m)
+    if pair not in joint.where:
+        joint.augment(pair, np.zeros(2), np.diag(np.square(sigmas)), at_s)
+        return len(joint.A) - len(sigmas)
+    index: int = joint.where[pair].start
+    step_s = at_s - joint.time_s[pair]
+    if step_s > 0.0:
+        decays = (math.exp(-step_s / s.range_bias_time_s), math.exp(-step_s / s.range_slow_time_s))
+        joint.decay(pair, decays, sigmas)
+        joint.time_s[pair] = at_s
+    return index

@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from gcs_coloc.estimators.fleet.ekf._kernels import SIZE, TURN, Transition, turn_rate_radps
+from gcs_coloc.estimators.fleet.ekf._kernels import Transition
+from gcs_coloc.estimators.fleet.ekf.process_model import turn_rate_radps
+from gcs_coloc.estimators.fleet.ekf.state import SIZE, TURN
 
 
 @pytest.mark.parametrize("turn_radps", [0.4, -0.25, 1e-6, 0.0])

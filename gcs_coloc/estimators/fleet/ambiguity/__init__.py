@@ -1,0 +1,1 @@
+"""Reflection ambiguity and unresolved outliers: where several positions fit the ranges of a denied vehicle."""

@@ -1,0 +1,120 @@
+"""The geometry of a denied vehicle and its peers: positions, distances and range sigmas, computed only as far as needed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, Vector3
+from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude
+from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S
+from gcs_coloc.estimators.fleet.ekf.state import TIME_STAMP_OFFSET, VELOCITY
+
+NEAR_SIGMAS = 4.0
+"""Chosen: as the gate; a vehicle within so many sigmas of a plane may be on either side of it."""
+SEPARATED = 2.0
+"""Chosen: squared normalised difference of the measurements between the two sides from which on they decide by themselves."""
+LEAST_SIGMA_M = 1e-3
+"""Bounds variances away from zero."""
+_LEAST_DISTANCE_M = 1.0
+"""Bounds the distances that slopes are divided by."""
+
+
+class PeerGeometry:
+    """Positions of a denied vehicle and its peers at a time, with bounds on their uncertainty that cost little.
+
+    `offset` is the vehicle's position relative to the mean `centre` of its peers, `offsets` theirs, `distance_m` its distances.
+    `largest_sigma_m` bounds the sigma of the vector between the vehicle and any peer in any direction.
+    """
+
+    def __init__(self, cluster: Cluster, denied_vehicle: int, peers: list[int], at_s: float) -> None:
+        self.cluster = cluster
+        self.own = cluster.range_end(denied_vehicle)
+        self.peers = [cluster.range_end(v) for v in peers]
+        positions = [peer.position for peer in self.peers]
+        ce, cn, cu = self.centre = [math.fsum(axis) / len(peers) for axis in zip(*positions, strict=True)]
+        self.offsets: list[Vector3] = [(e - ce, n - cn, u - cu) for e, n, u in positions]
+        e, n, u = self.own.position
+        self.offset = (e - ce, n - cn, u - cu)
+        self.distance_m = [max(math.dist(self.own.position, position), _LEAST_DISTANCE_M) for position in positions]
+        self.nearest_m = min(self.distance_m)
+        largest_sigma_m = _largest_sigma_m(cluster, self.own) + max(_largest_sigma_m(cluster, peer) for peer in self.peers)
+        self.largest_sigma_m = max(largest_sigma_m, LEAST_SIGMA_M)
+        record = cluster.records[denied_vehicle]
+        self.has_air_data = fresh_attitude(record, cluster.settings, at_s) is not None
+        self._altitude_sigma_m = math.inf
+        for m in reversed(record.own_measurements):
+            if at_s - m.measured_at_s > IN_USE_S:
+                break
+            if isinstance(m, AltitudeMeasurement):
+                self._altitude_sigma_m = m.sigma_m
+
+    def least_range_sigmas_m(self) -> Iterator[float]:
+        """Lower bounds of the largest range sigma, m: first one that costs nothing, then the sigma to one peer."""
+        yield LEAST_SIGMA_M
+        yield math.sqrt(max(float(self.difference_covariance(0)[0, 0]), 0.0))
+
+    def difference_covariance(self, i: int) -> FloatArray:
+        """Return the covariance (4, 4) of the vector from peer i to the vehicle: along the line between them, east, north, up."""
+        (e, n, u), (pe, pn, pu), distance_m = self.offset, self.offsets[i], self.distance_m[i]
+        unit = ((e - pe) / distance_m, (n - pn) / distance_m, (u - pu) / distance_m)
+        return self.cluster.joint.predict_measurement(self.cluster.range_jacobian(self.own, self.peers[i], unit))[1]
+
+    def blind_m(self, range_sigma_m: float) -> float:
+        """Return the distance from a plane within which the ranges change by less than their sigma, m."""
+        return math.sqrt(2.0 * range_sigma_m * self.nearest_m)
+
+    def line(self) -> tuple[tuple[float, float], float]:
+        """Return the unit vector (east, north) along which the peers spread most, and the sum of squares along it, m^2."""
+        ee = en = nn = 0.0
+        for e, n, _ in self.offsets:
+            ee += e * e
+            en += e * n
+            nn += n * n
+        course = 0.5 * math.atan2(2.0 * en, ee - nn)
+        return (math.cos(course), math.sin(course)), 0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en)
+
+    def range_separation(self, normal: FloatArray, offset_m: float, range_variances_m2: FloatArray) -> float:
+        """Return the squared normalised difference of the ranges between both sides of a plane, at a distance from it.
+
+        `normal` (3,) is its unit normal, `range_variances_m2` (k,) are the variances of the distances to the peers.
+        """
+        separation = 2.0 * offset_m * (np.array(self.offsets) @ normal) / np.array(self.distance_m)
+        return float(np.sum(separation * separation / range_variances_m2))
+
+    def altitude_separation(self, upwards: float, offset_m: float) -> float:
+        """Return the squared normalised difference of the vehicle's own height between both sides of a plane.
+
+        `upwards` is the vertical component of its unit normal.
+        """
+        return (2.0 * offset_m * upwards / self._altitude_sigma_m) ** 2
+
+    def may_be_ambiguous(self, normal: Sequence[float]) -> bool:
+        """Whether the side of a plane through the centre may be ambiguous, by bounds that hold for any covariances.
+
+        The vehicle is near the plane, and the peers are not so far off it that their ranges separate the sides.
+        """
+        ne, nn, nu = normal
+        offset_m = self.offset[0] * ne + self.offset[1] * nn + self.offset[2] * nu
+        blind_m = self.blind_m(self.largest_sigma_m)
+        if abs(offset_m) > max(NEAR_SIGMAS * self.largest_sigma_m, blind_m):
+            return False
+        slopes = ((e * ne + n * nn + u * nu) / d for (e, n, u), d in zip(self.offsets, self.distance_m, strict=True))
+        # The ratio of the blind stretch to the range sigma only falls as the sigma grows.
+        separation = 2.0 * blind_m / self.largest_sigma_m
+        return separation * separation * sum(slope * slope for slope in slopes) <= SEPARATED
+
+
+def _largest_sigma_m(cluster: Cluster, end: RangeEnd) -> float:
+    """Return a bound on the sigma of a vehicle's position in any direction, m: as if all its errors were one."""
+    A, p = cluster.joint.A, end.where.start
+    position_sigma_m = math.sqrt(A.item(p, p) + A.item(p + 1, p + 1) + A.item(p + 2, p + 2))
+    if end.time_stamp_offset_s is None:
+        return position_sigma_m
+    v, s = p + VELOCITY.start, p + TIME_STAMP_OFFSET
+    speed_sigma_mps = math.sqrt(A.item(v, v) + A.item(v + 1, v + 1) + A.item(v + 2, v + 2))
+    return position_sigma_m + abs(end.time_stamp_offset_s) * speed_sigma_mps + math.hypot(*end.velocity) * math.sqrt(A.item(s, s))

@@ -1,0 +1,68 @@
+"""What became of a measurement: the closed list of outcomes that the filter counts, and the result of one update."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import NamedTuple
+
+from gcs_coloc.core.measurements import Vector3
+
+
+class Outcome(StrEnum):
+    """What became of one measurement. The values are the keys of `counts()` and the labels of the metric."""
+
+    USED = "used"
+    """It corrected the state."""
+    INITIALISED = "used for initialisation"
+    """It was the last range that multilateration needed."""
+    DENIED_CHANGED = "denied vehicles changed"
+    """Not a measurement: the set of denied vehicles changed."""
+    REINITIALISED = "peer re-initialised: its reports moved away"
+    """Position reports outside the gate one after another: the peer starts anew from this one."""
+    KEPT_NO_STATE = "kept: vehicle has no part in locating a denied vehicle"
+    """Its vehicle has no state now; a later initialisation uses it."""
+    KEPT_NOT_DENIED = "kept: range between healthy vehicles"
+    """Neither end is denied."""
+    KEPT_NOT_SELECTED = "kept: better placed peers are used"
+    """The peer selection uses other peers."""
+    KEPT_INITIALISING = "kept: waiting for a start"
+    """The denied vehicle has no position yet; multilateration collects ranges."""
+    KEPT_NO_AIRSPEED = "kept: no airspeed beside the attitude"
+    """Without airspeed, or banked too steeply, an attitude says nothing of the velocity."""
+    REFUSED_IMPOSSIBLE = "refused: impossible value"
+    """A value is not finite, a sigma not positive, a range negative, or both ends of a range the same vehicle."""
+    REFUSED_TOO_LATE = "refused: too late"
+    """It arrived more than `window_s` after it was measured."""
+    REFUSED_FUTURE = "refused: measured in the future"
+    """Its time stamp is more than `ahead_s` after its arrival."""
+    REFUSED_DUPLICATE = "refused: heard twice"
+    """The same measurement is in the out-of-sequence buffer already."""
+    REFUSED_DENIED_POSITION = "refused: position of a denied vehicle"
+    """A denied vehicle's position reports are what the filter replaces."""
+    REFUSED_POSITION_GATE = "refused: position report outside the gate"
+    """Its NIS is beyond the gate, eq. (17), with all its noise and a hard manoeuvre allowed for."""
+    REFUSED_RANGE_GATE = "refused: range outside the gate"
+    """Its NIS is beyond the gate, eq. (17)."""
+    REFUSED_SAME_PLACE = "refused: both ends estimated at one place"
+    """The range has no direction."""
+    REFUSED_PEER_WITHOUT_POSITION = "refused: peer without a position"
+    """The peer has no position report to start from."""
+
+
+class UpdateResult(NamedTuple):
+    """The outcome of one measurement, with the innovation, its sigma and NIS where there was a test.
+
+    `unit` is the direction of a range that was used or refused by the gate.
+    """
+
+    outcome: Outcome
+    innovation_m: float = 0.0
+    sigma_m: float = 0.0
+    nis: float = 0.0
+    degrees_of_freedom: int = 0
+    unit: Vector3 = (0.0, 0.0, 0.0)
+
+    @property
+    def used(self) -> bool:
+        """Whether the state was corrected."""
+        return self.outcome is Outcome.USED

@@ -1,0 +1,128 @@
+"""The process model of one vehicle: F and Q of a step, eq. (2) to (9) of docs/explanation/fleet-filter.md.
+
+Steady flight is constant velocity disturbed by white acceleration (Bar-Shalom, Li, Kirubarajan 2001, section 6.2.2). With a
+fresh bank angle the velocity through the air turns at the rate of a coordinated turn and the wind carries the vehicle along;
+the acceleration that is left to chance is then much smaller. Without one the turn rate is a state (section 11.7, the nearly
+coordinated turn). All slow errors are first-order Gauss-Markov processes (section 8.2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from gcs_coloc.core.measurements import AttitudeMeasurement, FloatArray
+from gcs_coloc.estimators.fleet.ekf._kernels import Transition
+from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.state import TURN
+from gcs_coloc.estimators.fleet.settings import FleetSettings
+
+GRAVITY_MPS2 = 9.80665
+"""Standard gravity (CGPM 1901)."""
+STEEPEST_BANK_RAD = 1.2
+"""Chosen: 69 degrees, 2.8 g in a coordinated turn; a steeper bank is taken for aerobatics, where eq. (2) does not hold."""
+_COAST_TIME_S = 2.0
+"""Chosen: without an update for longer the process noise is inflated; shorter gaps are usual on a radio link."""
+_COAST_GAIN = 5.0
+"""Chosen: the most by which a gap inflates; more makes a vehicle out of range needlessly uncertain."""
+_NOTICED_SIGMA_M = 10.0
+"""Chosen: a denied vehicle known worse than this shows a manoeuvre late, so its process noise is inflated."""
+_UNNOTICED_GAIN = 20.0
+"""Chosen: the most by which a large position variance inflates."""
+_TURN_GAIN = 6.0
+"""Chosen: the most by which the turn rate's sigma is inflated: 6 * 0.03 rad/s is 10 degrees a second."""
+_UNEVEN_TURN_TIME_S = 1.0
+"""Chosen: correlation time of the acceleration error in a turn; its density is 2 T sigma^2 (Singer 1970)."""
+_LEAST_OWN_SHARE = 1e-3
+"""Chosen: bounds the correlation time of a clock's offset at 1000 times that of a vehicle's own time-stamp error."""
+_LONGEST_STEP_S = 0.5
+"""Chosen: a turn bends the path; F is linearised anew at least this often."""
+_MOST_STEPS = 40
+"""Chosen: bounds the work of one propagation after a long silence."""
+
+
+def turn_rate_radps(roll_rad: float, airspeed_mps: float) -> float:
+    """Return the rate of a coordinated turn, clockwise positive: omega = g tan(roll) / V, eq. (2)."""
+    return GRAVITY_MPS2 * math.tan(roll_rad) / airspeed_mps
+
+
+def step_ends(from_s: float, to_s: float) -> Sequence[float]:
+    """Return the ends of the steps of a propagation to a later time, s; empty if it is not later."""
+    span_s = to_s - from_s
+    if span_s <= _LONGEST_STEP_S:
+        return (to_s,) if span_s > 0.0 else ()
+    count = min(math.ceil(span_s / _LONGEST_STEP_S), _MOST_STEPS)
+    return [from_s + span_s * i / count for i in range(1, count)] + [to_s]
+
+
+def set_transition(
+    transition: Transition,
+    record: VehicleRecord,
+    s: FleetSettings,
+    state: tuple[Sequence[float], FloatArray],
+    step_s: float,
+    at_s: float,
+) -> tuple[float, ...]:
+    """Fill F and Q of a step (negative: back) to `at_s`; return the first five components of the mean after it.
+
+    `state` is mean (16,) and covariance (16, 16) before the step.
+    """
+    x, P = state
+    length = abs(step_s)
+    # Eq. (8): a slow vehicle turns on the spot, which a turn rate does not describe.
+    slowness = 1.0 / (1.0 + (x[3] * x[3] + x[4] * x[4]) / (s.slow_speed_mps * s.slow_speed_mps))
+    density = s.acceleration_density_m2ps3 + slowness * (s.slow_density_m2ps3 - s.acceleration_density_m2ps3)
+    climb = s.climb_density_m2ps3
+    if record.denied_vehicle and record.baro_error_sigma_m == 0.0:
+        # Without a height of its own a climb is observed late, and a fast vehicle climbs fast.
+        climb += (1.0 - slowness) * max(s.unseen_climb_density_m2ps3 - climb, 0.0)
+    gain, gain_v = record.manoeuvre.gains()
+    # The turn rate decays within the step: the heading changes by omega times this.
+    lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
+    attitude = fresh_attitude(record, s, at_s)
+    if attitude is not None:
+        assert attitude.airspeed_mps is not None
+        roll = min(max(attitude.roll_rad, -STEEPEST_BANK_RAD), STEEPEST_BANK_RAD)
+        turn = turn_rate_radps(roll, attitude.airspeed_mps)
+        # A steep turn is never quite level: missing or excess lift accelerates sideways and vertically.
+        uneven = 2.0 * _UNEVEN_TURN_TIME_S * (s.turn_share * GRAVITY_MPS2 * math.tan(roll)) ** 2
+        density = s.aided_density_m2ps3 + uneven
+        climb += uneven
+    else:
+        turn = x[TURN] * lasting_s / step_s
+        if at_s - record.updated_at_s > _COAST_TIME_S:
+            gain = max(gain, min(((at_s - record.updated_at_s) / _COAST_TIME_S) ** 2, _COAST_GAIN))
+        if record.denied_vehicle:
+            gain = max(gain, min(_worst_m2(P) / (_NOTICED_SIGMA_M * _NOTICED_SIGMA_M), _UNNOTICED_GAIN))
+    mean = transition.set_motion(x, step_s, turn, in_wind=attitude is not None)
+    if attitude is None:
+        transition.set_turn_column(step_s, lasting_s, mean[3], mean[4])
+    # Eq. (9): the manoeuvre detector inflates the process noise.
+    transition.set_acceleration_noise(length, density * min(gain, s.manoeuvre_gain), climb * min(gain_v, s.manoeuvre_gain))
+    # Only the vehicle's own part of the time-stamp offset changes; the offset of its clock lasts.
+    stamp_s = record.time_stamp_offset_sigma_s
+    own = s.stamp_sigma_s / stamp_s if stamp_s > 0.0 else 0.0
+    stamp_time_s = s.stamp_error_time_s / max(own * own, _LEAST_OWN_SHARE)
+    turn_sigma_radps = s.turn_sigma_radps * min(math.sqrt(gain), _TURN_GAIN)
+    transition.set_gauss_markov(
+        length,
+        (s.wind_time_s, s.air_error_time_s, s.baro_error_time_s, s.report_error_time_s, stamp_time_s, s.turn_time_s),
+        (
+            *(s.wind_sigma_mps, s.airspeed_sigma_mps, s.heading_sigma_rad, record.baro_error_sigma_m),
+            *(record.report_error_sigma_h_m, record.report_error_sigma_v_m, stamp_s, turn_sigma_radps),
+        ),
+    )
+    return mean
+
+
+def fresh_attitude(record: VehicleRecord, s: FleetSettings, at_s: float) -> AttitudeMeasurement | None:
+    """Return a vehicle's newest attitude with airspeed, None where it is older than `attitude_fresh_s`."""
+    attitude = record.attitude
+    return attitude if attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s else None
+
+
+def _worst_m2(P: FloatArray) -> float:
+    """Return the larger eigenvalue of the horizontal position covariance, m^2."""
+    ee_m2, en_m2, nn_m2 = P.item(0, 0), P.item(0, 1), P.item(1, 1)
+    half, skew = 0.5 * (ee_m2 + nn_m2), 0.5 * (ee_m2 - nn_m2)
+    return half + math.sqrt(skew * skew + en_m2 * en_m2)
