@@ -27,9 +27,11 @@ demo-docker:
 demo-docker-down:
 	sh tools/demo-docker down
 
+# Three processes on two cores: many tests wait for a wire. By file: a file's tests share what they have set up, as the containers.
+TEST_JOBS ?= 3
 test: .venv/.ready-dev
 	sh tools/install-test-tools
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(TEST_JOBS) --dist loadfile
 
 lint: .venv/.ready-dev
 	$(BIN)/ruff check .
