@@ -272,11 +272,11 @@ class Engine:
 
     def _reroute(self, message: RouteReport) -> None:
         vehicle = self.fleet.get(message.sysid)
-        if vehicle is None or vehicle.blocked == message.blocked:
+        if vehicle is None or vehicle.blocked == message.wording:
             return
-        vehicle.blocked = message.blocked
-        if message.blocked is not None:
-            self._say(message.received_at_s, vehicle.sysid, "warning", f"nothing can be sent to it: {message.blocked}")
+        vehicle.blocked = message.wording
+        if message.wording is not None:
+            self._say(message.received_at_s, vehicle.sysid, "warning", f"nothing can be sent to it: {message.wording}")
         self._outbox.extend(self.aiding.review(vehicle, message.received_at_s))
 
     def _apply_command(self, message: OperatorCommand) -> None:

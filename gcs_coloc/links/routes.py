@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import dataclass
 
+from gcs_coloc.core.messages.control import RouteBlock
 from gcs_coloc.links.address_conflicts import AddressConflicts
 from gcs_coloc.links.base import Address, Link, Route
 from gcs_coloc.mavlink.refusals import Counts, Refusal
@@ -16,9 +17,10 @@ from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 @dataclass(frozen=True, slots=True)
 class Blocked:
-    """Nothing may be sent to this vehicle; the reason tells the operator what to do."""
+    """Nothing may be sent to this vehicle. `shared_with`: the system ids of the other vehicles at its address."""
 
-    reason: str
+    reason: RouteBlock
+    shared_with: tuple[int, ...] = ()
 
 
 @dataclass(slots=True)
@@ -104,18 +106,14 @@ class RouteTable:
         """Where the autopilot of a vehicle is reached, or why nothing may be sent to it."""
         binding = self._autopilots.get(sysid)
         if binding is None:
-            return Blocked(f"no autopilot heartbeat of vehicle {sysid} has been heard yet")
+            return Blocked(RouteBlock.NO_HEARTBEAT)
         others = sorted(
             other
             for other, heard_at_s in self._autopilots_at.get(binding.route, {}).items()
             if other != sysid and now_s - heard_at_s <= self._shared_memory_s
         )
         if others:
-            listed = ", ".join(str(other) for other in others)
-            return Blocked(
-                f"vehicles {listed} and {sysid} are heard from one address (a router?), and GPS_INPUT has no target field: all "
-                "of them would take it. Give each vehicle its own UDP stream to us, from its own port, or its own --link"
-            )
+            return Blocked(RouteBlock.SHARED_ADDRESS, tuple(others))
         return binding.route
 
     def comes_from_its_binding(self, sysid: int, compid: int, link: Link, address: Address, now_s: float) -> bool:

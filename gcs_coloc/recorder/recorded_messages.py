@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from gcs_coloc.core.advance import Overrun
@@ -58,7 +58,7 @@ class RecordedMessages:
         self._flown_with = flown_with
         self._was_flown_otherwise = False
         self._latest_s = float("-inf")
-        self._routes: dict[int, str | None] = {}
+        self._routes: dict[int, RouteReport] = {}
         self._words: set[tuple[int, type]] = set()
         self._ground_tools: set[tuple[int, int]] = set()
         self._of_record: deque[Inbound | Overrun] = deque()
@@ -122,14 +122,15 @@ class RecordedMessages:
             if frame.message is not None:
                 found.append(frame.message)
             if frame.is_autopilot_heartbeat:
-                found.append(RouteReport(frame.sysid, at_s, self._routes.get(frame.sysid)))
+                route = self._routes.get(frame.sysid)
+                found.append(RouteReport(frame.sysid, at_s, None) if route is None else replace(route, received_at_s=at_s))
         self._truths_of_record.extend(truth for raw in good if (truth := truth_of(raw, at_s)) is not None)
 
     def _take_note(self, noted: ReadRecord) -> None:
         note = noted.note
         if isinstance(note, RouteReport):
             # Told with the vehicle's next heartbeat, as in flight.
-            self._routes[note.sysid] = note.blocked
+            self._routes[note.sysid] = note
         elif isinstance(note, OperatorCommand):
             is_news = (note.sysid, type(note.override)) not in self._words or not noted.repeated
             self._words.add((note.sysid, type(note.override)))

@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from gcs_coloc.core.errors import RecordError
-from gcs_coloc.core.messages.control import OperatorCommand, RouteReport
+from gcs_coloc.core.messages.control import OperatorCommand, RouteBlock, RouteReport
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 from gcs_coloc.recorder.journal import Entry
 from gcs_coloc.recorder.log_segment import LogSegment
@@ -47,7 +47,7 @@ class Recorder:
         self._directory = directory
         self._rotate_bytes = rotate_bytes
         self._notes = NoteWriter(sysid, compid)
-        self._routes: dict[int, str | None] = {}
+        self._routes: dict[int, tuple[RouteBlock | None, tuple[int, ...]]] = {}
         self._items: deque[_Item] = deque()
         self._ending = threading.Event()
         self._turned_at_s = self._retry_at_s = time.monotonic()
@@ -89,9 +89,10 @@ class Recorder:
     def note(self, note: SideChannelRecord) -> None:
         """Record what the engine was told besides frames; of routes only what has changed."""
         if isinstance(note, RouteReport):
-            if self._routes.get(note.sysid, "") == note.blocked:
+            route = (note.blocked, note.shared_with)
+            if self._routes.get(note.sysid) == route:
                 return
-            self._routes[note.sysid] = note.blocked
+            self._routes[note.sysid] = route
         self._put(note)
 
     def entry(self, entry: Entry) -> None:

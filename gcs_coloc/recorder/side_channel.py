@@ -21,6 +21,7 @@ from gcs_coloc.core.messages.control import (
     GpsOverride,
     OperatorCommand,
     PrimaryOverride,
+    RouteBlock,
     RouteReport,
 )
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
@@ -36,7 +37,8 @@ PAYLOAD_TYPE = 46_232
 """The TUNNEL payload type of a note; above 32767 they are private."""
 
 _MOST_BYTES = 128
-_LONGEST_REASON = 60
+_MOST_SHARING = 16
+"""System ids of vehicles at one address that fit into a record with all else."""
 _TIME_BASES = tuple(TimeBase)
 
 
@@ -77,7 +79,7 @@ class NoteWriter:
         self._mavlink = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=compid)
 
     def pack(self, note: SideChannelRecord | None, *, repeated: bool = False) -> bytes:
-        """A note as a TUNNEL frame; None for the beginning of a part. A blocked route's reason is cut to 60 characters.
+        """A note as a TUNNEL frame; None for the beginning of a part. Of vehicles at one address 16 are named.
 
         Raises ValueError for numbers with more digits than there is room for.
         """
@@ -136,8 +138,7 @@ def _content(note: SideChannelRecord) -> dict[str, Any]:
             next(key for key, kind in _WORDS.items() if isinstance(note.override, kind)): note.override.value,
             "of": note.sysid,
         }
-    text = note.blocked.encode("ascii", "replace").decode().replace('"', "'").replace("\\", "/") if note.blocked else note.blocked
-    return {"route": text[:_LONGEST_REASON] if text is not None else None, "of": note.sysid}
+    return {"route": note.blocked, "of": note.sysid} | ({"with": note.shared_with[:_MOST_SHARING]} if note.shared_with else {})
 
 
 def _note(content: dict[str, Any], at_s: float) -> SideChannelRecord | None:
@@ -165,5 +166,11 @@ def _note(content: dict[str, Any], at_s: float) -> SideChannelRecord | None:
     for key, kind in _WORDS.items():
         if key in content:
             return OperatorCommand(sysid, at_s, kind(content[key]))
-    blocked = content["route"]
-    return RouteReport(sysid, at_s, str(blocked) if blocked is not None else None)
+    return RouteReport(sysid, at_s, _route_block(content["route"]), tuple(map(int, content.get("with", ()))))
+
+
+def _route_block(content: str | None) -> RouteBlock | None:
+    """Why nothing could be sent to a vehicle. Until 0.1 a recording held the beginning of a sentence."""
+    if content is None or content in RouteBlock.__members__.values():
+        return RouteBlock(content) if content is not None else None
+    return RouteBlock.SHARED_ADDRESS if "one address" in content else RouteBlock.NO_HEARTBEAT

@@ -213,7 +213,8 @@ class FleetService:
                 if frame.is_autopilot_heartbeat:
                     self._rate_limiter.add_source(source, received_at_s)
                     route = self._routes.route(frame.sysid, received_at_s)
-                    report = RouteReport(frame.sysid, received_at_s, route.reason if isinstance(route, Blocked) else None)
+                    blocked = (route.reason, route.shared_with) if isinstance(route, Blocked) else (None,)
+                    report = RouteReport(frame.sysid, received_at_s, *blocked)
                     self._engine.receive(report)
                     self._recording.told(report)
         for raw in good:

@@ -14,10 +14,10 @@ from gcs_coloc.core.aiding.stream import AidingStream, Answer, Purpose
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.messages.aiding import CommandResult, ForeignGpsInput, ParameterSet, ParameterValue
-from gcs_coloc.core.messages.control import AidingOverride, PrimaryOverride
+from gcs_coloc.core.messages.control import NO_HEARTBEAT_YET, AidingOverride, PrimaryOverride
 from gcs_coloc.core.messages.inbound import GpsReceiver
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound
-from gcs_coloc.core.telemetry.vehicles import NO_HEARTBEAT_YET, Vehicle
+from gcs_coloc.core.telemetry.vehicles import Vehicle
 from gcs_coloc.core.tick_schedule import TickSchedule
 
 _AIDED_STATES = (GpsState.FAILED, GpsState.RECOVERING)

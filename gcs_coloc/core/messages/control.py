@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, StrEnum
 
 from gcs_coloc.core.messages.aiding import ForeignGpsInput
 
@@ -19,6 +19,9 @@ class ClockReference:
     received_at_s: float
     utc_minus_service_s: float | None
     synchronised: bool | None = None
+
+
+NO_HEARTBEAT_YET = "no heartbeat of an autopilot heard yet"
 
 
 class GpsOverride(Enum):
@@ -57,13 +60,37 @@ class OperatorCommand:
     override: Override
 
 
+class RouteBlock(StrEnum):
+    """Why nothing may be sent to a vehicle. Its value stands in recordings."""
+
+    NO_HEARTBEAT = "no_heartbeat"
+    """No autopilot's heartbeat of it was heard yet."""
+    SHARED_ADDRESS = "shared_address"
+    """Several vehicles are heard from its address, and GPS_INPUT has no target field."""
+
+
 @dataclass(frozen=True, slots=True)
 class RouteReport:
-    """What the link layer knows about reaching a vehicle: `blocked` says why nothing may be sent to it, or is None."""
+    """What the link layer knows about reaching a vehicle: `blocked` says why nothing may be sent to it, or is None.
+
+    `shared_with`: the system ids of the other vehicles at its address.
+    """
 
     sysid: int
     received_at_s: float
-    blocked: str | None
+    blocked: RouteBlock | None
+    shared_with: tuple[int, ...] = ()
+
+    @property
+    def wording(self) -> str | None:
+        """Why nothing may be sent to the vehicle, and the remedy, in words for the operator."""
+        if self.blocked is not RouteBlock.SHARED_ADDRESS:
+            return NO_HEARTBEAT_YET if self.blocked is RouteBlock.NO_HEARTBEAT else None
+        sharing = f"vehicles {', '.join(map(str, self.shared_with))} and {self.sysid}" if self.shared_with else "several vehicles"
+        return (
+            f"{sharing} are heard from one address (a router?), and GPS_INPUT has no target field: all of them would use it. "
+            "Give each vehicle its own UDP stream to us, from its own port, or its own --link"
+        )
 
 
 @dataclass(frozen=True, slots=True)

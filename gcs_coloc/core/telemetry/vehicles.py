@@ -10,11 +10,11 @@ from gcs_coloc.core.clocks.sender_clock import SenderClock
 from gcs_coloc.core.clocks.vehicle_clocks import VehicleClock
 from gcs_coloc.core.gps_health.gps_health import GpsHealth, GpsHealthSettings
 from gcs_coloc.core.measurements import PositionMeasurement
+from gcs_coloc.core.messages.control import NO_HEARTBEAT_YET
 from gcs_coloc.core.messages.inbound import Airspeed, Attitude, Autopilot, GlobalPosition, GpsReceiver, TimeBase
 from gcs_coloc.core.telemetry.air_data import LEAST_AIRSPEED_MPS
 from gcs_coloc.core.telemetry.repeated_ranges import RangeRepeats
 
-NO_HEARTBEAT_YET = "no heartbeat of an autopilot heard yet"
 _AIR_DATA_FRESH_S = 2.0
 
 

@@ -14,7 +14,7 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.core.messages.control import ClockReference, GpsOverride, OperatorCommand, RouteReport
+from gcs_coloc.core.messages.control import ClockReference, GpsOverride, OperatorCommand, RouteBlock, RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, Heartbeat, PeerRange, TimeBase
 from gcs_coloc.core.messages.outbound import GpsInput, Notice, StreamRequest
 
@@ -133,7 +133,7 @@ def test_a_position_that_is_unknown_or_too_uncertain_is_never_claimed_as_a_fix(c
 @pytest.mark.parametrize(
     ("blocking", "words"),
     [
-        (RouteReport(4, 7.0, "shares its address with 3"), "shares its address"),
+        (RouteReport(4, 7.0, RouteBlock.SHARED_ADDRESS, (3,)), "vehicles 3 and 4 are heard from one address"),
         (Heartbeat(4, 7.0, Autopilot.PX4, True, winged=True), "PX4"),
     ],
 )

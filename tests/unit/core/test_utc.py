@@ -11,7 +11,7 @@ from gcs_coloc.core.clocks.gps_time import gps_week_and_ms
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.measurements import Estimate
-from gcs_coloc.core.messages.control import ClockReference, GpsOverride, OperatorCommand, RouteReport
+from gcs_coloc.core.messages.control import ClockReference, GpsOverride, OperatorCommand, RouteBlock, RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, SystemTime
 from gcs_coloc.core.messages.outbound import GpsInput, Notice, TimeSyncRequest
 from gcs_coloc.runtime.host_clock import is_synchronised
@@ -127,7 +127,7 @@ def test_each_vehicle_is_asked_for_its_time_and_one_without_a_route_is_not():
     e = engine()
     out = fly(e, 0.0, 2.0)
     assert {o.sysid for o in out if isinstance(o, TimeSyncRequest)} == {1, 2, 3, 4}
-    e.receive(RouteReport(2, 2.0, "shares its address"))
+    e.receive(RouteReport(2, 2.0, RouteBlock.SHARED_ADDRESS))
     assert 2 not in {o.sysid for t in (2.0, 2.3, 2.6) for o in e.poll(t) if isinstance(o, TimeSyncRequest)}
 
 

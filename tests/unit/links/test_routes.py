@@ -2,6 +2,7 @@
 
 import pytest
 
+from gcs_coloc.core.messages.control import RouteBlock, RouteReport
 from gcs_coloc.links.base import Route
 from gcs_coloc.links.routes import Blocked, RouteTable
 
@@ -36,7 +37,7 @@ def test_vehicle_is_reached_where_its_heartbeat_comes_from(ears):
 
 
 def test_vehicle_never_heard_is_blocked_in_words(ears):
-    assert ears.route(7) == Blocked("no autopilot heartbeat of vehicle 7 has been heard yet")
+    assert ears.route(7) == Blocked(RouteBlock.NO_HEARTBEAT)
 
 
 def test_other_messages_of_a_vehicle_give_no_route(ears):
@@ -154,10 +155,11 @@ def test_two_autopilots_at_one_address_get_nothing_and_the_operator_is_told_what
     ears.hears(2, HERE)
     for sysid, other in ((1, 2), (2, 1)):
         blocked = ears.route(sysid)
-        assert isinstance(blocked, Blocked)
-        assert f"vehicles {other} and {sysid}" in blocked.reason
-        assert "own UDP stream" in blocked.reason
-        assert "--link" in blocked.reason
+        assert blocked == Blocked(RouteBlock.SHARED_ADDRESS, (other,))
+        wording = RouteReport(sysid, ears.now_s, blocked.reason, blocked.shared_with).wording
+        assert wording is not None
+        for words in (f"vehicles {other} and {sysid}", "own UDP stream", "--link"):
+            assert words in wording
 
 
 def test_two_vehicles_on_one_serial_link_get_nothing(ears):

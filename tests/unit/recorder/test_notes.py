@@ -1,5 +1,7 @@
 """What the engine was told besides frames comes back from the tlog as it was, bit by bit; nobody else's notes are obeyed."""
 
+import json
+
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -11,6 +13,7 @@ from gcs_coloc.core.messages.control import (
     GpsOverride,
     OperatorCommand,
     PrimaryOverride,
+    RouteBlock,
     RouteReport,
 )
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
@@ -33,7 +36,8 @@ OWN = (254, 191)
         ForeignGpsInput(255, AT_S, 1, 250),
         RouteReport(4, AT_S, None),
         Overrun(AT_S, AT_S - 1.3000000000000003),
-        RouteReport(250, AT_S, "vehicles 1 and 4 are heard from one address"),
+        RouteReport(250, AT_S, RouteBlock.SHARED_ADDRESS, (1, 4)),
+        RouteReport(250, AT_S, RouteBlock.NO_HEARTBEAT),
         PeerRange(255, AT_S, 254, 1234.5678901234567, 0.12345678901234568, AT_S - 0.1, TimeBase.SERVICE, 4_294_967_295, 0.1, 255),
         GroundTool(255, 190, AT_S),
         FlownWith("0123456789abcdef", AT_S),
@@ -53,11 +57,24 @@ def test_a_note_comes_back_as_it_was(note):
         assert (read.note, read.repeated) == (note, repeated)
 
 
-def test_a_long_reason_with_anything_in_it_fits():
-    note = RouteReport(250, AT_S, 'ü"\\' * 200)
+def test_of_many_vehicles_at_one_address_as_many_are_recorded_as_fit():
+    note = RouteReport(250, AT_S, RouteBlock.SHARED_ADDRESS, tuple(range(100, 250)))
     read = read_note(NoteWriter(*OWN).pack(note, repeated=True), AT_S, OWN)
-    assert isinstance(read.note, RouteReport)
-    assert read.note.blocked
+    assert read.note == RouteReport(250, AT_S, RouteBlock.SHARED_ADDRESS, tuple(range(100, 116)))
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("vehicles 1, 2 and 4 are heard from one address (a router?),", RouteBlock.SHARED_ADDRESS),
+        ("no autopilot heartbeat of vehicle 4 has been heard yet", RouteBlock.NO_HEARTBEAT),
+    ],
+)
+def test_a_reason_of_a_recording_of_version_0_1_is_understood(text, reason):
+    data = json.dumps({"route": text, "of": 4}).encode()
+    tunnel = mavlink.MAVLink_tunnel_message(0, 0, PAYLOAD_TYPE, len(data), list(data.ljust(128, b"\0")))
+    frame = bytes(tunnel.pack(mavlink.MAVLink(None, srcSystem=OWN[0], srcComponent=OWN[1])))
+    assert read_note(frame, AT_S, OWN).note == RouteReport(4, AT_S, reason)
 
 
 def test_the_beginning_of_a_part_is_no_news():
