@@ -12,8 +12,7 @@ from bench.service_cpu import free_port
 from bench.traffic import OTHERS, fleet_traffic, message_id_of
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.links.udp import DATAGRAMS_PER_WAKE
-from gcs_coloc.runtime.clock import ServiceClock
-from gcs_coloc.runtime.host_clock import read_host_clock
+from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
 from gcs_coloc.service.fleet_service import FleetService
 
 _GOAL_US = 5.0

@@ -15,8 +15,7 @@ from gcs_coloc.core.errors import UsageError
 from gcs_coloc.doctor.findings import Setup
 from gcs_coloc.doctor.listen import listen
 from gcs_coloc.doctor.report import Report
-from gcs_coloc.runtime.clock import ServiceClock
-from gcs_coloc.runtime.host_clock import read_host_clock
+from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
 
 
 def doctor(

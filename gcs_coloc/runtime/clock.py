@@ -1,28 +1,91 @@
-"""The service's clock: steady, and in the numbers that a recording holds."""
+"""The service's clock, the host's, and a timer. Read by the composition root alone."""
 
 from __future__ import annotations
 
-from time import monotonic_ns, time_ns
+import asyncio
+import ctypes
+import time
+from collections.abc import Callable
+
+from gcs_coloc.core.messages.control import ClockReference
 
 _RESOLUTION_S = 2e-6
+"""Two steps of the service's clock, whose readings are whole microseconds."""
+_NEVER = float("inf")
+_TIMEX_BYTES = 512
+"""struct timex has 208 bytes on 64-bit Linux (sys/timex.h). Its first field, `modes`, is 0: only read."""
+_TIME_ERROR = 5
+"""What adjtimex(2) returns while the clock is not synchronised."""
+_EARLIEST_PLAUSIBLE_UNIX_S = 1_704_067_200.0
+"""2024-01-01. Chosen: a host that reads less has no clock battery, and no time yet."""
 
 
 class ServiceClock:
     """UNIX seconds as the host had them at the start, counted on by the monotonic clock in whole microseconds.
 
-    It is never stepped. Its readings divide microseconds by a million, as a tlog's reader does: what the engine was told in
-    flight and what it is told in replay are the same numbers to the last bit.
+    It is never stepped. A reading is microseconds divided by a million, as a tlog's reader does: the engine gets the same
+    numbers, to the last bit, in flight and in replay.
     """
 
     def __init__(self) -> None:
-        self._started_unix_us = time_ns() // 1000
-        self._started_ns = monotonic_ns()
+        self._started_unix_us = time.time_ns() // 1000
+        self._started_ns = time.monotonic_ns()
         self._unix_minus_monotonic_ns = self._started_unix_us * 1000 - self._started_ns
 
     def __call__(self) -> float:
         """The time now, seconds."""
-        return (monotonic_ns() + self._unix_minus_monotonic_ns) // 1000 / 1e6
+        return (time.monotonic_ns() + self._unix_minus_monotonic_ns) // 1000 / 1e6
 
     def on_loop(self, at_s: float) -> float:
-        """When, on the event loop's clock, this clock has passed `at_s`: a reading taken then is later."""
+        """When, on the event loop's clock, this clock has passed `at_s`: a reading at that time is later."""
         return self._started_ns / 1e9 + (at_s - self._started_unix_us / 1e6) + _RESOLUTION_S
+
+
+def read_host_clock(now_s: float) -> ClockReference:
+    """How far the host's UNIX time is ahead of the service's at service time `now_s`, and whether it is kept right."""
+    unix_s = time.time()
+    return ClockReference(now_s, unix_s - now_s if unix_s >= _EARLIEST_PLAUSIBLE_UNIX_S else None, is_synchronised())
+
+
+def is_synchronised() -> bool | None:
+    """Whether something (NTP, PTP, a GPS receiver) keeps the host's clock right; None where the system does not tell.
+
+    Source: adjtimex(2), which returns TIME_ERROR while the clock is not synchronised.
+    """
+    try:
+        adjtimex = ctypes.CDLL(None).adjtimex
+    except (OSError, AttributeError):
+        return None
+    state = int(adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES)))
+    return state != _TIME_ERROR if state >= 0 else None
+
+
+class Timer:
+    """Calls `passed` on the running event loop when the service's clock has passed the earliest requested time.
+
+    It fires once and forgets the later times. `at_s` is when it will fire next (service time), infinity where it will not.
+    """
+
+    def __init__(self, clock: ServiceClock, passed: Callable[[], None]) -> None:
+        self._clock = clock
+        self._passed = passed
+        self._timer: asyncio.TimerHandle | None = None
+        self.at_s = _NEVER
+
+    def by(self, at_s: float) -> None:
+        """Fire at service time `at_s`, unless it fires before; infinity requests nothing."""
+        if at_s >= self.at_s:
+            return
+        self.cancel()
+        self.at_s = at_s
+        self._timer = asyncio.get_running_loop().call_at(self._clock.on_loop(at_s), self._fire)
+
+    def cancel(self) -> None:
+        """Do not fire."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer, self.at_s = None, _NEVER
+
+    def _fire(self) -> None:
+        self._timer, self.at_s = None, _NEVER
+        self._passed()

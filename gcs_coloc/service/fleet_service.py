@@ -28,8 +28,7 @@ from gcs_coloc.mavlink.signing import Stamp
 from gcs_coloc.mavlink.truth import TRUTH_IDS, HeardTruth, truth_of
 from gcs_coloc.recorder.flight import FlightRecording
 from gcs_coloc.recorder.side_channel import FlownWith
-from gcs_coloc.runtime.clock import ServiceClock
-from gcs_coloc.runtime.timer import Timer
+from gcs_coloc.runtime.clock import ServiceClock, Timer
 from gcs_coloc.service.snapshot_cache import SnapshotCache
 from gcs_coloc.sinks.event_bus import EventBus
 from gcs_coloc.sinks.idle_scheduler import IdleScheduler

@@ -12,9 +12,8 @@ from rich.text import Text
 
 from gcs_coloc.core.messages.outbound import ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
-from gcs_coloc.sinks.event_bus import Subscription
+from gcs_coloc.sinks.event_bus import Subscription, level_and_text
 from gcs_coloc.sinks.live_table import LiveTable, SharedConsole
-from gcs_coloc.sinks.wording import level_and_text
 
 log = logging.getLogger("gcs_coloc")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 
-from gcs_coloc.core.messages.outbound import ToOperator
+from gcs_coloc.core.messages.outbound import HealthChanged, ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot
 
 FleetEvent = FleetSnapshot | ToOperator
@@ -50,3 +50,11 @@ class EventBus:
         """Pass an event to every observer."""
         for subscription in self._subscriptions:
             subscription.put(event)
+
+
+def level_and_text(event: ToOperator) -> tuple[str, str]:
+    """The level of an event (`info`, `warning`, `error`) and its text. What is not `info` is an alarm."""
+    if isinstance(event, HealthChanged):
+        bad = event.after in ("suspect", "failed")
+        return ("warning" if bad else "info"), f"GPS {event.before} -> {event.after}: {event.reason}"
+    return event.level, event.text

@@ -1,4 +1,4 @@
-"""Log lines written by a thread of their own: whoever does not read them must not hold the service up, nor its end."""
+"""Log lines written on a thread of their own: a full or closed stderr must delay neither the service nor its end."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ import logging
 import os
 import queue
 import threading
-from logging.handlers import QueueHandler
+from logging.handlers import QueueHandler, QueueListener
 from typing import TextIO
 
-MOST_WAITING = 2000
+MAX_WAITING = 2000
+"""Records that wait for a slow reader. Chosen: a minute of a busy start at 30 lines a second, some 1 MB."""
 _LAST_LINES_S = 2.0
+"""How long the end of the program waits for the last lines. Chosen: a slow terminal, and no longer than a person waits."""
 
 
 class LineHandler(logging.Handler):
-    """Writes each record as a line. Unlike the library's, it is not flushed as the program ends: that could wait for ever."""
+    """Writes each record as a line. It is not flushed as the program ends, as a StreamHandler is: that could wait for ever."""
 
     def __init__(self, stream: TextIO) -> None:
         super().__init__()
@@ -27,9 +29,9 @@ class LineHandler(logging.Handler):
 
 
 def own_stream(stream: TextIO) -> TextIO:
-    """The same file as a stream of its own, for a thread that is held up in writing keeps its stream locked.
+    """The same file as a stream of its own, as a thread that hangs in writing keeps its stream locked.
 
-    What is no file is given back as it is.
+    A stream without a file is returned as it is.
     """
     try:
         number = os.dup(stream.fileno())
@@ -39,36 +41,43 @@ def own_stream(stream: TextIO) -> TextIO:
 
 
 class LogWriter(QueueHandler):
-    """Hands records to `handler` on a thread. While that is held up, `most` records wait; the newest beyond them are lost.
+    """Passes records to `handler` on a thread. While that hangs, `most` records wait; the newest beyond them are lost.
 
-    A pipe that nobody reads is full after 64 kB, and then every write to it waits for ever.
+    A pipe that nobody reads is full after 64 kB (pipe(7)); from then on every write to it hangs.
     """
 
-    def __init__(self, handler: logging.Handler, most: int = MOST_WAITING) -> None:
-        self._records: queue.Queue[logging.LogRecord | None] = queue.Queue(most)
-        super().__init__(self._records)
-        # The message alone, as what is queued is that: `handler` does the rest, and basicConfig would set its own form here.
+    def __init__(self, handler: logging.Handler, most: int = MAX_WAITING) -> None:
+        records: queue.Queue[logging.LogRecord] = queue.Queue(most)
+        super().__init__(records)
+        # The message alone is queued; `handler` does the rest. Without a formatter, basicConfig would set one here.
         self.setFormatter(logging.Formatter("%(message)s"))
         self.lost = 0
-        self._writing = threading.Thread(target=self._write, args=(handler,), name="log", daemon=True)
-        self._writing.start()
+        self._listener = _Listener(records, handler)
+        self._listener.start()
 
     def enqueue(self, record: logging.LogRecord) -> None:
         """Queue a record; never waits."""
         try:
-            self._records.put_nowait(record)
+            self.queue.put_nowait(record)
         except queue.Full:
             self.lost += 1
 
     def close(self) -> None:
-        """Write what waits, as the program ends; where nobody reads, it is given up after a moment."""
-        with contextlib.suppress(queue.Full):
-            self._records.put_nowait(None)
-            self._writing.join(_LAST_LINES_S)
+        """Write what waits, as the program ends; where nobody reads, give up after a moment."""
+        # On a thread, as the listener's stop waits for the last line without a limit.
+        ending = threading.Thread(target=self._stop, daemon=True)
+        ending.start()
+        ending.join(_LAST_LINES_S)
         super().close()
 
-    def _write(self, handler: logging.Handler) -> None:
-        while (record := self._records.get()) is not None:
-            # Not `handle`, whose lock the logging module waits for as the program ends.
+    def _stop(self) -> None:
+        with contextlib.suppress(queue.Full):
+            self._listener.stop()
+
+
+class _Listener(QueueListener):
+    def handle(self, record: logging.LogRecord) -> None:
+        """Write one record. Without the handler's lock, which the logging module waits for as the program ends."""
+        for handler in self.handlers:
             with contextlib.suppress(OSError, ValueError):
                 handler.emit(record)

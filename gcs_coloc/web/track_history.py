@@ -10,8 +10,7 @@ from math import nan
 from typing import Any
 
 from gcs_coloc.core.snapshot import FleetSnapshot, LinkSnapshot, OutSnapshot, VehicleSnapshot
-from gcs_coloc.sinks.event_bus import FleetEvent, Subscription
-from gcs_coloc.sinks.wording import level_and_text
+from gcs_coloc.sinks.event_bus import FleetEvent, Subscription, level_and_text
 from gcs_coloc.web.wire import CountsFrame, Event, EventsFrame, LinkFrame, OutFrame, VehicleHistory
 
 _SAMPLE_EVERY_S = 0.7

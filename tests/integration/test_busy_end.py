@@ -9,8 +9,7 @@ import pytest
 from vehicles import Hover
 
 from gcs_coloc.config.fleets import load_settings
-from gcs_coloc.runtime.clock import ServiceClock
-from gcs_coloc.runtime.host_clock import read_host_clock
+from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
 from gcs_coloc.service.fleet_service import FleetService
 
 pytestmark = pytest.mark.integration

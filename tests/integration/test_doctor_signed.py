@@ -11,8 +11,7 @@ from signed_frames import heartbeat
 
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.doctor.listen import listen
-from gcs_coloc.runtime.clock import ServiceClock
-from gcs_coloc.runtime.host_clock import read_host_clock
+from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
 
 pytestmark = pytest.mark.integration
 

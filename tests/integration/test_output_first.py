@@ -11,8 +11,7 @@ from vehicles import Hover
 from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.core.messages.outbound import ToVehicle
 from gcs_coloc.recorder.journal import Journal
-from gcs_coloc.runtime.clock import ServiceClock
-from gcs_coloc.runtime.host_clock import read_host_clock
+from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
 from gcs_coloc.service.fleet_service import FleetService
 
 pytestmark = pytest.mark.integration

@@ -14,7 +14,7 @@ from gcs_coloc.core.measurements import Estimate
 from gcs_coloc.core.messages.control import ClockReference, GpsOverride, OperatorCommand, RouteBlock, RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, SystemTime
 from gcs_coloc.core.messages.outbound import GpsInput, Notice, TimeSyncRequest
-from gcs_coloc.runtime.host_clock import is_synchronised
+from gcs_coloc.runtime.clock import is_synchronised
 
 UNIX_S = 1_780_000_000.0
 

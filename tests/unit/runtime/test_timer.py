@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from gcs_coloc.runtime.clock import ServiceClock
-from gcs_coloc.runtime.timer import Timer
+from gcs_coloc.runtime.clock import ServiceClock, Timer
 
 SOON_S = 0.01
 GENEROUS_S = 30.0

@@ -2,6 +2,7 @@
 
 import logging
 import threading
+import time
 
 import pytest
 
@@ -13,13 +14,15 @@ class Slow(logging.Handler):
 
     def __init__(self):
         super().__init__()
-        self.begun, self.go = threading.Event(), threading.Event()
+        self.begun, self.go, self.eleventh = threading.Event(), threading.Event(), threading.Event()
         self.lines = []
 
     def emit(self, record):
         self.begun.set()
         self.go.wait()
         self.lines.append(record.getMessage())
+        if len(self.lines) == 11:
+            self.eleventh.set()
 
 
 @pytest.fixture
@@ -44,8 +47,8 @@ def test_what_is_logged_while_nobody_reads_does_not_wait(slow):
     assert writer.lost == 990
     assert slow.lines == []
     slow.go.set()
-    writer._records.put(None)  # waits for room, and ends the thread behind the last line
-    writer._writing.join(20)
+    assert slow.eleventh.wait(20)
+    writer.close()
     assert slow.lines == ["line first", *(f"line {number}" for number in range(10))]
 
 
@@ -67,3 +70,12 @@ def test_a_line_has_its_own_handlers_form_and_no_other(slow):
     root.warning("refused %d", 3)
     writer.close()
     assert slow.lines == ["refused 3"]
+
+
+def test_the_end_does_not_wait_for_a_reader_that_never_reads(slow):
+    writer = LogWriter(slow, most=3)
+    logged(writer, range(100))
+    began_s = time.monotonic()
+    writer.close()
+    assert time.monotonic() - began_s < 20.0
+    assert slow.lines == []
