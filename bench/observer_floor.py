@@ -6,13 +6,11 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import os
 import socket
 import sys
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import uvicorn
@@ -21,39 +19,25 @@ from starlette.applications import Starlette
 from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket
 
-from gcs_coloc.web.live_socket import LiveSocket, SendFrame, send_frame_of, text_frame
-
 # As a fleet of four makes them: a picture, a vehicle's topic, half a second of tlog and of MCAP.
-_PICTURE = text_frame(b"x" * 5_500)
+_PICTURE = "x" * 5_500
 _PAYLOAD = "x" * 400
 _TOPICS = 13
 _WRITTEN = (b"x" * 4_000, b"x" * 14_000)
-_pages: list[SendFrame] = []
+_pages: list[WebSocket] = []
 _PICTURE_EVERY_S, _PUBLISH_EVERY_S, _WRITE_EVERY_S = 0.2, 1.0, 0.5
-
-
-class _Server(uvicorn.Server):
-    @contextlib.contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """A signal ends this program at once."""
-        yield
-
-    async def main_loop(self) -> None:
-        """Wait for ever, and wake for nothing, as the service's own does."""
-        await self.on_tick(0)
-        await asyncio.Event().wait()
 
 
 async def _live(page: WebSocket) -> None:
     await page.accept()
-    _pages.append(send_frame_of(page.scope))
+    _pages.append(page)
     await asyncio.Event().wait()
 
 
 async def _show() -> None:
     while True:
-        for send in _pages:
-            send(_PICTURE)
+        for page in _pages:
+            await page.send_text(_PICTURE)
         await asyncio.sleep(_PICTURE_EVERY_S)
 
 
@@ -81,9 +65,10 @@ async def _run(mqtt_port: int, folder: Path) -> None:
     where = socket.create_server(("127.0.0.1", 0))
     print(f"web page: http://127.0.0.1:{where.getsockname()[1]}/", flush=True)
     app = Starlette(routes=[WebSocketRoute("/live", _live)])
-    server = _Server(
-        uvicorn.Config(app, ws=LiveSocket, http="h11", ws_per_message_deflate=False, lifespan="off", log_config=None)
+    config = uvicorn.Config(
+        app, http="h11", ws_per_message_deflate=False, lifespan="off", log_config=None, timeout_graceful_shutdown=1
     )
+    server = uvicorn.Server(config)
     async with asyncio.TaskGroup() as group:
         group.create_task(_publish(mqtt_port))
         group.create_task(_show())

@@ -104,7 +104,7 @@ def _show(file: Path, settings: Settings, ranges: Path | None, truth: Path | Non
 
     service = ReplayService(file, settings, ranges, truth, factor)
     asyncio.run(service.run())
-    warn_of_damage(file, service.log.counts)
+    warn_of_damage(file, service.damage)
 
 
 def _factor(speed: str) -> float:

@@ -1,14 +1,10 @@
-"""What a recording holds for the core, message by message in order of arrival: its frames, its notes, and ranges from a table.
-
-Where it stands can be kept and gone back to.
-"""
+"""The messages of a recording for the core, in order of arrival: its frames, side-channel records, and ranges from a table."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from gcs_coloc.core.advance import Overrun
 from gcs_coloc.core.messages.control import ClockReference, OperatorCommand, RouteReport, TransmitDisabled
@@ -64,15 +60,6 @@ class RecordedMessages:
         self._of_record: deque[Inbound | Overrun] = deque()
         self._truths_of_record: list[HeardTruth] = []
         self._ranges_taken = 0
-
-    def state(self) -> dict[str, Any]:
-        """Where it stands, all but the table of ranges; see `restore`."""
-        return {name: value for name, value in vars(self).items() if name not in ("_records", "_ranges")}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Go to where another one of the same recording stood. What the state holds is this one's from now on."""
-        vars(self).update(state)
-        self._records = self.log.records_from(self.log.position)
 
     def next(self) -> Inbound | Overrun | None:
         """The next message; None at the end. One of the table comes after those of the recording that arrived with it.

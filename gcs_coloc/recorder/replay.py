@@ -6,8 +6,7 @@ a table beside it. Nothing is sent anywhere.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
 
 from gcs_coloc.core.advance import CATCH_UP_S, Overrun, advance
 from gcs_coloc.core.engine import Engine
@@ -25,8 +24,7 @@ class Replay:
 
     `now_s` is the service time (UNIX s) that was reached.
 
-    However it is stepped and advanced, the engine does the same at the same recorded times; also after it was frozen, thawed and
-    put back to where it had been (`state`, `restore`).
+    However it is stepped and advanced, the engine does the same at the same recorded times.
     """
 
     def __init__(
@@ -77,15 +75,6 @@ class Replay:
     def truths(self) -> dict[int, HeardTruth]:
         """Where a simulation says that vehicles truly are, by system id."""
         return self._messages.truths
-
-    def state(self) -> dict[str, Any]:
-        """Everything that what follows depends on, but what it was made with from outside; see `restore`."""
-        return {"engine": self.engine, "messages": self._messages.state(), "now_s": self.now_s, "next": self._next}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Go to where this replay stood. What the state holds is this replay's from now on: it wants a copy to be kept."""
-        self.engine, self.now_s, self._next = state["engine"], state["now_s"], state["next"]
-        self._messages.restore(state["messages"])
 
     @property
     def next_s(self) -> float | None:

@@ -40,12 +40,11 @@ class TlogReader:
 
     Where the file is damaged, reading goes on at the next record whose frame has a right checksum. `counts` then holds
     damaged_bytes, and truncated if the file ends within a record. Iterating raises DataError where the file cannot be
-    read or is no tlog. `position` is the offset behind the record that was read last.
+    read or is no tlog.
     """
 
     def __init__(self, path: Path) -> None:
         self.counts = Counts()
-        self.position = 0
         self._path = path
 
     def span(self) -> tuple[float, float]:
@@ -62,14 +61,6 @@ class TlogReader:
             raise DataError(f"{self._path}: cannot be read: {error.strerror}") from error
 
     def __iter__(self) -> Iterator[TlogRecord]:
-        return self.records_from(0)
-
-    def records_from(self, position: int) -> Iterator[TlogRecord]:
-        """The records from an offset on at which one begins, as `position` was.
-
-        Raises:
-            DataError: as iterating does.
-        """
         try:
             about = self._path.stat()
             if not (stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode)):
@@ -77,19 +68,19 @@ class TlogReader:
             if stat.S_ISREG(about.st_mode) and about.st_size == 0:
                 raise DataError(f"{self._path}: is empty, no tlog")
             with self._path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                yield from self._records(data, position)
+                yield from self._records(data)
         except OSError as error:
             raise DataError(f"{self._path}: cannot be read: {error.strerror}") from error
 
-    def _records(self, data: mmap.mmap, position: int) -> Iterator[TlogRecord]:
-        size = len(data)
-        found_any = position > 0
+    def _records(self, data: mmap.mmap) -> Iterator[TlogRecord]:
+        position, size = 0, len(data)
+        found_any = False
         while position < size:
             found = _frame_of_record(data, position)
             if isinstance(found, RawFrame):
                 (time_us,) = _TIME.unpack_from(data, position)
                 found_any = True
-                self.position = position = position + _TIME.size + len(found.frame)
+                position += _TIME.size + len(found.frame)
                 yield TlogRecord(time_us / 1e6, found.frame)
                 continue
             if not found_any and (other := _other_kind(data)) is not None:
@@ -107,7 +98,6 @@ class TlogReader:
                 self.counts.add(Refusal.TRUNCATED)
             else:
                 self.counts.add(Refusal.DAMAGED_BYTES, size - position)
-            self.position = size
             return
 
 

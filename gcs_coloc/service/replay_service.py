@@ -1,31 +1,36 @@
-"""The composition root of a replay on the page: a recording, its playhead and the page's server."""
+"""The composition root of a replay on the page: a recording, the pass that computes its pictures, and the page's server."""
 
 from __future__ import annotations
 
 import asyncio
 import signal
-from collections.abc import Iterable
+import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.errors import DataError
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.mavlink.truth import HeardTruth
-from gcs_coloc.recorder.playhead import Playhead
 from gcs_coloc.recorder.replay import Replay
 from gcs_coloc.recorder.side_tables import TruthTable, read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
-from gcs_coloc.web.app import Hooks
-from gcs_coloc.web.playback import OnPoll, Playback
+from gcs_coloc.sinks.idle_scheduler import IdleScheduler
+from gcs_coloc.web.pages import Pages
+from gcs_coloc.web.picture_store import PICTURE_PERIOD_S, PictureStore
+from gcs_coloc.web.playback import Playback
+from gcs_coloc.web.replay_pass import OnPoll, ReplayPass
 from gcs_coloc.web.server import WebServer
-from gcs_coloc.web.track_history import TrackHistory
+
+_SWITCH_INTERVAL_S = 0.001
+"""How long the pass runs on while the page's thread waits for the interpreter. Chosen: Python's 5 ms are 50 ms in a request."""
 
 
 class ReplayService:
     """Serves one recording. `run` lasts until a signal."""
 
     def __init__(self, file: Path, settings: Settings, ranges: Path | None, truth: Path | None, speed: float) -> None:
-        """Read what there is beside the recording, and its beginning and end.
+        """Read the tables beside the recording, and its beginning and end.
 
         `speed` in recorded seconds a second.
 
@@ -34,46 +39,45 @@ class ReplayService:
             EstimatorError: the estimator cannot be loaded.
         """
         own = (settings.mavlink.system_id, settings.mavlink.component_id)
-        told = read_ranges(ranges) if ranges is not None else []
-        self._table = TruthTable(read_truth(truth)) if truth is not None else None
+        table_ranges = read_ranges(ranges) if ranges is not None else []
+        true_positions = TruthTable(read_truth(truth) if truth is not None else [])
 
         def begin(on_poll: OnPoll) -> Replay:
             engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
-            return Replay(engine, TlogReader(file), told, on_poll, own, settings.fingerprint())
+            return Replay(engine, TlogReader(file), table_ranges, on_poll, own, settings.fingerprint())
 
-        story = TrackHistory()
-        self._playback = Playback(begin, Playhead(*TlogReader(file).span(), speed), story)
+        try:
+            store = PictureStore(*TlogReader(file).span())
+        except OSError as error:
+            raise DataError(f"no file can be made in the directory for temporary files: {error.strerror}; set TMPDIR") from None
+        self._pass = ReplayPass(begin, true_positions.at, store)
+        playback = Playback(store, speed)
         web = settings.web.model_copy(update={"token_file": ""})
-        self._web = WebServer(
-            web, Hooks(self._playback.look, self._playback.look, None, lambda: None, self._truths, self._playback), story
-        )
-
-    def _truths(self) -> Iterable[HeardTruth]:
-        heard = self._playback.replay.truths
-        return (heard | self._table.at(self._playback.state.at_s) if self._table is not None else heard).values()
+        self._web = WebServer(web, playback, Pages(playback, IdleScheduler(), PICTURE_PERIOD_S))
 
     @property
-    def log(self) -> TlogReader:
-        """The recording as far as it was read."""
-        return self._playback.replay.log
+    def damage(self) -> Mapping[str, int]:
+        """What of the recording could not be read so far, by kind."""
+        return self._pass.damage
 
     async def run(self) -> None:
         """Serve until a signal.
 
         Raises:
-            DataError: the recording can no longer be read.
-            WebError: the page's address cannot be had.
+            DataError: the recording can no longer be read, or its pictures cannot be kept.
+            WebError: the page's address is in use or cannot be listened on.
         """
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, self._web.stop)
         print(f"web page: {self._web.open()} (Ctrl-C ends)", flush=True)
-        playing = asyncio.create_task(self._playback.run())
-        serving = asyncio.create_task(self._web.run())
-        await asyncio.wait({playing, serving}, return_when=asyncio.FIRST_COMPLETED)
-        self._web.stop()
-        await serving
-        playing.cancel()
-        await asyncio.wait({playing})
-        if not playing.cancelled():
-            playing.result()
+        sys.setswitchinterval(_SWITCH_INTERVAL_S)
+        computing = asyncio.create_task(asyncio.to_thread(self._pass.run))
+        computing.add_done_callback(self._stop_after_failure)
+        await self._web.run()
+        self._pass.stop()
+        await computing
+
+    def _stop_after_failure(self, computing: asyncio.Task[None]) -> None:
+        if computing.exception() is not None:
+            self._web.stop()

@@ -152,18 +152,19 @@ class _Observed:
         if not settings.web.on:
             return None
         # Here, because a service without the page is to start without its packages.
-        from gcs_coloc.web.app import Hooks
+        from gcs_coloc.web.app import WebHooks
+        from gcs_coloc.web.pages import Pages
+        from gcs_coloc.web.picture import LiveSource
         from gcs_coloc.web.server import WebServer
         from gcs_coloc.web.track_history import TrackHistory
 
         path, snapshots = self.path, self.path.snapshots
-        # At the recording's pace, so that one look at the fleet does for both.
-        hooks = Hooks(
-            *(snapshots.snapshot, snapshots.recent_snapshot, path.apply_command, self._fault, path.truths.values),
-            idle=path.idle,
-            pictures_every_s=EVERY_S,
-        )
-        return WebServer(settings.web, hooks, TrackHistory(), path.events.subscribe(256))
+        history, events = TrackHistory(), path.events.subscribe(256)
+        source = LiveSource(snapshots.snapshot, snapshots.recent_snapshot, history, path.truths.values)
+        # At the recording's pace, so that one snapshot of the fleet serves both.
+        pages = Pages(source, path.idle, EVERY_S)
+        hooks = WebHooks(snapshots.snapshot, path.apply_command, self._fault)
+        return WebServer(settings.web, hooks, pages, lambda: history.follow(events))
 
     def _make_mqtt(self, settings: Settings) -> Mqtt | None:
         if not settings.mqtt.host:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hmac
 import ipaddress
 from collections.abc import Collection
-from email.utils import formatdate
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -24,7 +23,7 @@ _HEADERS = {
 
 
 class Guard:
-    """ASGI middleware: refuses requests under a foreign name or from a foreign page, and adds the date and the security headers.
+    """ASGI middleware: refuses requests under a foreign name or from a foreign page, and adds the security headers.
 
     A name that is neither an IP address, localhost nor in `allowed_hosts` is refused: a foreign site could otherwise point
     its own name at this machine and read along in the operator's browser.
@@ -44,7 +43,6 @@ class Guard:
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                headers.setdefault("date", formatdate(usegmt=True))
                 for name, value in _HEADERS.items():
                     headers.setdefault(name, value)
             await send(message)

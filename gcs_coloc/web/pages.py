@@ -1,91 +1,134 @@
-"""The open pages: each gets the latest picture when it can take one, and every event once. None can hold up another."""
+"""The open pages: each gets the latest picture as soon as it has shown the one before, and every event once."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from typing import Protocol
 
 from gcs_coloc.sinks.idle_scheduler import IdleScheduler
-from gcs_coloc.web.live_socket import SendFrame, text_frame
-from gcs_coloc.web.track_history import TrackHistory
+from gcs_coloc.web.wire import HIDDEN, SHOWN, VISIBLE, EventsFrame, VehicleHistory
 
-MOST_PAGES = 32
+MAX_PAGES = 32
+MAX_UNSHOWN = 2
+"""Pictures on their way to a page. Chosen: one would halve the rate at a round trip of 0.4 s, more would show the past."""
 _PAGES_AT_A_TIME = 8
 
 
-class Page:
-    """One open page. It is offered every picture; one that comes before it has taken the last is not for it."""
-
-    def __init__(self, send_frame: SendFrame) -> None:
-        self.skipped = 0
-        self._visible = True
-        self._send_frame = send_frame
-        self._instance, self._edition, self._told = "", 0, 0
-        self._wake = asyncio.Event()
+class PageSource(Protocol):
+    """What pages are sent: the live service's fleet, or a replay's at its position."""
 
     @property
-    def visible(self) -> bool:
-        """Whether anybody looks at it: one in a tab behind others is sent events alone."""
-        return self._visible
+    def instance(self) -> str:
+        """Changes where a page must forget everything it was sent: another run, or an earlier position of a replay."""
+        ...
 
-    def offer(self, story: TrackHistory, picture: bytes) -> None:
-        """Send the newest picture, and have its task tell what else is new; never waits."""
-        if (story.instance, story.edition) == (self._instance, self._edition):
-            if self._visible and not self._send_frame(picture):
-                self.skipped += 1
-            if story.newest_event > self._told:
-                self._wake.set()
-        else:
-            self._wake.set()
+    @property
+    def edition(self) -> int:
+        """Changes where a page must draw the tracks anew."""
+        ...
 
-    def show(self, visible: bool) -> None:
-        """Note whether anybody looks at it. Who looks again is told what went by, by hello's history."""
-        if visible and not self._visible:
-            self._edition = -1
-            self._wake.set()
-        self._visible = visible
+    @property
+    def newest_event(self) -> int:
+        """The number of the newest event; 0 before the first."""
+        ...
 
-    async def send_all(self, story: TrackHistory, hello: Callable[[], str], send: Callable[[str], Awaitable[None]]) -> None:
-        """Send hello and then events for ever, as fast as `send` takes them; hello again where the story wants it."""
+    @property
+    def utc_minus_service_s(self) -> float | None:
+        """UTC minus the service's clock, s; None where it is not known."""
+        ...
+
+    def events_after(self, number: int) -> EventsFrame:
+        """The events with a higher number."""
+        ...
+
+    def tracks(self) -> tuple[VehicleHistory, ...]:
+        """The last minutes of each vehicle."""
+        ...
+
+    def messages(self, *, with_counts: bool) -> list[str]:
+        """The latest picture as JSON messages, the `fleet` message and others; empty where there is none yet."""
+        ...
+
+
+class Page:
+    """One open page. Its task sends it everything; whoever offers a picture never waits."""
+
+    def __init__(self, source: PageSource, hello: Callable[[], str], send: Callable[[str], Awaitable[None]]) -> None:
+        """`hello` makes the first message, `send` sends one and may wait."""
+        self.skipped = 0
+        """Pictures that were replaced by a newer one before the page could be sent them."""
+        self.visible = True
+        """Whether the page is in sight; otherwise it is sent events alone."""
+        self._source = source
+        self._hello = hello
+        self._send = send
+        self._instance, self._edition, self._newest_event = "", 0, 0
+        self._picture: tuple[str, list[str]] | None = None  # not sent yet, with its instance
+        self._unshown = 0
+        self._wake = asyncio.Event()
+
+    def offer(self, instance: str, picture: list[str]) -> None:
+        """Have the newest picture and new events sent; the picture takes the place of one that is not sent yet."""
+        if picture and self.visible:
+            self.skipped += self._picture is not None
+            self._picture = instance, picture
+        self._wake.set()
+
+    def receive(self, text: str | None) -> None:
+        """Apply what the page says of itself."""
+        if text == SHOWN:
+            self._unshown = max(self._unshown - 1, 0)
+        elif text == HIDDEN:
+            self.visible = False
+            self._picture = None
+        elif text == VISIBLE and not self.visible:
+            self.visible = True
+            self._edition = -1  # hello's tracks show what has passed meanwhile
+        self._wake.set()
+
+    async def send_all(self) -> None:
+        """Send hello, events and pictures for ever, as fast as the page accepts them."""
+        source = self._source
         while True:
-            if (story.instance, story.edition) != (self._instance, self._edition):
-                told = self._told if story.instance == self._instance else 0
-                instance, edition = story.instance, story.edition
-                await send(hello())
-                self._instance, self._edition, self._told = instance, edition, told
-            if story.newest_event > self._told:
-                news, self._told = story.events_after(self._told), story.newest_event
-                await send(news.model_dump_json())
-            await self._wake.wait()
             self._wake.clear()
+            if (source.instance, source.edition) != (self._instance, self._edition):
+                if source.instance != self._instance:
+                    self._newest_event = 0
+                self._instance, self._edition = source.instance, source.edition
+                await self._send(self._hello())
+            if source.newest_event > self._newest_event:
+                events, self._newest_event = source.events_after(self._newest_event), source.newest_event
+                await self._send(events.model_dump_json())
+            if self._picture is not None and self._unshown < MAX_UNSHOWN:
+                (instance, messages), self._picture = self._picture, None
+                if instance == self._instance:
+                    self._unshown += 1
+                    for message in messages:
+                        await self._send(message)
+            await self._wake.wait()
 
 
 class Pages:
-    """All open pages. `picture` makes the latest one, each `period_s`, and `counts` what is shown once a second, both as JSON.
+    """All open pages. The source is asked for a picture only while a page is in sight, and once for all pages."""
 
-    They are asked only while a page is looked at, and once for all.
-    """
-
-    def __init__(
-        self, picture: Callable[[], bytes], counts: Callable[[], bytes], story: TrackHistory, idle: IdleScheduler, period_s: float
-    ) -> None:
-        self._picture = picture
-        self._counts = counts
+    def __init__(self, source: PageSource, idle: IdleScheduler, period_s: float) -> None:
+        """Offer a picture every `period_s`, in idle time."""
+        self.source = source
+        self._idle = idle
         self._period_s = period_s
         self._counts_every = max(round(1.0 / period_s), 1)
         self._turn = 0
-        self._story = story
-        self._idle = idle
         self._open: set[Page] = set()
 
     @property
     def full(self) -> bool:
         """Whether there are as many pages as there may be."""
-        return len(self._open) >= MOST_PAGES
+        return len(self._open) >= MAX_PAGES
 
-    def add(self, send_frame: SendFrame) -> Page:
-        """A new page, to be given back with `remove`."""
-        page = Page(send_frame)
+    def add(self, hello: Callable[[], str], send: Callable[[str], Awaitable[None]]) -> Page:
+        """A new page, which `remove` takes out again."""
+        page = Page(self.source, hello, send)
         self._open.add(page)
         return page
 
@@ -94,24 +137,19 @@ class Pages:
         self._open.discard(page)
 
     async def run(self) -> None:
-        """Offer the latest picture to every page at a steady pace."""
+        """Offer the latest picture to every page, for ever."""
         async for _ in self._idle.every(self._period_s):
             if self._open:
-                await self.tick()
+                await self.offer_picture()
 
-    async def tick(self) -> None:
+    async def offer_picture(self) -> None:
         """Offer one picture to every page, to a few at a time: what arrives meanwhile does not wait for all of them."""
-        instance = self._story.instance
-        picture = self._frames() if any(page.visible for page in self._open) else b""
+        picture: list[str] = []
+        if any(page.visible for page in self._open):
+            self._turn += 1
+            picture = self.source.messages(with_counts=self._turn % self._counts_every == 0)
+        instance = self.source.instance
         for n, page in enumerate(list(self._open)):
             if n and n % _PAGES_AT_A_TIME == 0:
                 await asyncio.sleep(0)
-                if self._story.instance != instance:  # the picture is of another flight
-                    return
-            page.offer(self._story, picture)
-
-    def _frames(self) -> bytes:
-        """The frames of one turn."""
-        self._turn += 1
-        picture = text_frame(self._picture())
-        return picture + text_frame(self._counts()) if self._turn % self._counts_every == 0 else picture
+            page.offer(instance, picture)

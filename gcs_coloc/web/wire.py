@@ -1,4 +1,4 @@
-"""What the page is sent over its WebSocket, as models: docs/reference/web.md describes every field."""
+"""The messages of the page's WebSocket as models. docs/reference/web.md describes every field."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 from gcs_coloc.core.snapshot import RangeSnapshot, VehicleSnapshot
 
 HIDDEN = "hidden"
-"""What a page sends when nobody looks at it any more; anything else says that somebody does."""
+"""A page sends this when it goes out of sight, such as a tab behind others."""
+VISIBLE = "visible"
+"""A page sends this when it is in sight again."""
+SHOWN = "shown"
+"""A page acknowledges each `fleet` message with this once it is drawn; it is sent no further one before."""
 
 LightColour = Literal["good", "caution", "bad", "unknown"]
 
@@ -19,7 +23,7 @@ class _Wire(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-# Not frozen, as `VehicleSnapshot` is not: the page's values are made many times a second, and sent at once.
+# Not frozen, as `VehicleSnapshot` is not: they are built many times a second and sent at once.
 @dataclass(slots=True)
 class Ellipse:
     """The 2-sigma ellipse of a horizontal position; `angle_rad` of its longer axis from east, counter-clockwise."""
@@ -31,12 +35,12 @@ class Ellipse:
 
 @dataclass(slots=True)
 class VehicleFrame:
-    """One vehicle: the service's view of it, its traffic light and the reason for that in words.
+    """One vehicle: its snapshot, its traffic light and the reason for that in words.
 
-    `truth_enu_m` is where a simulation says that it truly is, in the fleet's frame (m).
+    `truth_enu_m` is its true position, from a simulation or a table, in the fleet's frame (m).
     """
 
-    view: VehicleSnapshot
+    snapshot: VehicleSnapshot
     light: LightColour
     reason: str
     ellipse: Ellipse | None
@@ -67,22 +71,26 @@ class OutFrame(_Wire):
 
 
 class PlaybackState(_Wire):
-    """Where a replayed flight is: UNIX seconds; `speed` None is as fast as it goes, `goal_s` where it is on its way to.
+    """The position in a replayed flight, sent with each picture of a replay. Times are UNIX seconds.
 
-    `obeyed` counts the commands so far: a page tells by it whether this was said before its own command or after.
+    `computed_s` is how far the flight is computed; `goal_s` is a position that is sought and not computed yet. `speed` None is as
+    fast as the flight is computed. `command_count` counts the commands so far: by it a page sees whether this was sent before
+    or after its own command.
     """
 
+    kind: Literal["playback"] = "playback"
     first_s: float
     last_s: float
     at_s: float
+    computed_s: float
     playing: bool
     speed: float | None
     goal_s: float | None
-    obeyed: int
+    command_count: int
 
 
 class PlaybackCommand(_Wire):
-    """What the page asks of a replay; what is left out stays as it is. `halt` stops it where it is, on its way to a place too."""
+    """A page's command to a replay; a field left out changes nothing. `halt` pauses and gives up a position that is sought."""
 
     halt: Literal[True] | None = None
     playing: bool | None = None
@@ -92,7 +100,7 @@ class PlaybackCommand(_Wire):
 
 @dataclass(slots=True)
 class FleetFrame:
-    """The fleet at one instant; sent each 0.4 s at most (0.2 s in a replay), only the latest. `playback` is of a replay alone."""
+    """The fleet at one instant, every 0.4 s (0.2 s in a replay); a page that is slow gets only the latest."""
 
     at_s: float
     utc_minus_service_s: float | None
@@ -100,16 +108,15 @@ class FleetFrame:
     origin: tuple[float, float, float] | None
     vehicles: tuple[VehicleFrame, ...]
     ranges: tuple[RangeSnapshot, ...]
-    playback: PlaybackState | None
     kind: Literal["fleet"] = "fleet"
 
 
 fleet_json = TypeAdapter(FleetFrame).dump_json
-"""A `FleetFrame` as JSON: of values that are ours nothing is checked at every picture."""
+"""A `FleetFrame` as JSON, without validation: its values come from the engine, many times a second."""
 
 
 class CountsFrame(_Wire):
-    """What is counted, sent once a second: the links, the ground tools, what was refused, what became of measurements."""
+    """The counters, sent once a second: links, ground tools, refused messages, measurements by what the estimator did."""
 
     kind: Literal["counts"] = "counts"
     links: tuple[LinkFrame, ...]
@@ -130,7 +137,7 @@ class Event(_Wire):
 
 
 class EventsFrame(_Wire):
-    """Events in their order, each sent once; `missed` were pushed out of the service's memory before they could be sent."""
+    """Events in order, each sent once; `missed` were dropped from the service's memory before they could be sent."""
 
     kind: Literal["events"] = "events"
     events: tuple[Event, ...]
@@ -153,7 +160,7 @@ class VehicleHistory(_Wire):
 
 
 class TilesInfo(_Wire):
-    """The tiles that there are under the map: their zooms in the usual scheme, and whose they are."""
+    """The tiles under the map: their zoom levels (web Mercator scheme), and their attribution."""
 
     min_zoom: int
     max_zoom: int
@@ -161,7 +168,7 @@ class TilesInfo(_Wire):
 
 
 class Hello(_Wire):
-    """The first message: which run of the service this is, whether it takes commands or is a replay, and the last minutes."""
+    """The first message: the run of the service, whether it accepts commands, whether it is a replay, and the last minutes."""
 
     kind: Literal["hello"] = "hello"
     instance: str

@@ -63,7 +63,7 @@ def test_four_vehicles_are_shown_and_nothing_is_complained_of(watched):
     page = watched.page
     for sysid in (1, 2, 3, 4):
         expect(card(page, sysid)).to_contain_text("last heard 0.")
-        expect(page.locator("#map").get_by_role("button", name=f"Vehicle {sysid}, good: our estimate")).to_be_visible()
+        expect(page.locator("#map").get_by_role("button", name=f"Vehicle {sysid}, good: estimated position")).to_be_visible()
     expect(page.get_by_role("status").filter(has_text="live")).to_be_visible()
     expect(page.locator("#link-rows tr")).to_have_count(4)
     expect(page.locator("#plots canvas")).to_have_count(4)
@@ -88,7 +88,7 @@ def test_a_ground_tool_is_shown_with_what_goes_to_it_and_what_is_refused_of_it(w
     assert watched.complaints == []
 
 
-def test_a_failed_vehicle_gets_an_alarm_until_acknowledged_an_ellipse_and_its_claim_apart(watched, scene):
+def test_a_failed_vehicle_gets_an_alarm_until_acknowledged_an_ellipse_and_its_reported_position_apart(watched, scene):
     page = watched.page
     expect(card(page, 4)).to_contain_text("GPS healthy")
     expect(page.locator("path.ellipse:not([d='M0 0'])")).to_have_count(0)
@@ -100,7 +100,7 @@ def test_a_failed_vehicle_gets_an_alarm_until_acknowledged_an_ellipse_and_its_cl
     expect(page.locator("#summary")).to_contain_text("1 with caution (4)")
     expect(page.get_by_role("link", name="alarm")).to_be_visible()
     expect(page.locator("path.ellipse:not([d='M0 0'])")).to_have_count(1)
-    expect(page.get_by_role("button", name="Vehicle 4: its own claim, not believed")).to_be_visible()
+    expect(page.get_by_role("button", name="Vehicle 4: reported position, not trusted")).to_be_visible()
     expect(page.locator("path.range")).to_have_count(3)
     card(page, 4).click()
     page.get_by_role("button", name="Follow it").click()
@@ -171,22 +171,22 @@ def test_the_keyboard_skips_to_the_fleet_and_a_vehicles_details_and_comes_back_f
 def test_the_vehicles_on_the_map_are_one_stop_of_the_tab_key_with_arrow_keys_among_them(watched, scene):
     page = watched.page
     scene.failed.add(4)
-    expect(page.get_by_role("button", name="Vehicle 4: its own claim, not believed")).to_be_visible()
+    expect(page.get_by_role("button", name="Vehicle 4: reported position, not trusted")).to_be_visible()
     page.locator("#map").focus()
     page.keyboard.press("Tab")
     expect(page.get_by_role("toolbar", name="Vehicles on the map").locator(":focus")).to_have_count(1)
     page.keyboard.press("Home")
     for sysid in (1, 2, 3, 4):
-        assert re.match(f"Vehicle {sysid}, .*: our estimate", focused(page))
+        assert re.match(f"Vehicle {sysid}, .*: estimated position", focused(page))
         page.keyboard.press("ArrowRight")
-    assert focused(page) == "Vehicle 4: its own claim, not believed"
+    assert focused(page) == "Vehicle 4: reported position, not trusted"
     page.keyboard.press("Tab")
     assert focused(page) == "Zoom in"
     page.keyboard.press("Shift+Tab")
-    assert focused(page) == "Vehicle 4: its own claim, not believed"
+    assert focused(page) == "Vehicle 4: reported position, not trusted"
     scene.failed.clear()
-    expect(page.get_by_role("button", name="Vehicle 4: its own claim, not believed")).to_have_count(0)
-    neighbour = re.match(r"(Vehicle \d), .*: our estimate", focused(page))  # of what is no longer there
+    expect(page.get_by_role("button", name="Vehicle 4: reported position, not trusted")).to_have_count(0)
+    neighbour = re.match(r"(Vehicle \d), .*: estimated position", focused(page))  # of what is no longer there
     assert neighbour is not None
     page.keyboard.press("Enter")
     expect(page.get_by_role("region", name=neighbour[1])).to_be_visible()
@@ -222,7 +222,9 @@ def test_a_command_needs_the_token_and_a_second_press(watched):
     page.get_by_label("Operator's token").fill("not the token at all")
     button.click()
     expect(button).to_have_text(re.compile("press again"))
-    expect(result).to_have_text("Vehicle 1: It is located from its ranges and sent that position; its own is not believed.")
+    expect(result).to_have_text(
+        "Vehicle 1: It is located from its ranges and sent that position; its reported position is not trusted."
+    )
     button.click()
     expect(result).to_contain_text("refused")
     page.get_by_label("Operator's token").fill(TOKEN)
@@ -235,12 +237,12 @@ def test_a_command_needs_the_token_and_a_second_press(watched):
     expect(card(page, 1)).to_contain_text(re.compile("GPS (recovering|healthy): fix type 3"))
 
 
-def test_the_word_on_a_vehicles_aid_is_given_on_the_page(watched):
+def test_a_vehicles_aiding_is_overridden_on_the_page(watched):
     page = watched.page
     card(page, 2).click()
     page.get_by_label("Operator's token").fill(TOKEN)
     details = page.get_by_role("region", name="Vehicle 2")
-    for button, told in (("Never aid it", "aid off"), ("Aid it as its GPS needs", "aid auto")):
+    for button, told in (("Aiding off", "aiding off"), ("Aiding automatic", "aiding auto")):
         page.get_by_role("button", name=button).click()
         page.get_by_role("button", name=f"{button}: press again").click()
         expect(page.locator("#command-result")).to_contain_text("done")
@@ -273,7 +275,7 @@ def test_gps_primary_is_set_and_restored_from_the_page_with_what_that_does_in_wo
     details = page.get_by_role("region", name="Vehicle 4")
     for button, effect, value in (
         ("Set GPS_PRIMARY to our receiver", "whatever its own receiver says", 1.0),
-        ("Restore GPS_PRIMARY", "even if that lies", 0.0),
+        ("Restore GPS_PRIMARY", "even if that is faulty", 0.0),
     ):
         page.get_by_role("button", name=button).click()
         expect(page.locator("#command-result")).to_contain_text(effect)
@@ -294,19 +296,19 @@ def test_without_tiles_nothing_that_draws_them_is_loaded(watched):
     assert "tiles.js" not in loaded
 
 
-def test_the_truth_of_a_simulation_is_a_mark_of_its_own(watched, scene):
+def test_the_true_position_of_a_simulation_has_a_mark_of_its_own(watched, scene):
     page, hover = watched.page, scene.fleet[0]
     expect(card(page, 1)).to_contain_text("last heard 0.")
     expect(page.locator("#truth-key")).to_be_hidden()
     lat_deg, lon_deg, _ = hover.lla
-    mark = page.get_by_role("button", name="Vehicle 1: the truth")
+    mark = page.get_by_role("button", name="Vehicle 1: true position")
 
     def is_told():
         hover.send(hover.pack(mavlink.MAVLink_simstate_message(*(0.0,) * 9, round(lat_deg * 1e7), round(lon_deg * 1e7))))
         return mark.count() == 1
 
     wait_for(is_told, "the mark")
-    at, estimate = mark.bounding_box(), page.get_by_role("button", name="Vehicle 1, good: our estimate").bounding_box()
+    at, estimate = mark.bounding_box(), page.get_by_role("button", name="Vehicle 1, good: estimated position").bounding_box()
     assert (at["x"], at["y"]) == pytest.approx((estimate["x"], estimate["y"]), abs=10.0)
     expect(mark).to_have_count(0)  # what is no longer told is no longer shown
 

@@ -40,7 +40,7 @@ def test_tiles_lie_under_the_vehicles_and_nothing_is_complained_of(tmp_path):
         loaded = "all => all.length > 0 && all.every(e => e.complete && e.naturalWidth === 256)"
         wait_for(lambda: pictures.evaluate_all(loaded), "tiles", 60.0)
         # Vehicle 1 stands at the origin: its mark is on the very tile that holds that place, as far from its edges.
-        mark = page.locator("#map").get_by_role("button", name="Vehicle 1, good: our estimate").bounding_box()
+        mark = page.locator("#map").get_by_role("button", name="Vehicle 1, good: estimated position").bounding_box()
         at = (mark["x"] + mark["width"] / 2, mark["y"] + mark["height"] / 2)
         zooms = {source.split("/")[-3] for source in pictures.evaluate_all("all => all.map(e => e.src)")}
         [zoom] = map(int, zooms)

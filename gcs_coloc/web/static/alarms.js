@@ -1,4 +1,4 @@
-// Alarms stay until they are acknowledged on this page; alike ones are counted together. Every event goes to the log.
+// Alarms stay until they are acknowledged on this page; alarms with the same text are counted together. The log lists every event.
 
 import { byId, el, prose, setText } from "./dom.js";
 
@@ -13,8 +13,8 @@ export class Alarms {
     byId("acknowledge-all").addEventListener("click", () => this.acknowledge([...this.alarms.keys()]));
   }
 
-  // A restarted service numbers its events anew; alarms of the run before stay until acknowledged.
-  begin(instance) {
+  // A restarted service numbers its events from 1; alarms of the run before stay until they are acknowledged.
+  setInstance(instance) {
     if (this.instance === instance) return;
     this.instance = instance;
     this.newest = 0;
@@ -27,13 +27,13 @@ export class Alarms {
     byId("log").replaceChildren();
   }
 
-  // What time it was is known only now, or is another than it was taken for.
-  tellTimes() {
-    this.alarms.forEach((alarm) => this.tellWhen(alarm));
-    this.lines.forEach((line) => this.tellLine(line));
+  // UTC became known, or changed.
+  updateTimes() {
+    this.alarms.forEach((alarm) => this.showTime(alarm));
+    this.lines.forEach((line) => this.showLine(line));
   }
 
-  take({ events, missed }) {
+  add({ events, missed }) {
     if (missed > 0 && this.newest === 0) this.log(`${missed} older events are no longer kept`, "info");
     for (const event of events) {
       if (event.id <= this.newest) continue;
@@ -51,11 +51,11 @@ export class Alarms {
     alarm.times += 1;
     setText(alarm.text, text);
     alarm.at = event.at_s;
-    this.tellWhen(alarm);
+    this.showTime(alarm);
     alarm.button.setAttribute("aria-label", `Acknowledge ${text}`);
   }
 
-  tellWhen({ when, at, times }) {
+  showTime({ when, at, times }) {
     setText(when, this.timeText(at) + (times > 1 ? `, ${times} times` : ""));
   }
 
@@ -74,7 +74,7 @@ export class Alarms {
       this.alarms.get(key).node.remove();
       this.alarms.delete(key);
     }
-    // Only when none is left can the highest number stand for all of them.
+    // Only when none is left does the highest number stand for all of them.
     if (this.alarms.size === 0) {
       this.done = this.newest;
       sessionStorage.setItem(`acknowledged ${this.instance}`, String(this.done));
@@ -85,7 +85,7 @@ export class Alarms {
   count() {
     const n = this.alarms.size;
     setText(byId("alarm-count"), n ? `(${n})` : "");
-    // The list may be out of sight, scrolled away by a vehicle's details.
+    // A vehicle's details may have scrolled the list out of sight.
     byId("alarm-link").hidden = n === 0;
     setText(byId("alarm-link"), n === 1 ? "1 alarm" : `${n} alarms`);
     byId("no-alarms").hidden = n > 0;
@@ -95,13 +95,13 @@ export class Alarms {
 
   log(text, level, at = null) {
     const line = { text, at, node: el("li", { class: level }) };
-    this.tellLine(line);
+    this.showLine(line);
     this.lines.push(line);
     byId("log").prepend(line.node);
     while (this.lines.length > LOG_LINES) this.lines.shift().node.remove();
   }
 
-  tellLine({ node, text, at }) {
+  showLine({ node, text, at }) {
     setText(node, at === null ? text : `${this.timeText(at)} ${text}`);
   }
 }

@@ -1,4 +1,4 @@
-// Small helpers for building elements; text always goes in as text, never as markup.
+// Helpers that build elements; text is inserted as text, never as markup.
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -16,12 +16,12 @@ function fill(node, attributes, children) {
 export const el = (tag, attributes = {}, ...children) => fill(document.createElement(tag), attributes, children);
 export const svg = (tag, attributes = {}, ...children) => fill(document.createElementNS(SVG, tag), attributes, children);
 
-// Changes the text only where it differs: a screen reader is not told the same again five times a second.
+// Changes the text only where it differs, so that a screen reader does not repeat it five times a second.
 export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
-// An arrow keeps what is on its two sides together.
+// No line break at an arrow.
 export const prose = (text) => text.replaceAll(" -> ", "\u00a0\u2192\u00a0");
 
 export const metres = (value, digits = 1) => (value === null ? "-" : `${value.toFixed(digits)} m`);

@@ -18,7 +18,7 @@ export class FleetList {
     for (const [id, card] of this.cards) card.button.setAttribute("aria-pressed", String(id === sysid));
   }
 
-  // By keyboard the details of one among twenty are far from where it was chosen; Escape leads back there.
+  // The details are far down the tab order from the vehicle that was chosen by keyboard; Escape goes back to it.
   enterDetails() {
     this.cameFrom = document.activeElement;
     byId("details-title").focus();
@@ -26,7 +26,7 @@ export class FleetList {
 
   show(frame, links, lateS) {
     for (const vehicle of frame.vehicles) this.showCard(vehicle, lateS);
-    const chosen = frame.vehicles.find((v) => v.view.sysid === this.selected);
+    const chosen = frame.vehicles.find((v) => v.snapshot.sysid === this.selected);
     byId("details").hidden = chosen === undefined;
     if (chosen !== undefined) this.showDetails(chosen, links, lateS);
   }
@@ -36,19 +36,19 @@ export class FleetList {
     byId("fleet").replaceChildren();
   }
 
-  showCard({ view, light, reason }, lateS) {
-    const card = this.cards.get(view.sysid) ?? this.makeCard(view.sysid);
+  showCard({ snapshot, light, reason }, lateS) {
+    const card = this.cards.get(snapshot.sysid) ?? this.makeCard(snapshot.sysid);
     card.node.className = `card ${light}`;
     setText(card.sign, SIGNS[light]);
     const word = `${lateS > 0 ? "was " : ""}${LIGHT_WORDS[light]}`;
     setText(card.word, word);
-    setText(card.age, `last heard ${age(view.age_s + lateS)} ago`);
+    setText(card.age, `last heard ${age(snapshot.age_s + lateS)} ago`);
     setText(card.reason, reason);
-    // Its words but for what changes all the time, which a screen reader would say again and again.
-    const name = `Vehicle ${view.sysid} ${word}, ${reason}`;
+    // Without the numbers that change all the time, which a screen reader would repeat.
+    const name = `Vehicle ${snapshot.sysid} ${word}, ${reason}`;
     if (card.button.getAttribute("aria-label") !== name) card.button.setAttribute("aria-label", name);
-    const ranges = view.ranges_in_use > 0 ? `, HDOP ${number(view.hdop)}, ${view.ranges_in_use} ranges in use` : "";
-    setText(card.numbers, view.sigma_h_m === null ? "position unknown" : `1-sigma ${metres(view.sigma_h_m)}${ranges}`);
+    const ranges = snapshot.ranges_in_use > 0 ? `, HDOP ${number(snapshot.hdop)}, ${snapshot.ranges_in_use} ranges in use` : "";
+    setText(card.numbers, snapshot.sigma_h_m === null ? "position unknown" : `1-sigma ${metres(snapshot.sigma_h_m)}${ranges}`);
   }
 
   makeCard(sysid) {
@@ -65,30 +65,30 @@ export class FleetList {
     return card;
   }
 
-  showDetails({ view, reason, ellipse }, links, lateS) {
-    setText(byId("details-title"), `Vehicle ${view.sysid}`);
+  showDetails({ snapshot, reason, ellipse }, links, lateS) {
+    setText(byId("details-title"), `Vehicle ${snapshot.sysid}`);
     const place = (lat, lon) => (lat === null ? "-" : `${lat.toFixed(6)}, ${lon.toFixed(6)}`);
-    const c = view.consistency;
-    const link = links.find((one) => one.sysid === view.sysid);
+    const c = snapshot.consistency;
+    const link = links.find((one) => one.sysid === snapshot.sysid);
     const facts = {
       state: reason,
-      "last heard": `${age(view.age_s + lateS)} ago`,
-      autopilot: view.autopilot,
-      "its receiver": view.fix_type === null ? "not heard" : `fix type ${view.fix_type}, ${view.satellites ?? "?"} satellites`,
-      "our estimate": view.enu_m === null ? `unknown: ${view.no_estimate_reason}` : `${place(view.lat_deg, view.lon_deg)}, ${metres(view.alt_msl_m, 0)} ±${metres(view.sigma_v_m, 0)} above sea level`,
-      "its own claim": place(view.reported_lat_deg, view.reported_lon_deg),
-      "1-sigma, 95 % bound": `${metres(view.sigma_h_m)}, ${metres(view.bound_95_m)}`,
+      "last heard": `${age(snapshot.age_s + lateS)} ago`,
+      autopilot: snapshot.autopilot,
+      "GPS receiver": snapshot.fix_type === null ? "not heard" : `fix type ${snapshot.fix_type}, ${snapshot.satellites ?? "?"} satellites`,
+      "estimated position": snapshot.enu_m === null ? `unknown: ${snapshot.no_estimate_reason}` : `${place(snapshot.lat_deg, snapshot.lon_deg)}, ${metres(snapshot.alt_msl_m, 0)} ±${metres(snapshot.sigma_v_m, 0)} above sea level`,
+      "reported position": place(snapshot.reported_lat_deg, snapshot.reported_lon_deg),
+      "1-sigma, 95 % bound": `${metres(snapshot.sigma_h_m)}, ${metres(snapshot.bound_95_m)}`,
       "2-sigma ellipse": ellipse === null ? "-" : `${metres(ellipse.semi_major_m)} by ${metres(ellipse.semi_minor_m)}`,
-      speed: view.velocity_enu_mps === null ? "-" : `${Math.hypot(view.velocity_enu_mps[0], view.velocity_enu_mps[1]).toFixed(1)} m/s`,
-      "HDOP, ranges in use": `${number(view.hdop)}, ${view.ranges_in_use}`,
+      speed: snapshot.velocity_enu_mps === null ? "-" : `${Math.hypot(snapshot.velocity_enu_mps[0], snapshot.velocity_enu_mps[1]).toFixed(1)} m/s`,
+      "HDOP, ranges in use": `${number(snapshot.hdop)}, ${snapshot.ranges_in_use}`,
       "median NIS": c === null ? "-" : `${number(c.nis_median, 2)}, ${c.nis_median > c.band_high ? "above its band" : "band"} ${number(c.band_low, 2)} to ${number(c.band_high, 2)}; ${c.refused} of ${c.ranges} ranges refused`,
-      clock: view.clock_method === null ? "-" : `${view.clock_method} ±${milliseconds(view.clock_sigma_s)}`,
+      clock: snapshot.clock_method === null ? "-" : `${snapshot.clock_method} ±${milliseconds(snapshot.clock_sigma_s)}`,
       link: link === undefined ? "-" : `${number(link.rate_hz)} frames/s, loss ${number(link.loss_percent)} %`,
-      "sent to it": view.aiding,
-      "operator's word": `GPS ${view.gps_override}, aid ${view.aiding_override}, GPS_PRIMARY ${view.primary_override}`,
+      aiding: snapshot.aiding,
+      "operator override": `GPS ${snapshot.gps_override}, aiding ${snapshot.aiding_override}, GPS_PRIMARY ${snapshot.primary_override}`,
     };
-    if (view.gps_primary !== null) facts.GPS_PRIMARY = view.gps_primary;
-    if (view.inhibit_reason !== null) facts["cannot be aided"] = view.inhibit_reason;
+    if (snapshot.gps_primary !== null) facts.GPS_PRIMARY = snapshot.gps_primary;
+    if (snapshot.inhibit_reason !== null) facts["aiding inhibited"] = snapshot.inhibit_reason;
     const list = byId("facts");
     const names = Object.keys(facts);
     if (list.dataset.names !== names.join()) {

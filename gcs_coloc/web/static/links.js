@@ -3,7 +3,7 @@
 import { byId, el, number } from "./dom.js";
 
 export function showCounts({ links, outs, refused, estimator_counts }, vehicles) {
-  const delays = new Map(vehicles.map((v) => [v.view.sysid, v.view.delay_s]));
+  const delays = new Map(vehicles.map((v) => [v.snapshot.sysid, v.snapshot.delay_s]));
   byId("link-rows").replaceChildren(...links.map((link) => {
     const delay = delays.get(link.sysid) ?? null;
     const cells = [number(link.rate_hz), link.loss_percent === null ? "-" : `${number(link.loss_percent)} %`,

@@ -1,4 +1,4 @@
-// One WebSocket in, everything else out. What is shown is never newer than what was heard, and says so when it is old.
+// Receives the messages of one WebSocket and hands them to the parts of the page. An old picture is marked as old.
 
 import { age, byId, setText } from "./dom.js";
 import { Alarms } from "./alarms.js";
@@ -40,17 +40,17 @@ function select(sysid, byKeyboard) {
 }
 
 function draw() {
-  // While pictures arrive the ages in them are the truth; once they stop, the ages grow with the time since.
+  // While pictures arrive, the ages in them hold; once they stop, the ages grow with the time since.
   const old = now() - frameAt;
   fleet.show(frame, counts?.links ?? [], old < OLD_AFTER_S ? 0 : old);
 }
 
-// A service that has just begun may not know the time yet, and a computer without a clock of its own is told it in flight.
-function tellTime(told) {
-  if (told === null || (offset !== null && Math.abs(told - offset) < SAME_TIME_S)) return;
-  offset = told;
-  alarms.tellTimes();
-  plots.tellTime(offset);
+// A service that has just started may not know UTC yet; a computer without a battery-backed clock learns it in flight.
+function updateOffset(utcMinusService) {
+  if (utcMinusService === null || (offset !== null && Math.abs(utcMinusService - offset) < SAME_TIME_S)) return;
+  offset = utcMinusService;
+  alarms.updateTimes();
+  plots.setOffset(offset);
 }
 
 function hello(message) {
@@ -60,21 +60,22 @@ function hello(message) {
     instance = message.instance;
     map.clear();
     fleet.clear();
-    // What was an alarm further on in a replayed flight has not happened yet.
+    // An alarm from a later position of a replayed flight has not happened yet.
     if (message.replay) alarms.clear();
   }
-  alarms.begin(message.instance);
+  alarms.setInstance(message.instance);
   map.showTiles(message.tiles);
   commands.allow(message.commands);
+  playback.setReplay(message.replay);
   plots.reset(offset);
   plots.restore(message.history);
   for (const one of message.history) map.restoreTrail(one.sysid, one.east_m, one.north_m);
 }
 
-// In a long list those that need a look may be out of sight: they are named at the top.
+// In a long list the vehicles in alarm may be scrolled out of sight: the summary at the top names them.
 function summary({ vehicles, estimator }) {
   const named = (light, words) => {
-    const sysids = vehicles.filter((v) => v.light === light).map((v) => v.view.sysid);
+    const sysids = vehicles.filter((v) => v.light === light).map((v) => v.snapshot.sysid);
     return `${sysids.length} ${words}${sysids.length ? ` (${sysids.join(", ")})` : ""}`;
   };
   const heard = `${vehicles.length} vehicle${vehicles.length === 1 ? "" : "s"}`;
@@ -84,9 +85,8 @@ function summary({ vehicles, estimator }) {
 function picture(message) {
   frame = message;
   frameAt = now();
-  tellTime(frame.utc_minus_service_s);
+  updateOffset(frame.utc_minus_service_s);
   draw();
-  playback.show(frame.playback);
   map.show(frame);
   if (frame.at_s - sampledAt >= SAMPLE_EVERY_S) {
     sampledAt = frame.at_s;
@@ -101,31 +101,42 @@ function counted(message) {
   showCounts(counts, frame?.vehicles ?? []);
 }
 
-const takers = { hello, fleet: picture, counts: counted, events: (message) => alarms.take(message) };
+const handlers = {
+  hello,
+  fleet: picture,
+  counts: counted,
+  events: (message) => alarms.add(message),
+  playback: (message) => playback.show(message),
+};
 
 let socket = null;
 let shownAt = 0;
 
-// A page that nobody looks at needs no pictures; the history tells it afterwards what went by.
-function tellVisibility() {
+// A page out of sight needs no pictures; the history in hello brings it up to date afterwards.
+function sendVisibility() {
   if (socket?.readyState === WebSocket.OPEN) socket.send(document.hidden ? "hidden" : "visible");
 }
 
 document.addEventListener("visibilitychange", () => {
   if (!document.hidden) shownAt = now();
-  tellVisibility();
+  sendVisibility();
 });
 
 function connect() {
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
   socket.addEventListener("open", () => {
     retryS = 0.5;
-    playback.begin();
-    if (document.hidden) tellVisibility();
+    playback.reset();
+    if (document.hidden) sendVisibility();
   });
   socket.addEventListener("message", ({ data }) => {
     const message = JSON.parse(data);
-    takers[message.kind](message);
+    try {
+      handlers[message.kind](message);
+    } finally {
+      // The service sends no further picture before this.
+      if (message.kind === "fleet" && socket.readyState === WebSocket.OPEN) socket.send("shown");
+    }
   });
   socket.addEventListener("close", () => {
     setTimeout(connect, retryS * 1000);
@@ -133,13 +144,12 @@ function connect() {
   });
 }
 
-// A browser that cannot reach the service writes that to its console; asking /healthz first would not spare it.
 setInterval(() => {
   if (document.hidden) return;
   const old = now() - frameAt;
   const live = frame !== null && old < OLD_AFTER_S;
   document.body.classList.toggle("old", frame !== null && !live);
-  setText(byId("connection"), live ? (frame.playback === null ? "live" : playback.words()) : frame === null ? "connecting" : `${now() - shownAt < OLD_AFTER_S ? "catching up" : "NO CONNECTION"}: what you see is ${age(old)} old`);
+  setText(byId("connection"), live ? (playback.state === null ? "live" : playback.statusText()) : frame === null ? "connecting" : `${now() - shownAt < OLD_AFTER_S ? "catching up" : "NO CONNECTION"}: what you see is ${age(old)} old`);
   if (frame !== null && !live) draw();
 }, 250);
 

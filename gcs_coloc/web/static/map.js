@@ -7,7 +7,7 @@ import { Roving } from "./roving.js";
 const L = window.L;
 const GRID_PX = 110;
 const TRAIL_POINTS = 180;
-const MARKS = ["estimate", "claim", "truth"];
+const MARKS = ["estimate", "reported", "truth"];
 const MOVING_KEY = /^(Arrow.*|[-+=_])$/;
 const at = (enu) => [enu[1], enu[0]];
 
@@ -16,10 +16,10 @@ export class FleetMap {
     this.onSelect = onSelect;
     this.marks = new Map();
     this.ranges = new Map();
-    this.prints = new WeakMap();
+    this.drawn = new WeakMap();
     this.selected = null;
     this.origin = null;
-    this.mode = "all"; // what the map keeps in view: "all", the "selected" vehicle, or what the "user" chose
+    this.mode = "all"; // what the map keeps in view: "all", the "selected" vehicle, or nothing since the "user" moved it
     this.map = L.map("map", {
       crs: L.CRS.Simple, minZoom: -9, maxZoom: 7, zoomSnap: 0.25, attributionControl: false, zoomControl: false, center: [0, 0], zoom: 0, fadeAnimation: false, zoomAnimation: false,
     });
@@ -34,23 +34,23 @@ export class FleetMap {
     this.grid = L.layerGroup().addTo(this.map);
     this.gridRenderer = L.svg({ pane: "grid" });
     this.map.on("moveend zoomend resize", () => this.drawGrid());
-    const taken = () => { this.mode = "user"; };
-    this.map.on("dragstart", taken);
-    byId("map").addEventListener("wheel", taken, { passive: true });
+    const keepUserView = () => { this.mode = "user"; };
+    this.map.on("dragstart", keepUserView);
+    byId("map").addEventListener("wheel", keepUserView, { passive: true });
     byId("map").addEventListener("keydown", ({ target, key }) => {
-      if (target.id === "map" && MOVING_KEY.test(key)) taken();
+      if (target.id === "map" && MOVING_KEY.test(key)) keepUserView();
     });
-    document.querySelector(".leaflet-control-zoom").addEventListener("click", taken);
+    document.querySelector(".leaflet-control-zoom").addEventListener("click", keepUserView);
     byId("fit").addEventListener("click", () => { this.mode = "all"; this.fit(); });
     this.drawGrid();
   }
 
-  // What draws them is loaded only where there are some; `info` is null where there are none.
+  // The code for tiles is loaded only where there are some; `info` is null where there are none.
   async showTiles(info) {
     if (info === null && this.tiles === null) return;
     const { Tiles } = await import("./tiles.js");
     this.tiles ??= new Tiles(this.map);
-    this.tiles.begin(info);
+    this.tiles.setInfo(info);
     this.tiles.setOrigin(this.origin);
   }
 
@@ -82,7 +82,7 @@ export class FleetMap {
     mark.trail.setLatLngs(east.flatMap((e, i) => (e === null ? [] : [[north[i], e]])).slice(-TRAIL_POINTS));
   }
 
-  // Another run of the service may have another origin: nothing drawn before means anything then.
+  // Another run of the service may have another origin, for which nothing drawn before is right.
   clear() {
     for (const mark of this.marks.values()) {
       for (const [key, part] of Object.entries(mark)) {
@@ -96,10 +96,10 @@ export class FleetMap {
   }
 
   extendTrails(vehicles) {
-    for (const { view } of vehicles) {
-      if (view.enu_m === null) continue;
-      const trail = this.markOf(view.sysid).trail;
-      trail.setLatLngs([...trail.getLatLngs(), at(view.enu_m)].slice(-TRAIL_POINTS));
+    for (const { snapshot } of vehicles) {
+      if (snapshot.enu_m === null) continue;
+      const trail = this.markOf(snapshot.sysid).trail;
+      trail.setLatLngs([...trail.getLatLngs(), at(snapshot.enu_m)].slice(-TRAIL_POINTS));
     }
   }
 
@@ -117,8 +117,8 @@ export class FleetMap {
     this.tiles?.setOrigin(frame.origin);
     const places = new Map();
     for (const vehicle of frame.vehicles) {
-      const { view } = vehicle;
-      if (view.enu_m !== null) places.set(view.sysid, view.enu_m);
+      const { snapshot } = vehicle;
+      if (snapshot.enu_m !== null) places.set(snapshot.sysid, snapshot.enu_m);
       this.showVehicle(vehicle);
     }
     byId("truth-key").hidden = !frame.vehicles.some((vehicle) => vehicle.truth_enu_m !== null);
@@ -128,18 +128,18 @@ export class FleetMap {
   }
 
   showVehicle(vehicle) {
-    const { view, light, ellipse } = vehicle;
-    const mark = this.markOf(view.sysid);
-    const trusted = view.gps_state === "healthy";
-    const stale = view.age_s > 3;
-    const words = `Vehicle ${view.sysid}, ${LIGHT_WORDS[light]}`;
-    this.place(view.sysid, "estimate", view.enu_m, `${words}: our estimate`, () => estimateIcon(view, light, stale));
-    this.place(view.sysid, "claim", trusted ? null : view.reported_enu_m, `Vehicle ${view.sysid}: its own claim, not believed`, () => claimIcon(view));
-    this.place(view.sysid, "truth", vehicle.truth_enu_m, `Vehicle ${view.sysid}: the truth, as its simulation has it`, () => truthIcon(view));
-    const drawEllipse = view.enu_m !== null && ellipse !== null && !trusted;
-    this.shape(mark, "ellipse", drawEllipse ? ellipsePoints(view.enu_m, ellipse) : [], "ellipse", true);
-    const both = !trusted && view.enu_m !== null && view.reported_enu_m !== null;
-    this.shape(mark, "difference", both ? [at(view.enu_m), at(view.reported_enu_m)] : [], "difference", false);
+    const { snapshot, light, ellipse } = vehicle;
+    const mark = this.markOf(snapshot.sysid);
+    const trusted = snapshot.gps_state === "healthy";
+    const stale = snapshot.age_s > 3;
+    const words = `Vehicle ${snapshot.sysid}, ${LIGHT_WORDS[light]}`;
+    this.place(snapshot.sysid, "estimate", snapshot.enu_m, `${words}: estimated position`, () => estimateIcon(snapshot, light, stale));
+    this.place(snapshot.sysid, "reported", trusted ? null : snapshot.reported_enu_m, `Vehicle ${snapshot.sysid}: reported position, not trusted`, () => reportedIcon(snapshot));
+    this.place(snapshot.sysid, "truth", vehicle.truth_enu_m, `Vehicle ${snapshot.sysid}: true position`, () => truthIcon(snapshot));
+    const drawEllipse = snapshot.enu_m !== null && ellipse !== null && !trusted;
+    this.shape(mark, "ellipse", drawEllipse ? ellipsePoints(snapshot.enu_m, ellipse) : [], "ellipse", true);
+    const both = !trusted && snapshot.enu_m !== null && snapshot.reported_enu_m !== null;
+    this.shape(mark, "difference", both ? [at(snapshot.enu_m), at(snapshot.reported_enu_m)] : [], "difference", false);
   }
 
   place(sysid, key, enu, title, icon) {
@@ -152,7 +152,7 @@ export class FleetMap {
       return;
     }
     const html = icon();
-    const print = html.outerHTML;
+    const markup = html.outerHTML;
     if (mark[key] === undefined) {
       const divIcon = L.divIcon({ className: `mark ${key}-mark`, html, iconSize: [34, 34] });
       mark[key] = L.marker(at(enu), { icon: divIcon, zIndexOffset: key === "estimate" ? 1000 : 0 }).addTo(this.map);
@@ -165,9 +165,9 @@ export class FleetMap {
       this.roving.add(mark[key].getElement(), sysid * MARKS.length + MARKS.indexOf(key));
     } else {
       mark[key].setLatLng(at(enu));
-      if (this.prints.get(mark[key]) !== print) mark[key].getElement().replaceChildren(html);
+      if (this.drawn.get(mark[key]) !== markup) mark[key].getElement().replaceChildren(html);
     }
-    this.prints.set(mark[key], print);
+    this.drawn.set(mark[key], markup);
     const element = mark[key].getElement();
     if (element.getAttribute("aria-label") !== title) element.setAttribute("aria-label", title);
     element.classList.toggle("selected", key === "estimate" && this.selected === sysid);
@@ -198,9 +198,9 @@ export class FleetMap {
         this.ranges.set(key, line);
       }
       line.setLatLngs([at(a), at(b)]);
-      const verdict = range.refused === null ? "used" : `refused: ${range.refused}`;
+      const use = range.refused === null ? "used" : `refused: ${range.refused}`;
       line.setTooltipContent(document.createTextNode(
-        `${range.from_sysid} to ${range.to_sysid}: residual ${range.innovation_m.toFixed(1)} m of sigma ${range.sigma_m.toFixed(1)} m, ${range.age_s.toFixed(1)} s old, ${verdict}`,
+        `${range.from_sysid} to ${range.to_sysid}: residual ${range.innovation_m.toFixed(1)} m of sigma ${range.sigma_m.toFixed(1)} m, ${range.age_s.toFixed(1)} s old, ${use}`,
       ));
     }
     for (const [key, line] of this.ranges) {
@@ -214,15 +214,15 @@ export class FleetMap {
   fit() {
     const bounds = L.latLngBounds([]);
     for (const mark of this.marks.values()) {
-      for (const key of ["estimate", "claim"]) if (mark[key]) bounds.extend(mark[key].getLatLng());
+      for (const key of ["estimate", "reported"]) if (mark[key]) bounds.extend(mark[key].getLatLng());
       if (mark.ellipse && mark.ellipse.getLatLngs()[0]?.length) bounds.extend(mark.ellipse.getBounds());
     }
     if (!bounds.isValid()) return;
     const roomy = bounds.pad(0.15);
-    // Only where a vehicle leaves the picture, or the picture is far too large: a map that creeps all the time cannot be read.
-    const view = this.map.getBounds();
+    // Only where a vehicle leaves the map, or the map is far too large: a map that moves all the time cannot be read.
+    const inView = this.map.getBounds();
     const span = (b) => Math.max(b.getNorth() - b.getSouth(), b.getEast() - b.getWest());
-    if (view.contains(bounds.pad(0.05)) && span(view) < 6 * Math.max(span(bounds), 20)) return;
+    if (inView.contains(bounds.pad(0.05)) && span(inView) < 6 * Math.max(span(bounds), 20)) return;
     this.map.fitBounds(roomy, { animate: false, maxZoom: 3, padding: [30, 30] });
   }
 
@@ -230,11 +230,11 @@ export class FleetMap {
     this.selected = sysid;
   }
 
-  // As close as its ellipse, its claim and its own size can be told apart.
+  // So close that its ellipse, its reported position and its mark are seen apart.
   followSelected() {
     const mark = this.marks.get(this.selected);
     const bounds = L.latLngBounds([]);
-    for (const key of ["estimate", "claim"]) if (mark?.[key]) bounds.extend(mark[key].getLatLng());
+    for (const key of ["estimate", "reported"]) if (mark?.[key]) bounds.extend(mark[key].getLatLng());
     if (mark?.ellipse.getLatLngs()[0]?.length) bounds.extend(mark.ellipse.getBounds());
     if (!bounds.isValid()) return;
     this.mode = "selected";
@@ -256,29 +256,29 @@ function ellipsePoints(enu, { semi_major_m: a, semi_minor_m: b, angle_rad: angle
   });
 }
 
-function heading(view) {
-  if (view.yaw_rad !== null) return (view.yaw_rad * 180) / Math.PI;
-  const v = view.velocity_enu_mps;
+function heading(snapshot) {
+  if (snapshot.yaw_rad !== null) return (snapshot.yaw_rad * 180) / Math.PI;
+  const v = snapshot.velocity_enu_mps;
   return v !== null && Math.hypot(v[0], v[1]) > 2 ? (Math.atan2(v[0], v[1]) * 180) / Math.PI : null;
 }
 
-function estimateIcon(view, light, stale) {
-  const turn = heading(view);
+function estimateIcon(snapshot, light, stale) {
+  const turn = heading(snapshot);
   const body = turn === null
     ? svg("circle", { cx: 0, cy: 0, r: 9 })
     : svg("path", { d: "M0 -14L9 11L0 6L-9 11Z", transform: `rotate(${turn.toFixed(0)})` });
   return svg("svg", { class: `vehicle ${light}${stale ? " stale" : ""}`, viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
-    body, svg("text", { class: "name", x: 15, y: -7 }, `${view.sysid} ${SIGNS[light]}`));
+    body, svg("text", { class: "name", x: 15, y: -7 }, `${snapshot.sysid} ${SIGNS[light]}`));
 }
 
-function truthIcon(view) {
+function truthIcon(snapshot) {
   return svg("svg", { class: "vehicle truth", viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
     svg("path", { d: "M0 -13V-4M0 4V13M-13 0H-4M4 0H13" }), svg("circle", { cx: 0, cy: 0, r: 8 }),
-    ...(view.gps_state === "healthy" ? [] : [svg("text", { class: "name", x: -11, y: 17, "text-anchor": "end" }, `${view.sysid} true`)]));
+    ...(snapshot.gps_state === "healthy" ? [] : [svg("text", { class: "name", x: -11, y: 17, "text-anchor": "end" }, `${snapshot.sysid} true`)]));
 }
 
-function claimIcon(view) {
-  return svg("svg", { class: "vehicle claim", viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
+function reportedIcon(snapshot) {
+  return svg("svg", { class: "vehicle reported", viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
     svg("rect", { x: -8, y: -8, width: 16, height: 16 }), svg("path", { d: "M-8 -8L8 8M8 -8L-8 8" }),
-    svg("text", { class: "name", x: 13, y: 17 }, `${view.sysid} claims`));
+    svg("text", { class: "name", x: 13, y: 17 }, `${snapshot.sysid} reported`));
 }

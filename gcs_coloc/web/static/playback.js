@@ -1,4 +1,4 @@
-// The controls of a replayed flight: play and pause, the place, the speed.
+// The controls of a replayed flight: play and pause, the position, the speed; and how far the flight is computed.
 
 import { byId, setText } from "./dom.js";
 
@@ -9,30 +9,31 @@ const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seco
 
 export class PlaybackBar {
   constructor() {
-    this.held = false;
-    this.waiting = null;
+    this.state = null;
+    this.dragging = false;
+    this.queued = null;
     this.sending = false;
-    this.begin();
+    this.reset();
     byId("play").addEventListener("click", () => this.toggle());
     byId("halt").addEventListener("click", () => this.send({ halt: true }));
-    const place = byId("place");
-    place.addEventListener("input", () => { this.held = true; this.showPlace(Number(place.value)); });
-    place.addEventListener("change", () => {
-      this.held = false;
-      this.send({ seek_s: this.state.first_s + Number(place.value) });
+    const position = byId("position");
+    position.addEventListener("input", () => { this.dragging = true; this.showPosition(Number(position.value)); });
+    position.addEventListener("change", () => {
+      this.dragging = false;
+      this.send({ seek_s: this.state.first_s + Number(position.value) });
     });
-    byId("speed").replaceChildren(...SPEEDS.map((speed) => new Option(speed === "max" ? "as fast as it goes" : `${speed} x`, speed)));
+    byId("speed").replaceChildren(...SPEEDS.map((speed) => new Option(speed === "max" ? "as fast as computed" : `${speed} x`, speed)));
     byId("speed").addEventListener("change", ({ target }) => this.send({ speed: target.value === "max" ? "max" : Number(target.value) }));
     document.addEventListener("keydown", (event) => this.key(event));
   }
 
-  // Another run of the service counts its commands anew.
-  begin() {
-    this.obeyed = 0;
+  // Another run of the service counts its commands from zero.
+  reset() {
+    this.commandCount = 0;
   }
 
   key(event) {
-    if (byId("playback").hidden || event.ctrlKey || event.altKey || event.metaKey) return;
+    if (this.state === null || event.ctrlKey || event.altKey || event.metaKey) return;
     if (event.key === " " && !event.target.closest(TAKES_SPACE)) {
       event.preventDefault();
       if (!event.repeat) this.toggle();
@@ -46,59 +47,76 @@ export class PlaybackBar {
     this.send({ playing: this.state.playing });
   }
 
+  // Called with false where the address of a replay serves a live fleet now.
+  setReplay(isReplay) {
+    byId("playback").hidden = !isReplay;
+    document.body.classList.toggle("replay", isReplay);
+    if (!isReplay) this.state = null;
+  }
+
   show(state) {
-    byId("playback").hidden = state === null;
-    document.body.classList.toggle("replay", state !== null);
-    // What was said before a command of ours was obeyed would put the controls back for a moment.
-    if (state === null || this.sending || state.obeyed < this.obeyed) return;
+    // A state from before our own command would put the controls back for a moment.
+    if (this.sending || state.command_count < this.commandCount) return;
     this.state = state;
     setText(byId("play"), state.playing ? "Pause" : "Play");
     byId("halt").disabled = state.goal_s === null;
-    const place = byId("place");
-    place.max = Math.ceil(state.last_s - state.first_s);
-    // Not while it is being dragged.
-    if (!this.held) {
+    const position = byId("position");
+    position.max = Math.ceil(state.last_s - state.first_s);
+    if (!this.dragging) {
       const at = (state.goal_s ?? state.at_s) - state.first_s;
-      place.value = at;
-      this.showPlace(at);
+      position.value = at;
+      this.showPosition(at);
     }
+    this.showComputed();
     const speed = String(state.speed ?? "max");
     const select = byId("speed");
     if (![...select.options].some((option) => option.value === speed)) select.add(new Option(`${speed} x`, speed));
     if (document.activeElement !== select) select.value = speed;
   }
 
-  showPlace(seconds) {
-    const { first_s, last_s, at_s, goal_s } = this.state;
+  showPosition(seconds) {
+    const { first_s, last_s, computed_s, goal_s } = this.state;
     const text = `${clock(seconds)} of ${clock(last_s - first_s)}`;
-    setText(byId("place-text"), goal_s === null || this.held ? text : `computing ${clock(at_s - first_s)} of ${clock(goal_s - first_s)}`);
-    byId("place").setAttribute("aria-valuetext", text);
+    const isWaiting = goal_s !== null && !this.dragging;
+    setText(byId("position-text"), isWaiting ? `computing ${clock(computed_s - first_s)} of ${clock(goal_s - first_s)}` : text);
+    byId("position").setAttribute("aria-valuetext", text);
   }
 
-  words() {
-    return this.state.goal_s !== null ? "replay, computing" : this.state.playing ? "replay" : this.state.at_s >= this.state.last_s ? "replay, at the end" : "replay, paused";
+  showComputed() {
+    const { first_s, last_s, computed_s } = this.state;
+    const isComplete = computed_s >= last_s;
+    const bar = byId("computed");
+    bar.max = Math.max(last_s - first_s, 1);
+    bar.value = computed_s - first_s;
+    byId("computed-box").hidden = isComplete;
+    setText(byId("computed-text"), isComplete ? "" : `computed ${clock(computed_s - first_s)}`);
   }
 
-  // One after the other, and of those that come meanwhile the newest: a key that is held down asks for thirty places a second.
+  statusText() {
+    const { goal_s, playing, at_s, last_s } = this.state;
+    return goal_s !== null ? "replay, computing" : playing ? "replay" : at_s >= last_s ? "replay, at the end" : "replay, paused";
+  }
+
+  // One request at a time, with the newest of those that come meanwhile: a key that is held down seeks thirty times a second.
   async send(command) {
-    this.waiting = command.halt ? { ...command, speed: this.waiting?.speed } : { ...this.waiting, ...command };
+    this.queued = command.halt ? { ...command, speed: this.queued?.speed } : { ...this.queued, ...command };
     if (this.sending) return;
     this.sending = true;
     let state = null;
     try {
-      while (this.waiting !== null) {
-        const body = JSON.stringify(this.waiting);
-        this.waiting = null;
+      while (this.queued !== null) {
+        const body = JSON.stringify(this.queued);
+        this.queued = null;
         const answer = await fetch("/api/playback", { method: "POST", headers: { "Content-Type": "application/json" }, body });
         if (answer.ok) state = await answer.json();
       }
     } catch {
-      // The page says by itself that the connection is lost.
+      // The page shows by itself that the connection is lost.
     }
-    this.waiting = null;
+    this.queued = null;
     this.sending = false;
     if (state !== null) {
-      this.obeyed = state.obeyed;
+      this.commandCount = state.command_count;
       this.show(state);
     }
   }

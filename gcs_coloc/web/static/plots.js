@@ -27,7 +27,7 @@ export class Plots {
     this.sysids = [];
   }
 
-  tellTime(offset) {
+  setOffset(offset) {
     this.offset = offset;
     this.build();
   }
@@ -43,10 +43,10 @@ export class Plots {
   }
 
   add(frame) {
-    for (const { view } of frame.vehicles) {
-      const c = view.consistency;
-      this.put(frame.at_s, view.sysid, {
-        sigma_h_m: view.sigma_h_m, hdop: view.hdop, ranges_in_use: view.ranges_in_use,
+    for (const { snapshot } of frame.vehicles) {
+      const c = snapshot.consistency;
+      this.put(frame.at_s, snapshot.sysid, {
+        sigma_h_m: snapshot.sigma_h_m, hdop: snapshot.hdop, ranges_in_use: snapshot.ranges_in_use,
         nis_median: c?.nis_median ?? null, band_low: c?.band_low ?? null, band_high: c?.band_high ?? null,
       });
     }
@@ -74,7 +74,7 @@ export class Plots {
     const times = [...this.rows.keys()].map((t) => t + (this.offset ?? 0));
     const columns = this.sysids.map((id) => this.column(id, kind.key));
     if (kind.key !== "nis_median") return [times, ...columns];
-    // The band of the vehicle that is selected, or else of the first that has one.
+    // The band of the selected vehicle, or of the first that has one.
     const owner = this.selected ?? this.sysids.find((id) => this.column(id, "band_low").some((x) => x !== null)) ?? this.sysids[0];
     return [times, ...columns, this.column(owner, "band_high"), this.column(owner, "band_low")];
   }
@@ -108,7 +108,7 @@ export class Plots {
     });
   }
 
-  // One legend for all plots: that of a single one stands in a column and is as long as the fleet.
+  // One legend for all plots: a legend in each would be as long as the fleet.
   nameSeries() {
     byId("series").replaceChildren(...this.sysids.map((id, i) => el("li", { class: id === this.selected ? "chosen" : null },
       svg("svg", { viewBox: "0 0 36 14", "aria-hidden": "true" },

@@ -1,4 +1,4 @@
-// Many elements as one stop of the Tab key: on it the arrow keys, Home and End go from one to the next, and Tab goes past them all.
+// Roving tab index: many elements are one stop of the Tab key; the arrow keys, Home and End move among them.
 
 const STEPS = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 };
 
@@ -9,29 +9,29 @@ export class Roving {
     this.stop = null;
     parent.addEventListener("keydown", (event) => this.press(event));
     parent.addEventListener("focusin", ({ target }) => {
-      if (this.elements.has(target)) this.settle(target);
+      if (this.elements.has(target)) this.setStop(target);
     });
   }
 
-  // `place` says where it comes among the others.
+  // `place` is its rank among the others.
   add(element, place) {
     this.elements.set(element, place);
     element.tabIndex = -1;
-    if (this.stop === null) this.settle(element);
+    if (this.stop === null) this.setStop(element);
   }
 
-  // Whoever is on it comes to its neighbour: the beginning of the page would be far off.
+  // A focus on it moves to its neighbour, not to the beginning of the page.
   remove(element) {
     const order = this.inOrder();
     const i = order.indexOf(element);
     this.elements.delete(element);
     if (this.stop !== element) return;
     const focused = document.activeElement === element;
-    this.settle(order[i - 1] ?? order[i + 1] ?? null);
+    this.setStop(order[i - 1] ?? order[i + 1] ?? null);
     if (focused) this.stop?.focus();
   }
 
-  settle(element) {
+  setStop(element) {
     if (this.stop !== null) this.stop.tabIndex = -1;
     this.stop = element;
     if (element !== null) element.tabIndex = 0;

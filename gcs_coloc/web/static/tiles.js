@@ -1,5 +1,5 @@
-// Raster tiles under the map. Each is put at its own place in the east-north frame: over the tens of kilometres of a fleet
-// web Mercator and that frame differ in scale and direction, within one tile they do not.
+// Raster tiles under the map. Each tile is placed by its own corners in the east-north frame: web Mercator and that frame
+// differ in scale and direction over tens of kilometres, but not within one tile.
 
 import { byId, setText } from "./dom.js";
 
@@ -31,7 +31,7 @@ export class Tiles {
   }
 
   // `info` is null where no tiles are set, `origin` the frame's: latitude, longitude in degrees, height in metres.
-  begin(info) {
+  setInfo(info) {
     this.info = info;
     setText(byId("tiles-by"), info?.attribution ?? "");
     this.draw();
@@ -57,7 +57,7 @@ export class Tiles {
     return [-sl * x + cl * y, -sp * cl * x - sp * sl * y + cp * z];
   }
 
-  // Good to a few metres over tens of kilometres: it only says which tiles are in sight.
+  // Within a few metres over tens of kilometres, which is enough to find the tiles in sight.
   geodetic(east, north) {
     const [lat0, lon0] = this.origin;
     const s = Math.sin(rad(lat0));

@@ -182,17 +182,6 @@ def test_a_record_with_an_impossible_time_is_damage(tmp_path):
     assert dict(log.counts) == {"damaged_bytes": len(impossible)}
 
 
-def test_reading_goes_on_from_where_it_was_left(tmp_path):
-    log = reader(tmp_path, b"xxx" + b"".join(map(record, range(5))) + b"yy")
-    records = iter(log)
-    assert numbers([next(records), next(records)]) == [0, 1]
-    counted = dict(log.counts)
-    assert numbers(log.records_from(log.position)) == [2, 3, 4]
-    assert (counted, dict(log.counts)) == ({"damaged_bytes": 3}, {"damaged_bytes": 3, "truncated": 1})
-    assert list(log.records_from(log.position)) == []
-    assert log.counts["truncated"] == 1
-
-
 def test_reading_twice_gives_the_same(tmp_path):
     log = reader(tmp_path, record(0) + record(1))
     assert list(log) == list(log)

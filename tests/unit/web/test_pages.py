@@ -1,4 +1,4 @@
-"""A page that does not read loses pictures; it loses no event, and it holds up nobody."""
+"""A page that shows nothing loses pictures; it loses no event, and it holds up nobody."""
 
 import asyncio
 import json
@@ -8,79 +8,69 @@ from fleet_views import fleet_view
 
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.sinks.idle_scheduler import IdleScheduler
-from gcs_coloc.web.live_socket import text_frame
-from gcs_coloc.web.pages import Pages
-from gcs_coloc.web.picture import fleet_frame
+from gcs_coloc.web.pages import MAX_UNSHOWN, Pages
+from gcs_coloc.web.picture import LiveSource
 from gcs_coloc.web.track_history import TrackHistory
-from gcs_coloc.web.wire import fleet_json
-
-
-def messages(frames):
-    """The texts of unmasked frames, none longer than 64 KiB."""
-    out = []
-    while frames:
-        size, start = (frames[1], 2) if frames[1] < 126 else (int.from_bytes(frames[2:4], "big"), 4)
-        out.append(json.loads(frames[start : start + size]))
-        frames = frames[start + size :]
-    return out
 
 
 class Browser:
-    """What a page was sent, in its order; `reads` False: it takes nothing."""
+    """What a page was sent, in order. With `shows` False it acknowledges no picture."""
 
     def __init__(self):
         self.got = []
-        self.reads = True
+        self.shows = True
+        self.page = None
         self._may_read = asyncio.Event()
+        self._may_read.set()
 
-    def send_frame(self, frame):
-        if self.reads:
-            self.got += messages(frame)
-        return self.reads
+    def set_reading(self, reads):
+        (self._may_read.set if reads else self._may_read.clear)()
 
     async def send(self, text):
-        while not self.reads:
-            await self._may_read.wait()
-        self.got.append(json.loads(text))
-
-    def read_again(self):
-        self.reads = True
-        self._may_read.set()
+        await self._may_read.wait()
+        message = json.loads(text)
+        self.got.append(message)
+        if message["kind"] == "fleet" and self.shows:
+            self.page.receive("shown")
 
     def of(self, kind):
         return [m for m in self.got if m["kind"] == kind]
+
+    def kinds(self):
+        return [m["kind"] for m in self.got]
 
 
 def hello():
     return '{"kind": "hello"}'
 
 
-class Scene:
+class Served:
+    """Pages of a live source whose pictures are numbered by their time."""
+
     def __init__(self):
-        self.story = TrackHistory()
+        self.history = TrackHistory()
         self.made = 0
-        self.pages = Pages(self.picture, self.counts, self.story, IdleScheduler(), 0.2)
+        self.source = LiveSource(lambda: fleet_view(float(self.made)), self.next_snapshot, self.history)
+        self.pages = Pages(self.source, IdleScheduler(), 0.2)
 
-    def picture(self):
+    def next_snapshot(self):
         self.made += 1
-        return fleet_json(fleet_frame(fleet_view(float(self.made))))
-
-    def counts(self):
-        return self.story.counts(fleet_view(float(self.made))).model_dump_json().encode()
+        return fleet_view(float(self.made))
 
     @asynccontextmanager
     async def opened(self, *browsers):
-        pages = [self.pages.add(browser.send_frame) for browser in browsers]
-        tasks = [asyncio.create_task(page.send_all(self.story, hello, b.send)) for page, b in zip(pages, browsers, strict=True)]
+        for browser in browsers:
+            browser.page = self.pages.add(hello, browser.send)
+        tasks = [asyncio.create_task(browser.page.send_all()) for browser in browsers]
         try:
             await settle()
-            yield pages
+            yield
         finally:
             for task in tasks:
                 task.cancel()
 
     async def tick(self):
-        await self.pages.tick()
+        await self.pages.offer_picture()
         await settle()
 
 
@@ -89,81 +79,97 @@ async def settle():
         await asyncio.sleep(0)
 
 
-def test_a_stuck_page_gets_the_next_picture_and_every_event_while_another_gets_all():
+def test_a_page_whose_connection_is_stuck_gets_the_newest_picture_and_every_event_while_another_gets_all():
     async def go():
-        scene, stuck, good = Scene(), Browser(), Browser()
-        async with scene.opened(stuck, good) as (stuck_page, good_page):
-            stuck.reads = False
+        served, stuck, good = Served(), Browser(), Browser()
+        async with served.opened(stuck, good):
+            stuck.set_reading(False)
             for i in range(10):
-                scene.story.take(Notice(float(i), 1, "warning", f"event {i}"))
-                await scene.tick()
+                served.history.add(Notice(float(i), 1, "warning", f"event {i}"))
+                await served.tick()
             assert [m["at_s"] for m in good.of("fleet")] == [float(i) for i in range(1, 11)]
-            assert (stuck_page.skipped, good_page.skipped) == (10, 0)
+            assert (stuck.page.skipped, good.page.skipped) == (9, 0)
             assert not stuck.of("fleet")
-            stuck.read_again()
-            await scene.tick()
-            assert [m["at_s"] for m in stuck.of("fleet")] == [11.0]
+            stuck.set_reading(True)
+            await settle()
+            assert [m["at_s"] for m in stuck.of("fleet")] == [10.0]
         for browser in (stuck, good):
             assert [e["text"] for m in browser.of("events") for e in m["events"]] == [f"event {i}" for i in range(10)]
 
     asyncio.run(go())
 
 
-def test_a_page_that_nobody_looks_at_gets_events_alone_and_the_history_when_somebody_does_again():
+def test_a_page_that_acknowledges_nothing_gets_two_pictures_and_the_newest_when_it_does():
     async def go():
-        scene, hidden, seen = Scene(), Browser(), Browser()
-        async with scene.opened(hidden, seen) as (hidden_page, seen_page):
-            hidden_page.show(False)
-            scene.story.take(Notice(1.0, 1, "warning", "lost"))
-            await scene.tick()
-            assert [m["kind"] for m in hidden.got] == ["hello", "events"]
-            assert [m["kind"] for m in seen.got] == ["hello", "fleet", "events"]
-            seen_page.show(False)
-            await scene.tick()
-            assert scene.made == 1
-            hidden_page.show(True)
+        served, slow = Served(), Browser()
+        slow.shows = False
+        async with served.opened(slow):
+            for _ in range(10):
+                await served.tick()
+            assert [m["at_s"] for m in slow.of("fleet")] == [1.0, 2.0]
+            assert MAX_UNSHOWN == 2
+            slow.page.receive("shown")
             await settle()
-            await scene.tick()
-            assert [m["kind"] for m in hidden.got] == ["hello", "events", "hello", "fleet"]
-            hidden_page.show(True)
-            await scene.tick()
+            assert [m["at_s"] for m in slow.of("fleet")] == [1.0, 2.0, 10.0]
+
+    asyncio.run(go())
+
+
+def test_a_page_out_of_sight_gets_events_alone_and_the_history_when_it_is_in_sight_again():
+    async def go():
+        served, hidden, seen = Served(), Browser(), Browser()
+        async with served.opened(hidden, seen):
+            hidden.page.receive("hidden")
+            served.history.add(Notice(1.0, 1, "warning", "lost"))
+            await served.tick()
+            assert hidden.kinds() == ["hello", "events"]
+            assert seen.kinds() == ["hello", "events", "fleet"]
+            seen.page.receive("hidden")
+            await served.tick()
+            assert served.made == 1
+            hidden.page.receive("visible")
+            await settle()
+            await served.tick()
+            assert hidden.kinds() == ["hello", "events", "hello", "fleet"]
+            hidden.page.receive("visible")
+            await served.tick()
             assert len(hidden.of("hello")) == 2
 
     asyncio.run(go())
 
 
-def test_a_page_is_told_of_another_flight_before_it_sees_a_picture_of_it():
+def test_a_page_gets_hello_of_another_instance_before_its_events_and_never_an_older_picture():
     async def go():
-        scene, browser = Scene(), Browser()
-        async with scene.opened(browser):
-            await scene.tick()
-            scene.story.reset()
-            await scene.tick()
-            await scene.tick()
-            assert [m["kind"] for m in browser.got] == ["hello", "fleet", "hello", "fleet"]
+        served, browser = Served(), Browser()
+        browser.shows = False
+        async with served.opened(browser):
+            for _ in range(3):
+                await served.tick()
+            served.history.add(Notice(1.0, 1, "warning", "again"))
+            served.source.instance = "another"
+            browser.page.receive("shown")
+            await settle()
+            assert browser.kinds() == ["hello", "fleet", "fleet", "hello", "events"]
+            await served.tick()
+            assert browser.of("fleet")[-1]["at_s"] == 4.0
 
     asyncio.run(go())
 
 
-def test_what_is_counted_comes_with_every_fifth_picture():
+def test_the_counts_come_with_every_fifth_picture():
     async def go():
-        scene, browser = Scene(), Browser()
-        async with scene.opened(browser):
+        served, browser = Served(), Browser()
+        async with served.opened(browser):
             for _ in range(10):
-                await scene.tick()
-        assert [m["kind"] for m in browser.got] == ["hello", *[*["fleet"] * 5, "counts"] * 2]
+                await served.tick()
+        assert browser.kinds() == ["hello", *[*["fleet"] * 5, "counts"] * 2]
 
     asyncio.run(go())
 
 
-def test_a_frame_for_all_pages_is_one_unmasked_text_frame():
-    assert text_frame("é".encode()) == b"\x81\x02\xc3\xa9"
-    assert text_frame(b"x" * 300)[:4] == b"\x81\x7e\x01\x2c"
-
-
-def test_there_is_an_end_to_how_many_pages_may_be_open():
-    pages = Scene().pages
-    opened = [pages.add(lambda frame: True) for _ in range(32)]
+def test_the_number_of_open_pages_is_bounded():
+    pages = Served().pages
+    opened = [pages.add(hello, Browser().send) for _ in range(32)]
     assert pages.full
     pages.remove(opened[0])
     assert not pages.full

@@ -20,7 +20,7 @@ from gcs_coloc.web.picture import ellipse, fleet_frame, traffic_light
         (
             replace(HEALTHY, aiding_override="on", aiding="sending 3D fix", aiding_has_fix=True),
             "caution",
-            "aided by the operator's word",
+            "aiding switched on by the operator",
         ),
         (replace(HEALTHY, fix_acknowledged=False, aiding="standby: sending 3D fix, NOT TAKEN"), "caution", "NOT TAKEN"),
         (replace(LOCATED, fix_acknowledged=True), "caution", "sending 3D fix"),
@@ -51,6 +51,6 @@ def test_the_ellipse_has_the_axes_of_the_covariance(angle):
 def test_a_position_that_is_unknown_has_no_ellipse_and_the_frame_says_all_of_the_view():
     view = fleet_view(10.0, HEALTHY, LOST)
     frame = fleet_frame(view)
-    assert [v.view for v in frame.vehicles] == list(view.vehicles)
+    assert [v.snapshot for v in frame.vehicles] == list(view.vehicles)
     assert frame.vehicles[1].ellipse is None
     assert (frame.ranges, frame.at_s) == (view.ranges, 10.0)

@@ -1,8 +1,8 @@
-"""A replayed flight on the page: what is shown at a place does not depend on how it was come to, nor on the truth."""
+"""A replayed flight on the page: what is shown at a position does not depend on how it was reached."""
 
 from __future__ import annotations
 
-import random
+import json
 from math import inf
 from pathlib import Path
 
@@ -11,16 +11,26 @@ from pydantic import ValidationError
 from recorded_flight import EPOCH_S, write_flight
 
 from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.truth import HeardTruth
-from gcs_coloc.recorder.checkpoints import Checkpoints
-from gcs_coloc.recorder.playhead import Playhead
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.web.picture import fleet_frame
+from gcs_coloc.web.picture_store import PictureStore
 from gcs_coloc.web.playback import Playback
-from gcs_coloc.web.track_history import TrackHistory
+from gcs_coloc.web.replay_pass import ReplayPass
 from gcs_coloc.web.wire import PlaybackCommand, fleet_json
+
+
+def replay_of(path: Path, on_poll=lambda *_: None) -> Replay:
+    return Replay(Engine(load_estimator("fleet", {})), TlogReader(path), [], on_poll)
+
+
+def pass_through(path: Path, truths_at=lambda _: {}) -> PictureStore:
+    store = PictureStore(*TlogReader(path).span())
+    ReplayPass(lambda on_poll: replay_of(path, on_poll), truths_at, store).run()
+    return store
 
 
 @pytest.fixture(scope="module")
@@ -30,213 +40,228 @@ def flight(tmp_path_factory) -> Path:
     return path
 
 
-@pytest.fixture
-def plugin(tmp_path) -> str:
-    """An estimator of a researcher's own, which cannot be copied: it holds a function made within another."""
-    path = tmp_path / "mine.py"
-    path.write_text(
-        "from gcs_coloc.estimators.fleet.filter import FleetFilter\n"
-        "class Mine(FleetFilter):\n"
-        "    def __init__(self):\n"
-        "        super().__init__()\n"
-        "        self.work = lambda: 0\n"
-    )
-    return f"{path}:Mine"
+@pytest.fixture(scope="module")
+def computed(flight) -> PictureStore:
+    return pass_through(flight)
 
 
 class Clock:
-    """A second a call: every slice of work ends after one message."""
+    """Time that a test passes by hand."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
 
     def __call__(self) -> float:
-        self.now_s += 1.0
         return self.now_s
 
 
-Outputs = list[tuple[float, str]]
+def seek(playback: Playback, at_s: float) -> None:
+    playback.apply_command(PlaybackCommand(playing=False, seek_s=EPOCH_S + at_s))
 
 
-def playback_of(path: Path, estimator: str = "fleet", outputs: Outputs | None = None) -> tuple[Playback, TrackHistory]:
-    """A state is kept every 300 messages; `outputs` gets what the engine puts out."""
-    story = TrackHistory()
-
-    def begin(on_poll):
-        def polled(at_s, told):
-            if outputs is not None:
-                outputs.append((at_s, repr(told)))
-            on_poll(at_s, told)
-
-        return Replay(Engine(load_estimator(estimator, {})), TlogReader(path), [], polled)
-
-    def keeping(beginning):
-        return Checkpoints(beginning, every_s=300.0)
-
-    return Playback(begin, Playhead(*TlogReader(path).span(), inf), story, keeping), story
+def fleet_at(playback: Playback) -> dict:
+    return json.loads(playback.messages(with_counts=False)[1])
 
 
-def go_to(playback: Playback, at_s: float, clock) -> None:
-    playback.obey(PlaybackCommand(playing=False, seek_s=EPOCH_S + at_s))
-    while playback.go_on(clock) or playback.state.goal_s is not None:
-        pass
+def shown(playback: Playback) -> tuple:
+    _, fleet, counts = playback.messages(with_counts=True)
+    return fleet, counts, playback.events_after(0), playback.tracks()
 
 
-def seen(playback: Playback, story: TrackHistory) -> str:
-    view = playback.look()
-    told = (story.counts(view).model_dump_json(), story.events_after(0).model_dump_json(), str(story.history()))
-    return "".join((fleet_json(fleet_frame(view)).decode(), *told))
+def empty_store(pictures_s: float = 0.0) -> PictureStore:
+    """100 s from 0, of which the first `pictures_s` are computed, a picture each second."""
+    store = PictureStore(0.0, 100.0)
+    extend(store, 0, pictures_s)
+    return store
 
 
-def test_what_is_seen_at_a_place_is_the_same_from_before_from_behind_and_in_a_plain_replay(flight):
-    playback, story = playback_of(flight)
-    go_to(playback, 24.3, lambda: 0.0)
+def extend(store: PictureStore, from_s: int, to_s: float) -> None:
+    for at_s in range(from_s, int(to_s) + 1):
+        store.add_picture(float(at_s), json.dumps({"at_s": at_s}).encode(), b"{}", None)
+
+
+def test_a_picture_is_that_of_a_plain_replay_at_its_time(flight, computed):
+    playback = Playback(computed, inf)
+    seek(playback, 24.2)
+    frames = []
+    through = replay_of(flight)
+    replay(through, [fleet_at(playback)["at_s"]], lambda at_s: frames.append(fleet_frame(through.engine.snapshot(at_s))))
+    assert EPOCH_S + 24.0 <= frames[0].at_s <= EPOCH_S + 24.2
+    assert shown(playback)[0] == fleet_json(frames[0]).decode()
+    assert '"gps_state":"failed"' in shown(playback)[0]
+
+
+def test_a_position_shows_the_same_from_before_and_from_behind_and_pages_forget_what_is_later(computed):
+    playback = Playback(computed, inf)
+    seek(playback, 24.3)
+    first, instance, edition = shown(playback), playback.instance, playback.edition
     assert playback.state.at_s == EPOCH_S + 24.3
-    first, instance = seen(playback, story), story.instance
-    assert '"gps_state":"failed"' in first
-    go_to(playback, 28.0, Clock())
-    assert story.instance == instance
-    assert seen(playback, story) != first
-    go_to(playback, 24.3, Clock())
-    assert story.instance != instance
-    assert seen(playback, story) == first
-
-    views, through = [], None
-
-    def look(at_s):
-        views.append(through.engine.snapshot(at_s))
-
-    through = Replay(Engine(load_estimator("fleet", {})), TlogReader(flight), [], lambda *_: None)
-    replay(through, [EPOCH_S + 24.3], look)
-    assert playback.look().vehicles == views[0].vehicles
+    seek(playback, 28.0)
+    assert (playback.instance, playback.edition) == (instance, edition + 1)
+    assert shown(playback) != first
+    seek(playback, 24.3)
+    assert playback.instance != instance
+    assert shown(playback) == first
 
 
-@pytest.mark.parametrize("estimator", ["fleet", "qu_zhang"])
-def test_after_any_seeks_everything_that_is_put_out_and_seen_is_that_of_an_undisturbed_replay(flight, estimator):
-    """To the last bit: the texts hold every digit of every number."""
-    outputs: Outputs = []
-    engine = Engine(load_estimator(estimator, {}))
-    replay(Replay(engine, TlogReader(flight), [], lambda at_s, told: outputs.append((at_s, repr(told)))))
-    undisturbed: dict[float, list[str]] = {}  # at one time what vehicles wait for, and then what the review of the fleet brings
-    for at_s, told in outputs:
-        undisturbed.setdefault(at_s, []).append(told)
-    assert len(undisturbed) > 150  # of some 200 deadlines; not each has something to put out
-
-    rng, clock = random.Random(11), Clock()
-    sought: Outputs = []
-    playback, story = playback_of(flight, estimator, sought)
-    for place in [30.0, *(rng.uniform(0.0, 30.0) for _ in range(12)), 0.0, 30.0]:
-        sought.clear()
-        go_to(playback, place, clock)
-        if rng.random() < 0.3:
-            playback.obey(PlaybackCommand(seek_s=EPOCH_S + rng.uniform(0.0, 30.0)))
-            for _ in range(40):
-                playback.go_on(clock)
-        assert len(sought) < 0.6 * len(outputs) or place == 30.0
-        for at_s, told in sought:
-            assert told in undisturbed[at_s]
-    place = rng.uniform(21.0, 29.0)
-    go_to(playback, place, clock)
-    plain, plain_story = playback_of(flight, estimator)
-    go_to(plain, place, lambda: 0.0)
-    assert seen(playback, story) == seen(plain, plain_story)
+def test_events_and_tracks_end_at_the_position(computed):
+    playback = Playback(computed, inf)
+    seek(playback, 29.0)
+    late, tracks = playback.events_after(0).events, playback.tracks()
+    assert any("suspect -> failed" in event.text for event in late)
+    assert 27 <= len(tracks[0].at_s) <= 30
+    seek(playback, 10.0)
+    early = playback.events_after(0).events
+    assert 0 < len(early) < len(late)
+    assert early == late[: len(early)]
+    assert all(event.at_s <= EPOCH_S + 10.0 for event in early)
+    assert all(track.at_s[-1] <= EPOCH_S + 10.0 for track in playback.tracks())
 
 
-def test_a_state_is_gone_on_from_instead_of_the_beginning_also_forwards(flight):
-    outputs: Outputs = []
-    playback, story = playback_of(flight, outputs=outputs)
-    go_to(playback, 30.0, Clock())
-    whole, instance = len(outputs), story.instance
-    for place in (3.0, 28.0):
-        outputs.clear()
-        go_to(playback, place, Clock())
-        assert len(outputs) < whole / 8
-        assert outputs[0][0] > EPOCH_S + place - 3.0
-    assert story.instance != instance
-    instance, edition = story.instance, story.edition
-    go_to(playback, 29.0, Clock())
-    assert (story.instance, story.edition) == (instance, edition + 1)
+def test_it_plays_at_its_speed_and_stops_at_the_end_and_plays_again_from_the_beginning():
+    clock = Clock()
+    playback = Playback(empty_store(100.0), 2.0, clock)
+    places = []
+    for clock.now_s in (5.0, 6.0, 7.5):
+        places.append(playback.state.at_s)
+    assert places == [0.0, 2.0, 5.0]
+    assert fleet_at(playback)["at_s"] == 5
+    playback.apply_command(PlaybackCommand(speed=0.5))
+    clock.now_s = 9.5
+    assert playback.state.at_s == 6.0
+    playback.apply_command(PlaybackCommand(playing=False))
+    clock.now_s = 60.0
+    assert playback.state.at_s == 6.0
+    edition = playback.edition
+    playback.apply_command(PlaybackCommand(playing=True, speed="max"))
+    state = playback.state
+    assert (state.at_s, state.playing, state.speed) == (100.0, False, None)
+    assert playback.edition == edition + 1
+    instance = playback.instance
+    playback.apply_command(PlaybackCommand(playing=True, speed=1.0))
+    clock.now_s = 63.0
+    assert (playback.state.at_s, playback.instance != instance) == (3.0, True)
 
 
-def test_an_estimator_that_cannot_be_copied_is_replayed_from_the_beginning_and_that_is_said_once(flight, plugin, caplog):
-    outputs: Outputs = []
-    playback, _ = playback_of(flight, plugin, outputs)
-    plain, _ = playback_of(flight, "fleet")
-    for place in (24.0, 10.0, 22.0, 5.0):
-        go_to(playback, place, Clock())
-    go_to(plain, 5.0, lambda: 0.0)
-    assert outputs[-1][0] < EPOCH_S + 5.0
-    assert [at_s for at_s, _ in outputs].count(outputs[0][0]) == 3
-    assert playback.look().vehicles == plain.look().vehicles
-    [told] = [record.getMessage() for record in caplog.records]
-    assert "estimator fleet cannot be copied (" in told
-    assert "lambda" in told
+def test_what_is_not_computed_in_time_is_not_caught_up_with_in_a_leap():
+    clock = Clock()
+    store = empty_store(10.0)
+    playback = Playback(store, 50.0, clock)
+    assert playback.state.at_s == 0.0
+    clock.now_s = 1.0
+    assert playback.state.at_s == 10.0
+    extend(store, 11, 100)
+    clock.now_s = 1.5
+    assert playback.state.at_s == 35.0
 
 
-def test_it_is_stopped_on_its_way_to_a_place(flight):
-    playback, story = playback_of(flight)
-    playback.obey(PlaybackCommand(seek_s=EPOCH_S + 25.0))
-    for _ in range(300):
-        playback.go_on(Clock())
-    before, edition = playback.state, story.edition
-    assert (before.goal_s, before.playing, before.obeyed) == (EPOCH_S + 25.0, True, 1)
-    playback.obey(PlaybackCommand(halt=True))
-    assert not playback.go_on(Clock())
-    after = playback.state
-    assert (after.goal_s, after.playing, after.obeyed) == (None, False, 2)
-    assert before.at_s == after.at_s < EPOCH_S + 25.0
-    assert story.edition == edition + 1
+def test_a_position_that_is_not_computed_yet_is_waited_for_with_its_progress():
+    store = empty_store(10.0)
+    playback = Playback(store, 1.0, Clock())
+    playback.apply_command(PlaybackCommand(seek_s=40.0))
+    state = playback.state
+    assert (state.at_s, state.goal_s, state.computed_s, state.playing) == (10.0, 40.0, 10.0, True)
+    extend(store, 11, 25)
+    assert (playback.state.at_s, playback.state.computed_s, fleet_at(playback)["at_s"]) == (25.0, 25.0, 25)
+    edition = playback.edition
+    extend(store, 26, 50)
+    state = playback.state
+    assert (state.at_s, state.goal_s, state.computed_s) == (40.0, None, 50.0)
+    assert playback.edition == edition + 1
 
 
-def test_it_plays_to_the_end_and_stops_there(flight):
-    playback, story = playback_of(flight)
-    while playback.state.playing:
-        playback.go_on(Clock())
-    assert story.edition == 1
-    assert playback.state.at_s == playback.state.last_s == pytest.approx(EPOCH_S + 30.0, abs=0.2)
-    assert {v.sysid for v in playback.look().vehicles} == {1, 2, 3, 4}
-    assert playback.look().links[0].received > 300
+def test_a_position_that_is_waited_for_is_given_up_or_replaced():
+    store = empty_store(10.0)
+    playback = Playback(store, 1.0, Clock())
+    playback.apply_command(PlaybackCommand(seek_s=40.0))
+    playback.apply_command(PlaybackCommand(halt=True))
+    state = playback.state
+    assert (state.at_s, state.goal_s, state.playing, state.command_count) == (10.0, None, False, 2)
+    playback.apply_command(PlaybackCommand(seek_s=40.0))
+    playback.apply_command(PlaybackCommand(seek_s=5.0))
+    assert (playback.state.at_s, playback.state.goal_s) == (5.0, None)
 
 
-def test_a_recording_that_is_cut_off_is_played_to_its_last_whole_message_and_says_so(flight, tmp_path):
+def test_a_position_outside_the_recording_is_its_beginning_or_end():
+    playback = Playback(empty_store(100.0), 1.0, Clock())
+    for wish_s, at_s in ((500.0, 100.0), (-5.0, 0.0)):
+        playback.apply_command(PlaybackCommand(seek_s=wish_s))
+        assert playback.state.at_s == at_s
+
+
+def test_nothing_is_sent_before_the_first_picture():
+    playback = Playback(PictureStore(0.0, 100.0), 1.0, Clock())
+    assert playback.messages(with_counts=True) == []
+    assert (playback.tracks(), playback.newest_event, playback.utc_minus_service_s) == ((), 0, None)
+
+
+def test_a_recording_that_is_cut_off_is_shown_to_its_last_whole_message_and_says_so(flight, tmp_path):
     cut = tmp_path / "cut.tlog"
     cut.write_bytes(flight.read_bytes()[: flight.stat().st_size // 4 - 3])
-    playback, story = playback_of(cut)
-    for _ in range(2):
-        go_to(playback, 1.0, lambda: 0.0)
-        assert not [e for e in story.events_after(0).events if "damaged" in e.text]
-        go_to(playback, 100.0, lambda: 0.0)
-        [told] = [e.text for e in story.events_after(0).events if "damaged" in e.text]
-        assert told == "the recording is damaged: truncated: 1; replayed what is whole"
+    playback = Playback(pass_through(cut), inf)
+    seek(playback, 1.0)
+    assert not [e for e in playback.events_after(0).events if "damaged" in e.text]
+    seek(playback, 100.0)
+    [text] = [e.text for e in playback.events_after(0).events if "damaged" in e.text]
+    assert text == "the recording is damaged: truncated: 1; replayed what is whole"
     assert playback.state.at_s == playback.state.last_s < EPOCH_S + 10.0
 
 
-def test_a_seek_that_is_overtaken_by_another_ends_at_the_other(flight):
-    playback, _ = playback_of(flight)
-    playback.obey(PlaybackCommand(playing=False, seek_s=EPOCH_S + 25.0))
-    for _ in range(50):
-        playback.go_on(Clock())
-    go_to(playback, 5.0, Clock())
-    assert playback.state.at_s == EPOCH_S + 5.0
-    assert {v.gps_state for v in playback.look().vehicles} <= {"healthy", "unknown"}
+def test_a_pass_ends_when_it_is_stopped(flight):
+    store = PictureStore(*TlogReader(flight).span())
+    through = ReplayPass(lambda on_poll: replay_of(flight, on_poll), lambda _: {}, store)
+    through.stop()
+    through.run()
+    assert store.computed_s == store.first_s
+
+
+def test_a_true_position_is_shown_while_it_is_fresh_and_only_for_its_vehicle(flight, computed):
+    playback = Playback(computed, inf)
+    seek(playback, 20.0)
+    place = fleet_at(playback)["vehicles"][3]["snapshot"]
+
+    def truths_at(at_s):
+        return {4: HeardTruth(4, EPOCH_S + 19.5, place["lat_deg"], place["lon_deg"])} if at_s > EPOCH_S + 19.0 else {}
+
+    playback = Playback(pass_through(flight, truths_at), inf)
+    by_time = {}
+    for at_s in (18.0, 20.0, 23.0):
+        seek(playback, at_s)
+        by_time[at_s] = [vehicle["truth_enu_m"] for vehicle in fleet_at(playback)["vehicles"]]
+    assert by_time[20.0] == [None, None, None, pytest.approx(place["enu_m"], abs=1e-3)]
+    assert by_time[18.0] == by_time[23.0] == [None] * 4
+
+
+@pytest.mark.parametrize("bound", [{"max_pictures": 40}, {"max_bytes": 1200}])
+def test_beyond_its_bound_the_store_keeps_every_second_picture_and_an_old_picture_is_still_read(bound):
+    store, held, at_s = PictureStore(0.0, 100.0, **bound), None, 0.0
+    while at_s <= 100.0:
+        store.add_picture(at_s, json.dumps({"at_s": at_s}).encode(), b"{}", None)
+        held = held or store.picture_at(20.0)
+        assert len(store) <= 50
+        assert store.size_bytes <= 1400
+        at_s += store.picture_period_s
+    assert store.picture_period_s == 3.2
+    assert json.loads(held.read()[0]) == {"at_s": 0.0}
+    for wish_s in range(101):
+        shown_s = json.loads(store.picture_at(float(wish_s)).read()[0])["at_s"]
+        assert 0.0 <= wish_s - shown_s <= 3.2 + 1e-9
+    assert store.computed_s > 96.0
+
+
+def test_events_that_are_left_out_are_counted():
+    store = empty_store()
+    for n in range(1, 701):
+        store.add_event(Notice(float(n), 1, "info", str(n)))
+    events = store.events(0, 600)
+    assert [events.events[0].id, events.events[-1].id, events.missed] == [101, 600, 100]
+    assert store.events(599, 600).events == events.events[-1:]
+    assert (store.events(600, 600).events, store.events(600, 600).missed) == ((), 0)
 
 
 @pytest.mark.parametrize(
-    "words", [{"speed": 0}, {"speed": "fast"}, {"speed": -1}, {"seek_s": "nan"}, {"playing": 3}, {"stop": True}, {"halt": False}]
+    "fields", [{"speed": 0}, {"speed": "fast"}, {"speed": -1}, {"seek_s": "nan"}, {"playing": 3}, {"stop": True}, {"halt": False}]
 )
-def test_what_means_nothing_is_refused(words):
+def test_a_command_without_meaning_is_refused(fields):
     with pytest.raises(ValidationError):
-        PlaybackCommand.model_validate(words)
-
-
-def test_a_truth_is_drawn_while_it_is_fresh_and_only_for_its_vehicle(flight):
-    playback, _ = playback_of(flight)
-    go_to(playback, 20.0, lambda: 0.0)
-    view = playback.look()
-    place = view.vehicles[3]
-    fresh = HeardTruth(4, view.at_s - 1.0, place.lat_deg, place.lon_deg)
-    by_sysid = {v.view.sysid: v.truth_enu_m for v in fleet_frame(view, [fresh]).vehicles}
-    assert by_sysid[4] == pytest.approx(place.enu_m, abs=1e-3)
-    assert [by_sysid[sysid] for sysid in (1, 2, 3)] == [None, None, None]
-    old = fresh._replace(at_s=view.at_s - 3.0)
-    assert all(v.truth_enu_m is None for v in fleet_frame(view, [old]).vehicles)
+        PlaybackCommand.model_validate(fields)

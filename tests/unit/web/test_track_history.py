@@ -1,4 +1,4 @@
-"""What a page that opens late is told: bounded, in order, and nothing twice."""
+"""What a page that opens late is told is bounded and in order."""
 
 from dataclasses import replace
 
@@ -10,32 +10,32 @@ from gcs_coloc.web.track_history import TrackHistory
 
 
 def test_a_failure_is_an_alarm_and_good_news_is_none():
-    story = TrackHistory()
-    story.take(HealthChanged(1.0, 4, "suspect", "failed", "no fix"))
-    story.take(HealthChanged(2.0, 4, "failed", "recovering", "back"))
-    story.take(Notice(3.0, None, "warning", "flooded"))
-    story.take(Notice(4.0, 2, "info", "heard for the first time"))
-    events = story.events_after(0).events
+    history = TrackHistory()
+    history.add(HealthChanged(1.0, 4, "suspect", "failed", "no fix"))
+    history.add(HealthChanged(2.0, 4, "failed", "recovering", "back"))
+    history.add(Notice(3.0, None, "warning", "flooded"))
+    history.add(Notice(4.0, 2, "info", "heard for the first time"))
+    events = history.events_after(0).events
     assert [(e.id, e.sysid, e.alarm) for e in events] == [(1, 4, True), (2, 4, False), (3, None, True), (4, 2, False)]
     assert events[0].text == "GPS suspect -> failed: no fix"
-    assert [e.id for e in story.events_after(2).events] == [3, 4]
+    assert [e.id for e in history.events_after(2).events] == [3, 4]
 
 
 def test_events_that_were_pushed_out_are_counted_as_missed():
-    story = TrackHistory()
+    history = TrackHistory()
     for i in range(700):
-        story.take(Notice(float(i), 1, "info", str(i)))
-    frame = story.events_after(100)
+        history.add(Notice(float(i), 1, "info", str(i)))
+    frame = history.events_after(100)
     assert len(frame.events) == 500
     assert frame.missed == 100
-    assert frame.events[-1].id == story.newest_event == 700
+    assert frame.events[-1].id == history.newest_event == 700
 
 
 def test_the_history_is_one_sample_a_second_for_ten_minutes_and_unknown_is_not_zero():
-    story = TrackHistory()
+    history = TrackHistory()
     for i in range(2 * 700):
-        story.take(fleet_view(i * 0.5, HEALTHY, LOST))
-    known, lost = story.history()
+        history.add(fleet_view(i * 0.5, HEALTHY, LOST))
+    known, lost = history.tracks()
     assert len(known.at_s) == len(known.sigma_h_m) == 600
     assert known.at_s[-1] - known.at_s[0] == 599.0
     assert known.sigma_h_m[-1] == 0.8
@@ -43,31 +43,31 @@ def test_the_history_is_one_sample_a_second_for_ten_minutes_and_unknown_is_not_z
 
 
 def test_a_large_fleet_sends_a_shorter_history():
-    story = TrackHistory()
+    history = TrackHistory()
     vehicles = [replace(HEALTHY, sysid=i) for i in range(1, 251)]
     for i in range(120):
-        story.take(fleet_view(float(i), *vehicles))
-    assert sum(len(one.at_s) for one in story.history()) <= 20_000
+        history.add(fleet_view(float(i), *vehicles))
+    assert sum(len(one.at_s) for one in history.tracks()) <= 20_000
 
 
 def test_rate_and_loss_are_of_the_last_seconds():
-    story = TrackHistory()
+    history = TrackHistory()
     for i in range(21):
         # 20 frames a second, and none lost until the last five seconds, in which one in five is.
         lost = max(i - 10, 0) * 5
-        story.take(fleet_view(i * 0.5, HEALTHY, links=(LinkSnapshot(1, 10 * i, lost, 0),)))
-    (link,) = story.counts(fleet_view(10.0, HEALTHY, links=(LinkSnapshot(1, 200, 50, 0),))).links
+        history.add(fleet_view(i * 0.5, HEALTHY, links=(LinkSnapshot(1, 10 * i, lost, 0),)))
+    (link,) = history.counts(fleet_view(10.0, HEALTHY, links=(LinkSnapshot(1, 200, 50, 0),))).links
     assert link.rate_hz == 20.0
     assert link.loss_percent == 100.0 * 50 / 150
     assert TrackHistory().counts(fleet_view(10.0, HEALTHY)).links[0].rate_hz is None
 
 
 def test_what_goes_to_a_ground_tool_is_told_with_its_rate_over_the_last_seconds():
-    story = TrackHistory()
+    history = TrackHistory()
     for i in range(21):
-        story.take(fleet_view(i * 0.5, HEALTHY))
-    (out,) = story.counts(fleet_view(10.0, HEALTHY)).outs
+        history.add(fleet_view(i * 0.5, HEALTHY))
+    (out,) = history.counts(fleet_view(10.0, HEALTHY)).outs
     assert (out.name, out.tools, out.rate_hz) == ("udpout:127.0.0.1:14551", 1, 40.0)
     assert (out.frames_sent, out.frames_accepted, out.dropped, out.refused) == (400, 12, 3, 2)
     assert TrackHistory().counts(fleet_view(10.0, HEALTHY)).outs[0].rate_hz is None
-    assert story.counts(fleet_view(10.0, HEALTHY, outs=())).outs == ()
+    assert history.counts(fleet_view(10.0, HEALTHY, outs=())).outs == ()
