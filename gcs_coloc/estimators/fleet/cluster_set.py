@@ -1,4 +1,4 @@
-"""Which vehicle's states are in which cluster: clusters begin with one vehicle, merge with the first range, and part again."""
+"""The clusters of a fleet: initialised with one vehicle, merged by the first range, marginalised when no range links them."""
 
 from __future__ import annotations
 
@@ -13,22 +13,24 @@ from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 
 class ClusterSet:
-    """The clusters of one model, by vehicle; a vehicle that has no states in a filter is in none.
+    """The clusters of one model, by vehicle; a vehicle without states is in none.
 
     `records` is shared with the model.
     """
 
-    __slots__ = ("_of", "_records", "_settings", "_step")
+    __slots__ = ("_of", "_records", "_settings", "_transition")
 
-    def __init__(self, settings: FleetSettings, records: Mapping[int, VehicleRecord], step: Transition | None = None) -> None:
+    def __init__(
+        self, settings: FleetSettings, records: Mapping[int, VehicleRecord], transition: Transition | None = None
+    ) -> None:
         self._settings = settings
         self._records = records
         self._of: dict[int, Cluster] = {}
-        self._step = Transition() if step is None else step
+        self._transition = Transition() if transition is None else transition
 
     def copy(self, records: Mapping[int, VehicleRecord]) -> ClusterSet:
         """Return an independent copy for a model with the records given."""
-        other = ClusterSet(self._settings, records, self._step)
+        other = ClusterSet(self._settings, records, self._transition)
         clusters = {id(c): c for c in self._of.values()}
         copies = {key: other._cluster(c.joint.copy()) for key, c in clusters.items()}
         other._of = {vehicle: copies[id(c)] for vehicle, c in self._of.items()}
@@ -55,17 +57,17 @@ class ClusterSet:
         return [v for v, c in self._of.items() if c is cluster]
 
     def initialise(self, vehicle: int, mean: FloatArray, covariance: FloatArray, at_s: float) -> Cluster:
-        """Begin a cluster of one vehicle: mean (m,) and covariance (m, m) of its states at a time."""
+        """Initialise a cluster of one vehicle: mean (m,) and covariance (m, m) of its states at a time."""
         cluster = self._of[vehicle] = self._cluster(JointState())
         cluster.joint.augment(vehicle, mean, covariance, at_s)
         return cluster
 
     def add_copy(self, cluster: Cluster, vehicles: list[int]) -> None:
-        """Take a copy of another model's cluster for its vehicles, which must be in none here."""
+        """Add a copy of another model's cluster for its vehicles, which must be in none here."""
         self._of.update(dict.fromkeys(vehicles, self._cluster(cluster.joint.copy())))
 
     def merge(self, a: int, b: int) -> Cluster:
-        """Return the one cluster that holds both vehicles, made of their two if need be."""
+        """Return the cluster of both vehicles; merge theirs if they are in two."""
         first, second = self._of[a], self._of[b]
         if first is not second:
             if len(second.joint.A) > len(first.joint.A):
@@ -77,7 +79,7 @@ class ClusterSet:
         return first
 
     def remove(self, vehicle: int) -> None:
-        """Forget a vehicle's states, and the range errors of its pairs."""
+        """Marginalise a vehicle's states and the range errors of its pairs out of its cluster."""
         cluster = self._of.pop(vehicle, None)
         if cluster is None:
             return
@@ -87,7 +89,7 @@ class ClusterSet:
         cluster.joint = cluster.joint.marginalise(keys)
 
     def prune(self, links: Mapping[int, set[int]]) -> None:
-        """Keep only the vehicles that are linked or denied vehicles, and only those together that links hold together."""
+        """Keep vehicles that are linked or denied; split clusters into the parts that links connect."""
         for vehicle in sorted(self._of):
             if not self._records[vehicle].denied_vehicle and vehicle not in links:
                 self.remove(vehicle)
@@ -96,22 +98,22 @@ class ClusterSet:
             if vehicle in seen:
                 continue
             cluster = self._of[vehicle]
-            members, edge = {vehicle}, [vehicle]
+            linked, edge = {vehicle}, [vehicle]
             while edge:
                 for other in links.get(edge.pop(), ()):
-                    if other not in members and self._of.get(other) is cluster:
-                        members.add(other)
+                    if other not in linked and self._of.get(other) is cluster:
+                        linked.add(other)
                         edge.append(other)
-            seen |= members
+            seen |= linked
             keys: list[Key] = [
                 key
                 for key in cluster.joint.where
-                if key in members or (isinstance(key, tuple) and key[0] in members and key[1] in links.get(key[0], ()))
+                if key in linked or (isinstance(key, tuple) and key[0] in linked and key[1] in links.get(key[0], ()))
             ]
             if len(keys) < len(cluster.joint.where):
                 part = self._cluster(cluster.joint.marginalise(keys))
-                for member in members:
+                for member in linked:
                     self._of[member] = part
 
     def _cluster(self, joint: JointState) -> Cluster:
-        return Cluster(self._settings, self._records, self._step, joint)
+        return Cluster(self._settings, self._records, self._transition, joint)

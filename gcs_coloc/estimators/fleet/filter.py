@@ -1,7 +1,7 @@
-"""The `fleet` estimator: one joint filter per cluster of vehicles, fed with raw measurements at their own times.
+"""The `fleet` estimator: an extended Kalman filter over each cluster of vehicles, on raw measurements at their own times.
 
-See docs/explanation/fleet-filter.md for the reasoning. This module is the outer shell: it refuses impossible values and late
-arrivals, puts the rest into the order of measuring, and asks the model.
+docs/explanation/fleet-filter.md has the equations. This module refuses impossible values and late arrivals, and puts the rest
+through the out-of-sequence buffer.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from gcs_coloc.estimators.fleet.out_of_sequence import Entry, Key, OosmBuffer
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _RESIDUALS_KEPT = 4096
-_KIND_SUBJECTS, _KIND_POSITION, _KIND_ALTITUDE, _KIND_ATTITUDE, _KIND_RANGE = range(5)
+"""Chosen: bounds the memory when nobody drains; some 30 s of a large fleet."""
+_KIND_DENIED, _KIND_POSITION, _KIND_ALTITUDE, _KIND_ATTITUDE, _KIND_RANGE = range(5)
 
 Event = Measurement | frozenset[int]
 
@@ -44,17 +45,17 @@ class FleetFilter:
         self._refused: Counter[str] = Counter()
         self._residuals: deque[Residual] = deque(maxlen=_RESIDUALS_KEPT)
         self._now_s = -math.inf
-        self._subject_changes = 0
+        self._denied_changes = 0
         self._denied: frozenset[int] = frozenset()
 
     def set_denied(self, denied: Collection[int], at_s: float) -> None:
-        """State which vehicles are to be located from ranges from time `at_s` on."""
+        """Set which vehicles are denied from time `at_s` on."""
         self._denied = frozenset(denied)
-        self._hear(at_s)
-        self._subject_changes += 1
-        # Of two changes at one time the later call is the last word.
+        self._advance(at_s)
+        self._denied_changes += 1
+        # Of two changes at one time the later call wins.
         self._buffer.insert(
-            (max(at_s, self._now_s - self.settings.window_s), _KIND_SUBJECTS, self._subject_changes), frozenset(denied)
+            (max(at_s, self._now_s - self.settings.window_s), _KIND_DENIED, self._denied_changes), frozenset(denied)
         )
 
     def reset(self, vehicle: int, at_s: float) -> None:
@@ -64,12 +65,12 @@ class FleetFilter:
         self.set_denied(denied, at_s)
 
     def add(self, measurement: Measurement) -> None:
-        """Take one measurement; what is of no use is counted."""
+        """Add one measurement; what is not used is counted."""
         key = _key(measurement)
         if key is None:
             self._refused[Outcome.REFUSED_IMPOSSIBLE] += 1
             return
-        self._hear(measurement.arrived_at_s)
+        self._advance(measurement.arrived_at_s)
         delay_s = measurement.arrived_at_s - measurement.measured_at_s
         if delay_s > self.settings.window_s:
             self._refused[Outcome.REFUSED_TOO_LATE] += 1
@@ -79,22 +80,22 @@ class FleetFilter:
             self._refused[Outcome.REFUSED_DUPLICATE] += 1
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
-        """Answer where a vehicle is at a time near the present; shortly before its newest measurement is answered too."""
+        """Return where a vehicle is at a time near the present, up to 2 s before its newest measurement."""
         return self._buffer.process().estimate(vehicle, at_s)
 
     def drain_residuals(self) -> list[Residual]:
-        """The residuals since the last call, each range once, oldest first."""
+        """Return the residuals since the last call, each range once, oldest first."""
         self._buffer.process()
-        taken = list(self._residuals)
+        drained = list(self._residuals)
         self._residuals.clear()
-        return taken
+        return drained
 
     def counts(self) -> Mapping[str, int]:
-        """How often what happened to measurements, by reason."""
+        """Return the number of measurements by outcome; the keys are members of `Outcome`."""
         self._buffer.process()
         return dict(sorted((self._buffer.outcomes + self._refused).items()))
 
-    def _hear(self, arrived_at_s: float) -> None:
+    def _advance(self, arrived_at_s: float) -> None:
         if arrived_at_s > self._now_s:
             self._now_s = arrived_at_s
             self._buffer.commit(arrived_at_s)
@@ -123,7 +124,7 @@ class FleetFilter:
 
 
 def _key(m: Measurement) -> Key | None:
-    """Return the measurement's place in time, unique to its content, or None where a value is impossible."""
+    """Return the measurement's key: its time, then its content; None where a value is impossible."""
     head: Key
     tail: Key
     if isinstance(m, PositionMeasurement):

@@ -1,7 +1,7 @@
-"""Where a vehicle is, from ranges alone: robust least squares from many starting points, and the honesty about what fits as well.
+"""Multilateration: position and velocity from ranges alone, by robust least squares from many starting points, eq. (26).
 
-Few or badly placed peers allow a mirror image. What the altitude and the motion within some seconds do not decide is declared
-ambiguous; only a mirror image straight above or below is stated, as one place with the height left open.
+Few or badly placed peers allow a reflected solution. Where altitude and motion do not decide, the position is ambiguous; only a
+reflection straight above or below is returned, as one position with an open height.
 """
 
 from __future__ import annotations
@@ -15,21 +15,35 @@ from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, Positio
 
 _AZIMUTHS = 12
 _ELEVATIONS_RAD = (-0.8, -0.1, 0.1, 0.8)
+"""Chosen: starting points 30 degrees apart on the sphere about each peer, above and below it."""
 _STARTS = 24
+"""Chosen: so many descents find the global minimum; all run at once."""
 _ITERATIONS = 25
+"""Chosen: Levenberg-Marquardt converges in about ten."""
 _LEAST_RANGES = 6
+"""As many as unknowns: position and velocity."""
 _LEAST_PEERS = 2
-_HUBER = 2.0
+"""With one peer the position is anywhere on a sphere."""
+_HUBER_SIGMAS = 2.0
+"""Chosen: residuals beyond it pull no harder (Huber 1964)."""
 _OUTLIER_SIGMAS = 5.0
 _MOST_OUTLIERS = 0.3
+"""Chosen: with more outliers than three of ten the ranges contradict each other."""
 _MOST_MEAN_SQUARE = 3.0
+"""Chosen: mean squared residual of the ranges that fit, 1 where the sigmas are right."""
 _CLEARLY_WORSE = 15.0
+"""Chosen: difference of the costs (chi-square) from which on another minimum is excluded."""
+_DISTINCT_NIS = 25.0
+"""Chosen: minima five sigmas apart horizontally are different positions."""
 _VELOCITY_PRIOR_MPS = (30.0, 30.0, 5.0)
 _HEIGHT_PRIOR_M = 300.0
+"""Chosen: priors as wide as small aircraft fly, about rest and the mean height of the peers."""
+_ROUGH_MOST_SIGMAS = 50.0
+"""Chosen: bounds the residuals in the ranking of starting points."""
 
 
 class MultilaterationProblem:
-    """The recent ranges of one denied vehicle, with where its peers were, and its own heights. Times are relative to `at_s`."""
+    """The recent ranges of one denied vehicle, the positions of its peers then, and its own heights, relative to `at_s`."""
 
     def __init__(self, at_s: float) -> None:
         self.at_s = at_s
@@ -37,22 +51,22 @@ class MultilaterationProblem:
         self._heights: list[tuple[float, float, float]] = []
 
     def add_range(self, peer: int, near: PositionMeasurement, past: list[PositionMeasurement], m: RangeMeasurement) -> None:
-        """Take a range with the peer's report nearest in time, carried over by its velocity (stated, or told from the past)."""
+        """Add a range with the peer's report nearest in time, extrapolated by its velocity (reported, or of its past reports)."""
         velocity = near.velocity_enu_mps or _slope(past)
         step_s = m.measured_at_s - near.measured_at_s
         e, n, u = (x + v * step_s for x, v in zip(near.position_enu_m, velocity, strict=True))
         self._rows.append((peer, m.measured_at_s - self.at_s, e, n, u, m.range_m, m.sigma_m, near.sigma_h_m))
 
     def add_altitude(self, m: AltitudeMeasurement) -> None:
-        """Take a height of the denied vehicle itself."""
+        """Add a height of the denied vehicle itself."""
         self._heights.append((m.measured_at_s - self.at_s, m.up_m, m.sigma_m))
 
     def peers(self) -> Counter[int]:
-        """How many ranges there are with each peer."""
+        """Return the number of ranges with each peer."""
         return Counter(row[0] for row in self._rows)
 
     def ranges(self) -> FloatArray:
-        """Return (n, 6): time s, peer's east, north, up, range, sigma of the range with its peer's slow error spread over it."""
+        """Return (n, 6): time s, peer's east, north, up, range, sigma with the peer's coloured error shared out."""
         counts = self.peers()
         return np.array(
             [
@@ -62,9 +76,9 @@ class MultilaterationProblem:
         )
 
     def heights(self) -> FloatArray:
-        """Return (m, 3): time s, height, sigma widened so that all of them together tell what one does: their error is slow."""
-        widen = math.sqrt(max(len(self._heights), 1))
-        return np.array([(t, u, sigma * widen) for t, u, sigma in self._heights], dtype=np.float64).reshape(-1, 3)
+        """Return (m, 3): time s, height, sigma inflated so that together they carry the information of one: coloured error."""
+        inflation = math.sqrt(max(len(self._heights), 1))
+        return np.array([(t, u, sigma * inflation) for t, u, sigma in self._heights], dtype=np.float64).reshape(-1, 3)
 
 
 def _slope(past: list[PositionMeasurement]) -> tuple[float, float, float]:
@@ -79,7 +93,7 @@ def _slope(past: list[PositionMeasurement]) -> tuple[float, float, float]:
 
 
 def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float) -> tuple[FloatArray, FloatArray] | str:
-    """Return mean (6,) and covariance (6, 6) of position and velocity at the problem's time, or why there is none, in words."""
+    """Return mean (6,) and covariance (6, 6) of position and velocity at the problem's time, or the reason why not."""
     peers = problem.peers()
     if len(peers) < _LEAST_PEERS or sum(peers.values()) < _LEAST_RANGES:
         return f"waiting for ranges to start from: {sum(peers.values())} with {len(peers)} located peers in the last seconds"
@@ -98,11 +112,11 @@ def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float)
     for other in np.flatnonzero(cost < cost[best] + _CLEARLY_WORSE):
         d = x[other] - x[best]
         apart = d[:2] @ np.linalg.solve(covariance[:2, :2], d[:2])
-        if apart > 25.0:
+        if apart > _DISTINCT_NIS:
             return f"ambiguous: another place, {math.hypot(d[0], d[1]):.0f} m from the first, fits the ranges as well"
         half = 0.5 * abs(d[2])
         if half > math.sqrt(covariance[2, 2]):
-            # Above or below: the height between them, as uncertain as they are apart.
+            # Above or below: the height between both, as uncertain as they are apart.
             mean = mean.copy()
             mean[2] += 0.5 * d[2]
             covariance = covariance.copy()
@@ -111,34 +125,34 @@ def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float)
 
 
 def _starting_points(ranges: FloatArray, heights: FloatArray) -> FloatArray:
-    """Return (s, 6): places on the sphere about each peer, those that fit all ranges best, at rest."""
+    """Return (s, 6): positions on the spheres about the peers, those that fit all ranges best, at rest."""
     azimuth = np.arange(_AZIMUTHS) * (2.0 * math.pi / _AZIMUTHS)
     directions = np.array(
         [(math.sin(a) * math.cos(h), math.cos(a) * math.cos(h), math.sin(h)) for h in _ELEVATIONS_RAD for a in azimuth]
     )
-    # One row of each distinct range geometry is enough to stand on: the latest ones.
+    # The latest ranges are enough to place starting points by.
     rows = ranges[-8:]
     points = (rows[:, np.newaxis, 1:4] + rows[:, 4, np.newaxis, np.newaxis] * directions).reshape(-1, 3)
     if len(heights):
         points[:, 2] = heights[-1, 1]
     candidates = np.zeros((len(points), 6))
     candidates[:, :3] = points
-    rough = np.minimum(np.abs(_residuals(candidates, ranges)), 50.0).sum(axis=1)
+    rough = np.minimum(np.abs(_residuals(candidates, ranges)), _ROUGH_MOST_SIGMAS).sum(axis=1)
     order = np.argsort(rough, kind="stable")
-    # The best ones crowd together: take every other to reach the far side too.
+    # The best ones crowd together: others spread over the rest reach the far side too.
     near, far = order[: _STARTS // 2], order[_STARTS // 2 :: max(1, len(order) // (_STARTS // 2))]
     return np.asarray(candidates[np.concatenate([near, far])])
 
 
 def _residuals(x: FloatArray, ranges: FloatArray) -> FloatArray:
-    """Return (s, n): how far each range is from what each state (s, 6) foresees, in sigmas."""
+    """Return (s, n): the residual of each range at each state (s, 6), in sigmas."""
     where = x[:, np.newaxis, :3] + x[:, np.newaxis, 3:] * ranges[:, 0, np.newaxis]
     distance = np.linalg.norm(where - ranges[:, 1:4], axis=2)
     return np.asarray((ranges[:, 4] - distance) / ranges[:, 5])
 
 
 def _descend(x: FloatArray, ranges: FloatArray, heights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Minimise from all starting points at once (Levenberg-Marquardt, Huber weights).
+    """Minimise eq. (26) from all starting points at once (Levenberg-Marquardt, Huber weights).
 
     Returns the states (s, 6), their costs (s,) and normal matrices (s, 6, 6).
     """
@@ -173,8 +187,8 @@ def _linearise(
     J = np.concatenate([u, u * t], axis=2) / ranges[:, 5, np.newaxis]
     residual = (ranges[:, 4] - distance) / ranges[:, 5]
     size = np.abs(residual)
-    weight = np.minimum(1.0, _HUBER / np.maximum(size, 1e-12))
-    cost = np.where(size <= _HUBER, size * size, 2.0 * _HUBER * size - _HUBER * _HUBER).sum(axis=1)
+    weight = np.minimum(1.0, _HUBER_SIGMAS / np.maximum(size, 1e-12))
+    cost = np.where(size <= _HUBER_SIGMAS, size * size, 2.0 * _HUBER_SIGMAS * size - _HUBER_SIGMAS * _HUBER_SIGMAS).sum(axis=1)
     JW = J * weight[:, :, np.newaxis]
     normal = np.einsum("sni,snj->sij", JW, J) + prior
     off = centre - x

@@ -1,8 +1,9 @@
-"""Measurements put into the order of measuring, whatever the order in which they arrived.
+"""Out-of-sequence measurements (OOSM): a buffer that applies events in the order of measuring, by copies and replay.
 
-The buffer keeps the events of the last window and, every now and then in it, a copy of the model. An event that belongs
-before others already applied takes the model back to the copy before it, and what followed is applied anew. That is put off
-until an answer is wanted, so a burst of late events costs one replay. The result is bit for bit what arrival in order gives.
+The buffer keeps the events of the last window and copies of the model within it. An event that belongs before applied ones
+restores the copy before it; the events after it are applied again. That waits until an estimate is wanted, so a burst of late
+events costs one replay. The result is bit for bit that of arrival in order (compare Bar-Shalom, Li, Kirubarajan 2001, section
+12.3.2, which updates with a late measurement instead of replaying).
 """
 
 from __future__ import annotations
@@ -16,12 +17,15 @@ from typing import Generic, Protocol, TypeVar
 Key = tuple[float, ...]
 Event = TypeVar("Event")
 _COPY_EVERY_S = 0.1
-_COPY_SOONER_S = 0.05  # where the newest event need not wait for it
+"""Chosen: a copy costs about as much as two updates, a replay at most 0.1 s of measurements."""
+_COPY_SOONER_S = 0.05
+"""Chosen: the same where the newest event does not wait for the copy."""
 _CLOSE_COPIES = 4
+"""Chosen: so many of the newest copies stand close together: most late events are late by little."""
 
 
 class Replayable(Protocol):
-    """What the buffer drives."""
+    """The model that the buffer drives."""
 
     def copy(self) -> Replayable:
         """Return an independent copy."""
@@ -32,7 +36,7 @@ Model = TypeVar("Model", bound=Replayable)
 
 
 class Entry(Generic[Event]):
-    """One event with its place in time; `outcome` is what it came to when last applied, `reported` whether that was reported."""
+    """One event with its key; `outcome` of its last application, `reported` whether its residual was handed out."""
 
     __slots__ = ("event", "key", "outcome", "reported")
 
@@ -44,13 +48,13 @@ class Entry(Generic[Event]):
 
 
 class OosmBuffer(Generic[Model, Event]):
-    """Applies events to a model in the order of their keys, the first element of which is the time in seconds.
+    """Applies events to a model in the order of their keys, whose first element is the time in seconds.
 
-    `outcomes` counts what came of the events, of each what it came to when it was last applied.
+    `outcomes` counts the outcomes of the last application of each event.
 
     Args:
         model: the model in its first state.
-        apply: applies one event to a model and returns the outcome in words.
+        apply: applies one event to a model and returns its outcome.
         window_s: how long after its time an event may arrive.
 
     """
@@ -62,12 +66,12 @@ class OosmBuffer(Generic[Model, Event]):
         self._window_s = window_s
         self._entries: list[Entry[Event]] = []
         self._applied = 0
-        # (index of the first entry not in the copy, copy), the oldest covers all that is settled.
+        # (index of the first entry not in the copy, copy); the oldest holds all that is committed.
         self._copies: list[tuple[int, Model]] = [(0, self._copy(model))]
         self._copied_at_s = -math.inf
 
     def insert(self, key: Key, event: Event) -> bool:
-        """Take an event; False if the very same key is there already."""
+        """Insert an event; False if its key is there already."""
         entries = self._entries
         if not entries or entries[-1].key < key:
             entries.append(Entry(key, event))
@@ -81,7 +85,7 @@ class OosmBuffer(Generic[Model, Event]):
         return True
 
     def process(self) -> Model:
-        """Apply all events that are not applied yet and return the model."""
+        """Apply all events that are not applied yet; return the model."""
         while self._applied < len(self._entries):
             entry = self._entries[self._applied]
             at_s = entry.key[0]
@@ -98,7 +102,7 @@ class OosmBuffer(Generic[Model, Event]):
         return self.model
 
     def _prune_copies(self) -> None:
-        """Drop a copy behind the newest few that is close to the one before: hardly anything is as late as that."""
+        """Drop a copy behind the newest few that is close to the one before it."""
         copies = self._copies
         if len(copies) > _CLOSE_COPIES + 2:
             before, after = self._entry_time(copies[-_CLOSE_COPIES - 2][0]), self._entry_time(copies[-_CLOSE_COPIES][0])
@@ -106,11 +110,11 @@ class OosmBuffer(Generic[Model, Event]):
                 del copies[-_CLOSE_COPIES - 1]
 
     def commit(self, now_s: float) -> None:
-        """Forget what is older than the window: nothing can arrive before it any more."""
+        """Commit events older than the window: drop them and the copies before them."""
         oldest_s = now_s - self._window_s
         if len(self._copies) < 2 and self._entry_time(0) < oldest_s:
             self.process()
-        # A copy holds what was applied: what is before it need not be caught up with, and what is after it may still be late.
+        # Events before a copy are in it; those after it may still be followed by late ones.
         if len(self._copies) < 2 or self._entry_time(self._copies[1][0]) >= oldest_s:
             return
         keep = 0

@@ -1,4 +1,4 @@
-"""The choice of the neighbours that locate a denied vehicle best, where there are more than are worth their cost."""
+"""Peer selection: the neighbours that locate a denied vehicle best, where there are more than are worth their cost."""
 
 from __future__ import annotations
 
@@ -9,33 +9,37 @@ from gcs_coloc.estimators.fleet.cluster_set import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.records import Records
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
-_CHOICE_HOLDS_S = 2.0
+_SELECT_EVERY_S = 2.0
+"""Chosen: each change costs correlations; geometry changes little in 2 s."""
 _STAY_BONUS = 1.2
+"""Chosen: a new peer has to lower the variance by a fifth more than one in use."""
 _SHARED_BONUS = 1.5
+"""Chosen: a peer in use by another denied vehicle saves 16 states."""
 _PRIOR_INFORMATION = 1e-3
+"""Chosen: makes the cofactor matrix regular; small against one range, whose information is 1."""
 
 
 def is_selected(clusters: ClusterSet, records: Records, denied_vehicle: int, other: int, at_s: float, s: FleetSettings) -> bool:
-    """Whether another vehicle is among the at most K neighbours that a denied vehicle uses; chooses anew every 2 s.
+    """Return whether a denied vehicle uses the ranges of another one; selects anew every 2 s.
 
-    The denied vehicle's record is changed: it is to be the model's own.
+    The denied vehicle's record is changed, so it must be writable.
     """
     record = records[denied_vehicle]
     if other not in record.selected_peers and len(record.last_range_s) <= s.peers_per_subject:
         record.selected_peers = frozenset(record.last_range_s)
-    if at_s - record.selected_at_s >= _CHOICE_HOLDS_S:
+    if at_s - record.selected_at_s >= _SELECT_EVERY_S:
         record.selected_at_s = at_s
         fresh = sorted(v for v, t in record.last_range_s.items() if at_s - t <= s.peer_fresh_s)
         few = len(fresh) <= s.peers_per_subject
         record.selected_peers = (
-            frozenset(fresh) if few else _select(clusters, records, denied_vehicle, fresh, s.peers_per_subject)
+            frozenset(fresh) if few else _select_anew(clusters, records, denied_vehicle, fresh, s.peers_per_subject)
         )
     return other in record.selected_peers
 
 
-def _select(clusters: ClusterSet, records: Records, denied_vehicle: int, fresh: list[int], most: int) -> frozenset[int]:
-    here, record = _roughly(clusters, records, denied_vehicle), records[denied_vehicle]
-    placed = [(v, there) for v in fresh if (there := _roughly(clusters, records, v)) is not None]
+def _select_anew(clusters: ClusterSet, records: Records, denied_vehicle: int, fresh: list[int], most: int) -> frozenset[int]:
+    here, record = _rough_position(clusters, records, denied_vehicle), records[denied_vehicle]
+    placed = [(v, there) for v in fresh if (there := _rough_position(clusters, records, v)) is not None]
     if here is None or len(placed) <= most:
         return frozenset([v for v, _ in placed][:most])
     denied = {vehicle: other for vehicle, other in records.items() if other.denied_vehicle}
@@ -45,7 +49,7 @@ def _select(clusters: ClusterSet, records: Records, denied_vehicle: int, fresh: 
     return select_peers(here, placed, record.selected_peers, shared, most, height_known=height_known)
 
 
-def _roughly(clusters: ClusterSet, records: Records, vehicle: int) -> FloatArray | None:
+def _rough_position(clusters: ClusterSet, records: Records, vehicle: int) -> FloatArray | None:
     cluster, record = clusters.get(vehicle), records[vehicle]
     if cluster is not None:
         return cluster.joint.mean(vehicle)[:3]
@@ -61,15 +65,15 @@ def select_peers(
     *,
     height_known: bool,
 ) -> frozenset[int]:
-    """Choose at most `most` peers greedily: each next one is that which lowers the trace of the position cofactor most.
+    """Select at most `most` peers greedily: each next one lowers the trace of the position cofactor most.
 
     Args:
-        here: (3,) where the denied vehicle is, ENU in metres.
+        here: (3,) position of the denied vehicle, ENU in m.
         placed: candidates with their positions (3,), in a fixed order (ties go to the first).
-        kept: those in use now; another one has to be clearly better to replace one, for each change costs correlations.
-        shared: those that other denied vehicles use: any other one has to be carried for this denied vehicle alone.
+        kept: those in use now; another one has to be clearly better to replace one.
+        shared: those that other denied vehicles use; any other one adds states for this vehicle alone.
         most: how many may be used.
-        height_known: whether the denied vehicle tells its own height, which is then worth a range from straight above.
+        height_known: whether the vehicle measures its own height, which is worth a range from straight above.
 
     """
     there = np.array([position for _, position in placed])
