@@ -85,17 +85,17 @@ def draw(case: ModelCase, runs: int, seed: int) -> ModelDraws:
     step_s = 1.0 / case.rate_hz
     epochs = np.arange(-round(case.healthy_s * case.rate_hz), round(case.duration_s * case.rate_hz) + 1)
     times = np.asarray(epochs * step_s, dtype=np.float64)
-    slow_share = s.least_slow_share
+    slow_share = s.least_coloured_share
     error = _Slow((runs, 4, 2), slow_share * GPS_SIGMA_M, s.report_error_time_s, step_s, rng)
     height_error = _Slow((runs, 4), slow_share * _HEIGHT_SIGMA_M, s.report_error_time_s, step_s, rng)
     baro_error = _Slow((runs,), slow_share * _HEIGHT_SIGMA_M, s.baro_error_time_s, step_s, rng)
-    stamp = _Slow((runs, 4), s.stamp_sigma_s, s.stamp_error_time_s, step_s, rng)
+    stamp = _Slow((runs, 4), s.time_stamp_offset_sigma_s, s.time_stamp_offset_time_s, step_s, rng)
     turn = _Slow((runs, 4), s.turn_sigma_radps, s.turn_time_s, step_s, rng)
     bias = _Slow((runs, _PAIRS), s.range_bias_sigma_m, s.range_bias_time_s, step_s, rng)
-    range_slow_m = s.range_slow_share * slow_share * RANGE_SIGMA_M
-    lasting = _Slow((runs, _PAIRS), range_slow_m, s.range_slow_time_s, step_s, rng)
-    slowness = 1.0 / (1.0 + (_SPEED_MPS / s.slow_speed_mps) ** 2)
-    density = s.acceleration_density_m2ps3 + slowness * (s.slow_density_m2ps3 - s.acceleration_density_m2ps3)
+    range_slow_m = s.range_coloured_share * slow_share * RANGE_SIGMA_M
+    lasting = _Slow((runs, _PAIRS), range_slow_m, s.range_coloured_time_s, step_s, rng)
+    slowness = 1.0 / (1.0 + (_SPEED_MPS / s.low_speed_mps) ** 2)
+    density = s.acceleration_density_m2ps3 + slowness * (s.low_speed_density_m2ps3 - s.acceleration_density_m2ps3)
     way = np.linalg.cholesky(np.array([[step_s**3 / 3.0, step_s**2 / 2.0], [step_s**2 / 2.0, step_s]]))
     scale = np.sqrt([density, density, s.climb_density_m2ps3])
     p, v = _at_the_start(runs)
@@ -123,7 +123,7 @@ def draw(case: ModelCase, runs: int, seed: int) -> ModelDraws:
         distance = np.linalg.norm(away, axis=-1)
         unit = away / distance[..., np.newaxis]
         closing = np.einsum("mpa,mpa->mp", unit, v[:, _SUBJECT, np.newaxis] - v[:, :_PAIRS])
-        sigma = np.sqrt(RANGE_SIGMA_M**2 + (closing * s.stamp_sigma_s) ** 2)
+        sigma = np.sqrt(RANGE_SIGMA_M**2 + (closing * s.time_stamp_offset_sigma_s) ** 2)
         ranges[:, k] = distance + bias.value + lasting.value + sigma * rng.normal(size=(runs, _PAIRS))
         for i, bound in enumerate(bounds):
             bound.update(unit[..., :2], sigma, v[..., :2], t)
@@ -213,9 +213,9 @@ class _Bound:
         self._groups = groups
         self._step_s = step_s = 1.0 / case.rate_hz
         self._begins_s = -min(_RECENT_S, _RECENT_MOST * step_s)
-        slow = s.least_slow_share * GPS_SIGMA_M
-        sigmas = [slow, slow, s.stamp_sigma_s, s.turn_sigma_radps]
-        times = [s.report_error_time_s, s.report_error_time_s, s.stamp_error_time_s, s.turn_time_s]
+        slow = s.least_coloured_share * GPS_SIGMA_M
+        sigmas = [slow, slow, s.time_stamp_offset_sigma_s, s.turn_sigma_radps]
+        times = [s.report_error_time_s, s.report_error_time_s, s.time_stamp_offset_time_s, s.turn_time_s]
         self._decay = np.exp(-step_s / np.array(times))
         Q = np.zeros((_BLOCK, _BLOCK))
         for a in (0, 1):
@@ -224,7 +224,7 @@ class _Bound:
         Q[4:, 4:] = np.diag(np.square(sigmas) * (1.0 - self._decay**2))
         self._inverse_q = np.linalg.inv(Q)
         pair_sigmas = np.array([s.range_bias_sigma_m, range_slow_m])
-        self._pair_decay = np.exp(-step_s / np.array([s.range_bias_time_s, s.range_slow_time_s]))
+        self._pair_decay = np.exp(-step_s / np.array([s.range_bias_time_s, s.range_coloured_time_s]))
         self._pair_inverse_q = np.diag(1.0 / (np.square(pair_sigmas) * (1.0 - self._pair_decay**2)))
         prior = np.array([GPS_SIGMA_M] * 2 + [_UNKNOWN_VELOCITY_MPS] * 2 + sigmas)
         J = np.diag(1.0 / np.concatenate([np.tile(prior, 4), np.tile(pair_sigmas, _PAIRS)]) ** 2)

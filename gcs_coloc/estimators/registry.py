@@ -113,7 +113,10 @@ def _settings_type(name: str, cls: type) -> type | None:
 
 def _make_settings(name: str, settings_type: type, settings: Mapping[str, Any]) -> object:
     known = {one.name: one for one in fields(settings_type) if one.init}
+    renamed: Mapping[str, str] = getattr(settings_type, "RENAMED", {})
     for key in settings:
+        if key in renamed:
+            raise EstimatorError(f"estimator {name!r}: the setting {key!r} is called {renamed[key]!r} now")
         if key not in known:
             raise EstimatorError(f"estimator {name!r} has no setting {key!r}; it has {', '.join(known)}")
     for key, one in known.items():

@@ -176,7 +176,7 @@ class FleetModel:
         sigma_m, _ = without_time_error(m)
         noise = self.pairs.get(pair, NO_SAMPLES).updated(m.measured_at_s, ((m.range_m,),), (sigma_m,))
         self.pairs[pair] = noise
-        coloured_m = self.settings.range_slow_share * noise.split(0, sigma_m, self.settings.least_slow_share)[1]
+        coloured_m = self.settings.range_coloured_share * noise.split(0, sigma_m, self.settings.least_coloured_share)[1]
         if m.clock_of in ends:
             change_time_stamp_offset_sigma(cluster, m.clock_of, time_stamp_offset_sigma_s(m, self.settings))
         scatter_m = noise.lower_bound_m(0)
@@ -235,7 +235,7 @@ class FleetModel:
         if record.denied_vehicle or record.last_position is None:
             return NoEstimate(vehicle, at_s, record.no_estimate_reason)
         age_s = at_s - record.last_position.measured_at_s
-        if age_s > self.settings.start_age_s and not record.static:
+        if age_s > self.settings.initialisation_age_s and not record.static:
             return NoEstimate(vehicle, at_s, f"no position report for {age_s:.0f} s")
         alone = FleetModel(self.settings)
         alone.records.copy_from(self.records, vehicle)

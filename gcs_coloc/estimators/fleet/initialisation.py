@@ -32,7 +32,7 @@ def initialise_from_reports(clusters: ClusterSet, records: Records, vehicle: int
     """Initialise a vehicle's states from its recent reports; False if these are not fresh."""
     record = records.writable(vehicle)
     last = record.last_position
-    if last is None or (at_s - last.measured_at_s > s.start_age_s and not record.static):
+    if last is None or (at_s - last.measured_at_s > s.initialisation_age_s and not record.static):
         return False
     if record.static:
         variances = [last.sigma_h_m**2, last.sigma_h_m**2, last.sigma_v_m**2]
@@ -64,7 +64,7 @@ def initialise_from_ranges(clusters: ClusterSet, records: Records, vehicle: int,
         record.no_estimate_reason = solution
         return False
     record.baro_error_sigma_m = record.report_error_sigma_h_m = record.report_error_sigma_v_m = 0.0
-    record.time_stamp_offset_sigma_s = s.stamp_sigma_s
+    record.time_stamp_offset_sigma_s = s.time_stamp_offset_sigma_s
     record.attitude = None
     record.updated_at_s = at_s
     record.range_measurements = ()
@@ -82,7 +82,7 @@ def _multilateration_problem(records: Records, vehicle: int, at_s: float, s: Fle
             continue
         past = [r for r in records[peer].recent_own if isinstance(r, PositionMeasurement)]
         near = min(past, key=lambda r: abs(r.measured_at_s - m.measured_at_s), default=report)
-        if abs(near.measured_at_s - m.measured_at_s) > s.start_age_s and not near.static:
+        if abs(near.measured_at_s - m.measured_at_s) > s.initialisation_age_s and not near.static:
             continue
         problem.add_range(peer, near, past, m)
     for own in records[vehicle].recent_own:
@@ -127,7 +127,7 @@ def block_from_estimate(mean: FloatArray, covariance: FloatArray, s: FleetSettin
     P = np.zeros((SIZE, SIZE))
     x[:6] = mean
     P[:6, :6] = covariance
-    _set_slow_errors(P, s.stamp_sigma_s, s)
+    _set_slow_errors(P, s.time_stamp_offset_sigma_s, s)
     return x, P
 
 

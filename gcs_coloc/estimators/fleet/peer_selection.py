@@ -25,14 +25,14 @@ def is_selected(clusters: ClusterSet, records: Records, denied_vehicle: int, oth
     The denied vehicle's record is changed, so it must be writable.
     """
     record = records[denied_vehicle]
-    if other not in record.selected_peers and len(record.last_range_s) <= s.peers_per_subject:
+    if other not in record.selected_peers and len(record.last_range_s) <= s.peers_per_denied_vehicle:
         record.selected_peers = frozenset(record.last_range_s)
     if at_s - record.selected_at_s >= _SELECT_EVERY_S:
         record.selected_at_s = at_s
         fresh = sorted(v for v, t in record.last_range_s.items() if at_s - t <= s.peer_fresh_s)
-        few = len(fresh) <= s.peers_per_subject
+        few = len(fresh) <= s.peers_per_denied_vehicle
         record.selected_peers = (
-            frozenset(fresh) if few else _select_anew(clusters, records, denied_vehicle, fresh, s.peers_per_subject)
+            frozenset(fresh) if few else _select_anew(clusters, records, denied_vehicle, fresh, s.peers_per_denied_vehicle)
         )
     return other in record.selected_peers
 

@@ -93,7 +93,7 @@ class NoiseSplit:
             now.append((sum_m2 * _DECAY, weight * _DECAY))
         return NoiseSplit((history[1], history[2], (at_s, groups)), tuple(now))
 
-    def split(self, group: int, sigma_m: float, min_coloured_share: float) -> tuple[float, float]:
+    def split(self, group: int, sigma_m: float, least_coloured_share: float) -> tuple[float, float]:
         """Return the sigmas (white, coloured) in m of a sample with the stated sigma of one group."""
         sum_m2, weight = self._seen[group] if self._seen else _NOTHING_SEEN
         seen_m2 = max(sum_m2, 0.0)
@@ -103,7 +103,7 @@ class NoiseSplit:
         # Once the white variance is well known, its upper bound (two standard errors) counts as white.
         error = math.sqrt(2.0 * _OVERLAP / max(weight, 1.0))
         likely_m2 = least_m2 * (1.0 + 2.0 * error) if error < _WELL_KNOWN else least_m2
-        coloured_m2 = max(sigma_m * sigma_m - likely_m2, (min_coloured_share * sigma_m) ** 2)
+        coloured_m2 = max(sigma_m * sigma_m - likely_m2, (least_coloured_share * sigma_m) ** 2)
         return math.sqrt(max(most_m2, (_LEAST_WHITE_SHARE * sigma_m) ** 2)), math.sqrt(coloured_m2)
 
     def lower_bound_m(self, group: int) -> float:

@@ -70,12 +70,12 @@ def set_transition(
     x, P = state
     length = abs(step_s)
     # Eq. (8): a slow vehicle turns on the spot, which a turn rate does not describe.
-    slowness = 1.0 / (1.0 + (x[3] * x[3] + x[4] * x[4]) / (s.slow_speed_mps * s.slow_speed_mps))
-    density = s.acceleration_density_m2ps3 + slowness * (s.slow_density_m2ps3 - s.acceleration_density_m2ps3)
+    slowness = 1.0 / (1.0 + (x[3] * x[3] + x[4] * x[4]) / (s.low_speed_mps * s.low_speed_mps))
+    density = s.acceleration_density_m2ps3 + slowness * (s.low_speed_density_m2ps3 - s.acceleration_density_m2ps3)
     climb = s.climb_density_m2ps3
     if record.denied_vehicle and record.baro_error_sigma_m == 0.0:
         # Without a height of its own a climb is observed late, and a fast vehicle climbs fast.
-        climb += (1.0 - slowness) * max(s.unseen_climb_density_m2ps3 - climb, 0.0)
+        climb += (1.0 - slowness) * max(s.unobserved_climb_density_m2ps3 - climb, 0.0)
     gain, gain_v = record.manoeuvre.gains()
     # The turn rate decays within the step: the heading changes by omega times this.
     lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
@@ -85,8 +85,8 @@ def set_transition(
         roll = min(max(attitude.roll_rad, -STEEPEST_BANK_RAD), STEEPEST_BANK_RAD)
         turn = turn_rate_radps(roll, attitude.airspeed_mps)
         # A steep turn is never quite level: missing or excess lift accelerates sideways and vertically.
-        uneven = 2.0 * _UNEVEN_TURN_TIME_S * (s.turn_share * GRAVITY_MPS2 * math.tan(roll)) ** 2
-        density = s.aided_density_m2ps3 + uneven
+        uneven = 2.0 * _UNEVEN_TURN_TIME_S * (s.turn_error_share * GRAVITY_MPS2 * math.tan(roll)) ** 2
+        density = s.coordinated_turn_density_m2ps3 + uneven
         climb += uneven
     else:
         turn = x[TURN] * lasting_s / step_s
@@ -101,8 +101,8 @@ def set_transition(
     transition.set_acceleration_noise(length, density * min(gain, s.manoeuvre_gain), climb * min(gain_v, s.manoeuvre_gain))
     # Only the vehicle's own part of the time-stamp offset changes; the offset of its clock lasts.
     stamp_s = record.time_stamp_offset_sigma_s
-    own = s.stamp_sigma_s / stamp_s if stamp_s > 0.0 else 0.0
-    stamp_time_s = s.stamp_error_time_s / max(own * own, _LEAST_OWN_SHARE)
+    own = s.time_stamp_offset_sigma_s / stamp_s if stamp_s > 0.0 else 0.0
+    stamp_time_s = s.time_stamp_offset_time_s / max(own * own, _LEAST_OWN_SHARE)
     turn_sigma_radps = s.turn_sigma_radps * min(math.sqrt(gain), _TURN_GAIN)
     transition.set_gauss_markov(
         length,

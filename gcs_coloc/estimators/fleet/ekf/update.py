@@ -43,7 +43,7 @@ def update_own(cluster: Cluster, m: OwnMeasurement) -> UpdateResult:
     if isinstance(m, PositionMeasurement):
         return update_position_report(cluster, m, *split_report_noise(record, m, s), time_stamp_offset_sigma_s(m, s))
     if isinstance(m, AltitudeMeasurement):
-        return update_altitude(cluster, m, *record.altitude_noise.split(0, m.sigma_m, s.least_slow_share))
+        return update_altitude(cluster, m, *record.altitude_noise.split(0, m.sigma_m, s.least_coloured_share))
     return update_air_velocity(cluster, m)
 
 
@@ -134,7 +134,7 @@ def update_range(cluster: Cluster, pair: Key, m: RangeMeasurement, white_m: floa
     ends = cluster.range_end(m.from_vehicle), cluster.range_end(m.to_vehicle)
     records = cluster.records
     inflation_m2 = max(records[m.from_vehicle].range_noise_inflation_m2, records[m.to_vehicle].range_noise_inflation_m2)
-    linear = slant_range(joint, ends, index, m, white_m * white_m + inflation_m2, s.stamp_sigma_s)
+    linear = slant_range(joint, ends, index, m, white_m * white_m + inflation_m2, s.time_stamp_offset_sigma_s)
     if linear is None:
         return UpdateResult(Outcome.REFUSED_SAME_PLACE)
     hA, innovation, variance, unit = linear
@@ -142,8 +142,8 @@ def update_range(cluster: Cluster, pair: Key, m: RangeMeasurement, white_m: floa
     sigma = math.sqrt(variance)
     if nis > s.gate_sigma**2:
         return UpdateResult(Outcome.REFUSED_RANGE_GATE, innovation, sigma, nis, 1, unit)
-    if nis > s.doubt_sigma**2:
-        variance *= math.sqrt(nis) / s.doubt_sigma
+    if nis > s.huber_sigma**2:
+        variance *= math.sqrt(nis) / s.huber_sigma
     W = joint.correct_scalar(hA, variance)
     whitened = (innovation / math.sqrt(variance),)
     cluster.update_manoeuvre_detector(m.from_vehicle, W, whitened, at_s)
@@ -153,14 +153,14 @@ def update_range(cluster: Cluster, pair: Key, m: RangeMeasurement, white_m: floa
 
 def time_stamp_offset_sigma_s(m: PositionMeasurement | RangeMeasurement, s: FleetSettings) -> float:
     """Return the sigma of the time-stamp offset that a measurement states, s."""
-    return math.hypot(s.stamp_sigma_s, m.time_sigma_s)
+    return math.hypot(s.time_stamp_offset_sigma_s, m.time_sigma_s)
 
 
 def split_report_noise(record: VehicleRecord, m: PositionMeasurement, s: FleetSettings) -> tuple[Sigmas, Sigmas]:
     """Return the white and the coloured sigmas of a position report, each (horizontal, vertical) in m, eq. (16)."""
     sigma_h_m, sigma_v_m = without_time_error(m)
-    white_h_m, coloured_h_m = record.report_noise.split(0, sigma_h_m, s.least_slow_share)
-    white_v_m, coloured_v_m = record.report_noise.split(1, sigma_v_m, s.least_slow_share)
+    white_h_m, coloured_h_m = record.report_noise.split(0, sigma_h_m, s.least_coloured_share)
+    white_v_m, coloured_v_m = record.report_noise.split(1, sigma_v_m, s.least_coloured_share)
     return (white_h_m, white_v_m), (coloured_h_m, coloured_v_m)
 
 
@@ -193,7 +193,7 @@ def _propagate_pair(cluster: Cluster, pair: Key, at_s: float, coloured_m: float)
     index: int = joint.where[pair].start
     step_s = at_s - joint.time_s[pair]
     if step_s > 0.0:
-        decays = (math.exp(-step_s / s.range_bias_time_s), math.exp(-step_s / s.range_slow_time_s))
+        decays = (math.exp(-step_s / s.range_bias_time_s), math.exp(-step_s / s.range_coloured_time_s))
         joint.decay(pair, decays, sigmas)
         joint.time_s[pair] = at_s
     return index

@@ -254,7 +254,7 @@ def test_a_vehicle_whose_gps_is_back_is_its_own_witness_again():
 
 
 def test_at_most_k_peers_are_used():
-    estimator = FleetFilter(FleetSettings(peers_per_subject=3))
+    estimator = FleetFilter(FleetSettings(peers_per_denied_vehicle=3))
     rng = np.random.default_rng(1)
     places = {v: np.array([*rng.uniform(-2000.0, 2000.0, 2), rng.uniform(80.0, 200.0)]) for v in range(10, 40)}
     denied_vehicle = np.array([0.0, 0.0, 100.0])
