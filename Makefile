@@ -5,7 +5,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 # Several threads are slower than one on matrices as small as ours; the service and its commands see to it themselves.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo demo-docker demo-docker-down test lint docs bench fuzz dialect lock clean
+.PHONY: demo demo-docker demo-docker-down test lint docs bench fuzz dialect reference lock clean
 
 # The environment with the program in it: .venv/bin/gcs-coloc.
 .venv: .venv/.ready
@@ -63,6 +63,10 @@ fuzz: .venv/.ready-dev
 # Regenerates the committed message classes from gcs_coloc/mavlink/gcs_coloc.xml.
 dialect: .venv/.ready
 	$(BIN)/python -m gcs_coloc.mavlink.regenerate
+
+# Writes the tables of settings in docs/reference from the settings' classes.
+reference: .venv/.ready
+	$(BIN)/python -m tools.settings_reference
 
 # Renews the lock files from pyproject.toml; needs uv.
 lock: 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import fields
 from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -15,59 +13,26 @@ from gcs_coloc.core.gps_health.gps_health import GpsHealthSettings
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementSettings
 
 _STRICT = ConfigDict(extra="forbid")
-_MAY_BE_ZERO = ("lag_s", "gps_id", "min_delay_s", "regain_after_s", "hand_back_s", "ek3_gps_check")
-
-
-_LIMITS = {
-    "rate_hz": (1.0, 50.0),
-    "external_rate_hz": (0.1, 10.0),
-    "lag_s": (0.0, 1.0),
-    "gps_id": (0, 1),
-    "timesync_period_s": (0.1, 60.0),
-}
-"""Beyond these a value is a slip, such as milliseconds for seconds, that floods a link or reaches no receiver of the vehicle."""
-
-
-class _Checked:
-    """Refuses numbers that no setting of the core can mean: negative, zero where a duration or sigma is meant, not finite."""
-
-    def __post_init__(self) -> None:
-        for f in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, f.name)
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                continue
-            least_ok = value >= 0 if f.name in _MAY_BE_ZERO else value > 0
-            if not (math.isfinite(value) and least_ok):
-                raise ValueError(f"{f.name} must be a positive number, not {value}")
-            least, most = _LIMITS.get(f.name, (0, math.inf))
-            if not least <= value <= most:
-                raise ValueError(f"{f.name} must be from {least:g} to {most:g}, not {value:g}")
 
 
 @dataclass(frozen=True, config=_STRICT)
-class GpsHealthConfig(_Checked, GpsHealthSettings):
-    """`[gps_health]`: when a vehicle's GPS is taken to have failed, and to be back."""
+class GpsHealthConfig(GpsHealthSettings):
+    """`[gps_health]`: when a vehicle's GPS counts as failed, and as healthy again."""
 
 
 @dataclass(frozen=True, config=_STRICT)
-class MeasurementConfig(_Checked, MeasurementSettings):
-    """`[measurements]`: noise that the wire does not tell."""
+class MeasurementConfig(MeasurementSettings):
+    """`[measurements]`: noise that the wire does not tell (1-sigma per axis), and how old a message may be."""
 
 
 @dataclass(frozen=True, config=_STRICT)
-class AidingConfig(_Checked, AidingSettings):
-    """`[aiding]`: what is sent to a vehicle without GPS."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for sysid in self.methods:
-            if not 1 <= sysid <= 255:
-                raise ValueError(f"methods: {sysid} is not a MAVLink system id (1 to 255)")
+class AidingConfig(AidingSettings):
+    """`[aiding]`: what is sent to a GNSS-denied vehicle."""
 
 
 @dataclass(frozen=True, config=_STRICT)
-class TimeConfig(_Checked, TimeSettings):
-    """`[time]`: whose clock says what."""
+class TimeConfig(TimeSettings):
+    """`[time]`: how the vehicles' clocks are brought to ours."""
 
 
 class _Section(BaseModel):
@@ -77,8 +42,10 @@ class _Section(BaseModel):
 class MavlinkConfig(_Section):
     """`[mavlink]`: who we are on the link."""
 
-    system_id: int = Field(254, ge=1, le=255, description="our MAVLink system id; a vehicle may demand its MAV_GCS_SYSID here")
-    component_id: int = Field(191, ge=1, le=255, description="our MAVLink component id (MAV_COMP_ID_ONBOARD_COMPUTER)")
+    system_id: int = Field(254, ge=1, le=255)
+    """Our MAVLink system id. A vehicle with MAV_OPTIONS=1 takes GPS_INPUT only from its MAV_GCS_SYSID (255)."""
+    component_id: int = Field(191, ge=1, le=255)
+    """Our MAVLink component id; 191 is MAV_COMP_ID_ONBOARD_COMPUTER."""
 
 
 SigningMode = Literal["require", "accept", "off"]
@@ -87,9 +54,15 @@ SigningMode = Literal["require", "accept", "off"]
 class SigningConfig(_Section):
     """`[signing]`: MAVLink 2 signatures. A key that no link uses, and a link that wants a key where none is set, are errors."""
 
-    key_file: str = Field("", description="the file of the secret key, its mode 0600; empty: no signing")
-    mode: SigningMode = Field("off", description="require: unsigned frames are refused; accept: they are taken; off: no signing")
-    links: dict[str, SigningMode] = Field(default_factory=dict, description="the mode of single links, by connection string")
+    key_file: str = ""
+    """File of the secret key, mode 0600: 64 hexadecimal digits; a passphrase on one line, whose SHA-256 is the key;
+    or the 32 bytes. Empty: no signing."""
+    mode: SigningMode = "off"
+    """`require`: unsigned frames are refused; `accept`: they are accepted, but a wrong signature is refused;
+    `off`: signatures are neither checked nor made. With `require` and `accept` all that is sent is signed."""
+    links: dict[str, SigningMode] = Field(default_factory=dict)
+    """A table `[signing.links]` with the mode of single links, by connection string:
+    `"serial:/dev/ttyUSB0:57600" = "accept"`."""
 
     @model_validator(mode="after")
     def _key_and_mode_agree(self) -> Self:
@@ -104,30 +77,36 @@ class SigningConfig(_Section):
 class SendersConfig(_Section):
     """`[senders]`: who may speak for a vehicle, and how much anybody may say."""
 
-    rebind_after_s: float = Field(
-        5.0, gt=0, description="a vehicle that was silent for so long may turn up at another address; inf: never"
-    )
-    companions_elsewhere: bool = Field(
-        False, description="components other than the autopilot may use a vehicle's system id from addresses of their own"
-    )
-    bytes_per_s: float = Field(
-        200_000.0, ge=10_000, allow_inf_nan=False, description="what a vehicle's address, or all others, send beyond is dropped"
-    )
+    rebind_after_s: float = Field(5.0, gt=0)
+    """A system id is bound to the address that it is heard from. After so long a silence it may use another one.
+    `inf`: never. Chosen: longer than a link drops out, shorter than a radio takes to be replaced."""
+    companions_elsewhere: bool = False
+    """Components other than the autopilot may use the vehicle's system id from addresses of their own;
+    otherwise they are refused there."""
+    bytes_per_s: float = Field(200_000.0, ge=10_000, allow_inf_nan=False)
+    """A vehicle's address may send so much; the rest is dropped unread. All addresses without a vehicle share the same
+    amount. A datagram counts as 64 bytes at least, and a quarter of a second's worth may come at once.
+    Chosen: ten times what an autopilot sends on a fast link."""
 
 
 class ForwardConfig(_Section):
     """`[forward]`: what the ground tools behind `out` are shown besides what the vehicles send."""
 
-    echo_gps_input: bool = Field(False, description="the GPS_INPUT that we send is shown to the ground tools, too")
+    echo_gps_input: bool = False
+    """The ground tools also get the GPS_INPUT that we send. They always get what the vehicles send."""
 
 
 class FleetConfig(_Section):
     """`[fleet]`: the operator's word on single vehicles, and the fleet's bounds."""
 
-    failed: tuple[int, ...] = Field((), description="system ids whose GPS is declared failed, whatever it says")
-    healthy: tuple[int, ...] = Field((), description="system ids whose GPS is declared healthy, whatever it says")
-    max_vehicles: int = Field(250, ge=2, le=250, description="vehicles beyond this number are refused")
-    request_streams: bool = Field(True, description="ask vehicles for the messages that are missing (SET_MESSAGE_INTERVAL)")
+    failed: tuple[int, ...] = ()
+    """System ids whose GPS is declared failed, whatever it says."""
+    healthy: tuple[int, ...] = ()
+    """System ids whose GPS is declared healthy, whatever it says."""
+    max_vehicles: int = Field(250, ge=2, le=250)
+    """More vehicles than this are refused. MAVLink has system ids 1 to 255; ground stations use some."""
+    request_streams: bool = True
+    """Vehicles are asked for missing messages (MAV_CMD_SET_MESSAGE_INTERVAL)."""
 
     @field_validator("failed", "healthy")
     @classmethod
@@ -148,20 +127,26 @@ class FleetConfig(_Section):
 class EstimatorConfig(_Section):
     """`[estimator]`: which estimator locates the vehicles, with its own settings in `[estimator.settings]`."""
 
-    name: str = Field("fleet", description="fleet, qu_zhang, or a plug-in as package.module:Class or path/to/file.py:Class")
-    settings: dict[str, Any] = Field(default_factory=dict, description="settings of that estimator")
+    name: str = "fleet"
+    """`fleet`, `qu_zhang`, or a plug-in as `package.module:Class` or `path/to/file.py:Class`."""
+    settings: dict[str, Any] = Field(default_factory=dict)
+    """A table `[estimator.settings]` with the estimator's own settings, see its page."""
 
 
 class WebConfig(_Section):
     """`[web]`: the live page, the metrics and the operator's commands."""
 
-    on: bool = Field(True, description="serve the page")
-    address: str = Field("127.0.0.1:8080", description="HOST:PORT to listen on; port 0 takes any that is free")
-    allowed_hosts: tuple[str, ...] = Field(
-        (), description="names besides IP addresses and localhost that the page may be called by"
-    )
-    token_file: str = Field("", description="file with the operator's token; without one the page is read-only")
-    tiles: str = Field("", description="a PMTiles file of raster tiles to draw under the map; empty: none")
+    on: bool = True
+    """Serve the page, the metrics and the operator's commands."""
+    address: str = "127.0.0.1:8080"
+    """HOST:PORT to listen on; port 0 takes any free one. If the address is set and in use, the service ends;
+    the default is done without."""
+    allowed_hosts: tuple[str, ...] = ()
+    """Names, besides IP addresses and localhost, under which the page may be opened."""
+    token_file: str = ""
+    """File with the operator's token, at least 16 characters; without one the page is read-only."""
+    tiles: str = ""
+    """A PMTiles file (version 3) of raster tiles, drawn under the map. Empty: none."""
 
     @field_validator("address")
     @classmethod
@@ -185,8 +170,10 @@ class WebConfig(_Section):
 class RecordConfig(_Section):
     """`[record]`: recording the flight."""
 
-    directory: str = Field("", description="where recordings are written; none are where it is empty")
-    rotate_mb: int = Field(500, ge=1, le=100_000, description="a new pair of files is begun at this size, in megabytes")
+    directory: str = ""
+    """Where recordings are written. Empty: none are. `--record DIR` sets it."""
+    rotate_mb: int = Field(500, ge=1, le=100_000)
+    """A new pair of files begins at this size, megabytes."""
 
 
 def topic_level(text: str) -> str:
@@ -199,17 +186,28 @@ def topic_level(text: str) -> str:
 class MqttConfig(_Section):
     """`[mqtt]`: the fleet on an MQTT broker. Off while no host is set."""
 
-    host: str = Field("", description="the broker's name or address; empty: no MQTT")
-    port: int = Field(1883, ge=1, le=65535, description="the broker's port; 8883 is usual with TLS")
-    tls: bool = Field(False, description="encrypt, and check the broker's certificate and name")
-    ca_file: str = Field("", description="certificates (PEM) to check the broker's by; empty: the system's")
-    username: str = Field("", description="the user; empty: none")
-    password_file: str = Field("", description="the file of the user's password")
-    prefix: str = Field("gcs-coloc", description="the beginning of every topic")
-    fleet: str = Field("fleet", description="this fleet's name in the topics")
-    publish_hz: float = Field(1.0, gt=0, le=5, description="how often each topic is published at most")
-    commands: bool = Field(False, description="take the operator's word from the cmd topics")
-    ranges: bool = Field(False, description="take ranges from the range topics")
+    host: str = ""
+    """The broker's name or address. Empty: no MQTT."""
+    port: int = Field(1883, ge=1, le=65535)
+    """The broker's port; 8883 is usual with TLS (IANA: secure-mqtt), 1883 without."""
+    tls: bool = False
+    """Encrypt, and check the broker's certificate and name."""
+    ca_file: str = ""
+    """Certificates (PEM) to check the broker's by. Empty: the system's."""
+    username: str = ""
+    """The user. Empty: none."""
+    password_file: str = ""
+    """The file whose only line is the user's password."""
+    prefix: str = "gcs-coloc"
+    """The beginning of every topic: letters, digits, `-`, `_`, `.`."""
+    fleet: str = "fleet"
+    """This fleet's name in the topics; two services on one broker need two names."""
+    publish_hz: float = Field(1.0, gt=0, le=5)
+    """Each topic is published at most this often."""
+    commands: bool = False
+    """Accept operator commands from the `cmd` topics."""
+    ranges: bool = False
+    """Accept ranges from the `range` topics."""
 
     _topic_levels = field_validator("prefix", "fleet")(topic_level)
 

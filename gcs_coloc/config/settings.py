@@ -53,12 +53,12 @@ class Settings(BaseSettings):
 
     model_config = SettingsConfigDict(extra="forbid", frozen=True, env_prefix=_ENVIRONMENT, env_nested_delimiter=_LEVEL)
 
-    links: tuple[str, ...] = Field(
-        (), description="connection strings: udpin:HOST:PORT, udpout:, tcp:, tcpin:, serial:DEVICE:BAUD"
-    )
-    out: tuple[str, ...] = Field(
-        (), description="ground tools to hand the vehicles' frames on to: HOST:PORT, udp:, udpin:, tcp:, tcpin:, serial:"
-    )
+    links: tuple[str, ...] = ()
+    """Connection strings of the vehicles: `udpin:HOST:PORT`, `udpout:HOST:PORT`, `tcp:HOST:PORT`, `tcpin:HOST:PORT`,
+    `serial:DEVICE:BAUD`."""
+    out: tuple[str, ...] = ()
+    """Connection strings of ground tools that get the vehicles' frames: `udp:HOST:PORT`, `udpin:HOST:PORT`, `tcp:HOST:PORT`,
+    `tcpin:HOST:PORT`, `serial:DEVICE:BAUD`."""
     mavlink: MavlinkConfig = Field(default_factory=lambda: MavlinkConfig.model_validate({}))
     signing: SigningConfig = Field(default_factory=lambda: SigningConfig.model_validate({}))
     senders: SendersConfig = Field(default_factory=lambda: SendersConfig.model_validate({}))

@@ -1,4 +1,4 @@
-"""The settings of aid: `[aiding]` of the configuration."""
+"""The settings of aiding: `[aiding]` of the configuration."""
 
 from __future__ import annotations
 
@@ -6,39 +6,54 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from gcs_coloc.core.setting_bounds import between, check_bounds, positive
+
 AidingMethodName = Literal["auto", "gps_input", "external_position", "global_position_sensor"]
 
 
 @dataclass(frozen=True, slots=True)
 class AidingSettings:
-    """How vehicles are aided.
-
-    `method`: by which message; "auto" goes by the autopilot. `methods`: the same for single vehicles, by system id.
-    `rate_hz`: GPS_INPUT rate; ArduPilot calls a receiver unhealthy below 4.7 Hz. `external_rate_hz`: that of external estimates.
-    `lag_s`: age that the vehicle's driver takes GPS_INPUT to have (its GPS_DELAY).
-    `gps_id`: zero-based receiver instance that the vehicle has set to MAVLink (1 is GPS2).
-    `alert_limit_m`: no fix is claimed while the 95 % horizontal bound is beyond this.
-    `regain_after_s`: a fix that was lost comes back only after the bound has been within the limit for so long.
-    `prediction_s`: no fix is claimed where no range has been in use, or none that fix the place, for longer than this.
-    `hand_back_s`: the stream goes on for so long after the vehicle's own GPS is healthy again.
-    `standby`: healthy vehicles are streamed their own estimate.
-    `switch_primary`: "auto" sets GPS_PRIMARY to our receiver on an aided vehicle whose own one lies; "off" only on command.
-    `stand_down_s`: how long nobody else's GPS_INPUT must have been heard before ours begins again.
-    `ek3_gps_check`, `ek3_check_scale`: the vehicle's parameters of these names, until it has told them itself.
-    """
+    """What is sent to a GNSS-denied vehicle."""
 
     method: AidingMethodName = "auto"
+    """The message: `gps_input`, `external_position` (MAV_CMD_EXTERNAL_POSITION_ESTIMATE) or `global_position_sensor`.
+    `auto` takes `global_position_sensor` for PX4, and GPS_INPUT for ArduPilot, with external estimates beside it while the
+    position is too coarse for its EKF. Other autopilots get nothing but an alarm, as their methods are unknown."""
     methods: Mapping[int, AidingMethodName] = field(default_factory=dict)
-    rate_hz: float = 10.0
-    external_rate_hz: float = 1.0
-    lag_s: float = 0.2
-    gps_id: int = 1
-    alert_limit_m: float = 50.0
-    regain_after_s: float = 3.0
-    prediction_s: float = 10.0
-    hand_back_s: float = 3.0
+    """The method of single vehicles by system id, as `4 = "external_position"`."""
+    rate_hz: float = between(10.0, 1.0, 50.0)
+    """GPS_INPUT messages per second. ArduPilot calls a receiver unhealthy below 4.7 Hz (AP_GPS); beyond 50 Hz a radio floods."""
+    external_rate_hz: float = between(1.0, 0.1, 10.0)
+    """External position estimates per second. Chosen: each resets the EKF's position, so few are better than many."""
+    lag_s: float = between(0.2, 0.0, 1.0)
+    """Age that the vehicle takes the data to have (its GPS_DELAY). Position and velocity are those of that long ago."""
+    gps_id: int = between(1, 0, 1)
+    """Zero-based receiver instance that is set to MAVLink on the vehicle (GPS_INPUT.gps_id): 0 is GPS1, 1 is GPS2."""
+    alert_limit_m: float = positive(50.0)
+    """No fix is sent while the 95 % horizontal bound exceeds this. Chosen: what the operator's airspace allows."""
+    regain_after_s: float = between(3.0, 0.0)
+    """A lost fix comes back only after it has been sound for this long. Chosen: against a fix that flickers."""
+    prediction_s: float = positive(10.0)
+    """No fix is sent without a range in use for longer than this, however small the bound. The same holds where ranges to
+    one peer, or along one line (HDOP above 30), do not fix the position and no airspeed and bank angle tell the motion."""
+    hand_back_s: float = between(3.0, 0.0)
+    """The stream goes on for this long after the vehicle's own GPS is healthy again, then ends with fix_type 1."""
     standby: bool = False
+    """Healthy vehicles get their own estimate, so that they arm with GPS2_TYPE=14 and fail over without a gap.
+    Only vehicles with GPS_AUTO_SWITCH 4 or 0 and a GPS_PRIMARY other than ours."""
     switch_primary: Literal["off", "auto"] = "off"
-    stand_down_s: float = 10.0
-    ek3_gps_check: int = 31
-    ek3_check_scale: float = 150.0
+    """`auto`: GPS_PRIMARY of an aided vehicle is set to our receiver where its own one is faulty (it claims a fix though it
+    has failed, or its fix flickers). It is restored when the GPS is healthy, or aiding or the service ends.
+    `off`: only on the operator's command."""
+    stand_down_s: float = positive(10.0)
+    """Where another sender feeds the same receiver with GPS_INPUT, ours stops until that one was silent for this long."""
+    ek3_gps_check: int = between(31, 0)
+    """The vehicle's parameter EK3_GPS_CHECK (bit mask), until the vehicle has reported it. Source: ArduPilot's default."""
+    ek3_check_scale: float = positive(150.0)
+    """The vehicle's parameter EK3_CHECK_SCALE, percent, until the vehicle has reported it. ArduPilot's default is 150."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        for sysid in self.methods:
+            if not 1 <= sysid <= 255:
+                raise ValueError(f"methods: {sysid} is not a MAVLink system id (1 to 255)")

@@ -17,6 +17,7 @@ from typing import NamedTuple
 from gcs_coloc.core.clocks.duplicate_ids import DuplicateIdDetector
 from gcs_coloc.core.clocks.sender_clock import CRYSTAL_DRIFT, JUMPS_TO_BELIEVE, SenderClock
 from gcs_coloc.core.clocks.timesync import RoundTrips, Synchronised
+from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
 _SAME_CLOCK_S = 0.05
 _ONE_WAY_SIGMA_S = 0.005  # how far the least of a minute's one-way delays may be from the link's least
@@ -30,18 +31,20 @@ _MOST_BY_UTC_S = 0.9  # beyond, another cause is likelier, such as a leap second
 
 @dataclass(frozen=True, slots=True)
 class TimeSettings:
-    """How vehicles' clocks are found.
+    """How the vehicles' clocks are found."""
 
-    `timesync_period_s`: an autopilot is asked for its time this often.
-    `min_delay_s`: least one-way delay from a vehicle that does not answer TIMESYNC; 0: not known, judged for each link.
-    `min_delay_sigma_s`: how far that may be off, where it is not known at the least.
-    `require_synchronised_clock`: no aid is sent while the host's own clock is not known to be synchronised.
-    """
-
-    timesync_period_s: float = 1.0
-    min_delay_s: float = 0.0
-    min_delay_sigma_s: float = 0.05
+    timesync_period_s: float = between(1.0, 0.1, 60.0)
+    """An autopilot is asked for its time (TIMESYNC) this often: quicker for its first 50 answers, ten times slower after
+    20 requests without one."""
+    min_delay_s: float = between(0.0, 0.0)
+    """Least one-way delay from a vehicle that does not answer TIMESYNC. 0: unknown, estimated for each link."""
+    min_delay_sigma_s: float = positive(0.05)
+    """1-sigma of that delay, and the smallest where it is unknown. Times its speed it adds to a measurement's noise."""
     require_synchronised_clock: bool = False
+    """No aiding while the host's own clock is not known to be synchronised (NTP, PTP, GPS). Each change is logged once."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
 
 
 class ServiceTime(NamedTuple):

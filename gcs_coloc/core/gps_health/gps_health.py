@@ -19,6 +19,7 @@ from gcs_coloc.core.gps_health.motion_check import MotionCheck
 from gcs_coloc.core.gps_health.receiver_check import ReceiverCheck
 from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.messages.inbound import EkfStatus, GpsReceiver, SystemHealth
+from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
 
 class GpsState(Enum):
@@ -45,24 +46,24 @@ class Contradiction:
 
 @dataclass(frozen=True, slots=True)
 class GpsHealthSettings:
-    """When the machine changes its mind.
+    """When a vehicle's GPS counts as failed, and as healthy again."""
 
-    `fail_after_s`: a vehicle that has been SUSPECT for this long and has no fix, or a frozen one, is FAILED; so is one whose
-    receiver is not heard any more while SYS_STATUS calls its GPS unhealthy or its EKF has no absolute position.
-    `clear_after_s`: good evidence for this long without a break makes a SUSPECT vehicle HEALTHY (a jammed
-    receiver's fix flickers).
-    `recover_after_s`: good evidence for this long makes a RECOVERING vehicle HEALTHY.
-    `silence_s`: a receiver not heard for this long is SUSPECT, and its last word counts no more.
-    `max_h_acc_m`: a fix that claims a worse horizontal accuracy than this (1-sigma, m) is no fix.
-    `min_satellites`: a fix from fewer satellites than this is no fix.
-    """
+    fail_after_s: float = positive(1.0)
+    """A SUSPECT vehicle without a fix, or with a frozen one, is FAILED after this long; so is one whose receiver is silent
+    while SYS_STATUS calls its GPS unhealthy or its EKF has no absolute position. Chosen: longer than one lost message."""
+    clear_after_s: float = positive(2.0)
+    """Good evidence for this long without a break makes a SUSPECT vehicle HEALTHY. Chosen: a jammed receiver flickers."""
+    recover_after_s: float = positive(10.0)
+    """Good evidence for this long makes a RECOVERING vehicle HEALTHY. Chosen: long enough for the ranges to contradict it."""
+    silence_s: float = positive(3.0)
+    """A receiver that is silent for this long is SUSPECT, and its last message counts no more."""
+    max_h_acc_m: float = positive(50.0)
+    """A fix with a worse stated horizontal accuracy (GPS_RAW_INT.h_acc, 1-sigma) is no fix."""
+    min_satellites: int = between(4, 1, 255)
+    """A fix from fewer satellites is no fix. Four unknowns (position and clock) need four satellites."""
 
-    fail_after_s: float = 1.0
-    clear_after_s: float = 2.0
-    recover_after_s: float = 10.0
-    silence_s: float = 3.0
-    max_h_acc_m: float = 50.0
-    min_satellites: int = 4
+    def __post_init__(self) -> None:
+        check_bounds(self)
 
 
 @dataclass(slots=True)

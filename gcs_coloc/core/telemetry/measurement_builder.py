@@ -25,6 +25,7 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
 )
 from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, SystemTime, TimeBase
+from gcs_coloc.core.setting_bounds import check_bounds, positive
 from gcs_coloc.core.telemetry.air_data import true_airspeed_mps
 from gcs_coloc.core.telemetry.vehicles import Vehicle
 
@@ -39,22 +40,27 @@ _LONGEST_FIX_AGE_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class MeasurementSettings:
-    """Noise that the wire does not tell, and how old a message may be. Sigmas are one standard deviation per axis.
+    """Noise that the wire does not tell (1-sigma per axis), and how old a message may be."""
 
-    `position_sigma_h_m`, `position_sigma_v_m`, `velocity_sigma_mps`: for receivers that state no accuracy; the first two times
-    HDOP where that is more than 1.
-    `min_position_sigma_m`: no receiver is believed to be better than this.
-    `range_sigma_m`: for ranges that come without one. `altitude_sigma_m`: of the barometric height.
-    `max_age_s`: a message measured longer ago than this is refused.
-    """
+    position_sigma_h_m: float = positive(5.0)
+    """Horizontal, of a receiver that states no accuracy; times its HDOP where that is more than 1.
+    Chosen: the user range error of a code receiver without corrections."""
+    position_sigma_v_m: float = positive(8.0)
+    """Vertical, of a receiver that states no accuracy; times its HDOP where that is more than 1.
+    Chosen: 1.6 times the horizontal one, as VDOP to HDOP."""
+    velocity_sigma_mps: float = positive(0.5)
+    """Of a receiver that states no speed accuracy. Chosen: a Doppler velocity in motion."""
+    min_position_sigma_m: float = positive(0.3)
+    """No receiver counts as better than this. Chosen: without RTK a smaller stated accuracy is optimistic."""
+    range_sigma_m: float = positive(5.0)
+    """Of a range that comes without one. Chosen: coarse enough for any ranging radio."""
+    altitude_sigma_m: float = positive(2.0)
+    """Of a barometric height. Chosen: its drift over a flight."""
+    max_age_s: float = positive(5.0)
+    """An older measurement is refused. Chosen: longer than any link's delay, shorter than a stamp from another clock."""
 
-    position_sigma_h_m: float = 5.0
-    position_sigma_v_m: float = 8.0
-    velocity_sigma_mps: float = 0.5
-    min_position_sigma_m: float = 0.3
-    range_sigma_m: float = 5.0
-    altitude_sigma_m: float = 2.0
-    max_age_s: float = 5.0
+    def __post_init__(self) -> None:
+        check_bounds(self)
 
 
 class MeasurementBuilder:

@@ -85,7 +85,7 @@ FLEET = '[[fleet]]\nname = "north"\nlinks = ["14550"]\n'
         (FLEET + FLEET, ["name", "north"]),
         (FLEET + FLEET.replace("north", "south"), ["links", "udpin:0.0.0.0:14550", "fleet north", "south"]),
         (FLEET + "colour = 3\n", ["fleet 1 (north)", "fleet.colour", "unknown key"]),
-        (FLEET + "[fleet.aiding]\nrate_hz = -1\n", ["fleet 1 (north)", "rate_hz", "positive"]),
+        (FLEET + "[fleet.aiding]\nrate_hz = -1\n", ["fleet 1 (north)", "rate_hz", "from 1 to 50"]),
         ('links = ["14550"]\n' + FLEET, ["links", "which fleet"]),
         ('out = ["127.0.0.1:14551"]\n' + FLEET, ["out", "which fleet"]),
         (
@@ -121,7 +121,7 @@ def test_a_flag_that_is_meant_for_one_fleet_is_refused_where_there_are_several(t
 
 
 def test_the_example_configuration_is_good():
-    assert len(load_fleets(Path(__file__).resolve().parents[2] / "configs/fleets.toml", {})) == 2
+    assert len(load_fleets(Path(__file__).resolve().parents[3] / "configs/fleets.toml", {})) == 2
 
 
 @pytest.mark.parametrize("name", ["north", "south"])

@@ -1,0 +1,59 @@
+"""Bounds of settings: declared beside each default, checked when the settings are made, printed in the reference."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import Field, dataclass, field, fields
+from typing import Any, TypeVar
+
+T = TypeVar("T", int, float)
+_KEY = "bounds"
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """The numbers that a setting may be; infinity where there is no bound. `open_below`: the least is excluded."""
+
+    least: float = -math.inf
+    most: float = math.inf
+    open_below: bool = False
+
+    def admit(self, value: float) -> bool:
+        """Whether a finite number lies within."""
+        return (
+            math.isfinite(value) and (value > self.least or (not self.open_below and value == self.least)) and value <= self.most
+        )
+
+    def __str__(self) -> str:
+        if self.open_below:
+            return f"above {self.least:g}" + (f", at most {self.most:g}" if self.most < math.inf else "")
+        return f"at least {self.least:g}" if self.most == math.inf else f"from {self.least:g} to {self.most:g}"
+
+
+def positive(default: T, most: float = math.inf) -> T:
+    """A setting above zero."""
+    made: T = field(default=default, metadata={_KEY: Bounds(0.0, most, open_below=True)})
+    return made
+
+
+def between(default: T, least: float, most: float = math.inf) -> T:
+    """A setting from `least` to `most`, both included."""
+    made: T = field(default=default, metadata={_KEY: Bounds(least, most)})
+    return made
+
+
+def bounds_of(one: Field[Any]) -> Bounds | None:
+    """The bounds that a field of settings declares."""
+    return one.metadata.get(_KEY)
+
+
+def check_bounds(settings: Any) -> None:
+    """Check every number of a dataclass of settings against its bounds.
+
+    Raises:
+        ValueError: a number is outside; the text names the setting, its bounds and the number.
+    """
+    for one in fields(settings):
+        bounds, value = bounds_of(one), getattr(settings, one.name)
+        if bounds is not None and not bounds.admit(value):
+            raise ValueError(f"{one.name} must be {bounds}, not {value:g}")

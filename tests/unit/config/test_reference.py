@@ -1,0 +1,52 @@
+"""Every setting is documented under itself and bounded, and the reference pages are made from the settings' classes."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass
+
+import pytest
+
+from gcs_coloc.config.settings import Settings
+from gcs_coloc.core.setting_bounds import Bounds, bounds_of, check_bounds
+from tools.settings_reference import PAGES, field_texts, written
+
+SECTIONS = {name: type(getattr(Settings(), name)) for name in Settings.model_fields if name not in ("links", "out")}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_tables_of_the_reference_are_those_of_the_classes(page):
+    text = page.read_text(encoding="utf-8")
+    assert "<!-- settings: " in text
+    assert written(text) == text, "run make reference"
+
+
+@pytest.mark.parametrize("section", SECTIONS.values(), ids=SECTIONS)
+def test_every_setting_is_documented_under_itself(section):
+    names = [one.name for one in fields(section)] if is_dataclass(section) else list(section.model_fields)
+    texts = field_texts(section)
+    assert names
+    assert not [name for name in names if not texts.get(name, "").endswith(".")]
+
+
+def test_every_number_of_the_cores_settings_has_bounds_and_a_default_within():
+    for section in SECTIONS.values():
+        if is_dataclass(section):
+            numbers = [one for one in fields(section) if type(one.default) in (int, float)]
+            assert numbers
+            assert not [one.name for one in numbers if bounds_of(one) is None or not bounds_of(one).admit(one.default)]
+            check_bounds(section())
+
+
+@pytest.mark.parametrize(
+    ("bounds", "inside", "outside", "text"),
+    [
+        (Bounds(0.0, open_below=True), [1e-9, 1e9], [0.0, -1.0, float("inf"), float("nan")], "above 0"),
+        (Bounds(1.0, 50.0), [1.0, 50.0], [0.9, 51.0], "from 1 to 50"),
+        (Bounds(0.0), [0.0, 7.0], [-0.1, float("inf")], "at least 0"),
+        (Bounds(0.0, 1.0, open_below=True), [1.0], [0.0, 1.1], "above 0, at most 1"),
+    ],
+)
+def test_bounds_admit_what_they_say(bounds, inside, outside, text):
+    assert str(bounds) == text
+    assert all(bounds.admit(value) for value in inside)
+    assert not any(bounds.admit(value) for value in outside)

@@ -1,0 +1,94 @@
+"""Writes the tables of settings in the reference pages from the settings' own classes: `make reference`."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import math
+import re
+import sys
+import textwrap
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from gcs_coloc.config.settings import Settings
+from gcs_coloc.core.setting_bounds import Bounds, bounds_of
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = (ROOT / "docs/reference/configuration.md",)
+_TABLE = re.compile(r"(<!-- settings: (\w+) -->\n).*?(<!-- end of settings -->)", re.DOTALL)
+_TOP_LEVEL = "top_level"
+
+
+def field_texts(cls: type) -> dict[str, str]:
+    """The string literal under each field of a class and of its bases, as one line."""
+    texts: dict[str, str] = {}
+    for base in reversed(cls.__mro__):
+        if not base.__module__.startswith("gcs_coloc."):
+            continue
+        body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
+        assert isinstance(body, ast.ClassDef)
+        for statement, following in zip(body.body, body.body[1:], strict=False):
+            match statement, following:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                    texts[name] = " ".join(text.split())
+    return texts
+
+
+def table(cls: type) -> str:
+    """The Markdown table of one class of settings: key, default, bounds, meaning."""
+    texts = field_texts(cls)
+    lines = ["| key | default | bounds | meaning |", "|---|---|---|---|"]
+    for name, default, bounds in _model_rows(cls) if issubclass(cls, BaseModel) else _dataclass_rows(cls):
+        lines.append(f"| `{name}` | {_shown(default)} | {bounds} | {texts[name].replace('|', chr(92) + '|')} |")
+    return "\n".join(lines) + "\n"
+
+
+def written(page: str) -> str:
+    """A page with each of its tables made anew."""
+    return _TABLE.sub(lambda found: found[1] + "\n" + table(_section(found[2])) + "\n" + found[3], page)
+
+
+def _section(name: str) -> type:
+    return Settings if name == _TOP_LEVEL else type(getattr(Settings(), name))
+
+
+def _model_rows(cls: type[BaseModel]) -> list[tuple[str, Any, str]]:
+    sections = Settings.model_fields if cls is Settings else {}
+    rows = []
+    for name, one in cls.model_fields.items():
+        if name in sections and name not in ("links", "out"):
+            continue
+        # The rules are classes of annotated-types, each with its bound under one of these names.
+        told = {word: getattr(rule, word) for rule in one.metadata for word in ("ge", "gt", "le") if hasattr(rule, word)}
+        least = told.get("ge", told.get("gt", -math.inf))
+        bounds = Bounds(least, told.get("le", math.inf), open_below="gt" in told) if told else ""
+        rows.append((name, one.get_default(call_default_factory=True), str(bounds)))
+    return rows
+
+
+def _dataclass_rows(cls: Any) -> list[tuple[str, Any, str]]:
+    def default(one: Any) -> Any:
+        return one.default if one.default is not MISSING else one.default_factory()
+
+    return [(one.name, default(one), str(bounds_of(one) or "")) for one in fields(cls)]
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"`{value}`" if isinstance(value, str) and value else (str(value) if isinstance(value, int | float) else "none")
+
+
+def main() -> None:
+    """Write the pages."""
+    for page in PAGES:
+        page.write_text(written(page.read_text(encoding="utf-8")), encoding="utf-8")
+        print(page.relative_to(ROOT), file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
