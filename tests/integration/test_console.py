@@ -83,7 +83,7 @@ def test_a_stopped_terminal_stops_neither_the_flight_nor_its_end(free_port):
 
 
 def test_the_last_line_on_a_terminal_says_whose_aid_has_ended(free_port):
-    end = "aid of vehicle 4 ended: the service ends"
+    end = "aiding of vehicle 4 ended: the service ends"
     terminal = Terminal()
     service = terminal.serve(free_port)
     try:

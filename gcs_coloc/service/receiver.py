@@ -1,0 +1,100 @@
+"""From a datagram on a link to the engine's messages: rate limit, decoder, signatures, routes. Returns values, keeps none."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field, replace
+
+from gcs_coloc.core.messages.aiding import ForeignGpsInput
+from gcs_coloc.core.messages.control import RouteReport
+from gcs_coloc.core.messages.inbound import Inbound
+from gcs_coloc.links.base import Address, Link
+from gcs_coloc.links.rate_limiter import RateLimiter
+from gcs_coloc.links.routes import Blocked, RouteTable
+from gcs_coloc.links.signed_links import SignedLinks
+from gcs_coloc.mavlink.decoder import Decoder, Frame
+from gcs_coloc.mavlink.framing import RawFrame
+from gcs_coloc.mavlink.refusals import Counts
+from gcs_coloc.mavlink.sequence import SequenceTracker
+from gcs_coloc.mavlink.truth import TRUTH_IDS, HeardTruth, truth_of
+
+
+@dataclass(slots=True)
+class ReceivedDatagram:
+    """What one datagram holds. `messages` are the engine's, in order.
+
+    `link_reports` are those of them that follow from where the datagram came from: no frame of a recording holds them.
+    `frames` are all valid frames of others, `refused` the decoded ones that the routes refused. `truths`: where a simulation
+    says that vehicles truly are.
+    """
+
+    messages: list[Inbound] = field(default_factory=list)
+    link_reports: list[RouteReport | ForeignGpsInput] = field(default_factory=list)
+    frames: list[RawFrame] = field(default_factory=list)
+    refused: list[Frame] = field(default_factory=list)
+    truths: list[HeardTruth] = field(default_factory=list)
+
+    def add_report(self, report: RouteReport | ForeignGpsInput) -> None:
+        """Append a message that follows from where the datagram came from."""
+        self.messages.append(report)
+        self.link_reports.append(report)
+
+
+class Receiver:
+    """Receives one fleet's datagrams. `own` is our system and component id, `bytes_per_s` what each source may send."""
+
+    def __init__(self, routes: RouteTable, signed: SignedLinks, *, own: tuple[int, int], bytes_per_s: float) -> None:
+        self._routes = routes
+        self._signed = signed
+        self._rate_limiter = RateLimiter(bytes_per_s)
+        self._decoder = Decoder(own_sysid=own[0], own_compid=own[1])
+
+    @property
+    def refusals(self) -> list[Counts]:
+        """What was refused here, by reason."""
+        return [self._decoder.counts, self._rate_limiter.counts]
+
+    @property
+    def sequences(self) -> SequenceTracker:
+        """The reception of every sender."""
+        return self._decoder.sequences
+
+    def pop_behind(self) -> tuple[Hashable, ...]:
+        """The sources that sign with our key, but behind our time, since the last call."""
+        return self._decoder.pop_behind()
+
+    def admits(self, link: Link, address: Address, size: int, now_s: float) -> bool:
+        """Whether a datagram of `size` bytes is within the rate limit of where it came from."""
+        return self._rate_limiter.admits((link, address), size, now_s)
+
+    def receive(self, payload: bytes, link: Link, address: Address, now_s: float) -> ReceivedDatagram:
+        """Decode an admitted datagram that arrived at service time `now_s` (s), and learn from it where vehicles are."""
+        received = ReceivedDatagram()
+        for frame in self._decoder.decode(payload, now_s, (link, address), self._signed.of(link.name), received.frames):
+            if isinstance(frame.message, ForeignGpsInput):
+                # Every vehicle at the address it came from uses it, whoever sends it.
+                for sysid in self._routes.autopilots_at(link, address, now_s):
+                    received.add_report(replace(frame.message, vehicle=sysid))
+            if not self._learn_route(frame, link, address, now_s):
+                received.refused.append(frame)
+            elif frame.message is not None:
+                received.messages.append(frame.message)
+                if frame.is_autopilot_heartbeat:
+                    self._rate_limiter.add_source((link, address), now_s)
+                    received.add_report(self._route_report(frame.sysid, now_s))
+        for raw in received.frames:
+            if raw.message_id in TRUTH_IDS:
+                truth = truth_of(raw, now_s)
+                if truth is not None and self._learn_route(raw, link, address, now_s):
+                    received.truths.append(truth)
+        return received
+
+    def _learn_route(self, frame: Frame | RawFrame, link: Link, address: Address, now_s: float) -> bool:
+        heartbeat = isinstance(frame, Frame) and frame.is_autopilot_heartbeat
+        return self._routes.learn(frame.sysid, frame.compid, link, address, is_autopilot_heartbeat=heartbeat, now_s=now_s)
+
+    def _route_report(self, sysid: int, now_s: float) -> RouteReport:
+        route = self._routes.route(sysid, now_s)
+        if isinstance(route, Blocked):
+            return RouteReport(sysid, now_s, route.reason, route.shared_with)
+        return RouteReport(sysid, now_s, None)
