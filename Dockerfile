@@ -23,7 +23,7 @@ RUN python -m pip wheel --no-deps --wheel-dir /wheels . \
 FROM ${PYTHON_IMAGE}
 LABEL org.opencontainers.image.title="gcs-coloc" \
       org.opencontainers.image.description="Locates a UAV whose GPS has failed from its ranges to neighbours" \
-      org.opencontainers.image.version="0.1.0" \
+      org.opencontainers.image.version="0.2.0" \
       org.opencontainers.image.licenses="MIT"
 # The user's number is fixed, so that files of the host can be given to it. A new volume takes the owner of these directories.
 RUN groupadd --gid 10001 gcs-coloc \
