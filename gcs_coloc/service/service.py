@@ -24,11 +24,14 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("gcs_coloc")
 
-_VIEW_EVERY_S = 0.5
+_TABLE_EVERY_S = 0.5
+"""Snapshots for the table on a terminal. Chosen: as often as a person can read."""
 _SAMPLE_EVERY_S = 1.0
-"""Without a terminal only the page's history wants views; what it shows live it looks at by itself."""
+"""Snapshots for the page's history; the page requests those that it shows live by itself."""
 _HEARTBEAT_EVERY_S = 1.0
+"""MAVLink's customary rate of HEARTBEAT (mavlink.io, heartbeat protocol)."""
 _REFUSALS_EVERY_S = 10.0
+"""Chosen: one line about refusals in this time is what a person can use."""
 _ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -45,11 +48,11 @@ class Service:
             return _Observed(fleet, self._clock, self._stopping)
 
     def stop(self) -> None:
-        """Ask the service to end in order."""
+        """Request the service to end in order."""
         self._stopping.set()
 
     async def run(self, console: SharedConsole) -> None:
-        """Open the links and serve until asked to stop; then tell every aided vehicle that its fix has ended.
+        """Open the links and serve until `stop`; then end the fix of every aided vehicle.
 
         Raises:
             LinkError: a link cannot be opened.
@@ -58,7 +61,7 @@ class Service:
         loop = asyncio.get_running_loop()
         for sign in _ENDING:
             loop.add_signal_handler(sign, self.stop)
-        # The terminal was closed or its connection broke: the aided vehicles are to be told. Under nohup the flight goes on.
+        # The terminal was closed or its connection broke: the aided vehicles must learn of it. Under nohup the flight goes on.
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             loop.add_signal_handler(signal.SIGHUP, self.stop)
         try:
@@ -69,7 +72,7 @@ class Service:
                 news = {fleet.name: fleet.path.events.subscribe() for fleet in self._fleets}
                 background = [group.create_task(console_sink.show(news, console))]
                 for number, fleet in enumerate(self._fleets):
-                    # Not all at once: what many fleets do in the same moment holds up what is to be sent.
+                    # Not all at once: what many fleets do in the same moment delays what is to be sent.
                     background += fleet.start(group, number / len(self._fleets), on_terminal=console.is_terminal)
                 await self._stopping.wait()
                 for fleet in self._fleets:
@@ -82,7 +85,7 @@ class Service:
 
 
 class _Observed:
-    """One fleet's path with the page and the broker that look on."""
+    """One fleet's path with its observers: the page and the broker."""
 
     def __init__(self, fleet: FleetOf, clock: ServiceClock, stopping: asyncio.Event) -> None:
         self.name = fleet.name
@@ -106,9 +109,9 @@ class _Observed:
             self._web = None
 
     def start(self, group: asyncio.TaskGroup, phase: float, *, on_terminal: bool) -> list[asyncio.Task[None]]:
-        """Begin what goes on by itself, the periodic at `phase` (0 to 1) of their periods; returns the tasks to cancel.
+        """Start the fleet's tasks, the periodic ones at `phase` (0 to 1) of their periods; returns those to cancel.
 
-        The fleet is looked at as often as somebody is to see it: seldom where there is neither a page nor a live table.
+        Snapshots are made as often as an observer shows them: seldom where there is neither a page nor a live table.
         """
         watched_s = _SAMPLE_EVERY_S if self._web is not None else console_sink.PLAIN_EVERY_S
         if self._web is not None:
@@ -117,14 +120,14 @@ class _Observed:
             group.create_task(self._mqtt.run())
         self.path.start()
         periodic = (
-            (_VIEW_EVERY_S if on_terminal else watched_s, self.path.publish_snapshot),
+            (_TABLE_EVERY_S if on_terminal else watched_s, self.path.publish_snapshot),
             (_HEARTBEAT_EVERY_S, self._each_second),
             (_REFUSALS_EVERY_S, self.path.publish_refusals),
         )
         return [group.create_task(self._every(period_s, phase, act)) for period_s, act in periodic]
 
     def stop(self) -> None:
-        """Look at nothing more, and ask the observers to end."""
+        """Receive nothing more, and request the observers to end."""
         self.path.stop()
         if self._web is not None:
             self._web.stop()
@@ -132,7 +135,7 @@ class _Observed:
             self._mqtt.stop()
 
     async def close(self) -> None:
-        """Tell every aided vehicle that its fix has ended, and give everything back."""
+        """End the fix of every aided vehicle, and close everything."""
         await self.path.close()
         if self._web is not None:
             self._web.close()
@@ -151,7 +154,7 @@ class _Observed:
     def _make_web(self, settings: Settings) -> WebServer | None:
         if not settings.web.on:
             return None
-        # Here, because a service without the page is to start without its packages.
+        # Imported here: a service without the page starts without its packages.
         from gcs_coloc.web.app import WebHooks
         from gcs_coloc.web.pages import Pages
         from gcs_coloc.web.picture import LiveSource
@@ -177,5 +180,5 @@ class _Observed:
         return Mqtt(settings.mqtt, hooks, path.events.subscribe(256), path.counts, path.idle)
 
     def _fault(self) -> str | None:
-        """Why the service does not do its work, None where it does."""
+        """Why the service does not do its work; None where it does."""
         return "the service is ending" if self._stopping.is_set() else self.path.fault()

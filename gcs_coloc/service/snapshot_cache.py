@@ -1,4 +1,4 @@
-"""One fleet as its observers see it: those who look within a moment of each other share one look."""
+"""Snapshots of one fleet for its observers, who share one where they need it within a moment of each other."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.runtime.clock import ServiceClock
 
 _RECENT_S = 0.1
+"""How old a shared snapshot may be. Chosen: less than a person sees, and enough for page, broker and console to share one."""
 _RECENT_RECORDED_S = EVERY_S + 0.05
+"""How old a recorded one may be: until the next is recorded, with some delay."""
 
 
 class SnapshotCache:
-    """Looks at the fleet of an engine; a look costs as much as estimating. What was recorded a moment ago is one, too.
+    """Keeps the newest snapshot of an engine's fleet: making one costs as much as estimating.
 
-    `sequences`, `refusals` and `forwarder` count what the engine does not.
+    A snapshot that was recorded a moment ago serves, too. `sequences`, `refusals` and `forwarder` count what the engine does
+    not.
     """
 
     def __init__(
@@ -39,21 +42,21 @@ class SnapshotCache:
         self._refusals = refusals
         self._forwarder = forwarder
         self._recent: FleetSnapshot | None = None
-        self._counted: tuple[FleetSnapshot, FleetSnapshot] | None = None  # what was seen, and the same with what is counted
+        self._counted: tuple[FleetSnapshot, FleetSnapshot] | None = None  # an engine's snapshot, and the same with all counts
 
     def snapshot(self) -> FleetSnapshot:
-        """The fleet as it stands, with all that is counted."""
-        view = self.recent_snapshot()
-        if self._counted is None or self._counted[0] is not view:
-            refused = view.refused | self._refusals.totals()
-            links = self._sequences.links({vehicle.sysid for vehicle in view.vehicles})
-            self._counted = view, replace(view, refused=refused, links=links, outs=self._forwarder.snapshots())
+        """The fleet as it stands, with all counts."""
+        recent = self.recent_snapshot()
+        if self._counted is None or self._counted[0] is not recent:
+            refused = recent.refused | self._refusals.totals()
+            links = self._sequences.links({vehicle.sysid for vehicle in recent.vehicles})
+            self._counted = recent, replace(recent, refused=refused, links=links, outs=self._forwarder.snapshots())
         return self._counted[1]
 
     def recent_snapshot(self) -> FleetSnapshot:
-        """The fleet as it stands, or stood a moment ago where somebody has just looked.
+        """The fleet as it stands, or stood a moment ago.
 
-        What is counted outside of the engine is left out: links, ground tools, and most of what is refused.
+        Without the counts from outside of the engine: links, ground tools, and most refusals.
         """
         now_s = self._clock()
         recorded = self._recording.newest_view

@@ -20,7 +20,7 @@ log = logging.getLogger("gcs_coloc")
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 _STYLES = {"healthy": "green", "suspect": "yellow", "failed": "bold red", "recovering": "cyan", "unknown": "dim"}
 PLAIN_EVERY_S = 5.0
-"""Log lines of all vehicles come this often where there is no terminal."""
+"""Period of the log lines of all vehicles where there is no terminal. Chosen: a log of a day stays readable."""
 
 
 async def show(events: Mapping[str, Subscription], console: SharedConsole) -> None:
@@ -81,7 +81,7 @@ def line(v: VehicleSnapshot) -> str:
     """One vehicle in one plain line."""
     return (
         f"vehicle {v.sysid}: last heard {v.age_s:.1f} s ago, GPS {v.gps_state} ({v.gps_reason}), position {_where(v)}, "
-        f"1-sigma {_number(v.sigma_h_m, 'm')}, HDOP {_number(v.hdop)}, {v.ranges_in_use} ranges in use, aid {v.aiding}"
+        f"1-sigma {_number(v.sigma_h_m, 'm')}, HDOP {_number(v.hdop)}, {v.ranges_in_use} ranges in use, aiding {v.aiding}"
     )
 
 
@@ -101,7 +101,7 @@ def table(snapshot: FleetSnapshot, name: str = "") -> Table:
         title=f"gcs-coloc{f', fleet {name}' if name else ''}, estimator {snapshot.estimator}",
         caption="\n".join(below) or None,
     )
-    for heading in ("vehicle", "last heard", "GPS", "reason", "position", "1-sigma", "HDOP", "ranges", "aid"):
+    for heading in ("vehicle", "last heard", "GPS", "reason", "position", "1-sigma", "HDOP", "ranges", "aiding"):
         out.add_column(heading)
     for v in snapshot.vehicles:
         out.add_row(

@@ -1,4 +1,4 @@
-"""A table on a terminal, drawn by a thread of its own: a terminal that takes nothing (Ctrl-S) must not hold the service up."""
+"""A table on a terminal, drawn by a thread of its own: a terminal that is stopped (Ctrl-S) must not delay the service."""
 
 from __future__ import annotations
 
@@ -10,27 +10,28 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 
 _LAST_TABLE_S = 1.0
+"""How long the end of the program waits for the last table. Chosen: a slow terminal, and no longer than a person waits."""
 
 
 class SharedConsole(Console):
     """A console on which one thread draws a table and others print lines above it.
 
     rich works out how far up the table before begins, then draws: what another thread prints in between would leave a piece of
-    that table behind. `turn` is held for as long as either takes.
+    that table behind. `lock` is held while either is under way.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        self.turn = threading.RLock()
+        self.lock = threading.RLock()
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print as rich does, when nobody else does."""
-        with self.turn:
+        """Print as rich does, while nobody else prints."""
+        with self.lock:
             super().print(*objects, **options)
 
 
 class LiveTable:
-    """Always draws the newest of what it was given; what came while the terminal took nothing is left out."""
+    """Always draws the newest table; those that came while the terminal was stopped are left out."""
 
     def __init__(self, console: SharedConsole) -> None:
         self._console = console
@@ -41,12 +42,12 @@ class LiveTable:
         self._drawing.start()
 
     def show(self, make: Callable[[], RenderableType]) -> None:
-        """Draw what `make` gives, in place of what was drawn before; never waits. `make` is called on the thread."""
+        """Draw the table that `make` returns, in place of the one before; never waits. `make` is called on the thread."""
         self._newest = make
         self._wake.set()
 
     def close(self) -> None:
-        """Leave the last table where it is; a terminal that takes nothing is left to itself after a moment."""
+        """End with the last table on the screen; a terminal that is stopped is given up after a moment."""
         self._ending = True
         self._wake.set()
         self._drawing.join(_LAST_TABLE_S)
@@ -54,7 +55,7 @@ class LiveTable:
     def _draw(self) -> None:
         # Standard output and error stay what they are: they would wait for this very terminal.
         live = Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
-        with self._console.turn:
+        with self._console.lock:
             live.start()
         while not self._ending:
             self._wake.wait()
@@ -62,7 +63,7 @@ class LiveTable:
             make, self._newest = self._newest, None
             if make is not None:
                 table = make()
-                with self._console.turn:
+                with self._console.lock:
                     live.update(table, refresh=True)
-        with self._console.turn:
+        with self._console.lock:
             live.stop()

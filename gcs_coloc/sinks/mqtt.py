@@ -1,4 +1,4 @@
-"""The fleet on an MQTT broker: the latest of each vehicle retained, alarms, a last will. A broker never holds up the flight."""
+"""The fleet on an MQTT broker: each vehicle's latest retained, alarms, a last will. A broker never delays the flight."""
 
 from __future__ import annotations
 
@@ -30,12 +30,17 @@ log = logging.getLogger("gcs_coloc")
 _RECONNECT_AFTER_S = (1.0, 2.0, 5.0, 10.0, 30.0)
 """The pauses between attempts; the last one is kept until the broker is back."""
 _ANSWER_WITHIN_S = 5.0
+"""Chosen: a broker that takes longer to answer is lost."""
 _KEEPALIVE_S = 10
+"""MQTT's keep alive: the broker sends the last will after one and a half of it (MQTT 3.1.1, 3.1.2.10)."""
 _GOODBYE_S = 1.0
-_ALARMS_KEPT = 256
-_MOST_INCOMING = 256
-_AT_A_TIME = 16
-"""Publications in a stroke, some 20 us each: a large fleet's all at once would hold the flight up."""
+"""Chosen: a broker that does not answer must not delay the last messages to the vehicles for longer."""
+_MAX_ALARMS = 256
+"""Alarms that wait for a broker, the newest. Chosen: more than a flight without one brings."""
+_MAX_INCOMING = 256
+"""Messages of the broker that wait for us. Chosen: a second of ranges of a large fleet."""
+_BATCH = 16
+"""Publications in one run of the event loop, some 20 us each: those of a large fleet all at once would delay the flight."""
 
 # The client's own lines (one for each message that it drops) would drown the flight's.
 _client_log = logging.getLogger("gcs_coloc.mqtt_client")
@@ -43,7 +48,7 @@ _client_log.setLevel(logging.CRITICAL)
 
 
 class Mqtt:
-    """One connection to one broker, made again for as long as the service runs. `run` never raises for the broker's doing."""
+    """One connection to one broker, made again for as long as the service runs. `run` never raises for what a broker does."""
 
     def __init__(self, config: MqttConfig, hooks: MqttHooks, events: Subscription, counts: Counts, idle: IdleScheduler) -> None:
         """Read the password and the certificates. It publishes in `idle`.
@@ -58,13 +63,13 @@ class Mqtt:
         self._base = f"{config.prefix}/{TOPIC_VERSION}/{config.fleet}"
         self._inbox = MqttInbox(self._base, hooks, counts, commands=config.commands, ranges=config.ranges)
         self._password, self._tls = read_credentials(config)
-        self._alarms: deque[ToOperator] = deque(maxlen=_ALARMS_KEPT)
+        self._alarms: deque[ToOperator] = deque(maxlen=_MAX_ALARMS)
         self._stopping = asyncio.Event()
         self._attempts = 0
         self._warned_of: str | None = None
 
     def stop(self) -> None:
-        """Ask the connection to say goodbye and end; it takes two seconds at most."""
+        """Request the end of the connection, with an orderly last status; it takes two seconds at most."""
         self._stopping.set()
 
     async def run(self) -> None:
@@ -73,7 +78,6 @@ class Mqtt:
         connection = asyncio.create_task(self._connect_again_and_again())
         try:
             await self._stopping.wait()
-            # A broker that does not answer must not hold up the last messages to the vehicles.
             await asyncio.wait({connection}, timeout=_GOODBYE_S)
         finally:
             follower.cancel()
@@ -81,7 +85,7 @@ class Mqtt:
             await asyncio.wait({follower, connection}, timeout=_GOODBYE_S)
 
     async def _follow(self) -> None:
-        """Keep the newest alarms, whether there is a broker or not."""
+        """Keep the newest alarms, with or without a broker."""
         while True:
             event = await self._events.get()
             if not isinstance(event, FleetSnapshot) and level_and_text(event)[0] != "info":
@@ -122,7 +126,7 @@ class Mqtt:
             will=will,
             keepalive=_KEEPALIVE_S,
             timeout=_ANSWER_WITHIN_S,
-            max_queued_incoming_messages=_MOST_INCOMING,
+            max_queued_incoming_messages=_MAX_INCOMING,
             logger=_client_log,
         ) as client:
             log.info("mqtt: connected to %s:%d, topics below %s", c.host, c.port, self._base)
@@ -154,7 +158,7 @@ class Mqtt:
             self._inbox.receive(message.topic.value, payload, retained=message.retain)
 
     async def _publish_all(self, client: Client) -> None:
-        """The latest of everything at the rate that was set, until `stop`. What the broker does not take in time is never sent.
+        """Publish the latest of everything at `publish_hz`, until `stop`. What the broker does not take in time is never sent.
 
         It does not rely on being cancelled alone: before Python 3.12 `asyncio.wait_for`, in the client's `publish`, loses a
         cancellation that comes together with the broker's confirmation.
@@ -171,19 +175,19 @@ class Mqtt:
             models = of_vehicle(vehicle, unix_s(snapshot.at_s, snapshot))
             latest |= {f"{vehicle.sysid}/{name}": model for name, model in models.items()}
         topics = list(latest.items())
-        for start in range(0, len(topics), _AT_A_TIME):
-            await self._publish_together(client, topics[start : start + _AT_A_TIME])
+        for start in range(0, len(topics), _BATCH):
+            await self._publish_together(client, topics[start : start + _BATCH])
         while self._alarms:
             event = self._alarms.popleft()
             try:
                 await client.publish(f"{self._base}/alarms", _alarm(event, snapshot).model_dump_json(), qos=1)
             except MqttError:
-                if len(self._alarms) < _ALARMS_KEPT:  # where it is full, this one is the oldest
+                if len(self._alarms) < _MAX_ALARMS:  # where it is full, this one is the oldest
                     self._alarms.appendleft(event)
                 raise
 
     async def _publish_together(self, client: Client, topics: Iterable[tuple[str, BaseModel]]) -> None:
-        """Publish in a stroke, with one limit of time for all: a publication by itself takes several turns of the event loop."""
+        """Publish together, with one time limit for all: a publication takes several runs of the event loop."""
         content = [(f"{self._base}/{topic}", model.model_dump_json()) for topic, model in topics]
         try:
             async with asyncio.timeout(_ANSWER_WITHIN_S):

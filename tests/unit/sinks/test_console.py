@@ -107,4 +107,4 @@ def test_without_a_terminal_there_are_plain_lines_at_a_calm_rate(caplog: pytest.
     assert lines[:2] == ["vehicle 4: GPS healthy -> failed: no 3D fix", "something"]
     assert [r.levelno for r in caplog.records[:2]] == [logging.WARNING, logging.ERROR]
     assert len(lines) == 2 + 3  # at 0, 5 and 10 s
-    assert "1-sigma 12.3 m, HDOP 1.4, 3 ranges in use, aid sending 3D fix" in lines[2]
+    assert "1-sigma 12.3 m, HDOP 1.4, 3 ranges in use, aiding sending 3D fix" in lines[2]
