@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.accuracy_runs import on_all_cores
 from bench.figures import Figure
-from bench.integrity_flights import SPOOFED_AT_S, STEP_S, SUBJECT, Flight, Scenario, error_and_bound_m, fly_step, fresh_engine
+from bench.integrity_flights import DENIED, SPOOFED_AT_S, STEP_S, Flight, Scenario, error_and_bound_m, fly_step, fresh_engine
 from bench.integrity_ideal import FALSE_ALARMS, noticed_in_time
 from gcs_coloc.core.gps_health.gps_health import GpsState
 
@@ -132,6 +132,6 @@ def false_exclusions(task: tuple[Scenario, int]) -> int:
     for step in range(round(_FLIGHT_S / STEP_S)):
         fly_step(engine, flight, step * STEP_S)
         now = frozenset(v.sysid for v in engine.fleet if v.health.state not in (GpsState.HEALTHY, GpsState.UNKNOWN))
-        excluded += len((now - distrusted) - ({SUBJECT} if scenario.lost else frozenset()))
+        excluded += len((now - distrusted) - ({DENIED} if scenario.lost else frozenset()))
         distrusted = now
     return excluded

@@ -19,7 +19,7 @@ from gcs_coloc.core.messages.inbound import FromVehicle, GlobalPosition, GpsRece
 from gcs_coloc.estimators.registry import load_estimator
 
 STEP_S = 0.2
-SUBJECT, LIAR = 100, 1
+DENIED, FAULTY = 100, 1
 LOST_AT_S, SPOOFED_AT_S = 5.0, 20.0
 _ORIGIN = LocalFrame(47.0, 8.0, 400.0)
 
@@ -92,7 +92,7 @@ class Flight:
             for v in range(1, s.peers + 1)
             for a in [turn + 2 * pi * v / s.peers]
         }
-        centres[SUBJECT] = np.zeros(2)
+        centres[DENIED] = np.zeros(2)
         self.courses: dict[int, Course] = {
             v: _Circle(
                 (x + rng.uniform(-shift_m, shift_m), y + rng.uniform(-shift_m, shift_m)),
@@ -117,20 +117,20 @@ class Flight:
             position, velocity = course.at(t)
             velocity = velocity + 0.2 * rng.standard_normal(3)
             claimed = position + self._error[v] + white_m * rng.standard_normal(3)
-            if v == LIAR and SPOOFED_AT_S < t < self._honest_from_s:
+            if v == FAULTY and SPOOFED_AT_S < t < self._honest_from_s:
                 claimed = claimed + ((t - SPOOFED_AT_S) * s.walk_mps + s.jump_m) * self.away
                 velocity = velocity + s.walk_mps * self.away
-            if v == SUBJECT and t > s.returns_at_s:
+            if v == DENIED and t > s.returns_at_s:
                 claimed = claimed + ((t - s.returns_at_s) * s.return_walk_mps + s.return_jump_m) * self.away
                 velocity = velocity + s.return_walk_mps * self.away
             lat, lon, alt = _ORIGIN.geodetic_from_enu(*(float(x) for x in claimed))
             ve, vn, vu = (float(x) for x in velocity)
-            lost = s.lost and v == SUBJECT and LOST_AT_S < t <= s.returns_at_s
+            lost = s.lost and v == DENIED and LOST_AT_S < t <= s.returns_at_s
             yield GpsReceiver(v, t, 0, 1 if lost else 3, lat, lon, alt, 12, 0.9, s.gps_sigma_m, s.gps_sigma_m, 0.2, t)
             yield GlobalPosition(v, t, t, lat, lon, alt, vn, ve, -vu)
         for i in self.courses:
             for j in self.courses:
-                if i != j and (i == SUBJECT or (s.mutual and j != SUBJECT)):
+                if i != j and (i == DENIED or (s.mutual and j != DENIED)):
                     range_m = float(np.linalg.norm(self.courses[i].at(t)[0] - self.courses[j].at(t)[0]))
                     range_m += s.range_sigma_m * float(rng.standard_normal())
                     if s.late_share and rng.random() < s.late_share:
@@ -159,12 +159,12 @@ def enu_m(message: GlobalPosition) -> FloatArray:
 
 def error_and_bound_m(engine: Engine, flight: Flight, t: float) -> tuple[float, float] | None:
     """Return the denied vehicle's horizontal error and its 95 % bound; None where it would be sent no fix."""
-    where, frame = engine.estimate(SUBJECT, t), engine.frame
+    where, frame = engine.estimate(DENIED, t), engine.frame
     if not isinstance(where, Estimate) or frame is None:
         return None
     bound_m = horizontal_bound_95_m(where.covariance)
     if bound_m > AidingSettings().alert_limit_m:
         return None
-    true_m = flight.courses[SUBJECT].at(t)[0]
+    true_m = flight.courses[DENIED].at(t)[0]
     east_m, north_m, _ = frame.enu_from_geodetic(*_ORIGIN.geodetic_from_enu(*(float(x) for x in true_m)))
     return hypot(where.position_enu_m[0] - east_m, where.position_enu_m[1] - north_m), bound_m

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.stats import norm
 
 from bench.integrity_flights import (
-    LIAR,
+    DENIED,
+    FAULTY,
     SPOOFED_AT_S,
     STEP_S,
-    SUBJECT,
     Flight,
     Scenario,
     enu_m,
@@ -64,16 +64,16 @@ def noticed_in_time(task: tuple[Scenario, int]) -> tuple[bool, ...]:
 def noticed_after_s(scenario: Scenario, seed: int, until_s: float) -> list[float]:
     """For each of `FALSE_ALARMS`: after how long the ideal test notices the lie, s; infinity where not until a time (s)."""
     flight = Flight(scenario, seed)
-    peers = [v for v in flight.courses if v != SUBJECT]
+    peers = [v for v in flight.courses if v != DENIED]
     times: FloatArray = np.arange(round(until_s / STEP_S), dtype=np.float64) * STEP_S
     left, lie, spread = [], [], []
     for t in times:
-        place = flight.courses[SUBJECT].at(float(t))[0]
+        place = flight.courses[DENIED].at(float(t))[0]
         claimed, ranged = {}, {}
         for message in flight.messages(float(t)):
             if isinstance(message, GlobalPosition):
                 claimed[message.sysid] = enu_m(message)
-            elif isinstance(message, PeerRange) and message.sysid == SUBJECT:
+            elif isinstance(message, PeerRange) and message.sysid == DENIED:
                 ranged[message.peer_sysid] = message.range_m
         apart = np.array([claimed[v] - place for v in peers])
         distance_m = np.linalg.norm(apart, axis=1)
@@ -81,7 +81,7 @@ def noticed_after_s(scenario: Scenario, seed: int, until_s: float) -> list[float
         parity = np.linalg.svd(units[:, :2])[0][:, 2:].T
         left.append(parity @ (np.array([ranged[v] for v in peers]) - distance_m))
         grown = scenario.jump_m + scenario.walk_mps * (t - SPOOFED_AT_S) if t > SPOOFED_AT_S else 0.0
-        lie.append(parity @ (-grown * (units @ flight.away) * (np.array(peers) == LIAR)))
+        lie.append(parity @ (-grown * (units @ flight.away) * (np.array(peers) == FAULTY)))
         # What a receiver's error along each axis does to each condition: (conditions, peers * 3).
         spread.append((parity[:, :, np.newaxis] * units).reshape(len(parity), -1))
     C = _covariance(scenario, times, np.array(spread))

@@ -12,7 +12,7 @@ import numpy as np
 from bench.accuracy_runs import on_all_cores
 from bench.coverage import NONE, Tally, tally
 from bench.figures import Figure
-from bench.integrity_flights import LOST_AT_S, STEP_S, SUBJECT, Scenario, error_and_bound_m, fresh_engine
+from bench.integrity_flights import DENIED, LOST_AT_S, STEP_S, Scenario, error_and_bound_m, fresh_engine
 from bench.wandering import WanderingFlight
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.messages.control import ClockReference
@@ -56,7 +56,7 @@ def one_peer_late(rng: np.random.Generator, vehicles: tuple[int, ...]) -> Mappin
 
 def subject_late(rng: np.random.Generator, vehicles: tuple[int, ...]) -> Mapping[int, float]:  # noqa: ARG001
     """The denied vehicle's link half a second late."""
-    return dict.fromkeys(vehicles, 0.02) | {SUBJECT: 0.5}
+    return dict.fromkeys(vehicles, 0.02) | {DENIED: 0.5}
 
 
 def none_late(rng: np.random.Generator, vehicles: tuple[int, ...]) -> Mapping[int, float]:  # noqa: ARG001
@@ -121,7 +121,7 @@ def fly(drawn: tuple[Late, int]) -> Flown:
             error_m, bound_m = error_and_bound_m(engine, flight, t) or (np.nan, np.nan)
             errors.append(error_m)
             bounds.append(bound_m)
-    return Flown(tally(np.array(errors), np.array(bounds)), len(accused - {SUBJECT}))
+    return Flown(tally(np.array(errors), np.array(bounds)), len(accused - {DENIED}))
 
 
 def _system_times(step: int, behind_s: Mapping[int, float]) -> Iterator[SystemTime]:

@@ -10,7 +10,7 @@ from scipy.stats import beta
 
 from bench.accuracy_runs import on_all_cores
 from bench.figures import Figure
-from bench.integrity_flights import STEP_S, SUBJECT, Flight, Scenario, fly_step, fresh_engine
+from bench.integrity_flights import DENIED, STEP_S, Flight, Scenario, fly_step, fresh_engine
 from gcs_coloc.core.gps_health.gps_health import GpsHealthSettings, GpsState
 from gcs_coloc.core.messages.control import RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot, Heartbeat
@@ -86,10 +86,10 @@ def fly(task: tuple[Scenario, int]) -> tuple[float, float]:
     healthy_s = inf
     for step in range(round((_BACK_S + _WATCHED_S) / STEP_S)):
         t = step * STEP_S
-        engine.receive(Heartbeat(SUBJECT, t, Autopilot.ARDUPILOT, True, winged=True))
-        engine.receive(RouteReport(SUBJECT, t, None))
+        engine.receive(Heartbeat(DENIED, t, Autopilot.ARDUPILOT, True, winged=True))
+        engine.receive(RouteReport(DENIED, t, None))
         fly_step(engine, flight, t)
-        vehicle = engine.fleet.get(SUBJECT)
+        vehicle = engine.fleet.get(DENIED)
         if vehicle is None or t < _BACK_S + 2.0 * STEP_S:
             continue
         state = vehicle.health.state

@@ -6,7 +6,7 @@ from math import atan2, cos, hypot, pi, radians, remainder, sin, tan
 
 import numpy as np
 
-from bench.integrity_flights import STEP_S, SUBJECT, Flight, Scenario
+from bench.integrity_flights import DENIED, STEP_S, Flight, Scenario
 from gcs_coloc.core.measurements import FloatArray
 
 EXTENT_M = 900.0
@@ -61,5 +61,5 @@ class WanderingFlight(Flight):
         super().__init__(scenario, seed)
         rng = np.random.default_rng([seed, 2])
         self.courses = {
-            v: Wander(rng, EXTENT_M * (_SUBJECT_SHARE if v == SUBJECT else 1.0), duration_s) for v in sorted(self.courses)
+            v: Wander(rng, EXTENT_M * (_SUBJECT_SHARE if v == DENIED else 1.0), duration_s) for v in sorted(self.courses)
         }

@@ -1,17 +1,19 @@
-"""Least-squares adjustment of claimed positions to ranges, at one time or at two: what is left over, and what a fault explains.
+"""Least-squares adjustment of position priors to ranges, at one epoch or two, and the effect of each possible fault.
 
-Model, linearised at the given places: residual = range - |p_i - p_j| = u.(d_i - d_j) + noise, u the unit vector from j to i, d
-the correction that a place needs. A claimed position needs one of its stated size, whatever its spread over time; a vehicle
-without a claim a free horizontal one. A range has noise of its own and a part that all ranges of its pair have in common.
+Model, linearised at the priors: r = u.(d_i - d_j) + v, with r the range residual of device i to peer j, u the unit vector from j
+to i, d the correction of a vehicle's position, v noise. In matrices r = H d + v, cov(v) = R, cov(d) = S; S is without bound for
+the horizontal correction of a vehicle without prior. A range's noise has a part of its own and a part that all ranges of its
+pair share.
 
-With a second, earlier scene the corrections of one vehicle at the two times are correlated, as an error that wanders slowly is:
-exp(-interval / time). What changed between the two is then judged by how far honest errors wander in that time, and not by how
-large they are.
+Normal equations: (K + S^-1) d = g with K = H' R^-1 H, g = H' R^-1 r. Statistic: T = r' (R + H S H')^-1 r = r' R^-1 r - g' d.
 
-One scene is adjusted with several earlier ones in one stroke: arrays are (tests, 2 scenes, ...). A row that takes no part in a
-test has no weight there; so have all of the earlier scene in a test that has none.
+With an earlier epoch the corrections of one vehicle at the two times have the correlation c = exp(-interval / correlation time)
+of a Gauss-Markov process. The change between the two is then tested by how far fault-free errors change in that time.
 
-Source: adjustment with prior information in normal-equation form; the statistic is r'(R + H S H')^-1 r.
+One epoch is adjusted with several earlier ones at once: arrays are (tests, 2 epochs, ...). A residual that one of the epochs
+lacks has weight 0 in that test, and so has the whole earlier epoch of a test without one.
+
+Source: P. J. G. Teunissen, Testing Theory (2000), adjustment with prior information; W. Baarda (1968), effect of a fault.
 """
 
 from __future__ import annotations
@@ -24,21 +26,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from gcs_coloc.core.integrity.epoch import LEAST_INFORMATION, LEAST_SIGMA_M, Epoch, EpochArrays, RangeResidual
+from gcs_coloc.core.integrity.epoch import MIN_INFORMATION_PER_M2, MIN_SIGMA_M, Epoch, EpochArrays, Past, RangeResidual
 from gcs_coloc.core.measurements import FloatArray
 
-_RANK_TOLERANCE = 1e-6
-_NEWTON_STEPS = 4
-_SETTLED_M = 0.5
-
-Past = tuple[Epoch | None, float]
-"""An earlier scene, and the correlation (0 to 1) of one vehicle's corrections at the two times; None: the present alone."""
+_RANK_TOLERANCE = 1e-6  # smallest over largest eigenvalue that counts as not zero; chosen: far above rounding
+_NEWTON_STEPS = 4  # chosen: bounds the time of an adjustment that diverges
+_CONVERGED_M = 0.5  # at 100 m the curvature of a range then costs 1 mm
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
-    """What freeing one fault does: the drop of the statistic, the unknowns it took, their values (m), and with it the correction
-    of every state.
+class FaultEffect:
+    """The effect of one fault as further unknowns.
+
+    `gain`, the fall of the statistic; `rank`, the number of unknowns that the residuals
+    determine; `size_m`, their values; `corrections_m`, all states with the fault left out.
     """
 
     gain: float
@@ -48,245 +49,243 @@ class Effect:
 
 
 def adjust(now: Epoch, pasts: Sequence[Past]) -> list[Adjustment]:
-    """Adjust `now` with each of the earlier scenes, or alone where there is None."""
+    """Adjust the present epoch with each of the earlier ones, or alone where there is None."""
     solution = _Solution(now.arrays, pasts)
     return [Adjustment(now, solution, number) for number in range(len(pasts))]
 
 
 class Adjustment:
-    """One adjustment. States are the corrections (3 per vehicle of the scene's arrays), those of `now` first.
+    """One adjustment. States are the corrections, 3 per vehicle of the epoch's arrays, those of the present epoch first.
 
-    `rows` are the rows of `now` that take part, `vehicles` those that they are about.
+    `residuals` are those of the present epoch that take part, `vehicles` their vehicles.
     """
 
     def __init__(self, now: Epoch, solution: _Solution, number: int) -> None:
-        self.places = now.places
+        self.priors = now.priors
         self.statistic = float(solution.statistics[number])
         self.degrees_of_freedom = int(solution.degrees_of_freedom[number])
         self.corrections_m = solution.corrections_m[number]
-        self.rows: tuple[RangeResidual, ...] = now.rows
+        self.residuals: tuple[RangeResidual, ...] = now.residuals
         self.vehicles: tuple[int, ...] = now.arrays.vehicles
-        self._kept = solution.kept[number]
-        if len(self._kept) < len(now.rows):
-            self.rows = tuple(now.rows[n] for n in self._kept)
-            self.vehicles = tuple(sorted({v for row in self.rows for v in row.pair}))
-        self._at = now.arrays.at
+        self._used = solution.used[number]
+        if len(self._used) < len(now.residuals):
+            self.residuals = tuple(now.residuals[n] for n in self._used)
+            self.vehicles = tuple(sorted({v for r in self.residuals for v in r.pair}))
+        self._index = now.arrays.index
         self._solution = solution
         self._number = number
 
-    def claim_gain(self, vehicle: int) -> tuple[float, int]:
-        """The drop of the statistic and the unknowns that `vehicle_effect` tells of."""
-        gains, ranks, _ = self._solution.claim_effects
-        at = self._at[vehicle]
+    def position_gain(self, vehicle: int) -> tuple[float, int]:
+        """The gain and the rank of `position_effect`."""
+        gains, ranks, _ = self._solution.position_effects
+        at = self._index[vehicle]
         return float(gains[self._number, at]), int(ranks[self._number, at])
 
-    def claim_information(self, vehicle: int) -> FloatArray:
-        """Return what the test knows of a horizontal vector b of a claim (2, 2), 1/m^2: it adds b'Ib to the statistic."""
-        return np.asarray(self._solution.claim_information[self._number, self._at[vehicle]])
+    def position_information(self, vehicle: int) -> FloatArray:
+        """Information (2, 2) on a horizontal fault b of a reported position, 1/m^2: b adds b' I b to the statistic."""
+        return np.asarray(self._solution.position_information[self._number, self._index[vehicle]])
 
-    def vehicle_effect(self, vehicle: int) -> Effect:
-        """What a claim that came to be off by an unknown horizontal vector explains."""
-        gain, rank = self.claim_gain(vehicle)
-        at = self._at[vehicle]
-        size = self._solution.claim_effects[2][self._number, at]
+    def position_effect(self, vehicle: int) -> FaultEffect:
+        """The effect of a reported position that is off by an unknown horizontal vector."""
+        gain, rank = self.position_gain(vehicle)
+        at = self._index[vehicle]
+        size = self._solution.position_effects[2][self._number, at]
         pull = size @ self._solution.information[self._number, 3 * at : 3 * at + 2]
-        return Effect(gain, rank, size, self.corrections_m - self._solution.moved(self._number, pull))
+        return FaultEffect(gain, rank, size, self.corrections_m - self._solution.covariance_times(self._number, pull))
 
-    def rows_effect(self, chosen: Iterable[int]) -> Effect:
-        """What one length that came to be on all of the chosen rows (their numbers) explains."""
-        rows = np.array([self._kept[n] for n in chosen], dtype=np.intp)
-        alone, score, c = self._solution.length_on(self._number, rows)
-        moved = self._solution.moved(self._number, c)
+    def range_effect(self, chosen: Iterable[int]) -> FaultEffect:
+        """The effect of one unknown length in all of the chosen residuals, given by their numbers."""
+        rows = np.array([self._used[n] for n in chosen], dtype=np.intp)
+        alone, score, c = self._solution.range_bias(self._number, rows)
+        moved = self._solution.covariance_times(self._number, c)
         left = alone - float(c @ moved)
-        if left < max(_RANK_TOLERANCE * alone, LEAST_INFORMATION):
-            return Effect(0.0, 0, np.zeros(1), self.corrections_m)
+        if left < max(_RANK_TOLERANCE * alone, MIN_INFORMATION_PER_M2):
+            return FaultEffect(0.0, 0, np.zeros(1), self.corrections_m)
         score -= float(c @ self.corrections_m)
         size = score / left
-        return Effect(score * size, 1, np.array([size]), self.corrections_m - moved * size)
+        return FaultEffect(score * size, 1, np.array([size]), self.corrections_m - moved * size)
 
     def horizontal(self, vehicle: int, states: FloatArray) -> FloatArray:
-        """Return a vehicle's horizontal part (2,) of a state vector, at the time of `now`."""
-        i = 3 * self._at[vehicle]
+        """A vehicle's east and north (2,) of a state vector, in the present epoch."""
+        i = 3 * self._index[vehicle]
         return states[i : i + 2]
 
 
 class _Solution:
-    """The adjustments of one scene with several earlier ones. `kept`: for each test the numbers of the rows that take part."""
+    """The adjustments of one epoch with several earlier ones. `used`: by test the numbers of the residuals that take part."""
 
     def __init__(self, now: EpochArrays, pasts: Sequence[Past]) -> None:
         tests, rows = len(pasts), len(now.pairs)
         self._now = now
-        self.kept: list[Sequence[int]] = [range(rows)] * tests
-        self._apart_m: FloatArray = np.empty((tests, 2, rows, 3))
-        self._units: FloatArray = np.empty((tests, 2, rows, 3))
+        self.used: list[Sequence[int]] = [range(rows)] * tests
+        self._baselines_m: FloatArray = np.empty((tests, 2, rows, 3))
+        self._unit_vectors: FloatArray = np.empty((tests, 2, rows, 3))
         self._ranges_m: FloatArray = np.empty((tests, 2, rows))
         self._residuals_m: FloatArray = np.empty((tests, 2, rows))
-        self._apart_m[:], self._units[:], self._ranges_m[:] = now.apart_m, now.units, now.ranges_m
+        self._baselines_m[:], self._unit_vectors[:], self._ranges_m[:] = now.baselines_m, now.unit_vectors, now.ranges_m
         self._residuals_m[:] = now.residuals_m
         self._weights: FloatArray = np.zeros((tests, 2, 2, rows))
-        earlier: FloatArray = np.empty((tests, len(now.roots)))
-        earlier[:] = now.roots
+        earlier: FloatArray = np.empty((tests, len(now.sqrt_information)))
+        earlier[:] = now.sqrt_information
         for test, (past, _) in enumerate(pasts):
             if past is None:
                 self._weights[test, 0, 0] = 1.0 / now.variances_m2
             else:
                 self._add(test, past.arrays, earlier)
         self._prior = _prior_information(now, earlier, [0.0 if past is None else c for past, c in pasts])
-        free_variances_m2 = self._solve_by_newton()
-        taking_part = [len(kept) * (1 if past is None else 2) for kept, (past, _) in zip(self.kept, pasts, strict=True)]
-        known = [round(shares) for shares in (1.0 - LEAST_INFORMATION * free_variances_m2).sum(axis=1).tolist()]
-        self.degrees_of_freedom = [rows - unknown for rows, unknown in zip(taking_part, known, strict=True)]
+        variances_without_prior_m2 = self._solve_by_newton()
+        used_residuals = [len(used) * (1 if past is None else 2) for used, (past, _) in zip(self.used, pasts, strict=True)]
+        known = [round(shares) for shares in (1.0 - MIN_INFORMATION_PER_M2 * variances_without_prior_m2).sum(axis=1).tolist()]
+        self.degrees_of_freedom = [rows - unknown for rows, unknown in zip(used_residuals, known, strict=True)]
 
     def _add(self, test: int, then: EpochArrays, earlier: FloatArray) -> None:
-        """Lay an earlier scene beside the present one: the rows of the pairs that both have, and what was known of the places."""
+        """Add an earlier epoch to a test: the residuals of the pairs that both have, and its priors."""
         now = self._now
         mine: slice | list[int] = slice(None)
         theirs: slice | list[int] = slice(None)
-        if now.pairs == then.pairs and now.free == then.free:
-            earlier[test] = then.roots
+        if now.pairs == then.pairs and now.no_prior == then.no_prior:
+            earlier[test] = then.sqrt_information
         else:
-            mine, theirs = _common(now, then)
-            self.kept[test] = mine
-            for vehicle, at in now.at.items():
-                was = then.at.get(vehicle)
-                if was is not None and now.free[at] == then.free[was]:
-                    earlier[test, 3 * at : 3 * at + 3] = then.roots[3 * was : 3 * was + 3]
-        self._apart_m[test, 1, mine] = then.apart_m[theirs]
-        self._units[test, 1, mine] = then.units[theirs]
+            mine, theirs = _common_residuals(now, then)
+            self.used[test] = mine
+            for vehicle, at in now.index.items():
+                was = then.index.get(vehicle)
+                if was is not None and now.no_prior[at] == then.no_prior[was]:
+                    earlier[test, 3 * at : 3 * at + 3] = then.sqrt_information[3 * was : 3 * was + 3]
+        self._baselines_m[test, 1, mine] = then.baselines_m[theirs]
+        self._unit_vectors[test, 1, mine] = then.unit_vectors[theirs]
         self._ranges_m[test, 1, mine] = then.ranges_m[theirs]
         self._residuals_m[test, 1, mine] = then.residuals_m[theirs]
         now_m2, then_m2 = now.variances_m2[mine], then.variances_m2[theirs]
-        lasting_m2 = now.biases_m[mine] * then.biases_m[theirs]
-        determinant = now_m2 * then_m2 - lasting_m2 * lasting_m2
-        # The inverse of a pair's noise covariance at the two times, which ties its rows to each other alone.
+        shared_m2 = now.biases_m[mine] * then.biases_m[theirs]
+        determinant = now_m2 * then_m2 - shared_m2 * shared_m2
+        # R^-1 of one pair at the two times: a 2x2 block, as pairs are independent of each other.
         self._weights[test, 0, 0, mine] = then_m2 / determinant
         self._weights[test, 1, 1, mine] = now_m2 / determinant
-        self._weights[test, 0, 1, mine] = self._weights[test, 1, 0, mine] = -lasting_m2 / determinant
+        self._weights[test, 0, 1, mine] = self._weights[test, 1, 0, mine] = -shared_m2 / determinant
 
     def _solve_by_newton(self) -> FloatArray:
-        """Solve, and where a free place has to move far, again about where it moves; return the free states' variances, m^2."""
+        """Solve, and again where a vehicle without prior moved far; return the variances of the states without prior, m^2."""
         vehicles, tests = len(self._now.vehicles), len(self._weights)
-        free = np.concatenate([self._now.free_states, self._now.free_states + 3 * vehicles])
+        without_prior = np.concatenate([self._now.states_without_prior, self._now.states_without_prior + 3 * vehicles])
         shift: FloatArray = np.zeros((tests, 6 * vehicles))
-        free_variances_m2 = self._solve(self._units, self._residuals_m, free)
+        variances_without_prior_m2 = self._solve(self._unit_vectors, self._residuals_m, without_prior)
         for _ in range(_NEWTON_STEPS - 1):
-            step = self.corrections_m[:, free]
-            moving = np.abs(step - shift[:, free]).max(axis=1, initial=0.0) > _SETTLED_M
+            step = self.corrections_m[:, without_prior]
+            moving = np.abs(step - shift[:, without_prior]).max(axis=1, initial=0.0) > _CONVERGED_M
             if not moving.any():
                 break
-            shift[:, free] = np.where(moving[:, np.newaxis], step, shift[:, free])
-            free_variances_m2 = self._solve(*self._linearise(shift.reshape(tests, 2, vehicles, 3)), free)
-        return free_variances_m2
+            shift[:, without_prior] = np.where(moving[:, np.newaxis], step, shift[:, without_prior])
+            variances_without_prior_m2 = self._solve(*self._linearise(shift.reshape(tests, 2, vehicles, 3)), without_prior)
+        return variances_without_prior_m2
 
     def _linearise(self, shift: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the rows' directions and residuals about the shifted places, for corrections of the places as given."""
+        """The unit vectors and residuals at the shifted positions, for corrections that count from the priors."""
         i, j = self._now.ends
         moves = shift[:, :, i] - shift[:, :, j]
-        moved = self._apart_m + moves
-        distances_m = np.maximum(np.sqrt(np.einsum("tsra,tsra->tsr", moved, moved)), LEAST_SIGMA_M)
-        units = moved / distances_m[..., np.newaxis]
-        return units, self._ranges_m - distances_m + np.einsum("tsra,tsra->tsr", units, moves)
+        moved = self._baselines_m + moves
+        distances_m = np.maximum(np.sqrt(np.einsum("tsra,tsra->tsr", moved, moved)), MIN_SIGMA_M)
+        unit_vectors = moved / distances_m[..., np.newaxis]
+        return unit_vectors, self._ranges_m - distances_m + np.einsum("tsra,tsra->tsr", unit_vectors, moves)
 
-    def _solve(self, units: FloatArray, residuals_m: FloatArray, free: NDArray[np.intp]) -> FloatArray:
-        """Solve with these directions and residuals of the rows; return the free states' variances, m^2."""
-        tests, _, rows, _ = units.shape
+    def _solve(self, unit_vectors: FloatArray, residuals_m: FloatArray, without_prior: NDArray[np.intp]) -> FloatArray:
+        """Solve the normal equations; return the variances of the states without prior, m^2."""
+        tests, _, rows, _ = unit_vectors.shape
         vehicles = len(self._now.vehicles)
         i, j = self._now.ends
         number = np.arange(rows)
         design: FloatArray = np.zeros((tests, 2, rows, vehicles, 3))
-        design[:, :, number, i] = units
-        design[:, :, number, j] = -units
+        design[:, :, number, i] = unit_vectors
+        design[:, :, number, j] = -unit_vectors
         H = design.reshape(tests, 2, rows, 3 * vehicles)
         self._transposed = H.transpose(0, 1, 3, 2)
         self._weighted_m = np.einsum("tabr,tbr->tar", self._weights, residuals_m)
         self._g: FloatArray = (self._transposed @ self._weighted_m[..., np.newaxis]).reshape(tests, 6 * vehicles)
         blocks = self._transposed[:, :, np.newaxis] @ (self._weights[..., np.newaxis] * H[:, np.newaxis])
         self.information: FloatArray = blocks.transpose(0, 1, 3, 2, 4).reshape(tests, 6 * vehicles, 6 * vehicles)
-        asked: FloatArray = np.zeros((tests, 1 + len(free), 6 * vehicles))
-        asked[:, 0] = self._g
-        asked[:, 1 + np.arange(len(free)), free] = 1.0
+        right_sides: FloatArray = np.zeros((tests, 1 + len(without_prior), 6 * vehicles))
+        right_sides[:, 0] = self._g
+        right_sides[:, 1 + np.arange(len(without_prior)), without_prior] = 1.0
         known = self.information + self._prior
-        # Each for itself: for matrices of this size numpy's own stroke over all tests takes longer.
+        # One by one: for matrices of this size numpy's batched solve takes longer.
         self._factors: list[tuple[FloatArray, NDArray[np.intc]]] = []
-        answers: FloatArray = np.empty_like(asked)
+        solutions: FloatArray = np.empty_like(right_sides)
         for test in range(tests if vehicles else 0):
-            factors, pivots, answer, info = lapack.dgesv(known[test].T, asked[test].T)
-            assert info == 0, "what is known of each place leaves no state unknown"
+            factors, pivots, solution, info = lapack.dgesv(known[test].T, right_sides[test].T)
+            assert info == 0, "every state has prior information"
             self._factors.append((factors, pivots))
-            answers[test] = answer.T
-        self.corrections_m: FloatArray = answers[:, 0]
+            solutions[test] = solution.T
+        self.corrections_m: FloatArray = solutions[:, 0]
         explained = np.einsum("ts,ts->t", self._g, self.corrections_m)
         self.statistics = np.einsum("tsr,tsr->t", residuals_m, self._weighted_m) - explained
-        return np.asarray(answers[:, 1 + np.arange(len(free)), free])
+        return np.asarray(solutions[:, 1 + np.arange(len(without_prior)), without_prior])
 
-    def moved(self, test: int, pulls: FloatArray) -> FloatArray:
-        """The product of a test's covariance of all states and some vectors: (..., states), m in answer to 1/m."""
-        answer, _ = lapack.dgetrs(*self._factors[test], pulls.T)
-        return np.asarray(answer).T
+    def covariance_times(self, test: int, pulls: FloatArray) -> FloatArray:
+        """The product of a test's covariance of all states and some vectors (..., states): m for 1/m."""
+        solution, _ = lapack.dgetrs(*self._factors[test], pulls.T)
+        return np.asarray(solution).T
 
     @cached_property
-    def claim_effects(self) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
-        """For each test and vehicle, what a correction of its place at `now` by an unknown horizontal vector explains of the
-        statistic (tests, vehicles), the unknowns it takes (tests, vehicles), and the vector (tests, vehicles, 2), m.
-        """
+    def position_effects(self) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
+        """Gain and rank (tests, vehicles) and size (tests, vehicles, 2), m, of a horizontal fault of each vehicle."""
         score = self._g - (self.information @ self.corrections_m[..., np.newaxis])[..., 0]
-        inverses, ranks = pinv(self.claim_information)
+        inverses, ranks = pseudo_inverse(self.position_information)
         scores = score[:, self._horizontal]
         sizes = (inverses @ scores[..., np.newaxis])[..., 0]
         return (scores * sizes).sum(axis=2), ranks, sizes
 
     @cached_property
-    def claim_information(self) -> FloatArray:
-        """What each test knows of such a correction, beyond the claim's stated error, 1/m^2 (tests, vehicles, 2, 2)."""
+    def position_information(self) -> FloatArray:
+        """Information of each test on such a fault (tests, vehicles, 2, 2), 1/m^2: K - K (K + S^-1)^-1 K."""
         K, at = self.information, self._horizontal
         pulls = K[:, at]
-        moved = np.array([self.moved(test, pulls[test].reshape(at.size, -1)) for test in range(len(self._factors))]).reshape(
-            pulls.shape
-        )
+        moved = np.array(
+            [self.covariance_times(test, pulls[test].reshape(at.size, -1)) for test in range(len(self._factors))]
+        ).reshape(pulls.shape)
         return np.asarray(K[:, at[:, :, np.newaxis], at[:, np.newaxis, :]] - pulls @ moved.transpose(0, 1, 3, 2))
 
     @property
     def _horizontal(self) -> NDArray[np.intp]:
-        """The horizontal states at `now` of each vehicle (vehicles, 2)."""
+        """The indices of each vehicle's horizontal states in the present epoch (vehicles, 2)."""
         return (3 * np.arange(len(self._now.vehicles)))[:, np.newaxis] + np.arange(2)
 
-    def length_on(self, test: int, rows: NDArray[np.intp]) -> tuple[float, float, FloatArray]:
-        """One length b on some rows of `now`: b'Wb, b'Wr and H'Wb (states,), W the inverse of the rows' noise."""
+    def range_bias(self, test: int, rows: NDArray[np.intp]) -> tuple[float, float, FloatArray]:
+        """For one length in some residuals, C their indicator: C' W C, C' W r and H' W C (states,), with W = R^-1."""
         weights = self._weights[test, :, 0, rows].T
         c = (self._transposed[test][:, :, rows] @ weights[..., np.newaxis])[..., 0]
         return float(weights[0].sum()), float(self._weighted_m[test, 0, rows].sum()), c.reshape(-1)
 
 
 def _prior_information(now: EpochArrays, earlier: FloatArray, correlations: Sequence[float]) -> FloatArray:
-    """Return the inverse of the corrections' prior covariance (tests, states, states): of each axis a block over two times."""
+    """S^-1 (tests, states, states): one 2x2 block over the two times for each axis of each vehicle."""
     tests, size = earlier.shape
-    # The inverse of [[1, c], [c, 1]] between the two times, in units of the sigmas; what is free at one time is so for itself.
-    own = np.where(now.claimed, [[1.0 / (1.0 - c * c)] for c in correlations], 1.0)
-    cross = now.claimed * [[-c / (1.0 - c * c)] for c in correlations] * now.roots * earlier
+    # The inverse of [[1, c], [c, 1]] in units of the sigmas. A state without prior has no correlation over time.
+    own = np.where(now.has_prior, [[1.0 / (1.0 - c * c)] for c in correlations], 1.0)
+    cross = now.has_prior * [[-c / (1.0 - c * c)] for c in correlations] * now.sqrt_information * earlier
     prior: FloatArray = np.zeros((tests, 4 * size * size))
-    below = 2 * size + 1  # from an element of a diagonal to the next one
-    prior[:, : 2 * size * size : below] = now.roots * now.roots * own
+    below = 2 * size + 1  # from one element of a diagonal to the next
+    prior[:, : 2 * size * size : below] = now.sqrt_information * now.sqrt_information * own
     prior[:, 2 * size * size + size :: below] = earlier * earlier * own
     prior[:, size : 2 * size * size : below] = prior[:, 2 * size * size :: below] = cross
     return prior.reshape(tests, 2 * size, 2 * size)
 
 
-def _common(now: EpochArrays, then: EpochArrays) -> tuple[list[int], list[int]]:
-    """Return the numbers, in each of two scenes, of the rows that both have, between vehicles that claim as much in both."""
+def _common_residuals(now: EpochArrays, then: EpochArrays) -> tuple[list[int], list[int]]:
+    """The numbers, in each of two epochs, of the residuals that both have between vehicles with a prior in both or in neither."""
     earlier = {pair: number for number, pair in enumerate(then.pairs)}
-    as_before = {v for v in now.vehicles if v in then.at and now.free[now.at[v]] == then.free[then.at[v]]}
+    as_before = {v for v in now.vehicles if v in then.index and now.no_prior[now.index[v]] == then.no_prior[then.index[v]]}
     mine = [n for n, pair in enumerate(now.pairs) if pair in earlier and as_before.issuperset(pair)]
     return mine, [earlier[now.pairs[n]] for n in mine]
 
 
-def pinv(A: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Return the pseudo-inverses of symmetric (..., 2, 2) matrices and their ranks; what nothing measures is left out."""
+def pseudo_inverse(A: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    """The pseudo-inverses of symmetric (..., 2, 2) matrices, and their ranks; directions without information are left out."""
     a, b, d = A[..., 0, 0], A[..., 0, 1], A[..., 1, 1]
     mean, half = 0.5 * (a + d), np.hypot(0.5 * (a - d), b)
     larger, smaller = mean + half, mean - half
-    least = np.maximum(larger * _RANK_TOLERANCE, LEAST_INFORMATION)
+    least = np.maximum(larger * _RANK_TOLERANCE, MIN_INFORMATION_PER_M2)
     ranks = (larger > least).astype(int) + (smaller > least)
-    # Of rank one the projection on the larger one's direction, over it: the same form with the smaller one taken away.
+    # Rank one: the projection on the larger eigenvalue's direction, over that eigenvalue.
     adjugate = np.where(
         (ranks == 2)[..., np.newaxis, np.newaxis],
         np.stack([np.stack([d, -b], -1), np.stack([-b, a], -1)], -2),

@@ -1,11 +1,14 @@
-"""What positions are tested on against ranges: where the fleet is held to be at one time, and what ranges say beyond that."""
+"""The fleet at one time, as the tests see it: position priors, range residuals, and the history of such epochs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import sqrt
+from math import exp, sqrt
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -13,24 +16,31 @@ from numpy.typing import NDArray
 
 from gcs_coloc.core.measurements import FloatArray, Vector3
 
-LEAST_SIGMA_M = 0.01
-"""No position is known better, and no distance is shorter."""
-LEAST_INFORMATION = 1e-9
-"""1/m^2: what is known no better than to 30 km is not known."""
+MIN_SIGMA_M = 0.01
+"""Smallest 1-sigma of a position and smallest distance. Chosen: below GNSS and ranging, above rounding."""
+MIN_INFORMATION_PER_M2 = 1e-9
+"""Information of a coordinate without prior: a 1-sigma of 30 km. Chosen: less costs digits of the adjustment."""
+_EPOCH_TOLERANCE_S = 0.3  # chosen: one and a half of the 0.2 s between epochs
+
+_at_s = attrgetter("at_s")
 
 
 class PositionPrior(NamedTuple):
-    """Where a vehicle is held to be: ENU in m, with the 1-sigma per axis in m; `free`: horizontally nothing is claimed."""
+    """The position that a vehicle has before the adjustment: ENU in m, with the 1-sigma per axis in m.
+
+    `no_prior`: the horizontal position is only a point of linearisation, without information.
+    """
 
     position_enu_m: Vector3
     sigma_h_m: float
     sigma_v_m: float
-    free: bool
+    no_prior: bool
 
 
 class RangeResidual(NamedTuple):
-    """What the ranges of one device to one peer say beyond the distance of the places, m: residual, its 1-sigma, and the
-    1-sigma of the part of the error that lasts.
+    """Range observed minus range computed from the priors, of one device to one peer, in m.
+
+    `sigma_m` is the 1-sigma of its noise in one epoch, `bias_m` the 1-sigma of the error that lasts from epoch to epoch.
     """
 
     from_vehicle: int
@@ -47,70 +57,105 @@ class RangeResidual(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class EpochArrays:
-    """A scene's rows and their vehicles as arrays, in the order of `pairs` and of `vehicles` (`at`: a vehicle's place in that).
+    """An epoch's residuals and vehicles as arrays, in the order of `pairs` and of `vehicles`; lengths in m, variances in m^2.
 
-    `ends` (2, rows) are the places of a row's two vehicles in `vehicles`, `apart_m` (rows, 3) the vectors from the second to the
-    first and `units` their directions, `roots` (3 vehicles,) the root of what is known of each axis of the places, 1/m, and
-    `claimed` whether that is more than nothing. `free_states` are those, of 3 for each vehicle, of which nothing is claimed.
-    Lengths in m, variances in m^2.
+    `index` maps a vehicle to its place in `vehicles`. `ends` (2, residuals) are the indices of a residual's two vehicles,
+    `baselines_m` (residuals, 3) the vectors from the second to the first, `unit_vectors` their directions. States are the
+    east, north and up corrections of each vehicle in turn: `sqrt_information` (3 vehicles,) is the root of their prior
+    information in 1/m, `has_prior` whether there is any, `states_without_prior` the indices where there is none.
     """
 
     pairs: tuple[tuple[int, int], ...]
     vehicles: tuple[int, ...]
-    at: Mapping[int, int]
-    free: tuple[bool, ...]
-    free_states: NDArray[np.intp]
+    index: Mapping[int, int]
+    no_prior: tuple[bool, ...]
+    states_without_prior: NDArray[np.intp]
     ends: NDArray[np.intp]
-    apart_m: FloatArray
-    units: FloatArray
+    baselines_m: FloatArray
+    unit_vectors: FloatArray
     ranges_m: FloatArray
     residuals_m: FloatArray
     variances_m2: FloatArray
     biases_m: FloatArray
-    roots: FloatArray
-    claimed: NDArray[np.bool_]
+    sqrt_information: FloatArray
+    has_prior: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Epoch:
-    """The fleet at one time. Every vehicle of a row has a place, and no two places of a row coincide."""
+    """The fleet at one time. Every vehicle of a residual has a prior, and no two priors of a residual coincide."""
 
     at_s: float
-    places: Mapping[int, PositionPrior]
-    rows: tuple[RangeResidual, ...]
+    priors: Mapping[int, PositionPrior]
+    residuals: tuple[RangeResidual, ...]
 
     @cached_property
     def arrays(self) -> EpochArrays:
-        """The rows and their vehicles as arrays; a scene is looked at again as long as it is remembered."""
-        pairs = tuple(row.pair for row in self.rows)
+        """The same as arrays; cached, because the history compares an epoch with many later ones."""
+        pairs = tuple(residual.pair for residual in self.residuals)
         vehicles = tuple(sorted({v for pair in pairs for v in pair}))
-        at = {vehicle: index for index, vehicle in enumerate(vehicles)}
-        places = [self.places[v] for v in vehicles]
-        positions = np.array([place.position_enu_m for place in places]).reshape(-1, 3)
-        ends = np.array([(at[i], at[j]) for i, j in pairs], dtype=np.intp).reshape(-1, 2).T
-        apart_m = positions[ends[0]] - positions[ends[1]]
-        distances_m = np.maximum(np.sqrt(np.einsum("ij,ij->i", apart_m, apart_m)), LEAST_SIGMA_M)
-        told = np.array([(row.residual_m, row.sigma_m, row.bias_m) for row in self.rows]).reshape(-1, 3).T
-        known: list[float] = []
-        for place in places:
-            horizontal = sqrt(LEAST_INFORMATION) if place.free else 1.0 / max(place.sigma_h_m, LEAST_SIGMA_M)
-            known += [horizontal, horizontal, 1.0 / max(place.sigma_v_m, LEAST_SIGMA_M)]
-        free = [3 * n + axis for n, place in enumerate(places) if place.free for axis in (0, 1)]
-        claimed = np.ones(len(known), dtype=bool)
-        claimed[free] = False
+        index = {vehicle: number for number, vehicle in enumerate(vehicles)}
+        priors = [self.priors[v] for v in vehicles]
+        positions = np.array([prior.position_enu_m for prior in priors]).reshape(-1, 3)
+        ends = np.array([(index[i], index[j]) for i, j in pairs], dtype=np.intp).reshape(-1, 2).T
+        baselines_m = positions[ends[0]] - positions[ends[1]]
+        distances_m = np.maximum(np.sqrt(np.einsum("ij,ij->i", baselines_m, baselines_m)), MIN_SIGMA_M)
+        columns = np.array([(r.residual_m, r.sigma_m, r.bias_m) for r in self.residuals]).reshape(-1, 3).T
+        sqrt_information: list[float] = []
+        for prior in priors:
+            horizontal = sqrt(MIN_INFORMATION_PER_M2) if prior.no_prior else 1.0 / max(prior.sigma_h_m, MIN_SIGMA_M)
+            sqrt_information += [horizontal, horizontal, 1.0 / max(prior.sigma_v_m, MIN_SIGMA_M)]
+        without = [3 * number + axis for number, prior in enumerate(priors) if prior.no_prior for axis in (0, 1)]
+        has_prior = np.ones(len(sqrt_information), dtype=bool)
+        has_prior[without] = False
         return EpochArrays(
             pairs=pairs,
             vehicles=vehicles,
-            at=at,
-            free=tuple(place.free for place in places),
-            free_states=np.array(free, dtype=np.intp),
+            index=index,
+            no_prior=tuple(prior.no_prior for prior in priors),
+            states_without_prior=np.array(without, dtype=np.intp),
             ends=ends,
-            apart_m=apart_m,
-            units=apart_m / distances_m[:, np.newaxis],
-            ranges_m=told[0] + distances_m,
-            residuals_m=told[0],
-            variances_m2=told[1] ** 2 + told[2] ** 2,
-            biases_m=told[2],
-            roots=np.array(known),
-            claimed=claimed,
+            baselines_m=baselines_m,
+            unit_vectors=baselines_m / distances_m[:, np.newaxis],
+            ranges_m=columns[0] + distances_m,
+            residuals_m=columns[0],
+            variances_m2=columns[1] ** 2 + columns[2] ** 2,
+            biases_m=columns[2],
+            sqrt_information=np.array(sqrt_information),
+            has_prior=has_prior,
         )
+
+
+Past = tuple[Epoch | None, float]
+"""An earlier epoch, and the correlation of one vehicle's position error at the two times; None and 0 for the present alone."""
+
+
+class EpochHistory:
+    """The epochs of the last seconds, `period_s` apart, for as long as the longest of the intervals.
+
+    A position error is a first-order Gauss-Markov process: its correlation over an interval T is exp(-T / `correlation_time_s`).
+    """
+
+    def __init__(self, intervals_s: Sequence[float], correlation_time_s: float, period_s: float) -> None:
+        self._intervals_s = tuple(intervals_s)
+        self._correlation_time_s = correlation_time_s
+        self._epochs: deque[Epoch] = deque(maxlen=round(max(intervals_s) / period_s) + 2)
+
+    def append(self, epoch: Epoch) -> None:
+        """Append an epoch that is newer than all before."""
+        self._epochs.append(epoch)
+
+    def pasts(self, at_s: float) -> dict[float, Past]:
+        """The epochs to compare one at this time with, by interval: none for 0, else one near that interval before, if any."""
+        pasts: dict[float, Past] = {0.0: (None, 0.0)}
+        for interval_s in self._intervals_s:
+            earlier = self._nearest(at_s - interval_s)
+            if earlier is not None:
+                pasts[interval_s] = (earlier, exp(-interval_s / self._correlation_time_s))
+        return pasts
+
+    def _nearest(self, wanted_s: float) -> Epoch | None:
+        later = bisect_left(self._epochs, wanted_s, key=_at_s)
+        neighbours = [self._epochs[n] for n in (later - 1, later) if 0 <= n < len(self._epochs)]
+        nearest = min(neighbours, key=lambda epoch: abs(epoch.at_s - wanted_s), default=None)
+        return nearest if nearest is not None and abs(nearest.at_s - wanted_s) <= _EPOCH_TOLERANCE_S else None

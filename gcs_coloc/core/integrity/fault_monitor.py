@@ -1,6 +1,7 @@
-"""Watches the lines to each vehicle without GPS for a lie: what one may have done to it, and who is no longer to be believed.
+"""Fault monitor of the peers that range a denied vehicle: detected faults, and how far each may have displaced the vehicle.
 
-The ranges between a vehicle without GPS and a peer since the last step make one line; the hypotheses are `lie_filters`'.
+All ranges between a denied vehicle and one peer since the last step make one `LineOfSightResidual`; `FaultFilters` has the
+hypotheses.
 """
 
 from __future__ import annotations
@@ -13,121 +14,126 @@ from statistics import median
 import numpy as np
 
 from gcs_coloc.core.integrity.epoch import PositionPrior
-from gcs_coloc.core.integrity.fault_filters import FaultFilters, FaultFilterSettings, Line
+from gcs_coloc.core.integrity.fault_filters import FaultFilters, FaultFilterSettings, LineOfSightResidual
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement, Vector3
 
-_LEAST_DISTANCE_M = 1.0
-_MOST_PEERS = 8
-_FORGOTTEN_S = 30.0
+_MIN_DISTANCE_M = 1.0  # below it the direction of a range is noise
+_MAX_PEERS = 8  # chosen: bounds the number of filters of one vehicle
+_FORGET_AFTER_S = 30.0  # chosen: the correlation time of a fault-free position error
 
 
 @dataclass(frozen=True, slots=True)
 class FaultMonitorSettings:
-    """When hypotheses have consequences.
+    """From which probability on hypotheses have consequences.
 
-    `counts_at`: from this chance on a lie counts in full in the covariance, below in proportion. A 95 % bound may leave out what
-    is less than 5 % likely in all; here half of it counts, and all of twice as much. `honest`: below this chance that nobody lies
-    those are suspected without whom all that is left is less likely than `left_out`. `least_peers`: with fewer nothing is told.
-    `range_bias_m`: 1-sigma of what all ranges of a pair have in common, `slow_share` the share of their stated variance that no
-    averaging removes.
+    `full_weight_probability`: a fault this likely counts in full in the covariance, a less likely one in proportion. Chosen: a
+    95 % bound may leave out what is less than 5 % likely; here half of that counts. `min_no_fault_probability`: below this
+    probability that nobody is faulty, the likeliest vehicles are detected, until all others together are less likely than
+    `max_missed_probability`. `min_peers`: with fewer peers there is no redundancy. `range_bias_m`: 1-sigma of the error that all
+    ranges of a pair share; `coloured_share`: the share of their stated variance that no averaging removes.
     """
 
-    counts_at: float = 0.1
-    honest: float = 1e-4
-    left_out: float = 0.01
-    least_peers: int = 3
+    full_weight_probability: float = 0.1
+    min_no_fault_probability: float = 1e-4
+    max_missed_probability: float = 0.01
+    min_peers: int = 3
     range_bias_m: float = 0.3
-    slow_share: float = 0.1
-    lies: FaultFilterSettings = field(default_factory=FaultFilterSettings)
+    coloured_share: float = 0.1
+    filters: FaultFilterSettings = field(default_factory=FaultFilterSettings)
 
 
 @dataclass(slots=True)
-class _Ranges:
-    """The ranges of one line: residuals and stated sigmas (m), claim and vector from the peer (m) of the newest."""
+class _PeerRanges:
+    """The ranges to one peer since the last step: residuals and stated sigmas (m), priors and baseline (m) of the newest."""
 
     residuals_m: list[float]
     sigmas_m: list[float]
-    claim: PositionPrior
+    peer_prior: PositionPrior
     own_sigma_v_m: float
-    apart_m: Vector3
+    baseline_m: Vector3
 
 
 class FaultMonitor:
-    """One fleet. Give it ranges with the places of both ends, then `step`."""
+    """The fault filters of one fleet's denied vehicles. Add ranges with the priors of both ends, then call `step`."""
 
     def __init__(self, settings: FaultMonitorSettings | None = None) -> None:
         self.settings = settings if settings is not None else FaultMonitorSettings()
         self._filters: dict[int, FaultFilters] = {}
-        self._lines: dict[int, dict[int, _Ranges]] = {}
+        self._ranges: dict[int, dict[int, _PeerRanges]] = {}
 
-    def range(self, m: RangeMeasurement, a: PositionPrior, b: PositionPrior) -> None:
-        """Take a range with the places of both ends at its time; between two claims, or two vehicles without, it says nothing."""
-        if a.free == b.free:
+    def add_range(self, m: RangeMeasurement, a: PositionPrior, b: PositionPrior) -> None:
+        """Add a range with the priors of both ends at its time. Only a range between one vehicle with and one without counts."""
+        if a.no_prior == b.no_prior:
             return
-        vehicle, peer, own, claim = (m.from_vehicle, m.to_vehicle, a, b) if a.free else (m.to_vehicle, m.from_vehicle, b, a)
-        (e, n, u), (peer_e, peer_n, peer_u) = own.position_enu_m, claim.position_enu_m
-        apart_m = e - peer_e, n - peer_n, u - peer_u
-        distance_m = hypot(*apart_m)
-        if distance_m < _LEAST_DISTANCE_M:
+        vehicle, peer, own, prior = (m.from_vehicle, m.to_vehicle, a, b) if a.no_prior else (m.to_vehicle, m.from_vehicle, b, a)
+        (e, n, u), (peer_e, peer_n, peer_u) = own.position_enu_m, prior.position_enu_m
+        baseline_m = e - peer_e, n - peer_n, u - peer_u
+        distance_m = hypot(*baseline_m)
+        if distance_m < _MIN_DISTANCE_M:
             return
-        lines = self._lines.setdefault(vehicle, {})
-        known = lines.setdefault(peer, _Ranges([], [], claim, own.sigma_v_m, apart_m))
-        known.residuals_m.append(m.range_m - distance_m)
-        known.sigmas_m.append(m.sigma_m)
-        known.claim, known.own_sigma_v_m, known.apart_m = claim, own.sigma_v_m, apart_m
+        by_peer = self._ranges.setdefault(vehicle, {})
+        ranges = by_peer.setdefault(peer, _PeerRanges([], [], prior, own.sigma_v_m, baseline_m))
+        ranges.residuals_m.append(m.range_m - distance_m)
+        ranges.sigmas_m.append(m.sigma_m)
+        ranges.peer_prior, ranges.own_sigma_v_m, ranges.baseline_m = prior, own.sigma_v_m, baseline_m
 
-    def step(self, at_s: float, disbelieved: Collection[int]) -> None:
-        """Weigh what was measured up to a time without those that are not believed, and forget who has had no lines for long."""
-        for vehicle, ranged in self._lines.items():
-            filters = self._filters.setdefault(vehicle, FaultFilters(self.settings.lies))
-            filters.exclude(disbelieved)
-            believed = sorted(set(ranged) - set(disbelieved))[:_MOST_PEERS]
-            if believed and at_s > filters.at_s:
-                filters.take({peer: self._line(ranged[peer]) for peer in believed}, at_s)
-        self._lines = {}
-        self._filters = {v: filters for v, filters in self._filters.items() if at_s - filters.at_s <= _FORGOTTEN_S}
+    def step(self, at_s: float, excluded: Collection[int]) -> None:
+        """Update the filters with the ranges up to a time, without the excluded peers; drop vehicles without ranges for long."""
+        for vehicle, by_peer in self._ranges.items():
+            filters = self._filters.setdefault(vehicle, FaultFilters(self.settings.filters))
+            filters.exclude(excluded)
+            included = sorted(set(by_peer) - set(excluded))[:_MAX_PEERS]
+            if included and at_s > filters.at_s:
+                filters.update({peer: self._residual(by_peer[peer]) for peer in included}, at_s)
+        self._ranges = {}
+        self._filters = {v: filters for v, filters in self._filters.items() if at_s - filters.at_s <= _FORGET_AFTER_S}
 
-    def forget(self, vehicle: int) -> None:
-        """A vehicle is placed otherwise than before: what was held of it is nothing to go by."""
+    def drop(self, vehicle: int) -> None:
+        """Drop the filters of a vehicle that has gained or lost its prior."""
         self._filters.pop(vehicle, None)
-        self._lines.pop(vehicle, None)
+        self._ranges.pop(vehicle, None)
 
-    def doubt_m2(self, now_s: float) -> Mapping[int, FloatArray]:
-        """Return for each vehicle the second moment (2, 2) of how far lies that count may have moved it."""
-        doubt_m2 = {}
-        for vehicle, filters in self._telling():
+    def separation_m2(self, now_s: float) -> Mapping[int, FloatArray]:
+        """The solution separation of each denied vehicle: second moment (2, 2) of its displacement over all weighted faults."""
+        separation_m2 = {}
+        for vehicle, filters in self._redundant():
             sum_ee = sum_en = sum_nn = 0.0
             for h in filters.hypotheses(now_s):
-                counts, (ee, en, nn) = min(h.chance / self.settings.counts_at, 1.0), h.moved_m2
-                sum_ee, sum_en, sum_nn = sum_ee + counts * ee, sum_en + counts * en, sum_nn + counts * nn
-            doubt_m2[vehicle] = np.array([[sum_ee, sum_en], [sum_en, sum_nn]])
-        return doubt_m2
+                weight, (ee, en, nn) = min(h.probability / self.settings.full_weight_probability, 1.0), h.separation_m2
+                sum_ee, sum_en, sum_nn = sum_ee + weight * ee, sum_en + weight * en, sum_nn + weight * nn
+            separation_m2[vehicle] = np.array([[sum_ee, sum_en], [sum_en, sum_nn]])
+        return separation_m2
 
-    def suspects(self) -> frozenset[int]:
-        """Return those of whom one lies, as far as can be told. None where a vehicle's own device is the likeliest to be off."""
-        s, out = self.settings, set[int]()
-        for _, filters in self._telling():
-            chances = filters.chances()
-            if sum(chance for _, chance in chances) < 1.0 - s.honest:
+    def detected(self) -> frozenset[int]:
+        """The vehicles one of which is faulty. None where the denied vehicle's own ranging device is the likeliest cause."""
+        s, detected = self.settings, set[int]()
+        for _, filters in self._redundant():
+            probabilities = filters.probabilities()
+            if sum(probability for _, probability in probabilities) < 1.0 - s.min_no_fault_probability:
                 continue
             left = 1.0
-            for liar, chance in sorted(chances, key=lambda each: -each[1]):
-                if left < s.left_out or (liar is None and left == 1.0):
+            for faulty, probability in sorted(probabilities, key=lambda each: -each[1]):
+                if left < s.max_missed_probability or (faulty is None and left == 1.0):
                     break
-                left -= chance
-                out |= {liar} if liar is not None else set()
-        return frozenset(out)
+                left -= probability
+                detected |= {faulty} if faulty is not None else set()
+        return frozenset(detected)
 
-    def _telling(self) -> Iterable[tuple[int, FaultFilters]]:
-        least = self.settings.least_peers
-        return ((vehicle, filters) for vehicle, filters in self._filters.items() if len(filters.peers) >= least)
+    def _redundant(self) -> Iterable[tuple[int, FaultFilters]]:
+        min_peers = self.settings.min_peers
+        return ((vehicle, filters) for vehicle, filters in self._filters.items() if len(filters.peers) >= min_peers)
 
-    def _line(self, r: _Ranges) -> Line:
-        e, n, u = r.apart_m
+    def _residual(self, r: _PeerRanges) -> LineOfSightResidual:
+        e, n, u = r.baseline_m
         distance_m = hypot(e, n, u)
-        level, up = hypot(e, n) / distance_m, abs(u) / distance_m
+        horizontal, vertical = hypot(e, n) / distance_m, abs(u) / distance_m
         count = len(r.residuals_m)
-        shared = self.settings.slow_share * (1.0 - 1.0 / count)
-        noise_m = median(r.sigmas_m) * sqrt(1.0 / count + shared)
-        claim_m = hypot(r.claim.sigma_h_m * level, r.claim.sigma_v_m * up, r.own_sigma_v_m * up, self.settings.range_bias_m)
-        return Line(median(r.residuals_m), noise_m, claim_m, (e / distance_m, n / distance_m))
+        coloured = self.settings.coloured_share * (1.0 - 1.0 / count)
+        noise_m = median(r.sigmas_m) * sqrt(1.0 / count + coloured)
+        position_sigma_m = hypot(
+            r.peer_prior.sigma_h_m * horizontal,
+            r.peer_prior.sigma_v_m * vertical,
+            r.own_sigma_v_m * vertical,
+            self.settings.range_bias_m,
+        )
+        return LineOfSightResidual(median(r.residuals_m), noise_m, position_sigma_m, (e / distance_m, n / distance_m))

@@ -1,15 +1,19 @@
-"""Do ranges and claimed positions agree, and if not, which single fault explains it? Pure statistics, no memory.
+"""Global and local tests of an adjustment: do ranges and reported positions agree, and if not, which single fault explains it?
 
-A fault adds a column or two of unknown size to the model of `adjustment`: a vehicle's claim that is off by a horizontal vector, a
-pair whose ranges are off, a device whose ranges are all off by one length; with an earlier scene, that came to be off since.
-Each is left out in turn (its columns made free); the drop of the statistic is twice the log likelihood ratio. A fault is
-possible when the rest is consistent without it.
+Notation: r residuals, V their covariance under the null hypothesis, so that the statistic is T = r' V^-1 r. Without a fault T is
+chi-square with as many degrees of freedom as there are residuals beyond the unknowns.
 
-How far a vehicle without a claim is from where it would be put without the fault is what the fault may have done to it: the
-solution separation of receiver autonomous integrity monitoring.
+Global test: alarm where T > chi2(dof, alpha). Local test of a fault with design C and unknown size b: the statistic falls by
+gain = r' V^-1 C (C' V^-1 C)^-1 C' V^-1 r, which is chi-square with rank(C) degrees of freedom and equals twice the log
+likelihood ratio. A fault is possible when the rest is consistent without it. Alternatives are a vehicle's reported position off
+by a horizontal vector, a pair whose ranges are off, and a device whose ranges are all off by one length; with an earlier epoch,
+what came to be off since.
 
-Source: generalised likelihood ratio test of outliers in linear models (Baarda's data snooping; Teunissen, Testing Theory);
-solution separation (Brown and McBurney, 1988).
+Solution separation: how far a vehicle without prior moves when a fault is left out of the adjustment.
+
+Source: W. Baarda, A testing procedure for use in geodetic networks (1968), data snooping; P. J. G. Teunissen, Testing Theory
+(2000), eqs. for the generalised likelihood ratio; R. G. Brown and P. W. McBurney, Navigation 35 (1988), and J. Blanch et al.,
+Baseline advanced RAIM user algorithm, IEEE Trans. AES 51 (2015), for solution separation.
 """
 
 from __future__ import annotations
@@ -23,13 +27,13 @@ from math import hypot
 import numpy as np
 from scipy.special import chdtri
 
-from gcs_coloc.core.integrity.adjustment import Adjustment, Effect, Past, adjust
-from gcs_coloc.core.integrity.epoch import Epoch
+from gcs_coloc.core.integrity.adjustment import Adjustment, FaultEffect, adjust
+from gcs_coloc.core.integrity.epoch import Epoch, Past
 from gcs_coloc.core.measurements import FloatArray
 
 
 class FaultKind(Enum):
-    """What may be at fault."""
+    """The alternative hypotheses."""
 
     VEHICLE = "vehicle"
     PAIR = "pair"
@@ -38,7 +42,7 @@ class FaultKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class PossibleFault:
-    """One possible fault: `vehicles` has the liar, the pair, or the owner of the device; `size_m` is how far it is off."""
+    """One possible fault: `vehicles` is the faulty one, the pair, or the device's owner; `size_m` its estimated size."""
 
     kind: FaultKind
     vehicles: tuple[int, ...]
@@ -47,103 +51,100 @@ class PossibleFault:
 
 @dataclass(frozen=True, slots=True)
 class FaultTestResult:
-    """Outcome of one test.
+    """Result of the tests of one adjustment.
 
-    `consistent` at the alarm level; `clear` well below it. `possible`: the faults that explain what is not consistent about
-    equally well, empty where no single one does; `involved` are all vehicles that claim a position.
-    `offset_m`: how far each vehicle without a claim (2,) would be moved if nobody lied, `doubt_m2` the second moment (2, 2) of
-    how far it would be moved without the faults that are likely enough to count, zero where none is.
+    `is_consistent`: no alarm. `is_clear`: far from an alarm. `possible`: the faults that explain an alarm about equally well,
+    empty where no single one does. `reporting`: all vehicles with a reported position. By vehicle without prior: `offset_m` (2,)
+    is its correction if nobody is faulty, `separation_m2` (2, 2) the second moment of the solution separation over the plausible
+    faults, zero where none is likely enough to count.
     """
 
     statistic: float
     degrees_of_freedom: int
-    consistent: bool
-    clear: bool
+    is_consistent: bool
+    is_clear: bool
     possible: tuple[PossibleFault, ...]
-    involved: frozenset[int]
+    reporting: frozenset[int]
     offset_m: Mapping[int, FloatArray]
-    doubt_m2: Mapping[int, FloatArray]
+    separation_m2: Mapping[int, FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
 class SignificanceLevels:
-    """Chances and margins of the test.
+    """Significance levels of the tests.
 
-    `alarm`: chance of an alarm in one test without a fault. `clear`: chance that a sound fleet is not called clear.
-    `doubted`, `feared`: a fault that is this unlikely to appear by chance begins to count in the bounds, and counts in full.
-    `rest`: chance that the rest of a fleet with one fault is not called consistent.
-    `margin`: a fault whose explanation is worse than the best by this (twice the log likelihood ratio) is ruled out.
+    `alarm`: probability of a false alarm in one test. `clear`: probability that a fault-free fleet is not called clear.
+    `separation_from`, `separation_full`: a fault as significant as this begins to count in the solution separation, and counts in
+    full. `rest`: probability that the rest is not called consistent when the right fault is left out.
+    `margin`: a fault whose gain is smaller than the largest by more than this is ruled out (twice the log likelihood ratio; 10 is
+    a likelihood ratio of 150).
     """
 
     alarm: float = 1e-6
     clear: float = 1e-2
-    doubted: float = 5e-3
-    feared: float = 5e-4
+    separation_from: float = 5e-3
+    separation_full: float = 5e-4
     rest: float = 1e-3
     margin: float = 10.0
 
 
-_Fault = tuple[FaultKind, tuple[int, ...], Effect]
+_Fault = tuple[FaultKind, tuple[int, ...], FaultEffect]
 
 
 def run_tests(now: Epoch, levels: SignificanceLevels, pasts: Sequence[Past]) -> list[FaultTestResult | None]:
-    """Test the ranges of a scene against its places, or what changed since earlier ones.
-
-    A past is (None, 0) for the test of the present alone, else an earlier scene and the correlation of one vehicle's error at the
-    two times. None where there are more unknowns than rows and nothing can be told.
-    """
+    """Test an epoch, alone or against earlier ones; None where there is no redundancy."""
     return [run_test(fit, levels) for fit in adjust(now, pasts)]
 
 
 def run_test(fit: Adjustment, levels: SignificanceLevels) -> FaultTestResult | None:
-    """Judge one adjustment; None where there are more unknowns than rows and nothing can be told."""
+    """Test one adjustment; None where there is no redundancy."""
     dof = fit.degrees_of_freedom
     if dof < 1:
         return None
-    claiming = [v for v in fit.vehicles if not fit.places[v].free]
-    # The whole and each claim are looked at: together they may not be wrong more often than one test may.
-    each = levels.alarm / (1 + len(claiming))
-    # No fault explains more than there is: where that is too little for any to count, none need be looked at.
-    telling = fit.statistic > min(limit(1, levels.doubted), limit(1, each))
-    gains = [fit.claim_gain(v) for v in claiming] if telling else []
-    fear = max((_fear(gain, rank, levels) for gain, rank in gains), default=0.0)
-    alarm = fit.statistic > limit(dof, each) or any(rank and gain > limit(rank, each) for gain, rank in gains)
-    found: list[_Fault] = []
-    if fear or alarm:
-        found = [(FaultKind.VEHICLE, (v,), fit.vehicle_effect(v)) for v in claiming] + _range_faults(fit)
-    best = max((effect.gain for _, _, effect in found if effect.rank), default=0.0)
-    likely = [(kind, who, effect) for kind, who, effect in found if effect.rank and effect.gain >= best - levels.margin]
-    free = [v for v in fit.vehicles if fit.places[v].free]
-    doubt = {}
-    for vehicle in free:
-        moves = [fit.horizontal(vehicle, effect.corrections_m) for _, _, effect in likely] if fear else []
-        doubt[vehicle] = fear * sum((np.outer(move, move) for move in moves), start=np.zeros((2, 2)))
+    reporting = [v for v in fit.vehicles if not fit.priors[v].no_prior]
+    # Bonferroni: the global test and the local tests together have the level of one test.
+    alpha = levels.alarm / (1 + len(reporting))
+    # A gain is at most the statistic: below both limits no local test can reject.
+    is_significant = fit.statistic > min(chi2_limit(1, levels.separation_from), chi2_limit(1, alpha))
+    gains = [fit.position_gain(v) for v in reporting] if is_significant else []
+    weight = max((_separation_weight(gain, rank, levels) for gain, rank in gains), default=0.0)
+    alarm = fit.statistic > chi2_limit(dof, alpha) or any(rank and gain > chi2_limit(rank, alpha) for gain, rank in gains)
+    faults: list[_Fault] = []
+    if weight or alarm:
+        faults = [(FaultKind.VEHICLE, (v,), fit.position_effect(v)) for v in reporting] + _range_faults(fit)
+    best = max((effect.gain for _, _, effect in faults if effect.rank), default=0.0)
+    plausible = [(kind, who, effect) for kind, who, effect in faults if effect.rank and effect.gain >= best - levels.margin]
+    without_prior = [v for v in fit.vehicles if fit.priors[v].no_prior]
+    separation = {}
+    for vehicle in without_prior:
+        moves = [fit.horizontal(vehicle, effect.corrections_m) for _, _, effect in plausible] if weight else []
+        separation[vehicle] = weight * sum((np.outer(move, move) for move in moves), start=np.zeros((2, 2)))
     return FaultTestResult(
         statistic=fit.statistic,
         degrees_of_freedom=dof,
-        consistent=not alarm,
-        clear=not alarm and not fear and fit.statistic <= limit(dof, levels.clear),
-        possible=_possible(likely, fit.statistic, dof, levels) if alarm else (),
-        involved=frozenset(claiming),
-        offset_m={v: fit.horizontal(v, fit.corrections_m) for v in free},
-        doubt_m2=doubt,
+        is_consistent=not alarm,
+        is_clear=not alarm and not weight and fit.statistic <= chi2_limit(dof, levels.clear),
+        possible=_possible(plausible, fit.statistic, dof, levels) if alarm else (),
+        reporting=frozenset(reporting),
+        offset_m={v: fit.horizontal(v, fit.corrections_m) for v in without_prior},
+        separation_m2=separation,
     )
 
 
-def _fear(gain: float, rank: int, levels: SignificanceLevels) -> float:
-    """How much a fault counts in the bounds, 0 to 1."""
+def _separation_weight(gain: float, rank: int, levels: SignificanceLevels) -> float:
+    """How much a fault counts in the solution separation, 0 to 1."""
     if not rank:
         return 0.0
-    low, high = limit(rank, levels.doubted), limit(rank, levels.feared)
+    low, high = chi2_limit(rank, levels.separation_from), chi2_limit(rank, levels.separation_full)
     return min(max((gain - low) / (high - low), 0.0), 1.0)
 
 
-def _possible(likely: list[_Fault], statistic: float, dof: int, levels: SignificanceLevels) -> tuple[PossibleFault, ...]:
-    # With nothing left over, any fault would fit: it is possible, and so is every other.
+def _possible(plausible: list[_Fault], statistic: float, dof: int, levels: SignificanceLevels) -> tuple[PossibleFault, ...]:
+    # Without redundancy beside the fault every fault fits.
     return tuple(
         PossibleFault(kind, who, hypot(*effect.size_m))
-        for kind, who, effect in likely
-        if dof == effect.rank or statistic - effect.gain <= limit(dof - effect.rank, levels.rest)
+        for kind, who, effect in plausible
+        if dof == effect.rank or statistic - effect.gain <= chi2_limit(dof - effect.rank, levels.rest)
     )
 
 
@@ -151,15 +152,15 @@ def _range_faults(fit: Adjustment) -> list[_Fault]:
     faults: list[_Fault] = []
     pairs: dict[tuple[int, ...], list[int]] = {}
     devices: dict[int, list[int]] = {}
-    for number, row in enumerate(fit.rows):
-        pairs.setdefault(tuple(sorted(row.pair)), []).append(number)
-        devices.setdefault(row.from_vehicle, []).append(number)
-    faults += [(FaultKind.PAIR, pair, fit.rows_effect(numbers)) for pair, numbers in sorted(pairs.items())]
-    faults += [(FaultKind.DEVICE, (owner,), fit.rows_effect(rows)) for owner, rows in sorted(devices.items()) if len(rows) > 1]
+    for number, residual in enumerate(fit.residuals):
+        pairs.setdefault(tuple(sorted(residual.pair)), []).append(number)
+        devices.setdefault(residual.from_vehicle, []).append(number)
+    faults += [(FaultKind.PAIR, pair, fit.range_effect(numbers)) for pair, numbers in sorted(pairs.items())]
+    faults += [(FaultKind.DEVICE, (owner,), fit.range_effect(own)) for owner, own in sorted(devices.items()) if len(own) > 1]
     return faults
 
 
 @lru_cache(maxsize=1024)
-def limit(dof: int, chance: float) -> float:
-    """Return what a chi-square variable passes with this chance."""
-    return float(chdtri(dof, chance))
+def chi2_limit(dof: int, alpha: float) -> float:
+    """The value that a chi-square variable with `dof` degrees of freedom exceeds with probability `alpha`."""
+    return float(chdtri(dof, alpha))

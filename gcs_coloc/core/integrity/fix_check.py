@@ -1,10 +1,10 @@
-"""A receiver's position held against where the estimator has the vehicle, and against its ranges. Pure statistics, no memory.
+"""Tests a receiver's fix against the estimate and against the ranges. Pure statistics, no memory.
 
-The ranges between the vehicle and peers that are trusted are adjusted as if the receiver were right (`adjustment`). What is left
-over is explained by that claim, by a peer's, by a pair or by a device (`exclusion`).
+The ranges between the vehicle and trusted peers are adjusted with the fix as the vehicle's prior (`adjustment`). What is left
+over is explained by a fault of that fix, of a peer's position, of a pair or of a device (`fault_tests`).
 
-Either witness may be the wrong one. The estimate may be a mirror image, dragged by ranges that are off, or not well known: it
-speaks with its covariance, and not against ranges that fit the receiver and would not if it were off by so much.
+Either reference may be wrong itself. An estimate may be a reflection, biased by ranges, or uncertain: it counts with its
+covariance, and not against ranges that fit the fix and would not fit if the fix were off by that much.
 """
 
 from __future__ import annotations
@@ -17,32 +17,33 @@ from math import inf, sqrt
 import numpy as np
 
 from gcs_coloc.core.error_bound import horizontal_sigma_m
-from gcs_coloc.core.integrity.adjustment import Adjustment, Past, adjust
-from gcs_coloc.core.integrity.epoch import LEAST_INFORMATION, Epoch
-from gcs_coloc.core.integrity.fault_tests import FaultKind, FaultTestResult, SignificanceLevels, limit, run_test
+from gcs_coloc.core.integrity.adjustment import Adjustment, adjust
+from gcs_coloc.core.integrity.epoch import MIN_INFORMATION_PER_M2, Epoch, Past
+from gcs_coloc.core.integrity.fault_tests import FaultKind, FaultTestResult, SignificanceLevels, chi2_limit, run_test
 from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement
 
-_BEYOND = 1e-6  # chance that an honest receiver and a true covariance differ by so much
-_WOULD_SHOW = 50.0  # noncentrality at which a chi-square of two is below its limit at 1e-3 less than once in a thousand tests
-_RANGES_THAT_HOLD = 2  # with one, half of a position is prediction: it has been found off and sure of itself
+_SIGNIFICANCE = 1e-6  # probability that a right fix and a true covariance differ by more
+# Noncentrality at which a chi-square with 2 degrees of freedom passes its limit at 1e-3 (13.8) in all but one test of a thousand.
+_DETECTABLE_NONCENTRALITY = 50.0
+_MIN_RANGES = 2  # with one range half of an estimate is prediction, which has been found off and certain
 
 
 class FixConsistency(Enum):
-    """What came of it."""
+    """Result of the check."""
 
-    NOTHING = "nothing to hold it against"
-    AGREES = "agrees, as far as can be told"
-    AGAINST_RANGES = "the ranges contradict it, and nothing else would explain them"
-    AGAINST_ESTIMATE = "the estimate contradicts it, and the ranges do not speak for it"
+    NOTHING = "nothing to test it against"
+    AGREES = "consistent, as far as can be tested"
+    AGAINST_RANGES = "the ranges contradict it, and no other fault explains them"
+    AGAINST_ESTIMATE = "the estimate contradicts it, and the ranges do not support it"
     ESTIMATE_OFF = "the ranges fit it and not the estimate"
 
 
 @dataclass(frozen=True, slots=True)
 class FixCheck:
-    """A finding, and how far the fix is from where ranges put the vehicle (m, horizontal), None where that is not known.
+    """A finding, and the horizontal distance of the fix from where ranges put the vehicle (m), None where that is unknown.
 
-    `known_m`: how well the best witness that agrees with the fix knows the place, 1-sigma, m; infinity where there is none.
-    `ranged`: there were ranges to hold it against.
+    `known_m`: horizontal 1-sigma of the best reference that agrees with the fix, m; infinity where there is none.
+    `ranged`: there were ranges to test it against.
     """
 
     finding: FixConsistency
@@ -52,32 +53,32 @@ class FixCheck:
 
 
 def check_fix(
-    fix: PositionMeasurement, estimate: Estimate | None, scene: Epoch, pasts: Mapping[float, Past], levels: SignificanceLevels
+    fix: PositionMeasurement, estimate: Estimate | None, epoch: Epoch, pasts: Mapping[float, Past], levels: SignificanceLevels
 ) -> FixCheck:
-    """Hold a fix against both witnesses.
+    """Test a fix against both references.
 
     Args:
-        fix: what the receiver says.
-        estimate: where ranges have the vehicle at a time near the fix's, None where that is not fit to witness.
-        scene: the vehicle, where the receiver says, with its rows to peers that are trusted: its `star`.
-        pasts: what to compare it with, nothing for 0, by the interval.
-        levels: of the tests.
+        fix: the receiver's position.
+        estimate: the vehicle's position from ranges, near the fix in time; None where it is no fit reference.
+        epoch: the vehicle with the fix as its prior, and its residuals to trusted peers: its `star`.
+        pasts: the earlier epochs to compare it with, by interval; none for 0.
+        levels: significance levels of the tests.
     """
-    miss_m = _miss_m(fix, estimate) if estimate is not None else None
-    offset_m = float(np.hypot(*miss_m)) if miss_m is not None else None
-    fits = adjust(scene, list(pasts.values())) if scene.rows else []
-    verdicts = [run_test(fit, levels) if fit.rows else None for fit in fits]
-    for verdict in verdicts:
-        size_m = _size_if_alone(verdict, fix.vehicle)
+    difference_m = _difference_m(fix, estimate) if estimate is not None else None
+    offset_m = float(np.hypot(*difference_m)) if difference_m is not None else None
+    fits = adjust(epoch, list(pasts.values())) if epoch.residuals else []
+    results = [run_test(fit, levels) if fit.residuals else None for fit in fits]
+    for result in results:
+        size_m = _size_if_identified(result, fix.vehicle)
         if size_m is not None:
             return FixCheck(FixConsistency.AGAINST_RANGES, offset_m if offset_m is not None else size_m, inf, ranged=True)
-    fitting = bool(fits) and _ranges_fit(fits[0], verdicts[0], fix.vehicle, levels)
-    information = fits[0].claim_information(fix.vehicle) if fitting else np.zeros((2, 2))
-    known_m = 1.0 / sqrt(max(float(np.linalg.eigvalsh(information)[0]), LEAST_INFORMATION))
-    if estimate is not None and miss_m is not None and _beyond(miss_m, fix, estimate):
-        if float(miss_m @ information @ miss_m) >= _WOULD_SHOW:
+    fitting = bool(fits) and _ranges_fit(fits[0], results[0], fix.vehicle, levels)
+    information = fits[0].position_information(fix.vehicle) if fitting else np.zeros((2, 2))
+    known_m = 1.0 / sqrt(max(float(np.linalg.eigvalsh(information)[0]), MIN_INFORMATION_PER_M2))
+    if estimate is not None and difference_m is not None and _is_significant(difference_m, fix, estimate):
+        if float(difference_m @ information @ difference_m) >= _DETECTABLE_NONCENTRALITY:
             return FixCheck(FixConsistency.ESTIMATE_OFF, offset_m, known_m, ranged=True)
-        if (fits and not fitting) or estimate.ranges_in_use >= _RANGES_THAT_HOLD:
+        if (fits and not fitting) or estimate.ranges_in_use >= _MIN_RANGES:
             return FixCheck(FixConsistency.AGAINST_ESTIMATE, offset_m, inf, ranged=bool(fits))
         return FixCheck(FixConsistency.AGREES, offset_m, inf, ranged=bool(fits))
     if estimate is not None:
@@ -86,36 +87,37 @@ def check_fix(
     return FixCheck(finding, offset_m, known_m, ranged=bool(fits))
 
 
-def star(scene: Epoch, vehicle: int, peers: Container[int]) -> Epoch:
-    """Return the rows between a vehicle and some peers, with their places."""
-    rows = tuple(r for r in scene.rows for end, other in (r.pair, r.pair[::-1]) if end == vehicle and other in peers)
-    return Epoch(scene.at_s, {end: scene.places[end] for row in rows for end in row.pair}, rows)
+def star(epoch: Epoch, vehicle: int, peers: Container[int]) -> Epoch:
+    """The part of an epoch with the residuals between one vehicle and some peers."""
+    residuals = tuple(r for r in epoch.residuals for end, other in (r.pair, r.pair[::-1]) if end == vehicle and other in peers)
+    return Epoch(epoch.at_s, {end: epoch.priors[end] for residual in residuals for end in residual.pair}, residuals)
 
 
-def _miss_m(fix: PositionMeasurement, estimate: Estimate) -> FloatArray:
+def _difference_m(fix: PositionMeasurement, estimate: Estimate) -> FloatArray:
     """Fix minus estimate (2,), at the time of the fix."""
     at_fix = estimate.position_enu_m[:2] - estimate.velocity_enu_mps[:2] * (estimate.at_s - fix.measured_at_s)
     return np.asarray(np.array(fix.position_enu_m[:2]) - at_fix)
 
 
-def _beyond(miss_m: FloatArray, fix: PositionMeasurement, estimate: Estimate) -> bool:
+def _is_significant(difference_m: FloatArray, fix: PositionMeasurement, estimate: Estimate) -> bool:
+    """Whether d' (P + sigma^2 I)^-1 d exceeds its chi-square limit with 2 degrees of freedom."""
     covariance = estimate.covariance[:2, :2] + fix.sigma_h_m**2 * np.eye(2)
-    return float(miss_m @ np.linalg.solve(covariance, miss_m)) > limit(2, _BEYOND)
+    return float(difference_m @ np.linalg.solve(covariance, difference_m)) > chi2_limit(2, _SIGNIFICANCE)
 
 
-def _size_if_alone(verdict: FaultTestResult | None, vehicle: int) -> float | None:
-    """By how far the vehicle's claim is off, m, where that and nothing else explains what is left over."""
-    if verdict is None or verdict.consistent or len(verdict.possible) != 1:
+def _size_if_identified(result: FaultTestResult | None, vehicle: int) -> float | None:
+    """Size in m of the fault of the vehicle's position, where that alone explains an alarm; else None."""
+    if result is None or result.is_consistent or len(result.possible) != 1:
         return None
-    (only,) = verdict.possible
+    (only,) = result.possible
     return only.size_m if only.kind is FaultKind.VEHICLE and only.vehicles == (vehicle,) else None
 
 
-def _ranges_fit(fit: Adjustment, verdict: FaultTestResult | None, vehicle: int, levels: SignificanceLevels) -> bool:
-    """Whether the ranges fit the claim, but for a fault of another one."""
-    if verdict is None:
+def _ranges_fit(fit: Adjustment, result: FaultTestResult | None, vehicle: int, levels: SignificanceLevels) -> bool:
+    """Whether the ranges fit the vehicle's position, but for a fault elsewhere."""
+    if result is None:
         return False
-    if verdict.consistent:
-        gain, rank = fit.claim_gain(vehicle)
-        return not rank or gain <= limit(rank, levels.rest)
-    return bool(verdict.possible) and all((s.kind, s.vehicles) != (FaultKind.VEHICLE, (vehicle,)) for s in verdict.possible)
+    if result.is_consistent:
+        gain, rank = fit.position_gain(vehicle)
+        return not rank or gain <= chi2_limit(rank, levels.rest)
+    return bool(result.possible) and all((f.kind, f.vehicles) != (FaultKind.VEHICLE, (vehicle,)) for f in result.possible)

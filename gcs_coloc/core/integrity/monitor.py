@@ -17,7 +17,7 @@ from gcs_coloc.core.error_bound import horizontal_sigma_m
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.integrity.range_consistency import ConsistencySettings, RangeConsistency
-from gcs_coloc.core.integrity.range_residuals import ReportedTrack
+from gcs_coloc.core.integrity.range_residuals import TrackPoint
 from gcs_coloc.core.integrity.reacquisition import ReacquisitionMonitor
 from gcs_coloc.core.integrity.report import FaultReason, IntegrityReport, PositionFault, ReviewedVehicle
 from gcs_coloc.core.measurements import FloatArray, PositionMeasurement, RangeMeasurement
@@ -46,19 +46,19 @@ class IntegrityMonitor:
         """Add the position that a vehicle reports; one that is aided, or has no GPS, reports nothing of its own."""
         if gps_state not in _PLACED_BY_REPORT or is_aided or position.velocity_enu_mps is None:
             return
-        track = ReportedTrack(
+        track = TrackPoint(
             position.measured_at_s,
             position.position_enu_m,
             position.velocity_enu_mps,
             position.sigma_h_m,
             position.sigma_v_m,
-            free=False,
+            no_prior=False,
         )
-        self._consistency.place(position.vehicle, track)
+        self._consistency.add_position(position.vehicle, track)
 
     def add_range(self, measurement: RangeMeasurement) -> None:
         """Add a range between two vehicles."""
-        self._consistency.range(measurement)
+        self._consistency.add_range(measurement)
         self._reacquisition.add_range(measurement)
 
     def review(self, now_s: float, vehicles: Sequence[ReviewedVehicle], frame: LocalFrame | None) -> IntegrityReport:
@@ -71,12 +71,12 @@ class IntegrityMonitor:
                 if where is not None:
                     sigma_v_m = min(sqrt(float(where.covariance[2, 2])), _LARGEST_SIGMA_V_M)
                     (e, n, u), (ve, vn, vu) = where.position_enu_m.tolist(), where.velocity_enu_mps.tolist()
-                    track = ReportedTrack(now_s, (e, n, u), (ve, vn, vu), 0.0, sigma_v_m, free=True)
-                    self._consistency.place(vehicle.sysid, track)
-                if vehicle.sysid in self._consistency.accused and self._receiver_agrees(vehicle, frame, now_s):
-                    self._consistency.acquit(vehicle.sysid)
+                    track = TrackPoint(now_s, (e, n, u), (ve, vn, vu), 0.0, sigma_v_m, no_prior=True)
+                    self._consistency.add_position(vehicle.sysid, track)
+                if vehicle.sysid in self._consistency.identified and self._receiver_agrees(vehicle, frame, now_s):
+                    self._consistency.readmit(vehicle.sysid)
         self._consistency.review(now_s)
-        tested = IntegrityReport(separation_m2=dict(self._consistency.doubt_m2))
+        tested = IntegrityReport(separation_m2=dict(self._consistency.separation_m2))
         inflated = [replace(v, estimate=tested.inflate(v.estimate)) if v.estimate is not None else v for v in vehicles]
         reacquired = self._reacquisition.review(now_s, inflated)
         sysids = [vehicle.sysid for vehicle in vehicles]
@@ -84,16 +84,16 @@ class IntegrityMonitor:
         return replace(reacquired, faults={**reacquired.faults, **faults}, separation_m2=tested.separation_m2)
 
     def _fault(self, sysid: int) -> PositionFault | None:
-        identified = self._consistency.accused.get(sysid)
+        identified = self._consistency.identified.get(sysid)
         if identified is not None:
             return PositionFault(FaultReason.CONTRADICTS_RANGES, identified.size_m, identified.peers)
-        if sysid in self._consistency.suspected:
-            return PositionFault(FaultReason.NOT_ISOLATED, others=tuple(sorted(self._consistency.suspected - {sysid})))
+        if sysid in self._consistency.detected:
+            return PositionFault(FaultReason.NOT_ISOLATED, others=tuple(sorted(self._consistency.detected - {sysid})))
         return None
 
     def _receiver_agrees(self, vehicle: ReviewedVehicle, frame: LocalFrame, now_s: float) -> bool:
         """Whether the real receiver has agreed for a while with an estimate that is accurate enough to tell."""
-        fix, where, fault = vehicle.receiver, vehicle.estimate, self._consistency.accused[vehicle.sysid]
+        fix, where, fault = vehicle.receiver, vehicle.estimate, self._consistency.identified[vehicle.sysid]
         if fix is None or fix.fix_type < 3 or where is None or now_s - fix.received_at_s > _OLDEST_FIX_S:
             self._agreements.pop(vehicle.sysid, None)
             return False

@@ -1,7 +1,7 @@
-"""Tests claimed positions against ranges, for what they are and for how they changed, and remembers who lied.
+"""Detects and identifies faulty reported positions over time, from the tests of single epochs (`fault_tests`).
 
-One test is `exclusion.judge_all`'s: of the present scene alone, and against scenes of some seconds ago. Here is what they need of
-memory: the streaks that an accusation takes, its end, and how long a doubt about a position lasts.
+Each review tests the present epoch alone and against epochs some seconds earlier. This module has what the tests need of memory:
+how many in a row point at a vehicle, how long a detection lasts, and how the solution separation decays.
 """
 
 from __future__ import annotations
@@ -13,185 +13,190 @@ from math import exp
 
 import numpy as np
 
-from gcs_coloc.core.integrity.epoch import Epoch
-from gcs_coloc.core.integrity.epoch_history import EpochHistory
+from gcs_coloc.core.integrity.epoch import Epoch, EpochHistory
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor, FaultMonitorSettings
 from gcs_coloc.core.integrity.fault_tests import FaultKind, FaultTestResult, SignificanceLevels, run_tests
-from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeResidualSettings, ReportedTrack
+from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeResidualSettings, TrackPoint
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
 from gcs_coloc.core.tick_schedule import SAME_S
+
+_HOLD_WINDOWS = 10.0  # without any test for so many windows a detection ends
 
 
 @dataclass(frozen=True, slots=True)
 class ConsistencySettings:
-    """The test of claimed positions against ranges.
+    """When tests run, and what their results lead to.
 
-    A test is made every `every_s`: of the present, and of its change since each of `intervals_s` ago, in which an honest error
-    wanders as a Gauss-Markov process of `wander_time_s` does. A liar is accused after `accuse_after` tests in a row that point
-    at it alone, those among whom it cannot be told are suspected after `suspect_after`. A doubt about a position fades over
-    `doubt_time_s`; while somebody is accused or suspected, and for `watched_s` more, it fades over `watched_time_s`. Whom the
-    lines to a vehicle without GPS speak against is suspected for `suspected_s` since.
+    Tests run every `period_s`: of the present, and of the change since each of `intervals_s` ago, in which a fault-free position
+    error is a Gauss-Markov process of `correlation_time_s`. A vehicle is identified after `identify_after` tests in a row that
+    point at it alone; vehicles among which the fault cannot be isolated are detected after `detect_after`. Solution separation
+    decays over `decay_time_s`; while a fault is identified or detected, and for `alert_s` more, over `alert_decay_time_s`. A
+    detection by the fault monitor lasts for `detection_hold_s`.
     """
 
-    every_s: float = 0.2
+    period_s: float = 0.2
     intervals_s: tuple[float, ...] = (2.0, 5.0, 12.0)
-    wander_time_s: float = 30.0
-    accuse_after: int = 3
-    suspect_after: int = 6
-    doubt_time_s: float = 2.0
-    watched_s: float = 30.0
-    watched_time_s: float = 10.0
-    suspected_s: float = 20.0
-    rows: RangeResidualSettings = field(default_factory=RangeResidualSettings)
+    correlation_time_s: float = 30.0
+    identify_after: int = 3
+    detect_after: int = 6
+    decay_time_s: float = 2.0
+    alert_s: float = 30.0
+    alert_decay_time_s: float = 10.0
+    detection_hold_s: float = 20.0
+    residuals: RangeResidualSettings = field(default_factory=RangeResidualSettings)
     levels: SignificanceLevels = field(default_factory=SignificanceLevels)
-    watch: FaultMonitorSettings = field(default_factory=FaultMonitorSettings)
+    fault_monitor: FaultMonitorSettings = field(default_factory=FaultMonitorSettings)
 
 
 @dataclass(frozen=True, slots=True)
 class IdentifiedFault:
-    """A vehicle whose claimed position the ranges to `peers` contradict by `size_m`."""
+    """A vehicle whose reported position the ranges to `peers` contradict by `size_m`."""
 
     peers: tuple[int, ...]
     size_m: float
 
 
 @dataclass(slots=True)
-class _Streak:
-    """Verdicts of one kind of test in a row: who was the only possible liar, and who was among them."""
+class _Persistence:
+    """How many tests of one interval in a row had a vehicle as the only possible fault, and as one of the possible ones."""
 
-    pointed_at: Counter[int] = field(default_factory=Counter)
-    among: Counter[int] = field(default_factory=Counter)
+    alone: Counter[int] = field(default_factory=Counter)
+    possible: Counter[int] = field(default_factory=Counter)
 
-    def end(self) -> None:
-        self.pointed_at.clear()
-        self.among.clear()
+    def reset(self) -> None:
+        self.alone.clear()
+        self.possible.clear()
 
 
 class RangeConsistency:
-    """The memory of one fleet. `accused` are the identified liars, `suspected` those among whom one cannot be told.
+    """The consistency monitor of one fleet.
 
-    `doubt_m2` has, for a vehicle that is placed by the estimator, the second moment (2, 2) of how far a fault may have moved it.
+    `identified` are the faulty vehicles, `detected` those among which a fault is not isolated. `separation_m2` has, for each
+    vehicle without prior, the second moment (2, 2) of its solution separation, m^2.
     """
 
     def __init__(self, settings: ConsistencySettings | None = None) -> None:
         self.settings = settings if settings is not None else ConsistencySettings()
-        self.accused: dict[int, IdentifiedFault] = {}
-        self.suspected: frozenset[int] = frozenset()
-        self.doubt_m2: dict[int, FloatArray] = {}
-        self._watch = FaultMonitor(self.settings.watch)
-        self._rows = RangeResidualBuffer(self.settings.rows, self._watch)
-        self._faded_m2: dict[int, FloatArray] = {}
-        self._suspected_until_s: dict[int, float] = {}
-        self._scenes = EpochHistory(self.settings.intervals_s, self.settings.wander_time_s, self.settings.every_s)
-        self._streaks = {interval_s: _Streak() for interval_s in (0.0, *self.settings.intervals_s)}
-        self._watched_until_s: dict[int, float] = {}
+        self.identified: dict[int, IdentifiedFault] = {}
+        self.detected: frozenset[int] = frozenset()
+        self.separation_m2: dict[int, FloatArray] = {}
+        self._fault_monitor = FaultMonitor(self.settings.fault_monitor)
+        self._residuals = RangeResidualBuffer(self.settings.residuals, self._fault_monitor)
+        self._decayed_m2: dict[int, FloatArray] = {}
+        self._detected_until_s: dict[int, float] = {}
+        s = self.settings
+        self._epochs = EpochHistory(s.intervals_s, s.correlation_time_s, s.period_s)
+        self._persistence = {interval_s: _Persistence() for interval_s in (0.0, *s.intervals_s)}
+        self._alert_until_s: dict[int, float] = {}
         self._due_s = float("-inf")
-        self._told_s = float("-inf")
+        self._tested_s = float("-inf")
 
-    def place(self, vehicle: int, track: ReportedTrack) -> None:
-        """Take where a vehicle is held to be. When it turns from claimed to free or back, what was heard of it is forgotten."""
-        self._rows.place(vehicle, track)
+    def add_position(self, vehicle: int, point: TrackPoint) -> None:
+        """Add a vehicle's position. When it gains or loses its prior, its residuals so far are dropped."""
+        self._residuals.add_position(vehicle, point)
 
-    def range(self, measurement: RangeMeasurement) -> None:
-        """Take a range; it is compared once the positions of its time have arrived."""
-        self._rows.range(measurement)
+    def add_range(self, measurement: RangeMeasurement) -> None:
+        """Add a range; its residual is computed once the positions of its time have arrived."""
+        self._residuals.add_range(measurement)
 
-    def acquit(self, vehicle: int) -> None:
-        """Take an accusation back."""
-        self.accused.pop(vehicle, None)
+    def readmit(self, vehicle: int) -> None:
+        """End the exclusion of an identified vehicle."""
+        self.identified.pop(vehicle, None)
 
     def review(self, now_s: float) -> None:
-        """Make the tests if they are due, and move accusations, suspicions and doubts on."""
+        """Run the tests if they are due, and update identified and detected faults and the solution separation."""
         if now_s < self._due_s:
             return
-        self._due_s = now_s + self.settings.every_s - SAME_S
-        scene = self._rows.scene(now_s)
-        self._suspect(scene, now_s)
-        self._test(scene, now_s)
-        watched = self._watch.doubt_m2(now_s)
-        self.doubt_m2 = {
-            vehicle: max((doubt[vehicle] for doubt in (self._faded_m2, watched) if vehicle in doubt), key=_trace)
-            for vehicle in self._faded_m2.keys() | watched.keys()
+        self._due_s = now_s + self.settings.period_s - SAME_S
+        epoch = self._residuals.epoch(now_s)
+        self._run_fault_monitor(epoch, now_s)
+        self._run_tests(epoch, now_s)
+        monitored = self._fault_monitor.separation_m2(now_s)
+        self.separation_m2 = {
+            vehicle: max((each[vehicle] for each in (self._decayed_m2, monitored) if vehicle in each), key=_trace)
+            for vehicle in self._decayed_m2.keys() | monitored.keys()
         }
 
-    def _suspect(self, scene: Epoch, now_s: float) -> None:
-        """Suspect whom the lines to a vehicle without GPS speak against, where there are no others that tell more."""
-        self._watch.step(now_s - self.settings.rows.wait_s, self.suspected | self.accused.keys())
-        if not any(not scene.places[a].free and not scene.places[b].free for a, b in (row.pair for row in scene.rows)):
-            self._suspected_until_s |= dict.fromkeys(self._watch.suspects(), now_s + self.settings.suspected_s)
-        self._suspected_until_s = {v: until_s for v, until_s in self._suspected_until_s.items() if until_s > now_s}
-        self.suspected |= self._suspected_until_s.keys()
+    def _run_fault_monitor(self, epoch: Epoch, now_s: float) -> None:
+        """Detect faults from the ranges of denied vehicles, where no ranges among other vehicles can test more."""
+        self._fault_monitor.step(now_s - self.settings.residuals.wait_s, self.detected | self.identified.keys())
+        pairs = (residual.pair for residual in epoch.residuals)
+        if not any(not epoch.priors[a].no_prior and not epoch.priors[b].no_prior for a, b in pairs):
+            until_s = now_s + self.settings.detection_hold_s
+            self._detected_until_s |= dict.fromkeys(self._fault_monitor.detected(), until_s)
+        self._detected_until_s = {v: until_s for v, until_s in self._detected_until_s.items() if until_s > now_s}
+        self.detected |= self._detected_until_s.keys()
 
-    def _test(self, scene: Epoch, now_s: float) -> None:
-        verdicts = self._verdicts(scene)
-        self._scenes.append(scene)
-        if not verdicts:
-            if now_s - self._told_s > 10.0 * self.settings.rows.window_s:
-                self._clear()
+    def _run_tests(self, epoch: Epoch, now_s: float) -> None:
+        results = self._results(epoch)
+        self._epochs.append(epoch)
+        if not results:
+            if now_s - self._tested_s > _HOLD_WINDOWS * self.settings.residuals.window_s:
+                self._end_detection()
             return
-        self._told_s = now_s
-        self._doubt(verdicts, scene, now_s)
-        for interval_s, verdict in verdicts.items():
-            self._weigh(verdict, scene, self._streaks[interval_s])
-        if all(verdict.clear for verdict in verdicts.values()):
-            self._clear()
+        self._tested_s = now_s
+        self._update_separation(results, epoch, now_s)
+        for interval_s, result in results.items():
+            self._update_faults(result, epoch, self._persistence[interval_s])
+        if all(result.is_clear for result in results.values()):
+            self._end_detection()
 
-    def _clear(self) -> None:
-        self.suspected = frozenset(self._suspected_until_s)
+    def _end_detection(self) -> None:
+        self.detected = frozenset(self._detected_until_s)
 
-    def _verdicts(self, scene: Epoch) -> dict[float, FaultTestResult]:
-        """Return the verdict of each test that can tell something, by its interval; 0 for the test of the present alone."""
-        if not scene.rows:
+    def _results(self, epoch: Epoch) -> dict[float, FaultTestResult]:
+        """The result of each test with redundancy, by its interval; 0 for the test of the present alone."""
+        if not epoch.residuals:
             return {}
-        pasts = self._scenes.before(scene.at_s)
-        verdicts = dict(zip(pasts, run_tests(scene, self.settings.levels, list(pasts.values())), strict=True))
-        return {interval_s: verdict for interval_s, verdict in verdicts.items() if verdict is not None}
+        pasts = self._epochs.pasts(epoch.at_s)
+        results = dict(zip(pasts, run_tests(epoch, self.settings.levels, list(pasts.values())), strict=True))
+        return {interval_s: result for interval_s, result in results.items() if result is not None}
 
-    def _weigh(self, verdict: FaultTestResult, scene: Epoch, streak: _Streak) -> None:
-        kinds = {s.kind for s in verdict.possible}
-        liars = {s.vehicles[0]: s for s in verdict.possible if s.kind is FaultKind.VEHICLE}
-        if verdict.consistent or (kinds and FaultKind.VEHICLE not in kinds):
-            # A bad range accuses nobody: the positions around it agree with each other without it.
-            streak.end()
+    def _update_faults(self, result: FaultTestResult, epoch: Epoch, persistence: _Persistence) -> None:
+        kinds = {fault.kind for fault in result.possible}
+        by_vehicle = {fault.vehicles[0]: fault for fault in result.possible if fault.kind is FaultKind.VEHICLE}
+        if result.is_consistent or (kinds and FaultKind.VEHICLE not in kinds):
+            # A faulty range is no fault of a position: the positions agree without it.
+            persistence.reset()
             return
-        among = frozenset(liars) if liars else verdict.involved
-        streak.among = Counter({v: streak.among[v] + 1 for v in among})
-        alone = next(iter(liars)) if kinds == {FaultKind.VEHICLE} and len(liars) == 1 else None
-        streak.pointed_at = Counter({alone: streak.pointed_at[alone] + 1}) if alone is not None else Counter()
-        if alone is not None and streak.pointed_at[alone] >= self.settings.accuse_after:
-            peers = {v for row in scene.rows for v in row.pair if alone in row.pair}
-            self.accused[alone] = IdentifiedFault(tuple(sorted(peers - {alone})), liars[alone].size_m)
-            self.suspected = frozenset()
-            for each in self._streaks.values():
-                each.end()
+        possible = frozenset(by_vehicle) if by_vehicle else result.reporting
+        persistence.possible = Counter({v: persistence.possible[v] + 1 for v in possible})
+        alone = next(iter(by_vehicle)) if kinds == {FaultKind.VEHICLE} and len(by_vehicle) == 1 else None
+        persistence.alone = Counter({alone: persistence.alone[alone] + 1}) if alone is not None else Counter()
+        if alone is not None and persistence.alone[alone] >= self.settings.identify_after:
+            peers = {v for residual in epoch.residuals for v in residual.pair if alone in residual.pair}
+            self.identified[alone] = IdentifiedFault(tuple(sorted(peers - {alone})), by_vehicle[alone].size_m)
+            self.detected = frozenset()
+            for each in self._persistence.values():
+                each.reset()
         else:
-            self.suspected |= {v for v, n in streak.among.items() if n >= self.settings.suspect_after}
+            self.detected |= {v for v, n in persistence.possible.items() if n >= self.settings.detect_after}
 
-    def _doubt(self, verdicts: Mapping[float, FaultTestResult], scene: Epoch, now_s: float) -> None:
+    def _update_separation(self, results: Mapping[float, FaultTestResult], epoch: Epoch, now_s: float) -> None:
         s = self.settings
-        for vehicle in {v for verdict in verdicts.values() for v in verdict.doubt_m2}:
-            # What came about within an interval has gone on for as long as the scene is old.
-            age_s = now_s - scene.at_s
+        for vehicle in {v for result in results.values() for v in result.separation_m2}:
+            # What grew within an interval has grown on since the epoch.
+            age_s = now_s - epoch.at_s
             new = max(
                 (
-                    verdict.doubt_m2[vehicle] * (1.0 + age_s / interval_s if interval_s else 1.0) ** 2
-                    for interval_s, verdict in verdicts.items()
-                    if vehicle in verdict.doubt_m2
+                    result.separation_m2[vehicle] * (1.0 + age_s / interval_s if interval_s else 1.0) ** 2
+                    for interval_s, result in results.items()
+                    if vehicle in result.separation_m2
                 ),
                 key=_trace,
             )
-            if self.accused or self.suspected:
-                self._watched_until_s[vehicle] = now_s + s.watched_s
-            watched = now_s < self._watched_until_s.get(vehicle, now_s)
-            present = verdicts.get(0.0)
-            if watched and present is not None and vehicle in present.offset_m:
-                # What is left of the fault in the estimate, when the liar is not asked any more.
+            if self.identified or self.detected:
+                self._alert_until_s[vehicle] = now_s + s.alert_s
+            is_alert = now_s < self._alert_until_s.get(vehicle, now_s)
+            present = results.get(0.0)
+            if is_alert and present is not None and vehicle in present.offset_m:
+                # The effect of the fault that remains in the estimate after the faulty vehicle is excluded.
                 new = new + np.outer(present.offset_m[vehicle], present.offset_m[vehicle])
-            fade = exp(-s.every_s / (s.watched_time_s if watched else s.doubt_time_s))
-            old = self._faded_m2.get(vehicle)
-            if old is not None and _trace(old) * fade > _trace(new):
-                new = old * fade
-            self._faded_m2[vehicle] = new
+            decay = exp(-s.period_s / (s.alert_decay_time_s if is_alert else s.decay_time_s))
+            old = self._decayed_m2.get(vehicle)
+            if old is not None and _trace(old) * decay > _trace(new):
+                new = old * decay
+            self._decayed_m2[vehicle] = new
 
 
 def _trace(moment_m2: FloatArray) -> float:

@@ -1,7 +1,7 @@
-"""The memory of the test of positions against ranges: where vehicles were held to be, and what their ranges said beyond that.
+"""The buffer of recent positions and ranges, from which an `Epoch` with range residuals is built.
 
-The ranges of one device to one peer within a window make one row: a median, so that single outliers accuse nobody, with a noise
-that is what is stated or what is seen to scatter, whichever is more.
+The ranges of one device to one peer within a window make one residual: their median, so that single outliers cause no alarm. Its
+noise is the stated or the observed spread, whichever is larger.
 """
 
 from __future__ import annotations
@@ -17,141 +17,139 @@ from gcs_coloc.core.integrity.epoch import Epoch, PositionPrior, RangeResidual
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor
 from gcs_coloc.core.measurements import RangeMeasurement, Vector3
 
-_PLACES_KEPT = 64
-_SAMPLES_KEPT = 64
-_PENDING_KEPT = 20_000
-_PLACE_AGE_S = 0.6
-_PEERS_PER_DEVICE = 8
-_LEAST_DISTANCE_M = 1.0
-_MEDIAN_VARIANCE_GAIN = 1.57  # of the median of Gaussian values over that of their mean
-_QUARTILES_PER_SIGMA = 1.35  # distance of a Gaussian's quartiles over its sigma
+_MAX_POINTS = 64  # of a track: six seconds at 10 Hz
+_MAX_SAMPLES = 64  # of a pair
+_MAX_PENDING = 20_000  # chosen: bounds the memory of a flood
+_MAX_EXTRAPOLATION_S = 0.6  # chosen: a turn at 1 g is off by 2 m after it
+_MAX_PEERS_PER_DEVICE = 8  # chosen: bounds the size of the adjustment
+_MIN_DISTANCE_M = 1.0  # below it the direction of a range is noise
+_MEDIAN_VARIANCE_RATIO = 1.57  # pi / 2: variance of a Gaussian sample's median over that of its mean
+_QUARTILE_DISTANCE_SIGMAS = 1.35  # distance of a Gaussian's quartiles, in sigmas
 
 
 @dataclass(frozen=True, slots=True)
 class RangeResidualSettings:
-    """How ranges become rows.
+    """How ranges become residuals.
 
-    A row has the ranges of the last `window_s` if these are `enough_ranges`, else of the last `longest_s`, once positions have
-    had `wait_s` to arrive, and counts from `least_ranges` on.
-    `range_bias_m` is the 1-sigma of what all ranges of a pair have in common, `slow_share` the share of their stated variance
-    that no averaging removes.
+    A residual uses the ranges of the last `window_s` if these are `enough_ranges`, else of the last `max_window_s`, and needs
+    `min_ranges`. An epoch ends `wait_s` ago, because positions need that time to arrive. `range_bias_m` is the 1-sigma of the
+    error that all ranges of a pair share, `coloured_share` the share of their stated variance that no averaging removes.
     """
 
     window_s: float = 1.0
-    longest_s: float = 1.4
+    max_window_s: float = 1.4
     wait_s: float = 0.2
     enough_ranges: int = 5
-    least_ranges: int = 3
+    min_ranges: int = 3
     range_bias_m: float = 0.3
-    slow_share: float = 0.1
+    coloured_share: float = 0.1
 
 
-class ReportedTrack(NamedTuple):
-    """Where a vehicle is held to be at one time: ENU in m and m/s, else as `scene.Place`."""
+class TrackPoint(NamedTuple):
+    """Position and velocity of a vehicle at one time: ENU in m and m/s, the 1-sigma in m; else as `PositionPrior`."""
 
     at_s: float
     position_enu_m: Vector3
     velocity_enu_mps: Vector3
     sigma_h_m: float
     sigma_v_m: float
-    free: bool
+    no_prior: bool
 
 
-class _Tracks:
-    """Where one vehicle was held to be of late, claimed or free throughout; the oldest first."""
+class _Track:
+    """The recent track of one vehicle, with a prior or without one throughout; the oldest point first."""
 
-    __slots__ = ("_times_s", "_tracks", "free")
+    __slots__ = ("_points", "_times_s", "no_prior")
 
-    def __init__(self, free: bool) -> None:
-        self.free = free
+    def __init__(self, no_prior: bool) -> None:
+        self.no_prior = no_prior
         self._times_s: list[float] = []
-        self._tracks: list[ReportedTrack] = []
+        self._points: list[TrackPoint] = []
 
-    def append(self, track: ReportedTrack) -> None:
-        """Take one that is newer than all before; others say nothing."""
-        if self._times_s and track.at_s <= self._times_s[-1]:
+    def append(self, point: TrackPoint) -> None:
+        """Append a point that is newer than all before; an older one is ignored."""
+        if self._times_s and point.at_s <= self._times_s[-1]:
             return
-        self._times_s.append(track.at_s)
-        self._tracks.append(track)
-        if len(self._tracks) > _PLACES_KEPT:
-            del self._times_s[0], self._tracks[0]
+        self._times_s.append(point.at_s)
+        self._points.append(point)
+        if len(self._points) > _MAX_POINTS:
+            del self._times_s[0], self._points[0]
 
     def at(self, at_s: float) -> PositionPrior | None:
-        """Where the vehicle is held to have been: the track point next to the time, carried on by its velocity."""
+        """The prior at a time: the nearest point, extrapolated by its velocity; None where that is too far away."""
         times_s = self._times_s
         nearest = bisect_left(times_s, at_s)
         if nearest and (nearest == len(times_s) or at_s - times_s[nearest - 1] <= times_s[nearest] - at_s):
             nearest -= 1
         since_s = at_s - times_s[nearest]
-        if abs(since_s) > _PLACE_AGE_S:
+        if abs(since_s) > _MAX_EXTRAPOLATION_S:
             return None
-        _, (e, n, u), (ve, vn, vu), sigma_h_m, sigma_v_m, free = self._tracks[nearest]
-        return PositionPrior((e + ve * since_s, n + vn * since_s, u + vu * since_s), sigma_h_m, sigma_v_m, free)
+        _, (e, n, u), (ve, vn, vu), sigma_h_m, sigma_v_m, no_prior = self._points[nearest]
+        return PositionPrior((e + ve * since_s, n + vn * since_s, u + vu * since_s), sigma_h_m, sigma_v_m, no_prior)
 
 
-_Sample = tuple[float, float, float]  # of a range: its time (s), what it is beyond the distance of the places (m), its 1-sigma
+_Sample = tuple[float, float, float]  # of a range: its time (s), observed minus computed (m), its 1-sigma (m)
 
 
 @dataclass(slots=True)
 class RangeResidualBuffer:
-    """The last seconds of one fleet. Ranges that positions have arrived for are handed on to `watch`, if there is one."""
+    """The last seconds of one fleet. Ranges whose positions have arrived also go to the fault monitor, where there is one."""
 
     settings: RangeResidualSettings = field(default_factory=RangeResidualSettings)
-    watch: FaultMonitor | None = None
-    _tracks: dict[int, _Tracks] = field(default_factory=dict)
-    _pending: deque[RangeMeasurement] = field(default_factory=lambda: deque(maxlen=_PENDING_KEPT))
+    fault_monitor: FaultMonitor | None = None
+    _tracks: dict[int, _Track] = field(default_factory=dict)
+    _pending: deque[RangeMeasurement] = field(default_factory=lambda: deque(maxlen=_MAX_PENDING))
     _samples: dict[tuple[int, int], list[_Sample]] = field(default_factory=dict)
 
-    def place(self, vehicle: int, track: ReportedTrack) -> None:
-        """Take where a vehicle is held to be. When it turns from claimed to free or back, what was heard of it is forgotten."""
-        known = self._tracks.get(vehicle)
-        if known is None or known.free != track.free:
-            known = self._tracks[vehicle] = _Tracks(track.free)
+    def add_position(self, vehicle: int, point: TrackPoint) -> None:
+        """Add a vehicle's position. When it gains or loses its prior, its residuals so far are dropped."""
+        track = self._tracks.get(vehicle)
+        if track is None or track.no_prior != point.no_prior:
+            track = self._tracks[vehicle] = _Track(point.no_prior)
             for pair in [pair for pair in self._samples if vehicle in pair]:
                 del self._samples[pair]
-            if self.watch is not None:
-                self.watch.forget(vehicle)
-        known.append(track)
+            if self.fault_monitor is not None:
+                self.fault_monitor.drop(vehicle)
+        track.append(point)
 
-    def range(self, measurement: RangeMeasurement) -> None:
-        """Take a range; it is compared once the positions of its time have arrived."""
+    def add_range(self, measurement: RangeMeasurement) -> None:
+        """Add a range; its residual is computed once the positions of its time have arrived."""
         self._pending.append(measurement)
 
-    def scene(self, now_s: float) -> Epoch:
-        """Return the fleet as it was in the middle of the window that ends `wait_s` ago."""
-        self._compare(now_s)
+    def epoch(self, now_s: float) -> Epoch:
+        """The fleet in the middle of the window that ends `wait_s` ago."""
+        self._compute_residuals(now_s)
         s = self.settings
         middle_s = now_s - s.wait_s - 0.5 * s.window_s
         from_s = now_s - s.wait_s - s.window_s
-        held = {vehicle: self._tracks[vehicle].at(middle_s) for vehicle in {v for pair in self._samples for v in pair}}
-        places: dict[int, PositionPrior] = {}
-        rows: list[RangeResidual] = []
+        at_middle = {vehicle: self._tracks[vehicle].at(middle_s) for vehicle in {v for pair in self._samples for v in pair}}
+        priors: dict[int, PositionPrior] = {}
+        residuals: list[RangeResidual] = []
         per_device: Counter[int] = Counter()
         for (i, j), kept in sorted(self._samples.items()):
-            a, b = held[i], held[j]
-            if a is None or b is None or per_device[i] >= _PEERS_PER_DEVICE:
+            a, b = at_middle[i], at_middle[j]
+            if a is None or b is None or per_device[i] >= _MAX_PEERS_PER_DEVICE:
                 continue
             recent = [sample for sample in kept if sample[0] > from_s]
             samples = recent if len(recent) >= s.enough_ranges else kept
-            if len(samples) < s.least_ranges or dist(a.position_enu_m, b.position_enu_m) < _LEAST_DISTANCE_M:
+            if len(samples) < s.min_ranges or dist(a.position_enu_m, b.position_enu_m) < _MIN_DISTANCE_M:
                 continue
-            places[i], places[j] = a, b
-            rows.append(self._row(i, j, samples))
+            priors[i], priors[j] = a, b
+            residuals.append(self._residual(i, j, samples))
             per_device[i] += 1
-        return Epoch(middle_s, places, tuple(rows))
+        return Epoch(middle_s, priors, tuple(residuals))
 
-    def _row(self, i: int, j: int, samples: list[_Sample]) -> RangeResidual:
+    def _residual(self, i: int, j: int, samples: list[_Sample]) -> RangeResidual:
         s = self.settings
         ordered = sorted([residual_m for _, residual_m, _ in samples])
         residual_m, stated_m = median(ordered), median([sigma_m for _, _, sigma_m in samples])
-        # Where so many are late that the median is one of them, the quartiles lie far apart.
+        # Multipath that reaches the median also spreads the quartiles.
         quarter = len(ordered) // 4
-        scatter_m = (ordered[-1 - quarter] - ordered[quarter]) / _QUARTILES_PER_SIGMA
-        noise_m2 = max(stated_m, scatter_m) ** 2 * _MEDIAN_VARIANCE_GAIN / len(samples)
-        return RangeResidual(i, j, residual_m, sqrt(noise_m2 + s.slow_share * stated_m**2), s.range_bias_m)
+        spread_m = (ordered[-1 - quarter] - ordered[quarter]) / _QUARTILE_DISTANCE_SIGMAS
+        noise_m2 = max(stated_m, spread_m) ** 2 * _MEDIAN_VARIANCE_RATIO / len(samples)
+        return RangeResidual(i, j, residual_m, sqrt(noise_m2 + s.coloured_share * stated_m**2), s.range_bias_m)
 
-    def _compare(self, now_s: float) -> None:
-        """Turn the ranges that positions have arrived for into residuals."""
+    def _compute_residuals(self, now_s: float) -> None:
         ready_s = now_s - self.settings.wait_s
         waiting = []
         for m in self._pending:
@@ -165,16 +163,16 @@ class RangeResidualBuffer:
             a, b = self._tracks[i].at(at_s), self._tracks[j].at(at_s)
             if a is None or b is None:
                 continue
-            if self.watch is not None:
-                self.watch.range(m, a, b)
-            known = self._samples.get(pair)
-            if known is None:
-                known = self._samples[pair] = []
-            known.append((at_s, m.range_m - dist(a.position_enu_m, b.position_enu_m), m.sigma_m))
-            if len(known) > _SAMPLES_KEPT:
-                del known[0]
+            if self.fault_monitor is not None:
+                self.fault_monitor.add_range(m, a, b)
+            samples = self._samples.get(pair)
+            if samples is None:
+                samples = self._samples[pair] = []
+            samples.append((at_s, m.range_m - dist(a.position_enu_m, b.position_enu_m), m.sigma_m))
+            if len(samples) > _MAX_SAMPLES:
+                del samples[0]
         self._pending.clear()
         self._pending.extend(waiting)
-        oldest_s = ready_s - self.settings.longest_s
+        oldest_s = ready_s - self.settings.max_window_s
         fresh = {pair: [sample for sample in samples if sample[0] > oldest_s] for pair, samples in self._samples.items()}
         self._samples = {pair: samples for pair, samples in fresh.items() if samples}

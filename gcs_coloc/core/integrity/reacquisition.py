@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gcs_coloc.core.gps_health.gps_health import GpsState
-from gcs_coloc.core.integrity.epoch_history import EpochHistory
+from gcs_coloc.core.integrity.epoch import EpochHistory
 from gcs_coloc.core.integrity.fix_check import FixCheck, FixConsistency, check_fix, star
 from gcs_coloc.core.integrity.range_consistency import ConsistencySettings
-from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, ReportedTrack
+from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, TrackPoint
 from gcs_coloc.core.integrity.report import (
     FaultReason,
     IntegrityReport,
@@ -100,7 +100,7 @@ class ReacquisitionMonitor:
     def add_range(self, measurement: RangeMeasurement) -> None:
         """Add a range between two vehicles."""
         if self._receivers:
-            self._residuals.range(measurement)
+            self._residuals.add_range(measurement)
 
     def review(self, now_s: float, vehicles: Sequence[ReviewedVehicle]) -> IntegrityReport:
         """Test the fixes of the receivers that are back, against estimates with their solution separation."""
@@ -114,8 +114,8 @@ class ReacquisitionMonitor:
         peers = {v.sysid: v.reported for v in vehicles if v.is_trusted and v.reported is not None}
         for position in (*peers.values(), *(fix for _, fix in back.values())):
             self._add_position(position)
-        epoch = self._residuals.scene(now_s)
-        pasts = self._epochs.before(epoch.at_s)
+        epoch = self._residuals.epoch(now_s)
+        pasts = self._epochs.pasts(epoch.at_s)
         self._epochs.append(epoch)
         diverged = set()
         for sysid, (vehicle, fix) in back.items():
@@ -149,13 +149,13 @@ class ReacquisitionMonitor:
         if reported.velocity_enu_mps is None:
             return
         position, velocity = reported.position_enu_m, reported.velocity_enu_mps
-        track = ReportedTrack(reported.measured_at_s, position, velocity, reported.sigma_h_m, reported.sigma_v_m, free=False)
-        self._residuals.place(reported.vehicle, track)
+        track = TrackPoint(reported.measured_at_s, position, velocity, reported.sigma_h_m, reported.sigma_v_m, no_prior=False)
+        self._residuals.add_position(reported.vehicle, track)
 
     def _clear(self) -> None:
         s = self._settings
-        self._residuals = RangeResidualBuffer(s.rows)
-        self._epochs = EpochHistory(s.intervals_s, s.wander_time_s, s.every_s)
+        self._residuals = RangeResidualBuffer(s.residuals)
+        self._epochs = EpochHistory(s.intervals_s, s.correlation_time_s, s.period_s)
 
 
 def _is_reference(estimate: Estimate, vehicle: ReviewedVehicle) -> bool:

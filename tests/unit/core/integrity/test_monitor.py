@@ -1,4 +1,4 @@
-"""The engine against a lying receiver, on simulated flights: who is trusted, what is said, where the denied vehicle is put."""
+"""The engine against a spoofed receiver in simulated flights: GPS states, notices, estimates."""
 
 from math import inf
 
@@ -6,10 +6,10 @@ import numpy as np
 
 from bench.integrity import walk
 from bench.integrity_flights import (
-    LIAR,
+    DENIED,
+    FAULTY,
     SPOOFED_AT_S,
     STEP_S,
-    SUBJECT,
     Flight,
     Scenario,
     error_and_bound_m,
@@ -26,49 +26,49 @@ def states(engine):
     return {v.sysid: v.health.state for v in engine.fleet}
 
 
-def test_a_walked_off_peer_is_named_excluded_located_and_believed_again():
+def test_a_drifting_peer_is_identified_excluded_located_and_readmitted():
     engine, flight = fresh_engine(), Flight(Scenario(walk_mps=2.0), 1, honest_from_s=50.0)
     failed_at_s = back_at_s = None
     for step in range(round(86.0 / STEP_S)):
         t = step * STEP_S
         fly_step(engine, flight, t)
-        liar = engine.fleet.get(LIAR)
-        others = [state for sysid, state in states(engine).items() if sysid not in (LIAR, SUBJECT)]
+        faulty = engine.fleet.get(FAULTY)
+        others = [state for sysid, state in states(engine).items() if sysid not in (FAULTY, DENIED)]
         assert all(state in SOUND for state in others)
-        if failed_at_s is None and liar.health.state is GpsState.FAILED:
+        if failed_at_s is None and faulty.health.state is GpsState.FAILED:
             failed_at_s = t
-            assert "its GPS position contradicts the ranges to 2, 3, 4, 100 by" in liar.health.reason
-        if failed_at_s is not None and back_at_s is None and liar.health.state is GpsState.HEALTHY:
+            assert "its GPS position contradicts the ranges to 2, 3, 4, 100 by" in faulty.health.reason
+        if failed_at_s is not None and back_at_s is None and faulty.health.state is GpsState.HEALTHY:
             back_at_s = t
         if failed_at_s is not None and t > failed_at_s + 5.0:
-            # What was left of the lie is gone; 1.5 times the 95 % bound leaves room for GPS errors of over 1-sigma.
+            # What was left of the fault is gone; 1.5 times the 95 % bound leaves room for GPS errors of over 1-sigma.
             error_m, bound_m = error_and_bound_m(engine, flight, t)
             assert error_m < max(1.5 * bound_m, 6.0)
     assert SPOOFED_AT_S < failed_at_s < SPOOFED_AT_S + 20.0
-    # Fifteen seconds of agreement and ten of recovery at the least, and never while it lies.
+    # Fifteen seconds of agreement and ten of recovery at the least, and never while it faults.
     assert 75.0 <= back_at_s <= 85.0
 
 
-def test_where_ranges_cannot_tell_the_liar_from_a_bad_range_nobody_is_called_a_liar():
+def test_where_ranges_cannot_isolate_a_fault_nobody_is_identified():
     engine, flight = fresh_engine(), Flight(Scenario(mutual=False, walk_mps=2.0), 1)
-    suspected = set()
+    detected = set()
     for step in range(round(38.0 / STEP_S)):
         fly_step(engine, flight, step * STEP_S)
         now = states(engine)
-        assert all(state is not GpsState.FAILED for sysid, state in now.items() if sysid != SUBJECT)
-        suspected |= {sysid for sysid, state in now.items() if state is GpsState.SUSPECT}
-    assert LIAR in suspected
-    assert "contradict each other" in engine.fleet.get(LIAR).health.reason
+        assert all(state is not GpsState.FAILED for sysid, state in now.items() if sysid != DENIED)
+        detected |= {sysid for sysid, state in now.items() if state is GpsState.SUSPECT}
+    assert FAULTY in detected
+    assert "contradict each other" in engine.fleet.get(FAULTY).health.reason
 
 
-def test_a_clean_flight_accuses_nobody():
+def test_a_fault_free_flight_identifies_nobody():
     engine, flight = fresh_engine(), Flight(Scenario(), 3)
     for step in range(round(60.0 / STEP_S)):
         fly_step(engine, flight, step * STEP_S)
-        assert all(state in SOUND for sysid, state in states(engine).items() if sysid != SUBJECT)
+        assert all(state in SOUND for sysid, state in states(engine).items() if sysid != DENIED)
 
 
-def test_with_mutual_ranges_a_liar_is_excluded_before_the_subject_is_off_its_bound():
+def test_with_mutual_ranges_a_fault_is_excluded_before_the_denied_vehicle_leaves_its_bound():
     """Twelve draws, all in time; `python -m bench integrity` counts 200."""
     for seed in range(12):
         seen = walk((Scenario(walk_mps=2.0), seed))
@@ -76,20 +76,20 @@ def test_with_mutual_ranges_a_liar_is_excluded_before_the_subject_is_off_its_bou
         assert seen.passed_after_s == inf
 
 
-def test_while_a_lie_is_not_named_yet_the_bound_says_what_it_may_have_done():
+def test_before_identification_the_bound_contains_the_solution_separation():
     engine, flight = fresh_engine(), Flight(Scenario(walk_mps=2.0), 1)
     grew = False
     for step in range(round((SPOOFED_AT_S + 12.0) / STEP_S)):
         t = step * STEP_S
         fly_step(engine, flight, t)
-        if t > SPOOFED_AT_S and engine.fleet.get(LIAR).health.state is GpsState.HEALTHY:
-            own_m = horizontal_bound_95_m(engine.estimator.estimate(SUBJECT, t).covariance)
+        if t > SPOOFED_AT_S and engine.fleet.get(FAULTY).health.state is GpsState.HEALTHY:
+            own_m = horizontal_bound_95_m(engine.estimator.estimate(DENIED, t).covariance)
             grew |= error_and_bound_m(engine, flight, t)[1] > 1.2 * own_m
     assert grew
 
 
-def test_a_doubt_fades_once_the_liar_is_gone_and_the_estimate_agrees_with_the_ranges():
-    """The bound is again no wider than in the same flight without a lie, where small chances of one are in it, too."""
+def test_the_separation_decays_once_the_fault_is_gone():
+    """The bound is again no wider than in the same flight without a fault, where small probabilities of one are in it, too."""
     bounds_m = []
     for walk_mps in (2.0, 0.0):
         engine, flight = fresh_engine(), Flight(Scenario(walk_mps=walk_mps), 1, honest_from_s=50.0)
@@ -100,18 +100,18 @@ def test_a_doubt_fades_once_the_liar_is_gone_and_the_estimate_agrees_with_the_ra
     assert bounds_m[0] < 1.05 * bounds_m[1]
 
 
-def test_with_ranges_from_the_subject_only_the_bound_grows_with_the_lie_and_the_liar_is_suspected():
+def test_with_ranges_from_the_denied_vehicle_only_the_fault_is_detected_in_time():
     """Eight draws, all in time; `python -m bench integrity` counts 200."""
     seen = [walk((Scenario(mutual=False, walk_mps=2.0), seed)) for seed in range(8)]
     assert all(w.excluded_after_s < w.passed_after_s for w in seen)
 
 
-def test_in_clean_flight_with_ranges_from_the_subject_only_the_bound_is_little_wider_for_what_might_be():
+def test_in_fault_free_flight_with_few_ranges_the_bound_is_little_inflated():
     engine, flight, wider = fresh_engine(), Flight(Scenario(mutual=False), 2), []
     for step in range(round(120.0 / STEP_S)):
         t = step * STEP_S
         fly_step(engine, flight, t)
         if t > 20.0:
-            own_m = horizontal_bound_95_m(engine.estimator.estimate(SUBJECT, t).covariance)
+            own_m = horizontal_bound_95_m(engine.estimator.estimate(DENIED, t).covariance)
             wider.append(error_and_bound_m(engine, flight, t)[1] / own_m)
     assert np.mean(wider) < 1.2

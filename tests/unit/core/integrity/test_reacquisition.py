@@ -7,7 +7,7 @@ from math import inf
 import numpy as np
 import pytest
 
-from bench.integrity_flights import LOST_AT_S, STEP_S, SUBJECT, Flight, Scenario, error_and_bound_m, fresh_engine
+from bench.integrity_flights import DENIED, LOST_AT_S, STEP_S, Flight, Scenario, error_and_bound_m, fresh_engine
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import NoEstimate
@@ -59,10 +59,10 @@ def watch(messages: Callable[[float], Iterable[Inbound]], until_s: float) -> See
         for message in messages(t):
             seen.engine.receive(message)
         # So that it can be aided: what it says of its own position is an echo then, and tells nothing.
-        seen.engine.receive(Heartbeat(SUBJECT, t, Autopilot.ARDUPILOT, True, winged=True))
-        seen.engine.receive(RouteReport(SUBJECT, t, None))
+        seen.engine.receive(Heartbeat(DENIED, t, Autopilot.ARDUPILOT, True, winged=True))
+        seen.engine.receive(RouteReport(DENIED, t, None))
         for output in seen.engine.poll(t):
-            if isinstance(output, HealthChanged) and output.sysid == SUBJECT and t > BACK_S:
+            if isinstance(output, HealthChanged) and output.sysid == DENIED and t > BACK_S:
                 seen.reasons.append(output.reason)
                 if output.after == "healthy":
                     seen.healthy_after_s = min(seen.healthy_after_s, t - BACK_S)
@@ -70,7 +70,7 @@ def watch(messages: Callable[[float], Iterable[Inbound]], until_s: float) -> See
                     seen.wrong_after_s = min(seen.wrong_after_s, t - BACK_S)
             if isinstance(output, GpsInput) and t > BACK_S + 3.0:
                 seen.fix_types.append(output.fix_type)
-            if isinstance(output, Notice) and output.sysid == SUBJECT:
+            if isinstance(output, Notice) and output.sysid == DENIED:
                 seen.told.append(output.text)
     return seen
 
@@ -109,7 +109,7 @@ def test_one_that_comes_back_elsewhere_is_not_believed_and_its_vehicle_stays_loc
             assert set(seen.fix_types) == {3}
 
 
-def test_one_that_has_been_wrong_is_believed_once_it_is_right_for_a_second_and_ten():
+def test_a_rejected_receiver_is_believed_after_it_is_right_for_eleven_seconds():
     seen = fly(OFF, 1, 45.0, until_honest_s=20.0)
     assert seen.wrong_after_s < 3.0
     assert 20.0 + RECOVERED_AFTER_S < seen.healthy_after_s < 20.0 + RECOVERED_AFTER_S + 16.0
@@ -121,7 +121,7 @@ def test_one_that_comes_back_right_and_is_walked_off_while_it_is_watched_is_not_
     assert any("its GPS is back but" in reason for reason in seen.reasons)
 
 
-def test_with_nothing_to_hold_it_against_it_is_believed_as_ever_and_that_is_said():
+def test_an_untested_receiver_is_believed_after_the_same_time_and_the_reason_says_so():
     def without_ranges(t: float, message: Inbound) -> Inbound | None:
         return None if isinstance(message, PeerRange) and t > LOST_AT_S else message
 
@@ -145,7 +145,7 @@ def test_where_the_ranges_fit_it_again_an_estimate_that_was_wrong_does_not_stand
     def from_elsewhere(t: float, message: Inbound) -> Inbound | None:
         if not isinstance(message, PeerRange) or not LOST_AT_S + 5.0 < t <= BACK_S:
             return message
-        own, peer = flight.courses[SUBJECT].at(t)[0], flight.courses[message.peer_sysid].at(t)[0]
+        own, peer = flight.courses[DENIED].at(t)[0], flight.courses[message.peer_sysid].at(t)[0]
         more_m = float(np.linalg.norm(own + away - peer) - np.linalg.norm(own - peer))
         return replace(message, range_m=message.range_m + more_m)
 
@@ -168,39 +168,39 @@ def test_the_operator_is_believed_who_declares_it_healthy():
     def messages(t: float) -> Iterable[Inbound]:
         yield from flight.messages(t)
         if round(t / STEP_S) == round((BACK_S + 5.0) / STEP_S):
-            yield OperatorCommand(SUBJECT, t, GpsOverride.HEALTHY)
+            yield OperatorCommand(DENIED, t, GpsOverride.HEALTHY)
 
     seen = watch(messages, BACK_S + 8.0)
     assert seen.wrong_after_s < 3.0
     assert seen.healthy_after_s == pytest.approx(5.0, abs=0.3)
-    assert seen.engine.fleet.get(SUBJECT).health.reason == "declared healthy by the operator"
+    assert seen.engine.fleet.get(DENIED).health.reason == "declared healthy by the operator"
 
 
-def test_an_estimate_that_is_a_mirror_image_gives_way_to_a_receiver_that_fits_the_ranges():
-    """A spoofer puts the vehicle at its mirror image beside the line of two peers, where all ranges fit; all fly straight on."""
+def test_a_reflected_estimate_gives_way_to_a_receiver_that_fits_the_ranges():
+    """A spoofer puts the vehicle at its reflection in the line of two peers, where all ranges fit; all fly straight on."""
     origin, rng = LocalFrame(47.0, 8.0, 400.0), np.random.default_rng(1)
 
     def messages(t: float) -> Iterable[Inbound]:
-        places = {
+        priors = {
             1: np.array((20.0 * t, 0.0, 100.0)),
             2: np.array((20.0 * t + 400.0, 0.0, 120.0)),
-            SUBJECT: np.array((20.0 * t + 200.0, 150.0, 110.0)),
+            DENIED: np.array((20.0 * t + 200.0, 150.0, 110.0)),
         }
-        for sysid, place in places.items():
-            mirrored = np.array((1.0, -1.0, 1.0)) if sysid == SUBJECT and t < 20.0 else np.ones(3)
+        for sysid, place in priors.items():
+            mirrored = np.array((1.0, -1.0, 1.0)) if sysid == DENIED and t < 20.0 else np.ones(3)
             lat, lon, alt = origin.geodetic_from_enu(*(float(x) for x in mirrored * place + rng.normal(0.0, 0.5, 3)))
-            lost = sysid == SUBJECT and 20.0 < t <= BACK_S
+            lost = sysid == DENIED and 20.0 < t <= BACK_S
             yield GpsReceiver(sysid, t, 0, 1 if lost else 3, lat, lon, alt, 12, 0.9, 1.5, 1.5, 0.2, t)
             yield GlobalPosition(sysid, t, t, lat, lon, alt, 0.0, 20.0, 0.0)
         for peer in (1, 2):
-            range_m = float(np.linalg.norm(places[SUBJECT] - places[peer]) + rng.normal(0.0, 1.0))
-            yield PeerRange(SUBJECT, t, peer, range_m, 1.0, t, TimeBase.BOOT, None, None, 0)
+            range_m = float(np.linalg.norm(priors[DENIED] - priors[peer]) + rng.normal(0.0, 1.0))
+            yield PeerRange(DENIED, t, peer, range_m, 1.0, t, TimeBase.BOOT, None, None, 0)
 
-    at_return = watch(messages, BACK_S).engine.estimate(SUBJECT, BACK_S)
+    at_return = watch(messages, BACK_S).engine.estimate(DENIED, BACK_S)
     assert at_return.position_enu_m[1] == pytest.approx(-150.0, abs=5.0)
     rng = np.random.default_rng(1)
     seen = watch(messages, BACK_S + 5.0)
-    assert isinstance(seen.engine.estimate(SUBJECT, BACK_S + 5.0), NoEstimate)
+    assert isinstance(seen.engine.estimate(DENIED, BACK_S + 5.0), NoEstimate)
     assert any("fits the ranges, our position did not" in text for text in seen.told)
     rng = np.random.default_rng(1)
     assert watch(messages, BACK_S + 12.0).healthy_after_s == pytest.approx(RECOVERED_AFTER_S, abs=0.01)
@@ -208,6 +208,6 @@ def test_an_estimate_that_is_a_mirror_image_gives_way_to_a_receiver_that_fits_th
 
 def test_no_position_of_a_receiver_that_is_back_is_evidence_before_its_vehicle_is_healthy():
     seen = fly(RIGHT, 1, 9.0)
-    assert seen.engine.fleet.get(SUBJECT).health.state.value == "recovering"
+    assert seen.engine.fleet.get(DENIED).health.state.value == "recovering"
     never = fly(replace(RIGHT, returns_at_s=inf), 1, 9.0)
     assert seen.engine.estimator.counts() == never.engine.estimator.counts()

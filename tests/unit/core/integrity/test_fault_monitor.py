@@ -1,0 +1,94 @@
+"""The fault monitor: from ranges to detected faults and solution separation."""
+
+from __future__ import annotations
+
+from math import cos, sin
+
+import numpy as np
+
+from gcs_coloc.core.integrity.epoch import PositionPrior
+from gcs_coloc.core.integrity.fault_monitor import FaultMonitor
+from gcs_coloc.core.measurements import RangeMeasurement
+
+STEP_S, APART_M = 0.2, 800.0
+DENIED, FAULTY = 100, 1
+AROUND = {1: 0.1, 2: 1.7, 3: 3.0, 4: 4.8}
+
+
+def place(east_m, north_m, no_prior=False):
+    return PositionPrior((east_m, north_m, 100.0), 0.0 if no_prior else 1.5, 2.0, no_prior)
+
+
+class Flight:
+    """A denied vehicle at the origin among standing peers; from 20 s on the reported position of peer 1 drifts away."""
+
+    def __init__(self, monitor, seed=1, around=AROUND, towards=0.1, reversed_for=()):
+        self.monitor, self.rng, self.around, self.towards, self.reversed_for = (
+            monitor,
+            np.random.default_rng(seed),
+            around,
+            towards,
+            reversed_for,
+        )
+
+    def fly(self, from_s, to_s, walk_mps=0.0, excluded=(), own_no_prior=True):
+        for step in range(round(from_s / STEP_S), round(to_s / STEP_S)):
+            t = step * STEP_S
+            for peer, a in self.around.items():
+                lie_m = max(t - 20.0, 0.0) * walk_mps if peer == FAULTY else 0.0
+                reported = place(APART_M * cos(a) + lie_m * cos(self.towards), APART_M * sin(a) + lie_m * sin(self.towards))
+                range_m = APART_M + float(self.rng.standard_normal())
+                own = place(0.0, 0.0, no_prior=own_no_prior)
+                ends = [(DENIED, own), (peer, reported)]
+                (i, at_i), (j, at_j) = reversed(ends) if peer in self.reversed_for else ends
+                self.monitor.add_range(RangeMeasurement(i, j, t, t, range_m, 1.0), at_i, at_j)
+            self.monitor.step(t, excluded)
+        return t
+
+
+def test_a_drifting_peer_is_detected_whoever_ranges_and_the_separation_points_along_its_line_of_sight():
+    for reversed_for in ((), (1, 2, 3, 4)):
+        monitor = FaultMonitor()
+        flight = Flight(monitor, reversed_for=reversed_for)
+        t = flight.fly(0.0, 20.0)
+        assert monitor.detected() == frozenset()
+        before_m2 = float(np.trace(monitor.separation_m2(t)[DENIED]))
+        t = flight.fly(20.0, 30.0, walk_mps=2.0)
+        assert monitor.detected() == {FAULTY}
+        values, axes = np.linalg.eigh(monitor.separation_m2(t)[DENIED])
+        # 20 m along the line, of which least squares hands on a half.
+        assert 25.0 < values[1] < 200.0
+        assert abs(axes[:, 1] @ (cos(0.1), sin(0.1))) > 0.9
+        assert before_m2 < 2.0
+
+
+def test_an_excluded_peer_is_left_out_and_nobody_else_is_detected():
+    monitor = FaultMonitor()
+    flight = Flight(monitor, around={**AROUND, 5: 2.4})
+    flight.fly(0.0, 20.0)
+    flight.fly(20.0, 30.0, walk_mps=2.0)
+    t = flight.fly(30.0, 60.0, walk_mps=2.0, excluded={FAULTY})
+    assert monitor.detected() == frozenset()
+    assert float(np.trace(monitor.separation_m2(t)[DENIED])) < 2.0
+
+
+def test_three_peers_are_needed_and_ranges_between_reported_positions_do_not_count():
+    monitor = FaultMonitor()
+    t = Flight(monitor, around={1: 0.1, 2: 1.7}).fly(0.0, 40.0, walk_mps=5.0)
+    assert monitor.detected() == frozenset()
+    assert monitor.separation_m2(t) == {}
+    monitor = FaultMonitor()
+    t = Flight(monitor).fly(0.0, 40.0, walk_mps=5.0, own_no_prior=False)
+    assert monitor.separation_m2(t) == {}
+
+
+def test_a_dropped_vehicle_and_one_without_ranges_for_half_a_minute_have_no_separation():
+    monitor = FaultMonitor()
+    t = Flight(monitor).fly(0.0, 30.0, walk_mps=2.0)
+    assert DENIED in monitor.separation_m2(t)
+    monitor.step(t + 31.0, ())
+    assert monitor.separation_m2(t + 31.0) == {}
+    t = Flight(monitor).fly(80.0, 82.0)
+    assert DENIED in monitor.separation_m2(t)
+    monitor.drop(DENIED)
+    assert monitor.separation_m2(t) == {}

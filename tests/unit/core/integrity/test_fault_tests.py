@@ -1,0 +1,181 @@
+"""The test of ranges against reported positions: its false alarm rate, and which fault is possible."""
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.integrity.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.fault_tests import FaultKind, SignificanceLevels, run_tests
+
+SIGMA_GPS_M, SIGMA_RANGE_M = 1.5, 0.6
+TRUE = {
+    1: (0.0, 0.0, 100.0),
+    2: (1200.0, 100.0, 120.0),
+    3: (300.0, 1400.0, 90.0),
+    4: (-900.0, 700.0, 140.0),
+    5: (200.0, 600.0, 110.0),
+}
+
+
+def result_of(now, levels, then=None, correlation=0.0):
+    (result,) = run_tests(now, levels, [(then, correlation)])
+    return result
+
+
+def epoch(rng, *, mutual, faults=None, free=(5,), pair_error=None, device_error=None):
+    priors, residuals = {}, []
+    for vehicle, true in TRUE.items():
+        off = np.array([8.0, -6.0, 0.5]) if vehicle in free else SIGMA_GPS_M * rng.standard_normal(3)
+        off = off + np.array((faults or {}).get(vehicle, (0.0, 0.0, 0.0)))
+        priors[vehicle] = PositionPrior(np.array(true) + off, SIGMA_GPS_M, SIGMA_GPS_M, vehicle in free)
+    for i in TRUE:
+        for j in TRUE:
+            if i != j and (i == 5 or (mutual and j != 5)):
+                measured = np.linalg.norm(np.subtract(TRUE[i], TRUE[j])) + SIGMA_RANGE_M * rng.standard_normal()
+                measured += (pair_error or {}).get((i, j), 0.0) + (device_error or {}).get(i, 0.0)
+                reported = np.linalg.norm(priors[i].position_enu_m - priors[j].position_enu_m)
+                residuals.append(RangeResidual(i, j, float(measured - reported), SIGMA_RANGE_M))
+    return Epoch(0.0, priors, tuple(residuals))
+
+
+@pytest.mark.parametrize("mutual", [True, False])
+def test_the_false_alarm_rate_is_the_one_that_is_set(mutual):
+    """600 fault-free epochs at an alarm level of 4 %: 24 expected, sigma 4.8; the band is four sigmas to either side."""
+    rng = np.random.default_rng(7)
+    results = [result_of(epoch(rng, mutual=mutual), SignificanceLevels(alarm=0.04)) for _ in range(600)]
+    assert 5 <= sum(not v.is_consistent for v in results if v is not None) <= 43
+
+
+def test_a_vehicle_without_prior_far_off_costs_nothing():
+    """The statistic of a denied vehicle that is placed 10 m off is chi-square with the number of residuals less its two
+    unknowns.
+    """
+    rng = np.random.default_rng(1)
+    results = [result_of(epoch(rng, mutual=False), SignificanceLevels()) for _ in range(400)]
+    assert {v.degrees_of_freedom for v in results} == {2}
+    # Mean of 400 values of variance 4: sigma 0.1, band of four.
+    assert np.mean([v.statistic for v in results]) == pytest.approx(2.0, abs=0.4)
+
+
+@pytest.mark.parametrize("faulty", [1, 2, 3, 4])
+def test_with_mutual_ranges_a_fault_is_isolated_and_its_size_estimated(faulty):
+    """A fault of 20 m is thirteen sigmas: always detected, its vehicle always possible, and in nine of ten epochs alone."""
+    rng = np.random.default_rng(faulty)
+    alone = 0
+    for _ in range(40):
+        result = result_of(epoch(rng, mutual=True, faults={faulty: (16.0, -12.0, 0.0)}), SignificanceLevels())
+        assert not result.is_consistent
+        named = {s.vehicles: s for s in result.possible}
+        # The error of a position from four ranges to priors of 1.5 m: three sigmas of 2.5 m.
+        assert named[(faulty,)].size_m == pytest.approx(20.0, abs=7.5)
+        alone += len(named) == 1
+    assert alone >= 36
+
+
+def test_with_one_range_to_the_faulty_vehicle_nothing_is_isolated():
+    """The range itself may as well be at fault: the faulty vehicle is among the possible ones, always beside a pair."""
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        result = result_of(epoch(rng, mutual=False, faults={2: (-60.0, 0.0, 0.0)}), SignificanceLevels())
+        assert not result.is_consistent
+        kinds = {s.kind for s in result.possible}
+        assert FaultKind.PAIR in kinds
+        assert (2,) in {s.vehicles for s in result.possible if s.kind is FaultKind.VEHICLE}
+
+
+def test_a_range_fault_between_two_fault_free_vehicles_is_neither_ones_fault():
+    rng = np.random.default_rng(4)
+    for _ in range(40):
+        result = result_of(epoch(rng, mutual=True, pair_error={(1, 3): 25.0, (3, 1): 25.0}), SignificanceLevels())
+        assert [(s.kind, s.vehicles) for s in result.possible] == [(FaultKind.PAIR, (1, 3))]
+
+
+def test_a_biased_device_is_no_position_fault():
+    rng = np.random.default_rng(5)
+    for _ in range(40):
+        result = result_of(epoch(rng, mutual=True, device_error={4: 15.0}), SignificanceLevels())
+        assert [(s.kind, s.vehicles) for s in result.possible] == [(FaultKind.DEVICE, (4,))]
+
+
+def test_two_equal_faults_identify_no_fault_free_vehicle():
+    """An area spoofer takes two of four along: whatever is possible, no fault-free vehicle is identified."""
+    rng = np.random.default_rng(6)
+    for _ in range(40):
+        result = result_of(epoch(rng, mutual=True, faults={1: (25.0, 0.0, 0.0), 2: (25.0, 0.0, 0.0)}), SignificanceLevels())
+        named = {s.vehicles for s in result.possible}
+        assert named not in ({(3,)}, {(4,)})
+
+
+def test_without_redundancy_there_is_no_result():
+    full = epoch(np.random.default_rng(0), mutual=False)
+    assert result_of(Epoch(0.0, full.priors, full.residuals[:2]), SignificanceLevels()) is None
+    assert result_of(Epoch(0.0, full.priors, ()), SignificanceLevels()) is None
+
+
+def wandered(rng, before, share):
+    """The epoch some time later: every position error kept by that share, the rest drawn anew, and new ranges."""
+    later = epoch(rng, mutual=True)
+    keep = np.sqrt(1.0 - share**2)
+    priors = {}
+    for vehicle, place in later.priors.items():
+        then, now = before.priors[vehicle].position_enu_m - TRUE[vehicle], place.position_enu_m - TRUE[vehicle]
+        error = now if place.no_prior else share * then + keep * now
+        priors[vehicle] = PositionPrior(np.array(TRUE[vehicle]) + error, place.sigma_h_m, place.sigma_v_m, place.no_prior)
+    residuals = []
+    for residual in later.residuals:
+        claims = [priors[v].position_enu_m for v in residual.pair]
+        drawn = [later.priors[v].position_enu_m for v in residual.pair]
+        range_m = residual.residual_m + np.linalg.norm(drawn[0] - drawn[1])
+        residuals.append(RangeResidual(*residual.pair, float(range_m - np.linalg.norm(claims[0] - claims[1])), residual.sigma_m))
+    return Epoch(5.0, priors, tuple(residuals))
+
+
+def test_gauss_markov_errors_make_the_statistic_of_two_epochs_chi_square():
+    rng = np.random.default_rng(8)
+    results = []
+    for _ in range(300):
+        before = epoch(rng, mutual=True)
+        results.append(result_of(wandered(rng, before, 0.9), SignificanceLevels(), before, 0.9))
+    degrees = {v.degrees_of_freedom for v in results}
+    assert degrees == {2 * (16 - 2)}
+    # Mean of 300 values of variance 56: sigma 0.43, band of four.
+    assert np.mean([v.statistic for v in results]) == pytest.approx(28.0, abs=1.8)
+
+
+def test_a_fault_below_the_stated_sigma_is_detected_in_its_change():
+    """5 m are hidden by receivers of 1.5 m, but not where errors keep 95 % of themselves between the epochs."""
+    rng = np.random.default_rng(9)
+    alone, changed, named = 0, 0, 0
+    for _ in range(40):
+        before = epoch(rng, mutual=True)
+        fault_free = wandered(rng, before, 0.95)
+        fault = np.array([4.0, -3.0, 0.0])
+        priors = dict(fault_free.priors)
+        priors[2] = PositionPrior(priors[2].position_enu_m + fault, SIGMA_GPS_M, SIGMA_GPS_M, no_prior=False)
+        residuals = []
+        for residual in fault_free.residuals:
+            was = np.linalg.norm(np.subtract(*(fault_free.priors[v].position_enu_m for v in residual.pair)))
+            now = np.linalg.norm(np.subtract(*(priors[v].position_enu_m for v in residual.pair)))
+            residuals.append(RangeResidual(*residual.pair, float(residual.residual_m + was - now), residual.sigma_m))
+        faulted = Epoch(5.0, priors, tuple(residuals))
+        alone += not result_of(faulted, SignificanceLevels()).is_consistent
+        result = result_of(faulted, SignificanceLevels(), before, 0.95)
+        changed += not result.is_consistent
+        named += {s.vehicles for s in result.possible if s.kind is FaultKind.VEHICLE} == {(2,)}
+    assert alone <= 4
+    assert changed >= 36
+    assert named >= 30
+
+
+def test_the_separation_is_the_displacement_without_the_faulty_vehicle():
+    """The vehicle is placed 10 m off: without a fault its offset is just that; with one of 20 m the solution separation is what
+    it adds.
+    """
+    rng = np.random.default_rng(10)
+    offsets = [result_of(epoch(rng, mutual=True), SignificanceLevels()).offset_m[5] for _ in range(40)]
+    # Where four ranges put it against priors of 1.5 m: sigma about 1.5 m per axis, of the mean of 40 about 0.25 m.
+    np.testing.assert_allclose(np.mean(offsets, axis=0), [-8.0, 6.0], atol=1.0)
+    fault_free = result_of(epoch(rng, mutual=True), SignificanceLevels())
+    assert not fault_free.separation_m2[5].any()
+    faulted = result_of(epoch(rng, mutual=True, faults={1: (16.0, -12.0, 0.0)}), SignificanceLevels())
+    # The offset without the faulty vehicle is the 10 m again, to three sigmas of the place that three ranges give.
+    assert np.sqrt(np.trace(faulted.separation_m2[5])) == pytest.approx(10.0, abs=7.0)

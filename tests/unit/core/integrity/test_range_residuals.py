@@ -1,0 +1,57 @@
+"""Range residuals of one second, and their sigmas."""
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeResidualSettings, TrackPoint
+from gcs_coloc.core.measurements import RangeMeasurement
+
+APART_M = 1000.0
+
+
+def residuals_of(ranges_m, every_s=0.2):
+    residuals = RangeResidualBuffer()
+    for k, range_m in enumerate(ranges_m):
+        t = k * every_s
+        for vehicle, east_m in ((1, 20.0 * t), (2, 20.0 * t + APART_M)):
+            place = TrackPoint(t, (east_m, 0.0, 100.0), (20.0, 0.0, 0.0), 1.5, 2.0, no_prior=False)
+            residuals.add_position(vehicle, place)
+        residuals.add_range(RangeMeasurement(1, 2, t, t, range_m, 1.0))
+    return residuals.epoch((len(ranges_m) - 1) * every_s + RangeResidualSettings().wait_s).residuals
+
+
+def test_a_single_late_range_does_not_move_the_residual():
+    (residual,) = residuals_of([APART_M + 2.0, APART_M + 2.1, APART_M + 80.0, APART_M + 1.9, APART_M + 2.0])
+    assert residual.residual_m == pytest.approx(2.0, abs=0.11)
+    # 1 m, five ranges, a median: 0.56 m, and the tenth that no averaging removes.
+    assert residual.sigma_m == pytest.approx(np.sqrt(1.57 / 5 + 0.1), rel=1e-6)
+
+
+def test_where_most_ranges_are_late_the_sigma_covers_the_error():
+    for late_m in (10.0, 30.0, 100.0):
+        (residual,) = residuals_of([APART_M, APART_M + late_m, APART_M + 0.1, APART_M + late_m, APART_M + late_m])
+        assert residual.residual_m == pytest.approx(late_m)
+        assert residual.residual_m < 2.6 * residual.sigma_m
+
+
+def test_few_ranges_use_a_longer_window_and_too_few_make_no_residual():
+    # Every 0.5 s: two in the last second, three in the last 1.4 s.
+    assert len(residuals_of([APART_M] * 6, every_s=0.5)) == 1
+    assert residuals_of([APART_M] * 6, every_s=0.9) == ()
+
+
+def test_between_two_reports_a_position_is_extrapolated_from_the_nearer_one():
+    """One flies at 20 m/s by its first report and at 10 m/s by its second, a second later; the other one stands."""
+    residuals = RangeResidualBuffer()
+    for t, east_m, ve_mps in ((0.0, 0.0, 20.0), (1.0, 20.0, 10.0)):
+        residuals.add_position(1, TrackPoint(t, (east_m, 0.0, 100.0), (ve_mps, 0.0, 0.0), 1.5, 2.0, no_prior=False))
+        residuals.add_position(2, TrackPoint(t, (-APART_M, 0.0, 100.0), (0.0, 0.0, 0.0), 1.5, 2.0, no_prior=False))
+    for t, east_m in ((0.3, 6.0), (0.5, 10.0), (0.7, 17.0), (1.2, 22.0), (1.59, 25.9)):
+        residuals.add_range(RangeMeasurement(1, 2, t, t, APART_M + east_m + 2.0, 1.0))
+    residuals.add_range(RangeMeasurement(1, 2, 1.61, 1.61, APART_M, 1.0))  # too long after the last report for a place
+    epoch = residuals.epoch(1.85)
+    assert epoch.priors[1].position_enu_m == pytest.approx((21.5, 0.0, 100.0))
+    (residual,) = epoch.residuals
+    assert residual.residual_m == pytest.approx(2.0, abs=1e-9)
+    # All five agree to the last bit, so the noise is what is stated.
+    assert residual.sigma_m == pytest.approx(np.sqrt(1.57 / 5 + 0.1), rel=1e-6)
