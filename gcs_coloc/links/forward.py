@@ -1,7 +1,7 @@
-"""Between the vehicles and ground tools such as QGroundControl: raw frames on to the tools, and theirs back to the right vehicle.
+"""Forwards raw frames between the vehicles and ground tools such as QGroundControl, both ways.
 
-Nothing of a ground tool comes to the engine or into the table of routes, so that it can neither become a vehicle nor take
-one's place.
+No frame of a ground tool gets to the engine or into the table of routes: a tool can neither become a vehicle nor take the
+place of one.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from gcs_coloc.mavlink.refusals import Counts, Reason, Refusal
 from gcs_coloc.mavlink.targets import EVERYBODY, target_of
 
 MAX_TOOLS = 16
-"""Ground tools that may come to one listening UDP port."""
+"""Ground tools of one listening UDP port. Chosen: more than people at a ground station use."""
 TOOL_KEPT_S = 30.0
-"""A ground tool that has said nothing for so long has gone; they all send a heartbeat every second."""
+"""A ground tool that was silent for so long has gone. Chosen: they all send a heartbeat every second."""
 MAX_UNSENT_BYTES = 65_536
-"""What a ground tool is slow to take waits up to this; a burst of parameters is some 40,000 bytes."""
+"""Frames that wait for a slow ground tool. Chosen: more than a burst of all parameters, some 40,000 bytes."""
 WARN_EVERY_S = 10.0
-
+"""Chosen: a tool may send positions many times a second, and a person can use one line in this time."""
 
 _AIDING_MESSAGES = {MAVLINK_MSG_ID_GPS_INPUT: "GPS_INPUT", MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR: "GLOBAL_POSITION_SENSOR"}
 """Messages by which vehicles are sent positions at a rate, by id."""
@@ -42,7 +42,7 @@ log = logging.getLogger("gcs_coloc")
 
 @dataclass(slots=True)
 class _Out:
-    """One connection string's ground tools. `tools`: who was heard on a listening UDP port, and when."""
+    """One connection string's ground tools. `tools`: the addresses heard on a listening UDP port, and when."""
 
     link: Link
     listens: bool
@@ -60,10 +60,10 @@ class _Out:
 
 
 class Forwarder:
-    """Hands frames on, both ways. Every call returns at once: a slow or absent ground tool loses its own oldest frames.
+    """Forwards frames, both ways. Every call returns at once: a slow or absent ground tool loses its own oldest frames.
 
-    `routes`, `signed`: the fleet's. `is_aided` says whether a vehicle is being sent positions by us; `forwarded` takes every
-    frame that went on to a vehicle, `foreign_gps_input` every vehicle to which a ground tool's GPS_INPUT went, with the frame.
+    `routes`, `signed`: the fleet's. `is_aided` is whether we send positions to a vehicle; `forwarded` is called with every
+    frame that was sent on to a vehicle, `foreign_gps_input` with a ground tool's GPS_INPUT and each vehicle it was sent to.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class Forwarder:
             await link.close()
 
     def from_vehicle(self, frames: Iterable[RawFrame], link: Link, address: Address, now_s: float) -> None:
-        """Hand on what came in one datagram from a vehicle's address and was not refused by the decoder."""
+        """Forward the valid frames of one datagram from a vehicle's address."""
         if not self._outs:
             return
         good = []
@@ -125,11 +125,11 @@ class Forwarder:
             self._to_ground(b"".join(good), len(good), now_s)
 
     def echo(self, frame: bytes) -> None:
-        """Show the ground tools a frame of our own."""
+        """Send the ground tools a frame of our own."""
         self._to_ground(frame, 1, self._clock())
 
     def pending_warnings(self, now_s: float) -> list[tuple[int, str]]:
-        """System id and text of what the operator is to be told by now."""
+        """System id and text of the warnings that are due."""
         if not self._withheld or now_s - self._warned_at_s < WARN_EVERY_S:
             return []
         self._warned_at_s = now_s
@@ -138,7 +138,7 @@ class Forwarder:
         return [(sysid, f"a ground tool on {name} sends {what} {text}") for sysid, (name, what) in sorted(withheld.items())]
 
     def snapshots(self) -> tuple[OutSnapshot, ...]:
-        """What went on to each connection string's ground tools, and what came of them."""
+        """The ground tools of each connection string, and their frames since the start."""
         now_s = self._clock()
         return tuple(
             OutSnapshot(
@@ -190,7 +190,7 @@ class Forwarder:
         return Refusal.GROUND_TOOL_USES_VEHICLE_ID if self._routes.is_vehicle(raw.sysid) else None
 
     def _admits_sender(self, out: _Out, address: Address, now_s: float) -> bool:
-        """Whether a datagram comes from one of this link's ground tools; who comes to a listening port becomes one."""
+        """Whether a datagram comes from one of this link's ground tools; a new sender to a listening port becomes one."""
         if not out.listens:
             # A port that we only send from is open to the network as well.
             if address not in out.link.peers:
@@ -209,7 +209,7 @@ class Forwarder:
         if target == EVERYBODY or sysid == 0:
             routes = self._routes.vehicles()
         elif sysid == self._own[0] and compid in (0, self._own[1]):
-            return  # said to us, who take no orders over MAVLink
+            return  # addressed to us, and we accept no commands over MAVLink
         else:
             routes = self._routes.reach(sysid, compid)
             if not routes:
@@ -224,7 +224,7 @@ class Forwarder:
             self._forwarded(raw)
 
     def _unaided(self, raw: RawFrame, routes: Iterable[Route], out: _Out) -> list[Route]:
-        """Those of the addresses where nobody is aided by us: of two senders of positions a vehicle would take both, in turns."""
+        """Those of the routes where we aid nobody: of two senders of positions a vehicle would use both, in turns."""
         vehicles, unaided = self._routes.vehicles(), []
         for route in routes:
             sysids = vehicles.get(route, set())

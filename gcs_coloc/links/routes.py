@@ -1,7 +1,7 @@
-"""Which vehicle is reached where: a table of addresses learnt from what was heard, sans-IO.
+"""Which vehicle is reached where: a table of addresses learnt from received frames, sans-IO.
 
-GPS_INPUT has no target field, so everyone at an address takes what is sent there. Hence the two rules of this table:
-an address is pinned to the vehicle that was heard from it first, and an address with two autopilots gets nothing.
+GPS_INPUT has no target field, so every vehicle at an address uses what is sent there. Hence the two rules of this table:
+a system id is bound to the address that it was heard from first, and an address with two autopilots gets nothing.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ class _Binding:
 
 
 class RouteTable:
-    """Learns from every frame heard, and answers where a vehicle is.
+    """Learns from every received frame where each vehicle is reached.
 
-    `rebind_after_s`: how long a system must be silent at its address before it may turn up at another one.
+    `rebind_after_s`: how long a system must be silent at its address before it may be bound to another one.
     `companions_elsewhere`: components other than the autopilot may have addresses of their own; without, all frames of a vehicle
-    come from one address, and where two claim it, from the one with the autopilot's heartbeat.
-    `shared_memory_s`: how long an autopilot, heard once, counts as living behind an address. It is long because a vehicle
+    come from one address; of two addresses, the one with the autopilot's heartbeat counts.
+    `shared_memory_s`: how long an autopilot, heard once, counts as being at an address. It is long because a vehicle
     that we do not hear may still hear us. `max_components`, `max_addresses`: bounds of the tables; when one is full, only
-    what is silent makes room.
+    a silent entry makes room.
     """
 
     def __init__(
@@ -62,22 +62,22 @@ class RouteTable:
         self._autopilots: dict[int, _Binding] = {}
 
     def learn(self, sysid: int, compid: int, link: Link, address: Address, *, is_autopilot_heartbeat: bool, now_s: float) -> bool:
-        """Take note of one frame; False if it must not be used, because its sender's ids belong to another address.
+        """Learn from one frame; False if it must not be used, because its sender's ids are bound to another address.
 
         The reason of a refusal is counted: address_conflict, route_table_full.
         """
         heard = Route(link, address)
-        # Before any refusal: an autopilot that we refuse at this address would still take what is sent there.
+        # Before any refusal: an autopilot that we refuse at this address would still use what is sent there.
         if is_autopilot_heartbeat and not self._add_autopilot_at(heard, sysid, now_s):
             self.counts.add(Refusal.ROUTE_TABLE_FULL)
             return False
         autopilot = self._autopilots.get(sysid) if is_autopilot_heartbeat else None
         sender = self._sender(sysid, compid, is_autopilot_heartbeat=is_autopilot_heartbeat)
         binding = self._components.get(sender)
-        # Who came first with other messages does not keep the autopilot itself out.
+        # An earlier sender of other messages does not keep the autopilot itself out.
         rivals = (autopilot,) if is_autopilot_heartbeat and not self._companions_elsewhere else (autopilot, binding)
         for other in rivals:
-            if other is not None and self._stands_against(other, heard, now_s):
+            if other is not None and self._excludes(other, heard, now_s):
                 self.counts.add(Refusal.ADDRESS_CONFLICT)
                 self.conflicts.add_refusal(sysid, other.route, heard)
                 return False
@@ -117,9 +117,9 @@ class RouteTable:
         return binding.route
 
     def comes_from_its_binding(self, sysid: int, compid: int, link: Link, address: Address, now_s: float) -> bool:
-        """Whether a frame of which no note is taken comes from where its sender is. Who is not known is at home anywhere."""
+        """Whether a frame, from which nothing is learnt, comes from its sender's address. An unknown sender may be anywhere."""
         binding = self._components.get(self._sender(sysid, compid, is_autopilot_heartbeat=False))
-        return binding is None or not self._stands_against(binding, Route(link, address), now_s)
+        return binding is None or not self._excludes(binding, Route(link, address), now_s)
 
     def is_vehicle(self, sysid: int) -> bool:
         """Whether an autopilot of that system id was heard."""
@@ -128,7 +128,7 @@ class RouteTable:
     def reach(self, sysid: int, compid: int) -> tuple[Route, ...]:
         """Where to send what is addressed to a component of a system, 0 being all of them; nowhere where it was not heard.
 
-        A component that was not heard itself is looked for wherever its system is: an autopilot hands on what is not for it.
+        A component that was not heard itself is reached wherever its system is: an autopilot forwards what is not for it.
         """
         if sysid in self._autopilots and not self._companions_elsewhere:
             return (self._autopilots[sysid].route,)
@@ -144,12 +144,12 @@ class RouteTable:
         return there
 
     def _sender(self, sysid: int, compid: int, *, is_autopilot_heartbeat: bool) -> tuple[int, int]:
-        """By which ids a sender's address is kept."""
-        # Who has no autopilot is no vehicle: several ground stations share one system id by custom.
+        """The ids by which a sender's binding is kept."""
+        # A system without an autopilot is no vehicle: several ground stations share one system id by custom.
         as_one = not self._companions_elsewhere and (is_autopilot_heartbeat or sysid in self._autopilots)
         return sysid, 0 if as_one else compid
 
-    def _stands_against(self, binding: _Binding, heard: Route, now_s: float) -> bool:
+    def _excludes(self, binding: _Binding, heard: Route, now_s: float) -> bool:
         return binding.route != heard and now_s - binding.heard_at_s < self._rebind_after_s
 
     def _add_autopilot_at(self, heard: Route, sysid: int, now_s: float) -> bool:

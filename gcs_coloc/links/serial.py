@@ -90,7 +90,7 @@ class SerialLink:
         self._port: serial.Serial | None = None
         self._fd = -1
         self._source = FrameSource(self, self._far_end, handler, clock)
-        self._unsent = b""  # the rest of the payload that the device is taking
+        self._unsent = b""  # the rest of the payload that is being written
         self._outbox = Outbox(self.counts, most_unsent_bytes)
         self._lost = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
@@ -171,7 +171,7 @@ class SerialLink:
             self._stop()
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
-        """Send frames, or keep them back while the device has not taken what came before."""
+        """Send frames, or keep them while the device has not accepted what came before."""
         if self._port is None or address != self._far_end:
             self.counts.add(Refusal.NOT_CONNECTED)
             return
@@ -180,10 +180,10 @@ class SerialLink:
             self._write()
 
     def _write(self) -> None:
-        unsent: bytes | None = self._unsent or self._outbox.take()
+        unsent: bytes | None = self._unsent or self._outbox.pop()
         while unsent:
             try:
-                unsent = unsent[os.write(self._fd, unsent) :] or self._outbox.take()
+                unsent = unsent[os.write(self._fd, unsent) :] or self._outbox.pop()
             except BlockingIOError:
                 break
             except OSError:

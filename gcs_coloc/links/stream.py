@@ -1,4 +1,4 @@
-"""What TCP and serial links share: a byte stream cut into frames, and when to try a lost one again."""
+"""What TCP and serial links share: a byte stream cut into frames, its outbox, and when to retry a lost one."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ from gcs_coloc.mavlink.framing import StreamFramer
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 FIRST_RETRY_S = 1.0
+"""Chosen: a hiccup is over by then."""
 MAX_RETRY_S = 15.0
+"""Chosen: a vehicle that comes back is heard within this time, and an absent one costs next to nothing."""
 
 MAX_FORWARDED_BYTES = 8192
-"""What ground tools say to a vehicle and it is slow to take: a burst of RTCM corrections is some 1,500 bytes."""
+"""Ground tools' frames that wait for a slow vehicle. Chosen: five bursts of RTCM corrections of some 1,500 bytes."""
 
 
 class Queue:
-    """Whole payloads that wait; the oldest are dropped and counted beyond `most_bytes`."""
+    """Whole payloads that wait; beyond `most_bytes` the oldest are dropped and counted."""
 
     def __init__(self, counts: Counts, most_bytes: int) -> None:
         self._counts = counts
@@ -38,8 +40,8 @@ class Queue:
             self._bytes -= len(self._waiting.popleft())
             self._counts.add(Refusal.OUTPUT_SKIPPED)
 
-    def take(self) -> bytes | None:
-        """The payload that has waited longest, None where there is none."""
+    def pop(self) -> bytes | None:
+        """Remove and return the payload that has waited longest; None where there is none."""
         if not self._waiting:
             return None
         payload = self._waiting.popleft()
@@ -48,7 +50,7 @@ class Queue:
 
 
 class Outbox:
-    """What a stream has not taken yet. What is forwarded waits until nothing else does, and pushes nothing else out."""
+    """Payloads that a stream has not accepted yet. Forwarded ones wait until no other waits, and push no other out."""
 
     def __init__(self, counts: Counts, most_bytes: int) -> None:
         self._bounds = (counts, most_bytes)
@@ -63,12 +65,12 @@ class Outbox:
         """Append one payload."""
         (self._forwarded if forwarded else self._first).put(payload)
 
-    def take(self) -> bytes | None:
-        """The payload whose turn it is, None where there is none."""
-        return self._first.take() or self._forwarded.take()
+    def pop(self) -> bytes | None:
+        """Remove and return the next payload; None where there is none."""
+        return self._first.pop() or self._forwarded.pop()
 
     def clear(self) -> None:
-        """Forget what waits: the connection it was meant for is gone."""
+        """Drop what waits: the connection it was meant for is gone."""
         counts, most_bytes = self._bounds
         self._first = Queue(counts, most_bytes)
         self._forwarded = Queue(counts, max(most_bytes, MAX_FORWARDED_BYTES))
@@ -96,7 +98,7 @@ class FrameSource:
         self._framer = StreamFramer(link.counts)
 
     def feed(self, data: bytes) -> None:
-        """Take the next bytes of the stream."""
+        """Add the next bytes of the stream."""
         now_s = self._clock()
         for frame in self._framer.feed(data):
             self._handler(self._link, self._address, frame, now_s)

@@ -13,10 +13,11 @@ from gcs_coloc.links.stream import FrameSource, Outbox, RetryDelays, retry_delay
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 MAX_CLIENTS = 64
+"""Clients of one listening port. Chosen: more than a fleet that connects by TCP has vehicles."""
 SEND_BUFFER_BYTES = 4096
-"""About the least that Linux grants: what lies in the system's buffer of a stalled connection cannot be called back."""
+"""About the least that Linux grants (tcp(7)): what is in the system's buffer of a stalled connection cannot be dropped."""
 PEER_SILENT_MS = 10_000
-"""A connection whose peer has not acknowledged anything for so long is dead, and is dropped."""
+"""A connection whose peer has acknowledged nothing for so long is dropped (TCP_USER_TIMEOUT, RFC 5482). Chosen: one outage."""
 
 
 log = logging.getLogger(__name__)
@@ -51,7 +52,7 @@ class TcpServer(NetworkAddress):
 
 
 class _Connection(asyncio.Protocol):
-    """One TCP connection: frames in, and frames out as long as the peer takes them."""
+    """One TCP connection: frames in, and frames out as fast as the peer receives them."""
 
     def __init__(self, link: Link, handler: DatagramHandler, clock: Clock, most_unsent_bytes: int) -> None:
         self.lost = asyncio.Event()
@@ -68,7 +69,7 @@ class _Connection(asyncio.Protocol):
         tcp_socket = transport.get_extra_info("socket")
         tcp_socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
         tcp_socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, PEER_SILENT_MS)
-        # What the system does not take at once is to wait in the outbox, where it can still be dropped.
+        # What the system does not accept at once waits in the outbox, where it can still be dropped.
         transport.set_write_buffer_limits(high=0)
         self._transport = transport
         self._source = FrameSource(self._link, self.address, self._handler, self._clock)
@@ -89,7 +90,7 @@ class _Connection(asyncio.Protocol):
         self.lost.set()
 
     def send(self, payload: bytes, *, forwarded: bool) -> None:
-        """Hand frames to the system, or keep them back while the peer does not take what it was sent before."""
+        """Pass frames to the system, or keep them while the peer has not received what it was sent before."""
         self._outbox.put(payload, forwarded=forwarded)
         self._write()
 
@@ -102,17 +103,17 @@ class _Connection(asyncio.Protocol):
 
     def _write(self) -> None:
         assert self._transport is not None
-        while not self._is_stalled and (payload := self._outbox.take()) is not None:
+        while not self._is_stalled and (payload := self._outbox.pop()) is not None:
             self._transport.write(payload)
 
     def abort(self) -> None:
-        """Close at once; what is unsent is old by now."""
+        """Close at once; unsent frames are old by now."""
         assert self._transport is not None
         self._transport.abort()
 
 
 class TcpClientLink:
-    """Connects to a port, such as a simulator's or a router's. A connection that fails or ends is tried again for ever."""
+    """Connects to a port, such as a simulator's or a router's. A connection that fails or ends is made again for ever."""
 
     def __init__(
         self,
@@ -138,7 +139,7 @@ class TcpClientLink:
         return (self._connection.address,) if self._connection else ()
 
     async def open(self) -> None:
-        """Begin to connect. LinkError where the host is not found; that nobody listens there yet is no error."""
+        """Start to connect. LinkError where the host is not found; a port where nobody listens yet is no error."""
         loop = asyncio.get_running_loop()
         try:
             await loop.getaddrinfo(self._address.host, self._address.port, type=socket.SOCK_STREAM)
@@ -171,7 +172,7 @@ class TcpClientLink:
             await asyncio.sleep(next(delays))
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
-        """Send frames to the other end; counted as not_connected where it is gone or another one than `address`."""
+        """Send frames to the other end; counted as NOT_CONNECTED where it is gone or another one than `address`."""
         if self._connection is None or self._connection.address != address:
             self.counts.add(Refusal.NOT_CONNECTED)
         else:
@@ -223,7 +224,7 @@ class TcpServerLink:
             raise network_error(self._address, error) from error
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
-        """Send frames to one client; counted as not_connected where it is gone."""
+        """Send frames to one client; counted as NOT_CONNECTED where it is gone."""
         client = self._clients.get(address)
         if client is None:
             self.counts.add(Refusal.NOT_CONNECTED)
@@ -231,7 +232,7 @@ class TcpServerLink:
             client.send(payload, forwarded=forwarded)
 
     async def close(self) -> None:
-        """Stop to listen and cut off all clients."""
+        """Stop listening and cut off all clients."""
         if self._server is not None:
             self._server.close()
             clients = list(self._clients.values())

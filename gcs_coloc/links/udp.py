@@ -80,7 +80,7 @@ class UdpLink:
         return (self._remote,) if self._remote is not None else ()
 
     async def open(self) -> None:
-        """Bind. LinkError where the port is in use, the host is not found or not ours, or to send to it is to send to all."""
+        """Bind. LinkError where the port is in use, the host is not found or not ours, or is a broadcast or multicast address."""
         loop = asyncio.get_running_loop()
         family, sockaddr = await self._resolve(loop)
         if not self._address.LISTENS:
@@ -89,7 +89,7 @@ class UdpLink:
         try:
             udp_socket.setblocking(False)
             udp_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
-            # Neither SO_REUSEADDR nor SO_REUSEPORT: with them a second program would silently take our vehicles' datagrams.
+            # Neither SO_REUSEADDR nor SO_REUSEPORT: with them a second program would silently receive our vehicles' datagrams.
             if self._address.LISTENS:
                 udp_socket.bind(sockaddr)
             else:
@@ -123,7 +123,7 @@ class UdpLink:
             handle(self, address, payload, now())
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:  # noqa: ARG002 - no datagram waits
-        """Send one datagram; one that the system does not take at once is dropped and counted."""
+        """Send one datagram; one that the system does not accept at once is dropped and counted."""
         if self._socket is None:
             self.counts.add(Refusal.NOT_SENT)
             return
@@ -141,10 +141,9 @@ class UdpLink:
 
 
 def _require_one_host(address: NetworkAddress, family: socket.AddressFamily, sockaddr: Any) -> None:
-    """LinkError where an address is a broadcast or multicast one: what is meant for one would reach all, and any could answer.
+    """LinkError where an address is a broadcast or multicast one: all would receive what is meant for one.
 
-    Which addresses are broadcast ones depends on the network masks; only the system knows, and says so by asking for
-    SO_BROADCAST.
+    Which addresses are broadcast ones depends on the network masks. The system knows them: it requires SO_BROADCAST for them.
     """
     kind = "multicast" if ip_address(sockaddr[0].partition("%")[0]).is_multicast else None
     if sockaddr[0] == _LIMITED_BROADCAST or (
@@ -153,8 +152,8 @@ def _require_one_host(address: NetworkAddress, family: socket.AddressFamily, soc
         kind = "broadcast"
     if kind is not None:
         raise LinkError(
-            f"{address}: {address.host} is a {kind} address: everybody there would get what is sent, and whose answers count "
-            f"could not be told; give the one host's address, or listen (udpin:{address.port}) and have each of them connect"
+            f"{address}: {address.host} is a {kind} address: all hosts there would get what is sent, and the answers could "
+            f"not be told apart; give the one host's address, or listen (udpin:{address.port}) and have each of them connect"
         )
 
 

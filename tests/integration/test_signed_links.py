@@ -154,7 +154,7 @@ def test_on_an_unsigned_link_a_pretender_is_refused_and_named(start_service, fre
         pinned = fleet[1].sock.getsockname()[1]
     service.send_signal(signal.SIGINT)
     _, log = service.communicate(timeout=10)
-    (line,) = [line for line in log.splitlines() if "claims to be it" in line]
+    (line,) = [line for line in log.splitlines() if "uses its system id" in line]
     assert "vehicle 2" in line
     assert f"127.0.0.1:{address}" in line
     assert f"127.0.0.1:{pinned}" in line

@@ -5,7 +5,7 @@ from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 
 def drained(outbox):
-    return list(iter(outbox.take, None))
+    return list(iter(outbox.pop, None))
 
 
 def test_the_oldest_make_room_for_the_newest_and_are_counted():
@@ -22,7 +22,7 @@ def test_what_was_taken_makes_room_again():
     outbox = Outbox(counts, most_bytes=4)
     for payload in (b"aaaa", b"bbbb"):
         outbox.put(payload)
-        assert outbox.take() == payload
+        assert outbox.pop() == payload
     assert not counts
 
 
