@@ -1,7 +1,8 @@
-"""Finds an estimator by the name that the configuration gives it, and checks its settings.
+"""The registry of estimators: finds the class of a name, and makes its settings from a configuration.
 
-Built in are "qu_zhang" and "fleet". A plug-in is named "package.module:Class" or "path/to/file.py:Class". Its class takes one
-argument `settings`, a dataclass or that or None, whose annotation says which; or no argument, and then has no settings.
+A name is one of `BUILT_IN`, that of an entry point of the group "gcs_coloc.estimators", "package.module:Class", or
+"path/to/file.py:Class". The class meets `gcs_coloc.core.estimator.Estimator`. It takes one argument, annotated with its settings
+dataclass (or that or None), or no argument if it has no settings.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import types
 import typing
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +26,9 @@ BUILT_IN = {
     "qu_zhang": "gcs_coloc.estimators.qu_zhang.filter:QuZhangFilter",
     "fleet": "gcs_coloc.estimators.fleet.filter:FleetFilter",
 }
-"""Name of each built-in estimator and where its class is; imported only when it is asked for."""
+"""Name of each built-in estimator and its class, which is imported on use."""
+GROUP = "gcs_coloc.estimators"
+"""The entry-point group by which an installed package names its estimators."""
 
 _MEMBERS = ("name", "set_denied", "reset", "add", "estimate", "drain_residuals", "counts")
 
@@ -33,19 +37,19 @@ def load_estimator(name: str, settings: Mapping[str, Any]) -> Estimator:
     """Return a new estimator.
 
     Args:
-        name: a built-in name, "package.module:Class" or "path/to/file.py:Class".
-        settings: by field name of the estimator's settings dataclass; what is left out keeps its default.
+        name: see the module's docstring.
+        settings: by field name of the estimator's settings dataclass; fields left out keep their defaults.
 
     Raises:
         EstimatorError: no such estimator, it cannot be imported, it lacks a member of the protocol, or a setting is unknown,
-            missing, of the wrong type or refused. The text names it and the mend.
+            missing, of the wrong type or refused. The text names it and the remedy.
 
     """
-    cls = _load_class(name)
+    cls = load_class(name)
     lacking = [member for member in _MEMBERS if not hasattr(cls, member)]
     if lacking:
         raise EstimatorError(f"estimator {name!r} lacks {', '.join(lacking)} of the estimator protocol")
-    settings_type = _settings_type(name, cls)
+    settings_type = settings_type_of(name, cls)
     if settings_type is None and settings:
         raise EstimatorError(f"estimator {name!r} has no settings, but was given {', '.join(sorted(settings))}")
     arguments = [] if settings_type is None else [_make_settings(name, settings_type, settings)]
@@ -55,14 +59,25 @@ def load_estimator(name: str, settings: Mapping[str, Any]) -> Estimator:
         raise EstimatorError(f"estimator {name!r} cannot be made: {_described(error)}") from error
 
 
-def _load_class(name: str) -> type:
+def load_class(name: str) -> type:
+    """Return the class of an estimator by its name.
+
+    Raises:
+        EstimatorError: no such estimator, or it cannot be imported.
+
+    """
     target = BUILT_IN.get(name, name)
-    where, colon, class_name = target.rpartition(":")
-    if not colon or not where or not class_name:
-        raise EstimatorError(
-            f"no estimator is called {name!r}; there are {', '.join(sorted(BUILT_IN))}, "
-            "or name a plug-in as package.module:Class or path/to/file.py:Class"
-        )
+    if ":" not in target:
+        plugins: dict[str, EntryPoint] = {point.name: point for point in entry_points(group=GROUP)}
+        if name not in plugins:
+            raise EstimatorError(
+                f"no estimator is called {name!r}; there are {', '.join(sorted({*BUILT_IN, *plugins}))}, "
+                "or name a plug-in as package.module:Class or path/to/file.py:Class"
+            )
+        target = plugins[name].value
+    where, _, class_name = target.rpartition(":")
+    if not where or not class_name:
+        raise EstimatorError(f"{name!r} is no estimator: name it as package.module:Class or path/to/file.py:Class")
     module = _load_file(where) if where.endswith(".py") else _load_module(where)
     cls = getattr(module, class_name, None)
     if not isinstance(cls, type):
@@ -96,8 +111,8 @@ def _load_file(path: str) -> types.ModuleType:
     return module
 
 
-def _settings_type(name: str, cls: type) -> type | None:
-    """Return the dataclass that the class's first argument is annotated with, or None where it takes no argument."""
+def settings_type_of(name: str, cls: type) -> type | None:
+    """Return the settings dataclass that annotates the class's first argument, None where it takes no argument."""
     try:
         parameters = list(inspect.signature(cls, eval_str=True).parameters.values())
     except NameError as error:

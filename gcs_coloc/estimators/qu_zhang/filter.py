@@ -28,7 +28,6 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
     Residual,
 )
-from gcs_coloc.estimators.checks import is_sound
 from gcs_coloc.estimators.qu_zhang.circles import range_residual
 from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, density, position_rows
 from gcs_coloc.estimators.qu_zhang.denied_vehicle import CONFIRMATIONS, DeniedVehicleFilter, lasting_covariance
@@ -38,6 +37,7 @@ from gcs_coloc.estimators.qu_zhang.fix import Fix
 from gcs_coloc.estimators.qu_zhang.gating import NisGate
 from gcs_coloc.estimators.qu_zhang.settings import QuZhangSettings
 from gcs_coloc.estimators.qu_zhang.track import PeerTrack
+from gcs_coloc.estimators.validation import is_sound
 
 PAPER_STEP_S = 0.02
 """The paper's computing cycle, to which its q belongs (it prints 0.02 ms, which only 50 Hz makes sense of)."""

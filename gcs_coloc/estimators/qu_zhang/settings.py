@@ -1,63 +1,54 @@
-"""Settings of the paper's stack."""
+"""Settings of the estimator of Qu & Zhang."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
-from gcs_coloc.core.errors import EstimatorError
+from gcs_coloc.estimators.validation import Bounds, check_settings
 
 
 @dataclass(frozen=True, slots=True)
 class QuZhangSettings:
-    """Settings of `QuZhang`. Raises EstimatorError for a value that no filter can work with.
+    """Settings of `QuZhangFilter`. Raises EstimatorError for a value that no filter can work with."""
 
-    Attributes:
-        covariance: of a fix: "corrected" is the first-order covariance of the trilateration, "published" the paper's error
-            equation to the letter, "constant" the paper's "general KF".
-        constant_sigma_m: 1-sigma per axis of a fix under covariance = "constant".
-        q_m2ps2: process noise as in the paper, a velocity variance per step of 0.02 s. The default, 25 m^2/s^3, keeps the lag
-            of the filter in a turn of 5 m/s^2 inside about twice its stated sigma for fixes of 2 to 10 m noise at 4 Hz;
-            less is smoother on straight legs and wrong in turns.
-        q_vertical_m2ps2: the same for the height; the default fits climbs that change by about 1 m/s in a second.
-        epoch_window_s: ranges that were measured within this time make one fix.
-        epoch_wait_s: an incomplete epoch is closed this long after its first range arrived.
-        late_window_s: measurements older than their filter by more than this are dropped; younger late ones count as if they
-            had come in order.
-        peer_age_limit_s: a peer without a position for longer is not used.
-        min_flatness: least height over longest side of the peers' triangle.
-        gate_probability: of accepting a measurement that agrees with its stated noise.
-        gate_patience: refusals in a row before the filter itself is doubted and its covariance widened.
-        lasting_peer_errors: carry the peers' position errors as lasting ones (GPS errors are). False takes them as white, as
-            the paper does.
-        max_sigma_m: the answer is "unknown" when the horizontal 1-sigma outgrows this.
-        max_prediction_s: or when there has been no fix for longer than this.
-
-    """
-
-    covariance: str = "corrected"
-    constant_sigma_m: float = 30.0
-    q_m2ps2: float = 0.5
-    q_vertical_m2ps2: float = 0.02
-    epoch_window_s: float = 0.25
-    epoch_wait_s: float = 0.5
-    late_window_s: float = 1.0
-    peer_age_limit_s: float = 3.0
-    min_flatness: float = 0.05
-    gate_probability: float = 0.9999
-    gate_patience: int = 4
+    covariance: Literal["corrected", "published", "constant"] = "corrected"
+    """Covariance of a fix: `corrected` is the first-order covariance of the trilateration, `published` the paper's Eq. 23 to 26
+    to the letter, `constant` one for all, the paper's "general KF"."""
+    constant_sigma_m: Annotated[float, Bounds(above=0.0)] = 30.0
+    """1-sigma of a fix per axis under `covariance = "constant"`, m. The paper gives none; chosen: range noise of 20 m (Table 1)
+    times an HDOP of 1.5."""
+    q_m2ps2: Annotated[float, Bounds(above=0.0)] = 0.5
+    """Process noise as the paper states it (Eq. 38): variance of each velocity per step of 0.02 s, m²/s². Larger follows turns
+    faster and is noisier on straight legs. The paper varies it from 0 to 100 (Table 2); chosen: 25 m²/s³, which keeps the lag of
+    the filter in a turn of 5 m/s² inside about twice its stated sigma for fixes of 2 to 10 m noise at 4 Hz."""
+    q_vertical_m2ps2: Annotated[float, Bounds(above=0.0)] = 0.02
+    """The same for the height, m²/s². Chosen: climbs that change by about 1 m/s in a second."""
+    epoch_window_s: Annotated[float, Bounds(above=0.0)] = 0.25
+    """Ranges measured within this time make one fix, s. Chosen: one round of a radio that ranges four peers at 20 Hz."""
+    epoch_wait_s: Annotated[float, Bounds(above=0.0)] = 0.5
+    """An incomplete epoch is closed this long after its first range arrived, s. Chosen: the jitter of a
+    telemetry radio; longer makes fixes older."""
+    late_window_s: Annotated[float, Bounds(above=0.0)] = 1.0
+    """A measurement older than its filter by more than this is dropped, s; younger late ones count as if they had come in order.
+    Chosen: the delay of telemetry over a mobile network; longer costs memory and CPU time."""
+    peer_age_limit_s: Annotated[float, Bounds(above=0.0)] = 3.0
+    """A peer without a position for longer is not used, s. Chosen: three reports at 1 Hz lost."""
+    min_flatness: Annotated[float, Bounds(above=0.0, below=0.8661)] = 0.05
+    """Least height of the peers' triangle over its longest side, without a unit; 0.866 is equilateral. The paper excludes
+    collinear peers (H of Eq. 16 is singular). Chosen: at 0.05 the fix is some 20 times less certain across the line."""
+    gate_probability: Annotated[float, Bounds(above=0.0, below=1.0)] = 0.9999
+    """Probability that a measurement passes which agrees with its stated noise. Chosen: one refusal without need in 10 000."""
+    gate_patience: Annotated[int, Bounds(least=0)] = 4
+    """Refusals in a row before the filter's own covariance is inflated until fixes pass again, a count. Chosen: one second at
+    4 Hz; fewer let a burst of reflections in."""
     lasting_peer_errors: bool = True
-    max_sigma_m: float = 200.0
-    max_prediction_s: float = 15.0
+    """Whether the peers' position errors last from fix to fix (those of GPS do) and are carried in the covariance; `false` takes
+    them as new each time, as the paper does."""
+    max_sigma_m: Annotated[float, Bounds(above=0.0)] = 200.0
+    """There is no estimate when the horizontal 1-sigma outgrows this, m. Chosen: beyond it a position directs nobody."""
+    max_prediction_s: Annotated[float, Bounds(above=0.0)] = 15.0
+    """There is no estimate when the last fix is older than this, s. Chosen: at 5 m/s² of unknown acceleration 15 s are 560 m."""
 
     def __post_init__(self) -> None:
-        if self.covariance not in ("corrected", "published", "constant"):
-            raise EstimatorError(f"covariance is {self.covariance!r}; it must be 'corrected', 'published' or 'constant'")
-        for one in fields(self):
-            value = getattr(self, one.name)
-            if isinstance(value, float) and not (math.isfinite(value) and value > 0.0):
-                raise EstimatorError(f"{one.name} is {value}; it must be a number above 0")
-        if not self.gate_probability < 1.0:
-            raise EstimatorError(f"gate_probability is {self.gate_probability}; it must be below 1")
-        if self.gate_patience < 0:
-            raise EstimatorError(f"gate_patience is {self.gate_patience}; it must not be negative")
+        check_settings(self)

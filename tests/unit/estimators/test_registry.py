@@ -96,11 +96,11 @@ def test_a_plug_in_file_and_a_plug_in_module(plug_in: str) -> None:
     ("name", "settings", "text"),
     [
         ("kalman", {}, "no estimator is called 'kalman'; there are fleet, qu_zhang"),
-        (":Mine", {}, "no estimator is called"),
+        (":Mine", {}, "':Mine' is no estimator: name it as package.module:Class"),
         ("qu_zhang", {"speed": 1}, "no setting 'speed'; it has covariance"),
         ("qu_zhang", {"max_sigma_m": "wide"}, "'max_sigma_m' is 'wide'; it must be of type float"),
         ("qu_zhang", {"max_sigma_m": True}, "must be of type float"),
-        ("qu_zhang", {"max_sigma_m": -1.0}, "must be a number above 0"),
+        ("qu_zhang", {"max_sigma_m": -1.0}, "max_sigma_m is -1.0; it must be above 0"),
         ("no.such.module:Thing", {}, "cannot import estimator module no.such.module"),
         ("no_such_file.py:Thing", {}, "there is no estimator file"),
         ("gcs_coloc.estimators.qu_zhang.filter:Missing", {}, "has no class Missing"),
@@ -128,3 +128,16 @@ def test_a_plug_in_that_fails_on_import_is_told(tmp_path: Path) -> None:
 
     with pytest.raises(EstimatorError, match="ZeroDivisionError"):
         load_estimator(f"{tmp_path / 'broken.py'}:Any", {})
+
+
+def test_an_installed_package_names_its_estimator_by_an_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    info = tmp_path / "mine-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[gcs_coloc.estimators]\nmine = package_of_mine:Bare\n")
+    (tmp_path / "package_of_mine.py").write_text(PLUG_IN)
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    assert load_estimator("mine", {}).name == "bare"
+    with pytest.raises(EstimatorError, match="there are fleet, mine, qu_zhang"):
+        load_estimator("other", {})
