@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import typing
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import fields
+from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
-from gcs_coloc.core.errors import EstimatorError
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
@@ -17,34 +15,19 @@ from gcs_coloc.core.measurements import (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Bounds:
-    """The values that a number in a settings dataclass may have: `window_s: Annotated[float, Bounds(above=0.0)] = 1.0`."""
+class Bounds(NamedTuple):
+    """Least and largest value of a setting, both included: `window_s: Annotated[float, Bounds(0.0, 60.0)] = 1.0`."""
 
-    above: float = -math.inf
-    """Exclusive lower bound."""
-    least: float = -math.inf
-    """Inclusive lower bound."""
-    below: float = math.inf
-    """Exclusive upper bound."""
-    most: float = math.inf
-    """Inclusive upper bound."""
-
-    def holds(self, value: float) -> bool:
-        """Return whether a number is finite and within the bounds."""
-        return math.isfinite(value) and self.above < value < self.below and self.least <= value <= self.most
-
-    def __str__(self) -> str:
-        named = (("above", self.above), ("at least", self.least), ("below", self.below), ("at most", self.most))
-        return " and ".join(f"{word} {bound:g}" for word, bound in named if math.isfinite(bound)) or "finite"
+    least: float
+    most: float
 
 
 def bounds_of(settings_type: type[Any]) -> dict[str, Bounds | tuple[object, ...]]:
-    """Return the bounds, or the possible values of a Literal, of each field of a settings dataclass that has any."""
+    """Return the bounds of each number of a settings dataclass, and the possible values of each Literal."""
     found: dict[str, Bounds | tuple[object, ...]] = {}
-    for key, hint in typing.get_type_hints(settings_type, include_extras=True).items():
-        if typing.get_origin(hint) is typing.Literal:
-            found[key] = typing.get_args(hint)
+    for key, hint in get_type_hints(settings_type, include_extras=True).items():
+        if get_origin(hint) is Literal:
+            found[key] = get_args(hint)
         for extra in getattr(hint, "__metadata__", ()):
             if isinstance(extra, Bounds):
                 found[key] = extra
@@ -55,16 +38,17 @@ def check_settings(settings: Any) -> None:
     """Check the fields of a settings dataclass against their bounds; its `__post_init__` calls it.
 
     Raises:
-        EstimatorError: a value is out of its bounds; the text names the key.
+        ValueError: a value is out of its bounds; the text names the key.
 
     """
     for key, allowed in bounds_of(type(settings)).items():
         value = getattr(settings, key)
-        if isinstance(allowed, Bounds):
-            if not allowed.holds(value):
-                raise EstimatorError(f"{key} is {value}; it must be {allowed}")
-        elif value not in allowed:
-            raise EstimatorError(f"{key} is {value!r}; it must be {' or '.join(map(repr, allowed))}")
+        if not isinstance(allowed, Bounds):
+            if value not in allowed:
+                raise ValueError(f"{key} = {value!r}: it must be {' or '.join(map(repr, allowed))}")
+        # Not a comparison of value < least: nan is refused too.
+        elif not allowed.least <= value <= allowed.most:
+            raise ValueError(f"{key} = {value!r}: it must be from {allowed.least:g} to {allowed.most:g}")
 
 
 def is_sound(measurement: Measurement) -> bool:

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Annotated, ClassVar, NamedTuple, get_type_hints
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
-
-class Bounds(NamedTuple):
-    """Least and largest value that a setting may have, both included."""
-
-    least: float
-    most: float
+from gcs_coloc.estimators.validation import Bounds, check_settings
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,17 +124,4 @@ class FleetSettings:
     """m, 0.01 to 1e+06. Beyond this horizontal sigma (largest axis) there is no estimate. Chosen: no autopilot can use more."""
 
     def __post_init__(self) -> None:
-        for name, (least, most) in BOUNDS.items():
-            value = getattr(self, name)
-            # Not a comparison of value < least: nan is refused too.
-            if not least <= value <= most:
-                raise ValueError(f"{name} = {value!r}: it must be from {least:g} to {most:g}")
-
-
-def _bounds() -> dict[str, Bounds]:
-    hints = get_type_hints(FleetSettings, include_extras=True)
-    return {one.name: hints[one.name].__metadata__[0] for one in fields(FleetSettings)}
-
-
-BOUNDS = _bounds()
-"""The bounds of each setting."""
+        check_settings(self)

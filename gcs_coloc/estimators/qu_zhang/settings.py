@@ -10,45 +10,52 @@ from gcs_coloc.estimators.validation import Bounds, check_settings
 
 @dataclass(frozen=True, slots=True)
 class QuZhangSettings:
-    """Settings of `QuZhangFilter`. Raises EstimatorError for a value that no filter can work with."""
+    """Settings of `QuZhangFilter`.
+
+    Raises:
+        ValueError: a value is out of its bounds; the text names it.
+
+    """
 
     covariance: Literal["corrected", "published", "constant"] = "corrected"
     """Covariance of a fix: `corrected` is the first-order covariance of the trilateration, `published` the paper's Eq. 23 to 26
-    to the letter, `constant` one for all, the paper's "general KF"."""
-    constant_sigma_m: Annotated[float, Bounds(above=0.0)] = 30.0
-    """1-sigma of a fix per axis under `covariance = "constant"`, m. The paper gives none; chosen: range noise of 20 m (Table 1)
-    times an HDOP of 1.5."""
-    q_m2ps2: Annotated[float, Bounds(above=0.0)] = 0.5
-    """Process noise as the paper states it (Eq. 38): variance of each velocity per step of 0.02 s, m²/s². Larger follows turns
-    faster and is noisier on straight legs. The paper varies it from 0 to 100 (Table 2); chosen: 25 m²/s³, which keeps the lag of
-    the filter in a turn of 5 m/s² inside about twice its stated sigma for fixes of 2 to 10 m noise at 4 Hz."""
-    q_vertical_m2ps2: Annotated[float, Bounds(above=0.0)] = 0.02
-    """The same for the height, m²/s². Chosen: climbs that change by about 1 m/s in a second."""
-    epoch_window_s: Annotated[float, Bounds(above=0.0)] = 0.25
-    """Ranges measured within this time make one fix, s. Chosen: one round of a radio that ranges four peers at 20 Hz."""
-    epoch_wait_s: Annotated[float, Bounds(above=0.0)] = 0.5
-    """An incomplete epoch is closed this long after its first range arrived, s. Chosen: the jitter of a
-    telemetry radio; longer makes fixes older."""
-    late_window_s: Annotated[float, Bounds(above=0.0)] = 1.0
-    """A measurement older than its filter by more than this is dropped, s; younger late ones count as if they had come in order.
-    Chosen: the delay of telemetry over a mobile network; longer costs memory and CPU time."""
-    peer_age_limit_s: Annotated[float, Bounds(above=0.0)] = 3.0
-    """A peer without a position for longer is not used, s. Chosen: three reports at 1 Hz lost."""
-    min_flatness: Annotated[float, Bounds(above=0.0, below=0.8661)] = 0.05
-    """Least height of the peers' triangle over its longest side, without a unit; 0.866 is equilateral. The paper excludes
-    collinear peers (H of Eq. 16 is singular). Chosen: at 0.05 the fix is some 20 times less certain across the line."""
-    gate_probability: Annotated[float, Bounds(above=0.0, below=1.0)] = 0.9999
-    """Probability that a measurement passes which agrees with its stated noise. Chosen: one refusal without need in 10 000."""
-    gate_patience: Annotated[int, Bounds(least=0)] = 4
-    """Refusals in a row before the filter's own covariance is inflated until fixes pass again, a count. Chosen: one second at
-    4 Hz; fewer let a burst of reflections in."""
+    to the letter, `constant` one for all, the paper's "general KF". Chosen: the only one that is honest in every geometry."""
+    constant_sigma_m: Annotated[float, Bounds(1e-3, 1e4)] = 30.0
+    """m, 0.001 to 10000. 1-sigma of a fix per axis under `covariance = "constant"`. The paper gives none.
+    Chosen: its range noise of 20 m (Table 1) at an HDOP of 1.5."""
+    q_m2ps2: Annotated[float, Bounds(1e-6, 1e4)] = 0.5
+    """m^2/s^2, 1e-06 to 10000. Process noise as the paper states it (Eq. 38): variance of each velocity per step of 0.02 s.
+    Larger follows turns faster and is noisier on straight legs. The paper varies it from 0 to 100 (Table 2).
+    Chosen: 25 m^2/s^3, which keeps the lag in a turn of 5 m/s^2 inside about twice the stated sigma for fixes of 2 to 10 m noise
+    at 4 Hz."""
+    q_vertical_m2ps2: Annotated[float, Bounds(1e-6, 1e4)] = 0.02
+    """m^2/s^2, 1e-06 to 10000. The same for the height. Chosen: climbs that change by about 1 m/s in a second."""
+    epoch_window_s: Annotated[float, Bounds(1e-3, 60.0)] = 0.25
+    """s, 0.001 to 60. Ranges measured within this time make one fix. Chosen: a radio that ranges four peers at 20 Hz."""
+    epoch_wait_s: Annotated[float, Bounds(1e-3, 60.0)] = 0.5
+    """s, 0.001 to 60. An incomplete epoch is closed so long after its first range arrived. Longer makes fixes older. Chosen: the
+    jitter of a telemetry radio."""
+    late_window_s: Annotated[float, Bounds(1e-3, 60.0)] = 1.0
+    """s, 0.001 to 60. A measurement older than its filter by more is dropped; a younger late one counts as if it had come in
+    order. Longer costs memory and CPU time. Chosen: the delay of telemetry over a mobile network."""
+    peer_age_limit_s: Annotated[float, Bounds(1e-3, 600.0)] = 3.0
+    """s, 0.001 to 600. A peer without a position for longer is not used. Chosen: three lost reports at 1 Hz."""
+    min_flatness: Annotated[float, Bounds(1e-3, 0.866)] = 0.05
+    """Ratio, 0.001 to 0.866. Least height of the peers' triangle over its longest side; 0.866 is equilateral. The paper excludes
+    collinear peers (H of Eq. 16 is singular). Chosen: the fix is some 20 times less certain across the line than along."""
+    gate_probability: Annotated[float, Bounds(0.5, 0.999999)] = 0.9999
+    """Probability, 0.5 to 0.999999. A measurement that agrees with its stated noise passes so often. Chosen: one needless refusal
+    in 10,000."""
+    gate_patience: Annotated[int, Bounds(0, 1000)] = 4
+    """Count, 0 to 1000. Refusals in a row before the filter's own covariance is inflated until fixes pass again. Chosen: one
+    second at 4 Hz; fewer let a burst of reflections in."""
     lasting_peer_errors: bool = True
-    """Whether the peers' position errors last from fix to fix (those of GPS do) and are carried in the covariance; `false` takes
-    them as new each time, as the paper does."""
-    max_sigma_m: Annotated[float, Bounds(above=0.0)] = 200.0
-    """There is no estimate when the horizontal 1-sigma outgrows this, m. Chosen: beyond it a position directs nobody."""
-    max_prediction_s: Annotated[float, Bounds(above=0.0)] = 15.0
-    """There is no estimate when the last fix is older than this, s. Chosen: at 5 m/s² of unknown acceleration 15 s are 560 m."""
+    """Whether the peers' position errors last from fix to fix and are carried in the covariance; `false` takes them as new each
+    time, as the paper does. Chosen: those of GPS last for minutes."""
+    max_sigma_m: Annotated[float, Bounds(0.01, 1e6)] = 200.0
+    """m, 0.01 to 1e+06. Beyond this horizontal sigma (largest axis) there is no estimate. Chosen: no autopilot can use more."""
+    max_prediction_s: Annotated[float, Bounds(0.01, 3600.0)] = 15.0
+    """s, 0.01 to 3600. There is no estimate when the last fix is older. Chosen: at 5 m/s^2 unknown, 560 m off."""
 
     def __post_init__(self) -> None:
         check_settings(self)
