@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from gcs_coloc.doctor import parameters as p
 from gcs_coloc.doctor.findings import Remark, VehicleFindings, right, stop
 from gcs_coloc.doctor.parameters import look_up
-from gcs_coloc.mavlink.aiding_encoder import SENSOR_ID
+from gcs_coloc.mavlink.encoder import SENSOR_ID
 
 _HORIZONTAL = 1
 

@@ -19,9 +19,8 @@ from gcs_coloc.links.registry import parse_out
 from gcs_coloc.links.routes import RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.decoder import INVALID_SYSID
-from gcs_coloc.mavlink.framing import RawFrame, split
+from gcs_coloc.mavlink.framing import EVERYBODY, RawFrame, split, target_of
 from gcs_coloc.mavlink.refusals import Counts, Reason, Refusal
-from gcs_coloc.mavlink.targets import EVERYBODY, target_of
 
 MAX_TOOLS = 16
 """Ground tools of one listening UDP port. Chosen: more than people at a ground station use."""

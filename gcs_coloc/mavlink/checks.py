@@ -1,4 +1,4 @@
-"""Refusing values that no vehicle can mean. Each check returns the value it was given, in the unit of the core's messages."""
+"""Checks of values that no vehicle can mean. Each returns the value that it checked, in the unit of the core's messages."""
 
 from __future__ import annotations
 
@@ -7,14 +7,19 @@ import math
 from gcs_coloc.mavlink.refusals import Field
 
 ALTITUDE_MIN_M = -1000.0
+"""Chosen: below the lowest land, the Dead Sea's shore at -430 m, with room for a barometer's error."""
 ALTITUDE_MAX_M = 100_000.0
+"""The Karman line: above it nothing flies on wings or rotors."""
 SPEED_MAX_MPS = 1000.0
+"""Chosen: three times the speed of sound."""
 RANGE_MAX_M = 100_000.0
+"""Chosen: beyond the reach of any ranging radio between small vehicles."""
 ANGLE_MAX_RAD = 2.0 * math.pi + 1e-3
+"""One turn, with room for the rounding of a float of 32 bits."""
 UNIX_TIME_FROM_US = 1_000_000_000_000_000
-"""September 2001. MAVLink times above it are UNIX times, below it times since boot (31 years)."""
+"""September 2001. MAVLink times above it are UNIX times, below it times since boot (1e15 us are 31 years)."""
 UNIX_TIME_TO_US = 4_102_444_800_000_000
-"""The year 2100; a later time is a broken clock or a broken message."""
+"""The year 2100. Chosen: a later time is a broken clock or a broken message."""
 
 
 class InvalidValueError(Exception):

@@ -1,4 +1,4 @@
-"""The messages this package knows: ardupilotmega and, beside it, our own, in one map that pymavlink itself does not see."""
+"""The messages that this package decodes: ardupilotmega's and our own, in one map beside pymavlink's."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ MESSAGE_CLASSES: Mapping[int, Any] = MappingProxyType({**ardupilotmega.mavlink_m
 """pymavlink's message class (with `unpacker`, `crc_extra`, `ordered_fieldnames`) of each message id."""
 
 CRC_EXTRA: Mapping[int, int] = MappingProxyType({number: cls.crc_extra for number, cls in MESSAGE_CLASSES.items()})
-"""The byte that closes each message's checksum, so that two ends with different definitions do not understand each other."""
+"""The last byte of each message's checksum (MAVLink's CRC_EXTRA): ends with different definitions refuse each other."""
 
 GCS_SYSID = 255
 GCS_COMPID = ardupilotmega.MAV_COMP_ID_MISSIONPLANNER
-"""Who a ground station is on the wire by custom."""
+"""The ids of a ground station by custom."""
 
 OWN_SYSID = 254
 OWN_COMPID = ardupilotmega.MAV_COMP_ID_ONBOARD_COMPUTER
-"""Who we are on the wire unless set otherwise: ids that are no vehicle's and no ground station's by custom."""
+"""Our ids unless set otherwise: no vehicle and no ground station uses them by custom."""

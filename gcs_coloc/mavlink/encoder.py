@@ -1,7 +1,8 @@
-"""The core's outputs, and our own heartbeat, to bytes."""
+"""The core's outputs, and our own heartbeat, to bytes. Commands and parameters are addressed to the vehicle's autopilot."""
 
 from __future__ import annotations
 
+import math
 import struct
 from collections import OrderedDict
 from collections.abc import Hashable
@@ -9,12 +10,17 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from gcs_coloc.core.messages.aiding import ExternalPosition, GlobalPositionSensor, ParameterRequest
 from gcs_coloc.core.messages.outbound import GpsInput, StreamRequest, TimeSyncRequest, ToVehicle
-from gcs_coloc.mavlink import aiding_encoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.signing import Stamp
 
 MAX_DESTINATIONS = 1024
+"""Destinations that are numbered apart. Chosen: more than a fleet has; the oldest makes room and begins at 0 again."""
+SENSOR_ID = 1
+"""The id of our GLOBAL_POSITION_SENSOR, by which PX4's EKF2_AGPn_ID selects it."""
+_BY_NAME = -1
+"""PARAM_REQUEST_READ's param_index where the parameter is named (MAVLink common.xml)."""
 
 
 class Encoder:
@@ -61,18 +67,28 @@ class Encoder:
 
 
 def _wire_message(message: ToVehicle) -> Any:
+    """The message of pymavlink's. ValueError where a number in it is not finite or impossible."""
     if isinstance(message, GpsInput):
         return _gps_input(message)
     if isinstance(message, TimeSyncRequest):
         return mavlink.MAVLink_timesync_message(tc1=0, ts1=message.ts1_ns)
     if isinstance(message, StreamRequest):
         return _stream_request(message)
-    return aiding_encoder.wire_message(message)
+    if isinstance(message, ExternalPosition):
+        return _external_position(message)
+    if isinstance(message, GlobalPositionSensor):
+        return _global_position_sensor(message)
+    target = (message.sysid, mavlink.MAV_COMP_ID_AUTOPILOT1)
+    if isinstance(message, ParameterRequest):
+        return mavlink.MAVLink_param_request_read_message(*target, message.name.encode(), _BY_NAME)
+    if not math.isfinite(message.value):
+        raise ValueError("PARAM_SET cannot be encoded: the value is not finite")
+    return mavlink.MAVLink_param_set_message(*target, message.name.encode(), message.value, message.kind)
 
 
 def _gps_input(fix: GpsInput) -> Any:
-    """GPS_INPUT (232) with no field ignored: ArduPilot fuses an ignored velocity or altitude as zero."""
-    aiding_encoder.require_place(fix, "GPS_INPUT")
+    """GPS_INPUT (232) with no field ignored: ArduPilot uses an ignored velocity or altitude as zero."""
+    _require_position(fix, "GPS_INPUT")
     return mavlink.MAVLink_gps_input_message(
         time_usec=fix.time_usec,
         gps_id=fix.gps_id,
@@ -111,3 +127,54 @@ def _stream_request(request: StreamRequest) -> Any:
         param6=0,
         param7=0,
     )
+
+
+def _external_position(position: ExternalPosition) -> Any:
+    """COMMAND_INT (75) MAV_CMD_EXTERNAL_POSITION_ESTIMATE; ArduPilot refuses it with an altitude."""
+    _require_position(position, "MAV_CMD_EXTERNAL_POSITION_ESTIMATE")
+    return mavlink.MAVLink_command_int_message(
+        target_system=position.sysid,
+        target_component=mavlink.MAV_COMP_ID_AUTOPILOT1,
+        frame=mavlink.MAV_FRAME_GLOBAL,
+        command=mavlink.MAV_CMD_EXTERNAL_POSITION_ESTIMATE,
+        current=0,
+        autocontinue=0,
+        param1=position.sent_s,
+        param2=0.0,
+        param3=position.accuracy_m,
+        param4=0.0,
+        x=round(position.lat_deg * 1e7),
+        y=round(position.lon_deg * 1e7),
+        z=math.nan,
+    )
+
+
+def _global_position_sensor(position: GlobalPositionSensor) -> Any:
+    """GLOBAL_POSITION_SENSOR (296); PX4 refuses it with an eph of 0."""
+    _require_position(position, "GLOBAL_POSITION_SENSOR")
+    if position.eph_m <= 0.0:
+        raise ValueError("GLOBAL_POSITION_SENSOR cannot be encoded: eph_m must be above 0")
+    return mavlink.MAVLink_global_position_sensor_message(
+        target_system=position.sysid,
+        target_component=mavlink.MAV_COMP_ID_AUTOPILOT1,
+        id=SENSOR_ID,
+        time_usec=position.time_usec,
+        processing_time=0,
+        source=mavlink.GLOBAL_POSITION_SRC_PSEUDOLITES,
+        flags=0,
+        lat=round(position.lat_deg * 1e7),
+        lon=round(position.lon_deg * 1e7),
+        alt_ellipsoid=math.nan,
+        alt=position.alt_msl_m,
+        eph=position.eph_m,
+        epv=position.epv_m,
+    )
+
+
+def _require_position(position: GpsInput | ExternalPosition | GlobalPositionSensor, name: str) -> None:
+    """ValueError where a field of a message with a position is not finite, or its latitude and longitude do not exist."""
+    for field in position.__dataclass_fields__:
+        if not math.isfinite(getattr(position, field)):
+            raise ValueError(f"{name} cannot be encoded: {field} is not finite")
+    if abs(position.lat_deg) > 90.0 or abs(position.lon_deg) > 180.0:
+        raise ValueError(f"{name} cannot be encoded: {position.lat_deg}, {position.lon_deg} is no latitude and longitude")

@@ -1,15 +1,17 @@
-"""Finding MAVLink frames among bytes, and checking them: lengths, flags, checksum. Signatures: `signing`."""
+"""MAVLink frames among bytes: where they begin, whether they are valid, whom they address. Signatures: `signing`."""
 
 from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Mapping
 from mmap import mmap
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from fastcrc.crc16 import mcrf4xx
 
-from gcs_coloc.mavlink.dialect import CRC_EXTRA
+from gcs_coloc.mavlink.dialect import CRC_EXTRA, MESSAGE_CLASSES
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 MAGIC_V1 = 0xFE
@@ -19,10 +21,12 @@ HEADER_LENGTH_V2 = 10
 CHECKSUM_LENGTH = 2
 SIGNATURE_LENGTH = 13
 INCOMPAT_SIGNED = 0x01
-MAX_FRAME_LENGTH = HEADER_LENGTH_V2 + 255 + CHECKSUM_LENGTH + SIGNATURE_LENGTH
+MAX_PAYLOAD_LENGTH = 255
+"""Lengths in bytes, as in https://mavlink.io/en/guide/serialization.html."""
+MAX_FRAME_LENGTH = HEADER_LENGTH_V2 + MAX_PAYLOAD_LENGTH + CHECKSUM_LENGTH + SIGNATURE_LENGTH
 
 MAX_FALSE_STARTS = 512
-"""A datagram with more magic bytes that begin no frame is made to keep us busy; so many cost about a millisecond."""
+"""Chosen: a datagram with more magic bytes that begin no frame is an attack; so many cost about a millisecond."""
 
 
 ANY_MAGIC = re.compile(b"[\xfd\xfe]")
@@ -82,7 +86,7 @@ def read_frame(data: bytes | mmap, start: int) -> RawFrame | Refusal:
     if crc_extra is not None and mcrf4xx(data[start + 1 : payload_end] + _ONE_BYTE[crc_extra]) != checksum:
         return Refusal.BAD_CRC
     payload = data[payload_start:payload_end]
-    # As RawFrame(...) does, at half the time.
+    # As RawFrame(...), in half the time.
     return _new(RawFrame, (crc_extra is not None, message_id, sysid, compid, sequence, checksum, payload, data[start:end]))
 
 
@@ -92,14 +96,14 @@ def sender_of(frame: bytes) -> tuple[int, int]:
 
 
 def split(data: bytes, counts: Counts, *, ended: bool) -> tuple[list[RawFrame], int]:
-    """Find the good frames in `data`, and how many of its bytes are dealt with.
+    """Find the valid frames in `data`, and the number of its bytes that are consumed.
 
-    Garbage is skipped byte by byte, and a frame that turns out bad costs its magic byte only: no length that garbage
-    happens to state hides a good frame behind it. With `ended` (a datagram) all bytes are dealt with; without (a
-    stream) the bytes from the returned offset on, at most `MAX_FRAME_LENGTH`, may be the beginning of a frame.
+    Garbage is skipped byte by byte, and of an invalid frame only the magic byte: a length within garbage must not hide a
+    valid frame behind it. With `ended` (a datagram) all bytes are consumed; without (a stream) the bytes from the returned
+    offset on, at most `MAX_FRAME_LENGTH`, may be the beginning of a frame.
 
-    A frame whose message id is unknown cannot be verified. It is taken for one where another frame's magic byte or the
-    end of the datagram follows, else for garbage. The rest of a datagram is dropped after `MAX_FALSE_STARTS`.
+    A frame whose message id is unknown cannot be verified. It counts as valid where another frame's magic byte or the end
+    of the datagram follows, else as garbage. The rest of a datagram is dropped after `MAX_FALSE_STARTS`.
     """
     frames: list[RawFrame] = []
     position, size, false_starts = 0, len(data), 0
@@ -131,15 +135,61 @@ def split(data: bytes, counts: Counts, *, ended: bool) -> tuple[list[RawFrame], 
 
 
 class StreamFramer:
-    """Cuts a byte stream (TCP, serial) into whole frames. It holds back at most one unfinished frame."""
+    """Cuts a byte stream (TCP, serial) into whole frames. It keeps at most one unfinished frame."""
 
     def __init__(self, counts: Counts) -> None:
         self._counts = counts
         self._pending = b""
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take the next bytes of the stream and return the frames that they complete."""
+        """Add the next bytes of the stream and return the frames that they complete."""
         buffer = self._pending + data
-        frames, dealt_with = split(buffer, self._counts, ended=False)
-        self._pending = buffer[dealt_with:]
+        frames, consumed = split(buffer, self._counts, ended=False)
+        self._pending = buffer[consumed:]
         return [raw.frame for raw in frames]
+
+
+class Target(NamedTuple):
+    """A system and a component of it; 0 is all of them."""
+
+    sysid: int
+    compid: int
+
+
+EVERYBODY = Target(0, 0)
+
+_SYSTEM_FIELDS = ("target_system", "target")  # MANUAL_CONTROL alone has the second
+_COMPONENT_FIELD = "target_component"
+_FIELD_FORMAT = re.compile(r"\d*[a-zA-Z]")
+
+
+def _offsets(message_class: Any) -> tuple[int, int | None] | None:
+    """Where in the payload the target system and component stand, bytes; None where the message has no target."""
+    at, places = 0, {}
+    formats = _FIELD_FORMAT.findall(message_class.unpacker.format.lstrip("<"))
+    for name, field_format in zip(message_class.ordered_fieldnames, formats, strict=True):
+        places[name] = at
+        at += struct.calcsize(f"<{field_format}")
+    for name in _SYSTEM_FIELDS:
+        if name in places:
+            return places[name], places.get(_COMPONENT_FIELD)
+    return None
+
+
+_OFFSETS: Mapping[int, tuple[int, int | None]] = MappingProxyType(
+    {number: found for number, cls in MESSAGE_CLASSES.items() if (found := _offsets(cls)) is not None}
+)
+
+
+def target_of(raw: RawFrame) -> Target:
+    """The target of a frame; everybody where its message has no target field, or is in no dialect of ours."""
+    offsets = _OFFSETS.get(raw.message_id)
+    if offsets is None:
+        return EVERYBODY
+    system_at, component_at = offsets
+    return Target(_byte(raw.payload, system_at), _byte(raw.payload, component_at) if component_at is not None else 0)
+
+
+def _byte(payload: bytes, at: int) -> int:
+    # MAVLink 2 cuts off trailing zeros.
+    return payload[at] if at < len(payload) else 0

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from gcs_coloc.core.messages.aiding import CommandResult, ForeignGpsInput, ParameterValue
 from gcs_coloc.core.messages.inbound import (
     Airspeed,
     Attitude,
@@ -26,9 +28,11 @@ from gcs_coloc.core.messages.inbound import (
     SystemTime,
     TimeSyncAnswer,
 )
-from gcs_coloc.mavlink import aiding_inbound, checks, ranges
+from gcs_coloc.mavlink import checks, ranges
 from gcs_coloc.mavlink._generated import gcs_coloc
 from gcs_coloc.mavlink.checks import InvalidValueError
+from gcs_coloc.mavlink.dialect import MESSAGE_CLASSES
+from gcs_coloc.mavlink.framing import RawFrame
 from gcs_coloc.mavlink.refusals import Field
 
 UINT8_MAX = 0xFF
@@ -114,7 +118,7 @@ def _gps_receiver(
     if fix_type > mavlink.GPS_FIX_TYPE_PPP:
         raise InvalidValueError(Field.FIX_TYPE)
     lat_deg = lon_deg = alt_msl_m = 0.0
-    # Without a fix there is no position, and whatever stands in its place must not keep the news from us that the fix is lost.
+    # Without a fix there is no position. What stands in its fields is not checked: the lost fix must be learnt.
     if fix_type >= mavlink.GPS_FIX_TYPE_2D_FIX:
         lat_e7, lon_e7, alt_mm = place
         lat_deg, lon_deg = checks.latitude_longitude_deg(lat_e7, lon_e7)
@@ -139,7 +143,7 @@ def _gps_receiver(
 
 
 def _thousandths(value: int) -> float | None:
-    """An extension field that a sender leaves out arrives as 0, which no receiver's accuracy is."""
+    """In thousandths of the unit; None for 0, as which an omitted extension field arrives."""
     return None if value in (0, UINT32_MAX) else value / 1e3
 
 
@@ -224,6 +228,37 @@ def timesync(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> TimeS
     return TimeSyncAnswer(sysid=sysid, received_at_s=received_at_s, ts1_ns=ts1_ns, tc1_ns=tc1_ns)
 
 
+def command_ack(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> CommandResult:
+    """COMMAND_ACK (77)."""
+    command, result, *_ = values
+    return CommandResult(sysid, received_at_s, command, result)
+
+
+def param_value(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> ParameterValue | None:
+    """PARAM_VALUE (22), integers as ArduPilot sends them, as floats. None where another encoding makes that no number."""
+    value, _count, _index, name, kind = values
+    if not math.isfinite(value):
+        return None
+    try:
+        text = name.partition(b"\0")[0].decode("ascii")
+    except UnicodeDecodeError:
+        raise InvalidValueError(Field.PARAM_ID) from None
+    return ParameterValue(sysid, received_at_s, text, value, kind)
+
+
+def foreign_gps_input(raw: RawFrame, received_at_s: float, vehicle: int) -> ForeignGpsInput:
+    """A frame of GPS_INPUT (232) that is on its way to a vehicle."""
+    unpacker = MESSAGE_CLASSES[raw.message_id].unpacker
+    message = gps_input(raw.sysid, received_at_s, unpacker.unpack_from(raw.payload.ljust(unpacker.size, b"\0")))
+    return replace(message, vehicle=vehicle)
+
+
+def gps_input(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> ForeignGpsInput:
+    """GPS_INPUT (232) from somebody else. It has no target field: only the address that it came from tells whom it reaches."""
+    gps_id = values[15]
+    return ForeignGpsInput(sysid, received_at_s, gps_id)
+
+
 Converter = Callable[[int, float, tuple[Any, ...]], Inbound | None]
 
 AUTOPILOT_CONVERTERS: Mapping[int, Converter] = MappingProxyType(
@@ -238,8 +273,8 @@ AUTOPILOT_CONVERTERS: Mapping[int, Converter] = MappingProxyType(
         mavlink.MAVLINK_MSG_ID_TIMESYNC: timesync,
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status_report,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
-        mavlink.MAVLINK_MSG_ID_COMMAND_ACK: aiding_inbound.command_ack,
-        mavlink.MAVLINK_MSG_ID_PARAM_VALUE: aiding_inbound.param_value,
+        mavlink.MAVLINK_MSG_ID_COMMAND_ACK: command_ack,
+        mavlink.MAVLINK_MSG_ID_PARAM_VALUE: param_value,
     }
 )
 """Messages that describe the vehicle if its autopilot sends them, by message id. A gimbal's ATTITUDE is not the vehicle's."""
@@ -248,11 +283,11 @@ CONVERTERS: Mapping[int, Converter] = MappingProxyType(
     {
         mavlink.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
         mavlink.MAVLINK_MSG_ID_DEBUG_VECT: ranges.debug_vect,
-        mavlink.MAVLINK_MSG_ID_GPS_INPUT: aiding_inbound.gps_input,
+        mavlink.MAVLINK_MSG_ID_GPS_INPUT: gps_input,
         mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: ranges.named_value_float,
         gcs_coloc.MAVLINK_MSG_ID_RANGING_BEACON: ranges.ranging_beacon,
         gcs_coloc.MAVLINK_MSG_ID_PEER_RANGE: ranges.peer_range,
         **AUTOPILOT_CONVERTERS,
     }
 )
-"""All messages that are decoded, by message id; every other one is passed over."""
+"""All messages that are decoded, by message id; every other one is ignored."""

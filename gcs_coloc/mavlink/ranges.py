@@ -1,7 +1,7 @@
-"""The four ways in which a vehicle may report a range to a peer, each made into a PeerRange.
+"""The four messages by which a vehicle may report a range to a peer, each converted to a PeerRange.
 
 Every function takes the sender's system id, the arrival time and the payload's values in wire order.
-docs/reference/peer-range.md describes them to those who send.
+docs/reference/peer-range.md describes them for senders.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def peer_range(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Pee
 def ranging_beacon(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> PeerRange:
     """RANGING_BEACON (513): the sender is the vehicle that measured, `beacon_id` the peer's system id.
 
-    The position that the message states for the beacon is not used: peers tell their positions themselves.
+    The position of the beacon in the message is not used: peers report their positions themselves.
     """
     time_usec, range_mm, _lat, _lon, _alt, _hacc, _vacc, range_accuracy_mm, beacon_id, _carrier, *rest = values
     _target_system, _target_component, _alt_type, sequence, _status = rest

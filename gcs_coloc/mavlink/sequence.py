@@ -1,4 +1,4 @@
-"""What the sequence numbers tell: frames lost on the way, and frames that came twice."""
+"""Frames lost on the way, and frames that came twice, by their sequence numbers."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from types import MappingProxyType
 from gcs_coloc.core.snapshot import LinkSnapshot
 
 MAX_SENDERS = 1024
+"""Chosen: more than a fleet has components; the one silent for longest makes room."""
 COPY_WITHIN_S = 0.5
-"""A network's copy of a frame comes soon. Later, equal number and checksum are a sender that repeats itself: one that never
-counts on sends the same heartbeat every second."""
+"""Chosen: a network's copy of a frame comes sooner. Later, equal number and checksum are a sender that repeats itself: one
+that never increments its number sends the same heartbeat every second."""
 REMEMBERED_FRAMES = 128
+"""Half of the 256 sequence numbers: an older one could be a new frame."""
 
 
 Sender = tuple[Hashable, int, int]

@@ -1,8 +1,8 @@
-"""MAVLink 2 signatures, sans-IO: which frames may be used, and how ours are stamped.
+"""MAVLink 2 signatures, sans-IO: which frames may be used, and the stamps of ours.
 
-Rules: https://mavlink.io/en/guide/message_signing.html. Beyond them, as an attacker makes use of what is left open: a frame
-changes nothing here before its signature is found right, and a stream's time is kept for all links together, so that what
-was heard on one link cannot be played back on another.
+Rules: https://mavlink.io/en/guide/message_signing.html. Two more close what the rules leave open to an attacker: a frame
+changes nothing here before its signature is verified, and the time of a stream is kept for all links together, so that a
+frame of one link cannot be played back on another.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ EPOCH_UNIX_S = 1_420_070_400
 TICKS_PER_S = 100_000
 FIRST_CONTACT_S = 60
 FIRST_CONTACT_TICKS = FIRST_CONTACT_S * TICKS_PER_S
-"""A stream that was never heard may be so far behind our time; further behind it is taken for a recording."""
+"""A stream that was never heard may be one minute behind our time (message_signing.html); further behind it is a recording."""
 LATEST_TICKS = (UNIX_TIME_TO_US // 1_000_000 - EPOCH_UNIX_S) * TICKS_PER_S
-"""The year 2100. Whoever signs for later would, as both ends follow the later time, wear out the counter of 48 bits."""
+"""The year 2100. Both ends adopt a later time, so a sender far ahead would use up the counter of 48 bits."""
 MAX_STREAMS = 1024
+"""Chosen: more than a fleet has components and links."""
 
 _DIGEST_LENGTH = 6
 _TIME_LENGTH = 6
@@ -35,7 +36,7 @@ _TIME_LENGTH = 6
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """What one frame of ours is signed with: the key, the link's number, and a time that no other frame of ours has."""
+    """The signature's inputs of one frame of ours: key, link number, and a time that no other frame of ours has."""
 
     key: bytes = field(repr=False)
     link_id: int
@@ -45,9 +46,9 @@ class Stamp:
 class Signing:
     """One secret key, the time of its signatures, and the time of every stream heard that was signed with it.
 
-    Our time is the latest of the host's clock, the last stamp given and the latest stamp that was verified. A stream is a
-    system, a component and a link number of the sender's. At most `max_streams` are kept: to forget one is safe once its
-    last stamp is so old that at a first contact it would be refused, and only such a one makes room.
+    Our time is the latest of the host's clock, our last stamp and the latest verified stamp. A stream is a system, a component
+    and a link number of the sender's. At most `max_streams` are kept. A stream makes room for a new one only when its last
+    stamp is so old that it would be refused at a first contact.
     """
 
     def __init__(self, key: bytes, *, max_streams: int = MAX_STREAMS) -> None:
@@ -57,7 +58,7 @@ class Signing:
         self._max_streams = max_streams
         self._unix_minus_service_s: float | None = None
         self._latest = 0
-        # In the order of last hearing, so the first one is the likeliest to be out of date.
+        # In the order of last hearing, so the first one is the likeliest to be outdated.
         self._streams: OrderedDict[tuple[int, int, int], int] = OrderedDict()
 
     @property
@@ -66,7 +67,7 @@ class Signing:
         return len(self._streams)
 
     def set_clock(self, unix_minus_service_s: float | None) -> None:
-        """Tell how far the host's UNIX time is ahead of the service's clock; None: the host does not know the time."""
+        """Set how far the host's UNIX time is ahead of the service's clock, s; None: the host does not know the time."""
         self._unix_minus_service_s = unix_minus_service_s
 
     def stamp(self, link_id: int, now_s: float) -> Stamp:
@@ -75,15 +76,13 @@ class Signing:
         return Stamp(self._key, link_id, self._latest)
 
     def ahead_s(self, now_s: float) -> float:
-        """How far the time of our signatures is ahead of the host's clock at service time `now_s`, s; 0 where it knows none."""
+        """How far the time of our signatures is ahead of the host's clock at service time `now_s`, s; 0 where that is unknown."""
         return 0.0 if self._unix_minus_service_s is None else max(self._latest - self._now(now_s), 0) / TICKS_PER_S
 
     def refusal(self, raw: RawFrame, now_s: float) -> Refusal | None:
-        """Why a signed frame that came at service time `now_s` must not be used; None: it may be, and its time is noted.
+        """Why a signed frame that came at service time `now_s` must not be used (see `Refusal`, under signing, and DUPLICATE).
 
-        signature_wrong: altered, or signed with another key; duplicate: the very frame taken last from its stream;
-        signature_replayed: older than that; signature_old: the first of its stream, and over a minute behind our time;
-        signature_future: signed for after 2100; signature_streams_full: no room for another stream.
+        None: it may be used, and the time of its stream is set to its own.
         """
         frame = raw.frame
         signature = hashlib.sha256(self._key + frame[:-_DIGEST_LENGTH]).digest()[:_DIGEST_LENGTH]
@@ -132,10 +131,7 @@ class LinkSigning:
     required: bool
 
     def refusal(self, raw: RawFrame, now_s: float) -> Refusal | None:
-        """Why a frame that came over this link must not be used, None where it may be: as `Signing.refusal`, or unsigned.
-
-        unsigned_radio_status: telemetry radios report on themselves between the frames and have no key; no use is made of it.
-        """
+        """Why a frame that came over this link must not be used: as `Signing.refusal`, or unsigned; None where it may be."""
         if raw.is_signed:
             return self.signing.refusal(raw, now_s)
         if not self.required:

@@ -1,4 +1,4 @@
-"""Where a simulation says that a vehicle truly is: for showing and scoring alone, and never a message of the core's."""
+"""The true position of a simulated vehicle: for display and scoring only, never a message of the core's."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TRUTH_IDS = frozenset(_IN_E7)
 
 
 class HeardTruth(NamedTuple):
-    """The true place of a vehicle in degrees, as heard at service time `at_s` (s)."""
+    """The true position of a vehicle in degrees, received at service time `at_s` (s)."""
 
     sysid: int
     at_s: float

@@ -17,7 +17,7 @@ from gcs_coloc.links.forward import Forwarder
 from gcs_coloc.links.registry import check_outs, parse
 from gcs_coloc.links.routes import RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
-from gcs_coloc.mavlink.aiding_inbound import foreign_gps_input
+from gcs_coloc.mavlink.inbound import foreign_gps_input
 from gcs_coloc.mavlink.refusals import Counts, Refusals
 from gcs_coloc.mavlink.truth import HeardTruth
 from gcs_coloc.recorder.flight import FlightRecording

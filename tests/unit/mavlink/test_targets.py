@@ -5,8 +5,7 @@ import random
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.mavlink.framing import read_frame
-from gcs_coloc.mavlink.targets import EVERYBODY, Target, target_of
+from gcs_coloc.mavlink.framing import EVERYBODY, Target, read_frame, target_of
 from tests.signed_frames import Signer, heartbeat, of_unknown_id
 
 ADDRESSED = sorted(
