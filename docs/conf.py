@@ -3,9 +3,13 @@
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
+
+from docutils import nodes  # noqa: E402
+from docutils.utils.math.latex2mathml import tex2mathml  # noqa: E402
 
 import gcs_coloc  # noqa: E402  (the tree that is documented, not another one that may be installed)
 
@@ -40,6 +44,8 @@ suppress_warnings = ["ref.python"]
 
 exclude_patterns = ["reference/modules/modules.rst"]  # an index above the package, which the package's own page is
 
+# MathML, which browsers draw themselves: MathJax would be loaded from another site by every reader.
+html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = f"gcs-coloc {release}"
 html_theme_options = {"navigation_with_keys": True}
@@ -83,6 +89,20 @@ def plain_docstring(_app: object, _what: str, _name: str, _obj: object, _options
     lines[:] = out
 
 
-def setup(app: object) -> None:
+def inline_math(writer: Any, node: nodes.math) -> None:
+    """Write a formula within a sentence."""
+    writer.body.append(tex2mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def display_math(writer: Any, node: nodes.math_block) -> None:
+    """Write a formula on a line of its own, with the number in its `tag` behind it."""
+    text = re.sub(r"\\tag\{([^}]*)\}", r"\\qquad (\1)", node.astext())
+    writer.body.append(f'<div class="math">{tex2mathml(text.strip(), as_block=True)}</div>')
+    raise nodes.SkipNode
+
+
+def setup(app: Any) -> None:
     """Sphinx calls this once."""
-    app.connect("autodoc-process-docstring", plain_docstring)  # type: ignore[attr-defined]
+    app.add_html_math_renderer("mathml", (inline_math, None), (display_math, None))
+    app.connect("autodoc-process-docstring", plain_docstring)
