@@ -5,7 +5,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 # Several threads are slower than one on matrices as small as ours; the service and its commands see to it themselves.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo demo-docker demo-docker-down test lint docs bench fuzz dialect reference lock clean
+.PHONY: demo demo-docker demo-docker-down test test-wheel lint docs bench fuzz dialect reference lock clean
 
 # The environment with the program in it: .venv/bin/gcs-coloc.
 .venv: .venv/.ready
@@ -18,7 +18,7 @@ export OPENBLAS_NUM_THREADS = 1
 	touch $@
 
 demo: .venv/.ready
-	$(BIN)/python -m gcs_coloc.study.demo --out out/demo
+	$(BIN)/gcs-coloc study demo --out out/demo
 
 # The same in containers, one for each aircraft; needs Docker with Compose and nothing else.
 demo-docker:
@@ -32,6 +32,9 @@ TEST_JOBS ?= 3
 test: .venv/.ready-dev
 	sh tools/install-test-tools
 	$(BIN)/python -m pytest -n $(TEST_JOBS) --dist loadfile
+
+test-wheel:
+	sh tools/test-wheel $(PYTHON)
 
 lint: .venv/.ready-dev
 	$(BIN)/ruff check .

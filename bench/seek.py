@@ -19,9 +19,9 @@ from gcs_coloc.web.playback import Playback
 from gcs_coloc.web.replay_pass import OnPoll, ReplayPass
 from gcs_coloc.web.wire import PlaybackCommand
 from sitl_fakes.fleet import Fleet
-from sitl_fakes.scenario import load_scenario
+from sitl_fakes.scenario import SCENARIOS, load_scenario
 
-_SCENARIO = Path(__file__).resolve().parents[1] / "configs" / "scenario-uwb.toml"
+_SCENARIO = SCENARIOS / "uwb.toml"
 _EPOCH_S = 1.78e9
 _MAX_SEEK_S = 0.05
 """Chosen: within one picture period of the page (0.2 s) on a machine four times as slow."""

@@ -15,11 +15,13 @@ import numpy as np
 
 from bench.figures import Figure
 from bench.relay import Relay
+from sitl_fakes.scenario import SCENARIOS
 
-SCENARIO = Path(__file__).resolve().parents[1] / "configs" / "scenario-uwb.toml"
+SCENARIO = SCENARIOS / "uwb.toml"
 _READER = """
 import sys
 from pymavlink import mavutil
+from sitl_fakes.scenario import SCENARIOS
 link = mavutil.mavlink_connection(f"udpin:127.0.0.1:{sys.argv[1]}", dialect="ardupilotmega")
 while True:
     link.recv_match(blocking=True)

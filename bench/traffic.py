@@ -7,7 +7,6 @@ about 40 messages a second, of which the service has use for every second one.
 from __future__ import annotations
 
 from collections import Counter
-from pathlib import Path
 from typing import NamedTuple
 
 from fastcrc.crc16 import mcrf4xx
@@ -15,9 +14,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.mavlink.dialect import CRC_EXTRA, MESSAGE_CLASSES
 from sitl_fakes.fleet import Fleet
-from sitl_fakes.scenario import Scenario, load_scenario
+from sitl_fakes.scenario import SCENARIOS, Scenario, load_scenario
 
-SCENARIO = Path(__file__).resolve().parents[1] / "configs" / "scenario-uwb.toml"
+SCENARIO = SCENARIOS / "uwb.toml"
 LOST = 4
 WARM_S = 15.0
 """By then vehicle 4 has lost its GPS and is located, and nothing of the start is left."""

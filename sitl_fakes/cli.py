@@ -14,7 +14,7 @@ import typer
 
 from sitl_fakes.errors import FakesError, ScenarioError
 from sitl_fakes.fleet import Fleet
-from sitl_fakes.scenario import load_scenario
+from sitl_fakes.scenario import load_scenario, shipped_scenarios
 from sitl_fakes.shell import Address, TruthFile, run
 
 # Newer Typers carry a Click of their own inside; this names the base of their usage errors in either case.
@@ -47,9 +47,18 @@ def _group(text: str) -> Address:
     raise ScenarioError(f"--airspace {text!r}: expected an IPv4 multicast group, for example {_EXAMPLE_GROUP}")
 
 
+def _list(wanted: bool) -> None:
+    if wanted:
+        for name, description in shipped_scenarios().items():
+            print(f"{name:<12} {description}")
+        raise typer.Exit
+
+
 @_app.command()
 def fly(
-    scenario: Annotated[Path, typer.Argument(help="Scenario file (TOML), for example configs/scenario-paper.toml.")],
+    scenario: Annotated[
+        str, typer.Argument(help="A scenario that comes with the program, as paper (see --list), or a scenario file (TOML).")
+    ],
     target: Annotated[str, typer.Option(help="Where the vehicles send to, HOST:PORT.")] = "127.0.0.1:14550",
     seed: Annotated[int, typer.Option(min=0, help="Seed of every random draw.")] = 1,
     vehicle: Annotated[
@@ -67,8 +76,13 @@ def fly(
             help="Fly only the vehicles of --vehicle; the others are flown by other processes in this multicast group.",
         ),
     ] = None,
+    listed: Annotated[
+        bool,
+        typer.Option("--list", callback=_list, is_eager=True, help="List the scenarios that come with it, and exit."),
+    ] = False,
 ) -> None:
     """Fly a scenario in real time over UDP: simulated aircraft that send and take MAVLink as ArduPilot does."""
+    del listed
     address = _address("--target", target, "127.0.0.1:14550")
     group = None if airspace is None else _group(airspace)
     if group is not None and not vehicle:

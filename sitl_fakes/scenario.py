@@ -184,8 +184,23 @@ class Scenario(_Table):
         return [v.sysid for v in self.vehicle if v.sysid != vehicle.sysid] if loses_gps else []
 
 
+SCENARIOS = Path(__file__).with_name("scenarios")
+"""The scenarios that come with the program, NAME.toml each."""
+
+
+def shipped_scenarios() -> dict[str, str]:
+    """Name and description of each scenario that comes with the program."""
+    return {file.stem: load_scenario(file).description for file in sorted(SCENARIOS.glob("*.toml"))}
+
+
 def load_scenario(path: str | Path) -> Scenario:
-    """Read and check a scenario file. Raises `ScenarioError`, one line naming the file and the first few keys at fault."""
+    """Read and check a scenario: a file, or by its name one that comes with the program.
+
+    Raises `ScenarioError`, one line naming the file and the first few keys at fault.
+    """
+    shipped = SCENARIOS / f"{path}.toml"
+    if Path(path).name == str(path) and shipped.is_file():
+        path = shipped
     try:
         with Path(path).open("rb") as file:
             table = tomllib.load(file)

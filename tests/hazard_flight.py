@@ -9,7 +9,6 @@ from __future__ import annotations
 import tomllib
 from dataclasses import dataclass
 from math import hypot
-from pathlib import Path
 from typing import Any
 
 from gcs_coloc.core.engine import Engine
@@ -17,9 +16,8 @@ from gcs_coloc.core.error_bound import horizontal_bound_95_m
 from gcs_coloc.core.messages.outbound import GpsInput, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, Sample, fly
-from sitl_fakes.scenario import Scenario
+from sitl_fakes.scenario import SCENARIOS, Scenario
 
-CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 SUBJECT = 4
 """The aircraft in the middle of the four-ship, which loses its GPS in most hazards."""
 BELIEVED = ("healthy", "unknown")
@@ -144,7 +142,7 @@ def fly_through(
         autopilot: kind of the denied vehicle's autopilot.
         scenario: name of the scenario.
     """
-    with (CONFIGS / f"scenario-{scenario}.toml").open("rb") as file:
+    with (SCENARIOS / f"{scenario}.toml").open("rb") as file:
         table = tomllib.load(file)
     table["fault"] = list(faults)
     everyone = [v["sysid"] for v in table["vehicle"]]

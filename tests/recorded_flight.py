@@ -6,9 +6,9 @@ import struct
 from pathlib import Path
 
 from sitl_fakes.fleet import Fleet
-from sitl_fakes.scenario import load_scenario
+from sitl_fakes.scenario import SCENARIOS, load_scenario
 
-SCENARIO = Path(__file__).resolve().parents[1] / "configs" / "scenario-uwb.toml"
+SCENARIO = SCENARIOS / "uwb.toml"
 EPOCH_S = 1_780_000_000.0
 
 

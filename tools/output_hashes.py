@@ -29,10 +29,10 @@ from gcs_coloc.recorder import replay as driver
 from gcs_coloc.recorder.side_tables import read_ranges
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.study.closed_loop import fly
-from sitl_fakes.scenario import load_scenario
+from sitl_fakes.scenario import SCENARIOS, load_scenario
 
 LOOK_EVERY_S = 0.5
-FLOWN_S = {"scenario-paper": 120.0, "scenario-two-failed": 90.0, "scenario-uwb": 120.0}
+FLOWN_S = {"paper": 120.0, "two-failed": 90.0, "uwb": 120.0}
 ESTIMATORS = ("fleet", "qu_zhang")
 
 
@@ -136,9 +136,11 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
     tasks: list[tuple[str, Callable[[Path, str], str], Path, str]] = []
-    configs = Path(__file__).resolve().parents[1] / "configs"
     for estimator in ESTIMATORS:
-        tasks += [(f"{estimator} flown {name}", of_simulation, configs / f"{name}.toml", estimator) for name in sorted(FLOWN_S)]
+        tasks += [
+            (f"{estimator} flown scenario-{name}", of_simulation, SCENARIOS / f"{name}.toml", estimator)
+            for name in sorted(FLOWN_S)
+        ]
         for directory in arguments.directories:
             logs = [file.relative_to(directory) for file in sorted(directory.rglob("*.tlog"))]
             sets = [file.parent.relative_to(directory) for file in sorted(directory.rglob("meta.toml"))]

@@ -8,8 +8,17 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-SUBCOMMANDS = ("doctor", "replay", "export", "report", "evaluate", "study")
-"""Each a module beside this one, with a function of its name, or with an `app` of subcommands."""
+SUBCOMMANDS = {
+    "check-config": "configuration",
+    "example-config": "configuration",
+    "doctor": "doctor",
+    "replay": "replay",
+    "export": "export",
+    "report": "report",
+    "evaluate": "evaluate",
+    "study": "study",
+}
+"""Command to the module beside this one that has it: as a function of the command's name, or as its `app`."""
 
 
 class LateCommands(TyperGroup):
@@ -23,9 +32,9 @@ class LateCommands(TyperGroup):
         """The command of that name, or None."""
         if cmd_name not in SUBCOMMANDS:
             return super().get_command(ctx, cmd_name)
-        module = import_module(f"gcs_coloc.cli.{cmd_name}")
+        module = import_module(f"gcs_coloc.cli.{SUBCOMMANDS[cmd_name]}")
         if hasattr(module, "app"):
             return typer.main.get_command(module.app)
         alone = typer.Typer(add_completion=False)
-        alone.command(cmd_name)(getattr(module, cmd_name))
+        alone.command(cmd_name)(getattr(module, cmd_name.replace("-", "_")))
         return typer.main.get_command(alone)

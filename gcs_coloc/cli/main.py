@@ -31,7 +31,6 @@ app = typer.Typer(
     cls=LateCommands,
     help="Locates MAVLink vehicles whose GPS has failed from their ranges to neighbours, and sends them their position.",
     epilog="Example: gcs-coloc --udp 14550",
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -156,34 +155,6 @@ def run(
     console = SharedConsole(file=own_stream(sys.stdout))
     _log_to_stderr(log_level, console)
     asyncio.run(Service(fleets).run(console))
-
-
-@app.command("check-config")
-def check_config(file: Annotated[Path, typer.Argument(help="The configuration file (TOML).", metavar="FILE")]) -> None:
-    """Check a configuration file, fleet by fleet: keys, values, links, estimator, and every file that it names."""
-    from gcs_coloc.config.fleets import load_fleets
-    from gcs_coloc.estimators.registry import load_estimator
-    from gcs_coloc.links.registry import check_outs
-    from gcs_coloc.links.signed_links import SignedLinks
-    from gcs_coloc.sinks.mqtt import read_credentials
-    from gcs_coloc.web.server import read_token
-    from gcs_coloc.web.tiles import TileFile
-
-    found = []
-    for fleet in load_fleets(file, {}):
-        settings = fleet.settings
-        with fleet.named():
-            check_outs(settings.out, settings.links)
-            SignedLinks(settings.signing, settings.links, settings.out)
-            load_estimator(settings.estimator.name, settings.estimator.settings)
-            read_credentials(settings.mqtt)
-            if settings.web.token_file:
-                read_token(Path(settings.web.token_file))
-            if settings.web.tiles:
-                TileFile(Path(settings.web.tiles))
-        whose = f"fleet {fleet.name}: " if fleet.name else ""
-        found.append(f"{whose}{len(settings.links)} link(s), estimator {settings.estimator.name}")
-    print(f"{file}: good; {'; '.join(found)}")
 
 
 def _log_to_stderr(level: LogLevel, console: Console) -> None:

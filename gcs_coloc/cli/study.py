@@ -18,6 +18,21 @@ _FILE_WIDTH = 140  # of tables that go to a file or pipe
 app = typer.Typer(name="study", add_completion=False, help="The paper's tables and figures; the best that any estimator can do.")
 
 
+@app.command("demo")
+def demo(
+    out: Annotated[Path, typer.Option(help="Where the picture and the logs go.")] = Path("out/demo"),
+    scenario: Annotated[
+        str, typer.Option(help="A scenario that comes with sitl-fakes (sitl-fakes --list), or a scenario file (TOML).")
+    ] = "paper",
+    estimator: Annotated[str, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = "fleet",
+    seed: Annotated[int, typer.Option(help="Seed of the simulated aircraft's noise.")] = 1,
+) -> None:
+    """Fly the paper's four aircraft: live for 90 s, then the whole flight in process; report and draw."""
+    from gcs_coloc.study.demo import run_demo
+
+    run_demo(out, scenario, estimator, seed)
+
+
 @app.command("paper")
 def paper(
     seeds: Annotated[int, typer.Option(help="Draws of noise.")] = 20,
@@ -61,7 +76,9 @@ def paper(
 
 @app.command("bound")
 def bound(
-    scenario: Annotated[Path, typer.Argument(help="A scenario of the simulated aircraft (TOML).", metavar="SCENARIO")],
+    scenario: Annotated[
+        str, typer.Argument(help="A scenario that comes with sitl-fakes, or a scenario file (TOML).", metavar="SCENARIO")
+    ],
     seed: Annotated[int, typer.Option(help="Seed of the flight (wind and the aircraft's own errors).")] = 1,
     peer_sigma: Annotated[
         float, typer.Option(help="1-sigma of each peer's position, m, new in every range; 0 is the least.")

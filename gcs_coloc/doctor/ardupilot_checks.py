@@ -29,8 +29,6 @@ def check(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
     aid = setup.aiding
     if method_for(vehicle.sysid, vehicle.autopilot, aid) == "external_position":
         yield right("it is aided by MAV_CMD_EXTERNAL_POSITION_ESTIMATE alone, which needs no GPS parameter")
-    elif aid.gps_id not in (0, 1):
-        yield note(f"[aiding] gps_id = {aid.gps_id}: the doctor knows the first two receivers only, and has not checked this one")
     else:
         yield from _receivers(vehicle, aid.gps_id)
         yield from _delay(vehicle, aid.gps_id, aid.lag_s)

@@ -1,6 +1,6 @@
 """The demo: the paper's four aircraft against the service, live over loopback UDP, then the whole flight in process.
 
-`python -m gcs_coloc.study.demo --out DIR`. Leaves `demo.png` and the logs of both processes in DIR.
+`gcs-coloc study demo --out DIR` leaves `demo.png` and the logs of both processes in DIR.
 """
 
 from __future__ import annotations
@@ -13,26 +13,22 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.errors import GcsColocError
+from gcs_coloc.core.errors import GcsColocError, UsageError
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, fly
 from gcs_coloc.study.demo_picture import draw
-from sitl_fakes.errors import FakesError
+from sitl_fakes.errors import ScenarioError
 from sitl_fakes.scenario import Scenario, load_scenario
 
 LIVE_S = 90.0
 SUBJECT = 4
 AIDED_SOURCE = "gps2 injected"
-_SCENARIO = Path(__file__).resolve().parents[2] / "configs" / "scenario-paper.toml"
-_SEED = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,16 +47,19 @@ class Figures:
     hdop: float | None
 
 
-def main(
-    out: Annotated[Path, typer.Option(help="Where the picture and the logs go.")] = Path("out/demo"),
-    scenario_file: Annotated[Path, typer.Option("--scenario", help="The scenario.")] = _SCENARIO,
-    estimator: Annotated[str, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = "fleet",
-    seed: Annotated[int, typer.Option(help="Seed of the fakes' noise.")] = _SEED,
-) -> None:
-    """Fly the paper's four aircraft: live for 90 s, then the whole flight in process; report and draw."""
+def run_demo(out: Path, scenario_file: str, estimator: str, seed: int) -> None:
+    """Fly live for 90 s, then the whole flight in process; print a report, and leave picture and logs in `out`.
+
+    Raises:
+        UsageError: the scenario cannot be read.
+        GcsColocError: the service or the aircraft stopped early.
+    """
     console = Console()
+    try:
+        scenario = load_scenario(scenario_file)
+    except ScenarioError as error:
+        raise UsageError(str(error)) from None
     out.mkdir(parents=True, exist_ok=True)
-    scenario = load_scenario(scenario_file)
     lost_s = min(fault.at_s for fault in scenario.fault if fault.vehicle == SUBJECT)
     console.print(
         f"[bold]1. Live[/], over loopback UDP, {LIVE_S:.0f} s: four aircraft at {scenario.airspeed_mps:.0f} m/s, "
@@ -81,7 +80,7 @@ def main(
     console.print(f"\nTrack and error: {picture}")
 
 
-def _fly_live(scenario_file: Path, estimator: str, seed: int, out: Path, console: Console) -> list[dict[str, str]]:
+def _fly_live(scenario_file: str, estimator: str, seed: int, out: Path, console: Console) -> list[dict[str, str]]:
     port, truth = _free_port(), out / "live-truth.csv"
     truth.unlink(missing_ok=True)
     service_log, fakes_log = out / "service.log", out / "sitl-fakes.log"
@@ -93,7 +92,7 @@ def _fly_live(scenario_file: Path, estimator: str, seed: int, out: Path, console
         )
         flags = ["--target", f"127.0.0.1:{port}", "--seed", str(seed), "--duration", f"{LIVE_S:.0f}", "--truth", str(truth)]
         fakes = subprocess.Popen(  # noqa: S603
-            [sys.executable, "-m", "sitl_fakes", str(scenario_file), *flags],
+            [sys.executable, "-m", "sitl_fakes", scenario_file, *flags],
             stdout=fakes_out,
             stderr=subprocess.STDOUT,
         )
@@ -203,11 +202,3 @@ def _free_port() -> int:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
         return port
-
-
-if __name__ == "__main__":
-    try:
-        typer.run(main)
-    except (GcsColocError, FakesError) as error:
-        print(f"demo: error: {error}", file=sys.stderr)
-        sys.exit(error.exit_code)

@@ -16,7 +16,7 @@ from sitl_fakes.fleet import Fleet
 from sitl_fakes.scenario import Scenario, load_scenario
 
 
-def run(path: Path, seed: int, options: BoundOptions) -> dict[int, Bound]:
+def run(path: str, seed: int, options: BoundOptions) -> dict[int, Bound]:
     """The bound of each vehicle that loses its GPS, by system id, from the loss to the end of the scenario.
 
     Rate and noise of the ranges and the GPS noise at the start are the scenario's; the rest is in `options`. The other

@@ -9,12 +9,10 @@ import socket
 import time
 import tomllib
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 from sitl_fakes.fleet import Fleet
-from sitl_fakes.scenario import Scenario
+from sitl_fakes.scenario import SCENARIOS, Scenario
 
-CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 _TICK_S = 0.01
 
 
@@ -75,7 +73,7 @@ def on_air(port: int, seed: int = 1) -> Iterator[OnAir]:
 
 
 def _four_ship() -> Scenario:
-    with (CONFIGS / "scenario-uwb.toml").open("rb") as file:
+    with (SCENARIOS / "uwb.toml").open("rb") as file:
         table = tomllib.load(file)
     table["fault"] = []
     for vehicle in table["vehicle"]:

@@ -15,9 +15,10 @@ from pathlib import Path
 
 import pytest
 
+from sitl_fakes.scenario import SCENARIOS
+
 pytestmark = pytest.mark.integration
 
-CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 LOST_S, ROWS = 5.0, 50
 LIMIT_S = 100.0
 
@@ -44,7 +45,7 @@ def waited_for(condition: Callable[[], bool]) -> bool:
 
 def test_the_aircraft_without_gps_flies_on_what_the_service_sends_and_reckons_on_without(start_service, free_port, tmp_path):
     scenario, with_service, without = tmp_path / "scenario.toml", tmp_path / "with.csv", tmp_path / "without.csv"
-    text = (CONFIGS / "scenario-uwb.toml").read_text(encoding="utf-8")
+    text = (SCENARIOS / "uwb.toml").read_text(encoding="utf-8")
     assert "at_s = 20.0" in text
     scenario.write_text(text.replace("at_s = 20.0", f"at_s = {LOST_S}"), encoding="utf-8")
     start_service("--udp", f"127.0.0.1:{free_port}")

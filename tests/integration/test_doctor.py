@@ -14,10 +14,12 @@ from pathlib import Path
 
 import pytest
 
+from sitl_fakes.scenario import SCENARIOS
+
 pytestmark = pytest.mark.integration
 
 ROOT = Path(__file__).resolve().parents[2]
-PAPER = (ROOT / "configs/scenario-paper.toml").read_text()
+PAPER = (SCENARIOS / "paper.toml").read_text()
 WRONG = {"GPS2_TYPE": 0, "GPS_PRIMARY": 1, "GPS_AUTO_SWITCH": 1, "MAV_OPTIONS": 1, "EK3_GPS_CHECK": 19}
 
 

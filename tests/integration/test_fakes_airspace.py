@@ -13,15 +13,14 @@ from dataclasses import replace
 import pytest
 
 from sitl_fakes.airspace import Airspace
-from sitl_fakes.scenario import load_scenario
+from sitl_fakes.scenario import SCENARIOS, load_scenario
 from sitl_fakes.whereabouts import Whereabouts
-from tests.unit.sitl_fakes.fakes_support import CONFIGS
 
 pytestmark = pytest.mark.integration
 
 LOOPBACK = ("127.0.0.1", 9)
 PEER_RANGE = (181600).to_bytes(3, "little")
-SCENARIO = CONFIGS / "scenario-paper.toml"
+SCENARIO = SCENARIOS / "paper.toml"
 HERE = Whereabouts(4, 1000.0, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
 
 

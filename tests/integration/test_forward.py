@@ -218,7 +218,7 @@ def test_mavutil_reads_a_parameter_of_one_vehicle_of_a_fleet_through_us(start_se
     port = link_peers.free_port(socket.SOCK_STREAM if ours == "tcpin" else socket.SOCK_DGRAM)
     start_service("--udp", f"127.0.0.1:{free_port}", "--out", f"{ours}:127.0.0.1:{port}")
     with closing(mavutil.mavlink_connection(f"{theirs}:127.0.0.1:{port}", source_system=255, dialect="ardupilotmega")) as ground:
-        command = [sys.executable, "-m", "sitl_fakes", "configs/scenario-paper.toml", "--target", f"127.0.0.1:{free_port}"]
+        command = [sys.executable, "-m", "sitl_fakes", "paper", "--target", f"127.0.0.1:{free_port}"]
         fakes = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL)
         try:
             found = {}

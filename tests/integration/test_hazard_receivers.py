@@ -1,6 +1,6 @@
 """Receivers that fail, freeze, are jammed or walked off, on the denied vehicle and on a peer: whole flights on MAVLink bytes.
 
-The four-ship of configs/scenario-uwb.toml: GPS of 1.5 m with errors that last a minute, ranges of 0.5 m with 3 % outliers,
+The four-ship of sitl_fakes/scenarios/uwb.toml: GPS of 1.5 m with errors that last a minute, ranges of 0.5 m with 3 % outliers,
 telemetry up to 0.15 s late. Undisturbed, over seeds 1 to 8, the vehicle is located to 4.0 m at the worst (`SOUND_M` is half as
 much again) and to 1.5 times its 95 % bound at the worst, as the peers' slow errors last a whole flight; with the seed of these
 flights to 0.7 times, so that `HONEST` leaves room for as much again and nothing for a lie.

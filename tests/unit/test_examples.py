@@ -30,7 +30,7 @@ def run(example: str, *arguments: str, cwd: Path) -> str:
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory) -> Path:
     """40 s of four simulated aircraft; vehicle 4 loses its GPS after 20 s."""
-    fleet = Fleet(load_scenario(ROOT / "configs" / "scenario-uwb.toml"), seed=3, unix_epoch_s=EPOCH_S)
+    fleet = Fleet(load_scenario("uwb"), seed=3, unix_epoch_s=EPOCH_S)
     path = tmp_path_factory.mktemp("flight") / "flight.tlog"
     with path.open("wb") as file:
         for step in range(1, 2001):

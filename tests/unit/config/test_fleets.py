@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_coloc.cli.main import check_config
+from gcs_coloc.cli.configuration import check_config
 from gcs_coloc.config.fleets import load_fleets, load_settings
 from gcs_coloc.core.errors import ConfigError, EstimatorError, UsageError
 from gcs_coloc.service.service import Service
@@ -121,7 +121,7 @@ def test_a_flag_that_is_meant_for_one_fleet_is_refused_where_there_are_several(t
 
 
 def test_the_example_configuration_is_good():
-    assert len(load_fleets(Path(__file__).resolve().parents[3] / "configs/fleets.toml", {})) == 2
+    assert len(load_fleets(Path(__file__).resolve().parents[3] / "gcs_coloc/config/examples/fleets.toml", {})) == 2
 
 
 @pytest.mark.parametrize("name", ["north", "south"])

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import fields, is_dataclass
 
 import pytest
 
+from gcs_coloc.config.examples import EXAMPLES
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.setting_bounds import Bounds, bounds_of, check_bounds
 from tools.settings_reference import PAGES, field_texts, written
@@ -50,3 +52,12 @@ def test_bounds_admit_what_they_say(bounds, inside, outside, text):
     assert str(bounds) == text
     assert all(bounds.admit(value) for value in inside)
     assert not any(bounds.admit(value) for value in outside)
+
+
+def test_the_example_configuration_holds_every_setting_with_its_default():
+    file = tomllib.loads((EXAMPLES / "default.toml").read_text(encoding="utf-8"))
+    told = Settings.model_validate({name: file[name] for name in SECTIONS})
+    for name, section in SECTIONS.items():
+        names = [one.name for one in fields(section)] if is_dataclass(section) else list(section.model_fields)
+        assert set(file[name]) == set(names)
+        assert getattr(told, name) == getattr(Settings(), name)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_coloc.cli.main import check_config
+from gcs_coloc.cli.configuration import check_config
 from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.config.renamed_keys import RENAMED
 from gcs_coloc.config.settings import Settings

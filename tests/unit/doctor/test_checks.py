@@ -151,8 +151,6 @@ def test_another_receiver_instance_is_judged_as_the_fed_one():
     swapped = with_parameters(GPS1_TYPE=14.0, GPS2_TYPE=1.0, GPS_PRIMARY=1.0)
     assert not said(swapped, Setup(aiding=AidingSettings(gps_id=0)))
     assert not is_ready(said(swapped, Setup(aiding=AidingSettings(gps_id=1))))
-    (remark,) = said(GOOD, Setup(aiding=AidingSettings(gps_id=2)))
-    assert "has not checked this one" in remark.text
 
 
 @pytest.mark.parametrize(

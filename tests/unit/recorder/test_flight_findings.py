@@ -22,9 +22,9 @@ from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.side_tables import TruthPoint
 from gcs_coloc.recorder.tlog import TlogReader
 from sitl_fakes.fleet import Fleet
-from sitl_fakes.scenario import load_scenario
+from sitl_fakes.scenario import SCENARIOS, load_scenario
 
-SCENARIO = Path(__file__).resolve().parents[3] / "configs" / "scenario-uwb.toml"
+SCENARIO = SCENARIOS / "uwb.toml"
 EPOCH_S = 1_780_000_000.0
 
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fakes.fleet import Datagram, Fleet
 from sitl_fakes.scenario import Scenario
-
-CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 
 ORIGIN = {"lat_deg": 47.0, "lon_deg": 8.0, "alt_msl_m": 500.0, "geoid_height_m": 48.0}
 EXACT = {

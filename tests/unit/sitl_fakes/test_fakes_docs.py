@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 import typer
@@ -11,9 +12,8 @@ from pydantic import BaseModel
 from sitl_fakes import cli, faults, scenario
 from sitl_fakes.parameters import DEFAULTS
 from sitl_fakes.truth import CSV_HEADER
-from tests.unit.sitl_fakes.fakes_support import CONFIGS
 
-REFERENCE = CONFIGS.parent / "docs" / "reference"
+REFERENCE = Path(__file__).resolve().parents[3] / "docs" / "reference"
 SCENARIOS = (REFERENCE / "scenarios.md").read_text(encoding="utf-8")
 PROGRAM = (REFERENCE / "sitl-fakes.md").read_text(encoding="utf-8")
 TABLES = {

@@ -18,11 +18,11 @@ from sitl_fakes import cli
 from sitl_fakes.errors import ScenarioError
 from sitl_fakes.fleet import Fleet
 from sitl_fakes.nominal import PAPER_ROUTES
-from sitl_fakes.scenario import load_scenario
-from tests.unit.sitl_fakes.fakes_support import CONFIGS, aid
+from sitl_fakes.scenario import SCENARIOS, load_scenario
+from tests.unit.sitl_fakes.fakes_support import aid
 
 GOOD = 'name = "x"\n[origin]\nlat_deg = 47.0\nlon_deg = 8.0\n[[vehicle]]\nsysid = 1\nwaypoints = [[0, 0], [0, 1000]]\n'
-SHIPPED = sorted(CONFIGS.glob("scenario-*.toml"))
+SHIPPED = sorted(SCENARIOS.glob("*.toml"))
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
@@ -35,7 +35,7 @@ def test_the_shipped_scenarios_load_and_fly(path):
 
 
 def test_the_papers_scenario_is_the_papers():
-    scenario = load_scenario(CONFIGS / "scenario-paper.toml")
+    scenario = load_scenario("paper")
     assert [tuple(v.waypoints) for v in scenario.vehicle] == list(PAPER_ROUTES)
     assert (scenario.airspeed_mps, scenario.gps.sigma_h_m, scenario.ranging.sigma_m) == (50.0, 15.0, 20.0)
     assert [scenario.ranging_peers(v) for v in scenario.vehicle] == [[], [], [], [1, 2, 3]]
@@ -43,7 +43,7 @@ def test_the_papers_scenario_is_the_papers():
 
 
 def test_in_the_scenario_with_two_failed_each_ranges_to_the_other():
-    scenario = load_scenario(CONFIGS / "scenario-two-failed.toml")
+    scenario = load_scenario("two-failed")
     peers = {v.sysid: scenario.ranging_peers(v) for v in scenario.vehicle}
     assert peers[4] == [1, 2, 3, 5]
     assert peers[5] == [1, 2, 3, 4]
@@ -86,7 +86,7 @@ def run_cli(monkeypatch, capsys, *arguments):
     return caught.value.code, capsys.readouterr().err
 
 
-PAPER = CONFIGS / "scenario-paper.toml"
+PAPER = SCENARIOS / "paper.toml"
 
 
 @pytest.mark.parametrize(
@@ -181,3 +181,13 @@ def test_with_true_positions_injected_the_lost_vehicle_knows_where_it_is_and_wit
         worst[aided] = max(errors)
     assert worst[True] < 8.0
     assert worst[False] > 20.0
+
+
+def test_the_scenarios_that_come_with_the_program_are_listed_and_flown_by_name(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["sitl-fakes", "--list"])
+    with pytest.raises(SystemExit, match="0"):
+        cli.main()
+    listed = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]
+    assert [name for name, _ in listed] == [path.stem for path in SHIPPED] == ["paper", "two-failed", "uwb"]
+    assert all(load_scenario(name).description == description for name, description in listed)

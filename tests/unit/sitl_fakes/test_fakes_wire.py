@@ -11,9 +11,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.generator import mavparse
 
 from sitl_fakes.fleet import Fleet
-from sitl_fakes.scenario import load_scenario
+from sitl_fakes.scenario import SCENARIOS, load_scenario
 from sitl_fakes.wire import peer_range_frame, ranging_beacon_frame
-from tests.unit.sitl_fakes.fakes_support import CONFIGS, parse, scenario
+from tests.unit.sitl_fakes.fakes_support import parse, scenario
 
 DEFINITION = """<?xml version="1.0"?><mavlink><version>1</version><dialect>0</dialect><messages>
 <message id="513" name="RANGING_BEACON"><description>d</description>
@@ -204,7 +204,7 @@ def test_raw_positions_carry_the_receivers_own_white_noise_and_filtered_ones_do_
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others():
-    path = CONFIGS / "scenario-uwb.toml"
+    path = SCENARIOS / "uwb.toml"
 
     def bytes_of(seed, chunks):
         fleet = Fleet(load_scenario(path), seed)

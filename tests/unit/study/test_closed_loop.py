@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -15,12 +13,11 @@ from gcs_coloc.study.demo_picture import draw
 from sitl_fakes.scenario import Scenario, load_scenario
 from sitl_fakes.truth import VehicleTruth
 
-CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 LOST_S = 20.0
 
 
 def uwb(**ranging: object) -> Scenario:
-    scenario = load_scenario(CONFIGS / "scenario-uwb.toml")
+    scenario = load_scenario("uwb")
     return scenario.model_copy(update={"ranging": scenario.ranging.model_copy(update=ranging)})
 
 
@@ -49,7 +46,7 @@ def test_the_papers_stack_locates_it_too_only_coarser():
 
 
 def test_two_failed_vehicles_are_located_together():
-    flight = flown(load_scenario(CONFIGS / "scenario-two-failed.toml"), duration_s=60.0)
+    flight = flown(load_scenario("two-failed"), duration_s=60.0)
     lost = [s for s, samples in flight.samples.items() if samples[-1].gps_state == "failed"]
     assert len(lost) == 2
     for sysid in lost:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -14,13 +12,12 @@ from gcs_coloc.study.closed_loop import Flight, fly
 from sitl_fakes.faults import GpsJammed, GpsLost
 from sitl_fakes.scenario import Scenario, load_scenario
 
-CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 SUBJECT = 4
 LOST_S = 20.0
 
 
 def scenario(fault: type, **ranging: object) -> Scenario:
-    uwb = load_scenario(CONFIGS / "scenario-uwb.toml")
+    uwb = load_scenario("uwb")
     changed = {"fault": [fault(vehicle=SUBJECT, at_s=LOST_S)], "ranging": uwb.ranging.model_copy(update=ranging)}
     return uwb.model_copy(update=changed)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,9 +9,9 @@ from gcs_coloc.core.aiding import stream as aid_stream
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, fly
-from sitl_fakes.scenario import load_scenario
+from sitl_fakes.scenario import SCENARIOS, load_scenario
 
-SCENARIO = Path(__file__).resolve().parents[3] / "configs" / "scenario-uwb.toml"
+SCENARIO = SCENARIOS / "uwb.toml"
 LOST_S, SETTLED_S = 20.0, 30.0
 
 

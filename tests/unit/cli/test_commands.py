@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 from recorded_flight import write_flight
 
-ROOT = Path(__file__).resolve().parents[2]
+from sitl_fakes.scenario import SCENARIOS
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def gcs_coloc(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -106,7 +108,7 @@ def test_study_paper_prints_table_2_and_writes_its_files(tmp_path):
 def test_study_bound_tells_the_least_error(tmp_path):
     picture = tmp_path / "bound.png"
     short = tmp_path / "scenario.toml"
-    text = (ROOT / "configs/scenario-uwb.toml").read_text()
+    text = (SCENARIOS / "uwb.toml").read_text()
     short.write_text(text.replace("duration_s = 300.0", "duration_s = 40.0"))
     told = gcs_coloc("study", "bound", str(short), "--plot", str(picture))
     assert told.returncode == 0, told.stderr

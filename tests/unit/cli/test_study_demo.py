@@ -8,6 +8,7 @@ import sys
 
 def test_a_scenario_that_is_not_there_is_named_in_one_line(tmp_path):
     arguments = ["--scenario", str(tmp_path / "none.toml"), "--out", str(tmp_path / "out")]
-    demo = subprocess.run([sys.executable, "-m", "gcs_coloc.study.demo", *arguments], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "gcs_coloc", "study", "demo", *arguments]
+    demo = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (demo.returncode, demo.stdout) == (2, "")
-    assert demo.stderr == f"demo: error: {tmp_path / 'none.toml'}: No such file or directory\n"
+    assert demo.stderr == f"gcs-coloc: error: {tmp_path / 'none.toml'}: No such file or directory\n"
