@@ -1,7 +1,7 @@
 """Keeps the linear algebra libraries to one thread each.
 
-The filter's matrices have some 100 rows: several threads take longer for them than one, and on a busy machine many times the
-CPU. The libraries read these variables when numpy is imported, which is why the entry points call this before anything else.
+For the filter's matrices of some 100 rows, several threads are slower than one, and on a busy machine they need many times
+the CPU. The libraries read these variables when numpy is imported, so the entry points call `one_thread` before anything else.
 """
 
 from __future__ import annotations
@@ -12,6 +12,6 @@ _VARIABLES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "OM
 
 
 def one_thread() -> None:
-    """Limit them in this process and its children; what the user has set stays. To be called before numpy is imported."""
+    """Limit them in this process and its children, before numpy is imported. Variables that the user has set stay."""
     for name in _VARIABLES:
         os.environ.setdefault(name, "1")

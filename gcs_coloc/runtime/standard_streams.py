@@ -1,4 +1,4 @@
-"""The process's standard streams, which whoever starts it may have closed, and whose reader may go."""
+"""The process's standard streams, which may be closed at the start, and whose reader may go away."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import os
 import sys
 
 NOBODY_READS = (errno.EPIPE, errno.ENOSPC, errno.EIO)
-"""What writing to a standard output ends with whose reader, disk or terminal is gone."""
+"""The errors of writing to a standard output whose reader, disk space or terminal is gone."""
 
 
 def open_all() -> None:
-    """Make stdin, stdout and stderr exist. One that is closed is nothing to read from, and nowhere to write to.
+    """Make stdin, stdout and stderr exist: a closed one becomes the null device.
 
-    Else the next socket or file that is opened gets its number, and what is printed goes there.
+    Otherwise the next socket or file that is opened gets its number, and what is printed goes there.
     """
     for number in (0, 1, 2):
         try:
@@ -27,7 +27,7 @@ def open_all() -> None:
 
 
 def discard_output() -> None:
-    """Write what stdout still holds to nowhere, so that the interpreter does not stumble over it as it ends."""
+    """Discard what stdout still buffers, so that flushing it does not fail as the interpreter ends."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.close(nowhere)
