@@ -129,10 +129,10 @@ class CvFilter:
         """The state's covariance without lasting errors, shape (2 axes, 2 axes)."""
         return np.asarray(self._filter.P)
 
-    def widen(self, factor: float) -> None:
+    def inflate_covariance(self, factor: float) -> None:
         """Multiply the covariance by a factor >= 1."""
         self._filter.P = self._filter.P * factor
-        # What led to the doubt is not to be run again without it.
+        # Updates before the inflation must not be run again without it.
         self._past.clear()
 
     def add_position_variance(self, variance_m2: float) -> None:
@@ -168,7 +168,7 @@ class CvFilter:
     def update(
         self, z: FloatArray, R: FloatArray, H: FloatArray, at_s: float, sensitivities: Sensitivities = MappingProxyType({})
     ) -> None:
-        """Take in a measurement z = H x + noise of covariance R, made at `at_s`.
+        """Update with a measurement z = H x + noise of covariance R, made at `at_s`.
 
         A newer one carries the filter on to its time. For an older one the filter is run again from before it, so that the
         answer is that of ordered arrival.

@@ -1,4 +1,4 @@
-"""A vehicle that is located by fixes: its gathering of ranges, its gate, and the part of its error that never averages out."""
+"""The filter state of a denied vehicle beside its track: its range epochs, its gate, and the lasting errors in its state."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from gcs_coloc.estimators.qu_zhang.fix import Fix
 from gcs_coloc.estimators.qu_zhang.gating import NisGate
 
 CONFIRMATIONS = 3
-"""Fixes that must agree after a start from ranges alone, before the first answer: one may be a guess."""
+"""Fixes that must agree after an initialisation from ranges alone, before the first estimate. Chosen: one may be an outlier."""
 
 
 @dataclass(slots=True)
 class DeniedVehicleFilter:
-    """State of one vehicle without GPS beside its filters.
+    """State of one denied vehicle beside its filters.
 
     `lasting` holds the covariance (k, k) of the lasting error of each vehicle that has entered the filter; the filter holds how
     far it has.
@@ -35,7 +35,7 @@ class DeniedVehicleFilter:
     hdop: float = math.inf
     lasting: dict[int, FloatArray] = field(default_factory=dict)
 
-    def judge(self, horizontal: CvFilter, fix: Fix, at_s: float) -> tuple[float, float, float]:
+    def test_fix(self, horizontal: CvFilter, fix: Fix, at_s: float) -> tuple[float, float, float]:
         """Return NIS, innovation length and its sigma, m, of a fix against the filter's prediction.
 
         Filter and fix share the peers' lasting errors: only the difference of the sensitivities shows between them.
@@ -49,7 +49,7 @@ class DeniedVehicleFilter:
         return nis(innovation, S), float(np.linalg.norm(innovation)), float(np.sqrt(np.trace(S)))
 
     def accept(self, fix: Fix, at_s: float) -> None:
-        """Remember a fix that the filter has taken."""
+        """Record a fix that the filter has been updated with."""
         self.lasting.update(fix.lasting)
         self.last_fix_s = max(self.last_fix_s, at_s)
         self.confirmations += 1
@@ -57,7 +57,7 @@ class DeniedVehicleFilter:
         self.peers, self.hdop = fix.peers, fix.hdop
 
     def start(self, fix: Fix, at_s: float) -> None:
-        """Remember a fix that the filter has been started from."""
+        """Record a fix that the filter has been initialised from."""
         self.confirmations = 0
         self.gate.refused_in_a_row = 0
         self.accept(fix, at_s)

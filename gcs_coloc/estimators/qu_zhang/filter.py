@@ -1,7 +1,8 @@
-"""The stack of Qu & Zhang (AIAA 2010-8187) for live, asynchronous measurements.
+"""The estimator of Qu & Zhang (AIAA 2010-8187) for live, asynchronous measurements.
 
-Each vehicle has a constant-velocity Kalman filter. The ranges of a vehicle without GPS to three peers are solved for a position
-in closed form, and that fix is the observation of the vehicle's own filter, with a covariance that follows the geometry.
+Each vehicle has a constant-velocity Kalman filter. The ranges of a denied vehicle to three peers give a position in
+closed form (Eq. 16-22), and that fix is the observation of the vehicle's own filter (Eq. 27-31), with a covariance that follows
+the geometry (Eq. 23-26, 32).
 
 What the paper leaves out and flying needs: ranges of one epoch measured at different instants are brought together by shifting
 each circle with the vehicle's predicted displacement; heights turn slant ranges into horizontal ones; of more than three peers
@@ -31,9 +32,8 @@ from gcs_coloc.core.measurements import (
 from gcs_coloc.estimators.qu_zhang.circles import range_residual
 from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, density, position_rows
 from gcs_coloc.estimators.qu_zhang.denied_vehicle import CONFIRMATIONS, DeniedVehicleFilter, lasting_covariance
-from gcs_coloc.estimators.qu_zhang.epoch_fix import circles_of, fix_of
 from gcs_coloc.estimators.qu_zhang.epochs import RangeEpoch, RangeEpochGatherer
-from gcs_coloc.estimators.qu_zhang.fix import Fix
+from gcs_coloc.estimators.qu_zhang.fix import Fix, circles_of, fix_of
 from gcs_coloc.estimators.qu_zhang.gating import NisGate
 from gcs_coloc.estimators.qu_zhang.settings import QuZhangSettings
 from gcs_coloc.estimators.qu_zhang.track import PeerTrack
@@ -43,13 +43,13 @@ PAPER_STEP_S = 0.02
 """The paper's computing cycle, to which its q belongs (it prints 0.02 ms, which only 50 Hz makes sense of)."""
 
 _IN_USE_S = 2.0
-"""Ranges count as in use for this long after their fix."""
+"""Ranges count as in use for this long after their fix. Chosen: two epochs at 1 Hz."""
 
 _RESIDUALS_KEPT = 2000
 
 
 class QuZhangFilter:
-    """The paper's estimator; meets `gcs_coloc.core.estimator.Estimator`."""
+    """The estimator of Qu & Zhang (2010) for live measurements; meets `gcs_coloc.core.estimator.Estimator`."""
 
     def __init__(self, settings: QuZhangSettings | None = None) -> None:
         self._settings = settings or QuZhangSettings()
@@ -71,15 +71,15 @@ class QuZhangFilter:
             self._former[vehicle] = self._denied.pop(vehicle)
         for vehicle in sorted(set(denied) - set(self._denied)):
             former = vehicle in self._former
-            self._denied[vehicle] = self._former.pop(vehicle) if former else self._new_subject(vehicle, at_s)
+            self._denied[vehicle] = self._former.pop(vehicle) if former else self._new_denied_vehicle(vehicle, at_s)
 
     def reset(self, vehicle: int, at_s: float) -> None:
         """As the protocol says; nothing to do, as each epoch is located from ranges alone."""
 
     def add(self, measurement: Measurement) -> None:
-        """Take one measurement; never raises for its values."""
+        """Add one measurement; never raises for its values."""
         for vehicle, denied_vehicle in self._denied.items():
-            for epoch in denied_vehicle.gatherer.take_due(measurement.arrived_at_s):
+            for epoch in denied_vehicle.gatherer.pop_due(measurement.arrived_at_s):
                 self._close(vehicle, denied_vehicle, epoch)
         if not is_sound(measurement):
             self._counts["impossible value"] += 1
@@ -99,7 +99,7 @@ class QuZhangFilter:
         """Answer where a vehicle is at a time near the present, by prediction from its filters."""
         track = self._tracks.get(vehicle)
         denied_vehicle = self._denied.get(vehicle) or self._former.get(vehicle)
-        reason = self._why_unknown(track, denied_vehicle, at_s)
+        reason = self._no_estimate_reason(track, denied_vehicle, at_s)
         if reason is not None or track is None or track.horizontal is None or track.vertical is None:
             return NoEstimate(vehicle, at_s, reason or "no position yet")
         state, _ = track.horizontal.predicted(at_s)
@@ -134,7 +134,7 @@ class QuZhangFilter:
         """Return how often what happened to measurements and epochs, by reason in words."""
         return dict(self._counts)
 
-    def _new_subject(self, vehicle: int, at_s: float) -> DeniedVehicleFilter:
+    def _new_denied_vehicle(self, vehicle: int, at_s: float) -> DeniedVehicleFilter:
         settings = self._settings
         denied_vehicle = DeniedVehicleFilter(
             RangeEpochGatherer(settings.epoch_window_s, settings.epoch_wait_s),
@@ -207,10 +207,10 @@ class QuZhangFilter:
                 self._close(vehicle, denied_vehicle, epoch)
 
     def _close(self, vehicle: int, denied_vehicle: DeniedVehicleFilter, epoch: RangeEpoch) -> None:
-        """Make a fix of an epoch's ranges and give it to the vehicle's filter, or keep the reason why not."""
+        """Make a fix of an epoch's ranges and update the vehicle's filter, or record the reason why not."""
         track, at_s = self._track(vehicle), epoch.newest_s
         if at_s - denied_vehicle.last_fix_s > self._settings.max_prediction_s:
-            # A single fix would pass any gate that is that wide: begin anew, with fixes that must agree.
+            # So wide a gate passes any fix: initialise again, with fixes that must agree.
             track.horizontal = None
         if self._is_late(track.horizontal, at_s):
             return
@@ -228,18 +228,20 @@ class QuZhangFilter:
         if isinstance(solution, str):
             refused: str | None = "; ".join([solution, *reasons])
         else:
-            fix, refused = solution, self._use(vehicle, track, denied_vehicle, solution, at_s)
+            fix, refused = solution, self._apply_fix(vehicle, track, denied_vehicle, solution, at_s)
         denied_vehicle.reason = refused
         self._counts["fix used" if refused is None else "epoch without a fix" if fix is None else "fix refused"] += 1
         for one in circles:
             chosen = fix is not None and one.peer in fix.peers
-            verdict = refused if chosen or fix is None else "not among the three of the fix"
-            self._counts["range used" if verdict is None else "range not used"] += 1
+            result = refused if chosen or fix is None else "not among the three of the fix"
+            self._counts["range used" if result is None else "range not used"] += 1
             if predicted is not None:
-                self._residuals.append(range_residual(vehicle, one, predicted, epoch.ranges[one.peer].measured_at_s, verdict))
+                self._residuals.append(range_residual(vehicle, one, predicted, epoch.ranges[one.peer].measured_at_s, result))
 
-    def _use(self, vehicle: int, track: PeerTrack, denied_vehicle: DeniedVehicleFilter, fix: Fix, at_s: float) -> str | None:
-        """Give a fix to the filter, or start it; return the reason why it was refused, if it was."""
+    def _apply_fix(
+        self, vehicle: int, track: PeerTrack, denied_vehicle: DeniedVehicleFilter, fix: Fix, at_s: float
+    ) -> str | None:
+        """Update or initialise the filter with a fix; return the reason if it is refused, else None."""
         if track.horizontal is None:
             if (
                 _largest_sigma(fix.covariance + lasting_covariance(fix.sensitivities, fix.lasting, 2))
@@ -249,14 +251,14 @@ class QuZhangFilter:
             track.start_horizontal(at_s, fix.position_m, fix.covariance, sensitivities=fix.sensitivities)
             denied_vehicle.start(fix, at_s)
             return None
-        nis, innovation_m, sigma_m = denied_vehicle.judge(track.horizontal, fix, at_s)
-        verdict = denied_vehicle.gate.judge(nis, 2)
-        refused = None if verdict.accepted else f"the fix is {innovation_m:.0f} m from the prediction (NIS {nis:.0f})"
-        if verdict.accepted:
+        nis, innovation_m, sigma_m = denied_vehicle.test_fix(track.horizontal, fix, at_s)
+        result = denied_vehicle.gate.test(nis, 2)
+        refused = None if result.accepted else f"the fix is {innovation_m:.0f} m from the prediction (NIS {nis:.0f})"
+        if result.accepted:
             track.horizontal.update(fix.position_m, fix.covariance, position_rows(2), at_s, fix.sensitivities)
             denied_vehicle.accept(fix, at_s)
-        elif verdict.inflation > 1.0:
-            track.horizontal.widen(verdict.inflation)
+        elif result.inflation > 1.0:
+            track.horizontal.inflate_covariance(result.inflation)
         self._residuals.append(Residual(vehicle, None, at_s, innovation_m, sigma_m, nis, 2, refused))
         return refused
 
@@ -271,7 +273,7 @@ class QuZhangFilter:
             covariance[[0, 2], [0, 2]] += track.sigma_h_m**2
         return covariance
 
-    def _why_unknown(self, track: PeerTrack | None, denied_vehicle: DeniedVehicleFilter | None, at_s: float) -> str | None:
+    def _no_estimate_reason(self, track: PeerTrack | None, denied_vehicle: DeniedVehicleFilter | None, at_s: float) -> str | None:
         if denied_vehicle is None:
             if track is None or track.horizontal is None:
                 return "no position yet"

@@ -1,8 +1,8 @@
 """A gate on the normalised innovation squared (NIS) that cannot lock itself out.
 
-A plain gate on a filter that has become confident and wrong refuses every true measurement from then on. Here refusals in a row
-say that the filter may be the one who is wrong: past a patience, each further one asks for a wider covariance, until measurements
-pass again. Single outliers between good measurements never get that far.
+A plain gate refuses every true measurement once its filter is overconfident and wrong. Here many refusals in a row are taken as
+evidence against the filter: past a patience, each further refusal inflates its covariance, until measurements pass again.
+Single outliers between good measurements never get that far.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from functools import cache
 from scipy.stats import chi2
 
 _INFLATION = 4.0
-"""Doubles the standard deviation per refusal: ten refusals cover an error of a thousand sigmas."""
+"""Of the covariance. Chosen: it doubles the standard deviation, so ten refusals cover an error of a thousand sigmas."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,17 +29,17 @@ class GateResult:
 
 @dataclass(slots=True)
 class NisGate:
-    """Judges one filter's measurements of one kind.
+    """Tests one filter's measurements of one kind.
 
     `probability` is that of accepting a measurement that agrees with its stated noise; `patience` is how many refusals in a row
-    are blamed on the measurements before the filter itself is doubted.
+    are blamed on the measurements before the filter's covariance is inflated.
     """
 
     probability: float
     patience: int
     refused_in_a_row: int = field(default=0, init=False)
 
-    def judge(self, nis: float, degrees_of_freedom: int) -> GateResult:
+    def test(self, nis: float, degrees_of_freedom: int) -> GateResult:
         """Accept or refuse a measurement of the given NIS (a plain number). A NaN is refused."""
         if nis <= threshold(self.probability, degrees_of_freedom):
             self.refused_in_a_row = 0

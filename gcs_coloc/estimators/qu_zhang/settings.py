@@ -43,9 +43,9 @@ class QuZhangSettings:
     min_flatness: Annotated[float, Bounds(1e-3, 0.866)] = 0.05
     """Ratio, 0.001 to 0.866. Least height of the peers' triangle over its longest side; 0.866 is equilateral. The paper excludes
     collinear peers (H of Eq. 16 is singular). Chosen: the fix is some 20 times less certain across the line than along."""
-    gate_probability: Annotated[float, Bounds(0.5, 0.999999)] = 0.9999
-    """Probability, 0.5 to 0.999999. A measurement that agrees with its stated noise passes so often. Chosen: one needless refusal
-    in 10,000."""
+    gate_probability: Annotated[float, Bounds(0.5, 1.0)] = 0.9999
+    """Probability, 0.5 to 1. A measurement that agrees with its stated noise passes so often; at 1 there is no gate. Chosen: one
+    needless refusal in 10,000."""
     gate_patience: Annotated[int, Bounds(0, 1000)] = 4
     """Count, 0 to 1000. Refusals in a row before the filter's own covariance is inflated until fixes pass again. Chosen: one
     second at 4 Hz; fewer let a burst of reflections in."""

@@ -1,4 +1,4 @@
-"""What is known of one vehicle from its own sensors: a horizontal and a vertical constant-velocity filter."""
+"""The track of one vehicle from its own sensors: a horizontal and a vertical constant-velocity filter (Qu & Zhang, Eq. 27-31)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, Sensitivities, nis
 from gcs_coloc.estimators.qu_zhang.gating import NisGate
 
 UNKNOWN_SPEED_SIGMA_MPS = 30.0
-"""Of a vehicle that has not told its velocity: any aircraft that ranges between vehicles are used for."""
+"""1-sigma of each axis of an unknown velocity. Chosen: any aircraft that ranges between vehicles are used for."""
 
 _UNKNOWN_CLIMB_SIGMA_MPS = 5.0
+"""1-sigma of an unknown climb rate. Chosen: the climb limit of small aircraft."""
 
 
 class PeerTrack:
@@ -24,7 +25,7 @@ class PeerTrack:
         density_m2ps3: spectral density of the horizontal acceleration.
         vertical_density_m2ps3: of the vertical acceleration.
         gate_probability: of accepting a consistent position.
-        gate_patience: refusals in a row before the filter is doubted.
+        gate_patience: refusals in a row before the covariance is inflated.
         memory_s: how late a measurement may come.
 
     """
@@ -54,7 +55,7 @@ class PeerTrack:
         return 0.0 if self.static else at_s - self.position_at_s
 
     def start(self, measurement: PositionMeasurement) -> None:
-        """Begin anew from one position."""
+        """Initialise the filters from one position."""
         self.static = measurement.static
         east_north, up = np.array(measurement.position_enu_m[:2]), np.array(measurement.position_enu_m[2:])
         at_s = measurement.measured_at_s
@@ -149,9 +150,9 @@ class PeerTrack:
 
 
 def _gated_update(one: CvFilter, gate: NisGate, z: FloatArray, R: FloatArray, H: FloatArray, at_s: float) -> bool:
-    verdict = gate.judge(nis(*one.innovation(z, R, H, at_s)), len(z))
-    if verdict.accepted:
+    result = gate.test(nis(*one.innovation(z, R, H, at_s)), len(z))
+    if result.accepted:
         one.update(z, R, H, at_s)
-    elif verdict.inflation > 1.0:
-        one.widen(verdict.inflation)
-    return verdict.accepted
+    elif result.inflation > 1.0:
+        one.inflate_covariance(result.inflation)
+    return result.accepted

@@ -16,17 +16,17 @@ def test_thresholds_are_chi_square_quantiles() -> None:
 def test_a_consistent_measurement_passes_and_an_outlier_does_not() -> None:
     gate = NisGate(0.999, patience=3)
 
-    assert gate.judge(13.0, 2).accepted
-    assert not gate.judge(14.0, 2).accepted
-    assert not gate.judge(math.nan, 2).accepted
+    assert gate.test(13.0, 2).accepted
+    assert not gate.test(14.0, 2).accepted
+    assert not gate.test(math.nan, 2).accepted
 
 
 def test_single_outliers_never_widen() -> None:
     gate = NisGate(0.999, patience=2)
 
-    verdicts = [gate.judge(nis_value, 2) for nis_value in [100.0, 100.0, 1.0] * 5]
+    results = [gate.test(nis_value, 2) for nis_value in [100.0, 100.0, 1.0] * 5]
 
-    assert all(verdict.inflation == 1.0 for verdict in verdicts)
+    assert all(result.inflation == 1.0 for result in results)
 
 
 def test_refusals_in_a_row_widen_until_the_filter_finds_its_way_back() -> None:
@@ -34,10 +34,10 @@ def test_refusals_in_a_row_widen_until_the_filter_finds_its_way_back() -> None:
     one = CvFilter(0.0, np.zeros(2), np.eye(2), np.zeros(2), 1.0, 0.1, memory_s=1.0)
     gate, truth, R, H = NisGate(0.9999, patience=4), np.array([300.0, 400.0]), np.eye(2), position_rows(2)
     for step in range(1, 31):
-        verdict = gate.judge(nis(*one.innovation(truth, R, H, 0.2 * step)), 2)
-        if verdict.accepted:
+        result = gate.test(nis(*one.innovation(truth, R, H, 0.2 * step)), 2)
+        if result.accepted:
             one.update(truth, R, H, 0.2 * step)
         else:
-            one.widen(verdict.inflation)
+            one.inflate_covariance(result.inflation)
 
     assert one.state[[0, 2]] == pytest.approx(truth, abs=2.0)
