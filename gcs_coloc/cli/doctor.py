@@ -1,4 +1,4 @@
-"""`gcs-coloc doctor`: listens to the vehicles and says what would stop co-localisation, and the mend."""
+"""`gcs-coloc doctor`: listens to the vehicles and says what would stop co-localisation, and the remedy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 
 from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.doctor.findings import Setup
+from gcs_coloc.doctor.finding import Setup
 from gcs_coloc.doctor.listen import listen
 from gcs_coloc.doctor.report import Report
 from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
@@ -44,14 +44,14 @@ def doctor(
         raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")
     told = f"listening on {', '.join(settings.links)} for {seconds:g} s"
     clock = ServiceClock()
-    findings = asyncio.run(listen(settings, seconds, clock, read_host_clock(clock()), lambda: print(told, file=sys.stderr)))
+    survey = asyncio.run(listen(settings, seconds, clock, read_host_clock(clock()), lambda: print(told, file=sys.stderr)))
     setup = Setup(
         settings.mavlink.system_id,
         settings.aiding,
         settings.time.require_synchronised_clock,
         frozenset(aid or ()),
     )
-    report = Report(findings, setup)
+    report = Report(survey, setup)
     if as_json:
         print(json.dumps(report.as_json(), indent=2))
     else:

@@ -8,7 +8,7 @@ from gcs_coloc.core.aiding.ekf_gates import EkfGates
 from gcs_coloc.core.aiding.method_choice import method_for
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.doctor import parameters as p
-from gcs_coloc.doctor.findings import Remark, Setup, VehicleFindings, note, right, stop
+from gcs_coloc.doctor.finding import Finding, Setup, VehicleSurvey, note, right, stop
 from gcs_coloc.doctor.parameters import look_up
 
 _TYPE_NONE, _TYPE_AUTO, _TYPE_MAVLINK = 0.0, 1.0, 14.0
@@ -23,7 +23,7 @@ _EKF3 = 3.0
 _DRIVER_DELAY_S = 0.2
 
 
-def check(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
+def check(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
     """Judge the parameters that the vehicle told. Values and meanings: ArduPilot's parameter lists of 4.5 to 4.7."""
     yield from _senders(vehicle, setup)
     aid = setup.aiding
@@ -36,7 +36,7 @@ def check(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
     yield from _filter(vehicle, method_for(vehicle.sysid, vehicle.autopilot, aid))
 
 
-def _senders(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
+def _senders(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
     option = look_up(vehicle.parameters, p.SENDERS_OPTION)
     lowest = look_up(vehicle.parameters, p.GCS_SYSID)
     if option is None or lowest is None:
@@ -54,7 +54,7 @@ def _senders(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
     )
 
 
-def _receivers(vehicle: VehicleFindings, fed: int) -> Iterator[Remark]:
+def _receivers(vehicle: VehicleSurvey, fed: int) -> Iterator[Finding]:
     own = 1 - fed
     yield from _wanted(
         vehicle, p.GPS_TYPE[fed], _TYPE_MAVLINK, "it takes GPS_INPUT as a receiver", "it does not take GPS_INPUT as that receiver"
@@ -76,7 +76,7 @@ def _receivers(vehicle: VehicleFindings, fed: int) -> Iterator[Remark]:
     yield from _wanted(vehicle, p.GPS_PRIMARY, float(own), "its own receiver comes first", "what is sent to it comes first")
 
 
-def _wanted(vehicle: VehicleFindings, names: tuple[str, ...], value: float, good: str, bad: str) -> Iterator[Remark]:
+def _wanted(vehicle: VehicleSurvey, names: tuple[str, ...], value: float, good: str, bad: str) -> Iterator[Finding]:
     found = look_up(vehicle.parameters, names)
     if found is None:
         yield stop(f"{names[0]} could not be read", "run the doctor again, nearer to the vehicle; else its firmware lacks it")
@@ -86,7 +86,7 @@ def _wanted(vehicle: VehicleFindings, names: tuple[str, ...], value: float, good
         yield stop(f"{found[0]} = {found[1]:g}: {bad}", f"set {found[0]} = {value:g}", (found[0], value))
 
 
-def _arming(vehicle: VehicleFindings, aid: AidingSettings) -> Iterator[Remark]:
+def _arming(vehicle: VehicleSurvey, aid: AidingSettings) -> Iterator[Finding]:
     if vehicle.armed or aid.standby:
         return
     fed = look_up(vehicle.parameters, p.GPS_TYPE[aid.gps_id])
@@ -97,7 +97,7 @@ def _arming(vehicle: VehicleFindings, aid: AidingSettings) -> Iterator[Remark]:
         )
 
 
-def _delay(vehicle: VehicleFindings, fed: int, lag_s: float) -> Iterator[Remark]:
+def _delay(vehicle: VehicleSurvey, fed: int, lag_s: float) -> Iterator[Finding]:
     found = look_up(vehicle.parameters, p.GPS_DELAY_MS[fed])
     if found is None:
         return
@@ -109,7 +109,7 @@ def _delay(vehicle: VehicleFindings, fed: int, lag_s: float) -> Iterator[Remark]
         )
 
 
-def _filter(vehicle: VehicleFindings, way: AidingMethodName) -> Iterator[Remark]:
+def _filter(vehicle: VehicleSurvey, way: AidingMethodName) -> Iterator[Finding]:
     ekf = look_up(vehicle.parameters, p.EKF_TYPE)
     if ekf is not None and ekf[1] != _EKF3:
         yield note(

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from gcs_coloc.core.aiding.method_choice import method_for, mismatch
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
-from gcs_coloc.doctor.findings import Findings, Level, Remark, Setup, VehicleFindings, note, right, stop
+from gcs_coloc.doctor.finding import Finding, FleetSurvey, Setup, Severity, VehicleSurvey, note, right, stop
 from gcs_coloc.doctor.parameters import SENDERS_OPTION, look_up
 
 LEAST_PEERS = 3
@@ -24,30 +24,30 @@ _HARMFUL = {
 }
 
 
-def of_vehicle(vehicle: VehicleFindings, setup: Setup, fleet: frozenset[int]) -> list[Remark]:
+def of_vehicle(vehicle: VehicleSurvey, setup: Setup, fleet: frozenset[int]) -> list[Finding]:
     """Everything that is to be said of one vehicle; `fleet` are the system ids that were heard."""
-    remarks = [*_identity(vehicle)]
+    findings = [*_identity(vehicle)]
     if not setup.denied or vehicle.sysid in setup.denied:
-        remarks += [*_address(vehicle), *_autopilot(vehicle, setup), *_ranges(vehicle, fleet)]
+        findings += [*_address(vehicle), *_autopilot(vehicle, setup), *_ranges(vehicle, fleet)]
     else:
-        remarks.append(right("it is there to help locate others: whether it could be aided was not checked"))
-    return [*remarks, *stream_checks.check(vehicle), *_receiver(vehicle), *_clock(vehicle)]
+        findings.append(right("it is there to help locate others: whether it could be aided was not checked"))
+    return [*findings, *stream_checks.check(vehicle), *_receiver(vehicle), *_clock(vehicle)]
 
 
-def of_fleet(findings: Findings, setup: Setup) -> list[Remark]:
+def of_fleet(survey: FleetSurvey, setup: Setup) -> list[Finding]:
     """Everything that is to be said of the fleet as a whole."""
-    return [*_number(findings), *_denied(findings, setup), *_refused(findings), *_host(findings, setup)]
+    return [*_number(survey), *_denied(survey, setup), *_refused(survey), *_host(survey, setup)]
 
 
-def is_ready(remarks: list[Remark]) -> bool:
-    """Whether none of the remarks is on something that would stop co-localisation."""
-    return all(remark.level is not Level.STOP for remark in remarks)
+def is_ready(findings: list[Finding]) -> bool:
+    """Whether none of the findings is on something that would stop co-localisation."""
+    return all(finding.severity is not Severity.STOP for finding in findings)
 
 
 _OWN_SYSID = "give every vehicle a system id of its own: SYSID_THISMAV, MAV_SYSID since ArduPilot 4.7, MAV_SYS_ID on PX4"
 
 
-def _identity(vehicle: VehicleFindings) -> Iterator[Remark]:
+def _identity(vehicle: VehicleSurvey) -> Iterator[Finding]:
     if vehicle.is_claimed_twice:
         yield stop(
             f"its system id is used at {len(vehicle.addresses)} addresses at the same time: {', '.join(vehicle.addresses)}",
@@ -57,7 +57,7 @@ def _identity(vehicle: VehicleFindings) -> Iterator[Remark]:
         yield stop("its boot times are those of two autopilots in turn: two use its system id", _OWN_SYSID)
 
 
-def _address(vehicle: VehicleFindings) -> Iterator[Remark]:
+def _address(vehicle: VehicleSurvey) -> Iterator[Finding]:
     if vehicle.others_there:
         others = ", ".join(str(sysid) for sysid in vehicle.others_there)
         yield stop(
@@ -68,7 +68,7 @@ def _address(vehicle: VehicleFindings) -> Iterator[Remark]:
         yield right(f"it has an address of its own: {', '.join(vehicle.addresses)}")
 
 
-def _autopilot(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
+def _autopilot(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
     way = method_for(vehicle.sysid, vehicle.autopilot, setup.aiding)
     wrong_way = mismatch(way, vehicle.autopilot)
     if wrong_way is not None:
@@ -97,7 +97,7 @@ def _autopilot(vehicle: VehicleFindings, setup: Setup) -> Iterator[Remark]:
         yield from ardupilot_checks.check(vehicle, setup)
 
 
-def _ranges(vehicle: VehicleFindings, fleet: frozenset[int]) -> Iterator[Remark]:
+def _ranges(vehicle: VehicleSurvey, fleet: frozenset[int]) -> Iterator[Finding]:
     known, strangers = sorted(vehicle.peers & fleet), sorted(vehicle.peers - fleet)
     listed = ", ".join(str(sysid) for sysid in known)
     if strangers:
@@ -112,7 +112,7 @@ def _ranges(vehicle: VehicleFindings, fleet: frozenset[int]) -> Iterator[Remark]
     )
 
 
-def _receiver(vehicle: VehicleFindings) -> Iterator[Remark]:
+def _receiver(vehicle: VehicleSurvey) -> Iterator[Finding]:
     receiver = vehicle.receiver
     if receiver is None:
         return
@@ -123,7 +123,7 @@ def _receiver(vehicle: VehicleFindings) -> Iterator[Remark]:
         yield note(f"its GPS has no 3D fix now (fix type {receiver.fix_type}{satellites})")
 
 
-def _clock(vehicle: VehicleFindings) -> Iterator[Remark]:
+def _clock(vehicle: VehicleSurvey) -> Iterator[Finding]:
     if not vehicle.answers_timesync:
         yield note(
             "it does not answer TIMESYNC: what it measures is placed in time by its UTC, to 0.1 s, where it has GPS and this "
@@ -138,17 +138,17 @@ def _clock(vehicle: VehicleFindings) -> Iterator[Remark]:
         )
 
 
-def _number(findings: Findings) -> Iterator[Remark]:
-    heard = len(findings.vehicles)
-    garbage_bytes = findings.refused.get("garbage_bytes", 0)
+def _number(survey: FleetSurvey) -> Iterator[Finding]:
+    heard = len(survey.vehicles)
+    garbage_bytes = survey.refused.get("garbage_bytes", 0)
     if heard == 0 and garbage_bytes >= MUCH_BYTES:
         yield stop(
-            f"no vehicle was heard in {findings.seconds:g} s, but {garbage_bytes} bytes that are no MAVLink",
+            f"no vehicle was heard in {survey.seconds:g} s, but {garbage_bytes} bytes that are no MAVLink",
             "see that a serial link has the radio's baud rate (serial:DEVICE:BAUD), and that no other program sends here",
         )
     elif heard == 0:
         yield stop(
-            f"no vehicle was heard in {findings.seconds:g} s",
+            f"no vehicle was heard in {survey.seconds:g} s",
             "see that a vehicle is on and sends here: on a network to this computer's address and this port, with no firewall in "
             "between; on a serial device through a radio that is linked",
         )
@@ -158,19 +158,19 @@ def _number(findings: Findings) -> Iterator[Remark]:
         yield right(f"vehicles heard: {heard}")
 
 
-def _denied(findings: Findings, setup: Setup) -> Iterator[Remark]:
-    for sysid in sorted(setup.denied - {vehicle.sysid for vehicle in findings.vehicles}):
+def _denied(survey: FleetSurvey, setup: Setup) -> Iterator[Finding]:
+    for sysid in sorted(setup.denied - {vehicle.sysid for vehicle in survey.vehicles}):
         yield stop(f"vehicle {sysid}, which is to be located, was not heard")
 
 
-def _refused(findings: Findings) -> Iterator[Remark]:
+def _refused(survey: FleetSurvey) -> Iterator[Finding]:
     for reason, text in _HARMFUL.items():
-        times = findings.refused.get(reason, 0)
+        times = survey.refused.get(reason, 0)
         if times >= OFTEN:
             yield note(f"{times} times refused ({reason}): {text}")
 
 
-def _host(findings: Findings, setup: Setup) -> Iterator[Remark]:
-    if findings.host_is_synchronised is False:
-        remark = stop if setup.requires_synchronised_clock else note
-        yield remark("this computer's clock is not synchronised (NTP, GPS)", "switch it on: timedatectl set-ntp true")
+def _host(survey: FleetSurvey, setup: Setup) -> Iterator[Finding]:
+    if survey.host_is_synchronised is False:
+        finding = stop if setup.requires_synchronised_clock else note
+        yield finding("this computer's clock is not synchronised (NTP, GPS)", "switch it on: timedatectl set-ntp true")

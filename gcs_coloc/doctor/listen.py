@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.messages.control import ClockReference
-from gcs_coloc.doctor.findings import Findings
+from gcs_coloc.doctor.finding import FleetSurvey
 from gcs_coloc.doctor.survey import Question, Survey
 from gcs_coloc.links.base import Address, Link, Route
 from gcs_coloc.links.registry import parse
@@ -25,7 +25,7 @@ _HEARTBEAT_EVERY_S = 1.0
 
 async def listen(
     settings: Settings, seconds: float, clock: ServiceClock, host: ClockReference, opened: Callable[[], None]
-) -> Findings:
+) -> FleetSurvey:
     """Listen on the links of `settings` for so long, asking on the way; `opened` is called once they are open.
 
     Raises:
@@ -79,6 +79,6 @@ async def listen(
     finally:
         for link in links:
             await link.close()
-    findings = survey.findings(names, host_is_synchronised=host.synchronised)
+    heard = survey.findings(names, host_is_synchronised=host.synchronised)
     # What a stream brings is cut into frames by its link, which counts what is none.
-    return replace(findings, refused=sum((Counter(link.counts) for link in links), Counter(findings.refused)))
+    return replace(heard, refused=sum((Counter(link.counts) for link in links), Counter(heard.refused)))

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gcs_coloc.doctor import parameters as p
-from gcs_coloc.doctor.findings import Remark, VehicleFindings, right, stop
+from gcs_coloc.doctor.finding import Finding, VehicleSurvey, right, stop
 from gcs_coloc.doctor.parameters import look_up
 from gcs_coloc.mavlink.encoder import SENSOR_ID
 
 _HORIZONTAL = 1
 
 
-def check(vehicle: VehicleFindings) -> Iterator[Remark]:
+def check(vehicle: VehicleSurvey) -> Iterator[Finding]:
     """Judge the parameters that the vehicle told."""
     control = look_up(vehicle.parameters, p.AGP_CONTROL)
     if control is None:

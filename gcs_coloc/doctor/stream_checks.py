@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.core.telemetry.stream_requests import WANTED_HZ
-from gcs_coloc.doctor.findings import Remark, VehicleFindings, note, right, stop
+from gcs_coloc.doctor.finding import Finding, VehicleSurvey, note, right, stop
 from gcs_coloc.doctor.parameters import GPS_TYPE, look_up
 from gcs_coloc.doctor.ports import STREAMS, instances, serial_ports
 
@@ -40,7 +40,7 @@ Mend = tuple[str, tuple[str, float] | None]
 """What to do in words, and the parameter to set where there is but one."""
 
 
-def check(vehicle: VehicleFindings) -> Iterator[Remark]:
+def check(vehicle: VehicleSurvey) -> Iterator[Finding]:
     """Judge the rates that were measured, and what the vehicle's ports speak."""
     good = []
     for number, wanted_hz in WANTED_HZ.items():
@@ -67,12 +67,12 @@ def check(vehicle: VehicleFindings) -> Iterator[Remark]:
     yield from _protocol(vehicle)
 
 
-def _has_no_second_receiver(vehicle: VehicleFindings) -> bool:
+def _has_no_second_receiver(vehicle: VehicleSurvey) -> bool:
     found = look_up(vehicle.parameters, GPS_TYPE[1])
     return found is not None and found[1] == 0.0
 
 
-def _protocol(vehicle: VehicleFindings) -> Iterator[Remark]:
+def _protocol(vehicle: VehicleSurvey) -> Iterator[Finding]:
     if not vehicle.is_mavlink_1:
         return
     text = "it speaks MAVLink 1 to us, which carries no PEER_RANGE, no signatures, and not the accuracy of its GPS"
@@ -83,13 +83,13 @@ def _protocol(vehicle: VehicleFindings) -> Iterator[Remark]:
         yield note(text, "let its port speak MAVLink 2 (ArduPilot: SERIALn_PROTOCOL = 2; PX4: MAV_PROTO_VER = 2)")
 
 
-def _mend(vehicle: VehicleFindings, stream: str) -> Mend:
+def _mend(vehicle: VehicleSurvey, stream: str) -> Mend:
     if vehicle.autopilot is Autopilot.ARDUPILOT:
         return _ardupilot_mend(vehicle, stream)
     return _px4_mend(vehicle) if vehicle.autopilot is Autopilot.PX4 else (_CARRIES, None)
 
 
-def _ardupilot_mend(vehicle: VehicleFindings, stream: str) -> Mend:
+def _ardupilot_mend(vehicle: VehicleSurvey, stream: str) -> Mend:
     wanted_hz = _STREAM_HZ[stream]
     ports = serial_ports(vehicle.parameters)
     rates = [(port, found) for port in ports if (found := look_up(vehicle.parameters, port.rate_names(stream))) is not None]
@@ -112,7 +112,7 @@ def _carries(bauds: list[str]) -> str:
     return f"{_CARRIES} ({', '.join(bauds)})" if bauds else _CARRIES
 
 
-def _px4_mend(vehicle: VehicleFindings) -> Mend:
+def _px4_mend(vehicle: VehicleSurvey) -> Mend:
     told = vehicle.parameters
     changes: list[tuple[str, float, str]] = []
     bauds: list[str] = []

@@ -1,4 +1,4 @@
-"""Finding out about a fleet, sans-IO: datagrams in, questions out, findings at the end. Time is passed in."""
+"""Finding out about a fleet, sans-IO: datagrams in, questions out, what was found at the end. Time is passed in."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gcs_coloc.core.messages.inbound import (
 )
 from gcs_coloc.core.messages.outbound import TimeSyncRequest, ToVehicle
 from gcs_coloc.core.telemetry.stream_requests import StreamRequests
-from gcs_coloc.doctor.findings import Findings, VehicleFindings
+from gcs_coloc.doctor.finding import FleetSurvey, VehicleSurvey
 from gcs_coloc.doctor.parameters import ParameterReader
 from gcs_coloc.mavlink.decoder import Decoder, Frame
 from gcs_coloc.mavlink.dialect import GCS_SYSID
@@ -134,20 +134,20 @@ class Survey:
             out.append(Question(vehicle.place, request, vehicle.reader.asks_as_gcs))
         return out
 
-    def findings(self, names: Mapping[Hashable, str], *, host_is_synchronised: bool | None) -> Findings:
+    def findings(self, names: Mapping[Hashable, str], *, host_is_synchronised: bool | None) -> FleetSurvey:
         """What was found out; `names` are the addresses in words."""
         there: dict[Hashable, set[int]] = {}
         for sysid, vehicle in self._vehicles.items():
             for place in vehicle.stays:
                 there.setdefault(place, set()).add(sysid)
         vehicles = tuple(self._findings_of(sysid, there, names) for sysid in sorted(self._vehicles))
-        return Findings(self._seconds, vehicles, dict(self.refused), host_is_synchronised)
+        return FleetSurvey(self._seconds, vehicles, dict(self.refused), host_is_synchronised)
 
-    def _findings_of(self, sysid: int, there: Mapping[Hashable, set[int]], names: Mapping[Hashable, str]) -> VehicleFindings:
+    def _findings_of(self, sysid: int, there: Mapping[Hashable, set[int]], names: Mapping[Hashable, str]) -> VehicleSurvey:
         vehicle = self._vehicles[sysid]
         counted_s = self._end_s - max(self._half_s, vehicle.first_heard_s)
         others = set().union(*(there[place] for place in vehicle.stays)) - {sysid}
-        return VehicleFindings(
+        return VehicleSurvey(
             sysid=sysid,
             autopilot=vehicle.reader.autopilot,
             armed=vehicle.armed,

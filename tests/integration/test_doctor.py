@@ -59,9 +59,9 @@ def test_a_wrong_set_up_is_told_parameter_by_parameter_and_is_right_when_they_ar
     assert [(v["sysid"], v["ready"]) for v in report["vehicles"]] == [(1, True), (2, True), (3, True), (4, False)]
     assert [v["autopilot"] for v in report["vehicles"]] == ["PX4", "ArduPilot", "ArduPilot", "ArduPilot"]
     assert report["vehicles"][0]["parameters"] == {"EKF2_AGP_CTRL": 1.0}
-    remarks = report["vehicles"][3]["remarks"]
-    assert any("MAV_GCS_SYSID = 255 only, and we are 254" in remark["text"] for remark in remarks)
-    settings = {name: value for remark in remarks for name, value in (remark["set"] or {}).items()}
+    findings = report["vehicles"][3]["findings"]
+    assert any("MAV_GCS_SYSID = 255 only, and we are 254" in finding["text"] for finding in findings)
+    settings = {name: value for finding in findings for name, value in (finding["set"] or {}).items()}
     assert settings == {"GPS2_TYPE": 14.0, "GPS_PRIMARY": 0.0, "GPS_AUTO_SWITCH": 4.0}
 
     mended = scenario(tmp_path, WRONG | settings)
@@ -81,12 +81,12 @@ def test_positions_that_come_too_slowly_are_told_with_the_parameter_that_mends_i
         free_port, scenario(tmp_path, coarse | {"MAV1_POSITION": 1, "MAV1_EXT_STAT": 0}), "--aid", "4", "--json", **quiet
     )
     assert told.returncode == 1, told.stderr
-    remarks = json.loads(told.stdout)["vehicles"][3]["remarks"]
-    settings = {name: value for remark in remarks for name, value in (remark["set"] or {}).items()}
+    findings = json.loads(told.stdout)["vehicles"][3]["findings"]
+    settings = {name: value for finding in findings for name, value in (finding["set"] or {}).items()}
     assert settings["MAV1_POSITION"] == 10.0
     assert settings["MAV1_EXT_STAT"] == 5.0
-    assert any(r["level"] == "stop" and r["text"] == "GPS_RAW_INT is not heard" for r in remarks)
-    assert any(r["text"].startswith("GLOBAL_POSITION_INT comes at ") for r in remarks)
+    assert any(r["severity"] == "stop" and r["text"] == "GPS_RAW_INT is not heard" for r in findings)
+    assert any(r["text"].startswith("GLOBAL_POSITION_INT comes at ") for r in findings)
 
     told = examine(free_port, scenario(tmp_path, coarse | settings), "--aid", "4", **quiet)
     assert told.returncode == 0, told.stdout + told.stderr

@@ -10,7 +10,7 @@ from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.messages.inbound import Autopilot, GpsReceiver
 from gcs_coloc.core.telemetry.stream_requests import WANTED_HZ
 from gcs_coloc.doctor.checks import CLOCKS_AGREE_S, OFTEN, is_ready, of_fleet, of_vehicle
-from gcs_coloc.doctor.findings import Findings, Level, Setup, VehicleFindings
+from gcs_coloc.doctor.finding import FleetSurvey, Setup, Severity, VehicleSurvey
 from gcs_coloc.doctor.report import Report
 
 PARAMETERS = {
@@ -38,7 +38,7 @@ BEFORE_4_6 = {
 }
 BEFORE_4_7 = {"MAV_OPTIONS": "SYSID_ENFORCE", "MAV_GCS_SYSID": "SYSID_MYGCS"}
 RECEIVER = GpsReceiver(4, 10.0, 0, 3, 47.0, 8.0, 500.0, 12, 0.8, 0.9, 1.2, 0.2)
-GOOD = VehicleFindings(
+GOOD = VehicleSurvey(
     sysid=4,
     autopilot=Autopilot.ARDUPILOT,
     armed=True,
@@ -54,7 +54,7 @@ FLEET = frozenset({1, 2, 3, 4})
 
 
 def said(vehicle, setup=None, fleet=FLEET):
-    return [remark for remark in of_vehicle(vehicle, setup or Setup(), fleet) if remark.level is not Level.RIGHT]
+    return [finding for finding in of_vehicle(vehicle, setup or Setup(), fleet) if finding.severity is not Severity.RIGHT]
 
 
 def with_parameters(**changes):
@@ -67,9 +67,9 @@ def renamed(names):
 
 @pytest.mark.parametrize("names", [{}, BEFORE_4_6, BEFORE_4_6 | BEFORE_4_7])
 def test_of_a_vehicle_that_is_set_up_right_nothing_is_said_but_that(names):
-    remarks = of_vehicle(replace(GOOD, parameters=renamed(names)), Setup(), FLEET)
-    assert {remark.level for remark in remarks} == {Level.RIGHT}
-    text = " ".join(remark.text for remark in remarks)
+    findings = of_vehicle(replace(GOOD, parameters=renamed(names)), Setup(), FLEET)
+    assert {finding.severity for finding in findings} == {Severity.RIGHT}
+    text = " ".join(finding.text for finding in findings)
     assert f"{names.get('GPS2_TYPE', 'GPS2_TYPE')} = 14" in text
     assert "7.5 m horizontally, 11.25 m vertically and 1.5 m/s" in text
 
@@ -90,19 +90,19 @@ def test_of_a_vehicle_that_is_set_up_right_nothing_is_said_but_that(names):
     ],
 )
 def test_a_wrong_parameter_stops_and_is_named_with_its_mend(changes, words, parameter):
-    (remark,) = said(with_parameters(**changes))
-    assert remark.level is Level.STOP
-    assert words in remark.text
-    assert remark.parameter == parameter
-    assert remark.mend
+    (finding,) = said(with_parameters(**changes))
+    assert finding.severity is Severity.STOP
+    assert words in finding.text
+    assert finding.parameter == parameter
+    assert finding.remedy
     if parameter is not None:
-        assert f"{parameter[0]} = {parameter[1]:g}" in remark.mend
+        assert f"{parameter[0]} = {parameter[1]:g}" in finding.remedy
 
 
 def test_the_mend_names_the_parameter_as_the_vehicle_does():
-    (remark,) = said(replace(GOOD, parameters=renamed(BEFORE_4_6) | {"GPS_TYPE2": 1.0}))
-    assert remark.parameter == ("GPS_TYPE2", 14.0)
-    assert remark.text.startswith("GPS_TYPE2 = 1:")
+    (finding,) = said(replace(GOOD, parameters=renamed(BEFORE_4_6) | {"GPS_TYPE2": 1.0}))
+    assert finding.parameter == ("GPS_TYPE2", 14.0)
+    assert finding.text.startswith("GPS_TYPE2 = 1:")
 
 
 @pytest.mark.parametrize(
@@ -137,9 +137,9 @@ def test_whom_the_vehicle_listens_to(changes, system_id, is_heard):
     ],
 )
 def test_what_does_not_stop_anything_is_a_note(vehicle, words):
-    (remark,) = said(vehicle)
-    assert remark.level is Level.NOTE
-    assert words in remark.text
+    (finding,) = said(vehicle)
+    assert finding.severity is Severity.NOTE
+    assert words in finding.text
 
 
 def test_a_lag_that_is_set_like_the_vehicles_delay_is_right():
@@ -179,14 +179,14 @@ def test_another_receiver_instance_is_judged_as_the_fed_one():
     ],
 )
 def test_what_stops_is_said_with_words(vehicle, words):
-    stops = [remark for remark in said(vehicle) if remark.level is Level.STOP]
+    stops = [finding for finding in said(vehicle) if finding.severity is Severity.STOP]
     assert len(stops) == 1
     assert words in stops[0].text
 
 
 def test_a_silent_vehicle_with_signed_frames_may_want_the_key():
-    (remark,) = said(replace(GOOD, parameters={}, is_signed=True))
-    assert "give gcs-coloc its key" in remark.mend
+    (finding,) = said(replace(GOOD, parameters={}, is_signed=True))
+    assert "give gcs-coloc its key" in finding.remedy
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def test_a_silent_vehicle_with_signed_frames_may_want_the_key():
     ],
 )
 def test_px4_must_take_an_auxiliary_global_position_of_ours(parameters, parameter):
-    told = [remark.parameter for remark in said(replace(GOOD, autopilot=Autopilot.PX4, parameters=parameters))]
+    told = [finding.parameter for finding in said(replace(GOOD, autopilot=Autopilot.PX4, parameters=parameters))]
     assert told == ([parameter] if parameter is not None else [])
 
 
@@ -209,23 +209,23 @@ def test_the_way_that_the_configuration_sets_is_the_one_that_is_checked():
     assert not said(without, Setup(aiding=AidingSettings(method="external_position")))
     assert not said(without, Setup(aiding=AidingSettings(methods={4: "external_position"})))
     assert said(without, Setup(aiding=AidingSettings(methods={5: "external_position"})))
-    (remark,) = said(GOOD, Setup(aiding=AidingSettings(method="global_position_sensor")))
-    assert "ArduPilot does not take GLOBAL_POSITION_SENSOR" in remark.text
-    (remark,) = said(replace(GOOD, autopilot=Autopilot.PX4), Setup(aiding=AidingSettings(method="gps_input")))
-    assert "PX4 does not take GPS_INPUT" in remark.text
+    (finding,) = said(GOOD, Setup(aiding=AidingSettings(method="global_position_sensor")))
+    assert "ArduPilot does not take GLOBAL_POSITION_SENSOR" in finding.text
+    (finding,) = said(replace(GOOD, autopilot=Autopilot.PX4), Setup(aiding=AidingSettings(method="gps_input")))
+    assert "PX4 does not take GPS_INPUT" in finding.text
 
 
 def test_an_unknown_autopilot_is_aided_as_it_is_set_and_stops_where_nothing_is():
     unknown = replace(GOOD, autopilot=Autopilot.OTHER, parameters={})
-    (remark,) = said(unknown)
-    assert (remark.level, remark.mend) == (
-        Level.STOP,
+    (finding,) = said(unknown)
+    assert (finding.severity, finding.remedy) == (
+        Severity.STOP,
         "set method, or methods.4 for this vehicle alone, in [aiding] of gcs-coloc",
     )
     for aid in (AidingSettings(method="gps_input"), AidingSettings(methods={4: "gps_input"})):
-        (remark,) = said(unknown, Setup(aiding=aid))
-        assert remark.level is Level.NOTE
-        assert "it is aided by gps_input, as set" in remark.text
+        (finding,) = said(unknown, Setup(aiding=aid))
+        assert finding.severity is Severity.NOTE
+        assert "it is aided by gps_input, as set" in finding.text
 
 
 def test_a_vehicle_that_is_streamed_on_standby_may_arm():
@@ -234,7 +234,7 @@ def test_a_vehicle_that_is_streamed_on_standby_may_arm():
 
 def test_px4_is_not_asked_for_what_only_ardupilot_sends():
     rates = {k: v for k, v in WANTED_HZ.items() if k not in (124, 193)}
-    texts = [remark.text for remark in said(replace(GOOD, autopilot=Autopilot.PX4, parameters={}, rates_hz=rates))]
+    texts = [finding.text for finding in said(replace(GOOD, autopilot=Autopilot.PX4, parameters={}, rates_hz=rates))]
     assert not any("GPS2_RAW" in text or "EKF_STATUS" in text for text in texts)
 
 
@@ -247,30 +247,30 @@ def test_a_vehicle_that_only_helps_is_not_held_to_what_the_located_ones_need():
 
 
 def fleet(**changes):
-    return Findings(15.0, tuple(replace(GOOD, sysid=sysid, peers=FLEET - {sysid}) for sysid in sorted(FLEET)), **changes)
+    return FleetSurvey(15.0, tuple(replace(GOOD, sysid=sysid, peers=FLEET - {sysid}) for sysid in sorted(FLEET)), **changes)
 
 
 @pytest.mark.parametrize(
-    ("findings", "setup", "level", "words"),
+    ("findings", "setup", "severity", "words"),
     [
-        (Findings(15.0), Setup(), Level.STOP, "no vehicle was heard in 15 s"),
-        (Findings(15.0, refused={"garbage_bytes": 900}), Setup(), Level.STOP, "in 15 s, but 900 bytes that are no MAVLink"),
-        (Findings(15.0, (GOOD,)), Setup(), Level.STOP, "vehicles heard: 1; to locate one, 3 others are needed"),
-        (fleet(), Setup(denied=frozenset({4, 9})), Level.STOP, "vehicle 9, which is to be located, was not heard"),
-        (fleet(refused={"signature_wrong": OFTEN}), Setup(), Level.NOTE, f"{OFTEN} times refused (signature_wrong)"),
-        (fleet(host_is_synchronised=False), Setup(), Level.NOTE, "not synchronised"),
-        (fleet(host_is_synchronised=False), Setup(requires_synchronised_clock=True), Level.STOP, "not synchronised"),
+        (FleetSurvey(15.0), Setup(), Severity.STOP, "no vehicle was heard in 15 s"),
+        (FleetSurvey(15.0, refused={"garbage_bytes": 900}), Setup(), Severity.STOP, "in 15 s, but 900 bytes that are no MAVLink"),
+        (FleetSurvey(15.0, (GOOD,)), Setup(), Severity.STOP, "vehicles heard: 1; to locate one, 3 others are needed"),
+        (fleet(), Setup(denied=frozenset({4, 9})), Severity.STOP, "vehicle 9, which is to be located, was not heard"),
+        (fleet(refused={"signature_wrong": OFTEN}), Setup(), Severity.NOTE, f"{OFTEN} times refused (signature_wrong)"),
+        (fleet(host_is_synchronised=False), Setup(), Severity.NOTE, "not synchronised"),
+        (fleet(host_is_synchronised=False), Setup(requires_synchronised_clock=True), Severity.STOP, "not synchronised"),
     ],
 )
-def test_what_is_said_of_the_fleet(findings, setup, level, words):
-    (remark,) = [remark for remark in of_fleet(findings, setup) if remark.level is not Level.RIGHT]
-    assert remark.level is level
-    assert words in remark.text
+def test_what_is_said_of_the_fleet(findings, setup, severity, words):
+    (finding,) = [finding for finding in of_fleet(findings, setup) if finding.severity is not Severity.RIGHT]
+    assert finding.severity is severity
+    assert words in finding.text
 
 
 def test_a_fleet_that_is_all_right():
     findings = fleet(refused={"signature_wrong": OFTEN - 1, "not_wanted": 1000}, host_is_synchronised=True)
-    assert all(remark.level is Level.RIGHT for remark in of_fleet(findings, Setup()))
+    assert all(finding.severity is Severity.RIGHT for finding in of_fleet(findings, Setup()))
     report = Report(findings, Setup())
     assert report.is_ready
     assert list(report.lines())[-1] == "result: all right; co-localisation can work"
@@ -288,4 +288,4 @@ def test_the_report_says_what_stops_first_and_whom_it_stops_last():
     assert lines[-1] == "result: something would stop co-localisation of vehicle 2"
     vehicle = report.as_json()["vehicles"][1]
     assert (vehicle["sysid"], vehicle["ready"]) == (2, False)
-    assert {"GPS2_TYPE": 14.0} in [remark["set"] for remark in vehicle["remarks"]]
+    assert {"GPS2_TYPE": 14.0} in [finding["set"] for finding in vehicle["findings"]]

@@ -6,7 +6,7 @@ import pytest
 
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.core.telemetry.stream_requests import WANTED_HZ
-from gcs_coloc.doctor.findings import Level, VehicleFindings
+from gcs_coloc.doctor.finding import Severity, VehicleSurvey
 from gcs_coloc.doctor.stream_checks import check
 
 SLOW = {**WANTED_HZ, 33: 2.0}
@@ -15,47 +15,49 @@ TWO_PORTS = {"SERIAL0_PROTOCOL": 2.0, "SERIAL1_PROTOCOL": -1.0, "SERIAL2_PROTOCO
 
 
 def said(autopilot, parameters, rates_hz=SLOW, **changes):
-    vehicle = VehicleFindings(4, autopilot, parameters=parameters, rates_hz=rates_hz, **changes)
-    return [remark for remark in check(vehicle) if remark.level is not Level.RIGHT]
+    vehicle = VehicleSurvey(4, autopilot, parameters=parameters, rates_hz=rates_hz, **changes)
+    return [finding for finding in check(vehicle) if finding.severity is not Severity.RIGHT]
 
 
 def position(autopilot, parameters):
-    (remark,) = said(autopilot, parameters)
-    assert remark.level is Level.NOTE
-    assert remark.text == "GLOBAL_POSITION_INT comes at 2.0 Hz, 10 Hz are wanted"
-    return remark
+    (finding,) = said(autopilot, parameters)
+    assert finding.severity is Severity.NOTE
+    assert finding.text == "GLOBAL_POSITION_INT comes at 2.0 Hz, 10 Hz are wanted"
+    return finding
 
 
 @pytest.mark.parametrize("name", ["MAV1_POSITION", "SR0_POSITION"])
 def test_the_stream_of_the_only_port_is_to_be_set_under_its_own_name(name):
-    remark = position(Autopilot.ARDUPILOT, {**ONE_PORT, name: 2.0})
-    assert remark.parameter == (name, 10.0)
-    assert remark.mend.startswith(f"set {name} = 10 (SERIAL0, now 2)")
-    assert remark.mend.endswith("see whether the link carries as much (SERIAL0_BAUD = 115)")
+    finding = position(Autopilot.ARDUPILOT, {**ONE_PORT, name: 2.0})
+    assert finding.parameter == (name, 10.0)
+    assert finding.remedy.startswith(f"set {name} = 10 (SERIAL0, now 2)")
+    assert finding.remedy.endswith("see whether the link carries as much (SERIAL0_BAUD = 115)")
 
 
 def test_of_several_ports_each_is_named_by_its_place_among_those_that_speak_mavlink():
     """SERIAL2 is the second of them: its rates are SR1_ or MAV2_."""
-    remark = position(Autopilot.ARDUPILOT, {**TWO_PORTS, "SR0_POSITION": 0.0, "SR1_POSITION": 4.0})
-    assert "SR0_POSITION = 10 (SERIAL0, now 0) or SR1_POSITION = 10 (SERIAL2, now 4), that of the port we are on" in remark.mend
-    assert remark.parameter is None
-    remark = position(Autopilot.ARDUPILOT, {**TWO_PORTS, "MAV1_POSITION": 10.0, "MAV2_POSITION": 4.0})
-    assert remark.mend.startswith("set MAV2_POSITION = 10 (SERIAL2, now 4), that of the port we are on")
+    finding = position(Autopilot.ARDUPILOT, {**TWO_PORTS, "SR0_POSITION": 0.0, "SR1_POSITION": 4.0})
+    assert (
+        "SR0_POSITION = 10 (SERIAL0, now 0) or SR1_POSITION = 10 (SERIAL2, now 4), that of the port we are on" in finding.remedy
+    )
+    assert finding.parameter is None
+    finding = position(Autopilot.ARDUPILOT, {**TWO_PORTS, "MAV1_POSITION": 10.0, "MAV2_POSITION": 4.0})
+    assert finding.remedy.startswith("set MAV2_POSITION = 10 (SERIAL2, now 4), that of the port we are on")
 
 
 def test_where_the_rate_is_high_enough_the_link_is_to_blame_and_where_none_was_told_the_names_are_said():
-    remark = position(Autopilot.ARDUPILOT, {**ONE_PORT, "MAV1_POSITION": 10.0})
-    assert remark.parameter is None
-    assert remark.mend.startswith(
+    finding = position(Autopilot.ARDUPILOT, {**ONE_PORT, "MAV1_POSITION": 10.0})
+    assert finding.parameter is None
+    assert finding.remedy.startswith(
         "MAV1_POSITION = 10 asks for as much: see whether the link carries as much (SERIAL0_BAUD = 115)"
     )
-    assert "SRn_POSITION" in position(Autopilot.ARDUPILOT, {}).mend
+    assert "SRn_POSITION" in position(Autopilot.ARDUPILOT, {}).remedy
 
 
 def test_what_is_not_heard_at_all_stops_with_the_same_mend():
     rates = {number: hz for number, hz in WANTED_HZ.items() if number != 24}
-    (remark,) = said(Autopilot.ARDUPILOT, {**ONE_PORT, "MAV1_EXT_STAT": 0.0}, rates)
-    assert (remark.level, remark.parameter) == (Level.STOP, ("MAV1_EXT_STAT", 5.0))
+    (finding,) = said(Autopilot.ARDUPILOT, {**ONE_PORT, "MAV1_EXT_STAT": 0.0}, rates)
+    assert (finding.severity, finding.parameter) == (Severity.STOP, ("MAV1_EXT_STAT", 5.0))
 
 
 @pytest.mark.parametrize(
@@ -84,17 +86,17 @@ def test_what_is_not_heard_at_all_stops_with_the_same_mend():
     ],
 )
 def test_of_px4_the_rate_and_the_mode_of_each_instance_that_is_on_are_looked_at(parameters, parameter, words):
-    remark = position(Autopilot.PX4, parameters)
-    assert remark.parameter == parameter
-    assert words in remark.mend
+    finding = position(Autopilot.PX4, parameters)
+    assert finding.parameter == parameter
+    assert words in finding.remedy
 
 
 def test_a_port_that_speaks_mavlink_1_is_named():
-    (remark,) = said(Autopilot.ARDUPILOT, TWO_PORTS, WANTED_HZ, is_mavlink_1=True)
-    assert (remark.level, remark.parameter) == (Level.NOTE, ("SERIAL2_PROTOCOL", 2.0))
-    assert "carries no PEER_RANGE" in remark.text
-    (remark,) = said(Autopilot.PX4, {}, WANTED_HZ, is_mavlink_1=True)
-    assert "MAV_PROTO_VER = 2" in remark.mend
+    (finding,) = said(Autopilot.ARDUPILOT, TWO_PORTS, WANTED_HZ, is_mavlink_1=True)
+    assert (finding.severity, finding.parameter) == (Severity.NOTE, ("SERIAL2_PROTOCOL", 2.0))
+    assert "carries no PEER_RANGE" in finding.text
+    (finding,) = said(Autopilot.PX4, {}, WANTED_HZ, is_mavlink_1=True)
+    assert "MAV_PROTO_VER = 2" in finding.remedy
 
 
 @pytest.mark.parametrize(
@@ -106,9 +108,9 @@ def test_a_port_that_speaks_mavlink_1_is_named():
     ],
 )
 def test_where_the_autopilot_has_no_position_its_own_parameters_are_named(autopilot, words):
-    (remark,) = said(autopilot, {}, {k: hz for k, hz in WANTED_HZ.items() if k != 33}, empty=frozenset({33}))
-    assert remark.level is Level.STOP
-    assert remark.mend.startswith(words)
+    (finding,) = said(autopilot, {}, {k: hz for k, hz in WANTED_HZ.items() if k != 33}, empty=frozenset({33}))
+    assert finding.severity is Severity.STOP
+    assert finding.remedy.startswith(words)
 
 
 @pytest.mark.parametrize(("parameters", "notes"), [({"GPS2_TYPE": 0.0}, 0), ({"GPS_TYPE2": 0.0}, 0), ({"GPS2_TYPE": 14.0}, 1)])

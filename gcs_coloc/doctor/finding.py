@@ -1,4 +1,4 @@
-"""What was found out about a fleet and each of its vehicles: plain values, which the checks judge."""
+"""What a survey found of a fleet and of each vehicle, and what the checks conclude: plain values."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.messages.inbound import Autopilot, GpsReceiver
 
 
-class Level(Enum):
-    """How a remark is meant: all right; works, but worth knowing; would stop co-localisation."""
+class Severity(Enum):
+    """Whether a finding is all right, works but is worth knowing, or would stop co-localisation."""
 
     RIGHT = "right"
     NOTE = "note"
@@ -19,12 +19,12 @@ class Level(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Remark:
-    """One result of the doctor in words; `mend` says what to do, `parameter` which parameter of the vehicle to set to what."""
+class Finding:
+    """One conclusion of the doctor; `remedy`: what to do; `parameter`: the vehicle's parameter to set, and its value."""
 
-    level: Level
+    severity: Severity
     text: str
-    mend: str | None = None
+    remedy: str | None = None
     parameter: tuple[str, float] | None = None
 
 
@@ -41,7 +41,7 @@ class Setup:
 
 
 @dataclass(frozen=True, slots=True)
-class VehicleFindings:
+class VehicleSurvey:
     """One vehicle. Rates are those of the second half of the listening, by message id, Hz.
 
     `is_mavlink_1`: its autopilot sent no frame of MAVLink 2, though we did. `addresses`: where its autopilot was heard;
@@ -73,25 +73,25 @@ class VehicleFindings:
 
 
 @dataclass(frozen=True, slots=True)
-class Findings:
+class FleetSurvey:
     """The fleet after `seconds` of listening. `refused` counts what was not taken, by reason."""
 
     seconds: float
-    vehicles: tuple[VehicleFindings, ...] = ()
+    vehicles: tuple[VehicleSurvey, ...] = ()
     refused: Mapping[str, int] = field(default_factory=dict)
     host_is_synchronised: bool | None = None
 
 
-def right(text: str) -> Remark:
-    """A remark that all is well."""
-    return Remark(Level.RIGHT, text)
+def right(text: str) -> Finding:
+    """All is well."""
+    return Finding(Severity.RIGHT, text)
 
 
-def note(text: str, mend: str | None = None, parameter: tuple[str, float] | None = None) -> Remark:
-    """A remark that does not stop anything."""
-    return Remark(Level.NOTE, text, mend, parameter)
+def note(text: str, remedy: str | None = None, parameter: tuple[str, float] | None = None) -> Finding:
+    """Worth knowing; stops nothing."""
+    return Finding(Severity.NOTE, text, remedy, parameter)
 
 
-def stop(text: str, mend: str | None = None, parameter: tuple[str, float] | None = None) -> Remark:
-    """A remark on what would stop co-localisation."""
-    return Remark(Level.STOP, text, mend, parameter)
+def stop(text: str, remedy: str | None = None, parameter: tuple[str, float] | None = None) -> Finding:
+    """Would stop co-localisation."""
+    return Finding(Severity.STOP, text, remedy, parameter)
