@@ -9,7 +9,7 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.evaluate import evaluate
 from gcs_coloc.recorder import replay as driver
-from gcs_coloc.recorder.flight_report import FlightReport
+from gcs_coloc.recorder.reports.flight_report import FlightReport
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 
@@ -61,7 +61,7 @@ def measure_replay() -> list[Figure]:
     engine = Engine(load_estimator("fleet", {}))
     report = FlightReport(engine, read_truth(directory / "truth.csv"))
     log, ranges = TlogReader(directory / "flight.tlog"), read_ranges(directory / "ranges.csv")
-    driver.replay(driver.Replay(engine, log, ranges, report.polled), report.observation_times(), report.observe)
+    driver.replay(driver.Replay(engine, log, ranges, report.add_outputs), report.observation_times(), report.observe)
     score = report.score(_LOST)
     if score is None or score.horizontal is None or score.covered_95 is None:
         return [Figure("accuracy", name, "never located", "located", False)]

@@ -1,4 +1,4 @@
-"""`gcs-coloc export`: a recorded flight as a table and as tracks on a map."""
+"""`gcs-coloc export`: writes a recorded flight in every export format."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from gcs_coloc.cli.replay import warn_of_damage
 from gcs_coloc.cli.warnings import warn_of_findings
 from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.recorder import export as writer
 from gcs_coloc.recorder.flight_history import read_history
+from gcs_coloc.recorder.formats import write_all
 
 
 def export(
@@ -27,15 +27,13 @@ def export(
 ) -> None:
     """Write a recorded flight as CSV, GeoJSON and KML."""
     settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {}, fleet)
-    story = read_history(file, settings, ranges, None)
-    warn_of_damage(file, story.damage)
-    warn_of_findings(file, story.findings)
+    history = read_history(file, settings, ranges, None)
+    warn_of_damage(file, history.damage)
+    warn_of_findings(file, history.findings)
     base = (out if out is not None else file.parent) / file.stem
     try:
         base.parent.mkdir(parents=True, exist_ok=True)
-        rows = writer.write_csv(story, base.with_name(f"{base.name}.csv"))
-        writer.write_geojson(story, base.with_name(f"{base.name}.geojson"))
-        writer.write_kml(story, base.with_name(f"{base.name}.kml"))
+        files = write_all(history, base)
     except OSError as error:
         raise UsageError(f"{error.filename or base.parent}: cannot be written: {error.strerror}") from None
-    print(f"{base}.csv: {rows} rows; {base.name}.geojson and {base.name}.kml: tracks of {len(story.tracks)} vehicles")
+    print(f"{', '.join(map(str, files))}: tracks of {len(history.tracks)} vehicles")

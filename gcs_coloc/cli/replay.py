@@ -24,8 +24,8 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder import replay as driver
-from gcs_coloc.recorder.flight_findings import HeardMeasurements
-from gcs_coloc.recorder.flight_report import FlightReport
+from gcs_coloc.recorder.reports.flight_findings import MeasurementTap
+from gcs_coloc.recorder.reports.flight_report import FlightReport
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 
@@ -61,16 +61,16 @@ def replay(
         _show(file, settings, ranges, truth, factor)
         return
     settings = load_settings(config, flags, fleet)
-    heard = HeardMeasurements(load_estimator(settings.estimator.name, settings.estimator.settings))
-    engine = Engine(heard, settings.engine())
+    tap = MeasurementTap(load_estimator(settings.estimator.name, settings.estimator.settings))
+    engine = Engine(tap, settings.engine())
     log = TlogReader(file)
     points = read_truth(truth) if truth is not None else []
     report = FlightReport(engine, points)
-    told = read_ranges(ranges) if ranges is not None else []
+    table_ranges = read_ranges(ranges) if ranges is not None else []
     own = (settings.mavlink.system_id, settings.mavlink.component_id)
-    through = driver.Replay(engine, log, told, report.polled, own, settings.fingerprint())
+    through = driver.Replay(engine, log, table_ranges, report.add_outputs, own, settings.fingerprint())
     counts = driver.replay(through, report.observation_times(), report.observe, _pace(factor))
-    findings = heard.findings(points, engine.frame)
+    findings = tap.findings(points, engine.frame)
     result: dict[str, Any] = {
         "version": __version__,
         "file": str(file),

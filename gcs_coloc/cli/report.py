@@ -12,7 +12,7 @@ from gcs_coloc.cli.warnings import warn_of_findings
 from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.recorder.flight_history import read_history
-from gcs_coloc.recorder.html_report import page
+from gcs_coloc.recorder.reports.html_report import page
 
 
 def report(
@@ -30,12 +30,12 @@ def report(
 ) -> None:
     """Write one self-contained HTML page of a recorded flight."""
     settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {}, fleet)
-    story = read_history(file, settings, ranges, truth)
-    warn_of_damage(file, story.damage)
-    warn_of_findings(file, story.findings)
+    history = read_history(file, settings, ranges, truth)
+    warn_of_damage(file, history.damage)
+    warn_of_findings(file, history.findings)
     path = out if out is not None else file.with_suffix(".html")
     try:
-        path.write_text(page(story), encoding="utf-8")
+        path.write_text(page(history), encoding="utf-8")
     except OSError as error:
         raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
     print(path)

@@ -1,4 +1,4 @@
-"""A recorded flight told again: replayed through the engine, with everything that export and report want to show of it."""
+"""The history of a recorded flight, replayed through the engine, for export, report and notebooks."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
-from gcs_coloc.recorder.flight_findings import HeardMeasurements
-from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.journal import Journal, RangeEntry, VehicleEntry
 from gcs_coloc.recorder.recorded_messages import ReplayCounts
 from gcs_coloc.recorder.replay import Replay, replay
+from gcs_coloc.recorder.reports.flight_findings import MeasurementTap
+from gcs_coloc.recorder.reports.flight_report import FlightReport
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 
 WITHOUT_GPS = tuple(state.value for state in DISTRUSTED)
-"""The words for the states of a vehicle's GPS in which it is located by its ranges."""
+"""The GPS states in which a vehicle is located by its ranges."""
 
 
 @dataclass(slots=True)
 class FlightHistory:
-    """What a flight came to.
+    """The history of one flight.
 
     `tracks`: each vehicle's entries in order of time. `damage`: what of the file could not be read. `frame`: the fleet's, about
-    its first fix; None where there was none. `findings`: what in the recording and the tables beside it does not agree.
+    its first fix; None where there was none. `findings`: data-quality findings in the recording and the tables beside it.
     """
 
     file: Path
@@ -48,7 +48,7 @@ class FlightHistory:
 
 
 def read_history(file: Path, settings: Settings, ranges: Path | None, truth: Path | None) -> FlightHistory:
-    """Replay a recording and keep what there is to tell.
+    """Replay a recording and collect its history.
 
     Args:
         file: the tlog.
@@ -60,30 +60,30 @@ def read_history(file: Path, settings: Settings, ranges: Path | None, truth: Pat
         DataError: a file cannot be read or is not what it should be.
         EstimatorError: the estimator cannot be loaded.
     """
-    heard = HeardMeasurements(load_estimator(settings.estimator.name, settings.estimator.settings))
-    engine = Engine(heard, settings.engine())
+    tap = MeasurementTap(load_estimator(settings.estimator.name, settings.estimator.settings))
+    engine = Engine(tap, settings.engine())
     log, journal = TlogReader(file), Journal(engine)
     points = read_truth(truth) if truth is not None else []
     report = FlightReport(engine, points)
     tracks: dict[int, list[VehicleEntry]] = defaultdict(list)
-    story = FlightHistory(file, engine.estimator.name, ReplayCounts(), report, log.counts, tracks)
+    history = FlightHistory(file, engine.estimator.name, ReplayCounts(), report, log.counts, tracks)
 
     def on_poll(at_s: float, outputs: list[Outbound]) -> None:
-        report.polled(at_s, outputs)
-        for entry in journal.polled(at_s, outputs):
+        report.add_outputs(at_s, outputs)
+        for entry in journal.entries(at_s, outputs):
             if isinstance(entry, VehicleEntry):
                 tracks[entry.vehicle.sysid].append(entry)
             elif isinstance(entry, RangeEntry):
-                story.ranges.append(entry)
+                history.ranges.append(entry)
             elif isinstance(entry, HealthChanged):
-                story.health.append(entry)
+                history.health.append(entry)
             else:
-                story.notices.append(entry)
+                history.notices.append(entry)
 
     own = (settings.mavlink.system_id, settings.mavlink.component_id)
-    told = read_ranges(ranges) if ranges is not None else []
-    through = Replay(engine, log, told, on_poll, own, settings.fingerprint())
-    story.counts = replay(through, report.observation_times(), report.observe)
-    story.frame = engine.frame
-    story.findings = heard.findings(points, engine.frame)
-    return story
+    table_ranges = read_ranges(ranges) if ranges is not None else []
+    through = Replay(engine, log, table_ranges, on_poll, own, settings.fingerprint())
+    history.counts = replay(through, report.observation_times(), report.observe)
+    history.frame = engine.frame
+    history.findings = tap.findings(points, engine.frame)
+    return history

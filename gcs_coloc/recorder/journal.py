@@ -1,6 +1,6 @@
-"""What is kept of a flight besides the frames: each vehicle, new residuals, health changes and notices, on the engine's grid.
+"""The journal of a flight: each vehicle, new residuals, changes of GPS state and notices, at the engine's deadlines.
 
-Made from the engine's deadlines alone, so that a replay makes the same journal to the last bit.
+It follows from the deadlines alone, so that a replay makes the same journal to the last bit.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class VehicleEntry:
 
 @dataclass(frozen=True, slots=True)
 class RangeEntry:
-    """What the estimator made of one range, told at service time `at_s`; `range.age_s` before that it was measured."""
+    """The residual of one range at service time `at_s`; it was measured `range.age_s` before that."""
 
     at_s: float
     range: RangeSnapshot
@@ -42,32 +42,32 @@ _ADAPTERS: Mapping[type, TypeAdapter[Any]] = {kind: TypeAdapter(kind) for kind i
 
 
 class Journal:
-    """Keeps the journal of one engine: every vehicle each 0.4 s, everything else as it comes.
+    """The journal of one engine: every vehicle each 0.4 s, everything else as it comes.
 
-    `newest_view` is the one that was kept last.
+    `newest_snapshot` is that of the newest vehicle entries.
     """
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
-        self.newest_view: FleetSnapshot | None = None
+        self.newest_snapshot: FleetSnapshot | None = None
         self._due_s = float("-inf")
-        self._told: dict[tuple[int, int], float] = {}
+        self._residual_times_s: dict[tuple[int, int], float] = {}
 
-    def polled(self, at_s: float, outputs: list[Outbound]) -> list[Entry]:
-        """The entries of one deadline of the engine: its time and its outputs."""
+    def entries(self, at_s: float, outputs: list[Outbound]) -> list[Entry]:
+        """The entries of one deadline of the engine, from its time (s) and its outputs."""
         entries: list[Entry] = [output for output in outputs if isinstance(output, HealthChanged | Notice)]
-        # A deadline that takes long by itself is passed over where a short one follows: what arrives must not wait for both.
+        # No snapshot at a long deadline if a short one follows: datagrams must not wait for both.
         next_s = self._engine.next_deadline()
         is_long = next_s <= at_s or (self._engine.reviewed_at_s == at_s and next_s < at_s + REVIEWED_EVERY_S - SAME_S)
         if at_s < self._due_s or is_long:
             return entries
         self._due_s = at_s + EVERY_S - SAME_S
-        view = self.newest_view = self._engine.snapshot(at_s)
+        view = self.newest_snapshot = self._engine.snapshot(at_s)
         entries.extend(VehicleEntry(at_s, vehicle) for vehicle in view.vehicles)
         for one in view.ranges:
             pair, measured_at_s = (one.from_sysid, one.to_sysid), at_s - one.age_s
-            if measured_at_s > self._told.get(pair, float("-inf")) + SAME_S:
-                self._told[pair] = measured_at_s
+            if measured_at_s > self._residual_times_s.get(pair, float("-inf")) + SAME_S:
+                self._residual_times_s[pair] = measured_at_s
                 entries.append(RangeEntry(at_s, one))
         return entries
 

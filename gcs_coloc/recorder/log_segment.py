@@ -7,8 +7,8 @@ import errno
 import os
 from pathlib import Path
 
+from gcs_coloc.recorder.formats.mcap_file import END_MARK, McapEncoder
 from gcs_coloc.recorder.journal import Entry
-from gcs_coloc.recorder.mcap_file import END_MARK, McapEncoder
 
 
 class LogSegment:

@@ -12,18 +12,18 @@ from gcs_coloc.core.messages.inbound import Inbound, PeerRange
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.framing import RawFrame, sender_of
 from gcs_coloc.mavlink.truth import HeardTruth, truth_of
-from gcs_coloc.recorder.side_channel import FlownWith, GroundTool, ReadRecord, read_note
+from gcs_coloc.recorder.side_channel import FlownWith, GroundTool, ReadRecord, read_side_channel
 from gcs_coloc.recorder.tlog import TlogReader, TlogRecord
 
 _LONGEST_GAP_S = 600.0
-"""What lies beyond so long a gap is another flight, or the recorder's clock was set: the deadlines between are left out."""
+"""A longer gap separates flights, or the recorder's clock was set: the deadlines beyond are left out. Chosen: ten minutes."""
 
 
 @dataclass(slots=True)
 class ReplayCounts:
-    """What a replay went through: times of the first and last record (UNIX s), frames in the file, messages for the core.
+    """Counts of a replay: times of the first and last record (UNIX s), frames in the file, messages for the core.
 
-    `wire` counts what the decoder set aside, by reason.
+    `wire` counts what the decoder refused, by reason.
     """
 
     first_s: float = 0.0
@@ -34,12 +34,12 @@ class ReplayCounts:
 
 
 class RecordedMessages:
-    """The messages of one recording. `truths` is where a simulation says that vehicles truly are, up to the last message.
+    """The messages of one recording. `truths` are the true positions that a simulation sent, up to the last message.
 
     Args:
         log: the recording's frames, in order.
         ranges: ranges that the frames do not carry, in order of time.
-        own: the system and component id of the service that recorded: what it sent itself is passed over.
+        own: the system and component id of the service that recorded: what it sent itself is skipped.
         flown_with: as `Replay`.
     """
 
@@ -55,52 +55,52 @@ class RecordedMessages:
         self._was_flown_otherwise = False
         self._latest_s = float("-inf")
         self._routes: dict[int, RouteReport] = {}
-        self._words: set[tuple[int, type]] = set()
+        self._overridden: set[tuple[int, type]] = set()
         self._ground_tools: set[tuple[int, int]] = set()
-        self._of_record: deque[Inbound | Overrun] = deque()
-        self._truths_of_record: list[HeardTruth] = []
-        self._ranges_taken = 0
+        self._pending: deque[Inbound | Overrun] = deque()
+        self._pending_truths: list[HeardTruth] = []
+        self._next_range = 0
 
     def next(self) -> Inbound | Overrun | None:
-        """The next message; None at the end. One of the table comes after those of the recording that arrived with it.
+        """The next message; None at the end. A range of the table comes after the messages that arrived at the same time.
 
         Raises:
             DataError: the recording cannot be read or is none.
         """
-        while not self._of_record:
-            self.truths.update((truth.sysid, truth) for truth in self._truths_of_record)
-            self._truths_of_record.clear()
+        while not self._pending:
+            self.truths.update((truth.sysid, truth) for truth in self._pending_truths)
+            self._pending_truths.clear()
             record = next(self._records, None)
             if record is None:
                 break
-            self._take(record)
-        if self._was_flown_otherwise and self._of_record:
+            self._read(record)
+        if self._was_flown_otherwise and self._pending:
             # Not before the first message of the flight, which sets the grid of the deadlines.
             self._was_flown_otherwise = False
-            self._of_record.appendleft(TransmitDisabled(self._of_record[0].received_at_s))
-        if self._ranges_taken < len(self._ranges):
-            told = self._ranges[self._ranges_taken]
-            if not self._of_record or told.received_at_s < self._of_record[0].received_at_s:
-                self._ranges_taken += 1
-                return told
-        return self._of_record.popleft() if self._of_record else None
+            self._pending.appendleft(TransmitDisabled(self._pending[0].received_at_s))
+        if self._next_range < len(self._ranges):
+            table_range = self._ranges[self._next_range]
+            if not self._pending or table_range.received_at_s < self._pending[0].received_at_s:
+                self._next_range += 1
+                return table_range
+        return self._pending.popleft() if self._pending else None
 
-    def _take(self, record: TlogRecord) -> None:
-        counts, found = self.counts, self._of_record
+    def _read(self, record: TlogRecord) -> None:
+        counts, found = self.counts, self._pending
         gap_ends_s = self._latest_s + _LONGEST_GAP_S
         at_s = self._latest_s = max(self._latest_s, record.unix_s)
-        noted = read_note(record.frame, at_s, self._own)
+        read = read_side_channel(record.frame, at_s, self._own)
         if counts.records == 0:
             counts.first_s = at_s
-            if noted is None:
-                # Another program's recording: its clock is all that is known of UTC, and every vehicle is taken as reached.
+            if read is None:
+                # Another program's recording: its clock is taken for UTC, and no frame of ours reached a vehicle.
                 found += TransmitDisabled(at_s), ClockReference(at_s, 0.0)
         elif at_s > gap_ends_s:
             found.append(Overrun(at_s, gap_ends_s))
         counts.records += 1
         counts.last_s = at_s
-        if noted is not None:
-            self._take_note(noted)
+        if read is not None:
+            self._add_side_channel(read)
             return
         if sender_of(record.frame) in self._ground_tools:
             return
@@ -111,21 +111,21 @@ class RecordedMessages:
             if frame.is_autopilot_heartbeat:
                 route = self._routes.get(frame.sysid)
                 found.append(RouteReport(frame.sysid, at_s, None) if route is None else replace(route, received_at_s=at_s))
-        self._truths_of_record.extend(truth for raw in good if (truth := truth_of(raw, at_s)) is not None)
+        self._pending_truths.extend(truth for raw in good if (truth := truth_of(raw, at_s)) is not None)
 
-    def _take_note(self, noted: ReadRecord) -> None:
-        note = noted.note
-        if isinstance(note, RouteReport):
-            # Told with the vehicle's next heartbeat, as in flight.
-            self._routes[note.sysid] = note
-        elif isinstance(note, OperatorCommand):
-            is_news = (note.sysid, type(note.override)) not in self._words or not noted.repeated
-            self._words.add((note.sysid, type(note.override)))
-            if is_news:
-                self._of_record.append(note)
-        elif isinstance(note, FlownWith):
-            self._was_flown_otherwise = self._flown_with not in (None, note.fingerprint)
-        elif isinstance(note, GroundTool):
-            self._ground_tools.add((note.sysid, note.compid))
-        elif note is not None:
-            self._of_record.append(note)
+    def _add_side_channel(self, read: ReadRecord) -> None:
+        record = read.record
+        if isinstance(record, RouteReport):
+            # Reported with the vehicle's next heartbeat, as in flight.
+            self._routes[record.sysid] = record
+        elif isinstance(record, OperatorCommand):
+            is_new = (record.sysid, type(record.override)) not in self._overridden or not read.repeated
+            self._overridden.add((record.sysid, type(record.override)))
+            if is_new:
+                self._pending.append(record)
+        elif isinstance(record, FlownWith):
+            self._was_flown_otherwise = self._flown_with not in (None, record.fingerprint)
+        elif isinstance(record, GroundTool):
+            self._ground_tools.add((record.sysid, record.compid))
+        elif record is not None:
+            self._pending.append(record)

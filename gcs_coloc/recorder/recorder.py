@@ -16,10 +16,10 @@ from gcs_coloc.core.messages.control import OperatorCommand, RouteBlock, RouteRe
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 from gcs_coloc.recorder.journal import Entry
 from gcs_coloc.recorder.log_segment import LogSegment
-from gcs_coloc.recorder.side_channel import FlownWith, GroundTool, NoteWriter, SideChannelRecord
-from gcs_coloc.recorder.tlog_writer import tlog_record
+from gcs_coloc.recorder.side_channel import FlownWith, GroundTool, SideChannelRecord, SideChannelWriter
+from gcs_coloc.recorder.tlog import tlog_record
 
-_MOST_WAITING = 20_000
+_MAX_QUEUED = 20_000
 _BATCH_ITEMS = 200
 _FLUSH_S = 0.5
 _SYNC_S = 1.0
@@ -32,9 +32,9 @@ _Item = tuple[float, bytes] | SideChannelRecord | Entry
 
 
 class Recorder:
-    """One recording in a directory. `frame`, `note` and `entry` never wait and never raise; `counts` says what was lost.
+    """One recording in a directory. Adding never waits and never raises; `counts` holds what was lost.
 
-    What is given before `open` is kept until then; without it no file is made.
+    Everything added before `open` waits for it; without it no file is created.
     """
 
     def __init__(self, directory: Path, rotate_bytes: int, sysid: int, compid: int) -> None:
@@ -46,15 +46,15 @@ class Recorder:
         self.counts = Counts()
         self._directory = directory
         self._rotate_bytes = rotate_bytes
-        self._notes = NoteWriter(sysid, compid)
+        self._side_channel = SideChannelWriter(sysid, compid)
         self._routes: dict[int, tuple[RouteBlock | None, tuple[int, ...]]] = {}
         self._items: deque[_Item] = deque()
         self._ending = threading.Event()
         self._turned_at_s = self._retry_at_s = time.monotonic()
         self._fault: str | None = None
-        self._told: tuple[str | None, int] = (None, 0)
-        self._parts = 0
-        self._state: dict[tuple[object, ...], SideChannelRecord] = {}  # what a new part has to repeat
+        self._reported: tuple[str | None, int] = (None, 0)
+        self._segment_count = 0
+        self._state: dict[tuple[object, ...], SideChannelRecord] = {}  # what a new segment has to repeat
         self._name = ""
         try:
             directory.mkdir(parents=True, exist_ok=True)
@@ -65,47 +65,47 @@ class Recorder:
         if not os.access(directory, os.W_OK | os.X_OK):
             is_read_only = os.statvfs(directory).f_flag & os.ST_RDONLY
             raise self._not_writable(os.strerror(errno.EROFS if is_read_only else errno.EACCES))
-        self._part: LogSegment | None = None
+        self._segment: LogSegment | None = None
         self._thread: threading.Thread | None = None
 
     def open(self) -> None:
-        """Begin the first part.
+        """Begin the first segment.
 
         Raises:
             RecordError: it cannot be made; the text says why.
         """
         try:
-            self._part = self._open_first()
+            self._segment = self._open_first()
         except OSError as error:
             raise self._not_writable(error.strerror) from None
         self._turned_at_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
-    def frame(self, at_s: float, frame: bytes) -> None:
-        """Record one whole frame, heard or sent, at service time `at_s` (UNIX seconds)."""
+    def add_frame(self, at_s: float, frame: bytes) -> None:
+        """Record one whole frame, received or sent, at service time `at_s` (UNIX seconds)."""
         self._put((at_s, frame))
 
-    def note(self, note: SideChannelRecord) -> None:
-        """Record what the engine was told besides frames; of routes only what has changed."""
-        if isinstance(note, RouteReport):
-            route = (note.blocked, note.shared_with)
-            if self._routes.get(note.sysid) == route:
+    def add_record(self, record: SideChannelRecord) -> None:
+        """Record what the engine received besides frames; of routes only changes."""
+        if isinstance(record, RouteReport):
+            route = (record.blocked, record.shared_with)
+            if self._routes.get(record.sysid) == route:
                 return
-            self._routes[note.sysid] = route
-        self._put(note)
+            self._routes[record.sysid] = route
+        self._put(record)
 
-    def entry(self, entry: Entry) -> None:
+    def add_entry(self, entry: Entry) -> None:
         """Record one entry of the journal."""
         self._put(entry)
 
-    def news(self) -> tuple[str, str] | None:
+    def pending_warning(self) -> tuple[str, str] | None:
         """Level and text for the operator where the recording has failed, recovered or lost something since the last call."""
         lost, fault = self.counts.get(Refusal.NOT_RECORDED, 0), self._fault
         if self._thread is not None and time.monotonic() - self._turned_at_s > _SILENT_S:
             fault = f"{self._directory}: the disk has not answered for {_SILENT_S:g} s"
-        before_fault, before_lost = self._told
-        self._told = (fault, lost)
+        before_fault, before_lost = self._reported
+        self._reported = (fault, lost)
         if fault is not None and fault != before_fault:
             again = f", and it is tried again every {_RETRY_S:g} s" if fault == self._fault else ""
             return "error", f"nothing is being recorded: {fault}; the flight goes on{again}"
@@ -126,7 +126,7 @@ class Recorder:
         return RecordError(f"--record {self._directory}: cannot be written to: {why}")
 
     def _put(self, item: _Item) -> None:
-        if len(self._items) < _MOST_WAITING:
+        if len(self._items) < _MAX_QUEUED:
             self._items.append(item)
         else:
             self.counts.add(Refusal.NOT_RECORDED)
@@ -138,71 +138,71 @@ class Recorder:
             # Nobody wakes this thread for an item: at hundreds a second that would cost the flight more than the writing does.
             ended = self._ending.wait(_FLUSH_S)
             self._turned_at_s = time.monotonic()
-            if self._part is None and (ended or self._turned_at_s >= self._retry_at_s):
+            if self._segment is None and (ended or self._turned_at_s >= self._retry_at_s):
                 self._try_to_open()
             self._write_waiting()
             if ended or time.monotonic() - synced_at_s >= _SYNC_S:
                 synced_at_s = time.monotonic()
                 self._sync()
-        if self._part is not None:
-            self._end(self._part)
+        if self._segment is not None:
+            self._end(self._segment)
         self.counts.add(Refusal.NOT_RECORDED, len(self._items))
 
     def _write_waiting(self) -> None:
-        """Write what has come in until now; where nothing can be written it waits for the next part."""
+        """Write what has come in until now; where nothing can be written it waits for the next segment."""
         waiting = len(self._items)
-        while waiting and self._part is not None:
+        while waiting and self._segment is not None:
             items = [self._items.popleft() for _ in range(min(waiting, _BATCH_ITEMS))]
             waiting -= len(items)
-            self._write(self._part, items)
+            self._write(self._segment, items)
 
-    def _write(self, part: LogSegment, items: list[_Item]) -> None:
-        size_before = part.size
+    def _write(self, segment: LogSegment, items: list[_Item]) -> None:
+        size_before = segment.size
         try:
-            part = self._turned_over(part)
-            size_before = part.size
-            records = self._head(items[0]) if part.size == 0 else bytearray()
+            segment = self._rotated(segment)
+            size_before = segment.size
+            records = self._head(items[0]) if segment.size == 0 else bytearray()
             entries: list[Entry] = []
             for item in items:
                 if isinstance(item, tuple):
                     records += tlog_record(*item)
                 elif isinstance(item, SideChannelRecord):
-                    standing = _standing_as(item)
-                    if standing is not None:
-                        self._state[standing] = item
-                    records += self._note_record(item)
+                    key = _lasting_key(item)
+                    if key is not None:
+                        self._state[key] = item
+                    records += self._side_channel_record(item)
                 else:
                     entries.append(item)
-            part.write(bytes(records), entries)
+            segment.write(bytes(records), entries)
         except OSError as error:
-            is_cut = part.size > size_before  # one of its two files took them, and the other did not
+            is_cut = segment.size > size_before  # one of its two files took them, and the other did not
             if not is_cut:
                 self._items.extendleft(reversed(items))
             self._fail(error, len(items) if is_cut else 0)
 
-    def _note_record(self, note: SideChannelRecord) -> bytes:
+    def _side_channel_record(self, record: SideChannelRecord) -> bytes:
         try:
-            return tlog_record(note.received_at_s, self._notes.pack(note))
+            return tlog_record(record.received_at_s, self._side_channel.pack(record))
         except ValueError:
             self.counts.add(Refusal.NOT_RECORDED)
             return b""
 
-    def _turned_over(self, part: LogSegment) -> LogSegment:
-        if part.size < self._rotate_bytes:
-            return part
-        self._part = None
-        self._end(part)
-        self._part = self._open_part()
-        return self._part
+    def _rotated(self, segment: LogSegment) -> LogSegment:
+        if segment.size < self._rotate_bytes:
+            return segment
+        self._segment = None
+        self._end(segment)
+        self._segment = self._open_segment()
+        return self._segment
 
     def _head(self, first: _Item) -> bytearray:
-        """What a part begins with: that it is ours, and what the engine had been told before."""
+        """The beginning of a segment: the mark that it is ours, and the records that still hold."""
         at_s = (
             first[0] if isinstance(first, tuple) else first.received_at_s if isinstance(first, SideChannelRecord) else first.at_s
         )
-        head = bytearray(tlog_record(at_s, self._notes.pack(None)))
-        for note in self._state.values():
-            head += tlog_record(at_s, self._notes.pack(note, repeated=True))
+        head = bytearray(tlog_record(at_s, self._side_channel.pack(None)))
+        for record in self._state.values():
+            head += tlog_record(at_s, self._side_channel.pack(record, repeated=True))
         return head
 
     def _open_first(self) -> LogSegment:
@@ -214,64 +214,64 @@ class Recorder:
         for later_s in range(_NAMES):
             self._name = (begun + timedelta(seconds=later_s)).strftime("%Y%m%dT%H%M%SZ")
             with contextlib.suppress(FileExistsError):
-                return LogSegment(self._directory, self._part_name(1))
-        return LogSegment(self._directory, self._part_name(1))
+                return LogSegment(self._directory, self._segment_name(1))
+        return LogSegment(self._directory, self._segment_name(1))
 
-    def _part_name(self, number: int) -> str:
-        self._parts = number
+    def _segment_name(self, number: int) -> str:
+        self._segment_count = number
         return f"gcs-coloc-{self._name}-{number:03d}"
 
-    def _open_part(self) -> LogSegment:
-        return LogSegment(self._directory, self._part_name(self._parts + 1))
+    def _open_segment(self) -> LogSegment:
+        return LogSegment(self._directory, self._segment_name(self._segment_count + 1))
 
     def _try_to_open(self) -> None:
         try:
-            self._part = self._open_part()
+            self._segment = self._open_segment()
         except OSError as error:
             self._fail(error, 0)
 
     def _sync(self) -> None:
-        if self._part is None or self._part.size == 0:
+        if self._segment is None or self._segment.size == 0:
             return
         try:
-            self._part.sync()
+            self._segment.sync()
             self._fault = None  # not before: a full disk still makes new files
         except OSError as error:
             self._fail(error, 0)
 
-    def _end(self, part: LogSegment) -> None:
+    def _end(self, segment: LogSegment) -> None:
         try:
-            part.close()
+            segment.close()
         except OSError as error:
-            self._fault = _words(self._directory, error)
+            self._fault = _fault_text(self._directory, error)
 
     def _fail(self, error: OSError, items: int) -> None:
         self.counts.add(Refusal.NOT_RECORDED, items)
-        self._fault = _words(self._directory, error)
+        self._fault = _fault_text(self._directory, error)
         self._retry_at_s = time.monotonic() + _RETRY_S
-        if self._part is not None:
-            if self._part.size == 0:
-                self._parts -= 1  # nothing is left of it, and its name is free
-            self._part.close(whole=False)
-            self._part = None
+        if self._segment is not None:
+            if self._segment.size == 0:
+                self._segment_count -= 1  # nothing is left of it, and its name is free
+            self._segment.close(whole=False)
+            self._segment = None
 
 
-def _standing_as(note: SideChannelRecord) -> tuple[object, ...] | None:
-    """As what a note holds until another takes its place; None where it has passed once it was told."""
-    match note:
+def _lasting_key(record: SideChannelRecord) -> tuple[object, ...] | None:
+    """The key of a record that holds until another of its key replaces it; None where it concerns a moment."""
+    match record:
         case OperatorCommand():
-            return type(note.override), note.sysid
+            return type(record.override), record.sysid
         case RouteReport():
-            return RouteReport, note.sysid
+            return RouteReport, record.sysid
         case GroundTool():
-            return GroundTool, note.sysid, note.compid
+            return GroundTool, record.sysid, record.compid
         case FlownWith():
             return (FlownWith,)
         case _:
             return None
 
 
-def _words(directory: Path, error: OSError) -> str:
+def _fault_text(directory: Path, error: OSError) -> str:
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"{directory}: the disk is full"
     if error.errno == errno.ENOENT:

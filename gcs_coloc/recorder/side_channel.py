@@ -1,8 +1,7 @@
-"""What the engine was told besides the vehicles' frames, kept in the tlog so that a replay tells it the same.
+"""Side-channel records: what the engine received besides the vehicles' frames, in the tlog, so that a replay repeats it.
 
-The operator's words, what is known of the routes, the host's UTC, whom somebody else's GPS_INPUT reaches and ranges from
-gateways reach the engine by no frame, and neither that the service was held up nor what it was set to shows in one. Each is
-written as a TUNNEL frame (385) of our own, with a private payload type and JSON inside; other programs pass over it.
+Operator overrides, routes, the host's UTC, foreign GPS_INPUT, ranges from gateways, overruns and settings are in no frame.
+Each record is a TUNNEL frame (385) of our own, with a private payload type and JSON inside; other programs ignore it.
 """
 
 from __future__ import annotations
@@ -27,24 +26,37 @@ from gcs_coloc.core.messages.control import (
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.mavlink.framing import MAGIC_V2, read_frame
 
-_WORDS: dict[str, type[GpsOverride] | type[AidingOverride] | type[PrimaryOverride]] = {
-    "word": GpsOverride,
-    "aid": AidingOverride,
-    "primary": PrimaryOverride,
+_OVERRIDES: dict[str, type[GpsOverride] | type[AidingOverride] | type[PrimaryOverride]] = {
+    "gps": GpsOverride,
+    "aiding": AidingOverride,
+    "gps_primary": PrimaryOverride,
 }
+_KEYS_OF_0_1 = {
+    "word": "gps",
+    "aid": "aiding",
+    "primary": "gps_primary",
+    "of": "sysid",
+    "held": "overrun",
+    "other": "foreign_gps_input",
+    "ground": "ground_tool",
+    "begin": "segment",
+    "again": "repeated",
+}
+"""The keys that version 0.1 wrote, and today's."""
 
 PAYLOAD_TYPE = 46_232
-"""The TUNNEL payload type of a note; above 32767 they are private."""
+"""The TUNNEL payload type of a record. Private types are those above 32767 (MAV_TUNNEL_PAYLOAD_TYPE)."""
 
-_MOST_BYTES = 128
-_MOST_SHARING = 16
-"""System ids of vehicles at one address that fit into a record with all else."""
+_MAX_BYTES = 128
+"""The payload field of TUNNEL."""
+_MAX_SHARING = 16
+"""System ids of vehicles at one address; so many fit into a record."""
 _TIME_BASES = tuple(TimeBase)
 
 
 @dataclass(frozen=True, slots=True)
 class GroundTool:
-    """From now on frames of this system and component are a ground tool's on their way to a vehicle: not the engine's."""
+    """From now on frames of this system and component are a ground tool's; the engine does not receive them."""
 
     sysid: int
     compid: int
@@ -53,7 +65,7 @@ class GroundTool:
 
 @dataclass(frozen=True, slots=True)
 class FlownWith:
-    """What the engine was set to in the flight, as `Settings.fingerprint`."""
+    """The settings of the engine in the flight, as `Settings.fingerprint`."""
 
     fingerprint: str
     received_at_s: float
@@ -66,39 +78,42 @@ SideChannelRecord = (
 
 @dataclass(frozen=True, slots=True)
 class ReadRecord:
-    """A note as read; None marks the beginning of a part. `repeated`: it stands at the head of a part and tells no news."""
+    """A record as read, None for the mark at the beginning of a segment. `repeated`: copied from an earlier segment."""
 
-    note: SideChannelRecord | None
+    record: SideChannelRecord | None
     repeated: bool
 
 
-class NoteWriter:
-    """Packs notes as frames of ours, numbered on their own."""
+class SideChannelWriter:
+    """Packs records as frames of ours, with their own sequence numbers."""
 
     def __init__(self, sysid: int, compid: int) -> None:
         self._mavlink = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=compid)
 
-    def pack(self, note: SideChannelRecord | None, *, repeated: bool = False) -> bytes:
-        """A note as a TUNNEL frame; None for the beginning of a part. Of vehicles at one address 16 are named.
+    def pack(self, record: SideChannelRecord | None, *, repeated: bool = False) -> bytes:
+        """A record as a TUNNEL frame, or the mark at the beginning of a segment for None.
 
-        Raises ValueError for numbers with more digits than there is room for.
+        Of vehicles at one address the first 16 are named.
+
+        Raises:
+            ValueError: its numbers have more digits than fit into the frame.
         """
-        content = _content(note) if note is not None else {"begin": 1}
+        content = _content(record) if record is not None else {"segment": 1}
         if repeated:
-            content["again"] = 1
+            content["repeated"] = 1
         data = json.dumps(content, separators=(",", ":")).encode()
-        if len(data) > _MOST_BYTES:
-            raise ValueError(f"a note of {len(data)} bytes does not fit into a TUNNEL frame")
-        message = mavlink.MAVLink_tunnel_message(0, 0, PAYLOAD_TYPE, len(data), list(data.ljust(_MOST_BYTES, b"\0")))
+        if len(data) > _MAX_BYTES:
+            raise ValueError(f"a record of {len(data)} bytes does not fit into a TUNNEL frame")
+        message = mavlink.MAVLink_tunnel_message(0, 0, PAYLOAD_TYPE, len(data), list(data.ljust(_MAX_BYTES, b"\0")))
         frame = bytes(message.pack(self._mavlink))
         self._mavlink.seq = (self._mavlink.seq + 1) & 0xFF
         return frame
 
 
-def read_note(frame: bytes, at_s: float, own: tuple[int, int]) -> ReadRecord | None:
-    """The note that a recorded frame holds, or None where it holds none.
+def read_side_channel(frame: bytes, at_s: float, own: tuple[int, int]) -> ReadRecord | None:
+    """The record in a frame of a tlog; None where the frame is no record.
 
-    `own` is the system and component id that recorded: nobody else's notes are obeyed.
+    `own` is the system and component id that recorded; records of others are ignored.
     """
     if frame[0] != MAGIC_V2 or int.from_bytes(frame[7:10], "little") != mavlink.MAVLINK_MSG_ID_TUNNEL:
         return None
@@ -108,69 +123,71 @@ def read_note(frame: bytes, at_s: float, own: tuple[int, int]) -> ReadRecord | N
     message = mavlink.MAVLink_tunnel_message
     payload = raw.payload.ljust(message.unpacker.size, b"\0")
     fields = message.unpacker.unpack_from(payload)
-    payload_type, length, data = fields[0], fields[3], bytes(fields[4 : 4 + _MOST_BYTES])
+    payload_type, length, data = fields[0], fields[3], bytes(fields[4 : 4 + _MAX_BYTES])
     if payload_type != PAYLOAD_TYPE:
         return None
     try:
-        content = json.loads(data[:length])
-        return ReadRecord(_note(content, at_s), "again" in content)
-    except (ValueError, KeyError, TypeError):
+        content = {_KEYS_OF_0_1.get(key, key): value for key, value in json.loads(data[:length]).items()}
+        return ReadRecord(_record(content, at_s), "repeated" in content)
+    except (ValueError, KeyError, TypeError, AttributeError):
         return None
 
 
-def _content(note: SideChannelRecord) -> dict[str, Any]:
-    if isinstance(note, ClockReference):
-        return {"utc": note.utc_minus_service_s, "sync": note.synchronised}
-    if isinstance(note, FlownWith):
-        return {"settings": note.fingerprint}
-    if isinstance(note, GroundTool):
-        return {"ground": [note.sysid, note.compid]}
-    if isinstance(note, PeerRange):
-        base = _TIME_BASES.index(note.time_base)
-        ends, told = (note.sysid, note.peer_sysid), (note.range_m, note.sigma_m, note.measured_at_s, base)
-        return {"range": [*ends, *told, note.sequence, note.line_of_sight, note.device_id]}
-    if isinstance(note, Overrun):
-        return {"held": note.since_s}
-    if isinstance(note, ForeignGpsInput):
-        return {"other": [note.sysid, note.gps_id, note.vehicle]}
-    if isinstance(note, OperatorCommand):
+def _content(record: SideChannelRecord) -> dict[str, Any]:
+    if isinstance(record, ClockReference):
+        return {"utc": record.utc_minus_service_s, "sync": record.synchronised}
+    if isinstance(record, FlownWith):
+        return {"settings": record.fingerprint}
+    if isinstance(record, GroundTool):
+        return {"ground_tool": [record.sysid, record.compid]}
+    if isinstance(record, PeerRange):
+        base = _TIME_BASES.index(record.time_base)
+        ends, values = (record.sysid, record.peer_sysid), (record.range_m, record.sigma_m, record.measured_at_s, base)
+        return {"range": [*ends, *values, record.sequence, record.line_of_sight, record.device_id]}
+    if isinstance(record, Overrun):
+        return {"overrun": record.since_s}
+    if isinstance(record, ForeignGpsInput):
+        return {"foreign_gps_input": [record.sysid, record.gps_id, record.vehicle]}
+    if isinstance(record, OperatorCommand):
         return {
-            next(key for key, kind in _WORDS.items() if isinstance(note.override, kind)): note.override.value,
-            "of": note.sysid,
+            next(key for key, kind in _OVERRIDES.items() if isinstance(record.override, kind)): record.override.value,
+            "sysid": record.sysid,
         }
-    return {"route": note.blocked, "of": note.sysid} | ({"with": note.shared_with[:_MOST_SHARING]} if note.shared_with else {})
+    return {"route": record.blocked, "sysid": record.sysid} | (
+        {"with": record.shared_with[:_MAX_SHARING]} if record.shared_with else {}
+    )
 
 
-def _note(content: dict[str, Any], at_s: float) -> SideChannelRecord | None:
-    if "begin" in content:
+def _record(content: dict[str, Any], at_s: float) -> SideChannelRecord | None:
+    if "segment" in content:
         return None
     if "utc" in content:
         utc = content["utc"]
         sync = content.get("sync")
         return ClockReference(at_s, float(utc) if utc is not None else None, bool(sync) if sync is not None else None)
-    if "held" in content:
-        return Overrun(at_s, float(content["held"]))
+    if "overrun" in content:
+        return Overrun(at_s, float(content["overrun"]))
     if "settings" in content:
         return FlownWith(str(content["settings"]), at_s)
-    if "ground" in content:
-        sysid, compid = content["ground"]
+    if "ground_tool" in content:
+        sysid, compid = content["ground_tool"]
         return GroundTool(int(sysid), int(compid), at_s)
     if "range" in content:
         sysid, peer, range_m, sigma_m, measured_at_s, base, sequence, line_of_sight, device_id = content["range"]
         time_base = _TIME_BASES[base]
         return PeerRange(sysid, at_s, peer, range_m, sigma_m, measured_at_s, time_base, sequence, line_of_sight, device_id)
-    if "other" in content:
-        sender, gps_id, vehicle = content["other"]
+    if "foreign_gps_input" in content:
+        sender, gps_id, vehicle = content["foreign_gps_input"]
         return ForeignGpsInput(sender, at_s, gps_id, vehicle)
-    sysid = int(content["of"])
-    for key, kind in _WORDS.items():
+    sysid = int(content["sysid"])
+    for key, kind in _OVERRIDES.items():
         if key in content:
             return OperatorCommand(sysid, at_s, kind(content[key]))
     return RouteReport(sysid, at_s, _route_block(content["route"]), tuple(map(int, content.get("with", ()))))
 
 
 def _route_block(content: str | None) -> RouteBlock | None:
-    """Why nothing could be sent to a vehicle. Until 0.1 a recording held the beginning of a sentence."""
+    """Why nothing could be sent to a vehicle. Version 0.1 wrote the beginning of a sentence."""
     if content is None or content in RouteBlock.__members__.values():
         return RouteBlock(content) if content is not None else None
     return RouteBlock.SHARED_ADDRESS if "one address" in content else RouteBlock.NO_HEARTBEAT

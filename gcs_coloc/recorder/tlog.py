@@ -9,15 +9,29 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from fastcrc.crc16 import mcrf4xx
+
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.mavlink.checks import UNIX_TIME_TO_US
-from gcs_coloc.mavlink.framing import ANY_MAGIC, MAGIC_V1, MAGIC_V2, RawFrame, read_frame
+from gcs_coloc.mavlink.dialect import CRC_EXTRA
+from gcs_coloc.mavlink.framing import (
+    ANY_MAGIC,
+    CHECKSUM_LENGTH,
+    INCOMPAT_SIGNED,
+    MAGIC_V1,
+    MAGIC_V2,
+    SIGNATURE_LENGTH,
+    RawFrame,
+    read_frame,
+)
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 SEARCHED_BYTES = 1 << 16
 """A file without one good record in so many bytes is no tlog."""
 
 _TIME = struct.Struct(">Q")
+_SETUP_SIGNING = 256
+_INCOMPAT_AT = 2
 _OTHERS = {
     b"\x1f\x8b": "is compressed; unpack it with gunzip first",
     b"PK\x03\x04": "is a zip archive; unpack it first",
@@ -33,6 +47,41 @@ class TlogRecord(NamedTuple):
 
     unix_s: float
     frame: bytes
+
+
+def message_id(frame: bytes) -> int:
+    """The message id in the header of a whole frame of either version."""
+    return frame[5] if frame[0] == MAGIC_V1 else int.from_bytes(frame[7:10], "little")
+
+
+def tlog_record(at_s: float, frame: bytes) -> bytes:
+    """One record: the time in microseconds since 1970 (8 bytes, big-endian), then the frame.
+
+    Args:
+        at_s: UNIX seconds.
+        frame: a whole frame with a right checksum.
+
+    Returns:
+        The record; empty for SETUP_SIGNING, which holds the secret key, and for a signed frame whose message is unknown:
+        without its signature it would need a checksum that nobody here can compute.
+    """
+    if message_id(frame) == _SETUP_SIGNING:
+        return b""
+    stripped = without_signature(frame)
+    return _TIME.pack(round(at_s * 1e6)) + stripped if stripped is not None else b""
+
+
+def without_signature(frame: bytes) -> bytes | None:
+    """The frame as it would be had it not been signed; None where its message is unknown and its checksum with it."""
+    if frame[0] != MAGIC_V2 or not frame[_INCOMPAT_AT] & INCOMPAT_SIGNED:
+        return frame
+    crc_extra = CRC_EXTRA.get(message_id(frame))
+    if crc_extra is None:
+        return None
+    body = bytearray(frame[: -SIGNATURE_LENGTH - CHECKSUM_LENGTH])
+    body[_INCOMPAT_AT] &= ~INCOMPAT_SIGNED
+    checksum = mcrf4xx(bytes(body[1:]) + bytes((crc_extra,)))
+    return bytes(body) + checksum.to_bytes(2, "little")
 
 
 class TlogReader:

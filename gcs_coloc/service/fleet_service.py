@@ -20,7 +20,7 @@ from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.inbound import foreign_gps_input
 from gcs_coloc.mavlink.refusals import Counts, Refusals
 from gcs_coloc.mavlink.truth import HeardTruth
-from gcs_coloc.recorder.flight import FlightRecording
+from gcs_coloc.recorder.flight_recording import FlightRecording
 from gcs_coloc.recorder.side_channel import FlownWith
 from gcs_coloc.runtime.clock import ServiceClock, Timer
 from gcs_coloc.service.receiver import Receiver
@@ -68,7 +68,7 @@ class FleetService:
             own=own,
             bytes_per_s=senders.bytes_per_s,
             is_aided=lambda sysid: self._engine.aiding.streams(sysid),
-            forwarded=lambda raw: self._recording.forwarded(self._engine_at_s, raw),
+            forwarded=lambda raw: self._recording.record_forwarded(self._engine_at_s, raw),
             foreign_gps_input=lambda raw, sysid: self._apply(foreign_gps_input(raw, self._clock(), sysid)),
         )
         self._sender = Sender(
@@ -76,14 +76,14 @@ class FleetService:
             self._signed,
             clock,
             own=own,
-            sent=lambda frame: self._recording.sent(self._engine_at_s, frame),
+            sent=lambda frame: self._recording.record_sent(self._engine_at_s, frame),
             echo=self._forwarder.echo if settings.forward.echo_gps_input else lambda _: None,
         )
         addresses = [parse(text) for text in settings.links]
         self._links = [address.make_link(self._on_datagram, clock) for address in addresses]
         self._openings = [address.opening for address in addresses]
         self._recording = FlightRecording(settings.record, settings.mavlink, self._engine)
-        self._recording.told(FlownWith(settings.fingerprint(), self._engine_at_s))
+        self._recording.record_side_channel(FlownWith(settings.fingerprint(), self._engine_at_s))
         self._keeps_frames = bool(settings.record.directory or settings.out)
         counts = [self._routes.counts, self._sender.counts, self.counts, *(link.counts for link in self._links)]
         self._refusals = Refusals([*self._receiver.refusals, *counts, *self._forwarder.refusals])
@@ -148,11 +148,11 @@ class FleetService:
         for message in received.messages:
             self._engine.receive(message)
         for report in received.link_reports:
-            self._recording.told(report)
+            self._recording.record_side_channel(report)
         for truth in received.truths:
             self.truths[truth.sysid] = truth
         if self._keeps_frames:
-            self._recording.heard(received_at_s, received.frames, received.refused)
+            self._recording.record_received(received_at_s, received.frames, received.refused)
             self._forwarder.from_vehicle(received.frames, link, address, received_at_s)
         if received.messages:  # without a message to the engine no deadline comes sooner
             self._wake()
@@ -172,7 +172,7 @@ class FleetService:
             return
         overrun = find_overrun(self._engine, to_s)
         if overrun is not None:
-            self._recording.told(overrun)
+            self._recording.record_side_channel(overrun)
         unsent: list[Outbound] = []
         is_idle = False
         for at_s, outputs in advance(self._engine, to_s, catch_up_s=CATCH_UP_S):
@@ -182,7 +182,7 @@ class FleetService:
                 self._emit(without_superseded(unsent))
                 unsent = []
                 is_idle = self._engine.next_deadline() >= to_s
-            self._recording.polled(at_s, outputs)
+            self._recording.record_outputs(at_s, outputs)
         if is_idle:
             self.idle.start_slots()
 
@@ -213,7 +213,7 @@ class FleetService:
     def _apply(self, message: ClockReference | OperatorCommand | PeerRange | ForeignGpsInput) -> None:
         self._advance(message.received_at_s)
         self._engine.receive(message)
-        self._recording.told(message)
+        self._recording.record_side_channel(message)
         self._wake()
 
     def _greeted(self, now_s: float) -> set[Route]:
@@ -248,7 +248,7 @@ class FleetService:
 
     def _publish_warnings(self, now_s: float) -> None:
         """Publish what recorder, signatures, routes and ground tools have to warn of."""
-        recording = self._recording.news()
+        recording = self._recording.pending_warning()
         if recording is not None:
             self.events.publish(Notice(now_s, None, *recording))
         ahead = self._signed.pending_warning(now_s)

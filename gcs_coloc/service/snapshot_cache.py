@@ -9,7 +9,7 @@ from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.links.forward import Forwarder
 from gcs_coloc.mavlink.refusals import Refusals
 from gcs_coloc.mavlink.sequence import SequenceTracker
-from gcs_coloc.recorder.flight import FlightRecording
+from gcs_coloc.recorder.flight_recording import FlightRecording
 from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.runtime.clock import ServiceClock
 
@@ -59,7 +59,7 @@ class SnapshotCache:
         Without the counts from outside of the engine: links, ground tools, and most refusals.
         """
         now_s = self._clock()
-        recorded = self._recording.newest_view
+        recorded = self._recording.newest_snapshot
         if recorded is not None and now_s - recorded.at_s <= _RECENT_RECORDED_S:
             self._recent = recorded
         elif self._recent is None or now_s - self._recent.at_s > _RECENT_S:

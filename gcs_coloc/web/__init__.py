@@ -1,1 +1,1 @@
-"""The operator's live page: one small server inside the service, bound to loopback unless told otherwise."""
+"""The operator's live page: one small server inside the service, bound to loopback unless configured otherwise."""

@@ -59,7 +59,7 @@ class _PictureFile:
         return os.pread(self._file.fileno(), length, offset)
 
 
-class Picture(NamedTuple):
+class StoredPicture(NamedTuple):
     """Where one picture is kept, and what goes with it: the number of the newest event, and UTC minus the service's clock."""
 
     at_s: float
@@ -92,7 +92,7 @@ class PictureStore:
         self._max_bytes = max_bytes
         self._lock = threading.Lock()
         self._file = _PictureFile()
-        self._pictures: list[Picture] = []
+        self._pictures: list[StoredPicture] = []
         self._events: list[Event] = []
         self._newest_event = 0
         self._samples: dict[int, array[float]] = {}
@@ -112,7 +112,7 @@ class PictureStore:
         """Add the picture (JSON) of a later time than all before. OSError where the disk is full."""
         data = zlib.compress(fleet + b"\n" + counts, _COMPRESSION_LEVEL)
         offset = self._file.append(data)
-        picture = Picture(at_s, self._newest_event, utc_minus_service_s, self._file, offset, len(data))
+        picture = StoredPicture(at_s, self._newest_event, utc_minus_service_s, self._file, offset, len(data))
         with self._lock:
             self._pictures.append(picture)
             self.computed_s = at_s
@@ -143,7 +143,7 @@ class PictureStore:
         """State that the pass is at the end."""
         self.computed_s = self.last_s
 
-    def picture_at(self, at_s: float) -> Picture | None:
+    def picture_at(self, at_s: float) -> StoredPicture | None:
         """The newest picture not after a time, or the first; None before there is one."""
         with self._lock:
             i = bisect_right(self._pictures, at_s, key=lambda picture: picture.at_s)

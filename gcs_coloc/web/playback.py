@@ -6,7 +6,7 @@ import secrets
 import time
 from collections.abc import Callable
 
-from gcs_coloc.web.picture_store import Picture, PictureStore
+from gcs_coloc.web.picture_store import PictureStore, StoredPicture
 from gcs_coloc.web.wire import EventsFrame, PlaybackCommand, PlaybackState, VehicleHistory
 
 
@@ -28,7 +28,7 @@ class Playback:
         self._playing = True
         self._anchor: tuple[float, float] | None = None  # clock and place from which it plays on
         self._command_count = 0
-        self._picture: Picture | None = None
+        self._picture: StoredPicture | None = None
 
     @property
     def state(self) -> PlaybackState:

@@ -73,19 +73,19 @@ class ReplayPass:
 
     def _run(self) -> None:
         replay, store = self._replay, self._store
-        due_s = heard_s = store.first_s
+        due_s = received_s = store.first_s
         while (next_s := replay.next_s) is not None:
             if self._stopped.is_set():
                 return
             while due_s < next_s:
-                if due_s > heard_s + _MAX_GAP_S:
+                if due_s > received_s + _MAX_GAP_S:
                     due_s = next_s
                     break
                 replay.advance(due_s)
                 self._add_picture(due_s)
                 due_s += store.picture_period_s
             replay.step()
-            heard_s = next_s
+            received_s = next_s
         for kind, amount in self.damage.items():
             text = f"the recording is damaged: {kind.replace('_', ' ')}: {amount}; replayed what is whole"
             store.add_event(Notice(store.last_s, None, "warning", text))

@@ -116,7 +116,7 @@ class WebServer:
             self.close()
 
     def stop(self) -> None:
-        """End the server: open pages are told, and are waited for one second at most."""
+        """End the server: it closes the open pages and waits for them one second at most."""
         self._server.should_exit = True
 
     @contextlib.asynccontextmanager

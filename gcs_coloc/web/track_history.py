@@ -1,4 +1,4 @@
-"""What a page that opens late is told: the last minutes of each vehicle, the events, and the rates of the links."""
+"""What a page that opens late is sent: the last minutes of each vehicle, the events, and the rates of the links."""
 
 from __future__ import annotations
 

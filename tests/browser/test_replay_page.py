@@ -18,8 +18,7 @@ from flight import Watched, browser
 from playwright.sync_api import expect
 from recorded_flight import EPOCH_S, write_flight
 
-from gcs_coloc.recorder.tlog import TlogReader
-from gcs_coloc.recorder.tlog_writer import tlog_record
+from gcs_coloc.recorder.tlog import TlogReader, tlog_record
 
 pytestmark = pytest.mark.integration
 

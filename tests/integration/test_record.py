@@ -40,7 +40,7 @@ def journal_of(*recordings: Path) -> tuple[list[bytes], list[GpsInput]]:
     journal, vehicles, sent = Journal(engine), [], []
 
     def on_poll(at_s, outputs):
-        vehicles.extend(as_json(e) for e in journal.polled(at_s, outputs) if isinstance(e, VehicleEntry))
+        vehicles.extend(as_json(e) for e in journal.entries(at_s, outputs) if isinstance(e, VehicleEntry))
         sent.extend(o for o in outputs if isinstance(o, GpsInput))
 
     replay(Replay(engine, TlogReader(joined), [], on_poll))

@@ -10,8 +10,8 @@ from fleet_in_flight import Fleet
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.replay import Replay, replay
+from gcs_coloc.recorder.reports.flight_report import FlightReport
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
 from tests.recordings import recording
@@ -53,7 +53,7 @@ def test_the_estimator_of_the_text_follows_a_real_aircraft_within_what_it_states
     flight = recording("arduplane")
     engine = Engine(load_estimator(f"{file}:RangePull", tomllib.loads(block("toml"))["estimator"]["settings"]))
     report = FlightReport(engine, read_truth(flight / "truth.csv"))
-    through = Replay(engine, TlogReader(flight / "flight.tlog"), read_ranges(flight / "ranges.csv"), report.polled)
+    through = Replay(engine, TlogReader(flight / "flight.tlog"), read_ranges(flight / "ranges.csv"), report.add_outputs)
     replay(through, report.observation_times(), report.observe)
     score = report.score(4)
     assert score is not None

@@ -16,9 +16,8 @@ from gcs_coloc.core.errors import RecordError
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, RouteReport
 from gcs_coloc.mavlink.refusals import Refusal
 from gcs_coloc.recorder.recorder import Recorder
-from gcs_coloc.recorder.side_channel import read_note
-from gcs_coloc.recorder.tlog import TlogReader
-from gcs_coloc.recorder.tlog_writer import tlog_record
+from gcs_coloc.recorder.side_channel import read_side_channel
+from gcs_coloc.recorder.tlog import TlogReader, tlog_record
 
 AT_S = 1_795_216_162.424732
 OWN = (254, 191)
@@ -56,7 +55,7 @@ def test_two_recordings_that_begin_in_one_second_get_names_of_their_own(tmp_path
     for recorder in recorders:
         recorder.open()
     for number, recorder in enumerate(recorders):
-        recorder.frame(AT_S, attitude(sender(), number))
+        recorder.add_frame(AT_S, attitude(sender(), number))
         recorder.close()
     logs = sorted(tmp_path.glob("*.tlog"))
     assert len(logs) == len(list(tmp_path.glob("*-001.mcap"))) == 3
@@ -73,11 +72,11 @@ def test_parts_turn_over_by_size_join_to_the_whole_and_begin_with_what_was_told(
     frames = [attitude(sender(), number) for number in range(3000)]
     recorder = Recorder(tmp_path, 20_000, *OWN)
     recorder.open()
-    recorder.note(OperatorCommand(4, AT_S, GpsOverride.FAILED))
-    recorder.note(RouteReport(3, AT_S, None))
-    recorder.note(RouteReport(3, AT_S, None))
+    recorder.add_record(OperatorCommand(4, AT_S, GpsOverride.FAILED))
+    recorder.add_record(RouteReport(3, AT_S, None))
+    recorder.add_record(RouteReport(3, AT_S, None))
     for number, frame in enumerate(frames):
-        recorder.frame(AT_S + number * 0.01, frame)
+        recorder.add_frame(AT_S + number * 0.01, frame)
     recorder.close()
     parts = sorted(tmp_path.glob("*.tlog"))
     assert len(parts) > 3
@@ -86,8 +85,8 @@ def test_parts_turn_over_by_size_join_to_the_whole_and_begin_with_what_was_told(
     heard = []
     for part in parts:
         records = list(TlogReader(part))
-        assert read_note(records[0].frame, 0.0, OWN).note is None
-        heard += [record for record in records if read_note(record.frame, 0.0, OWN) is None]
+        assert read_side_channel(records[0].frame, 0.0, OWN).record is None
+        heard += [record for record in records if read_side_channel(record.frame, 0.0, OWN) is None]
     assert [record.frame for record in heard] == frames
     assert heard[5].unix_s == round((AT_S + 0.05) * 1e6) / 1e6
 
@@ -106,23 +105,23 @@ def test_a_disk_that_hangs_is_told_in_one_line_and_what_waits_is_bounded(tmp_pat
     monkeypatch.setattr(os, "pwrite", hanging)
     frame = attitude(sender(), 1)
     try:
-        recorder.frame(AT_S, frame)
+        recorder.add_frame(AT_S, frame)
         assert begun.wait(60)
-        assert recorder.news() is None
+        assert recorder.pending_warning() is None
         for number in range(25_000):
-            recorder.frame(AT_S + number * 0.01, frame)
+            recorder.add_frame(AT_S + number * 0.01, frame)
         assert recorder.counts[Refusal.NOT_RECORDED] == 5000
         later_s = time.monotonic() + 6.0
         monkeypatch.setattr(time, "monotonic", lambda: later_s)
-        level, text = recorder.news()
+        level, text = recorder.pending_warning()
         assert level == "error"
         assert re.fullmatch(r"nothing is being recorded: .*: the disk has not answered for 5 s; the flight goes on", text)
-        assert recorder.news() is None
+        assert recorder.pending_warning() is None
     finally:
         monkeypatch.undo()
         go.set()
     recorder.close()
-    assert recorder.news() == ("info", "recording again; 5000 frames and entries were lost")
+    assert recorder.pending_warning() == ("info", "recording again; 5000 frames and entries were lost")
     [path] = tmp_path.glob("*.tlog")
     assert sum(1 for _ in TlogReader(path)) == 1 + 1 + 20_000
     assert not TlogReader(path).counts

@@ -21,12 +21,11 @@ from gcs_coloc.core.messages.outbound import GpsInput, HealthChanged, Notice
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
-from gcs_coloc.recorder.flight_report import FlightReport
 from gcs_coloc.recorder.replay import Replay, replay
-from gcs_coloc.recorder.side_channel import FlownWith, NoteWriter
+from gcs_coloc.recorder.reports.flight_report import FlightReport
+from gcs_coloc.recorder.side_channel import FlownWith, SideChannelWriter
 from gcs_coloc.recorder.side_tables import TruthPoint, read_ranges, read_truth
-from gcs_coloc.recorder.tlog import TlogReader
-from gcs_coloc.recorder.tlog_writer import tlog_record
+from gcs_coloc.recorder.tlog import TlogReader, tlog_record
 from sitl_fakes.fleet import Fleet
 from sitl_fakes.scenario import SCENARIOS, load_scenario
 
@@ -56,7 +55,7 @@ def run(path: Path, truth: list[TruthPoint], aid: AidingSettings | None = None) 
 
     def take(at_s, polled):
         outputs.extend((at_s, output) for output in polled)
-        report.polled(at_s, polled)
+        report.add_outputs(at_s, polled)
 
     replay(Replay(engine, log, [], take), report.observation_times(), report.observe)
     return outputs, report, log
@@ -108,7 +107,7 @@ def test_positions_that_go_by_another_way_are_counted_as_such(recorded):
 
 def test_whether_our_stream_is_taken_is_judged_only_where_what_is_computed_was_sent(recorded, tmp_path):
     """Vehicle 4 is located, and its GPS2 says nothing of it: as nothing was sent by another program, nor with other settings."""
-    path, ours, writer = recorded[0], tmp_path / "ours.tlog", NoteWriter(OWN_SYSID, OWN_COMPID)
+    path, ours, writer = recorded[0], tmp_path / "ours.tlog", SideChannelWriter(OWN_SYSID, OWN_COMPID)
     flown_with = Settings().fingerprint()
     notes = (FlownWith(flown_with, EPOCH_S - 0.03), ClockReference(EPOCH_S, 0.0))
     ours.write_bytes(b"".join(tlog_record(note.received_at_s, writer.pack(note)) for note in notes) + path.read_bytes())
@@ -219,7 +218,7 @@ def test_an_empty_truth_is_an_error(tmp_path):
 def test_a_service_that_was_held_up_is_replayed_as_it_was(recorded, tmp_path):
     """Nothing comes in from 24.7 s on, it wakes for the last time at 25 s, and does nothing until all arrives at once at 28 s."""
     path, held = recorded[0], tmp_path / "held.tlog"
-    engine, decoder, notes = Engine(load_estimator("fleet", {})), Decoder(), NoteWriter(OWN_SYSID, OWN_COMPID)
+    engine, decoder, notes = Engine(load_estimator("fleet", {})), Decoder(), SideChannelWriter(OWN_SYSID, OWN_COMPID)
     flown, told = [], bytearray()
     engine.receive(ClockReference(EPOCH_S, 0.0))
     told += tlog_record(EPOCH_S, notes.pack(ClockReference(EPOCH_S, 0.0)))

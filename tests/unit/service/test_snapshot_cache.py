@@ -13,7 +13,7 @@ from gcs_coloc.links.routes import RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.refusals import Counts, Refusal, Refusals
 from gcs_coloc.mavlink.sequence import SequenceTracker
-from gcs_coloc.recorder.flight import FlightRecording
+from gcs_coloc.recorder.flight_recording import FlightRecording
 from gcs_coloc.service.snapshot_cache import SnapshotCache
 
 
@@ -80,8 +80,8 @@ def test_a_full_snapshot_has_what_a_recent_one_leaves_out_and_is_counted_once():
 @pytest.mark.parametrize(("later_s", "recorded"), [(0.44, True), (0.46, False)])
 def test_a_recorded_snapshot_serves_until_the_next_is_due(tmp_path, later_s, recorded):
     fleet = Fleet(directory=str(tmp_path / "flights"))
-    fleet.recording.polled(fleet.engine.reviewed_at_s, [])
-    recorded_snapshot = fleet.recording.newest_view
+    fleet.recording.record_outputs(fleet.engine.reviewed_at_s, [])
+    recorded_snapshot = fleet.recording.newest_snapshot
     assert recorded_snapshot is not None
     fleet.clock.now_s = recorded_snapshot.at_s + later_s
     assert (fleet.snapshots.recent_snapshot() is recorded_snapshot) is recorded

@@ -20,7 +20,7 @@ _NIS_TICKS = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 1e3, 1e4, 1e5, 1e6)
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class PlotImage:
     """One picture as two data URLs."""
 
     light: str
@@ -53,18 +53,18 @@ _DARK = _Ink(
 )
 
 
-def map_picture(story: FlightHistory) -> Picture | None:
+def map_picture(history: FlightHistory) -> PlotImage | None:
     """The tracks in the fleet's frame, those without GPS in another colour; None where no vehicle was located."""
-    located = {sysid: [e for e in track if e.vehicle.lat_deg is not None] for sysid, track in story.tracks.items()}
-    frame = story.frame
+    located = {sysid: [e for e in track if e.vehicle.lat_deg is not None] for sysid, track in history.tracks.items()}
+    frame = history.frame
     if frame is None or not any(located.values()):
         return None
     return _in_both_inks(lambda figure, ink: _draw_map(figure, ink, frame, located))
 
 
-def vehicle_picture(story: FlightHistory, track: Sequence[VehicleEntry]) -> Picture:
+def vehicle_picture(history: FlightHistory, track: Sequence[VehicleEntry]) -> PlotImage:
     """One vehicle over time: 95 % bound and 1-sigma, HDOP and ranges in use, NIS with its band; shaded where it had no GPS."""
-    return _in_both_inks(lambda figure, ink: _draw_vehicle(figure, ink, story, track))
+    return _in_both_inks(lambda figure, ink: _draw_vehicle(figure, ink, history, track))
 
 
 def _draw_map(figure: Any, ink: _Ink, frame: LocalFrame, located: Mapping[int, Sequence[VehicleEntry]]) -> None:
@@ -85,10 +85,10 @@ def _draw_map(figure: Any, ink: _Ink, frame: LocalFrame, located: Mapping[int, S
     figure.legend(loc="outside upper center", ncols=2)
 
 
-def _draw_vehicle(figure: Any, ink: _Ink, story: FlightHistory, track: Sequence[VehicleEntry]) -> None:
+def _draw_vehicle(figure: Any, ink: _Ink, history: FlightHistory, track: Sequence[VehicleEntry]) -> None:
     from matplotlib import ticker
 
-    start_s = story.counts.first_s
+    start_s = history.counts.first_s
     t = [entry.at_s - start_s for entry in track]
     views = [entry.vehicle for entry in track]
     bound, hdop, nis = figure.subplots(3, 1, sharex=True)
@@ -106,7 +106,7 @@ def _draw_vehicle(figure: Any, ink: _Ink, story: FlightHistory, track: Sequence[
     for axes in (bound, hdop, nis):
         for begin_s, end_s in _spans(t, [v.gps_state in WITHOUT_GPS for v in views]):
             axes.axvspan(begin_s, end_s, color=ink.red, alpha=0.08, lw=0)
-        axes.set_xlim(0.0, max(story.counts.last_s - start_s, 1e-3))
+        axes.set_xlim(0.0, max(history.counts.last_s - start_s, 1e-3))
         axes.set_ylim(bottom=0.0)
         axes.grid(alpha=0.3)
         axes.legend(loc="upper left")
@@ -143,8 +143,8 @@ def _or_nan(value: float | None) -> float:
     return value if value is not None else float("nan")
 
 
-def _in_both_inks(draw: Callable[[Any, _Ink], None]) -> Picture:
-    return Picture(*(_picture(draw, ink) for ink in (_LIGHT, _DARK)))
+def _in_both_inks(draw: Callable[[Any, _Ink], None]) -> PlotImage:
+    return PlotImage(*(_picture(draw, ink) for ink in (_LIGHT, _DARK)))
 
 
 def _picture(draw: Callable[[Any, _Ink], None], ink: _Ink) -> str:

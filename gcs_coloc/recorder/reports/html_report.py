@@ -9,10 +9,10 @@ from statistics import median
 from typing import Any
 
 from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
-from gcs_coloc.recorder.html_plots import Picture, map_picture, vehicle_picture
 from gcs_coloc.recorder.journal import EVERY_S, VehicleEntry
+from gcs_coloc.recorder.reports.html_plots import PlotImage, map_picture, vehicle_picture
 
-_MOST_NOTICES = 500
+_MAX_NOTICES = 500
 _HEAD = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
@@ -32,52 +32,52 @@ img { max-width: 100% }
 """
 
 
-def page(story: FlightHistory) -> str:
+def page(history: FlightHistory) -> str:
     """The page as text.
 
     Raises:
         UsageError: matplotlib is not installed.
     """
-    results = story.report.as_dict()
-    title = f"Flight {story.file.name}"
-    parts = [_HEAD, f"<title>{escape(title)}</title></head><body><h1>{escape(title)}</h1>", _summary(story, results)]
-    picture = map_picture(story)
-    if picture is not None and story.frame is not None:
-        origin = f"{story.frame.lat_deg:.7f}, {story.frame.lon_deg:.7f}"
+    results = history.report.as_dict()
+    title = f"Flight {history.file.name}"
+    parts = [_HEAD, f"<title>{escape(title)}</title></head><body><h1>{escape(title)}</h1>", _summary(history, results)]
+    picture = map_picture(history)
+    if picture is not None and history.frame is not None:
+        origin = f"{history.frame.lat_deg:.7f}, {history.frame.lon_deg:.7f}"
         parts.append(_image("Map of the tracks, east over north", picture))
         parts.append(f"<p>East and north of {origin}, where the fleet's first fix was, as on the live page's map.</p>")
-    parts.append("<h2>What failed when</h2>" + _health(story))
+    parts.append("<h2>GPS failures</h2>" + _health(history))
     for vehicle in results["vehicles"]:
-        track = story.tracks.get(vehicle["sysid"], [])
+        track = history.tracks.get(vehicle["sysid"], [])
         if any(entry.vehicle.gps_state in WITHOUT_GPS for entry in track):
-            parts.append(_vehicle(story, vehicle, track))
-    parts.append("<h2>What was refused</h2>" + _counts("by the service", results["refused"]))
-    parts.append(_counts("on the wire, frames passed over", story.counts.wire))
-    parts.append(_counts("by the estimator, with what it used", results["estimator_counts"]))
-    parts.append("<h2>What the operator was told</h2>" + _notices(story))
+            parts.append(_vehicle(history, vehicle, track))
+    parts.append("<h2>Refused</h2>" + _counts("by the service", results["refused"]))
+    parts.append(_counts("on the wire, frames not used", history.counts.wire))
+    parts.append(_counts("by the estimator, with those used", results["estimator_counts"]))
+    parts.append("<h2>Messages to the operator</h2>" + _notices(history))
     return "\n".join([*parts, "</body></html>\n"])
 
 
-def _summary(story: FlightHistory, results: Mapping[str, Any]) -> str:
-    counts = story.counts
+def _summary(history: FlightHistory, results: Mapping[str, Any]) -> str:
+    counts = history.counts
     begun = datetime.fromtimestamp(counts.first_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-    fleet = f"{len(results['vehicles'])} vehicles, estimator {escape(story.estimator)}"
+    fleet = f"{len(results['vehicles'])} vehicles, estimator {escape(history.estimator)}"
     lines = [f"{begun}, {counts.last_s - counts.first_s:.1f} s, {counts.records} frames, {fleet}."]
-    lines.extend(f'<span class="bad">The file is damaged: {_words(kind)}: {n}.</span>' for kind, n in story.damage.items())
-    lines.extend(f'<span class="bad">The data do not agree: {escape(finding.text)}</span>' for finding in story.findings)
+    lines.extend(f'<span class="bad">The file is damaged: {_spaced(kind)}: {n}.</span>' for kind, n in history.damage.items())
+    lines.extend(f'<span class="bad">The data do not agree: {escape(finding.text)}</span>' for finding in history.findings)
     lines.append("Everything here was computed again from the recorded frames; all times are seconds since the first of them.")
     return "".join(f"<p>{line}</p>" for line in lines)
 
 
-def _health(story: FlightHistory) -> str:
+def _health(history: FlightHistory) -> str:
     rows = (
-        (f"{change.at_s - story.counts.first_s:.1f}", str(change.sysid), change.before, change.after, change.reason)
-        for change in story.health
+        (f"{change.at_s - history.counts.first_s:.1f}", str(change.sysid), change.before, change.after, change.reason)
+        for change in history.health
     )
     return _table(("s", "vehicle", "GPS was", "became", "because"), rows, numbers=(0, 1))
 
 
-def _vehicle(story: FlightHistory, vehicle: Mapping[str, Any], track: Sequence[VehicleEntry]) -> str:
+def _vehicle(history: FlightHistory, vehicle: Mapping[str, Any], track: Sequence[VehicleEntry]) -> str:
     sysid = vehicle["sysid"]
     without = [entry.vehicle for entry in track if entry.vehicle.gps_state in WITHOUT_GPS]
     located = [v for v in without if v.lat_deg is not None]
@@ -87,19 +87,19 @@ def _vehicle(story: FlightHistory, vehicle: Mapping[str, Any], track: Sequence[V
         ("GPS_INPUT with a fix", str(vehicle["gps_input"]["fix"])),
         ("GPS_INPUT without a fix", str(vehicle["gps_input"]["no_fix"])),
     ]
-    other_ways = (("external position estimates", "external_positions"), ("GLOBAL_POSITION_SENSOR", "global_positions"))
-    rows.extend((name, str(vehicle[key])) for name, key in other_ways if vehicle[key])
+    other_methods = (("external position estimates", "external_positions"), ("GLOBAL_POSITION_SENSOR", "global_positions"))
+    rows.extend((name, str(vehicle[key])) for name, key in other_methods if vehicle[key])
     bounds = [v.bound_95_m for v in located if v.bound_95_m is not None]
     if bounds:
         rows.append(("95 % bound, median and most", f"{median(bounds):.1f} m, {max(bounds):.1f} m"))
     rows.extend(_score(vehicle["score"]))
-    why = sorted({v.no_estimate_reason for v in without if v.no_estimate_reason is not None})
-    rows.extend(("not located because", reason) for reason in why)
+    reasons = sorted({v.no_estimate_reason for v in without if v.no_estimate_reason is not None})
+    rows.extend(("not located because", reason) for reason in reasons)
     alt = f"Vehicle {sysid} over time: bound and sigma, HDOP and ranges in use, NIS"
-    return f"<h2>Vehicle {sysid} without its GPS</h2>" + _table(("", ""), rows) + _image(alt, vehicle_picture(story, track))
+    return f"<h2>Vehicle {sysid} without its GPS</h2>" + _table(("", ""), rows) + _image(alt, vehicle_picture(history, track))
 
 
-def _image(alt: str, picture: Picture) -> str:
+def _image(alt: str, picture: PlotImage) -> str:
     dark = f'<source media="(prefers-color-scheme: dark)" srcset="{picture.dark}">'
     return f'<picture>{dark}<img alt="{alt}" src="{picture.light}"></picture>'
 
@@ -119,16 +119,17 @@ def _score(score: Mapping[str, Any] | None) -> list[tuple[str, str]]:
 def _counts(what: str, counts: Mapping[str, int]) -> str:
     if not counts:
         return f"<p>Nothing {escape(what.split(',')[0])}.</p>"
-    rows = ((_words(reason), str(times)) for reason, times in sorted(counts.items(), key=lambda item: -item[1]))
+    rows = ((_spaced(reason), str(times)) for reason, times in sorted(counts.items(), key=lambda item: -item[1]))
     return _table((what, "times"), rows, numbers=(1,))
 
 
-def _notices(story: FlightHistory) -> str:
-    shown = story.notices[:_MOST_NOTICES]
+def _notices(history: FlightHistory) -> str:
+    shown = history.notices[:_MAX_NOTICES]
     rows = (
-        (f"{n.at_s - story.counts.first_s:.1f}", str(n.sysid) if n.sysid is not None else "fleet", n.level, n.text) for n in shown
+        (f"{n.at_s - history.counts.first_s:.1f}", str(n.sysid) if n.sysid is not None else "fleet", n.level, n.text)
+        for n in shown
     )
-    left_out = len(story.notices) - len(shown)
+    left_out = len(history.notices) - len(shown)
     more = f"<p>{left_out} further lines are left out.</p>" if left_out else ""
     return _table(("s", "vehicle", "level", "text"), rows, numbers=(0,)) + more
 
@@ -143,5 +144,5 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequenc
     return f"<table>{head}<tbody>{body}</tbody></table>"
 
 
-def _words(reason: str) -> str:
+def _spaced(reason: str) -> str:
     return reason.replace("_", " ")

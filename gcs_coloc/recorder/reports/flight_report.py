@@ -1,4 +1,4 @@
-"""What a replayed flight came to: what failed when, what was sent, and how well each vehicle without GPS was located.
+"""The report of a replayed flight: GPS failures, messages sent, and the score of each vehicle while it was denied.
 
 A position is scored at each true one, with what had arrived by then, as long as the vehicle's own GPS is not trusted.
 """
@@ -30,7 +30,7 @@ class _Vehicle:
 
 
 class FlightReport:
-    """Watches a replay. `polled` and `observe` are its two ears; `truth` is what it scores against."""
+    """Collects a report during a replay, from `add_outputs` and `observe`. `truth` is what it scores against."""
 
     def __init__(self, engine: Engine, truth: list[TruthPoint]) -> None:
         self._engine = engine
@@ -40,16 +40,16 @@ class FlightReport:
         self._errors: list[Notice] = []
 
     def observation_times(self) -> list[float]:
-        """The service times at which `observe` wants to be called."""
+        """The service times (UNIX s) at which `observe` has to be called."""
         return sorted({point.unix_s for point in self._truth})
 
-    def polled(self, at_s: float, outputs: list[Outbound]) -> None:
-        """Note the engine's outputs of one deadline."""
+    def add_outputs(self, at_s: float, outputs: list[Outbound]) -> None:
+        """Add the engine's outputs of one deadline."""
         del at_s
         for output in outputs:
-            self._note(output)
+            self._add(output)
 
-    def _note(self, output: Outbound) -> None:
+    def _add(self, output: Outbound) -> None:
         if isinstance(output, HealthChanged):
             self._of(output.sysid).changes.append(output)
         elif isinstance(output, Notice):

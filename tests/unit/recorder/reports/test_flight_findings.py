@@ -16,9 +16,9 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import AltitudeMeasurement, NoEstimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
-from gcs_coloc.recorder import flight_findings as flight_doubts
-from gcs_coloc.recorder.flight_findings import HeardMeasurements
 from gcs_coloc.recorder.replay import Replay, replay
+from gcs_coloc.recorder.reports import flight_findings
+from gcs_coloc.recorder.reports.flight_findings import MeasurementTap
 from gcs_coloc.recorder.side_tables import TruthPoint
 from gcs_coloc.recorder.tlog import TlogReader
 from sitl_fakes.fleet import Fleet
@@ -29,7 +29,7 @@ EPOCH_S = 1_780_000_000.0
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory) -> tuple[Path, HeardMeasurements, Engine, list[TruthPoint]]:
+def flown(tmp_path_factory) -> tuple[Path, MeasurementTap, Engine, list[TruthPoint]]:
     """40 s of the fakes' four-ship, vehicle 4 without GPS after 20 s, replayed."""
     fleet = Fleet(load_scenario(SCENARIO), seed=3, unix_epoch_s=EPOCH_S)
     path = tmp_path_factory.mktemp("flight") / "flight.tlog"
@@ -41,7 +41,7 @@ def flown(tmp_path_factory) -> tuple[Path, HeardMeasurements, Engine, list[Truth
             if step % 10 == 0:
                 points = fleet.truth().items()
                 truth += [TruthPoint(EPOCH_S + t.at_s, v, t.lat_deg, t.lon_deg, t.alt_msl_m) for v, t in points]
-    heard = HeardMeasurements(load_estimator("fleet", {}))
+    heard = MeasurementTap(load_estimator("fleet", {}))
     engine = Engine(heard)
     replay(Replay(engine, TlogReader(path), [], lambda _at_s, _outputs: None))
     return path, heard, engine, truth
@@ -119,9 +119,9 @@ class Silent:
 
 
 def test_the_estimator_is_given_everything_while_what_is_kept_stays_small(monkeypatch):
-    monkeypatch.setattr(flight_doubts, "_MOST_ROWS", 30)
+    monkeypatch.setattr(flight_findings, "MAX_ROWS", 30)
     inner = Silent()
-    heard = HeardMeasurements(inner)
+    heard = MeasurementTap(inner)
     given = [
         m
         for i in range(1000)

@@ -101,11 +101,11 @@ def test_it_says_what_failed_when_and_how_well_it_was_located(written):
 def test_the_map_names_its_origin_and_it_is_that_of_the_live_page(written, tmp_path):
     _, text = written
     write_flight(tmp_path / "f.tlog", 26.0)
-    story = read_history(tmp_path / "f.tlog", Settings(), None, None)
+    history = read_history(tmp_path / "f.tlog", Settings(), None, None)
     engine = Engine(load_estimator("fleet", {}))
     replay(Replay(engine, TlogReader(tmp_path / "f.tlog"), [], lambda at_s, outputs: None))
-    lat_deg, lon_deg, _ = engine.snapshot(story.counts.last_s).origin
-    assert (story.frame.lat_deg, story.frame.lon_deg) == (lat_deg, lon_deg)
+    lat_deg, lon_deg, _ = engine.snapshot(history.counts.last_s).origin
+    assert (history.frame.lat_deg, history.frame.lon_deg) == (lat_deg, lon_deg)
     assert f"East and north of {lat_deg:.7f}, {lon_deg:.7f}," in text
 
 

@@ -1,4 +1,4 @@
-"""What a recorded flight and the tables beside it say against themselves."""
+"""Data-quality findings in a recorded flight and the tables beside it."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from gcs_coloc.recorder.side_tables import TruthPoint
 
 _POSITION_EVERY_S = 0.5
 _RANGE_EVERY_S = 0.5
-_MOST_ROWS = 1_000_000
+MAX_ROWS = 1_000_000
 _NO_VELOCITY = (float("nan"),) * 3
 _ELSEWHERE_M = 100_000.0
 
 
-class HeardMeasurements:
-    """Meets the Estimator protocol around another estimator, and keeps the positions and ranges that this is given.
+class MeasurementTap:
+    """An estimator around another one that keeps the positions and ranges passing through, for the data checks.
 
-    Two of each vehicle and pair a second at most, and not more than a million altogether: those at the beginning.
+    It keeps two of each vehicle and pair a second at most, and the first million altogether.
     """
 
     def __init__(self, inner: Estimator) -> None:
@@ -80,7 +80,7 @@ class HeardMeasurements:
         return self._inner.counts()
 
     def findings(self, truth: Sequence[TruthPoint], frame: LocalFrame | None) -> list[DataFinding]:
-        """Return what does not agree among positions, ranges and the truth, in the frame of the fleet."""
+        """The findings among positions, ranges and true positions, in the frame of the fleet."""
         if frame is None:
             return []
         reports = {vehicle: position_track(np.array(rows).reshape(-1, 8)) for vehicle, rows in self._positions.items()}
@@ -96,7 +96,7 @@ class HeardMeasurements:
         )
 
     def _is_due(self, what: tuple[int, int], at_s: float, every_s: float) -> bool:
-        if self._rows >= _MOST_ROWS or at_s < self._next_s.get(what, float("-inf")):
+        if self._rows >= MAX_ROWS or at_s < self._next_s.get(what, float("-inf")):
             return False
         self._next_s[what] = at_s + every_s
         self._rows += 1

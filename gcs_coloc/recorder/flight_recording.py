@@ -1,0 +1,93 @@
+"""The service's side of a recording: frames, side-channel records and journal of one engine's flight."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from pathlib import Path
+
+from gcs_coloc.config.sections import MavlinkConfig, RecordConfig
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.messages.outbound import Outbound
+from gcs_coloc.core.snapshot import FleetSnapshot
+from gcs_coloc.mavlink.decoder import Frame
+from gcs_coloc.mavlink.framing import RawFrame
+from gcs_coloc.recorder.journal import Journal
+from gcs_coloc.recorder.recorder import Recorder
+from gcs_coloc.recorder.side_channel import GroundTool, SideChannelRecord
+
+
+class FlightRecording:
+    """Passes the flight of one engine to a recorder. Every call returns at once; without a recorder it does nothing."""
+
+    def __init__(self, wanted: RecordConfig, ids: MavlinkConfig, engine: Engine) -> None:
+        """Prepare the recording; no file is created before `open`.
+
+        Raises:
+            RecordError: its directory cannot be written to.
+        """
+        where = (Path(wanted.directory), wanted.rotate_mb * 1_000_000, ids.system_id, ids.component_id)
+        self._recorder = Recorder(*where) if wanted.directory else None
+        self._journal = Journal(engine)
+        self._ground_tools: set[tuple[int, int]] = set()
+
+    def open(self) -> None:
+        """Create the files, with everything that was recorded so far.
+
+        Raises:
+            RecordError: they cannot be created.
+        """
+        if self._recorder is not None:
+            self._recorder.open()
+
+    @property
+    def newest_snapshot(self) -> FleetSnapshot | None:
+        """The fleet as it was recorded last; None where nothing is recorded."""
+        return self._journal.newest_snapshot
+
+    def record_received(self, at_s: float, frames: Iterable[RawFrame], refused: Collection[Frame]) -> None:
+        """Record the frames of a datagram without those that were refused, which the engine never received."""
+        if self._recorder is None:
+            return
+        if not refused:
+            for raw in frames:
+                self._recorder.add_frame(at_s, raw.frame)
+            return
+        left_out = {(frame.sysid, frame.compid, frame.sequence, frame.message_id) for frame in refused}
+        for raw in frames:
+            if (raw.sysid, raw.compid, raw.sequence, raw.message_id) not in left_out:
+                self._recorder.add_frame(at_s, raw.frame)
+
+    def record_sent(self, at_s: float, frame: bytes) -> None:
+        """Record a frame that we sent, at the engine's time, so that records are in order of time."""
+        if self._recorder is not None:
+            self._recorder.add_frame(at_s, frame)
+
+    def record_forwarded(self, at_s: float, raw: RawFrame) -> None:
+        """Record a ground tool's frame that went on to a vehicle, at the engine's time. The engine never received it."""
+        if self._recorder is None:
+            return
+        sender = (raw.sysid, raw.compid)
+        if sender not in self._ground_tools:
+            self._ground_tools.add(sender)
+            self._recorder.add_record(GroundTool(*sender, at_s))
+        self._recorder.add_frame(at_s, raw.frame)
+
+    def record_side_channel(self, record: SideChannelRecord) -> None:
+        """Record what the engine received besides frames."""
+        if self._recorder is not None:
+            self._recorder.add_record(record)
+
+    def record_outputs(self, at_s: float, outputs: list[Outbound]) -> None:
+        """Record the outputs of one deadline of the engine."""
+        if self._recorder is not None:
+            for entry in self._journal.entries(at_s, outputs):
+                self._recorder.add_entry(entry)
+
+    def pending_warning(self) -> tuple[str, str] | None:
+        """Level and text for the operator, see `Recorder.pending_warning`."""
+        return self._recorder.pending_warning() if self._recorder is not None else None
+
+    def close(self) -> None:
+        """End the recording."""
+        if self._recorder is not None:
+            self._recorder.close()
