@@ -89,10 +89,15 @@ class Forwarder:
         self._rate_limiter = RateLimiter(bytes_per_s)
         self._outs: dict[Link, _Out] = {}
         for address in (parse_out(text) for text in outs):
-            link = address.make_link(self._on_ground, clock, most_unsent_bytes=MAX_UNSENT_BYTES)
+            link = address.make_link(self.from_ground_tool, clock, most_unsent_bytes=MAX_UNSENT_BYTES)
             self._outs[link] = _Out(link, listens=address.LEARNS_PEERS)
         self._withheld: dict[int, tuple[str, str]] = {}
         self._warned_at_s = float("-inf")
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        """The ground tools' links, in the order of their connection strings."""
+        return tuple(self._outs)
 
     @property
     def refusals(self) -> list[Counts]:
@@ -122,6 +127,27 @@ class Forwarder:
                 self.counts.add(Refusal.FORWARD_ADDRESS_CONFLICT)
         if good:
             self._to_ground(b"".join(good), len(good), now_s)
+
+    def from_ground_tool(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
+        """Send the valid frames of one datagram, or of a stream, from a ground tool to the vehicles that they address."""
+        out = self._outs[link]
+        if not self._rate_limiter.admits((link, address), len(payload), received_at_s):
+            out.refused += 1
+            return
+        if not self._admits_sender(out, address, received_at_s):
+            return
+        signing, damage = self._signed.of(link.name), Counts()
+        for raw in split(payload, damage, ended=True)[0]:
+            refusal: Reason | None = signing.refusal(raw, received_at_s) if signing is not None else None
+            if refusal is None:
+                refusal = self._refusal(raw)
+            if refusal is not None:
+                self._refuse(out, refusal)
+            else:
+                out.frames_accepted += 1
+                self._to_vehicles(raw, out)
+        self.counts.add_all(damage)
+        out.refused += bool(damage)
 
     def echo(self, frame: bytes) -> None:
         """Send the ground tools a frame of our own."""
@@ -156,26 +182,6 @@ class Forwarder:
             for peer in out.peers(now_s):
                 out.link.send(peer, payload)
                 out.frames_sent += frames
-
-    def _on_ground(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
-        out = self._outs[link]
-        if not self._rate_limiter.admits((link, address), len(payload), received_at_s):
-            out.refused += 1
-            return
-        if not self._admits_sender(out, address, received_at_s):
-            return
-        signing, damage = self._signed.of(link.name), Counts()
-        for raw in split(payload, damage, ended=True)[0]:
-            refusal: Reason | None = signing.refusal(raw, received_at_s) if signing is not None else None
-            if refusal is None:
-                refusal = self._refusal(raw)
-            if refusal is not None:
-                self._refuse(out, refusal)
-            else:
-                out.frames_accepted += 1
-                self._to_vehicles(raw, out)
-        self.counts.add_all(damage)
-        out.refused += bool(damage)
 
     def _refuse(self, out: _Out, reason: Reason) -> None:
         self.counts.add(reason)

@@ -93,10 +93,10 @@ class Between:
             forwarded=self.forwarded.append,
             foreign_gps_input=lambda raw, sysid: self.foreign_gps_input.append(sysid),
         )
-        (self.ground,) = self.forwarder._outs
+        (self.ground,) = self.forwarder.links
 
     def say(self, frame, tool="a tool"):
-        self.forwarder._on_ground(self.ground, tool, frame, self.now_s)
+        self.forwarder.from_ground_tool(self.ground, tool, frame, self.now_s)
 
     @property
     def tools(self):

@@ -1,7 +1,9 @@
+import re
+
 import pytest
 
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.links.registry import parse, parse_links, parse_out
+from gcs_coloc.links.registry import SCHEMES, parse, parse_links, parse_out
 from gcs_coloc.links.serial import SerialDevice
 from gcs_coloc.links.tcp import TcpClient, TcpServer
 from gcs_coloc.links.udp import UdpIn, UdpOut
@@ -155,3 +157,15 @@ def test_an_interface_of_any_name_may_stand_behind_a_link_local_address():
 )
 def test_the_operator_is_told_what_a_link_does(text, words):
     assert parse(text).opening == words
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_each_scheme_of_the_registry_reads_its_own_form_back_and_makes_a_link_of_that_name(scheme):
+    place = "/dev/ttyUSB7:9600" if scheme == "serial" else "127.0.0.1:5760"
+    address = parse(f"{scheme}:{place}")
+    assert str(address) == f"{scheme}:{place}"
+    assert address.FORM.startswith(f"{scheme}:")
+    with pytest.raises(UsageError, match=re.escape(address.FORM)):
+        parse(f"{scheme}:")
+    link = address.make_link(lambda *_: None, lambda: 0.0)
+    assert link.name == str(address)
