@@ -27,10 +27,11 @@ from gcs_coloc.core.measurements import (
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
 from gcs_coloc.evaluation.dataset import Dataset, Node, read_dataset
 from gcs_coloc.evaluation.dataset_findings import dataset_findings
-from gcs_coloc.evaluation.scoring import Score, Series, score, series_of
+from gcs_coloc.evaluation.scoring import EstimateSeries, VehicleScore, score, series_of
 
 _PLANE_EVERY_S = 0.2
 _PLANE_SIGMA_M = 0.1
+"""Period and 1-sigma of the heights that a flat data set gives a denied vehicle. Chosen: a good barometer at 5 Hz."""
 _NUMBER = re.compile(r"[0-9.]+")
 
 
@@ -42,17 +43,17 @@ class VehicleEvaluation:
     """
 
     node: Node
-    score: Score
-    series: Series
+    score: VehicleScore
+    series: EstimateSeries
     nis: FloatArray
     unanswered: Mapping[str, int]
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """An estimator's result on a data set; `cpu_us_per_measurement` includes the asking at the truth's epochs.
+    """An estimator's result on a data set; `cpu_us_per_measurement` includes the estimates at the epochs of the truth.
 
-    `findings`: what in the data can hardly be what its columns say, where they were read by `evaluate`.
+    `findings`: what the data checks found, if `evaluate` read the data.
     """
 
     dataset: str
@@ -82,8 +83,8 @@ class Evaluation:
 def evaluate(directory: Path, estimator: Estimator, cpu_s: Callable[[], float] = time.process_time) -> Evaluation:
     """Read the data set in `directory`, run `estimator` over it and score it.
 
-    A node is a vehicle from its last position report on, and is scored from then on; one that has none is a vehicle from the
-    start.
+    A node with the role "denied" becomes a denied vehicle at its last position report, and is scored from then on; one without
+    reports is one from the start.
 
     Raises:
         DataError: the data set cannot be read.
@@ -94,28 +95,28 @@ def evaluate(directory: Path, estimator: Estimator, cpu_s: Callable[[], float] =
 
 
 def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[], float] = time.process_time) -> Evaluation:
-    """Run an estimator over a data set that is in memory and score it. `cpu_s` tells the CPU time spent so far."""
-    feed = _feed(dataset)
-    start_s = feed[0].arrived_at_s
+    """Run an estimator over a data set that is in memory and score it. `cpu_s` returns the CPU time spent so far."""
+    measurements = _measurements_in_order(dataset)
+    start_s = measurements[0].arrived_at_s
     last_report_s = {node.vehicle: _last_report_s(dataset, node.vehicle) for node in dataset.denied()}
     since_s = {vehicle: max(t, start_s) for vehicle, t in last_report_s.items()}
     wanted = {node.vehicle: dataset.truth[node.vehicle] for node in dataset.denied() if node.vehicle in dataset.truth}
     answers: dict[int, list[Estimate | NoEstimate]] = {vehicle: [] for vehicle in wanted}
     nis: dict[int, list[tuple[float, float]]] = {vehicle: [] for vehicle in since_s}
-    questions = sorted((t, vehicle) for vehicle, truth in wanted.items() for t in truth.times_s.tolist() if t >= since_s[vehicle])
+    queries = sorted((t, vehicle) for vehicle, truth in wanted.items() for t in truth.times_s.tolist() if t >= since_s[vehicle])
     denied: frozenset[int] = frozenset()
-    next_question = 0
+    next_query = 0
     began_s = cpu_s()
 
-    def ask_before(at_s: float) -> None:
-        nonlocal next_question
-        while next_question < len(questions) and questions[next_question][0] < at_s:
-            t, vehicle = questions[next_question]
+    def answer_queries_before(at_s: float) -> None:
+        nonlocal next_query
+        while next_query < len(queries) and queries[next_query][0] < at_s:
+            t, vehicle = queries[next_query]
             answers[vehicle].append(estimator.estimate(vehicle, t))
-            next_question += 1
+            next_query += 1
 
-    for m in feed:
-        ask_before(m.arrived_at_s)
+    for m in measurements:
+        answer_queries_before(m.arrived_at_s)
         failed = frozenset(vehicle for vehicle, t in last_report_s.items() if t < m.arrived_at_s)
         if failed != denied:
             denied = failed
@@ -126,18 +127,18 @@ def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[],
                 for end in (residual.from_vehicle, residual.to_vehicle):
                     if end in nis and end is not None:
                         nis[end].append((residual.measured_at_s, residual.nis / residual.degrees_of_freedom))
-    ask_before(math.inf)
+    answer_queries_before(math.inf)
     spent_s = cpu_s() - began_s
     evaluated = []
     for node in dataset.denied():
         if node.vehicle not in wanted:
             continue
         truth = wanted[node.vehicle]
-        asked = truth.times_s >= since_s[node.vehicle]
-        told = answers[node.vehicle]
-        known = [answer if isinstance(answer, Estimate) else None for answer in told]
-        unanswered = _by_reason(answer.reason for answer in told if isinstance(answer, NoEstimate))
-        series = series_of(truth.times_s[asked], truth.positions_enu_m[asked], known)
+        scored = truth.times_s >= since_s[node.vehicle]
+        of_vehicle = answers[node.vehicle]
+        known = [answer if isinstance(answer, Estimate) else None for answer in of_vehicle]
+        unanswered = _by_reason(answer.reason for answer in of_vehicle if isinstance(answer, NoEstimate))
+        series = series_of(truth.times_s[scored], truth.positions_enu_m[scored], known)
         history = np.array(nis[node.vehicle]).reshape(-1, 2)
         evaluated.append(VehicleEvaluation(node, score(series, since_s[node.vehicle], dataset.dims), series, history, unanswered))
     count = len(dataset.measurements)
@@ -158,7 +159,7 @@ def _by_reason(reasons: Iterable[str]) -> dict[str, int]:
     return dict(times.most_common())
 
 
-def _feed(dataset: Dataset) -> list[Measurement]:
+def _measurements_in_order(dataset: Dataset) -> list[Measurement]:
     """Return what the estimator is given, in order of arrival: anchors first, and in two dimensions the height of the plane."""
     first_s = min(m.measured_at_s for m in dataset.measurements)
     anchors: list[Measurement] = [

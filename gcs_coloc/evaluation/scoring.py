@@ -13,7 +13,7 @@ from gcs_coloc.core.measurements import Estimate, FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class EstimateSeries:
     """The scored epochs of one denied vehicle; positions ENU in metres. Epochs without an estimate hold NaN.
 
     `times_s` (T,), `truth_enu_m` (T, 3), `estimate_enu_m` (T, 3), `covariance_m2` (T, 3, 3).
@@ -40,7 +40,7 @@ class ErrorStatistics:
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class VehicleScore:
     """The figures of one denied vehicle.
 
     `share_known` is the share of truth epochs with an estimate, `first_known_s` the time from becoming a vehicle to the first
@@ -61,7 +61,7 @@ class Score:
     beyond_three_bounds: float | None
 
 
-def series_of(times_s: FloatArray, truth_enu_m: FloatArray, answers: Sequence[Estimate | None]) -> Series:
+def series_of(times_s: FloatArray, truth_enu_m: FloatArray, answers: Sequence[Estimate | None]) -> EstimateSeries:
     """Return the series of an estimator's answers at `times_s` (T,), beside the truth (T, 3)."""
     estimates = np.full((len(times_s), 3), np.nan)
     covariances = np.full((len(times_s), 3, 3), np.nan)
@@ -69,7 +69,7 @@ def series_of(times_s: FloatArray, truth_enu_m: FloatArray, answers: Sequence[Es
         if answer is not None:
             estimates[i] = answer.position_enu_m
             covariances[i] = answer.covariance[:3, :3]
-    return Series(times_s, truth_enu_m, estimates, covariances)
+    return EstimateSeries(times_s, truth_enu_m, estimates, covariances)
 
 
 def normalised_squares(error_m: FloatArray, covariance_m2: FloatArray) -> FloatArray:
@@ -89,18 +89,18 @@ def error_statistics(error_m: FloatArray) -> ErrorStatistics:
     )
 
 
-def score(series: Series, since_s: float, dims: int) -> Score:
+def score(series: EstimateSeries, since_s: float, dims: int) -> VehicleScore:
     """Return the score of one denied vehicle that became one at `since_s`; with `dims` 2 the height is left out of ANEES."""
     known = series.known()
     epochs = len(known)
     if not known.any():
-        return Score(epochs, 0.0, None, None, None, None, dims, None, None)
+        return VehicleScore(epochs, 0.0, None, None, None, None, dims, None, None)
     error = (series.estimate_enu_m - series.truth_enu_m)[known]
     covariance = series.covariance_m2[known]
     squares = normalised_squares(error[:, :dims], covariance[:, :dims, :dims])
     bounds = np.array([horizontal_bound_95_m(P) for P in covariance])
     horizontal_m = np.linalg.norm(error[:, :2], axis=1)
-    return Score(
+    return VehicleScore(
         epochs=epochs,
         share_known=float(known.mean()),
         first_known_s=float(series.times_s[known][0] - since_s),

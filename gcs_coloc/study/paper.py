@@ -10,9 +10,18 @@ import numpy as np
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.study.monte_carlo import Progress, run_tasks
 from gcs_coloc.study.paper_filters import KINDS
-from gcs_coloc.study.paper_flight import PaperFlight, fly
 from gcs_coloc.study.paper_options import PUBLISHED_TABLE_2, PaperOptions
-from gcs_coloc.study.paper_runs import Geometry, PaperRun, Series, Sums, constant_covariance, run_fleet, run_paper_filters
+from gcs_coloc.study.paper_runs import (
+    FilterSeries,
+    Geometry,
+    PaperFlight,
+    PaperRun,
+    Sums,
+    constant_covariance,
+    fly,
+    run_fleet,
+    run_paper_filters,
+)
 
 FLEET = "fleet"
 
@@ -21,7 +30,7 @@ _SEEDS_PER_TASK = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class FilterScore:
     """Errors of one filter over all draws and steps of a part of the flight.
 
     `variance_m2` is the paper's figure, the variance of the distance error along a flight, mean over draws; `rmse_m` and
@@ -41,8 +50,8 @@ class Row:
     filter: str
     q: float | None
     draws: int
-    whole: Score
-    first: Score
+    whole: FilterScore
+    first: FilterScore
     published_variance_m2: float | None
 
 
@@ -55,7 +64,7 @@ class PaperStudy:
     options: PaperOptions
     flight: PaperFlight
     rows: tuple[Row, ...]
-    series: dict[str, Series]
+    series: dict[str, FilterSeries]
     geometry: Geometry
     constant_r_m2: FloatArray
 
@@ -69,7 +78,7 @@ def run_paper_study(options: PaperOptions, progress: Progress) -> PaperStudy:
     tasks: list[_Task] = [_Task(None, seed) for seed in seeds[: options.fleet_seeds]]
     tasks += [_Task(seeds[i : i + _SEEDS_PER_TASK], None) for i in range(0, len(seeds), _SEEDS_PER_TASK)]
     results = run_tasks(partial(_run, flight, constant_R, options), tasks, options.jobs, progress)
-    fleet = [one for one in results if isinstance(one, Series)]
+    fleet = [one for one in results if isinstance(one, FilterSeries)]
     runs = [one for one in results if isinstance(one, PaperRun)]
     whole, first = _joined([run.whole for run in runs]), _joined([run.first for run in runs])
     rows = [
@@ -114,7 +123,7 @@ class _Task:
     fleet_seed: int | None
 
 
-def _run(flight: PaperFlight, constant_R: FloatArray, options: PaperOptions, task: _Task) -> PaperRun | Series:
+def _run(flight: PaperFlight, constant_R: FloatArray, options: PaperOptions, task: _Task) -> PaperRun | FilterSeries:
     if task.fleet_seed is not None:
         return run_fleet(flight, task.fleet_seed, options)
     return run_paper_filters(flight, task.paper_seeds or [], constant_R, options)
@@ -128,10 +137,10 @@ def _joined(parts: list[Sums]) -> Sums:
     return Sums(**{one.name: np.concatenate([getattr(part, one.name) for part in parts], axis=-1) for one in fields(Sums)})
 
 
-def _score(sums: Sums, kind: int, q: int) -> Score:
+def _score(sums: Sums, kind: int, q: int) -> FilterScore:
     count = sums.count[kind, q]
     mean, square = sums.error_m[kind, q] / count, sums.squared_m2[kind, q] / count
-    return Score(
+    return FilterScore(
         variance_m2=float(np.maximum(square - mean**2, 0.0).mean()),
         rmse_m=float(np.sqrt(square.mean())),
         largest_m=float(sums.largest_m[kind, q].max()),
@@ -139,14 +148,14 @@ def _score(sums: Sums, kind: int, q: int) -> Score:
     )
 
 
-def _score_series(draws: list[tuple[FloatArray, FloatArray]]) -> Score:
+def _score_series(draws: list[tuple[FloatArray, FloatArray]]) -> FilterScore:
     """Return the score over the samples that have an estimate; NaN where there is none at all."""
     known = [(error[np.isfinite(error)], nees[np.isfinite(error)]) for error, nees in draws]
     known = [one for one in known if len(one[0])]
     if not known:
-        return Score(*[float("nan")] * 4)
+        return FilterScore(*[float("nan")] * 4)
     errors = np.concatenate([error for error, _ in known])
-    return Score(
+    return FilterScore(
         variance_m2=float(np.mean([error.var() for error, _ in known])),
         rmse_m=float(np.sqrt(np.mean(errors**2))),
         largest_m=float(errors.max()),

@@ -32,7 +32,7 @@ class Draw:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class FilterStep:
     """UAV4 after one step: fixes (Q, S, 2) m, states (K, Q, S, 4), covariances (K, Q, S, 4, 4), published R (Q, S, 2, 2) m^2."""
 
     fix_m: FloatArray
@@ -103,7 +103,7 @@ class PaperFilters:
         self._P = np.broadcast_to(np.diag(variances), (*shape, 4, 4)).copy()
         self._constant_R = constant_R
 
-    def step(self, k: int) -> Step:
+    def step(self, k: int) -> FilterStep:
         """Take all filters from step k - 1 to step k >= 1 and return what UAV4's make of it."""
         options = self._options
         gps_R = options.gps_sigma_m**2 * np.eye(2)
@@ -119,7 +119,7 @@ class PaperFilters:
         fix = trilaterate(centres, np.broadcast_to(ranges**2, centres.shape[:-1]))
         R = self._fix_covariances(centres, place_P, ranges)
         self._state, self._P = update(self._state, self._P, np.broadcast_to(fix, (len(KINDS), *fix.shape)), R)
-        return Step(fix, self._state, self._P, R[1])
+        return FilterStep(fix, self._state, self._P, R[1])
 
     def _fix_covariances(self, centres: FloatArray, place_P: FloatArray, ranges: FloatArray) -> FloatArray:
         """Return R (K, Q, S, 2, 2), m^2, for peers at (Q, S, 3, 2) known to (Q, 2, 2), each filter at its own prediction."""

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from gcs_coloc import __version__
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.study.paper import FLEET, PaperStudy, Row, Score
+from gcs_coloc.study.paper import FLEET, FilterScore, PaperStudy, Row
 from gcs_coloc.study.paper_figures import draw_figures
 
 TITLES = {
@@ -120,6 +120,6 @@ def _row(row: Row) -> dict[str, object]:
     return {**flat, "whole": _score(row.whole), "first": _score(row.first)}
 
 
-def _score(score: Score) -> dict[str, float | None]:
+def _score(score: FilterScore) -> dict[str, float | None]:
     # JSON has no NaN: a filter that never answered has no score.
     return {name: value if math.isfinite(value) else None for name, value in asdict(score).items()}

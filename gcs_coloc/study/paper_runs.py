@@ -1,4 +1,4 @@
-"""Runs of the paper's filters and of the fleet filter over draws of noise, reduced to sums while they go."""
+"""The paper's flight, and runs of its filters and of the fleet filter over draws of noise, reduced to sums while they go."""
 
 from __future__ import annotations
 
@@ -15,16 +15,43 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.paper_filters import KINDS, Draw, PaperFilters, draw
-from gcs_coloc.study.paper_flight import PaperFlight
 from gcs_coloc.study.paper_options import ConstantR, PaperOptions
+from sitl_fakes.guidance import EndOfRoute
+from sitl_fakes.nominal import PAPER_ROUTES, fly_routes
 
 SAMPLE_S = 0.2
 """Spacing of the series kept for figures; tables take every step."""
 
 _LEVEL_SIGMA_M = 1.0
-"""The paper flies in a plane; the fleet filter works in space and is told the height, which is zero, to this."""
+"""1-sigma of the height, zero, that the fleet filter gets: the paper flies in a plane. Chosen: that of a barometer."""
 
 _FAR_M = 1e150
+
+
+@dataclass(frozen=True, slots=True)
+class PaperFlight:
+    """True motion: times (T,) s, positions (4, T, 2) m and velocities (4, T, 2) m/s of UAV1-4, and their routes' waypoints."""
+
+    times_s: FloatArray
+    positions_m: FloatArray
+    velocities_mps: FloatArray
+    routes_m: tuple[FloatArray, ...]
+
+
+def fly(options: PaperOptions) -> PaperFlight:
+    """Fly Table 1 under the options; sample k is at k steps."""
+    nominal = fly_routes(
+        airspeed_mps=options.speed_mps,
+        step_s=options.step_s,
+        duration_s=options.duration_s,
+        end_of_route=EndOfRoute(options.end_of_route),
+    )
+    return PaperFlight(
+        times_s=nominal.times_s,
+        positions_m=np.stack([nominal.east_m, nominal.north_m], axis=-1),
+        velocities_mps=np.stack([nominal.ve_mps, nominal.vn_mps], axis=-1),
+        routes_m=tuple(np.array(route) for route in PAPER_ROUTES),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +66,7 @@ class Sums:
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class FilterSeries:
     """One filter along the flight: N samples, M draws.
 
     `estimate_m` (N, 2), `error_m` (N,) and `sigma_m` (N,), the root of the trace of the position's covariance, are those of the
@@ -68,7 +95,7 @@ class PaperRun:
 
     whole: Sums
     first: Sums
-    series: dict[str, Series]
+    series: dict[str, FilterSeries]
     geometry: Geometry
 
 
@@ -117,12 +144,14 @@ def run_paper_filters(flight: PaperFlight, seeds: list[int], constant_R: FloatAr
     return PaperRun(
         whole=whole.sums(),
         first=first.sums(),
-        series={kind: Series(times, places[:, i], errors[:, i], sigmas[:, i], nees_means[:, i]) for i, kind in enumerate(KINDS)},
+        series={
+            kind: FilterSeries(times, places[:, i], errors[:, i], sigmas[:, i], nees_means[:, i]) for i, kind in enumerate(KINDS)
+        },
         geometry=Geometry(fix, np.linalg.norm(fix - truth, axis=-1), np.array([one[1] for one in fixes])),
     )
 
 
-def run_fleet(flight: PaperFlight, seed: int, options: PaperOptions) -> Series:
+def run_fleet(flight: PaperFlight, seed: int, options: PaperOptions) -> FilterSeries:
     """Take the fleet filter through the same measurements of one seed, the very ones that the paper's filters get."""
     one = draw(flight.positions_m, flight.velocities_mps, seed, options)
     estimator = load_estimator("fleet", {})
@@ -147,7 +176,7 @@ def run_fleet(flight: PaperFlight, seed: int, options: PaperOptions) -> Series:
             else:
                 rows.append((t, *[np.nan] * 5))
     columns = np.array(rows, dtype=np.float64).T
-    return Series(columns[0], columns[1:3].T, columns[3], columns[4], columns[5])
+    return FilterSeries(columns[0], columns[1:3].T, columns[3], columns[4], columns[5])
 
 
 def _position(one: Draw, uav: int, k: int, t: float, options: PaperOptions) -> PositionMeasurement:

@@ -15,7 +15,7 @@ from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
 from gcs_coloc.core.measurements import Estimate, Vector3
 from gcs_coloc.core.messages.aiding import ExternalPosition, GlobalPositionSensor
 from gcs_coloc.core.messages.outbound import GpsInput, HealthChanged, Notice, Outbound
-from gcs_coloc.evaluation.scoring import Score, score, series_of
+from gcs_coloc.evaluation.scoring import VehicleScore, score, series_of
 from gcs_coloc.recorder.side_tables import TruthPoint
 
 
@@ -67,12 +67,12 @@ class FlightReport:
                 vehicle.no_fixes += 1
 
     def observe(self, at_s: float) -> None:
-        """Score every true position of this time."""
+        """VehicleScore every true position of this time."""
         while self._next < len(self._truth) and self._truth[self._next].unix_s <= at_s:
             self._score(self._truth[self._next])
             self._next += 1
 
-    def score(self, sysid: int) -> Score | None:
+    def score(self, sysid: int) -> VehicleScore | None:
         """The score of one vehicle, in two dimensions; None where its GPS was trusted throughout or there is no truth of it."""
         vehicle = self._vehicles.get(sysid)
         if vehicle is None or not vehicle.epochs:

@@ -16,7 +16,7 @@ from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, Measureme
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.evaluation.evaluate import evaluate
 from gcs_coloc.evaluation.plot import plot
-from gcs_coloc.evaluation.scoring import Series, score
+from gcs_coloc.evaluation.scoring import EstimateSeries, score
 from tests.recordings import recording
 
 
@@ -175,7 +175,7 @@ def test_the_figures_are_those_worked_out_by_hand():
     truth = np.zeros((4, 3))
     estimate = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 2.0], [np.nan] * 3, [6.0, 8.0, 0.0]])
     covariance = np.broadcast_to(4.0 * np.eye(3), (4, 3, 3))
-    result = score(Series(np.arange(4.0) + 10.0, truth, estimate, covariance), 9.0, 3)
+    result = score(EstimateSeries(np.arange(4.0) + 10.0, truth, estimate, covariance), 9.0, 3)
     assert result.share_known == 0.75
     assert result.first_known_s == 1.0
     assert result.horizontal is not None

@@ -11,10 +11,9 @@ from rich.console import Console
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.study.paper import PaperStudy, run_paper_study
 from gcs_coloc.study.paper_filters import KINDS
-from gcs_coloc.study.paper_flight import fly
 from gcs_coloc.study.paper_options import PUBLISHED_TABLE_2, ConstantR, PaperOptions
 from gcs_coloc.study.paper_report import readings, tables, write
-from gcs_coloc.study.paper_runs import run_paper_filters
+from gcs_coloc.study.paper_runs import fly, run_paper_filters
 
 SHORT = PaperOptions(seeds=2, qs=(1.0, 20.0), figure_q=20.0, duration_s=8.0, first_part_s=4.0, fleet_seeds=1)
 
