@@ -26,6 +26,9 @@ PROGRAM = "gcs-coloc"
 # Newer Typers carry a Click of their own inside; this names the base of their usage errors in either case.
 _BadCommandLine: type[Exception] = typer.BadParameter.__bases__[0]
 
+# Exit codes, as shells and Click have them; 130 is 128 and the number of SIGINT.
+_FAILED, _MISUSED, _INTERRUPTED = 1, 2, 130
+
 app = typer.Typer(
     name=PROGRAM,
     cls=LateCommands,
@@ -55,18 +58,18 @@ def main() -> None:
     except _BadCommandLine as error:
         context = getattr(error, "ctx", None)
         command = context.command_path if context is not None else PROGRAM
-        _fail(f"{error.format_message().replace('Value error, ', '')} (see {command} --help)", UsageError.exit_code)  # type: ignore[attr-defined]
+        _fail(f"{error.format_message().replace('Value error, ', '')} (see {command} --help)", _MISUSED)  # type: ignore[attr-defined]
     except GcsColocError as error:
-        _fail(str(error), error.exit_code)
+        _fail(str(error), _MISUSED if isinstance(error, UsageError) else _FAILED)
     except (typer.Abort, KeyboardInterrupt):
-        sys.exit(130)
+        sys.exit(_INTERRUPTED)
     except OSError as error:
         if error.errno not in NOBODY_READS or error.filename is not None:
             raise
         discard_output()
         if error.errno == errno.EPIPE:  # the reader, such as `head`, has what it wanted
-            sys.exit(1)
-        _fail(f"the output cannot be written: {error.strerror}", 1)
+            sys.exit(_FAILED)
+        _fail(f"the output cannot be written: {error.strerror}", _FAILED)
     sys.exit(status if isinstance(status, int) else 0)
 
 

@@ -1,19 +1,15 @@
 """Every error that gcs-coloc raises on purpose: one root, one subclass per cause.
 
-A message of these errors is written for the person at the keyboard: it names the input and the mend.
+A message of these errors is written for the person at the keyboard: it names the input and the remedy.
 """
 
 
 class GcsColocError(Exception):
-    """Root of all deliberate errors. The command line prints its text as one line and exits with `exit_code`."""
-
-    exit_code = 1
+    """Root of all deliberate errors. The command line prints its text as one line."""
 
 
 class UsageError(GcsColocError):
-    """A command line that cannot be obeyed (unknown flag, malformed address)."""
-
-    exit_code = 2
+    """A command line that makes no sense (unknown flag, malformed address)."""
 
 
 class ConfigError(UsageError):
