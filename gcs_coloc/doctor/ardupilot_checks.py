@@ -8,7 +8,8 @@ from gcs_coloc.core.aiding.ekf_gates import EkfGates
 from gcs_coloc.core.aiding.method_choice import method_for
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.doctor import parameters as p
-from gcs_coloc.doctor.finding import Finding, Setup, VehicleSurvey, note, right, stop
+from gcs_coloc.doctor.finding import Finding, Setup, Severity, VehicleSurvey, note, right, stop
+from gcs_coloc.doctor.parameter_rules import ParameterRule, apply_rules, differs_from, equals
 from gcs_coloc.doctor.parameters import look_up
 
 _TYPE_NONE, _TYPE_AUTO, _TYPE_MAVLINK = 0.0, 1.0, 14.0
@@ -30,7 +31,7 @@ def check(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
     if method_for(vehicle.sysid, vehicle.autopilot, aid) == "external_position":
         yield right("it is aided by MAV_CMD_EXTERNAL_POSITION_ESTIMATE alone, which needs no GPS parameter")
     else:
-        yield from _receivers(vehicle, aid.gps_id)
+        yield from apply_rules(vehicle.parameters, _receiver_rules(aid.gps_id))
         yield from _delay(vehicle, aid.gps_id, aid.lag_s)
         yield from _arming(vehicle, aid)
     yield from _filter(vehicle, method_for(vehicle.sysid, vehicle.autopilot, aid))
@@ -54,36 +55,70 @@ def _senders(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
     )
 
 
-def _receivers(vehicle: VehicleSurvey, fed: int) -> Iterator[Finding]:
+def _receiver_rules(fed: int) -> tuple[ParameterRule, ...]:
+    """The rules for the receivers, where GPS_INPUT goes to the instance `fed`."""
     own = 1 - fed
-    yield from _wanted(
-        vehicle, p.GPS_TYPE[fed], _TYPE_MAVLINK, "it takes GPS_INPUT as a receiver", "it does not take GPS_INPUT as that receiver"
+    lacking = "its firmware lacks it"
+    return (
+        ParameterRule(
+            p.GPS_TYPE[fed],
+            equals(_TYPE_MAVLINK),
+            Severity.STOP,
+            "it does not take GPS_INPUT as that receiver",
+            set_to=_TYPE_MAVLINK,
+            good="it takes GPS_INPUT as a receiver",
+            unreadable=lacking,
+        ),
+        ParameterRule(
+            p.GPS_TYPE[own],
+            differs_from(_TYPE_MAVLINK),
+            Severity.STOP,
+            "its own receiver is switched off, and what is sent to it is its only one",
+            set_to=_TYPE_AUTO,
+            remedy_more=", or its receiver's type",
+        ),
+        ParameterRule(
+            p.GPS_TYPE[own],
+            differs_from(_TYPE_NONE),
+            Severity.NOTE,
+            "it has no receiver of its own; it can be located, and helps nobody to be",
+        ),
+        ParameterRule(
+            p.GPS_AUTO_SWITCH,
+            equals(_PRIMARY_UNLESS_NO_FIX),
+            Severity.STOP,
+            lambda value: _AUTO_SWITCH_WRONG.get(value, "that is not what was tested"),
+            set_to=_PRIMARY_UNLESS_NO_FIX,
+            good="its own receiver is used while it has a fix, then ours",
+            unreadable=lacking,
+        ),
+        ParameterRule(
+            p.GPS_PRIMARY,
+            equals(float(own)),
+            Severity.STOP,
+            "what is sent to it comes first",
+            set_to=float(own),
+            good="its own receiver comes first",
+            unreadable=lacking,
+        ),
     )
-    own_type = look_up(vehicle.parameters, p.GPS_TYPE[own])
-    if own_type is not None and own_type[1] == _TYPE_MAVLINK:
-        yield stop(
-            f"{own_type[0]} = 14: its own receiver is switched off, and what is sent to it is its only one",
-            f"set {own_type[0]} = {_TYPE_AUTO:g}, or its receiver's type",
-            (own_type[0], _TYPE_AUTO),
-        )
-    elif own_type is not None and own_type[1] == _TYPE_NONE:
-        yield note(f"{own_type[0]} = 0: it has no receiver of its own; it can be located, and helps nobody to be")
-    switch = look_up(vehicle.parameters, p.GPS_AUTO_SWITCH)
-    wrong = _AUTO_SWITCH_WRONG.get(switch[1], "that is not what was tested") if switch is not None else ""
-    yield from _wanted(
-        vehicle, p.GPS_AUTO_SWITCH, _PRIMARY_UNLESS_NO_FIX, "its own receiver is used while it has a fix, then ours", wrong
-    )
-    yield from _wanted(vehicle, p.GPS_PRIMARY, float(own), "its own receiver comes first", "what is sent to it comes first")
 
 
-def _wanted(vehicle: VehicleSurvey, names: tuple[str, ...], value: float, good: str, bad: str) -> Iterator[Finding]:
-    found = look_up(vehicle.parameters, names)
-    if found is None:
-        yield stop(f"{names[0]} could not be read", "run the doctor again, nearer to the vehicle; else its firmware lacks it")
-    elif found[1] == value:
-        yield right(f"{found[0]} = {value:g}: {good}")
-    else:
-        yield stop(f"{found[0]} = {found[1]:g}: {bad}", f"set {found[0]} = {value:g}", (found[0], value))
+_FILTER_RULES = (
+    ParameterRule(p.EKF_TYPE, equals(_EKF3), Severity.NOTE, "it does not fly on EKF3; nothing else was tested", set_to=_EKF3),
+    ParameterRule(
+        p.POSITION_SOURCE, equals(_SOURCE_GPS), Severity.STOP, "its position does not come from GPS", set_to=_SOURCE_GPS
+    ),
+    ParameterRule(p.VELOCITY_SOURCE, equals(_SOURCE_GPS), Severity.NOTE, "its velocity does not come from GPS"),
+    ParameterRule(
+        p.HEIGHT_SOURCE,
+        differs_from(_SOURCE_GPS),
+        Severity.NOTE,
+        "it flies on the GPS height, and so on the one that we compute, which no alert limit guards",
+        set_to=_SOURCE_BAROMETER,
+        remedy_more=", its barometer",
+    ),
+)
 
 
 def _arming(vehicle: VehicleSurvey, aid: AidingSettings) -> Iterator[Finding]:
@@ -110,25 +145,7 @@ def _delay(vehicle: VehicleSurvey, fed: int, lag_s: float) -> Iterator[Finding]:
 
 
 def _filter(vehicle: VehicleSurvey, way: AidingMethodName) -> Iterator[Finding]:
-    ekf = look_up(vehicle.parameters, p.EKF_TYPE)
-    if ekf is not None and ekf[1] != _EKF3:
-        yield note(
-            f"{ekf[0]} = {ekf[1]:g}: it does not fly on EKF3; nothing else was tested", f"set {ekf[0]} = 3", (ekf[0], _EKF3)
-        )
-    source = look_up(vehicle.parameters, p.POSITION_SOURCE)
-    if source is not None and source[1] != _SOURCE_GPS:
-        yield stop(f"{source[0]} = {source[1]:g}: its position does not come from GPS", f"set {source[0]} = 3", (source[0], 3.0))
-    velocity = look_up(vehicle.parameters, p.VELOCITY_SOURCE)
-    if velocity is not None and velocity[1] != _SOURCE_GPS:
-        yield note(f"{velocity[0]} = {velocity[1]:g}: its velocity does not come from GPS")
-    height = look_up(vehicle.parameters, p.HEIGHT_SOURCE)
-    if height is not None and height[1] == _SOURCE_GPS:
-        yield note(
-            f"{height[0]} = {height[1]:g}: it flies on the height that GPS tells, and so on the one that we work out, "
-            "which no alert limit guards",
-            f"set {height[0]} = {_SOURCE_BAROMETER:g}, its barometer",
-            (height[0], _SOURCE_BAROMETER),
-        )
+    yield from apply_rules(vehicle.parameters, _FILTER_RULES)
     checks, scale = look_up(vehicle.parameters, p.GPS_CHECK), look_up(vehicle.parameters, p.CHECK_SCALE)
     if checks is None or scale is None:
         return

@@ -86,7 +86,7 @@ def test_of_a_vehicle_that_is_set_up_right_nothing_is_said_but_that(names):
         ({"GPS_PRIMARY": 1.0}, "comes first", ("GPS_PRIMARY", 0.0)),
         ({"EK3_SRC1_POSXY": 6.0}, "does not come from GPS", ("EK3_SRC1_POSXY", 3.0)),
         ({"MAV_OPTIONS": 1.0}, "listens to MAV_GCS_SYSID = 255 only, and we are 254", None),
-        ({"GPS2_TYPE": None}, "GPS2_TYPE could not be read", None),
+        ({"GPS2_TYPE": None}, "GPS2_TYPE or GPS_TYPE2 could not be read", None),
     ],
 )
 def test_a_wrong_parameter_stops_and_is_named_with_its_mend(changes, words, parameter):
@@ -127,7 +127,7 @@ def test_whom_the_vehicle_listens_to(changes, system_id, is_heard):
         (with_parameters(GPS2_DELAY_MS=120.0), "0.12 s old"),
         (with_parameters(AHRS_EKF_TYPE=2.0), "EKF3"),
         (with_parameters(EK3_SRC1_VELXY=6.0), "velocity"),
-        (with_parameters(EK3_SRC1_POSZ=3.0), "it flies on the height that GPS tells"),
+        (with_parameters(EK3_SRC1_POSZ=3.0), "it flies on the GPS height"),
         (replace(GOOD, receiver=replace(RECEIVER, fix_type=1, satellites=3)), "fix type 1, 3 satellites"),
         (replace(GOOD, peers=frozenset({1, 2, 3, 9})), "9, which are not heard"),
         (replace(GOOD, answers_timesync=False), "TIMESYNC"),
