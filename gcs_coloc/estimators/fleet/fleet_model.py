@@ -77,7 +77,7 @@ class FleetModel:
         members = other.clusters.members(vehicle)
         for member in members:
             self.clusters.remove(member)
-            self.records.copy_from(other.records, member)
+            self._copy_record(other, member)
         self.clusters.add_copy(other.clusters[vehicle], members)
         for key, noise in other.pairs.items():
             if key[0] in members:
@@ -89,9 +89,16 @@ class FleetModel:
         for vehicle in vehicles:
             if vehicle in self.clusters or vehicle not in other.records:
                 continue
-            self.records.copy_from(other.records, vehicle)
+            self._copy_record(other, vehicle)
             if vehicle in other.clusters and not any(v in self.clusters for v in other.clusters.members(vehicle)):
                 self.replace_from(other, vehicle)
+
+    def _copy_record(self, other: FleetModel, vehicle: int) -> None:
+        """Copy a vehicle's record from another model; those of vehicles that it has ranged must exist for the peer selection."""
+        self.records.copy_from(other.records, vehicle)
+        for neighbour in self.records[vehicle].last_range_s:
+            if neighbour not in self.records:
+                self.records.copy_from(other.records, neighbour)
 
     def set_denied(self, denied: frozenset[int], at_s: float) -> None:
         """Change which vehicles are denied; a new one is initialised from its last reports if these are fresh."""
@@ -100,6 +107,10 @@ class FleetModel:
             if record.denied_vehicle:
                 continue
             record.denied_vehicle = True
+            if record.static:
+                # A denied vehicle's states are those of a moving one.
+                record.static = False
+                self.clusters.remove(vehicle)
             if vehicle not in self.clusters and not self._initialise(vehicle, at_s):
                 record.no_estimate_reason = "no fresh position to start from, and not enough ranges yet"
         for vehicle in [v for v, record in self.records.items() if record.denied_vehicle and v not in denied]:
@@ -126,14 +137,17 @@ class FleetModel:
             record.altitude_noise = record.altitude_noise.updated(m.measured_at_s, ((m.up_m,),), (m.sigma_m,))
         record.add_own(m)
         cluster = self.clusters.get(m.vehicle)
-        if cluster is None:
+        if cluster is None or record.static:
             return UpdateResult(Outcome.KEPT_NO_STATE)
         return update_own(cluster, m)
 
     def _update_position(self, m: PositionMeasurement, record: VehicleRecord) -> UpdateResult:
         if record.denied_vehicle:
             return UpdateResult(Outcome.REFUSED_DENIED_POSITION)
-        record.static = m.static
+        if record.static is not m.static:
+            # An anchor's block is its position alone: the states are initialised anew.
+            record.static = m.static
+            self.clusters.remove(m.vehicle)
         e, n, u = m.position_enu_m
         record.report_noise = record.report_noise.updated(m.measured_at_s, ((e, n), (u,)), without_time_error(m))
         record.add_own(m)
