@@ -108,7 +108,7 @@ class FleetSettings:
     gate_sigma: Annotated[float, Bounds(0.1, 100.0)] = 4.0
     """Sigmas, 0.1 to 100. An innovation beyond is refused. Chosen: one of 16,000 normal ones."""
     huber_sigma: Annotated[float, Bounds(0.1, 100.0)] = 2.0
-    """Sigmas, 0.1 to 100. A range's innovation beyond pulls no harder than one of this size (Huber 1964). Chosen: costs 2 % of
+    """Sigmas, 0.1 to 100. A range's innovation beyond pulls no harder than one of this size (Huber 1964). Chosen: costs 1 % of
     efficiency on normal noise."""
     peers_per_denied_vehicle: Annotated[int, Bounds(1, 250)] = 8
     """Count, 1 to 250. Most neighbours used at a time. Chosen: eight of 60 reach an HDOP below 0.75 of at best 0.707; the cost of

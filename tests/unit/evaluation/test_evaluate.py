@@ -72,7 +72,7 @@ def test_why_there_is_no_answer_is_told_by_reason_in_the_words_of_the_first_time
     command = [sys.executable, "-m", "gcs_coloc", "evaluate", str(walk)]
     told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
     assert f"  not answered {missing} times: {reason} (the first time)" in told.splitlines()
-    assert "measurements: kept: waiting for a start 200" in told
+    assert "measurements: kept: waiting for initialisation 200" in told
 
 
 def test_ranges_in_millimetres_are_warned_of_on_stderr_and_in_the_json_and_a_sound_walk_is_not(tmp_path):

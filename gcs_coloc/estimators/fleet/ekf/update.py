@@ -174,11 +174,11 @@ def change_time_stamp_offset_sigma(cluster: Cluster, vehicle: int, sigma_s: floa
 def _manoeuvre_covariance(since_s: float) -> FloatArray:
     """Return what an unknown constant acceleration since a time ago adds to position and velocity, (6, 6), eq. (20)."""
     speed = _HARDEST_MPS2 * since_s
-    way = 0.5 * speed * since_s
+    distance = 0.5 * speed * since_s
     covariance = np.zeros((6, 6))
     for axis in range(3):
-        covariance[axis, axis] = way * way
-        covariance[axis, axis + 3] = covariance[axis + 3, axis] = way * speed
+        covariance[axis, axis] = distance * distance
+        covariance[axis, axis + 3] = covariance[axis + 3, axis] = distance * speed
         covariance[axis + 3, axis + 3] = speed * speed
     return covariance
 

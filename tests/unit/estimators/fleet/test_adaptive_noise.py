@@ -10,15 +10,15 @@ from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseSplit
 
 def stream(white_m: float, slow_m: float, hz: float, seconds: float, seed: int, accel_mps2: float = 0.0) -> NoiseSplit:
     rng = np.random.default_rng(seed)
-    told = NoiseSplit()
+    split = NoiseSplit()
     slow = slow_m * rng.normal(size=2)
     decay = math.exp(-1.0 / hz / 100.0)
     for k in range(int(hz * seconds)):
         t = k / hz
         slow = decay * slow + math.sqrt(1.0 - decay**2) * slow_m * rng.normal(size=2)
         z = 22.0 * t + 0.5 * accel_mps2 * t * t + slow + white_m * rng.normal(size=2)
-        told = told.updated(t, (tuple(z.tolist()),), (math.hypot(white_m, slow_m),))
-    return told
+        split = split.updated(t, (tuple(z.tolist()),), (math.hypot(white_m, slow_m),))
+    return split
 
 
 def test_white_noise_is_recognised():
@@ -47,13 +47,13 @@ def test_nothing_is_proven_by_a_few_reports():
 
 
 def test_a_gap_starts_the_comparison_anew():
-    told, other = NoiseSplit(), NoiseSplit()
+    split, other = NoiseSplit(), NoiseSplit()
     smooth = ((0.0, 0.0), (0.1, 2.0), (0.2, 4.0), (60.0, 900.0), (60.1, 902.0), (60.2, 904.0), (60.3, 906.0))
     for t, z in smooth:
-        told = told.updated(t, ((z,),), (1.0,))
+        split = split.updated(t, ((z,),), (1.0,))
     for t, z in smooth[3:]:
         other = other.updated(t, ((z,),), (1.0,))
-    assert told.split(0, 1.0, 0.1) == other.split(0, 1.0, 0.1)
+    assert split.split(0, 1.0, 0.1) == other.split(0, 1.0, 0.1)
 
 
 def test_groups_of_one_stream_are_told_apart_as_streams_of_their_own():

@@ -14,7 +14,7 @@ from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.initialisation import block_from_estimate
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
-SUBJECT = 9
+DENIED = 9
 LOST_S, CLIMB_S, TOP_S, END_S = 5.0, 30.0, 70.0, 75.0
 
 
@@ -38,18 +38,18 @@ def climb(seed: int) -> list[float]:
     for k in range(round(END_S * 10.0)):
         t = 0.1 * k
         if k == round(LOST_S * 10.0):
-            estimator.set_denied({SUBJECT}, t)
+            estimator.set_denied({DENIED}, t)
         reports = {p: (peer_at(p, t), (peer_at(p, t + 0.1) - peer_at(p, t - 0.1)) / 0.2) for p in peers}
         if t < LOST_S:
-            reports[SUBJECT] = (subject_at(t), np.array([15.0, 5.0, 0.0]))
+            reports[DENIED] = (subject_at(t), np.array([15.0, 5.0, 0.0]))
         for vehicle, (place, velocity) in reports.items():
             p, u = place + 0.5 * rng.normal(size=3), velocity + 0.1 * rng.normal(size=3)
             estimator.add(PositionMeasurement(vehicle, t, t, tuple(p.tolist()), 1.0, 1.5, tuple(u.tolist()), 0.3))
         for p in peers if k % 2 == 0 and k > 20 else ():
             range_m = float(np.linalg.norm(subject_at(t) - peer_at(p, t))) + 2.0 * rng.normal()
-            estimator.add(RangeMeasurement(SUBJECT, p, t, t, range_m, 2.0))
+            estimator.add(RangeMeasurement(DENIED, p, t, t, range_m, 2.0))
         if t > LOST_S + 3.0 and k % 2 == 0:
-            where = estimator.estimate(SUBJECT, t)
+            where = estimator.estimate(DENIED, t)
             if isinstance(where, Estimate):
                 errors.append(float(where.position_enu_m[2] - subject_at(t)[2]) / math.sqrt(where.covariance[2, 2]))
     return errors

@@ -16,6 +16,7 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
+from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
@@ -219,7 +220,7 @@ def test_impossible_late_future_and_double_values_are_counted_and_change_nothing
         estimator.add(m)
     counts = estimator.counts()
     assert counts["refused: impossible value"] == 7
-    assert counts["refused: heard twice"] == 1
+    assert counts[Outcome.REFUSED_DUPLICATE] == 1
     assert counts["refused: too late"] == 1
     assert counts["refused: measured in the future"] == 1
 
@@ -270,4 +271,4 @@ def test_at_most_k_peers_are_used():
     assert where.ranges_in_use <= 6  # three, and those changed within the last two seconds
     assert where.hdop is not None
     assert where.hdop < 1.6
-    assert estimator.counts()["kept: better placed peers are used"] > 1000
+    assert estimator.counts()[Outcome.KEPT_NOT_SELECTED] > 1000

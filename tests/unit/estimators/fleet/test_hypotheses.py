@@ -12,7 +12,7 @@ from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.hypotheses import ReflectionHypothesis
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
-SUBJECT, STEP_S, LOST_S, HEIGHT_M = 9, 0.2, 3.0, 100.0
+DENIED, STEP_S, LOST_S, HEIGHT_M = 9, 0.2, 3.0, 100.0
 ALERT_LIMIT_M = 50.0
 
 
@@ -44,21 +44,21 @@ def fly(
     estimator, stated = FleetFilter(), []
     for k, here in enumerate(denied_vehicle[:-1]):
         t = round(k * STEP_S, 6)
-        told = peers if t >= LOST_S else {**peers, SUBJECT: denied_vehicle}
-        for v, places in told.items():
+        known = peers if t >= LOST_S else {**peers, DENIED: denied_vehicle}
+        for v, places in known.items():
             e, n = (places[k] + rng.normal(size=2)).tolist()
             ve, vn = ((places[k + 1] - places[k]) / STEP_S + 0.2 * rng.normal(size=2)).tolist()
             estimator.add(PositionMeasurement(v, t, t, (e, n, HEIGHT_M), 1.0, 1.0, (ve, vn, 0.0), 0.3))
         if t < LOST_S:
             continue
-        estimator.set_denied({SUBJECT}, t)
-        estimator.add(AltitudeMeasurement(SUBJECT, t, t, HEIGHT_M + 0.3 * rng.normal(), 1.0))
+        estimator.set_denied({DENIED}, t)
+        estimator.add(AltitudeMeasurement(DENIED, t, t, HEIGHT_M + 0.3 * rng.normal(), 1.0))
         for v, places in peers.items():
             r = math.dist(here, places[k]) + rng.normal()
             lost_s, back_s = (unheard or {}).get(v, (math.inf, math.inf))
             if not lost_s < t < back_s:
-                estimator.add(RangeMeasurement(SUBJECT, v, t, t, max(r, 0.0), 1.0))
-        answer = estimator.estimate(SUBJECT, t)
+                estimator.add(RangeMeasurement(DENIED, v, t, t, max(r, 0.0), 1.0))
+        answer = estimator.estimate(DENIED, t)
         if isinstance(answer, Estimate) and (bound_m := horizontal_bound_95_m(answer.covariance)) <= ALERT_LIMIT_M:
             stated.append((t, math.dist(answer.position_enu_m[:2], here), bound_m))
     return stated
@@ -105,18 +105,18 @@ def test_a_doubt_that_a_peer_leaves_behind_lasts_until_others_show_where_it_is()
     rng, estimator, bounds_m = np.random.default_rng(1), FleetFilter(), {}
     for k in range(count):
         t = round(k * STEP_S, 6)
-        for v, (e, n) in {**peers, **({SUBJECT: here} if t < LOST_S else {})}.items():
+        for v, (e, n) in {**peers, **({DENIED: here} if t < LOST_S else {})}.items():
             estimator.add(PositionMeasurement(v, t, t, (e, n, HEIGHT_M), 1.0, 1.0, (0.0, 0.0, 0.0), 0.3))
         if t < LOST_S:
             continue
-        estimator.set_denied({SUBJECT}, t)
-        estimator.add(AltitudeMeasurement(SUBJECT, t, t, HEIGHT_M + 0.3 * rng.normal(), 1.0))
+        estimator.set_denied({DENIED}, t)
+        estimator.add(AltitudeMeasurement(DENIED, t, t, HEIGHT_M + 0.3 * rng.normal(), 1.0))
         for v, too_long_m in {1: 0.0, 2: 150.0 if t > 29.1 else 0.0, 3: 0.0}.items():
             if (v == 2 and t >= 30.0) or (v == 3 and t < 34.0):
                 continue
             r = math.dist(here, peers[v]) + too_long_m + rng.normal()
-            estimator.add(RangeMeasurement(SUBJECT, v, t, t, r, 1.0))
-        answer = estimator.estimate(SUBJECT, t)
+            estimator.add(RangeMeasurement(DENIED, v, t, t, r, 1.0))
+        answer = estimator.estimate(DENIED, t)
         assert isinstance(answer, Estimate)
         bounds_m[t] = horizontal_bound_95_m(answer.covariance)
     assert bounds_m[29.0] < 5.0
@@ -134,14 +134,14 @@ def convoy(seed: int, duration_s: float, behind: dict[int, int]) -> dict[int, np
     along, across = np.array([math.sin(heading), math.cos(heading)]), np.array([math.cos(heading), -math.sin(heading)])
     t = np.arange(round(duration_s / STEP_S) + 2)[:, np.newaxis] * STEP_S
     aside_m = 20.0 * np.sin(2.0 * math.pi * t / 20.0 + phase)
-    return {v: (20.0 * t - 150.0 * gaps) * along + (aside_m if v == SUBJECT else 0.0) * across for v, gaps in behind.items()}
+    return {v: (20.0 * t - 150.0 * gaps) * along + (aside_m if v == DENIED else 0.0) * across for v, gaps in behind.items()}
 
 
 def test_in_line_with_three_peers_a_vehicle_that_weaves_is_not_stated_on_the_wrong_side():
     stated = []
     for seed in range(1, 9):
-        places = convoy(seed, 80.0, {1: 0, SUBJECT: 1, 2: 2, 3: 3})
-        stated += fly(places.pop(SUBJECT), places, seed)
+        places = convoy(seed, 80.0, {1: 0, DENIED: 1, 2: 2, 3: 3})
+        stated += fly(places.pop(DENIED), places, seed)
     # A wrong side is one for seconds of these ten minutes: 1e-2 and more.
     assert len(stated) > 800
     assert sum(error_m > 3.0 * bound_m for _, error_m, bound_m in stated) < 2e-3 * len(stated)
@@ -157,8 +157,8 @@ def test_on_which_side_it_is_is_open_where_the_ranges_to_two_peers_were_lost_for
     peers = {1: still + np.array([-200.0, 0.0]), 2: still + np.array([500.0, 0.0])}
     stated = fly(np.stack([-100.0 + 8.0 * t, north_m], axis=1), peers, seed, unheard)
     assert len([row for row in stated if row[0] < 15.0]) > 40
-    # Where its mirror image is not looked at it is taken for that, 120 m off, from the return of the ranges on, for 26 s. The
-    # look comes up to 0.25 s later than the ranges: an epoch or two.
+    # Without the test for a reflection the estimate is on the wrong side, 120 m off, from the return of the ranges on, for 26 s.
+    # The test comes up to 0.25 s later than the ranges: an epoch or two.
     assert sum(error_m > 3.0 * bound_m for t_s, error_m, bound_m in stated if t_s > 30.0) <= 2
 
 

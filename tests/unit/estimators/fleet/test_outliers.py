@@ -10,7 +10,7 @@ from gcs_coloc.core.error_bound import horizontal_bound_95_m
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 
-SUBJECT, SPEED_MPS = 9, 15.0
+DENIED, SPEED_MPS = 9, 15.0
 ANCHORS_M = {1: (-600.0, -500.0, 0.0), 2: (700.0, -400.0, 5.0), 3: (500.0, 600.0, 10.0), 4: (-500.0, 500.0, 15.0)}
 
 
@@ -33,21 +33,21 @@ class Flight:
             self.estimator.add(PositionMeasurement(vehicle, 0.0, 0.0, place, 0.3, 0.3, static=True))
         east_m, north_m, up_m = subject_at(0.0).tolist()
         start = (east_m, north_m + off_m, up_m)
-        self.estimator.add(PositionMeasurement(SUBJECT, 0.0, 0.0, start, 1.5, 2.0, (SPEED_MPS, 0.0, 0.0), 0.3))
-        self.estimator.set_denied({SUBJECT}, 0.0)
+        self.estimator.add(PositionMeasurement(DENIED, 0.0, 0.0, start, 1.5, 2.0, (SPEED_MPS, 0.0, 0.0), 0.3))
+        self.estimator.set_denied({DENIED}, 0.0)
 
     def ratios(self, end_s: float) -> list[tuple[float, float]]:
         """Fly; return the errors in units of the 95 % bounds, with their times, wherever that bound is within 50 m."""
         out = []
         for k in range(1, round(end_s * 5.0)):
             t = 0.2 * k
-            self.estimator.add(AltitudeMeasurement(SUBJECT, t, t, 100.0, 2.0))
+            self.estimator.add(AltitudeMeasurement(DENIED, t, t, 100.0, 2.0))
             for p, place in ANCHORS_M.items():
                 range_m = float(np.linalg.norm(subject_at(t) - place)) + self.rng.normal()
                 if self.rng.random() < self.late_share:
                     range_m += self.rng.uniform(5.0, 50.0)
-                self.estimator.add(RangeMeasurement(SUBJECT, p, t, t, range_m, self.stated_m))
-            where = self.estimator.estimate(SUBJECT, t)
+                self.estimator.add(RangeMeasurement(DENIED, p, t, t, range_m, self.stated_m))
+            where = self.estimator.estimate(DENIED, t)
             if isinstance(where, Estimate) and (bound_m := horizontal_bound_95_m(where.covariance)) <= 50.0:
                 out.append((t, math.dist(where.position_enu_m[:2], subject_at(t)[:2]) / bound_m))
         return out

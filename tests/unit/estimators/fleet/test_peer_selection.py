@@ -42,6 +42,6 @@ def test_two_subjects_share_most_of_their_peers_and_lose_little_by_it(seed):
 def test_a_subject_that_tells_its_height_spends_its_choice_on_the_horizontal():
     placed = [(v, np.array([2000.0 * np.sin(v), 2000.0 * np.cos(v), 100.0])) for v in range(12)]
     placed.extend((90 + v, np.array([100.0 + 40.0 * v, 90.0, 400.0])) for v in range(3))
-    without, told = (select_peers(HERE, placed, NONE, NONE, 3, height_known=known) for known in (False, True))
+    without, with_height = (select_peers(HERE, placed, NONE, NONE, 3, height_known=known) for known in (False, True))
     assert without & {90, 91, 92}
-    assert hdop(told, placed) < 0.9 * hdop(without, placed)
+    assert hdop(with_height, placed) < 0.9 * hdop(without, placed)

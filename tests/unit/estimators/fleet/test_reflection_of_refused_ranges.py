@@ -9,7 +9,7 @@ from gcs_coloc.core.error_bound import horizontal_bound_95_m
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 
-SUBJECT, SPEED_MPS, HEIGHT_M = 9, 12.0, 100.0
+DENIED, SPEED_MPS, HEIGHT_M = 9, 12.0, 100.0
 LINE_M = {1: (-600.0, 0.0), 2: (650.0, 0.0)}
 ASIDE_M = {3: (100.0, 700.0), 4: (-300.0, -650.0)}
 
@@ -26,16 +26,16 @@ def fly(
     for v, (east_m, north_m) in peers.items():
         estimator.add(PositionMeasurement(v, 0.0, 0.0, (east_m, north_m, 0.0), 0.3, 0.3, static=True))
     start = (-200.0, 180.0 * side, HEIGHT_M)
-    estimator.add(PositionMeasurement(SUBJECT, 0.0, 0.0, start, 1.5, 2.0, (SPEED_MPS, 0.0, 0.0), 0.3))
-    estimator.set_denied({SUBJECT}, 0.05)
+    estimator.add(PositionMeasurement(DENIED, 0.0, 0.0, start, 1.5, 2.0, (SPEED_MPS, 0.0, 0.0), 0.3))
+    estimator.set_denied({DENIED}, 0.05)
     for k in range(1, 25 * len(peers)):
         t = k / len(peers)
         here = (-200.0 + SPEED_MPS * t, 180.0, HEIGHT_M)
-        estimator.add(AltitudeMeasurement(SUBJECT, t, t, HEIGHT_M + 0.3 * rng.normal(), 2.0))
+        estimator.add(AltitudeMeasurement(DENIED, t, t, HEIGHT_M + 0.3 * rng.normal(), 2.0))
         v = list(peers)[k % len(peers)]
         range_m = math.dist(here, (*peers[v], 0.0)) + rng.normal() + (40.0 if v == late_from else 0.0)
-        estimator.add(RangeMeasurement(SUBJECT, v, t, t, range_m, 1.0))
-        where = estimator.estimate(SUBJECT, t)
+        estimator.add(RangeMeasurement(DENIED, v, t, t, range_m, 1.0))
+        where = estimator.estimate(DENIED, t)
         if isinstance(where, Estimate):
             error_m = math.dist(where.position_enu_m[:2], here[:2])
             out.append((t, error_m, horizontal_bound_95_m(where.covariance)))
