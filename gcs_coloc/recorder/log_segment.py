@@ -1,4 +1,4 @@
-"""One part of a recording: a tlog and an MCAP file side by side, written so that what was written opens after a crash."""
+"""A log segment: a tlog and an MCAP file side by side. Everything written can be opened after a crash."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class LogSegment:
         return self._tlog.size + self._mcap.size
 
     def write(self, records: bytes, entries: list[Entry]) -> None:
-        """Hand records of the tlog and entries of the journal to the system: they outlive this process from then on."""
+        """Write records of the tlog and entries of the journal to the system; from then on they outlive this process."""
         self._tlog.append(records)
         for entry in entries:
             self._encoder.add(entry)
-        self._mcap.append(self._encoder.take())
+        self._mcap.append(self._encoder.pop())
 
     def sync(self) -> None:
-        """Have the system bring it to the disk: it outlives a loss of power from then on. OSError where a file was deleted."""
+        """Sync both files to the disk; from then on they outlive a loss of power. OSError where a file was deleted."""
         self._tlog.sync()
         self._mcap.sync()
 
@@ -54,7 +54,7 @@ class LogSegment:
 
 
 class _File:
-    """A new file of whole appends: one that fails half-way is taken back.
+    """A new file of whole appends: an append that fails half-way is undone.
 
     `end_mark` stands behind the last append at every moment and is written over by the next.
     """
@@ -80,7 +80,7 @@ class _File:
     def sync(self) -> None:
         os.fdatasync(self._fd)
         if os.fstat(self._fd).st_nlink == 0:
-            # The system goes on taking what nobody will ever read.
+            # The system goes on accepting data for a deleted file.
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self._path))
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Records a flight: the caller only queues, a thread of its own writes. A slow or full disk costs recording, never flight."""
+"""The recorder: callers queue, a thread writes. A slow or full disk costs recording and never delays the flight."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class Recorder:
         self._put(entry)
 
     def pending_warning(self) -> tuple[str, str] | None:
-        """Level and text for the operator where the recording has failed, recovered or lost something since the last call."""
+        """Level and text for the operator if the recording has failed, recovered or lost frames since the last call."""
         lost, fault = self.counts.get(Refusal.NOT_RECORDED, 0), self._fault
         if self._thread is not None and time.monotonic() - self._turned_at_s > _SILENT_S:
             fault = f"{self._directory}: the disk has not answered for {_SILENT_S:g} s"
@@ -116,7 +116,7 @@ class Recorder:
         return None
 
     def close(self) -> None:
-        """Write what is queued and end the files; a disk that does not answer for 5 s is left to itself."""
+        """Write the queue and end the files. A disk that does not answer within 5 s is abandoned."""
         if self._thread is None:
             return
         self._ending.set()
@@ -135,7 +135,7 @@ class Recorder:
         synced_at_s = time.monotonic()
         ended = False
         while not ended:
-            # Nobody wakes this thread for an item: at hundreds a second that would cost the flight more than the writing does.
+            # Items do not wake this thread: at hundreds a second that would cost the flight more than the writing does.
             ended = self._ending.wait(_FLUSH_S)
             self._turned_at_s = time.monotonic()
             if self._segment is None and (ended or self._turned_at_s >= self._retry_at_s):
@@ -149,7 +149,7 @@ class Recorder:
         self.counts.add(Refusal.NOT_RECORDED, len(self._items))
 
     def _write_waiting(self) -> None:
-        """Write what has come in until now; where nothing can be written it waits for the next segment."""
+        """Write the queue; while there is no segment to write to, it stays queued."""
         waiting = len(self._items)
         while waiting and self._segment is not None:
             items = [self._items.popleft() for _ in range(min(waiting, _BATCH_ITEMS))]
@@ -206,7 +206,7 @@ class Recorder:
         return head
 
     def _open_first(self) -> LogSegment:
-        """Begin under the name of this second, or of the next that is free.
+        """Open the first segment under the name of this second, or of the next that is free.
 
         Another service may have begun in it, and a computer without a battery for its clock begins every day at the same time.
         """

@@ -1,4 +1,4 @@
-"""A recorded flight through the same engine, on recorded time: deterministic, and as fast as it goes unless it is paced.
+"""A replay: a recorded flight through the same engine on recorded time, deterministic, as fast as possible unless paced.
 
 The service's clock is the recording's: UNIX seconds of arrival. Ranges that the recording's frames do not carry come from
 a table beside it. Nothing is sent anywhere.
@@ -20,7 +20,7 @@ from gcs_coloc.recorder.tlog import TlogReader
 
 
 class Replay:
-    """An engine on its way through a recording, one message after the other; whoever holds it decides how fast.
+    """An engine driven through a recording, one message after the other; the caller decides how fast.
 
     `now_s` is the service time (UNIX s) that was reached.
 
@@ -43,7 +43,7 @@ class Replay:
             log: the recording's frames, in order.
             ranges: ranges that the frames do not carry, in order of time.
             on_poll: takes the service time (UNIX s) and the engine's outputs of each of its deadlines.
-            own: the system and component id of the service that recorded: what it sent itself is passed over.
+            own: the system and component id of the service that recorded: what it sent itself is skipped.
             flown_with: what the engine is set to, as `Settings.fingerprint`. Where the recording names something else, and in
                 another program's, what the engine sends was never on the air, and how vehicles take it is not judged.
 
@@ -58,22 +58,22 @@ class Replay:
 
     @property
     def counts(self) -> ReplayCounts:
-        """What was gone through so far."""
+        """The counts so far."""
         return self._messages.counts
 
     @property
     def log(self) -> TlogReader:
-        """The recording, with what of it could not be read so far."""
+        """The recording; its counts hold the damage found so far."""
         return self._messages.log
 
     @property
     def decoder(self) -> Decoder:
-        """What decodes the recording's frames."""
+        """The decoder of the recording's frames."""
         return self._messages.decoder
 
     @property
     def truths(self) -> dict[int, HeardTruth]:
-        """Where a simulation says that vehicles truly are, by system id."""
+        """The true positions that a simulation sent, by system id."""
         return self._messages.truths
 
     @property
@@ -83,7 +83,7 @@ class Replay:
         return max(self._next.received_at_s, self.now_s) if self._next is not None else None
 
     def step(self) -> None:
-        """Bring the engine to the next message and give it to it."""
+        """Advance the engine to the next message, and have it receive that."""
         message, at_s = self._next, self.next_s
         assert message is not None
         assert at_s is not None
@@ -97,8 +97,8 @@ class Replay:
         self._next = self._messages.next()
 
     def advance(self, to_s: float) -> None:
-        """Bring the engine to a service time (UNIX s) before which all messages were given to it, between two of them."""
-        # While it was held up, the service did nothing.
+        """Advance the engine to a service time (UNIX s) before the next message."""
+        # During an overrun the service did nothing.
         self._advance(min(to_s, self._next.since_s) if isinstance(self._next, Overrun) else to_s)
 
     def _advance(self, to_s: float, catch_up_s: float = float("inf")) -> None:

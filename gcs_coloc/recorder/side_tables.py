@@ -1,4 +1,4 @@
-"""The tables beside a recording: ranges that its frames do not carry, and where the vehicles truly were."""
+"""The tables beside a recording: ranges that its frames do not carry, and true positions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gcs_coloc.mavlink.truth import HeardTruth
 
 @dataclass(frozen=True, slots=True)
 class TruthPoint:
-    """Where a vehicle truly was, to score by and to show. Degrees, metres above mean sea level, UNIX seconds of the recorder."""
+    """The true position of a vehicle. Degrees, metres above mean sea level, UNIX seconds of the recorder."""
 
     unix_s: float
     sysid: int
@@ -29,7 +29,7 @@ class TruthTable:
     """True positions, looked up by time."""
 
     def __init__(self, points: Sequence[TruthPoint]) -> None:
-        """Take points in order of time."""
+        """`points` are in order of time."""
         self._by_vehicle: dict[int, list[TruthPoint]] = {}
         for point in points:
             self._by_vehicle.setdefault(point.sysid, []).append(point)

@@ -39,7 +39,7 @@ _OTHERS = {
     b"\xa3\x95": "is an onboard log of ArduPilot; a log of the telemetry (.tlog) is wanted",
     b"ULog": "is an onboard log of PX4; a log of the telemetry (.tlog) is wanted",
 }
-"""What a file is that begins so, and the mend."""
+"""Kinds of file by their first bytes, and the remedy."""
 
 
 class TlogRecord(NamedTuple):
@@ -72,7 +72,7 @@ def tlog_record(at_s: float, frame: bytes) -> bytes:
 
 
 def without_signature(frame: bytes) -> bytes | None:
-    """The frame as it would be had it not been signed; None where its message is unknown and its checksum with it."""
+    """The frame without its signature, with a new checksum; None where the message, and so its checksum, is unknown."""
     if frame[0] != MAGIC_V2 or not frame[_INCOMPAT_AT] & INCOMPAT_SIGNED:
         return frame
     crc_extra = CRC_EXTRA.get(message_id(frame))
@@ -158,7 +158,7 @@ def _frame_of_record(data: mmap.mmap, position: int) -> RawFrame | Refusal:
         return Refusal.UNVERIFIABLE
     found = read_frame(data, start)
     if isinstance(found, RawFrame) and not found.is_known:
-        # Its checksum cannot be verified; that a record follows where it ends vouches for its length.
+        # Its checksum cannot be verified; a record that follows at its end confirms its length.
         following = start + len(found.frame) + _TIME.size
         if following < len(data) and data[following] not in (MAGIC_V1, MAGIC_V2):
             return Refusal.UNVERIFIABLE
@@ -166,13 +166,13 @@ def _frame_of_record(data: mmap.mmap, position: int) -> RawFrame | Refusal:
 
 
 def _is_time(data: mmap.mmap, position: int) -> bool:
-    """Whether eight bytes can be the time of a record: from the year 2100 on they are taken for something else."""
+    """Whether eight bytes can be the time of a record: a time before the year 2100."""
     time_us: int = _TIME.unpack_from(data, position)[0]
     return time_us < UNIX_TIME_TO_US
 
 
 def _other_kind(data: mmap.mmap) -> str | None:
-    """What a file is that does not begin with a record, and the mend; None where it may be a damaged tlog."""
+    """The kind of a file that does not begin with a record, and the remedy; None where it may be a damaged tlog."""
     for beginning, words in _OTHERS.items():
         if data[: len(beginning)] == beginning:
             return words

@@ -1,4 +1,4 @@
-"""Who may talk to the server: the Host and Origin of a request, the operator's token, and the headers of every answer."""
+"""Access to the server: the Host and Origin of a request, the operator's token, and the headers of every answer."""
 
 from __future__ import annotations
 

@@ -18,12 +18,12 @@ from gcs_coloc.core.errors import ConfigError
 from gcs_coloc.web.wire import TilesInfo
 
 _HEADER_BYTES = 127
-_DEEPEST = 4
+_MAX_DEPTH = 4
 _DIRECTORIES_KEPT = 64
-_MOST_BYTES = 10_000_000
-"""A tile or directory that claims to be longer is a damaged file's."""
+_MAX_BYTES = 10_000_000
+"""A tile or directory of more bytes means a damaged file. Chosen: a hundred times a large tile."""
 _DAMAGED = (OSError, EOFError, ValueError, IndexError, OverflowError, zlib.error)
-"""What reading a damaged directory ends with."""
+"""The errors of reading a damaged directory."""
 _MEDIA_TYPES = {
     TileType.PNG: "image/png",
     TileType.JPEG: "image/jpeg",
@@ -51,7 +51,7 @@ class TileFile:
             self._header = deserialize_header(os.pread(self._fd, _HEADER_BYTES, 0))
             metadata = self._metadata()
         except Exception:
-            # The reader says of a file that is none whatever Python says of bytes that are missing.
+            # Any exception: the library raises whatever its unpacking of missing bytes raises.
             os.close(self._fd)
             raise ConfigError(f"{self._where}: is no whole PMTiles file of version 3") from None
         if self._header["tile_type"] not in _MEDIA_TYPES or self._header["tile_compression"] is not Compression.NONE:
@@ -59,7 +59,7 @@ class TileFile:
             kind = self._header["tile_type"].name
             raise ConfigError(f"{self._where}: holds {kind} tiles; pictures are wanted (png, jpeg, webp, avif), uncompressed")
         self.media_type = _MEDIA_TYPES[self._header["tile_type"]]
-        # Often a link in HTML, of which the page shows the words.
+        # Often a link in HTML, of which the page shows the text.
         attribution = unescape(re.sub("<[^>]*>", "", str(metadata.get("attribution", "")))).strip()
         self.info = TilesInfo(
             min_zoom=self._header["min_zoom"],
@@ -74,9 +74,9 @@ class TileFile:
         tile_id = zxy_to_tileid(zoom, x, y)
         offset, length = self._header["root_offset"], self._header["root_length"]
         try:
-            for _ in range(_DEEPEST):
+            for _ in range(_MAX_DEPTH):
                 entry = find_tile(self._directory(offset, length), tile_id)
-                if entry is None or entry.length > _MOST_BYTES:
+                if entry is None or entry.length > _MAX_BYTES:
                     return None
                 if entry.run_length > 0:
                     data = os.pread(self._fd, entry.length, self._header["tile_data_offset"] + entry.offset)

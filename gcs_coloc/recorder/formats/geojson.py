@@ -11,7 +11,7 @@ from gcs_coloc.recorder.formats.map_shapes import map_shapes
 
 
 def write_geojson(history: FlightHistory, path: Path) -> None:
-    """The tracks as lines and, while a vehicle is located without its GPS, a 2-sigma ellipse each second. WGS 84, heights MSL."""
+    """Write the tracks as lines and, while a vehicle is located without its GPS, a 2-sigma ellipse each second."""
     features = [_feature(kind, coordinates, properties) for kind, coordinates, properties in map_shapes(history)]
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False), encoding="utf-8")
 

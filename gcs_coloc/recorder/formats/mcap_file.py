@@ -12,11 +12,11 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from gcs_coloc.recorder.journal import NAMES, Entry, VehicleEntry, as_json, schema_of
 
 END_MARK = struct.pack("<BQI", Opcode.DATA_END, 4, 0) + struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0) + MCAP0_MAGIC
-"""Ends an MCAP file without an index. Standing behind what `take` has handed out, it makes a whole file of it."""
+"""Ends an MCAP file without an index. Written behind the bytes of `pop`, it completes the file."""
 
 
 class McapEncoder:
-    """Entries to the bytes of one MCAP file. What `take` has handed out opens after a crash."""
+    """Entries to the bytes of one MCAP file. The bytes of `pop` can be opened after a crash."""
 
     def __init__(self) -> None:
         self._sink = _Sink()
@@ -38,32 +38,32 @@ class McapEncoder:
         time_ns = round(entry.at_s * 1e6) * 1000
         self._writer.add_message(channel, time_ns, as_json(entry), time_ns)
 
-    def take(self) -> bytes:
+    def pop(self) -> bytes:
         """The bytes of what was added since the last call. Each call makes a chunk, which costs as much as two entries."""
         self._writer.flush()  # type: ignore[no-untyped-call]
-        return self._sink.take()
+        return self._sink.pop()
 
     def finish(self) -> bytes:
         """The last bytes, with the index and the end mark."""
         self._writer.finish()  # type: ignore[no-untyped-call]
-        return self._sink.take()
+        return self._sink.pop()
 
 
 class _Sink(io.BytesIO):
-    """Collects what the MCAP writer writes; `tell` goes on counting over what was taken."""
+    """Collects what the MCAP writer writes; `tell` continues over what was popped."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._taken = 0
+        self._popped = 0
 
     def tell(self) -> int:
         """The offset in the file."""
-        return self._taken + super().tell()
+        return self._popped + super().tell()
 
-    def take(self) -> bytes:
+    def pop(self) -> bytes:
         """Everything that was written since the last call."""
         data = self.getvalue()
-        self._taken += len(data)
+        self._popped += len(data)
         self.seek(0)
         self.truncate()
         return data

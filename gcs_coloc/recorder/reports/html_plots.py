@@ -1,4 +1,4 @@
-"""The pictures of a flight's report, as PNG in data URLs: the map, and each vehicle that was without its GPS over time.
+"""The plots of a flight's report, as PNG in data URLs: the map, and each vehicle that was denied, over time.
 
 Each is drawn twice, for a light page and for a dark one.
 """
@@ -29,7 +29,7 @@ class PlotImage:
 
 @dataclass(frozen=True, slots=True)
 class _Ink:
-    """The colours of the lines, and matplotlib's settings for all that is around them."""
+    """The colours of the lines, and matplotlib's settings for everything else."""
 
     blue: str
     red: str

@@ -1,4 +1,4 @@
-"""One self-contained HTML page of a flight: what failed when, how well it was located, what was refused. It loads nothing."""
+"""The report of a flight as one HTML page that loads nothing: GPS failures, accuracy, refused messages, plots."""
 
 from __future__ import annotations
 
