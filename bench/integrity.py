@@ -98,8 +98,7 @@ def walk(task: tuple[Scenario, int]) -> Walk:
         found = error_and_bound_m(engine, flight, t)
         if found is not None and found[0] > 1.5 * found[1]:
             passed_s = min(passed_s, t)
-        liar = engine.fleet.get(1)
-        if liar is not None and liar.health.state is not GpsState.HEALTHY:
+        if engine.gps_state(1) is not GpsState.HEALTHY:
             return Walk(t - SPOOFED_AT_S, passed_s - SPOOFED_AT_S)
     return Walk(inf, passed_s - SPOOFED_AT_S)
 
@@ -131,7 +130,7 @@ def false_exclusions(task: tuple[Scenario, int]) -> int:
     excluded, distrusted = 0, frozenset[int]()
     for step in range(round(_FLIGHT_S / STEP_S)):
         fly_step(engine, flight, step * STEP_S)
-        now = frozenset(v.sysid for v in engine.fleet if v.health.state not in (GpsState.HEALTHY, GpsState.UNKNOWN))
+        now = frozenset(v for v in engine.sysids() if engine.gps_state(v) not in (GpsState.HEALTHY, GpsState.UNKNOWN))
         excluded += len((now - distrusted) - ({DENIED} if scenario.lost else frozenset()))
         distrusted = now
     return excluded

@@ -116,7 +116,7 @@ def fly(drawn: tuple[Late, int]) -> Flown:
         while under_way and under_way[0][0] <= t:
             engine.receive(heapq.heappop(under_way)[2])
         engine.poll(t)
-        accused |= {v.sysid for v in engine.fleet if v.health.state in (GpsState.SUSPECT, GpsState.FAILED)}
+        accused |= {v for v in engine.sysids() if engine.gps_state(v) in (GpsState.SUSPECT, GpsState.FAILED)}
         if t > _COUNTED_FROM_S:
             error_m, bound_m = error_and_bound_m(engine, flight, t) or (np.nan, np.nan)
             errors.append(error_m)

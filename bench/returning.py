@@ -89,10 +89,9 @@ def fly(task: tuple[Scenario, int]) -> tuple[float, float]:
         engine.receive(Heartbeat(DENIED, t, Autopilot.ARDUPILOT, True, winged=True))
         engine.receive(RouteReport(DENIED, t, None))
         fly_step(engine, flight, t)
-        vehicle = engine.fleet.get(DENIED)
-        if vehicle is None or t < _BACK_S + 2.0 * STEP_S:
+        if t < _BACK_S + 2.0 * STEP_S:
             continue
-        state = vehicle.health.state
+        state = engine.gps_state(DENIED)
         if state is GpsState.HEALTHY and healthy_s == inf:
             healthy_s = t - _BACK_S
             if not (scenario.return_jump_m or scenario.return_walk_mps):

@@ -37,8 +37,8 @@ class RangeJumps:
         self._peers: dict[int, dict[int, float]] = {}
         self._jumps: dict[int, _Jump] = {}
 
-    def take(self, residuals: Iterable[Residual], now_s: float) -> None:
-        """Take what the estimator made of ranges, in the order in which it took them."""
+    def add(self, residuals: Iterable[Residual], now_s: float) -> None:
+        """Add what the estimator made of ranges, in the order in which it used them."""
         for r in residuals:
             if r.to_vehicle is None:
                 continue

@@ -18,7 +18,7 @@ degree of freedom) and below 0.9 in all simulated flights; beyond it half of the
 """
 _KEPT_S = 5.0
 _MOST = 4000
-_LEAST_FOR_MISFIT = 12
+_LEAST_RANGES = 12
 
 
 class ResidualLog:
@@ -31,7 +31,7 @@ class ResidualLog:
         self._refused: Counter[int] = Counter()
         self._consistency: dict[int, Consistency] = {}  # of those vehicles of which nothing has come or gone since
 
-    def take(self, residuals: Iterable[Residual], now_s: float) -> None:
+    def add(self, residuals: Iterable[Residual], now_s: float) -> None:
         """Add what the estimator has handed out, and forget what is too old."""
         recent, newest = self._recent, self._newest
         for r in residuals:
@@ -59,7 +59,7 @@ class ResidualLog:
     def consistency(self) -> Mapping[int, Consistency]:
         """For each vehicle at an end of a range: the median NIS of its ranges, refused ones included, and the band of it.
 
-        It is valid until the next `take`.
+        It is valid until the next `add`.
 
         Refused ranges count: leaving them out would make every filter look consistent. In the median a few that multipath made
         too long hardly show, which their mean would be full of; where half of the ranges contradict the position it does.
@@ -70,9 +70,9 @@ class ResidualLog:
             found[end] = Consistency(_median(nis), *_band_95(len(nis)), len(nis), self._refused[end])
         return found
 
-    def misfit(self) -> dict[int, float]:
+    def median_nis(self) -> dict[int, float]:
         """The median NIS of each vehicle that has enough ranges to be judged by them; 0.45 for a consistent filter."""
-        return {vehicle: c.nis_median for vehicle, c in self.consistency().items() if c.ranges >= _LEAST_FOR_MISFIT}
+        return {vehicle: c.nis_median for vehicle, c in self.consistency().items() if c.ranges >= _LEAST_RANGES}
 
     def _add(self, r: Residual) -> None:
         nis = _per_degree(r)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gcs_coloc.core.aiding.ekf_gates import EkfGates
-from gcs_coloc.core.aiding.method_choice import method_for
+from gcs_coloc.core.aiding.methods.registry import method_for
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.doctor import parameters as p
 from gcs_coloc.doctor.finding import Finding, Setup, Severity, VehicleSurvey, note, right, stop

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gcs_coloc.core.aiding.method_choice import method_for, mismatch
+from gcs_coloc.core.aiding.methods.registry import method_for, mismatch
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
 from gcs_coloc.doctor.finding import Finding, FleetSurvey, Setup, Severity, VehicleSurvey, note, right, stop
@@ -72,7 +72,7 @@ def _autopilot(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
     way = method_for(vehicle.sysid, vehicle.autopilot, setup.aiding)
     wrong_way = mismatch(way, vehicle.autopilot)
     if wrong_way is not None:
-        yield stop(wrong_way, f"set method, or methods.{vehicle.sysid} for this vehicle alone, in [aiding] of gcs-coloc")
+        yield stop(wrong_way.text, f"set method, or methods.{vehicle.sysid} for this vehicle alone, in [aiding] of gcs-coloc")
         return
     if vehicle.autopilot not in (Autopilot.ARDUPILOT, Autopilot.PX4):
         yield note(

@@ -69,7 +69,7 @@ class _Vehicle:
     receiver: GpsReceiver | None = None
     answers_timesync: bool = False
     utc_minus_host_s: float | None = None
-    twins: DuplicateIdDetector = field(default_factory=DuplicateIdDetector)
+    duplicates: DuplicateIdDetector = field(default_factory=DuplicateIdDetector)
     ask_time_at_s: float = float("-inf")
 
     @property
@@ -153,7 +153,7 @@ class Survey:
             armed=vehicle.armed,
             addresses=tuple(names[place] for place in vehicle.stays),
             is_claimed_twice=vehicle.is_claimed_twice,
-            has_two_clocks=vehicle.twins.seen(self._end_s),
+            has_two_clocks=vehicle.duplicates.detected(self._end_s),
             others_there=tuple(sorted(others)),
             is_signed=vehicle.is_signed,
             is_mavlink_1=vehicle.magics == {MAGIC_V1},
@@ -181,9 +181,9 @@ class Survey:
         if at_s >= self._half_s:
             vehicle.counts[frame.message_id] += 1
         if self._streams is not None:
-            self._streams.heard(frame.sysid, frame.message_id, at_s)
+            self._streams.count(frame.sysid, frame.message_id, at_s)
         if isinstance(message, GlobalPosition | Attitude | SystemTime):
-            vehicle.twins.take(message.boot_s, at_s)
+            vehicle.duplicates.add(message.boot_s, at_s)
         match message:
             case GpsReceiver(receiver=0):
                 vehicle.receiver = message

@@ -67,7 +67,7 @@ class FleetService:
             clock,
             own=own,
             bytes_per_s=senders.bytes_per_s,
-            is_aided=lambda sysid: self._engine.aiding.streams(sysid),
+            is_aided=lambda sysid: self._engine.aiding.has_stream(sysid),
             forwarded=lambda raw: self._recording.record_forwarded(self._engine_at_s, raw),
             foreign_gps_input=lambda raw, sysid: self._apply(foreign_gps_input(raw, self._clock(), sysid)),
         )
@@ -117,7 +117,7 @@ class FleetService:
     async def close(self) -> None:
         """End the fix of every aided vehicle, close the links and end the recording."""
         self._deadline.cancel()
-        aided = sorted(vehicle.sysid for vehicle in self._engine.fleet if self._engine.aiding.streams(vehicle.sysid))
+        aided = sorted(sysid for sysid in self._engine.sysids() if self._engine.aiding.has_stream(sysid))
         for last in self._engine.close():
             self._sender.send(last)
             if isinstance(last, ParameterSet):
@@ -218,7 +218,7 @@ class FleetService:
 
     def _greeted(self, now_s: float) -> set[Route]:
         """Where our heartbeat is sent to."""
-        routes = (self._routes.route(vehicle.sysid, now_s) for vehicle in self._engine.fleet)
+        routes = (self._routes.route(sysid, now_s) for sysid in self._engine.sysids())
         greeted = {route for route in routes if isinstance(route, Route)}
         # A vehicle or router may wait for our first frame before it sends any, hence the links' peers.
         greeted |= {Route(link, peer) for link in self._links for peer in link.peers}
@@ -229,7 +229,7 @@ class FleetService:
 
     def known_sysids(self) -> list[int]:
         """The system ids of the vehicles heard so far."""
-        return [vehicle.sysid for vehicle in self._engine.fleet]
+        return self._engine.sysids()
 
     def fault(self) -> str | None:
         """Why the fleet's path does not do its work, None where it does."""

@@ -111,11 +111,10 @@ def _sample(engine: Engine, now_s: float, fleet: Fleet, flight: Flight) -> None:
     if frame is None:
         return
     for sysid, truth in fleet.truth().items():
-        record = engine.fleet.get(sysid)
         answer = engine.estimate(sysid, now_s)
         error, covariance, hdop = None, None, None
         if isinstance(answer, Estimate):
             error = answer.position_enu_m - np.array(frame.enu_from_geodetic(truth.lat_deg, truth.lon_deg, truth.alt_msl_m))
             covariance, hdop = answer.covariance[:3, :3], answer.hdop
-        state = record.health.state.value if record is not None else "unknown"
+        state = engine.gps_state(sysid).value
         flight.samples[sysid].append(Sample(now_s, truth, state, error, covariance, hdop))

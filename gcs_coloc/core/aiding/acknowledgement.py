@@ -1,4 +1,4 @@
-"""Whether a vehicle takes our GPS_INPUT: what it says of the receiver that we feed (GPS2_RAW) against what was sent."""
+"""Whether a vehicle acknowledges our GPS_INPUT: what it says of the receiver that we feed (GPS2_RAW) against what was sent."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _NOT_OURS = "is it a receiver of its own, or does somebody else feed it?"
 
 
 class FixAcknowledgement:
-    """One stream of GPS_INPUT to one vehicle. `taken` is None until it can be told, and then why it is not, is in `fault`."""
+    """One stream of GPS_INPUT to one vehicle. `acknowledged` is None until it shows; `fault` says why it is not."""
 
     def __init__(self, gps_id: int, began_at_s: float) -> None:
-        self.taken: bool | None = None
+        self.acknowledged: bool | None = None
         self.fault: str | None = None
         self._name = f"GPS{gps_id + 1}"
         self._message = "GPS_RAW_INT" if gps_id == 0 else "GPS2_RAW"
@@ -31,16 +31,16 @@ class FixAcknowledgement:
         self._wrong_since_s: float | None = None
         self._alarmed = False
 
-    def sent(self, message: GpsInput, now_s: float) -> None:
-        """Note what was sent."""
+    def add_sent(self, message: GpsInput, now_s: float) -> None:
+        """Add what was sent."""
         if message.fix_type >= _HAS_FIX:
             self._fix, self._no_fix_since_s = message, None
         else:
             self._fix = None
             self._no_fix_since_s = now_s if self._no_fix_since_s is None else self._no_fix_since_s
 
-    def heard(self, receiver: GpsReceiver) -> None:
-        """Note what the vehicle says of the receiver that we feed."""
+    def add_receiver(self, receiver: GpsReceiver) -> None:
+        """Add what the vehicle says of the receiver that we feed."""
         self._heard = receiver
 
     def review(self, now_s: float) -> tuple[str, str] | None:
@@ -50,15 +50,15 @@ class FixAcknowledgement:
             self._wrong_since_s = now_s if self._wrong_since_s is None else self._wrong_since_s
             if now_s - self._wrong_since_s < _JUDGED_AFTER_S:
                 return None
-            self.taken, self.fault = False, fault
+            self.acknowledged, self.fault = False, fault
             if self._alarmed:
                 return None
             self._alarmed = True
             return "error", f"GPS_INPUT is not taken: {fault}"
         self._wrong_since_s, self.fault = None, None
         # A vehicle that says as we do that there is no fix has shown nothing yet.
-        self.taken = True if self._fix is not None else None if self.taken is False else self.taken
-        if not (self._alarmed and self.taken):
+        self.acknowledged = True if self._fix is not None else None if self.acknowledged is False else self.acknowledged
+        if not (self._alarmed and self.acknowledged):
             return None
         self._alarmed = False
         return "info", "GPS_INPUT is taken"

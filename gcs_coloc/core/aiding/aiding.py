@@ -1,230 +1,322 @@
-"""Who is aided and when: the policy, with one stream of aid per vehicle. What is sent, the stream and its way know."""
+"""The aiding stage: which vehicle is aided, by which method, and why not; one stream for each vehicle that is."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
 
 from gcs_coloc.core.aiding.foreign_gps_input import ForeignGpsInputMonitor
-from gcs_coloc.core.aiding.method_choice import feeds_receiver, make_method, method_name, mismatch
+from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
+from gcs_coloc.core.aiding.methods.method import MethodContext
+from gcs_coloc.core.aiding.methods.registry import METHODS, feeds_receiver, method_for, mismatch
 from gcs_coloc.core.aiding.parameters import Parameters
 from gcs_coloc.core.aiding.primary_switch import PrimarySwitch
-from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.aiding.standby import Standby
-from gcs_coloc.core.aiding.stream import AidingStream, Answer, Purpose
+from gcs_coloc.core.aiding.stream import AidingStream, EstimateAt, FixInputs, Purpose
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsState
-from gcs_coloc.core.messages.aiding import CommandResult, ForeignGpsInput, ParameterSet, ParameterValue
-from gcs_coloc.core.messages.control import NO_HEARTBEAT_YET, AidingOverride, PrimaryOverride
+from gcs_coloc.core.messages.aiding import CommandResult, ForeignGpsInput, ParameterRequest, ParameterSet, ParameterValue
+from gcs_coloc.core.messages.control import AidingOverride, PrimaryOverride, RouteBlock
 from gcs_coloc.core.messages.inbound import GpsReceiver
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound
-from gcs_coloc.core.telemetry.vehicles import Vehicle
+from gcs_coloc.core.refusals import CoreRefusal
+from gcs_coloc.core.telemetry.measurement_builder import SentFix
+from gcs_coloc.core.telemetry.reported_state import ReportedState
 from gcs_coloc.core.tick_schedule import TickSchedule
 
 _AIDED_STATES = (GpsState.FAILED, GpsState.RECOVERING)
-_FRESH_S = 3.0
+_FIX_FRESH_S = 3.0  # chosen: as long as a receiver may be silent
 _HEARTBEAT_WITHIN_S = 3.0  # autopilots send one each second
 
 
-class Aiding:
-    """Keeps one stream of aid for each vehicle that is to have one and can be reached.
+@dataclass(frozen=True, slots=True)
+class AidingDecision:
+    """What was decided about one vehicle.
 
-    `withheld` says why nobody may be aided at all, or is None. `words` and `primary_words` are what the operator decided, by
-    system id. `on_air`: what is to be sent is sent, so that vehicles can be expected to take it. `grid`: the times of the
-    streams that begin from now on. `refused` counts what vehicles refuse, by reason.
+    `method`: by which it is aided, None where it has no stream. `purpose`: why it is to have one, None where it is not.
+    `inhibit`: why it cannot be aided. `is_aided`: it may fly on our fix. `is_self_fed`: it may do so though its own receiver is
+    good, so that what it reports is an echo. `outputs`: what is to be sent and shown.
+    """
+
+    method: AidingMethodName | None = None
+    purpose: Purpose | None = None
+    inhibit: Inhibit | None = None
+    is_aided: bool = False
+    is_self_fed: bool = False
+    outputs: tuple[Outbound, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class AidingView:
+    """The aiding of one vehicle as observers see it; the fields are those of `VehicleSnapshot`."""
+
+    status: str
+    has_fix: bool
+    fix_acknowledged: bool | None
+    gps_primary: str | None
+    inhibit_reason: str | None
+    aiding_override: AidingOverride
+    primary_override: PrimaryOverride
+
+
+class Aiding:
+    """Decides on aiding and keeps the streams. What it remembers is private; `review` returns what it decides.
+
+    `refused` counts what vehicles refuse.
     """
 
     def __init__(self, settings: AidingSettings) -> None:
-        self.settings = settings
-        self.withheld: str | None = None
-        self.on_air = True
-        self.grid = TickSchedule(0.0)
-        self.words: dict[int, AidingOverride] = {}
-        self.primary_words: dict[int, PrimaryOverride] = {}
-        self.parameters = Parameters()
-        self.primary = PrimarySwitch(settings.gps_id)
-        self.refused: Counter[str] = Counter()
-        self._others = ForeignGpsInputMonitor(settings)
-        self._standby = Standby(settings, self.parameters)
+        self.refused: Counter[CoreRefusal] = Counter()
+        self._settings = settings
+        self._host_inhibit: Inhibit | None = None
+        self._transmits = True
+        self._tick_schedule = TickSchedule(0.0)
+        self._overrides: dict[int, AidingOverride] = {}
+        self._primary_overrides: dict[int, PrimaryOverride] = {}
+        self._parameters = Parameters()
+        self._primary = PrimarySwitch(settings.gps_id)
+        self._foreign = ForeignGpsInputMonitor(settings)
+        self._standby = Standby(settings, self._parameters)
         self._streams: dict[int, AidingStream] = {}
+        self._sent_fixes: dict[int, SentFix] = {}
         self._next_due_s = float("inf")
-        self._told: dict[int, str | None] = {}
+        self._reported: dict[int, Inhibit | None] = {}
 
-    def review(self, vehicle: Vehicle, now_s: float) -> list[Outbound]:
-        """Begin, change or end the stream of one vehicle by its health, autopilot, route and the operator's word.
+    def begin(self, schedule: TickSchedule) -> None:
+        """Set the times that streams keep."""
+        self._tick_schedule = schedule
 
-        Also sets `aided` and `self_fed` of its health.
-        """
-        out: list[Outbound] = list(self._others.review(vehicle.sysid, now_s))
+    def disable_transmit(self) -> None:
+        """From now on nothing that is built is sent: vehicles cannot be expected to use it."""
+        self._transmits = False
+
+    def set_host_inhibit(self, inhibit: Inhibit | None) -> bool:
+        """Set why nobody may be aided, None where vehicles may; True where that has changed."""
+        changed = inhibit != self._host_inhibit
+        self._host_inhibit = inhibit
+        return changed
+
+    def set_override(self, sysid: int, override: AidingOverride | PrimaryOverride) -> None:
+        """Set what the operator decides of one vehicle."""
+        if isinstance(override, AidingOverride):
+            self._overrides[sysid] = override
+        else:
+            self._primary_overrides[sysid] = override
+
+    def review(self, vehicle: ReportedState, gps_state: GpsState, now_s: float, *, has_duplicate_id: bool) -> AidingDecision:
+        """Begin, change or end the stream of one vehicle by its GPS health, autopilot, route and the operator's override."""
         sysid, stream = vehicle.sysid, self._streams.get(vehicle.sysid)
-        if stream is not None and stream.purpose is Purpose.HAND_BACK and vehicle.health.state is not GpsState.HEALTHY:
+        out: list[Outbound] = list(self._foreign.review(sysid, now_s))
+        if stream is not None and stream.purpose is Purpose.HAND_BACK and gps_state is not GpsState.HEALTHY:
             # It is handed back only to a receiver that has been healthy all the while.
-            stream.purpose_since_s = now_s
-        purpose, inhibit_reason = self._purpose(vehicle, stream, now_s), self.inhibit_reason(vehicle)
-        if purpose is Purpose.STANDBY and inhibit_reason is None:
-            obstacle, news = self._standby.obstacle(vehicle, now_s)
+            stream.restart_purpose(now_s)
+        purpose = self._purpose(vehicle, gps_state, stream, now_s)
+        inhibit = self._inhibit(vehicle, has_duplicate_id=has_duplicate_id)
+        if purpose is Purpose.STANDBY and inhibit is None:
+            obstacle, notices = self._standby.obstacle(sysid, now_s)
             purpose = None if obstacle is not None else purpose
-            out.extend(news)
-        if stream is not None and (
-            purpose is None or inhibit_reason is not None or stream.name != method_name(vehicle, self.settings)
-        ):
-            out.extend(self._end(stream, inhibit_reason, now_s))
+            out.extend(notices)
+        name = method_for(sysid, vehicle.autopilot, self._settings)
+        if stream is not None and (purpose is None or inhibit is not None or stream.name != name):
+            out.extend(self._end(sysid, stream, inhibit, gps_state, now_s))
             stream = None
-        if stream is None and purpose is not None and inhibit_reason is None:
-            stream = self._streams[sysid] = self._begin(vehicle, purpose, now_s)
-            self._schedule()
-        elif stream is not None and purpose is not None and purpose is not stream.purpose:
-            stream.purpose, stream.purpose_since_s = purpose, now_s
-        if (
-            stream is not None
-            and stream.acknowledgement is not None
-            and (told := stream.acknowledgement.review(now_s)) is not None
-        ):
-            out.append(Notice(now_s, sysid, *told))
-        out.extend(self.primary.review(sysid, now_s, wanted=self._primary_wanted(vehicle, stream, now_s)))
-        # A vehicle that may fly on what we send though its receiver is good: its claims must not come back as evidence.
-        vehicle.health.self_fed = self._word(vehicle) is AidingOverride.ON or self.primary.holds(sysid)
-        vehicle.health.aided = stream is not None and (vehicle.health.state in _AIDED_STATES or vehicle.health.self_fed)
-        is_new = inhibit_reason == NO_HEARTBEAT_YET and now_s - vehicle.first_heard_s < _HEARTBEAT_WITHIN_S
-        if purpose is not Purpose.AID:
-            self._told.pop(sysid, None)
-        elif inhibit_reason != self._told.get(sysid) and not is_new:
-            self._told[sysid] = inhibit_reason
-            if inhibit_reason is not None:
-                out.append(Notice(now_s, sysid, "error", f"needs aid and cannot be aided: {inhibit_reason}"))
-        return out
-
-    def inhibit_reason(self, vehicle: Vehicle) -> str | None:
-        """Why a vehicle cannot be aided even if it should be, in words for the operator; None where it can."""
-        return (
-            vehicle.blocked
-            or vehicle.health.duplicate_id
-            or self.withheld
-            or mismatch(method_name(vehicle, self.settings), vehicle.autopilot)
-            or self._others.inhibit_reason(vehicle.sysid)
-        )
-
-    def answered(self, result: CommandResult) -> list[Outbound]:
-        """Take a vehicle's answer to a command."""
-        stream = self._streams.get(result.sysid)
-        return list(stream.way.answered(result)) if stream is not None else []
-
-    def parameter(self, value: ParameterValue) -> list[Outbound]:
-        """Take what a vehicle tells of a parameter."""
-        self.parameters.heard(value)
-        return list(self.primary.heard(value))
-
-    def fed(self, receiver: GpsReceiver) -> None:
-        """Take what a vehicle says of the receiver that we feed."""
-        stream = self._streams.get(receiver.sysid)
+        if stream is None and purpose is not None and inhibit is None:
+            stream = self._streams[sysid] = self._begin(vehicle, name, purpose, now_s)
+            self._update_due()
+        elif stream is not None and purpose is not None:
+            stream.set_purpose(purpose, now_s)
         if stream is not None and stream.acknowledgement is not None:
-            stream.acknowledgement.heard(receiver)
+            change = stream.acknowledgement.review(now_s)
+            if change is not None:
+                out.append(Notice(now_s, sysid, *change))
+        out.extend(self._primary.review(sysid, now_s, wanted=self._primary_wanted(vehicle, gps_state, stream, now_s)))
+        is_self_fed = self._override(sysid) is AidingOverride.ON or self._primary.holds(sysid)
+        is_aided = stream is not None and (gps_state in _AIDED_STATES or is_self_fed)
+        out.extend(self._report_inhibit(vehicle, purpose, inhibit, now_s))
+        return AidingDecision(stream.name if stream is not None else None, purpose, inhibit, is_aided, is_self_fed, tuple(out))
 
-    def heard_other(self, message: ForeignGpsInput) -> None:
-        """Take note of somebody else's GPS_INPUT."""
-        self._others.heard(message)
+    def add_result(self, result: CommandResult) -> list[Outbound]:
+        """Add a vehicle's answer to a command."""
+        stream = self._streams.get(result.sysid)
+        return list(stream.method.add_result(result)) if stream is not None else []
 
-    def restarted(self, sysid: int) -> None:
-        """A vehicle was rebooted: its parameters may have changed."""
-        self.parameters.forget(sysid)
+    def add_parameter(self, value: ParameterValue) -> list[Outbound]:
+        """Add what a vehicle reports of a parameter."""
+        self._parameters.add(value)
+        return list(self._primary.add_parameter(value))
 
-    def due(self, now_s: float, frame: LocalFrame | None, utc_minus_service_s: float | None, answer: Answer) -> list[Outbound]:
-        """What is due by `now_s`. `answer` is the estimator's: where a vehicle is at a service time."""
+    def add_fed_receiver(self, receiver: GpsReceiver) -> None:
+        """Add what a vehicle reports of the receiver that we feed."""
+        stream = self._streams.get(receiver.sysid)
+        if receiver.receiver == self._settings.gps_id and stream is not None and stream.acknowledgement is not None:
+            stream.acknowledgement.add_receiver(receiver)
+
+    def add_foreign(self, message: ForeignGpsInput) -> None:
+        """Add somebody else's GPS_INPUT."""
+        self._foreign.add(message)
+
+    def forget_parameters(self, sysid: int) -> None:
+        """Forget the parameters of a vehicle that was rebooted: they may have changed."""
+        self._parameters.forget(sysid)
+
+    def parameter_requests(self, now_s: float) -> list[ParameterRequest]:
+        """Return the requests for parameters that are due."""
+        return self._parameters.due(now_s)
+
+    def poll(
+        self,
+        now_s: float,
+        inputs: Callable[[int, float], FixInputs],
+        frame: LocalFrame | None,
+        utc_minus_service_s: float | None,
+        estimate_at: EstimateAt,
+    ) -> list[Outbound]:
+        """Build what is due by `now_s`. `inputs` and `estimate_at` give what earlier stages know of a vehicle at a time."""
         out: list[Outbound] = []
         if now_s < self._next_due_s:
             return out
-        for stream in self._streams.values():
-            out.extend(stream.tick(now_s, frame, utc_minus_service_s, answer))
-        self._schedule()
+        for sysid, stream in self._streams.items():
+            if now_s >= stream.due_s:
+                out.extend(stream.poll(now_s, inputs(sysid, now_s), frame, utc_minus_service_s, estimate_at))
+                if stream.sent_fix is not None:
+                    self._sent_fixes[sysid] = stream.sent_fix
+        self._update_due()
         return out
 
     def next_due_s(self) -> float:
-        """When the next message is due; infinity where nobody is aided."""
+        """Return when the next message is due; infinity where nobody is aided."""
         return self._next_due_s
 
-    def status(self, vehicle: Vehicle) -> str:
-        """The state of a vehicle's aid in a few words, for the operator."""
-        stream = self._streams.get(vehicle.sysid)
-        if stream is not None:
-            return stream.status()
-        if self._needs_aid(vehicle):
-            return f"NOT SENT: {self.inhibit_reason(vehicle)}"
-        if self._word(vehicle) is AidingOverride.OFF:
-            return "off by the operator's word"
-        return self._standby.status(vehicle.sysid) or "off"
+    def sent_fix(self, sysid: int) -> SentFix | None:
+        """Return the last fix that a vehicle was sent."""
+        return self._sent_fixes.get(sysid)
 
-    def streams(self, sysid: int) -> bool:
-        """Whether a vehicle has a stream from us, with a fix or without."""
+    def has_stream(self, sysid: int) -> bool:
+        """Return whether a vehicle has a stream from us, with a fix or without."""
         return sysid in self._streams
 
-    def sends_fix(self, sysid: int) -> bool:
-        """Whether a vehicle is being sent a position, and not only the word that there is none."""
-        stream = self._streams.get(sysid)
-        return stream is not None and stream.fix_inhibit_reason is None
-
-    def taken(self, sysid: int) -> bool | None:
-        """Whether the vehicle's receiver takes our stream; None where that cannot be told."""
-        stream = self._streams.get(sysid)
-        return stream.acknowledgement.taken if stream is not None and stream.acknowledgement is not None else None
+    def view(self, vehicle: ReportedState, gps_state: GpsState, *, has_duplicate_id: bool) -> AidingView:
+        """Return the aiding of one vehicle as observers see it."""
+        sysid, stream = vehicle.sysid, self._streams.get(vehicle.sysid)
+        inhibit = self._inhibit(vehicle, has_duplicate_id=has_duplicate_id)
+        acknowledgement = stream.acknowledgement if stream is not None else None
+        return AidingView(
+            status=self._status(sysid, gps_state, stream, inhibit),
+            has_fix=stream is not None and stream.inhibit is None,
+            fix_acknowledged=acknowledgement.acknowledged if acknowledgement is not None else None,
+            gps_primary=self._primary.status(sysid),
+            inhibit_reason=inhibit.text if inhibit is not None else None,
+            aiding_override=self._override(sysid),
+            primary_override=self._primary_overrides.get(sysid, PrimaryOverride.AUTO),
+        )
 
     def close(self) -> list[AidingMessage | ParameterSet]:
-        """End every stream, with fix_type 1 where the way can say so, and restore what was set."""
-        last = [message for stream in self._streams.values() for message in stream.way.end()]
+        """End every stream, with fix_type 1 where the method has it, and restore the parameters that were set."""
+        last = [message for stream in self._streams.values() for message in stream.method.build_last_messages()]
         self._streams.clear()
-        self._schedule()
-        return [*last, *self.primary.close()]
+        self._update_due()
+        return [*last, *self._primary.close()]
 
-    def _schedule(self) -> None:
-        # Asked for with every datagram, it changes with every message that is sent.
+    def _inhibit(self, vehicle: ReportedState, *, has_duplicate_id: bool) -> Inhibit | None:
+        """Return why a vehicle cannot be aided even if it should be; None where it can."""
+        if vehicle.blocked is not None:
+            if vehicle.blocked is RouteBlock.NO_HEARTBEAT:
+                return Inhibit(InhibitReason.NO_HEARTBEAT)
+            return Inhibit(InhibitReason.NO_ROUTE, detail=vehicle.blocked_wording or "")
+        if has_duplicate_id:
+            return Inhibit(InhibitReason.DUPLICATE_ID)
+        return (
+            self._host_inhibit
+            or mismatch(method_for(vehicle.sysid, vehicle.autopilot, self._settings), vehicle.autopilot)
+            or self._foreign.inhibit(vehicle.sysid)
+        )
+
+    def _status(self, sysid: int, gps_state: GpsState, stream: AidingStream | None, inhibit: Inhibit | None) -> str:
+        if stream is not None:
+            return stream.status()
+        if self._needs_aid(sysid, gps_state):
+            return f"NOT SENT: {inhibit.text if inhibit is not None else None}"
+        if self._override(sysid) is AidingOverride.OFF:
+            return "off by the operator's override"
+        return self._standby.status(sysid) or "off"
+
+    def _report_inhibit(
+        self, vehicle: ReportedState, purpose: Purpose | None, inhibit: Inhibit | None, now_s: float
+    ) -> list[Outbound]:
+        """Return the alarm that a vehicle needs aid and cannot have it, once for each reason."""
+        sysid = vehicle.sysid
+        is_new = inhibit is not None and inhibit.reason is InhibitReason.NO_HEARTBEAT
+        is_new = is_new and now_s - vehicle.first_heard_s < _HEARTBEAT_WITHIN_S
+        if purpose is not Purpose.AID:
+            self._reported.pop(sysid, None)
+        elif inhibit != self._reported.get(sysid) and not is_new:
+            self._reported[sysid] = inhibit
+            if inhibit is not None:
+                return [Notice(now_s, sysid, "error", f"needs aid and cannot be aided: {inhibit.text}")]
+        return []
+
+    def _update_due(self) -> None:
+        # Read with every datagram, it changes with every message that is sent.
         self._next_due_s = min((stream.due_s for stream in self._streams.values()), default=float("inf"))
 
-    def _begin(self, vehicle: Vehicle, purpose: Purpose, now_s: float) -> AidingStream:
-        name = method_name(vehicle, self.settings)
-        way = make_method(name, vehicle, self.settings, self.parameters, self.refused)
-        return AidingStream(vehicle, name, way, self.settings, now_s, purpose, self.grid, on_air=self.on_air)
+    def _begin(self, vehicle: ReportedState, name: AidingMethodName, purpose: Purpose, now_s: float) -> AidingStream:
+        context = MethodContext(vehicle.sysid, vehicle.first_heard_s, self._settings, self._parameters, self.refused)
+        method = METHODS[name].make(context)
+        settings, schedule = self._settings, self._tick_schedule
+        return AidingStream(vehicle.sysid, name, method, settings, now_s, purpose, schedule, transmits=self._transmits)
 
-    def _end(self, stream: AidingStream, inhibit_reason: str | None, now_s: float) -> list[Outbound]:
-        vehicle = stream.vehicle
-        del self._streams[vehicle.sysid]
-        self._schedule()
-        why = "the operator's word" if self._word(vehicle) is AidingOverride.OFF else f"GPS {vehicle.health.state.value}"
-        notice = Notice(now_s, vehicle.sysid, "info", f"aid ended: {inhibit_reason or why}")
-        # Who else feeds the same receiver is not interrupted by our last word.
-        return [notice] if self._others.inhibit_reason(vehicle.sysid) is not None else [*stream.way.end(), notice]
+    def _end(
+        self, sysid: int, stream: AidingStream, inhibit: Inhibit | None, gps_state: GpsState, now_s: float
+    ) -> list[Outbound]:
+        del self._streams[sysid]
+        self._update_due()
+        why = "the operator's override" if self._override(sysid) is AidingOverride.OFF else f"GPS {gps_state.value}"
+        notice = Notice(now_s, sysid, "info", f"aiding ended: {inhibit.text if inhibit is not None else why}")
+        # Who else feeds the same receiver is not interrupted by our last message.
+        return [notice] if self._foreign.inhibit(sysid) is not None else [*stream.method.build_last_messages(), notice]
 
-    def _word(self, vehicle: Vehicle) -> AidingOverride:
-        return self.words.get(vehicle.sysid, AidingOverride.AUTO)
+    def _override(self, sysid: int) -> AidingOverride:
+        return self._overrides.get(sysid, AidingOverride.AUTO)
 
-    def _needs_aid(self, vehicle: Vehicle) -> bool:
-        word = self._word(vehicle)
-        return word is AidingOverride.ON or (word is AidingOverride.AUTO and vehicle.health.state in _AIDED_STATES)
+    def _needs_aid(self, sysid: int, gps_state: GpsState) -> bool:
+        override = self._override(sysid)
+        return override is AidingOverride.ON or (override is AidingOverride.AUTO and gps_state in _AIDED_STATES)
 
-    def _purpose(self, vehicle: Vehicle, stream: AidingStream | None, now_s: float) -> Purpose | None:
-        """Why a vehicle is to have a stream now; None where it is to have none."""
-        if self._needs_aid(vehicle):
+    def _purpose(self, vehicle: ReportedState, gps_state: GpsState, stream: AidingStream | None, now_s: float) -> Purpose | None:
+        """Return why a vehicle is to have a stream now; None where it is to have none."""
+        sysid = vehicle.sysid
+        if self._needs_aid(sysid, gps_state):
             return Purpose.AID
-        if self._word(vehicle) is AidingOverride.OFF:
+        if self._override(sysid) is AidingOverride.OFF:
             return None
         if stream is not None and stream.purpose is not Purpose.STANDBY:
             if stream.purpose is Purpose.AID:
                 return Purpose.HAND_BACK
-            if now_s - stream.purpose_since_s < self.settings.hand_back_s or self.primary.switching(vehicle.sysid):
+            if stream.purpose_for_s(now_s) < self._settings.hand_back_s or self._primary.switching(sysid):
                 return Purpose.HAND_BACK
-        return Purpose.STANDBY if self._standby.is_for(vehicle) else None
+        return Purpose.STANDBY if self._standby.is_for(sysid, vehicle.autopilot, gps_state) else None
 
-    def _primary_wanted(self, vehicle: Vehicle, stream: AidingStream | None, now_s: float) -> bool:
-        """Whether GPS_PRIMARY is to be our receiver: begun only where that is seen to take what is sent, kept while aid lasts."""
-        word = self.primary_words.get(vehicle.sysid, PrimaryOverride.AUTO)
-        if stream is None or stream.purpose is not Purpose.AID or not feeds_receiver(stream.name) or word is PrimaryOverride.OWN:
+    def _primary_wanted(self, vehicle: ReportedState, gps_state: GpsState, stream: AidingStream | None, now_s: float) -> bool:
+        """Return whether GPS_PRIMARY is to be our receiver: begun only where that acknowledges our fix, kept while aid lasts."""
+        sysid = vehicle.sysid
+        override = self._primary_overrides.get(sysid, PrimaryOverride.AUTO)
+        if stream is None or stream.purpose is not Purpose.AID or not feeds_receiver(stream.name):
             return False
-        if self.primary.switching(vehicle.sysid):
-            return word is PrimaryOverride.OURS or self.settings.switch_primary == "auto"
-        if stream.fix_inhibit_reason is not None or stream.acknowledgement is None or not stream.acknowledgement.taken:
+        if override is PrimaryOverride.OWN:
             return False
-        return word is PrimaryOverride.OURS or (self.settings.switch_primary == "auto" and self._lies(vehicle, stream, now_s))
+        is_automatic = self._settings.switch_primary == "auto"
+        if self._primary.switching(sysid):
+            return override is PrimaryOverride.OURS or is_automatic
+        if stream.inhibit is not None or stream.acknowledgement is None or not stream.acknowledgement.acknowledged:
+            return False
+        return override is PrimaryOverride.OURS or (is_automatic and _claims_fix(vehicle, gps_state, stream, now_s))
 
-    def _lies(self, vehicle: Vehicle, stream: AidingStream, now_s: float) -> bool:
-        """Whether its own receiver, held to have failed, claims a fix all the same, or did in between (jamming flickers)."""
-        receiver, state = vehicle.receiver, vehicle.health.state
-        claims = receiver is not None and receiver.fix_type >= 3 and now_s - receiver.received_at_s <= _FRESH_S
-        stream.flickered = stream.flickered or state is GpsState.RECOVERING
-        return state is GpsState.FAILED and (claims or stream.flickered)
+
+def _claims_fix(vehicle: ReportedState, gps_state: GpsState, stream: AidingStream, now_s: float) -> bool:
+    """Return whether a failed receiver claims a fix all the same, or did in between (jamming flickers)."""
+    receiver = vehicle.receiver
+    claims = receiver is not None and receiver.fix_type >= 3 and now_s - receiver.received_at_s <= _FIX_FRESH_S
+    flickered = stream.own_fix_flickered(is_recovering=gps_state is GpsState.RECOVERING)
+    return gps_state is GpsState.FAILED and (claims or flickered)

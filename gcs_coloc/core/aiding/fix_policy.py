@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import sqrt
 
+from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.error_bound import horizontal_bound_95_m
 from gcs_coloc.core.measurements import Estimate, NoEstimate
@@ -20,26 +21,26 @@ class FixPolicy:
     def __init__(self, settings: AidingSettings, began_at_s: float) -> None:
         self._settings = settings
         self._ranged_at_s = began_at_s
-        self._asked_at_s = began_at_s
+        self._updated_at_s = began_at_s
         self._undetermined_s = 0.0
         self._sound_since_s: float | None = None
         self._lost = False
         self._had_fix = False
 
-    def why_no_fix(
+    def inhibit(
         self,
         answer: Estimate | NoEstimate,
         now_s: float,
         *,
         own_gps: bool,
         air_data: bool = False,
-        range_misfit: float | None = None,
+        median_nis: float | None = None,
         range_jump_m: float | None = None,
-    ) -> str | None:
-        """Why the answer may not be claimed as a fix, in words; None where it may. Times never decrease from call to call.
+    ) -> Inhibit | None:
+        """Return why the answer may not be claimed as a fix; None where it may. Times never decrease from call to call.
 
         `own_gps`: the vehicle's own receiver is in the answer, so that it needs no ranges. `air_data`: airspeed and bank tell how
-        it moves, so that ranges to one peer, or along one line, do for as long as the bound says. `range_misfit`: the median NIS
+        it moves, so that ranges to one peer, or along one line, do for as long as the bound says. `median_nis`: the median NIS
         per degree of freedom of its ranges of late, None where there are too few. `range_jump_m`: by what length all of its
         ranges have just come to be off, None where they have not.
         """
@@ -47,40 +48,40 @@ class FixPolicy:
             # Not to be located yet is no loss of a fix: the first one is waited for by the vehicle.
             self._lost = self._lost or (self._had_fix and not own_gps)
             self._sound_since_s = None
-            return answer.reason
+            return Inhibit(InhibitReason.NO_ESTIMATE, detail=answer.reason)
         if own_gps or answer.ranges_in_use > 0:
             self._ranged_at_s = now_s
-        self._note_geometry(now_s, is_determined=own_gps or air_data or _is_determined(answer))
+        self._update_geometry(now_s, is_determined=own_gps or air_data or _is_determined(answer))
         fault = self._fault(answer, now_s)
-        if fault is None and not own_gps and range_misfit is not None and range_misfit > CONSISTENT_MEDIAN_NIS:
-            fault = f"half of its ranges are {sqrt(range_misfit):.1f} sigma or more off where it is held to be"
+        if fault is None and not own_gps and median_nis is not None and median_nis > CONSISTENT_MEDIAN_NIS:
+            fault = Inhibit(InhibitReason.RANGES_MISFIT, sqrt(median_nis))
         if fault is None and not own_gps and range_jump_m is not None:
-            fault = f"all of its ranges jumped by {range_jump_m:.0f} m"
+            fault = Inhibit(InhibitReason.RANGES_JUMPED, range_jump_m)
         if fault is not None:
             self._lost, self._sound_since_s = True, None
             return fault
         if self._sound_since_s is None:
             self._sound_since_s = now_s
         if self._lost and now_s - self._sound_since_s < self._settings.regain_after_s:
-            return f"good enough again, watched for {self._settings.regain_after_s:g} s"
+            return Inhibit(InhibitReason.REGAINING, limit=self._settings.regain_after_s)
         self._lost, self._had_fix = False, True
         return None
 
-    def _note_geometry(self, now_s: float, *, is_determined: bool) -> None:
+    def _update_geometry(self, now_s: float, *, is_determined: bool) -> None:
         """Count how long the ranges have not fixed its place; in the noise of a moment they may seem to, so that wears off."""
-        passed_s, self._asked_at_s = min(now_s - self._asked_at_s, _LONGEST_STEP_S), now_s
+        passed_s, self._updated_at_s = min(now_s - self._updated_at_s, _LONGEST_STEP_S), now_s
         change_s = -_WEARS_OFF * passed_s if is_determined else passed_s
         self._undetermined_s = min(max(self._undetermined_s + change_s, 0.0), self._settings.prediction_s + passed_s)
 
-    def _fault(self, answer: Estimate, now_s: float) -> str | None:
+    def _fault(self, answer: Estimate, now_s: float) -> Inhibit | None:
         settings = self._settings
         bound_m = horizontal_bound_95_m(answer.covariance)
         if not bound_m <= settings.alert_limit_m:
-            return f"95 % horizontal bound {bound_m:.0f} m is beyond the alert limit of {settings.alert_limit_m:g} m"
+            return Inhibit(InhibitReason.BEYOND_ALERT_LIMIT, bound_m, settings.alert_limit_m)
         if now_s - self._ranged_at_s > settings.prediction_s:
-            return f"no range has been in use for {settings.prediction_s:g} s: prediction alone"
+            return Inhibit(InhibitReason.PREDICTION_ALONE, limit=settings.prediction_s)
         if self._undetermined_s > settings.prediction_s:
-            return f"its ranges, to one peer or along one line, have not fixed its place for {settings.prediction_s:g} s"
+            return Inhibit(InhibitReason.UNDETERMINED, limit=settings.prediction_s)
         return None
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.messages.aiding import ForeignGpsInput
 from gcs_coloc.core.messages.outbound import Notice
@@ -13,7 +14,7 @@ from gcs_coloc.core.messages.outbound import Notice
 class _Other:
     sender: int
     heard_at_s: float
-    told: bool = False
+    reported: bool = False
 
 
 class ForeignGpsInputMonitor:
@@ -24,8 +25,8 @@ class ForeignGpsInputMonitor:
         self._stand_down_s = settings.stand_down_s
         self._others: dict[int, _Other] = {}
 
-    def heard(self, message: ForeignGpsInput) -> None:
-        """Take note of one message."""
+    def add(self, message: ForeignGpsInput) -> None:
+        """Add one message."""
         if message.vehicle is None or message.gps_id != self._gps_id:
             return
         other = self._others.get(message.vehicle)
@@ -42,12 +43,13 @@ class ForeignGpsInputMonitor:
         if now_s - other.heard_at_s > self._stand_down_s:
             del self._others[sysid]
             return [Notice(now_s, sysid, "info", f"nobody else has sent it GPS_INPUT for {self._stand_down_s:g} s")]
-        if other.told:
+        if other.reported:
             return []
-        other.told = True
-        return [Notice(now_s, sysid, "error", f"{self.inhibit_reason(sysid)}: ours stands down")]
+        other.reported = True
+        inhibit = Inhibit(InhibitReason.FOREIGN_GPS_INPUT, other.sender, self._gps_id)
+        return [Notice(now_s, sysid, "error", f"{inhibit.text}: ours stands down")]
 
-    def inhibit_reason(self, sysid: int) -> str | None:
-        """Why a vehicle is not aided, in words; None where nobody else does."""
+    def inhibit(self, sysid: int) -> Inhibit | None:
+        """Return why a vehicle is not aided; None where nobody else feeds it."""
         other = self._others.get(sysid)
-        return f"system {other.sender} sends it GPS_INPUT for receiver {self._gps_id}" if other is not None else None
+        return Inhibit(InhibitReason.FOREIGN_GPS_INPUT, other.sender, self._gps_id) if other is not None else None

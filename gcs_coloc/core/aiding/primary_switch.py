@@ -77,8 +77,8 @@ class PrimarySwitch:
         switch.due_s = now_s + RETRY_S
         return [self._message(sysid, switch)]
 
-    def heard(self, message: ParameterValue) -> Outputs:
-        """Take what a vehicle tells of one of its parameters."""
+    def add_parameter(self, message: ParameterValue) -> Outputs:
+        """Add what a vehicle reports of one of its parameters."""
         switch = self._switches.get(message.sysid)
         if switch is None or message.name != NAME:
             return []
@@ -86,19 +86,19 @@ class PrimarySwitch:
         if switch.step is _Step.READING:
             if is_ours:
                 switch.step = _Step.LEFT
-                return [_say(message, "info", f"{NAME} is {message.value:g} already: left as it is")]
+                return [_notice(message, "info", f"{NAME} is {message.value:g} already: left as it is")]
             switch.step, switch.before, switch.due_s, switch.tries = _Step.SETTING, message, message.received_at_s, 0
         elif switch.step is _Step.SETTING and is_ours:
             switch.step = _Step.OURS
             assert switch.before is not None
-            return [_say(message, "warning", f"{NAME} set to {self._ours:g}, our receiver; it was {switch.before.value:g}")]
+            return [_notice(message, "warning", f"{NAME} set to {self._ours:g}, our receiver; it was {switch.before.value:g}")]
         elif switch.step is _Step.OURS and not is_ours:
             # Somebody else wants it so: to fight over a parameter in flight would be worse than either value.
             switch.step, switch.before = _Step.LEFT, None
-            return [_say(message, "warning", f"{NAME} was set to {message.value:g} by somebody else: left as it is")]
+            return [_notice(message, "warning", f"{NAME} was set to {message.value:g} by somebody else: left as it is")]
         elif switch.step is _Step.RESTORING and switch.before is not None and message.value == switch.before.value:
             del self._switches[message.sysid]
-            return [_say(message, "info", f"{NAME} restored to {message.value:g}")]
+            return [_notice(message, "info", f"{NAME} restored to {message.value:g}")]
         return []
 
     def close(self) -> list[ParameterSet]:
@@ -125,5 +125,5 @@ class PrimarySwitch:
         return [Notice(now_s, sysid, "error", f"{what}: no answer; tried again in {_TRY_AGAIN_S:g} s")]
 
 
-def _say(message: ParameterValue, level: str, text: str) -> Notice:
+def _notice(message: ParameterValue, level: str, text: str) -> Notice:
     return Notice(message.received_at_s, message.sysid, level, text)

@@ -7,13 +7,13 @@ its own position, which would then hold itself up. So its parameters are read fi
 
 from __future__ import annotations
 
-from gcs_coloc.core.aiding.method_choice import feeds_receiver, method_name
+from gcs_coloc.core.aiding.methods.registry import feeds_receiver, method_for
 from gcs_coloc.core.aiding.parameters import Parameters
 from gcs_coloc.core.aiding.primary_switch import NAME as PRIMARY
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.gps_health.gps_health import GpsState
+from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.core.messages.outbound import Notice
-from gcs_coloc.core.telemetry.vehicles import Vehicle
 
 AUTO_SWITCH = "GPS_AUTO_SWITCH"
 _STAYS_WITH_ITS_OWN = (0.0, 4.0)  # the primary receiver only; the primary one while it has a 3D fix
@@ -28,16 +28,15 @@ class Standby:
         self._parameters = parameters
         self._obstacles: dict[int, str] = {}
 
-    def is_for(self, vehicle: Vehicle) -> bool:
-        """Whether a vehicle that needs no aid is to have a stream; any other way than GPS_INPUT would be fused at once."""
-        wanted = self._settings.standby and vehicle.health.state in _STREAMED_IN
-        return wanted and feeds_receiver(method_name(vehicle, self._settings))
+    def is_for(self, sysid: int, autopilot: Autopilot | None, gps_state: GpsState) -> bool:
+        """Whether a vehicle that needs no aid is to have a stream; any other method than GPS_INPUT would be fused at once."""
+        wanted = self._settings.standby and gps_state in _STREAMED_IN
+        return wanted and feeds_receiver(method_for(sysid, autopilot, self._settings))
 
-    def obstacle(self, vehicle: Vehicle, now_s: float) -> tuple[str | None, list[Notice]]:
+    def obstacle(self, sysid: int, now_s: float) -> tuple[str | None, list[Notice]]:
         """Why a vehicle gets no stream on standby, None where it may, and what is new of that to tell."""
-        sysid = vehicle.sysid
         for name in (AUTO_SWITCH, PRIMARY):
-            self._parameters.want(sysid, name, now_s)
+            self._parameters.request(sysid, name, now_s)
         text, before = self._why(sysid), self._obstacles.get(sysid)
         if text is None:
             self._obstacles.pop(sysid, None)

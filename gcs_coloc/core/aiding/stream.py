@@ -1,27 +1,29 @@
-"""The stream of aid to one vehicle: its steady schedule, the policy on its fixes, and what became of it at the other end."""
+"""The aiding stream to one vehicle: its schedule, the policy on its fixes, and whether the vehicle acknowledges them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import Enum
 from math import sqrt
 
 from gcs_coloc.core.aiding.acknowledgement import FixAcknowledgement
 from gcs_coloc.core.aiding.fix_policy import FixPolicy
-from gcs_coloc.core.aiding.method_choice import feeds_receiver
-from gcs_coloc.core.aiding.methods import AidingMethod, Moment
+from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
+from gcs_coloc.core.aiding.methods.method import AidingMethod, Moment
+from gcs_coloc.core.aiding.methods.registry import feeds_receiver
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.core.messages.outbound import GpsInput, Notice, Outbound
-from gcs_coloc.core.telemetry.vehicles import FixSent, Vehicle
+from gcs_coloc.core.telemetry.measurement_builder import SentFix
 from gcs_coloc.core.tick_schedule import TickSchedule
 
 _LONGEST_LEAD_S = 0.5  # beyond, a prediction is worth less than the delay costs
-_FIRST_REPORT_S = 1.0
-_WATCHED_RECEIVERS = 2  # GPS_RAW_INT and GPS2_RAW: of a third no message tells
+_FIRST_REPORT_S = 1.0  # chosen: five periods of GLOBAL_POSITION_INT at the least useful rate
+_REPORTED_RECEIVERS = 2  # GPS_RAW_INT and GPS2_RAW: no message reports a third
 
-Answer = Callable[[int, float], Estimate | NoEstimate]
+EstimateAt = Callable[[int, float], Estimate | NoEstimate]
 
 
 class Purpose(Enum):
@@ -32,98 +34,146 @@ class Purpose(Enum):
     STANDBY = "standby"
 
 
-class AidingStream:
-    """The stream to one vehicle. `fix_inhibit_reason`: why the last message had no fix; `acknowledgement`: is it used?
+@dataclass(frozen=True, slots=True)
+class FixInputs:
+    """What earlier stages know of a vehicle at the time of one message.
 
-    `on_air`: what is told is sent; else what the vehicle says of its receiver is no answer to it, and `acknowledgement` is None.
+    `is_trusted`: its own receiver is in its estimate. `has_air_data`: airspeed and bank show how it moves. `one_way_delay_s`: the
+    least delay of its link. `range_sigma_m`: 1-sigma of its ranges of late. `median_nis`, `range_jump_m`: how its ranges fit.
+    """
+
+    is_trusted: bool
+    has_air_data: bool
+    one_way_delay_s: float | None
+    range_sigma_m: float | None
+    median_nis: float | None
+    range_jump_m: float | None
+
+
+class AidingStream:
+    """The stream to one vehicle.
+
+    `inhibit`: why the last message had no fix, None where it had one. `sent_fix`: the last fix. `acknowledgement`: is it used?
+    None where no message shows it. `transmits`: what is built is sent; else what the vehicle reports is no answer to it.
     """
 
     def __init__(
         self,
-        vehicle: Vehicle,
+        sysid: int,
         name: AidingMethodName,
-        way: AidingMethod,
+        method: AidingMethod,
         settings: AidingSettings,
         now_s: float,
         purpose: Purpose,
-        grid: TickSchedule,
+        schedule: TickSchedule,
         *,
-        on_air: bool = True,
+        transmits: bool = True,
     ) -> None:
-        self.vehicle = vehicle
         self.name = name
-        self.way = way
-        self.purpose = purpose
-        self.purpose_since_s = now_s
+        self.method = method
         self.due_s = now_s
-        self.fix_inhibit_reason: str | None = "not sent yet"
-        self.flickered = False
-        self._grid = grid
-        self._on_air = on_air
-        watched = on_air and feeds_receiver(name) and settings.gps_id < _WATCHED_RECEIVERS
-        self.acknowledgement = FixAcknowledgement(settings.gps_id, now_s) if watched else None
+        self.inhibit: Inhibit | None = Inhibit(InhibitReason.NOT_SENT_YET)
+        self.sent_fix: SentFix | None = None
+        self._sysid = sysid
+        self._purpose = purpose
+        self._purpose_since_s = now_s
+        self._own_fix_flickered = False
+        self._schedule = schedule
+        self._transmits = transmits
+        is_reported = transmits and feeds_receiver(name) and settings.gps_id < _REPORTED_RECEIVERS
+        self.acknowledgement = FixAcknowledgement(settings.gps_id, now_s) if is_reported else None
         self._policy = FixPolicy(settings, now_s)
         self._period_s = 1.0 / settings.rate_hz
         self._sent = 0
 
-    def tick(self, now_s: float, frame: LocalFrame | None, utc_minus_service_s: float | None, answer: Answer) -> list[Outbound]:
-        """What is due by `now_s`: the way's messages, and a notice where the fix is gained or lost.
+    @property
+    def purpose(self) -> Purpose:
+        """Why the vehicle has the stream."""
+        return self._purpose
 
-        Deadlines keep the fleet's grid, so that all vehicles' are due at once; those that a late call has missed are left out,
-        never caught up with. The vehicle takes the data to be `age_s` old when they arrive, so that they are for as much later as
-        the link is known to take at least; what a message takes longer, a driver finds by the time in it.
+    def set_purpose(self, purpose: Purpose, now_s: float) -> None:
+        """Change the purpose."""
+        if purpose is not self._purpose:
+            self._purpose, self._purpose_since_s = purpose, now_s
+
+    def restart_purpose(self, now_s: float) -> None:
+        """Count the time of the purpose from now on."""
+        self._purpose_since_s = now_s
+
+    def purpose_for_s(self, now_s: float) -> float:
+        """Return for how long the purpose has been the same, s."""
+        return now_s - self._purpose_since_s
+
+    def own_fix_flickered(self, *, is_recovering: bool) -> bool:
+        """Add whether the vehicle's own GPS is recovering; return whether it ever was since the stream began."""
+        self._own_fix_flickered = self._own_fix_flickered or is_recovering
+        return self._own_fix_flickered
+
+    def poll(
+        self,
+        now_s: float,
+        inputs: FixInputs,
+        frame: LocalFrame | None,
+        utc_minus_service_s: float | None,
+        estimate_at: EstimateAt,
+    ) -> list[Outbound]:
+        """Build what is due at `now_s`: the method's messages, and a notice where the fix is gained or lost.
+
+        Deadlines keep the fleet's schedule, so that all vehicles' are due at once; those that a late call has missed are left
+        out. The vehicle takes the data to be `age_s` old when they arrive, so the estimate is for as much later as the link takes
+        at least; what a message takes longer, a driver finds by the time in it.
         """
-        if now_s < self.due_s:
+        self.due_s = self._schedule.after(now_s, self._period_s)
+        sysid = self._sysid
+        arrives_s = now_s + min(inputs.one_way_delay_s or 0.0, _LONGEST_LEAD_S)
+        where = estimate_at(sysid, arrives_s - self.method.age_s)
+        is_aid = self._purpose is Purpose.AID
+        if isinstance(where, NoEstimate) and not is_aid and self.purpose_for_s(now_s) < _FIRST_REPORT_S:
+            # Trusted again, it has not reported yet: a message left out does less harm than one without a fix.
             return []
-        self.due_s = self._grid.after(now_s, self._period_s)
-        vehicle = self.vehicle
-        arrives_s = now_s + min(vehicle.clock.one_way_delay_s(now_s) or 0.0, _LONGEST_LEAD_S)
-        where = answer(vehicle.sysid, arrives_s - self.way.age_s)
-        if isinstance(where, NoEstimate) and self.purpose is not Purpose.AID and now_s - self.purpose_since_s < _FIRST_REPORT_S:
-            # Trusted again, it has not reported yet: a message left out is less than the word that there is no fix.
-            return []
-        reason = self._policy.why_no_fix(
+        inhibit = self._policy.inhibit(
             where,
             now_s,
-            own_gps=vehicle.health.trusted,
-            air_data=vehicle.has_air_data(now_s),
-            range_misfit=vehicle.range_misfit,
-            range_jump_m=vehicle.range_jump_m,
+            own_gps=inputs.is_trusted,
+            air_data=inputs.has_air_data,
+            median_nis=inputs.median_nis,
+            range_jump_m=inputs.range_jump_m,
         )
-        if reason is None and self._on_air and isinstance(where, Estimate):
-            vehicle.fix_sent = FixSent(now_s, sqrt(float(where.covariance[2, 2])))
+        if inhibit is None and self._transmits and isinstance(where, Estimate):
+            self.sent_fix = SentFix(now_s, sqrt(float(where.covariance[2, 2])))
         moment = Moment(
             now_s=now_s,
             arrives_s=arrives_s,
             frame=frame,
             utc_minus_service_s=utc_minus_service_s,
             where=where,
-            fix_inhibit_reason=reason,
-            locate=lambda at_s: answer(vehicle.sysid, at_s),
-            standby=self.purpose is not Purpose.AID,
-            on_air=self._on_air,
+            inhibit=inhibit,
+            locate=lambda at_s: estimate_at(sysid, at_s),
+            range_sigma_m=inputs.range_sigma_m,
+            standby=not is_aid,
+            transmits=self._transmits,
         )
-        out: list[Outbound] = list(self.way.tell(moment))
+        out: list[Outbound] = list(self.method.build_messages(moment))
         for message in out:
             if self.acknowledgement is not None and isinstance(message, GpsInput):
-                self.acknowledgement.sent(message, now_s)
-        return out + self._tell(reason, now_s)
+                self.acknowledgement.add_sent(message, now_s)
+        return out + self._update_inhibit(inhibit, now_s)
 
     def status(self) -> str:
-        """What is sent in a few words, for the operator."""
-        lead = "sending" if self.purpose is Purpose.AID else f"{self.purpose.value}: sending"
-        if self.fix_inhibit_reason is not None:
-            return f"{lead} {self.way.sends_without_fix()}: {self.fix_inhibit_reason}"
+        """Return what is sent in a few words, for the operator."""
+        lead = "sending" if self._purpose is Purpose.AID else f"{self._purpose.value}: sending"
+        if self.inhibit is not None:
+            return f"{lead} {self.method.without_fix()}: {self.inhibit.text}"
         fault = self.acknowledgement.fault if self.acknowledgement is not None else None
-        return f"{lead} {self.way.sends()}" + (f", NOT TAKEN: {fault}" if fault is not None else "")
+        return f"{lead} {self.method.with_fix()}" + (f", NOT TAKEN: {fault}" if fault is not None else "")
 
-    def _tell(self, reason: str | None, now_s: float) -> list[Outbound]:
-        had_fix, has_fix = self.fix_inhibit_reason is None, reason is None
-        self.fix_inhibit_reason = reason
+    def _update_inhibit(self, inhibit: Inhibit | None, now_s: float) -> list[Outbound]:
+        had_fix, has_fix = self.inhibit is None, inhibit is None
+        self.inhibit = inhibit
         first, self._sent = self._sent == 0, self._sent + 1
         if has_fix and not had_fix:
-            return [Notice(now_s, self.vehicle.sysid, "info", "located: sending positions")]
-        if not has_fix and (had_fix or first):
-            text = f"not located, sending {self.way.sends_without_fix()}: {reason}"
-            return [Notice(now_s, self.vehicle.sysid, "warning", text)]
+            return [Notice(now_s, self._sysid, "info", "located: sending positions")]
+        if inhibit is not None and (had_fix or first):
+            text = f"not located, sending {self.method.without_fix()}: {inhibit.text}"
+            return [Notice(now_s, self._sysid, "warning", text)]
         return []

@@ -25,8 +25,8 @@ class DuplicateIdDetector:
     _newest: int = 0
     _turns_s: deque[float] = field(default_factory=lambda: deque(maxlen=_TURNS))
 
-    def take(self, stamp_s: float, received_at_s: float) -> None:
-        """Take one boot time (s) and the service time at which it arrived."""
+    def add(self, stamp_s: float, received_at_s: float) -> None:
+        """Add one boot time (s) and the service time at which it arrived."""
         difference_s = received_at_s - stamp_s
         clocks = self._differences_s
         for number, clock_s in enumerate(clocks):
@@ -47,7 +47,7 @@ class DuplicateIdDetector:
             clocks[self._newest] = difference_s
         self._turns_s.clear()
 
-    def seen(self, now_s: float) -> bool:
+    def detected(self, now_s: float) -> bool:
         """Whether two clocks take turns: six times, a second or more apart, within 20 s, and once within the last 10 s."""
         turns_s = self._turns_s
         return len(turns_s) == _TURNS and turns_s[-1] - turns_s[0] <= _TURNS_WITHIN_S and now_s - turns_s[-1] <= _HELD_S

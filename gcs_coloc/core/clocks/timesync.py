@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gcs_coloc.core.clocks.sender_clock import Drift
+from gcs_coloc.core.refusals import CoreRefusal
 
 _WINDOW_S = 300.0
 _MOST_EXCHANGES = 400
@@ -87,7 +88,7 @@ class Causality(NamedTuple):
 
 @dataclass(slots=True)
 class RoundTrips:
-    """The exchanges of one autopilot of the last five minutes: when to ask, which answers count, what they say.
+    """The exchanges of one autopilot of the last five minutes: when to request, which answers count, what they say.
 
     `contradictions`: how many in a row no delay of the link explains, as one was answered before it was asked or heard before
     it was sent. `causality` is what the last ones leave for the offset.
@@ -98,15 +99,15 @@ class RoundTrips:
 
     _pending: dict[int, float] = field(default_factory=dict)
     _exchanges: deque[_Exchange] = field(default_factory=lambda: deque(maxlen=_MOST_EXCHANGES))
-    _asked_at_s: float = float("-inf")
+    _requested_at_s: float = float("-inf")
     _unanswered: int = 0
     _estimate: Synchronised | None = None
 
-    def ask(self, sysid: int, now_s: float, period_s: float) -> int | None:
+    def request(self, sysid: int, now_s: float, period_s: float) -> int | None:
         """Our time in ns to put into a request that is due now, or None. Quick at first, seldom where nobody answers."""
-        if now_s - self._asked_at_s < self._wait_s(period_s) - 1e-6:
+        if now_s - self._requested_at_s < self._wait_s(period_s) - 1e-6:
             return None
-        self._asked_at_s = now_s
+        self._requested_at_s = now_s
         self._unanswered += 1
         # The system id in the nanoseconds tells the answers of two vehicles apart, and no request is ever 0.
         ts1_ns = round(now_s * 1e9) + sysid
@@ -115,25 +116,27 @@ class RoundTrips:
             del self._pending[next(iter(self._pending))]
         return ts1_ns
 
-    def answered(self, ts1_ns: int, stamp_s: float, received_at_s: float, least_difference_s: float, drift: Drift) -> str | None:
-        """Take one answer: our time as echoed, the sender's clock (s). Returns why it is refused, or None where it is taken.
+    def add_answer(
+        self, ts1_ns: int, stamp_s: float, received_at_s: float, least_difference_s: float, drift: Drift
+    ) -> CoreRefusal | None:
+        """Add one answer: our time as echoed, the sender's clock (s). Return why it is refused, or None where it is used.
 
         `least_difference_s` and `drift` are what its one-way stamps say.
         """
-        asked_at_s = self._pending.pop(ts1_ns, None)
-        if asked_at_s is None:
-            return "was not asked for"
-        round_trip_s = received_at_s - asked_at_s
+        requested_at_s = self._pending.pop(ts1_ns, None)
+        if requested_at_s is None:
+            return CoreRefusal.TIMESYNC_NOT_REQUESTED
+        round_trip_s = received_at_s - requested_at_s
         if not 0.0 <= round_trip_s <= _OLDEST_ANSWER_S:
-            return "is too old"
-        exchange = _Exchange(received_at_s, stamp_s - asked_at_s, received_at_s - stamp_s)
+            return CoreRefusal.TIMESYNC_TOO_OLD
+        exchange = _Exchange(received_at_s, stamp_s - requested_at_s, received_at_s - stamp_s)
         if self.causality is not None and self.causality.excludes(exchange):
             self.contradictions += 1
-            return "contradicts those before it"
+            return CoreRefusal.TIMESYNC_CONTRADICTORY
         self.contradictions = 0
         excess_s = received_at_s - stamp_s - least_difference_s
         if not -_PLAUSIBLE_S <= excess_s <= round_trip_s + _PLAUSIBLE_S:
-            return "does not fit its boot time"
+            return CoreRefusal.TIMESYNC_OFF_BOOT_TIME
         self._unanswered = 0
         self._exchanges.append(exchange)
         while received_at_s - self._exchanges[0].at_s > _WINDOW_S:

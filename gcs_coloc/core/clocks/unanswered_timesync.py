@@ -14,19 +14,19 @@ class UnansweredTimesync:
 
     def __init__(self, settings: TimeSettings) -> None:
         self._settings = settings
-        self._told: defaultdict[int, set[str]] = defaultdict(set)
+        self._reported: defaultdict[int, set[str]] = defaultdict(set)
 
-    def news(self, sysid: int, clock: VehicleClock, first_heard_s: float, now_s: float) -> tuple[str, str] | None:
+    def report(self, sysid: int, clock: VehicleClock, first_heard_s: float, now_s: float) -> tuple[str, str] | None:
         """Level and text of what is to be told of a vehicle at service time `now_s`; None: nothing."""
         if now_s - first_heard_s < _WAITED_S or not clock.stamps.known or self._settings.min_delay_s > 0.0:
             return None
         if clock.synchronised(now_s) is not None:
-            self._told.pop(sysid, None)
+            self._reported.pop(sysid, None)
             return None
         one_way = clock.one_way(self._settings)
-        if one_way.method in self._told[sysid]:
+        if one_way.method in self._reported[sysid]:
             return None
-        self._told[sysid].add(one_way.method)
+        self._reported[sysid].add(one_way.method)
         held = f"{one_way.delay_s:.2f} s late, give or take {one_way.sigma_s:.2f} s"
         if one_way.method == "UTC":
             return "info", f"it does not answer TIMESYNC: by its UTC its link is {held}"

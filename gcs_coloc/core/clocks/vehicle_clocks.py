@@ -17,6 +17,7 @@ from typing import NamedTuple
 from gcs_coloc.core.clocks.duplicate_ids import DuplicateIdDetector
 from gcs_coloc.core.clocks.sender_clock import CRYSTAL_DRIFT, JUMPS_TO_BELIEVE, SenderClock
 from gcs_coloc.core.clocks.timesync import RoundTrips, Synchronised
+from gcs_coloc.core.refusals import CoreRefusal
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
 _SAME_CLOCK_S = 0.05
@@ -68,7 +69,7 @@ class VehicleClock:
 
     stamps: SenderClock = field(default_factory=SenderClock)
     round_trips: RoundTrips = field(default_factory=RoundTrips)
-    twins: DuplicateIdDetector = field(default_factory=DuplicateIdDetector)
+    duplicates: DuplicateIdDetector = field(default_factory=DuplicateIdDetector)
     _by_utc: OneWay | None = None
     _too_early: int = 0
 
@@ -79,7 +80,7 @@ class VehicleClock:
 
     def learn(self, stamp_s: float, received_at_s: float) -> bool:
         """Take one stamp; False where it jumps and must not be used."""
-        self.twins.take(stamp_s, received_at_s)
+        self.duplicates.add(stamp_s, received_at_s)
         causality = self.round_trips.causality
         # A stamp that has wrapped is far behind, so that this needs no unwrapping.
         if causality is not None and causality.is_too_early(stamp_s, received_at_s):
@@ -96,18 +97,18 @@ class VehicleClock:
                 self.round_trips.forget()
         return taken
 
-    def answered(self, ts1_ns: int, tc1_s: float, received_at_s: float) -> str | None:
-        """Take an answer to TIMESYNC; returns why it is refused, or None where it is taken."""
+    def add_answer(self, ts1_ns: int, tc1_s: float, received_at_s: float) -> CoreRefusal | None:
+        """Add an answer to TIMESYNC; return why it is refused, or None where it is used."""
         if not self.stamps.known:
-            return "came before its boot time is known"
-        refusal = self.round_trips.answered(
+            return CoreRefusal.TIMESYNC_BEFORE_BOOT_TIME
+        refusal = self.round_trips.add_answer(
             ts1_ns, self.stamps.unwrapped(tc1_s), received_at_s, self.stamps.least_difference_s(), self.stamps.drift
         )
         if self.round_trips.stepped:
             self._begin_anew()
         return refusal
 
-    def take_utc(self, unix_s: float, boot_s: float, utc_minus_service_s: float) -> None:
+    def add_utc(self, unix_s: float, boot_s: float, utc_minus_service_s: float) -> None:
         """Take a vehicle's UTC, which it has from a healthy GPS, at its boot time; the host's, known to be right, on our clock.
 
         Only valid after `learn` has taken the boot time. SYSTEM_TIME (2).

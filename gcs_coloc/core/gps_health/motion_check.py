@@ -1,6 +1,6 @@
-"""What one vehicle says of its own motion, checked against itself: a frozen receiver, a position against its velocity.
+"""Motion check: is the receiver frozen, and do a vehicle's reported positions fit its reported velocity?
 
-Both checks scale with what the receiver states, so a coarse one is not called a liar for being coarse.
+Both checks scale with what the receiver states, so that a coarse one is no fault.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from math import hypot, sqrt
 
+from gcs_coloc.core.gps_health.reasons import GpsReason, StatedGpsReason
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.inbound import GpsReceiver
 
@@ -24,7 +25,7 @@ _FROZEN_PATH_M = 10.0
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """A claimed position (m) and the path (m) that the claimed velocities integrate to, both east and north."""
+    """A reported position (m) and the path (m) that the reported velocities integrate to, both east and north."""
 
     at_s: float
     east_m: float
@@ -37,9 +38,9 @@ class _Step:
 
 @dataclass(slots=True)
 class MotionCheck:
-    """The checks of one vehicle. A claim is a position with its velocity that the vehicle reports about itself.
+    """The checks of one vehicle. It reports positions with velocities.
 
-    `implausible` says in words what is wrong with displacement against velocity; held for 10 s after the last contradiction,
+    `implausible`: displacement against velocity; held for 10 s after the last contradiction,
     since either side of a jump may be the wrong one. `frozen` says that the receiver repeats one position on the move.
     """
 
@@ -52,18 +53,18 @@ class MotionCheck:
     _heard_at_s: float = 0.0
     _same_path_m: float = 0.0
 
-    def take_claim(self, claim: PositionMeasurement, *, own: bool) -> None:
-        """Take a claimed position; one without velocity tells nothing.
+    def add_position(self, reported: PositionMeasurement, *, own: bool) -> None:
+        """Add a reported position; one without velocity shows nothing.
 
-        `own` is False while the vehicle flies on what we send it: its positions are then an echo, and only that it moves counts.
+        `own` is False while the vehicle flies on our fix: its positions are then an echo, and only that it moves counts.
         """
-        if claim.velocity_enu_mps is None or claim.sigma_velocity_mps is None:
+        if reported.velocity_enu_mps is None or reported.sigma_velocity_mps is None:
             return
-        if self._steps and claim.measured_at_s <= self._steps[-1].at_s:
+        if self._steps and reported.measured_at_s <= self._steps[-1].at_s:
             return
         if not own:
             self._steps.clear()
-        step = self._next(claim, claim.velocity_enu_mps)
+        step = self._next(reported, reported.velocity_enu_mps)
         while step.at_s - self._steps[0].at_s > _WINDOW_S:
             self._steps.popleft()
         first = self._steps[0]
@@ -73,17 +74,17 @@ class MotionCheck:
         )
         span_s = step.at_s - first.at_s
         # A wrong velocity is wrong in the same way for seconds, hence its sigma grows with the span and not with its root.
-        sigma_m = sqrt(2.0 * claim.sigma_h_m**2 + (claim.sigma_velocity_mps * span_s) ** 2)
+        sigma_m = sqrt(2.0 * reported.sigma_h_m**2 + (reported.sigma_velocity_mps * span_s) ** 2)
         if miss_m <= _SIGMAS * sigma_m + _LEAST_MISS_M:
             self._missed_since_s = None
             return
         if self._missed_since_s is None:
             self._missed_since_s = step.at_s
         if step.at_s - self._missed_since_s >= _PERSISTS_S:
-            self._missed_at_s, self._miss_m = claim.arrived_at_s, miss_m
+            self._missed_at_s, self._miss_m = reported.arrived_at_s, miss_m
 
-    def take_receiver(self, fix: GpsReceiver) -> None:
-        """Take a report of the vehicle's real receiver."""
+    def add_receiver(self, fix: GpsReceiver) -> None:
+        """Add a report of the vehicle's real receiver."""
         place = (fix.lat_deg, fix.lon_deg, fix.alt_msl_m)
         if place != self._last_fix or fix.fix_type < 3:
             self._last_fix, self._same_since_s, self._same_path_m = place, fix.received_at_s, 0.0
@@ -92,20 +93,20 @@ class MotionCheck:
             self._same_path_m += speed_mps * min(fix.received_at_s - self._heard_at_s, _LONGEST_GAP_S)
         self._heard_at_s = fix.received_at_s
 
-    def implausible(self, now_s: float) -> str | None:
-        """Why the claimed positions of late are not to be believed, in words, or None."""
+    def implausible(self, now_s: float) -> StatedGpsReason | None:
+        """Why the positions reported of late are not believed; None where they are."""
         if now_s - self._missed_at_s > _HELD_S:
             return None
-        return f"its position moved {self._miss_m:.0f} m other than its velocity within {_WINDOW_S:g} s"
+        return StatedGpsReason(GpsReason.IMPLAUSIBLE_MOTION, self._miss_m, _WINDOW_S)
 
-    def frozen(self) -> str | None:
-        """Why the receiver is taken to be frozen, in words, or None: a moving one never repeats a fix to the centimetre."""
+    def frozen(self) -> StatedGpsReason | None:
+        """Why the receiver is held to be frozen, or None: a moving one never repeats a fix to the centimetre."""
         if self._heard_at_s - self._same_since_s < _FROZEN_S or self._same_path_m < _FROZEN_PATH_M:
             return None
-        return f"its receiver repeats one position while the vehicle moved {self._same_path_m:.0f} m"
+        return StatedGpsReason(GpsReason.FROZEN, self._same_path_m)
 
-    def _next(self, claim: PositionMeasurement, velocity: tuple[float, float, float]) -> _Step:
-        at_s, (ve, vn, _) = claim.measured_at_s, velocity
+    def _next(self, reported: PositionMeasurement, velocity: tuple[float, float, float]) -> _Step:
+        at_s, (ve, vn, _) = reported.measured_at_s, velocity
         path_east_m = path_north_m = 0.0
         if self._steps and at_s - self._steps[-1].at_s <= _LONGEST_GAP_S:
             last = self._steps[-1]
@@ -115,6 +116,6 @@ class MotionCheck:
         else:
             self._steps.clear()
             self._missed_since_s = None
-        step = _Step(at_s, claim.position_enu_m[0], claim.position_enu_m[1], path_east_m, path_north_m, ve, vn)
+        step = _Step(at_s, reported.position_enu_m[0], reported.position_enu_m[1], path_east_m, path_north_m, ve, vn)
         self._steps.append(step)
         return step

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from math import hypot
 
 from gcs_coloc.core.geodesy import horizontal_distance_m
+from gcs_coloc.core.gps_health.reasons import GpsReason, StatedGpsReason
 from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver
 
 _SIGMAS = 5.0
@@ -22,27 +23,27 @@ _HAS_FIX = 3
 
 @dataclass(slots=True)
 class ReceiverCheck:
-    """The check of one vehicle. `contradiction`: how far its position is off its receiver's, in words; None where it is not."""
+    """The check of one vehicle. `fault`: how far its reported position is off its receiver's; None where it is not."""
 
-    contradiction: str | None = None
+    fault: StatedGpsReason | None = None
     _off_since_s: float | None = None
 
-    def take(self, fix: GpsReceiver, position: GlobalPosition | None) -> None:
-        """Take a report of the vehicle's own receiver beside the position that it reported last.
+    def add(self, fix: GpsReceiver, position: GlobalPosition | None) -> None:
+        """Add a report of the vehicle's own receiver beside the position that it reported last.
 
         They are of different times: what the vehicle flies in `_APART_IN_TIME_S` is allowed for, beside five sigmas of the
         receiver. A single pair tells nothing, `_PERSISTS_S` of them in a row do.
         """
         if position is None or fix.fix_type < _HAS_FIX or fix.received_at_s - position.received_at_s > _APART_IN_TIME_S:
-            self.contradiction = self._off_since_s = None
+            self.fault = self._off_since_s = None
             return
         off_m = horizontal_distance_m(fix.lat_deg, fix.lon_deg, position.lat_deg, position.lon_deg)
         sigma_m = fix.h_acc_m if fix.h_acc_m is not None else _UNSTATED_SIGMA_M
         flown_m = _APART_IN_TIME_S * hypot(position.vn_mps, position.ve_mps)
         if off_m <= _SIGMAS * sigma_m + _LEAST_MISS_M + flown_m:
-            self.contradiction = self._off_since_s = None
+            self.fault = self._off_since_s = None
             return
         if self._off_since_s is None:
             self._off_since_s = fix.received_at_s
         if fix.received_at_s - self._off_since_s >= _PERSISTS_S:
-            self.contradiction = f"the position that it reports is {off_m:.0f} m off its own receiver's"
+            self.fault = StatedGpsReason(GpsReason.OFF_ITS_RECEIVER, off_m)

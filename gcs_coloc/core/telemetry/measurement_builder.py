@@ -1,21 +1,21 @@
-"""From messages to measurements: frame, time and noise of everything that an estimator is fed with.
+"""From messages to measurements: frame, time and noise of everything that an estimator takes.
 
-The rule that matters most stands here: a vehicle's own position becomes a PositionMeasurement only while its GPS is
-HEALTHY. Of any other vehicle only the barometric altitude, the attitude and the airspeed are evidence.
+A vehicle's own position becomes a PositionMeasurement only while its GPS is trusted. Of any other vehicle only the barometric
+altitude, the attitude and the airspeed are evidence.
 
-What was measured at an uncertain time was measured at an uncertain place: positions are given speed times time sigma as
-further noise, ranges the relative speed times it. That part is told as well, so that an estimator which knows of clocks can
-take it out again.
+What was measured at an uncertain time was measured at an uncertain place: a position gets speed times time sigma as further
+noise, a range the relative speed times it. Ranges state that part apart as well, for an estimator that models clocks.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import hypot
+from typing import NamedTuple
 
-from gcs_coloc.core.clocks.sender_clock import SenderClock
-from gcs_coloc.core.clocks.vehicle_clocks import ServiceTime, TimeSettings
+from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
+from gcs_coloc.core.clocks.vehicle_clocks import ServiceTime
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
@@ -24,18 +24,38 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, SystemTime, TimeBase
+from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
+from gcs_coloc.core.messages.outbound import Notice
+from gcs_coloc.core.refusals import CoreRefusal
 from gcs_coloc.core.setting_bounds import check_bounds, positive
 from gcs_coloc.core.telemetry.air_data import true_airspeed_mps
-from gcs_coloc.core.telemetry.vehicles import Vehicle
+from gcs_coloc.core.telemetry.repeated_ranges import RangeRepeats
+from gcs_coloc.core.telemetry.reported_state import ReportedState
 
-_AIRSPEED_FRESH_S = 1.0
-_RANGE_CLOCKS_PER_VEHICLE = 16
-_RANGE_ERROR_GAIN = 0.1
-_OTHER_WAY_SHARE = 0.5
-_FIX_AGE_S, _FIX_AGE_SIGMA_S = 0.1, 0.1  # when an autopilot stamps it; 0.11 s on ArduPlane
-_FIX_UNDER_WAY_S, _FIX_UNDER_WAY_SIGMA_S = 0.25, 0.25  # age and link together, where there is no stamp
-_LONGEST_FIX_AGE_S = 2.0
+_AIRSPEED_FRESH_S = 1.0  # chosen: five periods of VFR_HUD at the requested rate
+_RANGE_SIGMA_GAIN = 0.1  # of each range in the mean of late; chosen: it follows within about a second at 10 Hz
+_FIX_3D = 3  # GPS_FIX_TYPE_3D_FIX
+
+
+class SentFix(NamedTuple):
+    """A fix that aiding sent to a vehicle: when (service time, s), and the 1-sigma of its height, m."""
+
+    at_s: float
+    sigma_v_m: float
+
+
+class BuiltPosition(NamedTuple):
+    """The position that a vehicle reports, believed or not, and the measurement that it is evidence for."""
+
+    reported: PositionMeasurement
+    measurement: Measurement
+
+
+class BuiltRange(NamedTuple):
+    """A range, None where it is refused, and what the operator must know of the device that measured it."""
+
+    measurement: RangeMeasurement | None
+    notice: Notice | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,37 +83,147 @@ class MeasurementSettings:
         check_bounds(self)
 
 
-class MeasurementBuilder:
-    """Turns the messages of one fleet into measurements about its origin. Refusals are counted by reason in `refused`.
+@dataclass(slots=True)
+class _Memory:
+    """What the builder keeps of one vehicle.
 
-    `host_utc_minus_service_s` is the host's UTC where that is known to be right.
+    `height_sigma_m` is how uncertain its height is beyond its barometer, where that began with a fix of ours. `range_sigma_m` is
+    the 1-sigma of its ranges of late, with the errors of its peers' positions in it.
     """
 
-    def __init__(self, settings: MeasurementSettings, time_settings: TimeSettings | None = None) -> None:
+    reported: PositionMeasurement | None = None
+    receiver_fix: PositionMeasurement | None = None
+    delay_s: float | None = None
+    height_reported_at_s: float | None = None
+    height_sigma_m: float = 0.0
+    range_sigma_m: float | None = None
+    repeats: RangeRepeats = field(default_factory=RangeRepeats)
+
+
+class MeasurementBuilder:
+    """Turns the messages of one fleet into measurements about its origin. `refused` counts what it refuses.
+
+    `frame` is the fleet's: None until the first position of a vehicle with trusted GPS sets its origin.
+    """
+
+    def __init__(self, settings: MeasurementSettings, clocks: FleetClocks) -> None:
         self.settings = settings
-        self.time_settings = time_settings if time_settings is not None else TimeSettings()
         self.frame: LocalFrame | None = None
-        self.host_utc_minus_service_s: float | None = None
-        self.refused: Counter[str] = Counter()
+        self.refused: Counter[CoreRefusal] = Counter()
+        self._clocks = clocks
+        self._memories: dict[int, _Memory] = {}
 
-    def position(self, message: GlobalPosition, vehicle: Vehicle) -> Measurement | None:
-        """The position of a healthy vehicle, the barometric altitude of any other; sets the origin with the first fix.
+    def position(
+        self,
+        message: GlobalPosition,
+        vehicle: ReportedState,
+        *,
+        is_trusted: bool,
+        sent_fix: SentFix | None = None,
+        located_enu_m: tuple[float, float] | None = None,
+    ) -> BuiltPosition | None:
+        """Build the position of a trusted vehicle, the barometric altitude of any other; None for a refused stamp or no frame.
 
-        Either way the record of the vehicle keeps what it claims.
+        `sent_fix` is the last fix that the vehicle was sent, `located_enu_m` where the estimator had it last (east, north).
         """
-        measured = self._boot_time(message, vehicle, "GLOBAL_POSITION_INT")
+        measured = self._clocks.stamp(message)
         if measured is None:
             return None
-        healthy = vehicle.health.trusted
-        if self.frame is None and healthy:
+        if self.frame is None and is_trusted:
             self.frame = LocalFrame(message.lat_deg, message.lon_deg, message.alt_msl_m)
         if self.frame is None:
             return None
-        vehicle.claim = self._claim(message, self.frame, vehicle, measured)
-        _note_datum(message, vehicle, measured)
-        return vehicle.claim if healthy else self._altitude(message, vehicle, measured)
+        memory = self._of(message.sysid)
+        reported = memory.reported = self._reported(message, self.frame, vehicle, measured)
+        self._update_height_datum(message, memory, measured, sent_fix, is_trusted=is_trusted)
+        memory.delay_s = reported.arrived_at_s - reported.measured_at_s
+        altitude = None if is_trusted else self._altitude(message, self.frame, memory, measured, located_enu_m)
+        return BuiltPosition(reported, altitude if altitude is not None else reported)
 
-    def _claim(self, message: GlobalPosition, frame: LocalFrame, vehicle: Vehicle, measured: ServiceTime) -> PositionMeasurement:
+    def attitude(self, message: Attitude, vehicle: ReportedState) -> AttitudeMeasurement | None:
+        """Build an attitude with the newest true airspeed, if that is fresh and the vehicle flies on wings.
+
+        A multirotor flies to any side, and banks to do so without turning: its airspeed says nothing of its course.
+        """
+        measured = self._clocks.stamp(message)
+        if measured is None:
+            return None
+        air = vehicle.airspeed
+        fresh = vehicle.winged and air is not None and message.received_at_s - air.received_at_s <= _AIRSPEED_FRESH_S
+        return AttitudeMeasurement(
+            vehicle=message.sysid,
+            measured_at_s=measured.at_s,
+            arrived_at_s=message.received_at_s,
+            roll_rad=message.roll_rad,
+            pitch_rad=message.pitch_rad,
+            yaw_rad=message.yaw_rad,
+            airspeed_mps=true_airspeed_mps(air.airspeed_mps, self._alt_msl_m(vehicle)) if air is not None and fresh else None,
+        )
+
+    def range(self, message: PeerRange, vehicle: ReportedState, peer: ReportedState | None) -> BuiltRange:
+        """Build a range between two vehicles of the fleet; `peer` is None where the other end was never heard."""
+        if peer is None:
+            self.refused[CoreRefusal.RANGE_PEER_UNKNOWN] += 1
+            return BuiltRange(None)
+        memory = self._of(message.sysid)
+        measured = self._clocks.range_time(message, memory.delay_s)
+        if measured is None:
+            return BuiltRange(None)
+        was_stuck = (message.peer_sysid, message.device_id) in memory.repeats.stuck
+        is_stuck = memory.repeats.add(message.peer_sysid, message.device_id, message.range_m, message.measured_at_s)
+        notice = _device_notice(message, is_stuck=is_stuck) if is_stuck is not was_stuck else None
+        if is_stuck:
+            self.refused[CoreRefusal.RANGE_REPEATED] += 1
+            return BuiltRange(None, notice)
+        sigma_m = message.sigma_m if message.sigma_m is not None else self.settings.range_sigma_m
+        total_m = hypot(sigma_m, self._accuracy(peer.receiver)[0])
+        before_m = memory.range_sigma_m if memory.range_sigma_m is not None else total_m
+        memory.range_sigma_m = before_m + _RANGE_SIGMA_GAIN * (total_m - before_m)
+        late_m = _relative_speed_mps(vehicle, peer) * measured.sigma_s
+        by_own_clock = message.measured_at_s is not None and message.time_base is not TimeBase.SERVICE
+        measurement = RangeMeasurement(
+            from_vehicle=message.sysid,
+            to_vehicle=message.peer_sysid,
+            measured_at_s=measured.at_s,
+            arrived_at_s=message.received_at_s,
+            range_m=message.range_m,
+            sigma_m=hypot(sigma_m, late_m),
+            device_id=message.device_id,
+            clock_of=message.sysid if by_own_clock else None,
+            time_sigma_s=measured.sigma_s,
+            time_sigma_m=late_m,
+        )
+        return BuiltRange(measurement, notice)
+
+    def add_receiver(self, message: GpsReceiver, vehicle: ReportedState, *, is_trusted: bool) -> None:
+        """Add a report of a vehicle's own receiver: while it is not trusted, `receiver_fix` has it as a measurement."""
+        self._of(message.sysid).receiver_fix = None if is_trusted else self._receiver_fix(message, vehicle)
+
+    def reported(self, sysid: int) -> PositionMeasurement | None:
+        """Return the newest position that a vehicle reported of itself, believed or not."""
+        return self._of(sysid).reported
+
+    def receiver_fix(self, sysid: int) -> PositionMeasurement | None:
+        """Return the newest fix of a vehicle's own receiver while that is not trusted; None without a 3D fix or a frame."""
+        return self._of(sysid).receiver_fix
+
+    def delay_s(self, sysid: int) -> float | None:
+        """Return how long the newest position was under way beyond what is assumed, s."""
+        return self._of(sysid).delay_s
+
+    def range_sigma_m(self, sysid: int) -> float | None:
+        """Return the 1-sigma of a vehicle's ranges of late, with the errors of its peers' positions in it, m."""
+        return self._of(sysid).range_sigma_m
+
+    def _of(self, sysid: int) -> _Memory:
+        memory = self._memories.get(sysid)
+        if memory is None:
+            memory = self._memories[sysid] = _Memory()
+        return memory
+
+    def _reported(
+        self, message: GlobalPosition, frame: LocalFrame, vehicle: ReportedState, measured: ServiceTime
+    ) -> PositionMeasurement:
         ned = (message.vn_mps, message.ve_mps, message.vd_mps)
         sigma_h_m, sigma_v_m, sigma_velocity_mps = self._accuracy(vehicle.receiver)
         return PositionMeasurement(
@@ -108,14 +238,11 @@ class MeasurementBuilder:
             time_sigma_s=measured.sigma_s,
         )
 
-    def receiver_fix(self, message: GpsReceiver, vehicle: Vehicle) -> PositionMeasurement | None:
-        """Where a vehicle's own receiver says that it is, whether it is to be believed or not; None without a 3D fix or a frame.
-
-        The velocity is the autopilot's. What the unknown age of the fix means at that speed is in `sigma_h_m`.
-        """
-        if self.frame is None or message.fix_type < 3:
+    def _receiver_fix(self, message: GpsReceiver, vehicle: ReportedState) -> PositionMeasurement | None:
+        # The velocity is the autopilot's. What the unknown age of the fix means at that speed is in `sigma_h_m`.
+        if self.frame is None or message.fix_type < _FIX_3D:
             return None
-        measured = self._fix_time(message, vehicle)
+        measured = self._clocks.fix_time(message)
         at = vehicle.position
         ned = (at.vn_mps, at.ve_mps, at.vd_mps) if at is not None else (0.0, 0.0, 0.0)
         sigma_h_m, sigma_v_m, sigma_velocity_mps = self._accuracy(message)
@@ -131,84 +258,40 @@ class MeasurementBuilder:
             time_sigma_s=measured.sigma_s,
         )
 
-    def attitude(self, message: Attitude, vehicle: Vehicle) -> AttitudeMeasurement | None:
-        """Attitude with the true airspeed by what was heard last, if that is fresh and the vehicle flies on wings.
-
-        A multirotor flies to any side, and banks to do so without turning: what it tells of the air says nothing of its course.
-        """
-        measured = self._boot_time(message, vehicle, "ATTITUDE")
-        if measured is None:
-            return None
-        air = vehicle.airspeed
-        fresh = vehicle.winged and air is not None and message.received_at_s - air.received_at_s <= _AIRSPEED_FRESH_S
-        return AttitudeMeasurement(
-            vehicle=message.sysid,
-            measured_at_s=measured.at_s,
-            arrived_at_s=message.received_at_s,
-            roll_rad=message.roll_rad,
-            pitch_rad=message.pitch_rad,
-            yaw_rad=message.yaw_rad,
-            airspeed_mps=true_airspeed_mps(air.airspeed_mps, self._alt_msl_m(vehicle)) if air is not None and fresh else None,
-        )
-
-    def range(self, message: PeerRange, vehicle: Vehicle, peer: Vehicle | None) -> RangeMeasurement | None:
-        """A range between two vehicles of the fleet; `peer` is None where the other end was never heard."""
-        if peer is None:
-            self.refused["range: peer is not a vehicle that was heard"] += 1
-            return None
-        measured = self._range_time(message, vehicle)
-        if measured is None:
-            return None
-        if vehicle.range_repeats.take(message.peer_sysid, message.device_id, message.range_m, message.measured_at_s):
-            self.refused["range: its device repeats one value"] += 1
-            return None
-        sigma_m = message.sigma_m if message.sigma_m is not None else self.settings.range_sigma_m
-        error_m = hypot(sigma_m, self._accuracy(peer.receiver)[0])
-        before_m = vehicle.range_error_m if vehicle.range_error_m is not None else error_m
-        vehicle.range_error_m = before_m + _RANGE_ERROR_GAIN * (error_m - before_m)
-        late_m = _relative_speed_mps(vehicle, peer) * measured.sigma_s
-        by_own_clock = message.measured_at_s is not None and message.time_base is not TimeBase.SERVICE
-        return RangeMeasurement(
-            from_vehicle=message.sysid,
-            to_vehicle=message.peer_sysid,
-            measured_at_s=measured.at_s,
-            arrived_at_s=message.received_at_s,
-            range_m=message.range_m,
-            sigma_m=hypot(sigma_m, late_m),
-            device_id=message.device_id,
-            clock_of=message.sysid if by_own_clock else None,
-            time_sigma_s=measured.sigma_s,
-            time_sigma_m=late_m,
-        )
-
-    def utc_minus_service_s(self, message: SystemTime, vehicle: Vehicle) -> float | None:
-        """UTC minus service clock as a vehicle knows it; None where it does not know UTC or its clock jumped."""
-        measured = self._boot_time(message, vehicle, "SYSTEM_TIME")
-        if message.unix_s is None or measured is None:
-            return None
-        if self.host_utc_minus_service_s is not None and vehicle.health.trusted:
-            vehicle.clock.take_utc(message.unix_s, message.boot_s, self.host_utc_minus_service_s)
-        return message.unix_s - measured.at_s
-
-    def up_m(self, alt_msl_m: float, near_enu_m: tuple[float, float]) -> float:
-        """The up coordinate of an altitude over a place (east, north) in the frame. Only where there is a frame."""
-        assert self.frame is not None
-        return self.frame.up_from_height(near_enu_m[0], near_enu_m[1], alt_msl_m)
-
-    def _altitude(self, message: GlobalPosition, vehicle: Vehicle, measured: ServiceTime) -> AltitudeMeasurement | None:
-        if self.frame is None:
-            return None
-        where = vehicle.last_known_enu_m
+    def _altitude(
+        self,
+        message: GlobalPosition,
+        frame: LocalFrame,
+        memory: _Memory,
+        measured: ServiceTime,
+        located_enu_m: tuple[float, float] | None,
+    ) -> AltitudeMeasurement:
+        east_m, north_m = located_enu_m if located_enu_m is not None else (0.0, 0.0)
         return AltitudeMeasurement(
             vehicle=message.sysid,
             measured_at_s=measured.at_s,
             arrived_at_s=message.received_at_s,
-            up_m=self.up_m(message.alt_msl_m, where if where is not None else (0.0, 0.0)),
-            sigma_m=hypot(self.settings.altitude_sigma_m, vehicle.height_datum_sigma_m, message.vd_mps * measured.sigma_s),
+            up_m=frame.up_from_height(east_m, north_m, message.alt_msl_m),
+            sigma_m=hypot(self.settings.altitude_sigma_m, memory.height_sigma_m, message.vd_mps * measured.sigma_s),
         )
 
-    def _alt_msl_m(self, vehicle: Vehicle) -> float:
-        """The altitude of a vehicle; that of the fleet's origin, or sea level, where it tells none."""
+    def _update_height_datum(
+        self, message: GlobalPosition, memory: _Memory, measured: ServiceTime, sent: SentFix | None, *, is_trusted: bool
+    ) -> None:
+        """Update how well an autopilot's height is known where it begins.
+
+        The first fix since it booted gives its barometer the datum. Where that was a fix of ours, its height is ours come back,
+        and no better known than that was.
+        """
+        booted_at_s = self._clocks.booted_at_s(message, measured)
+        if is_trusted:
+            memory.height_sigma_m = 0.0
+        elif memory.height_reported_at_s is None or booted_at_s > memory.height_reported_at_s:
+            memory.height_sigma_m = sent.sigma_v_m if sent is not None and sent.at_s > booted_at_s else 0.0
+        memory.height_reported_at_s = message.received_at_s
+
+    def _alt_msl_m(self, vehicle: ReportedState) -> float:
+        """Return the altitude of a vehicle; that of the fleet's origin, or sea level, where it reports none."""
         if vehicle.position is not None:
             return vehicle.position.alt_msl_m
         return self.frame.height_m if self.frame is not None else 0.0
@@ -224,66 +307,16 @@ class MeasurementBuilder:
         sigma_v_m = max(stated_v, s.min_position_sigma_m) if stated_v is not None else s.position_sigma_v_m * dilution
         return sigma_h_m, sigma_v_m, stated_speed if stated_speed is not None else s.velocity_sigma_mps
 
-    def _boot_time(self, message: GlobalPosition | Attitude | SystemTime, vehicle: Vehicle, what: str) -> ServiceTime | None:
-        if not vehicle.clock.learn(message.boot_s, message.received_at_s):
-            self.refused[f"{what}: its clock jumped"] += 1
-            return None
-        measured = vehicle.clock.to_service(message.boot_s, message.received_at_s, self.time_settings)
-        return self._fresh(measured, message.received_at_s, what)
 
-    def _fix_time(self, message: GpsReceiver, vehicle: Vehicle) -> ServiceTime:
-        now_s = message.received_at_s
-        if message.fixed_boot_s is not None and vehicle.clock.stamps.known:
-            stamped = vehicle.clock.to_service(message.fixed_boot_s, now_s, self.time_settings)
-            # Some autopilots and simulators put another clock's time there.
-            if 0.0 <= now_s + 3.0 * stamped.sigma_s - stamped.at_s <= _LONGEST_FIX_AGE_S:
-                return ServiceTime(stamped.at_s - _FIX_AGE_S, hypot(stamped.sigma_s, _FIX_AGE_SIGMA_S))
-        return ServiceTime(now_s - _FIX_UNDER_WAY_S, _FIX_UNDER_WAY_SIGMA_S)
-
-    def _range_time(self, message: PeerRange, vehicle: Vehicle) -> ServiceTime | None:
-        if message.measured_at_s is None:
-            # As long on the way as the vehicle's newest position, or by another way: from not at all to twice as long.
-            delay_s = max(vehicle.delay_s or 0.0, 0.0)
-            sigma_s = hypot(self.time_settings.min_delay_sigma_s, _OTHER_WAY_SHARE * delay_s)
-            return self._fresh(ServiceTime(message.received_at_s - delay_s, sigma_s), message.received_at_s, "range")
-        if message.time_base is TimeBase.SERVICE:
-            return self._fresh(ServiceTime(message.measured_at_s, 0.0), message.received_at_s, "range")
-        # A ranging device or companion computer may have booted apart from the autopilot.
-        key = (message.time_base, message.device_id)
-        clock = vehicle.range_clocks.get(key)
-        if clock is None:
-            if len(vehicle.range_clocks) >= _RANGE_CLOCKS_PER_VEHICLE:
-                self.refused["range: more clocks than a vehicle may have"] += 1
-                return None
-            clock = vehicle.range_clocks[key] = SenderClock()
-        if not clock.learn(message.measured_at_s, message.received_at_s):
-            self.refused["range: its clock jumped"] += 1
-            return None
-        measured = vehicle.clock.device_to_service(clock, message.measured_at_s, message.received_at_s, self.time_settings)
-        return self._fresh(measured, message.received_at_s, "range")
-
-    def _fresh(self, measured: ServiceTime, received_at_s: float, what: str) -> ServiceTime | None:
-        if received_at_s - measured.at_s > self.settings.max_age_s:
-            self.refused[f"{what}: measured more than {self.settings.max_age_s:g} s ago"] += 1
-            return None
-        return measured
+def _device_notice(message: PeerRange, *, is_stuck: bool) -> Notice:
+    device, at_s = f"its ranging device {message.device_id}", message.received_at_s
+    if is_stuck:
+        text = f"{device} repeats one value, {message.range_m:.2f} m to {message.peer_sysid}: it is stuck and not used"
+        return Notice(at_s, message.sysid, "warning", text)
+    return Notice(at_s, message.sysid, "info", f"{device} measures {message.peer_sysid} again")
 
 
-def _note_datum(message: GlobalPosition, vehicle: Vehicle, measured: ServiceTime) -> None:
-    """Note how well an autopilot's height is known where it begins.
-
-    The first fix since it booted gives its barometer the datum. Where that was a fix of ours, its height is ours come back, and
-    no better known than that was.
-    """
-    booted_at_s, sent = measured.at_s - vehicle.clock.stamps.unwrapped(message.boot_s), vehicle.fix_sent
-    if vehicle.health.trusted:
-        vehicle.height_datum_sigma_m = 0.0
-    elif vehicle.height_told_at_s is None or booted_at_s > vehicle.height_told_at_s:
-        vehicle.height_datum_sigma_m = sent.sigma_v_m if sent is not None and sent.at_s > booted_at_s else 0.0
-    vehicle.height_told_at_s = message.received_at_s
-
-
-def _relative_speed_mps(vehicle: Vehicle, peer: Vehicle) -> float:
+def _relative_speed_mps(vehicle: ReportedState, peer: ReportedState) -> float:
     """The most by which the range between two vehicles changes per second; one vehicle's own speed where only that is known."""
     vn, ve, vd = (
         (vehicle.position.vn_mps, vehicle.position.ve_mps, vehicle.position.vd_mps) if vehicle.position else (0.0, 0.0, 0.0)

@@ -40,8 +40,8 @@ class RepeatedRange:
     _repeats: int = 0
     _step_m: float = inf
 
-    def take(self, range_m: float, measured_at_s: float | None) -> bool:
-        """Take a range (m) with the time on the device's own clock, if it has one; return `stuck`.
+    def add(self, range_m: float, measured_at_s: float | None) -> bool:
+        """Add a range (m) with the time on the device's own clock, if it has one; return `stuck`.
 
         The same measurement heard twice is known by its time and is no repeat.
         """
@@ -96,8 +96,8 @@ class RangeRepeats:
         self.stuck: set[tuple[int, int]] = set()
         self._checks: dict[tuple[int, int], RepeatedRange] = {}
 
-    def take(self, peer: int, device_id: int, range_m: float, measured_at_s: float | None) -> bool:
-        """Take a range as `RepeatedRange.take`; return whether it is one that its device only repeats."""
+    def add(self, peer: int, device_id: int, range_m: float, measured_at_s: float | None) -> bool:
+        """Add a range as `RepeatedRange.add`; return whether it is one that its device only repeats."""
         key = (peer, device_id)
         check = self._checks.get(key)
         if check is None:
@@ -106,7 +106,7 @@ class RangeRepeats:
                 del self._checks[forgotten]
                 self.stuck.discard(forgotten)
             check = self._checks[key] = RepeatedRange()
-        if check.take(range_m, measured_at_s):
+        if check.add(range_m, measured_at_s):
             self.stuck.add(key)
             return True
         self.stuck.discard(key)

@@ -83,12 +83,12 @@ class FlightReport:
     def as_dict(self) -> dict[str, Any]:
         """The report as plain values."""
         vehicles = []
-        for record in sorted(self._engine.fleet, key=lambda v: v.sysid):
-            mine = self._of(record.sysid)
-            score = self.score(record.sysid)
+        for sysid in sorted(self._engine.sysids()):
+            mine = self._of(sysid)
+            score = self.score(sysid)
             vehicles.append(
                 {
-                    "sysid": record.sysid,
+                    "sysid": sysid,
                     "health": [asdict(change) for change in mine.changes],
                     "gps_input": {"fix": mine.fixes, "no_fix": mine.no_fixes},
                     "external_positions": mine.external_positions,
@@ -107,8 +107,8 @@ class FlightReport:
         return self._vehicles.setdefault(sysid, _Vehicle())
 
     def _score(self, point: TruthPoint) -> None:
-        record, frame = self._engine.fleet.get(point.sysid), self._engine.frame
-        if record is None or frame is None or record.health.state not in DISTRUSTED:
+        frame = self._engine.frame
+        if frame is None or self._engine.gps_state(point.sysid) not in DISTRUSTED:
             return
         answer = self._engine.estimate(point.sysid, point.unix_s)
         truth_enu_m = frame.enu_from_geodetic(point.lat_deg, point.lon_deg, point.alt_msl_m)

@@ -42,8 +42,9 @@ def test_a_jammed_aircraft_flies_on_our_positions_alone_once_its_primary_receive
     flight, engine = flown(scenario(GpsJammed), 50.0, switch_primary=switch)
     seen = sources(flight, LOST_S + 10.0)
     assert ("gps1" not in seen) is (switch == "auto")
-    assert engine.aiding.primary.status(SUBJECT) == ("ours" if switch == "auto" else None)
-    assert engine.aiding.taken(SUBJECT)
+    seen_of_it = next(v for v in engine.snapshot(50.0).vehicles if v.sysid == SUBJECT)
+    assert seen_of_it.gps_primary == ("ours" if switch == "auto" else None)
+    assert seen_of_it.fix_acknowledged
 
 
 def test_standby_fails_over_without_dead_reckoning():
@@ -56,6 +57,6 @@ def test_a_position_too_coarse_for_the_ekf_reaches_the_aircraft_by_external_esti
     flight, engine = flown(scenario(GpsLost, sigma_m=30.0, bias_sigma_m=0.0, rate_hz=3.0), 62.0)
     assert "external position estimates, for it is too coarse for GPS_INPUT" in engine.snapshot(62.0).vehicles[3].aiding
     assert set(sources(flight, 55.0)) == {"dead_reckoning"}  # it uses no GPS, and certainly not ours and the estimates in turns
-    assert not [reason for reason in engine.refused() if "external position estimate" in reason]
+    assert not [reason for reason in engine.refused() if reason.startswith("external_position")]
     # Within the alert limit, as every position that it was told.
     assert off_in_its_own_position_m(flight, LOST_S + 5.0) < 50.0

@@ -28,13 +28,13 @@ def navigation_rms_m(flight: Flight) -> float:
 
 def test_the_vehicle_is_told_where_it_is_when_it_hears_it(monkeypatch):
     engine, aware = flown()
-    for vehicle in engine.fleet:
-        sync = vehicle.clock.synchronised(55.0)
-        assert sync is not None
+    for sysid in engine.sysids():
         # The link takes 50 ms and up to 100 ms more; the fakes read what has arrived every 20 ms.
-        assert sync.one_way_delay_s == pytest.approx(0.05 + 0.005, abs=0.01)
-        assert sync.sigma_s < 0.01
-    assert not [reason for reason in engine.refused() if "TIMESYNC" in reason]
+        assert engine.clocks.one_way_delay_s(sysid, 55.0) == pytest.approx(0.05 + 0.005, abs=0.01)
+        method, sigma_s = engine.clocks.quality(sysid, 55.0)
+        assert method == "TIMESYNC"
+        assert sigma_s < 0.01
+    assert not [reason for reason in engine.refused() if reason.startswith("timesync")]
     monkeypatch.setattr(aid_stream, "_LONGEST_LEAD_S", 0.0)
     _, unaware = flown()
     # 50 ms of 100 ms mean delay at 22 m/s: 1.1 m of a systematic error that points backwards.

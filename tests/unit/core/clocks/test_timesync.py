@@ -9,6 +9,7 @@ import pytest
 
 from gcs_coloc.core.clocks.sender_clock import SenderClock
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings, VehicleClock
+from gcs_coloc.core.refusals import CoreRefusal
 
 Delay = Callable[[np.random.Generator], float]
 UNIFORM: Delay = lambda rng: float(rng.uniform(0.05, 0.4))  # noqa: E731
@@ -38,7 +39,7 @@ class Exchange:
         poll_s = next(polls, None)
         for received_s, stamp_s in sorted(stamps):
             while poll_s is not None and poll_s <= received_s:
-                ts1 = self.clock.round_trips.ask(7, poll_s, SETTINGS.timesync_period_s)
+                ts1 = self.clock.round_trips.request(7, poll_s, SETTINGS.timesync_period_s)
                 self.asked += ts1 is not None
                 if ts1 is not None and self.up is not None:
                     there_s = poll_s + self.up(self.rng)
@@ -50,7 +51,7 @@ class Exchange:
             self.stamps_refused += not self.clock.learn(stamp_s, received_s)
 
     def answer(self, ts1: int, tc1_s: float, received_s: float) -> None:
-        refusal = self.clock.answered(ts1, tc1_s, received_s)
+        refusal = self.clock.add_answer(ts1, tc1_s, received_s)
         if refusal is not None:
             self.refused.append(refusal)
 
@@ -121,7 +122,7 @@ def test_the_longer_messages_wait_on_a_link_the_less_is_known_of_its_least_delay
 def test_the_utc_of_a_vehicle_shows_how_late_its_link_is(least_s, utc_behind_s):
     vehicle = Exchange(1, 5.0, 20e-6, lambda rng: least_s + rng.exponential(0.01), None)
     vehicle.run(0.0, 120.0)
-    vehicle.clock.take_utc(1e9 + 120.0 - utc_behind_s, vehicle.boot_s(120.0), 1e9)
+    vehicle.clock.add_utc(1e9 + 120.0 - utc_behind_s, vehicle.boot_s(120.0), 1e9)
     known = vehicle.clock.to_service(vehicle.boot_s(120.0), 120.0, SETTINGS)
     assert abs(known.at_s - 120.0) < 2.0 * known.sigma_s
     assert vehicle.clock.quality(120.0, SETTINGS) == ("UTC", pytest.approx(0.08, abs=0.001))
@@ -134,9 +135,9 @@ def test_the_utc_of_a_vehicle_shows_how_late_its_link_is(least_s, utc_behind_s):
 def test_a_utc_that_no_link_explains_shows_nothing(utc_behind_s):
     vehicle = Exchange(1, 5.0, 0.0, lambda _: 0.02, None)
     vehicle.run(0.0, 60.0)
-    vehicle.clock.take_utc(1e9 + 60.0, vehicle.boot_s(60.0), 1e9)
+    vehicle.clock.add_utc(1e9 + 60.0, vehicle.boot_s(60.0), 1e9)
     assert vehicle.clock.quality(60.0, SETTINGS) == ("UTC", pytest.approx(0.08, abs=0.001))
-    vehicle.clock.take_utc(1e9 + 60.0 - utc_behind_s, vehicle.boot_s(60.0), 1e9)
+    vehicle.clock.add_utc(1e9 + 60.0 - utc_behind_s, vehicle.boot_s(60.0), 1e9)
     assert vehicle.clock.quality(60.0, SETTINGS) == ("one-way", pytest.approx(0.05))
     assert vehicle.clock.one_way_delay_s(60.0) is None
 
@@ -144,7 +145,7 @@ def test_a_utc_that_no_link_explains_shows_nothing(utc_behind_s):
 def test_utc_counts_for_less_the_longer_a_vehicle_is_up_nothing_beside_timesync_and_is_forgotten_with_the_clock():
     vehicle = Exchange(1, 20_000.0, 0.0, QUEUE, QUEUE)
     vehicle.run(0.0, 60.0)
-    vehicle.clock.take_utc(1e9 + 60.0 - 0.5, vehicle.boot_s(60.0), 1e9)
+    vehicle.clock.add_utc(1e9 + 60.0 - 0.5, vehicle.boot_s(60.0), 1e9)
     assert vehicle.clock.quality(60.0, SETTINGS)[0] == "TIMESYNC"
     assert vehicle.clock.one_way_delay_s(60.0) == pytest.approx(0.05, abs=0.005)
     assert vehicle.clock.quality(400.0, SETTINGS) == ("UTC", pytest.approx(0.41, abs=0.01))
@@ -232,10 +233,10 @@ def test_a_clock_that_goes_wrong_by_a_per_cent_as_a_slow_simulations_does_is_not
 def test_a_single_answer_that_cannot_be_is_refused_and_begins_nothing_anew():
     vehicle = Exchange(8, 300.0, 0.0, QUEUE, QUEUE)
     vehicle.run(0.0, 60.0)
-    ts1 = vehicle.clock.round_trips.ask(7, 61.0, SETTINGS.timesync_period_s)
+    ts1 = vehicle.clock.round_trips.request(7, 61.0, SETTINGS.timesync_period_s)
     assert ts1 is not None
     before = vehicle.clock.synchronised(61.0)
-    assert vehicle.clock.answered(ts1, vehicle.boot_s(61.05) + 2.0, 61.1) == "contradicts those before it"
+    assert vehicle.clock.add_answer(ts1, vehicle.boot_s(61.05) + 2.0, 61.1) == CoreRefusal.TIMESYNC_CONTRADICTORY
     vehicle.run(61.2, 70.0)
     assert vehicle.clock.resets == 0
     assert before is not None
@@ -248,10 +249,10 @@ def test_the_wrap_of_32_bits_goes_by_without_a_trace():
     for i in range(1, 400):
         at_s = i * 0.1
         boot_s = wrap_s - 20.0 + at_s
-        ts1 = clock.round_trips.ask(1, at_s, 1.0)
+        ts1 = clock.round_trips.request(1, at_s, 1.0)
         if ts1 is not None and i > 1:
             # The answer's 64 bits do not wrap.
-            assert clock.answered(ts1, boot_s + 0.1, at_s + 0.2) is None
+            assert clock.add_answer(ts1, boot_s + 0.1, at_s + 0.2) is None
         assert clock.learn(boot_s % wrap_s, at_s + 0.1)
         assert clock.to_service(boot_s % wrap_s, at_s + 0.2, SETTINGS).at_s == pytest.approx(at_s, abs=1e-3 if i > 2 else 0.2)
     assert clock.resets == 0
@@ -266,16 +267,16 @@ def known() -> VehicleClock:
 
 def test_answers_that_nobody_asked_for_are_old_or_do_not_fit_are_refused():
     clock = known()
-    ts1 = clock.round_trips.ask(1, 10.0, 1.0)
+    ts1 = clock.round_trips.request(1, 10.0, 1.0)
     assert ts1 is not None
-    assert clock.answered(ts1 + 1, 110.05, 10.1) == "was not asked for"
-    assert clock.answered(ts1, 1.7e9, 10.1) == "does not fit its boot time"
-    assert clock.answered(ts1, 110.05, 10.1) == "was not asked for"  # once only
-    ts1 = clock.round_trips.ask(1, 11.0, 1.0)
+    assert clock.add_answer(ts1 + 1, 110.05, 10.1) == CoreRefusal.TIMESYNC_NOT_REQUESTED
+    assert clock.add_answer(ts1, 1.7e9, 10.1) == CoreRefusal.TIMESYNC_OFF_BOOT_TIME
+    assert clock.add_answer(ts1, 110.05, 10.1) == CoreRefusal.TIMESYNC_NOT_REQUESTED  # once only
+    ts1 = clock.round_trips.request(1, 11.0, 1.0)
     assert ts1 is not None
-    assert clock.answered(ts1, 111.05, 14.1) == "is too old"
+    assert clock.add_answer(ts1, 111.05, 14.1) == CoreRefusal.TIMESYNC_TOO_OLD
     assert clock.synchronised(14.1) is None
-    assert VehicleClock().answered(1, 5.0, 1.0) == "came before its boot time is known"
+    assert VehicleClock().add_answer(1, 5.0, 1.0) == CoreRefusal.TIMESYNC_BEFORE_BOOT_TIME
 
 
 def test_a_device_on_the_autopilots_clock_uses_its_offset_and_another_the_links_delay():

@@ -23,7 +23,7 @@ SOUND = (GpsState.HEALTHY, GpsState.UNKNOWN)
 
 
 def states(engine):
-    return {v.sysid: v.health.state for v in engine.fleet}
+    return {v: engine.gps_state(v) for v in engine.sysids()}
 
 
 def test_a_drifting_peer_is_identified_excluded_located_and_readmitted():
@@ -32,13 +32,12 @@ def test_a_drifting_peer_is_identified_excluded_located_and_readmitted():
     for step in range(round(86.0 / STEP_S)):
         t = step * STEP_S
         fly_step(engine, flight, t)
-        faulty = engine.fleet.get(FAULTY)
         others = [state for sysid, state in states(engine).items() if sysid not in (FAULTY, DENIED)]
         assert all(state in SOUND for state in others)
-        if failed_at_s is None and faulty.health.state is GpsState.FAILED:
+        if failed_at_s is None and engine.gps_state(FAULTY) is GpsState.FAILED:
             failed_at_s = t
-            assert "its GPS position contradicts the ranges to 2, 3, 4, 100 by" in faulty.health.reason
-        if failed_at_s is not None and back_at_s is None and faulty.health.state is GpsState.HEALTHY:
+            assert "its GPS position contradicts the ranges to 2, 3, 4, 100 by" in engine.gps_health.reason(FAULTY)
+        if failed_at_s is not None and back_at_s is None and engine.gps_state(FAULTY) is GpsState.HEALTHY:
             back_at_s = t
         if failed_at_s is not None and t > failed_at_s + 5.0:
             # What was left of the fault is gone; 1.5 times the 95 % bound leaves room for GPS errors of over 1-sigma.
@@ -58,7 +57,7 @@ def test_where_ranges_cannot_isolate_a_fault_nobody_is_identified():
         assert all(state is not GpsState.FAILED for sysid, state in now.items() if sysid != DENIED)
         detected |= {sysid for sysid, state in now.items() if state is GpsState.SUSPECT}
     assert FAULTY in detected
-    assert "contradict each other" in engine.fleet.get(FAULTY).health.reason
+    assert "contradict each other" in engine.gps_health.reason(FAULTY)
 
 
 def test_a_fault_free_flight_identifies_nobody():
@@ -82,7 +81,7 @@ def test_before_identification_the_bound_contains_the_solution_separation():
     for step in range(round((SPOOFED_AT_S + 12.0) / STEP_S)):
         t = step * STEP_S
         fly_step(engine, flight, t)
-        if t > SPOOFED_AT_S and engine.fleet.get(FAULTY).health.state is GpsState.HEALTHY:
+        if t > SPOOFED_AT_S and engine.gps_state(FAULTY) is GpsState.HEALTHY:
             own_m = horizontal_bound_95_m(engine.estimator.estimate(DENIED, t).covariance)
             grew |= error_and_bound_m(engine, flight, t)[1] > 1.2 * own_m
     assert grew

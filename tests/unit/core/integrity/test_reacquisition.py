@@ -16,7 +16,7 @@ from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, GpsReceiv
 from gcs_coloc.core.messages.outbound import GpsInput, HealthChanged, Notice
 
 BACK_S = 30.0
-COUNTED = "GPS: back, but contradicted by ranges"
+COUNTED = "reacquired_fix_rejected"
 RIGHT = Scenario(mutual=False, returns_at_s=BACK_S)
 OFF = replace(RIGHT, return_jump_m=200.0)
 RECOVERED_AFTER_S = 10.2  # ten seconds from the first message of the fix on
@@ -173,7 +173,7 @@ def test_the_operator_is_believed_who_declares_it_healthy():
     seen = watch(messages, BACK_S + 8.0)
     assert seen.wrong_after_s < 3.0
     assert seen.healthy_after_s == pytest.approx(5.0, abs=0.3)
-    assert seen.engine.fleet.get(DENIED).health.reason == "declared healthy by the operator"
+    assert seen.engine.gps_health.reason(DENIED) == "declared healthy by the operator"
 
 
 def test_a_reflected_estimate_gives_way_to_a_receiver_that_fits_the_ranges():
@@ -208,6 +208,6 @@ def test_a_reflected_estimate_gives_way_to_a_receiver_that_fits_the_ranges():
 
 def test_no_position_of_a_receiver_that_is_back_is_evidence_before_its_vehicle_is_healthy():
     seen = fly(RIGHT, 1, 9.0)
-    assert seen.engine.fleet.get(DENIED).health.state.value == "recovering"
+    assert seen.engine.gps_state(DENIED).value == "recovering"
     never = fly(replace(RIGHT, returns_at_s=inf), 1, 9.0)
     assert seen.engine.estimator.counts() == never.engine.estimator.counts()

@@ -4,20 +4,35 @@ from dataclasses import replace
 
 import pytest
 
+from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.gps_health.gps_health import GpsHealthSettings, GpsState
-from gcs_coloc.core.measurements import AltitudeMeasurement, PositionMeasurement
+from gcs_coloc.core.measurements import AltitudeMeasurement, Measurement, PositionMeasurement, RangeMeasurement
 from gcs_coloc.core.messages.inbound import Airspeed, Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
-from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, MeasurementSettings
-from gcs_coloc.core.telemetry.vehicles import FixSent, Vehicle, VehicleRegistry
+from gcs_coloc.core.refusals import CoreRefusal
+from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, MeasurementSettings, SentFix
+from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 
-def vehicle(state: GpsState = GpsState.HEALTHY, sysid: int = 4) -> Vehicle:
-    record = VehicleRegistry(GpsHealthSettings(), 10).add(sysid, 0.0)
-    assert record is not None
-    record.health.state = state
-    return record
+class Builder(MeasurementBuilder):
+    """A builder with clocks of its own, its results unpacked."""
+
+    def __init__(self, time: TimeSettings | None = None, *, has_frame: bool = False) -> None:
+        self.clocks = FleetClocks(time)
+        super().__init__(MeasurementSettings(), self.clocks)
+        if has_frame:
+            self.frame = LocalFrame(47.0, 8.0, 500.0)
+
+    def measure(self, message: GlobalPosition, record: ReportedState, trusted: bool = True, **known) -> Measurement | None:
+        built = self.position(message, record, is_trusted=trusted, **known)
+        return built.measurement if built is not None else None
+
+    def measure_range(self, message: PeerRange, record: ReportedState, peer: ReportedState) -> RangeMeasurement | None:
+        return self.range(message, record, peer).measurement
+
+
+def vehicle(sysid: int = 4) -> ReportedState:
+    return ReportedState(sysid, 0.0, 0.0)
 
 
 def position(at_s: float, alt_m: float = 530.0, boot_s: float | None = None) -> GlobalPosition:
@@ -29,69 +44,56 @@ def gps(h_acc_m: float | None, v_acc_m: float | None = None) -> GpsReceiver:
 
 
 def test_the_first_healthy_position_is_the_origin():
-    feed = MeasurementBuilder(MeasurementSettings())
-    assert feed.position(position(1.0), vehicle(GpsState.FAILED)) is None
-    first = feed.position(position(2.0), vehicle())
+    feed = Builder()
+    assert feed.measure(position(1.0), vehicle(), trusted=False) is None
+    first = feed.measure(position(2.0), vehicle())
     assert isinstance(first, PositionMeasurement)
     assert first.position_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
     assert first.velocity_enu_mps == pytest.approx((2.0, 1.0, -3.0))
 
 
-@pytest.mark.parametrize("state", [s for s in GpsState if s is not GpsState.HEALTHY])
-def test_only_a_healthy_vehicles_position_is_believed(state):
-    feed = MeasurementBuilder(MeasurementSettings())
-    feed.frame = LocalFrame(47.0, 8.0, 500.0)
-    measurement = feed.position(position(1.0), vehicle(state))
+def test_only_a_trusted_vehicles_position_is_believed():
+    measurement = Builder(has_frame=True).measure(position(1.0), vehicle(), trusted=False)
     assert isinstance(measurement, AltitudeMeasurement)
     assert measurement.up_m == pytest.approx(30.0, abs=0.01)
 
 
-def height_sigmas(feed: MeasurementBuilder, record: Vehicle, booted_at_s: float, from_s: int, to_s: int) -> list[float]:
-    """The sigma (m) of the height of each position, once a second, of a vehicle that climbs at none."""
-    told = [feed.position(replace(position(float(t), boot_s=t - booted_at_s), vd_mps=0.0), record) for t in range(from_s, to_s)]
-    return [m.sigma_m for m in told if isinstance(m, AltitudeMeasurement)]
+def height_sigmas(
+    feed: Builder, record: ReportedState, booted_at_s: float, from_s: int, to_s: int, sent_fix: SentFix | None = None
+) -> list[float]:
+    """The sigma (m) of the height of each position, once a second, of a denied vehicle that climbs at none."""
+    messages = [replace(position(float(t), boot_s=t - booted_at_s), vd_mps=0.0) for t in range(from_s, to_s)]
+    built = [feed.measure(message, record, trusted=False, sent_fix=sent_fix) for message in messages]
+    return [m.sigma_m for m in built if isinstance(m, AltitudeMeasurement)]
 
 
 def test_a_height_that_began_with_a_fix_of_ours_is_as_uncertain_as_that_was():
     """An autopilot that boots without GPS sets its barometer by the first fix that it gets: its height is ours come back."""
-    feed, record = MeasurementBuilder(MeasurementSettings()), vehicle(GpsState.FAILED)
-    feed.frame = LocalFrame(47.0, 8.0, 500.0)
-    record.fix_sent = FixSent(105.0, 10.0)
-    assert height_sigmas(feed, record, 90.0, 106, 108) == pytest.approx([104.0**0.5] * 2)
-    record.fix_sent = FixSent(108.0, 1.0)
-    assert height_sigmas(feed, record, 90.0, 108, 110) == pytest.approx([104.0**0.5] * 2)
-    record.health.state = GpsState.HEALTHY  # its own receiver is back, and sets it right
-    feed.position(position(110.0, boot_s=20.0), record)
-    record.health.state = GpsState.FAILED
-    assert height_sigmas(feed, record, 90.0, 111, 113) == [2.0, 2.0]
+    feed, record = Builder(has_frame=True), vehicle()
+    assert height_sigmas(feed, record, 90.0, 106, 108, SentFix(105.0, 10.0)) == pytest.approx([104.0**0.5] * 2)
+    assert height_sigmas(feed, record, 90.0, 108, 110, SentFix(108.0, 1.0)) == pytest.approx([104.0**0.5] * 2)
+    feed.measure(position(110.0, boot_s=20.0), record)  # its own receiver is back, and sets it right
+    assert height_sigmas(feed, record, 90.0, 111, 113, SentFix(108.0, 1.0)) == [2.0, 2.0]
 
 
 def test_a_height_told_before_the_first_fix_of_ours_is_the_barometers_until_the_autopilot_reboots():
-    feed, record = MeasurementBuilder(MeasurementSettings()), vehicle(GpsState.FAILED)
-    feed.frame = LocalFrame(47.0, 8.0, 500.0)
+    feed, record = Builder(has_frame=True), vehicle()
     assert height_sigmas(feed, record, 20.0, 100, 103) == [2.0] * 3
-    record.fix_sent = FixSent(105.0, 10.0)
-    assert height_sigmas(feed, record, 20.0, 106, 109) == [2.0] * 3
-    record.fix_sent = FixSent(135.0, 10.0)
-    assert height_sigmas(feed, record, 120.0, 136, 140)[-1] == pytest.approx(104.0**0.5)
+    assert height_sigmas(feed, record, 20.0, 106, 109, SentFix(105.0, 10.0)) == [2.0] * 3
+    assert height_sigmas(feed, record, 120.0, 136, 140, SentFix(135.0, 10.0))[-1] == pytest.approx(104.0**0.5)
 
 
 @pytest.mark.parametrize("step_s", [-3.0, 3.0, 2**32 / 1e3])
 def test_a_clock_that_steps_or_wraps_during_aid_does_not_cost_the_height(step_s):
-    feed, record = MeasurementBuilder(MeasurementSettings()), vehicle(GpsState.FAILED)
-    feed.frame = LocalFrame(47.0, 8.0, 500.0)
+    feed, record = Builder(has_frame=True), vehicle()
     booted_at_s = 110.0 - 2**32 / 1e3 if step_s > 10.0 else 90.0
     assert height_sigmas(feed, record, booted_at_s, 100, 110) == [2.0] * 10
-    record.fix_sent = FixSent(109.0, 10.0)
-    assert set(height_sigmas(feed, record, booted_at_s + step_s, 110, 120)) == {2.0}
+    assert set(height_sigmas(feed, record, booted_at_s + step_s, 110, 120, SentFix(109.0, 10.0))) == {2.0}
 
 
 def test_altitude_is_brought_down_by_the_earths_curvature_at_the_last_known_place():
-    feed = MeasurementBuilder(MeasurementSettings())
-    feed.frame = LocalFrame(47.0, 8.0, 500.0)
-    failed = vehicle(GpsState.FAILED)
-    failed.last_known_enu_m = (0.0, 20_000.0)
-    measurement = feed.position(position(1.0), failed)
+    feed = Builder(has_frame=True)
+    measurement = feed.measure(position(1.0), vehicle(), trusted=False, located_enu_m=(0.0, 20_000.0))
     assert isinstance(measurement, AltitudeMeasurement)
     assert measurement.up_m == pytest.approx(30.0 - 20_000.0**2 / (2 * 6.37e6), abs=0.2)
 
@@ -101,10 +103,10 @@ def test_altitude_is_brought_down_by_the_earths_curvature_at_the_last_known_plac
     [(gps(1.5, 2.5), (1.5, 2.5)), (gps(0.01, 0.01), (0.3, 0.3)), (gps(None), (5.0, 8.0)), (None, (5.0, 8.0))],
 )
 def test_the_receivers_own_accuracy_is_the_noise_where_it_states_one(receiver, expected):
-    feed = MeasurementBuilder(MeasurementSettings(), TimeSettings(min_delay_sigma_s=1e-6))
+    feed = Builder(TimeSettings(min_delay_sigma_s=1e-6))
     healthy = vehicle()
     healthy.receiver = receiver
-    measurement = feed.position(position(1.0), healthy)
+    measurement = feed.measure(position(1.0), healthy)
     assert isinstance(measurement, PositionMeasurement)
     assert (measurement.sigma_h_m, measurement.sigma_v_m) == pytest.approx(expected)
 
@@ -114,28 +116,28 @@ def test_the_receivers_own_accuracy_is_the_noise_where_it_states_one(receiver, e
     [(None, None, (5.0, 8.0)), (0.7, None, (5.0, 8.0)), (4.0, None, (20.0, 32.0)), (4.0, 1.5, (1.5, 2.5))],
 )
 def test_where_it_states_none_its_dilution_tells_how_bad_the_receiver_is(hdop, h_acc_m, expected):
-    feed = MeasurementBuilder(MeasurementSettings(), TimeSettings(min_delay_sigma_s=1e-6))
+    feed = Builder(TimeSettings(min_delay_sigma_s=1e-6))
     healthy = vehicle()
     healthy.receiver = replace(gps(h_acc_m, 2.5 if h_acc_m is not None else None), hdop=hdop)
-    measurement = feed.position(position(1.0), healthy)
+    measurement = feed.measure(position(1.0), healthy)
     assert isinstance(measurement, PositionMeasurement)
     assert (measurement.sigma_h_m, measurement.sigma_v_m) == pytest.approx(expected)
 
 
 def test_an_uncertain_time_is_an_uncertain_place():
-    feed = MeasurementBuilder(MeasurementSettings(), TimeSettings(min_delay_s=0.1, min_delay_sigma_s=0.5))
+    feed = Builder(TimeSettings(min_delay_s=0.1, min_delay_sigma_s=0.5))
     moving, peer = vehicle(), vehicle(sysid=1)
     moving.receiver = gps(1.5, 2.5)
     moving.position = position(1.0)  # 1 m/s north, 2 east, 3 down
-    measurement = feed.position(moving.position, moving)
+    measurement = feed.measure(moving.position, moving)
     assert isinstance(measurement, PositionMeasurement)
     assert measurement.measured_at_s == pytest.approx(0.9)
     assert measurement.sigma_h_m == pytest.approx((1.5**2 + 5.0 * 0.5**2) ** 0.5)
     assert measurement.time_sigma_s == 0.5
     assert measurement.sigma_v_m == pytest.approx((2.5**2 + 9.0 * 0.5**2) ** 0.5)
-    alone = feed.range(range_message(1.0, 1.0, TimeBase.BOOT), moving, peer)
+    alone = feed.measure_range(range_message(1.0, 1.0, TimeBase.BOOT), moving, peer)
     peer.position = moving.position
-    together = feed.range(range_message(1.1, 1.1, TimeBase.BOOT), moving, peer)
+    together = feed.measure_range(range_message(1.1, 1.1, TimeBase.BOOT), moving, peer)
     assert alone is not None
     assert together is not None
     assert alone.sigma_m == pytest.approx((0.5**2 + 14.0 * 0.5**2) ** 0.5)
@@ -144,7 +146,7 @@ def test_an_uncertain_time_is_an_uncertain_place():
 
 
 def test_airspeed_goes_with_the_attitude_only_while_it_is_fresh():
-    feed = MeasurementBuilder(MeasurementSettings())
+    feed = Builder()
     record = vehicle()
     record.winged = True
     record.airspeed = Airspeed(4, 10.0, 22.0)
@@ -171,7 +173,7 @@ def test_air_data_tell_how_a_vehicle_moves_on_wings_fast_enough_and_lately(winge
 @pytest.mark.parametrize(("winged", "airspeed_mps"), [(True, pytest.approx(22.0 * 1.1607, rel=1e-3)), (False, None)])
 def test_airspeed_is_the_true_one_at_the_vehicles_altitude_and_only_where_it_flies_on_wings(winged, airspeed_mps):
     """At 3000 m a plane that tells 22 m/s moves at 25.5; a multirotor may do so to any side."""
-    feed, record = MeasurementBuilder(MeasurementSettings()), vehicle()
+    feed, record = Builder(), vehicle()
     record.winged, record.airspeed, record.position = winged, Airspeed(4, 10.0, 22.0), position(10.0, alt_m=3000.0)
     measurement = feed.attitude(Attitude(4, 10.1, 10.1, 0.1, 0.2, 0.3), record)
     assert measurement is not None
@@ -179,11 +181,11 @@ def test_airspeed_is_the_true_one_at_the_vehicles_altitude_and_only_where_it_fli
 
 
 def test_a_jumping_clock_is_refused_and_counted():
-    feed = MeasurementBuilder(MeasurementSettings())
+    feed = Builder()
     record = vehicle()
-    feed.position(position(1.0), record)
-    assert feed.position(position(1.1, boot_s=1e6), record) is None
-    assert feed.refused == {"GLOBAL_POSITION_INT: its clock jumped": 1}
+    feed.measure(position(1.0), record)
+    assert feed.measure(position(1.1, boot_s=1e6), record) is None
+    assert feed.clocks.refused == {CoreRefusal.POSITION_CLOCK_JUMPED: 1}
 
 
 def range_message(at_s: float, stamp_s: float | None, base: TimeBase, device: int = 0) -> PeerRange:
@@ -191,15 +193,15 @@ def range_message(at_s: float, stamp_s: float | None, base: TimeBase, device: in
 
 
 def test_boot_unix_and_unstamped_ranges_each_find_the_service_clock():
-    feed = MeasurementBuilder(MeasurementSettings())
+    feed = Builder()
     record = vehicle()
     known = vehicle(sysid=1)
     for i in range(5):
         at_s = 100.0 + i
         late_s = 0.2 if i == 4 else 0.0
-        boot = feed.range(range_message(at_s + late_s, 7.0 + i, TimeBase.BOOT), record, known)
-        unix = feed.range(range_message(at_s + late_s, 1.7e9 + i, TimeBase.UNIX), record, known)
-        none = feed.range(range_message(at_s + late_s, None, TimeBase.BOOT), record, known)
+        boot = feed.measure_range(range_message(at_s + late_s, 7.0 + i, TimeBase.BOOT), record, known)
+        unix = feed.measure_range(range_message(at_s + late_s, 1.7e9 + i, TimeBase.UNIX), record, known)
+        none = feed.measure_range(range_message(at_s + late_s, None, TimeBase.BOOT), record, known)
         assert boot is not None
         assert unix is not None
         assert none is not None
@@ -211,30 +213,25 @@ def test_boot_unix_and_unstamped_ranges_each_find_the_service_clock():
 
 @pytest.mark.parametrize(("delay_s", "at_s", "sigma_s"), [(None, 100.0, 0.05), (-0.01, 100.0, 0.05), (0.3, 99.7, 0.158)])
 def test_an_unstamped_range_is_as_old_as_its_vehicles_newest_position_was(delay_s, at_s, sigma_s):
-    record = vehicle()
-    record.delay_s = delay_s
-    measured = MeasurementBuilder(MeasurementSettings()).range(
-        range_message(100.0, None, TimeBase.BOOT), record, vehicle(sysid=1)
-    )
+    measured = FleetClocks().range_time(range_message(100.0, None, TimeBase.BOOT), delay_s)
     assert measured is not None
-    assert (measured.measured_at_s, measured.time_sigma_s) == pytest.approx((at_s, sigma_s), abs=1e-3)
+    assert measured == pytest.approx((at_s, sigma_s), abs=1e-3)
 
 
 def test_the_clocks_of_one_vehicles_ranging_devices_are_bounded():
-    feed = MeasurementBuilder(MeasurementSettings())
+    feed = Builder()
     record = vehicle()
     for device in range(40):
-        feed.range(range_message(1.0, 1.0, TimeBase.BOOT, device), record, vehicle(sysid=1))
-    assert len(record.range_clocks) == 16
-    assert feed.refused["range: more clocks than a vehicle may have"] == 24
+        feed.measure_range(range_message(1.0, 1.0, TimeBase.BOOT, device), record, vehicle(sysid=1))
+    assert feed.clocks.refused == {CoreRefusal.RANGE_CLOCKS_FULL: 24}
 
 
 def test_the_range_error_holds_the_peers_own_and_follows_slowly():
-    feed = MeasurementBuilder(MeasurementSettings())
+    feed = Builder()
     record, peer = vehicle(), vehicle(sysid=1)
     peer.receiver = gps(1.2)
-    feed.range(range_message(1.0, None, TimeBase.BOOT), record, peer)
-    assert record.range_error_m == pytest.approx(1.3)  # 0.5 and 1.2
+    feed.measure_range(range_message(1.0, None, TimeBase.BOOT), record, peer)
+    assert feed.range_sigma_m(4) == pytest.approx(1.3)  # 0.5 and 1.2
     peer.receiver = gps(12.0)
-    feed.range(range_message(1.1, None, TimeBase.BOOT), record, peer)
-    assert record.range_error_m == pytest.approx(1.3 + 0.1 * (12.0104 - 1.3), abs=1e-3)
+    feed.measure_range(range_message(1.1, None, TimeBase.BOOT), record, peer)
+    assert feed.range_sigma_m(4) == pytest.approx(1.3 + 0.1 * (12.0104 - 1.3), abs=1e-3)

@@ -31,7 +31,7 @@ def test_standby_streams_a_healthy_vehicle_its_own_estimate_and_leaves_it_an_anc
     assert seen.gps_state == "healthy"
     assert seen.aiding.startswith("standby: sending 3D fix")
     assert max(m.measured_at_s for m in estimator.of(PositionMeasurement, 4)) > 9.5
-    assert not engine.fleet.get(4).health.aided
+    assert not engine.decision(4).is_aided
 
 
 def test_standby_fails_over_without_a_gap():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from gcs_coloc.core.aiding.acknowledgement import FixAcknowledgement
-from gcs_coloc.core.aiding.gps_input import no_fix
+from gcs_coloc.core.aiding.methods.gps_input import no_fix
 from gcs_coloc.core.messages.inbound import GpsReceiver
 
 FIX = replace(no_fix(4, 1), fix_type=3, lat_deg=47.0, lon_deg=179.9999, vn_mps=20.0)
@@ -18,12 +18,12 @@ def run(acknowledgement: FixAcknowledgement, start_s: float, stop_s: float, sent
     news = []
     for step in range(round(start_s * 10), round(stop_s * 10)):
         now_s = step / 10
-        acknowledgement.sent(sent, now_s)
+        acknowledgement.add_sent(sent, now_s)
         if step % 2 == 0:
             if heard is not None:
                 fix_type, lat_deg = heard
                 lon_deg = sent.lon_deg if sent.fix_type == 3 else 0.0
-                acknowledgement.heard(GpsReceiver(4, now_s, 1, fix_type, lat_deg, lon_deg, 0.0, 7, 1.0, 2.0, 3.0, 0.5))
+                acknowledgement.add_receiver(GpsReceiver(4, now_s, 1, fix_type, lat_deg, lon_deg, 0.0, 7, 1.0, 2.0, 3.0, 0.5))
             told = acknowledgement.review(now_s)
             if told is not None:
                 news.append((now_s, *told))
@@ -33,7 +33,7 @@ def run(acknowledgement: FixAcknowledgement, start_s: float, stop_s: float, sent
 def test_a_stream_that_is_taken_is_known_to_be_and_raises_nothing():
     acknowledgement = FixAcknowledgement(1, 0.0)
     assert run(acknowledgement, 0.0, 30.0, FIX, (3, 47.0002)) == []
-    assert acknowledgement.taken is True
+    assert acknowledgement.acknowledged is True
 
 
 @pytest.mark.parametrize(
@@ -52,9 +52,9 @@ def test_what_is_not_taken_raises_one_alarm_after_some_seconds_and_is_cleared_wh
     assert 4.9 < at_s < 11.5  # five seconds of it, six more until a fix of ours would no longer linger
     assert level == "error"
     assert words in text
-    assert acknowledgement.taken is False
+    assert acknowledgement.acknowledged is False
     assert [told[1:] for told in run(acknowledgement, 30.0, 35.0, FIX, (3, 47.0))] == [("info", "GPS_INPUT is taken")]
-    assert (acknowledgement.taken, acknowledgement.fault) == (True, None)
+    assert (acknowledgement.acknowledged, acknowledgement.fault) == (True, None)
 
 
 @pytest.mark.parametrize(("off_m", "is_told"), [(85.0, False), (95.0, True)])
@@ -73,7 +73,7 @@ def test_the_fix_that_lingers_for_a_few_seconds_raises_nothing():
 def test_that_both_say_there_is_no_fix_shows_nothing():
     acknowledgement = FixAcknowledgement(1, 0.0)
     assert run(acknowledgement, 0.0, 20.0, no_fix(4, 1), (1, 0.0)) == []
-    assert acknowledgement.taken is None
+    assert acknowledgement.acknowledged is None
 
 
 def test_the_first_receiver_is_watched_where_it_is_the_one_we_feed():

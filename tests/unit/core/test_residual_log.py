@@ -15,7 +15,7 @@ def residual(at_s: float, innovation_m: float = 1.0, peer: int | None = 1, refus
 
 def test_the_newest_range_of_each_pair_is_shown_with_its_age_and_verdict():
     log = ResidualLog()
-    log.take([residual(10.0), residual(10.2, -3.0, refused="gate"), residual(10.1), residual(10.1, peer=2)], 10.5)
+    log.add([residual(10.0), residual(10.2, -3.0, refused="gate"), residual(10.1), residual(10.1, peer=2)], 10.5)
     first, second = log.ranges(10.5)
     assert (first.from_sysid, first.to_sysid, first.innovation_m, first.refused) == (4, 1, -3.0, "gate")
     assert first.age_s == pytest.approx(0.3)
@@ -24,9 +24,9 @@ def test_the_newest_range_of_each_pair_is_shown_with_its_age_and_verdict():
 
 def test_what_is_older_than_five_seconds_is_forgotten_and_fixes_are_left_out():
     log = ResidualLog()
-    log.take([residual(10.0), residual(12.0, peer=None)], 12.0)
+    log.add([residual(10.0), residual(12.0, peer=None)], 12.0)
     assert len(log.ranges(12.0)) == 1
-    log.take([], 15.1)
+    log.add([], 15.1)
     assert log.ranges(15.1) == ()
     assert log.consistency() == {}
 
@@ -35,7 +35,7 @@ def test_what_is_older_than_five_seconds_is_forgotten_and_fixes_are_left_out():
 def test_the_band_holds_the_median_of_a_consistent_filter_with_95_percent(count):
     medians = np.median(np.random.default_rng(3).chisquare(1, (20_000, count)), axis=1)
     log = ResidualLog()
-    log.take([residual(10.0)] * count, 10.0)
+    log.add([residual(10.0)] * count, 10.0)
     c = log.consistency()[4]
     assert c.ranges == count
     # 20,000 draws: the share is known to 0.0015 (1-sigma); for an even count the band is an approximation.
@@ -47,7 +47,7 @@ def test_the_band_holds_the_median_of_a_consistent_filter_with_95_percent(count)
 def test_innovations_of_another_size_than_the_filter_says_are_out_of_the_band(scale, place):
     innovations = np.random.default_rng(3).normal(0.0, scale, 200)
     log = ResidualLog()
-    log.take([residual(10.0, float(x)) for x in innovations], 10.0)
+    log.add([residual(10.0, float(x)) for x in innovations], 10.0)
     c = log.consistency()[4]
     assert c.nis_median == pytest.approx(float(np.median(innovations**2)))
     assert place == ("below" if c.nis_median < c.band_low else "above" if c.nis_median > c.band_high else "within")
@@ -56,8 +56,8 @@ def test_innovations_of_another_size_than_the_filter_says_are_out_of_the_band(sc
 def test_a_few_refused_ranges_hardly_change_the_median_and_are_counted_half_of_them_do():
     few, half = ResidualLog(), ResidualLog()
     sound = [residual(10.0, float(x)) for x in np.random.default_rng(5).normal(0.0, 1.0, 100)]
-    few.take([*sound, *[residual(10.0, 30.0, refused="gate")] * 5], 10.0)
-    half.take([*sound, *[residual(10.0, 30.0, refused="gate")] * 110], 10.0)
+    few.add([*sound, *[residual(10.0, 30.0, refused="gate")] * 5], 10.0)
+    half.add([*sound, *[residual(10.0, 30.0, refused="gate")] * 110], 10.0)
     c = few.consistency()[4]
     assert c.band_low < c.nis_median < c.band_high
     assert (c.ranges, c.refused) == (105, 5)
@@ -66,9 +66,9 @@ def test_a_few_refused_ranges_hardly_change_the_median_and_are_counted_half_of_t
 
 def test_both_ends_of_a_range_are_told_and_what_is_too_old_is_not():
     log = ResidualLog()
-    log.take([residual(10.0), residual(10.0, 2.0, peer=2), residual(12.0, 3.0, peer=2)], 12.0)
+    log.add([residual(10.0), residual(10.0, 2.0, peer=2), residual(12.0, 3.0, peer=2)], 12.0)
     assert {vehicle: c.ranges for vehicle, c in log.consistency().items()} == {1: 1, 2: 2, 4: 3}
-    log.take([], 16.0)
+    log.add([], 16.0)
     assert {vehicle: c.nis_median for vehicle, c in log.consistency().items()} == {2: 9.0, 4: 9.0}
 
 
@@ -91,7 +91,7 @@ def test_what_comes_and_goes_one_by_one_leaves_what_a_look_at_all_that_is_left_f
             )
             for ends in (rng.choice(5, 2, replace=False) for _ in range(int(rng.integers(0, 60)) if step < 80 else 0))
         ]
-        log.take(new, now_s)
+        log.add(new, now_s)
         told += new
         # Only from the front: what came out of order stays until what came before it is too old.
         while told and now_s - told[0].measured_at_s > 5.0:
@@ -110,7 +110,7 @@ def test_what_comes_and_goes_one_by_one_leaves_what_a_look_at_all_that_is_left_f
 
 def test_of_more_than_four_thousand_residuals_the_first_are_forgotten():
     log = ResidualLog()
-    log.take([residual(10.0, 7.0, refused="gate")] * 3000 + [residual(10.0)] * 2000, 10.0)
+    log.add([residual(10.0, 7.0, refused="gate")] * 3000 + [residual(10.0)] * 2000, 10.0)
     c = log.consistency()[4]
     assert (c.ranges, c.refused, c.nis_median) == (4000, 2000, 25.0)
 
@@ -119,15 +119,15 @@ def test_of_more_than_four_thousand_residuals_the_first_are_forgotten():
 def test_the_misfit_is_the_median_of_both_ends_and_outliers_hardly_change_it(scale, low, high):
     innovations = np.random.default_rng(4).normal(0.0, scale, 200)
     log = ResidualLog()
-    log.take([residual(10.0, float(x)) for x in innovations], 10.0)
+    log.add([residual(10.0, float(x)) for x in innovations], 10.0)
     # The median of 200 draws of chi-square with one degree of freedom is within 0.455 +- 0.16 with 99 %, times the scale squared.
-    assert low < log.misfit()[4] < high
-    assert log.misfit()[1] == log.misfit()[4]
-    log.take([residual(10.0, 50.0, refused="gate")] * 40, 10.0)
-    assert log.misfit()[4] < 1.6 * high
+    assert low < log.median_nis()[4] < high
+    assert log.median_nis()[1] == log.median_nis()[4]
+    log.add([residual(10.0, 50.0, refused="gate")] * 40, 10.0)
+    assert log.median_nis()[4] < 1.6 * high
 
 
-def test_too_few_ranges_have_no_misfit():
+def test_too_few_ranges_have_no_median_nis():
     log = ResidualLog()
-    log.take([residual(10.0)] * 11, 10.0)
-    assert log.misfit() == {}
+    log.add([residual(10.0)] * 11, 10.0)
+    assert log.median_nis() == {}

@@ -21,7 +21,7 @@ def test_aid_off_ends_the_stream_with_no_fix_and_auto_begins_it_again():
     engine.receive(OperatorCommand(4, 8.0, AidingOverride.OFF))
     stream = aids(fly(engine, 8.0, 10.0, failed=[4]), 4)
     assert [a.fix_type for _, a in stream] == [1]
-    assert vehicle_4(engine, 10.0).aiding == "off by the operator's word"
+    assert vehicle_4(engine, 10.0).aiding == "off by the operator's override"
     engine.receive(OperatorCommand(4, 10.0, AidingOverride.AUTO))
     assert len(aids(fly(engine, 10.0, 12.0, failed=[4]), 4)) == pytest.approx(20, abs=1)
 
@@ -78,7 +78,7 @@ def test_to_an_unknown_autopilot_nothing_is_sent_unless_a_way_is_set():
         assert any(isinstance(o, AidingMessage) for _, o in out) is sent
         alarms = [o.text for _, o in out if isinstance(o, Notice) and "cannot be aided: its autopilot is neither" in o.text]
         assert len(alarms) == (0 if sent else 1)
-        assert all("set its aiding method ([aiding] methods)" in text for text in alarms)
+        assert all("set its aiding method" in text for text in alarms)
         assert vehicle_4(engine, 10.0).aiding.startswith("sending 3D fix" if sent else "NOT SENT: its autopilot is neither")
 
 

@@ -19,9 +19,15 @@ def unknown(at_s: float) -> NoEstimate:
     return NoEstimate(4, at_s, "too few ranges")
 
 
+def inhibited(policy: FixPolicy, answer: Estimate | NoEstimate, at_s: float, **known) -> str | None:
+    """Why the policy claims no fix, in words."""
+    inhibit = policy.inhibit(answer, at_s, **{"own_gps": False, **known})
+    return inhibit.text if inhibit is not None else None
+
+
 def asked(policy: FixPolicy, answers, start_s: float, own_gps: bool = False) -> list[str | None]:
     """The policy's words on one answer each 0.1 s."""
-    return [policy.why_no_fix(answer, start_s + i / 10, own_gps=own_gps) for i, answer in enumerate(answers)]
+    return [inhibited(policy, answer, start_s + i / 10, own_gps=own_gps) for i, answer in enumerate(answers)]
 
 
 def test_the_first_fix_is_not_waited_for():
@@ -67,23 +73,23 @@ def test_a_vehicle_with_its_own_gps_in_the_answer_needs_no_ranges():
 
 def test_a_position_that_half_of_its_ranges_contradict_is_no_fix_however_small_its_bound():
     policy = FixPolicy(AidingSettings(), 0.0)
-    assert policy.why_no_fix(known(0.0), 0.0, own_gps=False, range_misfit=0.9) is None
-    word = policy.why_no_fix(known(0.1), 0.1, own_gps=False, range_misfit=4.0)
+    assert inhibited(policy, known(0.0), 0.0, own_gps=False, median_nis=0.9) is None
+    word = inhibited(policy, known(0.1), 0.1, own_gps=False, median_nis=4.0)
     assert word == "half of its ranges are 2.0 sigma or more off where it is held to be"
-    assert policy.why_no_fix(known(0.2), 0.2, own_gps=False, range_misfit=0.5) == "good enough again, watched for 3 s"
+    assert inhibited(policy, known(0.2), 0.2, own_gps=False, median_nis=0.5) == "good enough again, watched for 3 s"
 
 
 def test_the_ranges_say_nothing_of_a_vehicle_on_its_own_gps():
-    assert FixPolicy(AidingSettings(), 0.0).why_no_fix(known(0.0), 0.0, own_gps=True, range_misfit=9.0) is None
+    assert inhibited(FixPolicy(AidingSettings(), 0.0), known(0.0), 0.0, own_gps=True, median_nis=9.0) is None
 
 
 def test_no_fix_is_claimed_from_the_jump_of_all_ranges_until_the_position_has_been_watched_for_three_seconds():
     policy = FixPolicy(AidingSettings(), 0.0)
-    assert policy.why_no_fix(known(0.0), 0.0, own_gps=False) is None
-    assert policy.why_no_fix(known(0.1), 0.1, own_gps=False, range_jump_m=19.6) == "all of its ranges jumped by 20 m"
-    assert policy.why_no_fix(known(0.2), 0.2, own_gps=False) == "good enough again, watched for 3 s"
-    assert policy.why_no_fix(known(3.3), 3.3, own_gps=False) is None
-    assert policy.why_no_fix(known(3.4), 3.4, own_gps=True, range_jump_m=19.6) is None
+    assert inhibited(policy, known(0.0), 0.0, own_gps=False) is None
+    assert inhibited(policy, known(0.1), 0.1, own_gps=False, range_jump_m=19.6) == "all of its ranges jumped by 20 m"
+    assert inhibited(policy, known(0.2), 0.2, own_gps=False) == "good enough again, watched for 3 s"
+    assert inhibited(policy, known(3.3), 3.3, own_gps=False) is None
+    assert inhibited(policy, known(3.4), 3.4, own_gps=True, range_jump_m=19.6) is None
 
 
 @pytest.mark.parametrize("answer", [known(0.0, ranges=1, hdop=None), known(0.0, hdop=46.0), known(0.0, hdop=float("inf"))])
@@ -98,7 +104,7 @@ def test_ranges_to_one_peer_or_along_one_line_are_a_fix_for_ten_seconds_where_no
 @pytest.mark.parametrize("tells", [{"air_data": True}, {"own_gps": True}])
 def test_ranges_to_one_peer_do_for_as_long_as_the_bound_says_where_the_vehicle_tells_how_it_moves(tells):
     policy = FixPolicy(AidingSettings(), 0.0)
-    words = [policy.why_no_fix(known(0.0, ranges=1, hdop=None), i / 10, **{"own_gps": False, **tells}) for i in range(600)]
+    words = [inhibited(policy, known(0.0, ranges=1, hdop=None), i / 10, **{"own_gps": False, **tells}) for i in range(600)]
     assert set(words) == {None}
 
 

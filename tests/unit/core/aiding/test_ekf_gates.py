@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from gcs_coloc.core.aiding.ekf_gates import EkfGates
-from gcs_coloc.core.aiding.gps_input import no_fix
+from gcs_coloc.core.aiding.methods.gps_input import no_fix
 
 GOOD = replace(
     no_fix(4, 1), fix_type=3, horiz_accuracy_m=7.5, vert_accuracy_m=11.25, speed_accuracy_mps=1.5, hdop=2.5, satellites=6

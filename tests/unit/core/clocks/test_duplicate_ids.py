@@ -19,8 +19,8 @@ def seen_at(stamps: list[tuple[float, float]]) -> list[float]:
     """The arrival times at which two clocks are seen in stamps of (boot time, arrival time)."""
     clocks, out = DuplicateIdDetector(), []
     for stamp_s, received_at_s in stamps:
-        clocks.take(stamp_s, received_at_s)
-        if clocks.seen(received_at_s):
+        clocks.add(stamp_s, received_at_s)
+        if clocks.detected(received_at_s):
             out.append(received_at_s)
     return out
 

@@ -24,4 +24,4 @@ def test_every_kind_of_message_of_a_vehicle_has_a_taker(kind):
     hints = get_type_hints(kind)
     engine = Engine(load_estimator("fleet", {}))
     engine.receive(kind(**{field.name: _any_value(hints[field.name]) for field in fields(kind)}))
-    assert [vehicle.sysid for vehicle in engine.fleet] == [1]
+    assert engine.sysids() == [1]

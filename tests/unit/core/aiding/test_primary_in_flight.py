@@ -66,7 +66,7 @@ def test_while_the_primary_receiver_is_ours_its_claims_are_an_echo_until_it_is_r
     assert vehicle_4(flight.engine, 12.0).gps_primary == "ours"
     estimator = flight.engine.estimator._inner
     flight.engine.receive(OperatorCommand(4, 12.0, GpsOverride.HEALTHY))
-    assert flight.engine.fleet.get(4).health.self_fed
+    assert flight.engine.decision(4).is_self_fed
     flight.fly(12.0, 13.0, failed=[])
     assert flight.primary == 0.0
     assert "GPS_PRIMARY restored to 0" in texts(flight.out)

@@ -3,33 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from enum import Enum
 from statistics import median
 
 from gcs_coloc.core.clocks.gps_time import TABLE_GOOD_UNTIL, table_is_old
-from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.messages.control import ClockReference
 from gcs_coloc.core.messages.outbound import Notice
-from gcs_coloc.core.telemetry.vehicles import Vehicle
 
-_UNDISCIPLINED = "the host's clock is not synchronised (NTP or the like)"
-_UNTOLD = "the host does not tell whether its clock is synchronised"
+
+class HostClockFault(Enum):
+    """Why the host's UTC is not good enough, where the settings require it; the value is the wording."""
+
+    UNSYNCHRONISED = "the host's clock is not synchronised (NTP or the like)"
+    UNKNOWN = "the host does not state whether its clock is synchronised"
 
 
 class Utc:
-    """UTC on the service's clock. `required`: aid is withheld while the host's clock is not known to be synchronised."""
+    """UTC on the service's clock. `required`: nobody is aided while the host's clock is not known to be synchronised."""
 
     def __init__(self, *, required: bool) -> None:
         self._required = required
         self._host: ClockReference | None = None
         self._warned_of_old_table = False
 
-    def take(self, message: ClockReference) -> list[Notice]:
-        """Take what the host says of its clock; returns what a person should read, once for each change."""
+    def update(self, message: ClockReference) -> list[Notice]:
+        """Update with what the host says of its clock; return what a person should read, once for each change."""
         before = self._host.synchronised if self._host is not None else None
         first, self._host = self._host is None, message
         out: list[Notice] = []
         if message.synchronised is not before or (first and self._required):
-            out.extend(self._tell(message))
+            out.extend(self._notices(message))
         offset_s = message.utc_minus_service_s
         if offset_s is not None and not self._warned_of_old_table and table_is_old(message.received_at_s + offset_s):
             self._warned_of_old_table = True
@@ -37,33 +40,33 @@ class Utc:
             out.append(Notice(message.received_at_s, None, "warning", text))
         return out
 
-    def withheld(self) -> str | None:
-        """Why no aid may be sent, in words; None where it may."""
+    def fault(self) -> HostClockFault | None:
+        """Why no aiding message may be sent; None where it may."""
         if not self._required or (self._host is not None and self._host.synchronised):
             return None
-        return _UNDISCIPLINED if self._host is not None and self._host.synchronised is False else _UNTOLD
+        unsynchronised = self._host is not None and self._host.synchronised is False
+        return HostClockFault.UNSYNCHRONISED if unsynchronised else HostClockFault.UNKNOWN
 
-    def minus_service_s(self, fleet: Iterable[Vehicle]) -> float | None:
+    def minus_service_s(self, of_vehicles_s: Iterable[float]) -> float | None:
         """UTC (UNIX seconds) minus service clock; None where neither host nor vehicles know.
 
-        A clock that is known not to be synchronised counts less than what healthy vehicles have from their GPS (their median).
+        `of_vehicles_s` is what vehicles with healthy GPS state. A host clock that is known not to be synchronised counts less
+        than their median.
         """
         host_s = self._host.utc_minus_service_s if self._host is not None else None
         if host_s is not None and self._host is not None and self._host.synchronised is not False:
             return host_s
-        told = [
-            vehicle.utc_minus_service_s
-            for vehicle in fleet
-            if vehicle.utc_minus_service_s is not None and vehicle.health.state is GpsState.HEALTHY
-        ]
-        return median(told) if told else host_s
+        stated_s = list(of_vehicles_s)
+        return median(stated_s) if stated_s else host_s
 
-    def _tell(self, message: ClockReference) -> list[Notice]:
+    def _notices(self, message: ClockReference) -> list[Notice]:
+        fault = self.fault()
         if message.synchronised:
             return [Notice(message.received_at_s, None, "info", "the host's clock is synchronised")]
-        if self._required:
-            return [Notice(message.received_at_s, None, "error", f"{self.withheld()}: aid is withheld, as it is set")]
+        if fault is not None:
+            return [Notice(message.received_at_s, None, "error", f"{fault.value}: nobody is aided, as it is set")]
         if message.synchronised is False:
-            text = f"{_UNDISCIPLINED}: the time in GPS_INPUT is the vehicles' where they know it, else it may be wrong"
+            text = "the time in GPS_INPUT is the vehicles' where they know it, else it may be wrong"
+            text = f"{HostClockFault.UNSYNCHRONISED.value}: {text}"
             return [Notice(message.received_at_s, None, "warning", text)]
         return []

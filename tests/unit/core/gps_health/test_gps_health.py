@@ -4,35 +4,63 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_coloc.core.gps_health.gps_health import Contradiction, GpsHealth, GpsHealthSettings, GpsState
+from gcs_coloc.core.gps_health.gps_health import GpsEvidence, GpsHealth, GpsHealthSettings, GpsState, RangeContradiction
+from gcs_coloc.core.gps_health.reasons import GpsReason, StatedGpsReason
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.messages.inbound import EkfStatus, GpsReceiver, SystemHealth
 
 
-def receiver(
-    at_s: float, fix_type: int = 3, satellites: int | None = 10, h_acc_m: float | None = 1.0, index: int = 0
-) -> GpsReceiver:
-    return GpsReceiver(1, at_s, index, fix_type, 47.0, 8.0, 500.0, satellites, 1.0, h_acc_m, 1.5, 0.3)
+def receiver(at_s: float, fix_type: int = 3, satellites: int | None = 10, h_acc_m: float | None = 1.0) -> GpsReceiver:
+    return GpsReceiver(1, at_s, 0, fix_type, 47.0, 8.0, 500.0, satellites, 1.0, h_acc_m, 1.5, 0.3)
 
 
-def healthy_until(t_s: float) -> GpsHealth:
-    health = GpsHealth(GpsHealthSettings())
-    for i in range(int(t_s * 5) + 1):
-        health.take(receiver(i / 5))
-        health.update(i / 5)
+class Machine:
+    """A state machine with the evidence that it was given last."""
+
+    def __init__(self) -> None:
+        self.health = GpsHealth(GpsHealthSettings())
+        self.evidence = GpsEvidence()
+
+    @property
+    def state(self) -> GpsState:
+        return self.health.state
+
+    @property
+    def reason(self) -> str:
+        return self.health.reason.text
+
+    def add(self, message: GpsReceiver | SystemHealth | EkfStatus) -> None:
+        if isinstance(message, GpsReceiver):
+            self.health.add_receiver(message, None)
+            self.know(receiver=message)
+        elif isinstance(message, SystemHealth):
+            self.know(system=message)
+        else:
+            self.know(ekf=message)
+
+    def know(self, **evidence: object) -> None:
+        self.evidence = replace(self.evidence, **evidence)
+
+    def update(self, now_s: float) -> None:
+        self.health.update(self.evidence, now_s)
+
+
+def healthy_until(t_s: float) -> Machine:
+    health = Machine()
+    run(health, 0.0, t_s)
     assert health.state is GpsState.HEALTHY
     return health
 
 
-def run(health: GpsHealth, start_s: float, stop_s: float, **fix: object) -> None:
+def run(health: Machine, start_s: float, stop_s: float, **fix: object) -> None:
     for i in range(int((stop_s - start_s) * 5) + 1):
-        health.take(receiver(start_s + i / 5, **fix))
+        health.add(receiver(start_s + i / 5, **fix))
         health.update(start_s + i / 5)
 
 
 def test_nothing_heard_is_unknown():
-    health = GpsHealth(GpsHealthSettings())
+    health = Machine()
     health.update(100.0)
     assert health.state is GpsState.UNKNOWN
 
@@ -70,16 +98,16 @@ def test_a_receiver_that_falls_silent_is_lost_where_the_vehicle_says_so_otherwis
     for i in range(1, 60):
         t = 5.0 + i / 10
         if system is not None:
-            health.take(SystemHealth(1, t, *system))
+            health.add(SystemHealth(1, t, *system))
         if absolute is not None:
-            health.take(EkfStatus(1, t, absolute, False, False))
+            health.add(EkfStatus(1, t, absolute, False, False))
         health.update(t)
     assert health.state is after
 
 
 def test_what_was_said_before_a_receiver_fell_silent_does_not_make_it_lost():
     health = healthy_until(5.0)
-    health.take(SystemHealth(1, 4.9, *UNHEALTHY))
+    health.add(SystemHealth(1, 4.9, *UNHEALTHY))
     for i in range(1, 200):
         health.update(5.0 + i / 10)
     assert health.state is GpsState.SUSPECT
@@ -99,7 +127,7 @@ def test_a_jammed_receivers_flicker_fails_it_and_keeps_it_failed():
     states = set()
     for i in range(100):
         t = 5.2 + i / 5
-        health.take(receiver(t, fix_type=6 if i % 4 < 2 else 1))
+        health.add(receiver(t, fix_type=6 if i % 4 < 2 else 1))
         health.update(t)
         if t > 8.0:
             states.add(health.state)
@@ -126,13 +154,6 @@ def test_recovery_starts_anew_after_each_relapse():
     assert health.state is GpsState.RECOVERING
 
 
-def test_the_receiver_that_we_feed_counts_for_nothing():
-    health = healthy_until(5.0)
-    run(health, 5.2, 8.0, fix_type=1)
-    run(health, 8.2, 30.0, index=1)
-    assert health.state is GpsState.FAILED
-
-
 def test_a_silent_receiver_is_suspect_but_not_failed():
     health = healthy_until(5.0)
     health.update(8.1)
@@ -153,26 +174,26 @@ def test_a_silent_receiver_is_suspect_but_not_failed():
 )
 def test_the_autopilots_own_doubt_makes_suspect_unless_it_is_an_echo_of_our_aid(evidence):
     health = healthy_until(5.0)
-    health.take(evidence)
+    health.add(evidence)
     health.update(5.1)
     assert health.state is GpsState.SUSPECT
     aided = healthy_until(5.0)
-    aided.aided = True
-    aided.take(evidence)
+    aided.know(is_aided=True)
+    aided.add(evidence)
     aided.update(5.1)
     assert aided.state is GpsState.HEALTHY
 
 
 def test_the_operators_word_wins_until_withdrawn():
     health = healthy_until(5.0)
-    health.word = GpsOverride.FAILED
+    health.know(override=GpsOverride.FAILED)
     run(health, 5.2, 6.0)
     assert health.state is GpsState.FAILED
     assert "operator" in health.reason
-    health.word = GpsOverride.HEALTHY
+    health.know(override=GpsOverride.HEALTHY)
     run(health, 6.2, 10.0, fix_type=0)
     assert health.state is GpsState.HEALTHY
-    health.word = GpsOverride.AUTO
+    health.know(override=GpsOverride.AUTO)
     run(health, 10.2, 12.0, fix_type=0)
     assert health.state is GpsState.FAILED
 
@@ -182,9 +203,11 @@ def test_a_receiver_frozen_on_the_move_fails_and_a_jump_is_suspect():
     for i in range(60):
         t = 5.2 + i / 5
         for health, east_m in ((frozen, 20.0 * t), (jumped, 20.0 * t + (40.0 if t > 8.0 else 0.0))):
-            health.motion.take_claim(PositionMeasurement(1, t, t, (east_m, 0.0, 0.0), 1.0, 2.0, (20.0, 0.0, 0.0), 0.3), own=True)
-        frozen.take(receiver(t))
-        jumped.take(replace(receiver(t), lat_deg=47.0 + 1e-5 * i))
+            health.health.add_position(
+                PositionMeasurement(1, t, t, (east_m, 0.0, 0.0), 1.0, 2.0, (20.0, 0.0, 0.0), 0.3), own=True
+            )
+        frozen.add(receiver(t))
+        jumped.add(replace(receiver(t), lat_deg=47.0 + 1e-5 * i))
         frozen.update(t)
         jumped.update(t)
     assert frozen.state is GpsState.FAILED
@@ -195,9 +218,16 @@ def test_a_receiver_frozen_on_the_move_fails_and_a_jump_is_suspect():
 
 def test_an_identified_contradiction_fails_at_once_and_an_unclear_one_is_suspect():
     accused, among = healthy_until(5.0), healthy_until(5.0)
-    accused.contradiction = Contradiction("contradicts the ranges", identified=True)
-    among.contradiction = Contradiction("somebody lies", identified=False)
+    accused.know(contradiction=RangeContradiction("contradicts the ranges", is_identified=True))
+    among.know(contradiction=RangeContradiction("somebody lies", is_identified=False))
     run(accused, 5.2, 5.2)
     run(among, 5.2, 30.0)
     assert accused.state is GpsState.FAILED
     assert among.state is GpsState.SUSPECT
+
+
+@pytest.mark.parametrize("reason", GpsReason)
+def test_every_reason_is_worded(reason):
+    text = StatedGpsReason(reason, 1.0, 2.0, "a detail").text
+    assert text
+    assert "{" not in text

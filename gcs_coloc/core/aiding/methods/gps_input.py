@@ -1,4 +1,4 @@
-"""What is said to an aided vehicle: an Estimate turned into the content of GPS_INPUT, honest or not at all.
+"""GPS_INPUT: an estimate turned into a fix of a synthetic receiver, honest or not at all.
 
 Position and velocity are those of `lag_s` ago, because ArduPilot's driver takes the data to be that old (GPS_DELAY).
 HDOP is what its definition says, the position's horizontal 1-sigma in units of the 1-sigma of one range (the peer's own error
@@ -10,13 +10,16 @@ fix_type 1: the autopilot then knows that the receiver lives and has no fix.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import sqrt
 
+from gcs_coloc.core.aiding.methods.method import MethodContext, Moment
 from gcs_coloc.core.clocks.gps_time import gps_week_and_ms
 from gcs_coloc.core.error_bound import horizontal_sigma_m, worst_sigma
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate
-from gcs_coloc.core.messages.outbound import GpsInput
+from gcs_coloc.core.messages.aiding import CommandResult
+from gcs_coloc.core.messages.outbound import AidingMessage, GpsInput, Notice
 
 _FIX_3D, _NO_FIX = 3, 1
 _SATELLITES_WITH_FIX = 7  # enough for EKF3 (6), never so many that a switch by count would prefer us to a real receiver
@@ -24,17 +27,50 @@ _UNKNOWN_ACCURACY_M = 9999.0
 _UNKNOWN_DOP = 99.99
 
 
+class GpsInputMethod:
+    """GPS_INPUT, the position of `lag_s` ago."""
+
+    def __init__(self, context: MethodContext) -> None:
+        self.age_s = context.settings.lag_s
+        self._sysid = context.sysid
+        self._gps_id = context.settings.gps_id
+
+    def build_messages(self, moment: Moment) -> Sequence[AidingMessage | Notice]:
+        """As the protocol says: one GPS_INPUT, with a fix or without."""
+        at_s, utc = moment.arrives_s - self.age_s, moment.utc_minus_service_s
+        unix_s = at_s + utc if utc is not None else None
+        where = moment.where if moment.inhibit is None and isinstance(moment.where, Estimate) else None
+        return [gps_input(self._sysid, where, moment.frame, moment.range_sigma_m, unix_s, self._gps_id)]
+
+    def build_last_messages(self) -> Sequence[AidingMessage]:
+        """As the protocol says: no fix."""
+        return [no_fix(self._sysid, self._gps_id)]
+
+    def add_result(self, result: CommandResult) -> Sequence[Notice]:
+        """As the protocol says: no command is sent."""
+        del result
+        return []
+
+    def with_fix(self) -> str:
+        """As the protocol says."""
+        return "3D fix"
+
+    def without_fix(self) -> str:
+        """As the protocol says."""
+        return "no fix"
+
+
 def gps_input(
     sysid: int,
     answer: Estimate | None,
     frame: LocalFrame | None,
-    range_error_m: float | None,
+    range_sigma_m: float | None,
     unix_s: float | None,
     gps_id: int,
 ) -> GpsInput:
     """GPS_INPUT for one vehicle from the estimator's answer, None where that may not be claimed as a fix.
 
-    `range_error_m` is the 1-sigma of one range with the error of the peer's position in it, `unix_s` the UTC time of the
+    `range_sigma_m` is the 1-sigma of one range with the error of the peer's position in it, `unix_s` the UTC time of the
     answer; both None where unknown.
     """
     week, week_ms = gps_week_and_ms(unix_s) if unix_s is not None else (0, 0)
@@ -57,8 +93,8 @@ def gps_input(
         lat_deg=lat_deg,
         lon_deg=lon_deg,
         alt_msl_m=alt_msl_m,
-        hdop=_dop(sqrt(float(p[0, 0] + p[1, 1])), range_error_m),
-        vdop=_dop(vert_accuracy_m, range_error_m),
+        hdop=_dop(sqrt(float(p[0, 0] + p[1, 1])), range_sigma_m),
+        vdop=_dop(vert_accuracy_m, range_sigma_m),
         vn_mps=vn_mps,
         ve_mps=ve_mps,
         vd_mps=vd_mps,
@@ -69,8 +105,8 @@ def gps_input(
     )
 
 
-def _dop(sigma_m: float, range_error_m: float | None) -> float:
-    return min(sigma_m / range_error_m, _UNKNOWN_DOP) if range_error_m is not None else _UNKNOWN_DOP
+def _dop(sigma_m: float, range_sigma_m: float | None) -> float:
+    return min(sigma_m / range_sigma_m, _UNKNOWN_DOP) if range_sigma_m is not None else _UNKNOWN_DOP
 
 
 def no_fix(sysid: int, gps_id: int, time_usec: int = 0, gps_week: int = 0, gps_time_of_week_ms: int = 0) -> GpsInput:

@@ -37,7 +37,7 @@ def run(switch: PrimarySwitch, aircraft: Aircraft, start_s: float, stop_s: float
             else:
                 sent.append(output)
                 for value in aircraft.answer(output, now_s + 0.05):
-                    queue += switch.heard(value)
+                    queue += switch.add_parameter(value)
     return sent, told
 
 
@@ -79,7 +79,7 @@ def test_a_silent_vehicle_is_asked_five_times_then_told_of_and_again_after_half_
 def test_a_set_that_nobody_confirmed_may_have_been_obeyed_and_is_restored():
     switch, aircraft = PrimarySwitch(1), Aircraft()
     (request,) = switch.review(4, 0.0, wanted=True)
-    switch.heard(aircraft.answer(request, 0.1)[0])
+    switch.add_parameter(aircraft.answer(request, 0.1)[0])
     (order,) = switch.review(4, 0.2, wanted=True)
     assert isinstance(order, ParameterSet)
     assert switch.holds(4)  # the answer is lost
@@ -103,7 +103,7 @@ def test_one_that_cannot_be_restored_is_told_with_the_value_and_tried_on():
 def test_what_somebody_else_sets_meanwhile_is_left():
     switch, aircraft = PrimarySwitch(1), Aircraft()
     run(switch, aircraft, 0.0, 5.0, wanted=True)
-    (notice,) = switch.heard(ParameterValue(4, 5.0, "GPS_PRIMARY", 0.0, INT8))
+    (notice,) = switch.add_parameter(ParameterValue(4, 5.0, "GPS_PRIMARY", 0.0, INT8))
     assert notice.text == "GPS_PRIMARY was set to 0 by somebody else: left as it is"
     assert run(switch, aircraft, 5.0, 10.0, wanted=True) == ([], [])
     assert not switch.holds(4)

@@ -102,7 +102,7 @@ def test_where_the_vehicle_refuses_them_gps_input_goes_on_and_the_refusals_are_c
     engine = engine_with(10.0)
     out = flown(engine, 5.0, 20.0, FAILED)
     assert fix_types(out, 7.0) == {3}
-    assert engine.refused()["external position estimate: failed by the vehicle"] > 8
+    assert engine.refused()["external_position_failed"] > 8
     assert len([text for text in texts(out) if "refuses external position estimates (failed)" in text]) == 1
 
 

@@ -1,0 +1,1 @@
+"""The aiding methods: one module each, and one line in `registry`."""

@@ -1,0 +1,99 @@
+"""External position estimates: a command that ArduPilot accepts while it dead-reckons.
+
+EKF3 refuses a GPS whose stated accuracy is coarse, and drifts on. It accepts a coarse position by
+MAV_CMD_EXTERNAL_POSITION_ESTIMATE, and only while it uses no GPS: so its answer shows whether it uses what GPS_INPUT brings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gcs_coloc.core.aiding.methods.method import MethodContext, Moment
+from gcs_coloc.core.error_bound import horizontal_sigma_m
+from gcs_coloc.core.measurements import NoEstimate
+from gcs_coloc.core.messages.aiding import CommandResult, ExternalPosition
+from gcs_coloc.core.messages.outbound import AidingMessage, Notice
+from gcs_coloc.core.refusals import CoreRefusal
+
+COMMAND = 43003
+"""MAV_CMD_EXTERNAL_POSITION_ESTIMATE."""
+
+_ACCEPTED, _UNSUPPORTED, _IN_PROGRESS = 0, 3, 5  # MAV_RESULT
+_RESULTS = {
+    1: (CoreRefusal.EXTERNAL_POSITION_REJECTED, "temporarily rejected"),
+    2: (CoreRefusal.EXTERNAL_POSITION_DENIED, "denied"),
+    3: (CoreRefusal.EXTERNAL_POSITION_UNSUPPORTED, "unsupported"),
+    4: (CoreRefusal.EXTERNAL_POSITION_FAILED, "failed"),
+}
+_MAX_UNANSWERED = 5  # chosen: five seconds at the default rate
+_ACCEPTED_PERIODS = 3.5  # an acceptance holds for so long; chosen: three lost answers
+_WRAPS_S = 32_768.0  # param1 is a 32-bit float: 2 ms apart here
+
+
+class ExternalPositionMethod:
+    """MAV_CMD_EXTERNAL_POSITION_ESTIMATE at a low rate, its answers watched."""
+
+    age_s = 0.0
+
+    def __init__(self, context: MethodContext) -> None:
+        self._sysid = context.sysid
+        self._clock_began_s = context.first_heard_s
+        self._period_s = 1.0 / context.settings.external_rate_hz
+        self._refused = context.refused
+        self._due_s = float("-inf")
+        self._accepted_at_s = float("-inf")
+        self._result: int | None = None
+        self._unanswered = 0
+
+    def build_messages(self, moment: Moment) -> Sequence[AidingMessage | Notice]:
+        """As the protocol says."""
+        frame = moment.frame
+        if moment.inhibit is not None or frame is None or moment.standby or self._result == _UNSUPPORTED:
+            return []
+        if moment.now_s < self._due_s:
+            return []
+        where = moment.locate(moment.arrives_s)
+        if isinstance(where, NoEstimate):
+            return []
+        late = moment.now_s - self._due_s > self._period_s
+        self._due_s = (moment.now_s if late else self._due_s) + self._period_s
+        lat_deg, lon_deg, _ = frame.geodetic_from_enu(*(float(x) for x in where.position_enu_m))
+        sent_s = (moment.now_s - self._clock_began_s) % _WRAPS_S
+        out: list[AidingMessage | Notice] = []
+        if self._unanswered == _MAX_UNANSWERED and moment.transmits:
+            out.append(Notice(moment.now_s, self._sysid, "warning", "it does not answer to external position estimates"))
+        self._unanswered += 1
+        return [*out, ExternalPosition(self._sysid, sent_s, lat_deg, lon_deg, horizontal_sigma_m(where.covariance))]
+
+    def is_accepted(self, now_s: float) -> bool:
+        """Return whether the vehicle accepts the estimates, as it does while it dead-reckons."""
+        return self._result == _ACCEPTED and now_s - self._accepted_at_s <= _ACCEPTED_PERIODS * self._period_s
+
+    def build_last_messages(self) -> Sequence[AidingMessage]:
+        """As the protocol says: the command cannot say that there is no position."""
+        return []
+
+    def add_result(self, result: CommandResult) -> Sequence[Notice]:
+        """As the protocol says."""
+        if result.command != COMMAND or result.result == _IN_PROGRESS:
+            return []
+        before, self._result, self._unanswered = self._result, result.result, 0
+        if result.result == _ACCEPTED:
+            self._accepted_at_s = result.received_at_s
+            text = "it takes external position estimates"
+            return [Notice(result.received_at_s, self._sysid, "info", text)] if before != _ACCEPTED else []
+        refusal, text = _RESULTS.get(result.result, (CoreRefusal.EXTERNAL_POSITION_OTHER, f"MAV_RESULT {result.result}"))
+        self._refused[refusal] += 1
+        if before == result.result:
+            return []
+        why = "its firmware does not know them" if result.result == _UNSUPPORTED else "its EKF uses a GPS, or has no origin yet"
+        return [Notice(result.received_at_s, self._sysid, "warning", f"it refuses external position estimates ({text}): {why}")]
+
+    def with_fix(self) -> str:
+        """As the protocol says."""
+        taken = "" if self._result == _ACCEPTED else ", not taken" if self._result is not None else ", not answered yet"
+        return f"external position estimates{taken}"
+
+    def without_fix(self) -> str:
+        """As the protocol says."""
+        return "nothing"

@@ -1,0 +1,74 @@
+"""What every aiding method is: a builder of messages for one vehicle, from one estimate under one policy."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from gcs_coloc.core.aiding.inhibit import Inhibit
+from gcs_coloc.core.aiding.parameters import Parameters
+from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.measurements import Estimate, NoEstimate
+from gcs_coloc.core.messages.aiding import CommandResult
+from gcs_coloc.core.messages.outbound import AidingMessage, Notice
+from gcs_coloc.core.refusals import CoreRefusal
+
+
+@dataclass(frozen=True, slots=True)
+class MethodContext:
+    """What a method is made from: the vehicle, the settings, its parameters, and the count of what it refuses."""
+
+    sysid: int
+    first_heard_s: float
+    settings: AidingSettings
+    parameters: Parameters
+    refused: Counter[CoreRefusal]
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What a method may send at one time. Times are on the service's clock, s.
+
+    `where` is the estimate for the time that the method's `age_s` wants, `arrives_s` when what is sent now arrives, `inhibit` why
+    no fix may be claimed; `locate` estimates for other times. `range_sigma_m` is the 1-sigma of the vehicle's ranges of late.
+    `standby`: the vehicle's own receiver is in use. `transmits`: what is built is sent, so that an answer may be expected.
+    """
+
+    now_s: float
+    arrives_s: float
+    frame: LocalFrame | None
+    utc_minus_service_s: float | None
+    where: Estimate | NoEstimate
+    inhibit: Inhibit | None
+    locate: Callable[[float], Estimate | NoEstimate]
+    range_sigma_m: float | None
+    standby: bool
+    transmits: bool = True
+
+    def unix_us(self, at_s: float) -> int:
+        """A service time as UNIX time in microseconds, 0 where that is not known."""
+        return round((at_s + self.utc_minus_service_s) * 1e6) if self.utc_minus_service_s is not None else 0
+
+
+class AidingMethod(Protocol):
+    """One method of aiding one vehicle. `age_s`: how old the vehicle takes the position to be when the message arrives."""
+
+    age_s: float
+
+    def build_messages(self, moment: Moment) -> Sequence[AidingMessage | Notice]:
+        """Build the messages that are due now; called `rate_hz` times a second."""
+
+    def build_last_messages(self) -> Sequence[AidingMessage]:
+        """Build the last messages, after which nothing comes."""
+
+    def add_result(self, result: CommandResult) -> Sequence[Notice]:
+        """Add the vehicle's answer to a command."""
+
+    def with_fix(self) -> str:
+        """Return what is sent while there is a fix, in words."""
+
+    def without_fix(self) -> str:
+        """Return what is sent while there is none, in words."""

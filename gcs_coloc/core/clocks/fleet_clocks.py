@@ -1,0 +1,157 @@
+"""The clocks of one fleet: stamps of messages to service time, TIMESYNC requests and answers, duplicate system ids."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from math import hypot
+
+from gcs_coloc.core.clocks.sender_clock import SenderClock
+from gcs_coloc.core.clocks.unanswered_timesync import UnansweredTimesync
+from gcs_coloc.core.clocks.vehicle_clocks import ServiceTime, TimeSettings, VehicleClock
+from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, SystemTime, TimeBase, TimeSyncAnswer
+from gcs_coloc.core.messages.outbound import Notice, TimeSyncRequest
+from gcs_coloc.core.refusals import CoreRefusal
+
+_MAX_RANGE_CLOCKS = 16  # of one vehicle; chosen: bounds the table against a sender of random device ids
+_OTHER_ROUTE_SHARE = 0.5  # of the delay, 1-sigma: a range may come by another route than the position
+_FIX_AGE_S, _FIX_AGE_SIGMA_S = 0.1, 0.1  # when an autopilot stamps it; 0.11 s on ArduPlane
+_FIX_DELAY_S, _FIX_DELAY_SIGMA_S = 0.25, 0.25  # age and link together, where there is no stamp
+_LONGEST_FIX_AGE_S = 2.0  # beyond, the stamp is another clock's, as some autopilots and simulators put there
+
+_REFUSALS = {
+    GlobalPosition: (CoreRefusal.POSITION_CLOCK_JUMPED, CoreRefusal.POSITION_TOO_OLD),
+    Attitude: (CoreRefusal.ATTITUDE_CLOCK_JUMPED, CoreRefusal.ATTITUDE_TOO_OLD),
+    SystemTime: (CoreRefusal.SYSTEM_TIME_CLOCK_JUMPED, CoreRefusal.SYSTEM_TIME_TOO_OLD),
+}
+
+
+@dataclass(slots=True)
+class _Clocks:
+    boot: VehicleClock = field(default_factory=VehicleClock)
+    ranging: dict[tuple[TimeBase, int], SenderClock] = field(default_factory=dict)
+    utc_minus_service_s: float | None = None
+
+
+class FleetClocks:
+    """The clocks of each vehicle and of its ranging devices. `refused` counts refused stamps and answers."""
+
+    def __init__(self, settings: TimeSettings | None = None, max_age_s: float = 5.0) -> None:
+        """`max_age_s`: a message that was measured longer ago than this is refused."""
+        self.settings = settings if settings is not None else TimeSettings()
+        self.refused: Counter[CoreRefusal] = Counter()
+        self._max_age_s = max_age_s
+        self._clocks: dict[int, _Clocks] = {}
+        self._unanswered = UnansweredTimesync(self.settings)
+        self._host_utc_minus_service_s: float | None = None
+
+    def set_host_utc(self, utc_minus_service_s: float | None) -> None:
+        """Set the host's UTC minus service clock; None where it is not known to be right."""
+        self._host_utc_minus_service_s = utc_minus_service_s
+
+    def stamp(self, message: GlobalPosition | Attitude | SystemTime) -> ServiceTime | None:
+        """Add the boot time of a message; return when it was measured, None where its stamp is refused."""
+        clock = self._of(message.sysid).boot
+        jumped, too_old = _REFUSALS[type(message)]
+        if not clock.learn(message.boot_s, message.received_at_s):
+            self.refused[jumped] += 1
+            return None
+        return self._fresh(clock.to_service(message.boot_s, message.received_at_s, self.settings), message.received_at_s, too_old)
+
+    def booted_at_s(self, message: GlobalPosition, measured: ServiceTime) -> float:
+        """Return the service time at which an autopilot booted, from one of its stamps and when that was."""
+        return measured.at_s - self._of(message.sysid).boot.stamps.unwrapped(message.boot_s)
+
+    def fix_time(self, message: GpsReceiver) -> ServiceTime:
+        """Return when the fix of a receiver was measured."""
+        now_s, clock = message.received_at_s, self._of(message.sysid).boot
+        if message.fixed_boot_s is not None and clock.stamps.known:
+            stamped = clock.to_service(message.fixed_boot_s, now_s, self.settings)
+            if 0.0 <= now_s + 3.0 * stamped.sigma_s - stamped.at_s <= _LONGEST_FIX_AGE_S:
+                return ServiceTime(stamped.at_s - _FIX_AGE_S, hypot(stamped.sigma_s, _FIX_AGE_SIGMA_S))
+        return ServiceTime(now_s - _FIX_DELAY_S, _FIX_DELAY_SIGMA_S)
+
+    def range_time(self, message: PeerRange, position_delay_s: float | None) -> ServiceTime | None:
+        """Return when a range was measured, None where its stamp is refused.
+
+        `position_delay_s`: the delay of the vehicle's newest position, for a range without a stamp.
+        """
+        now_s = message.received_at_s
+        if message.measured_at_s is None:
+            # Delayed as much as the position, or by another route: from not at all to twice as much.
+            delay_s = max(position_delay_s or 0.0, 0.0)
+            sigma_s = hypot(self.settings.min_delay_sigma_s, _OTHER_ROUTE_SHARE * delay_s)
+            return self._fresh(ServiceTime(now_s - delay_s, sigma_s), now_s, CoreRefusal.RANGE_TOO_OLD)
+        if message.time_base is TimeBase.SERVICE:
+            return self._fresh(ServiceTime(message.measured_at_s, 0.0), now_s, CoreRefusal.RANGE_TOO_OLD)
+        # A ranging device or companion computer may have booted apart from the autopilot.
+        clocks, key = self._of(message.sysid), (message.time_base, message.device_id)
+        clock = clocks.ranging.get(key)
+        if clock is None:
+            if len(clocks.ranging) >= _MAX_RANGE_CLOCKS:
+                self.refused[CoreRefusal.RANGE_CLOCKS_FULL] += 1
+                return None
+            clock = clocks.ranging[key] = SenderClock()
+        if not clock.learn(message.measured_at_s, now_s):
+            self.refused[CoreRefusal.RANGE_CLOCK_JUMPED] += 1
+            return None
+        measured = clocks.boot.device_to_service(clock, message.measured_at_s, now_s, self.settings)
+        return self._fresh(measured, now_s, CoreRefusal.RANGE_TOO_OLD)
+
+    def add_system_time(self, message: SystemTime, *, gps_is_trusted: bool) -> None:
+        """Add the UTC that a vehicle knows; it shows the link's delay where its GPS is trusted and the host knows UTC."""
+        clocks, measured = self._of(message.sysid), self.stamp(message)
+        if message.unix_s is None or measured is None:
+            clocks.utc_minus_service_s = None
+            return
+        if self._host_utc_minus_service_s is not None and gps_is_trusted:
+            clocks.boot.add_utc(message.unix_s, message.boot_s, self._host_utc_minus_service_s)
+        clocks.utc_minus_service_s = message.unix_s - measured.at_s
+
+    def utc_minus_service_s(self, sysid: int) -> float | None:
+        """Return UTC minus service clock as a vehicle stated it last; None where it does not know UTC."""
+        return self._of(sysid).utc_minus_service_s
+
+    def add_answer(self, message: TimeSyncAnswer) -> None:
+        """Add an answer to TIMESYNC."""
+        refusal = self._of(message.sysid).boot.add_answer(message.ts1_ns, message.tc1_ns / 1e9, message.received_at_s)
+        if refusal is not None:
+            self.refused[refusal] += 1
+
+    def request(self, sysid: int, now_s: float) -> TimeSyncRequest | None:
+        """Return the TIMESYNC request that is due to a vehicle, None where none is."""
+        ts1_ns = self._of(sysid).boot.round_trips.request(sysid, now_s, self.settings.timesync_period_s)
+        return TimeSyncRequest(sysid, ts1_ns) if ts1_ns is not None else None
+
+    def report_unanswered(self, sysid: int, first_heard_s: float, now_s: float) -> Notice | None:
+        """Return what the operator must know of a vehicle that does not answer TIMESYNC, once."""
+        news = self._unanswered.report(sysid, self._of(sysid).boot, first_heard_s, now_s)
+        return Notice(now_s, sysid, *news) if news is not None else None
+
+    def resets(self, sysid: int) -> int:
+        """Return how often the clock of a vehicle began anew, as a reboot makes it."""
+        return self._of(sysid).boot.resets
+
+    def has_duplicate_id(self, sysid: int, now_s: float) -> bool:
+        """Return whether two autopilots use one system id."""
+        return self._of(sysid).boot.duplicates.detected(now_s)
+
+    def one_way_delay_s(self, sysid: int, now_s: float) -> float | None:
+        """Return the least delay of the link to a vehicle, s; None where it is not known."""
+        return self._of(sysid).boot.one_way_delay_s(now_s)
+
+    def quality(self, sysid: int, now_s: float) -> tuple[str, float] | None:
+        """Return how the clock of a vehicle is known, and its 1-sigma in s; None before its first stamp."""
+        return self._of(sysid).boot.quality(now_s, self.settings)
+
+    def _of(self, sysid: int) -> _Clocks:
+        clocks = self._clocks.get(sysid)
+        if clocks is None:
+            clocks = self._clocks[sysid] = _Clocks()
+        return clocks
+
+    def _fresh(self, measured: ServiceTime, received_at_s: float, too_old: CoreRefusal) -> ServiceTime | None:
+        if received_at_s - measured.at_s > self._max_age_s:
+            self.refused[too_old] += 1
+            return None
+        return measured

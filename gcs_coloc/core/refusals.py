@@ -1,0 +1,48 @@
+"""What the core refuses, as reasons to count by."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class CoreRefusal(StrEnum):
+    """A reason that the core counts by. Its value is the `reason` label of the metric."""
+
+    FLEET_FULL = "fleet_full"
+    """A message of a vehicle beyond `max_vehicles`."""
+
+    # Clocks: the sender's stamp jumps against the clock known so far, or is older than `max_age_s`.
+    POSITION_CLOCK_JUMPED = "position_clock_jumped"
+    POSITION_TOO_OLD = "position_too_old"
+    ATTITUDE_CLOCK_JUMPED = "attitude_clock_jumped"
+    ATTITUDE_TOO_OLD = "attitude_too_old"
+    SYSTEM_TIME_CLOCK_JUMPED = "system_time_clock_jumped"
+    SYSTEM_TIME_TOO_OLD = "system_time_too_old"
+    RANGE_CLOCK_JUMPED = "range_clock_jumped"
+    RANGE_TOO_OLD = "range_too_old"
+    RANGE_CLOCKS_FULL = "range_clocks_full"
+    """More time bases and devices than a vehicle may have."""
+    TIMESYNC_NOT_REQUESTED = "timesync_not_requested"
+    TIMESYNC_TOO_OLD = "timesync_too_old"
+    TIMESYNC_CONTRADICTORY = "timesync_contradictory"
+    """No delay of the link explains it beside the answers before it."""
+    TIMESYNC_OFF_BOOT_TIME = "timesync_off_boot_time"
+    TIMESYNC_BEFORE_BOOT_TIME = "timesync_before_boot_time"
+    """The vehicle has sent no boot time yet."""
+
+    # Ranges
+    RANGE_PEER_UNKNOWN = "range_peer_unknown"
+    """The other end is no vehicle of the fleet."""
+    RANGE_REPEATED = "range_repeated"
+    """The ranging device repeats one value."""
+
+    # Integrity
+    REACQUIRED_FIX_REJECTED = "reacquired_fix_rejected"
+    """The receiver is back, but ranges or estimate contradict it."""
+
+    # Answers to MAV_CMD_EXTERNAL_POSITION_ESTIMATE, by MAV_RESULT
+    EXTERNAL_POSITION_REJECTED = "external_position_temporarily_rejected"
+    EXTERNAL_POSITION_DENIED = "external_position_denied"
+    EXTERNAL_POSITION_UNSUPPORTED = "external_position_unsupported"
+    EXTERNAL_POSITION_FAILED = "external_position_failed"
+    EXTERNAL_POSITION_OTHER = "external_position_other_result"

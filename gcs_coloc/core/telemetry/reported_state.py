@@ -1,0 +1,119 @@
+"""The reported state of each vehicle: what it last said of itself. Telemetry alone writes it; later stages read it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from gcs_coloc.core.messages.control import NO_HEARTBEAT_YET, RouteBlock, RouteReport
+from gcs_coloc.core.messages.inbound import (
+    Airspeed,
+    Attitude,
+    Autopilot,
+    EkfStatus,
+    FromVehicle,
+    GlobalPosition,
+    GpsReceiver,
+    Heartbeat,
+    SystemHealth,
+)
+from gcs_coloc.core.telemetry.air_data import LEAST_AIRSPEED_MPS
+
+_AIR_DATA_FRESH_S = 2.0  # chosen: ten periods of VFR_HUD at the requested rate
+
+
+@dataclass(slots=True)
+class ReportedState:
+    """What one vehicle last reported of itself. Times are on the service's clock, s.
+
+    `blocked` is why the links can send it nothing, None where they can; `blocked_wording` says it to people.
+    `winged`: it flies along its nose and turns by banking.
+    `receiver` is the newest message of its own GPS receiver, not of the one that the service feeds.
+    """
+
+    sysid: int
+    first_heard_s: float
+    last_heard_s: float
+    autopilot: Autopilot | None = None
+    winged: bool = False
+    blocked: RouteBlock | None = RouteBlock.NO_HEARTBEAT
+    blocked_wording: str | None = NO_HEARTBEAT_YET
+    position: GlobalPosition | None = None
+    attitude: Attitude | None = None
+    airspeed: Airspeed | None = None
+    receiver: GpsReceiver | None = None
+    system: SystemHealth | None = None
+    ekf: EkfStatus | None = None
+
+    def has_air_data(self, now_s: float) -> bool:
+        """Whether it reports by airspeed and bank how it moves through the air: on wings, fast enough for them, and lately."""
+        air, attitude = self.airspeed, self.attitude
+        if not self.winged or air is None or attitude is None or air.airspeed_mps < LEAST_AIRSPEED_MPS:
+            return False
+        return now_s - min(air.received_at_s, attitude.received_at_s) <= _AIR_DATA_FRESH_S
+
+
+class Telemetry:
+    """The reported states of one fleet, one a vehicle; at most `max_vehicles` of them.
+
+    `own_receiver` is the instance of a vehicle's own GPS receiver, which the service does not feed.
+    """
+
+    def __init__(self, max_vehicles: int, own_receiver: int = 0) -> None:
+        self.own_receiver = own_receiver
+        self._max_vehicles = max_vehicles
+        self._states: dict[int, ReportedState] = {}
+
+    def add(self, sysid: int, at_s: float) -> ReportedState | None:
+        """Add a vehicle that is heard for the first time; None where the fleet is full."""
+        if len(self._states) >= self._max_vehicles:
+            return None
+        state = self._states[sysid] = ReportedState(sysid, at_s, at_s)
+        return state
+
+    def update(self, message: FromVehicle) -> bool:
+        """Update the reported state of a vehicle that was added; True where its GPS health and aiding need a review."""
+        state = self._states[message.sysid]
+        state.last_heard_s = message.received_at_s
+        match message:
+            case GlobalPosition():
+                state.position = message
+            case Attitude():
+                state.attitude = message
+            case Airspeed():
+                state.airspeed = message
+            case GpsReceiver():
+                if message.receiver == self.own_receiver:
+                    state.receiver = message
+                return True
+            case SystemHealth():
+                state.system = message
+                return True
+            case EkfStatus():
+                state.ekf = message
+                return True
+            case Heartbeat():
+                changed = state.autopilot is not message.autopilot
+                state.autopilot, state.winged = message.autopilot, message.winged
+                return changed
+            case _:
+                pass
+        return False
+
+    def set_route(self, report: RouteReport) -> bool:
+        """Set whether the links reach a vehicle; True where that has changed for a vehicle of the fleet."""
+        state = self._states.get(report.sysid)
+        if state is None or state.blocked_wording == report.wording:
+            return False
+        state.blocked, state.blocked_wording = report.blocked, report.wording
+        return True
+
+    def get(self, sysid: int) -> ReportedState | None:
+        """Return the reported state of a vehicle, None where it was never heard."""
+        return self._states.get(sysid)
+
+    def __iter__(self) -> Iterator[ReportedState]:
+        return iter(self._states.values())
+
+    def __len__(self) -> int:
+        return len(self._states)
