@@ -254,7 +254,7 @@ def foreign_gps_input(raw: RawFrame, received_at_s: float, vehicle: int) -> Fore
 
 
 def gps_input(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> ForeignGpsInput:
-    """GPS_INPUT (232) from somebody else. It has no target field: only the address that it came from tells whom it reaches."""
+    """GPS_INPUT (232) from somebody else. It has no target field: it reaches every vehicle at the address it came from."""
     gps_id = values[15]
     return ForeignGpsInput(sysid, received_at_s, gps_id)
 

@@ -48,7 +48,7 @@ def read_host_clock(now_s: float) -> ClockReference:
 
 
 def is_synchronised() -> bool | None:
-    """Whether something (NTP, PTP, a GPS receiver) keeps the host's clock right; None where the system does not tell.
+    """Whether something (NTP, PTP, a GPS receiver) keeps the host's clock right; None where that is unknown.
 
     Source: adjtimex(2), which returns TIME_ERROR while the clock is not synchronised.
     """

@@ -69,8 +69,8 @@ class Service:
                 await fleet.open()
             collect_seldom()
             async with asyncio.TaskGroup() as group:
-                news = {fleet.name: fleet.path.events.subscribe() for fleet in self._fleets}
-                background = [group.create_task(console_sink.show(news, console))]
+                events = {fleet.name: fleet.path.events.subscribe() for fleet in self._fleets}
+                background = [group.create_task(console_sink.show(events, console))]
                 for number, fleet in enumerate(self._fleets):
                     # Not all at once: what many fleets do in the same moment delays what is to be sent.
                     background += fleet.start(group, number / len(self._fleets), on_terminal=console.is_terminal)
