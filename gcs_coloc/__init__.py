@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from gcs_coloc.estimators.registry import load_estimator
     from gcs_coloc.evaluation.dataset import Dataset, read_dataset
     from gcs_coloc.evaluation.evaluate import Evaluation, evaluate, evaluate_dataset
+    from gcs_coloc.evaluation.plot import plot_evaluation
     from gcs_coloc.recorder.recording_arrays import RecordingArrays, VehicleArrays, read_recording
 
 __version__ = "0.2.0"
@@ -71,6 +72,7 @@ __all__ = [
     "evaluate",
     "evaluate_dataset",
     "load_estimator",
+    "plot_evaluation",
     "read_dataset",
     "read_recording",
 ]
@@ -102,6 +104,7 @@ _MODULE_OF = {
     "evaluate": "evaluation.evaluate",
     "evaluate_dataset": "evaluation.evaluate",
     "load_estimator": "estimators.registry",
+    "plot_evaluation": "evaluation.plot",
     "read_dataset": "evaluation.dataset",
     "read_recording": "recorder.recording_arrays",
 }

@@ -28,7 +28,7 @@ def evaluate(
 ) -> None:
     """Run an estimator over a data set, causally, and score it against the truth."""
     from gcs_coloc.evaluation import evaluate as study
-    from gcs_coloc.evaluation import plot as evaluation_plot
+    from gcs_coloc.evaluation.plot import plot_evaluation
 
     settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {}, fleet)
     # As in flight: what it fails at is told and scored as no answer.
@@ -38,7 +38,7 @@ def evaluate(
     evaluation = study.evaluate(directory, guarded)
     warn_of_findings(directory, evaluation.findings)
     if plot is not None:
-        evaluation_plot.plot(evaluation, plot)
+        plot_evaluation(evaluation, plot)
     if as_json:
         print(json.dumps(evaluation.as_dict(), indent=2))
         return

@@ -11,8 +11,8 @@ from gcs_coloc.core.errors import UsageError
 from gcs_coloc.evaluation.evaluate import Evaluation, VehicleEvaluation
 
 
-def plot(evaluation: Evaluation, path: Path) -> None:
-    """Write the picture; the format follows from the file's ending.
+def plot_evaluation(evaluation: Evaluation, path: Path) -> None:
+    """Draw each vehicle's track, its error against the stated 2-sigma, and the NIS of its ranges; the ending sets the format.
 
     Raises:
         UsageError: matplotlib is not installed, or the ending is not one that it writes, or the file cannot be written.

@@ -15,7 +15,7 @@ from gcs_coloc import __version__
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, Measurement, NoEstimate, Residual
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.evaluation.evaluate import evaluate
-from gcs_coloc.evaluation.plot import plot
+from gcs_coloc.evaluation.plot import plot_evaluation
 from gcs_coloc.evaluation.scoring import EstimateSeries, score
 from tests.recordings import recording
 
@@ -118,7 +118,7 @@ def test_the_figures_do_not_depend_on_the_process_or_its_hash_seed(tmp_path):
 def test_the_picture_is_drawn(tmp_path):
     pytest.importorskip("matplotlib")
     picture = tmp_path / "walk.png"
-    plot(evaluate(write_walk(tmp_path, 2), FleetFilter()), picture)
+    plot_evaluation(evaluate(write_walk(tmp_path, 2), FleetFilter()), picture)
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
