@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from math import inf
 from pathlib import Path
 
@@ -11,6 +13,7 @@ from pydantic import ValidationError
 from recorded_flight import EPOCH_S, write_flight
 
 from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.truth import HeardTruth
@@ -213,6 +216,17 @@ def test_a_pass_ends_when_it_is_stopped(flight):
     through.stop()
     through.run()
     assert store.computed_s == store.first_s
+
+
+def test_a_full_disk_ends_the_pass_with_the_remedy(flight, monkeypatch):
+    store = PictureStore(*TlogReader(flight).span())
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(store, "add_picture", full)
+    with pytest.raises(DataError, match="No space left on device; make room there, or set TMPDIR"):
+        ReplayPass(lambda on_poll: replay_of(flight, on_poll), lambda _: {}, store).run()
 
 
 def test_a_true_position_is_shown_while_it_is_fresh_and_only_for_its_vehicle(flight, computed):
