@@ -1,4 +1,4 @@
-"""What is due goes out before anything is done for those who look on: it is at the vehicle when the journal is begun."""
+"""Outputs are at the vehicle before the journal is written and before observers get their time."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def drained(sock: socket.socket) -> int:
         count += 1
 
 
-def test_outputs_are_at_the_vehicle_when_the_journal_looks_at_the_engine_and_then_it_is_a_lull(free_port, tmp_path, monkeypatch):
-    told: list[tuple[int, int]] = []
-    write = Journal.polled
+def test_outputs_are_at_the_vehicle_when_the_journal_is_written_and_then_observers_get_a_slot(free_port, tmp_path, monkeypatch):
+    counted: list[tuple[int, int]] = []
+    write = Journal.entries
 
     async def flight() -> None:
         clock = ServiceClock()
@@ -44,17 +44,17 @@ def test_outputs_are_at_the_vehicle_when_the_journal_looks_at_the_engine_and_the
             sock.setblocking(False)
 
             def watched(journal, at_s, outputs):
-                told.append((sum(isinstance(output, ToVehicle) for output in outputs), drained(sock)))
+                counted.append((sum(isinstance(output, ToVehicle) for output in outputs), drained(sock)))
                 return write(journal, at_s, outputs)
 
-            monkeypatch.setattr(Journal, "polled", watched)
+            monkeypatch.setattr(Journal, "entries", watched)
             hover = Hover(1, (0.0, 0.0, 50.0), ("127.0.0.1", free_port), sock)
             hover.send(*hover.telemetry(0, 3))
             async with asyncio.timeout(_GENEROUS_S):
                 async for _ in path.idle.every(0.01):
-                    if sum(due for due, _ in told) >= 3:
+                    if sum(due for due, _ in counted) >= 3:
                         break
         await path.close()
 
     asyncio.run(flight())
-    assert all(due == arrived for due, arrived in told)
+    assert all(due == arrived for due, arrived in counted)
