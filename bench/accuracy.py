@@ -28,7 +28,7 @@ from bench.accuracy_runs import (
 from bench.figures import Figure
 from gcs_coloc.estimators.registry import load_estimator
 
-_SUBJECT = 4
+_DENIED = 4
 _MODEL_CASES = (ModelCase(50.0, 5.0, 8.0, 20.0), ModelCase(5.0, 15.0, 20.0, 50.0))
 _PLAIN = Case()
 _AIDED = Case(wind_east_mps=8.0, air_data=True)
@@ -63,7 +63,7 @@ def _own_model(case: ModelCase, runs: int) -> list[Figure]:
     draws = draw(case, runs, seed=1)
     posterior_m, along_m = bounds_rms_m(draws)
     done = on_all_cores("E1", _fleet_over, [recording(draws, run) for run in range(runs)])
-    tracks = [run.tracks[_SUBJECT] for run in done]
+    tracks = [run.tracks[_DENIED] for run in done]
     error_m, mean = rmse_m(tracks), anees(tracks)
     ratio, ratio_along = (error_m / posterior_m) ** 2, (error_m / along_m) ** 2
     scatter = ratio_along * relative_error_of_mse(tracks)
@@ -100,7 +100,7 @@ def _honesty(name: str, tracks: list[Track]) -> Figure:
 
 def _paper_flight(what: str, case: Case, seeds: int, goal_m: float, first_goal_m: float | None, reference: str) -> list[Figure]:
     done = _flown(what, case, seeds)
-    tracks = [run.tracks[_SUBJECT] for run in done]
+    tracks = [run.tracks[_DENIED] for run in done]
     name = f"{what}, {seeds} seeds"
     whole_m, first_m = rmse_m(tracks), rmse_m(tracks, 100.0)
     known = unknown_share(tracks) == 0.0
@@ -112,7 +112,7 @@ def _paper_flight(what: str, case: Case, seeds: int, goal_m: float, first_goal_m
 
 def _telemetry(seeds: int) -> list[Figure]:
     clean, dirty = (
-        [run.tracks[_SUBJECT] for run in _flown(f"E4 {what}", case, seeds)]
+        [run.tracks[_DENIED] for run in _flown(f"E4 {what}", case, seeds)]
         for what, case in (("clean", _CLEAN), ("as it comes", _DIRTY))
     )
     name = f"E4 paper's flight as telemetry, 5 Hz, {seeds} seeds"
@@ -150,7 +150,7 @@ def _peers(rate_hz: float, seeds: int) -> list[Figure]:
         if peer not in runs:
             figures.append(_figure(name, "not installed"))
             continue
-        tracks = [run.tracks[_SUBJECT] for run in runs[peer]]
+        tracks = [run.tracks[_DENIED] for run in runs[peer]]
         cpu_us = sum(run.cpu_us for run in runs[peer]) / seeds
         text = f"{rmse_m(tracks):.2f} m, first 100 s {rmse_m(tracks, 100.0):.2f} m, ANEES {anees(tracks):.2f}, {cpu_us:.0f} us"
         figures.append(_figure(name, text))

@@ -29,7 +29,7 @@ _HEIGHT_SIGMA_M = 1.0
 _RECENT_S = 3.0
 _RECENT_MOST = 63
 _UNKNOWN_VELOCITY_MPS = 30.0
-_SUBJECT = 3
+_DENIED = 3
 # One vehicle's states that the horizontal position depends on: position, velocity, report error (2 each), stamp error, turn.
 _STAMP, _TURN = 6, 7
 _BLOCK = 8
@@ -118,11 +118,11 @@ def draw(case: ModelCase, runs: int, seed: int) -> ModelDraws:
         reports[:, k] = p + white + stamp.value[..., np.newaxis] * v
         reports[:, k, :, :2] += error.value
         reports[:, k, :, 2] += height_error.value
-        heights[:, k] = p[:, _SUBJECT, 2] + baro_error.value + rng.normal(0.0, _HEIGHT_SIGMA_M, runs)
-        away = p[:, _SUBJECT, np.newaxis] - p[:, :_PAIRS]
+        heights[:, k] = p[:, _DENIED, 2] + baro_error.value + rng.normal(0.0, _HEIGHT_SIGMA_M, runs)
+        away = p[:, _DENIED, np.newaxis] - p[:, :_PAIRS]
         distance = np.linalg.norm(away, axis=-1)
         unit = away / distance[..., np.newaxis]
-        closing = np.einsum("mpa,mpa->mp", unit, v[:, _SUBJECT, np.newaxis] - v[:, :_PAIRS])
+        closing = np.einsum("mpa,mpa->mp", unit, v[:, _DENIED, np.newaxis] - v[:, :_PAIRS])
         sigma = np.sqrt(RANGE_SIGMA_M**2 + (closing * s.time_stamp_offset_sigma_s) ** 2)
         ranges[:, k] = distance + bias.value + lasting.value + sigma * rng.normal(size=(runs, _PAIRS))
         for i, bound in enumerate(bounds):
@@ -147,9 +147,9 @@ def recording(draws: ModelDraws, run: int) -> Recording:
         if t <= 0.0:
             continue
         if k % every == 0:
-            rest.append(AltitudeMeasurement(_SUBJECT + 1, t, t, float(draws.heights_m[run, k]), _HEIGHT_SIGMA_M))
+            rest.append(AltitudeMeasurement(_DENIED + 1, t, t, float(draws.heights_m[run, k]), _HEIGHT_SIGMA_M))
         rest.extend(
-            RangeMeasurement(_SUBJECT + 1, peer + 1, t, t, range_m, RANGE_SIGMA_M)
+            RangeMeasurement(_DENIED + 1, peer + 1, t, t, range_m, RANGE_SIGMA_M)
             for peer, range_m in enumerate(draws.ranges_m[run, k].tolist())
         )
     scored = np.flatnonzero(draws.times_s >= case.settled_s)
@@ -159,7 +159,7 @@ def recording(draws: ModelDraws, run: int) -> Recording:
         lost_at_s=0.0,
         asked_s=draws.times_s[scored],
         lag_s=0.0,
-        truth_m={_SUBJECT + 1: draws.places_m[run, scored, _SUBJECT, :2]},
+        truth_m={_DENIED + 1: draws.places_m[run, scored, _DENIED, :2]},
     )
 
 
@@ -273,7 +273,7 @@ class _Bound:
             self._J[:, where, where] += self._mean(np.swapaxes(H, -1, -2) @ H)
         if at_s <= 0.0:
             return
-        denied_vehicle = _BLOCK * _SUBJECT
+        denied_vehicle = _BLOCK * _DENIED
         for i in range(_PAIRS):
             h = np.zeros((runs, self._J.shape[-1]))
             h[:, denied_vehicle : denied_vehicle + 2] = unit[:, i]
@@ -284,7 +284,7 @@ class _Bound:
 
     def trace_m2(self) -> float:
         """Return the bound on the sum of the denied vehicle's horizontal variances, m^2, its mean over the groups."""
-        where = slice(_BLOCK * _SUBJECT, _BLOCK * _SUBJECT + 2)
+        where = slice(_BLOCK * _DENIED, _BLOCK * _DENIED + 2)
         return float(np.trace(np.linalg.inv(self._J)[:, where, where], axis1=1, axis2=2).mean())
 
     def _mean(self, values: FloatArray) -> FloatArray:

@@ -54,7 +54,7 @@ def one_peer_late(rng: np.random.Generator, vehicles: tuple[int, ...]) -> Mappin
     return dict.fromkeys(vehicles, 0.02) | {vehicles[0]: 0.5}
 
 
-def subject_late(rng: np.random.Generator, vehicles: tuple[int, ...]) -> Mapping[int, float]:  # noqa: ARG001
+def denied_late(rng: np.random.Generator, vehicles: tuple[int, ...]) -> Mapping[int, float]:  # noqa: ARG001
     """The denied vehicle's link half a second late."""
     return dict.fromkeys(vehicles, 0.02) | {DENIED: 0.5}
 
@@ -72,7 +72,7 @@ def each_late(rng: np.random.Generator, vehicles: tuple[int, ...]) -> Mapping[in
 _KINDS: tuple[tuple[str, Delays], ...] = (
     ("20 ms late", none_late),
     ("one peer 0.5 s late", one_peer_late),
-    ("the denied vehicle 0.5 s late", subject_late),
+    ("the denied vehicle 0.5 s late", denied_late),
     ("all 0.5 s late", all_late),
     ("each up to 0.5 s late", each_late),
 )

@@ -10,7 +10,7 @@ from bench.integrity_flights import DENIED, STEP_S, Flight, Scenario
 from gcs_coloc.core.measurements import FloatArray
 
 EXTENT_M = 900.0
-_SUBJECT_SHARE = 0.7
+_DENIED_SHARE = 0.7
 _SPEED_MPS = (15.0, 25.0)
 _HEIGHT_M = (80.0, 160.0)
 _STEEPEST_RAD = radians(45.0)
@@ -61,5 +61,5 @@ class WanderingFlight(Flight):
         super().__init__(scenario, seed)
         rng = np.random.default_rng([seed, 2])
         self.courses = {
-            v: Wander(rng, EXTENT_M * (_SUBJECT_SHARE if v == DENIED else 1.0), duration_s) for v in sorted(self.courses)
+            v: Wander(rng, EXTENT_M * (_DENIED_SHARE if v == DENIED else 1.0), duration_s) for v in sorted(self.courses)
         }

@@ -18,7 +18,7 @@ from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, Sample, fly
 from sitl_fakes.scenario import SCENARIOS, Scenario
 
-SUBJECT = 4
+DENIED = 4
 """The aircraft in the middle of the four-ship, which loses its GPS in most hazards."""
 BELIEVED = ("healthy", "unknown")
 
@@ -117,7 +117,7 @@ def _belief_error_m(sample: Sample) -> float:
     return hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m)
 
 
-def fault(kind: str, vehicle: int = SUBJECT, at_s: float = 15.0, **more: Any) -> dict[str, Any]:
+def fault(kind: str, vehicle: int = DENIED, at_s: float = 15.0, **more: Any) -> dict[str, Any]:
     """A fault of a scenario; by default it befalls the denied vehicle at 15 s."""
     return {"kind": kind, "vehicle": vehicle, "at_s": at_s, **more}
 
@@ -146,11 +146,11 @@ def fly_through(
         table = tomllib.load(file)
     table["fault"] = list(faults)
     everyone = [v["sysid"] for v in table["vehicle"]]
-    losers = {f["vehicle"] for f in faults if f["kind"] == "gps_lost"} | {SUBJECT}
+    losers = {f["vehicle"] for f in faults if f["kind"] == "gps_lost"} | {DENIED}
     for vehicle in table["vehicle"]:
         if mutual or vehicle["sysid"] in losers:
             vehicle["ranges_to"] = [peer for peer in everyone if peer != vehicle["sysid"]]
-        if vehicle["sysid"] == SUBJECT:
+        if vehicle["sysid"] == DENIED:
             vehicle["params"] = {**vehicle.get("params", {}), **(params or {})}
             vehicle["autopilot"] = autopilot
     engine = _Watched()

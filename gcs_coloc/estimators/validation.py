@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
-from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
@@ -13,13 +13,7 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-
-
-class Bounds(NamedTuple):
-    """Least and largest value of a setting, both included: `window_s: Annotated[float, Bounds(0.0, 60.0)] = 1.0`."""
-
-    least: float
-    most: float
+from gcs_coloc.core.setting_bounds import Bounds
 
 
 def bounds_of(settings_type: type[Any]) -> dict[str, Bounds | tuple[object, ...]]:
@@ -46,9 +40,8 @@ def check_settings(settings: Any) -> None:
         if not isinstance(allowed, Bounds):
             if value not in allowed:
                 raise ValueError(f"{key} = {value!r}: it must be {' or '.join(map(repr, allowed))}")
-        # Not a comparison of value < least: nan is refused too.
-        elif not allowed.least <= value <= allowed.most:
-            raise ValueError(f"{key} = {value!r}: it must be from {allowed.least:g} to {allowed.most:g}")
+        elif not allowed.admit(value):
+            raise ValueError(f"{key} = {value!r}: it must be {allowed}")
 
 
 def is_sound(measurement: Measurement) -> bool:

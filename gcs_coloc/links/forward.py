@@ -91,7 +91,7 @@ class Forwarder:
         for address in (parse_out(text) for text in outs):
             link = address.make_link(self.from_ground_tool, clock, most_unsent_bytes=MAX_UNSENT_BYTES)
             self._outs[link] = _Out(link, listens=address.LEARNS_PEERS)
-        self._withheld: dict[int, tuple[str, str]] = {}
+        self._suppressed: dict[int, tuple[str, str]] = {}
         self._warned_at_s = float("-inf")
 
     @property
@@ -155,12 +155,12 @@ class Forwarder:
 
     def pending_warnings(self, now_s: float) -> list[tuple[int, str]]:
         """System id and text of the warnings that are due."""
-        if not self._withheld or now_s - self._warned_at_s < WARN_EVERY_S:
+        if not self._suppressed or now_s - self._warned_at_s < WARN_EVERY_S:
             return []
         self._warned_at_s = now_s
-        withheld, self._withheld = self._withheld, {}
+        suppressed, self._suppressed = self._suppressed, {}
         text = "as well: it is kept from this vehicle, which is being aided by us. Stop one of the two"
-        return [(sysid, f"a ground tool on {name} sends {what} {text}") for sysid, (name, what) in sorted(withheld.items())]
+        return [(sysid, f"a ground tool on {name} sends {what} {text}") for sysid, (name, what) in sorted(suppressed.items())]
 
     def snapshots(self) -> tuple[OutSnapshot, ...]:
         """The ground tools of each connection string, and their frames since the start."""
@@ -236,7 +236,7 @@ class Forwarder:
             aided = [sysid for sysid in sysids if self._is_aided(sysid)]
             if aided:
                 self._refuse(out, Refusal.GROUND_TOOL_AIDING)
-                self._withheld.update(dict.fromkeys(aided, (out.link.name, _AIDING_MESSAGES[raw.message_id])))
+                self._suppressed.update(dict.fromkeys(aided, (out.link.name, _AIDING_MESSAGES[raw.message_id])))
                 continue
             unaided.append(route)
             if raw.message_id == MAVLINK_MSG_ID_GPS_INPUT:

@@ -27,7 +27,7 @@ from sitl_fakes.errors import ScenarioError
 from sitl_fakes.scenario import Scenario, load_scenario
 
 LIVE_S = 90.0
-SUBJECT = 4
+DENIED = 4
 AIDED_SOURCE = "gps2 injected"
 
 
@@ -60,15 +60,15 @@ def run_demo(out: Path, scenario_file: str, estimator: str, seed: int) -> None:
     except ScenarioError as error:
         raise UsageError(str(error)) from None
     out.mkdir(parents=True, exist_ok=True)
-    lost_s = min(fault.at_s for fault in scenario.fault if fault.vehicle == SUBJECT)
+    lost_s = min(fault.at_s for fault in scenario.fault if fault.vehicle == DENIED)
     console.print(
         f"[bold]1. Live[/], over loopback UDP, {LIVE_S:.0f} s: four aircraft at {scenario.airspeed_mps:.0f} m/s, "
-        f"UAV{SUBJECT} loses its GPS at {lost_s:.0f} s."
+        f"UAV{DENIED} loses its GPS at {lost_s:.0f} s."
     )
-    check = next(v.params["EK3_GPS_CHECK"] for v in scenario.vehicle if v.sysid == SUBJECT)
+    check = next(v.params["EK3_GPS_CHECK"] for v in scenario.vehicle if v.sysid == DENIED)
     console.print(
         f"   The paper's noise (GPS {scenario.gps.sigma_h_m:.0f} m, ranges {scenario.ranging.sigma_m:.0f} m) makes positions "
-        f"coarser than EKF3 takes by default: UAV{SUBJECT} flies with EK3_GPS_CHECK={check:.0f}, as its operator would have to "
+        f"coarser than EKF3 takes by default: UAV{DENIED} flies with EK3_GPS_CHECK={check:.0f}, as its operator would have to "
         "decide."
     )
     live = _fly_live(scenario_file, estimator, seed, out, console)
@@ -76,7 +76,7 @@ def run_demo(out: Path, scenario_file: str, estimator: str, seed: int) -> None:
     with_service, without = _fly_whole(scenario, estimator, seed, console)
     _report(scenario, lost_s, live, with_service, without, console)
     picture = out / "demo.png"
-    draw(scenario, SUBJECT, lost_s, with_service, without, picture)
+    draw(scenario, DENIED, lost_s, with_service, without, picture)
     console.print(f"\nTrack and error: {picture}")
 
 
@@ -105,7 +105,7 @@ def _fly_live(scenario_file: str, estimator: str, seed: int, out: Path, console:
     if fakes.returncode not in (0, -15) or not truth.exists():
         raise GcsColocError(f"the simulated aircraft stopped early; see {fakes_log}")
     with truth.open(newline="") as file:
-        return [row for row in csv.DictReader(file) if int(row["sysid"]) == SUBJECT]
+        return [row for row in csv.DictReader(file) if int(row["sysid"]) == DENIED]
 
 
 def _watch(fakes: subprocess.Popen[bytes], service: subprocess.Popen[bytes], truth: Path, console: Console) -> None:
@@ -120,7 +120,7 @@ def _watch(fakes: subprocess.Popen[bytes], service: subprocess.Popen[bytes], tru
             row = _last_row(truth)
             if row is None:
                 continue
-            text = f"UAV{SUBJECT} navigates on {row['source']}, {float(row['off_route_m']):.0f} m off its route"
+            text = f"UAV{DENIED} navigates on {row['source']}, {float(row['off_route_m']):.0f} m off its route"
             progress.update(task, completed=float(row["at_s"]), description=text)
             if not console.is_terminal and time.monotonic() - last_line >= 10.0:
                 last_line = time.monotonic()
@@ -137,7 +137,7 @@ def _last_row(truth: Path) -> dict[str, str] | None:
         file.seek(max(0, size - 4096))
         lines = file.read().decode().split("\n")[1:-1]
     rows = [dict(zip(header, line.strip().split(","), strict=False)) for line in lines]
-    mine = [row for row in rows if row.get("sysid") == str(SUBJECT)]
+    mine = [row for row in rows if row.get("sysid") == str(DENIED)]
     return mine[-1] if mine else None
 
 
@@ -156,7 +156,7 @@ def _fly_one(scenario: Scenario, estimator: str, seed: int, aided: bool) -> Flig
 
 def figures(flight: Flight, lost_s: float, aided: bool) -> Figures:
     """The figures of the denied vehicle's flight from the loss of its GPS on."""
-    samples = [s for s in flight.samples[SUBJECT] if s.at_s >= lost_s]
+    samples = [s for s in flight.samples[DENIED] if s.at_s >= lost_s]
     off_m = np.array([s.truth.off_route_m for s in samples])
     errors_m = np.array([np.hypot(s.error_enu_m[0], s.error_enu_m[1]) for s in samples if s.error_enu_m is not None])
     hdops = [s.hdop for s in samples if s.hdop is not None]
@@ -179,7 +179,7 @@ def _report(
     after = [row for row in live if float(row["at_s"]) >= lost_s + 5.0]
     on_aid = sum(row["source"] == AIDED_SOURCE for row in after) / max(len(after), 1)
     off_m = [float(row["off_route_m"]) for row in after]
-    console.print(f"\n[bold]Report[/], UAV{SUBJECT} after the loss of its GPS at {lost_s:.0f} s")
+    console.print(f"\n[bold]Report[/], UAV{DENIED} after the loss of its GPS at {lost_s:.0f} s")
     console.print(
         f"   live, {LIVE_S:.0f} s with the service:  flew on GPS_INPUT {on_aid:.0%} of the time, "
         f"at most {max(off_m, default=float('nan')):.0f} m off its route"
@@ -192,8 +192,8 @@ def _report(
         console.print(f"   {name:<24}{route}   {f.navigation_rms_m:8.0f} m{f.navigation_most_m:8.0f} m")
     if on.rmse_m is not None:
         console.print(
-            f"   the service's own position of UAV{SUBJECT}: RMSE {on.rmse_m:.1f} m, known {on.located:.1%} of the time, "
-            f"median HDOP {on.hdop:.1f}; {with_service.gps_inputs.get(SUBJECT, 0)} GPS_INPUT sent"
+            f"   the service's own position of UAV{DENIED}: RMSE {on.rmse_m:.1f} m, known {on.located:.1%} of the time, "
+            f"median HDOP {on.hdop:.1f}; {with_service.gps_inputs.get(DENIED, 0)} GPS_INPUT sent"
         )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hazard_flight import SUBJECT, fault, fly_through
+from tests.hazard_flight import DENIED, fault, fly_through
 
 HONEST = 1.5
 FROM_S = 25.0
@@ -17,20 +17,20 @@ PEER = 1
 
 
 @pytest.mark.parametrize(
-    ("vehicle", "by_s"), [(SUBJECT, 100.0), (PEER, -5.0), (SUBJECT, 1.0), (SUBJECT, -1.0), (PEER, 1.0), (PEER, -1.0)]
+    ("vehicle", "by_s"), [(DENIED, 100.0), (PEER, -5.0), (DENIED, 1.0), (DENIED, -1.0), (PEER, 1.0), (PEER, -1.0)]
 )
 def test_a_clock_that_jumps_is_begun_anew_and_told_and_the_aircraft_stays_located(vehicle, by_s):
     out = fly_through(LOST, fault("clock_jump", vehicle, FROM_S, by_s=by_s), duration_s=FROM_S + 20.0)
     (told_at_s,) = [at_s for at_s, text in out.warnings(vehicle) if "its clock jumped" in text]
     assert told_at_s < FROM_S + 1.0
     assert out.distrusted(FROM_S) == set()
-    assert out.worst_ratio(SUBJECT, FROM_S) < HONEST
-    assert out.share_located(SUBJECT, FROM_S) > 0.95
+    assert out.worst_ratio(DENIED, FROM_S) < HONEST
+    assert out.share_located(DENIED, FROM_S) > 0.95
 
 
-@pytest.mark.parametrize(("vehicle", "by_s"), [(SUBJECT, -0.4), (PEER, -0.3)])
+@pytest.mark.parametrize(("vehicle", "by_s"), [(DENIED, -0.4), (PEER, -0.3)])
 def test_a_clock_that_jumps_by_less_is_told_in_two_seconds_accuses_nobody_and_what_is_claimed_stays_true(vehicle, by_s):
     out = fly_through(LOST, fault("clock_jump", vehicle, FROM_S, by_s=by_s), duration_s=FROM_S + 25.0)
     assert any("its clock jumped" in text and at_s < FROM_S + 2.0 for at_s, text in out.warnings(vehicle))
     assert out.distrusted(FROM_S) == set()
-    assert out.worst_ratio(SUBJECT, FROM_S) < HONEST
+    assert out.worst_ratio(DENIED, FROM_S) < HONEST

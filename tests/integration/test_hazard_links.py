@@ -15,7 +15,7 @@ from sitl_fakes.faults import GpsLost, LinkDropout, Reboot
 
 pytestmark = pytest.mark.integration
 
-SUBJECT, PEER = 4, 1
+DENIED, PEER = 4, 1
 LIMIT_S = 60.0
 OFF_M = 12.0
 
@@ -28,26 +28,26 @@ def heard_from(air) -> set[int]:
 def holds(air, for_s: float) -> None:
     """Nothing that the denied vehicle believes is far off for a time, and it goes on flying on what it is sent."""
     ends_s = air.now_s + for_s
-    air.fly(LIMIT_S, lambda: air.now_s >= ends_s or air.belief_error_m(SUBJECT) > OFF_M)
-    assert air.belief_error_m(SUBJECT) <= OFF_M
-    assert air.source(SUBJECT) == "gps2 injected"
+    air.fly(LIMIT_S, lambda: air.now_s >= ends_s or air.belief_error_m(DENIED) > OFF_M)
+    assert air.belief_error_m(DENIED) <= OFF_M
+    assert air.source(DENIED) == "gps2 injected"
 
 
 def test_links_that_die_and_autopilots_that_reboot_are_got_over(start_service, free_port):
     service = start_service("--udp", f"127.0.0.1:{free_port}")
     with on_air(free_port) as air:
         assert air.fly(LIMIT_S, lambda: len(heard_from(air)) == 4)
-        air.fleet.inject(GpsLost(vehicle=SUBJECT, at_s=air.now_s))
-        assert air.fly(LIMIT_S, lambda: air.source(SUBJECT) == "gps2 injected")
+        air.fleet.inject(GpsLost(vehicle=DENIED, at_s=air.now_s))
+        assert air.fly(LIMIT_S, lambda: air.source(DENIED) == "gps2 injected")
 
         returns_s = air.now_s + 7.0
-        air.fleet.inject(LinkDropout(vehicle=SUBJECT, at_s=air.now_s, until_s=returns_s))
+        air.fleet.inject(LinkDropout(vehicle=DENIED, at_s=air.now_s, until_s=returns_s))
         # The fix lingers for four seconds and is then gone, rather than going on with what it was last told.
-        assert air.fly(LIMIT_S, lambda: air.source(SUBJECT) == "dead_reckoning")
+        assert air.fly(LIMIT_S, lambda: air.source(DENIED) == "dead_reckoning")
         assert air.now_s < returns_s
-        assert air.fly(LIMIT_S, lambda: air.source(SUBJECT) == "gps2 injected")
+        assert air.fly(LIMIT_S, lambda: air.source(DENIED) == "gps2 injected")
         assert air.now_s > returns_s
-        assert air.fly(LIMIT_S, lambda: air.belief_error_m(SUBJECT) < OFF_M)
+        assert air.fly(LIMIT_S, lambda: air.belief_error_m(DENIED) < OFF_M)
 
         # Two peers are left: the ranges to them and the altitude go on, and nothing is made up of the silent one.
         air.fleet.inject(LinkDropout(vehicle=PEER, at_s=air.now_s, until_s=air.now_s + 4.0))
@@ -56,14 +56,14 @@ def test_links_that_die_and_autopilots_that_reboot_are_got_over(start_service, f
         air.fleet.inject(Reboot(vehicle=PEER, at_s=air.now_s))
         holds(air, 7.0)
 
-        air.fleet.inject(Reboot(vehicle=SUBJECT, at_s=air.now_s))
+        air.fleet.inject(Reboot(vehicle=DENIED, at_s=air.now_s))
         # It wakes without GPS and without any memory of where it was: the first position it has is the one it is sent.
-        assert air.fly(LIMIT_S, lambda: air.source(SUBJECT) == "none")
-        assert air.fly(LIMIT_S, lambda: air.source(SUBJECT) == "gps2 injected")
+        assert air.fly(LIMIT_S, lambda: air.source(DENIED) == "none")
+        assert air.fly(LIMIT_S, lambda: air.source(DENIED) == "gps2 injected")
         holds(air, 2.0)
     service.send_signal(signal.SIGINT)
     _, log = service.communicate(timeout=20)
     assert service.returncode == 0
     assert "Traceback" not in log
     told = [line for line in log.splitlines() if "its clock jumped: taken as a reboot" in line]
-    assert {sysid for sysid in (PEER, SUBJECT) if any(f"vehicle {sysid}" in line for line in told)} == {PEER, SUBJECT}
+    assert {sysid for sysid in (PEER, DENIED) if any(f"vehicle {sysid}" in line for line in told)} == {PEER, DENIED}

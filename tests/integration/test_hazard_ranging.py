@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hazard_flight import SUBJECT, fault, fly_through
+from tests.hazard_flight import DENIED, fault, fly_through
 
 HONEST = 1.5
 FROM_S = 25.0
@@ -17,38 +17,38 @@ PEER = 1
 @pytest.mark.parametrize("peer", [None, PEER], ids=["all its ranges", "the ranges to one peer"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_biased_ranging_device_costs_the_fix_at_once_and_nobodys_gps_is_accused(peer, seed):
-    bias = fault("range_bias", SUBJECT, FROM_S, bias_m=20.0, **({} if peer is None else {"peer": peer}))
+    bias = fault("range_bias", DENIED, FROM_S, bias_m=20.0, **({} if peer is None else {"peer": peer}))
     out = fly_through(LOST, bias, duration_s=FROM_S + 25.0, seed=seed)
     assert out.distrusted(FROM_S) == set()
-    assert out.worst_ratio(SUBJECT, FROM_S) < HONEST
-    told = " ".join(out.words(SUBJECT))
+    assert out.worst_ratio(DENIED, FROM_S) < HONEST
+    told = " ".join(out.words(DENIED))
     assert ("all of its ranges jumped by" if peer is None else "beyond the alert limit") in told
 
 
 @pytest.mark.parametrize("peer", [None, PEER], ids=["all its ranges", "the ranges to one peer"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_stuck_ranging_device_is_named_within_a_second_and_what_is_stated_stays_within_its_bound(peer, seed):
-    stuck = fault("range_stuck", SUBJECT, FROM_S, **({} if peer is None else {"peer": peer}))
+    stuck = fault("range_stuck", DENIED, FROM_S, **({} if peer is None else {"peer": peer}))
     out = fly_through(LOST, stuck, duration_s=FROM_S + 35.0, seed=seed)
     assert out.distrusted(FROM_S) == set()
-    assert out.worst_ratio(SUBJECT, FROM_S) < HONEST
+    assert out.worst_ratio(DENIED, FROM_S) < HONEST
     named = {
-        text.split(" m to ")[1][0] for at_s, text in out.warnings(SUBJECT) if "repeats one value" in text and at_s < FROM_S + 1.0
+        text.split(" m to ")[1][0] for at_s, text in out.warnings(DENIED) if "repeats one value" in text and at_s < FROM_S + 1.0
     }
     assert named == ({"1", "2", "3"} if peer is None else {str(PEER)})
     assert out.refused["range_repeated"] > 50
     # Without any range the position is dead-reckoned for 10 s, then it is no fix any more.
-    assert set(out.fix_types(SUBJECT, FROM_S + 15.0)) == ({1} if peer is None else {3})
+    assert set(out.fix_types(DENIED, FROM_S + 15.0)) == ({1} if peer is None else {3})
 
 
 def test_lost_ranges_to_one_peer_are_done_without():
-    out = fly_through(LOST, fault("range_dropout", SUBJECT, FROM_S, peer=PEER), duration_s=FROM_S + 20.0)
+    out = fly_through(LOST, fault("range_dropout", DENIED, FROM_S, peer=PEER), duration_s=FROM_S + 20.0)
     assert out.distrusted(FROM_S) == set()
-    assert out.worst_ratio(SUBJECT, FROM_S) < HONEST
+    assert out.worst_ratio(DENIED, FROM_S) < HONEST
 
 
 def test_without_any_range_the_fix_is_withdrawn_once_the_prediction_is_too_uncertain():
-    out = fly_through(LOST, fault("range_dropout", SUBJECT, FROM_S), duration_s=FROM_S + 35.0)
-    assert out.worst_ratio(SUBJECT, FROM_S) < HONEST
-    assert set(out.fix_types(SUBJECT, FROM_S + 30.0)) == {1}
-    assert any("not located" in words for words in out.words(SUBJECT))
+    out = fly_through(LOST, fault("range_dropout", DENIED, FROM_S), duration_s=FROM_S + 35.0)
+    assert out.worst_ratio(DENIED, FROM_S) < HONEST
+    assert set(out.fix_types(DENIED, FROM_S + 30.0)) == {1}
+    assert any("not located" in words for words in out.words(DENIED))

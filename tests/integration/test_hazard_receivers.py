@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hazard_flight import SUBJECT, fault, fly_through
+from tests.hazard_flight import DENIED, fault, fly_through
 
 SOUND_M = 6.0
 HONEST = 1.5
@@ -24,39 +24,39 @@ FROM_S = 25.0
 
 def test_a_lost_gps_is_failed_at_once_and_the_aircraft_flies_on_what_it_is_sent():
     out = fly_through(fault("gps_lost", at_s=20.0), duration_s=50.0)
-    assert out.first(SUBJECT, "failed") < 22.0
-    assert out.distrusted(0.0) == {SUBJECT}
-    assert out.share_located(SUBJECT, 25.0) > 0.98
-    assert out.worst_stated_m(SUBJECT, 25.0) < SOUND_M
-    assert out.worst_ratio(SUBJECT, 25.0) < HONEST
-    assert out.worst_belief_m(SUBJECT, 25.0) < 1.5 * SOUND_M
+    assert out.first(DENIED, "failed") < 22.0
+    assert out.distrusted(0.0) == {DENIED}
+    assert out.share_located(DENIED, 25.0) > 0.98
+    assert out.worst_stated_m(DENIED, 25.0) < SOUND_M
+    assert out.worst_ratio(DENIED, 25.0) < HONEST
+    assert out.worst_belief_m(DENIED, 25.0) < 1.5 * SOUND_M
     assert not out.fix_types(PEER, 0.0)
 
 
 def test_a_px4_that_loses_its_gps_flies_on_global_position_sensor():
     out = fly_through(LOST, duration_s=40.0, autopilot="px4")
-    assert {s.truth.source for s in out.flight.samples[SUBJECT] if s.at_s > 20.0} == {"aux global position"}
-    assert out.worst_belief_m(SUBJECT, 20.0) < 1.5 * SOUND_M
-    assert not out.fix_types(SUBJECT, 0.0)
+    assert {s.truth.source for s in out.flight.samples[DENIED] if s.at_s > 20.0} == {"aux global position"}
+    assert out.worst_belief_m(DENIED, 20.0) < 1.5 * SOUND_M
+    assert not out.fix_types(DENIED, 0.0)
 
 
 def test_a_frozen_receiver_is_failed_though_it_calls_itself_healthy():
     out = fly_through(fault("gps_frozen", at_s=20.0), duration_s=45.0)
-    assert out.first(SUBJECT, "failed") < 26.0
-    assert "position" in out.reason(SUBJECT, "failed")
-    assert out.distrusted(0.0) == {SUBJECT}
-    assert out.worst_stated_m(SUBJECT, 20.0) < SOUND_M
+    assert out.first(DENIED, "failed") < 26.0
+    assert "position" in out.reason(DENIED, "failed")
+    assert out.distrusted(0.0) == {DENIED}
+    assert out.worst_stated_m(DENIED, 20.0) < SOUND_M
 
 
 @pytest.mark.parametrize("primary", [0, 1])
 def test_a_jammed_receiver_is_never_believed_and_gps_primary_decides_whether_the_aircraft_is_saved(primary):
     out = fly_through(fault("gps_jammed", at_s=20.0), duration_s=45.0, params={"GPS_PRIMARY": primary})
-    assert out.first(SUBJECT, "failed") < 23.0
-    assert out.first(SUBJECT, "healthy", after_s=20.0) == float("inf")
-    assert out.distrusted(0.0) == {SUBJECT}
-    assert out.worst_stated_m(SUBJECT, 24.0) < SOUND_M
+    assert out.first(DENIED, "failed") < 23.0
+    assert out.first(DENIED, "healthy", after_s=20.0) == float("inf")
+    assert out.distrusted(0.0) == {DENIED}
+    assert out.worst_stated_m(DENIED, 24.0) < SOUND_M
     # With the jammed receiver as primary the autopilot goes back to it whenever it has a fix: the service cannot help that.
-    believed_m = out.worst_belief_m(SUBJECT, 25.0)
+    believed_m = out.worst_belief_m(DENIED, 25.0)
     assert believed_m < 1.5 * SOUND_M if primary else believed_m > 50.0
 
 
@@ -73,7 +73,7 @@ def test_a_peer_walked_off_is_found_and_what_the_subject_is_told_meanwhile_stays
     assert out.first(PEER, "suspect", "failed", after_s=FROM_S) < FROM_S + 0.8 * lasts_s
     assert out.first(PEER, "healthy", after_s=FROM_S + 0.8 * lasts_s) == float("inf")
     assert not out.distrusted(FROM_S) & OTHERS
-    assert out.worst_ratio(SUBJECT, FROM_S) < HONEST
+    assert out.worst_ratio(DENIED, FROM_S) < HONEST
 
 
 def test_a_peer_whose_position_steps_is_suspected_at_once_and_harms_nobody():
@@ -82,8 +82,8 @@ def test_a_peer_whose_position_steps_is_suspected_at_once_and_harms_nobody():
     assert out.first(PEER, "suspect", "failed", after_s=FROM_S) < FROM_S + 2.0
     assert out.first(PEER, "failed", after_s=FROM_S) < FROM_S + 20.0
     assert not out.distrusted(FROM_S) & OTHERS
-    assert out.worst_stated_m(SUBJECT, FROM_S) < SOUND_M
-    assert out.worst_ratio(SUBJECT, FROM_S) < HONEST
+    assert out.worst_stated_m(DENIED, FROM_S) < SOUND_M
+    assert out.worst_ratio(DENIED, FROM_S) < HONEST
 
 
 def test_a_peer_that_is_jammed_is_located_as_well_and_the_first_is_not_harmed():
@@ -91,7 +91,7 @@ def test_a_peer_that_is_jammed_is_located_as_well_and_the_first_is_not_harmed():
     assert out.first(PEER, "failed", after_s=FROM_S) < FROM_S + 6.0
     assert not out.distrusted(FROM_S) & OTHERS
     assert out.share_located(PEER, FROM_S + 8.0) > 0.9
-    for sysid in (SUBJECT, PEER):
+    for sysid in (DENIED, PEER):
         assert out.worst_stated_m(sysid, FROM_S + 8.0) < SOUND_M
         assert out.worst_ratio(sysid, FROM_S + 8.0) < HONEST
 
@@ -107,14 +107,14 @@ def test_two_that_fail_at_once_are_both_located_from_three():
 
 @pytest.mark.parametrize(("speed_mps", "within_s"), [(0.5, 35.0), (2.0, 12.0), (10.0, 3.0)], ids=["0.5 m/s", "2 m/s", "10 m/s"])
 def test_a_subject_walked_off_is_found_by_the_ranges_and_not_believed_again_while_it_lies(speed_mps, within_s):
-    walked_off = fault("gps_spoofed", SUBJECT, FROM_S, speed_mps=speed_mps)
+    walked_off = fault("gps_spoofed", DENIED, FROM_S, speed_mps=speed_mps)
     out = fly_through(walked_off, duration_s=FROM_S + within_s + 20.0, mutual=True)
-    found_s = out.first(SUBJECT, "suspect", "failed", after_s=FROM_S)
+    found_s = out.first(DENIED, "suspect", "failed", after_s=FROM_S)
     assert found_s < FROM_S + within_s
-    failed_s = out.first(SUBJECT, "failed", after_s=FROM_S)
-    assert out.first(SUBJECT, "healthy", after_s=failed_s) == float("inf")
+    failed_s = out.first(DENIED, "failed", after_s=FROM_S)
+    assert out.first(DENIED, "healthy", after_s=failed_s) == float("inf")
     assert not out.distrusted(FROM_S) & {PEER, *OTHERS}
-    assert out.worst_ratio(SUBJECT, failed_s) < HONEST
+    assert out.worst_ratio(DENIED, failed_s) < HONEST
 
 
 def elsewhere(vehicle: int) -> list[dict[str, object]]:
@@ -125,15 +125,15 @@ def elsewhere(vehicle: int) -> list[dict[str, object]]:
 
 @pytest.mark.parametrize("primary", [0, 1])
 def test_a_receiver_that_comes_back_elsewhere_is_not_believed_and_gps_primary_decides_whether_the_aircraft_is_saved(primary):
-    out = fly_through(*elsewhere(SUBJECT), duration_s=70.0, params={"GPS_PRIMARY": primary})
-    assert out.first(SUBJECT, "failed", after_s=40.0) < 43.0
-    assert out.first(SUBJECT, "healthy", after_s=40.0) == float("inf")
-    assert "its GPS is back but" in [c.reason for c in out.flight.changes if c.sysid == SUBJECT][-1]
-    assert out.distrusted(0.0) == {SUBJECT}
-    assert out.share_located(SUBJECT, 41.0) > 0.98
-    assert out.worst_stated_m(SUBJECT, 40.0) < SOUND_M
-    assert out.worst_ratio(SUBJECT, 40.0) < HONEST
-    believed_m = out.worst_belief_m(SUBJECT, 45.0)
+    out = fly_through(*elsewhere(DENIED), duration_s=70.0, params={"GPS_PRIMARY": primary})
+    assert out.first(DENIED, "failed", after_s=40.0) < 43.0
+    assert out.first(DENIED, "healthy", after_s=40.0) == float("inf")
+    assert "its GPS is back but" in [c.reason for c in out.flight.changes if c.sysid == DENIED][-1]
+    assert out.distrusted(0.0) == {DENIED}
+    assert out.share_located(DENIED, 41.0) > 0.98
+    assert out.worst_stated_m(DENIED, 40.0) < SOUND_M
+    assert out.worst_ratio(DENIED, 40.0) < HONEST
+    believed_m = out.worst_belief_m(DENIED, 45.0)
     assert believed_m < 1.5 * SOUND_M if primary else believed_m > 150.0
 
 

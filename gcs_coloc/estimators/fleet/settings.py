@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from gcs_coloc.estimators.validation import Bounds, check_settings
+from gcs_coloc.core.setting_bounds import Bounds
+from gcs_coloc.estimators.validation import check_settings
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ from gcs_coloc.evaluation.data_checks.findings import (
     clock_words,
     finding,
     join_vehicles,
-    median_misfit_m,
     median_ratio,
+    median_residual_m,
     unit_question,
 )
 from gcs_coloc.evaluation.data_checks.range_checks import check_ranges
@@ -35,7 +35,7 @@ _LEAST_ROWS = 20
 _MOST_ROWS = 1000
 """Values of a vehicle that are compared, evenly spaced; chosen: the search for a clock offset takes below a second."""
 _SUSPECT_SIGMAS = 5.0
-"""Median misfit, in stated sigmas, that is a finding; chosen: receivers state 2 to 3 times too little under multipath."""
+"""Median residual, in stated sigmas, that is a finding; chosen: receivers state 2 to 3 times too little under multipath."""
 _FOOT_M = 0.3048
 """ISO 31-1."""
 _FAR_SIGMAS = 100.0
@@ -124,20 +124,20 @@ def _truth_findings(data: RecordedData) -> Iterator[tuple[str, DataFinding]]:
         if len(rows) < _LEAST_ROWS:
             continue
         times_s, reported, sigma_m = rows[:, 0], rows[:, 1:4], float(np.median(rows[:, 4]))
-        misfit_m = median_misfit_m(np.linalg.norm(truth.at(times_s)[0] - reported, axis=1))
-        if misfit_m > _SUSPECT_SIGMAS * sigma_m:
-            explanations = _truth_explanations(truth, sigma_m, times_s, reported, misfit_m, data.origin_height_m)
-            unexplained = finding(FindingKind.TRUTH_MISFIT, misfit_m, sigma_m=sigma_m)
-            yield data.names[vehicle], choose(explanations, misfit_m, sigma_m) or unexplained
+        residual_m = median_residual_m(np.linalg.norm(truth.at(times_s)[0] - reported, axis=1))
+        if residual_m > _SUSPECT_SIGMAS * sigma_m:
+            explanations = _truth_explanations(truth, sigma_m, times_s, reported, residual_m, data.origin_height_m)
+            unexplained = finding(FindingKind.TRUTH_RESIDUAL, residual_m, sigma_m=sigma_m)
+            yield data.names[vehicle], choose(explanations, residual_m, sigma_m) or unexplained
 
 
 def _truth_explanations(
-    truth: PositionTrack, sigma_m: float, times_s: FloatArray, reported: FloatArray, misfit_m: float, origin_height_m: float
+    truth: PositionTrack, sigma_m: float, times_s: FloatArray, reported: FloatArray, residual_m: float, origin_height_m: float
 ) -> Iterator[Explanation]:
     true = truth.at(times_s)[0]
 
     def left_m(changed: FloatArray) -> float:
-        return median_misfit_m(np.linalg.norm(changed - reported, axis=1))
+        return median_residual_m(np.linalg.norm(changed - reported, axis=1))
 
     factor = median_ratio(np.linalg.norm(true, axis=1), np.linalg.norm(reported, axis=1))
     question = unit_question(factor, "the truth in {}", "the reports in {}")
@@ -162,12 +162,12 @@ def _truth_explanations(
         of="the truth of {who}",
         than="the reports",
         offset=clock_words(offset_s),
-        before_m=misfit_m,
+        before_m=residual_m,
         after_m=after_m,
     )
     yield Explanation(after_m, clock)
     apart = np.median(true - reported, axis=0)
-    # An offset of any size fits by chance more easily: it must explain all of the misfit.
+    # An offset of any size fits by chance more easily: it must explain all of the residual.
     if left_m(true - apart) <= _SUSPECT_SIGMAS * sigma_m:
         vector = "(" + ", ".join(f"{x:.1f}" for x in apart) + ")"
         yield Explanation(left_m(true - apart), finding(FindingKind.TRUTH_OFFSET, float(np.linalg.norm(apart)), offset=vector))
@@ -188,22 +188,22 @@ def _height_findings(data: RecordedData) -> Iterator[tuple[str, DataFinding]]:
                 continue
             reported_m, up_m = heights[known, 1], positions[known, 2]
             sigma_m = float(np.hypot(np.median(heights[known, 2]), np.median(tracks[vehicle].sigmas_m)))
-            misfit_m = median_misfit_m(reported_m - up_m)
-            if misfit_m > _SUSPECT_SIGMAS * sigma_m:
-                unexplained = finding(FindingKind.HEIGHT_MISFIT, misfit_m, of=of, sigma_m=sigma_m)
-                yield data.names[vehicle], choose(_height_explanations(of, reported_m, up_m), misfit_m, sigma_m) or unexplained
+            residual_m = median_residual_m(reported_m - up_m)
+            if residual_m > _SUSPECT_SIGMAS * sigma_m:
+                unexplained = finding(FindingKind.HEIGHT_RESIDUAL, residual_m, of=of, sigma_m=sigma_m)
+                yield data.names[vehicle], choose(_height_explanations(of, reported_m, up_m), residual_m, sigma_m) or unexplained
             break
 
 
 def _height_explanations(of: str, reported_m: FloatArray, up_m: FloatArray) -> Iterator[Explanation]:
     factor = median_ratio(reported_m, up_m)
     if factor < 0.0:
-        yield Explanation(median_misfit_m(-reported_m - up_m), finding(FindingKind.HEIGHT_SIGN, of=of))
+        yield Explanation(median_residual_m(-reported_m - up_m), finding(FindingKind.HEIGHT_SIGN, of=of))
     elif question := unit_question(factor, "the heights in {}", f"those of the {of} in {{}}"):
-        left_m = median_misfit_m(reported_m / factor - up_m)
+        left_m = median_residual_m(reported_m / factor - up_m)
         yield Explanation(left_m, finding(FindingKind.HEIGHT_FACTOR, factor, of=of, question=question))
     offset_m = float(np.median(reported_m - up_m))
-    yield Explanation(median_misfit_m(reported_m - offset_m - up_m), finding(FindingKind.HEIGHT_OFFSET, offset_m, of=of))
+    yield Explanation(median_residual_m(reported_m - offset_m - up_m), finding(FindingKind.HEIGHT_OFFSET, offset_m, of=of))
 
 
 def _check_velocities(data: RecordedData) -> Iterator[DataFinding]:
@@ -218,11 +218,11 @@ def _velocity_findings(data: RecordedData) -> Iterator[tuple[str, DataFinding]]:
             continue
         moved_m, integrated_m, span_s = displacements
         sigma_m = float(np.median(reports.sigmas_m))
-        misfit_m = median_misfit_m(np.linalg.norm(integrated_m - moved_m, axis=1))
+        residual_m = median_residual_m(np.linalg.norm(integrated_m - moved_m, axis=1))
         length_m = float(np.median(np.linalg.norm(moved_m, axis=1)))
-        if misfit_m > 2.0 * _SUSPECT_SIGMAS * sigma_m + _SPEED_SHARE * length_m + _SPEED_MPS * span_s:
-            unexplained = finding(FindingKind.VELOCITY_MISFIT, misfit_m / span_s)
-            yield data.names[vehicle], choose(_velocity_explanations(integrated_m, moved_m), misfit_m, sigma_m) or unexplained
+        if residual_m > 2.0 * _SUSPECT_SIGMAS * sigma_m + _SPEED_SHARE * length_m + _SPEED_MPS * span_s:
+            unexplained = finding(FindingKind.VELOCITY_RESIDUAL, residual_m / span_s)
+            yield data.names[vehicle], choose(_velocity_explanations(integrated_m, moved_m), residual_m, sigma_m) or unexplained
 
 
 def _displacements(reports: PositionTrack) -> tuple[FloatArray, FloatArray, float] | None:
@@ -251,7 +251,7 @@ def _displacements(reports: PositionTrack) -> tuple[FloatArray, FloatArray, floa
 
 def _velocity_explanations(integrated_m: FloatArray, moved_m: FloatArray) -> Iterator[Explanation]:
     def left_m(changed: FloatArray) -> float:
-        return median_misfit_m(np.linalg.norm(changed - moved_m, axis=1))
+        return median_residual_m(np.linalg.norm(changed - moved_m, axis=1))
 
     factor = median_ratio(np.linalg.norm(integrated_m, axis=1), np.linalg.norm(moved_m, axis=1))
     question = unit_question(factor, "the velocities in {}/s", "the positions in {}")

@@ -14,9 +14,9 @@ from gcs_coloc.core.measurements import FloatArray
 _MOST_NAMED = 6
 """Vehicles named in one finding; chosen: what fits on a line."""
 _CLEARLY_BETTER = 1.0 / 3.0
-"""Largest misfit an explanation may leave, as a share of the misfit before it; chosen: chance halves it at most."""
+"""Largest residual an explanation may leave, as a share of the residual before it; chosen: chance halves it at most."""
 _AS_GOOD = 1.5
-"""A simpler explanation wins up to this multiple of the least misfit; chosen: estimates of a median from 20 values scatter so."""
+"""A simpler explanation wins up to this multiple of the least residual; chosen: medians of 20 values scatter so."""
 _NOISE_SIGMAS = 3.0
 """What an explanation leaves within so many stated sigmas is noise; chosen: 1 in 370 of a Gaussian is beyond."""
 _SAME_UNIT = 0.02
@@ -35,22 +35,22 @@ class FindingKind(StrEnum):
     TIME_OFFSET = "time_offset"
     RANGE_FACTOR = "range_factor"
     RANGE_BIAS = "range_bias"
-    RANGE_MISFIT = "range_misfit"
+    RANGE_RESIDUAL = "range_residual"
     POSITION_AXES = "position_axes"
     TRUTH_FACTOR = "truth_factor"
     TRUTH_AXES = "truth_axes"
     TRUTH_HEIGHT_FACTOR = "truth_height_factor"
     TRUTH_OFFSET = "truth_offset"
-    TRUTH_MISFIT = "truth_misfit"
+    TRUTH_RESIDUAL = "truth_residual"
     TRUTH_ELSEWHERE = "truth_elsewhere"
     HEIGHT_FACTOR = "height_factor"
     HEIGHT_SIGN = "height_sign"
     HEIGHT_OFFSET = "height_offset"
-    HEIGHT_MISFIT = "height_misfit"
+    HEIGHT_RESIDUAL = "height_residual"
     VELOCITY_FACTOR = "velocity_factor"
     VELOCITY_AXES = "velocity_axes"
     VELOCITY_SIGN = "velocity_sign"
-    VELOCITY_MISFIT = "velocity_misfit"
+    VELOCITY_RESIDUAL = "velocity_residual"
 
 
 _WORDING = {
@@ -61,30 +61,30 @@ _WORDING = {
     "is arrival_s on the clock of t_s?",
     FindingKind.REPEATED_RANGES: "{value} ranges occur twice, with the same time, vehicles and value: each counts "
     "as a measurement of its own and makes the result look more certain than it is",
-    FindingKind.TIME_OFFSET: "the clock of {of} is {offset} that of {than} ({before_m:.3g} m of misfit in the median, "
+    FindingKind.TIME_OFFSET: "the clock of {of} is {offset} that of {than} ({before_m:.3g} m of residual in the median, "
     "{after_m:.3g} m with the offset removed)",
     FindingKind.RANGE_FACTOR: "{who} are {value:.4g} times the distances between the positions{question}",
     FindingKind.RANGE_BIAS: "{who} are {value:+.4g} m off the distances between the positions throughout",
-    FindingKind.RANGE_MISFIT: "{who} differ from the distances between the positions by {value:.3g} m in the median, where "
+    FindingKind.RANGE_RESIDUAL: "{who} differ from the distances between the positions by {value:.3g} m in the median, where "
     "{sigma_m:.3g} m are stated",
-    FindingKind.POSITION_AXES: "{who} fit if {axes} in the {of} ({before_m:.3g} m of misfit in the median, "
+    FindingKind.POSITION_AXES: "{who} fit if {axes} in the {of} ({before_m:.3g} m of residual in the median, "
     "{after_m:.3g} m then)",
     FindingKind.TRUTH_FACTOR: "the truth of {who} is {value:.4g} times the reported positions{question}",
     FindingKind.TRUTH_AXES: "the truth of {who} fits the reported positions if {axes} in one of the two",
     FindingKind.TRUTH_HEIGHT_FACTOR: "the heights in the truth of {who} are {value:.4g} times the reported heights{question}",
     FindingKind.TRUTH_OFFSET: "the truth of {who} lies {offset} m (east, north, up) off the reported positions throughout",
-    FindingKind.TRUTH_MISFIT: "the truth of {who} is {value:.3g} m off the reported positions in the median, where "
+    FindingKind.TRUTH_RESIDUAL: "the truth of {who} is {value:.3g} m off the reported positions in the median, where "
     "{sigma_m:.3g} m are stated",
     FindingKind.TRUTH_ELSEWHERE: "the truth lies {km:.0f} km off the reported positions{question}",
     FindingKind.HEIGHT_FACTOR: "the heights of {who} are {value:.4g} times those of the {of}{question}",
     FindingKind.HEIGHT_SIGN: "the heights of {who} have the opposite sign of the {of}: do they count downwards?",
     FindingKind.HEIGHT_OFFSET: "the heights of {who} are {value:+.4g} m off the {of} throughout",
-    FindingKind.HEIGHT_MISFIT: "the heights of {who} are {value:.3g} m off the {of} in the median, where "
+    FindingKind.HEIGHT_RESIDUAL: "the heights of {who} are {value:.3g} m off the {of} in the median, where "
     "{sigma_m:.3g} m are stated",
     FindingKind.VELOCITY_FACTOR: "the velocities of {who} are {value:.4g} times the rate of change of the positions{question}",
     FindingKind.VELOCITY_AXES: "the velocities of {who} fit the rate of change of the positions if {axes} in them",
     FindingKind.VELOCITY_SIGN: "the velocities of {who} have the opposite sign of the rate of change of the positions",
-    FindingKind.VELOCITY_MISFIT: "the velocities of {who} are {value:.3g} m/s off the rate of change of the positions "
+    FindingKind.VELOCITY_RESIDUAL: "the velocities of {who} are {value:.3g} m/s off the rate of change of the positions "
     "in the median",
 }  # fmt: skip
 """The one place of all wording. `{who}` is filled in when the findings of several vehicles are joined."""
@@ -110,18 +110,18 @@ def finding(kind: FindingKind, value: float | None = None, who: str = "{who}", *
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """One way to make data agree: the median misfit that remains, m, and the finding if it is the right way."""
+    """One way to make data agree: the median residual that remains, m, and the finding if it is the right way."""
 
-    misfit_m: float
+    residual_m: float
     finding: DataFinding
 
 
-def choose(explanations: Iterable[Explanation], misfit_m: float, sigma_m: float = 0.0) -> DataFinding | None:
+def choose(explanations: Iterable[Explanation], residual_m: float, sigma_m: float = 0.0) -> DataFinding | None:
     """Return the simplest explanation (the first) that is clearly better than none and as good as the best or within noise."""
     candidates = list(explanations)
-    least_m = min((one.misfit_m for one in candidates), default=math.inf)
-    enough_m = min(max(_AS_GOOD * least_m, _NOISE_SIGMAS * sigma_m), _CLEARLY_BETTER * misfit_m)
-    return next((one.finding for one in candidates if one.misfit_m <= enough_m), None)
+    least_m = min((one.residual_m for one in candidates), default=math.inf)
+    enough_m = min(max(_AS_GOOD * least_m, _NOISE_SIGMAS * sigma_m), _CLEARLY_BETTER * residual_m)
+    return next((one.finding for one in candidates if one.residual_m <= enough_m), None)
 
 
 def join_vehicles(findings: Iterable[tuple[str, DataFinding]]) -> Iterator[DataFinding]:
@@ -155,10 +155,10 @@ def unit_question(factor: float, one: str, other: str) -> str:
     return ""
 
 
-def median_misfit_m(misfits_m: FloatArray) -> float:
-    """Return the median magnitude of the finite misfits; infinite where fewer than half are finite."""
-    known = np.abs(misfits_m[np.isfinite(misfits_m)])
-    return float(np.median(known)) if len(known) >= _LEAST_SHARE * len(misfits_m) and len(known) else math.inf
+def median_residual_m(residuals_m: FloatArray) -> float:
+    """Return the median magnitude of the finite residuals; infinite where fewer than half are finite."""
+    known = np.abs(residuals_m[np.isfinite(residuals_m)])
+    return float(np.median(known)) if len(known) >= _LEAST_SHARE * len(residuals_m) and len(known) else math.inf
 
 
 def median_ratio(one: FloatArray, other: FloatArray) -> float:

@@ -15,7 +15,7 @@ from gcs_coloc.evaluation.data_checks.findings import (
     choose,
     clock_words,
     finding,
-    median_misfit_m,
+    median_residual_m,
     unit_question,
 )
 from gcs_coloc.evaluation.data_checks.recorded_data import (
@@ -32,11 +32,11 @@ _LEAST_ROWS = 20
 _MOST_ROWS_OF_PAIR = 400
 """Ranges of a pair that are compared, evenly spaced; chosen: the check of a fleet of ten takes below a second."""
 _SUSPECT_SIGMAS = 3.0
-"""Median misfit, in stated sigmas, from which a pair is checked further; chosen: a Gaussian's median is 0.67."""
+"""Median residual, in stated sigmas, from which a pair is checked further; chosen: a Gaussian's median is 0.67."""
 _UNEXPLAINED_SIGMAS = 5.0
-"""Median misfit, in stated sigmas, that is reported even if nothing explains it; chosen: sigmas are often stated too small."""
+"""Median residual, in stated sigmas, that is reported even if nothing explains it; chosen: sigmas are often stated too small."""
 _BETTER_BY_TIME = 0.7
-"""Share of the misfit that a small time offset may leave; chosen: it must explain half of the variance."""
+"""Share of the residual that a small time offset may leave; chosen: it must explain half of the variance."""
 _MOST_PAIRS_NAMED = 4
 _RATE_SPAN_S = 2.0
 """Half the time over which the rate of change of a distance is measured; chosen: noise of 1 m makes 0.35 m/s of it."""
@@ -58,18 +58,18 @@ def check_ranges(data: RecordedData, *, trust_truth: bool) -> Iterator[DataFindi
     pairs = list(_pairs(data, trust_truth=trust_truth))
     if not pairs:
         return
-    suspect = [pair for pair in pairs if pair.misfit_m() > _SUSPECT_SIGMAS * pair.sigma_m()]
+    suspect = [pair for pair in pairs if pair.residual_m() > _SUSPECT_SIGMAS * pair.sigma_m()]
     bad = _RangeSet(suspect) if suspect else None
     clock = _small_clock_offset(_RangeSet(pairs), bad)
     if clock is not None:
         yield clock
     elif bad is not None:
         blame = _blame(suspect, pairs, data.names)
-        explained = choose(_explanations(bad, blame), bad.misfit_m)
+        explained = choose(_explanations(bad, blame), bad.residual_m)
         if explained is not None:
             yield explained
-        elif bad.misfit_m > _UNEXPLAINED_SIGMAS * bad.sigma_m:
-            yield finding(FindingKind.RANGE_MISFIT, bad.misfit_m, blame.ranges, sigma_m=bad.sigma_m)
+        elif bad.residual_m > _UNEXPLAINED_SIGMAS * bad.sigma_m:
+            yield finding(FindingKind.RANGE_RESIDUAL, bad.residual_m, blame.ranges, sigma_m=bad.sigma_m)
 
 
 @dataclass(slots=True)
@@ -100,9 +100,9 @@ class _Pair:
                 squares = squares + float(np.median(self.data.reports[vehicle].sigmas_m)) ** 2
         return float(np.sqrt(np.median(squares)))
 
-    def misfit_m(self) -> float:
+    def residual_m(self) -> float:
         """Return the median of |range - distance|."""
-        return median_misfit_m(np.abs(self.rows[:, 3] - np.linalg.norm(self.positions(0) - self.positions(1), axis=1)))
+        return median_residual_m(np.abs(self.rows[:, 3] - np.linalg.norm(self.positions(0) - self.positions(1), axis=1)))
 
     def moves(self) -> list[bool]:
         """Return for each end whether it moves: it is no anchor."""
@@ -158,20 +158,20 @@ class _RangeSet:
         self.ends = self._ends()
         self.distances_m = np.linalg.norm(self.ends[:, 0] - self.ends[:, 1], axis=1)
         self.sigma_m = float(np.median([pair.sigma_m() for pair in pairs]))
-        self.misfit_m = median_misfit_m(self.range_m - self.distances_m)
+        self.residual_m = median_residual_m(self.range_m - self.distances_m)
 
     def _ends(self, shift: PositionShift = _no_shift) -> FloatArray:
         sides = [np.concatenate([pair.positions(side, shift) for pair in self.pairs]) for side in (0, 1)]
         return np.stack(sides, axis=1)
 
-    def swapped_misfit_m(self, whose: Mask) -> float:
-        """Return the median misfit if east and north are exchanged in some positions (N, 2)."""
+    def swapped_residual_m(self, whose: Mask) -> float:
+        """Return the median residual if east and north are exchanged in some positions (N, 2)."""
         ends = self.ends.copy()
         ends[whose] = ends[whose][:, (1, 0, 2)]
-        return median_misfit_m(self.range_m - np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
+        return median_residual_m(self.range_m - np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
 
-    def shifted_misfits_m(self, shift: PositionShift) -> FloatArray:
-        """Return the misfits (N,) if positions of other times are used."""
+    def shifted_residuals_m(self, shift: PositionShift) -> FloatArray:
+        """Return the residuals (N,) if positions of other times are used."""
         ends = self._ends(shift)
         return np.asarray(self.range_m - np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
 
@@ -188,29 +188,29 @@ def _explanations(bad: _RangeSet, blame: _Blame) -> Iterator[Explanation]:
     factor, scaled_m = 0.0, float("inf")
     sound = bad.distances_m > 0.0
     if sound.any() and (factor := float(np.nanmedian(bad.range_m[sound] / bad.distances_m[sound]))) > 0.0:
-        scaled_m = median_misfit_m(bad.range_m / factor - bad.distances_m)
+        scaled_m = median_residual_m(bad.range_m / factor - bad.distances_m)
         question = unit_question(factor, "the ranges in {}", "the positions in {}")
         if question:
             yield Explanation(scaled_m, finding(FindingKind.RANGE_FACTOR, factor, blame.ranges, question=question))
     for of, whose in _position_groups(bad, blame):
         if whose.any():
-            left_m = bad.swapped_misfit_m(whose)
+            left_m = bad.swapped_residual_m(whose)
             swapped = finding(
                 FindingKind.POSITION_AXES,
                 None,
                 blame.ranges,
                 axes="east and north are swapped",
                 of=of,
-                before_m=bad.misfit_m,
+                before_m=bad.residual_m,
                 after_m=left_m,
             )
             yield Explanation(left_m, swapped)
     for of, shift in _clocks(bad, blame):
-        offset_s, left_m = find_time_offset_s(lambda by_s, shift=shift: bad.shifted_misfits_m(shift(by_s)))  # type: ignore[misc]
-        yield Explanation(left_m, _clock_finding(of, blame.ranges, offset_s, bad.misfit_m, left_m))
+        offset_s, left_m = find_time_offset_s(lambda by_s, shift=shift: bad.shifted_residuals_m(shift(by_s)))  # type: ignore[misc]
+        yield Explanation(left_m, _clock_finding(of, blame.ranges, offset_s, bad.residual_m, left_m))
     bias_m = float(np.nanmedian(bad.range_m - bad.distances_m))
-    # A bias or factor of any size fits by chance more easily: it must explain all of the misfit.
-    if (left_m := median_misfit_m(bad.range_m - bias_m - bad.distances_m)) <= _SUSPECT_SIGMAS * bad.sigma_m:
+    # A bias or factor of any size fits by chance more easily: it must explain all of the residual.
+    if (left_m := median_residual_m(bad.range_m - bias_m - bad.distances_m)) <= _SUSPECT_SIGMAS * bad.sigma_m:
         yield Explanation(left_m, finding(FindingKind.RANGE_BIAS, bias_m, blame.ranges))
     if scaled_m <= _SUSPECT_SIGMAS * bad.sigma_m:
         yield Explanation(scaled_m, finding(FindingKind.RANGE_FACTOR, factor, blame.ranges, question=""))
@@ -245,9 +245,9 @@ def _small_clock_offset(every: _RangeSet, bad: _RangeSet | None) -> DataFinding 
     """Return the offset of all positions if it moves vehicles by more than the noise, though it is hidden in most pairs."""
     if not every.moves.any():
         return None
-    offset_s, left_m = find_small_time_offset_s(lambda by_s: every.shifted_misfits_m(_shift_all(by_s)))
-    if left_m >= _BETTER_BY_TIME * every.misfit_m or abs(offset_s) * every.rate_mps() <= every.sigma_m:
+    offset_s, left_m = find_small_time_offset_s(lambda by_s: every.shifted_residuals_m(_shift_all(by_s)))
+    if left_m >= _BETTER_BY_TIME * every.residual_m or abs(offset_s) * every.rate_mps() <= every.sigma_m:
         return None
-    if bad is not None and median_misfit_m(bad.shifted_misfits_m(_shift_all(offset_s))) > _SUSPECT_SIGMAS * bad.sigma_m:
+    if bad is not None and median_residual_m(bad.shifted_residuals_m(_shift_all(offset_s))) > _SUSPECT_SIGMAS * bad.sigma_m:
         return None
-    return _clock_finding("the positions", "the ranges", offset_s, every.misfit_m, left_m)
+    return _clock_finding("the positions", "the ranges", offset_s, every.residual_m, left_m)

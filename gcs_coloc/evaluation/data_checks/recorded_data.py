@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.evaluation.data_checks.findings import median_misfit_m
+from gcs_coloc.evaluation.data_checks.findings import median_residual_m
 
 _GAP_SPACINGS = 2.5
 _SHORTEST_GAP_S = 2.0
@@ -83,22 +83,22 @@ def thinned(rows: FloatArray, most: int) -> FloatArray:
     return rows if len(rows) <= most else rows[np.linspace(0, len(rows) - 1, most).astype(int)]
 
 
-MisfitOfOffset = Callable[[float], FloatArray]
-"""The misfits (N,), m, if positions of so many seconds later are used; NaN where nothing can be compared."""
+ResidualOfOffset = Callable[[float], FloatArray]
+"""The residuals (N,), m, if positions of so many seconds later are used; NaN where nothing can be compared."""
 
 
-def find_time_offset_s(misfit: MisfitOfOffset) -> tuple[float, float]:
-    """Return the offset within 2 minutes that leaves the least median misfit, s, and that misfit, m."""
-    coarse_s, _ = _best_offset(misfit, np.concatenate((_FINE_S, _COARSE_S)))
-    return _best_offset(misfit, coarse_s + np.linspace(-0.05, 0.05, 11) * max(1.0, min(abs(coarse_s), 10.0)))
+def find_time_offset_s(residual: ResidualOfOffset) -> tuple[float, float]:
+    """Return the offset within 2 minutes that leaves the least median residual, s, and that residual, m."""
+    coarse_s, _ = _best_offset(residual, np.concatenate((_FINE_S, _COARSE_S)))
+    return _best_offset(residual, coarse_s + np.linspace(-0.05, 0.05, 11) * max(1.0, min(abs(coarse_s), 10.0)))
 
 
-def find_small_time_offset_s(misfit: MisfitOfOffset) -> tuple[float, float]:
+def find_small_time_offset_s(residual: ResidualOfOffset) -> tuple[float, float]:
     """Return as `find_time_offset_s`, within 2 s."""
-    return _best_offset(misfit, _FINE_S)
+    return _best_offset(residual, _FINE_S)
 
 
-def _best_offset(misfit: MisfitOfOffset, offsets_s: FloatArray) -> tuple[float, float]:
-    medians_m = [median_misfit_m(misfit(float(offset_s))) for offset_s in offsets_s]
+def _best_offset(residual: ResidualOfOffset, offsets_s: FloatArray) -> tuple[float, float]:
+    medians_m = [median_residual_m(residual(float(offset_s))) for offset_s in offsets_s]
     best = int(np.argmin(medians_m))
     return float(offsets_s[best]), medians_m[best]

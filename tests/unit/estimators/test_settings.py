@@ -10,9 +10,10 @@ from typing import Annotated, Literal
 import pytest
 
 from gcs_coloc.core.errors import DataError, EstimatorError
+from gcs_coloc.core.setting_bounds import Bounds
 from gcs_coloc.estimators.registry import BUILT_IN, load_class, load_estimator, settings_type_of
 from gcs_coloc.estimators.settings_reference import field_docstrings, settings_table, updated_page
-from gcs_coloc.estimators.validation import Bounds, bounds_of, check_settings
+from gcs_coloc.estimators.validation import bounds_of, check_settings
 
 REFERENCE = Path(__file__).parents[3] / "docs" / "reference"
 TYPES = {name: settings_type_of(name, load_class(name)) for name in BUILT_IN}
@@ -39,7 +40,8 @@ def test_the_text_under_a_setting_states_its_bounds_and_where_its_default_comes_
 
 @pytest.mark.parametrize(("name", "key"), NUMBERS)
 def test_a_setting_beyond_its_bounds_is_refused_by_its_name(name, key):
-    least, most = bounds_of(TYPES[name])[key]
+    bounds = bounds_of(TYPES[name])[key]
+    least, most = bounds.least, bounds.most
     for value in (least, most):
         assert getattr(TYPES[name](**{key: value}), key) == value
     for value in (least - 1.0, most + 1.0, math.nan, math.inf):

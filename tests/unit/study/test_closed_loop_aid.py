@@ -12,13 +12,13 @@ from gcs_coloc.study.closed_loop import Flight, fly
 from sitl_fakes.faults import GpsJammed, GpsLost
 from sitl_fakes.scenario import Scenario, load_scenario
 
-SUBJECT = 4
+DENIED = 4
 LOST_S = 20.0
 
 
 def scenario(fault: type, **ranging: object) -> Scenario:
     uwb = load_scenario("uwb")
-    changed = {"fault": [fault(vehicle=SUBJECT, at_s=LOST_S)], "ranging": uwb.ranging.model_copy(update=ranging)}
+    changed = {"fault": [fault(vehicle=DENIED, at_s=LOST_S)], "ranging": uwb.ranging.model_copy(update=ranging)}
     return uwb.model_copy(update=changed)
 
 
@@ -28,12 +28,12 @@ def flown(what: Scenario, duration_s: float, **aid: object) -> tuple[Flight, Eng
 
 
 def sources(flight: Flight, from_s: float) -> dict[str, int]:
-    seen = [s.truth.source for s in flight.samples[SUBJECT] if s.at_s >= from_s]
+    seen = [s.truth.source for s in flight.samples[DENIED] if s.at_s >= from_s]
     return {source: seen.count(source) for source in set(seen)}
 
 
 def off_in_its_own_position_m(flight: Flight, from_s: float) -> float:
-    samples = [s.truth for s in flight.samples[SUBJECT] if s.at_s >= from_s]
+    samples = [s.truth for s in flight.samples[DENIED] if s.at_s >= from_s]
     return max(float(np.hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m)) for t in samples)
 
 
@@ -42,7 +42,7 @@ def test_a_jammed_aircraft_flies_on_our_positions_alone_once_its_primary_receive
     flight, engine = flown(scenario(GpsJammed), 50.0, switch_primary=switch)
     seen = sources(flight, LOST_S + 10.0)
     assert ("gps1" not in seen) is (switch == "auto")
-    seen_of_it = next(v for v in engine.snapshot(50.0).vehicles if v.sysid == SUBJECT)
+    seen_of_it = next(v for v in engine.snapshot(50.0).vehicles if v.sysid == DENIED)
     assert seen_of_it.gps_primary == ("ours" if switch == "auto" else None)
     assert seen_of_it.fix_acknowledged
 
