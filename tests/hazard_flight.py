@@ -12,7 +12,7 @@ from math import hypot
 from typing import Any
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.error_bound import horizontal_bound_95_m
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.messages.outbound import GpsInput, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, Sample, fly

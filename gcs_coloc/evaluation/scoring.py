@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcs_coloc.core.error_bound import horizontal_bound_95_m
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import Estimate, FloatArray
 
 

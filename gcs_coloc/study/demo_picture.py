@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gcs_coloc.core.error_bound import horizontal_bound_95_m
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.study.closed_loop import Flight, Sample
 from sitl_fakes.scenario import Scenario
 

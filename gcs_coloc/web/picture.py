@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Iterable
-from math import atan2, sqrt
 
+from gcs_coloc.core.error_ellipse import error_ellipse
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Vector3
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
@@ -102,13 +102,8 @@ def traffic_light(v: VehicleSnapshot) -> tuple[LightColour, str]:
 
 def ellipse(covariance_h_m2: tuple[float, float, float]) -> Ellipse:
     """The 2-sigma ellipse of a covariance (east-east, east-north, north-north) in square metres."""
-    a, b, d = covariance_h_m2
-    mean, half = 0.5 * (a + d), sqrt(0.25 * (a - d) ** 2 + b * b)
-    return Ellipse(
-        semi_major_m=2.0 * sqrt(max(mean + half, 0.0)),
-        semi_minor_m=2.0 * sqrt(max(mean - half, 0.0)),
-        angle_rad=0.5 * atan2(2.0 * b, a - d),
-    )
+    major_m, minor_m, angle_rad = error_ellipse(*covariance_h_m2)
+    return Ellipse(semi_major_m=2.0 * major_m, semi_minor_m=2.0 * minor_m, angle_rad=angle_rad)
 
 
 def _true_positions(fleet: FleetSnapshot, truths: Iterable[HeardTruth]) -> dict[int, Vector3]:

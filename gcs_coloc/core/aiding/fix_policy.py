@@ -6,7 +6,7 @@ from math import sqrt
 
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.settings import AidingSettings
-from gcs_coloc.core.error_bound import horizontal_bound_95_m
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.core.residual_log import CONSISTENT_MEDIAN_NIS
 

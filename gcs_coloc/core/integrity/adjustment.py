@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
 from gcs_coloc.core.integrity.epoch import MIN_INFORMATION_PER_M2, MIN_SIGMA_M, Epoch, EpochArrays, Past, RangeResidual
 from gcs_coloc.core.measurements import FloatArray
 
@@ -281,8 +282,8 @@ def _common_residuals(now: EpochArrays, then: EpochArrays) -> tuple[list[int], l
 def pseudo_inverse(A: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
     """The pseudo-inverses of symmetric (..., 2, 2) matrices, and their ranks; directions without information are left out."""
     a, b, d = A[..., 0, 0], A[..., 0, 1], A[..., 1, 1]
-    mean, half = 0.5 * (a + d), np.hypot(0.5 * (a - d), b)
-    larger, smaller = mean + half, mean - half
+    mean, radius = eigenvalue_mean_and_radius(a, b, d, np.sqrt)
+    larger, smaller = mean + radius, mean - radius
     least = np.maximum(larger * _RANK_TOLERANCE, MIN_INFORMATION_PER_M2)
     ranks = (larger > least).astype(int) + (smaller > least)
     # Rank one: the projection on the larger eigenvalue's direction, over that eigenvalue.
@@ -291,5 +292,5 @@ def pseudo_inverse(A: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
         np.stack([np.stack([d, -b], -1), np.stack([-b, a], -1)], -2),
         np.stack([np.stack([a - smaller, b], -1), np.stack([b, d - smaller], -1)], -2),
     )
-    over = np.where(ranks == 2, a * d - b * b, np.where(ranks == 1, 2.0 * half * larger, np.inf))
+    over = np.where(ranks == 2, a * d - b * b, np.where(ranks == 1, 2.0 * radius * larger, np.inf))
     return adjugate / over[..., np.newaxis, np.newaxis], ranks

@@ -23,10 +23,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from math import exp, hypot, log, pi, sqrt
+from math import exp, log, pi, sqrt
 
 import numpy as np
 
+from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
 from gcs_coloc.core.measurements import FloatArray
 
 _UNKNOWN_M2 = 1e4  # 1-sigma of 100 m; chosen: far beyond any displacement that ranges allow
@@ -277,10 +278,10 @@ def _normalise(log_probability: list[float]) -> list[float]:
 
 def positive_part(ee: float, en: float, nn: float) -> tuple[float, float, float]:
     """A symmetric (2, 2) matrix with its negative eigenvalues set to zero."""
-    mean, half = 0.5 * (ee + nn), hypot(0.5 * (ee - nn), en)
-    if mean >= half:
+    mean, radius = eigenvalue_mean_and_radius(ee, en, nn, sqrt)
+    if mean >= radius:
         return ee, en, nn
-    if mean <= -half:
+    if mean <= -radius:
         return 0.0, 0.0, 0.0
-    smaller, part = mean - half, (mean + half) / (2.0 * half)
+    smaller, part = mean - radius, (mean + radius) / (2.0 * radius)
     return part * (ee - smaller), part * en, part * (nn - smaller)

@@ -16,7 +16,7 @@ from math import inf, sqrt
 
 import numpy as np
 
-from gcs_coloc.core.error_bound import horizontal_sigma_m
+from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius, horizontal_sigma_m
 from gcs_coloc.core.integrity.adjustment import Adjustment, adjust
 from gcs_coloc.core.integrity.epoch import MIN_INFORMATION_PER_M2, Epoch, Past
 from gcs_coloc.core.integrity.fault_tests import FaultKind, FaultTestResult, SignificanceLevels, chi2_limit, run_test
@@ -74,7 +74,7 @@ def check_fix(
             return FixCheck(FixConsistency.AGAINST_RANGES, offset_m if offset_m is not None else size_m, inf, ranged=True)
     fitting = bool(fits) and _ranges_fit(fits[0], results[0], fix.vehicle, levels)
     information = fits[0].position_information(fix.vehicle) if fitting else np.zeros((2, 2))
-    known_m = 1.0 / sqrt(max(float(np.linalg.eigvalsh(information)[0]), MIN_INFORMATION_PER_M2))
+    known_m = 1.0 / sqrt(max(_least_information_per_m2(information), MIN_INFORMATION_PER_M2))
     if estimate is not None and difference_m is not None and _is_significant(difference_m, fix, estimate):
         if float(difference_m @ information @ difference_m) >= _DETECTABLE_NONCENTRALITY:
             return FixCheck(FixConsistency.ESTIMATE_OFF, offset_m, known_m, ranged=True)
@@ -97,6 +97,12 @@ def _difference_m(fix: PositionMeasurement, estimate: Estimate) -> FloatArray:
     """Fix minus estimate (2,), at the time of the fix."""
     at_fix = estimate.position_enu_m[:2] - estimate.velocity_enu_mps[:2] * (estimate.at_s - fix.measured_at_s)
     return np.asarray(np.array(fix.position_enu_m[:2]) - at_fix)
+
+
+def _least_information_per_m2(information: FloatArray) -> float:
+    """Information along the worst direction: the smaller eigenvalue."""
+    mean, radius = eigenvalue_mean_and_radius(information.item(0), information.item(1), information.item(3), sqrt)
+    return mean - radius
 
 
 def _is_significant(difference_m: FloatArray, fix: PositionMeasurement, estimate: Estimate) -> bool:

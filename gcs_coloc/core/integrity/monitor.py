@@ -13,7 +13,7 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from gcs_coloc.core.error_bound import horizontal_sigma_m
+from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.integrity.range_consistency import ConsistencySettings, RangeConsistency

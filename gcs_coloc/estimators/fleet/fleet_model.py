@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from gcs_coloc.core.error_bound import horizontal_sigma_m
+from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     Estimate,

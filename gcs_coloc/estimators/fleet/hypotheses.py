@@ -12,7 +12,7 @@ from enum import Enum, auto
 
 import numpy as np
 
-from gcs_coloc.core.error_bound import horizontal_sigma_m
+from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, RangeMeasurement
 from gcs_coloc.estimators.fleet.ambiguity.reflection import (
     ReflectionPlane,

@@ -11,6 +11,7 @@ from collections import Counter
 
 import numpy as np
 
+from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, PositionMeasurement, RangeMeasurement
 
 _AZIMUTHS = 12
@@ -105,7 +106,7 @@ def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float)
     if 1.0 - fits.mean() > _MOST_OUTLIERS or float(np.mean(residual[fits] ** 2)) > _MOST_MEAN_SQUARE:
         return "the ranges contradict each other: no place fits them"
     covariance = np.linalg.inv(normal[best])
-    worst_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    worst_m = horizontal_sigma_m(covariance)
     if worst_m > limit_sigma_m:
         return f"the geometry of the peers does not determine the position: {worst_m:.0f} m (1-sigma)"
     mean = x[best]

@@ -18,6 +18,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
+from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
@@ -106,7 +107,7 @@ class QuZhangFilter:
         covariance = self._covariance(track, track.horizontal, denied_vehicle, at_s)
         vertical_state, vertical_covariance = track.vertical.predicted(at_s)
         vertical_covariance[0, 0] += track.sigma_v_m**2
-        sigma_m = _largest_sigma(covariance[np.ix_([0, 2], [0, 2])])
+        sigma_m = horizontal_sigma_m(covariance[np.ix_([0, 2], [0, 2])])
         if sigma_m > self._settings.max_sigma_m:
             return NoEstimate(vehicle, at_s, _with_cause(f"uncertain by {sigma_m:.0f} m (1 sigma)", denied_vehicle))
         full = np.zeros((6, 6))
@@ -244,7 +245,7 @@ class QuZhangFilter:
         """Update or initialise the filter with a fix; return the reason if it is refused, else None."""
         if track.horizontal is None:
             if (
-                _largest_sigma(fix.covariance + lasting_covariance(fix.sensitivities, fix.lasting, 2))
+                horizontal_sigma_m(fix.covariance + lasting_covariance(fix.sensitivities, fix.lasting, 2))
                 > self._settings.max_sigma_m
             ):
                 return "the geometry is too poor to start from"
@@ -293,8 +294,3 @@ class QuZhangFilter:
 
 def _with_cause(text: str, denied_vehicle: DeniedVehicleFilter | None) -> str:
     return f"{text}: {denied_vehicle.reason}" if denied_vehicle is not None and denied_vehicle.reason else text
-
-
-def _largest_sigma(covariance: FloatArray) -> float:
-    """Return the 1-sigma, m, along the worst direction of a position's covariance (2, 2)."""
-    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gcs_coloc.core.error_ellipse import error_ellipse
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.snapshot import VehicleSnapshot
 from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
@@ -72,11 +73,11 @@ def ellipse_ring(vehicle: VehicleSnapshot) -> list[tuple[float, float]] | None:
     """The 2-sigma ellipse: 25 corners (latitude, longitude) in degrees, the last the first; None where there is no estimate."""
     if vehicle.covariance_h_m2 is None or vehicle.lat_deg is None or vehicle.lon_deg is None or vehicle.alt_msl_m is None:
         return None
-    ee, en, nn = vehicle.covariance_h_m2
-    values, vectors = np.linalg.eigh(np.array([[ee, en], [en, nn]]))
+    major_m, minor_m, angle_rad = error_ellipse(*vehicle.covariance_h_m2)
+    axes = np.array([[np.cos(angle_rad), -np.sin(angle_rad)], [np.sin(angle_rad), np.cos(angle_rad)]])
     angles = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_CORNERS, endpoint=False)
     circle = np.vstack([np.cos(angles), np.sin(angles)])
-    corners = (_ELLIPSE_SIGMAS * vectors @ (np.sqrt(np.maximum(values, 0.0))[:, np.newaxis] * circle)).T
+    corners = (_ELLIPSE_SIGMAS * axes @ (np.array([[major_m], [minor_m]]) * circle)).T
     frame = LocalFrame(vehicle.lat_deg, vehicle.lon_deg, vehicle.alt_msl_m)
     ring = [frame.geodetic_from_enu(float(e), float(n), 0.0)[:2] for e, n in corners]
     return [*ring, ring[0]]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gcs_coloc.core.aiding.methods.method import MethodContext, Moment
-from gcs_coloc.core.error_bound import horizontal_sigma_m
+from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import NoEstimate
 from gcs_coloc.core.messages.aiding import CommandResult, ExternalPosition
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import sqrt
 
 from gcs_coloc.core.aiding.methods.method import MethodContext, Moment
-from gcs_coloc.core.error_bound import horizontal_sigma_m
+from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import NoEstimate
 from gcs_coloc.core.messages.aiding import CommandResult, GlobalPositionSensor
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice

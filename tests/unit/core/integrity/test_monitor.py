@@ -16,7 +16,7 @@ from bench.integrity_flights import (
     fly_step,
     fresh_engine,
 )
-from gcs_coloc.core.error_bound import horizontal_bound_95_m
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.gps_health.gps_health import GpsState
 
 SOUND = (GpsState.HEALTHY, GpsState.UNKNOWN)

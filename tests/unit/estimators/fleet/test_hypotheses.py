@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gcs_coloc.core.error_bound import horizontal_bound_95_m
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel

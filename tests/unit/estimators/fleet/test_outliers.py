@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fleet_in_flight import Fleet, circling
 
-from gcs_coloc.core.error_bound import horizontal_bound_95_m
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from gcs_coloc.core.error_bound import horizontal_bound_95_m, horizontal_sigma_m, worst_sigma
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m, horizontal_sigma_m, worst_sigma
 
 
 def test_a_round_error_gives_chi_square_with_two_degrees_of_freedom():

@@ -1,11 +1,13 @@
-"""How far off a position may be, from its covariance: 1-sigma along the worst direction, and the 95 % horizontal bound.
+"""Error ellipse and error bound of a covariance: the package's one eigen-decomposition of a symmetric 2x2 matrix.
 
-Closed forms: numpy's general ones cost several times as much for two and three directions.
+Closed forms: numpy's general decompositions take several times as long for two and three directions.
 """
 
 from __future__ import annotations
 
-from math import acos, cos, sqrt
+from collections.abc import Callable
+from math import acos, atan2, cos, sqrt
+from typing import NamedTuple, TypeVar
 
 from gcs_coloc.core.measurements import FloatArray
 
@@ -13,10 +15,34 @@ from gcs_coloc.core.measurements import FloatArray
 # of 0, 0.1, ... 1: the root of the integral over the circle. From 1.96 (a line) to sqrt(5.99) (a round one).
 _RADIUS_95 = (1.9600, 1.9625, 1.9704, 1.9842, 2.0051, 2.0359, 2.0813, 2.1460, 2.2303, 2.3318, 2.4478)
 
+_Real = TypeVar("_Real", float, FloatArray)
+
+
+class ErrorEllipse(NamedTuple):
+    """The 1-sigma ellipse: semi-axes in m, and the angle of the major one from the first axis to the second, in rad."""
+
+    semi_major_m: float
+    semi_minor_m: float
+    angle_rad: float
+
+
+def eigenvalue_mean_and_radius(a: _Real, b: _Real, d: _Real, root: Callable[[_Real], _Real]) -> tuple[_Real, _Real]:
+    """The eigenvalues of [[a, b], [b, d]] are mean + radius and mean - radius (Mohr's circle).
+
+    `root` is math.sqrt for numbers and numpy.sqrt for arrays.
+    """
+    return 0.5 * (a + d), root(0.25 * (a - d) ** 2 + b * b)
+
+
+def error_ellipse(ee: float, en: float, nn: float) -> ErrorEllipse:
+    """The error ellipse of a horizontal covariance, given by its elements in m^2."""
+    mean, radius = eigenvalue_mean_and_radius(ee, en, nn, sqrt)
+    return ErrorEllipse(sqrt(max(mean + radius, 0.0)), sqrt(max(mean - radius, 0.0)), 0.5 * atan2(2.0 * en, ee - nn))
+
 
 def horizontal_sigma_m(covariance: FloatArray) -> float:
     """1-sigma along the worst horizontal direction, m: root of the larger eigenvalue of the top-left (2, 2) block."""
-    return _axes_m(covariance)[0]
+    return _semi_axes_m(covariance)[0]
 
 
 def horizontal_bound_95_m(covariance: FloatArray) -> float:
@@ -26,7 +52,7 @@ def horizontal_bound_95_m(covariance: FloatArray) -> float:
 
 def horizontal_sigma_and_bound_95_m(covariance: FloatArray) -> tuple[float, float]:
     """`horizontal_sigma_m` and `horizontal_bound_95_m` at once."""
-    larger_m, smaller_m = _axes_m(covariance)
+    larger_m, smaller_m = _semi_axes_m(covariance)
     if larger_m == 0.0:
         return 0.0, 0.0
     place = 10.0 * smaller_m / larger_m
@@ -52,7 +78,6 @@ def worst_sigma(covariance: FloatArray) -> float:
     return sqrt(max(mean + 2.0 * scale * cos(angle), 0.0))
 
 
-def _axes_m(covariance: FloatArray) -> tuple[float, float]:
-    a, b, d = covariance.item(0, 0), covariance.item(0, 1), covariance.item(1, 1)
-    mean, half = 0.5 * (a + d), sqrt(0.25 * (a - d) ** 2 + b * b)
-    return sqrt(max(mean + half, 0.0)), sqrt(max(mean - half, 0.0))
+def _semi_axes_m(covariance: FloatArray) -> tuple[float, float]:
+    mean, radius = eigenvalue_mean_and_radius(covariance.item(0, 0), covariance.item(0, 1), covariance.item(1, 1), sqrt)
+    return sqrt(max(mean + radius, 0.0)), sqrt(max(mean - radius, 0.0))
