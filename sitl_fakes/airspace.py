@@ -1,4 +1,4 @@
-"""Aircraft of one scenario in several processes: each tells the others by multicast where its aircraft truly are.
+"""Aircraft of one scenario in several processes: each sends the true states of its aircraft by multicast.
 
 What a ranging device measures depends on the truth at both ends, and an aircraft that flies on GPS_INPUT is nowhere to be
 computed but in its own process.
@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import asdict
 
 from sitl_fakes.errors import SocketError
-from sitl_fakes.whereabouts import Whereabouts
+from sitl_fakes.truth import SharedState
 
 _log = logging.getLogger(__name__)
 
@@ -25,7 +25,7 @@ _MOST_WARNINGS = 20
 class Airspace:
     """The multicast group that the processes of one scenario share, on the network that leads to `target`.
 
-    `heard` is called with what others tell of aircraft other than `ours`, times being UNIX times as on the wire. Raises
+    `on_state` is called with the states of aircraft other than `ours`, with UNIX times as on the wire. Raises
     `SocketError` where the group cannot be joined.
     """
 
@@ -35,12 +35,12 @@ class Airspace:
         target: tuple[str, int],
         scenario: str,
         ours: Collection[int],
-        heard: Callable[[Whereabouts], None],
+        on_state: Callable[[SharedState], None],
     ) -> None:
         self._group = group
         self._scenario = scenario
         self._ours = frozenset(ours)
-        self._heard = heard
+        self._on_state = on_state
         self._process = secrets.token_hex(8)
         self._warned: set[str] = set()
         try:
@@ -49,14 +49,14 @@ class Airspace:
             raise SocketError(f"cannot join the multicast group {group[0]}:{group[1]}: {error.strerror or error}") from error
         asyncio.get_running_loop().add_reader(self._socket, self._read)
 
-    def tell(self, aircraft: Iterable[Whereabouts]) -> None:
-        """Tell the others where our aircraft are, at UNIX times. What the network does not take is lost: soon there is newer."""
+    def send(self, aircraft: Iterable[SharedState]) -> None:
+        """Send the states of our aircraft, at UNIX times. A datagram that the network refuses is lost; newer ones follow."""
         for one in aircraft:
             text = json.dumps({"process": self._process, "scenario": self._scenario, **asdict(one)})
             try:
                 self._socket.sendto(text.encode(), self._group)
             except OSError as error:
-                _log.debug("not told: %s", error)
+                _log.debug("not sent: %s", error)
 
     def close(self) -> None:
         """Leave the group."""
@@ -66,9 +66,9 @@ class Airspace:
     def _read(self) -> None:
         payload, sender = self._socket.recvfrom(2048)
         try:
-            said = json.loads(payload)
-            process, scenario = said.pop("process"), said.pop("scenario")
-            news = Whereabouts.from_json(said)
+            fields = json.loads(payload)
+            process, scenario = fields.pop("process"), fields.pop("scenario")
+            state = SharedState.from_json(fields)
         except (ValueError, TypeError, KeyError, AttributeError):
             self._warn_once(f"{sender[0]} speaks in the airspace, but not of simulated aircraft")
             return
@@ -76,10 +76,10 @@ class Airspace:
             return
         if scenario != self._scenario:
             self._warn_once(f"{sender[0]} flies another scenario, {scenario!r}, in the same airspace: it is not seen")
-        elif news.sysid in self._ours:
-            self._warn_once(f"vehicle {news.sysid} is flown by {sender[0]} as well")
+        elif state.sysid in self._ours:
+            self._warn_once(f"vehicle {state.sysid} is flown by {sender[0]} as well")
         else:
-            self._heard(news)
+            self._on_state(state)
 
     def _warn_once(self, text: str) -> None:
         if text not in self._warned and len(self._warned) < _MOST_WARNINGS:

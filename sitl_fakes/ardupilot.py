@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 
-from sitl_fakes.autopilot import DEAD_RECKONING, Autopilot
+from sitl_fakes.autopilot import ACCEPTED, DEAD_RECKONING, FAILED, Autopilot
 from sitl_fakes.guidance import Guidance
-from sitl_fakes.mav_result import ACCEPTED, FAILED
 from sitl_fakes.navigation import Navigation
 from sitl_fakes.parameters import Parameters
 from sitl_fakes.receivers import GpsFix, is_injected, is_own, not_live, receiver_in_use, refusal
@@ -37,7 +36,7 @@ class ArduPilot(Autopilot):
             self._receive(0, fix, at_s)
 
     def receive_gps_input(self, gps_id: int, fix: GpsFix, at_s: float) -> None:
-        """Take a GPS_INPUT; it is ignored, without a word, where `gps_id` is not a receiver fed by MAVLink."""
+        """Take a GPS_INPUT; it is ignored, as by the autopilot, where `gps_id` is not a receiver fed by MAVLink."""
         if gps_id in (0, 1) and is_injected(gps_id, self._params):
             self._receive(gps_id, fix, at_s)
 

@@ -10,6 +10,8 @@ from sitl_fakes.receivers import GpsFix, Receiver
 from sitl_fakes.sensors import AirData
 
 DEAD_RECKONING, NO_POSITION = "dead_reckoning", "none"
+ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
+"""MAV_RESULT of a COMMAND_ACK."""
 _SOURCE_HOLDS_S = 1.0
 
 
@@ -47,7 +49,7 @@ class Autopilot(ABC):
 
     @abstractmethod
     def arming_refusal(self, at_s: float) -> str | None:
-        """Say in the autopilot's own words why it does not arm now, or None where it does."""
+        """The pre-arm failure in the autopilot's own text, None where it arms."""
 
     @abstractmethod
     def injected_refusal(self, at_s: float) -> str | None:

@@ -11,10 +11,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl_fakes.fault_commands import fault_of_command
+from sitl_fakes.autopilot import ACCEPTED, DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED
+from sitl_fakes.faults import fault_of_command
 from sitl_fakes.flight_controller import FlightController
 from sitl_fakes.gps_input import fix_from_gps_input
-from sitl_fakes.mav_result import ACCEPTED, DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED
 
 _EXTERNAL_POSITION_ESTIMATE = 43003
 _LONGEST_AGE_S = 5.0
@@ -24,7 +24,7 @@ _LARGEST_PARAMETER = 1e6
 
 
 def handle(vehicle: FlightController, payload: bytes, at_s: float) -> list[Any]:
-    """Obey one datagram and return the messages to answer with. What is not MAVLink, or not for this vehicle, is passed over."""
+    """Execute one datagram's messages and return the answers. What is not MAVLink, or for another vehicle, is ignored."""
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
     replies: list[Any] = []
@@ -149,7 +149,7 @@ def _status_text(text: str) -> list[Any]:
 def _external_position(vehicle: FlightController, message: Any, at_s: float) -> int:
     """MAV_CMD_EXTERNAL_POSITION_ESTIMATE: sent at param1 s of the sender's clock, worked out for param2 s, 1-sigma param3 m.
 
-    The altitude must be NaN, the frame a global one. Whether the rest is taken is for the autopilot to say.
+    The altitude must be NaN, the frame a global one. The autopilot decides about the rest.
     """
     place = _horizontal_m(vehicle, message.x, message.y)
     if place is None or not math.isnan(message.z) or message.frame not in _GLOBAL_FRAMES:

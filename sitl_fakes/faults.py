@@ -1,11 +1,11 @@
-"""What can go wrong in a scenario, and when: one model per kind, told apart by `kind`. Times are seconds since the start.
+"""Faults of a scenario or of a command: one model per kind, distinguished by `kind`. Times are seconds since the start.
 
 A fault without `until_s` stays. Headings are degrees from north, clockwise.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -115,3 +115,39 @@ class ClockJump(_Fault):
 
 Fault = GpsLost | GpsJammed | GpsFrozen | GpsSpoofed | RangeDropout | RangeBias | RangeStuck | LinkDropout | Reboot | ClockJump
 AnyFault = Annotated[Fault, Field(discriminator="kind")]
+
+
+def fault_of_command(sysid: int, params: list[float], at_s: float) -> Fault | None:
+    """The fault that COMMAND_LONG MAV_CMD_USER_1 (31010) requests, None where no such fault exists.
+
+    `params[0]`: 1 GPS lost, 2 jammed, 3 frozen, 4 spoofed (params[1] direction in deg, [2] m/s, [3] step in m), 5 ranges
+    dropped, 6 biased by params[2] m, 7 stuck (params[1] the peer, 0 all), 8 link dead, 9 reboot, 10 clock jump by params[2] s.
+    `params[6]`: duration, s; 0 without end (refused for a dead link, which no command could end). Raises ValueError or
+    OverflowError where a number is not finite, or impossible for such a fault.
+    """
+    kind, second, third, fourth = params[0], params[1], params[2], params[3]
+    lasts = params[6] if params[6] != 0.0 else None
+    times: dict[str, Any] = {"vehicle": sysid, "at_s": at_s, "until_s": None if lasts is None else at_s + lasts}
+    if kind in (5.0, 6.0, 7.0):
+        times["peer"] = int(second) or None
+    if kind == 1.0:
+        return GpsLost(**times)
+    if kind == 2.0:
+        return GpsJammed(**times)
+    if kind == 3.0:
+        return GpsFrozen(**times)
+    if kind == 4.0:
+        return GpsSpoofed(**times, direction_deg=second, speed_mps=third, offset_m=fourth)
+    if kind == 5.0:
+        return RangeDropout(**times)
+    if kind == 6.0:
+        return RangeBias(**times, bias_m=third)
+    if kind == 7.0:
+        return RangeStuck(**times)
+    if kind == 8.0 and lasts is not None:
+        return LinkDropout(**times)
+    if kind == 9.0:
+        return Reboot(vehicle=sysid, at_s=at_s)
+    if kind == 10.0:
+        return ClockJump(vehicle=sysid, at_s=at_s, by_s=third)
+    return None

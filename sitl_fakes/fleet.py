@@ -9,9 +9,8 @@ from sitl_fakes.errors import ScenarioError
 from sitl_fakes.faults import Fault
 from sitl_fakes.geodesy import Vector, WorldFrame
 from sitl_fakes.scenario import Scenario
-from sitl_fakes.truth import VehicleTruth
+from sitl_fakes.truth import SharedState, VehicleTruth
 from sitl_fakes.vehicle import Vehicle
-from sitl_fakes.whereabouts import Whereabouts
 
 STEP_S = 0.02
 """Time step of the simulation, s: the paper's computing cycle."""
@@ -30,7 +29,7 @@ class Datagram:
 
 
 class Fleet:
-    """The vehicles of a scenario, or those of `sysids` while the others fly elsewhere and are told of with `sight`.
+    """The vehicles of a scenario, or those of `sysids` while other processes simulate the others and `add_shared_state` has them.
 
     Time starts at 0 s; `unix_epoch_s` is the UNIX time of that moment.
     """
@@ -43,7 +42,7 @@ class Fleet:
         self.frame = WorldFrame(o.lat_deg, o.lon_deg, o.alt_msl_m, o.geoid_height_m)
         flown = [v for v in scenario.vehicle if sysids is None or v.sysid in sysids]
         self._vehicles = {v.sysid: Vehicle(scenario, v, self.frame, seed, unix_epoch_s) for v in flown}
-        self._elsewhere: dict[int, Whereabouts] = {}
+        self._elsewhere: dict[int, SharedState] = {}
         self._steps_done = -1
 
     @property
@@ -75,13 +74,13 @@ class Fleet:
         here = {sysid: vehicle.position_m for sysid, vehicle in self._vehicles.items()}
         return {sysid: position for sysid, position in elsewhere.items() if position is not None} | here
 
-    def sight(self, seen: Whereabouts) -> None:
-        """Learn where a vehicle that flies elsewhere truly is, at a simulated time. One not told of for a second is gone."""
+    def add_shared_state(self, seen: SharedState) -> None:
+        """Add the true state of a vehicle of another process, at a simulated time. After a second without one it is gone."""
         self._elsewhere[seen.sysid] = seen
 
-    def whereabouts(self) -> list[Whereabouts]:
+    def shared_states(self) -> list[SharedState]:
         """Return where the vehicles that fly here truly are at `now_s`."""
-        return [Whereabouts(sysid, self.now_s, v.position_m, v.velocity_mps) for sysid, v in self._vehicles.items()]
+        return [SharedState(sysid, self.now_s, v.position_m, v.velocity_mps) for sysid, v in self._vehicles.items()]
 
     def deliver(self, sysid: int, payload: bytes, at_s: float) -> None:
         """Send a datagram to one vehicle at a time (s): it goes through the vehicle's link and is read at the next step after."""

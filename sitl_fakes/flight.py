@@ -1,4 +1,4 @@
-"""The physical side of one vehicle: its aircraft in the wind, its height, and what it reads without GPS."""
+"""The physical side of one vehicle: wind, aircraft, height, and the sensors other than GPS."""
 
 from __future__ import annotations
 
@@ -6,9 +6,25 @@ import math
 
 from sitl_fakes.dynamics import FlightState, LateralAircraft
 from sitl_fakes.geodesy import Vector, WorldFrame
-from sitl_fakes.scenario import Scenario
+from sitl_fakes.noise import GaussMarkov, Purpose, stream
+from sitl_fakes.scenario import Scenario, Wind
 from sitl_fakes.sensors import AirData, AirSensors
-from sitl_fakes.wind import LocalWind
+
+
+class LocalWind:
+    """The wind at one aircraft: the scenario's steady wind and a slow change of its own."""
+
+    def __init__(self, settings: Wind, sysid: int, seed: int) -> None:
+        towards = math.radians(settings.from_deg + 180.0)
+        self._steady = (settings.speed_mps * math.sin(towards), settings.speed_mps * math.cos(towards))
+        rng = stream(seed, Purpose.WIND, sysid)
+        self._change = GaussMarkov(rng, settings.variation_mps, settings.variation_time_s, 2)
+
+    def advance(self, by_s: float) -> tuple[float, float]:
+        """Move on by a step and return the wind, towards east and north, m/s."""
+        east, north = self._change.advance(by_s)
+        return self._steady[0] + east, self._steady[1] + north
+
 
 _CLIMB_TIME_CONSTANT_S = 5.0
 _CLIMB_LIMIT_MPS = 2.0

@@ -7,21 +7,20 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from sitl_fakes.active_faults import ActiveFaults
 from sitl_fakes.ardupilot import ArduPilot
 from sitl_fakes.autopilot import Autopilot
-from sitl_fakes.clock import BootClock
-from sitl_fakes.fault_board import FaultBoard
+from sitl_fakes.clock import BootClock, OffboardClock
 from sitl_fakes.faults import ClockJump, Reboot
 from sitl_fakes.flight import Flight
 from sitl_fakes.geodesy import WorldFrame
 from sitl_fakes.guidance import Guidance
-from sitl_fakes.offboard_clock import OffboardClock
+from sitl_fakes.noise import Purpose, stream
 from sitl_fakes.parameters import Kind, Parameters
 from sitl_fakes.px4 import Px4
 from sitl_fakes.ranging import RangeSample
 from sitl_fakes.scenario import Scenario
 from sitl_fakes.scenario import Vehicle as VehicleSpec
-from sitl_fakes.seeds import Purpose, stream
 from sitl_fakes.snapshot import Snapshot
 from sitl_fakes.streams import Streams
 from sitl_fakes.wire import named_range, peer_range_frame, ranging_beacon_frame
@@ -47,7 +46,7 @@ class FlightController:
         self.kind: Kind = spec.autopilot
         self.frame = frame
         self.params = Parameters(spec.sysid, spec.params, spec.autopilot)
-        self.faults = FaultBoard(spec.sysid, scenario.fault, self.params, scenario.origin.lat_deg)
+        self.faults = ActiveFaults(spec.sysid, scenario.fault, self.params, scenario.origin.lat_deg)
         self._scenario = scenario
         self._flight = flight
         self._guidance = guidance

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 
-from sitl_fakes.autopilot import DEAD_RECKONING, NO_POSITION, Autopilot
+from sitl_fakes.autopilot import ACCEPTED, DEAD_RECKONING, NO_POSITION, TEMPORARILY_REJECTED, Autopilot
 from sitl_fakes.guidance import Guidance
-from sitl_fakes.mav_result import ACCEPTED, TEMPORARILY_REJECTED
 from sitl_fakes.navigation import Navigation
 from sitl_fakes.parameters import Parameters
 from sitl_fakes.receivers import GpsFix

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from sitl_fakes.faults import Fault, RangeBias, RangeDropout, RangeStuck
 from sitl_fakes.geodesy import Vector
+from sitl_fakes.noise import Purpose, stream
 from sitl_fakes.scenario import Ranging
-from sitl_fakes.seeds import Purpose, stream
 
 _EPSILON_S = 1e-9
 

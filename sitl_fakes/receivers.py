@@ -24,7 +24,7 @@ _CHECK_SATELLITES, _CHECK_HDOP, _CHECK_SPEED, _CHECK_POSITION = 1, 2, 4, 8
 class GpsFix:
     """One message of a receiver: position (east, north, up of the scene, m), velocity (same axes, m/s), 1-sigma accuracies.
 
-    An accuracy or dilution that the receiver does not state is None. `age_s` is how old the data are taken to be on arrival.
+    An accuracy or dilution that the receiver does not state is None. `age_s` is the assumed age of the data on arrival.
     """
 
     fix_type: int
@@ -91,7 +91,7 @@ def is_own(instance: int, params: Mapping[str, float]) -> bool:
 
 
 def receiver_in_use(receivers: Sequence[Receiver], params: Mapping[str, float], at_s: float, in_use: int) -> int:
-    """Choose between two receivers as GPS_AUTO_SWITCH says; `in_use` is the choice so far.
+    """Choose between two receivers by GPS_AUTO_SWITCH; `in_use` is the choice so far.
 
     0: GPS_PRIMARY alone. 4: GPS_PRIMARY while it has a 3D fix, else as 1. Otherwise (1): the better fix, at equal fixes the
     one with two more satellites.
@@ -109,14 +109,14 @@ def receiver_in_use(receivers: Sequence[Receiver], params: Mapping[str, float], 
 
 
 def not_live(receiver: Receiver, at_s: float) -> str | None:
-    """Say why a receiver has nothing to use now, whatever it states of itself, or None: fix type and rhythm."""
+    """Why a receiver is unusable now whatever its accuracy, or None: fix type and rate."""
     if receiver.fix is None or receiver.fix_type(at_s) < 3:
         return "no 3D fix"
     return None if receiver.rhythm_ok() else "messages too seldom"
 
 
 def refusal(receiver: Receiver, params: Mapping[str, float], at_s: float) -> str | None:
-    """Say why EKF3 does not begin to use the receiver now, or None: rhythm, fix type, the checks that EK3_GPS_CHECK turns on."""
+    """Why EKF3 does not start to use the receiver now, or None: rate, fix type, the checks that EK3_GPS_CHECK enables."""
     dead, fix = not_live(receiver, at_s), receiver.fix
     if dead is not None or fix is None:
         return dead

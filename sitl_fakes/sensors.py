@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 
 from sitl_fakes.faults import Fault, GpsFrozen, GpsJammed, GpsLost, GpsSpoofed
 from sitl_fakes.geodesy import Vector
-from sitl_fakes.noise import GaussMarkov
+from sitl_fakes.noise import GaussMarkov, Purpose, stream
 from sitl_fakes.receivers import GpsFix
 from sitl_fakes.scenario import DeadReckoning, Gps
-from sitl_fakes.seeds import Purpose, stream
 
 _BARO_CORRELATION_S = 300.0
 _ROLL_NOISE_RAD = math.radians(0.5)

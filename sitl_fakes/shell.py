@@ -17,8 +17,7 @@ from typing import Any, TextIO
 from sitl_fakes.airspace import Airspace
 from sitl_fakes.errors import SocketError
 from sitl_fakes.fleet import Fleet
-from sitl_fakes.truth import CSV_HEADER, csv_row
-from sitl_fakes.whereabouts import Whereabouts
+from sitl_fakes.truth import CSV_HEADER, SharedState, csv_row
 
 _log = logging.getLogger(__name__)
 
@@ -68,7 +67,7 @@ async def run(
 
     All vehicles fly; those of `sysids` (default: all) have a socket, bound to `port_base` + sysid (default: any free port),
     from which they send to `target`. What any sender sends to that socket is theirs. Over the multicast group `airspace` the
-    fleet learns of vehicles that other processes fly, and tells of its own. Raises `SocketError` where an address cannot be
+    fleet receives the states of vehicles of other processes and sends its own. Raises `SocketError` where an address cannot be
     used.
     """
     loop = asyncio.get_running_loop()
@@ -80,8 +79,8 @@ async def run(
     def deliver_to(sysid: int) -> Callable[[bytes], None]:
         return lambda data: fleet.deliver(sysid, data, loop.time() - started)
 
-    def see(seen: Whereabouts) -> None:
-        fleet.sight(replace(seen, at_s=seen.at_s - started_unix_s))
+    def see(seen: SharedState) -> None:
+        fleet.add_shared_state(replace(seen, at_s=seen.at_s - started_unix_s))
 
     transports: dict[int, asyncio.DatagramTransport] = {}
     others: Airspace | None = None
@@ -99,7 +98,7 @@ async def run(
                 if sysid in transports:
                     transports[sysid].sendto(payload, peer)
             if others is not None:
-                others.tell(replace(own, at_s=own.at_s + started_unix_s) for own in fleet.whereabouts())
+                others.send(replace(own, at_s=own.at_s + started_unix_s) for own in fleet.shared_states())
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(stop.wait(), _TICK_S)
     finally:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Mapping
+from itertools import count
+
+import numpy as np
 
 from sitl_fakes.commands import handle
 from sitl_fakes.dynamics import turn_radius_m
@@ -11,15 +15,39 @@ from sitl_fakes.flight import Flight
 from sitl_fakes.flight_controller import FlightController
 from sitl_fakes.geodesy import Vector, WorldFrame
 from sitl_fakes.guidance import Guidance, Route
-from sitl_fakes.link import Link
+from sitl_fakes.noise import Purpose, stream
 from sitl_fakes.ranging import Ranger
-from sitl_fakes.scenario import Scenario
+from sitl_fakes.scenario import Scenario, Telemetry
 from sitl_fakes.scenario import Vehicle as VehicleSpec
-from sitl_fakes.seeds import Purpose, stream
 from sitl_fakes.sensors import GpsSensor
 from sitl_fakes.truth import VehicleTruth
 
 _EPSILON_S = 1e-9
+
+
+class _RadioLink:
+    """One direction of a link. Datagrams arrive when their own delay is over: a late one is overtaken."""
+
+    def __init__(self, settings: Telemetry, rng: np.random.Generator) -> None:
+        self._settings = settings
+        self._rng = rng
+        self._under_way: list[tuple[float, int, bytes]] = []
+        self._numbers = count()
+
+    def send(self, payload: bytes, at_s: float) -> None:
+        """Send a datagram at a time (s); it is lost with the link's probability."""
+        s = self._settings
+        chance, jitter = self._rng.random(2).tolist()
+        if chance >= s.loss:
+            heapq.heappush(self._under_way, (at_s + s.latency_s + jitter * s.jitter_s, next(self._numbers), payload))
+
+    def arrived(self, by_s: float) -> list[tuple[float, bytes]]:
+        """Take out what arrives by a time (s): arrival time and datagram, in order."""
+        out = []
+        while self._under_way and self._under_way[0][0] <= by_s:
+            due, _, payload = heapq.heappop(self._under_way)
+            out.append((due, payload))
+        return out
 
 
 class Vehicle:
@@ -38,8 +66,8 @@ class Vehicle:
         self._gps = GpsSensor(scenario.gps, spec.sysid, seed)
         self._gps_due_s = 0.0
         self._ranger = Ranger(scenario.ranging, spec.sysid, scenario.ranging_peers(spec), seed)
-        self._downlink = Link(scenario.telemetry, stream(seed, Purpose.DOWNLINK, spec.sysid))
-        self._uplink = Link(scenario.telemetry, stream(seed, Purpose.UPLINK, spec.sysid))
+        self._downlink = _RadioLink(scenario.telemetry, stream(seed, Purpose.DOWNLINK, spec.sysid))
+        self._uplink = _RadioLink(scenario.telemetry, stream(seed, Purpose.UPLINK, spec.sysid))
 
     @property
     def position_m(self) -> Vector:

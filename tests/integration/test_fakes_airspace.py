@@ -14,14 +14,14 @@ import pytest
 
 from sitl_fakes.airspace import Airspace
 from sitl_fakes.scenario import SCENARIOS, load_scenario
-from sitl_fakes.whereabouts import Whereabouts
+from sitl_fakes.truth import SharedState
 
 pytestmark = pytest.mark.integration
 
 LOOPBACK = ("127.0.0.1", 9)
 PEER_RANGE = (181600).to_bytes(3, "little")
 SCENARIO = SCENARIOS / "paper.toml"
-HERE = Whereabouts(4, 1000.0, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
+HERE = SharedState(4, 1000.0, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def group(free_port):
 
 async def exchange(group, said, ours=(1,)):
     """What a process that flies `ours` hears when another says something, the last thing said being aircraft 99's place."""
-    heard: list[Whereabouts] = []
+    heard: list[SharedState] = []
     done = asyncio.Event()
 
     def hear(seen):
@@ -43,11 +43,11 @@ async def exchange(group, said, ours=(1,)):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw:
         raw.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(LOOPBACK[0]))
         for payload in said:
-            if isinstance(payload, Whereabouts):
-                speaker.tell([payload])
+            if isinstance(payload, SharedState):
+                speaker.send([payload])
             else:
                 raw.sendto(payload, group)
-    speaker.tell([replace(HERE, sysid=99)])
+    speaker.send([replace(HERE, sysid=99)])
     await asyncio.wait_for(done.wait(), 30)
     listener.close()
     speaker.close()

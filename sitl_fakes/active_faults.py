@@ -1,4 +1,4 @@
-"""Which faults are in force on one vehicle: the scenario's, those injected at run time, and what the SIM_ parameters say."""
+"""The faults in force on one vehicle: of the scenario, of commands, and of its SIM_ parameters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _METRES_PER_DEGREE = 111_319.49
 _HARMLESS = {"SIM_GPS1_ENABLE": 1.0, "SIM_GPS1_JAM": 0.0, "SIM_GPS1_GLTCH_X": 0.0, "SIM_GPS1_GLTCH_Y": 0.0}
 
 
-class FaultBoard:
+class ActiveFaults:
     """The faults of one vehicle. `origin_lat_deg` turns a glitch in degrees of longitude into metres."""
 
     def __init__(self, sysid: int, faults: Iterable[Fault], params: Parameters, origin_lat_deg: float) -> None:
