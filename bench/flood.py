@@ -39,7 +39,7 @@ def measure(quick: bool) -> list[Figure]:
             longest_ms = max(relay.run(each_s), default=float("inf"))
             share, waiting = (cpu_s(service.pid) - used_s) / each_s, (waited_s(service.pid) - waiting_s) / each_s
             value = f"{longest_ms:.0f} ms, CPU {share:.0%} of a core, waited for one {waiting:.0%} of the time"
-            figures = [Figure("flood", "idle: longest gap in the aid", value, "", None)]
+            figures = [Figure("flood", "idle: longest gap in GPS_INPUT", value, "", None)]
             for addresses in (1, 500):
                 figures += _flooded(service.pid, relay, port, each_s, addresses, longest_ms)
         return figures
@@ -69,7 +69,7 @@ def _flooded(pid: int, relay: Relay, port: int, seconds: float, addresses: int, 
     return [
         Figure(
             "flood",
-            f"{name}: longest gap in the aid",
+            f"{name}: longest gap in GPS_INPUT",
             f"{longest_ms:.0f} ms ({longest_ms / idle_ms:.1f} x idle), {per_s:.1f} a second, {spent}",
             f"<= {_LIMIT_MS:.0f} ms",
             longest_ms <= _LIMIT_MS and per_s >= 9.0,

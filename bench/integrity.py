@@ -1,4 +1,4 @@
-"""Integrity: how soon a lying peer is excluded, what it does until then, and how often a sound one is excluded."""
+"""Integrity: how soon a faulty peer is excluded, what it does until then, and how often a sound one is excluded."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from bench.accuracy_runs import on_all_cores
 from bench.figures import Figure
 from bench.integrity_flights import DENIED, SPOOFED_AT_S, STEP_S, Flight, Scenario, error_and_bound_m, fly_step, fresh_engine
-from bench.integrity_ideal import FALSE_ALARMS, noticed_in_time
+from bench.integrity_ideal import FALSE_ALARMS, detected_in_time
 from gcs_coloc.core.gps_health.gps_health import GpsState
 
 _GIVEN_UP_S = 60.0
@@ -29,7 +29,7 @@ _WALKS = (
 _ONLY_ITS_OWN_CLEAN = Scenario(mutual=False)
 _CLEAN = (
     ("mutual ranges", Scenario(lost=False), 0.4),
-    ("a denied vehicle without GPS", Scenario(), 0.2),
+    ("a denied vehicle", Scenario(), 0.2),
     ("10 % of ranges late by multipath", Scenario(late_share=0.1), 0.1),
     ("white GPS noise", Scenario(gps_white_share=1.0), 0.05),
     ("GPS of 3 m that wanders within 15 s", Scenario(gps_sigma_m=3.0, gps_time_s=15.0), 0.05),
@@ -44,14 +44,14 @@ _CLEAN = (
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """One lying peer: when it was trusted no more, and when before the vehicle's error passed 1.5 x its bound; inf: never."""
+    """One faulty peer: when it was trusted no more, and when before the vehicle's error passed 1.5 x its bound; inf: never."""
 
     excluded_after_s: float
     passed_after_s: float
 
 
 def measure(quick: bool) -> list[Figure]:
-    """Exclusion of a lying peer, and false exclusion in clean flight."""
+    """Exclusion of a faulty peer, and false exclusion in clean flight."""
     runs, hours = (6, 0.5) if quick else (200, 10.0)
     walks = [_exclusion(name, scenario, max(round(runs * share), 4)) for name, scenario, share in _WALKS]
     return [*walks, _ideal(runs), *_false_exclusions(hours)]
@@ -74,19 +74,19 @@ def _exclusion(name: str, scenario: Scenario, runs: int) -> Figure:
 
 def _ideal(runs: int) -> Figure:
     tasks = [(_ONLY_ITS_OWN, seed) for seed in range(runs)]
-    shares = np.mean(on_all_cores("the ideal test", noticed_in_time, tasks), axis=0)
-    told = ", ".join(f"{share:.1%} at {chance:g}" for share, chance in zip(shares, FALSE_ALARMS, strict=True))
+    shares = np.mean(on_all_cores("the ideal test", detected_in_time, tasks), axis=0)
+    text = ", ".join(f"{share:.1%} at {chance:g}" for share, chance in zip(shares, FALSE_ALARMS, strict=True))
     return Figure(
         "integrity",
-        f"a test that knows the noise, the liar, the lie's course and when it began: only the vehicle's ranges, {runs} runs",
-        f"noticed before the error passed 1.5 x the bound of a clean flight in {told} false alarms per test",
+        f"a test that knows the noise, the faulty peer, its course and its beginning: only the vehicle's ranges, {runs} runs",
+        f"detected before the error passed 1.5 x the bound of a clean flight in {text} false alarms per test",
         "",
         None,
     )
 
 
 def walk(task: tuple[Scenario, int]) -> Walk:
-    """Fly one draw (scenario, seed) until the liar is trusted no more, at most 40 s after it began."""
+    """Fly one draw (scenario, seed) until the faulty peer is trusted no more, at most 40 s after it began."""
     scenario, seed = task
     engine, flight = fresh_engine(), Flight(scenario, seed)
     passed_s = inf

@@ -1,4 +1,4 @@
-"""Flights with one vehicle without GPS among peers that may lie, as the engine hears them: seeded, of any size and noise."""
+"""Flights with one denied vehicle among peers that may be faulty, as the engine hears them: seeded, of any size and noise."""
 
 from __future__ import annotations
 
@@ -79,12 +79,12 @@ class _Circle:
 
 
 class Flight:
-    """One draw of a scenario; vehicle 1 lies until `honest_from_s`, walked `away` (a unit vector)."""
+    """One draw of a scenario; vehicle 1 is spoofed until `fault_free_from_s`, displaced along `away` (a unit vector)."""
 
-    def __init__(self, scenario: Scenario, seed: int, honest_from_s: float = inf) -> None:
+    def __init__(self, scenario: Scenario, seed: int, fault_free_from_s: float = inf) -> None:
         self.scenario = s = scenario
         self._rng = rng = np.random.default_rng(seed)
-        self._honest_from_s = honest_from_s
+        self._fault_free_from_s = fault_free_from_s
         # Corners of a regular polygon, shifted by a third of its size at random.
         turn, shift_m = rng.uniform(0, 2 * pi), s.extent_m / 3.0
         centres = {
@@ -116,14 +116,14 @@ class Flight:
             self._error[v] = keep * self._error[v] + self._slow_m * sqrt(1.0 - keep * keep) * rng.standard_normal(3)
             position, velocity = course.at(t)
             velocity = velocity + 0.2 * rng.standard_normal(3)
-            claimed = position + self._error[v] + white_m * rng.standard_normal(3)
-            if v == FAULTY and SPOOFED_AT_S < t < self._honest_from_s:
-                claimed = claimed + ((t - SPOOFED_AT_S) * s.walk_mps + s.jump_m) * self.away
+            reported = position + self._error[v] + white_m * rng.standard_normal(3)
+            if v == FAULTY and SPOOFED_AT_S < t < self._fault_free_from_s:
+                reported = reported + ((t - SPOOFED_AT_S) * s.walk_mps + s.jump_m) * self.away
                 velocity = velocity + s.walk_mps * self.away
             if v == DENIED and t > s.returns_at_s:
-                claimed = claimed + ((t - s.returns_at_s) * s.return_walk_mps + s.return_jump_m) * self.away
+                reported = reported + ((t - s.returns_at_s) * s.return_walk_mps + s.return_jump_m) * self.away
                 velocity = velocity + s.return_walk_mps * self.away
-            lat, lon, alt = _ORIGIN.geodetic_from_enu(*(float(x) for x in claimed))
+            lat, lon, alt = _ORIGIN.geodetic_from_enu(*(float(x) for x in reported))
             ve, vn, vu = (float(x) for x in velocity)
             lost = s.lost and v == DENIED and LOST_AT_S < t <= s.returns_at_s
             yield GpsReceiver(v, t, 0, 1 if lost else 3, lat, lon, alt, 12, 0.9, s.gps_sigma_m, s.gps_sigma_m, 0.2, t)
@@ -153,7 +153,7 @@ def fly_step(engine: Engine, flight: Flight, t: float) -> None:
 
 
 def enu_m(message: GlobalPosition) -> FloatArray:
-    """Return the position that a message claims, in the flights' own frame (3,), m."""
+    """Return the position that a message reports, in the flights' own frame (3,), m."""
     return np.array(_ORIGIN.enu_from_geodetic(message.lat_deg, message.lon_deg, message.alt_msl_m))
 
 

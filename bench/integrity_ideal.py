@@ -1,9 +1,9 @@
-"""What a test of one lying peer could do at best: it knows the noise, the direction of the lie, its rate and when it began.
+"""What a test of one faulty peer could do at best: it knows the noise, the direction of the fault, its rate and when it began.
 
-Only the ranges of a vehicle without GPS are looked at, and its own motion is not: at each step it may be anywhere horizontally,
+Only the ranges of a denied vehicle are looked at, and its own motion is not: at each step it may be anywhere horizontally,
 at its true height. What is left of the residuals beside any such place is Gaussian, with the covariance of receivers' errors that
 wander and of white ranges. Of all tests with one chance of a false alarm the likelihood ratio's has the largest power (Neyman and
-Pearson); its statistic is the lie's expected course, whitened, times what was measured, whitened.
+Pearson); its statistic is the fault's expected course, whitened, times what was measured, whitened.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class _Blind(IntegrityMonitor):
         return IntegrityReport()
 
 
-def noticed_in_time(task: tuple[Scenario, int]) -> tuple[bool, ...]:
-    """For each of `FALSE_ALARMS`: whether in one draw (scenario, seed) the ideal test notices the lie before the vehicle's error,
+def detected_in_time(task: tuple[Scenario, int]) -> tuple[bool, ...]:
+    """For each of `FALSE_ALARMS`: whether in one draw (scenario, seed) the ideal test detects the fault before the error,
     with nobody excluded, passes 1.5 x the 95 % bound of the estimator itself.
     """
     scenario, seed = task
@@ -58,42 +58,42 @@ def noticed_in_time(task: tuple[Scenario, int]) -> tuple[bool, ...]:
         if found is not None and found[0] > 1.5 * found[1]:
             passed_after_s = t - SPOOFED_AT_S
             break
-    return tuple(after_s < passed_after_s for after_s in noticed_after_s(scenario, seed, _FLIGHT_S))
+    return tuple(after_s < passed_after_s for after_s in detected_after_s(scenario, seed, _FLIGHT_S))
 
 
-def noticed_after_s(scenario: Scenario, seed: int, until_s: float) -> list[float]:
-    """For each of `FALSE_ALARMS`: after how long the ideal test notices the lie, s; infinity where not until a time (s)."""
+def detected_after_s(scenario: Scenario, seed: int, until_s: float) -> list[float]:
+    """For each of `FALSE_ALARMS`: after how long the ideal test detects the fault, s; infinity where not until a time (s)."""
     flight = Flight(scenario, seed)
     peers = [v for v in flight.courses if v != DENIED]
     times: FloatArray = np.arange(round(until_s / STEP_S), dtype=np.float64) * STEP_S
-    left, lie, spread = [], [], []
+    left, fault_m, spread = [], [], []
     for t in times:
         place = flight.courses[DENIED].at(float(t))[0]
-        claimed, ranged = {}, {}
+        reported, ranged = {}, {}
         for message in flight.messages(float(t)):
             if isinstance(message, GlobalPosition):
-                claimed[message.sysid] = enu_m(message)
+                reported[message.sysid] = enu_m(message)
             elif isinstance(message, PeerRange) and message.sysid == DENIED:
                 ranged[message.peer_sysid] = message.range_m
-        apart = np.array([claimed[v] - place for v in peers])
+        apart = np.array([reported[v] - place for v in peers])
         distance_m = np.linalg.norm(apart, axis=1)
         units = apart / distance_m[:, np.newaxis]
         parity = np.linalg.svd(units[:, :2])[0][:, 2:].T
         left.append(parity @ (np.array([ranged[v] for v in peers]) - distance_m))
         grown = scenario.jump_m + scenario.walk_mps * (t - SPOOFED_AT_S) if t > SPOOFED_AT_S else 0.0
-        lie.append(parity @ (-grown * (units @ flight.away) * (np.array(peers) == FAULTY)))
+        fault_m.append(parity @ (-grown * (units @ flight.away) * (np.array(peers) == FAULTY)))
         # What a receiver's error along each axis does to each condition: (conditions, peers * 3).
         spread.append((parity[:, :, np.newaxis] * units).reshape(len(parity), -1))
     C = _covariance(scenario, times, np.array(spread))
     whitener = np.linalg.cholesky(C)
-    y, s = (np.linalg.solve(whitener, np.concatenate(each)).reshape(len(times), -1) for each in (left, lie))
+    y, s = (np.linalg.solve(whitener, np.concatenate(each)).reshape(len(times), -1) for each in (left, fault_m))
     power = np.sqrt(np.cumsum(np.sum(s * s, axis=1)))
-    lying = power > 0.0
-    statistic = np.cumsum(np.sum(s * y, axis=1))[lying] / power[lying]
+    is_faulted = power > 0.0
+    statistic = np.cumsum(np.sum(s * y, axis=1))[is_faulted] / power[is_faulted]
     out = []
     for chance in FALSE_ALARMS:
-        noticed = times[lying][statistic > norm.isf(chance)]
-        out.append(float(noticed[0]) - SPOOFED_AT_S if len(noticed) else inf)
+        detected = times[is_faulted][statistic > norm.isf(chance)]
+        out.append(float(detected[0]) - SPOOFED_AT_S if len(detected) else inf)
     return out
 
 

@@ -1,4 +1,4 @@
-"""Links that are late and vehicles that do not answer TIMESYNC: what is stated of a vehicle without GPS, and who is accused."""
+"""Late links and vehicles that do not answer TIMESYNC: the error of a denied vehicle, and which vehicles are distrusted."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ class Late:
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """What was stated, and how many honest vehicles were suspected or accused."""
+    """What was stated, and how many fault-free vehicles were suspect or failed."""
 
     stated: Tally
-    accused: int
+    distrusted: int
 
 
 def all_late(rng: np.random.Generator, vehicles: tuple[int, ...]) -> Mapping[int, float]:  # noqa: ARG001 - as the others
@@ -105,7 +105,7 @@ def fly(drawn: tuple[Late, int]) -> Flown:
     under_way: list[tuple[float, int, FromVehicle]] = []
     order = count()
     newest_s = dict.fromkeys(vehicles, 0.0)
-    errors, bounds, accused = [], [], set()
+    errors, bounds, distrusted = [], [], set()
     for step in range(round(FLIGHT_S / STEP_S)):
         t = step * STEP_S
         arrives_s = {v: max(t + delays_s[v] + float(rng.exponential(late.wait_s)), newest_s[v]) for v in vehicles}
@@ -116,12 +116,12 @@ def fly(drawn: tuple[Late, int]) -> Flown:
         while under_way and under_way[0][0] <= t:
             engine.receive(heapq.heappop(under_way)[2])
         engine.poll(t)
-        accused |= {v for v in engine.sysids() if engine.gps_state(v) in (GpsState.SUSPECT, GpsState.FAILED)}
+        distrusted |= {v for v in engine.sysids() if engine.gps_state(v) in (GpsState.SUSPECT, GpsState.FAILED)}
         if t > _COUNTED_FROM_S:
             error_m, bound_m = error_and_bound_m(engine, flight, t) or (np.nan, np.nan)
             errors.append(error_m)
             bounds.append(bound_m)
-    return Flown(tally(np.array(errors), np.array(bounds)), len(accused - {DENIED}))
+    return Flown(tally(np.array(errors), np.array(bounds)), len(distrusted - {DENIED}))
 
 
 def _system_times(step: int, behind_s: Mapping[int, float]) -> Iterator[SystemTime]:
@@ -136,6 +136,6 @@ def _figure(name: str, flown: list[Flown]) -> Figure:
     beyond, far_off = 1.0 - t.covered / max(t.fixes, 1), t.far_off / max(t.fixes, 1)
     text = (
         f"a fix in {t.fixes / t.epochs:.1%}; of these beyond the bound {beyond:.1%}, beyond 3 x {far_off:.2%}; "
-        f"accused {sum(one.accused for one in flown)} of {4 * len(flown)}"
+        f"distrusted {sum(one.distrusted for one in flown)} of {4 * len(flown)}"
     )
     return Figure("late-links", name, text, "beyond <= 7 %, beyond 3 x <= 1e-4", beyond <= 0.07 and far_off <= 1e-4)

@@ -22,9 +22,9 @@ _PACKAGE = "(gcs_coloc/"
 # The first that fits; a part of the path says the rest.
 _PARTS = (
     ("core/integrity/", "ranges against GPS positions (integrity)"),
-    ("estimators/fleet/joint.py", "filter's linear algebra"),
+    ("estimators/fleet/ekf/state.py", "filter's linear algebra"),
     ("estimators/", "filter"),
-    ("core/aid/", "aid"),
+    ("core/aiding/", "aiding"),
     ("core/", "engine: health, clocks, frames, noise"),
     ("mavlink/", "decoding and encoding"),
     ("links/", "receiving, routes, sending"),

@@ -1,4 +1,4 @@
-"""What the fleet filter costs: CPU time by the number of vehicles heard and of vehicles without GPS."""
+"""What the fleet filter costs: CPU time by the number of vehicles heard and of denied vehicles."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def measure(quick: bool) -> list[Figure]:
     figures = [
         Figure(
             "scaling",
-            f"CPU per measurement, {failed} without GPS, {', '.join(map(str, _HEARD))} heard",
+            f"CPU per measurement, {failed} denied, {', '.join(map(str, _HEARD))} heard",
             ", ".join(f"{cost[heard, failed][0]:.0f}" for heard in _HEARD) + " us",
             "",
             None,
@@ -36,11 +36,11 @@ def measure(quick: bool) -> list[Figure]:
     ]
     for failed in _FAILED:
         exponent = _exponent(_HEARD, [cost[heard, failed][1] for heard in _HEARD])
-        name = f"CPU per second of flight ~ (vehicles heard)^a, {failed} without GPS"
+        name = f"CPU per second of flight ~ (vehicles heard)^a, {failed} denied"
         figures.append(Figure("scaling", name, f"a = {exponent:.2f}", "a <= 1", exponent <= 1.0))
     for heard in (10, 100):
         exponent = _exponent(_FAILED, [cost[heard, failed][1] for failed in _FAILED])
-        name = f"CPU per second of flight ~ (vehicles without GPS)^b, {heard} heard"
+        name = f"CPU per second of flight ~ (denied vehicles)^b, {heard} heard"
         figures.append(Figure("scaling", name, f"b = {exponent:.2f}", "b near 1", exponent <= 1.2))
     return figures
 

@@ -1,4 +1,4 @@
-"""Realistic traffic: a simulated fleet of four with ArduPilot's default streams; vehicle 4 has no GPS and ranges the others.
+"""Realistic traffic: a simulated fleet of four with ArduPilot's default streams; vehicle 4 is GNSS-denied and ranges the others.
 
 ArduPilot sends each message of its telemetry streams once a second by default (SRn_* = 1). With positions at 10 Hz that makes
 about 40 messages a second, of which the service has use for every second one.

@@ -1,4 +1,4 @@
-"""Flights with one vehicle without GPS among peers, all of which turn at random, as the engine hears them; seeded."""
+"""Flights with one denied vehicle among peers, all of which turn at random, as the engine hears them; seeded."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def states(engine):
 
 
 def test_a_drifting_peer_is_identified_excluded_located_and_readmitted():
-    engine, flight = fresh_engine(), Flight(Scenario(walk_mps=2.0), 1, honest_from_s=50.0)
+    engine, flight = fresh_engine(), Flight(Scenario(walk_mps=2.0), 1, fault_free_from_s=50.0)
     failed_at_s = back_at_s = None
     for step in range(round(86.0 / STEP_S)):
         t = step * STEP_S
@@ -91,7 +91,7 @@ def test_the_separation_decays_once_the_fault_is_gone():
     """The bound is again no wider than in the same flight without a fault, where small probabilities of one are in it, too."""
     bounds_m = []
     for walk_mps in (2.0, 0.0):
-        engine, flight = fresh_engine(), Flight(Scenario(walk_mps=walk_mps), 1, honest_from_s=50.0)
+        engine, flight = fresh_engine(), Flight(Scenario(walk_mps=walk_mps), 1, fault_free_from_s=50.0)
         for step in range(round(120.0 / STEP_S)):
             t = step * STEP_S
             fly_step(engine, flight, t)
