@@ -9,7 +9,8 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages.inbound import FromVehicle
+from gcs_coloc.core.messages.inbound import FromVehicle, GpsReceiver
+from gcs_coloc.core.telemetry.reported_state import Telemetry
 from gcs_coloc.estimators.registry import load_estimator
 
 
@@ -25,3 +26,14 @@ def test_every_kind_of_message_of_a_vehicle_has_a_taker(kind):
     engine = Engine(load_estimator("fleet", {}))
     engine.receive(kind(**{field.name: _any_value(hints[field.name]) for field in fields(kind)}))
     assert engine.sysids() == [1]
+
+
+@pytest.mark.parametrize("own_receiver", [0, 1])
+def test_the_receiver_that_we_feed_is_no_part_of_what_a_vehicle_reports_of_itself(own_receiver):
+    telemetry = Telemetry(10, own_receiver)
+    state = telemetry.add(1, 0.0)
+    assert state is not None
+    for receiver in (1 - own_receiver, own_receiver, 1 - own_receiver):
+        telemetry.update(GpsReceiver(1, 1.0, receiver, 3, 47.0, 8.0, 500.0, 10, 1.0, 1.0, 1.5, 0.3))
+    assert state.receiver is not None
+    assert state.receiver.receiver == own_receiver
