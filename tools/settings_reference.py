@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import ast
-import inspect
 import math
 import re
 import sys
-import textwrap
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
@@ -15,7 +12,8 @@ from typing import Any
 from pydantic import BaseModel
 
 from gcs_coloc.config.settings import Settings
-from gcs_coloc.core.setting_bounds import Bounds, bounds_of
+from gcs_coloc.core.setting_bounds import Bounds, field_bounds
+from gcs_coloc.estimators.settings_reference import field_docstrings
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (ROOT / "docs/reference/configuration.md",)
@@ -29,12 +27,7 @@ def field_texts(cls: type) -> dict[str, str]:
     for base in reversed(cls.__mro__):
         if not base.__module__.startswith("gcs_coloc."):
             continue
-        body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
-        assert isinstance(body, ast.ClassDef)
-        for statement, following in zip(body.body, body.body[1:], strict=False):
-            match statement, following:
-                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                    texts[name] = " ".join(text.split())
+        texts |= field_docstrings(base)
     return texts
 
 
@@ -74,7 +67,7 @@ def _dataclass_rows(cls: Any) -> list[tuple[str, Any, str]]:
     def default(one: Any) -> Any:
         return one.default if one.default is not MISSING else one.default_factory()
 
-    return [(one.name, default(one), str(bounds_of(one) or "")) for one in fields(cls)]
+    return [(one.name, default(one), str(field_bounds(one) or "")) for one in fields(cls)]
 
 
 def _shown(value: Any) -> str:

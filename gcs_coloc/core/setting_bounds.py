@@ -42,7 +42,7 @@ def between(default: T, least: float, most: float = math.inf) -> T:
     return made
 
 
-def bounds_of(one: Field[Any]) -> Bounds | None:
+def field_bounds(one: Field[Any]) -> Bounds | None:
     """The bounds that a field of settings declares."""
     return one.metadata.get(_KEY)
 
@@ -54,6 +54,6 @@ def check_bounds(settings: Any) -> None:
         ValueError: a number is outside; the text names the setting, its bounds and the number.
     """
     for one in fields(settings):
-        bounds, value = bounds_of(one), getattr(settings, one.name)
+        bounds, value = field_bounds(one), getattr(settings, one.name)
         if bounds is not None and not bounds.admit(value):
             raise ValueError(f"{one.name} must be {bounds}, not {value:g}")

@@ -9,7 +9,7 @@ import pytest
 
 from gcs_coloc.config.examples import EXAMPLES
 from gcs_coloc.config.settings import Settings
-from gcs_coloc.core.setting_bounds import Bounds, bounds_of, check_bounds
+from gcs_coloc.core.setting_bounds import Bounds, check_bounds, field_bounds
 from tools.settings_reference import PAGES, field_texts, written
 
 SECTIONS = {name: type(getattr(Settings(), name)) for name in Settings.model_fields if name not in ("links", "out")}
@@ -35,7 +35,7 @@ def test_every_number_of_the_cores_settings_has_bounds_and_a_default_within():
         if is_dataclass(section):
             numbers = [one for one in fields(section) if type(one.default) in (int, float)]
             assert numbers
-            assert not [one.name for one in numbers if bounds_of(one) is None or not bounds_of(one).admit(one.default)]
+            assert not [one.name for one in numbers if field_bounds(one) is None or not field_bounds(one).admit(one.default)]
             check_bounds(section())
 
 
