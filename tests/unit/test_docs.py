@@ -1,5 +1,9 @@
-"""The reference is complete: every command, option and setting stands in it, with its default."""
+"""The documentation is complete, its links and paths lead somewhere, and it reads plainly.
 
+`make docs` checks the links and anchors of the site; here are those of the files outside it, and what the site cannot know.
+"""
+
+import re
 from pathlib import Path
 
 import pytest
@@ -9,7 +13,16 @@ from gcs_coloc.cli.main import app
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (ROOT / "docs/reference/command-line.md").read_text(encoding="utf-8")
-CONFIGURATION = (ROOT / "docs/reference/configuration.md").read_text(encoding="utf-8")
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+EXPLANATIONS = sorted(ROOT.glob("docs/explanation/*.md"))
+LINE_LIMIT = 130
+"""Columns, as in the code. A row of a table cannot be broken."""
+EXPLANATION_LIMIT = 1500
+"""Words of an explanation page: what one reads at one sitting. Chosen; tables of results have pages of their own."""
+
+
+def relative(path: Path) -> str:
+    return str(path.relative_to(ROOT))
 
 
 def options(command) -> list[str]:
@@ -29,3 +42,47 @@ def test_every_command_and_option_is_in_the_reference(path, command):
     section = COMMANDS[heading : COMMANDS.find("\n## ", heading + 1)]
     for option in options(command):
         assert f"`{option}" in section, f"{option} of {path} is not in command-line.md"
+
+
+@pytest.mark.parametrize("page", sorted(ROOT.glob("*.md")), ids=relative)
+def test_every_link_of_a_page_outside_the_site_leads_to_a_file(page):
+    for target in re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8")):
+        if "://" not in target:
+            assert (page.parent / target).exists(), f"{target} does not exist"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_every_path_named_on_a_page_exists(page):
+    rooms = "|".join(path.name for path in (ROOT / "gcs_coloc").iterdir() if path.is_dir())
+    for path in re.findall(
+        r"`((?:gcs_coloc|sitl_fakes|tests|bench|tools|configs|docs|examples)/[\w./-]*)`", page.read_text("utf-8")
+    ):
+        assert (ROOT / path).exists(), f"{path} does not exist"
+    for path in re.findall(rf"`((?:{rooms})/[\w./-]*)`", page.read_text(encoding="utf-8")):
+        assert (ROOT / "gcs_coloc" / path).exists() or (ROOT / path).exists(), f"gcs_coloc/{path} does not exist"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_no_line_is_too_long(page):
+    lines = enumerate(page.read_text(encoding="utf-8").splitlines(), 1)
+    assert [number for number, line in lines if len(line) > LINE_LIMIT and not line.lstrip().startswith("|")] == []
+
+
+@pytest.mark.parametrize("page", EXPLANATIONS, ids=relative)
+def test_an_explanation_is_read_at_one_sitting(page):
+    assert len(page.read_text(encoding="utf-8").split()) < EXPLANATION_LIMIT
+
+
+@pytest.mark.parametrize("page", sorted(ROOT.glob("docs/results/*.md")), ids=relative)
+def test_results_name_date_commit_and_command(page):
+    text = page.read_text(encoding="utf-8")
+    assert re.search(r"20\d\d-\d\d-\d\d, commits? [0-9a-f]{7}", text)
+    assert re.search(r"`(python -m bench|gcs-coloc) ", text)
+
+
+def test_the_architecture_page_names_every_room():
+    text = (ROOT / "docs/explanation/architecture.md").read_text(encoding="utf-8")
+    rooms = [path.name for path in (ROOT / "gcs_coloc").iterdir() if path.is_dir() and path.name != "__pycache__"]
+    stages = [path.name for path in (ROOT / "gcs_coloc/core").iterdir() if path.is_dir() and path.name != "__pycache__"]
+    assert [room for room in rooms if f"\n      {room}/" not in text] == []
+    assert [stage for stage in stages if f"\n        {stage}/" not in text] == []
