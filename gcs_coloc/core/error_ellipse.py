@@ -26,17 +26,17 @@ class ErrorEllipse(NamedTuple):
     angle_rad: float
 
 
-def eigenvalue_mean_and_radius(a: _Real, b: _Real, d: _Real, root: Callable[[_Real], _Real]) -> tuple[_Real, _Real]:
+def eigenvalue_mean_and_radius(a: _Real, b: _Real, d: _Real, norm: Callable[[_Real, _Real], _Real]) -> tuple[_Real, _Real]:
     """The eigenvalues of [[a, b], [b, d]] are mean + radius and mean - radius (Mohr's circle).
 
-    `root` is math.sqrt for numbers and numpy.sqrt for arrays.
+    `norm` is math.hypot for numbers and numpy.hypot for arrays.
     """
-    return 0.5 * (a + d), root(0.25 * (a - d) ** 2 + b * b)
+    return 0.5 * (a + d), norm(0.5 * (a - d), b)
 
 
 def error_ellipse(ee: float, en: float, nn: float) -> ErrorEllipse:
     """The error ellipse of a horizontal covariance, given by its elements in m^2."""
-    mean, radius = eigenvalue_mean_and_radius(ee, en, nn, sqrt)
+    mean, radius = eigenvalue_mean_and_radius(ee, en, nn, _norm)
     return ErrorEllipse(sqrt(max(mean + radius, 0.0)), sqrt(max(mean - radius, 0.0)), 0.5 * atan2(2.0 * en, ee - nn))
 
 
@@ -78,6 +78,10 @@ def worst_sigma(covariance: FloatArray) -> float:
     return sqrt(max(mean + 2.0 * scale * cos(angle), 0.0))
 
 
+def _norm(x: float, y: float) -> float:
+    return sqrt(x * x + y * y)
+
+
 def _semi_axes_m(covariance: FloatArray) -> tuple[float, float]:
-    mean, radius = eigenvalue_mean_and_radius(covariance.item(0, 0), covariance.item(0, 1), covariance.item(1, 1), sqrt)
+    mean, radius = eigenvalue_mean_and_radius(covariance.item(0, 0), covariance.item(0, 1), covariance.item(1, 1), _norm)
     return sqrt(max(mean + radius, 0.0)), sqrt(max(mean - radius, 0.0))

@@ -282,7 +282,7 @@ def _common_residuals(now: EpochArrays, then: EpochArrays) -> tuple[list[int], l
 def pseudo_inverse(A: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
     """The pseudo-inverses of symmetric (..., 2, 2) matrices, and their ranks; directions without information are left out."""
     a, b, d = A[..., 0, 0], A[..., 0, 1], A[..., 1, 1]
-    mean, radius = eigenvalue_mean_and_radius(a, b, d, np.sqrt)
+    mean, radius = eigenvalue_mean_and_radius(a, b, d, np.hypot)
     larger, smaller = mean + radius, mean - radius
     least = np.maximum(larger * _RANK_TOLERANCE, MIN_INFORMATION_PER_M2)
     ranks = (larger > least).astype(int) + (smaller > least)

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from math import exp, log, pi, sqrt
+from math import exp, hypot, log, pi, sqrt
 
 import numpy as np
 
@@ -278,7 +278,7 @@ def _normalise(log_probability: list[float]) -> list[float]:
 
 def positive_part(ee: float, en: float, nn: float) -> tuple[float, float, float]:
     """A symmetric (2, 2) matrix with its negative eigenvalues set to zero."""
-    mean, radius = eigenvalue_mean_and_radius(ee, en, nn, sqrt)
+    mean, radius = eigenvalue_mean_and_radius(ee, en, nn, hypot)
     if mean >= radius:
         return ee, en, nn
     if mean <= -radius:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from math import inf, sqrt
+from math import hypot, inf, sqrt
 
 import numpy as np
 
@@ -101,7 +101,7 @@ def _difference_m(fix: PositionMeasurement, estimate: Estimate) -> FloatArray:
 
 def _least_information_per_m2(information: FloatArray) -> float:
     """Information along the worst direction: the smaller eigenvalue."""
-    mean, radius = eigenvalue_mean_and_radius(information.item(0), information.item(1), information.item(3), sqrt)
+    mean, radius = eigenvalue_mean_and_radius(information.item(0), information.item(1), information.item(3), hypot)
     return mean - radius
 
 
