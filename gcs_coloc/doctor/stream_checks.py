@@ -36,7 +36,7 @@ _PX4_ONBOARD = 2.0
 
 _CARRIES = "see whether the link carries as much"
 
-Mend = tuple[str, tuple[str, float] | None]
+Remedy = tuple[str, tuple[str, float] | None]
 """What to do in words, and the parameter to set where there is but one."""
 
 
@@ -54,14 +54,14 @@ def check(vehicle: VehicleSurvey) -> Iterator[Finding]:
         if rate_hz >= 0.5 * wanted_hz:
             good.append(f"{name} {rate_hz:.0f} Hz")
         elif rate_hz > 0.0:
-            yield note(f"{name} comes at {rate_hz:.1f} Hz, {wanted_hz:g} Hz are wanted", *_mend(vehicle, stream))
+            yield note(f"{name} comes at {rate_hz:.1f} Hz, {wanted_hz:g} Hz are wanted", *_remedy(vehicle, stream))
         elif number in vehicle.empty:
             yield lacking(
                 f"{name} holds no position: the autopilot has none yet",
                 f"wait for its EKF{_NO_POSITION.get(vehicle.autopilot, '')}",
             )
         else:
-            yield lacking(f"{name} is not heard", *_mend(vehicle, stream))
+            yield lacking(f"{name} is not heard", *_remedy(vehicle, stream))
     if good:
         yield right(f"heard: {', '.join(good)}")
     yield from _protocol(vehicle)
@@ -83,13 +83,13 @@ def _protocol(vehicle: VehicleSurvey) -> Iterator[Finding]:
         yield note(text, "let its port speak MAVLink 2 (ArduPilot: SERIALn_PROTOCOL = 2; PX4: MAV_PROTO_VER = 2)")
 
 
-def _mend(vehicle: VehicleSurvey, stream: str) -> Mend:
+def _remedy(vehicle: VehicleSurvey, stream: str) -> Remedy:
     if vehicle.autopilot is Autopilot.ARDUPILOT:
-        return _ardupilot_mend(vehicle, stream)
-    return _px4_mend(vehicle) if vehicle.autopilot is Autopilot.PX4 else (_CARRIES, None)
+        return _ardupilot_remedy(vehicle, stream)
+    return _px4_remedy(vehicle) if vehicle.autopilot is Autopilot.PX4 else (_CARRIES, None)
 
 
-def _ardupilot_mend(vehicle: VehicleSurvey, stream: str) -> Mend:
+def _ardupilot_remedy(vehicle: VehicleSurvey, stream: str) -> Remedy:
     wanted_hz = _STREAM_HZ[stream]
     ports = serial_ports(vehicle.parameters)
     rates = [(port, found) for port in ports if (found := look_up(vehicle.parameters, port.rate_names(stream))) is not None]
@@ -112,7 +112,7 @@ def _carries(bauds: list[str]) -> str:
     return f"{_CARRIES} ({', '.join(bauds)})" if bauds else _CARRIES
 
 
-def _px4_mend(vehicle: VehicleSurvey) -> Mend:
+def _px4_remedy(vehicle: VehicleSurvey) -> Remedy:
     told = vehicle.parameters
     changes: list[tuple[str, float, str]] = []
     bauds: list[str] = []

@@ -65,16 +65,16 @@ class FixAcknowledgement:
 
     def _fault_now(self, now_s: float) -> str | None:
         heard = self._heard
-        mend = f"are {self._name}_TYPE=14, gps_id={self._gps_id} and MAV_OPTIONS right?"
+        remedy = f"are {self._name}_TYPE=14, gps_id={self._gps_id} and MAV_OPTIONS right?"
         if heard is None or now_s - heard.received_at_s > _SILENCE_S:
-            return f"no {self._message} is heard from it; {mend}"
+            return f"no {self._message} is heard from it; {remedy}"
         if self._fix is None:
             since_s = self._no_fix_since_s
             if since_s is not None and now_s - since_s > _LINGERS_S and heard.fix_type >= _HAS_FIX:
                 return f"its {self._name} has a fix that was not sent: {_NOT_OURS}"
             return None
         if heard.fix_type < _HAS_FIX:
-            return f"its {self._name} says fix type {heard.fix_type} while positions are sent; {mend}"
+            return f"its {self._name} says fix type {heard.fix_type} while positions are sent; {remedy}"
         off_m = horizontal_distance_m(heard.lat_deg, heard.lon_deg, self._fix.lat_deg, self._fix.lon_deg)
         speed_mps = hypot(self._fix.vn_mps, self._fix.ve_mps)
         if off_m > _NEAR_M + _NEAR_S * speed_mps:

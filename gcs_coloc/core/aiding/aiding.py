@@ -311,12 +311,12 @@ class Aiding:
             return override is PrimaryOverride.OURS or is_automatic
         if stream.inhibit is not None or stream.acknowledgement is None or not stream.acknowledgement.acknowledged:
             return False
-        return override is PrimaryOverride.OURS or (is_automatic and _claims_fix(vehicle, gps_state, stream, now_s))
+        return override is PrimaryOverride.OURS or (is_automatic and _reports_fix(vehicle, gps_state, stream, now_s))
 
 
-def _claims_fix(vehicle: ReportedState, gps_state: GpsState, stream: AidingStream, now_s: float) -> bool:
-    """Return whether a failed receiver claims a fix all the same, or did in between (jamming flickers)."""
+def _reports_fix(vehicle: ReportedState, gps_state: GpsState, stream: AidingStream, now_s: float) -> bool:
+    """Return whether a failed receiver reports a fix all the same, or did in between (jamming flickers)."""
     receiver = vehicle.receiver
-    claims = receiver is not None and receiver.fix_type >= 3 and now_s - receiver.received_at_s <= _FIX_FRESH_S
+    reports = receiver is not None and receiver.fix_type >= 3 and now_s - receiver.received_at_s <= _FIX_FRESH_S
     flickered = stream.own_fix_flickered(is_recovering=gps_state is GpsState.RECOVERING)
-    return gps_state is GpsState.FAILED and (claims or flickered)
+    return gps_state is GpsState.FAILED and (reports or flickered)

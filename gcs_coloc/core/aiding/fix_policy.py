@@ -54,7 +54,7 @@ class FixPolicy:
         self._update_geometry(now_s, is_determined=own_gps or air_data or _is_determined(answer))
         fault = self._fault(answer, now_s)
         if fault is None and not own_gps and median_nis is not None and median_nis > CONSISTENT_MEDIAN_NIS:
-            fault = Inhibit(InhibitReason.RANGES_MISFIT, sqrt(median_nis))
+            fault = Inhibit(InhibitReason.RANGES_INCONSISTENT, sqrt(median_nis))
         if fault is None and not own_gps and range_jump_m is not None:
             fault = Inhibit(InhibitReason.RANGES_JUMPED, range_jump_m)
         if fault is not None:

@@ -26,7 +26,7 @@ class InhibitReason(Enum):
     BEYOND_ALERT_LIMIT = "beyond_alert_limit"
     PREDICTION_ALONE = "prediction_alone"
     UNDETERMINED = "undetermined"
-    RANGES_MISFIT = "ranges_misfit"
+    RANGES_INCONSISTENT = "ranges_misfit"
     RANGES_JUMPED = "ranges_jumped"
     REGAINING = "regaining"
 
@@ -46,7 +46,7 @@ _WORDING: Mapping[InhibitReason, str] = {
     InhibitReason.BEYOND_ALERT_LIMIT: "95 % horizontal bound {value:.0f} m is beyond the alert limit of {limit:g} m",
     InhibitReason.PREDICTION_ALONE: "no range has been in use for {limit:g} s: prediction alone",
     InhibitReason.UNDETERMINED: "its ranges, to one peer or along one line, have not fixed its place for {limit:g} s",
-    InhibitReason.RANGES_MISFIT: "half of its ranges are {value:.1f} sigma or more off where it is held to be",
+    InhibitReason.RANGES_INCONSISTENT: "half of its ranges are {value:.1f} sigma or more off where it is held to be",
     InhibitReason.RANGES_JUMPED: "all of its ranges jumped by {value:.0f} m",
     InhibitReason.REGAINING: "good enough again, watched for {limit:g} s",
 }

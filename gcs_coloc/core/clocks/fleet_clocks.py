@@ -125,8 +125,8 @@ class FleetClocks:
 
     def report_unanswered(self, sysid: int, first_heard_s: float, now_s: float) -> Notice | None:
         """Return what the operator must know of a vehicle that does not answer TIMESYNC, once."""
-        news = self._unanswered.report(sysid, self._of(sysid).boot, first_heard_s, now_s)
-        return Notice(now_s, sysid, *news) if news is not None else None
+        report = self._unanswered.report(sysid, self._of(sysid).boot, first_heard_s, now_s)
+        return Notice(now_s, sysid, *report) if report is not None else None
 
     def resets(self, sysid: int) -> int:
         """Return how often the clock of a vehicle began anew, as a reboot makes it."""

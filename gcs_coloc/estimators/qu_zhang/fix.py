@@ -110,12 +110,12 @@ def _supporters(
 ) -> FloatArray:
     """Return how many of all circles go through each fix: shape (N,) from fixes (N, 2) and covariances (N, 2, 2)."""
     offsets = fixes[:, np.newaxis] - np.array([one.centre_m for one in candidates])
-    misfit = np.array([one.squared_m2 for one in candidates]) - (offsets**2).sum(axis=-1)
+    residual = np.array([one.squared_m2 for one in candidates]) - (offsets**2).sum(axis=-1)
     centre = np.array([one.centre_covariance + one.lasting_covariance[:2, :2] for one in candidates])
     own = np.array([one.squared_variance_m4 + 4.0 * height_variance_m2 * one.height_m**2 for one in candidates])
     spread = fix_covariances[:, np.newaxis] + centre
     variance = own + 2.0 * height_variance_m2**2 + 4.0 * np.einsum("nci,ncij,ncj->nc", offsets, spread, offsets)
-    return np.asarray((misfit**2 <= nis_limit * variance).sum(axis=1), dtype=np.float64)
+    return np.asarray((residual**2 <= nis_limit * variance).sum(axis=1), dtype=np.float64)
 
 
 def _most_supported(

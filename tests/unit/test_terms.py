@@ -1,0 +1,124 @@
+"""One word for one thing: the names of the package are the field's, each class name stands once."""
+
+import ast
+import re
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "gcs_coloc"
+GLOSSARY = ROOT / "docs/glossary.md"
+MODULES = sorted(path for path in PACKAGE.rglob("*.py") if "_generated" not in path.parts)
+PRIVATE_WORDS = frozenset(
+    [
+        "accused",
+        "acquit",
+        "acquitted",
+        "captive",
+        "claim",
+        "claims",
+        "doubt",
+        "doubted",
+        "faded",
+        "fear",
+        "foresee",
+        "foreseen",
+        "glance",
+        "hindrance",
+        "hub",
+        "intake",
+        "jolt",
+        "liar",
+        "liars",
+        "lie",
+        "lies",
+        "lookout",
+        "lull",
+        "lulls",
+        "mend",
+        "misfit",
+        "misplaced",
+        "news",
+        "obey",
+        "remark",
+        "retell",
+        "scene",
+        "scenes",
+        "story",
+        "stories",
+        "subject",
+        "subjects",
+        "tale",
+        "thaw",
+        "tidy",
+        "twin",
+        "twins",
+        "uptake",
+        "withheld",
+    ]
+)
+"""Words that version 0.1 used for things that have a name in the field; docs/glossary.md has that."""
+
+
+def relative(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def words(name: str) -> set[str]:
+    """The words of an identifier or of a text, in lower case: FaultMonitor, fault_monitor and "fault monitor" are alike."""
+    return {word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)}
+
+
+def terms() -> list[str]:
+    rows = [line.split("|")[1].strip() for line in GLOSSARY.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
+    return [term for term in rows if term != "term"]
+
+
+def plain(text: str) -> str:
+    return re.sub(r"[\s_-]+", " ", text).lower()
+
+
+def public_classes() -> dict[str, list[str]]:
+    found = defaultdict(list)
+    for path in MODULES:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                found[node.name].append(relative(path))
+    return found
+
+
+def names_of(path: Path) -> set[str]:
+    """Every name that a module defines: itself, its classes and functions, their arguments and attributes, its constants."""
+    found = {path.stem}
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            found.add(node.name)
+        elif isinstance(node, ast.arg):
+            found.add(node.arg)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            found.add(node.attr)
+    return found
+
+
+def test_every_term_of_the_glossary_is_used():
+    pages = [path for path in ROOT.glob("docs/**/*.md") if path != GLOSSARY]
+    text = plain("\n".join(path.read_text(encoding="utf-8") for path in [*MODULES, *pages]))
+    assert len(terms()) >= 60
+    assert [term for term in terms() if plain(term) not in text] == []
+
+
+def test_no_term_stands_twice_in_the_glossary():
+    assert len({plain(term) for term in terms()}) == len(terms())
+
+
+def test_no_public_class_name_stands_twice():
+    assert {name: places for name, places in public_classes().items() if len(places) > 1} == {}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=relative)
+def test_no_name_is_a_private_word(path):
+    assert {name for name in names_of(path) if words(name) & PRIVATE_WORDS} == set()
