@@ -43,13 +43,15 @@ class ArduPilot(Autopilot):
     def receive_global_position(self, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
         """Pass over GLOBAL_POSITION_SENSOR: ArduPilot knows no such sensor."""
 
-    def take_external_estimate(self, position_m: tuple[float, float], accuracy_m: float | None, age_s: float, at_s: float) -> int:
+    def apply_external_estimate(
+        self, position_m: tuple[float, float], accuracy_m: float | None, age_s: float, at_s: float
+    ) -> int:
         """Set the position, brought forward by its age, unless a position was accepted within the last second or there never
         was one.
         """
         if self.source(at_s) != DEAD_RECKONING:
             return FAILED
-        self.navigation.take_estimate(position_m, max(accuracy_m or 0.0, _POSITION_NOISE_M), age_s)
+        self.navigation.apply_estimate(position_m, max(accuracy_m or 0.0, _POSITION_NOISE_M), age_s)
         return ACCEPTED
 
     def arming_refusal(self, at_s: float) -> str | None:

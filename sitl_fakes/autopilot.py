@@ -44,7 +44,9 @@ class Autopilot(ABC):
         """Take a GLOBAL_POSITION_SENSOR: position east and north (m) with its standard deviation (m)."""
 
     @abstractmethod
-    def take_external_estimate(self, position_m: tuple[float, float], accuracy_m: float | None, age_s: float, at_s: float) -> int:
+    def apply_external_estimate(
+        self, position_m: tuple[float, float], accuracy_m: float | None, age_s: float, at_s: float
+    ) -> int:
         """Take MAV_CMD_EXTERNAL_POSITION_ESTIMATE: position (m), 1-sigma (m, None unknown), its age (s); returns MAV_RESULT."""
 
     @abstractmethod

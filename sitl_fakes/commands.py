@@ -158,7 +158,7 @@ def _external_position(vehicle: FlightController, message: Any, at_s: float) -> 
     worked_s = message.param2 if math.isfinite(message.param2) else 0.0
     age_s = at_s - vehicle.offboard_clock.to_local_s(sent_s, at_s) + worked_s
     accuracy_m = message.param3 if math.isfinite(message.param3) else None
-    return vehicle.autopilot.take_external_estimate(place, accuracy_m, min(max(age_s, 0.0), _LONGEST_AGE_S), at_s)
+    return vehicle.autopilot.apply_external_estimate(place, accuracy_m, min(max(age_s, 0.0), _LONGEST_AGE_S), at_s)
 
 
 def _user_fault(vehicle: FlightController, message: Any, at_s: float) -> int:

@@ -117,7 +117,7 @@ class Navigation:
         if self.position_m is not None:
             self.position_m = _brought_forward(fix)
 
-    def take_estimate(self, position_m: tuple[float, float], sigma_m: float, age_s: float) -> None:
+    def apply_estimate(self, position_m: tuple[float, float], sigma_m: float, age_s: float) -> None:
         """Set the position from outside (MAV_CMD_EXTERNAL_POSITION_ESTIMATE), east and north in m as they were `age_s` ago,
         keeping the wind.
         """

@@ -55,11 +55,13 @@ class Px4(Autopilot):
         ):
             self._last_used, self._aux_used_at_s = _AUX, at_s
 
-    def take_external_estimate(self, position_m: tuple[float, float], accuracy_m: float | None, age_s: float, at_s: float) -> int:
+    def apply_external_estimate(
+        self, position_m: tuple[float, float], accuracy_m: float | None, age_s: float, at_s: float
+    ) -> int:
         """Set the position, brought forward by its age, while dead reckoning."""
         if self.source(at_s) != DEAD_RECKONING:
             return TEMPORARILY_REJECTED
-        self.navigation.take_estimate(position_m, accuracy_m or _UNKNOWN_ACCURACY_M, min(age_s, _LONGEST_AGE_S))
+        self.navigation.apply_estimate(position_m, accuracy_m or _UNKNOWN_ACCURACY_M, min(age_s, _LONGEST_AGE_S))
         return ACCEPTED
 
     def arming_refusal(self, at_s: float) -> str | None:

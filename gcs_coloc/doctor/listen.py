@@ -49,13 +49,13 @@ async def listen(
     def arrived(link: Link, address: Address, payload: bytes, at_s: float) -> None:
         route = Route(link, address)
         names[route] = str(route)
-        survey.take(payload, route, at_s, signed.of(link.name))
+        survey.receive(payload, route, at_s, signed.of(link.name))
 
     def stamp(link: Link) -> Stamp | None:
         signing = signed.of(link.name)
         return signing.stamp(clock()) if signing is not None else None
 
-    def ask(question: Question) -> None:
+    def send_request(question: Question) -> None:
         place, encoder = question.place, as_gcs if question.as_gcs else ours
         assert isinstance(place, Route)
         place.link.send(place.address, encoder.encode(question.message, place, stamp(place.link)))
@@ -74,7 +74,7 @@ async def listen(
                     assert isinstance(place, Route)
                     place.link.send(place.address, ours.heartbeat(place, stamp(place.link)))
             for question in survey.questions(now_s):
-                ask(question)
+                send_request(question)
             await asyncio.sleep(_ASK_EVERY_S)
     finally:
         for link in links:

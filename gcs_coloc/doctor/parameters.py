@@ -73,14 +73,14 @@ class ParameterReader:
     _due_s: float = float("-inf")
     _rounds: int = 0
 
-    def heard(self, name: str, value: float) -> None:
+    def add(self, name: str, value: float) -> None:
         """Take one parameter that the vehicle told."""
-        if not self.told and self.asks_as_gcs:
+        if not self.told and self.requests_as_gcs:
             self.answers_as_gcs_only = True
         self.told[name] = value
 
     @property
-    def asks_as_gcs(self) -> bool:
+    def requests_as_gcs(self) -> bool:
         """Whether the next questions are asked under a ground station's id, as ours gets no answer."""
         return self.answers_as_gcs_only or (not self.told and self._rounds > OWN_TRIES)
 

@@ -103,7 +103,7 @@ class Survey:
         """What was not taken, by reason."""
         return self._decoder.counts
 
-    def take(self, datagram: bytes, place: Hashable, at_s: float, signing: LinkSigning | None = None) -> None:
+    def receive(self, datagram: bytes, place: Hashable, at_s: float, signing: LinkSigning | None = None) -> None:
         """Take what arrived from an address. Nothing that bytes can hold makes it raise."""
         good: list[RawFrame] = []
         for frame in self._decoder.decode(datagram, at_s, place, signing, good):
@@ -124,14 +124,14 @@ class Survey:
         """What is to be asked by now, and of whom."""
         out = []
         for sysid, vehicle in self._vehicles.items():
-            as_gcs = vehicle.reader.asks_as_gcs
+            as_gcs = vehicle.reader.requests_as_gcs
             out += [Question(vehicle.place, ParameterRequest(sysid, name), as_gcs) for name in vehicle.reader.due(now_s)]
             if now_s >= vehicle.ask_time_at_s:
                 vehicle.ask_time_at_s = now_s + _TIMESYNC_EVERY_S
                 out.append(Question(vehicle.place, TimeSyncRequest(sysid, max(1, round(now_s * 1e9))), as_gcs))
         for request in self._streams.due(now_s) if self._streams is not None else []:
             vehicle = self._vehicles[request.sysid]
-            out.append(Question(vehicle.place, request, vehicle.reader.asks_as_gcs))
+            out.append(Question(vehicle.place, request, vehicle.reader.requests_as_gcs))
         return out
 
     def findings(self, names: Mapping[Hashable, str], *, host_is_synchronised: bool | None) -> FleetSurvey:
@@ -217,4 +217,4 @@ def _read_parameter(raw: RawFrame, reader: ParameterReader) -> None:
         (value,) = struct.unpack_from("<i", payload)
     text = name.partition(b"\0")[0]
     if text.isascii() and abs(value) < float("inf"):
-        reader.heard(text.decode("ascii"), float(value))
+        reader.add(text.decode("ascii"), float(value))

@@ -31,7 +31,7 @@ class Field:
 
     def hear(self, at_s, sysid, message, place=None, key=None):
         sender = self.senders.setdefault((sysid, place), Signer(sysid, key=key))
-        self.survey.take(sender.pack(message), place or f"address of {sysid}", at_s)
+        self.survey.receive(sender.pack(message), place or f"address of {sysid}", at_s)
 
     def beat(self, at_s, *sysids, autopilot=Autopilot.ARDUPILOT, place=None):
         for sysid in sysids:
@@ -96,11 +96,11 @@ def test_who_speaks_mavlink_1_though_we_do_not_is_found(field):
         field.beat(step * 1.0, 1, 2)
         old = mavlink.MAVLink(None, srcSystem=2, srcComponent=1)
         old.seq = step
-        field.survey.take(HEARTBEATS[Autopilot.ARDUPILOT].pack(old, force_mavlink1=True), "address of 2", step * 1.0 + 0.5)
+        field.survey.receive(HEARTBEATS[Autopilot.ARDUPILOT].pack(old, force_mavlink1=True), "address of 2", step * 1.0 + 0.5)
     for step in range(10, 20):
         old = mavlink.MAVLink(None, srcSystem=3, srcComponent=1)
         old.seq = step
-        field.survey.take(HEARTBEATS[Autopilot.ARDUPILOT].pack(old, force_mavlink1=True), "address of 1", step * 1.0 + 0.5)
+        field.survey.receive(HEARTBEATS[Autopilot.ARDUPILOT].pack(old, force_mavlink1=True), "address of 1", step * 1.0 + 0.5)
     assert [(v.sysid, v.is_mavlink_1) for v in field.found("address of 1")] == [(1, False), (2, False), (3, True)]
 
 
@@ -221,5 +221,5 @@ def test_signed_frames_are_noticed_and_who_is_no_autopilot_is_no_vehicle(field):
 
 @pytest.mark.parametrize("junk", [b"", b"\xfd\xff\x00\x00", bytes(300)])
 def test_junk_is_passed_over(field, junk):
-    field.survey.take(junk, "somewhere", 0.0)
+    field.survey.receive(junk, "somewhere", 0.0)
     assert field.found() == ()
