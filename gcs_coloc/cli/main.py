@@ -1,4 +1,4 @@
-"""The command line. Plain `gcs-coloc --udp 14550` runs the service; everything else is a subcommand."""
+"""The main command: plain `gcs-coloc --udp 14550` runs the service; everything else is a subcommand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""WGS 84 geodetic coordinates to and from a local east-north-up frame, exact through earth-centred coordinates.
+"""Geodesy: WGS 84 coordinates to and from a local east-north-up frame, exact through earth-centred ones.
 
 Heights are taken as ellipsoidal. The service feeds heights above mean sea level: the geoid's undulation is then a
 constant of the whole fleet and cancels, but for a scale error of undulation / earth radius (below 2e-5).

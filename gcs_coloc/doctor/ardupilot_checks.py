@@ -1,4 +1,4 @@
-"""Whether an ArduPilot vehicle's parameters let it take GPS_INPUT when its receiver fails, and only then."""
+"""Checks of ArduPilot's parameters: it uses GPS_INPUT when its receiver fails, and only then."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a survey found of a fleet and of each vehicle, and what the checks conclude: plain values."""
+"""Findings of the checks with severity and remedy, and what a survey knows of the fleet: plain values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every link is to the rest of the program: a parsed connection string, and the link that it makes."""
+"""Base of all links: a parsed connection string, and the link that it makes."""
 
 from __future__ import annotations
 

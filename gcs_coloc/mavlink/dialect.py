@@ -1,4 +1,4 @@
-"""The messages that this package decodes: ardupilotmega's and our own, in one map beside pymavlink's."""
+"""Our dialect: the messages of ardupilotmega and our own in one map beside pymavlink's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From payload values to the core's messages, one function per MAVLink message.
+"""Inbound payloads to the core's messages, one function per MAVLink message.
 
 Every function takes the sender's system id, the arrival time and the payload's values in wire order, and returns the
 message, or None where it holds nothing for the core. InvalidValueError names the field that is impossible.

@@ -1,4 +1,4 @@
-"""Keeps the garbage collector out of the flight.
+"""The policy of garbage collection (GC): none that holds the flight up.
 
 Reference counting frees nearly everything that a flight allocates; hardly any of it is a cycle. By default Python searches the
 young objects whenever 700 more are alive than before, and now and then all objects. With many fleets that takes a sixth of the

@@ -1,4 +1,4 @@
-"""The composition root: builds each fleet's path and its observers, keeps them going, and ends them in order."""
+"""The service, the composition root: builds each fleet's path and its observers, runs and ends them."""
 
 from __future__ import annotations
 

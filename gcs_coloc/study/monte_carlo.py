@@ -1,4 +1,4 @@
-"""Runs a function over seeds on several cores, with progress, in an order that does not depend on the number of cores."""
+"""Monte Carlo runs over seeds on several cores, with progress; the order is the same on any number of cores."""
 
 from __future__ import annotations
 

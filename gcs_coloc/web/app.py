@@ -1,4 +1,4 @@
-"""The routes: the page and its files, one WebSocket, the operator's commands, metrics and health."""
+"""The ASGI app: routes of the page and its files, one WebSocket, the operator's commands, metrics and health."""
 
 from __future__ import annotations
 

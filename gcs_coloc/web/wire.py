@@ -1,4 +1,4 @@
-"""The messages of the page's WebSocket as models. docs/reference/web.md describes every field."""
+"""The wire format of the page's WebSocket as models; docs/reference/web.md describes every field."""
 
 from __future__ import annotations
 

@@ -122,3 +122,22 @@ def test_no_public_class_name_stands_twice():
 @pytest.mark.parametrize("path", MODULES, ids=relative)
 def test_no_name_is_a_private_word(path):
     assert {name for name in names_of(path) if words(name) & PRIVATE_WORDS} == set()
+
+
+def stems(name: str) -> set[str]:
+    """The words of a name without their endings, so that filters, filtered and filter are one."""
+    return {re.sub(r"(ings?|ed|ers?|ors?|es|s|e|y|ies)$", "", word) or word for word in words(name)}
+
+
+def is_named_after_its_content(path: Path) -> bool:
+    """Whether a word of the module's name is in the first line of its docstring or in the name of its largest definition."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    definitions = [node for node in tree.body if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)]
+    largest = max(definitions, key=lambda node: (node.end_lineno or 0) - node.lineno, default=None)
+    first_line = (ast.get_docstring(tree) or "").splitlines()[0]
+    return bool(stems(path.stem) & (stems(first_line) | (stems(largest.name) if largest is not None else set())))
+
+
+@pytest.mark.parametrize("path", [path for path in MODULES if not path.name.startswith("__")], ids=relative)
+def test_a_module_is_named_after_its_main_content(path):
+    assert is_named_after_its_content(path), "its docstring's first line has no word of its name, its largest definition neither"

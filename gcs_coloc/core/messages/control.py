@@ -1,4 +1,4 @@
-"""What the host, the operator and the links tell the engine. Conventions as in `messages`."""
+"""Control inputs: what the host, the operator and the links send the engine. Conventions as in `inbound`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What vehicles say: frozen messages with units in their names. What others say: `words`; what the engine gives out: `outputs`.
+"""Inbound messages of vehicles, frozen, with units in the names of their fields; others: `control`, `outbound`.
 
 Conventions for all of them, those of `words`, `outputs` and `aid_messages` as well:
 

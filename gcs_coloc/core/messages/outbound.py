@@ -1,4 +1,4 @@
-"""What the engine gives out, for vehicles and for the operator. Conventions as in `messages`."""
+"""Outbound messages of the engine, to vehicles and to the operator. Conventions as in `inbound`."""
 
 from __future__ import annotations
 

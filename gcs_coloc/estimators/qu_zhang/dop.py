@@ -1,4 +1,4 @@
-"""Dilution of precision: how the geometry of the peers turns a range error into a position error (Qu & Zhang, Section II.A).
+"""Dilution of precision (DOP): how the geometry of the peers turns a range error into a position error (Qu & Zhang, II.A).
 
 With unit vectors u_i from peer i to the vehicle, the design matrix G has the rows u_i, or [u_i, 1] where the ranges share an
 unknown clock bias (GPS pseudoranges, and the paper's error equation). The cofactor matrix is (G'G)^-1 and the dilutions are

@@ -1,4 +1,4 @@
-"""A position from three ranges in the plane, in closed form, and its covariance (Qu & Zhang, Eq. 16-26).
+"""Trilateration: a position from three ranges in the plane, with its covariance (Qu & Zhang, Eq. 16-26).
 
 With peers at (x_i, y_i), ranges rho_i and A = X^2 + Y^2, the three circles are linear in (X, Y, A):
 

@@ -1,4 +1,4 @@
-"""Which aiding methods there are, and which one is for which vehicle: by the settings, else by the autopilot."""
+"""The registry of aiding methods; a vehicle's is chosen by the settings, else by its autopilot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Unrolled code for speed: F and Q of one vehicle, and the range Jacobian, written entry by entry through flat views.
+"""Unrolled kernels for speed: F and Q of one vehicle and the range Jacobian, entry by entry in flat views.
 
 Writing single elements of a numpy array costs twice the time. The plain matrix forms stand in
 tests/unit/estimators/fleet/reference.py; tests hold that both are equal.
