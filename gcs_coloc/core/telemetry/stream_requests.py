@@ -12,6 +12,7 @@ from gcs_coloc.core.messages.inbound import (
     FromVehicle,
     GlobalPosition,
     GpsReceiver,
+    Heartbeat,
     SystemHealth,
     SystemTime,
 )
@@ -43,7 +44,13 @@ class StreamRequests:
         self._requested: dict[int, _Requested] = {}
 
     def add(self, message: FromVehicle) -> None:
-        """Count one message of a vehicle of the fleet, whose size bounds this table."""
+        """Count one message of a vehicle of the fleet, whose size bounds this table.
+
+        A heartbeat alone begins the requests: ArduCopter sends nothing else by default.
+        """
+        if isinstance(message, Heartbeat):
+            self._requested.setdefault(message.sysid, _Requested(message.received_at_s))
+            return
         message_id = _MESSAGE_IDS.get(type(message))
         if isinstance(message, GpsReceiver):
             message_id = _RECEIVER_IDS[min(message.receiver, 1)]
