@@ -28,16 +28,17 @@ class ReceivedDatagram:
     says that vehicles truly are.
     """
 
-    messages: list[Inbound] = field(default_factory=list)
-    link_reports: list[RouteReport | ForeignGpsInput] = field(default_factory=list)
+    # Tuples: most datagrams leave most of these empty, and five new lists cost more than the rest of an unused message.
+    messages: tuple[Inbound, ...] = ()
+    link_reports: tuple[RouteReport | ForeignGpsInput, ...] = ()
     frames: list[RawFrame] = field(default_factory=list)
-    refused: list[Frame] = field(default_factory=list)
-    truths: list[HeardTruth] = field(default_factory=list)
+    refused: tuple[Frame, ...] = ()
+    truths: tuple[HeardTruth, ...] = ()
 
     def add_report(self, report: RouteReport | ForeignGpsInput) -> None:
         """Append a message that follows from where the datagram came from."""
-        self.messages.append(report)
-        self.link_reports.append(report)
+        self.messages += (report,)
+        self.link_reports += (report,)
 
 
 class Receiver:
@@ -76,9 +77,9 @@ class Receiver:
                 for sysid in self._routes.autopilots_at(link, address, now_s):
                     received.add_report(replace(frame.message, vehicle=sysid))
             if not self._learn_route(frame, link, address, now_s):
-                received.refused.append(frame)
+                received.refused += (frame,)
             elif frame.message is not None:
-                received.messages.append(frame.message)
+                received.messages += (frame.message,)
                 if frame.is_autopilot_heartbeat:
                     self._rate_limiter.add_source((link, address), now_s)
                     received.add_report(self._route_report(frame.sysid, now_s))
@@ -86,7 +87,7 @@ class Receiver:
             if raw.message_id in TRUTH_IDS:
                 truth = truth_of(raw, now_s)
                 if truth is not None and self._learn_route(raw, link, address, now_s):
-                    received.truths.append(truth)
+                    received.truths += (truth,)
         return received
 
     def _learn_route(self, frame: Frame | RawFrame, link: Link, address: Address, now_s: float) -> bool:
