@@ -350,6 +350,7 @@ def test_a_restarted_service_is_found_again_and_its_absence_is_said(scene, tmp_p
             expect(page.locator("#alarms li").filter(has_text="vehicle 4")).not_to_have_count(0, timeout=20_000)
             expect(page.locator("#commands")).to_be_hidden()
             expect(page.locator("#connection")).to_have_text("live", timeout=20_000)
+            expect(card(page, 1)).to_have_text(re.compile("Vehicle 1good"), timeout=20_000)
         expect(page.locator("#connection")).to_contain_text("NO CONNECTION", timeout=10_000)
         expect(card(page, 1)).to_have_text(re.compile("Vehicle 1was good"))
         assert "grayscale(1)" in page.locator("#fleet").evaluate("e => getComputedStyle(e).filter")
