@@ -8,9 +8,8 @@ import numpy as np
 
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate
-from gcs_coloc.core.messages.aiding import ParameterValue
 from gcs_coloc.core.messages.control import RouteReport
-from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, Inbound
+from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, Inbound, ParameterValue
 from gcs_coloc.core.messages.outbound import GpsInput, Notice
 from gcs_coloc.core.snapshot import VehicleSnapshot
 

@@ -26,11 +26,11 @@ from gcs_coloc.core.guarded_estimator import GuardedEstimator
 from gcs_coloc.core.integrity.monitor import PLACED_BY_ESTIMATE, IntegrityMonitor
 from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus, ReviewedVehicle
 from gcs_coloc.core.measurements import Estimate, NoEstimate
-from gcs_coloc.core.messages.aiding import CommandResult, ForeignGpsInput, ParameterSet, ParameterValue
 from gcs_coloc.core.messages.control import (
     AidingOverride,
     ClockReference,
     ControlInput,
+    ForeignGpsInput,
     GpsOverride,
     OperatorCommand,
     PrimaryOverride,
@@ -39,14 +39,16 @@ from gcs_coloc.core.messages.control import (
 )
 from gcs_coloc.core.messages.inbound import (
     Attitude,
+    CommandResult,
     GlobalPosition,
     GpsReceiver,
     Inbound,
+    ParameterValue,
     PeerRange,
     SystemTime,
     TimeSyncAnswer,
 )
-from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound
+from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound, ParameterSet
 from gcs_coloc.core.range_jumps import RangeJumps
 from gcs_coloc.core.refusals import CoreRefusal
 from gcs_coloc.core.residual_log import ResidualLog

@@ -11,7 +11,6 @@ from itertools import pairwise
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.clocks.duplicate_ids import DuplicateIdDetector
-from gcs_coloc.core.messages.aiding import ParameterRequest
 from gcs_coloc.core.messages.inbound import (
     Attitude,
     Autopilot,
@@ -23,7 +22,7 @@ from gcs_coloc.core.messages.inbound import (
     SystemTime,
     TimeSyncAnswer,
 )
-from gcs_coloc.core.messages.outbound import TimeSyncRequest, ToVehicle
+from gcs_coloc.core.messages.outbound import ParameterRequest, TimeSyncRequest, ToVehicle
 from gcs_coloc.core.telemetry.stream_requests import StreamRequests
 from gcs_coloc.doctor.finding import FleetSurvey, VehicleSurvey
 from gcs_coloc.doctor.parameters import ParameterReader

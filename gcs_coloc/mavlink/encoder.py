@@ -10,8 +10,15 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages.aiding import ExternalPosition, GlobalPositionSensor, ParameterRequest
-from gcs_coloc.core.messages.outbound import GpsInput, StreamRequest, TimeSyncRequest, ToVehicle
+from gcs_coloc.core.messages.outbound import (
+    ExternalPosition,
+    GlobalPositionSensor,
+    GpsInput,
+    ParameterRequest,
+    StreamRequest,
+    TimeSyncRequest,
+    ToVehicle,
+)
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.signing import Stamp
 

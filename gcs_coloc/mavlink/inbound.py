@@ -14,16 +14,18 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages.aiding import CommandResult, ForeignGpsInput, ParameterValue
+from gcs_coloc.core.messages.control import ForeignGpsInput
 from gcs_coloc.core.messages.inbound import (
     Airspeed,
     Attitude,
     Autopilot,
+    CommandResult,
     EkfStatus,
     GlobalPosition,
     GpsReceiver,
     Heartbeat,
     Inbound,
+    ParameterValue,
     SystemHealth,
     SystemTime,
     TimeSyncAnswer,

@@ -13,10 +13,10 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.advance import Overrun
-from gcs_coloc.core.messages.aiding import ForeignGpsInput
 from gcs_coloc.core.messages.control import (
     AidingOverride,
     ClockReference,
+    ForeignGpsInput,
     GpsOverride,
     OperatorCommand,
     PrimaryOverride,

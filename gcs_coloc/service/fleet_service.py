@@ -7,10 +7,9 @@ import logging
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.advance import CATCH_UP_S, advance, find_overrun, without_superseded
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages.aiding import ForeignGpsInput, ParameterSet
-from gcs_coloc.core.messages.control import ClockReference, GpsOverride, OperatorCommand, Override
+from gcs_coloc.core.messages.control import ClockReference, ForeignGpsInput, GpsOverride, OperatorCommand, Override
 from gcs_coloc.core.messages.inbound import PeerRange
-from gcs_coloc.core.messages.outbound import Notice, Outbound, ToVehicle
+from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToVehicle
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.base import Address, Link, Route
 from gcs_coloc.links.forward import Forwarder

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass, field, replace
 
-from gcs_coloc.core.messages.aiding import ForeignGpsInput
-from gcs_coloc.core.messages.control import RouteReport
+from gcs_coloc.core.messages.control import ForeignGpsInput, RouteReport
 from gcs_coloc.core.messages.inbound import Inbound
 from gcs_coloc.links.base import Address, Link
 from gcs_coloc.links.rate_limiter import RateLimiter

@@ -17,10 +17,9 @@ from gcs_coloc.core.aiding.standby import Standby
 from gcs_coloc.core.aiding.stream import AidingStream, EstimateAt, FixInputs, Purpose
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsState
-from gcs_coloc.core.messages.aiding import CommandResult, ForeignGpsInput, ParameterRequest, ParameterSet, ParameterValue
-from gcs_coloc.core.messages.control import AidingOverride, PrimaryOverride, RouteBlock
-from gcs_coloc.core.messages.inbound import GpsReceiver
-from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound
+from gcs_coloc.core.messages.control import AidingOverride, ForeignGpsInput, PrimaryOverride, RouteBlock
+from gcs_coloc.core.messages.inbound import CommandResult, GpsReceiver, ParameterValue
+from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound, ParameterRequest, ParameterSet
 from gcs_coloc.core.refusals import CoreRefusal
 from gcs_coloc.core.telemetry.measurement_builder import SentFix
 from gcs_coloc.core.telemetry.reported_state import ReportedState

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.settings import AidingSettings
-from gcs_coloc.core.messages.aiding import ForeignGpsInput
+from gcs_coloc.core.messages.control import ForeignGpsInput
 from gcs_coloc.core.messages.outbound import Notice
 
 

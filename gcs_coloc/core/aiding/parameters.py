@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gcs_coloc.core.messages.aiding import ParameterRequest, ParameterValue
+from gcs_coloc.core.messages.inbound import ParameterValue
+from gcs_coloc.core.messages.outbound import ParameterRequest
 
 RETRY_S = 1.0
 _TRIES = 3

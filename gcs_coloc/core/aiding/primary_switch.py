@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 from gcs_coloc.core.aiding.parameters import RETRY_S
-from gcs_coloc.core.messages.aiding import ParameterRequest, ParameterSet, ParameterValue
-from gcs_coloc.core.messages.outbound import Notice
+from gcs_coloc.core.messages.inbound import ParameterValue
+from gcs_coloc.core.messages.outbound import Notice, ParameterRequest, ParameterSet
 
 NAME = "GPS_PRIMARY"
 _TRIES = 5

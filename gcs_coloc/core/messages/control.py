@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 
-from gcs_coloc.core.messages.aiding import ForeignGpsInput
-
 
 @dataclass(frozen=True, slots=True)
 class ClockReference:
@@ -101,6 +99,19 @@ class TransmitDisabled:
     """
 
     received_at_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignGpsInput:
+    """GPS_INPUT (232) that somebody else sends: system `sysid`, for the receiver instance `gps_id`.
+
+    The message has no target field: `vehicle` is whom it reaches, as the link layer knows; None where that is not known.
+    """
+
+    sysid: int
+    received_at_s: float
+    gps_id: int
+    vehicle: int | None = None
 
 
 ControlInput = ForeignGpsInput | ClockReference | OperatorCommand | RouteReport | TransmitDisabled

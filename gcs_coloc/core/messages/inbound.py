@@ -1,6 +1,6 @@
 """Inbound messages of vehicles, frozen, with units in the names of their fields; others: `control`, `outbound`.
 
-Conventions for all of them, those of `words`, `outputs` and `aid_messages` as well:
+Conventions for all of them, those of `control` and `outbound` as well:
 
 - `sysid` is the MAVLink system id of the vehicle the message is about.
 - `received_at_s` is the arrival time on the service's clock (seconds, monotonic, arbitrary epoch).
@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 
-from gcs_coloc.core.messages.aiding import CommandResult, ParameterValue
 from gcs_coloc.core.messages.control import ControlInput
 
 
@@ -173,6 +172,27 @@ class PeerRange:
     sequence: int | None
     line_of_sight: float | None
     device_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class CommandResult:
+    """COMMAND_ACK (77): what a vehicle made of a command; `command` is a MAV_CMD, `result` a MAV_RESULT."""
+
+    sysid: int
+    received_at_s: float
+    command: int
+    result: int
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterValue:
+    """PARAM_VALUE (22): one parameter of a vehicle as it stands; `kind` is its MAV_PARAM_TYPE."""
+
+    sysid: int
+    received_at_s: float
+    name: str
+    value: float
+    kind: int
 
 
 FromVehicle = (

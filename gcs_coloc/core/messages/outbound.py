@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gcs_coloc.core.messages.aiding import ExternalPosition, GlobalPositionSensor, ParameterRequest, ParameterSet
-
 
 @dataclass(frozen=True, slots=True)
 class GpsInput:
@@ -34,6 +32,52 @@ class GpsInput:
     horiz_accuracy_m: float
     vert_accuracy_m: float
     satellites: int
+
+
+@dataclass(frozen=True, slots=True)
+class ExternalPosition:
+    """COMMAND_INT MAV_CMD_EXTERNAL_POSITION_ESTIMATE (43003) to one vehicle: where it is when the command arrives.
+
+    `sent_s` (param 1) is the time of sending on a clock of ours that begins near 0, `accuracy_m` (param 3) 1-sigma. The
+    processing time (param 2) is 0 and the altitude NaN, as the command wants it.
+    """
+
+    sysid: int
+    sent_s: float
+    lat_deg: float
+    lon_deg: float
+    accuracy_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class GlobalPositionSensor:
+    """GLOBAL_POSITION_SENSOR (296) to one vehicle: where it is when the message arrives. `eph_m`, `epv_m` are 1-sigma."""
+
+    sysid: int
+    time_usec: int
+    lat_deg: float
+    lon_deg: float
+    alt_msl_m: float
+    eph_m: float
+    epv_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRequest:
+    """PARAM_REQUEST_READ (20): asks one vehicle for one parameter by its name."""
+
+    sysid: int
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSet:
+    """PARAM_SET (23): changes one parameter of one vehicle; it answers with PARAM_VALUE. `kind` is a MAV_PARAM_TYPE."""
+
+    sysid: int
+    name: str
+    value: float
+    kind: int
 
 
 @dataclass(frozen=True, slots=True)

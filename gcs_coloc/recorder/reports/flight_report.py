@@ -13,8 +13,7 @@ import numpy as np
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
 from gcs_coloc.core.measurements import Estimate, Vector3
-from gcs_coloc.core.messages.aiding import ExternalPosition, GlobalPositionSensor
-from gcs_coloc.core.messages.outbound import GpsInput, HealthChanged, Notice, Outbound
+from gcs_coloc.core.messages.outbound import ExternalPosition, GlobalPositionSensor, GpsInput, HealthChanged, Notice, Outbound
 from gcs_coloc.evaluation.scoring import VehicleScore, score, series_of
 from gcs_coloc.recorder.side_tables import TruthPoint
 

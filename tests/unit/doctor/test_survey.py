@@ -7,9 +7,8 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages.aiding import ParameterRequest
 from gcs_coloc.core.messages.inbound import Autopilot
-from gcs_coloc.core.messages.outbound import StreamRequest, TimeSyncRequest
+from gcs_coloc.core.messages.outbound import ParameterRequest, StreamRequest, TimeSyncRequest
 from gcs_coloc.core.telemetry.stream_requests import WANTED_HZ
 from gcs_coloc.doctor.parameters import AT_ONCE, MOST_TRIES, OWN_TRIES, RETRY_S, ParameterReader
 from gcs_coloc.doctor.survey import Survey

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages.aiding import ExternalPosition, GlobalPositionSensor, ParameterRequest, ParameterSet
+from gcs_coloc.core.messages.outbound import ExternalPosition, GlobalPositionSensor, ParameterRequest, ParameterSet
 from gcs_coloc.mavlink.encoder import Encoder
 
 EXTERNAL = ExternalPosition(sysid=4, sent_s=123.5, lat_deg=-35.36326215, lon_deg=149.16523745, accuracy_m=12.25)

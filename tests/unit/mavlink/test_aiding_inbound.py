@@ -8,7 +8,8 @@ import pytest
 from pymavlink.dialects.v10 import ardupilotmega as mavlink1
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages.aiding import CommandResult, ForeignGpsInput, ParameterValue
+from gcs_coloc.core.messages.control import ForeignGpsInput
+from gcs_coloc.core.messages.inbound import CommandResult, ParameterValue
 from gcs_coloc.mavlink.decoder import Decoder
 
 FIX = mavlink.MAVLink_gps_input_message(0, 1, 0, 0, 0, 3, 470000000, 80000000, 500.0, 1.0, 1.0, 0, 0, 0, 0.5, 2.0, 3.0, 10)

@@ -6,10 +6,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.advance import Overrun
-from gcs_coloc.core.messages.aiding import ForeignGpsInput
 from gcs_coloc.core.messages.control import (
     AidingOverride,
     ClockReference,
+    ForeignGpsInput,
     GpsOverride,
     OperatorCommand,
     PrimaryOverride,

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from gcs_coloc.core.aiding.methods.method import MethodContext, Moment
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import NoEstimate
-from gcs_coloc.core.messages.aiding import CommandResult, ExternalPosition
-from gcs_coloc.core.messages.outbound import AidingMessage, Notice
+from gcs_coloc.core.messages.inbound import CommandResult
+from gcs_coloc.core.messages.outbound import AidingMessage, ExternalPosition, Notice
 from gcs_coloc.core.refusals import CoreRefusal
 
 COMMAND = 43003

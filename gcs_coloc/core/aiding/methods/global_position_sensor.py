@@ -8,8 +8,8 @@ from math import sqrt
 from gcs_coloc.core.aiding.methods.method import MethodContext, Moment
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import NoEstimate
-from gcs_coloc.core.messages.aiding import CommandResult, GlobalPositionSensor
-from gcs_coloc.core.messages.outbound import AidingMessage, Notice
+from gcs_coloc.core.messages.inbound import CommandResult
+from gcs_coloc.core.messages.outbound import AidingMessage, GlobalPositionSensor, Notice
 
 
 class GlobalPositionSensorMethod:

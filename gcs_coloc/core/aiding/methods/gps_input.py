@@ -18,7 +18,7 @@ from gcs_coloc.core.clocks.gps_time import gps_week_and_ms
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m, worst_sigma
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate
-from gcs_coloc.core.messages.aiding import CommandResult
+from gcs_coloc.core.messages.inbound import CommandResult
 from gcs_coloc.core.messages.outbound import AidingMessage, GpsInput, Notice
 
 _FIX_3D, _NO_FIX = 3, 1

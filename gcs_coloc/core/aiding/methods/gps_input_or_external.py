@@ -8,7 +8,7 @@ from gcs_coloc.core.aiding.ekf_gates import CHECK, SCALE, EkfGates
 from gcs_coloc.core.aiding.methods.external_position import ExternalPositionMethod
 from gcs_coloc.core.aiding.methods.gps_input import GpsInputMethod, no_fix
 from gcs_coloc.core.aiding.methods.method import MethodContext, Moment
-from gcs_coloc.core.messages.aiding import CommandResult
+from gcs_coloc.core.messages.inbound import CommandResult
 from gcs_coloc.core.messages.outbound import AidingMessage, GpsInput, Notice
 
 _COARSE_FOR_S = 1.0  # chosen: a coarse moment changes nothing

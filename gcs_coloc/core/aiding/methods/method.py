@@ -12,7 +12,7 @@ from gcs_coloc.core.aiding.parameters import Parameters
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, NoEstimate
-from gcs_coloc.core.messages.aiding import CommandResult
+from gcs_coloc.core.messages.inbound import CommandResult
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice
 from gcs_coloc.core.refusals import CoreRefusal
 

@@ -8,10 +8,9 @@ from engine_flights import StraightLine, aids, fly, settings, texts, vehicle_4
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.messages.aiding import ForeignGpsInput, GlobalPositionSensor
-from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, OperatorCommand
+from gcs_coloc.core.messages.control import AidingOverride, ForeignGpsInput, GpsOverride, OperatorCommand
 from gcs_coloc.core.messages.inbound import Autopilot, GpsReceiver, Heartbeat
-from gcs_coloc.core.messages.outbound import AidingMessage, GpsInput, Notice
+from gcs_coloc.core.messages.outbound import AidingMessage, GlobalPositionSensor, GpsInput, Notice
 
 
 def test_aid_off_ends_the_stream_with_no_fix_and_auto_begins_it_again():

@@ -9,10 +9,9 @@ from engine_flights import StraightLine, fly, settings
 
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages.aiding import CommandResult, ExternalPosition, ParameterRequest, ParameterValue
 from gcs_coloc.core.messages.control import TransmitDisabled
-from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
-from gcs_coloc.core.messages.outbound import GpsInput, Notice
+from gcs_coloc.core.messages.inbound import CommandResult, ParameterValue, PeerRange, TimeBase
+from gcs_coloc.core.messages.outbound import ExternalPosition, GpsInput, Notice, ParameterRequest
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 COMMAND = 43003

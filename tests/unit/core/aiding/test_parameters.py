@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from gcs_coloc.core.aiding.parameters import Parameters
-from gcs_coloc.core.messages.aiding import ParameterRequest, ParameterValue
+from gcs_coloc.core.messages.inbound import ParameterValue
+from gcs_coloc.core.messages.outbound import ParameterRequest
 
 
 def asked_over(

@@ -8,10 +8,9 @@ from engine_flights import StraightLine, fly, settings, texts, vehicle_4
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.messages.aiding import ParameterRequest, ParameterSet, ParameterValue
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, PrimaryOverride
-from gcs_coloc.core.messages.inbound import GpsReceiver
-from gcs_coloc.core.messages.outbound import GpsInput
+from gcs_coloc.core.messages.inbound import GpsReceiver, ParameterValue
+from gcs_coloc.core.messages.outbound import GpsInput, ParameterRequest, ParameterSet
 
 
 class Switching:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from gcs_coloc.core.aiding.primary_switch import PrimarySwitch
-from gcs_coloc.core.messages.aiding import ParameterRequest, ParameterSet, ParameterValue
-from gcs_coloc.core.messages.outbound import Notice
+from gcs_coloc.core.messages.inbound import ParameterValue
+from gcs_coloc.core.messages.outbound import Notice, ParameterRequest, ParameterSet
 
 INT8 = 2
 

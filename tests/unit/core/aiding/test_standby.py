@@ -10,8 +10,7 @@ from engine_flights import StraightLine, aids, fly, parameters_told, settings, v
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.messages.aiding import ParameterRequest
-from gcs_coloc.core.messages.outbound import AidingMessage, Notice
+from gcs_coloc.core.messages.outbound import AidingMessage, Notice, ParameterRequest
 
 
 def standing_by(**values: float) -> tuple[Engine, StraightLine]:
