@@ -50,7 +50,7 @@ from gcs_coloc.core.messages.inbound import (
 )
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound, ParameterSet
 from gcs_coloc.core.range_jumps import RangeJumps
-from gcs_coloc.core.refusals import CoreRefusal
+from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.residual_log import ResidualLog
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, MeasurementSettings

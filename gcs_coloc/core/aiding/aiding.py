@@ -20,7 +20,7 @@ from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.messages.control import AidingOverride, ForeignGpsInput, PrimaryOverride, RouteBlock
 from gcs_coloc.core.messages.inbound import CommandResult, GpsReceiver, ParameterValue
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound, ParameterRequest, ParameterSet
-from gcs_coloc.core.refusals import CoreRefusal
+from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.telemetry.measurement_builder import SentFix
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 from gcs_coloc.core.tick_schedule import TickSchedule

@@ -11,7 +11,7 @@ from gcs_coloc.core.clocks.unanswered_timesync import UnansweredTimesync
 from gcs_coloc.core.clocks.vehicle_clocks import ServiceTime, TimeSettings, VehicleClock
 from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, SystemTime, TimeBase, TimeSyncAnswer
 from gcs_coloc.core.messages.outbound import Notice, TimeSyncRequest
-from gcs_coloc.core.refusals import CoreRefusal
+from gcs_coloc.core.reasons import CoreRefusal
 
 _MAX_RANGE_CLOCKS = 16  # of one vehicle; chosen: bounds the table against a sender of random device ids
 _OTHER_ROUTE_SHARE = 0.5  # of the delay, 1-sigma: a range may come by another route than the position

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gcs_coloc.core.clocks.sender_clock import Drift
-from gcs_coloc.core.refusals import CoreRefusal
+from gcs_coloc.core.reasons import CoreRefusal
 
 _WINDOW_S = 300.0
 _MOST_EXCHANGES = 400

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from gcs_coloc.core.clocks.duplicate_ids import DuplicateIdDetector
 from gcs_coloc.core.clocks.sender_clock import CRYSTAL_DRIFT, JUMPS_TO_BELIEVE, SenderClock
 from gcs_coloc.core.clocks.timesync import RoundTrips, Synchronised
-from gcs_coloc.core.refusals import CoreRefusal
+from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
 _SAME_CLOCK_S = 0.05

@@ -16,11 +16,12 @@ from dataclasses import dataclass
 from enum import Enum
 
 from gcs_coloc.core.gps_health.motion_check import MotionCheck
-from gcs_coloc.core.gps_health.reasons import GpsReason, StatedGpsReason
+from gcs_coloc.core.gps_health.reasons import GpsReason
 from gcs_coloc.core.gps_health.receiver_check import ReceiverCheck
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.messages.inbound import EkfStatus, GlobalPosition, GpsReceiver, SystemHealth
+from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
 
@@ -88,8 +89,8 @@ class GpsEvidence:
     override: GpsOverride = GpsOverride.AUTO
 
 
-_NOTHING_HEARD = StatedGpsReason(GpsReason.NOTHING_HEARD)
-_DUPLICATE_ID = StatedGpsReason(GpsReason.DUPLICATE_ID)
+_NOTHING_HEARD = StatedReason(GpsReason.NOTHING_HEARD)
+_DUPLICATE_ID = StatedReason(GpsReason.DUPLICATE_ID)
 
 
 class GpsHealth:
@@ -110,7 +111,7 @@ class GpsHealth:
         return self._state
 
     @property
-    def reason(self) -> StatedGpsReason:
+    def reason(self) -> StatedReason[GpsReason]:
         """What speaks for the state."""
         return self._reason
 
@@ -127,7 +128,7 @@ class GpsHealth:
         """Move the machine on to `now_s`; True where the state changed."""
         if evidence.override is not GpsOverride.AUTO:
             forced = GpsState.FAILED if evidence.override is GpsOverride.FAILED else GpsState.HEALTHY
-            return self._enter(forced, StatedGpsReason(GpsReason.OVERRIDDEN, detail=evidence.override.value), now_s)
+            return self._enter(forced, StatedReason(GpsReason.OVERRIDDEN, detail=evidence.override.value), now_s)
         fault = self._fault(evidence, now_s)
         if fault is not None:
             self._good_since_s = None
@@ -138,7 +139,7 @@ class GpsHealth:
             self._good_since_s = now_s
         return self._good(evidence.receiver, evidence, now_s - self._good_since_s, now_s)
 
-    def _bad(self, fault: StatedGpsReason, evidence: GpsEvidence, now_s: float) -> bool:
+    def _bad(self, fault: StatedReason[GpsReason], evidence: GpsEvidence, now_s: float) -> bool:
         if self._state is GpsState.FAILED:
             self._reason = fault
             return False
@@ -160,14 +161,14 @@ class GpsHealth:
             recover_after_s = self._settings.recover_after_s
             if self._state is GpsState.FAILED or good_for_s < recover_after_s or evidence.is_return_contradicted:
                 reason = GpsReason.RETURNED_UNTESTED if untested else GpsReason.RETURNED
-                return self._enter(GpsState.RECOVERING, StatedGpsReason(reason, limit=recover_after_s, detail=fix), now_s)
+                return self._enter(GpsState.RECOVERING, StatedReason(reason, limit=recover_after_s, detail=fix), now_s)
             reason = GpsReason.RECOVERED_UNTESTED if untested else GpsReason.FIX
-            return self._enter(GpsState.HEALTHY, StatedGpsReason(reason, detail=fix), now_s)
+            return self._enter(GpsState.HEALTHY, StatedReason(reason, detail=fix), now_s)
         if self._state is GpsState.SUSPECT and good_for_s < self._settings.clear_after_s:
             return False
-        return self._enter(GpsState.HEALTHY, StatedGpsReason(GpsReason.FIX, detail=fix), now_s)
+        return self._enter(GpsState.HEALTHY, StatedReason(GpsReason.FIX, detail=fix), now_s)
 
-    def _fault(self, evidence: GpsEvidence, now_s: float) -> StatedGpsReason | None:
+    def _fault(self, evidence: GpsEvidence, now_s: float) -> StatedReason[GpsReason] | None:
         """Return the worst thing that the evidence says, or None."""
         if evidence.has_duplicate_id:
             return _DUPLICATE_ID
@@ -177,9 +178,9 @@ class GpsHealth:
             if fault is not None:
                 return fault
             if now_s - receiver.received_at_s > self._settings.silence_s:
-                return StatedGpsReason(GpsReason.SILENT, limit=self._settings.silence_s)
+                return StatedReason(GpsReason.SILENT, limit=self._settings.silence_s)
         if evidence.contradiction is not None:
-            return StatedGpsReason(GpsReason.CONTRADICTED_BY_RANGES, detail=evidence.contradiction.text)
+            return StatedReason(GpsReason.CONTRADICTED_BY_RANGES, detail=evidence.contradiction.text)
         if evidence.is_aided:
             return None
         implausible = self._motion.implausible(now_s)
@@ -188,12 +189,12 @@ class GpsHealth:
         if self._own_fix.fault is not None:
             return self._own_fix.fault
         if evidence.system is not None and evidence.system.gps_enabled and not evidence.system.gps_healthy:
-            return StatedGpsReason(GpsReason.SYSTEM_UNHEALTHY)
+            return StatedReason(GpsReason.SYSTEM_UNHEALTHY)
         if evidence.ekf is not None:
             if evidence.ekf.gps_glitching:
-                return StatedGpsReason(GpsReason.EKF_GLITCH)
+                return StatedReason(GpsReason.EKF_GLITCH)
             if evidence.ekf.constant_position_mode or not evidence.ekf.horizontal_position_absolute:
-                return StatedGpsReason(GpsReason.EKF_NOT_ABSOLUTE)
+                return StatedReason(GpsReason.EKF_NOT_ABSOLUTE)
         return None
 
     def _has_ceased(self, evidence: GpsEvidence, now_s: float) -> bool:
@@ -205,16 +206,16 @@ class GpsHealth:
         unhealthy = system is not None and system.received_at_s >= oldest_s and system.gps_enabled and not system.gps_healthy
         return unhealthy or (ekf is not None and ekf.received_at_s >= oldest_s and not ekf.horizontal_position_absolute)
 
-    def _receiver_fault(self, receiver: GpsReceiver) -> StatedGpsReason | None:
+    def _receiver_fault(self, receiver: GpsReceiver) -> StatedReason[GpsReason] | None:
         if receiver.fix_type < 3:
-            return StatedGpsReason(GpsReason.NO_FIX, receiver.fix_type)
+            return StatedReason(GpsReason.NO_FIX, receiver.fix_type)
         if receiver.satellites is not None and receiver.satellites < self._settings.min_satellites:
-            return StatedGpsReason(GpsReason.FEW_SATELLITES, receiver.satellites)
+            return StatedReason(GpsReason.FEW_SATELLITES, receiver.satellites)
         if receiver.h_acc_m is not None and receiver.h_acc_m > self._settings.max_h_acc_m:
-            return StatedGpsReason(GpsReason.POOR_ACCURACY, receiver.h_acc_m, self._settings.max_h_acc_m)
+            return StatedReason(GpsReason.POOR_ACCURACY, receiver.h_acc_m, self._settings.max_h_acc_m)
         return self._motion.frozen()
 
-    def _enter(self, state: GpsState, reason: StatedGpsReason, now_s: float) -> bool:
+    def _enter(self, state: GpsState, reason: StatedReason[GpsReason], now_s: float) -> bool:
         changed = state is not self._state
         if changed:
             self._state, self._since_s = state, now_s

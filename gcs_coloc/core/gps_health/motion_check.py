@@ -9,9 +9,10 @@ from collections import deque
 from dataclasses import dataclass, field
 from math import hypot, sqrt
 
-from gcs_coloc.core.gps_health.reasons import GpsReason, StatedGpsReason
+from gcs_coloc.core.gps_health.reasons import GpsReason
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.inbound import GpsReceiver
+from gcs_coloc.core.reasons import StatedReason
 
 _WINDOW_S = 3.0
 _LONGEST_GAP_S = 1.0
@@ -93,17 +94,17 @@ class MotionCheck:
             self._same_path_m += speed_mps * min(fix.received_at_s - self._heard_at_s, _LONGEST_GAP_S)
         self._heard_at_s = fix.received_at_s
 
-    def implausible(self, now_s: float) -> StatedGpsReason | None:
+    def implausible(self, now_s: float) -> StatedReason[GpsReason] | None:
         """Why the positions reported of late are not believed; None where they are."""
         if now_s - self._missed_at_s > _HELD_S:
             return None
-        return StatedGpsReason(GpsReason.IMPLAUSIBLE_MOTION, self._miss_m, _WINDOW_S)
+        return StatedReason(GpsReason.IMPLAUSIBLE_MOTION, self._miss_m, _WINDOW_S)
 
-    def frozen(self) -> StatedGpsReason | None:
+    def frozen(self) -> StatedReason[GpsReason] | None:
         """Why the receiver is held to be frozen, or None: a moving one never repeats a fix to the centimetre."""
         if self._heard_at_s - self._same_since_s < _FROZEN_S or self._same_path_m < _FROZEN_PATH_M:
             return None
-        return StatedGpsReason(GpsReason.FROZEN, self._same_path_m)
+        return StatedReason(GpsReason.FROZEN, self._same_path_m)
 
     def _next(self, reported: PositionMeasurement, velocity: tuple[float, float, float]) -> _Step:
         at_s, (ve, vn, _) = reported.measured_at_s, velocity

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from math import hypot
 
 from gcs_coloc.core.geodesy import horizontal_distance_m
-from gcs_coloc.core.gps_health.reasons import GpsReason, StatedGpsReason
+from gcs_coloc.core.gps_health.reasons import GpsReason
 from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver
+from gcs_coloc.core.reasons import StatedReason
 
 _SIGMAS = 5.0
 _UNSTATED_SIGMA_M = 5.0
@@ -25,7 +26,7 @@ _HAS_FIX = 3
 class ReceiverCheck:
     """The check of one vehicle. `fault`: how far its reported position is off its receiver's; None where it is not."""
 
-    fault: StatedGpsReason | None = None
+    fault: StatedReason[GpsReason] | None = None
     _off_since_s: float | None = None
 
     def add(self, fix: GpsReceiver, position: GlobalPosition | None) -> None:
@@ -46,4 +47,4 @@ class ReceiverCheck:
         if self._off_since_s is None:
             self._off_since_s = fix.received_at_s
         if fix.received_at_s - self._off_since_s >= _PERSISTS_S:
-            self.fault = StatedGpsReason(GpsReason.OFF_ITS_RECEIVER, off_m)
+            self.fault = StatedReason(GpsReason.OFF_ITS_RECEIVER, off_m)

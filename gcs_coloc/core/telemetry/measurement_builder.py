@@ -26,7 +26,7 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
 from gcs_coloc.core.messages.outbound import Notice
-from gcs_coloc.core.refusals import CoreRefusal
+from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.setting_bounds import check_bounds, positive
 from gcs_coloc.core.telemetry.air_data import true_airspeed_mps
 from gcs_coloc.core.telemetry.repeated_ranges import RangeRepeats

@@ -13,7 +13,7 @@ from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import NoEstimate
 from gcs_coloc.core.messages.inbound import CommandResult
 from gcs_coloc.core.messages.outbound import AidingMessage, ExternalPosition, Notice
-from gcs_coloc.core.refusals import CoreRefusal
+from gcs_coloc.core.reasons import CoreRefusal
 
 COMMAND = 43003
 """MAV_CMD_EXTERNAL_POSITION_ESTIMATE."""

@@ -9,7 +9,7 @@ import pytest
 
 from gcs_coloc.core.clocks.sender_clock import SenderClock
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings, VehicleClock
-from gcs_coloc.core.refusals import CoreRefusal
+from gcs_coloc.core.reasons import CoreRefusal
 
 Delay = Callable[[np.random.Generator], float]
 UNIFORM: Delay = lambda rng: float(rng.uniform(0.05, 0.4))  # noqa: E731

@@ -5,10 +5,11 @@ from dataclasses import replace
 import pytest
 
 from gcs_coloc.core.gps_health.gps_health import GpsEvidence, GpsHealth, GpsHealthSettings, GpsState, RangeContradiction
-from gcs_coloc.core.gps_health.reasons import GpsReason, StatedGpsReason
+from gcs_coloc.core.gps_health.reasons import GpsReason
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.messages.inbound import EkfStatus, GpsReceiver, SystemHealth
+from gcs_coloc.core.reasons import StatedReason
 
 
 def receiver(at_s: float, fix_type: int = 3, satellites: int | None = 10, h_acc_m: float | None = 1.0) -> GpsReceiver:
@@ -228,6 +229,6 @@ def test_an_identified_contradiction_fails_at_once_and_an_unclear_one_is_suspect
 
 @pytest.mark.parametrize("reason", GpsReason)
 def test_every_reason_is_worded(reason):
-    text = StatedGpsReason(reason, 1.0, 2.0, "a detail").text
+    text = StatedReason(reason, 1.0, 2.0, "a detail").text
     assert text
     assert "{" not in text

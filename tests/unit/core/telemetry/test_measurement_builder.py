@@ -9,7 +9,7 @@ from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import AltitudeMeasurement, Measurement, PositionMeasurement, RangeMeasurement
 from gcs_coloc.core.messages.inbound import Airspeed, Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
-from gcs_coloc.core.refusals import CoreRefusal
+from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, MeasurementSettings, SentFix
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 

@@ -1,8 +1,36 @@
-"""What the core refuses, as reasons to count by."""
+"""Reasons of the core: those that it states with numbers, and those that it counts refusals by."""
 
 from __future__ import annotations
 
-from enum import StrEnum
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+from typing import Generic, TypeVar
+
+
+class WordedReason(Enum):
+    """A reason to branch on with its wording: `{value}` is what was found, `{limit}` what is allowed, `{detail}` other words."""
+
+    def __init__(self, code: str, wording: str) -> None:
+        self.code = code
+        self.wording = wording
+
+
+Reason = TypeVar("Reason", bound=WordedReason)
+
+
+@dataclass(frozen=True, slots=True)
+class StatedReason(Generic[Reason]):
+    """A reason with its numbers: what was found, the limit for it, and words from elsewhere."""
+
+    reason: Reason
+    value: float = 0.0
+    limit: float = 0.0
+    detail: str = ""
+
+    @property
+    def text(self) -> str:
+        """The reason in words."""
+        return self.reason.wording.format(value=self.value, limit=self.limit, detail=self.detail)
 
 
 class CoreRefusal(StrEnum):
