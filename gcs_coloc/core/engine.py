@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gcs_coloc.core.aiding.aiding import Aiding, AidingDecision
-from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
+from gcs_coloc.core.aiding.inhibit import InhibitReason
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.aiding.stream import FixInputs
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
@@ -50,7 +50,7 @@ from gcs_coloc.core.messages.inbound import (
 )
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound, ParameterSet
 from gcs_coloc.core.range_jumps import RangeJumps
-from gcs_coloc.core.reasons import CoreRefusal
+from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.residual_log import ResidualLog
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, MeasurementSettings
@@ -396,7 +396,7 @@ class Engine:
             return
         self._duplicate_ids = self._duplicate_ids ^ {sysid}
         if has_duplicate:
-            text = Inhibit(InhibitReason.DUPLICATE_ID).text
+            text = StatedReason(InhibitReason.DUPLICATE_ID).text
             self._notify(now_s, sysid, "error", f"{text}; nothing is sent to them, and no position of theirs is used")
         else:
             self._notify(now_s, sysid, "info", "only one autopilot uses its system id any more")
@@ -463,7 +463,9 @@ class Engine:
 
     def _update_host_inhibit(self) -> bool:
         fault = self._utc.fault()
-        return self.aiding.set_host_inhibit(Inhibit(InhibitReason.HOST_CLOCK, detail=fault.value) if fault is not None else None)
+        return self.aiding.set_host_inhibit(
+            StatedReason(InhibitReason.HOST_CLOCK, detail=fault.value) if fault is not None else None
+        )
 
     def _update_route(self, message: RouteReport) -> None:
         vehicle = self.telemetry.get(message.sysid)

@@ -18,7 +18,8 @@ class WordedReason(Enum):
 Reason = TypeVar("Reason", bound=WordedReason)
 
 
-@dataclass(frozen=True, slots=True)
+# Without slots: with them Python 3.11 cannot make one through a name for it with its type argument.
+@dataclass(frozen=True)
 class StatedReason(Generic[Reason]):
     """A reason with its numbers: what was found, the limit for it, and words from elsewhere."""
 

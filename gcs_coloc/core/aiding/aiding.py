@@ -20,7 +20,7 @@ from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.messages.control import AidingOverride, ForeignGpsInput, PrimaryOverride, RouteBlock
 from gcs_coloc.core.messages.inbound import CommandResult, GpsReceiver, ParameterValue
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound, ParameterRequest, ParameterSet
-from gcs_coloc.core.reasons import CoreRefusal
+from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.telemetry.measurement_builder import SentFix
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 from gcs_coloc.core.tick_schedule import TickSchedule
@@ -222,10 +222,10 @@ class Aiding:
         """Return why a vehicle cannot be aided even if it should be; None where it can."""
         if vehicle.blocked is not None:
             if vehicle.blocked is RouteBlock.NO_HEARTBEAT:
-                return Inhibit(InhibitReason.NO_HEARTBEAT)
-            return Inhibit(InhibitReason.NO_ROUTE, detail=vehicle.blocked_wording or "")
+                return StatedReason(InhibitReason.NO_HEARTBEAT)
+            return StatedReason(InhibitReason.NO_ROUTE, detail=vehicle.blocked_wording or "")
         if has_duplicate_id:
-            return Inhibit(InhibitReason.DUPLICATE_ID)
+            return StatedReason(InhibitReason.DUPLICATE_ID)
         return (
             self._host_inhibit
             or mismatch(method_for(vehicle.sysid, vehicle.autopilot, self._settings), vehicle.autopilot)

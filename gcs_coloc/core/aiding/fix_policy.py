@@ -8,6 +8,7 @@ from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import Estimate, NoEstimate
+from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.residual_log import CONSISTENT_MEDIAN_NIS
 
 _MOST_HDOP = 30.0  # from 46 on positions in turns were off by ten times their bound, up to 27 never beyond it
@@ -48,22 +49,22 @@ class FixPolicy:
             # Not to be located yet is no loss of a fix: the first one is waited for by the vehicle.
             self._lost = self._lost or (self._had_fix and not own_gps)
             self._sound_since_s = None
-            return Inhibit(InhibitReason.NO_ESTIMATE, detail=answer.reason)
+            return StatedReason(InhibitReason.NO_ESTIMATE, detail=answer.reason)
         if own_gps or answer.ranges_in_use > 0:
             self._ranged_at_s = now_s
         self._update_geometry(now_s, is_determined=own_gps or air_data or _is_determined(answer))
         fault = self._fault(answer, now_s)
         if fault is None and not own_gps and median_nis is not None and median_nis > CONSISTENT_MEDIAN_NIS:
-            fault = Inhibit(InhibitReason.RANGES_INCONSISTENT, sqrt(median_nis))
+            fault = StatedReason(InhibitReason.RANGES_INCONSISTENT, sqrt(median_nis))
         if fault is None and not own_gps and range_jump_m is not None:
-            fault = Inhibit(InhibitReason.RANGES_JUMPED, range_jump_m)
+            fault = StatedReason(InhibitReason.RANGES_JUMPED, range_jump_m)
         if fault is not None:
             self._lost, self._sound_since_s = True, None
             return fault
         if self._sound_since_s is None:
             self._sound_since_s = now_s
         if self._lost and now_s - self._sound_since_s < self._settings.regain_after_s:
-            return Inhibit(InhibitReason.REGAINING, limit=self._settings.regain_after_s)
+            return StatedReason(InhibitReason.REGAINING, limit=self._settings.regain_after_s)
         self._lost, self._had_fix = False, True
         return None
 
@@ -77,11 +78,11 @@ class FixPolicy:
         settings = self._settings
         bound_m = horizontal_bound_95_m(answer.covariance)
         if not bound_m <= settings.alert_limit_m:
-            return Inhibit(InhibitReason.BEYOND_ALERT_LIMIT, bound_m, settings.alert_limit_m)
+            return StatedReason(InhibitReason.BEYOND_ALERT_LIMIT, bound_m, settings.alert_limit_m)
         if now_s - self._ranged_at_s > settings.prediction_s:
-            return Inhibit(InhibitReason.PREDICTION_ALONE, limit=settings.prediction_s)
+            return StatedReason(InhibitReason.PREDICTION_ALONE, limit=settings.prediction_s)
         if self._undetermined_s > settings.prediction_s:
-            return Inhibit(InhibitReason.UNDETERMINED, limit=settings.prediction_s)
+            return StatedReason(InhibitReason.UNDETERMINED, limit=settings.prediction_s)
         return None
 
 

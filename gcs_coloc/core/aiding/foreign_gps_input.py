@@ -8,6 +8,7 @@ from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.messages.control import ForeignGpsInput
 from gcs_coloc.core.messages.outbound import Notice
+from gcs_coloc.core.reasons import StatedReason
 
 
 @dataclass(slots=True)
@@ -46,10 +47,10 @@ class ForeignGpsInputMonitor:
         if other.reported:
             return []
         other.reported = True
-        inhibit = Inhibit(InhibitReason.FOREIGN_GPS_INPUT, other.sender, self._gps_id)
+        inhibit = StatedReason(InhibitReason.FOREIGN_GPS_INPUT, other.sender, self._gps_id)
         return [Notice(now_s, sysid, "error", f"{inhibit.text}: ours stands down")]
 
     def inhibit(self, sysid: int) -> Inhibit | None:
         """Return why a vehicle is not aided; None where nobody else feeds it."""
         other = self._others.get(sysid)
-        return Inhibit(InhibitReason.FOREIGN_GPS_INPUT, other.sender, self._gps_id) if other is not None else None
+        return StatedReason(InhibitReason.FOREIGN_GPS_INPUT, other.sender, self._gps_id) if other is not None else None

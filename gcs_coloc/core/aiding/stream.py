@@ -16,6 +16,7 @@ from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.core.messages.outbound import GpsInput, Notice, Outbound
+from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.telemetry.measurement_builder import SentFix
 from gcs_coloc.core.tick_schedule import TickSchedule
 
@@ -72,7 +73,7 @@ class AidingStream:
         self.name = name
         self.method = method
         self.due_s = now_s
-        self.inhibit: Inhibit | None = Inhibit(InhibitReason.NOT_SENT_YET)
+        self.inhibit: Inhibit | None = StatedReason(InhibitReason.NOT_SENT_YET)
         self.sent_fix: SentFix | None = None
         self._sysid = sysid
         self._purpose = purpose

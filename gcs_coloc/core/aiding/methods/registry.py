@@ -13,6 +13,7 @@ from gcs_coloc.core.aiding.methods.gps_input_or_external import GpsInputOrExtern
 from gcs_coloc.core.aiding.methods.method import AidingMethod, MethodContext
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.messages.inbound import Autopilot
+from gcs_coloc.core.reasons import StatedReason
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +47,9 @@ def feeds_receiver(name: AidingMethodName) -> bool:
 def mismatch(name: AidingMethodName, autopilot: Autopilot | None) -> Inhibit | None:
     """Return why a method is none for an autopilot; None where it is one, or the operator's own choice."""
     if name == "auto" and autopilot is not Autopilot.ARDUPILOT:
-        return Inhibit(InhibitReason.UNKNOWN_AUTOPILOT)
+        return StatedReason(InhibitReason.UNKNOWN_AUTOPILOT)
     if autopilot is Autopilot.PX4 and feeds_receiver(name):
-        return Inhibit(InhibitReason.PX4_IGNORES_GPS_INPUT)
+        return StatedReason(InhibitReason.PX4_IGNORES_GPS_INPUT)
     if autopilot is Autopilot.ARDUPILOT and name == "global_position_sensor":
-        return Inhibit(InhibitReason.ARDUPILOT_IGNORES_POSITION_SENSOR)
+        return StatedReason(InhibitReason.ARDUPILOT_IGNORES_POSITION_SENSOR)
     return None
