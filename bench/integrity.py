@@ -10,7 +10,6 @@ import numpy as np
 from bench.accuracy_runs import on_all_cores
 from bench.figures import Figure
 from bench.integrity_flights import DENIED, SPOOFED_AT_S, STEP_S, Flight, Scenario, error_and_bound_m, fly_step, fresh_engine
-from bench.integrity_ideal import FALSE_ALARMS, detected_in_time
 from gcs_coloc.core.gps_health.gps_health import GpsState
 
 _GIVEN_UP_S = 60.0
@@ -54,7 +53,7 @@ def measure(quick: bool) -> list[Figure]:
     """Exclusion of a faulty peer, and false exclusion in clean flight."""
     runs, hours = (6, 0.5) if quick else (200, 10.0)
     walks = [_exclusion(name, scenario, max(round(runs * share), 4)) for name, scenario, share in _WALKS]
-    return [*walks, _ideal(runs), *_false_exclusions(hours)]
+    return [*walks, *_false_exclusions(hours)]
 
 
 def _exclusion(name: str, scenario: Scenario, runs: int) -> Figure:
@@ -69,19 +68,6 @@ def _exclusion(name: str, scenario: Scenario, runs: int) -> Figure:
         f"excluded in time in {kept:.1%}, error passed the bound first in {passed:.1%}; median after {median_s:.1f} s",
         ">= 95 % before the denied vehicle's error passes 1.5 x its 95 % bound",
         kept >= 0.95,
-    )
-
-
-def _ideal(runs: int) -> Figure:
-    tasks = [(_ONLY_ITS_OWN, seed) for seed in range(runs)]
-    shares = np.mean(on_all_cores("the ideal test", detected_in_time, tasks), axis=0)
-    text = ", ".join(f"{share:.1%} at {chance:g}" for share, chance in zip(shares, FALSE_ALARMS, strict=True))
-    return Figure(
-        "integrity",
-        f"a test that knows the noise, the faulty peer, its course and its beginning: only the vehicle's ranges, {runs} runs",
-        f"detected before the error passed 1.5 x the bound of a clean flight in {text} false alarms per test",
-        "",
-        None,
     )
 
 

@@ -38,8 +38,7 @@ if TYPE_CHECKING:
     from gcs_coloc.estimators.qu_zhang.settings import QuZhangSettings
     from gcs_coloc.estimators.registry import load_estimator
     from gcs_coloc.evaluation.dataset import Dataset, read_dataset
-    from gcs_coloc.evaluation.evaluate import Evaluation, evaluate, evaluate_dataset
-    from gcs_coloc.evaluation.plot import plot_evaluation
+    from gcs_coloc.evaluation.evaluate import Evaluation, evaluate, evaluate_dataset, plot_evaluation
     from gcs_coloc.recorder.recording_arrays import RecordingArrays, VehicleArrays, read_recording
 
 __version__ = "0.2.0"

@@ -28,7 +28,7 @@ def evaluate(
 ) -> None:
     """Run an estimator over a data set, causally, and score it against the truth."""
     from gcs_coloc.evaluation import evaluate as study
-    from gcs_coloc.evaluation.plot import plot_evaluation
+    from gcs_coloc.evaluation.evaluate import plot_evaluation
 
     settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {}, fleet)
     # As in flight: what it fails at is told and scored as no answer.

@@ -87,10 +87,9 @@ def bound(
     plot: Annotated[Path | None, typer.Option(help="Draw the bound over time into this file.")] = None,
 ) -> None:
     """Compute the posterior Cramer-Rao bound along the true flight of each vehicle that loses its GPS."""
-    from gcs_coloc.study import scenario_bound
-    from gcs_coloc.study.bound import BoundOptions
+    from gcs_coloc.study.bound import BoundOptions, plot_bounds, run_scenario_bound
 
-    bounds = scenario_bound.run(scenario, seed, BoundOptions(peer_sigma_m=peer_sigma, density_m2ps3=density))
+    bounds = run_scenario_bound(scenario, seed, BoundOptions(peer_sigma_m=peer_sigma, density_m2ps3=density))
     for sysid, least in bounds.items():
         sigma_m = least.horizontal_sigma_m
         print(
@@ -98,4 +97,4 @@ def bound(
             f"{least.horizontal_rmse_m():.2f} m, at any one time {sigma_m.min():.2f} to {sigma_m.max():.2f} m"
         )
     if plot is not None:
-        scenario_bound.plot(bounds, plot)
+        plot_bounds(bounds, plot)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from gcs_coloc import __version__
+from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.estimator import Estimator
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
@@ -24,14 +25,16 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
+from gcs_coloc.evaluation.data_checks.checks import check_delays, run_checks
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
+from gcs_coloc.evaluation.data_checks.recorded_data import recorded_data
 from gcs_coloc.evaluation.dataset import Dataset, Node, read_dataset
-from gcs_coloc.evaluation.dataset_findings import dataset_findings
 from gcs_coloc.evaluation.scoring import EstimateSeries, VehicleScore, score, series_of
 
 _PLANE_EVERY_S = 0.2
 _PLANE_SIGMA_M = 0.1
 """Period and 1-sigma of the heights that a flat data set gives a denied vehicle. Chosen: a good barometer at 5 Hz."""
+_KINDS = {PositionMeasurement: "positions", RangeMeasurement: "ranges", AltitudeMeasurement: "heights"}
 _NUMBER = re.compile(r"[0-9.]+")
 
 
@@ -92,6 +95,15 @@ def evaluate(directory: Path, estimator: Estimator, cpu_s: Callable[[], float] =
     """
     dataset = read_dataset(directory)
     return replace(evaluate_dataset(dataset, estimator, cpu_s), findings=tuple(dataset_findings(dataset)))
+
+
+def dataset_findings(dataset: Dataset) -> list[DataFinding]:
+    """Return what does not agree in a data set: units, axes, clocks, offsets, repeated ranges."""
+    delays_s: dict[str, list[float]] = defaultdict(list)
+    for m in dataset.measurements:
+        if type(m) in _KINDS:
+            delays_s[_KINDS[type(m)]].append(m.arrived_at_s - m.measured_at_s)
+    return [*check_delays({kind: np.array(found) for kind, found in delays_s.items()}), *run_checks(recorded_data(dataset))]
 
 
 def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[], float] = time.process_time) -> Evaluation:
@@ -190,3 +202,49 @@ def _plane(dataset: Dataset) -> Iterator[Measurement]:
 def _last_report_s(dataset: Dataset, vehicle: int) -> float:
     reports = [m.arrived_at_s for m in dataset.measurements if isinstance(m, PositionMeasurement) and m.vehicle == vehicle]
     return max(reports, default=-math.inf)
+
+
+def plot_evaluation(evaluation: Evaluation, path: Path) -> None:
+    """Draw each vehicle's track, its error against the stated 2-sigma, and the NIS of its ranges; the ending sets the format.
+
+    Raises:
+        UsageError: matplotlib is not installed, or the ending is not one that it writes, or the file cannot be written.
+
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise UsageError('drawing needs matplotlib: pip install "gcs-coloc[plots]"') from error
+    figure = Figure(figsize=(12.0, 6.0 * len(evaluation.denied)), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(f"{evaluation.dataset}: {evaluation.estimator}")
+    rows = figure.subplots(2 * len(evaluation.denied), 2, squeeze=False)
+    for i, denied_vehicle in enumerate(evaluation.denied):
+        grid = rows[0, 0].get_gridspec()
+        for axes in rows[2 * i : 2 * i + 2, 0]:
+            axes.remove()
+        track = figure.add_subplot(grid[2 * i : 2 * i + 2, 0])
+        _draw(denied_vehicle, track, rows[2 * i, 1], rows[2 * i + 1, 1])
+    try:
+        figure.savefig(path, dpi=110)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{path}: cannot be written: {error}") from error
+
+
+def _draw(denied_vehicle: VehicleEvaluation, track: Any, error: Any, nis: Any) -> None:
+    series = denied_vehicle.series
+    t = series.times_s
+    track.plot(series.truth_enu_m[:, 0], series.truth_enu_m[:, 1], color="0.6", lw=3, label="truth")
+    track.plot(series.estimate_enu_m[:, 0], series.estimate_enu_m[:, 1], color="#0072b2", lw=1, label="estimate")
+    track.set(xlabel="east, m", ylabel="north, m", title=denied_vehicle.node.id, aspect="equal")
+    track.legend()
+    horizontal_m = np.linalg.norm((series.estimate_enu_m - series.truth_enu_m)[:, :2], axis=1)
+    two_sigma_m = 2.0 * np.sqrt(0.5 * (series.covariance_m2[:, 0, 0] + series.covariance_m2[:, 1, 1]))
+    error.plot(t, horizontal_m, color="#0072b2", lw=1, label="horizontal error")
+    error.plot(t, two_sigma_m, color="#d55e00", lw=1, label="2 sigma, mean of both axes")
+    error.set(ylabel="m", ylim=(0.0, None))
+    error.legend()
+    nis.plot(denied_vehicle.nis[:, 0], denied_vehicle.nis[:, 1], ".", color="0.4", ms=2)
+    nis.axhline(1.0, color="#d55e00", lw=1)
+    nis.set(xlabel="s", ylabel="NIS of ranges (1 on average)", yscale="symlog")

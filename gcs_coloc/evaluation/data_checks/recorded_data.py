@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, PositionMeasurement, RangeMeasurement
 from gcs_coloc.evaluation.data_checks.findings import median_residual_m
+from gcs_coloc.evaluation.dataset import Dataset
 
 _GAP_SPACINGS = 2.5
 _SHORTEST_GAP_S = 2.0
@@ -19,6 +21,7 @@ _FINE_S = np.linspace(-2.0, 2.0, 81)
 _COARSE_S = np.concatenate((np.linspace(-30.0, 30.0, 241), np.arange(31.0, 121.0), -np.arange(31.0, 121.0)))
 """Time offsets tried, s: 0.05 s apart to 2 s, 0.25 s to 30 s, 1 s to 2 min; chosen: a vehicle at 20 m/s is 20 m off at 1 s."""
 
+_NO_VELOCITY = (float("nan"),) * 3
 Mask = NDArray[np.bool_]
 
 
@@ -76,6 +79,38 @@ class RecordedData:
     """Of each vehicle (T, 3): time in s, height and sigma in m."""
     origin_height_m: float = 0.0
     """Height of the frame's origin above mean sea level, where heights were brought into the frame from there."""
+
+
+def recorded_data(dataset: Dataset) -> RecordedData:
+    """Return what the checks compare of a data set; in a flat one the heights say nothing of the distances."""
+    positions: dict[int, list[tuple[float, ...]]] = defaultdict(list)
+    heights: dict[int, list[tuple[float, ...]]] = defaultdict(list)
+    ranges: list[tuple[float, ...]] = []
+    height = 1.0 if dataset.dims == 3 else 0.0
+    for m in dataset.measurements:
+        if isinstance(m, PositionMeasurement):
+            e, n, u = m.position_enu_m
+            row = (m.measured_at_s, e, n, height * u, m.sigma_h_m, *(m.velocity_enu_mps or _NO_VELOCITY))
+            positions[m.vehicle].append(row)
+        elif isinstance(m, RangeMeasurement):
+            ranges.append((m.measured_at_s, m.from_vehicle, m.to_vehicle, m.range_m, m.sigma_m))
+        elif isinstance(m, AltitudeMeasurement) and dataset.dims == 3:
+            heights[m.vehicle].append((m.measured_at_s, m.up_m, m.sigma_m))
+    reports = {vehicle: position_track(np.array(rows)) for vehicle, rows in positions.items()}
+    for node in dataset.nodes:
+        if node.place_enu_m is not None and node.sigma_m is not None:
+            place = np.array([node.place_enu_m]) * (1.0, 1.0, height)
+            reports[node.vehicle] = PositionTrack(np.zeros(1), place, np.array([node.sigma_m]), is_static=True)
+    return RecordedData(
+        names={node.vehicle: node.id for node in dataset.nodes},
+        reports=reports,
+        truth={
+            vehicle: PositionTrack(true.times_s, true.positions_enu_m * (1.0, 1.0, height), np.zeros(len(true.times_s)))
+            for vehicle, true in dataset.truth.items()
+        },
+        ranges=np.array(ranges, dtype=float).reshape(-1, 5),
+        heights={vehicle: np.array(rows) for vehicle, rows in heights.items()},
+    )
 
 
 def thinned(rows: FloatArray, most: int) -> FloatArray:

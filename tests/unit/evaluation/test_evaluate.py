@@ -14,8 +14,7 @@ import pytest
 from gcs_coloc import __version__
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, Measurement, NoEstimate, Residual
 from gcs_coloc.estimators.fleet.filter import FleetFilter
-from gcs_coloc.evaluation.evaluate import evaluate
-from gcs_coloc.evaluation.plot import plot_evaluation
+from gcs_coloc.evaluation.evaluate import evaluate, plot_evaluation
 from gcs_coloc.evaluation.scoring import EstimateSeries, score
 from tests.recordings import recording
 

@@ -8,8 +8,7 @@ import pytest
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, fly
-from gcs_coloc.study.demo import figures
-from gcs_coloc.study.demo_picture import draw
+from gcs_coloc.study.demo import draw, figures
 from sitl_fakes.scenario import Scenario, load_scenario
 from sitl_fakes.truth import VehicleTruth
 
