@@ -1,17 +1,28 @@
 """GNSS reacquisition monitor: a receiver that is back is tested against ranges and estimate before it is believed again.
 
-Spoofing often follows jamming: the fix that comes back is then another place's. While a vehicle recovers, `fix_check` tests its
+Spoofing often follows jamming: the fix that comes back is then another place's. While a vehicle recovers, `check_fix` tests its
 receiver in every review. The monitor has its own residual buffer and epochs, so that its findings concern no other vehicle.
+
+The ranges between the vehicle and trusted peers are adjusted with the fix as the vehicle's prior (`adjustment`). What is left
+over is explained by a fault of that fix, of a peer's position, of a pair or of a device (`fault_tests`). Either reference may
+be wrong itself. An estimate may be a reflection, biased by ranges, or uncertain: it counts with its covariance, and not against
+ranges that fit the fix and would not fit if the fix were off by that much.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
+from math import hypot, inf, sqrt
 
+import numpy as np
+
+from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius, horizontal_sigma_m
 from gcs_coloc.core.gps_health.gps_health import GpsState
-from gcs_coloc.core.integrity.epoch import EpochHistory
-from gcs_coloc.core.integrity.fix_check import FixCheck, FixConsistency, check_fix, star
+from gcs_coloc.core.integrity.adjustment import Adjustment, adjust
+from gcs_coloc.core.integrity.epoch import MIN_INFORMATION_PER_M2, Epoch, EpochHistory, Past
+from gcs_coloc.core.integrity.fault_tests import FaultKind, FaultTestResult, SignificanceLevels, chi2_limit, run_test
 from gcs_coloc.core.integrity.range_consistency import ConsistencySettings
 from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, TrackPoint
 from gcs_coloc.core.integrity.report import (
@@ -21,15 +32,45 @@ from gcs_coloc.core.integrity.report import (
     ReacquisitionStatus,
     ReviewedVehicle,
 )
-from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement
+from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement, RangeMeasurement
 from gcs_coloc.core.residual_log import CONSISTENT_MEDIAN_NIS
 
-_CONTRADICTS = (FixConsistency.AGAINST_RANGES, FixConsistency.AGAINST_ESTIMATE)
 _OLDEST_FIX_S = 1.0  # of a receiver at 1 Hz
 _CONFIRM_S = 1.0  # chosen: a finding counts after five reviews in a row
 _EPOCHS_FILLED_AFTER_S = 3.0  # an epoch needs 1.6 s of ranges; chosen: twice that, for lost messages
 _RESET_EVERY_S = 10.0  # chosen: an estimator needs some seconds of ranges after a reset
 _WELL_KNOWN_SHARE = 0.25  # of the offset; chosen: four sigmas tell it from none
+_SIGNIFICANCE = 1e-6  # probability that a right fix and a true covariance differ by more
+# Noncentrality at which a chi-square with 2 degrees of freedom passes its limit at 1e-3 (13.8) in all but one test of a thousand.
+_DETECTABLE_NONCENTRALITY = 50.0
+_MIN_RANGES = 2  # with one range half of an estimate is prediction, which has been found off and certain
+
+
+class FixConsistency(Enum):
+    """Result of the check."""
+
+    NOTHING = "nothing to test it against"
+    AGREES = "consistent, as far as can be tested"
+    AGAINST_RANGES = "the ranges contradict it, and no other fault explains them"
+    AGAINST_ESTIMATE = "the estimate contradicts it, and the ranges do not support it"
+    ESTIMATE_OFF = "the ranges fit it and not the estimate"
+
+
+@dataclass(frozen=True, slots=True)
+class FixCheck:
+    """A finding, and the horizontal distance of the fix from where ranges put the vehicle (m), None where that is unknown.
+
+    `known_m`: horizontal 1-sigma of the best reference that agrees with the fix, m; infinity where there is none.
+    `ranged`: there were ranges to test it against.
+    """
+
+    finding: FixConsistency
+    offset_m: float | None
+    known_m: float
+    ranged: bool
+
+
+_CONTRADICTS = (FixConsistency.AGAINST_RANGES, FixConsistency.AGAINST_ESTIMATE)
 
 
 @dataclass(slots=True)
@@ -162,3 +203,80 @@ def _is_reference(estimate: Estimate, vehicle: ReviewedVehicle) -> bool:
     """Whether an estimate comes from ranges that agree with it."""
     agrees = vehicle.median_nis is None or vehicle.median_nis <= CONSISTENT_MEDIAN_NIS
     return estimate.ranges_in_use > 0 and vehicle.range_jump_m is None and agrees
+
+
+def check_fix(
+    fix: PositionMeasurement, estimate: Estimate | None, epoch: Epoch, pasts: Mapping[float, Past], levels: SignificanceLevels
+) -> FixCheck:
+    """Test a fix against both references.
+
+    Args:
+        fix: the receiver's position.
+        estimate: the vehicle's position from ranges, near the fix in time; None where it is no fit reference.
+        epoch: the vehicle with the fix as its prior, and its residuals to trusted peers: its `star`.
+        pasts: the earlier epochs to compare it with, by interval; none for 0.
+        levels: significance levels of the tests.
+    """
+    difference_m = _difference_m(fix, estimate) if estimate is not None else None
+    offset_m = float(np.hypot(*difference_m)) if difference_m is not None else None
+    fits = adjust(epoch, list(pasts.values())) if epoch.residuals else []
+    results = [run_test(fit, levels) if fit.residuals else None for fit in fits]
+    for result in results:
+        size_m = _size_if_identified(result, fix.vehicle)
+        if size_m is not None:
+            return FixCheck(FixConsistency.AGAINST_RANGES, offset_m if offset_m is not None else size_m, inf, ranged=True)
+    fitting = bool(fits) and _ranges_fit(fits[0], results[0], fix.vehicle, levels)
+    information = fits[0].position_information(fix.vehicle) if fitting else np.zeros((2, 2))
+    known_m = 1.0 / sqrt(max(_least_information_per_m2(information), MIN_INFORMATION_PER_M2))
+    if estimate is not None and difference_m is not None and _is_significant(difference_m, fix, estimate):
+        if float(difference_m @ information @ difference_m) >= _DETECTABLE_NONCENTRALITY:
+            return FixCheck(FixConsistency.ESTIMATE_OFF, offset_m, known_m, ranged=True)
+        if (fits and not fitting) or estimate.ranges_in_use >= _MIN_RANGES:
+            return FixCheck(FixConsistency.AGAINST_ESTIMATE, offset_m, inf, ranged=bool(fits))
+        return FixCheck(FixConsistency.AGREES, offset_m, inf, ranged=bool(fits))
+    if estimate is not None:
+        known_m = min(known_m, horizontal_sigma_m(estimate.covariance))
+    finding = FixConsistency.NOTHING if estimate is None and not fits else FixConsistency.AGREES
+    return FixCheck(finding, offset_m, known_m, ranged=bool(fits))
+
+
+def star(epoch: Epoch, vehicle: int, peers: Container[int]) -> Epoch:
+    """The part of an epoch with the residuals between one vehicle and some peers."""
+    residuals = tuple(r for r in epoch.residuals for end, other in (r.pair, r.pair[::-1]) if end == vehicle and other in peers)
+    return Epoch(epoch.at_s, {end: epoch.priors[end] for residual in residuals for end in residual.pair}, residuals)
+
+
+def _difference_m(fix: PositionMeasurement, estimate: Estimate) -> FloatArray:
+    """Fix minus estimate (2,), at the time of the fix."""
+    at_fix = estimate.position_enu_m[:2] - estimate.velocity_enu_mps[:2] * (estimate.at_s - fix.measured_at_s)
+    return np.asarray(np.array(fix.position_enu_m[:2]) - at_fix)
+
+
+def _least_information_per_m2(information: FloatArray) -> float:
+    """Information along the worst direction: the smaller eigenvalue."""
+    mean, radius = eigenvalue_mean_and_radius(information.item(0), information.item(1), information.item(3), hypot)
+    return mean - radius
+
+
+def _is_significant(difference_m: FloatArray, fix: PositionMeasurement, estimate: Estimate) -> bool:
+    """Whether d' (P + sigma^2 I)^-1 d exceeds its chi-square limit with 2 degrees of freedom."""
+    covariance = estimate.covariance[:2, :2] + fix.sigma_h_m**2 * np.eye(2)
+    return float(difference_m @ np.linalg.solve(covariance, difference_m)) > chi2_limit(2, _SIGNIFICANCE)
+
+
+def _size_if_identified(result: FaultTestResult | None, vehicle: int) -> float | None:
+    """Size in m of the fault of the vehicle's position, where that alone explains an alarm; else None."""
+    if result is None or result.is_consistent or len(result.possible) != 1:
+        return None
+    (only,) = result.possible
+    return only.size_m if only.kind is FaultKind.VEHICLE and only.vehicles == (vehicle,) else None
+
+
+def _ranges_fit(fit: Adjustment, result: FaultTestResult | None, vehicle: int, levels: SignificanceLevels) -> bool:
+    """Whether the ranges fit the vehicle's position, but for a fault elsewhere."""
+    if result is None:
+        return False
+    if result.is_consistent:
+        gain, rank = fit.position_gain(vehicle)
+        return not rank or gain <= chi2_limit(rank, levels.rest)
+    return bool(result.possible) and all((f.kind, f.vehicles) != (FaultKind.VEHICLE, (vehicle,)) for f in result.possible)
