@@ -10,7 +10,7 @@ from itertools import pairwise
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.clocks.duplicate_ids import DuplicateIdDetector
+from gcs_coloc.core.clocks.vehicle_clocks import DuplicateIdDetector
 from gcs_coloc.core.messages.inbound import (
     Attitude,
     Autopilot,

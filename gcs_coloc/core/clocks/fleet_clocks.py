@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from math import hypot
 
 from gcs_coloc.core.clocks.sender_clock import SenderClock
-from gcs_coloc.core.clocks.unanswered_timesync import UnansweredTimesync
 from gcs_coloc.core.clocks.vehicle_clocks import ServiceTime, TimeSettings, VehicleClock
 from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, SystemTime, TimeBase, TimeSyncAnswer
 from gcs_coloc.core.messages.outbound import Notice, TimeSyncRequest
@@ -18,6 +17,8 @@ _OTHER_ROUTE_SHARE = 0.5  # of the delay, 1-sigma: a range may come by another r
 _FIX_AGE_S, _FIX_AGE_SIGMA_S = 0.1, 0.1  # when an autopilot stamps it; 0.11 s on ArduPlane
 _FIX_DELAY_S, _FIX_DELAY_SIGMA_S = 0.25, 0.25  # age and link together, where there is no stamp
 _LONGEST_FIX_AGE_S = 2.0  # beyond, the stamp is another clock's, as some autopilots and simulators put there
+
+_WAITED_S = 20.0  # for answers to TIMESYNC, after a vehicle was first heard
 
 _REFUSALS = {
     GlobalPosition: (CoreRefusal.POSITION_CLOCK_JUMPED, CoreRefusal.POSITION_TOO_OLD),
@@ -31,6 +32,7 @@ class _Clocks:
     boot: VehicleClock = field(default_factory=VehicleClock)
     ranging: dict[tuple[TimeBase, int], SenderClock] = field(default_factory=dict)
     utc_minus_service_s: float | None = None
+    unanswered_reported: set[str] = field(default_factory=set)
 
 
 class FleetClocks:
@@ -42,7 +44,6 @@ class FleetClocks:
         self.refused: Counter[CoreRefusal] = Counter()
         self._max_age_s = max_age_s
         self._clocks: dict[int, _Clocks] = {}
-        self._unanswered = UnansweredTimesync(self.settings)
         self._host_utc_minus_service_s: float | None = None
 
     def set_host_utc(self, utc_minus_service_s: float | None) -> None:
@@ -124,9 +125,28 @@ class FleetClocks:
         return TimeSyncRequest(sysid, ts1_ns) if ts1_ns is not None else None
 
     def report_unanswered(self, sysid: int, first_heard_s: float, now_s: float) -> Notice | None:
-        """Return what the operator must know of a vehicle that does not answer TIMESYNC, once."""
-        report = self._unanswered.report(sysid, self._of(sysid).boot, first_heard_s, now_s)
-        return Notice(now_s, sysid, *report) if report is not None else None
+        """Return what the operator must know of a vehicle that does not answer TIMESYNC: how late its link is held to be.
+
+        Once for each way by which its clock is known instead, and anew after TIMESYNC was answered and is no more.
+        """
+        clocks = self._of(sysid)
+        if now_s - first_heard_s < _WAITED_S or not clocks.boot.stamps.known or self.settings.min_delay_s > 0.0:
+            return None
+        if clocks.boot.synchronised(now_s) is not None:
+            clocks.unanswered_reported.clear()
+            return None
+        one_way = clocks.boot.one_way(self.settings)
+        if one_way.method in clocks.unanswered_reported:
+            return None
+        clocks.unanswered_reported.add(one_way.method)
+        held = f"{one_way.delay_s:.2f} s late, give or take {one_way.sigma_s:.2f} s"
+        if one_way.method == "UTC":
+            return Notice(now_s, sysid, "info", f"it does not answer TIMESYNC: by its UTC its link is {held}")
+        text = (
+            f"it does not answer TIMESYNC, and nothing else shows how late its link is: held to be {held}. Beyond that it is off "
+            "along its course unseen, 2 m for each 0.1 s at 20 m/s; set min_delay_s and min_delay_sigma_s where you know them"
+        )
+        return Notice(now_s, sysid, "warning", text)
 
     def resets(self, sysid: int) -> int:
         """Return how often the clock of a vehicle began anew, as a reboot makes it."""

@@ -7,7 +7,7 @@ import pytest
 from engine_flights import ALT, LAT, LON, M_APART_NORTH, StraightLine, aids, fly, settings, telemetry
 
 from gcs_coloc.core.aiding.settings import AidingSettings
-from gcs_coloc.core.clocks.gps_time import TABLE_GOOD_UNTIL, gps_week_and_ms
+from gcs_coloc.core.clocks.utc import TABLE_GOOD_UNTIL, gps_week_and_ms
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from math import sqrt
 
 from gcs_coloc.core.aiding.methods.method import MethodContext, Moment
-from gcs_coloc.core.clocks.gps_time import gps_week_and_ms
+from gcs_coloc.core.clocks.utc import gps_week_and_ms
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m, worst_sigma
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from engine_flights import StraightLine, aids, fly, settings, telemetry
 
-from gcs_coloc.core.clocks.duplicate_ids import DuplicateIdDetector
+from gcs_coloc.core.clocks.vehicle_clocks import DuplicateIdDetector
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver
 from gcs_coloc.core.messages.outbound import Notice

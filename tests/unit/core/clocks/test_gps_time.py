@@ -2,7 +2,7 @@
 
 from datetime import UTC, datetime
 
-from gcs_coloc.core.clocks.gps_time import TABLE_GOOD_UNTIL, gps_week_and_ms, table_is_old
+from gcs_coloc.core.clocks.utc import TABLE_GOOD_UNTIL, gps_week_and_ms, table_is_old
 
 
 def unix(*date: int) -> float:

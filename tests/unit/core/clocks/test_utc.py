@@ -7,7 +7,7 @@ import ctypes
 import numpy as np
 import pytest
 
-from gcs_coloc.core.clocks.gps_time import gps_week_and_ms
+from gcs_coloc.core.clocks.utc import gps_week_and_ms
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.measurements import Estimate
