@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from gcs_coloc.core.snapshot import Consistency, FleetSnapshot, LinkSnapshot, OutSnapshot, RangeSnapshot, VehicleSnapshot
+from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
+from gcs_coloc.core.snapshot import FleetSnapshot, LinkSnapshot, OutSnapshot, VehicleSnapshot
 
 HEALTHY = VehicleSnapshot(
     sysid=1,

@@ -12,7 +12,7 @@ import typer
 
 from gcs_coloc.cli.warnings import warn_of_findings
 from gcs_coloc.config.fleets import load_settings
-from gcs_coloc.core.guarded_estimator import GuardedEstimator
+from gcs_coloc.core.estimator import GuardedEstimator
 from gcs_coloc.estimators.registry import load_estimator
 
 _MOST_REASONS = 3

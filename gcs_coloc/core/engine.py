@@ -18,11 +18,16 @@ from gcs_coloc.core.aiding.stream import FixInputs
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
 from gcs_coloc.core.clocks.utc import Utc
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
-from gcs_coloc.core.estimator import Estimator
+from gcs_coloc.core.estimator import Estimator, GuardedEstimator
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.gps_health.fleet_health import FleetGpsHealth
-from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsEvidence, GpsHealthSettings, GpsState, RangeContradiction
-from gcs_coloc.core.guarded_estimator import GuardedEstimator
+from gcs_coloc.core.gps_health.gps_health import (
+    DISTRUSTED,
+    FleetGpsHealth,
+    GpsEvidence,
+    GpsHealthSettings,
+    GpsState,
+    RangeContradiction,
+)
 from gcs_coloc.core.integrity.monitor import PLACED_BY_ESTIMATE, IntegrityMonitor
 from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus, ReviewedVehicle
 from gcs_coloc.core.measurements import Estimate, NoEstimate
@@ -49,15 +54,13 @@ from gcs_coloc.core.messages.inbound import (
     TimeSyncAnswer,
 )
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound, ParameterSet
-from gcs_coloc.core.range_jumps import RangeJumps
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
-from gcs_coloc.core.residual_log import ResidualLog
-from gcs_coloc.core.snapshot import FleetSnapshot
+from gcs_coloc.core.residual_log import RangeJumps, ResidualLog
+from gcs_coloc.core.schedule import TickSchedule
+from gcs_coloc.core.snapshot import FleetSnapshot, vehicle_snapshot
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, MeasurementSettings
 from gcs_coloc.core.telemetry.reported_state import ReportedState, Telemetry
 from gcs_coloc.core.telemetry.stream_requests import StreamRequests
-from gcs_coloc.core.tick_schedule import TickSchedule
-from gcs_coloc.core.vehicle_snapshot import vehicle_snapshot
 
 REVIEWED_EVERY_S = 0.2
 """Chosen: a fifth of a second is short against what GPS health waits for, and a fleet's review takes a few milliseconds."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 from bisect import bisect_left, insort
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from functools import lru_cache
+from math import hypot
 
 from scipy.special import betaincinv, gammaincinv
 
 from gcs_coloc.core.measurements import Residual
-from gcs_coloc.core.snapshot import Consistency, RangeSnapshot
 
 CONSISTENT_MEDIAN_NIS = 3.0
 """Up to this median NIS ranges agree with an estimate. It is 0.45 where the covariance is true (the median of chi-square with one
@@ -19,6 +20,40 @@ degree of freedom) and below 0.9 in all simulated flights; beyond it half of the
 _KEPT_S = 5.0
 _MOST = 4000
 _LEAST_RANGES = 12
+_JUMP_REMEMBERED_S = 1.0
+_JUMP_HEARD_S = 2.0
+_JUMP_PEERS = 2
+_JUMP_RANGES = 3
+_JUMP_ALIKE_SIGMAS = 4.0
+_JUMP_KEPT = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Consistency:
+    """Whether the innovations of a vehicle's ranges, its own and those to it, have the size that the estimator says.
+
+    `nis_median` is the median of their normalised innovation squared over the last seconds, refused ones included, with the 95 %
+    band of that median for independent innovations; of `ranges` in all, `refused` were not used.
+    """
+
+    nis_median: float
+    band_low: float
+    band_high: float
+    ranges: int
+    refused: int
+
+
+@dataclass(frozen=True, slots=True)
+class RangeSnapshot:
+    """The newest range between two vehicles as the estimator saw it; `refused` says in words why it was not used."""
+
+    from_sysid: int
+    to_sysid: int
+    age_s: float
+    innovation_m: float
+    sigma_m: float
+    nis: float
+    refused: str | None
 
 
 class ResidualLog:
@@ -117,3 +152,53 @@ def _band_95(count: int) -> tuple[float, float]:
     half = 0.5 * (count + 1)
     low, high = (2.0 * float(gammaincinv(0.5, float(betaincinv(half, half, p)))) for p in (0.025, 0.975))
     return low, high
+
+
+@dataclass(frozen=True, slots=True)
+class _Jump:
+    at_s: float
+    size_m: float
+
+
+class RangeJumps:
+    """Have all ranges of one device come to be off by one length? Seen in what the estimator refuses, before it gives in to them.
+
+    Multipath makes single ranges too long, each by a length of its own. When the ranges to every peer are refused one after the
+    other, all off by about the same, it is the device, or the clock that it measures by. An estimator whose ranges are refused
+    for long must hold that it is wrong itself, and moves to where they point; so what it says is not to be claimed from the first
+    such row of ranges on, until it has been seen where it comes to rest.
+    """
+
+    def __init__(self) -> None:
+        self._refused: dict[int, deque[Residual]] = {}
+        self._peers: dict[int, dict[int, float]] = {}
+        self._jumps: dict[int, _Jump] = {}
+
+    def add(self, residuals: Iterable[Residual], now_s: float) -> None:
+        """Add what the estimator made of ranges, in the order in which it used them."""
+        for r in residuals:
+            if r.to_vehicle is None:
+                continue
+            self._peers.setdefault(r.from_vehicle, {})[r.to_vehicle] = r.measured_at_s
+            if r.refused is None:
+                self._refused.pop(r.from_vehicle, None)
+            else:
+                self._refused.setdefault(r.from_vehicle, deque(maxlen=_JUMP_KEPT)).append(r)
+                if self._all_by_one_length(r):
+                    self._jumps[r.from_vehicle] = _Jump(now_s, r.innovation_m)
+
+    def sizes_m(self, now_s: float) -> dict[int, float]:
+        """By what length (m) all ranges of a vehicle were found to have jumped within the last second; others are left out."""
+        self._jumps = {vehicle: jump for vehicle, jump in self._jumps.items() if now_s - jump.at_s <= _JUMP_REMEMBERED_S}
+        return {vehicle: jump.size_m for vehicle, jump in self._jumps.items()}
+
+    def _all_by_one_length(self, newest: Residual) -> bool:
+        heard = {peer for peer, at_s in self._peers[newest.from_vehicle].items() if newest.measured_at_s - at_s <= _JUMP_HEARD_S}
+        missing: set[int | None] = set(heard)
+        for count, r in enumerate(reversed(self._refused[newest.from_vehicle]), start=1):
+            if abs(r.innovation_m - newest.innovation_m) > _JUMP_ALIKE_SIGMAS * hypot(r.sigma_m, newest.sigma_m):
+                return False
+            missing -= {r.to_vehicle}
+            if not missing and count >= _JUMP_RANGES:
+                return len(heard) >= _JUMP_PEERS
+        return False

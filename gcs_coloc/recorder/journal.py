@@ -13,8 +13,9 @@ from pydantic import TypeAdapter
 
 from gcs_coloc.core.engine import REVIEWED_EVERY_S, Engine
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
-from gcs_coloc.core.snapshot import FleetSnapshot, RangeSnapshot, VehicleSnapshot
-from gcs_coloc.core.tick_schedule import SAME_S
+from gcs_coloc.core.residual_log import RangeSnapshot
+from gcs_coloc.core.schedule import SAME_S
+from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 
 EVERY_S = 0.4
 

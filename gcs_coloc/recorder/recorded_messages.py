@@ -6,9 +6,9 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from gcs_coloc.core.advance import Overrun
 from gcs_coloc.core.messages.control import ClockReference, OperatorCommand, RouteReport, TransmitDisabled
 from gcs_coloc.core.messages.inbound import Inbound, PeerRange
+from gcs_coloc.core.schedule import Overrun
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.framing import RawFrame, sender_of
 from gcs_coloc.mavlink.truth import HeardTruth, truth_of

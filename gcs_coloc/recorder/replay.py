@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
-from gcs_coloc.core.advance import CATCH_UP_S, Overrun, advance
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.messages.outbound import Outbound
+from gcs_coloc.core.schedule import CATCH_UP_S, Overrun, advance
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.truth import HeardTruth

@@ -12,7 +12,6 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.advance import Overrun
 from gcs_coloc.core.messages.control import (
     AidingOverride,
     ClockReference,
@@ -24,6 +23,7 @@ from gcs_coloc.core.messages.control import (
     RouteReport,
 )
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
+from gcs_coloc.core.schedule import Overrun
 from gcs_coloc.mavlink.framing import MAGIC_V2, read_frame
 
 _OVERRIDES: dict[str, type[GpsOverride] | type[AidingOverride] | type[PrimaryOverride]] = {

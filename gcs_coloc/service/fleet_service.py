@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 
 from gcs_coloc.config.settings import Settings
-from gcs_coloc.core.advance import CATCH_UP_S, advance, find_overrun, without_superseded
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import ClockReference, ForeignGpsInput, GpsOverride, OperatorCommand, Override
 from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToVehicle
+from gcs_coloc.core.schedule import CATCH_UP_S, advance, find_overrun, without_superseded
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.base import Address, Link, Route
 from gcs_coloc.links.forward import Forwarder

@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
-from gcs_coloc.core.snapshot import RangeSnapshot, VehicleSnapshot
+from gcs_coloc.core.residual_log import RangeSnapshot
+from gcs_coloc.core.snapshot import VehicleSnapshot
 
 HIDDEN = "hidden"
 """A page sends this when it goes out of sight, such as a tab behind others."""

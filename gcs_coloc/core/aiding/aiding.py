@@ -21,9 +21,9 @@ from gcs_coloc.core.messages.control import AidingOverride, ForeignGpsInput, Pri
 from gcs_coloc.core.messages.inbound import CommandResult, GpsReceiver, ParameterValue
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound, ParameterRequest, ParameterSet
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
+from gcs_coloc.core.schedule import TickSchedule
 from gcs_coloc.core.telemetry.measurement_builder import SentFix
 from gcs_coloc.core.telemetry.reported_state import ReportedState
-from gcs_coloc.core.tick_schedule import TickSchedule
 
 _AIDED_STATES = (GpsState.FAILED, GpsState.RECOVERING)
 _FIX_FRESH_S = 3.0  # chosen: as long as a receiver may be silent

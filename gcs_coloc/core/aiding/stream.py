@@ -17,8 +17,8 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.core.messages.outbound import GpsInput, Notice, Outbound
 from gcs_coloc.core.reasons import StatedReason
+from gcs_coloc.core.schedule import TickSchedule
 from gcs_coloc.core.telemetry.measurement_builder import SentFix
-from gcs_coloc.core.tick_schedule import TickSchedule
 
 _LONGEST_LEAD_S = 0.5  # beyond, a prediction is worth less than the delay costs
 _FIRST_REPORT_S = 1.0  # chosen: five periods of GLOBAL_POSITION_INT at the least useful rate

@@ -6,8 +6,8 @@
 Evidence is what the vehicle's real receiver says in GPS_RAW_INT (in GPS2_RAW where we feed the first one), the GPS bit of
 SYS_STATUS and the EKF's flags. The last two speak of the receiver *in use*: while the vehicle is aided they are an echo of our
 fix and count for nothing. The receiver that we feed never counts. What the service itself finds counts as well: a receiver
-that repeats one position on the move (`motion_check`) is as good as lost, and so is one that the ranges identify as faulty
-(`integrity`); a position other than the receiver's (`receiver_check`) is suspect. The operator's override wins over everything.
+that repeats one position on the move (`MotionCheck`) is as good as lost, and so is one that the ranges identify as faulty
+(`integrity`); a position other than the receiver's (`ReceiverCheck`) is suspect. The operator's override wins over everything.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from gcs_coloc.core.gps_health.motion_check import MotionCheck
+from gcs_coloc.core.gps_health.position_checks import MotionCheck, ReceiverCheck
 from gcs_coloc.core.gps_health.reasons import GpsReason
-from gcs_coloc.core.gps_health.receiver_check import ReceiverCheck
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.messages.inbound import EkfStatus, GlobalPosition, GpsReceiver, SystemHealth
+from gcs_coloc.core.messages.outbound import HealthChanged
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
@@ -221,3 +221,41 @@ class GpsHealth:
             self._state, self._since_s = state, now_s
         self._reason = reason
         return changed
+
+
+class FleetGpsHealth:
+    """The GPS health of each vehicle; a vehicle of which nothing was heard is UNKNOWN."""
+
+    def __init__(self, settings: GpsHealthSettings) -> None:
+        self._settings = settings
+        self._machines: dict[int, GpsHealth] = {}
+
+    def add_receiver(self, fix: GpsReceiver, position: GlobalPosition | None) -> None:
+        """Add a report of a vehicle's own receiver, with the position that its autopilot reported last."""
+        self._of(fix.sysid).add_receiver(fix, position)
+
+    def add_position(self, reported: PositionMeasurement, *, own: bool) -> None:
+        """Add the position that an autopilot reports. `own` is False while the vehicle is aided."""
+        self._of(reported.vehicle).add_position(reported, own=own)
+
+    def update(self, sysid: int, evidence: GpsEvidence, now_s: float) -> HealthChanged | None:
+        """Move the machine of one vehicle on to `now_s`; return the change of its state, None where there is none."""
+        machine = self._of(sysid)
+        before = machine.state
+        if not machine.update(evidence, now_s):
+            return None
+        return HealthChanged(now_s, sysid, before.value, machine.state.value, machine.reason.text)
+
+    def state(self, sysid: int) -> GpsState:
+        """Return the state of a vehicle since its last update."""
+        return self._of(sysid).state
+
+    def reason(self, sysid: int) -> str:
+        """Return what speaks for the state, in words."""
+        return self._of(sysid).reason.text
+
+    def _of(self, sysid: int) -> GpsHealth:
+        machine = self._machines.get(sysid)
+        if machine is None:
+            machine = self._machines[sysid] = GpsHealth(self._settings)
+        return machine

@@ -18,7 +18,7 @@ from gcs_coloc.core.integrity.fault_monitor import FaultMonitor, FaultMonitorSet
 from gcs_coloc.core.integrity.fault_tests import FaultKind, FaultTestResult, SignificanceLevels, run_tests
 from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeResidualSettings, TrackPoint
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
-from gcs_coloc.core.tick_schedule import SAME_S
+from gcs_coloc.core.schedule import SAME_S
 
 _HOLD_WINDOWS = 10.0  # without any test for so many windows a detection ends
 

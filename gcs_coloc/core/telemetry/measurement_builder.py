@@ -28,9 +28,8 @@ from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceive
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.setting_bounds import check_bounds, positive
-from gcs_coloc.core.telemetry.air_data import true_airspeed_mps
 from gcs_coloc.core.telemetry.repeated_ranges import RangeRepeats
-from gcs_coloc.core.telemetry.reported_state import ReportedState
+from gcs_coloc.core.telemetry.reported_state import ReportedState, true_airspeed_mps
 
 _AIRSPEED_FRESH_S = 1.0  # chosen: five periods of VFR_HUD at the requested rate
 _RANGE_SIGMA_GAIN = 0.1  # of each range in the mean of late; chosen: it follows within about a second at 10 Hz

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.measurements import Residual
-from gcs_coloc.core.range_jumps import RangeJumps
+from gcs_coloc.core.residual_log import RangeJumps
 
 GATE_SIGMAS = 4.0
 

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from gcs_coloc.config.settings import Settings
-from gcs_coloc.core.advance import CATCH_UP_S, advance, find_overrun
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages.control import ClockReference, RouteReport
 from gcs_coloc.core.messages.inbound import TimeBase
 from gcs_coloc.core.messages.outbound import ExternalPosition, GpsInput, HealthChanged, Notice
+from gcs_coloc.core.schedule import CATCH_UP_S, advance, find_overrun
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID

@@ -5,7 +5,6 @@ import json
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.advance import Overrun
 from gcs_coloc.core.messages.control import (
     AidingOverride,
     ClockReference,
@@ -17,6 +16,7 @@ from gcs_coloc.core.messages.control import (
     RouteReport,
 )
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
+from gcs_coloc.core.schedule import Overrun
 from gcs_coloc.recorder.side_channel import PAYLOAD_TYPE, FlownWith, GroundTool, SideChannelWriter, read_side_channel
 
 AT_S = 1_795_216_162.424732

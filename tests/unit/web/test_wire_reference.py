@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from gcs_coloc.core.snapshot import Consistency, RangeSnapshot, VehicleSnapshot
+from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
+from gcs_coloc.core.snapshot import VehicleSnapshot
 from gcs_coloc.web import wire
 
 TEXT = (Path(__file__).resolve().parents[3] / "docs/reference/web.md").read_text(encoding="utf-8")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_coloc.core.gps_health.motion_check import MotionCheck
+from gcs_coloc.core.gps_health.position_checks import MotionCheck
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.inbound import GpsReceiver
 

@@ -6,7 +6,7 @@ from engine_flights import LAT, LON, M_PER_DEGREE_EAST, StraightLine, settings, 
 from engine_flights import fly as fly_straight
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.gps_health.receiver_check import ReceiverCheck
+from gcs_coloc.core.gps_health.position_checks import ReceiverCheck
 from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver
 
 M_PER_DEGREE_NORTH = 111_180.0

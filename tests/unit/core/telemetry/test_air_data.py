@@ -2,7 +2,7 @@
 
 import pytest
 
-from gcs_coloc.core.telemetry.air_data import true_airspeed_mps
+from gcs_coloc.core.telemetry.reported_state import true_airspeed_mps
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
-"""Motion check: is the receiver frozen, and do a vehicle's reported positions fit its reported velocity?
+"""Position checks of a vehicle: its receiver moves, its positions fit its velocity, and they are its receiver's.
 
-Both checks scale with what the receiver states, so that a coarse one is no fault.
+All checks scale with what the receiver states, so that a coarse one is no fault.
 """
 
 from __future__ import annotations
@@ -9,9 +9,10 @@ from collections import deque
 from dataclasses import dataclass, field
 from math import hypot, sqrt
 
+from gcs_coloc.core.geodesy import horizontal_distance_m
 from gcs_coloc.core.gps_health.reasons import GpsReason
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.messages.inbound import GpsReceiver
+from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver
 from gcs_coloc.core.reasons import StatedReason
 
 _WINDOW_S = 3.0
@@ -22,6 +23,11 @@ _PERSISTS_S = 1.0
 _HELD_S = 10.0
 _FROZEN_S = 3.0
 _FROZEN_PATH_M = 10.0
+_UNSTATED_SIGMA_M = 5.0
+_LEAST_OFF_M = 10.0
+_APART_IN_TIME_S = 2.0  # a receiver's delay and the gap between two messages that are sent once a second
+_OFF_PERSISTS_S = 3.0
+_HAS_FIX = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +45,7 @@ class _Step:
 
 @dataclass(slots=True)
 class MotionCheck:
-    """The checks of one vehicle. It reports positions with velocities.
+    """Do the positions that one vehicle reports move as the velocities that it reports, and its receiver at all?
 
     `implausible`: displacement against velocity; held for 10 s after the last contradiction,
     since either side of a jump may be the wrong one. `frozen` says that the receiver repeats one position on the move.
@@ -120,3 +126,36 @@ class MotionCheck:
         step = _Step(at_s, reported.position_enu_m[0], reported.position_enu_m[1], path_east_m, path_north_m, ve, vn)
         self._steps.append(step)
         return step
+
+
+@dataclass(slots=True)
+class ReceiverCheck:
+    """Does a vehicle report the position that its own receiver states? Its autopilot may be flying on something else.
+
+    GLOBAL_POSITION_INT is a filter's output, and the receiver's signs of health say nothing of it: the filter may be set to
+    other sources (vision, beacons, another receiver), may refuse the receiver and reckon on, or follow one that has just jumped.
+    `fault`: how far the position is off the receiver's; None where it is not.
+    """
+
+    fault: StatedReason[GpsReason] | None = None
+    _off_since_s: float | None = None
+
+    def add(self, fix: GpsReceiver, position: GlobalPosition | None) -> None:
+        """Add a report of the vehicle's own receiver beside the position that it reported last.
+
+        They are of different times: what the vehicle flies in `_APART_IN_TIME_S` is allowed for, beside five sigmas of the
+        receiver. A single pair tells nothing, `_OFF_PERSISTS_S` of them in a row do.
+        """
+        if position is None or fix.fix_type < _HAS_FIX or fix.received_at_s - position.received_at_s > _APART_IN_TIME_S:
+            self.fault = self._off_since_s = None
+            return
+        off_m = horizontal_distance_m(fix.lat_deg, fix.lon_deg, position.lat_deg, position.lon_deg)
+        sigma_m = fix.h_acc_m if fix.h_acc_m is not None else _UNSTATED_SIGMA_M
+        flown_m = _APART_IN_TIME_S * hypot(position.vn_mps, position.ve_mps)
+        if off_m <= _SIGMAS * sigma_m + _LEAST_OFF_M + flown_m:
+            self.fault = self._off_since_s = None
+            return
+        if self._off_since_s is None:
+            self._off_since_s = fix.received_at_s
+        if fix.received_at_s - self._off_since_s >= _OFF_PERSISTS_S:
+            self.fault = StatedReason(GpsReason.OFF_ITS_RECEIVER, off_m)

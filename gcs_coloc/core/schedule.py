@@ -1,4 +1,4 @@
-"""Runs the engine's deadlines at their own times, live and in replay alike.
+"""The schedule of a fleet's work, and how the engine's deadlines are run, live and in replay alike.
 
 A deadline is answered with its own time, however late the caller comes, and after every message that arrived before it or
 at the same time. What the engine does is then a function of the messages and their times alone: that the event loop woke
@@ -9,12 +9,36 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import floor
+from typing import TYPE_CHECKING
 
-from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.outbound import AidingMessage, Outbound
+
+if TYPE_CHECKING:
+    from gcs_coloc.core.engine import Engine
+
+SAME_S = 1e-3
+"""Times that are as close as this are meant to be the same: what is due each 0.2 s is due at a deadline a little before, too."""
 
 CATCH_UP_S = 1.0
 """A service that was held up for longer than this leaves out the deadlines that it missed instead of running them all."""
+
+
+@dataclass(frozen=True, slots=True)
+class TickSchedule:
+    """Times that lie whole periods after `start_s` (service time), in whole microseconds as the service's clock has them.
+
+    Where several periods have a time in common it is the same number, to the last bit.
+    """
+
+    start_s: float
+
+    def after(self, now_s: float, period_s: float) -> float:
+        """The first time after `now_s` that lies whole periods of `period_s` after the start."""
+        periods = floor((now_s - self.start_s) / period_s)
+        while (at_s := round(self.start_s + periods * period_s, 6)) <= now_s:
+            periods += 1
+        return at_s
 
 
 @dataclass(frozen=True, slots=True)
