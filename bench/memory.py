@@ -48,7 +48,7 @@ def main() -> None:
     from bench.service_cpu import rss_mb
     from bench.traffic import Sent
     from gcs_coloc.mavlink.decoder import Decoder
-    from gcs_coloc.runtime.gc_policy import collect_seldom
+    from gcs_coloc.runtime.process import collect_seldom
 
     minute = [Sent(*entry) for entry in pickle.load(sys.stdin.buffer)]
     flight, sizes_mb = Flight(), []

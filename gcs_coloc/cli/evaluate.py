@@ -10,8 +10,7 @@ from typing import Annotated
 
 import typer
 
-from gcs_coloc.cli.warnings import warn_of_findings
-from gcs_coloc.config.fleets import load_settings
+from gcs_coloc.cli.recordings import EstimatorOption, FleetOption, settings_for, warn_of_findings
 from gcs_coloc.core.estimator import GuardedEstimator
 from gcs_coloc.estimators.registry import load_estimator
 
@@ -20,9 +19,9 @@ _MOST_REASONS = 3
 
 def evaluate(
     directory: Annotated[Path, typer.Argument(help="A data set: meta.toml, positions.csv, ranges.csv, ...", metavar="DIR")],
-    estimator: Annotated[str | None, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = None,
+    estimator: EstimatorOption = None,
     config: Annotated[Path | None, typer.Option(help="A configuration file (TOML) for the estimator and its settings.")] = None,
-    fleet: Annotated[str | None, typer.Option(help="Which fleet of the configuration file, where that is of several.")] = None,
+    fleet: FleetOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the scores as JSON.")] = False,
     plot: Annotated[Path | None, typer.Option(help="Draw track, error against 2-sigma, and NIS into this file.")] = None,
 ) -> None:
@@ -30,7 +29,7 @@ def evaluate(
     from gcs_coloc.evaluation import evaluate as study
     from gcs_coloc.evaluation.evaluate import plot_evaluation
 
-    settings = load_settings(config, {"estimator": {"name": estimator}} if estimator is not None else {}, fleet)
+    settings = settings_for(config, fleet, estimator)
     # As in flight: what it fails at is told and scored as no answer.
     guarded = GuardedEstimator(
         load_estimator(settings.estimator.name, settings.estimator.settings), lambda text: print(text, file=sys.stderr)

@@ -7,19 +7,19 @@ import errno
 import logging
 import sys
 from enum import Enum
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.logging import RichHandler
+from typer.core import TyperGroup
 
 from gcs_coloc import __version__
-from gcs_coloc.cli.command_group import LateCommands
 from gcs_coloc.core.errors import GcsColocError, UsageError
-from gcs_coloc.runtime.blas_threads import one_thread
-from gcs_coloc.runtime.standard_streams import NOBODY_READS, discard_output, open_all
-from gcs_coloc.sinks.log_writer import LineHandler, LogWriter, own_stream
+from gcs_coloc.runtime.process import NOBODY_READS, discard_output, one_thread, open_all
+from gcs_coloc.sinks.console import LineHandler, LogWriter, own_stream
 
 PROGRAM = "gcs-coloc"
 
@@ -28,6 +28,38 @@ _BadCommandLine: type[Exception] = typer.BadParameter.__bases__[0]
 
 # Exit codes, as shells and Click have them; 130 is 128 and the number of SIGINT.
 _FAILED, _MISUSED, _INTERRUPTED = 1, 2, 130
+
+SUBCOMMANDS = {
+    "check-config": "preflight",
+    "example-config": "preflight",
+    "doctor": "preflight",
+    "replay": "replay",
+    "export": "recordings",
+    "report": "recordings",
+    "evaluate": "evaluate",
+    "study": "study",
+}
+"""Command to the module beside this one that has it: as a function of the command's name, or as its `app`."""
+
+
+class LateCommands(TyperGroup):
+    """A command group whose members `SUBCOMMANDS` are not imported before they are asked for."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Every command's name."""
+        return [*super().list_commands(ctx), *SUBCOMMANDS]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command of that name, or None."""
+        if cmd_name not in SUBCOMMANDS:
+            return super().get_command(ctx, cmd_name)
+        module = import_module(f"gcs_coloc.cli.{SUBCOMMANDS[cmd_name]}")
+        if hasattr(module, "app"):
+            return typer.main.get_command(module.app)
+        alone = typer.Typer(add_completion=False)
+        alone.command(cmd_name)(getattr(module, cmd_name.replace("-", "_")))
+        return typer.main.get_command(alone)
+
 
 app = typer.Typer(
     name=PROGRAM,
@@ -130,7 +162,7 @@ def run(
         return
     from gcs_coloc.config.fleets import load_fleets
     from gcs_coloc.service.service import Service
-    from gcs_coloc.sinks.live_table import SharedConsole
+    from gcs_coloc.sinks.console import SharedConsole
 
     links = [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
     flags: dict[str, Any] = {}

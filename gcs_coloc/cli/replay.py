@@ -5,9 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import re
-import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from datetime import UTC, datetime
 from itertools import zip_longest
 from pathlib import Path
@@ -17,8 +16,16 @@ import typer
 from typer.core import TyperCommand
 
 from gcs_coloc import __version__
-from gcs_coloc.cli.warnings import warn_of_findings
-from gcs_coloc.config.fleets import load_settings
+from gcs_coloc.cli.recordings import (
+    ConfigOption,
+    EstimatorOption,
+    FleetOption,
+    RangesOption,
+    RecordingArgument,
+    settings_for,
+    warn_of_damage,
+    warn_of_findings,
+)
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import UsageError
@@ -31,8 +38,8 @@ from gcs_coloc.recorder.tlog import TlogReader
 
 
 def replay(
-    file: Annotated[Path, typer.Argument(help="A recording (tlog).", metavar="FILE.tlog")],
-    ranges: Annotated[Path | None, typer.Option(help="Ranges: unix_s,from_sysid,to_sysid,range_m,sigma_m.")] = None,
+    file: RecordingArgument,
+    ranges: RangesOption = None,
     truth: Annotated[
         Path | None,
         typer.Option(help="True positions, for scoring or for marks on the page: unix_s,sysid,lat_deg,lon_deg,alt_msl_m."),
@@ -40,9 +47,9 @@ def replay(
     speed: Annotated[
         str | None, typer.Option(help="N times real time, or max; 1 on the page and max without it unless told.")
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="A configuration file (TOML); its links are not opened.")] = None,
-    fleet: Annotated[str | None, typer.Option(help="Which fleet of the configuration file, where that is of several.")] = None,
-    estimator: Annotated[str | None, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = None,
+    config: ConfigOption = None,
+    fleet: FleetOption = None,
+    estimator: EstimatorOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     web: Annotated[
         str | None,
@@ -55,12 +62,10 @@ def replay(
     if web is not None and as_json:
         raise UsageError("--web and --json exclude each other: the page does not end with a report")
     factor = _factor(speed if speed is not None else ("1" if web is not None else "max"))
-    flags: dict[str, Any] = {"estimator": {"name": estimator}} if estimator is not None else {}
+    settings = settings_for(config, fleet, estimator, {"web": {"address": web}} if web else None)
     if web is not None:
-        settings = load_settings(config, flags | ({"web": {"address": web}} if web else {}), fleet)
         _show(file, settings, ranges, truth, factor)
         return
-    settings = load_settings(config, flags, fleet)
     tap = MeasurementTap(load_estimator(settings.estimator.name, settings.estimator.settings))
     engine = Engine(tap, settings.engine())
     log = TlogReader(file)
@@ -90,12 +95,6 @@ def replay(
         print(json.dumps(result, indent=2))
     else:
         print("\n".join(_lines(result)))
-
-
-def warn_of_damage(file: Path, damage: Mapping[str, int]) -> None:
-    """Say on stderr what of a recording could not be read."""
-    for kind, amount in damage.items():
-        print(f"gcs-coloc: warning: {file}: {kind.replace('_', ' ')}: {amount}; replayed what is whole", file=sys.stderr)
 
 
 def _show(file: Path, settings: Settings, ranges: Path | None, truth: Path | None, factor: float) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 from gcs_coloc.config.sections import topic_level
 from gcs_coloc.config.settings import Settings, read_table, settings_of
 from gcs_coloc.core.errors import ConfigError, GcsColocError, UsageError
-from gcs_coloc.links.registry import parse, parse_out
+from gcs_coloc.links.base import parse, parse_out
 
 _SECTIONS = frozenset(Settings.model_fields) - {"fleet"}
 _FLAGS_OF_ONE = {"links": "--udp and --link", "out": "--out", "fleet": "--failed and --healthy", "web": "--web"}
@@ -48,7 +48,7 @@ def load_fleets(path: Path | None, flags: Mapping[str, Any]) -> Sequence[FleetOf
     """
     table = read_table(path) if path is not None else {}
     if not isinstance(table.get("fleet"), list):
-        return [FleetOf("", settings_of(table, flags, str(path) if path is not None else "settings"))]
+        return [FleetOf("", settings_of([table], flags, str(path) if path is not None else "settings"))]
     for key, names in _FLAGS_OF_ONE.items():
         if key in flags and flags[key] != {"on": False}:
             raise UsageError(f"{names}: {path} is of several fleets ([[fleet]]); say it in the table of the fleet that is meant")
@@ -66,7 +66,7 @@ def load_settings(path: Path | None, flags: Mapping[str, Any], fleet: str | None
     if not isinstance(table.get("fleet"), list):
         if fleet is not None:
             raise UsageError(f"--fleet {fleet}: {f'{path} has no [[fleet]]' if path else 'there is no --config'}: leave it out")
-        return settings_of(table, flags, str(path) if path is not None else "settings")
+        return settings_of([table], flags, str(path) if path is not None else "settings")
     # All of them are read for what is wrong with any; the flags are for the one.
     names = [each.name for each in _several(path, table, {})]
     if fleet is None:
@@ -103,7 +103,8 @@ def _fleet(
         raise ConfigError(f"{source}: name: {error}") from None
     source = f"{source} ({name})"
     sections = {key: own.pop(key) for key in _SECTIONS & own.keys()}
-    settings = settings_of({**_merged(common, sections), "fleet": own}, flags, source)
+    shared = {key: value for key, value in common.items() if key != "fleet"}
+    settings = settings_of([sections | {"fleet": own}, shared], flags, source)
     if not settings.links:
         raise ConfigError(f"{source}: links: there is none to listen on")
     if "fleet" in settings.mqtt.model_fields_set:
@@ -119,15 +120,6 @@ def _fleet(
             }
         ),
     )
-
-
-def _merged(common: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    """`common` with what `own` says in its place, table by table."""
-    merged = dict(common)
-    for key, value in own.items():
-        before = merged.get(key)
-        merged[key] = _merged(before, value) if isinstance(before, dict) and isinstance(value, dict) else value
-    return merged
 
 
 def _fixed_address(fleet: FleetOf) -> list[str]:

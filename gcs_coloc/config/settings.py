@@ -9,16 +9,16 @@ import hashlib
 import json
 import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from pydantic import Field, ValidationError
 from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict, SettingsError
 
-from gcs_coloc.config.renamed_keys import new_name
 from gcs_coloc.config.sections import (
     AidingConfig,
     EstimatorConfig,
@@ -46,6 +46,22 @@ _FLAGS = {
     ("web", "address"): "--web",
 }
 """The flags that a wrong value may have come from, by the setting."""
+RENAMED: Mapping[str, str] = MappingProxyType(
+    {
+        "aid": "aiding",
+        "aid.way": "aiding.method",
+        "aid.ways": "aiding.methods",
+        "feed": "measurements",
+        "feed.least_position_sigma_m": "measurements.min_position_sigma_m",
+        "feed.oldest_s": "measurements.max_age_s",
+        "fleet.most_vehicles": "fleet.max_vehicles",
+        "health": "gps_health",
+        "senders.roam_after_s": "senders.rebind_after_s",
+        "time.least_delay_s": "time.min_delay_s",
+        "time.least_delay_sigma_s": "time.min_delay_sigma_s",
+    }
+)
+"""Key of 0.1 to key of 0.2; a section stands before its keys."""
 
 
 class Settings(BaseSettings):
@@ -96,6 +112,7 @@ def read_table(path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: the file cannot be read or parsed.
     """
+    # Not by pydantic-settings' TOML source: that passes over a file that is absent, and refuses a byte order mark in a traceback.
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Windows' editors begin a file with a byte order mark
     except OSError as error:
@@ -106,8 +123,8 @@ def read_table(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: is not valid TOML: {error}") from None
 
 
-def settings_of(table: Mapping[str, Any], flags: Mapping[str, Any], source: str) -> Settings:
-    """Settings from the flags, then the environment, then a file's table; `source` is named in errors.
+def settings_of(tables: Sequence[Mapping[str, Any]], flags: Mapping[str, Any], source: str) -> Settings:
+    """Settings from the flags, then the environment, then a file's tables, each before the next; `source` is named in errors.
 
     Raises:
         ConfigError: a key is unknown, or a value impossible; the text names them.
@@ -124,7 +141,8 @@ def settings_of(table: Mapping[str, Any], flags: Mapping[str, Any], source: str)
             file_secret_settings: PydanticBaseSettingsSource,
         ) -> tuple[PydanticBaseSettingsSource, ...]:
             del dotenv_settings, file_secret_settings
-            return init_settings, env_settings, InitSettingsSource(settings_cls, init_kwargs=dict(table))
+            from_file = (InitSettingsSource(settings_cls, init_kwargs=dict(table)) for table in tables)
+            return init_settings, env_settings, *from_file
 
     _refuse_unknown_variables()
     try:
@@ -173,7 +191,7 @@ def _refuse_unknown_variables() -> None:
         if not name.upper().startswith(_ENVIRONMENT):
             continue
         section = name[len(_ENVIRONMENT) :].lower().split(_LEVEL)[0]
-        if (renamed := new_name(section)) is not None:
+        if (renamed := _new_name(section)) is not None:
             right = f"{_ENVIRONMENT}{renamed.upper()}{name[len(_ENVIRONMENT) + len(section) :]}"
             raise ConfigError(f"environment variable {name}: is called {right} since version 0.2")
         if section not in Settings.model_fields:
@@ -183,7 +201,7 @@ def _refuse_unknown_variables() -> None:
 def _problem(error: Any) -> str:
     key = ".".join(str(part) for part in error["loc"])
     if error["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        if (renamed := new_name(key)) is not None or (renamed := new_name(key.removeprefix("fleet."))) is not None:
+        if (renamed := _new_name(key)) is not None or (renamed := _new_name(key.removeprefix("fleet."))) is not None:
             return f"{key}: is called {renamed} since version 0.2"
         return f"{key}: unknown key; see the configuration reference for those there are"
     if error["type"] == "tuple_type":
@@ -192,3 +210,16 @@ def _problem(error: Any) -> str:
         return f"{key}: must be a table of settings, [{key}]"
     text = error["msg"].removeprefix(_VALUE_ERROR)
     return f"{key}: {text[0].lower() + text[1:]}" if key else text
+
+
+def _new_name(key: str) -> str | None:
+    """The name since 0.2 of a key that 0.2 refuses, also where its section is renamed already; None where 0.1 had no such key."""
+    return RENAMED.get(key) or _HALF_RENAMED.get(key)
+
+
+def _with_new_section(key: str) -> str:
+    section, _, rest = key.partition(".")
+    return f"{RENAMED.get(section, section)}.{rest}"
+
+
+_HALF_RENAMED = {_with_new_section(old): new for old, new in RENAMED.items() if "." in old}

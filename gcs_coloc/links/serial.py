@@ -16,7 +16,7 @@ import serial
 
 from gcs_coloc.core.errors import LinkError
 from gcs_coloc.links.base import MAX_UNSENT_BYTES, Address, Clock, DatagramHandler, LinkAddress, MalformedAddressError
-from gcs_coloc.links.stream import FrameSource, Outbox, RetryDelays, retry_delays
+from gcs_coloc.links.transport import FrameSource, Outbox, RetryDelays, retry_delays
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 DEFAULT_BAUD = 57600

@@ -8,8 +8,7 @@ import logging
 import socket
 
 from gcs_coloc.links.base import MAX_UNSENT_BYTES, Address, Clock, DatagramHandler, Link, LinkAddress
-from gcs_coloc.links.network import NetworkAddress, network_error, reason
-from gcs_coloc.links.stream import FrameSource, Outbox, RetryDelays, retry_delays
+from gcs_coloc.links.transport import FrameSource, NetworkAddress, Outbox, RetryDelays, network_error, reason, retry_delays
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 MAX_CLIENTS = 64

@@ -10,7 +10,7 @@ from typing import Any
 
 from gcs_coloc.core.errors import LinkError
 from gcs_coloc.links.base import MAX_UNSENT_BYTES, Address, Clock, DatagramHandler, LinkAddress
-from gcs_coloc.links.network import NetworkAddress, network_error
+from gcs_coloc.links.transport import NetworkAddress, network_error
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 MAX_DATAGRAM_BYTES = 65535

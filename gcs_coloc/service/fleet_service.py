@@ -11,22 +11,19 @@ from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToVehicle
 from gcs_coloc.core.schedule import CATCH_UP_S, advance, find_overrun, without_superseded
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.links.base import Address, Link, Route
+from gcs_coloc.links.admission import SignedLinks
+from gcs_coloc.links.base import Address, Link, Route, check_outs, parse
 from gcs_coloc.links.forward import Forwarder
-from gcs_coloc.links.registry import check_outs, parse
 from gcs_coloc.links.routes import RouteTable
-from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.inbound import foreign_gps_input
 from gcs_coloc.mavlink.refusals import Counts, Refusals
 from gcs_coloc.mavlink.truth import HeardTruth
 from gcs_coloc.recorder.flight_recording import FlightRecording
 from gcs_coloc.recorder.side_channel import FlownWith
 from gcs_coloc.runtime.clock import ServiceClock, Timer
-from gcs_coloc.service.receiver import Receiver
-from gcs_coloc.service.sender import Sender
 from gcs_coloc.service.snapshot_cache import SnapshotCache
-from gcs_coloc.sinks.event_bus import EventBus
-from gcs_coloc.sinks.idle_scheduler import IdleScheduler
+from gcs_coloc.service.traffic import Receiver, Sender
+from gcs_coloc.sinks.event_bus import EventBus, IdleScheduler
 
 log = logging.getLogger("gcs_coloc")
 

@@ -15,7 +15,7 @@ from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.replay import Replay
 from gcs_coloc.recorder.side_tables import TruthTable, read_ranges, read_truth
 from gcs_coloc.recorder.tlog import TlogReader
-from gcs_coloc.sinks.idle_scheduler import IdleScheduler
+from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.picture_store import PICTURE_PERIOD_S, PictureStore
 from gcs_coloc.web.playback import Playback

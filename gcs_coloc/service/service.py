@@ -13,10 +13,10 @@ from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.errors import WebError
 from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
-from gcs_coloc.runtime.gc_policy import collect_seldom
+from gcs_coloc.runtime.process import collect_seldom
 from gcs_coloc.service.fleet_service import FleetService
 from gcs_coloc.sinks import console as console_sink
-from gcs_coloc.sinks.live_table import SharedConsole
+from gcs_coloc.sinks.console import SharedConsole
 
 if TYPE_CHECKING:
     from gcs_coloc.sinks.mqtt import Mqtt

@@ -1,19 +1,28 @@
-"""The operator's console: a live table on a terminal, plain log lines elsewhere."""
+"""The operator's console: a live table on a terminal, plain log lines elsewhere; both written by threads of their own.
+
+A terminal that is stopped (Ctrl-S), or a full or closed pipe, must delay neither the service nor its end.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
-from collections.abc import Mapping
+import os
+import queue
+import threading
+from collections.abc import Callable, Mapping
+from logging.handlers import QueueHandler, QueueListener
+from typing import Any, TextIO
 
-from rich.console import Group
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
 from gcs_coloc.core.messages.outbound import ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
 from gcs_coloc.sinks.event_bus import Subscription, level_and_text
-from gcs_coloc.sinks.live_table import LiveTable, SharedConsole
 
 log = logging.getLogger("gcs_coloc")
 
@@ -21,6 +30,12 @@ _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ER
 _STYLES = {"healthy": "green", "suspect": "yellow", "failed": "bold red", "recovering": "cyan", "unknown": "dim"}
 PLAIN_EVERY_S = 5.0
 """Period of the log lines of all vehicles where there is no terminal. Chosen: a log of a day stays readable."""
+_LAST_TABLE_S = 1.0
+"""How long the end of the program waits for the last table. Chosen: a slow terminal, and no longer than a person waits."""
+MAX_WAITING = 2000
+"""Records that wait for a slow reader. Chosen: a minute of a busy start at 30 lines a second, some 1 MB."""
+_LAST_LINES_S = 2.0
+"""How long the end of the program waits for the last lines. Chosen: a slow terminal, and no longer than a person waits."""
 
 
 async def show(events: Mapping[str, Subscription], console: SharedConsole) -> None:
@@ -128,3 +143,126 @@ def _where(v: VehicleSnapshot) -> str:
 
 def _number(value: float | None, unit: str = "") -> str:
     return f"{value:.1f} {unit}".rstrip() if value is not None else "-"
+
+
+class SharedConsole(Console):
+    """A console on which one thread draws a table and others print lines above it.
+
+    rich works out how far up the table before begins, then draws: what another thread prints in between would leave a piece of
+    that table behind. `lock` is held while either is under way.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.lock = threading.RLock()
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print as rich does, while nobody else prints."""
+        with self.lock:
+            super().print(*objects, **options)
+
+
+class LiveTable:
+    """Always draws the newest table; those that came while the terminal was stopped are left out."""
+
+    def __init__(self, console: SharedConsole) -> None:
+        self._console = console
+        self._newest: Callable[[], RenderableType] | None = None
+        self._wake = threading.Event()
+        self._ending = False
+        self._drawing = threading.Thread(target=self._draw, name="table", daemon=True)
+        self._drawing.start()
+
+    def show(self, make: Callable[[], RenderableType]) -> None:
+        """Draw the table that `make` returns, in place of the one before; never waits. `make` is called on the thread."""
+        self._newest = make
+        self._wake.set()
+
+    def close(self) -> None:
+        """End with the last table on the screen; a terminal that is stopped is given up after a moment."""
+        self._ending = True
+        self._wake.set()
+        self._drawing.join(_LAST_TABLE_S)
+
+    def _draw(self) -> None:
+        # Standard output and error stay what they are: they would wait for this very terminal.
+        live = Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
+        with self._console.lock:
+            live.start()
+        while not self._ending:
+            self._wake.wait()
+            self._wake.clear()
+            make, self._newest = self._newest, None
+            if make is not None:
+                table = make()
+                with self._console.lock:
+                    live.update(table, refresh=True)
+        with self._console.lock:
+            live.stop()
+
+
+class LineHandler(logging.Handler):
+    """Writes each record as a line. It is not flushed as the program ends, as a StreamHandler is: that could wait for ever."""
+
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__()
+        self._stream = stream
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one line."""
+        print(self.format(record), file=self._stream, flush=True)
+
+
+def own_stream(stream: TextIO) -> TextIO:
+    """The same file as a stream of its own, as a thread that hangs in writing keeps its stream locked.
+
+    A stream without a file is returned as it is.
+    """
+    try:
+        number = os.dup(stream.fileno())
+    except (OSError, ValueError):
+        return stream
+    return os.fdopen(number, "w", encoding=stream.encoding, errors=stream.errors)
+
+
+class LogWriter(QueueHandler):
+    """Passes records to `handler` on a thread. While that hangs, `most` records wait; the newest beyond them are lost.
+
+    A pipe that nobody reads is full after 64 kB (pipe(7)); from then on every write to it hangs.
+    """
+
+    def __init__(self, handler: logging.Handler, most: int = MAX_WAITING) -> None:
+        records: queue.Queue[logging.LogRecord] = queue.Queue(most)
+        super().__init__(records)
+        # The message alone is queued; `handler` does the rest. Without a formatter, basicConfig would set one here.
+        self.setFormatter(logging.Formatter("%(message)s"))
+        self.lost = 0
+        self._listener = _Listener(records, handler)
+        self._listener.start()
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        """Queue a record; never waits."""
+        try:
+            self.queue.put_nowait(record)
+        except queue.Full:
+            self.lost += 1
+
+    def close(self) -> None:
+        """Write what waits, as the program ends; where nobody reads, give up after a moment."""
+        # On a thread, as the listener's stop waits for the last line without a limit.
+        ending = threading.Thread(target=self._stop, daemon=True)
+        ending.start()
+        ending.join(_LAST_LINES_S)
+        super().close()
+
+    def _stop(self) -> None:
+        with contextlib.suppress(queue.Full):
+            self._listener.stop()
+
+
+class _Listener(QueueListener):
+    def handle(self, record: logging.LogRecord) -> None:
+        """Write one record. Without the handler's lock, which the logging module waits for as the program ends."""
+        for handler in self.handlers:
+            with contextlib.suppress(OSError, ValueError):
+                handler.emit(record)

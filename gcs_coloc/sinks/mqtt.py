@@ -20,8 +20,7 @@ from gcs_coloc.core.errors import ConfigError
 from gcs_coloc.core.messages.outbound import ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.mavlink.refusals import Counts
-from gcs_coloc.sinks.event_bus import Subscription, level_and_text
-from gcs_coloc.sinks.idle_scheduler import IdleScheduler
+from gcs_coloc.sinks.event_bus import IdleScheduler, Subscription, level_and_text
 from gcs_coloc.sinks.mqtt_inbox import MqttHooks, MqttInbox
 from gcs_coloc.sinks.mqtt_models import TOPIC_VERSION, Alarm, of_vehicle, status, unix_s
 

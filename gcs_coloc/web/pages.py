@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Protocol
 
-from gcs_coloc.sinks.idle_scheduler import IdleScheduler
+from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.web.wire import HIDDEN, SHOWN, VISIBLE, EventsFrame, VehicleHistory
 
 MAX_PAGES = 32

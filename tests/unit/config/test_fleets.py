@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_coloc.cli.configuration import check_config
+from gcs_coloc.cli.preflight import check_config
 from gcs_coloc.config.fleets import load_fleets, load_settings
 from gcs_coloc.core.errors import ConfigError, EstimatorError, UsageError
 from gcs_coloc.service.service import Service

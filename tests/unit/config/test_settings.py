@@ -4,10 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from gcs_coloc.cli.configuration import check_config
+from gcs_coloc.cli.preflight import check_config
 from gcs_coloc.config.fleets import load_settings
-from gcs_coloc.config.renamed_keys import RENAMED
-from gcs_coloc.config.settings import Settings
+from gcs_coloc.config.settings import RENAMED, Settings
 from gcs_coloc.core.engine import EngineSettings
 from gcs_coloc.core.errors import ConfigError, GcsColocError
 

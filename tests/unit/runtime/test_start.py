@@ -26,14 +26,13 @@ def test_the_command_line_imports_nothing_of_the_flight_before_it_is_told_to_fly
 
 
 def test_the_linear_algebra_gets_one_thread():
-    told = run(f"from gcs_coloc.runtime.blas_threads import one_thread; one_thread(); {_PRODUCT}")
+    told = run(f"from gcs_coloc.runtime.process import one_thread; one_thread(); {_PRODUCT}")
     assert "\nThreads:\t1\n" in told
 
 
 def test_who_asks_for_more_threads_gets_them():
     told = run(
-        "from gcs_coloc.runtime.blas_threads import one_thread; one_thread(); "
-        "import os; print(os.environ['OPENBLAS_NUM_THREADS'])",
+        "from gcs_coloc.runtime.process import one_thread; one_thread(); import os; print(os.environ['OPENBLAS_NUM_THREADS'])",
         OPENBLAS_NUM_THREADS="2",
     )
     assert told.strip() == "2"

@@ -9,9 +9,8 @@ from rich.console import Console
 
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice
 from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
-from gcs_coloc.sinks.console import show, table
+from gcs_coloc.sinks.console import SharedConsole, show, table
 from gcs_coloc.sinks.event_bus import EventBus
-from gcs_coloc.sinks.live_table import SharedConsole
 
 LOCATED = VehicleSnapshot(
     4,

@@ -5,8 +5,7 @@ import pytest
 from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.core.errors import ConfigError
 from gcs_coloc.mavlink.refusals import Counts
-from gcs_coloc.sinks.event_bus import Subscription
-from gcs_coloc.sinks.idle_scheduler import IdleScheduler
+from gcs_coloc.sinks.event_bus import IdleScheduler, Subscription
 from gcs_coloc.sinks.mqtt import Mqtt
 from gcs_coloc.sinks.mqtt_inbox import MqttHooks
 

@@ -1,20 +1,22 @@
-"""From a datagram on a link to the engine's messages: rate limit, decoder, signatures, routes. Returns values, keeps none."""
+"""The traffic between links and engine: a received datagram to messages, an output to a frame on its way."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass, field, replace
 
 from gcs_coloc.core.messages.control import ForeignGpsInput, RouteReport
 from gcs_coloc.core.messages.inbound import Inbound
-from gcs_coloc.links.base import Address, Link
-from gcs_coloc.links.rate_limiter import RateLimiter
+from gcs_coloc.core.messages.outbound import GpsInput, ToVehicle
+from gcs_coloc.links.admission import RateLimiter, SignedLinks
+from gcs_coloc.links.base import Address, Clock, Link, Route
 from gcs_coloc.links.routes import Blocked, RouteTable
-from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.decoder import Decoder, Frame
+from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.mavlink.framing import RawFrame
-from gcs_coloc.mavlink.refusals import Counts
+from gcs_coloc.mavlink.refusals import Counts, Refusal
 from gcs_coloc.mavlink.sequence import SequenceTracker
+from gcs_coloc.mavlink.signing import Stamp
 from gcs_coloc.mavlink.truth import TRUTH_IDS, HeardTruth, truth_of
 
 
@@ -98,3 +100,56 @@ class Receiver:
         if isinstance(route, Blocked):
             return RouteReport(sysid, now_s, route.reason, route.shared_with)
         return RouteReport(sysid, now_s, None)
+
+
+class Sender:
+    """Sends to one fleet's vehicles. `own` is our system and component id.
+
+    `sent` is called with every frame that was sent, `echo` with every GPS_INPUT that was sent.
+    """
+
+    def __init__(
+        self,
+        routes: RouteTable,
+        signed: SignedLinks,
+        clock: Clock,
+        *,
+        own: tuple[int, int],
+        sent: Callable[[bytes], None],
+        echo: Callable[[bytes], None],
+    ) -> None:
+        self.counts = Counts()
+        self._routes = routes
+        self._signed = signed
+        self._clock = clock
+        self._encoder = Encoder(sysid=own[0], compid=own[1])
+        self._sent = sent
+        self._echo = echo
+
+    def send(self, output: ToVehicle) -> None:
+        """Send one output to its vehicle; to one that cannot be reached nothing is sent."""
+        # Looked up for every message: an address that came to be shared a moment ago must get nothing.
+        route = self._routes.route(output.sysid, self._clock())
+        if isinstance(route, Blocked):
+            return
+        try:
+            payload = self._encoder.encode(output, route, self._stamp(route))
+        except ValueError:
+            self.counts.add(Refusal.NOT_ENCODABLE)
+            return
+        self._transmit(payload, route)
+        if isinstance(output, GpsInput):
+            self._echo(payload)
+
+    def send_heartbeat(self, routes: Iterable[Route]) -> None:
+        """Send our own heartbeat to each of `routes`."""
+        for route in routes:
+            self._transmit(self._encoder.heartbeat(route, self._stamp(route)), route)
+
+    def _transmit(self, payload: bytes, route: Route) -> None:
+        route.link.send(route.address, payload)
+        self._sent(payload)
+
+    def _stamp(self, route: Route) -> Stamp | None:
+        signing = self._signed.of(route.link.name)
+        return signing.stamp(self._clock()) if signing is not None else None

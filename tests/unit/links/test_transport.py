@@ -1,6 +1,6 @@
 """What a slow stream has not taken is bounded, and it is the newest that is kept."""
 
-from gcs_coloc.links.stream import MAX_FORWARDED_BYTES, Outbox
+from gcs_coloc.links.transport import MAX_FORWARDED_BYTES, Outbox
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from gcs_coloc.sinks.log_writer import LogWriter
+from gcs_coloc.sinks.console import LogWriter
 
 
 class Slow(logging.Handler):

@@ -2,7 +2,7 @@
 
 import asyncio
 
-from gcs_coloc.sinks.idle_scheduler import IdleScheduler
+from gcs_coloc.sinks.event_bus import IdleScheduler
 
 
 class SteppedLoop(asyncio.SelectorEventLoop):

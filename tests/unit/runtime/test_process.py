@@ -21,10 +21,7 @@ def test_a_program_that_is_started_with_closed_streams_does_its_work(closed):
 
 
 def test_what_is_opened_first_does_not_become_the_closed_output():
-    code = (
-        "from gcs_coloc.runtime.standard_streams import open_all; open_all(); "
-        "import os; print('x'); exit(os.open('/dev/zero', 0))"
-    )
+    code = "from gcs_coloc.runtime.process import open_all; open_all(); import os; print('x'); exit(os.open('/dev/zero', 0))"
     done = subprocess.run(["sh", "-c", 'exec "$@" >&- 2>&- <&-', "sh", sys.executable, "-c", code], timeout=60, check=False)
     assert done.returncode > 2
 

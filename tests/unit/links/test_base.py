@@ -3,7 +3,7 @@ import re
 import pytest
 
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.links.registry import SCHEMES, parse, parse_links, parse_out
+from gcs_coloc.links.base import SCHEMES, parse, parse_links, parse_out
 from gcs_coloc.links.serial import SerialDevice
 from gcs_coloc.links.tcp import TcpClient, TcpServer
 from gcs_coloc.links.udp import UdpIn, UdpOut

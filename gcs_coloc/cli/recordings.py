@@ -1,0 +1,97 @@
+"""`gcs-coloc export` and `gcs-coloc report`: recordings to files; the options and warnings that every command on one has."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from gcs_coloc.config.fleets import load_settings
+from gcs_coloc.config.settings import Settings
+from gcs_coloc.core.errors import UsageError
+from gcs_coloc.evaluation.data_checks.findings import DataFinding
+from gcs_coloc.recorder.flight_history import FlightHistory, read_history
+
+RecordingArgument = Annotated[Path, typer.Argument(help="A recording (tlog).", metavar="FILE.tlog")]
+RangesOption = Annotated[Path | None, typer.Option(help="Ranges: unix_s,from_sysid,to_sysid,range_m,sigma_m.")]
+ConfigOption = Annotated[Path | None, typer.Option(help="The configuration file (TOML) of the flight; its links are not opened.")]
+FleetOption = Annotated[str | None, typer.Option(help="Which fleet of the configuration file, where that is of several.")]
+EstimatorOption = Annotated[str | None, typer.Option(help="fleet, qu_zhang, or a plug-in.")]
+
+
+def export(
+    file: RecordingArgument,
+    ranges: RangesOption = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Directory for the files; that of the recording unless told.", metavar="DIR")
+    ] = None,
+    config: ConfigOption = None,
+    fleet: FleetOption = None,
+    estimator: EstimatorOption = None,
+) -> None:
+    """Write a recorded flight as CSV, GeoJSON and KML."""
+    from gcs_coloc.recorder.formats import write_all
+
+    history = _open(file, settings_for(config, fleet, estimator), ranges, None)
+    base = (out if out is not None else file.parent) / file.stem
+    try:
+        base.parent.mkdir(parents=True, exist_ok=True)
+        files = write_all(history, base)
+    except OSError as error:
+        raise UsageError(f"{error.filename or base.parent}: cannot be written: {error.strerror}") from None
+    print(f"{', '.join(map(str, files))}: tracks of {len(history.tracks)} vehicles")
+
+
+def report(
+    file: RecordingArgument,
+    ranges: RangesOption = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="True positions, for scoring: unix_s,sysid,lat_deg,lon_deg,alt_msl_m.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The page; FILE.html beside the recording unless told.", metavar="FILE")
+    ] = None,
+    config: ConfigOption = None,
+    fleet: FleetOption = None,
+    estimator: EstimatorOption = None,
+) -> None:
+    """Write one self-contained HTML page of a recorded flight."""
+    from gcs_coloc.recorder.reports.html_report import page
+
+    history = _open(file, settings_for(config, fleet, estimator), ranges, truth)
+    path = out if out is not None else file.with_suffix(".html")
+    try:
+        path.write_text(page(history), encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
+    print(path)
+
+
+def settings_for(
+    config: Path | None, fleet: str | None, estimator: str | None, flags: Mapping[str, Any] | None = None
+) -> Settings:
+    """The settings of one fleet, with another estimator where `estimator` names one, and further `flags`."""
+    named = {"estimator": {"name": estimator}} if estimator is not None else {}
+    return load_settings(config, named | dict(flags or {}), fleet)
+
+
+def _open(file: Path, settings: Settings, ranges: Path | None, truth: Path | None) -> FlightHistory:
+    history = read_history(file, settings, ranges, truth)
+    warn_of_damage(file, history.damage)
+    warn_of_findings(file, history.findings)
+    return history
+
+
+def warn_of_damage(file: Path, damage: Mapping[str, int]) -> None:
+    """Say on stderr what of a recording could not be read."""
+    for kind, amount in damage.items():
+        print(f"gcs-coloc: warning: {file}: {kind.replace('_', ' ')}: {amount}; replayed what is whole", file=sys.stderr)
+
+
+def warn_of_findings(path: Path, findings: Iterable[DataFinding]) -> None:
+    """Say on stderr what in a recording or data set does not agree, one line each."""
+    for finding in findings:
+        print(f"gcs-coloc: warning: {path}: {finding.text}", file=sys.stderr)
