@@ -12,10 +12,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
 from vehicles import Hover, fly, square_fleet
 
 CHROMIUM = "/usr/bin/chromium"
+PATIENCE_S = 60.0
+"""Every wait for a state ends here. Chosen: some ten times what a machine with two busy loops beside the test needs."""
+expect.set_options(timeout=PATIENCE_S * 1e3)
 _FLAGS = ["--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--disable-background-networking"]
 
 
@@ -38,29 +41,30 @@ def service(log: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[bytes
     finally:
         process.terminate()
         try:
-            process.wait(10)
+            process.wait(PATIENCE_S)
         finally:
             process.kill()
 
 
 @contextlib.contextmanager
 def flying(port: int, failed: set[int]) -> Iterator[list[Hover]]:
-    """Four vehicles in the air in the background; `failed` may be changed while they fly."""
+    """Four vehicles in the air in the background until the end; `failed` may be changed while they fly."""
     landed = threading.Event()
     with square_fleet(port) as fleet:
-        thread = threading.Thread(target=fly, args=(fleet, 300.0, failed, landed.is_set), daemon=True)
+        thread = threading.Thread(target=fly, args=(fleet, 86_400.0, failed, landed.is_set), daemon=True)
         thread.start()
         try:
             yield fleet
         finally:
             landed.set()
-            thread.join(5)
+            thread.join()
 
 
 class Watched:
     """A page with everything it complained of: console errors, exceptions, and requests beyond loopback."""
 
     def __init__(self, page: Page) -> None:
+        page.set_default_timeout(PATIENCE_S * 1e3)
         self.page = page
         self.complaints: list[str] = []
         page.on("console", lambda m: self.complaints.append(m.text) if m.type in ("error", "warning") else None)
@@ -80,7 +84,17 @@ def browser() -> Iterator[Browser]:
             chromium.close()
 
 
-def wait_for(condition, what: str, at_most_s: float = 30.0) -> None:
+def card(page: Page, sysid: int) -> Locator:
+    return page.locator("#fleet").get_by_role("button", name=f"Vehicle {sysid}")
+
+
+def wait_until_good(page: Page, *sysids: int) -> None:
+    """Each vehicle is heard and its GPS healthy: what a test changes from there on is a change."""
+    for sysid in sysids:
+        expect(card(page, sysid)).to_have_accessible_name(re.compile(f"^Vehicle {sysid} good, GPS healthy"))
+
+
+def wait_for(condition, what: str, at_most_s: float = PATIENCE_S) -> None:
     deadline = time.monotonic() + at_most_s
     while not condition():
         assert time.monotonic() < deadline, f"waited in vain for {what}"

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from flight import Watched, browser
+from flight import PATIENCE_S, Watched, browser
 from playwright.sync_api import expect
 from recorded_flight import EPOCH_S, write_flight
 
@@ -70,9 +70,10 @@ def test_a_flight_is_played_paused_and_sought_in_by_keyboard(replayed):
     process, url = replayed
     with browser() as chromium:
         page = chromium.new_page(viewport={"width": 1366, "height": 900})
-        expect.set_options(timeout=60_000)
         watched = Watched(page)
         page.goto(url)
+        # From the beginning and slowly: it has played since before the browser was there, and must not be at its end yet.
+        assert answer(url, "api/playback", b'{"playing": true, "seek_s": 0, "speed": 0.5}') == 200
         place = page.get_by_role("slider", name="Position in the recording")
         state = page.locator("#connection")
         page.get_by_role("button", name="Pause").click()
@@ -98,14 +99,13 @@ def test_a_flight_is_played_paused_and_sought_in_by_keyboard(replayed):
         expect(alarm).to_be_visible()
         assert watched.complaints == []
     process.send_signal(signal.SIGINT)
-    _, told = process.communicate(timeout=20)
+    _, told = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, told) == (0, "")
 
 
 def test_a_position_that_is_not_computed_yet_shows_its_progress_and_is_given_up_by_button_and_key(long_recording):
     with replaying(long_recording) as (_, url), browser() as chromium:
         page = chromium.new_page(viewport={"width": 1366, "height": 900})
-        expect.set_options(timeout=60_000)
         watched = Watched(page)
         page.goto(url)
         place, shown = page.get_by_role("slider", name="Position in the recording"), page.locator("#position-text")
@@ -148,7 +148,7 @@ def test_a_position_that_is_not_computed_yet_shows_its_progress_and_is_given_up_
 def answer(url: str, path: str, body: bytes, **headers: str) -> int:
     request = urllib.request.Request(f"{url}{path}", data=body, headers=headers)
     try:
-        with urllib.request.urlopen(request, timeout=20) as found:
+        with urllib.request.urlopen(request, timeout=PATIENCE_S) as found:
             return found.status
     except urllib.error.HTTPError as error:
         with error:

@@ -6,7 +6,7 @@ import math
 import socket
 
 import pytest
-from flight import Watched, browser, flying, free_port, service, wait_for
+from flight import Watched, browser, card, flying, free_port, service, wait_for, wait_until_good
 from playwright.sync_api import expect
 from tile_archive import write_archive
 from vehicles import LAT, LON
@@ -34,17 +34,23 @@ def test_tiles_lie_under_the_vehicles_and_nothing_is_complained_of(tmp_path):
         page = chromium.new_page(viewport={"width": 1366, "height": 900})
         watched = Watched(page)
         page.goto(url)
-        expect(page.locator("#fleet li")).to_have_count(4, timeout=60_000)
-        expect(page.get_by_text("© Nobody at all")).to_be_visible(timeout=60_000)
+        # From here on nothing moves on the map: it shows all that it ever will.
+        wait_until_good(page, 1, 2, 3)
+        expect(card(page, 4)).to_contain_text("sending 3D fix")
+        expect(page.get_by_text("© Nobody at all")).to_be_visible()
         pictures = page.locator(".tiles-pane img")
         loaded = "all => all.length > 0 && all.every(e => e.complete && e.naturalWidth === 256)"
-        wait_for(lambda: pictures.evaluate_all(loaded), "tiles", 60.0)
-        # Vehicle 1 stands at the origin: its mark is on the very tile that holds that place, as far from its edges.
-        mark = page.locator("#map").get_by_role("button", name="Vehicle 1, good: estimated position").bounding_box()
+        wait_for(lambda: pictures.evaluate_all(loaded), "tiles")
+        # Vehicle 1 stands at the origin: its mark is on the very tile that holds that place, as far from its edges. All boxes of
+        # one moment, for the map moves where the ellipse of vehicle 4 grows.
+        mark, boxes = page.evaluate("""() => {
+            const box = (e) => { const { x, y, width, height } = e.getBoundingClientRect(); return { x, y, width, height }; };
+            const mark = document.querySelector('#map [aria-label="Vehicle 1, good: estimated position"]');
+            return [box(mark), [...document.querySelectorAll(".tiles-pane img")].map((e) => [e.src, box(e)])];
+        }""")
         at = (mark["x"] + mark["width"] / 2, mark["y"] + mark["height"] / 2)
-        zooms = {source.split("/")[-3] for source in pictures.evaluate_all("all => all.map(e => e.src)")}
-        [zoom] = map(int, zooms)
-        box = page.locator(f".tiles-pane img[src$='/tiles/{'/'.join(map(str, tile_of(LAT, LON, zoom)))}']").bounding_box()
+        [zoom] = {int(source.split("/")[-3]) for source, _ in boxes}
+        [box] = [box for source, box in boxes if source.endswith(f"/tiles/{'/'.join(map(str, tile_of(LAT, LON, zoom)))}")]
         n = 1 << zoom
         x = (LON + 180.0) / 360.0 * n % 1.0
         y = (1.0 - math.asinh(math.tan(math.radians(LAT))) / math.pi) / 2.0 * n % 1.0
