@@ -65,7 +65,7 @@ fuzz: .venv/.ready-dev
 
 # Regenerates the committed message classes from gcs_coloc/mavlink/gcs_coloc.xml.
 dialect: .venv/.ready
-	$(BIN)/python -m gcs_coloc.mavlink.regenerate
+	$(BIN)/python -m tools.regenerate_dialect
 
 # Writes the tables of settings in docs/reference from the settings' classes.
 reference: .venv/.ready

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from fastcrc.crc16 import mcrf4xx
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.mavlink.dialect import CRC_EXTRA, MESSAGE_CLASSES
+from gcs_coloc.mavlink.framing import CRC_EXTRA, MESSAGE_CLASSES
 from sitl_fakes.fleet import Fleet
 from sitl_fakes.scenario import SCENARIOS, Scenario, load_scenario
 

@@ -7,8 +7,7 @@ import hashlib
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.mavlink.decoder import Decoder
-from gcs_coloc.mavlink.dialect import MESSAGE_CLASSES
-from gcs_coloc.mavlink.framing import StreamFramer
+from gcs_coloc.mavlink.framing import MESSAGE_CLASSES, StreamFramer
 from gcs_coloc.mavlink.inbound import CONVERTERS
 from gcs_coloc.mavlink.refusals import Counts
 from gcs_coloc.mavlink.signing import LinkSigning, Signing

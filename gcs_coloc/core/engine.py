@@ -11,10 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from gcs_coloc.core.aiding.aiding import Aiding, AidingDecision
+from gcs_coloc.core.aiding.aiding import Aiding
 from gcs_coloc.core.aiding.inhibit import InhibitReason
 from gcs_coloc.core.aiding.settings import AidingSettings
-from gcs_coloc.core.aiding.stream import FixInputs
+from gcs_coloc.core.aiding.stream import AidingDecision, FixInputs
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
 from gcs_coloc.core.clocks.utc import Utc
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings

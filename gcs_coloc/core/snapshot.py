@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import sqrt
 
-from gcs_coloc.core.aiding.aiding import AidingView
+from gcs_coloc.core.aiding.stream import AidingView
 from gcs_coloc.core.error_ellipse import horizontal_sigma_and_bound_95_m
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsState

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gcs_coloc.core.aiding.ekf_gates import EkfGates
+from gcs_coloc.core.aiding.fix_policy import EkfGates
 from gcs_coloc.core.aiding.methods.registry import method_for
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.doctor import parameters as p
 from gcs_coloc.doctor.finding import Finding, Setup, Severity, VehicleSurvey, note, right, stop
-from gcs_coloc.doctor.parameter_rules import ParameterRule, apply_rules, differs_from, equals
-from gcs_coloc.doctor.parameters import look_up
+from gcs_coloc.doctor.parameters import ParameterRule, apply_rules, differs_from, equals, look_up
 
 _TYPE_NONE, _TYPE_AUTO, _TYPE_MAVLINK = 0.0, 1.0, 14.0
 _AUTO_SWITCH_WRONG = {

@@ -13,8 +13,8 @@ from gcs_coloc.doctor.finding import FleetSurvey
 from gcs_coloc.doctor.survey import Question, Survey
 from gcs_coloc.links.admission import SignedLinks
 from gcs_coloc.links.base import Address, Link, Route, parse
-from gcs_coloc.mavlink.dialect import GCS_COMPID, GCS_SYSID
 from gcs_coloc.mavlink.encoder import Encoder
+from gcs_coloc.mavlink.framing import GCS_COMPID, GCS_SYSID
 from gcs_coloc.mavlink.signing import Stamp
 from gcs_coloc.runtime.clock import ServiceClock
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from gcs_coloc.doctor import parameters as p
 from gcs_coloc.doctor.finding import Finding, Severity, VehicleSurvey
-from gcs_coloc.doctor.parameter_rules import ParameterRule, apply_rules, equals
+from gcs_coloc.doctor.parameters import ParameterRule, apply_rules, equals
 from gcs_coloc.mavlink.encoder import SENSOR_ID
 
 _HORIZONTAL = 1  # bit of EKF2_AGP_CTRL: the horizontal position is fused

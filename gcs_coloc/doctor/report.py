@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from gcs_coloc.doctor.checks import is_ready, of_fleet, of_vehicle
-from gcs_coloc.doctor.finding import Finding, FleetSurvey, Setup, Severity
+from gcs_coloc.core.aiding.methods.registry import method_for, mismatch
+from gcs_coloc.core.messages.inbound import Autopilot
+from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
+from gcs_coloc.doctor.finding import Finding, FleetSurvey, Setup, Severity, VehicleSurvey, note, right, stop
+from gcs_coloc.doctor.parameters import SENDERS_OPTION, look_up
 
 _ORDER = (Severity.STOP, Severity.NOTE, Severity.RIGHT)
 _MARKS = {Severity.STOP: "STOP ", Severity.NOTE: "note ", Severity.RIGHT: "right"}
@@ -74,3 +77,169 @@ def _as_json(finding: Finding) -> dict[str, Any]:
         "remedy": finding.remedy,
         "set": {name: value} if name else None,
     }
+
+
+LEAST_PEERS = 3
+CLOCKS_AGREE_S = 2.0
+OFTEN = 20
+MUCH_BYTES = 200
+_GPS_FIX_3D = 3
+
+_HARMFUL = {
+    "unsigned": "a link that requires signatures hears unsigned frames: give the vehicle the key",
+    "signature_wrong": "a vehicle has another key than ours",
+    "signature_old": "a vehicle signs with a time over a minute behind this computer's: set one of the two clocks",
+    "bad_crc": "frames arrive broken: a weak radio, a wrong baud rate, or two programs on one device",
+}
+
+
+def of_vehicle(vehicle: VehicleSurvey, setup: Setup, fleet: frozenset[int]) -> list[Finding]:
+    """Everything that is to be said of one vehicle; `fleet` are the system ids that were heard."""
+    findings = [*_identity(vehicle)]
+    if not setup.denied or vehicle.sysid in setup.denied:
+        findings += [*_address(vehicle), *_autopilot(vehicle, setup), *_ranges(vehicle, fleet)]
+    else:
+        findings.append(right("it is there to help locate others: whether it could be aided was not checked"))
+    return [*findings, *stream_checks.check(vehicle), *_receiver(vehicle), *_clock(vehicle)]
+
+
+def of_fleet(survey: FleetSurvey, setup: Setup) -> list[Finding]:
+    """Everything that is to be said of the fleet as a whole."""
+    return [*_number(survey), *_denied(survey, setup), *_refused(survey), *_host(survey, setup)]
+
+
+def is_ready(findings: list[Finding]) -> bool:
+    """Whether none of the findings is on something that would stop co-localisation."""
+    return all(finding.severity is not Severity.STOP for finding in findings)
+
+
+_OWN_SYSID = "give every vehicle a system id of its own: SYSID_THISMAV, MAV_SYSID since ArduPilot 4.7, MAV_SYS_ID on PX4"
+
+
+def _identity(vehicle: VehicleSurvey) -> Iterator[Finding]:
+    if vehicle.is_claimed_twice:
+        yield stop(
+            f"its system id is used at {len(vehicle.addresses)} addresses at the same time: {', '.join(vehicle.addresses)}",
+            _OWN_SYSID,
+        )
+    elif vehicle.has_two_clocks:
+        yield stop("its boot times are those of two autopilots in turn: two use its system id", _OWN_SYSID)
+
+
+def _address(vehicle: VehicleSurvey) -> Iterator[Finding]:
+    if vehicle.others_there:
+        others = ", ".join(str(sysid) for sysid in vehicle.others_there)
+        yield stop(
+            f"its address is also that of vehicle {others} (a router?), and GPS_INPUT has no target: all of them would take it",
+            "give each vehicle its own UDP stream to us, from its own port, or its own --link",
+        )
+    elif not vehicle.is_claimed_twice:
+        yield right(f"it has an address of its own: {', '.join(vehicle.addresses)}")
+
+
+def _autopilot(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
+    way = method_for(vehicle.sysid, vehicle.autopilot, setup.aiding)
+    wrong_way = mismatch(way, vehicle.autopilot)
+    if wrong_way is not None:
+        yield stop(wrong_way.text, f"set method, or methods.{vehicle.sysid} for this vehicle alone, in [aiding] of gcs-coloc")
+        return
+    if vehicle.autopilot not in (Autopilot.ARDUPILOT, Autopilot.PX4):
+        yield note(
+            f"its autopilot is neither ArduPilot nor PX4: it is aided by {way}, as set; whether it takes that, nobody knows"
+        )
+        return
+    if not vehicle.parameters:
+        signed = "; its frames are signed: give gcs-coloc its key" if vehicle.is_signed else ""
+        yield stop(
+            "it is heard and answers nothing, so its parameters are not checked",
+            f"see that the link goes both ways and that it listens to us (its parameters, signing){signed}",
+        )
+        return
+    if vehicle.answers_only_to is not None and look_up(vehicle.parameters, SENDERS_OPTION) is None:
+        yield stop(
+            f"it answers {vehicle.answers_only_to} and not us, {setup.system_id}",
+            f"set system_id = {vehicle.answers_only_to} in [mavlink] of gcs-coloc",
+        )
+    if vehicle.autopilot is Autopilot.PX4:
+        yield from px4_checks.check(vehicle)
+    else:
+        yield from ardupilot_checks.check(vehicle, setup)
+
+
+def _ranges(vehicle: VehicleSurvey, fleet: frozenset[int]) -> Iterator[Finding]:
+    known, strangers = sorted(vehicle.peers & fleet), sorted(vehicle.peers - fleet)
+    listed = ", ".join(str(sysid) for sysid in known)
+    if strangers:
+        yield note(f"ranges to {', '.join(map(str, strangers))}, which are not heard: of no use unless they tell where they are")
+    if len(known) >= LEAST_PEERS:
+        yield right(f"ranges to {len(known)} others: {listed}")
+        return
+    yield stop(
+        f"ranges to {len(known)} of the {LEAST_PEERS} others that are needed to locate it" + (f": {listed}" if known else ""),
+        "see that its ranging device is on and reports PEER_RANGE with the peers' system ids; or say with --aid which vehicles "
+        "are to be located",
+    )
+
+
+def _receiver(vehicle: VehicleSurvey) -> Iterator[Finding]:
+    receiver = vehicle.receiver
+    if receiver is None:
+        return
+    satellites = f", {receiver.satellites} satellites" if receiver.satellites is not None else ""
+    if receiver.fix_type >= _GPS_FIX_3D:
+        yield right(f"its GPS has a fix (type {receiver.fix_type}{satellites})")
+    else:
+        yield note(f"its GPS has no 3D fix now (fix type {receiver.fix_type}{satellites})")
+
+
+def _clock(vehicle: VehicleSurvey) -> Iterator[Finding]:
+    if not vehicle.answers_timesync:
+        yield note(
+            "it does not answer TIMESYNC: what it measures is placed in time by its UTC, to 0.1 s, where it has GPS and this "
+            "computer's clock is synchronised, else by its arrival: set min_delay_s in [time] where you know its link's delay"
+        )
+    off_s = vehicle.utc_minus_host_s
+    if off_s is not None and abs(off_s) > CLOCKS_AGREE_S:
+        where = "ahead of" if off_s > 0 else "behind"
+        yield note(
+            f"its UTC is {abs(off_s):.0f} s {where} this computer's: ranges with UNIX times are misplaced, signatures refused",
+            "set this computer's clock (timedatectl)",
+        )
+
+
+def _number(survey: FleetSurvey) -> Iterator[Finding]:
+    heard = len(survey.vehicles)
+    garbage_bytes = survey.refused.get("garbage_bytes", 0)
+    if heard == 0 and garbage_bytes >= MUCH_BYTES:
+        yield stop(
+            f"no vehicle was heard in {survey.seconds:g} s, but {garbage_bytes} bytes that are no MAVLink",
+            "see that a serial link has the radio's baud rate (serial:DEVICE:BAUD), and that no other program sends here",
+        )
+    elif heard == 0:
+        yield stop(
+            f"no vehicle was heard in {survey.seconds:g} s",
+            "see that a vehicle is on and sends here: on a network to this computer's address and this port, with no firewall in "
+            "between; on a serial device through a radio that is linked",
+        )
+    elif heard <= LEAST_PEERS:
+        yield stop(f"vehicles heard: {heard}; to locate one, {LEAST_PEERS} others are needed that know where they are")
+    else:
+        yield right(f"vehicles heard: {heard}")
+
+
+def _denied(survey: FleetSurvey, setup: Setup) -> Iterator[Finding]:
+    for sysid in sorted(setup.denied - {vehicle.sysid for vehicle in survey.vehicles}):
+        yield stop(f"vehicle {sysid}, which is to be located, was not heard")
+
+
+def _refused(survey: FleetSurvey) -> Iterator[Finding]:
+    for reason, text in _HARMFUL.items():
+        times = survey.refused.get(reason, 0)
+        if times >= OFTEN:
+            yield note(f"{times} times refused ({reason}): {text}")
+
+
+def _host(survey: FleetSurvey, setup: Setup) -> Iterator[Finding]:
+    if survey.host_is_synchronised is False:
+        finding = stop if setup.requires_synchronised_clock else note
+        yield finding("this computer's clock is not synchronised (NTP, GPS)", "switch it on: timedatectl set-ntp true")

@@ -27,8 +27,7 @@ from gcs_coloc.core.telemetry.stream_requests import StreamRequests
 from gcs_coloc.doctor.finding import FleetSurvey, VehicleSurvey
 from gcs_coloc.doctor.parameters import ParameterReader
 from gcs_coloc.mavlink.decoder import Decoder, Frame
-from gcs_coloc.mavlink.dialect import GCS_SYSID
-from gcs_coloc.mavlink.framing import MAGIC_V1, RawFrame
+from gcs_coloc.mavlink.framing import GCS_SYSID, MAGIC_V1, RawFrame
 from gcs_coloc.mavlink.signing import LinkSigning
 
 MAX_VEHICLES = 250

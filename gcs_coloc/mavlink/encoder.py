@@ -19,7 +19,7 @@ from gcs_coloc.core.messages.outbound import (
     TimeSyncRequest,
     ToVehicle,
 )
-from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
+from gcs_coloc.mavlink.framing import OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.signing import Stamp
 
 MAX_DESTINATIONS = 1024

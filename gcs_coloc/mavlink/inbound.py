@@ -19,6 +19,7 @@ from gcs_coloc.core.messages.inbound import (
     Airspeed,
     Attitude,
     Autopilot,
+    CommandOutcome,
     CommandResult,
     EkfStatus,
     GlobalPosition,
@@ -29,12 +30,12 @@ from gcs_coloc.core.messages.inbound import (
     SystemHealth,
     SystemTime,
     TimeSyncAnswer,
+    VehicleCommand,
 )
 from gcs_coloc.mavlink import checks, ranges
 from gcs_coloc.mavlink._generated import gcs_coloc
 from gcs_coloc.mavlink.checks import InvalidValueError
-from gcs_coloc.mavlink.dialect import MESSAGE_CLASSES
-from gcs_coloc.mavlink.framing import RawFrame
+from gcs_coloc.mavlink.framing import MESSAGE_CLASSES, RawFrame
 from gcs_coloc.mavlink.refusals import Field
 
 UINT8_MAX = 0xFF
@@ -49,6 +50,15 @@ _AUTOPILOTS = {
     mavlink.MAV_AUTOPILOT_PX4: Autopilot.PX4,
 }
 
+_COMMANDS = {mavlink.MAV_CMD_EXTERNAL_POSITION_ESTIMATE: VehicleCommand.EXTERNAL_POSITION_ESTIMATE}
+_OUTCOMES = {
+    mavlink.MAV_RESULT_ACCEPTED: CommandOutcome.ACCEPTED,
+    mavlink.MAV_RESULT_TEMPORARILY_REJECTED: CommandOutcome.TEMPORARILY_REJECTED,
+    mavlink.MAV_RESULT_DENIED: CommandOutcome.DENIED,
+    mavlink.MAV_RESULT_UNSUPPORTED: CommandOutcome.UNSUPPORTED,
+    mavlink.MAV_RESULT_FAILED: CommandOutcome.FAILED,
+    mavlink.MAV_RESULT_IN_PROGRESS: CommandOutcome.IN_PROGRESS,
+}
 
 _NO_VEHICLES = frozenset((6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48, 49))
 """MAV_TYPEs of ground stations and of parts of a vehicle: companion computers (18), gimbals (26), ADS-B (27), cameras (30) and so
@@ -233,7 +243,8 @@ def timesync(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> TimeS
 def command_ack(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> CommandResult:
     """COMMAND_ACK (77)."""
     command, result, *_ = values
-    return CommandResult(sysid, received_at_s, command, result)
+    outcome = _OUTCOMES.get(result, CommandOutcome.OTHER)
+    return CommandResult(sysid, received_at_s, _COMMANDS.get(command, VehicleCommand.OTHER), outcome)
 
 
 def param_value(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> ParameterValue | None:

@@ -9,9 +9,8 @@ from dataclasses import dataclass, field, replace
 from gcs_coloc.core.messages.control import ClockReference, OperatorCommand, RouteReport, TransmitDisabled
 from gcs_coloc.core.messages.inbound import Inbound, PeerRange
 from gcs_coloc.core.schedule import Overrun
-from gcs_coloc.mavlink.decoder import Decoder
+from gcs_coloc.mavlink.decoder import Decoder, HeardTruth, truth_of
 from gcs_coloc.mavlink.framing import RawFrame, sender_of
-from gcs_coloc.mavlink.truth import HeardTruth, truth_of
 from gcs_coloc.recorder.side_channel import FlownWith, GroundTool, ReadRecord, read_side_channel
 from gcs_coloc.recorder.tlog import TlogReader, TlogRecord
 

@@ -12,9 +12,8 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.messages.outbound import Outbound
 from gcs_coloc.core.schedule import CATCH_UP_S, Overrun, advance
-from gcs_coloc.mavlink.decoder import Decoder
-from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
-from gcs_coloc.mavlink.truth import HeardTruth
+from gcs_coloc.mavlink.decoder import Decoder, HeardTruth
+from gcs_coloc.mavlink.framing import OWN_COMPID, OWN_SYSID
 from gcs_coloc.recorder.recorded_messages import RecordedMessages, ReplayCounts
 from gcs_coloc.recorder.tlog import TlogReader
 

@@ -11,7 +11,7 @@ from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.evaluation.tables import TableRow, read_table
 from gcs_coloc.mavlink.checks import RANGE_MAX_M
-from gcs_coloc.mavlink.truth import HeardTruth
+from gcs_coloc.mavlink.decoder import HeardTruth
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,10 @@ from fastcrc.crc16 import mcrf4xx
 
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.mavlink.checks import UNIX_TIME_TO_US
-from gcs_coloc.mavlink.dialect import CRC_EXTRA
 from gcs_coloc.mavlink.framing import (
     ANY_MAGIC,
     CHECKSUM_LENGTH,
+    CRC_EXTRA,
     INCOMPAT_SIGNED,
     MAGIC_V1,
     MAGIC_V2,

@@ -7,8 +7,8 @@ from dataclasses import replace
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.links.forward import Forwarder
+from gcs_coloc.mavlink.decoder import SequenceTracker
 from gcs_coloc.mavlink.refusals import Refusals
-from gcs_coloc.mavlink.sequence import SequenceTracker
 from gcs_coloc.recorder.flight_recording import FlightRecording
 from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.runtime.clock import ServiceClock

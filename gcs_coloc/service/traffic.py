@@ -11,13 +11,11 @@ from gcs_coloc.core.messages.outbound import GpsInput, ToVehicle
 from gcs_coloc.links.admission import RateLimiter, SignedLinks
 from gcs_coloc.links.base import Address, Clock, Link, Route
 from gcs_coloc.links.routes import Blocked, RouteTable
-from gcs_coloc.mavlink.decoder import Decoder, Frame
+from gcs_coloc.mavlink.decoder import TRUTH_IDS, Decoder, Frame, HeardTruth, SequenceTracker, truth_of
 from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.mavlink.framing import RawFrame
 from gcs_coloc.mavlink.refusals import Counts, Refusal
-from gcs_coloc.mavlink.sequence import SequenceTracker
 from gcs_coloc.mavlink.signing import Stamp
-from gcs_coloc.mavlink.truth import TRUTH_IDS, HeardTruth, truth_of
 
 
 @dataclass(slots=True)

@@ -9,7 +9,7 @@ from gcs_coloc.core.error_ellipse import error_ellipse
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Vector3
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
-from gcs_coloc.mavlink.truth import HeardTruth
+from gcs_coloc.mavlink.decoder import HeardTruth
 from gcs_coloc.web.track_history import TrackHistory
 from gcs_coloc.web.wire import Ellipse, EventsFrame, FleetFrame, LightColour, VehicleFrame, VehicleHistory, fleet_json
 

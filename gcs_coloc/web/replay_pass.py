@@ -9,8 +9,8 @@ from dataclasses import replace
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot
+from gcs_coloc.mavlink.decoder import HeardTruth
 from gcs_coloc.mavlink.refusals import Counts
-from gcs_coloc.mavlink.truth import HeardTruth
 from gcs_coloc.recorder.replay import Replay
 from gcs_coloc.web.picture import fleet_frame
 from gcs_coloc.web.picture_store import PictureStore

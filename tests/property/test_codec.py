@@ -13,9 +13,8 @@ from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.mavlink._generated import gcs_coloc as ours
 from gcs_coloc.mavlink.checks import InvalidValueError
 from gcs_coloc.mavlink.decoder import Decoder
-from gcs_coloc.mavlink.dialect import MESSAGE_CLASSES
 from gcs_coloc.mavlink.encoder import Encoder
-from gcs_coloc.mavlink.framing import MAX_FRAME_LENGTH, StreamFramer, split
+from gcs_coloc.mavlink.framing import MAX_FRAME_LENGTH, MESSAGE_CLASSES, StreamFramer, split
 from gcs_coloc.mavlink.inbound import CONVERTERS
 from gcs_coloc.mavlink.refusals import Counts
 

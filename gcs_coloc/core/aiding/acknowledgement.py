@@ -7,13 +7,28 @@ from math import hypot
 from gcs_coloc.core.geodesy import horizontal_distance_m
 from gcs_coloc.core.messages.inbound import GpsReceiver
 from gcs_coloc.core.messages.outbound import GpsInput
+from gcs_coloc.core.reasons import StatedReason, WordedReason
 
 _JUDGED_AFTER_S = 5.0
 _SILENCE_S = 3.0
 _LINGERS_S = 6.0  # ArduPilot keeps a fix for 4 s after the last message with one
 _NEAR_M, _NEAR_S = 50.0, 2.0
 _HAS_FIX = 3
-_NOT_OURS = "is it a receiver of its own, or does somebody else feed it?"
+
+
+class FixFault(WordedReason):
+    """Why our fix counts as not used; `{detail}` is the receiver, or the message that reports it."""
+
+    NOT_REPORTED = "not_reported", "no {detail} is heard from it"
+    NO_FIX = "no_fix", "its {detail} says fix type {value:.0f} while positions are sent"
+    ANOTHER_FIX = (
+        "another_fix",
+        "its {detail} is {value:.0f} m off what is sent: is it a receiver of its own, or does somebody else feed it?",
+    )
+    UNSENT_FIX = (
+        "unsent_fix",
+        "its {detail} has a fix that was not sent: is it a receiver of its own, or does somebody else feed it?",
+    )
 
 
 class FixAcknowledgement:
@@ -22,8 +37,6 @@ class FixAcknowledgement:
     def __init__(self, gps_id: int, began_at_s: float) -> None:
         self.acknowledged: bool | None = None
         self.fault: str | None = None
-        self._name = f"GPS{gps_id + 1}"
-        self._message = "GPS_RAW_INT" if gps_id == 0 else "GPS2_RAW"
         self._gps_id = gps_id
         self._fix: GpsInput | None = None
         self._no_fix_since_s: float | None = began_at_s
@@ -64,19 +77,19 @@ class FixAcknowledgement:
         return "info", "GPS_INPUT is taken"
 
     def _fault_now(self, now_s: float) -> str | None:
-        heard = self._heard
-        remedy = f"are {self._name}_TYPE=14, gps_id={self._gps_id} and MAV_OPTIONS right?"
+        heard, name = self._heard, f"GPS{self._gps_id + 1}"
+        remedy = f"; are {name}_TYPE=14, gps_id={self._gps_id} and MAV_OPTIONS right?"
         if heard is None or now_s - heard.received_at_s > _SILENCE_S:
-            return f"no {self._message} is heard from it; {remedy}"
+            message = "GPS_RAW_INT" if self._gps_id == 0 else "GPS2_RAW"
+            return StatedReason(FixFault.NOT_REPORTED, detail=message).text + remedy
         if self._fix is None:
             since_s = self._no_fix_since_s
-            if since_s is not None and now_s - since_s > _LINGERS_S and heard.fix_type >= _HAS_FIX:
-                return f"its {self._name} has a fix that was not sent: {_NOT_OURS}"
-            return None
+            lingered = since_s is not None and now_s - since_s > _LINGERS_S
+            return StatedReason(FixFault.UNSENT_FIX, detail=name).text if lingered and heard.fix_type >= _HAS_FIX else None
         if heard.fix_type < _HAS_FIX:
-            return f"its {self._name} says fix type {heard.fix_type} while positions are sent; {remedy}"
+            return StatedReason(FixFault.NO_FIX, heard.fix_type, detail=name).text + remedy
         off_m = horizontal_distance_m(heard.lat_deg, heard.lon_deg, self._fix.lat_deg, self._fix.lon_deg)
         speed_mps = hypot(self._fix.vn_mps, self._fix.ve_mps)
         if off_m > _NEAR_M + _NEAR_S * speed_mps:
-            return f"its {self._name} is {off_m:.0f} m off what is sent: {_NOT_OURS}"
+            return StatedReason(FixFault.ANOTHER_FIX, off_m, detail=name).text
         return None

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 
-from gcs_coloc.core.aiding.foreign_gps_input import ForeignGpsInputMonitor
-from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
+from gcs_coloc.core.aiding.inhibit import ForeignGpsInputMonitor, Inhibit, InhibitReason, Standby
 from gcs_coloc.core.aiding.methods.method import MethodContext
 from gcs_coloc.core.aiding.methods.registry import METHODS, feeds_receiver, method_for, mismatch
-from gcs_coloc.core.aiding.parameters import Parameters
-from gcs_coloc.core.aiding.primary_switch import PrimarySwitch
+from gcs_coloc.core.aiding.primary_switch import Parameters, PrimarySwitch
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
-from gcs_coloc.core.aiding.standby import Standby
-from gcs_coloc.core.aiding.stream import AidingStream, EstimateAt, FixInputs, Purpose
+from gcs_coloc.core.aiding.stream import AidingDecision, AidingStream, AidingView, EstimateAt, FixInputs, Purpose
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.messages.control import AidingOverride, ForeignGpsInput, PrimaryOverride, RouteBlock
@@ -26,38 +22,9 @@ from gcs_coloc.core.telemetry.measurement_builder import SentFix
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 _AIDED_STATES = (GpsState.FAILED, GpsState.RECOVERING)
+_STANDBY_STATES = (GpsState.HEALTHY, GpsState.SUSPECT)
 _FIX_FRESH_S = 3.0  # chosen: as long as a receiver may be silent
 _HEARTBEAT_WITHIN_S = 3.0  # autopilots send one each second
-
-
-@dataclass(frozen=True, slots=True)
-class AidingDecision:
-    """What was decided about one vehicle.
-
-    `method`: by which it is aided, None where it has no stream. `purpose`: why it is to have one, None where it is not.
-    `inhibit`: why it cannot be aided. `is_aided`: it may fly on our fix. `is_self_fed`: it may do so though its own receiver is
-    good, so that what it reports is an echo. `outputs`: what is to be sent and shown.
-    """
-
-    method: AidingMethodName | None = None
-    purpose: Purpose | None = None
-    inhibit: Inhibit | None = None
-    is_aided: bool = False
-    is_self_fed: bool = False
-    outputs: tuple[Outbound, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class AidingView:
-    """The aiding of one vehicle as observers see it; the fields are those of `VehicleSnapshot`."""
-
-    status: str
-    has_fix: bool
-    fix_acknowledged: bool | None
-    gps_primary: str | None
-    inhibit_reason: str | None
-    aiding_override: AidingOverride
-    primary_override: PrimaryOverride
 
 
 class Aiding:
@@ -77,7 +44,7 @@ class Aiding:
         self._parameters = Parameters()
         self._primary = PrimarySwitch(settings.gps_id)
         self._foreign = ForeignGpsInputMonitor(settings)
-        self._standby = Standby(settings, self._parameters)
+        self._standby = Standby(settings.gps_id, self._parameters)
         self._streams: dict[int, AidingStream] = {}
         self._sent_fixes: dict[int, SentFix] = {}
         self._next_due_s = float("inf")
@@ -114,7 +81,7 @@ class Aiding:
         purpose = self._purpose(vehicle, gps_state, stream, now_s)
         inhibit = self._inhibit(vehicle, has_duplicate_id=has_duplicate_id)
         if purpose is Purpose.STANDBY and inhibit is None:
-            obstacle, notices = self._standby.obstacle(sysid, now_s)
+            obstacle, notices = self._standby.review(sysid, now_s)
             purpose = None if obstacle is not None else purpose
             out.extend(notices)
         name = method_for(sysid, vehicle.autopilot, self._settings)
@@ -239,7 +206,8 @@ class Aiding:
             return f"NOT SENT: {inhibit.text if inhibit is not None else None}"
         if self._override(sysid) is AidingOverride.OFF:
             return "off by the operator's override"
-        return self._standby.status(sysid) or "off"
+        obstacle = self._standby.obstacle(sysid)
+        return f"no standby: {obstacle.text}" if obstacle is not None else "off"
 
     def _report_inhibit(
         self, vehicle: ReportedState, purpose: Purpose | None, inhibit: Inhibit | None, now_s: float
@@ -295,7 +263,9 @@ class Aiding:
                 return Purpose.HAND_BACK
             if stream.purpose_for_s(now_s) < self._settings.hand_back_s or self._primary.switching(sysid):
                 return Purpose.HAND_BACK
-        return Purpose.STANDBY if self._standby.is_for(sysid, vehicle.autopilot, gps_state) else None
+        # Any other method than GPS_INPUT would be fused at once.
+        feeds = feeds_receiver(method_for(sysid, vehicle.autopilot, self._settings))
+        return Purpose.STANDBY if self._settings.standby and feeds and gps_state in _STANDBY_STATES else None
 
     def _primary_wanted(self, vehicle: ReportedState, gps_state: GpsState, stream: AidingStream | None, now_s: float) -> bool:
         """Return whether GPS_PRIMARY is to be our receiver: begun only where that acknowledges our fix, kept while aid lasts."""

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import sqrt
 
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import Estimate, NoEstimate
+from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.residual_log import CONSISTENT_MEDIAN_NIS
 
-_MOST_HDOP = 30.0  # from 46 on positions in turns were off by ten times their bound, up to 27 never beyond it
+_MOST_DETERMINED_HDOP = 30.0  # from 46 on positions in turns were off by ten times their bound, up to 27 never beyond it
 _WEARS_OFF = 3.0
 _LONGEST_STEP_S = 1.0
 
@@ -88,4 +90,45 @@ class FixPolicy:
 
 def _is_determined(answer: Estimate) -> bool:
     """Whether the ranges in use tell both horizontal coordinates, so that it does not hang on what is assumed of the motion."""
-    return answer.ranges_in_use >= 2 and (answer.hdop is None or answer.hdop <= _MOST_HDOP)
+    return answer.ranges_in_use >= 2 and (answer.hdop is None or answer.hdop <= _MOST_DETERMINED_HDOP)
+
+
+CHECK, SCALE = "EK3_GPS_CHECK", "EK3_CHECK_SCALE"
+_SATELLITES, _HDOP, _SPEED, _POSITION = 1, 2, 4, 8  # bits of CHECK
+_LEAST_SATELLITES, _MOST_TAKEN_HDOP = 6, 2.5
+_MOST_SPEED_ACC_MPS, _MOST_H_ACC_M, _MOST_V_ACC_M = 1.0, 5.0, 7.5  # where SCALE is 100 %
+
+
+@dataclass(frozen=True, slots=True)
+class EkfGates:
+    """The checks of one vehicle: `checks` is the bit mask EK3_GPS_CHECK, `scale_percent` widens those of accuracy."""
+
+    checks: int
+    scale_percent: float
+
+    @property
+    def most_position_m(self) -> tuple[float, float] | None:
+        """The largest horizontal and vertical 1-sigma that it takes, m; None where it takes any."""
+        scale = self.scale_percent / 100.0
+        return (_MOST_H_ACC_M * scale, _MOST_V_ACC_M * scale) if self.checks & _POSITION else None
+
+    @property
+    def most_speed_mps(self) -> float | None:
+        """The largest 1-sigma of the speed that it takes, m/s; None where it takes any."""
+        return _MOST_SPEED_ACC_MPS * self.scale_percent / 100.0 if self.checks & _SPEED else None
+
+    def refusal(self, fix: GpsInput) -> str | None:
+        """Which of a fix's numbers the EKF does not take, in words; None where it takes all."""
+        if self.checks & _SATELLITES and fix.satellites < _LEAST_SATELLITES:
+            return f"{fix.satellites} satellites, it wants {_LEAST_SATELLITES}"
+        if self.most_position_m is not None:
+            horizontal_m, vertical_m = self.most_position_m
+            if fix.horiz_accuracy_m > horizontal_m:
+                return f"horizontal accuracy {fix.horiz_accuracy_m:.1f} m, it takes {horizontal_m:.4g} m"
+            if fix.vert_accuracy_m > vertical_m:
+                return f"vertical accuracy {fix.vert_accuracy_m:.1f} m, it takes {vertical_m:.4g} m"
+        if self.most_speed_mps is not None and fix.speed_accuracy_mps > self.most_speed_mps:
+            return f"speed accuracy {fix.speed_accuracy_mps:.1f} m/s, it takes {self.most_speed_mps:.4g} m/s"
+        if self.checks & _HDOP and fix.hdop > _MOST_TAKEN_HDOP:
+            return f"HDOP {fix.hdop:.1f}, it takes {_MOST_TAKEN_HDOP}"
+        return None

@@ -1,7 +1,14 @@
-"""Why a vehicle is not aided, or is sent no fix: reasons to branch on, worded here alone."""
+"""Inhibit reasons: why a vehicle is not aided, is sent no fix or gets no standby; worded here alone."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from gcs_coloc.core.aiding.primary_switch import NAME as PRIMARY
+from gcs_coloc.core.aiding.primary_switch import Parameters
+from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.messages.control import ForeignGpsInput
+from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.reasons import StatedReason, WordedReason
 
 
@@ -34,6 +41,100 @@ class InhibitReason(WordedReason):
     RANGES_JUMPED = "ranges_jumped", "all of its ranges jumped by {value:.0f} m"
     REGAINING = "regaining", "good enough again, watched for {limit:g} s"
 
+    # No standby
+    STANDBY_UNKNOWN = "standby_unknown", "it has not told its GPS_AUTO_SWITCH and GPS_PRIMARY yet"
+    STANDBY_OURS_FIRST = "standby_ours_first", "GPS_PRIMARY={value:g} is our receiver: set it to its own"
+    STANDBY_MAY_SWITCH = (
+        "standby_may_switch",
+        "GPS_AUTO_SWITCH={value:g} could leave its own receiver for ours: set it to 4",
+    )
+
 
 Inhibit = StatedReason[InhibitReason]
 """Why a vehicle is not aided, with the numbers of it."""
+
+
+@dataclass(slots=True)
+class _Other:
+    sender: int
+    heard_at_s: float
+    reported: bool = False
+
+
+class ForeignGpsInputMonitor:
+    """Which vehicles somebody else feeds on the receiver instance that we feed; what feeds another one is no rival."""
+
+    def __init__(self, settings: AidingSettings) -> None:
+        self._gps_id = settings.gps_id
+        self._stand_down_s = settings.stand_down_s
+        self._others: dict[int, _Other] = {}
+
+    def add(self, message: ForeignGpsInput) -> None:
+        """Add one message."""
+        if message.vehicle is None or message.gps_id != self._gps_id:
+            return
+        other = self._others.get(message.vehicle)
+        if other is None:
+            self._others[message.vehicle] = _Other(message.sysid, message.received_at_s)
+        else:
+            other.sender, other.heard_at_s = message.sysid, message.received_at_s
+
+    def review(self, sysid: int, now_s: float) -> list[Notice]:
+        """What is to be told of a vehicle's other sender: once when it is there, and when it has been gone for a while."""
+        other = self._others.get(sysid)
+        if other is None:
+            return []
+        if now_s - other.heard_at_s > self._stand_down_s:
+            del self._others[sysid]
+            return [Notice(now_s, sysid, "info", f"nobody else has sent it GPS_INPUT for {self._stand_down_s:g} s")]
+        if other.reported:
+            return []
+        other.reported = True
+        inhibit = Inhibit(InhibitReason.FOREIGN_GPS_INPUT, other.sender, self._gps_id)
+        return [Notice(now_s, sysid, "error", f"{inhibit.text}: ours stands down")]
+
+    def inhibit(self, sysid: int) -> Inhibit | None:
+        """Return why a vehicle is not aided; None where nobody else feeds it."""
+        other = self._others.get(sysid)
+        return Inhibit(InhibitReason.FOREIGN_GPS_INPUT, other.sender, self._gps_id) if other is not None else None
+
+
+_AUTO_SWITCH = "GPS_AUTO_SWITCH"
+_STAYS_WITH_ITS_OWN = (0.0, 4.0)  # the primary receiver only; the primary one while it has a 3D fix
+
+
+class Standby:
+    """Which vehicles may be streamed their own estimate while they are healthy, so that they arm and fail over without a gap.
+
+    It is safe only while the autopilot stays with its own receiver: one that may change over to ours would report our estimate
+    as its own position, which would then hold itself up. So its parameters are read first.
+    """
+
+    def __init__(self, gps_id: int, parameters: Parameters) -> None:
+        self._gps_id = gps_id
+        self._parameters = parameters
+        self._obstacles: dict[int, Inhibit] = {}
+
+    def review(self, sysid: int, now_s: float) -> tuple[Inhibit | None, list[Notice]]:
+        """Return why a vehicle gets no stream on standby, None where it may, and the notice of it once."""
+        for name in (_AUTO_SWITCH, PRIMARY):
+            self._parameters.request(sysid, name, now_s)
+        obstacle, before = self._obstacle(sysid), self._obstacles.pop(sysid, None)
+        if obstacle is None:
+            return None, []
+        self._obstacles[sysid] = obstacle
+        if obstacle == before or obstacle.reason is InhibitReason.STANDBY_UNKNOWN:
+            return obstacle, []
+        return obstacle, [Notice(now_s, sysid, "warning", f"no standby: {obstacle.text}")]
+
+    def obstacle(self, sysid: int) -> Inhibit | None:
+        """Return why a vehicle had no stream on standby at its last review; None where nothing stood against it."""
+        return self._obstacles.get(sysid)
+
+    def _obstacle(self, sysid: int) -> Inhibit | None:
+        switching, primary = (self._parameters.value(sysid, name) for name in (_AUTO_SWITCH, PRIMARY))
+        if switching is None or primary is None:
+            return Inhibit(InhibitReason.STANDBY_UNKNOWN)
+        if primary == self._gps_id:
+            return Inhibit(InhibitReason.STANDBY_OURS_FIRST, primary)
+        return Inhibit(InhibitReason.STANDBY_MAY_SWITCH, switching) if switching not in _STAYS_WITH_ITS_OWN else None

@@ -9,13 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from gcs_coloc.core.aiding.parameters import RETRY_S
 from gcs_coloc.core.messages.inbound import ParameterValue
 from gcs_coloc.core.messages.outbound import Notice, ParameterRequest, ParameterSet
 
 NAME = "GPS_PRIMARY"
-_TRIES = 5
-_TRY_AGAIN_S = 30.0
+RETRY_S = 1.0
+"""Chosen: longer than a slow radio takes for question and answer."""
+_READ_TRIES, _SET_TRIES = 3, 5  # chosen: nothing hangs on a value that is read, a flight may on one that is set
+_FRESH_S = 30.0  # chosen: somebody else may change a parameter in flight; one question in so long costs a radio nothing
+_TRY_AGAIN_S = 30.0  # chosen: an operator is not told more often
 
 Outputs = list[ParameterRequest | ParameterSet | Notice]
 
@@ -71,7 +73,7 @@ class PrimarySwitch:
             switch.step, switch.due_s, switch.tries = _Step.RESTORING, now_s, 0
         if switch.step in (_Step.OURS, _Step.LEFT) or now_s < switch.due_s:
             return []
-        if switch.tries >= _TRIES:
+        if switch.tries >= _SET_TRIES:
             return self._give_up(sysid, switch, now_s)
         switch.tries += 1
         switch.due_s = now_s + RETRY_S
@@ -127,3 +129,53 @@ class PrimarySwitch:
 
 def _notice(message: ParameterValue, level: str, text: str) -> Notice:
     return Notice(message.received_at_s, message.sysid, level, text)
+
+
+@dataclass(slots=True)
+class _PendingRequest:
+    due_s: float
+    tries: int = 0
+
+
+class Parameters:
+    """What the vehicles of one fleet have told of the parameters that somebody wants to know."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[int, str], ParameterValue] = {}
+        self._requested: dict[tuple[int, str], _PendingRequest] = {}
+
+    def request(self, sysid: int, name: str, now_s: float) -> None:
+        """Request a parameter where it is not known or was told long ago: somebody else may have changed it since."""
+        key = (sysid, name)
+        known, pending = self._known.get(key), self._requested.get(key)
+        if known is not None and now_s - known.received_at_s < _FRESH_S:
+            return
+        if pending is None or (pending.tries >= _READ_TRIES and now_s >= pending.due_s):
+            self._requested[key] = _PendingRequest(now_s)
+
+    def add(self, message: ParameterValue) -> None:
+        """Add what a vehicle reports; a parameter that nobody wants is passed over."""
+        key = (message.sysid, message.name)
+        if key in self._requested:
+            self._known[key] = message
+            self._requested[key].tries, self._requested[key].due_s = _READ_TRIES, message.received_at_s + _FRESH_S
+
+    def forget(self, sysid: int) -> None:
+        """The vehicle was rebooted: what it told before may hold no more."""
+        self._known = {key: value for key, value in self._known.items() if key[0] != sysid}
+        self._requested = {key: pending for key, pending in self._requested.items() if key[0] != sysid}
+
+    def value(self, sysid: int, name: str) -> float | None:
+        """What a parameter was when it was told last; None where it never was."""
+        known = self._known.get((sysid, name))
+        return known.value if known is not None else None
+
+    def due(self, now_s: float) -> list[ParameterRequest]:
+        """The requests that are to be asked by now."""
+        out = []
+        for (sysid, name), pending in self._requested.items():
+            if pending.tries < _READ_TRIES and now_s >= pending.due_s:
+                pending.tries += 1
+                pending.due_s = now_s + (RETRY_S if pending.tries < _READ_TRIES else _FRESH_S)
+                out.append(ParameterRequest(sysid, name))
+        return out

@@ -15,6 +15,7 @@ from gcs_coloc.core.aiding.methods.registry import feeds_receiver
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, NoEstimate
+from gcs_coloc.core.messages.control import AidingOverride, PrimaryOverride
 from gcs_coloc.core.messages.outbound import GpsInput, Notice, Outbound
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.schedule import TickSchedule
@@ -49,6 +50,36 @@ class FixInputs:
     range_sigma_m: float | None
     median_nis: float | None
     range_jump_m: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class AidingDecision:
+    """What was decided about one vehicle.
+
+    `method`: by which it is aided, None where it has no stream. `purpose`: why it is to have one, None where it is not.
+    `inhibit`: why it cannot be aided. `is_aided`: it may fly on our fix. `is_self_fed`: it may do so though its own receiver is
+    good, so that what it reports is an echo. `outputs`: what is to be sent and shown.
+    """
+
+    method: AidingMethodName | None = None
+    purpose: Purpose | None = None
+    inhibit: Inhibit | None = None
+    is_aided: bool = False
+    is_self_fed: bool = False
+    outputs: tuple[Outbound, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class AidingView:
+    """The aiding of one vehicle as observers see it; the fields are those of `VehicleSnapshot`."""
+
+    status: str
+    has_fix: bool
+    fix_acknowledged: bool | None
+    gps_primary: str | None
+    inhibit_reason: str | None
+    aiding_override: AidingOverride
+    primary_override: PrimaryOverride
 
 
 class AidingStream:

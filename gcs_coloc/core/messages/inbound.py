@@ -174,14 +174,33 @@ class PeerRange:
     device_id: int
 
 
+class VehicleCommand(Enum):
+    """A command whose result aiding branches on."""
+
+    EXTERNAL_POSITION_ESTIMATE = "MAV_CMD_EXTERNAL_POSITION_ESTIMATE"
+    OTHER = "other"
+
+
+class CommandOutcome(Enum):
+    """What a vehicle made of a command: MAV_RESULT in words."""
+
+    ACCEPTED = "accepted"
+    TEMPORARILY_REJECTED = "temporarily rejected"
+    DENIED = "denied"
+    UNSUPPORTED = "unsupported"
+    FAILED = "failed"
+    IN_PROGRESS = "in progress"
+    OTHER = "another result"
+
+
 @dataclass(frozen=True, slots=True)
 class CommandResult:
-    """COMMAND_ACK (77): what a vehicle made of a command; `command` is a MAV_CMD, `result` a MAV_RESULT."""
+    """COMMAND_ACK (77): what a vehicle made of a command."""
 
     sysid: int
     received_at_s: float
-    command: int
-    result: int
+    command: VehicleCommand
+    outcome: CommandOutcome
 
 
 @dataclass(frozen=True, slots=True)

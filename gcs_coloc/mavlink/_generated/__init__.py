@@ -1,1 +1,1 @@
-"""Written by pymavlink's generator from gcs_coloc.xml; `python -m gcs_coloc.mavlink.regenerate` writes it anew."""
+"""Written by pymavlink's generator from gcs_coloc.xml; `python -m tools.regenerate_dialect` writes it anew."""

@@ -9,9 +9,8 @@ import pytest
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.messages.inbound import Autopilot, GpsReceiver
 from gcs_coloc.core.telemetry.stream_requests import WANTED_HZ
-from gcs_coloc.doctor.checks import CLOCKS_AGREE_S, OFTEN, is_ready, of_fleet, of_vehicle
 from gcs_coloc.doctor.finding import FleetSurvey, Setup, Severity, VehicleSurvey
-from gcs_coloc.doctor.report import Report
+from gcs_coloc.doctor.report import CLOCKS_AGREE_S, OFTEN, Report, is_ready, of_fleet, of_vehicle
 
 PARAMETERS = {
     "GPS1_TYPE": 1.0,

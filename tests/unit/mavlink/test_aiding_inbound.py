@@ -9,10 +9,12 @@ from pymavlink.dialects.v10 import ardupilotmega as mavlink1
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.messages.control import ForeignGpsInput
-from gcs_coloc.core.messages.inbound import CommandResult, ParameterValue
+from gcs_coloc.core.messages.inbound import CommandOutcome, CommandResult, ParameterValue, VehicleCommand
 from gcs_coloc.mavlink.decoder import Decoder
 
 FIX = mavlink.MAVLink_gps_input_message(0, 1, 0, 0, 0, 3, 470000000, 80000000, 500.0, 1.0, 1.0, 0, 0, 0, 0.5, 2.0, 3.0, 10)
+
+ACCEPTED = CommandResult(4, 5.0, VehicleCommand.EXTERNAL_POSITION_ESTIMATE, CommandOutcome.ACCEPTED)
 
 
 def decoded(message, sysid=4, compid=1, **options):
@@ -23,7 +25,7 @@ def decoded(message, sysid=4, compid=1, **options):
 
 def test_the_answer_to_a_command_is_taken_from_the_autopilot_alone():
     ack = mavlink.MAVLink_command_ack_message(43003, 4, target_system=254, target_component=191)
-    assert decoded(ack) == ([CommandResult(4, 5.0, 43003, 4)], {})
+    assert decoded(ack) == ([CommandResult(4, 5.0, VehicleCommand.EXTERNAL_POSITION_ESTIMATE, CommandOutcome.FAILED)], {})
     assert decoded(ack, compid=100) == ([], {"not_from_autopilot": 1})
 
 
@@ -42,14 +44,14 @@ def test_the_answer_to_a_command_is_taken_from_the_autopilot_alone():
 def test_the_answer_to_another_ground_stations_command_is_not_taken_for_ours(target, ours):
     ack = mavlink.MAVLink_command_ack_message(43003, 0, target_system=target[0], target_component=target[1])
     taken, counts = decoded(ack)
-    assert (taken, counts) == (([CommandResult(4, 5.0, 43003, 0)], {}) if ours else ([None], {"answer_to_another": 1}))
+    assert (taken, counts) == (([ACCEPTED], {}) if ours else ([None], {"answer_to_another": 1}))
 
 
 def test_an_answer_in_mavlink_1_has_no_address_and_is_taken():
     ack = mavlink1.MAVLink_command_ack_message(43003, 0)
     frame = bytes(ack.pack(mavlink1.MAVLink(None, srcSystem=4, srcComponent=1)))
     assert (frame[0], frame[1]) == (0xFE, 3)
-    assert [taken.message for taken in Decoder().decode(frame, 5.0)] == [CommandResult(4, 5.0, 43003, 0)]
+    assert [taken.message for taken in Decoder().decode(frame, 5.0)] == [ACCEPTED]
 
 
 @pytest.mark.parametrize("name", [b"GPS_PRIMARY", b"SIXTEEN_LETTERS_"])

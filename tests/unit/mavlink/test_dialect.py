@@ -8,8 +8,9 @@ import pymavlink.dialects.v20
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega, development
 
-from gcs_coloc.mavlink import dialect, regenerate
+from gcs_coloc.mavlink import framing
 from gcs_coloc.mavlink._generated import gcs_coloc
+from tools import regenerate_dialect
 
 
 def message_code(path):
@@ -26,18 +27,19 @@ def message_code(path):
 
 def test_committed_module_is_what_the_xml_generates(tmp_path):
     fresh = tmp_path / "gcs_coloc.py"
-    regenerate.generate(fresh)
+    regenerate_dialect.generate(fresh)
     generated = message_code(fresh)
     assert set(generated) >= {"MAVLink_peer_range_message", "MAVLink_ranging_beacon_message", "mavlink_map"}
-    assert message_code(regenerate.GENERATED_MODULE) == generated
+    assert message_code(regenerate_dialect.GENERATED_MODULE) == generated
 
 
 def test_an_xml_that_breaks_the_schema_is_refused(tmp_path, monkeypatch):
     broken = tmp_path / "gcs_coloc.xml"
-    broken.write_text(regenerate.DIALECT_XML.read_text().replace('type="float" name="range"', 'type="length" name="range"'))
-    monkeypatch.setattr(regenerate, "DIALECT_XML", broken)
+    xml = regenerate_dialect.DIALECT_XML.read_text()
+    broken.write_text(xml.replace('type="float" name="range"', 'type="length" name="range"'))
+    monkeypatch.setattr(regenerate_dialect, "DIALECT_XML", broken)
     with pytest.raises((RuntimeError, SystemExit)):
-        regenerate.generate(tmp_path / "out.py")
+        regenerate_dialect.generate(tmp_path / "out.py")
 
 
 def test_peer_range_has_its_fields_in_the_documented_order():
@@ -63,10 +65,10 @@ def test_ranging_beacon_xml_is_a_verbatim_copy():
         return [ElementTree.canonicalize(ElementTree.tostring(part), strip_text=True) for part in parts]
 
     theirs = Path(pymavlink.dialects.v20.__file__).parent / "development.xml"
-    assert definition(regenerate.DIALECT_XML) == definition(theirs)
+    assert definition(regenerate_dialect.DIALECT_XML) == definition(theirs)
 
 
 def test_pymavlinks_own_map_is_left_alone():
-    assert 181600 in dialect.MESSAGE_CLASSES
+    assert 181600 in framing.MESSAGE_CLASSES
     assert 181600 not in ardupilotmega.mavlink_map
-    assert dialect.CRC_EXTRA[232] == ardupilotmega.MAVLink_gps_input_message.crc_extra
+    assert framing.CRC_EXTRA[232] == ardupilotmega.MAVLink_gps_input_message.crc_extra

@@ -1,4 +1,4 @@
-from gcs_coloc.mavlink.sequence import MAX_SENDERS, REMEMBERED_FRAMES, SequenceTracker
+from gcs_coloc.mavlink.decoder import MAX_SENDERS, REMEMBERED_FRAMES, SequenceTracker
 
 VEHICLE = ("address", 1, 1)
 

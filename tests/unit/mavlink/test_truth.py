@@ -10,8 +10,8 @@ from recorded_flight import EPOCH_S, SCENARIO
 
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.mavlink.decoder import HeardTruth, truth_of
 from gcs_coloc.mavlink.framing import read_frame
-from gcs_coloc.mavlink.truth import HeardTruth, truth_of
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.tlog import TlogReader
 from sitl_fakes.fleet import Fleet

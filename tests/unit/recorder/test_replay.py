@@ -19,7 +19,7 @@ from gcs_coloc.core.messages.outbound import ExternalPosition, GpsInput, HealthC
 from gcs_coloc.core.schedule import CATCH_UP_S, advance, find_overrun
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.decoder import Decoder
-from gcs_coloc.mavlink.dialect import OWN_COMPID, OWN_SYSID
+from gcs_coloc.mavlink.framing import OWN_COMPID, OWN_SYSID
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.reports.flight_report import FlightReport
 from gcs_coloc.recorder.side_channel import FlownWith, SideChannelWriter

@@ -11,8 +11,8 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.links.admission import SignedLinks
 from gcs_coloc.links.forward import Forwarder
 from gcs_coloc.links.routes import RouteTable
+from gcs_coloc.mavlink.decoder import SequenceTracker
 from gcs_coloc.mavlink.refusals import Counts, Refusal, Refusals
-from gcs_coloc.mavlink.sequence import SequenceTracker
 from gcs_coloc.recorder.flight_recording import FlightRecording
 from gcs_coloc.service.snapshot_cache import SnapshotCache
 

@@ -16,7 +16,7 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.mavlink.truth import HeardTruth
+from gcs_coloc.mavlink.decoder import HeardTruth
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.web.picture import fleet_frame

@@ -11,19 +11,16 @@ from collections.abc import Sequence
 from gcs_coloc.core.aiding.methods.method import MethodContext, Moment
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import NoEstimate
-from gcs_coloc.core.messages.inbound import CommandResult
+from gcs_coloc.core.messages.inbound import CommandOutcome, CommandResult, VehicleCommand
 from gcs_coloc.core.messages.outbound import AidingMessage, ExternalPosition, Notice
 from gcs_coloc.core.reasons import CoreRefusal
 
-COMMAND = 43003
-"""MAV_CMD_EXTERNAL_POSITION_ESTIMATE."""
-
-_ACCEPTED, _UNSUPPORTED, _IN_PROGRESS = 0, 3, 5  # MAV_RESULT
-_RESULTS = {
-    1: (CoreRefusal.EXTERNAL_POSITION_REJECTED, "temporarily rejected"),
-    2: (CoreRefusal.EXTERNAL_POSITION_DENIED, "denied"),
-    3: (CoreRefusal.EXTERNAL_POSITION_UNSUPPORTED, "unsupported"),
-    4: (CoreRefusal.EXTERNAL_POSITION_FAILED, "failed"),
+_REFUSALS = {
+    CommandOutcome.TEMPORARILY_REJECTED: CoreRefusal.EXTERNAL_POSITION_REJECTED,
+    CommandOutcome.DENIED: CoreRefusal.EXTERNAL_POSITION_DENIED,
+    CommandOutcome.UNSUPPORTED: CoreRefusal.EXTERNAL_POSITION_UNSUPPORTED,
+    CommandOutcome.FAILED: CoreRefusal.EXTERNAL_POSITION_FAILED,
+    CommandOutcome.OTHER: CoreRefusal.EXTERNAL_POSITION_OTHER,
 }
 _MAX_UNANSWERED = 5  # chosen: five seconds at the default rate
 _ACCEPTED_PERIODS = 3.5  # an acceptance holds for so long; chosen: three lost answers
@@ -42,13 +39,13 @@ class ExternalPositionMethod:
         self._refused = context.refused
         self._due_s = float("-inf")
         self._accepted_at_s = float("-inf")
-        self._result: int | None = None
+        self._outcome: CommandOutcome | None = None
         self._unanswered = 0
 
     def build_messages(self, moment: Moment) -> Sequence[AidingMessage | Notice]:
         """As the protocol says."""
         frame = moment.frame
-        if moment.inhibit is not None or frame is None or moment.standby or self._result == _UNSUPPORTED:
+        if moment.inhibit is not None or frame is None or moment.standby or self._outcome is CommandOutcome.UNSUPPORTED:
             return []
         if moment.now_s < self._due_s:
             return []
@@ -67,7 +64,7 @@ class ExternalPositionMethod:
 
     def is_accepted(self, now_s: float) -> bool:
         """Return whether the vehicle accepts the estimates, as it does while it dead-reckons."""
-        return self._result == _ACCEPTED and now_s - self._accepted_at_s <= _ACCEPTED_PERIODS * self._period_s
+        return self._outcome is CommandOutcome.ACCEPTED and now_s - self._accepted_at_s <= _ACCEPTED_PERIODS * self._period_s
 
     def build_last_messages(self) -> Sequence[AidingMessage]:
         """As the protocol says: the command cannot say that there is no position."""
@@ -75,24 +72,25 @@ class ExternalPositionMethod:
 
     def add_result(self, result: CommandResult) -> Sequence[Notice]:
         """As the protocol says."""
-        if result.command != COMMAND or result.result == _IN_PROGRESS:
+        outcome = result.outcome
+        if result.command is not VehicleCommand.EXTERNAL_POSITION_ESTIMATE or outcome is CommandOutcome.IN_PROGRESS:
             return []
-        before, self._result, self._unanswered = self._result, result.result, 0
-        if result.result == _ACCEPTED:
+        is_new, self._outcome, self._unanswered = outcome is not self._outcome, outcome, 0
+        level, text = "info", "it takes external position estimates"
+        if outcome is CommandOutcome.ACCEPTED:
             self._accepted_at_s = result.received_at_s
-            text = "it takes external position estimates"
-            return [Notice(result.received_at_s, self._sysid, "info", text)] if before != _ACCEPTED else []
-        refusal, text = _RESULTS.get(result.result, (CoreRefusal.EXTERNAL_POSITION_OTHER, f"MAV_RESULT {result.result}"))
-        self._refused[refusal] += 1
-        if before == result.result:
-            return []
-        why = "its firmware does not know them" if result.result == _UNSUPPORTED else "its EKF uses a GPS, or has no origin yet"
-        return [Notice(result.received_at_s, self._sysid, "warning", f"it refuses external position estimates ({text}): {why}")]
+        else:
+            self._refused[_REFUSALS[outcome]] += 1
+            unknown = outcome is CommandOutcome.UNSUPPORTED
+            why = "its firmware does not know them" if unknown else "its EKF uses a GPS, or has no origin yet"
+            level, text = "warning", f"it refuses external position estimates ({outcome.value}): {why}"
+        return [Notice(result.received_at_s, self._sysid, level, text)] if is_new else []
 
     def with_fix(self) -> str:
         """As the protocol says."""
-        taken = "" if self._result == _ACCEPTED else ", not taken" if self._result is not None else ", not answered yet"
-        return f"external position estimates{taken}"
+        if self._outcome is CommandOutcome.ACCEPTED:
+            return "external position estimates"
+        return f"external position estimates, not {'taken' if self._outcome is not None else 'answered yet'}"
 
     def without_fix(self) -> str:
         """As the protocol says."""

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.methods.external_position import ExternalPositionMethod
 from gcs_coloc.core.aiding.methods.global_position_sensor import GlobalPositionSensorMethod
-from gcs_coloc.core.aiding.methods.gps_input import GpsInputMethod
-from gcs_coloc.core.aiding.methods.gps_input_or_external import GpsInputOrExternalMethod
+from gcs_coloc.core.aiding.methods.gps_input import GpsInputMethod, GpsInputOrExternalMethod
 from gcs_coloc.core.aiding.methods.method import AidingMethod, MethodContext
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.messages.inbound import Autopilot

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from gcs_coloc.core.aiding.ekf_gates import EkfGates
+from gcs_coloc.core.aiding.fix_policy import EkfGates
 from gcs_coloc.core.aiding.methods.gps_input import no_fix
 
 GOOD = replace(

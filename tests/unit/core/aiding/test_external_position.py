@@ -10,14 +10,15 @@ from engine_flights import StraightLine, fly, settings
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import TransmitDisabled
-from gcs_coloc.core.messages.inbound import CommandResult, ParameterValue, PeerRange, TimeBase
+from gcs_coloc.core.messages.inbound import CommandOutcome, CommandResult, ParameterValue, PeerRange, TimeBase, VehicleCommand
 from gcs_coloc.core.messages.outbound import ExternalPosition, GpsInput, Notice, ParameterRequest
 
-ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
-COMMAND = 43003
+ACCEPTED, DENIED, FAILED = CommandOutcome.ACCEPTED, CommandOutcome.DENIED, CommandOutcome.FAILED
+UNSUPPORTED = CommandOutcome.UNSUPPORTED
+COMMAND = VehicleCommand.EXTERNAL_POSITION_ESTIMATE
 
 
-def flown(engine: Engine, start_s: float, stop_s: float, result: int | None = None, checks: float | None = None) -> list:
+def flown(engine: Engine, start_s: float, stop_s: float, result=None, checks: float | None = None) -> list:
     """Fly on without GPS on vehicle 4, which answers to estimates with `result` and to the question for its checks."""
     out = []
     for step in range(round(start_s * 10), round(stop_s * 10)):
@@ -163,5 +164,5 @@ def test_chosen_by_setting_they_are_sent_alone(sigma_m):
 def test_answers_to_other_commands_mean_nothing():
     engine = engine_with(10.0)
     flown(engine, 5.0, 8.0, None)
-    engine.receive(CommandResult(4, 8.0, 511, ACCEPTED))
+    engine.receive(CommandResult(4, 8.0, VehicleCommand.OTHER, ACCEPTED))
     assert fix_types(flown(engine, 8.0, 10.0, None), 8.0) == {3}

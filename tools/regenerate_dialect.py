@@ -1,4 +1,4 @@
-"""Regenerates the Python of our MAVLink messages: `python -m gcs_coloc.mavlink.regenerate`, after a change of gcs_coloc.xml."""
+"""Regenerates the Python of our MAVLink messages: `python -m tools.regenerate_dialect`, after a change of gcs_coloc.xml."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from pathlib import Path
 
 from pymavlink.generator import mavgen, mavparse
 
-DIALECT_XML = Path(__file__).with_name("gcs_coloc.xml")
-GENERATED_MODULE = Path(__file__).parent / "_generated" / "gcs_coloc.py"
+_PACKAGE = Path(__file__).parents[1] / "gcs_coloc/mavlink"
+DIALECT_XML = _PACKAGE / "gcs_coloc.xml"
+GENERATED_MODULE = _PACKAGE / "_generated" / "gcs_coloc.py"
 
 
 def generate(output: Path) -> None:
