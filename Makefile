@@ -70,7 +70,6 @@ dialect: .venv/.ready
 # Writes the tables of settings in docs/reference from the settings' classes.
 reference: .venv/.ready
 	$(BIN)/python -m tools.settings_reference
-	$(BIN)/python -m gcs_coloc.estimators.settings_reference docs/reference
 
 # Renews the lock files from pyproject.toml; needs uv.
 lock: 

@@ -2,23 +2,42 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import math
 import re
 import sys
+import textwrap
 from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from pydantic import BaseModel
 
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.setting_bounds import Bounds, field_bounds
-from gcs_coloc.estimators.settings_reference import field_docstrings
+from gcs_coloc.estimators.registry import load_class, settings_type_of
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = (ROOT / "docs/reference/configuration.md",)
+PAGES = tuple(ROOT / f"docs/reference/{page}.md" for page in ("configuration", "estimator-fleet", "estimator-qu-zhang"))
 _TABLE = re.compile(r"(<!-- settings: (\w+) -->\n).*?(<!-- end of settings -->)", re.DOTALL)
 _TOP_LEVEL = "top_level"
+_ESTIMATOR = "estimator_"
+"""Before the name of an estimator whose settings the table holds."""
+
+
+def _field_docstrings(settings_type: type) -> dict[str, str]:
+    """Return the docstring under each field of a dataclass, on one line."""
+    (definition,) = ast.parse(textwrap.dedent(inspect.getsource(settings_type))).body
+    found: dict[str, str] = {}
+    key = None
+    for node in cast("ast.ClassDef", definition).body:
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            key = node.target.id
+        elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str) and key:
+            found[key] = " ".join(node.value.value.split())
+            key = None
+    return found
 
 
 def field_texts(cls: type) -> dict[str, str]:
@@ -27,7 +46,7 @@ def field_texts(cls: type) -> dict[str, str]:
     for base in reversed(cls.__mro__):
         if not base.__module__.startswith("gcs_coloc."):
             continue
-        texts |= field_docstrings(base)
+        texts |= _field_docstrings(base)
     return texts
 
 
@@ -46,6 +65,9 @@ def written(page: str) -> str:
 
 
 def _section(name: str) -> type:
+    if name.startswith(_ESTIMATOR):
+        estimator = name.removeprefix(_ESTIMATOR)
+        return cast("type", settings_type_of(estimator, load_class(estimator)))
     return Settings if name == _TOP_LEVEL else type(getattr(Settings(), name))
 
 

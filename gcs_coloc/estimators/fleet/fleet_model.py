@@ -19,10 +19,8 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.estimators.fleet.ambiguity.outliers import monitor_range, unresolved_outlier_variance_m2
-from gcs_coloc.estimators.fleet.cluster_set import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseSplit, without_time_error
-from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, Records, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TIME_STAMP_OFFSET, VELOCITY, pair_key
@@ -34,6 +32,7 @@ from gcs_coloc.estimators.fleet.ekf.update import (
 )
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_ranges, initialise_from_reports
 from gcs_coloc.estimators.fleet.peer_selection import is_selected
+from gcs_coloc.estimators.fleet.range_evidence import monitor_range, unresolved_outlier_variance_m2
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution_of
 

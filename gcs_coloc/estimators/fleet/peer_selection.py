@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray
-from gcs_coloc.estimators.fleet.cluster_set import ClusterSet
+from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.records import Records
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 

@@ -11,7 +11,7 @@ from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, Sensitivities, nis, position_rows
 from gcs_coloc.estimators.qu_zhang.epochs import RangeEpochGatherer
 from gcs_coloc.estimators.qu_zhang.fix import Fix
-from gcs_coloc.estimators.qu_zhang.gating import NisGate
+from gcs_coloc.estimators.qu_zhang.track import NisGate
 
 CONFIRMATIONS = 3
 """Fixes that must agree after an initialisation from ranges alone, before the first estimate. Chosen: one may be an outlier."""

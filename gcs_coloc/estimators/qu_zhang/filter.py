@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Collection, Mapping
+from dataclasses import fields
 
 import numpy as np
 
@@ -30,15 +31,17 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
     Residual,
 )
-from gcs_coloc.estimators.qu_zhang.circles import range_residual
 from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, density, position_rows
-from gcs_coloc.estimators.qu_zhang.denied_vehicle import CONFIRMATIONS, DeniedVehicleFilter, lasting_covariance
+from gcs_coloc.estimators.qu_zhang.denied_vehicle import (
+    CONFIRMATIONS,
+    DeniedVehicleFilter,
+    lasting_covariance,
+)
 from gcs_coloc.estimators.qu_zhang.epochs import RangeEpoch, RangeEpochGatherer
 from gcs_coloc.estimators.qu_zhang.fix import Fix, circles_of, fix_of
-from gcs_coloc.estimators.qu_zhang.gating import NisGate
 from gcs_coloc.estimators.qu_zhang.settings import QuZhangSettings
-from gcs_coloc.estimators.qu_zhang.track import PeerTrack
-from gcs_coloc.estimators.validation import is_sound
+from gcs_coloc.estimators.qu_zhang.track import NisGate, PeerTrack
+from gcs_coloc.estimators.qu_zhang.trilateration import range_residual
 
 PAPER_STEP_S = 0.02
 """The paper's computing cycle, to which its q belongs (it prints 0.02 ms, which only 50 Hz makes sense of)."""
@@ -82,7 +85,7 @@ class QuZhangFilter:
         for vehicle, denied_vehicle in self._denied.items():
             for epoch in denied_vehicle.gatherer.pop_due(measurement.arrived_at_s):
                 self._close(vehicle, denied_vehicle, epoch)
-        if not is_sound(measurement):
+        if not _is_sound(measurement):
             self._counts["impossible value"] += 1
         elif measurement.measured_at_s > measurement.arrived_at_s + self._settings.late_window_s:
             # One such time would carry a filter into the future and make everything after it late.
@@ -294,3 +297,22 @@ class QuZhangFilter:
 
 def _with_cause(text: str, denied_vehicle: DeniedVehicleFilter | None) -> str:
     return f"{text}: {denied_vehicle.reason}" if denied_vehicle is not None and denied_vehicle.reason else text
+
+
+def _is_sound(measurement: Measurement) -> bool:
+    """Return whether all numbers are finite, all sigmas above zero, a range not negative and its two ends different."""
+    for one in fields(measurement):
+        value = getattr(measurement, one.name)
+        numbers = value if isinstance(value, tuple) else () if value is None else (value,)
+        if not all(math.isfinite(number) for number in numbers):
+            return False
+    match measurement:
+        case PositionMeasurement():
+            speed_sigma = measurement.sigma_velocity_mps
+            return measurement.sigma_h_m > 0.0 and measurement.sigma_v_m > 0.0 and (speed_sigma is None or speed_sigma > 0.0)
+        case RangeMeasurement():
+            return measurement.sigma_m > 0.0 and measurement.range_m >= 0.0 and measurement.from_vehicle != measurement.to_vehicle
+        case AltitudeMeasurement():
+            return measurement.sigma_m > 0.0
+        case AttitudeMeasurement():
+            return True

@@ -10,12 +10,11 @@ import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.estimators.qu_zhang import trilateration
-from gcs_coloc.estimators.qu_zhang.circles import Circle, make_circle
 from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution
 from gcs_coloc.estimators.qu_zhang.epochs import RangeEpoch
-from gcs_coloc.estimators.qu_zhang.gating import threshold
 from gcs_coloc.estimators.qu_zhang.settings import QuZhangSettings
-from gcs_coloc.estimators.qu_zhang.track import PeerTrack
+from gcs_coloc.estimators.qu_zhang.track import PeerTrack, threshold
+from gcs_coloc.estimators.qu_zhang.trilateration import Circle, make_circle
 
 _CANDIDATES = 8
 """Among more peers the tightest eight are tried: 56 triples, and nothing to gain from the others."""

@@ -1,14 +1,11 @@
-import re
-from dataclasses import MISSING, fields, replace
+from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gcs_coloc.estimators.qu_zhang.circles import Circle
 from gcs_coloc.estimators.qu_zhang.fix import Fix, published_covariance, solve
-from gcs_coloc.estimators.qu_zhang.settings import QuZhangSettings
+from gcs_coloc.estimators.qu_zhang.trilateration import Circle
 
 MORE = {
     1: np.array([0.0, 0.0, 60.0]),
@@ -130,16 +127,3 @@ def test_the_published_covariance_takes_the_peers_filters_alone() -> None:
 
     assert louder.tolist() == one.tolist()
     assert wider == pytest.approx(4.0 * one)
-
-
-def test_every_setting_stands_on_the_reference_page_with_its_default() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "reference" / "estimator-qu-zhang.md").read_text()
-    listed = dict(re.findall(r"^\| `(\w+)` \| `([^`]+)` \|", page, flags=re.MULTILINE))
-    spelled = {True: "true", False: "false"}
-    expected = {}
-    for one in fields(QuZhangSettings):
-        assert one.default is not MISSING
-        default = one.default
-        expected[one.name] = spelled[default] if isinstance(default, bool) else repr(default).replace("'", '"')
-
-    assert listed == expected

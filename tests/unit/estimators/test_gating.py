@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, nis, position_rows
-from gcs_coloc.estimators.qu_zhang.gating import NisGate, threshold
+from gcs_coloc.estimators.qu_zhang.track import NisGate, threshold
 
 
 def test_thresholds_are_chi_square_quantiles() -> None:

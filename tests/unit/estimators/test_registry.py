@@ -100,7 +100,7 @@ def test_a_plug_in_file_and_a_plug_in_module(plug_in: str) -> None:
         ("qu_zhang", {"speed": 1}, "no setting 'speed'; it has covariance"),
         ("qu_zhang", {"max_sigma_m": "wide"}, "'max_sigma_m' is 'wide'; it must be of type float"),
         ("qu_zhang", {"max_sigma_m": True}, "must be of type float"),
-        ("qu_zhang", {"max_sigma_m": -1.0}, "max_sigma_m = -1.0: it must be from 0.01 to 1e+06"),
+        ("qu_zhang", {"max_sigma_m": -1.0}, "max_sigma_m must be from 0.01 to 1e+06, not -1"),
         ("no.such.module:Thing", {}, "cannot import estimator module no.such.module"),
         ("no_such_file.py:Thing", {}, "there is no estimator file"),
         ("gcs_coloc.estimators.qu_zhang.filter:Missing", {}, "has no class Missing"),

@@ -1,1 +1,0 @@
-"""Reflection ambiguity and unresolved outliers: where several positions fit the ranges of a denied vehicle."""

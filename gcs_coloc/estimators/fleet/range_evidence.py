@@ -1,0 +1,183 @@
+"""What ranges say of a denied vehicle's state: CUSUM test of the refused ones, and signs that it is on the wrong side.
+
+A gate that locks itself out is the worst failure of a filter: confident and lost. So the refused ranges of a denied vehicle are
+evidence that its state is wrong, the used ones that it is right, eq. (21). Ranges to two peers fit on both sides of the line
+through them: a vehicle on the wrong side finds these two fitting and refuses all others. After a gap it may be on either side;
+the next ranges are linearised at the predicted position, so they confirm the side of the prediction.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from gcs_coloc.core.error_ellipse import horizontal_sigma_m
+from gcs_coloc.core.measurements import RangeMeasurement
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
+from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, Neighbour, ReflectionEvidence, UnresolvedOutlier, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.state import POSITION
+from gcs_coloc.estimators.fleet.reflection import (
+    ReflectionPlane,
+    offset_sigmas,
+    vertical_plane_through,
+    vertical_plane_through_line,
+)
+from gcs_coloc.estimators.fleet.settings import FleetSettings
+
+_CUSUM_REFUSED = 0.88
+"""Log-likelihood ratio of a refused range: ln(0.8 / 0.33), four of five are refused in a wrong state, one of three at most
+in a right one."""
+_CUSUM_USED = -1.2
+"""Log-likelihood ratio of a used range: ln(0.2 / 0.67)."""
+_CUSUM_LIMIT = 7.0
+"""Chosen: eight refused ranges in a row; fewer inflate on multipath, more let a wrong state stand longer."""
+_REFUSED_MEMORY = 0.7
+"""Chosen: share of the mean squared innovation that the next refused range keeps: the mean of the last three."""
+_INFLATION_KEPT = 0.8
+"""Chosen: each used range takes a fifth of the noise inflation away: half is gone after three ranges that agree."""
+_LEAST_INFORMATION = 1e-6
+"""Keeps the determinant of the direction matrix positive with one neighbour."""
+_COVERED_SIGMAS = 3.0
+"""Chosen: the state that an unresolved outlier speaks for is within three sigmas of the estimate."""
+_ENOUGH_RANGES = 2
+"""Chosen: two refused ranges in a row that fit the reflected position open a hypothesis; one may be multipath."""
+_SMALLER_SHARE = 0.9
+"""Chosen: the ranges after a gap count as informative where they reduced the sigma by a tenth."""
+_EITHER_SIDE_SIGMAS = 4.0
+"""Chosen: as the gate; a plane within so many sigmas of the saved estimate leaves both sides possible."""
+_CLEARLY_ASIDE_SIGMAS = 1.0
+"""Chosen: nearer to the plane both hypotheses would be one."""
+
+
+def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResult, m: RangeMeasurement) -> None:
+    """Record the result of a denied vehicle's range with another vehicle; inflate its covariance when the CUSUM test fails."""
+    record = cluster.records[vehicle]
+    if result.degrees_of_freedom > 0:
+        record.reflection_evidence = update_reflection_evidence(record.reflection_evidence, cluster, vehicle, other, result, m)
+    if result.used:
+        record.neighbours[other] = Neighbour(m.measured_at_s, result.unit)
+        record.updated_at_s = m.measured_at_s
+        outlier = record.unresolved_outlier
+        if outlier is None or outlier.neighbour == other or _is_resolved(record, outlier, m.measured_at_s, cluster.settings):
+            record.cusum = max(record.cusum + _CUSUM_USED, 0.0)
+            record.unresolved_outlier = None
+        record.range_noise_inflation_m2 *= _INFLATION_KEPT
+        return
+    if result.degrees_of_freedom == 0:
+        return
+    square, kept = result.innovation_m**2, _REFUSED_MEMORY if record.cusum > 0.0 else 0.0
+    record.refused_innovation_m2 = kept * record.refused_innovation_m2 + (1.0 - kept) * square
+    record.cusum += _CUSUM_REFUSED
+    refused = UnresolvedOutlier(other, result.unit, result.nis)
+    record.unresolved_outlier = None if _is_resolved(record, refused, m.measured_at_s, cluster.settings) else refused
+    if record.cusum > _CUSUM_LIMIT:
+        # The first ranges after the inflation may be the wrong ones: their noise is inflated too, until some have agreed.
+        cluster.inflate_covariance(vehicle, record.refused_innovation_m2)
+        record.range_noise_inflation_m2 = record.refused_innovation_m2
+        record.cusum = 0.0
+        record.unresolved_outlier = None
+
+
+def unresolved_outlier_variance_m2(record: VehicleRecord) -> float:
+    """Return the variance (m^2) to add to an estimate while it is unresolved whether the state or a refused range is wrong.
+
+    It counts from the second refused range in a row on: a single one is an outlier.
+    """
+    if record.unresolved_outlier is None or record.cusum < 2.0 * _CUSUM_REFUSED:
+        return 0.0
+    return record.refused_innovation_m2 / _COVERED_SIGMAS**2
+
+
+def _is_resolved(record: VehicleRecord, refused: UnresolvedOutlier, at_s: float, s: FleetSettings) -> bool:
+    """Whether the ranges in use would show the displacement that a refused range suggests, eq. (22).
+
+    Of all horizontal displacements that explain the refused range, the least visible one moves the other ranges by the
+    innovation times the root of 1 / (u' N^-1 u); N is the sum of their u u', u a unit vector along the range. With one other
+    peer that is nothing.
+    """
+    ee = nn = _LEAST_INFORMATION
+    en = 0.0
+    for vehicle, neighbour in record.neighbours.items():
+        if vehicle != refused.neighbour and at_s - neighbour.at_s <= IN_USE_S:
+            e, n, _ = neighbour.unit
+            ee, en, nn = ee + e * e, en + e * n, nn + n * n
+    e, n, _ = refused.unit
+    least = e * e * nn - 2.0 * e * n * en + n * n * ee
+    return refused.nis * (ee * nn - en * en) > s.gate_sigma**2 * least
+
+
+class SavedEstimate(NamedTuple):
+    """The horizontal estimate of a denied vehicle before a range: mean in m, covariance in m^2, larger sigma in m."""
+
+    east_m: float
+    north_m: float
+    ee_m2: float
+    en_m2: float
+    nn_m2: float
+    sigma_m: float
+
+
+def save_estimate(cluster: Cluster, denied_vehicle: int, at_s: float | None = None) -> SavedEstimate:
+    """Return the horizontal estimate of a denied vehicle at a time, by default that of its states."""
+    joint = cluster.joint
+    x, P = (
+        (joint.mean(denied_vehicle), joint.covariance(denied_vehicle)) if at_s is None else cluster.predict(denied_vehicle, at_s)
+    )
+    return SavedEstimate(x.item(0), x.item(1), P.item(0, 0), P.item(0, 1), P.item(1, 1), horizontal_sigma_m(P))
+
+
+def plane_after_gap(before: SavedEstimate, cluster: Cluster, denied_vehicle: int, at_s: float) -> ReflectionPlane | None:
+    """Return the plane through the peers where only ranges after a gap decided the side; None where they did not."""
+    if horizontal_sigma_m(cluster.joint.covariance(denied_vehicle)) > _SMALLER_SHARE * before.sigma_m:
+        return None
+    plane = vertical_plane_through_line(cluster, denied_vehicle, at_s)
+    if plane is None or abs(offset_sigmas(cluster, denied_vehicle, plane)) < _CLEARLY_ASIDE_SIGMAS:
+        return None
+    (e, n, _), (at_e, at_n, _) = plane.normal.tolist(), plane.point_m.tolist()
+    offset_m = (before.east_m - at_e) * e + (before.north_m - at_n) * n
+    variance_m2 = e * e * before.ee_m2 + 2.0 * e * n * before.en_m2 + n * n * before.nn_m2
+    return plane if abs(offset_m) < _EITHER_SIDE_SIGMAS * math.sqrt(max(variance_m2, 0.0)) else None
+
+
+def update_reflection_evidence(
+    before: ReflectionEvidence | None,
+    cluster: Cluster,
+    denied_vehicle: int,
+    other: int,
+    result: UpdateResult,
+    m: RangeMeasurement,
+) -> ReflectionEvidence | None:
+    """Return the evidence for the reflected state of a denied vehicle after one more range with another vehicle."""
+    if not result.used and _fits_reflection(cluster, denied_vehicle, other, result, m):
+        return ReflectionEvidence(other, 1 if before is None else before.ranges + 1)
+    return None if before is not None and before.neighbour == other else before
+
+
+def plane_of_refused_ranges(
+    evidence: ReflectionEvidence | None, cluster: Cluster, denied_vehicle: int, at_s: float
+) -> ReflectionPlane | None:
+    """Return the plane on whose other side the refused ranges place a denied vehicle; None where they are too few."""
+    if evidence is None or evidence.ranges < _ENOUGH_RANGES:
+        return None
+    return _plane_without(cluster, denied_vehicle, evidence.neighbour, at_s)
+
+
+def _plane_without(cluster: Cluster, denied_vehicle: int, neighbour: int, at_s: float) -> ReflectionPlane | None:
+    """Return the vertical plane through the two peers in use beside one neighbour; None where they are not two."""
+    neighbours = cluster.records[denied_vehicle].neighbours
+    peers = [v for v, n in neighbours.items() if v != neighbour and at_s - n.at_s <= IN_USE_S and v in cluster.joint.where]
+    return vertical_plane_through(cluster, denied_vehicle, peers, at_s) if len(peers) == 2 else None
+
+
+def _fits_reflection(cluster: Cluster, denied_vehicle: int, other: int, result: UpdateResult, m: RangeMeasurement) -> bool:
+    plane = _plane_without(cluster, denied_vehicle, other, m.measured_at_s)
+    if plane is None:
+        return False
+    position, n = np.array(cluster.position(denied_vehicle)), plane.normal
+    reflected = position - 2.0 * float((position - plane.point_m) @ n) * n
+    residual_m = m.range_m - math.dist(reflected, cluster.position(other))
+    variance_m2 = result.sigma_m**2 + float(np.trace(cluster.joint.covariance(denied_vehicle)[POSITION, POSITION]))
+    return residual_m * residual_m <= cluster.settings.gate_sigma**2 * variance_m2
