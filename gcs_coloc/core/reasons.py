@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Generic, TypeVar
 
+DUPLICATE_ID_WORDING = "two autopilots use its system id; give each its own"
+
 
 class WordedReason(Enum):
     """A reason to branch on with its wording: `{value}` is what was found, `{limit}` what is allowed, `{detail}` other words."""

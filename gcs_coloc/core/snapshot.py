@@ -8,7 +8,7 @@ from math import sqrt
 from gcs_coloc.core.aiding.stream import AidingView
 from gcs_coloc.core.error_ellipse import horizontal_sigma_and_bound_95_m
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.gps_health.gps_health import GpsState
+from gcs_coloc.core.gps_health.gps_health import FleetGpsHealth
 from gcs_coloc.core.measurements import Estimate, FloatArray, NoEstimate, Vector3
 from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
@@ -121,8 +121,7 @@ def vehicle_snapshot(
     where: Estimate | NoEstimate,
     frame: LocalFrame | None,
     *,
-    gps_state: GpsState,
-    gps_reason: str,
+    gps_health: FleetGpsHealth,
     gps_override: GpsOverride,
     aiding: AidingView,
     delay_s: float | None,
@@ -154,8 +153,8 @@ def vehicle_snapshot(
         sysid=vehicle.sysid,
         age_s=now_s - vehicle.last_heard_s,
         autopilot=vehicle.autopilot.value if vehicle.autopilot is not None else "unknown",
-        gps_state=gps_state.value,
-        gps_reason=gps_reason,
+        gps_state=gps_health.state(vehicle.sysid).value,
+        gps_reason=gps_health.reason(vehicle.sysid),
         lat_deg=lat_deg,
         lon_deg=lon_deg,
         alt_msl_m=alt_msl_m,

@@ -9,7 +9,7 @@ from gcs_coloc.core.aiding.primary_switch import Parameters
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.messages.control import ForeignGpsInput
 from gcs_coloc.core.messages.outbound import Notice
-from gcs_coloc.core.reasons import StatedReason, WordedReason
+from gcs_coloc.core.reasons import DUPLICATE_ID_WORDING, StatedReason, WordedReason
 
 
 class InhibitReason(WordedReason):
@@ -18,7 +18,7 @@ class InhibitReason(WordedReason):
     # Nothing is sent
     NO_ROUTE = "no_route", "{detail}"
     NO_HEARTBEAT = "no_heartbeat", "no heartbeat of an autopilot heard yet"
-    DUPLICATE_ID = "duplicate_id", "two autopilots use its system id; give each its own"
+    DUPLICATE_ID = "duplicate_id", DUPLICATE_ID_WORDING
     HOST_CLOCK = "host_clock", "{detail}"
     UNKNOWN_AUTOPILOT = (
         "unknown_autopilot",

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from math import hypot
 
 from gcs_coloc.core.clocks.sender_clock import SenderClock
+from gcs_coloc.core.clocks.utc import HostClockFault, Utc
 from gcs_coloc.core.clocks.vehicle_clocks import ServiceTime, TimeSettings, VehicleClock
+from gcs_coloc.core.messages.control import ClockReference
 from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, SystemTime, TimeBase, TimeSyncAnswer
 from gcs_coloc.core.messages.outbound import Notice, TimeSyncRequest
-from gcs_coloc.core.reasons import CoreRefusal
+from gcs_coloc.core.reasons import DUPLICATE_ID_WORDING, CoreRefusal
 
 _MAX_RANGE_CLOCKS = 16  # of one vehicle; chosen: bounds the table against a sender of random device ids
 _OTHER_ROUTE_SHARE = 0.5  # of the delay, 1-sigma: a range may come by another route than the position
@@ -44,11 +47,16 @@ class FleetClocks:
         self.refused: Counter[CoreRefusal] = Counter()
         self._max_age_s = max_age_s
         self._clocks: dict[int, _Clocks] = {}
-        self._host_utc_minus_service_s: float | None = None
+        self._utc = Utc(required=self.settings.require_synchronised_clock)
+        self._duplicate_ids: set[int] = set()
 
-    def set_host_utc(self, utc_minus_service_s: float | None) -> None:
-        """Set the host's UTC minus service clock; None where it is not known to be right."""
-        self._host_utc_minus_service_s = utc_minus_service_s
+    def set_host_clock(self, message: ClockReference) -> list[Notice]:
+        """Set what the host says of its clock; return what a person should read."""
+        return self._utc.update(message)
+
+    def host_fault(self) -> HostClockFault | None:
+        """Return why the host's clock allows no aiding message; None where it does."""
+        return self._utc.fault()
 
     def stamp(self, message: GlobalPosition | Attitude | SystemTime) -> ServiceTime | None:
         """Add the boot time of a message; return when it was measured, None where its stamp is refused."""
@@ -105,13 +113,15 @@ class FleetClocks:
         if message.unix_s is None or measured is None:
             clocks.utc_minus_service_s = None
             return
-        if self._host_utc_minus_service_s is not None and gps_is_trusted:
-            clocks.boot.add_utc(message.unix_s, message.boot_s, self._host_utc_minus_service_s)
+        host_s = self._utc.synchronised_host_s()
+        if host_s is not None and gps_is_trusted:
+            clocks.boot.add_utc(message.unix_s, message.boot_s, host_s)
         clocks.utc_minus_service_s = message.unix_s - measured.at_s
 
-    def utc_minus_service_s(self, sysid: int) -> float | None:
-        """Return UTC minus service clock as a vehicle stated it last; None where it does not know UTC."""
-        return self._of(sysid).utc_minus_service_s
+    def utc_minus_service_s(self, with_healthy_gps: Iterable[int]) -> float | None:
+        """Return UTC minus service clock, from the host or the vehicles with healthy GPS; None where nobody knows it."""
+        stated_s = (self._of(sysid).utc_minus_service_s for sysid in with_healthy_gps)
+        return self._utc.minus_service_s(utc_s for utc_s in stated_s if utc_s is not None)
 
     def add_answer(self, message: TimeSyncAnswer) -> None:
         """Add an answer to TIMESYNC."""
@@ -152,9 +162,20 @@ class FleetClocks:
         """Return how often the clock of a vehicle began anew, as a reboot makes it."""
         return self._of(sysid).boot.resets
 
-    def has_duplicate_id(self, sysid: int, now_s: float) -> bool:
-        """Return whether two autopilots use one system id."""
-        return self._of(sysid).boot.duplicates.detected(now_s)
+    def review_duplicate_id(self, sysid: int, now_s: float) -> Notice | None:
+        """Review whether two autopilots use one system id; return what the operator must know where that has changed."""
+        detected = self._of(sysid).boot.duplicates.detected(now_s)
+        if detected == (sysid in self._duplicate_ids):
+            return None
+        self._duplicate_ids ^= {sysid}
+        if detected:
+            text = f"{DUPLICATE_ID_WORDING}; nothing is sent to them, and no position of theirs is used"
+            return Notice(now_s, sysid, "error", text)
+        return Notice(now_s, sysid, "info", "only one autopilot uses its system id any more")
+
+    def has_duplicate_id(self, sysid: int) -> bool:
+        """Return whether two autopilots used one system id at the last review."""
+        return sysid in self._duplicate_ids
 
     def one_way_delay_s(self, sysid: int, now_s: float) -> float | None:
         """Return the least delay of the link to a vehicle, s; None where it is not known."""

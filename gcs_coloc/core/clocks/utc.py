@@ -77,6 +77,10 @@ class Utc:
         unsynchronised = self._host is not None and self._host.synchronised is False
         return HostClockFault.UNSYNCHRONISED if unsynchronised else HostClockFault.UNKNOWN
 
+    def synchronised_host_s(self) -> float | None:
+        """UTC minus service clock of a host whose clock is known to be right; None for any other."""
+        return self._host.utc_minus_service_s if self._host is not None and self._host.synchronised else None
+
     def minus_service_s(self, of_vehicles_s: Iterable[float]) -> float | None:
         """UTC (UNIX seconds) minus service clock; None where neither host nor vehicles know.
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from gcs_coloc.core.reasons import WordedReason
+from gcs_coloc.core.reasons import DUPLICATE_ID_WORDING, WordedReason
 
 
 class GpsReason(WordedReason):
     """What speaks for a state of GPS health."""
 
     # Faults, the worst first
-    DUPLICATE_ID = "duplicate_id", "two autopilots use its system id; give each its own"
+    DUPLICATE_ID = "duplicate_id", DUPLICATE_ID_WORDING
     NO_FIX = "no_fix", "no 3D fix: fix type {value:.0f}"
     FEW_SATELLITES = "few_satellites", "only {value:.0f} satellites"
     POOR_ACCURACY = "poor_accuracy", "horizontal accuracy {value:.0f} m is worse than {limit:g} m"

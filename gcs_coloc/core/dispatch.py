@@ -1,0 +1,108 @@
+"""Message dispatch: what one message of a vehicle is evidence for, built and handed to the stages that use it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from gcs_coloc.core.aiding.aiding import Aiding
+from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
+from gcs_coloc.core.estimator import Estimator
+from gcs_coloc.core.gps_health.gps_health import FleetGpsHealth, GpsState
+from gcs_coloc.core.integrity.monitor import IntegrityMonitor
+from gcs_coloc.core.messages.inbound import (
+    Attitude,
+    CommandResult,
+    FromVehicle,
+    GlobalPosition,
+    GpsReceiver,
+    ParameterValue,
+    PeerRange,
+    SystemTime,
+    TimeSyncAnswer,
+)
+from gcs_coloc.core.messages.outbound import Outbound
+from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, SentFix
+from gcs_coloc.core.telemetry.reported_state import ReportedState, Telemetry
+
+
+class LastRound(NamedTuple):
+    """What later stages found of a vehicle in the last round.
+
+    `is_trusted`: its reported position is evidence. `is_aided`: it may fly on our fix. `sent_fix` is the last fix that it was
+    sent, `located_enu_m` where the estimator had it then (east, north).
+    """
+
+    gps_state: GpsState
+    is_trusted: bool
+    is_aided: bool
+    sent_fix: SentFix | None
+    located_enu_m: tuple[float, float] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Stages:
+    """The stages of one fleet, in the order in which a message passes them. None of them holds another but the clocks."""
+
+    telemetry: Telemetry
+    clocks: FleetClocks
+    measurements: MeasurementBuilder
+    estimator: Estimator
+    integrity: IntegrityMonitor
+    gps_health: FleetGpsHealth
+    aiding: Aiding
+
+
+class MessageDispatch:
+    """Telemetry and clocks -> measurement -> estimator, integrity, GPS health, aiding: for one message at a time."""
+
+    def __init__(self, stages: Stages) -> None:
+        self._stages = stages
+        clocks, aiding = stages.clocks, stages.aiding
+        self._handlers: dict[type[Any], Callable[[Any, ReportedState, LastRound], list[Outbound] | None]] = {
+            GlobalPosition: self._add_position,
+            Attitude: self._add_attitude,
+            PeerRange: self._add_range,
+            GpsReceiver: self._add_receiver,
+            SystemTime: lambda message, _, last: clocks.add_system_time(message, gps_is_trusted=last.is_trusted),
+            TimeSyncAnswer: lambda message, *_: clocks.add_answer(message),
+            CommandResult: lambda message, *_: aiding.add_result(message),
+            ParameterValue: lambda message, *_: aiding.add_parameter(message),
+        }
+
+    def add(self, message: FromVehicle, vehicle: ReportedState, last: LastRound) -> list[Outbound]:
+        """Add a message of a vehicle whose reported state holds it already; return what is to be sent or shown at once."""
+        handler = self._handlers.get(type(message))
+        return (handler(message, vehicle, last) or []) if handler is not None else []
+
+    def _add_position(self, message: GlobalPosition, vehicle: ReportedState, last: LastRound) -> None:
+        built = self._stages.measurements.position(
+            message, vehicle, is_trusted=last.is_trusted, sent_fix=last.sent_fix, located_enu_m=last.located_enu_m
+        )
+        if built is None:
+            return
+        self._stages.gps_health.add_position(built.reported, own=not last.is_aided)
+        self._stages.integrity.add_position(built.reported, last.gps_state, is_aided=last.is_aided)
+        self._stages.estimator.add(built.measurement)
+
+    def _add_attitude(self, message: Attitude, vehicle: ReportedState, last: LastRound) -> None:
+        del last
+        measurement = self._stages.measurements.attitude(message, vehicle)
+        if measurement is not None:
+            self._stages.estimator.add(measurement)
+
+    def _add_range(self, message: PeerRange, vehicle: ReportedState, last: LastRound) -> list[Outbound]:
+        del last
+        built = self._stages.measurements.range(message, vehicle, self._stages.telemetry.get(message.peer_sysid))
+        if built.measurement is not None:
+            self._stages.integrity.add_range(built.measurement)
+            self._stages.estimator.add(built.measurement)
+        return [built.notice] if built.notice is not None else []
+
+    def _add_receiver(self, message: GpsReceiver, vehicle: ReportedState, last: LastRound) -> None:
+        if message.receiver == self._stages.telemetry.own_receiver:
+            self._stages.measurements.add_receiver(message, vehicle, is_trusted=last.is_trusted)
+            self._stages.gps_health.add_receiver(message, vehicle.position)
+        else:
+            self._stages.aiding.add_fed_receiver(message)

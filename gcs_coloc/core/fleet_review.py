@@ -1,0 +1,173 @@
+"""The review of a fleet: estimates -> integrity report -> GPS health -> aiding decision, and what they state of a vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from gcs_coloc.core.aiding.stream import AidingDecision, AidingView, FixInputs
+from gcs_coloc.core.dispatch import LastRound, Stages
+from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsEvidence, GpsState, RangeContradiction
+from gcs_coloc.core.integrity.monitor import PLACED_BY_ESTIMATE
+from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus, ReviewedVehicle
+from gcs_coloc.core.measurements import Estimate, NoEstimate, Residual
+from gcs_coloc.core.messages.control import GpsOverride
+from gcs_coloc.core.messages.outbound import Notice, Outbound
+from gcs_coloc.core.residual_log import RangeJumps, ResidualLog
+from gcs_coloc.core.telemetry.reported_state import ReportedState
+
+_NO_AIDING = AidingDecision()
+
+
+class FleetReview:
+    """Hands the results of the later stages on: to each other now, and to the earlier ones in the next round.
+
+    `report` is what integrity returned last, `residuals` what the estimator made of the ranges of late.
+    """
+
+    def __init__(self, stages: Stages) -> None:
+        self.report = IntegrityReport()
+        self.residuals = ResidualLog()
+        self._stages = stages
+        self._jumps = RangeJumps()
+        self._gps_overrides: dict[int, GpsOverride] = {}
+        self._decisions: dict[int, AidingDecision] = {}
+        self._denied: frozenset[int] = frozenset()
+        self._located_enu_m: dict[int, tuple[float, float]] = {}
+        self._median_nis: dict[int, float] = {}
+        self._jumps_m: dict[int, float] = {}
+
+    def set_gps_override(self, sysid: int, override: GpsOverride) -> None:
+        """Set what the operator decides of one vehicle's GPS."""
+        self._gps_overrides[sysid] = override
+
+    def gps_override(self, sysid: int) -> GpsOverride:
+        """Return what the operator decided of one vehicle's GPS."""
+        return self._gps_overrides.get(sysid, GpsOverride.AUTO)
+
+    def decision(self, sysid: int) -> AidingDecision:
+        """Return what aiding decided last about a vehicle."""
+        return self._decisions.get(sysid, _NO_AIDING)
+
+    def estimate(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
+        """Return the estimate of one vehicle at one service time, its covariance inflated by the solution separation."""
+        where = self._stages.estimator.estimate(sysid, at_s)
+        return self.report.inflate(where) if isinstance(where, Estimate) else where
+
+    def add_residuals(self, residuals: Iterable[Residual], now_s: float) -> None:
+        """Add what the estimator made of ranges since the last call."""
+        self.residuals.add(residuals, now_s)
+        self._jumps.add(residuals, now_s)
+        self._jumps_m = self._jumps.sizes_m(now_s)
+
+    def last_round(self, sysid: int) -> LastRound:
+        """Return what the later stages found of a vehicle last."""
+        gps_state, decision = self._stages.gps_health.state(sysid), self.decision(sysid)
+        return LastRound(
+            gps_state,
+            is_trusted=gps_state is GpsState.HEALTHY and not decision.is_self_fed,
+            is_aided=decision.is_aided,
+            sent_fix=self._stages.aiding.sent_fix(sysid),
+            located_enu_m=self._located_enu_m.get(sysid),
+        )
+
+    def fix_inputs(self, sysid: int, now_s: float) -> FixInputs:
+        """Return what earlier stages know of a vehicle for its next fix."""
+        vehicle = self._stages.telemetry.get(sysid)
+        return FixInputs(
+            is_trusted=self._is_trusted(sysid),
+            has_air_data=vehicle is not None and vehicle.has_air_data(now_s),
+            one_way_delay_s=self._stages.clocks.one_way_delay_s(sysid, now_s),
+            range_sigma_m=self._stages.measurements.range_sigma_m(sysid),
+            median_nis=self._median_nis.get(sysid),
+            range_jump_m=self._jumps_m.get(sysid),
+        )
+
+    def estimate_to_send(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
+        """Return the estimate for a fix, and remember where it is: a barometer's height is one over that place."""
+        where = self.estimate(sysid, at_s)
+        if isinstance(where, Estimate):
+            self._located_enu_m[sysid] = (float(where.position_enu_m[0]), float(where.position_enu_m[1]))
+        return where
+
+    def review_integrity(self, now_s: float) -> list[Outbound]:
+        """Test positions and ranges of the fleet against each other."""
+        reviewed = [self._reviewed(vehicle, now_s) for vehicle in self._stages.telemetry]
+        self.report = self._stages.integrity.review(now_s, reviewed, self._stages.measurements.frame)
+        for sysid in self.report.diverged:
+            self._stages.estimator.reset(sysid, now_s)
+        text = "its GPS is back and fits the ranges, our position did not: located anew"
+        return [Notice(now_s, sysid, "warning", text) for sysid in self.report.diverged]
+
+    def review_vehicle(self, vehicle: ReportedState, now_s: float) -> list[Outbound]:
+        """Run the stages from GPS health on for one vehicle; return what is to be sent and shown."""
+        sysid = vehicle.sysid
+        notice = self._stages.clocks.review_duplicate_id(sysid, now_s)
+        change = self._stages.gps_health.update(sysid, self._gps_evidence(vehicle), now_s)
+        out: list[Outbound] = [event for event in (notice, change) if event is not None]
+        out += self.decide_aiding(vehicle, now_s)
+        self._update_denied(sysid, now_s)
+        return out
+
+    def decide_aiding(self, vehicle: ReportedState, now_s: float) -> tuple[Outbound, ...]:
+        """Decide on the aiding of one vehicle; return what is to be sent and shown."""
+        sysid = vehicle.sysid
+        decision = self._decisions[sysid] = self._stages.aiding.review(
+            vehicle, self._stages.gps_health.state(sysid), now_s, has_duplicate_id=self._stages.clocks.has_duplicate_id(sysid)
+        )
+        return decision.outputs
+
+    def aiding_view(self, vehicle: ReportedState) -> AidingView:
+        """Return the aiding of one vehicle as observers see it."""
+        sysid, s = vehicle.sysid, self._stages
+        return s.aiding.view(vehicle, s.gps_health.state(sysid), has_duplicate_id=s.clocks.has_duplicate_id(sysid))
+
+    def end_round(self) -> None:
+        """Keep what the next round is to know of this one's ranges."""
+        self._median_nis = self.residuals.median_nis()
+
+    def _reviewed(self, vehicle: ReportedState, now_s: float) -> ReviewedVehicle:
+        sysid = vehicle.sysid
+        gps_state = self._stages.gps_health.state(sysid)
+        where = self._stages.estimator.estimate(sysid, now_s) if gps_state in PLACED_BY_ESTIMATE else None
+        return ReviewedVehicle(
+            sysid,
+            gps_state,
+            is_trusted=self._is_trusted(sysid),
+            is_automatic=self.gps_override(sysid) is GpsOverride.AUTO,
+            reported=self._stages.measurements.reported(sysid),
+            receiver=vehicle.receiver,
+            receiver_fix=self._stages.measurements.receiver_fix(sysid),
+            estimate=where if isinstance(where, Estimate) else None,
+            median_nis=self._median_nis.get(sysid),
+            range_jump_m=self._jumps_m.get(sysid),
+        )
+
+    def _gps_evidence(self, vehicle: ReportedState) -> GpsEvidence:
+        sysid = vehicle.sysid
+        report = self.report
+        fault, status = report.faults.get(sysid), report.reacquisitions.get(sysid)
+        return GpsEvidence(
+            receiver=vehicle.receiver,
+            system=vehicle.system,
+            ekf=vehicle.ekf,
+            contradiction=RangeContradiction(fault.text, fault.is_identified) if fault is not None else None,
+            is_return_contradicted=status is ReacquisitionStatus.CONTRADICTED,
+            is_return_untested=status is ReacquisitionStatus.UNTESTED,
+            is_aided=self.decision(sysid).is_aided,
+            has_duplicate_id=self._stages.clocks.has_duplicate_id(sysid),
+            override=self.gps_override(sysid),
+        )
+
+    def _update_denied(self, sysid: int, now_s: float) -> None:
+        is_denied = self._stages.gps_health.state(sysid) in DISTRUSTED or self.decision(sysid).is_self_fed
+        if is_denied == (sysid in self._denied):
+            return
+        self._denied = self._denied ^ {sysid}
+        self._stages.estimator.set_denied(self._denied, now_s)
+        if is_denied and sysid in self.report.faults:
+            # What it reported of late is in its state: it must start anew, from the ranges alone.
+            self._stages.estimator.reset(sysid, now_s)
+
+    def _is_trusted(self, sysid: int) -> bool:
+        """Return whether what a vehicle reports of its own position is evidence."""
+        return self._stages.gps_health.state(sysid) is GpsState.HEALTHY and not self.decision(sysid).is_self_fed
