@@ -15,8 +15,7 @@ from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.web.picture_store import PictureStore
-from gcs_coloc.web.playback import Playback
-from gcs_coloc.web.replay_pass import OnPoll, ReplayPass
+from gcs_coloc.web.playback import OnPoll, Playback, ReplayPass
 from gcs_coloc.web.wire import PlaybackCommand
 from sitl_fakes.fleet import Fleet
 from sitl_fakes.scenario import SCENARIOS, load_scenario

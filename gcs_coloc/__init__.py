@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from gcs_coloc.estimators.registry import load_estimator
     from gcs_coloc.evaluation.dataset import Dataset, read_dataset
     from gcs_coloc.evaluation.evaluate import Evaluation, evaluate, evaluate_dataset, plot_evaluation
-    from gcs_coloc.recorder.recording_arrays import RecordingArrays, VehicleArrays, read_recording
+    from gcs_coloc.recorder.flight_history import RecordingArrays, VehicleArrays, read_recording
 
 __version__ = "0.2.0"
 
@@ -97,15 +97,15 @@ _MODULE_OF = {
     "QuZhangFilter": "estimators.qu_zhang.filter",
     "QuZhangSettings": "estimators.qu_zhang.settings",
     "RangeMeasurement": "core.measurements",
-    "RecordingArrays": "recorder.recording_arrays",
+    "RecordingArrays": "recorder.flight_history",
     "Residual": "core.measurements",
-    "VehicleArrays": "recorder.recording_arrays",
+    "VehicleArrays": "recorder.flight_history",
     "evaluate": "evaluation.evaluate",
     "evaluate_dataset": "evaluation.evaluate",
     "load_estimator": "estimators.registry",
     "plot_evaluation": "evaluation.plot",
     "read_dataset": "evaluation.dataset",
-    "read_recording": "recorder.recording_arrays",
+    "read_recording": "recorder.flight_history",
 }
 """Where each public name is; imported on first use (PEP 562), so that the command line does not load what it does not need."""
 

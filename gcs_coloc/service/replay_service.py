@@ -18,8 +18,7 @@ from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.picture_store import PICTURE_PERIOD_S, PictureStore
-from gcs_coloc.web.playback import Playback
-from gcs_coloc.web.replay_pass import OnPoll, ReplayPass
+from gcs_coloc.web.playback import OnPoll, Playback, ReplayPass
 from gcs_coloc.web.server import WebServer
 
 _SWITCH_INTERVAL_S = 0.001

@@ -1,13 +1,24 @@
-"""A flight as GeoJSON (RFC 7946), for QGIS and web maps."""
+"""The geojson format (RFC 7946), and the shapes that it shares with KML: tracks as lines, 2-sigma ellipses as polygons."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from gcs_coloc.recorder.flight_history import FlightHistory
-from gcs_coloc.recorder.formats.map_shapes import map_shapes
+import numpy as np
+
+from gcs_coloc.core.error_ellipse import error_ellipse
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.snapshot import VehicleSnapshot
+from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
+from gcs_coloc.recorder.journal import VehicleEntry
+
+_ELLIPSE_PERIOD_S = 1.0
+_ELLIPSE_CORNERS = 24
+_ELLIPSE_SIGMAS = 2.0
+"""Holds 86 % of the true positions where the covariance is right."""
 
 
 def write_geojson(history: FlightHistory, path: Path) -> None:
@@ -18,3 +29,67 @@ def write_geojson(history: FlightHistory, path: Path) -> None:
 
 def _feature(kind: str, coordinates: Any, properties: dict[str, Any]) -> dict[str, Any]:
     return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": properties}
+
+
+def map_shapes(history: FlightHistory) -> Iterator[tuple[str, Any, dict[str, Any]]]:
+    """Lines and polygons: the geometry's type, its coordinates as GeoJSON has them, and its properties."""
+    for sysid, track in sorted(history.tracks.items()):
+        for stretch in _stretches(track):
+            first, last = stretch[0], stretch[-1]
+            properties = _properties(first.vehicle) | {"unix_s": first.at_s, "until_unix_s": last.at_s, "sysid": sysid}
+            if len(stretch) > 1:
+                yield "LineString", [_point(entry.vehicle) for entry in stretch], properties
+            if properties["without_gps"]:
+                yield from _ellipses(stretch)
+
+
+def _ellipses(stretch: Sequence[VehicleEntry]) -> Iterator[tuple[str, Any, dict[str, Any]]]:
+    due_s = float("-inf")
+    for entry in stretch:
+        ring = ellipse_ring(entry.vehicle) if entry.at_s >= due_s else None
+        if ring is not None:
+            due_s = entry.at_s + _ELLIPSE_PERIOD_S
+            properties = _properties(entry.vehicle) | {"unix_s": entry.at_s, "sigma_h_m": entry.vehicle.sigma_h_m, "sigmas": 2}
+            yield "Polygon", [[(lon, lat) for lat, lon in ring]], properties
+
+
+def _stretches(track: Sequence[VehicleEntry]) -> Iterator[list[VehicleEntry]]:
+    """The track cut where the state of the GPS changes and where the position is unknown."""
+    stretch: list[VehicleEntry] = []
+    for entry in track:
+        if entry.vehicle.lat_deg is None:
+            if stretch:
+                yield stretch
+            stretch = []
+        elif stretch and entry.vehicle.gps_state != stretch[-1].vehicle.gps_state:
+            yield [*stretch, entry]
+            stretch = [entry]
+        else:
+            stretch.append(entry)
+    if stretch:
+        yield stretch
+
+
+def _properties(vehicle: VehicleSnapshot) -> dict[str, Any]:
+    return {"sysid": vehicle.sysid, "gps_state": vehicle.gps_state, "without_gps": vehicle.gps_state in WITHOUT_GPS}
+
+
+def _point(vehicle: VehicleSnapshot) -> tuple[float, float, float]:
+    assert vehicle.lat_deg is not None
+    assert vehicle.lon_deg is not None
+    assert vehicle.alt_msl_m is not None
+    return vehicle.lon_deg, vehicle.lat_deg, vehicle.alt_msl_m
+
+
+def ellipse_ring(vehicle: VehicleSnapshot) -> list[tuple[float, float]] | None:
+    """The 2-sigma ellipse: 25 corners (latitude, longitude) in degrees, the last the first; None where there is no estimate."""
+    if vehicle.covariance_h_m2 is None or vehicle.lat_deg is None or vehicle.lon_deg is None or vehicle.alt_msl_m is None:
+        return None
+    major_m, minor_m, angle_rad = error_ellipse(*vehicle.covariance_h_m2)
+    axes = np.array([[np.cos(angle_rad), -np.sin(angle_rad)], [np.sin(angle_rad), np.cos(angle_rad)]])
+    angles = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_CORNERS, endpoint=False)
+    circle = np.vstack([np.cos(angles), np.sin(angles)])
+    corners = (_ELLIPSE_SIGMAS * axes @ (np.array([[major_m], [minor_m]]) * circle)).T
+    frame = LocalFrame(vehicle.lat_deg, vehicle.lon_deg, vehicle.alt_msl_m)
+    ring = [frame.geodetic_from_enu(float(e), float(n), 0.0)[:2] for e, n in corners]
+    return [*ring, ring[0]]

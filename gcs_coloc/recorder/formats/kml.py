@@ -6,7 +6,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from gcs_coloc.recorder.flight_history import FlightHistory
-from gcs_coloc.recorder.formats.map_shapes import map_shapes
+from gcs_coloc.recorder.formats.geojson import map_shapes
 
 _KML = "http://www.opengis.net/kml/2.2"
 _COLOURS = {True: "ff005ed5", False: "ffb27200"}  # KML: alpha, blue, green, red. Without GPS, with GPS.

@@ -1,21 +1,44 @@
-"""The report of a replayed flight: GPS failures, messages sent, and the score of each vehicle while it was denied.
+"""The report of a replayed flight: GPS failures, messages sent, scores while a vehicle was denied, data-quality findings.
 
 A position is scored at each true one, with what had arrived by then, as long as the vehicle's own GPS is not trusted.
 """
 
 from __future__ import annotations
 
+from array import array
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
 from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.estimator import Estimator
+from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
-from gcs_coloc.core.measurements import Estimate, Vector3
+from gcs_coloc.core.measurements import (
+    Estimate,
+    FloatArray,
+    Measurement,
+    NoEstimate,
+    PositionMeasurement,
+    RangeMeasurement,
+    Residual,
+    Vector3,
+)
 from gcs_coloc.core.messages.outbound import ExternalPosition, GlobalPositionSensor, GpsInput, HealthChanged, Notice, Outbound
+from gcs_coloc.evaluation.data_checks.checks import run_checks
+from gcs_coloc.evaluation.data_checks.findings import DataFinding, FindingKind, finding
+from gcs_coloc.evaluation.data_checks.recorded_data import PositionTrack, RecordedData, position_track
 from gcs_coloc.evaluation.scoring import VehicleScore, score, series_of
 from gcs_coloc.recorder.side_tables import TruthPoint
+
+_POSITION_EVERY_S = 0.5
+_RANGE_EVERY_S = 0.5
+MAX_ROWS = 1_000_000
+_NO_VELOCITY = (float("nan"),) * 3
+_ELSEWHERE_M = 100_000.0
 
 
 @dataclass(slots=True)
@@ -112,3 +135,98 @@ class FlightReport:
         answer = self._engine.estimate(point.sysid, point.unix_s)
         truth_enu_m = frame.enu_from_geodetic(point.lat_deg, point.lon_deg, point.alt_msl_m)
         self._of(point.sysid).epochs.append((point.unix_s, truth_enu_m, answer if isinstance(answer, Estimate) else None))
+
+
+class MeasurementTap:
+    """An estimator around another one that keeps the positions and ranges passing through, for the data checks.
+
+    It keeps two of each vehicle and pair a second at most, and the first million altogether.
+    """
+
+    def __init__(self, inner: Estimator) -> None:
+        self._inner = inner
+        self._positions: dict[int, array[float]] = defaultdict(lambda: array("d"))
+        self._ranges = array("d")
+        self._next_s: dict[tuple[int, int], float] = {}
+        self._rows = 0
+
+    @property
+    def name(self) -> str:
+        """The inner estimator's name."""
+        return self._inner.name
+
+    def set_denied(self, denied: Collection[int], at_s: float) -> None:
+        """As the protocol says."""
+        self._inner.set_denied(denied, at_s)
+
+    def reset(self, vehicle: int, at_s: float) -> None:
+        """As the protocol says."""
+        self._inner.reset(vehicle, at_s)
+
+    def add(self, measurement: Measurement) -> None:
+        """As the protocol says."""
+        m = measurement
+        if isinstance(m, PositionMeasurement) and self._is_due((m.vehicle, m.vehicle), m.measured_at_s, _POSITION_EVERY_S):
+            velocity = m.velocity_enu_mps or _NO_VELOCITY
+            self._positions[m.vehicle].extend((m.measured_at_s, *m.position_enu_m, m.sigma_h_m, *velocity))
+        elif isinstance(m, RangeMeasurement) and self._is_due((m.from_vehicle, m.to_vehicle), m.measured_at_s, _RANGE_EVERY_S):
+            self._ranges.extend((m.measured_at_s, m.from_vehicle, m.to_vehicle, m.range_m, m.sigma_m))
+        self._inner.add(m)
+
+    def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
+        """As the protocol says."""
+        return self._inner.estimate(vehicle, at_s)
+
+    def drain_residuals(self) -> list[Residual]:
+        """As the protocol says."""
+        return self._inner.drain_residuals()
+
+    def counts(self) -> Mapping[str, int]:
+        """As the protocol says."""
+        return self._inner.counts()
+
+    def findings(self, truth: Sequence[TruthPoint], frame: LocalFrame | None) -> list[DataFinding]:
+        """The findings among positions, ranges and true positions, in the frame of the fleet."""
+        if frame is None:
+            return []
+        reports = {vehicle: position_track(np.array(rows).reshape(-1, 8)) for vehicle, rows in self._positions.items()}
+        places: dict[int, list[TruthPoint]] = defaultdict(list)
+        for point in truth:
+            places[point.sysid].append(point)
+        true = {sysid: _enu(points, frame) for sysid, points in places.items() if sysid in reports}
+        elsewhere = list(_elsewhere(true, places, frame))
+        ranges = np.array(self._ranges).reshape(-1, 5)
+        names = {vehicle: str(vehicle) for vehicle in {*reports, *true, *ranges[:, 1:3].astype(int).ravel().tolist()}}
+        return elsewhere + run_checks(
+            RecordedData(names, reports, {} if elsewhere else true, ranges, origin_height_m=frame.height_m)
+        )
+
+    def _is_due(self, what: tuple[int, int], at_s: float, every_s: float) -> bool:
+        if self._rows >= MAX_ROWS or at_s < self._next_s.get(what, float("-inf")):
+            return False
+        self._next_s[what] = at_s + every_s
+        self._rows += 1
+        return True
+
+
+def _enu(points: Sequence[TruthPoint], frame: LocalFrame) -> PositionTrack:
+    rows = [(p.unix_s, *frame.enu_from_geodetic(p.lat_deg, p.lon_deg, p.alt_msl_m), 0.0) for p in points]
+    return position_track(np.array(rows))
+
+
+def _elsewhere(
+    true: Mapping[int, PositionTrack], places: Mapping[int, Sequence[TruthPoint]], frame: LocalFrame
+) -> Iterator[DataFinding]:
+    """Yield that the truth lies in another part of the world, once for all vehicles."""
+    off_m = {sysid: _away_m(one.positions_enu_m) for sysid, one in true.items()}
+    if not off_m or min(off_m.values()) < _ELSEWHERE_M:
+        return
+    sysid = next(iter(off_m))
+    swapped = [frame.enu_from_geodetic(p.lon_deg, p.lat_deg, p.alt_msl_m) for p in places[sysid] if abs(p.lon_deg) <= 90.0]
+    is_swapped = bool(swapped) and _away_m(np.array(swapped)) < _ELSEWHERE_M
+    question = ": are latitude and longitude swapped?" if is_swapped else ""
+    yield finding(FindingKind.TRUTH_ELSEWHERE, off_m[sysid], km=off_m[sysid] / 1000.0, question=question)
+
+
+def _away_m(positions_enu_m: FloatArray) -> float:
+    return float(np.median(np.linalg.norm(positions_enu_m, axis=1)))

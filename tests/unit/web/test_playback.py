@@ -21,8 +21,7 @@ from gcs_coloc.recorder.replay import Replay, replay
 from gcs_coloc.recorder.tlog import TlogReader
 from gcs_coloc.web.picture import fleet_frame
 from gcs_coloc.web.picture_store import PictureStore
-from gcs_coloc.web.playback import Playback
-from gcs_coloc.web.replay_pass import ReplayPass
+from gcs_coloc.web.playback import Playback, ReplayPass
 from gcs_coloc.web.wire import PlaybackCommand, fleet_json
 
 

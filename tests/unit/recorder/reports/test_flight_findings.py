@@ -17,8 +17,8 @@ from gcs_coloc.core.measurements import AltitudeMeasurement, NoEstimate, Positio
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
 from gcs_coloc.recorder.replay import Replay, replay
-from gcs_coloc.recorder.reports import flight_findings
-from gcs_coloc.recorder.reports.flight_findings import MeasurementTap
+from gcs_coloc.recorder.reports import flight_report
+from gcs_coloc.recorder.reports.flight_report import MeasurementTap
 from gcs_coloc.recorder.side_tables import TruthPoint
 from gcs_coloc.recorder.tlog import TlogReader
 from sitl_fakes.fleet import Fleet
@@ -119,7 +119,7 @@ class Silent:
 
 
 def test_the_estimator_is_given_everything_while_what_is_kept_stays_small(monkeypatch):
-    monkeypatch.setattr(flight_findings, "MAX_ROWS", 30)
+    monkeypatch.setattr(flight_report, "MAX_ROWS", 30)
     inner = Silent()
     heard = MeasurementTap(inner)
     given = [
