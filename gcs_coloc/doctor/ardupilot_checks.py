@@ -18,7 +18,7 @@ _AUTO_SWITCH_WRONG = {
     2.0: "it blends its own receiver with what is sent to it",
 }
 _PRIMARY_UNLESS_NO_FIX = 4.0
-_SOURCE_GPS, _SOURCE_BAROMETER = 3.0, 1.0
+_SOURCE_NONE, _SOURCE_BAROMETER, _SOURCE_GPS = 0.0, 1.0, 3.0
 _EKF3 = 3.0
 _DRIVER_DELAY_S = 0.2
 
@@ -109,6 +109,14 @@ _FILTER_RULES = (
         p.POSITION_SOURCE, equals(_SOURCE_GPS), Severity.STOP, "its position does not come from GPS", set_to=_SOURCE_GPS
     ),
     ParameterRule(p.VELOCITY_SOURCE, equals(_SOURCE_GPS), Severity.NOTE, "its velocity does not come from GPS"),
+    ParameterRule(
+        p.VERTICAL_VELOCITY_SOURCE,
+        equals(_SOURCE_NONE),
+        Severity.NOTE,
+        "it fuses a receiver's vertical velocity. Ours is marked as to be ignored, and that holds only until another program feeds "
+        "that receiver; fused, it makes the altitude swing by metres",
+        set_to=_SOURCE_NONE,
+    ),
     ParameterRule(
         p.HEIGHT_SOURCE,
         differs_from(_SOURCE_GPS),

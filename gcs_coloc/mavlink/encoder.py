@@ -94,12 +94,16 @@ def _wire_message(message: ToVehicle) -> Any:
 
 
 def _gps_input(fix: GpsInput) -> Any:
-    """GPS_INPUT (232) with no field ignored: ArduPilot uses an ignored velocity or altitude as zero."""
+    """GPS_INPUT (232). ArduPilot uses an ignored horizontal velocity or altitude as zero, so these are never ignored.
+
+    The vertical velocity always is, also without a fix: fused (EK3_SRC1_VELZ=3), it moves EKF3's height, which comes back as
+    the vehicle's, a loop that swung the true altitude by 2 to 4.5 m. ArduPilot's driver never goes back to ignoring it.
+    """
     _require_position(fix, "GPS_INPUT")
     return mavlink.MAVLink_gps_input_message(
         time_usec=fix.time_usec,
         gps_id=fix.gps_id,
-        ignore_flags=0,
+        ignore_flags=mavlink.GPS_INPUT_IGNORE_FLAG_VEL_VERT,
         time_week_ms=fix.gps_time_of_week_ms,
         time_week=fix.gps_week,
         fix_type=fix.fix_type,

@@ -38,7 +38,7 @@ def test_a_vehicle_that_loses_its_gps_is_located_and_nobody_else_gets_anything(s
             # 4 sigma of a filtered position from GPS of 0.8 m and ranges of 0.5 m, which are exact here but for latitude scale.
             assert horizontal_error_m(fix, fleet[3].enu_m) < 4.0
             assert abs(fix.alt - (500.0 + 120.0)) < 5.0
-            assert (fix.gps_id, fix.ignore_flags, fix.satellites_visible) == (1, 0, 7)
+            assert (fix.gps_id, fix.ignore_flags, fix.satellites_visible) == (1, 16, 7)  # vertical velocity
             assert math.hypot(fix.vn, fix.ve) < 4 * fix.speed_accuracy + 0.1
             assert fix.time_week > 2300
         assert not any(v.of("GPS_INPUT") for v in fleet[:3])

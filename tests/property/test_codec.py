@@ -206,4 +206,5 @@ def test_gps_input_is_read_by_pymavlink_as_it_was_meant(lat, lon, numbers, satel
     assert abs(got.lon / 1e7 - lon) <= 0.6e-7
     assert [got.alt, got.hdop, got.vdop, got.vn, got.ve, got.vd] == numbers[:6]
     assert [got.speed_accuracy, got.horiz_accuracy, got.vert_accuracy] == numbers[6:]
-    assert (got.satellites_visible, got.fix_type, got.ignore_flags, got.yaw) == (satellites, fix_type, 0, 0)
+    assert (got.satellites_visible, got.fix_type, got.yaw) == (satellites, fix_type, 0)
+    assert got.ignore_flags == mavlink.GPS_INPUT_IGNORE_FLAG_VEL_VERT

@@ -6,6 +6,7 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from gcs_coloc.core.aiding.methods.gps_input import no_fix
 from gcs_coloc.core.messages.outbound import GpsInput, StreamRequest, TimeSyncRequest
 from gcs_coloc.mavlink.encoder import MAX_DESTINATIONS, Encoder
 
@@ -50,7 +51,7 @@ def test_gps_input_holds_every_value_in_the_wires_unit():
         "mavpackettype": "GPS_INPUT",
         "time_usec": 61_250_000,
         "gps_id": 1,
-        "ignore_flags": 0,
+        "ignore_flags": mavlink.GPS_INPUT_IGNORE_FLAG_VEL_VERT,
         "time_week_ms": 345_678_200,
         "time_week": 2400,
         "fix_type": 3,
@@ -125,3 +126,10 @@ def test_numbers_of_many_destinations_are_bounded_and_a_lively_one_keeps_its_own
 def test_impossible_fix_is_never_sent(impossible):
     with pytest.raises(ValueError, match="GPS_INPUT"):
         Encoder().encode(dataclasses.replace(FIX, **impossible), "vehicle 4")
+
+
+@pytest.mark.parametrize("fix", [FIX, no_fix(4, 1)], ids=["fix", "no fix"])
+def test_the_vertical_velocity_is_ignored_from_the_first_message(fix):
+    """ArduPilot's driver keeps `have_vertical_velocity` once any message without the flag has set it."""
+    got = received(Encoder().encode(fix, "vehicle 4"))
+    assert got.ignore_flags == mavlink.GPS_INPUT_IGNORE_FLAG_VEL_VERT == 16
