@@ -8,7 +8,7 @@ from typing import Any
 from sitl_fakes.geodesy import WorldFrame
 from sitl_fakes.receivers import GpsFix
 
-_ASSUMED_AGE_S = 0.2
+_ASSUMED_AGE_S = 0.1  # what EKF3's buffer leaves of the 0.2 s that its driver announces
 _HIGHEST_M = 100_000.0
 _FASTEST_MPS = 1_000.0
 _IGNORE_ALT, _IGNORE_HDOP, _IGNORE_VDOP, _IGNORE_VEL_HORIZ = 1, 2, 4, 8
@@ -19,7 +19,7 @@ def fix_from_gps_input(message: Any, frame: WorldFrame) -> GpsFix | None:
     """Turn a decoded GPS_INPUT into a fix, or None where it holds no numbers that an aircraft can have.
 
     Ignored velocity and altitude are zero, as in the driver, and are used as if they were true; ignored accuracies are
-    unstated. The data are taken to be 0.2 s old (the driver's default delay).
+    unstated. The data are taken to be as old as EKF3's buffer lets them be.
     """
     numbers = (
         message.alt,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gcs_coloc.core.aiding.fix_policy import EkfGates
+from gcs_coloc.core.aiding.methods.gps_input import DELAY_MS
 from gcs_coloc.core.aiding.methods.registry import method_for
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.doctor import parameters as p
@@ -20,7 +21,7 @@ _AUTO_SWITCH_WRONG = {
 _PRIMARY_UNLESS_NO_FIX = 4.0
 _SOURCE_NONE, _SOURCE_BAROMETER, _SOURCE_GPS = 0.0, 1.0, 3.0
 _EKF3 = 3.0
-_DRIVER_DELAY_S = 0.2
+_DELAY_MS = 100.0  # measured: with it, and data 0.1 s old, EKF3 does not trail
 
 
 def check(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
@@ -30,8 +31,7 @@ def check(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
     if method_for(vehicle.sysid, vehicle.autopilot, aid) == "external_position":
         yield right("it is aided by MAV_CMD_EXTERNAL_POSITION_ESTIMATE alone, which needs no GPS parameter")
     else:
-        yield from apply_rules(vehicle.parameters, _receiver_rules(aid.gps_id))
-        yield from _delay(vehicle, aid.gps_id, aid.lag_s)
+        yield from apply_rules(vehicle.parameters, (*_receiver_rules(aid.gps_id), _delay_rule(aid.gps_id)))
         yield from _arming(vehicle, aid)
     yield from _filter(vehicle, method_for(vehicle.sysid, vehicle.autopilot, aid))
 
@@ -113,8 +113,8 @@ _FILTER_RULES = (
         p.VERTICAL_VELOCITY_SOURCE,
         equals(_SOURCE_NONE),
         Severity.NOTE,
-        "it fuses a receiver's vertical velocity. Ours is marked as to be ignored, and that holds only until another program feeds "
-        "that receiver; fused, it makes the altitude swing by metres",
+        "it fuses a receiver's vertical velocity, which makes its altitude swing by metres; ours is marked as to be ignored, "
+        "and that holds only until another program feeds that receiver",
         set_to=_SOURCE_NONE,
     ),
     ParameterRule(
@@ -139,16 +139,19 @@ def _arming(vehicle: VehicleSurvey, aid: AidingSettings) -> Iterator[Finding]:
         )
 
 
-def _delay(vehicle: VehicleSurvey, fed: int, lag_s: float) -> Iterator[Finding]:
-    found = look_up(vehicle.parameters, p.GPS_DELAY_MS[fed])
-    if found is None:
-        return
-    assumed_s = found[1] / 1e3 or _DRIVER_DELAY_S
-    if abs(assumed_s - lag_s) > 0.01:
-        yield note(
-            f"{found[0]} = {found[1]:g}: GPS_INPUT is taken to be {assumed_s:g} s old, what we send is of {lag_s:g} s ago",
-            f"set lag_s = {assumed_s:g} in [aiding] of gcs-coloc",
-        )
+def _delay_rule(fed: int) -> ParameterRule:
+    return ParameterRule(
+        DELAY_MS[fed],
+        equals(_DELAY_MS),
+        Severity.NOTE,
+        lambda ms: (
+            "its driver announces 0.2 s, and EKF3 uses as much of it as its buffer has room for: what is sent is timed by lag_s "
+            "of [aiding]"
+            if ms == 0.0
+            else f"what is sent is timed for {ms / 1e3:g} s; EKF3 may use less, as its buffer is sized at boot"
+        ),
+        set_to=_DELAY_MS,
+    )
 
 
 def _filter(vehicle: VehicleSurvey, way: AidingMethodName) -> Iterator[Finding]:

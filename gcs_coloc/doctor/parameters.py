@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
+from gcs_coloc.core.aiding.methods.gps_input import DELAY_MS
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.doctor import ports
 from gcs_coloc.doctor.finding import Finding, Severity, right, stop
 
 GPS_TYPE = (("GPS1_TYPE", "GPS_TYPE"), ("GPS2_TYPE", "GPS_TYPE2"))
 """By receiver instance; the newest name first: ArduPilot 4.6 renamed them."""
-GPS_DELAY_MS = (("GPS1_DELAY_MS", "GPS_DELAY_MS"), ("GPS2_DELAY_MS", "GPS_DELAY_MS2"))
 GPS_PRIMARY = ("GPS_PRIMARY",)
 GPS_AUTO_SWITCH = ("GPS_AUTO_SWITCH",)
 GPS_CHECK = ("EK3_GPS_CHECK",)
@@ -44,7 +44,7 @@ _ARDUPILOT = (
     HEIGHT_SOURCE,
     EKF_TYPE,
     GCS_SYSID_HIGH,
-    *GPS_DELAY_MS,
+    *DELAY_MS,
 )
 WANTED: Mapping[Autopilot, tuple[tuple[str, ...], ...]] = {Autopilot.ARDUPILOT: _ARDUPILOT, Autopilot.PX4: (AGP_CONTROL, AGP_ID)}
 """Those of aid; of its ports, `ports` knows."""

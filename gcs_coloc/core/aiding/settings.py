@@ -25,8 +25,9 @@ class AidingSettings:
     """GPS_INPUT messages per second. ArduPilot calls a receiver unhealthy below 4.7 Hz (AP_GPS); beyond 50 Hz a radio floods."""
     external_rate_hz: float = between(1.0, 0.1, 10.0)
     """External position estimates per second. Chosen: each resets the EKF's position, so few are better than many."""
-    lag_s: float = between(0.2, 0.0, 1.0)
-    """Age that the vehicle takes the data to have (its GPS_DELAY). Position and velocity are those of that long ago."""
+    lag_s: float = between(0.1, 0.0, 1.0)
+    """Age that the vehicle takes GPS_INPUT to have where its GPS2_DELAY_MS is 0 or not known; else the parameter counts.
+    Source: 0.1 s is what EKF3 used of the driver's 0.2 s in flight, as its buffer is sized at boot for other sensors."""
     gps_id: int = between(1, 0, 1)
     """Zero-based receiver instance that is set to MAVLink on the vehicle (GPS_INPUT.gps_id): 0 is GPS1, 1 is GPS2."""
     alert_limit_m: float = positive(50.0)

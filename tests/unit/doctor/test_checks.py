@@ -18,11 +18,12 @@ PARAMETERS = {
     "GPS_PRIMARY": 0.0,
     "GPS_AUTO_SWITCH": 4.0,
     "GPS1_DELAY_MS": 0.0,
-    "GPS2_DELAY_MS": 0.0,
+    "GPS2_DELAY_MS": 100.0,
     "EK3_GPS_CHECK": 31.0,
     "EK3_CHECK_SCALE": 150.0,
     "EK3_SRC1_POSXY": 3.0,
     "EK3_SRC1_VELXY": 3.0,
+    "EK3_SRC1_VELZ": 0.0,
     "EK3_SRC1_POSZ": 1.0,
     "AHRS_EKF_TYPE": 3.0,
     "MAV_OPTIONS": 0.0,
@@ -123,7 +124,9 @@ def test_whom_the_vehicle_listens_to(changes, system_id, is_heard):
     [
         (with_parameters(GPS1_TYPE=0.0), "no receiver of its own"),
         (replace(GOOD, armed=False), "does not arm"),
-        (with_parameters(GPS2_DELAY_MS=120.0), "0.12 s old"),
+        (with_parameters(GPS2_DELAY_MS=120.0), "what is sent is timed for 0.12 s"),
+        (with_parameters(GPS2_DELAY_MS=0.0), "announces 0.2 s"),
+        (with_parameters(EK3_SRC1_VELZ=3.0), "vertical velocity"),
         (with_parameters(AHRS_EKF_TYPE=2.0), "EKF3"),
         (with_parameters(EK3_SRC1_VELXY=6.0), "velocity"),
         (with_parameters(EK3_SRC1_POSZ=3.0), "it flies on the GPS height"),
@@ -141,13 +144,12 @@ def test_what_does_not_stop_anything_is_a_note(vehicle, words):
     assert words in finding.text
 
 
-def test_a_lag_that_is_set_like_the_vehicles_delay_is_right():
-    assert not said(with_parameters(GPS2_DELAY_MS=120.0), Setup(aiding=AidingSettings(lag_s=0.12)))
+def test_a_clock_that_is_off_by_no_more_than_the_limit_is_right():
     assert not said(replace(GOOD, utc_minus_host_s=CLOCKS_AGREE_S))
 
 
 def test_another_receiver_instance_is_judged_as_the_fed_one():
-    swapped = with_parameters(GPS1_TYPE=14.0, GPS2_TYPE=1.0, GPS_PRIMARY=1.0)
+    swapped = with_parameters(GPS1_TYPE=14.0, GPS2_TYPE=1.0, GPS_PRIMARY=1.0, GPS1_DELAY_MS=100.0)
     assert not said(swapped, Setup(aiding=AidingSettings(gps_id=0)))
     assert not is_ready(said(swapped, Setup(aiding=AidingSettings(gps_id=1))))
 

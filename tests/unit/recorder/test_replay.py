@@ -135,7 +135,7 @@ def test_whether_our_stream_is_taken_is_judged_only_where_what_is_computed_was_s
     "section",
     [
         {"estimator": {"settings": {"a": 1}}},
-        {"aiding": {"lag_s": 0.1}},
+        {"aiding": {"lag_s": 0.2}},
         {"gps_health": {"silence_s": 4.0}},
         {"measurements": {"max_age_s": 4}},
     ],

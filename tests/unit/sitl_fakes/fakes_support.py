@@ -55,9 +55,9 @@ def parse(datagrams: list[Datagram], kind: str | None = None, sysid: int | None 
 
 
 def gps_input(fleet: Fleet, sysid: int, **overrides: Any) -> Any:
-    """A GPS_INPUT that a vehicle should take: its true position 0.2 s ago, true velocity, good accuracies."""
+    """A GPS_INPUT that a vehicle should take: its true position 0.1 s ago, true velocity, good accuracies."""
     t = fleet.truth()[sysid]
-    east, north = t.east_m - 0.2 * t.ve_mps, t.north_m - 0.2 * t.vn_mps
+    east, north = t.east_m - 0.1 * t.ve_mps, t.north_m - 0.1 * t.vn_mps
     lat, lon, alt = fleet.frame.to_lla(east + overrides.pop("shift_east_m", 0.0), north, t.up_m)
     vn, ve, vd = fleet.frame.vector_to_local_ned((t.ve_mps, t.vn_mps, t.vu_mps), lat, lon)
     fields: dict[str, Any] = {

@@ -1,6 +1,6 @@
 """GPS_INPUT: an estimate turned into a fix of a synthetic receiver, honest or not at all.
 
-Position and velocity are those of `lag_s` ago, because ArduPilot's driver takes the data to be that old (GPS_DELAY).
+Position and velocity are those of the delay ago that the vehicle's EKF applies: its parameter, or `lag_s` where that is 0.
 HDOP is what its definition says, the position's horizontal 1-sigma in units of the 1-sigma of one range (the peer's own error
 included), for the filtered position: the geometry of the moment alone would call a position bad that the filter knows well.
 
@@ -23,6 +23,9 @@ from gcs_coloc.core.measurements import Estimate
 from gcs_coloc.core.messages.inbound import CommandResult
 from gcs_coloc.core.messages.outbound import AidingMessage, GpsInput, Notice
 
+DELAY_MS = (("GPS1_DELAY_MS", "GPS_DELAY_MS"), ("GPS2_DELAY_MS", "GPS_DELAY_MS2"))
+"""ArduPilot's delay of each receiver instance; the newest name first: ArduPilot 4.6 renamed them."""
+_MOST_DELAY_MS = 250.0  # EKF3 takes no longer one (AP_NavEKF3, setup_core)
 _FIX_3D, _NO_FIX = 3, 1
 _SATELLITES_WITH_FIX = 7  # enough for EKF3 (6), never so many that a switch by count would prefer us to a real receiver
 _UNKNOWN_ACCURACY_M = 9999.0
@@ -30,15 +33,26 @@ _UNKNOWN_DOP = 99.99
 
 
 class GpsInputMethod:
-    """GPS_INPUT, the position of `lag_s` ago."""
+    """GPS_INPUT, the position of as long ago as the vehicle takes it to be."""
 
     def __init__(self, context: MethodContext) -> None:
-        self.age_s = context.settings.lag_s
+        self._lag_s = context.settings.lag_s
         self._sysid = context.sysid
         self._gps_id = context.settings.gps_id
+        self._parameters = context.parameters
+
+    @property
+    def age_s(self) -> float:
+        """As the protocol says: GPS2_DELAY_MS (GPS1_ for the first receiver) where it is above 0, else `lag_s`."""
+        delays_ms = (self._parameters.value(self._sysid, name) for name in DELAY_MS[self._gps_id])
+        return next((min(ms, _MOST_DELAY_MS) / 1e3 for ms in delays_ms if ms is not None and ms > 0.0), self._lag_s)
 
     def build_messages(self, moment: Moment) -> Sequence[AidingMessage | Notice]:
         """As the protocol says: one GPS_INPUT, with a fix or without."""
+        for name in DELAY_MS[self._gps_id]:
+            self._parameters.request(self._sysid, name, moment.now_s)
+            if self._parameters.value(self._sysid, name) is not None:
+                break
         at_s, utc = moment.arrives_s - self.age_s, moment.utc_minus_service_s
         unix_s = at_s + utc if utc is not None else None
         where = moment.where if moment.inhibit is None and isinstance(moment.where, Estimate) else None
@@ -149,13 +163,17 @@ class GpsInputOrExternalMethod:
     def __init__(self, context: MethodContext) -> None:
         self._gps = GpsInputMethod(context)
         self._external = ExternalPositionMethod(context)
-        self.age_s = self._gps.age_s
         self._sysid = context.sysid
         self._settings = context.settings
         self._parameters = context.parameters
         self._coarse: str | None = None
         self._changing_since_s: float | None = None
         self._by_external = False
+
+    @property
+    def age_s(self) -> float:
+        """As the protocol says."""
+        return self._gps.age_s
 
     def build_messages(self, moment: Moment) -> Sequence[AidingMessage | Notice]:
         """As the protocol says."""

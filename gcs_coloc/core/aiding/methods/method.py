@@ -54,9 +54,11 @@ class Moment:
 
 
 class AidingMethod(Protocol):
-    """One method of aiding one vehicle. `age_s`: how old the vehicle takes the position to be when the message arrives."""
+    """One method of aiding one vehicle."""
 
-    age_s: float
+    @property
+    def age_s(self) -> float:
+        """How old the vehicle takes the position to be when the message arrives, s."""
 
     def build_messages(self, moment: Moment) -> Sequence[AidingMessage | Notice]:
         """Build the messages that are due now; called `rate_hz` times a second."""
