@@ -185,13 +185,14 @@ def ekf_status_report(sysid: int, received_at_s: float, values: tuple[Any, ...])
 
 
 def estimator_status(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> EkfStatus:
-    """ESTIMATOR_STATUS (230), from PX4."""
+    """ESTIMATOR_STATUS (230), from PX4, which sets CONST_POS_MODE at rest on the ground beside an absolute position."""
     *_, flags = values
+    is_absolute = bool(flags & mavlink.ESTIMATOR_POS_HORIZ_ABS)
     return EkfStatus(
         sysid=sysid,
         received_at_s=received_at_s,
-        horizontal_position_absolute=bool(flags & mavlink.ESTIMATOR_POS_HORIZ_ABS),
-        constant_position_mode=bool(flags & mavlink.ESTIMATOR_CONST_POS_MODE),
+        horizontal_position_absolute=is_absolute,
+        constant_position_mode=bool(flags & mavlink.ESTIMATOR_CONST_POS_MODE) and not is_absolute,
         gps_glitching=bool(flags & mavlink.ESTIMATOR_GPS_GLITCH),
     )
 

@@ -134,6 +134,11 @@ SYS_STATUS_FIELDS = dict.fromkeys(
             mavlink.MAVLink_estimator_status_message(flags=128 + 32768, **ESTIMATOR_FIELDS),
             EkfStatus(1, NOW_S, False, True, False),
         ),
+        # PX4 at rest on the ground: a constant position beside an absolute one.
+        (
+            mavlink.MAVLink_estimator_status_message(flags=128 + 16 + 1, **ESTIMATOR_FIELDS),
+            EkfStatus(1, NOW_S, True, False, False),
+        ),
         (peer_range(), with_changes(A_RANGE, sequence=65_535, line_of_sight=0.8, device_id=2)),
         (ranging_beacon(), with_changes(A_RANGE, sequence=200)),
         (named_value(), with_changes(A_RANGE, sigma_m=None)),

@@ -1,0 +1,31 @@
+"""What the engine states of recorded flights of real autopilots."""
+
+from __future__ import annotations
+
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.recorder.replay import Replay
+from gcs_coloc.recorder.tlog import TlogReader
+from tests.recordings import recording
+
+
+def stated(name: str, to_s: float) -> list[tuple[float, HealthChanged | Notice]]:
+    """Replay the beginning of a recording; return what people are shown, with the time in the recording."""
+    out: list[tuple[float, HealthChanged | Notice]] = []
+    engine = Engine(load_estimator("fleet", {}))
+
+    def polled(at_s: float, outputs: list[Outbound]) -> None:
+        out.extend((at_s - start_s, output) for output in outputs if isinstance(output, HealthChanged | Notice))
+
+    flight = Replay(engine, TlogReader(recording(name)), [], polled)
+    start_s = flight.next_s or 0.0
+    while (at_s := flight.next_s) is not None and at_s <= start_s + to_s:
+        flight.step()
+    return out
+
+
+def test_px4_at_rest_on_the_ground_is_healthy():
+    """It states a constant position beside an absolute one there."""
+    changes = [shown for _, shown in stated("px4-flight/flight.tlog", 30.0) if isinstance(shown, HealthChanged)]
+    assert {(change.sysid, change.after) for change in changes} == {(sysid, "healthy") for sysid in (1, 2, 3, 4)}
