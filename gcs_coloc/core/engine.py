@@ -122,7 +122,6 @@ class Engine:
             self._streams.forget(sysid)
             self.aiding.forget_parameters(sysid)
             self._notify(at_s, sysid, "warning", "its clock jumped: taken as a reboot")
-        self._streams.add(message)
 
     def poll(self, now_s: float) -> list[Outbound]:
         """Run the stages that look at the whole fleet where they are due, and return all that is to be sent or shown by now."""
@@ -137,7 +136,7 @@ class Engine:
             self._review.end_round()
             self._outbox.extend(self.aiding.parameter_requests(now_s))
             if self.settings.request_streams:
-                self._outbox.extend(self._streams.due(now_s))
+                self._outbox.extend(self._streams.due(now_s, self.telemetry.heard_streams()))
         return self.serve(now_s)
 
     def serve(self, now_s: float) -> list[Outbound]:

@@ -5,26 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gcs_coloc.core.messages.inbound import Autopilot
-from gcs_coloc.core.telemetry.stream_requests import WANTED_HZ
+from gcs_coloc.core.messages.outbound import Stream
+from gcs_coloc.core.telemetry.stream_requests import wanted_hz
 from gcs_coloc.doctor.finding import Finding, VehicleSurvey, note, right, stop
 from gcs_coloc.doctor.parameters import GPS_TYPE, look_up
 from gcs_coloc.doctor.ports import STREAMS, instances, serial_ports
+from gcs_coloc.mavlink.encoder import STREAM_IDS
 
-_GLOBAL_POSITION_INT, _GPS_RAW_INT, _GPS2_RAW, _EKF_STATUS_REPORT = 33, 24, 124, 193
-_STREAMS = {
-    _GLOBAL_POSITION_INT: ("GLOBAL_POSITION_INT", "POSITION"),
-    _GPS_RAW_INT: ("GPS_RAW_INT", "EXT_STAT"),
-    _GPS2_RAW: ("GPS2_RAW", "EXT_STAT"),
-    30: ("ATTITUDE", "EXTRA1"),
-    74: ("VFR_HUD", "EXTRA2"),
-    1: ("SYS_STATUS", "EXT_STAT"),
-    _EKF_STATUS_REPORT: ("EKF_STATUS_REPORT", "EXTRA3"),
-    2: ("SYSTEM_TIME", "EXTRA3"),
+_RATES_OF = {
+    Stream.POSITION: "POSITION",
+    Stream.FIRST_RECEIVER: "EXT_STAT",
+    Stream.SECOND_RECEIVER: "EXT_STAT",
+    Stream.ATTITUDE: "EXTRA1",
+    Stream.AIRSPEED: "EXTRA2",
+    Stream.SYSTEM_HEALTH: "EXT_STAT",
+    Stream.EKF_STATUS: "EXTRA3",
+    Stream.SYSTEM_TIME: "EXTRA3",
 }
-"""Message id -> the message's name, and the end of the name of ArduPilot's stream rate that it belongs to."""
-_STREAM_HZ = {stream: max(WANTED_HZ[number] for number, (_, its) in _STREAMS.items() if its == stream) for stream in STREAMS}
-_ESSENTIAL = (_GLOBAL_POSITION_INT, _GPS_RAW_INT)
-_ARDUPILOT_ONLY = (_GPS2_RAW, _EKF_STATUS_REPORT)
+"""Stream -> the end of the name of ArduPilot's stream rate that it belongs to."""
+_RATE_HZ = {
+    rate: max(hz for stream, hz in wanted_hz(Autopilot.ARDUPILOT).items() if _RATES_OF[stream] == rate) for rate in STREAMS
+}
+_ESSENTIAL = (Stream.POSITION, Stream.FIRST_RECEIVER)
 _NO_POSITION = {
     Autopilot.ARDUPILOT: "; if its receiver has a fix, EK3_GPS_CHECK may refuse the accuracy",
     Autopilot.PX4: "; if its receiver has a fix, EKF2_REQ_EPH, EKF2_REQ_EPV or EKF2_REQ_SACC may refuse the accuracy",
@@ -43,25 +45,23 @@ Remedy = tuple[str, tuple[str, float] | None]
 def check(vehicle: VehicleSurvey) -> Iterator[Finding]:
     """Judge the rates that were measured, and what the vehicle's ports speak."""
     good = []
-    for number, wanted_hz in WANTED_HZ.items():
-        if number in _ARDUPILOT_ONLY and vehicle.autopilot is not Autopilot.ARDUPILOT:
-            continue
-        if number == _GPS2_RAW and _has_no_second_receiver(vehicle):
+    for stream, hz in wanted_hz(vehicle.autopilot).items():
+        if stream is Stream.SECOND_RECEIVER and _has_no_second_receiver(vehicle):
             continue  # there is nothing to tell of it, however fast
-        name, stream = _STREAMS[number]
+        name, number, rate = stream.value, STREAM_IDS[stream], _RATES_OF.get(stream, "")
         rate_hz = vehicle.rates_hz.get(number, 0.0)
-        lacking = stop if number in _ESSENTIAL else note
-        if rate_hz >= 0.5 * wanted_hz:
+        lacking = stop if stream in _ESSENTIAL else note
+        if rate_hz >= 0.5 * hz:
             good.append(f"{name} {rate_hz:.0f} Hz")
         elif rate_hz > 0.0:
-            yield note(f"{name} comes at {rate_hz:.1f} Hz, {wanted_hz:g} Hz are wanted", *_remedy(vehicle, stream))
+            yield note(f"{name} comes at {rate_hz:.1f} Hz, {hz:g} Hz are wanted", *_remedy(vehicle, rate))
         elif number in vehicle.empty:
             yield lacking(
                 f"{name} holds no position: the autopilot has none yet",
                 f"wait for its EKF{_NO_POSITION.get(vehicle.autopilot, '')}",
             )
         else:
-            yield lacking(f"{name} is not heard", *_remedy(vehicle, stream))
+            yield lacking(f"{name} is not heard", *_remedy(vehicle, rate))
     if good:
         yield right(f"heard: {', '.join(good)}")
     yield from _protocol(vehicle)
@@ -90,12 +90,12 @@ def _remedy(vehicle: VehicleSurvey, stream: str) -> Remedy:
 
 
 def _ardupilot_remedy(vehicle: VehicleSurvey, stream: str) -> Remedy:
-    wanted_hz = _STREAM_HZ[stream]
+    rate_wanted_hz = _RATE_HZ[stream]
     ports = serial_ports(vehicle.parameters)
     rates = [(port, found) for port in ports if (found := look_up(vehicle.parameters, port.rate_names(stream))) is not None]
     if not rates:
         return f"raise SRn_{stream} of its port (MAVn_{stream} since ArduPilot 4.7), or {_CARRIES}", None
-    low = [(port, name, rate_hz) for port, (name, rate_hz) in rates if rate_hz < wanted_hz]
+    low = [(port, name, rate_hz) for port, (name, rate_hz) in rates if rate_hz < rate_wanted_hz]
     bauds = [
         f"{port.baud_name} = {vehicle.parameters[port.baud_name]:g}" for port in ports if port.baud_name in vehicle.parameters
     ]
@@ -103,9 +103,9 @@ def _ardupilot_remedy(vehicle: VehicleSurvey, stream: str) -> Remedy:
     if not low:
         asked = ", ".join(f"{name} = {rate_hz:g}" for _, (name, rate_hz) in rates)
         return f"{asked} asks for as much: {carries}, and whether another ground station sets other rates", None
-    choice = " or ".join(f"{name} = {wanted_hz:g} (SERIAL{port.number}, now {rate_hz:g})" for port, name, rate_hz in low)
+    choice = " or ".join(f"{name} = {rate_wanted_hz:g} (SERIAL{port.number}, now {rate_hz:g})" for port, name, rate_hz in low)
     which = ", that of the port we are on" if len(rates) > 1 else ""
-    return f"set {choice}{which}; if that does not help, {carries}", (low[0][1], wanted_hz) if len(rates) == 1 else None
+    return f"set {choice}{which}; if that does not help, {carries}", (low[0][1], rate_wanted_hz) if len(rates) == 1 else None
 
 
 def _carries(bauds: list[str]) -> str:

@@ -22,11 +22,12 @@ from gcs_coloc.core.messages.inbound import (
     SystemTime,
     TimeSyncAnswer,
 )
-from gcs_coloc.core.messages.outbound import ParameterRequest, TimeSyncRequest, ToVehicle
-from gcs_coloc.core.telemetry.stream_requests import StreamRequests
+from gcs_coloc.core.messages.outbound import ParameterRequest, Stream, TimeSyncRequest, ToVehicle
+from gcs_coloc.core.telemetry.stream_requests import HeardStreams, StreamRequests
 from gcs_coloc.doctor.finding import FleetSurvey, VehicleSurvey
 from gcs_coloc.doctor.parameters import ParameterReader
 from gcs_coloc.mavlink.decoder import Decoder, Frame
+from gcs_coloc.mavlink.encoder import STREAM_IDS
 from gcs_coloc.mavlink.framing import GCS_SYSID, MAGIC_V1, RawFrame
 from gcs_coloc.mavlink.signing import LinkSigning
 
@@ -34,6 +35,7 @@ MAX_VEHICLES = 250
 LEAST_RANGES = 2
 _TIMESYNC_EVERY_S = 1.0
 _PARAM_VALUE = mavlink.MAVLink_param_value_message
+_STREAMS = {number: stream for stream, number in STREAM_IDS.items()}
 _INTEGER_KINDS = range(mavlink.MAV_PARAM_TYPE_UINT8, mavlink.MAV_PARAM_TYPE_INT32 + 1)
 
 
@@ -63,6 +65,7 @@ class _Vehicle:
     magics: set[int] = field(default_factory=set)
     stays: dict[Hashable, _Stay] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
+    streams: Counter[Stream] = field(default_factory=Counter)
     empty: set[int] = field(default_factory=set)
     receiver: GpsReceiver | None = None
     answers_timesync: bool = False
@@ -127,7 +130,8 @@ class Survey:
             if now_s >= vehicle.ask_time_at_s:
                 vehicle.ask_time_at_s = now_s + _TIMESYNC_EVERY_S
                 out.append(Question(vehicle.place, TimeSyncRequest(sysid, max(1, round(now_s * 1e9))), as_gcs))
-        for request in self._streams.due(now_s) if self._streams is not None else []:
+        heard = (HeardStreams(sysid, vehicle.reader.autopilot, vehicle.streams) for sysid, vehicle in self._vehicles.items())
+        for request in self._streams.due(now_s, heard) if self._streams is not None else []:
             vehicle = self._vehicles[request.sysid]
             out.append(Question(vehicle.place, request, vehicle.reader.requests_as_gcs))
         return out
@@ -178,8 +182,9 @@ class Survey:
             return
         if at_s >= self._half_s:
             vehicle.counts[frame.message_id] += 1
-        if self._streams is not None:
-            self._streams.count(frame.sysid, frame.message_id, at_s)
+        stream = _STREAMS.get(frame.message_id)
+        if stream is not None:
+            vehicle.streams[stream] += 1
         if isinstance(message, GlobalPosition | Attitude | SystemTime):
             vehicle.duplicates.add(message.boot_s, at_s)
         match message:

@@ -15,6 +15,7 @@ from gcs_coloc.core.messages.outbound import (
     GlobalPositionSensor,
     GpsInput,
     ParameterRequest,
+    Stream,
     StreamRequest,
     TimeSyncRequest,
     ToVehicle,
@@ -28,6 +29,9 @@ SENSOR_ID = 1
 """The id of our GLOBAL_POSITION_SENSOR, by which PX4's EKF2_AGPn_ID selects it."""
 _BY_NAME = -1
 """PARAM_REQUEST_READ's param_index where the parameter is named (MAVLink common.xml)."""
+
+STREAM_IDS = {stream: int(getattr(mavlink, f"MAVLINK_MSG_ID_{stream.value}")) for stream in Stream}
+"""MAVLink message id of each stream that vehicles are asked for."""
 
 
 class Encoder:
@@ -130,7 +134,7 @@ def _stream_request(request: StreamRequest) -> Any:
         target_component=mavlink.MAV_COMP_ID_AUTOPILOT1,
         command=mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
         confirmation=0,
-        param1=request.message_id,
+        param1=STREAM_IDS[request.stream],
         param2=request.interval_us,
         param3=0,
         param4=0,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,12 +81,26 @@ class ParameterSet:
     kind: int
 
 
+class Stream(Enum):
+    """A message that vehicles are asked for; the value is its MAVLink name."""
+
+    POSITION = "GLOBAL_POSITION_INT"
+    FIRST_RECEIVER = "GPS_RAW_INT"
+    SECOND_RECEIVER = "GPS2_RAW"
+    ATTITUDE = "ATTITUDE"
+    AIRSPEED = "VFR_HUD"
+    SYSTEM_HEALTH = "SYS_STATUS"
+    EKF_STATUS = "EKF_STATUS_REPORT"
+    ESTIMATOR_STATUS = "ESTIMATOR_STATUS"
+    SYSTEM_TIME = "SYSTEM_TIME"
+
+
 @dataclass(frozen=True, slots=True)
 class StreamRequest:
     """COMMAND_LONG MAV_CMD_SET_MESSAGE_INTERVAL (511): asks one vehicle for one message at one rate."""
 
     sysid: int
-    message_id: int
+    stream: Stream
     interval_us: int
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import exp, sqrt
 
 from gcs_coloc.core.messages.control import NO_HEARTBEAT_YET, RouteBlock, RouteReport
@@ -17,7 +18,10 @@ from gcs_coloc.core.messages.inbound import (
     GpsReceiver,
     Heartbeat,
     SystemHealth,
+    SystemTime,
 )
+from gcs_coloc.core.messages.outbound import Stream
+from gcs_coloc.core.telemetry.stream_requests import HeardStreams
 
 LEAST_AIRSPEED_MPS = 5.0
 """Below it an airspeed sensor and a coordinated turn mean nothing."""
@@ -28,6 +32,13 @@ _DENSITY_EXPONENT = 4.2559
 _TROPOPAUSE_M = 11_000.0
 _SCALE_HEIGHT_M = 6341.6  # of the isothermal layer above
 _TOP_M = 20_000.0
+_STREAMS = {
+    GlobalPosition: Stream.POSITION,
+    Attitude: Stream.ATTITUDE,
+    Airspeed: Stream.AIRSPEED,
+    SystemHealth: Stream.SYSTEM_HEALTH,
+    SystemTime: Stream.SYSTEM_TIME,
+}
 _AIR_DATA_FRESH_S = 2.0  # chosen: ten periods of VFR_HUD at the requested rate
 
 
@@ -38,6 +49,7 @@ class ReportedState:
     `blocked` is why the links can send it nothing, None where they can; `blocked_wording` says it to people.
     `winged`: it flies along its nose and turns by banking.
     `receiver` is the newest message of its own GPS receiver, not of the one that the service feeds.
+    `counts`: how often each stream was heard since the first message.
     """
 
     sysid: int
@@ -53,6 +65,7 @@ class ReportedState:
     receiver: GpsReceiver | None = None
     system: SystemHealth | None = None
     ekf: EkfStatus | None = None
+    counts: Counter[Stream] = field(default_factory=Counter)
 
     def has_air_data(self, now_s: float) -> bool:
         """Whether it reports by airspeed and bank how it moves through the air: on wings, fast enough for them, and lately."""
@@ -84,6 +97,9 @@ class Telemetry:
         """Update the reported state of a vehicle that was added; True where its GPS health and aiding need a review."""
         state = self._states[message.sysid]
         state.last_heard_s = message.received_at_s
+        stream = _STREAMS.get(type(message))
+        if stream is not None:
+            state.counts[stream] += 1
         match message:
             case GlobalPosition():
                 state.position = message
@@ -92,6 +108,7 @@ class Telemetry:
             case Airspeed():
                 state.airspeed = message
             case GpsReceiver():
+                state.counts[Stream.FIRST_RECEIVER if message.receiver == 0 else Stream.SECOND_RECEIVER] += 1
                 if message.receiver == self.own_receiver:
                     state.receiver = message
                 return True
@@ -99,6 +116,8 @@ class Telemetry:
                 state.system = message
                 return True
             case EkfStatus():
+                is_px4 = state.autopilot is Autopilot.PX4
+                state.counts[Stream.ESTIMATOR_STATUS if is_px4 else Stream.EKF_STATUS] += 1
                 state.ekf = message
                 return True
             case Heartbeat():
@@ -116,6 +135,10 @@ class Telemetry:
             return False
         state.blocked, state.blocked_wording = report.blocked, report.wording
         return True
+
+    def heard_streams(self) -> Iterator[HeardStreams]:
+        """Return what each vehicle whose autopilot is known has sent so far."""
+        return (HeardStreams(v.sysid, v.autopilot, v.counts) for v in self if v.autopilot is not None)
 
     def get(self, sysid: int) -> ReportedState | None:
         """Return the reported state of a vehicle, None where it was never heard."""

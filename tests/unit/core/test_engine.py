@@ -16,7 +16,8 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.core.messages.control import ClockReference, GpsOverride, OperatorCommand, RouteBlock, RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, Heartbeat, PeerRange, TimeBase
-from gcs_coloc.core.messages.outbound import GpsInput, Notice, StreamRequest
+from gcs_coloc.core.messages.outbound import GpsInput, Notice, Stream, StreamRequest
+from gcs_coloc.core.telemetry.stream_requests import wanted_hz
 
 
 def test_a_healthy_fleet_gets_no_aid_and_its_positions_reach_the_estimator():
@@ -211,7 +212,8 @@ def test_missing_streams_are_asked_for_ever_less_often_and_at_once_after_a_reboo
     engine = Engine(StraightLine(), EngineSettings(request_streams=True))
     out = fly(engine, 0.0, 60.0, sysids=[1])
     asked = [(t, o) for t, o in out if isinstance(o, StreamRequest)]
-    assert {o.message_id for _, o in asked} == {124, 30, 74, 1, 193, 2}  # what telemetry() does not send
+    sent = {Stream.POSITION, Stream.FIRST_RECEIVER}  # by telemetry()
+    assert {o.stream for _, o in asked} == wanted_hz(Autopilot.ARDUPILOT).keys() - sent
     times = sorted({t for t, _ in asked})
     assert times == pytest.approx([4.0, 12.0, 28.0], abs=1.0)
     for i in range(80):

@@ -8,9 +8,12 @@ import pytest
 
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.messages.inbound import Autopilot, GpsReceiver
-from gcs_coloc.core.telemetry.stream_requests import WANTED_HZ
+from gcs_coloc.core.telemetry.stream_requests import wanted_hz
 from gcs_coloc.doctor.finding import FleetSurvey, Setup, Severity, VehicleSurvey
 from gcs_coloc.doctor.report import CLOCKS_AGREE_S, OFTEN, Report, is_ready, of_fleet, of_vehicle
+from gcs_coloc.mavlink.encoder import STREAM_IDS
+
+WANTED_HZ = {STREAM_IDS[stream]: hz for autopilot in Autopilot for stream, hz in wanted_hz(autopilot).items()}
 
 PARAMETERS = {
     "GPS1_TYPE": 1.0,
@@ -50,6 +53,7 @@ GOOD = VehicleSurvey(
     answers_timesync=True,
     utc_minus_host_s=0.1,
 )
+
 FLEET = frozenset({1, 2, 3, 4})
 
 

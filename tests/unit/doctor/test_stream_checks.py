@@ -5,9 +5,13 @@ from __future__ import annotations
 import pytest
 
 from gcs_coloc.core.messages.inbound import Autopilot
-from gcs_coloc.core.telemetry.stream_requests import WANTED_HZ
+from gcs_coloc.core.telemetry.stream_requests import wanted_hz
 from gcs_coloc.doctor.finding import Severity, VehicleSurvey
 from gcs_coloc.doctor.stream_checks import check
+from gcs_coloc.mavlink.encoder import STREAM_IDS
+
+WANTED_HZ = {STREAM_IDS[stream]: hz for autopilot in Autopilot for stream, hz in wanted_hz(autopilot).items()}
+
 
 SLOW = {**WANTED_HZ, 33: 2.0}
 ONE_PORT = {"SERIAL0_PROTOCOL": 2.0, "SERIAL0_BAUD": 115.0, "SERIAL3_PROTOCOL": 5.0}

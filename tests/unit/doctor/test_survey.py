@@ -9,10 +9,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.core.messages.outbound import ParameterRequest, StreamRequest, TimeSyncRequest
-from gcs_coloc.core.telemetry.stream_requests import WANTED_HZ
+from gcs_coloc.core.telemetry.stream_requests import wanted_hz
 from gcs_coloc.doctor.parameters import AT_ONCE, MOST_TRIES, OWN_TRIES, RETRY_S, ParameterReader
 from gcs_coloc.doctor.survey import Survey
+from gcs_coloc.mavlink.encoder import STREAM_IDS
 from tests.signed_frames import Signer
+
+WANTED_HZ = {STREAM_IDS[stream]: hz for stream, hz in wanted_hz(Autopilot.ARDUPILOT).items()}
+
 
 UTC_MINUS_SERVICE_S = 1_800_000_000.0
 HEARTBEATS = {
@@ -133,7 +137,7 @@ def test_the_time_is_asked_and_the_streams_that_are_missing_are_requested(field)
         field.beat(step * 0.1, 1)
         questions += [q.message for q in field.survey.questions(step * 0.1)]
     assert sum(isinstance(q, TimeSyncRequest) for q in questions) == 10
-    assert {q.message_id for q in questions if isinstance(q, StreamRequest)} == set(WANTED_HZ)
+    assert {STREAM_IDS[q.stream] for q in questions if isinstance(q, StreamRequest)} == set(WANTED_HZ)
     assert not field.found()[0].answers_timesync
     field.hear(10.0, 1, mavlink.MAVLink_timesync_message(5_000, 1))
     assert field.found()[0].answers_timesync

@@ -7,7 +7,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.aiding.methods.gps_input import no_fix
-from gcs_coloc.core.messages.outbound import GpsInput, StreamRequest, TimeSyncRequest
+from gcs_coloc.core.messages.outbound import GpsInput, Stream, StreamRequest, TimeSyncRequest
 from gcs_coloc.mavlink.encoder import MAX_DESTINATIONS, Encoder
 
 FIX = GpsInput(
@@ -70,9 +70,9 @@ def test_gps_input_holds_every_value_in_the_wires_unit():
 
 
 def test_stream_request_is_a_command_to_the_vehicles_autopilot():
-    got = received(Encoder().encode(StreamRequest(sysid=4, message_id=181600, interval_us=100_000), "vehicle 4"))
+    got = received(Encoder().encode(StreamRequest(sysid=4, stream=Stream.SECOND_RECEIVER, interval_us=100_000), "vehicle 4"))
     assert (got.get_type(), got.target_system, got.target_component, got.command) == ("COMMAND_LONG", 4, 1, 511)
-    assert (got.param1, got.param2, got.param7, got.confirmation) == (181600.0, 100_000.0, 0.0, 0)
+    assert (got.param1, got.param2, got.param7, got.confirmation) == (124.0, 100_000.0, 0.0, 0)
 
 
 def test_heartbeat_says_that_we_are_no_autopilot():

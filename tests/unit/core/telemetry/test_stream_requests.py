@@ -1,34 +1,55 @@
 """What a vehicle is requested to send, and when."""
 
-from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, Heartbeat
-from gcs_coloc.core.telemetry.stream_requests import WANTED_HZ, StreamRequests
+import pytest
+
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.messages.control import RouteReport
+from gcs_coloc.core.messages.inbound import Autopilot, Heartbeat
+from gcs_coloc.core.messages.outbound import Stream, StreamRequest
+from gcs_coloc.core.telemetry.stream_requests import HeardStreams, StreamRequests, wanted_hz
+from tests.engine_flights import StraightLine
 
 
-def requested_ids(requests: StreamRequests, now_s: float) -> set[int]:
-    return {request.message_id for request in requests.due(now_s)}
+def requested(requests: StreamRequests, now_s: float, autopilot: Autopilot = Autopilot.ARDUPILOT, **heard: int) -> set[Stream]:
+    counts = {Stream[name]: count for name, count in heard.items()}
+    return {request.stream for request in requests.due(now_s, [HeardStreams(3, autopilot, counts)])}
 
 
 def test_a_vehicle_that_sends_heartbeats_alone_is_requested_to_send_everything():
     """Real ArduCopters do by default: their stream rates are 0."""
-    requests = StreamRequests()
-    for second in range(5):
-        requests.add(Heartbeat(3, float(second), Autopilot.ARDUPILOT, armed=False, winged=False))
-    assert requested_ids(requests, 4.0) == set(WANTED_HZ)
+    engine, out = Engine(StraightLine()), []
+    for second in range(6):
+        engine.receive(Heartbeat(3, float(second), Autopilot.ARDUPILOT, armed=False, winged=False))
+        engine.receive(RouteReport(3, float(second), None))
+        out += engine.poll(second + 0.5)
+    assert {o.stream for o in out if isinstance(o, StreamRequest)} == set(wanted_hz(Autopilot.ARDUPILOT))
 
 
-def test_heartbeats_alone_after_a_reboot_are_answered_with_requests_again():
+def test_each_autopilot_is_asked_for_the_status_of_its_own_filter():
+    """PX4 refuses EKF_STATUS_REPORT and GPS2_RAW, ArduPilot has no ESTIMATOR_STATUS."""
+    assert not {Stream.EKF_STATUS, Stream.SECOND_RECEIVER} & wanted_hz(Autopilot.PX4).keys()
+    assert Stream.ESTIMATOR_STATUS in wanted_hz(Autopilot.PX4)
+    assert {Stream.EKF_STATUS, Stream.SECOND_RECEIVER} <= wanted_hz(Autopilot.ARDUPILOT).keys()
+    assert Stream.ESTIMATOR_STATUS not in wanted_hz(Autopilot.ARDUPILOT)
+
+
+def test_what_comes_often_enough_is_not_requested():
     requests = StreamRequests()
-    requests.add(GlobalPosition(3, 0.0, 100.0, 47.0, 8.0, 500.0, 0.0, 0.0, 0.0))
-    assert requested_ids(requests, 4.0) == set(WANTED_HZ)
+    requested(requests, 0.0)
+    assert Stream.POSITION not in requested(requests, 4.0, POSITION=20)
+
+
+@pytest.mark.parametrize("counts", [{}, {"POSITION": 19}])
+def test_what_comes_at_less_than_half_of_the_wanted_rate_is_requested(counts):
+    requests = StreamRequests()
+    requested(requests, 0.0)
+    assert Stream.POSITION in requested(requests, 4.0, **counts)
+
+
+def test_requests_that_are_not_heeded_are_repeated_ever_less_often_and_at_once_after_a_reboot():
+    requests = StreamRequests()
+    times_s = [t for t in range(60) if requested(requests, float(t))]
+    assert times_s == [4, 12, 28]
     requests.forget(3)
-    assert requested_ids(requests, 9.0) == set()
-    requests.add(Heartbeat(3, 10.0, Autopilot.ARDUPILOT, armed=False, winged=False))
-    assert requested_ids(requests, 14.0) == set(WANTED_HZ)
-
-
-def test_a_second_heartbeat_does_not_begin_the_window_anew():
-    requests = StreamRequests()
-    for second in range(4):
-        requests.add(Heartbeat(3, float(second), Autopilot.ARDUPILOT, armed=False, winged=False))
-        assert requested_ids(requests, float(second)) == set()
-    assert requested_ids(requests, 4.0) == set(WANTED_HZ)
+    times_s = [t for t in range(60, 80) if requested(requests, float(t))]
+    assert times_s == [64, 72]
