@@ -175,9 +175,11 @@ class MeasurementBuilder:
             self.refused[CoreRefusal.RANGE_REPEATED] += 1
             return BuiltRange(None, notice)
         sigma_m = message.sigma_m if message.sigma_m is not None else self.settings.range_sigma_m
-        total_m = hypot(sigma_m, self._accuracy(peer.receiver)[0])
-        before_m = memory.range_sigma_m if memory.range_sigma_m is not None else total_m
-        memory.range_sigma_m = before_m + _RANGE_SIGMA_GAIN * (total_m - before_m)
+        # A range locates either end, whichever of the two measured it.
+        for end, other in ((vehicle, peer), (peer, vehicle)):
+            total_m, of_end = hypot(sigma_m, self._accuracy(other.receiver)[0]), self._of(end.sysid)
+            before_m = of_end.range_sigma_m if of_end.range_sigma_m is not None else total_m
+            of_end.range_sigma_m = before_m + _RANGE_SIGMA_GAIN * (total_m - before_m)
         late_m = _relative_speed_mps(vehicle, peer) * measured.sigma_s
         by_own_clock = message.measured_at_s is not None and message.time_base is not TimeBase.SERVICE
         measurement = RangeMeasurement(

@@ -30,6 +30,7 @@ _FIX_3D, _NO_FIX = 3, 1
 _SATELLITES_WITH_FIX = 7  # enough for EKF3 (6), never so many that a switch by count would prefer us to a real receiver
 _UNKNOWN_ACCURACY_M = 9999.0
 _UNKNOWN_DOP = 99.99
+_NOMINAL_RANGE_SIGMA_M = 2.0  # by which EKF3's limits are one: 5 m of horizontal accuracy, HDOP 2.5 (EK3_CHECK_SCALE=100)
 
 
 class GpsInputMethod:
@@ -86,8 +87,8 @@ def gps_input(
 ) -> GpsInput:
     """GPS_INPUT for one vehicle from the estimator's answer, None where that may not be claimed as a fix.
 
-    `range_sigma_m` is the 1-sigma of one range with the error of the peer's position in it, `unix_s` the UTC time of the
-    answer; both None where unknown.
+    `range_sigma_m` is the 1-sigma of one range with the error of the peer's position in it, None where no range was had of
+    late (standby); `unix_s` is the UTC time of the answer, None where unknown.
     """
     week, week_ms = gps_week_and_ms(unix_s) if unix_s is not None else (0, 0)
     time_usec = round(unix_s * 1e6) if unix_s is not None else 0
@@ -122,7 +123,7 @@ def gps_input(
 
 
 def _dop(sigma_m: float, range_sigma_m: float | None) -> float:
-    return min(sigma_m / range_sigma_m, _UNKNOWN_DOP) if range_sigma_m is not None else _UNKNOWN_DOP
+    return min(sigma_m / (range_sigma_m if range_sigma_m is not None else _NOMINAL_RANGE_SIGMA_M), _UNKNOWN_DOP)
 
 
 def no_fix(sysid: int, gps_id: int, time_usec: int = 0, gps_week: int = 0, gps_time_of_week_ms: int = 0) -> GpsInput:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from engine_flights import LON, M_PER_DEGREE_EAST, StraightLine, aids, fly, parameters_told, settings
 
@@ -34,3 +36,12 @@ def sent_late_s(lag_s: float, told: dict[str, float]) -> float:
 def test_the_position_is_of_as_long_ago_as_the_vehicles_parameter_says(told, delay_s):
     without_s = sent_late_s(0.0, {})
     assert sent_late_s(AidingSettings().lag_s, told) - without_s == pytest.approx(delay_s, abs=0.001)
+
+
+def test_without_ranges_the_dilution_fits_the_accuracy_as_the_ekf_relates_them():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 2.0)
+    _, fix = aids(fly(engine, 2.0, 5.0, failed=[4]), 4)[-1]
+    assert fix.horiz_accuracy_m == 2.0
+    assert fix.hdop == pytest.approx(math.hypot(2.0, 1.0) / 2.0)  # 5 m of accuracy and an HDOP of 2.5 are EKF3's limits
+    assert fix.vdop == pytest.approx(3.0 / 2.0)

@@ -235,3 +235,12 @@ def test_the_range_error_holds_the_peers_own_and_follows_slowly():
     peer.receiver = gps(12.0)
     feed.measure_range(range_message(1.1, None, TimeBase.BOOT), record, peer)
     assert feed.range_sigma_m(4) == pytest.approx(1.3 + 0.1 * (12.0104 - 1.3), abs=1e-3)
+
+
+def test_the_range_error_is_known_of_the_vehicle_that_others_measure_too():
+    feed = Builder()
+    record, peer = vehicle(), vehicle(sysid=1)
+    record.receiver, peer.receiver = gps(12.0), gps(1.2)
+    feed.measure_range(range_message(1.0, None, TimeBase.BOOT), record, peer)
+    assert feed.range_sigma_m(4) == pytest.approx(1.3)
+    assert feed.range_sigma_m(1) == pytest.approx(12.0104, abs=1e-3)
