@@ -8,34 +8,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.core.messages.control import ForeignGpsInput
 from gcs_coloc.core.messages.inbound import (
     Airspeed,
     Attitude,
     Autopilot,
-    CommandOutcome,
-    CommandResult,
     EkfStatus,
     GlobalPosition,
     GpsReceiver,
     Heartbeat,
     Inbound,
-    ParameterValue,
     SystemHealth,
     SystemTime,
-    TimeSyncAnswer,
-    VehicleCommand,
 )
-from gcs_coloc.mavlink import checks, ranges
+from gcs_coloc.mavlink import answers, checks, ranges
 from gcs_coloc.mavlink._generated import gcs_coloc
 from gcs_coloc.mavlink.checks import InvalidValueError
-from gcs_coloc.mavlink.framing import MESSAGE_CLASSES, RawFrame
 from gcs_coloc.mavlink.refusals import Field
 
 UINT8_MAX = 0xFF
@@ -48,16 +40,6 @@ GPS_GLITCH_ARDUPILOT = 1 << 15
 _AUTOPILOTS = {
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: Autopilot.ARDUPILOT,
     mavlink.MAV_AUTOPILOT_PX4: Autopilot.PX4,
-}
-
-_COMMANDS = {mavlink.MAV_CMD_EXTERNAL_POSITION_ESTIMATE: VehicleCommand.EXTERNAL_POSITION_ESTIMATE}
-_OUTCOMES = {
-    mavlink.MAV_RESULT_ACCEPTED: CommandOutcome.ACCEPTED,
-    mavlink.MAV_RESULT_TEMPORARILY_REJECTED: CommandOutcome.TEMPORARILY_REJECTED,
-    mavlink.MAV_RESULT_DENIED: CommandOutcome.DENIED,
-    mavlink.MAV_RESULT_UNSUPPORTED: CommandOutcome.UNSUPPORTED,
-    mavlink.MAV_RESULT_FAILED: CommandOutcome.FAILED,
-    mavlink.MAV_RESULT_IN_PROGRESS: CommandOutcome.IN_PROGRESS,
 }
 
 _NO_VEHICLES = frozenset((6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48, 49))
@@ -231,48 +213,6 @@ def system_time(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Sy
     )
 
 
-def timesync(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> TimeSyncAnswer | None:
-    """TIMESYNC (111); None where it is the sender's own request (tc1 0), which others may answer."""
-    tc1_ns, ts1_ns = values
-    if tc1_ns == 0:
-        return None
-    if tc1_ns < 0:
-        raise InvalidValueError(Field.TC1)
-    return TimeSyncAnswer(sysid=sysid, received_at_s=received_at_s, ts1_ns=ts1_ns, tc1_ns=tc1_ns)
-
-
-def command_ack(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> CommandResult:
-    """COMMAND_ACK (77)."""
-    command, result, *_ = values
-    outcome = _OUTCOMES.get(result, CommandOutcome.OTHER)
-    return CommandResult(sysid, received_at_s, _COMMANDS.get(command, VehicleCommand.OTHER), outcome)
-
-
-def param_value(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> ParameterValue | None:
-    """PARAM_VALUE (22), integers as ArduPilot sends them, as floats. None where another encoding makes that no number."""
-    value, _count, _index, name, kind = values
-    if not math.isfinite(value):
-        return None
-    try:
-        text = name.partition(b"\0")[0].decode("ascii")
-    except UnicodeDecodeError:
-        raise InvalidValueError(Field.PARAM_ID) from None
-    return ParameterValue(sysid, received_at_s, text, value, kind)
-
-
-def foreign_gps_input(raw: RawFrame, received_at_s: float, vehicle: int) -> ForeignGpsInput:
-    """A frame of GPS_INPUT (232) that is on its way to a vehicle."""
-    unpacker = MESSAGE_CLASSES[raw.message_id].unpacker
-    message = gps_input(raw.sysid, received_at_s, unpacker.unpack_from(raw.payload.ljust(unpacker.size, b"\0")))
-    return replace(message, vehicle=vehicle)
-
-
-def gps_input(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> ForeignGpsInput:
-    """GPS_INPUT (232) from somebody else. It has no target field: it reaches every vehicle at the address it came from."""
-    gps_id = values[15]
-    return ForeignGpsInput(sysid, received_at_s, gps_id)
-
-
 Converter = Callable[[int, float, tuple[Any, ...]], Inbound | None]
 
 AUTOPILOT_CONVERTERS: Mapping[int, Converter] = MappingProxyType(
@@ -284,11 +224,11 @@ AUTOPILOT_CONVERTERS: Mapping[int, Converter] = MappingProxyType(
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: global_position_int,
         mavlink.MAVLINK_MSG_ID_VFR_HUD: vfr_hud,
         mavlink.MAVLINK_MSG_ID_GPS2_RAW: gps2_raw,
-        mavlink.MAVLINK_MSG_ID_TIMESYNC: timesync,
+        mavlink.MAVLINK_MSG_ID_TIMESYNC: answers.timesync,
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status_report,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
-        mavlink.MAVLINK_MSG_ID_COMMAND_ACK: command_ack,
-        mavlink.MAVLINK_MSG_ID_PARAM_VALUE: param_value,
+        mavlink.MAVLINK_MSG_ID_COMMAND_ACK: answers.command_ack,
+        mavlink.MAVLINK_MSG_ID_PARAM_VALUE: answers.param_value,
     }
 )
 """Messages that describe the vehicle if its autopilot sends them, by message id. A gimbal's ATTITUDE is not the vehicle's."""
@@ -297,7 +237,7 @@ CONVERTERS: Mapping[int, Converter] = MappingProxyType(
     {
         mavlink.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
         mavlink.MAVLINK_MSG_ID_DEBUG_VECT: ranges.debug_vect,
-        mavlink.MAVLINK_MSG_ID_GPS_INPUT: gps_input,
+        mavlink.MAVLINK_MSG_ID_GPS_INPUT: answers.gps_input,
         mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: ranges.named_value_float,
         gcs_coloc.MAVLINK_MSG_ID_RANGING_BEACON: ranges.ranging_beacon,
         gcs_coloc.MAVLINK_MSG_ID_PEER_RANGE: ranges.peer_range,

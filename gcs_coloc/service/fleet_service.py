@@ -15,8 +15,8 @@ from gcs_coloc.links.admission import SignedLinks
 from gcs_coloc.links.base import Address, Link, Route, check_outs, parse
 from gcs_coloc.links.forward import Forwarder
 from gcs_coloc.links.routes import RouteTable
+from gcs_coloc.mavlink.answers import foreign_gps_input
 from gcs_coloc.mavlink.decoder import HeardTruth
-from gcs_coloc.mavlink.inbound import foreign_gps_input
 from gcs_coloc.mavlink.refusals import Counts, Refusals
 from gcs_coloc.recorder.flight_recording import FlightRecording
 from gcs_coloc.recorder.side_channel import FlownWith
