@@ -76,6 +76,7 @@ class FleetReview:
         return FixInputs(
             is_trusted=self._is_trusted(sysid),
             has_air_data=vehicle is not None and vehicle.has_air_data(now_s),
+            is_aligned=vehicle is not None and vehicle.has_absolute_position(now_s),
             one_way_delay_s=self._stages.clocks.one_way_delay_s(sysid, now_s),
             range_sigma_m=self._stages.measurements.range_sigma_m(sysid),
             median_nis=self._median_nis.get(sysid),

@@ -17,8 +17,9 @@ class AidingSettings:
 
     method: AidingMethodName = "auto"
     """The message: `gps_input`, `external_position` (MAV_CMD_EXTERNAL_POSITION_ESTIMATE) or `global_position_sensor`.
-    `auto` takes `global_position_sensor` for PX4, and GPS_INPUT for ArduPilot, with external estimates beside it while the
-    position is too coarse for its EKF. Other autopilots get nothing but an alarm, as their methods are unknown."""
+    `auto` takes `global_position_sensor` for PX4, and GPS_INPUT for ArduPilot, with external estimates beside it while its EKF
+    has no absolute position and would not align on one so coarse. Other autopilots get nothing but an alarm, as their methods
+    are unknown."""
     methods: Mapping[int, AidingMethodName] = field(default_factory=dict)
     """The method of single vehicles by system id, as `4 = "external_position"`."""
     rate_hz: float = between(10.0, 1.0, 50.0)

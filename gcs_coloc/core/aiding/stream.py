@@ -40,12 +40,14 @@ class Purpose(Enum):
 class FixInputs:
     """What earlier stages know of a vehicle at the time of one message.
 
-    `is_trusted`: its own receiver is in its estimate. `has_air_data`: airspeed and bank show how it moves. `one_way_delay_s`: the
-    least delay of its link. `range_sigma_m`: 1-sigma of its ranges of late. `median_nis`, `range_jump_m`: how its ranges fit.
+    `is_trusted`: its own receiver is in its estimate. `has_air_data`: airspeed and bank show how it moves. `is_aligned`: its EKF
+    reports an absolute position. `one_way_delay_s`: the least delay of its link. `range_sigma_m`: 1-sigma of its ranges of late.
+    `median_nis`, `range_jump_m`: how its ranges fit.
     """
 
     is_trusted: bool
     has_air_data: bool
+    is_aligned: bool
     one_way_delay_s: float | None
     range_sigma_m: float | None
     median_nis: float | None
@@ -183,6 +185,7 @@ class AidingStream:
             locate=lambda at_s: estimate_at(sysid, at_s),
             range_sigma_m=inputs.range_sigma_m,
             standby=not is_aid,
+            is_aligned=inputs.is_aligned,
             transmits=self._transmits,
         )
         out: list[Outbound] = list(self.method.build_messages(moment))

@@ -39,6 +39,7 @@ _STREAMS = {
     SystemHealth: Stream.SYSTEM_HEALTH,
     SystemTime: Stream.SYSTEM_TIME,
 }
+_EKF_FRESH_S = 3.0  # chosen: six periods of EKF_STATUS_REPORT at the requested rate
 _AIR_DATA_FRESH_S = 2.0  # chosen: ten periods of VFR_HUD at the requested rate
 
 
@@ -66,6 +67,11 @@ class ReportedState:
     system: SystemHealth | None = None
     ekf: EkfStatus | None = None
     counts: Counter[Stream] = field(default_factory=Counter)
+
+    def has_absolute_position(self, now_s: float) -> bool:
+        """Whether its EKF reported of late that it has an absolute horizontal position: it has been aligned."""
+        ekf = self.ekf
+        return ekf is not None and ekf.horizontal_position_absolute and now_s - ekf.received_at_s <= _EKF_FRESH_S
 
     def has_air_data(self, now_s: float) -> bool:
         """Whether it reports by airspeed and bank how it moves through the air: on wings, fast enough for them, and lately."""

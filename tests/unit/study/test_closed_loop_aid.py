@@ -54,9 +54,9 @@ def test_standby_fails_over_without_dead_reckoning():
 
 
 def test_a_position_too_coarse_for_the_ekf_reaches_the_aircraft_by_external_estimates():
-    flight, engine = flown(scenario(GpsLost, sigma_m=30.0, bias_sigma_m=0.0, rate_hz=3.0), 62.0)
-    assert "external position estimates, for it is too coarse for GPS_INPUT" in engine.snapshot(62.0).vehicles[3].aiding
-    assert set(sources(flight, 55.0)) == {"dead_reckoning"}  # it uses no GPS, and certainly not ours and the estimates in turns
+    flight, engine = flown(scenario(GpsLost, sigma_m=30.0, bias_sigma_m=0.0, rate_hz=3.0), 85.0)
+    assert "external position estimates, for it is too coarse for GPS_INPUT" in engine.snapshot(85.0).vehicles[3].aiding
+    assert set(sources(flight, 78.0)) == {"dead_reckoning"}  # it uses no GPS, and certainly not ours and the estimates in turns
     assert not [reason for reason in engine.refused() if reason.startswith("external_position")]
     # Within the alert limit, as every position that it was told.
     assert off_in_its_own_position_m(flight, LOST_S + 5.0) < 50.0

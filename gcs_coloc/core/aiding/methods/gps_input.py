@@ -155,10 +155,11 @@ _FINE_FOR_S = 5.0  # chosen: longer than for coarse, so that the methods do not 
 
 
 class GpsInputOrExternalMethod:
-    """GPS_INPUT, and external estimates beside it while its accuracy is beyond what the vehicle's EKF accepts of a GPS.
+    """GPS_INPUT, and external estimates beside it while the vehicle's EKF is not aligned and would not align on GPS_INPUT.
 
-    A vehicle that accepts the estimates does not use our GPS_INPUT: that goes on with fix_type 1, so that the two are never used
-    in turns. A vehicle that refuses them uses a GPS: GPS_INPUT then goes on as it is.
+    EKF3's limits hold for (re)alignment alone: once it has an absolute position it fuses a GPS of any stated accuracy, and
+    refuses every estimate. A vehicle that accepts the estimates does not use our GPS_INPUT: that goes on with fix_type 1, so that
+    the two are never used in turns.
     """
 
     def __init__(self, context: MethodContext) -> None:
@@ -185,6 +186,10 @@ class GpsInputOrExternalMethod:
         if moment.inhibit is not None or moment.standby:
             self._by_external = False
             return [message]
+        if moment.is_aligned and not self._external.is_accepted(moment.now_s):
+            was_coarse, self._coarse, self._changing_since_s, self._by_external = self._coarse, None, None, False
+            text = "its EKF has an absolute position again: GPS_INPUT alone"
+            return [message, Notice(moment.now_s, self._sysid, "info", text)] if was_coarse is not None else [message]
         out = self._update_coarse(message, moment.now_s)
         self._by_external = False
         if self._coarse is not None:
@@ -207,7 +212,7 @@ class GpsInputOrExternalMethod:
             return self._gps.with_fix()
         if self._by_external:
             return f"{self._external.with_fix()}, for it is too coarse for GPS_INPUT: {self._coarse}"
-        return f"{self._gps.with_fix()}, which its EKF may refuse: {self._coarse}"
+        return f"{self._gps.with_fix()}, on which its EKF may not align: {self._coarse}"
 
     def without_fix(self) -> str:
         """As the protocol says."""
@@ -227,7 +232,7 @@ class GpsInputOrExternalMethod:
         self._coarse, self._changing_since_s = refusal, None
         if refusal is None:
             return [Notice(now_s, self._sysid, "info", "good enough for its EKF again: GPS_INPUT alone")]
-        text = f"too coarse for its EKF by {CHECK} ({refusal}): external position estimates are sent as well"
+        text = f"too coarse for its EKF to align on by {CHECK} ({refusal}): external position estimates are sent as well"
         return [Notice(now_s, self._sysid, "warning", text)]
 
     def _gates(self) -> EkfGates:

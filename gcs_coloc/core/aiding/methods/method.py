@@ -34,7 +34,8 @@ class Moment:
 
     `where` is the estimate for the time that the method's `age_s` wants, `arrives_s` when what is sent now arrives, `inhibit` why
     no fix may be claimed; `locate` estimates for other times. `range_sigma_m` is the 1-sigma of the vehicle's ranges of late.
-    `standby`: the vehicle's own receiver is in use. `transmits`: what is built is sent, so that an answer may be expected.
+    `standby`: the vehicle's own receiver is in use. `is_aligned`: its EKF reports an absolute position. `transmits`: what is
+    built is sent, so that an answer may be expected.
     """
 
     now_s: float
@@ -46,6 +47,7 @@ class Moment:
     locate: Callable[[float], Estimate | NoEstimate]
     range_sigma_m: float | None
     standby: bool
+    is_aligned: bool = False
     transmits: bool = True
 
     def unix_us(self, at_s: float) -> int:

@@ -10,7 +10,15 @@ from engine_flights import StraightLine, fly, settings
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import TransmitDisabled
-from gcs_coloc.core.messages.inbound import CommandOutcome, CommandResult, ParameterValue, PeerRange, TimeBase, VehicleCommand
+from gcs_coloc.core.messages.inbound import (
+    CommandOutcome,
+    CommandResult,
+    EkfStatus,
+    ParameterValue,
+    PeerRange,
+    TimeBase,
+    VehicleCommand,
+)
 from gcs_coloc.core.messages.outbound import ExternalPosition, GpsInput, Notice, ParameterRequest
 
 ACCEPTED, DENIED, FAILED = CommandOutcome.ACCEPTED, CommandOutcome.DENIED, CommandOutcome.FAILED
@@ -18,11 +26,15 @@ UNSUPPORTED = CommandOutcome.UNSUPPORTED
 COMMAND = VehicleCommand.EXTERNAL_POSITION_ESTIMATE
 
 
-def flown(engine: Engine, start_s: float, stop_s: float, result=None, checks: float | None = None) -> list:
-    """Fly on without GPS on vehicle 4, which answers to estimates with `result` and to the question for its checks."""
+def flown(engine: Engine, start_s: float, stop_s: float, result=None, checks: float | None = None, aligned=False) -> list:
+    """Fly on without GPS on vehicle 4, which answers to estimates with `result` and to the question for its checks.
+
+    `aligned`: its EKF reports an absolute position.
+    """
     out = []
     for step in range(round(start_s * 10), round(stop_s * 10)):
         t = step / 10
+        engine.receive(EkfStatus(4, t, aligned, not aligned, gps_glitching=False))
         engine.receive(PeerRange(4, t, 1, 500.0, 2.0, None, TimeBase.SERVICE, step, None, 0))
         for at_s, output in fly(engine, t, t + 0.1, failed=[4]):
             out.append((at_s, output))
@@ -104,6 +116,20 @@ def test_where_the_vehicle_refuses_them_gps_input_goes_on_and_the_refusals_are_c
     assert fix_types(out, 7.0) == {3}
     assert engine.refused()["external_position_failed"] > 8
     assert len([text for text in texts(out) if "refuses external position estimates (failed)" in text]) == 1
+
+
+def test_beside_gps_input_that_an_aligned_ekf_fuses_no_estimate_is_sent():
+    """Aligned, EKF3 went on fusing a GPS of 21 m, and refused each of 39 to 67 estimates a flight."""
+    engine = engine_with(21.0)
+    out = flown(engine, 5.0, 20.0, FAILED, aligned=True)
+    assert not of(out, ExternalPosition)
+    assert fix_types(out, 7.0) == {3}
+    assert not [text for text in texts(out) if "coarse" in text]
+    dead_reckoning = flown(engine, 20.0, 30.0, FAILED)
+    assert len(of(dead_reckoning, ExternalPosition)) >= 4
+    aligned_again = flown(engine, 30.0, 35.0, FAILED, aligned=True)
+    assert not of(aligned_again, ExternalPosition)
+    assert "its EKF has an absolute position again: GPS_INPUT alone" in texts(aligned_again)
 
 
 def test_a_firmware_that_does_not_know_them_is_asked_once():
