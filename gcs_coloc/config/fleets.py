@@ -23,10 +23,14 @@ _FLAGS_OF_ONE = {"links": "--udp and --link", "out": "--out", "fleet": "--failed
 
 @dataclass(frozen=True, slots=True)
 class FleetOf:
-    """One fleet of a service; `name` is empty where it is the only one and needs none."""
+    """One fleet of a service; `name` is empty where it is the only one and needs none.
+
+    `flagged` are the keys of its `[fleet]` that flags have set.
+    """
 
     name: str
     settings: Settings
+    flagged: frozenset[str] = frozenset()
 
     @contextmanager
     def named(self) -> Iterator[None]:
@@ -48,7 +52,8 @@ def load_fleets(path: Path | None, flags: Mapping[str, Any]) -> Sequence[FleetOf
     """
     table = read_table(path) if path is not None else {}
     if not isinstance(table.get("fleet"), list):
-        return [FleetOf("", settings_of([table], flags, str(path) if path is not None else "settings"))]
+        settings = settings_of([table], flags, str(path) if path is not None else "settings")
+        return [FleetOf("", settings, frozenset(flags.get("fleet", ())))]
     for key, names in _FLAGS_OF_ONE.items():
         if key in flags and flags[key] != {"on": False}:
             raise UsageError(f"{names}: {path} is of several fleets ([[fleet]]); say it in the table of the fleet that is meant")

@@ -33,6 +33,7 @@ from gcs_coloc.core.messages.control import (
     ForeignGpsInput,
     GpsOverride,
     OperatorCommand,
+    Override,
     PrimaryOverride,
     RouteReport,
     TransmitDisabled,
@@ -43,7 +44,7 @@ from gcs_coloc.core.messages.inbound import (
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound, ParameterSet
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.schedule import TickSchedule
-from gcs_coloc.core.snapshot import FleetSnapshot, vehicle_snapshot
+from gcs_coloc.core.snapshot import FleetSnapshot, OverrideSources, vehicle_snapshot
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, MeasurementSettings
 from gcs_coloc.core.telemetry.reported_state import ReportedState, Telemetry
 from gcs_coloc.core.telemetry.stream_requests import StreamRequests
@@ -96,6 +97,7 @@ class Engine:
         self._review_due_s = float("inf")
         self._review_schedule = TickSchedule(0.0)
         self._transmits = True
+        self._commands: dict[tuple[int, type[Override]], OperatorCommand] = {}
         self._update_host_inhibit()
 
     def receive(self, message: Inbound) -> None:
@@ -203,6 +205,7 @@ class Engine:
                 frame,
                 gps_health=self.gps_health,
                 gps_override=review.gps_override(vehicle.sysid),
+                override_sources=self._override_sources(vehicle.sysid),
                 aiding=review.aiding_view(vehicle),
                 delay_s=self.measurements.delay_s(vehicle.sysid),
                 clock=self.clocks.quality(vehicle.sysid, now_s),
@@ -282,15 +285,23 @@ class Engine:
 
     def _apply_command(self, message: OperatorCommand) -> None:
         override, sysid, at_s = message.override, message.sysid, message.received_at_s
+        self._commands[sysid, type(override)] = message
         if isinstance(override, GpsOverride):
             self._review.set_gps_override(sysid, override)
         else:
             self.aiding.set_override(sysid, override)
         what = {GpsOverride: "GPS", AidingOverride: "aiding", PrimaryOverride: "GPS_PRIMARY"}[type(override)]
-        self._notify(at_s, sysid, "info", f"operator: {what} {override.value}")
+        by = f", by {message.source}" if message.source is not None else ""
+        self._notify(at_s, sysid, "info", f"operator: {what} {override.value}{by}")
         vehicle = self.telemetry.get(sysid)
         if vehicle is not None:
             self._outbox.extend(self._review.review_vehicle(vehicle, at_s))
+
+    def _override_sources(self, sysid: int) -> OverrideSources:
+        """Return who gave each override of a vehicle that is in force."""
+        given = [self._commands.get((sysid, kind)) for kind in (GpsOverride, AidingOverride, PrimaryOverride)]
+        gps, aiding, primary = (one.source if one is not None and one.override.value != "auto" else None for one in given)
+        return OverrideSources(gps, aiding, primary)
 
     def _report_estimator(self, text: str) -> None:
         self._notify(self._now_s, None, "error", text)

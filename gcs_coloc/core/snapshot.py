@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import NamedTuple
 
 from gcs_coloc.core.aiding.stream import AidingView
 from gcs_coloc.core.error_ellipse import horizontal_sigma_and_bound_95_m
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import FleetGpsHealth
 from gcs_coloc.core.measurements import Estimate, FloatArray, NoEstimate, Vector3
-from gcs_coloc.core.messages.control import GpsOverride
+from gcs_coloc.core.messages.control import CommandSource, GpsOverride
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
@@ -53,7 +54,8 @@ class VehicleSnapshot:
     east-north, north-north). `yaw_rad` is the vehicle's own, from true north, clockwise.
     `aiding` says in words what is sent to it, `aiding_has_fix` whether that is a position, `fix_acknowledged` whether its
     receiver shows our fix, `inhibit_reason` why nothing can be sent to it. `gps_primary` says what the service does with its
-    GPS_PRIMARY. `gps_override`, `aiding_override`, `primary_override` are the operator's decisions on these three.
+    GPS_PRIMARY. `gps_override`, `aiding_override`, `primary_override` are the operator's decisions on these three, and with
+    `_by` where each came from; None where there is none, and in recordings that do not hold it.
     `delay_s` is how much longer its newest position was under way than the quickest of the last minute. `clock_method` is how its
     clock is known (TIMESYNC or one-way stamps), `clock_sigma_s` how well.
     """
@@ -81,6 +83,9 @@ class VehicleSnapshot:
     gps_override: str = "auto"
     aiding_override: str = "auto"
     primary_override: str = "auto"
+    gps_override_by: str | None = None
+    aiding_override_by: str | None = None
+    primary_override_by: str | None = None
     sigma_v_m: float | None = None
     enu_m: tuple[float, float, float] | None = None
     velocity_enu_mps: tuple[float, float, float] | None = None
@@ -116,6 +121,14 @@ class FleetSnapshot:
     origin: tuple[float, float, float] | None = None
 
 
+class OverrideSources(NamedTuple):
+    """Where the overrides of one vehicle came from; None for one that is not in force."""
+
+    gps: CommandSource | None
+    aiding: CommandSource | None
+    primary: CommandSource | None
+
+
 def vehicle_snapshot(
     vehicle: ReportedState,
     where: Estimate | NoEstimate,
@@ -123,6 +136,7 @@ def vehicle_snapshot(
     *,
     gps_health: FleetGpsHealth,
     gps_override: GpsOverride,
+    override_sources: OverrideSources,
     aiding: AidingView,
     delay_s: float | None,
     clock: tuple[str, float] | None,
@@ -173,6 +187,9 @@ def vehicle_snapshot(
         gps_override=gps_override.value,
         aiding_override=aiding.aiding_override.value,
         primary_override=aiding.primary_override.value,
+        gps_override_by=override_sources.gps,
+        aiding_override_by=override_sources.aiding,
+        primary_override_by=override_sources.primary,
         sigma_v_m=sigma_v_m,
         enu_m=enu_m,
         velocity_enu_mps=velocity_mps,

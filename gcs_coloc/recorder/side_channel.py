@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from gcs_coloc.core.messages.control import (
     AidingOverride,
     ClockReference,
+    CommandSource,
     ForeignGpsInput,
     GpsOverride,
     OperatorCommand,
@@ -152,6 +153,7 @@ def _content(record: SideChannelRecord) -> dict[str, Any]:
         return {
             next(key for key, kind in _OVERRIDES.items() if isinstance(record.override, kind)): record.override.value,
             "sysid": record.sysid,
+            **({"by": record.source} if record.source is not None else {}),
         }
     return {"route": record.blocked, "sysid": record.sysid} | (
         {"with": record.shared_with[:_MAX_SHARING]} if record.shared_with else {}
@@ -182,7 +184,8 @@ def _record(content: dict[str, Any], at_s: float) -> SideChannelRecord | None:
     sysid = int(content["sysid"])
     for key, kind in _OVERRIDES.items():
         if key in content:
-            return OperatorCommand(sysid, at_s, kind(content[key]))
+            source = CommandSource(content["by"]) if "by" in content else None
+            return OperatorCommand(sysid, at_s, kind(content[key]), source)
     return RouteReport(sysid, at_s, _route_block(content["route"]), tuple(map(int, content.get("with", ()))))
 
 

@@ -6,7 +6,7 @@ import logging
 
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages.control import ClockReference, ForeignGpsInput, GpsOverride, OperatorCommand, Override
+from gcs_coloc.core.messages.control import ClockReference, CommandSource, ForeignGpsInput, GpsOverride, OperatorCommand, Override
 from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToVehicle
 from gcs_coloc.core.schedule import CATCH_UP_S, advance, find_overrun, without_superseded
@@ -39,8 +39,10 @@ class FleetService:
     never gets it.
     """
 
-    def __init__(self, settings: Settings, clock: ServiceClock, host: ClockReference) -> None:
-        """Build everything; no link is open yet. `host` is the host's time now."""
+    def __init__(
+        self, settings: Settings, clock: ServiceClock, host: ClockReference, flagged: frozenset[str] = frozenset()
+    ) -> None:
+        """Build everything; no link is open yet. `host` is the host's time now, `flagged` the keys of `[fleet]` set by flags."""
         self.events = EventBus()
         self.idle = IdleScheduler()
         self.counts = Counts()
@@ -87,8 +89,9 @@ class FleetService:
             clock, self._engine, self._recording, self._receiver.sequences, self._refusals, self._forwarder
         )
         self._overrides = [
-            *((sysid, GpsOverride.FAILED) for sysid in settings.fleet.failed),
-            *((sysid, GpsOverride.HEALTHY) for sysid in settings.fleet.healthy),
+            (sysid, override, CommandSource.FLAG if key in flagged else CommandSource.CONFIGURATION)
+            for key, override in (("failed", GpsOverride.FAILED), ("healthy", GpsOverride.HEALTHY))
+            for sysid in getattr(settings.fleet, key)
         ]
 
     # From the beginning to the end
@@ -103,8 +106,8 @@ class FleetService:
 
     def start(self) -> None:
         """Apply the operator's overrides of the settings."""
-        for sysid, override in self._overrides:
-            self.apply_command(sysid, override)
+        for command in self._overrides:
+            self.apply_command(*command)
 
     def stop(self) -> None:
         """Ignore what arrives from now on: what a busy service has waiting must not delay its end."""
@@ -191,9 +194,9 @@ class FleetService:
 
     # What comes from elsewhere than the links
 
-    def apply_command(self, sysid: int, override: Override) -> None:
+    def apply_command(self, sysid: int, override: Override, source: CommandSource) -> None:
         """Apply an operator's override to one vehicle."""
-        self._apply(OperatorCommand(sysid, self._clock(), override))
+        self._apply(OperatorCommand(sysid, self._clock(), override, source))
 
     def add_range(self, message: PeerRange) -> None:
         """Add a range that did not come over a link."""

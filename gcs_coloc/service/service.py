@@ -6,11 +6,13 @@ import asyncio
 import logging
 import signal
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from gcs_coloc.config.fleets import FleetOf
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.errors import WebError
+from gcs_coloc.core.messages.control import CommandSource
 from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
 from gcs_coloc.runtime.process import collect_seldom
@@ -89,7 +91,7 @@ class _Observed:
 
     def __init__(self, fleet: FleetOf, clock: ServiceClock, stopping: asyncio.Event) -> None:
         self.name = fleet.name
-        self.path = FleetService(fleet.settings, clock, read_host_clock(clock()))
+        self.path = FleetService(fleet.settings, clock, read_host_clock(clock()), fleet.flagged)
         self._clock = clock
         self._stopping = stopping
         self._web = self._make_web(fleet.settings)
@@ -166,7 +168,7 @@ class _Observed:
         source = LiveSource(snapshots.snapshot, snapshots.recent_snapshot, history, path.truths.values)
         # At the recording's pace, so that one snapshot of the fleet serves both.
         pages = Pages(source, path.idle, EVERY_S)
-        hooks = WebHooks(snapshots.snapshot, path.apply_command, self._fault)
+        hooks = WebHooks(snapshots.snapshot, partial(path.apply_command, source=CommandSource.PAGE), self._fault)
         return WebServer(settings.web, hooks, pages, lambda: history.follow(events))
 
     def _make_mqtt(self, settings: Settings) -> Mqtt | None:
@@ -176,7 +178,8 @@ class _Observed:
         from gcs_coloc.sinks.mqtt_inbox import MqttHooks
 
         path = self.path
-        hooks = MqttHooks(path.snapshots.snapshot, path.known_sysids, path.apply_command, path.add_range, self._clock)
+        command = partial(path.apply_command, source=CommandSource.MQTT)
+        hooks = MqttHooks(path.snapshots.snapshot, path.known_sysids, command, path.add_range, self._clock)
         return Mqtt(settings.mqtt, hooks, path.events.subscribe(256), path.counts, path.idle)
 
     def _fault(self) -> str | None:

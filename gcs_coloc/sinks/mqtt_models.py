@@ -72,6 +72,9 @@ class VehicleHealth(_Sent):
     gps_override: str
     aiding_override: str
     primary_override: str
+    gps_override_by: str | None
+    aiding_override_by: str | None
+    primary_override_by: str | None
 
 
 class GroundTools(BaseModel):

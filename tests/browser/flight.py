@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
@@ -18,8 +19,22 @@ from vehicles import Hover, fly, square_fleet
 CHROMIUM = "/usr/bin/chromium"
 PATIENCE_S = 60.0
 """Every wait for a state ends here. Chosen: some ten times what a machine with two busy loops beside the test needs."""
+TOKEN = "correct-horse-battery"  # of these tests only
 expect.set_options(timeout=PATIENCE_S * 1e3)
 _FLAGS = ["--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--disable-background-networking"]
+
+
+@dataclass
+class Scene:
+    """A live service with its page, four vehicles, those of them that have lost their GPS, and a browser."""
+
+    url: str
+    failed: set[int]
+    chromium: Browser
+    udp_port: int
+    out_port: int
+    folder: Path
+    fleet: list[Hover]
 
 
 def free_port(kind: socket.SocketKind) -> int:

@@ -5,52 +5,13 @@ from __future__ import annotations
 import json
 import re
 import socket
-from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
-from flight import Watched, browser, card, flying, free_port, service, wait_for, wait_until_good
-from playwright.sync_api import Browser, WebSocketRoute, expect
+from flight import Watched, card, flying, free_port, service, wait_for, wait_until_good
+from playwright.sync_api import WebSocketRoute, expect
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from vehicles import Hover
 
 pytestmark = pytest.mark.integration
-
-TOKEN = "correct-horse-battery"  # of this test only
-
-
-@dataclass
-class Scene:
-    url: str
-    failed: set[int]
-    chromium: Browser
-    udp_port: int
-    out_port: int
-    folder: Path
-    fleet: list[Hover]
-
-
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory) -> Iterator[Scene]:
-    folder = tmp_path_factory.mktemp("web")
-    (folder / "token").write_text(f"{TOKEN}\n")
-    (folder / "config.toml").write_text(f'[web]\ntoken_file = "{folder / "token"}"\n')
-    port, out_port, failed = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_DGRAM), set()
-    ground = ["--out", f"udpin:127.0.0.1:{out_port}"]
-    arguments = [*ground, "--config", str(folder / "config.toml"), "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
-    with service(folder / "log", *arguments) as (_, url), flying(port, failed) as fleet, browser() as chromium:
-        yield Scene(url, failed, chromium, port, out_port, folder, fleet)
-
-
-@pytest.fixture
-def watched(scene) -> Iterator[Watched]:
-    scene.failed.clear()
-    watched = Watched(scene.chromium.new_page(viewport={"width": 1366, "height": 900}))
-    watched.page.goto(scene.url)
-    wait_until_good(watched.page, 1, 2, 3, 4)
-    yield watched
-    watched.page.close()
 
 
 def test_four_vehicles_are_shown_and_nothing_is_complained_of(watched):
@@ -205,79 +166,6 @@ def test_every_control_has_a_name_and_nothing_is_wider_than_the_screen(watched, 
     )
     assert (sum(text) < sum(ground)) is (scheme == "light")
     assert abs(sum(text) - sum(ground)) > 450
-
-
-def test_a_command_needs_the_token_and_a_second_press(watched):
-    page = watched.page
-    card(page, 1).click()
-    button, result = page.locator("button[value='gps failed']"), page.locator("#command-result")
-    page.get_by_label("Operator's token").fill("not the token at all")
-    button.click()
-    expect(button).to_have_text(re.compile("press again"))
-    expect(result).to_have_text(
-        "Vehicle 1: It is located from its ranges and sent that position; its reported position is not trusted."
-    )
-    button.click()
-    expect(result).to_contain_text("refused")
-    page.get_by_label("Operator's token").fill(TOKEN)
-    for _ in range(2):
-        button.click()
-    expect(result).to_contain_text("done")
-    expect(card(page, 1)).to_contain_text("declared failed by the operator")
-    for _ in range(2):
-        page.locator("button[value='gps auto']").click()
-    expect(card(page, 1)).to_contain_text(re.compile("GPS (recovering|healthy): fix type 3"))
-
-
-def test_a_vehicles_aiding_is_overridden_on_the_page(watched):
-    page = watched.page
-    card(page, 2).click()
-    page.get_by_label("Operator's token").fill(TOKEN)
-    details = page.get_by_role("region", name="Vehicle 2")
-    for button, told in (("Aiding off", "aiding off"), ("Aiding automatic", "aiding auto")):
-        page.get_by_role("button", name=button).click()
-        page.get_by_role("button", name=f"{button}: press again").click()
-        expect(page.locator("#command-result")).to_contain_text("done")
-        expect(details).to_contain_text(told)
-
-
-def answer_for_gps_primary(hover: Hover, value: float) -> None:
-    """As an autopilot does whose second receiver takes our fix; `value` is what its GPS_PRIMARY is at first."""
-    real32, taken = mavlink.MAV_PARAM_TYPE_REAL32, 0
-    while True:
-        news = hover.received[taken:]
-        taken += len(news)
-        for _, message in news:
-            if message.get_type() in ("PARAM_REQUEST_READ", "PARAM_SET"):
-                value = getattr(message, "param_value", value)
-                hover.send(hover.pack(mavlink.MAVLink_param_value_message(b"GPS_PRIMARY", value, real32, 1, 0)))
-        if fixes := hover.of("GPS_INPUT"):
-            place = (fixes[-1].lat, fixes[-1].lon, round(fixes[-1].alt * 1e3))
-            hover.send(hover.pack(mavlink.MAVLink_gps2_raw_message(0, 3, *place, 80, 100, 0, 0, 7, 0, 0)))
-        yield value
-
-
-def test_gps_primary_is_set_and_restored_from_the_page_with_what_that_does_in_words(watched, scene):
-    page, hover = watched.page, scene.fleet[3]
-    autopilot = answer_for_gps_primary(hover, 0.0)
-    scene.failed.add(4)
-    expect(card(page, 4)).to_contain_text("sending 3D fix")
-    card(page, 4).click()
-    page.get_by_label("Operator's token").fill(TOKEN)
-    details = page.get_by_role("region", name="Vehicle 4")
-    for button, effect, value in (
-        ("Set GPS_PRIMARY to our receiver", "whatever its own receiver says", 1.0),
-        ("Restore GPS_PRIMARY", "even if that is faulty", 0.0),
-    ):
-        page.get_by_role("button", name=button).click()
-        expect(page.locator("#command-result")).to_contain_text(effect)
-        page.get_by_role("button", name=f"{button}: press again").click()
-        expect(page.locator("#command-result")).to_contain_text("done")
-        told = "GPS_PRIMARY set to 1, our receiver; it was 0" if value else "GPS_PRIMARY restored to 0"
-        expected = (value, True)
-        wait_for(lambda told=told, e=expected: (next(autopilot), told in page.locator("#log").inner_text()) == e, told)
-    expect(details).to_contain_text("GPS_PRIMARY own")
-    assert watched.complaints == []
 
 
 def test_without_tiles_nothing_that_draws_them_is_loaded(watched):

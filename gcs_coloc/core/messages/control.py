@@ -49,13 +49,26 @@ class PrimaryOverride(Enum):
 Override = GpsOverride | AidingOverride | PrimaryOverride
 
 
+class CommandSource(StrEnum):
+    """Where an operator's command came from. Its value stands in recordings, on the page and in MQTT messages."""
+
+    PAGE = "page"
+    MQTT = "MQTT"
+    FLAG = "flag"
+    CONFIGURATION = "configuration"
+
+
 @dataclass(frozen=True, slots=True)
 class OperatorCommand:
-    """One decision of the operator on one vehicle; it wins over all evidence until withdrawn."""
+    """One decision of the operator on one vehicle; it wins over all evidence until withdrawn.
+
+    `source` is None in recordings of version 0.1, which do not hold it.
+    """
 
     sysid: int
     received_at_s: float
     override: Override
+    source: CommandSource | None = None
 
 
 class RouteBlock(StrEnum):

@@ -3,6 +3,9 @@
 import { age, byId, el, metres, milliseconds, number, setText } from "./dom.js";
 import { LIGHT_WORDS, SIGNS } from "./palette.js";
 
+// An override, and who gave it.
+const given = (value, by) => (by === null ? value : `${value} by ${by}`);
+
 export class FleetList {
   constructor(onSelect) {
     this.onSelect = onSelect;
@@ -85,7 +88,7 @@ export class FleetList {
       clock: snapshot.clock_method === null ? "-" : `${snapshot.clock_method} ±${milliseconds(snapshot.clock_sigma_s)}`,
       link: link === undefined ? "-" : `${number(link.rate_hz)} frames/s, loss ${number(link.loss_percent)} %`,
       aiding: snapshot.aiding,
-      "operator override": `GPS ${snapshot.gps_override}, aiding ${snapshot.aiding_override}, GPS_PRIMARY ${snapshot.primary_override}`,
+      "operator override": `GPS ${given(snapshot.gps_override, snapshot.gps_override_by)}, aiding ${given(snapshot.aiding_override, snapshot.aiding_override_by)}, GPS_PRIMARY ${given(snapshot.primary_override, snapshot.primary_override_by)}`,
     };
     if (snapshot.gps_primary !== null) facts.GPS_PRIMARY = snapshot.gps_primary;
     if (snapshot.inhibit_reason !== null) facts["aiding inhibited"] = snapshot.inhibit_reason;

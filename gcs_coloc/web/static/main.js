@@ -12,6 +12,7 @@ import { Plots } from "./plots.js";
 const OLD_AFTER_S = 1.5;
 const SAMPLE_EVERY_S = 1;
 const SAME_TIME_S = 0.5;
+const SELECTED = "selected vehicle";
 
 const now = () => performance.now() / 1000;
 let offset = null;
@@ -33,6 +34,7 @@ const commands = new Commands();
 byId("follow").addEventListener("click", () => map.followSelected());
 
 function select(sysid, byKeyboard) {
+  sessionStorage.setItem(SELECTED, sysid);
   for (const part of [fleet, map, plots, commands]) part.select(sysid);
   if (frame !== null) draw();
   if (byKeyboard) fleet.enterDetails();
@@ -43,6 +45,7 @@ function draw() {
   // While pictures arrive, the ages in them hold; once they stop, the ages grow with the time since.
   const old = now() - frameAt;
   fleet.show(frame, counts?.links ?? [], old < OLD_AFTER_S ? 0 : old);
+  commands.show(frame.vehicles);
 }
 
 // A service that has just started may not know UTC yet; a computer without a battery-backed clock learns it in flight.
@@ -153,4 +156,6 @@ setInterval(() => {
   if (frame !== null && !live) draw();
 }, 250);
 
+const selected = Number(sessionStorage.getItem(SELECTED));
+if (selected > 0) for (const part of [fleet, map, plots, commands]) part.select(selected);
 connect();

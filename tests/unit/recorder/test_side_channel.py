@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from gcs_coloc.core.messages.control import (
     AidingOverride,
     ClockReference,
+    CommandSource,
     ForeignGpsInput,
     GpsOverride,
     OperatorCommand,
@@ -33,6 +34,7 @@ OWN = (254, 191)
         OperatorCommand(4, AT_S, AidingOverride.AUTO),
         OperatorCommand(250, AT_S, AidingOverride.OFF),
         OperatorCommand(250, AT_S, PrimaryOverride.OURS),
+        OperatorCommand(250, AT_S, PrimaryOverride.OWN, CommandSource.CONFIGURATION),
         ForeignGpsInput(255, AT_S, 1, 250),
         RouteReport(4, AT_S, None),
         Overrun(AT_S, AT_S - 1.3000000000000003),

@@ -8,7 +8,7 @@ from engine_flights import StraightLine, aids, fly, settings, texts, vehicle_4
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.messages.control import AidingOverride, ForeignGpsInput, GpsOverride, OperatorCommand
+from gcs_coloc.core.messages.control import AidingOverride, CommandSource, ForeignGpsInput, GpsOverride, OperatorCommand
 from gcs_coloc.core.messages.inbound import Autopilot, GpsReceiver, Heartbeat
 from gcs_coloc.core.messages.outbound import AidingMessage, GlobalPositionSensor, GpsInput, Notice
 
@@ -87,6 +87,17 @@ def test_the_word_on_the_aid_leaves_the_word_on_the_gps_alone():
     engine.receive(OperatorCommand(4, 2.0, AidingOverride.OFF))
     seen = vehicle_4(engine, 2.0)
     assert (seen.gps_override, seen.aiding_override) == ("auto", "off")
+
+
+def test_an_override_in_force_says_where_it_came_from():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 2.0)
+    engine.receive(OperatorCommand(4, 2.0, AidingOverride.OFF, CommandSource.MQTT))
+    engine.receive(OperatorCommand(4, 2.0, GpsOverride.FAILED))  # of a recording that does not hold it
+    seen = vehicle_4(engine, 2.0)
+    assert (seen.gps_override_by, seen.aiding_override_by, seen.primary_override_by) == (None, "MQTT", None)
+    engine.receive(OperatorCommand(4, 3.0, AidingOverride.AUTO, CommandSource.PAGE))
+    assert vehicle_4(engine, 3.0).aiding_override_by is None
 
 
 def test_a_px4_is_told_by_global_position_sensor_where_it_is_on_arrival():

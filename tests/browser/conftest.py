@@ -1,0 +1,32 @@
+"""A live service with four vehicles in the air, shared by the tests of one file, and a page on it."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+
+import pytest
+from flight import TOKEN, Scene, Watched, browser, flying, free_port, service, wait_until_good
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> Iterator[Scene]:
+    folder = tmp_path_factory.mktemp("web")
+    (folder / "token").write_text(f"{TOKEN}\n")
+    (folder / "config.toml").write_text(f'[web]\ntoken_file = "{folder / "token"}"\n')
+    port, out_port, failed = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_DGRAM), set()
+    ground = ["--out", f"udpin:127.0.0.1:{out_port}"]
+    arguments = [*ground, "--config", str(folder / "config.toml"), "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
+    with service(folder / "log", *arguments) as (_, url), flying(port, failed) as fleet, browser() as chromium:
+        yield Scene(url, failed, chromium, port, out_port, folder, fleet)
+
+
+@pytest.fixture
+def watched(scene) -> Iterator[Watched]:
+    """A page on which all four vehicles are good."""
+    scene.failed.clear()
+    watched = Watched(scene.chromium.new_page(viewport={"width": 1366, "height": 900}))
+    watched.page.goto(scene.url)
+    wait_until_good(watched.page, 1, 2, 3, 4)
+    yield watched
+    watched.page.close()
