@@ -227,6 +227,33 @@ def test_times_are_told_as_soon_as_the_service_knows_what_time_it_is(scene):
     page.close()
 
 
+def test_after_a_kill_and_a_restart_with_nobody_heard_no_vehicle_of_before_is_shown(scene, tmp_path):
+    udp_port, web_port = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_STREAM)
+    arguments = ["--udp", f"127.0.0.1:{udp_port}", "--web", f"127.0.0.1:{web_port}"]
+    watched = Watched(scene.chromium.new_page())
+    page = watched.page
+    with flying(udp_port, set()), service(tmp_path / "first", *arguments) as (process, url):
+        page.goto(url)
+        wait_until_good(page, 1, 2, 3, 4)
+        card(page, 2).click()
+        process.kill()
+        expect(page.locator("#connection")).to_contain_text("NO CONNECTION")
+    watched.complaints.clear()  # of the connection that was lost
+    with service(tmp_path / "second", *arguments):
+        expect(page.locator("#connection")).to_have_text("live")
+        expect(page.locator("#summary")).to_contain_text("0 vehicles")
+        expect(page.locator("#fleet li")).to_have_count(0)
+        expect(page.locator("#map").get_by_role("button", name=re.compile("^Vehicle"))).to_have_count(0)
+        expect(page.locator("#details")).to_be_hidden()
+        gone = page.get_by_text("Gone: heard before the service restarted, and not since")
+        expect(gone).to_have_text(re.compile(": 1, 2, 3, 4$"))
+        with flying(udp_port, set()):
+            wait_until_good(page, 1, 2, 3, 4)
+            expect(gone).to_be_hidden()
+            expect(page.get_by_role("region", name="Vehicle 2")).to_be_visible()  # it is still selected
+    page.close()
+
+
 def test_a_restarted_service_is_found_again_and_its_absence_is_said(scene, tmp_path):
     udp_port, web_port = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_STREAM)
     arguments = ["--udp", f"127.0.0.1:{udp_port}", "--web", f"127.0.0.1:{web_port}"]

@@ -10,6 +10,7 @@ export class FleetList {
   constructor(onSelect) {
     this.onSelect = onSelect;
     this.cards = new Map();
+    this.gone = new Set();
     this.selected = null;
     byId("details").addEventListener("keydown", ({ key }) => {
       if (key === "Escape" && this.cameFrom?.isConnected) this.cameFrom.focus();
@@ -28,15 +29,35 @@ export class FleetList {
   }
 
   show(frame, links, lateS) {
+    const sysids = new Set(frame.vehicles.map((v) => v.snapshot.sysid));
+    for (const [sysid, card] of this.cards) {
+      if (sysids.has(sysid)) continue;
+      card.node.remove();
+      this.cards.delete(sysid);
+    }
     for (const vehicle of frame.vehicles) this.showCard(vehicle, lateS);
+    this.showGone(sysids);
     const chosen = frame.vehicles.find((v) => v.snapshot.sysid === this.selected);
     byId("details").hidden = chosen === undefined;
     if (chosen !== undefined) this.showDetails(chosen, links, lateS);
   }
 
+  // Another run of the service has heard nobody yet; whom the run before had heard is kept in mind.
+  restart() {
+    for (const sysid of this.cards.keys()) this.gone.add(sysid);
+    this.clear();
+  }
+
   clear() {
     this.cards.clear();
     byId("fleet").replaceChildren();
+    byId("details").hidden = true;
+  }
+
+  showGone(sysids) {
+    for (const sysid of sysids) this.gone.delete(sysid);
+    byId("gone").hidden = this.gone.size === 0;
+    setText(byId("gone"), `Gone: heard before the service restarted, and not since: ${[...this.gone].sort((a, b) => a - b).join(", ")}`);
   }
 
   showCard({ snapshot, light, reason }, lateS) {

@@ -61,10 +61,13 @@ function hello(message) {
   sampledAt = -Infinity;
   if (instance !== message.instance) {
     instance = message.instance;
+    // Nothing of another run, or of a later position of a replayed flight, holds any more.
+    frame = counts = null;
     map.clear();
-    fleet.clear();
-    // An alarm from a later position of a replayed flight has not happened yet.
-    if (message.replay) alarms.clear();
+    if (message.replay) {
+      fleet.clear();
+      alarms.clear();
+    } else fleet.restart();
   }
   alarms.setInstance(message.instance);
   map.showTiles(message.tiles);

@@ -84,15 +84,17 @@ export class FleetMap {
 
   // Another run of the service may have another origin, for which nothing drawn before is right.
   clear() {
-    for (const mark of this.marks.values()) {
-      for (const [key, part] of Object.entries(mark)) {
-        if (MARKS.includes(key)) this.roving.remove(part.getElement());
-        part.remove();
-      }
-    }
+    for (const sysid of this.marks.keys()) this.remove(sysid);
     for (const line of this.ranges.values()) line.remove();
-    this.marks.clear();
     this.ranges.clear();
+  }
+
+  remove(sysid) {
+    for (const [key, part] of Object.entries(this.marks.get(sysid))) {
+      if (MARKS.includes(key)) this.roving.remove(part.getElement());
+      part.remove();
+    }
+    this.marks.delete(sysid);
   }
 
   extendTrails(vehicles) {
@@ -116,6 +118,8 @@ export class FleetMap {
     this.origin = frame.origin;
     this.tiles?.setOrigin(frame.origin);
     const places = new Map();
+    const sysids = new Set(frame.vehicles.map((v) => v.snapshot.sysid));
+    for (const sysid of this.marks.keys()) if (!sysids.has(sysid)) this.remove(sysid);
     for (const vehicle of frame.vehicles) {
       const { snapshot } = vehicle;
       if (snapshot.enu_m !== null) places.set(snapshot.sysid, snapshot.enu_m);
