@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import logging
 import sys
 from enum import Enum
 from importlib import import_module
@@ -12,14 +11,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.logging import RichHandler
 from typer.core import TyperGroup
 
 from gcs_coloc import __version__
 from gcs_coloc.core.errors import GcsColocError, UsageError
 from gcs_coloc.runtime.process import NOBODY_READS, discard_output, one_thread, open_all
-from gcs_coloc.sinks.console import LineHandler, LogWriter, own_stream
 
 PROGRAM = "gcs-coloc"
 
@@ -162,7 +158,7 @@ def run(
         return
     from gcs_coloc.config.fleets import load_fleets
     from gcs_coloc.service.service import Service
-    from gcs_coloc.sinks.console import SharedConsole
+    from gcs_coloc.sinks.console import SharedConsole, log_to_stderr, own_stream
 
     links = [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
     flags: dict[str, Any] = {}
@@ -188,17 +184,5 @@ def run(
     if not all(fleet.settings.links for fleet in fleets) or not fleets:
         raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")
     console = SharedConsole(file=own_stream(sys.stdout))
-    _log_to_stderr(log_level, console)
+    log_to_stderr(log_level.value.upper(), console)
     asyncio.run(Service(fleets).run(console))
-
-
-def _log_to_stderr(level: LogLevel, console: Console) -> None:
-    handler: logging.Handler
-    if console.is_terminal:
-        # Through the table's own console, so that lines scroll above it.
-        handler = RichHandler(console=console, show_path=False)
-        handler.setFormatter(logging.Formatter("%(message)s"))
-    else:
-        handler = LineHandler(own_stream(sys.stderr))
-        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    logging.basicConfig(level=level.value.upper(), handlers=[LogWriter(handler)], force=True)

@@ -19,7 +19,7 @@ Address = tuple[Any, ...]
 """Where bytes came from and can be sent back to: a UDP socket address, or the identity of a stream's connection."""
 
 Clock = Callable[[], float]
-"""The service's clock in seconds; each link stamps what arrives with it."""
+"""The service's clock in seconds; each link stamps what arrives by it."""
 
 
 class Link(Protocol):
@@ -40,8 +40,17 @@ class Link(Protocol):
         """Where to send before anyone was heard (a vehicle may wait for our first frame); empty where we can only wait."""
         ...
 
+    @property
+    def is_late(self) -> bool:
+        """Whether what it delivers may have waited, as datagrams do in the system while the event loop is held up."""
+        ...
+
     async def open(self) -> None:
         """Start to receive. Raises LinkError, in words for the operator, where the link cannot be opened."""
+        ...
+
+    def receive_waiting(self, most: int) -> None:
+        """Deliver up to `most` of what the system has received already, where the link has to fetch it."""
         ...
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:

@@ -74,6 +74,8 @@ class SerialDevice(LinkAddress):
 class SerialLink:
     """A serial device such as a telemetry radio. All vehicles behind it have one address, the one of `peers`."""
 
+    is_late = False
+
     def __init__(
         self,
         address: SerialDevice,
@@ -169,6 +171,9 @@ class SerialLink:
             self._source.feed(data)
         else:
             self._stop()
+
+    def receive_waiting(self, most: int) -> None:
+        """Do nothing: the event loop's next turn reads the device."""
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
         """Send frames, or keep them while the device has not accepted what came before."""

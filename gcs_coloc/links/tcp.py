@@ -114,6 +114,8 @@ class _Connection(asyncio.Protocol):
 class TcpClientLink:
     """Connects to a port, such as a simulator's or a router's. A connection that fails or ends is made again for ever."""
 
+    is_late = False
+
     def __init__(
         self,
         address: TcpClient,
@@ -170,6 +172,9 @@ class TcpClientLink:
                 level = logging.WARNING
             await asyncio.sleep(next(delays))
 
+    def receive_waiting(self, most: int) -> None:
+        """Do nothing: asyncio reads its connections."""
+
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
         """Send frames to the other end; counted as NOT_CONNECTED where it is gone or another one than `address`."""
         if self._connection is None or self._connection.address != address:
@@ -192,6 +197,8 @@ class TcpClientLink:
 
 class TcpServerLink:
     """Listens for TCP connections; each client is one address."""
+
+    is_late = False
 
     def __init__(
         self, address: TcpServer, handler: DatagramHandler, clock: Clock, most_unsent_bytes: int = MAX_UNSENT_BYTES
@@ -221,6 +228,9 @@ class TcpServerLink:
             )
         except OSError as error:
             raise network_error(self._address, error) from error
+
+    def receive_waiting(self, most: int) -> None:
+        """Do nothing: asyncio reads its connections."""
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:
         """Send frames to one client; counted as NOT_CONNECTED where it is gone."""

@@ -1,4 +1,4 @@
-"""The service's clock, the host's, and a timer. Read by the composition root alone."""
+"""The service's clock, the host's, and a timer. Made by the composition root alone."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ from gcs_coloc.core.messages.control import ClockReference
 
 _RESOLUTION_S = 2e-6
 """Two steps of the service's clock, whose readings are whole microseconds."""
+_READING_S = 50e-6
+"""Readings of two clocks that are further apart are made again: the process was interrupted between them."""
+_MOST_READINGS = 3
+"""Chosen: three interruptions in a row are rarer than the error of some milliseconds matters."""
 _NEVER = float("inf")
 _TIMEX_BYTES = 512
 """struct timex has 208 bytes on 64-bit Linux (sys/timex.h). Its first field, `modes`, is 0: only read."""
@@ -39,6 +43,20 @@ class ServiceClock:
     def on_loop(self, at_s: float) -> float:
         """When, on the event loop's clock, this clock has passed `at_s`: a reading at that time is later."""
         return self._started_ns / 1e9 + (at_s - self._started_unix_us / 1e6) + _RESOLUTION_S
+
+
+def arrival_time(clock: Callable[[], float], received_unix_ns: int, not_before_s: float) -> float:
+    """When the system received what is read from it now, by the service's `clock`, s; the system stamped it in UNIX time, ns.
+
+    A host clock that is stepped meanwhile cannot move it before `not_before_s`, when nothing waited, or into the future.
+    """
+    for _ in range(_MOST_READINGS):
+        now_s, unix_ns = clock(), time.time_ns()
+        if clock() - now_s <= _READING_S:
+            break
+    waited_s = (unix_ns - received_unix_ns) / 1e9
+    # Whole microseconds, as the service's clock has them.
+    return min(now_s, max(not_before_s, round((now_s - waited_s) * 1e6) / 1e6))
 
 
 def read_host_clock(now_s: float) -> ClockReference:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
+from operator import itemgetter
 
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.engine import Engine
@@ -29,6 +31,10 @@ log = logging.getLogger("gcs_coloc")
 
 _ENGINE_LATE_S = 2.0
 """Chosen: the engine runs several times a second; so much later the service is not doing its work."""
+_HELD_UP_S = 0.02
+"""What is read so long after the engine's time may have waited. Chosen: less than the 0.05 s that 1 m at 20 m/s takes."""
+_MOST_WAITING = 1024
+"""Datagrams of one link that are received at once. Chosen: what 1 MB of the system's buffer holds of MAVLink frames."""
 
 
 class FleetService:
@@ -50,6 +56,9 @@ class FleetService:
         self._clock = clock
         self._engine_at_s = clock()
         self._is_ending = False
+        self._waiting: list[tuple[float, Link, Address, bytes]] | None = None
+        self._is_catching_up = False
+        self._unsent: list[Outbound] = []
         own, senders = (settings.mavlink.system_id, settings.mavlink.component_id), settings.senders
         check_outs(settings.out, settings.links)
         self._routes = RouteTable(rebind_after_s=senders.rebind_after_s, companions_elsewhere=senders.companions_elsewhere)
@@ -137,10 +146,19 @@ class FleetService:
     # The straight path: a datagram in, the engine's deadlines, outputs out
 
     def _on_datagram(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
+        if self._waiting is not None:
+            self._waiting.append((received_at_s, link, address, payload))
+            return
+        if (link.is_late or received_at_s - self._engine_at_s > _HELD_UP_S) and not self._is_catching_up:
+            self._receive_waiting([(received_at_s, link, address, payload)])
+            self._emit_unsent()
+            return
+        if received_at_s < self._engine_at_s:
+            received_at_s = self._engine_at_s  # its time never runs back
         if self._is_ending or not self._receiver.admits(link, address, len(payload), received_at_s):
             return
         # The timer fires no later than the engine's next deadline, and most datagrams come before that.
-        if received_at_s > self._deadline.at_s:
+        if received_at_s > self._deadline.at_s or self._is_catching_up:
             self._advance(received_at_s)
         self._engine_at_s = received_at_s
         received = self._receiver.receive(payload, link, address, received_at_s)
@@ -156,12 +174,26 @@ class FleetService:
         if received.messages:  # without a message to the engine no deadline comes sooner
             self._wake()
 
+    def _receive_waiting(self, waiting: list[tuple[float, Link, Address, bytes]]) -> None:
+        """Receive what waits at all links in the order in which it came, so that no link's datagrams are taken for late."""
+        self._waiting, self._is_catching_up = waiting, True
+        try:
+            for link in self._links:
+                link.receive_waiting(_MOST_WAITING)
+            self._waiting = None
+            for received_at_s, link, address, payload in sorted(waiting, key=itemgetter(0)):
+                self._on_datagram(link, address, payload, received_at_s)
+        finally:
+            self._waiting, self._is_catching_up = None, False
+
     def _wake(self) -> None:
         """Make sure that the engine is polled at its next deadline."""
         self._deadline.by(self._engine.next_deadline())
 
     def _poll(self) -> None:
-        self._advance(self._clock())
+        self._receive_waiting([])
+        self._advance(max(self._clock(), self._engine_at_s))
+        self._emit_unsent()
         self._wake()
 
     def _advance(self, to_s: float) -> None:
@@ -172,21 +204,20 @@ class FleetService:
         overrun = find_overrun(self._engine, to_s)
         if overrun is not None:
             self._recording.record_side_channel(overrun)
-        unsent: list[Outbound] = []
         is_idle = False
         for at_s, outputs in advance(self._engine, to_s, catch_up_s=CATCH_UP_S):
-            unsent.extend(outputs)
-            if self._engine.next_aid_s() >= to_s:
+            self._unsent.extend(outputs)
+            if self._engine.next_aid_s() >= to_s and not self._is_catching_up:
                 # Before the fleet is reviewed and the journal written: that takes longer than estimating, and vehicles wait.
-                self._emit(without_superseded(unsent))
-                unsent = []
+                self._emit_unsent()
                 is_idle = self._engine.next_deadline() >= to_s
             self._recording.record_outputs(at_s, outputs)
         if is_idle:
             self.idle.start_slots()
 
-    def _emit(self, outputs: list[Outbound]) -> None:
-        for output in outputs:
+    def _emit_unsent(self) -> None:
+        unsent, self._unsent = self._unsent, []
+        for output in without_superseded(unsent):
             if isinstance(output, ToVehicle):
                 self._sender.send(output)
             else:
@@ -210,7 +241,10 @@ class FleetService:
         self._sender.send_heartbeat(self._greeted(host.received_at_s))
 
     def _apply(self, message: ClockReference | OperatorCommand | PeerRange | ForeignGpsInput) -> None:
+        self._receive_waiting([])
+        message = replace(message, received_at_s=max(message.received_at_s, self._engine_at_s))
         self._advance(message.received_at_s)
+        self._emit_unsent()
         self._engine.receive(message)
         self._recording.record_side_channel(message)
         self._wake()

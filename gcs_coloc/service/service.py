@@ -67,9 +67,9 @@ class Service:
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             loop.add_signal_handler(signal.SIGHUP, self.stop)
         try:
+            collect_seldom()
             for fleet in self._fleets:
                 await fleet.open()
-            collect_seldom()
             async with asyncio.TaskGroup() as group:
                 events = {fleet.name: fleet.path.events.subscribe() for fleet in self._fleets}
                 background = [group.create_task(console_sink.show(events, console))]
@@ -98,17 +98,19 @@ class _Observed:
         self._mqtt = self._make_mqtt(fleet.settings)
 
     async def open(self) -> None:
-        """Open the links and the page's address."""
+        """Open the page's address, and last the links: what they bring is not to wait."""
+        url = None
+        if self._web is not None:
+            try:
+                url = self._web.open()
+            except WebError as error:
+                if self._web.must_open:
+                    raise WebError(f"{error}; or leave the page out: --no-web") from None
+                log.warning("%s; the flight goes on without the page", error)
+                self._web = None
         await self.path.open()
-        if self._web is None:
-            return
-        try:
-            log.info("%sweb page: %s", self._of, self._web.open())
-        except WebError as error:
-            if self._web.must_open:
-                raise WebError(f"{error}; or leave the page out: --no-web") from None
-            log.warning("%s; the flight goes on without the page", error)
-            self._web = None
+        if url is not None:
+            log.info("%sweb page: %s", self._of, url)
 
     def start(self, group: asyncio.TaskGroup, phase: float, *, on_terminal: bool) -> list[asyncio.Task[None]]:
         """Start the fleet's tasks, the periodic ones at `phase` (0 to 1) of their periods; returns those to cancel.

@@ -10,6 +10,7 @@ import contextlib
 import logging
 import os
 import queue
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from logging.handlers import QueueHandler, QueueListener
@@ -199,6 +200,20 @@ class LiveTable:
                     live.update(table, refresh=True)
         with self._console.lock:
             live.stop()
+
+
+def log_to_stderr(level: str, console: SharedConsole) -> None:
+    """Write the log to stderr from now on, above the table where `console` is a terminal."""
+    handler: logging.Handler
+    if console.is_terminal:
+        from rich.logging import RichHandler
+
+        handler = RichHandler(console=console, show_path=False)
+        handler.setFormatter(logging.Formatter("%(message)s"))
+    else:
+        handler = LineHandler(own_stream(sys.stderr))
+        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    logging.basicConfig(level=level, handlers=[LogWriter(handler)], force=True)
 
 
 class LineHandler(logging.Handler):

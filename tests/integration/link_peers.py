@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import socket
+import struct
+import time
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -12,7 +15,7 @@ PATIENCE_S = 20.0
 
 
 class Inbox:
-    """A link's handler and clock. Its clock counts the datagrams, so a stamp shows that it was asked for each."""
+    """A link's handler and clock. The clock counts how often it was read."""
 
     def __init__(self):
         self._arrived = asyncio.Queue()
@@ -52,3 +55,24 @@ def heartbeat(sysid, sequence=0):
     sender = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=1)
     sender.seq = sequence
     return mavlink.MAVLink_heartbeat_message(1, 3, 81, 0, 4, 3).pack(sender)
+
+
+@contextlib.contextmanager
+def stamps_of_arrival():
+    """Have the kernel stamp what arrives: it begins a moment after the first socket asks for it, and ends with the last one."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, 35, 1)  # SO_TIMESTAMPNS
+        probe.bind(("127.0.0.1", 0))
+        give_up = time.monotonic() + PATIENCE_S
+        stamp_ns = read_ns = 0
+        while stamp_ns > read_ns - 500_000:
+            assert time.monotonic() < give_up, "the kernel stamps nothing"
+            probe.sendto(b"?", probe.getsockname())
+            sent_ns = time.monotonic_ns()
+            while time.monotonic_ns() < sent_ns + 1_000_000:
+                pass
+            read_ns = time.time_ns()
+            ((_, _, data),) = probe.recvmsg(16, 64)[1]
+            seconds, nanoseconds = struct.unpack("@ll", data)
+            stamp_ns = seconds * 1_000_000_000 + nanoseconds
+        yield

@@ -65,7 +65,7 @@ main()
     ("package", "imported", "status"),
     [
         ("gcs_coloc", "typer", -signal.SIGINT),
-        ("gcs_coloc", "rich.logging", -signal.SIGINT),
+        ("gcs_coloc", "gcs_coloc.cli.main", -signal.SIGINT),
         ("gcs_coloc", "numpy", 130),
         ("sitl_fakes", "typer", -signal.SIGINT),
         ("sitl_fakes", "numpy", -signal.SIGINT),

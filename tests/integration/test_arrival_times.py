@@ -1,0 +1,147 @@
+"""A service that is held up: what waited in its sockets meanwhile counts from when it arrived, over all links in one order."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import sys
+
+import pytest
+from link_peers import heartbeat, stamps_of_arrival, until
+from vehicles import Hover
+
+from gcs_coloc.config.fleets import load_settings
+from gcs_coloc.links.base import SCHEMES
+from gcs_coloc.links.udp import UdpIn
+from gcs_coloc.mavlink.refusals import Counts
+from gcs_coloc.recorder.tlog import TlogReader, message_id
+from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
+from gcs_coloc.service.fleet_service import FleetService
+
+pytestmark = [
+    pytest.mark.integration,
+    pytest.mark.skipif(sys.platform != "linux", reason="only Linux stamps what arrives in nanoseconds"),
+]
+
+HELD_UP_S = 0.02
+"""The event loop is busy with sending for so long."""
+SLACK_S = 100e-6
+"""Whole microseconds, and two clocks of the host that are read one after the other."""
+
+
+def free_ports(count: int) -> list[int]:
+    probes = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    for probe in probes:
+        probe.bind(("127.0.0.1", 0))
+    ports = [probe.getsockname()[1] for probe in probes]
+    for probe in probes:
+        probe.close()
+    return ports
+
+
+def test_datagrams_of_two_links_that_waited_are_received_in_the_order_and_at_the_time_of_their_arrival(tmp_path):
+    ports = free_ports(2)
+    sent: list[tuple[int, float, float]] = []
+    clock = ServiceClock()
+
+    async def flight() -> None:
+        links = [f"udpin:127.0.0.1:{port}" for port in ports]
+        path = FleetService(
+            load_settings(None, {"links": links, "record": {"directory": str(tmp_path)}}), clock, read_host_clock(clock())
+        )
+        await path.open()
+        path.start()
+        senders = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in ports]
+        # The event loop does not run while these are sent: as if something had held the service up.
+        began_s = clock()
+        while clock() < began_s + HELD_UP_S or len(sent) < 300:
+            number = len(sent)
+            which, sequence = (number // 3) % 2, (number // 6 * 3 + number % 3) % 256
+            before_s = clock()
+            senders[which].sendto(heartbeat(which + 1, sequence), ("127.0.0.1", ports[which]))
+            sent.append((which + 1, before_s, clock()))
+        await until(lambda: len(path.known_sysids()) == 2)
+        await path.close()
+        for sender in senders:
+            sender.close()
+
+    with stamps_of_arrival():
+        asyncio.run(flight())
+    (recording,) = tmp_path.rglob("*.tlog")
+    received = [(record.frame[5], record.unix_s) for record in TlogReader(recording) if record.frame[5] in (1, 2)]
+    assert [sysid for sysid, _ in received] == [sysid for sysid, _, _ in sent]
+    for (_, before_s, after_s), (_, at_s) in zip(sent, received, strict=True):
+        assert before_s - SLACK_S <= at_s <= after_s + SLACK_S
+
+
+START_S = 1_800_000_000.0
+GPS_INPUT = 232
+
+
+class HandClock(ServiceClock):
+    """The service's clock, set by hand."""
+
+    now_s = START_S
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+class HandLink:
+    """A link whose `waiting` datagrams are handed over when they are fetched."""
+
+    made: HandLink
+    is_late = False
+
+    def __init__(self, handler):
+        self.name, self.peers, self.counts = "hand", (), Counts()
+        self.handler, self.waiting, self.sent = handler, [], []
+        HandLink.made = self
+
+    async def open(self):
+        pass
+
+    async def close(self):
+        pass
+
+    def send(self, address, payload, *, forwarded=False):
+        self.sent.append(message_id(payload))
+
+    def receive_waiting(self, most):
+        waiting, self.waiting = self.waiting, []
+        for payload, at_s in waiting:
+            self.handler(self, ("hand", 1), payload, at_s)
+
+
+class HandAddress(UdpIn):
+    SCHEME = "hand"
+
+    def make_link(self, handler, clock, *, most_unsent_bytes=0):
+        return HandLink(handler)
+
+
+def test_of_the_positions_that_were_due_while_the_service_was_held_up_only_the_newest_is_sent(monkeypatch):
+    monkeypatch.setitem(SCHEMES, "hand", (__name__, "HandAddress"))
+
+    async def flight() -> None:
+        clock = HandClock()
+        path = FleetService(
+            load_settings(None, {"links": ["hand:127.0.0.1:1"], "fleet": {"failed": [1]}}), clock, read_host_clock(clock())
+        )
+        await path.open()
+        path.start()
+        link, hover = HandLink.made, Hover(1, (0.0, 0.0, 50.0), ("127.0.0.1", 1))
+        for step in range(20):
+            clock.now_s = round(START_S + 0.1 * step, 6)
+            for frame in hover.telemetry(step, 3):
+                link.handler(link, ("hand", 1), frame, clock.now_s)
+        at_its_pace = link.sent.count(GPS_INPUT)
+        link.waiting = [(frame, round(START_S + 0.1 * step, 6)) for step in range(20, 29) for frame in hover.telemetry(step, 3)]
+        clock.now_s = START_S + 2.9
+        path.each_second(read_host_clock(clock()))
+        assert at_its_pace >= 5
+        assert link.sent.count(GPS_INPUT) == at_its_pace + 1
+        await path.close()
+        hover.sock.close()
+
+    asyncio.run(flight())
