@@ -11,11 +11,16 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from gcs_coloc.core.errors import UsageError
 from gcs_coloc.study.paper_options import PaperOptions, QForm, QUnit
 
 _FILE_WIDTH = 140  # of tables that go to a file or pipe
 
-app = typer.Typer(name="study", add_completion=False, help="The paper's tables and figures; the best that any estimator can do.")
+app = typer.Typer(
+    name="study",
+    add_completion=False,
+    help="The paper's tables and figures, integrity trials, the best that any estimator can do.",
+)
 
 
 @app.command("demo")
@@ -98,3 +103,56 @@ def bound(
         )
     if plot is not None:
         plot_bounds(bounds, plot)
+
+
+@app.command("integrity")
+def integrity(
+    classes: Annotated[list[str] | None, typer.Option("--class", help="A class of flights; several times for several.")] = None,
+    seeds: Annotated[int | None, typer.Option(help="Flights of each class; 2 where neither this nor --hours is stated.")] = None,
+    hours: Annotated[float | None, typer.Option(help="Hours under aid in all classes together, instead of --seeds.")] = None,
+    first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each class.")] = 1,
+    jobs: Annotated[int, typer.Option(help="Processes; 0 is one per core.")] = 0,
+    estimator: Annotated[str, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = "fleet",
+    out: Annotated[
+        Path, typer.Option(help="Directory of the flights and the JSON; a run that was stopped goes on there.")
+    ] = Path("out/integrity"),
+    events: Annotated[bool, typer.Option(help="Print each event with the seed of its flight.")] = True,
+    trace: Annotated[Path | None, typer.Option(help="Fly --class at --first-seed alone, and write every sample as CSV.")] = None,
+    show_classes: Annotated[bool, typer.Option("--list", help="Print the classes and end.")] = False,
+) -> None:
+    """Fly random flights of many classes through the engine, and count what may never happen: errors beyond what is stated."""
+    from gcs_coloc.study.integrity import trial_report
+    from gcs_coloc.study.integrity.flight_classes import CLASSES
+    from gcs_coloc.study.integrity.trial import TrialScore, write_trace
+    from gcs_coloc.study.integrity.trial_runs import RunOptions, run_trials
+
+    if show_classes:
+        for drawn in CLASSES.values():
+            print(f"{drawn.name:<26}{drawn.group.value:<11}{drawn.text}")
+        return
+    if seeds is None and hours is None:
+        seeds = 2
+    options = RunOptions(out, tuple(classes or CLASSES), first_seed, seeds, hours, jobs or os.cpu_count() or 1, estimator)
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=_FILE_WIDTH)
+    if trace is not None:
+        if len(options.classes) != 1:
+            raise UsageError("--trace is of one flight: state one --class, and its seed with --first-seed")
+        scores = [write_trace(options.classes[0], first_seed, estimator, trace)]
+    else:
+        with Progress(console=console) as progress:
+            task = progress.add_task("flying", total=hours * 3600.0 if hours is not None else len(options.classes) * (seeds or 1))
+
+            def count(score: TrialScore) -> None:
+                progress.update(task, advance=score.under_aid_s if hours is not None else 1.0)
+
+            scores = run_trials(options, count)
+    results = trial_report.all_results(scores)
+    for line in trial_report.event_lines(scores) if events else []:
+        console.print(line, highlight=False, soft_wrap=True)
+    console.print(trial_report.result_table(results))
+    for line in trial_report.limit_lines(results):
+        console.print(line, highlight=False)
+    if trace is None:
+        print(f"written: {trial_report.write_report(options, scores, results)}")

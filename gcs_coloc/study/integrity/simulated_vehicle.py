@@ -1,0 +1,167 @@
+"""One simulated vehicle of a trial: the state of its receiver and autopilot, and the messages that they send."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.messages.control import RouteReport
+from gcs_coloc.core.messages.inbound import (
+    Airspeed,
+    Attitude,
+    Autopilot,
+    EkfStatus,
+    GlobalPosition,
+    GpsReceiver,
+    Heartbeat,
+    Inbound,
+    SystemHealth,
+    SystemTime,
+)
+from gcs_coloc.core.messages.outbound import GpsInput
+from gcs_coloc.study.integrity.motion import Trajectory
+from gcs_coloc.study.integrity.sensor_errors import Fault, LinkErrors, ReceiverErrors
+from sitl_fakes.geodesy import WorldFrame
+
+UNIX_EPOCH_S = 1_780_000_000.0
+_AID_AGE_S = 0.2
+"""Age that a vehicle takes a fix of ours to have: the default of `aiding.lag_s`."""
+_AID_FRESH_S = 1.0
+_FLIES_ON_S = 10.0
+"""For so long an EKF without position calls itself absolute. Source: EKF3 with airspeed; copters less."""
+
+
+@dataclass(slots=True)
+class SimulatedVehicle:
+    """One vehicle: its motion and errors, faults, and the last fix that it was sent (when, ENU m, m/s).
+
+    `frame`: that of its motion. `earliest_s`: when the service starts; what arrives before waits for it.
+    """
+
+    sysid: int
+    frame: WorldFrame
+    rng: np.random.Generator
+    earliest_s: float
+    course: Trajectory
+    receiver: ReceiverErrors
+    link: LinkErrors
+    reckoning_mps: FloatArray
+    fault: Fault | None = None
+    lost_at_s: float = inf
+    flicker: list[tuple[float, float, FloatArray]] | None = None
+    aid: tuple[float, FloatArray, FloatArray] | None = None
+
+    def has_fix(self, at_s: float) -> bool:
+        """Whether its own receiver has a fix."""
+        return at_s < self.lost_at_s or any(start <= at_s < end for start, end, _ in self.flicker or ())
+
+    def false_m(self, at_s: float) -> FloatArray:
+        """Return the false offset (3,) of its receiver."""
+        offset = self.fault.offset_m(at_s) if self.fault is not None else np.zeros(3)
+        for start, end, flicker_m in self.flicker or ():
+            if start <= at_s < end:
+                offset = offset + flicker_m
+        return offset
+
+    def refuses_receiver(self, at_s: float) -> bool:
+        """Whether its autopilot still refuses a step of its receiver."""
+        return self.fault is not None and self.fault.at_s <= at_s < self.fault.at_s + self.fault.followed_after_s
+
+    def is_aided(self, at_s: float) -> bool:
+        """Whether it flies on a fix that it was sent."""
+        return self.aid is not None and at_s - self.aid[0] < _AID_FRESH_S and not self.has_fix(at_s)
+
+    def arrival_s(self, at_s: float) -> float:
+        """Return when what it sends at a time is received."""
+        return max(self.link.arrival_s(at_s), self.earliest_s)
+
+    def set_aid(self, sent: GpsInput, at_s: float) -> None:
+        """Let it have a fix that it was sent."""
+        if sent.fix_type >= 3:
+            place = np.array(self.frame.to_enu(sent.lat_deg, sent.lon_deg, sent.alt_msl_m))
+            self.aid = (at_s, place, np.array((sent.ve_mps, sent.vn_mps, -sent.vd_mps)))
+
+    def _lla(self, place_m: FloatArray) -> tuple[float, float, float]:
+        return self.frame.to_lla(float(place_m[0]), float(place_m[1]), float(place_m[2]))
+
+    def heartbeat_messages(self, at_s: float) -> list[Inbound]:
+        """Build the heartbeat, and what the link layer knows of the route."""
+        arrival_s, sysid = self.arrival_s(at_s), self.sysid
+        winged = self.course.airspeed_mps is not None
+        return [Heartbeat(sysid, arrival_s, Autopilot.ARDUPILOT, True, winged), RouteReport(sysid, arrival_s, None)]
+
+    def receiver_messages(self, at_s: float) -> list[Inbound]:
+        """Build what its own receiver states, and the receiver that we feed."""
+        arrival_s, boot_s, errors = self.arrival_s(at_s), self.link.boot_s(at_s), self.receiver
+        sysid, stated_m, vertical_m = self.sysid, errors.stated_m, errors.stated_vertical_m
+        if self.has_fix(at_s):
+            noise_m = errors.white_m * self.rng.standard_normal(3)
+            lla = self._lla(self.course.position(at_s) + errors.slow_m(at_s) + noise_m + self.false_m(at_s))
+            own = GpsReceiver(sysid, arrival_s, 0, 3, *lla, 14, 0.8, stated_m, vertical_m, 0.3, boot_s)
+        else:
+            own = GpsReceiver(sysid, arrival_s, 0, 1, 0.0, 0.0, 0.0, 2, None, stated_m, vertical_m, 0.3, boot_s)
+        aid = self.aid
+        if aid is None or at_s - aid[0] >= _AID_FRESH_S:
+            return [own]
+        return [own, GpsReceiver(sysid, arrival_s, 1, 3, *self._lla(aid[1]), 10, 1.0, 1.0, 1.0, 0.5, boot_s)]
+
+    def position_messages(self, at_s: float) -> list[Inbound]:
+        """Build the position of its autopilot: of its receiver, of the fix that it was sent, or dead reckoning."""
+        arrival_s, errors, course = self.arrival_s(at_s), self.receiver, self.course
+        true_m, velocity_mps = course.position(at_s), course.velocity(at_s) + errors.velocity_mps(at_s)
+        place = true_m + errors.slow_m(at_s)
+        if self.is_aided(at_s) and self.aid is not None:
+            heard_s, fix_m, velocity_mps = self.aid
+            place = fix_m + velocity_mps * (at_s - heard_s + _AID_AGE_S)
+        elif not self.has_fix(at_s):
+            lost_s = max(at_s - self.lost_at_s, 0.0)
+            place, velocity_mps = place + self.reckoning_mps * lost_s, velocity_mps + self.reckoning_mps
+        elif not self.refuses_receiver(at_s):
+            place = place + self.false_m(at_s)
+            if self.fault is not None and at_s >= self.fault.at_s:
+                velocity_mps = velocity_mps + self.fault.ramp_mps * self.fault.away
+        lat, lon, alt = self._lla(np.array((place[0], place[1], true_m[2] + errors.height_m(at_s))))
+        if self.lost_at_s < 0.0 and not self.is_aided(at_s):
+            lat, lon = 0.0, 0.0  # as ArduPilot reports without an origin
+        ve, vn, vu = (float(v) for v in velocity_mps)
+        boot_s = self.link.boot_s(at_s)
+        return [GlobalPosition(self.sysid, arrival_s, boot_s, lat, lon, alt, vn, ve, -vu)]
+
+    def attitude_messages(self, at_s: float) -> list[Inbound]:
+        """Build its attitude."""
+        arrival_s = self.arrival_s(at_s)
+        roll, pitch, yaw = (self.course.attitude(at_s) + 0.015 * self.rng.standard_normal(3)).tolist()
+        yaw += self.receiver.heading_rad
+        return [Attitude(self.sysid, arrival_s, self.link.boot_s(at_s), roll, pitch, yaw)]
+
+    def airspeed_messages(self, at_s: float) -> list[Inbound]:
+        """Build its airspeed; nothing of a vehicle without wings."""
+        true_mps = self.course.airspeed(at_s)
+        if true_mps is None:
+            return []
+        arrival_s = self.arrival_s(at_s)
+        # Indicated airspeed, by the density of the standard atmosphere at the flight's altitude.
+        altitude_m = self._lla(self.course.position(at_s))[2]
+        indicated_mps = true_mps * (1.0 - 2.25577e-5 * max(altitude_m, 0.0)) ** 2.128 * self.receiver.pitot
+        indicated_mps += float(0.4 * self.rng.standard_normal())
+        return [Airspeed(self.sysid, arrival_s, max(indicated_mps, 0.0))]
+
+    def health_messages(self, at_s: float) -> list[Inbound]:
+        """Build the GPS bit of its SYS_STATUS."""
+        arrival_s, is_good = self.arrival_s(at_s), self.has_fix(at_s) or self.is_aided(at_s)
+        return [SystemHealth(self.sysid, arrival_s, True, True, is_good)]
+
+    def ekf_messages(self, at_s: float) -> list[Inbound]:
+        """Build the flags of its EKF."""
+        arrival_s = self.arrival_s(at_s)
+        flies = self.has_fix(at_s) or self.is_aided(at_s) or 0.0 <= at_s - self.lost_at_s < _FLIES_ON_S
+        return [EkfStatus(self.sysid, arrival_s, flies, False, self.refuses_receiver(at_s))]
+
+    def system_time_messages(self, at_s: float) -> list[Inbound]:
+        """Build its UTC."""
+        arrival_s = self.arrival_s(at_s)
+        unix_s = UNIX_EPOCH_S + at_s - self.receiver.utc_behind_s
+        return [SystemTime(self.sysid, arrival_s, self.link.boot_s(at_s), unix_s)]

@@ -1,0 +1,128 @@
+"""Runs of trials on all cores: each result is written at once, so that a run that was stopped goes on where it was."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import count
+from pathlib import Path
+
+import gcs_coloc
+from gcs_coloc.core.errors import DataError, UsageError
+from gcs_coloc.study.integrity.flight_classes import CLASSES
+from gcs_coloc.study.integrity.trial import EventKind, TrialEvent, TrialScore, fly_trial
+from gcs_coloc.study.monte_carlo import iterate_tasks
+
+_FLIGHTS = "flights.jsonl"
+
+Done = Callable[[TrialScore], None]
+"""Called with each flight's score, those that were flown before included."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What is flown: classes, and either so many seeds of each or so many hours under aid in all. Raises UsageError.
+
+    `out`: the directory in which the flights are written and found again.
+    """
+
+    out: Path
+    classes: tuple[str, ...] = tuple(CLASSES)
+    first_seed: int = 1
+    seeds: int | None = None
+    hours: float | None = None
+    jobs: int = 1
+    estimator: str = "fleet"
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.classes if name not in CLASSES]
+        if unknown:
+            raise UsageError(f"no class {unknown[0]!r}; there are {', '.join(CLASSES)}")
+        if (self.seeds is None) == (self.hours is None):
+            raise UsageError("state either --seeds or --hours")
+        if (self.seeds is not None and self.seeds < 1) or (self.hours is not None and self.hours <= 0.0):
+            raise UsageError("--seeds and --hours have to be above 0")
+
+
+def run_trials(options: RunOptions, done: Done) -> list[TrialScore]:
+    """Fly what is not in the directory yet, and return the scores of all flights that were wanted, by class and seed.
+
+    Raises:
+        DataError: the directory holds flights of another state of the program, or of another estimator.
+        UsageError: it cannot be written.
+    """
+    path = options.out / _FLIGHTS
+    header = {"program": program_digest(), "estimator": options.estimator}
+    known = _read(path, header)
+    scores: list[TrialScore] = []
+
+    def collect(score: TrialScore) -> None:
+        scores.append(score)
+        done(score)
+
+    def flown_s() -> float:
+        return sum(score.under_aid_s for score in scores)
+
+    def missing() -> Iterator[tuple[str, int]]:
+        """Yield the flights to be flown, all classes of one seed before the next, until there are enough."""
+        for seed in count(options.first_seed):
+            if options.seeds is not None and seed >= options.first_seed + options.seeds:
+                return
+            for name in options.classes:
+                if options.hours is not None and flown_s() >= options.hours * 3600.0:
+                    return
+                if (name, seed) in known:
+                    collect(known[name, seed])
+                else:
+                    yield name, seed
+
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+            if not known and file.tell() == 0:
+                file.write(json.dumps(header) + "\n")
+            for score in iterate_tasks(partial(_fly, estimator=options.estimator), missing(), options.jobs):
+                file.write(json.dumps(asdict(score)) + "\n")
+                file.flush()
+                collect(score)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
+    order = {name: place for place, name in enumerate(CLASSES)}
+    return sorted(scores, key=lambda score: (order[score.name], score.seed))
+
+
+def program_digest() -> str:
+    """Return a digest of the package's source: flights of two states of the program are never mixed."""
+    root = Path(gcs_coloc.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _fly(task: tuple[str, int], estimator: str) -> TrialScore:
+    return fly_trial(*task, estimator=estimator)
+
+
+def _read(path: Path, header: dict[str, str]) -> dict[tuple[str, int], TrialScore]:
+    if not path.exists():
+        return {}
+    whole, _, cut_off = path.read_text(encoding="utf-8").rpartition("\n")
+    if cut_off:  # the program was stopped while it wrote
+        path.write_text(whole + "\n", encoding="utf-8")
+    try:
+        found: Sequence[object] = [json.loads(line) for line in whole.splitlines()]
+    except ValueError as error:
+        raise DataError(f"{path}: not flights that were written by this command: {error}") from None
+    if found and found[0] != header:
+        raise DataError(f"{path}: flown by another state of the program or with another estimator; state another --out")
+    scores = {}
+    for row in found[1:]:
+        assert isinstance(row, dict)
+        events = [TrialEvent(**event | {"kind": EventKind(event["kind"])}) for event in row["events"]]
+        score = TrialScore(**row | {"events": events})
+        scores[score.name, score.seed] = score
+    return scores

@@ -1,0 +1,130 @@
+"""What flies in the trials: motion that a vehicle can fly, errors as they are stated, faults where they are drawn."""
+
+from dataclasses import replace
+from math import radians
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver, PeerRange
+from gcs_coloc.core.messages.outbound import GpsInput, TimeSyncRequest
+from gcs_coloc.study.integrity.flight_classes import CLASSES, RangeNoise
+from gcs_coloc.study.integrity.motion import STEP_S, draw_trajectories, gauss_markov
+from gcs_coloc.study.integrity.sensor_errors import PairErrors
+from gcs_coloc.study.integrity.simulated_fleet import DENIED, SimulatedFleet
+
+MINUTE_S = 60.0
+
+
+def messages(fleet, until_s):
+    found = []
+    while True:
+        at_s, message = fleet.pop()
+        if at_s > until_s:
+            return found
+        if message is not None:
+            assert message.received_at_s == at_s
+            found.append(message)
+
+
+def fleet_of(name, seed=1, duration_s=MINUTE_S, **changes):
+    return SimulatedFleet(replace(CLASSES[name], **changes), seed, duration_s)
+
+
+def test_there_are_at_least_thirty_classes_of_four_groups():
+    assert len(CLASSES) >= 30
+    assert len({drawn.group for drawn in CLASSES.values()}) == 4
+    assert all(drawn.text for drawn in CLASSES.values())
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_every_class_flies_and_its_messages_arrive_in_order(name):
+    fleet = fleet_of(name, duration_s=100.0)
+    found = messages(fleet, 6.0)
+    times = [message.received_at_s for message in found]
+    assert times == sorted(times)
+    assert {type(message) for message in found} >= {GpsReceiver, GlobalPosition, PeerRange}
+
+
+@pytest.mark.parametrize("name", ["planes", "copters", "agile-copters", "convoy"])
+def test_velocity_is_the_rate_of_the_position(name):
+    for course in draw_trajectories(np.random.default_rng(3), CLASSES[name], MINUTE_S, 5):
+        rate = np.diff(course.positions_m, axis=0) / STEP_S
+        mean = 0.5 * (course.velocities_mps[1:] + course.velocities_mps[:-1])
+        # Gusts and the swaying of a convoy are new at each step.
+        assert np.abs(rate - mean)[100:-100].max() < 0.6
+
+
+def test_a_plane_turns_as_its_bank_tells():
+    drawn = replace(CLASSES["planes"], wind_mps=(0.0, 0.0), gust_mps=(0.0, 0.0))
+    course = draw_trajectories(np.random.default_rng(5), drawn, MINUTE_S, 5)[0]
+    roll, yaw = course.attitude_rad[:-1, 0], course.attitude_rad[:, 2]
+    turn = np.angle(np.exp(1j * np.diff(yaw))) / STEP_S
+    assert np.allclose(turn, 9.80665 * np.tan(roll) / np.median(course.airspeed_mps), atol=1e-6)
+    assert np.abs(roll).max() > radians(5.0)
+
+
+def test_a_copter_keeps_its_acceleration():
+    drawn = replace(CLASSES["agile-copters"], acceleration_mps2=(6.0, 6.0))
+    course = draw_trajectories(np.random.default_rng(5), drawn, MINUTE_S, 5)[0]
+    acceleration = np.linalg.norm(np.diff(course.velocities_mps, axis=0), axis=1) / STEP_S
+    assert 4.0 < acceleration.max() <= 6.01
+
+
+def test_gauss_markov_keeps_its_sigma_and_time():
+    values = gauss_markov(np.random.default_rng(1), 200_000, 1.0, 2.0, 30.0, axes=1)[:, 0]
+    assert values.std() == pytest.approx(2.0, rel=0.05)
+    assert np.corrcoef(values[:-30], values[30:])[0, 1] == pytest.approx(np.exp(-1.0), abs=0.05)
+
+
+@pytest.mark.parametrize("noise", [RangeNoise.GAUSS, RangeNoise.STUDENT])
+def test_range_noise_has_the_stated_sigma(noise):
+    drawn = replace(CLASSES["planes"], range_noise=noise, range_loss=(0.0, 0.0))
+    errors = PairErrors(np.random.default_rng(2), drawn, 1.5, device_m=0.0, scale=0.0, end_s=MINUTE_S)
+    sample = np.array([errors.measure(1000.0, 1.0) for _ in range(40_000)]) - 1000.0
+    assert abs(np.median(sample)) < 0.03
+    assert sample.std() == pytest.approx(1.5, rel=0.1)
+
+
+def test_the_denied_vehicle_loses_its_fix_and_reports_the_one_that_it_is_sent():
+    fleet = fleet_of("planes", lost_at_s=(5.0, 5.0))
+    place = fleet.frame.to_lla(300.0, 400.0, 100.0)
+    found = messages(fleet, 8.0)
+    fixes = {m.fix_type for m in found if isinstance(m, GpsReceiver) and m.sysid == DENIED and m.received_at_s > 6.0}
+    assert fixes == {1}
+    fleet.deliver(GpsInput(DENIED, 1, 0, 0, 0, 3, *place, 1.0, 1.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 12), 8.0)
+    later = messages(fleet, 9.0)
+    echoed = [m for m in later if isinstance(m, GlobalPosition) and m.sysid == DENIED]
+    east, north, _ = fleet.frame.to_enu(echoed[-1].lat_deg, echoed[-1].lon_deg, echoed[-1].alt_msl_m)
+    assert (east, north) == pytest.approx((300.0, 400.0), abs=0.1)
+    assert any(isinstance(m, GpsReceiver) and m.receiver == 1 and m.fix_type == 3 for m in later)
+
+
+def test_receivers_that_are_spoofed_alike_are_off_alike():
+    fleet = fleet_of("two-alike-step", duration_s=200.0)
+    spoofed = fleet.spoofed()
+    assert len(spoofed) == 2
+    fixes = [m for m in messages(fleet, 199.0) if isinstance(m, GpsReceiver) and m.sysid in spoofed]
+    offsets = []
+    for sysid in spoofed:
+        late = [m for m in fixes if m.sysid == sysid and m.received_at_s > fleet.fault_at_s + 1.0]
+        off = [
+            np.array(fleet.frame.to_enu(m.lat_deg, m.lon_deg, m.alt_msl_m)) - fleet.truth_m(sysid, m.received_at_s) for m in late
+        ]
+        offsets.append(np.mean(off, axis=0)[:2])
+    assert np.linalg.norm(offsets[0]) > 25.0
+    assert np.linalg.norm(offsets[0] - offsets[1]) < 6.0
+
+
+def test_timesync_is_answered_in_classes_that_do():
+    for name, answers in (("planes", 1), ("late-alike", 0)):
+        fleet = fleet_of(name)
+        fleet.deliver(TimeSyncRequest(1, 123), 1.0)
+        found = [m for m in messages(fleet, 4.0) if type(m).__name__ == "TimeSyncAnswer"]
+        assert [m.ts1_ns for m in found] == [123] * answers
+
+
+def test_what_waits_for_the_service_is_received_at_its_start():
+    times = [message.received_at_s for message in messages(fleet_of("started-in-flight"), 3.0)]
+    assert min(times) == 0.5
+    assert times.count(0.5) > 20
