@@ -83,11 +83,16 @@ class EpochArrays:
 
 @dataclass(frozen=True)
 class Epoch:
-    """The fleet at one time. Every vehicle of a residual has a prior, and no two priors of a residual coincide."""
+    """The fleet at one time. Every vehicle of a residual has a prior, and no two priors of a residual coincide.
+
+    The ranges in it were measured between `began_s` and `ended_s`; two epochs are independent where these do not overlap.
+    """
 
     at_s: float
     priors: Mapping[int, PositionPrior]
     residuals: tuple[RangeResidual, ...]
+    began_s: float = float("-inf")
+    ended_s: float = float("inf")
 
     @cached_property
     def arrays(self) -> EpochArrays:

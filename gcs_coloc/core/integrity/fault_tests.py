@@ -1,13 +1,13 @@
-"""Global and local tests of an adjustment: do ranges and reported positions agree, and if not, which single fault explains it?
+"""Global and local tests of an adjustment: do ranges and reported positions agree, and what does a fault move?
 
 Notation: r residuals, V their covariance under the null hypothesis, so that the statistic is T = r' V^-1 r. Without a fault T is
 chi-square with as many degrees of freedom as there are residuals beyond the unknowns.
 
 Global test: alarm where T > chi2(dof, alpha). Local test of a fault with design C and unknown size b: the statistic falls by
 gain = r' V^-1 C (C' V^-1 C)^-1 C' V^-1 r, which is chi-square with rank(C) degrees of freedom and equals twice the log
-likelihood ratio. A fault is possible when the rest is consistent without it. Alternatives are a vehicle's reported position off
-by a horizontal vector, a pair whose ranges are off, and a device whose ranges are all off by one length; with an earlier epoch,
-what came to be off since.
+likelihood ratio. Alternatives are a vehicle's reported position off by a horizontal vector, a pair whose ranges are off, and a
+device whose ranges are all off by one length; with an earlier epoch, what came to be off since. Which fault explains an alarm is
+tested in `isolation`.
 
 Solution separation: how far a vehicle without prior moves when a fault is left out of the adjustment.
 
@@ -20,9 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
 from functools import lru_cache
-from math import hypot
 
 import numpy as np
 from scipy.special import chdtri
@@ -32,39 +30,21 @@ from gcs_coloc.core.integrity.epoch import Epoch, Past
 from gcs_coloc.core.measurements import FloatArray
 
 
-class FaultKind(Enum):
-    """The alternative hypotheses."""
-
-    VEHICLE = "vehicle"
-    PAIR = "pair"
-    DEVICE = "device"
-
-
-@dataclass(frozen=True, slots=True)
-class PossibleFault:
-    """One possible fault: `vehicles` is the faulty one, the pair, or the device's owner; `size_m` its estimated size."""
-
-    kind: FaultKind
-    vehicles: tuple[int, ...]
-    size_m: float
-
-
 @dataclass(frozen=True, slots=True)
 class FaultTestResult:
     """Result of the tests of one adjustment.
 
-    `is_consistent`: no alarm. `is_clear`: far from an alarm. `possible`: the faults that explain an alarm about equally well,
-    empty where no single one does. `reporting`: all vehicles with a reported position. By vehicle without prior: `offset_m` (2,)
-    is its correction if nobody is faulty, `separation_m2` (2, 2) the second moment of the solution separation over the plausible
-    faults, zero where none is likely enough to count.
+    `is_consistent`: no alarm. `is_clear`: far from an alarm. `suspects`: in an alarm the vehicles whose position the local tests
+    reject, or all that report one where they reject none. By vehicle without prior: `offset_m` (2,) is its correction if nobody
+    is faulty, `separation_m2` (2, 2) the second moment of the solution separation over the plausible faults, zero where none is
+    likely enough to count.
     """
 
     statistic: float
     degrees_of_freedom: int
     is_consistent: bool
     is_clear: bool
-    possible: tuple[PossibleFault, ...]
-    reporting: frozenset[int]
+    suspects: frozenset[int]
     offset_m: Mapping[int, FloatArray]
     separation_m2: Mapping[int, FloatArray]
 
@@ -88,9 +68,6 @@ class SignificanceLevels:
     margin: float = 10.0
 
 
-_Fault = tuple[FaultKind, tuple[int, ...], FaultEffect]
-
-
 def run_tests(now: Epoch, levels: SignificanceLevels, pasts: Sequence[Past]) -> list[FaultTestResult | None]:
     """Test an epoch, alone or against earlier ones; None where there is no redundancy."""
     return [run_test(fit, levels) for fit in adjust(now, pasts)]
@@ -108,24 +85,22 @@ def run_test(fit: Adjustment, levels: SignificanceLevels) -> FaultTestResult | N
     is_significant = fit.statistic > min(chi2_limit(1, levels.separation_from), chi2_limit(1, alpha))
     gains = [fit.position_gain(v) for v in reporting] if is_significant else []
     weight = max((_separation_weight(gain, rank, levels) for gain, rank in gains), default=0.0)
-    alarm = fit.statistic > chi2_limit(dof, alpha) or any(rank and gain > chi2_limit(rank, alpha) for gain, rank in gains)
-    faults: list[_Fault] = []
-    if weight or alarm:
-        faults = [(FaultKind.VEHICLE, (v,), fit.position_effect(v)) for v in reporting] + _range_faults(fit)
-    best = max((effect.gain for _, _, effect in faults if effect.rank), default=0.0)
-    plausible = [(kind, who, effect) for kind, who, effect in faults if effect.rank and effect.gain >= best - levels.margin]
+    rejected = [v for v, (gain, rank) in zip(reporting, gains, strict=False) if rank and gain > chi2_limit(rank, alpha)]
+    alarm = fit.statistic > chi2_limit(dof, alpha) or bool(rejected)
+    effects = [fit.position_effect(v) for v in reporting] + _range_effects(fit) if weight else []
+    best = max((effect.gain for effect in effects if effect.rank), default=0.0)
+    plausible = [effect for effect in effects if effect.rank and effect.gain >= best - levels.margin]
     without_prior = [v for v in fit.vehicles if fit.priors[v].no_prior]
     separation = {}
     for vehicle in without_prior:
-        moves = [fit.horizontal(vehicle, effect.corrections_m) for _, _, effect in plausible] if weight else []
+        moves = [fit.horizontal(vehicle, effect.corrections_m) for effect in plausible]
         separation[vehicle] = weight * sum((np.outer(move, move) for move in moves), start=np.zeros((2, 2)))
     return FaultTestResult(
         statistic=fit.statistic,
         degrees_of_freedom=dof,
         is_consistent=not alarm,
         is_clear=not alarm and not weight and fit.statistic <= chi2_limit(dof, levels.clear),
-        possible=_possible(plausible, fit.statistic, dof, levels) if alarm else (),
-        reporting=frozenset(reporting),
+        suspects=frozenset(rejected or reporting) if alarm else frozenset(),
         offset_m={v: fit.horizontal(v, fit.corrections_m) for v in without_prior},
         separation_m2=separation,
     )
@@ -139,25 +114,14 @@ def _separation_weight(gain: float, rank: int, levels: SignificanceLevels) -> fl
     return min(max((gain - low) / (high - low), 0.0), 1.0)
 
 
-def _possible(plausible: list[_Fault], statistic: float, dof: int, levels: SignificanceLevels) -> tuple[PossibleFault, ...]:
-    # Without redundancy beside the fault every fault fits.
-    return tuple(
-        PossibleFault(kind, who, hypot(*effect.size_m))
-        for kind, who, effect in plausible
-        if dof == effect.rank or statistic - effect.gain <= chi2_limit(dof - effect.rank, levels.rest)
-    )
-
-
-def _range_faults(fit: Adjustment) -> list[_Fault]:
-    faults: list[_Fault] = []
+def _range_effects(fit: Adjustment) -> list[FaultEffect]:
     pairs: dict[tuple[int, ...], list[int]] = {}
     devices: dict[int, list[int]] = {}
     for number, residual in enumerate(fit.residuals):
         pairs.setdefault(tuple(sorted(residual.pair)), []).append(number)
         devices.setdefault(residual.from_vehicle, []).append(number)
-    faults += [(FaultKind.PAIR, pair, fit.range_effect(numbers)) for pair, numbers in sorted(pairs.items())]
-    faults += [(FaultKind.DEVICE, (owner,), fit.range_effect(own)) for owner, own in sorted(devices.items()) if len(own) > 1]
-    return faults
+    chosen = [numbers for _, numbers in sorted(pairs.items())] + [own for _, own in sorted(devices.items()) if len(own) > 1]
+    return [fit.range_effect(numbers) for numbers in chosen]
 
 
 @lru_cache(maxsize=1024)

@@ -1,21 +1,23 @@
-"""Detects and identifies faulty reported positions over time, from the tests of single epochs (`fault_tests`).
+"""Detects and identifies faulty reported positions over time, from the tests of single epochs (`fault_tests`, `isolation`).
 
 Each review tests the present epoch alone and against epochs some seconds earlier. This module has what the tests need of memory:
-how many in a row point at a vehicle, how long a detection lasts, and how the solution separation decays.
+how many independent samples in a row isolate a vehicle, how long a detection lasts, and how the solution separation decays.
+Samples are independent where their windows do not overlap: an outlier that lasts as long as a window is in one of them only.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from math import exp
 
 import numpy as np
 
-from gcs_coloc.core.integrity.epoch import Epoch, EpochHistory
+from gcs_coloc.core.integrity.epoch import Epoch, EpochHistory, Past
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor, FaultMonitorSettings
-from gcs_coloc.core.integrity.fault_tests import FaultKind, FaultTestResult, SignificanceLevels, run_tests
+from gcs_coloc.core.integrity.fault_tests import FaultTestResult, SignificanceLevels, run_tests
+from gcs_coloc.core.integrity.isolation import Isolation, isolate
 from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeResidualSettings, TrackPoint
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
 from gcs_coloc.core.schedule import SAME_S
@@ -28,8 +30,8 @@ class ConsistencySettings:
     """When tests run, and what their results lead to.
 
     Tests run every `period_s`: of the present, and of the change since each of `intervals_s` ago, in which a fault-free position
-    error is a Gauss-Markov process of `correlation_time_s`. A vehicle is identified after `identify_after` tests in a row that
-    point at it alone; vehicles among which the fault cannot be isolated are detected after `detect_after`. Solution separation
+    error is a Gauss-Markov process of `correlation_time_s`. A vehicle is identified after `identify_after` independent samples in
+    a row that isolate it; vehicles among which the fault is not isolated are detected after `detect_after`. Solution separation
     decays over `decay_time_s`; while a fault is identified or detected, and for `alert_s` more, over `alert_decay_time_s`. A
     detection by the fault monitor lasts for `detection_hold_s`.
     """
@@ -37,8 +39,8 @@ class ConsistencySettings:
     period_s: float = 0.2
     intervals_s: tuple[float, ...] = (2.0, 5.0, 12.0)
     correlation_time_s: float = 30.0
-    identify_after: int = 3
-    detect_after: int = 6
+    identify_after: int = 2
+    detect_after: int = 2
     decay_time_s: float = 2.0
     alert_s: float = 30.0
     alert_decay_time_s: float = 10.0
@@ -58,13 +60,22 @@ class IdentifiedFault:
 
 @dataclass(slots=True)
 class _Persistence:
-    """How many tests of one interval in a row had a vehicle as the only possible fault, and as one of the possible ones."""
+    """How many independent samples of one interval in a row isolated a vehicle, and had it as a possible one.
 
-    alone: Counter[int] = field(default_factory=Counter)
+    `sampled_until_s` is the end of the last sample's window.
+    """
+
+    isolated: Counter[int] = field(default_factory=Counter)
     possible: Counter[int] = field(default_factory=Counter)
+    sampled_until_s: float = float("-inf")
+
+    def add(self, isolated: Collection[int], possible: Collection[int]) -> None:
+        """Add one sample."""
+        self.isolated = Counter({v: self.isolated[v] + 1 for v in isolated})
+        self.possible = Counter({v: self.possible[v] + 1 for v in possible})
 
     def reset(self) -> None:
-        self.alone.clear()
+        self.isolated.clear()
         self.possible.clear()
 
 
@@ -128,7 +139,8 @@ class RangeConsistency:
         self.detected |= self._detected_until_s.keys()
 
     def _run_tests(self, epoch: Epoch, now_s: float) -> None:
-        results = self._results(epoch)
+        pasts = self._epochs.pasts(epoch.at_s)
+        results = self._results(epoch, pasts)
         self._epochs.append(epoch)
         if not results:
             if now_s - self._tested_s > _HOLD_WINDOWS * self.settings.residuals.window_s:
@@ -136,41 +148,55 @@ class RangeConsistency:
             return
         self._tested_s = now_s
         self._update_separation(results, epoch, now_s)
-        for interval_s, result in results.items():
-            self._update_faults(result, epoch, self._persistence[interval_s])
+        self._update_faults(results, epoch, pasts)
         if all(result.is_clear for result in results.values()):
             self._end_detection()
 
     def _end_detection(self) -> None:
         self.detected = frozenset(self._detected_until_s)
 
-    def _results(self, epoch: Epoch) -> dict[float, FaultTestResult]:
+    def _results(self, epoch: Epoch, pasts: Mapping[float, Past]) -> dict[float, FaultTestResult]:
         """The result of each test with redundancy, by its interval; 0 for the test of the present alone."""
         if not epoch.residuals:
             return {}
-        pasts = self._epochs.pasts(epoch.at_s)
         results = dict(zip(pasts, run_tests(epoch, self.settings.levels, list(pasts.values())), strict=True))
         return {interval_s: result for interval_s, result in results.items() if result is not None}
 
-    def _update_faults(self, result: FaultTestResult, epoch: Epoch, persistence: _Persistence) -> None:
-        kinds = {fault.kind for fault in result.possible}
-        by_vehicle = {fault.vehicles[0]: fault for fault in result.possible if fault.kind is FaultKind.VEHICLE}
-        if result.is_consistent or (kinds and FaultKind.VEHICLE not in kinds):
-            # A faulty range is no fault of a position: the positions agree without it.
-            persistence.reset()
-            return
-        possible = frozenset(by_vehicle) if by_vehicle else result.reporting
-        persistence.possible = Counter({v: persistence.possible[v] + 1 for v in possible})
-        alone = next(iter(by_vehicle)) if kinds == {FaultKind.VEHICLE} and len(by_vehicle) == 1 else None
-        persistence.alone = Counter({alone: persistence.alone[alone] + 1}) if alone is not None else Counter()
-        if alone is not None and persistence.alone[alone] >= self.settings.identify_after:
-            peers = {v for residual in epoch.residuals for v in residual.pair if alone in residual.pair}
-            self.identified[alone] = IdentifiedFault(tuple(sorted(peers - {alone})), by_vehicle[alone].size_m)
+    def _update_faults(self, results: Mapping[float, FaultTestResult], epoch: Epoch, pasts: Mapping[float, Past]) -> None:
+        samples: dict[float, Isolation] = {}
+        for interval_s, result in results.items():
+            persistence = self._persistence[interval_s]
+            if result.is_consistent:
+                persistence.reset()
+            elif epoch.began_s >= persistence.sampled_until_s:
+                persistence.sampled_until_s = epoch.ended_s
+                samples[interval_s] = isolate(epoch, pasts[interval_s], self.settings.levels)
+        identified: dict[int, float] = {}
+        for interval_s, sample in samples.items():
+            persistence = self._persistence[interval_s]
+            if sample.is_range_fault:
+                # The positions agree without it.
+                persistence.reset()
+                continue
+            persistence.add(sample.isolated, sample.possible if sample.plausible else results[interval_s].suspects)
+            identified |= {
+                vehicle: size_m
+                for vehicle, size_m in sample.isolated.items()
+                if persistence.isolated[vehicle] >= self.settings.identify_after
+                and all(vehicle in each.possible for each in samples.values() if each.plausible)
+            }
+        for vehicle, size_m in identified.items():
+            peers = {v for residual in epoch.residuals for v in residual.pair if vehicle in residual.pair}
+            self.identified[vehicle] = IdentifiedFault(tuple(sorted(peers - identified.keys())), size_m)
+        if identified:
             self.detected = frozenset()
             for each in self._persistence.values():
                 each.reset()
-        else:
-            self.detected |= {v for v, n in persistence.possible.items() if n >= self.settings.detect_after}
+            return
+        for interval_s, sample in samples.items():
+            if not sample.isolated:
+                possible = self._persistence[interval_s].possible
+                self.detected |= {v for v, n in possible.items() if n >= self.settings.detect_after}
 
     def _update_separation(self, results: Mapping[float, FaultTestResult], epoch: Epoch, now_s: float) -> None:
         s = self.settings

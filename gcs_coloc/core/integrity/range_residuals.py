@@ -126,6 +126,7 @@ class RangeResidualBuffer:
         priors: dict[int, PositionPrior] = {}
         residuals: list[RangeResidual] = []
         per_device: Counter[int] = Counter()
+        began_s = ended_s = now_s - s.wait_s
         for (i, j), kept in sorted(self._samples.items()):
             a, b = at_middle[i], at_middle[j]
             if a is None or b is None or per_device[i] >= _MAX_PEERS_PER_DEVICE:
@@ -137,7 +138,8 @@ class RangeResidualBuffer:
             priors[i], priors[j] = a, b
             residuals.append(self._residual(i, j, samples))
             per_device[i] += 1
-        return Epoch(middle_s, priors, tuple(residuals))
+            began_s = min(began_s, samples[0][0])
+        return Epoch(middle_s, priors, tuple(residuals), began_s, ended_s)
 
     def _residual(self, i: int, j: int, samples: list[_Sample]) -> RangeResidual:
         s = self.settings

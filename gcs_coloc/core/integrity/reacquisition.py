@@ -22,7 +22,8 @@ from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius, horizontal_
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.integrity.adjustment import Adjustment, adjust
 from gcs_coloc.core.integrity.epoch import MIN_INFORMATION_PER_M2, Epoch, EpochHistory, Past
-from gcs_coloc.core.integrity.fault_tests import FaultKind, FaultTestResult, SignificanceLevels, chi2_limit, run_test
+from gcs_coloc.core.integrity.fault_tests import SignificanceLevels, chi2_limit, run_test
+from gcs_coloc.core.integrity.isolation import isolate
 from gcs_coloc.core.integrity.range_consistency import ConsistencySettings
 from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, TrackPoint
 from gcs_coloc.core.integrity.report import (
@@ -53,6 +54,7 @@ class FixConsistency(Enum):
     AGREES = "consistent, as far as can be tested"
     AGAINST_RANGES = "the ranges contradict it, and no other fault explains them"
     AGAINST_ESTIMATE = "the estimate contradicts it, and the ranges do not support it"
+    UNRESOLVED = "the ranges contradict it or something else"
     ESTIMATE_OFF = "the ranges fit it and not the estimate"
 
 
@@ -61,13 +63,14 @@ class FixCheck:
     """A finding, and the horizontal distance of the fix from where ranges put the vehicle (m), None where that is unknown.
 
     `known_m`: horizontal 1-sigma of the best reference that agrees with the fix, m; infinity where there is none.
-    `ranged`: there were ranges to test it against.
+    `ranged`: there were ranges to test it against. `fits_now`: the ranges of the present epoch alone fit it.
     """
 
     finding: FixConsistency
     offset_m: float | None
     known_m: float
     ranged: bool
+    fits_now: bool
 
 
 _CONTRADICTS = (FixConsistency.AGAINST_RANGES, FixConsistency.AGAINST_ESTIMATE)
@@ -78,9 +81,12 @@ class _Reacquisition:
     """The findings about one receiver since it is back.
 
     `wrong` is the confirmed finding, `offset_m` the size of the contradiction, `was_ranged`: ranges were among what contradicted.
+    `off_at_s`: the last epoch whose ranges did not fit it. Later epochs are not compared with those up to it: a receiver that has
+    come to be right is not at fault.
     """
 
     began_s: float
+    off_at_s: float = float("-inf")
     finding: FixConsistency = FixConsistency.NOTHING
     wrong: bool = False
     was_ranged: bool = False
@@ -97,7 +103,8 @@ class _Reacquisition:
         self.was_ranged = (self.was_ranged and (self.wrong or contradicts)) or (contradicts and check.ranged)
         self.finding = check.finding
         if contradicts and check.offset_m is not None:
-            self.offset_m = check.offset_m
+            # The window of the ranges ends later than the fault: then the distance is nearly none any more.
+            self.offset_m = max(self.offset_m, check.offset_m) if self.wrong else check.offset_m
         if contradicts == self.wrong or inconclusive:
             self.changed_since_s = None
             return False
@@ -121,7 +128,7 @@ class _Reacquisition:
         return True
 
     def status(self, now_s: float) -> ReacquisitionStatus:
-        if self.finding in _CONTRADICTS:
+        if self.finding in _CONTRADICTS or self.finding is FixConsistency.UNRESOLVED:
             return ReacquisitionStatus.CONTRADICTED
         if self.finding is not FixConsistency.NOTHING:
             return ReacquisitionStatus.CONSISTENT
@@ -161,9 +168,15 @@ class ReacquisitionMonitor:
         diverged = set()
         for sysid, (vehicle, fix) in back.items():
             estimate = vehicle.estimate if vehicle.estimate is not None and _is_reference(vehicle.estimate, vehicle) else None
-            own = {interval_s: (star(then, sysid, peers) if then else None, c) for interval_s, (then, c) in pasts.items()}
-            check = check_fix(fix, estimate, star(epoch, sysid, peers), own, self._settings.levels)
             receiver = self._receivers[sysid]
+            own = {
+                interval_s: (star(then, sysid, peers) if then else None, c)
+                for interval_s, (then, c) in pasts.items()
+                if then is None or then.at_s > receiver.off_at_s
+            }
+            check = check_fix(fix, estimate, star(epoch, sysid, peers), own, self._settings.levels)
+            if check.ranged and not check.fits_now:
+                receiver.off_at_s = epoch.at_s
             self._rejected_fixes += receiver.add(check, now_s)
             if receiver.has_diverged(check, now_s):
                 diverged.add(sysid)
@@ -221,23 +234,37 @@ def check_fix(
     offset_m = float(np.hypot(*difference_m)) if difference_m is not None else None
     fits = adjust(epoch, list(pasts.values())) if epoch.residuals else []
     results = [run_test(fit, levels) if fit.residuals else None for fit in fits]
-    for result in results:
-        size_m = _size_if_identified(result, fix.vehicle)
+    unresolved = False
+    fitting = bool(fits) and results[0] is not None and _agrees(fits[0], fix.vehicle, levels)
+    for number, (result, past) in enumerate(zip(results, pasts.values(), strict=False)):
+        if result is None or result.is_consistent:
+            continue
+        isolation = isolate(epoch, past, levels, troubled=(fix.vehicle,))
+        is_possible = fix.vehicle in (isolation.possible if isolation.plausible else result.suspects)
+        if number == 0:
+            fitting = not is_possible
+        size_m = isolation.isolated.get(fix.vehicle)
         if size_m is not None:
-            return FixCheck(FixConsistency.AGAINST_RANGES, offset_m if offset_m is not None else size_m, inf, ranged=True)
-    fitting = bool(fits) and _ranges_fit(fits[0], results[0], fix.vehicle, levels)
+            return FixCheck(
+                FixConsistency.AGAINST_RANGES, offset_m if offset_m is not None else size_m, inf, ranged=True, fits_now=fitting
+            )
+        unresolved |= is_possible
     information = fits[0].position_information(fix.vehicle) if fitting else np.zeros((2, 2))
     known_m = 1.0 / sqrt(max(_least_information_per_m2(information), MIN_INFORMATION_PER_M2))
     if estimate is not None and difference_m is not None and _is_significant(difference_m, fix, estimate):
         if float(difference_m @ information @ difference_m) >= _DETECTABLE_NONCENTRALITY:
-            return FixCheck(FixConsistency.ESTIMATE_OFF, offset_m, known_m, ranged=True)
+            return FixCheck(FixConsistency.ESTIMATE_OFF, offset_m, known_m, ranged=True, fits_now=fitting)
         if (fits and not fitting) or estimate.ranges_in_use >= _MIN_RANGES:
-            return FixCheck(FixConsistency.AGAINST_ESTIMATE, offset_m, inf, ranged=bool(fits))
-        return FixCheck(FixConsistency.AGREES, offset_m, inf, ranged=bool(fits))
+            return FixCheck(FixConsistency.AGAINST_ESTIMATE, offset_m, inf, ranged=bool(fits), fits_now=fitting)
+        return FixCheck(
+            FixConsistency.UNRESOLVED if unresolved else FixConsistency.AGREES, offset_m, inf, ranged=bool(fits), fits_now=fitting
+        )
+    if unresolved:
+        return FixCheck(FixConsistency.UNRESOLVED, offset_m, inf, ranged=True, fits_now=fitting)
     if estimate is not None:
         known_m = min(known_m, horizontal_sigma_m(estimate.covariance))
     finding = FixConsistency.NOTHING if estimate is None and not fits else FixConsistency.AGREES
-    return FixCheck(finding, offset_m, known_m, ranged=bool(fits))
+    return FixCheck(finding, offset_m, known_m, ranged=bool(fits), fits_now=fitting)
 
 
 def star(epoch: Epoch, vehicle: int, peers: Container[int]) -> Epoch:
@@ -264,19 +291,7 @@ def _is_significant(difference_m: FloatArray, fix: PositionMeasurement, estimate
     return float(difference_m @ np.linalg.solve(covariance, difference_m)) > chi2_limit(2, _SIGNIFICANCE)
 
 
-def _size_if_identified(result: FaultTestResult | None, vehicle: int) -> float | None:
-    """Size in m of the fault of the vehicle's position, where that alone explains an alarm; else None."""
-    if result is None or result.is_consistent or len(result.possible) != 1:
-        return None
-    (only,) = result.possible
-    return only.size_m if only.kind is FaultKind.VEHICLE and only.vehicles == (vehicle,) else None
-
-
-def _ranges_fit(fit: Adjustment, result: FaultTestResult | None, vehicle: int, levels: SignificanceLevels) -> bool:
-    """Whether the ranges fit the vehicle's position, but for a fault elsewhere."""
-    if result is None:
-        return False
-    if result.is_consistent:
-        gain, rank = fit.position_gain(vehicle)
-        return not rank or gain <= chi2_limit(rank, levels.rest)
-    return bool(result.possible) and all((f.kind, f.vehicles) != (FaultKind.VEHICLE, (vehicle,)) for f in result.possible)
+def _agrees(fit: Adjustment, vehicle: int, levels: SignificanceLevels) -> bool:
+    """Whether the ranges fit the vehicle's position, where nothing else contradicts them."""
+    gain, rank = fit.position_gain(vehicle)
+    return not rank or gain <= chi2_limit(rank, levels.rest)

@@ -1,0 +1,262 @@
+"""Adjustment of ranges to reported positions by Gauss-Newton, each fault hypothesis with its fault as further unknowns.
+
+    z = |p_i + d_i - p_j - d_j| + C b + v,    d = e + B b
+
+z ranges, p reported positions, e their fault-free errors with covariance S, b the fault, v noise with covariance R. The errors e
+are eliminated: V = R + H S H', with H the range Jacobian. Statistic: T = (z - h(b))' V^-1 (z - h(b)), minimised over b and over
+the positions of vehicles without prior. A difference of T between two hypotheses is twice their log likelihood ratio.
+
+The linear `adjustment` does not serve here: a receiver that is off by a sizeable part of a range bends the range's direction.
+
+Source: P. J. G. Teunissen, Testing Theory (2000), generalised likelihood ratio; Y. Bar-Shalom et al., Estimation with
+Applications to Tracking and Navigation (2001), section 3.4, nonlinear least squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcs_coloc.core.integrity.epoch import MIN_INFORMATION_PER_M2, MIN_SIGMA_M, Epoch, EpochArrays, Past
+from gcs_coloc.core.measurements import FloatArray
+
+_COARSE_STEPS, _NEWTON_STEPS = 2, 5  # chosen: from a start within a third of a range the error is then below a millimetre
+_CONTINUED = 60  # starts; chosen: those of four vehicles all, and of larger fleets the likeliest
+_REFINED = 12  # hypotheses; chosen: those that may decide are adjusted with V at their own positions
+_NEAR_SHARE = 0.1  # of the shortest range; chosen: an offset below it is found from the reported positions
+_SEED_DIRECTIONS = 12
+_SEED_RADII = (1.0, 2.0)  # times the largest residual, which is at most the offset
+_RANK_TOLERANCE = 1e-6  # smallest over largest eigenvalue that counts as not zero; chosen: far above rounding
+_FAULT_INFORMATION_PER_M2 = 1e-7  # holds a direction that no range sees; of a fault of 300 m it costs 0.01
+
+
+class FaultKind(Enum):
+    """The alternative hypotheses."""
+
+    POSITIONS = "positions"
+    PAIR = "pair"
+    DEVICE = "device"
+    SCALE = "scale"
+
+
+@dataclass(frozen=True, slots=True)
+class AdjustedHypothesis:
+    """One hypothesis, adjusted: `vehicles` are the faulty ones, the pair, or the device's owner; `size_m` of the fault.
+
+    `statistic` is that of the rest, `cost` the same with the penalty of the hypothesis; `degrees_of_freedom` are those left.
+    """
+
+    kind: FaultKind
+    vehicles: tuple[int, ...]
+    statistic: float
+    cost: float
+    degrees_of_freedom: int
+    size_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """`moved` (vehicles,) is 1 for those with the common offset; `lengthened` (residuals,) multiplies an unknown length."""
+
+    kind: FaultKind
+    vehicles: tuple[int, ...]
+    moved: FloatArray
+    lengthened: FloatArray
+
+
+class FaultModel:
+    """The ranges of one or two epochs, stacked (rows,), with V for given positions. All lengths in m."""
+
+    def __init__(self, now: Epoch, past: Past) -> None:
+        then, correlation = past
+        self.arrays, epochs = _aligned(now, then)
+        self.rows, self.vehicles = len(self.arrays.pairs), len(self.arrays.vehicles)
+        self._count = len(epochs)
+        self._ends = self.arrays.ends
+        self._baselines_m = np.concatenate([each.baselines_m for each in epochs])
+        self._ranges_m = np.concatenate([each.ranges_m for each in epochs])
+        sigmas_m = [np.where(self.arrays.has_prior, 1.0 / each.sqrt_information, 0.0) for each in epochs]
+        self._error_m2 = _two_times([one * one for one in sigmas_m], correlation * sigmas_m[0] * sigmas_m[-1])
+        biases_m = [each.biases_m for each in epochs]
+        self._noise_m2 = _two_times([each.variances_m2 for each in epochs], biases_m[0] * biases_m[-1])
+        without = self.arrays.states_without_prior
+        self._without_prior = np.concatenate([without + 3 * self.vehicles * epoch for epoch in range(self._count)])
+        # How a baseline changes with the free positions: (rows, 3, free states).
+        axes = np.zeros((3, self.rows * self._count, 3))
+        axes[np.arange(3), :, np.arange(3)] = 1.0
+        self._ends_without_prior = np.stack([self._jacobian(axis)[:, self._without_prior] for axis in axes], axis=1)
+
+    def explain(self, hypotheses: Sequence[Hypothesis], penalties: Sequence[float]) -> list[AdjustedHypothesis]:
+        """The hypotheses whose fault the ranges determine, the cheapest first."""
+        if not hypotheses:
+            return []
+        penalty = np.array(penalties)
+        moved = np.array([each.moved for each in hypotheses])
+        lengthened = np.array([each.lengthened for each in hypotheses])
+        weights = self._weights(self._jacobian(self._baselines_m))[np.newaxis]
+        starts, of = self._starts(moved, lengthened, weights[0])
+        statistics, states = self._minimise(moved[of], lengthened[of], weights, starts, _COARSE_STEPS)
+        likely = np.argsort(statistics + penalty[of], kind="stable")[:_CONTINUED]
+        of = of[likely]
+        statistics, states = self._minimise(moved[of], lengthened[of], weights, states[likely], _NEWTON_STEPS)
+        order = np.argsort(statistics + penalty[of], kind="stable").tolist()
+        few = list(dict.fromkeys(of[order].tolist()))[:_REFINED]
+        states = np.array([states[next(n for n in order if of[n] == h)] for h in few])
+        moved, lengthened = moved[few], lengthened[few]
+        weights = self._weights(self._jacobian(self._positions(moved, states)))
+        statistics, states = self._minimise(moved, lengthened, weights, states, _NEWTON_STEPS)
+        ranks = self._ranks(moved, lengthened, weights, states)
+        base = self._ranks(0.0 * moved[:1], 0.0 * lengthened[:1], weights[:1], states[:1])[0]
+        explanations = [
+            AdjustedHypothesis(
+                hypotheses[h].kind,
+                hypotheses[h].vehicles,
+                float(statistic),
+                float(statistic + penalty[h]),
+                self.rows * self._count - int(rank),
+                float(np.hypot(*state[:2])),
+            )
+            for h, statistic, rank, state in zip(few, statistics, ranks, states, strict=True)
+            if rank > base
+        ]
+        return sorted(explanations, key=lambda each: each.cost)
+
+    def linear_gains(self) -> FloatArray:
+        """By vehicle how much its horizontal fault would explain, linearised at the reported positions."""
+        jacobian = self._jacobian(self._baselines_m)
+        projector = self._without_free(self._weights(jacobian), jacobian)
+        innovations = self._ranges_m - np.linalg.norm(self._baselines_m, axis=1)
+        gains = []
+        for vehicle in range(self.vehicles):
+            H = jacobian[:, 3 * vehicle : 3 * vehicle + 2] * self._is_present[:, np.newaxis]
+            information = H.T @ projector @ H + _FAULT_INFORMATION_PER_M2 * np.eye(2)
+            score = H.T @ projector @ innovations
+            gains.append(float(score @ np.linalg.solve(information, score)))
+        return np.array(gains)
+
+    @property
+    def _is_present(self) -> FloatArray:
+        return np.repeat([1.0, 0.0], self.rows)[: self.rows * self._count]
+
+    def _weights(self, jacobian: FloatArray) -> FloatArray:
+        """V^-1 (..., rows, rows)."""
+        return np.asarray(np.linalg.inv(self._noise_m2 + jacobian @ self._error_m2 @ jacobian.swapaxes(-1, -2)))
+
+    def _jacobian(self, baselines_m: FloatArray) -> FloatArray:
+        """H (..., rows, states) at some baselines (..., rows, 3)."""
+        distances_m = np.maximum(np.linalg.norm(baselines_m, axis=-1, keepdims=True), MIN_SIGMA_M)
+        units = baselines_m / distances_m
+        row = np.arange(self.rows)
+        H: FloatArray = np.zeros((*units.shape[:-1], self._count, self.vehicles, 3))
+        for epoch in range(self._count):
+            H[..., epoch * self.rows + row, epoch, self._ends[0], :] = units[..., epoch * self.rows + row, :]
+            H[..., epoch * self.rows + row, epoch, self._ends[1], :] = -units[..., epoch * self.rows + row, :]
+        return H.reshape(*units.shape[:-1], 3 * self.vehicles * self._count)
+
+    def _without_free(self, weights: FloatArray, jacobian: FloatArray) -> FloatArray:
+        """V^-1 with the positions of the vehicles without prior eliminated."""
+        A = jacobian[:, self._without_prior]
+        WA = weights @ A
+        return np.asarray(weights - WA @ np.linalg.solve(A.T @ WA + MIN_INFORMATION_PER_M2 * np.eye(A.shape[1]), WA.T))
+
+    def _starts(self, moved: FloatArray, lengthened: FloatArray, weights: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+        """States to start from (starts, states), and the hypothesis of each: no fault, and the two best of a ring of offsets."""
+        projector = self._without_free(weights, self._jacobian(self._baselines_m))
+        innovations = np.abs(self._ranges_m - np.linalg.norm(self._baselines_m, axis=1))[: self.rows]
+        crossing = moved[:, self._ends[0]] != moved[:, self._ends[1]]
+        largest_m = np.where(crossing, innovations, 0.0).max(axis=1)
+        far = np.flatnonzero(largest_m > _NEAR_SHARE * self._ranges_m[: self.rows].min(initial=np.inf))
+        count, free = len(moved), len(self._without_prior)
+        none, of = np.zeros((count, 2 + free)), np.arange(count)
+        if not far.size:
+            return none, of
+        angles = 2.0 * pi * np.arange(_SEED_DIRECTIONS) / _SEED_DIRECTIONS
+        ring = np.concatenate([radius * np.stack([np.cos(angles), np.sin(angles)], axis=1) for radius in _SEED_RADII])
+        seeds: FloatArray = np.zeros((len(far), len(ring), 2 + free))
+        seeds[:, :, :2] = largest_m[far, np.newaxis, np.newaxis] * ring
+        seeded = np.repeat(far, len(ring))
+        left = self._residuals(moved[seeded], lengthened[seeded], seeds.reshape(-1, 2 + free))
+        costs = ((left @ projector) * left).sum(axis=1).reshape(len(far), len(ring))
+        best = np.argsort(costs, axis=1, kind="stable")[:, :2]
+        chosen = seeds[np.arange(len(far))[:, np.newaxis], best].reshape(-1, 2 + free)
+        return np.concatenate([none, chosen]), np.concatenate([of, np.repeat(far, 2)])
+
+    def _positions(self, moved: FloatArray, states: FloatArray) -> FloatArray:
+        """The baselines (tests, rows, 3) with the faults and the free positions of some states."""
+        tests = len(states)
+        shift: FloatArray = np.zeros((tests, self._count, self.vehicles, 3))
+        shift.reshape(tests, -1)[:, self._without_prior] = states[:, 2:]
+        shift[:, 0, :, :2] += moved[:, :, np.newaxis] * states[:, np.newaxis, :2]
+        i, j = self._ends
+        return np.asarray(self._baselines_m + (shift[:, :, i] - shift[:, :, j]).reshape(tests, -1, 3))
+
+    def _residuals(self, moved: FloatArray, lengthened: FloatArray, states: FloatArray) -> FloatArray:
+        left = self._ranges_m - np.linalg.norm(self._positions(moved, states), axis=2)
+        left[:, : self.rows] -= lengthened * states[:, :1]
+        return np.asarray(left)
+
+    def _design(self, moved: FloatArray, lengthened: FloatArray, states: FloatArray) -> FloatArray:
+        """The derivative (tests, rows, states) of the ranges by fault and free positions."""
+        baselines_m = self._positions(moved, states)
+        units = baselines_m / np.maximum(np.linalg.norm(baselines_m, axis=2, keepdims=True), MIN_SIGMA_M)
+        i, j = self._ends
+        J: FloatArray = np.zeros((len(states), self.rows * self._count, states.shape[1]))
+        J[:, : self.rows, :2] = (moved[:, i] - moved[:, j])[:, :, np.newaxis] * units[:, : self.rows, :2]
+        J[:, : self.rows, 0] += lengthened
+        J[:, :, 2:] = np.einsum("tra,ras->trs", units, self._ends_without_prior)
+        return J
+
+    def _minimise(
+        self, moved: FloatArray, lengthened: FloatArray, weights: FloatArray, states: FloatArray, steps: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """The smallest statistic on the way of Gauss-Newton from some states, and the states there."""
+        least: FloatArray = np.full(len(states), np.inf)
+        best = states
+        damping = np.full(states.shape[1], MIN_INFORMATION_PER_M2)
+        damping[:2] = _FAULT_INFORMATION_PER_M2
+        for step in range(steps + 1):
+            left = self._residuals(moved, lengthened, states)
+            weighted = (weights @ left[..., np.newaxis])[..., 0]
+            statistics = (left * weighted).sum(axis=1)
+            is_better = statistics < least
+            least, best = np.where(is_better, statistics, least), np.where(is_better[:, np.newaxis], states, best)
+            if step == steps:
+                break
+            J = self._design(moved, lengthened, states)
+            information = J.transpose(0, 2, 1) @ (weights @ J) + np.diag(damping)
+            pull = (J.transpose(0, 2, 1) @ weighted[..., np.newaxis])[..., 0] - damping * states
+            states = states + np.linalg.solve(information, pull[..., np.newaxis])[..., 0]
+        return least, best
+
+    def _ranks(self, moved: FloatArray, lengthened: FloatArray, weights: FloatArray, states: FloatArray) -> FloatArray:
+        """How many unknowns the ranges determine, by test."""
+        J = self._design(moved, lengthened, states)
+        eigenvalues = np.linalg.eigvalsh(J.transpose(0, 2, 1) @ (weights @ J))
+        least = np.maximum(_RANK_TOLERANCE * eigenvalues.max(axis=1, initial=0.0), MIN_INFORMATION_PER_M2)
+        return np.asarray((eigenvalues > least[:, np.newaxis]).sum(axis=1))
+
+
+def _two_times(own: Sequence[FloatArray], shared: FloatArray) -> FloatArray:
+    """The covariance of some variables at one time or two, uncorrelated but with themselves at the other time."""
+    if len(own) == 1:
+        return np.diag(own[0])
+    return np.block([[np.diag(own[0]), np.diag(shared)], [np.diag(shared), np.diag(own[1])]])
+
+
+def _aligned(now: Epoch, then: Epoch | None) -> tuple[EpochArrays, list[EpochArrays]]:
+    """The arrays of an epoch, and of an earlier one, with the residuals that both have of vehicles alike."""
+    if then is None:
+        return now.arrays, [now.arrays]
+    earlier = {residual.pair: residual for residual in then.residuals}
+
+    def is_alike(vehicle: int) -> bool:
+        return now.priors[vehicle].no_prior == then.priors[vehicle].no_prior
+
+    both = [r for r in now.residuals if r.pair in earlier and is_alike(r.from_vehicle) and is_alike(r.to_vehicle)]
+    arrays = Epoch(now.at_s, now.priors, tuple(both)).arrays
+    return arrays, [arrays, Epoch(then.at_s, then.priors, tuple(earlier[r.pair] for r in both)).arrays]

@@ -1,0 +1,116 @@
+"""Isolation: which faults explain that ranges and reported positions contradict each other, and who is in all of them?
+
+Detection (`fault_tests`) needs one test that fails; isolation needs that every other explanation is clearly worse.
+
+Hypotheses: every subset of up to half of the reporting vehicles is off by one common horizontal offset (spoofed alike); a pair's
+ranges are off; a device's ranges are all too long by one length or by one factor, those that it measured or all of its vehicle.
+An offset of a majority cannot be told from the opposite offset of the others: that the majority is right is assumed.
+
+Isolated is a vehicle that is in every explanation which is not clearly worse than the best. Else the fault is only detected.
+
+Source: J. Blanch et al., Baseline advanced RAIM user algorithm, IEEE Trans. AES 51 (2015), subsets of faults; N. L. Knight,
+J. Wang and C. Rizos, Generalised measures of reliability for multiple outliers, J. Geodesy 84 (2010), separability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from gcs_coloc.core.integrity.epoch import Epoch, Past
+from gcs_coloc.core.integrity.fault_model import AdjustedHypothesis, FaultKind, FaultModel, Hypothesis
+from gcs_coloc.core.integrity.fault_tests import SignificanceLevels, chi2_limit
+
+_MAX_CANDIDATES = 8  # vehicles; chosen: bounds the number of subsets to 162
+_MAX_SUBSET = 4  # vehicles; chosen: with eight candidates that is half of them
+_SELF_REPORTED_PENALTY = 13.8  # twice the log of 1000: chosen, so much likelier at fault is who reports trouble himself
+
+
+@dataclass(frozen=True, slots=True)
+class Isolation:
+    """Result for one epoch, or one against an earlier one.
+
+    `plausible`: the explanations not clearly worse than the best, which comes first; none where not even the best leaves a
+    consistent rest.
+    """
+
+    plausible: tuple[AdjustedHypothesis, ...]
+
+    @property
+    def isolated(self) -> dict[int, float]:
+        """By vehicle the size of its fault, m: the vehicles whose position is off in every plausible explanation."""
+        if not self.plausible:
+            return {}
+        common = frozenset.intersection(*(_faulty(each) for each in self.plausible))
+        return dict.fromkeys(sorted(common), self.plausible[0].size_m)
+
+    @property
+    def possible(self) -> frozenset[int]:
+        """The vehicles whose position is off in a plausible explanation."""
+        return frozenset().union(*(_faulty(each) for each in self.plausible))
+
+    @property
+    def is_range_fault(self) -> bool:
+        """Whether every plausible explanation is a fault of ranges: the positions agree without it."""
+        return bool(self.plausible) and not self.possible
+
+
+def isolate(now: Epoch, past: Past, levels: SignificanceLevels, troubled: Collection[int] = ()) -> Isolation:
+    """Explain what an epoch, alone or against an earlier one, contradicts. `troubled` vehicles report trouble themselves."""
+    model = FaultModel(now, past)
+    hypotheses = _hypotheses(now, model, _candidates(now, model))
+    explanations = model.explain(hypotheses, [_penalty(each, frozenset(troubled)) for each in hypotheses])
+    if not explanations:
+        return Isolation(())
+    best = explanations[0]
+    dof = best.degrees_of_freedom
+    if dof and best.statistic > chi2_limit(dof, levels.rest):
+        return Isolation(())
+    return Isolation(tuple(each for each in explanations if each.cost <= best.cost + levels.margin))
+
+
+def _faulty(explanation: AdjustedHypothesis) -> frozenset[int]:
+    return frozenset(explanation.vehicles if explanation.kind is FaultKind.POSITIONS else ())
+
+
+def _penalty(hypothesis: Hypothesis, troubled: frozenset[int]) -> float:
+    is_troubled = hypothesis.kind is FaultKind.POSITIONS and troubled.issuperset(hypothesis.vehicles)
+    return _SELF_REPORTED_PENALTY if troubled and not is_troubled else 0.0
+
+
+def _candidates(now: Epoch, model: FaultModel) -> list[int]:
+    """The reporting vehicles that may be at fault, by their place in the arrays; of many those that explain most."""
+    reporting = [at for at, vehicle in enumerate(model.arrays.vehicles) if not now.priors[vehicle].no_prior]
+    if len(reporting) <= _MAX_CANDIDATES:
+        return reporting
+    gains = model.linear_gains()
+    return sorted(sorted(reporting, key=lambda at: -gains[at])[:_MAX_CANDIDATES])
+
+
+def _hypotheses(now: Epoch, model: FaultModel, candidates: Sequence[int]) -> list[Hypothesis]:
+    arrays, rows = model.arrays, model.rows
+    none_moved, none_lengthened = np.zeros(model.vehicles), np.zeros(rows)
+    reporting = sum(not now.priors[vehicle].no_prior for vehicle in arrays.vehicles)
+    found = []
+    for size in range(1, min(reporting // 2, len(candidates), _MAX_SUBSET) + 1):
+        for subset in combinations(candidates, size):
+            moved = none_moved.copy()
+            moved[list(subset)] = 1.0
+            found.append(Hypothesis(FaultKind.POSITIONS, tuple(arrays.vehicles[at] for at in subset), moved, none_lengthened))
+    scale = arrays.ranges_m / float(arrays.ranges_m.mean())
+    seen = set[bytes]()
+    for owner in arrays.vehicles:
+        measured = np.array([float(i == owner) for i, _ in arrays.pairs])
+        either = np.array([float(owner in pair) for pair in arrays.pairs])
+        for rows_of in (measured, either):
+            if rows_of.sum() > 1 and rows_of.tobytes() not in seen:
+                seen.add(rows_of.tobytes())
+                found.append(Hypothesis(FaultKind.DEVICE, (owner,), none_moved, rows_of))
+                found.append(Hypothesis(FaultKind.SCALE, (owner,), none_moved, rows_of * scale))
+    for pair in sorted({tuple(sorted(pair)) for pair in arrays.pairs}):
+        of_pair = np.array([float(set(each) == set(pair)) for each in arrays.pairs])
+        found.append(Hypothesis(FaultKind.PAIR, pair, none_moved, of_pair))
+    return found
