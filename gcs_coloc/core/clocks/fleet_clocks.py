@@ -140,7 +140,8 @@ class FleetClocks:
         Once for each way by which its clock is known instead, and anew after TIMESYNC was answered and is no more.
         """
         clocks = self._of(sysid)
-        if now_s - first_heard_s < _WAITED_S or not clocks.boot.stamps.known or self.settings.min_delay_s > 0.0:
+        since_s = max(first_heard_s, clocks.boot.stamps.began_at_s)
+        if now_s - since_s < _WAITED_S or not clocks.boot.stamps.known or self.settings.min_delay_s > 0.0:
             return None
         if clocks.boot.synchronised(now_s) is not None:
             clocks.unanswered_reported.clear()

@@ -16,7 +16,7 @@ import numpy as np
 _BUCKET_S = 10.0
 _BUCKETS = 30
 _LEAST_OVER_S = 60.0
-_JUMP_S = 2.0
+JUMP_S = 2.0
 _LEAST_JUMP_S = 0.5
 _BEYOND_OVERTAKING = 1.5
 _OVERTAKING_KNOWN_S = 10.0
@@ -60,16 +60,18 @@ class SenderClock:
     one is forgotten. A jump by 2^32 ms is none: boot times of 32 bits wrap after 49.7 days. After five minutes of silence it
     begins anew as well.
     `began_at_s` is when it last did (service time), `resets` how often because of a jump.
+    `newest_stamp_s` is the newest stamp, `last_difference_s` arrival minus stamp of the message that came last.
     """
 
     resets: int = 0
     began_at_s: float = float("-inf")
+    newest_stamp_s: float = float("-inf")
+    last_difference_s: float = 0.0
     drift: Drift = field(default_factory=_unmeasured)
     _buckets: deque[_Bucket] = field(default_factory=lambda: deque(maxlen=_BUCKETS))
     # What `least_difference_s` and `mean_wait_s` answer until a bucket begins, ends or has a lesser least.
     _least_s: float | None = None
     _wait_s: float | None = None
-    _newest_stamp_s: float = float("-inf")
     _jumps: list[float] = field(default_factory=list)
 
     @property
@@ -91,10 +93,10 @@ class SenderClock:
                 return False
             self.begin_anew()
         if not self._buckets:
-            self.began_at_s, self.drift, self._newest_stamp_s = received_at_s, _unmeasured(), float("-inf")
-        behind_s = self._newest_stamp_s - stamp_s
+            self.began_at_s, self.drift, self.newest_stamp_s = received_at_s, _unmeasured(), float("-inf")
+        behind_s = self.newest_stamp_s - stamp_s
         if behind_s < 0.0:
-            self._newest_stamp_s = stamp_s
+            self.newest_stamp_s = stamp_s
             self._jumps.clear()
         if not self._buckets or received_at_s - self._buckets[-1].started_s >= _BUCKET_S:
             self._learn_drift()
@@ -103,6 +105,7 @@ class SenderClock:
         elif difference_s < self._buckets[-1].least_s:
             self._buckets[-1].least_at_s, self._buckets[-1].least_s = received_at_s, difference_s
             self._least_s = self._wait_s = None
+        self.last_difference_s = difference_s
         newest = self._buckets[-1]
         newest.sum_s += difference_s
         newest.count += 1
@@ -110,9 +113,9 @@ class SenderClock:
             newest.overtaken_s = behind_s
         return True
 
-    def begin_anew(self) -> None:
-        """Forget the clock: it is another one from the next stamp on."""
-        self.resets += 1
+    def begin_anew(self, *, is_reset: bool = True) -> None:
+        """Forget the clock: it is another one from the next stamp on. `is_reset`: it counts as a reboot."""
+        self.resets += is_reset
         self._buckets.clear()
         self._least_s = self._wait_s = None
 
@@ -120,10 +123,10 @@ class SenderClock:
         """A stamp with the turns of a 32-bit millisecond counter put back where that makes it agree with the clock so far."""
         if not self._buckets:
             return stamp_s
-        expected_s = self._newest_stamp_s
+        expected_s = self.newest_stamp_s
         turned_s = stamp_s + round((expected_s - stamp_s) / _WRAP_S) * _WRAP_S
         silence_s = _BUCKETS * _BUCKET_S
-        return turned_s if -_JUMP_S <= turned_s - expected_s <= silence_s else stamp_s
+        return turned_s if -JUMP_S <= turned_s - expected_s <= silence_s else stamp_s
 
     def least_difference_s(self) -> float:
         """Service clock minus sender's clock plus the link's least delay, for the newest stamps. Only where one is known."""
@@ -152,9 +155,9 @@ class SenderClock:
 
     def _jumped(self, stamp_s: float, difference_s: float, received_at_s: float) -> float | None:
         """What a stamp is beyond to be a jump, s; None where it is none."""
-        if difference_s < self.least_difference_s() - _JUMP_S:
-            return _JUMP_S
-        off_s = self._newest_stamp_s - stamp_s
+        if difference_s < self.least_difference_s() - JUMP_S:
+            return JUMP_S
+        off_s = self.newest_stamp_s - stamp_s
         if self._jumps and off_s > 0.0:
             off_s = max(off_s, difference_s - self.least_difference_s())
         if off_s <= _LEAST_JUMP_S:
@@ -165,9 +168,9 @@ class SenderClock:
     def _overtaking_s(self, received_at_s: float) -> float:
         """How far behind a newer one a message may come, s."""
         if received_at_s - self.began_at_s < _OVERTAKING_KNOWN_S:
-            return _JUMP_S
-        seen_s = max((b.overtaken_s for b in self._buckets if received_at_s - b.started_s <= _LEAST_OVER_S), default=_JUMP_S)
-        return min(max(_BEYOND_OVERTAKING * seen_s, _LEAST_JUMP_S), _JUMP_S)
+            return JUMP_S
+        seen_s = max((b.overtaken_s for b in self._buckets if received_at_s - b.started_s <= _LEAST_OVER_S), default=JUMP_S)
+        return min(max(_BEYOND_OVERTAKING * seen_s, _LEAST_JUMP_S), JUMP_S)
 
     def _learn_drift(self) -> None:
         """Fit a line to the buckets' minima, weighed against what crystals do.

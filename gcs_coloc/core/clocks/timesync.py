@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from itertools import islice
-from math import hypot, sqrt
+from math import exp, hypot, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +36,15 @@ _ENOUGH = 9
 _SPACINGS = 8
 _FINEST_S = 0.0005
 _STEP_S = 0.1
-_RECENT_S = 10.0  # in which a clock that is wrong by a per cent, as a slow simulation's, drifts by less than a step
+_RECENT_S = 10.0
+_MOST_RATE = 0.05  # how much faster or slower a clock may run; chosen: a simulation is 1 to 4 % off the host's clock
+_WANDERING_SIGMA = 0.01  # 1-sigma of the rate of such a clock: it changes within seconds, by up to 0.03 on PX4's SIH
+_RATE_SIGMA = 0.03  # 1-sigma of such a rate before it is measured
+_WANDERING_S = 60.0  # chosen: how long a clock counts as no crystal after it was seen to be none
+_WANDERING_KNOWN_S = 5.0  # chosen: in which such a clock goes wrong by up to 0.2 s
+_OFF_FOR_S = 10.0  # chosen: a simulation that stood still once does so again
+_RATE_EXCHANGES = 5  # by which the rate of such a clock is found; chosen: one second of quick exchanges
+_CRYSTAL_OFF_S = 0.002  # stamps in whole milliseconds, and the processing on both sides
 _CONTRADICTIONS_TO_BELIEVE = 2
 _ASYMMETRY = 0.1  # how much the least delays up and down may differ, 1-sigma, as a share of one of them
 
@@ -69,7 +77,10 @@ class _Exchange(NamedTuple):
 
 
 class Causality(NamedTuple):
-    """Between what the offset (service clock minus sender's) is, whatever the delays: by the exchanges of the 10 s to `at_s`."""
+    """Between what the offset (service clock minus sender's) is at `at_s`, whatever the delays: by the last exchanges.
+
+    The bounds widen by the most that a clock's rate is off.
+    """
 
     at_s: float
     low_s: float
@@ -77,13 +88,18 @@ class Causality(NamedTuple):
 
     def is_too_early(self, stamp_s: float, received_at_s: float) -> bool:
         """Whether a stamp was made after it arrived: the clock was stepped forward."""
-        early_s = stamp_s + self.low_s - received_at_s
-        return early_s > _STEP_S and received_at_s - self.at_s <= _RECENT_S
+        age_s = received_at_s - self.at_s
+        return age_s <= _RECENT_S and self.early_s(stamp_s, received_at_s) > _STEP_S + _MOST_RATE * age_s
+
+    def early_s(self, stamp_s: float, received_at_s: float) -> float:
+        """Return by how much a stamp was made after it arrived, at least."""
+        return stamp_s + self.low_s - received_at_s
 
     def excludes(self, exchange: _Exchange) -> bool:
         """Whether an exchange was answered before it was asked, or heard before it was sent: the clock was stepped."""
-        is_recent = exchange.at_s - self.at_s <= _RECENT_S
-        return is_recent and not (-exchange.up_s <= self.high_s + _STEP_S and exchange.down_s >= self.low_s - _STEP_S)
+        age_s = exchange.at_s - self.at_s
+        off_s = _STEP_S + _MOST_RATE * age_s
+        return age_s <= _RECENT_S and not (-exchange.up_s <= self.high_s + off_s and exchange.down_s >= self.low_s - off_s)
 
 
 @dataclass(slots=True)
@@ -92,6 +108,10 @@ class RoundTrips:
 
     `contradictions`: how many in a row no delay of the link explains, as one was answered before it was asked or heard before
     it was sent. `causality` is what the last ones leave for the offset.
+
+    Where exchanges contradict each other by less than a step, the clock is no crystal: a simulation's runs fast and slow by per
+    cents and stands still at times. Then the last ones alone count, the rate is theirs, and it is as uncertain as they were off
+    what was expected of late.
     """
 
     contradictions: int = 0
@@ -102,10 +122,13 @@ class RoundTrips:
     _requested_at_s: float = float("-inf")
     _unanswered: int = 0
     _estimate: Synchronised | None = None
+    _wandered_at_s: float = float("-inf")
+    _off_s: float = 0.0
+    _last: deque[_Exchange] = field(default_factory=lambda: deque(maxlen=_RATE_EXCHANGES))
 
     def request(self, sysid: int, now_s: float, period_s: float) -> int | None:
         """Our time in ns to put into a request that is due now, or None. Quick at first, seldom where nobody answers."""
-        if now_s - self._requested_at_s < self._wait_s(period_s) - 1e-6:
+        if now_s - self._requested_at_s < self._wait_s(period_s, now_s) - 1e-6:
             return None
         self._requested_at_s = now_s
         self._unanswered += 1
@@ -117,11 +140,11 @@ class RoundTrips:
         return ts1_ns
 
     def add_answer(
-        self, ts1_ns: int, stamp_s: float, received_at_s: float, least_difference_s: float, drift: Drift
+        self, ts1_ns: int, stamp_s: float, received_at_s: float, differences_s: tuple[float, float], drift: Drift
     ) -> CoreRefusal | None:
         """Add one answer: our time as echoed, the sender's clock (s). Return why it is refused, or None where it is used.
 
-        `least_difference_s` and `drift` are what its one-way stamps say.
+        `differences_s`, arrival minus stamp, the least of a minute and the last, and `drift` are what its one-way stamps say.
         """
         requested_at_s = self._pending.pop(ts1_ns, None)
         if requested_at_s is None:
@@ -130,18 +153,32 @@ class RoundTrips:
         if not 0.0 <= round_trip_s <= _OLDEST_ANSWER_S:
             return CoreRefusal.TIMESYNC_TOO_OLD
         exchange = _Exchange(received_at_s, stamp_s - requested_at_s, received_at_s - stamp_s)
+        if self._estimate is not None:
+            off_s = abs((exchange.down_s - exchange.up_s) / 2.0 - self._estimate.offset_at_s(received_at_s))
+            kept = exp(-(received_at_s - self._estimate.at_s) / _OFF_FOR_S)
+            self._off_s = max(off_s, self._off_s * kept)
         if self.causality is not None and self.causality.excludes(exchange):
             self.contradictions += 1
             return CoreRefusal.TIMESYNC_CONTRADICTORY
         self.contradictions = 0
-        excess_s = received_at_s - stamp_s - least_difference_s
-        if not -_PLAUSIBLE_S <= excess_s <= round_trip_s + _PLAUSIBLE_S:
+        least_s, last_s = differences_s
+        if not least_s - _PLAUSIBLE_S <= received_at_s - stamp_s <= last_s + round_trip_s + _PLAUSIBLE_S:
             return CoreRefusal.TIMESYNC_OFF_BOOT_TIME
         self._unanswered = 0
         self._exchanges.append(exchange)
+        self._last.append(exchange)
         while received_at_s - self._exchanges[0].at_s > _WINDOW_S:
             self._exchanges.popleft()
-        self._estimate = _estimate(self._exchanges, drift)
+        agreeing = _agreeing(self._exchanges, drift)
+        if agreeing < len(self._exchanges):
+            self._wandered_at_s = received_at_s
+            for _ in range(len(self._exchanges) - agreeing):
+                self._exchanges.popleft()
+        if self.wanders(received_at_s):
+            now = _estimate(self._last, _rate_of(self._last))
+            self._estimate = now._replace(sigma_s=hypot(now.sigma_s, self._off_s))
+        else:
+            self._estimate = _estimate(self._exchanges, drift)
         self.causality = _causality(self._exchanges)
         return None
 
@@ -151,31 +188,58 @@ class RoundTrips:
         return self.contradictions >= _CONTRADICTIONS_TO_BELIEVE
 
     def estimate(self, now_s: float) -> Synchronised | None:
-        """What the exchanges say; None where there was none in the last five minutes."""
-        if self._estimate is None or now_s - self._estimate.at_s > _WINDOW_S:
+        """What the exchanges say; None where there was none in the last five minutes, in seconds where the clock wanders."""
+        is_crystal = self._estimate is None or self._estimate.drift.sigma < _WANDERING_SIGMA
+        if self._estimate is None or now_s - self._estimate.at_s > (_WINDOW_S if is_crystal else _WANDERING_KNOWN_S):
             return None
         return self._estimate
 
+    def wanders(self, now_s: float) -> bool:
+        """Whether the clock was seen to be no crystal within the last minute."""
+        return now_s - self._wandered_at_s <= _WANDERING_S
+
     def forget(self) -> None:
-        """The sender has rebooted: its clock is another one."""
+        """Forget the clock: it was stepped, or is another one."""
         self._pending.clear()
         self._exchanges.clear()
+        self._last.clear()
         self._estimate = None
         self.causality = None
         self._unanswered = 0
         self.contradictions = 0
 
-    def _wait_s(self, period_s: float) -> float:
+    def _wait_s(self, period_s: float, now_s: float) -> float:
         if self._unanswered >= _UNANSWERED:
             return _UNANSWERED_SLOWDOWN * period_s
-        is_quick = self.contradictions > 0 or len(self._exchanges) < _QUICK_EXCHANGES
+        is_quick = self.wanders(now_s) or self.contradictions > 0 or len(self._exchanges) < _QUICK_EXCHANGES
         return min(_QUICK_PERIOD_S, period_s) if is_quick else period_s
 
 
 def _causality(exchanges: deque[_Exchange]) -> Causality:
     at_s = exchanges[-1].at_s
     recent = [exchange for exchange in islice(reversed(exchanges), _MOST_RECENT) if at_s - exchange.at_s <= _RECENT_S]
-    return Causality(at_s, max(-exchange.up_s for exchange in recent), min(exchange.down_s for exchange in recent))
+    low_s = max(-exchange.up_s - _MOST_RATE * (at_s - exchange.at_s) for exchange in recent)
+    return Causality(at_s, low_s, min(exchange.down_s + _MOST_RATE * (at_s - exchange.at_s) for exchange in recent))
+
+
+def _agreeing(exchanges: deque[_Exchange], drift: Drift) -> int:
+    """How many of the newest exchanges leave an offset that none of them excludes."""
+    at_s, up_s, down_s = np.array(exchanges)[::-1].T
+    age_s = at_s[0] - at_s
+    unsure_s = _CRYSTAL_OFF_S + 3.0 * drift.sigma * age_s
+    low_s = np.maximum.accumulate(drift.rate * age_s - up_s - unsure_s)
+    high_s = np.minimum.accumulate(drift.rate * age_s + down_s + unsure_s)
+    return int(np.count_nonzero(low_s <= high_s))
+
+
+def _rate_of(exchanges: deque[_Exchange]) -> Drift:
+    """The rate of a clock that is no crystal: the slope of its last exchanges' middles, weighed against what such clocks do."""
+    at_s, up_s, down_s = np.array(exchanges).T
+    at_s, middle_s = at_s - at_s.mean(), (down_s - up_s) / 2.0
+    noise2 = float(np.mean((up_s + down_s) ** 2)) / 12.0 + _FINEST_S**2  # uniform between what causality leaves
+    precision = float(at_s @ at_s) / noise2 + _RATE_SIGMA**-2
+    rate = float(at_s @ (middle_s - middle_s.mean())) / noise2 / precision
+    return Drift(min(max(rate, -_MOST_RATE), _MOST_RATE), max(precision**-0.5, _WANDERING_SIGMA))
 
 
 def _estimate(exchanges: deque[_Exchange], drift: Drift) -> Synchronised:

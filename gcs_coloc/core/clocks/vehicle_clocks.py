@@ -15,12 +15,13 @@ from dataclasses import dataclass, field
 from math import hypot
 from typing import NamedTuple
 
-from gcs_coloc.core.clocks.sender_clock import CRYSTAL_DRIFT, JUMPS_TO_BELIEVE, SenderClock
+from gcs_coloc.core.clocks.sender_clock import CRYSTAL_DRIFT, JUMP_S, JUMPS_TO_BELIEVE, SenderClock
 from gcs_coloc.core.clocks.timesync import RoundTrips, Synchronised
 from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
 _SAME_CLOCK_S = 0.05
+_SAME_UNEVEN_CLOCK_S = 0.5  # chosen: what one of two messages waits more than the other
 _ONE_WAY_SIGMA_S = 0.005  # how far the least of a minute's one-way delays may be from the link's least
 _WAITS = 4.0  # a link's least delay, 1-sigma, in mean waits beyond it: radios have about one, mobile networks two to eight
 _MOST_UNKNOWN_S = 0.25
@@ -136,7 +137,7 @@ class VehicleClock:
             self._too_early += 1
             if self._too_early < JUMPS_TO_BELIEVE:
                 return False
-            self._begin_anew()
+            self._begin_anew(is_reboot=causality.early_s(stamp_s, received_at_s) >= JUMP_S)
         self._too_early = 0
         known, began_at_s = self.stamps.known, self.stamps.began_at_s
         taken = self.stamps.learn(stamp_s, received_at_s)
@@ -150,11 +151,12 @@ class VehicleClock:
         """Add an answer to TIMESYNC; return why it is refused, or None where it is used."""
         if not self.stamps.known:
             return CoreRefusal.TIMESYNC_BEFORE_BOOT_TIME
-        refusal = self.round_trips.add_answer(
-            ts1_ns, self.stamps.unwrapped(tc1_s), received_at_s, self.stamps.least_difference_s(), self.stamps.drift
-        )
+        differences_s = self.stamps.least_difference_s(), self.stamps.last_difference_s
+        stamp_s = self.stamps.unwrapped(tc1_s)
+        refusal = self.round_trips.add_answer(ts1_ns, stamp_s, received_at_s, differences_s, self.stamps.drift)
         if self.round_trips.stepped:
-            self._begin_anew()
+            # A reboot sets the clock back; a simulation that stood still for a while goes on where it was.
+            self._begin_anew(is_reboot=stamp_s < self.stamps.newest_stamp_s - _SAME_CLOCK_S)
         return refusal
 
     def add_utc(self, unix_s: float, boot_s: float, utc_minus_service_s: float) -> None:
@@ -212,13 +214,19 @@ class VehicleClock:
         if sync is None or not self.stamps.known:
             one_way = self.one_way(settings)
             return ServiceTime(device.to_service(stamp_s) - one_way.delay_s, one_way.sigma_s)
-        if abs(device.least_difference_s() - self.stamps.least_difference_s()) < _SAME_CLOCK_S:
+        if self.round_trips.wanders(now_s):
+            # The least of a minute is out of date there.
+            is_same = abs(device.last_difference_s - self.stamps.last_difference_s) < _SAME_UNEVEN_CLOCK_S
+            min_delay_s = sync.one_way_delay_s
+        else:
+            is_same = abs(device.least_difference_s() - self.stamps.least_difference_s()) < _SAME_CLOCK_S
+            min_delay_s = self.stamps.least_difference_s() - sync.offset_at_s(now_s)
+        if is_same:
             return self.to_service(stamp_s, now_s, settings)
-        min_delay_s = self.stamps.least_difference_s() - sync.offset_at_s(now_s)
         sigma_s = (sync.sigma_at_s(now_s) ** 2 + _ONE_WAY_SIGMA_S**2) ** 0.5
         return ServiceTime(device.to_service(stamp_s) - min_delay_s, sigma_s)
 
-    def _begin_anew(self) -> None:
-        self.stamps.begin_anew()
+    def _begin_anew(self, *, is_reboot: bool) -> None:
+        self.stamps.begin_anew(is_reset=is_reboot)
         self.round_trips.forget()
         self._by_utc = None

@@ -29,3 +29,9 @@ def test_px4_at_rest_on_the_ground_is_healthy():
     """It states a constant position beside an absolute one there."""
     changes = [shown for _, shown in stated("px4-flight/flight.tlog", 30.0) if isinstance(shown, HealthChanged)]
     assert {(change.sysid, change.after) for change in changes} == {(sysid, "healthy") for sysid in (1, 2, 3, 4)}
+
+
+def test_the_clock_of_a_simulation_that_runs_unevenly_is_no_reboot():
+    """Up to 4 % fast and slow, and it stands still for 0.3 to 0.8 s. It answers TIMESYNC all the while."""
+    texts = [shown.text for _, shown in stated("px4-flight/flight.tlog", 75.0) if isinstance(shown, Notice)]
+    assert [text for text in texts if "clock jumped" in text or "TIMESYNC" in text] == []
