@@ -16,7 +16,7 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from sitl_fakes.nominal import PAPER_ROUTES, NominalFlight, fly_routes
+from sitl_fakes.guidance import PAPER_ROUTES, NominalFlight, fly_routes
 
 GPS_SIGMA_M = 15.0
 RANGE_SIGMA_M = 20.0

@@ -21,7 +21,7 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
 )
 from gcs_coloc.estimators.fleet.settings import FleetSettings
-from sitl_fakes.nominal import PAPER_ROUTES
+from sitl_fakes.guidance import PAPER_ROUTES
 
 _SPEED_MPS = 50.0
 _HEIGHT_SIGMA_M = 1.0

@@ -12,9 +12,8 @@ from typing import Annotated
 
 import typer
 
-from sitl_fakes.errors import FakesError, ScenarioError
 from sitl_fakes.fleet import Fleet
-from sitl_fakes.scenario import load_scenario, shipped_scenarios
+from sitl_fakes.scenario import FakesError, ScenarioError, load_scenario, shipped_scenarios
 from sitl_fakes.shell import Address, TruthFile, run
 
 # Newer Typers carry a Click of their own inside; this names the base of their usage errors in either case.

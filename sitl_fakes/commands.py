@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sitl_fakes.autopilot import ACCEPTED, DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED
 from sitl_fakes.faults import fault_of_command
 from sitl_fakes.flight_controller import FlightController
-from sitl_fakes.gps_input import fix_from_gps_input
+from sitl_fakes.receivers import fix_from_gps_input
 
 _EXTERNAL_POSITION_ESTIMATE = 43003
 _LONGEST_AGE_S = 5.0

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from sitl_fakes.errors import ScenarioError
 from sitl_fakes.faults import Fault
+from sitl_fakes.flight import SharedState, VehicleTruth
 from sitl_fakes.geodesy import Vector, WorldFrame
-from sitl_fakes.scenario import Scenario
-from sitl_fakes.truth import SharedState, VehicleTruth
+from sitl_fakes.scenario import Scenario, ScenarioError
 from sitl_fakes.vehicle import Vehicle
 
 STEP_S = 0.02

@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from itertools import count
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl_fakes.active_faults import ActiveFaults
 from sitl_fakes.ardupilot import ArduPilot
 from sitl_fakes.autopilot import Autopilot
-from sitl_fakes.clock import BootClock, OffboardClock
-from sitl_fakes.faults import ClockJump, Reboot
+from sitl_fakes.faults import ActiveFaults, ClockJump, Reboot
 from sitl_fakes.flight import Flight
 from sitl_fakes.geodesy import WorldFrame
 from sitl_fakes.guidance import Guidance
-from sitl_fakes.noise import Purpose, stream
 from sitl_fakes.parameters import Kind, Parameters
 from sitl_fakes.px4 import Px4
-from sitl_fakes.ranging import RangeSample
 from sitl_fakes.scenario import Scenario
 from sitl_fakes.scenario import Vehicle as VehicleSpec
-from sitl_fakes.snapshot import Snapshot
+from sitl_fakes.sensors import Purpose, RangeSample, stream
 from sitl_fakes.streams import Streams
+from sitl_fakes.telemetry import Snapshot
 from sitl_fakes.wire import named_range, peer_range_frame, ranging_beacon_frame
 
 _BOOTING_FOR_S = 5.0
+_MAX_LAG_S = 0.5
+_CONVERGES_OVER = 100
 _AUTOPILOTS: dict[Kind, type[ArduPilot] | type[Px4]] = {"ardupilot": ArduPilot, "px4": Px4}
 
 
@@ -150,3 +150,49 @@ class FlightController:
             true_velocity_mps=self._flight.velocity_mps,
             true_lla=self._flight.lla,
         )
+
+
+class BootClock:
+    """A vehicle's time since boot: it has an offset and a drift, and may jump."""
+
+    def __init__(self, offset_s: float, drift_ppm: float) -> None:
+        self._zero_at_s = 0.0
+        self._offset_s = offset_s
+        self._rate = 1.0 + drift_ppm * 1e-6
+
+    def boot_s(self, at_s: float) -> float:
+        """Boot time (s) at a time of the simulation (s)."""
+        return self._offset_s + (at_s - self._zero_at_s) * self._rate
+
+    def jump(self, by_s: float) -> None:
+        """Step by a time (s), forwards or back, as a clock does that is set."""
+        self._offset_s += by_s
+
+    def restart(self, at_s: float) -> None:
+        """Count from zero from a time of the simulation (s) on."""
+        self._zero_at_s = at_s
+        self._offset_s = 0.0
+
+
+class OffboardClock:
+    """Converts the times in one sender's messages to local ones, as if its shortest delay were none (JitterCorrection)."""
+
+    def __init__(self) -> None:
+        self._offset_s = math.inf
+        self._least_s = math.inf
+        self._samples = 0
+
+    def to_local_s(self, sent_s: float, received_s: float) -> float:
+        """The local time (s) of a sender's time (s) in a message that was received just now; never later than now, nor earlier by
+        more than 0.5 s.
+        """
+        difference_s = received_s - sent_s
+        self._offset_s = min(self._offset_s, difference_s)
+        if sent_s + self._offset_s < received_s - _MAX_LAG_S:
+            self._offset_s = difference_s - _MAX_LAG_S
+        self._least_s = min(self._least_s, difference_s)
+        self._samples += 1
+        local_s = sent_s + self._offset_s
+        if self._samples == _CONVERGES_OVER:
+            self._offset_s, self._least_s, self._samples = self._least_s, math.inf, 0
+        return local_s

@@ -9,10 +9,26 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from sitl_fakes.errors import ScenarioError
 from sitl_fakes.faults import AnyFault
 from sitl_fakes.guidance import EndOfRoute
 from sitl_fakes.parameters import DEFAULTS, Kind
+
+
+class FakesError(Exception):
+    """Root of all deliberate errors of the fakes."""
+
+    exit_code = 1
+
+
+class ScenarioError(FakesError):
+    """A scenario that is missing, malformed, or holds an unknown key or an impossible value."""
+
+    exit_code = 2
+
+
+class SocketError(FakesError):
+    """An address that cannot be used."""
+
 
 SystemId = Annotated[int, Field(ge=1, le=254)]
 _Share = Annotated[float, Field(ge=0.0, le=1.0)]

@@ -1,19 +1,66 @@
-"""What an aircraft measures of itself: its GPS receiver with all that can befall it, and its air data, heading and altimeter."""
+"""What an aircraft measures: its GPS receiver with all that befalls it, air data, heading, altimeter, ranges; and its noise."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 
-from sitl_fakes.faults import Fault, GpsFrozen, GpsJammed, GpsLost, GpsSpoofed
+import numpy as np
+
+from sitl_fakes.faults import Fault, GpsFrozen, GpsJammed, GpsLost, GpsSpoofed, RangeBias, RangeDropout, RangeStuck
 from sitl_fakes.geodesy import Vector
-from sitl_fakes.noise import GaussMarkov, Purpose, stream
 from sitl_fakes.receivers import GpsFix
-from sitl_fakes.scenario import DeadReckoning, Gps
+from sitl_fakes.scenario import DeadReckoning, Gps, Ranging
 
 _BARO_CORRELATION_S = 300.0
 _ROLL_NOISE_RAD = math.radians(0.5)
+_EPSILON_S = 1e-9
+
+
+class Purpose(IntEnum):
+    """What a random stream is for."""
+
+    GPS = 1
+    JAMMING = 2
+    RANGES = 3
+    PAIR_BIAS = 4
+    AIR_SENSORS = 5
+    WIND = 6
+    DOWNLINK = 7
+    UPLINK = 8
+    CLOCK = 9
+    PHASES = 10
+
+
+def stream(seed: int, purpose: Purpose, *keys: int) -> np.random.Generator:
+    """Return the generator for a purpose; `keys` are system ids."""
+    return np.random.default_rng([seed, int(purpose), *keys])
+
+
+class GaussMarkov:
+    """First-order Gauss-Markov process in `axes` dimensions with a stationary sigma; a correlation time of 0 s makes it white."""
+
+    def __init__(self, rng: np.random.Generator, sigma: float, correlation_time_s: float, axes: int) -> None:
+        self._rng = rng
+        self._sigma = sigma
+        self._time = correlation_time_s
+        self._value: list[float] = (sigma * rng.standard_normal(axes)).tolist()
+
+    @property
+    def value(self) -> list[float]:
+        """The value now, one number per axis."""
+        return self._value
+
+    def advance(self, by_s: float) -> list[float]:
+        """Move on by a time step and return the new value."""
+        keep = math.exp(-by_s / self._time) if self._time > 0.0 else 0.0
+        fresh = self._sigma * math.sqrt(1.0 - keep * keep)
+        self._value = [
+            keep * x + fresh * g for x, g in zip(self._value, self._rng.standard_normal(len(self._value)), strict=True)
+        ]
+        return self._value
 
 
 class _Jammer:
@@ -162,3 +209,68 @@ class AirSensors:
             heading_rad=heading_rad + self.heading_error_rad + math.radians(s.heading_noise_deg) * g3,
             altitude_m=altitude_m + self._baro.advance(step_s)[0],
         )
+
+
+@dataclass(frozen=True, slots=True)
+class RangeSample:
+    """One measured range (m) to a peer, with the standard deviation that the device states (m, 0 unknown) and its number."""
+
+    peer: int
+    range_m: float
+    stated_sigma_m: float
+    sequence: int
+
+
+class Ranger:
+    """The ranging device of one aircraft: measures to each of its peers in turn, `rate_hz` each, evenly spread over the
+    period.
+    """
+
+    def __init__(self, settings: Ranging, sysid: int, peers: Sequence[int], seed: int) -> None:
+        self._settings = settings
+        self._rng = stream(seed, Purpose.RANGES, sysid)
+        period = 1.0 / settings.rate_hz
+        self._due_s = {peer: k * period / len(peers) for k, peer in enumerate(peers)}
+        self._sequence = dict.fromkeys(peers, 0)
+        self._last_m: dict[int, float] = {}
+        self._bias_m = {
+            peer: settings.bias_sigma_m * float(stream(seed, Purpose.PAIR_BIAS, *sorted((sysid, peer))).standard_normal())
+            for peer in peers
+        }
+
+    def measure(self, at_s: float, own_m: Vector, others_m: Mapping[int, Vector], faults: Iterable[Fault]) -> list[RangeSample]:
+        """Return what the device reports at a time: positions are true, east, north, up in m. A peer without one is not
+        there.
+        """
+        due = [peer for peer, due_s in self._due_s.items() if due_s <= at_s + _EPSILON_S]
+        if not due:
+            return []
+        present = list(faults)
+        samples = []
+        for peer in due:
+            self._due_s[peer] += 1.0 / self._settings.rate_hz
+            peer_m = others_m.get(peer)
+            sample = None if peer_m is None else self._measure_one(peer, math.dist(own_m, peer_m), present)
+            if sample is not None:
+                samples.append(sample)
+        return samples
+
+    def _measure_one(self, peer: int, true_m: float, faults: Sequence[Fault]) -> RangeSample | None:
+        s = self._settings
+        number = self._sequence[peer]
+        self._sequence[peer] = (number + 1) & 0xFFFF
+        measured = true_m + self._bias_m[peer] + s.sigma_m * float(self._rng.standard_normal())
+        chance_lost, chance_outlier, how_long = self._rng.random(3).tolist()
+        if chance_outlier < s.outlier_share:
+            measured += s.outlier_min_m + how_long * (s.outlier_max_m - s.outlier_min_m)
+        if true_m > s.max_range_m or chance_lost < s.loss:
+            return None
+        for fault in faults:
+            if not isinstance(fault, RangeDropout | RangeBias | RangeStuck) or fault.peer not in (None, peer):
+                continue
+            if isinstance(fault, RangeDropout):
+                return None
+            measured = measured + fault.bias_m if isinstance(fault, RangeBias) else self._last_m.get(peer, measured)
+        measured = max(measured, 0.01)
+        self._last_m[peer] = measured
+        return RangeSample(peer, measured, s.sigma_m if s.stated_sigma_m is None else s.stated_sigma_m, number)

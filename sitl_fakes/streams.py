@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fakes import telemetry
 from sitl_fakes.parameters import Kind
-from sitl_fakes.snapshot import Snapshot
+from sitl_fakes.telemetry import Snapshot
 
 _EPSILON_S = 1e-9
 

@@ -11,16 +11,13 @@ import numpy as np
 from sitl_fakes.commands import handle
 from sitl_fakes.dynamics import turn_radius_m
 from sitl_fakes.faults import Fault, LinkDropout
-from sitl_fakes.flight import Flight
+from sitl_fakes.flight import Flight, VehicleTruth
 from sitl_fakes.flight_controller import FlightController
 from sitl_fakes.geodesy import Vector, WorldFrame
 from sitl_fakes.guidance import Guidance, Route
-from sitl_fakes.noise import Purpose, stream
-from sitl_fakes.ranging import Ranger
 from sitl_fakes.scenario import Scenario, Telemetry
 from sitl_fakes.scenario import Vehicle as VehicleSpec
-from sitl_fakes.sensors import GpsSensor
-from sitl_fakes.truth import VehicleTruth
+from sitl_fakes.sensors import GpsSensor, Purpose, Ranger, stream
 
 _EPSILON_S = 1e-9
 

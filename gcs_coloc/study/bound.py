@@ -15,10 +15,9 @@ import numpy as np
 from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.estimators.qu_zhang.cv_filter import transition, white_acceleration_noise
-from sitl_fakes.errors import ScenarioError
 from sitl_fakes.faults import GpsLost
 from sitl_fakes.fleet import Fleet
-from sitl_fakes.scenario import Scenario, load_scenario
+from sitl_fakes.scenario import Scenario, ScenarioError, load_scenario
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,8 @@ from gcs_coloc.core.messages.outbound import GpsInput, HealthChanged, ToVehicle
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.encoder import Encoder
 from sitl_fakes.fleet import STEP_S, Fleet
+from sitl_fakes.flight import VehicleTruth
 from sitl_fakes.scenario import Scenario
-from sitl_fakes.truth import VehicleTruth
 
 _UNIX_EPOCH_S = 1_780_000_000.0
 _SAMPLE_S = 0.2

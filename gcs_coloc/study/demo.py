@@ -23,8 +23,7 @@ from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.errors import GcsColocError, UsageError
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, Sample, fly
-from sitl_fakes.errors import ScenarioError
-from sitl_fakes.scenario import Scenario, load_scenario
+from sitl_fakes.scenario import Scenario, ScenarioError, load_scenario
 
 LIVE_S = 90.0
 DENIED = 4

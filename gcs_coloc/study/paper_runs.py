@@ -16,8 +16,7 @@ from gcs_coloc.core.measurements import (
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.paper_filters import KINDS, Draw, PaperFilters, draw
 from gcs_coloc.study.paper_options import ConstantR, PaperOptions
-from sitl_fakes.guidance import EndOfRoute
-from sitl_fakes.nominal import PAPER_ROUTES, fly_routes
+from sitl_fakes.guidance import PAPER_ROUTES, EndOfRoute, fly_routes
 
 SAMPLE_S = 0.2
 """Spacing of the series kept for figures; tables take every step."""

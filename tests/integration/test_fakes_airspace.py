@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import pytest
 
-from sitl_fakes.airspace import Airspace
+from sitl_fakes.flight import SharedState
 from sitl_fakes.scenario import SCENARIOS, load_scenario
-from sitl_fakes.truth import SharedState
+from sitl_fakes.shell import Airspace
 
 pytestmark = pytest.mark.integration
 

@@ -11,7 +11,7 @@ from bench.accuracy_runs import anees, band_95, rmse_m, take
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
 from gcs_coloc.estimators.fleet.ekf._kernels import Transition
 from gcs_coloc.estimators.fleet.ekf.state import SIZE
-from sitl_fakes.nominal import PAPER_ROUTES
+from sitl_fakes.guidance import PAPER_ROUTES
 
 TEN_SECONDS = Case(rate_hz=5.0, duration_s=10.0)
 

@@ -10,8 +10,8 @@ import typer
 from pydantic import BaseModel
 
 from sitl_fakes import cli, faults, scenario
+from sitl_fakes.flight import CSV_HEADER
 from sitl_fakes.parameters import DEFAULTS
-from sitl_fakes.truth import CSV_HEADER
 
 REFERENCE = Path(__file__).resolve().parents[3] / "docs" / "reference"
 SCENARIOS = (REFERENCE / "scenarios.md").read_text(encoding="utf-8")

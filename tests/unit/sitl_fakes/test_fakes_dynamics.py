@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sitl_fakes.airframe import GRAVITY_MPS2, aerosonde, input_matrix, state_matrix
-from sitl_fakes.dynamics import LateralAircraft, wrap_pi
+from sitl_fakes.dynamics import GRAVITY_MPS2, LateralAircraft, aerosonde, input_matrix, state_matrix, wrap_pi
 
 SPEEDS = [15.0, 22.0, 35.0, 50.0]
 

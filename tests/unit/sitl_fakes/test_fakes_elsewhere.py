@@ -6,7 +6,7 @@ import struct
 import pytest
 
 from sitl_fakes.fleet import STEP_S, Fleet
-from sitl_fakes.truth import SharedState
+from sitl_fakes.flight import SharedState
 from tests.unit.sitl_fakes.fakes_support import scenario
 
 PEER_RANGE = (181600).to_bytes(3, "little")

@@ -7,8 +7,8 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl_fakes.clock import OffboardClock
 from sitl_fakes.fleet import Fleet
+from sitl_fakes.flight_controller import OffboardClock
 from tests.unit.sitl_fakes.fakes_support import GroundStation, lost, parse, scenario
 
 

@@ -10,12 +10,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sitl_fakes.errors import ScenarioError
 from sitl_fakes.faults import GpsLost
 from sitl_fakes.fleet import Fleet
-from sitl_fakes.noise import GaussMarkov
-from sitl_fakes.ranging import Ranger
-from sitl_fakes.scenario import Ranging
+from sitl_fakes.scenario import Ranging, ScenarioError
+from sitl_fakes.sensors import GaussMarkov, Ranger
 from tests.unit.sitl_fakes.fakes_support import EXACT, parse, scenario
 
 PEER_RANGE = (181600).to_bytes(3, "little")

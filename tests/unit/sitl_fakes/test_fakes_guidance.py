@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from sitl_fakes.dynamics import LateralAircraft
-from sitl_fakes.guidance import Circle, EndOfRoute, Guidance, Leg, Route, heading_for_course
-from sitl_fakes.nominal import PAPER_ROUTES, fly_routes
+from sitl_fakes.guidance import PAPER_ROUTES, Circle, EndOfRoute, Guidance, Leg, Route, fly_routes, heading_for_course
 
 
 @pytest.mark.parametrize(

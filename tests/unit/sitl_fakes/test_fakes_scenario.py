@@ -15,10 +15,9 @@ import pytest
 
 from gcs_coloc.recorder.side_tables import read_truth
 from sitl_fakes import cli
-from sitl_fakes.errors import ScenarioError
 from sitl_fakes.fleet import Fleet
-from sitl_fakes.nominal import PAPER_ROUTES
-from sitl_fakes.scenario import SCENARIOS, load_scenario
+from sitl_fakes.guidance import PAPER_ROUTES
+from sitl_fakes.scenario import SCENARIOS, ScenarioError, load_scenario
 from tests.unit.sitl_fakes.fakes_support import aid
 
 GOOD = 'name = "x"\n[origin]\nlat_deg = 47.0\nlon_deg = 8.0\n[[vehicle]]\nsysid = 1\nwaypoints = [[0, 0], [0, 1000]]\n'

@@ -9,8 +9,8 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, fly
 from gcs_coloc.study.demo import draw, figures
+from sitl_fakes.flight import VehicleTruth
 from sitl_fakes.scenario import Scenario, load_scenario
-from sitl_fakes.truth import VehicleTruth
 
 LOST_S = 20.0
 
