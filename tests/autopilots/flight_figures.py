@@ -1,0 +1,231 @@
+"""What a flight was worth: the autopilot's and the service's positions against the simulator's truth, and one table of it all."""
+
+from __future__ import annotations
+
+import bisect
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from four_ship import FourShip
+from pilot import Place3D, offset_m
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+_LONGEST_GAP_S = 0.4
+"""Truth is interpolated over no more: 8 m of flight at 22 m/s, straight to within a decimetre in a turn of 45 degrees of bank."""
+
+SETTLED_S = 15.0
+"""From so long after the fault on an estimate counts as settled."""
+
+BOUND_95_PER_RMS = 1.73
+"""95 % of a Rayleigh distribution over its root mean square: sqrt(-ln 0.05); horiz_accuracy is the root mean square."""
+
+_SERVICE = 254
+_FROM_POSITION = 1e-7
+
+
+@dataclass
+class Figures:
+    """The figures of one flight; lengths in m, times in s, None where the flight has no such thing."""
+
+    flight: str
+    ekf_rmse_m: float | None = None
+    ekf_largest_m: float | None = None
+    ekf_first_15_s_m: float | None = None
+    our_rmse_m: float | None = None
+    our_largest_m: float | None = None
+    stated_ratio: float | None = None
+    """Root mean square of error over stated standard deviation (horiz_accuracy): 1 is honest."""
+    beyond_3_bounds: int | None = None
+    altitude_sd_with_gps_m: float | None = None
+    altitude_sd_aided_m: float | None = None
+    named_after_s: float | None = None
+    switched_after_s: float | None = None
+    suspects: list[str] = field(default_factory=list)
+    longest_silence_s: float | None = None
+    log_lines: int | None = None
+    notes: list[str] = field(default_factory=list)
+
+    def row(self) -> str:
+        """One line of the table (Markdown)."""
+
+        def cell(value: float | int | None) -> str:
+            return "-" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)
+
+        numbers = [
+            self.ekf_rmse_m, self.ekf_largest_m, self.ekf_first_15_s_m, self.our_rmse_m, self.our_largest_m, self.stated_ratio,
+            self.beyond_3_bounds, self.altitude_sd_with_gps_m, self.altitude_sd_aided_m, self.named_after_s,
+            self.switched_after_s,
+        ]  # fmt: skip
+        rest = [", ".join(self.suspects) or "none", cell(self.longest_silence_s), cell(self.log_lines), "; ".join(self.notes)]
+        return "| " + " | ".join([self.flight, *map(cell, numbers), *rest]) + " |"
+
+
+HEADER = (
+    "| flight | EKF rmse | most | first 15 s | ours rmse | most | error/stated | beyond 3 bounds | alt sd GPS | alt sd aided |"
+    " named | switched | sound suspects | no aid | log lines | notes |\n|" + "---|" * 16
+)
+
+
+class Truth:
+    """A vehicle's true positions, to be had at any time that they cover."""
+
+    def __init__(self, places: Sequence[Place3D]) -> None:
+        self._places = sorted(places, key=lambda p: p.unix_s)
+        self._times_s = [p.unix_s for p in self._places]
+
+    def at(self, unix_s: float) -> Place3D | None:
+        """Position at a time, None where the truth has a gap."""
+        i = bisect.bisect_left(self._times_s, unix_s)
+        if i == 0 or i == len(self._times_s):
+            return None
+        a, b = self._places[i - 1], self._places[i]
+        if b.unix_s - a.unix_s > _LONGEST_GAP_S:
+            return None
+        share = (unix_s - a.unix_s) / max(b.unix_s - a.unix_s, 1e-9)
+        lat, lon, alt = (
+            x + share * (y - x)
+            for x, y in ((a.lat_deg, b.lat_deg), (a.lon_deg, b.lon_deg), (a.alt_m, b.alt_m))
+        )  # fmt: skip
+        return Place3D(unix_s, lat, lon, alt)
+
+    def nearest(self, unix_s: float) -> Place3D:
+        """The position whose time is nearest."""
+        i = bisect.bisect_left(self._times_s, unix_s)
+        return min(self._places[max(i - 1, 0) : i + 1], key=lambda p: abs(p.unix_s - unix_s))
+
+    def altitudes_m(self, begins_s: float, ends_s: float) -> list[float]:
+        """True altitudes between two times."""
+        return [p.alt_m for p in self._places if begins_s <= p.unix_s < ends_s]
+
+
+@dataclass(frozen=True)
+class Sent:
+    """A fix as the service sent it: its time of sending, position, stated standard deviation (m), fix type."""
+
+    place: Place3D
+    accuracy_m: float
+    fix_type: int
+
+
+def errors_m(places: Sequence[Place3D], truth: Truth, begins_s: float, ends_s: float, age_s: float = 0.0) -> list[float]:
+    """Horizontal errors of positions between two times; each is of `age_s` before its stamp."""
+    within = [p for p in places if begins_s <= p.unix_s < ends_s]
+    return [math.hypot(*offset_m(true, p)) for p in within if (true := truth.at(p.unix_s - age_s)) is not None]
+
+
+def rms(values: Sequence[float]) -> float | None:
+    """Root mean square, None of nothing."""
+    return float(np.sqrt(np.mean(np.square(values)))) if values else None
+
+
+def altitude_sd_m(truth: Truth, begins_s: float, ends_s: float) -> float | None:
+    """Standard deviation of the true altitude, m: about its own mean, since the mission holds one altitude."""
+    altitudes = truth.altitudes_m(begins_s, ends_s)
+    return float(np.std(altitudes)) if len(altitudes) > 20 else None
+
+
+def sent_fixes(recording: Path, target: int | None = None) -> list[Sent]:
+    """GPS_INPUT and GLOBAL_POSITION_SENSOR that the service sent, from its recording, in order of time.
+
+    GPS_INPUT names no target; one denied vehicle at a time is judged, standby streams stand aside by `target` (None: all).
+    """
+    out = []
+    for unix_s, message in recorded(recording):
+        if message.get_srcSystem() != _SERVICE:
+            continue
+        kind = message.get_type()
+        if kind == "GPS_INPUT":
+            place = Place3D(unix_s, message.lat * _FROM_POSITION, message.lon * _FROM_POSITION, message.alt)
+            out.append(Sent(place, message.horiz_accuracy, message.fix_type))
+        elif kind == "GLOBAL_POSITION_SENSOR" and target in (None, message.target_system):
+            place = Place3D(unix_s, message.lat * _FROM_POSITION, message.lon * _FROM_POSITION, message.alt)
+            out.append(Sent(place, message.eph, 3))
+    return out
+
+
+def recorded(recording: Path) -> list[tuple[float, Any]]:
+    """Messages of a tlog with their UNIX times."""
+    data = recording.read_bytes()
+    parser = mavlink.MAVLink(None)
+    parser.robust_parsing = True
+    out: list[tuple[float, Any]] = []
+    at = 0
+    while at + 8 + 12 <= len(data):
+        stamp = struct.unpack_from(">Q", data, at)[0] * 1e-6
+        size = 12 + data[at + 9] + (13 if data[at + 10] & 1 else 0) if data[at + 8] == 0xFD else 8 + data[at + 9]
+        out += [(stamp, message) for message in parser.parse_buffer(data[at + 8 : at + 8 + size]) or []]
+        at += 8 + size
+    return out
+
+
+def belongs(sent: Sent, truth: Truth, others: Sequence[Truth]) -> bool:
+    """Whether a sent fix is about the vehicle of `truth`: the nearest of all (they fly hundreds of metres apart)."""
+
+    def away_m(one: Truth) -> float:
+        return math.hypot(*offset_m(one.nearest(sent.place.unix_s), sent.place))
+
+    away = away_m(truth)
+    return all(away <= away_m(other) for other in others)
+
+
+def judge(ship: FourShip, denied: int, age_s: float, name: str) -> Figures:
+    """The figures of one denied vehicle of a flight that is over. What was sent is of `age_s` before it was sent."""
+    case, pilot = ship.case, ship.pilots[denied]
+    truth = Truth(pilot.truth)
+    begins_s, ends_s = ship.begins_s, ship.ends_s
+    out = Figures(name)
+    believed = errors_m(pilot.believed, truth, begins_s + SETTLED_S, ends_s)
+    out.ekf_rmse_m, out.ekf_largest_m = rms(believed), max(believed, default=None)
+    out.ekf_first_15_s_m = max(errors_m(pilot.believed, truth, begins_s, begins_s + SETTLED_S), default=None)
+    out.altitude_sd_with_gps_m = altitude_sd_m(truth, begins_s - case.before_s, begins_s)
+    out.altitude_sd_aided_m = altitude_sd_m(truth, begins_s + SETTLED_S, ends_s)
+    sound = [n for n in ship.pilots if n not in case.denied]
+    if ship.service is not None:
+        others = [Truth(p.truth) for n, p in ship.pilots.items() if n != denied]
+        fixes = [f for file in ship.service.recordings for f in sent_fixes(file, denied) if belongs(f, truth, others)]
+        _judge_sent(out, fixes, truth, begins_s, ends_s + case.after_s, age_s)
+        since = [(at, n, state) for at, n, state in ship.service.states if at >= begins_s]
+        out.named_after_s = next((at - begins_s for at, n, state in since if n == denied and state == "failed"), None)
+        accused = {n: at - begins_s for at, n, state in reversed(since) if n in sound and state in ("suspect", "failed")}
+        out.suspects = [f"{n} after {at:.0f} s" for n, at in sorted(accused.items())]
+        out.log_lines = len(ship.service.log.read_text(encoding="utf-8", errors="replace").splitlines())
+        out.switched_after_s = next(
+            (float(m[1]) - begins_s for m in _switches(ship.service.recordings) if float(m[1]) >= begins_s), None
+        )
+    return out
+
+
+def _judge_sent(out: Figures, fixes: Sequence[Sent], truth: Truth, begins_s: float, ends_s: float, age_s: float) -> None:
+    good = [f for f in fixes if f.fix_type >= 3 and begins_s + SETTLED_S <= f.place.unix_s < ends_s]
+    pairs = [
+        (math.hypot(*offset_m(true, f.place)), f.accuracy_m)
+        for f in good
+        if (true := truth.at(f.place.unix_s - age_s)) is not None
+    ]
+    out.our_rmse_m, out.our_largest_m = rms([e for e, _ in pairs]), max((e for e, _ in pairs), default=None)
+    out.stated_ratio = rms([e / s for e, s in pairs])
+    out.beyond_3_bounds = sum(e > 3.0 * BOUND_95_PER_RMS * s for e, s in pairs) if pairs else None
+    times = [f.place.unix_s for f in fixes if f.fix_type >= 3 and begins_s <= f.place.unix_s < ends_s]
+    out.longest_silence_s = max((b - a for a, b in pairwise(times)), default=None)
+
+
+def _switches(recordings: Sequence[Path]) -> list[tuple[str, float]]:
+    """PARAM_SET of GPS_PRIMARY that the service sent: the name and the time."""
+    return [
+        (message.param_id, unix_s)
+        for file in recordings
+        for unix_s, message in recorded(file)
+        if message.get_type() == "PARAM_SET" and message.get_srcSystem() == _SERVICE and message.param_id == "GPS_PRIMARY"
+    ]
+
+
+def at_most(**limits: tuple[float | None, float]) -> None:
+    """Fail with every figure that is missing or beyond its limit."""
+    missed = [f"{name} {found} > {limit}" for name, (found, limit) in limits.items() if found is None or not found <= limit]
+    assert not missed, "; ".join(missed)

@@ -1,0 +1,110 @@
+"""How four PX4 quadrotors of SIH fly a case: take-off, orbits, the receiver switched off by PX4's own failure injection."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from four_ship import HEIGHT_M, Case, FourShip, in_flight, place
+from pilot import Pilot
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from simulators import ORIGIN_ALT_M, px4
+
+# Ports that PX4's own start-up script gives to its instances (px4-rc.mavlinksim): ground station, onboard, truth of SIH.
+_GROUND_STATION_PORT, _ONBOARD_PORT, _TRUTH_PORT = 14550, 14540, 19410
+_GPS_UNIT, _FAILURE_OFF, _FAILURE_NONE = 4, 1, 0
+"""FAILURE_UNIT_SENSOR_GPS, FAILURE_TYPE_OFF, FAILURE_TYPE_OK."""
+
+_INJECT_FAILURE = 420
+_ORBIT_RADIUS_M, _ORBIT_SPEED_MPS = 60.0, 6.0
+_READY_S = 120.0
+
+GUIDE: Mapping[str, float] = {
+    "EKF2_AGP0_CTRL": 1,
+    "EKF2_AGP0_ID": 1,
+    "EKF2_AGP0_DELAY": 0,
+}
+_DRIVER: Mapping[str, float] = {
+    "SYS_FAILURE_EN": 1,
+    "COM_RC_IN_MODE": 4,  # no transmitter
+    "NAV_RCL_ACT": 0,
+    "NAV_DLL_ACT": 0,
+    "COM_DISARM_PRFLT": -1,
+    "SIH_WIND_N": 3,
+    "SIH_WIND_E": -5,
+}
+
+
+@dataclass(frozen=True)
+class Px4Flight:
+    """The simulator's model and the parameters of the guide; set before the boot, since PX4 reads some of them then only."""
+
+    model: str
+    parameters: Mapping[str, float]
+    announced_delay_s: float = 0.0
+    """GLOBAL_POSITION_SENSOR is stamped on arrival."""
+
+    def fly(self, case: Case, program: Path, directory: Path) -> FourShip:
+        """On the ground for a while, up, into orbits, then the fault and what follows. Returns when all is over."""
+        parameters = {**_DRIVER, **self.parameters, **case.parameters}
+
+        def start(sysid: int, _service_port: int, _driver_port: int):
+            return px4(program, self.model, sysid, place(sysid), directory / f"vehicle{sysid}", parameters)
+
+        ports = {"service_port": _GROUND_STATION_PORT, "pilot_port": lambda sysid: _ONBOARD_PORT + sysid - 1}
+        with in_flight(
+            case, directory, start, truth_port=lambda sysid: _TRUTH_PORT + sysid - 1, ranges_direct=True, **ports
+        ) as ship:
+            pilots = ship.pilots.values()
+            ship.wait("heartbeats", lambda: all("HEARTBEAT" in p.latest for p in pilots), 60.0)
+            ship.run(25.0)  # EKF2 and the service see them at rest
+            for pilot in pilots:
+                pilot.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS, 2e5)
+                self._take_off(ship, pilot)
+            ship.wait("climb", lambda: all(p.truth and p.truth[-1].alt_m > _altitude_m(p.sysid) - 5.0 for p in pilots))
+            for pilot in pilots:
+                where = place(pilot.sysid)
+                altitude_m = ORIGIN_ALT_M + HEIGHT_M[pilot.sysid] / 3.0
+                pilot.command_int(
+                    mavlink.MAV_CMD_DO_ORBIT,
+                    (_ORBIT_RADIUS_M, _ORBIT_SPEED_MPS, 0.0, 0.0),
+                    where.lat_deg,
+                    where.lon_deg,
+                    altitude_m,
+                )
+            ship.run(30.0)
+            ship.befall()
+        return ship
+
+    def _take_off(self, ship: FourShip, pilot: Pilot) -> None:
+        ends_s = time.monotonic() + _READY_S
+        while time.monotonic() < ends_s:
+            where, height_m = place(pilot.sysid), HEIGHT_M[pilot.sysid] / 3.0
+            pilot.command(
+                mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, float("nan"), where.lat_deg, where.lon_deg, ORIGIN_ALT_M + height_m
+            )
+            if pilot.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 0:
+                return
+            ship.run(2.0)
+        raise TimeoutError(f"vehicle {pilot.sysid} does not arm: {[text for _, text in pilot.texts[-6:]]}")
+
+
+def _altitude_m(sysid: int) -> float:
+    """A third of the planes' heights is enough for a quadrotor."""
+    return ORIGIN_ALT_M + HEIGHT_M[sysid] / 3.0
+
+
+def lose_gps(ship: FourShip) -> None:
+    """The receivers of the denied vehicles are off."""
+    for sysid in ship.case.denied:
+        assert ship.pilots[sysid].command(_INJECT_FAILURE, _GPS_UNIT, _FAILURE_OFF, 0) == 0
+        ship.event(sysid, "gps loss begins")
+
+
+def restore(ship: FourShip) -> None:
+    """The receivers are on again."""
+    for sysid in ship.case.denied:
+        ship.pilots[sysid].command(_INJECT_FAILURE, _GPS_UNIT, _FAILURE_NONE, 0)
+        ship.event(sysid, "gps loss ends")

@@ -1,0 +1,77 @@
+"""Four real ArduPlanes in the closed loop, with the parameters of the guide: does each flight reach its goal?"""
+
+from __future__ import annotations
+
+import pytest
+from flight_figures import at_most
+from four_ship import ArduPilotFlight, Case
+from simulator_faults import Ramp, WindStep, jam, lose_gps, restore, step_of_200_m
+from simulators import PLANE
+
+AUTOPILOT = "arduplane"
+pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
+
+FLOWN_AS = ArduPilotFlight("plane", PLANE, auto_mode=10, half_sides_m=(250.0, 180.0))
+"""A turn every 15 s or so."""
+
+
+def test_loss(flown):
+    case = Case("loss", begin=lose_gps, end=restore, after_s=30.0)
+    _, [f] = flown(case)
+    assert f.suspects == []
+    assert f.altitude_sd_with_gps_m is not None
+    at_most(
+        ekf_rmse=(f.ekf_rmse_m, 1.0),
+        ekf_largest=(f.ekf_largest_m, 3.0),
+        ours=(f.our_rmse_m, 0.9),
+        beyond_3_bounds=(f.beyond_3_bounds, 0),
+        altitude_sd=(f.altitude_sd_aided_m, 1.3 * f.altitude_sd_with_gps_m),
+    )
+
+
+def test_loss_with_a_step_of_wind(flown):
+    case = Case("loss, wind steps", begin=lose_gps, during=WindStep().during)
+    _, [f] = flown(case)
+    assert f.suspects == []
+    at_most(ekf_rmse=(f.ekf_rmse_m, 2.5), ekf_largest=(f.ekf_largest_m, 10.0), beyond_3_bounds=(f.beyond_3_bounds, 0))
+
+
+def test_spoof_by_a_step(flown):
+    case = Case("spoof 200 m", begin=step_of_200_m, duration_s=110.0, end=restore, after_s=45.0)
+    _, [f] = flown(case)
+    assert f.suspects == []
+    at_most(named=(f.named_after_s, 5.0), beyond_3_bounds=(f.beyond_3_bounds, 0))
+
+
+def test_spoof_by_a_ramp(flown):
+    ramp = Ramp(2.0)
+    case = Case("spoof 2 m/s", begin=ramp.begin, during=ramp.during, duration_s=90.0)
+    _, [f] = flown(case)
+    assert f.suspects == []
+    at_most(named=(f.named_after_s, 6.0), switched=(f.switched_after_s, (f.named_after_s or 0.0) + 1.0))
+
+
+def test_jam(flown):
+    case = Case("jam", begin=jam, end=restore, after_s=45.0)
+    _, [f] = flown(case)
+    assert f.suspects == []
+    at_most(
+        ekf_rmse=(f.ekf_rmse_m, 1.5),
+        ekf_first_15_s=(f.ekf_first_15_s_m, 60.0),
+        beyond_3_bounds=(f.beyond_3_bounds, 0),
+        log_lines=(f.log_lines, 30),
+    )
+
+
+def test_two_lost_at_once(flown):
+    _, rows = flown(Case("two lost", denied=(3, 4), begin=lose_gps))
+    for f in rows:
+        assert f.suspects == []
+        at_most(ours=(f.our_rmse_m, 1.5), beyond_3_bounds=(f.beyond_3_bounds, 0))
+
+
+def test_service_started_in_flight(flown):
+    ship, [f] = flown(Case("started in flight", starts_in_flight=True, before_s=40.0, duration_s=5.0))
+    assert ship.service is not None
+    f.suspects = [f"{n} {state}" for _, n, state in ship.service.states if state in ("suspect", "failed")]
+    assert f.suspects == []
