@@ -113,14 +113,14 @@ def test_the_vehicles_time_is_used_where_the_hosts_is_wrong_or_unknown():
         e = engine()
         e.receive(reference)
         aid = aids(fly(e, 0.0, 5.0, lie_s=-777.0))[-1]
-        # Sent at 4.9 s for 0.2 s before; the third vehicle's wrong time is outvoted.
-        assert week_offset_s(aid) == pytest.approx(truth_s(4.7), abs=2e-3)
+        # Sent at 4.9 s for 0.1 s before; the third vehicle's wrong time is outvoted.
+        assert week_offset_s(aid) == pytest.approx(truth_s(4.8), abs=2e-3)
 
 
 def test_the_hosts_time_is_used_where_it_is_disciplined_whatever_the_vehicles_say():
     e = engine()
     e.receive(ClockReference(0.0, UNIX_S - 9.0, True))
-    assert week_offset_s(aids(fly(e, 0.0, 5.0))[-1]) == pytest.approx(truth_s(4.7) - 9.0, abs=2e-3)
+    assert week_offset_s(aids(fly(e, 0.0, 5.0))[-1]) == pytest.approx(truth_s(4.8) - 9.0, abs=2e-3)
 
 
 def test_each_vehicle_is_asked_for_its_time_and_one_without_a_route_is_not():
