@@ -111,9 +111,13 @@ class FleetReview:
 
     def decide_aiding(self, vehicle: ReportedState, now_s: float) -> tuple[Outbound, ...]:
         """Decide on the aiding of one vehicle; return what is to be sent and shown."""
-        sysid = vehicle.sysid
-        decision = self._decisions[sysid] = self._stages.aiding.review(
-            vehicle, self._stages.gps_health.state(sysid), now_s, has_duplicate_id=self._stages.clocks.has_duplicate_id(sysid)
+        sysid, s = vehicle.sysid, self._stages
+        decision = self._decisions[sysid] = s.aiding.review(
+            vehicle,
+            s.gps_health.state(sysid),
+            now_s,
+            has_duplicate_id=s.clocks.has_duplicate_id(sysid),
+            reports_false_fix=s.gps_health.reports_false_fix(sysid),
         )
         return decision.outputs
 

@@ -23,7 +23,6 @@ from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 _AIDED_STATES = (GpsState.FAILED, GpsState.RECOVERING)
 _STANDBY_STATES = (GpsState.HEALTHY, GpsState.SUSPECT)
-_FIX_FRESH_S = 3.0  # chosen: as long as a receiver may be silent
 _HEARTBEAT_WITHIN_S = 3.0  # autopilots send one each second
 
 
@@ -71,8 +70,13 @@ class Aiding:
         else:
             self._primary_overrides[sysid] = override
 
-    def review(self, vehicle: ReportedState, gps_state: GpsState, now_s: float, *, has_duplicate_id: bool) -> AidingDecision:
-        """Begin, change or end the stream of one vehicle by its GPS health, autopilot, route and the operator's override."""
+    def review(
+        self, vehicle: ReportedState, gps_state: GpsState, now_s: float, *, has_duplicate_id: bool, reports_false_fix: bool
+    ) -> AidingDecision:
+        """Begin, change or end the stream of one vehicle by its GPS health, autopilot, route and the operator's override.
+
+        `reports_false_fix`: its own receiver has failed and reports a fix all the same, or one that came and went.
+        """
         sysid, stream = vehicle.sysid, self._streams.get(vehicle.sysid)
         out: list[Outbound] = list(self._foreign.review(sysid, now_s))
         if stream is not None and stream.purpose is Purpose.HAND_BACK and gps_state is not GpsState.HEALTHY:
@@ -97,7 +101,9 @@ class Aiding:
             change = stream.acknowledgement.review(now_s)
             if change is not None:
                 out.append(Notice(now_s, sysid, *change))
-        out.extend(self._primary.review(sysid, now_s, wanted=self._primary_wanted(vehicle, gps_state, stream, now_s)))
+        out.extend(
+            self._primary.review(sysid, now_s, wanted=self._primary_wanted(sysid, stream, reports_false_fix=reports_false_fix))
+        )
         is_self_fed = self._override(sysid) is AidingOverride.ON or self._primary.holds(sysid)
         is_aided = stream is not None and (gps_state in _AIDED_STATES or is_self_fed)
         out.extend(self._report_inhibit(vehicle, purpose, inhibit, now_s))
@@ -267,9 +273,8 @@ class Aiding:
         feeds = feeds_receiver(method_for(sysid, vehicle.autopilot, self._settings))
         return Purpose.STANDBY if self._settings.standby and feeds and gps_state in _STANDBY_STATES else None
 
-    def _primary_wanted(self, vehicle: ReportedState, gps_state: GpsState, stream: AidingStream | None, now_s: float) -> bool:
+    def _primary_wanted(self, sysid: int, stream: AidingStream | None, *, reports_false_fix: bool) -> bool:
         """Return whether GPS_PRIMARY is to be our receiver: begun only where that acknowledges our fix, kept while aid lasts."""
-        sysid = vehicle.sysid
         override = self._primary_overrides.get(sysid, PrimaryOverride.AUTO)
         if stream is None or stream.purpose is not Purpose.AID or not feeds_receiver(stream.name):
             return False
@@ -280,12 +285,4 @@ class Aiding:
             return override is PrimaryOverride.OURS or is_automatic
         if stream.inhibit is not None or stream.acknowledgement is None or not stream.acknowledgement.acknowledged:
             return False
-        return override is PrimaryOverride.OURS or (is_automatic and _reports_fix(vehicle, gps_state, stream, now_s))
-
-
-def _reports_fix(vehicle: ReportedState, gps_state: GpsState, stream: AidingStream, now_s: float) -> bool:
-    """Return whether a failed receiver reports a fix all the same, or did in between (jamming flickers)."""
-    receiver = vehicle.receiver
-    reports = receiver is not None and receiver.fix_type >= 3 and now_s - receiver.received_at_s <= _FIX_FRESH_S
-    flickered = stream.own_fix_flickered(is_recovering=gps_state is GpsState.RECOVERING)
-    return gps_state is GpsState.FAILED and (reports or flickered)
+        return override is PrimaryOverride.OURS or (is_automatic and reports_false_fix)

@@ -111,7 +111,6 @@ class AidingStream:
         self._sysid = sysid
         self._purpose = purpose
         self._purpose_since_s = now_s
-        self._own_fix_flickered = False
         self._schedule = schedule
         self._transmits = transmits
         is_reported = transmits and feeds_receiver(name) and settings.gps_id < _REPORTED_RECEIVERS
@@ -137,11 +136,6 @@ class AidingStream:
     def purpose_for_s(self, now_s: float) -> float:
         """Return for how long the purpose has been the same, s."""
         return now_s - self._purpose_since_s
-
-    def own_fix_flickered(self, *, is_recovering: bool) -> bool:
-        """Add whether the vehicle's own GPS is recovering; return whether it ever was since the stream began."""
-        self._own_fix_flickered = self._own_fix_flickered or is_recovering
-        return self._own_fix_flickered
 
     def poll(
         self,

@@ -48,8 +48,11 @@ class GpsHealthSettings:
     while SYS_STATUS calls its GPS unhealthy or its EKF has no absolute position. Chosen: longer than one lost message."""
     clear_after_s: float = positive(2.0)
     """Good evidence for this long without a break makes a SUSPECT vehicle HEALTHY. Chosen: a jammed receiver flickers."""
+    steady_after_s: float = positive(3.0)
+    """A FAILED vehicle is RECOVERING after good evidence for this long without a break; twice as long after each relapse, 30 s at
+    most. Chosen: a jammed receiver has fixes for fractions of a second."""
     recover_after_s: float = positive(10.0)
-    """Good evidence for this long makes a RECOVERING vehicle HEALTHY. Chosen: long enough for the ranges to contradict it."""
+    """Good evidence for this long makes a FAILED or RECOVERING vehicle HEALTHY. Chosen: the ranges have time to contradict it."""
     silence_s: float = positive(3.0)
     """A receiver that is silent for this long is SUSPECT, and its last message counts no more."""
     max_h_acc_m: float = positive(50.0)
@@ -89,6 +92,10 @@ class GpsEvidence:
     override: GpsOverride = GpsOverride.AUTO
 
 
+_LONGEST_STEADY_S = 30.0  # chosen: a fix that comes for seconds under jamming has gone again by then
+_RELAPSE_WITHIN_S = 60.0  # chosen: a loss later than this after the recovery is another one
+_HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
+
 _NOTHING_HEARD = StatedReason(GpsReason.NOTHING_HEARD)
 _DUPLICATE_ID = StatedReason(GpsReason.DUPLICATE_ID)
 
@@ -102,6 +109,10 @@ class GpsHealth:
         self._reason = _NOTHING_HEARD
         self._since_s = 0.0
         self._good_since_s: float | None = None
+        self._relapses = 0
+        self._flickered = False
+        self._has_bad_fix = False
+        self._was_failed = False
         self._motion = MotionCheck()
         self._own_fix = ReceiverCheck()
 
@@ -115,6 +126,11 @@ class GpsHealth:
         """What speaks for the state."""
         return self._reason
 
+    @property
+    def reports_false_fix(self) -> bool:
+        """Whether the receiver of a FAILED vehicle reports a fix all the same, or one that came and went: jammed or spoofed."""
+        return self._state is GpsState.FAILED and (self._has_bad_fix or self._flickered)
+
     def add_receiver(self, fix: GpsReceiver, position: GlobalPosition | None) -> None:
         """Add a report of the vehicle's own receiver, with the position that its autopilot reported last."""
         self._own_fix.add(fix, position)
@@ -126,11 +142,15 @@ class GpsHealth:
 
     def update(self, evidence: GpsEvidence, now_s: float) -> bool:
         """Move the machine on to `now_s`; True where the state changed."""
+        receiver, fault = evidence.receiver, self._fault(evidence, now_s)
+        is_fresh = receiver is not None and now_s - receiver.received_at_s <= self._settings.silence_s
+        has_fix = is_fresh and receiver is not None and receiver.fix_type >= _HAS_FIX
+        self._has_bad_fix = has_fix and (fault is not None or evidence.override is GpsOverride.FAILED)
         if evidence.override is not GpsOverride.AUTO:
             forced = GpsState.FAILED if evidence.override is GpsOverride.FAILED else GpsState.HEALTHY
             return self._enter(forced, StatedReason(GpsReason.OVERRIDDEN, detail=evidence.override.value), now_s)
-        fault = self._fault(evidence, now_s)
         if fault is not None:
+            self._flickered = self._flickered or (self._good_since_s is not None and self._state is not GpsState.HEALTHY)
             self._good_since_s = None
             return self._bad(fault, evidence, now_s)
         if evidence.receiver is None:
@@ -144,6 +164,7 @@ class GpsHealth:
             self._reason = fault
             return False
         if self._state is GpsState.RECOVERING:
+            self._relapses += 1
             return self._enter(GpsState.FAILED, fault, now_s)
         # An identified fault has stood the test of several seconds before it is stated.
         if evidence.contradiction is not None and evidence.contradiction.is_identified:
@@ -158,11 +179,16 @@ class GpsHealth:
         fix = f"fix type {receiver.fix_type}" + (f", {receiver.satellites} satellites" if receiver.satellites is not None else "")
         untested = evidence.is_return_untested
         if self._state in (GpsState.FAILED, GpsState.RECOVERING):
-            recover_after_s = self._settings.recover_after_s
+            steady_s = min(self._settings.steady_after_s * 2.0**self._relapses, _LONGEST_STEADY_S)
+            if good_for_s < steady_s:
+                self._reason = StatedReason(GpsReason.RETURNING, limit=steady_s, detail=fix)
+                return False
+            recover_after_s = max(self._settings.recover_after_s, steady_s)
             if self._state is GpsState.FAILED or good_for_s < recover_after_s or evidence.is_return_contradicted:
                 reason = GpsReason.RETURNED_UNTESTED if untested else GpsReason.RETURNED
                 return self._enter(GpsState.RECOVERING, StatedReason(reason, limit=recover_after_s, detail=fix), now_s)
             reason = GpsReason.RECOVERED_UNTESTED if untested else GpsReason.FIX
+            self._flickered = False
             return self._enter(GpsState.HEALTHY, StatedReason(reason, detail=fix), now_s)
         if self._state is GpsState.SUSPECT and good_for_s < self._settings.clear_after_s:
             return False
@@ -218,6 +244,9 @@ class GpsHealth:
     def _enter(self, state: GpsState, reason: StatedReason[GpsReason], now_s: float) -> bool:
         changed = state is not self._state
         if changed:
+            if self._state is GpsState.HEALTHY:
+                self._relapses = self._relapses + 1 if self._was_failed and now_s - self._since_s < _RELAPSE_WITHIN_S else 0
+            self._was_failed = self._was_failed or state is GpsState.FAILED
             self._state, self._since_s = state, now_s
         self._reason = reason
         return changed
@@ -249,6 +278,10 @@ class FleetGpsHealth:
     def state(self, sysid: int) -> GpsState:
         """Return the state of a vehicle since its last update."""
         return self._of(sysid).state
+
+    def reports_false_fix(self, sysid: int) -> bool:
+        """Return whether the receiver of a FAILED vehicle reports a fix all the same, or one that came and went."""
+        return self._of(sysid).reports_false_fix
 
     def reason(self, sysid: int) -> str:
         """Return what speaks for the state, in words."""

@@ -26,6 +26,7 @@ class GpsReason(WordedReason):
     NOTHING_HEARD = "nothing_heard", "nothing heard from its GPS receiver yet"
     OVERRIDDEN = "overridden", "declared {detail} by the operator"
     FIX = "fix", "{detail}"
+    RETURNING = "returning", "{detail}: back, not for {limit:g} s without a break yet"
     RETURNED = "returned", "{detail}: back, watched for {limit:g} s"
     RETURNED_UNTESTED = "returned_untested", "{detail}: back, watched for {limit:g} s; nothing to hold it against"
     RECOVERED_UNTESTED = "recovered_untested", "{detail}; nothing to hold it against"

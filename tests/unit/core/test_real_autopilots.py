@@ -35,3 +35,11 @@ def test_the_clock_of_a_simulation_that_runs_unevenly_is_no_reboot():
     """Up to 4 % fast and slow, and it stands still for 0.3 to 0.8 s. It answers TIMESYNC all the while."""
     texts = [shown.text for _, shown in stated("px4-flight/flight.tlog", 75.0) if isinstance(shown, Notice)]
     assert [text for text in texts if "clock jumped" in text or "TIMESYNC" in text] == []
+
+
+def test_jamming_is_one_loss_and_one_recovery():
+    """The receiver's fix flickers between none and 3D several times a second for three minutes."""
+    shown = stated("arduplane-flights/jam/flight.tlog", 205.0)
+    changes = [output.after for _, output in shown if isinstance(output, HealthChanged) and output.sysid == 4]
+    assert changes == ["healthy", "suspect", "failed", "recovering", "healthy"]
+    assert len(shown) <= 30

@@ -232,3 +232,49 @@ def test_every_reason_is_worded(reason):
     text = StatedReason(reason, 1.0, 2.0, "a detail").text
     assert text
     assert "{" not in text
+
+
+def test_a_fix_that_flickers_is_neither_recovering_nor_healthy():
+    """As under jamming: a fix for 0.8 s, then none for 0.4 s, for a minute."""
+    health = healthy_until(5.0)
+    run(health, 5.2, 8.0, fix_type=1)
+    states = []
+    for i in range(50):
+        at_s = 8.2 + 1.2 * i
+        run(health, at_s, at_s + 0.6)
+        states.append(health.state)
+        run(health, at_s + 0.8, at_s + 1.0, fix_type=1)
+        states.append(health.state)
+    assert set(states) == {GpsState.FAILED}
+    assert health.health.reports_false_fix
+    run(health, 70.0, 79.8)
+    assert health.state is GpsState.RECOVERING
+    run(health, 80.0, 80.2)
+    assert health.state is GpsState.HEALTHY
+
+
+def test_after_each_relapse_a_fix_must_be_steady_for_twice_as_long():
+    """A fix that comes for five seconds at a time is recovering once and never again."""
+    health = healthy_until(5.0)
+    run(health, 5.2, 8.0, fix_type=1)
+    changes = 0
+    for i in range(20):
+        at_s = 8.2 + 6.0 * i
+        for part, fix in ((0.0, 3), (5.0, 1)):
+            before = health.state
+            run(health, at_s + part, at_s + part + (4.8 if part == 0.0 else 0.8), fix_type=fix)
+            changes += health.state is not before
+    assert changes == 2
+    assert health.state is GpsState.FAILED
+
+
+def test_a_receiver_that_comes_back_reports_no_false_fix():
+    """It is watched; GPS_PRIMARY is not to be taken from it."""
+    health = healthy_until(5.0)
+    run(health, 5.2, 20.0, fix_type=1)
+    for i in range(14):
+        run(health, 20.2 + i / 5, 20.2 + i / 5)
+        assert not health.health.reports_false_fix
+    assert health.state is GpsState.FAILED
+    run(health, 23.2, 23.4)
+    assert health.state is GpsState.RECOVERING
