@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gcs_coloc.config.sections import MavlinkConfig, RecordConfig
 from gcs_coloc.core.engine import Engine
@@ -12,8 +13,10 @@ from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.mavlink.decoder import Frame
 from gcs_coloc.mavlink.framing import RawFrame
 from gcs_coloc.recorder.journal import Journal
-from gcs_coloc.recorder.recorder import Recorder
 from gcs_coloc.recorder.side_channel import GroundTool, SideChannelRecord
+
+if TYPE_CHECKING:
+    from gcs_coloc.recorder.recorder import Recorder
 
 
 class FlightRecording:
@@ -25,8 +28,12 @@ class FlightRecording:
         Raises:
             RecordError: its directory cannot be written to.
         """
-        where = (Path(wanted.directory), wanted.rotate_mb * 1_000_000, ids.system_id, ids.component_id)
-        self._recorder = Recorder(*where) if wanted.directory else None
+        self._recorder: Recorder | None = None
+        if wanted.directory:
+            # Imported here: a service that records nothing starts without what a recording needs.
+            from gcs_coloc.recorder.recorder import Recorder
+
+            self._recorder = Recorder(Path(wanted.directory), wanted.rotate_mb * 1_000_000, ids.system_id, ids.component_id)
         self._journal = Journal(engine)
         self._ground_tools: set[tuple[int, int]] = set()
 

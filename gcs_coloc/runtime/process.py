@@ -60,6 +60,5 @@ def collect_seldom() -> None:
     more are alive than before, and now and then all objects: with many fleets that takes a sixth of the CPU, and can delay an
     output by a quarter of a second.
     """
-    gc.collect()
     gc.freeze()
     gc.set_threshold(_YOUNG_OBJECTS, _YOUNG_SEARCHES, _MIDDLE_SEARCHES)

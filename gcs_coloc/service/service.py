@@ -7,11 +7,12 @@ import logging
 import signal
 from collections.abc import Callable, Sequence
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from gcs_coloc.config.fleets import FleetOf
 from gcs_coloc.config.settings import Settings
-from gcs_coloc.core.errors import WebError
+from gcs_coloc.core.errors import GcsColocError, WebError
 from gcs_coloc.core.messages.control import CommandSource
 from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
@@ -34,6 +35,9 @@ _HEARTBEAT_EVERY_S = 1.0
 """MAVLink's customary rate of HEARTBEAT (mavlink.io, heartbeat protocol)."""
 _REFUSALS_EVERY_S = 10.0
 """Chosen: one line about refusals in this time is what a person can use."""
+_MQTT_PACKAGES = ("aiomqtt", "gcs_coloc.sinks.mqtt")
+_WEB_PACKAGES = ("starlette.applications", "prometheus_client", "uvicorn", "gcs_coloc.web.app", "gcs_coloc.web.server")
+"""What the page needs, in pieces that take some 50 ms each."""
 _ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -66,17 +70,24 @@ class Service:
         # The terminal was closed or its connection broke: the aided vehicles must learn of it. Under nohup the flight goes on.
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             loop.add_signal_handler(signal.SIGHUP, self.stop)
+        collect_seldom()
+        failure: GcsColocError | None = None
+        events = {fleet.name: fleet.path.events.subscribe() for fleet in self._fleets}
         try:
-            collect_seldom()
             for fleet in self._fleets:
-                await fleet.open()
+                await fleet.path.open()
             async with asyncio.TaskGroup() as group:
-                events = {fleet.name: fleet.path.events.subscribe() for fleet in self._fleets}
                 background = [group.create_task(console_sink.show(events, console))]
                 for number, fleet in enumerate(self._fleets):
                     # Not all at once: what many fleets do in the same moment delays what is to be sent.
                     background += fleet.start(group, number / len(self._fleets), on_terminal=console.is_terminal)
-                await self._stopping.wait()
+                try:
+                    for fleet in self._fleets:
+                        await fleet.start_observers(group)
+                    collect_seldom()
+                    await self._stopping.wait()
+                except GcsColocError as error:
+                    failure = error
                 for fleet in self._fleets:
                     fleet.stop()
                 for task in background:
@@ -84,6 +95,8 @@ class Service:
         finally:
             for fleet in self._fleets:
                 await fleet.close()
+        if failure is not None:
+            raise failure
 
 
 class _Observed:
@@ -91,37 +104,19 @@ class _Observed:
 
     def __init__(self, fleet: FleetOf, clock: ServiceClock, stopping: asyncio.Event) -> None:
         self.name = fleet.name
+        self._fleet = fleet
         self.path = FleetService(fleet.settings, clock, read_host_clock(clock()), fleet.flagged)
         self._clock = clock
         self._stopping = stopping
-        self._web = self._make_web(fleet.settings)
-        self._mqtt = self._make_mqtt(fleet.settings)
-
-    async def open(self) -> None:
-        """Open the page's address, and last the links: what they bring is not to wait."""
-        url = None
-        if self._web is not None:
-            try:
-                url = self._web.open()
-            except WebError as error:
-                if self._web.must_open:
-                    raise WebError(f"{error}; or leave the page out: --no-web") from None
-                log.warning("%s; the flight goes on without the page", error)
-                self._web = None
-        await self.path.open()
-        if url is not None:
-            log.info("%sweb page: %s", self._of, url)
+        self._web: WebServer | None = None
+        self._mqtt: Mqtt | None = None
 
     def start(self, group: asyncio.TaskGroup, phase: float, *, on_terminal: bool) -> list[asyncio.Task[None]]:
-        """Start the fleet's tasks, the periodic ones at `phase` (0 to 1) of their periods; returns those to cancel.
+        """Start the flight's tasks, the periodic ones at `phase` (0 to 1) of their periods; returns those to cancel.
 
         Snapshots are made as often as an observer shows them: seldom where there is neither a page nor a live table.
         """
-        watched_s = _SAMPLE_EVERY_S if self._web is not None else console_sink.PLAIN_EVERY_S
-        if self._web is not None:
-            group.create_task(self._web.run())
-        if self._mqtt is not None:
-            group.create_task(self._mqtt.run())
+        watched_s = _SAMPLE_EVERY_S if self._fleet.settings.web.on else console_sink.PLAIN_EVERY_S
         self.path.start()
         periodic = (
             (_TABLE_EVERY_S if on_terminal else watched_s, self.path.publish_snapshot),
@@ -129,6 +124,35 @@ class _Observed:
             (_REFUSALS_EVERY_S, self.path.publish_refusals),
         )
         return [group.create_task(self._every(period_s, phase, act)) for period_s, act in periodic]
+
+    async def start_observers(self, group: asyncio.TaskGroup) -> None:
+        """Start page and broker. Their packages are imported one by one, so that vehicles are heard between.
+
+        Raises:
+            WebError: the page's address was asked for and cannot be had.
+            ConfigError: a file of theirs is of no use.
+        """
+        settings = self._fleet.settings
+        # Not on a thread: it would hold the interpreter while a busy machine has it wait, and the flight with it.
+        for package in (*(_MQTT_PACKAGES if settings.mqtt.host else ()), *(_WEB_PACKAGES if settings.web.on else ())):
+            import_module(package)
+            await asyncio.sleep(0)
+        with self._fleet.named():
+            self._mqtt = self._make_mqtt(settings)
+            self._web = self._make_web(settings)
+        if self._mqtt is not None:
+            group.create_task(self._mqtt.run())
+        if self._web is None:
+            return
+        try:
+            log.info("%sweb page: %s", f"fleet {self.name}: " if self.name else "", self._web.open())
+        except WebError as error:
+            if self._web.must_open:
+                raise WebError(f"{error}; or leave the page out: --no-web") from None
+            log.warning("%s; the flight goes on without the page", error)
+            self._web = None
+        else:
+            group.create_task(self._web.run())
 
     def stop(self) -> None:
         """Receive nothing more, and request the observers to end."""
@@ -144,10 +168,6 @@ class _Observed:
         if self._web is not None:
             self._web.close()
 
-    @property
-    def _of(self) -> str:
-        return f"fleet {self.name}: " if self.name else ""
-
     async def _every(self, period_s: float, phase: float, act: Callable[[], None]) -> None:
         async for _ in self.path.idle.every(period_s, phase):
             act()
@@ -158,7 +178,6 @@ class _Observed:
     def _make_web(self, settings: Settings) -> WebServer | None:
         if not settings.web.on:
             return None
-        # Imported here: a service without the page starts without its packages.
         from gcs_coloc.web.app import WebHooks
         from gcs_coloc.web.pages import Pages
         from gcs_coloc.web.picture import LiveSource

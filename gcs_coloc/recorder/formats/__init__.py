@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
-from gcs_coloc.recorder.flight_history import FlightHistory
+if TYPE_CHECKING:
+    from gcs_coloc.recorder.flight_history import FlightHistory
 
 FORMATS: dict[str, tuple[str, str]] = {
     "csv": ("gcs_coloc.recorder.formats.csv_table", "write_csv"),

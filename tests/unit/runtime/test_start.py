@@ -25,6 +25,19 @@ def test_the_command_line_imports_nothing_of_the_flight_before_it_is_told_to_fly
     assert not {"numpy", "scipy", "pydantic", "pymavlink", "starlette", "matplotlib"} & set(loaded)
 
 
+def test_a_service_imports_what_only_observers_need_after_it_hears_vehicles():
+    code = (
+        "import sys, json, asyncio\n"
+        "from gcs_coloc.config.fleets import load_fleets\n"
+        "from gcs_coloc.service.service import Service\n"
+        "Service(load_fleets(None, {'links': ['udpin:127.0.0.1:1'], 'mqtt': {'host': 'localhost'}}))\n"
+        "print(json.dumps(['.'.join(m.split('.')[:2]) for m in sys.modules]))"
+    )
+    loaded = set(json.loads(run(code)))
+    assert "gcs_coloc.estimators" in loaded
+    assert not {"gcs_coloc.evaluation", "gcs_coloc.web", "mcap", "aiomqtt", "starlette", "uvicorn", "matplotlib"} & loaded
+
+
 def test_the_linear_algebra_gets_one_thread():
     told = run(f"from gcs_coloc.runtime.process import one_thread; one_thread(); {_PRODUCT}")
     assert "\nThreads:\t1\n" in told
