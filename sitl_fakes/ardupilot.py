@@ -17,6 +17,7 @@ from sitl_fakes.sensors import AirData
 
 _POSITION_NOISE_M = 0.5
 _MOST_APART_M = 50.0
+_FROM_GPS = 3.0  # EK3_SRC1_VELZ
 _NOT_CHECKED_AGAIN_S = 10.0
 
 
@@ -26,8 +27,9 @@ class ArduPilot(Autopilot):
     def __init__(self, params: Parameters, guidance: Guidance) -> None:
         super().__init__(Navigation(reset_after_s=10.0), guidance)
         self._params = params
-        self._own_used_at_s = -math.inf
+        self._used_at_s = -math.inf
         self._fused = 0
+        self._given_up_mps: list[float | None] = [None, None]  # once a driver had a vertical velocity it keeps having one
 
     def receive_own_fix(self, fix: GpsFix, at_s: float) -> None:
         """Take a message of the aircraft's own receiver, which is wired to the first port."""
@@ -88,25 +90,31 @@ class ArduPilot(Autopilot):
     def heading_command_rad(self, air: AirData, at_s: float, step_s: float) -> float:
         """Choose the receiver anew, then steer."""
         self._choose_receiver(at_s)
+        if self.source(at_s) == DEAD_RECKONING:
+            self.height.fuse(None)
         return super().heading_command_rad(air, at_s, step_s)
 
     def _receive(self, instance: int, fix: GpsFix, at_s: float) -> None:
         receiver = self.receivers[instance]
         receiver.receive(fix, at_s)
+        if fix.has_vertical_velocity and is_injected(instance, self._params):
+            self._given_up_mps[instance] = fix.velocity_enu_mps[2]
         self._choose_receiver(at_s)
         if instance == self.in_use and self._refusal(instance, at_s) is None:
             if instance != self._fused:
                 self.navigation.move_to(fix)
                 self._fused = instance
             self.navigation.correct(fix, at_s)
-            if is_own(instance, self._params):
-                self._own_used_at_s = at_s
+            self._used_at_s = at_s
+            self.height.fuse(self._given_up_mps[instance] if self._params["EK3_SRC1_VELZ"] == _FROM_GPS else None)
             self._last_used = f"gps{instance + 1}{' injected' if is_injected(instance, self._params) else ''}"
 
     def _refusal(self, instance: int, at_s: float) -> str | None:
-        """Why a receiver in use is not fused: its own one, once begun with, is not checked again until it was long gone."""
+        """Why a receiver in use is not fused. EKF3's checks are for its alignment: they are not made again until none was
+        fused for long.
+        """
         receiver = self.receivers[instance]
-        if is_own(instance, self._params) and at_s - self._own_used_at_s <= _NOT_CHECKED_AGAIN_S:
+        if at_s - self._used_at_s <= _NOT_CHECKED_AGAIN_S:
             return not_live(receiver, at_s)
         return refusal(receiver, self._params, at_s)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 from sitl_fakes.guidance import Guidance, heading_for_course
-from sitl_fakes.navigation import Navigation
+from sitl_fakes.navigation import HeightFilter, Navigation
 from sitl_fakes.receivers import GpsFix, Receiver
 from sitl_fakes.sensors import AirData
 
@@ -25,6 +25,7 @@ class Autopilot(ABC):
         self.receivers = (Receiver(), Receiver())
         self.in_use = 0
         self.navigation = navigation
+        self.height = HeightFilter()
         self.had_gps_time = False
         self.armed = True
         self._guidance = guidance
@@ -70,6 +71,7 @@ class Autopilot(ABC):
         held.
         """
         self.navigation.predict(air.airspeed_mps, air.heading_rad, step_s)
+        self.height.predict(air.climb_mps, step_s)
         position = self.navigation.position_m
         if position is None:
             if self._heading_to_hold is None:

@@ -44,7 +44,8 @@ def _accepts(vehicle: FlightController, message: Any) -> bool:
 
 
 def _gps_input(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
-    fix = fix_from_gps_input(message, vehicle.frame)
+    delay_ms = vehicle.params.get(f"GPS{message.gps_id + 1}_DELAY_MS", 0.0)
+    fix = fix_from_gps_input(message, vehicle.frame, delay_ms)
     if fix is not None:
         vehicle.autopilot.receive_gps_input(message.gps_id, fix, at_s)
     return []

@@ -33,7 +33,7 @@ class LocalWind:
 
 
 class Flight:
-    """One aircraft in the air at constant airspeed; it holds its barometric altitude, so it drifts with its altimeter.
+    """One aircraft in the air at constant airspeed; it holds the altitude that its autopilot believes, and drifts with it.
 
     While `standing` it is on the ground and does not move.
     """
@@ -85,11 +85,11 @@ class Flight:
         """Stand still on the ground for a step."""
         self.air = self._read(step_s)
 
-    def step(self, heading_cmd_rad: float, step_s: float) -> None:
-        """Fly one step towards a heading of the autopilot's own compass, which has an error."""
+    def step(self, heading_cmd_rad: float, step_s: float, height_error_m: float = 0.0) -> None:
+        """Fly one step towards a heading of the autopilot's own compass, which has an error; its height has one, too."""
         self._wind_mps = self._wind.advance(step_s)
         self._aircraft.step(heading_cmd_rad - self._sensors.heading_error_rad, step_s, *self._wind_mps)
-        too_low_m = self._target_alt_m - self.air.altitude_m
+        too_low_m = self._target_alt_m - self.air.altitude_m - height_error_m
         self.climb_mps = max(-_CLIMB_LIMIT_MPS, min(_CLIMB_LIMIT_MPS, too_low_m / _CLIMB_TIME_CONSTANT_S))
         self._up_m += self.climb_mps * step_s
         self.lla = self._frame.to_lla(*self.position_m)
@@ -97,8 +97,8 @@ class Flight:
 
     def _read(self, step_s: float) -> AirData:
         s = self._aircraft.state
-        airspeed_mps = 0.0 if self.standing else self._aircraft.airspeed_mps
-        return self._sensors.measure(airspeed_mps, s.phi_rad, s.psi_rad, self.lla[2], step_s)
+        airspeed_mps, climb_mps = (0.0, 0.0) if self.standing else (self._aircraft.airspeed_mps, self.climb_mps)
+        return self._sensors.measure(airspeed_mps, s.phi_rad, s.psi_rad, self.lla[2], climb_mps, step_s)
 
 
 @dataclass(frozen=True, slots=True)

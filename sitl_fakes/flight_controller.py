@@ -24,6 +24,8 @@ from sitl_fakes.telemetry import Snapshot
 from sitl_fakes.wire import named_range, peer_range_frame, ranging_beacon_frame
 
 _BOOTING_FOR_S = 5.0
+_FORWARD_BAD_CRC = 8
+_GROUND_STATION = 255
 _MAX_LAG_S = 0.5
 _CONVERGES_OVER = 100
 _AUTOPILOTS: dict[Kind, type[ArduPilot] | type[Px4]] = {"ardupilot": ArduPilot, "px4": Px4}
@@ -66,6 +68,7 @@ class FlightController:
         self.autopilot: Autopilot = _AUTOPILOTS[self.kind](self.params, self._guidance)
         self.offboard_clock = OffboardClock()
         self._mav = mavlink.MAVLink(None, srcSystem=self.sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._ground_station = mavlink.MAVLink(None, srcSystem=_GROUND_STATION, srcComponent=mavlink.MAV_COMP_ID_MISSIONPLANNER)
         self._sequence = count()
         phases = stream(self._seed, Purpose.PHASES, self.sysid)
         self.streams = Streams(self.kind, self.params, phases, at_s, self._scenario.truth_messages)
@@ -77,8 +80,8 @@ class FlightController:
 
     @property
     def altitude_m(self) -> float:
-        """Barometric altitude above mean sea level, m."""
-        return self._flight.air.altitude_m
+        """Altitude above mean sea level that the autopilot believes, m."""
+        return self._flight.air.altitude_m + self.autopilot.height.error_m
 
     def run(self, at_s: float) -> None:
         """Let the faults of its own befall it at a time (s): a reboot begins or is over, the clock jumps."""
@@ -106,9 +109,14 @@ class FlightController:
         self._mav.seq = self._next_sequence()
         return bytes(message.pack(self._mav))
 
-    def pack_range(self, sample: RangeSample, at_s: float) -> bytes:
-        """Encode a measured range as the scenario wants it sent."""
+    def pack_range(self, sample: RangeSample, at_s: float) -> bytes | None:
+        """Encode a measured range as the scenario wants it sent; None where the autopilot drops its companion's message.
+
+        ArduPilot forwards what it does not know only from a port with MAVn_OPTIONS bit 3 (FORWARD_BAD_CRC).
+        """
         ranging, boot_s = self._scenario.ranging, self.clock.boot_s(at_s)
+        if ranging.message == "peer_range" and not int(self.params.get("MAV2_OPTIONS", _FORWARD_BAD_CRC)) & _FORWARD_BAD_CRC:
+            return None
         if ranging.message == "named_value":
             return self.pack(named_range(boot_s, sample.peer, sample.range_m))
         time_s = boot_s if ranging.time_base == "boot" else self._unix_epoch_s + at_s
@@ -123,6 +131,11 @@ class FlightController:
             "sequence": sample.sequence,
         }
         return peer_range_frame(**common) if ranging.message == "peer_range" else ranging_beacon_frame(**common)
+
+    def pack_forwarded(self) -> bytes:
+        """Encode the heartbeat of a ground station on another port, under its own system id."""
+        beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+        return bytes(beat.pack(self._ground_station))
 
     def _next_sequence(self) -> int:
         return next(self._sequence) % 256
@@ -145,7 +158,8 @@ class FlightController:
             autopilot=self.autopilot,
             second_receiver=self.params.get("GPS2_TYPE", 0.0) != 0,
             air=self._flight.air,
-            climb_mps=self._flight.climb_mps,
+            altitude_m=self.altitude_m,
+            climb_mps=self._flight.climb_mps + self.autopilot.height.climb_error_mps,
             true_state=self._flight.state,
             true_velocity_mps=self._flight.velocity_mps,
             true_lla=self._flight.lla,

@@ -21,6 +21,7 @@ _WIND_NOISE_M2PS3 = 0.02
 _LEAST_POSITION_SIGMA_M = 0.5
 _LEAST_VELOCITY_SIGMA_MPS = 0.5
 _FIRST_WIND_SIGMA_MPS = 5.0
+_BAROMETER_TIME_S = 5.0  # chosen: below the 7 to 13 s in which a real ArduPlane's altitude swung (0.1 in the loop)
 
 
 @dataclass(slots=True)
@@ -30,6 +31,39 @@ class _Covariance:
     pp: float
     pw: float
     ww: float
+
+
+class HeightFilter:
+    """EKF3's height: the barometer's, and pulled away from it by a receiver's vertical velocity where that is fused.
+
+    The error e follows de/dt = (velocity given - true climb) - e / tau: the filter integrates the velocity and leans on the
+    barometer. A velocity that was worked out of the height that comes out of here closes a loop.
+    """
+
+    def __init__(self) -> None:
+        self._given_up_mps: float | None = None
+        self._error_m = 0.0
+        self._error_rate_mps = 0.0
+
+    @property
+    def error_m(self) -> float:
+        """Height above the barometer's, m."""
+        return self._error_m
+
+    @property
+    def climb_error_mps(self) -> float:
+        """Rate of climb above the true one, m/s."""
+        return self._error_rate_mps
+
+    def fuse(self, up_mps: float | None) -> None:
+        """Take a receiver's vertical velocity (up, m/s); None: it brings none, or it is not fused."""
+        self._given_up_mps = up_mps
+
+    def predict(self, climb_mps: float, step_s: float) -> None:
+        """Carry the height over a step with the true rate of climb (m/s), which its accelerometers show."""
+        given = 0.0 if self._given_up_mps is None else self._given_up_mps - climb_mps
+        self._error_rate_mps = given - self._error_m / _BAROMETER_TIME_S
+        self._error_m += self._error_rate_mps * step_s
 
 
 class Navigation:

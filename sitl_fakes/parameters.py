@@ -17,7 +17,10 @@ INT32 = 6
 _ARDUPILOT: dict[str, float] = {
     "EK3_CHECK_SCALE": 150.0,
     "EK3_GPS_CHECK": 31.0,
+    "EK3_SRC1_VELZ": 3.0,
+    "GPS1_DELAY_MS": 0.0,
     "GPS1_TYPE": 1.0,
+    "GPS2_DELAY_MS": 0.0,
     "GPS2_TYPE": 14.0,
     "GPS_AUTO_SWITCH": 4.0,
     "GPS_PRIMARY": 0.0,
@@ -26,6 +29,7 @@ _ARDUPILOT: dict[str, float] = {
     "MAV1_EXTRA3": 10.0,
     "MAV1_EXT_STAT": 10.0,
     "MAV1_POSITION": 10.0,
+    "MAV2_OPTIONS": 8.0,
     "MAV_GCS_SYSID": 255.0,
     "MAV_OPTIONS": 0.0,
     "SERIAL0_BAUD": 115.0,

@@ -19,7 +19,8 @@ _MAX_INTERVAL_S = 0.245
 _INTERVAL_SMOOTHING = 0.02
 _TYPE_MAVLINK = 14
 _CHECK_SATELLITES, _CHECK_HDOP, _CHECK_SPEED, _CHECK_POSITION = 1, 2, 4, 8
-_ASSUMED_AGE_S = 0.1  # what EKF3's buffer leaves of the 0.2 s that its driver announces
+_ANNOUNCED_DELAY_S = 0.2  # the driver's, where GPSn_DELAY_MS is 0
+_BUFFERED_S = 0.1  # what EKF3's buffer, sized at boot for the real receiver, has room for: 0.12 s short of 0.2 s in flight
 _HIGHEST_M = 100_000.0
 _FASTEST_MPS = 1_000.0
 _IGNORE_ALT, _IGNORE_HDOP, _IGNORE_VDOP, _IGNORE_VEL_HORIZ = 1, 2, 4, 8
@@ -43,6 +44,7 @@ class GpsFix:
     hdop: float | None
     vdop: float | None
     age_s: float = 0.0
+    has_vertical_velocity: bool = True
 
 
 class Receiver:
@@ -141,11 +143,12 @@ def refusal(receiver: Receiver, params: Mapping[str, float], at_s: float) -> str
     return None
 
 
-def fix_from_gps_input(message: Any, frame: WorldFrame) -> GpsFix | None:
+def fix_from_gps_input(message: Any, frame: WorldFrame, delay_ms: float) -> GpsFix | None:
     """Turn a decoded GPS_INPUT into a fix, or None where it holds no numbers that an aircraft can have.
 
     Ignored velocity and altitude are zero, as in the driver, and are used as if they were true; ignored accuracies are
-    unstated. The data are taken to be as old as EKF3's buffer lets them be.
+    unstated. The data are taken to be as old as `delay_ms` says (GPSn_DELAY_MS; 0: the driver's 0.2 s), and no older than
+    EKF3's buffer.
     """
     numbers = (
         message.alt,
@@ -183,5 +186,6 @@ def fix_from_gps_input(message: Any, frame: WorldFrame) -> GpsFix | None:
         speed_acc_mps=stated(_IGNORE_SPEED_ACC, message.speed_accuracy),
         hdop=stated(_IGNORE_HDOP, message.hdop),
         vdop=stated(_IGNORE_VDOP, message.vdop),
-        age_s=_ASSUMED_AGE_S,
+        age_s=min(delay_ms / 1e3 or _ANNOUNCED_DELAY_S, _BUFFERED_S),
+        has_vertical_velocity=not flags & _IGNORE_VEL_VERT,
     )

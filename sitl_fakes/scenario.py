@@ -157,7 +157,8 @@ class Scenario(_Table):
     `global_position` decides what a vehicle with GPS reports in GLOBAL_POSITION_INT: "filtered", its autopilot's estimate, or
     "raw", its receiver's fix as it is. A vehicle without `ranges_to` ranges to all others if a fault of its own GPS is
     planned, else to nobody.
-    `truth_messages` sends SIMSTATE and SIM_STATE from the start.
+    `truth_messages` sends SIMSTATE and SIM_STATE from the start. With `ground_station` a second one (system id 255) is on
+    another port of every vehicle, and its heartbeats are forwarded.
     """
 
     name: str
@@ -169,6 +170,7 @@ class Scenario(_Table):
     waypoint_radius_m: _Positive | None = None
     global_position: Literal["raw", "filtered"] = "filtered"
     truth_messages: bool = False
+    ground_station: bool = False
     origin: Origin
     wind: Wind = Wind()
     gps: Gps = Gps()

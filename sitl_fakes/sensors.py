@@ -172,13 +172,14 @@ def _walked_off(fix: GpsFix, fault: GpsSpoofed, at_s: float) -> GpsFix:
 @dataclass(frozen=True, slots=True)
 class AirData:
     """What the autopilot reads without GPS: airspeed (m/s), roll and heading (rad), barometric altitude above mean sea level
-    (m).
+    (m), rate of climb of its accelerometers (m/s).
     """
 
     airspeed_mps: float
     roll_rad: float
     heading_rad: float
     altitude_m: float
+    climb_mps: float
 
 
 class AirSensors:
@@ -198,7 +199,9 @@ class AirSensors:
         """Error of the autopilot's heading now, without its white noise, rad."""
         return self._heading_bias_rad + math.radians(self._settings.heading_wander_deg) * self._wander.value[0]
 
-    def measure(self, airspeed_mps: float, roll_rad: float, heading_rad: float, altitude_m: float, step_s: float) -> AirData:
+    def measure(
+        self, airspeed_mps: float, roll_rad: float, heading_rad: float, altitude_m: float, climb_mps: float, step_s: float
+    ) -> AirData:
         """Read all of them once, from the true values."""
         s = self._settings
         g1, g2, g3 = self._rng.standard_normal(3).tolist()
@@ -208,6 +211,7 @@ class AirSensors:
             roll_rad=roll_rad + _ROLL_NOISE_RAD * g2,
             heading_rad=heading_rad + self.heading_error_rad + math.radians(s.heading_noise_deg) * g3,
             altitude_m=altitude_m + self._baro.advance(step_s)[0],
+            climb_mps=climb_mps,
         )
 
 

@@ -26,6 +26,7 @@ _ARDUPILOT: dict[int, tuple[_Builder, float]] = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE: (telemetry.attitude, 10.0),
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (telemetry.global_position_int, 10.0),
     mavlink.MAVLINK_MSG_ID_VFR_HUD: (telemetry.vfr_hud, 5.0),
+    mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE: (telemetry.scaled_pressure, 0.0),
     mavlink.MAVLINK_MSG_ID_SIM_STATE: (telemetry.sim_state, 0.0),
     mavlink.MAVLINK_MSG_ID_GPS2_RAW: (telemetry.gps2_raw, 5.0),
     mavlink.MAVLINK_MSG_ID_SIMSTATE: (telemetry.simstate, 0.0),

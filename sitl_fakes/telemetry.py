@@ -21,7 +21,7 @@ class Snapshot:
     """One vehicle at one moment: its clocks, its autopilot, its air data, and the truth (for the simulator's own messages alone).
 
     `fixed_boot_s` is the boot time of each receiver's last fix, None where there was none. `altitude_m` and `climb_mps` are
-    the barometric ones.
+    the autopilot's; the barometer's altitude is in `air`.
     """
 
     kind: Kind
@@ -35,6 +35,7 @@ class Snapshot:
     autopilot: Autopilot
     second_receiver: bool
     air: AirData
+    altitude_m: float
     climb_mps: float
     true_state: FlightState
     true_velocity_mps: Vector
@@ -54,7 +55,7 @@ class Snapshot:
             age = self.at_s - receiver.fixed_at_s
             (east, north, _), (ve, vn, _) = receiver.fix.position_enu_m, receiver.fix.velocity_enu_mps
             position, velocity = (east + ve * age, north + vn * age), (ve, vn)
-        return self.frame.to_lla_at(*position, self.air.altitude_m), (*velocity, self.climb_mps)
+        return self.frame.to_lla_at(*position, self.altitude_m), (*velocity, self.climb_mps)
 
 
 _ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
@@ -142,9 +143,9 @@ def global_position_int(s: Snapshot) -> Any:
     reported = s.reported_position()
     heading = _centidegrees(_local_heading(s))
     if reported is None:
-        relative = round((s.air.altitude_m - s.home_alt_m) * 1000.0)
+        relative = round((s.altitude_m - s.home_alt_m) * 1000.0)
         return mavlink.MAVLink_global_position_int_message(
-            _ms(s.boot_s), 0, 0, round(s.air.altitude_m * 1000.0), relative, 0, 0, 0, heading
+            _ms(s.boot_s), 0, 0, round(s.altitude_m * 1000.0), relative, 0, 0, 0, heading
         )
     (lat, lon, alt), velocity = reported
     north, east, down = (_int16(v * 100.0) for v in s.frame.vector_to_local_ned(velocity, lat, lon))
@@ -168,7 +169,13 @@ def vfr_hud(s: Snapshot) -> Any:
     # Calibrated airspeed, as the message is defined: less than the true one where the air is thin (ISO 2533).
     temperature_share = 1.0 - 0.0065 * s.air.altitude_m / 288.15
     calibrated_mps = s.air.airspeed_mps * temperature_share ** (4.2559 / 2.0)
-    return mavlink.MAVLink_vfr_hud_message(calibrated_mps, ground_speed, heading_deg, 50, s.air.altitude_m, s.climb_mps)
+    return mavlink.MAVLink_vfr_hud_message(calibrated_mps, ground_speed, heading_deg, 50, s.altitude_m, s.climb_mps)
+
+
+def scaled_pressure(s: Snapshot) -> Any:
+    """SCALED_PRESSURE (29): the barometer alone, whatever the autopilot believes of its height. Standard atmosphere."""
+    pressure_hpa = 1013.25 * (1.0 - 0.0065 * s.air.altitude_m / 288.15) ** 5.25588
+    return mavlink.MAVLink_scaled_pressure_message(_ms(s.boot_s), pressure_hpa, 0.0, 1500)
 
 
 def ekf_status_report(s: Snapshot) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Mapping
 from itertools import count
 
@@ -20,6 +21,7 @@ from sitl_fakes.scenario import Vehicle as VehicleSpec
 from sitl_fakes.sensors import GpsSensor, Purpose, Ranger, stream
 
 _EPSILON_S = 1e-9
+_HEARTBEAT_S = 1.0
 
 
 class _RadioLink:
@@ -62,6 +64,7 @@ class Vehicle:
         self._controller = FlightController(scenario, spec, frame, self._flight, self._guidance, seed, unix_epoch_s)
         self._gps = GpsSensor(scenario.gps, spec.sysid, seed)
         self._gps_due_s = 0.0
+        self._ground_station_due_s = 0.0 if scenario.ground_station else math.inf
         self._ranger = Ranger(scenario.ranging, spec.sysid, scenario.ranging_peers(spec), seed)
         self._downlink = _RadioLink(scenario.telemetry, stream(seed, Purpose.DOWNLINK, spec.sysid))
         self._uplink = _RadioLink(scenario.telemetry, stream(seed, Purpose.UPLINK, spec.sysid))
@@ -96,7 +99,7 @@ class Vehicle:
         if self._flight.standing:
             self._flight.wait(step_s)
         else:
-            self._flight.step(heading_rad, step_s)
+            self._flight.step(heading_rad, step_s, self._controller.autopilot.height.error_m)
 
     def work(self, at_s: float, positions_m: Mapping[int, Vector]) -> None:
         """Sense, listen and speak at a time (s), given the true positions (m) of all vehicles."""
@@ -115,7 +118,10 @@ class Vehicle:
         messages = [reply for payload in received for reply in handle(controller, payload, at_s)]
         messages += controller.streams.due(at_s, controller.snapshot)
         frames = [controller.pack(message) for message in messages]
-        frames += [controller.pack_range(sample, at_s) for sample in samples]
+        frames += [frame for sample in samples if (frame := controller.pack_range(sample, at_s)) is not None]
+        if self._ground_station_due_s <= at_s + _EPSILON_S:
+            self._ground_station_due_s += _HEARTBEAT_S
+            frames.append(controller.pack_forwarded())
         if not _dead(active):
             for frame in frames:
                 self._downlink.send(frame, at_s)

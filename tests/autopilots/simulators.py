@@ -45,7 +45,7 @@ COPTER: Mapping[str, float] = {
     "MOT_BAT_VOLT_MAX": 12.8,
     "WP_YAW_BEHAVIOR": 1,
     # Calibrations that are there, or it does not arm.
-    **{f"INS_ACC{n}OFFS_{axis}": 0.001 for n in ("", "2", "3") for axis in "XYZ"},
+    **{f"INS_ACC{n}OFFS_{axis}": 0.001 for n in ("", "2") for axis in "XYZ"},
     **{f"INS_ACC{n}SCAL_{axis}": 1.001 for n in ("", "2") for axis in "XYZ"},
     **{
         f"COMPASS_OFS{n}_{axis}": offset
