@@ -82,7 +82,7 @@ def read_history(file: Path, settings: Settings, ranges: Path | None, truth: Pat
                 history.ranges.append(entry)
             elif isinstance(entry, HealthChanged):
                 history.health.append(entry)
-            else:
+            elif isinstance(entry, Notice):
                 history.notices.append(entry)
 
     own = (settings.mavlink.system_id, settings.mavlink.component_id)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gcs_coloc.config.sections import MavlinkConfig, RecordConfig
+from gcs_coloc.core.alarms import Alarm
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.outbound import Outbound
 from gcs_coloc.core.snapshot import FleetSnapshot
@@ -89,6 +90,11 @@ class FlightRecording:
         if self._recorder is not None:
             for entry in self._journal.entries(at_s, outputs):
                 self._recorder.add_entry(entry)
+
+    def record_alarm(self, alarm: Alarm) -> None:
+        """Record the change of an alarm."""
+        if self._recorder is not None:
+            self._recorder.add_entry(alarm)
 
     def pending_warning(self) -> tuple[str, str] | None:
         """Level and text for the operator, see `Recorder.pending_warning`."""

@@ -11,6 +11,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from gcs_coloc.core.alarms import Alarm
 from gcs_coloc.core.engine import REVIEWED_EVERY_S, Engine
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
 from gcs_coloc.core.residual_log import RangeSnapshot
@@ -36,9 +37,16 @@ class RangeEntry:
     range: RangeSnapshot
 
 
-Entry = VehicleEntry | RangeEntry | HealthChanged | Notice
+Entry = VehicleEntry | RangeEntry | HealthChanged | Notice | Alarm
+"""Alarms are not the journal's own: they depend on what people acknowledge, and are the same in a replay but for that."""
 
-NAMES: Mapping[type, str] = {VehicleEntry: "vehicle", RangeEntry: "range", HealthChanged: "health", Notice: "notice"}
+NAMES: Mapping[type, str] = {
+    VehicleEntry: "vehicle",
+    RangeEntry: "range",
+    HealthChanged: "health",
+    Notice: "notice",
+    Alarm: "alarm",
+}
 _ADAPTERS: Mapping[type, TypeAdapter[Any]] = {kind: TypeAdapter(kind) for kind in NAMES}
 
 

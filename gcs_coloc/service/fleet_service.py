@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 from dataclasses import replace
 from operator import itemgetter
 
 from gcs_coloc.config.settings import Settings
+from gcs_coloc.core.alarms import Alarm, AlarmList
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import ClockReference, CommandSource, ForeignGpsInput, GpsOverride, OperatorCommand, Override
 from gcs_coloc.core.messages.inbound import PeerRange
-from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToVehicle
+from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToOperator, ToVehicle
 from gcs_coloc.core.schedule import CATCH_UP_S, advance, find_overrun, without_superseded
+from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.admission import SignedLinks
 from gcs_coloc.links.base import Address, Link, Route, check_outs, parse
@@ -52,6 +55,7 @@ class FleetService:
         self.events = EventBus()
         self.idle = IdleScheduler()
         self.counts = Counts()
+        self._alarms = AlarmList()
         self.truths: dict[int, HeardTruth] = {}
         self._clock = clock
         self._engine_at_s = clock()
@@ -221,13 +225,19 @@ class FleetService:
             if isinstance(output, ToVehicle):
                 self._sender.send(output)
             else:
-                self.events.publish(output)
+                self._publish(output)
 
     # What comes from elsewhere than the links
 
     def apply_command(self, sysid: int, override: Override, source: CommandSource) -> None:
         """Apply an operator's override to one vehicle."""
         self._apply(OperatorCommand(sysid, self._clock(), override, source))
+
+    def acknowledge(self, alarm_id: int) -> bool:
+        """Acknowledge an alarm; False where none of that id waits for it."""
+        changed = self._alarms.acknowledge(alarm_id, self._clock())
+        self._publish_alarms(changed)
+        return bool(changed)
 
     def add_range(self, message: PeerRange) -> None:
         """Add a range that did not come over a link."""
@@ -238,6 +248,7 @@ class FleetService:
         self._signed.set_clock(host.utc_minus_service_s)
         self._apply(host)
         self._publish_warnings(host.received_at_s)
+        self.update_alarms(self.snapshots.recent_snapshot())
         self._sender.send_heartbeat(self._greeted(host.received_at_s))
 
     def _apply(self, message: ClockReference | OperatorCommand | PeerRange | ForeignGpsInput) -> None:
@@ -269,6 +280,11 @@ class FleetService:
         late_s = self._clock() - self._engine_at_s
         return f"the engine was last run {late_s:.1f} s ago" if late_s > _ENGINE_LATE_S else None
 
+    def update_alarms(self, fleet: FleetSnapshot) -> tuple[Alarm, ...]:
+        """Bring the alarms up to date with how the fleet stands, publish what has changed, and return those in the list."""
+        self._publish_alarms(self._alarms.update(fleet))
+        return tuple(self._alarms)
+
     def publish_snapshot(self) -> None:
         """Publish the fleet as it stands."""
         self.events.publish(self.snapshots.snapshot())
@@ -277,15 +293,25 @@ class FleetService:
         """Publish what has been refused since the last call."""
         text = self._refusals.pending_warning()
         if text is not None:
-            self.events.publish(Notice(self._clock(), None, "warning", text))
+            self._publish(Notice(self._clock(), None, "warning", text))
 
     def _publish_warnings(self, now_s: float) -> None:
         """Publish what recorder, signatures, routes and ground tools have to warn of."""
         recording = self._recording.pending_warning()
         if recording is not None:
-            self.events.publish(Notice(now_s, None, *recording))
+            self._publish(Notice(now_s, None, *recording))
         ahead = self._signed.pending_warning(now_s)
         if ahead is not None:
-            self.events.publish(Notice(now_s, None, "warning", ahead))
+            self._publish(Notice(now_s, None, "warning", ahead))
         for sysid, text in (*self._routes.conflicts.pending_warnings(now_s), *self._forwarder.pending_warnings(now_s)):
-            self.events.publish(Notice(now_s, sysid, "warning", text))
+            self._publish(Notice(now_s, sysid, "warning", text))
+
+    def _publish(self, message: ToOperator) -> None:
+        self.events.publish(message)
+        if isinstance(message, Notice):
+            self._publish_alarms(self._alarms.add_notice(message))
+
+    def _publish_alarms(self, changed: Iterable[Alarm]) -> None:
+        for alarm in changed:
+            self.events.publish(alarm)
+            self._recording.record_alarm(alarm)

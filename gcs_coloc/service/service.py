@@ -186,10 +186,11 @@ class _Observed:
 
         path, snapshots = self.path, self.path.snapshots
         history, events = TrackHistory(), path.events.subscribe(256)
-        source = LiveSource(snapshots.snapshot, snapshots.recent_snapshot, history, path.truths.values)
+        source = LiveSource(snapshots.snapshot, snapshots.recent_snapshot, history, path.update_alarms, path.truths.values)
         # At the recording's pace, so that one snapshot of the fleet serves both.
         pages = Pages(source, path.idle, EVERY_S)
-        hooks = WebHooks(snapshots.snapshot, partial(path.apply_command, source=CommandSource.PAGE), self._fault)
+        command = partial(path.apply_command, source=CommandSource.PAGE)
+        hooks = WebHooks(snapshots.snapshot, command, path.acknowledge, self._fault)
         return WebServer(settings.web, hooks, pages, lambda: history.follow(events))
 
     def _make_mqtt(self, settings: Settings) -> Mqtt | None:

@@ -64,7 +64,7 @@ async def _show_snapshots(name: str, subscription: Subscription, snapshots: dict
             snapshots[name] = event
             now = sorted(snapshots.items())
             live.show(lambda now=now: Group(*(table(snapshot, name) for name, snapshot in now)))  # type: ignore[misc]
-        else:
+        elif isinstance(event, ToOperator):
             _log_event(name, event)
 
 
@@ -72,9 +72,9 @@ async def _log_lines(name: str, subscription: Subscription) -> None:
     due_s = float("-inf")
     while True:
         event = await subscription.get()
-        if not isinstance(event, FleetSnapshot):
+        if isinstance(event, ToOperator):
             _log_event(name, event)
-        elif event.at_s >= due_s:
+        elif isinstance(event, FleetSnapshot) and event.at_s >= due_s:
             due_s = event.at_s + PLAIN_EVERY_S
             for vehicle in event.vehicles:
                 log.info("%s%s", _of(name), line(vehicle))

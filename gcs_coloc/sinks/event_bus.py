@@ -11,10 +11,11 @@ from collections import deque
 from collections.abc import AsyncIterator
 from math import floor
 
+from gcs_coloc.core.alarms import Alarm
 from gcs_coloc.core.messages.outbound import HealthChanged, ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot
 
-FleetEvent = FleetSnapshot | ToOperator
+FleetEvent = FleetSnapshot | ToOperator | Alarm
 _MAX_WAIT_S = 0.5
 """A slot starts this much late at most. Chosen: where nobody is heard there are no deadlines, and the page is still to move."""
 
@@ -61,7 +62,7 @@ class EventBus:
 
 
 def level_and_text(event: ToOperator) -> tuple[str, str]:
-    """The level of an event (`info`, `warning`, `error`) and its text. What is not `info` is an alarm."""
+    """The level of an event (`info`, `warning`, `error`) and its text."""
     if isinstance(event, HealthChanged):
         bad = event.after in ("suspect", "failed")
         return ("warning" if bad else "info"), f"GPS {event.before} -> {event.after}: {event.reason}"

@@ -16,13 +16,12 @@ from aiomqtt import Client, MqttError, Will
 from pydantic import BaseModel
 
 from gcs_coloc.config.sections import MqttConfig
+from gcs_coloc.core.alarms import Alarm
 from gcs_coloc.core.errors import ConfigError
-from gcs_coloc.core.messages.outbound import ToOperator
-from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.mavlink.refusals import Counts
-from gcs_coloc.sinks.event_bus import IdleScheduler, Subscription, level_and_text
+from gcs_coloc.sinks.event_bus import IdleScheduler, Subscription
 from gcs_coloc.sinks.mqtt_inbox import MqttHooks, MqttInbox
-from gcs_coloc.sinks.mqtt_models import TOPIC_VERSION, Alarm, of_vehicle, status, unix_s
+from gcs_coloc.sinks.mqtt_models import TOPIC_VERSION, of_alarm, of_vehicle, status, unix_s
 
 log = logging.getLogger("gcs_coloc")
 
@@ -35,7 +34,7 @@ _KEEPALIVE_S = 10
 _GOODBYE_S = 1.0
 """Chosen: a broker that does not answer must not delay the last messages to the vehicles for longer."""
 _MAX_ALARMS = 256
-"""Alarms that wait for a broker, the newest. Chosen: more than a flight without one brings."""
+"""Changes of alarms that wait for a broker, the newest. Chosen: more than a flight without one brings."""
 _MAX_INCOMING = 256
 """Messages of the broker that wait for us. Chosen: a second of ranges of a large fleet."""
 _BATCH = 16
@@ -62,7 +61,7 @@ class Mqtt:
         self._base = f"{config.prefix}/{TOPIC_VERSION}/{config.fleet}"
         self._inbox = MqttInbox(self._base, hooks, counts, commands=config.commands, ranges=config.ranges)
         self._password, self._tls = read_credentials(config)
-        self._alarms: deque[ToOperator] = deque(maxlen=_MAX_ALARMS)
+        self._alarms: deque[Alarm] = deque(maxlen=_MAX_ALARMS)
         self._stopping = asyncio.Event()
         self._attempts = 0
         self._warned_of: str | None = None
@@ -84,10 +83,10 @@ class Mqtt:
             await asyncio.wait({follower, connection}, timeout=_GOODBYE_S)
 
     async def _follow(self) -> None:
-        """Keep the newest alarms, with or without a broker."""
+        """Keep the newest changes of alarms, with or without a broker."""
         while True:
             event = await self._events.get()
-            if not isinstance(event, FleetSnapshot) and level_and_text(event)[0] != "info":
+            if isinstance(event, Alarm):
                 self._alarms.append(event)
 
     async def _connect_again_and_again(self) -> None:
@@ -179,7 +178,7 @@ class Mqtt:
         while self._alarms:
             event = self._alarms.popleft()
             try:
-                await client.publish(f"{self._base}/alarms", _alarm(event, snapshot).model_dump_json(), qos=1)
+                await client.publish(f"{self._base}/alarms", of_alarm(event, snapshot).model_dump_json(), qos=1)
             except MqttError:
                 if len(self._alarms) < _MAX_ALARMS:  # where it is full, this one is the oldest
                     self._alarms.appendleft(event)
@@ -193,12 +192,6 @@ class Mqtt:
                 await asyncio.gather(*(client.publish(*one, retain=True, timeout=math.inf) for one in content))
         except TimeoutError:
             raise MqttError("Operation timed out") from None
-
-
-def _alarm(event: ToOperator, snapshot: FleetSnapshot) -> Alarm:
-    level, text = level_and_text(event)
-    content = {"at_unix_s": unix_s(event.at_s, snapshot), "sysid": event.sysid, "level": level, "text": text}
-    return Alarm.model_validate(content)
 
 
 def read_credentials(config: MqttConfig) -> tuple[str | None, ssl.SSLContext | None]:

@@ -11,6 +11,7 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from gcs_coloc.core.alarms import Alarm, AlarmKind, AlarmState
 from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, Override, PrimaryOverride
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
@@ -99,12 +100,18 @@ class FleetStatus(_Sent):
     outs: tuple[GroundTools, ...]
 
 
-class Alarm(_Sent):
-    """`…/alarms`: something that a person should read. `sysid` None: it is about the whole fleet."""
+class AlarmChange(_Sent):
+    """`…/alarms`: an alarm that was raised or has changed. `sysid` None: it is about the whole fleet."""
 
+    id: int
+    state: AlarmState
+    kind: AlarmKind
     sysid: int | None
     level: Literal["warning", "error"]
     text: str
+    action: str
+    times: int
+    raised_unix_s: float | None
 
 
 class Command(BaseModel):
@@ -174,7 +181,7 @@ BY_TOPIC: dict[str, type[BaseModel]] = {
     "{sysid}/estimate": VehicleEstimate,
     "{sysid}/health": VehicleHealth,
     "status": FleetStatus,
-    "alarms": Alarm,
+    "alarms": AlarmChange,
     "{sysid}/cmd": Command,
     "{sysid}/range": Range,
 }
@@ -190,6 +197,13 @@ def of_vehicle(v: VehicleSnapshot, at_unix_s: float | None) -> dict[str, _Sent]:
         )
         for name, model in parts.items()
     }
+
+
+def of_alarm(alarm: Alarm, snapshot: FleetSnapshot) -> AlarmChange:
+    """What is published of an alarm that has changed; `snapshot` knows the time."""
+    content = {key: getattr(alarm, key) for key in ("id", "state", "kind", "sysid", "level", "text", "action", "times")}
+    times = {"at_unix_s": unix_s(alarm.at_s, snapshot), "raised_unix_s": unix_s(alarm.raised_at_s, snapshot)}
+    return AlarmChange.model_validate(content | times)
 
 
 def status(snapshot: FleetSnapshot | None, *, online: bool) -> FleetStatus:

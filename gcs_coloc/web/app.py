@@ -40,6 +40,8 @@ class WebHooks:
     """The fleet with its counters, for the metrics."""
     apply_command: Callable[[int, Override], None]
     """Applies an operator override to a vehicle, by system id."""
+    acknowledge: Callable[[int], bool]
+    """Acknowledges an alarm, by its id; False where none of that id waits for it."""
     fault: Callable[[], str | None]
     """Says in words what keeps the service from its work; None where nothing does."""
 
@@ -131,6 +133,14 @@ class _Site:
         self._hooks.apply_command(sysid, command.override)
         return JSONResponse({"sysid": sysid, "override": command.override.value})
 
+    async def acknowledge(self, request: Request) -> Response:
+        """A person knows of an alarm. No token: it reaches no aircraft, and an alarm whose condition holds stays in the list."""
+        assert self._hooks is not None
+        alarm_id = request.path_params["alarm_id"]
+        if not self._hooks.acknowledge(alarm_id):
+            return PlainTextResponse(f"no alarm {alarm_id} waits to be acknowledged\n", status_code=404)
+        return JSONResponse({"id": alarm_id})
+
     async def play(self, request: Request) -> Response:
         """Play, pause, seek, speed of a replay; answers with its state. No token: a replay reaches no aircraft."""
         assert self._playback is not None
@@ -213,6 +223,7 @@ def make_app(
         site = _Site(source, None, pages, token, tiles)
         own = [
             Route("/api/vehicles/{sysid:int}/{what}", site.command, methods=["POST"]),
+            Route("/api/alarms/{alarm_id:int}/acknowledge", site.acknowledge, methods=["POST"]),
             Route("/metrics", site.metrics),
         ]
     return Starlette(

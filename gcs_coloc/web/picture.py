@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Callable, Iterable
 
+from gcs_coloc.core.alarms import Alarm, conditions
 from gcs_coloc.core.error_ellipse import error_ellipse
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Vector3
@@ -13,7 +14,6 @@ from gcs_coloc.mavlink.decoder import HeardTruth
 from gcs_coloc.web.track_history import TrackHistory
 from gcs_coloc.web.wire import Ellipse, EventsFrame, FleetFrame, LightColour, VehicleFrame, VehicleHistory, fleet_json
 
-SILENT_AFTER_S = 3.0
 _TRUTH_FRESH_S = 2.0
 
 
@@ -21,7 +21,8 @@ class LiveSource:
     """What pages are sent of a live fleet; a `PageSource`.
 
     `snapshot` returns the fleet with its counters, `recent_snapshot` the fleet as of a moment ago, for many times a second;
-    `truths` returns the true positions that a simulation sends.
+    `alarms` brings the service's alarms up to date with a snapshot and returns them, `truths` the true positions that a
+    simulation sends.
     """
 
     edition = 0
@@ -31,10 +32,12 @@ class LiveSource:
         snapshot: Callable[[], FleetSnapshot],
         recent_snapshot: Callable[[], FleetSnapshot],
         history: TrackHistory,
+        alarms: Callable[[FleetSnapshot], Iterable[Alarm]],
         truths: Callable[[], Iterable[HeardTruth]] = tuple,
     ) -> None:
         self.instance = secrets.token_hex(8)
         self.history = history
+        self._alarms = alarms
         self._snapshot = snapshot
         self._recent_snapshot = recent_snapshot
         self._truths = truths
@@ -59,13 +62,14 @@ class LiveSource:
 
     def messages(self, *, with_counts: bool) -> list[str]:
         """As `PageSource` says."""
-        messages = [fleet_json(fleet_frame(self._recent_snapshot(), self._truths())).decode()]
+        fleet = self._recent_snapshot()
+        messages = [fleet_json(fleet_frame(fleet, self._alarms(fleet), self._truths())).decode()]
         if with_counts:
             messages.append(self.history.counts(self._snapshot()).model_dump_json())
         return messages
 
 
-def fleet_frame(fleet: FleetSnapshot, truths: Iterable[HeardTruth] = ()) -> FleetFrame:
+def fleet_frame(fleet: FleetSnapshot, alarms: Iterable[Alarm] = (), truths: Iterable[HeardTruth] = ()) -> FleetFrame:
     """The page's picture of one instant."""
     true_enu_m = _true_positions(fleet, truths)
     return FleetFrame(
@@ -75,29 +79,16 @@ def fleet_frame(fleet: FleetSnapshot, truths: Iterable[HeardTruth] = ()) -> Flee
         origin=fleet.origin,
         vehicles=tuple(_vehicle_frame(v, true_enu_m.get(v.sysid)) for v in fleet.vehicles),
         ranges=fleet.ranges,
+        alarms=tuple(alarms),
     )
 
 
 def traffic_light(v: VehicleSnapshot) -> tuple[LightColour, str]:
-    """The colour for one vehicle and the reason in words; the most serious condition decides."""
-    if v.age_s > SILENT_AFTER_S:
-        return "bad", f"not heard for {v.age_s:.0f} s; before that: GPS {v.gps_state}, {v.gps_reason}"
-    if v.gps_state in ("failed", "recovering"):
-        located = f"within {v.bound_95_m:.0f} m (95 %)" if v.bound_95_m is not None else f"nowhere: {v.no_estimate_reason}"
-        text = f"GPS {v.gps_state}: {v.gps_reason}. Located {located}; {v.aiding}"
-        return ("caution" if v.aiding_has_fix and v.fix_acknowledged is not False else "bad"), text
-    if v.gps_state == "suspect":
-        return "caution", f"GPS suspect: {v.gps_reason}"
-    if v.gps_state == "unknown":
-        return "unknown", v.gps_reason
-    if v.aiding_override == "on":
-        colour: LightColour = "caution" if v.aiding_has_fix else "bad"
-        return colour, f"aiding switched on by the operator ({v.aiding}); GPS healthy: {v.gps_reason}"
-    if v.fix_acknowledged is False:
-        return "caution", f"GPS healthy ({v.gps_reason}), but {v.aiding}"
-    if v.inhibit_reason is not None:
-        return "caution", f"GPS healthy ({v.gps_reason}), but it could not be aided: {v.inhibit_reason}"
-    return "good", f"GPS healthy: {v.gps_reason}"
+    """The colour for one vehicle and the reason in words: its most serious condition, from which its alarm is as well."""
+    found = conditions(v)
+    if found:
+        return ("bad" if found[0].level == "error" else "caution"), found[0].text
+    return ("unknown", v.gps_reason) if v.gps_state == "unknown" else ("good", f"GPS healthy: {v.gps_reason}")
 
 
 def ellipse(covariance_h_m2: tuple[float, float, float]) -> Ellipse:

@@ -14,8 +14,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gcs_coloc.core.alarms import Alarm
 from gcs_coloc.core.messages.outbound import ToOperator
-from gcs_coloc.web.track_history import EVENTS_KEPT, SAMPLE_COLUMNS, Sample, columns, page_event, samples_per_vehicle
+from gcs_coloc.web.track_history import (
+    EVENTS_KEPT,
+    SAMPLE_COLUMNS,
+    Sample,
+    columns,
+    is_told_already,
+    page_event,
+    samples_per_vehicle,
+)
 from gcs_coloc.web.wire import Event, EventsFrame, VehicleHistory
 
 PICTURE_PERIOD_S = 0.2
@@ -119,8 +128,10 @@ class PictureStore:
         if len(self._pictures) > self._max_pictures or self._file.size > self._max_bytes:
             self._thin_pictures()
 
-    def add_event(self, message: ToOperator) -> None:
-        """Add a message to the operator; it belongs to the pictures that follow."""
+    def add_event(self, message: ToOperator | Alarm) -> None:
+        """Add a message to the operator, or the change of an alarm; it belongs to the pictures that follow."""
+        if is_told_already(message):
+            return
         with self._lock:
             self._newest_event += 1
             self._events.append(page_event(self._newest_event, message))

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+from gcs_coloc.core.alarms import Alarm, AlarmList
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot
@@ -167,6 +168,7 @@ class ReplayPass:
         self._store = store
         self._truths_at = truths_at
         self._rates = LinkRates()
+        self._alarms = AlarmList()
         self._counts = b""
         self._counts_due_s = float("-inf")
         self._stopped = threading.Event()
@@ -221,16 +223,25 @@ class ReplayPass:
         for output in outputs:
             if isinstance(output, ToOperator):
                 self._store.add_event(output)
+            if isinstance(output, Notice):
+                self._add_alarms(self._alarms.add_notice(output))
+
+    def _add_alarms(self, changed: list[Alarm]) -> None:
+        for alarm in changed:
+            self._store.add_event(alarm)
 
     def _add_picture(self, at_s: float) -> None:
         fleet = self._snapshot(at_s)
+        self._add_alarms(self._alarms.update(fleet))
         if at_s >= self._counts_due_s:
             self._counts_due_s = at_s + _COUNTS_PERIOD_S
             self._rates.update(fleet)
             self._counts = self._rates.counts(fleet).model_dump_json().encode()
         truths = (self._replay.truths | self._truths_at(at_s)).values()
         self._store.add_samples(at_s, [(v.sysid, sample(v, at_s)) for v in fleet.vehicles])
-        self._store.add_picture(at_s, fleet_json(fleet_frame(fleet, truths)), self._counts, fleet.utc_minus_service_s)
+        self._store.add_picture(
+            at_s, fleet_json(fleet_frame(fleet, self._alarms, truths)), self._counts, fleet.utc_minus_service_s
+        )
 
     def _snapshot(self, at_s: float) -> FleetSnapshot:
         replay = self._replay

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from math import nan
 
-from gcs_coloc.core.messages.outbound import ToOperator
+from gcs_coloc.core.alarms import Alarm, AlarmKind, AlarmState
+from gcs_coloc.core.messages.outbound import Notice, ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot, LinkSnapshot, OutSnapshot, VehicleSnapshot
 from gcs_coloc.sinks.event_bus import FleetEvent, Subscription, level_and_text
 from gcs_coloc.web.wire import CountsFrame, Event, EventsFrame, LinkFrame, OutFrame, VehicleHistory
@@ -71,9 +72,11 @@ class TrackHistory:
             self.add(await events.get())
 
     def add(self, event: FleetEvent) -> None:
-        """Add a snapshot of the fleet or a message to the operator."""
+        """Add a snapshot of the fleet, a message to the operator, or the change of an alarm."""
         if isinstance(event, FleetSnapshot):
             self._add_snapshot(event)
+            return
+        if is_told_already(event):
             return
         self.newest_event += 1
         self._events.append(page_event(self.newest_event, event))
@@ -101,12 +104,21 @@ class TrackHistory:
             self._samples.setdefault(v.sysid, deque(maxlen=SAMPLES_PER_VEHICLE)).append(sample(v, fleet.at_s))
 
 
-def page_event(number: int, message: ToOperator) -> Event:
-    """A message to the operator as the page is sent it. Whatever is no mere information is an alarm."""
-    level, text = level_and_text(message)
-    return Event.model_validate(
-        {"id": number, "at_s": message.at_s, "sysid": message.sysid, "level": level, "text": text, "alarm": level != "info"}
-    )
+def page_event(number: int, message: ToOperator | Alarm) -> Event:
+    """A message to the operator, or the change of an alarm, as the page is sent it."""
+    if isinstance(message, Alarm):
+        is_active = message.state is AlarmState.ACTIVE
+        level, text = (message.level if is_active else "info"), f"alarm {message.state}: {message.text}"
+    else:
+        level, text = level_and_text(message)
+        is_active = isinstance(message, Notice) and level != "info"
+    content = {"id": number, "at_s": message.at_s, "sysid": message.sysid, "level": level, "text": text, "alarm": is_active}
+    return Event.model_validate(content)
+
+
+def is_told_already(event: ToOperator | Alarm) -> bool:
+    """Whether an event says no more than the notice before it: an alarm of a notice that was raised."""
+    return isinstance(event, Alarm) and event.kind is AlarmKind.NOTICE and event.state is AlarmState.OVER
 
 
 def samples_per_vehicle(vehicles: int) -> int:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
+from gcs_coloc.core.alarms import Alarm
 from gcs_coloc.core.residual_log import RangeSnapshot
 from gcs_coloc.core.snapshot import VehicleSnapshot
 
@@ -109,6 +110,7 @@ class FleetFrame:
     origin: tuple[float, float, float] | None
     vehicles: tuple[VehicleFrame, ...]
     ranges: tuple[RangeSnapshot, ...]
+    alarms: tuple[Alarm, ...]
     kind: Literal["fleet"] = "fleet"
 
 
@@ -131,7 +133,7 @@ class CountsFrame(_Wire):
 
 
 class Event(_Wire):
-    """Something that happened. An `alarm` stays on the page until it is acknowledged there."""
+    """Something that happened; `alarm` where an alarm was raised by it."""
 
     id: int
     at_s: float

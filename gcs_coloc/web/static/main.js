@@ -69,7 +69,7 @@ function hello(message) {
       alarms.clear();
     } else fleet.restart();
   }
-  alarms.setInstance(message.instance);
+  alarms.setInstance(message.instance, message.replay);
   map.showTiles(message.tiles);
   commands.allow(message.commands);
   playback.setReplay(message.replay);
@@ -93,6 +93,7 @@ function picture(message) {
   frameAt = now();
   updateOffset(frame.utc_minus_service_s);
   draw();
+  alarms.show(frame.alarms);
   map.show(frame);
   if (frame.at_s - sampledAt >= SAMPLE_EVERY_S) {
     sampledAt = frame.at_s;

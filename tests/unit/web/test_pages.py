@@ -50,7 +50,7 @@ class Served:
     def __init__(self):
         self.history = TrackHistory()
         self.made = 0
-        self.source = LiveSource(lambda: fleet_view(float(self.made)), self.next_snapshot, self.history)
+        self.source = LiveSource(lambda: fleet_view(float(self.made)), self.next_snapshot, self.history, lambda _: ())
         self.pages = Pages(self.source, IdleScheduler(), 0.2)
 
     def next_snapshot(self):

@@ -4,21 +4,29 @@ from dataclasses import replace
 
 from fleet_views import HEALTHY, LOST, fleet_view
 
+from gcs_coloc.core.alarms import AlarmList
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice
 from gcs_coloc.core.snapshot import LinkSnapshot
 from gcs_coloc.web.track_history import TrackHistory
 
 
-def test_a_failure_is_an_alarm_and_good_news_is_none():
-    history = TrackHistory()
+def test_an_event_says_whether_an_alarm_was_raised_and_a_notice_is_told_once():
+    history, alarms = TrackHistory(), AlarmList()
     history.add(HealthChanged(1.0, 4, "suspect", "failed", "no fix"))
-    history.add(HealthChanged(2.0, 4, "failed", "recovering", "back"))
-    history.add(Notice(3.0, None, "warning", "flooded"))
-    history.add(Notice(4.0, 2, "info", "heard for the first time"))
+    for notice in (Notice(3.0, None, "warning", "flooded"), Notice(4.0, 2, "info", "heard for the first time")):
+        history.add(notice)
+        for alarm in alarms.add_notice(notice):
+            history.add(alarm)
+    for seen in (fleet_view(5.0, LOST), fleet_view(6.0, HEALTHY)):
+        for alarm in alarms.update(seen):
+            history.add(alarm)
     events = history.events_after(0).events
-    assert [(e.id, e.sysid, e.alarm) for e in events] == [(1, 4, True), (2, 4, False), (3, None, True), (4, 2, False)]
+    assert [(e.id, e.sysid) for e in events] == [(1, 4), (2, None), (3, 2), (4, 4), (5, 4)]
+    assert [e.id for e in events if e.alarm] == [2, 4]
     assert events[0].text == "GPS suspect -> failed: no fix"
-    assert [e.id for e in history.events_after(2).events] == [3, 4]
+    assert events[3].text.startswith("alarm active: GPS failed")
+    assert events[4].text.startswith("alarm over: GPS failed")
+    assert [e.id for e in history.events_after(3).events] == [4, 5]
 
 
 def test_events_that_were_pushed_out_are_counted_as_missed():

@@ -1,0 +1,213 @@
+"""Alarms of a fleet: raised while a condition holds, over when it ends, closed once a person has acknowledged them.
+
+The states are those of alarm management (ANSI/ISA-18.2), without shelving.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from gcs_coloc.core.messages.outbound import Notice
+from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
+
+SILENT_AFTER_S = 3.0
+"""Chosen: three heartbeats, which every vehicle sends once a second (mavlink.io, heartbeat protocol)."""
+_MAX_NOTICES = 50
+"""Alarms of notices that wait to be acknowledged; the oldest are closed beyond. Chosen: more than a person reads."""
+
+
+class AlarmKind(StrEnum):
+    """What an alarm is about. Its value stands in MQTT messages and recordings."""
+
+    SILENT = "silent"
+    """The vehicle is not heard."""
+    GPS_LOST = "gps_lost"
+    """Its GPS has failed, or it is aided by the operator's override."""
+    GPS_SUSPECT = "gps_suspect"
+    """Its GPS may be wrong."""
+    NOT_READY = "not_ready"
+    """Its GPS is healthy, but it could not be aided if it failed."""
+    NOTICE = "notice"
+    """Something happened that a person should read; it has no duration."""
+
+
+class AlarmState(StrEnum):
+    """The life of an alarm."""
+
+    ACTIVE = "active"
+    """The condition holds, and nobody has acknowledged the alarm."""
+    ACKNOWLEDGED = "acknowledged"
+    """The condition holds, and a person knows."""
+    OVER = "over"
+    """The condition holds no longer, and nobody has acknowledged the alarm."""
+    CLOSED = "closed"
+    """Over and acknowledged: it leaves the list."""
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """What is wrong with a vehicle now. `level` is `warning` or `error`, `action` what a person is to do."""
+
+    kind: AlarmKind
+    level: str
+    text: str
+    action: str
+
+
+# Not frozen, as `VehicleSnapshot` is not: each page is sent all of them several times a second.
+@dataclass(slots=True)
+class Alarm:
+    """One alarm. Times are service time, s; `sysid` None: it is about the whole fleet.
+
+    `id` counts from 1 in each run of the service. `at_s` is when it last changed, `times` how often the condition came while
+    the alarm was in the list. `level` is `warning` or `error`; `action` is what a person is to do.
+    """
+
+    id: int
+    kind: AlarmKind
+    sysid: int | None
+    state: AlarmState
+    level: str
+    text: str
+    action: str
+    raised_at_s: float
+    at_s: float
+    over_at_s: float | None = None
+    times: int = 1
+
+
+def conditions(v: VehicleSnapshot) -> list[Condition]:
+    """What is wrong with a vehicle, the most serious first."""
+    gps = _gps_condition(v)
+    found = [gps] if gps is not None else []
+    if v.age_s > SILENT_AFTER_S:
+        text = f"not heard for {v.age_s:.0f} s; before that: GPS {v.gps_state}, {v.gps_reason}"
+        found.insert(
+            0, Condition(AlarmKind.SILENT, "error", text, "Check its power and its link; the map shows where it was last.")
+        )
+    return found
+
+
+def _gps_condition(v: VehicleSnapshot) -> Condition | None:
+    if v.gps_state in ("failed", "recovering"):
+        located = f"within {v.bound_95_m:.0f} m (95 %)" if v.bound_95_m is not None else f"nowhere: {v.no_estimate_reason}"
+        text = f"GPS {v.gps_state}: {v.gps_reason}. Located {located}; {v.aiding}"
+        return Condition(AlarmKind.GPS_LOST, "warning" if _is_aided(v) else "error", text, _action_without_gps(v))
+    if v.gps_state == "suspect":
+        action = "Compare it with what you see; declare its GPS failed or healthy where you know better."
+        return Condition(AlarmKind.GPS_SUSPECT, "warning", f"GPS suspect: {v.gps_reason}", action)
+    if v.gps_state == "unknown":
+        return None
+    if v.aiding_override == "on":
+        text = f"aiding switched on by the operator ({v.aiding}); GPS healthy: {v.gps_reason}"
+        action = "Set its aiding to automatic when it is no longer needed."
+        return Condition(AlarmKind.GPS_LOST, "warning" if v.aiding_has_fix else "error", text, action)
+    what = v.aiding if v.fix_acknowledged is False else f"it could not be aided: {v.inhibit_reason}" if v.inhibit_reason else None
+    if what is None:
+        return None
+    action = "Mend it before it is needed: gcs-coloc doctor names the settings."
+    return Condition(AlarmKind.NOT_READY, "warning", f"GPS healthy ({v.gps_reason}), but {what}", action)
+
+
+def _is_aided(v: VehicleSnapshot) -> bool:
+    return v.aiding_has_fix and v.fix_acknowledged is not False
+
+
+def _action_without_gps(v: VehicleSnapshot) -> str:
+    if v.aiding_override == "off":
+        return "Its aiding is switched off: fly it by hand, or set its aiding to automatic."
+    if v.fix_acknowledged is False:
+        return "Its autopilot does not use what it is sent: fly it by hand; gcs-coloc doctor names the settings."
+    if v.bound_95_m is None:
+        return "Fly it by hand: it is located again with ranges to vehicles that are located."
+    if not v.aiding_has_fix:
+        return "It is not sent its position: fly it by hand, and remove the reason."
+    return "It flies by its ranges: bring it home or land it while the bound is small."
+
+
+class AlarmList:
+    """The alarms of one fleet, one for each vehicle and kind; every method returns those that have changed."""
+
+    def __init__(self) -> None:
+        self._alarms: dict[tuple[int | None, AlarmKind, str], Alarm] = {}
+        self._newest_id = 0
+
+    def __iter__(self) -> Iterator[Alarm]:
+        """Iterate over the alarms that are not closed, in the order in which they were first raised."""
+        return iter(self._alarms.values())
+
+    def update(self, fleet: FleetSnapshot) -> list[Alarm]:
+        """Raise, change and end alarms by how the fleet stands."""
+        changed: list[Alarm] = []
+        holding: set[tuple[int | None, AlarmKind, str]] = set()
+        for vehicle in fleet.vehicles:
+            for condition in conditions(vehicle):
+                key: tuple[int | None, AlarmKind, str] = (vehicle.sysid, condition.kind, "")
+                holding.add(key)
+                changed += self._hold(key, condition, fleet.at_s)
+        for key, alarm in list(self._alarms.items()):
+            if key not in holding and alarm.state in (AlarmState.ACTIVE, AlarmState.ACKNOWLEDGED):
+                needs_nobody = (
+                    alarm.state is AlarmState.ACKNOWLEDGED
+                    or alarm.kind is AlarmKind.NOT_READY  # so each vehicle begins, until it is known well enough
+                    or (alarm.kind is AlarmKind.GPS_SUSPECT and (alarm.sysid, AlarmKind.GPS_LOST, "") in holding)
+                )
+                state = AlarmState.CLOSED if needs_nobody else AlarmState.OVER
+                changed.append(self._put(key, replace(alarm, state=state, at_s=fleet.at_s, over_at_s=fleet.at_s)))
+        return changed
+
+    def add_notice(self, notice: Notice) -> list[Alarm]:
+        """Raise an alarm for a notice that is no mere information; it is over at once. Alike ones are one alarm."""
+        if notice.level == "info":
+            return []
+        key = (notice.sysid, AlarmKind.NOTICE, re.sub(r"[\d.]+", "#", notice.text))
+        action = "Mend its cause, then acknowledge it." if notice.level == "error" else "Acknowledge it once it is understood."
+        condition = Condition(AlarmKind.NOTICE, notice.level, notice.text, action)
+        [alarm] = self._hold(key, condition, notice.at_s)
+        changed = [self._put(key, replace(alarm, state=AlarmState.OVER, over_at_s=notice.at_s))]
+        waiting = [(k, one) for k, one in self._alarms.items() if one.kind is AlarmKind.NOTICE]
+        if len(waiting) > _MAX_NOTICES:
+            oldest, one = min(waiting, key=lambda item: item[1].at_s)
+            changed.append(self._put(oldest, replace(one, state=AlarmState.CLOSED, at_s=notice.at_s)))
+        return changed
+
+    def acknowledge(self, alarm_id: int, at_s: float) -> list[Alarm]:
+        """Record that a person knows of an alarm; empty where there is none of that id that waits for it."""
+        for key, alarm in self._alarms.items():
+            if alarm.id == alarm_id and alarm.state in (AlarmState.ACTIVE, AlarmState.OVER):
+                state = AlarmState.ACKNOWLEDGED if alarm.state is AlarmState.ACTIVE else AlarmState.CLOSED
+                return [self._put(key, replace(alarm, state=state, at_s=at_s))]
+        return []
+
+    def _hold(self, key: tuple[int | None, AlarmKind, str], condition: Condition, at_s: float) -> list[Alarm]:
+        """The condition holds at `at_s`: raise its alarm, or bring it up to date. A change of words alone is none."""
+        alarm = self._alarms.get(key)
+        if alarm is None:
+            self._newest_id += 1
+            about = (condition.level, condition.text, condition.action)
+            return [self._put(key, Alarm(self._newest_id, condition.kind, key[0], AlarmState.ACTIVE, *about, at_s, at_s))]
+        is_again, is_worse = alarm.state is AlarmState.OVER, condition.level == "error" and alarm.level != "error"
+        is_changed = is_again or condition.level != alarm.level
+        alarm = replace(
+            alarm,
+            # Whoever has acknowledged a warning does not know of the error.
+            state=AlarmState.ACTIVE if is_again or is_worse else alarm.state,
+            level=condition.level,
+            text=condition.text,
+            action=condition.action,
+            at_s=at_s if is_changed else alarm.at_s,
+            over_at_s=None,
+            times=alarm.times + is_again,
+        )
+        self._put(key, alarm)
+        return [alarm] if is_changed else []
+
+    def _put(self, key: tuple[int | None, AlarmKind, str], alarm: Alarm) -> Alarm:
+        if alarm.state is AlarmState.CLOSED:
+            del self._alarms[key]
+        else:
+            self._alarms[key] = alarm
+        return alarm

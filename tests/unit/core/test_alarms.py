@@ -1,0 +1,116 @@
+"""An alarm lives as long as its condition and until a person knows; what the light shows is in the list."""
+
+from dataclasses import replace
+
+import pytest
+from fleet_views import HEALTHY, LOCATED, LOST, fleet_view
+
+from gcs_coloc.core.alarms import Alarm, AlarmList, AlarmState, conditions
+from gcs_coloc.core.messages.outbound import Notice
+from gcs_coloc.core.snapshot import VehicleSnapshot
+
+SUSPECT = replace(HEALTHY, sysid=4, gps_state="suspect", gps_reason="only 3 satellites")
+SOUND = replace(HEALTHY, sysid=4)
+
+
+def after(alarms: AlarmList, *views: VehicleSnapshot) -> list[Alarm]:
+    """What the last of the views, a second apart, has changed."""
+    changed: list[Alarm] = []
+    for at_s, view in enumerate(views):
+        changed = alarms.update(fleet_view(float(at_s), view))
+    return changed
+
+
+def states(alarms: AlarmList) -> list[tuple[int, str, str]]:
+    return [(a.id, a.kind, a.state) for a in alarms]
+
+
+def test_an_alarm_is_active_then_over_then_closed_by_who_acknowledges_it():
+    alarms = AlarmList()
+    [raised] = after(alarms, LOST)
+    assert (raised.state, raised.level, raised.sysid, raised.raised_at_s) == ("active", "error", 4, 0.0)
+    [over] = after(alarms, LOST, SOUND)
+    assert (over.id, over.state, over.over_at_s) == (raised.id, "over", 1.0)
+    [closed] = alarms.acknowledge(raised.id, 9.0)
+    assert (closed.state, closed.at_s) == (AlarmState.CLOSED, 9.0)
+    assert list(alarms) == []
+    assert alarms.acknowledge(raised.id, 9.0) == []
+
+
+def test_an_alarm_that_is_acknowledged_while_it_lasts_stays_until_it_is_over():
+    alarms = AlarmList()
+    after(alarms, LOCATED)
+    assert [a.state for a in alarms.acknowledge(1, 1.0)] == ["acknowledged"]
+    assert after(alarms, LOCATED, replace(LOCATED, bound_95_m=7.5)) == []  # words alone change nothing
+    assert "within 8 m" in next(iter(alarms)).text
+    assert states(alarms) == [(1, "gps_lost", "acknowledged")]
+    assert [a.state for a in after(alarms, SOUND)] == ["closed"]
+    assert [a.id for a in after(alarms, LOCATED)] == [2]  # another failure is another alarm
+
+
+def test_what_becomes_worse_waits_to_be_acknowledged_again_and_what_becomes_better_does_not():
+    alarms = AlarmList()
+    after(alarms, LOCATED)
+    alarms.acknowledge(1, 1.0)
+    assert [(a.state, a.level) for a in after(alarms, LOST)] == [("active", "error")]
+    alarms.acknowledge(1, 2.0)
+    assert [(a.state, a.level) for a in after(alarms, LOCATED)] == [("acknowledged", "warning")]
+
+
+def test_what_comes_again_before_anybody_has_acknowledged_it_is_one_alarm():
+    alarms = AlarmList()
+    changed = after(alarms, SUSPECT, SOUND, SUSPECT, SOUND, SUSPECT)
+    assert [(a.id, a.state, a.times) for a in changed] == [(1, "active", 3)]
+
+
+def test_a_vehicle_that_is_silent_keeps_the_alarm_of_its_gps_and_is_told_first():
+    alarms = AlarmList()
+    after(alarms, replace(LOST, age_s=9.0))
+    assert [(a.kind, a.level) for a in alarms] == [("silent", "error"), ("gps_lost", "error")]
+
+
+def test_a_suspicion_that_turns_out_right_is_one_alarm_and_one_that_does_not_waits_to_be_read():
+    alarms = AlarmList()
+    after(alarms, SUSPECT, LOCATED)
+    assert states(alarms) == [(2, "gps_lost", "active")]
+    alarms = AlarmList()
+    after(alarms, SUSPECT, SOUND)
+    assert states(alarms) == [(1, "gps_suspect", "over")]
+
+
+def test_a_vehicle_that_was_not_ready_and_is_now_needs_nobodys_attention():
+    alarms = AlarmList()
+    assert [a.kind for a in after(alarms, replace(HEALTHY, inhibit_reason="no heartbeat"))] == ["not_ready"]
+    assert [a.state for a in after(alarms, HEALTHY)] == ["closed"]
+
+
+def test_alike_notices_are_one_alarm_and_their_number_is_bounded():
+    alarms = AlarmList()
+    assert alarms.add_notice(Notice(0.0, None, "info", "heard for the first time")) == []
+    for i in range(3):
+        alarms.add_notice(Notice(float(i), None, "warning", f"{9 + i}.5 frames refused"))
+    assert [(a.text, a.times, a.state, a.over_at_s) for a in alarms] == [("11.5 frames refused", 3, "over", 2.0)]
+    for i in range(80):
+        changed = alarms.add_notice(Notice(10.0 + i, None, "error", f"fault {'x' * i}"))
+    assert [a.state for a in changed] == ["over", "closed"]
+    assert len(list(alarms)) == 50
+
+
+@pytest.mark.parametrize(
+    "vehicle",
+    [
+        LOCATED,
+        LOST,
+        SUSPECT,
+        replace(LOCATED, fix_acknowledged=False),
+        replace(LOCATED, aiding_has_fix=False),
+        replace(LOST, aiding_override="off"),
+        replace(HEALTHY, aiding_override="on"),
+        replace(HEALTHY, inhibit_reason="one address"),
+        replace(HEALTHY, age_s=4.0),
+    ],
+)
+def test_each_alarm_ends_with_what_to_do(vehicle):
+    [found, *_] = conditions(vehicle)
+    assert found.action.endswith(".")
+    assert len(found.action) > 20
