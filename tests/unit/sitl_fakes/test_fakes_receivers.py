@@ -13,11 +13,15 @@ from tests.unit.sitl_fakes.fakes_support import EXACT, GroundStation, aid, gps_i
 IGNORE_ALT, IGNORE_VEL_HORIZ, IGNORE_VEL_VERT, IGNORE_ACCURACIES = 1, 8, 16, 32 | 64 | 128
 
 
-def flown(params=None, until_s=12.0, **message):
-    """Vehicle 1 loses its GPS at 5 s and is sent GPS_INPUT from 6 s on; returns the fleet and what it said."""
+TO_ALIGN_ANEW_S = 16.0
+"""EKF3 checks a receiver again when it has used none for 10 s."""
+
+
+def flown(params=None, from_s=6.0, until_s=12.0, **message):
+    """Vehicle 1 loses its GPS at 5 s and is sent GPS_INPUT from a time on; returns the fleet and what it said."""
     vehicles = [{"sysid": 1, "waypoints": [[0, 0], [0, 20000]], "params": params or {}, "ranges_to": []}]
     fleet = Fleet(scenario(vehicle=vehicles, fault=[lost(1)], dead_reckoning=EXACT), 1)
-    out = fleet.advance(6.0) + aid(fleet, 1, 6.0, until_s, **message)
+    out = fleet.advance(from_s) + aid(fleet, 1, from_s, until_s, **message)
     return fleet, out
 
 
@@ -47,7 +51,7 @@ def test_good_gps_input_is_taken_after_the_loss():
     ],
 )
 def test_each_gate_alone_refuses(message, reason):
-    fleet, _ = flown(until_s=20.0, **message)
+    fleet, _ = flown(from_s=TO_ALIGN_ANEW_S, until_s=30.0, **message)
     assert fleet.truth()[1].source == "dead_reckoning"
     assert fleet.truth()[1].aid_refusal == reason
 
@@ -66,7 +70,7 @@ def test_each_gate_alone_refuses(message, reason):
     ],
 )
 def test_just_inside_each_gate_is_taken(message):
-    fleet, _ = flown(until_s=20.0, **message)
+    fleet, _ = flown(from_s=TO_ALIGN_ANEW_S, until_s=30.0, **message)
     assert fleet.truth()[1].source == "gps2 injected"
 
 
@@ -91,7 +95,7 @@ def test_just_inside_each_gate_is_taken(message):
     ],
 )
 def test_the_parameters_decide(params, message, taken):
-    fleet, _ = flown(params=params, **message)
+    fleet, _ = flown(params=params, from_s=TO_ALIGN_ANEW_S, until_s=22.0, **message)
     source = fleet.truth()[1].source
     assert source.endswith("injected") == taken
     assert taken or source in ("dead_reckoning", "none")

@@ -9,7 +9,7 @@ from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, fly
-from sitl_fakes.faults import GpsJammed, GpsLost
+from sitl_fakes.faults import GpsJammed, GpsLost, RangeDropout
 from sitl_fakes.scenario import Scenario, load_scenario
 
 DENIED = 4
@@ -54,7 +54,10 @@ def test_standby_fails_over_without_dead_reckoning():
 
 
 def test_a_position_too_coarse_for_the_ekf_reaches_the_aircraft_by_external_estimates():
-    flight, engine = flown(scenario(GpsLost, sigma_m=30.0, bias_sigma_m=0.0, rate_hz=3.0), 85.0)
+    """It checks the accuracy to align, when it has used no GPS for 10 s: here ranges begin only then."""
+    coarse = scenario(GpsLost, sigma_m=30.0, bias_sigma_m=0.0, rate_hz=3.0)
+    silent = RangeDropout(vehicle=DENIED, at_s=0.0, until_s=LOST_S + 23.0)
+    flight, engine = flown(coarse.model_copy(update={"fault": [*coarse.fault, silent]}), 85.0)
     assert "external position estimates, for it is too coarse for GPS_INPUT" in engine.snapshot(85.0).vehicles[3].aiding
     assert set(sources(flight, 78.0)) == {"dead_reckoning"}  # it uses no GPS, and certainly not ours and the estimates in turns
     assert not [reason for reason in engine.refused() if reason.startswith("external_position")]
