@@ -163,6 +163,7 @@ class _TokenBucket:
 
     full_at_s: float
     heard_at_s: float
+    is_proven: bool
 
 
 class RateLimiter:
@@ -187,10 +188,15 @@ class RateLimiter:
         """How many sources have a bucket of their own."""
         return len(self._sources)
 
-    def add_source(self, source: Hashable, now_s: float) -> None:
-        """Give a vehicle's source a bucket of its own from service time `now_s` on, if there is room."""
-        if source not in self._sources and self._has_room(now_s):
-            self._sources[source] = _TokenBucket(now_s, now_s)
+    def add_source(self, source: Hashable, now_s: float, *, is_proven: bool = False) -> None:
+        """Give a vehicle's source a bucket of its own from service time `now_s` on, if there is room.
+
+        A vehicle that `is_proven`, known for some time, takes that of one that is not.
+        """
+        if source in self._sources:
+            self._sources[source].is_proven = is_proven
+        elif self._has_room(now_s, is_proven):
+            self._sources[source] = _TokenBucket(now_s, now_s, is_proven)
 
     def admits(self, source: Hashable, size: int, now_s: float) -> bool:
         """Whether a datagram of `size` bytes that came from `source` at service time `now_s` is to be decoded."""
@@ -211,11 +217,15 @@ class RateLimiter:
             own.full_at_s, own.heard_at_s = full_at_s, now_s
         return admitted
 
-    def _has_room(self, now_s: float) -> bool:
+    def _has_room(self, now_s: float, is_proven: bool) -> bool:
         if len(self._sources) < self._max_sources:
             return True
-        stalest = min(self._sources, key=lambda source: self._sources[source].heard_at_s)
+        by_age = sorted(self._sources, key=lambda source: self._sources[source].heard_at_s)
+        stalest = by_age[0]
         if now_s - self._sources[stalest].heard_at_s < KEPT_S:
-            return False
+            unproven = next((source for source in by_age if not self._sources[source].is_proven), None)
+            if not is_proven or unproven is None:
+                return False
+            stalest = unproven
         del self._sources[stalest]
         return True

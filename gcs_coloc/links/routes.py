@@ -13,6 +13,8 @@ from gcs_coloc.core.messages.control import RouteBlock
 from gcs_coloc.links.base import Address, Link, Route
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
+PROVEN_AFTER_S = 10.0
+"""A vehicle that is known for so long is proven. Chosen: ten heartbeats, and longer than a flood of forged ids is overlooked."""
 WARN_EVERY_S = 10.0
 """Per vehicle. Chosen: a pretender may send a hundred frames a second, and a person can use one line in this time."""
 
@@ -27,8 +29,19 @@ class Blocked:
 
 @dataclass(slots=True)
 class _Binding:
+    """Where a sender is heard, since when it is known, at whatever address, and when it was heard last; service times, s.
+
+    `is_other`: its own heartbeat says that it is no autopilot, as a ground station's does.
+    """
+
     route: Route
+    since_s: float
     heard_at_s: float
+    is_other: bool = False
+
+    @property
+    def is_proven(self) -> bool:
+        return self.heard_at_s - self.since_s >= PROVEN_AFTER_S
 
 
 class RouteTable:
@@ -38,8 +51,8 @@ class RouteTable:
     `companions_elsewhere`: components other than the autopilot may have addresses of their own; without, all frames of a vehicle
     come from one address; of two addresses, the one with the autopilot's heartbeat counts.
     `shared_memory_s`: how long an autopilot, heard once, counts as being at an address. It is long because a vehicle
-    that we do not hear may still hear us. `max_components`, `max_addresses`: bounds of the tables; when one is full, only
-    a silent entry makes room.
+    that we do not hear may still hear us. `max_components`, `max_addresses`: bounds of the tables; when one is full, a silent
+    entry makes room, and for a proven vehicle one that is not.
     """
 
     def __init__(
@@ -63,10 +76,21 @@ class RouteTable:
         self._autopilots_at: OrderedDict[Route, dict[int, float]] = OrderedDict()
         self._autopilots: dict[int, _Binding] = {}
 
-    def learn(self, sysid: int, compid: int, link: Link, address: Address, *, is_autopilot_heartbeat: bool, now_s: float) -> bool:
+    def learn(
+        self,
+        sysid: int,
+        compid: int,
+        link: Link,
+        address: Address,
+        *,
+        is_autopilot_heartbeat: bool,
+        is_other_heartbeat: bool = False,
+        now_s: float,
+    ) -> bool:
         """Learn from one frame; False if it must not be used, because its sender's ids are bound to another address.
 
-        The reason of a refusal is counted: address_conflict, route_table_full.
+        The reason of a refusal is counted: address_conflict, route_table_full. Who says by `is_other_heartbeat` that it is no
+        autopilot, of a system without one, is no vehicle and bound to no address: vehicles forward ground stations.
         """
         heard = Route(link, address)
         # Before any refusal: an autopilot that we refuse at this address would still use what is sent there.
@@ -76,25 +100,27 @@ class RouteTable:
         autopilot = self._autopilots.get(sysid) if is_autopilot_heartbeat else None
         sender = self._sender(sysid, compid, is_autopilot_heartbeat=is_autopilot_heartbeat)
         binding = self._components.get(sender)
+        if is_other_heartbeat and binding is not None:
+            binding.is_other = True
         # An earlier sender of other messages does not keep the autopilot itself out.
         rivals = (autopilot,) if is_autopilot_heartbeat and not self._companions_elsewhere else (autopilot, binding)
         for other in rivals:
-            if other is not None and self._excludes(other, heard, now_s):
+            if other is not None and self._excludes(other, sysid, heard, now_s):
                 self.counts.add(Refusal.ADDRESS_CONFLICT)
-                self.conflicts.add_refusal(sysid, other.route, heard)
+                if sysid in self._autopilots:
+                    self.conflicts.add_refusal(sysid, other.route, heard)
                 return False
         if binding is None and not self._has_room(now_s):
             self.counts.add(Refusal.ROUTE_TABLE_FULL)
             return False
-        if binding is not None and binding.route == heard:
-            binding.heard_at_s = now_s
-        else:
-            self._components[sender] = _Binding(heard, now_s)
+        self._components[sender] = _renewed(binding, heard, now_s)
+        if binding is None:
+            self._components[sender].is_other = is_other_heartbeat
         self._components.move_to_end(sender)
         if is_autopilot_heartbeat:
             if autopilot is not None and autopilot.route != heard:
                 self.conflicts.add_move(sysid, autopilot.route, heard)
-            self._autopilots[sysid] = _Binding(heard, now_s)
+            self._autopilots[sysid] = _renewed(autopilot, heard, now_s)
         elif not self._companions_elsewhere and sysid in self._autopilots and self._autopilots[sysid].route == heard:
             self._autopilots[sysid].heard_at_s = now_s
         return True
@@ -121,7 +147,7 @@ class RouteTable:
     def comes_from_its_binding(self, sysid: int, compid: int, link: Link, address: Address, now_s: float) -> bool:
         """Whether a frame, from which nothing is learnt, comes from its sender's address. An unknown sender may be anywhere."""
         binding = self._components.get(self._sender(sysid, compid, is_autopilot_heartbeat=False))
-        return binding is None or not self._excludes(binding, Route(link, address), now_s)
+        return binding is None or not self._excludes(binding, sysid, Route(link, address), now_s)
 
     def is_vehicle(self, sysid: int) -> bool:
         """Whether an autopilot of that system id was heard."""
@@ -151,21 +177,31 @@ class RouteTable:
         as_one = not self._companions_elsewhere and (is_autopilot_heartbeat or sysid in self._autopilots)
         return sysid, 0 if as_one else compid
 
-    def _excludes(self, binding: _Binding, heard: Route, now_s: float) -> bool:
+    def _excludes(self, binding: _Binding, sysid: int, heard: Route, now_s: float) -> bool:
+        if binding.is_other and sysid not in self._autopilots:
+            return False
         return binding.route != heard and now_s - binding.heard_at_s < self._rebind_after_s
 
     def _add_autopilot_at(self, heard: Route, sysid: int, now_s: float) -> bool:
         autopilots = self._autopilots_at.get(heard)
         if autopilots is None:
             if len(self._autopilots_at) >= self._max_addresses:
-                stalest = next(iter(self._autopilots_at))
-                if now_s - max(self._autopilots_at[stalest].values()) <= self._shared_memory_s:
-                    return False
+                stalest, last_heard = next(iter(self._autopilots_at.items()))
+                if now_s - max(last_heard.values()) <= self._shared_memory_s:
+                    unproven = (route for route, there in self._autopilots_at.items() if not any(map(self.is_proven, there)))
+                    evicted = next(unproven, None) if self.is_proven(sysid) else None
+                    if evicted is None:
+                        return False
+                    stalest = evicted
                 del self._autopilots_at[stalest]
             autopilots = self._autopilots_at[heard] = {}
         autopilots[sysid] = now_s
         self._autopilots_at.move_to_end(heard)
         return True
+
+    def is_proven(self, sysid: int) -> bool:
+        """Whether an autopilot of that system id has been known for some time: a flood of new ones takes no room from it."""
+        return sysid in self._autopilots and self._autopilots[sysid].is_proven
 
     def _has_room(self, now_s: float) -> bool:
         if len(self._components) < self._max_components:
@@ -175,6 +211,14 @@ class RouteTable:
             return False
         del self._components[stalest]
         return True
+
+
+def _renewed(binding: _Binding | None, heard: Route, now_s: float) -> _Binding:
+    """The binding of a sender that is heard now: a new one, or the one it has, moved where need be."""
+    if binding is None:
+        return _Binding(heard, now_s, now_s)
+    binding.route, binding.heard_at_s = heard, now_s
+    return binding
 
 
 class AddressConflicts:

@@ -13,6 +13,7 @@ from pymavlink.dialects.v20.ardupilotmega import (
     MAV_COMP_ID_AUTOPILOT1,
     MAVLINK_MSG_ID_COMMAND_ACK,
     MAVLINK_MSG_ID_GPS_INPUT,
+    MAVLINK_MSG_ID_HEARTBEAT,
 )
 
 from gcs_coloc.core.messages.inbound import Heartbeat, Inbound
@@ -45,6 +46,11 @@ class Frame(NamedTuple):
     sequence: int
     message_id: int
     message: Inbound | None
+
+    @property
+    def is_other_heartbeat(self) -> bool:
+        """Whether its sender says that it is no autopilot: a ground station, a companion computer, a camera."""
+        return self.message_id == MAVLINK_MSG_ID_HEARTBEAT and self.message is None
 
     @property
     def is_autopilot_heartbeat(self) -> bool:

@@ -80,7 +80,7 @@ class Receiver:
             elif frame.message is not None:
                 received.messages += (frame.message,)
                 if frame.is_autopilot_heartbeat:
-                    self._rate_limiter.add_source((link, address), now_s)
+                    self._rate_limiter.add_source((link, address), now_s, is_proven=self._routes.is_proven(frame.sysid))
                     received.add_report(self._route_report(frame.sysid, now_s))
         for raw in received.frames:
             if raw.message_id in TRUTH_IDS:
@@ -90,8 +90,15 @@ class Receiver:
         return received
 
     def _learn_route(self, frame: Frame | RawFrame, link: Link, address: Address, now_s: float) -> bool:
-        heartbeat = isinstance(frame, Frame) and frame.is_autopilot_heartbeat
-        return self._routes.learn(frame.sysid, frame.compid, link, address, is_autopilot_heartbeat=heartbeat, now_s=now_s)
+        return self._routes.learn(
+            frame.sysid,
+            frame.compid,
+            link,
+            address,
+            is_autopilot_heartbeat=isinstance(frame, Frame) and frame.is_autopilot_heartbeat,
+            is_other_heartbeat=isinstance(frame, Frame) and frame.is_other_heartbeat,
+            now_s=now_s,
+        )
 
     def _route_report(self, sysid: int, now_s: float) -> RouteReport:
         route = self._routes.route(sysid, now_s)

@@ -104,3 +104,20 @@ def test_lively_sources_are_kept_and_silent_ones_make_room():
     assert rate_limiter.admits("c", 1000, KEPT_S)  # in the place of b
     rate_limiter.add_source("b", KEPT_S)
     assert not rate_limiter.admits("b", 1000, KEPT_S)
+
+
+def test_a_proven_vehicle_takes_the_bucket_of_one_that_is_not_and_none_of_another_proven_one():
+    limiter = RateLimiter(10_000.0, max_sources=3)
+    limiter.add_source("proven", 0.0, is_proven=True)
+    limiter.add_source("forged", 0.1)
+    limiter.add_source("forged too", 0.2)
+    limiter.add_source("newcomer", 0.3)
+    limiter.add_source("moved", 0.4, is_proven=True)
+    limiter.add_source("moved too", 0.5, is_proven=True)
+    limiter.add_source("one more", 0.6, is_proven=True)
+    flood = [limiter.admits("stranger", 1000, 1.0) for _ in range(10)]
+    assert not all(flood)
+    assert {source: limiter.admits(source, 100, 1.0) for source in ("proven", "moved", "moved too")} == dict.fromkeys(
+        ("proven", "moved", "moved too"), True
+    )
+    assert not any(limiter.admits(source, 100, 1.0) for source in ("forged", "forged too", "newcomer", "one more"))

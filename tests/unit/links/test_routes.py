@@ -17,8 +17,10 @@ class Ears:
         self.table = RouteTable(**settings)
         self.now_s = 100.0
 
-    def hears(self, sysid, address, compid=1, autopilot=True, link=LINK):
-        return self.table.learn(sysid, compid, link, address, is_autopilot_heartbeat=autopilot, now_s=self.now_s)
+    def hears(self, sysid, address, compid=1, autopilot=True, link=LINK, other=False):
+        return self.table.learn(
+            sysid, compid, link, address, is_autopilot_heartbeat=autopilot, is_other_heartbeat=other, now_s=self.now_s
+        )
 
     def route(self, sysid):
         return self.table.route(sysid, self.now_s)
@@ -285,3 +287,41 @@ def test_who_is_reached_at_an_address_is_known_for_a_minute_after_it_was_heard(e
     ears.now_s += 2.0
     assert ears.table.autopilots_at(LINK, HERE, ears.now_s) == (2,)
     assert ears.table.autopilots_at(LINK, THERE, ears.now_s) == ()
+
+
+def test_a_ground_station_that_several_vehicles_forward_is_no_pretender(ears):
+    for address in (HERE, THERE, HERE, THERE):
+        assert ears.hears(255, address, compid=190, autopilot=False, other=True)
+        assert ears.hears(255, address, compid=190, autopilot=False)
+    assert ears.table.counts["address_conflict"] == 0
+    assert ears.table.conflicts.pending_warnings(ears.now_s) == []
+
+
+def test_a_component_of_a_vehicle_is_bound_whatever_it_says_to_be(ears):
+    assert ears.hears(7, THERE, compid=190, autopilot=False, other=True)
+    assert ears.hears(7, HERE)
+    assert not ears.hears(7, THERE, compid=190, autopilot=False, other=True)
+    assert not ears.hears(7, THERE, compid=1, autopilot=False)
+    assert ears.table.counts["address_conflict"] == 2
+
+
+def test_a_second_sender_that_is_no_vehicle_yet_is_refused_without_a_word(ears):
+    assert ears.hears(9, HERE, autopilot=False)
+    assert not ears.hears(9, THERE, autopilot=False)
+    assert ears.table.conflicts.pending_warnings(ears.now_s) == []
+
+
+def test_a_flood_of_addresses_keeps_no_known_vehicle_out_after_its_port_changed():
+    ears = Ears(max_addresses=256)
+    for _ in range(12):
+        ears.hears(1, HERE)
+        ears.now_s += 1.0
+    for number in range(255):
+        assert ears.hears(2 + number % 250, ("6.6.6.6", number)) or number >= 250
+    ears.now_s += 5.1
+    for number in range(255):
+        ears.hears(2 + number % 250, ("6.6.6.7", number))
+    moved = ("10.0.0.1", 14999)
+    assert ears.hears(1, moved)
+    assert ears.route(1) == Route(LINK, moved)
+    assert not ears.hears(252, ("6.6.6.8", 1))  # a newcomer still waits until somebody is silent
