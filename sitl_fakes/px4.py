@@ -41,16 +41,17 @@ class Px4(Autopilot):
         """Pass over GPS_INPUT: PX4 does not take it."""
 
     def receive_global_position(self, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
-        """Fuse an auxiliary position where EKF2_AGP_CTRL has it on and `eph_m` is above 0. It moves the estimate by more than the
-        gate only where nothing else has given a position of late.
+        """Fuse an auxiliary position where EKF2_AGP0_CTRL has it on and `eph_m` is above 0.
+
+        It moves the estimate by more than the gate only where nothing else has given a position of late.
         """
-        if not int(self._params["EKF2_AGP_CTRL"]) & _HORIZONTAL or not eph_m > 0.0:
+        if not int(self._params["EKF2_AGP0_CTRL"]) & _HORIZONTAL or not eph_m > 0.0:
             return
         if self.navigation.correct_position(
             position_m,
-            max(eph_m, self._params["EKF2_AGP_NOISE"]),
+            max(eph_m, self._params["EKF2_AGP0_NOISE"]),
             at_s,
-            gate_sigma=max(self._params["EKF2_AGP_GATE"], 1.0),
+            gate_sigma=max(self._params["EKF2_AGP0_GATE"], 1.0),
             may_reset=at_s - self._gps_used_at_s > _HELD_S,
         ):
             self._last_used, self._aux_used_at_s = _AUX, at_s
@@ -71,8 +72,8 @@ class Px4(Autopilot):
 
     def injected_refusal(self, at_s: float) -> str | None:
         """Why auxiliary positions are not used now, or None where they are."""
-        if not int(self._params["EKF2_AGP_CTRL"]) & _HORIZONTAL:
-            return "EKF2_AGP_CTRL is off"
+        if not int(self._params["EKF2_AGP0_CTRL"]) & _HORIZONTAL:
+            return "EKF2_AGP0_CTRL is off"
         return None if at_s - self._aux_used_at_s <= _HELD_S else "no auxiliary global position is fused"
 
     def gps_healthy(self, at_s: float) -> bool:

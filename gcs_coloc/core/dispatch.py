@@ -15,6 +15,7 @@ from gcs_coloc.core.messages.inbound import (
     Attitude,
     CommandResult,
     FromVehicle,
+    GlobalOrigin,
     GlobalPosition,
     GpsReceiver,
     ParameterValue,
@@ -68,6 +69,7 @@ class MessageDispatch:
             SystemTime: lambda message, _, last: clocks.add_system_time(message, gps_is_trusted=last.is_trusted),
             TimeSyncAnswer: lambda message, *_: clocks.add_answer(message),
             CommandResult: lambda message, *_: aiding.add_result(message),
+            GlobalOrigin: lambda message, *_: aiding.add_origin(message),
             ParameterValue: lambda message, *_: aiding.add_parameter(message),
         }
 

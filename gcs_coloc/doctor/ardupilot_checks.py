@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 from gcs_coloc.core.aiding.fix_policy import EkfGates
 from gcs_coloc.core.aiding.methods.gps_input import DELAY_MS
-from gcs_coloc.core.aiding.methods.registry import method_for
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.doctor import parameters as p
 from gcs_coloc.doctor.finding import Finding, Setup, Severity, VehicleSurvey, note, right, stop
@@ -24,16 +23,16 @@ _EKF3 = 3.0
 _DELAY_MS = 100.0  # measured: with it, and data 0.1 s old, EKF3 does not trail
 
 
-def check(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
+def check(vehicle: VehicleSurvey, setup: Setup, method: AidingMethodName) -> Iterator[Finding]:
     """Judge the parameters that the vehicle told. Values and meanings: ArduPilot's parameter lists of 4.5 to 4.7."""
     yield from _senders(vehicle, setup)
     aid = setup.aiding
-    if method_for(vehicle.sysid, vehicle.autopilot, aid) == "external_position":
+    if method == "external_position":
         yield right("it is aided by MAV_CMD_EXTERNAL_POSITION_ESTIMATE alone, which needs no GPS parameter")
     else:
         yield from apply_rules(vehicle.parameters, (*_receiver_rules(aid.gps_id), _delay_rule(aid.gps_id)))
         yield from _arming(vehicle, aid)
-    yield from _filter(vehicle, method_for(vehicle.sysid, vehicle.autopilot, aid))
+    yield from _filter(vehicle, method)
 
 
 def _senders(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:

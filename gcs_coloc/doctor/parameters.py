@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from gcs_coloc.core.aiding.methods.gps_input import DELAY_MS
+from gcs_coloc.core.aiding.px4 import AGP_CONTROL, AGP_ID, AGP_SLOTS, EV_CONTROL
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.doctor import ports
 from gcs_coloc.doctor.finding import Finding, Severity, right, stop
@@ -26,9 +27,11 @@ SENDERS_OPTION = ("MAV_OPTIONS", "SYSID_ENFORCE")
 GCS_SYSID = ("MAV_GCS_SYSID", "SYSID_MYGCS")
 GCS_SYSID_HIGH = ("MAV_GCS_SYSID_HI",)
 
-AGP_CONTROL = ("EKF2_AGP_CTRL", "EKF2_AGP0_CTRL")
-"""PX4's EKF2, auxiliary global position; newer versions have several, of which GLOBAL_POSITION_SENSOR's id selects one."""
-AGP_ID = ("EKF2_AGP0_ID",)
+AGP_BEFORE_1_18 = ("EKF2_AGP_CTRL",)
+"""PX4's EKF2: what PX4 1.15 to 1.17 have in place of the slots of the auxiliary global position."""
+AGP_DELAY = "EKF2_AGP{}_DELAY"
+EV_NOISE_MODE = ("EKF2_EV_NOISE_MD",)
+EV_DELAY = ("EKF2_EV_DELAY",)
 
 _ARDUPILOT = (
     *GPS_TYPE,
@@ -46,7 +49,15 @@ _ARDUPILOT = (
     GCS_SYSID_HIGH,
     *DELAY_MS,
 )
-WANTED: Mapping[Autopilot, tuple[tuple[str, ...], ...]] = {Autopilot.ARDUPILOT: _ARDUPILOT, Autopilot.PX4: (AGP_CONTROL, AGP_ID)}
+_PX4 = (
+    *((name.format(0),) for name in (AGP_CONTROL, AGP_ID, AGP_DELAY)),
+    (EV_CONTROL,),
+    EV_NOISE_MODE,
+    EV_DELAY,
+    AGP_BEFORE_1_18,
+    *((name.format(slot),) for slot in AGP_SLOTS[1:] for name in (AGP_ID, AGP_CONTROL, AGP_DELAY)),
+)
+WANTED: Mapping[Autopilot, tuple[tuple[str, ...], ...]] = {Autopilot.ARDUPILOT: _ARDUPILOT, Autopilot.PX4: _PX4}
 """Those of aid; of its ports, `ports` knows."""
 
 RETRY_S = 1.0

@@ -1,32 +1,105 @@
-"""Whether a PX4 vehicle's parameters let it take GLOBAL_POSITION_SENSOR as an auxiliary global position."""
+"""Checks of PX4's parameters: its EKF2 takes a position by the method that it is sent."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
+from gcs_coloc.core.aiding.px4 import AGP_CONTROL, AGP_ID, AGP_SLOTS, EV_CONTROL, HORIZONTAL, SENSOR_ID
+from gcs_coloc.core.aiding.settings import AidingMethodName
 from gcs_coloc.doctor import parameters as p
-from gcs_coloc.doctor.finding import Finding, Severity, VehicleSurvey
+from gcs_coloc.doctor.finding import Finding, Severity, VehicleSurvey, note, stop
 from gcs_coloc.doctor.parameters import ParameterRule, apply_rules, equals
-from gcs_coloc.mavlink.encoder import SENSOR_ID
 
-_HORIZONTAL = 1  # bit of EKF2_AGP_CTRL: the horizontal position is fused
+_VERTICAL = 2  # bit of either control: the vertical position is fused
+_REBOOT = ", then reboot it"
 
-_RULES = (
+
+def check(vehicle: VehicleSurvey, method: AidingMethodName) -> Iterator[Finding]:
+    """Judge the parameters that the vehicle told. Values and meanings: PX4's parameter reference, EKF2."""
+    has_slots = AGP_CONTROL.format(0) in vehicle.parameters
+    if method == "global_position_sensor" or (method == "auto" and has_slots):
+        yield from _auxiliary_position(vehicle)
+        return
+    found = p.look_up(vehicle.parameters, p.AGP_BEFORE_1_18)
+    if found is not None and not has_slots:
+        yield note(f"{found[0]} = {found[1]:g}: it is of PX4 1.15 to 1.17, which receive no GLOBAL_POSITION_SENSOR")
+    yield from apply_rules(vehicle.parameters, _VISION_RULES)
+
+
+def _auxiliary_position(vehicle: VehicleSurvey) -> Iterator[Finding]:
+    """Judge the slots of EKF2's auxiliary global position: one is to have our id and be on, read at its start alone."""
+    told = vehicle.parameters
+    ids = {slot: told[name] for slot in AGP_SLOTS if (name := AGP_ID.format(slot)) in told}
+    ours = [slot for slot, number in ids.items() if number == SENSOR_ID]
+    if not ours:
+        name = AGP_ID.format(0)
+        if name not in told:
+            yield stop(f"{name} could not be read", "run the doctor again, nearer to the vehicle; else its firmware lacks it")
+            return
+        off = "the slot is off" if told[name] == 0.0 else "it waits for another sensor id than ours"
+        yield stop(f"{name} = {told[name]:g}: {off}", f"set {name} = {SENSOR_ID}{_REBOOT}", (name, float(SENSOR_ID)))
+    slot = ours[0] if ours else 0
+    yield from apply_rules(told, _slot_rules(slot))
+    if ours:
+        yield note(f"{AGP_ID.format(slot)} = {SENSOR_ID} counts from a start on: if it was set since the last one, reboot it")
+    for other, number in ids.items():
+        control = told.get(AGP_CONTROL.format(other), 0.0)
+        if other != slot and number != 0.0 and int(control) & HORIZONTAL:
+            yield note(f"{AGP_CONTROL.format(other)} = {control:g}: it fuses the positions of sensor {number:g} as well")
+
+
+def _slot_rules(slot: int) -> tuple[ParameterRule, ...]:
+    return (
+        ParameterRule(
+            (AGP_CONTROL.format(slot),),
+            lambda value: bool(int(value) & HORIZONTAL),
+            Severity.STOP,
+            "it does not take GLOBAL_POSITION_SENSOR",
+            set_to=lambda value: float(int(value) | HORIZONTAL),
+            good="it takes GLOBAL_POSITION_SENSOR as an auxiliary global position",
+            unreadable="its firmware takes no auxiliary global position",
+        ),
+        ParameterRule(
+            (p.AGP_DELAY.format(slot),),
+            equals(0.0),
+            Severity.STOP,
+            lambda ms: f"it takes what is true on arrival to be {ms / 1e3:g} s old",
+            set_to=0.0,
+            remedy_more=_REBOOT,
+        ),
+    )
+
+
+_VISION_RULES = (
     ParameterRule(
-        p.AGP_CONTROL,
-        lambda value: bool(int(value) & _HORIZONTAL),
+        (EV_CONTROL,),
+        lambda value: bool(int(value) & HORIZONTAL),
         Severity.STOP,
-        "it does not take GLOBAL_POSITION_SENSOR",
-        set_to=lambda value: float(int(value) | _HORIZONTAL),
-        good="it takes GLOBAL_POSITION_SENSOR as an auxiliary global position",
-        unreadable="its firmware takes no auxiliary global position",
+        "it does not take VISION_POSITION_ESTIMATE",
+        set_to=lambda value: float(int(value) | HORIZONTAL),
+        good="it takes VISION_POSITION_ESTIMATE; no camera of its own may send it",
+        unreadable="its firmware takes no vision position",
     ),
     ParameterRule(
-        p.AGP_ID, equals(SENSOR_ID), Severity.STOP, "it waits for another sensor id than ours", set_to=float(SENSOR_ID)
+        (EV_CONTROL,),
+        lambda value: not int(value) & _VERTICAL,
+        Severity.NOTE,
+        "it flies on the height that we compute, which no alert limit guards",
+        set_to=lambda value: float(int(value) & ~_VERTICAL),
+    ),
+    ParameterRule(
+        p.EV_NOISE_MODE,
+        equals(0.0),
+        Severity.STOP,
+        "it takes every position to be as good as EKF2_EVP_NOISE says, however coarse it is",
+        set_to=0.0,
+    ),
+    ParameterRule(
+        p.EV_DELAY,
+        equals(0.0),
+        Severity.STOP,
+        lambda ms: f"it takes what is true on arrival to be {ms / 1e3:g} s old",
+        set_to=0.0,
+        remedy_more=_REBOOT,
     ),
 )
-
-
-def check(vehicle: VehicleSurvey) -> Iterator[Finding]:
-    """Judge the parameters that the vehicle told. Values and meanings: PX4's parameter reference, EKF2."""
-    yield from apply_rules(vehicle.parameters, _RULES)

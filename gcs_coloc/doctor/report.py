@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from gcs_coloc.core.aiding.methods.registry import method_for, mismatch
+from gcs_coloc.core.aiding.px4 import px4_method
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
 from gcs_coloc.doctor.finding import Finding, FleetSurvey, Setup, Severity, VehicleSurvey, note, right, stop
@@ -138,9 +139,10 @@ def _address(vehicle: VehicleSurvey) -> Iterator[Finding]:
 
 
 def _autopilot(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
-    way = method_for(vehicle.sysid, vehicle.autopilot, setup.aiding)
+    way = method_for(vehicle.sysid, vehicle.autopilot, setup.aiding, lambda _: px4_method(vehicle.parameters.get))
     wrong_way = mismatch(way, vehicle.autopilot)
-    if wrong_way is not None:
+    # What a PX4 lacks to take any, its parameters show.
+    if wrong_way is not None and (way != "auto" or vehicle.autopilot is not Autopilot.PX4):
         yield stop(wrong_way.text, f"set method, or methods.{vehicle.sysid} for this vehicle alone, in [aiding] of gcs-coloc")
         return
     if vehicle.autopilot not in (Autopilot.ARDUPILOT, Autopilot.PX4):
@@ -161,9 +163,9 @@ def _autopilot(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
             f"set system_id = {vehicle.answers_only_to} in [mavlink] of gcs-coloc",
         )
     if vehicle.autopilot is Autopilot.PX4:
-        yield from px4_checks.check(vehicle)
+        yield from px4_checks.check(vehicle, way)
     else:
-        yield from ardupilot_checks.check(vehicle, setup)
+        yield from ardupilot_checks.check(vehicle, setup, way)
 
 
 def _ranges(vehicle: VehicleSurvey, fleet: frozenset[int]) -> Iterator[Finding]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections import Counter
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
@@ -13,11 +12,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from gcs_coloc.core.clocks.vehicle_clocks import DuplicateIdDetector
 from gcs_coloc.core.messages.inbound import (
     Attitude,
-    Autopilot,
     GlobalPosition,
     GpsReceiver,
     Heartbeat,
     Inbound,
+    ParameterValue,
     PeerRange,
     SystemTime,
     TimeSyncAnswer,
@@ -118,8 +117,6 @@ class Survey:
                 vehicle.is_signed = vehicle.is_signed or raw.is_signed
                 if at_s >= self._half_s and raw.compid == mavlink.MAV_COMP_ID_AUTOPILOT1:
                     vehicle.magics.add(raw.frame[0])
-                if raw.message_id == _PARAM_VALUE.id:
-                    _read_parameter(raw, vehicle.reader)
 
     def questions(self, now_s: float) -> list[Question]:
         """What is to be asked by now, and of whom."""
@@ -192,6 +189,8 @@ class Survey:
                 vehicle.receiver = message
             case PeerRange():
                 self._ranges[frozenset((message.sysid, message.peer_sysid))] += 1
+            case ParameterValue():
+                vehicle.reader.add(message.name, message.value)
             case TimeSyncAnswer():
                 vehicle.answers_timesync = True
             case SystemTime() if message.unix_s is not None and self._utc_minus_service_s is not None:
@@ -210,14 +209,3 @@ class Survey:
             vehicle.stays[place].last_s = at_s
         elif len(vehicle.stays) < MAX_VEHICLES:
             vehicle.stays[place] = _Stay(at_s, at_s)
-
-
-def _read_parameter(raw: RawFrame, reader: ParameterReader) -> None:
-    payload = raw.payload.ljust(_PARAM_VALUE.unpacker.size, b"\0")
-    value, _count, _index, name, kind = _PARAM_VALUE.unpacker.unpack_from(payload)
-    if reader.autopilot is Autopilot.PX4 and kind in _INTEGER_KINDS:
-        # PX4 puts an integer's four bytes where ArduPilot puts its value as a float.
-        (value,) = struct.unpack_from("<i", payload)
-    text = name.partition(b"\0")[0]
-    if text.isascii() and abs(value) < float("inf"):
-        reader.add(text.decode("ascii"), float(value))

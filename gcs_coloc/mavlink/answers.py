@@ -3,18 +3,32 @@
 from __future__ import annotations
 
 import math
+import struct
 from dataclasses import replace
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.messages.control import ForeignGpsInput
-from gcs_coloc.core.messages.inbound import CommandOutcome, CommandResult, ParameterValue, TimeSyncAnswer, VehicleCommand
+from gcs_coloc.core.messages.inbound import (
+    CommandOutcome,
+    CommandResult,
+    GlobalOrigin,
+    ParameterValue,
+    TimeSyncAnswer,
+    VehicleCommand,
+)
+from gcs_coloc.mavlink import checks
 from gcs_coloc.mavlink.checks import InvalidValueError
 from gcs_coloc.mavlink.framing import MESSAGE_CLASSES, RawFrame
 from gcs_coloc.mavlink.refusals import Field
 
-_COMMANDS = {mavlink.MAV_CMD_EXTERNAL_POSITION_ESTIMATE: VehicleCommand.EXTERNAL_POSITION_ESTIMATE}
+ESTIMATOR_SENSOR_ENABLE = 43006
+"""MAV_CMD_ESTIMATOR_SENSOR_ENABLE of development.xml, which no dialect of pymavlink's has yet."""
+_COMMANDS = {
+    mavlink.MAV_CMD_EXTERNAL_POSITION_ESTIMATE: VehicleCommand.EXTERNAL_POSITION_ESTIMATE,
+    ESTIMATOR_SENSOR_ENABLE: VehicleCommand.ESTIMATOR_SENSOR_ENABLE,
+}
 _OUTCOMES = {
     mavlink.MAV_RESULT_ACCEPTED: CommandOutcome.ACCEPTED,
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: CommandOutcome.TEMPORARILY_REJECTED,
@@ -23,6 +37,11 @@ _OUTCOMES = {
     mavlink.MAV_RESULT_FAILED: CommandOutcome.FAILED,
     mavlink.MAV_RESULT_IN_PROGRESS: CommandOutcome.IN_PROGRESS,
 }
+
+_INTEGER_KINDS = range(mavlink.MAV_PARAM_TYPE_UINT8, mavlink.MAV_PARAM_TYPE_INT32 + 1)
+_LEAST_NORMAL = 2.0**-126
+"""The least normal number of a float of 32 bits (IEEE 754)."""
+_LEAST_BYTES_OF_A_NUMBER = 1 << 23  # as an integer
 
 
 def timesync(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> TimeSyncAnswer | None:
@@ -43,8 +62,14 @@ def command_ack(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Co
 
 
 def param_value(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> ParameterValue | None:
-    """PARAM_VALUE (22), integers as ArduPilot sends them, as floats. None where another encoding makes that no number."""
+    """PARAM_VALUE (22). ArduPilot sends an integer as a float, PX4 its four bytes; None where it is no number.
+
+    As a float the bytes of an integer below 2^23 are subnormal, those of a negative one NaN: a whole number is never either.
+    """
     value, _count, _index, name, kind = values
+    if kind in _INTEGER_KINDS and (math.isnan(value) or 0.0 < abs(value) < _LEAST_NORMAL):
+        (number,) = struct.unpack("<i", struct.pack("<f", value))
+        value = float(number) if abs(number) < _LEAST_BYTES_OF_A_NUMBER else math.nan
     if not math.isfinite(value):
         return None
     try:
@@ -65,3 +90,9 @@ def gps_input(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Fore
     """GPS_INPUT (232) from somebody else. It has no target field: it reaches every vehicle at the address it came from."""
     gps_id = values[15]
     return ForeignGpsInput(sysid, received_at_s, gps_id)
+
+
+def gps_global_origin(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> GlobalOrigin:
+    """GPS_GLOBAL_ORIGIN (49)."""
+    lat_e7, lon_e7, alt_mm, *_ = values
+    return GlobalOrigin(sysid, received_at_s, *checks.latitude_longitude_deg(lat_e7, lon_e7), checks.altitude_m(alt_mm))

@@ -10,23 +10,28 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from gcs_coloc.core.aiding.px4 import SENSOR_ID
 from gcs_coloc.core.messages.outbound import (
     ExternalPosition,
     GlobalPositionSensor,
     GpsInput,
+    OriginRequest,
     ParameterRequest,
+    SensorEnable,
     Stream,
     StreamRequest,
     TimeSyncRequest,
     ToVehicle,
+    VisionPosition,
 )
+from gcs_coloc.mavlink.answers import ESTIMATOR_SENSOR_ENABLE
 from gcs_coloc.mavlink.framing import OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.signing import Stamp
 
 MAX_DESTINATIONS = 1024
 """Destinations that are numbered apart. Chosen: more than a fleet has; the oldest makes room and begins at 0 again."""
-SENSOR_ID = 1
-"""The id of our GLOBAL_POSITION_SENSOR, by which PX4's EKF2_AGPn_ID selects it."""
+_FUSION_SOURCE_GPS = 0
+"""ESTIMATOR_SENSOR_FUSION_SOURCE_GPS of development.xml."""
 _BY_NAME = -1
 """PARAM_REQUEST_READ's param_index where the parameter is named (MAVLink common.xml)."""
 
@@ -89,9 +94,15 @@ def _wire_message(message: ToVehicle) -> Any:
         return _external_position(message)
     if isinstance(message, GlobalPositionSensor):
         return _global_position_sensor(message)
+    if isinstance(message, VisionPosition):
+        return _vision_position(message)
     target = (message.sysid, mavlink.MAV_COMP_ID_AUTOPILOT1)
     if isinstance(message, ParameterRequest):
         return mavlink.MAVLink_param_request_read_message(*target, message.name.encode(), _BY_NAME)
+    if isinstance(message, OriginRequest):
+        return _command(message.sysid, mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+    if isinstance(message, SensorEnable):
+        return _command(message.sysid, ESTIMATOR_SENSOR_ENABLE, _FUSION_SOURCE_GPS, 0, float(message.gps), math.nan)
     if not math.isfinite(message.value):
         raise ValueError("PARAM_SET cannot be encoded: the value is not finite")
     return mavlink.MAVLink_param_set_message(*target, message.name.encode(), message.value, message.kind)
@@ -128,20 +139,14 @@ def _gps_input(fix: GpsInput) -> Any:
 
 
 def _stream_request(request: StreamRequest) -> Any:
-    """COMMAND_LONG (76) MAV_CMD_SET_MESSAGE_INTERVAL, to the vehicle's autopilot component."""
-    return mavlink.MAVLink_command_long_message(
-        target_system=request.sysid,
-        target_component=mavlink.MAV_COMP_ID_AUTOPILOT1,
-        command=mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
-        confirmation=0,
-        param1=STREAM_IDS[request.stream],
-        param2=request.interval_us,
-        param3=0,
-        param4=0,
-        param5=0,
-        param6=0,
-        param7=0,
-    )
+    """COMMAND_LONG (76) MAV_CMD_SET_MESSAGE_INTERVAL."""
+    return _command(request.sysid, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, STREAM_IDS[request.stream], request.interval_us)
+
+
+def _command(sysid: int, command: int, *parameters: float) -> Any:
+    """COMMAND_LONG (76), to the vehicle's autopilot component; parameters that are not given are 0."""
+    seven = (*parameters, *(0.0,) * (7 - len(parameters)))
+    return mavlink.MAVLink_command_long_message(sysid, mavlink.MAV_COMP_ID_AUTOPILOT1, command, 0, *seven)
 
 
 def _external_position(position: ExternalPosition) -> Any:
@@ -184,6 +189,17 @@ def _global_position_sensor(position: GlobalPositionSensor) -> Any:
         eph=position.eph_m,
         epv=position.epv_m,
     )
+
+
+def _vision_position(position: VisionPosition) -> Any:
+    """VISION_POSITION_ESTIMATE (102). PX4 reads the diagonal of the covariance: north, east and down are elements 0, 6, 11."""
+    numbers = (position.north_m, position.east_m, position.down_m, *position.variance_m2)
+    if not all(math.isfinite(number) for number in numbers) or min(position.variance_m2) <= 0.0:
+        raise ValueError("VISION_POSITION_ESTIMATE cannot be encoded: a number is not finite, or a variance not above 0")
+    covariance = [0.0] * 21
+    covariance[0], covariance[6], covariance[11] = position.variance_m2
+    nowhere = (math.nan, math.nan, math.nan)
+    return mavlink.MAVLink_vision_position_estimate_message(position.time_usec, *numbers[:3], *nowhere, covariance)
 
 
 def _require_position(position: GpsInput | ExternalPosition | GlobalPositionSensor, name: str) -> None:

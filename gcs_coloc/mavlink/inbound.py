@@ -176,6 +176,7 @@ def estimator_status(sysid: int, received_at_s: float, values: tuple[Any, ...]) 
         horizontal_position_absolute=is_absolute,
         constant_position_mode=bool(flags & mavlink.ESTIMATOR_CONST_POS_MODE) and not is_absolute,
         gps_glitching=bool(flags & mavlink.ESTIMATOR_GPS_GLITCH),
+        global_position_aided=bool(flags & mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS),
     )
 
 
@@ -228,6 +229,7 @@ AUTOPILOT_CONVERTERS: Mapping[int, Converter] = MappingProxyType(
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status_report,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
         mavlink.MAVLINK_MSG_ID_COMMAND_ACK: answers.command_ack,
+        mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: answers.gps_global_origin,
         mavlink.MAVLINK_MSG_ID_PARAM_VALUE: answers.param_value,
     }
 )

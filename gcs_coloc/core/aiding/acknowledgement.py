@@ -1,19 +1,23 @@
-"""Whether a vehicle acknowledges our GPS_INPUT: what it says of the receiver that we feed (GPS2_RAW) against what was sent."""
+"""Fix acknowledgement: whether a vehicle uses what it is sent, by what it reports of the receiver that we feed, or of its EKF."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from math import hypot
 
 from gcs_coloc.core.geodesy import horizontal_distance_m
 from gcs_coloc.core.messages.inbound import GpsReceiver
-from gcs_coloc.core.messages.outbound import GpsInput
+from gcs_coloc.core.messages.outbound import AidingMessage, GpsInput
 from gcs_coloc.core.reasons import StatedReason, WordedReason
+from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 _JUDGED_AFTER_S = 5.0
 _SILENCE_S = 3.0
 _LINGERS_S = 6.0  # ArduPilot keeps a fix for 4 s after the last message with one
 _NEAR_M, _NEAR_S = 50.0, 2.0
 _HAS_FIX = 3
+_SENT_WITHIN_S = 2.0  # chosen: below the 5 s after which PX4 gives up an aid
+_EKF_FRESH_S = 6.0  # PX4 sends ESTIMATOR_STATUS every 5.5 s on a telemetry radio's default rate
 
 
 class FixFault(WordedReason):
@@ -25,27 +29,103 @@ class FixFault(WordedReason):
         "another_fix",
         "its {detail} is {value:.0f} m off what is sent: is it a receiver of its own, or does somebody else feed it?",
     )
+    EKF_UNAIDED = (
+        "ekf_unaided",
+        "its EKF2 reports no global position from GNSS or aid; was it rebooted after EKF2_AGP0_ID was set?",
+    )
     UNSENT_FIX = (
         "unsent_fix",
         "its {detail} has a fix that was not sent: is it a receiver of its own, or does somebody else feed it?",
     )
 
 
-class FixAcknowledgement:
-    """One stream of GPS_INPUT to one vehicle. `acknowledged` is None until it shows; `fault` says why it is not."""
+class Acknowledgement(ABC):
+    """Whether one vehicle uses what it is sent. `acknowledged` is None until it shows; `fault` says why it is not."""
 
-    def __init__(self, gps_id: int, began_at_s: float) -> None:
+    _what: str
+
+    def __init__(self) -> None:
         self.acknowledged: bool | None = None
         self.fault: str | None = None
+        self._wrong_since_s: float | None = None
+        self._alarmed = False
+
+    @abstractmethod
+    def add_sent(self, message: AidingMessage, now_s: float) -> None:
+        """Add what was sent."""
+
+    def review(self, vehicle: ReportedState, now_s: float) -> tuple[str, str] | None:
+        """Judge; return level and text of a notice, where it has changed."""
+        fault = self._fault_now(vehicle, now_s)
+        if fault is not None:
+            self._wrong_since_s = now_s if self._wrong_since_s is None else self._wrong_since_s
+            if now_s - self._wrong_since_s < _JUDGED_AFTER_S:
+                return None
+            self.acknowledged, self.fault = False, fault
+            if self._alarmed:
+                return None
+            self._alarmed = True
+            return "error", f"{self._what} is not taken: {fault}"
+        self._wrong_since_s, self.fault = None, None
+        # A vehicle that reports no fix as we do has shown nothing yet.
+        shown = self._is_shown(vehicle, now_s)
+        self.acknowledged = True if shown else None if self.acknowledged is False else self.acknowledged
+        if not (self._alarmed and self.acknowledged):
+            return None
+        self._alarmed = False
+        return "info", f"{self._what} is taken"
+
+    @abstractmethod
+    def _fault_now(self, vehicle: ReportedState, now_s: float) -> str | None: ...
+
+    @abstractmethod
+    def _is_shown(self, vehicle: ReportedState, now_s: float) -> bool: ...
+
+
+class EkfAcknowledgement(Acknowledgement):
+    """Of a PX4: ESTIMATOR_STATUS reports a global position from GNSS or an auxiliary one; while its own GPS has no fix, ours."""
+
+    _what = "the position"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._sent_at_s = float("-inf")
+
+    def add_sent(self, message: AidingMessage, now_s: float) -> None:
+        """As the base class says."""
+        del message
+        self._sent_at_s = now_s
+
+    def _fault_now(self, vehicle: ReportedState, now_s: float) -> str | None:
+        return StatedReason(FixFault.EKF_UNAIDED).text if self._is_aided(vehicle, now_s) is False else None
+
+    def _is_shown(self, vehicle: ReportedState, now_s: float) -> bool:
+        return self._is_aided(vehicle, now_s) is True
+
+    def _is_aided(self, vehicle: ReportedState, now_s: float) -> bool | None:
+        """Return whether our positions aid it; None where none is sent, its own receiver has a fix, or it does not report."""
+        receiver, ekf = vehicle.receiver, vehicle.ekf
+        if now_s - self._sent_at_s > _SENT_WITHIN_S or (receiver is not None and receiver.fix_type >= _HAS_FIX):
+            return None
+        return ekf.global_position_aided if ekf is not None and now_s - ekf.received_at_s <= _EKF_FRESH_S else None
+
+
+class FixAcknowledgement(Acknowledgement):
+    """Of GPS_INPUT: GPS2_RAW, or GPS_RAW_INT where that is the receiver that we feed, shows the fix that was sent."""
+
+    _what = "GPS_INPUT"
+
+    def __init__(self, gps_id: int, began_at_s: float) -> None:
+        super().__init__()
         self._gps_id = gps_id
         self._fix: GpsInput | None = None
         self._no_fix_since_s: float | None = began_at_s
         self._heard: GpsReceiver | None = None
-        self._wrong_since_s: float | None = None
-        self._alarmed = False
 
-    def add_sent(self, message: GpsInput, now_s: float) -> None:
-        """Add what was sent."""
+    def add_sent(self, message: AidingMessage, now_s: float) -> None:
+        """As the base class says."""
+        if not isinstance(message, GpsInput):
+            return
         if message.fix_type >= _HAS_FIX:
             self._fix, self._no_fix_since_s = message, None
         else:
@@ -56,27 +136,8 @@ class FixAcknowledgement:
         """Add what the vehicle says of the receiver that we feed."""
         self._heard = receiver
 
-    def review(self, now_s: float) -> tuple[str, str] | None:
-        """Judge; level and text of what is to be told, where it has changed."""
-        fault = self._fault_now(now_s)
-        if fault is not None:
-            self._wrong_since_s = now_s if self._wrong_since_s is None else self._wrong_since_s
-            if now_s - self._wrong_since_s < _JUDGED_AFTER_S:
-                return None
-            self.acknowledged, self.fault = False, fault
-            if self._alarmed:
-                return None
-            self._alarmed = True
-            return "error", f"GPS_INPUT is not taken: {fault}"
-        self._wrong_since_s, self.fault = None, None
-        # A vehicle that says as we do that there is no fix has shown nothing yet.
-        self.acknowledged = True if self._fix is not None else None if self.acknowledged is False else self.acknowledged
-        if not (self._alarmed and self.acknowledged):
-            return None
-        self._alarmed = False
-        return "info", "GPS_INPUT is taken"
-
-    def _fault_now(self, now_s: float) -> str | None:
+    def _fault_now(self, vehicle: ReportedState, now_s: float) -> str | None:
+        del vehicle
         heard, name = self._heard, f"GPS{self._gps_id + 1}"
         remedy = f"; are {name}_TYPE=14, gps_id={self._gps_id} and MAV_OPTIONS right?"
         if heard is None or now_s - heard.received_at_s > _SILENCE_S:
@@ -93,3 +154,7 @@ class FixAcknowledgement:
         if off_m > _NEAR_M + _NEAR_S * speed_mps:
             return StatedReason(FixFault.ANOTHER_FIX, off_m, detail=name).text
         return None
+
+    def _is_shown(self, vehicle: ReportedState, now_s: float) -> bool:
+        del vehicle, now_s
+        return self._fix is not None

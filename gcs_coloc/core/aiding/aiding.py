@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 
+from gcs_coloc.core.aiding.acknowledgement import FixAcknowledgement
 from gcs_coloc.core.aiding.inhibit import ForeignGpsInputMonitor, Inhibit, InhibitReason, Standby
 from gcs_coloc.core.aiding.methods.method import MethodContext
 from gcs_coloc.core.aiding.methods.registry import METHODS, feeds_receiver, method_for, mismatch
 from gcs_coloc.core.aiding.primary_switch import Parameters, PrimarySwitch
+from gcs_coloc.core.aiding.px4 import Px4Methods
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.aiding.stream import AidingDecision, AidingStream, AidingView, EstimateAt, FixInputs, Purpose
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.messages.control import AidingOverride, ForeignGpsInput, PrimaryOverride, RouteBlock
-from gcs_coloc.core.messages.inbound import CommandResult, GpsReceiver, ParameterValue
+from gcs_coloc.core.messages.inbound import Autopilot, CommandResult, GlobalOrigin, GpsReceiver, ParameterValue
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound, ParameterRequest, ParameterSet
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.schedule import TickSchedule
@@ -41,6 +43,7 @@ class Aiding:
         self._overrides: dict[int, AidingOverride] = {}
         self._primary_overrides: dict[int, PrimaryOverride] = {}
         self._parameters = Parameters()
+        self._px4 = Px4Methods(self._parameters)
         self._primary = PrimarySwitch(settings.gps_id)
         self._foreign = ForeignGpsInputMonitor(settings)
         self._standby = Standby(settings.gps_id, self._parameters)
@@ -79,6 +82,8 @@ class Aiding:
         """
         sysid, stream = vehicle.sysid, self._streams.get(vehicle.sysid)
         out: list[Outbound] = list(self._foreign.review(sysid, now_s))
+        if vehicle.autopilot is Autopilot.PX4:
+            out.extend(self._px4.review(sysid, self._settings.methods.get(sysid, self._settings.method), now_s))
         if stream is not None and stream.purpose is Purpose.HAND_BACK and gps_state is not GpsState.HEALTHY:
             # It is handed back only to a receiver that has been healthy all the while.
             stream.restart_purpose(now_s)
@@ -88,7 +93,7 @@ class Aiding:
             obstacle, notices = self._standby.review(sysid, now_s)
             purpose = None if obstacle is not None else purpose
             out.extend(notices)
-        name = method_for(sysid, vehicle.autopilot, self._settings)
+        name = self._method(vehicle)
         if stream is not None and (purpose is None or inhibit is not None or stream.name != name):
             out.extend(self._end(sysid, stream, inhibit, gps_state, now_s))
             stream = None
@@ -98,7 +103,7 @@ class Aiding:
         elif stream is not None and purpose is not None:
             stream.set_purpose(purpose, now_s)
         if stream is not None and stream.acknowledgement is not None:
-            change = stream.acknowledgement.review(now_s)
+            change = stream.acknowledgement.review(vehicle, now_s)
             if change is not None:
                 out.append(Notice(now_s, sysid, *change))
         out.extend(
@@ -119,11 +124,16 @@ class Aiding:
         self._parameters.add(value)
         return list(self._primary.add_parameter(value))
 
+    def add_origin(self, origin: GlobalOrigin) -> None:
+        """Add the origin of a vehicle's local frame."""
+        self._px4.add_origin(origin)
+
     def add_fed_receiver(self, receiver: GpsReceiver) -> None:
         """Add what a vehicle reports of the receiver that we feed."""
         stream = self._streams.get(receiver.sysid)
-        if receiver.receiver == self._settings.gps_id and stream is not None and stream.acknowledgement is not None:
-            stream.acknowledgement.add_receiver(receiver)
+        acknowledgement = stream.acknowledgement if stream is not None else None
+        if receiver.receiver == self._settings.gps_id and isinstance(acknowledgement, FixAcknowledgement):
+            acknowledgement.add_receiver(receiver)
 
     def add_foreign(self, message: ForeignGpsInput) -> None:
         """Add somebody else's GPS_INPUT."""
@@ -132,6 +142,7 @@ class Aiding:
     def forget_parameters(self, sysid: int) -> None:
         """Forget the parameters of a vehicle that was rebooted: they may have changed."""
         self._parameters.forget(sysid)
+        self._px4.forget(sysid)
 
     def parameter_requests(self, now_s: float) -> list[ParameterRequest]:
         """Return the requests for parameters that are due."""
@@ -199,11 +210,7 @@ class Aiding:
             return StatedReason(InhibitReason.NO_ROUTE, detail=vehicle.blocked_wording or "")
         if has_duplicate_id:
             return StatedReason(InhibitReason.DUPLICATE_ID)
-        return (
-            self._host_inhibit
-            or mismatch(method_for(vehicle.sysid, vehicle.autopilot, self._settings), vehicle.autopilot)
-            or self._foreign.inhibit(vehicle.sysid)
-        )
+        return self._host_inhibit or mismatch(self._method(vehicle), vehicle.autopilot) or self._foreign.inhibit(vehicle.sysid)
 
     def _status(self, sysid: int, gps_state: GpsState, stream: AidingStream | None, inhibit: Inhibit | None) -> str:
         if stream is not None:
@@ -235,7 +242,9 @@ class Aiding:
         self._next_due_s = min((stream.due_s for stream in self._streams.values()), default=float("inf"))
 
     def _begin(self, vehicle: ReportedState, name: AidingMethodName, purpose: Purpose, now_s: float) -> AidingStream:
-        context = MethodContext(vehicle.sysid, vehicle.first_heard_s, self._settings, self._parameters, self.refused)
+        context = MethodContext(
+            vehicle.sysid, vehicle.first_heard_s, self._settings, self._parameters, self.refused, self._px4.origins
+        )
         method = METHODS[name].make(context)
         settings, schedule = self._settings, self._tick_schedule
         return AidingStream(vehicle.sysid, name, method, settings, now_s, purpose, schedule, transmits=self._transmits)
@@ -249,6 +258,9 @@ class Aiding:
         notice = Notice(now_s, sysid, "info", f"aiding ended: {inhibit.text if inhibit is not None else why}")
         # Who else feeds the same receiver is not interrupted by our last message.
         return [notice] if self._foreign.inhibit(sysid) is not None else [*stream.method.build_last_messages(), notice]
+
+    def _method(self, vehicle: ReportedState) -> AidingMethodName:
+        return method_for(vehicle.sysid, vehicle.autopilot, self._settings, self._px4.method)
 
     def _override(self, sysid: int) -> AidingOverride:
         return self._overrides.get(sysid, AidingOverride.AUTO)
@@ -270,7 +282,7 @@ class Aiding:
             if stream.purpose_for_s(now_s) < self._settings.hand_back_s or self._primary.switching(sysid):
                 return Purpose.HAND_BACK
         # Any other method than GPS_INPUT would be fused at once.
-        feeds = feeds_receiver(method_for(sysid, vehicle.autopilot, self._settings))
+        feeds = feeds_receiver(self._method(vehicle))
         return Purpose.STANDBY if self._settings.standby and feeds and gps_state in _STANDBY_STATES else None
 
     def _primary_wanted(self, sysid: int, stream: AidingStream | None, *, reports_false_fix: bool) -> bool:

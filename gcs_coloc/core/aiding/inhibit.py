@@ -24,11 +24,20 @@ class InhibitReason(WordedReason):
         "unknown_autopilot",
         "its autopilot is neither ArduPilot nor PX4: set its aiding method where you have tried one",
     )
+    PX4_TAKES_NO_METHOD = (
+        "px4_takes_no_method",
+        "its EKF2 takes no position: set EKF2_AGP0_CTRL=1 and EKF2_AGP0_ID=1 and reboot it; before PX4 1.18 EKF2_EV_CTRL=1",
+    )
+    PX4_RESETS_BY_EXTERNAL_POSITION = (
+        "px4_resets_by_external_position",
+        "PX4 takes an external position estimate as a reset and drifts on: set its aiding method to auto",
+    )
     PX4_IGNORES_GPS_INPUT = "px4_ignores_gps_input", "PX4 does not take GPS_INPUT: set its aiding method to auto"
     ARDUPILOT_IGNORES_POSITION_SENSOR = (
         "ardupilot_ignores_position_sensor",
         "ArduPilot does not take GLOBAL_POSITION_SENSOR: set its method to auto",
     )
+    VISION_IS_FOR_PX4 = "vision_is_for_px4", "vision_position is tried on PX4 alone: set its aiding method to auto"
     FOREIGN_GPS_INPUT = "foreign_gps_input", "system {value:.0f} sends it GPS_INPUT for receiver {limit:.0f}"
 
     # No fix is claimed

@@ -8,7 +8,7 @@ from typing import Literal
 
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
-AidingMethodName = Literal["auto", "gps_input", "external_position", "global_position_sensor"]
+AidingMethodName = Literal["auto", "gps_input", "external_position", "global_position_sensor", "vision_position"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,10 +16,10 @@ class AidingSettings:
     """What is sent to a GNSS-denied vehicle."""
 
     method: AidingMethodName = "auto"
-    """The message: `gps_input`, `external_position` (MAV_CMD_EXTERNAL_POSITION_ESTIMATE) or `global_position_sensor`.
-    `auto` takes `global_position_sensor` for PX4, and GPS_INPUT for ArduPilot, with external estimates beside it while its EKF
-    has no absolute position and would not align on one so coarse. Other autopilots get nothing but an alarm, as their methods
-    are unknown."""
+    """The message: `gps_input`, `external_position` (MAV_CMD_EXTERNAL_POSITION_ESTIMATE), `global_position_sensor` or
+    `vision_position`. `auto` goes by PX4's parameters (`EKF2_AGP0_CTRL`, else `EKF2_EV_CTRL`), and takes GPS_INPUT for ArduPilot,
+    with external estimates beside it while its EKF has no absolute position and would not align on one so coarse. Other
+    autopilots get nothing but an alarm, as their methods are unknown."""
     methods: Mapping[int, AidingMethodName] = field(default_factory=dict)
     """The method of single vehicles by system id, as `4 = "external_position"`."""
     rate_hz: float = between(10.0, 1.0, 50.0)

@@ -7,23 +7,21 @@ from dataclasses import dataclass
 from enum import Enum
 from math import sqrt
 
-from gcs_coloc.core.aiding.acknowledgement import FixAcknowledgement
 from gcs_coloc.core.aiding.fix_policy import FixPolicy
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.methods.method import AidingMethod, Moment
-from gcs_coloc.core.aiding.methods.registry import feeds_receiver
+from gcs_coloc.core.aiding.methods.registry import acknowledgement_of
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.core.messages.control import AidingOverride, PrimaryOverride
-from gcs_coloc.core.messages.outbound import GpsInput, Notice, Outbound
+from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.schedule import TickSchedule
 from gcs_coloc.core.telemetry.measurement_builder import SentFix
 
 _LONGEST_LEAD_S = 0.5  # beyond, a prediction is worth less than the delay costs
 _FIRST_REPORT_S = 1.0  # chosen: five periods of GLOBAL_POSITION_INT at the least useful rate
-_REPORTED_RECEIVERS = 2  # GPS_RAW_INT and GPS2_RAW: no message reports a third
 
 EstimateAt = Callable[[int, float], Estimate | NoEstimate]
 
@@ -113,8 +111,7 @@ class AidingStream:
         self._purpose_since_s = now_s
         self._schedule = schedule
         self._transmits = transmits
-        is_reported = transmits and feeds_receiver(name) and settings.gps_id < _REPORTED_RECEIVERS
-        self.acknowledgement = FixAcknowledgement(settings.gps_id, now_s) if is_reported else None
+        self.acknowledgement = acknowledgement_of(name, settings.gps_id, now_s) if transmits else None
         self._policy = FixPolicy(settings, now_s)
         self._period_s = 1.0 / settings.rate_hz
         self._sent = 0
@@ -184,7 +181,7 @@ class AidingStream:
         )
         out: list[Outbound] = list(self.method.build_messages(moment))
         for message in out:
-            if self.acknowledgement is not None and isinstance(message, GpsInput):
+            if self.acknowledgement is not None and isinstance(message, AidingMessage):
                 self.acknowledgement.add_sent(message, now_s)
         return out + self._update_inhibit(inhibit, now_s)
 

@@ -102,13 +102,17 @@ class SystemHealth:
 
 @dataclass(frozen=True, slots=True)
 class EkfStatus:
-    """EKF_STATUS_REPORT (193, ArduPilot) or ESTIMATOR_STATUS (230, PX4), reduced to the flags that both have."""
+    """EKF_STATUS_REPORT (193, ArduPilot) or ESTIMATOR_STATUS (230, PX4), reduced to the flags that matter here.
+
+    `global_position_aided`: GNSS or an auxiliary position aids the global position; None where the autopilot does not report it.
+    """
 
     sysid: int
     received_at_s: float
     horizontal_position_absolute: bool
     constant_position_mode: bool
     gps_glitching: bool
+    global_position_aided: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +182,7 @@ class VehicleCommand(Enum):
     """A command whose result aiding branches on."""
 
     EXTERNAL_POSITION_ESTIMATE = "MAV_CMD_EXTERNAL_POSITION_ESTIMATE"
+    ESTIMATOR_SENSOR_ENABLE = "MAV_CMD_ESTIMATOR_SENSOR_ENABLE"
     OTHER = "other"
 
 
@@ -204,6 +209,17 @@ class CommandResult:
 
 
 @dataclass(frozen=True, slots=True)
+class GlobalOrigin:
+    """GPS_GLOBAL_ORIGIN (49): where the origin of a vehicle's local frame is."""
+
+    sysid: int
+    received_at_s: float
+    lat_deg: float
+    lon_deg: float
+    alt_msl_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class ParameterValue:
     """PARAM_VALUE (22): one parameter of a vehicle as it stands; `kind` is its MAV_PARAM_TYPE."""
 
@@ -226,6 +242,7 @@ FromVehicle = (
     | TimeSyncAnswer
     | PeerRange
     | CommandResult
+    | GlobalOrigin
     | ParameterValue
 )
 """What vehicles say of themselves."""

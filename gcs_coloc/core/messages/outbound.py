@@ -64,6 +64,36 @@ class GlobalPositionSensor:
 
 
 @dataclass(frozen=True, slots=True)
+class VisionPosition:
+    """VISION_POSITION_ESTIMATE (102) to one vehicle: where it is when the message arrives, from its own local origin.
+
+    The message has no target field. `variance_m2` is north, east, down; an orientation is never sent.
+    """
+
+    sysid: int
+    time_usec: int
+    north_m: float
+    east_m: float
+    down_m: float
+    variance_m2: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class OriginRequest:
+    """COMMAND_LONG MAV_CMD_REQUEST_MESSAGE (512): asks one vehicle for its GPS_GLOBAL_ORIGIN."""
+
+    sysid: int
+
+
+@dataclass(frozen=True, slots=True)
+class SensorEnable:
+    """COMMAND_LONG MAV_CMD_ESTIMATOR_SENSOR_ENABLE (43006): lets one vehicle's estimator use its own GPS, or not."""
+
+    sysid: int
+    gps: bool
+
+
+@dataclass(frozen=True, slots=True)
 class ParameterRequest:
     """PARAM_REQUEST_READ (20): asks one vehicle for one parameter by its name."""
 
@@ -133,9 +163,9 @@ class HealthChanged:
     reason: str
 
 
-AidingMessage = GpsInput | ExternalPosition | GlobalPositionSensor
+AidingMessage = GpsInput | ExternalPosition | GlobalPositionSensor | VisionPosition
 """What tells a vehicle where it is."""
 
-ToVehicle = AidingMessage | StreamRequest | TimeSyncRequest | ParameterRequest | ParameterSet
+ToVehicle = AidingMessage | StreamRequest | TimeSyncRequest | ParameterRequest | ParameterSet | OriginRequest | SensorEnable
 ToOperator = Notice | HealthChanged
 Outbound = ToVehicle | ToOperator

@@ -162,7 +162,7 @@ def test_another_receiver_instance_is_judged_as_the_fed_one():
     ("vehicle", "words"),
     [
         (replace(GOOD, autopilot=Autopilot.PX4, parameters={}), "answers nothing"),
-        (replace(GOOD, autopilot=Autopilot.PX4, parameters={"EKF2_AGP0_ID": 1.0}), "EKF2_AGP_CTRL or EKF2_AGP0_CTRL"),
+        (replace(GOOD, autopilot=Autopilot.PX4, parameters={"EKF2_EV_NOISE_MD": 0.0}), "EKF2_EV_CTRL could not be read"),
         (replace(GOOD, autopilot=Autopilot.OTHER, parameters={}), "neither ArduPilot nor PX4"),
         (replace(GOOD, parameters={}), "answers nothing"),
         (replace(GOOD, others_there=(1, 2)), "vehicle 1, 2 (a router?)"),
@@ -194,19 +194,44 @@ def test_a_silent_vehicle_with_signed_frames_may_want_the_key():
     assert "give gcs-coloc its key" in finding.remedy
 
 
+SLOT = {"EKF2_AGP0_CTRL": 1.0, "EKF2_AGP0_ID": 1.0, "EKF2_AGP0_DELAY": 0.0}
+VISION = {"EKF2_EV_CTRL": 1.0, "EKF2_EV_NOISE_MD": 0.0, "EKF2_EV_DELAY": 0.0}
+
+
 @pytest.mark.parametrize(
-    ("parameters", "parameter"),
+    ("parameters", "stopped", "words"),
     [
-        ({"EKF2_AGP_CTRL": 1.0}, None),
-        ({"EKF2_AGP0_CTRL": 3.0, "EKF2_AGP0_ID": 1.0}, None),
-        ({"EKF2_AGP_CTRL": 0.0}, ("EKF2_AGP_CTRL", 1.0)),
-        ({"EKF2_AGP0_CTRL": 2.0, "EKF2_AGP0_ID": 1.0}, ("EKF2_AGP0_CTRL", 3.0)),
-        ({"EKF2_AGP0_CTRL": 1.0, "EKF2_AGP0_ID": 0.0}, ("EKF2_AGP0_ID", 1.0)),
+        (SLOT, [], "reboot it"),
+        (SLOT | {"EKF2_AGP0_CTRL": 3.0, "EKF2_AGP1_ID": 0.0, "EKF2_AGP1_CTRL": 1.0}, [], "reboot it"),
+        (SLOT | VISION, [], "reboot it"),
+        (SLOT | {"EKF2_AGP0_CTRL": 2.0}, [("EKF2_AGP0_CTRL", 3.0)], "does not take GLOBAL_POSITION_SENSOR"),
+        (SLOT | {"EKF2_AGP0_ID": 0.0}, [("EKF2_AGP0_ID", 1.0)], "the slot is off"),
+        (SLOT | {"EKF2_AGP0_ID": 7.0}, [("EKF2_AGP0_ID", 1.0)], "waits for another sensor id"),
+        (SLOT | {"EKF2_AGP0_DELAY": 300.0}, [("EKF2_AGP0_DELAY", 0.0)], "0.3 s old"),
+        (SLOT | {"EKF2_AGP2_ID": 5.0, "EKF2_AGP2_CTRL": 1.0}, [], "positions of sensor 5 as well"),
+        (
+            {"EKF2_AGP0_CTRL": 1.0, "EKF2_AGP0_ID": 9.0, "EKF2_AGP1_ID": 1.0, "EKF2_AGP1_CTRL": 0.0},
+            [("EKF2_AGP1_CTRL", 1.0)],
+            "positions of sensor 9 as well",
+        ),
+        ({"EKF2_AGP0_CTRL": 1.0}, [None], "EKF2_AGP0_ID could not be read"),
+        (VISION | {"EKF2_AGP_CTRL": 1.0}, [], "receive no GLOBAL_POSITION_SENSOR"),
+        ({"EKF2_AGP_CTRL": 1.0, "EKF2_EV_CTRL": 0.0}, [("EKF2_EV_CTRL", 1.0)], "does not take VISION_POSITION_ESTIMATE"),
+        (VISION | {"EKF2_EV_CTRL": 8.0}, [("EKF2_EV_CTRL", 9.0)], "does not take VISION_POSITION_ESTIMATE"),
+        (VISION | {"EKF2_EV_CTRL": 3.0}, [], "height that we compute"),
+        (VISION | {"EKF2_EV_NOISE_MD": 1.0}, [("EKF2_EV_NOISE_MD", 0.0)], "EKF2_EVP_NOISE"),
+        (VISION | {"EKF2_EV_DELAY": 175.0}, [("EKF2_EV_DELAY", 0.0)], "0.175 s old"),
     ],
 )
-def test_px4_must_take_an_auxiliary_global_position_of_ours(parameters, parameter):
-    told = [finding.parameter for finding in said(replace(GOOD, autopilot=Autopilot.PX4, parameters=parameters))]
-    assert told == ([parameter] if parameter is not None else [])
+def test_px4_must_take_the_method_that_it_is_sent(parameters, stopped, words):
+    findings = said(replace(GOOD, autopilot=Autopilot.PX4, parameters=parameters))
+    assert [finding.parameter for finding in findings if finding.severity is Severity.STOP] == stopped
+    assert words in " ".join(finding.text + (finding.remedy or "") for finding in findings)
+
+
+def test_a_slot_of_px4_is_read_at_its_start_alone():
+    (finding,) = said(replace(GOOD, autopilot=Autopilot.PX4, parameters=SLOT | {"EKF2_AGP0_ID": 0.0}))
+    assert "then reboot it" in finding.remedy
 
 
 def test_the_way_that_the_configuration_sets_is_the_one_that_is_checked():
@@ -218,6 +243,8 @@ def test_the_way_that_the_configuration_sets_is_the_one_that_is_checked():
     assert "ArduPilot does not take GLOBAL_POSITION_SENSOR" in finding.text
     (finding,) = said(replace(GOOD, autopilot=Autopilot.PX4), Setup(aiding=AidingSettings(method="gps_input")))
     assert "PX4 does not take GPS_INPUT" in finding.text
+    (finding,) = said(replace(GOOD, autopilot=Autopilot.PX4), Setup(aiding=AidingSettings(method="external_position")))
+    assert "PX4 takes an external position estimate as a reset" in finding.text
 
 
 def test_an_unknown_autopilot_is_aided_as_it_is_set_and_stops_where_nothing_is():

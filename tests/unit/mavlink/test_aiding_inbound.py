@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import pytest
 from pymavlink.dialects.v10 import ardupilotmega as mavlink1
@@ -58,6 +59,14 @@ def test_an_answer_in_mavlink_1_has_no_address_and_is_taken():
 def test_a_parameter_is_taken_with_its_name_and_type(name):
     message = mavlink.MAVLink_param_value_message(name, 1.0, 2, 900, 17)
     assert decoded(message) == ([ParameterValue(4, 5.0, name.decode(), 1.0, 2)], {})
+
+
+@pytest.mark.parametrize("number", [1, 3, 115_200, -1, -40])
+def test_an_integer_of_px4_arrives_as_its_four_bytes_and_one_of_ardupilot_as_a_float(number):
+    (as_float,) = struct.unpack("<f", struct.pack("<i", number))
+    for value in (as_float, float(number)):
+        message = mavlink.MAVLink_param_value_message(b"EKF2_AGP0_ID", value, 6, 900, 17)
+        assert decoded(message) == ([ParameterValue(4, 5.0, "EKF2_AGP0_ID", float(number), 6)], {})
 
 
 def test_a_parameter_that_is_no_number_or_has_no_name_is_none():

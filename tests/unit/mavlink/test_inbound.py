@@ -22,6 +22,7 @@ from gcs_coloc.core.messages.inbound import (
     Attitude,
     Autopilot,
     EkfStatus,
+    GlobalOrigin,
     GlobalPosition,
     GpsReceiver,
     Heartbeat,
@@ -129,15 +130,22 @@ SYS_STATUS_FIELDS = dict.fromkeys(
         (mavlink.MAVLink_ekf_status_report_message(flags=303, **EKF_FIELDS), EkfStatus(1, NOW_S, False, False, False)),
         (mavlink.MAVLink_ekf_status_report_message(flags=128 + 32768, **EKF_FIELDS), EkfStatus(1, NOW_S, False, True, True)),
         (mavlink.MAVLink_ekf_status_report_message(flags=1024, **EKF_FIELDS), EkfStatus(1, NOW_S, False, False, False)),
-        (mavlink.MAVLink_estimator_status_message(flags=16 + 1024, **ESTIMATOR_FIELDS), EkfStatus(1, NOW_S, True, False, True)),
+        (
+            mavlink.MAVLink_estimator_status_message(flags=16 + 512 + 1024, **ESTIMATOR_FIELDS),
+            EkfStatus(1, NOW_S, True, False, True, global_position_aided=True),
+        ),
         (
             mavlink.MAVLink_estimator_status_message(flags=128 + 32768, **ESTIMATOR_FIELDS),
-            EkfStatus(1, NOW_S, False, True, False),
+            EkfStatus(1, NOW_S, False, True, False, global_position_aided=False),
         ),
         # PX4 at rest on the ground: a constant position beside an absolute one.
         (
             mavlink.MAVLink_estimator_status_message(flags=128 + 16 + 1, **ESTIMATOR_FIELDS),
-            EkfStatus(1, NOW_S, True, False, False),
+            EkfStatus(1, NOW_S, True, False, False, global_position_aided=False),
+        ),
+        (
+            mavlink.MAVLink_gps_global_origin_message(471234567, 85432109, 488125),
+            GlobalOrigin(1, NOW_S, 47.1234567, 8.5432109, 488.125),
         ),
         (peer_range(), with_changes(A_RANGE, sequence=65_535, line_of_sight=0.8, device_id=2)),
         (ranging_beacon(), with_changes(A_RANGE, sequence=200)),

@@ -68,10 +68,10 @@ def test_auxiliary_positions_keep_it_where_it_is_after_a_loss():
 
 
 @pytest.mark.parametrize(
-    ("eph_m", "ctrl", "why"), [(0.0, 1, "no auxiliary"), (math.nan, 1, "no auxiliary"), (3.0, 0, "EKF2_AGP_CTRL is off")]
+    ("eph_m", "ctrl", "why"), [(0.0, 1, "no auxiliary"), (math.nan, 1, "no auxiliary"), (3.0, 0, "EKF2_AGP0_CTRL is off")]
 )
 def test_a_position_without_accuracy_or_with_the_fusion_off_is_not_used(eph_m, ctrl, why):
-    fleet = px4(lost(1), EKF2_AGP_CTRL=ctrl)
+    fleet = px4(lost(1), EKF2_AGP0_CTRL=ctrl)
     fleet.advance(5.0)
     stream_positions(fleet, 5.0, 15.0, eph_m=eph_m)
     assert fleet.truth()[1].source == "dead_reckoning"
@@ -91,14 +91,14 @@ def test_its_integer_parameters_travel_as_bytes_and_reals_as_numbers():
     fleet, gcs = px4(), GroundStation()
     fleet.advance(1.0)
     field = struct.unpack("<f", struct.pack("<i", 0))[0]
-    fleet.deliver(1, gcs.pack(mavlink.MAVLink_param_set_message(1, 1, b"EKF2_AGP_CTRL", field, 6)), 1.0)
+    fleet.deliver(1, gcs.pack(mavlink.MAVLink_param_set_message(1, 1, b"EKF2_AGP0_CTRL", field, 6)), 1.0)
     fleet.deliver(1, gcs.pack(mavlink.MAVLink_param_request_read_message(1, 1, b"EKF2_REQ_NSATS", -1)), 1.0)
-    fleet.deliver(1, gcs.pack(mavlink.MAVLink_param_request_read_message(1, 1, b"EKF2_AGP_NOISE", -1)), 1.0)
+    fleet.deliver(1, gcs.pack(mavlink.MAVLink_param_request_read_message(1, 1, b"EKF2_AGP0_NOISE", -1)), 1.0)
     values = {m.param_id: (m.param_value, m.param_type) for m in parse(fleet.advance(1.1), "PARAM_VALUE")}
-    assert values["EKF2_AGP_CTRL"] == (0.0, 6)
+    assert values["EKF2_AGP0_CTRL"] == (0.0, 6)
     assert struct.pack("<f", values["EKF2_REQ_NSATS"][0]) == struct.pack("<i", 6)
-    assert values["EKF2_AGP_NOISE"] == (pytest.approx(0.9), 9)
-    assert fleet.truth()[1].aid_refusal == "EKF2_AGP_CTRL is off"
+    assert values["EKF2_AGP0_NOISE"] == (pytest.approx(0.9), 9)
+    assert fleet.truth()[1].aid_refusal == "EKF2_AGP0_CTRL is off"
 
 
 def test_a_parameter_of_the_other_autopilot_is_refused_in_the_scenario():

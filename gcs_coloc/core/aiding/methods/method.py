@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -12,20 +12,21 @@ from gcs_coloc.core.aiding.primary_switch import Parameters
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, NoEstimate
-from gcs_coloc.core.messages.inbound import CommandResult
+from gcs_coloc.core.messages.inbound import CommandResult, GlobalOrigin
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice
 from gcs_coloc.core.reasons import CoreRefusal
 
 
 @dataclass(frozen=True, slots=True)
 class MethodContext:
-    """What a method is made from: the vehicle, the settings, its parameters, and the count of what it refuses."""
+    """What a method is made from: the vehicle, the settings, its parameters, the count of what it refuses, and known origins."""
 
     sysid: int
     first_heard_s: float
     settings: AidingSettings
     parameters: Parameters
     refused: Counter[CoreRefusal]
+    origins: Mapping[int, GlobalOrigin]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from gcs_coloc.core.aiding.acknowledgement import Acknowledgement, EkfAcknowledgement, FixAcknowledgement
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.methods.external_position import ExternalPositionMethod
 from gcs_coloc.core.aiding.methods.global_position_sensor import GlobalPositionSensorMethod
 from gcs_coloc.core.aiding.methods.gps_input import GpsInputMethod, GpsInputOrExternalMethod
 from gcs_coloc.core.aiding.methods.method import AidingMethod, MethodContext
+from gcs_coloc.core.aiding.methods.vision_position import VisionPositionMethod
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.core.reasons import StatedReason
@@ -17,25 +19,32 @@ from gcs_coloc.core.reasons import StatedReason
 
 @dataclass(frozen=True, slots=True)
 class MethodEntry:
-    """One method: how to make it for a vehicle, and whether it feeds a GPS receiver of the vehicle (GPS_INPUT)."""
+    """One method: how to make it for a vehicle, whether it feeds a GPS receiver of the vehicle (GPS_INPUT) or PX4's EKF2."""
 
     make: Callable[[MethodContext], AidingMethod]
     feeds_receiver: bool = False
+    feeds_ekf2: bool = False
 
 
 METHODS: Mapping[AidingMethodName, MethodEntry] = {
     "auto": MethodEntry(GpsInputOrExternalMethod, feeds_receiver=True),
     "gps_input": MethodEntry(GpsInputMethod, feeds_receiver=True),
     "external_position": MethodEntry(ExternalPositionMethod),
-    "global_position_sensor": MethodEntry(GlobalPositionSensorMethod),
+    "global_position_sensor": MethodEntry(GlobalPositionSensorMethod, feeds_ekf2=True),
+    "vision_position": MethodEntry(VisionPositionMethod, feeds_ekf2=True),
 }
 """Every aiding method by its name in the settings; "auto" is the one for ArduPilot."""
 
 
-def method_for(sysid: int, autopilot: Autopilot | None, settings: AidingSettings) -> AidingMethodName:
-    """Return the method for a vehicle; "auto" remains for every autopilot but PX4, and `mismatch` refuses it for unknown ones."""
+def method_for(
+    sysid: int, autopilot: Autopilot | None, settings: AidingSettings, px4: Callable[[int], AidingMethodName]
+) -> AidingMethodName:
+    """Return the method for a vehicle: the one set, else its autopilot's. `px4` gives that of a PX4.
+
+    "auto" is ArduPilot's; it remains for a vehicle of which no method is known, which `mismatch` refuses.
+    """
     name = settings.methods.get(sysid, settings.method)
-    return "global_position_sensor" if name == "auto" and autopilot is Autopilot.PX4 else name
+    return px4(sysid) if name == "auto" and autopilot is Autopilot.PX4 else name
 
 
 def feeds_receiver(name: AidingMethodName) -> bool:
@@ -43,12 +52,30 @@ def feeds_receiver(name: AidingMethodName) -> bool:
     return METHODS[name].feeds_receiver
 
 
+def acknowledgement_of(name: AidingMethodName, gps_id: int, now_s: float) -> Acknowledgement | None:
+    """Return what shows whether a vehicle uses what a method sends; None where only its answers do."""
+    if METHODS[name].feeds_receiver:
+        return FixAcknowledgement(gps_id, now_s)
+    return EkfAcknowledgement() if METHODS[name].feeds_ekf2 else None
+
+
 def mismatch(name: AidingMethodName, autopilot: Autopilot | None) -> Inhibit | None:
     """Return why a method is none for an autopilot; None where it is one, or the operator's own choice."""
-    if name == "auto" and autopilot is not Autopilot.ARDUPILOT:
-        return StatedReason(InhibitReason.UNKNOWN_AUTOPILOT)
-    if autopilot is Autopilot.PX4 and feeds_receiver(name):
-        return StatedReason(InhibitReason.PX4_IGNORES_GPS_INPUT)
-    if autopilot is Autopilot.ARDUPILOT and name == "global_position_sensor":
-        return StatedReason(InhibitReason.ARDUPILOT_IGNORES_POSITION_SENSOR)
-    return None
+    if autopilot is Autopilot.PX4:
+        reason = _NOT_FOR_PX4.get(name)
+    elif autopilot is Autopilot.ARDUPILOT:
+        reason = _NOT_FOR_ARDUPILOT.get(name)
+    else:
+        reason = InhibitReason.UNKNOWN_AUTOPILOT if name == "auto" else None
+    return StatedReason(reason) if reason is not None else None
+
+
+_NOT_FOR_PX4: Mapping[AidingMethodName, InhibitReason] = {
+    "auto": InhibitReason.PX4_TAKES_NO_METHOD,
+    "gps_input": InhibitReason.PX4_IGNORES_GPS_INPUT,
+    "external_position": InhibitReason.PX4_RESETS_BY_EXTERNAL_POSITION,
+}
+_NOT_FOR_ARDUPILOT: Mapping[AidingMethodName, InhibitReason] = {
+    "global_position_sensor": InhibitReason.ARDUPILOT_IGNORES_POSITION_SENSOR,
+    "vision_position": InhibitReason.VISION_IS_FOR_PX4,
+}

@@ -9,8 +9,11 @@ import pytest
 from gcs_coloc.core.aiding.acknowledgement import FixAcknowledgement
 from gcs_coloc.core.aiding.methods.gps_input import no_fix
 from gcs_coloc.core.messages.inbound import GpsReceiver
+from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 FIX = replace(no_fix(4, 1), fix_type=3, lat_deg=47.0, lon_deg=179.9999, vn_mps=20.0)
+
+VEHICLE = ReportedState(4, 0.0, 0.0)
 
 
 def run(acknowledgement: FixAcknowledgement, start_s: float, stop_s: float, sent, heard) -> list[tuple[float, str, str]]:
@@ -24,7 +27,7 @@ def run(acknowledgement: FixAcknowledgement, start_s: float, stop_s: float, sent
                 fix_type, lat_deg = heard
                 lon_deg = sent.lon_deg if sent.fix_type == 3 else 0.0
                 acknowledgement.add_receiver(GpsReceiver(4, now_s, 1, fix_type, lat_deg, lon_deg, 0.0, 7, 1.0, 2.0, 3.0, 0.5))
-            told = acknowledgement.review(now_s)
+            told = acknowledgement.review(VEHICLE, now_s)
             if told is not None:
                 news.append((now_s, *told))
     return news

@@ -10,7 +10,7 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.control import AidingOverride, CommandSource, ForeignGpsInput, GpsOverride, OperatorCommand
 from gcs_coloc.core.messages.inbound import Autopilot, GpsReceiver, Heartbeat
-from gcs_coloc.core.messages.outbound import AidingMessage, GlobalPositionSensor, GpsInput, Notice
+from gcs_coloc.core.messages.outbound import AidingMessage, Notice
 
 
 def test_aid_off_ends_the_stream_with_no_fix_and_auto_begins_it_again():
@@ -98,31 +98,6 @@ def test_an_override_in_force_says_where_it_came_from():
     assert (seen.gps_override_by, seen.aiding_override_by, seen.primary_override_by) == (None, "MQTT", None)
     engine.receive(OperatorCommand(4, 3.0, AidingOverride.AUTO, CommandSource.PAGE))
     assert vehicle_4(engine, 3.0).aiding_override_by is None
-
-
-def test_a_px4_is_told_by_global_position_sensor_where_it_is_on_arrival():
-    engine = Engine(StraightLine(), settings())
-    fly(engine, 0.0, 5.0, autopilot=Autopilot.PX4)
-    out = fly(engine, 5.0, 10.0, failed=[4], autopilot=Autopilot.PX4)
-    told = [(t, o) for t, o in out if isinstance(o, GlobalPositionSensor)]
-    assert not [o for _, o in out if isinstance(o, GpsInput)]
-    assert len(told) > 35
-    sent_at_s, last = told[-1]
-    assert (last.sysid, last.eph_m, last.epv_m) == (4, 2.0, 3.0)
-    east_m, _, up_m = engine.frame.enu_from_geodetic(last.lat_deg, last.lon_deg, last.alt_msl_m)
-    assert (east_m, up_m) == pytest.approx((20.0 * sent_at_s, 30.0), abs=0.01)
-    assert vehicle_4(engine, 10.0).aiding == "sending GLOBAL_POSITION_SENSOR"
-    assert engine.close() == []
-
-
-def test_a_px4_that_is_not_located_is_told_nothing():
-    estimator = StraightLine()
-    estimator.unknown = "no ranges"
-    engine = Engine(estimator, settings())
-    fly(engine, 0.0, 5.0, autopilot=Autopilot.PX4)
-    out = fly(engine, 5.0, 10.0, failed=[4], autopilot=Autopilot.PX4)
-    assert not [o for _, o in out if isinstance(o, AidingMessage)]
-    assert "not located, sending nothing: no ranges" in texts(out)
 
 
 def test_the_way_of_a_single_vehicle_wins_and_one_that_it_cannot_take_is_refused_in_words():

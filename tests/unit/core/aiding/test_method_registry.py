@@ -15,4 +15,4 @@ def test_every_name_of_the_settings_is_a_method_and_the_other_way_round():
 
 @pytest.mark.parametrize("autopilot", [Autopilot.ARDUPILOT, Autopilot.PX4])
 def test_the_default_is_a_method_that_the_autopilot_accepts(autopilot):
-    assert mismatch(method_for(4, autopilot, AidingSettings()), autopilot) is None
+    assert mismatch(method_for(4, autopilot, AidingSettings(), lambda _: "vision_position"), autopilot) is None
