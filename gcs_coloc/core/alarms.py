@@ -13,6 +13,8 @@ from enum import StrEnum
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 
+HOST_LATE_S = 0.25
+"""Chosen: two of ten positions a second come late; a machine with time to spare is late by some 0.01 s."""
 SILENT_AFTER_S = 3.0
 """Chosen: three heartbeats, which every vehicle sends once a second (mavlink.io, heartbeat protocol)."""
 _MAX_NOTICES = 50
@@ -28,6 +30,8 @@ class AlarmKind(StrEnum):
     """Its GPS has failed, or it is aided by the operator's override."""
     GPS_SUSPECT = "gps_suspect"
     """Its GPS may be wrong."""
+    HOST_LATE = "host_late"
+    """The computer of the service falls behind."""
     NOT_READY = "not_ready"
     """Its GPS is healthy, but it could not be aided if it failed."""
     NOTICE = "notice"
@@ -143,11 +147,15 @@ class AlarmList:
         """Raise, change and end alarms by how the fleet stands."""
         changed: list[Alarm] = []
         holding: set[tuple[int | None, AlarmKind, str]] = set()
-        for vehicle in fleet.vehicles:
-            for condition in conditions(vehicle):
-                key: tuple[int | None, AlarmKind, str] = (vehicle.sysid, condition.kind, "")
-                holding.add(key)
-                changed += self._hold(key, condition, fleet.at_s)
+        found: list[tuple[int | None, Condition]] = [(v.sysid, condition) for v in fleet.vehicles for condition in conditions(v)]
+        if fleet.loop_lag_s > HOST_LATE_S:
+            text = f"this computer falls behind: it ran the service {fleet.loop_lag_s:.1f} s late"
+            action = "Stop what else runs on it; vehicles may seem silent, and positions are sent late."
+            found.append((None, Condition(AlarmKind.HOST_LATE, "warning", text, action)))
+        for sysid, condition in found:
+            key = (sysid, condition.kind, "")
+            holding.add(key)
+            changed += self._hold(key, condition, fleet.at_s)
         for key, alarm in list(self._alarms.items()):
             if key not in holding and alarm.state in (AlarmState.ACTIVE, AlarmState.ACKNOWLEDGED):
                 needs_nobody = (

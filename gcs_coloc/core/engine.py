@@ -223,6 +223,7 @@ class Engine:
             ranges=review.residuals.ranges(now_s),
             utc_minus_service_s=self._utc_minus_service_s(),
             origin=(frame.lat_deg, frame.lon_deg, frame.height_m) if frame is not None else None,
+            loop_lag_s=self.clocks.host_lag_s,
         )
 
     def _add_vehicle(self, sysid: int, at_s: float) -> ReportedState | None:

@@ -107,6 +107,7 @@ class FleetSnapshot:
     `estimator_counts` is what the estimator made of its measurements, used ones among them. `ranges` and `links` are sorted
     by their system ids, `outs` are the ground tools. `utc_minus_service_s` turns `at_s` into UNIX time; None where the host
     does not know the time. `origin` is the fleet frame's: latitude and longitude in degrees, altitude in metres.
+    `loop_lag_s` is by how much the host ran the service late at worst in the last second.
     """
 
     at_s: float
@@ -119,6 +120,7 @@ class FleetSnapshot:
     outs: tuple[OutSnapshot, ...] = ()
     utc_minus_service_s: float | None = None
     origin: tuple[float, float, float] | None = None
+    loop_lag_s: float = 0.0
 
 
 class OverrideSources(NamedTuple):

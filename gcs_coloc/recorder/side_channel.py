@@ -136,7 +136,8 @@ def read_side_channel(frame: bytes, at_s: float, own: tuple[int, int]) -> ReadRe
 
 def _content(record: SideChannelRecord) -> dict[str, Any]:
     if isinstance(record, ClockReference):
-        return {"utc": record.utc_minus_service_s, "sync": record.synchronised}
+        lag = {"lag": round(record.lag_s, 3)} if record.lag_s else {}
+        return {"utc": record.utc_minus_service_s, "sync": record.synchronised} | lag
     if isinstance(record, FlownWith):
         return {"settings": record.fingerprint}
     if isinstance(record, GroundTool):
@@ -166,7 +167,12 @@ def _record(content: dict[str, Any], at_s: float) -> SideChannelRecord | None:
     if "utc" in content:
         utc = content["utc"]
         sync = content.get("sync")
-        return ClockReference(at_s, float(utc) if utc is not None else None, bool(sync) if sync is not None else None)
+        return ClockReference(
+            at_s,
+            float(utc) if utc is not None else None,
+            bool(sync) if sync is not None else None,
+            float(content.get("lag", 0.0)),
+        )
     if "overrun" in content:
         return Overrun(at_s, float(content["overrun"]))
     if "settings" in content:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from operator import itemgetter
 
 from gcs_coloc.config.settings import Settings
-from gcs_coloc.core.alarms import Alarm, AlarmList
+from gcs_coloc.core.alarms import HOST_LATE_S, Alarm, AlarmList
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import ClockReference, CommandSource, ForeignGpsInput, GpsOverride, OperatorCommand, Override
 from gcs_coloc.core.messages.inbound import PeerRange
@@ -59,6 +59,8 @@ class FleetService:
         self.truths: dict[int, HeardTruth] = {}
         self._clock = clock
         self._engine_at_s = clock()
+        self._host = host
+        self._lag_s = 0.0  # the worst since the host's last report
         self._is_ending = False
         self._waiting: list[tuple[float, Link, Address, bytes]] | None = None
         self._is_catching_up = False
@@ -185,16 +187,28 @@ class FleetService:
             for link in self._links:
                 link.receive_waiting(_MOST_WAITING)
             self._waiting = None
-            for received_at_s, link, address, payload in sorted(waiting, key=itemgetter(0)):
+            waiting.sort(key=itemgetter(0))
+            if waiting:
+                self._add_lag(self._clock() - waiting[0][0])
+            for received_at_s, link, address, payload in waiting:
                 self._on_datagram(link, address, payload, received_at_s)
         finally:
             self._waiting, self._is_catching_up = None, False
+
+    def _add_lag(self, lag_s: float) -> None:
+        """Have the engine know of a lag before it gets what came meanwhile: no vehicle is to blame for it."""
+        self._lag_s = max(self._lag_s, lag_s)
+        if lag_s > HOST_LATE_S:
+            late = replace(self._host, received_at_s=self._engine_at_s, lag_s=round(lag_s, 3))
+            self._engine.receive(late)
+            self._recording.record_side_channel(late)
 
     def _wake(self) -> None:
         """Make sure that the engine is polled at its next deadline."""
         self._deadline.by(self._engine.next_deadline())
 
     def _poll(self) -> None:
+        self._add_lag(self._clock() - self._engine.next_deadline())
         self._receive_waiting([])
         self._advance(max(self._clock(), self._engine_at_s))
         self._emit_unsent()
@@ -246,7 +260,8 @@ class FleetService:
     def each_second(self, host: ClockReference) -> None:
         """Set the host's time, publish pending warnings, and send our heartbeat."""
         self._signed.set_clock(host.utc_minus_service_s)
-        self._apply(host)
+        self._host, self._lag_s = replace(host, lag_s=round(self._lag_s, 3)), 0.0
+        self._apply(self._host)
         self._publish_warnings(host.received_at_s)
         self.update_alarms(self.snapshots.recent_snapshot())
         self._sender.send_heartbeat(self._greeted(host.received_at_s))

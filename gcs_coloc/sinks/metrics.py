@@ -15,6 +15,8 @@ from gcs_coloc.core.snapshot import FleetSnapshot, LinkSnapshot, OutSnapshot, Ve
 # name, help, value: a vehicle for which the value is None has no sample.
 _GAUGES: tuple[tuple[str, str, Callable[[VehicleSnapshot], float | None]], ...] = (
     ("last_heard_age_seconds", "Time since the vehicle was last heard.", lambda v: v.age_s),
+    ("latitude_degrees", "Latitude of the estimate, WGS84.", lambda v: v.lat_deg),
+    ("longitude_degrees", "Longitude of the estimate, WGS84.", lambda v: v.lon_deg),
     ("position_sigma_meters", "1-sigma of the position along its worst horizontal direction.", lambda v: v.sigma_h_m),
     ("height_sigma_meters", "1-sigma of the height.", lambda v: v.sigma_v_m),
     ("position_bound_95_meters", "95 % bound of the horizontal position error.", lambda v: v.bound_95_m),
@@ -65,6 +67,8 @@ class FleetCollector(Collector):
         """As the protocol says."""
         fleet = self._snapshot()
         yield InfoMetricFamily("gcs_coloc_build", "Which program runs.", {"version": __version__, "estimator": fleet.estimator})
+        text = "By how much the host ran the service late at worst in the last second."
+        yield GaugeMetricFamily("gcs_coloc_loop_lag_seconds", text, fleet.loop_lag_s)
         yield GaugeMetricFamily("gcs_coloc_vehicles", "Vehicles that were heard.", float(len(fleet.vehicles)))
         for name, text, value in _GAUGES:
             gauge = GaugeMetricFamily(f"gcs_coloc_vehicle_{name}", text, labels=["sysid"])

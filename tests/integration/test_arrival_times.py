@@ -11,6 +11,7 @@ from link_peers import heartbeat, stamps_of_arrival, until
 from vehicles import Hover
 
 from gcs_coloc.config.fleets import load_settings
+from gcs_coloc.core.alarms import AlarmKind, AlarmState
 from gcs_coloc.links.base import SCHEMES
 from gcs_coloc.links.udp import UdpIn
 from gcs_coloc.mavlink.refusals import Counts
@@ -118,6 +119,37 @@ class HandAddress(UdpIn):
 
     def make_link(self, handler, clock, *, most_unsent_bytes=0):
         return HandLink(handler)
+
+
+def test_a_host_that_falls_behind_is_known_to_the_engine_and_told_until_it_is_over(monkeypatch):
+    monkeypatch.setitem(SCHEMES, "hand", (__name__, "HandAddress"))
+
+    async def flight() -> None:
+        clock = HandClock()
+        path = FleetService(load_settings(None, {"links": ["hand:127.0.0.1:1"]}), clock, read_host_clock(clock()))
+        await path.open()
+        path.start()
+        link, hover = HandLink.made, Hover(1, (0.0, 0.0, 50.0), ("127.0.0.1", 1))
+
+        def stands() -> tuple[float, list[AlarmKind]]:
+            path.each_second(read_host_clock(clock()))
+            clock.now_s += 1.0  # past the snapshot that observers share
+            fleet = path.snapshots.snapshot()
+            kinds = [a.kind for a in path.update_alarms(fleet) if a.sysid is None and a.state is AlarmState.ACTIVE]
+            return fleet.loop_lag_s, kinds
+
+        link.handler(link, ("hand", 1), b"".join(hover.telemetry(0, 3)), clock.now_s)
+        assert stands() == (0.0, [])
+        link.waiting = [(frame, clock.now_s + 0.1 * step) for step in range(10) for frame in hover.telemetry(step, 3)]
+        clock.now_s += 0.9
+        link.handler(link, ("hand", 1), hover.telemetry(10, 3)[0], clock.now_s)
+        lag_s, alarms = stands()
+        assert (round(lag_s, 3), alarms) == (0.9, [AlarmKind.HOST_LATE])
+        assert stands() == (0.0, [])
+        await path.close()
+        hover.sock.close()
+
+    asyncio.run(flight())
 
 
 def test_of_the_positions_that_were_due_while_the_service_was_held_up_only_the_newest_is_sent(monkeypatch):

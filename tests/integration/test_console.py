@@ -151,7 +151,7 @@ def test_a_terminal_that_is_closed_ends_the_flight_in_order(free_port):
             assert len(lost.of("GPS_INPUT")) > 10
             os.close(master)
             fly(fleet, 20.0, failed=[4], until=lambda: service.poll() is not None)
-            assert service.wait(10) == 0
+            assert service.wait(60) == 0
             assert lost.of("GPS_INPUT")[-1].fix_type == 1
     finally:
         service.kill()

@@ -118,7 +118,7 @@ def test_the_latest_is_retained_and_back_after_the_broker_was_killed(start_with_
         assert retained <= latest.retained
         assert late.of("4/health", "gps_state") == "failed"
     service.send_signal(signal.SIGTERM)
-    assert service.wait(15) == 0
+    assert service.wait(60) == 0
     wait_until(lambda: late.of("status", "online") is False)
 
 

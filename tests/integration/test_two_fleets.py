@@ -75,7 +75,7 @@ def test_fleets_that_share_system_ids_are_located_each_in_its_own_place(start_se
         service.send_signal(signal.SIGTERM)
         over = lambda: service.poll() is not None  # noqa: E731
         list(pilots.map(lambda fleet: fly(fleet, 10.0, failed=[4], until=over), (north, south)))
-        assert service.wait(10) == 0
+        assert service.wait(60) == 0
         assert [fleet[3].of("GPS_INPUT")[-1].fix_type for fleet in (north, south)] == [1, 1]
     assert "north: vehicle 4: GPS" in service.stderr.read()
     assert sorted(path.name for path in (tmp_path / "flights").iterdir()) == ["north", "south"]

@@ -47,11 +47,13 @@ class FleetClocks:
         self.refused: Counter[CoreRefusal] = Counter()
         self._max_age_s = max_age_s
         self._clocks: dict[int, _Clocks] = {}
+        self.host_lag_s = 0.0
         self._utc = Utc(required=self.settings.require_synchronised_clock)
         self._duplicate_ids: set[int] = set()
 
     def set_host_clock(self, message: ClockReference) -> list[Notice]:
         """Set what the host says of its clock; return what a person should read."""
+        self.host_lag_s = message.lag_s
         return self._utc.update(message)
 
     def host_fault(self) -> HostClockFault | None:

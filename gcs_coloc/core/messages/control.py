@@ -11,12 +11,14 @@ class ClockReference:
     """What the host knows of UTC: UNIX time minus service clock, and whether the host's clock is disciplined.
 
     `utc_minus_service_s` is `None` where the host does not know UTC; GPS week and time of week are then left at 0 unless
-    vehicles know it. `synchronised` is `None` where the host does not tell.
+    vehicles know it. `synchronised` is `None` where the host does not tell. `lag_s` is by how much it ran the service late at
+    worst since its report before: what is heard by a link without stamps of arrival may be stamped late by that.
     """
 
     received_at_s: float
     utc_minus_service_s: float | None
     synchronised: bool | None = None
+    lag_s: float = 0.0
 
 
 NO_HEARTBEAT_YET = "no heartbeat of an autopilot heard yet"
@@ -77,7 +79,7 @@ class RouteBlock(StrEnum):
     NO_HEARTBEAT = "no_heartbeat"
     """No autopilot's heartbeat of it was heard yet."""
     SHARED_ADDRESS = "shared_address"
-    """Several vehicles are heard from its address: only what its target alone heeds is sent, and GPS_INPUT has no target."""
+    """Several vehicles are heard from its address, and GPS_INPUT has no target field."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +101,8 @@ class RouteReport:
             return NO_HEARTBEAT_YET if self.blocked is RouteBlock.NO_HEARTBEAT else None
         sharing = f"vehicles {', '.join(map(str, self.shared_with))} and {self.sysid}" if self.shared_with else "several vehicles"
         return (
-            f"{sharing} are heard from one address (a router?), and GPS_INPUT has no target field, nor does PX4 heed "
-            "a position's: all of them would use it. Give each vehicle its own UDP stream to us, from its own port, or its own "
-            "--link; an ArduPilot can be aided there by external_position, whose commands their target alone heeds"
+            f"{sharing} are heard from one address (a router?), and GPS_INPUT has no target field: all of them would use it. "
+            "Give each vehicle its own UDP stream to us, from its own port, or its own --link"
         )
 
 

@@ -39,6 +39,6 @@ def test_an_observer_that_waits_is_woken():
         waiting = asyncio.create_task(subscription.get())
         await asyncio.sleep(0)
         events.publish(notice(7))
-        return (await asyncio.wait_for(waiting, 5)).text
+        return (await asyncio.wait_for(waiting, 60)).text
 
     assert asyncio.run(scenario()) == "7"

@@ -2,8 +2,11 @@
 
 import json
 import re
+import shutil
+import subprocess
 from pathlib import Path
 
+import pytest
 from fleet_views import HEALTHY, LOST, fleet_view
 from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
@@ -53,6 +56,32 @@ def test_every_metric_is_in_the_reference():
     for family in families(fleet_view(10.0)).values():
         for sample in family.samples:
             assert f"`{sample.name}`" in text, f"{sample.name} is not in metrics.md"
+
+
+def alert_rules() -> list[str]:
+    text = (ROOT / "configs/prometheus-alerts.yml").read_text(encoding="utf-8")
+    return [line.split("expr: ")[1] for line in text.splitlines() if "expr: " in line]
+
+
+def test_the_alert_rules_ask_for_metrics_that_there_are():
+    there = set(families(fleet_view(10.0)))
+    assert len(alert_rules()) >= 6
+    for expression in alert_rules():
+        names = re.findall(r"gcs_coloc_\w+", expression)
+        assert names
+        assert set(names) <= there, expression
+
+
+@pytest.mark.skipif(shutil.which("promtool") is None, reason="promtool, of Prometheus, is not installed here")
+def test_promtool_finds_the_alert_rules_right():
+    done = subprocess.run(
+        ["promtool", "check", "rules", str(ROOT / "configs/prometheus-alerts.yml")],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_the_dashboard_asks_for_metrics_that_there_are():
