@@ -6,18 +6,18 @@ from collections import Counter
 from collections.abc import Callable
 
 from gcs_coloc.core.aiding.acknowledgement import FixAcknowledgement
-from gcs_coloc.core.aiding.inhibit import ForeignGpsInputMonitor, Inhibit, InhibitReason, Standby
+from gcs_coloc.core.aiding.inhibit import ForeignGpsInputMonitor, Inhibit, InhibitAlarms, InhibitReason, Standby
 from gcs_coloc.core.aiding.methods.method import MethodContext
 from gcs_coloc.core.aiding.methods.registry import METHODS, feeds_receiver, method_for, mismatch
 from gcs_coloc.core.aiding.primary_switch import Parameters, PrimarySwitch
-from gcs_coloc.core.aiding.px4 import Px4Methods
+from gcs_coloc.core.aiding.px4 import GpsSwitch, Px4Methods
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.aiding.stream import AidingDecision, AidingStream, AidingView, EstimateAt, FixInputs, Purpose
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.messages.control import AidingOverride, ForeignGpsInput, PrimaryOverride, RouteBlock
 from gcs_coloc.core.messages.inbound import Autopilot, CommandResult, GlobalOrigin, GpsReceiver, ParameterValue
-from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound, ParameterRequest, ParameterSet
+from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound, ParameterRequest, ParameterSet, SensorEnable
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.schedule import TickSchedule
 from gcs_coloc.core.telemetry.measurement_builder import SentFix
@@ -25,7 +25,6 @@ from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 _AIDED_STATES = (GpsState.FAILED, GpsState.RECOVERING)
 _STANDBY_STATES = (GpsState.HEALTHY, GpsState.SUSPECT)
-_HEARTBEAT_WITHIN_S = 3.0  # autopilots send one each second
 
 
 class Aiding:
@@ -45,12 +44,13 @@ class Aiding:
         self._parameters = Parameters()
         self._px4 = Px4Methods(self._parameters)
         self._primary = PrimarySwitch(settings.gps_id)
+        self._gps_switch = GpsSwitch()
         self._foreign = ForeignGpsInputMonitor(settings)
         self._standby = Standby(settings.gps_id, self._parameters)
         self._streams: dict[int, AidingStream] = {}
         self._sent_fixes: dict[int, SentFix] = {}
         self._next_due_s = float("inf")
-        self._reported: dict[int, Inhibit | None] = {}
+        self._alarms = InhibitAlarms()
 
     def begin(self, schedule: TickSchedule) -> None:
         """Set the times that streams keep."""
@@ -106,18 +106,17 @@ class Aiding:
             change = stream.acknowledgement.review(vehicle, now_s)
             if change is not None:
                 out.append(Notice(now_s, sysid, *change))
-        out.extend(
-            self._primary.review(sysid, now_s, wanted=self._primary_wanted(sysid, stream, reports_false_fix=reports_false_fix))
-        )
-        is_self_fed = self._override(sysid) is AidingOverride.ON or self._primary.holds(sysid)
+        switch = self._switch(vehicle)
+        out.extend(switch.review(sysid, now_s, wanted=self._switch_wanted(vehicle, stream, reports_false_fix=reports_false_fix)))
+        is_self_fed = self._override(sysid) is AidingOverride.ON or switch.holds(sysid)
         is_aided = stream is not None and (gps_state in _AIDED_STATES or is_self_fed)
-        out.extend(self._report_inhibit(vehicle, purpose, inhibit, now_s))
+        out.extend(self._alarms.review(vehicle, inhibit, now_s, needs_aid=purpose is Purpose.AID))
         return AidingDecision(stream.name if stream is not None else None, purpose, inhibit, is_aided, is_self_fed, tuple(out))
 
     def add_result(self, result: CommandResult) -> list[Outbound]:
         """Add a vehicle's answer to a command."""
-        stream = self._streams.get(result.sysid)
-        return list(stream.method.add_result(result)) if stream is not None else []
+        stream, switched = self._streams.get(result.sysid), self._gps_switch.add_result(result)
+        return [*switched, *(stream.method.add_result(result) if stream is not None else [])]
 
     def add_parameter(self, value: ParameterValue) -> list[Outbound]:
         """Add what a vehicle reports of a parameter."""
@@ -189,18 +188,18 @@ class Aiding:
             status=self._status(sysid, gps_state, stream, inhibit),
             has_fix=stream is not None and stream.inhibit is None,
             fix_acknowledged=acknowledgement.acknowledged if acknowledgement is not None else None,
-            gps_primary=self._primary.status(sysid),
+            gps_primary=self._switch(vehicle).status(sysid),
             inhibit_reason=inhibit.text if inhibit is not None else None,
             aiding_override=self._override(sysid),
             primary_override=self._primary_overrides.get(sysid, PrimaryOverride.AUTO),
         )
 
-    def close(self) -> list[AidingMessage | ParameterSet]:
+    def close(self) -> list[AidingMessage | ParameterSet | SensorEnable]:
         """End every stream, with fix_type 1 where the method has it, and restore the parameters that were set."""
         last = [message for stream in self._streams.values() for message in stream.method.build_last_messages()]
         self._streams.clear()
         self._update_due()
-        return [*last, *self._primary.close()]
+        return [*last, *self._primary.close(), *self._gps_switch.close()]
 
     def _inhibit(self, vehicle: ReportedState, *, has_duplicate_id: bool) -> Inhibit | None:
         """Return why a vehicle cannot be aided even if it should be; None where it can."""
@@ -221,21 +220,6 @@ class Aiding:
             return "off by the operator's override"
         obstacle = self._standby.obstacle(sysid)
         return f"no standby: {obstacle.text}" if obstacle is not None else "off"
-
-    def _report_inhibit(
-        self, vehicle: ReportedState, purpose: Purpose | None, inhibit: Inhibit | None, now_s: float
-    ) -> list[Outbound]:
-        """Return the alarm that a vehicle needs aid and cannot have it, once for each reason."""
-        sysid = vehicle.sysid
-        is_new = inhibit is not None and inhibit.reason is InhibitReason.NO_HEARTBEAT
-        is_new = is_new and now_s - vehicle.first_heard_s < _HEARTBEAT_WITHIN_S
-        if purpose is not Purpose.AID:
-            self._reported.pop(sysid, None)
-        elif inhibit != self._reported.get(sysid) and not is_new:
-            self._reported[sysid] = inhibit
-            if inhibit is not None:
-                return [Notice(now_s, sysid, "error", f"needs aid and cannot be aided: {inhibit.text}")]
-        return []
 
     def _update_due(self) -> None:
         # Read with every datagram, it changes with every message that is sent.
@@ -279,22 +263,29 @@ class Aiding:
         if stream is not None and stream.purpose is not Purpose.STANDBY:
             if stream.purpose is Purpose.AID:
                 return Purpose.HAND_BACK
-            if stream.purpose_for_s(now_s) < self._settings.hand_back_s or self._primary.switching(sysid):
+            if stream.purpose_for_s(now_s) < self._settings.hand_back_s or self._switch(vehicle).switching(sysid):
                 return Purpose.HAND_BACK
         # Any other method than GPS_INPUT would be fused at once.
         feeds = feeds_receiver(self._method(vehicle))
         return Purpose.STANDBY if self._settings.standby and feeds and gps_state in _STANDBY_STATES else None
 
-    def _primary_wanted(self, sysid: int, stream: AidingStream | None, *, reports_false_fix: bool) -> bool:
-        """Return whether GPS_PRIMARY is to be our receiver: begun only where that acknowledges our fix, kept while aid lasts."""
-        override = self._primary_overrides.get(sysid, PrimaryOverride.AUTO)
-        if stream is None or stream.purpose is not Purpose.AID or not feeds_receiver(stream.name):
+    def _switch(self, vehicle: ReportedState) -> PrimarySwitch | GpsSwitch:
+        return self._gps_switch if vehicle.autopilot is Autopilot.PX4 else self._primary
+
+    def _switch_wanted(self, vehicle: ReportedState, stream: AidingStream | None, *, reports_false_fix: bool) -> bool:
+        """Return whether it is to fly on our fix alone: begun only where it acknowledges that, kept while aid lasts.
+
+        While its own receiver has a fix a PX4 shows nothing of ours, but may have shown before that it does not use it.
+        """
+        override = self._primary_overrides.get(vehicle.sysid, PrimaryOverride.AUTO)
+        if stream is None or stream.purpose is not Purpose.AID or stream.acknowledgement is None:
             return False
         if override is PrimaryOverride.OWN:
             return False
         is_automatic = self._settings.switch_primary == "auto"
-        if self._primary.switching(sysid):
+        if self._switch(vehicle).switching(vehicle.sysid):
             return override is PrimaryOverride.OURS or is_automatic
-        if stream.inhibit is not None or stream.acknowledgement is None or not stream.acknowledgement.acknowledged:
+        acknowledged = stream.acknowledgement.acknowledged
+        if stream.inhibit is not None or acknowledged is False or (acknowledged is None and feeds_receiver(stream.name)):
             return False
         return override is PrimaryOverride.OURS or (is_automatic and reports_false_fix)

@@ -10,6 +10,7 @@ from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.messages.control import ForeignGpsInput
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.reasons import DUPLICATE_ID_WORDING, StatedReason, WordedReason
+from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 
 class InhibitReason(WordedReason):
@@ -108,6 +109,7 @@ class ForeignGpsInputMonitor:
         return Inhibit(InhibitReason.FOREIGN_GPS_INPUT, other.sender, self._gps_id) if other is not None else None
 
 
+_HEARTBEAT_WITHIN_S = 3.0  # autopilots send one each second
 _AUTO_SWITCH = "GPS_AUTO_SWITCH"
 _STAYS_WITH_ITS_OWN = (0.0, 4.0)  # the primary receiver only; the primary one while it has a 3D fix
 
@@ -147,3 +149,23 @@ class Standby:
         if primary == self._gps_id:
             return Inhibit(InhibitReason.STANDBY_OURS_FIRST, primary)
         return Inhibit(InhibitReason.STANDBY_MAY_SWITCH, switching) if switching not in _STAYS_WITH_ITS_OWN else None
+
+
+class InhibitAlarms:
+    """Alarms that a vehicle needs aid and cannot have it, once for each reason."""
+
+    def __init__(self) -> None:
+        self._reported: dict[int, Inhibit | None] = {}
+
+    def review(self, vehicle: ReportedState, inhibit: Inhibit | None, now_s: float, *, needs_aid: bool) -> list[Notice]:
+        """Return the alarm that is due; a vehicle that has just come is given the time for its heartbeat."""
+        sysid, before = vehicle.sysid, self._reported.get(vehicle.sysid)
+        is_new = inhibit is not None and inhibit.reason is InhibitReason.NO_HEARTBEAT
+        is_new = is_new and now_s - vehicle.first_heard_s < _HEARTBEAT_WITHIN_S
+        if not needs_aid:
+            self._reported.pop(sysid, None)
+        elif inhibit != before and not is_new:
+            self._reported[sysid] = inhibit
+            if inhibit is not None:
+                return [Notice(now_s, sysid, "error", f"needs aid and cannot be aided: {inhibit.text}")]
+        return []

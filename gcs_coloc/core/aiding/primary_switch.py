@@ -15,9 +15,12 @@ from gcs_coloc.core.messages.outbound import Notice, ParameterRequest, Parameter
 NAME = "GPS_PRIMARY"
 RETRY_S = 1.0
 """Chosen: longer than a slow radio takes for question and answer."""
-_READ_TRIES, _SET_TRIES = 3, 5  # chosen: nothing hangs on a value that is read, a flight may on one that is set
+_READ_TRIES = 3  # chosen: nothing hangs on a value that is read
+SET_TRIES = 5
+"""Chosen: more than of reading, as a flight may hang on it."""
 _FRESH_S = 30.0  # chosen: somebody else may change a parameter in flight; one question in so long costs a radio nothing
-_TRY_AGAIN_S = 30.0  # chosen: an operator is not told more often
+TRY_AGAIN_S = 30.0
+"""Chosen: an operator is not told more often."""
 
 Outputs = list[ParameterRequest | ParameterSet | Notice]
 
@@ -73,7 +76,7 @@ class PrimarySwitch:
             switch.step, switch.due_s, switch.tries = _Step.RESTORING, now_s, 0
         if switch.step in (_Step.OURS, _Step.LEFT) or now_s < switch.due_s:
             return []
-        if switch.tries >= _SET_TRIES:
+        if switch.tries >= SET_TRIES:
             return self._give_up(sysid, switch, now_s)
         switch.tries += 1
         switch.due_s = now_s + RETRY_S
@@ -116,7 +119,7 @@ class PrimarySwitch:
         return ParameterSet(sysid, NAME, value, switch.before.kind)
 
     def _give_up(self, sysid: int, switch: _Switch, now_s: float) -> Outputs:
-        switch.tries, switch.due_s = 0, now_s + _TRY_AGAIN_S
+        switch.tries, switch.due_s = 0, now_s + TRY_AGAIN_S
         what = {
             _Step.READING: f"{NAME} could not be read",
             _Step.SETTING: f"{NAME} could not be set to {self._ours:g}",
@@ -124,7 +127,7 @@ class PrimarySwitch:
         if what is None:
             assert switch.before is not None
             what = f"{NAME} could not be restored to {switch.before.value:g}, which can be done by hand"
-        return [Notice(now_s, sysid, "error", f"{what}: no answer; tried again in {_TRY_AGAIN_S:g} s")]
+        return [Notice(now_s, sysid, "error", f"{what}: no answer; tried again in {TRY_AGAIN_S:g} s")]
 
 
 def _notice(message: ParameterValue, level: str, text: str) -> Notice:

@@ -46,7 +46,7 @@ class AidingSettings:
     switch_primary: Literal["off", "auto"] = "off"
     """`auto`: GPS_PRIMARY of an aided vehicle is set to our receiver where its own one is faulty (it claims a fix though it
     has failed, or its fix flickers). It is restored when the GPS is healthy, or aiding or the service ends.
-    `off`: only on the operator's command."""
+    `off`: only on the operator's command. A PX4 is told to leave its own GPS out of EKF2 instead, where its firmware can."""
     stand_down_s: float = positive(10.0)
     """Where another sender feeds the same receiver with GPS_INPUT, ours stops until that one was silent for this long."""
     ek3_gps_check: int = between(31, 0)
