@@ -139,6 +139,7 @@ class FleetReview:
             gps_state,
             is_trusted=self._is_trusted(sysid),
             is_automatic=self.gps_override(sysid) is GpsOverride.AUTO,
+            is_returning=self._stages.gps_health.is_returning(sysid),
             reported=self._stages.measurements.reported(sysid),
             receiver=vehicle.receiver,
             receiver_fix=self._stages.measurements.receiver_fix(sysid),

@@ -97,7 +97,6 @@ _RELAPSE_WITHIN_S = 60.0  # chosen: a loss later than this after the recovery is
 _HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 
 _NOTHING_HEARD = StatedReason(GpsReason.NOTHING_HEARD)
-_DUPLICATE_ID = StatedReason(GpsReason.DUPLICATE_ID)
 
 
 class GpsHealth:
@@ -125,6 +124,11 @@ class GpsHealth:
     def reason(self) -> StatedReason[GpsReason]:
         """What speaks for the state."""
         return self._reason
+
+    @property
+    def is_returning(self) -> bool:
+        """Whether a vehicle that has failed has good evidence again, RECOVERING or not steady enough for that yet."""
+        return self._state is GpsState.RECOVERING or (self._state is GpsState.FAILED and self._good_since_s is not None)
 
     @property
     def reports_false_fix(self) -> bool:
@@ -197,7 +201,7 @@ class GpsHealth:
     def _fault(self, evidence: GpsEvidence, now_s: float) -> StatedReason[GpsReason] | None:
         """Return the worst thing that the evidence says, or None."""
         if evidence.has_duplicate_id:
-            return _DUPLICATE_ID
+            return StatedReason(GpsReason.DUPLICATE_ID)
         receiver = evidence.receiver
         if receiver is not None:
             fault = self._receiver_fault(receiver)
@@ -233,7 +237,7 @@ class GpsHealth:
         return unhealthy or (ekf is not None and ekf.received_at_s >= oldest_s and not ekf.horizontal_position_absolute)
 
     def _receiver_fault(self, receiver: GpsReceiver) -> StatedReason[GpsReason] | None:
-        if receiver.fix_type < 3:
+        if receiver.fix_type < _HAS_FIX:
             return StatedReason(GpsReason.NO_FIX, receiver.fix_type)
         if receiver.satellites is not None and receiver.satellites < self._settings.min_satellites:
             return StatedReason(GpsReason.FEW_SATELLITES, receiver.satellites)
@@ -278,6 +282,10 @@ class FleetGpsHealth:
     def state(self, sysid: int) -> GpsState:
         """Return the state of a vehicle since its last update."""
         return self._of(sysid).state
+
+    def is_returning(self, sysid: int) -> bool:
+        """Return whether a vehicle that has failed has good evidence again."""
+        return self._of(sysid).is_returning
 
     def reports_false_fix(self, sysid: int) -> bool:
         """Return whether the receiver of a FAILED vehicle reports a fix all the same, or one that came and went."""

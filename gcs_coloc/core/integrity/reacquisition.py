@@ -192,10 +192,10 @@ class ReacquisitionMonitor:
         )
 
     def _fix(self, vehicle: ReviewedVehicle, now_s: float) -> PositionMeasurement | None:
-        """The fix of a receiver that is back: of a recovering vehicle, or of one that failed because it was found wrong."""
+        """The fix of a receiver that is back, or of one that failed because it was found wrong."""
         fix, receiver = vehicle.receiver_fix, self._receivers.get(vehicle.sysid)
         was_wrong = receiver is not None and receiver.wrong and vehicle.gps_state is GpsState.FAILED
-        if fix is None or not vehicle.is_automatic or not (was_wrong or vehicle.gps_state is GpsState.RECOVERING):
+        if fix is None or not vehicle.is_automatic or not (was_wrong or vehicle.is_returning):
             return None
         return fix if now_s - fix.arrived_at_s <= _OLDEST_FIX_S else None
 

@@ -22,16 +22,19 @@ class ReviewedVehicle:
     """One vehicle as a review sees it.
 
     `gps_state` and `is_trusted` (its reported position is evidence) are results of the round before. `is_automatic`: no operator
-    override of its GPS is in force. `reported` is the newest position that its autopilot reports, `receiver` the newest message
-    of its own receiver, `receiver_fix` the same as a measurement while the reported position is not evidence. `estimate` is the
-    estimator's answer now, needed while GPS is failed or recovering. `median_nis` is the median normalised innovation squared of
-    its recent ranges, `range_jump_m` the common jump of all its ranges; None where there is none.
+    override of its GPS is in force. `is_returning`: it has failed, and its receiver has a good fix again.
+
+    `reported` is the newest position that its autopilot reports, `receiver` the newest message of its own receiver,
+    `receiver_fix` the same as a measurement while the reported position is not evidence. `estimate` is the estimator's answer
+    now, needed while GPS is failed or recovering. `median_nis` is the median normalised innovation squared of its recent
+    ranges, `range_jump_m` the common jump of all its ranges; None where there is none.
     """
 
     sysid: int
     gps_state: GpsState
     is_trusted: bool
     is_automatic: bool
+    is_returning: bool = False
     reported: PositionMeasurement | None = None
     receiver: GpsReceiver | None = None
     receiver_fix: PositionMeasurement | None = None

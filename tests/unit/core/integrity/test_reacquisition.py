@@ -62,16 +62,18 @@ def watch(messages: Callable[[float], Iterable[Inbound]], until_s: float) -> See
         seen.engine.receive(Heartbeat(DENIED, t, Autopilot.ARDUPILOT, True, winged=True))
         seen.engine.receive(RouteReport(DENIED, t, None))
         for output in seen.engine.poll(t):
-            if isinstance(output, HealthChanged) and output.sysid == DENIED and t > BACK_S:
+            if isinstance(output, HealthChanged) and output.sysid == DENIED and t > BACK_S and output.after == "healthy":
+                seen.healthy_after_s = min(seen.healthy_after_s, t - BACK_S)
                 seen.reasons.append(output.reason)
-                if output.after == "healthy":
-                    seen.healthy_after_s = min(seen.healthy_after_s, t - BACK_S)
-                elif output.after == "failed":
-                    seen.wrong_after_s = min(seen.wrong_after_s, t - BACK_S)
             if isinstance(output, GpsInput) and t > BACK_S + 3.0:
                 seen.fix_types.append(output.fix_type)
             if isinstance(output, Notice) and output.sysid == DENIED:
                 seen.told.append(output.text)
+        reason = seen.engine.gps_health.reason(DENIED)
+        if t > BACK_S and reason not in seen.reasons:
+            seen.reasons.append(reason)
+        if t > BACK_S and "its GPS is back but" in reason:
+            seen.wrong_after_s = min(seen.wrong_after_s, t - BACK_S)
     return seen
 
 
@@ -127,7 +129,7 @@ def test_an_untested_receiver_is_believed_after_the_same_time_and_the_reason_say
 
     seen = fly(OFF, 1, 12.0, without_ranges)
     assert seen.healthy_after_s == pytest.approx(RECOVERED_AFTER_S, abs=0.01)
-    assert "nothing to hold it against" in seen.reasons[-1]
+    assert any("nothing to hold it against" in reason for reason in seen.reasons)
 
 
 def test_that_the_ranges_which_contradicted_it_have_ceased_says_nothing_for_it():
