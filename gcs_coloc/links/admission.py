@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
-import stat
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +13,8 @@ from gcs_coloc.core.errors import ConfigError, UsageError
 from gcs_coloc.links.base import parse, parse_out
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 from gcs_coloc.mavlink.signing import FIRST_CONTACT_S, KEY_LENGTH, LinkSigning, Signing
+from gcs_coloc.runtime.process import read_private_file
 
-_MAX_KEY_FILE_BYTES = 4096
-"""Chosen: longer than any passphrase; more of a file is not read."""
 BURST_S = 0.25
 """A source may send the bytes of this time at once. Chosen: what a radio buffers, and more than the largest datagram needs."""
 LEAST_COST_BYTES = 64
@@ -114,7 +111,7 @@ def read_key(path: Path) -> bytes:
     Raises:
         ConfigError: the file cannot be read, can be read by others than its owner, or holds no key.
     """
-    content = _read_private(path)
+    content = read_private_file(path, "the signing key")
     text = _line(content)
     if text is None:
         key = content
@@ -129,23 +126,6 @@ def read_key(path: Path) -> bytes:
     if not any(key):
         raise ConfigError(f"{path}: a key of zeros means no signing in MAVLink; make one with: openssl rand -hex {KEY_LENGTH}")
     return key
-
-
-def _read_private(path: Path) -> bytes:
-    try:
-        # O_NONBLOCK: a pipe in place of the file must not block the program.
-        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
-            # Of the open file, not of the path: what is checked is what is read.
-            mode = os.fstat(file.fileno()).st_mode
-            if not stat.S_ISREG(mode):
-                raise ConfigError(f"{path}: is no file")
-            if mode & (stat.S_IRWXG | stat.S_IRWXO):
-                raise ConfigError(
-                    f"{path}: the signing key can be used by others (mode {stat.S_IMODE(mode):04o}); run: chmod 600 {path}"
-                )
-            return file.read(_MAX_KEY_FILE_BYTES)
-    except OSError as error:
-        raise ConfigError(f"{path}: the signing key cannot be read: {error.strerror}") from None
 
 
 def _line(content: bytes) -> str | None:

@@ -1,4 +1,4 @@
-"""The process: its standard streams, the threads of its linear algebra, its garbage collection."""
+"""The process: its standard streams, its secret files, the threads of its linear algebra, its garbage collection."""
 
 from __future__ import annotations
 
@@ -6,10 +6,16 @@ import contextlib
 import errno
 import gc
 import os
+import stat
 import sys
+from pathlib import Path
+
+from gcs_coloc.core.errors import ConfigError
 
 NOBODY_READS = (errno.EPIPE, errno.ENOSPC, errno.EIO)
 """The errors of writing to a standard output whose reader, disk space or terminal is gone."""
+_MAX_SECRET_BYTES = 4096
+"""Chosen: longer than any passphrase or token; more of a file is not read."""
 _VARIABLES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _YOUNG_OBJECTS = 50_000
 """New objects before they are searched for cycles. Chosen: cycles may keep some 10 MB for a while."""
@@ -62,3 +68,24 @@ def collect_seldom() -> None:
     """
     gc.freeze()
     gc.set_threshold(_YOUNG_OBJECTS, _YOUNG_SEARCHES, _MIDDLE_SEARCHES)
+
+
+def read_private_file(path: Path, what: str, setting: str = "") -> bytes:
+    """Read a secret from a file that its owner alone can use; `what` it is and the `setting` that names it stand in errors.
+
+    Raises:
+        ConfigError: the file cannot be read, or can be used by others than its owner.
+    """
+    where = f"{setting}: {path}" if setting else str(path)
+    try:
+        # O_NONBLOCK: a pipe in place of the file must not block the program.
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+            # Of the open file, not of the path: what is checked is what is read.
+            mode = os.fstat(file.fileno()).st_mode
+            if not stat.S_ISREG(mode):
+                raise ConfigError(f"{where}: is no file")
+            if mode & (stat.S_IRWXG | stat.S_IRWXO):
+                raise ConfigError(f"{where}: {what} can be used by others (mode {stat.S_IMODE(mode):04o}); run: chmod 600 {path}")
+            return file.read(_MAX_SECRET_BYTES)
+    except OSError as error:
+        raise ConfigError(f"{where}: {what} cannot be read: {error.strerror}") from None

@@ -19,6 +19,7 @@ from gcs_coloc.config.sections import MqttConfig
 from gcs_coloc.core.alarms import Alarm
 from gcs_coloc.core.errors import ConfigError
 from gcs_coloc.mavlink.refusals import Counts
+from gcs_coloc.runtime.process import read_private_file
 from gcs_coloc.sinks.event_bus import IdleScheduler, Subscription
 from gcs_coloc.sinks.mqtt_inbox import MqttHooks, MqttInbox
 from gcs_coloc.sinks.mqtt_models import TOPIC_VERSION, of_alarm, of_vehicle, status, unix_s
@@ -206,9 +207,7 @@ def read_credentials(config: MqttConfig) -> tuple[str | None, ssl.SSLContext | N
 
 def _read_password(file: Path) -> str:
     try:
-        return file.read_text(encoding="utf-8").rstrip("\r\n")
-    except OSError as error:
-        raise ConfigError(f"mqtt.password_file: {file}: cannot be read: {error.strerror}") from None
+        return read_private_file(file, "the password", "mqtt.password_file").decode("utf-8").rstrip("\r\n")
     except UnicodeDecodeError:
         raise ConfigError(f"mqtt.password_file: {file}: is not text in UTF-8") from None
 

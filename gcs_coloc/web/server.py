@@ -17,9 +17,11 @@ from starlette.applications import Starlette
 
 from gcs_coloc.config.sections import WebConfig
 from gcs_coloc.core.errors import ConfigError, WebError
+from gcs_coloc.runtime.process import read_private_file
 from gcs_coloc.web.app import WebHooks, make_app
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.playback import Playback
+from gcs_coloc.web.request_deadline import RequestDeadline
 from gcs_coloc.web.tiles import TileFile
 
 log = logging.getLogger("gcs_coloc")
@@ -52,7 +54,7 @@ class WebServer:
         self._server = uvicorn.Server(
             uvicorn.Config(
                 make_app(hooks, pages, self._token, tiles, config.allowed_hosts, self._lifespan),
-                http="h11",
+                http=RequestDeadline,
                 ws_max_size=1024,
                 ws_per_message_deflate=False,  # it would compress each picture once for every page
                 lifespan="on",
@@ -146,12 +148,11 @@ def read_token(file: Path) -> str:
     """The operator's token: the only line of a file.
 
     Raises:
-        ConfigError: the file cannot be read, or holds fewer than 16 or other than printable ASCII characters.
+        ConfigError: the file cannot be read, is open to others than its owner, or holds fewer than 16 or other than printable
+            ASCII characters.
     """
     try:
-        token = file.read_text(encoding="ascii").strip()
-    except OSError as error:
-        raise ConfigError(f"web.token_file: {file}: cannot be read: {error.strerror}") from None
+        token = read_private_file(file, "the operator's token", "web.token_file").decode("ascii").strip()
     except UnicodeDecodeError:
         token = ""
     if len(token) < _MIN_TOKEN_LENGTH or not all("!" <= c <= "~" for c in token):

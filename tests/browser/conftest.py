@@ -13,6 +13,7 @@ from flight import TOKEN, Scene, Watched, browser, flying, free_port, service, w
 def scene(tmp_path_factory) -> Iterator[Scene]:
     folder = tmp_path_factory.mktemp("web")
     (folder / "token").write_text(f"{TOKEN}\n")
+    (folder / "token").chmod(0o600)
     (folder / "config.toml").write_text(f'[web]\ntoken_file = "{folder / "token"}"\n')
     port, out_port, failed = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_DGRAM), set()
     ground = ["--out", f"udpin:127.0.0.1:{out_port}"]

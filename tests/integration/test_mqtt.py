@@ -76,6 +76,7 @@ def start_with_broker(start_service, broker, free_port, tmp_path):
     def start(*, password=PASSWORD, more=""):
         secret, config = tmp_path / "password", tmp_path / "coloc.toml"
         secret.write_text(password + "\n")
+        secret.chmod(0o600)
         config.write_text(
             f'[web]\non = false\n[mqtt]\nhost = "127.0.0.1"\nport = {broker.port}\nusername = "{USER}"\n'
             f'password_file = "{secret}"\nfleet = "test"\npublish_hz = 5.0\n{more}'
@@ -239,6 +240,7 @@ def test_tls_is_spoken_with_the_broker_whose_name_is_on_the_certificate_and_no_o
     try:
         secret, config = tmp_path / "password", tmp_path / "coloc.toml"
         secret.write_text(PASSWORD)
+        secret.chmod(0o600)
         config.write_text(
             f'[web]\non = false\n[mqtt]\nhost = "127.0.0.1"\nport = {broker.port}\ntls = true\nca_file = "{certificate[0]}"\n'
             f'username = "{USER}"\npassword_file = "{secret}"\n'

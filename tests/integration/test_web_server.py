@@ -35,6 +35,7 @@ def web_port() -> int:
 @pytest.fixture
 def with_token(tmp_path):
     (tmp_path / "token").write_text(TOKEN)
+    (tmp_path / "token").chmod(0o600)
     (tmp_path / "config.toml").write_text(f'[web]\ntoken_file = "{tmp_path / "token"}"\n')
     return str(tmp_path / "config.toml")
 

@@ -116,9 +116,12 @@ def test_a_file_that_begins_with_a_byte_order_mark_is_read(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('[mqtt]\nhost = "b"\nusername = "u"\npassword_file = "absent"\n', "mqtt.password_file: absent: cannot be read"),
+        (
+            '[mqtt]\nhost = "b"\nusername = "u"\npassword_file = "absent"\n',
+            "mqtt.password_file: absent: the password cannot",
+        ),
         ('[mqtt]\nhost = "b"\ntls = true\nca_file = "absent"\n', "mqtt.ca_file: absent: no certificates can be read from it"),
-        ('[web]\ntoken_file = "absent"\n', "web.token_file: absent: cannot be read"),
+        ('[web]\ntoken_file = "absent"\n', "web.token_file: absent: the operator's token cannot be read"),
         ('[web]\ntiles = "absent"\n', "web.tiles: absent: cannot be read"),
         ('[signing]\nmode = "require"\nkey_file = "absent"\n', "absent"),
     ],

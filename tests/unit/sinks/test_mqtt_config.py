@@ -48,10 +48,14 @@ def test_impossible_settings_are_refused(mqtt, words):
 
 
 def test_files_that_cannot_be_used_are_named(tmp_path):
-    with pytest.raises(ConfigError, match=r"mqtt\.password_file: .*absent: cannot be read: No such file"):
+    with pytest.raises(ConfigError, match=r"mqtt\.password_file: .*absent: the password cannot be read: No such file"):
         connection(username="u", password_file=str(tmp_path / "absent"))
     no_text = tmp_path / "binary"
     no_text.write_bytes(b"\xff\xfe")
+    no_text.chmod(0o640)
+    with pytest.raises(ConfigError, match=r"mqtt\.password_file: .*can be used by others \(mode 0640\); run: chmod 600 "):
+        connection(username="u", password_file=str(no_text))
+    no_text.chmod(0o600)
     with pytest.raises(ConfigError, match=r"mqtt\.password_file: .*not text"):
         connection(username="u", password_file=str(no_text))
     with pytest.raises(ConfigError, match=r"mqtt\.ca_file: .*binary"):

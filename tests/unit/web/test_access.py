@@ -72,10 +72,15 @@ def test_a_token_file_that_protects_nothing_is_refused(tmp_path, content):
     file = tmp_path / "token"
     if content is not None:
         file.write_bytes(content)
+        file.chmod(0o600)
     with pytest.raises(ConfigError, match="token"):
         read_token(file)
 
 
 def test_a_good_token_is_read_without_its_line_end(tmp_path):
     (tmp_path / "token").write_bytes(b"0123456789abcdef\r\n")
+    (tmp_path / "token").chmod(0o644)
+    with pytest.raises(ConfigError, match=r"web\.token_file: .*can be used by others \(mode 0644\); run: chmod 600 "):
+        read_token(tmp_path / "token")
+    (tmp_path / "token").chmod(0o600)
     assert read_token(tmp_path / "token") == "0123456789abcdef"
