@@ -42,7 +42,7 @@ class ArduPilot(Autopilot):
         if gps_id in (0, 1) and is_injected(gps_id, self._params):
             self._receive(gps_id, fix, at_s)
 
-    def receive_global_position(self, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
+    def receive_global_position(self, sensor_id: int, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
         """Pass over GLOBAL_POSITION_SENSOR: ArduPilot knows no such sensor."""
 
     def apply_external_estimate(

@@ -41,7 +41,7 @@ class Autopilot(ABC):
         """Take a GPS_INPUT."""
 
     @abstractmethod
-    def receive_global_position(self, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
+    def receive_global_position(self, sensor_id: int, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
         """Take a GLOBAL_POSITION_SENSOR: position east and north (m) with its standard deviation (m)."""
 
     @abstractmethod

@@ -54,7 +54,7 @@ def _gps_input(vehicle: FlightController, message: Any, at_s: float) -> list[Any
 def _global_position_sensor(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
     place = _horizontal_m(vehicle, message.lat, message.lon)
     if place is not None and math.isfinite(message.eph):
-        vehicle.autopilot.receive_global_position(place, message.eph, at_s)
+        vehicle.autopilot.receive_global_position(message.id, place, message.eph, at_s)
     return []
 
 

@@ -159,6 +159,11 @@ class Navigation:
         self.position_m = (position_m[0] + ve * age_s, position_m[1] + vn * age_s)
         self._p.pp, self._p.pw = max(sigma_m, _LEAST_POSITION_SIGMA_M) ** 2, 0.0
 
+    def forget_wind(self) -> None:
+        """Hold the wind for none, and for as uncertain as at first."""
+        self._wind = [0.0, 0.0]
+        self._p.pw, self._p.ww = 0.0, _FIRST_WIND_SIGMA_MPS**2
+
     def _correct_velocity(self, seen_mps: tuple[float, float], sigma_mps: float, at_s: float) -> None:
         ve, vn = self.velocity_mps
         innovation = (seen_mps[0] - ve, seen_mps[1] - vn)

@@ -1,14 +1,14 @@
 """PX4 as far as positions from outside go: no GPS_INPUT, an auxiliary global position, external position estimates.
 
-After PX4 1.17: EKF2's AuxGlobalPosition and its handling of VEHICLE_CMD_EXTERNAL_POSITION_ESTIMATE. A GLOBAL_POSITION_SENSOR is
-stamped on receipt. The GNSS checks are reduced to the limits of EKF2_REQ_*.
+After PX4's main of August 2026 as flown with SIH: EKF2's AuxGlobalPosition and VEHICLE_CMD_EXTERNAL_POSITION_ESTIMATE. A
+GLOBAL_POSITION_SENSOR is stamped on receipt. The GNSS checks are reduced to the limits of EKF2_REQ_*.
 """
 
 from __future__ import annotations
 
 import math
 
-from sitl_fakes.autopilot import ACCEPTED, DEAD_RECKONING, NO_POSITION, TEMPORARILY_REJECTED, Autopilot
+from sitl_fakes.autopilot import ACCEPTED, DEAD_RECKONING, NO_POSITION, Autopilot
 from sitl_fakes.guidance import Guidance
 from sitl_fakes.navigation import Navigation
 from sitl_fakes.parameters import Parameters
@@ -27,6 +27,7 @@ class Px4(Autopilot):
     def __init__(self, params: Parameters, guidance: Guidance) -> None:
         super().__init__(Navigation(reset_after_s=7.0), guidance)
         self._params = params
+        self._slot_id = params["EKF2_AGP0_ID"]  # read at boot alone
         self._gps_used_at_s = self._aux_used_at_s = -math.inf
 
     def receive_own_fix(self, fix: GpsFix, at_s: float) -> None:
@@ -40,12 +41,11 @@ class Px4(Autopilot):
     def receive_gps_input(self, gps_id: int, fix: GpsFix, at_s: float) -> None:
         """Pass over GPS_INPUT: PX4 does not take it."""
 
-    def receive_global_position(self, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
-        """Fuse an auxiliary position where EKF2_AGP0_CTRL has it on and `eph_m` is above 0.
-
-        It moves the estimate by more than the gate only where nothing else has given a position of late.
+    def receive_global_position(self, sensor_id: int, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
+        """Fuse an auxiliary position of the slot's sensor, where EKF2_AGP0_CTRL has it on and `eph_m` is above 0. It moves the
+        estimate by more than the gate only where nothing else has given a position of late.
         """
-        if not int(self._params["EKF2_AGP0_CTRL"]) & _HORIZONTAL or not eph_m > 0.0:
+        if self._slot_off() or sensor_id != self._slot_id or not eph_m > 0.0:
             return
         if self.navigation.correct_position(
             position_m,
@@ -57,12 +57,15 @@ class Px4(Autopilot):
             self._last_used, self._aux_used_at_s = _AUX, at_s
 
     def apply_external_estimate(
-        self, position_m: tuple[float, float], accuracy_m: float | None, age_s: float, at_s: float
+        self,
+        position_m: tuple[float, float],
+        accuracy_m: float | None,
+        age_s: float,
+        at_s: float,  # noqa: ARG002 - ArduPilot's answer depends on the time
     ) -> int:
-        """Set the position, brought forward by its age, while dead reckoning."""
-        if self.source(at_s) != DEAD_RECKONING:
-            return TEMPORARILY_REJECTED
+        """Set the position, brought forward by its age, whatever it navigates on: a hard reset, which forgets the wind."""
         self.navigation.apply_estimate(position_m, accuracy_m or _UNKNOWN_ACCURACY_M, min(age_s, _LONGEST_AGE_S))
+        self.navigation.forget_wind()
         return ACCEPTED
 
     def arming_refusal(self, at_s: float) -> str | None:
@@ -72,9 +75,14 @@ class Px4(Autopilot):
 
     def injected_refusal(self, at_s: float) -> str | None:
         """Why auxiliary positions are not used now, or None where they are."""
+        if off := self._slot_off():
+            return off
+        return None if at_s - self._aux_used_at_s <= _HELD_S else "no auxiliary global position is fused"
+
+    def _slot_off(self) -> str | None:
         if not int(self._params["EKF2_AGP0_CTRL"]) & _HORIZONTAL:
             return "EKF2_AGP0_CTRL is off"
-        return None if at_s - self._aux_used_at_s <= _HELD_S else "no auxiliary global position is fused"
+        return None if self._slot_id else "EKF2_AGP0_ID was 0 at the start"
 
     def gps_healthy(self, at_s: float) -> bool:
         """The GPS bit of SYS_STATUS: the aircraft's own receiver has a fix."""

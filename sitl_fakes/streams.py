@@ -36,6 +36,7 @@ _ARDUPILOT_ALONE = (mavlink.MAVLINK_MSG_ID_GPS2_RAW, mavlink.MAVLINK_MSG_ID_EKF_
 _PX4 = {
     **{number: stream for number, stream in _ARDUPILOT.items() if number not in _ARDUPILOT_ALONE},
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: (telemetry.estimator_status, 2.0),
+    mavlink.MAVLINK_MSG_ID_ALTITUDE: (telemetry.altitude, 5.0),
 }
 _STREAMS: Mapping[Kind, Mapping[int, tuple[_Builder, float]]] = {"ardupilot": _ARDUPILOT, "px4": _PX4}
 _TRUTH_RATE_HZ = 10.0

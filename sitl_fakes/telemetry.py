@@ -66,7 +66,9 @@ _SENSORS_PRESENT, _SENSORS_ENABLED, _SENSORS_HEALTHY = 320994367, 52558911, 5360
 _GPS_SENSOR = mavlink.MAV_SYS_STATUS_SENSOR_GPS
 _EKF_NORMAL, _EKF_RELATIVE, _EKF_NO_POSITION, _EKF_GLITCH = 831, 303, 165, 32768
 _EKF_ABSOLUTE_FOR_S = 10.0
-_EKF2_NORMAL, _EKF2_DEAD_RECKONING, _EKF2_NO_POSITION = 831, 39, 165
+# As PX4 SIH quadrotors said: 895 while a global position is used, 383 without one, 101 in failsafe; 128 beside it at rest.
+_EKF2_NORMAL, _EKF2_UNAIDED, _EKF2_DEAD_RECKONING, _EKF2_NO_POSITION = 895, 383, 101, 165
+_EKF2_USED_FOR_S = 1.0
 _EKF2_ABSOLUTE_FOR_S = 5.0
 
 
@@ -139,9 +141,11 @@ def attitude(s: Snapshot) -> Any:
 
 
 def global_position_int(s: Snapshot) -> Any:
-    """GLOBAL_POSITION_INT (33)."""
+    """GLOBAL_POSITION_INT (33); without a position ArduPilot sends zeros, PX4 nothing."""
     reported = s.reported_position()
     heading = _centidegrees(_local_heading(s))
+    if reported is None and s.kind == "px4":
+        return None
     if reported is None:
         relative = round((s.altitude_m - s.home_alt_m) * 1000.0)
         return mavlink.MAVLink_global_position_int_message(
@@ -163,12 +167,12 @@ def global_position_int(s: Snapshot) -> Any:
 
 
 def vfr_hud(s: Snapshot) -> Any:
-    """VFR_HUD (74)."""
+    """VFR_HUD (74). PX4 without an airspeed sensor, as quadrotors are, says NaN."""
     ground_speed = math.hypot(*s.autopilot.navigation.velocity_mps)
     heading_deg = round(math.degrees(_local_heading(s))) % 360
     # Calibrated airspeed, as the message is defined: less than the true one where the air is thin (ISO 2533).
     temperature_share = 1.0 - 0.0065 * s.air.altitude_m / 288.15
-    calibrated_mps = s.air.airspeed_mps * temperature_share ** (4.2559 / 2.0)
+    calibrated_mps = s.air.airspeed_mps * temperature_share ** (4.2559 / 2.0) if s.kind == "ardupilot" else math.nan
     return mavlink.MAVLink_vfr_hud_message(calibrated_mps, ground_speed, heading_deg, 50, s.altitude_m, s.climb_mps)
 
 
@@ -176,6 +180,14 @@ def scaled_pressure(s: Snapshot) -> Any:
     """SCALED_PRESSURE (29): the barometer alone, whatever the autopilot believes of its height. Standard atmosphere."""
     pressure_hpa = 1013.25 * (1.0 - 0.0065 * s.air.altitude_m / 288.15) ** 5.25588
     return mavlink.MAVLink_scaled_pressure_message(_ms(s.boot_s), pressure_hpa, 0.0, 1500)
+
+
+def altitude(s: Snapshot) -> Any:
+    """ALTITUDE (141): PX4 sends it without a position, too, when it has no GLOBAL_POSITION_INT."""
+    above_home_m = s.altitude_m - s.home_alt_m
+    return mavlink.MAVLink_altitude_message(
+        round(s.boot_s * 1e6), s.air.altitude_m, s.altitude_m, above_home_m, above_home_m, math.nan, math.nan
+    )
 
 
 def ekf_status_report(s: Snapshot) -> Any:
@@ -196,7 +208,10 @@ def estimator_status(s: Snapshot) -> Any:
     if navigation.position_m is None:
         flags = _EKF2_NO_POSITION
     else:
-        flags = _EKF2_NORMAL if navigation.since_position_s(s.at_s) <= _EKF2_ABSOLUTE_FOR_S else _EKF2_DEAD_RECKONING
+        unaided_s = navigation.since_position_s(s.at_s)
+        flags = _EKF2_NORMAL if unaided_s <= _EKF2_USED_FOR_S else _EKF2_UNAIDED
+        flags = flags if unaided_s <= _EKF2_ABSOLUTE_FOR_S else _EKF2_DEAD_RECKONING
+        flags |= 0 if s.autopilot.armed else mavlink.ESTIMATOR_CONST_POS_MODE
         flags |= mavlink.ESTIMATOR_GPS_GLITCH if navigation.glitching else 0
     ratio = 1.5 if navigation.glitching else 0.05
     return mavlink.MAVLink_estimator_status_message(

@@ -13,12 +13,12 @@ from sitl_fakes.fleet import Fleet
 from tests.unit.sitl_fakes.fakes_support import GroundStation, aid, lost, parse, scenario
 
 
-def px4(*faults, **params):
+def px4(*faults, wind=None, **params):
     vehicle = {"sysid": 1, "waypoints": [[0, 0], [0, 20000]], "autopilot": "px4", "params": params}
-    return Fleet(scenario(vehicle=[vehicle], fault=list(faults)), 1)
+    return Fleet(scenario(vehicle=[vehicle], fault=list(faults), wind=wind or {}), 1)
 
 
-def stream_positions(fleet, from_s, to_s, *, eph_m=3.0, shift_east_m=0.0, interval_s=0.2):
+def stream_positions(fleet, from_s, to_s, *, eph_m=3.0, shift_east_m=0.0, interval_s=0.2, sensor_id=1):
     """GLOBAL_POSITION_SENSOR of the true position as it is when it arrives."""
     gcs = GroundStation()
     for k in range(1, math.floor((to_s - from_s) / interval_s + 1e-9) + 1):
@@ -26,7 +26,7 @@ def stream_positions(fleet, from_s, to_s, *, eph_m=3.0, shift_east_m=0.0, interv
         t = fleet.truth()[1]
         lat, lon, alt = fleet.frame.to_lla(t.east_m + shift_east_m, t.north_m, t.up_m)
         message = mavlink.MAVLink_global_position_sensor_message(
-            1, 1, 0, 12345, 0, 0, 0, round(lat * 1e7), round(lon * 1e7), math.nan, alt, eph_m, 5.0
+            1, 1, sensor_id, 12345, 0, 0, 0, round(lat * 1e7), round(lon * 1e7), math.nan, alt, eph_m, 5.0
         )
         fleet.deliver(1, gcs.pack(message), fleet.now_s)
     return fleet.advance(to_s + 0.6)  # until the next status has been sent
@@ -40,7 +40,7 @@ def error_m(fleet):
 def test_it_says_that_it_is_px4_and_sends_px4s_messages():
     out = px4().advance(5.0)
     assert {m.autopilot for m in parse(out, "HEARTBEAT")} == {mavlink.MAV_AUTOPILOT_PX4}
-    assert {m.flags for m in parse(out, "ESTIMATOR_STATUS")[2:]} == {831}
+    assert {m.flags for m in parse(out, "ESTIMATOR_STATUS")[2:]} == {895}
     assert parse(out, "EKF_STATUS_REPORT") == []
     assert parse(out, "GPS2_RAW") == []
     assert len(parse(out, "GLOBAL_POSITION_INT")) == pytest.approx(50, abs=2)
@@ -97,7 +97,7 @@ def test_its_integer_parameters_travel_as_bytes_and_reals_as_numbers():
     values = {m.param_id: (m.param_value, m.param_type) for m in parse(fleet.advance(1.1), "PARAM_VALUE")}
     assert values["EKF2_AGP0_CTRL"] == (0.0, 6)
     assert struct.pack("<f", values["EKF2_REQ_NSATS"][0]) == struct.pack("<i", 6)
-    assert values["EKF2_AGP0_NOISE"] == (pytest.approx(0.9), 9)
+    assert values["EKF2_AGP0_NOISE"] == (pytest.approx(1.0), 9)
     assert fleet.truth()[1].aid_refusal == "EKF2_AGP0_CTRL is off"
 
 
@@ -106,19 +106,60 @@ def test_a_parameter_of_the_other_autopilot_is_refused_in_the_scenario():
         px4(GPS2_TYPE=14)
 
 
-def test_an_external_estimate_is_rejected_for_now_while_it_has_gps_and_taken_without():
-    fleet, gcs = px4(lost(1, 5.0)), GroundStation()
+def test_an_external_estimate_is_a_hard_reset_that_forgets_the_wind_also_while_it_has_gps():
+    fleet, gcs = px4(wind={"speed_mps": 8.0, "from_deg": 270.0}), GroundStation()
+    fleet.advance(40.0)
+    t = fleet.truth()[1]
+    before_mps = ground_speed_mps(fleet)
+    lat, lon, _ = fleet.frame.to_lla(t.east_m + 100.0, t.north_m, t.up_m)
+    command = mavlink.MAVLink_command_int_message(
+        1, 1, 0, 43003, 0, 0, 40.0, 0.0, 5.0, 0, round(lat * 1e7), round(lon * 1e7), math.nan
+    )
+    fleet.deliver(1, gcs.pack(command), fleet.now_s)
+    assert parse(fleet.advance(fleet.now_s + 0.02), "COMMAND_ACK")[0].result == mavlink.MAV_RESULT_ACCEPTED
+    assert error_m(fleet) == pytest.approx(100.0, abs=3.0)
+    assert abs(ground_speed_mps(fleet) - before_mps) > 0.5
 
-    def answer(at_s):
-        fleet.advance(at_s)
-        t = fleet.truth()[1]
-        lat, lon, _ = fleet.frame.to_lla(t.east_m, t.north_m, t.up_m)
-        command = mavlink.MAVLink_command_int_message(
-            1, 1, 0, 43003, 0, 0, at_s, 0.0, 5.0, 0, round(lat * 1e7), round(lon * 1e7), math.nan
-        )
-        fleet.deliver(1, gcs.pack(command), at_s)
-        return parse(fleet.advance(at_s + 0.02), "COMMAND_ACK")[0].result
 
-    assert answer(4.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
-    assert answer(90.0) == mavlink.MAV_RESULT_ACCEPTED
-    assert error_m(fleet) < 1.0
+def ground_speed_mps(fleet):
+    gcs = GroundStation()
+    request = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 33, 0, 0, 0, 0, 0, 0)
+    fleet.deliver(1, gcs.pack(request), fleet.now_s)
+    message = parse(fleet.advance(fleet.now_s + 0.02), "GLOBAL_POSITION_INT")[-1]
+    return math.hypot(message.vx, message.vy) / 100.0
+
+
+def test_the_slot_of_the_auxiliary_position_is_read_at_the_start_alone():
+    off = px4(lost(1), EKF2_AGP0_ID=0)
+    off.advance(5.0)
+    field = struct.unpack("<f", struct.pack("<i", 1))[0]
+    off.deliver(1, GroundStation().pack(mavlink.MAVLink_param_set_message(1, 1, b"EKF2_AGP0_ID", field, 6)), 5.0)
+    stream_positions(off, 5.0, 10.0)
+    assert off.truth()[1].aid_refusal == "EKF2_AGP0_ID was 0 at the start"
+    other = px4(lost(1))
+    other.advance(5.0)
+    stream_positions(other, 5.0, 10.0, sensor_id=2)
+    assert other.truth()[1].source == "dead_reckoning"
+
+
+def test_its_status_says_by_bit_512_whether_a_global_position_is_used():
+    used, alone = px4(lost(1)), px4(lost(1))
+    used.advance(5.0)
+    assert {m.flags for m in parse(stream_positions(used, 5.0, 20.0), "ESTIMATOR_STATUS")[-5:]} == {895}
+    flags = [m.flags for m in parse(alone.advance(20.0), "ESTIMATOR_STATUS")]
+    assert flags[-1] == 101
+    assert 383 in flags
+    assert not any(f & 512 for f in flags[-20:])
+
+
+def test_on_the_ground_it_says_constant_position_beside_an_absolute_one_and_no_airspeed():
+    vehicle = {"sysid": 1, "waypoints": [[0, 0], [0, 20000]], "autopilot": "px4", "armed": False}
+    out = Fleet(scenario(vehicle=[vehicle]), 1).advance(10.0)
+    assert parse(out, "ESTIMATOR_STATUS")[-1].flags == 895 | mavlink.ESTIMATOR_CONST_POS_MODE
+    assert math.isnan(parse(out, "VFR_HUD")[-1].airspeed)
+
+
+def test_without_gps_since_the_start_its_height_comes_in_altitude_alone():
+    out = px4(lost(1, 0.0)).advance(10.0)
+    assert parse(out, "GLOBAL_POSITION_INT") == []
+    assert parse(out, "ALTITUDE")[-1].altitude_amsl == pytest.approx(600.0, abs=5.0)
