@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from four_ship import FourShip
-from pilot import Place3D, offset_m
+from pilot import Pilot, Place3D, offset_m
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 _LONGEST_GAP_S = 0.4
@@ -37,6 +37,8 @@ class Figures:
     ekf_rmse_m: float | None = None
     ekf_largest_m: float | None = None
     ekf_first_15_s_m: float | None = None
+    ekf_stated_ratio: float | None = None
+    """Root mean square of the autopilot's error over the accuracy that it states, where it does."""
     our_rmse_m: float | None = None
     our_largest_m: float | None = None
     stated_ratio: float | None = None
@@ -58,7 +60,8 @@ class Figures:
             return "-" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)
 
         numbers = [
-            self.ekf_rmse_m, self.ekf_largest_m, self.ekf_first_15_s_m, self.our_rmse_m, self.our_largest_m, self.stated_ratio,
+            self.ekf_rmse_m, self.ekf_largest_m, self.ekf_first_15_s_m, self.ekf_stated_ratio,
+            self.our_rmse_m, self.our_largest_m, self.stated_ratio,
             self.beyond_3_bounds, self.altitude_sd_with_gps_m, self.altitude_sd_aided_m, self.named_after_s,
             self.switched_after_s,
         ]  # fmt: skip
@@ -67,8 +70,8 @@ class Figures:
 
 
 HEADER = (
-    "| flight | EKF rmse | most | first 15 s | ours rmse | most | error/stated | beyond 3 bounds | alt sd GPS | alt sd aided |"
-    " named | switched | sound suspects | no aid | log lines | notes |\n|" + "---|" * 16
+    "| flight | EKF rmse | most | first 15 s | EKF error/stated | ours rmse | most | error/stated | beyond 3 bounds |"
+    " alt sd GPS | alt sd aided | named | switched | sound suspects | no aid | log lines | notes |\n|" + "---|" * 17
 )
 
 
@@ -183,6 +186,7 @@ def judge(ship: FourShip, denied: int, age_s: float, name: str) -> Figures:
     believed = errors_m(pilot.believed, truth, begins_s + SETTLED_S, ends_s)
     out.ekf_rmse_m, out.ekf_largest_m = rms(believed), max(believed, default=None)
     out.ekf_first_15_s_m = max(errors_m(pilot.believed, truth, begins_s, begins_s + SETTLED_S), default=None)
+    out.ekf_stated_ratio = rms(_over_stated(pilot, truth, begins_s + SETTLED_S, ends_s))
     out.altitude_sd_with_gps_m = altitude_sd_m(truth, begins_s - case.before_s, begins_s)
     out.altitude_sd_aided_m = altitude_sd_m(truth, begins_s + SETTLED_S, ends_s)
     sound = [n for n in ship.pilots if n not in case.denied]
@@ -198,6 +202,16 @@ def judge(ship: FourShip, denied: int, age_s: float, name: str) -> Figures:
         out.switched_after_s = next(
             (float(m[1]) - begins_s for m in _switches(ship.service.recordings) if float(m[1]) >= begins_s), None
         )
+    return out
+
+
+def _over_stated(pilot: Pilot, truth: Truth, begins_s: float, ends_s: float) -> list[float]:
+    stated = [(at_s, accuracy) for at_s, accuracy in pilot.stated_m if accuracy > 0.0]
+    out = []
+    for place in pilot.believed:
+        if stated and begins_s <= place.unix_s < ends_s and (true := truth.at(place.unix_s)) is not None:
+            i = bisect.bisect_left(stated, (place.unix_s, 0.0))
+            out.append(math.hypot(*offset_m(true, place)) / stated[min(i, len(stated) - 1)][1])
     return out
 
 

@@ -32,6 +32,9 @@ _WANTED_HZ: Mapping[int, float] = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0,
 }
+_OLDEST_TRUTH_S = 0.08
+"""No range is made of an older one: two intervals at 25 Hz. A simulator that stalled longer is not where it would have been."""
+
 _CLIMBED_M = 70.0
 _ON_THEIR_WAY_S = 50.0
 _HOMES_M: Mapping[int, tuple[float, float]] = {1: (0.0, 650.0), 2: (600.0, -350.0), 3: (-600.0, -350.0), 4: (0.0, 0.0)}
@@ -128,6 +131,11 @@ class Service:
             if current.get(sysid) != state:
                 self.states.append((now_s, sysid, state))
 
+    def kill(self) -> None:
+        """End it without a word."""
+        self._process.kill()
+        self._process.wait()
+
     def stop(self) -> None:
         """End it as Ctrl-C does, so that it closes its recording."""
         if self._process.poll() is None:
@@ -154,7 +162,7 @@ class FourShip:
         self.simulators, self.pilots = simulators, pilots
         self.events: list[tuple[float, int, str]] = []
         self.service: Service | None = None
-        self.begins_s = self.ends_s = math.inf
+        self.ready_s = self.begins_s = self.ends_s = math.inf
         self._random = random.Random(case.seed)
         self._range_due_s = 0.0
         self._pair = 0
@@ -239,7 +247,7 @@ class FourShip:
     def now_at(self, sysid: int) -> Place3D | None:
         """Where a vehicle truly is now: its last true position, carried on by the difference of the last two."""
         truth, now_s = self.pilots[sysid].truth, time.time()
-        if len(truth) < 6 or now_s - truth[-1].unix_s > 0.3:
+        if len(truth) < 6 or now_s - truth[-1].unix_s > _OLDEST_TRUTH_S:
             return None
         a, b = truth[-6], truth[-1]
         by = (now_s - b.unix_s) / max(b.unix_s - a.unix_s, 1e-3)

@@ -46,6 +46,8 @@ class Pilot:
     """What goes on while it waits for an answer: the other vehicles' truth is stamped as it is read."""
     truth: list[Place3D] = field(default_factory=list)
     believed: list[Place3D] = field(default_factory=list)
+    stated_m: list[tuple[float, float]] = field(default_factory=list)
+    """The accuracy that PX4's EKF2 states of its position (ESTIMATOR_STATUS), with UNIX times."""
     texts: list[tuple[float, str]] = field(default_factory=list)
     modes: list[tuple[float, int]] = field(default_factory=list)
     latest: dict[str, Any] = field(default_factory=dict)
@@ -98,6 +100,8 @@ class Pilot:
             self.truth.append(Place3D(now_s, message.lat * 1e-7, message.lon * 1e-7, message.alt / _PRESSURE_ALT_SCALE))
         elif kind == "GLOBAL_POSITION_INT":
             self.believed.append(Place3D(now_s, message.lat * 1e-7, message.lon * 1e-7, message.alt / _PRESSURE_ALT_SCALE))
+        elif kind == "ESTIMATOR_STATUS":
+            self.stated_m.append((now_s, message.pos_horiz_accuracy))
         elif kind == "STATUSTEXT":
             self.texts.append((now_s, message.text))
         elif kind == "HEARTBEAT" and message.get_srcComponent() == 1 and [message.custom_mode] != [m for _, m in self.modes[-1:]]:

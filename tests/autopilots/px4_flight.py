@@ -20,6 +20,8 @@ _GPS_UNIT, _FAILURE_OFF, _FAILURE_NONE = 4, 1, 0
 _INJECT_FAILURE = 420
 _ORBIT_RADIUS_M, _ORBIT_SPEED_MPS = 60.0, 6.0
 _READY_S = 120.0
+_EKF2_STARTS_S, _AT_REST_S = 12.0, 20.0
+"""EKF2 has no absolute position in its first seconds; then EKF2 and the service see the vehicles at rest."""
 
 GUIDE: Mapping[str, float] = {
     "EKF2_AGP0_CTRL": 1,
@@ -59,7 +61,9 @@ class Px4Flight:
         ) as ship:
             pilots = ship.pilots.values()
             ship.wait("heartbeats", lambda: all("HEARTBEAT" in p.latest for p in pilots), 60.0)
-            ship.run(25.0)  # EKF2 and the service see them at rest
+            ship.run(_EKF2_STARTS_S)
+            ship.ready_s = time.time()
+            ship.run(_AT_REST_S)
             for pilot in pilots:
                 pilot.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS, 2e5)
                 self._take_off(ship, pilot)

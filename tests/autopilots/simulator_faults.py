@@ -68,6 +68,21 @@ class Ramp:
             glitch(ship, self._speed_mps * since_s, 0.0, wait=False)
 
 
+class Restart:
+    """The service is killed, so many seconds after the fault began, and started again at once."""
+
+    def __init__(self, after_s: float) -> None:
+        self._due_s = after_s
+
+    def during(self, ship: FourShip, since_s: float) -> None:
+        """Kill it when it is time."""
+        if since_s >= self._due_s and ship.service is not None:
+            self._due_s = math.inf
+            ship.service.kill()
+            ship.event(ship.case.denied[0], "service killed")
+            ship.start_service()
+
+
 class WindStep:
     """The wind grows by 8 m/s, 60 s after the loss."""
 

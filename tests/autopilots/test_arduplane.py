@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from flight_figures import at_most
 from four_ship import ArduPilotFlight, Case
-from simulator_faults import Ramp, WindStep, jam, lose_gps, restore, step_of_200_m
+from simulator_faults import Ramp, Restart, WindStep, jam, lose_gps, restore, step_of_200_m
 from simulators import PLANE
 
 AUTOPILOT = "arduplane"
@@ -68,6 +68,12 @@ def test_two_lost_at_once(flown):
     for f in rows:
         assert f.suspects == []
         at_most(ours=(f.our_rmse_m, 1.5), beyond_3_bounds=(f.beyond_3_bounds, 0))
+
+
+def test_killed_and_started_again(flown):
+    restart = Restart(30.0)
+    _, [f] = flown(Case("killed, started again", begin=lose_gps, during=restart.during, duration_s=90.0))
+    at_most(no_aid=(f.longest_silence_s, 2.0), beyond_3_bounds=(f.beyond_3_bounds, 0))
 
 
 def test_service_started_in_flight(flown):
