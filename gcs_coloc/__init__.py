@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from gcs_coloc.estimators.qu_zhang.settings import QuZhangSettings
     from gcs_coloc.estimators.registry import load_estimator
     from gcs_coloc.evaluation.dataset import Dataset, read_dataset
-    from gcs_coloc.evaluation.evaluate import Evaluation, evaluate, evaluate_dataset, plot_evaluation
+    from gcs_coloc.evaluation.evaluate import Evaluation, evaluate, evaluate_dataset
+    from gcs_coloc.evaluation.output import plot_evaluation, write_epochs
     from gcs_coloc.recorder.flight_history import RecordingArrays, VehicleArrays, read_recording
 
 __version__ = "0.2.0"
@@ -74,6 +75,7 @@ __all__ = [
     "plot_evaluation",
     "read_dataset",
     "read_recording",
+    "write_epochs",
 ]
 
 _MODULE_OF = {
@@ -103,9 +105,10 @@ _MODULE_OF = {
     "evaluate": "evaluation.evaluate",
     "evaluate_dataset": "evaluation.evaluate",
     "load_estimator": "estimators.registry",
-    "plot_evaluation": "evaluation.plot",
+    "plot_evaluation": "evaluation.output",
     "read_dataset": "evaluation.dataset",
     "read_recording": "recorder.flight_history",
+    "write_epochs": "evaluation.output",
 }
 """Where each public name is; imported on first use (PEP 562), so that the command line does not load what it does not need."""
 

@@ -4,57 +4,109 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
+from rich.console import Console
+from rich.progress import Progress, TaskID
+from rich.table import Table
 
 from gcs_coloc.cli.recordings import EstimatorOption, FleetOption, settings_for, warn_of_findings
+from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.estimator import GuardedEstimator
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.evaluation.evaluate import Evaluation
+from gcs_coloc.evaluation.evaluate import evaluate as run_evaluation
 
 _MOST_REASONS = 3
+_FILE_WIDTH = 140  # of a table that goes to a file or pipe
 
 
 def evaluate(
-    directory: Annotated[Path, typer.Argument(help="A data set: meta.toml, positions.csv, ranges.csv, ...", metavar="DIR")],
+    directories: Annotated[
+        list[Path], typer.Argument(help="Data sets: directories with meta.toml, ranges.csv, ...", metavar="DIR...")
+    ],
     estimator: EstimatorOption = None,
     config: Annotated[Path | None, typer.Option(help="A configuration file (TOML) for the estimator and its settings.")] = None,
     fleet: FleetOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the scores as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the scores as JSON; a list for several data sets.")] = False,
     plot: Annotated[Path | None, typer.Option(help="Draw track, error against 2-sigma, and NIS into this file.")] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", help="Write every epoch of all data sets into this file.")] = None,
 ) -> None:
-    """Run an estimator over a data set, causally, and score it against the truth."""
-    from gcs_coloc.evaluation import evaluate as study
-    from gcs_coloc.evaluation.evaluate import plot_evaluation
+    """Run an estimator over data sets, causally, and score it against the truth; of several print one table."""
+    from gcs_coloc.evaluation.output import plot_evaluation, write_epochs
 
+    if plot is not None and len(directories) > 1:
+        raise UsageError("--plot draws one data set: state one DIR")
     settings = settings_for(config, fleet, estimator)
-    # As in flight: what it fails at is told and scored as no answer.
-    guarded = GuardedEstimator(
-        load_estimator(settings.estimator.name, settings.estimator.settings), lambda text: print(text, file=sys.stderr)
-    )
-    evaluation = study.evaluate(directory, guarded)
-    warn_of_findings(directory, evaluation.findings)
+    evaluations = []
+    # On stderr: stdout is for the result.
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bars:
+        for directory in directories:
+            task = bars.add_task(directory.name, total=None)
+            # As in flight: what it fails at is told and scored as no answer.
+            guarded = GuardedEstimator(
+                load_estimator(settings.estimator.name, settings.estimator.settings), lambda text: print(text, file=sys.stderr)
+            )
+            evaluations.append(run_evaluation(directory, guarded, progress=partial(_show, bars, task)))
+    for directory, evaluation in zip(directories, evaluations, strict=True):
+        warn_of_findings(directory, evaluation.findings)
+    if csv is not None:
+        write_epochs(evaluations, csv)
     if plot is not None:
-        plot_evaluation(evaluation, plot)
+        plot_evaluation(evaluations[0], plot)
     if as_json:
-        print(json.dumps(evaluation.as_dict(), indent=2))
-        return
+        whole = [evaluation.as_dict() for evaluation in evaluations]
+        print(json.dumps(whole if len(whole) > 1 else whole[0], indent=2))
+    elif len(evaluations) > 1:
+        Console(width=None if sys.stdout.isatty() else _FILE_WIDTH).print(_table(evaluations))
+    else:
+        _print(evaluations[0])
+
+
+def _show(bars: Progress, task: TaskID, done: int, total: int) -> None:
+    bars.update(task, completed=done, total=total)
+
+
+def _table(evaluations: Sequence[Evaluation]) -> Table:
+    table = Table()
+    errors = ("RMSE m", "median", "95 %", "most", "3D RMSE")
+    headings = ("data set", "node", "answered", "first s", *errors, "covered", "> 3 b", "ANEES")
+    for place, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if place > 1 else "left")
+    for evaluation in evaluations:
+        for vehicle in evaluation.denied:
+            s = vehicle.score
+            first = "-" if s.first_known_s is None else f"{s.first_known_s:.1f}"
+            cells = ["-"] * 8
+            if (e := s.horizontal) is not None and s.spatial is not None:
+                honesty = (f"{s.covered_95:.1%}", f"{s.beyond_three_bounds:.1%}", f"{s.anees:.2f} ({s.anees_expected})")
+                sizes = (e.rmse_m, e.median_m, e.p95_m, e.max_m, s.spatial.rmse_m)
+                cells = [*(f"{size:.2f}" for size in sizes), *honesty]
+            table.add_row(evaluation.dataset, vehicle.node.id, f"{s.share_known:.1%}", first, *cells)
+    return table
+
+
+def _print(evaluation: Evaluation) -> None:
     cost = f"{evaluation.cpu_us_per_measurement:.0f} us of CPU per measurement"
     print(f"{evaluation.dataset}: estimator {evaluation.estimator}, {evaluation.measurements} measurements, {cost}")
     for denied_vehicle in evaluation.denied:
         s = denied_vehicle.score
-        print(f"{denied_vehicle.node.id}: {s.epochs} true positions, {s.share_known:.1%} answered", end="")
-        if s.horizontal is None or s.spatial is None or s.anees is None or s.covered_95 is None:
-            print()
-            _print_unanswered(denied_vehicle.unanswered)
-            continue
-        print(f", the first after {s.first_known_s:.1f} s")
+        is_true = not np.isnan(denied_vehicle.series.truth_enu_m).all()
+        print(f"{denied_vehicle.node.id}: {s.epochs} {'true positions' if is_true else 'epochs without truth'}, ", end="")
+        print(f"{s.share_known:.1%} answered", end="")
+        print("" if s.first_known_s is None else f", the first after {s.first_known_s:.1f} s")
         for name, e in (("horizontal", s.horizontal), ("3D", s.spatial)):
-            print(f"  {name:<10} RMSE {e.rmse_m:.2f} m, median {e.median_m:.2f} m, 95 % {e.p95_m:.2f} m, most {e.max_m:.2f} m")
+            if e is not None:
+                most = f"95 % {e.p95_m:.2f} m, most {e.max_m:.2f} m"
+                print(f"  {name:<10} RMSE {e.rmse_m:.2f} m, median {e.median_m:.2f} m, {most}")
         _print_unanswered(denied_vehicle.unanswered)
-        print(f"  ANEES {s.anees:.2f} ({s.anees_expected} expected), 95 % bound covers {s.covered_95:.1%}")
+        if s.anees is not None and s.covered_95 is not None:
+            print(f"  ANEES {s.anees:.2f} ({s.anees_expected} expected), 95 % bound covers {s.covered_95:.1%}")
     counts = ", ".join(f"{what} {times}" for what, times in sorted(evaluation.counts.items(), key=lambda item: -item[1]))
     if counts:
         print(f"measurements: {counts}")

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from gcs_coloc import __version__
-from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.estimator import Estimator
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
@@ -25,16 +24,21 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
+from gcs_coloc.evaluation.antennas import AntennaRange, body_range
 from gcs_coloc.evaluation.data_checks.checks import check_delays, run_checks
-from gcs_coloc.evaluation.data_checks.findings import DataFinding
+from gcs_coloc.evaluation.data_checks.findings import DataFinding, FindingKind, finding
 from gcs_coloc.evaluation.data_checks.recorded_data import recorded_data
-from gcs_coloc.evaluation.dataset import Dataset, Node, read_dataset
+from gcs_coloc.evaluation.dataset import Dataset, Truth, read_dataset
+from gcs_coloc.evaluation.dataset_meta import Node
 from gcs_coloc.evaluation.scoring import EstimateSeries, VehicleScore, score, series_of
 
 _PLANE_EVERY_S = 0.2
 _PLANE_SIGMA_M = 0.1
 """Period and 1-sigma of the heights that a flat data set gives a denied vehicle. Chosen: a good barometer at 5 Hz."""
-_KINDS = {PositionMeasurement: "positions", RangeMeasurement: "ranges", AltitudeMeasurement: "heights"}
+_KINDS = {PositionMeasurement: "positions", RangeMeasurement: "ranges", AntennaRange: "ranges", AltitudeMeasurement: "heights"}
+_EPOCH_S = 0.2
+"""Spacing of the epochs of a vehicle without truth. Chosen: as often as most data sets range."""
+_PROGRESS_EVERY = 500
 _NUMBER = re.compile(r"[0-9.]+")
 
 
@@ -83,36 +87,63 @@ class Evaluation:
         }
 
 
-def evaluate(directory: Path, estimator: Estimator, cpu_s: Callable[[], float] = time.process_time) -> Evaluation:
+Progress = Callable[[int, int], None]
+"""Called with how many of how many measurements are done."""
+
+
+def evaluate(
+    directory: Path,
+    estimator: Estimator,
+    cpu_s: Callable[[], float] = time.process_time,
+    progress: Progress = lambda _done, _total: None,
+) -> Evaluation:
     """Read the data set in `directory`, run `estimator` over it and score it.
 
     A node with the role "denied" becomes a denied vehicle at its last position report, and is scored from then on; one without
-    reports is one from the start.
+    reports is one from the start. Without `truth.csv` it is located all the same, five times a second, and there is no error.
 
     Raises:
         DataError: the data set cannot be read.
 
     """
     dataset = read_dataset(directory)
-    return replace(evaluate_dataset(dataset, estimator, cpu_s), findings=tuple(dataset_findings(dataset)))
+    return replace(evaluate_dataset(dataset, estimator, cpu_s, progress), findings=tuple(dataset_findings(dataset)))
 
 
 def dataset_findings(dataset: Dataset) -> list[DataFinding]:
-    """Return what does not agree in a data set: units, axes, clocks, offsets, repeated ranges."""
+    """Return what was dropped of a data set, and what does not agree in it: units, axes, clocks, offsets, repeated ranges."""
+    dropped = [
+        finding(FindingKind.DROPPED_ROWS, one.count, one.path.name, rows=one.rows, first="; ".join(one.first))
+        for one in dataset.dropped
+    ]
     delays_s: dict[str, list[float]] = defaultdict(list)
     for m in dataset.measurements:
         if type(m) in _KINDS:
             delays_s[_KINDS[type(m)]].append(m.arrived_at_s - m.measured_at_s)
-    return [*check_delays({kind: np.array(found) for kind, found in delays_s.items()}), *run_checks(recorded_data(dataset))]
+    return [
+        *dropped,
+        *check_delays({kind: np.array(found) for kind, found in delays_s.items()}),
+        *run_checks(recorded_data(dataset)),
+    ]
 
 
-def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[], float] = time.process_time) -> Evaluation:
+def evaluate_dataset(
+    dataset: Dataset,
+    estimator: Estimator,
+    cpu_s: Callable[[], float] = time.process_time,
+    progress: Progress = lambda _done, _total: None,
+) -> Evaluation:
     """Run an estimator over a data set that is in memory and score it. `cpu_s` returns the CPU time spent so far."""
     measurements = _measurements_in_order(dataset)
     start_s = measurements[0].arrived_at_s
     last_report_s = {node.vehicle: _last_report_s(dataset, node.vehicle) for node in dataset.denied()}
     since_s = {vehicle: max(t, start_s) for vehicle, t in last_report_s.items()}
-    wanted = {node.vehicle: dataset.truth[node.vehicle] for node in dataset.denied() if node.vehicle in dataset.truth}
+    end_s = measurements[-1].arrived_at_s
+    wanted = {
+        node.vehicle: dataset.truth[node.vehicle] if dataset.truth else _epochs(since_s[node.vehicle], end_s)
+        for node in dataset.denied()
+        if node.vehicle in dataset.truth or not dataset.truth
+    }
     answers: dict[int, list[Estimate | NoEstimate]] = {vehicle: [] for vehicle in wanted}
     nis: dict[int, list[tuple[float, float]]] = {vehicle: [] for vehicle in since_s}
     queries = sorted((t, vehicle) for vehicle, truth in wanted.items() for t in truth.times_s.tolist() if t >= since_s[vehicle])
@@ -127,19 +158,23 @@ def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[],
             answers[vehicle].append(estimator.estimate(vehicle, t))
             next_query += 1
 
-    for m in measurements:
+    anchors = dataset.anchors_enu_m()
+    for done, m in enumerate(measurements):
+        if done % _PROGRESS_EVERY == 0:
+            progress(done, len(measurements))
         answer_queries_before(m.arrived_at_s)
         failed = frozenset(vehicle for vehicle, t in last_report_s.items() if t < m.arrived_at_s)
         if failed != denied:
             denied = failed
             estimator.set_denied(denied, m.arrived_at_s)
-        estimator.add(m)
+        estimator.add(body_range(m, estimator, anchors) if isinstance(m, AntennaRange) else m)
         if isinstance(m, RangeMeasurement):
             for residual in estimator.drain_residuals():
                 for end in (residual.from_vehicle, residual.to_vehicle):
                     if end in nis and end is not None:
                         nis[end].append((residual.measured_at_s, residual.nis / residual.degrees_of_freedom))
     answer_queries_before(math.inf)
+    progress(len(measurements), len(measurements))
     spent_s = cpu_s() - began_s
     evaluated = []
     for node in dataset.denied():
@@ -163,6 +198,12 @@ def evaluate_dataset(dataset: Dataset, estimator: Estimator, cpu_s: Callable[[],
         denied=tuple(evaluated),
         counts=estimator.counts(),
     )
+
+
+def _epochs(since_s: float, end_s: float) -> Truth:
+    """Return the epochs of a vehicle without truth."""
+    times_s = np.arange(since_s, end_s + _EPOCH_S, _EPOCH_S)
+    return Truth(times_s, np.full((len(times_s), 3), np.nan))
 
 
 def _by_reason(reasons: Iterable[str]) -> dict[str, int]:
@@ -202,49 +243,3 @@ def _plane(dataset: Dataset) -> Iterator[Measurement]:
 def _last_report_s(dataset: Dataset, vehicle: int) -> float:
     reports = [m.arrived_at_s for m in dataset.measurements if isinstance(m, PositionMeasurement) and m.vehicle == vehicle]
     return max(reports, default=-math.inf)
-
-
-def plot_evaluation(evaluation: Evaluation, path: Path) -> None:
-    """Draw each vehicle's track, its error against the stated 2-sigma, and the NIS of its ranges; the ending sets the format.
-
-    Raises:
-        UsageError: matplotlib is not installed, or the ending is not one that it writes, or the file cannot be written.
-
-    """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError('drawing needs matplotlib: pip install "gcs-coloc[plots]"') from error
-    figure = Figure(figsize=(12.0, 6.0 * len(evaluation.denied)), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(f"{evaluation.dataset}: {evaluation.estimator}")
-    rows = figure.subplots(2 * len(evaluation.denied), 2, squeeze=False)
-    for i, denied_vehicle in enumerate(evaluation.denied):
-        grid = rows[0, 0].get_gridspec()
-        for axes in rows[2 * i : 2 * i + 2, 0]:
-            axes.remove()
-        track = figure.add_subplot(grid[2 * i : 2 * i + 2, 0])
-        _draw(denied_vehicle, track, rows[2 * i, 1], rows[2 * i + 1, 1])
-    try:
-        figure.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: cannot be written: {error}") from error
-
-
-def _draw(denied_vehicle: VehicleEvaluation, track: Any, error: Any, nis: Any) -> None:
-    series = denied_vehicle.series
-    t = series.times_s
-    track.plot(series.truth_enu_m[:, 0], series.truth_enu_m[:, 1], color="0.6", lw=3, label="truth")
-    track.plot(series.estimate_enu_m[:, 0], series.estimate_enu_m[:, 1], color="#0072b2", lw=1, label="estimate")
-    track.set(xlabel="east, m", ylabel="north, m", title=denied_vehicle.node.id, aspect="equal")
-    track.legend()
-    horizontal_m = np.linalg.norm((series.estimate_enu_m - series.truth_enu_m)[:, :2], axis=1)
-    two_sigma_m = 2.0 * np.sqrt(0.5 * (series.covariance_m2[:, 0, 0] + series.covariance_m2[:, 1, 1]))
-    error.plot(t, horizontal_m, color="#0072b2", lw=1, label="horizontal error")
-    error.plot(t, two_sigma_m, color="#d55e00", lw=1, label="2 sigma, mean of both axes")
-    error.set(ylabel="m", ylim=(0.0, None))
-    error.legend()
-    nis.plot(denied_vehicle.nis[:, 0], denied_vehicle.nis[:, 1], ".", color="0.4", ms=2)
-    nis.axhline(1.0, color="#d55e00", lw=1)
-    nis.set(xlabel="s", ylabel="NIS of ranges (1 on average)", yscale="symlog")

@@ -90,11 +90,17 @@ def error_statistics(error_m: FloatArray) -> ErrorStatistics:
 
 
 def score(series: EstimateSeries, since_s: float, dims: int) -> VehicleScore:
-    """Return the score of one denied vehicle that became one at `since_s`; with `dims` 2 the height is left out of ANEES."""
+    """Return the score of one denied vehicle that became one at `since_s`; with `dims` 2 the height is left out of ANEES.
+
+    Where the truth is NaN there is no error.
+    """
     known = series.known()
     epochs = len(known)
     if not known.any():
         return VehicleScore(epochs, 0.0, None, None, None, None, dims, None, None)
+    first_s = float(series.times_s[known][0] - since_s)
+    if np.isnan(series.truth_enu_m).all():
+        return VehicleScore(epochs, float(known.mean()), first_s, None, None, None, dims, None, None)
     error = (series.estimate_enu_m - series.truth_enu_m)[known]
     covariance = series.covariance_m2[known]
     squares = normalised_squares(error[:, :dims], covariance[:, :dims, :dims])
@@ -103,7 +109,7 @@ def score(series: EstimateSeries, since_s: float, dims: int) -> VehicleScore:
     return VehicleScore(
         epochs=epochs,
         share_known=float(known.mean()),
-        first_known_s=float(series.times_s[known][0] - since_s),
+        first_known_s=first_s,
         horizontal=error_statistics(error[:, :2]),
         spatial=error_statistics(error),
         anees=float(squares.mean()),

@@ -1,16 +1,33 @@
-"""Strict reading of CSV tables: a malformed row is an error that names the file, the line and the column."""
+"""Reading of CSV tables: a row that is wrong is an error, or is dropped, with the file, the line and the column."""
 
 from __future__ import annotations
 
 import csv
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from typing import TypeVar
 
 from gcs_coloc.core.errors import DataError
 
 _OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs"}
+_MOST_DROPPED = 0.5
+"""Share of a file's rows that may be dropped; chosen: a file of which most is wrong is another file than it is taken for."""
+_MOST_NAMED = 3
+
+Parsed = TypeVar("Parsed")
+
+
+@dataclass(frozen=True, slots=True)
+class DroppedRows:
+    """Rows of one file that were dropped because something in them is wrong: how many of how many, and where the first are."""
+
+    path: Path
+    count: int
+    rows: int
+    first: tuple[str, ...]
 
 
 class TableRow:
@@ -18,6 +35,13 @@ class TableRow:
 
     def __init__(self, path: Path, line: int, header: list[str], cells: list[str]) -> None:
         self._path, self._line, self._header, self._cells = path, line, header, cells
+
+    def check_length(self) -> None:
+        """Raise if the row has not as many cells as the header."""
+        if len(self._cells) != len(self._header):
+            column = min(len(self._cells), len(self._header)) + 1
+            problem = f"{len(self._cells)} cells where the header has {len(self._header)}"
+            raise DataError(f"{self._path}, line {self._line}, column {column}: {problem}")
 
     def has(self, column: str) -> bool:
         """Whether the table has an optional column."""
@@ -105,14 +129,20 @@ def read_table(path: Path, required: Sequence[str], optional: Sequence[str] = ()
             wanted = ",".join((*required, *optional))
             raise DataError(f"{path}, line 1: column {name} is missing{there}; wanted are {wanted}")
 
-    return _read(path, check)
+    for row in _read(path, check):
+        row.check_length()
+        yield row
 
 
-def read_layout(path: Path, required: Sequence[str], *optional: Sequence[str]) -> Iterator[TableRow]:
-    """The rows of a file whose header is the required columns, then any of the optional groups, in that order and no other.
+def read_layout(
+    path: Path, parse: Callable[[TableRow], Parsed], required: Sequence[str], *optional: Sequence[str]
+) -> tuple[list[Parsed], DroppedRows]:
+    """Parse the rows of a file whose header is the required columns, then any of the optional groups, in that order and no other.
+
+    A row for which `parse` raises DataError is dropped.
 
     Raises:
-        DataError: as `read_table`, or a column is where none of that name belongs.
+        DataError: as `read_table`, a column is where none of that name belongs, or more than half of the rows are wrong.
     """
 
     def check(header: list[str]) -> None:
@@ -122,14 +152,26 @@ def read_layout(path: Path, required: Sequence[str], *optional: Sequence[str]) -
                 expected += group
         if header == expected:
             return
-        wrong = next(
+        place = next(
             (i for i, (a, b) in enumerate(zip(header, expected, strict=False)) if a != b), min(len(header), len(expected))
         )
         layout = ",".join(required) + "".join(f"[,{','.join(group)}]" for group in optional)
-        there = f"{header[wrong]!r} stands there" if wrong < len(header) else "nothing stands there"
-        raise DataError(f"{path}, line 1, column {wrong + 1}: {there}; the header has to be {layout}")
+        there = f"{header[place]!r} stands there" if place < len(header) else "nothing stands there"
+        raise DataError(f"{path}, line 1, column {place + 1}: {there}; the header has to be {layout}")
 
-    return _read(path, check)
+    parsed: list[Parsed] = []
+    wrong: list[str] = []
+    for row in _read(path, check):
+        try:
+            row.check_length()
+            parsed.append(parse(row))
+        except DataError as error:
+            wrong.append(str(error))
+    count = len(parsed) + len(wrong)
+    if len(wrong) > _MOST_DROPPED * count:
+        others = f" ({len(wrong)} of {count} rows are wrong)" if count > 1 else ""
+        raise DataError(wrong[0] + others)
+    return parsed, DroppedRows(path, len(wrong), count, tuple(wrong[:_MOST_NAMED]))
 
 
 def _read(path: Path, check_header: Callable[[list[str]], None]) -> Iterator[TableRow]:
@@ -148,10 +190,6 @@ def _read(path: Path, check_header: Callable[[list[str]], None]) -> Iterator[Tab
             for cells in reader:
                 if not cells:
                     continue
-                if len(cells) != len(header):
-                    column = min(len(cells), len(header)) + 1
-                    problem = f"{len(cells)} cells where the header has {len(header)}"
-                    raise DataError(f"{path}, line {reader.line_num}, column {column}: {problem}")
                 yield TableRow(path, reader.line_num, header, cells)
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None

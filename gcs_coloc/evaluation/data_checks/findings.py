@@ -28,6 +28,7 @@ _LEAST_SHARE = 0.5
 class FindingKind(StrEnum):
     """What does not agree in a recording; the value stands in the JSON as `kind`."""
 
+    DROPPED_ROWS = "dropped_rows"
     NO_OVERLAP = "no_overlap"
     SLOW_RANGES = "slow_ranges"
     LATE_ARRIVAL = "late_arrival"
@@ -54,6 +55,7 @@ class FindingKind(StrEnum):
 
 
 _WORDING = {
+    FindingKind.DROPPED_ROWS: "{value} of {rows} rows of {who} are wrong and left out: {first}",
     FindingKind.NO_OVERLAP: "only {value:.1%} of the {who} ({span}) fall into the time of the ranges ({range_span}): "
     "all times must be seconds of one clock",
     FindingKind.SLOW_RANGES: "the ranges of a pair come every {value:.4g} s in the median: are times in milliseconds?",

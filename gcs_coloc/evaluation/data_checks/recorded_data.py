@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, PositionMeasurement, RangeMeasurement
+from gcs_coloc.evaluation.antennas import AntennaRange
 from gcs_coloc.evaluation.data_checks.findings import median_residual_m
 from gcs_coloc.evaluation.dataset import Dataset
 
@@ -93,7 +95,9 @@ def recorded_data(dataset: Dataset) -> RecordedData:
             row = (m.measured_at_s, e, n, height * u, m.sigma_h_m, *(m.velocity_enu_mps or _NO_VELOCITY))
             positions[m.vehicle].append(row)
         elif isinstance(m, RangeMeasurement):
-            ranges.append((m.measured_at_s, m.from_vehicle, m.to_vehicle, m.range_m, m.sigma_m))
+            # Between antennas it is a range between the bodies within the lever arms.
+            arm_m = hypot(*m.offset_enu_m, m.unknown_m) if isinstance(m, AntennaRange) else 0.0
+            ranges.append((m.measured_at_s, m.from_vehicle, m.to_vehicle, m.range_m, hypot(m.sigma_m, arm_m)))
         elif isinstance(m, AltitudeMeasurement) and dataset.dims == 3:
             heights[m.vehicle].append((m.measured_at_s, m.up_m, m.sigma_m))
     reports = {vehicle: position_track(np.array(rows)) for vehicle, rows in positions.items()}

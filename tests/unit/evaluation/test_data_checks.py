@@ -246,3 +246,15 @@ def test_a_finding_is_plain_values_for_json():
         "text": "words",
         "value": 2.0,
     }
+
+
+def test_three_tags_on_one_body_are_no_repeated_ranges():
+    """Of three values of one time, in steps of a centimetre, some are the same by chance; of a doubled table all."""
+    rng = np.random.default_rng(1)
+    times = np.repeat(np.arange(200.0), 3)
+    values = np.round(5.0 + 0.03 * rng.standard_normal(600), 2)
+    rows = np.column_stack((times, np.full(600, 1.0), np.full(600, 2.0), values, np.full(600, 0.1)))
+    tags = RecordedData(names={1: "a", 2: "b"}, reports={}, truth={}, ranges=rows)
+    assert "repeated_ranges" not in {finding.kind for finding in run_checks(tags)}
+    doubled = replace(tags, ranges=np.vstack((rows, rows)))
+    assert "repeated_ranges" in {finding.kind for finding in run_checks(doubled)}

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import csv
 import json
 import math
 import os
@@ -10,11 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from gcs_coloc import __version__
+from gcs_coloc.cli.main import app
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, Measurement, NoEstimate, Residual
 from gcs_coloc.estimators.fleet.filter import FleetFilter
-from gcs_coloc.evaluation.evaluate import evaluate, plot_evaluation
+from gcs_coloc.evaluation.evaluate import evaluate
+from gcs_coloc.evaluation.output import plot_evaluation, write_epochs
 from gcs_coloc.evaluation.scoring import EstimateSeries, score
 from tests.recordings import recording
 
@@ -193,3 +197,57 @@ def test_real_outdoor_ranges_are_located_as_well_as_with_an_inertial_unit():
     assert denied_vehicle.score.share_known == 1.0
     assert denied_vehicle.score.spatial is not None
     assert denied_vehicle.score.spatial.rmse_m <= 0.70  # the authors' filter with an inertial unit
+
+
+def test_without_truth_it_is_located_all_the_same(tmp_path):
+    walk = write_walk(tmp_path, 3)
+    (walk / "truth.csv").unlink()
+    (vehicle,) = evaluate(walk, FleetFilter()).denied
+    assert vehicle.score.share_known > 0.95
+    assert vehicle.score.horizontal is None
+    write_epochs([evaluate(walk, FleetFilter())], tmp_path / "epochs.csv")
+    rows = list(csv.DictReader((tmp_path / "epochs.csv").read_text().splitlines()))
+    assert float(rows[50]["e_m"]) == pytest.approx(10.0 + 0.5 * float(rows[50]["t_s"]), abs=0.5)
+    assert rows[50]["error_h_m"] == ""
+
+
+def test_lever_arms_are_reduced_while_the_estimator_runs(tmp_path):
+    """A tag half a metre ahead of the body's reference point, which heads east."""
+    walk = write_walk(tmp_path, 3)
+    meta = (walk / "meta.toml").read_text()
+    arm = '[[node.antenna]]\nid = "nose"\nforward_m = 0.5\nright_m = 0.0\ndown_m = 0.0\n'
+    (walk / "meta.toml").write_text(meta.replace('role = "denied"\n', f'role = "denied"\n{arm}', 1))
+    anchors = {"A": (0.0, 0.0, 0.0), "B": (30.0, 0.0, 6.0), "C": (0.0, 30.0, 6.0), "D": (30.0, 30.0, 0.0)}
+    ranges, attitude = (
+        ["t_s,from_id,to_id,range_m,sigma_m,antenna_from,antenna_to"],
+        ["t_s,id,roll_rad,pitch_rad,yaw_rad,airspeed_mps"],
+    )
+    for k in range(200):
+        t = 0.1 * k
+        nose = (10.5 + 0.5 * t, 8.0 + 0.3 * t, 1.0)
+        attitude.append(f"{t:.3f},w,0,0,{math.pi / 2},")
+        ranges += [f"{t:.3f},w,{name},{math.dist(nose, place):.5f},0.1,nose," for name, place in anchors.items()]
+    (walk / "ranges.csv").write_text("\n".join(ranges) + "\n")
+    without = evaluate(walk, FleetFilter()).denied[0].score.horizontal.rmse_m
+    (walk / "attitude.csv").write_text("\n".join(attitude) + "\n")
+    turned = evaluate(walk, FleetFilter()).denied[0].score.horizontal.rmse_m
+    assert without == pytest.approx(0.5, abs=0.15)
+    assert turned < 0.1
+
+
+def test_several_data_sets_give_one_table_and_one_csv(tmp_path):
+    walks = [tmp_path / "one", tmp_path / "two"]
+    for walk in walks:
+        walk.mkdir()
+        write_walk(walk, 2)
+    ranges = (walks[0] / "ranges.csv").read_text().splitlines()
+    (walks[0] / "ranges.csv").write_text("\n".join([*ranges[:3], "0.1,w,A,-4,0.1,0.3", *ranges[3:]]) + "\n")
+    ran = CliRunner().invoke(app, ["evaluate", *map(str, walks), "--csv", str(tmp_path / "all.csv")])
+    assert ran.exit_code == 0, ran.output
+    assert ran.stdout.count("walk") == 2
+    assert "1 of 801 rows of ranges.csv are wrong and left out" in ran.stderr
+    assert "line 4, column 4 (range_m): -4 must not be negative" in ran.stderr
+    rows = list(csv.DictReader((tmp_path / "all.csv").read_text().splitlines()))
+    assert len(rows) == 300
+    assert max(float(row["error_h_m"]) for row in rows) < 1.0
+    assert CliRunner().invoke(app, ["evaluate", *map(str, walks), "--plot", "x.png"]).exit_code != 0

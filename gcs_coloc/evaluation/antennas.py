@@ -1,0 +1,114 @@
+"""Antennas beside a body's reference point: ranges between them become ranges between the bodies.
+
+A range between two antennas is |x + d|, with x from one body's reference point to the other's and d the difference of the two
+lever arms, turned by the bodies' attitudes. As x is known only while the estimator runs, the range is reduced to |x| then, by
+|x + d| - |x| at the estimator's own x. Where an attitude is unknown, the direction of d is too: its length goes into the sigma.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import cos, hypot, sin, sqrt
+
+import numpy as np
+
+from gcs_coloc.core.error_ellipse import worst_sigma
+from gcs_coloc.core.estimator import Estimator
+from gcs_coloc.core.measurements import AttitudeMeasurement, Estimate, FloatArray, Measurement, RangeMeasurement, Vector3
+
+_ATTITUDE_HOLDS_S = 0.5
+"""An attitude holds for so long; chosen: as long as the fleet filter takes one to hold."""
+
+
+@dataclass(frozen=True, slots=True)
+class AntennaRange(RangeMeasurement):
+    """A range between two antennas; `offset_enu_m` is the lever arm of `to` minus that of `from`, m.
+
+    `unknown_m` is the length of what is not in it because the attitude is unknown.
+    """
+
+    offset_enu_m: Vector3 = (0.0, 0.0, 0.0)
+    unknown_m: float = 0.0
+
+
+class Attitudes:
+    """The attitudes of a data set by vehicle, in order of time."""
+
+    def __init__(self, measurements: Sequence[Measurement]) -> None:
+        rows: dict[int, list[tuple[float, float, float, float]]] = {}
+        for m in measurements:
+            if isinstance(m, AttitudeMeasurement):
+                rows.setdefault(m.vehicle, []).append((m.measured_at_s, m.roll_rad, m.pitch_rad, m.yaw_rad))
+        self._rows = {vehicle: np.array(sorted(of_vehicle)) for vehicle, of_vehicle in rows.items()}
+
+    def lever_arm_enu_m(self, vehicle: int, body_m: Vector3, at_s: float) -> FloatArray | None:
+        """Return a lever arm (forward, right, down) of a vehicle as ENU (3,), m; None where its attitude is not known."""
+        rows = self._rows.get(vehicle)
+        if rows is None:
+            return None
+        row = rows[int(np.clip(np.searchsorted(rows[:, 0], at_s), 0, len(rows) - 1))]
+        before = rows[max(int(np.searchsorted(rows[:, 0], at_s)) - 1, 0)]
+        nearest = row if abs(row[0] - at_s) < abs(before[0] - at_s) else before
+        return body_to_enu(body_m, *nearest[1:]) if abs(nearest[0] - at_s) <= _ATTITUDE_HOLDS_S else None
+
+
+def body_to_enu(body_m: Vector3, roll_rad: float, pitch_rad: float, yaw_rad: float) -> FloatArray:
+    """Turn a vector (forward, right, down) into east, north, up (3,) by the usual rotations about z, y and x."""
+    x, y, z = body_m
+    sr, cr, sp, cp, sy, cy = sin(roll_rad), cos(roll_rad), sin(pitch_rad), cos(pitch_rad), sin(yaw_rad), cos(yaw_rad)
+    north = cy * cp * x + (cy * sp * sr - sy * cr) * y + (cy * sp * cr + sy * sr) * z
+    east = sy * cp * x + (sy * sp * sr + cy * cr) * y + (sy * sp * cr - cy * sr) * z
+    return np.array((east, north, sp * x - cp * sr * y - cp * cr * z))
+
+
+def antenna_range(
+    m: RangeMeasurement, arms: Sequence[Vector3], attitudes: Attitudes, anchors: Mapping[int, Vector3]
+) -> AntennaRange:
+    """Return the range with its lever arms, of `from` and `to`; those of an anchor are north, east, down."""
+    turned, unknown_m = [], 0.0
+    for vehicle, arm in zip((m.from_vehicle, m.to_vehicle), arms, strict=True):
+        at_anchor = body_to_enu(arm, 0.0, 0.0, 0.0) if vehicle in anchors else None
+        found = at_anchor if at_anchor is not None else attitudes.lever_arm_enu_m(vehicle, arm, m.measured_at_s)
+        turned.append(found if found is not None else np.zeros(3))
+        unknown_m = hypot(unknown_m, 0.0 if found is not None else float(np.linalg.norm(arm)))
+    offset = turned[1] - turned[0]
+    return AntennaRange(
+        m.from_vehicle,
+        m.to_vehicle,
+        m.measured_at_s,
+        m.arrived_at_s,
+        m.range_m,
+        m.sigma_m,
+        m.device_id,
+        offset_enu_m=(float(offset[0]), float(offset[1]), float(offset[2])),
+        unknown_m=unknown_m,
+    )
+
+
+def body_range(m: AntennaRange, estimator: Estimator, anchors: Mapping[int, Vector3]) -> RangeMeasurement:
+    """Return the range between the bodies' reference points, reduced with the estimator's present answers.
+
+    An unknown direction costs the length of the lever arm over the root of three in the sigma, an uncertain line of sight the
+    length times its angle.
+    """
+    places, sigma_m = [], 0.0
+    for vehicle in (m.from_vehicle, m.to_vehicle):
+        if vehicle in anchors:
+            places.append(np.array(anchors[vehicle]))
+            continue
+        where = estimator.estimate(vehicle, m.measured_at_s)
+        if isinstance(where, Estimate):
+            places.append(where.position_enu_m)
+            sigma_m = hypot(sigma_m, worst_sigma(where.covariance[:3, :3]))
+    offset, range_m = np.array(m.offset_enu_m), m.range_m
+    length_m, unknown_m = float(np.linalg.norm(offset)), m.unknown_m
+    if len(places) == 2 and (apart_m := float(np.linalg.norm(places[1] - places[0]))) > 0.0:
+        range_m -= float(np.linalg.norm(places[1] - places[0] + offset)) - apart_m
+        unknown_m = hypot(unknown_m, length_m * min(sigma_m / apart_m, 1.0))
+    else:
+        unknown_m = hypot(unknown_m, length_m)
+    sigma_m = sqrt(m.sigma_m**2 + unknown_m**2 / 3.0)
+    return RangeMeasurement(
+        m.from_vehicle, m.to_vehicle, m.measured_at_s, m.arrived_at_s, max(range_m, 0.0), sigma_m, m.device_id
+    )
