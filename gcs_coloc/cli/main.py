@@ -33,6 +33,8 @@ SUBCOMMANDS = {
     "export": "recordings",
     "report": "recordings",
     "evaluate": "evaluate",
+    "calibrate": "calibrate",
+    "import": "import_data",
     "study": "study",
 }
 """Command to the module beside this one that has it: as a function of the command's name, or as its `app`."""

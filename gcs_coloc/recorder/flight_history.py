@@ -21,6 +21,7 @@ from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
 from gcs_coloc.core.snapshot import VehicleSnapshot
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
+from gcs_coloc.evaluation.data_checks.recorded_data import RecordedData
 from gcs_coloc.recorder.journal import Journal, RangeEntry, VehicleEntry
 from gcs_coloc.recorder.replay import Replay, ReplayCounts, replay
 from gcs_coloc.recorder.reports.flight_report import FlightReport, MeasurementTap
@@ -37,6 +38,7 @@ class FlightHistory:
 
     `tracks`: each vehicle's entries in order of time. `damage`: what of the file could not be read. `frame`: the fleet's, about
     its first fix; None where there was none. `findings`: data-quality findings in the recording and the tables beside it.
+    `recorded`: what they compare; None without a frame.
     """
 
     file: Path
@@ -50,6 +52,7 @@ class FlightHistory:
     notices: list[Notice] = field(default_factory=list)
     frame: LocalFrame | None = None
     findings: list[DataFinding] = field(default_factory=list)
+    recorded: RecordedData | None = None
 
 
 def read_history(file: Path, settings: Settings, ranges: Path | None, truth: Path | None) -> FlightHistory:
@@ -91,6 +94,8 @@ def read_history(file: Path, settings: Settings, ranges: Path | None, truth: Pat
     history.counts = replay(through, report.observation_times(), report.observe)
     history.frame = engine.frame
     history.findings = tap.findings(points, engine.frame)
+    if engine.frame is not None:
+        history.recorded, _ = tap.recorded_data(points, engine.frame)
     return history
 
 

@@ -10,6 +10,7 @@ noise, a range the relative speed times it. Ranges state that part apart as well
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import hypot
 from typing import NamedTuple
@@ -33,6 +34,7 @@ from gcs_coloc.core.telemetry.reported_state import ReportedState, true_airspeed
 
 _AIRSPEED_FRESH_S = 1.0  # chosen: five periods of VFR_HUD at the requested rate
 _RANGE_SIGMA_GAIN = 0.1  # of each range in the mean of late; chosen: it follows within about a second at 10 Hz
+_MOST_BIAS_M, _MOST_SCALE = 1000.0, 0.1  # chosen: beyond, it is another unit and no calibration
 _FIX_3D = 3  # GPS_FIX_TYPE_3D_FIX
 
 
@@ -73,6 +75,11 @@ class MeasurementSettings:
     """No receiver counts as better than this. Chosen: without RTK a smaller stated accuracy is optimistic."""
     range_sigma_m: float = positive(5.0)
     """Of a range that comes without one. Chosen: coarse enough for any ranging radio."""
+    range_bias_m: Mapping[int, float] = field(default_factory=dict)
+    """Lasting error of the ranging device of single vehicles by system id, m, as `4 = 0.25`; from `gcs-coloc calibrate`.
+    A range of two vehicles is (1 + both scales) times the distance plus both biases."""
+    range_scale: Mapping[int, float] = field(default_factory=dict)
+    """Scale error of the ranging device of single vehicles by system id, as `4 = 0.002`: the excess over 1."""
     altitude_sigma_m: float = positive(2.0)
     """Of a barometric height. Chosen: its drift over a flight."""
     max_age_s: float = positive(5.0)
@@ -80,6 +87,13 @@ class MeasurementSettings:
 
     def __post_init__(self) -> None:
         check_bounds(self)
+        for name, most in (("range_bias_m", _MOST_BIAS_M), ("range_scale", _MOST_SCALE)):
+            table: Mapping[int, float] = getattr(self, name)
+            for sysid, value in table.items():
+                if not 1 <= sysid <= 255:
+                    raise ValueError(f"{name}: {sysid} is not a MAVLink system id (1 to 255)")
+                if not abs(value) <= most:
+                    raise ValueError(f"{name}: {value:g} of vehicle {sysid} is not within {-most:g} to {most:g}")
 
 
 @dataclass(slots=True)
@@ -187,7 +201,7 @@ class MeasurementBuilder:
             to_vehicle=message.peer_sysid,
             measured_at_s=measured.at_s,
             arrived_at_s=message.received_at_s,
-            range_m=message.range_m,
+            range_m=self._calibrated_m(message),
             sigma_m=hypot(sigma_m, late_m),
             device_id=message.device_id,
             clock_of=message.sysid if by_own_clock else None,
@@ -195,6 +209,15 @@ class MeasurementBuilder:
             time_sigma_m=late_m,
         )
         return BuiltRange(measurement, notice)
+
+    def _calibrated_m(self, message: PeerRange) -> float:
+        """Return the range without the lasting errors of both devices, as `gcs-coloc calibrate` finds them."""
+        biases, scales = self.settings.range_bias_m, self.settings.range_scale
+        if not biases and not scales:
+            return message.range_m
+        ends = (message.sysid, message.peer_sysid)
+        bias_m, scale = sum(biases.get(end, 0.0) for end in ends), sum(scales.get(end, 0.0) for end in ends)
+        return max((message.range_m - bias_m) / (1.0 + scale), 0.0)
 
     def add_receiver(self, message: GpsReceiver, vehicle: ReportedState, *, is_trusted: bool) -> None:
         """Add a report of a vehicle's own receiver: while it is not trusted, `receiver_fix` has it as a measurement."""

@@ -37,6 +37,7 @@ class FindingKind(StrEnum):
     RANGE_FACTOR = "range_factor"
     RANGE_BIAS = "range_bias"
     RANGE_RESIDUAL = "range_residual"
+    RANGE_MEAN = "range_mean"
     POSITION_AXES = "position_axes"
     TRUTH_FACTOR = "truth_factor"
     TRUTH_AXES = "truth_axes"
@@ -69,6 +70,8 @@ _WORDING = {
     FindingKind.RANGE_BIAS: "{who} are {value:+.4g} m off the distances between the positions throughout",
     FindingKind.RANGE_RESIDUAL: "{who} differ from the distances between the positions by {value:.3g} m in the median, where "
     "{sigma_m:.3g} m are stated",
+    FindingKind.RANGE_MEAN: "{who} are {value:+.2f} m off in the mean ({span}), where {sigma_m:.3f} m are left by chance: a bias "
+    "that more ranges do not average away (gcs-coloc calibrate estimates it)",
     FindingKind.POSITION_AXES: "{who} fit if {axes} in the {of} ({before_m:.3g} m of residual in the median, "
     "{after_m:.3g} m then)",
     FindingKind.TRUTH_FACTOR: "the truth of {who} is {value:.4g} times the reported positions{question}",

@@ -35,6 +35,10 @@ _SUSPECT_SIGMAS = 3.0
 """Median residual, in stated sigmas, from which a pair is checked further; chosen: a Gaussian's median is 0.67."""
 _UNEXPLAINED_SIGMAS = 5.0
 """Median residual, in stated sigmas, that is reported even if nothing explains it; chosen: sigmas are often stated too small."""
+_MEAN_SIGMAS = 4.0
+"""Mean residual of a pair, in its own sigmas (sigma over the root of n), that is a finding; chosen: 1 in 16,000 by chance."""
+_MEAN_SHARE = 0.3
+"""Least mean residual, in stated sigmas of one range, that is told; chosen: less does not move the coverage of the bound."""
 _BETTER_BY_TIME = 0.7
 """Share of the residual that a small time offset may leave; chosen: it must explain half of the variance."""
 _MOST_PAIRS_NAMED = 4
@@ -55,7 +59,7 @@ def _shift_all(by_s: float) -> PositionShift:
 
 def check_ranges(data: RecordedData, *, trust_truth: bool) -> Iterator[DataFinding]:
     """Yield the finding on the ranges or the positions at their ends; a trusted truth stands in for missing reports."""
-    pairs = list(_pairs(data, trust_truth=trust_truth))
+    pairs = list(range_pairs(data, trust_truth=trust_truth))
     if not pairs:
         return
     suspect = [pair for pair in pairs if pair.residual_m() > _SUSPECT_SIGMAS * pair.sigma_m()]
@@ -70,10 +74,29 @@ def check_ranges(data: RecordedData, *, trust_truth: bool) -> Iterator[DataFindi
             yield explained
         elif bad.residual_m > _UNEXPLAINED_SIGMAS * bad.sigma_m:
             yield finding(FindingKind.RANGE_RESIDUAL, bad.residual_m, blame.ranges, sigma_m=bad.sigma_m)
+    else:
+        yield from _mean_findings(pairs, data.names)
+
+
+def _mean_findings(pairs: list[RangePair], names: Mapping[int, str]) -> Iterator[DataFinding]:
+    """Yield the ranges that are off in the mean, though each of them is within its sigma: an estimator averages that away."""
+    means = [pair.mean_m() for pair in pairs]
+    off = [
+        (pair, mean_m)
+        for pair, (mean_m, sigma_m) in zip(pairs, means, strict=True)
+        if abs(mean_m) > max(_MEAN_SIGMAS * sigma_m, _MEAN_SHARE * float(np.median(pair.rows[:, 4])))
+    ]
+    if not off:
+        return
+    suspect, values = [pair for pair, _ in off], [mean_m for _, mean_m in off]
+    expected_m = float(np.median([sigma_m for pair, (_, sigma_m) in zip(pairs, means, strict=True) if pair in suspect]))
+    mean_m, who = float(np.mean(values)), _blame(suspect, pairs, names).ranges
+    span = f"{min(values):+.2f} to {max(values):+.2f} m by pair"
+    yield finding(FindingKind.RANGE_MEAN, mean_m, who, span=span, sigma_m=expected_m)
 
 
 @dataclass(slots=True)
-class _Pair:
+class RangePair:
     """The ranges (N, 5) of two vehicles, and whether each end's position is from the truth (N, 2) or from its own reports."""
 
     ends: tuple[int, int]
@@ -94,22 +117,38 @@ class _Pair:
 
     def sigma_m(self) -> float:
         """Return the stated sigma of range and both positions together, median."""
-        squares = self.rows[:, 4] ** 2
-        for side, vehicle in enumerate(self.ends):
-            if not self.from_truth[:, side].all():
-                squares = squares + float(np.median(self.data.reports[vehicle].sigmas_m)) ** 2
-        return float(np.sqrt(np.median(squares)))
+        return float(np.sqrt(np.median(self.rows[:, 4]) ** 2 + self.position_variance_m2()))
+
+    def position_variance_m2(self) -> float:
+        """Return the stated variance of both positions along the line between them: it does not average out."""
+        reported = (vehicle for side, vehicle in enumerate(self.ends) if not self.from_truth[:, side].all())
+        return sum(float(np.median(self.data.reports[vehicle].sigmas_m)) ** 2 for vehicle in reported)
+
+    def distances_m(self) -> FloatArray:
+        """Return the distances (N,) between the positions."""
+        return np.asarray(np.linalg.norm(self.positions(0) - self.positions(1), axis=1))
 
     def residual_m(self) -> float:
         """Return the median of |range - distance|."""
-        return median_residual_m(np.abs(self.rows[:, 3] - np.linalg.norm(self.positions(0) - self.positions(1), axis=1)))
+        return median_residual_m(np.abs(self.rows[:, 3] - self.distances_m()))
+
+    def mean_m(self) -> tuple[float, float]:
+        """Return the mean residual without the outer tenths, and its 1-sigma if the stated sigmas are true, m."""
+        residuals = self.rows[:, 3] - self.distances_m()
+        residuals = np.sort(residuals[np.isfinite(residuals)])
+        cut = len(residuals) // 10
+        if len(residuals) <= 2 * cut:
+            return 0.0, np.inf
+        variance = float(np.median(self.rows[:, 4])) ** 2 / len(residuals) + self.position_variance_m2()
+        return float(residuals[cut : len(residuals) - cut].mean()), float(np.sqrt(variance))
 
     def moves(self) -> list[bool]:
         """Return for each end whether it moves: it is no anchor."""
         return [not (end in self.data.reports and self.data.reports[end].is_static) for end in self.ends]
 
 
-def _pairs(data: RecordedData, *, trust_truth: bool) -> Iterator[_Pair]:
+def range_pairs(data: RecordedData, *, trust_truth: bool) -> Iterator[RangePair]:
+    """Yield the pairs with enough ranges at times at which both positions are known; a trusted truth stands in for reports."""
     ends = np.sort(data.ranges[:, 1:3], axis=1)
     truth: Mapping[int, PositionTrack] = data.truth if trust_truth else {}
     for a, b in np.unique(ends, axis=0).astype(int).tolist():
@@ -122,7 +161,7 @@ def _pairs(data: RecordedData, *, trust_truth: bool) -> Iterator[_Pair]:
                 known[:, side] = truth[vehicle].at(rows[:, 0])[1]
         usable = (reported | known).all(axis=1)
         if usable.sum() >= _LEAST_ROWS:
-            yield _Pair((a, b), rows[usable], ~reported[usable], data)
+            yield RangePair((a, b), rows[usable], ~reported[usable], data)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +173,7 @@ class _Blame:
     name: str = ""
 
 
-def _blame(suspect: list[_Pair], pairs: list[_Pair], names: Mapping[int, str]) -> _Blame:
+def _blame(suspect: list[RangePair], pairs: list[RangePair], names: Mapping[int, str]) -> _Blame:
     if len(suspect) == len(pairs):
         return _Blame("the ranges")
     sound = {vehicle for pair in pairs if pair not in suspect for vehicle in pair.ends}
@@ -149,7 +188,7 @@ def _blame(suspect: list[_Pair], pairs: list[_Pair], names: Mapping[int, str]) -
 class _RangeSet:
     """The ranges (N,) of several pairs with the positions of both ends (N, 2, 3), under one or another reading."""
 
-    def __init__(self, pairs: list[_Pair]) -> None:
+    def __init__(self, pairs: list[RangePair]) -> None:
         self.pairs = pairs
         self.range_m = np.concatenate([pair.rows[:, 3] for pair in pairs])
         self.from_truth = np.concatenate([pair.from_truth for pair in pairs])

@@ -189,6 +189,11 @@ class MeasurementTap:
         """The findings among positions, ranges and true positions, in the frame of the fleet."""
         if frame is None:
             return []
+        data, elsewhere = self.recorded_data(truth, frame)
+        return elsewhere + run_checks(data)
+
+    def recorded_data(self, truth: Sequence[TruthPoint], frame: LocalFrame) -> tuple[RecordedData, list[DataFinding]]:
+        """What the checks compare, and the findings of a truth that is elsewhere: that one is left out."""
         reports = {vehicle: position_track(np.array(rows).reshape(-1, 8)) for vehicle, rows in self._positions.items()}
         places: dict[int, list[TruthPoint]] = defaultdict(list)
         for point in truth:
@@ -197,9 +202,7 @@ class MeasurementTap:
         elsewhere = list(_elsewhere(true, places, frame))
         ranges = np.array(self._ranges).reshape(-1, 5)
         names = {vehicle: str(vehicle) for vehicle in {*reports, *true, *ranges[:, 1:3].astype(int).ravel().tolist()}}
-        return elsewhere + run_checks(
-            RecordedData(names, reports, {} if elsewhere else true, ranges, origin_height_m=frame.height_m)
-        )
+        return RecordedData(names, reports, {} if elsewhere else true, ranges, origin_height_m=frame.height_m), elsewhere
 
     def _is_due(self, what: tuple[int, int], at_s: float, every_s: float) -> bool:
         if self._rows >= MAX_ROWS or at_s < self._next_s.get(what, float("-inf")):

@@ -244,3 +244,19 @@ def test_the_range_error_is_known_of_the_vehicle_that_others_measure_too():
     feed.measure_range(range_message(1.0, None, TimeBase.BOOT), record, peer)
     assert feed.range_sigma_m(4) == pytest.approx(1.3)
     assert feed.range_sigma_m(1) == pytest.approx(12.0104, abs=1e-3)
+
+
+def test_a_range_is_free_of_the_lasting_errors_of_both_devices():
+    feed = Builder(has_frame=True)
+    raw = feed.measure_range(range_message(1.0, None, TimeBase.SERVICE), vehicle(), vehicle(1))
+    feed.settings = MeasurementSettings(range_bias_m={4: 0.5, 1: -0.2, 9: 7.0}, range_scale={1: 0.01})
+    calibrated = feed.measure_range(range_message(1.1, None, TimeBase.SERVICE), vehicle(), vehicle(1))
+    assert raw is not None
+    assert calibrated is not None
+    assert calibrated.range_m == pytest.approx((raw.range_m - 0.3) / 1.01)
+
+
+@pytest.mark.parametrize("wrong", [{"range_bias_m": {300: 0.1}}, {"range_scale": {4: 1.01}}, {"range_bias_m": {4: float("nan")}}])
+def test_a_calibration_that_cannot_be_is_refused(wrong):
+    with pytest.raises(ValueError, match="range_"):
+        MeasurementSettings(**wrong)
