@@ -129,6 +129,8 @@ def _action_without_gps(v: VehicleSnapshot) -> str:
         return "Fly it by hand: it is located again with ranges to vehicles that are located."
     if not v.aiding_has_fix:
         return "It is not sent its position: fly it by hand, and remove the reason."
+    if v.ranges_in_use == 0:
+        return "Its ranges have ceased: take it over or land it now; what it is sent ends within seconds."
     return "It flies by its ranges: bring it home or land it while the bound is small."
 
 

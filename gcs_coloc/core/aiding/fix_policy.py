@@ -70,6 +70,10 @@ class FixPolicy:
         self._lost, self._had_fix = False, True
         return None
 
+    def prediction_left_s(self, now_s: float) -> float:
+        """Return for how long a fix may still be claimed without a range, s."""
+        return self._settings.prediction_s - (now_s - self._ranged_at_s)
+
     def _update_geometry(self, now_s: float, *, is_determined: bool) -> None:
         """Count how long the ranges have not fixed its place; in the noise of a moment they may seem to, so that wears off."""
         passed_s, self._updated_at_s = min(now_s - self._updated_at_s, _LONGEST_STEP_S), now_s

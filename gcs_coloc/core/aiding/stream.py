@@ -21,6 +21,7 @@ from gcs_coloc.core.schedule import TickSchedule
 from gcs_coloc.core.telemetry.measurement_builder import SentFix
 
 _LONGEST_LEAD_S = 0.5  # beyond, a prediction is worth less than the delay costs
+_WARNED_AFTER_S = 1.0  # chosen: an estimator counts ranges as in use for a while after the last; a lost one raises nothing
 _FIRST_REPORT_S = 1.0  # chosen: five periods of GLOBAL_POSITION_INT at the least useful rate
 
 EstimateAt = Callable[[int, float], Estimate | NoEstimate]
@@ -111,10 +112,12 @@ class AidingStream:
         self._purpose_since_s = now_s
         self._schedule = schedule
         self._transmits = transmits
+        self._settings = settings
         self.acknowledgement = acknowledgement_of(name, settings.gps_id, now_s) if transmits else None
         self._policy = FixPolicy(settings, now_s)
         self._period_s = 1.0 / settings.rate_hz
         self._sent = 0
+        self._is_predicting = False
 
     @property
     def purpose(self) -> Purpose:
@@ -183,7 +186,7 @@ class AidingStream:
         for message in out:
             if self.acknowledgement is not None and isinstance(message, AidingMessage):
                 self.acknowledgement.add_sent(message, now_s)
-        return out + self._update_inhibit(inhibit, now_s)
+        return out + self._update_inhibit(inhibit, now_s) + self._warn_of_prediction(now_s)
 
     def status(self) -> str:
         """Return what is sent in a few words, for the operator."""
@@ -191,7 +194,22 @@ class AidingStream:
         if self.inhibit is not None:
             return f"{lead} {self.method.without_fix()}: {self.inhibit.text}"
         fault = self.acknowledgement.fault if self.acknowledgement is not None else None
-        return f"{lead} {self.method.with_fix()}" + (f", NOT TAKEN: {fault}" if fault is not None else "")
+        predicted = " on prediction, its ranges have ceased" if self._is_predicting else ""
+        return f"{lead} {self.method.with_fix()}{predicted}" + (f", NOT TAKEN: {fault}" if fault is not None else "")
+
+    def _warn_of_prediction(self, now_s: float) -> list[Outbound]:
+        """Return the warning that ranges have ceased, while there is time to act; PX4 goes into failsafe 5 s after its aid."""
+        left_s = self._policy.prediction_left_s(now_s)
+        was_predicting = self._is_predicting
+        self._is_predicting = (
+            self.inhibit is None and self._purpose is Purpose.AID and left_s < self._settings.prediction_s - _WARNED_AFTER_S
+        )
+        if self._is_predicting and not was_predicting:
+            text = f"its ranges have ceased: its position is predicted, and sent for {max(left_s, 0.0):.0f} s more without them"
+            return [Notice(now_s, self._sysid, "error", text)]
+        if was_predicting and not self._is_predicting and self.inhibit is None:
+            return [Notice(now_s, self._sysid, "info", "its ranges have come back")]
+        return []
 
     def _update_inhibit(self, inhibit: Inhibit | None, now_s: float) -> list[Outbound]:
         had_fix, has_fix = self.inhibit is None, inhibit is None
