@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 from gcs_coloc.core.messages.inbound import Autopilot
 
+FORWARDS_UNKNOWN = 8
+"""Bit of MAVn_OPTIONS: what arrives there and ArduPilot does not know, as PEER_RANGE, is forwarded and not dropped."""
 STREAMS = ("POSITION", "EXT_STAT", "EXTRA1", "EXTRA2", "EXTRA3")
 """The ends of the names of ArduPilot's stream rates that hold what we want."""
 
@@ -42,6 +44,11 @@ class SerialPort:
     def baud_name(self) -> str:
         """The parameter with its baud rate, in thousands."""
         return f"SERIAL{self.number}_BAUD"
+
+    @property
+    def options_name(self) -> str:
+        """The parameter with its options as a MAVLink port, of ArduPilot 4.7."""
+        return f"MAV{self.channel + 1}_OPTIONS"
 
     def rate_names(self, stream: str) -> Names:
         """The parameter with the rate of one of its streams, Hz; ArduPilot 4.7 renamed it, and counts from 1."""
@@ -90,7 +97,7 @@ def wanted(autopilot: Autopilot, told: Mapping[str, float]) -> list[Names]:
         return [
             *((f"SERIAL{n}_PROTOCOL",) for n in _SERIAL_PORTS),
             *(port.rate_names(stream) for port in ports for stream in STREAMS),
-            *((port.baud_name,) for port in ports),
+            *((name,) for port in ports for name in (port.baud_name, port.options_name)),
         ]
     if autopilot is Autopilot.PX4:
         on = instances(told)

@@ -11,6 +11,7 @@ from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
 from gcs_coloc.doctor.finding import Finding, FleetSurvey, Setup, Severity, VehicleSurvey, note, right, stop
 from gcs_coloc.doctor.parameters import SENDERS_OPTION, look_up
+from gcs_coloc.doctor.ports import FORWARDS_UNKNOWN, serial_ports
 
 _ORDER = (Severity.STOP, Severity.NOTE, Severity.RIGHT)
 _MARKS = {Severity.STOP: "STOP ", Severity.NOTE: "note ", Severity.RIGHT: "right"}
@@ -178,9 +179,22 @@ def _ranges(vehicle: VehicleSurvey, fleet: frozenset[int]) -> Iterator[Finding]:
         return
     yield stop(
         f"ranges to {len(known)} of the {LEAST_PEERS} others that are needed to locate it" + (f": {listed}" if known else ""),
-        "see that its ranging device is on and reports PEER_RANGE with the peers' system ids; or say with --aid which vehicles "
-        "are to be located",
+        "see that its ranging device is on and reports PEER_RANGE with the peers' system ids"
+        f"{_forwarding(vehicle)}; or say with --aid which vehicles are to be located",
     )
+
+
+def _forwarding(vehicle: VehicleSurvey) -> str:
+    """What keeps a companion's ranges from us on their way through the autopilot."""
+    if vehicle.autopilot is Autopilot.PX4:
+        return ", on a link of its own: PX4 forwards RANGING_BEACON and DEBUG_VECT, and not PEER_RANGE"
+    names = [port.options_name for port in serial_ports(vehicle.parameters)]
+    dropping = [name for name in names if not int(vehicle.parameters.get(name, FORWARDS_UNKNOWN)) & FORWARDS_UNKNOWN]
+    if vehicle.autopilot is not Autopilot.ARDUPILOT or not dropping:
+        return ""
+    wanted = (f"{name} = {int(vehicle.parameters[name]) | FORWARDS_UNKNOWN}" for name in dropping)
+    remedy = f"set {' or '.join(wanted)} on that port and reboot it, or send DEBUG_VECT"
+    return f"; from a companion's port ArduPilot drops it: {remedy}"
 
 
 def _receiver(vehicle: VehicleSurvey) -> Iterator[Finding]:

@@ -55,6 +55,8 @@ def check(vehicle: VehicleSurvey) -> Iterator[Finding]:
             good.append(f"{name} {rate_hz:.0f} Hz")
         elif rate_hz > 0.0:
             yield note(f"{name} comes at {rate_hz:.1f} Hz, {hz:g} Hz are wanted", *_remedy(vehicle, rate))
+        elif number in vehicle.empty and stream is Stream.AIRSPEED:
+            good.append(f"{name} without an airspeed, as of a vehicle without its sensor")
         elif number in vehicle.empty:
             yield lacking(
                 f"{name} holds no position: the autopilot has none yet",

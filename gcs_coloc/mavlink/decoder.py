@@ -12,11 +12,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.dialects.v20.ardupilotmega import (
     MAV_COMP_ID_AUTOPILOT1,
     MAVLINK_MSG_ID_COMMAND_ACK,
+    MAVLINK_MSG_ID_DEBUG_VECT,
     MAVLINK_MSG_ID_GPS_INPUT,
     MAVLINK_MSG_ID_HEARTBEAT,
 )
 
-from gcs_coloc.core.messages.inbound import Heartbeat, Inbound
+from gcs_coloc.core.messages.inbound import Heartbeat, Inbound, PeerRange
 from gcs_coloc.core.snapshot import LinkSnapshot
 from gcs_coloc.mavlink import checks, framing
 from gcs_coloc.mavlink.checks import InvalidValueError
@@ -71,6 +72,7 @@ class Decoder:
         self._own = (own_sysid, own_compid)
         self._autopilots: set[tuple[int, int]] = set()
         self._behind: dict[Hashable, None] = {}
+        self._with_companion_ranges: set[int] = set()
 
     def pop_behind(self) -> tuple[Hashable, ...]:
         """The sources, `MAX_BEHIND` at most, of which a frame was refused as SIGNATURE_OLD since the last call.
@@ -125,12 +127,23 @@ class Decoder:
             self.counts.add(Refusal.NOT_FROM_AUTOPILOT)
         else:
             message = self._message(raw, received_at_s)
+            if isinstance(message, PeerRange) and self._is_repeated_by_autopilot(raw):
+                self.counts.add(Refusal.DUPLICATE)
+                message = None
             if isinstance(message, Heartbeat):
                 if self._is_beside_autopilot(sender):
                     message = None
                 elif len(self._autopilots) < MAX_AUTOPILOTS:
                     self._autopilots.add(sender)
             frames.append(Frame(raw.sysid, raw.compid, raw.sequence, raw.message_id, message))
+
+    def _is_repeated_by_autopilot(self, raw: framing.RawFrame) -> bool:
+        """Whether a DEBUG_VECT is PX4's own copy of a companion's, which has the companion's time by PX4's clock."""
+        if raw.message_id != MAVLINK_MSG_ID_DEBUG_VECT:
+            return False
+        if raw.compid != MAV_COMP_ID_AUTOPILOT1:
+            self._with_companion_ranges.add(raw.sysid)
+        return raw.compid == MAV_COMP_ID_AUTOPILOT1 and raw.sysid in self._with_companion_ranges
 
     def _is_autopilot(self, sender: tuple[int, int]) -> bool:
         return sender[1] == MAV_COMP_ID_AUTOPILOT1 or (sender in self._autopilots and not self._is_beside_autopilot(sender))

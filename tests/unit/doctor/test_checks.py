@@ -321,3 +321,27 @@ def test_the_report_says_what_stops_first_and_whom_it_stops_last():
     vehicle = report.as_json()["vehicles"][1]
     assert (vehicle["sysid"], vehicle["ready"]) == (2, False)
     assert {"GPS2_TYPE": 14.0} in [finding["set"] for finding in vehicle["findings"]]
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "words"),
+    [
+        (
+            with_parameters(SERIAL2_PROTOCOL=2.0, MAV1_OPTIONS=0.0),
+            "set MAV1_OPTIONS = 8 on that port and reboot it",
+        ),
+        (with_parameters(SERIAL2_PROTOCOL=2.0, MAV1_OPTIONS=9.0), "PEER_RANGE with the peers' system ids; or say"),
+        (
+            replace(GOOD, autopilot=Autopilot.PX4, parameters=SLOT),
+            "PX4 forwards RANGING_BEACON and DEBUG_VECT",
+        ),
+    ],
+)
+def test_where_ranges_are_expected_and_none_comes_it_is_said_what_drops_them_on_the_way(vehicle, words):
+    assert words in " ".join(finding.remedy or "" for finding in said(replace(vehicle, peers=frozenset())))
+
+
+def test_a_vehicle_without_an_airspeed_sensor_is_sound():
+    """A quadrotor's VFR_HUD has no airspeed (NaN)."""
+    rates = {number: hz for number, hz in GOOD.rates_hz.items() if number != 74}
+    assert not said(replace(GOOD, rates_hz=rates, empty=frozenset({74})))

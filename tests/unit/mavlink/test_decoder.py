@@ -108,3 +108,18 @@ def test_recorded_flight_decodes_as_pymavlink_decodes_it():
         compared += 1
     assert compared > 5000
     assert set(decoder.counts) == {"not_wanted"}
+
+
+def test_px4s_own_copy_of_a_companions_debug_vect_is_a_duplicate():
+    """PX4 forwards the companion's, and sends the vector again once a second as component 1, by its own clock."""
+    decoder = Decoder()
+
+    def ranges(compid: int, time_usec: int) -> list[float]:
+        message = mavlink.MAVLink_debug_vect_message(b"RNG2", time_usec, 120.0, 1.0, -1.0)
+        frame = bytes(message.pack(mavlink.MAVLink(None, srcSystem=4, srcComponent=compid)))
+        return [f.message.range_m for f in decoder.decode(frame, 5.0) if f.message is not None]
+
+    assert ranges(1, 1_000_000) == [120.0]  # of a script of the autopilot's own
+    assert ranges(191, 2_000_000) == [120.0]
+    assert ranges(1, 3_000_000) == []
+    assert decoder.counts == {"duplicate": 1}
