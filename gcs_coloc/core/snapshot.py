@@ -56,6 +56,7 @@ class VehicleSnapshot:
     receiver shows our fix, `inhibit_reason` why nothing can be sent to it. `gps_primary` says what the service does with its
     GPS_PRIMARY. `gps_override`, `aiding_override`, `primary_override` are the operator's decisions on these three, and with
     `_by` where each came from; None where there is none, and in recordings that do not hold it.
+    `armed`, `mode` (the name of its flight mode) and `battery_percent` are what the vehicle says of itself.
     `delay_s` is how much longer its newest position was under way than the quickest of the last minute. `clock_method` is how its
     clock is known (TIMESYNC or one-way stamps), `clock_sigma_s` how well.
     """
@@ -92,6 +93,9 @@ class VehicleSnapshot:
     covariance_h_m2: tuple[float, float, float] | None = None
     reported_enu_m: tuple[float, float, float] | None = None
     yaw_rad: float | None = None
+    armed: bool | None = None
+    mode: str | None = None
+    battery_percent: int | None = None
     fix_type: int | None = None
     satellites: int | None = None
     delay_s: float | None = None
@@ -198,6 +202,9 @@ def vehicle_snapshot(
         covariance_h_m2=covariance_m2,
         reported_enu_m=reported_enu_m,
         yaw_rad=attitude.yaw_rad if attitude is not None and fresh else None,
+        armed=vehicle.armed,
+        mode=vehicle.mode,
+        battery_percent=vehicle.system.battery_percent if vehicle.system is not None else None,
         fix_type=receiver.fix_type if receiver is not None else None,
         satellites=receiver.satellites if receiver is not None else None,
         delay_s=delay_s,

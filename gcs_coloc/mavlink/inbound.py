@@ -28,6 +28,7 @@ from gcs_coloc.core.messages.inbound import (
 from gcs_coloc.mavlink import answers, checks, ranges
 from gcs_coloc.mavlink._generated import gcs_coloc
 from gcs_coloc.mavlink.checks import InvalidValueError
+from gcs_coloc.mavlink.flight_modes import WINGED, ardupilot_mode, px4_mode
 from gcs_coloc.mavlink.refusals import Field
 
 UINT8_MAX = 0xFF
@@ -47,21 +48,20 @@ _NO_VEHICLES = frozenset((6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48,
 on, the newest a radio (49). Many of them name an autopilot in their HEARTBEAT that they are not. By number: older pymavlinks
 lack some of the names."""
 
-_WINGED = frozenset((mavlink.MAV_TYPE_FIXED_WING, *range(19, 26)))
-"""MAV_TYPEs that fly along their nose and turn by banking; from 19 on VTOLs, whose airspeed is next to none while they hover."""
-
 
 def heartbeat(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Heartbeat | None:
     """HEARTBEAT (0); None where the sender is no autopilot (a ground station, a companion computer, a camera)."""
-    _custom_mode, vehicle_type, autopilot, base_mode, _system_status, _version = values
+    custom_mode, vehicle_type, autopilot, base_mode, _system_status, _version = values
     if autopilot == mavlink.MAV_AUTOPILOT_INVALID or vehicle_type in _NO_VEHICLES:
         return None
+    is_px4, is_ardupilot = autopilot == mavlink.MAV_AUTOPILOT_PX4, autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
     return Heartbeat(
         sysid=sysid,
         received_at_s=received_at_s,
         autopilot=_AUTOPILOTS.get(autopilot, Autopilot.OTHER),
         armed=bool(base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
-        winged=vehicle_type in _WINGED,
+        winged=vehicle_type in WINGED,
+        mode=px4_mode(custom_mode) if is_px4 else ardupilot_mode(vehicle_type, custom_mode) if is_ardupilot else str(custom_mode),
     )
 
 
@@ -142,8 +142,9 @@ def _thousandths(value: int) -> float | None:
 
 
 def sys_status(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> SystemHealth:
-    """SYS_STATUS (1), the GPS bit of its three masks."""
-    present, enabled, healthy, *_ = values
+    """SYS_STATUS (1), the GPS bit of its three masks, and the battery's charge."""
+    present, enabled, healthy, *rest = values
+    battery_percent = rest[9]  # -1: not known
     gps = mavlink.MAV_SYS_STATUS_SENSOR_GPS
     return SystemHealth(
         sysid=sysid,
@@ -151,6 +152,7 @@ def sys_status(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Sys
         gps_present=bool(present & gps),
         gps_enabled=bool(enabled & gps),
         gps_healthy=bool(healthy & gps),
+        battery_percent=battery_percent if battery_percent >= 0 else None,
     )
 
 

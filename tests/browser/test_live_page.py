@@ -97,6 +97,8 @@ def test_the_keyboard_skips_to_the_fleet_and_a_vehicles_details_and_comes_back_f
     page.keyboard.press("Tab")
     assert focused(page) == "Skip to the fleet"
     page.keyboard.press("Enter")
+    page.keyboard.press("Tab")
+    assert focused(page) == "Filter the fleet"
     for sysid in (1, 2):
         page.keyboard.press("Tab")
         assert focused(page).startswith(f"Vehicle {sysid} good")

@@ -38,7 +38,7 @@ class TimeBase(StrEnum):
 class Heartbeat:
     """HEARTBEAT (0) of an autopilot component. Heartbeats of ground stations and peripherals are not turned into this.
 
-    `winged`: the vehicle is of a type that flies along its nose and turns by banking.
+    `winged`: the vehicle is of a type that flies along its nose and turns by banking. `mode`: the name of its flight mode.
     """
 
     sysid: int
@@ -46,6 +46,7 @@ class Heartbeat:
     autopilot: Autopilot
     armed: bool
     winged: bool
+    mode: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +92,14 @@ class GpsReceiver:
 
 @dataclass(frozen=True, slots=True)
 class SystemHealth:
-    """SYS_STATUS (1), the GPS bit (0x20) of its three sensor masks."""
+    """SYS_STATUS (1), the GPS bit (0x20) of its three sensor masks, and the battery's charge."""
 
     sysid: int
     received_at_s: float
     gps_present: bool
     gps_enabled: bool
     gps_healthy: bool
+    battery_percent: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,7 +48,7 @@ class ReportedState:
     """What one vehicle last reported of itself. Times are on the service's clock, s.
 
     `blocked` is why the links can send it nothing, None where they can; `blocked_wording` says it to people.
-    `winged`: it flies along its nose and turns by banking.
+    `winged`: it flies along its nose and turns by banking. `mode` is the name of its flight mode.
     `receiver` is the newest message of its own GPS receiver, not of the one that the service feeds.
     `counts`: how often each stream was heard since the first message.
     """
@@ -58,6 +58,8 @@ class ReportedState:
     last_heard_s: float
     autopilot: Autopilot | None = None
     winged: bool = False
+    armed: bool | None = None
+    mode: str | None = None
     blocked: RouteBlock | None = RouteBlock.NO_HEARTBEAT
     blocked_wording: str | None = NO_HEARTBEAT_YET
     position: GlobalPosition | None = None
@@ -129,6 +131,7 @@ class Telemetry:
             case Heartbeat():
                 changed = state.autopilot is not message.autopilot
                 state.autopilot, state.winged = message.autopilot, message.winged
+                state.armed, state.mode = message.armed, message.mode
                 return changed
             case _:
                 pass

@@ -1,7 +1,15 @@
 // The list of vehicles and the details of the selected one.
 
 import { age, byId, el, metres, milliseconds, number, setText } from "./dom.js";
-import { LIGHT_WORDS, SIGNS } from "./palette.js";
+import { LIGHT_WORDS, SEVERITY, SIGNS } from "./palette.js";
+
+const COMPACT_FROM = 9; // vehicles; so many cards are higher than a screen
+
+// What the vehicle says of itself, as far as it does.
+function flight({ mode, armed, battery_percent: battery, alt_msl_m: height }) {
+  return [mode, armed === null ? null : armed ? "armed" : "disarmed", battery === null ? null : `${battery} %`, height === null ? null : metres(height, 0)]
+    .filter((part) => part !== null).join(", ");
+}
 
 // An override, and who gave it.
 const given = (value, by) => (by === null ? value : `${value} by ${by}`);
@@ -12,6 +20,7 @@ export class FleetList {
     this.cards = new Map();
     this.gone = new Set();
     this.selected = null;
+    byId("filter").addEventListener("input", () => this.filter());
     byId("details").addEventListener("keydown", ({ key }) => {
       if (key === "Escape" && this.cameFrom?.isConnected) this.cameFrom.focus();
     });
@@ -36,6 +45,9 @@ export class FleetList {
       this.cards.delete(sysid);
     }
     for (const vehicle of frame.vehicles) this.showCard(vehicle, lateS);
+    byId("fleet").classList.toggle("compact", sysids.size >= COMPACT_FROM);
+    this.arrange();
+    this.filter();
     this.showGone(sysids);
     const chosen = frame.vehicles.find((v) => v.snapshot.sysid === this.selected);
     byId("details").hidden = chosen === undefined;
@@ -54,6 +66,33 @@ export class FleetList {
     byId("details").hidden = true;
   }
 
+  // The most serious first. What stands right is not moved: a focus would be lost, and a list that moves cannot be read.
+  arrange() {
+    const list = byId("fleet");
+    const order = [...this.cards].sort(([a, one], [b, other]) => SEVERITY[one.light] - SEVERITY[other.light] || a - b);
+    order.forEach(([, { node }], i) => {
+      if (list.children[i] === node) return;
+      const focused = node.contains(document.activeElement) ? document.activeElement : null;
+      list.insertBefore(node, list.children[i] ?? null);
+      focused?.focus({ preventScroll: true });
+    });
+  }
+
+  // A number is a vehicle's; other words are looked for in all that its card says.
+  filter() {
+    const wanted = byId("filter").value.trim().toLowerCase();
+    for (const [sysid, { node }] of this.cards) {
+      node.hidden = wanted !== "" && !(/^\d+$/.test(wanted) ? String(sysid) === wanted : node.textContent.toLowerCase().includes(wanted));
+    }
+  }
+
+  // Leads from a vehicle's number in the header to its card.
+  focusCard(sysid) {
+    byId("filter").value = "";
+    this.filter();
+    this.cards.get(sysid)?.button.focus();
+  }
+
   showGone(sysids) {
     for (const sysid of sysids) this.gone.delete(sysid);
     byId("gone").hidden = this.gone.size === 0;
@@ -63,10 +102,12 @@ export class FleetList {
   showCard({ snapshot, light, reason }, lateS) {
     const card = this.cards.get(snapshot.sysid) ?? this.makeCard(snapshot.sysid);
     card.node.className = `card ${light}`;
+    card.light = light;
     setText(card.sign, SIGNS[light]);
     const word = `${lateS > 0 ? "was " : ""}${LIGHT_WORDS[light]}`;
     setText(card.word, word);
     setText(card.age, `last heard ${age(snapshot.age_s + lateS)} ago`);
+    setText(card.flight, flight(snapshot));
     setText(card.reason, reason);
     // Without the numbers that change all the time, which a screen reader would repeat.
     const name = `Vehicle ${snapshot.sysid} ${word}, ${reason}`;
@@ -77,15 +118,13 @@ export class FleetList {
 
   makeCard(sysid) {
     const part = (name) => el("span", { class: name, id: `${name}-${sysid}` });
-    const card = { sign: part("sign"), word: part("word"), age: part("age"), reason: part("reason"), numbers: part("numbers") };
+    const card = { sign: part("sign"), word: part("word"), age: part("age"), flight: part("flight"), reason: part("reason"), numbers: part("numbers") };
     card.sign.setAttribute("aria-hidden", "true");
-    card.button = el("button", { type: "button", "aria-describedby": `age-${sysid} numbers-${sysid}`, onclick: ({ detail }) => this.onSelect(sysid, detail === 0) },
-      card.sign, el("strong", {}, `Vehicle ${sysid}`), card.word, card.age, card.reason, card.numbers);
+    card.button = el("button", { type: "button", "aria-describedby": `age-${sysid} flight-${sysid} numbers-${sysid}`, onclick: ({ detail }) => this.onSelect(sysid, detail === 0) },
+      card.sign, el("strong", {}, `Vehicle ${sysid}`), card.word, card.age, card.flight, card.reason, card.numbers);
     card.button.setAttribute("aria-pressed", String(sysid === this.selected));
     card.node = el("li", {}, card.button);
     this.cards.set(sysid, card);
-    this.cards = new Map([...this.cards].sort(([a], [b]) => a - b));
-    byId("fleet").replaceChildren(...[...this.cards.values()].map((c) => c.node));
     return card;
   }
 
@@ -98,6 +137,7 @@ export class FleetList {
       state: reason,
       "last heard": `${age(snapshot.age_s + lateS)} ago`,
       autopilot: snapshot.autopilot,
+      flight: flight(snapshot) || "-",
       "GPS receiver": snapshot.fix_type === null ? "not heard" : `fix type ${snapshot.fix_type}, ${snapshot.satellites ?? "?"} satellites`,
       "estimated position": snapshot.enu_m === null ? `unknown: ${snapshot.no_estimate_reason}` : `${place(snapshot.lat_deg, snapshot.lon_deg)}, ${metres(snapshot.alt_msl_m, 0)} ±${metres(snapshot.sigma_v_m, 0)} above sea level`,
       "reported position": place(snapshot.reported_lat_deg, snapshot.reported_lon_deg),

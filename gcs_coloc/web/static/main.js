@@ -1,6 +1,6 @@
 // Receives the messages of one WebSocket and hands them to the parts of the page. An old picture is marked as old.
 
-import { age, byId, setText } from "./dom.js";
+import { age, byId, el, setText } from "./dom.js";
 import { Alarms } from "./alarms.js";
 import { Commands } from "./commands.js";
 import { FleetList } from "./fleet.js";
@@ -78,14 +78,20 @@ function hello(message) {
   for (const one of message.history) map.restoreTrail(one.sysid, one.east_m, one.north_m);
 }
 
-// In a long list the vehicles in alarm may be scrolled out of sight: the summary at the top names them.
-function summary({ vehicles, estimator }) {
-  const named = (light, words) => {
-    const sysids = vehicles.filter((v) => v.light === light).map((v) => v.snapshot.sysid);
-    return `${sysids.length} ${words}${sysids.length ? ` (${sysids.join(", ")})` : ""}`;
-  };
-  const heard = `${vehicles.length} vehicle${vehicles.length === 1 ? "" : "s"}`;
-  return `${heard}, ${named("bad", "in alarm")}, ${named("caution", "with caution")}; estimator ${estimator}`;
+// In a long list the vehicles in alarm may be scrolled out of sight: the summary at the top names them and leads there.
+function showSummary({ vehicles, estimator }) {
+  const of = (light) => vehicles.filter((v) => v.light === light).map((v) => v.snapshot.sysid);
+  const [bad, caution] = [of("bad"), of("caution")];
+  const shown = JSON.stringify([vehicles.length, bad, caution, estimator]);
+  const node = byId("summary");
+  if (node.dataset.shown === shown) return;
+  node.dataset.shown = shown;
+  const link = (sysid) => el("button", { type: "button", class: "link", "aria-label": `Vehicle ${sysid}: to its card`, onclick: () => {
+    select(sysid, false);
+    fleet.focusCard(sysid);
+  } }, String(sysid));
+  const named = (sysids, words) => [`, ${sysids.length} ${words}`, ...(sysids.length ? [" (", ...sysids.flatMap((id, i) => [i ? ", " : "", link(id)]), ")"] : [])];
+  node.replaceChildren(`${vehicles.length} vehicle${vehicles.length === 1 ? "" : "s"}`, ...named(bad, "in alarm"), ...named(caution, "with caution"), `; estimator ${estimator}`);
 }
 
 function picture(message) {
@@ -100,7 +106,7 @@ function picture(message) {
     map.extendTrails(frame.vehicles);
     plots.add(frame);
   }
-  setText(byId("summary"), summary(frame));
+  showSummary(frame);
 }
 
 function counted(message) {

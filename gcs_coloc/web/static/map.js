@@ -1,13 +1,16 @@
 // The map: an east-north grid in metres about the fleet's origin, over tiles where there are some.
 
 import { byId, svg } from "./dom.js";
-import { LIGHT_WORDS, SIGNS } from "./palette.js";
+import { LIGHT_WORDS, SEVERITY, SIGNS } from "./palette.js";
 import { Roving } from "./roving.js";
 
 const L = window.L;
 const GRID_PX = 110;
 const TRAIL_POINTS = 180;
 const MARKS = ["estimate", "reported", "truth"];
+// Where a vehicle's label stands about its mark, in order of preference: x, y of its baseline, and its anchor; px.
+const LABEL_PLACES = [[15, -7, "start"], [15, 19, "start"], [-15, -7, "end"], [-15, 19, "end"]];
+const LABEL_PX = { character: 9, height: 15, mark: 11 };
 const MOVING_KEY = /^(Arrow.*|[-+=_])$/;
 const at = (enu) => [enu[1], enu[0]];
 
@@ -120,6 +123,7 @@ export class FleetMap {
     const places = new Map();
     const sysids = new Set(frame.vehicles.map((v) => v.snapshot.sysid));
     for (const sysid of this.marks.keys()) if (!sysids.has(sysid)) this.remove(sysid);
+    this.labels = this.placeLabels(frame.vehicles);
     for (const vehicle of frame.vehicles) {
       const { snapshot } = vehicle;
       if (snapshot.enu_m !== null) places.set(snapshot.sysid, snapshot.enu_m);
@@ -131,13 +135,43 @@ export class FleetMap {
     if (this.mode === "selected" && places.has(this.selected)) this.map.setView(at(places.get(this.selected)), undefined, { animate: false });
   }
 
+  // Labels cover neither each other nor a mark; the selected vehicle's and the most serious are placed first. One without room
+  // is left out.
+  placeLabels(vehicles) {
+    const located = vehicles.filter(({ snapshot }) => snapshot.enu_m !== null);
+    const points = new Map(located.map(({ snapshot }) => [snapshot.sysid, this.map.latLngToContainerPoint(at(snapshot.enu_m))]));
+    const { character, height, mark } = LABEL_PX;
+    const taken = [...points].map(([sysid, { x, y }]) => [sysid, x - mark, y - mark, x + mark, y + mark]);
+    // The marks of reported positions have their own labels, always at the same side.
+    for (const { snapshot: { sysid, gps_state, reported_enu_m: enu } } of vehicles) {
+      if (gps_state === "healthy" || enu === null) continue;
+      const { x, y } = this.map.latLngToContainerPoint(at(enu));
+      taken.push([null, x + 13, y + 19 - height, x + 13 + (String(sysid).length + 9) * 7.5, y + 19]);
+    }
+    const labels = new Map();
+    const rank = ({ snapshot, light }) => (snapshot.sysid === this.selected ? -1 : SEVERITY[light]);
+    for (const { snapshot: { sysid } } of located.sort((a, b) => rank(a) - rank(b) || a.snapshot.sysid - b.snapshot.sysid)) {
+      const { x, y } = points.get(sysid);
+      const width = (String(sysid).length + 2) * character;
+      const free = LABEL_PLACES.find(([dx, dy, anchor]) => {
+        const left = x + dx - (anchor === "end" ? width : 0);
+        const box = [sysid, left, y + dy - height + 2, left + width, y + dy + 2];
+        const isFree = taken.every(([other, l, t, r, b]) => other === sysid || box[1] > r || box[3] < l || box[2] > b || box[4] < t);
+        if (isFree) taken.push([null, ...box.slice(1)]);
+        return isFree;
+      });
+      if (free !== undefined) labels.set(sysid, free);
+    }
+    return labels;
+  }
+
   showVehicle(vehicle) {
     const { snapshot, light, ellipse } = vehicle;
     const mark = this.markOf(snapshot.sysid);
     const trusted = snapshot.gps_state === "healthy";
     const stale = snapshot.age_s > 3;
     const words = `Vehicle ${snapshot.sysid}, ${LIGHT_WORDS[light]}`;
-    this.place(snapshot.sysid, "estimate", snapshot.enu_m, `${words}: estimated position`, () => estimateIcon(snapshot, light, stale));
+    this.place(snapshot.sysid, "estimate", snapshot.enu_m, `${words}: estimated position`, () => estimateIcon(snapshot, light, stale, this.labels.get(snapshot.sysid)));
     this.place(snapshot.sysid, "reported", trusted ? null : snapshot.reported_enu_m, `Vehicle ${snapshot.sysid}: reported position, not trusted`, () => reportedIcon(snapshot));
     this.place(snapshot.sysid, "truth", vehicle.truth_enu_m, `Vehicle ${snapshot.sysid}: true position`, () => truthIcon(snapshot));
     const drawEllipse = snapshot.enu_m !== null && ellipse !== null && !trusted;
@@ -226,7 +260,7 @@ export class FleetMap {
     // Only where a vehicle leaves the map, or the map is far too large: a map that moves all the time cannot be read.
     const inView = this.map.getBounds();
     const span = (b) => Math.max(b.getNorth() - b.getSouth(), b.getEast() - b.getWest());
-    if (inView.contains(bounds.pad(0.05)) && span(inView) < 6 * Math.max(span(bounds), 20)) return;
+    if (inView.contains(bounds.pad(0.05)) && span(inView) < 3 * Math.max(span(bounds), 20)) return;
     this.map.fitBounds(roomy, { animate: false, maxZoom: 3, padding: [30, 30] });
   }
 
@@ -266,13 +300,13 @@ function heading(snapshot) {
   return v !== null && Math.hypot(v[0], v[1]) > 2 ? (Math.atan2(v[0], v[1]) * 180) / Math.PI : null;
 }
 
-function estimateIcon(snapshot, light, stale) {
+function estimateIcon(snapshot, light, stale, label) {
   const turn = heading(snapshot);
   const body = turn === null
     ? svg("circle", { cx: 0, cy: 0, r: 9 })
     : svg("path", { d: "M0 -14L9 11L0 6L-9 11Z", transform: `rotate(${turn.toFixed(0)})` });
   return svg("svg", { class: `vehicle ${light}${stale ? " stale" : ""}`, viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
-    body, svg("text", { class: "name", x: 15, y: -7 }, `${snapshot.sysid} ${SIGNS[light]}`));
+    body, ...(label === undefined ? [] : [svg("text", { class: "name", x: label[0], y: label[1], "text-anchor": label[2] }, `${snapshot.sysid} ${SIGNS[light]}`)]));
 }
 
 function truthIcon(snapshot) {

@@ -1,6 +1,7 @@
 // Colours that people with a colour vision deficiency can tell apart (Okabe and Ito); sign and dash say the same again.
 
 export const SIGNS = { good: "✓", caution: "!", bad: "✕", unknown: "?" };
+export const SEVERITY = { bad: 0, caution: 1, unknown: 2, good: 3 };
 export const LIGHT_WORDS = { good: "good", caution: "caution", bad: "alarm", unknown: "unknown" };
 
 const SERIES = ["#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#8c6d1f", "#7f7f7f"];

@@ -78,18 +78,34 @@ SYS_STATUS_FIELDS = dict.fromkeys(
 )
 
 
+def beat(autopilot: Autopilot, mode: str, *, armed: bool = False, winged: bool = True) -> Heartbeat:
+    return Heartbeat(1, NOW_S, autopilot, armed=armed, winged=winged, mode=mode)
+
+
 @pytest.mark.parametrize(
     ("sent", "expected"),
     [
-        (heartbeat(base_mode=128), Heartbeat(1, NOW_S, Autopilot.ARDUPILOT, armed=True, winged=True)),
+        (heartbeat(base_mode=128), beat(Autopilot.ARDUPILOT, "MANUAL", armed=True)),
         (
             heartbeat(autopilot=mavlink.MAV_AUTOPILOT_PX4, base_mode=127),
-            Heartbeat(1, NOW_S, Autopilot.PX4, armed=False, winged=True),
+            beat(Autopilot.PX4, "0"),
         ),
-        (heartbeat(autopilot=mavlink.MAV_AUTOPILOT_PPZ), Heartbeat(1, NOW_S, Autopilot.OTHER, armed=False, winged=True)),
-        (heartbeat(mavlink.MAV_TYPE_QUADROTOR), Heartbeat(1, NOW_S, Autopilot.ARDUPILOT, armed=False, winged=False)),
-        (heartbeat(mavlink.MAV_TYPE_GROUND_ROVER), Heartbeat(1, NOW_S, Autopilot.ARDUPILOT, armed=False, winged=False)),
-        (heartbeat(mavlink.MAV_TYPE_VTOL_TILTROTOR), Heartbeat(1, NOW_S, Autopilot.ARDUPILOT, armed=False, winged=True)),
+        (
+            heartbeat(autopilot=mavlink.MAV_AUTOPILOT_PPZ),
+            beat(Autopilot.OTHER, "0"),
+        ),
+        (
+            heartbeat(mavlink.MAV_TYPE_QUADROTOR),
+            beat(Autopilot.ARDUPILOT, "STABILIZE", winged=False),
+        ),
+        (
+            heartbeat(mavlink.MAV_TYPE_GROUND_ROVER),
+            beat(Autopilot.ARDUPILOT, "MANUAL", winged=False),
+        ),
+        (
+            heartbeat(mavlink.MAV_TYPE_VTOL_TILTROTOR),
+            beat(Autopilot.ARDUPILOT, "MANUAL"),
+        ),
         (
             global_position(),
             GlobalPosition(1, NOW_S, 61.25, -35.3632621, 149.1652374, 584.19, vn_mps=15.0, ve_mps=-2.5, vd_mps=-0.3),
@@ -114,7 +130,7 @@ SYS_STATUS_FIELDS = dict.fromkeys(
                 onboard_control_sensors_health=0xFFFFFFDF,
                 **SYS_STATUS_FIELDS,
             ),
-            SystemHealth(1, NOW_S, gps_present=True, gps_enabled=True, gps_healthy=False),
+            SystemHealth(1, NOW_S, gps_present=True, gps_enabled=True, gps_healthy=False, battery_percent=0),
         ),
         (
             mavlink.MAVLink_sys_status_message(
@@ -123,7 +139,7 @@ SYS_STATUS_FIELDS = dict.fromkeys(
                 onboard_control_sensors_health=0x20,
                 **SYS_STATUS_FIELDS,
             ),
-            SystemHealth(1, NOW_S, gps_present=False, gps_enabled=False, gps_healthy=True),
+            SystemHealth(1, NOW_S, gps_present=False, gps_enabled=False, gps_healthy=True, battery_percent=0),
         ),
         # The flags that ArduPlane sent 1 s before and 10 s after it lost its GPS, and each family's bit for glitches.
         (mavlink.MAVLink_ekf_status_report_message(flags=831, **EKF_FIELDS), EkfStatus(1, NOW_S, True, False, False)),
@@ -299,4 +315,4 @@ def test_fields_left_off_the_wire_are_zero(version_1):
 def test_fields_that_a_newer_definition_adds_are_passed_over():
     sent = heartbeat()
     sent.unpacker = type("Longer", (), {"pack": staticmethod(lambda *values: type(sent).unpacker.pack(*values) + b"\x07\x07")})
-    assert decode(sent)[0] == Heartbeat(1, NOW_S, Autopilot.ARDUPILOT, armed=False, winged=True)
+    assert decode(sent)[0] == beat(Autopilot.ARDUPILOT, "MANUAL")

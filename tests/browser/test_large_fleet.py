@@ -1,0 +1,91 @@
+"""Thirty vehicles on the page in a real browser: the most serious first, filtered, in rows, with labels that can be read."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+import threading
+from collections.abc import Iterator
+
+import pytest
+from flight import Watched, browser, card, free_port, service, wait_for
+from playwright.sync_api import expect
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from vehicles import Hover
+
+pytestmark = pytest.mark.integration
+
+COUNT = 30
+
+
+@contextlib.contextmanager
+def swarm(port: int, failed: set[int]) -> Iterator[list[Hover]]:
+    """Thirty vehicles near each other. Twice a second: the page is tested here, on any machine, and not the service's load."""
+    landed = threading.Event()
+    places = [(40.0 * (i % 6), 25.0 * (i // 6), 60.0 + i) for i in range(COUNT)]
+    fleet = [Hover(i + 1, place, ("127.0.0.1", port)) for i, place in enumerate(places)]
+
+    def hover() -> None:
+        while not landed.wait(0.5):
+            for i, vehicle in enumerate(fleet):
+                vehicle.send(*vehicle.telemetry(0, 1 if vehicle.sysid in failed else 3))
+                if vehicle.sysid in failed:
+                    vehicle.send(*(vehicle.range_to(other) for other in fleet[max(i - 7, 0) : i]))
+
+    thread = threading.Thread(target=hover, daemon=True)
+    thread.start()
+    try:
+        yield fleet
+    finally:
+        landed.set()
+        thread.join()
+        for vehicle in fleet:
+            vehicle.sock.close()
+
+
+OVERLAPS = """() => {
+    const boxes = [...document.querySelectorAll("#map .vehicle .name")].map((e) => e.getBoundingClientRect());
+    const overlap = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+    return [boxes.length, boxes.filter((a, i) => boxes.slice(i + 1).some((b) => overlap(a, b))).length];
+}"""
+
+
+def test_thirty_vehicles_are_sorted_filtered_and_told_apart(tmp_path):
+    port, failed = free_port(socket.SOCK_DGRAM), set()
+    arguments = ["--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
+    with service(tmp_path / "log", *arguments) as (_, url), swarm(port, failed) as fleet, browser() as chromium:
+        watched = Watched(chromium.new_page(viewport={"width": 1366, "height": 900}))
+        page = watched.page
+        page.goto(url)
+        cards = page.locator("#fleet li")
+        expect(page.locator("#fleet .card.good")).to_have_count(COUNT)
+        expect(page.locator("#fleet")).to_have_class("compact")
+        rows = cards.evaluate_all("all => all.map((e) => e.getBoundingClientRect().height)")
+        assert max(rows) < 40.0
+        fields = dict.fromkeys(("load", "voltage_battery", "current_battery", "drop_rate_comm", "errors_comm"), 0)
+        fields |= {f"errors_count{n}": 0 for n in range(1, 5)}
+        gps = mavlink.MAV_SYS_STATUS_SENSOR_GPS
+        fleet[4].send(fleet[4].pack(mavlink.MAVLink_sys_status_message(gps, gps, gps, battery_remaining=87, **fields)))
+        expect(card(page, 5).locator(".flight")).to_have_text("AUTO, armed, 87 %, 564 m")
+        expect(card(page, 6).locator(".flight")).to_have_text("AUTO, armed, 565 m")
+        # The labels that are shown can be read.
+        wait_for(lambda: (found := page.evaluate(OVERLAPS))[0] >= 10 and found[1] == 0, "labels that do not cover each other")
+        failed.update((23, 17))
+        expect(cards.nth(0)).to_contain_text("Vehicle 17")
+        expect(cards.nth(1)).to_contain_text("Vehicle 23")
+        expect(cards.nth(2)).to_contain_text("Vehicle 1")
+        expect(card(page, 17).locator(".reason")).to_be_visible()
+        expect(page.locator("#summary")).to_contain_text("(17, 23)")
+        page.locator("#summary").get_by_role("button", name="Vehicle 23: to its card").click()
+        expect(page.get_by_role("region", name="Vehicle 23")).to_be_attached()
+        expect(card(page, 23)).to_be_focused()
+        expect(card(page, 23)).to_be_in_viewport()
+        search = page.get_by_role("searchbox", name="Filter the fleet")
+        for wanted, count in (("12", 1), ("gps failed", 2), ("AUTO", COUNT), ("87 %", 1), ("nothing at all", 0)):
+            search.fill(wanted)
+            expect(page.locator("#fleet li:visible")).to_have_count(count)
+        search.fill("")
+        expect(page.locator("#fleet li:visible")).to_have_count(COUNT)
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+        assert [text for text in watched.complaints if not re.search("favicon", text)] == []
