@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from gcs_coloc.core.aiding.methods.registry import method_for, mismatch
+from gcs_coloc.core.aiding.methods.registry import METHODS, method_for, mismatch
 from gcs_coloc.core.aiding.px4 import px4_method
+from gcs_coloc.core.aiding.settings import AidingMethodName
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
 from gcs_coloc.doctor.finding import Finding, FleetSurvey, Setup, Severity, VehicleSurvey, note, right, stop
@@ -99,7 +100,7 @@ def of_vehicle(vehicle: VehicleSurvey, setup: Setup, fleet: frozenset[int]) -> l
     """Everything that is to be said of one vehicle; `fleet` are the system ids that were heard."""
     findings = [*_identity(vehicle)]
     if not setup.denied or vehicle.sysid in setup.denied:
-        findings += [*_address(vehicle), *_autopilot(vehicle, setup), *_ranges(vehicle, fleet)]
+        findings += [*_address(vehicle, setup), *_autopilot(vehicle, setup), *_ranges(vehicle, fleet)]
     else:
         findings.append(right("it is there to help locate others: whether it could be aided was not checked"))
     return [*findings, *stream_checks.check(vehicle), *_receiver(vehicle), *_clock(vehicle)]
@@ -128,8 +129,10 @@ def _identity(vehicle: VehicleSurvey) -> Iterator[Finding]:
         yield stop("its boot times are those of two autopilots in turn: two use its system id", _OWN_SYSID)
 
 
-def _address(vehicle: VehicleSurvey) -> Iterator[Finding]:
-    if vehicle.others_there:
+def _address(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
+    if vehicle.others_there and METHODS[_method(vehicle, setup)].heeds_target:
+        yield right("it is aided by commands that it alone heeds, whoever shares its address")
+    elif vehicle.others_there:
         others = ", ".join(str(sysid) for sysid in vehicle.others_there)
         yield stop(
             f"its address is also that of vehicle {others} (a router?), and GPS_INPUT has no target: all of them would take it",
@@ -139,8 +142,12 @@ def _address(vehicle: VehicleSurvey) -> Iterator[Finding]:
         yield right(f"it has an address of its own: {', '.join(vehicle.addresses)}")
 
 
+def _method(vehicle: VehicleSurvey, setup: Setup) -> AidingMethodName:
+    return method_for(vehicle.sysid, vehicle.autopilot, setup.aiding, lambda _: px4_method(vehicle.parameters.get))
+
+
 def _autopilot(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
-    way = method_for(vehicle.sysid, vehicle.autopilot, setup.aiding, lambda _: px4_method(vehicle.parameters.get))
+    way = _method(vehicle, setup)
     wrong_way = mismatch(way, vehicle.autopilot)
     # What a PX4 lacks to take any, its parameters show.
     if wrong_way is not None and (way != "auto" or vehicle.autopilot is not Autopilot.PX4):

@@ -21,10 +21,14 @@ WARN_EVERY_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Blocked:
-    """Nothing may be sent to this vehicle. `shared_with`: the system ids of the other vehicles at its address."""
+    """Why not everything may be sent to this vehicle. `shared_with`: the system ids of the other vehicles at its address.
+
+    `route`: where it is reached by what its target alone heeds; None where it is not reached at all.
+    """
 
     reason: RouteBlock
     shared_with: tuple[int, ...] = ()
+    route: Route | None = None
 
 
 @dataclass(slots=True)
@@ -131,7 +135,7 @@ class RouteTable:
         return tuple(sorted(sysid for sysid, at_s in heard.items() if now_s - at_s <= self._shared_memory_s))
 
     def route(self, sysid: int, now_s: float) -> Route | Blocked:
-        """Where the autopilot of a vehicle is reached, or why nothing may be sent to it."""
+        """Where the autopilot of a vehicle is reached, or why not everything may be sent to it."""
         binding = self._autopilots.get(sysid)
         if binding is None:
             return Blocked(RouteBlock.NO_HEARTBEAT)
@@ -141,7 +145,7 @@ class RouteTable:
             if other != sysid and now_s - heard_at_s <= self._shared_memory_s
         )
         if others:
-            return Blocked(RouteBlock.SHARED_ADDRESS, tuple(others))
+            return Blocked(RouteBlock.SHARED_ADDRESS, tuple(others), binding.route)
         return binding.route
 
     def comes_from_its_binding(self, sysid: int, compid: int, link: Link, address: Address, now_s: float) -> bool:

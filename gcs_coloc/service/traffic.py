@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from gcs_coloc.core.messages.control import ForeignGpsInput, RouteReport
 from gcs_coloc.core.messages.inbound import Inbound
-from gcs_coloc.core.messages.outbound import GpsInput, ToVehicle
+from gcs_coloc.core.messages.outbound import GpsInput, ToVehicle, Untargeted
 from gcs_coloc.links.admission import RateLimiter, SignedLinks
 from gcs_coloc.links.base import Address, Clock, Link, Route
 from gcs_coloc.links.routes import Blocked, RouteTable
@@ -132,11 +132,13 @@ class Sender:
         self._echo = echo
 
     def send(self, output: ToVehicle) -> None:
-        """Send one output to its vehicle; to one that cannot be reached nothing is sent."""
+        """Send one output to its vehicle, unless that cannot be reached, or others at its address would take it as theirs."""
         # Looked up for every message: an address that came to be shared a moment ago must get nothing.
         route = self._routes.route(output.sysid, self._clock())
         if isinstance(route, Blocked):
-            return
+            if route.route is None or isinstance(output, Untargeted):
+                return
+            route = route.route
         try:
             payload = self._encoder.encode(output, route, self._stamp(route))
         except ValueError:

@@ -203,9 +203,9 @@ class Aiding:
 
     def _inhibit(self, vehicle: ReportedState, *, has_duplicate_id: bool) -> Inhibit | None:
         """Return why a vehicle cannot be aided even if it should be; None where it can."""
-        if vehicle.blocked is not None:
-            if vehicle.blocked is RouteBlock.NO_HEARTBEAT:
-                return StatedReason(InhibitReason.NO_HEARTBEAT)
+        if vehicle.blocked is RouteBlock.NO_HEARTBEAT:
+            return StatedReason(InhibitReason.NO_HEARTBEAT)
+        if vehicle.blocked is not None and not METHODS[self._method(vehicle)].heeds_target:
             return StatedReason(InhibitReason.NO_ROUTE, detail=vehicle.blocked_wording or "")
         if has_duplicate_id:
             return StatedReason(InhibitReason.DUPLICATE_ID)

@@ -79,7 +79,7 @@ class RouteBlock(StrEnum):
     NO_HEARTBEAT = "no_heartbeat"
     """No autopilot's heartbeat of it was heard yet."""
     SHARED_ADDRESS = "shared_address"
-    """Several vehicles are heard from its address, and GPS_INPUT has no target field."""
+    """Several vehicles are heard from its address: only what its target alone heeds is sent, and GPS_INPUT has no target."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +101,9 @@ class RouteReport:
             return NO_HEARTBEAT_YET if self.blocked is RouteBlock.NO_HEARTBEAT else None
         sharing = f"vehicles {', '.join(map(str, self.shared_with))} and {self.sysid}" if self.shared_with else "several vehicles"
         return (
-            f"{sharing} are heard from one address (a router?), and GPS_INPUT has no target field: all of them would use it. "
-            "Give each vehicle its own UDP stream to us, from its own port, or its own --link"
+            f"{sharing} are heard from one address (a router?), and GPS_INPUT has no target field, nor does PX4 heed "
+            "a position's: all of them would use it. Give each vehicle its own UDP stream to us, from its own port, or its own "
+            "--link; an ArduPilot can be aided there by external_position, whose commands their target alone heeds"
         )
 
 

@@ -167,5 +167,7 @@ AidingMessage = GpsInput | ExternalPosition | GlobalPositionSensor | VisionPosit
 """What tells a vehicle where it is."""
 
 ToVehicle = AidingMessage | StreamRequest | TimeSyncRequest | ParameterRequest | ParameterSet | OriginRequest | SensorEnable
+Untargeted = GpsInput | GlobalPositionSensor | VisionPosition | TimeSyncRequest
+"""What every vehicle takes whom it reaches: it has no target, or PX4 ignores it."""
 ToOperator = Notice | HealthChanged
 Outbound = ToVehicle | ToOperator

@@ -16,7 +16,7 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.core.messages.control import ClockReference, GpsOverride, OperatorCommand, RouteBlock, RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, Heartbeat, PeerRange, TimeBase
-from gcs_coloc.core.messages.outbound import GpsInput, Notice, Stream, StreamRequest
+from gcs_coloc.core.messages.outbound import AidingMessage, ExternalPosition, GpsInput, Notice, Stream, StreamRequest
 from gcs_coloc.core.telemetry.stream_requests import wanted_hz
 
 
@@ -147,6 +147,15 @@ def test_a_vehicle_that_cannot_be_reached_or_takes_no_gps_input_gets_nothing_and
     assert [o.fix_type for o in last] == [1]
     assert not [o for o in engine.poll(7.5) if isinstance(o, GpsInput)]
     assert words in next(v.aiding for v in engine.snapshot(7.5).vehicles if v.sysid == 4)
+
+
+def test_at_a_shared_address_commands_that_their_target_alone_heeds_go_on():
+    engine = Engine(StraightLine(), settings(aiding=AidingSettings(method="external_position")))
+    fly(engine, 0.0, 5.0)
+    fly(engine, 5.0, 7.0, failed=[4])
+    engine.receive(RouteReport(4, 7.0, RouteBlock.SHARED_ADDRESS, (3,)))
+    out = [o for at_s in np.arange(7.0, 9.0, 0.1) for o in engine.poll(float(at_s))]
+    assert {type(o) for o in out if isinstance(o, AidingMessage)} == {ExternalPosition}
 
 
 def test_the_operators_word_holds_from_before_the_vehicle_is_heard():

@@ -157,7 +157,7 @@ def test_two_autopilots_at_one_address_get_nothing_and_the_operator_is_told_what
     ears.hears(2, HERE)
     for sysid, other in ((1, 2), (2, 1)):
         blocked = ears.route(sysid)
-        assert blocked == Blocked(RouteBlock.SHARED_ADDRESS, (other,))
+        assert blocked == Blocked(RouteBlock.SHARED_ADDRESS, (other,), blocked.route)
         wording = RouteReport(sysid, ears.now_s, blocked.reason, blocked.shared_with).wording
         assert wording is not None
         for words in (f"vehicles {other} and {sysid}", "own UDP stream", "--link"):

@@ -19,17 +19,21 @@ from gcs_coloc.core.reasons import StatedReason
 
 @dataclass(frozen=True, slots=True)
 class MethodEntry:
-    """One method: how to make it for a vehicle, whether it feeds a GPS receiver of the vehicle (GPS_INPUT) or PX4's EKF2."""
+    """One method: how to make it for a vehicle, whether it feeds a GPS receiver of the vehicle (GPS_INPUT) or PX4's EKF2.
+
+    `heeds_target`: its message is heeded by its target alone, so that it works behind a router.
+    """
 
     make: Callable[[MethodContext], AidingMethod]
     feeds_receiver: bool = False
     feeds_ekf2: bool = False
+    heeds_target: bool = False
 
 
 METHODS: Mapping[AidingMethodName, MethodEntry] = {
     "auto": MethodEntry(GpsInputOrExternalMethod, feeds_receiver=True),
     "gps_input": MethodEntry(GpsInputMethod, feeds_receiver=True),
-    "external_position": MethodEntry(ExternalPositionMethod),
+    "external_position": MethodEntry(ExternalPositionMethod, heeds_target=True),
     "global_position_sensor": MethodEntry(GlobalPositionSensorMethod, feeds_ekf2=True),
     "vision_position": MethodEntry(VisionPositionMethod, feeds_ekf2=True),
 }
