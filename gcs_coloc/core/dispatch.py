@@ -20,6 +20,7 @@ from gcs_coloc.core.messages.inbound import (
     GpsReceiver,
     ParameterValue,
     PeerRange,
+    Pressure,
     SystemTime,
     TimeSyncAnswer,
 )
@@ -63,6 +64,7 @@ class MessageDispatch:
         clocks, aiding = stages.clocks, stages.aiding
         self._handlers: dict[type[Any], Callable[[Any, ReportedState, LastRound], list[Outbound] | None]] = {
             GlobalPosition: self._add_position,
+            Pressure: self._add_pressure,
             Attitude: self._add_attitude,
             PeerRange: self._add_range,
             GpsReceiver: self._add_receiver,
@@ -86,7 +88,14 @@ class MessageDispatch:
             return
         self._stages.gps_health.add_position(built.reported, own=not last.is_aided)
         self._stages.integrity.add_position(built.reported, last.gps_state, is_aided=last.is_aided)
-        self._stages.estimator.add(built.measurement)
+        if built.measurement is not None:
+            self._stages.estimator.add(built.measurement)
+
+    def _add_pressure(self, message: Pressure, vehicle: ReportedState, last: LastRound) -> None:
+        del vehicle
+        measurement = self._stages.measurements.pressure(message, is_trusted=last.is_trusted, located_enu_m=last.located_enu_m)
+        if measurement is not None:
+            self._stages.estimator.add(measurement)
 
     def _add_attitude(self, message: Attitude, vehicle: ReportedState, last: LastRound) -> None:
         del last

@@ -45,6 +45,8 @@ class CoreRefusal(StrEnum):
     # Clocks: the sender's stamp jumps against the clock known so far, or is older than `max_age_s`.
     POSITION_CLOCK_JUMPED = "position_clock_jumped"
     POSITION_TOO_OLD = "position_too_old"
+    PRESSURE_CLOCK_JUMPED = "pressure_clock_jumped"
+    PRESSURE_TOO_OLD = "pressure_too_old"
     ATTITUDE_CLOCK_JUMPED = "attitude_clock_jumped"
     ATTITUDE_TOO_OLD = "attitude_too_old"
     SYSTEM_TIME_CLOCK_JUMPED = "system_time_clock_jumped"

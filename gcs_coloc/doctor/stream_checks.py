@@ -24,7 +24,7 @@ _RATES_OF = {
 }
 """Stream -> the end of the name of ArduPilot's stream rate that it belongs to."""
 _RATE_HZ = {
-    rate: max(hz for stream, hz in wanted_hz(Autopilot.ARDUPILOT).items() if _RATES_OF[stream] == rate) for rate in STREAMS
+    rate: max(hz for stream, hz in wanted_hz(Autopilot.ARDUPILOT).items() if _RATES_OF.get(stream) == rate) for rate in STREAMS
 }
 _ESSENTIAL = (Stream.POSITION, Stream.FIRST_RECEIVER)
 _NO_POSITION = {
@@ -46,6 +46,8 @@ def check(vehicle: VehicleSurvey) -> Iterator[Finding]:
     """Judge the rates that were measured, and what the vehicle's ports speak."""
     good = []
     for stream, hz in wanted_hz(vehicle.autopilot).items():
+        if stream is Stream.PRESSURE:
+            continue  # without it the height is the autopilot's
         if stream is Stream.SECOND_RECEIVER and _has_no_second_receiver(vehicle):
             continue  # there is nothing to tell of it, however fast
         name, number, rate = stream.value, STREAM_IDS[stream], _RATES_OF.get(stream, "")

@@ -9,6 +9,7 @@ from gcs_coloc.mavlink.refusals import Field
 ALTITUDE_MIN_M = -1000.0
 """Chosen: below the lowest land, the Dead Sea's shore at -430 m, with room for a barometer's error."""
 ALTITUDE_MAX_M = 100_000.0
+PRESSURE_MIN_HPA, PRESSURE_MAX_HPA = 50.0, 1200.0  # 20 km to -1400 m in the standard atmosphere
 """The Karman line: above it nothing flies on wings or rotors."""
 SPEED_MAX_MPS = 1000.0
 """Chosen: three times the speed of sound."""
@@ -47,6 +48,13 @@ def altitude_m(alt_mm: int) -> float:
     if not ALTITUDE_MIN_M <= altitude <= ALTITUDE_MAX_M:
         raise InvalidValueError(Field.ALT)
     return altitude
+
+
+def pressure_hpa(pressure: float) -> float:
+    """Check an absolute air pressure in hPa: from above mount Everest, with room, to below the Dead Sea."""
+    if not PRESSURE_MIN_HPA <= pressure <= PRESSURE_MAX_HPA:
+        raise InvalidValueError(Field.PRESS_ABS)
+    return pressure
 
 
 def speed_mps(speed: float, field: Field) -> float:

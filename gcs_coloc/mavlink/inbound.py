@@ -22,6 +22,7 @@ from gcs_coloc.core.messages.inbound import (
     GpsReceiver,
     Heartbeat,
     Inbound,
+    Pressure,
     SystemHealth,
     SystemTime,
 )
@@ -203,6 +204,14 @@ def vfr_hud(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Airspe
     return Airspeed(sysid=sysid, received_at_s=received_at_s, airspeed_mps=checks.speed_mps(airspeed, Field.AIRSPEED))
 
 
+def scaled_pressure(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Pressure:
+    """SCALED_PRESSURE (29): the first barometer."""
+    boot_ms, pressure_hpa, *_ = values
+    return Pressure(
+        sysid=sysid, received_at_s=received_at_s, boot_s=boot_ms / 1e3, pressure_hpa=checks.pressure_hpa(pressure_hpa)
+    )
+
+
 def system_time(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> SystemTime:
     """SYSTEM_TIME (2); a UNIX time before September 2001 is a clock that has not been set."""
     unix_us, boot_ms = values
@@ -230,6 +239,7 @@ AUTOPILOT_CONVERTERS: Mapping[int, Converter] = MappingProxyType(
         mavlink.MAVLINK_MSG_ID_TIMESYNC: answers.timesync,
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status_report,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
+        mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE: scaled_pressure,
         mavlink.MAVLINK_MSG_ID_COMMAND_ACK: answers.command_ack,
         mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: answers.gps_global_origin,
         mavlink.MAVLINK_MSG_ID_PARAM_VALUE: answers.param_value,

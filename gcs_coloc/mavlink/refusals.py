@@ -87,6 +87,7 @@ class Field(StrEnum):
 
     AIRSPEED = "airspeed"
     ALT = "alt"
+    PRESS_ABS = "press_abs"
     BEACON_ID = "beacon_id"
     FIX_TYPE = "fix_type"
     LAT = "lat"

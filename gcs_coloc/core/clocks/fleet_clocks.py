@@ -11,7 +11,16 @@ from gcs_coloc.core.clocks.sender_clock import SenderClock
 from gcs_coloc.core.clocks.utc import HostClockFault, Utc
 from gcs_coloc.core.clocks.vehicle_clocks import ServiceTime, TimeSettings, VehicleClock
 from gcs_coloc.core.messages.control import ClockReference
-from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, SystemTime, TimeBase, TimeSyncAnswer
+from gcs_coloc.core.messages.inbound import (
+    Attitude,
+    GlobalPosition,
+    GpsReceiver,
+    PeerRange,
+    Pressure,
+    SystemTime,
+    TimeBase,
+    TimeSyncAnswer,
+)
 from gcs_coloc.core.messages.outbound import Notice, TimeSyncRequest
 from gcs_coloc.core.reasons import DUPLICATE_ID_WORDING, CoreRefusal
 
@@ -25,6 +34,7 @@ _WAITED_S = 20.0  # for answers to TIMESYNC, after a vehicle was first heard
 
 _REFUSALS = {
     GlobalPosition: (CoreRefusal.POSITION_CLOCK_JUMPED, CoreRefusal.POSITION_TOO_OLD),
+    Pressure: (CoreRefusal.PRESSURE_CLOCK_JUMPED, CoreRefusal.PRESSURE_TOO_OLD),
     Attitude: (CoreRefusal.ATTITUDE_CLOCK_JUMPED, CoreRefusal.ATTITUDE_TOO_OLD),
     SystemTime: (CoreRefusal.SYSTEM_TIME_CLOCK_JUMPED, CoreRefusal.SYSTEM_TIME_TOO_OLD),
 }
@@ -60,7 +70,7 @@ class FleetClocks:
         """Return why the host's clock allows no aiding message; None where it does."""
         return self._utc.fault()
 
-    def stamp(self, message: GlobalPosition | Attitude | SystemTime) -> ServiceTime | None:
+    def stamp(self, message: GlobalPosition | Pressure | Attitude | SystemTime) -> ServiceTime | None:
         """Add the boot time of a message; return when it was measured, None where its stamp is refused."""
         clock = self._of(message.sysid).boot
         jumped, too_old = _REFUSALS[type(message)]

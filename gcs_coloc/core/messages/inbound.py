@@ -139,6 +139,16 @@ class Airspeed:
 
 
 @dataclass(frozen=True, slots=True)
+class Pressure:
+    """SCALED_PRESSURE (29): absolute air pressure by the vehicle's first barometer."""
+
+    sysid: int
+    received_at_s: float
+    boot_s: float
+    pressure_hpa: float
+
+
+@dataclass(frozen=True, slots=True)
 class SystemTime:
     """SYSTEM_TIME (2): the sender's UNIX time (None until it has one) beside its boot time."""
 
@@ -240,6 +250,7 @@ FromVehicle = (
     | EkfStatus
     | Attitude
     | Airspeed
+    | Pressure
     | SystemTime
     | TimeSyncAnswer
     | PeerRange

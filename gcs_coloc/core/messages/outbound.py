@@ -123,6 +123,7 @@ class Stream(Enum):
     EKF_STATUS = "EKF_STATUS_REPORT"
     ESTIMATOR_STATUS = "ESTIMATOR_STATUS"
     SYSTEM_TIME = "SYSTEM_TIME"
+    PRESSURE = "SCALED_PRESSURE"
 
 
 @dataclass(frozen=True, slots=True)

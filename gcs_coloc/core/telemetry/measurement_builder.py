@@ -25,10 +25,11 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
+from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, Pressure, TimeBase
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.setting_bounds import check_bounds, positive
+from gcs_coloc.core.telemetry.pressure_height import PressureHeights
 from gcs_coloc.core.telemetry.repeated_ranges import RangeRepeats
 from gcs_coloc.core.telemetry.reported_state import ReportedState, true_airspeed_mps
 
@@ -46,10 +47,10 @@ class SentFix(NamedTuple):
 
 
 class BuiltPosition(NamedTuple):
-    """The position that a vehicle reports, believed or not, and the measurement that it is evidence for."""
+    """The position that a vehicle reports, believed or not, and the measurement that it is evidence for, if any."""
 
     reported: PositionMeasurement
-    measurement: Measurement
+    measurement: Measurement | None
 
 
 class BuiltRange(NamedTuple):
@@ -125,6 +126,7 @@ class MeasurementBuilder:
         self.refused: Counter[CoreRefusal] = Counter()
         self._clocks = clocks
         self._memories: dict[int, _Memory] = {}
+        self._pressures = PressureHeights()
 
     def position(
         self,
@@ -135,8 +137,9 @@ class MeasurementBuilder:
         sent_fix: SentFix | None = None,
         located_enu_m: tuple[float, float] | None = None,
     ) -> BuiltPosition | None:
-        """Build the position of a trusted vehicle, the barometric altitude of any other; None for a refused stamp or no frame.
+        """Build the position of a trusted vehicle, the altitude of any other; None for a refused stamp or no frame.
 
+        The altitude is the autopilot's, which may hold what we sent, and only where its barometer itself is not heard.
         `sent_fix` is the last fix that the vehicle was sent, `located_enu_m` where the estimator had it last (east, north).
         """
         measured = self._clocks.stamp(message)
@@ -150,8 +153,28 @@ class MeasurementBuilder:
         reported = memory.reported = self._reported(message, self.frame, vehicle, measured)
         self._update_height_datum(message, memory, measured, sent_fix, is_trusted=is_trusted)
         memory.delay_s = reported.arrived_at_s - reported.measured_at_s
-        altitude = None if is_trusted else self._altitude(message, self.frame, memory, measured, located_enu_m)
-        return BuiltPosition(reported, altitude if altitude is not None else reported)
+        now_s = message.received_at_s
+        if is_trusted:
+            self._pressures.learn(message.sysid, message.alt_msl_m, now_s)
+            return BuiltPosition(reported, reported)
+        if self._pressures.height(message.sysid, now_s) is not None:
+            return BuiltPosition(reported, None)
+        sigma_m = hypot(self.settings.altitude_sigma_m, memory.height_sigma_m, message.vd_mps * measured.sigma_s)
+        return BuiltPosition(reported, self._altitude(message, message.alt_msl_m, sigma_m, self.frame, measured, located_enu_m))
+
+    def pressure(
+        self, message: Pressure, *, is_trusted: bool, located_enu_m: tuple[float, float] | None = None
+    ) -> AltitudeMeasurement | None:
+        """Build the height by the barometer of a vehicle that is not trusted; None where nothing tells what it means."""
+        measured = self._clocks.stamp(message)
+        if measured is None:
+            return None
+        self._pressures.add(message.sysid, message.pressure_hpa, message.received_at_s)
+        height = self._pressures.height(message.sysid, message.received_at_s)
+        if is_trusted or height is None or self.frame is None:
+            return None
+        sigma_m = hypot(self.settings.altitude_sigma_m, height.sigma_m)
+        return self._altitude(message, height.alt_msl_m, sigma_m, self.frame, measured, located_enu_m)
 
     def attitude(self, message: Attitude, vehicle: ReportedState) -> AttitudeMeasurement | None:
         """Build an attitude with the newest true airspeed, if that is fresh and the vehicle flies on wings.
@@ -282,22 +305,18 @@ class MeasurementBuilder:
             time_sigma_s=measured.sigma_s,
         )
 
+    @staticmethod
     def _altitude(
-        self,
-        message: GlobalPosition,
+        message: GlobalPosition | Pressure,
+        alt_msl_m: float,
+        sigma_m: float,
         frame: LocalFrame,
-        memory: _Memory,
         measured: ServiceTime,
         located_enu_m: tuple[float, float] | None,
     ) -> AltitudeMeasurement:
         east_m, north_m = located_enu_m if located_enu_m is not None else (0.0, 0.0)
-        return AltitudeMeasurement(
-            vehicle=message.sysid,
-            measured_at_s=measured.at_s,
-            arrived_at_s=message.received_at_s,
-            up_m=frame.up_from_height(east_m, north_m, message.alt_msl_m),
-            sigma_m=hypot(self.settings.altitude_sigma_m, memory.height_sigma_m, message.vd_mps * measured.sigma_s),
-        )
+        up_m = frame.up_from_height(east_m, north_m, alt_msl_m)
+        return AltitudeMeasurement(message.sysid, measured.at_s, message.received_at_s, up_m, sigma_m)
 
     def _update_height_datum(
         self, message: GlobalPosition, memory: _Memory, measured: ServiceTime, sent: SentFix | None, *, is_trusted: bool

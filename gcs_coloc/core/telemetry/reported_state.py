@@ -17,6 +17,7 @@ from gcs_coloc.core.messages.inbound import (
     GlobalPosition,
     GpsReceiver,
     Heartbeat,
+    Pressure,
     SystemHealth,
     SystemTime,
 )
@@ -38,6 +39,7 @@ _STREAMS = {
     Airspeed: Stream.AIRSPEED,
     SystemHealth: Stream.SYSTEM_HEALTH,
     SystemTime: Stream.SYSTEM_TIME,
+    Pressure: Stream.PRESSURE,
 }
 _EKF_FRESH_S = 3.0  # chosen: six periods of EKF_STATUS_REPORT at the requested rate
 _AIR_DATA_FRESH_S = 2.0  # chosen: ten periods of VFR_HUD at the requested rate

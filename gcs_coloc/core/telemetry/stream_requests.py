@@ -17,6 +17,7 @@ _OF_ALL_HZ = {
     Stream.AIRSPEED: 5.0,
     Stream.SYSTEM_HEALTH: 2.0,
     Stream.SYSTEM_TIME: 1.0,
+    Stream.PRESSURE: 5.0,
 }
 _OF_ARDUPILOT_HZ = {Stream.SECOND_RECEIVER: 5.0, Stream.EKF_STATUS: 2.0}
 _OF_PX4_HZ = {Stream.ESTIMATOR_STATUS: 2.0}

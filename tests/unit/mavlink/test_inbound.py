@@ -27,6 +27,7 @@ from gcs_coloc.core.messages.inbound import (
     GpsReceiver,
     Heartbeat,
     PeerRange,
+    Pressure,
     SystemHealth,
     SystemTime,
     TimeBase,
@@ -153,6 +154,10 @@ def beat(autopilot: Autopilot, mode: str, *, armed: bool = False, winged: bool =
         (
             mavlink.MAVLink_estimator_status_message(flags=128 + 32768, **ESTIMATOR_FIELDS),
             EkfStatus(1, NOW_S, False, True, False, global_position_aided=False),
+        ),
+        (
+            mavlink.MAVLink_scaled_pressure_message(time_boot_ms=2500, press_abs=987.5, press_diff=0.1, temperature=2150),
+            Pressure(1, NOW_S, 2.5, 987.5),
         ),
         # PX4 at rest on the ground: a constant position beside an absolute one.
         (

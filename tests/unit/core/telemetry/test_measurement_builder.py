@@ -8,7 +8,7 @@ from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import AltitudeMeasurement, Measurement, PositionMeasurement, RangeMeasurement
-from gcs_coloc.core.messages.inbound import Airspeed, Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
+from gcs_coloc.core.messages.inbound import Airspeed, Attitude, GlobalPosition, GpsReceiver, PeerRange, Pressure, TimeBase
 from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, MeasurementSettings, SentFix
 from gcs_coloc.core.telemetry.reported_state import ReportedState
@@ -260,3 +260,40 @@ def test_a_range_is_free_of_the_lasting_errors_of_both_devices():
 def test_a_calibration_that_cannot_be_is_refused(wrong):
     with pytest.raises(ValueError, match="range_"):
         MeasurementSettings(**wrong)
+
+
+def with_barometer(own_gps_until_s: float) -> Builder:
+    """Vehicles 1 and 4 with barometers, 30 s long; 4 reports its position while it has GPS."""
+    feed = Builder(has_frame=True)
+    for tenth in range(300):
+        t = tenth / 10
+        for sysid in (1, 4):
+            feed.pressure(Pressure(sysid, t, t, 950.0), is_trusted=sysid == 1 or t < own_gps_until_s)
+            if sysid == 1 or t < own_gps_until_s:
+                feed.measure(replace(position(t, 540.0), sysid=sysid), vehicle(sysid))
+    return feed
+
+
+def test_the_height_of_an_aided_vehicle_is_its_barometers_and_not_what_its_autopilot_makes_of_our_fix():
+    """The autopilot says 12 m too high, as it does when it fuses what we sent."""
+    feed = with_barometer(own_gps_until_s=25.0)
+    assert feed.measure(position(30.0, 552.0), vehicle(), trusted=False) is None
+    height = feed.pressure(Pressure(4, 30.1, 30.1, 950.0), is_trusted=False)
+    assert height is not None
+    assert height.up_m == pytest.approx(40.0, abs=0.2)
+    assert height.sigma_m == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_vehicle_that_never_had_gps_and_reports_no_position_has_a_height():
+    """PX4 sends no GLOBAL_POSITION_INT before its first fix."""
+    height = with_barometer(own_gps_until_s=0.0).pressure(Pressure(4, 30.0, 30.0, 950.0), is_trusted=False)
+    assert height is not None
+    assert height.up_m == pytest.approx(40.0, abs=0.2)
+    assert height.sigma_m > 8.0
+
+
+def test_where_the_barometer_falls_silent_the_height_is_the_autopilots_again():
+    feed = with_barometer(own_gps_until_s=25.0)
+    measurement = feed.measure(position(35.0, 541.0), vehicle(), trusted=False)
+    assert isinstance(measurement, AltitudeMeasurement)
+    assert measurement.up_m == pytest.approx(41.0, abs=0.2)
