@@ -45,7 +45,7 @@ def test_somebody_elses_gps_input_ends_ours_and_the_replay_says_so_too(start_ser
     ground_station = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     with square_fleet(free_port) as fleet:
         fly(fleet, 3.0)
-        fly(fleet, 30.0, failed=[4], until=lambda: any(m.fix_type == 3 for m in fleet[3].of("GPS_INPUT")))
+        fly(fleet, 60.0, failed=[4], until=lambda: any(m.fix_type == 3 for m in fleet[3].of("GPS_INPUT")))
         for _ in range(30):
             pass_on_gps_input(fleet[3], ground_station)
             fly(fleet, 0.1, failed=[4])
@@ -57,7 +57,7 @@ def test_somebody_elses_gps_input_ends_ours_and_the_replay_says_so_too(start_ser
             fly(fleet, 0.1, failed=[4])
         assert len(fleet[3].of("GPS_INPUT")) == before
         service.send_signal(signal.SIGINT)
-        assert service.wait(20) == 0
+        assert service.wait(60) == 0
     assert STANDS_DOWN in service.stderr.read()
     (tlog,) = tmp_path.glob("*.tlog")
     sent, told = replayed(tlog)

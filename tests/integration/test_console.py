@@ -62,7 +62,7 @@ def test_a_stopped_terminal_stops_neither_the_flight_nor_its_end(free_port):
     try:
         with square_fleet(free_port) as fleet:
             lost = fleet[3]
-            fly(fleet, 40.0, failed=[4], until=lambda: len(lost.of("GPS_INPUT")) > 10 and b"sending 3D fix" in terminal.seen)
+            fly(fleet, 60.0, failed=[4], until=lambda: len(lost.of("GPS_INPUT")) > 10 and b"sending 3D fix" in terminal.seen)
             assert b"sending 3D fix" in terminal.seen
             assert b"operator: GPS failed" in terminal.seen
             terminal.type(CTRL_S)
@@ -73,7 +73,7 @@ def test_a_stopped_terminal_stops_neither_the_flight_nor_its_end(free_port):
             assert len(terminal.seen) == shown
             assert len(lost.of("GPS_INPUT")) - before >= 40  # of 60; a service that waits for its terminal sends none
             service.send_signal(signal.SIGTERM)
-            fly(fleet, 20.0, failed=[4], until=lambda: service.poll() is not None)
+            fly(fleet, 60.0, failed=[4], until=lambda: service.poll() is not None)
             assert service.poll() == 0
             assert lost.of("GPS_INPUT")[-1].fix_type == 1
     finally:
@@ -89,11 +89,11 @@ def test_the_last_line_on_a_terminal_says_whose_aid_has_ended(free_port):
     try:
         with square_fleet(free_port) as fleet:
             lost = fleet[3]
-            fly(fleet, 40.0, failed=[4], until=lambda: len(lost.of("GPS_INPUT")) > 10)
+            fly(fleet, 60.0, failed=[4], until=lambda: len(lost.of("GPS_INPUT")) > 10)
             service.send_signal(signal.SIGINT)
-            fly(fleet, 20.0, failed=[4], until=lambda: service.poll() is not None)
+            fly(fleet, 60.0, failed=[4], until=lambda: service.poll() is not None)
             assert service.poll() == 0
-            fly(fleet, 20.0, failed=[4], until=lambda: end in terminal.last_line())
+            fly(fleet, 60.0, failed=[4], until=lambda: end in terminal.last_line())
         assert end in terminal.last_line()
     finally:
         service.kill()
@@ -114,11 +114,11 @@ def test_a_log_that_nobody_reads_stops_neither_the_flight_nor_its_end(free_port)
     try:
         with square_fleet(free_port) as fleet:
             lost = fleet[3]
-            fly(fleet, 40.0, failed=[], until=lambda: bool(lost.received))
-            fly(fleet, 40.0, failed=[4], until=lambda: sum(m.fix_type == 3 for m in lost.of("GPS_INPUT")) > 20)
+            fly(fleet, 60.0, failed=[], until=lambda: bool(lost.received))
+            fly(fleet, 60.0, failed=[4], until=lambda: sum(m.fix_type == 3 for m in lost.of("GPS_INPUT")) > 20)
             assert sum(m.fix_type == 3 for m in lost.of("GPS_INPUT")) > 20
             service.send_signal(signal.SIGTERM)
-            fly(fleet, 20.0, failed=[4], until=lambda: service.poll() is not None)
+            fly(fleet, 60.0, failed=[4], until=lambda: service.poll() is not None)
             assert service.poll() == 0
             assert lost.of("GPS_INPUT")[-1].fix_type == 1
     finally:
@@ -147,10 +147,10 @@ def test_a_terminal_that_is_closed_ends_the_flight_in_order(free_port):
     try:
         with square_fleet(free_port) as fleet:
             lost = fleet[3]
-            fly(fleet, 40.0, failed=[4], until=lambda: len(lost.of("GPS_INPUT")) > 10)
+            fly(fleet, 60.0, failed=[4], until=lambda: len(lost.of("GPS_INPUT")) > 10)
             assert len(lost.of("GPS_INPUT")) > 10
             os.close(master)
-            fly(fleet, 20.0, failed=[4], until=lambda: service.poll() is not None)
+            fly(fleet, 60.0, failed=[4], until=lambda: service.poll() is not None)
             assert service.wait(60) == 0
             assert lost.of("GPS_INPUT")[-1].fix_type == 1
     finally:

@@ -82,7 +82,7 @@ def flown(tmp_path_factory) -> Path:
             service.send_signal(signal.SIGCONT)
             fly(fleet, 3.0, failed=[4])
         service.send_signal(signal.SIGTERM)
-        service.communicate(timeout=20)
+        service.communicate(timeout=60)
     finally:
         service.kill()
     return directory
@@ -191,7 +191,7 @@ def test_a_disk_that_is_full_is_told_and_the_flight_goes_on(free_port, tmp_path)
             last = [m for at_s, m in fleet[3].received if m.get_type() == "GPS_INPUT"]
             assert sum(m.fix_type == 3 for m in last) > 20
         service.send_signal(signal.SIGTERM)
-        _, told = service.communicate(timeout=20)
+        _, told = service.communicate(timeout=60)
     finally:
         service.kill()
     assert service.returncode == 0
@@ -218,7 +218,7 @@ def test_a_disk_that_hangs_is_told_once_and_holds_up_neither_the_flight_nor_its_
             fly(fleet, 4.0, failed=[4])
             assert len(fleet[3].of("GPS_INPUT")) - before >= 28  # of 40
             service.send_signal(signal.SIGTERM)
-            fly(fleet, 20.0, failed=[4], until=lambda: service.poll() is not None)
+            fly(fleet, 60.0, failed=[4], until=lambda: service.poll() is not None)
             assert service.poll() == 0
             assert fleet[3].of("GPS_INPUT")[-1].fix_type == 1
     finally:

@@ -65,7 +65,7 @@ def test_fleets_that_share_system_ids_are_located_each_in_its_own_place(start_se
         assert not any(v.of("GPS_INPUT") for v in (*north[:3], *south))
 
         done = lambda: len(fixes(south[3])) >= 10  # noqa: E731
-        list(pilots.map(lambda fleet: fly(fleet, 15.0, failed=[4], until=done), (north, south)))
+        list(pilots.map(lambda fleet: fly(fleet, 60.0, failed=[4], until=done), (north, south)))
         assert len(fixes(south[3])) >= 10
         # 4 sigma of a filtered position from GPS of 0.8 m and ranges of 0.5 m that are exact here, as for a single fleet.
         for fleet in (north, south):
@@ -74,7 +74,7 @@ def test_fleets_that_share_system_ids_are_located_each_in_its_own_place(start_se
 
         service.send_signal(signal.SIGTERM)
         over = lambda: service.poll() is not None  # noqa: E731
-        list(pilots.map(lambda fleet: fly(fleet, 10.0, failed=[4], until=over), (north, south)))
+        list(pilots.map(lambda fleet: fly(fleet, 60.0, failed=[4], until=over), (north, south)))
         assert service.wait(60) == 0
         assert [fleet[3].of("GPS_INPUT")[-1].fix_type for fleet in (north, south)] == [1, 1]
     assert "north: vehicle 4: GPS" in service.stderr.read()
