@@ -180,6 +180,7 @@ def estimator_status(sysid: int, received_at_s: float, values: tuple[Any, ...]) 
         constant_position_mode=bool(flags & mavlink.ESTIMATOR_CONST_POS_MODE) and not is_absolute,
         gps_glitching=bool(flags & mavlink.ESTIMATOR_GPS_GLITCH),
         global_position_aided=bool(flags & mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS),
+        horizontally_aided=bool(flags & mavlink.ESTIMATOR_PRED_POS_HORIZ_REL),
     )
 
 

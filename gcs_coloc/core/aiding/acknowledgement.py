@@ -33,6 +33,7 @@ class FixFault(WordedReason):
         "ekf_unaided",
         "its EKF2 reports no global position from GNSS or aid; was it rebooted after EKF2_AGP0_ID was set?",
     )
+    EKF_WITHOUT_VISION = "ekf_without_vision", "its EKF2 reports no horizontal aid; is bit 0 of EKF2_EV_CTRL set?"
     UNSENT_FIX = (
         "unsent_fix",
         "its {detail} has a fix that was not sent: is it a receiver of its own, or does somebody else feed it?",
@@ -83,12 +84,16 @@ class Acknowledgement(ABC):
 
 
 class EkfAcknowledgement(Acknowledgement):
-    """Of a PX4: ESTIMATOR_STATUS reports a global position from GNSS or an auxiliary one; while its own GPS has no fix, ours."""
+    """Of a PX4: ESTIMATOR_STATUS reports a global position from GNSS or an auxiliary one; while its own GPS has no fix, ours.
+
+    A vision position counts there as a horizontal aid only (`by_vision`), as another sensor of the vehicle's may.
+    """
 
     _what = "the position"
 
-    def __init__(self) -> None:
+    def __init__(self, *, by_vision: bool) -> None:
         super().__init__()
+        self._by_vision = by_vision
         self._sent_at_s = float("-inf")
 
     def add_sent(self, message: AidingMessage, now_s: float) -> None:
@@ -97,7 +102,8 @@ class EkfAcknowledgement(Acknowledgement):
         self._sent_at_s = now_s
 
     def _fault_now(self, vehicle: ReportedState, now_s: float) -> str | None:
-        return StatedReason(FixFault.EKF_UNAIDED).text if self._is_aided(vehicle, now_s) is False else None
+        fault = FixFault.EKF_WITHOUT_VISION if self._by_vision else FixFault.EKF_UNAIDED
+        return StatedReason(fault).text if self._is_aided(vehicle, now_s) is False else None
 
     def _is_shown(self, vehicle: ReportedState, now_s: float) -> bool:
         return self._is_aided(vehicle, now_s) is True
@@ -107,7 +113,9 @@ class EkfAcknowledgement(Acknowledgement):
         receiver, ekf = vehicle.receiver, vehicle.ekf
         if now_s - self._sent_at_s > _SENT_WITHIN_S or (receiver is not None and receiver.fix_type >= _HAS_FIX):
             return None
-        return ekf.global_position_aided if ekf is not None and now_s - ekf.received_at_s <= _EKF_FRESH_S else None
+        if ekf is None or now_s - ekf.received_at_s > _EKF_FRESH_S:
+            return None
+        return ekf.horizontally_aided if self._by_vision else ekf.global_position_aided
 
 
 class FixAcknowledgement(Acknowledgement):

@@ -106,7 +106,8 @@ class SystemHealth:
 class EkfStatus:
     """EKF_STATUS_REPORT (193, ArduPilot) or ESTIMATOR_STATUS (230, PX4), reduced to the flags that matter here.
 
-    `global_position_aided`: GNSS or an auxiliary position aids the global position; None where the autopilot does not report it.
+    Of PX4 alone, else None: `global_position_aided`: GNSS or an auxiliary position aids it; `horizontally_aided`: anything does
+    that tells of horizontal position or velocity, as vision.
     """
 
     sysid: int
@@ -115,6 +116,7 @@ class EkfStatus:
     constant_position_mode: bool
     gps_glitching: bool
     global_position_aided: bool | None = None
+    horizontally_aided: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -149,11 +149,11 @@ def beat(autopilot: Autopilot, mode: str, *, armed: bool = False, winged: bool =
         (mavlink.MAVLink_ekf_status_report_message(flags=1024, **EKF_FIELDS), EkfStatus(1, NOW_S, False, False, False)),
         (
             mavlink.MAVLink_estimator_status_message(flags=16 + 512 + 1024, **ESTIMATOR_FIELDS),
-            EkfStatus(1, NOW_S, True, False, True, global_position_aided=True),
+            EkfStatus(1, NOW_S, True, False, True, global_position_aided=True, horizontally_aided=False),
         ),
         (
             mavlink.MAVLink_estimator_status_message(flags=128 + 32768, **ESTIMATOR_FIELDS),
-            EkfStatus(1, NOW_S, False, True, False, global_position_aided=False),
+            EkfStatus(1, NOW_S, False, True, False, global_position_aided=False, horizontally_aided=False),
         ),
         (
             mavlink.MAVLink_scaled_pressure_message(time_boot_ms=2500, press_abs=987.5, press_diff=0.1, temperature=2150),
@@ -162,7 +162,7 @@ def beat(autopilot: Autopilot, mode: str, *, armed: bool = False, winged: bool =
         # PX4 at rest on the ground: a constant position beside an absolute one.
         (
             mavlink.MAVLink_estimator_status_message(flags=128 + 16 + 1, **ESTIMATOR_FIELDS),
-            EkfStatus(1, NOW_S, True, False, False, global_position_aided=False),
+            EkfStatus(1, NOW_S, True, False, False, global_position_aided=False, horizontally_aided=False),
         ),
         (
             mavlink.MAVLink_gps_global_origin_message(471234567, 85432109, 488125),

@@ -60,7 +60,7 @@ def acknowledgement_of(name: AidingMethodName, gps_id: int, now_s: float) -> Ack
     """Return what shows whether a vehicle uses what a method sends; None where only its answers do."""
     if METHODS[name].feeds_receiver:
         return FixAcknowledgement(gps_id, now_s)
-    return EkfAcknowledgement() if METHODS[name].feeds_ekf2 else None
+    return EkfAcknowledgement(by_vision=name == "vision_position") if METHODS[name].feeds_ekf2 else None
 
 
 def mismatch(name: AidingMethodName, autopilot: Autopilot | None) -> Inhibit | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import cos, exp, hypot, radians, sqrt
 
 import numpy as np
@@ -186,19 +185,26 @@ def test_without_ranges_nothing_is_taken_for_forgotten():
     assert correlated.factor(moment(5.0, without, 40.0), without) == with_ranges
 
 
-def ekf(at_s: float, *, aided: bool) -> EkfStatus:
-    return replace(EkfStatus(4, at_s, True, False, gps_glitching=False), global_position_aided=aided)
-
-
-@pytest.mark.parametrize(("aided", "acknowledged"), [(True, True), (False, False), (None, None)])
-def test_its_filter_shows_whether_it_uses_the_position_while_its_own_gps_is_gone(aided, acknowledged):
-    engine = on_px4(AGP)
+@pytest.mark.parametrize(
+    ("told", "flags", "acknowledged", "words"),
+    [
+        # As flown with PX4 of August 2026: (bit 512, bit 256) of ESTIMATOR_STATUS.
+        (AGP, (True, True), True, None),  # 895
+        (AGP, (False, True), False, "rebooted after EKF2_AGP0_ID was set"),  # 383
+        (AGP, None, None, None),
+        ({"EKF2_EV_CTRL": 1.0}, (False, True), True, None),  # 383
+        ({"EKF2_EV_CTRL": 1.0}, (False, False), False, "bit 0 of EKF2_EV_CTRL"),  # 127
+    ],
+)
+def test_its_filter_shows_whether_it_uses_the_position_while_its_own_gps_is_gone(told, flags, acknowledged, words):
+    engine = on_px4(told)
+    engine.receive(ORIGIN)
     out = []
     for at_s in range(5, 25):
-        if aided is not None:
-            engine.receive(ekf(float(at_s), aided=aided))
+        if flags is not None:
+            engine.receive(EkfStatus(4, float(at_s), True, False, False, *flags))
         out += fly(engine, float(at_s), at_s + 1.0, failed=[4], autopilot=Autopilot.PX4)
     assert vehicle_4(engine, 25.0).fix_acknowledged is acknowledged
     alarms = [text for text in texts(out) if "the position is not taken" in text]
-    assert len(alarms) == (1 if aided is False else 0)
-    assert all("rebooted after EKF2_AGP0_ID was set" in text for text in alarms)
+    assert len(alarms) == (1 if acknowledged is False else 0)
+    assert all(words in text for text in alarms)
