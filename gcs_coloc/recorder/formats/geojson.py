@@ -15,7 +15,7 @@ from gcs_coloc.core.snapshot import VehicleSnapshot
 from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
 from gcs_coloc.recorder.journal import VehicleEntry
 
-_ELLIPSE_PERIOD_S = 1.0
+ELLIPSE_PERIOD_S = 1.0
 _ELLIPSE_CORNERS = 24
 _ELLIPSE_SIGMAS = 2.0
 """Holds 86 % of the true positions where the covariance is right."""
@@ -38,7 +38,9 @@ def map_shapes(history: FlightHistory) -> Iterator[tuple[str, Any, dict[str, Any
             first, last = stretch[0], stretch[-1]
             properties = _properties(first.vehicle) | {"unix_s": first.at_s, "until_unix_s": last.at_s, "sysid": sysid}
             if len(stretch) > 1:
-                yield "LineString", [_point(entry.vehicle) for entry in stretch], properties
+                # One time for each point, in ms since 1970, as Leaflet.TimeDimension and kepler.gl read it.
+                times = {"times": [round(entry.at_s * 1e3) for entry in stretch]}
+                yield "LineString", [_point(entry.vehicle) for entry in stretch], properties | times
             if properties["without_gps"]:
                 yield from _ellipses(stretch)
 
@@ -48,7 +50,7 @@ def _ellipses(stretch: Sequence[VehicleEntry]) -> Iterator[tuple[str, Any, dict[
     for entry in stretch:
         ring = ellipse_ring(entry.vehicle) if entry.at_s >= due_s else None
         if ring is not None:
-            due_s = entry.at_s + _ELLIPSE_PERIOD_S
+            due_s = entry.at_s + ELLIPSE_PERIOD_S
             properties = _properties(entry.vehicle) | {"unix_s": entry.at_s, "sigma_h_m": entry.vehicle.sigma_h_m, "sigmas": 2}
             yield "Polygon", [[(lon, lat) for lat, lon in ring]], properties
 

@@ -1,20 +1,24 @@
-"""A flight as KML 2.2 (OGC 07-147r2), for Google Earth."""
+"""A flight as KML 2.2 (OGC 07-147r2) with the tracks of its gx extension, which Google Earth plays over time."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from xml.etree import ElementTree
 
 from gcs_coloc.recorder.flight_history import FlightHistory
-from gcs_coloc.recorder.formats.geojson import map_shapes
+from gcs_coloc.recorder.formats.geojson import ELLIPSE_PERIOD_S, map_shapes
 
 _KML = "http://www.opengis.net/kml/2.2"
+_GX = "http://www.google.com/kml/ext/2.2"
 _COLOURS = {True: "ff005ed5", False: "ffb27200"}  # KML: alpha, blue, green, red. Without GPS, with GPS.
 
 
 def write_kml(history: FlightHistory, path: Path) -> None:
-    """Write the tracks as lines and, while a vehicle is located without its GPS, a 2-sigma ellipse each second."""
+    """Write the tracks with their times and, while a vehicle is located without its GPS, a 2-sigma ellipse each second."""
     ElementTree.register_namespace("", _KML)
+    ElementTree.register_namespace("gx", _GX)
     root = ElementTree.Element(f"{{{_KML}}}kml")
     document = _child(root, "Document")
     _child(document, "name", history.file.name)
@@ -28,15 +32,31 @@ def write_kml(history: FlightHistory, path: Path) -> None:
         _child(line, "color", colour)
         _child(line, "width", "3" if kind == "LineString" else "1")
         if kind == "LineString":
-            shape = _child(mark, "LineString")
-            _child(shape, "altitudeMode", "absolute")
+            _add_track(mark, coordinates, properties["times"])
         else:
             _child(_child(style, "PolyStyle"), "fill", "0")
-            polygon = _child(mark, "Polygon")
-            shape = _child(_child(polygon, "outerBoundaryIs"), "LinearRing")
-            coordinates = coordinates[0]
-        _child(shape, "coordinates", " ".join(",".join(f"{x:.8f}" for x in point) for point in coordinates))
+            begin_s = properties["unix_s"]
+            span = ElementTree.Element(f"{{{_KML}}}TimeSpan")  # which the schema wants before the style
+            _child(span, "begin", _when(begin_s))
+            _child(span, "end", _when(begin_s + ELLIPSE_PERIOD_S))
+            mark.insert(1, span)
+            ring = _child(_child(_child(mark, "Polygon"), "outerBoundaryIs"), "LinearRing")
+            _child(ring, "coordinates", " ".join(",".join(f"{x:.8f}" for x in point) for point in coordinates[0]))
     ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _add_track(mark: ElementTree.Element, points: Sequence[tuple[float, float, float]], times_ms: Sequence[int]) -> None:
+    """A gx:Track: all times, then as many points. Heights are above mean sea level."""
+    track = ElementTree.SubElement(mark, f"{{{_GX}}}Track")
+    _child(track, "altitudeMode", "absolute")
+    for time_ms in times_ms:
+        _child(track, "when", _when(time_ms / 1e3))
+    for lon, lat, alt in points:
+        ElementTree.SubElement(track, f"{{{_GX}}}coord").text = f"{lon:.8f} {lat:.8f} {alt:.3f}"
+
+
+def _when(unix_s: float) -> str:
+    return datetime.fromtimestamp(unix_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def _child(parent: ElementTree.Element, name: str, text: str | None = None) -> ElementTree.Element:

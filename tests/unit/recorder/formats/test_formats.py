@@ -7,11 +7,14 @@ import json
 import math
 import subprocess
 import sys
+from bisect import bisect_left
+from datetime import datetime
 from xml.etree import ElementTree
 
 import pytest
 from recorded_flight import EPOCH_S, write_flight
 
+GX = "{http://www.google.com/kml/ext/2.2}"
 KML = "{http://www.opengis.net/kml/2.2}"
 
 
@@ -74,9 +77,43 @@ def test_the_kml_holds_the_same_shapes(exported):
     features = json.loads((directory / "flight.geojson").read_text())["features"]
     marks = root.findall(f"{KML}Document/{KML}Placemark")
     assert len(marks) == len(features)
-    first = marks[0].find(f"{KML}LineString/{KML}coordinates")
-    lon, lat, _ = map(float, first.text.split()[0].split(","))
+    track = marks[0].find(f"{GX}Track")
+    lon, lat, _ = map(float, track.find(f"{GX}coord").text.split())
     assert (lon, lat) == pytest.approx(tuple(features[0]["geometry"]["coordinates"][0][:2]), abs=1e-7)
+
+
+def test_every_point_of_a_track_has_its_time_in_kml_and_geojson(exported):
+    directory, _ = exported
+    root = ElementTree.parse(directory / "flight.kml").getroot()
+    features = json.loads((directory / "flight.geojson").read_text())["features"]
+    lines = [f for f in features if f["geometry"]["type"] == "LineString"]
+    tracks = root.findall(f".//{GX}Track")
+    assert len(tracks) == len(lines) > 4
+    for track, line in zip(tracks, lines, strict=True):
+        told = [datetime.fromisoformat(one.text).timestamp() for one in track.findall(f"{KML}when")]
+        assert len(told) == len(track.findall(f"{GX}coord")) == len(line["geometry"]["coordinates"])
+        assert told == pytest.approx([t / 1e3 for t in line["properties"]["times"]], abs=1e-3)
+        assert told == sorted(told)
+        assert told[0] == pytest.approx(line["properties"]["unix_s"], abs=1e-3)
+    ellipse = next(mark for mark in root.iter(f"{KML}Placemark") if mark.find(f"{KML}Polygon") is not None)
+    assert [part.tag.rpartition("}")[2] for part in ellipse] == ["name", "TimeSpan", "Style", "Polygon"]
+
+
+def test_the_table_has_velocity_covariance_and_the_reported_position(exported):
+    directory, truth = exported
+    with (directory / "flight.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["sysid"] == "4" and row["gps_state"] == "failed" and row["lat_deg"]]
+    times = sorted(truth)
+    for row in rows[3:]:
+        i = min(max(bisect_left(times, float(row["unix_s"])), 1), len(times) - 1)
+        step_m = metres(truth[times[i]], truth[times[i - 1]])
+        speed_mps = step_m / (times[i] - times[i - 1])
+        assert math.hypot(float(row["ve_mps"]), float(row["vn_mps"])) == pytest.approx(speed_mps, abs=6.0)
+        largest_m2 = float(row["sigma_h_m"]) ** 2
+        assert max(float(row["var_ee_m2"]), float(row["var_nn_m2"])) <= largest_m2 * 1.01
+        off_m = metres(*((float(row[f"{kind}lat_deg"]), float(row[f"{kind}lon_deg"])) for kind in ("", "reported_")))
+        assert float(row["reported_off_m"]) == pytest.approx(off_m, rel=0.02, abs=0.1)
+        assert int(row["fix_type"]) < 3
 
 
 def test_a_directory_that_cannot_be_made_is_one_line(exported, tmp_path):
