@@ -140,7 +140,7 @@ def _lines(result: dict[str, Any]) -> list[str]:
     for vehicle in result["vehicles"]:
         sent = vehicle["gps_input"]
         line = f"vehicle {vehicle['sysid']}: GPS_INPUT with a fix {sent['fix']}, without {sent['no_fix']}"
-        for name, key in (("external position estimates", "external_positions"), ("GLOBAL_POSITION_SENSOR", "global_positions")):
+        for name, key in (("external position estimates", "external_positions"), ("positions to PX4", "global_positions")):
             line += f", {name} {vehicle[key]}" if vehicle[key] else ""
         out.append(line)
         out.extend(

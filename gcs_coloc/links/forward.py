@@ -10,7 +10,7 @@ import logging
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
-from pymavlink.dialects.v20.ardupilotmega import MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR, MAVLINK_MSG_ID_GPS_INPUT
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.snapshot import OutSnapshot
 from gcs_coloc.links.admission import RateLimiter, SignedLinks
@@ -29,7 +29,11 @@ MAX_UNSENT_BYTES = 65_536
 WARN_EVERY_S = 10.0
 """Chosen: a tool may send positions many times a second, and a person can use one line in this time."""
 
-_AIDING_MESSAGES = {MAVLINK_MSG_ID_GPS_INPUT: "GPS_INPUT", MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR: "GLOBAL_POSITION_SENSOR"}
+_AIDING_MESSAGES = {
+    mavlink.MAVLINK_MSG_ID_GPS_INPUT: "GPS_INPUT",
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR: "GLOBAL_POSITION_SENSOR",
+    mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE: "VISION_POSITION_ESTIMATE",
+}
 """Messages by which vehicles are sent positions at a rate, by id."""
 _DROPPED = (Refusal.OUTPUT_SKIPPED, Refusal.NOT_CONNECTED, Refusal.NOT_SENT)
 """Reasons why a frame did not go to a ground tool."""
@@ -237,7 +241,7 @@ class Forwarder:
                 self._suppressed.update(dict.fromkeys(aided, (out.link.name, _AIDING_MESSAGES[raw.message_id])))
                 continue
             unaided.append(route)
-            if raw.message_id == MAVLINK_MSG_ID_GPS_INPUT:
+            if raw.message_id == mavlink.MAVLINK_MSG_ID_GPS_INPUT:
                 for sysid in sorted(sysids):
                     self._foreign_gps_input(raw, sysid)
         return unaided

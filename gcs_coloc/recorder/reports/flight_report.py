@@ -27,7 +27,15 @@ from gcs_coloc.core.measurements import (
     Residual,
     Vector3,
 )
-from gcs_coloc.core.messages.outbound import ExternalPosition, GlobalPositionSensor, GpsInput, HealthChanged, Notice, Outbound
+from gcs_coloc.core.messages.outbound import (
+    ExternalPosition,
+    GlobalPositionSensor,
+    GpsInput,
+    HealthChanged,
+    Notice,
+    Outbound,
+    VisionPosition,
+)
 from gcs_coloc.evaluation.data_checks.checks import run_checks
 from gcs_coloc.evaluation.data_checks.findings import DataFinding, FindingKind, finding
 from gcs_coloc.evaluation.data_checks.recorded_data import PositionTrack, RecordedData, position_track
@@ -79,7 +87,7 @@ class FlightReport:
                 self._errors.append(output)
         elif isinstance(output, ExternalPosition):
             self._of(output.sysid).external_positions += 1
-        elif isinstance(output, GlobalPositionSensor):
+        elif isinstance(output, GlobalPositionSensor | VisionPosition):
             self._of(output.sysid).global_positions += 1
         elif isinstance(output, GpsInput):
             vehicle = self._of(output.sysid)

@@ -87,7 +87,7 @@ def _vehicle(history: FlightHistory, vehicle: Mapping[str, Any], track: Sequence
         ("GPS_INPUT with a fix", str(vehicle["gps_input"]["fix"])),
         ("GPS_INPUT without a fix", str(vehicle["gps_input"]["no_fix"])),
     ]
-    other_methods = (("external position estimates", "external_positions"), ("GLOBAL_POSITION_SENSOR", "global_positions"))
+    other_methods = (("external position estimates", "external_positions"), ("positions to PX4", "global_positions"))
     rows.extend((name, str(vehicle[key])) for name, key in other_methods if vehicle[key])
     bounds = [v.bound_95_m for v in located if v.bound_95_m is not None]
     if bounds:

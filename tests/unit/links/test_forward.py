@@ -202,3 +202,12 @@ def test_positions_of_a_ground_tool_are_kept_from_the_vehicle_that_we_aid_and_to
     between.say(tool.pack(mavlink.MAVLink_gps_input_message(0, 1, 0, 0, 0, 3, 1, 1, 0, 1, 1, 0, 0, 0, 1, 1, 1, 9)))
     assert between.forwarder.pending_warnings(between.now_s + 1.0) == []
     assert between.forwarder.pending_warnings(between.now_s + WARN_EVERY_S)[0][0] == 2
+
+
+def test_a_vision_position_of_a_ground_tool_is_kept_from_the_vehicle_that_we_aid():
+    between = Between()
+    between.aided.add(2)
+    between.say(Signer(255, key=None).pack(mavlink.MAVLink_vision_position_estimate_message(1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
+    assert [address for address, _ in between.radio.sent] == ["vehicle 1"]
+    assert between.forwarder.counts["ground_tool_aiding"] == 1
+    assert between.foreign_gps_input == []
