@@ -29,7 +29,7 @@ _LARGEST_SIGMA_V_M = 10.0  # chosen: a free height would cost each range its inf
 _LONGEST_FIX_LATENCY_S = 0.5  # of GNSS receivers without configured delay; PX4 EKF2_GPS_DELAY is at most 0.3 s
 _LEAST_SPEED_MPS = 1.0  # below it a course says nothing
 _AGREES_SIGMAS = 3.0  # 99.7 % of a Gaussian
-_AGREES_FOR_S = 15.0  # chosen: longer readmits later, shorter readmits a spoofed receiver that passes by
+_AGREES_FOR_S = 5.0  # chosen: GPS health watches it for 10 s more, in which it is no witness and the ranges test it
 _WELL_KNOWN_SHARE = 0.25  # of the fault's size; chosen: four sigmas tell the fault from none
 _OLDEST_FIX_S = 1.0  # of a receiver at 1 Hz
 
@@ -99,17 +99,17 @@ class IntegrityMonitor:
             return False
         reported_m = np.array(frame.enu_from_geodetic(fix.lat_deg, fix.lon_deg, fix.alt_msl_m)[:2])
         age_s, velocity = now_s - fix.received_at_s, where.velocity_enu_mps[:2]
-        difference_m = reported_m - (where.position_enu_m[:2] - velocity * age_s)
+        off_m = _beyond_latency(reported_m - (where.position_enu_m[:2] - velocity * age_s), velocity)
         known_m = horizontal_sigma_m(where.covariance)
         sigma_m = hypot(known_m, fix.h_acc_m if fix.h_acc_m is not None else 5.0)
-        since_s, first_m = self._agreements.setdefault(vehicle.sysid, (now_s, difference_m))
+        since_s, first_m = self._agreements.setdefault(vehicle.sysid, (now_s, off_m))
         # An estimate that is less certain than the fault was large agrees with anything.
-        if not _is_explained(difference_m, velocity, sigma_m) or known_m > _WELL_KNOWN_SHARE * fault.size_m:
+        if float(np.hypot(*off_m)) > _AGREES_SIGMAS * sigma_m or known_m > _WELL_KNOWN_SHARE * fault.size_m:
             self._agreements.pop(vehicle.sysid)
             return False
-        if float(np.hypot(*(difference_m - first_m))) > _AGREES_SIGMAS * sigma_m:
+        if float(np.hypot(*(off_m - first_m))) > _AGREES_SIGMAS * sigma_m:
             # The reported position passes the true one and goes on.
-            self._agreements[vehicle.sysid] = (now_s, difference_m)
+            self._agreements[vehicle.sysid] = (now_s, off_m)
             return False
         if now_s - since_s < _AGREES_FOR_S:
             return False
@@ -117,9 +117,10 @@ class IntegrityMonitor:
         return True
 
 
-def _is_explained(difference_m: FloatArray, velocity_mps: FloatArray, sigma_m: float) -> bool:
-    """Whether noise and latency explain a fix that is off by so much (east, north)."""
+def _beyond_latency(difference_m: FloatArray, velocity_mps: FloatArray) -> FloatArray:
+    """What a receiver's latency leaves of the difference by which its fix is off (east, north)."""
     speed_mps = float(np.hypot(*velocity_mps))
     along = velocity_mps / speed_mps if speed_mps > _LEAST_SPEED_MPS else np.zeros(2)
     behind_m = min(max(-float(difference_m @ along), 0.0), speed_mps * _LONGEST_FIX_LATENCY_S)
-    return float(np.hypot(*(difference_m + behind_m * along))) <= _AGREES_SIGMAS * sigma_m
+    off_m: FloatArray = difference_m + behind_m * along
+    return off_m
