@@ -174,6 +174,15 @@ class RecordConfig(_Section):
     """Where recordings are written. Empty: none are. `--record DIR` sets it."""
     rotate_mb: int = Field(500, ge=1, le=100_000)
     """A new pair of files begins at this size, megabytes."""
+    keep_gb: float = Field(0.0, ge=0.0, le=1e6)
+    """The recordings in the directory may be so large together, gigabytes; the oldest are deleted, never one that is being
+    written. 0: all are kept."""
+
+    @model_validator(mode="after")
+    def _room_for_one(self) -> RecordConfig:
+        if 0.0 < self.keep_gb * 1000.0 < self.rotate_mb:
+            raise ValueError(f"keep_gb = {self.keep_gb:g} has no room for one pair of files of rotate_mb = {self.rotate_mb}")
+        return self
 
 
 def topic_level(text: str) -> str:

@@ -34,7 +34,9 @@ class FlightRecording:
             # Imported here: a service that records nothing starts without what a recording needs.
             from gcs_coloc.recorder.recorder import Recorder
 
-            self._recorder = Recorder(Path(wanted.directory), wanted.rotate_mb * 1_000_000, ids.system_id, ids.component_id)
+            keep_bytes = round(wanted.keep_gb * 1e9) or None
+            where = (Path(wanted.directory), wanted.rotate_mb * 1_000_000)
+            self._recorder = Recorder(*where, ids.system_id, ids.component_id, keep_bytes)
         self._journal = Journal(engine)
         self._ground_tools: set[tuple[int, int]] = set()
 

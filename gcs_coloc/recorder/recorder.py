@@ -27,6 +27,8 @@ _RETRY_S = 5.0
 _SILENT_S = 5.0
 _JOIN_S = 5.0
 _NAMES = 3600
+_IN_USE_S = 60.0
+"""A file that was written to so lately may be another service's, which writes once a second. Chosen for a slow disk."""
 
 _Item = tuple[float, bytes] | SideChannelRecord | Entry
 
@@ -37,8 +39,8 @@ class Recorder:
     Everything added before `open` waits for it; without it no file is created.
     """
 
-    def __init__(self, directory: Path, rotate_bytes: int, sysid: int, compid: int) -> None:
-        """Make the directory.
+    def __init__(self, directory: Path, rotate_bytes: int, sysid: int, compid: int, keep_bytes: int | None = None) -> None:
+        """Make the directory. With `keep_bytes` the oldest recordings in it are deleted beyond that.
 
         Raises:
             RecordError: it cannot be made or not be written to; the text says why.
@@ -46,6 +48,7 @@ class Recorder:
         self.counts = Counts()
         self._directory = directory
         self._rotate_bytes = rotate_bytes
+        self._keep_bytes = keep_bytes
         self._side_channel = SideChannelWriter(sysid, compid)
         self._routes: dict[int, tuple[RouteBlock | None, tuple[int, ...]]] = {}
         self._items: deque[_Item] = deque()
@@ -214,15 +217,22 @@ class Recorder:
         for later_s in range(_NAMES):
             self._name = (begun + timedelta(seconds=later_s)).strftime("%Y%m%dT%H%M%SZ")
             with contextlib.suppress(FileExistsError):
-                return LogSegment(self._directory, self._segment_name(1))
-        return LogSegment(self._directory, self._segment_name(1))
+                return self._new_segment(1)
+        return self._new_segment(1)
 
     def _segment_name(self, number: int) -> str:
         self._segment_count = number
         return f"gcs-coloc-{self._name}-{number:03d}"
 
     def _open_segment(self) -> LogSegment:
-        return LogSegment(self._directory, self._segment_name(self._segment_count + 1))
+        return self._new_segment(self._segment_count + 1)
+
+    def _new_segment(self, number: int) -> LogSegment:
+        segment = LogSegment(self._directory, self._segment_name(number))
+        if self._keep_bytes is not None:
+            with contextlib.suppress(OSError):  # a directory that cannot be read loses the limit, not the flight
+                _delete_oldest(self._directory, self._keep_bytes - self._rotate_bytes)
+        return segment
 
     def _try_to_open(self) -> None:
         try:
@@ -254,6 +264,19 @@ class Recorder:
                 self._segment_count -= 1  # nothing is left of it, and its name is free
             self._segment.close(whole=False)
             self._segment = None
+
+
+def _delete_oldest(directory: Path, most_bytes: int) -> None:
+    """Delete the oldest recordings until the rest takes `most_bytes`. One that was written to a moment ago is not touched."""
+    files = [path for path in directory.glob("gcs-coloc-*") if path.suffix in (".tlog", ".mcap")]
+    found = {path: path.stat() for path in files}
+    total = sum(about.st_size for about in found.values())
+    newest_s = time.time() - _IN_USE_S
+    for path, about in sorted(found.items(), key=lambda item: item[1].st_mtime):
+        if total <= most_bytes or about.st_mtime > newest_s:
+            return
+        path.unlink()
+        total -= about.st_size
 
 
 def _lasting_key(record: SideChannelRecord) -> tuple[object, ...] | None:

@@ -50,6 +50,32 @@ def test_the_key_and_what_cannot_be_stripped_are_left_out():
     assert tlog_record(AT_S, unknown[:2] + b"\x01" + unknown[3:] + bytes(13)) == b""
 
 
+def test_the_oldest_recordings_are_deleted_beyond_a_limit_and_nothing_else(tmp_path):
+    now_s = time.time()
+    for i, age_s in enumerate((4000.0, 3000.0, 2000.0, 1.0)):
+        for suffix in ("tlog", "mcap"):
+            path = tmp_path / f"gcs-coloc-20260101T00000{i}Z-001.{suffix}"
+            path.write_bytes(bytes(10_000))
+            os.utime(path, (now_s - age_s, now_s - age_s))
+    for other in ("mine.tlog", "gcs-coloc-notes.txt"):
+        (tmp_path / other).write_bytes(bytes(90_000))
+        os.utime(tmp_path / other, (0.0, 0.0))
+    # Room for 60 kB, of which 20 kB are kept free for the new one: two of the four stay, and the one in use whatever it takes.
+    recorder = Recorder(tmp_path, 20_000, *OWN, keep_bytes=60_000)
+    recorder.open()
+    recorder.add_frame(AT_S, attitude(sender(), 0))
+    recorder.close()
+    left = sorted(path.name[10:26] for path in tmp_path.glob("gcs-coloc-2026*.tlog"))
+    assert left[:2] == ["20260101T000002Z", "20260101T000003Z"]
+    assert len(left) == 3  # with the new one
+    assert sorted(path.name for path in tmp_path.iterdir() if path.stat().st_size == 90_000) == [
+        "gcs-coloc-notes.txt",
+        "mine.tlog",
+    ]
+    Recorder(tmp_path, 20_000, *OWN, keep_bytes=20_000).open()
+    assert [path.name[10:26] for path in tmp_path.glob("gcs-coloc-20260101*.tlog")] == ["20260101T000003Z"]
+
+
 def test_two_recordings_that_begin_in_one_second_get_names_of_their_own(tmp_path):
     recorders = [Recorder(tmp_path, 20_000, *OWN) for _ in range(3)]
     for recorder in recorders:
