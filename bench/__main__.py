@@ -17,11 +17,9 @@ from rich.table import Table
 
 from bench import (
     accuracy,
-    coverage,
     decode,
     flood,
     integrity,
-    late_links,
     latency,
     live,
     memory,
@@ -56,8 +54,6 @@ _STUDIES: dict[str, _Section] = {
     "accuracy": accuracy.measure,
     "integrity": integrity.measure,
     "returning": returning.measure,
-    "late-links": late_links.measure,
-    "coverage": coverage.measure,
 }
 _SECTIONS = _SPEED | _STUDIES
 
