@@ -198,7 +198,7 @@ def judge(ship: FourShip, denied: int, age_s: float, name: str) -> Figures:
         out.named_after_s = next((at - begins_s for at, n, state in since if n == denied and state == "failed"), None)
         accused = {n: at - begins_s for at, n, state in reversed(since) if n in sound and state in ("suspect", "failed")}
         out.suspects = [f"{n} after {at:.0f} s" for n, at in sorted(accused.items())]
-        out.log_lines = len(ship.service.log.read_text(encoding="utf-8", errors="replace").splitlines())
+        out.log_lines = ship.log_lines
         out.switched_after_s = next(
             (float(m[1]) - begins_s for m in _switches(ship.service.recordings) if float(m[1]) >= begins_s), None
         )

@@ -131,6 +131,11 @@ class Service:
             if current.get(sysid) != state:
                 self.states.append((now_s, sysid, state))
 
+    def log_lines(self) -> int:
+        """Lines of its log so far, without the one on each vehicle that comes every few seconds."""
+        lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()
+        return sum(": last heard " not in line for line in lines)
+
     def kill(self) -> None:
         """End it without a word."""
         self._process.kill()
@@ -162,6 +167,7 @@ class FourShip:
         self.simulators, self.pilots = simulators, pilots
         self.events: list[tuple[float, int, str]] = []
         self.service: Service | None = None
+        self.log_lines = 0
         self.ready_s = self.begins_s = self.ends_s = math.inf
         self._random = random.Random(case.seed)
         self._range_due_s = 0.0
@@ -225,10 +231,13 @@ class FourShip:
         """Fly the case: level, its fault, and what comes after it."""
         case = self.case
         self.run(case.before_s)
+        assert self.service is not None
+        lines_before = self.service.log_lines()
         self.begins_s = time.time()
         case.begin(self)
         self.run(case.duration_s, lambda since_s: case.during(self, since_s))
         self.ends_s = time.time()
+        self.log_lines = self.service.log_lines() - lines_before
         if case.end is not None:
             case.end(self)
             self.run(case.after_s)
