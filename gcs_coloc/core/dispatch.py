@@ -32,12 +32,13 @@ from gcs_coloc.core.telemetry.reported_state import ReportedState, Telemetry
 class LastRound(NamedTuple):
     """What later stages found of a vehicle in the last round.
 
-    `is_trusted`: its reported position is evidence. `is_aided`: it may fly on our fix. `sent_fix` is the last fix that it was
-    sent, `located_enu_m` where the estimator had it then (east, north).
+    `is_trusted`: its reported position is evidence. `is_witness`: it is in the tests of integrity. `is_aided`: it may fly on our
+    fix. `sent_fix` is the last fix that it was sent, `located_enu_m` where the estimator had it then (east, north).
     """
 
     gps_state: GpsState
     is_trusted: bool
+    is_witness: bool
     is_aided: bool
     sent_fix: SentFix | None
     located_enu_m: tuple[float, float] | None
@@ -87,7 +88,8 @@ class MessageDispatch:
         if built is None:
             return
         self._stages.gps_health.add_position(built.reported, own=not last.is_aided)
-        self._stages.integrity.add_position(built.reported, last.gps_state, is_aided=last.is_aided)
+        if last.is_witness:
+            self._stages.integrity.add_position(built.reported)
         if built.measurement is not None:
             self._stages.estimator.add(built.measurement)
 

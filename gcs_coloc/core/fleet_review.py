@@ -7,15 +7,15 @@ from collections.abc import Iterable
 from gcs_coloc.core.aiding.stream import AidingDecision, AidingView, FixInputs
 from gcs_coloc.core.dispatch import LastRound, Stages
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsEvidence, GpsState, RangeContradiction
-from gcs_coloc.core.integrity.monitor import PLACED_BY_ESTIMATE
 from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus, ReviewedVehicle
 from gcs_coloc.core.measurements import Estimate, NoEstimate, Residual
-from gcs_coloc.core.messages.control import GpsOverride
+from gcs_coloc.core.messages.control import GpsOverride, RouteBlock
 from gcs_coloc.core.messages.outbound import Notice, Outbound
 from gcs_coloc.core.residual_log import RangeJumps, ResidualLog
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 _NO_AIDING = AidingDecision()
+_WITNESS_AFTER_S = 3.0  # chosen: a vehicle that has just appeared has shown nothing yet; a window of ranges takes 1.4 s
 
 
 class FleetReview:
@@ -32,6 +32,7 @@ class FleetReview:
         self._gps_overrides: dict[int, GpsOverride] = {}
         self._decisions: dict[int, AidingDecision] = {}
         self._denied: frozenset[int] = frozenset()
+        self._witnesses: frozenset[int] = frozenset()
         self._located_enu_m: dict[int, tuple[float, float]] = {}
         self._median_nis: dict[int, float] = {}
         self._jumps_m: dict[int, float] = {}
@@ -65,6 +66,7 @@ class FleetReview:
         return LastRound(
             gps_state,
             is_trusted=gps_state is GpsState.HEALTHY and not decision.is_self_fed,
+            is_witness=sysid in self._witnesses,
             is_aided=decision.is_aided,
             sent_fix=self._stages.aiding.sent_fix(sysid),
             located_enu_m=self._located_enu_m.get(sysid),
@@ -92,6 +94,7 @@ class FleetReview:
 
     def review_integrity(self, now_s: float) -> list[Outbound]:
         """Test positions and ranges of the fleet against each other."""
+        self._witnesses = self._find_witnesses(now_s)
         reviewed = [self._reviewed(vehicle, now_s) for vehicle in self._stages.telemetry]
         self.report = self._stages.integrity.review(now_s, reviewed, self._stages.measurements.frame)
         for sysid in self.report.diverged:
@@ -133,15 +136,16 @@ class FleetReview:
     def _reviewed(self, vehicle: ReportedState, now_s: float) -> ReviewedVehicle:
         sysid = vehicle.sysid
         gps_state = self._stages.gps_health.state(sysid)
-        where = self._stages.estimator.estimate(sysid, now_s) if gps_state in PLACED_BY_ESTIMATE else None
+        is_placed_by_ranges = gps_state in DISTRUSTED and sysid not in self._witnesses
+        where = self._stages.estimator.estimate(sysid, now_s) if is_placed_by_ranges else None
         return ReviewedVehicle(
             sysid,
             gps_state,
             is_trusted=self._is_trusted(sysid),
+            is_witness=sysid in self._witnesses,
             is_automatic=self.gps_override(sysid) is GpsOverride.AUTO,
             is_returning=self._stages.gps_health.is_returning(sysid),
             reported=self._stages.measurements.reported(sysid),
-            receiver=vehicle.receiver,
             receiver_fix=self._stages.measurements.receiver_fix(sysid),
             estimate=where if isinstance(where, Estimate) else None,
             median_nis=self._median_nis.get(sysid),
@@ -163,6 +167,20 @@ class FleetReview:
             has_duplicate_id=self._stages.clocks.has_duplicate_id(sysid),
             override=self.gps_override(sysid),
         )
+
+    def _find_witnesses(self, now_s: float) -> frozenset[int]:
+        """Return the vehicles whose reported positions are tested against the others': nothing bad is known of them."""
+        vehicles = [
+            vehicle
+            for vehicle in self._stages.telemetry
+            if now_s - vehicle.first_heard_s >= _WITNESS_AFTER_S
+            and self._stages.gps_health.may_witness(vehicle.sysid)
+            and not self.decision(vehicle.sysid).is_aided
+            and not self.decision(vehicle.sysid).is_self_fed
+        ]
+        bound = [vehicle for vehicle in vehicles if vehicle.blocked is not RouteBlock.SHARED_ADDRESS]
+        # One sender may state any number of vehicles. Behind a common router all share its address.
+        return frozenset(vehicle.sysid for vehicle in bound or vehicles)
 
     def _update_denied(self, sysid: int, now_s: float) -> None:
         is_denied = self._stages.gps_health.state(sysid) in DISTRUSTED or self.decision(sysid).is_self_fed

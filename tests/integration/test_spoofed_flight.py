@@ -32,5 +32,5 @@ def test_the_stepped_receiver_is_named_and_the_sound_planes_stay_healthy():
         if named_s is None and engine.gps_state(SPOOFED) is GpsState.FAILED:
             named_s = since_s
     assert named_s is not None
-    # Its autopilot refuses the step for 4 s and follows it then; two windows of ranges later it is named.
-    assert 0.0 < named_s < 6.5
+    # Its EKF reports a glitch after 1.4 s; then its receiver is tested by itself, while the autopilot still refuses the step.
+    assert 0.0 < named_s <= 5.0

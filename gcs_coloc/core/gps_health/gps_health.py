@@ -112,6 +112,7 @@ class GpsHealth:
         self._flickered = False
         self._has_bad_fix = False
         self._was_failed = False
+        self._has_own_trouble = False
         self._motion = MotionCheck()
         self._own_fix = ReceiverCheck()
 
@@ -135,6 +136,12 @@ class GpsHealth:
         """Whether the receiver of a FAILED vehicle reports a fix all the same, or one that came and went: jammed or spoofed."""
         return self._state is GpsState.FAILED and (self._has_bad_fix or self._flickered)
 
+    @property
+    def may_witness(self) -> bool:
+        """Whether nothing speaks against it but, at most, ranges that leave open who is at fault."""
+        by_ranges_alone = self._state is GpsState.SUSPECT and self._reason.reason is GpsReason.CONTRADICTED_BY_RANGES
+        return (self._state is GpsState.HEALTHY or by_ranges_alone) and not self._has_own_trouble
+
     def add_receiver(self, fix: GpsReceiver, position: GlobalPosition | None) -> None:
         """Add a report of the vehicle's own receiver, with the position that its autopilot reported last."""
         self._own_fix.add(fix, position)
@@ -152,6 +159,7 @@ class GpsHealth:
         self._has_bad_fix = has_fix and (fault is not None or evidence.override is GpsOverride.FAILED)
         if evidence.override is not GpsOverride.AUTO:
             forced = GpsState.FAILED if evidence.override is GpsOverride.FAILED else GpsState.HEALTHY
+            self._has_own_trouble = False
             return self._enter(forced, StatedReason(GpsReason.OVERRIDDEN, detail=evidence.override.value), now_s)
         if fault is not None:
             self._flickered = self._flickered or (self._good_since_s is not None and self._state is not GpsState.HEALTHY)
@@ -200,6 +208,13 @@ class GpsHealth:
 
     def _fault(self, evidence: GpsEvidence, now_s: float) -> StatedReason[GpsReason] | None:
         """Return the worst thing that the evidence says, or None."""
+        of_receiver, of_autopilot = self._trouble_of_receiver(evidence, now_s), self._trouble_of_autopilot(evidence, now_s)
+        self._has_own_trouble = of_receiver is not None or of_autopilot is not None
+        if of_receiver is None and evidence.contradiction is not None:
+            return StatedReason(GpsReason.CONTRADICTED_BY_RANGES, detail=evidence.contradiction.text)
+        return of_receiver or of_autopilot
+
+    def _trouble_of_receiver(self, evidence: GpsEvidence, now_s: float) -> StatedReason[GpsReason] | None:
         if evidence.has_duplicate_id:
             return StatedReason(GpsReason.DUPLICATE_ID)
         receiver = evidence.receiver
@@ -209,8 +224,9 @@ class GpsHealth:
                 return fault
             if now_s - receiver.received_at_s > self._settings.silence_s:
                 return StatedReason(GpsReason.SILENT, limit=self._settings.silence_s)
-        if evidence.contradiction is not None:
-            return StatedReason(GpsReason.CONTRADICTED_BY_RANGES, detail=evidence.contradiction.text)
+        return None
+
+    def _trouble_of_autopilot(self, evidence: GpsEvidence, now_s: float) -> StatedReason[GpsReason] | None:
         if evidence.is_aided:
             return None
         implausible = self._motion.implausible(now_s)
@@ -290,6 +306,10 @@ class FleetGpsHealth:
     def reports_false_fix(self, sysid: int) -> bool:
         """Return whether the receiver of a FAILED vehicle reports a fix all the same, or one that came and went."""
         return self._of(sysid).reports_false_fix
+
+    def may_witness(self, sysid: int) -> bool:
+        """Return whether nothing speaks against a vehicle but, at most, ranges that leave open who is at fault."""
+        return self._of(sysid).may_witness
 
     def reason(self, sysid: int) -> str:
         """Return what speaks for the state, in words."""

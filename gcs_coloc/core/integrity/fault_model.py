@@ -61,7 +61,7 @@ class AdjustedHypothesis:
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """`moved` (vehicles,) is 1 for those with the common offset; `lengthened` (residuals,) multiplies an unknown length."""
+    """`moved` (epochs, vehicles) is 1 for those with the common offset; `lengthened` (rows, 2) multiplies two unknown lengths."""
 
     kind: FaultKind
     vehicles: tuple[int, ...]
@@ -76,7 +76,7 @@ class FaultModel:
         then, correlation = past
         self.arrays, epochs = _aligned(now, then)
         self.rows, self.vehicles = len(self.arrays.pairs), len(self.arrays.vehicles)
-        self._count = len(epochs)
+        self.epochs = len(epochs)
         self._ends = self.arrays.ends
         self._baselines_m = np.concatenate([each.baselines_m for each in epochs])
         self._ranges_m = np.concatenate([each.ranges_m for each in epochs])
@@ -85,9 +85,9 @@ class FaultModel:
         biases_m = [each.biases_m for each in epochs]
         self._noise_m2 = _two_times([each.variances_m2 for each in epochs], biases_m[0] * biases_m[-1])
         without = self.arrays.states_without_prior
-        self._without_prior = np.concatenate([without + 3 * self.vehicles * epoch for epoch in range(self._count)])
+        self._without_prior = np.concatenate([without + 3 * self.vehicles * epoch for epoch in range(self.epochs)])
         # How a baseline changes with the free positions: (rows, 3, free states).
-        axes = np.zeros((3, self.rows * self._count, 3))
+        axes = np.zeros((3, self.rows * self.epochs, 3))
         axes[np.arange(3), :, np.arange(3)] = 1.0
         self._ends_without_prior = np.stack([self._jacobian(axis)[:, self._without_prior] for axis in axes], axis=1)
 
@@ -118,7 +118,7 @@ class FaultModel:
                 hypotheses[h].vehicles,
                 float(statistic),
                 float(statistic + penalty[h]),
-                self.rows * self._count - int(rank),
+                self.rows * self.epochs - int(rank),
                 float(np.hypot(*state[:2])),
             )
             for h, statistic, rank, state in zip(few, statistics, ranks, states, strict=True)
@@ -141,7 +141,7 @@ class FaultModel:
 
     @property
     def _is_present(self) -> FloatArray:
-        return np.repeat([1.0, 0.0], self.rows)[: self.rows * self._count]
+        return np.repeat([1.0, 0.0], self.rows)[: self.rows * self.epochs]
 
     def _weights(self, jacobian: FloatArray) -> FloatArray:
         """V^-1 (..., rows, rows)."""
@@ -152,11 +152,11 @@ class FaultModel:
         distances_m = np.maximum(np.linalg.norm(baselines_m, axis=-1, keepdims=True), MIN_SIGMA_M)
         units = baselines_m / distances_m
         row = np.arange(self.rows)
-        H: FloatArray = np.zeros((*units.shape[:-1], self._count, self.vehicles, 3))
-        for epoch in range(self._count):
+        H: FloatArray = np.zeros((*units.shape[:-1], self.epochs, self.vehicles, 3))
+        for epoch in range(self.epochs):
             H[..., epoch * self.rows + row, epoch, self._ends[0], :] = units[..., epoch * self.rows + row, :]
             H[..., epoch * self.rows + row, epoch, self._ends[1], :] = -units[..., epoch * self.rows + row, :]
-        return H.reshape(*units.shape[:-1], 3 * self.vehicles * self._count)
+        return H.reshape(*units.shape[:-1], 3 * self.vehicles * self.epochs)
 
     def _without_free(self, weights: FloatArray, jacobian: FloatArray) -> FloatArray:
         """V^-1 with the positions of the vehicles without prior eliminated."""
@@ -168,7 +168,7 @@ class FaultModel:
         """States to start from (starts, states), and the hypothesis of each: no fault, and the two best of a ring of offsets."""
         projector = self._without_free(weights, self._jacobian(self._baselines_m))
         innovations = np.abs(self._ranges_m - np.linalg.norm(self._baselines_m, axis=1))[: self.rows]
-        crossing = moved[:, self._ends[0]] != moved[:, self._ends[1]]
+        crossing = moved[:, 0, self._ends[0]] != moved[:, 0, self._ends[1]]
         largest_m = np.where(crossing, innovations, 0.0).max(axis=1)
         far = np.flatnonzero(largest_m > _NEAR_SHARE * self._ranges_m[: self.rows].min(initial=np.inf))
         count, free = len(moved), len(self._without_prior)
@@ -189,25 +189,24 @@ class FaultModel:
     def _positions(self, moved: FloatArray, states: FloatArray) -> FloatArray:
         """The baselines (tests, rows, 3) with the faults and the free positions of some states."""
         tests = len(states)
-        shift: FloatArray = np.zeros((tests, self._count, self.vehicles, 3))
+        shift: FloatArray = np.zeros((tests, self.epochs, self.vehicles, 3))
         shift.reshape(tests, -1)[:, self._without_prior] = states[:, 2:]
-        shift[:, 0, :, :2] += moved[:, :, np.newaxis] * states[:, np.newaxis, :2]
+        shift[..., :2] += moved[..., np.newaxis] * states[:, np.newaxis, np.newaxis, :2]
         i, j = self._ends
         return np.asarray(self._baselines_m + (shift[:, :, i] - shift[:, :, j]).reshape(tests, -1, 3))
 
     def _residuals(self, moved: FloatArray, lengthened: FloatArray, states: FloatArray) -> FloatArray:
-        left = self._ranges_m - np.linalg.norm(self._positions(moved, states), axis=2)
-        left[:, : self.rows] -= lengthened * states[:, :1]
-        return np.asarray(left)
+        added_m = (lengthened @ states[:, :2, np.newaxis])[..., 0]
+        return np.asarray(self._ranges_m - np.linalg.norm(self._positions(moved, states), axis=2) - added_m)
 
     def _design(self, moved: FloatArray, lengthened: FloatArray, states: FloatArray) -> FloatArray:
         """The derivative (tests, rows, states) of the ranges by fault and free positions."""
         baselines_m = self._positions(moved, states)
         units = baselines_m / np.maximum(np.linalg.norm(baselines_m, axis=2, keepdims=True), MIN_SIGMA_M)
         i, j = self._ends
-        J: FloatArray = np.zeros((len(states), self.rows * self._count, states.shape[1]))
-        J[:, : self.rows, :2] = (moved[:, i] - moved[:, j])[:, :, np.newaxis] * units[:, : self.rows, :2]
-        J[:, : self.rows, 0] += lengthened
+        J: FloatArray = np.zeros((len(states), self.rows * self.epochs, states.shape[1]))
+        J[:, :, :2] = (moved[:, :, i] - moved[:, :, j]).reshape(len(states), -1, 1) * units[..., :2]
+        J[:, :, :2] += lengthened
         J[:, :, 2:] = np.einsum("tra,ras->trs", units, self._ends_without_prior)
         return J
 

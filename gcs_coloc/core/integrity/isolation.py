@@ -4,6 +4,7 @@ Detection (`fault_tests`) needs one test that fails; isolation needs that every 
 
 Hypotheses: every subset of up to half of the reporting vehicles is off by one common horizontal offset (spoofed alike); a pair's
 ranges are off; a device's ranges are all too long by one length or by one factor, those that it measured or all of its vehicle.
+Against an earlier epoch each of them either began since or was there already; a fault of ranges may have been of another size.
 An offset of a majority cannot be told from the opposite offset of the others: that the majority is right is assumed.
 
 Isolated is a vehicle that is in every explanation which is not clearly worse than the best. Else the fault is only detected.
@@ -23,9 +24,11 @@ import numpy as np
 from gcs_coloc.core.integrity.epoch import Epoch, Past
 from gcs_coloc.core.integrity.fault_model import AdjustedHypothesis, FaultKind, FaultModel, Hypothesis
 from gcs_coloc.core.integrity.fault_tests import SignificanceLevels, chi2_limit
+from gcs_coloc.core.measurements import FloatArray
 
 _MAX_CANDIDATES = 8  # vehicles; chosen: bounds the number of subsets to 162
 _MAX_SUBSET = 4  # vehicles; chosen: with eight candidates that is half of them
+_ALIKE_PENALTY = 3.2  # twice the log of 5: chosen, so much rarer is each further receiver spoofed alike; of four below the margin
 _SELF_REPORTED_PENALTY = 13.8  # twice the log of 1000: chosen, so much likelier at fault is who reports trouble himself
 
 
@@ -77,8 +80,10 @@ def _faulty(explanation: AdjustedHypothesis) -> frozenset[int]:
 
 
 def _penalty(hypothesis: Hypothesis, troubled: frozenset[int]) -> float:
+    """Twice the log of how much less likely a hypothesis is beforehand than one faulty receiver."""
     is_troubled = hypothesis.kind is FaultKind.POSITIONS and troubled.issuperset(hypothesis.vehicles)
-    return _SELF_REPORTED_PENALTY if troubled and not is_troubled else 0.0
+    further = len(hypothesis.vehicles) - 1 if hypothesis.kind is FaultKind.POSITIONS else 0
+    return _ALIKE_PENALTY * further + (_SELF_REPORTED_PENALTY if troubled and not is_troubled else 0.0)
 
 
 def _candidates(now: Epoch, model: FaultModel) -> list[int]:
@@ -91,15 +96,30 @@ def _candidates(now: Epoch, model: FaultModel) -> list[int]:
 
 
 def _hypotheses(now: Epoch, model: FaultModel, candidates: Sequence[int]) -> list[Hypothesis]:
-    arrays, rows = model.arrays, model.rows
-    none_moved, none_lengthened = np.zeros(model.vehicles), np.zeros(rows)
+    """All hypotheses: of faults in the present epoch, and where there is an earlier one, of faults in both."""
+    arrays = model.arrays
+    found: list[Hypothesis] = []
+    nowhere, nothing = np.zeros((model.epochs, model.vehicles)), np.zeros((model.epochs * model.rows, 2))
+
+    def add(kind: FaultKind, who: tuple[int, ...], moved: FloatArray | None = None, lengthened: FloatArray | None = None) -> None:
+        for lasting in range(1, model.epochs + 1):
+            epochs = (np.arange(model.epochs) < lasting).astype(float)
+            found.append(
+                Hypothesis(
+                    kind,
+                    who,
+                    np.outer(epochs, moved) if moved is not None else nowhere,
+                    np.kron(np.eye(model.epochs, 2) * epochs[:, np.newaxis], lengthened[:, np.newaxis])
+                    if lengthened is not None
+                    else nothing,
+                )
+            )
+
     reporting = sum(not now.priors[vehicle].no_prior for vehicle in arrays.vehicles)
-    found = []
     for size in range(1, min(reporting // 2, len(candidates), _MAX_SUBSET) + 1):
         for subset in combinations(candidates, size):
-            moved = none_moved.copy()
-            moved[list(subset)] = 1.0
-            found.append(Hypothesis(FaultKind.POSITIONS, tuple(arrays.vehicles[at] for at in subset), moved, none_lengthened))
+            moved = np.isin(np.arange(model.vehicles), subset).astype(float)
+            add(FaultKind.POSITIONS, tuple(arrays.vehicles[at] for at in subset), moved=moved)
     scale = arrays.ranges_m / float(arrays.ranges_m.mean())
     seen = set[bytes]()
     for owner in arrays.vehicles:
@@ -108,9 +128,8 @@ def _hypotheses(now: Epoch, model: FaultModel, candidates: Sequence[int]) -> lis
         for rows_of in (measured, either):
             if rows_of.sum() > 1 and rows_of.tobytes() not in seen:
                 seen.add(rows_of.tobytes())
-                found.append(Hypothesis(FaultKind.DEVICE, (owner,), none_moved, rows_of))
-                found.append(Hypothesis(FaultKind.SCALE, (owner,), none_moved, rows_of * scale))
+                add(FaultKind.DEVICE, (owner,), lengthened=rows_of)
+                add(FaultKind.SCALE, (owner,), lengthened=rows_of * scale)
     for pair in sorted({tuple(sorted(pair)) for pair in arrays.pairs}):
-        of_pair = np.array([float(set(each) == set(pair)) for each in arrays.pairs])
-        found.append(Hypothesis(FaultKind.PAIR, pair, none_moved, of_pair))
+        add(FaultKind.PAIR, pair, lengthened=np.array([float(set(each) == set(pair)) for each in arrays.pairs]))
     return found

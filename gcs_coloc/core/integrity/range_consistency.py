@@ -106,6 +106,10 @@ class RangeConsistency:
         """Add a vehicle's position. When it gains or loses its prior, its residuals so far are dropped."""
         self._residuals.add_position(vehicle, point)
 
+    def drop(self, vehicle: int) -> None:
+        """Drop the positions and residuals of a vehicle that is not in the tests any more."""
+        self._residuals.drop(vehicle)
+
     def add_range(self, measurement: RangeMeasurement) -> None:
         """Add a range; its residual is computed once the positions of its time have arrived."""
         self._residuals.add_range(measurement)

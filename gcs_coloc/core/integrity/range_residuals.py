@@ -105,12 +105,17 @@ class RangeResidualBuffer:
         """Add a vehicle's position. When it gains or loses its prior, its residuals so far are dropped."""
         track = self._tracks.get(vehicle)
         if track is None or track.no_prior != point.no_prior:
+            self.drop(vehicle)
             track = self._tracks[vehicle] = _Track(point.no_prior)
-            for pair in [pair for pair in self._samples if vehicle in pair]:
-                del self._samples[pair]
-            if self.fault_monitor is not None:
-                self.fault_monitor.drop(vehicle)
         track.append(point)
+
+    def drop(self, vehicle: int) -> None:
+        """Drop a vehicle's positions and residuals."""
+        self._tracks.pop(vehicle, None)
+        for pair in [pair for pair in self._samples if vehicle in pair]:
+            del self._samples[pair]
+        if self.fault_monitor is not None:
+            self.fault_monitor.drop(vehicle)
 
     def add_range(self, measurement: RangeMeasurement) -> None:
         """Add a range; its residual is computed once the positions of its time have arrived."""

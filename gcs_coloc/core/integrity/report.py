@@ -11,7 +11,6 @@ from enum import Enum
 
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement
-from gcs_coloc.core.messages.inbound import GpsReceiver
 
 SEPARATION_GROWTH_TIME_S = 5.0
 """A displacement that grew within this time is in the velocity as well. Chosen: longer trusts the velocity sooner."""
@@ -21,22 +20,22 @@ SEPARATION_GROWTH_TIME_S = 5.0
 class ReviewedVehicle:
     """One vehicle as a review sees it.
 
-    `gps_state` and `is_trusted` (its reported position is evidence) are results of the round before. `is_automatic`: no operator
-    override of its GPS is in force. `is_returning`: it has failed, and its receiver has a good fix again.
-
-    `reported` is the newest position that its autopilot reports, `receiver` the newest message of its own receiver,
-    `receiver_fix` the same as a measurement while the reported position is not evidence. `estimate` is the estimator's answer
-    now, needed while GPS is failed or recovering. `median_nis` is the median normalised innovation squared of its recent
-    ranges, `range_jump_m` the common jump of all its ranges; None where there is none.
+    `gps_state` and `is_trusted` (its reported position is evidence) are results of the round before. `is_witness`: nothing bad is
+    known of it, so that its position is tested against the others'. `is_automatic`: no operator override of its GPS is in force.
+    `is_returning`: it has failed, and its receiver has a good fix again.
+    `reported` is the newest position that its autopilot reports, `receiver_fix` that of its own receiver while the reported one
+    is not evidence. `estimate` is the estimator's answer now, of a distrusted vehicle that is no witness. `median_nis` is the
+    median normalised innovation squared of its recent ranges, `range_jump_m` the common jump of all its ranges; None where there
+    is none.
     """
 
     sysid: int
     gps_state: GpsState
     is_trusted: bool
+    is_witness: bool
     is_automatic: bool
     is_returning: bool = False
     reported: PositionMeasurement | None = None
-    receiver: GpsReceiver | None = None
     receiver_fix: PositionMeasurement | None = None
     estimate: Estimate | None = None
     median_nis: float | None = None

@@ -1,0 +1,140 @@
+"""Tests a receiver's fix against the estimate and against the ranges. Pure statistics, no memory.
+
+The ranges between the vehicle and witnesses are adjusted with the fix as the vehicle's prior (`adjustment`). What is left over is
+explained by a fault of that fix, of peers' positions, of a pair or of a device (`isolation`).
+
+Either reference may be wrong itself. An estimate may be a reflection, biased by ranges, or uncertain: it counts with its
+covariance, and not against ranges that fit the fix and would not fit if the fix were off by that much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Container, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from math import hypot, inf, sqrt
+
+import numpy as np
+
+from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius, horizontal_sigma_m
+from gcs_coloc.core.integrity.adjustment import Adjustment, adjust
+from gcs_coloc.core.integrity.epoch import MIN_INFORMATION_PER_M2, Epoch, Past
+from gcs_coloc.core.integrity.fault_tests import SignificanceLevels, chi2_limit, run_test
+from gcs_coloc.core.integrity.isolation import isolate
+from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement
+
+_SIGNIFICANCE = 1e-6  # probability that a right fix and a true covariance differ by more
+# Noncentrality at which a chi-square with 2 degrees of freedom passes its limit at 1e-3 (13.8) in all but one test of a thousand.
+_DETECTABLE_NONCENTRALITY = 50.0
+_MIN_RANGES = 2  # with one range half of an estimate is prediction, which has been found off and certain
+
+
+class FixConsistency(Enum):
+    """Result of the check."""
+
+    NOTHING = "nothing to test it against"
+    AGREES = "consistent, as far as can be tested"
+    AGAINST_RANGES = "the ranges contradict it, and no other fault explains them"
+    AGAINST_ESTIMATE = "the estimate contradicts it, and the ranges do not support it"
+    UNRESOLVED = "the ranges contradict it or something else"
+    ESTIMATE_OFF = "the ranges fit it and not the estimate"
+
+
+@dataclass(frozen=True, slots=True)
+class FixCheck:
+    """A finding, and the horizontal distance of the fix from where ranges put the vehicle (m), None where that is unknown.
+
+    `known_m`: horizontal 1-sigma of the best reference that agrees with the fix, m; infinity where there is none.
+    `ranged`: there were ranges to test it against. `fits_now`: the ranges of the present epoch alone fit it.
+    """
+
+    finding: FixConsistency
+    offset_m: float | None
+    known_m: float
+    ranged: bool
+    fits_now: bool
+
+
+def check_fix(
+    fix: PositionMeasurement,
+    estimate: Estimate | None,
+    epoch: Epoch,
+    pasts: Mapping[float, Past],
+    levels: SignificanceLevels,
+    suspects: Collection[int] = (),
+) -> FixCheck:
+    """Test a fix against both references.
+
+    Args:
+        fix: the receiver's position.
+        estimate: the vehicle's position from ranges, near the fix in time; None where it is no fit reference.
+        epoch: the vehicle with the fix as its prior, and its residuals to trusted peers: its `star`.
+        pasts: the earlier epochs to compare it with, by interval; none for 0.
+        levels: significance levels of the tests.
+        suspects: the vehicles of which something bad is known; that of the fix is one in any case.
+    """
+    difference_m = _difference_m(fix, estimate) if estimate is not None else None
+    offset_m = float(np.hypot(*difference_m)) if difference_m is not None else None
+    fits = adjust(epoch, list(pasts.values())) if epoch.residuals else []
+    results = [run_test(fit, levels) if fit.residuals else None for fit in fits]
+    unresolved = False
+    fitting = bool(fits) and results[0] is not None and _agrees(fits[0], fix.vehicle, levels)
+    for number, (result, past) in enumerate(zip(results, pasts.values(), strict=False)):
+        if result is None or result.is_consistent:
+            continue
+        isolation = isolate(epoch, past, levels, troubled=(fix.vehicle, *suspects))
+        is_possible = fix.vehicle in (isolation.possible if isolation.plausible else result.suspects)
+        if number == 0:
+            fitting = not is_possible
+        size_m = isolation.isolated.get(fix.vehicle)
+        if size_m is not None:
+            return FixCheck(
+                FixConsistency.AGAINST_RANGES, offset_m if offset_m is not None else size_m, inf, ranged=True, fits_now=fitting
+            )
+        unresolved |= is_possible
+    information = fits[0].position_information(fix.vehicle) if fitting else np.zeros((2, 2))
+    known_m = 1.0 / sqrt(max(_least_information_per_m2(information), MIN_INFORMATION_PER_M2))
+    if estimate is not None and difference_m is not None and _is_significant(difference_m, fix, estimate):
+        if float(difference_m @ information @ difference_m) >= _DETECTABLE_NONCENTRALITY:
+            return FixCheck(FixConsistency.ESTIMATE_OFF, offset_m, known_m, ranged=True, fits_now=fitting)
+        if (fits and not fitting) or estimate.ranges_in_use >= _MIN_RANGES:
+            return FixCheck(FixConsistency.AGAINST_ESTIMATE, offset_m, inf, ranged=bool(fits), fits_now=fitting)
+        return FixCheck(
+            FixConsistency.UNRESOLVED if unresolved else FixConsistency.AGREES, offset_m, inf, ranged=bool(fits), fits_now=fitting
+        )
+    if unresolved:
+        return FixCheck(FixConsistency.UNRESOLVED, offset_m, inf, ranged=True, fits_now=fitting)
+    if estimate is not None:
+        known_m = min(known_m, horizontal_sigma_m(estimate.covariance))
+    finding = FixConsistency.NOTHING if estimate is None and not fits else FixConsistency.AGREES
+    return FixCheck(finding, offset_m, known_m, ranged=bool(fits), fits_now=fitting)
+
+
+def star(epoch: Epoch, vehicle: int, peers: Container[int]) -> Epoch:
+    """The part of an epoch with the residuals between one vehicle and some peers."""
+    residuals = tuple(r for r in epoch.residuals for end, other in (r.pair, r.pair[::-1]) if end == vehicle and other in peers)
+    return Epoch(epoch.at_s, {end: epoch.priors[end] for residual in residuals for end in residual.pair}, residuals)
+
+
+def _difference_m(fix: PositionMeasurement, estimate: Estimate) -> FloatArray:
+    """Fix minus estimate (2,), at the time of the fix."""
+    at_fix = estimate.position_enu_m[:2] - estimate.velocity_enu_mps[:2] * (estimate.at_s - fix.measured_at_s)
+    return np.asarray(np.array(fix.position_enu_m[:2]) - at_fix)
+
+
+def _least_information_per_m2(information: FloatArray) -> float:
+    """Information along the worst direction: the smaller eigenvalue."""
+    mean, radius = eigenvalue_mean_and_radius(information.item(0), information.item(1), information.item(3), hypot)
+    return mean - radius
+
+
+def _is_significant(difference_m: FloatArray, fix: PositionMeasurement, estimate: Estimate) -> bool:
+    """Whether d' (P + sigma^2 I)^-1 d exceeds its chi-square limit with 2 degrees of freedom."""
+    covariance = estimate.covariance[:2, :2] + fix.sigma_h_m**2 * np.eye(2)
+    return float(difference_m @ np.linalg.solve(covariance, difference_m)) > chi2_limit(2, _SIGNIFICANCE)
+
+
+def _agrees(fit: Adjustment, vehicle: int, levels: SignificanceLevels) -> bool:
+    """Whether the ranges fit the vehicle's position, where nothing else contradicts them."""
+    gain, rank = fit.position_gain(vehicle)
+    return not rank or gain <= chi2_limit(rank, levels.rest)
