@@ -2,6 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
+export PIP_ROOT_USER_ACTION = ignore
 # Several threads are slower than one on matrices as small as ours; the service and its commands see to it themselves.
 export OPENBLAS_NUM_THREADS = 1
 

@@ -25,6 +25,9 @@ _BadCommandLine: type[Exception] = typer.BadParameter.__bases__[0]
 # Exit codes, as shells and Click have them; 130 is 128 and the number of SIGINT.
 _FAILED, _MISUSED, _INTERRUPTED = 1, 2, 130
 
+DEFAULT_LINK = "udpin:0.0.0.0:14550"
+"""Where vehicles are heard unless told: MAVLink's customary port of ground stations, as in the example configuration."""
+
 SUBCOMMANDS = {
     "check-config": "preflight",
     "example-config": "preflight",
@@ -146,7 +149,9 @@ def run(
         list[int] | None,
         typer.Option(help="Declare the GPS of this system id healthy, whatever it says. Several times for several."),
     ] = None,
-    web: Annotated[str | None, typer.Option(help="Address of the live page, HOST:PORT; 127.0.0.1:8080 unless told.")] = None,
+    web: Annotated[
+        str | None, typer.Option(help="Address of the live page, HOST:PORT or PORT; 127.0.0.1:8080 unless told.")
+    ] = None,
     no_web: Annotated[bool, typer.Option("--no-web", help="Serve no live page.")] = False,
     record: Annotated[str | None, typer.Option(help="Record the flight in this directory.", metavar="DIR")] = None,
     log_level: Annotated[LogLevel, typer.Option(help="How much is logged.")] = LogLevel.INFO,
@@ -183,8 +188,10 @@ def run(
             raise UsageError("--record '': names no directory; . is the one you are in")
         flags["record"] = {"directory": record}
     fleets = load_fleets(config, flags)
+    if config is None and not fleets[0].settings.links:
+        fleets = load_fleets(None, flags | {"links": [DEFAULT_LINK]})
     if not all(fleet.settings.links for fleet in fleets) or not fleets:
-        raise UsageError("no link to listen on; give --udp 14550, another --link, or `links` in the configuration file")
+        raise UsageError(f'{config}: no link to listen on; give `links` in it, as links = ["{DEFAULT_LINK}"], or --udp 14550')
     console = SharedConsole(file=own_stream(sys.stdout))
     log_to_stderr(log_level.value.upper(), console)
     asyncio.run(Service(fleets).run(console))

@@ -32,6 +32,8 @@ def check_config(file: Annotated[Path, typer.Argument(help="The configuration fi
     for fleet in load_fleets(file, {}):
         settings = fleet.settings
         with fleet.named():
+            if not settings.links:
+                raise UsageError(f'{file}: no link to listen on; write links = ["udpin:0.0.0.0:14550"], or another link, into it')
             check_outs(settings.out, settings.links)
             SignedLinks(settings.signing, settings.links, settings.out)
             load_estimator(settings.estimator.name, settings.estimator.settings)

@@ -53,7 +53,7 @@ def replay(
     web: Annotated[
         str | None,
         typer.Option(
-            help="Show it on the live page instead, with play, pause, seek; 127.0.0.1:8080 unless told.", metavar="[HOST:PORT]"
+            help="Show it on the live page instead, with play, pause, seek; 127.0.0.1:8080 unless told.", metavar="[[HOST:]PORT]"
         ),
     ] = None,
 ) -> None:
@@ -181,7 +181,7 @@ class _WebMayBeBare(TyperCommand):
         full: list[str] = []
         for arg, following in zip_longest(args, args[1:], fillvalue=""):
             full.append(arg)
-            if arg == "--web" and not re.search(r":\w+$", following):
+            if arg == "--web" and not re.search(r"(:\w+|^\d+)$", following):
                 full.append("")
         return list(super().parse_args(ctx, full))
 

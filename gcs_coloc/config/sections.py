@@ -139,8 +139,8 @@ class WebConfig(_Section):
     on: bool = True
     """Serve the page, the metrics and the operator's commands."""
     address: str = "127.0.0.1:8080"
-    """HOST:PORT to listen on; port 0 takes any free one. If the address is set and in use, the service ends;
-    the default is done without."""
+    """HOST:PORT to listen on, or PORT of 127.0.0.1; port 0 takes any free one. If the address is set and in use, the service
+    ends; the default is done without."""
     allowed_hosts: tuple[str, ...] = ()
     """Names, besides IP addresses and localhost, under which the page may be opened."""
     token_file: str = ""
@@ -151,10 +151,11 @@ class WebConfig(_Section):
     @field_validator("address")
     @classmethod
     def _address(cls, address: str) -> str:
-        host, _, port = address.rpartition(":")
+        full = address if ":" in address else f"127.0.0.1:{address}"
+        host, _, port = full.rpartition(":")
         if not host or not port.isascii() or not port.isdigit() or int(port) > 65535:
-            raise ValueError(f"{address} is not HOST:PORT, as 127.0.0.1:8080")
-        return address
+            raise ValueError(f"{address} is not HOST:PORT or PORT, as 127.0.0.1:8080")
+        return full
 
     @property
     def must_open(self) -> bool:

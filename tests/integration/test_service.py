@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import random
 import signal
 import socket
@@ -119,7 +120,8 @@ def test_garbage_and_broken_frames_disturb_nobody(start_service, free_port):
         (["--nonsense"], 2, "No such option: --nonsense"),
         (["--udp", "nonsense"], 2, "connection string"),
         (["--udp", "70000"], 2, "70000"),
-        ([], 2, "no link"),
+        (["--config", os.devnull], 2, "no link"),
+        (["check-config", os.devnull], 2, "no link"),
         (["--config", "absent.toml"], 2, "absent.toml"),
         (["--link", "serial:/dev/absent:57600"], 1, "/dev/absent"),
         (["--udp", "14550", "--estimator", "absent"], 2, "absent"),
@@ -140,6 +142,16 @@ def test_a_users_mistake_ends_in_one_clear_line(arguments, code, words):
     assert done.stdout == ""
     assert len(done.stderr.strip().splitlines()) == 1
     assert words in done.stderr
+
+
+def test_without_a_word_it_listens_where_ground_stations_do():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        with contextlib.suppress(OSError):  # somebody else has it: just as well
+            other.bind(("0.0.0.0", 14550))
+        command = [sys.executable, "-m", "gcs_coloc", "--no-web"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert "udpin:0.0.0.0:14550: port 14550 is in use" in done.stderr
 
 
 def test_a_port_in_use_is_said_in_one_line_with_the_mend(free_port):

@@ -125,7 +125,7 @@ def test_study_bound_tells_the_least_error(tmp_path):
         (["study"], "Missing command"),
         (["check-config"], "Missing argument 'FILE'. (see gcs-coloc check-config --help)"),
         (["doctor", "--seconds", "1"], "(see gcs-coloc doctor --help)"),
-        (["--web", "8080", "--udp", "14550"], "--web: 8080 is not HOST:PORT"),
+        (["--web", "80801", "--udp", "14550"], "--web: 80801 is not HOST:PORT"),
     ],
 )
 def test_mistakes_end_in_one_line(arguments, words):

@@ -164,8 +164,9 @@ def test_a_wrong_value_from_the_environment_is_not_blamed_on_the_file(tmp_path, 
 
 def test_a_wrong_flag_is_not_blamed_on_the_environment(monkeypatch):
     monkeypatch.setenv("GCS_COLOC_WEB__ADDRESS", "127.0.0.1:8080")
-    with pytest.raises(ConfigError, match=r"^--web: 99 is not HOST:PORT"):
-        load_settings(None, {"web": {"address": "99"}})
+    with pytest.raises(ConfigError, match=r"^--web: 99999 is not HOST:PORT"):
+        load_settings(None, {"web": {"address": "99999"}})
+    assert load_settings(None, {"web": {"address": "18081"}}).web.host_and_port() == ("127.0.0.1", 18081)
 
 
 @pytest.mark.parametrize("flag", ["failed", "healthy"])
