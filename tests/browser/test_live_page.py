@@ -162,6 +162,28 @@ def test_every_control_has_a_name_and_nothing_is_wider_than_the_screen(watched, 
     assert abs(sum(text) - sum(ground)) > 450
 
 
+MARKS_APART_PX = """() => {
+    const [a, b] = [1, 2].map((id) => document.querySelector(`#map [aria-label^="Vehicle ${id}, "]`).getBoundingClientRect());
+    return Math.hypot(a.x - b.x, a.y - b.y);
+}"""
+
+
+def test_a_double_click_on_the_map_zooms_and_ends_show_all(watched):
+    page, pictures = watched.page, []
+    page.on("websocket", lambda socket: socket.on("framereceived", lambda text: pictures.append(text)))
+    page.reload()
+    wait_until_good(page, 1, 2, 3, 4)
+    before = page.evaluate(MARKS_APART_PX)
+    for times in (2, 4):
+        page.locator("#map").dblclick(position={"x": 60, "y": 120})
+        wait_for(lambda times=times: page.evaluate(MARKS_APART_PX) > 0.9 * times * before, "the zoom")
+    seen = len(pictures)
+    wait_for(lambda: page.evaluate("0") is not None and len(pictures) > seen + 5, "pictures, each of which would show all again")
+    assert page.evaluate(MARKS_APART_PX) > 3.5 * before
+    page.get_by_role("button", name="Show all").click()
+    wait_for(lambda: page.evaluate(MARKS_APART_PX) < 1.5 * before, "the whole fleet")
+
+
 def test_without_tiles_nothing_that_draws_them_is_loaded(watched):
     page = watched.page
     loaded = page.evaluate("performance.getEntriesByType('resource').map(e => e.name.split('/').pop())")

@@ -38,7 +38,10 @@ export class FleetMap {
     this.gridRenderer = L.svg({ pane: "grid" });
     this.map.on("moveend zoomend resize", () => this.drawGrid());
     const keepUserView = () => { this.mode = "user"; };
-    this.map.on("dragstart", keepUserView);
+    this.map.on("dragstart dblclick", keepUserView);
+    byId("map").addEventListener("touchstart", ({ touches }) => {
+      if (touches.length > 1) keepUserView();
+    }, { passive: true });
     byId("map").addEventListener("wheel", keepUserView, { passive: true });
     byId("map").addEventListener("keydown", ({ target, key }) => {
       if (target.id === "map" && MOVING_KEY.test(key)) keepUserView();

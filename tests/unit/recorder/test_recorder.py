@@ -72,7 +72,9 @@ def test_the_oldest_recordings_are_deleted_beyond_a_limit_and_nothing_else(tmp_p
         "gcs-coloc-notes.txt",
         "mine.tlog",
     ]
-    Recorder(tmp_path, 20_000, *OWN, keep_bytes=20_000).open()
+    recorder = Recorder(tmp_path, 20_000, *OWN, keep_bytes=20_000)
+    recorder.open()
+    recorder.close()
     assert [path.name[10:26] for path in tmp_path.glob("gcs-coloc-20260101*.tlog")] == ["20260101T000003Z"]
 
 
