@@ -165,6 +165,7 @@ class FleetReview:
             is_return_untested=status is ReacquisitionStatus.UNTESTED,
             is_aided=self.decision(sysid).is_aided,
             has_duplicate_id=self._stages.clocks.has_duplicate_id(sysid),
+            host_lag_s=self._stages.clocks.host_lag_s,
             override=self.gps_override(sysid),
         )
 

@@ -78,7 +78,8 @@ class GpsEvidence:
 
     `receiver`, `system`, `ekf`: the newest messages of its own receiver, SYS_STATUS and EKF flags. `contradiction`: what the last
     integrity review found. `is_return_contradicted`: its receiver is back, but contradicted at the moment; `is_return_untested`:
-    there is nothing to test it against. `is_aided`: it may fly on our fix, so that its own reports are an echo.
+    there is nothing to test it against. `is_aided`: it may fly on our fix, so that its own reports are an echo. `host_lag_s`: by
+    how much the service runs late, 0 where it keeps up: so long a silence is its own, as a contradiction may be.
     """
 
     receiver: GpsReceiver | None = None
@@ -89,6 +90,7 @@ class GpsEvidence:
     is_return_untested: bool = False
     is_aided: bool = False
     has_duplicate_id: bool = False
+    host_lag_s: float = 0.0
     override: GpsOverride = GpsOverride.AUTO
 
 
@@ -210,8 +212,9 @@ class GpsHealth:
         """Return the worst thing that the evidence says, or None."""
         of_receiver, of_autopilot = self._trouble_of_receiver(evidence, now_s), self._trouble_of_autopilot(evidence, now_s)
         self._has_own_trouble = of_receiver is not None or of_autopilot is not None
-        if of_receiver is None and evidence.contradiction is not None:
-            return StatedReason(GpsReason.CONTRADICTED_BY_RANGES, detail=evidence.contradiction.text)
+        contradiction, is_excused = evidence.contradiction, evidence.host_lag_s > 0.0 and self._state is GpsState.HEALTHY
+        if of_receiver is None and contradiction is not None and (contradiction.is_identified or not is_excused):
+            return StatedReason(GpsReason.CONTRADICTED_BY_RANGES, detail=contradiction.text)
         return of_receiver or of_autopilot
 
     def _trouble_of_receiver(self, evidence: GpsEvidence, now_s: float) -> StatedReason[GpsReason] | None:
@@ -222,7 +225,7 @@ class GpsHealth:
             fault = self._receiver_fault(receiver)
             if fault is not None:
                 return fault
-            if now_s - receiver.received_at_s > self._settings.silence_s:
+            if now_s - receiver.received_at_s > self._settings.silence_s + evidence.host_lag_s:
                 return StatedReason(GpsReason.SILENT, limit=self._settings.silence_s)
         return None
 

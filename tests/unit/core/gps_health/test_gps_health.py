@@ -278,3 +278,26 @@ def test_a_receiver_that_comes_back_reports_no_false_fix():
     assert health.state is GpsState.FAILED
     run(health, 23.2, 23.4)
     assert health.state is GpsState.RECOVERING
+
+
+def test_a_service_that_runs_late_accuses_nobody_of_its_own_silence():
+    late, in_time = healthy_until(5.0), healthy_until(5.0)
+    late.know(host_lag_s=2.0)
+    for health in (late, in_time):
+        health.update(9.0)
+    assert late.state is GpsState.HEALTHY
+    assert in_time.state is GpsState.SUSPECT
+    late.update(10.2)
+    assert late.state is GpsState.SUSPECT
+
+
+def test_while_the_service_runs_late_a_contradiction_counts_only_where_it_names_the_vehicle():
+    unclear, named = healthy_until(5.0), healthy_until(5.0)
+    for health, is_identified in ((unclear, False), (named, True)):
+        health.know(host_lag_s=0.5, contradiction=RangeContradiction("contradicts", is_identified=is_identified))
+        run(health, 5.2, 6.0)
+    assert unclear.state is GpsState.HEALTHY
+    assert named.state is GpsState.FAILED
+    unclear.know(host_lag_s=0.0)
+    run(unclear, 6.2, 6.4)
+    assert unclear.state is GpsState.SUSPECT
