@@ -42,6 +42,10 @@ _DECIDED_LOG_ODDS = 12.0
 """Chosen: odds of 160,000; a wrong decision is confident and lasts."""
 _MOST_NIS = 20.0
 """Chosen: bounds the evidence of one measurement: an outlier of both models says little."""
+_STATED_LOG_ODDS = 6.0
+"""Chosen: odds of 400; below them two places that are apart are no estimate but ambiguous."""
+_APART_NIS = 16.0
+"""Chosen: as the gate; half way between two places their mean is beyond it for both."""
 _MERGED_NIS = 0.5
 """Chosen: hypotheses closer than 0.7 sigma of six components are merged."""
 _CLEARLY_ASIDE_SIGMAS = 1.0
@@ -221,12 +225,19 @@ class FleetHypotheses:
             x = np.concatenate([where.position_enu_m, where.velocity_enu_mps])
             other_x = np.concatenate([other.position_enu_m, other.velocity_enu_mps])
             mean, covariance = mixture(x, where.covariance, other_x, other.covariance, hypothesis.log_odds)
-            if horizontal_sigma_m(covariance) > self.main.settings.limit_sigma_m:
+            open_sides = abs(hypothesis.log_odds) < _STATED_LOG_ODDS and _are_apart(where, other)
+            if open_sides or horizontal_sigma_m(covariance) > self.main.settings.limit_sigma_m:
                 apart_m = math.hypot(*(other_x - x)[:2].tolist())
                 reason = f"ambiguous: another place, {apart_m:.0f} m from the first, fits the ranges as well"
                 return NoEstimate(vehicle, at_s, reason)
             where = Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, where.hdop, where.ranges_in_use)
         return where
+
+
+def _are_apart(a: Estimate, b: Estimate) -> bool:
+    """Whether the mean of two estimates is at neither: no mixture of them is a place."""
+    d = (b.position_enu_m - a.position_enu_m)[:2]
+    return min(float(d @ np.linalg.solve(one.covariance[:2, :2], d)) for one in (a, b)) > 4.0 * _APART_NIS
 
 
 def _sides(cluster: Cluster, other: Cluster, denied_vehicle: int, plane: ReflectionPlane) -> RelativeSide:

@@ -6,6 +6,7 @@ import numpy as np
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, PositionMeasurement
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
+from gcs_coloc.estimators.fleet.ekf.process_model import motion_limits
 from gcs_coloc.estimators.fleet.ekf.records import Records
 from gcs_coloc.estimators.fleet.ekf.state import (
     AIRSPEED_ERROR,
@@ -22,8 +23,6 @@ from gcs_coloc.estimators.fleet.ekf.update import split_report_noise, time_stamp
 from gcs_coloc.estimators.fleet.multilateration import MultilaterationProblem, solve_multilateration
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
-_UNKNOWN_VELOCITY_MPS = 30.0
-"""Chosen: sigma of a velocity that nobody reports, as of a fast small aircraft."""
 _TRY_EVERY_S = 0.5
 """Chosen: one multilateration costs some milliseconds."""
 
@@ -45,7 +44,10 @@ def initialise_from_reports(clusters: ClusterSet, records: Records, vehicle: int
     (record.report_error_sigma_h_m, record.report_error_sigma_v_m), record.baro_error_sigma_m = coloured, 0.0
     record.attitude = None
     record.updated_at_s = record.velocity_used_at_s = first.measured_at_s
-    mean, covariance = block_from_report(first, white, coloured, record.time_stamp_offset_sigma_s, s)
+    limits = motion_limits(record, s)
+    # Speeds all over the disc of those that the vehicle reaches.
+    speed_sigmas_mps = 0.5 * limits.max_speed_mps, limits.max_climb_mps
+    mean, covariance = block_from_report(first, white, coloured, record.time_stamp_offset_sigma_s, speed_sigmas_mps, s)
     cluster = clusters.initialise(vehicle, mean, covariance, first.measured_at_s)
     for m in record.recent_own:
         if m is not first and m.measured_at_s >= first.measured_at_s:
@@ -96,11 +98,13 @@ def block_from_report(
     white: tuple[float, float],
     coloured: tuple[float, float],
     offset_sigma_s: float,
+    velocity_sigmas_mps: tuple[float, float],
     s: FleetSettings,
 ) -> tuple[FloatArray, FloatArray]:
     """Return mean (16,) and covariance (16, 16) of a vehicle from one report: p = z - b_p - noise.
 
-    `white` and `coloured` are sigmas in m (horizontal, vertical), `offset_sigma_s` that of the time-stamp offset.
+    `white` and `coloured` are sigmas in m (horizontal, vertical), `offset_sigma_s` that of the time-stamp offset,
+    `velocity_sigmas_mps` (horizontal, vertical) those of a velocity which the report lacks.
     """
     x = np.zeros(SIZE)
     P = np.zeros((SIZE, SIZE))
@@ -111,12 +115,12 @@ def block_from_report(
         e = REPORT_ERROR.start + axis
         P[e, e] = c * c
         P[axis, e] = P[e, axis] = -c * c
-    sigma = _UNKNOWN_VELOCITY_MPS
+    sigma_h, sigma_v = velocity_sigmas_mps
     if report.velocity_enu_mps is not None and report.sigma_velocity_mps is not None:
         x[VELOCITY] = report.velocity_enu_mps
-        sigma = report.sigma_velocity_mps
-    for axis in (3, 4, 5):
-        P[axis, axis] = sigma * sigma
+        sigma_h = sigma_v = report.sigma_velocity_mps
+    P[3, 3] = P[4, 4] = sigma_h * sigma_h
+    P[5, 5] = sigma_v * sigma_v
     _set_slow_errors(P, offset_sigma_s, s)
     return x, P
 

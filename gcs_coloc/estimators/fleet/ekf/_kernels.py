@@ -68,6 +68,7 @@ class Transition:
         f[_E_VN] = across
         f[_N_VE] = -across
         f[_U_VU] = step_s
+        f[_VU_VU] = 1.0
         f[_VE_VE] = f[_VN_VN] = c
         f[_VE_VN] = s
         f[_VN_VE] = -s
@@ -99,6 +100,13 @@ class Transition:
         f, east, north = self._f, vn_mps * lasting_s, -ve_mps * lasting_s
         f[_VE_TURN], f[_VN_TURN] = east, north
         f[_E_TURN], f[_N_TURN] = 0.5 * step_s * east, 0.5 * step_s * north
+
+    def decay_velocity(self, decay: float, decay_v: float) -> None:
+        """Scale the rows of F for the velocity, horizontal and vertical, eq. (28)."""
+        f = self._f
+        for entry in (_VE_VE, _VE_VN, _VN_VE, _VN_VN, _VE_TURN, _VN_TURN):
+            f[entry] *= decay
+        f[_VU_VU] *= decay_v
 
     def set_acceleration_noise(self, length_s: float, horizontal: float, vertical: float) -> None:
         """Write Q of white acceleration, eq. (6), with densities in m^2/s^3."""

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd, Transition, range_jacobian
-from gcs_coloc.estimators.fleet.ekf.process_model import set_transition, step_ends
+from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance, set_transition, step_ends
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import TIME_STAMP_OFFSET, VELOCITY, WIND, JointState, Key
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -102,6 +102,20 @@ class Cluster:
             # The additional error may have come all at once.
             joint.A[range(first, stop), range(first, stop)] += now * now - before * before
         return now
+
+    def add_gap(self, vehicle: int, at_s: float) -> None:
+        """Add to a denied vehicle's covariance what it may have done in a gap before a range at `at_s`, eq. (29)."""
+        record = self.records[vehicle]
+        position_m2, velocity_m2ps2, both = gap_covariance(record, self.settings, at_s)
+        if position_m2 > 0.0:
+            self.propagate(vehicle, at_s)
+            P = self.joint.covariance(vehicle)
+            for axis in (0, 1):
+                P[axis, axis] += position_m2
+                P[axis + 3, axis + 3] += velocity_m2ps2
+                P[axis, axis + 3] += both
+                P[axis + 3, axis] += both
+            record.updated_at_s = at_s
 
     def update_manoeuvre_detector(self, vehicle: int, W: FloatArray, innovations: Sequence[float], at_s: float) -> None:
         """Give the manoeuvre detector the velocity correction by W (1 + n, k) and the k whitened innovations."""

@@ -27,6 +27,8 @@ class Outcome(StrEnum):
     """The peer selection uses other peers."""
     KEPT_INITIALISING = "kept: waiting for initialisation"
     """The denied vehicle has no position yet; multilateration collects ranges."""
+    SEARCHING = "used: several places fit"
+    """The denied vehicle is too uncertain to linearise its ranges; its search uses them."""
     KEPT_NO_AIRSPEED = "kept: attitude without airspeed"
     """Without airspeed, or banked too steeply, an attitude says nothing of the velocity."""
     REFUSED_IMPOSSIBLE = "refused: impossible value"

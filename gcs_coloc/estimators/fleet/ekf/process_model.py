@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 
 from gcs_coloc.core.measurements import AttitudeMeasurement, FloatArray
+from gcs_coloc.core.vehicle_class import LIMITS, MotionLimits
 from gcs_coloc.estimators.fleet.ekf._kernels import Transition
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import TURN
@@ -21,6 +22,10 @@ GRAVITY_MPS2 = 9.80665
 """Standard gravity (CGPM 1901)."""
 STEEPEST_BANK_RAD = 1.2
 """Chosen: 69 degrees, 2.8 g in a coordinated turn; a steeper bank is taken for aerobatics, where eq. (2) does not hold."""
+GAP_S = 1.5
+"""Chosen: after a gap of this length between ranges a manoeuvre may have passed unobserved; one range may be lost at 1 Hz."""
+_BOUND_95_SIGMAS = 2.4477
+"""The 95 % bound of two equal axes in sigmas: sqrt(-2 ln 0.05)."""
 _COAST_TIME_S = 2.0
 """Chosen: without an update for longer the process noise is inflated; shorter gaps are usual on a radio link."""
 _COAST_GAIN = 5.0
@@ -97,6 +102,13 @@ def set_transition(
     mean = transition.set_motion(x, step_s, turn, in_wind=attitude is not None)
     if attitude is None:
         transition.set_turn_column(step_s, lasting_s, mean[3], mean[4])
+        if record.denied_vehicle and at_s - record.updated_at_s > GAP_S:
+            # Eq. (28): no vehicle becomes ever faster.
+            limits = motion_limits(record, s)
+            decay = math.exp(-2.0 * length * density * min(gain, s.manoeuvre_gain) / limits.max_speed_mps**2)
+            decay_v = math.exp(-0.5 * length * climb / limits.max_climb_mps**2)
+            transition.decay_velocity(decay, decay_v)
+            mean = (*mean[:3], decay * mean[3], decay * mean[4])
     # Eq. (9): the manoeuvre detector inflates the process noise.
     transition.set_acceleration_noise(length, density * min(gain, s.manoeuvre_gain), climb * min(gain_v, s.manoeuvre_gain))
     # Only the vehicle's own part of the time-stamp offset changes; the offset of its clock lasts.
@@ -113,6 +125,30 @@ def set_transition(
         ),
     )
     return mean
+
+
+def motion_limits(record: VehicleRecord, s: FleetSettings) -> MotionLimits:
+    """Return what a vehicle can do: by the settings, else by its class."""
+    limits = LIMITS[record.vehicle_class]
+    return MotionLimits(
+        s.max_speed_mps or limits.max_speed_mps,
+        s.max_acceleration_mps2 or limits.max_acceleration_mps2,
+        min(limits.max_climb_mps, s.max_speed_mps or limits.max_climb_mps),
+    )
+
+
+def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float) -> tuple[float, float, float]:
+    """Return what a vehicle may have done since its last range, eq. (29): variances of position and velocity, their covariance.
+
+    Per horizontal axis. It is nothing with a fresh attitude, which shows the turns, and within `GAP_S`.
+    """
+    since_s = at_s - record.updated_at_s
+    if not GAP_S < since_s < math.inf or not record.denied_vehicle or fresh_attitude(record, s, at_s) is not None:
+        return 0.0, 0.0, 0.0
+    limits = motion_limits(record, s)
+    reach_m = limits.reach_m(since_s) / _BOUND_95_SIGMAS
+    change_mps = min(limits.max_acceleration_mps2 * since_s / _BOUND_95_SIGMAS, 0.5 * limits.max_speed_mps)
+    return reach_m * reach_m, change_mps * change_mps, 0.9 * reach_m * change_mps
 
 
 def fresh_attitude(record: VehicleRecord, s: FleetSettings, at_s: float) -> AttitudeMeasurement | None:

@@ -14,7 +14,9 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
+from gcs_coloc.core.vehicle_class import VehicleClass
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseSplit
+from gcs_coloc.estimators.fleet.position_search import PositionSearch
 
 IN_USE_S = 2.0
 """Chosen: a neighbour whose range was used within so long is in use; two ranges may be lost at 1 Hz."""
@@ -57,6 +59,7 @@ class VehicleRecord:
     """What the filter keeps of one vehicle beside its states."""
 
     denied_vehicle: bool = False
+    vehicle_class: VehicleClass = VehicleClass.UNKNOWN
     static: bool = False
     """Whether it is an anchor that does not move: its state is a position alone."""
     last_position: PositionMeasurement | None = None
@@ -99,6 +102,8 @@ class VehicleRecord:
     """Variance added to ranges since the covariance was inflated, m^2."""
     reports_refused: int = 0
     """Position reports refused by the gate in a row."""
+    search: PositionSearch | None = None
+    """The search for a denied vehicle that is in no cluster because it is too uncertain for one."""
     initialisation_tried_at_s: float = -math.inf
     no_estimate_reason: str = "no measurement of it was heard"
 

@@ -108,10 +108,13 @@ def test_two_ranges_keep_it_and_one_helps():
         flight.pairs = [(4, p) for p in (1, 2, 3)[:n]]
         flight.run(22.0)
         where = flight.estimator.estimate(4, 22.0)
+        if n == 0:
+            # After 12 s without ranges and air data it may be anywhere within hundreds of metres.
+            assert isinstance(where, NoEstimate)
+            continue
         assert isinstance(where, Estimate)
         errors[n] = math.sqrt(where.covariance[0, 0] + where.covariance[1, 1])
-    assert errors[2] < 0.3 * errors[0]
-    assert errors[1] < errors[0]
+    assert errors[2] < errors[1] < 200.0
 
 
 def test_two_failed_vehicles_that_range_each_other_help_each_other():

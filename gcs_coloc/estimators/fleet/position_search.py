@@ -1,0 +1,306 @@
+"""Search of a denied vehicle whose position is too uncertain to linearise its ranges: a sum of Gaussians, every side kept open.
+
+A range to a peer leaves a circle. Where the uncertainty across the line of sight is large against the range, one Gaussian cannot
+follow it, and the side on which it is linearised is confirmed for ever. So the state becomes a sum of Gaussians along the circle,
+eq. (27), each of which is small enough to be linearised (Alspach and Sorenson 1972; for ranges, Djugash 2009). Later ranges
+decide between them; with one left, the joint filter goes on from it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray
+
+_TOO_WIDE = 4.0
+_NARROW = 1.4
+"""Chosen: a horizontal variance of so many times distance times range sigma begins and ends a search. At 1.4 the bend of the
+circle moves a range by its sigma."""
+_WIDE_SHARE = 0.5
+"""Chosen: a sigma of half the distance on each axis; a narrower state stays on its side of the peer."""
+_LEAST_SIGMAS = 10.0
+"""Chosen: a shorter range has no side; it ends a search no sooner and begins none."""
+_SPLIT = 2.0
+"""Chosen: the same for a component that is split again."""
+_MOST_ON_A_CIRCLE = 72
+"""Chosen: components 5 degrees apart; what is left of the bend then counts as noise, eq. (15)."""
+_MOST_HEIGHTS = 5
+"""Chosen: heights tried for each point of the circle where the height is open."""
+_MOST_SPLIT = 8
+_MOST_COMPONENTS = 96
+"""Chosen: bounds the cost of a range to about a millisecond."""
+_PRUNED_LOG_WEIGHT = -15.0
+"""Chosen: a component of odds below 1 to 3 million is dropped."""
+_OTHERS_SHARE = 1e-4
+"""Chosen: other places with less than this share together are excluded; a wrong decision is confident and lasts."""
+_LEAST_SHARE = 1e-6
+"""Chosen: components below it link no places."""
+_LINKED = 4.0
+"""Chosen: neighbours on a circle, one sigma apart, are linked, and those three sigmas apart are not."""
+_MERGED_NIS = 0.3
+"""Chosen: components closer than half a sigma are one; neighbours on a circle are farther apart."""
+_GATE_NIS = 16.0
+"""Chosen: as the gate of the filter; a component that a range does not fit keeps its state and loses this much."""
+_LEAST_RANGES = 12
+"""Chosen: with fewer ranges one that is reflected may decide between two places."""
+_REFUSED_MOST = 10
+"""Chosen: when so many ranges in a row fit no component, none of them is the vehicle's place."""
+_LEAST_DISTANCE_M = 0.1
+
+
+def is_too_wide(horizontal_m2: float, distance_m: float, range_sigma_m: float) -> bool:
+    """Whether a horizontal variance (sum of both axes) is too large to linearise a range of this distance and sigma.
+
+    It is where the circle bends by more than the range's sigma, and the other side of the peer is within reach.
+    """
+    distance_m = max(distance_m, _LEAST_SIGMAS * range_sigma_m)
+    return horizontal_m2 > max(_TOO_WIDE * range_sigma_m, _WIDE_SHARE * distance_m) * distance_m
+
+
+@dataclass(frozen=True, slots=True)
+class RangeCircle:
+    """One range to a located peer: the peer's number, position (3,) and covariance (3, 3), the range and its white variance."""
+
+    peer: int
+    position_m: FloatArray
+    covariance_m2: FloatArray
+    range_m: float
+    variance_m2: float
+
+
+@dataclass(frozen=True, slots=True)
+class PositionSearch:
+    """A sum of k Gaussians of position and velocity at a time. Immutable: every step returns a new one.
+
+    `mean` (k, 6), `covariance` (k, 6, 6), `log_weight` (k,), the largest 0. `other_mean` (10,) and `other_covariance` (10, 10)
+    are the rest of the vehicle's states, which go on unchanged. `uses` counts the ranges with each peer.
+    """
+
+    at_s: float
+    mean: FloatArray
+    covariance: FloatArray
+    log_weight: FloatArray
+    other_mean: FloatArray
+    other_covariance: FloatArray
+    uses: Mapping[int, int]
+    refused: int = 0
+
+    @staticmethod
+    def of_state(mean: FloatArray, covariance: FloatArray, at_s: float) -> PositionSearch:
+        """Return the search that begins with one vehicle's mean (16,) and covariance (16, 16)."""
+        P = covariance.copy()
+        return PositionSearch(at_s, mean[None, :6].copy(), P[None, :6, :6], np.zeros(1), mean[6:].copy(), P[6:, 6:], {})
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether too many ranges in a row fitted no component."""
+        return self.refused >= _REFUSED_MOST
+
+    def predicted(self, at_s: float, densities_m2ps3: tuple[float, float], speeds_mps: tuple[float, float]) -> PositionSearch:
+        """Return the search at a later time: constant velocity with white acceleration, eq. (28).
+
+        Densities and sigmas of the speed are horizontal and vertical.
+        """
+        step_s = at_s - self.at_s
+        if step_s <= 0.0:
+            return self
+        F, Q = np.eye(6), np.zeros((6, 6))
+        for axis in range(3):
+            density, speed_mps = densities_m2ps3[axis // 2], speeds_mps[axis // 2]
+            F[axis, axis + 3] = step_s
+            F[axis + 3, axis + 3] = math.exp(-0.5 * step_s * density / speed_mps**2)
+            Q[axis, axis] = density * step_s**3 / 3.0
+            Q[axis, axis + 3] = Q[axis + 3, axis] = density * step_s**2 / 2.0
+            Q[axis + 3, axis + 3] = density * step_s
+        return replace(self, at_s=at_s, mean=self.mean @ F.T, covariance=F @ self.covariance @ F.T + Q)
+
+    def with_height(self, up_m: float, variance_m2: float) -> PositionSearch:
+        """Return the search after a height; its error lasts, so it never makes the height better known than by one."""
+        if float(self.covariance[:, 2, 2].min()) <= variance_m2:
+            return self
+        H = np.zeros((len(self.mean), 1, 6))
+        H[:, 0, 2] = 1.0
+        innovation = up_m - self.mean[:, 2:3]
+        x, P, _, _ = _update(self.mean, self.covariance, H, innovation, np.full((len(H), 1), variance_m2))
+        return replace(self, mean=x, covariance=P)
+
+    def with_range(self, circle: RangeCircle) -> PositionSearch:
+        """Return the search after a range: components too wide for it are split along its circle, all are corrected."""
+        use = self.uses.get(circle.peer, 0) + 1
+        x, P, w = self.mean, self.covariance, self.log_weight
+        d = x[:, :3] - circle.position_m
+        distance = np.maximum(np.linalg.norm(d, axis=1), _LEAST_DISTANCE_M)
+        u = d / distance[:, None]
+        noise = self._noise(circle, u, use)
+        wide = np.flatnonzero(P[:, 0, 0] + P[:, 1, 1] > _SPLIT * max(circle.range_m, _LEAST_DISTANCE_M) * np.sqrt(noise))
+        wide = wide[np.argsort(-w[wide], kind="stable")][:_MOST_SPLIT]
+        kept = np.setdiff1d(np.arange(len(x)), wide)
+        parts = [self._split(int(i), circle, use) for i in wide]
+        fits = False
+        if len(kept):
+            H = np.zeros((len(kept), 1, 6))
+            H[:, 0, :3] = u[kept]
+            # Eq. (15).
+            across = P[kept, :3, :3].trace(axis1=1, axis2=2) - np.einsum("ki,kij,kj->k", u[kept], P[kept, :3, :3], u[kept])
+            longer = 0.5 * across / distance[kept]
+            R = noise[kept] + np.minimum(0.5 * (across / distance[kept]) ** 2, noise[kept] + across)
+            innovation = (circle.range_m - distance[kept] - longer)[:, None]
+            cx, cP, nis, log_det = _update(x[kept], P[kept], H, innovation, R[:, None])
+            refused = nis > _GATE_NIS
+            cx = np.where(refused[:, None], x[kept], cx)
+            cP = np.where(refused[:, None, None], P[kept], cP)
+            fits = not refused.all()
+            parts.append((cx, cP, w[kept] - 0.5 * np.minimum(nis, _GATE_NIS) - 0.5 * log_det))
+        x, P, w = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        x, P, w = _merged(*_pruned(x, P, w))
+        refusals = 0 if fits or len(wide) else self.refused + 1
+        uses = {**self.uses, circle.peer: use}
+        return replace(self, mean=x, covariance=P, log_weight=w, uses=uses, refused=refusals)
+
+    def _noise(self, circle: RangeCircle, u: FloatArray, use: int) -> FloatArray:
+        """Return the variance (k,) of a range that brings all of them, with the peer's lasting error, to their joint information.
+
+        n ranges of white variance r and a common variance c have the information n / (r + n c).
+        """
+        c, r = np.einsum("ki,ij,kj->k", u, circle.covariance_m2, u), circle.variance_m2
+        return np.asarray((r + use * c) * (r + (use - 1) * c) / r)
+
+    def _split(self, i: int, circle: RangeCircle, use: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the components of one, split along the circle of a range, eq. (27): means, covariances, log weights."""
+        x, P = self.mean[i], self.covariance[i]
+        reach_m = max(circle.range_m, _LEAST_DISTANCE_M)
+        sigma_m = math.sqrt(circle.variance_m2 + float(np.trace(circle.covariance_m2)) / 3.0 * use)
+        fine_m = math.sqrt(reach_m * sigma_m)
+        count = min(max(math.ceil(2.0 * math.pi * reach_m / fine_m), 8), _MOST_ON_A_CIRCLE)
+        height_sigma_m = math.sqrt(max(float(P[2, 2]), 0.0))
+        levels = min(max(math.ceil(2.0 * height_sigma_m / fine_m), 1), _MOST_HEIGHTS)
+        heights = (
+            x[2] - circle.position_m[2] + height_sigma_m * np.linspace(-1.5, 1.5, levels)
+            if levels > 1
+            else (np.array([x[2] - circle.position_m[2]]))
+        )
+        heights = np.clip(heights, -0.999 * reach_m, 0.999 * reach_m)
+        azimuth = np.arange(count) * (2.0 * math.pi / count)
+        e, n = np.sin(azimuth), np.cos(azimuth)
+        zero = np.zeros(count)
+        points, H, R = [], [], []
+        step_m = 2.0 * math.pi * reach_m / count
+        for up in heights.tolist():
+            level_m = math.sqrt(reach_m * reach_m - up * up)
+            point = np.stack([level_m * e, level_m * n, np.full(count, up)], axis=1)
+            rows = np.zeros((count, 3 if levels > 1 else 2, 6))
+            rows[:, 0, :3] = point / reach_m
+            rows[:, 1, :3] = np.stack([n, -e, zero], axis=1)
+            noise = [self._noise(circle, point / reach_m, use), np.full(count, step_m**2)]
+            if levels > 1:
+                rows[:, 2, 2] = 1.0
+                noise.append(np.full(count, (3.0 * height_sigma_m / (levels - 1)) ** 2))
+            points.append(point)
+            H.append(rows)
+            R.append(np.stack(noise, axis=1))
+        point, rows, noise_m2 = np.concatenate(points) + circle.position_m, np.concatenate(H), np.concatenate(R)
+        innovation = np.einsum("kmi,ki->km", rows[:, :, :3], point - x[:3])
+        many = len(point)
+        cx, cP, nis, log_det = _update(np.repeat(x[None], many, 0), np.repeat(P[None], many, 0), rows, innovation, noise_m2)
+        # The weights of the points are shares of the component's, so their noise along the circle adds no evidence.
+        share = 0.5 * math.log(2.0 * math.pi) if levels == 1 else math.log(2.0 * math.pi)
+        scale = 0.5 * np.log(noise_m2[:, 1:]).sum(axis=1)
+        return cx, cP, self.log_weight[i] - 0.5 * nis - 0.5 * log_det + scale - share
+
+    def place(self) -> tuple[FloatArray, FloatArray] | None:
+        """Return mean (6,) and covariance (6, 6) where all components that matter are at one place; None while several fit.
+
+        Components along a short arc are one place; on a long one their mean is a position that fits no range.
+        """
+        weight = np.exp(self.log_weight)
+        matter = weight > _LEAST_SHARE * weight.sum()
+        x, P, weight = self.mean[matter], self.covariance[matter], weight[matter]
+        if len(x) == 1:
+            return x[0], P[0]
+        trace = P[:, :3, :3].trace(axis1=1, axis2=2)
+        apart = ((x[:, None, :3] - x[None, :, :3]) ** 2).sum(axis=2)
+        linked = apart < _LINKED * (trace[:, None] + trace[None, :])
+        here = linked[0]
+        for _ in x:
+            here, before = linked[here].any(axis=0), here
+            if (here == before).all():
+                break
+        if float(weight[~here].sum()) > _OTHERS_SHARE * float(weight.sum()):
+            return None
+        mean, covariance = _moments(x[here], P[here], weight[here])
+        d = x[here, :3] - mean[:3]
+        fit = np.einsum("ki,ki->k", d, np.linalg.solve(P[here, :3, :3], d[:, :, None])[:, :, 0])
+        return (mean, covariance) if float(fit.min()) < _GATE_NIS else None
+
+    def settled(self, distance_m: float, range_sigma_m: float) -> tuple[FloatArray, FloatArray] | None:
+        """Return mean (16,) and covariance (16, 16) where the place is one, and narrow enough to linearise a range."""
+        place = self.place()
+        if place is None or sum(self.uses.values()) < _LEAST_RANGES:
+            return None
+        mean, covariance = place
+        if float(covariance[0, 0] + covariance[1, 1]) > _NARROW * max(distance_m, _LEAST_DISTANCE_M) * range_sigma_m:
+            return None
+        P = np.zeros((len(self.other_mean) + 6,) * 2)
+        P[:6, :6], P[6:, 6:] = covariance, self.other_covariance
+        return np.concatenate([mean, self.other_mean]), P
+
+
+def _update(
+    x: FloatArray, P: FloatArray, H: FloatArray, innovation: FloatArray, R: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Kalman update of k states (k, 6) by H (k, m, 6) with noise variances R (k, m).
+
+    Returns states, covariances, NIS (k,) and the logarithms of the determinants of the innovation covariances (k,).
+    """
+    PH = P @ H.swapaxes(1, 2)
+    S = H @ PH
+    diagonal = np.arange(S.shape[1])
+    S[:, diagonal, diagonal] += R
+    gain = np.linalg.solve(S, PH.swapaxes(1, 2)).swapaxes(1, 2)
+    corrected = x + np.einsum("kim,km->ki", gain, innovation)
+    covariance = P - gain @ PH.swapaxes(1, 2)
+    covariance = 0.5 * (covariance + covariance.swapaxes(1, 2))
+    nis = np.einsum("km,km->k", innovation, np.linalg.solve(S, innovation[:, :, None])[:, :, 0])
+    return corrected, covariance, nis, np.linalg.slogdet(S)[1]
+
+
+def _pruned(x: FloatArray, P: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the components that matter, likeliest first."""
+    order = np.argsort(-w, kind="stable")[:_MOST_COMPONENTS]
+    order = order[w[order] > w[order[0]] + _PRUNED_LOG_WEIGHT]
+    return x[order], P[order], w[order]
+
+
+def _merged(x: FloatArray, P: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the components with those at one place made one, likeliest first."""
+    means, covariances, weights = [], [], []
+    left = np.arange(len(x))
+    while len(left):
+        i = left[0]
+        d = x[left] - x[i]
+        trace = P[left, :3, :3].trace(axis1=1, axis2=2)
+        near = (d[:, :3] ** 2).sum(axis=1) <= _MERGED_NIS * (trace + trace[0])
+        close = d[near]
+        near[near] = np.einsum("ki,ki->k", close, np.linalg.solve(P[left[near]] + P[i], close[:, :, None])[:, :, 0]) < _MERGED_NIS
+        group = left[near]
+        weight = np.exp(w[group] - w[i])
+        mean, covariance = _moments(x[group], P[group], weight)
+        means.append(mean)
+        covariances.append(covariance)
+        weights.append(float(w[i]) + math.log(float(weight.sum())))
+        left = left[~near]
+    order = np.argsort(-np.array(weights), kind="stable")
+    w = np.array(weights)[order]
+    return np.array(means)[order], np.array(covariances)[order], w - w[0]
+
+
+def _moments(x: FloatArray, P: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean (6,) and covariance (6, 6) of a sum of Gaussians."""
+    share = weight / weight.sum()
+    mean = share @ x
+    d = x - mean
+    return mean, np.einsum("k,kij->ij", share, P) + np.einsum("k,ki,kj->ij", share, d, d)
