@@ -15,6 +15,7 @@ from gcs_coloc.core.gps_health.gps_health import GpsHealthSettings, GpsState
 from gcs_coloc.core.messages.control import RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot, Heartbeat
 
+_STEADY_S = GpsHealthSettings().steady_after_s
 _BACK_S = 40.0
 _WATCHED_S = 60.0
 _IN_TIME_S = GpsHealthSettings().recover_after_s + 2.0 * STEP_S
@@ -79,7 +80,8 @@ def _flights(name: str, scenario: Scenario, runs: int) -> list[tuple[float, floa
 def fly(task: tuple[Scenario, int]) -> tuple[float, float]:
     """Fly one draw (scenario, seed), aided. Return after how long its receiver was believed, and was not (any more), in seconds.
 
-    The latter counts when it is found wrong while it recovers, or is suspected or failed after it was believed.
+    The latter counts when it is found wrong while it recovers, or is suspected or failed after it was believed. Until its fix has
+    been steady it is failed in any case.
     """
     scenario, seed = task
     engine, flight = fresh_engine(), Flight(scenario, seed)
@@ -96,6 +98,6 @@ def fly(task: tuple[Scenario, int]) -> tuple[float, float]:
             healthy_s = t - _BACK_S
             if not (scenario.return_jump_m or scenario.return_walk_mps):
                 break
-        elif state in (GpsState.FAILED, GpsState.SUSPECT):
+        elif state in (GpsState.FAILED, GpsState.SUSPECT) and t > _BACK_S + _STEADY_S + 2.0 * STEP_S:
             return healthy_s, t - _BACK_S
     return healthy_s, inf
