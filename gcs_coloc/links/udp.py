@@ -153,7 +153,9 @@ class UdpLink:
         for level, kind, data in ancillary:
             if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(data) == _TIMESPEC.size:
                 seconds, nanoseconds = _TIMESPEC.unpack(data)
-                return arrival_time(self._clock, seconds * 1_000_000_000 + nanoseconds, self._empty_at_s)
+                # Nor before the one before: clocks are read anew for each, some microseconds off, and their order is to hold.
+                self._empty_at_s = arrival_time(self._clock, seconds * 1_000_000_000 + nanoseconds, self._empty_at_s)
+                return self._empty_at_s
         return self._clock()
 
     def send(self, address: Address, payload: bytes, *, forwarded: bool = False) -> None:  # noqa: ARG002 - no datagram waits
