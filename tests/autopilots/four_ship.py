@@ -324,6 +324,8 @@ class ArduPilotFlight:
     def fly(self, case: Case, program: Path, directory: Path) -> FourShip:
         """Missions up, armed, on their way, then the fault and what follows. Returns when all is over."""
         parameters = {**self.parameters, **case.parameters}
+        if case.starts_in_flight:
+            parameters["GPS2_TYPE"] = 0  # with 14 and no stream it does not arm
 
         def start(sysid: int, service_port: int, driver_port: int) -> Simulator:
             where = directory / f"vehicle{sysid}"
@@ -341,6 +343,8 @@ class ArduPilotFlight:
             ship.wait("climb", lambda: all(p.truth and p.truth[-1].alt_m > ORIGIN_ALT_M + _CLIMBED_M for p in pilots))
             ship.run(_ON_THEIR_WAY_S)
             if case.starts_in_flight:
+                for pilot in pilots:
+                    assert pilot.set_parameter("GPS2_TYPE", 14)
                 ship.start_service()
             ship.befall()
         return ship
