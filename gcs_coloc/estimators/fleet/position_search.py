@@ -220,7 +220,7 @@ class PositionSearch:
         matter = weight > _LEAST_SHARE * weight.sum()
         x, P, weight = self.mean[matter], self.covariance[matter], weight[matter]
         if len(x) == 1:
-            return x[0], P[0]
+            return x[0], 0.5 * (P[0] + P[0].T)
         trace = P[:, :3, :3].trace(axis1=1, axis2=2)
         apart = ((x[:, None, :3] - x[None, :, :3]) ** 2).sum(axis=2)
         linked = apart < _LINKED * (trace[:, None] + trace[None, :])
@@ -303,4 +303,5 @@ def _moments(x: FloatArray, P: FloatArray, weight: FloatArray) -> tuple[FloatArr
     share = weight / weight.sum()
     mean = share @ x
     d = x - mean
-    return mean, np.einsum("k,kij->ij", share, P) + np.einsum("k,ki,kj->ij", share, d, d)
+    covariance = np.einsum("k,kij->ij", share, P) + np.einsum("k,ki,kj->ij", share, d, d)
+    return mean, 0.5 * (covariance + covariance.T)
