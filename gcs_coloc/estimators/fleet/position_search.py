@@ -50,6 +50,7 @@ _LEAST_RANGES = 12
 _REFUSED_MOST = 10
 """Chosen: when so many ranges in a row fit no component, none of them is the vehicle's place."""
 _LEAST_DISTANCE_M = 0.1
+_ROUNDING_M2 = 1e-12
 
 
 def is_too_wide(horizontal_m2: float, distance_m: float, range_sigma_m: float) -> bool:
@@ -135,7 +136,7 @@ class PositionSearch:
         d = x[:, :3] - circle.position_m
         distance = np.maximum(np.linalg.norm(d, axis=1), _LEAST_DISTANCE_M)
         u = d / distance[:, None]
-        noise = self._noise(circle, u, use)
+        noise = self._noise(circle, u, P, use)
         wide = np.flatnonzero(P[:, 0, 0] + P[:, 1, 1] > _SPLIT * max(circle.range_m, _LEAST_DISTANCE_M) * np.sqrt(noise))
         wide = wide[np.argsort(-w[wide], kind="stable")][:_MOST_SPLIT]
         kept = np.setdiff1d(np.arange(len(x)), wide)
@@ -161,13 +162,16 @@ class PositionSearch:
         uses = {**self.uses, circle.peer: use}
         return replace(self, mean=x, covariance=P, log_weight=w, uses=uses, refused=refusals)
 
-    def _noise(self, circle: RangeCircle, u: FloatArray, use: int) -> FloatArray:
+    def _noise(self, circle: RangeCircle, u: FloatArray, P: FloatArray, use: int) -> FloatArray:
         """Return the variance (k,) of a range that brings all of them, with the peer's lasting error, to their joint information.
 
-        n ranges of white variance r and a common variance c have the information n / (r + n c).
+        n ranges of white variance r and a common variance c have the information n / (r + n c). Along u a component of variance
+        p > c remembers r / (p - c) earlier ones at most: what moved on since counts no longer.
         """
         c, r = np.einsum("ki,ij,kj->k", u, circle.covariance_m2, u), circle.variance_m2
-        return np.asarray((r + use * c) * (r + (use - 1) * c) / r)
+        p = np.einsum("ki,kij,kj->k", u, np.broadcast_to(P[:, :3, :3], (len(u), 3, 3)), u)
+        earlier = np.where(p > c, np.minimum(use - 1, r / np.maximum(p - c, _ROUNDING_M2)), use - 1)
+        return np.asarray((r + (earlier + 1.0) * c) * (r + earlier * c) / r)
 
     def _split(self, i: int, circle: RangeCircle, use: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the components of one, split along the circle of a range, eq. (27): means, covariances, log weights."""
@@ -195,7 +199,7 @@ class PositionSearch:
             rows = np.zeros((count, 3 if levels > 1 else 2, 6))
             rows[:, 0, :3] = point / reach_m
             rows[:, 1, :3] = np.stack([n, -e, zero], axis=1)
-            noise = [self._noise(circle, point / reach_m, use), np.full(count, step_m**2)]
+            noise = [self._noise(circle, point / reach_m, P[None], use), np.full(count, step_m**2)]
             if levels > 1:
                 rows[:, 2, 2] = 1.0
                 noise.append(np.full(count, (3.0 * height_sigma_m / (levels - 1)) ** 2))
