@@ -142,7 +142,7 @@ class FleetModel:
         cluster = self.clusters.get(m.vehicle)
         if cluster is None or record.static:
             if record.search is not None and isinstance(m, AltitudeMeasurement):
-                record.search = self._predicted_search(record, record.search, m.measured_at_s).with_height(m.up_m, m.sigma_m**2)
+                record.search = self._predicted_search(record.search, m.measured_at_s).with_height(m.up_m, m.sigma_m**2)
             return UpdateResult(Outcome.KEPT_NO_STATE)
         return update_own(cluster, m)
 
@@ -236,7 +236,7 @@ class FleetModel:
         there = self._locate_peer(other, at_s)
         if there is None:
             return Outcome.KEPT_INITIALISING
-        search = self._predicted_search(record, record.search, at_s)
+        search = self._predicted_search(record.search, at_s)
         search = record.search = search.with_range(RangeCircle(other, *there, m.range_m, m.sigma_m**2))
         if search.is_lost:
             record.search, record.no_estimate_reason = None, "the ranges contradict each other: no place fits them"
@@ -251,9 +251,9 @@ class FleetModel:
         record.range_noise_inflation_m2, record.updated_at_s = 0.0, at_s
         return Outcome.INITIALISED
 
-    def _predicted_search(self, record: VehicleRecord, search: PositionSearch, at_s: float) -> PositionSearch:
+    def _predicted_search(self, search: PositionSearch, at_s: float) -> PositionSearch:
         s = self.settings
-        limits = motion_limits(record, s)
+        limits = motion_limits(s)
         densities = s.low_speed_density_m2ps3, s.unobserved_climb_density_m2ps3
         return search.predicted(at_s, densities, (0.5 * limits.max_speed_mps, limits.max_climb_mps))
 
@@ -318,7 +318,7 @@ class FleetModel:
         self, vehicle: int, record: VehicleRecord, search: PositionSearch, at_s: float
     ) -> Estimate | NoEstimate:
         """Estimate a denied vehicle that is searched, where all places that fit are one."""
-        place = self._predicted_search(record, search, at_s).place()
+        place = self._predicted_search(search, at_s).place()
         if place is None:
             return NoEstimate(vehicle, at_s, f"ambiguous: {len(search.mean)} places fit the ranges")
         mean, covariance = place

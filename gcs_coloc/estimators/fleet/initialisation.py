@@ -44,7 +44,7 @@ def initialise_from_reports(clusters: ClusterSet, records: Records, vehicle: int
     (record.report_error_sigma_h_m, record.report_error_sigma_v_m), record.baro_error_sigma_m = coloured, 0.0
     record.attitude = None
     record.updated_at_s = record.velocity_used_at_s = first.measured_at_s
-    limits = motion_limits(record, s)
+    limits = motion_limits(s)
     # Speeds all over the disc of those that the vehicle reaches.
     speed_sigmas_mps = 0.5 * limits.max_speed_mps, limits.max_climb_mps
     mean, covariance = block_from_report(first, white, coloured, record.time_stamp_offset_sigma_s, speed_sigmas_mps, s)

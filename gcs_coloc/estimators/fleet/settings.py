@@ -58,10 +58,10 @@ class FleetSettings:
     after a second, a turn at 1 g."""
     manoeuvre_memory_s: float = between(3.0, 0.01, 600.0)
     """s. Decay time of the manoeuvre detector. Chosen: shorter detects sooner and raises more false alarms."""
-    max_speed_mps: float = between(0.0, 0.0, 1e3)
-    """m/s. Largest horizontal speed of every vehicle; 0: by its class. Chosen: the class tells more than one number."""
-    max_acceleration_mps2: float = between(0.0, 0.0, 1e3)
-    """m/s^2. Largest horizontal acceleration of every vehicle; 0: by its class. Chosen: as before."""
+    max_speed_mps: float = between(30.0, 0.1, 1e3)
+    """m/s. Largest horizontal speed of every vehicle. Chosen: any small aircraft but a fast plane."""
+    max_acceleration_mps2: float = between(9.8, 0.1, 1e3)
+    """m/s^2. Largest horizontal acceleration of every vehicle. Chosen: a level turn at 45 degrees of bank."""
     turn_sigma_radps: float = between(0.03, 1e-6, 10.0)
     """rad/s. Turn rate in steady flight. Chosen: 1.7 degrees a second, course corrections of an autopilot."""
     turn_time_s: float = between(3.0, 0.01, 600.0)

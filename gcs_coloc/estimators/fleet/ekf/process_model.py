@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from gcs_coloc.core.measurements import AttitudeMeasurement, FloatArray
-from gcs_coloc.core.vehicle_class import LIMITS, MotionLimits
 from gcs_coloc.estimators.fleet.ekf._kernels import Transition
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import TURN
@@ -104,7 +104,7 @@ def set_transition(
         transition.set_turn_column(step_s, lasting_s, mean[3], mean[4])
         if record.denied_vehicle and at_s - record.updated_at_s > GAP_S:
             # Eq. (28): no vehicle becomes ever faster.
-            limits = motion_limits(record, s)
+            limits = motion_limits(s)
             decay = math.exp(-2.0 * length * density * min(gain, s.manoeuvre_gain) / limits.max_speed_mps**2)
             decay_v = math.exp(-0.5 * length * climb / limits.max_climb_mps**2)
             transition.decay_velocity(decay, decay_v)
@@ -127,14 +127,26 @@ def set_transition(
     return mean
 
 
-def motion_limits(record: VehicleRecord, s: FleetSettings) -> MotionLimits:
-    """Return what a vehicle can do: by the settings, else by its class."""
-    limits = LIMITS[record.vehicle_class]
-    return MotionLimits(
-        s.max_speed_mps or limits.max_speed_mps,
-        s.max_acceleration_mps2 or limits.max_acceleration_mps2,
-        min(limits.max_climb_mps, s.max_speed_mps or limits.max_climb_mps),
-    )
+@dataclass(frozen=True, slots=True)
+class MotionLimits:
+    """The most that a vehicle does: speed and acceleration, horizontal, and climb rate."""
+
+    max_speed_mps: float
+    max_acceleration_mps2: float
+    max_climb_mps: float
+
+    def reach_m(self, since_s: float) -> float:
+        """Return how far a vehicle may be from where its known velocity leads, m: min(a t^2 / 2, 2 V t)."""
+        return min(0.5 * self.max_acceleration_mps2 * since_s * since_s, 2.0 * self.max_speed_mps * since_s)
+
+
+_MOST_CLIMB_MPS = 5.0
+"""Chosen: what small aircraft climb at; a slower vehicle climbs no faster than it drives."""
+
+
+def motion_limits(s: FleetSettings) -> MotionLimits:
+    """Return what a vehicle can do, by the settings."""
+    return MotionLimits(s.max_speed_mps, s.max_acceleration_mps2, min(_MOST_CLIMB_MPS, s.max_speed_mps))
 
 
 def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float) -> tuple[float, float, float]:
@@ -145,7 +157,7 @@ def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float) -> tupl
     since_s = at_s - record.updated_at_s
     if not GAP_S < since_s < math.inf or not record.denied_vehicle or fresh_attitude(record, s, at_s) is not None:
         return 0.0, 0.0, 0.0
-    limits = motion_limits(record, s)
+    limits = motion_limits(s)
     reach_m = limits.reach_m(since_s) / _BOUND_95_SIGMAS
     change_mps = min(limits.max_acceleration_mps2 * since_s / _BOUND_95_SIGMAS, 0.5 * limits.max_speed_mps)
     return reach_m * reach_m, change_mps * change_mps, 0.9 * reach_m * change_mps

@@ -14,7 +14,6 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.core.vehicle_class import VehicleClass
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseSplit
 from gcs_coloc.estimators.fleet.position_search import PositionSearch
 
@@ -59,7 +58,6 @@ class VehicleRecord:
     """What the filter keeps of one vehicle beside its states."""
 
     denied_vehicle: bool = False
-    vehicle_class: VehicleClass = VehicleClass.UNKNOWN
     static: bool = False
     """Whether it is an anchor that does not move: its state is a position alone."""
     last_position: PositionMeasurement | None = None
