@@ -47,11 +47,12 @@ class Stated:
 
 @dataclass
 class Outcome:
-    """What a flight came to. Times are seconds since the start."""
+    """What a flight came to. Times are seconds since the start. `gps_reasons`: what spoke for each GPS state at the end."""
 
     flight: Flight
     said: list[tuple[float, Outbound]]
     refused: dict[str, int]
+    gps_reasons: dict[int, str]
 
     def first(self, sysid: int, *states: str, after_s: float = 0.0) -> float:
         """When a vehicle's GPS health first became one of some states; infinity for never."""
@@ -155,4 +156,5 @@ def fly_through(
             vehicle["autopilot"] = autopilot
     engine = _Watched()
     flight = fly(Scenario.model_validate(table), seed, engine, duration_s=duration_s)
-    return Outcome(flight, engine.said, engine.refused())
+    gps_reasons = {vehicle.sysid: vehicle.gps_reason for vehicle in engine.snapshot(duration_s).vehicles}
+    return Outcome(flight, engine.said, engine.refused(), gps_reasons)
