@@ -103,7 +103,12 @@ def test_the_latest_is_retained_and_back_after_the_broker_was_killed(start_with_
         east_m = (first.of("4/estimate", "lon_deg") - LON) * M_PER_DEG_LON - e
         assert math.hypot(north_m, east_m) < 4.0
         assert abs(first.of("4/estimate", "at_unix_s") - time.time()) < 60.0
-        assert any(t == "alarms" and c["sysid"] == 4 and "failed" in c["text"] for t, c in first.all)
+
+        def is_alarm_raised() -> bool:
+            return any(t == "alarms" and c["sysid"] == 4 and c["kind"] == "gps_lost" for t, c in first.all)
+
+        fly(fleet, 60.0, failed=[4], until=is_alarm_raised)
+        assert is_alarm_raised()
 
         broker.kill()
         before = fixes(fleet[3])

@@ -44,8 +44,9 @@ def test_the_loss_and_the_return_of_gps_are_seen_when_they_happen(report):
     assert states == ("healthy", "suspect", "failed", "recovering", "healthy")
     assert times_s[1] == pytest.approx(150.6, abs=0.3)  # the receiver's first report without a fix
     assert times_s[2] == pytest.approx(times_s[1] + 1.0, abs=0.3)
-    assert times_s[3] == pytest.approx(330.8, abs=0.3)
-    assert times_s[4] == pytest.approx(times_s[3] + 10.0, abs=0.3)
+    returned_s = 330.8
+    assert times_s[3] == pytest.approx(returned_s + 3.0, abs=0.3)  # steady for `steady_after_s`
+    assert times_s[4] == pytest.approx(returned_s + 10.0, abs=0.3)
 
 
 def test_the_plane_without_gps_is_located_better_than_by_a_plain_filter(report):
