@@ -41,7 +41,7 @@ from gcs_coloc.core.messages.control import (
 from gcs_coloc.core.messages.inbound import (
     Inbound,
 )
-from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound, ParameterSet, SensorEnable
+from gcs_coloc.core.messages.outbound import Notice, Outbound, ToVehicle
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.schedule import TickSchedule
 from gcs_coloc.core.snapshot import FleetSnapshot, OverrideSources, vehicle_snapshot
@@ -160,7 +160,7 @@ class Engine:
         """Return the service time at which the next aiding message is due; infinity where nobody is aided."""
         return self.aiding.next_due_s()
 
-    def close(self) -> list[AidingMessage | ParameterSet | SensorEnable]:
+    def close(self) -> list[ToVehicle]:
         """Return the last messages before the service ends: fix_type 1 to everyone who is aided, and restored parameters."""
         return self.aiding.close()
 

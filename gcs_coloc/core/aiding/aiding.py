@@ -9,15 +9,16 @@ from gcs_coloc.core.aiding.acknowledgement import FixAcknowledgement
 from gcs_coloc.core.aiding.inhibit import ForeignGpsInputMonitor, Inhibit, InhibitAlarms, InhibitReason, Standby
 from gcs_coloc.core.aiding.methods.method import MethodContext
 from gcs_coloc.core.aiding.methods.registry import METHODS, feeds_receiver, method_for, mismatch
-from gcs_coloc.core.aiding.primary_switch import Parameters, PrimarySwitch
-from gcs_coloc.core.aiding.px4 import GpsSwitch, Px4Methods
+from gcs_coloc.core.aiding.parameters import Parameters
+from gcs_coloc.core.aiding.px4 import Px4Methods
+from gcs_coloc.core.aiding.receiver_switch import ReceiverSwitch
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.aiding.stream import AidingDecision, AidingStream, AidingView, EstimateAt, FixInputs, Purpose
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.messages.control import AidingOverride, ForeignGpsInput, PrimaryOverride, RouteBlock
 from gcs_coloc.core.messages.inbound import Autopilot, CommandResult, GlobalOrigin, GpsReceiver, ParameterValue
-from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound, ParameterRequest, ParameterSet, SensorEnable
+from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterRequest, ToVehicle
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.schedule import TickSchedule
 from gcs_coloc.core.telemetry.measurement_builder import SentFix
@@ -43,8 +44,7 @@ class Aiding:
         self._primary_overrides: dict[int, PrimaryOverride] = {}
         self._parameters = Parameters()
         self._px4 = Px4Methods(self._parameters)
-        self._primary = PrimarySwitch(settings.gps_id)
-        self._gps_switch = GpsSwitch()
+        self._switch = ReceiverSwitch(settings.gps_id)
         self._foreign = ForeignGpsInputMonitor(settings)
         self._standby = Standby(settings.gps_id, self._parameters)
         self._streams: dict[int, AidingStream] = {}
@@ -106,22 +106,22 @@ class Aiding:
             change = stream.acknowledgement.review(vehicle, now_s)
             if change is not None:
                 out.append(Notice(now_s, sysid, *change))
-        switch = self._switch(vehicle)
-        out.extend(switch.review(sysid, now_s, wanted=self._switch_wanted(vehicle, stream, reports_false_fix=reports_false_fix)))
-        is_self_fed = self._override(sysid) is AidingOverride.ON or switch.holds(sysid)
+        wanted = self._switch_wanted(sysid, stream, reports_false_fix=reports_false_fix)
+        out.extend(self._switch.review(sysid, vehicle.autopilot, now_s, wanted=wanted))
+        is_self_fed = self._override(sysid) is AidingOverride.ON or self._switch.holds(sysid)
         is_aided = stream is not None and (gps_state in _AIDED_STATES or is_self_fed)
         out.extend(self._alarms.review(vehicle, inhibit, now_s, needs_aid=purpose is Purpose.AID))
         return AidingDecision(stream.name if stream is not None else None, purpose, inhibit, is_aided, is_self_fed, tuple(out))
 
     def add_result(self, result: CommandResult) -> list[Outbound]:
         """Add a vehicle's answer to a command."""
-        stream, switched = self._streams.get(result.sysid), self._gps_switch.add_result(result)
+        stream, switched = self._streams.get(result.sysid), self._switch.add_answer(result)
         return [*switched, *(stream.method.add_result(result) if stream is not None else [])]
 
     def add_parameter(self, value: ParameterValue) -> list[Outbound]:
         """Add what a vehicle reports of a parameter."""
         self._parameters.add(value)
-        return list(self._primary.add_parameter(value))
+        return list(self._switch.add_answer(value))
 
     def add_origin(self, origin: GlobalOrigin) -> None:
         """Add the origin of a vehicle's local frame."""
@@ -188,18 +188,18 @@ class Aiding:
             status=self._status(sysid, gps_state, stream, inhibit),
             has_fix=stream is not None and stream.inhibit is None,
             fix_acknowledged=acknowledgement.acknowledged if acknowledgement is not None else None,
-            gps_primary=self._switch(vehicle).status(sysid),
+            gps_primary=self._switch.status(sysid),
             inhibit_reason=inhibit.text if inhibit is not None else None,
             aiding_override=self._override(sysid),
             primary_override=self._primary_overrides.get(sysid, PrimaryOverride.AUTO),
         )
 
-    def close(self) -> list[AidingMessage | ParameterSet | SensorEnable]:
+    def close(self) -> list[ToVehicle]:
         """End every stream, with fix_type 1 where the method has it, and restore the parameters that were set."""
-        last = [message for stream in self._streams.values() for message in stream.method.build_last_messages()]
+        last: list[ToVehicle] = [message for stream in self._streams.values() for message in stream.method.build_last_messages()]
         self._streams.clear()
         self._update_due()
-        return [*last, *self._primary.close(), *self._gps_switch.close()]
+        return [*last, *self._switch.close()]
 
     def _inhibit(self, vehicle: ReportedState, *, has_duplicate_id: bool) -> Inhibit | None:
         """Return why a vehicle cannot be aided even if it should be; None where it can."""
@@ -263,27 +263,24 @@ class Aiding:
         if stream is not None and stream.purpose is not Purpose.STANDBY:
             if stream.purpose is Purpose.AID:
                 return Purpose.HAND_BACK
-            if stream.purpose_for_s(now_s) < self._settings.hand_back_s or self._switch(vehicle).switching(sysid):
+            if stream.purpose_for_s(now_s) < self._settings.hand_back_s or self._switch.switching(sysid):
                 return Purpose.HAND_BACK
         # Any other method than GPS_INPUT would be fused at once.
         feeds = feeds_receiver(self._method(vehicle))
         return Purpose.STANDBY if self._settings.standby and feeds and gps_state in _STANDBY_STATES else None
 
-    def _switch(self, vehicle: ReportedState) -> PrimarySwitch | GpsSwitch:
-        return self._gps_switch if vehicle.autopilot is Autopilot.PX4 else self._primary
-
-    def _switch_wanted(self, vehicle: ReportedState, stream: AidingStream | None, *, reports_false_fix: bool) -> bool:
+    def _switch_wanted(self, sysid: int, stream: AidingStream | None, *, reports_false_fix: bool) -> bool:
         """Return whether it is to fly on our fix alone: begun only where it acknowledges that, kept while aid lasts.
 
         While its own receiver has a fix a PX4 shows nothing of ours, but may have shown before that it does not use it.
         """
-        override = self._primary_overrides.get(vehicle.sysid, PrimaryOverride.AUTO)
+        override = self._primary_overrides.get(sysid, PrimaryOverride.AUTO)
         if stream is None or stream.purpose is not Purpose.AID or stream.acknowledgement is None:
             return False
         if override is PrimaryOverride.OWN:
             return False
         is_automatic = self._settings.switch_primary == "auto"
-        if self._switch(vehicle).switching(vehicle.sysid):
+        if self._switch.switching(sysid):
             return override is PrimaryOverride.OURS or is_automatic
         acknowledged = stream.acknowledgement.acknowledged
         if stream.inhibit is not None or acknowledged is False or (acknowledged is None and feeds_receiver(stream.name)):

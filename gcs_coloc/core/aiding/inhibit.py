@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gcs_coloc.core.aiding.primary_switch import NAME as PRIMARY
-from gcs_coloc.core.aiding.primary_switch import Parameters
+from gcs_coloc.core.aiding.parameters import Parameters
+from gcs_coloc.core.aiding.receiver_switch import GPS_PRIMARY
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.messages.control import ForeignGpsInput
 from gcs_coloc.core.messages.outbound import Notice
@@ -128,7 +128,7 @@ class Standby:
 
     def review(self, sysid: int, now_s: float) -> tuple[Inhibit | None, list[Notice]]:
         """Return why a vehicle gets no stream on standby, None where it may, and the notice of it once."""
-        for name in (_AUTO_SWITCH, PRIMARY):
+        for name in (_AUTO_SWITCH, GPS_PRIMARY):
             self._parameters.request(sysid, name, now_s)
         obstacle, before = self._obstacle(sysid), self._obstacles.pop(sysid, None)
         if obstacle is None:
@@ -143,7 +143,7 @@ class Standby:
         return self._obstacles.get(sysid)
 
     def _obstacle(self, sysid: int) -> Inhibit | None:
-        switching, primary = (self._parameters.value(sysid, name) for name in (_AUTO_SWITCH, PRIMARY))
+        switching, primary = (self._parameters.value(sysid, name) for name in (_AUTO_SWITCH, GPS_PRIMARY))
         if switching is None or primary is None:
             return Inhibit(InhibitReason.STANDBY_UNKNOWN)
         if primary == self._gps_id:

@@ -1,15 +1,13 @@
-"""PX4: by which method its EKF2 takes a position, from which origin, and whether its own GPS is switched off beside it."""
+"""PX4: by which method its EKF2 takes a position, and from which origin."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from enum import Enum
 
-from gcs_coloc.core.aiding.primary_switch import RETRY_S, SET_TRIES, TRY_AGAIN_S, Parameters
+from gcs_coloc.core.aiding.parameters import Parameters
 from gcs_coloc.core.aiding.settings import AidingMethodName
-from gcs_coloc.core.messages.inbound import CommandOutcome, CommandResult, GlobalOrigin, VehicleCommand
-from gcs_coloc.core.messages.outbound import Notice, OriginRequest, SensorEnable
+from gcs_coloc.core.messages.inbound import GlobalOrigin
+from gcs_coloc.core.messages.outbound import OriginRequest
 
 SENSOR_ID = 1
 """The id of our GLOBAL_POSITION_SENSOR, by which EKF2_AGPn_ID selects it."""
@@ -79,88 +77,3 @@ class Px4Methods:
         # A slot exists where the first one does; most vehicles use that.
         slots = AGP_SLOTS if self._parameters.value(sysid, AGP_CONTROL.format(0)) is not None else AGP_SLOTS[:1]
         return [*(name.format(slot) for slot in slots for name in (AGP_CONTROL, AGP_ID)), EV_CONTROL]
-
-
-class _Step(Enum):
-    SETTING = "being set"
-    OURS = "ours"
-    RESTORING = "being restored"
-    LEFT = "left as it is"
-
-
-@dataclass(slots=True)
-class _Switch:
-    step: _Step
-    due_s: float
-    tries: int = 0
-    is_sent: bool = False
-
-
-class GpsSwitch:
-    """Whether the EKF2 of each PX4 uses its own GPS: switched off where that lies, by command, and on again; as `PrimarySwitch`.
-
-    A lying receiver stays in EKF2 beside the position that is sent. Not every firmware knows the command.
-    """
-
-    def __init__(self) -> None:
-        self._switches: dict[int, _Switch] = {}
-
-    def holds(self, sysid: int) -> bool:
-        """Return whether its own GPS is switched off by us, or may be: what it reports of itself is then an echo."""
-        switch = self._switches.get(sysid)
-        return switch is not None and switch.is_sent
-
-    def switching(self, sysid: int) -> bool:
-        """Return whether a switch was begun and neither given up nor undone."""
-        return sysid in self._switches
-
-    def status(self, sysid: int) -> str | None:
-        """Return the state of the switch in words; None where nothing was done."""
-        switch = self._switches.get(sysid)
-        return switch.step.value if switch is not None else None
-
-    def review(self, sysid: int, now_s: float, *, wanted: bool) -> list[SensorEnable | Notice]:
-        """Return the next step, if one is due, towards what is wanted: its own GPS switched off, or on as before."""
-        switch = self._switches.get(sysid)
-        if switch is None:
-            if not wanted:
-                return []
-            switch = self._switches[sysid] = _Switch(_Step.SETTING, now_s)
-        elif not wanted and switch.step is not _Step.RESTORING:
-            if not switch.is_sent:
-                del self._switches[sysid]
-                return []
-            switch.step, switch.due_s, switch.tries = _Step.RESTORING, now_s, 0
-        if switch.step in (_Step.OURS, _Step.LEFT) or now_s < switch.due_s:
-            return []
-        if switch.tries >= SET_TRIES:
-            switch.tries, switch.due_s = 0, now_s + TRY_AGAIN_S
-            what = "off" if switch.step is _Step.SETTING else "on"
-            text = f"its GPS could not be switched {what}: no answer; tried again in {TRY_AGAIN_S:g} s"
-            return [Notice(now_s, sysid, "error", text)]
-        switch.tries, switch.due_s, switch.is_sent = switch.tries + 1, now_s + RETRY_S, True
-        return [SensorEnable(sysid, gps=switch.step is _Step.RESTORING)]
-
-    def add_result(self, result: CommandResult) -> list[Notice]:
-        """Add a vehicle's answer to a command."""
-        switch = self._switches.get(result.sysid)
-        if switch is None or result.command is not VehicleCommand.ESTIMATOR_SENSOR_ENABLE:
-            return []
-        at_s, sysid, is_accepted = result.received_at_s, result.sysid, result.outcome is CommandOutcome.ACCEPTED
-        if switch.step is _Step.SETTING and is_accepted:
-            switch.step = _Step.OURS
-            return [Notice(at_s, sysid, "warning", "its own GPS is switched off: it flies on the position that it is sent")]
-        if switch.step is _Step.SETTING and result.outcome is not CommandOutcome.IN_PROGRESS:
-            switch.step, switch.is_sent = _Step.LEFT, False
-            text = f"it does not let its own GPS be switched off ({result.outcome.value}): it may follow a receiver that lies"
-            return [Notice(at_s, sysid, "warning", text)]
-        if switch.step is _Step.RESTORING and is_accepted:
-            del self._switches[sysid]
-            return [Notice(at_s, sysid, "info", "its own GPS is switched on again")]
-        return []
-
-    def close(self) -> list[SensorEnable]:
-        """Return what switches every vehicle's GPS on before the service ends; no time is left to see it confirmed."""
-        held = [sysid for sysid, switch in self._switches.items() if switch.is_sent]
-        self._switches.clear()
-        return [SensorEnable(sysid, gps=True) for sysid in held]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from gcs_coloc.core.aiding.inhibit import Inhibit
-from gcs_coloc.core.aiding.primary_switch import Parameters
+from gcs_coloc.core.aiding.parameters import Parameters
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, NoEstimate

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from engine_flights import StraightLine, fly, parameters_told, settings, texts, vehicle_4
 
-from gcs_coloc.core.aiding.px4 import GpsSwitch
+from gcs_coloc.core.aiding.receiver_switch import ReceiverSwitch
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand, PrimaryOverride
@@ -81,9 +81,9 @@ def test_the_end_of_the_service_switches_it_on_again():
 
 
 def test_without_an_answer_it_is_tried_a_few_times_and_told():
-    switch, out = GpsSwitch(), []
+    switch, out = ReceiverSwitch(1), []
     for at_s in range(10):
-        out += switch.review(4, float(at_s), wanted=True)
+        out += switch.review(4, Autopilot.PX4, float(at_s), wanted=True)
     assert [o.gps for o in out if isinstance(o, SensorEnable)] == [False] * 5
     assert len(out) == 6
     assert switch.holds(4)  # it may have been heard

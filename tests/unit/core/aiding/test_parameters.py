@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gcs_coloc.core.aiding.primary_switch import Parameters
+from gcs_coloc.core.aiding.parameters import Parameters
 from gcs_coloc.core.messages.inbound import ParameterValue
 from gcs_coloc.core.messages.outbound import ParameterRequest
 

@@ -1,0 +1,233 @@
+"""The switch by which a vehicle leaves its own receiver, which lies, and flies on the position that it is sent.
+
+An autopilot goes back to a jammed or spoofed receiver as long as that claims a fix: ArduPilot while it is the primary one, PX4
+fuses it beside ours. Each step is confirmed by the vehicle, tried a few times, and told; what was before is given back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+from gcs_coloc.core.aiding.parameters import RETRY_S
+from gcs_coloc.core.messages.inbound import Autopilot, CommandOutcome, CommandResult, ParameterValue, VehicleCommand
+from gcs_coloc.core.messages.outbound import Notice, ParameterRequest, ParameterSet, SensorEnable
+
+GPS_PRIMARY = "GPS_PRIMARY"
+_TRIES = 5  # chosen: more than of reading a parameter, as a flight may hang on it
+_TRY_AGAIN_S = 30.0  # chosen: an operator is not told more often
+
+
+class SwitchStep(Enum):
+    """How far a switch is, in words."""
+
+    READING = "being read"
+    SETTING = "being set"
+    OURS = "ours"
+    RESTORING = "being restored"
+    LEFT = "left as it is"
+
+
+class ReceiverAnswer(Enum):
+    """What a vehicle's answer says of its own receiver."""
+
+    IN_USE = 1
+    OUT_OF_USE = 2
+    REFUSED = 3
+    """It does not let the receiver be switched."""
+
+
+_DONE = None
+_NEXT: dict[tuple[SwitchStep, ReceiverAnswer], tuple[SwitchStep | None, str | None]] = {
+    (SwitchStep.READING, ReceiverAnswer.IN_USE): (SwitchStep.SETTING, None),
+    (SwitchStep.READING, ReceiverAnswer.OUT_OF_USE): (SwitchStep.LEFT, "info"),
+    (SwitchStep.SETTING, ReceiverAnswer.OUT_OF_USE): (SwitchStep.OURS, "warning"),
+    (SwitchStep.SETTING, ReceiverAnswer.REFUSED): (SwitchStep.LEFT, "warning"),
+    # Somebody else wants it so: to fight over it in flight would be worse than either.
+    (SwitchStep.OURS, ReceiverAnswer.IN_USE): (SwitchStep.LEFT, "warning"),
+    (SwitchStep.RESTORING, ReceiverAnswer.IN_USE): (_DONE, "info"),
+}
+"""The next step for an answer, and the level at which it is told, None where it is not; another answer changes nothing."""
+
+Order = ParameterRequest | ParameterSet | SensorEnable
+
+
+class OwnReceiver(Protocol):
+    """The orders by which one vehicle's own receiver is left and taken again, what its answers mean, and the wordings."""
+
+    first_step: SwitchStep
+
+    def order(self, step: SwitchStep) -> Order:
+        """Return what is sent in a step that waits for an answer."""
+
+    def answer(self, step: SwitchStep, message: ParameterValue | CommandResult) -> ReceiverAnswer | None:
+        """Return what a message says of the receiver; None where it is about something else. Keeps what was before."""
+
+    def wording(self, step: SwitchStep, answer: ReceiverAnswer | None) -> str:
+        """Return what is told of an answer in a step, or of none (None) after all tries."""
+
+
+class PrimaryParameter:
+    """ArduPilot: GPS_PRIMARY is set to the receiver that we feed, and restored to the value that was read before."""
+
+    first_step = SwitchStep.READING
+
+    def __init__(self, sysid: int, gps_id: int) -> None:
+        self._sysid = sysid
+        self._ours = float(gps_id)
+        self._before: ParameterValue | None = None
+        self._told = 0.0
+
+    def order(self, step: SwitchStep) -> ParameterRequest | ParameterSet:
+        """Return the question for its value, or the value that is to be set."""
+        if self._before is None:
+            return ParameterRequest(self._sysid, GPS_PRIMARY)
+        return ParameterSet(
+            self._sysid, GPS_PRIMARY, self._ours if step is SwitchStep.SETTING else self._before.value, self._before.kind
+        )
+
+    def answer(self, step: SwitchStep, message: ParameterValue | CommandResult) -> ReceiverAnswer | None:
+        """Return whether its value is our receiver; when restored, only the value from before counts."""
+        if not isinstance(message, ParameterValue) or message.name != GPS_PRIMARY:
+            return None
+        self._told = message.value
+        if message.value == self._ours:
+            return ReceiverAnswer.OUT_OF_USE
+        if step is SwitchStep.READING:
+            self._before = message
+        is_restored = self._before is not None and message.value == self._before.value
+        return ReceiverAnswer.IN_USE if is_restored or step is not SwitchStep.RESTORING else None
+
+    def wording(self, step: SwitchStep, answer: ReceiverAnswer | None) -> str:
+        """Return what is told, with the parameter's values."""
+        before, ours = self._before.value if self._before is not None else 0.0, self._ours
+        return {
+            (SwitchStep.READING, None): f"{GPS_PRIMARY} could not be read",
+            (SwitchStep.READING, ReceiverAnswer.OUT_OF_USE): f"{GPS_PRIMARY} is {self._told:g} already: left as it is",
+            (SwitchStep.SETTING, None): f"{GPS_PRIMARY} could not be set to {self._ours:g}",
+            (
+                SwitchStep.SETTING,
+                ReceiverAnswer.OUT_OF_USE,
+            ): f"{GPS_PRIMARY} set to {ours:g}, our receiver; it was {before:g}",
+            (SwitchStep.OURS, ReceiverAnswer.IN_USE): f"{GPS_PRIMARY} was set to {self._told:g} by somebody else: left as it is",
+            (SwitchStep.RESTORING, None): f"{GPS_PRIMARY} could not be restored to {before:g}, which can be done by hand",
+            (SwitchStep.RESTORING, ReceiverAnswer.IN_USE): f"{GPS_PRIMARY} restored to {self._told:g}",
+        }[step, answer]
+
+
+class EstimatorSensor:
+    """PX4: a command switches its own GPS off in EKF2, and on again. Not every firmware knows it."""
+
+    first_step = SwitchStep.SETTING
+
+    def __init__(self, sysid: int) -> None:
+        self._sysid = sysid
+        self._outcome = CommandOutcome.OTHER
+
+    def order(self, step: SwitchStep) -> SensorEnable:
+        """Return the command."""
+        return SensorEnable(self._sysid, gps=step is SwitchStep.RESTORING)
+
+    def answer(self, step: SwitchStep, message: ParameterValue | CommandResult) -> ReceiverAnswer | None:
+        """Return what the result of the last command says."""
+        if not isinstance(message, CommandResult) or message.command is not VehicleCommand.ESTIMATOR_SENSOR_ENABLE:
+            return None
+        self._outcome = message.outcome
+        if message.outcome is CommandOutcome.ACCEPTED:
+            return ReceiverAnswer.IN_USE if step is SwitchStep.RESTORING else ReceiverAnswer.OUT_OF_USE
+        return ReceiverAnswer.REFUSED if message.outcome is not CommandOutcome.IN_PROGRESS else None
+
+    def wording(self, step: SwitchStep, answer: ReceiverAnswer | None) -> str:
+        """Return what is told, with the vehicle's own answer."""
+        switched_off = "its own GPS is switched off: it flies on the position that it is sent"
+        refused = f"it does not let its own GPS be switched off ({self._outcome.value}): it may follow a receiver that lies"
+        return {
+            (SwitchStep.SETTING, None): "its GPS could not be switched off",
+            (
+                SwitchStep.SETTING,
+                ReceiverAnswer.OUT_OF_USE,
+            ): "its own GPS is switched off: it flies on the position that it is sent",
+            (SwitchStep.SETTING, ReceiverAnswer.REFUSED): refused,
+            (SwitchStep.RESTORING, None): "its GPS could not be switched on",
+            (SwitchStep.RESTORING, ReceiverAnswer.IN_USE): "its own GPS is switched on again",
+        }[step, answer]
+
+
+@dataclass(slots=True)
+class _Switch:
+    receiver: OwnReceiver
+    step: SwitchStep
+    due_s: float
+    tries: int = 0
+
+    @property
+    def is_held(self) -> bool:
+        """Whether its own receiver is out of use by our doing, or may be."""
+        return self.step in (SwitchStep.SETTING, SwitchStep.OURS, SwitchStep.RESTORING)
+
+
+class ReceiverSwitch:
+    """The switches of one fleet. `review` each vehicle several times a second; `add_answer` takes what vehicles answer."""
+
+    def __init__(self, gps_id: int) -> None:
+        self._gps_id = gps_id
+        self._switches: dict[int, _Switch] = {}
+
+    def holds(self, sysid: int) -> bool:
+        """Return whether its own receiver is out of use by us, or may be: what it reports of itself is then an echo."""
+        switch = self._switches.get(sysid)
+        return switch is not None and switch.is_held
+
+    def switching(self, sysid: int) -> bool:
+        """Return whether a switch was begun and neither given up nor undone."""
+        return sysid in self._switches
+
+    def status(self, sysid: int) -> str | None:
+        """Return the state of the switch in words; None where nothing was done."""
+        switch = self._switches.get(sysid)
+        return switch.step.value if switch is not None else None
+
+    def review(self, sysid: int, autopilot: Autopilot | None, now_s: float, *, wanted: bool) -> list[Order | Notice]:
+        """Return the next step, if one is due, towards what is wanted: its own receiver out of use, or in use as before."""
+        switch = self._switches.get(sysid)
+        if switch is None:
+            if not wanted:
+                return []
+            is_px4 = autopilot is Autopilot.PX4
+            receiver: OwnReceiver = EstimatorSensor(sysid) if is_px4 else PrimaryParameter(sysid, self._gps_id)
+            switch = self._switches[sysid] = _Switch(receiver, receiver.first_step, now_s)
+        elif not wanted and switch.step is not SwitchStep.RESTORING:
+            if not switch.is_held:
+                del self._switches[sysid]
+                return []
+            switch.step, switch.due_s, switch.tries = SwitchStep.RESTORING, now_s, 0
+        if switch.step in (SwitchStep.OURS, SwitchStep.LEFT) or now_s < switch.due_s:
+            return []
+        if switch.tries >= _TRIES:
+            switch.tries, switch.due_s = 0, now_s + _TRY_AGAIN_S
+            text = f"{switch.receiver.wording(switch.step, None)}: no answer; tried again in {_TRY_AGAIN_S:g} s"
+            return [Notice(now_s, sysid, "error", text)]
+        switch.tries, switch.due_s = switch.tries + 1, now_s + RETRY_S
+        return [switch.receiver.order(switch.step)]
+
+    def add_answer(self, message: ParameterValue | CommandResult) -> list[Notice]:
+        """Add what a vehicle reports of a parameter, or made of a command."""
+        switch = self._switches.get(message.sysid)
+        answer = switch.receiver.answer(switch.step, message) if switch is not None else None
+        if switch is None or answer is None or (switch.step, answer) not in _NEXT:
+            return []
+        step, (following, level) = switch.step, _NEXT[switch.step, answer]
+        if following is _DONE:
+            del self._switches[message.sysid]
+        else:
+            switch.step, switch.due_s, switch.tries = following, message.received_at_s, 0
+        if level is None:
+            return []
+        return [Notice(message.received_at_s, message.sysid, level, switch.receiver.wording(step, answer))]
+
+    def close(self) -> list[Order]:
+        """Return what restores every vehicle before the service ends; no time is left to see it confirmed."""
+        held = [switch for switch in self._switches.values() if switch.is_held]
+        self._switches.clear()
+        return [switch.receiver.order(SwitchStep.RESTORING) for switch in held]
