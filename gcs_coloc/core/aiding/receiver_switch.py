@@ -144,10 +144,7 @@ class EstimatorSensor:
         refused = f"it does not let its own GPS be switched off ({self._outcome.value}): it may follow a receiver that lies"
         return {
             (SwitchStep.SETTING, None): "its GPS could not be switched off",
-            (
-                SwitchStep.SETTING,
-                ReceiverAnswer.OUT_OF_USE,
-            ): "its own GPS is switched off: it flies on the position that it is sent",
+            (SwitchStep.SETTING, ReceiverAnswer.OUT_OF_USE): switched_off,
             (SwitchStep.SETTING, ReceiverAnswer.REFUSED): refused,
             (SwitchStep.RESTORING, None): "its GPS could not be switched on",
             (SwitchStep.RESTORING, ReceiverAnswer.IN_USE): "its own GPS is switched on again",
