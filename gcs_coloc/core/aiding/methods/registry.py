@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from gcs_coloc.core.aiding.acknowledgement import Acknowledgement, EkfAcknowledgement, FixAcknowledgement
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.methods.external_position import ExternalPositionMethod
-from gcs_coloc.core.aiding.methods.global_position_sensor import GlobalPositionSensorMethod
 from gcs_coloc.core.aiding.methods.gps_input import GpsInputMethod, GpsInputOrExternalMethod
 from gcs_coloc.core.aiding.methods.method import AidingMethod, MethodContext
-from gcs_coloc.core.aiding.methods.vision_position import VisionPositionMethod
+from gcs_coloc.core.aiding.methods.px4_positions import GlobalPositionSensorMethod, VisionPositionMethod
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.core.reasons import StatedReason

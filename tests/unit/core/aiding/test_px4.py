@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from engine_flights import StraightLine, fly, parameters_told, settings, texts, vehicle_4
 
-from gcs_coloc.core.aiding.methods.global_position_sensor import CorrelatedPositions
 from gcs_coloc.core.aiding.methods.method import Moment
-from gcs_coloc.core.aiding.methods.vision_position import px4_local_m
+from gcs_coloc.core.aiding.methods.px4_positions import CorrelatedPositions, px4_local_m
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import Estimate
