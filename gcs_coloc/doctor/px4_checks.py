@@ -50,36 +50,38 @@ def _auxiliary_position(vehicle: VehicleSurvey) -> Iterator[Finding]:
 
 def _slot_rules(slot: int) -> tuple[ParameterRule, ...]:
     return (
-        ParameterRule(
-            (AGP_CONTROL.format(slot),),
-            lambda value: bool(int(value) & HORIZONTAL),
-            Severity.STOP,
-            "it does not take GLOBAL_POSITION_SENSOR",
-            set_to=lambda value: float(int(value) | HORIZONTAL),
-            good="it takes GLOBAL_POSITION_SENSOR as an auxiliary global position",
-            unreadable="its firmware takes no auxiliary global position",
-        ),
-        ParameterRule(
-            (p.AGP_DELAY.format(slot),),
-            equals(0.0),
-            Severity.STOP,
-            lambda ms: f"it takes what is true on arrival to be {ms / 1e3:g} s old",
-            set_to=0.0,
-            remedy_more=_REBOOT,
-        ),
+        _takes(AGP_CONTROL.format(slot), "GLOBAL_POSITION_SENSOR", " as an auxiliary global position", "auxiliary global"),
+        _arrives_without_delay((p.AGP_DELAY.format(slot),)),
+    )
+
+
+def _takes(control: str, message: str, good: str, kind: str) -> ParameterRule:
+    """Return the rule that a control parameter lets EKF2 fuse the horizontal position of a message."""
+    return ParameterRule(
+        (control,),
+        lambda value: bool(int(value) & HORIZONTAL),
+        Severity.STOP,
+        f"it does not take {message}",
+        set_to=lambda value: float(int(value) | HORIZONTAL),
+        good=f"it takes {message}{good}",
+        unreadable=f"its firmware takes no {kind} position",
+    )
+
+
+def _arrives_without_delay(names: tuple[str, ...]) -> ParameterRule:
+    """Return the rule that EKF2 takes a position to be true when it arrives."""
+    return ParameterRule(
+        names,
+        equals(0.0),
+        Severity.STOP,
+        lambda ms: f"it takes what is true on arrival to be {ms / 1e3:g} s old",
+        set_to=0.0,
+        remedy_more=_REBOOT,
     )
 
 
 _VISION_RULES = (
-    ParameterRule(
-        (EV_CONTROL,),
-        lambda value: bool(int(value) & HORIZONTAL),
-        Severity.STOP,
-        "it does not take VISION_POSITION_ESTIMATE",
-        set_to=lambda value: float(int(value) | HORIZONTAL),
-        good="it takes VISION_POSITION_ESTIMATE; no camera of its own may send it",
-        unreadable="its firmware takes no vision position",
-    ),
+    _takes(EV_CONTROL, "VISION_POSITION_ESTIMATE", "; no camera of its own may send it", "vision"),
     ParameterRule(
         (EV_CONTROL,),
         lambda value: not int(value) & _VERTICAL,
@@ -94,12 +96,5 @@ _VISION_RULES = (
         "it takes every position to be as good as EKF2_EVP_NOISE says, however coarse it is",
         set_to=0.0,
     ),
-    ParameterRule(
-        p.EV_DELAY,
-        equals(0.0),
-        Severity.STOP,
-        lambda ms: f"it takes what is true on arrival to be {ms / 1e3:g} s old",
-        set_to=0.0,
-        remedy_more=_REBOOT,
-    ),
+    _arrives_without_delay(p.EV_DELAY),
 )

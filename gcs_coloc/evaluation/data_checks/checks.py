@@ -142,21 +142,13 @@ def _truth_explanations(
     truth: PositionTrack, sigma_m: float, times_s: FloatArray, reported: FloatArray, residual_m: float, origin_height_m: float
 ) -> Iterator[Explanation]:
     true = truth.at(times_s)[0]
-
-    def left_m(changed: FloatArray) -> float:
-        return median_residual_m(np.linalg.norm(changed - reported, axis=1))
-
-    factor = median_ratio(np.linalg.norm(true, axis=1), np.linalg.norm(reported, axis=1))
-    question = unit_question(factor, "the truth in {}", "the reports in {}")
-    if question:
-        yield Explanation(left_m(true / factor), finding(FindingKind.TRUTH_FACTOR, factor, question=question))
-    for axes, signs, words in _AXES:
-        yield Explanation(left_m(true[:, axes] * signs), finding(FindingKind.TRUTH_AXES, axes=words))
+    yield from _factor_explanations(true, reported, FindingKind.TRUTH_FACTOR, "the truth in {}", "the reports in {}")
+    yield from _axes_explanations(true, reported, FindingKind.TRUTH_AXES)
     for factor in (1.0 / _FOOT_M, _FOOT_M):
         scaled = true.copy()
         scaled[:, 2] = (true[:, 2] + origin_height_m) / factor - origin_height_m
         question = unit_question(factor, "those of the truth in {}", "the reported ones in {}")
-        yield Explanation(left_m(scaled), finding(FindingKind.TRUTH_HEIGHT_FACTOR, factor, question=question))
+        yield Explanation(_left_m(scaled, reported), finding(FindingKind.TRUTH_HEIGHT_FACTOR, factor, question=question))
 
     def shifted(by_s: float) -> FloatArray:
         positions, known = truth.at(times_s + by_s)
@@ -175,9 +167,10 @@ def _truth_explanations(
     yield Explanation(after_m, clock)
     apart = np.median(true - reported, axis=0)
     # An offset of any size fits by chance more easily: it must explain all of the residual.
-    if left_m(true - apart) <= _SUSPECT_SIGMAS * sigma_m:
+    left_m = _left_m(true - apart, reported)
+    if left_m <= _SUSPECT_SIGMAS * sigma_m:
         vector = "(" + ", ".join(f"{x:.1f}" for x in apart) + ")"
-        yield Explanation(left_m(true - apart), finding(FindingKind.TRUTH_OFFSET, float(np.linalg.norm(apart)), offset=vector))
+        yield Explanation(left_m, finding(FindingKind.TRUTH_OFFSET, float(np.linalg.norm(apart)), offset=vector))
 
 
 def _check_heights(data: RecordedData) -> Iterator[DataFinding]:
@@ -257,13 +250,28 @@ def _displacements(reports: PositionTrack) -> tuple[FloatArray, FloatArray, floa
 
 
 def _velocity_explanations(integrated_m: FloatArray, moved_m: FloatArray) -> Iterator[Explanation]:
-    def left_m(changed: FloatArray) -> float:
-        return median_residual_m(np.linalg.norm(changed - moved_m, axis=1))
+    kind, velocities, positions = FindingKind.VELOCITY_FACTOR, "the velocities in {}/s", "the positions in {}"
+    yield from _factor_explanations(integrated_m, moved_m, kind, velocities, positions)
+    yield from _axes_explanations(integrated_m, moved_m, FindingKind.VELOCITY_AXES)
+    yield Explanation(_left_m(-integrated_m, moved_m), finding(FindingKind.VELOCITY_SIGN))
 
-    factor = median_ratio(np.linalg.norm(integrated_m, axis=1), np.linalg.norm(moved_m, axis=1))
-    question = unit_question(factor, "the velocities in {}/s", "the positions in {}")
+
+def _left_m(vectors_m: FloatArray, reference_m: FloatArray) -> float:
+    """Return the median distance between vectors (N, 3) of one row."""
+    return median_residual_m(np.linalg.norm(vectors_m - reference_m, axis=1))
+
+
+def _factor_explanations(
+    vectors_m: FloatArray, reference_m: FloatArray, kind: FindingKind, of: str, than: str
+) -> Iterator[Explanation]:
+    """Yield that vectors (N, 3) are in another unit than those of the reference, where the lengths look like it."""
+    factor = median_ratio(np.linalg.norm(vectors_m, axis=1), np.linalg.norm(reference_m, axis=1))
+    question = unit_question(factor, of, than)
     if question:
-        yield Explanation(left_m(integrated_m / factor), finding(FindingKind.VELOCITY_FACTOR, factor, question=question))
+        yield Explanation(_left_m(vectors_m / factor, reference_m), finding(kind, factor, question=question))
+
+
+def _axes_explanations(vectors_m: FloatArray, reference_m: FloatArray, kind: FindingKind) -> Iterator[Explanation]:
+    """Yield that vectors (N, 3) are in each of the frames that are mistaken for east, north, up."""
     for axes, signs, words in _AXES:
-        yield Explanation(left_m(integrated_m[:, axes] * signs), finding(FindingKind.VELOCITY_AXES, axes=words))
-    yield Explanation(left_m(-integrated_m), finding(FindingKind.VELOCITY_SIGN))
+        yield Explanation(_left_m(vectors_m[:, axes] * signs, reference_m), finding(kind, axes=words))
