@@ -22,8 +22,8 @@ from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
 
 def check_config(file: Annotated[Path, typer.Argument(help="The configuration file (TOML).", metavar="FILE")]) -> None:
     """Check a configuration file, fleet by fleet: keys, values, links, estimator, and every file that it names."""
-    from gcs_coloc.links.admission import SignedLinks
     from gcs_coloc.links.base import check_outs
+    from gcs_coloc.links.signed_links import SignedLinks
     from gcs_coloc.sinks.mqtt import read_credentials
     from gcs_coloc.web.server import read_token
     from gcs_coloc.web.tiles import TileFile

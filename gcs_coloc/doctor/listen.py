@@ -11,8 +11,8 @@ from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.messages.control import ClockReference
 from gcs_coloc.doctor.finding import FleetSurvey
 from gcs_coloc.doctor.survey import Question, Survey
-from gcs_coloc.links.admission import SignedLinks
 from gcs_coloc.links.base import Address, Link, Route, parse
+from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.mavlink.framing import GCS_COMPID, GCS_SYSID
 from gcs_coloc.mavlink.signing import Stamp

@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.snapshot import OutSnapshot
-from gcs_coloc.links.admission import RateLimiter, SignedLinks
 from gcs_coloc.links.base import Address, Clock, Link, Route, parse_out
+from gcs_coloc.links.rate_limiter import RateLimiter
 from gcs_coloc.links.routes import RouteTable
+from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.decoder import INVALID_SYSID
 from gcs_coloc.mavlink.framing import EVERYBODY, RawFrame, split, target_of
 from gcs_coloc.mavlink.refusals import Counts, Reason, Refusal

@@ -16,10 +16,10 @@ from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToO
 from gcs_coloc.core.schedule import CATCH_UP_S, advance, find_overrun, without_superseded
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.links.admission import SignedLinks
 from gcs_coloc.links.base import Address, Link, Route, check_outs, parse
 from gcs_coloc.links.forward import Forwarder
 from gcs_coloc.links.routes import RouteTable
+from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.answers import foreign_gps_input
 from gcs_coloc.mavlink.decoder import HeardTruth
 from gcs_coloc.mavlink.refusals import Counts, Refusals

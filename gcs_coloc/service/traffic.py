@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 from gcs_coloc.core.messages.control import ForeignGpsInput, RouteReport
 from gcs_coloc.core.messages.inbound import Inbound
 from gcs_coloc.core.messages.outbound import GpsInput, ToVehicle, Untargeted
-from gcs_coloc.links.admission import RateLimiter, SignedLinks
 from gcs_coloc.links.base import Address, Clock, Link, Route
+from gcs_coloc.links.rate_limiter import RateLimiter
 from gcs_coloc.links.routes import Blocked, RouteTable
+from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.decoder import TRUTH_IDS, Decoder, Frame, HeardTruth, SequenceTracker, truth_of
 from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.mavlink.framing import RawFrame

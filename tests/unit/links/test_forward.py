@@ -5,10 +5,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.config.sections import SigningConfig
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.links.admission import SignedLinks
 from gcs_coloc.links.base import check_outs
 from gcs_coloc.links.forward import MAX_TOOLS, TOOL_KEPT_S, WARN_EVERY_S, Forwarder
 from gcs_coloc.links.routes import RouteTable
+from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.framing import read_frame
 from tests.signed_frames import KEY, OTHER_KEY, Signer
 

@@ -8,9 +8,9 @@ from engine_flights import StraightLine, fly, settings
 from gcs_coloc.config.sections import SigningConfig
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.links.admission import SignedLinks
 from gcs_coloc.links.forward import Forwarder
 from gcs_coloc.links.routes import RouteTable
+from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.decoder import SequenceTracker
 from gcs_coloc.mavlink.refusals import Counts, Refusal, Refusals
 from gcs_coloc.recorder.flight_recording import FlightRecording

@@ -16,8 +16,8 @@ from gcs_coloc.core.messages.outbound import (
     ToVehicle,
     VisionPosition,
 )
-from gcs_coloc.links.admission import SignedLinks
 from gcs_coloc.links.routes import RouteTable
+from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.service.traffic import Sender
 
 HERE, THERE = ("127.0.0.1", 5000), ("127.0.0.1", 5001)

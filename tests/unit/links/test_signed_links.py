@@ -6,7 +6,7 @@ import pytest
 from signed_frames import KEY, UNIX_S, Signer
 
 from gcs_coloc.config.sections import SigningConfig
-from gcs_coloc.links.admission import SignedLinks
+from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.decoder import Decoder
 
 LINK = "udpin:127.0.0.1:14550"

@@ -7,7 +7,7 @@ import pytest
 
 from gcs_coloc.config.sections import SigningConfig
 from gcs_coloc.core.errors import ConfigError
-from gcs_coloc.links.admission import SignedLinks, read_key
+from gcs_coloc.links.signed_links import SignedLinks, read_key
 
 RAW = bytes(range(100, 132))
 

@@ -1,28 +1,17 @@
-"""Admission of what a link receives: signing, by the settings and the key file, and how much each address may send."""
+"""Signing of links: which of them are signed, by the settings, and the key from its file."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
 from gcs_coloc.core.errors import ConfigError, UsageError
 from gcs_coloc.links.base import parse, parse_out
-from gcs_coloc.mavlink.refusals import Counts, Refusal
 from gcs_coloc.mavlink.signing import FIRST_CONTACT_S, KEY_LENGTH, LinkSigning, Signing
 from gcs_coloc.runtime.process import read_private_file
-
-BURST_S = 0.25
-"""A source may send the bytes of this time at once. Chosen: what a radio buffers, and more than the largest datagram needs."""
-LEAST_COST_BYTES = 64
-"""A smaller datagram counts as this many. Chosen: receiving costs about as much as decoding so many bytes."""
-KEPT_S = 10.0
-"""A source that was silent for so long makes room for a new one. Chosen: longer than an outage of a radio link."""
-MAX_SOURCES = 256
-"""More than a fleet can have vehicles (system ids are 1 to 255)."""
 
 
 class SigningSettings(Protocol):
@@ -135,77 +124,3 @@ def _line(content: bytes) -> str | None:
     except UnicodeDecodeError:
         return None
     return text if text.isprintable() and text else None
-
-
-@dataclass(slots=True)
-class _TokenBucket:
-    """One source: when its bucket will be full again, and when it was last heard; service times, s."""
-
-    full_at_s: float
-    heard_at_s: float
-    is_proven: bool
-
-
-class RateLimiter:
-    """Admits up to `bytes_per_s` from each added source, and as much from all others together, before anything is decoded.
-
-    A token bucket for each source, kept as the one time at which it will be full again (the generic cell rate algorithm of
-    ITU-T I.371).
-
-    A flood, from however many addresses, takes nothing from the sources that were added before it, and a new vehicle still
-    gets through to be added. At most `max_sources` are kept.
-    """
-
-    def __init__(self, bytes_per_s: float, *, max_sources: int = MAX_SOURCES) -> None:
-        self.counts = Counts()
-        self._bytes_per_s = bytes_per_s
-        self._max_sources = max_sources
-        self._sources: dict[Hashable, _TokenBucket] = {}
-        self._shared_full_at_s = float("-inf")
-
-    @property
-    def sources(self) -> int:
-        """How many sources have a bucket of their own."""
-        return len(self._sources)
-
-    def add_source(self, source: Hashable, now_s: float, *, is_proven: bool = False) -> None:
-        """Give a vehicle's source a bucket of its own from service time `now_s` on, if there is room.
-
-        A vehicle that `is_proven`, known for some time, takes that of one that is not.
-        """
-        if source in self._sources:
-            self._sources[source].is_proven = is_proven
-        elif self._has_room(now_s, is_proven):
-            self._sources[source] = _TokenBucket(now_s, now_s, is_proven)
-
-    def admits(self, source: Hashable, size: int, now_s: float) -> bool:
-        """Whether a datagram of `size` bytes that came from `source` at service time `now_s` is to be decoded."""
-        own = self._sources.get(source)
-        full_at_s = self._shared_full_at_s if own is None else own.full_at_s
-        if full_at_s < now_s:
-            full_at_s = now_s
-        cost_s = (size if size > LEAST_COST_BYTES else LEAST_COST_BYTES) / self._bytes_per_s
-        # Not whether this one still fits: in a flood of small datagrams a larger one never would.
-        admitted = full_at_s - now_s < BURST_S and cost_s <= BURST_S
-        if admitted:
-            full_at_s += cost_s
-        else:
-            self.counts.add(Refusal.RATE_LIMITED)
-        if own is None:
-            self._shared_full_at_s = full_at_s
-        else:
-            own.full_at_s, own.heard_at_s = full_at_s, now_s
-        return admitted
-
-    def _has_room(self, now_s: float, is_proven: bool) -> bool:
-        if len(self._sources) < self._max_sources:
-            return True
-        by_age = sorted(self._sources, key=lambda source: self._sources[source].heard_at_s)
-        stalest = by_age[0]
-        if now_s - self._sources[stalest].heard_at_s < KEPT_S:
-            unproven = next((source for source in by_age if not self._sources[source].is_proven), None)
-            if not is_proven or unproven is None:
-                return False
-            stalest = unproven
-        del self._sources[stalest]
-        return True

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from gcs_coloc.links.admission import BURST_S, KEPT_S, LEAST_COST_BYTES, RateLimiter
+from gcs_coloc.links.rate_limiter import BURST_S, KEPT_S, LEAST_COST_BYTES, RateLimiter
 
 RATE = 100_000.0
 VEHICLE, HOSTILE = "10.0.0.1:14550", "6.6.6.6:6666"
