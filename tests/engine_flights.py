@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from math import pi
 
 import numpy as np
 
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate
 from gcs_coloc.core.messages.control import RouteReport
-from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, Inbound, ParameterValue
+from gcs_coloc.core.messages.inbound import (
+    Airspeed,
+    Attitude,
+    Autopilot,
+    GlobalPosition,
+    GpsReceiver,
+    Heartbeat,
+    Inbound,
+    ParameterValue,
+)
 from gcs_coloc.core.messages.outbound import GpsInput, Notice
 from gcs_coloc.core.snapshot import VehicleSnapshot
 
@@ -69,6 +79,9 @@ def telemetry(sysid: int, t: float, fix_type: int = 3, autopilot: Autopilot = Au
     step = round(t * 10)
     lon_deg = LON + 20.0 * t / M_PER_DEGREE_EAST
     yield GlobalPosition(sysid, t, boot, LAT + 0.001 * sysid, lon_deg, ALT + 30, 0.0, 20.0, 0.0)
+    # Without them nothing shows where it went while it has no ranges, and its protection level grows by all it may have done.
+    yield Attitude(sysid, t, boot, 0.0, 0.0, 0.5 * pi)
+    yield Airspeed(sysid, t, 20.0)
     if step % 2 == 0:
         yield GpsReceiver(
             sysid, t, 0, fix_type, LAT + 0.001 * sysid, lon_deg, ALT, 10 if fix_type >= 3 else 3, 1.0, 1.2, 2.0, 0.4

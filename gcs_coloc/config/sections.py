@@ -10,6 +10,7 @@ from pydantic.dataclasses import dataclass
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.gps_health.gps_health import GpsHealthSettings
+from gcs_coloc.core.integrity.protection_level import ProtectionSettings
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementSettings
 
 _STRICT = ConfigDict(extra="forbid")
@@ -23,6 +24,11 @@ class GpsHealthConfig(GpsHealthSettings):
 @dataclass(frozen=True, config=_STRICT)
 class MeasurementConfig(MeasurementSettings):
     """`[measurements]`: noise that the wire does not tell (1-sigma per axis), and how old a message may be."""
+
+
+@dataclass(frozen=True, config=_STRICT)
+class IntegrityConfig(ProtectionSettings):
+    """`[integrity]`: the risk that an error exceeds its protection level, and how often what goes wrong."""
 
 
 @dataclass(frozen=True, config=_STRICT)

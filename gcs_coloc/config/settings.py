@@ -25,6 +25,7 @@ from gcs_coloc.config.sections import (
     FleetConfig,
     ForwardConfig,
     GpsHealthConfig,
+    IntegrityConfig,
     MavlinkConfig,
     MeasurementConfig,
     MqttConfig,
@@ -86,6 +87,7 @@ class Settings(BaseSettings):
     mqtt: MqttConfig = Field(default_factory=lambda: MqttConfig.model_validate({}))
     gps_health: GpsHealthConfig = Field(default_factory=GpsHealthConfig)
     measurements: MeasurementConfig = Field(default_factory=MeasurementConfig)
+    integrity: IntegrityConfig = Field(default_factory=IntegrityConfig)
     aiding: AidingConfig = Field(default_factory=AidingConfig)
     time: TimeConfig = Field(default_factory=TimeConfig)
 
@@ -96,6 +98,7 @@ class Settings(BaseSettings):
             measurements=self.measurements,
             aiding=self.aiding,
             time=self.time,
+            integrity=self.integrity,
             request_streams=self.fleet.request_streams,
             max_vehicles=self.fleet.max_vehicles,
         )

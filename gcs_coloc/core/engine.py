@@ -25,6 +25,7 @@ from gcs_coloc.core.gps_health.gps_health import (
     GpsState,
 )
 from gcs_coloc.core.integrity.monitor import IntegrityMonitor
+from gcs_coloc.core.integrity.protection_level import ProtectionSettings
 from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.core.messages.control import (
     AidingOverride,
@@ -61,6 +62,7 @@ class EngineSettings:
     measurements: MeasurementSettings = field(default_factory=MeasurementSettings)
     aiding: AidingSettings = field(default_factory=AidingSettings)
     time: TimeSettings = field(default_factory=TimeSettings)
+    integrity: ProtectionSettings = field(default_factory=ProtectionSettings)
     request_streams: bool = True
     max_vehicles: int = 250
 
@@ -81,7 +83,7 @@ class Engine:
         self.clocks = FleetClocks(s.time, s.measurements.max_age_s)
         self.measurements = MeasurementBuilder(s.measurements, self.clocks)
         self.estimator: Estimator = GuardedEstimator(estimator, self._report_estimator)
-        self.integrity = IntegrityMonitor()
+        self.integrity = IntegrityMonitor(protection=s.integrity)
         self.gps_health = FleetGpsHealth(s.gps_health)
         self.aiding = Aiding(s.aiding)
         stages = Stages(
@@ -191,7 +193,7 @@ class Engine:
         return self._review.decision(sysid)
 
     def estimate(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
-        """Return the estimate of one vehicle at one service time, its covariance inflated by the solution separation."""
+        """Return the estimate of one vehicle at one service time, as it may be stated: with its protection level."""
         return self._review.estimate(sysid, at_s)
 
     def snapshot(self, now_s: float) -> FleetSnapshot:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from gcs_coloc.core.aiding.stream import AidingDecision, AidingView, FixInputs
 from gcs_coloc.core.dispatch import LastRound, Stages
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsEvidence, GpsState, RangeContradiction
+from gcs_coloc.core.integrity.protection_level import Exposure
 from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus, ReviewedVehicle
 from gcs_coloc.core.measurements import Estimate, NoEstimate, Residual
 from gcs_coloc.core.messages.control import GpsOverride, RouteBlock
@@ -36,6 +37,7 @@ class FleetReview:
         self._located_enu_m: dict[int, tuple[float, float]] = {}
         self._median_nis: dict[int, float] = {}
         self._jumps_m: dict[int, float] = {}
+        self._knows_delays = True
 
     def set_gps_override(self, sysid: int, override: GpsOverride) -> None:
         """Set what the operator decides of one vehicle's GPS."""
@@ -50,9 +52,13 @@ class FleetReview:
         return self._decisions.get(sysid, _NO_AIDING)
 
     def estimate(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
-        """Return the estimate of one vehicle at one service time, its covariance inflated by the solution separation."""
-        where = self._stages.estimator.estimate(sysid, at_s)
-        return self.report.inflate(where) if isinstance(where, Estimate) else where
+        """Return the estimate of one vehicle at one service time as it may be stated: with its protection level."""
+        where, s = self._stages.estimator.estimate(sysid, at_s), self._stages
+        if isinstance(where, NoEstimate):
+            return where
+        vehicle = s.telemetry.get(sysid)
+        has_air_data = vehicle is not None and vehicle.has_air_data(at_s)
+        return s.integrity.protect(self.report, where, Exposure(self._knows_delays, has_air_data))
 
     def add_residuals(self, residuals: Iterable[Residual], now_s: float) -> None:
         """Add what the estimator made of ranges since the last call."""
@@ -95,6 +101,7 @@ class FleetReview:
     def review_integrity(self, now_s: float) -> list[Outbound]:
         """Test positions and ranges of the fleet against each other."""
         self._witnesses = self._find_witnesses(now_s)
+        self._knows_delays = all(self._stages.clocks.knows_delay(vehicle.sysid, now_s) for vehicle in self._stages.telemetry)
         reviewed = [self._reviewed(vehicle, now_s) for vehicle in self._stages.telemetry]
         self.report = self._stages.integrity.review(now_s, reviewed, self._stages.measurements.frame)
         for sysid in self.report.diverged:

@@ -8,6 +8,7 @@ later, and not in the order of measuring). All sigmas are one standard deviation
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,13 +86,25 @@ class AttitudeMeasurement:
 Measurement = PositionMeasurement | RangeMeasurement | AltitudeMeasurement | AttitudeMeasurement
 
 
+class ProtectionLevel(NamedTuple):
+    """What the error of an estimate does not exceed, but with the integrity risk: horizontally (HPL) and vertically (VPL), m.
+
+    It assumes that the receivers of the vehicles `untested` are right: the ranges cannot test them.
+    """
+
+    horizontal_m: float
+    vertical_m: float
+    untested: tuple[int, ...] = ()
+
+
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """Where one vehicle is at one time.
 
     `position_enu_m` (3,) m, `velocity_enu_mps` (3,) m/s, `covariance` (6, 6) of position then velocity, symmetric
     positive definite. `hdop` is the horizontal dilution of the ranges in use (no clock column), `None` where there are
-    fewer than two. `ranges_in_use` counts the distinct vehicles whose ranges were used lately.
+    fewer than two. `ranges_in_use` counts the distinct vehicles whose ranges were used lately. `protection` is set by the
+    integrity stage; None where an estimator is asked by itself.
     """
 
     vehicle: int
@@ -101,6 +114,7 @@ class Estimate:
     covariance: FloatArray
     hdop: float | None
     ranges_in_use: int
+    protection: ProtectionLevel | None = None
 
 
 @dataclass(frozen=True, slots=True)

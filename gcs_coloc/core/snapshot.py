@@ -49,7 +49,8 @@ class VehicleSnapshot:
 
     `lat_deg`, `lon_deg`, `alt_msl_m` are the service's estimate, `reported_*` is what the vehicle says of itself.
     `sigma_h_m` is 1-sigma along the worst horizontal direction, `sigma_v_m` that of the height, `bound_95_m` the 95 % horizontal
-    bound. `no_estimate_reason` says why there is no estimate.
+    bound. `hpl_m` and `vpl_m` are the horizontal and vertical protection level; they assume that the receivers of the vehicles
+    `untested` are right, as the ranges cannot test them. `no_estimate_reason` says why there is no estimate.
     `enu_m` and `velocity_enu_mps` are the estimate in the fleet's frame, `covariance_h_m2` its horizontal covariance (east-east,
     east-north, north-north). `yaw_rad` is the vehicle's own, from true north, clockwise.
     `aiding` says in words what is sent to it, `aiding_has_fix` whether that is a position, `fix_acknowledged` whether its
@@ -88,6 +89,9 @@ class VehicleSnapshot:
     aiding_override_by: str | None = None
     primary_override_by: str | None = None
     sigma_v_m: float | None = None
+    hpl_m: float | None = None
+    vpl_m: float | None = None
+    untested: tuple[int, ...] = ()
     enu_m: tuple[float, float, float] | None = None
     velocity_enu_mps: tuple[float, float, float] | None = None
     covariance_h_m2: tuple[float, float, float] | None = None
@@ -154,7 +158,8 @@ def vehicle_snapshot(
     `where` is the estimate for that time, `frame` the fleet's, `clock` how its clock is known with the 1-sigma in s.
     """
     enu_m = velocity_mps = covariance_m2 = lat_deg = lon_deg = alt_msl_m = reported_enu_m = None
-    sigma_h_m = sigma_v_m = bound_95_m = hdop = None
+    sigma_h_m = sigma_v_m = bound_95_m = hpl_m = vpl_m = hdop = None
+    untested: tuple[int, ...] = ()
     ranges_in_use = 0
     if isinstance(where, Estimate) and frame is not None:
         P = where.covariance
@@ -163,6 +168,8 @@ def vehicle_snapshot(
         covariance_m2 = (P.item(0, 0), P.item(0, 1), P.item(1, 1))
         sigma_h_m, bound_95_m = horizontal_sigma_and_bound_95_m(P)
         sigma_v_m = sqrt(P.item(2, 2))
+        if where.protection is not None:
+            hpl_m, vpl_m, untested = where.protection
         hdop, ranges_in_use = where.hdop, where.ranges_in_use
         lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(e, n, u)
     reported, receiver, attitude = vehicle.position, vehicle.receiver, vehicle.attitude
@@ -197,6 +204,9 @@ def vehicle_snapshot(
         aiding_override_by=override_sources.aiding,
         primary_override_by=override_sources.primary,
         sigma_v_m=sigma_v_m,
+        hpl_m=hpl_m,
+        vpl_m=vpl_m,
+        untested=untested,
         enu_m=enu_m,
         velocity_enu_mps=velocity_mps,
         covariance_h_m2=covariance_m2,

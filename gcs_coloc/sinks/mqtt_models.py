@@ -59,6 +59,9 @@ class VehicleEstimate(_Sent):
     sigma_h_m: float | None
     sigma_v_m: float | None
     bound_95_m: float | None
+    hpl_m: float | None
+    vpl_m: float | None
+    untested: tuple[int, ...]
     hdop: float | None
     ranges_in_use: int
     no_estimate_reason: str | None

@@ -7,7 +7,6 @@ from math import sqrt
 
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.settings import AidingSettings
-from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.core.reasons import StatedReason
@@ -82,9 +81,13 @@ class FixPolicy:
 
     def _fault(self, answer: Estimate, now_s: float) -> Inhibit | None:
         settings = self._settings
-        bound_m = horizontal_bound_95_m(answer.covariance)
-        if not bound_m <= settings.alert_limit_m:
-            return StatedReason(InhibitReason.BEYOND_ALERT_LIMIT, bound_m, settings.alert_limit_m)
+        level = answer.protection
+        if level is None:
+            return StatedReason(InhibitReason.NO_PROTECTION_LEVEL)
+        if not level.horizontal_m <= settings.alert_limit_m:
+            return StatedReason(InhibitReason.BEYOND_ALERT_LIMIT, level.horizontal_m, settings.alert_limit_m)
+        if level.untested and settings.require_fault_tests:
+            return StatedReason(InhibitReason.UNTESTED, detail=", ".join(map(str, level.untested)))
         if now_s - self._ranged_at_s > settings.prediction_s:
             return StatedReason(InhibitReason.PREDICTION_ALONE, limit=settings.prediction_s)
         if self._undetermined_s > settings.prediction_s:

@@ -32,7 +32,10 @@ class AidingSettings:
     gps_id: int = between(1, 0, 1)
     """Zero-based receiver instance that is set to MAVLink on the vehicle (GPS_INPUT.gps_id): 0 is GPS1, 1 is GPS2."""
     alert_limit_m: float = positive(50.0)
-    """No fix is sent while the 95 % horizontal bound exceeds this. Chosen: what the operator's airspace allows."""
+    """No fix is sent while the horizontal protection level exceeds this. Chosen: what the operator's airspace allows."""
+    require_fault_tests: bool = False
+    """`true`: no fix is sent while the ranges cannot test the receiver of every peer, as with one or two peers.
+    `false`: it is sent, and the page names the peers that must be right."""
     regain_after_s: float = between(3.0, 0.0)
     """A lost fix comes back only after it has been sound for this long. Chosen: against a fix that flickers."""
     prediction_s: float = positive(10.0)

@@ -9,7 +9,7 @@ from math import hypot
 
 from gcs_coloc.core.clocks.sender_clock import SenderClock
 from gcs_coloc.core.clocks.utc import HostClockFault, Utc
-from gcs_coloc.core.clocks.vehicle_clocks import ServiceTime, TimeSettings, VehicleClock
+from gcs_coloc.core.clocks.vehicle_clocks import ONE_WAY, ServiceTime, TimeSettings, VehicleClock
 from gcs_coloc.core.messages.control import ClockReference
 from gcs_coloc.core.messages.inbound import (
     Attitude,
@@ -197,6 +197,11 @@ class FleetClocks:
     def quality(self, sysid: int, now_s: float) -> tuple[str, float] | None:
         """Return how the clock of a vehicle is known, and its 1-sigma in s; None before its first stamp."""
         return self._of(sysid).boot.quality(now_s, self.settings)
+
+    def knows_delay(self, sysid: int, now_s: float) -> bool:
+        """Whether TIMESYNC, UTC or a setting shows how late a vehicle's link is; also where it has sent no stamp yet."""
+        quality = self.quality(sysid, now_s)
+        return quality is None or quality[0] != ONE_WAY or self.settings.min_delay_s > 0.0
 
     def _of(self, sysid: int) -> _Clocks:
         clocks = self._clocks.get(sysid)

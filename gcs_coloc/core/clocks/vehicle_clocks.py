@@ -20,6 +20,9 @@ from gcs_coloc.core.clocks.timesync import RoundTrips, Synchronised
 from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
+ONE_WAY = "one-way"
+"""How a clock is known that neither TIMESYNC nor UTC shows: by the least delay of its stamps."""
+
 _SAME_CLOCK_S = 0.05
 _SAME_UNEVEN_CLOCK_S = 0.5  # chosen: what one of two messages waits more than the other
 _ONE_WAY_SIGMA_S = 0.005  # how far the least of a minute's one-way delays may be from the link's least
@@ -172,12 +175,12 @@ class VehicleClock:
     def one_way(self, settings: TimeSettings) -> OneWay:
         """What is held of the link's least delay where TIMESYNC is not answered."""
         if settings.min_delay_s > 0.0:
-            return OneWay("one-way", settings.min_delay_s, settings.min_delay_sigma_s)
+            return OneWay(ONE_WAY, settings.min_delay_s, settings.min_delay_sigma_s)
         if self._by_utc is not None:
             return self._by_utc
         least_s = settings.min_delay_sigma_s
         sigma_s = hypot(least_s, _WAITS * self.stamps.mean_wait_s()) if self.stamps.known else least_s
-        return OneWay("one-way", 0.0, min(sigma_s, max(_MOST_UNKNOWN_S, least_s)))
+        return OneWay(ONE_WAY, 0.0, min(sigma_s, max(_MOST_UNKNOWN_S, least_s)))
 
     def synchronised(self, now_s: float) -> Synchronised | None:
         """What TIMESYNC says; None where it is not answered."""

@@ -11,12 +11,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import sqrt
 
+from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.integrity.protection_level import (
+    Exposure,
+    FaultLevel,
+    ProtectionSettings,
+    fault_level,
+    protection_level,
+)
 from gcs_coloc.core.integrity.range_consistency import ConsistencySettings, RangeConsistency
 from gcs_coloc.core.integrity.range_residuals import TrackPoint
 from gcs_coloc.core.integrity.reacquisition import ReacquisitionMonitor
 from gcs_coloc.core.integrity.report import FaultReason, IntegrityReport, PositionFault, ReviewedVehicle
-from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
+from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
+from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement
 
 _LARGEST_SIGMA_V_M = 10.0  # chosen: a free height would cost each range its information
 
@@ -24,7 +33,9 @@ _LARGEST_SIGMA_V_M = 10.0  # chosen: a free height would cost each range its inf
 class IntegrityMonitor:
     """Detects, isolates and bounds faults of reported positions. Call `review` several times a second."""
 
-    def __init__(self, settings: ConsistencySettings | None = None) -> None:
+    def __init__(self, settings: ConsistencySettings | None = None, protection: ProtectionSettings | None = None) -> None:
+        self._protection = protection if protection is not None else ProtectionSettings()
+        self._fault_levels: dict[int, FaultLevel] = {}
         self._consistency = RangeConsistency(settings)
         self._reacquisition = ReacquisitionMonitor(self._consistency.settings)
 
@@ -57,12 +68,40 @@ class IntegrityMonitor:
         self._consistency.review(now_s)
         tested = IntegrityReport(separation_m2=dict(self._consistency.separation_m2))
         inflated = [replace(v, estimate=tested.inflate(v.estimate)) if v.estimate is not None else v for v in vehicles]
+        self._update_fault_levels(inflated, now_s)
         reacquired = self._reacquisition.review(now_s, inflated, self._consistency.identified)
         for sysid in [sysid for sysid in self._consistency.identified if self._reacquisition.has_become_right(sysid)]:
             self._consistency.readmit(sysid)
         sysids = [vehicle.sysid for vehicle in vehicles]
         faults = {sysid: fault for sysid in sysids if (fault := self._fault(sysid)) is not None}
-        return replace(reacquired, faults={**reacquired.faults, **faults}, separation_m2=tested.separation_m2)
+        return replace(
+            reacquired,
+            faults={**reacquired.faults, **faults},
+            separation_m2=tested.separation_m2,
+            fault_levels=dict(self._fault_levels),
+        )
+
+    def protect(self, report: IntegrityReport, estimate: Estimate, exposure: Exposure) -> Estimate:
+        """Return the estimate as it may be stated by a report: its covariance inflated, with its protection level."""
+        inflated = report.inflate(estimate)
+        level = protection_level(inflated, report.fault_levels.get(estimate.vehicle), exposure, self._protection)
+        return replace(inflated, protection=level)
+
+    def _update_fault_levels(self, vehicles: Sequence[ReviewedVehicle], now_s: float) -> None:
+        epoch = self._consistency.epoch
+        separation = SolutionSeparation(epoch) if epoch.residuals else None
+        levels: dict[int, FaultLevel] = {}
+        for sysid, where in ((vehicle.sysid, vehicle.estimate) for vehicle in vehicles):
+            if where is None:
+                continue
+            ranged_at_s = self._consistency.ranged_at_s(sysid)
+            if separation is not None and ranged_at_s is not None and sysid in separation.vehicles:
+                levels[sysid] = fault_level(separation.of(sysid), where, ranged_at_s, self._protection)
+            else:
+                # Until it has ranges, its last own position carries it.
+                beginning = FaultLevel(0.0, horizontal_sigma_m(where.covariance), now_s, ())
+                levels[sysid] = self._fault_levels.get(sysid, beginning)
+        self._fault_levels = levels
 
     def _place_by_estimate(self, vehicle: ReviewedVehicle, now_s: float) -> None:
         """Let a vehicle take part where the estimator has it, without a prior for its position; else not at all."""

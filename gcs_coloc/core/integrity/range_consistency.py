@@ -82,12 +82,14 @@ class _Persistence:
 class RangeConsistency:
     """The consistency monitor of one fleet.
 
-    `identified` are the faulty vehicles, `detected` those among which a fault is not isolated. `separation_m2` has, for each
-    vehicle without prior, the second moment (2, 2) of its solution separation, m^2.
+    `epoch` is the newest one, with the pairs that are ranged seldom. `identified` are the faulty vehicles, `detected` those among
+    which a fault is not isolated. `separation_m2` has, for each vehicle without prior, the second moment (2, 2) of its solution
+    separation, m^2.
     """
 
     def __init__(self, settings: ConsistencySettings | None = None) -> None:
         self.settings = settings if settings is not None else ConsistencySettings()
+        self.epoch = Epoch(float("-inf"), {}, ())
         self.identified: dict[int, IdentifiedFault] = {}
         self.detected: frozenset[int] = frozenset()
         self.separation_m2: dict[int, FloatArray] = {}
@@ -114,6 +116,10 @@ class RangeConsistency:
         """Add a range; its residual is computed once the positions of its time have arrived."""
         self._residuals.add_range(measurement)
 
+    def ranged_at_s(self, vehicle: int) -> float | None:
+        """The time of the newest range of a vehicle; None where there is none of late."""
+        return self._residuals.ranged_at_s(vehicle)
+
     def readmit(self, vehicle: int) -> None:
         """End the exclusion of an identified vehicle."""
         self.identified.pop(vehicle, None)
@@ -124,6 +130,7 @@ class RangeConsistency:
             return
         self._due_s = now_s + self.settings.period_s - SAME_S
         epoch = self._residuals.epoch(now_s)
+        self.epoch = self._residuals.sparse_epoch(now_s, epoch)
         self._run_fault_monitor(epoch, now_s)
         self._run_tests(epoch, now_s)
         monitored = self._fault_monitor.separation_m2(now_s)

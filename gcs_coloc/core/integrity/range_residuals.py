@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import Counter, deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import dist, sqrt
 from statistics import median
@@ -32,8 +33,9 @@ class RangeResidualSettings:
     """How ranges become residuals.
 
     A residual uses the ranges of the last `window_s` if these are `enough_ranges`, else of the last `max_window_s`, and needs
-    `min_ranges`. An epoch ends `wait_s` ago, because positions need that time to arrive. `range_bias_m` is the 1-sigma of the
-    error that all ranges of a pair share, `coloured_share` the share of their stated variance that no averaging removes.
+    `min_ranges`. A sparse epoch takes any range of the last `sparse_window_s`. An epoch ends `wait_s` ago, because positions need
+    that time to arrive. `range_bias_m` is the 1-sigma of the error that all ranges of a pair share, `coloured_share` the share of
+    their stated variance that no averaging removes.
     """
 
     window_s: float = 1.0
@@ -41,6 +43,7 @@ class RangeResidualSettings:
     wait_s: float = 0.2
     enough_ranges: int = 5
     min_ranges: int = 3
+    sparse_window_s: float = 3.0
     range_bias_m: float = 0.3
     coloured_share: float = 0.1
 
@@ -121,24 +124,40 @@ class RangeResidualBuffer:
         """Add a range; its residual is computed once the positions of its time have arrived."""
         self._pending.append(measurement)
 
+    def ranged_at_s(self, vehicle: int) -> float | None:
+        """The time of the newest range to or from a vehicle whose residual was computed; None where there is none."""
+        return max((samples[-1][0] for pair, samples in self._samples.items() if vehicle in pair), default=None)
+
     def epoch(self, now_s: float) -> Epoch:
         """The fleet in the middle of the window that ends `wait_s` ago."""
         self._compute_residuals(now_s)
         s = self.settings
+        oldest_s = now_s - s.wait_s - s.max_window_s
+        dense = {pair: [sample for sample in samples if sample[0] > oldest_s] for pair, samples in self._samples.items()}
+        return self._epoch(dense, now_s, s.min_ranges)
+
+    def sparse_epoch(self, now_s: float, dense: Epoch) -> Epoch:
+        """The same with the pairs whose ranges come too seldom for `dense`, the epoch of the same time."""
+        if len(dense.residuals) == len(self._samples):
+            return dense
+        return self._epoch(self._samples, now_s, 1)
+
+    def _epoch(self, ranges: Mapping[tuple[int, int], list[_Sample]], now_s: float, min_ranges: int) -> Epoch:
+        s = self.settings
         middle_s = now_s - s.wait_s - 0.5 * s.window_s
         from_s = now_s - s.wait_s - s.window_s
-        at_middle = {vehicle: self._tracks[vehicle].at(middle_s) for vehicle in {v for pair in self._samples for v in pair}}
+        at_middle = {vehicle: self._tracks[vehicle].at(middle_s) for vehicle in {v for pair in ranges for v in pair}}
         priors: dict[int, PositionPrior] = {}
         residuals: list[RangeResidual] = []
         per_device: Counter[int] = Counter()
         began_s = ended_s = now_s - s.wait_s
-        for (i, j), kept in sorted(self._samples.items()):
+        for (i, j), kept in sorted(ranges.items()):
             a, b = at_middle[i], at_middle[j]
             if a is None or b is None or per_device[i] >= _MAX_PEERS_PER_DEVICE:
                 continue
             recent = [sample for sample in kept if sample[0] > from_s]
             samples = recent if len(recent) >= s.enough_ranges else kept
-            if len(samples) < s.min_ranges or dist(a.position_enu_m, b.position_enu_m) < _MIN_DISTANCE_M:
+            if len(samples) < min_ranges or dist(a.position_enu_m, b.position_enu_m) < _MIN_DISTANCE_M:
                 continue
             priors[i], priors[j] = a, b
             residuals.append(self._residual(i, j, samples))
@@ -180,6 +199,6 @@ class RangeResidualBuffer:
                 del samples[0]
         self._pending.clear()
         self._pending.extend(waiting)
-        oldest_s = ready_s - self.settings.max_window_s
+        oldest_s = ready_s - self.settings.sparse_window_s
         fresh = {pair: [sample for sample in samples if sample[0] > oldest_s] for pair, samples in self._samples.items()}
         self._samples = {pair: samples for pair, samples in fresh.items() if samples}

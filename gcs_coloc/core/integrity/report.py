@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from gcs_coloc.core.gps_health.gps_health import GpsState
+from gcs_coloc.core.integrity.protection_level import FaultLevel
 from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement
 
 SEPARATION_GROWTH_TIME_S = 5.0
@@ -83,13 +84,15 @@ class IntegrityReport:
     """The result of one review.
 
     `faults`: the vehicles with a fault, identified or only detected. `separation_m2`: for each located vehicle the second moment
-    (2, 2) of how far possible faults may have moved it, east and north, in m^2. `reacquisitions`: the receivers that are back.
+    (2, 2) of how far possible faults may have moved it, east and north, in m^2. `fault_levels`: of each vehicle that ranges
+    place, what its error does not exceed under the hypotheses that they test. `reacquisitions`: the receivers that are back.
     `diverged`: the vehicles whose estimate is wrong, so that the estimator must initialise them again. `rejected_fixes`: how many
     receivers were back and found wrong, since the start.
     """
 
     faults: Mapping[int, PositionFault] = field(default_factory=dict)
     separation_m2: Mapping[int, FloatArray] = field(default_factory=dict)
+    fault_levels: Mapping[int, FaultLevel] = field(default_factory=dict)
     reacquisitions: Mapping[int, ReacquisitionStatus] = field(default_factory=dict)
     diverged: frozenset[int] = frozenset()
     rejected_fixes: int = 0

@@ -12,9 +12,9 @@ from gcs_coloc.recorder.flight_history import FlightHistory
 from gcs_coloc.recorder.journal import VehicleEntry
 
 COLUMNS = (
-    "unix_s", "sysid", "lat_deg", "lon_deg", "alt_msl_m", "sigma_h_m", "bound_95_m", "hdop", "nis", "ranges_in_use",
-    "gps_state", "aiding_has_fix", "no_estimate_reason", "sigma_v_m", "ve_mps", "vn_mps", "vu_mps", "var_ee_m2", "cov_en_m2",
-    "var_nn_m2", "reported_lat_deg", "reported_lon_deg", "reported_off_m", "fix_type", "satellites",
+    "unix_s", "sysid", "lat_deg", "lon_deg", "alt_msl_m", "sigma_h_m", "bound_95_m", "hpl_m", "vpl_m", "hdop", "nis",
+    "ranges_in_use", "gps_state", "aiding_has_fix", "no_estimate_reason", "sigma_v_m", "ve_mps", "vn_mps", "vu_mps",
+    "var_ee_m2", "cov_en_m2", "var_nn_m2", "reported_lat_deg", "reported_lon_deg", "reported_off_m", "fix_type", "satellites",
 )  # fmt: skip
 
 
@@ -32,7 +32,8 @@ def _row(entry: VehicleEntry) -> list[Any]:
     nis = v.consistency.nis_median if v.consistency is not None else None
     return [
         f"{entry.at_s:.6f}", v.sysid, _number(v.lat_deg, 8), _number(v.lon_deg, 8), _number(v.alt_msl_m, 3),
-        _number(v.sigma_h_m, 3), _number(v.bound_95_m, 3), _number(v.hdop, 3), _number(nis, 4), v.ranges_in_use,
+        _number(v.sigma_h_m, 3), _number(v.bound_95_m, 3), _number(v.hpl_m, 3), _number(v.vpl_m, 3), _number(v.hdop, 3),
+        _number(nis, 4), v.ranges_in_use,
         v.gps_state, int(v.aiding_has_fix), v.no_estimate_reason or "", _number(v.sigma_v_m, 3),
         *(_number(speed, 3) for speed in v.velocity_enu_mps or (None,) * 3),
         *(_number(moment, 4) for moment in v.covariance_h_m2 or (None,) * 3),

@@ -92,6 +92,7 @@ def _draw_vehicle(figure: Any, ink: _Ink, history: FlightHistory, track: Sequenc
     t = [entry.at_s - start_s for entry in track]
     views = [entry.vehicle for entry in track]
     bound, hdop, nis = figure.subplots(3, 1, sharex=True)
+    bound.plot(t, [_or_nan(v.hpl_m) for v in views], color=ink.grey, lw=1, label="protection level, m")
     bound.plot(t, [_or_nan(v.bound_95_m) for v in views], color=ink.red, lw=1, label="95 % bound, m")
     bound.plot(t, [_or_nan(v.sigma_h_m) for v in views], color=ink.blue, lw=1, label="1-sigma, m")
     hdop.plot(t, [_or_nan(v.hdop) for v in views], color=ink.blue, lw=1, label="HDOP")

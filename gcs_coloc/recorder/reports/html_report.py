@@ -92,6 +92,9 @@ def _vehicle(history: FlightHistory, vehicle: Mapping[str, Any], track: Sequence
     bounds = [v.bound_95_m for v in located if v.bound_95_m is not None]
     if bounds:
         rows.append(("95 % bound, median and most", f"{median(bounds):.1f} m, {max(bounds):.1f} m"))
+    levels = [v.hpl_m for v in located if v.hpl_m is not None]
+    if levels:
+        rows.append(("protection level, median and most", f"{median(levels):.1f} m, {max(levels):.1f} m"))
     rows.extend(_score(vehicle["score"]))
     reasons = sorted({v.no_estimate_reason for v in without if v.no_estimate_reason is not None})
     rows.extend(("not located because", reason) for reason in reasons)

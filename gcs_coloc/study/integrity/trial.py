@@ -201,7 +201,7 @@ class _Trial:
         error_m, bound_m, hpl_m = None, None, None
         if isinstance(where, Estimate) and self._engine.frame is not None:
             error_m, bound_m = self._error_m(sysid, where, at_s - _AGE_S), horizontal_bound_95_m(where.covariance)
-            hpl_m = getattr(where, "hpl_m", None)
+            hpl_m = where.protection.horizontal_m if where.protection is not None else None
         inhibit = self._engine.decision(sysid).inhibit
         reason = self._engine.gps_health.reason(sysid)
         self._trace(TrialSample(at_s, sysid, state.value, reason, has_fix, is_sound, error_m, bound_m, hpl_m, str(inhibit or "")))

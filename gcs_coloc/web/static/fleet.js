@@ -142,6 +142,7 @@ export class FleetList {
       "estimated position": snapshot.enu_m === null ? `unknown: ${snapshot.no_estimate_reason}` : `${place(snapshot.lat_deg, snapshot.lon_deg)}, ${metres(snapshot.alt_msl_m, 0)} ±${metres(snapshot.sigma_v_m, 0)} above sea level`,
       "reported position": place(snapshot.reported_lat_deg, snapshot.reported_lon_deg),
       "1-sigma, 95 % bound": `${metres(snapshot.sigma_h_m)}, ${metres(snapshot.bound_95_m)}`,
+      "protection level": `${metres(snapshot.hpl_m)}, height ${metres(snapshot.vpl_m)}${snapshot.untested.length > 0 ? `, if the GPS of ${snapshot.untested.join(", ")} is right: no range tests it` : ""}`,
       "2-sigma ellipse": ellipse === null ? "-" : `${metres(ellipse.semi_major_m)} by ${metres(ellipse.semi_minor_m)}`,
       speed: snapshot.velocity_enu_mps === null ? "-" : `${Math.hypot(snapshot.velocity_enu_mps[0], snapshot.velocity_enu_mps[1]).toFixed(1)} m/s`,
       "HDOP, ranges in use": `${number(snapshot.hdop)}, ${snapshot.ranges_in_use}`,

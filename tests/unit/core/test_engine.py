@@ -85,8 +85,10 @@ def test_position_and_velocity_are_those_of_a_tenth_ago_in_the_wires_units():
 def test_hdop_is_the_positions_sigma_in_units_of_a_ranges_error():
     engine = Engine(StraightLine(), settings())
     fly(engine, 0.0, 5.0)
-    engine.receive(PeerRange(4, 5.0, 1, 500.0, 0.9, None, TimeBase.BOOT, 1, None, 0))  # with the peer's 1.2 m: 1.5 m
-    _, aid = aids(fly(engine, 5.0, 10.0, failed=[4]), 4)[-1]
+    engine.receive(
+        PeerRange(4, 5.0, 1, 3.0 * M_APART_NORTH, 0.9, None, TimeBase.BOOT, 1, None, 0)
+    )  # with the peer's 1.2 m: 1.5 m
+    _, aid = aids(fly(engine, 5.0, 6.5, failed=[4]), 4)[-1]
     assert (aid.hdop, aid.vdop) == pytest.approx((np.hypot(2.0, 1.0) / 1.5, 3.0 / 1.5))
 
 
@@ -118,13 +120,13 @@ def test_a_position_that_is_unknown_or_too_uncertain_is_never_claimed_as_a_fix(c
     if cause == "unknown":
         estimator.unknown = "no ranges"
     else:
-        estimator.sigma_m = 25.6  # 95 % bound 50.2 m: nearly all of it east
+        estimator.sigma_m = 10.0  # protection level beyond 50 m
     out = fly(engine, 5.0, 10.0, failed=[4])
     assert len(aids(out, 4)) > 35
     assert {a.fix_type for _, a in aids(out, 4)} == {1}
     reasons = [o.text for _, o in out if isinstance(o, Notice) and "not located" in o.text]
     assert len(reasons) == 1
-    estimator.unknown, estimator.sigma_m = None, 25.4
+    estimator.unknown, estimator.sigma_m = None, 4.0
     back = aids(fly(engine, 10.0, 14.0, failed=[4]), 4)
     # What has only not been located yet is located at once; a bound that was beyond the limit must stay within it for 3 s.
     expected_s = 10.0 if cause == "unknown" else 13.0
@@ -221,7 +223,7 @@ def test_missing_streams_are_asked_for_ever_less_often_and_at_once_after_a_reboo
     engine = Engine(StraightLine(), EngineSettings(request_streams=True))
     out = fly(engine, 0.0, 60.0, sysids=[1])
     asked = [(t, o) for t, o in out if isinstance(o, StreamRequest)]
-    sent = {Stream.POSITION, Stream.FIRST_RECEIVER}  # by telemetry()
+    sent = {Stream.POSITION, Stream.FIRST_RECEIVER, Stream.ATTITUDE, Stream.AIRSPEED}  # by telemetry()
     assert {o.stream for _, o in asked} == wanted_hz(Autopilot.ARDUPILOT).keys() - sent
     times = sorted({t for t, _ in asked})
     assert times == pytest.approx([4.0, 12.0, 28.0], abs=1.0)

@@ -7,6 +7,7 @@ from math import cos, hypot, sin, sqrt
 import numpy as np
 import pytest
 
+from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.messages.control import RouteReport
@@ -19,6 +20,9 @@ DENIED, LOST_S, END_S = 9, 20.0, 80.0
 SPEED_MPS, RADIUS_M = 15.0, 150.0
 HERE = [(0.0, 0.0, 50.0), (0.3, 0.0, 50.0), (0.0, 0.4, 50.2)]
 
+# The protection level allows no fix in this geometry; this rule has to hold without it.
+SETTINGS = EngineSettings(request_streams=False, aiding=AidingSettings(alert_limit_m=1000.0))
+
 
 def state(sysid: int, t: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Position (ENU, m) and velocity (ENU, m/s)."""
@@ -30,7 +34,7 @@ def state(sysid: int, t: float) -> tuple[tuple[float, float, float], tuple[float
 
 def flown(peers: int, seed: int) -> list[tuple[float, GpsInput]]:
     """What a circling vehicle is sent that loses its GPS at `LOST_S`; GPS errors of 1 m that wander, ranges of 1 m at 5 Hz."""
-    rng, engine = np.random.default_rng(seed), Engine(load_estimator("fleet", {}), EngineSettings(request_streams=False))
+    rng, engine = np.random.default_rng(seed), Engine(load_estimator("fleet", {}), SETTINGS)
     sysids = [*range(1, peers + 1), DENIED]
     error_m = {sysid: rng.standard_normal(3) for sysid in sysids}
     sent = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from engine_flights import StraightLine, fly, settings
+from engine_flights import M_APART_NORTH, StraightLine, fly, settings
 
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
@@ -35,7 +35,7 @@ def flown(engine: Engine, start_s: float, stop_s: float, result=None, checks: fl
     for step in range(round(start_s * 10), round(stop_s * 10)):
         t = step / 10
         engine.receive(EkfStatus(4, t, aligned, not aligned, gps_glitching=False))
-        engine.receive(PeerRange(4, t, 1, 500.0, 2.0, None, TimeBase.SERVICE, step, None, 0))
+        engine.receive(PeerRange(4, t, 1, 3.0 * M_APART_NORTH, 2.0, None, TimeBase.SERVICE, step, None, 0))
         for at_s, output in fly(engine, t, t + 0.1, failed=[4]):
             out.append((at_s, output))
             if isinstance(output, ExternalPosition) and result is not None:
@@ -48,7 +48,8 @@ def flown(engine: Engine, start_s: float, stop_s: float, result=None, checks: fl
 def engine_with(sigma_m: float, **aid) -> Engine:
     estimator = StraightLine()
     estimator.sigma_m = sigma_m
-    engine = Engine(estimator, settings(aiding=AidingSettings(**aid)))
+    # These tests are on what the vehicle takes; the alert limit has its own.
+    engine = Engine(estimator, settings(aiding=AidingSettings(alert_limit_m=300.0, **aid)))
     fly(engine, 0.0, 5.0)
     return engine
 
@@ -174,7 +175,7 @@ def test_a_position_that_is_good_again_goes_back_to_gps_input_after_a_while():
 
 
 def test_no_estimate_is_sent_while_the_position_may_not_be_claimed():
-    engine = engine_with(26.0)  # beyond the alert limit
+    engine = engine_with(60.0)  # its protection level is beyond the alert limit
     out = flown(engine, 5.0, 15.0, ACCEPTED)
     assert not of(out, ExternalPosition)
     assert fix_types(out, 5.0) == {1}

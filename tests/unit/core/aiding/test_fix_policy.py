@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gcs_coloc.core.aiding.fix_policy import FixPolicy
 from gcs_coloc.core.aiding.settings import AidingSettings
-from gcs_coloc.core.measurements import Estimate, NoEstimate
+from gcs_coloc.core.measurements import Estimate, NoEstimate, ProtectionLevel
 
 
-def known(at_s: float, sigma_m: float = 2.0, ranges: int = 3, hdop: float | None = 1.0) -> Estimate:
+def known(
+    at_s: float, sigma_m: float = 2.0, ranges: int = 3, hdop: float | None = 1.0, untested: tuple[int, ...] = ()
+) -> Estimate:
     covariance = np.diag([sigma_m**2, 1.0, 9.0, 0.25, 0.25, 0.25])
-    return Estimate(4, at_s, np.zeros(3), np.zeros(3), covariance, hdop, ranges)
+    return Estimate(4, at_s, np.zeros(3), np.zeros(3), covariance, hdop, ranges, ProtectionLevel(2.0 * sigma_m, 9.0, untested))
 
 
 def unknown(at_s: float) -> NoEstimate:
@@ -46,15 +50,15 @@ def test_a_fix_that_was_lost_comes_back_after_three_seconds_within_the_limit(fau
     assert set(after[after.index(None) :]) == {None}
 
 
-def test_a_bound_that_swings_about_the_limit_gives_no_fix_at_all():
+def test_a_protection_level_that_swings_about_the_limit_gives_no_fix_at_all():
     policy = FixPolicy(AidingSettings(), 0.0)
     answers = [known(0.0, sigma_m=26.0 if i % 20 == 0 else 20.0) for i in range(200)]
     assert None not in asked(policy, answers, 0.0)
 
 
-def test_a_bound_beyond_the_limit_is_named_with_both():
+def test_a_protection_level_beyond_the_limit_is_named_with_both():
     (word,) = asked(FixPolicy(AidingSettings(alert_limit_m=30.0), 0.0), [known(0.0, sigma_m=20.0)], 0.0)
-    assert word == "95 % horizontal bound 39 m is beyond the alert limit of 30 m"
+    assert word == "protection level 40 m is beyond the alert limit of 30 m"
 
 
 def test_prediction_alone_is_a_fix_for_ten_seconds_and_no_longer_however_small_its_bound():
@@ -117,3 +121,15 @@ def test_a_moment_in_which_ranges_seem_to_fix_the_place_does_not_make_it_known(d
     policy = FixPolicy(AidingSettings(), 0.0)
     words = asked(policy, [known(0.0, hdop=20.0 if i % 10 < determined_of_ten else 200.0) for i in range(600)], 0.0)
     assert set(words[300:]) == {None} if is_fix else None not in words[300:]
+
+
+def test_an_estimate_without_a_protection_level_is_no_fix():
+    answer = replace(known(0.0), protection=None)
+    assert asked(FixPolicy(AidingSettings(), 0.0), [answer], 0.0) == ["its position has no protection level"]
+
+
+def test_a_receiver_that_nothing_tests_ends_the_fix_only_where_tests_are_required():
+    answers = [known(0.0, untested=(2, 3))]
+    assert asked(FixPolicy(AidingSettings(), 0.0), answers, 0.0) == [None]
+    (text,) = asked(FixPolicy(AidingSettings(require_fault_tests=True), 0.0), answers, 0.0)
+    assert text == "its ranges cannot test the GPS of 2, 3, and [aiding] require_fault_tests is set"

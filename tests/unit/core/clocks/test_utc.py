@@ -12,7 +12,7 @@ from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.measurements import Estimate
 from gcs_coloc.core.messages.control import ClockReference, GpsOverride, OperatorCommand, RouteBlock, RouteReport
-from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, GpsReceiver, Heartbeat, SystemTime
+from gcs_coloc.core.messages.inbound import Airspeed, Attitude, Autopilot, GlobalPosition, GpsReceiver, Heartbeat, SystemTime
 from gcs_coloc.core.messages.outbound import GpsInput, Notice, TimeSyncRequest
 from gcs_coloc.runtime.clock import is_synchronised
 
@@ -60,6 +60,8 @@ def fly(e: Engine, start_s: float, stop_s: float, lie_s: float = 0.0) -> list:
             e.receive(SystemTime(sysid, t, t + sysid, unix_s))
             e.receive(Heartbeat(sysid, t, Autopilot.ARDUPILOT, True, winged=True))
             e.receive(RouteReport(sysid, t, None))
+            e.receive(Attitude(sysid, t, t + sysid, 0.0, 0.0, 0.0))
+            e.receive(Airspeed(sysid, t, 20.0))
         out += e.poll(t)
     return out
 

@@ -1,0 +1,163 @@
+"""Protection levels: what the error of a stated position does not exceed but with the integrity risk, whatever single cause acts.
+
+The nominal level is K sigma of the estimate. The level of all other hypotheses (`solution_separation`) is the one that the error
+exceeds with their share of the integrity risk: each contributes its separation and its sigma by how often it is true. The
+protection level is the larger, and more by what the vehicle can have done since its last range. A receiver fault that the ranges
+cannot test (one or two peers, poor geometry) is told and not bounded: the level assumes that there is none.
+
+Source: J. Blanch, T. Walter, P. Enge et al., Baseline advanced RAIM user algorithm, IEEE Trans. AES 51 (2015); EU-US WG-C, ARAIM
+technical subgroup, reference airborne algorithm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot, log, sqrt
+
+import numpy as np
+
+from gcs_coloc.core.error_ellipse import horizontal_sigma_m
+from gcs_coloc.core.integrity.solution_separation import FaultClass, Separation
+from gcs_coloc.core.measurements import Estimate, ProtectionLevel
+from gcs_coloc.core.setting_bounds import between, check_bounds, positive
+
+_MOST_TESTED_SIGMA_M = 8.0  # chosen: four of them and two for the separation are within the default alert limit
+_LASTS_S = 600.0  # chosen: a fault that no test finds lasts for ten minutes
+_S_PER_H = 3600.0
+_VERTICAL_RATIO = 1.6  # source: usual VDOP over HDOP of a receiver
+_NOMINAL_SHARE = 0.5  # of the integrity risk; chosen; the rest is for what may be wrong
+_HALVINGS = 30  # of an interval of a kilometre: below a micrometre
+
+
+@dataclass(frozen=True, slots=True)
+class ProtectionSettings:
+    """The integrity risk of a protection level, and how often what goes wrong."""
+
+    integrity_risk_per_h: float = between(1e-5, 1e-12, 0.1)
+    """How often in an hour under aid the error may exceed the protection level. Chosen: as for an approach with vertical guidance
+    (ICAO: 2e-7 in 150 s, 5e-6 in an hour)."""
+    independent_s: float = positive(60.0)
+    """Errors this far apart in time are independent, s. Source: errors of GNSS positions are correlated for half a minute to
+    minutes."""
+    receiver_fault_rate_per_h: float = between(1e-4, 1e-12, 1.0)
+    """Faults per hour of a receiver that reports none. Chosen: ten times the 1e-5 that GPS commits to for a satellite, for
+    spoofing."""
+    alike_fault_share: float = between(0.2, 0.0, 1.0)
+    """So much rarer is each further receiver at fault at the same time. Chosen: a spoofer reaches several."""
+    range_fault_rate_per_h: float = between(1e-4, 1e-12, 1.0)
+    """Faults per hour of a pair's or a device's ranges that no test of single ranges refuses. Chosen: as of a receiver."""
+    motion_fault_rate_per_h: float = between(1e-3, 1e-12, 1.0)
+    """How often per hour a vehicle moves beyond the noise of the model's process. Chosen: ten times as often as faults."""
+    common_gnss_sigma_m: float = between(2.0, 0.0, 100.0)
+    """1-sigma per axis of the error that all receivers have in common, m; no range shows it. Source: ionosphere and orbits of
+    single-frequency receivers, 2 to 4 m (95 %), overbounded."""
+    unknown_delay_s: float = between(0.6, 0.0, 5.0)
+    """Delay of a link that neither TIMESYNC nor UTC shows, s: times the speed it is a bias. Chosen: a slow mobile network."""
+    max_acceleration_mps2: float = positive(9.8)
+    """What a vehicle may have done since its last range without fresh attitude and airspeed, m/s². Chosen: 1 g."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def nominal_sigmas(self) -> float:
+        """K of the estimate itself."""
+        return radius_at_risk(_NOMINAL_SHARE * self.integrity_risk_per_h * self.independent_s / _S_PER_H)
+
+    def rate_per_h(self, hypothesis: Separation) -> float:
+        """How often per hour a hypothesis becomes true."""
+        if hypothesis.fault is FaultClass.RECEIVERS:
+            return self.receiver_fault_rate_per_h * self.alike_fault_share ** (len(hypothesis.vehicles) - 1)
+        return self.motion_fault_rate_per_h if hypothesis.fault is FaultClass.MOTION else self.range_fault_rate_per_h
+
+
+@dataclass(frozen=True, slots=True)
+class FaultLevel:
+    """The level of all tested hypotheses but the nominal one, by the ranges of one epoch.
+
+    `level_m`: without the bias of unknown delays, m. `estimate_sigma_m`: the estimate's 1-sigma then, m; the level grows with it.
+    `ranged_at_s`: service time of the newest range. `untested`: the vehicles whose receiver the ranges cannot test.
+    """
+
+    level_m: float
+    estimate_sigma_m: float
+    ranged_at_s: float
+    untested: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """What the level of one vehicle depends on besides its ranges.
+
+    `delay_is_known`: TIMESYNC, UTC or a setting shows the delay of every link in its position. `has_air_data`: fresh attitude
+    and airspeed show how it has moved since its last range.
+    """
+
+    delay_is_known: bool
+    has_air_data: bool
+
+
+def radius_at_risk(probability: float) -> float:
+    """The radius, in sigmas of its worst direction, that a plane Gaussian exceeds with at most this probability (Rayleigh)."""
+    return sqrt(-2.0 * log(min(probability, 1.0)))
+
+
+def fault_level(
+    hypotheses: Sequence[Separation], estimate: Estimate, ranged_at_s: float, settings: ProtectionSettings
+) -> FaultLevel:
+    """Return the largest level of the hypotheses that the ranges can test."""
+    tested = [each for each in hypotheses if each.sigma_m <= _MOST_TESTED_SIGMA_M]
+    singles, tested_singles = (
+        {each.vehicles[0] for each in some if each.fault is FaultClass.RECEIVERS and len(each.vehicles) == 1}
+        for some in (hypotheses, tested)
+    )
+    untested = tuple(sorted(singles - tested_singles))
+    return FaultLevel(_level_m(tested, settings), horizontal_sigma_m(estimate.covariance), ranged_at_s, untested)
+
+
+def _level_m(hypotheses: Sequence[Separation], settings: ProtectionSettings) -> float:
+    """Solve for the level L, m: sum of p exp(-((L - separation) / sigma)^2 / 2) = risk, p of a true hypothesis in an hour.
+
+    Source: the HPL equation of the reference algorithm, with the Rayleigh distribution as the Gaussian's tail. A hypothesis
+    whose separation is beyond the level counts in full.
+    """
+    risk = (1.0 - _NOMINAL_SHARE) * settings.integrity_risk_per_h
+    exposed = max(_LASTS_S / settings.independent_s, 1.0)
+    p = np.array([settings.rate_per_h(each) * exposed for each in hypotheses])
+    if p.sum() <= risk:
+        return 0.0
+    separations_m = np.array([each.separation_m for each in hypotheses])
+    sigmas_m = np.hypot(np.array([each.sigma_m for each in hypotheses]), settings.common_gnss_sigma_m)
+    low_m, high_m = 0.0, float((separations_m + sigmas_m * radius_at_risk(risk / float(p.sum()))).max())
+    for _ in range(_HALVINGS):
+        level_m = 0.5 * (low_m + high_m)
+        beyond = np.maximum(level_m - separations_m, 0.0) / sigmas_m
+        if float(p @ np.exp(-0.5 * beyond * beyond)) > risk:
+            low_m = level_m
+        else:
+            high_m = level_m
+    return high_m
+
+
+def protection_level(
+    estimate: Estimate, faults: FaultLevel | None, exposure: Exposure, settings: ProtectionSettings
+) -> ProtectionLevel:
+    """Return HPL and VPL of an estimate; `faults` is None for a vehicle whose own receiver is in it."""
+    common_m = settings.common_gnss_sigma_m
+    sigma_m, sigma_v_m = horizontal_sigma_m(estimate.covariance), sqrt(float(estimate.covariance[2, 2]))
+    horizontal_m = settings.nominal_sigmas * hypot(sigma_m, common_m)
+    vertical_m = settings.nominal_sigmas * hypot(sigma_v_m, _VERTICAL_RATIO * common_m)
+    untested: tuple[int, ...] = ()
+    if faults is not None:
+        grown_m = settings.nominal_sigmas * max(sigma_m - faults.estimate_sigma_m, 0.0)
+        horizontal_m = max(horizontal_m, faults.level_m + grown_m)
+        untested = faults.untested
+        if not exposure.has_air_data:
+            moved_m = 0.5 * settings.max_acceleration_mps2 * max(estimate.at_s - faults.ranged_at_s, 0.0) ** 2
+            horizontal_m, vertical_m = horizontal_m + moved_m, vertical_m + moved_m
+    if not exposure.delay_is_known:
+        east_mps, north_mps, up_mps = estimate.velocity_enu_mps.tolist()
+        horizontal_m += settings.unknown_delay_s * hypot(east_mps, north_mps)
+        vertical_m += settings.unknown_delay_s * abs(up_mps)
+    return ProtectionLevel(horizontal_m, vertical_m, untested)

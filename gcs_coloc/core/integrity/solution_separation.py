@@ -1,0 +1,136 @@
+"""Solution separation: how far an estimate is from the solution of each fault hypothesis, and how well that solution is known.
+
+An epoch's range residuals are taken against the estimates, so that a solution of its adjustment is the separation itself.
+The hypotheses:
+- the model of the motion is wrong: the ranges of the moment alone, all of them, with all reported positions;
+- receivers are wrong: the positions of a subset of up to half of the reporting vehicles carry no information;
+- ranges are wrong: those of one pair have an unknown common error, or those of one device an unknown length or factor.
+
+Linear: x = C H' W r with C = (H' W H + S^-1)^-1. Without the prior S_k of some states C becomes
+C + C_k (S_k - C_kk)^-1 C_k'; with an unknown that the residuals contain times c, v = C H' W c and a = c' W c - c' W H v,
+C becomes C + v v' / a and x becomes x - v (c' W r - c' W H x) / a.
+
+Source: J. Blanch, T. Walter, P. Enge et al., Baseline advanced RAIM user algorithm, IEEE Trans. AES 51 (2015); the two updates
+are the matrix inversion lemma (Woodbury).
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
+from gcs_coloc.core.integrity.epoch import MIN_SIGMA_M, Epoch
+from gcs_coloc.core.measurements import FloatArray
+
+_LEAST_INFORMATION_PER_M2 = 1e-6  # of a coordinate without prior: a 1-sigma of 1 km, so that every hypothesis has a solution
+_MOST_CANDIDATES, _MOST_AT_ONCE = 8, 4  # chosen: bounds the subsets to 162, as in isolation
+
+
+class FaultClass(Enum):
+    """What a hypothesis holds to be wrong."""
+
+    MOTION = "motion"
+    RECEIVERS = "receivers"
+    RANGES = "ranges"
+
+
+class Separation(NamedTuple):
+    """One hypothesis of one vehicle: who is at fault; its separation and the 1-sigma of its solution's worst direction, m."""
+
+    fault: FaultClass
+    vehicles: tuple[int, ...]
+    separation_m: float
+    sigma_m: float
+
+
+class SolutionSeparation:
+    """The adjustment of one epoch, from which the hypotheses of each vehicle without prior follow."""
+
+    def __init__(self, epoch: Epoch) -> None:
+        self._arrays = arrays = epoch.arrays
+        rows, size = len(arrays.pairs), 3 * len(arrays.vehicles)
+        H: FloatArray = np.zeros((rows, len(arrays.vehicles), 3))
+        i, j = arrays.ends
+        H[np.arange(rows), i], H[np.arange(rows), j] = arrays.unit_vectors, -arrays.unit_vectors
+        self._H = H.reshape(rows, size)
+        self._weights = 1.0 / np.maximum(arrays.variances_m2, MIN_SIGMA_M**2)
+        self._prior = np.where(arrays.has_prior, arrays.sqrt_information**2, _LEAST_INFORMATION_PER_M2)
+        weighted = self._weights[:, np.newaxis] * self._H
+        self._C: FloatArray = np.linalg.inv(self._H.T @ weighted + np.diag(self._prior))
+        self._x: FloatArray = self._C @ (weighted.T @ arrays.residuals_m)
+        self._subsets = self._receiver_subsets()
+
+    @property
+    def vehicles(self) -> list[int]:
+        """The vehicles without prior."""
+        return [vehicle for vehicle, free in zip(self._arrays.vehicles, self._arrays.no_prior, strict=True) if free]
+
+    def of(self, vehicle: int) -> list[Separation]:
+        """Return all hypotheses of one vehicle without prior, that of the motion first."""
+        at = 3 * self._arrays.index[vehicle]
+        own = slice(at, at + 2)
+        found = _separations(FaultClass.MOTION, [(vehicle,)], self._x[np.newaxis, own], self._C[np.newaxis, own, own])
+        for subsets in self._subsets:
+            found += self._receivers(own, subsets)
+        return found + self._ranges(own, vehicle)
+
+    def _receiver_subsets(self) -> list[NDArray[np.intp]]:
+        """Return the subsets of reporting vehicles by their size, each as the places of its vehicles."""
+        reporting = [at for at, free in enumerate(self._arrays.no_prior) if not free]
+        if len(reporting) > _MOST_CANDIDATES:
+            # Those whose ranges weigh most.
+            weight = np.abs(self._H).T @ self._weights
+            reporting = sorted(sorted(reporting, key=lambda at: -weight[3 * at : 3 * at + 2].sum())[:_MOST_CANDIDATES])
+        largest = min(max(len(reporting) // 2, 1), _MOST_AT_ONCE) if reporting else 0
+        return [np.array(list(combinations(reporting, size)), dtype=np.intp) for size in range(1, largest + 1)]
+
+    def _receivers(self, own: slice, subsets: NDArray[np.intp]) -> list[Separation]:
+        """Return the hypotheses that the reported positions of a subset are wrong: they keep the least information."""
+        states = (3 * subsets[:, :, np.newaxis] + np.arange(2)).reshape(len(subsets), -1)
+        removed = 1.0 / (self._prior[states] - _LEAST_INFORMATION_PER_M2)
+        inner = -self._C[states[:, :, np.newaxis], states[:, np.newaxis, :]]
+        inner[:, np.arange(states.shape[1]), np.arange(states.shape[1])] += removed
+        pulls = self._C[own][:, states].transpose(1, 2, 0)
+        gains = np.linalg.solve(inner, pulls)
+        # The prior mean of a displacement is zero: what is removed pulled the state itself back.
+        shifts = self._x[own] + np.einsum("hsk,hs->hk", gains, self._x[states])
+        covariances = self._C[own, own] + pulls.transpose(0, 2, 1) @ gains
+        who = [tuple(self._arrays.vehicles[at] for at in subset) for subset in subsets.tolist()]
+        return _separations(FaultClass.RECEIVERS, who, shifts, covariances)
+
+    def _ranges(self, own: slice, vehicle: int) -> list[Separation]:
+        """Return the hypotheses that ranges of this vehicle's pairs or device are off; others tell of its peers alone."""
+        arrays = self._arrays
+        columns: list[list[float]] = []
+        who: list[tuple[int, ...]] = []
+        for pair in sorted({(min(pair), max(pair)) for pair in arrays.pairs if vehicle in pair}):
+            columns.append([float(set(each) == set(pair)) for each in arrays.pairs])
+            who.append(pair)
+        measured = [float(i == vehicle) for i, _ in arrays.pairs]
+        either = [float(vehicle in pair) for pair in arrays.pairs]
+        for rows in [measured, either] if measured != either else [either]:
+            if sum(rows) > 1.0:
+                columns += [rows, list(arrays.ranges_m * rows / arrays.ranges_m.mean())]
+                who += [(vehicle,)] * 2
+        if not columns:
+            return []
+        c = np.array(columns)
+        weighted = c * self._weights
+        v = weighted @ self._H @ self._C
+        a = np.maximum(np.einsum("hr,hr->h", weighted, c) - np.einsum("hr,rs,hs->h", weighted, self._H, v), 1e-12)
+        size = (weighted @ (arrays.residuals_m - self._H @ self._x)) / a
+        shifts = self._x[own] - v[:, own] * size[:, np.newaxis]
+        covariances = self._C[own, own] + v[:, own, np.newaxis] * v[:, np.newaxis, own] / a[:, np.newaxis, np.newaxis]
+        return _separations(FaultClass.RANGES, who, shifts, covariances)
+
+
+def _separations(fault: FaultClass, who: list[tuple[int, ...]], shifts: FloatArray, covariances: FloatArray) -> list[Separation]:
+    mean, radius = eigenvalue_mean_and_radius(covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1], np.hypot)
+    sigmas = np.sqrt(np.maximum(mean + radius, 0.0)).tolist()
+    distances = np.hypot(shifts[:, 0], shifts[:, 1]).tolist()
+    return [Separation(fault, *each) for each in zip(who, distances, sigmas, strict=True)]

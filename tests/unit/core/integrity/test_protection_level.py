@@ -1,0 +1,115 @@
+"""The protection level covers each cause, grows with what is not known, and says which receivers nothing tests."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import exp, hypot
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.integrity.protection_level import (
+    Exposure,
+    FaultLevel,
+    ProtectionSettings,
+    fault_level,
+    protection_level,
+    radius_at_risk,
+)
+from gcs_coloc.core.integrity.solution_separation import FaultClass, Separation
+from gcs_coloc.core.measurements import Estimate
+
+KNOWN = Exposure(delay_is_known=True, has_air_data=True)
+SETTINGS = ProtectionSettings()
+SIGMA_M, SIGMA_V_M = 2.0, 3.0
+
+
+def estimate(at_s: float = 10.0, sigma_m: float = SIGMA_M, speed_mps: float = 20.0) -> Estimate:
+    covariance = np.diag([sigma_m**2, sigma_m**2, SIGMA_V_M**2, 1.0, 1.0, 1.0])
+    return Estimate(4, at_s, np.zeros(3), np.array([speed_mps, 0.0, 0.0]), covariance, 1.2, 4)
+
+
+def level(*hypotheses: Separation) -> FaultLevel:
+    return fault_level(hypotheses, estimate(), 10.0, SETTINGS)
+
+
+def receiver(vehicle: int, separation_m: float, sigma_m: float) -> Separation:
+    return Separation(FaultClass.RECEIVERS, (vehicle,), separation_m, sigma_m)
+
+
+@pytest.mark.parametrize("probability", [0.1, 1e-3, 1e-7])
+def test_the_radius_is_exceeded_with_that_probability(probability):
+    """In closed form: a round plane Gaussian exceeds k sigmas with probability exp(-k^2 / 2)."""
+    assert exp(-0.5 * radius_at_risk(probability) ** 2) == pytest.approx(probability)
+
+
+def test_a_round_gaussian_exceeds_the_radius_as_often_as_stated():
+    """200,000 draws at 1 %: 2,000 +- 45 (one sigma); the band is five of these."""
+    errors = np.random.default_rng(1).normal(size=(200_000, 2))
+    beyond = int((np.hypot(*errors.T) > radius_at_risk(0.01)).sum())
+    assert abs(beyond - 2000) < 225
+
+
+def test_a_trusted_vehicle_has_the_nominal_level():
+    stated = protection_level(estimate(), None, KNOWN, SETTINGS)
+    common_m = SETTINGS.common_gnss_sigma_m
+    assert stated.horizontal_m == pytest.approx(SETTINGS.nominal_sigmas * hypot(SIGMA_M, common_m))
+    assert stated.vertical_m > SETTINGS.nominal_sigmas * SIGMA_V_M
+    assert stated.untested == ()
+
+
+def test_a_smaller_risk_raises_the_level():
+    cautious = replace(SETTINGS, integrity_risk_per_h=1e-7)
+    assert protection_level(estimate(), None, KNOWN, cautious) > protection_level(estimate(), None, KNOWN, SETTINGS)
+
+
+def test_the_separation_of_any_hypothesis_is_in_the_level():
+    near, far = level(receiver(1, 0.0, 1.0), receiver(2, 0.0, 1.0)), level(receiver(1, 40.0, 1.0), receiver(2, 0.0, 1.0))
+    # Half of the equation is gone beyond 40 m, so that the level is a little less than 40 m more.
+    assert near.level_m + 39.0 < far.level_m <= near.level_m + 40.0
+    assert protection_level(estimate(), far, KNOWN, SETTINGS).horizontal_m > 40.0
+
+
+def test_the_level_is_exceeded_with_the_stated_risk_when_all_hypotheses_are_added():
+    found = [receiver(1, 3.0, 1.5), receiver(2, 1.0, 4.0), Separation(FaultClass.MOTION, (4,), 2.0, 2.0)]
+    level_m = level(*found).level_m
+    exposed = 10.0  # ten minutes of a fault are ten independent errors
+    per_h = sum(
+        SETTINGS.rate_per_h(each) * exposed * exp(-0.5 * ((level_m - each.separation_m) / hypot(each.sigma_m, 2.0)) ** 2)
+        for each in found
+    )
+    assert per_h == pytest.approx(0.5 * SETTINGS.integrity_risk_per_h, rel=1e-3)
+
+
+def test_a_receiver_that_no_range_tests_is_named_and_does_not_count():
+    found = level(receiver(1, 3.0, 1.5), receiver(2, 300.0, 800.0))
+    assert found.untested == (2,)
+    assert found.level_m < 100.0
+
+
+def test_without_air_data_the_level_grows_by_what_the_vehicle_can_have_done():
+    """I2: 9 s without ranges and a turn; half of 1 g times t squared."""
+    found = level(receiver(1, 0.0, 1.0))
+    blind = Exposure(delay_is_known=True, has_air_data=False)
+    fresh = protection_level(estimate(10.0), found, blind, SETTINGS).horizontal_m
+    later = protection_level(estimate(12.0), found, blind, SETTINGS).horizontal_m
+    assert later == pytest.approx(fresh + 0.5 * SETTINGS.max_acceleration_mps2 * 2.0**2)
+    assert protection_level(estimate(19.0), found, blind, SETTINGS).horizontal_m > 154.0
+
+
+def test_with_air_data_the_level_grows_with_the_estimates_covariance():
+    found = level(receiver(1, 5.0, 4.0))
+    grown = protection_level(estimate(20.0, sigma_m=SIGMA_M + 3.0), found, KNOWN, SETTINGS).horizontal_m
+    assert grown >= found.level_m + 3.0 * SETTINGS.nominal_sigmas
+
+
+def test_a_delay_that_nothing_shows_is_a_bias():
+    unknown = Exposure(delay_is_known=False, has_air_data=True)
+    known_m, late_m = (protection_level(estimate(speed_mps=20.0), None, each, SETTINGS).horizontal_m for each in (KNOWN, unknown))
+    assert late_m == pytest.approx(known_m + 20.0 * SETTINGS.unknown_delay_s)
+
+
+@pytest.mark.parametrize("key", ["integrity_risk_per_h", "independent_s", "receiver_fault_rate_per_h", "max_acceleration_mps2"])
+def test_an_impossible_setting_is_refused_by_name(key):
+    with pytest.raises(ValueError, match=key):
+        ProtectionSettings(**{key: 0.0})

@@ -1,0 +1,102 @@
+"""Each hypothesis of the solution separation is the least-squares solution that a direct adjustment without the fault gives."""
+
+from __future__ import annotations
+
+from math import cos, hypot, pi, sin
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.integrity.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.solution_separation import FaultClass, Separation, SolutionSeparation
+
+DENIED = 9
+SIGMA_M, RANGE_SIGMA_M = 1.5, 0.6
+
+
+def fleet(peers: int, *, mutual: bool = True, seed: int = 1) -> Epoch:
+    """A denied vehicle at the origin among peers around it, with drawn residuals."""
+    rng = np.random.default_rng(seed)
+    places = {n: (400.0 * cos(2 * pi * n / peers), 400.0 * sin(2 * pi * n / peers), 20.0 * n) for n in range(1, peers + 1)}
+    priors = {n: PositionPrior(place, SIGMA_M, SIGMA_M, no_prior=False) for n, place in places.items()}
+    priors[DENIED] = PositionPrior((0.0, 0.0, 0.0), 0.0, 5.0, no_prior=True)
+    pairs = [(DENIED, n) for n in places]
+    if mutual:
+        pairs += [(a, b) for a in places for b in places if a < b]
+    residuals = tuple(RangeResidual(a, b, float(rng.normal(0.0, 2.0)), RANGE_SIGMA_M, 0.3) for a, b in pairs)
+    return Epoch(0.0, priors, residuals)
+
+
+def adjusted(epoch: Epoch, *, without: tuple[int, ...] = (), extra: np.ndarray | None = None) -> tuple[float, float]:
+    """Separation and 1-sigma of the denied vehicle by a direct adjustment, m; `extra` (rows,) multiplies an unknown."""
+    a = epoch.arrays
+    H = np.zeros((len(a.pairs), 3 * len(a.vehicles)))
+    for row, (i, j) in enumerate(zip(*a.ends, strict=True)):
+        H[row, 3 * i : 3 * i + 3], H[row, 3 * j : 3 * j + 3] = a.unit_vectors[row], -a.unit_vectors[row]
+    prior = np.where(a.has_prior, a.sqrt_information**2, 1e-6)
+    for vehicle in without:
+        prior[3 * a.index[vehicle] : 3 * a.index[vehicle] + 2] = 1e-6
+    if extra is not None:
+        H, prior = np.column_stack([H, extra]), np.append(prior, 0.0)
+    W = np.diag(1.0 / a.variances_m2)
+    C = np.linalg.inv(H.T @ W @ H + np.diag(prior))
+    x = C @ H.T @ W @ a.residuals_m
+    at = 3 * a.index[DENIED]
+    return hypot(x[at], x[at + 1]), float(np.sqrt(np.linalg.eigvalsh(C[at : at + 2, at : at + 2])[-1]))
+
+
+def hypotheses(epoch: Epoch, fault: FaultClass) -> list[Separation]:
+    return [each for each in SolutionSeparation(epoch).of(DENIED) if each.fault is fault]
+
+
+@pytest.mark.parametrize("mutual", [True, False])
+@pytest.mark.parametrize("peers", [3, 4, 6])
+def test_receiver_hypotheses_are_adjustments_without_those_positions(peers, mutual):
+    epoch = fleet(peers, mutual=mutual)
+    found = hypotheses(epoch, FaultClass.RECEIVERS)
+    assert {len(each.vehicles) for each in found} == set(range(1, peers // 2 + 1))
+    for each in found:
+        separation_m, sigma_m = adjusted(epoch, without=each.vehicles)
+        if sigma_m < 100.0:  # beyond, the solution hangs on the last digits
+            assert (each.separation_m, each.sigma_m) == pytest.approx((separation_m, sigma_m), rel=1e-3)
+        else:
+            assert each.sigma_m > 50.0
+
+
+def test_the_motion_hypothesis_is_the_adjustment_of_all_ranges():
+    epoch = fleet(5)
+    (motion,) = hypotheses(epoch, FaultClass.MOTION)
+    assert (motion.separation_m, motion.sigma_m) == pytest.approx(adjusted(epoch), rel=1e-6)
+
+
+def test_range_hypotheses_are_adjustments_with_an_unknown_length_or_factor():
+    epoch = fleet(5)
+    a = epoch.arrays
+    device = np.array([float(i == DENIED) for i, _ in a.pairs])
+    expected = [adjusted(epoch, extra=device), adjusted(epoch, extra=device * a.ranges_m / a.ranges_m.mean())]
+    expected += [adjusted(epoch, extra=np.array([float(pair == (DENIED, n)) for pair in a.pairs])) for n in range(1, 6)]
+    found = [(each.separation_m, each.sigma_m) for each in hypotheses(epoch, FaultClass.RANGES)]
+    assert np.array(sorted(found)) == pytest.approx(np.array(sorted(expected)), rel=1e-6)
+
+
+def test_without_a_wrong_peer_the_solution_is_where_the_others_put_it():
+    """A peer 100 m off pulls the denied vehicle; its own hypothesis has the whole separation and no other has more."""
+    clean = fleet(5, mutual=False)
+    east_m = 100.0
+    unit = clean.arrays.unit_vectors
+    # The estimate is right, so ranges to the wrong place of vehicle 1 are off by its component along the line of sight.
+    residuals = tuple(
+        residual._replace(residual_m=float(unit[row, 0] * east_m) if residual.to_vehicle == 1 else 0.0)
+        for row, residual in enumerate(clean.residuals)
+    )
+    found = hypotheses(Epoch(0.0, clean.priors, residuals), FaultClass.RECEIVERS)
+    without = {each.vehicles: each.separation_m for each in found}
+    assert without[(1,)] < 1e-3
+    assert min(without[(n,)] for n in range(2, 6)) > 10.0
+
+
+def test_one_peer_cannot_be_tested():
+    epoch = fleet(1)
+    (single,) = hypotheses(epoch, FaultClass.RECEIVERS)
+    assert single.vehicles == (1,)
+    assert single.sigma_m > 500.0
