@@ -21,7 +21,8 @@ from gcs_coloc.estimators.registry import load_estimator
 STEP_S = 0.2
 DENIED, FAULTY = 100, 1
 LOST_AT_S, SPOOFED_AT_S = 5.0, 20.0
-_ORIGIN = LocalFrame(47.0, 8.0, 400.0)
+ORIGIN = LocalFrame(47.0, 8.0, 400.0)
+"""The frame of the courses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +124,7 @@ class Flight:
             if v == DENIED and t > s.returns_at_s:
                 reported = reported + ((t - s.returns_at_s) * s.return_walk_mps + s.return_jump_m) * self.away
                 velocity = velocity + s.return_walk_mps * self.away
-            lat, lon, alt = _ORIGIN.geodetic_from_enu(*(float(x) for x in reported))
+            lat, lon, alt = ORIGIN.geodetic_from_enu(*(float(x) for x in reported))
             ve, vn, vu = (float(x) for x in velocity)
             lost = s.lost and v == DENIED and LOST_AT_S < t <= s.returns_at_s
             yield GpsReceiver(v, t, 0, 1 if lost else 3, lat, lon, alt, 12, 0.9, s.gps_sigma_m, s.gps_sigma_m, 0.2, t)
@@ -154,7 +155,7 @@ def fly_step(engine: Engine, flight: Flight, t: float) -> None:
 
 def enu_m(message: GlobalPosition) -> FloatArray:
     """Return the position that a message reports, in the flights' own frame (3,), m."""
-    return np.array(_ORIGIN.enu_from_geodetic(message.lat_deg, message.lon_deg, message.alt_msl_m))
+    return np.array(ORIGIN.enu_from_geodetic(message.lat_deg, message.lon_deg, message.alt_msl_m))
 
 
 def error_and_bound_m(engine: Engine, flight: Flight, t: float) -> tuple[float, float] | None:
@@ -166,5 +167,5 @@ def error_and_bound_m(engine: Engine, flight: Flight, t: float) -> tuple[float, 
     if bound_m > AidingSettings().alert_limit_m:
         return None
     true_m = flight.courses[DENIED].at(t)[0]
-    east_m, north_m, _ = frame.enu_from_geodetic(*_ORIGIN.geodetic_from_enu(*(float(x) for x in true_m)))
+    east_m, north_m, _ = frame.enu_from_geodetic(*ORIGIN.geodetic_from_enu(*(float(x) for x in true_m)))
     return hypot(where.position_enu_m[0] - east_m, where.position_enu_m[1] - north_m), bound_m

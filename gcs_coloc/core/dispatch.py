@@ -11,6 +11,7 @@ from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
 from gcs_coloc.core.estimator import Estimator
 from gcs_coloc.core.gps_health.gps_health import FleetGpsHealth, GpsState
 from gcs_coloc.core.integrity.monitor import IntegrityMonitor
+from gcs_coloc.core.measurements import AltitudeMeasurement, AttitudeMeasurement, PositionMeasurement
 from gcs_coloc.core.messages.inbound import (
     Attitude,
     CommandResult,
@@ -26,6 +27,7 @@ from gcs_coloc.core.messages.inbound import (
 )
 from gcs_coloc.core.messages.outbound import Outbound
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, SentFix
+from gcs_coloc.core.telemetry.proven_vehicles import ProvenVehicles
 from gcs_coloc.core.telemetry.reported_state import ReportedState, Telemetry
 
 
@@ -49,6 +51,7 @@ class Stages:
     """The stages of one fleet, in the order in which a message passes them. None of them holds another but the clocks."""
 
     telemetry: Telemetry
+    proven: ProvenVehicles
     clocks: FleetClocks
     measurements: MeasurementBuilder
     estimator: Estimator
@@ -90,28 +93,39 @@ class MessageDispatch:
         self._stages.gps_health.add_position(built.reported, own=not last.is_aided)
         if last.is_witness:
             self._stages.integrity.add_position(built.reported)
-        if built.measurement is not None:
-            self._stages.estimator.add(built.measurement)
+        self._add_measurement(built.measurement)
+
+    def _add_measurement(self, measurement: AltitudeMeasurement | AttitudeMeasurement | PositionMeasurement | None) -> None:
+        if measurement is not None and self._stages.proven.is_proven(measurement.vehicle):
+            self._stages.estimator.add(measurement)
 
     def _add_pressure(self, message: Pressure, vehicle: ReportedState, last: LastRound) -> None:
         del vehicle
-        measurement = self._stages.measurements.pressure(message, is_trusted=last.is_trusted, located_enu_m=last.located_enu_m)
-        if measurement is not None:
-            self._stages.estimator.add(measurement)
+        measurements = self._stages.measurements
+        self._add_measurement(measurements.pressure(message, is_trusted=last.is_trusted, located_enu_m=last.located_enu_m))
 
     def _add_attitude(self, message: Attitude, vehicle: ReportedState, last: LastRound) -> None:
         del last
-        measurement = self._stages.measurements.attitude(message, vehicle)
-        if measurement is not None:
-            self._stages.estimator.add(measurement)
+        self._add_measurement(self._stages.measurements.attitude(message, vehicle))
 
     def _add_range(self, message: PeerRange, vehicle: ReportedState, last: LastRound) -> list[Outbound]:
         del last
-        built = self._stages.measurements.range(message, vehicle, self._stages.telemetry.get(message.peer_sysid))
+        s = self._stages
+        if not s.proven.is_proven(message.sysid):
+            # The ranges of a vehicle that is made up would place it, and then pull at all others.
+            return []
+        built = s.measurements.range(message, vehicle, s.telemetry.get(message.peer_sysid))
         if built.measurement is not None:
-            self._stages.integrity.add_range(built.measurement)
-            self._stages.estimator.add(built.measurement)
+            s.proven.add_range(built.measurement, *(self._believed(sysid) for sysid in (message.sysid, message.peer_sysid)))
+            if s.proven.is_proven(message.peer_sysid):
+                s.integrity.add_range(built.measurement)
+                s.estimator.add(built.measurement)
         return [built.notice] if built.notice is not None else []
+
+    def _believed(self, sysid: int) -> PositionMeasurement | None:
+        """Return the position that a vehicle reports while its GPS is healthy."""
+        is_healthy = self._stages.gps_health.state(sysid) is GpsState.HEALTHY
+        return self._stages.measurements.reported(sysid) if is_healthy else None
 
     def _add_receiver(self, message: GpsReceiver, vehicle: ReportedState, last: LastRound) -> None:
         if message.receiver == self._stages.telemetry.own_receiver:

@@ -47,6 +47,7 @@ from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.schedule import TickSchedule
 from gcs_coloc.core.snapshot import FleetSnapshot, OverrideSources, vehicle_snapshot
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, MeasurementSettings
+from gcs_coloc.core.telemetry.proven_vehicles import ProvenVehicles
 from gcs_coloc.core.telemetry.reported_state import ReportedState, Telemetry
 from gcs_coloc.core.telemetry.stream_requests import StreamRequests
 
@@ -80,6 +81,7 @@ class Engine:
         self.settings = s = settings if settings is not None else EngineSettings()
         # The receiver that we feed never counts as evidence of a vehicle's own GPS.
         self.telemetry = Telemetry(s.max_vehicles, own_receiver=1 if s.aiding.gps_id == 0 else 0)
+        self.proven = ProvenVehicles()
         self.clocks = FleetClocks(s.time, s.measurements.max_age_s)
         self.measurements = MeasurementBuilder(s.measurements, self.clocks)
         self.estimator: Estimator = GuardedEstimator(estimator, self._report_estimator)
@@ -87,7 +89,14 @@ class Engine:
         self.gps_health = FleetGpsHealth(s.gps_health)
         self.aiding = Aiding(s.aiding)
         stages = Stages(
-            self.telemetry, self.clocks, self.measurements, self.estimator, self.integrity, self.gps_health, self.aiding
+            self.telemetry,
+            self.proven,
+            self.clocks,
+            self.measurements,
+            self.estimator,
+            self.integrity,
+            self.gps_health,
+            self.aiding,
         )
         self._dispatch = MessageDispatch(stages)
         self._review = FleetReview(stages)
@@ -117,6 +126,7 @@ class Engine:
         vehicle = self.telemetry.get(sysid)
         if vehicle is None and (vehicle := self._add_vehicle(sysid, at_s)) is None:
             return
+        self.proven.update(vehicle, at_s)
         resets = self.clocks.resets(sysid)
         needs_review = self.telemetry.update(message)
         self._outbox.extend(self._dispatch.add(message, vehicle, self._review.last_round(sysid)))
@@ -229,12 +239,23 @@ class Engine:
         )
 
     def _add_vehicle(self, sysid: int, at_s: float) -> ReportedState | None:
+        if self.telemetry.is_full:
+            self._make_room(at_s)
         vehicle = self.telemetry.add(sysid, at_s)
         if vehicle is None:
             self._refused[CoreRefusal.FLEET_FULL] += 1
             return None
+        self.proven.add(sysid, at_s)
         self._notify(at_s, sysid, "info", "heard for the first time")
         return vehicle
+
+    def _make_room(self, now_s: float) -> None:
+        """Remove a vehicle that was never proven, and to which nothing is sent, where there is one."""
+        for sysid in self.proven.replaceable(tuple(self.telemetry), now_s):
+            if not self.aiding.has_stream(sysid):
+                self.telemetry.remove(sysid)
+                self.proven.forget(sysid)
+                return
 
     def _request_time(self, vehicle: ReportedState, now_s: float) -> None:
         if self._transmits:

@@ -10,13 +10,14 @@ from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsEvidence, GpsSta
 from gcs_coloc.core.integrity.protection_level import Exposure
 from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus, ReviewedVehicle
 from gcs_coloc.core.measurements import Estimate, NoEstimate, Residual
-from gcs_coloc.core.messages.control import GpsOverride, RouteBlock
+from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.messages.outbound import Notice, Outbound
 from gcs_coloc.core.residual_log import RangeJumps, ResidualLog
+from gcs_coloc.core.telemetry.proven_vehicles import STEADY_S
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 _NO_AIDING = AidingDecision()
-_WITNESS_AFTER_S = 3.0  # chosen: a vehicle that has just appeared has shown nothing yet; a window of ranges takes 1.4 s
+_WITNESS_AFTER_S = STEADY_S  # a vehicle that has just appeared has shown nothing yet; a window of ranges takes 1.4 s
 
 
 class FleetReview:
@@ -68,12 +69,11 @@ class FleetReview:
 
     def last_round(self, sysid: int) -> LastRound:
         """Return what the later stages found of a vehicle last."""
-        gps_state, decision = self._stages.gps_health.state(sysid), self.decision(sysid)
         return LastRound(
-            gps_state,
-            is_trusted=gps_state is GpsState.HEALTHY and not decision.is_self_fed,
+            self._stages.gps_health.state(sysid),
+            is_trusted=self._is_trusted(sysid),
             is_witness=sysid in self._witnesses,
-            is_aided=decision.is_aided,
+            is_aided=self.decision(sysid).is_aided,
             sent_fix=self._stages.aiding.sent_fix(sysid),
             located_enu_m=self._located_enu_m.get(sysid),
         )
@@ -100,6 +100,8 @@ class FleetReview:
 
     def review_integrity(self, now_s: float) -> list[Outbound]:
         """Test positions and ranges of the fleet against each other."""
+        vouched = [sysid for sysid, override in self._gps_overrides.items() if override is GpsOverride.HEALTHY]
+        out: list[Outbound] = list(self._stages.proven.review(tuple(self._stages.telemetry), vouched, now_s))
         self._witnesses = self._find_witnesses(now_s)
         self._knows_delays = all(self._stages.clocks.knows_delay(vehicle.sysid, now_s) for vehicle in self._stages.telemetry)
         reviewed = [self._reviewed(vehicle, now_s) for vehicle in self._stages.telemetry]
@@ -107,7 +109,7 @@ class FleetReview:
         for sysid in self.report.diverged:
             self._stages.estimator.reset(sysid, now_s)
         text = "its GPS is back and fits the ranges, our position did not: located anew"
-        return [Notice(now_s, sysid, "warning", text) for sysid in self.report.diverged]
+        return [*out, *(Notice(now_s, sysid, "warning", text) for sysid in self.report.diverged)]
 
     def review_vehicle(self, vehicle: ReportedState, now_s: float) -> list[Outbound]:
         """Run the stages from GPS health on for one vehicle; return what is to be sent and shown."""
@@ -178,17 +180,15 @@ class FleetReview:
 
     def _find_witnesses(self, now_s: float) -> frozenset[int]:
         """Return the vehicles whose reported positions are tested against the others': nothing bad is known of them."""
-        vehicles = [
-            vehicle
+        return frozenset(
+            vehicle.sysid
             for vehicle in self._stages.telemetry
             if now_s - vehicle.first_heard_s >= _WITNESS_AFTER_S
+            and self._stages.proven.is_proven(vehicle.sysid)
             and self._stages.gps_health.may_witness(vehicle.sysid)
             and not self.decision(vehicle.sysid).is_aided
             and not self.decision(vehicle.sysid).is_self_fed
-        ]
-        bound = [vehicle for vehicle in vehicles if vehicle.blocked is not RouteBlock.SHARED_ADDRESS]
-        # One sender may state any number of vehicles. Behind a common router all share its address.
-        return frozenset(vehicle.sysid for vehicle in bound or vehicles)
+        )
 
     def _update_denied(self, sysid: int, now_s: float) -> None:
         is_denied = self._stages.gps_health.state(sysid) in DISTRUSTED or self.decision(sysid).is_self_fed
@@ -202,4 +202,5 @@ class FleetReview:
 
     def _is_trusted(self, sysid: int) -> bool:
         """Return whether what a vehicle reports of its own position is evidence."""
-        return self._stages.gps_health.state(sysid) is GpsState.HEALTHY and not self.decision(sysid).is_self_fed
+        is_healthy = self._stages.gps_health.state(sysid) is GpsState.HEALTHY
+        return is_healthy and not self.decision(sysid).is_self_fed and self._stages.proven.is_proven(sysid)

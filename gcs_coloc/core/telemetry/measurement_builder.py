@@ -21,7 +21,6 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
-    Measurement,
     PositionMeasurement,
     RangeMeasurement,
 )
@@ -50,7 +49,7 @@ class BuiltPosition(NamedTuple):
     """The position that a vehicle reports, believed or not, and the measurement that it is evidence for, if any."""
 
     reported: PositionMeasurement
-    measurement: Measurement | None
+    measurement: PositionMeasurement | AltitudeMeasurement | None
 
 
 class BuiltRange(NamedTuple):

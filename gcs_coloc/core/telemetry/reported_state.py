@@ -50,6 +50,7 @@ class ReportedState:
     """What one vehicle last reported of itself. Times are on the service's clock, s.
 
     `blocked` is why the links can send it nothing, None where they can; `blocked_wording` says it to people.
+    `shared_with` are the other vehicles at its address, `route_at_s` is when the links reported that last.
     `winged`: it flies along its nose and turns by banking. `mode` is the name of its flight mode.
     `receiver` is the newest message of its own GPS receiver, not of the one that the service feeds.
     `counts`: how often each stream was heard since the first message.
@@ -64,6 +65,8 @@ class ReportedState:
     mode: str | None = None
     blocked: RouteBlock | None = RouteBlock.NO_HEARTBEAT
     blocked_wording: str | None = NO_HEARTBEAT_YET
+    shared_with: tuple[int, ...] = ()
+    route_at_s: float | None = None
     position: GlobalPosition | None = None
     attitude: Attitude | None = None
     airspeed: Airspeed | None = None
@@ -98,10 +101,19 @@ class Telemetry:
 
     def add(self, sysid: int, at_s: float) -> ReportedState | None:
         """Add a vehicle that is heard for the first time; None where the fleet is full."""
-        if len(self._states) >= self._max_vehicles:
+        if self.is_full:
             return None
         state = self._states[sysid] = ReportedState(sysid, at_s, at_s)
         return state
+
+    def remove(self, sysid: int) -> None:
+        """Remove a vehicle that makes room for another one."""
+        del self._states[sysid]
+
+    @property
+    def is_full(self) -> bool:
+        """Whether there are as many vehicles as there may be."""
+        return len(self._states) >= self._max_vehicles
 
     def update(self, message: FromVehicle) -> bool:
         """Update the reported state of a vehicle that was added; True where its GPS health and aiding need a review."""
@@ -142,7 +154,10 @@ class Telemetry:
     def set_route(self, report: RouteReport) -> bool:
         """Set whether the links reach a vehicle; True where that has changed for a vehicle of the fleet."""
         state = self._states.get(report.sysid)
-        if state is None or state.blocked_wording == report.wording:
+        if state is None:
+            return False
+        state.shared_with, state.route_at_s = report.shared_with, report.received_at_s
+        if state.blocked_wording == report.wording:
             return False
         state.blocked, state.blocked_wording = report.blocked, report.wording
         return True
