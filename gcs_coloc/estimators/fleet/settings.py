@@ -67,8 +67,16 @@ class FleetSettings:
     turn_time_s: float = between(3.0, 0.01, 600.0)
     """s. Correlation time of the turn rate. Chosen: a turn to a waypoint lasts some seconds."""
     coordinated_turn_density_m2ps3: float = between(0.3, 1e-6, 1e3)
-    """m^2/s^3. Horizontal white acceleration beyond the turn that a fresh bank angle explains. Chosen: as in steady
-    flight; a real plane in gusts exceeds the 0.02 of a simulated one (1.30 -> 0.85 m rms, docs/results/accuracy.md)."""
+    """m^2/s^3. Horizontal white acceleration beyond the turn that a fresh bank angle explains, until its level is learned.
+    Chosen: 0.5 m/s after a second, as a real plane in light gusts (docs/results/accuracy.md)."""
+    noise_level_time_s: float = between(20.0, 0.1, 1e4)
+    """s. In so long corrections of twice their predicted variance raise the learned noise level e-fold. Chosen: the level then
+    scatters by 40 %, and halves or doubles within half a minute."""
+    least_noise_level: float = between(0.067, 1e-6, 1.0)
+    """Ratio. Least learned level of gusts: factor of `coordinated_turn_density_m2ps3` and of the variance of `air_noise_mps`.
+    Chosen: 0.02 m^2/s^3, still air."""
+    most_noise_level: float = between(30.0, 1.0, 1e4)
+    """Ratio. Most learned level of gusts. Chosen: 9 m^2/s^3, gusts of 4 m/s that last 4 s."""
     turn_error_share: float = between(0.1, 0.0, 1.0)
     """Share. Error of the acceleration that the bank angle explains. Chosen: turns are coordinated to some 10 %."""
     wind_sigma_mps: float = between(8.0, 1e-3, 100.0)
@@ -83,7 +91,8 @@ class FleetSettings:
     """s. Correlation time of the errors of airspeed and heading. Chosen: they change with temperature and
     course."""
     air_noise_mps: float = between(0.8, 1e-3, 100.0)
-    """m/s. Fast part of the error of the air velocity: gusts, sideslip. Chosen: light turbulence."""
+    """m/s. Fast part of the error of the air velocity, gusts and sideslip, until its level is learned. Chosen: light
+    turbulence."""
     air_noise_time_s: float = between(2.0, 1e-3, 600.0)
     """s. Correlation time of that noise. Chosen: 40 m of air at 20 m/s, the scale of gusts near the ground."""
     attitude_fresh_s: float = between(0.5, 0.0, 600.0)

@@ -1,4 +1,4 @@
-"""Adaptive noise: the coloured/white split of a stream's error, and the manoeuvre detector that inflates process noise.
+"""Adaptive noise: the coloured/white split of a stream's error, the manoeuvre detector, and the learned level of gusts.
 
 A receiver states how large its error is, never how it is spread over time. White noise of the stated size makes each report
 differ from the smooth curve through its predecessors; the error of a navigation filter's output hardly does, it drifts over
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from operator import attrgetter
 
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
@@ -33,6 +33,13 @@ _LEAST_WHITE_SHARE = 0.05
 """Chosen: least white sigma as a share of the stated one, which keeps S positive definite."""
 _OVERLAP = 2.3
 """Sum of the squared correlations of third differences (1, 15/20, 6/20, 1/20, both signs): their variance scatters more."""
+
+_MOST_RATIO = 10.0
+"""Chosen: one manoeuvre that was missed for a second raises the learned level by half at most."""
+_SETTLED_RATIO = 0.7
+"""Chosen: below 1, as gusts last for seconds: the position errs by more than corrections of white noise would show."""
+_LONGEST_LEARNED_S = 1.0
+"""Chosen: what the sum of the corrections was before a longer pause says nothing of the pause."""
 
 _NOTHING_SEEN = (0.0, 0.0)
 
@@ -160,15 +167,18 @@ class ManoeuvreDetector:
 
         They are the squares of c' C^-1 c / 2 and of c^2 / C (a third of it), 1 in steady flight and without data.
         """
+        ratio = self.ratio()
+        ratio_v = self.c_u * self.c_u / self.C_uu if self.C_uu > 1e-150 else 1.0
+        return max(ratio * ratio, 1.0), max(ratio_v * ratio_v / 3.0, 1.0)
+
+    def ratio(self) -> float:
+        """Return c' C^-1 c / 2 of the horizontal corrections, 1 on average under a right model and without data."""
         c_e, c_n, C_ee, C_en, C_nn = self.c_e, self.c_n, self.C_ee, self.C_en, self.C_nn
         det = C_ee * C_nn - C_en * C_en
         if det > 1e-9 * C_ee * C_nn and det >= 1e-300:
-            ratio = 0.5 * (C_nn * c_e * c_e - 2.0 * C_en * c_e * c_n + C_ee * c_n * c_n) / det
-        else:
-            trace = C_ee + C_nn
-            ratio = (c_e * c_e + c_n * c_n) / trace if trace > 1e-150 else 1.0
-        ratio_v = self.c_u * self.c_u / self.C_uu if self.C_uu > 1e-150 else 1.0
-        return max(ratio * ratio, 1.0), max(ratio_v * ratio_v / 3.0, 1.0)
+            return 0.5 * (C_nn * c_e * c_e - 2.0 * C_en * c_e * c_n + C_ee * c_n * c_n) / det
+        trace = C_ee + C_nn
+        return (c_e * c_e + c_n * c_n) / trace if trace > 1e-150 else 1.0
 
     def copy(self) -> ManoeuvreDetector:
         """Return an independent copy."""
@@ -176,3 +186,33 @@ class ManoeuvreDetector:
 
 
 _DETECTOR_FIELDS = attrgetter(*(one.name for one in fields(ManoeuvreDetector)))
+
+
+@dataclass(slots=True)
+class NoiseLevel:
+    """Learns how large a noise is against its setting, from the velocity corrections of ranges and position reports, eq. (30).
+
+    Air data do not count: where they are wrong, as in gusts, they and the ranges correct the velocity to and fro, which cancels
+    in the sum of both. Compare the integral action of an adjustable level of process noise (Bar-Shalom, Li, Kirubarajan 2001,
+    section 11.2).
+    """
+
+    log_level: float = 0.0
+    corrections: ManoeuvreDetector = field(default_factory=ManoeuvreDetector)
+
+    @property
+    def level(self) -> float:
+        """The factor of the variances."""
+        return math.exp(self.log_level)
+
+    def learn(self, at_s: float, time_s: float, bounds: tuple[float, float]) -> None:
+        """Adjust the level, within its bounds, by how much the corrections until now exceed their prediction."""
+        since_s = min(at_s - self.corrections.at_s, _LONGEST_LEARNED_S)
+        if since_s > 0.0 and self.corrections.at_s > -math.inf:
+            excess = min(self.corrections.ratio(), _MOST_RATIO) - _SETTLED_RATIO
+            least, most = bounds
+            self.log_level = min(max(self.log_level + excess * since_s / time_s, math.log(least)), math.log(most))
+
+    def copy(self) -> NoiseLevel:
+        """Return an independent copy."""
+        return NoiseLevel(self.log_level, self.corrections.copy())

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd, Transition, range_jacobian
-from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance, set_transition, step_ends
+from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude, gap_covariance, set_transition, step_ends
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import TIME_STAMP_OFFSET, VELOCITY, WIND, JointState, Key
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -117,14 +117,22 @@ class Cluster:
                 P[axis + 3, axis] += both
             record.updated_at_s = at_s
 
-    def update_manoeuvre_detector(self, vehicle: int, W: FloatArray, innovations: Sequence[float], at_s: float) -> None:
-        """Give the manoeuvre detector the velocity correction by W (1 + n, k) and the k whitened innovations."""
-        record = self.records[vehicle]
+    def add_corrections(
+        self, vehicle: int, W: FloatArray, innovations: Sequence[float], at_s: float, *, of_position: bool = False
+    ) -> None:
+        """Give the velocity correction by W (1 + n, k) and the k whitened innovations to the manoeuvre detector.
+
+        `of_position`: a range or a position report made it, so the noise level learns from it too.
+        """
+        record, s = self.records[vehicle], self.settings
         if record.static:
             return
         start = self.joint.where[vehicle].start + VELOCITY.start
-        east, north, up = W[start : start + 3].tolist()
-        record.manoeuvre.update(at_s, self.settings.manoeuvre_memory_s, east, north, up, innovations)
+        correction = (*W[start : start + 3].tolist(), innovations)
+        record.manoeuvre.update(at_s, s.manoeuvre_memory_s, *correction)
+        if of_position and fresh_attitude(record, s, at_s) is not None:
+            record.noise.learn(at_s, s.noise_level_time_s, (s.least_noise_level, s.most_noise_level))
+            record.noise.corrections.update(at_s, s.manoeuvre_memory_s, *correction)
 
     def inflate_covariance(self, vehicle: int, position_m2: float) -> None:
         """Add a position variance (m^2, each axis), and the velocity and wind variance to match, to one vehicle.

@@ -102,12 +102,12 @@ def altitude(joint: JointState, m: AltitudeMeasurement, white_sigma_m: float) ->
 
 
 def air_velocity(
-    joint: JointState, m: AttitudeMeasurement, airspeed_mps: float, since_s: float, s: FleetSettings
+    joint: JointState, m: AttitudeMeasurement, airspeed_mps: float, since_s: float, s: FleetSettings, noise_level: float
 ) -> LinearisedMeasurement:
     """Airspeed and heading: h = (|v - w| + b_V, V (course(v - w) + b_psi)), eq. (13), horizontal.
 
     Source: PX4 EKF2, airspeed and sideslip fusion; here the heading error is a state and sideslip is part of the noise.
-    R: the air noise, correlated over `air_noise_time_s`, with `since_s` since the last attitude.
+    R: the air noise at its learned level, correlated over `air_noise_time_s`, with `since_s` since the last attitude.
     """
     # h
     V = airspeed_mps * math.cos(m.pitch_rad)
@@ -132,7 +132,7 @@ def air_velocity(
     HA = joint.predict_block_measurement(m.vehicle, H)
     HA[:, 0] = (x[AIRSPEED_ERROR] - residuals[0], speed * x[HEADING_ERROR] - residuals[1])
     # R
-    noise = s.air_noise_mps**2 * max(1.0, s.air_noise_time_s / max(since_s, _LEAST_INTERVAL_S))
+    noise = noise_level * s.air_noise_mps**2 * max(1.0, s.air_noise_time_s / max(since_s, _LEAST_INTERVAL_S))
     return LinearisedMeasurement(HA, H, joint.where[m.vehicle], [noise, noise])
 
 

@@ -91,7 +91,7 @@ def set_transition(
         turn = turn_rate_radps(roll, attitude.airspeed_mps)
         # A steep turn is never quite level: missing or excess lift accelerates sideways and vertically.
         uneven = 2.0 * _UNEVEN_TURN_TIME_S * (s.turn_error_share * GRAVITY_MPS2 * math.tan(roll)) ** 2
-        density = s.coordinated_turn_density_m2ps3 + uneven
+        density = record.noise.level * s.coordinated_turn_density_m2ps3 + uneven
         climb += uneven
     else:
         turn = x[TURN] * lasting_s / step_s

@@ -14,7 +14,7 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseSplit
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseLevel, NoiseSplit
 from gcs_coloc.estimators.fleet.position_search import PositionSearch
 
 IN_USE_S = 2.0
@@ -80,6 +80,8 @@ class VehicleRecord:
     time_stamp_offset_sigma_s: float = 0.0
     """Steady-state sigma in force of its time-stamp offset."""
     manoeuvre: ManoeuvreDetector = field(default_factory=ManoeuvreDetector)
+    noise: NoiseLevel = field(default_factory=NoiseLevel)
+    """The learned level of gusts."""
     neighbours: dict[int, Neighbour] = field(default_factory=dict)
     """The neighbours whose ranges were used, by vehicle."""
     last_range_s: dict[int, float] = field(default_factory=dict)
@@ -109,6 +111,7 @@ class VehicleRecord:
         """Return an independent copy."""
         other = VehicleRecord(*_RECORD_FIELDS(self))
         other.manoeuvre = self.manoeuvre.copy()
+        other.noise = self.noise.copy()
         other.neighbours = dict(self.neighbours)
         other.last_range_s = dict(self.last_range_s)
         return other

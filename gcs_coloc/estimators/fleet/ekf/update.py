@@ -78,7 +78,7 @@ def update_position_report(
             return UpdateResult(Outcome.REFUSED_POSITION_GATE, 0.0, 0.0, whitened.nis, k)
         joint.covariance(m.vehicle)[:6, :6] += manoeuvre
     joint.correct(whitened.W)
-    cluster.update_manoeuvre_detector(m.vehicle, whitened.W, whitened.innovations(), at_s)
+    cluster.add_corrections(m.vehicle, whitened.W, whitened.innovations(), at_s, of_position=True)
     record.updated_at_s = at_s
     return UpdateResult(Outcome.USED, 0.0, 0.0, whitened.nis, k)
 
@@ -94,7 +94,7 @@ def update_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, co
         variance += innovation * innovation
     W = joint.correct_scalar(hA, variance)
     sigma_m = math.sqrt(variance)
-    cluster.update_manoeuvre_detector(m.vehicle, W, (innovation / sigma_m,), m.measured_at_s)
+    cluster.add_corrections(m.vehicle, W, (innovation / sigma_m,), m.measured_at_s)
     return UpdateResult(Outcome.USED, innovation, sigma_m, nis, 1)
 
 
@@ -107,7 +107,7 @@ def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResul
     cluster.propagate(m.vehicle, m.measured_at_s)
     since_s = m.measured_at_s - record.attitude.measured_at_s if record.attitude is not None else s.air_noise_time_s
     record.attitude = m
-    linear = air_velocity(joint, m, m.airspeed_mps, since_s, s)
+    linear = air_velocity(joint, m, m.airspeed_mps, since_s, s, record.noise.level)
     S = linear.innovation_covariance(linear.R)
     whitened = whiten(linear.HA, S)
     nis = whitened.nis
@@ -117,7 +117,7 @@ def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResul
         S[1, 1] += (excess - 1.0) * S[1, 1]
         whitened = whiten(linear.HA, S)
     joint.correct(whitened.W)
-    cluster.update_manoeuvre_detector(m.vehicle, whitened.W, whitened.innovations(), m.measured_at_s)
+    cluster.add_corrections(m.vehicle, whitened.W, whitened.innovations(), m.measured_at_s)
     return UpdateResult(Outcome.USED, 0.0, 0.0, nis, 2)
 
 
@@ -146,8 +146,8 @@ def update_range(cluster: Cluster, pair: Key, m: RangeMeasurement, white_m: floa
         variance *= math.sqrt(nis) / s.huber_sigma
     W = joint.correct_scalar(hA, variance)
     whitened = (innovation / math.sqrt(variance),)
-    cluster.update_manoeuvre_detector(m.from_vehicle, W, whitened, at_s)
-    cluster.update_manoeuvre_detector(m.to_vehicle, W, whitened, at_s)
+    cluster.add_corrections(m.from_vehicle, W, whitened, at_s, of_position=True)
+    cluster.add_corrections(m.to_vehicle, W, whitened, at_s, of_position=True)
     return UpdateResult(Outcome.USED, innovation, sigma, nis, 1, unit)
 
 

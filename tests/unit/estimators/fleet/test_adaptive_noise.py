@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseSplit
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseLevel, NoiseSplit
 
 
 def stream(white_m: float, slow_m: float, hz: float, seconds: float, seed: int, accel_mps2: float = 0.0) -> NoiseSplit:
@@ -73,3 +73,39 @@ def test_a_scatter_is_proven_by_many_reports_and_never_more_than_there_is():
     assert 0.75 < stream(1.0, 0.0, 10.0, 120.0, seed=4).lower_bound_m(0) < 1.0
     assert max(stream(1.0, 0.0, 10.0, 2.0, seed).lower_bound_m(0) for seed in range(20)) < 1.0
     assert stream(0.02, 3.0, 10.0, 120.0, seed=2).lower_bound_m(0) < 0.4
+
+
+@pytest.mark.parametrize("size", [0.4, 0.7, 1.0, 1.5, 4.0])
+def test_the_noise_level_settles_where_corrections_are_a_little_smaller_than_predicted(size):
+    """The predicted variance grows as the root of the level, as a filter's does."""
+    rng, noise = np.random.default_rng(1), NoiseLevel()
+    levels = []
+    for k in range(1, 6001):
+        t = 0.1 * k
+        noise.learn(t, 20.0, (0.1, 20.0))
+        levels.append(noise.log_level)
+        gain = 0.1 * math.exp(0.25 * noise.log_level)
+        e, n = size * rng.standard_normal(2) * math.exp(-0.25 * noise.log_level)
+        noise.corrections.update(t, 3.0, (gain, 0.0), (0.0, gain), (0.0, 0.0), (e, n))
+    assert math.log(0.1) <= min(levels)
+    assert max(levels) <= math.log(20.0)
+    settled = math.exp(np.mean(levels[3000:]))
+    # Where the corrections have 0.7 of the predicted variance: size^2 / sqrt(level) = 0.7.
+    assert settled == pytest.approx(min(max((size**2 / 0.7) ** 2, 0.1), 20.0), rel=0.35)
+
+
+def test_a_long_pause_teaches_no_more_than_a_second():
+    noise = NoiseLevel()
+    for t in (0.0, 0.1):
+        noise.corrections.update(t, 3.0, (0.1,), (0.0,), (0.0,), (10.0,))
+    noise.learn(3600.0, 20.0, (0.01, 100.0))
+    assert 0.0 < noise.log_level <= 10.0 / 20.0
+
+
+def test_a_copy_of_a_noise_level_learns_apart():
+    noise = NoiseLevel(1.0)
+    other = noise.copy()
+    other.corrections.update(0.0, 3.0, (0.1,), (0.0,), (0.0,), (10.0,))
+    other.learn(0.5, 20.0, (0.01, 100.0))
+    assert (noise.log_level, noise.corrections.at_s) == (1.0, -math.inf)
+    assert other.log_level > 1.0

@@ -71,7 +71,7 @@ def test_air_data_measure_speed_and_course_of_the_air_velocity(known):
     x, P = parts(joint)
     heading = math.atan2(15.0, 11.0)
     m = AttitudeMeasurement(1, 0.0, 0.0, 0.1, 0.05, heading + (0.05 if known else 0.0), 19.0)
-    linear = air_velocity(joint, m, 19.0, 0.5, FleetSettings())
+    linear = air_velocity(joint, m, 19.0, 0.5, FleetSettings(), noise_level=2.0)
     V = 19.0 * math.cos(0.05)
 
     def h(x: np.ndarray) -> np.ndarray:
@@ -83,6 +83,8 @@ def test_air_data_measure_speed_and_course_of_the_air_velocity(known):
     scale = speed if known else V
     innovation = np.array([V, scale * m.yaw_rad]) - h(x)
     np.testing.assert_allclose(linear.HA[:, 0], -innovation, atol=1e-9)
+    s = FleetSettings()
+    np.testing.assert_allclose(linear.R, [2.0 * s.air_noise_mps**2 * s.air_noise_time_s / 0.5] * 2)
     H = reference.numerical_jacobian(h, x)
     if not known:
         # Linearised at the measured airspeed, not at the speed of the state.
