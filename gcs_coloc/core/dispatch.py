@@ -11,7 +11,13 @@ from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
 from gcs_coloc.core.estimator import Estimator
 from gcs_coloc.core.gps_health.gps_health import FleetGpsHealth, GpsState
 from gcs_coloc.core.integrity.monitor import IntegrityMonitor
-from gcs_coloc.core.measurements import AltitudeMeasurement, AttitudeMeasurement, PositionMeasurement
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    AttitudeMeasurement,
+    PositionMeasurement,
+    VehicleClass,
+    VehicleClassReport,
+)
 from gcs_coloc.core.messages.inbound import (
     Attitude,
     CommandResult,
@@ -19,6 +25,7 @@ from gcs_coloc.core.messages.inbound import (
     GlobalOrigin,
     GlobalPosition,
     GpsReceiver,
+    Heartbeat,
     ParameterValue,
     PeerRange,
     Pressure,
@@ -77,12 +84,21 @@ class MessageDispatch:
             CommandResult: lambda message, *_: aiding.add_result(message),
             GlobalOrigin: lambda message, *_: aiding.add_origin(message),
             ParameterValue: lambda message, *_: aiding.add_parameter(message),
+            Heartbeat: self._add_heartbeat,
         }
+        self._classes: dict[int, VehicleClass] = {}
 
     def add(self, message: FromVehicle, vehicle: ReportedState, last: LastRound) -> list[Outbound]:
         """Add a message of a vehicle whose reported state holds it already; return what is to be sent or shown at once."""
         handler = self._handlers.get(type(message))
         return (handler(message, vehicle, last) or []) if handler is not None else []
+
+    def _add_heartbeat(self, message: Heartbeat, vehicle: ReportedState, last: LastRound) -> None:
+        del vehicle, last
+        found, at_s = message.vehicle_class, message.received_at_s
+        if found is not None and found is not self._classes.get(message.sysid):
+            self._classes[message.sysid] = found
+            self._stages.estimator.add(VehicleClassReport(message.sysid, at_s, at_s, found))
 
     def _add_position(self, message: GlobalPosition, vehicle: ReportedState, last: LastRound) -> None:
         built = self._stages.measurements.position(

@@ -8,6 +8,7 @@ later, and not in the order of measuring). All sigmas are one standard deviation
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -83,7 +84,31 @@ class AttitudeMeasurement:
     airspeed_mps: float | None
 
 
-Measurement = PositionMeasurement | RangeMeasurement | AltitudeMeasurement | AttitudeMeasurement
+class VehicleClass(StrEnum):
+    """How a vehicle moves."""
+
+    PLANE = "plane"
+    """On wings; VTOLs too."""
+    MULTIROTOR = "multirotor"
+    """Multirotors and helicopters."""
+    GROUND = "ground"
+    BOAT = "boat"
+    """Surface vessels and submarines."""
+    INDOOR = "indoor"
+    """Anything that moves within rooms."""
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleClassReport:
+    """The class of a vehicle, from `measured_at_s` on; an estimator that has no use for it ignores it."""
+
+    vehicle: int
+    measured_at_s: float
+    arrived_at_s: float
+    vehicle_class: VehicleClass
+
+
+Measurement = PositionMeasurement | RangeMeasurement | AltitudeMeasurement | AttitudeMeasurement | VehicleClassReport
 
 
 class ProtectionLevel(NamedTuple):

@@ -6,7 +6,7 @@ import math
 from dataclasses import Field, dataclass, field, fields
 from typing import Any, TypeVar
 
-T = TypeVar("T", int, float)
+T = TypeVar("T", int, float, float | None)
 _KEY = "bounds"
 
 
@@ -48,12 +48,12 @@ def field_bounds(one: Field[Any]) -> Bounds | None:
 
 
 def check_bounds(settings: Any) -> None:
-    """Check every number of a dataclass of settings against its bounds.
+    """Check every number of a dataclass of settings against its bounds; None is within.
 
     Raises:
         ValueError: a number is outside; the text names the setting, its bounds and the number.
     """
     for one in fields(settings):
         bounds, value = field_bounds(one), getattr(settings, one.name)
-        if bounds is not None and not bounds.admit(value):
+        if bounds is not None and value is not None and not bounds.admit(value):
             raise ValueError(f"{one.name} must be {bounds}, not {value:g}")

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from gcs_coloc.core.errors import DataError
-from gcs_coloc.core.measurements import Vector3
+from gcs_coloc.core.measurements import Vector3, VehicleClass
 
 ROLES = ("denied", "peer", "anchor")
 _ROLE_UNTIL_0_1 = {"subject": "denied"}
 """Data sets written for version 0.1 still read."""
-_META_KEYS = {"name", "source", "licence", "dims", "node", "origin"}
+_META_KEYS = {"name", "source", "licence", "dims", "node", "origin", "vehicle_class"}
 _ORIGIN_KEYS = {"lat_deg", "lon_deg", "alt_m"}
-_NODE_KEYS = {"id", "role", "antenna", "range_bias_m", "range_scale"}
+_NODE_KEYS = {"id", "role", "antenna", "range_bias_m", "range_scale", "vehicle_class"}
 _ANCHOR_KEYS = ("e_m", "n_m", "u_m", "sigma_m")
 _ANTENNA_KEYS = ("forward_m", "right_m", "down_m")
 _MOST_SCALE = 0.5
@@ -28,7 +28,8 @@ class Node:
     """One radio of the data set; `vehicle` is its number for the estimator. An anchor has a place (ENU, m) with a sigma (m).
 
     `antennas`: lever arms (forward, right, down, m) by the antenna's id. `range_bias_m` and `range_scale` are the calibration of
-    its device: a range of two nodes is (1 + both scales) times the distance plus both biases.
+    its device: a range of two nodes is (1 + both scales) times the distance plus both biases. `vehicle_class`: how it moves, None
+    where that is not stated.
     """
 
     id: str
@@ -39,6 +40,7 @@ class Node:
     antennas: Mapping[str, Vector3] = field(default_factory=dict)
     range_bias_m: float = 0.0
     range_scale: float = 0.0
+    vehicle_class: VehicleClass | None = None
 
 
 class Meta:
@@ -63,6 +65,7 @@ class Meta:
             raise DataError(f"{path}: dims has to be 2 or 3, not {dims!r}")
         self.dims: int = dims
         self.origin = self._origin(content.get("origin"))
+        self._vehicle_class = self._class(content, "", None)
         tables = content.get("node")
         if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
             raise DataError(f"{path}: at least one [[node]] is needed")
@@ -87,6 +90,12 @@ class Meta:
             raise DataError(f"{self._path}: {where}{key} has to be a text")
         return value
 
+    def _class(self, table: dict[str, Any], where: str, default: VehicleClass | None) -> VehicleClass | None:
+        value = table.get("vehicle_class", default)
+        if value is not None and value not in set(VehicleClass):
+            raise DataError(f"{self._path}: {where}vehicle_class has to be one of {', '.join(VehicleClass)}, not {value!r}")
+        return VehicleClass(value) if value is not None else None
+
     def _number(self, table: dict[str, Any], key: str, where: str, default: float | None = None) -> float:
         value = table.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
@@ -108,7 +117,7 @@ class Meta:
         role = _ROLE_UNTIL_0_1.get(role, role)
         if role not in ROLES:
             raise DataError(f"{self._path}: {where}role has to be one of {', '.join(ROLES)}, not {role!r}")
-        self._only(table, _NODE_KEYS | set(_ANCHOR_KEYS) if role == "anchor" else _NODE_KEYS, where)
+        self._only(table, _NODE_KEYS - {"vehicle_class"} | set(_ANCHOR_KEYS) if role == "anchor" else _NODE_KEYS, where)
         node_id = self._text(table, "id", where)
         place, sigma_m = None, None
         if role == "anchor":
@@ -119,7 +128,9 @@ class Meta:
         bias_m, scale = self._number(table, "range_bias_m", where, 0.0), self._number(table, "range_scale", where, 0.0)
         if abs(scale) > _MOST_SCALE:
             raise DataError(f"{self._path}: {where}range_scale is the excess over 1, within {_MOST_SCALE}: 0.01 is one per cent")
-        return Node(node_id, number, role, place, sigma_m, self._antennas(table.get("antenna"), where), bias_m, scale)
+        antennas = self._antennas(table.get("antenna"), where)
+        vehicle_class = self._class(table, where, self._vehicle_class) if role != "anchor" else None
+        return Node(node_id, number, role, place, sigma_m, antennas, bias_m, scale, vehicle_class)
 
     def _antennas(self, tables: Any, where: str) -> dict[str, Vector3]:
         if tables is None:

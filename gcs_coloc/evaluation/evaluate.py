@@ -23,6 +23,7 @@ from gcs_coloc.core.measurements import (
     NoEstimate,
     PositionMeasurement,
     RangeMeasurement,
+    VehicleClassReport,
 )
 from gcs_coloc.evaluation.antennas import AntennaRange, body_range
 from gcs_coloc.evaluation.data_checks.checks import check_delays, run_checks
@@ -158,6 +159,9 @@ def evaluate_dataset(
             answers[vehicle].append(estimator.estimate(vehicle, t))
             next_query += 1
 
+    for node in dataset.nodes:
+        if node.vehicle_class is not None:
+            estimator.add(VehicleClassReport(node.vehicle, start_s, start_s, node.vehicle_class))
     anchors = dataset.anchors_enu_m()
     for done, m in enumerate(measurements):
         if done % _PROGRESS_EVERY == 0:

@@ -6,9 +6,21 @@ from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from gcs_coloc.core.measurements import VehicleClass
+
 _ROVERS = frozenset((mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT))
 WINGED = frozenset((mavlink.MAV_TYPE_FIXED_WING, *range(19, 26)))
 """MAV_TYPEs that fly along their nose and turn by banking; from 19 on VTOLs, whose airspeed is next to none while they hover."""
+_HOVERING = (2, 3, 4, 13, 14, 15, 29, 35)
+"""MAV_TYPEs of multirotors and helicopters, by number: older pymavlinks lack some of the names."""
+_BOATS = (mavlink.MAV_TYPE_SURFACE_BOAT, mavlink.MAV_TYPE_SUBMARINE)
+VEHICLE_CLASSES: Mapping[int, VehicleClass] = {
+    **dict.fromkeys(WINGED, VehicleClass.PLANE),
+    **dict.fromkeys(_HOVERING, VehicleClass.MULTIROTOR),
+    **dict.fromkeys(_BOATS, VehicleClass.BOAT),
+    mavlink.MAV_TYPE_GROUND_ROVER: VehicleClass.GROUND,
+}
+"""Classes of vehicles by MAV_TYPE."""
 _PX4_MODES = ("?", "MANUAL", "ALTCTL", "POSCTL", "AUTO", "ACRO", "OFFBOARD", "STABILIZED", "RATTITUDE")
 """PX4 px4_custom_mode.h, PX4_CUSTOM_MAIN_MODE: the third byte of the custom mode."""
 _PX4_AUTO_MODES = ("AUTO", "READY", "TAKEOFF", "LOITER", "MISSION", "RTL", "LAND", "AUTO", "FOLLOW", "PRECLAND")

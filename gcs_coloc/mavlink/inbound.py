@@ -29,7 +29,7 @@ from gcs_coloc.core.messages.inbound import (
 from gcs_coloc.mavlink import answers, checks, ranges
 from gcs_coloc.mavlink._generated import gcs_coloc
 from gcs_coloc.mavlink.checks import InvalidValueError
-from gcs_coloc.mavlink.flight_modes import WINGED, ardupilot_mode, px4_mode
+from gcs_coloc.mavlink.flight_modes import VEHICLE_CLASSES, WINGED, ardupilot_mode, px4_mode
 from gcs_coloc.mavlink.refusals import Field
 
 UINT8_MAX = 0xFF
@@ -63,6 +63,7 @@ def heartbeat(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Hear
         armed=bool(base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
         winged=vehicle_type in WINGED,
         mode=px4_mode(custom_mode) if is_px4 else ardupilot_mode(vehicle_type, custom_mode) if is_ardupilot else str(custom_mode),
+        vehicle_class=VEHICLE_CLASSES.get(vehicle_type),
     )
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 
+from gcs_coloc.core.measurements import VehicleClass
 from gcs_coloc.core.messages.control import ControlInput
 
 
@@ -39,6 +40,7 @@ class Heartbeat:
     """HEARTBEAT (0) of an autopilot component. Heartbeats of ground stations and peripherals are not turned into this.
 
     `winged`: the vehicle is of a type that flies along its nose and turns by banking. `mode`: the name of its flight mode.
+    `vehicle_class`: how it moves, None for other types.
     """
 
     sysid: int
@@ -47,6 +49,7 @@ class Heartbeat:
     armed: bool
     winged: bool
     mode: str | None = None
+    vehicle_class: VehicleClass | None = None
 
 
 @dataclass(frozen=True, slots=True)

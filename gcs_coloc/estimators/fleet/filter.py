@@ -19,6 +19,8 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
     Residual,
+    VehicleClass,
+    VehicleClassReport,
 )
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
@@ -27,7 +29,9 @@ from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _RESIDUALS_KEPT = 4096
 """Chosen: bounds the memory when nobody drains; some 30 s of a large fleet."""
-_KIND_DENIED, _KIND_POSITION, _KIND_ALTITUDE, _KIND_ATTITUDE, _KIND_RANGE = range(5)
+_KIND_DENIED, _KIND_CLASS, _KIND_POSITION, _KIND_ALTITUDE, _KIND_ATTITUDE, _KIND_RANGE = range(6)
+
+_CLASSES = tuple(VehicleClass)
 
 Event = Measurement | frozenset[int]
 
@@ -143,6 +147,9 @@ def _key(m: Measurement) -> Key | None:
         sigmas = (1.0,)
         air = (m.airspeed_mps,) if m.airspeed_mps is not None else ()
         head, tail = (_KIND_ATTITUDE, m.vehicle), (m.roll_rad, m.pitch_rad, m.yaw_rad, *air)
+    elif isinstance(m, VehicleClassReport):
+        sigmas = (1.0,)
+        head, tail = (_KIND_CLASS, m.vehicle), (_CLASSES.index(m.vehicle_class),)
     else:
         return None
     key = (m.measured_at_s, *head, *tail, *sigmas)

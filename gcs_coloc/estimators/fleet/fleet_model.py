@@ -19,11 +19,12 @@ from gcs_coloc.core.measurements import (
     NoEstimate,
     PositionMeasurement,
     RangeMeasurement,
+    VehicleClassReport,
 )
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseSplit, without_time_error
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
-from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance, motion_limits
+from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, Neighbour, Records, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TIME_STAMP_OFFSET, VELOCITY, pair_key
 from gcs_coloc.estimators.fleet.ekf.update import (
@@ -33,6 +34,7 @@ from gcs_coloc.estimators.fleet.ekf.update import (
     update_range,
 )
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_ranges, initialise_from_reports
+from gcs_coloc.estimators.fleet.motion_profiles import MotionProfile, motion_profile
 from gcs_coloc.estimators.fleet.peer_selection import is_selected
 from gcs_coloc.estimators.fleet.position_search import PositionSearch, RangeCircle, is_too_wide
 from gcs_coloc.estimators.fleet.range_evidence import monitor_range, unresolved_outlier_variance_m2
@@ -59,7 +61,7 @@ class FleetModel:
 
     def __init__(self, settings: FleetSettings) -> None:
         self.settings = settings
-        self.records = Records()
+        self.records = Records(unreported=motion_profile(None, settings))
         self.clusters = ClusterSet(settings, self.records)
         self.pairs: dict[tuple[int, int, int], NoiseSplit] = {}
         self._pruned_at_s = -math.inf
@@ -134,6 +136,9 @@ class FleetModel:
         if isinstance(m, RangeMeasurement):
             return self._update_range(m)
         record = self.records.writable(m.vehicle)
+        if isinstance(m, VehicleClassReport):
+            record.profile = motion_profile(m.vehicle_class, self.settings)
+            return UpdateResult(Outcome.CLASS_REPORTED)
         if isinstance(m, PositionMeasurement):
             return self._update_position(m, record)
         if isinstance(m, AltitudeMeasurement):
@@ -142,7 +147,9 @@ class FleetModel:
         cluster = self.clusters.get(m.vehicle)
         if cluster is None or record.static:
             if record.search is not None and isinstance(m, AltitudeMeasurement):
-                record.search = self._predicted_search(record.search, m.measured_at_s).with_height(m.up_m, m.sigma_m**2)
+                record.search = self._predicted_search(record.search, record.profile, m.measured_at_s).with_height(
+                    m.up_m, m.sigma_m**2
+                )
             return UpdateResult(Outcome.KEPT_NO_STATE)
         return update_own(cluster, m)
 
@@ -236,7 +243,7 @@ class FleetModel:
         there = self._locate_peer(other, at_s)
         if there is None:
             return Outcome.KEPT_INITIALISING
-        search = self._predicted_search(record.search, at_s)
+        search = self._predicted_search(record.search, record.profile, at_s)
         search = record.search = search.with_range(RangeCircle(other, *there, m.range_m, m.sigma_m**2))
         if search.is_lost:
             record.search, record.no_estimate_reason = None, "the ranges contradict each other: no place fits them"
@@ -251,11 +258,10 @@ class FleetModel:
         record.range_noise_inflation_m2, record.updated_at_s = 0.0, at_s
         return Outcome.INITIALISED
 
-    def _predicted_search(self, search: PositionSearch, at_s: float) -> PositionSearch:
+    def _predicted_search(self, search: PositionSearch, profile: MotionProfile, at_s: float) -> PositionSearch:
         s = self.settings
-        limits = motion_limits(s)
         densities = s.low_speed_density_m2ps3, s.unobserved_climb_density_m2ps3
-        return search.predicted(at_s, densities, (0.5 * limits.max_speed_mps, limits.max_climb_mps))
+        return search.predicted(at_s, densities, (0.5 * profile.max_speed_mps, profile.max_climb_mps))
 
     def _locate_peer(self, vehicle: int, at_s: float) -> tuple[FloatArray, FloatArray] | None:
         """Return position (3,) and covariance (3, 3) of a peer by its states, None where it has none."""
@@ -318,7 +324,7 @@ class FleetModel:
         self, vehicle: int, record: VehicleRecord, search: PositionSearch, at_s: float
     ) -> Estimate | NoEstimate:
         """Estimate a denied vehicle that is searched, where all places that fit are one."""
-        place = self._predicted_search(search, at_s).place()
+        place = self._predicted_search(search, record.profile, at_s).place()
         if place is None:
             return NoEstimate(vehicle, at_s, f"ambiguous: {len(search.mean)} places fit the ranges")
         mean, covariance = place

@@ -6,7 +6,6 @@ import numpy as np
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, PositionMeasurement
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
-from gcs_coloc.estimators.fleet.ekf.process_model import motion_limits
 from gcs_coloc.estimators.fleet.ekf.records import Records
 from gcs_coloc.estimators.fleet.ekf.state import (
     AIRSPEED_ERROR,
@@ -44,9 +43,8 @@ def initialise_from_reports(clusters: ClusterSet, records: Records, vehicle: int
     (record.report_error_sigma_h_m, record.report_error_sigma_v_m), record.baro_error_sigma_m = coloured, 0.0
     record.attitude = None
     record.updated_at_s = record.velocity_used_at_s = first.measured_at_s
-    limits = motion_limits(s)
     # Speeds all over the disc of those that the vehicle reaches.
-    speed_sigmas_mps = 0.5 * limits.max_speed_mps, limits.max_climb_mps
+    speed_sigmas_mps = 0.5 * record.profile.max_speed_mps, record.profile.max_climb_mps
     mean, covariance = block_from_report(first, white, coloured, record.time_stamp_offset_sigma_s, speed_sigmas_mps, s)
     cluster = clusters.initialise(vehicle, mean, covariance, first.measured_at_s)
     for m in record.recent_own:

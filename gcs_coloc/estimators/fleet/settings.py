@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Final, Literal
 
 from gcs_coloc.core.setting_bounds import between, check_bounds
+
+BY_REPORT: Final = "reported"
+"""The setting `vehicle_class` that leaves the class to what is reported of each vehicle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +61,12 @@ class FleetSettings:
     after a second, a turn at 1 g."""
     manoeuvre_memory_s: float = between(3.0, 0.01, 600.0)
     """s. Decay time of the manoeuvre detector. Chosen: shorter detects sooner and raises more false alarms."""
-    max_speed_mps: float = between(30.0, 0.1, 1e3)
-    """m/s. Largest horizontal speed of every vehicle. Chosen: any small aircraft but a fast plane."""
-    max_acceleration_mps2: float = between(9.8, 0.1, 1e3)
-    """m/s^2. Largest horizontal acceleration of every vehicle. Chosen: a level turn at 45 degrees of bank."""
+    vehicle_class: Literal["reported", "plane", "multirotor", "ground", "boat", "indoor"] = BY_REPORT
+    """Class of every vehicle, which sets what it does at most; `reported`: as its HEARTBEAT or `meta.toml` says."""
+    max_speed_mps: float | None = between(None, 0.1, 1e3)
+    """m/s. Largest horizontal speed of every vehicle; that of its class if none."""
+    max_acceleration_mps2: float | None = between(None, 0.1, 1e3)
+    """m/s^2. Largest horizontal acceleration of every vehicle; that of its class if none."""
     turn_sigma_radps: float = between(0.03, 1e-6, 10.0)
     """rad/s. Turn rate in steady flight. Chosen: 1.7 degrees a second, course corrections of an autopilot."""
     turn_time_s: float = between(3.0, 0.01, 600.0)

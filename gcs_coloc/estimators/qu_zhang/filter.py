@@ -30,6 +30,7 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
     Residual,
+    VehicleClassReport,
 )
 from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, density, position_rows
 from gcs_coloc.estimators.qu_zhang.denied_vehicle import (
@@ -85,7 +86,9 @@ class QuZhangFilter:
         for vehicle, denied_vehicle in self._denied.items():
             for epoch in denied_vehicle.gatherer.pop_due(measurement.arrived_at_s):
                 self._close(vehicle, denied_vehicle, epoch)
-        if not _is_sound(measurement):
+        if isinstance(measurement, VehicleClassReport):
+            self._counts["vehicle class not used by this estimator"] += 1
+        elif not _is_sound(measurement):
             self._counts["impossible value"] += 1
         elif measurement.measured_at_s > measurement.arrived_at_s + self._settings.late_window_s:
             # One such time would carry a filter into the future and make everything after it late.
@@ -314,5 +317,5 @@ def _is_sound(measurement: Measurement) -> bool:
             return measurement.sigma_m > 0.0 and measurement.range_m >= 0.0 and measurement.from_vehicle != measurement.to_vehicle
         case AltitudeMeasurement():
             return measurement.sigma_m > 0.0
-        case AttitudeMeasurement():
+        case AttitudeMeasurement() | VehicleClassReport():
             return True

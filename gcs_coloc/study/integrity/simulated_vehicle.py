@@ -7,7 +7,7 @@ from math import inf
 
 import numpy as np
 
-from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.measurements import FloatArray, VehicleClass
 from gcs_coloc.core.messages.control import RouteReport
 from gcs_coloc.core.messages.inbound import (
     Airspeed,
@@ -91,7 +91,9 @@ class SimulatedVehicle:
         """Build the heartbeat, and what the link layer knows of the route."""
         arrival_s, sysid = self.arrival_s(at_s), self.sysid
         winged = self.course.airspeed_mps is not None
-        return [Heartbeat(sysid, arrival_s, Autopilot.ARDUPILOT, True, winged), RouteReport(sysid, arrival_s, None)]
+        vehicle_class = VehicleClass.PLANE if winged else VehicleClass.MULTIROTOR
+        heartbeat = Heartbeat(sysid, arrival_s, Autopilot.ARDUPILOT, True, winged, vehicle_class=vehicle_class)
+        return [heartbeat, RouteReport(sysid, arrival_s, None)]
 
     def receiver_messages(self, at_s: float) -> list[Inbound]:
         """Build what its own receiver states, and the receiver that we feed."""

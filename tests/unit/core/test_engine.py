@@ -13,6 +13,8 @@ from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     PositionMeasurement,
     RangeMeasurement,
+    VehicleClass,
+    VehicleClassReport,
 )
 from gcs_coloc.core.messages.control import ClockReference, GpsOverride, OperatorCommand, RouteBlock, RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, Heartbeat, PeerRange, TimeBase
@@ -273,3 +275,16 @@ def test_a_stuck_ranging_device_is_named_its_ranges_are_refused_and_its_first_ne
     assert "m to 1: it is stuck" in found.text
     assert (back, again.text) == (150, "its ranging device 7 measures 1 again")
     assert engine.refused() == {"range_repeated": 150 - stuck}
+
+
+def test_the_class_of_a_vehicle_reaches_the_estimator_once_and_when_it_changes():
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    beats = [None, VehicleClass.PLANE, VehicleClass.PLANE, None, VehicleClass.MULTIROTOR, VehicleClass.MULTIROTOR]
+    for t, vehicle_class in enumerate(beats):
+        engine.receive(Heartbeat(2, float(t), Autopilot.ARDUPILOT, armed=True, winged=True, vehicle_class=vehicle_class))
+    told = [m for m in estimator.taken if isinstance(m, VehicleClassReport)]
+    assert [(m.vehicle, m.measured_at_s, m.vehicle_class) for m in told] == [
+        (2, 1.0, VehicleClass.PLANE),
+        (2, 4.0, VehicleClass.MULTIROTOR),
+    ]

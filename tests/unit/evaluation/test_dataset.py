@@ -5,7 +5,13 @@ from pathlib import Path
 import pytest
 
 from gcs_coloc.core.errors import DataError
-from gcs_coloc.core.measurements import AltitudeMeasurement, AttitudeMeasurement, PositionMeasurement, RangeMeasurement
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    AttitudeMeasurement,
+    PositionMeasurement,
+    RangeMeasurement,
+    VehicleClass,
+)
 from gcs_coloc.evaluation.dataset import read_dataset
 
 FILES = {
@@ -107,6 +113,13 @@ def test_a_calibrated_device_measures_the_distance(tmp_path):
     assert m.range_m == pytest.approx((3.5 - 0.20) / 1.01)
 
 
+def test_the_class_of_the_set_holds_for_nodes_that_state_none_but_anchors(tmp_path):
+    meta = 'vehicle_class = "indoor"\n' + FILES["meta.toml"].replace('role = "peer"', 'role = "peer"\nvehicle_class = "ground"')
+    nodes = read_dataset(write(tmp_path, meta_toml=meta)).nodes
+    assert [node.vehicle_class for node in nodes] == [VehicleClass.INDOOR, None, VehicleClass.GROUND]
+    assert all(node.vehicle_class is None for node in read_dataset(write(tmp_path)).nodes)
+
+
 BAD_ROWS = [
     ("ranges_csv", "t_s,from_id,to_id,range_m,sigma_m\n1.1,tag,B,nine,0.2\n", "line 2, column 4 (range_m)"),
     ("ranges_csv", "t_s,from_id,to_id,range_m,sigma_m\n1.0,tag,A,nan,0.2\n", "line 2, column 4 (range_m)"),
@@ -146,6 +159,7 @@ BAD_ROWS = [
     ("meta_toml", "name = ", "not TOML"),
     ("meta_toml", FILES["meta.toml"] + '[[node.antenna]]\nid = "x"\nforward_m = 1', "right_m"),
     ("meta_toml", FILES["meta.toml"] + "range_scale = 1.01", "excess over 1"),
+    ("meta_toml", 'vehicle_class = "kite"\n' + FILES["meta.toml"], "plane, multirotor, ground, boat, indoor"),
     ("meta_toml", FILES["meta.toml"].replace("dims = 3", "dims = 4"), "dims"),
     ("meta_toml", FILES["meta.toml"].replace('"peer"', '"friend"'), "role"),
     ("meta_toml", FILES["meta.toml"].replace('id = "B"', 'id = "A"'), "two nodes"),

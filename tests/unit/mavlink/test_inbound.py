@@ -17,6 +17,7 @@ from packed_messages import (
 )
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from gcs_coloc.core.measurements import VehicleClass
 from gcs_coloc.core.messages.inbound import (
     Airspeed,
     Attitude,
@@ -79,8 +80,11 @@ SYS_STATUS_FIELDS = dict.fromkeys(
 )
 
 
-def beat(autopilot: Autopilot, mode: str, *, armed: bool = False, winged: bool = True) -> Heartbeat:
-    return Heartbeat(1, NOW_S, autopilot, armed=armed, winged=winged, mode=mode)
+def beat(
+    autopilot: Autopilot, mode: str, *, armed: bool = False, vehicle_class: VehicleClass | None = VehicleClass.PLANE
+) -> Heartbeat:
+    winged = vehicle_class is VehicleClass.PLANE
+    return Heartbeat(1, NOW_S, autopilot, armed=armed, winged=winged, mode=mode, vehicle_class=vehicle_class)
 
 
 @pytest.mark.parametrize(
@@ -97,11 +101,19 @@ def beat(autopilot: Autopilot, mode: str, *, armed: bool = False, winged: bool =
         ),
         (
             heartbeat(mavlink.MAV_TYPE_QUADROTOR),
-            beat(Autopilot.ARDUPILOT, "STABILIZE", winged=False),
+            beat(Autopilot.ARDUPILOT, "STABILIZE", vehicle_class=VehicleClass.MULTIROTOR),
         ),
         (
             heartbeat(mavlink.MAV_TYPE_GROUND_ROVER),
-            beat(Autopilot.ARDUPILOT, "MANUAL", winged=False),
+            beat(Autopilot.ARDUPILOT, "MANUAL", vehicle_class=VehicleClass.GROUND),
+        ),
+        (
+            heartbeat(mavlink.MAV_TYPE_SURFACE_BOAT),
+            beat(Autopilot.ARDUPILOT, "MANUAL", vehicle_class=VehicleClass.BOAT),
+        ),
+        (
+            heartbeat(mavlink.MAV_TYPE_AIRSHIP, autopilot=mavlink.MAV_AUTOPILOT_PX4),
+            beat(Autopilot.PX4, "0", vehicle_class=None),
         ),
         (
             heartbeat(mavlink.MAV_TYPE_VTOL_TILTROTOR),

@@ -130,8 +130,10 @@ class Cluster:
         start = self.joint.where[vehicle].start + VELOCITY.start
         correction = (*W[start : start + 3].tolist(), innovations)
         record.manoeuvre.update(at_s, s.manoeuvre_memory_s, *correction)
-        if of_position and fresh_attitude(record, s, at_s) is not None:
-            record.noise.learn(at_s, s.noise_level_time_s, (s.least_noise_level, s.most_noise_level))
+        gusts = (s.least_noise_level, s.most_noise_level)
+        levels = gusts if fresh_attitude(record, s, at_s) is not None else record.profile.noise_levels
+        if of_position and levels is not None:
+            record.noise.learn(at_s, s.noise_level_time_s, levels)
             record.noise.corrections.update(at_s, s.manoeuvre_memory_s, *correction)
 
     def inflate_covariance(self, vehicle: int, position_m2: float) -> None:

@@ -17,6 +17,8 @@ class Outcome(StrEnum):
     """It was the last range that multilateration needed."""
     DENIED_CHANGED = "denied vehicles changed"
     """Not a measurement: the set of denied vehicles changed."""
+    CLASS_REPORTED = "vehicle class reported"
+    """Not a measurement: the class of a vehicle."""
     REINITIALISED = "peer re-initialised: its reports moved away"
     """Position reports outside the gate one after another: the peer starts anew from this one."""
     KEPT_NO_STATE = "kept: vehicle has no state"

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from gcs_coloc.core.measurements import AttitudeMeasurement, FloatArray
 from gcs_coloc.estimators.fleet.ekf._kernels import Transition
@@ -85,32 +84,35 @@ def set_transition(
     # The turn rate decays within the step: the heading changes by omega times this.
     lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
     attitude = fresh_attitude(record, s, at_s)
+    level = record.noise.level if attitude is not None or record.profile.noise_levels is not None else 1.0
     if attitude is not None:
         assert attitude.airspeed_mps is not None
         roll = min(max(attitude.roll_rad, -STEEPEST_BANK_RAD), STEEPEST_BANK_RAD)
         turn = turn_rate_radps(roll, attitude.airspeed_mps)
         # A steep turn is never quite level: missing or excess lift accelerates sideways and vertically.
         uneven = 2.0 * _UNEVEN_TURN_TIME_S * (s.turn_error_share * GRAVITY_MPS2 * math.tan(roll)) ** 2
-        density = record.noise.level * s.coordinated_turn_density_m2ps3 + uneven
+        density = level * s.coordinated_turn_density_m2ps3 + uneven
         climb += uneven
     else:
         turn = x[TURN] * lasting_s / step_s
+        density *= level
         if at_s - record.updated_at_s > _COAST_TIME_S:
             gain = max(gain, min(((at_s - record.updated_at_s) / _COAST_TIME_S) ** 2, _COAST_GAIN))
         if record.denied_vehicle:
             gain = max(gain, min(_worst_m2(P) / (_NOTICED_SIGMA_M * _NOTICED_SIGMA_M), _UNNOTICED_GAIN))
+    # Eq. (9): the manoeuvre detector inflates the process noise, up to what a learned level may come to as well.
+    gain = min(gain, s.manoeuvre_gain / max(level, 1.0))
     mean = transition.set_motion(x, step_s, turn, in_wind=attitude is not None)
     if attitude is None:
         transition.set_turn_column(step_s, lasting_s, mean[3], mean[4])
         if record.denied_vehicle and at_s - record.updated_at_s > GAP_S:
             # Eq. (28): no vehicle becomes ever faster.
-            limits = motion_limits(s)
-            decay = math.exp(-2.0 * length * density * min(gain, s.manoeuvre_gain) / limits.max_speed_mps**2)
+            limits = record.profile
+            decay = math.exp(-2.0 * length * density * gain / limits.max_speed_mps**2)
             decay_v = math.exp(-0.5 * length * climb / limits.max_climb_mps**2)
             transition.decay_velocity(decay, decay_v)
             mean = (*mean[:3], decay * mean[3], decay * mean[4])
-    # Eq. (9): the manoeuvre detector inflates the process noise.
-    transition.set_acceleration_noise(length, density * min(gain, s.manoeuvre_gain), climb * min(gain_v, s.manoeuvre_gain))
+    transition.set_acceleration_noise(length, density * gain, climb * min(gain_v, s.manoeuvre_gain))
     # Only the vehicle's own part of the time-stamp offset changes; the offset of its clock lasts.
     stamp_s = record.time_stamp_offset_sigma_s
     own = s.time_stamp_offset_sigma_s / stamp_s if stamp_s > 0.0 else 0.0
@@ -127,28 +129,6 @@ def set_transition(
     return mean
 
 
-@dataclass(frozen=True, slots=True)
-class MotionLimits:
-    """The most that a vehicle does: speed and acceleration, horizontal, and climb rate."""
-
-    max_speed_mps: float
-    max_acceleration_mps2: float
-    max_climb_mps: float
-
-    def reach_m(self, since_s: float) -> float:
-        """Return how far a vehicle may be from where its known velocity leads, m: min(a t^2 / 2, 2 V t)."""
-        return min(0.5 * self.max_acceleration_mps2 * since_s * since_s, 2.0 * self.max_speed_mps * since_s)
-
-
-_MOST_CLIMB_MPS = 5.0
-"""Chosen: what small aircraft climb at; a slower vehicle climbs no faster than it drives."""
-
-
-def motion_limits(s: FleetSettings) -> MotionLimits:
-    """Return what a vehicle can do, by the settings."""
-    return MotionLimits(s.max_speed_mps, s.max_acceleration_mps2, min(_MOST_CLIMB_MPS, s.max_speed_mps))
-
-
 def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float) -> tuple[float, float, float]:
     """Return what a vehicle may have done since its last range, eq. (29): variances of position and velocity, their covariance.
 
@@ -157,7 +137,7 @@ def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float) -> tupl
     since_s = at_s - record.updated_at_s
     if not GAP_S < since_s < math.inf or not record.denied_vehicle or fresh_attitude(record, s, at_s) is not None:
         return 0.0, 0.0, 0.0
-    limits = motion_limits(s)
+    limits = record.profile
     reach_m = limits.reach_m(since_s) / _BOUND_95_SIGMAS
     change_mps = min(limits.max_acceleration_mps2 * since_s / _BOUND_95_SIGMAS, 0.5 * limits.max_speed_mps)
     return reach_m * reach_m, change_mps * change_mps, 0.9 * reach_m * change_mps

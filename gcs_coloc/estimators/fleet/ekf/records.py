@@ -15,6 +15,7 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
 )
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseLevel, NoiseSplit
+from gcs_coloc.estimators.fleet.motion_profiles import PROFILES, MotionProfile
 from gcs_coloc.estimators.fleet.position_search import PositionSearch
 
 IN_USE_S = 2.0
@@ -81,7 +82,8 @@ class VehicleRecord:
     """Steady-state sigma in force of its time-stamp offset."""
     manoeuvre: ManoeuvreDetector = field(default_factory=ManoeuvreDetector)
     noise: NoiseLevel = field(default_factory=NoiseLevel)
-    """The learned level of gusts."""
+    """The learned level of gusts, or of manoeuvres that recur."""
+    profile: MotionProfile = PROFILES[None]
     neighbours: dict[int, Neighbour] = field(default_factory=dict)
     """The neighbours whose ranges were used, by vehicle."""
     last_range_s: dict[int, float] = field(default_factory=dict)
@@ -149,18 +151,22 @@ _RECORD_FIELDS = attrgetter(*(one.name for one in fields(VehicleRecord)))
 
 
 class Records(dict[int, VehicleRecord]):
-    """The records of all vehicles, by vehicle. Copies share each record until one side changes it (copy on write)."""
+    """The records of all vehicles, by vehicle. Copies share each record until one side changes it (copy on write).
 
-    __slots__ = ("_own",)
+    `unreported` is the profile of a vehicle whose class nobody has reported.
+    """
 
-    def __init__(self, records: Mapping[int, VehicleRecord] | None = None) -> None:
+    __slots__ = ("_own", "_unreported")
+
+    def __init__(self, records: Mapping[int, VehicleRecord] | None = None, unreported: MotionProfile = PROFILES[None]) -> None:
         super().__init__(records or {})
+        self._unreported = unreported
         self._own: set[int] = set()
 
     def copy(self) -> Records:
         """Return an independent copy."""
         self._own.clear()
-        return Records(self)
+        return Records(self, self._unreported)
 
     def writable(self, vehicle: int) -> VehicleRecord:
         """Return a vehicle's record for changing: a new one if there is none, a copy if it is shared."""
@@ -168,7 +174,7 @@ class Records(dict[int, VehicleRecord]):
             return self[vehicle]
         self._own.add(vehicle)
         record = self.get(vehicle)
-        record = self[vehicle] = VehicleRecord() if record is None else record.copy()
+        record = self[vehicle] = VehicleRecord(profile=self._unreported) if record is None else record.copy()
         return record
 
     def copy_from(self, other: Records, vehicle: int) -> None:

@@ -9,8 +9,8 @@ import pytest
 from recordings import recording
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, NoEstimate, PositionMeasurement, RangeMeasurement
-from gcs_coloc.estimators.fleet.ekf.process_model import motion_limits
 from gcs_coloc.estimators.fleet.filter import FleetFilter
+from gcs_coloc.estimators.fleet.motion_profiles import PROFILES
 from gcs_coloc.estimators.fleet.position_search import PositionSearch, RangeCircle, is_too_wide
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 from gcs_coloc.evaluation.evaluate import evaluate
@@ -140,7 +140,7 @@ def test_in_a_gap_the_bound_holds_all_that_the_vehicle_can_do():
         for number, place in peers.items():
             flight.add(RangeMeasurement(DENIED, number, t, t, math.dist((*path(t), 60.0), place), 1.0))
         flight.add(AltitudeMeasurement(DENIED, t, t, 60.0, 1.0))
-    reach = motion_limits(FleetSettings())
+    reach = PROFILES[None]
     for since_s in (2.0, 3.0, 4.0, 5.0):
         where = flight.estimate(DENIED, 20.0 + since_s)
         assert isinstance(where, Estimate)
