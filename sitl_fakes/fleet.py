@@ -41,6 +41,7 @@ class Fleet:
         self.frame = WorldFrame(o.lat_deg, o.lon_deg, o.alt_msl_m, o.geoid_height_m)
         flown = [v for v in scenario.vehicle if sysids is None or v.sysid in sysids]
         self._vehicles = {v.sysid: Vehicle(scenario, v, self.frame, seed, unix_epoch_s) for v in flown}
+        self._stations: dict[int, Vector] = {s.node: (s.east_m, s.north_m, s.height_m) for s in scenario.station}
         self._elsewhere: dict[int, SharedState] = {}
         self._steps_done = -1
 
@@ -71,7 +72,7 @@ class Fleet:
     def _positions_m(self, at_s: float) -> dict[int, Vector]:
         elsewhere = {sysid: seen.position_at(at_s) for sysid, seen in self._elsewhere.items()}
         here = {sysid: vehicle.position_m for sysid, vehicle in self._vehicles.items()}
-        return {sysid: position for sysid, position in elsewhere.items() if position is not None} | here
+        return {sysid: position for sysid, position in elsewhere.items() if position is not None} | here | self._stations
 
     def add_shared_state(self, seen: SharedState) -> None:
         """Add the true state of a vehicle of another process, at a simulated time. After a second without one it is gone."""

@@ -50,6 +50,7 @@ class FlightController:
         self.params = Parameters(spec.sysid, spec.params, spec.autopilot)
         self.faults = ActiveFaults(spec.sysid, scenario.fault, self.params, scenario.origin.lat_deg)
         self._scenario = scenario
+        self._stations = {station.node: station for station in scenario.station}
         self._flight = flight
         self._guidance = guidance
         self._seed = seed
@@ -117,20 +118,26 @@ class FlightController:
         ranging, boot_s = self._scenario.ranging, self.clock.boot_s(at_s)
         if ranging.message == "peer_range" and not int(self.params.get("MAV2_OPTIONS", _FORWARD_BAD_CRC)) & _FORWARD_BAD_CRC:
             return None
+        station = self._stations.get(sample.peer)
+        peer, station_id = (sample.peer, None) if station is None else (0, station.id)
         if ranging.message == "named_value":
-            return self.pack(named_range(boot_s, sample.peer, sample.range_m))
+            return self.pack(named_range(boot_s, peer, sample.range_m, station_id))
         time_s = boot_s if ranging.time_base == "boot" else self._unix_epoch_s + at_s
         common: dict[str, Any] = {
             "sysid": self.sysid,
             "compid": mavlink.MAV_COMP_ID_AUTOPILOT1,
             "frame_sequence": self._next_sequence(),
             "time_usec": round(time_s * 1e6),
-            "peer_system": sample.peer,
+            "peer_system": peer,
             "range_m": sample.range_m,
             "range_std_m": sample.stated_sigma_m,
             "sequence": sample.sequence,
+            "station": station_id,
         }
-        return peer_range_frame(**common) if ranging.message == "peer_range" else ranging_beacon_frame(**common)
+        if ranging.message == "peer_range":
+            return peer_range_frame(**common)
+        lla = None if station is None else self.frame.to_lla(station.east_m, station.north_m, station.height_m)
+        return ranging_beacon_frame(**common, station_lla=lla)
 
     def pack_forwarded(self) -> bytes:
         """Encode the heartbeat of a ground station on another port, under its own system id."""

@@ -135,6 +135,7 @@ class Vehicle(_Table):
     boot_offset_s: _NotNegative | None = None
     clock_drift_ppm: float | None = None
     ranges_to: list[SystemId] | None = None
+    ranges_to_stations: list[int] | None = None
     autopilot: Kind = "ardupilot"
     armed: bool = True
     params: dict[str, float] = Field(default_factory=dict)
@@ -151,12 +152,30 @@ class Vehicle(_Table):
         return self
 
 
+STATION_NODES_FROM = 100_000
+"""Ranging devices are numbered: vehicles by their system ids, stations by their ids beyond this."""
+
+
+class Station(_Table):
+    """One fixed station that vehicles range: where it stands from the origin, m, and its id, which is no vehicle's."""
+
+    id: int = Field(ge=0, le=65_535)
+    east_m: float
+    north_m: float
+    height_m: float = 0.0
+
+    @property
+    def node(self) -> int:
+        """Its number as a ranging device."""
+        return STATION_NODES_FROM + self.id
+
+
 class Scenario(_Table):
     """A whole scenario. Vehicles that set no `airspeed_mps` or `end_of_route` take the scenario's.
 
     `global_position` decides what a vehicle with GPS reports in GLOBAL_POSITION_INT: "filtered", its autopilot's estimate, or
     "raw", its receiver's fix as it is. A vehicle without `ranges_to` ranges to all others if a fault of its own GPS is
-    planned, else to nobody.
+    planned, else to nobody; so it is with `ranges_to_stations` and all stations.
     `truth_messages` sends SIMSTATE and SIM_STATE from the start. With `ground_station` a second one (system id 255) is on
     another port of every vehicle, and its heartbeats are forwarded.
     """
@@ -178,6 +197,7 @@ class Scenario(_Table):
     telemetry: Telemetry = Telemetry()
     dead_reckoning: DeadReckoning = DeadReckoning()
     vehicle: list[Vehicle] = Field(min_length=1)
+    station: list[Station] = Field(default_factory=list)
     fault: list[AnyFault] = Field(default_factory=list)
 
     @model_validator(mode="after")
@@ -189,17 +209,26 @@ class Scenario(_Table):
             for peer in v.ranges_to or []:
                 if peer not in ids or peer == v.sysid:
                     raise ValueError(f"vehicle {v.sysid} cannot range to {peer}: no such other vehicle")
+        stations = [s.id for s in self.station]
+        if len(set(stations)) != len(stations):
+            raise ValueError("two stations have the same id")
+        for v in self.vehicle:
+            for station in v.ranges_to_stations or []:
+                if station not in stations:
+                    raise ValueError(f"vehicle {v.sysid} cannot range to station {station}: no such station")
         for f in self.fault:
             if f.vehicle not in ids:
                 raise ValueError(f"fault {f.kind!r} names vehicle {f.vehicle}, which does not exist")
         return self
 
     def ranging_peers(self, vehicle: Vehicle) -> list[int]:
-        """System ids that a vehicle ranges to."""
-        if vehicle.ranges_to is not None:
-            return list(vehicle.ranges_to)
+        """The numbers of the ranging devices that a vehicle ranges to: vehicles, then stations."""
         loses_gps = any(f.vehicle == vehicle.sysid and f.kind.startswith("gps_") for f in self.fault)
-        return [v.sysid for v in self.vehicle if v.sysid != vehicle.sysid] if loses_gps else []
+        others = [v.sysid for v in self.vehicle if v.sysid != vehicle.sysid] if loses_gps else []
+        stations = [s.id for s in self.station] if loses_gps else []
+        vehicles = vehicle.ranges_to if vehicle.ranges_to is not None else others
+        wanted = vehicle.ranges_to_stations if vehicle.ranges_to_stations is not None else stations
+        return [*vehicles, *(STATION_NODES_FROM + station for station in wanted)]
 
 
 SCENARIOS = Path(__file__).with_name("scenarios")

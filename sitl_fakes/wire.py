@@ -8,6 +8,7 @@ layout: https://mavlink.io/en/guide/serialization.html.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from typing import Any
@@ -47,6 +48,7 @@ _RANGING_BEACON_FIELDS = (
 )
 _UINT32_UNKNOWN = 0xFFFFFFFF
 _INT32_UNKNOWN = 0x7FFFFFFF
+_ALT_MSL = 1
 
 
 def crc_extra(name: str, fields: Sequence[tuple[str, str]]) -> int:
@@ -83,9 +85,14 @@ def peer_range_frame(
     sequence: int,
     quality: int = 255,
     device_id: int = 0,
+    station: int | None = None,
 ) -> bytes:
-    """Pack PEER_RANGE (181600): `time_usec` on the sender's clock, `range_std_m` 0 where unknown, `quality` % or 255."""
-    payload = struct.pack("<QffHBBB", time_usec, range_m, range_std_m, sequence & 0xFFFF, peer_system, quality, device_id)
+    """Pack PEER_RANGE (181600): `time_usec` on the sender's clock, `range_std_m` 0 where unknown, `quality` % or 255.
+
+    To a `station` (id) `peer_system` is 0, and the extension fields peer_type and peer_station name it.
+    """
+    fields = time_usec, range_m, range_std_m, sequence & 0xFFFF, peer_system, quality, device_id
+    payload = struct.pack("<QffHBBBBH", *fields, int(station is not None), station or 0)
     return _frame(PEER_RANGE_ID, payload, _PEER_RANGE_CRC_EXTRA, sysid, compid, frame_sequence)
 
 
@@ -99,30 +106,37 @@ def ranging_beacon_frame(
     range_m: float,
     range_std_m: float,
     sequence: int,
+    station: int | None = None,
+    station_lla: tuple[float, float, float] | None = None,
 ) -> bytes:
-    """Pack RANGING_BEACON (513) with `beacon_id` the peer's system id and the beacon's own position marked unknown."""
+    """Pack RANGING_BEACON (513) of a `station` with its position `station_lla` (degrees, m above mean sea level).
+
+    Without one, `beacon_id` is the peer's system id, and the position is marked unknown.
+    """
+    lat_deg, lon_deg, alt_m = station_lla if station_lla is not None else (math.nan, math.nan, math.nan)
     accuracy = round(range_std_m * 1000.0) if range_std_m > 0.0 else _UINT32_UNKNOWN
     payload = struct.pack(
         "<QIiifIIIHHBBBBB",
         time_usec,
         round(range_m * 1000.0),
-        _INT32_UNKNOWN,
-        _INT32_UNKNOWN,
-        float("nan"),
+        _INT32_UNKNOWN if station_lla is None else round(lat_deg * 1e7),
+        _INT32_UNKNOWN if station_lla is None else round(lon_deg * 1e7),
+        alt_m,
         _UINT32_UNKNOWN,
         _UINT32_UNKNOWN,
         accuracy,
-        peer_system,
+        peer_system if station is None else station,
         0,
         0,
         0,
-        0,
+        0 if station_lla is None else _ALT_MSL,
         sequence & 0xFF,
         0,
     )
     return _frame(RANGING_BEACON_ID, payload, _RANGING_BEACON_CRC_EXTRA, sysid, compid, frame_sequence)
 
 
-def named_range(boot_s: float, peer_system: int, range_m: float) -> Any:
-    """Build a range as NAMED_VALUE_FLOAT, named "RNG" and the peer's system id."""
-    return mavlink.MAVLink_named_value_float_message(int(boot_s * 1000.0) & 0xFFFFFFFF, f"RNG{peer_system}".encode(), range_m)
+def named_range(boot_s: float, peer_system: int, range_m: float, station: int | None = None) -> Any:
+    """Build a range as NAMED_VALUE_FLOAT, named "RNG" and the peer's system id, or "STN" and the station's id."""
+    name = f"RNG{peer_system}" if station is None else f"STN{station}"
+    return mavlink.MAVLink_named_value_float_message(int(boot_s * 1000.0) & 0xFFFFFFFF, name.encode(), range_m)

@@ -55,8 +55,8 @@ def ranging_beacon(**changes):
         "target_component": 0,
         "beacon_id": 3,
         "range": 812_500,
-        "lat": 0,
-        "lon": 0,
+        "lat": 0x7FFFFFFF,
+        "lon": 0x7FFFFFFF,
     }
     fields |= {
         "alt": math.nan,

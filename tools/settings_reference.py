@@ -14,6 +14,7 @@ from typing import Any, cast
 
 from pydantic import BaseModel
 
+from gcs_coloc.config.sections import StationConfig
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.setting_bounds import Bounds, field_bounds
 from gcs_coloc.estimators.registry import load_class, settings_type_of
@@ -22,6 +23,9 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = tuple(ROOT / f"docs/reference/{page}.md" for page in ("configuration", "estimator-fleet", "estimator-qu-zhang"))
 _TABLE = re.compile(r"(<!-- settings: (\w+) -->\n).*?(<!-- end of settings -->)", re.DOTALL)
 _TOP_LEVEL = "top_level"
+OF_EACH: dict[str, type] = {"station": StationConfig}
+"""Tables of which there may be several, `[[name]]`, and the settings of each."""
+REQUIRED = object()
 _ESTIMATOR = "estimator_"
 """Before the name of an estimator whose settings the table holds."""
 
@@ -68,6 +72,8 @@ def _section(name: str) -> type:
     if name.startswith(_ESTIMATOR):
         estimator = name.removeprefix(_ESTIMATOR)
         return cast("type", settings_type_of(estimator, load_class(estimator)))
+    if name in OF_EACH:
+        return OF_EACH[name]
     return Settings if name == _TOP_LEVEL else type(getattr(Settings(), name))
 
 
@@ -81,7 +87,7 @@ def _model_rows(cls: type[BaseModel]) -> list[tuple[str, Any, str]]:
         told = {word: getattr(rule, word) for rule in one.metadata for word in ("ge", "gt", "le") if hasattr(rule, word)}
         least = told.get("ge", told.get("gt", -math.inf))
         bounds = Bounds(least, told.get("le", math.inf), open_below="gt" in told) if told else ""
-        rows.append((name, one.get_default(call_default_factory=True), str(bounds)))
+        rows.append((name, REQUIRED if one.is_required() else one.get_default(call_default_factory=True), str(bounds)))
     return rows
 
 
@@ -93,6 +99,8 @@ def _dataclass_rows(cls: Any) -> list[tuple[str, Any, str]]:
 
 
 def _shown(value: Any) -> str:
+    if value is REQUIRED:
+        return "required"
     if isinstance(value, bool):
         return str(value).lower()
     return f"`{value}`" if isinstance(value, str) and value else (str(value) if isinstance(value, int | float) else "none")

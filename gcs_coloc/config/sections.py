@@ -11,7 +11,10 @@ from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.gps_health.gps_health import GpsHealthSettings
 from gcs_coloc.core.integrity.protection_level import ProtectionSettings
+from gcs_coloc.core.stations.node_id import MAX_STATION_ID
+from gcs_coloc.core.stations.stations import Station, StationPosition
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementSettings
+from gcs_coloc.mavlink.checks import ALTITUDE_MAX_M, ALTITUDE_MIN_M
 
 _STRICT = ConfigDict(extra="forbid")
 
@@ -128,6 +131,30 @@ class FleetConfig(_Section):
         if both:
             raise ValueError(f"vehicle {both[0]} is declared failed and healthy; declare it one of the two")
         return self
+
+
+class StationConfig(_Section):
+    """`[[station]]`: one fixed station that vehicles range; a table for each."""
+
+    id: int = Field(ge=0, le=MAX_STATION_ID)
+    """The station's id, as the ranges name it: `peer_station` of PEER_RANGE, `beacon_id` of RANGING_BEACON, `STN3`.
+    Stations and vehicles have ids of their own: station 3 is not vehicle 3."""
+    name: str = Field("", max_length=40)
+    """What people call it, on the page and in messages."""
+    lat_deg: float = Field(ge=-90.0, le=90.0)
+    """Latitude of its antenna, degrees, WGS 84."""
+    lon_deg: float = Field(ge=-180.0, le=180.0)
+    """Longitude of its antenna, degrees, WGS 84."""
+    alt_m: float = Field(ge=ALTITUDE_MIN_M, le=ALTITUDE_MAX_M)
+    """Altitude of its antenna above mean sea level, metres, by the datum of the vehicles' receivers."""
+    sigma_m: float = Field(1.0, ge=0.01, le=1000.0)
+    """1-sigma of that position on each axis, metres. It is taken as one error that lasts: no number of ranges averages it away.
+    Chosen: a few minutes of a receiver without corrections."""
+
+    def station(self) -> Station:
+        """The station as the engine takes it."""
+        position = StationPosition(self.lat_deg, self.lon_deg, self.alt_m, self.sigma_m, self.sigma_m)
+        return Station(self.id, self.name, position)
 
 
 class EstimatorConfig(_Section):

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator
 from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict, SettingsError
 
 from gcs_coloc.config.sections import (
@@ -32,6 +32,7 @@ from gcs_coloc.config.sections import (
     RecordConfig,
     SendersConfig,
     SigningConfig,
+    StationConfig,
     TimeConfig,
     WebConfig,
 )
@@ -81,6 +82,8 @@ class Settings(BaseSettings):
     senders: SendersConfig = Field(default_factory=lambda: SendersConfig.model_validate({}))
     forward: ForwardConfig = Field(default_factory=lambda: ForwardConfig.model_validate({}))
     fleet: FleetConfig = Field(default_factory=lambda: FleetConfig.model_validate({}))
+    station: tuple[StationConfig, ...] = ()
+    """Fixed stations, a table `[[station]]` for each."""
     estimator: EstimatorConfig = Field(default_factory=lambda: EstimatorConfig.model_validate({}))
     web: WebConfig = Field(default_factory=lambda: WebConfig.model_validate({}))
     record: RecordConfig = Field(default_factory=lambda: RecordConfig.model_validate({}))
@@ -90,6 +93,14 @@ class Settings(BaseSettings):
     integrity: IntegrityConfig = Field(default_factory=IntegrityConfig)
     aiding: AidingConfig = Field(default_factory=AidingConfig)
     time: TimeConfig = Field(default_factory=TimeConfig)
+
+    @field_validator("station")
+    @classmethod
+    def _one_station_each(cls, stations: tuple[StationConfig, ...]) -> tuple[StationConfig, ...]:
+        for number, station in enumerate(stations):
+            if station.id in [other.id for other in stations[:number]]:
+                raise ValueError(f"two stations have id {station.id}; give each its own")
+        return stations
 
     def engine(self) -> EngineSettings:
         """The part that the engine needs."""
@@ -101,6 +112,7 @@ class Settings(BaseSettings):
             integrity=self.integrity,
             request_streams=self.fleet.request_streams,
             max_vehicles=self.fleet.max_vehicles,
+            stations=tuple(station.station() for station in self.station),
         )
 
     def fingerprint(self) -> str:

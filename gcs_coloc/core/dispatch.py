@@ -33,6 +33,8 @@ from gcs_coloc.core.messages.inbound import (
     TimeSyncAnswer,
 )
 from gcs_coloc.core.messages.outbound import Outbound
+from gcs_coloc.core.stations.node_id import is_station
+from gcs_coloc.core.stations.stations import Stations
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, SentFix
 from gcs_coloc.core.telemetry.proven_vehicles import ProvenVehicles
 from gcs_coloc.core.telemetry.reported_state import ReportedState, Telemetry
@@ -60,6 +62,7 @@ class Stages:
     telemetry: Telemetry
     proven: ProvenVehicles
     clocks: FleetClocks
+    stations: Stations
     measurements: MeasurementBuilder
     estimator: Estimator
     integrity: IntegrityMonitor
@@ -130,13 +133,21 @@ class MessageDispatch:
         if not s.proven.is_proven(message.sysid):
             # The ranges of a vehicle that is made up would place it, and then pull at all others.
             return []
-        built = s.measurements.range(message, vehicle, s.telemetry.get(message.peer_sysid))
+        resolved, told = s.stations.resolve(message)
+        if resolved is None:
+            return [told] if told is not None else []
+        to_station = is_station(resolved.peer)
+        built = s.measurements.range(
+            resolved, vehicle, s.stations.get(resolved.peer) if to_station else s.telemetry.get(resolved.peer)
+        )
         if built.measurement is not None:
-            s.proven.add_range(built.measurement, *(self._believed(sysid) for sysid in (message.sysid, message.peer_sysid)))
-            if s.proven.is_proven(message.peer_sysid):
+            if not to_station:
+                s.proven.add_range(built.measurement, *(self._believed(sysid) for sysid in (message.sysid, resolved.peer)))
+            if to_station or s.proven.is_proven(resolved.peer):
                 s.integrity.add_range(built.measurement)
-                s.estimator.add(built.measurement)
-        return [built.notice] if built.notice is not None else []
+                if not (to_station and s.integrity.has_identified(resolved.peer)):
+                    s.estimator.add(built.measurement)
+        return [notice for notice in (told, built.notice) if notice is not None]
 
     def _believed(self, sysid: int) -> PositionMeasurement | None:
         """Return the position that a vehicle reports while its GPS is healthy."""
@@ -145,6 +156,7 @@ class MessageDispatch:
 
     def _add_receiver(self, message: GpsReceiver, vehicle: ReportedState, last: LastRound) -> None:
         if message.receiver == self._stages.telemetry.own_receiver:
+            self._stages.stations.add_receiver(message)
             self._stages.measurements.add_receiver(message, vehicle, is_trusted=last.is_trusted)
             self._stages.gps_health.add_receiver(message, vehicle.position)
         else:

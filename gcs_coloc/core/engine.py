@@ -46,6 +46,7 @@ from gcs_coloc.core.messages.outbound import Notice, Outbound, ToVehicle
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.schedule import TickSchedule
 from gcs_coloc.core.snapshot import FleetSnapshot, OverrideSources, vehicle_snapshot
+from gcs_coloc.core.stations.stations import Station, Stations
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, MeasurementSettings
 from gcs_coloc.core.telemetry.proven_vehicles import ProvenVehicles
 from gcs_coloc.core.telemetry.reported_state import ReportedState, Telemetry
@@ -57,7 +58,10 @@ REVIEWED_EVERY_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class EngineSettings:
-    """Settings of one fleet. `max_vehicles` bounds every table; `request_streams` asks vehicles for missing messages."""
+    """Settings of one fleet. `max_vehicles` bounds every table; `request_streams` asks vehicles for missing messages.
+
+    `stations` are the fixed stations whose position is known.
+    """
 
     gps_health: GpsHealthSettings = field(default_factory=GpsHealthSettings)
     measurements: MeasurementSettings = field(default_factory=MeasurementSettings)
@@ -66,6 +70,7 @@ class EngineSettings:
     integrity: ProtectionSettings = field(default_factory=ProtectionSettings)
     request_streams: bool = True
     max_vehicles: int = 250
+    stations: tuple[Station, ...] = ()
 
 
 class Engine:
@@ -83,6 +88,8 @@ class Engine:
         self.telemetry = Telemetry(s.max_vehicles, own_receiver=1 if s.aiding.gps_id == 0 else 0)
         self.proven = ProvenVehicles()
         self.clocks = FleetClocks(s.time, s.measurements.max_age_s)
+        sigmas_m = s.measurements.position_sigma_h_m, s.measurements.position_sigma_v_m
+        self.stations = Stations(s.stations, s.measurements.ranging_beacon_ids, sigmas_m)
         self.measurements = MeasurementBuilder(s.measurements, self.clocks)
         self.estimator: Estimator = GuardedEstimator(estimator, self._report_estimator)
         self.integrity = IntegrityMonitor(protection=s.integrity)
@@ -92,6 +99,7 @@ class Engine:
             self.telemetry,
             self.proven,
             self.clocks,
+            self.stations,
             self.measurements,
             self.estimator,
             self.integrity,
@@ -179,7 +187,7 @@ class Engine:
     def refused(self) -> dict[str, int]:
         """Return how often what was refused since the start, by the value of `CoreRefusal`."""
         total = self._refused.copy()
-        for counts in (self.clocks.refused, self.measurements.refused, self.aiding.refused):
+        for counts in (self.clocks.refused, self.stations.refused, self.measurements.refused, self.aiding.refused):
             total.update(counts)
         if self._review.report.rejected_fixes:
             total[CoreRefusal.REACQUIRED_FIX_REJECTED] += self._review.report.rejected_fixes
@@ -187,7 +195,7 @@ class Engine:
 
     @property
     def frame(self) -> LocalFrame | None:
-        """The fleet's frame; None until a vehicle with healthy GPS has set its origin."""
+        """The fleet's frame; None until a vehicle with healthy GPS, or a station, has set its origin."""
         return self.measurements.frame
 
     def sysids(self) -> list[int]:
@@ -236,6 +244,7 @@ class Engine:
             utc_minus_service_s=self._utc_minus_service_s(),
             origin=(frame.lat_deg, frame.lon_deg, frame.height_m) if frame is not None else None,
             loop_lag_s=self.clocks.host_lag_s,
+            stations=review.stations.snapshots(now_s),
         )
 
     def _add_vehicle(self, sysid: int, at_s: float) -> ReportedState | None:

@@ -13,6 +13,7 @@ from gcs_coloc.core.measurements import Estimate, NoEstimate, Residual
 from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.messages.outbound import Notice, Outbound
 from gcs_coloc.core.residual_log import RangeJumps, ResidualLog
+from gcs_coloc.core.station_review import StationReview
 from gcs_coloc.core.telemetry.proven_vehicles import STEADY_S
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
@@ -23,12 +24,14 @@ _WITNESS_AFTER_S = STEADY_S  # a vehicle that has just appeared has shown nothin
 class FleetReview:
     """Hands the results of the later stages on: to each other now, and to the earlier ones in the next round.
 
-    `report` is what integrity returned last, `residuals` what the estimator made of the ranges of late.
+    `report` is what integrity returned last, `residuals` what the estimator made of the ranges of late, `stations` the review of
+    the fixed ones.
     """
 
     def __init__(self, stages: Stages) -> None:
         self.report = IntegrityReport()
         self.residuals = ResidualLog()
+        self.stations = StationReview(stages)
         self._stages = stages
         self._jumps = RangeJumps()
         self._gps_overrides: dict[int, GpsOverride] = {}
@@ -104,12 +107,14 @@ class FleetReview:
         out: list[Outbound] = list(self._stages.proven.review(tuple(self._stages.telemetry), vouched, now_s))
         self._witnesses = self._find_witnesses(now_s)
         self._knows_delays = all(self._stages.clocks.knows_delay(vehicle.sysid, now_s) for vehicle in self._stages.telemetry)
-        reviewed = [self._reviewed(vehicle, now_s) for vehicle in self._stages.telemetry]
+        stations = self.stations.witnesses(now_s)
+        reviewed = [*(self._reviewed(vehicle, now_s) for vehicle in self._stages.telemetry), *stations]
         self.report = self._stages.integrity.review(now_s, reviewed, self._stages.measurements.frame)
         for sysid in self.report.diverged:
             self._stages.estimator.reset(sysid, now_s)
         text = "its GPS is back and fits the ranges, our position did not: located anew"
-        return [*out, *(Notice(now_s, sysid, "warning", text) for sysid in self.report.diverged)]
+        diverged = [Notice(now_s, sysid, "warning", text) for sysid in self.report.diverged]
+        return [*out, *diverged, *self.stations.update(self.report, now_s)]
 
     def review_vehicle(self, vehicle: ReportedState, now_s: float) -> list[Outbound]:
         """Run the stages from GPS health on for one vehicle; return what is to be sent and shown."""

@@ -66,6 +66,18 @@ class CoreRefusal(StrEnum):
     # Ranges
     RANGE_PEER_UNKNOWN = "range_peer_unknown"
     """The other end is no vehicle of the fleet."""
+    BEACON_WITHOUT_POSITION = "ranging_beacon_without_position"
+    """RANGING_BEACON without a position, of no station that has one."""
+    BEACON_NO_VEHICLE = "ranging_beacon_no_vehicle"
+    """Its id is to be a vehicle's system id and is none, or the sender's own."""
+    STATION_UNKNOWN = "station_unknown"
+    """A range to a station without a position."""
+    STATION_HEIGHT_UNKNOWN = "station_height_unknown"
+    """A station's stated position has no height above mean sea level."""
+    STATION_CONTRADICTED = "station_contradicted"
+    """A RANGING_BEACON puts a station elsewhere than it is known to be. A configured position counts, and the range is used."""
+    STATIONS_FULL = "stations_full"
+    """More stations are stated than there is room for."""
     RANGE_REPEATED = "range_repeated"
     """The ranging device repeats one value."""
 

@@ -45,7 +45,10 @@ class Consistency:
 
 @dataclass(frozen=True, slots=True)
 class RangeSnapshot:
-    """The newest range between two vehicles as the estimator saw it; `refused` says in words why it was not used."""
+    """The newest range as the estimator saw it; `refused` says in words why it was not used.
+
+    `to_sysid` is the other vehicle, or the node id (negative) of a station.
+    """
 
     from_sysid: int
     to_sysid: int

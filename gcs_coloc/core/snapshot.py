@@ -13,6 +13,7 @@ from gcs_coloc.core.gps_health.gps_health import FleetGpsHealth
 from gcs_coloc.core.measurements import Estimate, FloatArray, NoEstimate, Vector3
 from gcs_coloc.core.messages.control import CommandSource, GpsOverride
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
+from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 _ATTITUDE_FRESH_S = 3.0
@@ -115,7 +116,7 @@ class FleetSnapshot:
     `estimator_counts` is what the estimator made of its measurements, used ones among them. `ranges` and `links` are sorted
     by their system ids, `outs` are the ground tools. `utc_minus_service_s` turns `at_s` into UNIX time; None where the host
     does not know the time. `origin` is the fleet frame's: latitude and longitude in degrees, altitude in metres.
-    `loop_lag_s` is by how much the host ran the service late at worst in the last second.
+    `loop_lag_s` is by how much the host ran the service late at worst in the last second. `stations` are in order of their ids.
     """
 
     at_s: float
@@ -129,6 +130,7 @@ class FleetSnapshot:
     utc_minus_service_s: float | None = None
     origin: tuple[float, float, float] | None = None
     loop_lag_s: float = 0.0
+    stations: tuple[StationSnapshot, ...] = ()
 
 
 class OverrideSources(NamedTuple):

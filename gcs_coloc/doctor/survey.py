@@ -188,7 +188,7 @@ class Survey:
             case GpsReceiver(receiver=0):
                 vehicle.receiver = message
             case PeerRange():
-                self._ranges[frozenset((message.sysid, message.peer_sysid))] += 1
+                self._ranges[frozenset((message.sysid, message.peer))] += 1
             case ParameterValue():
                 vehicle.reader.add(message.name, message.value)
             case TimeSyncAnswer():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from gcs_coloc.core.stations.node_id import MAX_STATION_ID, station_node
 from gcs_coloc.mavlink.refusals import Field
 
 ALTITUDE_MIN_M = -1000.0
@@ -42,7 +43,7 @@ def latitude_longitude_deg(lat_e7: int, lon_e7: int) -> tuple[float, float]:
     return lat_e7 / 1e7, lon_e7 / 1e7
 
 
-def altitude_m(alt_mm: int) -> float:
+def altitude_m(alt_mm: float) -> float:
     """Check an altitude in millimetres and return it in metres."""
     altitude = alt_mm / 1e3
     if not ALTITUDE_MIN_M <= altitude <= ALTITUDE_MAX_M:
@@ -90,3 +91,10 @@ def peer_sysid(peer: int, sender: int, field: Field) -> int:
     if not 1 <= peer <= 255 or peer == sender:
         raise InvalidValueError(field)
     return peer
+
+
+def station_node_of(station_id: int, field: Field) -> int:
+    """Check the id of the station at the other end of a range; return its node id."""
+    if not 0 <= station_id <= MAX_STATION_ID:
+        raise InvalidValueError(field)
+    return station_node(station_id)

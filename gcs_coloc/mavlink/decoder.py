@@ -20,6 +20,7 @@ from pymavlink.dialects.v20.ardupilotmega import (
 from gcs_coloc.core.messages.inbound import Heartbeat, Inbound, PeerRange
 from gcs_coloc.core.snapshot import LinkSnapshot
 from gcs_coloc.mavlink import checks, framing
+from gcs_coloc.mavlink._generated.gcs_coloc import MAVLINK_MSG_ID_RANGING_BEACON
 from gcs_coloc.mavlink.checks import InvalidValueError
 from gcs_coloc.mavlink.framing import MESSAGE_CLASSES, OWN_COMPID, OWN_SYSID, RawFrame, target_of
 from gcs_coloc.mavlink.inbound import AUTOPILOT_CONVERTERS, CONVERTERS
@@ -160,6 +161,9 @@ class Decoder:
     def _message(self, raw: framing.RawFrame, received_at_s: float) -> Inbound | None:
         if raw.message_id == MAVLINK_MSG_ID_COMMAND_ACK and not self._is_for_us(raw):
             self.counts.add(Refusal.ANSWER_TO_ANOTHER)
+            return None
+        if raw.message_id == MAVLINK_MSG_ID_RANGING_BEACON and target_of(raw).sysid not in (0, self._own[0], raw.sysid):
+            self.counts.add(Refusal.RANGE_OF_ANOTHER)
             return None
         unpacker, name, convert = _LAYOUTS[raw.message_id]
         # MAVLink 2 cuts off trailing zeros, MAVLink 1 has no extension fields, a newer sender may append fields.

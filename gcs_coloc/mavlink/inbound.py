@@ -44,6 +44,8 @@ _AUTOPILOTS = {
     mavlink.MAV_AUTOPILOT_PX4: Autopilot.PX4,
 }
 
+_MOST_GEOID_HEIGHT_M = 110.0
+"""The geoid is -107 to +86 m from the ellipsoid (EGM96)."""
 _NO_VEHICLES = frozenset((6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48, 49))
 """MAV_TYPEs of ground stations and of parts of a vehicle: companion computers (18), gimbals (26), ADS-B (27), cameras (30) and so
 on, the newest a radio (49). Many of them name an autopilot in their HEARTBEAT that they are not. By number: older pymavlinks
@@ -86,16 +88,18 @@ def global_position_int(sysid: int, received_at_s: float, values: tuple[Any, ...
 
 def gps_raw_int(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> GpsReceiver:
     """GPS_RAW_INT (24): the first receiver."""
-    time_us, lat_e7, lon_e7, alt_mm, eph, _epv, _speed, _course, fix, satellites, _ellipsoid, h_acc, v_acc, speed_acc, *_ = values
-    place = (lat_e7, lon_e7, alt_mm)
+    time_us, lat_e7, lon_e7, alt_mm, eph, _epv, _speed, _course, fix, satellites, ellipsoid_mm, h_acc, v_acc, speed_acc, *_ = (
+        values
+    )
+    place = (lat_e7, lon_e7, alt_mm, ellipsoid_mm)
     return _gps_receiver(sysid, received_at_s, 0, time_us, fix, place, satellites, eph, (h_acc, v_acc, speed_acc))
 
 
 def gps2_raw(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> GpsReceiver:
     """GPS2_RAW (124): the second receiver."""
     time_us, lat_e7, lon_e7, alt_mm, _dgps_age, eph, _epv, _speed, _course, fix, satellites, *rest = values
-    _dgps_count, _yaw, _ellipsoid, h_acc, v_acc, speed_acc, _heading_acc = rest
-    place = (lat_e7, lon_e7, alt_mm)
+    _dgps_count, _yaw, ellipsoid_mm, h_acc, v_acc, speed_acc, _heading_acc = rest
+    place = (lat_e7, lon_e7, alt_mm, ellipsoid_mm)
     return _gps_receiver(sysid, received_at_s, 1, time_us, fix, place, satellites, eph, (h_acc, v_acc, speed_acc))
 
 
@@ -105,20 +109,28 @@ def _gps_receiver(
     receiver: int,
     time_us: int,
     fix_type: int,
-    place: tuple[int, int, int],
+    place: tuple[int, int, int, int],
     satellites: int,
     eph: int,
     accuracies: tuple[int, int, int],
 ) -> GpsReceiver:
-    """`place`: latitude and longitude in 1e-7 deg, altitude in mm. `accuracies`: horizontal, vertical in mm, speed in mm/s."""
+    """`place`: latitude, longitude in 1e-7 deg, altitudes above sea and ellipsoid in mm.
+
+    `accuracies`: horizontal, vertical in mm, speed in mm/s.
+    """
     if fix_type > mavlink.GPS_FIX_TYPE_PPP:
         raise InvalidValueError(Field.FIX_TYPE)
     lat_deg = lon_deg = alt_msl_m = 0.0
+    geoid_height_m = None
     # Without a fix there is no position. What stands in its fields is not checked: the lost fix must be learnt.
     if fix_type >= mavlink.GPS_FIX_TYPE_2D_FIX:
-        lat_e7, lon_e7, alt_mm = place
+        lat_e7, lon_e7, alt_mm, ellipsoid_mm = place
         lat_deg, lon_deg = checks.latitude_longitude_deg(lat_e7, lon_e7)
         alt_msl_m = checks.altitude_m(alt_mm)
+        # 0: an omitted extension field, or no geoid in the receiver.
+        geoid_height_m = (ellipsoid_mm - alt_mm) / 1e3 if ellipsoid_mm else None
+        if geoid_height_m is not None and abs(geoid_height_m) > _MOST_GEOID_HEIGHT_M:
+            geoid_height_m = None
     h_acc_mm, v_acc_mm, speed_acc_mmps = accuracies
     return GpsReceiver(
         sysid=sysid,
@@ -135,6 +147,7 @@ def _gps_receiver(
         speed_acc_mps=_thousandths(speed_acc_mmps),
         # Either since boot or UNIX time: by its magnitude, as MAVLink says.
         fixed_boot_s=time_us / 1e6 if 0 < time_us < checks.UNIX_TIME_FROM_US else None,
+        geoid_height_m=geoid_height_m,
     )
 
 

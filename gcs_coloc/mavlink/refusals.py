@@ -37,6 +37,8 @@ class Refusal(StrEnum):
     """A message that only an autopilot can send about its vehicle, from another component."""
     ANSWER_TO_ANOTHER = "answer_to_another"
     """A COMMAND_ACK addressed to another ground station."""
+    RANGE_OF_ANOTHER = "range_of_another"
+    """A RANGING_BEACON addressed to another system than its sender or us: it is no range that its sender measured."""
 
     # Signing
     UNSIGNED = "unsigned"
@@ -87,8 +89,8 @@ class Field(StrEnum):
 
     AIRSPEED = "airspeed"
     ALT = "alt"
+    ALT_TYPE = "alt_type"
     PRESS_ABS = "press_abs"
-    BEACON_ID = "beacon_id"
     FIX_TYPE = "fix_type"
     LAT = "lat"
     LAT_LON_ZERO = "lat_lon_zero"
@@ -97,6 +99,7 @@ class Field(StrEnum):
     NAME = "name"
     PARAM_ID = "param_id"
     PEER_SYSTEM = "peer_system"
+    PEER_TYPE = "peer_type"
     PITCH = "pitch"
     QUALITY = "quality"
     RANGE = "range"
@@ -182,6 +185,7 @@ _REMEDIES: Mapping[str, str] = {
     Refusal.GROUND_TOOL_USES_VEHICLE_ID: "a ground tool uses a vehicle's system id: give it its own (255 by custom)",
     Refusal.GROUND_TOOL_AIDING: "a ground tool sends positions to a vehicle that we aid: stop one of the two",
     Refusal.FORWARD_ADDRESS_CONFLICT: "frames under a vehicle's system id from another address than its own are not forwarded",
+    Refusal.RANGE_OF_ANOTHER: "RANGING_BEACON for another vehicle than its sender: it is to reach that vehicle alone",
     Refusal.RATE_LIMITED: "more than senders.bytes_per_s: a flood, or a busy router",
     Refusal.ROUTE_TABLE_FULL: "more senders than there is room for: is something flooding the link?",
 }

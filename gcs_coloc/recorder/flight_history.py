@@ -19,10 +19,11 @@ from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
 from gcs_coloc.core.snapshot import VehicleSnapshot
+from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
 from gcs_coloc.evaluation.data_checks.recorded_data import RecordedData
-from gcs_coloc.recorder.journal import Journal, RangeEntry, VehicleEntry
+from gcs_coloc.recorder.journal import Journal, RangeEntry, StationEntry, VehicleEntry
 from gcs_coloc.recorder.replay import Replay, ReplayCounts, replay
 from gcs_coloc.recorder.reports.flight_report import FlightReport, MeasurementTap
 from gcs_coloc.recorder.side_tables import read_ranges, read_truth
@@ -36,9 +37,9 @@ WITHOUT_GPS = tuple(state.value for state in DISTRUSTED)
 class FlightHistory:
     """The history of one flight.
 
-    `tracks`: each vehicle's entries in order of time. `damage`: what of the file could not be read. `frame`: the fleet's, about
-    its first fix; None where there was none. `findings`: data-quality findings in the recording and the tables beside it.
-    `recorded`: what they compare; None without a frame.
+    `tracks`: each vehicle's entries in order of time. `stations`: the fixed ones as last known, by node id. `damage`: what of the
+    file could not be read. `frame`: the fleet's, about its first fix; None where there was none. `findings`: data-quality
+    findings in the recording and the tables beside it. `recorded`: what they compare; None without a frame.
     """
 
     file: Path
@@ -48,6 +49,7 @@ class FlightHistory:
     damage: Mapping[str, int]
     tracks: Mapping[int, list[VehicleEntry]] = field(default_factory=dict)
     ranges: list[RangeEntry] = field(default_factory=list)
+    stations: dict[int, StationSnapshot] = field(default_factory=dict)
     health: list[HealthChanged] = field(default_factory=list)
     notices: list[Notice] = field(default_factory=list)
     frame: LocalFrame | None = None
@@ -83,6 +85,8 @@ def read_history(file: Path, settings: Settings, ranges: Path | None, truth: Pat
                 tracks[entry.vehicle.sysid].append(entry)
             elif isinstance(entry, RangeEntry):
                 history.ranges.append(entry)
+            elif isinstance(entry, StationEntry):
+                history.stations[entry.station.node] = entry.station
             elif isinstance(entry, HealthChanged):
                 history.health.append(entry)
             elif isinstance(entry, Notice):

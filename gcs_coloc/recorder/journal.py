@@ -6,7 +6,7 @@ It follows from the deadlines alone, so that a replay makes the same journal to 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pydantic import TypeAdapter
@@ -17,6 +17,7 @@ from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
 from gcs_coloc.core.residual_log import RangeSnapshot
 from gcs_coloc.core.schedule import SAME_S
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
+from gcs_coloc.core.station_review import StationSnapshot
 
 EVERY_S = 0.4
 
@@ -37,12 +38,21 @@ class RangeEntry:
     range: RangeSnapshot
 
 
-Entry = VehicleEntry | RangeEntry | HealthChanged | Notice | Alarm
+@dataclass(frozen=True, slots=True)
+class StationEntry:
+    """A fixed station at service time `at_s`, when it came to be known or something of it changed."""
+
+    at_s: float
+    station: StationSnapshot
+
+
+Entry = VehicleEntry | RangeEntry | StationEntry | HealthChanged | Notice | Alarm
 """Alarms are not the journal's own: they depend on what people acknowledge, and are the same in a replay but for that."""
 
 NAMES: Mapping[type, str] = {
     VehicleEntry: "vehicle",
     RangeEntry: "range",
+    StationEntry: "station",
     HealthChanged: "health",
     Notice: "notice",
     Alarm: "alarm",
@@ -61,6 +71,7 @@ class Journal:
         self.newest_snapshot: FleetSnapshot | None = None
         self._due_s = float("-inf")
         self._residual_times_s: dict[tuple[int, int], float] = {}
+        self._stations: dict[int, StationSnapshot] = {}
 
     def entries(self, at_s: float, outputs: list[Outbound]) -> list[Entry]:
         """The entries of one deadline of the engine, from its time (s) and its outputs."""
@@ -78,6 +89,12 @@ class Journal:
             if measured_at_s > self._residual_times_s.get(pair, float("-inf")) + SAME_S:
                 self._residual_times_s[pair] = measured_at_s
                 entries.append(RangeEntry(at_s, one))
+        for station in view.stations:
+            known = self._stations.get(station.node)
+            # The age of its newest range changes all the time.
+            if known is None or replace(known, range_age_s=station.range_age_s) != station:
+                self._stations[station.node] = station
+                entries.append(StationEntry(at_s, station))
         return entries
 
 

@@ -144,7 +144,7 @@ def _content(record: SideChannelRecord) -> dict[str, Any]:
         return {"ground_tool": [record.sysid, record.compid]}
     if isinstance(record, PeerRange):
         base = _TIME_BASES.index(record.time_base)
-        ends, values = (record.sysid, record.peer_sysid), (record.range_m, record.sigma_m, record.measured_at_s, base)
+        ends, values = (record.sysid, record.peer), (record.range_m, record.sigma_m, record.measured_at_s, base)
         return {"range": [*ends, *values, record.sequence, record.line_of_sight, record.device_id]}
     if isinstance(record, Overrun):
         return {"overrun": record.since_s}

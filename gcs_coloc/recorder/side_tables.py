@@ -57,7 +57,7 @@ def read_ranges(path: Path) -> list[PeerRange]:
         message = PeerRange(
             sysid=row.integer("from_sysid", 1, 255),
             received_at_s=measured_at_s,
-            peer_sysid=row.integer("to_sysid", 1, 255),
+            peer=row.integer("to_sysid", 1, 255),
             range_m=_range_m(row),
             sigma_m=None if row.is_empty("sigma_m") else row.positive("sigma_m"),
             measured_at_s=measured_at_s,
@@ -66,7 +66,7 @@ def read_ranges(path: Path) -> list[PeerRange]:
             line_of_sight=None,
             device_id=0,
         )
-        if message.sysid == message.peer_sysid:
+        if message.sysid == message.peer:
             raise row.error("to_sysid", "a vehicle has no range to itself")
         ranges.append(message)
     return sorted(ranges, key=lambda r: r.received_at_s)

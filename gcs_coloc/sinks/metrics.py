@@ -11,6 +11,7 @@ from prometheus_client.registry import Collector
 from gcs_coloc import __version__
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.snapshot import FleetSnapshot, LinkSnapshot, OutSnapshot, VehicleSnapshot
+from gcs_coloc.core.station_review import StationSnapshot
 
 # name, help, value: a vehicle for which the value is None has no sample.
 _GAUGES: tuple[tuple[str, str, Callable[[VehicleSnapshot], float | None]], ...] = (
@@ -56,6 +57,15 @@ _OUT_COUNTERS: tuple[tuple[str, str, Callable[[OutSnapshot], int]], ...] = (
 )
 
 
+_STATION_GAUGES: tuple[tuple[str, str, Callable[[StationSnapshot], float | None]], ...] = (
+    ("latitude_degrees", "Latitude of the station, WGS84.", lambda s: s.lat_deg),
+    ("longitude_degrees", "Longitude of the station, WGS84.", lambda s: s.lon_deg),
+    ("position_sigma_meters", "1-sigma of its position on each horizontal axis.", lambda s: s.sigma_h_m),
+    ("range_age_seconds", "Time since the newest range to the station.", lambda s: s.range_age_s),
+    ("used", "1 while its ranges locate vehicles, 0 while they contradict its position.", lambda s: float(s.is_used)),
+)
+
+
 class FleetCollector(Collector):
     """Turns the fleet as it stands into metric families. `snapshot` is called once a scrape."""
 
@@ -79,6 +89,13 @@ class FleetCollector(Collector):
                 number = value(vehicle)
                 if number is not None:
                     gauge.add_metric([str(vehicle.sysid)], number)
+            yield gauge
+        for name, text, number_of in _STATION_GAUGES:
+            gauge = GaugeMetricFamily(f"gcs_coloc_station_{name}", text, labels=["station"])
+            for station in fleet.stations:
+                number = number_of(station)
+                if number is not None:
+                    gauge.add_metric([str(station.station_id)], number)
             yield gauge
         states = GaugeMetricFamily("gcs_coloc_vehicle_gps_state", "1 for the state its GPS is in.", labels=["sysid", "state"])
         for vehicle in fleet.vehicles:

@@ -22,7 +22,7 @@ from gcs_coloc.mavlink.refusals import Counts
 from gcs_coloc.runtime.process import read_private_file
 from gcs_coloc.sinks.event_bus import IdleScheduler, Subscription
 from gcs_coloc.sinks.mqtt_inbox import MqttHooks, MqttInbox
-from gcs_coloc.sinks.mqtt_models import TOPIC_VERSION, of_alarm, of_vehicle, status, unix_s
+from gcs_coloc.sinks.mqtt_models import TOPIC_VERSION, of_alarm, of_station, of_vehicle, status, unix_s
 
 log = logging.getLogger("gcs_coloc")
 
@@ -169,10 +169,12 @@ class Mqtt:
 
     async def _publish_latest(self, client: Client) -> None:
         snapshot = self._hooks.snapshot()
+        at_unix_s = unix_s(snapshot.at_s, snapshot)
         latest: dict[str, BaseModel] = {"status": status(snapshot, online=True)}
         for vehicle in snapshot.vehicles:
-            models = of_vehicle(vehicle, unix_s(snapshot.at_s, snapshot))
+            models = of_vehicle(vehicle, at_unix_s)
             latest |= {f"{vehicle.sysid}/{name}": model for name, model in models.items()}
+        latest |= {f"station/{station.station_id}": of_station(station, at_unix_s) for station in snapshot.stations}
         topics = list(latest.items())
         for start in range(0, len(topics), _BATCH):
             await self._publish_together(client, topics[start : start + _BATCH])

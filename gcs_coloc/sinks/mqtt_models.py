@@ -15,6 +15,8 @@ from gcs_coloc.core.alarms import Alarm, AlarmKind, AlarmState
 from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, Override, PrimaryOverride
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
+from gcs_coloc.core.station_review import StationSnapshot
+from gcs_coloc.core.stations.node_id import MAX_STATION_ID, station_node
 from gcs_coloc.mavlink.checks import RANGE_MAX_M, UNIX_TIME_FROM_US, UNIX_TIME_TO_US
 
 TOPIC_VERSION = "v2"
@@ -81,6 +83,22 @@ class VehicleHealth(_Sent):
     primary_override_by: str | None
 
 
+class StationState(_Sent):
+    """`…/station/{id}`: a fixed station: where it is, whether its ranges are used, and what contradicts its position."""
+
+    station_id: int
+    name: str
+    source: str
+    lat_deg: float | None
+    lon_deg: float | None
+    alt_msl_m: float | None
+    sigma_h_m: float | None
+    sigma_v_m: float | None
+    range_age_s: float | None
+    fault: str | None
+    is_used: bool
+
+
 class GroundTools(BaseModel):
     """The ground tools behind one connection string of `out`: how many now; frames and refusals since the start."""
 
@@ -140,10 +158,14 @@ class Command(BaseModel):
 
 
 class Range(BaseModel):
-    """`…/{sysid}/range`: a range that this vehicle measured at `unix_s` or `boot_s`; without both, on arrival."""
+    """`…/{sysid}/range`: a range that this vehicle measured to a vehicle (`peer`) or a station, at `unix_s` or `boot_s`.
+
+    Without both times it was measured on arrival.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-    peer: int = Field(ge=1, le=255)
+    peer: int | None = Field(None, ge=1, le=255)
+    station: int | None = Field(None, ge=0, le=MAX_STATION_ID)
     range_m: float = Field(gt=0.0, le=RANGE_MAX_M)
     sigma_m: float | None = Field(None, gt=0.0, le=RANGE_MAX_M)
     unix_s: float | None = Field(None, ge=_UNIX_FROM_S, le=_UNIX_TO_S)
@@ -151,6 +173,17 @@ class Range(BaseModel):
     sequence: int | None = Field(None, ge=0)
     line_of_sight: float | None = Field(None, ge=0.0, le=1.0)
     device_id: int = Field(0, ge=0, le=255)
+
+    @model_validator(mode="after")
+    def _one_other_end(self) -> Self:
+        if (self.peer is None) == (self.station is None):
+            raise ValueError("a peer or a station is wanted")
+        return self
+
+    @property
+    def node(self) -> int:
+        """The node id of the other end."""
+        return self.peer if self.peer is not None else station_node(self.station or 0)
 
     @model_validator(mode="after")
     def _one_clock(self) -> Self:
@@ -168,7 +201,7 @@ class Range(BaseModel):
         return PeerRange(
             sysid=sysid,
             received_at_s=received_at_s,
-            peer_sysid=self.peer,
+            peer=self.node,
             range_m=self.range_m,
             sigma_m=self.sigma_m,
             measured_at_s=measured_at_s,
@@ -183,6 +216,7 @@ BY_TOPIC: dict[str, type[BaseModel]] = {
     "{sysid}/state": VehicleState,
     "{sysid}/estimate": VehicleEstimate,
     "{sysid}/health": VehicleHealth,
+    "station/{id}": StationState,
     "status": FleetStatus,
     "alarms": AlarmChange,
     "{sysid}/cmd": Command,
@@ -200,6 +234,12 @@ def of_vehicle(v: VehicleSnapshot, at_unix_s: float | None) -> dict[str, _Sent]:
         )
         for name, model in parts.items()
     }
+
+
+def of_station(station: StationSnapshot, at_unix_s: float | None) -> StationState:
+    """What is published of one station."""
+    content = {key: getattr(station, key) for key in StationState.model_fields if key != "at_unix_s"}
+    return StationState.model_validate({"at_unix_s": at_unix_s} | content)
 
 
 def of_alarm(alarm: Alarm, snapshot: FleetSnapshot) -> AlarmChange:

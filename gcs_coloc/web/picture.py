@@ -79,6 +79,7 @@ def fleet_frame(fleet: FleetSnapshot, alarms: Iterable[Alarm] = (), truths: Iter
         origin=fleet.origin,
         vehicles=tuple(_vehicle_frame(v, true_enu_m.get(v.sysid)) for v in fleet.vehicles),
         ranges=fleet.ranges,
+        stations=fleet.stations,
         alarms=tuple(alarms),
     )
 

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 from gcs_coloc.core.alarms import Alarm
 from gcs_coloc.core.residual_log import RangeSnapshot
 from gcs_coloc.core.snapshot import VehicleSnapshot
+from gcs_coloc.core.station_review import StationSnapshot
 
 HIDDEN = "hidden"
 """A page sends this when it goes out of sight, such as a tab behind others."""
@@ -110,6 +111,7 @@ class FleetFrame:
     origin: tuple[float, float, float] | None
     vehicles: tuple[VehicleFrame, ...]
     ranges: tuple[RangeSnapshot, ...]
+    stations: tuple[StationSnapshot, ...]
     alarms: tuple[Alarm, ...]
     kind: Literal["fleet"] = "fleet"
 

@@ -43,7 +43,6 @@ def signing(vehicle):
     """Make a hovering vehicle sign what it sends and take nothing that is not signed."""
     state = vehicle.mav.signing
     state.secret_key, state.sign_outgoing, state.timestamp = KEY, True, now_ticks()
-    vehicle.beacon.signing = state  # both are one component's
     vehicle.parser.signing.secret_key, vehicle.parser.signing.timestamp = KEY, now_ticks()
 
 
@@ -93,7 +92,7 @@ def test_a_signed_fleet_is_served_while_forged_unsigned_and_recorded_frames_are_
 
 def follow(vehicle):
     """Make a vehicle sign for the latest time that it has verified, as autopilots do."""
-    vehicle.parser.signing = vehicle.beacon.signing = vehicle.mav.signing
+    vehicle.parser.signing = vehicle.mav.signing
 
 
 @pytest.mark.parametrize("first_ahead_s", [0, 86_400])

@@ -10,7 +10,6 @@ import time
 from collections.abc import Collection, Iterator
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from pymavlink.dialects.v20 import development
 
 LAT, LON, ALT_M = 47.0, 8.0, 500.0
 M_PER_DEG_LAT, M_PER_DEG_LON = 111_171.0, 76_056.0  # at 47 deg north
@@ -27,7 +26,6 @@ class Hover:
         if sock is None:
             self.sock.bind(("127.0.0.1", 0))
         self.mav = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=1)
-        self.beacon = development.MAVLink(None, srcSystem=sysid, srcComponent=1)
         self.started = time.monotonic() - 100.0 * sysid
         self.received: list[tuple[float, object]] = []
         self.parser = mavlink.MAVLink(None)
@@ -59,15 +57,10 @@ class Hover:
         return data
 
     def range_to(self, other: Hover) -> bytes:
-        """RANGING_BEACON with beacon_id = the peer's system id."""
+        """A range as DEBUG_VECT, named after the peer's system id."""
         boot_us = int((time.monotonic() - self.started) * 1e6)
-        range_mm = round(math.dist(self.enu_m, other.enu_m) * 1e3)
-        message = development.MAVLink_ranging_beacon_message(
-            boot_us, 0, 0, other.sysid, range_mm, 2**31 - 1, 2**31 - 1, math.nan, 0, 2**32 - 1, 2**32 - 1, 0, 500, self.mav.seq, 0
-        )
-        self.beacon.seq = self.mav.seq
-        self.mav.seq = (self.mav.seq + 1) & 0xFF
-        return message.pack(self.beacon)
+        range_m = math.dist(self.enu_m, other.enu_m)
+        return self.pack(mavlink.MAVLink_debug_vect_message(f"RNG{other.sysid}".encode(), boot_us, range_m, 0.5, -1.0))
 
     def send(self, *datagrams: bytes) -> None:
         for data in datagrams:

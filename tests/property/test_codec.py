@@ -108,7 +108,7 @@ def test_any_values_are_decoded_without_raising_and_only_possible_ones_get_in(fr
         if isinstance(message, PeerRange):
             assert 0.0 < message.range_m <= 100_000.0
             assert message.sigma_m is None or message.sigma_m > 0.0
-            assert message.peer_sysid not in (0, message.sysid)
+            assert message.peer not in (0, message.sysid)
 
 
 @given(wanted_frames(), st.integers(0), st.integers(1, 255), st.integers(0, 300))
@@ -155,7 +155,7 @@ def test_peer_range_round_trip(time_us, distance, sigma, sequence, ids, quality,
     assert frame.message == PeerRange(
         sysid=ids[0],
         received_at_s=2.0,
-        peer_sysid=ids[1],
+        peer=ids[1],
         range_m=distance,
         sigma_m=sigma or None,
         measured_at_s=time_us / 1e6,

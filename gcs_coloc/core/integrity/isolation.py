@@ -25,10 +25,12 @@ from gcs_coloc.core.integrity.epoch import Epoch, Past
 from gcs_coloc.core.integrity.fault_model import AdjustedHypothesis, FaultKind, FaultModel, Hypothesis
 from gcs_coloc.core.integrity.fault_tests import SignificanceLevels, chi2_limit
 from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.stations.node_id import is_station
 
 _MAX_CANDIDATES = 8  # vehicles; chosen: bounds the number of subsets to 162
 _MAX_SUBSET = 4  # vehicles; chosen: with eight candidates that is half of them
 _ALIKE_PENALTY = 3.2  # twice the log of 5: chosen, so much rarer is each further receiver spoofed alike; of four below the margin
+_STATION_PENALTY = 9.2  # twice the log of 100: chosen, so much rarer a station stands elsewhere than a receiver fails
 _SELF_REPORTED_PENALTY = 13.8  # twice the log of 1000: chosen, so much likelier at fault is who reports trouble himself
 
 
@@ -83,7 +85,10 @@ def _penalty(hypothesis: Hypothesis, troubled: frozenset[int]) -> float:
     """Twice the log of how much less likely a hypothesis is beforehand than one faulty receiver."""
     is_troubled = hypothesis.kind is FaultKind.POSITIONS and troubled.issuperset(hypothesis.vehicles)
     further = len(hypothesis.vehicles) - 1 if hypothesis.kind is FaultKind.POSITIONS else 0
-    return _ALIKE_PENALTY * further + (_SELF_REPORTED_PENALTY if troubled and not is_troubled else 0.0)
+    stations = sum(map(is_station, hypothesis.vehicles)) if hypothesis.kind is FaultKind.POSITIONS else 0
+    return (
+        _ALIKE_PENALTY * further + _STATION_PENALTY * stations + (_SELF_REPORTED_PENALTY if troubled and not is_troubled else 0.0)
+    )
 
 
 def _candidates(now: Epoch, model: FaultModel) -> list[int]:

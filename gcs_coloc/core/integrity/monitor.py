@@ -26,8 +26,10 @@ from gcs_coloc.core.integrity.reacquisition import ReacquisitionMonitor
 from gcs_coloc.core.integrity.report import FaultReason, IntegrityReport, PositionFault, ReviewedVehicle
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
 from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement
+from gcs_coloc.core.stations.node_id import is_station
 
 _LARGEST_SIGMA_V_M = 10.0  # chosen: a free height would cost each range its information
+_STATION_RIGHT_S = 60.0  # chosen: nothing moves a station back; ranges that fit it for less passed it where they show nothing
 
 
 class IntegrityMonitor:
@@ -38,6 +40,7 @@ class IntegrityMonitor:
         self._fault_levels: dict[int, FaultLevel] = {}
         self._consistency = RangeConsistency(settings)
         self._reacquisition = ReacquisitionMonitor(self._consistency.settings)
+        self._right_since_s: dict[int, float] = {}
 
     def add_position(self, position: PositionMeasurement) -> None:
         """Add the position that a witness reports. What is identified as faulty stays excluded until it is readmitted."""
@@ -52,6 +55,10 @@ class IntegrityMonitor:
             no_prior=False,
         )
         self._consistency.add_position(position.vehicle, track)
+
+    def has_identified(self, node: int) -> bool:
+        """Return whether the position of a vehicle or station is identified as faulty, and not readmitted yet."""
+        return node in self._consistency.identified
 
     def add_range(self, measurement: RangeMeasurement) -> None:
         """Add a range between two vehicles."""
@@ -70,8 +77,12 @@ class IntegrityMonitor:
         inflated = [replace(v, estimate=tested.inflate(v.estimate)) if v.estimate is not None else v for v in vehicles]
         self._update_fault_levels(inflated, now_s)
         reacquired = self._reacquisition.review(now_s, inflated, self._consistency.identified)
-        for sysid in [sysid for sysid in self._consistency.identified if self._reacquisition.has_become_right(sysid)]:
-            self._consistency.readmit(sysid)
+        for sysid in list(self._consistency.identified):
+            if not self._reacquisition.has_become_right(sysid):
+                self._right_since_s.pop(sysid, None)
+            elif now_s - self._right_since_s.setdefault(sysid, now_s) >= (_STATION_RIGHT_S if is_station(sysid) else 0.0):
+                del self._right_since_s[sysid]
+                self._consistency.readmit(sysid)
         sysids = [vehicle.sysid for vehicle in vehicles]
         faults = {sysid: fault for sysid in sysids if (fault := self._fault(sysid)) is not None}
         return replace(

@@ -12,6 +12,7 @@ from enum import Enum
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.integrity.protection_level import FaultLevel
 from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement
+from gcs_coloc.core.stations.node_id import node_name
 
 SEPARATION_GROWTH_TIME_S = 5.0
 """A displacement that grew within this time is in the velocity as well. Chosen: longer trusts the velocity sooner."""
@@ -19,7 +20,9 @@ SEPARATION_GROWTH_TIME_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class ReviewedVehicle:
-    """One vehicle as a review sees it.
+    """One vehicle, or station, as a review sees it. `sysid` is its node id.
+
+    A station reports where it is and has no receiver: it is a witness until it is identified as standing elsewhere.
 
     `gps_state` and `is_trusted` (its reported position is evidence) are results of the round before. `is_witness`: nothing bad is
     known of it, so that its position is tested against the others'. `is_automatic`: no operator override of its GPS is in force.
@@ -67,7 +70,7 @@ class PositionFault:
     @property
     def text(self) -> str:
         """The fault in words."""
-        return self.reason.value.format(others=", ".join(map(str, self.others)) or "its ranges", size_m=self.size_m)
+        return self.reason.value.format(others=", ".join(map(node_name, self.others)) or "its ranges", size_m=self.size_m)
 
 
 class ReacquisitionStatus(Enum):

@@ -76,6 +76,7 @@ class GpsReceiver:
 
     Without a fix (`fix_type` below 2) its position is 0, 0, 0. `h_acc_m`, `v_acc_m` and `speed_acc_mps` are 1-sigma; ArduPilot
     leaves them at their last good value when a fix is lost. `fixed_boot_s` is when the autopilot heard of the fix (`time_usec`).
+    `geoid_height_m` is mean sea level's height above the WGS 84 ellipsoid there.
     """
 
     sysid: int
@@ -91,6 +92,7 @@ class GpsReceiver:
     v_acc_m: float | None
     speed_acc_mps: float | None
     fixed_boot_s: float | None = None
+    geoid_height_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,18 +176,42 @@ class TimeSyncAnswer:
 
 
 @dataclass(frozen=True, slots=True)
-class PeerRange:
-    """A slant range between two vehicles, from PEER_RANGE (181600), RANGING_BEACON (513) or a named value.
+class BeaconPosition:
+    """The position of a station as a RANGING_BEACON (513) states it.
 
-    `sysid` is the vehicle that measured and reports it, `peer_sysid` the other end. `measured_at_s` is on the clock
+    `alt_m` is above mean sea level (`is_msl`) or above the WGS 84 ellipsoid; `None` unknown, as are the 1-sigmas.
+    """
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float | None
+    is_msl: bool
+    sigma_h_m: float | None
+    sigma_v_m: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Beacon:
+    """The station of a RANGING_BEACON (513): its id, and the position in the message, `None` where it states none."""
+
+    beacon_id: int
+    position: BeaconPosition | None
+
+
+@dataclass(frozen=True, slots=True)
+class PeerRange:
+    """A slant range of a vehicle, from PEER_RANGE (181600), RANGING_BEACON (513) or a named value.
+
+    `sysid` is the vehicle that measured and reports it, `peer` the node at the other end: a vehicle's system id or a station's
+    node id (`core.stations.node_id`). `measured_at_s` is on the clock
     that `time_base` names, `None` where the wire message carries no time. `sigma_m` is `None` where it is unknown.
     `line_of_sight` is the sender's own hint: 0 certainly obstructed to 1 certainly clear, `None` unknown.
-    `device_id` tells apart several ranging devices of one vehicle.
+    `device_id` tells apart several ranging devices of one vehicle. `beacon` is what a RANGING_BEACON says of the other end.
     """
 
     sysid: int
     received_at_s: float
-    peer_sysid: int
+    peer: int
     range_m: float
     sigma_m: float | None
     measured_at_s: float | None
@@ -193,6 +219,7 @@ class PeerRange:
     sequence: int | None
     line_of_sight: float | None
     device_id: int
+    beacon: Beacon | None = None
 
 
 class VehicleCommand(Enum):

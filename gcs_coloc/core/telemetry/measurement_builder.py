@@ -28,6 +28,8 @@ from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceive
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.setting_bounds import check_bounds, positive
+from gcs_coloc.core.stations.node_id import node_name
+from gcs_coloc.core.stations.stations import BeaconIds, Station
 from gcs_coloc.core.telemetry.pressure_height import PressureHeights
 from gcs_coloc.core.telemetry.repeated_ranges import RangeRepeats
 from gcs_coloc.core.telemetry.reported_state import ReportedState, true_airspeed_mps
@@ -80,6 +82,9 @@ class MeasurementSettings:
     A range of two vehicles is (1 + both scales) times the distance plus both biases."""
     range_scale: Mapping[int, float] = field(default_factory=dict)
     """Scale error of the ranging device of single vehicles by system id, as `4 = 0.002`: the excess over 1."""
+    ranging_beacon_ids: BeaconIds = "stations"
+    """Whose id the `beacon_id` of a RANGING_BEACON without a position is: a fixed station's, as MAVLink has it,
+    or with `vehicles` the system id of a vehicle. With a position it is always a station's."""
     altitude_sigma_m: float = positive(2.0)
     """Of a barometric height. Chosen: its drift over a flight."""
     max_age_s: float = positive(5.0)
@@ -116,7 +121,7 @@ class _Memory:
 class MeasurementBuilder:
     """Turns the messages of one fleet into measurements about its origin. `refused` counts what it refuses.
 
-    `frame` is the fleet's: None until the first position of a vehicle with trusted GPS sets its origin.
+    `frame` is the fleet's: None until the first position of a vehicle with trusted GPS sets its origin, or a station does.
     """
 
     def __init__(self, settings: MeasurementSettings, clocks: FleetClocks) -> None:
@@ -126,6 +131,11 @@ class MeasurementBuilder:
         self._clocks = clocks
         self._memories: dict[int, _Memory] = {}
         self._pressures = PressureHeights()
+
+    def set_origin(self, station: Station) -> None:
+        """Set the fleet's origin at a station, where no vehicle has set it yet."""
+        if self.frame is None and station.position is not None:
+            self.frame = LocalFrame(station.position.lat_deg, station.position.lon_deg, station.position.alt_msl_m)
 
     def position(
         self,
@@ -195,8 +205,8 @@ class MeasurementBuilder:
             airspeed_mps=true_airspeed_mps(air.airspeed_mps, self._alt_msl_m(vehicle)) if air is not None and fresh else None,
         )
 
-    def range(self, message: PeerRange, vehicle: ReportedState, peer: ReportedState | None) -> BuiltRange:
-        """Build a range between two vehicles of the fleet; `peer` is None where the other end was never heard."""
+    def range(self, message: PeerRange, vehicle: ReportedState, peer: ReportedState | Station | None) -> BuiltRange:
+        """Build a range of a vehicle to another one or a station; `peer` is None where the other end was never heard."""
         if peer is None:
             self.refused[CoreRefusal.RANGE_PEER_UNKNOWN] += 1
             return BuiltRange(None)
@@ -204,23 +214,22 @@ class MeasurementBuilder:
         measured = self._clocks.range_time(message, memory.delay_s)
         if measured is None:
             return BuiltRange(None)
-        was_stuck = (message.peer_sysid, message.device_id) in memory.repeats.stuck
-        is_stuck = memory.repeats.add(message.peer_sysid, message.device_id, message.range_m, message.measured_at_s)
+        was_stuck = (message.peer, message.device_id) in memory.repeats.stuck
+        is_stuck = memory.repeats.add(message.peer, message.device_id, message.range_m, message.measured_at_s)
         notice = _device_notice(message, is_stuck=is_stuck) if is_stuck is not was_stuck else None
         if is_stuck:
             self.refused[CoreRefusal.RANGE_REPEATED] += 1
             return BuiltRange(None, notice)
         sigma_m = message.sigma_m if message.sigma_m is not None else self.settings.range_sigma_m
-        # A range locates either end, whichever of the two measured it.
-        for end, other in ((vehicle, peer), (peer, vehicle)):
-            total_m, of_end = hypot(sigma_m, self._accuracy(other.receiver)[0]), self._of(end.sysid)
-            before_m = of_end.range_sigma_m if of_end.range_sigma_m is not None else total_m
-            of_end.range_sigma_m = before_m + _RANGE_SIGMA_GAIN * (total_m - before_m)
+        # A range locates either end, whichever of the two measured it; a station is where it is.
+        self._update_range_sigma(vehicle, hypot(sigma_m, self._position_sigma_m(peer)))
+        if not isinstance(peer, Station):
+            self._update_range_sigma(peer, hypot(sigma_m, self._position_sigma_m(vehicle)))
         late_m = _relative_speed_mps(vehicle, peer) * measured.sigma_s
         by_own_clock = message.measured_at_s is not None and message.time_base is not TimeBase.SERVICE
         measurement = RangeMeasurement(
             from_vehicle=message.sysid,
-            to_vehicle=message.peer_sysid,
+            to_vehicle=message.peer,
             measured_at_s=measured.at_s,
             arrived_at_s=message.received_at_s,
             range_m=self._calibrated_m(message),
@@ -232,12 +241,23 @@ class MeasurementBuilder:
         )
         return BuiltRange(measurement, notice)
 
+    def _update_range_sigma(self, end: ReportedState, total_m: float) -> None:
+        memory = self._of(end.sysid)
+        before_m = memory.range_sigma_m if memory.range_sigma_m is not None else total_m
+        memory.range_sigma_m = before_m + _RANGE_SIGMA_GAIN * (total_m - before_m)
+
+    def _position_sigma_m(self, node: ReportedState | Station) -> float:
+        """Return the horizontal 1-sigma of where a vehicle says that it is, or where a station is, m."""
+        if isinstance(node, Station):
+            return node.position.sigma_h_m if node.position is not None else 0.0
+        return self._accuracy(node.receiver)[0]
+
     def _calibrated_m(self, message: PeerRange) -> float:
         """Return the range without the lasting errors of both devices, as `gcs-coloc calibrate` finds them."""
         biases, scales = self.settings.range_bias_m, self.settings.range_scale
         if not biases and not scales:
             return message.range_m
-        ends = (message.sysid, message.peer_sysid)
+        ends = (message.sysid, message.peer)
         bias_m, scale = sum(biases.get(end, 0.0) for end in ends), sum(scales.get(end, 0.0) for end in ends)
         return max((message.range_m - bias_m) / (1.0 + scale), 0.0)
 
@@ -353,16 +373,16 @@ class MeasurementBuilder:
 def _device_notice(message: PeerRange, *, is_stuck: bool) -> Notice:
     device, at_s = f"its ranging device {message.device_id}", message.received_at_s
     if is_stuck:
-        text = f"{device} repeats one value, {message.range_m:.2f} m to {message.peer_sysid}: it is stuck and not used"
+        text = f"{device} repeats one value, {message.range_m:.2f} m to {node_name(message.peer)}: it is stuck and not used"
         return Notice(at_s, message.sysid, "warning", text)
-    return Notice(at_s, message.sysid, "info", f"{device} measures {message.peer_sysid} again")
+    return Notice(at_s, message.sysid, "info", f"{device} measures {node_name(message.peer)} again")
 
 
-def _relative_speed_mps(vehicle: ReportedState, peer: ReportedState) -> float:
-    """The most by which the range between two vehicles changes per second; one vehicle's own speed where only that is known."""
+def _relative_speed_mps(vehicle: ReportedState, peer: ReportedState | Station) -> float:
+    """The most by which a range changes per second; one vehicle's own speed where only that is known, or the other end stands."""
     vn, ve, vd = (
         (vehicle.position.vn_mps, vehicle.position.ve_mps, vehicle.position.vd_mps) if vehicle.position else (0.0, 0.0, 0.0)
     )
-    if peer.position is not None:
+    if isinstance(peer, ReportedState) and peer.position is not None:
         vn, ve, vd = vn - peer.position.vn_mps, ve - peer.position.ve_mps, vd - peer.position.vd_mps
     return hypot(vn, ve, vd)

@@ -1,4 +1,7 @@
-"""The geojson format (RFC 7946), and the shapes that it shares with KML: tracks as lines, 2-sigma ellipses as polygons."""
+"""The geojson format (RFC 7946), and the shapes that it shares with KML.
+
+Tracks are lines, 2-sigma ellipses polygons, fixed stations points.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +25,9 @@ _ELLIPSE_SIGMAS = 2.0
 
 
 def write_geojson(history: FlightHistory, path: Path) -> None:
-    """Write the tracks as lines and, while a vehicle is located without its GPS, a 2-sigma ellipse each second."""
+    """Write the tracks, the stations and, while a vehicle is located without its GPS, a 2-sigma ellipse each second."""
     features = [_feature(kind, coordinates, properties) for kind, coordinates, properties in map_shapes(history)]
+    features += [_feature("Point", place, properties) for place, properties in station_points(history)]
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False), encoding="utf-8")
 
 
@@ -43,6 +47,19 @@ def map_shapes(history: FlightHistory) -> Iterator[tuple[str, Any, dict[str, Any
                 yield "LineString", [_point(entry.vehicle) for entry in stretch], properties | times
             if properties["without_gps"]:
                 yield from _ellipses(stretch)
+
+
+def station_points(history: FlightHistory) -> Iterator[tuple[tuple[float, float, float], dict[str, Any]]]:
+    """The fixed stations whose place is known: longitude, latitude, height above mean sea level, and the properties."""
+    for _, station in sorted(history.stations.items(), reverse=True):
+        if station.lat_deg is not None and station.lon_deg is not None and station.alt_msl_m is not None:
+            properties = {
+                "station": station.station_id,
+                "name": station.name,
+                "sigma_h_m": station.sigma_h_m,
+                "used": station.is_used,
+            }
+            yield (station.lon_deg, station.lat_deg, station.alt_msl_m), properties
 
 
 def _ellipses(stretch: Sequence[VehicleEntry]) -> Iterator[tuple[str, Any, dict[str, Any]]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from gcs_coloc.recorder.flight_history import FlightHistory
-from gcs_coloc.recorder.formats.geojson import ELLIPSE_PERIOD_S, map_shapes
+from gcs_coloc.recorder.formats.geojson import ELLIPSE_PERIOD_S, map_shapes, station_points
 
 _KML = "http://www.opengis.net/kml/2.2"
 _GX = "http://www.google.com/kml/ext/2.2"
@@ -16,7 +16,7 @@ _COLOURS = {True: "ff005ed5", False: "ffb27200"}  # KML: alpha, blue, green, red
 
 
 def write_kml(history: FlightHistory, path: Path) -> None:
-    """Write the tracks with their times and, while a vehicle is located without its GPS, a 2-sigma ellipse each second."""
+    """Write the tracks with their times, the stations and, of vehicles located without GPS, a 2-sigma ellipse each second."""
     ElementTree.register_namespace("", _KML)
     ElementTree.register_namespace("gx", _GX)
     root = ElementTree.Element(f"{{{_KML}}}kml")
@@ -42,6 +42,13 @@ def write_kml(history: FlightHistory, path: Path) -> None:
             mark.insert(1, span)
             ring = _child(_child(_child(mark, "Polygon"), "outerBoundaryIs"), "LinearRing")
             _child(ring, "coordinates", " ".join(",".join(f"{x:.8f}" for x in point) for point in coordinates[0]))
+    for place, properties in station_points(history):
+        mark = _child(document, "Placemark")
+        label = f"station {properties['station']}"
+        _child(mark, "name", f"{label} ({properties['name']})" if properties["name"] else label)
+        point = _child(mark, "Point")
+        _child(point, "altitudeMode", "absolute")
+        _child(point, "coordinates", ",".join(f"{x:.8f}" for x in place))
     ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
 
 

@@ -29,7 +29,7 @@ class McapEncoder:
         self._channels: dict[str, int] = {}
 
     def add(self, entry: Entry) -> None:
-        """Add one entry at its own time. Topics: /vehicle/N, /range, /health, /notice, /alarm."""
+        """Add one entry at its own time. Topics: /vehicle/N, /station, /range, /health, /notice, /alarm."""
         kind = type(entry)
         topic = f"/vehicle/{entry.vehicle.sysid}" if isinstance(entry, VehicleEntry) else f"/{NAMES[kind]}"
         channel = self._channels.get(topic)

@@ -13,12 +13,15 @@ const LABEL_PLACES = [[15, -7, "start"], [15, 19, "start"], [-15, -7, "end"], [-
 const LABEL_PX = { character: 9, height: 15, mark: 11 };
 const MOVING_KEY = /^(Arrow.*|[-+=_])$/;
 const at = (enu) => [enu[1], enu[0]];
+// The nodes of stations are negative, so that they are no vehicle's system id.
+const nodeName = (node) => (node < 0 ? `station ${-1 - node}` : String(node));
 
 export class FleetMap {
   constructor(onSelect) {
     this.onSelect = onSelect;
     this.marks = new Map();
     this.ranges = new Map();
+    this.stations = new Map();
     this.drawn = new WeakMap();
     this.selected = null;
     this.origin = null;
@@ -93,6 +96,7 @@ export class FleetMap {
     for (const sysid of this.marks.keys()) this.remove(sysid);
     for (const line of this.ranges.values()) line.remove();
     this.ranges.clear();
+    this.showStations([], new Map());
   }
 
   remove(sysid) {
@@ -126,13 +130,15 @@ export class FleetMap {
     const places = new Map();
     const sysids = new Set(frame.vehicles.map((v) => v.snapshot.sysid));
     for (const sysid of this.marks.keys()) if (!sysids.has(sysid)) this.remove(sysid);
-    this.labels = this.placeLabels(frame.vehicles);
+    this.labels = this.placeLabels(frame.vehicles, frame.stations);
     for (const vehicle of frame.vehicles) {
       const { snapshot } = vehicle;
       if (snapshot.enu_m !== null) places.set(snapshot.sysid, snapshot.enu_m);
       this.showVehicle(vehicle);
     }
     byId("truth-key").hidden = !frame.vehicles.some((vehicle) => vehicle.truth_enu_m !== null);
+    byId("station-key").hidden = frame.stations.length === 0;
+    this.showStations(frame.stations, places);
     this.showRanges(frame.ranges, places);
     if (this.mode === "all") this.fit();
     if (this.mode === "selected" && places.has(this.selected)) this.map.setView(at(places.get(this.selected)), undefined, { animate: false });
@@ -140,11 +146,16 @@ export class FleetMap {
 
   // Labels cover neither each other nor a mark; the selected vehicle's and the most serious are placed first. One without room
   // is left out.
-  placeLabels(vehicles) {
+  placeLabels(vehicles, stations) {
     const located = vehicles.filter(({ snapshot }) => snapshot.enu_m !== null);
     const points = new Map(located.map(({ snapshot }) => [snapshot.sysid, this.map.latLngToContainerPoint(at(snapshot.enu_m))]));
     const { character, height, mark } = LABEL_PX;
     const taken = [...points].map(([sysid, { x, y }]) => [sysid, x - mark, y - mark, x + mark, y + mark]);
+    for (const { enu_m: enu } of stations) {
+      if (enu === null) continue;
+      const { x, y } = this.map.latLngToContainerPoint(at(enu));
+      taken.push([null, x - mark, y - mark, x + mark, y + mark]);
+    }
     // The marks of reported positions have their own labels, always at the same side.
     for (const { snapshot: { sysid, gps_state, reported_enu_m: enu } } of vehicles) {
       if (gps_state === "healthy" || enu === null) continue;
@@ -222,6 +233,35 @@ export class FleetMap {
     mark[key].setLatLngs(points);
   }
 
+  showStations(stations, places) {
+    const seen = new Set();
+    for (const station of stations) {
+      if (station.enu_m === null) continue;
+      const { node } = station;
+      places.set(node, station.enu_m);
+      seen.add(node);
+      const words = stationWords(station);
+      let mark = this.stations.get(node);
+      if (mark === undefined) {
+        const icon = L.divIcon({ className: "mark station-mark", html: stationIcon(station), iconSize: [34, 34] });
+        mark = L.marker(at(station.enu_m), { icon, keyboard: false, zIndexOffset: -1000 }).addTo(this.map);
+        mark.bindTooltip("");
+        mark.getElement().setAttribute("role", "img");
+        this.stations.set(node, mark);
+      }
+      mark.setLatLng(at(station.enu_m));
+      mark.setTooltipContent(document.createTextNode(words));
+      const element = mark.getElement();
+      if (element.getAttribute("aria-label") !== words) element.setAttribute("aria-label", words);
+      element.classList.toggle("wrong", station.fault !== null);
+    }
+    for (const [node, mark] of this.stations) {
+      if (seen.has(node)) continue;
+      mark.remove();
+      this.stations.delete(node);
+    }
+  }
+
   showRanges(ranges, places) {
     const seen = new Set();
     for (const range of ranges) {
@@ -241,7 +281,7 @@ export class FleetMap {
       line.setLatLngs([at(a), at(b)]);
       const use = range.refused === null ? "used" : `refused: ${range.refused}`;
       line.setTooltipContent(document.createTextNode(
-        `${range.from_sysid} to ${range.to_sysid}: residual ${range.innovation_m.toFixed(1)} m of sigma ${range.sigma_m.toFixed(1)} m, ${range.age_s.toFixed(1)} s old, ${use}`,
+        `${nodeName(range.from_sysid)} to ${nodeName(range.to_sysid)}: residual ${range.innovation_m.toFixed(1)} m of sigma ${range.sigma_m.toFixed(1)} m, ${range.age_s.toFixed(1)} s old, ${use}`,
       ));
     }
     for (const [key, line] of this.ranges) {
@@ -258,6 +298,7 @@ export class FleetMap {
       for (const key of ["estimate", "reported"]) if (mark[key]) bounds.extend(mark[key].getLatLng());
       if (mark.ellipse && mark.ellipse.getLatLngs()[0]?.length) bounds.extend(mark.ellipse.getBounds());
     }
+    for (const mark of this.stations.values()) bounds.extend(mark.getLatLng());
     if (!bounds.isValid()) return;
     const roomy = bounds.pad(0.15);
     // Only where a vehicle leaves the map, or the map is far too large: a map that moves all the time cannot be read.
@@ -310,6 +351,16 @@ function estimateIcon(snapshot, light, stale, label) {
     : svg("path", { d: "M0 -14L9 11L0 6L-9 11Z", transform: `rotate(${turn.toFixed(0)})` });
   return svg("svg", { class: `vehicle ${light}${stale ? " stale" : ""}`, viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
     body, ...(label === undefined ? [] : [svg("text", { class: "name", x: label[0], y: label[1], "text-anchor": label[2] }, `${snapshot.sysid} ${SIGNS[light]}`)]));
+}
+
+function stationWords({ node, name, sigma_h_m: sigma, source, range_age_s: age, fault }) {
+  const ranged = age === null ? "not ranged yet" : age > 5 ? "not ranged now" : "ranged";
+  return `${nodeName(node)}${name ? ` (${name})` : ""}, ${source}, 1-sigma ${sigma.toFixed(1)} m, ${ranged}${fault === null ? "" : `; ${fault}`}`;
+}
+
+function stationIcon({ station_id: id }) {
+  return svg("svg", { class: "station", viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
+    svg("path", { d: "M0 -9L8 7H-8Z" }), svg("text", { class: "name", x: 0, y: 19, "text-anchor": "middle" }, `S${id}`));
 }
 
 function truthIcon(snapshot) {

@@ -9,6 +9,7 @@ from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.config.settings import RENAMED, Settings
 from gcs_coloc.core.engine import EngineSettings
 from gcs_coloc.core.errors import ConfigError, GcsColocError
+from gcs_coloc.core.stations.stations import Station, StationPosition
 
 
 def written(tmp_path: Path, text: str) -> Path:
@@ -57,6 +58,21 @@ def test_flags_win_over_the_environment_which_wins_over_the_file(tmp_path, monke
         ('[aiding.methods]\n4 = "gps"', "aiding.methods.4: input should be 'auto'"),
         ('[aiding]\nswitch_primary = "on"', "aiding.switch_primary: input should be 'off' or 'auto'"),
         ("[aiding]\nprediction_s = 0", "aiding: prediction_s must be above 0, not 0"),
+        (
+            "[[station]]\nid = 3\nlat_deg = 91\nlon_deg = 8\nalt_m = 400",
+            "station.0.lat_deg: input should be less than or equal to 90",
+        ),
+        ("[[station]]\nid = 3\nlat_deg = 47\nlon_deg = 8", "station.0.alt_m: field required"),
+        ("[[station]]\nid = 65536\nlat_deg = 47\nlon_deg = 8\nalt_m = 400", "station.0.id: input should be less than"),
+        (
+            "[[station]]\nid = 3\nlat_deg = 47\nlon_deg = 8\nalt_m = 400\nsigma_m = 0",
+            "station.0.sigma_m: input should be greater",
+        ),
+        (
+            "[[station]]\nid = 3\nlat_deg = 47\nlon_deg = 8\nalt_m = 400\n" * 2,
+            "station: two stations have id 3; give each its own",
+        ),
+        ('[measurements]\nranging_beacon_ids = "both"', "measurements.ranging_beacon_ids: input should be 'stations' or"),
         ("[aiding]\nrate_hz = 1000", "aiding: rate_hz must be from 1 to 50, not 1000"),
         ("[aiding]\nlag_s = 200", "aiding: lag_s must be from 0 to 1, not 200"),
         ("[aiding]\ngps_id = 2", "aiding: gps_id must be from 0 to 1, not 2"),
@@ -79,6 +95,24 @@ def test_errors_name_file_key_and_mend_in_one_line(tmp_path, text, words):
 def test_the_way_of_a_single_vehicle_is_read_by_its_system_id(tmp_path):
     path = written(tmp_path, '[aiding.methods]\n4 = "external_position"\n')
     assert load_settings(path, {}).engine().aiding.methods == {4: "external_position"}
+
+
+def test_stations_are_read_and_decide_the_answers_of_the_engine(tmp_path):
+    text = '[[station]]\nid = 3\nname = "mast"\nlat_deg = 47.1\nlon_deg = 8.2\nalt_m = 488\nsigma_m = 0.5\n'
+    settings = load_settings(written(tmp_path, text), {})
+    assert settings.engine().stations == (Station(3, "mast", StationPosition(47.1, 8.2, 488.0, 0.5, 0.5)),)
+    moved = load_settings(written(tmp_path, text.replace("47.1", "47.2")), {})
+    assert len({settings.fingerprint(), moved.fingerprint(), Settings().fingerprint()}) == 3
+
+
+def test_each_fleet_may_have_stations_of_its_own(tmp_path):
+    station = "[[fleet.station]]\nid = 3\nlat_deg = {lat}\nlon_deg = 8\nalt_m = 400\n"
+    fleets = [
+        f'[[fleet]]\nname = "{name}"\nlinks = ["{port}"]\n' + station.format(lat=lat)
+        for name, port, lat in (("a", 1, 47), ("b", 2, 48))
+    ]
+    path = written(tmp_path, "\n".join(fleets))
+    assert [load_settings(path, {}, name).station[0].lat_deg for name in "ab"] == [47.0, 48.0]
 
 
 def test_a_missing_file_and_a_binary_one(tmp_path):

@@ -45,9 +45,11 @@ def test_an_xml_that_breaks_the_schema_is_refused(tmp_path, monkeypatch):
 def test_peer_range_has_its_fields_in_the_documented_order():
     message = gcs_coloc.MAVLink_peer_range_message
     assert message.id == 181600
-    assert message.fieldnames == ["time_usec", "range", "range_std", "sequence", "peer_system", "quality", "device_id"]
+    first = ["time_usec", "range", "range_std", "sequence", "peer_system", "quality", "device_id"]
+    assert message.fieldnames == [*first, "peer_type", "peer_station"]
     assert message.ordered_fieldnames == message.fieldnames
-    assert message.unpacker.format == "<QffHBBB"
+    assert message.unpacker.format == "<QffHBBB" + "BH"
+    assert message.crc_extra == 116  # of the fields before the extensions: that of version 0.1
 
 
 def test_ranging_beacon_is_mavlinks_own():

@@ -22,6 +22,8 @@ from gcs_coloc.core.messages.inbound import (
     Airspeed,
     Attitude,
     Autopilot,
+    Beacon,
+    BeaconPosition,
     EkfStatus,
     GlobalOrigin,
     GlobalPosition,
@@ -34,6 +36,7 @@ from gcs_coloc.core.messages.inbound import (
     TimeBase,
     TimeSyncAnswer,
 )
+from gcs_coloc.core.stations.node_id import station_node
 from gcs_coloc.mavlink.decoder import Decoder
 
 
@@ -47,7 +50,7 @@ def decode(message, **kwargs):
 A_RANGE = PeerRange(
     sysid=1,
     received_at_s=NOW_S,
-    peer_sysid=3,
+    peer=3,
     range_m=812.5,
     sigma_m=0.25,
     measured_at_s=61.25,
@@ -128,7 +131,7 @@ def beat(
             mavlink.MAVLink_gps2_raw_message(
                 UNIX_US, 3, 10, 20, 30_000, 150, 200, 0, 0, 255, 0, 0, h_acc=300, v_acc=450, vel_acc=120, alt_ellipsoid=1, yaw=9
             ),
-            GpsReceiver(1, NOW_S, 1, 3, 1e-6, 2e-6, 30.0, None, 1.5, 0.3, 0.45, 0.12),
+            GpsReceiver(1, NOW_S, 1, 3, 1e-6, 2e-6, 30.0, None, 1.5, 0.3, 0.45, 0.12, geoid_height_m=-29.999),
         ),
         (mavlink.MAVLink_attitude_message(61_250, 0.5, -0.25, 3.0, 1, 1, 1), Attitude(1, NOW_S, 61.25, 0.5, -0.25, 3.0)),
         (mavlink.MAVLink_vfr_hud_message(22.5, 20, 90, 50, 100, 0), Airspeed(1, NOW_S, 22.5)),
@@ -181,7 +184,23 @@ def beat(
             GlobalOrigin(1, NOW_S, 47.1234567, 8.5432109, 488.125),
         ),
         (peer_range(), with_changes(A_RANGE, sequence=65_535, line_of_sight=0.8, device_id=2)),
-        (ranging_beacon(), with_changes(A_RANGE, sequence=200)),
+        (ranging_beacon(), with_changes(A_RANGE, sequence=200, peer=station_node(3), beacon=Beacon(3, None))),
+        (
+            ranging_beacon(lat=471234567, lon=85432109, alt=488.0, alt_type=1, hacc_est=500, vacc_est=0xFFFFFFFF),
+            with_changes(
+                A_RANGE,
+                sequence=200,
+                peer=station_node(3),
+                beacon=Beacon(3, BeaconPosition(47.1234567, 8.5432109, 488.0, True, 0.5, None)),
+            ),
+        ),
+        (ranging_beacon(beacon_id=1), with_changes(A_RANGE, sequence=200, peer=station_node(1), beacon=Beacon(1, None))),
+        (
+            peer_range(peer_system=0, peer_type=1, peer_station=3),
+            with_changes(A_RANGE, sequence=65_535, line_of_sight=0.8, device_id=2, peer=station_node(3)),
+        ),
+        (named_value(name=b"STN0"), with_changes(A_RANGE, sigma_m=None, peer=station_node(0))),
+        (debug_vect(name=b"STN3"), with_changes(A_RANGE, line_of_sight=0.8, peer=station_node(3))),
         (named_value(), with_changes(A_RANGE, sigma_m=None)),
         (debug_vect(), with_changes(A_RANGE, line_of_sight=0.8)),
     ],
@@ -219,8 +238,8 @@ def test_a_vehicles_own_request_for_the_time_is_no_answer():
         (ranging_beacon(range_accuracy=0xFFFFFFFF), {"sigma_m": None}),
         (ranging_beacon(range_accuracy=0), {"sigma_m": None}),
         (named_value(boot_ms=0), {"measured_at_s": None, "time_base": TimeBase.SERVICE}),
-        (named_value(name=b"RNG254"), {"peer_sysid": 254}),
-        (named_value(name=b"RNG7\x00junk"), {"peer_sysid": 7}),
+        (named_value(name=b"RNG254"), {"peer": 254}),
+        (named_value(name=b"RNG7\x00junk"), {"peer": 7}),
         (debug_vect(y=0.0, z=-1.0), {"sigma_m": None, "line_of_sight": None}),
         (debug_vect(time_usec=UNIX_US), {"time_base": TimeBase.UNIX}),
     ],
@@ -265,8 +284,12 @@ def test_unknown_values_and_both_time_bases_are_told_apart(sent, changes):
         (peer_range(time_usec=2**64 - 1), "PEER_RANGE.time_usec"),
         (ranging_beacon(range=0xFFFFFFFF), "RANGING_BEACON.range"),
         (ranging_beacon(range=0), "RANGING_BEACON.range"),
-        (ranging_beacon(beacon_id=1), "RANGING_BEACON.beacon_id"),
-        (ranging_beacon(beacon_id=256), "RANGING_BEACON.beacon_id"),
+        (ranging_beacon(lat=0, lon=0), "RANGING_BEACON.lat_lon_zero"),
+        (ranging_beacon(lat=471234567), "RANGING_BEACON.lon"),
+        (ranging_beacon(lat=471234567, lon=85432109, alt=math.inf), "RANGING_BEACON.alt"),
+        (ranging_beacon(lat=471234567, lon=85432109, alt=488.0, alt_type=2), "RANGING_BEACON.alt_type"),
+        (peer_range(peer_type=2), "PEER_RANGE.peer_type"),
+        (debug_vect(name=b"STN65536"), "DEBUG_VECT.name"),
         (named_value(name=b"RNG0"), "NAMED_VALUE_FLOAT.name"),
         (named_value(name=b"RNG1"), "NAMED_VALUE_FLOAT.name"),
         (named_value(name=b"RNG256"), "NAMED_VALUE_FLOAT.name"),
@@ -327,6 +350,13 @@ def test_fields_left_off_the_wire_are_zero(version_1):
     got, counts = decode(sent, force_mavlink1=version_1)
     assert (got.satellites, got.h_acc_m, got.fix_type) == (0, None, 6)
     assert counts == {}
+
+
+@pytest.mark.parametrize(("target", "counts"), [(0, {}), (1, {}), (254, {}), (2, {"range_of_another": 1})])
+def test_a_ranging_beacon_that_is_addressed_to_another_vehicle_is_not_its_senders_range(target, counts):
+    got, counted = decode(ranging_beacon(target_system=target))
+    assert (got is None) is bool(counts)
+    assert counted == counts
 
 
 def test_fields_that_a_newer_definition_adds_are_passed_over():

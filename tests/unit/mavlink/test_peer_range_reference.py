@@ -10,6 +10,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.messages.inbound import PeerRange
+from gcs_coloc.core.stations.node_id import station_node
 from gcs_coloc.mavlink._generated import gcs_coloc as ours
 from gcs_coloc.mavlink.decoder import Decoder
 
@@ -39,7 +40,8 @@ def test_python_example_sends_a_range_that_is_understood(message_name, monkeypat
     (frame,) = decoder.decode(sent.getvalue(), 0.0)
     assert dict(decoder.counts) == {}
     assert isinstance(frame.message, PeerRange)
-    assert (frame.message.sysid, frame.message.peer_sysid, frame.message.range_m) == (4, 3, 812.5)
+    peer = station_node(3) if message_name == "RANGING_BEACON" else 3
+    assert (frame.message.sysid, frame.message.peer, frame.message.range_m) == (4, peer, 812.5)
     assert frame.message.sigma_m == (None if message_name == "NAMED_VALUE_FLOAT" else 0.25)
     assert frame.message.line_of_sight is None
     assert frame.message.measured_at_s > 0.0

@@ -161,7 +161,7 @@ def test_ranges_are_read_on_the_recorders_clock(tmp_path):
     path.write_text("unix_s,from_sysid,to_sysid,range_m,sigma_m\n2.5,4,1,100.5,0.5\n1.5,4,2,90,\n")
     late, early = reversed(read_ranges(path))
     assert (early.measured_at_s, early.received_at_s, early.time_base) == (1.5, 1.5, TimeBase.SERVICE)
-    assert (late.sysid, late.peer_sysid, late.range_m, late.sigma_m, early.sigma_m) == (4, 1, 100.5, 0.5, None)
+    assert (late.sysid, late.peer, late.range_m, late.sigma_m, early.sigma_m) == (4, 1, 100.5, 0.5, None)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import pytest
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, PrimaryOverride
 from gcs_coloc.core.messages.inbound import TimeBase
+from gcs_coloc.core.stations.node_id import station_node
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.refusals import Counts
 from gcs_coloc.sinks.mqtt_inbox import MqttHooks, MqttInbox
@@ -69,9 +70,16 @@ def test_a_range_reaches_the_engine_with_its_clock(times, measured_at_s, base):
     content = {"peer": 1, "range_m": 250.5, "sigma_m": 0.4, "sequence": 7, "line_of_sight": 0.5, "device_id": 3}
     desk.take("4/range", content | times)
     (found,) = desk.ranges
-    assert (found.sysid, found.peer_sysid, found.range_m, found.sigma_m) == (4, 1, 250.5, 0.4)
+    assert (found.sysid, found.peer, found.range_m, found.sigma_m) == (4, 1, 250.5, 0.4)
     assert (found.measured_at_s, found.time_base, found.received_at_s) == (measured_at_s, base, NOW_S)
     assert (found.sequence, found.line_of_sight, found.device_id) == (7, 0.5, 3)
+
+
+def test_a_range_to_a_station_is_none_to_the_vehicle_of_that_number():
+    desk = Desk()
+    desk.take("4/range", {"station": 4, "range_m": 250.5})
+    (found,) = desk.ranges
+    assert (found.sysid, found.peer) == (4, station_node(4))
 
 
 @pytest.mark.parametrize(
@@ -98,6 +106,9 @@ def test_a_range_reaches_the_engine_with_its_clock(times, measured_at_s, base):
         ("4/range", b'{"peer": 1, "range_m": 1e999}', False, "mqtt_range_invalid"),
         ("4/range", {"peer": 1, "range_m": 5.0, "sigma_m": 0.0}, False, "mqtt_range_invalid"),
         ("4/range", {"peer": 300, "range_m": 5.0}, False, "mqtt_range_invalid"),
+        ("4/range", {"range_m": 5.0}, False, "mqtt_range_invalid"),
+        ("4/range", {"peer": 1, "station": 1, "range_m": 5.0}, False, "mqtt_range_invalid"),
+        ("4/range", {"station": 65536, "range_m": 5.0}, False, "mqtt_range_invalid"),
         ("4/range", {"peer": 1, "range_m": 5.0, "unix_s": 5.0}, False, "mqtt_range_invalid"),
         ("4/range", {"peer": 1, "range_m": 5.0, "unix_s": 1.8e9, "boot_s": 5.0}, False, "mqtt_range_invalid"),
         ("4/range", b"[" * 900, False, "mqtt_range_invalid"),

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.engine import Engine, EngineSettings
+from gcs_coloc.core.stations.stations import Station, StationPosition
+from gcs_coloc.core.telemetry.measurement_builder import MeasurementSettings
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, fly
 from gcs_coloc.study.demo import draw, figures
 from sitl_fakes.flight import VehicleTruth
+from sitl_fakes.geodesy import WorldFrame
 from sitl_fakes.scenario import Scenario, load_scenario
 
 LOST_S = 20.0
@@ -20,8 +23,26 @@ def uwb(**ranging: object) -> Scenario:
     return scenario.model_copy(update={"ranging": scenario.ranging.model_copy(update=ranging)})
 
 
-def flown(scenario: Scenario, estimator: str = "fleet", duration_s: float = 40.0, aided: bool = True, seed: int = 7) -> Flight:
-    return fly(scenario, seed, Engine(load_estimator(estimator, {})), duration_s=duration_s, aided=aided)
+def flown(
+    scenario: Scenario,
+    estimator: str = "fleet",
+    duration_s: float = 40.0,
+    aided: bool = True,
+    seed: int = 7,
+    settings: EngineSettings | None = None,
+) -> Flight:
+    return fly(scenario, seed, Engine(load_estimator(estimator, {}), settings), duration_s=duration_s, aided=aided)
+
+
+BEACONS_ARE_VEHICLES = EngineSettings(measurements=MeasurementSettings(ranging_beacon_ids="vehicles"))
+
+
+def surveyed(scenario: Scenario) -> EngineSettings:
+    """Settings with the stations of a scenario where they stand."""
+    o = scenario.origin
+    frame = WorldFrame(o.lat_deg, o.lon_deg, o.alt_msl_m, o.geoid_height_m)
+    places = {s.id: StationPosition(*frame.to_lla(s.east_m, s.north_m, s.height_m), 0.1, 0.1) for s in scenario.station}
+    return EngineSettings(stations=tuple(Station(number, "", place) for number, place in places.items()))
 
 
 def errors_m(flight: Flight, sysid: int) -> np.ndarray:
@@ -33,11 +54,29 @@ def errors_m(flight: Flight, sysid: int) -> np.ndarray:
 @pytest.mark.parametrize("message", ["peer_range", "ranging_beacon", "named_value"])
 @pytest.mark.parametrize("time_base", ["boot", "unix"])
 def test_every_way_to_report_a_range_locates_the_vehicle(message, time_base):
-    flight = flown(uwb(message=message, time_base=time_base))
+    flight = flown(uwb(message=message, time_base=time_base), settings=BEACONS_ARE_VEHICLES)
     # Peers' GPS of 1.5 m with correlated errors, ranges of 0.5 m with 0.3 m bias: 3 sigma of a position as good as GPS.
     assert np.sqrt(np.mean(errors_m(flight, 4) ** 2)) < 4.5
     sources = [s.truth.source for s in flight.samples[4] if s.at_s >= LOST_S + 3.0]
     assert sources.count("gps2 injected") > 0.95 * len(sources)
+
+
+@pytest.mark.parametrize("message", ["peer_range", "ranging_beacon", "named_value"])
+def test_an_aircraft_alone_is_located_by_stations_of_every_message(message):
+    scenario = load_scenario("stations")
+    scenario = scenario.model_copy(update={"ranging": scenario.ranging.model_copy(update={"message": message})})
+    # RANGING_BEACON states where they stand; the others need the configuration.
+    flight = flown(scenario, settings=None if message == "ranging_beacon" else surveyed(scenario))
+    assert np.sqrt(np.mean(errors_m(flight, 4) ** 2)) < (4.5 if message == "ranging_beacon" else 2.0)
+    sources = [s.truth.source for s in flight.samples[4] if s.at_s >= LOST_S + 3.0]
+    assert sources.count("gps2 injected") > 0.95 * len(sources)
+
+
+def test_a_beacon_without_a_position_is_never_taken_for_a_vehicle():
+    engine = Engine(load_estimator("fleet", {}))
+    fly(uwb(message="ranging_beacon"), 7, engine, duration_s=30.0)
+    assert engine.refused()["ranging_beacon_without_position"] > 100
+    assert engine.snapshot(30.0).ranges == ()
 
 
 def test_the_papers_stack_locates_it_too_only_coarser():

@@ -7,6 +7,7 @@ import pytest
 
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
 from gcs_coloc.core.snapshot import VehicleSnapshot
+from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.web import wire
 
 TEXT = (Path(__file__).resolve().parents[3] / "docs/reference/web.md").read_text(encoding="utf-8")
@@ -22,7 +23,7 @@ MODELS = [
     wire.PlaybackState,
     wire.PlaybackCommand,
 ]
-VALUES = (wire.Ellipse, wire.VehicleFrame, wire.FleetFrame, VehicleSnapshot, RangeSnapshot, Consistency)
+VALUES = (wire.Ellipse, wire.VehicleFrame, wire.FleetFrame, VehicleSnapshot, StationSnapshot, RangeSnapshot, Consistency)
 FIELDS = [f"{model.__name__}.{name}" for model in MODELS for name in model.model_fields]
 FIELDS += [f"{view.__name__}.{f.name}" for view in VALUES for f in dataclasses.fields(view)]
 

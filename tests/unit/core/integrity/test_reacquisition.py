@@ -147,7 +147,7 @@ def test_where_the_ranges_fit_it_again_an_estimate_that_was_wrong_does_not_stand
     def from_elsewhere(t: float, message: Inbound) -> Inbound | None:
         if not isinstance(message, PeerRange) or not LOST_AT_S + 5.0 < t <= BACK_S:
             return message
-        own, peer = flight.courses[DENIED].at(t)[0], flight.courses[message.peer_sysid].at(t)[0]
+        own, peer = flight.courses[DENIED].at(t)[0], flight.courses[message.peer].at(t)[0]
         more_m = float(np.linalg.norm(own + away - peer) - np.linalg.norm(own - peer))
         return replace(message, range_m=message.range_m + more_m)
 

@@ -1,0 +1,110 @@
+"""Stations in the engine, with the real estimator: they locate, their error is not averaged away, and a wrong one is named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from engine_flights import fly, settings, telemetry, texts, vehicle_4
+from station_flights import PLACES, configured, error_m, fly_with_ranges, ranges
+
+from gcs_coloc.core.engine import Engine, EngineSettings
+from gcs_coloc.core.gps_health.gps_health import GpsState
+from gcs_coloc.core.messages.outbound import Notice
+from gcs_coloc.core.stations.node_id import station_node
+from gcs_coloc.estimators.fleet.filter import FleetFilter
+
+
+def test_a_vehicle_alone_is_located_by_stations_with_the_numbers_of_vehicles():
+    engine = Engine(FleetFilter(), settings(stations=configured(sigma_m=0.1)))
+    rng = np.random.default_rng(1)
+    fly_with_ranges(engine, 0.0, 8.0, rng)
+    fly_with_ranges(engine, 8.0, 40.0, rng, failed=(4,))
+    assert engine.sysids() == [4]
+    assert engine.gps_state(4) is GpsState.FAILED
+    off_m, _ = error_m(engine, 40.0)
+    assert off_m < 1.0
+    view = vehicle_4(engine, 40.0)
+    assert view.ranges_in_use == 4
+    assert {r.to_sysid for r in engine.snapshot(40.0).ranges} == {station_node(i) for i in PLACES}
+
+
+def test_an_error_of_the_stations_lasts_and_is_not_averaged_away():
+    """All stations 5 m too far east, as their sigma allows: the position is off by that, and so its sigma must stay."""
+    off = dict.fromkeys(PLACES, 5.0)
+    engine = Engine(FleetFilter(), settings(stations=configured(sigma_m=5.0, moved=off)))
+    rng = np.random.default_rng(2)
+    fly_with_ranges(engine, 0.0, 70.0, rng, failed=(4,))
+    off_m, sigma_m = error_m(engine, 70.0)
+    assert 2.0 < off_m < 8.0
+    assert sigma_m > 2.0  # four stations of 5 m; a thousand ranges of 0.3 m, taken as white, would leave centimetres
+    assert off_m < 2.45 * sigma_m
+
+
+def test_a_fleet_that_never_had_gps_gets_its_origin_from_a_station():
+    engine = Engine(FleetFilter(), settings(stations=configured()))
+    fly_with_ranges(engine, 0.0, 9.0, np.random.default_rng(3), failed=(4,))
+    assert engine.frame is None
+    fly_with_ranges(engine, 9.0, 40.0, np.random.default_rng(4), failed=(4,))
+    assert engine.frame is not None
+    assert (engine.frame.lat_deg, engine.frame.lon_deg) == configured()[3].position[:2]  # station 0, the first by its id
+    off_m, _ = error_m(engine, 40.0)
+    assert off_m < 5.0
+
+
+def test_a_misplaced_station_is_named_and_no_sound_vehicle_is_suspect():
+    engine = Engine(FleetFilter(), settings(stations=configured(moved={2: 60.0})))
+    rng = np.random.default_rng(5)
+    out = fly_with_ranges(engine, 0.0, 25.0, rng, sysids=(1, 2, 3, 4), ranging=(1, 2, 3, 4))
+    notices = [o for _, o in out if isinstance(o, Notice) and o.sysid is None]
+    assert [o.level for o in notices] == ["error"]
+    assert "station 2 (mast 2)" in notices[0].text
+    assert {sysid: engine.gps_state(sysid) for sysid in engine.sysids()} == dict.fromkeys((1, 2, 3, 4), GpsState.HEALTHY)
+    stations = {s.station_id: s for s in engine.snapshot(25.0).stations}
+    assert not stations[2].is_used
+    assert all(stations[i].is_used and stations[i].fault is None for i in (0, 1, 3))
+    fly_with_ranges(engine, 25.0, 60.0, rng, sysids=(1, 2, 3, 4), ranging=(1, 2, 3, 4), failed=(4,))
+    off_m, sigma_m = error_m(engine, 60.0)
+    assert off_m < 2.45 * sigma_m < 5.0
+
+
+def test_a_spoofed_vehicle_is_named_by_stations_alone():
+    engine = Engine(FleetFilter(), settings(stations=configured(sigma_m=0.5)))
+    rng = np.random.default_rng(6)
+    fly_with_ranges(engine, 0.0, 10.0, rng)
+    for step in range(100, 200):
+        t = step / 10
+        for message in telemetry(4, t):
+            if hasattr(message, "lat_deg"):
+                message = type(message)(
+                    **{n: getattr(message, n) for n in message.__slots__} | {"lat_deg": message.lat_deg + 0.002}
+                )
+            engine.receive(message)
+        if step % 2 == 0:
+            for message in ranges(4, t, rng):
+                engine.receive(message)
+        while engine.next_deadline() < t + 0.1:
+            engine.poll(max(engine.next_deadline(), t))
+    assert engine.gps_state(4) is GpsState.FAILED
+    assert all(s.is_used for s in engine.snapshot(20.0).stations)
+
+
+def test_a_range_to_a_station_without_a_position_is_told_with_the_remedy():
+    engine = Engine(FleetFilter(), EngineSettings(request_streams=False))
+    fly(engine, 0.0, 2.0, sysids=(4,))
+    out = fly_with_ranges(engine, 2.0, 4.0, np.random.default_rng(7), station_ids=(2,))
+    assert [t for t in texts(out) if "station 2" in t] == [
+        "it ranges station 2, which has no position: give it one in [[station]]"
+    ]
+    assert engine.refused()["station_unknown"] == 10
+
+
+@pytest.mark.parametrize("sigma_m", [0.1, 3.0])
+def test_the_snapshot_has_every_station_with_its_place(sigma_m):
+    engine = Engine(FleetFilter(), settings(stations=configured(sigma_m)))
+    fly_with_ranges(engine, 0.0, 5.0, np.random.default_rng(8))
+    stations = engine.snapshot(5.0).stations
+    assert [s.station_id for s in stations] == [0, 1, 2, 3]
+    for s in stations:
+        assert s.enu_m == pytest.approx(engine.frame.enu_from_geodetic(s.lat_deg, s.lon_deg, s.alt_msl_m))
+        assert s.sigma_h_m == sigma_m
+        assert 0.0 <= s.range_age_s < 0.5
