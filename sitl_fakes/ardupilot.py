@@ -45,6 +45,18 @@ class ArduPilot(Autopilot):
     def receive_global_position(self, sensor_id: int, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
         """Pass over GLOBAL_POSITION_SENSOR: ArduPilot knows no such sensor."""
 
+    def receive_range(
+        self,
+        there_m: tuple[float, float],
+        below_m: float,
+        range_m: float,
+        sigma_m: float,
+        stamp_s: float,
+        boot_s: float,
+        at_s: float,
+    ) -> None:
+        """Pass over ranges: ArduPilot has no driver that takes RANGING_BEACON."""
+
     def apply_external_estimate(
         self, position_m: tuple[float, float], accuracy_m: float | None, age_s: float, at_s: float
     ) -> int:

@@ -45,6 +45,19 @@ class Autopilot(ABC):
         """Take a GLOBAL_POSITION_SENSOR: position east and north (m) with its standard deviation (m)."""
 
     @abstractmethod
+    def receive_range(
+        self,
+        there_m: tuple[float, float],
+        below_m: float,
+        range_m: float,
+        sigma_m: float,
+        stamp_s: float,
+        boot_s: float,
+        at_s: float,
+    ) -> None:
+        """Take a RANGING_BEACON: a range (m, 1-sigma m) to a place, by a stamp of its boot clock, which says `boot_s` now."""
+
+    @abstractmethod
     def apply_external_estimate(
         self, position_m: tuple[float, float], accuracy_m: float | None, age_s: float, at_s: float
     ) -> int:
@@ -81,8 +94,8 @@ class Autopilot(ABC):
         return heading_for_course(course, air.airspeed_mps, *self.navigation.wind_mps)
 
     def source(self, at_s: float) -> str:
-        """What it navigates on: "gps1", "gps2", "gps1 injected", "gps2 injected", "aux global position", "dead_reckoning" or
-        "none".
+        """What it navigates on: "gps1", "gps2", "gps1 injected", "gps2 injected", "aux global position", "ranging beacons",
+        "dead_reckoning" or "none".
         """
         if self.navigation.position_m is None:
             return NO_POSITION

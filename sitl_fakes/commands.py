@@ -10,6 +10,7 @@ import math
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20 import development
 
 from sitl_fakes.autopilot import ACCEPTED, DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED
 from sitl_fakes.faults import fault_of_command
@@ -21,11 +22,14 @@ _LONGEST_AGE_S = 5.0
 _ONLY_THE_GCS = 1
 _GLOBAL_FRAMES = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 _LARGEST_PARAMETER = 1e6
+_UINT32_UNKNOWN = 0xFFFFFFFF
+_OF_ANY_TARGET = ("RANGING_BEACON",)  # PX4's handler looks at no target
 
 
 def handle(vehicle: FlightController, payload: bytes, at_s: float) -> list[Any]:
     """Execute one datagram's messages and return the answers. What is not MAVLink, or for another vehicle, is ignored."""
-    parser = mavlink.MAVLink(None)
+    # RANGING_BEACON is of the development dialect, which PX4 is built with.
+    parser = (development if vehicle.kind == "px4" else mavlink).MAVLink(None)
     parser.robust_parsing = True
     replies: list[Any] = []
     for message in parser.parse_buffer(payload) or []:
@@ -36,7 +40,7 @@ def handle(vehicle: FlightController, payload: bytes, at_s: float) -> list[Any]:
 
 def _accepts(vehicle: FlightController, message: Any) -> bool:
     """Whether the message is for this vehicle and from someone it listens to (MAV_OPTIONS bit 0)."""
-    if getattr(message, "target_system", 0) not in (0, vehicle.sysid):
+    if getattr(message, "target_system", 0) not in (0, vehicle.sysid) and message.get_type() not in _OF_ANY_TARGET:
         return False
     if not int(vehicle.params.get("MAV_OPTIONS", 0.0)) & _ONLY_THE_GCS:
         return True
@@ -55,6 +59,15 @@ def _global_position_sensor(vehicle: FlightController, message: Any, at_s: float
     place = _horizontal_m(vehicle, message.lat, message.lon)
     if place is not None and math.isfinite(message.eph):
         vehicle.autopilot.receive_global_position(message.id, place, message.eph, at_s)
+    return []
+
+
+def _ranging_beacon(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
+    place = _horizontal_m(vehicle, message.lat, message.lon)
+    if place is not None and math.isfinite(message.alt) and _UINT32_UNKNOWN not in (message.range, message.range_accuracy):
+        boot_s, below_m = vehicle.clock.boot_s(at_s), vehicle.altitude_m - message.alt
+        metres = message.range / 1e3, message.range_accuracy / 1e3
+        vehicle.autopilot.receive_range(place, below_m, *metres, message.time_usec / 1e6, boot_s, at_s)
     return []
 
 
@@ -185,6 +198,7 @@ def _ack(message: Any, result: int) -> Any:
 _HANDLERS = {
     "GPS_INPUT": _gps_input,
     "GLOBAL_POSITION_SENSOR": _global_position_sensor,
+    "RANGING_BEACON": _ranging_beacon,
     "TIMESYNC": _timesync,
     "PARAM_REQUEST_LIST": _param_request_list,
     "PARAM_REQUEST_READ": _param_request_read,

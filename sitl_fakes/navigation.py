@@ -146,6 +146,41 @@ class Navigation:
             self._take_position(seen_m, sigma, at_s)
         return not self.glitching
 
+    def correct_range(
+        self,
+        there_m: tuple[float, float],
+        below_m: float,
+        range_m: float,
+        sigma_m: float,
+        age_s: float,
+        at_s: float,
+        *,
+        gate_sigma: float,
+    ) -> bool:
+        """Fuse a slant range (m) to a place (east, north, m) that lies `below_m` lower, as old as `age_s`; True if accepted.
+
+        Position and wind move along the line to it. One of the two axes that share a covariance is known better by it.
+        """
+        if self.position_m is None:
+            return False
+        ve, vn = self.velocity_mps
+        east, north = self.position_m[0] - ve * age_s - there_m[0], self.position_m[1] - vn * age_s - there_m[1]
+        slant = math.sqrt(east * east + north * north + below_m * below_m)
+        if slant < 1.0:
+            return False
+        h = (east / slant, north / slant)
+        spread = (h[0] ** 2 + h[1] ** 2) * self._p.pp + sigma_m**2
+        innovation = range_m - slant
+        if abs(innovation) > gate_sigma * math.sqrt(spread):
+            return False
+        pull = innovation / spread
+        self.position_m = (self.position_m[0] + self._p.pp * h[0] * pull, self.position_m[1] + self._p.pp * h[1] * pull)
+        self._wind = [w + self._p.pw * x * pull for w, x in zip(self._wind, h, strict=True)]
+        p, share = self._p, 0.5 * (h[0] ** 2 + h[1] ** 2) / spread
+        p.pp, p.pw, p.ww = p.pp - share * p.pp**2, p.pw - share * p.pp * p.pw, p.ww - share * p.pw**2
+        self._position_at_s = at_s
+        return True
+
     def move_to(self, fix: GpsFix) -> None:
         """Set the position to a fix, brought forward by its age; how well it is known stays as it was."""
         if self.position_m is not None:

@@ -46,6 +46,10 @@ _PX4: dict[str, float] = {
     "EKF2_AGP0_GATE": 3.0,
     "EKF2_AGP0_ID": 1.0,
     "EKF2_AGP0_NOISE": 1.0,
+    "EKF2_RNGBC_CTRL": 0.0,
+    "EKF2_RNGBC_DELAY": 0.0,
+    "EKF2_RNGBC_GATE": 5.0,
+    "EKF2_RNGBC_NOISE": 30.0,
     "EKF2_REQ_EPH": 3.0,
     "EKF2_REQ_EPV": 5.0,
     "EKF2_REQ_NSATS": 6.0,
@@ -57,6 +61,7 @@ DEFAULTS: Mapping[Kind, Mapping[str, float]] = {"ardupilot": _ARDUPILOT, "px4": 
 
 _REAL = {
     *("SIM_GPS1_GLTCH_X", "SIM_GPS1_GLTCH_Y"),
+    *("EKF2_RNGBC_DELAY", "EKF2_RNGBC_GATE", "EKF2_RNGBC_NOISE"),
     *("EKF2_AGP0_DELAY", "EKF2_AGP0_GATE", "EKF2_AGP0_NOISE", "EKF2_REQ_EPH", "EKF2_REQ_EPV", "EKF2_REQ_SACC"),
 }
 _SYSTEM_ID: Mapping[Kind, str] = {"ardupilot": "SYSID_THISMAV", "px4": "MAV_SYS_ID"}

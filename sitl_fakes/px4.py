@@ -1,7 +1,9 @@
-"""PX4 as far as positions from outside go: no GPS_INPUT, an auxiliary global position, external position estimates.
+"""PX4 as far as aid from outside goes: no GPS_INPUT, an auxiliary global position, ranges, external position estimates.
 
-After PX4's main of August 2026 as flown with SIH: EKF2's AuxGlobalPosition and VEHICLE_CMD_EXTERNAL_POSITION_ESTIMATE. A
-GLOBAL_POSITION_SENSOR is stamped on receipt. The GNSS checks are reduced to the limits of EKF2_REQ_*.
+After PX4's main of August 2026 as flown with SIH: EKF2's AuxGlobalPosition, its ranging beacons and
+VEHICLE_CMD_EXTERNAL_POSITION_ESTIMATE. A GLOBAL_POSITION_SENSOR is stamped on receipt. A RANGING_BEACON's time is taken for the
+boot clock's, unconverted; a sample that is not a step of the buffer younger than the last one, or far behind the horizon, is
+dropped. The GNSS checks are reduced to the limits of EKF2_REQ_*.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ _UNKNOWN_ACCURACY_M = 50.0
 _LONGEST_AGE_S = 15.0
 _HORIZONTAL = 1
 _HELD_S = 1.0
-_AUX = "aux global position"
+_AUX, _RANGES = "aux global position", "ranging beacons"
+_BUFFER_STEP_S = 0.065  # _min_obs_interval_us as flown
+_HORIZON_S, _FUSED_WITHIN_S = 0.2, 0.1  # EKF2_DELAY_MAX; TimestampedRingBuffer::pop_first_older_than
 
 
 class Px4(Autopilot):
@@ -29,6 +33,7 @@ class Px4(Autopilot):
         self._params = params
         self._slot_id = params["EKF2_AGP0_ID"]  # read at boot alone
         self._gps_used_at_s = self._aux_used_at_s = -math.inf
+        self._range_stamp_s = -math.inf
 
     def receive_own_fix(self, fix: GpsFix, at_s: float) -> None:
         """Take a message of the aircraft's own receiver, if it is as good as EKF2_REQ_* demand."""
@@ -55,6 +60,30 @@ class Px4(Autopilot):
             may_reset=at_s - self._gps_used_at_s > _HELD_S,
         ):
             self._last_used, self._aux_used_at_s = _AUX, at_s
+
+    def receive_range(
+        self,
+        there_m: tuple[float, float],
+        below_m: float,
+        range_m: float,
+        sigma_m: float,
+        stamp_s: float,
+        boot_s: float,
+        at_s: float,
+    ) -> None:
+        """Fuse a range where EKF2_RNGBC_CTRL has it on; EKF2_RNGBC_NOISE is the least sigma."""
+        p = self._params
+        age_s = boot_s - stamp_s + p["EKF2_RNGBC_DELAY"] / 1e3
+        if not int(p["EKF2_RNGBC_CTRL"]) or stamp_s < self._range_stamp_s + _BUFFER_STEP_S:
+            return
+        self._range_stamp_s = stamp_s
+        if age_s > _HORIZON_S + _FUSED_WITHIN_S:
+            return
+        sigma_m = max(sigma_m, p["EKF2_RNGBC_NOISE"])
+        if self.navigation.correct_range(
+            there_m, below_m, range_m, sigma_m, age_s, at_s, gate_sigma=max(p["EKF2_RNGBC_GATE"], 1.0)
+        ):
+            self._last_used, self._aux_used_at_s = _RANGES, at_s
 
     def apply_external_estimate(
         self,

@@ -12,9 +12,9 @@ SCENARIO = SCENARIOS / "uwb.toml"
 EPOCH_S = 1_780_000_000.0
 
 
-def write_flight(path: Path, seconds: float) -> dict[float, tuple[float, float]]:
-    """Write the tlog; returns where vehicle 4 truly was: latitude and longitude by UNIX seconds, every 0.2 s."""
-    fleet = Fleet(load_scenario(SCENARIO), seed=3, unix_epoch_s=EPOCH_S)
+def write_flight(path: Path, seconds: float, scenario: Path = SCENARIO) -> dict[float, tuple[float, float]]:
+    """Write the tlog of a scenario; returns where vehicle 4 truly was: latitude and longitude by UNIX seconds, every 0.2 s."""
+    fleet = Fleet(load_scenario(scenario), seed=3, unix_epoch_s=EPOCH_S)
     truth = {}
     with path.open("wb") as file:
         for step in range(1, round(seconds * 50) + 1):

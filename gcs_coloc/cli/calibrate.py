@@ -12,6 +12,7 @@ from rich.table import Table
 
 from gcs_coloc.cli.recordings import ConfigOption, FleetOption, RangesOption, settings_for, warn_of_damage
 from gcs_coloc.core.errors import DataError, UsageError
+from gcs_coloc.core.stations.node_id import is_station, station_id_of
 from gcs_coloc.evaluation.calibration import Calibration
 from gcs_coloc.evaluation.calibration import calibrate as calibrate_devices
 
@@ -79,9 +80,14 @@ def _pairs(found: Calibration, names: Mapping[int, str]) -> Table:
 
 
 def _as_configuration(found: Calibration) -> str:
-    biases = "".join(f"{d.vehicle} = {d.bias_m:.3f}\n" for d in found.devices)
-    scales = "".join(f"{d.vehicle} = {d.scale:.5f}\n" for d in found.devices)
-    return f"[measurements.range_bias_m]\n{biases}\n[measurements.range_scale]\n{scales}"
+    vehicles, stations = ([d for d in found.devices if is_station(d.vehicle) is wanted] for wanted in (False, True))
+    biases = "".join(f"{d.vehicle} = {d.bias_m:.3f}\n" for d in vehicles)
+    scales = "".join(f"{d.vehicle} = {d.scale:.5f}\n" for d in vehicles)
+    of_stations = (
+        f"\n# into [[station]] id = {station_id_of(d.vehicle)}\n# range_bias_m = {d.bias_m:.3f}\n# range_scale = {d.scale:.5f}\n"
+        for d in stations
+    )
+    return f"[measurements.range_bias_m]\n{biases}\n[measurements.range_scale]\n{scales}{''.join(of_stations)}"
 
 
 def _as_dataset(found: Calibration, names: Mapping[int, str]) -> str:

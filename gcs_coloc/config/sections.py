@@ -150,11 +150,15 @@ class StationConfig(_Section):
     sigma_m: float = Field(1.0, ge=0.01, le=1000.0)
     """1-sigma of that position on each axis, metres. It is taken as one error that lasts: no number of ranges averages it away.
     Chosen: a few minutes of a receiver without corrections."""
+    range_bias_m: float = Field(0.0, ge=-1000.0, le=1000.0)
+    """Lasting error of its ranging device, metres; from `gcs-coloc calibrate`. It adds to that of the vehicle's."""
+    range_scale: float = Field(0.0, ge=-0.1, le=0.1)
+    """Scale error of the same: the excess over 1."""
 
     def station(self) -> Station:
         """The station as the engine takes it."""
         position = StationPosition(self.lat_deg, self.lon_deg, self.alt_m, self.sigma_m, self.sigma_m)
-        return Station(self.id, self.name, position)
+        return Station(self.id, self.name, position, range_bias_m=self.range_bias_m, range_scale=self.range_scale)
 
 
 class EstimatorConfig(_Section):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from gcs_coloc.core.aiding.aiding import Aiding
+from gcs_coloc.core.aiding.vetted_ranges import VettedRanges
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
 from gcs_coloc.core.estimator import Estimator
 from gcs_coloc.core.gps_health.gps_health import FleetGpsHealth, GpsState
@@ -68,6 +69,7 @@ class Stages:
     integrity: IntegrityMonitor
     gps_health: FleetGpsHealth
     aiding: Aiding
+    vetted: VettedRanges
 
 
 class MessageDispatch:
@@ -147,6 +149,7 @@ class MessageDispatch:
                 s.integrity.add_range(built.measurement)
                 if not (to_station and s.integrity.has_identified(resolved.peer)):
                     s.estimator.add(built.measurement)
+                    s.vetted.add_range(built.measurement)
         return [notice for notice in (told, built.notice) if notice is not None]
 
     def _believed(self, sysid: int) -> PositionMeasurement | None:

@@ -13,6 +13,7 @@ from gcs_coloc.core.aiding.aiding import Aiding
 from gcs_coloc.core.aiding.inhibit import InhibitReason
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.aiding.stream import AidingDecision
+from gcs_coloc.core.aiding.vetted_ranges import VettedRanges
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.dispatch import MessageDispatch, Stages
@@ -105,6 +106,7 @@ class Engine:
             self.integrity,
             self.gps_health,
             self.aiding,
+            VettedRanges(s.aiding.hands_over_ranges),
         )
         self._dispatch = MessageDispatch(stages)
         self._review = FleetReview(stages)

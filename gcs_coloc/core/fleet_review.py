@@ -14,6 +14,7 @@ from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.messages.outbound import Notice, Outbound
 from gcs_coloc.core.residual_log import RangeJumps, ResidualLog
 from gcs_coloc.core.station_review import StationReview
+from gcs_coloc.core.stations.node_id import is_station
 from gcs_coloc.core.telemetry.proven_vehicles import STEADY_S
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
@@ -66,6 +67,8 @@ class FleetReview:
 
     def add_residuals(self, residuals: Iterable[Residual], now_s: float) -> None:
         """Add what the estimator made of ranges since the last call."""
+        residuals = list(residuals)
+        self._stages.vetted.add_residuals(residuals, self._is_trusted_node)
         self.residuals.add(residuals, now_s)
         self._jumps.add(residuals, now_s)
         self._jumps_m = self._jumps.sizes_m(now_s)
@@ -92,6 +95,9 @@ class FleetReview:
             range_sigma_m=self._stages.measurements.range_sigma_m(sysid),
             median_nis=self._median_nis.get(sysid),
             range_jump_m=self._jumps_m.get(sysid),
+            ranges=self._stages.vetted.take(sysid),
+            locate_node=self.estimate,
+            boot_s=lambda at_s: self._stages.clocks.boot_s(sysid, at_s, now_s),
         )
 
     def estimate_to_send(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
@@ -204,6 +210,10 @@ class FleetReview:
         if is_denied and sysid in self.report.faults:
             # What it reported of late is in its state: it must start anew, from the ranges alone.
             self._stages.estimator.reset(sysid, now_s)
+
+    def _is_trusted_node(self, node: int) -> bool:
+        """Return whether the position of a vehicle or station is evidence, and nothing contradicts it."""
+        return node not in self.report.faults and (is_station(node) or self._is_trusted(node))
 
     def _is_trusted(self, sysid: int) -> bool:
         """Return whether what a vehicle reports of its own position is evidence."""

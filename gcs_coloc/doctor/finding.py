@@ -49,7 +49,7 @@ class VehicleSurvey:
     in turn, wherever they are. `others_there`: other autopilots behind one of these
     addresses. `parameters`: those it told, by its own names. `answers_only_to`: the system id under which it answered after it
     had not answered ours. `empty`: messages that came with impossible values only, such as a position of 0, 0. `peers`: the
-    other ends of its ranges, whoever measured.
+    other ends of its ranges (node ids), whoever measured.
     `utc_minus_host_s`: its clock's UTC against this computer's; None where it does not know UTC.
     """
 
@@ -74,12 +74,16 @@ class VehicleSurvey:
 
 @dataclass(frozen=True, slots=True)
 class FleetSurvey:
-    """The fleet after `seconds` of listening. `refused` counts what was not taken, by reason."""
+    """The fleet after `seconds` of listening. `refused` counts what was not taken, by reason.
+
+    `stations` are the node ids of the fixed stations whose position is known.
+    """
 
     seconds: float
     vehicles: tuple[VehicleSurvey, ...] = ()
     refused: Mapping[str, int] = field(default_factory=dict)
     host_is_synchronised: bool | None = None
+    stations: frozenset[int] = frozenset()
 
 
 def right(text: str) -> Finding:

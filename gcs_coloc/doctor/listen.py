@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.messages.control import ClockReference
+from gcs_coloc.core.stations.stations import Stations
 from gcs_coloc.doctor.finding import FleetSurvey
 from gcs_coloc.doctor.survey import Question, Survey
 from gcs_coloc.links.base import Address, Link, Route, parse
@@ -41,6 +42,7 @@ async def listen(
         seconds,
         utc_minus_service_s=host.utc_minus_service_s,
         asks_for_streams=settings.fleet.request_streams,
+        stations=Stations(settings.engine().stations, settings.measurements.ranging_beacon_ids),
     )
     ours, as_gcs = Encoder(sysid=ids.system_id, compid=ids.component_id), Encoder(sysid=GCS_SYSID, compid=GCS_COMPID)
     names: dict[Hashable, str] = {}

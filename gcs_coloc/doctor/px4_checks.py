@@ -11,11 +11,15 @@ from gcs_coloc.doctor.finding import Finding, Severity, VehicleSurvey, note, sto
 from gcs_coloc.doctor.parameters import ParameterRule, apply_rules, equals
 
 _VERTICAL = 2  # bit of either control: the vertical position is fused
+_COARSE_RANGE_M = 5.0  # chosen: the default of 30 m makes ranges useless; devices have 0.1 to 5 m
 _REBOOT = ", then reboot it"
 
 
 def check(vehicle: VehicleSurvey, method: AidingMethodName) -> Iterator[Finding]:
     """Judge the parameters that the vehicle told. Values and meanings: PX4's parameter reference, EKF2."""
+    if method == "ranging_beacon":
+        yield from apply_rules(vehicle.parameters, _RANGING_RULES)
+        return
     has_slots = AGP_CONTROL.format(0) in vehicle.parameters
     if method == "global_position_sensor" or (method == "auto" and has_slots):
         yield from _auxiliary_position(vehicle)
@@ -79,6 +83,27 @@ def _arrives_without_delay(names: tuple[str, ...]) -> ParameterRule:
         remedy_more=_REBOOT,
     )
 
+
+_RANGING_RULES = (
+    ParameterRule(
+        p.RANGING_BEACON_CONTROL,
+        equals(1.0),
+        Severity.STOP,
+        "it does not take RANGING_BEACON",
+        set_to=1.0,
+        good="it takes RANGING_BEACON",
+        unreadable="its firmware fuses no ranges: PX4 does since April 2026, where it is built with CONFIG_EKF2_RANGING_BEACON",
+    ),
+    ParameterRule(
+        p.RANGING_BEACON_NOISE,
+        lambda sigma_m: sigma_m <= _COARSE_RANGE_M,
+        Severity.STOP,
+        lambda sigma_m: f"it takes no range for better than {sigma_m:g} m, whatever the message says",
+        set_to=1.0,
+        remedy_more=", or to the 1-sigma of your ranging devices",
+    ),
+    _arrives_without_delay(p.RANGING_BEACON_DELAY),
+)
 
 _VISION_RULES = (
     _takes(EV_CONTROL, "VISION_POSITION_ESTIMATE", "; no camera of its own may send it", "vision"),

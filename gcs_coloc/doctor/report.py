@@ -9,6 +9,7 @@ from gcs_coloc.core.aiding.methods.registry import METHODS, method_for, mismatch
 from gcs_coloc.core.aiding.px4 import px4_method
 from gcs_coloc.core.aiding.settings import AidingMethodName
 from gcs_coloc.core.messages.inbound import Autopilot
+from gcs_coloc.core.stations.node_id import is_station, node_name
 from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
 from gcs_coloc.doctor.finding import Finding, FleetSurvey, Setup, Severity, VehicleSurvey, note, right, stop
 from gcs_coloc.doctor.parameters import SENDERS_OPTION, look_up
@@ -22,7 +23,7 @@ class Report:
     """The doctor's findings on a fleet."""
 
     def __init__(self, survey: FleetSurvey, setup: Setup) -> None:
-        fleet = frozenset(vehicle.sysid for vehicle in survey.vehicles)
+        fleet = frozenset(vehicle.sysid for vehicle in survey.vehicles) | survey.stations
         self._seconds = survey.seconds
         self._vehicles = [(vehicle, of_vehicle(vehicle, setup, fleet)) for vehicle in survey.vehicles]
         self._fleet = of_fleet(survey, setup)
@@ -97,7 +98,7 @@ _HARMFUL = {
 
 
 def of_vehicle(vehicle: VehicleSurvey, setup: Setup, fleet: frozenset[int]) -> list[Finding]:
-    """Everything that is to be said of one vehicle; `fleet` are the system ids that were heard."""
+    """Everything that is to be said of one vehicle; `fleet` are the nodes that are heard, or whose position is known."""
     findings = [*_identity(vehicle)]
     if not setup.denied or vehicle.sysid in setup.denied:
         findings += [*_address(vehicle, setup), *_autopilot(vehicle, setup), *_ranges(vehicle, fleet)]
@@ -178,9 +179,12 @@ def _autopilot(vehicle: VehicleSurvey, setup: Setup) -> Iterator[Finding]:
 
 def _ranges(vehicle: VehicleSurvey, fleet: frozenset[int]) -> Iterator[Finding]:
     known, strangers = sorted(vehicle.peers & fleet), sorted(vehicle.peers - fleet)
-    listed = ", ".join(str(sysid) for sysid in known)
-    if strangers:
-        yield note(f"ranges to {', '.join(map(str, strangers))}, which are not heard: of no use unless they tell where they are")
+    listed = ", ".join(map(node_name, sorted(known, key=lambda node: (is_station(node), abs(node)))))
+    if stations := [node_name(node) for node in reversed(strangers) if is_station(node)]:
+        remedy = 'give them a [[station]] each; where they are vehicles, set ranging_beacon_ids = "vehicles" in [measurements]'
+        yield note(f"ranges to {', '.join(stations)}, whose position nobody tells: of no use", remedy)
+    if vehicles := [str(node) for node in strangers if not is_station(node)]:
+        yield note(f"ranges to {', '.join(vehicles)}, which are not heard: of no use unless they tell where they are")
     if len(known) >= LEAST_PEERS:
         yield right(f"ranges to {len(known)} others: {listed}")
         return
@@ -244,10 +248,11 @@ def _number(survey: FleetSurvey) -> Iterator[Finding]:
             "see that a vehicle is on and sends here: on a network to this computer's address and this port, with no firewall in "
             "between; on a serial device through a radio that is linked",
         )
-    elif heard <= LEAST_PEERS:
+    elif heard + len(survey.stations) <= LEAST_PEERS:
         yield stop(f"vehicles heard: {heard}; to locate one, {LEAST_PEERS} others are needed that know where they are")
     else:
-        yield right(f"vehicles heard: {heard}")
+        stations = f", fixed stations with a position: {len(survey.stations)}" if survey.stations else ""
+        yield right(f"vehicles heard: {heard}{stations}")
 
 
 def _denied(survey: FleetSurvey, setup: Setup) -> Iterator[Finding]:

@@ -22,6 +22,7 @@ from gcs_coloc.core.messages.inbound import (
     TimeSyncAnswer,
 )
 from gcs_coloc.core.messages.outbound import ParameterRequest, Stream, TimeSyncRequest, ToVehicle
+from gcs_coloc.core.stations.stations import Stations
 from gcs_coloc.core.telemetry.stream_requests import HeardStreams, StreamRequests
 from gcs_coloc.doctor.finding import FleetSurvey, VehicleSurvey
 from gcs_coloc.doctor.parameters import ParameterReader
@@ -88,8 +89,16 @@ class Survey:
     """A look at a fleet from `start_s` on, for `seconds`. The rates are counted in its second half, when requests have told."""
 
     def __init__(
-        self, own: tuple[int, int], start_s: float, seconds: float, *, utc_minus_service_s: float | None, asks_for_streams: bool
+        self,
+        own: tuple[int, int],
+        start_s: float,
+        seconds: float,
+        *,
+        utc_minus_service_s: float | None,
+        asks_for_streams: bool,
+        stations: Stations | None = None,
     ) -> None:
+        self._stations = stations if stations is not None else Stations()
         self._decoder = Decoder(own_sysid=own[0], own_compid=own[1])
         self._half_s, self._end_s = start_s + seconds / 2.0, start_s + seconds
         self._seconds = seconds
@@ -101,7 +110,7 @@ class Survey:
     @property
     def refused(self) -> Mapping[str, int]:
         """What was not taken, by reason."""
-        return self._decoder.counts
+        return Counter(self._decoder.counts) + Counter({reason.value: n for reason, n in self._stations.refused.items()})
 
     def receive(self, datagram: bytes, place: Hashable, at_s: float, signing: LinkSigning | None = None) -> None:
         """Take what arrived from an address. Nothing that bytes can hold makes it raise."""
@@ -140,7 +149,8 @@ class Survey:
             for place in vehicle.stays:
                 there.setdefault(place, set()).add(sysid)
         vehicles = tuple(self._findings_of(sysid, there, names) for sysid in sorted(self._vehicles))
-        return FleetSurvey(self._seconds, vehicles, dict(self.refused), host_is_synchronised)
+        stations = frozenset(station.node for station in self._stations if station.position is not None)
+        return FleetSurvey(self._seconds, vehicles, dict(self.refused), host_is_synchronised, stations)
 
     def _findings_of(self, sysid: int, there: Mapping[Hashable, set[int]], names: Mapping[Hashable, str]) -> VehicleSurvey:
         vehicle = self._vehicles[sysid]
@@ -187,8 +197,10 @@ class Survey:
         match message:
             case GpsReceiver(receiver=0):
                 vehicle.receiver = message
+                self._stations.add_receiver(message)
             case PeerRange():
-                self._ranges[frozenset((message.sysid, message.peer))] += 1
+                resolved = self._stations.resolve(message).message
+                self._ranges[frozenset((message.sysid, resolved.peer if resolved is not None else message.peer))] += 1
             case ParameterValue():
                 vehicle.reader.add(message.name, message.value)
             case TimeSyncAnswer():

@@ -17,6 +17,7 @@ from gcs_coloc.core.messages.outbound import (
     GpsInput,
     OriginRequest,
     ParameterRequest,
+    RangingBeacon,
     SensorEnable,
     Stream,
     StreamRequest,
@@ -24,6 +25,7 @@ from gcs_coloc.core.messages.outbound import (
     ToVehicle,
     VisionPosition,
 )
+from gcs_coloc.mavlink._generated.gcs_coloc import RANGING_BEACON_ALT_TYPE_MSL, MAVLink_ranging_beacon_message
 from gcs_coloc.mavlink.answers import ESTIMATOR_SENSOR_ENABLE
 from gcs_coloc.mavlink.framing import OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.signing import Stamp
@@ -96,6 +98,8 @@ def _wire_message(message: ToVehicle) -> Any:
         return _global_position_sensor(message)
     if isinstance(message, VisionPosition):
         return _vision_position(message)
+    if isinstance(message, RangingBeacon):
+        return _ranging_beacon(message)
     target = (message.sysid, mavlink.MAV_COMP_ID_AUTOPILOT1)
     if isinstance(message, ParameterRequest):
         return mavlink.MAVLink_param_request_read_message(*target, message.name.encode(), _BY_NAME)
@@ -202,7 +206,29 @@ def _vision_position(position: VisionPosition) -> Any:
     return mavlink.MAVLink_vision_position_estimate_message(position.time_usec, *numbers[:3], *nowhere, covariance)
 
 
-def _require_position(position: GpsInput | ExternalPosition | GlobalPositionSensor, name: str) -> None:
+def _ranging_beacon(beacon: RangingBeacon) -> Any:
+    """RANGING_BEACON (513), lengths in mm. PX4 takes the altitude for that of its own reference, above mean sea level."""
+    _require_position(beacon, "RANGING_BEACON")
+    return MAVLink_ranging_beacon_message(
+        time_usec=beacon.boot_us,
+        target_system=beacon.sysid,
+        target_component=mavlink.MAV_COMP_ID_AUTOPILOT1,
+        beacon_id=beacon.beacon_id,
+        range=round(beacon.range_m * 1e3),
+        lat=round(beacon.lat_deg * 1e7),
+        lon=round(beacon.lon_deg * 1e7),
+        alt=beacon.alt_msl_m,
+        alt_type=RANGING_BEACON_ALT_TYPE_MSL,
+        hacc_est=round(beacon.sigma_h_m * 1e3),
+        vacc_est=round(beacon.sigma_v_m * 1e3),
+        carrier_freq=0,
+        range_accuracy=max(round(beacon.accuracy_m * 1e3), 1),
+        sequence=beacon.sequence,
+        status=0,
+    )
+
+
+def _require_position(position: GpsInput | ExternalPosition | GlobalPositionSensor | RangingBeacon, name: str) -> None:
     """ValueError where a field of a message with a position is not finite, or its latitude and longitude do not exist."""
     for field in position.__dataclass_fields__:
         if not math.isfinite(getattr(position, field)):

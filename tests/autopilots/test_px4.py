@@ -17,6 +17,10 @@ VISION = {"EKF2_AGP0_CTRL": 0, "EKF2_AGP0_ID": 0, "EKF2_EV_CTRL": 1, "EKF2_EV_NO
 DIRECT = "[senders]\ncompanions_elsewhere = true"
 """PX4 forwards no message that it does not know: the companion computer sends its ranges to the service itself."""
 
+RANGES = {"EKF2_AGP0_CTRL": 0, "EKF2_AGP0_ID": 0, "EKF2_RNGBC_CTRL": 1, "EKF2_RNGBC_NOISE": 1.0}
+HANDED_OVER = f'{DIRECT}\n[aiding]\nmethod = "ranging_beacon"'
+"""A PX4 that fuses the ranges itself: it is handed them with the peers' positions."""
+
 
 def stays_in_its_orbit(ship):
     return {mode for at_s, mode in ship.pilots[4].modes if at_s > ship.begins_s} == set()
@@ -48,3 +52,10 @@ def test_loss_by_vision_position(flown):
     ship, [f] = flown(case)
     assert stays_in_its_orbit(ship)
     at_most(ekf_rmse=(f.ekf_rmse_m, 1.8))
+
+
+def test_loss_by_ranging_beacon(flown):
+    case = Case("loss, its own ranges", begin=lose_gps, duration_s=120.0, configuration=HANDED_OVER, parameters=RANGES)
+    ship, [f] = flown(case)
+    assert stays_in_its_orbit(ship)
+    at_most(ekf_rmse=(f.ekf_rmse_m, 1.0), ekf_largest=(f.ekf_largest_m, 2.5))

@@ -34,6 +34,7 @@ class FixFault(WordedReason):
         "its EKF2 reports no global position from GNSS or aid; was it rebooted after EKF2_AGP0_ID was set?",
     )
     EKF_WITHOUT_VISION = "ekf_without_vision", "its EKF2 reports no horizontal aid; is bit 0 of EKF2_EV_CTRL set?"
+    EKF_WITHOUT_RANGES = "ekf_without_ranges", "its EKF2 reports no horizontal aid; is EKF2_RNGBC_CTRL = 1?"
     UNSENT_FIX = (
         "unsent_fix",
         "its {detail} has a fix that was not sent: is it a receiver of its own, or does somebody else feed it?",
@@ -86,14 +87,14 @@ class Acknowledgement(ABC):
 class EkfAcknowledgement(Acknowledgement):
     """Of a PX4: ESTIMATOR_STATUS reports a global position from GNSS or an auxiliary one; while its own GPS has no fix, ours.
 
-    A vision position counts there as a horizontal aid only (`by_vision`), as another sensor of the vehicle's may.
+    A vision position and ranges count there as a horizontal aid only, as another sensor of the vehicle's may. `unused` is the
+    fault that its status shows.
     """
 
-    _what = "the position"
-
-    def __init__(self, *, by_vision: bool) -> None:
+    def __init__(self, unused: FixFault) -> None:
         super().__init__()
-        self._by_vision = by_vision
+        self._what = "RANGING_BEACON" if unused is FixFault.EKF_WITHOUT_RANGES else "the position"
+        self._unused = unused
         self._sent_at_s = float("-inf")
 
     def add_sent(self, message: AidingMessage, now_s: float) -> None:
@@ -102,8 +103,7 @@ class EkfAcknowledgement(Acknowledgement):
         self._sent_at_s = now_s
 
     def _fault_now(self, vehicle: ReportedState, now_s: float) -> str | None:
-        fault = FixFault.EKF_WITHOUT_VISION if self._by_vision else FixFault.EKF_UNAIDED
-        return StatedReason(fault).text if self._is_aided(vehicle, now_s) is False else None
+        return StatedReason(self._unused).text if self._is_aided(vehicle, now_s) is False else None
 
     def _is_shown(self, vehicle: ReportedState, now_s: float) -> bool:
         return self._is_aided(vehicle, now_s) is True
@@ -115,7 +115,7 @@ class EkfAcknowledgement(Acknowledgement):
             return None
         if ekf is None or now_s - ekf.received_at_s > _EKF_FRESH_S:
             return None
-        return ekf.horizontally_aided if self._by_vision else ekf.global_position_aided
+        return ekf.global_position_aided if self._unused is FixFault.EKF_UNAIDED else ekf.horizontally_aided
 
 
 class FixAcknowledgement(Acknowledgement):

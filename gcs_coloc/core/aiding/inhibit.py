@@ -39,6 +39,7 @@ class InhibitReason(WordedReason):
         "ArduPilot does not take GLOBAL_POSITION_SENSOR: set its method to auto",
     )
     VISION_IS_FOR_PX4 = "vision_is_for_px4", "vision_position is tried on PX4 alone: set its aiding method to auto"
+    RANGING_BEACON_IS_FOR_PX4 = "ranging_beacon_is_for_px4", "ranging_beacon is tried on PX4 alone: set its aiding method to auto"
     FOREIGN_GPS_INPUT = "foreign_gps_input", "system {value:.0f} sends it GPS_INPUT for receiver {limit:.0f}"
 
     # No fix is claimed

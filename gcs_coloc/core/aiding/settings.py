@@ -8,7 +8,9 @@ from typing import Literal
 
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
-AidingMethodName = Literal["auto", "gps_input", "external_position", "global_position_sensor", "vision_position"]
+AidingMethodName = Literal[
+    "auto", "gps_input", "external_position", "global_position_sensor", "vision_position", "ranging_beacon"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,10 +18,11 @@ class AidingSettings:
     """What is sent to a GNSS-denied vehicle."""
 
     method: AidingMethodName = "auto"
-    """The message: `gps_input`, `external_position` (MAV_CMD_EXTERNAL_POSITION_ESTIMATE), `global_position_sensor` or
-    `vision_position`. `auto` goes by PX4's parameters (`EKF2_AGP0_CTRL`, else `EKF2_EV_CTRL`), and takes GPS_INPUT for ArduPilot,
-    with external estimates beside it while its EKF has no absolute position and would not align on one so coarse. Other
-    autopilots get nothing but an alarm, as their methods are unknown."""
+    """The message: `gps_input`, `external_position` (MAV_CMD_EXTERNAL_POSITION_ESTIMATE), `global_position_sensor`,
+    `vision_position` or `ranging_beacon` (ranges, which PX4 fuses itself; never chosen by `auto`).
+    `auto` goes by PX4's parameters (`EKF2_AGP0_CTRL`, else `EKF2_EV_CTRL`), and takes GPS_INPUT for ArduPilot, with external
+    estimates beside it while its EKF has no absolute position and would not align on one so coarse. Other autopilots get nothing
+    but an alarm, as their methods are unknown."""
     methods: Mapping[int, AidingMethodName] = field(default_factory=dict)
     """The method of single vehicles by system id, as `4 = "external_position"`."""
     rate_hz: float = between(10.0, 1.0, 50.0)
@@ -56,6 +59,10 @@ class AidingSettings:
     """The vehicle's parameter EK3_GPS_CHECK (bit mask), until the vehicle has reported it. Source: ArduPilot's default."""
     ek3_check_scale: float = positive(150.0)
     """The vehicle's parameter EK3_CHECK_SCALE, percent, until the vehicle has reported it. ArduPilot's default is 150."""
+
+    def hands_over_ranges(self, sysid: int) -> bool:
+        """Return whether a vehicle is handed ranges."""
+        return self.methods.get(sysid, self.method) == "ranging_beacon"
 
     def __post_init__(self) -> None:
         check_bounds(self)

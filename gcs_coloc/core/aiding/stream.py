@@ -9,9 +9,10 @@ from math import sqrt
 
 from gcs_coloc.core.aiding.fix_policy import FixPolicy
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
-from gcs_coloc.core.aiding.methods.method import AidingMethod, Moment
-from gcs_coloc.core.aiding.methods.registry import acknowledgement_of
+from gcs_coloc.core.aiding.methods.method import AidingMethod, Moment, no_clock, nowhere
+from gcs_coloc.core.aiding.methods.registry import METHODS, acknowledgement_of
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
+from gcs_coloc.core.aiding.vetted_ranges import VettedRange
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.core.messages.control import AidingOverride, PrimaryOverride
@@ -41,7 +42,7 @@ class FixInputs:
 
     `is_trusted`: its own receiver is in its estimate. `has_air_data`: airspeed and bank show how it moves. `is_aligned`: its EKF
     reports an absolute position. `one_way_delay_s`: the least delay of its link. `range_sigma_m`: 1-sigma of its ranges of late.
-    `median_nis`, `range_jump_m`: how its ranges fit.
+    `median_nis`, `range_jump_m`: how its ranges fit. `ranges`, `locate_node`, `boot_s`: as `Moment` has them.
     """
 
     is_trusted: bool
@@ -51,6 +52,9 @@ class FixInputs:
     range_sigma_m: float | None
     median_nis: float | None
     range_jump_m: float | None
+    ranges: tuple[VettedRange, ...] = ()
+    locate_node: EstimateAt = nowhere
+    boot_s: Callable[[float], float | None] = no_clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +119,7 @@ class AidingStream:
         self._settings = settings
         self.acknowledgement = acknowledgement_of(name, settings.gps_id, now_s) if transmits else None
         self._policy = FixPolicy(settings, now_s)
-        self._period_s = 1.0 / settings.rate_hz
+        self._period_s = METHODS[name].period_s or 1.0 / settings.rate_hz
         self._sent = 0
         self._is_predicting = False
 
@@ -181,6 +185,9 @@ class AidingStream:
             standby=not is_aid,
             is_aligned=inputs.is_aligned,
             transmits=self._transmits,
+            ranges=inputs.ranges,
+            locate_node=inputs.locate_node,
+            boot_s=inputs.boot_s,
         )
         out: list[Outbound] = list(self.method.build_messages(moment))
         for message in out:

@@ -83,6 +83,10 @@ class FleetClocks:
         """Return the service time at which an autopilot booted, from one of its stamps and when that was."""
         return measured.at_s - self._of(message.sysid).boot.stamps.unwrapped(message.boot_s)
 
+    def boot_s(self, sysid: int, at_s: float, now_s: float) -> float | None:
+        """Return a service time near the present on the boot clock of an autopilot; None where that is not known."""
+        return self._of(sysid).boot.from_service(at_s, now_s, self.settings)
+
     def fix_time(self, message: GpsReceiver) -> ServiceTime:
         """Return when the fix of a receiver was measured."""
         now_s, clock = message.received_at_s, self._of(message.sysid).boot

@@ -211,6 +211,13 @@ class VehicleClock:
         one_way = self.one_way(settings)
         return ServiceTime(self.stamps.to_service(stamp_s) - one_way.delay_s, one_way.sigma_s)
 
+    def from_service(self, at_s: float, now_s: float, settings: TimeSettings) -> float | None:
+        """A service time near the present as a stamp of this clock: `to_service` the other way round; None before one came."""
+        if not self.stamps.known:
+            return None
+        newest_s = self.stamps.newest_stamp_s
+        return newest_s + at_s - self.to_service(newest_s, now_s, settings).at_s
+
     def device_to_service(self, device: SenderClock, stamp_s: float, now_s: float, settings: TimeSettings) -> ServiceTime:
         """A stamp of a ranging device of this vehicle, whose own clock has learnt it, on the service's clock."""
         sync = self.synchronised(now_s)

@@ -79,6 +79,27 @@ class VisionPosition:
 
 
 @dataclass(frozen=True, slots=True)
+class RangingBeacon:
+    """RANGING_BEACON (513) to one vehicle: a range that was measured to it or by it, and where its other end is.
+
+    `boot_us` is when it holds, on the vehicle's own clock; `accuracy_m` is 1-sigma, with the other end's error along the range.
+    PX4 takes the message from whomever it reaches: its target is not looked at.
+    """
+
+    sysid: int
+    boot_us: int
+    beacon_id: int
+    sequence: int
+    range_m: float
+    accuracy_m: float
+    lat_deg: float
+    lon_deg: float
+    alt_msl_m: float
+    sigma_h_m: float
+    sigma_v_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class OriginRequest:
     """COMMAND_LONG MAV_CMD_REQUEST_MESSAGE (512): asks one vehicle for its GPS_GLOBAL_ORIGIN."""
 
@@ -164,11 +185,11 @@ class HealthChanged:
     reason: str
 
 
-AidingMessage = GpsInput | ExternalPosition | GlobalPositionSensor | VisionPosition
-"""What tells a vehicle where it is."""
+AidingMessage = GpsInput | ExternalPosition | GlobalPositionSensor | VisionPosition | RangingBeacon
+"""What tells a vehicle where it is, or how far from where."""
 
 ToVehicle = AidingMessage | StreamRequest | TimeSyncRequest | ParameterRequest | ParameterSet | OriginRequest | SensorEnable
-Untargeted = GpsInput | GlobalPositionSensor | VisionPosition | TimeSyncRequest
+Untargeted = GpsInput | GlobalPositionSensor | VisionPosition | RangingBeacon | TimeSyncRequest
 """What every vehicle takes whom it reaches: it has no target, or PX4 ignores it."""
 ToOperator = Notice | HealthChanged
 Outbound = ToVehicle | ToOperator

@@ -50,12 +50,17 @@ class StationPosition(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """One station; `position` None: not known."""
+    """One station; `position` None: not known.
+
+    `range_bias_m` and `range_scale` are the lasting errors of its ranging device, as `MeasurementSettings` has those of vehicles.
+    """
 
     station_id: int
     name: str = ""
     position: StationPosition | None = None
     source: StationSource = StationSource.CONFIGURED
+    range_bias_m: float = 0.0
+    range_scale: float = 0.0
 
     @property
     def node(self) -> int:

@@ -232,7 +232,7 @@ class MeasurementBuilder:
             to_vehicle=message.peer,
             measured_at_s=measured.at_s,
             arrived_at_s=message.received_at_s,
-            range_m=self._calibrated_m(message),
+            range_m=self._calibrated_m(message, peer),
             sigma_m=hypot(sigma_m, late_m),
             device_id=message.device_id,
             clock_of=message.sysid if by_own_clock else None,
@@ -252,13 +252,15 @@ class MeasurementBuilder:
             return node.position.sigma_h_m if node.position is not None else 0.0
         return self._accuracy(node.receiver)[0]
 
-    def _calibrated_m(self, message: PeerRange) -> float:
+    def _calibrated_m(self, message: PeerRange, peer: ReportedState | Station) -> float:
         """Return the range without the lasting errors of both devices, as `gcs-coloc calibrate` finds them."""
         biases, scales = self.settings.range_bias_m, self.settings.range_scale
-        if not biases and not scales:
+        of_station = (peer.range_bias_m, peer.range_scale) if isinstance(peer, Station) else (0.0, 0.0)
+        if not biases and not scales and not any(of_station):
             return message.range_m
         ends = (message.sysid, message.peer)
-        bias_m, scale = sum(biases.get(end, 0.0) for end in ends), sum(scales.get(end, 0.0) for end in ends)
+        bias_m = sum(biases.get(end, 0.0) for end in ends) + of_station[0]
+        scale = sum(scales.get(end, 0.0) for end in ends) + of_station[1]
         return max((message.range_m - bias_m) / (1.0 + scale), 0.0)
 
     def add_receiver(self, message: GpsReceiver, vehicle: ReportedState, *, is_trusted: bool) -> None:

@@ -36,6 +36,7 @@ from gcs_coloc.core.messages.outbound import (
     Outbound,
     VisionPosition,
 )
+from gcs_coloc.core.stations.node_id import node_name
 from gcs_coloc.evaluation.data_checks.checks import run_checks
 from gcs_coloc.evaluation.data_checks.findings import DataFinding, FindingKind, finding
 from gcs_coloc.evaluation.data_checks.recorded_data import PositionTrack, RecordedData, position_track
@@ -154,6 +155,7 @@ class MeasurementTap:
     def __init__(self, inner: Estimator) -> None:
         self._inner = inner
         self._positions: dict[int, array[float]] = defaultdict(lambda: array("d"))
+        self._static: dict[int, PositionTrack] = {}
         self._ranges = array("d")
         self._next_s: dict[tuple[int, int], float] = {}
         self._rows = 0
@@ -174,7 +176,11 @@ class MeasurementTap:
     def add(self, measurement: Measurement) -> None:
         """As the protocol says."""
         m = measurement
-        if isinstance(m, PositionMeasurement) and self._is_due((m.vehicle, m.vehicle), m.measured_at_s, _POSITION_EVERY_S):
+        if isinstance(m, PositionMeasurement) and m.static:
+            self._static[m.vehicle] = PositionTrack(
+                np.zeros(1), np.array([m.position_enu_m]), np.array([m.sigma_h_m]), is_static=True
+            )
+        elif isinstance(m, PositionMeasurement) and self._is_due((m.vehicle, m.vehicle), m.measured_at_s, _POSITION_EVERY_S):
             velocity = m.velocity_enu_mps or _NO_VELOCITY
             self._positions[m.vehicle].extend((m.measured_at_s, *m.position_enu_m, m.sigma_h_m, *velocity))
         elif isinstance(m, RangeMeasurement) and self._is_due((m.from_vehicle, m.to_vehicle), m.measured_at_s, _RANGE_EVERY_S):
@@ -203,13 +209,14 @@ class MeasurementTap:
     def recorded_data(self, truth: Sequence[TruthPoint], frame: LocalFrame) -> tuple[RecordedData, list[DataFinding]]:
         """What the checks compare, and the findings of a truth that is elsewhere: that one is left out."""
         reports = {vehicle: position_track(np.array(rows).reshape(-1, 8)) for vehicle, rows in self._positions.items()}
+        reports |= self._static
         places: dict[int, list[TruthPoint]] = defaultdict(list)
         for point in truth:
             places[point.sysid].append(point)
         true = {sysid: _enu(points, frame) for sysid, points in places.items() if sysid in reports}
         elsewhere = list(_elsewhere(true, places, frame))
         ranges = np.array(self._ranges).reshape(-1, 5)
-        names = {vehicle: str(vehicle) for vehicle in {*reports, *true, *ranges[:, 1:3].astype(int).ravel().tolist()}}
+        names = {vehicle: node_name(vehicle) for vehicle in {*reports, *true, *ranges[:, 1:3].astype(int).ravel().tolist()}}
         return RecordedData(names, reports, {} if elsewhere else true, ranges, origin_height_m=frame.height_m), elsewhere
 
     def _is_due(self, what: tuple[int, int], at_s: float, every_s: float) -> bool:

@@ -8,6 +8,7 @@ import pytest
 
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.messages.inbound import Autopilot, GpsReceiver
+from gcs_coloc.core.stations.node_id import station_node
 from gcs_coloc.core.telemetry.stream_requests import wanted_hz
 from gcs_coloc.doctor.finding import FleetSurvey, Setup, Severity, VehicleSurvey
 from gcs_coloc.doctor.report import CLOCKS_AGREE_S, OFTEN, Report, is_ready, of_fleet, of_vehicle
@@ -227,6 +228,38 @@ def test_px4_must_take_the_method_that_it_is_sent(parameters, stopped, words):
     findings = said(replace(GOOD, autopilot=Autopilot.PX4, parameters=parameters))
     assert [finding.parameter for finding in findings if finding.severity is Severity.STOP] == stopped
     assert words in " ".join(finding.text + (finding.remedy or "") for finding in findings)
+
+
+RANGES = {"EKF2_RNGBC_CTRL": 1.0, "EKF2_RNGBC_NOISE": 0.5, "EKF2_RNGBC_DELAY": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "stopped", "words"),
+    [
+        (RANGES, [], "takes RANGING_BEACON"),
+        (RANGES | SLOT | {"EKF2_AGP0_CTRL": 0.0}, [], "takes RANGING_BEACON"),
+        (RANGES | {"EKF2_RNGBC_CTRL": 0.0}, [("EKF2_RNGBC_CTRL", 1.0)], "does not take RANGING_BEACON"),
+        (RANGES | {"EKF2_RNGBC_NOISE": 30.0}, [("EKF2_RNGBC_NOISE", 1.0)], "no range for better than 30 m"),
+        (RANGES | {"EKF2_RNGBC_DELAY": 100.0}, [("EKF2_RNGBC_DELAY", 0.0)], "0.1 s old"),
+        (SLOT, [None], "its firmware fuses no ranges"),
+    ],
+)
+def test_px4_must_fuse_the_ranges_that_it_is_handed(parameters, stopped, words):
+    vehicle = replace(GOOD, autopilot=Autopilot.PX4, parameters=parameters)
+    findings = said(vehicle, Setup(aiding=AidingSettings(method="ranging_beacon")))
+    assert [finding.parameter for finding in findings if finding.severity is Severity.STOP] == stopped
+    told = of_vehicle(vehicle, Setup(aiding=AidingSettings(method="ranging_beacon")), FLEET)
+    assert words in " ".join(finding.text + (finding.remedy or "") for finding in told)
+
+
+def test_stations_locate_a_vehicle_as_others_do_and_one_without_a_position_is_told():
+    placed = frozenset(station_node(i) for i in (0, 1, 2))
+    alone = replace(GOOD, peers=placed | {station_node(7)})
+    told = [f.text + (f.remedy or "") for f in of_vehicle(alone, Setup(), frozenset({GOOD.sysid}) | placed)]
+    assert "ranges to 3 others: station 0, station 1, station 2" in told
+    assert any("ranges to station 7, whose position nobody tells" in text and "[[station]]" in text for text in told)
+    survey = FleetSurvey(15.0, (GOOD,), stations=placed)
+    assert [f.text for f in of_fleet(survey, Setup())] == ["vehicles heard: 1, fixed stations with a position: 3"]
 
 
 def test_a_slot_of_px4_is_read_at_its_start_alone():

@@ -10,6 +10,7 @@ from typing import Protocol
 from gcs_coloc.core.aiding.inhibit import Inhibit
 from gcs_coloc.core.aiding.parameters import Parameters
 from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.aiding.vetted_ranges import VettedRange
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.core.messages.inbound import CommandResult, GlobalOrigin
@@ -29,6 +30,16 @@ class MethodContext:
     origins: Mapping[int, GlobalOrigin]
 
 
+def nowhere(node: int, at_s: float) -> NoEstimate:
+    """Return that a node is not located."""
+    return NoEstimate(node, at_s, "not located")
+
+
+def no_clock(at_s: float) -> None:
+    """Return that a vehicle's clock is not known."""
+    del at_s
+
+
 @dataclass(frozen=True, slots=True)
 class Moment:
     """What a method may send at one time. Times are on the service's clock, s.
@@ -36,7 +47,8 @@ class Moment:
     `where` is the estimate for the time that the method's `age_s` wants, `arrives_s` when what is sent now arrives, `inhibit` why
     no fix may be claimed; `locate` estimates for other times. `range_sigma_m` is the 1-sigma of the vehicle's ranges of late.
     `standby`: the vehicle's own receiver is in use. `is_aligned`: its EKF reports an absolute position. `transmits`: what is
-    built is sent, so that an answer may be expected.
+    built is sent, so that an answer may be expected. `ranges` are the vehicle's vetted ones since the last moment, `locate_node`
+    estimates another vehicle or a station at a time, `boot_s` is a service time on the vehicle's own clock, None where unknown.
     """
 
     now_s: float
@@ -50,6 +62,9 @@ class Moment:
     standby: bool
     is_aligned: bool = False
     transmits: bool = True
+    ranges: Sequence[VettedRange] = ()
+    locate_node: Callable[[int, float], Estimate | NoEstimate] = nowhere
+    boot_s: Callable[[float], float | None] = no_clock
 
     def unix_us(self, at_s: float) -> int:
         """A service time as UNIX time in microseconds, 0 where that is not known."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from gcs_coloc.core.aiding.acknowledgement import Acknowledgement, EkfAcknowledgement, FixAcknowledgement
+from gcs_coloc.core.aiding.acknowledgement import Acknowledgement, EkfAcknowledgement, FixAcknowledgement, FixFault
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.methods.external_position import ExternalPositionMethod
 from gcs_coloc.core.aiding.methods.gps_input import GpsInputMethod, GpsInputOrExternalMethod
 from gcs_coloc.core.aiding.methods.method import AidingMethod, MethodContext
 from gcs_coloc.core.aiding.methods.px4_positions import GlobalPositionSensorMethod, VisionPositionMethod
+from gcs_coloc.core.aiding.methods.ranging_beacon import PERIOD_S, RangingBeaconMethod
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.messages.inbound import Autopilot
 from gcs_coloc.core.reasons import StatedReason
@@ -20,13 +21,15 @@ from gcs_coloc.core.reasons import StatedReason
 class MethodEntry:
     """One method: how to make it for a vehicle, whether it feeds a GPS receiver of the vehicle (GPS_INPUT) or PX4's EKF2.
 
-    `heeds_target`: its message is heeded by its target alone, so that it works behind a router.
+    `heeds_target`: its message is heeded by its target alone, so that it works behind a router. `period_s`: its own time between
+    messages, where that is not the settings'.
     """
 
     make: Callable[[MethodContext], AidingMethod]
     feeds_receiver: bool = False
     feeds_ekf2: bool = False
     heeds_target: bool = False
+    period_s: float | None = None
 
 
 METHODS: Mapping[AidingMethodName, MethodEntry] = {
@@ -35,6 +38,7 @@ METHODS: Mapping[AidingMethodName, MethodEntry] = {
     "external_position": MethodEntry(ExternalPositionMethod, heeds_target=True),
     "global_position_sensor": MethodEntry(GlobalPositionSensorMethod, feeds_ekf2=True),
     "vision_position": MethodEntry(VisionPositionMethod, feeds_ekf2=True),
+    "ranging_beacon": MethodEntry(RangingBeaconMethod, feeds_ekf2=True, period_s=PERIOD_S),
 }
 """Every aiding method by its name in the settings; "auto" is the one for ArduPilot."""
 
@@ -59,7 +63,13 @@ def acknowledgement_of(name: AidingMethodName, gps_id: int, now_s: float) -> Ack
     """Return what shows whether a vehicle uses what a method sends; None where only its answers do."""
     if METHODS[name].feeds_receiver:
         return FixAcknowledgement(gps_id, now_s)
-    return EkfAcknowledgement(by_vision=name == "vision_position") if METHODS[name].feeds_ekf2 else None
+    return EkfAcknowledgement(_UNUSED.get(name, FixFault.EKF_UNAIDED)) if METHODS[name].feeds_ekf2 else None
+
+
+_UNUSED: Mapping[AidingMethodName, FixFault] = {
+    "vision_position": FixFault.EKF_WITHOUT_VISION,
+    "ranging_beacon": FixFault.EKF_WITHOUT_RANGES,
+}
 
 
 def mismatch(name: AidingMethodName, autopilot: Autopilot | None) -> Inhibit | None:
@@ -81,4 +91,5 @@ _NOT_FOR_PX4: Mapping[AidingMethodName, InhibitReason] = {
 _NOT_FOR_ARDUPILOT: Mapping[AidingMethodName, InhibitReason] = {
     "global_position_sensor": InhibitReason.ARDUPILOT_IGNORES_POSITION_SENSOR,
     "vision_position": InhibitReason.VISION_IS_FOR_PX4,
+    "ranging_beacon": InhibitReason.RANGING_BEACON_IS_FOR_PX4,
 }

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from engine_flights import fly, settings, telemetry, texts, vehicle_4
+from recorded_flight import write_flight
 from station_flights import PLACES, configured, error_m, fly_with_ranges, ranges
 
+from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.gps_health.gps_health import GpsState
+from gcs_coloc.core.measurements import RangeMeasurement
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.stations.node_id import station_node
 from gcs_coloc.estimators.fleet.filter import FleetFilter
+from gcs_coloc.evaluation.calibration import calibrate as calibrate_devices
+from gcs_coloc.recorder.flight_history import read_history
+from sitl_fakes.geodesy import WorldFrame
+from sitl_fakes.scenario import SCENARIOS, load_scenario
 
 
 def test_a_vehicle_alone_is_located_by_stations_with_the_numbers_of_vehicles():
@@ -108,3 +117,46 @@ def test_the_snapshot_has_every_station_with_its_place(sigma_m):
         assert s.enu_m == pytest.approx(engine.frame.enu_from_geodetic(s.lat_deg, s.lon_deg, s.alt_msl_m))
         assert s.sigma_h_m == sigma_m
         assert 0.0 <= s.range_age_s < 0.5
+
+
+def test_the_lasting_error_of_a_stations_device_is_taken_off():
+    stations = tuple(replace(s, range_bias_m=2.0 if s.station_id == 1 else 0.0, range_scale=0.01) for s in configured())
+    engine, taken = Engine(FleetFilter(), settings(stations=stations)), []
+    add = engine.estimator.add
+    engine.estimator.add = lambda m: taken.append(m) or add(m)
+    fly_with_ranges(engine, 0.0, 3.0, np.random.default_rng(9), station_ids=(1, 2))
+    found = {m.to_vehicle: m for m in taken if isinstance(m, RangeMeasurement) and m.measured_at_s == 2.0}
+    sent = {m.peer: m.range_m for m in ranges(4, 2.0, _same_noise(2.0), (1, 2))}
+    assert {node: m.range_m for node, m in found.items()} == pytest.approx(
+        {node: (range_m - (2.0 if node == station_node(1) else 0.0)) / 1.01 for node, range_m in sent.items()}
+    )
+
+
+def _same_noise(until_s: float):
+    """The noise of a flight from its beginning, two ranges each 0.2 s, up to a time."""
+    rng = np.random.default_rng(9)
+    rng.normal(0.0, 1.0, 2 * round(until_s / 0.2))
+    return rng
+
+
+def test_a_recorded_flight_with_stations_is_replayed_the_same_and_can_be_reported_and_calibrated(tmp_path):
+    file = tmp_path / "flight.tlog"
+    write_flight(file, 30.0, SCENARIOS / "stations.toml")
+    chosen = load_settings(None, {"station": [stated(s) for s in load_scenario("stations").station]})
+    histories = [read_history(file, chosen, None, None) for _ in range(2)]
+    tracks = [[(e.at_s, e.vehicle.enu_m, e.vehicle.covariance_h_m2) for e in h.tracks[4]] for h in histories]
+    assert tracks[0] == tracks[1]
+    assert {s.station_id for s in histories[0].stations.values()} == {1, 2, 3, 4}
+    recorded = histories[0].recorded
+    assert {recorded.names[station_node(i)] for i in (1, 2, 3, 4)} == {f"station {i}" for i in (1, 2, 3, 4)}
+    assert not [f for f in histories[0].findings if "station" in str(f)]
+    devices = calibrate_devices(recorded).devices
+    assert {d.vehicle for d in devices} == {4, *(station_node(i) for i in (1, 2, 3, 4))}
+    assert max(abs(d.bias_m) for d in devices) < 1.0
+
+
+def stated(station):
+    o = load_scenario("stations").origin
+    frame = WorldFrame(o.lat_deg, o.lon_deg, o.alt_msl_m, o.geoid_height_m)
+    lat_deg, lon_deg, alt_m = frame.to_lla(station.east_m, station.north_m, station.height_m)
+    return {"id": station.id, "lat_deg": lat_deg, "lon_deg": lon_deg, "alt_m": alt_m, "sigma_m": 0.1}

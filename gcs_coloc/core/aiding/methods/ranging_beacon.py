@@ -1,0 +1,131 @@
+"""RANGING_BEACON: vetted ranges with the positions of their other ends, for PX4's EKF2, which fuses ranges itself.
+
+Each range carries its own uncertainty, so one helps where no position can be stated: EKF2 is corrected along it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import dist, inf, sqrt
+
+import numpy as np
+
+from gcs_coloc.core.aiding.inhibit import InhibitReason
+from gcs_coloc.core.aiding.methods.method import MethodContext, Moment
+from gcs_coloc.core.aiding.vetted_ranges import VettedRange
+from gcs_coloc.core.measurements import Estimate
+from gcs_coloc.core.messages.inbound import CommandResult
+from gcs_coloc.core.messages.outbound import AidingMessage, Notice, RangingBeacon
+from gcs_coloc.core.stations.node_id import is_station, station_id_of
+
+LEAST_INTERVAL_S = 0.065
+"""EKF2 drops a sample that is younger than the last by less than its buffer's step; flown: of three in a burst it used one."""
+PERIOD_S = 0.07
+"""Chosen: the shortest round period above that; 14 ranges a second, three peers at 5 Hz."""
+_LONGEST_AGE_S = 0.2
+"""Chosen: EKF2's horizon lies 0.2 s back (EKF2_DELAY_MAX), and a sample that comes much later than it is never fused."""
+_OLDEST_S = 1.0
+"""Chosen: an older range is worth less than the next one."""
+_HANDED_S = 2.0
+"""Chosen: for so long after the last message ranges count as being handed over."""
+_VEHICLE_IDS_FROM = 256
+"""beacon_id of vehicle N is this plus N, apart from the ids of stations below it. EKF2 does not tell beacons apart."""
+_STOPPING = (InhibitReason.RANGES_INCONSISTENT, InhibitReason.RANGES_JUMPED)
+"""While the ranges themselves are in doubt none is handed over; every other reason concerns the position alone."""
+_LEAST_DISTANCE_M = 1.0  # below it the direction of a range is noise
+
+
+class RangingBeaconMethod:
+    """RANGING_BEACON, one range each `PERIOD_S`, stamped by the vehicle's own boot clock, which PX4 does not convert.
+
+    Ranges to several peers are measured at nearly one time, and arrive late. Each is brought to the time of its stamp: longer by
+    what the estimates say that the distance has grown by since.
+    """
+
+    age_s = 0.0
+
+    def __init__(self, context: MethodContext) -> None:
+        self._sysid = context.sysid
+        self._newest: dict[int, VettedRange] = {}
+        self._sent_s: dict[int, float] = {}
+        self._last_sent_s = self._stamped_s = -inf
+        self._now_s = -inf
+        self._sequence = 0
+
+    def build_messages(self, moment: Moment) -> Sequence[AidingMessage | Notice]:
+        """As the protocol says."""
+        self._now_s = now_s = moment.now_s
+        self._newest |= {one.peer: one for one in moment.ranges}
+        self._newest = {peer: one for peer, one in self._newest.items() if now_s - one.measured_at_s <= _OLDEST_S}
+        if moment.inhibit is not None and moment.inhibit.reason in _STOPPING:
+            self._newest.clear()
+        if not self._newest or moment.frame is None:
+            return []
+        # The peer that has waited longest, so that all have their turn.
+        one = min(self._newest.values(), key=lambda each: (self._sent_s.get(each.peer, -inf), each.measured_at_s))
+        at_s = max(one.measured_at_s, self._stamped_s + LEAST_INTERVAL_S, moment.arrives_s - _LONGEST_AGE_S)
+        if at_s > moment.arrives_s:
+            return []
+        del self._newest[one.peer]
+        message = self._message(one, at_s, moment)
+        if message is None:
+            return []
+        self._sent_s[one.peer] = self._last_sent_s = now_s
+        self._stamped_s = at_s
+        return [message]
+
+    def _message(self, one: VettedRange, at_s: float, moment: Moment) -> RangingBeacon | None:
+        """Build the message of a range, brought to a time; None where the vehicle's clock or a position is not known."""
+        assert moment.frame is not None
+        boot_s = moment.boot_s(at_s)
+        own, own_then = moment.locate(at_s), moment.locate(one.measured_at_s)
+        peer, peer_then = moment.locate_node(one.peer, at_s), moment.locate_node(one.peer, one.measured_at_s)
+        located = (own, own_then, peer, peer_then)
+        if boot_s is None or not all(isinstance(each, Estimate) for each in located):
+            return None
+        here, here_then, there, there_then = (each.position_enu_m.tolist() for each in located if isinstance(each, Estimate))
+        distance_m = dist(here, there)
+        range_m = one.range_m + distance_m - dist(here_then, there_then)
+        if distance_m < _LEAST_DISTANCE_M or range_m <= 0.0 or not isinstance(own, Estimate) or not isinstance(peer, Estimate):
+            return None
+        u = (np.array(here) - np.array(there)) / distance_m
+        # The peer's uncertainty along the line of sight, and that of how fast the distance grows.
+        speed = own.covariance[3:, 3:] + peer.covariance[3:, 3:]
+        moved_s = at_s - one.measured_at_s
+        variance_m2 = one.sigma_m**2 + float(u @ peer.covariance[:3, :3] @ u) + moved_s**2 * float(u @ speed @ u)
+        lat_deg, lon_deg, alt_msl_m = moment.frame.geodetic_from_enu(*there)
+        self._sequence = (self._sequence + 1) & 0xFF
+        return RangingBeacon(
+            sysid=self._sysid,
+            boot_us=round(boot_s * 1e6),
+            beacon_id=station_id_of(one.peer) if is_station(one.peer) else _VEHICLE_IDS_FROM + one.peer,
+            sequence=self._sequence,
+            range_m=range_m,
+            accuracy_m=sqrt(variance_m2),
+            lat_deg=lat_deg,
+            lon_deg=lon_deg,
+            alt_msl_m=alt_msl_m,
+            sigma_h_m=sqrt(0.5 * float(np.trace(peer.covariance[:2, :2]))),
+            sigma_v_m=sqrt(float(peer.covariance[2, 2])),
+        )
+
+    def build_last_messages(self) -> Sequence[AidingMessage]:
+        """As the protocol says: the message cannot say that there is no range."""
+        return []
+
+    def add_result(self, result: CommandResult) -> Sequence[Notice]:
+        """As the protocol says: no command is sent."""
+        del result
+        return []
+
+    def with_fix(self) -> str:
+        """As the protocol says."""
+        return "RANGING_BEACON" if self._is_handing_over else "nothing: no range that it can use"
+
+    def without_fix(self) -> str:
+        """As the protocol says."""
+        return "ranges alone by RANGING_BEACON" if self._is_handing_over else "nothing"
+
+    @property
+    def _is_handing_over(self) -> bool:
+        return self._now_s - self._last_sent_s <= _HANDED_S

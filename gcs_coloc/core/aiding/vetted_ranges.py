@@ -1,0 +1,58 @@
+"""Vetted ranges: those of denied vehicles that the estimator used, to nodes whose positions are trusted."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+from gcs_coloc.core.measurements import RangeMeasurement, Residual
+
+_MAX_WAITING = 4096
+"""Chosen: some seconds of a large fleet; the estimator tells of a range within its window."""
+_MAX_READY = 64
+"""Chosen: of one vehicle, more than is handed over in a second."""
+
+
+class VettedRange(NamedTuple):
+    """A range of a denied vehicle to a node: when it was measured (service time, s), its length and 1-sigma, m."""
+
+    peer: int
+    measured_at_s: float
+    range_m: float
+    sigma_m: float
+
+
+class VettedRanges:
+    """The vetted ranges that nobody has taken yet, of the vehicles that `wants` them by their system ids."""
+
+    def __init__(self, wants: Callable[[int], bool]) -> None:
+        self._wants = wants
+        self._waiting: OrderedDict[tuple[int, int, float], RangeMeasurement] = OrderedDict()
+        self._ready: dict[int, list[VettedRange]] = {}
+
+    def add_range(self, m: RangeMeasurement) -> None:
+        """Add a range that the estimator was given."""
+        if not (self._wants(m.from_vehicle) or self._wants(m.to_vehicle)):
+            return
+        self._waiting[m.from_vehicle, m.to_vehicle, m.measured_at_s] = m
+        if len(self._waiting) > _MAX_WAITING:
+            self._waiting.popitem(last=False)
+
+    def add_residuals(self, residuals: Iterable[Residual], is_trusted: Callable[[int], bool]) -> None:
+        """Add what the estimator made of ranges. One that it refused, or to a node that is not trusted, is left out."""
+        if not self._waiting:
+            return
+        for r in residuals:
+            m = self._waiting.pop((r.from_vehicle, r.to_vehicle, r.measured_at_s), None) if r.to_vehicle is not None else None
+            if m is None or r.refused is not None:
+                continue
+            for vehicle, peer in ((m.from_vehicle, m.to_vehicle), (m.to_vehicle, m.from_vehicle)):
+                if self._wants(vehicle) and is_trusted(peer):
+                    ready = self._ready.setdefault(vehicle, [])
+                    ready.append(VettedRange(peer, m.measured_at_s, m.range_m, m.sigma_m))
+                    del ready[:-_MAX_READY]
+
+    def take(self, vehicle: int) -> tuple[VettedRange, ...]:
+        """Return the vetted ranges of a vehicle since the last call."""
+        return tuple(self._ready.pop(vehicle, ()))
