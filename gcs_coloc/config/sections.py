@@ -103,6 +103,8 @@ class ForwardConfig(_Section):
 
     echo_gps_input: bool = False
     """The ground tools also get the GPS_INPUT that we send. They always get what the vehicles send."""
+    alarms: bool = True
+    """The ground tools are told of alarms (STATUSTEXT), and get our heartbeat."""
 
 
 class FleetConfig(_Section):

@@ -53,12 +53,15 @@ class AlarmState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What is wrong with a vehicle now. `level` is `warning` or `error`, `action` what a person is to do."""
+    """What is wrong with a vehicle now. `level` is `warning` or `error`, `action` what a person is to do, `brief` the text for
+    a small display.
+    """
 
     kind: AlarmKind
     level: str
     text: str
     action: str
+    brief: str
 
 
 # Not frozen, as `VehicleSnapshot` is not: each page is sent all of them several times a second.
@@ -67,7 +70,8 @@ class Alarm:
     """One alarm. Times are service time, s; `sysid` None: it is about the whole fleet.
 
     `id` counts from 1 in each run of the service. `at_s` is when it last changed, `times` how often the condition came while
-    the alarm was in the list. `level` is `warning` or `error`; `action` is what a person is to do.
+    the alarm was in the list. `level` is `warning` or `error`; `action` is what a person is to do, `brief` the text for a small
+    display.
     """
 
     id: int
@@ -81,6 +85,7 @@ class Alarm:
     at_s: float
     over_at_s: float | None = None
     times: int = 1
+    brief: str = ""
 
 
 def conditions(v: VehicleSnapshot) -> list[Condition]:
@@ -89,9 +94,8 @@ def conditions(v: VehicleSnapshot) -> list[Condition]:
     found = [gps] if gps is not None else []
     if v.age_s > SILENT_AFTER_S:
         text = f"not heard for {v.age_s:.0f} s; before that: GPS {v.gps_state}, {v.gps_reason}"
-        found.insert(
-            0, Condition(AlarmKind.SILENT, "error", text, "Check its power and its link; the map shows where it was last.")
-        )
+        action = "Check its power and its link; the map shows where it was last."
+        found.insert(0, Condition(AlarmKind.SILENT, "error", text, action, f"not heard for {v.age_s:.0f} s"))
     return found
 
 
@@ -99,21 +103,28 @@ def _gps_condition(v: VehicleSnapshot) -> Condition | None:
     if v.gps_state in ("failed", "recovering"):
         located = f"within {v.bound_95_m:.0f} m (95 %)" if v.bound_95_m is not None else f"nowhere: {v.no_estimate_reason}"
         text = f"GPS {v.gps_state}: {v.gps_reason}. Located {located}; {v.aiding}"
-        return Condition(AlarmKind.GPS_LOST, "warning" if _is_aided(v) else "error", text, _action_without_gps(v))
+        brief = f"GPS {'lost' if v.gps_state == 'failed' else v.gps_state}, "
+        brief += f"located within {v.bound_95_m:.0f} m" if v.bound_95_m is not None else "not located"
+        if v.bound_95_m is not None and not _is_aided(v):
+            brief += ", not aided"
+        return Condition(AlarmKind.GPS_LOST, "warning" if _is_aided(v) else "error", text, _action_without_gps(v), brief)
     if v.gps_state == "suspect":
         action = "Compare it with what you see; declare its GPS failed or healthy where you know better."
-        return Condition(AlarmKind.GPS_SUSPECT, "warning", f"GPS suspect: {v.gps_reason}", action)
+        text = f"GPS suspect: {v.gps_reason}"
+        return Condition(AlarmKind.GPS_SUSPECT, "warning", text, action, text)
     if v.gps_state == "unknown":
         return None
     if v.aiding_override == "on":
         text = f"aiding switched on by the operator ({v.aiding}); GPS healthy: {v.gps_reason}"
         action = "Set its aiding to automatic when it is no longer needed."
-        return Condition(AlarmKind.GPS_LOST, "warning" if v.aiding_has_fix else "error", text, action)
+        brief = "aided by the operator's choice; GPS healthy"
+        return Condition(AlarmKind.GPS_LOST, "warning" if v.aiding_has_fix else "error", text, action, brief)
     what = v.aiding if v.fix_acknowledged is False else f"it could not be aided: {v.inhibit_reason}" if v.inhibit_reason else None
     if what is None:
         return None
     action = "Mend it before it is needed: gcs-coloc doctor names the settings."
-    return Condition(AlarmKind.NOT_READY, "warning", f"GPS healthy ({v.gps_reason}), but {what}", action)
+    text = f"GPS healthy ({v.gps_reason}), but {what}"
+    return Condition(AlarmKind.NOT_READY, "warning", text, action, "GPS healthy, but could not be aided")
 
 
 def _is_aided(v: VehicleSnapshot) -> bool:
@@ -153,7 +164,8 @@ class AlarmList:
         if fleet.loop_lag_s > HOST_LATE_S:
             text = f"this computer falls behind: it ran the service {fleet.loop_lag_s:.1f} s late"
             action = "Stop what else runs on it; vehicles may seem silent, and positions are sent late."
-            found.append((None, Condition(AlarmKind.HOST_LATE, "warning", text, action)))
+            brief = f"ground computer runs {fleet.loop_lag_s:.1f} s late"
+            found.append((None, Condition(AlarmKind.HOST_LATE, "warning", text, action, brief)))
         for sysid, condition in found:
             key = (sysid, condition.kind, "")
             holding.add(key)
@@ -175,7 +187,7 @@ class AlarmList:
             return []
         key = (notice.sysid, AlarmKind.NOTICE, re.sub(r"[\d.]+", "#", notice.text))
         action = "Mend its cause, then acknowledge it." if notice.level == "error" else "Acknowledge it once it is understood."
-        condition = Condition(AlarmKind.NOTICE, notice.level, notice.text, action)
+        condition = Condition(AlarmKind.NOTICE, notice.level, notice.text, action, notice.text)
         [alarm] = self._hold(key, condition, notice.at_s)
         changed = [self._put(key, replace(alarm, state=AlarmState.OVER, over_at_s=notice.at_s))]
         waiting = [(k, one) for k, one in self._alarms.items() if one.kind is AlarmKind.NOTICE]
@@ -198,7 +210,8 @@ class AlarmList:
         if alarm is None:
             self._newest_id += 1
             about = (condition.level, condition.text, condition.action)
-            return [self._put(key, Alarm(self._newest_id, condition.kind, key[0], AlarmState.ACTIVE, *about, at_s, at_s))]
+            alarm = Alarm(self._newest_id, condition.kind, key[0], AlarmState.ACTIVE, *about, at_s, at_s, brief=condition.brief)
+            return [self._put(key, alarm)]
         is_again, is_worse = alarm.state is AlarmState.OVER, condition.level == "error" and alarm.level != "error"
         is_changed = is_again or condition.level != alarm.level
         alarm = replace(
@@ -208,6 +221,7 @@ class AlarmList:
             level=condition.level,
             text=condition.text,
             action=condition.action,
+            brief=condition.brief,
             at_s=at_s if is_changed else alarm.at_s,
             over_at_s=None,
             times=alarm.times + is_again,

@@ -9,15 +9,18 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.snapshot import OutSnapshot
+from gcs_coloc.core.status_texts import StatusText
 from gcs_coloc.links.base import Address, Clock, Link, Route, parse_out
 from gcs_coloc.links.rate_limiter import RateLimiter
 from gcs_coloc.links.routes import RouteTable
 from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.decoder import INVALID_SYSID
+from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.mavlink.framing import EVERYBODY, RawFrame, split, target_of
 from gcs_coloc.mavlink.refusals import Counts, Reason, Refusal
 
@@ -94,6 +97,7 @@ class Forwarder:
         for address in (parse_out(text) for text in outs):
             link = address.make_link(self.from_ground_tool, clock, most_unsent_bytes=MAX_UNSENT_BYTES)
             self._outs[link] = _Out(link, listens=address.LEARNS_PEERS)
+        self._encoders: dict[int, Encoder] = {}
         self._suppressed: dict[int, tuple[str, str]] = {}
         self._warned_at_s = float("-inf")
 
@@ -156,6 +160,30 @@ class Forwarder:
         """Send the ground tools a frame of our own."""
         self._to_ground(frame, 1, self._clock())
 
+    def send_status(self, texts: Sequence[StatusText], sysids: Sequence[int]) -> None:
+        """Send the ground tools our heartbeat, and texts; `sysids` are the vehicles, each of which a fleet's text is about.
+
+        A text has its vehicle's system id and our component id: tools show those of the system that they look at.
+        Nothing is sent before a vehicle is heard: Mission Planner connects to what it hears first, and alone.
+        """
+        if not sysids:
+            return
+        now_s = self._clock()
+        for out in self._outs.values():
+            peers = out.peers(now_s)
+            if not peers:
+                continue
+            signing = self._signed.of(out.link.name)
+            addressed = [(text, sysid) for text in texts for sysid in (sysids if text.sysid is None else (text.sysid,))]
+            frames = [self._encoder(self._own[0]).heartbeat(out.link.name, signing.stamp(now_s) if signing is not None else None)]
+            for text, sysid in addressed:
+                stamp = partial(signing.stamp, now_s) if signing is not None else None
+                frames += self._encoder(sysid).status_text(text.severity, text.text, out.link.name, stamp)
+            for peer in peers:
+                for frame in frames:
+                    out.link.send(peer, frame)
+            out.frames_sent += len(frames) * len(peers)
+
     def pending_warnings(self, now_s: float) -> list[tuple[int, str]]:
         """System id and text of the warnings that are due."""
         if not self._suppressed or now_s - self._warned_at_s < WARN_EVERY_S:
@@ -179,6 +207,10 @@ class Forwarder:
             )
             for out in self._outs.values()
         )
+
+    def _encoder(self, sysid: int) -> Encoder:
+        """The encoder of the frames that our component sends in a system's name; each numbers its own."""
+        return self._encoders.setdefault(sysid, Encoder(sysid=sysid, compid=self._own[1]))
 
     def _to_ground(self, payload: bytes, frames: int, now_s: float) -> None:
         for out in self._outs.values():

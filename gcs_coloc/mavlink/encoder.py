@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections import OrderedDict
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -36,6 +36,10 @@ _FUSION_SOURCE_GPS = 0
 """ESTIMATOR_SENSOR_FUSION_SOURCE_GPS of development.xml."""
 _BY_NAME = -1
 """PARAM_REQUEST_READ's param_index where the parameter is named (MAVLink common.xml)."""
+_STATUSTEXT_BYTES = 50
+"""The length of STATUSTEXT's text (MAVLink common.xml)."""
+_MAX_CHUNKS = 256
+"""STATUSTEXT's chunk_seq has eight bits."""
 
 STREAM_IDS = {stream: int(getattr(mavlink, f"MAVLINK_MSG_ID_{stream.value}")) for stream in Stream}
 """MAVLink message id of each stream that vehicles are asked for."""
@@ -47,6 +51,7 @@ class Encoder:
     def __init__(self, *, sysid: int = OWN_SYSID, compid: int = OWN_COMPID) -> None:
         self._mavlink = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=compid)
         self._next_sequence: OrderedDict[Hashable, int] = OrderedDict()
+        self._text_id = 0
 
     def encode(self, message: ToVehicle, destination: Hashable, stamp: Stamp | None = None) -> bytes:
         """Encode an output for the address `destination`.
@@ -66,6 +71,22 @@ class Encoder:
             mavlink_version=3,
         )
         return self._pack(message, destination, stamp)
+
+    def status_text(
+        self, severity: int, text: str, destination: Hashable, next_stamp: Callable[[], Stamp] | None = None
+    ) -> list[bytes]:
+        """Encode a text as one STATUSTEXT (253) or, where it is long, several that belong together, each with its own stamp."""
+        data = text.encode("ascii", "replace")
+        chunks, text_id = [data], 0
+        if len(data) > _STATUSTEXT_BYTES:
+            self._text_id = text_id = self._text_id % 0xFFFF + 1
+            # The last one has room for the zero that ends it.
+            chunks = [data[start : start + _STATUSTEXT_BYTES] for start in range(0, len(data) + 1, _STATUSTEXT_BYTES)]
+        messages = (
+            mavlink.MAVLink_statustext_message(severity, chunk, text_id, number)
+            for number, chunk in enumerate(chunks[:_MAX_CHUNKS])
+        )
+        return [self._pack(message, destination, next_stamp() if next_stamp is not None else None) for message in messages]
 
     def _pack(self, message: Any, destination: Hashable, stamp: Stamp | None) -> bytes:
         sequence = self._next_sequence.pop(destination, 0)

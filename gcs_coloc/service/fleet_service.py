@@ -15,6 +15,7 @@ from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToOperator, ToVehicle
 from gcs_coloc.core.schedule import CATCH_UP_S, advance, find_overrun, without_superseded
 from gcs_coloc.core.snapshot import FleetSnapshot
+from gcs_coloc.core.status_texts import StatusTexts
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.base import Address, Link, Route, check_outs, parse
 from gcs_coloc.links.forward import Forwarder
@@ -56,6 +57,7 @@ class FleetService:
         self.idle = IdleScheduler()
         self.counts = Counts()
         self._alarms = AlarmList()
+        self._status_texts = StatusTexts() if settings.out and settings.forward.alarms else None
         self.truths: dict[int, HeardTruth] = {}
         self._clock = clock
         self._engine_at_s = clock()
@@ -258,13 +260,15 @@ class FleetService:
         self._apply(message)
 
     def each_second(self, host: ClockReference) -> None:
-        """Set the host's time, publish pending warnings, and send our heartbeat."""
+        """Set the host's time, publish pending warnings, send our heartbeat, and tell the ground tools of alarms."""
         self._signed.set_clock(host.utc_minus_service_s)
         self._host, self._lag_s = replace(host, lag_s=round(self._lag_s, 3)), 0.0
         self._apply(self._host)
         self._publish_warnings(host.received_at_s)
         self.update_alarms(self.snapshots.recent_snapshot())
         self._sender.send_heartbeat(self._greeted(host.received_at_s))
+        if self._status_texts is not None:
+            self._forwarder.send_status(self._status_texts.pop_due(host.received_at_s), self._engine.sysids())
 
     def _apply(self, message: ClockReference | OperatorCommand | PeerRange | ForeignGpsInput) -> None:
         self._receive_waiting([])
@@ -330,3 +334,5 @@ class FleetService:
         for alarm in changed:
             self.events.publish(alarm)
             self._recording.record_alarm(alarm)
+            if self._status_texts is not None:
+                self._status_texts.add(alarm)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import select
 import signal
 import socket
@@ -66,8 +67,12 @@ def aided(vehicle):
     return len(vehicle.of("GPS_INPUT")) >= 15
 
 
-def test_every_frame_of_a_vehicle_is_handed_on_byte_for_byte_and_nothing_of_ours(start_service, free_port, tool):
-    start_service("--udp", f"127.0.0.1:{free_port}", "--out", f"udp:127.0.0.1:{tool.port}")
+def test_every_frame_of_a_vehicle_is_handed_on_byte_for_byte_and_without_alarms_nothing_of_ours(
+    start_service, free_port, tool, tmp_path
+):
+    config = tmp_path / "coloc.toml"
+    config.write_text(f'links = ["127.0.0.1:{free_port}"]\nout = ["udp:127.0.0.1:{tool.port}"]\n[forward]\nalarms = false\n')
+    start_service("--config", str(config))
     sent = []
     signer = Signer(2, compid=154, key=OTHER_KEY)
     with square_fleet(free_port) as fleet:
@@ -100,6 +105,50 @@ def test_our_gps_input_is_shown_to_the_ground_tools_where_that_is_set(start_serv
         fly(fleet, 60.0, failed=[4], until=lambda: tool.listen() or len(tool.of("GPS_INPUT")) >= 10)
     assert len(tool.of("GPS_INPUT")) >= 10
     assert {m.get_srcSystem() for m in tool.of("GPS_INPUT")} == {254}
+
+
+def test_ground_tools_are_told_of_a_lost_gps_by_a_component_of_its_vehicle_and_vehicles_are_not(start_service, free_port, tool):
+    start_service("--udp", f"127.0.0.1:{free_port}", "--out", f"127.0.0.1:{tool.port}", "--no-web")
+    with square_fleet(free_port) as fleet:
+        began_s = time.monotonic()
+
+        def lost():
+            tool.listen()
+            return any("GPS lost, located within" in text.text for text in tool.of("STATUSTEXT"))
+
+        fly(fleet, 60.0, failed=[4], until=lost)
+        assert lost()
+        lasted_s = time.monotonic() - began_s
+        assert not [text for vehicle in fleet for text in vehicle.of("STATUSTEXT")]
+    texts = [text for text in tool.of("STATUSTEXT") if "late" not in text.text]  # a busy machine tells each vehicle's system
+    assert {(text.get_srcSystem(), text.get_srcComponent()) for text in texts} == {(4, 191)}
+    assert re.fullmatch(r"UAV4: GPS lost, located within \d+ m(, not aided)?", texts[-1].text)
+    assert all(text.severity in (mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_WARNING) for text in texts)
+    ours = [beat for beat in tool.of("HEARTBEAT") if beat.get_srcSystem() == 254]
+    assert 1 <= len(ours) <= lasted_s + 2
+    kinds = {(beat.get_srcComponent(), beat.type, beat.autopilot) for beat in ours}
+    assert kinds == {(191, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID)}
+
+
+def test_a_ground_tool_never_takes_us_for_its_vehicle(start_service, free_port):
+    port = link_peers.free_port(socket.SOCK_DGRAM)
+    start_service("--udp", f"127.0.0.1:{free_port}", "--out", f"127.0.0.1:{port}", "--no-web")
+    with closing(mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}", source_system=255)) as ground:
+        alone = ground.recv_match(blocking=True, timeout=2.5)
+        assert alone is None  # Mission Planner connects to whom it hears, where that is one alone
+        with square_fleet(free_port) as fleet:
+            chosen, ours = set(), 0
+
+            def hear():
+                nonlocal ours
+                while (message := ground.recv_match()) is not None:
+                    ours += message.get_srcSystem() == 254
+                    chosen.add(ground.target_system)
+                return ours >= 3
+
+            fly(fleet, 60.0, until=hear)
+        assert ours >= 3
+        assert chosen - {0} <= {1, 2, 3, 4}
 
 
 def test_what_a_ground_tool_says_goes_to_whom_it_is_meant_for(start_service, free_port, tool):

@@ -133,3 +133,26 @@ def test_the_vertical_velocity_is_ignored_from_the_first_message(fix):
     """ArduPilot's driver keeps `have_vertical_velocity` once any message without the flag has set it."""
     got = received(Encoder().encode(fix, "vehicle 4"))
     assert got.ignore_flags == mavlink.GPS_INPUT_IGNORE_FLAG_VEL_VERT == 16
+
+
+def texts_of(frames):
+    return [received(frame) for frame in frames]
+
+
+def test_a_short_text_is_one_message_of_the_vehicles_system_and_our_component():
+    [message] = texts_of(Encoder(sysid=4, compid=191).status_text(4, "UAV4: GPS lost, located within 4 m", "a tool"))
+    assert (message.get_srcSystem(), message.get_srcComponent()) == (4, 191)
+    assert (message.severity, message.text, message.id, message.chunk_seq) == (4, "UAV4: GPS lost, located within 4 m", 0, 0)
+
+
+@pytest.mark.parametrize("length", [50, 51, 99, 100, 101, 251])
+def test_a_long_text_comes_in_pieces_that_join_to_it(length):
+    text, encoder = "".join(chr(ord("a") + number % 26) for number in range(length)), Encoder(sysid=4)
+    for _ in range(2):
+        messages = texts_of(encoder.status_text(2, text, "a tool"))
+        assert "".join(message.text for message in messages) == text
+    assert [message.chunk_seq for message in messages] == list(range(len(messages)))
+    assert len({message.id for message in messages}) == 1
+    if length > 50:
+        assert messages[0].id == 2  # each text its own
+        assert len(messages[-1].text) < 50  # its end is seen
