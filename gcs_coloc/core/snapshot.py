@@ -97,6 +97,7 @@ class VehicleSnapshot:
     velocity_enu_mps: tuple[float, float, float] | None = None
     covariance_h_m2: tuple[float, float, float] | None = None
     reported_enu_m: tuple[float, float, float] | None = None
+    reported_alt_msl_m: float | None = None
     yaw_rad: float | None = None
     armed: bool | None = None
     mode: str | None = None
@@ -213,6 +214,7 @@ def vehicle_snapshot(
         velocity_enu_mps=velocity_mps,
         covariance_h_m2=covariance_m2,
         reported_enu_m=reported_enu_m,
+        reported_alt_msl_m=reported.alt_msl_m if reported is not None else None,
         yaw_rad=attitude.yaw_rad if attitude is not None and fresh else None,
         armed=vehicle.armed,
         mode=vehicle.mode,

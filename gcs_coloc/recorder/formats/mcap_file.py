@@ -9,6 +9,7 @@ import struct
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
+from gcs_coloc.recorder.formats.foxglove import FoxgloveMessages, well_known_schema
 from gcs_coloc.recorder.journal import NAMES, Entry, VehicleEntry, as_json, schema_of
 
 END_MARK = struct.pack("<BQI", Opcode.DATA_END, 4, 0) + struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0) + MCAP0_MAGIC
@@ -26,17 +27,26 @@ class McapEncoder:
             kind: self._writer.register_schema(f"gcs_coloc.{name}", "jsonschema", json.dumps(schema_of(kind)).encode())
             for kind, name in NAMES.items()
         }
+        self._well_known = {
+            name: self._writer.register_schema(name, "jsonschema", well_known_schema(name))
+            for name in ("foxglove.LocationFix", "foxglove.SceneUpdate", "foxglove.Log")
+        }
+        self._foxglove = FoxgloveMessages()
         self._channels: dict[str, int] = {}
 
     def add(self, entry: Entry) -> None:
-        """Add one entry at its own time. Topics: /vehicle/N, /station, /range, /health, /notice, /alarm."""
-        kind = type(entry)
+        """Add one entry at its own time: as ours on /vehicle/N, /station, /range, /health, /notice, /alarm; and as Foxglove's."""
+        kind, time_ns = type(entry), round(entry.at_s * 1e6) * 1000
         topic = f"/vehicle/{entry.vehicle.sysid}" if isinstance(entry, VehicleEntry) else f"/{NAMES[kind]}"
+        self._add_message(topic, self._schemas[kind], time_ns, as_json(entry))
+        for topic, schema, content in self._foxglove.messages(entry):
+            self._add_message(topic, self._well_known[schema], time_ns, json.dumps(content, separators=(",", ":")).encode())
+
+    def _add_message(self, topic: str, schema: int, time_ns: int, data: bytes) -> None:
         channel = self._channels.get(topic)
         if channel is None:
-            channel = self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[kind])
-        time_ns = round(entry.at_s * 1e6) * 1000
-        self._writer.add_message(channel, time_ns, as_json(entry), time_ns)
+            channel = self._channels[topic] = self._writer.register_channel(topic, "json", schema)
+        self._writer.add_message(channel, time_ns, data, time_ns)
 
     def pop(self) -> bytes:
         """The bytes of what was added since the last call. Each call makes a chunk, which costs as much as two entries."""
