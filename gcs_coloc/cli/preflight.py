@@ -15,6 +15,7 @@ from gcs_coloc.config.fleets import load_fleets, load_settings
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.doctor.finding import Setup
 from gcs_coloc.doctor.listen import listen
+from gcs_coloc.doctor.parameter_files import write_parameter_files
 from gcs_coloc.doctor.report import Report
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
@@ -74,6 +75,10 @@ def doctor(
     ] = None,
     seconds: Annotated[float, typer.Option(min=5.0, max=3600.0, help="How long to listen.")] = 15.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    write_params: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Write what is to be set on each vehicle as parameter files for ground stations."),
+    ] = None,
 ) -> None:
     """Check the set-up before a flight: the vehicles' parameters, telemetry, ranges, addresses and clocks."""
     links = [*(f"udpin:{where}" for where in udp or ()), *(link or ())]
@@ -95,5 +100,11 @@ def doctor(
         print(json.dumps(report.as_json(), indent=2))
     else:
         print("\n".join(report.lines()))
+    if write_params is not None:
+        written = list(write_parameter_files(write_params, survey.vehicles, setup))
+        for path in written:
+            print(f"written: {path}", file=sys.stderr)
+        if not written:
+            print("no parameter file is written: there is nothing to set", file=sys.stderr)
     if not report.is_ready:
         raise typer.Exit(1)

@@ -46,10 +46,11 @@ class VehicleSurvey:
 
     `is_mavlink_1`: its autopilot sent no frame of MAVLink 2, though we did. `addresses`: where its autopilot was heard;
     `is_claimed_twice`: at more than one of them at the same time; `has_two_clocks`: its boot times are those of two autopilots
-    in turn, wherever they are. `others_there`: other autopilots behind one of these
-    addresses. `parameters`: those it told, by its own names. `answers_only_to`: the system id under which it answered after it
-    had not answered ours. `empty`: messages that came with impossible values only, such as a position of 0, 0. `peers`: the
-    other ends of its ranges (node ids), whoever measured.
+    in turn, wherever they are. `others_there`: other autopilots behind one of these addresses.
+    `parameters`: those it told, by its own names; `parameter_kinds`: their MAV_PARAM_TYPE. `answers_only_to`: the system id
+    under which it answered after it had not answered ours. `empty`: messages that came with impossible values only, such as a
+    position of 0, 0. `peers`: the other ends of its ranges (node ids), whoever
+    measured.
     `utc_minus_host_s`: its clock's UTC against this computer's; None where it does not know UTC.
     """
 
@@ -63,6 +64,7 @@ class VehicleSurvey:
     is_signed: bool = False
     is_mavlink_1: bool = False
     parameters: Mapping[str, float] = field(default_factory=dict)
+    parameter_kinds: Mapping[str, int] = field(default_factory=dict)
     answers_only_to: int | None = None
     rates_hz: Mapping[int, float] = field(default_factory=dict)
     empty: frozenset[int] = frozenset()

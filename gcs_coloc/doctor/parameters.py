@@ -88,16 +88,18 @@ class ParameterReader:
 
     autopilot: Autopilot
     told: dict[str, float] = field(default_factory=dict)
+    kinds: dict[str, int] = field(default_factory=dict)
     answers_as_gcs_only: bool = False
     _tries: dict[str, int] = field(default_factory=dict)
     _due_s: float = float("-inf")
     _rounds: int = 0
 
-    def add(self, name: str, value: float) -> None:
-        """Take one parameter that the vehicle told."""
+    def add(self, name: str, value: float, kind: int) -> None:
+        """Take one parameter that the vehicle told; `kind` is its MAV_PARAM_TYPE."""
         if not self.told and self.requests_as_gcs:
             self.answers_as_gcs_only = True
         self.told[name] = value
+        self.kinds[name] = kind
 
     @property
     def requests_as_gcs(self) -> bool:

@@ -167,6 +167,7 @@ class Survey:
             is_signed=vehicle.is_signed,
             is_mavlink_1=vehicle.magics == {MAGIC_V1},
             parameters=dict(vehicle.reader.told),
+            parameter_kinds=dict(vehicle.reader.kinds),
             answers_only_to=GCS_SYSID if vehicle.reader.answers_as_gcs_only else None,
             rates_hz={number: count / counted_s for number, count in vehicle.counts.items()} if counted_s > 0.0 else {},
             empty=frozenset(vehicle.empty - vehicle.counts.keys()),
@@ -202,7 +203,7 @@ class Survey:
                 resolved = self._stations.resolve(message).message
                 self._ranges[frozenset((message.sysid, resolved.peer if resolved is not None else message.peer))] += 1
             case ParameterValue():
-                vehicle.reader.add(message.name, message.value)
+                vehicle.reader.add(message.name, message.value, message.kind)
             case TimeSyncAnswer():
                 vehicle.answers_timesync = True
             case SystemTime() if message.unix_s is not None and self._utc_minus_service_s is not None:

@@ -13,6 +13,7 @@ import tty
 from pathlib import Path
 
 import pytest
+from pymavlink import mavparm
 
 from sitl_fakes.scenario import SCENARIOS
 
@@ -52,7 +53,7 @@ def examine(port, flown, *arguments, **environment) -> subprocess.CompletedProce
 
 
 def test_a_wrong_set_up_is_told_parameter_by_parameter_and_is_right_when_they_are_set(tmp_path, free_port):
-    told = examine(free_port, scenario(tmp_path, WRONG), "--aid", "4", "--json")
+    told = examine(free_port, scenario(tmp_path, WRONG), "--aid", "4", "--json", "--write-params", str(tmp_path / "params"))
     assert told.returncode == 1, told.stderr
     report = json.loads(told.stdout)
     assert not report["ready"]
@@ -64,6 +65,10 @@ def test_a_wrong_set_up_is_told_parameter_by_parameter_and_is_right_when_they_ar
     settings = {name: value for finding in findings for name, value in (finding["set"] or {}).items()}
     asked = {"GPS2_TYPE": 14.0, "GPS_PRIMARY": 0.0, "GPS_AUTO_SWITCH": 4.0, "GPS2_DELAY_MS": 100.0, "EK3_SRC1_VELZ": 0.0}
     assert settings == asked
+    file = mavparm.MAVParmDict()  # as MAVProxy loads it
+    assert file.load(str(tmp_path / "params" / "vehicle-4.param"))
+    assert dict(file) == asked
+    assert sorted(path.name for path in (tmp_path / "params").iterdir()) == ["vehicle-4.param", "vehicle-4.params"]
 
     mended = scenario(tmp_path, WRONG | settings)
     told = examine(free_port, mended, "--aid", "4", GCS_COLOC_MAVLINK__SYSTEM_ID="255")
