@@ -6,6 +6,8 @@ import { css, seriesColour, seriesDash } from "./palette.js";
 const uPlot = window.uPlot;
 const SAMPLES = 600;
 const HEIGHT = 150;
+const READ_AT_ONCE = 6; // values beside the cursor; more do not fit into one line
+const SPIKE = 3; // times what 95 % of the values stay below; a value beyond that is cut off
 const KINDS = [
   { key: "sigma_h_m", title: "1-sigma, m" },
   { key: "hdop", title: "HDOP" },
@@ -16,6 +18,7 @@ const KINDS = [
 export class Plots {
   constructor() {
     this.selected = null;
+    this.hidden = new Set();
     this.reset(null);
     this.resizing = new ResizeObserver(() => this.plots?.forEach((p) => p.setSize(size(p.root.parentNode))));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build());
@@ -87,12 +90,13 @@ export class Plots {
     this.nameSeries();
     this.plots = KINDS.map((kind) => {
       const series = this.sysids.map((id, i) => ({
-        label: `vehicle ${id}`, stroke: seriesColour(i), dash: seriesDash(i), width: id === this.selected ? 3 : 1.5, spanGaps: false, points: { show: false },
+        label: `vehicle ${id}`, stroke: seriesColour(i), dash: seriesDash(i), width: id === this.selected ? 3 : 1.5, spanGaps: false, points: { show: false }, show: !this.hidden.has(id),
       }));
       const n = series.length;
       const isNis = kind.key === "nis_median";
       if (isNis) for (const label of ["band, high", "band, low"]) series.push({ label, stroke: css("--faint"), width: 1, points: { show: false } });
-      const holder = el("figure", { role: "img", "aria-label": `Plot of ${kind.title} over time` });
+      const reading = el("figcaption", {});
+      const holder = el("figure", { "aria-label": `Plot of ${kind.title} over time` });
       const old = byId("plots").querySelector(`[data-key="${kind.key}"]`);
       holder.dataset.key = kind.key;
       if (old) old.replaceWith(holder);
@@ -100,9 +104,10 @@ export class Plots {
       const plot = new uPlot({
         ...size(holder), padding: [null, 30, null, null], title: kind.title, series: [{}, ...series], axes: [{ ...axis, space: 80, values: (_, times) => times.map((t) => this.clock(t)) }, { ...axis, size: 46 }],
         bands: isNis && n > 0 ? [{ series: [n + 1, n + 2], fill: css("--band") }] : [],
-        cursor: { sync: { key: "time" } }, scales: { x: { time: this.offset !== null }, y: { range: (_, low, high) => [0, Math.max(high ?? 1, low ?? 1, 1) * 1.1] } },
-        legend: { show: false },
+        cursor: { sync: { key: "time" } }, scales: { x: { time: this.offset !== null }, y: { range: (u) => [0, top(u) * 1.1] } },
+        legend: { show: false }, hooks: { setCursor: [(u) => { reading.textContent = this.reading(u); }] },
       }, this.data(kind), holder);
+      holder.append(reading);
       this.resizing.observe(holder);
       return plot;
     });
@@ -110,10 +115,32 @@ export class Plots {
 
   // One legend for all plots: a legend in each would be as long as the fleet.
   nameSeries() {
-    byId("series").replaceChildren(...this.sysids.map((id, i) => el("li", { class: id === this.selected ? "chosen" : null },
-      svg("svg", { viewBox: "0 0 36 14", "aria-hidden": "true" },
-        svg("path", { d: "M0 7H36", stroke: seriesColour(i), "stroke-width": 3, "stroke-dasharray": seriesDash(i).join(" ") || null })),
-      `vehicle ${id}`)));
+    byId("series").replaceChildren(...this.sysids.map((id, i) => {
+      const button = el("button", { type: "button", class: "link", "aria-pressed": String(!this.hidden.has(id)) },
+        svg("svg", { viewBox: "0 0 36 14", "aria-hidden": "true" },
+          svg("path", { d: "M0 7H36", stroke: seriesColour(i), "stroke-width": 3, "stroke-dasharray": seriesDash(i).join(" ") || null })),
+        `vehicle ${id}`);
+      button.addEventListener("click", () => this.toggle(id, i, button));
+      return el("li", { class: id === this.selected ? "chosen" : null }, button);
+    }));
+  }
+
+  toggle(id, i, button) {
+    if (!this.hidden.delete(id)) this.hidden.add(id);
+    const show = !this.hidden.has(id);
+    button.setAttribute("aria-pressed", String(show));
+    this.plots.forEach((p) => p.setSeries(i + 1, { show }));
+  }
+
+  // The values under the cursor, the selected vehicle's first; empty beside the plot.
+  reading(u) {
+    const at = u.cursor.idx;
+    if (at === null || at === undefined || u.cursor.left < 0) return "";
+    const values = this.sysids.map((id, i) => ({ id, value: u.data[i + 1]?.[at] }))
+      .filter(({ id, value }) => value !== null && value !== undefined && !this.hidden.has(id))
+      .sort((a, b) => (b.id === this.selected) - (a.id === this.selected));
+    const shown = values.slice(0, READ_AT_ONCE).map(({ id, value }) => `${id}: ${Number(value.toFixed(2))}`);
+    return [this.clock(u.data[0][at]), ...shown, ...(values.length > READ_AT_ONCE ? ["…"] : [])].join("   ");
   }
 
   clock(t) {
@@ -124,5 +151,14 @@ export class Plots {
     KINDS.forEach((kind, i) => this.plots[i].setData(this.data(kind)));
   }
 }
+
+// A spike does not set the scale: what is above is cut. Hidden lines and the band do not count.
+const top = (u) => {
+  const values = u.series.flatMap((one, i) => (i > 0 && one.show && one.label.startsWith("vehicle") ? u.data[i] : []))
+    .filter((value) => value !== null && value !== undefined).sort((a, b) => a - b);
+  if (values.length === 0) return 1;
+  const usual = values[Math.floor(0.95 * (values.length - 1))];
+  return Math.max(1, Math.min(values.at(-1), SPIKE * usual));
+};
 
 const size = (holder) => ({ width: Math.max(holder.clientWidth, 200), height: HEIGHT });
