@@ -44,9 +44,13 @@ class GpsLost(_Fault):
 
 
 class GpsJammed(_Fault):
-    """The vehicle's own receiver flickers between fix and none and reports positions that wander off."""
+    """The vehicle's own receiver flickers between fix and none and reports positions that wander off.
+
+    `reported`: it notices, and a PX4 says so in GNSS_INTEGRITY.
+    """
 
     kind: Literal["gps_jammed"] = "gps_jammed"
+    reported: bool = False
 
 
 class GpsFrozen(_Fault):
@@ -58,10 +62,11 @@ class GpsFrozen(_Fault):
 class GpsSpoofed(_Fault):
     """The vehicle's own receiver is walked off at `speed_mps` towards `direction_deg`, with all its signs of health.
 
-    A `speed_mps` of 0 with an `offset_m` is a step.
+    A `speed_mps` of 0 with an `offset_m` is a step. `reported`: the receiver notices, and a PX4 says so in GNSS_INTEGRITY.
     """
 
     kind: Literal["gps_spoofed"] = "gps_spoofed"
+    reported: bool = False
     direction_deg: float = 90.0
     speed_mps: float = Field(default=2.0, ge=0.0, le=1e3)
     offset_m: float = Field(default=0.0, ge=0.0, le=1e6)

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fakes.ardupilot import ArduPilot
 from sitl_fakes.autopilot import Autopilot
-from sitl_fakes.faults import ActiveFaults, ClockJump, Reboot
+from sitl_fakes.faults import ActiveFaults, ClockJump, GpsJammed, GpsSpoofed, Reboot
 from sitl_fakes.flight import Flight
 from sitl_fakes.geodesy import WorldFrame
 from sitl_fakes.guidance import Guidance
@@ -150,6 +150,7 @@ class FlightController:
     def snapshot(self, at_s: float) -> Snapshot:
         """Return what telemetry is made from, now."""
         first, second = (receiver.fixed_at_s for receiver in self.autopilot.receivers)
+        noticed = [fault for fault in self.faults.active(at_s) if isinstance(fault, GpsJammed | GpsSpoofed) and fault.reported]
         return Snapshot(
             kind=self.kind,
             at_s=at_s,
@@ -164,6 +165,8 @@ class FlightController:
             global_position=self._scenario.global_position,
             autopilot=self.autopilot,
             second_receiver=self.params.get("GPS2_TYPE", 0.0) != 0,
+            notices_jamming=any(isinstance(fault, GpsJammed) for fault in noticed),
+            notices_spoofing=any(isinstance(fault, GpsSpoofed) for fault in noticed),
             air=self._flight.air,
             altitude_m=self.altitude_m,
             climb_mps=self._flight.climb_mps + self.autopilot.height.climb_error_mps,

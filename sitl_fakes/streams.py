@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20 import development
 
 from sitl_fakes import telemetry
 from sitl_fakes.parameters import Kind
@@ -37,6 +38,7 @@ _PX4 = {
     **{number: stream for number, stream in _ARDUPILOT.items() if number not in _ARDUPILOT_ALONE},
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: (telemetry.estimator_status, 2.0),
     mavlink.MAVLINK_MSG_ID_ALTITUDE: (telemetry.altitude, 5.0),
+    development.MAVLINK_MSG_ID_GNSS_INTEGRITY: (telemetry.gnss_integrity, 1.0),
 }
 _STREAMS: Mapping[Kind, Mapping[int, tuple[_Builder, float]]] = {"ardupilot": _ARDUPILOT, "px4": _PX4}
 _TRUTH_RATE_HZ = 10.0

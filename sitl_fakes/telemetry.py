@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20 import development
 
 from sitl_fakes.autopilot import Autopilot
 from sitl_fakes.dynamics import FlightState
@@ -21,7 +22,7 @@ class Snapshot:
     """One vehicle at one moment: its clocks, its autopilot, its air data, and the truth (for the simulator's own messages alone).
 
     `fixed_boot_s` is the boot time of each receiver's last fix, None where there was none. `altitude_m` and `climb_mps` are
-    the autopilot's; the barometer's altitude is in `air`.
+    the autopilot's; the barometer's altitude is in `air`. `notices_jamming`, `notices_spoofing`: its own receiver does.
     """
 
     kind: Kind
@@ -34,6 +35,8 @@ class Snapshot:
     global_position: Literal["raw", "filtered"]
     autopilot: Autopilot
     second_receiver: bool
+    notices_jamming: bool
+    notices_spoofing: bool
     air: AirData
     altitude_m: float
     climb_mps: float
@@ -70,6 +73,7 @@ _EKF_ABSOLUTE_FOR_S = 10.0
 _EKF2_NORMAL, _EKF2_UNAIDED, _EKF2_DEAD_RECKONING, _EKF2_NO_POSITION = 895, 383, 101, 165
 _EKF2_USED_FOR_S = 1.0
 _EKF2_ABSOLUTE_FOR_S = 5.0
+_PX4_DEVICE_ID = 33  # the low byte of a device id: no instance, and no number that others know it by
 
 
 def heartbeat(s: Snapshot) -> Any:
@@ -128,6 +132,15 @@ def gps2_raw(s: Snapshot) -> Any:
     if not s.second_receiver:
         return None
     return mavlink.MAVLink_gps2_raw_message(**_gps_fields(s.autopilot.receivers[1], s, 1), dgps_numch=0, dgps_age=0)
+
+
+def gnss_integrity(s: Snapshot) -> Any:
+    """GNSS_INTEGRITY (441), as PX4 fills it: under its own number of the receiver, what that does not know marked so."""
+    jamming = development.GPS_JAMMING_STATE_DETECTED if s.notices_jamming else development.GPS_JAMMING_STATE_UNKNOWN
+    spoofing = development.GPS_SPOOFING_STATE_DETECTED if s.notices_spoofing else development.GPS_SPOOFING_STATE_UNKNOWN
+    return development.MAVLink_gnss_integrity_message(
+        _PX4_DEVICE_ID, 0, 0, jamming, spoofing, 0, 65535, 65535, 255, 255, 255, 255
+    )
 
 
 def _local_heading(s: Snapshot) -> float:

@@ -178,6 +178,7 @@ class FleetReview:
         fault, status = report.faults.get(sysid), report.reacquisitions.get(sysid)
         return GpsEvidence(
             receiver=vehicle.receiver,
+            integrity=vehicle.integrity,
             system=vehicle.system,
             ekf=vehicle.ekf,
             contradiction=RangeContradiction(fault.text, fault.is_identified) if fault is not None else None,

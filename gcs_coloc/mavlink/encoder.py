@@ -27,7 +27,7 @@ from gcs_coloc.core.messages.outbound import (
 )
 from gcs_coloc.mavlink._generated.gcs_coloc import RANGING_BEACON_ALT_TYPE_MSL, MAVLink_ranging_beacon_message
 from gcs_coloc.mavlink.answers import ESTIMATOR_SENSOR_ENABLE
-from gcs_coloc.mavlink.framing import OWN_COMPID, OWN_SYSID
+from gcs_coloc.mavlink.framing import MESSAGE_CLASSES, OWN_COMPID, OWN_SYSID
 from gcs_coloc.mavlink.signing import Stamp
 
 MAX_DESTINATIONS = 1024
@@ -41,7 +41,9 @@ _STATUSTEXT_BYTES = 50
 _MAX_CHUNKS = 256
 """STATUSTEXT's chunk_seq has eight bits."""
 
-STREAM_IDS = {stream: int(getattr(mavlink, f"MAVLINK_MSG_ID_{stream.value}")) for stream in Stream}
+_ID_OF_NAME = {cls.msgname: number for number, cls in MESSAGE_CLASSES.items()}
+
+STREAM_IDS = {stream: _ID_OF_NAME[stream.value] for stream in Stream}
 """MAVLink message id of each stream that vehicles are asked for."""
 
 

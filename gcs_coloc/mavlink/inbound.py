@@ -22,7 +22,9 @@ from gcs_coloc.core.messages.inbound import (
     GpsReceiver,
     Heartbeat,
     Inbound,
+    Interference,
     Pressure,
+    ReceiverIntegrity,
     SystemHealth,
     SystemTime,
 )
@@ -46,6 +48,9 @@ _AUTOPILOTS = {
 
 _MOST_GEOID_HEIGHT_M = 110.0
 """The geoid is -107 to +86 m from the ellipsoid (EGM96)."""
+_INTERFERENCE = {state.value: state for state in Interference}
+"""A state that is not known yet is UNKNOWN: the message is work in progress."""
+
 _NO_VEHICLES = frozenset((6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48, 49))
 """MAV_TYPEs of ground stations and of parts of a vehicle: companion computers (18), gimbals (26), ADS-B (27), cameras (30) and so
 on, the newest a radio (49). Many of them name an autopilot in their HEARTBEAT that they are not. By number: older pymavlinks
@@ -156,6 +161,19 @@ def _thousandths(value: int) -> float | None:
     return None if value in (0, UINT32_MAX) else value / 1e3
 
 
+def gnss_integrity(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> ReceiverIntegrity:
+    """GNSS_INTEGRITY (441). Its authentication state tells no forgery: its one error is that of the receiver's own set-up."""
+    _errors, _raim_hfom, _raim_vfom, receiver, _authentication, jamming, spoofing, raim, *_qualities = values
+    return ReceiverIntegrity(
+        sysid=sysid,
+        received_at_s=received_at_s,
+        receiver=receiver,
+        jamming=_INTERFERENCE.get(jamming, Interference.UNKNOWN),
+        spoofing=_INTERFERENCE.get(spoofing, Interference.UNKNOWN),
+        raim_failed=raim == gcs_coloc.GPS_RAIM_STATE_FAILED,
+    )
+
+
 def sys_status(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> SystemHealth:
     """SYS_STATUS (1), the GPS bit of its three masks, and the battery's charge."""
     present, enabled, healthy, *rest = values
@@ -258,6 +276,7 @@ AUTOPILOT_CONVERTERS: Mapping[int, Converter] = MappingProxyType(
         mavlink.MAVLINK_MSG_ID_COMMAND_ACK: answers.command_ack,
         mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: answers.gps_global_origin,
         mavlink.MAVLINK_MSG_ID_PARAM_VALUE: answers.param_value,
+        gcs_coloc.MAVLINK_MSG_ID_GNSS_INTEGRITY: gnss_integrity,
     }
 )
 """Messages that describe the vehicle if its autopilot sends them, by message id. A gimbal's ATTITUDE is not the vehicle's."""

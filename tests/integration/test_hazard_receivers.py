@@ -76,6 +76,15 @@ def test_a_peer_walked_off_is_found_and_what_the_subject_is_told_meanwhile_stays
     assert out.worst_ratio(DENIED, FROM_S) < HONEST
 
 
+@pytest.mark.parametrize("reported", [True, False])
+def test_a_walked_off_receiver_that_notices_is_suspected_at_once_and_one_that_does_not_later(reported):
+    walked_off = fault("gps_spoofed", DENIED, FROM_S, speed_mps=0.5, reported=reported)
+    out = fly_through(walked_off, duration_s=FROM_S + 5.0, autopilot="px4")
+    assert (out.first(DENIED, "suspect", after_s=FROM_S) < FROM_S + 1.5) == reported
+    assert ("reports spoofing" in out.gps_reasons[DENIED]) == reported
+    assert not out.distrusted(0.0) & {PEER, *OTHERS}
+
+
 def test_a_peer_whose_position_steps_is_suspected_at_once_and_harms_nobody():
     step = fault("gps_spoofed", PEER, FROM_S, speed_mps=0.0, offset_m=100.0)
     out = fly_through(LOST, step, duration_s=FROM_S + 20.0, mutual=True)

@@ -4,7 +4,8 @@
                   ^---------/           ^---------/
 
 Evidence is what the vehicle's real receiver says in GPS_RAW_INT (in GPS2_RAW where we feed the first one), the GPS bit of
-SYS_STATUS and the EKF's flags. The last two speak of the receiver *in use*: while the vehicle is aided they are an echo of our
+SYS_STATUS and the EKF's flags, and in GNSS_INTEGRITY where it sends that: spoofing, jamming that it does not master, a failed
+RAIM. SYS_STATUS and the EKF speak of the receiver *in use*: while the vehicle is aided they are an echo of our
 fix and count for nothing. The receiver that we feed never counts. What the service itself finds counts as well: a receiver
 that repeats one position on the move (`MotionCheck`) is as good as lost, and so is one that the ranges identify as faulty
 (`integrity`); a position other than the receiver's (`ReceiverCheck`) is suspect. The operator's override wins over everything.
@@ -14,12 +15,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import TypeGuard
 
 from gcs_coloc.core.gps_health.position_checks import MotionCheck, ReceiverCheck
 from gcs_coloc.core.gps_health.reasons import GpsReason
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.control import GpsOverride
-from gcs_coloc.core.messages.inbound import EkfStatus, GlobalPosition, GpsReceiver, SystemHealth
+from gcs_coloc.core.messages.inbound import (
+    EkfStatus,
+    GlobalPosition,
+    GpsReceiver,
+    Interference,
+    ReceiverIntegrity,
+    SystemHealth,
+)
 from gcs_coloc.core.messages.outbound import HealthChanged
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
@@ -76,13 +85,15 @@ class RangeContradiction:
 class GpsEvidence:
     """All that speaks for or against a vehicle's GPS now, besides the motion and receiver checks.
 
-    `receiver`, `system`, `ekf`: the newest messages of its own receiver, SYS_STATUS and EKF flags. `contradiction`: what the last
-    integrity review found. `is_return_contradicted`: its receiver is back, but contradicted at the moment; `is_return_untested`:
-    there is nothing to test it against. `is_aided`: it may fly on our fix, so that its own reports are an echo. `host_lag_s`: by
-    how much the service runs late, 0 where it keeps up: so long a silence is its own, as a contradiction may be.
+    `receiver`, `integrity`, `system`, `ekf`: the newest messages of its own receiver, SYS_STATUS and EKF flags.
+    `contradiction`: what the last integrity review found. `is_return_contradicted`: its receiver is back, but contradicted at the
+    moment; `is_return_untested`: there is nothing to test it against. `is_aided`: it may fly on our fix, so that its own reports
+    are an echo. `host_lag_s`: by how much the service runs late, 0 where it keeps up: so long a silence is its own, as a
+    contradiction may be.
     """
 
     receiver: GpsReceiver | None = None
+    integrity: ReceiverIntegrity | None = None
     system: SystemHealth | None = None
     ekf: EkfStatus | None = None
     contradiction: RangeContradiction | None = None
@@ -97,6 +108,7 @@ class GpsEvidence:
 _LONGEST_STEADY_S = 30.0  # chosen: a fix that comes for seconds under jamming has gone again by then
 _RELAPSE_WITHIN_S = 60.0  # chosen: a loss later than this after the recovery is another one
 _HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
+_INTEGRITY_FRESH_S = 5.0  # chosen: five periods of GNSS_INTEGRITY, which PX4 sends once a second
 
 _NOTHING_HEARD = StatedReason(GpsReason.NOTHING_HEARD)
 
@@ -191,6 +203,8 @@ class GpsHealth:
 
     def _good(self, receiver: GpsReceiver, evidence: GpsEvidence, good_for_s: float, now_s: float) -> bool:
         fix = f"fix type {receiver.fix_type}" + (f", {receiver.satellites} satellites" if receiver.satellites is not None else "")
+        if _is_fresh(evidence.integrity, now_s) and evidence.integrity.jamming is Interference.MITIGATED:
+            fix += ", jamming mitigated"
         untested = evidence.is_return_untested
         if self._state in (GpsState.FAILED, GpsState.RECOVERING):
             steady_s = min(self._settings.steady_after_s * 2.0**self._relapses, _LONGEST_STEADY_S)
@@ -225,6 +239,9 @@ class GpsHealth:
             fault = self._receiver_fault(receiver)
             if fault is not None:
                 return fault
+            reported = _reported_interference(evidence.integrity, now_s)
+            if reported is not None:
+                return StatedReason(reported)
             if now_s - receiver.received_at_s > self._settings.silence_s + evidence.host_lag_s:
                 return StatedReason(GpsReason.SILENT, limit=self._settings.silence_s)
         return None
@@ -273,6 +290,23 @@ class GpsHealth:
             self._state, self._since_s = state, now_s
         self._reason = reason
         return changed
+
+
+def _is_fresh(integrity: ReceiverIntegrity | None, now_s: float) -> TypeGuard[ReceiverIntegrity]:
+    return integrity is not None and now_s - integrity.received_at_s <= _INTEGRITY_FRESH_S
+
+
+def _reported_interference(integrity: ReceiverIntegrity | None, now_s: float) -> GpsReason | None:
+    """What the receiver itself says against its fix. Jamming that it masters is no fault: the fix is as good as it states."""
+    if not _is_fresh(integrity, now_s):
+        return None
+    if integrity.spoofing is Interference.DETECTED:
+        return GpsReason.SPOOFING_REPORTED
+    if integrity.spoofing is Interference.MITIGATED:
+        return GpsReason.SPOOFING_INDICATED
+    if integrity.jamming is Interference.DETECTED:
+        return GpsReason.JAMMING_REPORTED
+    return GpsReason.RAIM_FAILED if integrity.raim_failed else None
 
 
 class FleetGpsHealth:

@@ -95,6 +95,33 @@ class GpsReceiver:
     geoid_height_m: float | None = None
 
 
+class Interference(Enum):
+    """What a receiver says of jamming or of spoofing: GPS_JAMMING_STATE and GPS_SPOOFING_STATE, which number alike.
+
+    MITIGATED of spoofing is what some receivers mean by "indicated": one of their tests tells it, another does not.
+    """
+
+    UNKNOWN = 0
+    NONE = 1
+    MITIGATED = 2
+    DETECTED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ReceiverIntegrity:
+    """GNSS_INTEGRITY (441): what one receiver says of interference with it and of its own test (RAIM).
+
+    `receiver` is the instance, as in GpsReceiver; PX4 tells of the receiver in use alone, under a number of its own.
+    """
+
+    sysid: int
+    received_at_s: float
+    receiver: int
+    jamming: Interference
+    spoofing: Interference
+    raim_failed: bool
+
+
 @dataclass(frozen=True, slots=True)
 class SystemHealth:
     """SYS_STATUS (1), the GPS bit (0x20) of its three sensor masks, and the battery's charge."""
@@ -278,6 +305,7 @@ FromVehicle = (
     Heartbeat
     | GlobalPosition
     | GpsReceiver
+    | ReceiverIntegrity
     | SystemHealth
     | EkfStatus
     | Attitude

@@ -145,6 +145,7 @@ class Stream(Enum):
     ESTIMATOR_STATUS = "ESTIMATOR_STATUS"
     SYSTEM_TIME = "SYSTEM_TIME"
     PRESSURE = "SCALED_PRESSURE"
+    RECEIVER_INTEGRITY = "GNSS_INTEGRITY"
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from gcs_coloc.core.messages.inbound import (
     GpsReceiver,
     Heartbeat,
     Pressure,
+    ReceiverIntegrity,
     SystemHealth,
     SystemTime,
 )
@@ -40,6 +41,7 @@ _STREAMS = {
     SystemHealth: Stream.SYSTEM_HEALTH,
     SystemTime: Stream.SYSTEM_TIME,
     Pressure: Stream.PRESSURE,
+    ReceiverIntegrity: Stream.RECEIVER_INTEGRITY,
 }
 _EKF_FRESH_S = 3.0  # chosen: six periods of EKF_STATUS_REPORT at the requested rate
 _AIR_DATA_FRESH_S = 2.0  # chosen: ten periods of VFR_HUD at the requested rate
@@ -52,7 +54,7 @@ class ReportedState:
     `blocked` is why the links can send it nothing, None where they can; `blocked_wording` says it to people.
     `shared_with` are the other vehicles at its address, `route_at_s` is when the links reported that last.
     `winged`: it flies along its nose and turns by banking. `mode` is the name of its flight mode.
-    `receiver` is the newest message of its own GPS receiver, not of the one that the service feeds.
+    `receiver` and `integrity` are the newest messages of its own GPS receiver, not of the one that the service feeds.
     `counts`: how often each stream was heard since the first message.
     """
 
@@ -71,6 +73,7 @@ class ReportedState:
     attitude: Attitude | None = None
     airspeed: Airspeed | None = None
     receiver: GpsReceiver | None = None
+    integrity: ReceiverIntegrity | None = None
     system: SystemHealth | None = None
     ekf: EkfStatus | None = None
     counts: Counter[Stream] = field(default_factory=Counter)
@@ -133,6 +136,11 @@ class Telemetry:
                 state.counts[Stream.FIRST_RECEIVER if message.receiver == 0 else Stream.SECOND_RECEIVER] += 1
                 if message.receiver == self.own_receiver:
                     state.receiver = message
+                return True
+            case ReceiverIntegrity():
+                # PX4 tells of the receiver in use, which is its own, under a number that is no instance.
+                if state.autopilot is Autopilot.PX4 or message.receiver == self.own_receiver:
+                    state.integrity = message
                 return True
             case SystemHealth():
                 state.system = message

@@ -1,4 +1,7 @@
-"""Requests for the streams that the service needs: only what is missing, and ever less often."""
+"""Requests for the streams that the service needs: only what is missing, and ever less often.
+
+What few autopilots know yet is requested once, with the others: most refuse it, and that is no lack.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +24,7 @@ _OF_ALL_HZ = {
 }
 _OF_ARDUPILOT_HZ = {Stream.SECOND_RECEIVER: 5.0, Stream.EKF_STATUS: 2.0}
 _OF_PX4_HZ = {Stream.ESTIMATOR_STATUS: 2.0}
+_WHERE_KNOWN_HZ = {Stream.RECEIVER_INTEGRITY: 1.0}
 _WINDOW_S = 4.0
 _FIRST_RETRY_S = 8.0
 _LONGEST_RETRY_S = 120.0
@@ -49,6 +53,7 @@ class _Window:
     began_s: float
     counts: Mapping[Stream, int]
     wait_s: float = _FIRST_RETRY_S
+    asked_where_known: bool = False
     not_before_s: float = float("-inf")
 
 
@@ -80,6 +85,10 @@ class StreamRequests:
                 if vehicle.counts.get(stream, 0) - window.counts.get(stream, 0) < 0.5 * hz * span_s
             ]
             window.began_s, window.counts = now_s, Counter(vehicle.counts)
+            if not window.asked_where_known:
+                window.asked_where_known = True
+                unheard = (stream for stream in _WHERE_KNOWN_HZ if not vehicle.counts.get(stream, 0))
+                out.extend(StreamRequest(vehicle.sysid, stream, round(1e6 / _WHERE_KNOWN_HZ[stream])) for stream in unheard)
             if not missing:
                 window.wait_s = _FIRST_RETRY_S
             elif now_s >= window.not_before_s:

@@ -358,6 +358,84 @@ class Enum(Dict[int, EnumEntry]):
 
 enums: Dict[str, Enum] = {}
 
+# GPS_SYSTEM_ERROR_FLAGS
+enums["GPS_SYSTEM_ERROR_FLAGS"] = Enum()
+enums["GPS_SYSTEM_ERROR_FLAGS"].bitmask = True
+GPS_SYSTEM_ERROR_INCOMING_CORRECTIONS = 1
+enums["GPS_SYSTEM_ERROR_FLAGS"][1] = EnumEntry("GPS_SYSTEM_ERROR_INCOMING_CORRECTIONS", """There are problems with incoming correction streams.""")
+GPS_SYSTEM_ERROR_CONFIGURATION = 2
+enums["GPS_SYSTEM_ERROR_FLAGS"][2] = EnumEntry("GPS_SYSTEM_ERROR_CONFIGURATION", """There are problems with the configuration.""")
+GPS_SYSTEM_ERROR_SOFTWARE = 4
+enums["GPS_SYSTEM_ERROR_FLAGS"][4] = EnumEntry("GPS_SYSTEM_ERROR_SOFTWARE", """There are problems with the software on the GPS receiver.""")
+GPS_SYSTEM_ERROR_ANTENNA = 8
+enums["GPS_SYSTEM_ERROR_FLAGS"][8] = EnumEntry("GPS_SYSTEM_ERROR_ANTENNA", """There are problems with an antenna connected to the GPS receiver.""")
+GPS_SYSTEM_ERROR_EVENT_CONGESTION = 16
+enums["GPS_SYSTEM_ERROR_FLAGS"][16] = EnumEntry("GPS_SYSTEM_ERROR_EVENT_CONGESTION", """There are problems handling all incoming events.""")
+GPS_SYSTEM_ERROR_CPU_OVERLOAD = 32
+enums["GPS_SYSTEM_ERROR_FLAGS"][32] = EnumEntry("GPS_SYSTEM_ERROR_CPU_OVERLOAD", """The GPS receiver CPU is overloaded.""")
+GPS_SYSTEM_ERROR_OUTPUT_CONGESTION = 64
+enums["GPS_SYSTEM_ERROR_FLAGS"][64] = EnumEntry("GPS_SYSTEM_ERROR_OUTPUT_CONGESTION", """The GPS receiver is experiencing output congestion.""")
+GPS_SYSTEM_ERROR_FLAGS_ENUM_END = 65
+enums["GPS_SYSTEM_ERROR_FLAGS"][65] = EnumEntry("GPS_SYSTEM_ERROR_FLAGS_ENUM_END", """""")
+
+# GPS_AUTHENTICATION_STATE
+enums["GPS_AUTHENTICATION_STATE"] = Enum()
+enums["GPS_AUTHENTICATION_STATE"].bitmask = False
+GPS_AUTHENTICATION_STATE_UNKNOWN = 0
+enums["GPS_AUTHENTICATION_STATE"][0] = EnumEntry("GPS_AUTHENTICATION_STATE_UNKNOWN", """The GPS receiver does not provide GPS signal authentication info.""")
+GPS_AUTHENTICATION_STATE_INITIALIZING = 1
+enums["GPS_AUTHENTICATION_STATE"][1] = EnumEntry("GPS_AUTHENTICATION_STATE_INITIALIZING", """The GPS receiver is initializing signal authentication.""")
+GPS_AUTHENTICATION_STATE_ERROR = 2
+enums["GPS_AUTHENTICATION_STATE"][2] = EnumEntry("GPS_AUTHENTICATION_STATE_ERROR", """The GPS receiver encountered an error while initializing signal authentication.""")
+GPS_AUTHENTICATION_STATE_OK = 3
+enums["GPS_AUTHENTICATION_STATE"][3] = EnumEntry("GPS_AUTHENTICATION_STATE_OK", """The GPS receiver has correctly authenticated all signals.""")
+GPS_AUTHENTICATION_STATE_DISABLED = 4
+enums["GPS_AUTHENTICATION_STATE"][4] = EnumEntry("GPS_AUTHENTICATION_STATE_DISABLED", """GPS signal authentication is disabled on the receiver.""")
+GPS_AUTHENTICATION_STATE_ENUM_END = 5
+enums["GPS_AUTHENTICATION_STATE"][5] = EnumEntry("GPS_AUTHENTICATION_STATE_ENUM_END", """""")
+
+# GPS_JAMMING_STATE
+enums["GPS_JAMMING_STATE"] = Enum()
+enums["GPS_JAMMING_STATE"].bitmask = False
+GPS_JAMMING_STATE_UNKNOWN = 0
+enums["GPS_JAMMING_STATE"][0] = EnumEntry("GPS_JAMMING_STATE_UNKNOWN", """The GPS receiver does not provide GPS signal jamming info.""")
+GPS_JAMMING_STATE_NOT_JAMMED = 1
+enums["GPS_JAMMING_STATE"][1] = EnumEntry("GPS_JAMMING_STATE_NOT_JAMMED", """The GPS receiver detected no signal jamming.""")
+GPS_JAMMING_STATE_MITIGATED = 2
+enums["GPS_JAMMING_STATE"][2] = EnumEntry("GPS_JAMMING_STATE_MITIGATED", """The GPS receiver detected and mitigated signal jamming.""")
+GPS_JAMMING_STATE_DETECTED = 3
+enums["GPS_JAMMING_STATE"][3] = EnumEntry("GPS_JAMMING_STATE_DETECTED", """The GPS receiver detected signal jamming.""")
+GPS_JAMMING_STATE_ENUM_END = 4
+enums["GPS_JAMMING_STATE"][4] = EnumEntry("GPS_JAMMING_STATE_ENUM_END", """""")
+
+# GPS_SPOOFING_STATE
+enums["GPS_SPOOFING_STATE"] = Enum()
+enums["GPS_SPOOFING_STATE"].bitmask = False
+GPS_SPOOFING_STATE_UNKNOWN = 0
+enums["GPS_SPOOFING_STATE"][0] = EnumEntry("GPS_SPOOFING_STATE_UNKNOWN", """The GPS receiver does not provide GPS signal spoofing info.""")
+GPS_SPOOFING_STATE_NOT_SPOOFED = 1
+enums["GPS_SPOOFING_STATE"][1] = EnumEntry("GPS_SPOOFING_STATE_NOT_SPOOFED", """The GPS receiver detected no signal spoofing.""")
+GPS_SPOOFING_STATE_MITIGATED = 2
+enums["GPS_SPOOFING_STATE"][2] = EnumEntry("GPS_SPOOFING_STATE_MITIGATED", """The GPS receiver detected and mitigated signal spoofing.""")
+GPS_SPOOFING_STATE_DETECTED = 3
+enums["GPS_SPOOFING_STATE"][3] = EnumEntry("GPS_SPOOFING_STATE_DETECTED", """The GPS receiver detected signal spoofing but still has a fix.""")
+GPS_SPOOFING_STATE_ENUM_END = 4
+enums["GPS_SPOOFING_STATE"][4] = EnumEntry("GPS_SPOOFING_STATE_ENUM_END", """""")
+
+# GPS_RAIM_STATE
+enums["GPS_RAIM_STATE"] = Enum()
+enums["GPS_RAIM_STATE"].bitmask = False
+GPS_RAIM_STATE_UNKNOWN = 0
+enums["GPS_RAIM_STATE"][0] = EnumEntry("GPS_RAIM_STATE_UNKNOWN", """RAIM capability is unknown.""")
+GPS_RAIM_STATE_DISABLED = 1
+enums["GPS_RAIM_STATE"][1] = EnumEntry("GPS_RAIM_STATE_DISABLED", """RAIM is disabled.""")
+GPS_RAIM_STATE_OK = 2
+enums["GPS_RAIM_STATE"][2] = EnumEntry("GPS_RAIM_STATE_OK", """RAIM integrity check was successful.""")
+GPS_RAIM_STATE_FAILED = 3
+enums["GPS_RAIM_STATE"][3] = EnumEntry("GPS_RAIM_STATE_FAILED", """RAIM integrity check failed.""")
+GPS_RAIM_STATE_ENUM_END = 4
+enums["GPS_RAIM_STATE"][4] = EnumEntry("GPS_RAIM_STATE_ENUM_END", """""")
+
 # RANGING_BEACON_ALT_TYPE
 enums["RANGING_BEACON_ALT_TYPE"] = Enum()
 enums["RANGING_BEACON_ALT_TYPE"].bitmask = False
@@ -389,8 +467,59 @@ enums["PEER_TYPE"][2] = EnumEntry("PEER_TYPE_ENUM_END", """""")
 # message IDs
 MAVLINK_MSG_ID_BAD_DATA = -1
 MAVLINK_MSG_ID_UNKNOWN = -2
+MAVLINK_MSG_ID_GNSS_INTEGRITY = 441
 MAVLINK_MSG_ID_RANGING_BEACON = 513
 MAVLINK_MSG_ID_PEER_RANGE = 181600
+
+
+class MAVLink_gnss_integrity_message(MAVLink_message):
+    """
+    Information about key components of GNSS receivers, like signal
+    authentication, interference and system errors.
+    """
+
+    id = MAVLINK_MSG_ID_GNSS_INTEGRITY
+    msgname = "GNSS_INTEGRITY"
+    fieldnames = ["id", "system_errors", "authentication_state", "jamming_state", "spoofing_state", "raim_state", "raim_hfom", "raim_vfom", "corrections_quality", "system_status_summary", "gnss_signal_quality", "post_processing_quality"]
+    ordered_fieldnames = ["system_errors", "raim_hfom", "raim_vfom", "id", "authentication_state", "jamming_state", "spoofing_state", "raim_state", "corrections_quality", "system_status_summary", "gnss_signal_quality", "post_processing_quality"]
+    fieldtypes = ["uint8_t", "uint32_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {"system_errors": "bitmask"}
+    fieldenums_by_name: Dict[str, str] = {"system_errors": "GPS_SYSTEM_ERROR_FLAGS", "authentication_state": "GPS_AUTHENTICATION_STATE", "jamming_state": "GPS_JAMMING_STATE", "spoofing_state": "GPS_SPOOFING_STATE", "raim_state": "GPS_RAIM_STATE"}
+    fieldunits_by_name: Dict[str, str] = {"raim_hfom": "cm", "raim_vfom": "cm"}
+    native_format = bytearray(b"<IHHBBBBBBBBB")
+    orders = [3, 0, 4, 5, 6, 7, 1, 2, 8, 9, 10, 11]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 169
+    unpacker = struct.Struct("<IHHBBBBBBBBB")
+    instance_field = "id"
+    instance_offset = 8
+
+    def __init__(self, id: int, system_errors: int, authentication_state: int, jamming_state: int, spoofing_state: int, raim_state: int, raim_hfom: int, raim_vfom: int, corrections_quality: int, system_status_summary: int, gnss_signal_quality: int, post_processing_quality: int):
+        MAVLink_message.__init__(self, MAVLink_gnss_integrity_message.id, MAVLink_gnss_integrity_message.msgname)
+        self._fieldnames = MAVLink_gnss_integrity_message.fieldnames
+        self._instance_field = MAVLink_gnss_integrity_message.instance_field
+        self._instance_offset = MAVLink_gnss_integrity_message.instance_offset
+        self.id = id
+        self.system_errors = system_errors
+        self.authentication_state = authentication_state
+        self.jamming_state = jamming_state
+        self.spoofing_state = spoofing_state
+        self.raim_state = raim_state
+        self.raim_hfom = raim_hfom
+        self.raim_vfom = raim_vfom
+        self.corrections_quality = corrections_quality
+        self.system_status_summary = system_status_summary
+        self.gnss_signal_quality = gnss_signal_quality
+        self.post_processing_quality = post_processing_quality
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.system_errors, self.raim_hfom, self.raim_vfom, self.id, self.authentication_state, self.jamming_state, self.spoofing_state, self.raim_state, self.corrections_quality, self.system_status_summary, self.gnss_signal_quality, self.post_processing_quality), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_gnss_integrity_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_ranging_beacon_message(MAVLink_message):
@@ -497,6 +626,7 @@ setattr(MAVLink_peer_range_message, "name", mavlink_msg_deprecated_name_property
 
 
 mavlink_map: Dict[int, Type[MAVLink_message]] = {
+    MAVLINK_MSG_ID_GNSS_INTEGRITY: MAVLink_gnss_integrity_message,
     MAVLINK_MSG_ID_RANGING_BEACON: MAVLink_ranging_beacon_message,
     MAVLINK_MSG_ID_PEER_RANGE: MAVLink_peer_range_message,
 }
@@ -894,6 +1024,48 @@ class MAVLink(object):
         m._crc = crc
         m._header = MAVLink_header(msgId, incompat_flags, compat_flags, mlen, seq, srcSystem, srcComponent)
         return m
+
+    def gnss_integrity_encode(self, id: int, system_errors: int, authentication_state: int, jamming_state: int, spoofing_state: int, raim_state: int, raim_hfom: int, raim_vfom: int, corrections_quality: int, system_status_summary: int, gnss_signal_quality: int, post_processing_quality: int) -> MAVLink_gnss_integrity_message:
+        """
+        Information about key components of GNSS receivers, like signal
+        authentication, interference and system errors.
+
+        id                        : GNSS receiver id. Must match instance ids of other messages from same receiver. (type:uint8_t)
+        system_errors             : Errors in the GPS system. (type:uint32_t, values:GPS_SYSTEM_ERROR_FLAGS)
+        authentication_state        : Signal authentication state of the GPS system. (type:uint8_t, values:GPS_AUTHENTICATION_STATE)
+        jamming_state             : Signal jamming state of the GPS system. (type:uint8_t, values:GPS_JAMMING_STATE)
+        spoofing_state            : Signal spoofing state of the GPS system. (type:uint8_t, values:GPS_SPOOFING_STATE)
+        raim_state                : The state of the RAIM processing. (type:uint8_t, values:GPS_RAIM_STATE)
+        raim_hfom                 : Horizontal expected accuracy using satellites successfully validated using RAIM. [cm] (type:uint16_t)
+        raim_vfom                 : Vertical expected accuracy using satellites successfully validated using RAIM. [cm] (type:uint16_t)
+        corrections_quality        : An abstract value representing the estimated quality of incoming corrections, or 255 if not available. (type:uint8_t)
+        system_status_summary        : An abstract value representing the overall status of the receiver, or 255 if not available. (type:uint8_t)
+        gnss_signal_quality        : An abstract value representing the quality of incoming GNSS signals, or 255 if not available. (type:uint8_t)
+        post_processing_quality        : An abstract value representing the estimated PPK quality, or 255 if not available. (type:uint8_t)
+
+        """
+        return MAVLink_gnss_integrity_message(id, system_errors, authentication_state, jamming_state, spoofing_state, raim_state, raim_hfom, raim_vfom, corrections_quality, system_status_summary, gnss_signal_quality, post_processing_quality)
+
+    def gnss_integrity_send(self, id: int, system_errors: int, authentication_state: int, jamming_state: int, spoofing_state: int, raim_state: int, raim_hfom: int, raim_vfom: int, corrections_quality: int, system_status_summary: int, gnss_signal_quality: int, post_processing_quality: int, force_mavlink1: bool = False) -> None:
+        """
+        Information about key components of GNSS receivers, like signal
+        authentication, interference and system errors.
+
+        id                        : GNSS receiver id. Must match instance ids of other messages from same receiver. (type:uint8_t)
+        system_errors             : Errors in the GPS system. (type:uint32_t, values:GPS_SYSTEM_ERROR_FLAGS)
+        authentication_state        : Signal authentication state of the GPS system. (type:uint8_t, values:GPS_AUTHENTICATION_STATE)
+        jamming_state             : Signal jamming state of the GPS system. (type:uint8_t, values:GPS_JAMMING_STATE)
+        spoofing_state            : Signal spoofing state of the GPS system. (type:uint8_t, values:GPS_SPOOFING_STATE)
+        raim_state                : The state of the RAIM processing. (type:uint8_t, values:GPS_RAIM_STATE)
+        raim_hfom                 : Horizontal expected accuracy using satellites successfully validated using RAIM. [cm] (type:uint16_t)
+        raim_vfom                 : Vertical expected accuracy using satellites successfully validated using RAIM. [cm] (type:uint16_t)
+        corrections_quality        : An abstract value representing the estimated quality of incoming corrections, or 255 if not available. (type:uint8_t)
+        system_status_summary        : An abstract value representing the overall status of the receiver, or 255 if not available. (type:uint8_t)
+        gnss_signal_quality        : An abstract value representing the quality of incoming GNSS signals, or 255 if not available. (type:uint8_t)
+        post_processing_quality        : An abstract value representing the estimated PPK quality, or 255 if not available. (type:uint8_t)
+
+        """
+        self.send(self.gnss_integrity_encode(id, system_errors, authentication_state, jamming_state, spoofing_state, raim_state, raim_hfom, raim_vfom, corrections_quality, system_status_summary, gnss_signal_quality, post_processing_quality), force_mavlink1=force_mavlink1)
 
     def ranging_beacon_encode(self, time_usec: int, target_system: int, target_component: int, beacon_id: int, range: int, lat: int, lon: int, alt: float, alt_type: int, hacc_est: int, vacc_est: int, carrier_freq: int, range_accuracy: int, sequence: int, status: int) -> MAVLink_ranging_beacon_message:
         """

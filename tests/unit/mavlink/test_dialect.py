@@ -1,4 +1,4 @@
-"""The committed Python is what the XML generates, and RANGING_BEACON is MAVLink's own."""
+"""The committed Python is what the XML generates; RANGING_BEACON and GNSS_INTEGRITY are MAVLink's own."""
 
 import ast
 from pathlib import Path
@@ -52,18 +52,34 @@ def test_peer_range_has_its_fields_in_the_documented_order():
     assert message.crc_extra == 116  # of the fields before the extensions: that of version 0.1
 
 
-def test_ranging_beacon_is_mavlinks_own():
-    ours, theirs = gcs_coloc.MAVLink_ranging_beacon_message, development.MAVLink_ranging_beacon_message
-    assert ours.crc_extra == theirs.crc_extra == 99
+@pytest.mark.parametrize(("name", "crc_extra"), [("ranging_beacon", 99), ("gnss_integrity", 169)])
+def test_a_message_of_mavlinks_development_is_its_own(name, crc_extra):
+    ours, theirs = (getattr(dialect, f"MAVLink_{name}_message") for dialect in (gcs_coloc, development))
+    assert ours.crc_extra == theirs.crc_extra == crc_extra
     assert ours.unpacker.format == theirs.unpacker.format
     assert ours.ordered_fieldnames == theirs.ordered_fieldnames
 
 
-def test_ranging_beacon_xml_is_a_verbatim_copy():
+@pytest.mark.parametrize(
+    ("message", "enums"),
+    [
+        ("RANGING_BEACON", ["RANGING_BEACON_ALT_TYPE", "RANGING_BEACON_STATUS_FLAG"]),
+        (
+            "GNSS_INTEGRITY",
+            [
+                "GPS_SYSTEM_ERROR_FLAGS",
+                "GPS_AUTHENTICATION_STATE",
+                "GPS_JAMMING_STATE",
+                "GPS_SPOOFING_STATE",
+                "GPS_RAIM_STATE",
+            ],
+        ),
+    ],
+)
+def test_the_xml_is_a_verbatim_copy(message, enums):
     def definition(path):
         root = ElementTree.parse(path).getroot()
-        parts = [root.find(".//message[@name='RANGING_BEACON']")]
-        parts += [root.find(f".//enum[@name='{name}']") for name in ("RANGING_BEACON_ALT_TYPE", "RANGING_BEACON_STATUS_FLAG")]
+        parts = [root.find(f".//message[@name='{message}']"), *(root.find(f".//enum[@name='{name}']") for name in enums)]
         return [ElementTree.canonicalize(ElementTree.tostring(part), strip_text=True) for part in parts]
 
     theirs = Path(pymavlink.dialects.v20.__file__).parent / "development.xml"

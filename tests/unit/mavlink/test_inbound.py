@@ -16,6 +16,7 @@ from packed_messages import (
     ranging_beacon,
 )
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20 import development
 
 from gcs_coloc.core.measurements import VehicleClass
 from gcs_coloc.core.messages.inbound import (
@@ -29,8 +30,10 @@ from gcs_coloc.core.messages.inbound import (
     GlobalPosition,
     GpsReceiver,
     Heartbeat,
+    Interference,
     PeerRange,
     Pressure,
+    ReceiverIntegrity,
     SystemHealth,
     SystemTime,
     TimeBase,
@@ -132,6 +135,14 @@ def beat(
                 UNIX_US, 3, 10, 20, 30_000, 150, 200, 0, 0, 255, 0, 0, h_acc=300, v_acc=450, vel_acc=120, alt_ellipsoid=1, yaw=9
             ),
             GpsReceiver(1, NOW_S, 1, 3, 1e-6, 2e-6, 30.0, None, 1.5, 0.3, 0.45, 0.12, geoid_height_m=-29.999),
+        ),
+        (
+            development.MAVLink_gnss_integrity_message(1, 0, 2, 2, 3, 3, 120, 180, 255, 255, 255, 255),
+            ReceiverIntegrity(1, NOW_S, 1, Interference.MITIGATED, Interference.DETECTED, raim_failed=True),
+        ),
+        (
+            development.MAVLink_gnss_integrity_message(0, 127, 4, 0, 9, 2, 65535, 65535, 255, 255, 255, 255),
+            ReceiverIntegrity(1, NOW_S, 0, Interference.UNKNOWN, Interference.UNKNOWN, raim_failed=False),
         ),
         (mavlink.MAVLink_attitude_message(61_250, 0.5, -0.25, 3.0, 1, 1, 1), Attitude(1, NOW_S, 61.25, 0.5, -0.25, 3.0)),
         (mavlink.MAVLink_vfr_hud_message(22.5, 20, 90, 50, 100, 0), Airspeed(1, NOW_S, 22.5)),

@@ -8,6 +8,7 @@ import struct
 import pytest
 from pydantic import ValidationError
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20 import development
 
 from sitl_fakes.fleet import Fleet
 from tests.unit.sitl_fakes.fakes_support import GroundStation, aid, lost, parse, scenario
@@ -44,6 +45,18 @@ def test_it_says_that_it_is_px4_and_sends_px4s_messages():
     assert parse(out, "EKF_STATUS_REPORT") == []
     assert parse(out, "GPS2_RAW") == []
     assert len(parse(out, "GLOBAL_POSITION_INT")) == pytest.approx(50, abs=2)
+
+
+@pytest.mark.parametrize("kind", ["gps_spoofed", "gps_jammed"])
+def test_a_receiver_that_notices_says_so_in_gnss_integrity(kind):
+    noticed, unnoticed = ({"vehicle": 1, "kind": kind, "at_s": 2.0, "reported": reported} for reported in (True, False))
+    for fault, state in ((noticed, 3), (unnoticed, 0)):
+        out = px4(fault).advance(8.0)
+        frames = [m for d in out for m in development.MAVLink(None).parse_buffer(d.payload) or []]
+        said = [(m.spoofing_state, m.jamming_state) for m in frames if m.get_type() == "GNSS_INTEGRITY"]
+        assert len(said) == pytest.approx(8, abs=1)
+        assert said[0] == (0, 0)
+        assert said[-1] == ((state, 0) if kind == "gps_spoofed" else (0, state))
 
 
 def test_without_gps_it_dead_reckons_says_so_and_passes_over_gps_input():

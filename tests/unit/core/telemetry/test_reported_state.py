@@ -9,7 +9,7 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages.inbound import FromVehicle, GpsReceiver
+from gcs_coloc.core.messages.inbound import Autopilot, FromVehicle, GpsReceiver, Heartbeat, Interference, ReceiverIntegrity
 from gcs_coloc.core.telemetry.reported_state import Telemetry
 from gcs_coloc.estimators.registry import load_estimator
 
@@ -37,3 +37,23 @@ def test_the_receiver_that_we_feed_is_no_part_of_what_a_vehicle_reports_of_itsel
         telemetry.update(GpsReceiver(1, 1.0, receiver, 3, 47.0, 8.0, 500.0, 10, 1.0, 1.0, 1.5, 0.3))
     assert state.receiver is not None
     assert state.receiver.receiver == own_receiver
+
+
+@pytest.mark.parametrize(("autopilot", "receiver"), [(Autopilot.ARDUPILOT, 0), (Autopilot.PX4, 33)])
+def test_what_its_own_receiver_says_of_interference_is_kept_whatever_number_px4_gives_it(autopilot, receiver):
+    telemetry = Telemetry(10, own_receiver=0)
+    state = telemetry.add(1, 0.0)
+    assert state is not None
+    telemetry.update(Heartbeat(1, 0.0, autopilot, armed=True, winged=True))
+    said = ReceiverIntegrity(1, 1.0, receiver, Interference.NONE, Interference.DETECTED, raim_failed=False)
+    assert telemetry.update(said)
+    assert state.integrity is said
+
+
+def test_what_the_receiver_that_we_feed_says_of_interference_is_none_of_the_vehicles():
+    telemetry = Telemetry(10, own_receiver=0)
+    state = telemetry.add(1, 0.0)
+    assert state is not None
+    telemetry.update(Heartbeat(1, 0.0, Autopilot.ARDUPILOT, armed=True, winged=True))
+    telemetry.update(ReceiverIntegrity(1, 1.0, 1, Interference.NONE, Interference.DETECTED, raim_failed=False))
+    assert state.integrity is None

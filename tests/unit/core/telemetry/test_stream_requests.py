@@ -22,7 +22,8 @@ def test_a_vehicle_that_sends_heartbeats_alone_is_requested_to_send_everything()
         engine.receive(Heartbeat(3, float(second), Autopilot.ARDUPILOT, armed=False, winged=False))
         engine.receive(RouteReport(3, float(second), None))
         out += engine.poll(second + 0.5)
-    assert {o.stream for o in out if isinstance(o, StreamRequest)} == set(wanted_hz(Autopilot.ARDUPILOT))
+    requested_streams = {o.stream for o in out if isinstance(o, StreamRequest)}
+    assert requested_streams == {*wanted_hz(Autopilot.ARDUPILOT), Stream.RECEIVER_INTEGRITY}
 
 
 def test_each_autopilot_is_asked_for_the_status_of_its_own_filter():
@@ -31,6 +32,16 @@ def test_each_autopilot_is_asked_for_the_status_of_its_own_filter():
     assert Stream.ESTIMATOR_STATUS in wanted_hz(Autopilot.PX4)
     assert {Stream.EKF_STATUS, Stream.SECOND_RECEIVER} <= wanted_hz(Autopilot.ARDUPILOT).keys()
     assert Stream.ESTIMATOR_STATUS not in wanted_hz(Autopilot.ARDUPILOT)
+
+
+def test_what_few_autopilots_know_is_requested_once_and_again_after_a_reboot_and_not_where_it_comes():
+    requests = StreamRequests()
+    asked_s = [t for t in range(60) if Stream.RECEIVER_INTEGRITY in requested(requests, float(t))]
+    requests.forget(3)
+    asked_s += [t for t in range(60, 120) if Stream.RECEIVER_INTEGRITY in requested(requests, float(t))]
+    assert asked_s == [4, 64]
+    heard = StreamRequests()
+    assert not any(Stream.RECEIVER_INTEGRITY in requested(heard, float(t), RECEIVER_INTEGRITY=t) for t in range(60))
 
 
 def test_what_comes_often_enough_is_not_requested():
