@@ -53,8 +53,9 @@ class GpsHealthSettings:
     """When a vehicle's GPS counts as failed, and as healthy again."""
 
     fail_after_s: float = positive(1.0)
-    """A SUSPECT vehicle without a fix, or with a frozen one, is FAILED after this long; so is one whose receiver is silent
-    while SYS_STATUS calls its GPS unhealthy or its EKF has no absolute position. Chosen: longer than one lost message."""
+    """A SUSPECT vehicle without a fix, or with a frozen one, is FAILED after this long, one that never had a fix at once; so is
+    one whose receiver is silent while SYS_STATUS calls its GPS unhealthy or its EKF has no absolute position. Chosen: longer than
+    one lost message."""
     clear_after_s: float = positive(2.0)
     """Good evidence for this long without a break makes a SUSPECT vehicle HEALTHY. Chosen: a jammed receiver flickers."""
     steady_after_s: float = positive(3.0)
@@ -125,7 +126,7 @@ class GpsHealth:
         self._relapses = 0
         self._flickered = False
         self._has_bad_fix = False
-        self._was_failed = False
+        self._was_healthy = self._was_failed = False
         self._has_own_trouble = False
         self._motion = MotionCheck()
         self._own_fix = ReceiverCheck()
@@ -197,7 +198,9 @@ class GpsHealth:
             return self._enter(GpsState.FAILED, fault, now_s)
         receiver = evidence.receiver
         lost_fix = receiver is not None and (self._receiver_fault(receiver) is not None or self._has_ceased(evidence, now_s))
-        if self._state is GpsState.SUSPECT and lost_fix and now_s - self._since_s >= self._settings.fail_after_s:
+        # A vehicle without a fix from the first message on, as after a restart in a loss, has no lost message to wait out.
+        is_lasting = self._state is GpsState.SUSPECT and now_s - self._since_s >= self._settings.fail_after_s
+        if lost_fix and (is_lasting or not self._was_healthy):
             return self._enter(GpsState.FAILED, fault, now_s)
         return self._enter(GpsState.SUSPECT, fault, now_s)
 
@@ -286,6 +289,7 @@ class GpsHealth:
         if changed:
             if self._state is GpsState.HEALTHY:
                 self._relapses = self._relapses + 1 if self._was_failed and now_s - self._since_s < _RELAPSE_WITHIN_S else 0
+            self._was_healthy = self._was_healthy or state is GpsState.HEALTHY
             self._was_failed = self._was_failed or state is GpsState.FAILED
             self._state, self._since_s = state, now_s
         self._reason = reason

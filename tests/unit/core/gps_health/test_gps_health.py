@@ -60,6 +60,23 @@ def run(health: Machine, start_s: float, stop_s: float, **fix: object) -> None:
         health.update(start_s + i / 5)
 
 
+def test_a_vehicle_that_had_no_fix_from_the_first_message_on_is_failed_at_once():
+    """So it is after a restart of the service in a loss: it has waited for its position long enough."""
+    health = Machine()
+    run(health, 0.0, 0.0, fix_type=1)
+    assert health.state is GpsState.FAILED
+    assert "no 3D fix" in health.reason
+
+
+def test_a_vehicle_whose_ekf_is_heard_before_its_receiver_without_a_fix_is_failed_with_that():
+    health = Machine()
+    health.add(EkfStatus(1, 0.0, False, False, True))
+    health.update(0.0)
+    assert health.state is GpsState.SUSPECT
+    run(health, 0.1, 0.1, fix_type=1)
+    assert health.state is GpsState.FAILED
+
+
 def test_nothing_heard_is_unknown():
     health = Machine()
     health.update(100.0)
