@@ -193,7 +193,7 @@ def judge(ship: FourShip, denied: int, age_s: float, name: str) -> Figures:
     if ship.service is not None:
         others = [Truth(p.truth) for n, p in ship.pilots.items() if n != denied]
         fixes = [f for file in ship.service.recordings for f in sent_fixes(file, denied) if belongs(f, truth, others)]
-        _judge_sent(out, fixes, truth, begins_s, ends_s + case.after_s, age_s)
+        _judge_sent(out, fixes, truth, begins_s, ends_s + case.after_s, age_s, ship.killed_s)
         since = [(at, n, state) for at, n, state in ship.service.states if at >= begins_s]
         out.named_after_s = next((at - begins_s for at, n, state in since if n == denied and state == "failed"), None)
         accused = {n: at - begins_s for at, n, state in reversed(since) if n in sound and state in ("suspect", "failed")}
@@ -215,7 +215,9 @@ def _over_stated(pilot: Pilot, truth: Truth, begins_s: float, ends_s: float) -> 
     return out
 
 
-def _judge_sent(out: Figures, fixes: Sequence[Sent], truth: Truth, begins_s: float, ends_s: float, age_s: float) -> None:
+def _judge_sent(
+    out: Figures, fixes: Sequence[Sent], truth: Truth, begins_s: float, ends_s: float, age_s: float, killed_s: Sequence[float]
+) -> None:
     good = [f for f in fixes if f.fix_type >= 3 and begins_s + SETTLED_S <= f.place.unix_s < ends_s]
     pairs = [
         (math.hypot(*offset_m(true, f.place)), f.accuracy_m)
@@ -225,7 +227,9 @@ def _judge_sent(out: Figures, fixes: Sequence[Sent], truth: Truth, begins_s: flo
     out.our_rmse_m, out.our_largest_m = rms([e for e, _ in pairs]), max((e for e, _ in pairs), default=None)
     out.stated_ratio = rms([e / s for e, s in pairs])
     out.beyond_3_bounds = sum(e > 3.0 * BOUND_95_PER_RMS * s for e, s in pairs) if pairs else None
-    times = [f.place.unix_s for f in fixes if f.fix_type >= 3 and begins_s <= f.place.unix_s < ends_s]
+    # A service that is killed was sending until then: what it had not written yet is lost from its recording, not from the air.
+    sent_s = [*(f.place.unix_s for f in fixes if f.fix_type >= 3), *killed_s]
+    times = sorted(t for t in sent_s if begins_s <= t < ends_s)
     out.longest_silence_s = max((b - a for a, b in pairwise(times)), default=None)
 
 

@@ -158,7 +158,10 @@ class Service:
 
 
 class FourShip:
-    """Four vehicles, each with its simulator and its pilot, and the service. `events` are what befell whom, as UNIX times."""
+    """Four vehicles, each with its simulator and its pilot, and the service.
+
+    `events` are what befell whom, `killed_s` when the service was killed, as UNIX times.
+    """
 
     def __init__(
         self, case: Case, directory: Path, service_port: int, simulators: list[Simulator], pilots: dict[int, Pilot]
@@ -166,6 +169,7 @@ class FourShip:
         self.case, self.directory, self.port = case, directory, service_port
         self.simulators, self.pilots = simulators, pilots
         self.events: list[tuple[float, int, str]] = []
+        self.killed_s: list[float] = []
         self.service: Service | None = None
         self.log_lines = 0
         self.ready_s = self.begins_s = self.ends_s = math.inf

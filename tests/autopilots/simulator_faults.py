@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 from four_ship import FourShip
 from simulators import ORIGIN_LAT_DEG
@@ -78,6 +79,7 @@ class Restart:
         """Kill it when it is time."""
         if since_s >= self._due_s and ship.service is not None:
             self._due_s = math.inf
+            ship.killed_s.append(time.time())
             ship.service.kill()
             ship.event(ship.case.denied[0], "service killed")
             ship.start_service()
