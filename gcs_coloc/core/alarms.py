@@ -10,11 +10,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+from gcs_coloc.core.messages.control import HOST_LATE_S
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 
-HOST_LATE_S = 0.25
-"""Chosen: two of ten positions a second come late; a machine with time to spare is late by some 0.01 s."""
 SILENT_AFTER_S = 3.0
 """Chosen: three heartbeats, which every vehicle sends once a second (mavlink.io, heartbeat protocol)."""
 _MAX_NOTICES = 50

@@ -8,9 +8,17 @@ from dataclasses import replace
 from operator import itemgetter
 
 from gcs_coloc.config.settings import Settings
-from gcs_coloc.core.alarms import HOST_LATE_S, Alarm, AlarmList
+from gcs_coloc.core.alarms import Alarm, AlarmList
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages.control import ClockReference, CommandSource, ForeignGpsInput, GpsOverride, OperatorCommand, Override
+from gcs_coloc.core.messages.control import (
+    HOST_LATE_S,
+    ClockReference,
+    CommandSource,
+    ForeignGpsInput,
+    GpsOverride,
+    OperatorCommand,
+    Override,
+)
 from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToOperator, ToVehicle
 from gcs_coloc.core.schedule import CATCH_UP_S, advance, find_overrun, without_superseded

@@ -105,6 +105,16 @@ def test_a_peer_that_is_jammed_is_located_as_well_and_the_first_is_not_harmed():
         assert out.worst_ratio(sysid, FROM_S + 8.0) < HONEST
 
 
+def test_a_jam_that_ends_while_no_range_supports_the_receiver_states_no_fix_beyond_its_bound():
+    """Ranges cease two seconds before the jam ends, for 14 s: the receiver is back, its velocity has jumped, nothing tests it."""
+    jammed, unsupported = fault("gps_jammed", until_s=35.0), fault("range_dropout", at_s=33.0, until_s=47.0)
+    out = fly_through(jammed, unsupported, duration_s=55.0)
+    assert out.first(DENIED, "healthy", after_s=15.0) > 35.0
+    assert out.worst_ratio(DENIED, 15.0) < HONEST
+    assert out.worst_belief_m(DENIED, 50.0) < 1.5 * SOUND_M
+    assert not out.distrusted(0.0) & {PEER, *OTHERS}
+
+
 def test_two_that_fail_at_once_are_both_located_from_three():
     out = fly_through(fault("gps_lost", 4, 20.0), fault("gps_lost", 5, 20.0), duration_s=50.0, scenario="two-failed")
     assert out.distrusted(0.0) == {4, 5}

@@ -20,7 +20,7 @@ from typing import TypeGuard
 from gcs_coloc.core.gps_health.position_checks import MotionCheck, ReceiverCheck
 from gcs_coloc.core.gps_health.reasons import GpsReason
 from gcs_coloc.core.measurements import PositionMeasurement
-from gcs_coloc.core.messages.control import GpsOverride
+from gcs_coloc.core.messages.control import HOST_LATE_S, GpsOverride
 from gcs_coloc.core.messages.inbound import (
     EkfStatus,
     GlobalPosition,
@@ -89,8 +89,8 @@ class GpsEvidence:
     `receiver`, `integrity`, `system`, `ekf`: the newest messages of its own receiver, SYS_STATUS and EKF flags.
     `contradiction`: what the last integrity review found. `is_return_contradicted`: its receiver is back, but contradicted at the
     moment; `is_return_untested`: there is nothing to test it against. `is_aided`: it may fly on our fix, so that its own reports
-    are an echo. `host_lag_s`: by how much the service runs late, 0 where it keeps up: so long a silence is its own, as a
-    contradiction may be.
+    are an echo. `host_lag_s`: by how much the service runs late: so long a silence is its own, as a contradiction may be from
+    HOST_LATE_S on.
     """
 
     receiver: GpsReceiver | None = None
@@ -229,7 +229,8 @@ class GpsHealth:
         """Return the worst thing that the evidence says, or None."""
         of_receiver, of_autopilot = self._trouble_of_receiver(evidence, now_s), self._trouble_of_autopilot(evidence, now_s)
         self._has_own_trouble = of_receiver is not None or of_autopilot is not None
-        contradiction, is_excused = evidence.contradiction, evidence.host_lag_s > 0.0 and self._state is GpsState.HEALTHY
+        is_excused = evidence.host_lag_s > HOST_LATE_S and self._state is GpsState.HEALTHY
+        contradiction = evidence.contradiction
         if of_receiver is None and contradiction is not None and (contradiction.is_identified or not is_excused):
             return StatedReason(GpsReason.CONTRADICTED_BY_RANGES, detail=contradiction.text)
         return of_receiver or of_autopilot

@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 
+HOST_LATE_S = 0.25
+"""Later than this a host falls behind. Chosen: two of ten positions a second come late; one with time to spare is late by some
+0.01 s."""
+
 
 @dataclass(frozen=True, slots=True)
 class ClockReference:

@@ -308,6 +308,14 @@ def test_a_service_that_runs_late_accuses_nobody_of_its_own_silence():
     assert late.state is GpsState.SUSPECT
 
 
+def test_a_host_that_keeps_up_as_well_as_hosts_do_excuses_nothing():
+    """It is some hundredths of a second late every second; the contradiction stands for as long as the fault does."""
+    health = healthy_until(5.0)
+    health.know(host_lag_s=0.03, contradiction=RangeContradiction("contradicts", is_identified=False))
+    run(health, 5.2, 5.2)
+    assert health.state is GpsState.SUSPECT
+
+
 def test_while_the_service_runs_late_a_contradiction_counts_only_where_it_names_the_vehicle():
     unclear, named = healthy_until(5.0), healthy_until(5.0)
     for health, is_identified in ((unclear, False), (named, True)):
