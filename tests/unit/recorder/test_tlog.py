@@ -153,7 +153,7 @@ def test_empty_missing_and_unreadable_files_are_errors(tmp_path):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (gzip.compress(record(0)), "is compressed; unpack it with gunzip first"),
+        (gzip.compress(record(0), mtime=0), "is compressed; unpack it with gunzip first"),
         (b"PK\x03\x04" + record(0), "is a zip archive"),
         (b"\x89MCAP0\r\n" + bytes(100), "the .tlog that was recorded beside it is wanted"),
         (b"\xa3\x95\x80\x80YFMT" + bytes(100), "is an onboard log of ArduPilot"),
