@@ -45,7 +45,7 @@ class LastRound(NamedTuple):
     """What later stages found of a vehicle in the last round.
 
     `is_trusted`: its reported position is evidence. `is_witness`: it is in the tests of integrity. `is_aided`: it may fly on our
-    fix. `sent_fix` is the last fix that it was sent, `located_enu_m` where the estimator had it then (east, north).
+    fix. `sent_fix` is the last fix that it was sent, `located_enu_m` where the estimator has it (east, north).
     """
 
     gps_state: GpsState

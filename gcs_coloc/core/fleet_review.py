@@ -103,9 +103,14 @@ class FleetReview:
     def estimate_to_send(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
         """Return the estimate for a fix, and remember where it is: a barometer's height is one over that place."""
         where = self.estimate(sysid, at_s)
+        self._set_located(sysid, where)
+        return where
+
+    def _set_located(self, sysid: int, where: Estimate | NoEstimate) -> None:
         if isinstance(where, Estimate):
             self._located_enu_m[sysid] = (float(where.position_enu_m[0]), float(where.position_enu_m[1]))
-        return where
+        else:
+            self._located_enu_m.pop(sysid, None)
 
     def review_integrity(self, now_s: float) -> list[Outbound]:
         """Test positions and ranges of the fleet against each other."""
@@ -158,6 +163,8 @@ class FleetReview:
         gps_state = self._stages.gps_health.state(sysid)
         is_placed_by_ranges = gps_state in DISTRUSTED and sysid not in self._witnesses
         where = self._stages.estimator.estimate(sysid, now_s) if is_placed_by_ranges else None
+        if where is not None:
+            self._set_located(sysid, where)
         return ReviewedVehicle(
             sysid,
             gps_state,

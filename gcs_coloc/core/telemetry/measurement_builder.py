@@ -37,7 +37,24 @@ from gcs_coloc.core.telemetry.reported_state import ReportedState, true_airspeed
 _AIRSPEED_FRESH_S = 1.0  # chosen: five periods of VFR_HUD at the requested rate
 _RANGE_SIGMA_GAIN = 0.1  # of each range in the mean of late; chosen: it follows within about a second at 10 Hz
 _MOST_BIAS_M, _MOST_SCALE = 1000.0, 0.1  # chosen: beyond, it is another unit and no calibration
+_EARTH_RADIUS_M = 6_371_000.0  # IUGG's mean radius
+_UNKNOWN_SPEED_MPS = 30.0  # chosen: a fast fixed-wing aircraft of a few kilograms
+_PLACED_FOR_S = 2.0  # chosen: ten positions at the rate that vehicles send them, of which a radio loses some
 _FIX_3D = 3  # GPS_FIX_TYPE_3D_FIX
+
+
+class _Place(NamedTuple):
+    """Where a vehicle was at a time (east, north), within what, and how fast it may have left; service time, m, m/s."""
+
+    east_m: float
+    north_m: float
+    sigma_m: float
+    at_s: float
+    speed_mps: float
+
+    def sigma_at(self, now_s: float) -> float:
+        """Return within what the vehicle is there now, m."""
+        return self.sigma_m + self.speed_mps * max(now_s - self.at_s, 0.0)
 
 
 class SentFix(NamedTuple):
@@ -106,7 +123,8 @@ class _Memory:
     """What the builder keeps of one vehicle.
 
     `height_sigma_m` is how uncertain its height is beyond its barometer, where that began with a fix of ours. `range_sigma_m` is
-    the 1-sigma of its ranges of late, with the errors of its peers' positions in it.
+    the 1-sigma of its ranges of late, with the errors of its peers' positions in it. `place` is where it was while trusted,
+    `near` where a trusted vehicle was that is in range of it.
     """
 
     reported: PositionMeasurement | None = None
@@ -115,6 +133,8 @@ class _Memory:
     height_reported_at_s: float | None = None
     height_sigma_m: float = 0.0
     range_sigma_m: float | None = None
+    place: _Place | None = None
+    near: _Place | None = None
     repeats: RangeRepeats = field(default_factory=RangeRepeats)
 
 
@@ -149,7 +169,8 @@ class MeasurementBuilder:
         """Build the position of a trusted vehicle, the altitude of any other; None for a refused stamp or no frame.
 
         The altitude is the autopilot's, which may hold what we sent, and only where its barometer itself is not heard.
-        `sent_fix` is the last fix that the vehicle was sent, `located_enu_m` where the estimator had it last (east, north).
+        `sent_fix` is the last fix that the vehicle was sent, `located_enu_m` where the estimator has it (east, north).
+        There is no altitude before anything tells where the vehicle is: the earth falls away from the frame's plane.
         """
         measured = self._clocks.stamp(message)
         if measured is None:
@@ -165,6 +186,8 @@ class MeasurementBuilder:
         now_s = message.received_at_s
         if is_trusted:
             self._pressures.learn(message.sysid, message.alt_msl_m, now_s)
+            east_m, north_m, _ = reported.position_enu_m
+            memory.place = _Place(east_m, north_m, 0.0, now_s, hypot(message.vn_mps, message.ve_mps))
             return BuiltPosition(reported, reported)
         if self._pressures.height(message.sysid, now_s) is not None:
             return BuiltPosition(reported, None)
@@ -223,8 +246,10 @@ class MeasurementBuilder:
         sigma_m = message.sigma_m if message.sigma_m is not None else self.settings.range_sigma_m
         # A range locates either end, whichever of the two measured it; a station is where it is.
         self._update_range_sigma(vehicle, hypot(sigma_m, self._position_sigma_m(peer)))
+        self._update_near(vehicle, self._place_of(peer, message.received_at_s), message)
         if not isinstance(peer, Station):
             self._update_range_sigma(peer, hypot(sigma_m, self._position_sigma_m(vehicle)))
+            self._update_near(peer, self._place_of(vehicle, message.received_at_s), message)
         late_m = _relative_speed_mps(vehicle, peer) * measured.sigma_s
         by_own_clock = message.measured_at_s is not None and message.time_base is not TimeBase.SERVICE
         measurement = RangeMeasurement(
@@ -245,6 +270,20 @@ class MeasurementBuilder:
         memory = self._of(end.sysid)
         before_m = memory.range_sigma_m if memory.range_sigma_m is not None else total_m
         memory.range_sigma_m = before_m + _RANGE_SIGMA_GAIN * (total_m - before_m)
+
+    def _update_near(self, end: ReportedState, place: _Place | None, message: PeerRange) -> None:
+        """Keep where the other end of a range is: this end is as far from there as the range."""
+        if place is not None:
+            at_s = message.received_at_s
+            self._of(end.sysid).near = _Place(place.east_m, place.north_m, message.range_m, at_s, _UNKNOWN_SPEED_MPS)
+
+    def _place_of(self, node: ReportedState | Station, now_s: float) -> _Place | None:
+        """Return where a trusted vehicle was of late, or where a station is; None where that is not known."""
+        if not isinstance(node, Station):
+            place = self._of(node.sysid).place
+            return place if place is not None and now_s - place.at_s <= _PLACED_FOR_S else None
+        where = node.measurement(self.frame, now_s) if self.frame is not None else None
+        return _Place(*where.position_enu_m[:2], 0.0, now_s, 0.0) if where is not None else None
 
     def _position_sigma_m(self, node: ReportedState | Station) -> float:
         """Return the horizontal 1-sigma of where a vehicle says that it is, or where a station is, m."""
@@ -326,18 +365,24 @@ class MeasurementBuilder:
             time_sigma_s=measured.sigma_s,
         )
 
-    @staticmethod
     def _altitude(
+        self,
         message: GlobalPosition | Pressure,
         alt_msl_m: float,
         sigma_m: float,
         frame: LocalFrame,
         measured: ServiceTime,
         located_enu_m: tuple[float, float] | None,
-    ) -> AltitudeMeasurement:
-        east_m, north_m = located_enu_m if located_enu_m is not None else (0.0, 0.0)
-        up_m = frame.up_from_height(east_m, north_m, alt_msl_m)
-        return AltitudeMeasurement(message.sysid, measured.at_s, message.received_at_s, up_m, sigma_m)
+    ) -> AltitudeMeasurement | None:
+        """Build the up coordinate of an altitude. At a distance D from the origin a place off by d changes it by D d / R."""
+        now_s, memory = message.received_at_s, self._of(message.sysid)
+        places = [_Place(*located_enu_m, 0.0, now_s, 0.0)] if located_enu_m is not None else [memory.place, memory.near]
+        place = min((p for p in places if p is not None), key=lambda p: p.sigma_at(now_s), default=None)
+        if place is None:
+            return None
+        up_m = frame.up_from_height(place.east_m, place.north_m, alt_msl_m)
+        fallen_m = hypot(place.east_m, place.north_m) * place.sigma_at(now_s) / _EARTH_RADIUS_M
+        return AltitudeMeasurement(message.sysid, measured.at_s, now_s, up_m, hypot(sigma_m, fallen_m))
 
     def _update_height_datum(
         self, message: GlobalPosition, memory: _Memory, measured: ServiceTime, sent: SentFix | None, *, is_trusted: bool

@@ -53,7 +53,7 @@ def test_the_first_healthy_position_is_the_origin():
 
 
 def test_only_a_trusted_vehicles_position_is_believed():
-    measurement = Builder(has_frame=True).measure(position(1.0), vehicle(), trusted=False)
+    measurement = Builder(has_frame=True).measure(position(1.0), vehicle(), trusted=False, located_enu_m=(0.0, 0.0))
     assert isinstance(measurement, AltitudeMeasurement)
     assert measurement.up_m == pytest.approx(30.0, abs=0.01)
 
@@ -63,7 +63,7 @@ def height_sigmas(
 ) -> list[float]:
     """The sigma (m) of the height of each position, once a second, of a denied vehicle that climbs at none."""
     messages = [replace(position(float(t), boot_s=t - booted_at_s), vd_mps=0.0) for t in range(from_s, to_s)]
-    built = [feed.measure(message, record, trusted=False, sent_fix=sent_fix) for message in messages]
+    built = [feed.measure(m, record, trusted=False, sent_fix=sent_fix, located_enu_m=(0.0, 0.0)) for m in messages]
     return [m.sigma_m for m in built if isinstance(m, AltitudeMeasurement)]
 
 
@@ -96,6 +96,20 @@ def test_altitude_is_brought_down_by_the_earths_curvature_at_the_last_known_plac
     measurement = feed.measure(position(1.0), vehicle(), trusted=False, located_enu_m=(0.0, 20_000.0))
     assert isinstance(measurement, AltitudeMeasurement)
     assert measurement.up_m == pytest.approx(30.0 - 20_000.0**2 / (2 * 6.37e6), abs=0.2)
+
+
+def test_there_is_no_height_before_anything_tells_where_the_vehicle_is():
+    assert Builder(has_frame=True).measure(position(1.0), vehicle(), trusted=False) is None
+
+
+def test_a_vehicle_never_located_is_about_where_the_one_is_that_it_ranges_with():
+    feed, peer = Builder(has_frame=True), vehicle(1)
+    feed.measure(replace(position(1.0), sysid=1, lat_deg=47.36), peer)  # 40 km north of the origin
+    feed.measure_range(PeerRange(4, 1.0, 1, 800.0, 1.0, None, TimeBase.SERVICE, None, None, 0), vehicle(), peer)
+    measurement = feed.measure(position(1.1), vehicle(), trusted=False)
+    assert isinstance(measurement, AltitudeMeasurement)
+    assert measurement.up_m == pytest.approx(30.0 - 40_030.0**2 / (2 * 6.37e6), abs=0.5)
+    assert measurement.sigma_m == pytest.approx((2.0**2 + (40_030.0 * 803.0 / 6.371e6) ** 2) ** 0.5, rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -278,7 +292,7 @@ def test_the_height_of_an_aided_vehicle_is_its_barometers_and_not_what_its_autop
     """The autopilot says 12 m too high, as it does when it fuses what we sent."""
     feed = with_barometer(own_gps_until_s=25.0)
     assert feed.measure(position(30.0, 552.0), vehicle(), trusted=False) is None
-    height = feed.pressure(Pressure(4, 30.1, 30.1, 950.0), is_trusted=False)
+    height = feed.pressure(Pressure(4, 30.1, 30.1, 950.0), is_trusted=False, located_enu_m=(0.0, 0.0))
     assert height is not None
     assert height.up_m == pytest.approx(40.0, abs=0.2)
     assert height.sigma_m == pytest.approx(2.0, abs=0.1)
@@ -286,7 +300,8 @@ def test_the_height_of_an_aided_vehicle_is_its_barometers_and_not_what_its_autop
 
 def test_a_vehicle_that_never_had_gps_and_reports_no_position_has_a_height():
     """PX4 sends no GLOBAL_POSITION_INT before its first fix."""
-    height = with_barometer(own_gps_until_s=0.0).pressure(Pressure(4, 30.0, 30.0, 950.0), is_trusted=False)
+    pressure = Pressure(4, 30.0, 30.0, 950.0)
+    height = with_barometer(own_gps_until_s=0.0).pressure(pressure, is_trusted=False, located_enu_m=(0.0, 0.0))
     assert height is not None
     assert height.up_m == pytest.approx(40.0, abs=0.2)
     assert height.sigma_m > 8.0
@@ -294,6 +309,6 @@ def test_a_vehicle_that_never_had_gps_and_reports_no_position_has_a_height():
 
 def test_where_the_barometer_falls_silent_the_height_is_the_autopilots_again():
     feed = with_barometer(own_gps_until_s=25.0)
-    measurement = feed.measure(position(35.0, 541.0), vehicle(), trusted=False)
+    measurement = feed.measure(position(35.0, 541.0), vehicle(), trusted=False, located_enu_m=(0.0, 0.0))
     assert isinstance(measurement, AltitudeMeasurement)
     assert measurement.up_m == pytest.approx(41.0, abs=0.2)
