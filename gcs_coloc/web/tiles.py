@@ -12,7 +12,16 @@ from html import unescape
 from pathlib import Path
 from typing import Any
 
-from pmtiles.tile import Compression, TileType, deserialize_directory, deserialize_header, find_tile, zxy_to_tileid
+from pmtiles.tile import (
+    Compression,
+    MagicNumberNotFound,
+    SpecVersionUnsupported,
+    TileType,
+    deserialize_directory,
+    deserialize_header,
+    find_tile,
+    zxy_to_tileid,
+)
 
 from gcs_coloc.core.errors import ConfigError
 from gcs_coloc.web.wire import TilesInfo
@@ -22,8 +31,8 @@ _MAX_DEPTH = 4
 _DIRECTORIES_KEPT = 64
 _MAX_BYTES = 10_000_000
 """A tile or directory of more bytes means a damaged file. Chosen: a hundred times a large tile."""
-_DAMAGED = (OSError, EOFError, ValueError, IndexError, OverflowError, zlib.error)
-"""The errors of reading a damaged directory."""
+_DAMAGED = (OSError, EOFError, ValueError, IndexError, OverflowError, RecursionError, zlib.error)
+"""The errors of reading a damaged header, directory or description: its bytes, gzip, numbers and JSON."""
 _MEDIA_TYPES = {
     TileType.PNG: "image/png",
     TileType.JPEG: "image/jpeg",
@@ -50,8 +59,7 @@ class TileFile:
         try:
             self._header = deserialize_header(os.pread(self._fd, _HEADER_BYTES, 0))
             metadata = self._metadata()
-        except Exception:
-            # Any exception: the library raises whatever its unpacking of missing bytes raises.
+        except (MagicNumberNotFound, SpecVersionUnsupported, *_DAMAGED):
             os.close(self._fd)
             raise ConfigError(f"{self._where}: is no whole PMTiles file of version 3") from None
         if self._header["tile_type"] not in _MEDIA_TYPES or self._header["tile_compression"] is not Compression.NONE:
@@ -87,9 +95,14 @@ class TileFile:
         return None
 
     def _read_directory(self, offset: int, length: int) -> Any:
-        return deserialize_directory(os.pread(self._fd, length, offset))
+        return deserialize_directory(self._read(length, offset))
+
+    def _read(self, length: int, offset: int) -> bytes:
+        if length > _MAX_BYTES:
+            raise ValueError(f"{length} bytes")
+        return os.pread(self._fd, length, offset)
 
     def _metadata(self) -> dict[str, Any]:
-        data = os.pread(self._fd, self._header["metadata_length"], self._header["metadata_offset"])
+        data = self._read(self._header["metadata_length"], self._header["metadata_offset"])
         found = json.loads(gzip.decompress(data) if self._header["internal_compression"] is Compression.GZIP else data)
         return found if isinstance(found, dict) else {}

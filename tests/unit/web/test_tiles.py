@@ -44,6 +44,23 @@ def test_what_is_no_archive_is_refused_by_name(tmp_path, content):
         TileFile(tmp_path / "no.pmtiles")
 
 
+def test_a_header_with_any_bytes_is_opened_or_refused_by_name(tmp_path):
+    """The first 127 bytes and the description behind them, a few of them changed at random, many times."""
+    path, rng = tmp_path / "map.pmtiles", random.Random(7)
+    write_archive(path, [(1, 0, 0), (1, 0, 1)])
+    whole, refused = path.read_bytes(), 0
+    for _ in range(500):
+        damaged = bytearray(whole)
+        for _ in range(rng.randint(1, 4)):
+            damaged[rng.randrange(min(len(whole), 300))] = rng.randrange(256)
+        path.write_bytes(damaged)
+        try:
+            TileFile(path).tile(1, 0, 0)
+        except ConfigError:
+            refused += 1
+    assert 50 < refused < 500
+
+
 def test_a_file_that_is_not_there_and_tiles_that_are_no_pictures_are_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"web.tiles: .*: cannot be read: No such file"):
         TileFile(tmp_path / "none.pmtiles")
