@@ -62,11 +62,12 @@ class FleetSettings:
     manoeuvre_memory_s: float = between(3.0, 0.01, 600.0)
     """s. Decay time of the manoeuvre detector. Chosen: shorter detects sooner and raises more false alarms."""
     vehicle_class: Literal["reported", "plane", "multirotor", "ground", "boat", "indoor"] = BY_REPORT
-    """Class of every vehicle, which sets what it does at most; `reported`: as its HEARTBEAT or `meta.toml` says."""
+    """Class of every vehicle, which sets what it does at most; `reported`: as its HEARTBEAT or `meta.toml`
+    says. Chosen: vehicles of one fleet differ."""
     max_speed_mps: float | None = between(None, 0.1, 1e3)
-    """m/s. Largest horizontal speed of every vehicle; that of its class if none."""
+    """m/s. Largest horizontal speed of every vehicle; that of its class if none. Chosen: a class is all that is reported."""
     max_acceleration_mps2: float | None = between(None, 0.1, 1e3)
-    """m/s^2. Largest horizontal acceleration of every vehicle; that of its class if none."""
+    """m/s^2. Largest horizontal acceleration of every vehicle; that of its class if none. Chosen: as the speed."""
     turn_sigma_radps: float = between(0.03, 1e-6, 10.0)
     """rad/s. Turn rate in steady flight. Chosen: 1.7 degrees a second, course corrections of an autopilot."""
     turn_time_s: float = between(3.0, 0.01, 600.0)

@@ -55,7 +55,7 @@ def mean_of(gust_mps: float, learns: bool) -> np.ndarray:
 def test_in_still_air_the_position_becomes_more_accurate_and_is_stated_so():
     (rmse_m, covered, bound_m), (fixed_rmse_m, _, fixed_bound_m) = mean_of(0.0, True), mean_of(0.0, False)
     assert rmse_m < fixed_rmse_m
-    assert bound_m < 0.85 * fixed_bound_m
+    assert bound_m < 0.9 * fixed_bound_m
     assert covered >= 0.9
 
 
