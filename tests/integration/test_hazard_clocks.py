@@ -31,4 +31,5 @@ def test_a_clock_that_jumps_by_less_is_followed_accuses_nobody_and_the_bound_sta
     out = fly_through(LOST, fault("clock_jump", vehicle, FROM_S, by_s=by_s), duration_s=FROM_S + 25.0)
     assert out.distrusted(FROM_S) == set()
     assert out.worst_ratio(DENIED, FROM_S) < HONEST
-    assert out.share_located(DENIED, FROM_S) > 0.95
+    # Until TIMESYNC has followed the clock the ranges contradict the position, and the protection level withholds the fix.
+    assert out.share_located(DENIED, FROM_S) > 0.9

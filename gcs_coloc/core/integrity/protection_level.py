@@ -22,7 +22,7 @@ from gcs_coloc.core.integrity.solution_separation import FaultClass, Separation
 from gcs_coloc.core.measurements import Estimate, ProtectionLevel
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
-_MOST_TESTED_SIGMA_M = 8.0  # chosen: four of them and two for the separation are within the default alert limit
+_MOST_TESTED_SIGMA_M = 6.0  # chosen: four of them, two for the separation and an unknown delay are within the alert limit
 _LASTS_S = 600.0  # chosen: a fault that no test finds lasts for ten minutes
 _S_PER_H = 3600.0
 _VERTICAL_RATIO = 1.6  # source: usual VDOP over HDOP of a receiver

@@ -188,5 +188,5 @@ def test_the_scenarios_that_come_with_the_program_are_listed_and_flown_by_name(m
     with pytest.raises(SystemExit, match="0"):
         cli.main()
     listed = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]
-    assert [name for name, _ in listed] == [path.stem for path in SHIPPED] == ["paper", "two-failed", "uwb"]
+    assert [name for name, _ in listed] == [path.stem for path in SHIPPED] == ["paper", "stations", "two-failed", "uwb"]
     assert all(load_scenario(name).description == description for name, description in listed)

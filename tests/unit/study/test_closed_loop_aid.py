@@ -57,7 +57,7 @@ def test_a_position_too_coarse_for_the_ekf_reaches_the_aircraft_by_external_esti
     """It checks the accuracy to align, when it has used no GPS for 10 s: here ranges begin only then."""
     coarse = scenario(GpsLost, sigma_m=30.0, bias_sigma_m=0.0, rate_hz=3.0)
     silent = RangeDropout(vehicle=DENIED, at_s=0.0, until_s=LOST_S + 23.0)
-    flight, engine = flown(coarse.model_copy(update={"fault": [*coarse.fault, silent]}), 85.0)
+    flight, engine = flown(coarse.model_copy(update={"fault": [*coarse.fault, silent]}), 85.0, alert_limit_m=150.0)
     assert "external position estimates, for it is too coarse for GPS_INPUT" in engine.snapshot(85.0).vehicles[3].aiding
     assert set(sources(flight, 78.0)) == {"dead_reckoning"}  # it uses no GPS, and certainly not ours and the estimates in turns
     assert not [reason for reason in engine.refused() if reason.startswith("external_position")]

@@ -9,6 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from gcs_coloc.cli.main import app
+from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.engine import EngineSettings
 from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.core.measurements import Estimate
 from gcs_coloc.estimators.registry import load_estimator
@@ -44,6 +46,9 @@ class Displaced:
 
 
 def test_a_wrong_position_stated_with_confidence_is_seen(monkeypatch):
+    # The protection level would withhold these positions, as the ranges contradict them.
+    lax = EngineSettings(request_streams=False, aiding=AidingSettings(alert_limit_m=1000.0))
+    monkeypatch.setattr(trial, "EngineSettings", lambda request_streams: lax)
     monkeypatch.setattr(trial, "load_estimator", lambda name, settings: Displaced(load_estimator(name, settings)))
     score = fly_trial("planes", 2, duration_s=60.0)
     kinds = {event.kind for event in score.events}
