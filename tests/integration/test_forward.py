@@ -116,6 +116,7 @@ def test_ground_tools_are_told_of_a_lost_gps_by_a_component_of_its_vehicle_and_v
             tool.listen()
             return any("GPS lost, located within" in text.text for text in tool.of("STATUSTEXT"))
 
+        fly(fleet, 5.0)  # where it was with its GPS is what its position starts from
         fly(fleet, 60.0, failed=[4], until=lost)
         assert lost()
         lasted_s = time.monotonic() - began_s
