@@ -173,6 +173,7 @@ class Station(_Table):
 class Scenario(_Table):
     """A whole scenario. Vehicles that set no `airspeed_mps` or `end_of_route` take the scenario's.
 
+    `alert_limit_m` is what the operator of these aircraft sets in the service (`[aiding]`); the aircraft do not use it.
     `global_position` decides what a vehicle with GPS reports in GLOBAL_POSITION_INT: "filtered", its autopilot's estimate, or
     "raw", its receiver's fix as it is. A vehicle without `ranges_to` ranges to all others if a fault of its own GPS is
     planned, else to nobody; so it is with `ranges_to_stations` and all stations.
@@ -188,6 +189,7 @@ class Scenario(_Table):
     hold_radius_m: _Positive = 400.0
     waypoint_radius_m: _Positive | None = None
     global_position: Literal["raw", "filtered"] = "filtered"
+    alert_limit_m: float = Field(50.0, gt=0.0)
     truth_messages: bool = False
     ground_station: bool = False
     origin: Origin

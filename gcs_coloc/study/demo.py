@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import socket
 import subprocess
 import sys
@@ -18,7 +19,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.errors import GcsColocError, UsageError
 from gcs_coloc.estimators.registry import load_estimator
@@ -68,9 +70,9 @@ def run_demo(out: Path, scenario_file: str, estimator: str, seed: int) -> None:
     console.print(
         f"   The paper's noise (GPS {scenario.gps.sigma_h_m:.0f} m, ranges {scenario.ranging.sigma_m:.0f} m) makes positions "
         f"coarser than EKF3 takes by default: UAV{DENIED} flies with EK3_GPS_CHECK={check:.0f}, as its operator would have to "
-        "decide."
+        f"decide. The service's alert limit is the scenario's, {scenario.alert_limit_m:.0f} m."
     )
-    live = _fly_live(scenario_file, estimator, seed, out, console)
+    live = _fly_live(scenario_file, scenario.alert_limit_m, estimator, seed, out, console)
     console.print(f"\n[bold]2. The whole flight[/], {scenario.duration_s:.0f} s, through the same engine in process.")
     with_service, without = _fly_whole(scenario, estimator, seed, console)
     _report(scenario, lost_s, live, with_service, without, console)
@@ -79,13 +81,16 @@ def run_demo(out: Path, scenario_file: str, estimator: str, seed: int) -> None:
     console.print(f"\nTrack and error: {picture}")
 
 
-def _fly_live(scenario_file: str, estimator: str, seed: int, out: Path, console: Console) -> list[dict[str, str]]:
+def _fly_live(
+    scenario_file: str, alert_limit_m: float, estimator: str, seed: int, out: Path, console: Console
+) -> list[dict[str, str]]:
     port, truth = _free_port(), out / "live-truth.csv"
     truth.unlink(missing_ok=True)
     service_log, fakes_log = out / "service.log", out / "sitl-fakes.log"
     with service_log.open("w") as service_out, fakes_log.open("w") as fakes_out:
         service = subprocess.Popen(  # noqa: S603 - our own program with our own arguments
             [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{port}", "--estimator", estimator],
+            env={**os.environ, "GCS_COLOC_AIDING__ALERT_LIMIT_M": str(alert_limit_m)},
             stdout=service_out,
             stderr=subprocess.STDOUT,
         )
@@ -150,7 +155,8 @@ def _fly_whole(scenario: Scenario, estimator: str, seed: int, console: Console) 
 
 
 def _fly_one(scenario: Scenario, estimator: str, seed: int, aided: bool) -> Flight:
-    return fly(scenario, seed, Engine(load_estimator(estimator, {})), aided=aided)
+    settings = EngineSettings(aiding=AidingSettings(alert_limit_m=scenario.alert_limit_m))
+    return fly(scenario, seed, Engine(load_estimator(estimator, {}), settings), aided=aided)
 
 
 def figures(flight: Flight, lost_s: float, aided: bool) -> Figures:
