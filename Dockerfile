@@ -13,7 +13,7 @@ RUN python -m venv --without-pip /opt/gcs-coloc \
  && cd /opt/gcs-coloc/lib/python3.*/site-packages \
  && find . -depth -type d -name tests -exec rm -r {} + \
  && rm -r pymavlink/dialects/v10 \
- && find pymavlink/dialects/v20 -type f ! -name '__init__.*' ! -name 'ardupilotmega.*' -delete
+ && find pymavlink/dialects/v20 -type f ! -name '__init__.*' ! -name 'ardupilotmega.*' ! -name 'development.*' -delete
 
 FROM dependencies AS build
 COPY . ./

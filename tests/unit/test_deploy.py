@@ -1,5 +1,6 @@
 """What containers and systemd are configured by holds together with the program, as far as that shows without an engine."""
 
+import ast
 import re
 import shutil
 import subprocess
@@ -17,6 +18,16 @@ PAGE = (ROOT / "docs/how-to/deploy.md").read_text(encoding="utf-8")
 
 def test_the_image_carries_the_programs_version():
     assert f'org.opencontainers.image.version="{__version__}"' in (ROOT / "Dockerfile").read_text(encoding="utf-8")
+
+
+def test_the_image_keeps_every_dialect_that_is_imported():
+    kept = set(re.findall(r"! -name '(\w+)\.\*'", (ROOT / "Dockerfile").read_text(encoding="utf-8"))) - {"__init__"}
+    sources = [file for package in ("gcs_coloc", "sitl_fakes") for file in (ROOT / package).rglob("*.py")]
+    trees = [ast.parse(file.read_text(encoding="utf-8")) for file in sources]
+    imports = [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    whole = {name.name for i in imports if i.module == "pymavlink.dialects.v20" for name in i.names}
+    parts = {i.module.rpartition(".")[2] for i in imports if (i.module or "").startswith("pymavlink.dialects.v20.")}
+    assert whole | parts == kept
 
 
 @pytest.mark.parametrize("directory", ["demo", "field"])
