@@ -13,7 +13,7 @@ from gcs_coloc.core.gps_health.gps_health import GpsHealthSettings
 from gcs_coloc.core.integrity.protection_level import ProtectionSettings
 from gcs_coloc.core.stations.node_id import MAX_STATION_ID
 from gcs_coloc.core.stations.stations import Station, StationPosition
-from gcs_coloc.core.telemetry.measurement_builder import MeasurementSettings
+from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
 from gcs_coloc.mavlink.checks import ALTITUDE_MAX_M, ALTITUDE_MIN_M
 
 _STRICT = ConfigDict(extra="forbid")

@@ -36,7 +36,8 @@ from gcs_coloc.core.messages.inbound import (
 from gcs_coloc.core.messages.outbound import Outbound
 from gcs_coloc.core.stations.node_id import is_station
 from gcs_coloc.core.stations.stations import Stations
-from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, SentFix
+from gcs_coloc.core.telemetry.altitude_builder import SentFix
+from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder
 from gcs_coloc.core.telemetry.proven_vehicles import ProvenVehicles
 from gcs_coloc.core.telemetry.reported_state import ReportedState, Telemetry
 

@@ -48,7 +48,8 @@ from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.schedule import TickSchedule
 from gcs_coloc.core.snapshot import FleetSnapshot, OverrideSources, vehicle_snapshot
 from gcs_coloc.core.stations.stations import Station, Stations
-from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder, MeasurementSettings
+from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder
+from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
 from gcs_coloc.core.telemetry.proven_vehicles import ProvenVehicles
 from gcs_coloc.core.telemetry.reported_state import ReportedState, Telemetry
 from gcs_coloc.core.telemetry.stream_requests import StreamRequests

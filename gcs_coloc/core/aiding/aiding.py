@@ -21,7 +21,7 @@ from gcs_coloc.core.messages.inbound import Autopilot, CommandResult, GlobalOrig
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterRequest, ToVehicle
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.schedule import TickSchedule
-from gcs_coloc.core.telemetry.measurement_builder import SentFix
+from gcs_coloc.core.telemetry.altitude_builder import SentFix
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 _AIDED_STATES = (GpsState.FAILED, GpsState.RECOVERING)

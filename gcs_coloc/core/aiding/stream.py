@@ -19,7 +19,7 @@ from gcs_coloc.core.messages.control import AidingOverride, PrimaryOverride
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice, Outbound
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.schedule import TickSchedule
-from gcs_coloc.core.telemetry.measurement_builder import SentFix
+from gcs_coloc.core.telemetry.altitude_builder import SentFix
 
 _LONGEST_LEAD_S = 0.5  # beyond, a prediction is worth less than the delay costs
 _WARNED_AFTER_S = 1.0  # chosen: an estimator counts ranges as in use for a while after the last; a lost one raises nothing

@@ -7,7 +7,7 @@ import pytest
 
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.stations.stations import Station, StationPosition
-from gcs_coloc.core.telemetry.measurement_builder import MeasurementSettings
+from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.study.closed_loop import Flight, fly
 from gcs_coloc.study.demo import draw, figures

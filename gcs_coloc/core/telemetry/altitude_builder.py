@@ -1,0 +1,170 @@
+"""Measurements of altitude of vehicles whose position is not trusted: by the barometer, or by the autopilot's own height.
+
+An altitude is above the curved earth, the frame is a plane: where a vehicle roughly is tells by how much they differ there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot
+from typing import NamedTuple
+
+from gcs_coloc.core.clocks.vehicle_clocks import ServiceTime
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.measurements import AltitudeMeasurement, PositionMeasurement
+from gcs_coloc.core.messages.inbound import GlobalPosition, PeerRange, Pressure
+from gcs_coloc.core.stations.stations import Station
+from gcs_coloc.core.telemetry.pressure_height import PressureHeights
+from gcs_coloc.core.telemetry.reported_state import ReportedState
+
+_EARTH_RADIUS_M = 6_371_000.0  # IUGG's mean radius
+_UNKNOWN_SPEED_MPS = 30.0  # chosen: a fast fixed-wing aircraft of a few kilograms
+_PLACED_FOR_S = 2.0  # chosen: ten positions at the rate that vehicles send them, of which a radio loses some
+
+
+class _Place(NamedTuple):
+    """Where a vehicle was at a time (east, north), within what, and how fast it may have left; service time, m, m/s."""
+
+    east_m: float
+    north_m: float
+    sigma_m: float
+    at_s: float
+    speed_mps: float
+
+    def sigma_at(self, now_s: float) -> float:
+        """Return within what the vehicle is there now, m."""
+        return self.sigma_m + self.speed_mps * max(now_s - self.at_s, 0.0)
+
+
+class SentFix(NamedTuple):
+    """A fix that aiding sent to a vehicle: when (service time, s), and the 1-sigma of its height, m."""
+
+    at_s: float
+    sigma_v_m: float
+
+
+@dataclass(slots=True)
+class _Memory:
+    """What the builder keeps of one vehicle.
+
+    `datum_sigma_m` is how uncertain its height is beyond its barometer, where that began with a fix of ours. `place` is where it
+    was while trusted, `near` where a trusted vehicle was that is in range of it.
+    """
+
+    height_reported_at_s: float | None = None
+    datum_sigma_m: float = 0.0
+    place: _Place | None = None
+    near: _Place | None = None
+
+
+class AltitudeBuilder:
+    """Builds the altitudes of one fleet's vehicles.
+
+    There is none before anything tells where the vehicle is: the earth falls away from the frame's plane.
+    """
+
+    def __init__(self) -> None:
+        self._memories: dict[int, _Memory] = {}
+        self._pressures = PressureHeights()
+
+    def add_trusted_position(self, message: GlobalPosition, reported: PositionMeasurement) -> None:
+        """Add the position of a trusted vehicle: its barometer is calibrated by it, and it tells where peers are."""
+        memory, now_s = self._of(message.sysid), message.received_at_s
+        memory.datum_sigma_m, memory.height_reported_at_s = 0.0, now_s
+        self._pressures.learn(message.sysid, message.alt_msl_m, now_s)
+        east_m, north_m, _ = reported.position_enu_m
+        memory.place = _Place(east_m, north_m, 0.0, now_s, hypot(message.vn_mps, message.ve_mps))
+
+    def add_range(
+        self, message: PeerRange, vehicle: ReportedState, peer: ReportedState | Station, frame: LocalFrame | None
+    ) -> None:
+        """Add a range: either end, whichever of the two measured it, is as far from the other as the range."""
+        now_s = message.received_at_s
+        of_peer = self._place_of(peer, now_s, frame)
+        if not isinstance(peer, Station):
+            self._add_near(peer, self._place_of(vehicle, now_s, frame), message)
+        self._add_near(vehicle, of_peer, message)
+
+    def from_position(
+        self,
+        message: GlobalPosition,
+        measured: ServiceTime,
+        frame: LocalFrame,
+        *,
+        booted_at_s: float,
+        altitude_sigma_m: float,
+        sent_fix: SentFix | None,
+        located_enu_m: tuple[float, float] | None,
+    ) -> AltitudeMeasurement | None:
+        """Build the autopilot's altitude, which may hold what we sent; None where the barometer itself is heard.
+
+        The first fix since it booted gives its barometer the datum. Where that was a fix of ours (`sent_fix` is the last one),
+        its height is ours come back, and no better known than that was. `located_enu_m` is where the estimator has it.
+        """
+        memory, now_s = self._of(message.sysid), message.received_at_s
+        if memory.height_reported_at_s is None or booted_at_s > memory.height_reported_at_s:
+            memory.datum_sigma_m = sent_fix.sigma_v_m if sent_fix is not None and sent_fix.at_s > booted_at_s else 0.0
+        memory.height_reported_at_s = now_s
+        if self._pressures.height(message.sysid, now_s) is not None:
+            return None
+        sigma_m = hypot(altitude_sigma_m, memory.datum_sigma_m, message.vd_mps * measured.sigma_s)
+        return self._altitude(message, message.alt_msl_m, sigma_m, frame, measured, located_enu_m)
+
+    def add_pressure(self, message: Pressure) -> None:
+        """Add what a vehicle's barometer measures."""
+        self._pressures.add(message.sysid, message.pressure_hpa, message.received_at_s)
+
+    def from_pressure(
+        self,
+        message: Pressure,
+        measured: ServiceTime,
+        frame: LocalFrame,
+        *,
+        altitude_sigma_m: float,
+        located_enu_m: tuple[float, float] | None,
+    ) -> AltitudeMeasurement | None:
+        """Build the height by a barometer whose pressure has been added; None where nothing tells what it means."""
+        height = self._pressures.height(message.sysid, message.received_at_s)
+        if height is None:
+            return None
+        sigma_m = hypot(altitude_sigma_m, height.sigma_m)
+        return self._altitude(message, height.alt_msl_m, sigma_m, frame, measured, located_enu_m)
+
+    def _altitude(
+        self,
+        message: GlobalPosition | Pressure,
+        alt_msl_m: float,
+        sigma_m: float,
+        frame: LocalFrame,
+        measured: ServiceTime,
+        located_enu_m: tuple[float, float] | None,
+    ) -> AltitudeMeasurement | None:
+        """Build the up coordinate of an altitude. At a distance D from the origin a place off by d changes it by D d / R."""
+        now_s, memory = message.received_at_s, self._of(message.sysid)
+        places = [_Place(*located_enu_m, 0.0, now_s, 0.0)] if located_enu_m is not None else [memory.place, memory.near]
+        place = min((p for p in places if p is not None), key=lambda p: p.sigma_at(now_s), default=None)
+        if place is None:
+            return None
+        up_m = frame.up_from_height(place.east_m, place.north_m, alt_msl_m)
+        fallen_m = hypot(place.east_m, place.north_m) * place.sigma_at(now_s) / _EARTH_RADIUS_M
+        return AltitudeMeasurement(message.sysid, measured.at_s, now_s, up_m, hypot(sigma_m, fallen_m))
+
+    def _add_near(self, end: ReportedState, place: _Place | None, message: PeerRange) -> None:
+        """Keep where the other end of a range is."""
+        if place is not None:
+            at_s = message.received_at_s
+            self._of(end.sysid).near = _Place(place.east_m, place.north_m, message.range_m, at_s, _UNKNOWN_SPEED_MPS)
+
+    def _place_of(self, node: ReportedState | Station, now_s: float, frame: LocalFrame | None) -> _Place | None:
+        """Return where a trusted vehicle was of late, or where a station is; None where that is not known."""
+        if not isinstance(node, Station):
+            place = self._of(node.sysid).place
+            return place if place is not None and now_s - place.at_s <= _PLACED_FOR_S else None
+        where = node.measurement(frame, now_s) if frame is not None else None
+        return _Place(*where.position_enu_m[:2], 0.0, now_s, 0.0) if where is not None else None
+
+    def _of(self, sysid: int) -> _Memory:
+        memory = self._memories.get(sysid)
+        if memory is None:
+            memory = self._memories[sysid] = _Memory()
+        return memory

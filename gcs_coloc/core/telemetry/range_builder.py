@@ -1,0 +1,117 @@
+"""Measurements of range from what ranging devices report: calibrated, timed, and none of a device that is stuck.
+
+What was measured at an uncertain time was measured at an uncertain place: a range gets the relative speed times time sigma as
+further noise. It states that part apart as well, for an estimator that models clocks.
+"""
+
+from __future__ import annotations
+
+from math import hypot
+from typing import NamedTuple
+
+from gcs_coloc.core.clocks.vehicle_clocks import ServiceTime
+from gcs_coloc.core.measurements import RangeMeasurement
+from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
+from gcs_coloc.core.messages.outbound import Notice
+from gcs_coloc.core.reasons import CoreRefusal
+from gcs_coloc.core.stations.node_id import node_name
+from gcs_coloc.core.stations.stations import Station
+from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
+from gcs_coloc.core.telemetry.position_measurements import receiver_accuracy
+from gcs_coloc.core.telemetry.repeated_ranges import RangeRepeats
+from gcs_coloc.core.telemetry.reported_state import ReportedState
+
+_SIGMA_GAIN = 0.1  # of each range in the mean of late; chosen: it follows within about a second at 10 Hz
+
+
+class BuiltRange(NamedTuple):
+    """A range, or the reason why it is refused, and what the operator must know of the device that measured it."""
+
+    measurement: RangeMeasurement | None
+    notice: Notice | None = None
+    refused: CoreRefusal | None = None
+
+
+class RangeBuilder:
+    """Builds the ranges of one fleet's vehicles."""
+
+    def __init__(self, settings: MeasurementSettings) -> None:
+        self._settings = settings
+        self._repeats: dict[int, RangeRepeats] = {}
+        self._sigmas_m: dict[int, float] = {}
+
+    def build(
+        self, message: PeerRange, vehicle: ReportedState, peer: ReportedState | Station, measured: ServiceTime
+    ) -> BuiltRange:
+        """Build a range of a vehicle to another one or a station."""
+        repeats = self._repeats.get(message.sysid)
+        if repeats is None:
+            repeats = self._repeats[message.sysid] = RangeRepeats()
+        was_stuck = (message.peer, message.device_id) in repeats.stuck
+        is_stuck = repeats.add(message.peer, message.device_id, message.range_m, message.measured_at_s)
+        notice = _device_notice(message, is_stuck=is_stuck) if is_stuck is not was_stuck else None
+        if is_stuck:
+            return BuiltRange(None, notice, CoreRefusal.RANGE_REPEATED)
+        sigma_m = message.sigma_m if message.sigma_m is not None else self._settings.range_sigma_m
+        # A range locates either end, whichever of the two measured it; a station is where it is.
+        self._update_sigma(vehicle, hypot(sigma_m, self._position_sigma_m(peer)))
+        if not isinstance(peer, Station):
+            self._update_sigma(peer, hypot(sigma_m, self._position_sigma_m(vehicle)))
+        late_m = _relative_speed_mps(vehicle, peer) * measured.sigma_s
+        by_own_clock = message.measured_at_s is not None and message.time_base is not TimeBase.SERVICE
+        measurement = RangeMeasurement(
+            from_vehicle=message.sysid,
+            to_vehicle=message.peer,
+            measured_at_s=measured.at_s,
+            arrived_at_s=message.received_at_s,
+            range_m=self._calibrated_m(message, peer),
+            sigma_m=hypot(sigma_m, late_m),
+            device_id=message.device_id,
+            clock_of=message.sysid if by_own_clock else None,
+            time_sigma_s=measured.sigma_s,
+            time_sigma_m=late_m,
+        )
+        return BuiltRange(measurement, notice)
+
+    def sigma_m(self, sysid: int) -> float | None:
+        """Return the 1-sigma of a vehicle's ranges of late, with the errors of its peers' positions in it, m."""
+        return self._sigmas_m.get(sysid)
+
+    def _update_sigma(self, end: ReportedState, total_m: float) -> None:
+        before_m = self._sigmas_m.get(end.sysid, total_m)
+        self._sigmas_m[end.sysid] = before_m + _SIGMA_GAIN * (total_m - before_m)
+
+    def _position_sigma_m(self, node: ReportedState | Station) -> float:
+        """Return the horizontal 1-sigma of where a vehicle says that it is, or where a station is, m."""
+        if isinstance(node, Station):
+            return node.position.sigma_h_m if node.position is not None else 0.0
+        return receiver_accuracy(node.receiver, self._settings).sigma_h_m
+
+    def _calibrated_m(self, message: PeerRange, peer: ReportedState | Station) -> float:
+        """Return the range without the lasting errors of both devices, as `gcs-coloc calibrate` finds them."""
+        biases, scales = self._settings.range_bias_m, self._settings.range_scale
+        of_station = (peer.range_bias_m, peer.range_scale) if isinstance(peer, Station) else (0.0, 0.0)
+        if not biases and not scales and not any(of_station):
+            return message.range_m
+        ends = (message.sysid, message.peer)
+        bias_m = sum(biases.get(end, 0.0) for end in ends) + of_station[0]
+        scale = sum(scales.get(end, 0.0) for end in ends) + of_station[1]
+        return max((message.range_m - bias_m) / (1.0 + scale), 0.0)
+
+
+def _device_notice(message: PeerRange, *, is_stuck: bool) -> Notice:
+    device, at_s = f"its ranging device {message.device_id}", message.received_at_s
+    if is_stuck:
+        text = f"{device} repeats one value, {message.range_m:.2f} m to {node_name(message.peer)}: it is stuck and not used"
+        return Notice(at_s, message.sysid, "warning", text)
+    return Notice(at_s, message.sysid, "info", f"{device} measures {node_name(message.peer)} again")
+
+
+def _relative_speed_mps(vehicle: ReportedState, peer: ReportedState | Station) -> float:
+    """The most by which a range changes per second; one vehicle's own speed where only that is known, or the other end stands."""
+    vn, ve, vd = (
+        (vehicle.position.vn_mps, vehicle.position.ve_mps, vehicle.position.vd_mps) if vehicle.position else (0.0, 0.0, 0.0)
+    )
+    if isinstance(peer, ReportedState) and peer.position is not None:
+        vn, ve, vd = vn - peer.position.vn_mps, ve - peer.position.ve_mps, vd - peer.position.vd_mps
+    return hypot(vn, ve, vd)
