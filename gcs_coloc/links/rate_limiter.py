@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from gcs_coloc.links.eviction import find_evicted
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 BURST_S = 0.25
@@ -19,11 +20,14 @@ MAX_SOURCES = 256
 
 @dataclass(slots=True)
 class _TokenBucket:
-    """One source: when its bucket will be full again, and when it was last heard; service times, s."""
+    """One source: when its bucket will be full again, when it was last heard (service times, s), and whose it is.
+
+    `proven` has the system ids of the proven vehicles that were heard from there last.
+    """
 
     full_at_s: float
     heard_at_s: float
-    is_proven: bool
+    proven: set[int] = field(default_factory=set)
 
 
 class RateLimiter:
@@ -41,6 +45,7 @@ class RateLimiter:
         self._bytes_per_s = bytes_per_s
         self._max_sources = max_sources
         self._sources: dict[Hashable, _TokenBucket] = {}
+        self._source_of: dict[int, Hashable] = {}
         self._shared_full_at_s = float("-inf")
 
     @property
@@ -48,15 +53,22 @@ class RateLimiter:
         """How many sources have a bucket of their own."""
         return len(self._sources)
 
-    def add_source(self, source: Hashable, now_s: float, *, is_proven: bool = False) -> None:
+    def add_source(self, source: Hashable, now_s: float, proven_vehicle: int | None = None) -> None:
         """Give a vehicle's source a bucket of its own from service time `now_s` on, if there is room.
 
-        A vehicle that `is_proven`, known for some time, takes that of one that is not.
+        `proven_vehicle` is its system id where it has been known for some time: it takes the bucket of a source without such a
+        vehicle. When it moves, the source that it leaves is one without it.
         """
-        if source in self._sources:
-            self._sources[source].is_proven = is_proven
-        elif self._has_room(now_s, is_proven):
-            self._sources[source] = _TokenBucket(now_s, now_s, is_proven)
+        left = self._source_of.get(proven_vehicle, source) if proven_vehicle is not None else source
+        if left != source and left in self._sources:
+            self._sources[left].proven.discard(proven_vehicle)
+        if source not in self._sources:
+            if not self._has_room(now_s, proven_vehicle is not None):
+                return
+            self._sources[source] = _TokenBucket(now_s, now_s)
+        if proven_vehicle is not None:
+            self._sources[source].proven.add(proven_vehicle)
+            self._source_of[proven_vehicle] = source
 
     def admits(self, source: Hashable, size: int, now_s: float) -> bool:
         """Whether a datagram of `size` bytes that came from `source` at service time `now_s` is to be decoded."""
@@ -77,15 +89,16 @@ class RateLimiter:
             own.full_at_s, own.heard_at_s = full_at_s, now_s
         return admitted
 
-    def _has_room(self, now_s: float, is_proven: bool) -> bool:
+    def _has_room(self, now_s: float, for_proven: bool) -> bool:
         if len(self._sources) < self._max_sources:
             return True
-        by_age = sorted(self._sources, key=lambda source: self._sources[source].heard_at_s)
-        stalest = by_age[0]
-        if now_s - self._sources[stalest].heard_at_s < KEPT_S:
-            unproven = next((source for source in by_age if not self._sources[source].is_proven), None)
-            if not is_proven or unproven is None:
-                return False
-            stalest = unproven
-        del self._sources[stalest]
+        evicted = find_evicted(
+            sorted(self._sources, key=lambda source: self._sources[source].heard_at_s),
+            is_silent=lambda source: now_s - self._sources[source].heard_at_s >= KEPT_S,
+            is_proven=lambda source: bool(self._sources[source].proven),
+            for_proven=for_proven,
+        )
+        if evicted is None:
+            return False
+        del self._sources[evicted]
         return True

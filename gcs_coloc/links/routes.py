@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from gcs_coloc.core.messages.control import RouteBlock
 from gcs_coloc.links.base import Address, Link, Route
+from gcs_coloc.links.eviction import find_evicted
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 
 PROVEN_AFTER_S = 10.0
@@ -55,8 +56,8 @@ class RouteTable:
     `companions_elsewhere`: components other than the autopilot may have addresses of their own; without, all frames of a vehicle
     come from one address; of two addresses, the one with the autopilot's heartbeat counts.
     `shared_memory_s`: how long an autopilot, heard once, counts as being at an address. It is long because a vehicle
-    that we do not hear may still hear us. `max_components`, `max_addresses`: bounds of the tables; when one is full, a silent
-    entry makes room, and for a proven vehicle one that is not.
+    that we do not hear may still hear us. `max_components`, `max_addresses`: bounds of the tables; what makes room in a full one
+    is the rule of `find_evicted`.
     """
 
     def __init__(
@@ -114,7 +115,7 @@ class RouteTable:
                 if sysid in self._autopilots:
                     self.conflicts.add_refusal(sysid, other.route, heard)
                 return False
-        if binding is None and not self._has_room(now_s):
+        if binding is None and not self._has_room(sysid, heard, now_s, is_autopilot_heartbeat=is_autopilot_heartbeat):
             self.counts.add(Refusal.ROUTE_TABLE_FULL)
             return False
         self._components[sender] = _renewed(binding, heard, now_s)
@@ -190,14 +191,15 @@ class RouteTable:
         autopilots = self._autopilots_at.get(heard)
         if autopilots is None:
             if len(self._autopilots_at) >= self._max_addresses:
-                stalest, last_heard = next(iter(self._autopilots_at.items()))
-                if now_s - max(last_heard.values()) <= self._shared_memory_s:
-                    unproven = (route for route, there in self._autopilots_at.items() if not any(map(self.is_proven, there)))
-                    evicted = next(unproven, None) if self.is_proven(sysid) else None
-                    if evicted is None:
-                        return False
-                    stalest = evicted
-                del self._autopilots_at[stalest]
+                evicted = find_evicted(
+                    self._autopilots_at,
+                    is_silent=lambda route: now_s - max(self._autopilots_at[route].values()) > self._shared_memory_s,
+                    is_proven=lambda route: any(map(self.is_proven, self._autopilots_at[route])),
+                    for_proven=self.is_proven(sysid),
+                )
+                if evicted is None:
+                    return False
+                del self._autopilots_at[evicted]
             autopilots = self._autopilots_at[heard] = {}
         autopilots[sysid] = now_s
         self._autopilots_at.move_to_end(heard)
@@ -207,14 +209,24 @@ class RouteTable:
         """Whether an autopilot of that system id has been known for some time: a flood of new ones takes no room from it."""
         return sysid in self._autopilots and self._autopilots[sysid].is_proven
 
-    def _has_room(self, now_s: float) -> bool:
+    def _has_room(self, sysid: int, heard: Route, now_s: float, *, is_autopilot_heartbeat: bool) -> bool:
+        """Whether there is room for a sender that has no binding, or has lost it while it was silent."""
         if len(self._components) < self._max_components:
             return True
-        stalest = next(iter(self._components))
-        if now_s - self._components[stalest].heard_at_s < self._rebind_after_s:
+        evicted = find_evicted(
+            self._components,
+            is_silent=lambda sender: now_s - self._components[sender].heard_at_s >= self._rebind_after_s,
+            is_proven=lambda sender: self._is_proven_at(sender[0], self._components[sender].route),
+            for_proven=self.is_proven(sysid) if is_autopilot_heartbeat else self._is_proven_at(sysid, heard),
+        )
+        if evicted is None:
             return False
-        del self._components[stalest]
+        del self._components[evicted]
         return True
+
+    def _is_proven_at(self, sysid: int, route: Route) -> bool:
+        """Whether a vehicle is proven and its autopilot is reached there: elsewhere anybody may use its system id."""
+        return self.is_proven(sysid) and self._autopilots[sysid].route == route
 
 
 def _renewed(binding: _Binding | None, heard: Route, now_s: float) -> _Binding:

@@ -81,7 +81,8 @@ class Receiver:
             elif frame.message is not None:
                 received.messages += (frame.message,)
                 if frame.is_autopilot_heartbeat:
-                    self._rate_limiter.add_source((link, address), now_s, is_proven=self._routes.is_proven(frame.sysid))
+                    proven = frame.sysid if self._routes.is_proven(frame.sysid) else None
+                    self._rate_limiter.add_source((link, address), now_s, proven)
                     received.add_report(self._route_report(frame.sysid, now_s))
         for raw in received.frames:
             if raw.message_id in TRUTH_IDS:

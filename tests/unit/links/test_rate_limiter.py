@@ -108,16 +108,49 @@ def test_lively_sources_are_kept_and_silent_ones_make_room():
 
 def test_a_proven_vehicle_takes_the_bucket_of_one_that_is_not_and_none_of_another_proven_one():
     limiter = RateLimiter(10_000.0, max_sources=3)
-    limiter.add_source("proven", 0.0, is_proven=True)
+    limiter.add_source("proven", 0.0, 1)
     limiter.add_source("forged", 0.1)
     limiter.add_source("forged too", 0.2)
     limiter.add_source("newcomer", 0.3)
-    limiter.add_source("moved", 0.4, is_proven=True)
-    limiter.add_source("moved too", 0.5, is_proven=True)
-    limiter.add_source("one more", 0.6, is_proven=True)
+    limiter.add_source("moved", 0.4, 2)
+    limiter.add_source("moved too", 0.5, 3)
+    limiter.add_source("one more", 0.6, 4)
     flood = [limiter.admits("stranger", 1000, 1.0) for _ in range(10)]
     assert not all(flood)
     assert {source: limiter.admits(source, 100, 1.0) for source in ("proven", "moved", "moved too")} == dict.fromkeys(
         ("proven", "moved", "moved too"), True
     )
     assert not any(limiter.admits(source, 100, 1.0) for source in ("forged", "forged too", "newcomer", "one more"))
+
+
+def test_a_proven_vehicle_that_moves_leaves_its_bucket_behind_also_where_all_sources_are_proven():
+    limiter = RateLimiter(10_000.0, max_sources=3)
+    for vehicle in (1, 2, 3):
+        limiter.add_source(f"port of {vehicle}", 0.0, vehicle)
+    limiter.add_source("new port of 2", 1.0, 2)
+    assert not all(limiter.admits("stranger", 1000, 1.0) for _ in range(10))
+    assert all(limiter.admits(source, 100, 1.0) for source in ("port of 1", "new port of 2", "port of 3"))
+    assert not limiter.admits("port of 2", 100, 1.0)
+
+
+def test_an_address_that_two_proven_vehicles_share_stays_proven_when_one_of_them_leaves():
+    limiter = RateLimiter(10_000.0, max_sources=2)
+    for vehicle in (1, 2):
+        limiter.add_source("router", 0.0, vehicle)
+    limiter.add_source("forged", 0.1)
+    limiter.add_source("port of 2", 0.2, 2)
+    assert not all(limiter.admits("stranger", 1000, 1.0) for _ in range(10))
+    assert all(limiter.admits(source, 100, 1.0) for source in ("router", "port of 2"))
+
+
+def test_of_silent_sources_the_unproven_one_makes_room_first():
+    limiter = RateLimiter(10_000.0, max_sources=2)
+    limiter.add_source("proven", 0.0, 1)
+    limiter.add_source("unproven", 0.1)
+    limiter.add_source("newcomer", 0.1 + KEPT_S)
+    assert not all(limiter.admits("stranger", 1000, 11.0) for _ in range(10))
+    assert {name: limiter.admits(name, 100, 11.0) for name in ("proven", "newcomer", "unproven")} == {
+        "proven": True,
+        "newcomer": True,
+        "unproven": False,
+    }
