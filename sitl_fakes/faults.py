@@ -63,10 +63,12 @@ class GpsSpoofed(_Fault):
     """The vehicle's own receiver is walked off at `speed_mps` towards `direction_deg`, with all its signs of health.
 
     A `speed_mps` of 0 with an `offset_m` is a step. `reported`: the receiver notices, and a PX4 says so in GNSS_INTEGRITY.
+    `velocity_follows`: its velocity is in keeping; else it is the true one, as in ArduPilot's SITL.
     """
 
     kind: Literal["gps_spoofed"] = "gps_spoofed"
     reported: bool = False
+    velocity_follows: bool = True
     direction_deg: float = 90.0
     speed_mps: float = Field(default=2.0, ge=0.0, le=1e3)
     offset_m: float = Field(default=0.0, ge=0.0, le=1e6)

@@ -157,15 +157,16 @@ class GpsSensor:
 
 
 def _walked_off(fix: GpsFix, fault: GpsSpoofed, at_s: float) -> GpsFix:
-    """Return the fix moved as a spoofer moves it, its velocity in keeping."""
+    """Return the fix moved as a spoofer moves it."""
     heading = math.radians(fault.direction_deg)
     by_m = fault.offset_m + fault.speed_mps * (at_s - fault.at_s)
     east, north, up = fix.position_enu_m
     ve, vn, vu = fix.velocity_enu_mps
+    speed_mps = fault.speed_mps if fault.velocity_follows else 0.0
     return replace(
         fix,
         position_enu_m=(east + by_m * math.sin(heading), north + by_m * math.cos(heading), up),
-        velocity_enu_mps=(ve + fault.speed_mps * math.sin(heading), vn + fault.speed_mps * math.cos(heading), vu),
+        velocity_enu_mps=(ve + speed_mps * math.sin(heading), vn + speed_mps * math.cos(heading), vu),
     )
 
 

@@ -171,6 +171,7 @@ class FleetReview:
             is_trusted=self._is_trusted(sysid),
             is_witness=sysid in self._witnesses,
             is_automatic=self.gps_override(sysid) is GpsOverride.AUTO,
+            is_doubtful=self._stages.gps_health.is_doubtful(sysid, now_s),
             is_returning=self._stages.gps_health.is_returning(sysid),
             reported=self._stages.measurements.reported(sysid),
             receiver_fix=self._stages.measurements.receiver_fix(sysid),

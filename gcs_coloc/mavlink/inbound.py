@@ -93,19 +93,17 @@ def global_position_int(sysid: int, received_at_s: float, values: tuple[Any, ...
 
 def gps_raw_int(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> GpsReceiver:
     """GPS_RAW_INT (24): the first receiver."""
-    time_us, lat_e7, lon_e7, alt_mm, eph, _epv, _speed, _course, fix, satellites, ellipsoid_mm, h_acc, v_acc, speed_acc, *_ = (
-        values
-    )
-    place = (lat_e7, lon_e7, alt_mm, ellipsoid_mm)
-    return _gps_receiver(sysid, received_at_s, 0, time_us, fix, place, satellites, eph, (h_acc, v_acc, speed_acc))
+    time_us, lat_e7, lon_e7, alt_mm, eph, _epv, speed, course, fix, satellites, ellipsoid_mm, h_acc, v_acc, speed_acc, *_ = values
+    place, accuracies = (lat_e7, lon_e7, alt_mm, ellipsoid_mm), (h_acc, v_acc, speed_acc)
+    return _gps_receiver(sysid, received_at_s, 0, time_us, fix, place, (speed, course), satellites, eph, accuracies)
 
 
 def gps2_raw(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> GpsReceiver:
     """GPS2_RAW (124): the second receiver."""
-    time_us, lat_e7, lon_e7, alt_mm, _dgps_age, eph, _epv, _speed, _course, fix, satellites, *rest = values
+    time_us, lat_e7, lon_e7, alt_mm, _dgps_age, eph, _epv, speed, course, fix, satellites, *rest = values
     _dgps_count, _yaw, ellipsoid_mm, h_acc, v_acc, speed_acc, _heading_acc = rest
-    place = (lat_e7, lon_e7, alt_mm, ellipsoid_mm)
-    return _gps_receiver(sysid, received_at_s, 1, time_us, fix, place, satellites, eph, (h_acc, v_acc, speed_acc))
+    place, accuracies = (lat_e7, lon_e7, alt_mm, ellipsoid_mm), (h_acc, v_acc, speed_acc)
+    return _gps_receiver(sysid, received_at_s, 1, time_us, fix, place, (speed, course), satellites, eph, accuracies)
 
 
 def _gps_receiver(
@@ -115,13 +113,14 @@ def _gps_receiver(
     time_us: int,
     fix_type: int,
     place: tuple[int, int, int, int],
+    motion: tuple[int, int],
     satellites: int,
     eph: int,
     accuracies: tuple[int, int, int],
 ) -> GpsReceiver:
     """`place`: latitude, longitude in 1e-7 deg, altitudes above sea and ellipsoid in mm.
 
-    `accuracies`: horizontal, vertical in mm, speed in mm/s.
+    `motion`: speed over ground in cm/s, course in 1e-2 deg. `accuracies`: horizontal, vertical in mm, speed in mm/s.
     """
     if fix_type > mavlink.GPS_FIX_TYPE_PPP:
         raise InvalidValueError(Field.FIX_TYPE)
@@ -153,7 +152,16 @@ def _gps_receiver(
         # Either since boot or UNIX time: by its magnitude, as MAVLink says.
         fixed_boot_s=time_us / 1e6 if 0 < time_us < checks.UNIX_TIME_FROM_US else None,
         geoid_height_m=geoid_height_m,
+        velocity_ne_mps=_velocity_ne_mps(*motion),
     )
+
+
+def _velocity_ne_mps(speed_cmps: int, course_cdeg: int) -> tuple[float, float] | None:
+    """Return north and east; None where speed or course is not known."""
+    if UINT16_MAX in (speed_cmps, course_cdeg):
+        return None
+    speed_mps, course_rad = speed_cmps / 1e2, math.radians(course_cdeg / 1e2)
+    return speed_mps * math.cos(course_rad), speed_mps * math.sin(course_rad)
 
 
 def _thousandths(value: int) -> float | None:

@@ -136,6 +136,15 @@ def test_a_subject_walked_off_is_found_by_the_ranges_and_not_believed_again_whil
     assert out.worst_ratio(DENIED, failed_s) < HONEST
 
 
+def test_one_whose_velocity_stays_true_is_named_where_its_own_ranges_leave_it_open():
+    """East of it the offset of two peers the other way explains its three ranges nearly as well."""
+    walked_off = fault("gps_spoofed", DENIED, FROM_S, speed_mps=2.0, direction_deg=90.0, velocity_follows=False)
+    out = fly_through(walked_off, duration_s=FROM_S + 12.0)
+    assert out.first(DENIED, "failed", after_s=FROM_S) < FROM_S + 8.0
+    assert [c.sysid for c in out.flight.changes if c.at_s >= FROM_S and c.after == "suspect"] == []
+    assert not out.distrusted(FROM_S) - {DENIED}
+
+
 def elsewhere(vehicle: int) -> list[dict[str, object]]:
     """A receiver that is lost for 20 s and comes back at 40 s, 200 m off."""
     lost = fault("gps_lost", vehicle, 20.0, until_s=40.0)

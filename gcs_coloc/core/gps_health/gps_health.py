@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TypeGuard
 
+from gcs_coloc.core.gps_health.doppler_check import DopplerCheck
 from gcs_coloc.core.gps_health.position_checks import MotionCheck, ReceiverCheck
 from gcs_coloc.core.gps_health.reasons import GpsReason
 from gcs_coloc.core.measurements import PositionMeasurement
@@ -130,6 +131,7 @@ class GpsHealth:
         self._has_own_trouble = False
         self._motion = MotionCheck()
         self._own_fix = ReceiverCheck()
+        self._doppler = DopplerCheck()
 
     @property
     def state(self) -> GpsState:
@@ -157,10 +159,15 @@ class GpsHealth:
         by_ranges_alone = self._state is GpsState.SUSPECT and self._reason.reason is GpsReason.CONTRADICTED_BY_RANGES
         return (self._state is GpsState.HEALTHY or by_ranges_alone) and not self._has_own_trouble
 
+    def is_doubtful(self, now_s: float) -> bool:
+        """Whether its receiver's fixes have moved other than its velocity: evidence where ranges leave open who is at fault."""
+        return self._doppler.drifts(now_s)
+
     def add_receiver(self, fix: GpsReceiver, position: GlobalPosition | None) -> None:
         """Add a report of the vehicle's own receiver, with the position that its autopilot reported last."""
         self._own_fix.add(fix, position)
         self._motion.add_receiver(fix)
+        self._doppler.add(fix)
 
     def add_position(self, reported: PositionMeasurement, *, own: bool) -> None:
         """Add the position that its autopilot reports. `own` is False while the vehicle is aided."""
@@ -352,6 +359,10 @@ class FleetGpsHealth:
     def may_witness(self, sysid: int) -> bool:
         """Return whether nothing speaks against a vehicle but, at most, ranges that leave open who is at fault."""
         return self._of(sysid).may_witness
+
+    def is_doubtful(self, sysid: int, now_s: float) -> bool:
+        """Return whether a vehicle's receiver speaks against itself, where ranges leave open who is at fault."""
+        return self._of(sysid).is_doubtful(now_s)
 
     def reason(self, sysid: int) -> str:
         """Return what speaks for the state, in words."""

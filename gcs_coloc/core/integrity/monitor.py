@@ -72,7 +72,7 @@ class IntegrityMonitor:
         for vehicle in vehicles:
             if not vehicle.is_witness or vehicle.sysid in self._consistency.identified:
                 self._place_by_estimate(vehicle, now_s)
-        self._consistency.review(now_s)
+        self._consistency.review(now_s, frozenset(vehicle.sysid for vehicle in vehicles if vehicle.is_doubtful))
         tested = IntegrityReport(separation_m2=dict(self._consistency.separation_m2))
         inflated = [replace(v, estimate=tested.inflate(v.estimate)) if v.estimate is not None else v for v in vehicles]
         self._update_fault_levels(inflated, now_s)

@@ -124,15 +124,18 @@ class RangeConsistency:
         """End the exclusion of an identified vehicle."""
         self.identified.pop(vehicle, None)
 
-    def review(self, now_s: float) -> None:
-        """Run the tests if they are due, and update identified and detected faults and the solution separation."""
+    def review(self, now_s: float, doubtful: Collection[int] = ()) -> None:
+        """Run the tests if they are due, and update identified and detected faults and the solution separation.
+
+        `doubtful` are the vehicles whose receivers speak against themselves: it isolates them where the ranges leave it open.
+        """
         if now_s < self._due_s:
             return
         self._due_s = now_s + self.settings.period_s - SAME_S
         epoch = self._residuals.epoch(now_s)
         self.epoch = self._residuals.sparse_epoch(now_s, epoch)
         self._run_fault_monitor(epoch, now_s)
-        self._run_tests(epoch, now_s)
+        self._run_tests(epoch, now_s, doubtful)
         monitored = self._fault_monitor.separation_m2(now_s)
         self.separation_m2 = {
             vehicle: max((each[vehicle] for each in (self._decayed_m2, monitored) if vehicle in each), key=_trace)
@@ -149,7 +152,7 @@ class RangeConsistency:
         self._detected_until_s = {v: until_s for v, until_s in self._detected_until_s.items() if until_s > now_s}
         self.detected |= self._detected_until_s.keys()
 
-    def _run_tests(self, epoch: Epoch, now_s: float) -> None:
+    def _run_tests(self, epoch: Epoch, now_s: float, doubtful: Collection[int]) -> None:
         pasts = self._epochs.pasts(epoch.at_s)
         results = self._results(epoch, pasts)
         self._epochs.append(epoch)
@@ -159,7 +162,7 @@ class RangeConsistency:
             return
         self._tested_s = now_s
         self._update_separation(results, epoch, now_s)
-        self._update_faults(results, epoch, pasts)
+        self._update_faults(results, epoch, pasts, doubtful)
         if all(result.is_clear for result in results.values()):
             self._end_detection()
 
@@ -173,7 +176,9 @@ class RangeConsistency:
         results = dict(zip(pasts, run_tests(epoch, self.settings.levels, list(pasts.values())), strict=True))
         return {interval_s: result for interval_s, result in results.items() if result is not None}
 
-    def _update_faults(self, results: Mapping[float, FaultTestResult], epoch: Epoch, pasts: Mapping[float, Past]) -> None:
+    def _update_faults(
+        self, results: Mapping[float, FaultTestResult], epoch: Epoch, pasts: Mapping[float, Past], doubtful: Collection[int]
+    ) -> None:
         samples: dict[float, Isolation] = {}
         for interval_s, result in results.items():
             persistence = self._persistence[interval_s]
@@ -181,7 +186,7 @@ class RangeConsistency:
                 persistence.reset()
             elif epoch.began_s >= persistence.sampled_until_s:
                 persistence.sampled_until_s = epoch.ended_s
-                samples[interval_s] = isolate(epoch, pasts[interval_s], self.settings.levels)
+                samples[interval_s] = isolate(epoch, pasts[interval_s], self.settings.levels, doubtful)
         identified: dict[int, float] = {}
         for interval_s, sample in samples.items():
             persistence = self._persistence[interval_s]

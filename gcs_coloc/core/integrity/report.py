@@ -26,7 +26,8 @@ class ReviewedVehicle:
 
     `gps_state` and `is_trusted` (its reported position is evidence) are results of the round before. `is_witness`: nothing bad is
     known of it, so that its position is tested against the others'. `is_automatic`: no operator override of its GPS is in force.
-    `is_returning`: it has failed, and its receiver has a good fix again.
+    `is_returning`: it has failed, and its receiver has a good fix again. `is_doubtful`: its receiver's fixes do not move as
+    its own velocity says, which counts where ranges leave open who is at fault.
     `reported` is the newest position that its autopilot reports, `receiver_fix` that of its own receiver while the reported one
     is not evidence. `estimate` is the estimator's answer now, of a distrusted vehicle that is no witness. `median_nis` is the
     median normalised innovation squared of its recent ranges, `range_jump_m` the common jump of all its ranges; None where there
@@ -39,6 +40,7 @@ class ReviewedVehicle:
     is_witness: bool
     is_automatic: bool
     is_returning: bool = False
+    is_doubtful: bool = False
     reported: PositionMeasurement | None = None
     receiver_fix: PositionMeasurement | None = None
     estimate: Estimate | None = None

@@ -76,7 +76,8 @@ class GpsReceiver:
 
     Without a fix (`fix_type` below 2) its position is 0, 0, 0. `h_acc_m`, `v_acc_m` and `speed_acc_mps` are 1-sigma; ArduPilot
     leaves them at their last good value when a fix is lost. `fixed_boot_s` is when the autopilot heard of the fix (`time_usec`).
-    `geoid_height_m` is mean sea level's height above the WGS 84 ellipsoid there.
+    `geoid_height_m` is mean sea level's height above the WGS 84 ellipsoid there. `velocity_ne_mps` is the receiver's own velocity
+    over ground, north and east, by the Doppler shift.
     """
 
     sysid: int
@@ -93,6 +94,7 @@ class GpsReceiver:
     speed_acc_mps: float | None
     fixed_boot_s: float | None = None
     geoid_height_m: float | None = None
+    velocity_ne_mps: tuple[float, float] | None = None
 
 
 class Interference(Enum):

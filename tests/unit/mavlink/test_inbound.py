@@ -129,12 +129,15 @@ def beat(
             global_position(),
             GlobalPosition(1, NOW_S, 61.25, -35.3632621, 149.1652374, 584.19, vn_mps=15.0, ve_mps=-2.5, vd_mps=-0.3),
         ),
-        (gps_raw(), GpsReceiver(1, NOW_S, 0, 6, -35.3632621, 149.1652374, 584.19, 10, 1.21, 0.3, 0.45, 0.12)),
+        (
+            gps_raw(),
+            GpsReceiver(1, NOW_S, 0, 6, -35.3632621, 149.1652374, 584.19, 10, 1.21, 0.3, 0.45, 0.12, velocity_ne_mps=(22.0, 0.0)),
+        ),
         (
             mavlink.MAVLink_gps2_raw_message(
                 UNIX_US, 3, 10, 20, 30_000, 150, 200, 0, 0, 255, 0, 0, h_acc=300, v_acc=450, vel_acc=120, alt_ellipsoid=1, yaw=9
             ),
-            GpsReceiver(1, NOW_S, 1, 3, 1e-6, 2e-6, 30.0, None, 1.5, 0.3, 0.45, 0.12, geoid_height_m=-29.999),
+            GpsReceiver(1, NOW_S, 1, 3, 1e-6, 2e-6, 30.0, None, 1.5, 0.3, 0.45, 0.12, None, -29.999, (0.0, 0.0)),
         ),
         (
             development.MAVLink_gnss_integrity_message(1, 0, 2, 2, 3, 3, 120, 180, 255, 255, 255, 255),
