@@ -106,7 +106,8 @@ class Aiding:
             change = stream.acknowledgement.review(vehicle, now_s)
             if change is not None:
                 out.append(Notice(now_s, sysid, *change))
-        wanted = self._switch_wanted(sysid, stream, reports_false_fix=reports_false_fix)
+        is_lost = reports_false_fix or (gps_state is GpsState.FAILED and vehicle.autopilot is not Autopilot.PX4)
+        wanted = self._switch_wanted(sysid, stream, is_lost=is_lost)
         out.extend(self._switch.review(sysid, vehicle.autopilot, now_s, wanted=wanted))
         is_self_fed = self._override(sysid) is AidingOverride.ON or self._switch.holds(sysid)
         is_aided = stream is not None and (gps_state in _AIDED_STATES or is_self_fed)
@@ -269,8 +270,12 @@ class Aiding:
         feeds = feeds_receiver(self._method(vehicle))
         return Purpose.STANDBY if self._settings.standby and feeds and gps_state in _STANDBY_STATES else None
 
-    def _switch_wanted(self, sysid: int, stream: AidingStream | None, *, reports_false_fix: bool) -> bool:
+    def _switch_wanted(self, sysid: int, stream: AidingStream | None, *, is_lost: bool) -> bool:
         """Return whether it is to fly on our fix alone: begun only where it acknowledges that, kept while aid lasts.
+
+        `is_lost`: its own receiver has failed, so that whatever fix it reports next is not to be followed until it is tested. An
+        ArduPilot takes that fix at once, and goes back to its own receiver by itself should our stream end. A PX4 would not go
+        back: it leaves out only a receiver that reports a false fix.
 
         While its own receiver has a fix a PX4 shows nothing of ours, but may have shown before that it does not use it.
         """
@@ -285,4 +290,4 @@ class Aiding:
         acknowledged = stream.acknowledgement.acknowledged
         if stream.inhibit is not None or acknowledged is False or (acknowledged is None and feeds_receiver(stream.name)):
             return False
-        return override is PrimaryOverride.OURS or (is_automatic and reports_false_fix)
+        return override is PrimaryOverride.OURS or (is_automatic and is_lost)

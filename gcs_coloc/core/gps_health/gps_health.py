@@ -6,9 +6,10 @@
 Evidence is what the vehicle's real receiver says in GPS_RAW_INT (in GPS2_RAW where we feed the first one), the GPS bit of
 SYS_STATUS and the EKF's flags, and in GNSS_INTEGRITY where it sends that: spoofing, jamming that it does not master, a failed
 RAIM. SYS_STATUS and the EKF speak of the receiver *in use*: while the vehicle is aided they are an echo of our
-fix and count for nothing. The receiver that we feed never counts. What the service itself finds counts as well: a receiver
-that repeats one position on the move (`MotionCheck`) is as good as lost, and so is one that the ranges identify as faulty
-(`integrity`); a position other than the receiver's (`ReceiverCheck`) is suspect. The operator's override wins over everything.
+fix and count for nothing, as does a glitch that the EKF still reports some seconds later. The receiver that we feed never
+counts. What the service itself finds counts as well: a receiver that repeats one position on the move (`MotionCheck`) is as
+good as lost, and so is one that the ranges identify as faulty (`integrity`); a position other than the receiver's
+(`ReceiverCheck`) is suspect. The operator's override wins over everything.
 """
 
 from __future__ import annotations
@@ -110,6 +111,7 @@ class GpsEvidence:
 _LONGEST_STEADY_S = 30.0  # chosen: a fix that comes for seconds under jamming has gone again by then
 _RELAPSE_WITHIN_S = 60.0  # chosen: a loss later than this after the recovery is another one
 _HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
+_EKF_LINGERS_S = 12.0  # EKF3 holds the worst speed accuracy with a decay of 10 s, and wants 10 s of good innovations
 _INTEGRITY_FRESH_S = 5.0  # chosen: five periods of GNSS_INTEGRITY, which PX4 sends once a second
 
 _NOTHING_HEARD = StatedReason(GpsReason.NOTHING_HEARD)
@@ -129,6 +131,7 @@ class GpsHealth:
         self._has_bad_fix = False
         self._was_healthy = self._was_failed = False
         self._has_own_trouble = False
+        self._aided_at_s = float("-inf")
         self._motion = MotionCheck()
         self._own_fix = ReceiverCheck()
         self._doppler = DopplerCheck()
@@ -175,6 +178,8 @@ class GpsHealth:
 
     def update(self, evidence: GpsEvidence, now_s: float) -> bool:
         """Move the machine on to `now_s`; True where the state changed."""
+        if evidence.is_aided:
+            self._aided_at_s = now_s
         receiver, fault = evidence.receiver, self._fault(evidence, now_s)
         is_fresh = receiver is not None and now_s - receiver.received_at_s <= self._settings.silence_s
         has_fix = is_fresh and receiver is not None and receiver.fix_type >= _HAS_FIX
@@ -268,7 +273,7 @@ class GpsHealth:
         if evidence.system is not None and evidence.system.gps_enabled and not evidence.system.gps_healthy:
             return StatedReason(GpsReason.SYSTEM_UNHEALTHY)
         if evidence.ekf is not None:
-            if evidence.ekf.gps_glitching:
+            if evidence.ekf.gps_glitching and now_s - self._aided_at_s > _EKF_LINGERS_S:
                 return StatedReason(GpsReason.EKF_GLITCH)
             if evidence.ekf.constant_position_mode or not evidence.ekf.horizontal_position_absolute:
                 return StatedReason(GpsReason.EKF_NOT_ABSOLUTE)

@@ -26,9 +26,9 @@ class Lying:
         parameters_told(self.engine, 2.0, EKF2_AGP0_CTRL=1.0, EKF2_AGP0_ID=1.0)
         self.fly(2.0, 5.0)
 
-    def fly(self, start_s: float, stop_s: float) -> None:
+    def fly(self, start_s: float, stop_s: float, failed: tuple[int, ...] = ()) -> None:
         for step in range(round(start_s * 10), round(stop_s * 10)):
-            for at_s, output in fly(self.engine, step / 10, step / 10 + 0.1, autopilot=Autopilot.PX4):
+            for at_s, output in fly(self.engine, step / 10, step / 10 + 0.1, failed=failed, autopilot=Autopilot.PX4):
                 self.out.append((at_s, output))
                 if isinstance(output, SensorEnable):
                     self.engine.receive(CommandResult(4, at_s, ENABLE, self.outcome))
@@ -47,6 +47,14 @@ def test_it_is_switched_off_by_setting_where_it_reports_a_fix_though_it_has_fail
     assert not [o for _, o in flight.out if isinstance(o, ParameterSet)]
     assert vehicle_4(flight.engine, 12.0).gps_primary == ("ours" if commands else None)
     assert flight.engine.decision(4).is_self_fed is bool(commands)
+
+
+def test_one_that_is_simply_gone_is_left_in_use():
+    """PX4 would not go back to it by itself, should our stream end."""
+    flight = Lying(switch_primary="auto")
+    flight.fly(5.0, 12.0, failed=(4,))
+    assert vehicle_4(flight.engine, 12.0).gps_state == "failed"
+    assert flight.commands == []
 
 
 def test_the_operators_command_switches_it_off_and_on_again():

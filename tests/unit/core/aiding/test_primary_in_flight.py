@@ -37,25 +37,28 @@ class Switching:
 
 
 @pytest.mark.parametrize(("setting", "expected"), [("auto", 1.0), ("off", 0.0)])
-def test_the_primary_receiver_is_switched_by_setting_only_where_the_own_one_claims_a_fix(setting, expected):
+def test_the_primary_receiver_is_switched_by_setting_only_where_the_own_one_has_failed_and_claims_a_fix(setting, expected):
     flight = Switching(switch_primary=setting)
     flight.engine.receive(OperatorCommand(4, 5.0, GpsOverride.FAILED))
     flight.fly(5.0, 12.0, failed=[])  # its own receiver has a fix all the time
     assert flight.primary == expected
 
 
-def test_a_receiver_that_is_simply_gone_is_no_cause_to_switch():
+@pytest.mark.parametrize(("setting", "expected"), [("auto", 1.0), ("off", 0.0)])
+def test_a_receiver_without_a_fix_is_left_before_it_has_a_false_one(setting, expected):
+    """A jammed one has its first false fix seconds after the loss, and the EKF follows that at once."""
+    flight = Switching(switch_primary=setting)
+    flight.fly(5.0, 12.0, failed=[4])
+    assert flight.primary == expected
+
+
+def test_one_that_is_back_is_restored_once_it_is_healthy():
     flight = Switching(switch_primary="auto")
     flight.fly(5.0, 12.0, failed=[4])
-    assert flight.primary == 0.0
-
-
-def test_a_receiver_whose_fix_flickers_is():
-    flight = Switching(switch_primary="auto")
-    flight.fly(5.0, 8.0, failed=[4])
-    flight.fly(8.0, 9.0, failed=[])
-    flight.fly(9.0, 12.0, failed=[4])
+    flight.fly(12.0, 21.0, failed=[])
     assert flight.primary == 1.0
+    flight.fly(21.0, 24.0, failed=[])
+    assert flight.primary == 0.0
 
 
 def test_while_the_primary_receiver_is_ours_its_claims_are_an_echo_until_it_is_restored():

@@ -270,6 +270,19 @@ def test_a_fix_that_flickers_is_neither_recovering_nor_healthy():
     assert health.state is GpsState.HEALTHY
 
 
+def test_a_glitch_that_the_ekf_still_reports_after_it_flew_on_our_fix_is_an_echo():
+    """EKF3 forgets the worst speed accuracy that it was sent with a time constant of 10 s."""
+    health = healthy_until(5.0)
+    glitch = EkfStatus(1, 5.0, horizontal_position_absolute=True, constant_position_mode=False, gps_glitching=True)
+    health.know(is_aided=True, ekf=glitch)
+    run(health, 5.0, 10.0)
+    health.know(is_aided=False)
+    run(health, 10.2, 21.8)
+    assert health.state is GpsState.HEALTHY
+    run(health, 22.2, 22.4)
+    assert (health.state, health.reason) == (GpsState.SUSPECT, "the autopilot's EKF reports a GPS glitch")
+
+
 def test_after_each_relapse_a_fix_must_be_steady_for_twice_as_long():
     """A fix that comes for five seconds at a time is recovering once and never again."""
     health = healthy_until(5.0)
