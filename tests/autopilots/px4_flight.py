@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from four_ship import HEIGHT_M, Case, FourShip, in_flight, place
+from four_ship import Case, FourShip, in_flight
 from pilot import Pilot
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from scene import HEIGHT_M, place
 from simulators import ORIGIN_ALT_M, px4
 
 # Ports that PX4's own start-up script gives to its instances (px4-rc.mavlinksim): ground station, onboard, truth of SIH.

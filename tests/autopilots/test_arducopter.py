@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from ardupilot_flight import ArduPilotFlight
 from flight_figures import at_most
-from four_ship import ArduPilotFlight, Case
+from four_ship import Case
 from simulator_faults import lose_gps, restore
 from simulators import COPTER
 
