@@ -131,6 +131,9 @@ class AidingStream:
     def set_purpose(self, purpose: Purpose, now_s: float) -> None:
         """Change the purpose."""
         if purpose is not self._purpose:
+            if self._purpose is Purpose.STANDBY:
+                # What standby repeated of its own receiver, and lost, is no flicker of the aid that begins.
+                self._policy = FixPolicy(self._settings, now_s)
             self._purpose, self._purpose_since_s = purpose, now_s
 
     def restart_purpose(self, now_s: float) -> None:

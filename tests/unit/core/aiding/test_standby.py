@@ -10,6 +10,7 @@ from engine_flights import StraightLine, aids, fly, parameters_told, settings, v
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import PositionMeasurement
+from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice, ParameterRequest
 
 
@@ -40,6 +41,19 @@ def test_standby_fails_over_without_a_gap():
     times = [t for t, _ in stream]
     assert [b - a for a, b in pairwise(times)] == pytest.approx([0.1] * (len(times) - 1), abs=1e-6)
     assert vehicle_4(engine, 20.0).aiding.startswith("sending 3D fix")
+
+
+def test_one_that_is_located_anew_when_it_fails_is_aided_as_soon_as_it_is_located():
+    """Its receiver was found to lie, and what it reported of late is out of its estimate; meanwhile it follows the lie."""
+    engine, estimator = standing_by(GPS_AUTO_SWITCH=4.0, GPS_PRIMARY=0.0)
+    fly(engine, 2.0, 10.0)
+    engine.receive(OperatorCommand(4, 10.0, GpsOverride.FAILED))
+    estimator.unknown = "waiting for ranges to start from"
+    unlocated = aids(fly(engine, 10.0, 10.8), 4)
+    estimator.unknown = None
+    located = aids(fly(engine, 10.8, 12.0), 4)
+    assert {a.fix_type for _, a in unlocated} == {1}
+    assert {a.fix_type for _, a in located} == {3}
 
 
 @pytest.mark.parametrize(
