@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from four_ship import FourShip
 from pilot import Pilot, Place3D, offset_m
+from protection import fixes_with_level
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 _LONGEST_GAP_S = 0.4
@@ -44,6 +45,8 @@ class Figures:
     stated_ratio: float | None = None
     """Root mean square of error over stated standard deviation (horiz_accuracy): 1 is honest."""
     beyond_3_bounds: int | None = None
+    most_of_hpl: float | None = None
+    """The largest error over its horizontal protection level, from the fault on: above 1 the level was not kept."""
     altitude_sd_with_gps_m: float | None = None
     altitude_sd_aided_m: float | None = None
     named_after_s: float | None = None
@@ -62,7 +65,7 @@ class Figures:
         numbers = [
             self.ekf_rmse_m, self.ekf_largest_m, self.ekf_first_15_s_m, self.ekf_stated_ratio,
             self.our_rmse_m, self.our_largest_m, self.stated_ratio,
-            self.beyond_3_bounds, self.altitude_sd_with_gps_m, self.altitude_sd_aided_m, self.named_after_s,
+            self.beyond_3_bounds, self.most_of_hpl, self.altitude_sd_with_gps_m, self.altitude_sd_aided_m, self.named_after_s,
             self.switched_after_s,
         ]  # fmt: skip
         rest = [", ".join(self.suspects) or "none", cell(self.longest_silence_s), cell(self.log_lines), "; ".join(self.notes)]
@@ -71,7 +74,9 @@ class Figures:
 
 HEADER = (
     "| flight | EKF rmse | most | first 15 s | EKF error/stated | ours rmse | most | error/stated | beyond 3 bounds |"
-    " alt sd GPS | alt sd aided | named | switched | sound suspects | no aid | log lines | notes |\n|" + "---|" * 17
+    " error/HPL, most | alt sd GPS | alt sd aided | named | switched | sound suspects | no aid | log lines | notes |\n|"
+    + "---|"
+    * 18
 )
 
 
@@ -194,6 +199,13 @@ def judge(ship: FourShip, denied: int, age_s: float, name: str) -> Figures:
         others = [Truth(p.truth) for n, p in ship.pilots.items() if n != denied]
         fixes = [f for file in ship.service.recordings for f in sent_fixes(file, denied) if belongs(f, truth, others)]
         _judge_sent(out, fixes, truth, begins_s, ends_s + case.after_s, age_s, ship.killed_s)
+        levels = [each for file in ship.service.recordings for each in fixes_with_level(file, ship.service.configuration, denied)]
+        shares = [
+            math.hypot(*offset_m(true, sent)) / level_m
+            for sent, level_m in levels
+            if sent.unix_s >= begins_s and (true := truth.at(sent.unix_s - age_s)) is not None
+        ]
+        out.most_of_hpl = max(shares, default=None)
         since = [(at, n, state) for at, n, state in ship.service.states if at >= begins_s]
         out.named_after_s = next((at - begins_s for at, n, state in since if n == denied and state == "failed"), None)
         accused = {n: at - begins_s for at, n, state in reversed(since) if n in sound and state in ("suspect", "failed")}

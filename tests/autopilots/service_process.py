@@ -29,7 +29,7 @@ class Service:
         self._web = free_port()
         self.states: list[tuple[float, int, str]] = []
         self._polled_s = 0.0
-        file = directory / "gcs-coloc.toml"
+        self.configuration = file = directory / "gcs-coloc.toml"
         file.write_text(f'links = ["udpin:127.0.0.1:{port}"]\n{configuration}\n', encoding="utf-8")
         command = [sys.executable, "-m", "gcs_coloc", "--config", str(file), "--record", str(directory)]
         with self.log.open("ab") as log:
