@@ -76,7 +76,8 @@ class FourShip:
 
     def start_service(self) -> None:
         """Start the service (again)."""
-        self.service = Service(self.port, self.directory, self.case.configuration)
+        before = self.service.states if self.service is not None else []
+        self.service = Service(self.port, self.directory, self.case.configuration, before)
 
     def event(self, sysid: int, text: str) -> None:
         """Write down what befalls a vehicle now."""

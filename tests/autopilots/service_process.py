@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import urllib.request
+from collections.abc import Sequence
 from pathlib import Path
 
 
@@ -23,11 +24,12 @@ def free_port() -> int:
 class Service:
     """`gcs-coloc` as its user starts it, and the GPS states that its metrics show, as they change."""
 
-    def __init__(self, port: int, directory: Path, configuration: str) -> None:
+    def __init__(self, port: int, directory: Path, configuration: str, states: Sequence[tuple[float, int, str]] = ()) -> None:
+        """Start it; `states` are those of the one before, which was killed."""
         self.directory = directory
         self.log = directory / "service.log"
         self._web = free_port()
-        self.states: list[tuple[float, int, str]] = []
+        self.states = list(states)
         self._polled_s = 0.0
         self.configuration = file = directory / "gcs-coloc.toml"
         file.write_text(f'links = ["udpin:127.0.0.1:{port}"]\n{configuration}\n', encoding="utf-8")
