@@ -85,6 +85,20 @@ class Restart:
             ship.start_service()
 
 
+class Starts:
+    """The service is killed and started again at once, so many times, so many seconds apart."""
+
+    def __init__(self, times: int, every_s: float) -> None:
+        self._left, self._every_s, self._due_s = times, every_s, every_s
+
+    def during(self, ship: FourShip, since_s: float) -> None:
+        """Kill it when it is time."""
+        if since_s >= self._due_s and self._left and ship.service is not None:
+            self._due_s, self._left = since_s + self._every_s, self._left - 1
+            ship.service.kill()
+            ship.start_service()
+
+
 class WindStep:
     """The wind grows by 8 m/s, 60 s after the loss."""
 

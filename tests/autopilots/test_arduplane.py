@@ -6,7 +6,7 @@ import pytest
 from ardupilot_flight import ArduPilotFlight
 from flight_figures import at_most
 from four_ship import Case
-from simulator_faults import Ramp, Restart, WindStep, jam, lose_gps, restore, step_of_200_m
+from simulator_faults import Ramp, Restart, Starts, WindStep, jam, lose_gps, restore, step_of_200_m
 from simulators import PLANE
 
 AUTOPILOT = "arduplane"
@@ -78,7 +78,10 @@ def test_killed_and_started_again(flown):
 
 
 def test_service_started_in_flight(flown):
-    ship, [f] = flown(Case("started in flight", starts_in_flight=True, before_s=40.0, duration_s=5.0))
+    """Twenty times: once before the fault that does not come, and again every 8 s."""
+    starts = Starts(19, 8.0)
+    ship, [f] = flown(Case("started in flight", starts_in_flight=True, during=starts.during, duration_s=19 * 8.0 + 10.0))
     assert ship.service is not None
+    assert ship.service.log.read_text(encoding="utf-8").count("GPS unknown -> healthy") == 4 * 20
     f.suspects = [f"{n} {state}" for _, n, state in ship.service.states if state in ("suspect", "failed")]
     assert f.suspects == []
