@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.stations.node_id import is_station, node_name
 from gcs_coloc.estimators.qu_zhang import trilateration
 from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution
 from gcs_coloc.estimators.qu_zhang.epochs import RangeEpoch
@@ -188,7 +189,7 @@ def circles_of(
     for peer, measurement in sorted(epoch.ranges.items()):
         track = peers.get(peer)
         if track is None or track.position_age_s(measurement.measured_at_s) > settings.peer_age_limit_s:
-            reasons.append(f"vehicle {peer} has no fresh position")
+            reasons.append(f"{node_name(peer) if is_station(peer) else f'vehicle {peer}'} has no fresh position")
         elif own.vertical is not None:
             circles.append(make_circle(peer, measurement, track, own, at_s, settings.lasting_peer_errors))
     return circles, reasons

@@ -1,6 +1,7 @@
 // The list of vehicles and the details of the selected one.
 
 import { age, byId, el, metres, milliseconds, number, setText } from "./dom.js";
+import { nodeName } from "./node_names.js";
 import { LIGHT_WORDS, SEVERITY, SIGNS } from "./palette.js";
 
 const COMPACT_FROM = 9; // vehicles; so many cards are higher than a screen
@@ -9,6 +10,16 @@ const COMPACT_FROM = 9; // vehicles; so many cards are higher than a screen
 function flight({ mode, armed, battery_percent: battery, alt_msl_m: height }) {
   return [mode, armed === null ? null : armed ? "armed" : "disarmed", battery === null ? null : `${battery} %`, height === null ? null : metres(height, 0)]
     .filter((part) => part !== null).join(", ");
+}
+
+// As in "2, 3 and station 4": vehicles first.
+const listed = (nodes) => [...nodes].sort((a, b) => (a < 0) - (b < 0) || Math.abs(a) - Math.abs(b)).map(nodeName).join(", ").replace(/, (?=[^,]*$)/, " and ");
+
+// The levels that an error does not exceed, and on what that rests.
+function protection({ hpl_m: hpl, vpl_m: vpl, untested }) {
+  if (hpl === null) return "-";
+  const assumed = untested.length === 0 ? "" : `; assumes that ${listed(untested)} ${untested.length === 1 ? "is where it says: no range tests it" : "are where they say: no range tests them"}`;
+  return `${metres(hpl)}, height ${metres(vpl)}${assumed}`;
 }
 
 // An override, and who gave it.
@@ -142,7 +153,7 @@ export class FleetList {
       "estimated position": snapshot.enu_m === null ? `unknown: ${snapshot.no_estimate_reason}` : `${place(snapshot.lat_deg, snapshot.lon_deg)}, ${metres(snapshot.alt_msl_m, 0)} ±${metres(snapshot.sigma_v_m, 0)} above sea level`,
       "reported position": place(snapshot.reported_lat_deg, snapshot.reported_lon_deg),
       "1-sigma, 95 % bound": `${metres(snapshot.sigma_h_m)}, ${metres(snapshot.bound_95_m)}`,
-      "protection level": `${metres(snapshot.hpl_m)}, height ${metres(snapshot.vpl_m)}${snapshot.untested.length > 0 ? `, if the GPS of ${snapshot.untested.join(", ")} is right: no range tests it` : ""}`,
+      "protection level": protection(snapshot),
       "2-sigma ellipse": ellipse === null ? "-" : `${metres(ellipse.semi_major_m)} by ${metres(ellipse.semi_minor_m)}`,
       speed: snapshot.velocity_enu_mps === null ? "-" : `${Math.hypot(snapshot.velocity_enu_mps[0], snapshot.velocity_enu_mps[1]).toFixed(1)} m/s`,
       "HDOP, ranges in use": `${number(snapshot.hdop)}, ${snapshot.ranges_in_use}`,

@@ -1,6 +1,7 @@
 // The map: an east-north grid in metres about the fleet's origin, over tiles where there are some.
 
 import { byId, svg } from "./dom.js";
+import { nodeName } from "./node_names.js";
 import { LIGHT_WORDS, SEVERITY, SIGNS } from "./palette.js";
 import { Roving } from "./roving.js";
 
@@ -13,8 +14,6 @@ const LABEL_PLACES = [[15, -7, "start"], [15, 19, "start"], [-15, -7, "end"], [-
 const LABEL_PX = { character: 9, height: 15, mark: 11 };
 const MOVING_KEY = /^(Arrow.*|[-+=_])$/;
 const at = (enu) => [enu[1], enu[0]];
-// The nodes of stations are negative, so that they are no vehicle's system id.
-const nodeName = (node) => (node < 0 ? `station ${-1 - node}` : String(node));
 
 export class FleetMap {
   constructor(onSelect) {
