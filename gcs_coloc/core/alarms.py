@@ -13,6 +13,7 @@ from enum import StrEnum
 from gcs_coloc.core.messages.control import HOST_LATE_S
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
+from gcs_coloc.core.stations.node_id import node_name
 
 SILENT_AFTER_S = 3.0
 """Chosen: three heartbeats, which every vehicle sends once a second (mavlink.io, heartbeat protocol)."""
@@ -101,6 +102,10 @@ def conditions(v: VehicleSnapshot) -> list[Condition]:
 def _gps_condition(v: VehicleSnapshot) -> Condition | None:
     if v.gps_state in ("failed", "recovering"):
         located = f"within {v.bound_95_m:.0f} m (95 %)" if v.bound_95_m is not None else f"nowhere: {v.no_estimate_reason}"
+        if v.hpl_m is not None:
+            located += f", protection level {v.hpl_m:.0f} m"
+            if v.untested:
+                located += f" if {', '.join(map(node_name, v.untested))} {'is' if len(v.untested) == 1 else 'are'} right"
         text = f"GPS {v.gps_state}: {v.gps_reason}. Located {located}; {v.aiding}"
         brief = f"GPS {'lost' if v.gps_state == 'failed' else v.gps_state}, "
         brief += f"located within {v.bound_95_m:.0f} m" if v.bound_95_m is not None else "not located"
@@ -141,7 +146,7 @@ def _action_without_gps(v: VehicleSnapshot) -> str:
         return "It is not sent its position: fly it by hand, and remove the reason."
     if v.ranges_in_use == 0:
         return "Its ranges have ceased: take it over or land it now; what it is sent ends within seconds."
-    return "It flies by its ranges: bring it home or land it while the bound is small."
+    return "It flies by its ranges: bring it home or land it while the protection level is small."
 
 
 class AlarmList:

@@ -22,6 +22,13 @@ function protection({ hpl_m: hpl, vpl_m: vpl, untested }) {
   return `${metres(hpl)}, height ${metres(vpl)}${assumed}`;
 }
 
+// How good its position is; the protection level first, for that decides on a fix.
+function quality({ sigma_h_m: sigma, hpl_m: hpl, hdop, ranges_in_use: ranges }) {
+  if (sigma === null) return "position unknown";
+  return [hpl === null ? null : `protection level ${metres(hpl)}`, `1-sigma ${metres(sigma)}`, ...(ranges > 0 ? [`HDOP ${number(hdop)}`, `${ranges} ranges in use`] : [])]
+    .filter((part) => part !== null).join(", ");
+}
+
 // An override, and who gave it.
 const given = (value, by) => (by === null ? value : `${value} by ${by}`);
 
@@ -123,8 +130,7 @@ export class FleetList {
     // Without the numbers that change all the time, which a screen reader would repeat.
     const name = `Vehicle ${snapshot.sysid} ${word}, ${reason}`;
     if (card.button.getAttribute("aria-label") !== name) card.button.setAttribute("aria-label", name);
-    const ranges = snapshot.ranges_in_use > 0 ? `, HDOP ${number(snapshot.hdop)}, ${snapshot.ranges_in_use} ranges in use` : "";
-    setText(card.numbers, snapshot.sigma_h_m === null ? "position unknown" : `1-sigma ${metres(snapshot.sigma_h_m)}${ranges}`);
+    setText(card.numbers, quality(snapshot));
   }
 
   makeCard(sysid) {
@@ -145,18 +151,18 @@ export class FleetList {
     const c = snapshot.consistency;
     const link = links.find((one) => one.sysid === snapshot.sysid);
     const facts = {
+      "estimated position": snapshot.enu_m === null ? `unknown: ${snapshot.no_estimate_reason}` : `${place(snapshot.lat_deg, snapshot.lon_deg)}, ${metres(snapshot.alt_msl_m, 0)} ±${metres(snapshot.sigma_v_m, 0)} above sea level`,
+      "protection level": protection(snapshot),
+      "1-sigma, 95 % bound": `${metres(snapshot.sigma_h_m)}, ${metres(snapshot.bound_95_m)}`,
+      "HDOP, ranges in use": `${number(snapshot.hdop)}, ${snapshot.ranges_in_use}`,
       state: reason,
       "last heard": `${age(snapshot.age_s + lateS)} ago`,
       autopilot: snapshot.autopilot,
       flight: flight(snapshot) || "-",
       "GPS receiver": snapshot.fix_type === null ? "not heard" : `fix type ${snapshot.fix_type}, ${snapshot.satellites ?? "?"} satellites`,
-      "estimated position": snapshot.enu_m === null ? `unknown: ${snapshot.no_estimate_reason}` : `${place(snapshot.lat_deg, snapshot.lon_deg)}, ${metres(snapshot.alt_msl_m, 0)} ±${metres(snapshot.sigma_v_m, 0)} above sea level`,
       "reported position": place(snapshot.reported_lat_deg, snapshot.reported_lon_deg),
-      "1-sigma, 95 % bound": `${metres(snapshot.sigma_h_m)}, ${metres(snapshot.bound_95_m)}`,
-      "protection level": protection(snapshot),
       "2-sigma ellipse": ellipse === null ? "-" : `${metres(ellipse.semi_major_m)} by ${metres(ellipse.semi_minor_m)}`,
       speed: snapshot.velocity_enu_mps === null ? "-" : `${Math.hypot(snapshot.velocity_enu_mps[0], snapshot.velocity_enu_mps[1]).toFixed(1)} m/s`,
-      "HDOP, ranges in use": `${number(snapshot.hdop)}, ${snapshot.ranges_in_use}`,
       "median NIS": c === null ? "-" : `${number(c.nis_median, 2)}, ${c.nis_median > c.band_high ? "above its band" : "band"} ${number(c.band_low, 2)} to ${number(c.band_high, 2)}; ${c.refused} of ${c.ranges} ranges refused`,
       clock: snapshot.clock_method === null ? "-" : `${snapshot.clock_method} ±${milliseconds(snapshot.clock_sigma_s)}`,
       link: link === undefined ? "-" : `${number(link.rate_hz)} frames/s, loss ${number(link.loss_percent)} %`,

@@ -114,3 +114,12 @@ def test_each_alarm_ends_with_what_to_do(vehicle):
     [found, *_] = conditions(vehicle)
     assert found.action.endswith(".")
     assert len(found.action) > 20
+
+
+@pytest.mark.parametrize(
+    ("untested", "assumption"),
+    [((), ";"), ((2,), " if 2 is right;"), ((2, -4), " if 2, station 3 are right;")],
+)
+def test_the_alarm_of_a_located_vehicle_states_its_protection_level_and_what_no_range_tests(untested, assumption):
+    [condition] = conditions(replace(LOCATED, hpl_m=14.4, vpl_m=20.0, untested=untested))
+    assert f"within 7 m (95 %), protection level 14 m{assumption}" in condition.text

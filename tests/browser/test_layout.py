@@ -1,0 +1,44 @@
+"""The page on a desk's screen, a tablet and a phone, with a vehicle selected: nothing is pushed away, cut off or covered."""
+
+from __future__ import annotations
+
+import itertools
+import re
+
+import pytest
+from flight import card
+from playwright.sync_api import expect
+
+pytestmark = pytest.mark.integration
+
+
+def test_the_details_leave_alarms_and_fleet_in_a_window_of_900_px(watched, scene):
+    page = watched.page
+    page.set_viewport_size({"width": 1440, "height": 900})
+    scene.failed.add(4)
+    expect(page.locator("#alarms li")).not_to_have_count(0)
+    card(page, 4).click()
+    for part in ("#alarms-title", "#fleet-title", "#details-title"):
+        expect(page.locator(part)).to_be_in_viewport(ratio=1.0)
+    first = page.locator("#facts dt", has_text="protection level").locator("+ dd")
+    expect(first).to_be_in_viewport(ratio=1.0)
+    expect(first).to_have_text(re.compile(r"^\d+\.\d m, height \d+\.\d m$"))
+    numbers = re.compile(r"protection level \d+\.\d m, 1-sigma \d+\.\d m, HDOP \d\.\d, 3 ranges in use")
+    expect(card(page, 4)).to_contain_text(numbers)
+    expect(page.locator("#alarms li[data-kind='gps_lost']")).to_contain_text(re.compile(r"\(95 %\), protection level \d+ m;"))
+    assert page.evaluate("window.scrollY") == 0
+    assert watched.complaints == []
+
+
+@pytest.mark.parametrize("size", [(820, 1180), (390, 844)])
+def test_in_one_column_the_details_are_whole_and_cover_nothing(watched, size):
+    page = watched.page
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    card(page, 4).click()
+    expect(page.locator("#facts dd")).not_to_have_count(0)
+    parts = ["#alarm-panel", "#fleet-panel", "#details", "#plots", "#links", "#log-panel"]
+    boxes = [page.locator(part).bounding_box() for part in parts]
+    for above, below in itertools.pairwise(boxes):
+        assert above["y"] + above["height"] <= below["y"]
+    assert page.locator("#details").evaluate("e => e.scrollHeight <= e.clientHeight + 1")
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
