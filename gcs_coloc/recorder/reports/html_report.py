@@ -16,14 +16,15 @@ _MAX_NOTICES = 500
 _HEAD = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
-<meta name="viewport" content="width=device-width">
+<meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark">
 <style>
 :root { --page: #fff; --text: #1a1a1a; --line: #ccc; --bad: #a33c00 }
 @media (prefers-color-scheme: dark) { :root { --page: #1b2128; --text: #e6eaee; --line: #36404a; --bad: #ff8a4c } }
 body { font: 16px/1.45 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem;
   color: var(--text); background: var(--page); overflow-wrap: break-word }
-table { border-collapse: collapse; margin: .6rem 0; display: block; overflow-x: auto }
+.scroll { overflow-x: auto; margin: .6rem 0 } .scroll:focus-visible { outline: 2px solid }
+table { border-collapse: collapse }
 th, td { border-bottom: 1px solid var(--line); padding: .25rem .7rem; text-align: left }
 td.n, th.n { text-align: right; font-variant-numeric: tabular-nums }
 img { max-width: 100% }
@@ -40,7 +41,7 @@ def page(history: FlightHistory) -> str:
     """
     results = history.report.as_dict()
     title = f"Flight {history.file.name}"
-    parts = [_HEAD, f"<title>{escape(title)}</title></head><body><h1>{escape(title)}</h1>", _summary(history, results)]
+    parts = [_HEAD, f"<title>{escape(title)}</title></head><body><main><h1>{escape(title)}</h1>", _summary(history, results)]
     picture = map_picture(history)
     if picture is not None and history.frame is not None:
         origin = f"{history.frame.lat_deg:.7f}, {history.frame.lon_deg:.7f}"
@@ -55,7 +56,7 @@ def page(history: FlightHistory) -> str:
     parts.append(_counts("on the wire, frames not used", history.counts.wire))
     parts.append(_counts("by the estimator, with those used", results["estimator_counts"]))
     parts.append("<h2>Messages to the operator</h2>" + _notices(history))
-    return "\n".join([*parts, "</body></html>\n"])
+    return "\n".join([*parts, "</main></body></html>\n"])
 
 
 def _summary(history: FlightHistory, results: Mapping[str, Any]) -> str:
@@ -74,7 +75,7 @@ def _health(history: FlightHistory) -> str:
         (f"{change.at_s - history.counts.first_s:.1f}", str(change.sysid), change.before, change.after, change.reason)
         for change in history.health
     )
-    return _table(("s", "vehicle", "GPS was", "became", "because"), rows, numbers=(0, 1))
+    return _table("GPS failures", ("s", "vehicle", "GPS was", "became", "because"), rows, numbers=(0, 1))
 
 
 def _vehicle(history: FlightHistory, vehicle: Mapping[str, Any], track: Sequence[VehicleEntry]) -> str:
@@ -99,7 +100,8 @@ def _vehicle(history: FlightHistory, vehicle: Mapping[str, Any], track: Sequence
     reasons = sorted({v.no_estimate_reason for v in without if v.no_estimate_reason is not None})
     rows.extend(("not located because", reason) for reason in reasons)
     alt = f"Vehicle {sysid} over time: bound and sigma, HDOP and ranges in use, NIS"
-    return f"<h2>Vehicle {sysid} without its GPS</h2>" + _table(("", ""), rows) + _image(alt, vehicle_picture(history, track))
+    title = f"Vehicle {sysid} without its GPS"
+    return f"<h2>{title}</h2>" + _table(title, ("", ""), rows) + _image(alt, vehicle_picture(history, track))
 
 
 def _image(alt: str, picture: PlotImage) -> str:
@@ -123,7 +125,7 @@ def _counts(what: str, counts: Mapping[str, int]) -> str:
     if not counts:
         return f"<p>Nothing {escape(what.split(',')[0])}.</p>"
     rows = ((_spaced(reason), str(times)) for reason, times in sorted(counts.items(), key=lambda item: -item[1]))
-    return _table((what, "times"), rows, numbers=(1,))
+    return _table(f"Refused {what}", (what, "times"), rows, numbers=(1,))
 
 
 def _notices(history: FlightHistory) -> str:
@@ -134,17 +136,20 @@ def _notices(history: FlightHistory) -> str:
     )
     left_out = len(history.notices) - len(shown)
     more = f"<p>{left_out} further lines are left out.</p>" if left_out else ""
-    return _table(("s", "vehicle", "level", "text"), rows, numbers=(0,)) + more
+    return _table("Messages to the operator", ("s", "vehicle", "level", "text"), rows, numbers=(0,)) + more
 
 
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()) -> str:
+def _table(name: str, heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()) -> str:
+    """One table under its name for screen readers; one that is too wide is scrolled, also by keyboard."""
+
     def cells(tag: str, row: Sequence[str]) -> str:
         kind = {True: ' class="n"', False: ""}
         return "".join(f"<{tag}{kind[i in numbers]}>{escape(text)}</{tag}>" for i, text in enumerate(row))
 
     head = f"<thead><tr>{cells('th', heads)}</tr></thead>" if any(heads) else ""
     body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
-    return f"<table>{head}<tbody>{body}</tbody></table>"
+    table = f"<table>{head}<tbody>{body}</tbody></table>"
+    return f'<div class="scroll" tabindex="0" role="group" aria-label="{escape(name)}">{table}</div>'
 
 
 def _spaced(reason: str) -> str:

@@ -1,0 +1,81 @@
+"""axe-core finds no violation on the live page, a replayed flight and the report of a flight, in light and dark."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from flight import card, wait_until_good
+from playwright.sync_api import Page, expect
+from recorded_flight import write_flight
+from test_replay_page import replaying
+
+pytestmark = pytest.mark.integration
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """40 s, vehicle 4 without GPS after 20 s."""
+    path = tmp_path_factory.mktemp("flight") / "flight.tlog"
+    write_flight(path, 40.0)
+    return path
+
+
+def violations(page: Page) -> list[tuple[str, list[str]]]:
+    """What axe-core complains of: each rule with the elements."""
+    found = Axe().run(page).response
+    assert len(found["passes"]) > 10  # it has looked
+    return [(rule["id"], [node["html"][:90] for node in rule["nodes"]]) for rule in found["violations"]]
+
+
+@pytest.mark.parametrize("size", [(1440, 900), (390, 844)])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_live_page_with_an_alarm_its_details_and_an_armed_command(watched, scene, scheme, size):
+    page = watched.page
+    page.emulate_media(color_scheme=scheme)
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    assert violations(page) == []
+    scene.failed.add(4)
+    expect(page.locator("#alarms li[data-kind='gps_lost']")).not_to_have_count(0)
+    expect(page.locator("path.range")).to_have_count(3)
+    card(page, 4).click()
+    assert violations(page) == []
+    page.get_by_label("Operator's token").fill("a token")
+    page.get_by_role("button", name="Declare GPS failed").click()
+    expect(page.get_by_role("button", name="Send: Declare GPS failed")).to_be_enabled()
+    assert violations(page) == []
+    scene.failed.clear()
+    wait_until_good(page, 4)
+    assert violations(page) == []  # the alarm is over
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_replayed_flight(scene, recording, scheme):
+    with replaying(recording) as (_, url):
+        page = scene.chromium.new_page(viewport={"width": 1440, "height": 900}, color_scheme=scheme)
+        page.goto(url)
+        place = page.get_by_role("slider", name="Position in the recording")
+        place.focus()
+        page.keyboard.press("End")
+        expect(place).to_have_attribute("aria-valuetext", re.compile("^0:(39|40) of"))
+        expect(card(page, 4)).to_contain_text("GPS failed")
+        card(page, 4).click()
+        assert violations(page) == []
+        page.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_report_of_a_flight(scene, recording, scheme):
+    out = recording.with_suffix(".html")
+    subprocess.run([sys.executable, "-m", "gcs_coloc", "report", str(recording), "--out", str(out)], check=True, timeout=300)
+    page = scene.chromium.new_page(color_scheme=scheme)
+    page.goto(out.as_uri())
+    expect(page.get_by_role("heading", name="Vehicle 4 without its GPS")).to_be_visible()
+    for width_px in (1440, 390):
+        page.set_viewport_size({"width": width_px, "height": 900})
+        assert violations(page) == []
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    page.close()
