@@ -4,10 +4,11 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from fleet_views import HEALTHY, LOST, fleet_view
+from fleet_views import HEALTHY, LOCATED, LOST, fleet_view
 from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -86,10 +87,18 @@ def test_promtool_finds_the_alert_rules_right():
 
 def test_the_dashboard_asks_for_metrics_that_there_are():
     dashboard = json.loads((ROOT / "configs/grafana-dashboard.json").read_text(encoding="utf-8"))
-    there = {s.name for f in families(fleet_view(10.0)).values() for s in f.samples}
+    there = {
+        s.name for f in families(fleet_view(10.0, HEALTHY, replace(LOCATED, hpl_m=14.0, vpl_m=20.0))).values() for s in f.samples
+    }
     asked = [t["expr"] for panel in dashboard["panels"] for t in panel.get("targets", [])]
     assert len(asked) >= 8
     for expression in asked:
         names = re.findall(r"(?:gcs_coloc|process)_\w+", expression)
         assert names
         assert set(names) <= there, expression
+    metrics = set(re.findall(r"\w+", " ".join(asked)))
+    assert {"gcs_coloc_vehicle_protection_level_meters", "gcs_coloc_loop_lag_seconds"} <= metrics
+    places = [tuple(panel["gridPos"][key] for key in "xywh") for panel in dashboard["panels"]]
+    cells = [(column, row) for x, y, w, h in places for column in range(x, x + w) for row in range(y, y + h)]
+    assert len(cells) == len(set(cells))  # no panel lies over another
+    assert max(column for column, _ in cells) < 24
