@@ -1,4 +1,4 @@
-"""Which entry of a full table makes room: one rule for every table that senders, also hostile ones, can fill."""
+"""Eviction: which entry of a full table makes room: one rule for every table that senders, also hostile ones, can fill."""
 
 from __future__ import annotations
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from math import inf
 
 import numpy as np
 
@@ -43,6 +44,16 @@ class Isolation:
     """
 
     plausible: tuple[AdjustedHypothesis, ...]
+
+    @property
+    def cost(self) -> float:
+        """Twice the negative log likelihood of the best explanation, beside that of no fault and no misfit; else infinite."""
+        return self.plausible[0].cost if self.plausible else inf
+
+    @property
+    def is_of_one_pair(self) -> bool:
+        """Whether the best explanation is that the ranges of one pair are off."""
+        return bool(self.plausible) and self.plausible[0].kind is FaultKind.PAIR
 
     @property
     def isolated(self) -> dict[int, float]:

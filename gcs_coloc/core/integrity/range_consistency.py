@@ -18,10 +18,14 @@ from gcs_coloc.core.integrity.epoch import Epoch, EpochHistory, Past
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor, FaultMonitorSettings
 from gcs_coloc.core.integrity.fault_tests import FaultTestResult, SignificanceLevels, run_tests
 from gcs_coloc.core.integrity.isolation import Isolation, isolate
+from gcs_coloc.core.integrity.misfit import explain_misfit
+from gcs_coloc.core.integrity.noise_model import NoiseModel
 from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeResidualSettings, TrackPoint
+from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
 from gcs_coloc.core.schedule import SAME_S
 
+_WELL_PLACED_SIGMA_M = 10.0  # chosen: beyond it motion places a vehicle, and no error of a range acts in full
 _HOLD_WINDOWS = 10.0  # without any test for so many windows a detection ends
 
 
@@ -84,7 +88,7 @@ class RangeConsistency:
 
     `epoch` is the newest one, with the pairs that are ranged seldom. `identified` are the faulty vehicles, `detected` those among
     which a fault is not isolated. `separation_m2` has, for each vehicle without prior, the second moment (2, 2) of its solution
-    separation, m^2.
+    separation, m^2. `noise` is how much worse ranges and positions were found to be than they state.
     """
 
     def __init__(self, settings: ConsistencySettings | None = None) -> None:
@@ -93,6 +97,7 @@ class RangeConsistency:
         self.identified: dict[int, IdentifiedFault] = {}
         self.detected: frozenset[int] = frozenset()
         self.separation_m2: dict[int, FloatArray] = {}
+        self.noise = NoiseModel()
         self._fault_monitor = FaultMonitor(self.settings.fault_monitor)
         self._residuals = RangeResidualBuffer(self.settings.residuals, self._fault_monitor)
         self._decayed_m2: dict[int, FloatArray] = {}
@@ -132,15 +137,28 @@ class RangeConsistency:
         if now_s < self._due_s:
             return
         self._due_s = now_s + self.settings.period_s - SAME_S
-        epoch = self._residuals.epoch(now_s)
-        self.epoch = self._residuals.sparse_epoch(now_s, epoch)
-        self._run_fault_monitor(epoch, now_s)
-        self._run_tests(epoch, now_s, doubtful)
+        whole = self._residuals.epoch(now_s)
+        self.noise = explain_misfit(whole, self.noise.after(self.settings.period_s), self.settings.levels, doubtful)
+        stated = self.noise.select(whole)
+        sparse = self.noise.select(self._residuals.sparse_epoch(now_s, whole))
+        self.epoch = self.noise.apply(sparse)
+        self._run_fault_monitor(stated, now_s)
+        self._run_tests(stated, now_s, doubtful)
         monitored = self._fault_monitor.separation_m2(now_s)
         self.separation_m2 = {
             vehicle: max((each[vehicle] for each in (self._decayed_m2, monitored) if vehicle in each), key=_trace)
             for vehicle in self._decayed_m2.keys() | monitored.keys()
         }
+        for vehicle, excess_m2 in self._noise_excess_m2(sparse).items():
+            self.separation_m2[vehicle] = self.separation_m2.get(vehicle, 0.0) + excess_m2
+
+    def _noise_excess_m2(self, stated: Epoch) -> dict[int, FloatArray]:
+        """What the noise beyond the stated one costs each vehicle that the ranges alone place well, m^2 (2, 2)."""
+        if self.noise.is_as_stated or not stated.residuals:
+            return {}
+        as_stated, as_found = SolutionSeparation(stated), SolutionSeparation(self.epoch)
+        placed = [v for v in as_stated.vehicles if float(np.trace(as_stated.covariance_m2(v))) < _WELL_PLACED_SIGMA_M**2]
+        return {v: as_found.covariance_m2(v) - as_stated.covariance_m2(v) for v in placed}
 
     def _run_fault_monitor(self, epoch: Epoch, now_s: float) -> None:
         """Detect faults from the ranges of denied vehicles, where no ranges among other vehicles can test more."""
@@ -152,10 +170,14 @@ class RangeConsistency:
         self._detected_until_s = {v: until_s for v, until_s in self._detected_until_s.items() if until_s > now_s}
         self.detected |= self._detected_until_s.keys()
 
-    def _run_tests(self, epoch: Epoch, now_s: float, doubtful: Collection[int]) -> None:
-        pasts = self._epochs.pasts(epoch.at_s)
+    def _run_tests(self, stated: Epoch, now_s: float, doubtful: Collection[int]) -> None:
+        epoch = self.noise.apply(stated)
+        pasts: dict[float, Past] = {
+            interval_s: (self.noise.apply(then) if then is not None else None, correlation)
+            for interval_s, (then, correlation) in self._epochs.pasts(stated.at_s).items()
+        }
         results = self._results(epoch, pasts)
-        self._epochs.append(epoch)
+        self._epochs.append(stated)
         if not results:
             if now_s - self._tested_s > _HOLD_WINDOWS * self.settings.residuals.window_s:
                 self._end_detection()

@@ -70,6 +70,11 @@ class SolutionSeparation:
         """The vehicles without prior."""
         return [vehicle for vehicle, free in zip(self._arrays.vehicles, self._arrays.no_prior, strict=True) if free]
 
+    def covariance_m2(self, vehicle: int) -> FloatArray:
+        """Return the horizontal covariance (2, 2) of one vehicle by ranges and reported positions alone, m^2."""
+        at = 3 * self._arrays.index[vehicle]
+        return np.asarray(self._C[at : at + 2, at : at + 2])
+
     def of(self, vehicle: int) -> list[Separation]:
         """Return all hypotheses of one vehicle without prior, that of the motion first."""
         at = 3 * self._arrays.index[vehicle]

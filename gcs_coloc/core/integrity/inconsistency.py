@@ -1,0 +1,35 @@
+"""What explains that ranges and reported positions contradict each other at the moment: one fault, several pairs, or more noise.
+
+A fault of receivers or of one device is left to the tests over time (`range_consistency`). If several pairs that are off, or
+noise of all that is larger than stated, are likelier, nobody is at fault: the pairs are left out, or the noise is enlarged, and
+with it every protection level.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+from gcs_coloc.core.integrity.epoch import Epoch, Past
+from gcs_coloc.core.integrity.fault_tests import SignificanceLevels, run_tests
+from gcs_coloc.core.integrity.isolation import isolate
+from gcs_coloc.core.integrity.noise_model import NoiseModel, likeliest_noise
+from gcs_coloc.core.integrity.pair_outliers import pair_outliers
+
+_PRESENT: Past = (None, 0.0)
+
+
+def explain_misfit(whole: Epoch, noise: NoiseModel, levels: SignificanceLevels, doubtful: Collection[int]) -> NoiseModel:
+    """Return the noise with which an epoch as stated is consistent, or `noise` as it is where a fault is likelier or none fits.
+
+    `doubtful` are the vehicles whose receivers speak against themselves.
+    """
+    epoch = noise.apply(whole)
+    result = run_tests(epoch, levels, [_PRESENT])[0] if whole.residuals else None
+    if result is None or result.is_consistent:
+        return noise
+    fault = isolate(epoch, _PRESENT, levels, doubtful)
+    pairs, more = pair_outliers(epoch, levels), likeliest_noise(whole, noise, levels)
+    if pairs is not None and (more is None or pairs.cost <= more.cost) and (pairs.cost < fault.cost or fault.is_of_one_pair):
+        return replace(noise, pairs_off=pairs.pairs)
+    return more.model if more is not None and more.cost < fault.cost else noise

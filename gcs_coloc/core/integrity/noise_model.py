@@ -1,0 +1,154 @@
+"""How much worse ranges, heights and positions are in this fleet than they state: the variance components of the tests.
+
+A single fault is explained in `isolation`. Where every device has a lasting error, or every barometer, no single fault explains,
+and nobody is at fault more than the others: the noise that the tests assume is too small. One component of it is then enlarged
+until ranges and positions agree. Among the components that bring this about the likeliest counts, by
+
+    -2 log L = T + log det V + log det (A' V^-1 A),    T = r' (V^-1 - V^-1 A (A' V^-1 A)^-1 A' V^-1) r
+
+with r the residuals of one epoch, V their covariance, and A the columns of the positions without prior. A fault of one receiver
+costs less than noise of all: the determinant grows with every residual.
+
+All components last: between two epochs they change with the ranges, or as a position error does. A step or a ramp is still found
+by the tests against earlier epochs.
+
+Source: K.-R. Koch, Parameter Estimation and Hypothesis Testing in Linear Models (1999), section 3.6, variance components;
+H. D. Patterson and R. Thompson, Biometrika 58 (1971), restricted likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import exp, hypot
+from typing import NamedTuple
+
+import numpy as np
+
+from gcs_coloc.core.integrity.epoch import MIN_INFORMATION_PER_M2, Epoch, PositionPrior
+from gcs_coloc.core.integrity.fault_tests import SignificanceLevels, chi2_limit
+from gcs_coloc.core.integrity.pair_outliers import Pair, without_pairs
+from gcs_coloc.core.measurements import FloatArray
+
+_RANGE_BIASES_M = (1.0, 2.0, 4.0, 8.0)  # chosen: uncalibrated devices; beyond it the protection level is beyond the alert limit
+_RANGE_SCALES = (0.002, 0.005, 0.01, 0.02)  # chosen: clocks and atmosphere 1e-5, devices that are set wrongly 1e-2
+_HEIGHT_SIGMAS_M = (5.0, 10.0, 20.0)  # chosen: pressure of another day or place; 8 m for 1 hPa
+_POSITION_FACTORS = (2.0, 4.0)  # chosen: receivers that state a half or a quarter of their error
+_FORGOTTEN_S = 600.0  # chosen: devices and weather change within hours
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """1-sigmas beyond those stated.
+
+    The lasting error of each pair's ranges in m and as a share of the range, the least of heights in m, and the factor on the
+    sigmas of reported positions. `pairs_off`: the pairs whose ranges are off at the moment.
+    """
+
+    range_bias_m: float = 0.0
+    range_scale: float = 0.0
+    height_sigma_m: float = 0.0
+    position_factor: float = 1.0
+    pairs_off: frozenset[Pair] = frozenset()
+
+    @property
+    def is_as_stated(self) -> bool:
+        """Whether nothing is added to what is stated."""
+        return self == NoiseModel(pairs_off=self.pairs_off)
+
+    def select(self, epoch: Epoch) -> Epoch:
+        """Return the epoch without the pairs that are off."""
+        return without_pairs(epoch, self.pairs_off)
+
+    def apply(self, epoch: Epoch) -> Epoch:
+        """Return the epoch with this noise."""
+        if self.is_as_stated:
+            return epoch
+        biases_m = np.hypot(self.range_bias_m, self.range_scale * epoch.arrays.ranges_m).tolist()
+        return replace(
+            epoch,
+            priors={vehicle: self._prior(prior) for vehicle, prior in epoch.priors.items()},
+            residuals=tuple(
+                residual._replace(bias_m=hypot(residual.bias_m, bias_m))
+                for residual, bias_m in zip(epoch.residuals, biases_m, strict=True)
+            ),
+        )
+
+    def after(self, elapsed_s: float) -> NoiseModel:
+        """Return what is left of it after some time, without pairs that are off; what still acts is found anew."""
+        kept = exp(-elapsed_s / _FORGOTTEN_S)
+        left = NoiseModel(
+            self.range_bias_m * kept,
+            self.range_scale * kept,
+            self.height_sigma_m * kept,
+            1.0 + (self.position_factor - 1.0) * kept,
+        )
+        return left if _is_considerable(left) else NoiseModel()
+
+    def larger(self) -> Iterator[NoiseModel]:
+        """Yield the models with one component enlarged."""
+        yield from (replace(self, range_bias_m=bias_m) for bias_m in _RANGE_BIASES_M if bias_m > self.range_bias_m)
+        yield from (replace(self, range_scale=scale) for scale in _RANGE_SCALES if scale > self.range_scale)
+        yield from (replace(self, height_sigma_m=sigma_m) for sigma_m in _HEIGHT_SIGMAS_M if sigma_m > self.height_sigma_m)
+        yield from (replace(self, position_factor=factor) for factor in _POSITION_FACTORS if factor > self.position_factor)
+
+    def _prior(self, prior: PositionPrior) -> PositionPrior:
+        return prior._replace(
+            sigma_h_m=prior.sigma_h_m * self.position_factor, sigma_v_m=max(prior.sigma_v_m, self.height_sigma_m)
+        )
+
+
+class Likelihood(NamedTuple):
+    """The statistic T of an epoch, its degrees of freedom, and -2 log L."""
+
+    statistic: float
+    degrees_of_freedom: int
+    cost: float
+
+
+def restricted_likelihood(epoch: Epoch) -> Likelihood:
+    """Return the likelihood of an epoch's residuals if there is no fault."""
+    arrays = epoch.arrays
+    rows, vehicles = len(arrays.pairs), len(arrays.vehicles)
+    H: FloatArray = np.zeros((rows, vehicles, 3))
+    i, j = arrays.ends
+    H[np.arange(rows), i], H[np.arange(rows), j] = arrays.unit_vectors, -arrays.unit_vectors
+    H = H.reshape(rows, 3 * vehicles)
+    known = np.where(arrays.has_prior, 1.0 / arrays.sqrt_information, 0.0)
+    V = np.diag(arrays.variances_m2) + (H * known**2) @ H.T
+    A = H[:, arrays.states_without_prior]
+    r = arrays.residuals_m
+    VA, Vr = np.linalg.solve(V, A), np.linalg.solve(V, r)
+    information = A.T @ VA + MIN_INFORMATION_PER_M2 * np.eye(A.shape[1])
+    statistic = float(r @ Vr - (A.T @ Vr) @ np.linalg.solve(information, A.T @ Vr))
+    unknowns = int(np.linalg.matrix_rank(A)) if A.size else 0
+    cost = statistic + float(np.linalg.slogdet(V)[1]) + float(np.linalg.slogdet(information)[1])
+    return Likelihood(statistic, rows - unknowns, cost)
+
+
+class LikeliestNoise(NamedTuple):
+    """A noise model; `cost` is twice its negative log likelihood, comparable with those of `isolation` under the present one."""
+
+    model: NoiseModel
+    cost: float
+
+
+def likeliest_noise(epoch: Epoch, present: NoiseModel, levels: SignificanceLevels) -> LikeliestNoise | None:
+    """Return the likeliest model larger than the present one with which an epoch as stated is consistent; None where none is."""
+    base = restricted_likelihood(present.apply(epoch))
+    found: list[LikeliestNoise] = []
+    for model in present.larger():
+        likelihood = restricted_likelihood(model.apply(epoch))
+        if likelihood.statistic <= chi2_limit(likelihood.degrees_of_freedom, levels.rest):
+            found.append(LikeliestNoise(model, likelihood.cost - base.cost + base.statistic))
+    return min(found, key=lambda each: each.cost, default=None)
+
+
+def _is_considerable(model: NoiseModel) -> bool:
+    """Whether a component is a tenth at least of its smallest step."""
+    return (
+        model.range_bias_m > 0.1 * _RANGE_BIASES_M[0]
+        or model.range_scale > 0.1 * _RANGE_SCALES[0]
+        or model.height_sigma_m > 0.1 * _HEIGHT_SIGMAS_M[0]
+        or model.position_factor > 1.0 + 0.1 * (_POSITION_FACTORS[0] - 1.0)
+    )

@@ -1,0 +1,61 @@
+"""Several pairs whose ranges are off at once, as where buildings and terrain are in the way.
+
+A fault of one pair is a hypothesis of `isolation`. Here the pair whose ranges explain most is left out, then the next, until the
+rest is consistent: iterated data snooping. The rest keeps redundancy and more than half of the pairs.
+
+Source: W. Baarda, A testing procedure for use in geodetic networks (1968); N. L. Knight, J. Wang and C. Rizos, J. Geodesy 84
+(2010), multiple outliers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from typing import NamedTuple
+
+from gcs_coloc.core.integrity.adjustment import adjust
+from gcs_coloc.core.integrity.epoch import Epoch
+from gcs_coloc.core.integrity.fault_tests import SignificanceLevels, chi2_limit
+
+_FURTHER_PAIR_PENALTY = 9.2  # twice the log of 100: chosen, so much rarer is each further pair that is off at the same time
+
+Pair = tuple[int, int]
+"""Two vehicles, the smaller id first."""
+
+
+class PairOutliers(NamedTuple):
+    """Pairs that are off at once; `cost` is twice the negative log likelihood, comparable with those of `isolation`."""
+
+    pairs: frozenset[Pair]
+    cost: float
+
+
+def without_pairs(epoch: Epoch, pairs: Collection[Pair]) -> Epoch:
+    """Return the epoch without the residuals of some pairs."""
+    if not pairs:
+        return epoch
+    return replace(epoch, residuals=tuple(r for r in epoch.residuals if _pair(r.pair) not in pairs))
+
+
+def pair_outliers(epoch: Epoch, levels: SignificanceLevels) -> PairOutliers | None:
+    """Return the pairs without which an epoch is consistent; None where fewer than half of them do not suffice."""
+    off: set[Pair] = set()
+    pairs = {_pair(residual.pair) for residual in epoch.residuals}
+    while True:
+        rest = without_pairs(epoch, off)
+        fit = adjust(rest, [(None, 0.0)])[0]
+        if fit.degrees_of_freedom < 1:
+            return None
+        if fit.statistic <= chi2_limit(fit.degrees_of_freedom, levels.rest):
+            return PairOutliers(frozenset(off), fit.statistic + _FURTHER_PAIR_PENALTY * max(len(off) - 1, 0))
+        if 2 * (len(off) + 1) >= len(pairs):
+            return None
+        rows: dict[Pair, list[int]] = {}
+        for number, residual in enumerate(fit.residuals):
+            rows.setdefault(_pair(residual.pair), []).append(number)
+        gains = {pair: fit.range_effect(numbers).gain for pair, numbers in sorted(rows.items())}
+        off.add(max(gains, key=lambda pair: gains[pair]))
+
+
+def _pair(vehicles: Pair) -> Pair:
+    return min(vehicles), max(vehicles)
