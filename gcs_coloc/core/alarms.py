@@ -32,6 +32,8 @@ class AlarmKind(StrEnum):
     """Its GPS may be wrong."""
     HOST_LATE = "host_late"
     """The computer of the service falls behind."""
+    SENSORS_WORSE = "sensors_worse"
+    """Ranges, heights or positions are worse than they state, so that protection levels are larger."""
     NOT_READY = "not_ready"
     """Its GPS is healthy, but it could not be aided if it failed."""
     NOTICE = "notice"
@@ -170,6 +172,11 @@ class AlarmList:
             action = "Stop what else runs on it; vehicles may seem silent, and positions are sent late."
             brief = f"ground computer runs {fleet.loop_lag_s:.1f} s late"
             found.append((None, Condition(AlarmKind.HOST_LATE, "warning", text, action, brief)))
+        if not fleet.noise.is_as_stated:
+            text = f"ranges and positions contradict each other by more than they state: {fleet.noise.text}"
+            action = "Protection levels are larger; calibrate the ranging devices (gcs-coloc calibrate), check the barometers."
+            brief = "ranges or positions are worse than they state"
+            found.append((None, Condition(AlarmKind.SENSORS_WORSE, "warning", text, action, brief)))
         for sysid, condition in found:
             key = (sysid, condition.kind, "")
             holding.add(key)

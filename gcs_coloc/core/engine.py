@@ -248,6 +248,7 @@ class Engine:
             origin=(frame.lat_deg, frame.lon_deg, frame.height_m) if frame is not None else None,
             loop_lag_s=self.clocks.host_lag_s,
             stations=review.stations.snapshots(now_s),
+            noise=review.report.noise,
         )
 
     def _add_vehicle(self, sysid: int, at_s: float) -> ReportedState | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import sqrt
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ from gcs_coloc.core.aiding.stream import AidingView
 from gcs_coloc.core.error_ellipse import horizontal_sigma_and_bound_95_m
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import FleetGpsHealth
+from gcs_coloc.core.integrity.noise_model import NoiseModel
 from gcs_coloc.core.measurements import Estimate, FloatArray, NoEstimate, Vector3
 from gcs_coloc.core.messages.control import CommandSource, GpsOverride
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
@@ -118,6 +119,7 @@ class FleetSnapshot:
     by their system ids, `outs` are the ground tools. `utc_minus_service_s` turns `at_s` into UNIX time; None where the host
     does not know the time. `origin` is the fleet frame's: latitude and longitude in degrees, altitude in metres.
     `loop_lag_s` is by how much the host ran the service late at worst in the last second. `stations` are in order of their ids.
+    `noise` is how much worse ranges and positions are than they state.
     """
 
     at_s: float
@@ -132,6 +134,7 @@ class FleetSnapshot:
     origin: tuple[float, float, float] | None = None
     loop_lag_s: float = 0.0
     stations: tuple[StationSnapshot, ...] = ()
+    noise: NoiseModel = field(default_factory=NoiseModel)
 
 
 class OverrideSources(NamedTuple):

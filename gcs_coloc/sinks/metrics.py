@@ -82,6 +82,14 @@ class FleetCollector(Collector):
         yield InfoMetricFamily("gcs_coloc_build", "Which program runs.", {"version": __version__, "estimator": fleet.estimator})
         text = "By how much the host ran the service late at worst in the last second."
         yield GaugeMetricFamily("gcs_coloc_loop_lag_seconds", text, fleet.loop_lag_s)
+        noise = fleet.noise
+        for name, text, found in (
+            ("range_bias_sigma_meters", "Lasting error of ranges beyond the stated one.", noise.range_bias_m),
+            ("range_scale_sigma_ratio", "Lasting error of ranges as a share of the range.", noise.range_scale),
+            ("height_sigma_meters", "Error of heights beyond the stated one.", noise.height_sigma_m),
+            ("position_accuracy_ratio", "Error of reported positions over the stated one.", noise.position_factor),
+        ):
+            yield GaugeMetricFamily(f"gcs_coloc_found_{name}", text, found)
         yield GaugeMetricFamily("gcs_coloc_vehicles", "Vehicles that were heard.", float(len(fleet.vehicles)))
         for name, text, value in _GAUGES:
             gauge = GaugeMetricFamily(f"gcs_coloc_vehicle_{name}", text, labels=["sysid"])

@@ -1,4 +1,4 @@
-"""What explains that ranges and reported positions contradict each other at the moment: one fault, several pairs, or more noise.
+"""The explanation of an inconsistency of ranges and reported positions: one fault, several pairs that are off, or more noise.
 
 A fault of receivers or of one device is left to the tests over time (`range_consistency`). If several pairs that are off, or
 noise of all that is larger than stated, are likelier, nobody is at fault: the pairs are left out, or the noise is enlarged, and
@@ -19,7 +19,7 @@ from gcs_coloc.core.integrity.pair_outliers import pair_outliers
 _PRESENT: Past = (None, 0.0)
 
 
-def explain_misfit(whole: Epoch, noise: NoiseModel, levels: SignificanceLevels, doubtful: Collection[int]) -> NoiseModel:
+def explain_inconsistency(whole: Epoch, noise: NoiseModel, levels: SignificanceLevels, doubtful: Collection[int]) -> NoiseModel:
     """Return the noise with which an epoch as stated is consistent, or `noise` as it is where a fault is likelier or none fits.
 
     `doubtful` are the vehicles whose receivers speak against themselves.

@@ -47,7 +47,7 @@ class Isolation:
 
     @property
     def cost(self) -> float:
-        """Twice the negative log likelihood of the best explanation, beside that of no fault and no misfit; else infinite."""
+        """Twice the negative log likelihood of the best explanation; infinite where there is none."""
         return self.plausible[0].cost if self.plausible else inf
 
     @property

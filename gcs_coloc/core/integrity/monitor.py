@@ -90,6 +90,7 @@ class IntegrityMonitor:
             faults={**reacquired.faults, **faults},
             separation_m2=tested.separation_m2,
             fault_levels=dict(self._fault_levels),
+            noise=self._consistency.noise,
         )
 
     def protect(self, report: IntegrityReport, estimate: Estimate, exposure: Exposure) -> Estimate:

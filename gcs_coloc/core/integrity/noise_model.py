@@ -56,6 +56,17 @@ class NoiseModel:
         """Whether nothing is added to what is stated."""
         return self == NoiseModel(pairs_off=self.pairs_off)
 
+    @property
+    def text(self) -> str:
+        """What is larger than stated, in words; empty where nothing is."""
+        parts = (
+            f"lasting errors of ranges of about {self.range_bias_m:.0f} m" if self.range_bias_m > 0.0 else "",
+            f"errors of {100.0 * self.range_scale:.1f} % of the range" if self.range_scale > 0.0 else "",
+            f"errors of heights of about {self.height_sigma_m:.0f} m" if self.height_sigma_m > 0.0 else "",
+            f"positions {self.position_factor:.1f} times worse than stated" if self.position_factor > 1.0 else "",
+        )
+        return ", ".join(filter(None, parts))
+
     def select(self, epoch: Epoch) -> Epoch:
         """Return the epoch without the pairs that are off."""
         return without_pairs(epoch, self.pairs_off)

@@ -17,8 +17,8 @@ import numpy as np
 from gcs_coloc.core.integrity.epoch import Epoch, EpochHistory, Past
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor, FaultMonitorSettings
 from gcs_coloc.core.integrity.fault_tests import FaultTestResult, SignificanceLevels, run_tests
+from gcs_coloc.core.integrity.inconsistency import explain_inconsistency
 from gcs_coloc.core.integrity.isolation import Isolation, isolate
-from gcs_coloc.core.integrity.misfit import explain_misfit
 from gcs_coloc.core.integrity.noise_model import NoiseModel
 from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeResidualSettings, TrackPoint
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
@@ -138,7 +138,7 @@ class RangeConsistency:
             return
         self._due_s = now_s + self.settings.period_s - SAME_S
         whole = self._residuals.epoch(now_s)
-        self.noise = explain_misfit(whole, self.noise.after(self.settings.period_s), self.settings.levels, doubtful)
+        self.noise = explain_inconsistency(whole, self.noise.after(self.settings.period_s), self.settings.levels, doubtful)
         stated = self.noise.select(whole)
         sparse = self.noise.select(self._residuals.sparse_epoch(now_s, whole))
         self.epoch = self.noise.apply(sparse)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from gcs_coloc.core.gps_health.gps_health import GpsState
+from gcs_coloc.core.integrity.noise_model import NoiseModel
 from gcs_coloc.core.integrity.protection_level import FaultLevel
 from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement
 from gcs_coloc.core.stations.node_id import node_name
@@ -92,7 +93,7 @@ class IntegrityReport:
     (2, 2) of how far possible faults may have moved it, east and north, in m^2. `fault_levels`: of each vehicle that ranges
     place, what its error does not exceed under the hypotheses that they test. `reacquisitions`: the receivers that are back.
     `diverged`: the vehicles whose estimate is wrong, so that the estimator must initialise them again. `rejected_fixes`: how many
-    receivers were back and found wrong, since the start.
+    receivers were back and found wrong, since the start. `noise`: how much worse ranges and positions are than they state.
     """
 
     faults: Mapping[int, PositionFault] = field(default_factory=dict)
@@ -101,6 +102,7 @@ class IntegrityReport:
     reacquisitions: Mapping[int, ReacquisitionStatus] = field(default_factory=dict)
     diverged: frozenset[int] = frozenset()
     rejected_fixes: int = 0
+    noise: NoiseModel = field(default_factory=NoiseModel)
 
     def inflate(self, estimate: Estimate) -> Estimate:
         """Return the estimate with the solution separation of its vehicle added to its covariance."""

@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 from fleet_views import HEALTHY, LOCATED, LOST, fleet_view
 
-from gcs_coloc.core.alarms import Alarm, AlarmList, AlarmState, conditions
+from gcs_coloc.core.alarms import Alarm, AlarmKind, AlarmList, AlarmState, conditions
+from gcs_coloc.core.integrity.noise_model import NoiseModel
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.snapshot import VehicleSnapshot
 
@@ -61,6 +62,17 @@ def test_what_comes_again_before_anybody_has_acknowledged_it_is_one_alarm():
     alarms = AlarmList()
     changed = after(alarms, SUSPECT, SOUND, SUSPECT, SOUND, SUSPECT)
     assert [(a.id, a.state, a.times) for a in changed] == [(1, "active", 3)]
+
+
+def test_sensors_that_are_worse_than_they_state_are_told_until_they_are_not():
+    alarms = AlarmList()
+    [raised] = alarms.update(replace(fleet_view(1.0, SOUND), noise=NoiseModel(range_bias_m=4.0)))
+    assert (raised.kind, raised.sysid, raised.level) == (AlarmKind.SENSORS_WORSE, None, "warning")
+    assert "lasting errors of ranges of about 4 m" in raised.text
+    assert "calibrate" in raised.action
+    # Pairs that are out of sight for a moment are nothing that a person can mend.
+    [over] = alarms.update(replace(fleet_view(2.0, SOUND), noise=NoiseModel(pairs_off=frozenset({(1, 2)}))))
+    assert over.state is AlarmState.OVER
 
 
 def test_a_vehicle_that_is_silent_keeps_the_alarm_of_its_gps_and_is_told_first():

@@ -12,6 +12,7 @@ from fleet_views import HEALTHY, LOCATED, LOST, fleet_view
 from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
+from gcs_coloc.core.integrity.noise_model import NoiseModel
 from gcs_coloc.sinks.metrics import fleet_registry
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -28,8 +29,10 @@ def value(view, name, **labels):
 
 
 def test_the_numbers_are_the_views():
-    view = fleet_view(10.0)
+    view = replace(fleet_view(10.0), noise=NoiseModel(range_bias_m=4.0))
     assert value(view, "gcs_coloc_vehicles") == 2
+    assert value(view, "gcs_coloc_found_range_bias_sigma_meters") == 4.0
+    assert value(view, "gcs_coloc_found_position_accuracy_ratio") == 1.0
     assert value(view, "gcs_coloc_vehicle_position_sigma_meters", sysid="4") == 3.0
     assert value(view, "gcs_coloc_vehicle_height_sigma_meters", sysid="4") == 4.0
     assert value(view, "gcs_coloc_vehicle_aiding_fix", sysid="4") == 1

@@ -1,0 +1,97 @@
+"""What explains an inconsistency of a whole fleet: noise of all, several pairs, or one fault. Random geometries, seeds fixed."""
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.integrity.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.fault_tests import SignificanceLevels
+from gcs_coloc.core.integrity.inconsistency import explain_inconsistency
+from gcs_coloc.core.integrity.noise_model import NoiseModel
+from gcs_coloc.core.integrity.pair_outliers import pair_outliers
+
+SIGMA_GPS_M, SIGMA_RANGE_M, VEHICLES = 1.5, 0.6, 6
+LEVELS = SignificanceLevels()
+SEEDS = range(12)
+
+
+def epoch(rng, *, device_bias_m=0.0, scale=0.0, height_m=0.0, factor=1.0, off=(), walked_m=0.0, spread_up_m=40.0):
+    """A fleet that ranges among all. `off`: pairs whose ranges are 8 to 30 m too long; `walked_m`: vehicle 2's receiver."""
+    ids = range(1, VEHICLES + 1)
+    true = {v: np.append(rng.uniform(-600.0, 600.0, 2), 100.0 + rng.uniform(-spread_up_m, spread_up_m)) for v in ids}
+    of_device = {v: device_bias_m * rng.choice((-1.0, 1.0)) * rng.uniform(0.5, 1.5) for v in ids}
+    scales = {v: scale * rng.choice((-1.0, 1.0)) for v in ids}
+    detours = {pair: rng.uniform(8.0, 30.0) for pair in off}
+    priors, residuals = {}, []
+    for v, position in true.items():
+        error = factor * SIGMA_GPS_M * rng.standard_normal(3)
+        error[2] = height_m * rng.standard_normal() if height_m else SIGMA_GPS_M * rng.standard_normal()
+        error[0] += walked_m * (v == 2)
+        priors[v] = PositionPrior(tuple((position + error).tolist()), SIGMA_GPS_M, SIGMA_GPS_M, False)
+    for i in ids:
+        for j in ids:
+            if i != j:
+                measured_m = np.linalg.norm(true[i] - true[j]) * (1.0 + scales[i]) + SIGMA_RANGE_M * rng.standard_normal()
+                measured_m += of_device[i] + detours.get((min(i, j), max(i, j)), 0.0)
+                computed_m = np.linalg.norm(np.subtract(priors[i].position_enu_m, priors[j].position_enu_m))
+                residuals.append(RangeResidual(i, j, float(measured_m - computed_m), SIGMA_RANGE_M, 0.3))
+    return Epoch(0.0, priors, tuple(residuals))
+
+
+def explained(seed, **errors):
+    return explain_inconsistency(epoch(np.random.default_rng(seed), **errors), NoiseModel(), LEVELS, ())
+
+
+def test_devices_with_lasting_errors_are_noise_of_about_their_size():
+    """The ladder has factors of two; the devices' errors are 2 to 6 m, 4.3 m rms."""
+    found = [explained(seed, device_bias_m=4.0) for seed in SEEDS]
+    assert all(2.0 <= noise.range_bias_m <= 8.0 for noise in found)
+    assert all(not noise.pairs_off for noise in found)
+
+
+def test_devices_with_wrong_scales_are_noise_that_grows_with_the_range():
+    found = [explained(seed, scale=0.01) for seed in SEEDS]
+    # Where all ranges are alike, a length explains as well.
+    assert sum(noise.range_scale >= 0.005 for noise in found) >= 9
+    assert all(not noise.is_as_stated for noise in found)
+
+
+def test_barometers_of_another_day_are_noise_of_heights():
+    """Where ranges are nearly level they show nothing of heights, and nothing is found: 4 of the 12 geometries."""
+    found = [explained(seed, height_m=15.0, spread_up_m=200.0) for seed in SEEDS]
+    assert {noise.height_sigma_m for noise in found if not noise.is_as_stated} <= {10.0, 20.0}
+    assert sum(noise.is_as_stated for noise in found) == 4
+
+
+def test_pairs_out_of_sight_are_left_out_and_nothing_else():
+    off = {(1, 4), (2, 3), (5, 6)}
+    for seed in SEEDS:
+        noise = explained(seed, off=off)
+        assert noise.pairs_off >= off
+        assert len(noise.pairs_off) <= len(off) + 1
+        assert noise.is_as_stated
+
+
+@pytest.mark.parametrize("walked_m", [15.0, 60.0, 200.0])
+def test_a_receiver_that_is_off_is_no_noise(walked_m):
+    """It is left to the tests of single faults, and no pair of it is left out."""
+    for seed in SEEDS:
+        assert explained(seed, walked_m=walked_m) == NoiseModel()
+
+
+def test_a_sound_fleet_is_as_stated():
+    for seed in range(100):
+        assert explained(seed) == NoiseModel()
+
+
+def test_more_than_half_of_the_pairs_are_never_left_out():
+    off = {(i, j) for i in range(1, 5) for j in range(i + 1, 6)}
+    assert pair_outliers(epoch(np.random.default_rng(1), off=off), LEVELS) is None
+
+
+def test_noise_is_forgotten_where_it_acts_no_longer():
+    noise = NoiseModel(range_bias_m=4.0, pairs_off=frozenset({(1, 2)}))
+    assert 3.0 < noise.after(60.0).range_bias_m < 4.0
+    assert noise.after(0.2).pairs_off == frozenset()
+    assert noise.after(3600.0) == NoiseModel()
+    assert "ranges of about 4 m" in noise.text
+    assert NoiseModel().text == ""
