@@ -15,6 +15,7 @@ from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.core.stations.node_id import is_station, station_id_of
 from gcs_coloc.evaluation.calibration import Calibration
 from gcs_coloc.evaluation.calibration import calibrate as calibrate_devices
+from gcs_coloc.runtime.output_paths import check_output_file
 
 
 def calibrate(
@@ -29,6 +30,7 @@ def calibrate(
     from gcs_coloc.evaluation.data_checks.recorded_data import recorded_data
     from gcs_coloc.evaluation.dataset import read_dataset
 
+    check_output_file(out, "--out")
     if source.is_dir():
         if ranges is not None or truth is not None:
             raise UsageError("--ranges and --truth are of a recording; a data set has its own")

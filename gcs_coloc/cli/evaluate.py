@@ -21,6 +21,7 @@ from gcs_coloc.core.estimator import GuardedEstimator
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.evaluate import Evaluation
 from gcs_coloc.evaluation.evaluate import evaluate as run_evaluation
+from gcs_coloc.runtime.output_paths import check_output_file
 
 _MOST_REASONS = 3
 _FILE_WIDTH = 140  # of a table that goes to a file or pipe
@@ -42,6 +43,8 @@ def evaluate(
 
     if plot is not None and len(directories) > 1:
         raise UsageError("--plot draws one data set: state one DIR")
+    check_output_file(csv, "--csv")
+    check_output_file(plot, "--plot")
     settings = settings_for(config, fleet, estimator)
     evaluations = []
     # On stderr: stdout is for the result.

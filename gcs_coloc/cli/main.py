@@ -25,6 +25,9 @@ _BadCommandLine: type[Exception] = typer.BadParameter.__bases__[0]
 # Exit codes, as shells and Click have them; 130 is 128 and the number of SIGINT.
 _FAILED, _MISUSED, _INTERRUPTED = 1, 2, 130
 
+_WRONG_PATH = {errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EISDIR, errno.EROFS}
+"""What is wrong with a path that a user states, and no fault of the program."""
+
 DEFAULT_LINK = "udpin:0.0.0.0:14550"
 """Where vehicles are heard unless told: MAVLink's customary port of ground stations, as in the example configuration."""
 
@@ -97,6 +100,8 @@ def main() -> None:
     except (typer.Abort, KeyboardInterrupt):
         sys.exit(_INTERRUPTED)
     except OSError as error:
+        if error.errno in _WRONG_PATH and error.filename is not None:
+            _fail(f"{error.filename}: {error.strerror}; state another path, or give this user access to it", _MISUSED)
         if error.errno not in NOBODY_READS or error.filename is not None:
             raise
         discard_output()

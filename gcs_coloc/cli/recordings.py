@@ -14,6 +14,7 @@ from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
 from gcs_coloc.recorder.flight_history import FlightHistory, read_history
+from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory
 
 RecordingArgument = Annotated[Path, typer.Argument(help="A recording (tlog).", metavar="FILE.tlog")]
 RangesOption = Annotated[Path | None, typer.Option(help="Ranges: unix_s,from_sysid,to_sysid,range_m,sigma_m.")]
@@ -35,10 +36,11 @@ def export(
     """Write a recorded flight as CSV, GeoJSON and KML."""
     from gcs_coloc.recorder.formats import write_all
 
+    if out is not None:
+        make_output_directory(out, "--out")
     history = _open(file, settings_for(config, fleet, estimator), ranges, None)
     base = (out if out is not None else file.parent) / file.stem
     try:
-        base.parent.mkdir(parents=True, exist_ok=True)
         files = write_all(history, base)
     except OSError as error:
         raise UsageError(f"{error.filename or base.parent}: cannot be written: {error.strerror}") from None
@@ -61,6 +63,7 @@ def report(
     """Write one self-contained HTML page of a recorded flight."""
     from gcs_coloc.recorder.reports.html_report import page
 
+    check_output_file(out, "--out")
     history = _open(file, settings_for(config, fleet, estimator), ranges, truth)
     path = out if out is not None else file.with_suffix(".html")
     try:

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from gcs_coloc.core.errors import UsageError
+from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory
 from gcs_coloc.study.paper_options import PaperOptions, QForm, QUnit
 
 _FILE_WIDTH = 140  # of tables that go to a file or pipe
@@ -55,6 +56,7 @@ def paper(
     from gcs_coloc.study import paper as study
     from gcs_coloc.study import paper_report
 
+    make_output_directory(out, "--out")
     options = PaperOptions(
         seeds=seeds,
         first_seed=first_seed,
@@ -94,6 +96,7 @@ def bound(
     """Compute the posterior Cramer-Rao bound along the true flight of each vehicle that loses its GPS."""
     from gcs_coloc.study.bound import BoundOptions, plot_bounds, run_scenario_bound
 
+    check_output_file(plot, "--plot")
     bounds = run_scenario_bound(scenario, seed, BoundOptions(peer_sigma_m=peer_sigma, density_m2ps3=density))
     for sysid, least in bounds.items():
         sigma_m = least.horizontal_sigma_m
@@ -136,6 +139,7 @@ def integrity(
     console = Console()
     if not console.is_terminal:
         console = Console(width=_FILE_WIDTH)
+    check_output_file(trace, "--trace")
     if trace is not None:
         if len(options.classes) != 1:
             raise UsageError("--trace is of one flight: state one --class, and its seed with --first-seed")

@@ -74,8 +74,7 @@ def read_dataset(directory: Path) -> Dataset:
         and line and column where there are any.
 
     """
-    if not directory.is_dir():
-        raise DataError(f"{directory}: no such directory")
+    directory = _dataset_directory(directory)
     meta = Meta(directory / "meta.toml")
     rows = _Rows(meta.nodes)
     tables: dict[str, list[Measurement]] = {}
@@ -108,6 +107,24 @@ def read_dataset(directory: Path) -> Dataset:
     return Dataset(meta.name, meta.source, meta.licence, meta.dims, meta.origin, meta.nodes, tuple(measurements), truth, lost)
 
 
+def _dataset_directory(path: Path) -> Path:
+    """Return the directory of the data set that a path names: itself, or the one that a file of the layout is in."""
+    if (path.is_file() and path.suffix == ".csv" and (path.parent / _META).exists()) or (path.name == _META and path.is_file()):
+        return path.parent
+    if not path.exists():
+        raise DataError(f"{path}: no such directory")
+    if not path.is_dir():
+        wanted = "a data set is a directory with meta.toml and ranges.csv; of a recording (tlog), gcs-coloc report"
+        raise DataError(f"{path}: is a file: {wanted} has the scores")
+    if not (path / _META).exists():
+        inside = ", ".join(sorted(found.parent.name for found in path.glob(f"*/{_META}")))
+        remedy = f"it has data sets in it: {inside}; state one of them, or {path}/*" if inside else _LAYOUT_PAGE
+        raise DataError(f"{path}: is no data set: it has no {_META}; {remedy}")
+    return path
+
+
+_META = "meta.toml"
+_LAYOUT_PAGE = "docs/reference/dataset.md says how one is made"
 _ARRIVAL = ("arrival_s",)
 _VELOCITY = ("ve_mps", "vn_mps", "vu_mps", "sigma_vel_mps")
 _ANTENNAS = ("antenna_from", "antenna_to")

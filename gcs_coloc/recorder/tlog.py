@@ -112,9 +112,11 @@ class TlogReader:
     def __iter__(self) -> Iterator[TlogRecord]:
         try:
             about = self._path.stat()
-            if not (stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode)):
+            if stat.S_ISDIR(about.st_mode):
+                raise DataError(f"{self._path}: is a directory; a recording is a file, NAME.tlog")
+            if not stat.S_ISREG(about.st_mode):
                 raise DataError(f"{self._path}: is no file; a recording cannot be replayed from a pipe or device")
-            if stat.S_ISREG(about.st_mode) and about.st_size == 0:
+            if about.st_size == 0:
                 raise DataError(f"{self._path}: is empty, no tlog")
             with self._path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
                 yield from self._records(data)

@@ -24,6 +24,7 @@ from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.errors import GcsColocError, UsageError
 from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.runtime.output_paths import make_output_directory
 from gcs_coloc.study.closed_loop import Flight, Sample, fly
 from sitl_fakes.scenario import Scenario, ScenarioError, load_scenario
 
@@ -52,7 +53,7 @@ def run_demo(out: Path, scenario_file: str, estimator: str, seed: int) -> None:
     """Fly live for 90 s, then the whole flight in process; print a report, and leave picture and logs in `out`.
 
     Raises:
-        UsageError: the scenario cannot be read.
+        UsageError: the scenario cannot be read, or the directory cannot be made.
         GcsColocError: the service or the aircraft stopped early.
     """
     console = Console()
@@ -60,7 +61,7 @@ def run_demo(out: Path, scenario_file: str, estimator: str, seed: int) -> None:
         scenario = load_scenario(scenario_file)
     except ScenarioError as error:
         raise UsageError(str(error)) from None
-    out.mkdir(parents=True, exist_ok=True)
+    make_output_directory(out, "--out")
     lost_s = min(fault.at_s for fault in scenario.fault if fault.vehicle == DENIED)
     console.print(
         f"[bold]1. Live[/], over loopback UDP, {LIVE_S:.0f} s: four aircraft at {scenario.airspeed_mps:.0f} m/s, "

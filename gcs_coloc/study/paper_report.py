@@ -14,6 +14,7 @@ from rich.table import Table
 
 from gcs_coloc import __version__
 from gcs_coloc.core.errors import UsageError
+from gcs_coloc.runtime.output_paths import make_output_directory
 from gcs_coloc.study.paper import FLEET, FilterScore, PaperStudy, Row
 
 TITLES = {
@@ -52,7 +53,7 @@ def write(study: PaperStudy, out_dir: Path) -> list[Path]:
 
     """
     try:
-        out_dir.mkdir(parents=True, exist_ok=True)
+        make_output_directory(out_dir, "--out")
         files = [_write_csv(study, out_dir / "table2.csv"), _write_json(study, out_dir / "study.json")]
         return [*files, *_draw_figures(study, out_dir)]
     except OSError as error:

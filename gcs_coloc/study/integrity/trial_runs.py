@@ -12,6 +12,7 @@ from pathlib import Path
 
 import gcs_coloc
 from gcs_coloc.core.errors import DataError, UsageError
+from gcs_coloc.runtime.output_paths import make_output_directory
 from gcs_coloc.study.integrity.flight_classes import CLASSES
 from gcs_coloc.study.integrity.trial import EventKind, TrialEvent, TrialScore, fly_trial
 from gcs_coloc.study.monte_carlo import iterate_tasks
@@ -79,8 +80,8 @@ def run_trials(options: RunOptions, done: Done) -> list[TrialScore]:
                 else:
                     yield name, seed
 
+    make_output_directory(options.out, "--out")
     try:
-        options.out.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as file:
             if not known and file.tell() == 0:
                 file.write(json.dumps(header) + "\n")

@@ -119,7 +119,10 @@ def test_study_bound_tells_the_least_error(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["evaluate", "absent"], "absent"),
+        (["evaluate", "pyproject.toml"], "pyproject.toml: is a file: a data set is a directory with meta.toml and ranges.csv"),
+        (["evaluate", "n" * 300], "File name too long; state another path"),
+        (["evaluate", "docs", "--csv", "docs"], "--csv docs: cannot be written: it is a directory; state a file in it"),
+        (["study", "demo", "--out", "README.md"], "--out README.md: cannot be written to: it is a file; state a directory"),
         (["study", "paper", "--end-of-route", "nowhere"], "nowhere"),
         (["study", "bound", "pyproject.toml"], "pyproject.toml"),
         (["study"], "Missing command"),

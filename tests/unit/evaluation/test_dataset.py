@@ -183,6 +183,20 @@ def test_a_missing_file_is_named(tmp_path, name):
         read_dataset(write(tmp_path, **{name.replace(".", "_"): None}))
 
 
+@pytest.mark.parametrize("name", ["meta.toml", "ranges.csv", "truth.csv"])
+def test_a_file_of_a_data_set_stands_for_the_data_set(tmp_path, name):
+    named, whole = read_dataset(write(tmp_path) / name), read_dataset(tmp_path)
+    assert (named.name, named.nodes, named.measurements) == (whole.name, whole.nodes, whole.measurements)
+
+
+def test_a_directory_of_data_sets_names_them(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        write(tmp_path / name)
+    with pytest.raises(DataError, match=r"it has data sets in it: a, b; state one of them, or .*/\*"):
+        read_dataset(tmp_path)
+
+
 def test_a_missing_directory_is_named(tmp_path):
     with pytest.raises(DataError, match="no such directory"):
         read_dataset(tmp_path / "nothing")

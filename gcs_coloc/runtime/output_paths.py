@@ -1,0 +1,37 @@
+"""Where results are to be written, checked before the work: a wrong path is told at once and not after minutes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gcs_coloc.core.errors import UsageError
+
+
+def check_output_file(path: Path | None, option: str) -> None:
+    """Check that a file can be made there, or written over; None, where the option is not used, is right.
+
+    Raises:
+        UsageError: it is a directory, or its directory is missing.
+    """
+    if path is None:
+        return
+    if path.is_dir():
+        raise UsageError(f"{option} {path}: cannot be written: it is a directory; state a file in it")
+    if path.parent.exists() and not path.parent.is_dir():
+        raise UsageError(f"{option} {path}: cannot be written: {path.parent} is a file and no directory")
+    if not path.parent.exists():
+        raise UsageError(f"{option} {path}: cannot be written: there is no directory {path.parent}; make it first")
+
+
+def make_output_directory(path: Path, option: str) -> None:
+    """Make a directory where there is none.
+
+    Raises:
+        UsageError: it is a file, or may not be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise UsageError(f"{option} {path}: cannot be written to: it is a file; state a directory") from None
+    except OSError as error:
+        raise UsageError(f"{option} {path}: cannot be written to: {error.strerror}") from None
