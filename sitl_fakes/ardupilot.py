@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from sitl_fakes.autopilot import ACCEPTED, DEAD_RECKONING, FAILED, Autopilot
+from sitl_fakes.autopilot import ACCEPTED, DEAD_RECKONING, FAILED, Autopilot, BeaconRange
 from sitl_fakes.guidance import Guidance
 from sitl_fakes.navigation import Navigation
 from sitl_fakes.parameters import Parameters
@@ -45,16 +45,7 @@ class ArduPilot(Autopilot):
     def receive_global_position(self, sensor_id: int, position_m: tuple[float, float], eph_m: float, at_s: float) -> None:
         """Pass over GLOBAL_POSITION_SENSOR: ArduPilot knows no such sensor."""
 
-    def receive_range(
-        self,
-        there_m: tuple[float, float],
-        below_m: float,
-        range_m: float,
-        sigma_m: float,
-        stamp_s: float,
-        boot_s: float,
-        at_s: float,
-    ) -> None:
+    def receive_range(self, beacon: BeaconRange, at_s: float) -> None:
         """Pass over ranges: ArduPilot has no driver that takes RANGING_BEACON."""
 
     def apply_external_estimate(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 from sitl_fakes.guidance import Guidance, heading_for_course
 from sitl_fakes.navigation import HeightFilter, Navigation
@@ -13,6 +14,20 @@ DEAD_RECKONING, NO_POSITION = "dead_reckoning", "none"
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 """MAV_RESULT of a COMMAND_ACK."""
 _SOURCE_HOLDS_S = 1.0
+
+
+class BeaconRange(NamedTuple):
+    """A range (m, 1-sigma m) to a place (east, north, m) `below_m` below the aircraft.
+
+    `stamp_s` is when it was measured by the autopilot's boot clock, `age_s` how long ago that was.
+    """
+
+    there_m: tuple[float, float]
+    below_m: float
+    range_m: float
+    sigma_m: float
+    stamp_s: float
+    age_s: float
 
 
 class Autopilot(ABC):
@@ -45,17 +60,8 @@ class Autopilot(ABC):
         """Take a GLOBAL_POSITION_SENSOR: position east and north (m) with its standard deviation (m)."""
 
     @abstractmethod
-    def receive_range(
-        self,
-        there_m: tuple[float, float],
-        below_m: float,
-        range_m: float,
-        sigma_m: float,
-        stamp_s: float,
-        boot_s: float,
-        at_s: float,
-    ) -> None:
-        """Take a RANGING_BEACON: a range (m, 1-sigma m) to a place, by a stamp of its boot clock, which says `boot_s` now."""
+    def receive_range(self, beacon: BeaconRange, at_s: float) -> None:
+        """Take a RANGING_BEACON."""
 
     @abstractmethod
     def apply_external_estimate(

@@ -12,7 +12,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.dialects.v20 import development
 
-from sitl_fakes.autopilot import ACCEPTED, DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED
+from sitl_fakes.autopilot import ACCEPTED, DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED, BeaconRange
 from sitl_fakes.faults import fault_of_command
 from sitl_fakes.flight_controller import FlightController
 from sitl_fakes.receivers import fix_from_gps_input
@@ -65,9 +65,9 @@ def _global_position_sensor(vehicle: FlightController, message: Any, at_s: float
 def _ranging_beacon(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
     place = _horizontal_m(vehicle, message.lat, message.lon)
     if place is not None and math.isfinite(message.alt) and _UINT32_UNKNOWN not in (message.range, message.range_accuracy):
-        boot_s, below_m = vehicle.clock.boot_s(at_s), vehicle.altitude_m - message.alt
-        metres = message.range / 1e3, message.range_accuracy / 1e3
-        vehicle.autopilot.receive_range(place, below_m, *metres, message.time_usec / 1e6, boot_s, at_s)
+        stamp_s, below_m = message.time_usec / 1e6, vehicle.altitude_m - message.alt
+        range_m, sigma_m, age_s = message.range / 1e3, message.range_accuracy / 1e3, vehicle.clock.boot_s(at_s) - stamp_s
+        vehicle.autopilot.receive_range(BeaconRange(place, below_m, range_m, sigma_m, stamp_s, age_s), at_s)
     return []
 
 

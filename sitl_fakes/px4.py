@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from sitl_fakes.autopilot import ACCEPTED, DEAD_RECKONING, NO_POSITION, Autopilot
+from sitl_fakes.autopilot import ACCEPTED, DEAD_RECKONING, NO_POSITION, Autopilot, BeaconRange
 from sitl_fakes.guidance import Guidance
 from sitl_fakes.navigation import Navigation
 from sitl_fakes.parameters import Parameters
@@ -61,28 +61,19 @@ class Px4(Autopilot):
         ):
             self._last_used, self._aux_used_at_s = _AUX, at_s
 
-    def receive_range(
-        self,
-        there_m: tuple[float, float],
-        below_m: float,
-        range_m: float,
-        sigma_m: float,
-        stamp_s: float,
-        boot_s: float,
-        at_s: float,
-    ) -> None:
+    def receive_range(self, beacon: BeaconRange, at_s: float) -> None:
         """Fuse a range where EKF2_RNGBC_CTRL has it on; EKF2_RNGBC_NOISE is the least sigma."""
         p = self._params
-        age_s = boot_s - stamp_s + p["EKF2_RNGBC_DELAY"] / 1e3
-        if not int(p["EKF2_RNGBC_CTRL"]) or stamp_s < self._range_stamp_s + _BUFFER_STEP_S:
+        age_s = beacon.age_s + p["EKF2_RNGBC_DELAY"] / 1e3
+        if not int(p["EKF2_RNGBC_CTRL"]) or beacon.stamp_s < self._range_stamp_s + _BUFFER_STEP_S:
             return
-        self._range_stamp_s = stamp_s
+        self._range_stamp_s = beacon.stamp_s
         if age_s > _HORIZON_S + _FUSED_WITHIN_S:
             return
-        sigma_m = max(sigma_m, p["EKF2_RNGBC_NOISE"])
-        if self.navigation.correct_range(
-            there_m, below_m, range_m, sigma_m, age_s, at_s, gate_sigma=max(p["EKF2_RNGBC_GATE"], 1.0)
-        ):
+        there_m, below_m, range_m = beacon[:3]
+        sigma_m = max(beacon.sigma_m, p["EKF2_RNGBC_NOISE"])
+        gate_sigma = max(p["EKF2_RNGBC_GATE"], 1.0)
+        if self.navigation.correct_range(there_m, below_m, range_m, sigma_m, age_s, at_s, gate_sigma=gate_sigma):
             self._last_used, self._aux_used_at_s = _RANGES, at_s
 
     def apply_external_estimate(
