@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 
-def free_port() -> int:
-    """A UDP port that is free now."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
+    """A port that is free now, of UDP if nothing else is said."""
+    with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
@@ -28,7 +28,7 @@ class Service:
         """Start it; `states` are those of the one before, which was killed."""
         self.directory = directory
         self.log = directory / "service.log"
-        self._web = free_port()
+        self._web = free_port(socket.SOCK_STREAM)
         self.states = list(states)
         self._polled_s = 0.0
         self.configuration = file = directory / "gcs-coloc.toml"
