@@ -21,7 +21,7 @@ def test_four_vehicles_are_shown_and_nothing_is_complained_of(watched):
         expect(page.locator("#map").get_by_role("button", name=f"Vehicle {sysid}, good: estimated position")).to_be_visible()
     expect(page.get_by_role("status").filter(has_text="live")).to_be_visible()
     expect(page.locator("#link-rows tr")).to_have_count(4)
-    expect(page.locator("#plots canvas")).to_have_count(4)
+    expect(page.locator("#plots canvas")).to_have_count(5)
     assert watched.complaints == []
 
 

@@ -26,7 +26,7 @@ def test_the_values_under_the_cursor_are_told_for_every_plot(watched):
     figure = page.get_by_role("figure", name="Plot of 1-sigma, m over time")
     wait_for(lambda: _read(figure), "values under the cursor")
     readings = page.locator("#plots figcaption")
-    expect(readings).to_have_count(4)
+    expect(readings).to_have_count(5)
     expect(readings.nth(3)).to_have_text(re.compile(r"^\d\d:\d\d:\d\d {3}1: \d"))  # one cursor for all of them
     page.mouse.move(5, 5)
     expect(readings.first).to_have_text("")

@@ -1,7 +1,8 @@
-// Four plots on one time axis: 1-sigma, HDOP, NIS against its band, ranges in use. About one sample a second, ten minutes.
+// Plots on one time axis: 1-sigma, HDOP, NIS against its band, ranges in use, and the residuals. A sample a second, ten minutes.
 
 import { byId, el, svg } from "./dom.js";
 import { css, seriesColour, seriesDash } from "./palette.js";
+import { ResidualPlot } from "./residual_plot.js";
 
 const uPlot = window.uPlot;
 const SAMPLES = 600;
@@ -19,19 +20,22 @@ export class Plots {
   constructor() {
     this.selected = null;
     this.hidden = new Set();
+    this.residuals = new ResidualPlot((...parts) => this.makePlot(...parts), (t) => this.clock(t));
     this.reset(null);
-    this.resizing = new ResizeObserver(() => this.plots?.forEach((p) => p.setSize(size(p.root.parentNode))));
+    this.resizing = new ResizeObserver(() => [...(this.plots ?? []), this.residuals.plot].forEach((p) => p?.setSize(size(p.root.parentNode))));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build());
   }
 
   reset(offset) {
     this.offset = offset;
+    this.residuals.reset(offset);
     this.rows = new Map();
     this.sysids = [];
   }
 
   setOffset(offset) {
     this.offset = offset;
+    this.residuals.offset = offset;
     this.build();
   }
 
@@ -56,6 +60,7 @@ export class Plots {
     while (this.rows.size > SAMPLES) this.rows.delete(this.rows.keys().next().value);
     if (this.built !== this.sysids.length) this.build();
     else this.redraw();
+    this.residuals.add(frame);
   }
 
   put(t, sysid, values) {
@@ -66,6 +71,7 @@ export class Plots {
 
   select(sysid) {
     this.selected = sysid;
+    this.residuals.select(sysid);
     this.build();
   }
 
@@ -86,7 +92,6 @@ export class Plots {
     this.plots?.forEach((p) => p.destroy());
     this.resizing.disconnect();
     this.built = this.sysids.length;
-    const axis = { stroke: css("--text"), grid: { stroke: css("--grid"), width: 1 }, ticks: { stroke: css("--grid") } };
     this.nameSeries();
     this.plots = KINDS.map((kind) => {
       const series = this.sysids.map((id, i) => ({
@@ -95,22 +100,28 @@ export class Plots {
       const n = series.length;
       const isNis = kind.key === "nis_median";
       if (isNis) for (const label of ["band, high", "band, low"]) series.push({ label, stroke: css("--faint"), width: 1, points: { show: false } });
-      const reading = el("figcaption", {});
-      const holder = el("figure", { "aria-label": `Plot of ${kind.title} over time` });
-      const old = byId("plots").querySelector(`[data-key="${kind.key}"]`);
-      holder.dataset.key = kind.key;
-      if (old) old.replaceWith(holder);
-      else byId("series").before(holder);
-      const plot = new uPlot({
-        ...size(holder), padding: [null, 30, null, null], title: kind.title, series: [{}, ...series], axes: [{ ...axis, space: 80, values: (_, times) => times.map((t) => this.clock(t)) }, { ...axis, size: 46 }],
-        bands: isNis && n > 0 ? [{ series: [n + 1, n + 2], fill: css("--band") }] : [],
-        cursor: { sync: { key: "time" } }, scales: { x: { time: this.offset !== null }, y: { range: (u) => [0, top(u) * 1.1] } },
-        legend: { show: false }, hooks: { setCursor: [(u) => { reading.textContent = this.reading(u); }] },
-      }, this.data(kind), holder);
-      holder.append(reading);
-      this.resizing.observe(holder);
-      return plot;
+      return this.makePlot(kind, series, this.data(kind), { y: { range: (u) => [0, top(u) * 1.1] } }, (u) => this.reading(u),
+        isNis && n > 0 ? [{ series: [n + 1, n + 2], fill: css("--band") }] : []);
     });
+    this.residuals.build();
+  }
+
+  // One plot in a figure of its own, in place of the one of the same key.
+  makePlot({ key, title }, series, data, scales, read, bands = []) {
+    const axis = { stroke: css("--text"), grid: { stroke: css("--grid"), width: 1 }, ticks: { stroke: css("--grid") } };
+    const reading = el("figcaption", {});
+    const holder = el("figure", { "aria-label": `Plot of ${title} over time`, "data-key": key });
+    const old = byId("plots").querySelector(`[data-key="${key}"]`);
+    if (old) old.replaceWith(holder);
+    else byId("series").before(holder);
+    const plot = new uPlot({
+      ...size(holder), padding: [null, 30, null, null], title, series: [{}, ...series], axes: [{ ...axis, space: 80, values: (_, times) => times.map((t) => this.clock(t)) }, { ...axis, size: 46 }],
+      bands, cursor: { sync: { key: "time" } }, scales: { x: { time: this.offset !== null }, ...scales },
+      legend: { show: false }, hooks: { setCursor: [(u) => { reading.textContent = read(u); }] },
+    }, data, holder);
+    holder.append(reading);
+    this.resizing.observe(holder);
+    return plot;
   }
 
   // One legend for all plots: a legend in each would be as long as the fleet.

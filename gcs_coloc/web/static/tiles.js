@@ -2,18 +2,11 @@
 // differ in scale and direction over tens of kilometres, but not within one tile.
 
 import { byId, setText } from "./dom.js";
+import { eastNorth, geodetic, rad } from "./geodesy.js";
 
 const L = window.L;
 const MOST = 80;
 const EQUATOR_M = 40075016.686;
-const [A, E2] = [6378137, 0.00669437999014];
-const rad = (deg) => (deg * Math.PI) / 180;
-
-function ecef(lat, lon, h) {
-  const [s, c] = [Math.sin(rad(lat)), Math.cos(rad(lat))];
-  const n = A / Math.sqrt(1 - E2 * s * s);
-  return [(n + h) * c * Math.cos(rad(lon)), (n + h) * c * Math.sin(rad(lon)), (n * (1 - E2) + h) * s];
-}
 
 const lonOf = (x, z) => (x / 2 ** z) * 360 - 180;
 const latOf = (y, z) => (Math.atan(Math.sinh(Math.PI * (1 - (2 * y) / 2 ** z))) * 180) / Math.PI;
@@ -49,26 +42,9 @@ export class Tiles {
     this.layers.clear();
   }
 
-  enu(lat, lon) {
-    const [lat0, lon0, h] = this.origin;
-    const [p, o] = [ecef(lat, lon, h), ecef(lat0, lon0, h)];
-    const [x, y, z] = p.map((value, i) => value - o[i]);
-    const [sl, cl, sp, cp] = [Math.sin(rad(lon0)), Math.cos(rad(lon0)), Math.sin(rad(lat0)), Math.cos(rad(lat0))];
-    return [-sl * x + cl * y, -sp * cl * x - sp * sl * y + cp * z];
-  }
-
-  // Within a few metres over tens of kilometres, which is enough to find the tiles in sight.
-  geodetic(east, north) {
-    const [lat0, lon0] = this.origin;
-    const s = Math.sin(rad(lat0));
-    const w = 1 - E2 * s * s;
-    const lat = lat0 + (north / ((A * (1 - E2)) / w ** 1.5)) * (180 / Math.PI);
-    return [lat, lon0 + (east / ((A / Math.sqrt(w)) * Math.cos(rad(lat)))) * (180 / Math.PI)];
-  }
-
   inSight(zoom) {
     const b = this.map.getBounds();
-    const corners = [[b.getWest(), b.getSouth()], [b.getEast(), b.getSouth()], [b.getWest(), b.getNorth()], [b.getEast(), b.getNorth()]].map(([e, n]) => this.geodetic(e, n));
+    const corners = [[b.getWest(), b.getSouth()], [b.getEast(), b.getSouth()], [b.getWest(), b.getNorth()], [b.getEast(), b.getNorth()]].map(([e, n]) => geodetic(this.origin, e, n));
     const [lats, lons] = [corners.map(([lat]) => Math.max(Math.min(lat, 85), -85)), corners.map(([, lon]) => lon)];
     const last = 2 ** zoom - 1;
     return {
@@ -103,7 +79,8 @@ export class Tiles {
     if (!this.layers.has(key)) {
       const [north, south, west, east] = [latOf(y, zoom), latOf(y + 1, zoom), lonOf(x, zoom), lonOf(x + 1, zoom)];
       const [lat, lon] = [(north + south) / 2, (west + east) / 2];
-      const bounds = [[this.enu(south, lon)[1], this.enu(lat, west)[0]], [this.enu(north, lon)[1], this.enu(lat, east)[0]]];
+      const enu = (...at) => eastNorth(this.origin, ...at);
+      const bounds = [[enu(south, lon)[1], enu(lat, west)[0]], [enu(north, lon)[1], enu(lat, east)[0]]];
       this.layers.set(key, L.imageOverlay(`/tiles/${key}`, bounds, { pane: "tiles", interactive: false, alt: "" }).addTo(this.map));
     }
     return key;
