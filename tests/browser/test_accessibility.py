@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+import socket
 import subprocess
 import sys
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from flight import card, wait_until_good
+from flight import card, flying, free_port, service, wait_until_good
 from playwright.sync_api import Page, expect
 from recorded_flight import write_flight
 from test_replay_page import replaying
@@ -50,6 +51,19 @@ def test_the_live_page_with_an_alarm_its_details_and_an_armed_command(watched, s
     scene.failed.clear()
     wait_until_good(page, 4)
     assert violations(page) == []  # the alarm is over
+
+
+def test_a_page_that_has_lost_its_service(scene, tmp_path):
+    port = free_port(socket.SOCK_DGRAM)
+    page = scene.chromium.new_page(viewport={"width": 1440, "height": 900})
+    with flying(port, set()), service(tmp_path / "log", "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0") as (process, url):
+        page.goto(url)
+        expect(card(page, 4)).to_be_visible()
+        card(page, 4).click()
+        process.kill()
+        expect(page.locator("#connection")).to_contain_text("NO CONNECTION")
+        assert violations(page) == []
+    page.close()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
