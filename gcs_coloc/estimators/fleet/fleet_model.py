@@ -8,38 +8,33 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     Estimate,
-    FloatArray,
     Measurement,
     NoEstimate,
     PositionMeasurement,
     RangeMeasurement,
     VehicleClassReport,
 )
-from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseSplit, without_time_error
-from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseSplit, without_time_error
+from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
-from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance
-from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, Neighbour, Records, VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TIME_STAMP_OFFSET, VELOCITY, pair_key
+from gcs_coloc.estimators.fleet.ekf.records import Records, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.state import pair_key
 from gcs_coloc.estimators.fleet.ekf.update import (
     change_time_stamp_offset_sigma,
     time_stamp_offset_sigma_s,
     update_own,
     update_range,
 )
+from gcs_coloc.estimators.fleet.estimates import estimate_of_cluster, estimate_of_search
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_ranges, initialise_from_reports
-from gcs_coloc.estimators.fleet.motion_profiles import MotionProfile, motion_profile
+from gcs_coloc.estimators.fleet.motion_profiles import motion_profile
 from gcs_coloc.estimators.fleet.peer_selection import is_selected
-from gcs_coloc.estimators.fleet.position_search import PositionSearch, RangeCircle, is_too_wide
-from gcs_coloc.estimators.fleet.range_evidence import monitor_range, unresolved_outlier_variance_m2
+from gcs_coloc.estimators.fleet.range_evidence import monitor_range
+from gcs_coloc.estimators.fleet.searched_vehicles import is_searching, predicted_search, search_with_range
 from gcs_coloc.estimators.fleet.settings import FleetSettings
-from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution_of
 
 _PRUNE_EVERY_S = 5.0
 """Chosen: pruning walks over all vehicles."""
@@ -50,10 +45,6 @@ _UNDERSTATED = 1.8
 gate weighs one by one, looks like up to 1.8 times the noise."""
 _SILENT_MOST_S = 3600.0
 """Chosen: a state without updates for longer carries no information; growing for a month it would lose its digits."""
-_STEP_BACK_MOST_S = 2.0
-"""Chosen: further back the prediction with negative steps does not hold."""
-_STATED = np.eye(6, SIZE)
-"""Position and velocity of a vehicle's block."""
 
 
 class FleetModel:
@@ -147,9 +138,8 @@ class FleetModel:
         cluster = self.clusters.get(m.vehicle)
         if cluster is None or record.static:
             if record.search is not None and isinstance(m, AltitudeMeasurement):
-                record.search = self._predicted_search(record.search, record.profile, m.measured_at_s).with_height(
-                    m.up_m, m.sigma_m**2
-                )
+                search = predicted_search(record.search, record.profile, m.measured_at_s, self.settings)
+                record.search = search.with_height(m.up_m, m.sigma_m**2)
             return UpdateResult(Outcome.KEPT_NO_STATE)
         return update_own(cluster, m)
 
@@ -192,9 +182,13 @@ class FleetModel:
             record.last_range_s[other] = m.measured_at_s
             if not is_selected(self.clusters, self.records, denied_vehicle, other, m.measured_at_s, self.settings):
                 return UpdateResult(Outcome.KEPT_NOT_SELECTED)
-        searching = [self._is_searching(vehicle, other, m) for vehicle, other, _ in denied]
+        searching = [is_searching(self.clusters, self.records, vehicle, other, m, self.settings) for vehicle, other, _ in denied]
         if any(searching):
-            outcomes = [self._search(*denied[i][:2], m) for i, wanted in enumerate(searching) if wanted]
+            outcomes = [
+                search_with_range(self.clusters, self.records, *denied[i][:2], m, self.settings)
+                for i, wanted in enumerate(searching)
+                if wanted
+            ]
             return UpdateResult(outcomes[0])
         cluster = self.clusters.common(*ends)
         if cluster is None:
@@ -214,64 +208,6 @@ class FleetModel:
         for denied_vehicle, other, _ in denied:
             monitor_range(cluster, denied_vehicle, other, result, m)
         return result
-
-    def _is_searching(self, vehicle: int, other: int, m: RangeMeasurement) -> bool:
-        """Whether a denied vehicle is searched, also from this range on: it is too uncertain to linearise it."""
-        record, cluster = self.records[vehicle], self.clusters.get(vehicle)
-        if cluster is None:
-            return record.search is not None
-        cluster.add_gap(vehicle, m.measured_at_s)
-        P, record = cluster.joint.covariance(vehicle), self.records[vehicle]
-        if not is_too_wide(P.item(0, 0) + P.item(1, 1), m.range_m, m.sigma_m):
-            return False
-        there = self._locate_peer(other, m.measured_at_s)
-        if there is None:
-            return False
-        # What a peer's own error adds to a range is no reason to search.
-        sigma_m = math.sqrt(m.sigma_m**2 + float(np.trace(there[1])) / 3.0)
-        x, P = cluster.predict(vehicle, m.measured_at_s)
-        if not is_too_wide(P.item(0, 0) + P.item(1, 1), m.range_m, sigma_m):
-            return False
-        record.search = PositionSearch.of_state(x, P, m.measured_at_s)
-        self.clusters.remove(vehicle)
-        return True
-
-    def _search(self, vehicle: int, other: int, m: RangeMeasurement) -> Outcome:
-        """Update the search of a denied vehicle with a range; with one place left its states are initialised there."""
-        record, at_s = self.records[vehicle], m.measured_at_s
-        assert record.search is not None
-        there = self._locate_peer(other, at_s)
-        if there is None:
-            return Outcome.KEPT_INITIALISING
-        search = self._predicted_search(record.search, record.profile, at_s)
-        search = record.search = search.with_range(RangeCircle(other, *there, m.range_m, m.sigma_m**2))
-        if search.is_lost:
-            record.search, record.no_estimate_reason = None, "the ranges contradict each other: no place fits them"
-            return Outcome.KEPT_INITIALISING
-        record.neighbours[other] = Neighbour(at_s, (0.0, 0.0, 0.0))
-        settled = search.settled(m.range_m, math.sqrt(m.sigma_m**2 + float(np.trace(there[1])) / 3.0))
-        if settled is None:
-            return Outcome.SEARCHING
-        self.clusters.initialise(vehicle, *settled, at_s)
-        record.search, record.cusum, record.unresolved_outlier, record.attitude = None, 0.0, None, None
-        record.manoeuvre = ManoeuvreDetector()
-        record.range_noise_inflation_m2, record.updated_at_s = 0.0, at_s
-        return Outcome.INITIALISED
-
-    def _predicted_search(self, search: PositionSearch, profile: MotionProfile, at_s: float) -> PositionSearch:
-        s = self.settings
-        densities = s.low_speed_density_m2ps3, s.unobserved_climb_density_m2ps3
-        return search.predicted(at_s, densities, (0.5 * profile.max_speed_mps, profile.max_climb_mps))
-
-    def _locate_peer(self, vehicle: int, at_s: float) -> tuple[FloatArray, FloatArray] | None:
-        """Return position (3,) and covariance (3, 3) of a peer by its states, None where it has none."""
-        if vehicle not in self.clusters and (self.records[vehicle].denied_vehicle or not self._initialise(vehicle, at_s)):
-            return None
-        cluster = self.clusters[vehicle]
-        if self.records[vehicle].static:
-            return cluster.joint.mean(vehicle).copy(), cluster.joint.covariance(vehicle).copy()
-        x, P = cluster.predict(vehicle, at_s)
-        return x[POSITION].copy(), P[POSITION, POSITION].copy()
 
     def _initialise_ends(self, ends: tuple[int, int], at_s: float) -> UpdateResult | None:
         """Initialise those ends of a range that have no states; return what became of the range where it is not used."""
@@ -316,22 +252,9 @@ class FleetModel:
         cluster = self.clusters.get(vehicle)
         if cluster is None:
             if record.search is not None:
-                return self._estimate_of_search(vehicle, record, record.search, at_s)
+                return estimate_of_search(vehicle, record, record.search, at_s, self.settings)
             return self._estimate_without_state(vehicle, record, at_s)
-        return _estimate(cluster, vehicle, at_s)
-
-    def _estimate_of_search(
-        self, vehicle: int, record: VehicleRecord, search: PositionSearch, at_s: float
-    ) -> Estimate | NoEstimate:
-        """Estimate a denied vehicle that is searched, where all places that fit are one."""
-        place = self._predicted_search(search, record.profile, at_s).place()
-        if place is None:
-            return NoEstimate(vehicle, at_s, f"ambiguous: {len(search.mean)} places fit the ranges")
-        mean, covariance = place
-        worst_m = horizontal_sigma_m(covariance)
-        if not worst_m <= self.settings.limit_sigma_m:
-            return NoEstimate(vehicle, at_s, _too_uncertain(worst_m))
-        return Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, None, len(record.neighbours))
+        return estimate_of_cluster(cluster, vehicle, at_s)
 
     def _estimate_without_state(self, vehicle: int, record: VehicleRecord, at_s: float) -> Estimate | NoEstimate:
         """Estimate a healthy vehicle from its own reports; of a denied one return the reason why there is none."""
@@ -347,40 +270,3 @@ class FleetModel:
             alone.records[vehicle].own_measurements = ()
         alone._initialise(vehicle, at_s)
         return alone.estimate(vehicle, at_s)
-
-
-def _estimate(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | NoEstimate:
-    """Estimate a vehicle of a cluster on the service's clock, eq. (10): p - tau v with its covariance."""
-    record = cluster.records[vehicle]
-    if record.static:
-        covariance = np.diag([0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6])
-        covariance[:3, :3] = cluster.joint.covariance(vehicle)
-        return Estimate(vehicle, at_s, cluster.joint.mean(vehicle).copy(), np.zeros(3), covariance, None, 0)
-    step_s = at_s - cluster.joint.time_s[vehicle]
-    if step_s < -_STEP_BACK_MOST_S:
-        return NoEstimate(vehicle, at_s, f"asked for a time {-step_s:.1f} s before its newest measurement")
-    x, P = cluster.predict(vehicle, at_s)
-    offset_s = x.item(TIME_STAMP_OFFSET)
-    G = _STATED.copy()
-    G[0, 3] = G[1, 4] = G[2, 5] = -offset_s
-    G[POSITION, TIME_STAMP_OFFSET] = -x[VELOCITY]
-    position, spread = x[POSITION] - offset_s * x[VELOCITY], G @ P @ G.T
-    covariance = spread + spread.T
-    covariance *= 0.5
-    gap_m2, gap_m2ps2, gap_both = gap_covariance(record, cluster.settings, at_s)
-    added_m2 = gap_m2 + unresolved_outlier_variance_m2(record)
-    for axis in (0, 1):
-        covariance[axis, axis] += added_m2
-        covariance[axis + 3, axis + 3] += gap_m2ps2
-        covariance[axis, axis + 3] += gap_both
-        covariance[axis + 3, axis] += gap_both
-    worst_m = horizontal_sigma_m(covariance)
-    if not worst_m <= cluster.settings.limit_sigma_m:
-        return NoEstimate(vehicle, at_s, _too_uncertain(worst_m))
-    units = [n.unit for n in record.neighbours.values() if abs(at_s - n.at_s) <= IN_USE_S]
-    hdop = horizontal_dilution_of(units) if len(units) >= 2 else None
-    return Estimate(vehicle, at_s, position, x[VELOCITY].copy(), covariance, hdop, len(units))
-
-
-def _too_uncertain(worst_m: float) -> str:
-    return f"too uncertain: {worst_m:.0f} m (1-sigma) horizontally; more or better placed ranges are needed"

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.estimators.fleet.gaussian_mixture import merged, moments, pruned, update
 
 _TOO_WIDE = 4.0
 _NARROW = 1.4
@@ -31,18 +32,12 @@ _MOST_ON_A_CIRCLE = 72
 _MOST_HEIGHTS = 5
 """Chosen: heights tried for each point of the circle where the height is open."""
 _MOST_SPLIT = 8
-_MOST_COMPONENTS = 96
-"""Chosen: bounds the cost of a range to about a millisecond."""
-_PRUNED_LOG_WEIGHT = -15.0
-"""Chosen: a component of odds below 1 to 3 million is dropped."""
 _OTHERS_SHARE = 1e-4
 """Chosen: other places with less than this share together are excluded; a wrong decision is confident and lasts."""
 _LEAST_SHARE = 1e-6
 """Chosen: components below it link no places."""
 _LINKED = 4.0
 """Chosen: neighbours on a circle, one sigma apart, are linked, and those three sigmas apart are not."""
-_MERGED_NIS = 0.3
-"""Chosen: components closer than half a sigma are one; neighbours on a circle are farther apart."""
 _GATE_NIS = 16.0
 """Chosen: as the gate of the filter; a component that a range does not fit keeps its state and loses this much."""
 _LEAST_RANGES = 12
@@ -126,7 +121,7 @@ class PositionSearch:
         H = np.zeros((len(self.mean), 1, 6))
         H[:, 0, 2] = 1.0
         innovation = up_m - self.mean[:, 2:3]
-        x, P, _, _ = _update(self.mean, self.covariance, H, innovation, np.full((len(H), 1), variance_m2))
+        x, P, _, _ = update(self.mean, self.covariance, H, innovation, np.full((len(H), 1), variance_m2))
         return replace(self, mean=x, covariance=P)
 
     def with_range(self, circle: RangeCircle) -> PositionSearch:
@@ -150,14 +145,14 @@ class PositionSearch:
             longer = 0.5 * across / distance[kept]
             R = noise[kept] + np.minimum(0.5 * (across / distance[kept]) ** 2, noise[kept] + across)
             innovation = (circle.range_m - distance[kept] - longer)[:, None]
-            cx, cP, nis, log_det = _update(x[kept], P[kept], H, innovation, R[:, None])
+            cx, cP, nis, log_det = update(x[kept], P[kept], H, innovation, R[:, None])
             refused = nis > _GATE_NIS
             cx = np.where(refused[:, None], x[kept], cx)
             cP = np.where(refused[:, None, None], P[kept], cP)
             fits = not refused.all()
             parts.append((cx, cP, w[kept] - 0.5 * np.minimum(nis, _GATE_NIS) - 0.5 * log_det))
         x, P, w = (np.concatenate([part[i] for part in parts]) for i in range(3))
-        x, P, w = _merged(*_pruned(x, P, w))
+        x, P, w = merged(*pruned(x, P, w))
         refusals = 0 if fits or len(wide) else self.refused + 1
         uses = {**self.uses, circle.peer: use}
         return replace(self, mean=x, covariance=P, log_weight=w, uses=uses, refused=refusals)
@@ -209,7 +204,7 @@ class PositionSearch:
         point, rows, noise_m2 = np.concatenate(points) + circle.position_m, np.concatenate(H), np.concatenate(R)
         innovation = np.einsum("kmi,ki->km", rows[:, :, :3], point - x[:3])
         many = len(point)
-        cx, cP, nis, log_det = _update(np.repeat(x[None], many, 0), np.repeat(P[None], many, 0), rows, innovation, noise_m2)
+        cx, cP, nis, log_det = update(np.repeat(x[None], many, 0), np.repeat(P[None], many, 0), rows, innovation, noise_m2)
         # The weights of the points are shares of the component's, so their noise along the circle adds no evidence.
         share = 0.5 * math.log(2.0 * math.pi) if levels == 1 else math.log(2.0 * math.pi)
         scale = 0.5 * np.log(noise_m2[:, 1:]).sum(axis=1)
@@ -235,7 +230,7 @@ class PositionSearch:
                 break
         if float(weight[~here].sum()) > _OTHERS_SHARE * float(weight.sum()):
             return None
-        mean, covariance = _moments(x[here], P[here], weight[here])
+        mean, covariance = moments(x[here], P[here], weight[here])
         d = x[here, :3] - mean[:3]
         fit = np.einsum("ki,ki->k", d, np.linalg.solve(P[here, :3, :3], d[:, :, None])[:, :, 0])
         return (mean, covariance) if float(fit.min()) < _GATE_NIS else None
@@ -251,61 +246,3 @@ class PositionSearch:
         P = np.zeros((len(self.other_mean) + 6,) * 2)
         P[:6, :6], P[6:, 6:] = covariance, self.other_covariance
         return np.concatenate([mean, self.other_mean]), P
-
-
-def _update(
-    x: FloatArray, P: FloatArray, H: FloatArray, innovation: FloatArray, R: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Kalman update of k states (k, 6) by H (k, m, 6) with noise variances R (k, m).
-
-    Returns states, covariances, NIS (k,) and the logarithms of the determinants of the innovation covariances (k,).
-    """
-    PH = P @ H.swapaxes(1, 2)
-    S = H @ PH
-    diagonal = np.arange(S.shape[1])
-    S[:, diagonal, diagonal] += R
-    gain = np.linalg.solve(S, PH.swapaxes(1, 2)).swapaxes(1, 2)
-    corrected = x + np.einsum("kim,km->ki", gain, innovation)
-    covariance = P - gain @ PH.swapaxes(1, 2)
-    covariance = 0.5 * (covariance + covariance.swapaxes(1, 2))
-    nis = np.einsum("km,km->k", innovation, np.linalg.solve(S, innovation[:, :, None])[:, :, 0])
-    return corrected, covariance, nis, np.linalg.slogdet(S)[1]
-
-
-def _pruned(x: FloatArray, P: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the components that matter, likeliest first."""
-    order = np.argsort(-w, kind="stable")[:_MOST_COMPONENTS]
-    order = order[w[order] > w[order[0]] + _PRUNED_LOG_WEIGHT]
-    return x[order], P[order], w[order]
-
-
-def _merged(x: FloatArray, P: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the components with those at one place made one, likeliest first."""
-    means, covariances, weights = [], [], []
-    left = np.arange(len(x))
-    while len(left):
-        i = left[0]
-        d = x[left] - x[i]
-        trace = P[left, :3, :3].trace(axis1=1, axis2=2)
-        near = (d[:, :3] ** 2).sum(axis=1) <= _MERGED_NIS * (trace + trace[0])
-        close = d[near]
-        near[near] = np.einsum("ki,ki->k", close, np.linalg.solve(P[left[near]] + P[i], close[:, :, None])[:, :, 0]) < _MERGED_NIS
-        group = left[near]
-        weight = np.exp(w[group] - w[i])
-        mean, covariance = _moments(x[group], P[group], weight)
-        means.append(mean)
-        covariances.append(covariance)
-        weights.append(float(w[i]) + math.log(float(weight.sum())))
-        left = left[~near]
-    order = np.argsort(-np.array(weights), kind="stable")
-    w = np.array(weights)[order]
-    return np.array(means)[order], np.array(covariances)[order], w - w[0]
-
-
-def _moments(x: FloatArray, P: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean (6,) and covariance (6, 6) of a sum of Gaussians."""
-    share = weight / weight.sum()
-    mean = share @ x
-    d = x - mean
-    covariance = np.einsum("k,kij->ij", share, P) + np.einsum("k,ki,kj->ij", share, d, d)
-    return mean, 0.5 * (covariance + covariance.T)

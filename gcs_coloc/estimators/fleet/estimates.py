@@ -1,0 +1,73 @@
+"""Estimates of the fleet filter as they are stated: of a vehicle with states, and of one that is searched."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gcs_coloc.core.error_ellipse import horizontal_sigma_m
+from gcs_coloc.core.measurements import Estimate, NoEstimate
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance
+from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TIME_STAMP_OFFSET, VELOCITY
+from gcs_coloc.estimators.fleet.position_search import PositionSearch
+from gcs_coloc.estimators.fleet.range_evidence import unresolved_outlier_variance_m2
+from gcs_coloc.estimators.fleet.searched_vehicles import predicted_search
+from gcs_coloc.estimators.fleet.settings import FleetSettings
+from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution_of
+
+_STEP_BACK_MOST_S = 2.0
+"""Chosen: further back the prediction with negative steps does not hold."""
+_STATED = np.eye(6, SIZE)
+"""Position and velocity of a vehicle's block."""
+
+
+def estimate_of_cluster(cluster: Cluster, vehicle: int, at_s: float) -> Estimate | NoEstimate:
+    """Estimate a vehicle of a cluster on the service's clock, eq. (10): p - tau v with its covariance."""
+    record = cluster.records[vehicle]
+    if record.static:
+        covariance = np.diag([0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6])
+        covariance[:3, :3] = cluster.joint.covariance(vehicle)
+        return Estimate(vehicle, at_s, cluster.joint.mean(vehicle).copy(), np.zeros(3), covariance, None, 0)
+    step_s = at_s - cluster.joint.time_s[vehicle]
+    if step_s < -_STEP_BACK_MOST_S:
+        return NoEstimate(vehicle, at_s, f"asked for a time {-step_s:.1f} s before its newest measurement")
+    x, P = cluster.predict(vehicle, at_s)
+    offset_s = x.item(TIME_STAMP_OFFSET)
+    G = _STATED.copy()
+    G[0, 3] = G[1, 4] = G[2, 5] = -offset_s
+    G[POSITION, TIME_STAMP_OFFSET] = -x[VELOCITY]
+    position, spread = x[POSITION] - offset_s * x[VELOCITY], G @ P @ G.T
+    covariance = spread + spread.T
+    covariance *= 0.5
+    gap_m2, gap_m2ps2, gap_both = gap_covariance(record, cluster.settings, at_s)
+    added_m2 = gap_m2 + unresolved_outlier_variance_m2(record)
+    for axis in (0, 1):
+        covariance[axis, axis] += added_m2
+        covariance[axis + 3, axis + 3] += gap_m2ps2
+        covariance[axis, axis + 3] += gap_both
+        covariance[axis + 3, axis] += gap_both
+    worst_m = horizontal_sigma_m(covariance)
+    if not worst_m <= cluster.settings.limit_sigma_m:
+        return NoEstimate(vehicle, at_s, _too_uncertain(worst_m))
+    units = [n.unit for n in record.neighbours.values() if abs(at_s - n.at_s) <= IN_USE_S]
+    hdop = horizontal_dilution_of(units) if len(units) >= 2 else None
+    return Estimate(vehicle, at_s, position, x[VELOCITY].copy(), covariance, hdop, len(units))
+
+
+def estimate_of_search(
+    vehicle: int, record: VehicleRecord, search: PositionSearch, at_s: float, settings: FleetSettings
+) -> Estimate | NoEstimate:
+    """Estimate a denied vehicle that is searched, where all places that fit are one."""
+    place = predicted_search(search, record.profile, at_s, settings).place()
+    if place is None:
+        return NoEstimate(vehicle, at_s, f"ambiguous: {len(search.mean)} places fit the ranges")
+    mean, covariance = place
+    worst_m = horizontal_sigma_m(covariance)
+    if not worst_m <= settings.limit_sigma_m:
+        return NoEstimate(vehicle, at_s, _too_uncertain(worst_m))
+    return Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, None, len(record.neighbours))
+
+
+def _too_uncertain(worst_m: float) -> str:
+    return f"too uncertain: {worst_m:.0f} m (1-sigma) horizontally; more or better placed ranges are needed"

@@ -1,0 +1,74 @@
+"""A sum of k Gaussians of position and velocity: means x (k, 6), covariances P (k, 6, 6), log weights w (k,), the largest 0."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray
+
+_MOST_COMPONENTS = 96
+"""Chosen: bounds the cost of a range to about a millisecond."""
+_PRUNED_LOG_WEIGHT = -15.0
+"""Chosen: a component of odds below 1 to 3 million is dropped."""
+_MERGED_NIS = 0.3
+"""Chosen: components closer than half a sigma are one; neighbours on a circle are farther apart."""
+
+
+def update(
+    x: FloatArray, P: FloatArray, H: FloatArray, innovation: FloatArray, R: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Kalman update of k states (k, 6) by H (k, m, 6) with noise variances R (k, m).
+
+    Returns states, covariances, NIS (k,) and the logarithms of the determinants of the innovation covariances (k,).
+    """
+    PH = P @ H.swapaxes(1, 2)
+    S = H @ PH
+    diagonal = np.arange(S.shape[1])
+    S[:, diagonal, diagonal] += R
+    gain = np.linalg.solve(S, PH.swapaxes(1, 2)).swapaxes(1, 2)
+    corrected = x + np.einsum("kim,km->ki", gain, innovation)
+    covariance = P - gain @ PH.swapaxes(1, 2)
+    covariance = 0.5 * (covariance + covariance.swapaxes(1, 2))
+    nis = np.einsum("km,km->k", innovation, np.linalg.solve(S, innovation[:, :, None])[:, :, 0])
+    return corrected, covariance, nis, np.linalg.slogdet(S)[1]
+
+
+def pruned(x: FloatArray, P: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the components that matter, likeliest first."""
+    order = np.argsort(-w, kind="stable")[:_MOST_COMPONENTS]
+    order = order[w[order] > w[order[0]] + _PRUNED_LOG_WEIGHT]
+    return x[order], P[order], w[order]
+
+
+def merged(x: FloatArray, P: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the components with those at one place made one, likeliest first."""
+    means, covariances, weights = [], [], []
+    left = np.arange(len(x))
+    while len(left):
+        i = left[0]
+        d = x[left] - x[i]
+        trace = P[left, :3, :3].trace(axis1=1, axis2=2)
+        near = (d[:, :3] ** 2).sum(axis=1) <= _MERGED_NIS * (trace + trace[0])
+        close = d[near]
+        near[near] = np.einsum("ki,ki->k", close, np.linalg.solve(P[left[near]] + P[i], close[:, :, None])[:, :, 0]) < _MERGED_NIS
+        group = left[near]
+        weight = np.exp(w[group] - w[i])
+        mean, covariance = moments(x[group], P[group], weight)
+        means.append(mean)
+        covariances.append(covariance)
+        weights.append(float(w[i]) + math.log(float(weight.sum())))
+        left = left[~near]
+    order = np.argsort(-np.array(weights), kind="stable")
+    w = np.array(weights)[order]
+    return np.array(means)[order], np.array(covariances)[order], w - w[0]
+
+
+def moments(x: FloatArray, P: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean (6,) and covariance (6, 6) of a sum of Gaussians."""
+    share = weight / weight.sum()
+    mean = share @ x
+    d = x - mean
+    covariance = np.einsum("k,kij->ij", share, P) + np.einsum("k,ki,kj->ij", share, d, d)
+    return mean, 0.5 * (covariance + covariance.T)

@@ -1,0 +1,89 @@
+"""Denied vehicles that are searched: when a search begins, what a range does to it, and how it ends in states again."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import ManoeuvreDetector
+from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
+from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
+from gcs_coloc.estimators.fleet.ekf.records import Neighbour, Records
+from gcs_coloc.estimators.fleet.ekf.state import POSITION
+from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
+from gcs_coloc.estimators.fleet.motion_profiles import MotionProfile
+from gcs_coloc.estimators.fleet.position_search import PositionSearch, RangeCircle, is_too_wide
+from gcs_coloc.estimators.fleet.settings import FleetSettings
+
+
+def is_searching(
+    clusters: ClusterSet, records: Records, vehicle: int, other: int, m: RangeMeasurement, settings: FleetSettings
+) -> bool:
+    """Whether a denied vehicle is searched, also from this range on: it is too uncertain to linearise it."""
+    record, cluster = records[vehicle], clusters.get(vehicle)
+    if cluster is None:
+        return record.search is not None
+    cluster.add_gap(vehicle, m.measured_at_s)
+    P, record = cluster.joint.covariance(vehicle), records[vehicle]
+    if not is_too_wide(P.item(0, 0) + P.item(1, 1), m.range_m, m.sigma_m):
+        return False
+    there = _locate_peer(clusters, records, other, m.measured_at_s, settings)
+    if there is None:
+        return False
+    # What a peer's own error adds to a range is no reason to search.
+    sigma_m = math.sqrt(m.sigma_m**2 + float(np.trace(there[1])) / 3.0)
+    x, P = cluster.predict(vehicle, m.measured_at_s)
+    if not is_too_wide(P.item(0, 0) + P.item(1, 1), m.range_m, sigma_m):
+        return False
+    record.search = PositionSearch.of_state(x, P, m.measured_at_s)
+    clusters.remove(vehicle)
+    return True
+
+
+def search_with_range(
+    clusters: ClusterSet, records: Records, vehicle: int, other: int, m: RangeMeasurement, settings: FleetSettings
+) -> Outcome:
+    """Update the search of a denied vehicle with a range; with one place left its states are initialised there."""
+    record, at_s = records[vehicle], m.measured_at_s
+    assert record.search is not None
+    there = _locate_peer(clusters, records, other, at_s, settings)
+    if there is None:
+        return Outcome.KEPT_INITIALISING
+    search = predicted_search(record.search, record.profile, at_s, settings)
+    search = record.search = search.with_range(RangeCircle(other, *there, m.range_m, m.sigma_m**2))
+    if search.is_lost:
+        record.search, record.no_estimate_reason = None, "the ranges contradict each other: no place fits them"
+        return Outcome.KEPT_INITIALISING
+    record.neighbours[other] = Neighbour(at_s, (0.0, 0.0, 0.0))
+    settled = search.settled(m.range_m, math.sqrt(m.sigma_m**2 + float(np.trace(there[1])) / 3.0))
+    if settled is None:
+        return Outcome.SEARCHING
+    clusters.initialise(vehicle, *settled, at_s)
+    record.search, record.cusum, record.unresolved_outlier, record.attitude = None, 0.0, None, None
+    record.manoeuvre = ManoeuvreDetector()
+    record.range_noise_inflation_m2, record.updated_at_s = 0.0, at_s
+    return Outcome.INITIALISED
+
+
+def predicted_search(search: PositionSearch, profile: MotionProfile, at_s: float, settings: FleetSettings) -> PositionSearch:
+    """Return a search at a later time, as its vehicle may move."""
+    s = settings
+    densities = s.low_speed_density_m2ps3, s.unobserved_climb_density_m2ps3
+    return search.predicted(at_s, densities, (0.5 * profile.max_speed_mps, profile.max_climb_mps))
+
+
+def _locate_peer(
+    clusters: ClusterSet, records: Records, vehicle: int, at_s: float, settings: FleetSettings
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return position (3,) and covariance (3, 3) of a peer by its states, None where it has none."""
+    if vehicle not in clusters and (
+        records[vehicle].denied_vehicle or not initialise_from_reports(clusters, records, vehicle, at_s, settings)
+    ):
+        return None
+    cluster = clusters[vehicle]
+    if records[vehicle].static:
+        return cluster.joint.mean(vehicle).copy(), cluster.joint.covariance(vehicle).copy()
+    x, P = cluster.predict(vehicle, at_s)
+    return x[POSITION].copy(), P[POSITION, POSITION].copy()
