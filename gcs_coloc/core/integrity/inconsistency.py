@@ -20,9 +20,10 @@ _PRESENT: Past = (None, 0.0)
 
 
 def explain_inconsistency(whole: Epoch, noise: NoiseModel, levels: SignificanceLevels, doubtful: Collection[int]) -> NoiseModel:
-    """Return the noise with which an epoch as stated is consistent, or `noise` as it is where a fault is likelier or none fits.
+    """Return the noise with which an epoch as stated is consistent, or `noise` as it is where it is not clearly the likeliest.
 
-    `doubtful` are the vehicles whose receivers speak against themselves.
+    A fault that is nearly as likely is not ruled out, so the tests over time go on. `doubtful` are the vehicles whose receivers
+    speak against themselves.
     """
     epoch = noise.apply(whole)
     result = run_tests(epoch, levels, [_PRESENT])[0] if whole.residuals else None
@@ -30,6 +31,7 @@ def explain_inconsistency(whole: Epoch, noise: NoiseModel, levels: SignificanceL
         return noise
     fault = isolate(epoch, _PRESENT, levels, doubtful)
     pairs, more = pair_outliers(epoch, levels), likeliest_noise(whole, noise, levels)
-    if pairs is not None and (more is None or pairs.cost <= more.cost) and (pairs.cost < fault.cost or fault.is_of_one_pair):
+    clearly_below = fault.cost - levels.margin
+    if pairs is not None and (more is None or pairs.cost <= more.cost) and (pairs.cost < clearly_below or fault.is_of_one_pair):
         return replace(noise, pairs_off=pairs.pairs)
-    return more.model if more is not None and more.cost < fault.cost else noise
+    return more.model if more is not None and more.cost < clearly_below else noise

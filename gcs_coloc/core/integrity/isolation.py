@@ -52,8 +52,8 @@ class Isolation:
 
     @property
     def is_of_one_pair(self) -> bool:
-        """Whether the best explanation is that the ranges of one pair are off."""
-        return bool(self.plausible) and self.plausible[0].kind is FaultKind.PAIR
+        """Whether the best explanation is that the ranges of one pair are off, and every other one is a fault of ranges too."""
+        return self.is_range_fault and self.plausible[0].kind is FaultKind.PAIR
 
     @property
     def isolated(self) -> dict[int, float]:
