@@ -30,6 +30,14 @@ def test_the_details_leave_alarms_and_fleet_in_a_window_of_900_px(watched, scene
     assert watched.complaints == []
 
 
+def test_without_a_vehicle_selected_the_fleet_has_the_room_of_the_details(watched):
+    page = watched.page
+    page.set_viewport_size({"width": 1440, "height": 900})
+    expect(page.locator("#details")).to_be_hidden()
+    for vehicle in (1, 2, 3, 4):
+        expect(card(page, vehicle)).to_be_in_viewport(ratio=1.0)
+
+
 @pytest.mark.parametrize("size", [(820, 1180), (390, 844)])
 def test_in_one_column_the_details_are_whole_and_cover_nothing(watched, size):
     page = watched.page
