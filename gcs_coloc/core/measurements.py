@@ -7,6 +7,9 @@ later, and not in the order of measuring). All sigmas are one standard deviation
 
 from __future__ import annotations
 
+import re
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
@@ -16,6 +19,8 @@ from numpy.typing import NDArray
 
 Vector3 = tuple[float, float, float]
 FloatArray = NDArray[np.float64]
+
+_NUMBER = re.compile(r"[0-9.]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +154,17 @@ class NoEstimate:
     vehicle: int
     at_s: float
     reason: str
+
+
+def count_reasons(reasons: Iterable[str]) -> dict[str, int]:
+    """Return how often each reason of no estimate was given; those that differ in their numbers alone are one.
+
+    Plug-in estimators word their own reasons, so there is no closed list. The first of several stands for all; the
+    most frequent comes first.
+    """
+    first: dict[str, str] = {}
+    times = Counter(first.setdefault(_NUMBER.sub("", reason), reason) for reason in reasons)
+    return dict(times.most_common())
 
 
 @dataclass(frozen=True, slots=True)

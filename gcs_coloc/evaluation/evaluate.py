@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import re
 import time
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
     VehicleClassReport,
+    count_reasons,
 )
 from gcs_coloc.evaluation.antennas import AntennaRange, body_range
 from gcs_coloc.evaluation.data_checks.checks import check_delays, run_checks
@@ -40,7 +40,6 @@ _KINDS = {PositionMeasurement: "positions", RangeMeasurement: "ranges", AntennaR
 _EPOCH_S = 0.2
 """Spacing of the epochs of a vehicle without truth. Chosen: as often as most data sets range."""
 _PROGRESS_EVERY = 500
-_NUMBER = re.compile(r"[0-9.]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +187,7 @@ def evaluate_dataset(
         scored = truth.times_s >= since_s[node.vehicle]
         of_vehicle = answers[node.vehicle]
         known = [answer if isinstance(answer, Estimate) else None for answer in of_vehicle]
-        unanswered = _by_reason(answer.reason for answer in of_vehicle if isinstance(answer, NoEstimate))
+        unanswered = count_reasons(answer.reason for answer in of_vehicle if isinstance(answer, NoEstimate))
         series = series_of(truth.times_s[scored], truth.positions_enu_m[scored], known)
         history = np.array(nis[node.vehicle]).reshape(-1, 2)
         evaluated.append(VehicleEvaluation(node, score(series, since_s[node.vehicle], dataset.dims), series, history, unanswered))
@@ -208,12 +207,6 @@ def _epochs(since_s: float, end_s: float) -> Truth:
     """Return the epochs of a vehicle without truth."""
     times_s = np.arange(since_s, end_s + _EPOCH_S, _EPOCH_S)
     return Truth(times_s, np.full((len(times_s), 3), np.nan))
-
-
-def _by_reason(reasons: Iterable[str]) -> dict[str, int]:
-    first: dict[str, str] = {}
-    times: Counter[str] = Counter(first.setdefault(_NUMBER.sub("", reason), reason) for reason in reasons)
-    return dict(times.most_common())
 
 
 def _measurements_in_order(dataset: Dataset) -> list[Measurement]:

@@ -8,6 +8,7 @@ from html import escape
 from statistics import median
 from typing import Any
 
+from gcs_coloc.core.measurements import count_reasons
 from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
 from gcs_coloc.recorder.journal import EVERY_S, VehicleEntry
 from gcs_coloc.recorder.reports.html_plots import PlotImage, map_picture, vehicle_picture
@@ -97,8 +98,8 @@ def _vehicle(history: FlightHistory, vehicle: Mapping[str, Any], track: Sequence
     if levels:
         rows.append(("protection level, median and most", f"{median(levels):.1f} m, {max(levels):.1f} m"))
     rows.extend(_score(vehicle["score"]))
-    reasons = sorted({v.no_estimate_reason for v in without if v.no_estimate_reason is not None})
-    rows.extend(("not located because", reason) for reason in reasons)
+    reasons = count_reasons(v.no_estimate_reason for v in without if v.no_estimate_reason is not None)
+    rows.extend((f"not located for {times * EVERY_S:.1f} s", reason) for reason, times in reasons.items())
     alt = f"Vehicle {sysid} over time: bound and sigma, HDOP and ranges in use, NIS"
     title = f"Vehicle {sysid} without its GPS"
     return f"<h2>{title}</h2>" + _table(title, ("", ""), rows) + _image(alt, vehicle_picture(history, track))
