@@ -1,9 +1,11 @@
 """The metrics tell the fleet as it is, by Prometheus' conventions, and stand in the reference."""
 
 import json
+import os
 import re
 import shutil
 import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from gcs_coloc.core.integrity.noise_model import NoiseModel
 from gcs_coloc.sinks.metrics import fleet_registry
 
 ROOT = Path(__file__).resolve().parents[3]
+PROMTOOL = shutil.which("promtool", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
 
 
 def families(view):
@@ -76,10 +79,10 @@ def test_the_alert_rules_ask_for_metrics_that_there_are():
         assert set(names) <= there, expression
 
 
-@pytest.mark.skipif(shutil.which("promtool") is None, reason="promtool, of Prometheus, is not installed here")
+@pytest.mark.skipif(PROMTOOL is None, reason="promtool, of Prometheus, is not installed here")
 def test_promtool_finds_the_alert_rules_right():
     done = subprocess.run(
-        ["promtool", "check", "rules", str(ROOT / "configs/prometheus-alerts.yml")],
+        [PROMTOOL, "check", "rules", str(ROOT / "configs/prometheus-alerts.yml")],
         capture_output=True,
         text=True,
         timeout=60,
