@@ -252,6 +252,7 @@ class Engine:
         )
 
     def _add_vehicle(self, sysid: int, at_s: float) -> ReportedState | None:
+            alert_limit_m=self.settings.aiding.alert_limit_m,
         if self.telemetry.is_full:
             self._make_room(at_s)
         vehicle = self.telemetry.add(sysid, at_s)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from math import sqrt
 from typing import NamedTuple
 
+from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.aiding.stream import AidingView
 from gcs_coloc.core.error_ellipse import horizontal_sigma_and_bound_95_m
 from gcs_coloc.core.geodesy import LocalFrame
@@ -119,7 +120,7 @@ class FleetSnapshot:
     by their system ids, `outs` are the ground tools. `utc_minus_service_s` turns `at_s` into UNIX time; None where the host
     does not know the time. `origin` is the fleet frame's: latitude and longitude in degrees, altitude in metres.
     `loop_lag_s` is by how much the host ran the service late at worst in the last second. `stations` are in order of their ids.
-    `noise` is how much worse ranges and positions are than they state.
+    `noise` is how much worse ranges and positions are than they state. No position is sent beyond `alert_limit_m`.
     """
 
     at_s: float
@@ -137,6 +138,7 @@ class FleetSnapshot:
     noise: NoiseModel = field(default_factory=NoiseModel)
 
 
+    alert_limit_m: float = field(default_factory=lambda: AidingSettings().alert_limit_m)
 class OverrideSources(NamedTuple):
     """Where the overrides of one vehicle came from; None for one that is not in force."""
 

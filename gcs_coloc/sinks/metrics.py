@@ -82,6 +82,8 @@ class FleetCollector(Collector):
         yield InfoMetricFamily("gcs_coloc_build", "Which program runs.", {"version": __version__, "estimator": fleet.estimator})
         text = "By how much the host ran the service late at worst in the last second."
         yield GaugeMetricFamily("gcs_coloc_loop_lag_seconds", text, fleet.loop_lag_s)
+        text = "The alert limit: no position is sent while the protection level is beyond it."
+        yield GaugeMetricFamily("gcs_coloc_alert_limit_meters", text, fleet.alert_limit_m)
         noise = fleet.noise
         for name, text, found in (
             ("range_bias_sigma_meters", "Lasting error of ranges beyond the stated one.", noise.range_bias_m),
