@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from pydantic.dataclasses import dataclass
@@ -107,6 +108,10 @@ class ForwardConfig(_Section):
     """The ground tools are told of alarms (STATUSTEXT), and get our heartbeat."""
 
 
+SysidsT = TypeVar("SysidsT", bound=Iterable[int])
+VehicleName = Annotated[str, Field(min_length=1, max_length=9)]
+
+
 class FleetConfig(_Section):
     """`[fleet]`: the operator's word on single vehicles, and the fleet's bounds."""
 
@@ -118,10 +123,13 @@ class FleetConfig(_Section):
     """More vehicles than this are refused. MAVLink has system ids 1 to 255; ground stations use some."""
     request_streams: bool = True
     """Vehicles are asked for missing messages (MAV_CMD_SET_MESSAGE_INTERVAL)."""
+    names: dict[int, VehicleName] = Field(default_factory=dict)
+    """A table `[fleet.names]`: what people call a vehicle, by its system id, as `4 = "Kite"`; at most 9 characters, so that a
+    line of the terminal's table holds them."""
 
-    @field_validator("failed", "healthy")
+    @field_validator("failed", "healthy", "names")
     @classmethod
-    def _sysids(cls, sysids: tuple[int, ...]) -> tuple[int, ...]:
+    def _sysids(cls, sysids: SysidsT) -> SysidsT:
         for sysid in sysids:
             if not 1 <= sysid <= 255:
                 raise ValueError(f"{sysid} is not a MAVLink system id (1 to 255)")

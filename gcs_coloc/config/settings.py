@@ -113,11 +113,14 @@ class Settings(BaseSettings):
             request_streams=self.fleet.request_streams,
             max_vehicles=self.fleet.max_vehicles,
             stations=tuple(station.station() for station in self.station),
+            names=self.fleet.names,
         )
 
     def fingerprint(self) -> str:
         """A few digits that stand for all that the engine's answers depend on: the estimator, its settings and `engine`."""
-        all_of_it = {"estimator": self.estimator.model_dump(), "engine": asdict(self.engine())}
+        engine = asdict(self.engine())
+        del engine["names"]
+        all_of_it = {"estimator": self.estimator.model_dump(), "engine": engine}
         return hashlib.sha256(json.dumps(all_of_it, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 

@@ -7,6 +7,7 @@ decrease from call to call.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from gcs_coloc.core.aiding.aiding import Aiding
@@ -62,7 +63,7 @@ REVIEWED_EVERY_S = 0.2
 class EngineSettings:
     """Settings of one fleet. `max_vehicles` bounds every table; `request_streams` asks vehicles for missing messages.
 
-    `stations` are the fixed stations whose position is known.
+    `stations` are the fixed stations whose position is known. `names` is what people call the vehicles, by system id.
     """
 
     gps_health: GpsHealthSettings = field(default_factory=GpsHealthSettings)
@@ -73,6 +74,7 @@ class EngineSettings:
     request_streams: bool = True
     max_vehicles: int = 250
     stations: tuple[Station, ...] = ()
+    names: Mapping[int, str] = field(default_factory=dict)
 
 
 class Engine:
@@ -226,6 +228,7 @@ class Engine:
                 vehicle,
                 review.estimate(vehicle.sysid, now_s),
                 frame,
+                name=self.settings.names.get(vehicle.sysid, ""),
                 gps_health=self.gps_health,
                 gps_override=review.gps_override(vehicle.sysid),
                 override_sources=self._override_sources(vehicle.sysid),
@@ -249,10 +252,10 @@ class Engine:
             loop_lag_s=self.clocks.host_lag_s,
             stations=review.stations.snapshots(now_s),
             noise=review.report.noise,
+            alert_limit_m=self.settings.aiding.alert_limit_m,
         )
 
     def _add_vehicle(self, sysid: int, at_s: float) -> ReportedState | None:
-            alert_limit_m=self.settings.aiding.alert_limit_m,
         if self.telemetry.is_full:
             self._make_room(at_s)
         vehicle = self.telemetry.add(sysid, at_s)

@@ -50,6 +50,7 @@ class OutSnapshot:
 class VehicleSnapshot:
     """One vehicle as the service sees it. Positions in degrees and metres above mean sea level; None where unknown.
 
+    `name` is what the configuration calls it.
     `lat_deg`, `lon_deg`, `alt_msl_m` are the service's estimate, `reported_*` is what the vehicle says of itself.
     `sigma_h_m` is 1-sigma along the worst horizontal direction, `sigma_v_m` that of the height, `bound_95_m` the 95 % horizontal
     bound. `hpl_m` and `vpl_m` are the horizontal and vertical protection level; they assume that the receivers of the vehicles
@@ -110,6 +111,7 @@ class VehicleSnapshot:
     clock_method: str | None = None
     clock_sigma_s: float | None = None
     consistency: Consistency | None = None
+    name: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,9 +138,9 @@ class FleetSnapshot:
     loop_lag_s: float = 0.0
     stations: tuple[StationSnapshot, ...] = ()
     noise: NoiseModel = field(default_factory=NoiseModel)
-
-
     alert_limit_m: float = field(default_factory=lambda: AidingSettings().alert_limit_m)
+
+
 class OverrideSources(NamedTuple):
     """Where the overrides of one vehicle came from; None for one that is not in force."""
 
@@ -152,6 +154,7 @@ def vehicle_snapshot(
     where: Estimate | NoEstimate,
     frame: LocalFrame | None,
     *,
+    name: str,
     gps_health: FleetGpsHealth,
     gps_override: GpsOverride,
     override_sources: OverrideSources,
@@ -186,6 +189,7 @@ def vehicle_snapshot(
     fresh = attitude is not None and now_s - attitude.received_at_s <= _ATTITUDE_FRESH_S
     return VehicleSnapshot(
         sysid=vehicle.sysid,
+        name=name,
         age_s=now_s - vehicle.last_heard_s,
         autopilot=vehicle.autopilot.value if vehicle.autopilot is not None else "unknown",
         gps_state=gps_health.state(vehicle.sysid).value,

@@ -36,6 +36,7 @@ class VehicleState(_Sent):
     """`…/{sysid}/state`: what the vehicle says of itself (`reported_*`), and what is sent to it."""
 
     sysid: int
+    name: str
     autopilot: str
     age_s: float
     reported_lat_deg: float | None

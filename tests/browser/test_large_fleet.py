@@ -53,7 +53,8 @@ OVERLAPS = """() => {
 
 def test_thirty_vehicles_are_sorted_filtered_and_told_apart(tmp_path):
     port, failed = free_port(socket.SOCK_DGRAM), set()
-    arguments = ["--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
+    (tmp_path / "names.toml").write_text('[fleet.names]\n6 = "Kite"\n')
+    arguments = ["--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0", "--config", str(tmp_path / "names.toml")]
     with service(tmp_path / "log", *arguments) as (_, url), swarm(port, failed) as fleet, browser() as chromium:
         watched = Watched(chromium.new_page(viewport={"width": 1366, "height": 900}))
         page = watched.page
@@ -69,6 +70,8 @@ def test_thirty_vehicles_are_sorted_filtered_and_told_apart(tmp_path):
         fleet[4].send(fleet[4].pack(mavlink.MAVLink_sys_status_message(gps, gps, gps, battery_remaining=87, **fields)))
         expect(card(page, 5).locator(".flight")).to_have_text("AUTO, armed, 87 %, 564 m")
         expect(card(page, 6).locator(".flight")).to_have_text("AUTO, armed, 565 m")
+        expect(card(page, 6)).to_contain_text("Vehicle 6 Kite")
+        expect(page.locator("#map .vehicle .name", has_text="6 Kite")).to_have_count(1)
         # The labels that are shown can be read.
         wait_for(lambda: (found := page.evaluate(OVERLAPS))[0] >= 10 and found[1] == 0, "labels that do not cover each other")
         failed.update((23, 17))

@@ -1,7 +1,7 @@
 // The list of vehicles and the details of the selected one.
 
 import { age, byId, el, metres, milliseconds, number, setText } from "./dom.js";
-import { nodeName } from "./node_names.js";
+import { nodeName, vehicleName } from "./node_names.js";
 import { LIGHT_WORDS, SEVERITY, SIGNS } from "./palette.js";
 
 const COMPACT_FROM = 9; // vehicles; so many cards are higher than a screen
@@ -118,7 +118,7 @@ export class FleetList {
   }
 
   showCard({ snapshot, light, reason }, lateS) {
-    const card = this.cards.get(snapshot.sysid) ?? this.makeCard(snapshot.sysid);
+    const card = this.cards.get(snapshot.sysid) ?? this.makeCard(snapshot);
     card.node.className = `card ${light}`;
     card.light = light;
     setText(card.sign, SIGNS[light]);
@@ -128,17 +128,18 @@ export class FleetList {
     setText(card.flight, flight(snapshot));
     setText(card.reason, reason);
     // Without the numbers that change all the time, which a screen reader would repeat.
-    const name = `Vehicle ${snapshot.sysid} ${word}, ${reason}`;
+    const name = `${vehicleName(snapshot)} ${word}, ${reason}`;
     if (card.button.getAttribute("aria-label") !== name) card.button.setAttribute("aria-label", name);
     setText(card.numbers, quality(snapshot));
   }
 
-  makeCard(sysid) {
+  makeCard(snapshot) {
+    const { sysid } = snapshot;
     const part = (name) => el("span", { class: name, id: `${name}-${sysid}` });
     const card = { sign: part("sign"), word: part("word"), age: part("age"), flight: part("flight"), reason: part("reason"), numbers: part("numbers") };
     card.sign.setAttribute("aria-hidden", "true");
     card.button = el("button", { type: "button", "aria-describedby": `age-${sysid} flight-${sysid} numbers-${sysid}`, onclick: ({ detail }) => this.onSelect(sysid, detail === 0) },
-      card.sign, el("strong", {}, `Vehicle ${sysid}`), card.word, card.age, card.flight, card.reason, card.numbers);
+      card.sign, el("strong", {}, vehicleName(snapshot)), card.word, card.age, card.flight, card.reason, card.numbers);
     card.button.setAttribute("aria-pressed", String(sysid === this.selected));
     card.node = el("li", {}, card.button);
     this.cards.set(sysid, card);
@@ -146,7 +147,7 @@ export class FleetList {
   }
 
   showDetails({ snapshot, reason, ellipse }, links, lateS) {
-    setText(byId("details-title"), `Vehicle ${snapshot.sysid}`);
+    setText(byId("details-title"), vehicleName(snapshot));
     const place = (lat, lon) => (lat === null ? "-" : `${lat.toFixed(6)}, ${lon.toFixed(6)}`);
     const c = snapshot.consistency;
     const link = links.find((one) => one.sysid === snapshot.sysid);

@@ -1,6 +1,7 @@
 // The marks on the map: a vehicle estimated, reported and true, and a station.
 
 import { svg } from "./dom.js";
+import { idAndName } from "./node_names.js";
 import { SIGNS } from "./palette.js";
 
 function heading(snapshot) {
@@ -15,7 +16,7 @@ export function estimateIcon(snapshot, light, stale, label) {
     ? svg("circle", { cx: 0, cy: 0, r: 9 })
     : svg("path", { d: "M0 -14L9 11L0 6L-9 11Z", transform: `rotate(${turn.toFixed(0)})` });
   return svg("svg", { class: `vehicle ${light}${stale ? " stale" : ""}`, viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
-    body, ...(label === undefined ? [] : [svg("text", { class: "name", x: label[0], y: label[1], "text-anchor": label[2] }, `${snapshot.sysid} ${SIGNS[light]}`)]));
+    body, ...(label === undefined ? [] : [svg("text", { class: "name", x: label[0], y: label[1], "text-anchor": label[2] }, `${idAndName(snapshot)} ${SIGNS[light]}`)]));
 }
 
 export function stationIcon({ station_id: id }) {

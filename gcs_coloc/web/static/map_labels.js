@@ -1,5 +1,6 @@
 // Where the labels of the vehicles on the map stand.
 
+import { idAndName } from "./node_names.js";
 import { SEVERITY } from "./palette.js";
 
 // About a vehicle's mark, in order of preference: x, y of the label's baseline, and its anchor; px.
@@ -27,9 +28,10 @@ export function placeLabels(map, vehicles, stations, selected) {
   }
   const labels = new Map();
   const rank = ({ snapshot, light }) => (snapshot.sysid === selected ? -1 : SEVERITY[light]);
-  for (const { snapshot: { sysid } } of located.sort((a, b) => rank(a) - rank(b) || a.snapshot.sysid - b.snapshot.sysid)) {
+  for (const { snapshot } of located.sort((a, b) => rank(a) - rank(b) || a.snapshot.sysid - b.snapshot.sysid)) {
+    const { sysid } = snapshot;
     const { x, y } = points.get(sysid);
-    const width = (String(sysid).length + 2) * character;
+    const width = (idAndName(snapshot).length + 2) * character;
     const free = LABEL_PLACES.find(([dx, dy, anchor]) => {
       const left = x + dx - (anchor === "end" ? width : 0);
       const box = [sysid, left, y + dy - height + 2, left + width, y + dy + 2];

@@ -51,6 +51,8 @@ def test_flags_win_over_the_environment_which_wins_over_the_file(tmp_path, monke
         ("[aiding]\nrate_hz = inf", "aiding: rate_hz must be from 1 to 50, not inf"),
         ("[aiding]\nlag_s = 'x'", "aiding.lag_s: input should be a valid number"),
         ("[fleet]\nfailed = [300]", "fleet.failed: 300 is not a MAVLink system id"),
+        ('[fleet.names]\n300 = "Kite"', "fleet.names: 300 is not a MAVLink system id"),
+        ('[fleet.names]\n4 = "Black Kite"', "fleet.names.4: string should have at most 9 characters"),
         ("[fleet]\nfailed = [2, 3]\nhealthy = [3]", "fleet: vehicle 3 is declared failed and healthy"),
         ("[mavlink]\nsystem_id = 0", "mavlink.system_id: input should be greater than or equal to 1"),
         ('[aiding]\nmethod = "gps"', "aiding.method: input should be 'auto'"),
@@ -95,6 +97,13 @@ def test_errors_name_file_key_and_mend_in_one_line(tmp_path, text, words):
 def test_the_way_of_a_single_vehicle_is_read_by_its_system_id(tmp_path):
     path = written(tmp_path, '[aiding.methods]\n4 = "external_position"\n')
     assert load_settings(path, {}).engine().aiding.methods == {4: "external_position"}
+
+
+def test_the_name_of_a_vehicle_changes_no_answer_of_the_engine(tmp_path):
+    named, plain = written(tmp_path, '[fleet.names]\n4 = "Kite"'), Settings()
+    settings = load_settings(named, {})
+    assert settings.engine().names == {4: "Kite"}
+    assert settings.fingerprint() == plain.fingerprint()
 
 
 def test_stations_are_read_and_decide_the_answers_of_the_engine(tmp_path):
