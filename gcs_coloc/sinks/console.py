@@ -12,23 +12,21 @@ import os
 import queue
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from logging.handlers import QueueHandler, QueueListener
 from typing import Any, TextIO
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Console, RenderableType
 from rich.live import Live
-from rich.table import Table
-from rich.text import Text
 
 from gcs_coloc.core.messages.outbound import ToOperator
-from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
+from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.sinks.event_bus import Subscription, level_and_text
+from gcs_coloc.sinks.fleet_table import FleetTables, out_line, vehicle_line
 
 log = logging.getLogger("gcs_coloc")
 
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
-_STYLES = {"healthy": "green", "suspect": "yellow", "failed": "bold red", "recovering": "cyan", "unknown": "dim"}
 PLAIN_EVERY_S = 5.0
 """Period of the log lines of all vehicles where there is no terminal. Chosen: a log of a day stays readable."""
 _LAST_TABLE_S = 1.0
@@ -62,8 +60,7 @@ async def _show_snapshots(name: str, subscription: Subscription, snapshots: dict
         event = await subscription.get()
         if isinstance(event, FleetSnapshot):
             snapshots[name] = event
-            now = sorted(snapshots.items())
-            live.show(lambda now=now: Group(*(table(snapshot, name) for name, snapshot in now)))  # type: ignore[misc]
+            live.show(FleetTables(dict(snapshots)))
         elif isinstance(event, ToOperator):
             _log_event(name, event)
 
@@ -77,7 +74,7 @@ async def _log_lines(name: str, subscription: Subscription) -> None:
         elif isinstance(event, FleetSnapshot) and event.at_s >= due_s:
             due_s = event.at_s + PLAIN_EVERY_S
             for vehicle in event.vehicles:
-                log.info("%s%s", _of(name), line(vehicle))
+                log.info("%s%s", _of(name), vehicle_line(vehicle))
             for out in event.outs:
                 log.info("%s%s", _of(name), out_line(out))
 
@@ -91,59 +88,6 @@ def _log_event(name: str, event: ToOperator) -> None:
     level, text = level_and_text(event)
     who = f"vehicle {event.sysid}: " if event.sysid is not None else ""
     log.log(_LEVELS[level], "%s%s%s", _of(name), who, text)
-
-
-def line(v: VehicleSnapshot) -> str:
-    """One vehicle in one plain line."""
-    return (
-        f"vehicle {v.sysid}: last heard {v.age_s:.1f} s ago, GPS {v.gps_state} ({v.gps_reason}), position {_where(v)}, "
-        f"1-sigma {_number(v.sigma_h_m, 'm')}, HDOP {_number(v.hdop)}, {v.ranges_in_use} ranges in use, aiding {v.aiding}"
-    )
-
-
-def out_line(out: OutSnapshot) -> str:
-    """The ground tools behind one connection string in one plain line."""
-    return (
-        f"ground tools on {out.name}: {out.tools}, frames sent {out.frames_sent}, accepted {out.frames_accepted}, "
-        f"dropped {out.dropped}, refused {out.refused}"
-    )
-
-
-def table(snapshot: FleetSnapshot, name: str = "") -> Table:
-    """The fleet as a table, under its name if it has one."""
-    refused = sum(snapshot.refused.values())
-    below = [*([f"refused: {refused}"] if refused else []), *map(out_line, snapshot.outs)]
-    out = Table(
-        title=f"gcs-coloc{f', fleet {name}' if name else ''}, estimator {snapshot.estimator}",
-        caption="\n".join(below) or None,
-    )
-    for heading in ("vehicle", "last heard", "GPS", "reason", "position", "1-sigma", "HDOP", "ranges", "aiding"):
-        out.add_column(heading)
-    for v in snapshot.vehicles:
-        out.add_row(
-            str(v.sysid),
-            f"{v.age_s:.1f} s",
-            Text(v.gps_state, style=_STYLES[v.gps_state]),
-            v.gps_reason,
-            _where(v),
-            _number(v.sigma_h_m, "m"),
-            _number(v.hdop),
-            str(v.ranges_in_use),
-            v.aiding,
-        )
-    if not snapshot.vehicles:
-        out.add_row("none", "", "", "no vehicle heard yet", "", "", "", "", "")
-    return out
-
-
-def _where(v: VehicleSnapshot) -> str:
-    if v.lat_deg is None or v.lon_deg is None or v.alt_msl_m is None:
-        return f"unknown: {v.no_estimate_reason}"
-    return f"{v.lat_deg:.6f} {v.lon_deg:.6f} {v.alt_msl_m:.0f} m"
-
-
-def _number(value: float | None, unit: str = "") -> str:
-    return f"{value:.1f} {unit}".rstrip() if value is not None else "-"
 
 
 class SharedConsole(Console):
@@ -168,15 +112,15 @@ class LiveTable:
 
     def __init__(self, console: SharedConsole) -> None:
         self._console = console
-        self._newest: Callable[[], RenderableType] | None = None
+        self._newest: RenderableType | None = None
         self._wake = threading.Event()
         self._ending = False
         self._drawing = threading.Thread(target=self._draw, name="table", daemon=True)
         self._drawing.start()
 
-    def show(self, make: Callable[[], RenderableType]) -> None:
-        """Draw the table that `make` returns, in place of the one before; never waits. `make` is called on the thread."""
-        self._newest = make
+    def show(self, table: RenderableType) -> None:
+        """Draw a table in place of the one before; never waits. It is rendered on the thread."""
+        self._newest = table
         self._wake.set()
 
     def close(self) -> None:
@@ -193,9 +137,8 @@ class LiveTable:
         while not self._ending:
             self._wake.wait()
             self._wake.clear()
-            make, self._newest = self._newest, None
-            if make is not None:
-                table = make()
+            table, self._newest = self._newest, None
+            if table is not None:
                 with self._console.lock:
                     live.update(table, refresh=True)
         with self._console.lock:

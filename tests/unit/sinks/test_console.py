@@ -3,14 +3,17 @@
 import asyncio
 import io
 import logging
+import re
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice
 from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
-from gcs_coloc.sinks.console import SharedConsole, show, table
+from gcs_coloc.sinks.console import SharedConsole, show
 from gcs_coloc.sinks.event_bus import EventBus
+from gcs_coloc.sinks.fleet_table import FleetTables
 
 LOCATED = VehicleSnapshot(
     4,
@@ -50,24 +53,87 @@ LOST = VehicleSnapshot(
 )
 
 
-def rendered(view: FleetSnapshot) -> str:
-    console = Console(file=io.StringIO(), width=200)
-    console.print(table(view))
+def rendered(view: FleetSnapshot, width: int = 80, height: int = 24) -> str:
+    console = Console(file=io.StringIO(), width=width, height=height)
+    console.print(FleetTables({"": view}))
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 
+def fleet_of(*vehicles: VehicleSnapshot) -> FleetSnapshot:
+    return FleetSnapshot(10.0, "fleet", vehicles, {"bad_crc": 3}, {})
+
+
 def test_the_table_shows_all_that_matters_of_each_vehicle():
-    text = rendered(FleetSnapshot(10.0, "fleet", (LOCATED, LOST), {"bad_crc": 3}, {}))
-    for words in ("fleet", "0.4 s", "failed", "fix type 1", "47.100000 8.200000 512 m", "12.3 m", "1.4", "sending 3D fix"):
-        assert words in text
-    assert "unknown: no ranges for 6 s" in text
+    located = replace(LOCATED, lat_deg=-47.1, lon_deg=-122.2, hpl_m=41.3, name="Kite", aiding_has_fix=True)
+    text = rendered(fleet_of(located, LOST))
+    assert re.search(r"^4 Kite +failed +0.4 s +-47.10000 +-122.20000 +30.1 m +41.3 m +3 +fix", text, re.MULTILINE)
+    assert re.search(r"^5 +failed +0.1 s +- +- +- +- +0 +no fix", text, re.MULTILINE)
+    assert "4 Kite: no 3D fix: fix type 1, HDOP 1.4, sending 3D fix" in text
+    assert "5: silence, position unknown: no ranges for 6 s, sending no fix" in text
     assert "refused: 3" in text
+
+
+WIDEST = replace(
+    LOCATED, sysid=255, name="Kite West", gps_state="recovering", age_s=5900.0, lat_deg=-47.39774, lon_deg=-122.54559,
+    bound_95_m=9999.0, hpl_m=99.9,
+)  # fmt: skip
+
+
+def test_the_widest_line_fits_eighty_columns_uncut():
+    lines = [line for line in rendered(fleet_of(WIDEST)).splitlines() if line.startswith("255 Kite West ")]
+    assert lines[0].split() == [
+        "255",
+        "Kite",
+        "West",
+        "recovering",
+        "98",
+        "min",
+        "-47.39774",
+        "-122.54559",
+        "9999",
+        "m",
+        "99.9",
+        "m",
+        "3",
+        "no",
+        "fix",
+    ]
+    assert len(lines[0]) <= 80
+
+
+HEALTHY = replace(LOCATED, gps_state="healthy", gps_reason="fix type 3", aiding="off")
+
+
+@pytest.mark.parametrize("failed", [0, 2, 30])
+def test_thirty_vehicles_fit_a_terminal_of_24_lines_the_most_serious_first(failed: int):
+    fleet = [replace(LOCATED if i > 30 - failed else HEALTHY, sysid=i) for i in range(1, 31)]
+    lines = rendered(fleet_of(*fleet)).splitlines()
+    assert len(lines) <= 23
+    rows = [int(line.split()[0]) for line in lines if re.match(r"\d+ +(failed|healthy)", line)]
+    reasons = [int(line.split(":")[0]) for line in lines if re.match(r"\d+:", line)]
+    worst_first = [*range(31 - failed, 31), *range(1, 31 - failed)]
+    assert rows == worst_first[: len(rows)]
+    assert reasons == worst_first[: len(reasons)]
+    assert (len(reasons) > 0) == (failed > 0)
+    (left_out,) = [line for line in lines if line.startswith("and ")]
+    assert left_out == f"and {30 - len(rows)} more vehicles, " + (
+        f"{30 - len(rows)} of them not healthy" if failed == 30 else "all healthy"
+    )
+
+
+def test_two_fleets_share_the_terminal():
+    console = Console(file=io.StringIO(), width=80, height=24)
+    fleet = fleet_of(*(replace(HEALTHY, sysid=i) for i in range(1, 31)))
+    console.print(FleetTables({"south": fleet, "north": fleet}))
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert len(lines) <= 23
+    assert [line.split(",")[1].strip() for line in lines if line.startswith("gcs-coloc")] == ["fleet north", "fleet south"]
 
 
 def test_what_becomes_of_a_ground_tools_frames_is_told_on_the_table_and_in_plain_lines(caplog: pytest.LogCaptureFixture):
     view = FleetSnapshot(0.0, "fleet", (LOCATED,), {}, {}, outs=(OutSnapshot("udpout:127.0.0.1:14551", 1, 400, 12, 3, 2),))
     words = "ground tools on udpout:127.0.0.1:14551: 1, frames sent 400, accepted 12, dropped 3, refused 2"
-    assert words in rendered(view)
+    assert words in rendered(view, width=120)
 
     async def scenario():
         events = EventBus()
@@ -106,4 +172,4 @@ def test_without_a_terminal_there_are_plain_lines_at_a_calm_rate(caplog: pytest.
     assert lines[:2] == ["vehicle 4: GPS healthy -> failed: no 3D fix", "something"]
     assert [r.levelno for r in caplog.records[:2]] == [logging.WARNING, logging.ERROR]
     assert len(lines) == 2 + 3  # at 0, 5 and 10 s
-    assert "1-sigma 12.3 m, HDOP 1.4, 3 ranges in use, aiding sending 3D fix" in lines[2]
+    assert "95 % bound 30.1 m, HPL -, HDOP 1.4, 3 ranges in use, aiding sending 3D fix" in lines[2]

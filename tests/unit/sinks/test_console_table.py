@@ -48,8 +48,8 @@ def test_lines_that_are_printed_while_the_table_grows_and_shrinks_leave_no_piece
     height = 0
     while printing.is_alive():
         height = height % 7 + 1
-        live.show(lambda height=height: of_height(height))
-    live.show(lambda: of_height(3))
+        live.show(of_height(height))
+    live.show(of_height(3))
     live.close()
     deadline = time.monotonic() + 60.0
     while "\x1b[?25h" not in written.getvalue():  # the cursor comes back when the last table is drawn
