@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +12,7 @@ import typer
 from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.errors import UsageError
+from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
 from gcs_coloc.recorder.flight_history import FlightHistory, read_history
 from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory
@@ -29,19 +30,22 @@ def export(
     out: Annotated[
         Path | None, typer.Option(help="Directory for the files; that of the recording unless told.", metavar="DIR")
     ] = None,
+    parquet: Annotated[bool, typer.Option("--parquet", help="Write the table as Parquet too (extra parquet).")] = False,
     config: ConfigOption = None,
     fleet: FleetOption = None,
     estimator: EstimatorOption = None,
 ) -> None:
-    """Write a recorded flight as CSV, GeoJSON and KML."""
-    from gcs_coloc.recorder.formats import write_all
+    """Write a recorded flight as CSV, GeoJSON and KML, and as Parquet if wanted."""
+    from gcs_coloc.recorder.formats import FlightTables, write_all
 
     if out is not None:
         make_output_directory(out, "--out")
-    history = _open(file, settings_for(config, fleet, estimator), ranges, None)
     base = (out if out is not None else file.parent) / file.stem
+    tables = FlightTables(base, ["csv", "parquet"] if parquet else ["csv"])
     try:
-        files = write_all(history, base)
+        history = _open(file, settings_for(config, fleet, estimator), ranges, None, tables.add)
+        tables.close()
+        files = [*tables.files, *write_all(history, base)]
     except OSError as error:
         raise UsageError(f"{error.filename or base.parent}: cannot be written: {error.strerror}") from None
     print(f"{', '.join(map(str, files))}: tracks of {len(history.tracks)} vehicles")
@@ -81,8 +85,14 @@ def settings_for(
     return load_settings(config, named | dict(flags or {}), fleet)
 
 
-def _open(file: Path, settings: Settings, ranges: Path | None, truth: Path | None) -> FlightHistory:
-    history = read_history(file, settings, ranges, truth)
+def _open(
+    file: Path,
+    settings: Settings,
+    ranges: Path | None,
+    truth: Path | None,
+    on_snapshot: Callable[[FleetSnapshot], None] | None = None,
+) -> FlightHistory:
+    history = read_history(file, settings, ranges, truth, on_snapshot)
     warn_of_damage(file, history.damage)
     warn_of_findings(file, history.findings)
     return history

@@ -18,7 +18,8 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
-from gcs_coloc.core.snapshot import VehicleSnapshot
+from gcs_coloc.core.schedule import SAME_S
+from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
@@ -57,7 +58,13 @@ class FlightHistory:
     recorded: RecordedData | None = None
 
 
-def read_history(file: Path, settings: Settings, ranges: Path | None, truth: Path | None) -> FlightHistory:
+def read_history(
+    file: Path,
+    settings: Settings,
+    ranges: Path | None,
+    truth: Path | None,
+    on_snapshot: Callable[[FleetSnapshot], None] | None = None,
+) -> FlightHistory:
     """Replay a recording and collect its history.
 
     Args:
@@ -65,6 +72,7 @@ def read_history(file: Path, settings: Settings, ranges: Path | None, truth: Pat
         settings: those of the flight, or others.
         ranges: a table of ranges beside the recording, or None.
         truth: a table of true positions, or None.
+        on_snapshot: called with the fleet at each deadline of the engine, at most as often as positions are sent.
 
     Raises:
         DataError: a file cannot be read or is not what it should be.
@@ -78,8 +86,14 @@ def read_history(file: Path, settings: Settings, ranges: Path | None, truth: Pat
     tracks: dict[int, list[VehicleEntry]] = defaultdict(list)
     history = FlightHistory(file, engine.estimator.name, ReplayCounts(), report, log.counts, tracks)
 
+    due_s = float("-inf")
+
     def on_poll(at_s: float, outputs: list[Outbound]) -> None:
+        nonlocal due_s
         report.add_outputs(at_s, outputs)
+        if on_snapshot is not None and at_s >= due_s:
+            due_s = at_s + 1.0 / settings.aiding.rate_hz - SAME_S
+            on_snapshot(engine.snapshot(at_s))
         for entry in journal.entries(at_s, outputs):
             if isinstance(entry, VehicleEntry):
                 tracks[entry.vehicle.sysid].append(entry)

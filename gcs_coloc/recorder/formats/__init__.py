@@ -1,25 +1,75 @@
-"""The registry of export formats. An export format is one module and one line in `FORMATS`."""
+"""The registries of export formats. A format is one module and one line in `FORMATS` or `TABLES`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from gcs_coloc.core.errors import UsageError
+
 if TYPE_CHECKING:
+    from gcs_coloc.core.snapshot import FleetSnapshot
     from gcs_coloc.recorder.flight_history import FlightHistory
+    from gcs_coloc.recorder.formats.vehicle_table import VehicleTable
 
 FORMATS: dict[str, tuple[str, str]] = {
-    "csv": ("gcs_coloc.recorder.formats.csv_table", "write_csv"),
     "geojson": ("gcs_coloc.recorder.formats.geojson", "write_geojson"),
     "kml": ("gcs_coloc.recorder.formats.kml", "write_kml"),
 }
-"""Module and writer of each format, by the suffix of its file. A writer takes the flight and the file's path."""
+"""Module and writer of what is drawn from a whole flight, by the suffix of its file. A writer takes the flight and the path."""
+TABLES: dict[str, tuple[str, str]] = {
+    "csv": ("gcs_coloc.recorder.formats.csv_table", "CsvTable"),
+    "parquet": ("gcs_coloc.recorder.formats.parquet_table", "ParquetTable"),
+}
+"""Module and `VehicleTable` of what is written while the flight is replayed, by the suffix of its file."""
+
+
+class FlightTables:
+    """The tables of one flight, in files beside each other named after `base`. They are opened with their first row."""
+
+    def __init__(self, base: Path, suffixes: Sequence[str]) -> None:
+        """Find the writers.
+
+        Raises:
+            UsageError: a format needs a package that is not installed.
+        """
+        self.files = [base.with_name(f"{base.name}.{suffix}") for suffix in suffixes]
+        self._make = [_table_of(suffix) for suffix in suffixes]
+        self._tables: list[VehicleTable] = []
+
+    def add(self, fleet: FleetSnapshot) -> None:
+        """Add a row for each vehicle.
+
+        Raises:
+            OSError: a file cannot be written.
+        """
+        if not self._tables:
+            self._tables = [make(file) for make, file in zip(self._make, self.files, strict=True)]
+        for table in self._tables:
+            table.add(fleet)
+
+    def close(self) -> None:
+        """Write what is left.
+
+        Raises:
+            OSError: a file cannot be written.
+        """
+        for table in self._tables:
+            table.close()
+
+
+def _table_of(suffix: str) -> Callable[[Path], VehicleTable]:
+    module, name = TABLES[suffix]
+    try:
+        return cast("Callable[[Path], VehicleTable]", getattr(import_module(module), name))
+    except ModuleNotFoundError as error:
+        raise UsageError(f"--{suffix}: needs {error.name}: pip install 'gcs-coloc[{suffix}]'") from None
 
 
 def write_all(history: FlightHistory, base: Path) -> list[Path]:
-    """Write a flight in every format, to files beside each other named after `base`; returns the files.
+    """Write a flight in every one of `FORMATS`, to files beside each other named after `base`; return the files.
 
     Raises:
         OSError: a file cannot be written.

@@ -9,10 +9,16 @@ import subprocess
 import sys
 from bisect import bisect_left
 from datetime import datetime
+from itertools import pairwise
+from statistics import median
 from xml.etree import ElementTree
 
 import pytest
+from pyarrow import parquet
 from recorded_flight import EPOCH_S, write_flight
+
+from gcs_coloc.cli.recordings import export
+from gcs_coloc.core.errors import UsageError
 
 GX = "{http://www.google.com/kml/ext/2.2}"
 KML = "{http://www.opengis.net/kml/2.2}"
@@ -22,7 +28,16 @@ KML = "{http://www.opengis.net/kml/2.2}"
 def exported(tmp_path_factory):
     directory = tmp_path_factory.mktemp("export")
     truth = write_flight(directory / "flight.tlog", 30.0)
-    command = [sys.executable, "-m", "gcs_coloc", "export", str(directory / "flight.tlog"), "--out", str(directory / "out")]
+    command = [
+        sys.executable,
+        "-m",
+        "gcs_coloc",
+        "export",
+        str(directory / "flight.tlog"),
+        "--out",
+        str(directory / "out"),
+        "--parquet",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stderr == ""
     return directory / "out", truth
@@ -34,17 +49,20 @@ def metres(a: tuple[float, float], b: tuple[float, float]) -> float:
     return math.hypot(east, north)
 
 
-def test_the_table_holds_every_vehicle_five_times_a_second_and_where_it_truly_was(exported):
+def test_the_table_holds_every_vehicle_at_the_rate_of_the_service_and_where_it_truly_was(exported):
     directory, truth = exported
     with (directory / "flight.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     times = [float(row["unix_s"]) for row in rows]
     assert times == sorted(times)
     mine = [row for row in rows if row["sysid"] == "4"]
-    assert len(mine) == pytest.approx(2.5 * 30, abs=5)
+    steps_s = [float(b["unix_s"]) - float(a["unix_s"]) for a, b in pairwise(mine)]
+    assert max(steps_s) < 0.25
+    aided_s = [step for step, row in zip(steps_s, mine, strict=False) if row["aiding_has_fix"] == "1"]
+    assert median(aided_s) == pytest.approx(0.1, abs=0.01)
     lost = [row for row in mine if row["gps_state"] == "failed" and row["lat_deg"]]
-    assert len(lost) > 2.5 * 6
-    assert all(row["aiding_has_fix"] == "1" for row in lost[5:])
+    assert len(lost) > 60
+    assert all(row["aiding_has_fix"] == "1" for row in lost[20:])
     for row in lost:
         at = min(truth, key=lambda t: abs(t - float(row["unix_s"])))
         # Within three times its own bound, and what it flies (below 30 m/s) in the 0.1 s to the next true position.
@@ -104,7 +122,7 @@ def test_the_table_has_velocity_covariance_and_the_reported_position(exported):
     with (directory / "flight.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["sysid"] == "4" and row["gps_state"] == "failed" and row["lat_deg"]]
     times = sorted(truth)
-    for row in rows[3:]:
+    for row in rows[12:]:
         i = min(max(bisect_left(times, float(row["unix_s"])), 1), len(times) - 1)
         step_m = metres(truth[times[i]], truth[times[i - 1]])
         speed_mps = step_m / (times[i] - times[i - 1])
@@ -114,6 +132,30 @@ def test_the_table_has_velocity_covariance_and_the_reported_position(exported):
         off_m = metres(*((float(row[f"{kind}lat_deg"]), float(row[f"{kind}lon_deg"])) for kind in ("", "reported_")))
         assert float(row["reported_off_m"]) == pytest.approx(off_m, rel=0.02, abs=0.1)
         assert int(row["fix_type"]) < 3
+
+
+def test_the_parquet_holds_what_the_csv_holds_in_types_of_its_own(exported):
+    directory, _ = exported
+    with (directory / "flight.csv").open(newline="") as file:
+        texts = list(csv.DictReader(file))
+    rows = parquet.read_table(directory / "flight.parquet").to_pylist()
+    assert len(rows) == len(texts)
+    for row, text in zip(rows, texts, strict=True):
+        assert list(row) == list(text)
+        for name, value in row.items():
+            if value is None or isinstance(value, str):
+                assert text[name] == (value or "")
+            else:
+                assert float(text[name]) == pytest.approx(float(value), abs=5e-4)
+
+
+def test_without_its_package_parquet_is_refused_before_the_replay_with_the_remedy(exported, tmp_path, monkeypatch):
+    directory, _ = exported
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.delitem(sys.modules, "gcs_coloc.recorder.formats.parquet_table", raising=False)
+    with pytest.raises(UsageError, match=r"--parquet: needs pyarrow: pip install 'gcs-coloc\[parquet\]'"):
+        export(directory.parent / "flight.tlog", out=tmp_path, parquet=True)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_directory_that_cannot_be_made_is_one_line(exported, tmp_path):
