@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import re
 import socket
-import subprocess
-import sys
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
+from command_line import gcs_coloc
 from flight import card, flying, free_port, service, wait_until_good
 from playwright.sync_api import Page, expect
 from recorded_flight import write_flight
@@ -84,7 +83,7 @@ def test_a_replayed_flight(scene, recording, scheme):
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_report_of_a_flight(scene, recording, scheme):
     out = recording.with_suffix(".html")
-    subprocess.run([sys.executable, "-m", "gcs_coloc", "report", str(recording), "--out", str(out)], check=True, timeout=300)
+    assert gcs_coloc("report", recording, "--out", out).returncode == 0
     page = scene.chromium.new_page(color_scheme=scheme)
     page.goto(out.as_uri())
     expect(page.get_by_role("heading", name="Vehicle 4 without its GPS")).to_be_visible()

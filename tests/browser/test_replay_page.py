@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from command_line import gcs_coloc
 from flight import PATIENCE_S, Watched, browser
 from playwright.sync_api import expect
 from recorded_flight import EPOCH_S, write_flight
@@ -175,8 +176,7 @@ def test_the_controls_need_no_token_but_no_foreign_page_reaches_them_and_there_a
     ],
 )
 def test_a_mistake_is_one_line(recording, arguments, code, words):
-    command = [sys.executable, "-m", "gcs_coloc", "replay", str(recording[0]), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = gcs_coloc("replay", recording[0], *arguments)
     assert (done.returncode, len(done.stderr.strip().splitlines())) == (code, 1)
     assert words in done.stderr
 

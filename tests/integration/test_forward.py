@@ -14,6 +14,7 @@ from pathlib import Path
 
 import link_peers
 import pytest
+from command_line import gcs_coloc
 from link_peers import PATIENCE_S
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -292,8 +293,7 @@ def test_mavutil_reads_a_parameter_of_one_vehicle_of_a_fleet_through_us(start_se
 
 
 def test_a_ground_tool_at_our_own_port_is_a_mistake_in_one_line(free_port):
-    command = [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{free_port}", "--out", f"127.0.0.1:{free_port}"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = gcs_coloc("--udp", f"127.0.0.1:{free_port}", "--out", f"127.0.0.1:{free_port}")
     assert (done.returncode, done.stdout) == (2, "")
     assert len(done.stderr.strip().splitlines()) == 1
     assert "leads back" in done.stderr

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import pytest
+from command_line import gcs_coloc
 from recordings import recording
 
 from gcs_coloc.core.engine import Engine
@@ -22,9 +21,8 @@ pytestmark = pytest.mark.integration
 @pytest.fixture(scope="module")
 def report() -> dict:
     files = [str(recording(f"arduplane/{name}")) for name in ("flight.tlog", "ranges.csv", "truth.csv")]
-    command = [sys.executable, "-m", "gcs_coloc", "replay", files[0], "--ranges", files[1], "--truth", files[2], "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stderr == ""
+    done = gcs_coloc("replay", files[0], "--ranges", files[1], "--truth", files[2], "--json")
+    assert (done.returncode, done.stderr) == (0, "")
     return json.loads(done.stdout)
 
 

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Iterator
 
 import pytest
+from command_line import gcs_coloc
 from vehicles import LAT, LON, M_PER_DEG_LAT, M_PER_DEG_LON, fly, square_fleet
 
 pytestmark = pytest.mark.integration
@@ -123,11 +124,9 @@ def test_garbage_and_broken_frames_disturb_nobody(start_service, free_port):
         (["--config", os.devnull], 2, "no link"),
         (["check-config", os.devnull], 2, "no link"),
         (["--config", "absent.toml"], 2, "absent.toml"),
-        (["--link", "serial:/dev/absent:57600"], 1, "/dev/absent"),
         (["--udp", "14550", "--estimator", "absent"], 2, "absent"),
         (["--udp", "14550", "--udp", "127.0.0.1:14550"], 2, "the same place"),
         (["--udp", "14550", "--record", ""], 2, "names no directory"),
-        (["--link", "/dev/null", "--no-web"], 1, "is no serial device"),
         (["doctor", "--udp", "14550", "--aid", "256"], 2, "'--aid'"),
         (["replay", "absent.tlog"], 1, "absent.tlog"),
         (["replay", "pyproject.toml"], 1, "no tlog"),
@@ -135,11 +134,17 @@ def test_garbage_and_broken_frames_disturb_nobody(start_service, free_port):
     ],
 )
 def test_a_users_mistake_ends_in_one_clear_line(arguments, code, words):
-    done = subprocess.run(
-        [sys.executable, "-m", "gcs_coloc", *arguments], capture_output=True, text=True, timeout=60, check=False
-    )
-    assert done.returncode == code
-    assert done.stdout == ""
+    done = gcs_coloc(*arguments)
+    assert (done.returncode, done.stdout) == (code, "")
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert words in done.stderr
+
+
+@pytest.mark.parametrize(("link", "words"), [("serial:/dev/absent:57600", "/dev/absent"), ("/dev/null", "is no serial device")])
+def test_a_device_that_cannot_be_opened_ends_the_service_in_one_clear_line(link, words):
+    command = [sys.executable, "-m", "gcs_coloc", "--link", link, "--no-web"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
     assert len(done.stderr.strip().splitlines()) == 1
     assert words in done.stderr
 

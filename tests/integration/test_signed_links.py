@@ -5,11 +5,10 @@ from __future__ import annotations
 import random
 import signal
 import socket
-import subprocess
-import sys
 import time
 
 import pytest
+from command_line import gcs_coloc
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from signed_frames import OTHER_KEY, Signer, heartbeat, of_unknown_id
@@ -185,9 +184,7 @@ def test_a_key_that_others_can_read_ends_in_one_line_with_the_mend(tmp_path, fre
     key_file.chmod(0o644)
     config.write_text(f'links = ["127.0.0.1:{free_port}"]\n[signing]\nkey_file = "{key_file}"\nmode = "require"\n')
     for arguments in (["--config", str(config)], ["check-config", str(config)]):
-        done = subprocess.run(
-            [sys.executable, "-m", "gcs_coloc", *arguments], capture_output=True, text=True, timeout=60, check=False
-        )
+        done = gcs_coloc(*arguments)
         assert (done.returncode, done.stdout) == (2, "")
         assert len(done.stderr.strip().splitlines()) == 1
         assert f"chmod 600 {key_file}" in done.stderr

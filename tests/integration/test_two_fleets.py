@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import signal
 import socket
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from command_line import gcs_coloc
 from vehicles import LAT, LON, M_PER_DEG_LAT, M_PER_DEG_LON, fly, square_fleet
 
 pytestmark = pytest.mark.integration
@@ -83,12 +82,11 @@ def test_fleets_that_share_system_ids_are_located_each_in_its_own_place(start_se
 
 
 def test_check_config_goes_through_every_fleet(two_fleets):
-    command = [sys.executable, "-m", "gcs_coloc", "check-config", str(two_fleets)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = gcs_coloc("check-config", two_fleets)
     assert done.returncode == 0, done.stderr
     assert "fleet north: 1 link(s), estimator fleet; fleet south: 1 link(s), estimator fleet" in done.stdout
     two_fleets.write_text(two_fleets.read_text() + '[fleet.estimator]\nname = "absent"\n')
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = gcs_coloc("check-config", two_fleets)
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
     assert "absent" in done.stderr

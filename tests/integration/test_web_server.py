@@ -15,6 +15,7 @@ import urllib.error
 import urllib.request
 
 import pytest
+from command_line import gcs_coloc
 from link_peers import PATIENCE_S
 from vehicles import fly, square_fleet
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -202,8 +203,7 @@ def test_a_default_port_that_is_taken_is_done_without(free_port, tmp_path):
     ],
 )
 def test_a_mistake_in_the_address_is_said_in_one_line(arguments, words):
-    command = [sys.executable, "-m", "gcs_coloc", "--udp", "14550", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = gcs_coloc("--udp", "14550", *arguments)
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
     assert words in done.stderr

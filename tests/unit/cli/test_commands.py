@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from command_line import gcs_coloc
 from recorded_flight import write_flight
 
 from sitl_fakes.scenario import SCENARIOS
 
 ROOT = Path(__file__).resolve().parents[3]
-
-
-def gcs_coloc(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "gcs_coloc", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=170, cwd=ROOT)
 
 
 @pytest.fixture
@@ -131,7 +125,8 @@ def test_study_bound_tells_the_least_error(tmp_path):
         (["--web", "80801", "--udp", "14550"], "--web: 80801 is not HOST:PORT"),
     ],
 )
-def test_mistakes_end_in_one_line(arguments, words):
+def test_mistakes_end_in_one_line(monkeypatch, arguments, words):
+    monkeypatch.chdir(ROOT)
     told = gcs_coloc(*arguments)
     assert told.returncode in (1, 2)
     assert len(told.stderr.strip().splitlines()) == 1

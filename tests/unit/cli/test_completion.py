@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
+from unittest.mock import patch
 
 import pytest
+from command_line import gcs_coloc
 
 
 def completed(**variables: str) -> str:
-    environment = {**os.environ, **variables}
     # The name of the variables goes by that of the program.
-    run = subprocess.run([sys.executable, "-m", "gcs_coloc"], env=environment, capture_output=True, text=True, check=False)
+    with patch.dict(os.environ, variables):
+        run = gcs_coloc()
     assert run.stderr == ""
     return run.stdout
 

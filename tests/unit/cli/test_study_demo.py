@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+from command_line import gcs_coloc
 
 
 def test_a_scenario_that_is_not_there_is_named_in_one_line(tmp_path):
     arguments = ["--scenario", str(tmp_path / "none.toml"), "--out", str(tmp_path / "out")]
-    command = [sys.executable, "-m", "gcs_coloc", "study", "demo", *arguments]
-    demo = subprocess.run(command, capture_output=True, text=True, check=False)
+    demo = gcs_coloc("study", "demo", *arguments)
     assert (demo.returncode, demo.stdout) == (2, "")
     assert demo.stderr == f"gcs-coloc: error: {tmp_path / 'none.toml'}: No such file or directory\n"

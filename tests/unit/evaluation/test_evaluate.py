@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import gcs_coloc
 from typer.testing import CliRunner
 
 from gcs_coloc import __version__
@@ -72,22 +73,20 @@ def test_why_there_is_no_answer_is_told_by_reason_in_the_words_of_the_first_time
     [(reason, times)] = denied_vehicle.unanswered.items()
     assert times == missing
     assert reason.startswith("waiting for ranges to start from")
-    command = [sys.executable, "-m", "gcs_coloc", "evaluate", str(walk)]
-    told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
+    told = gcs_coloc("evaluate", walk).stdout
     assert f"  not answered {missing} times: {reason} (the first time)" in told.splitlines()
     assert "measurements: kept: waiting for initialisation 200" in told
 
 
 def test_ranges_in_millimetres_are_warned_of_on_stderr_and_in_the_json_and_a_sound_walk_is_not(tmp_path):
     walk = write_walk(tmp_path, 3)
-    command = [sys.executable, "-m", "gcs_coloc", "evaluate", str(walk), "--json"]
-    sound = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    sound = gcs_coloc("evaluate", walk, "--json")
     assert (json.loads(sound.stdout)["warnings"], sound.stderr) == ([], "")
     header, *rows = (walk / "ranges.csv").read_text().splitlines()
     cells = [row.split(",") for row in rows]
     millimetres = [",".join([*c[:3], f"{1000.0 * float(c[3]):.2f}", *c[4:]]) for c in cells]
     (walk / "ranges.csv").write_text("\n".join([header, *millimetres]))
-    wrong = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    wrong = gcs_coloc("evaluate", walk, "--json")
     words = "the ranges are 1000 times the distances between the positions: are the ranges in mm, or the positions in km?"
     assert wrong.stderr == f"gcs-coloc: warning: {walk}: {words}\n"
     figures = json.loads(wrong.stdout)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import subprocess
 import sys
 from bisect import bisect_left
 from datetime import datetime
@@ -14,6 +13,7 @@ from statistics import median
 from xml.etree import ElementTree
 
 import pytest
+from command_line import gcs_coloc
 from pyarrow import parquet
 from recorded_flight import EPOCH_S, write_flight
 
@@ -28,18 +28,8 @@ KML = "{http://www.opengis.net/kml/2.2}"
 def exported(tmp_path_factory):
     directory = tmp_path_factory.mktemp("export")
     truth = write_flight(directory / "flight.tlog", 30.0)
-    command = [
-        sys.executable,
-        "-m",
-        "gcs_coloc",
-        "export",
-        str(directory / "flight.tlog"),
-        "--out",
-        str(directory / "out"),
-        "--parquet",
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stderr == ""
+    done = gcs_coloc("export", directory / "flight.tlog", "--out", directory / "out", "--parquet")
+    assert (done.returncode, done.stderr) == (0, "")
     return directory / "out", truth
 
 
@@ -161,16 +151,7 @@ def test_without_its_package_parquet_is_refused_before_the_replay_with_the_remed
 def test_a_directory_that_cannot_be_made_is_one_line(exported, tmp_path):
     directory, _ = exported
     (tmp_path / "file").write_text("")
-    command = [
-        sys.executable,
-        "-m",
-        "gcs_coloc",
-        "export",
-        str(directory.parent / "flight.tlog"),
-        "--out",
-        str(tmp_path / "file"),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = gcs_coloc("export", directory.parent / "flight.tlog", "--out", tmp_path / "file")
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
     assert "cannot be written" in done.stderr

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import struct
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command_line import gcs_coloc
 
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.measurements import AltitudeMeasurement, NoEstimate, PositionMeasurement, RangeMeasurement
@@ -82,14 +81,14 @@ def test_replay_and_report_say_it(flown, tmp_path):
     table = tmp_path / "truth.csv"
     rows = [f"{p.unix_s},{p.sysid},{p.lat_deg:.9f},{p.lon_deg:.9f},{p.alt_msl_m / 0.3048}" for p in truth]
     table.write_text("\n".join(["unix_s,sysid,lat_deg,lon_deg,alt_msl_m", *rows]))
-    command = [sys.executable, "-m", "gcs_coloc", "replay", str(path), "--truth", str(table), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    done = gcs_coloc("replay", path, "--truth", table, "--json")
+    assert done.returncode == 0, done.stderr
     (warning,) = json.loads(done.stdout)["warnings"]
     assert warning["kind"] == "truth_height_factor"
     assert done.stderr == f"gcs-coloc: warning: {path}: {warning['text']}\n"
     page = tmp_path / "flight.html"
-    command = [sys.executable, "-m", "gcs_coloc", "report", str(path), "--truth", str(table), "--out", str(page)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    done = gcs_coloc("report", path, "--truth", table, "--out", page)
+    assert done.returncode == 0, done.stderr
     assert warning["text"] in done.stderr
     assert f"The data do not agree: {warning['text']}" in page.read_text(encoding="utf-8")
 

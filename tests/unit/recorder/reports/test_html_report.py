@@ -5,11 +5,10 @@ from __future__ import annotations
 import base64
 import io
 import re
-import subprocess
-import sys
 from html.parser import HTMLParser
 
 import pytest
+from command_line import gcs_coloc
 from matplotlib.image import imread
 from recorded_flight import write_flight
 
@@ -27,8 +26,8 @@ def written(tmp_path_factory):
     write_flight(directory / "flight <4>.tlog", 26.0)
     path = directory / "flight <4>.tlog"
     path.write_bytes(path.read_bytes()[:-5])
-    command = [sys.executable, "-m", "gcs_coloc", "report", str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = gcs_coloc("report", path)
+    assert done.returncode == 0, done.stderr
     return done, path.with_suffix(".html").read_text(encoding="utf-8")
 
 
@@ -120,8 +119,7 @@ def test_damage_and_names_are_told_as_they_are(written):
 def test_a_page_that_cannot_be_written_is_one_line(written, tmp_path):
     path = tmp_path / "f.tlog"
     write_flight(path, 2.0)
-    command = [sys.executable, "-m", "gcs_coloc", "report", str(path), "--out", str(tmp_path / "absent" / "page.html")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = gcs_coloc("report", path, "--out", tmp_path / "absent" / "page.html")
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
     assert "cannot be written" in done.stderr
