@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
@@ -25,15 +27,21 @@ def stated(name: str, to_s: float) -> list[tuple[float, HealthChanged | Notice]]
     return out
 
 
-def test_px4_at_rest_on_the_ground_is_healthy():
+@pytest.fixture(scope="module")
+def px4_shown() -> list[tuple[float, HealthChanged | Notice]]:
+    """The first 75 s of four PX4."""
+    return stated("px4-flight/flight.tlog", 75.0)
+
+
+def test_px4_at_rest_on_the_ground_is_healthy(px4_shown):
     """It states a constant position beside an absolute one there."""
-    changes = [shown for _, shown in stated("px4-flight/flight.tlog", 30.0) if isinstance(shown, HealthChanged)]
+    changes = [shown for at_s, shown in px4_shown if isinstance(shown, HealthChanged) and at_s <= 30.0]
     assert {(change.sysid, change.after) for change in changes} == {(sysid, "healthy") for sysid in (1, 2, 3, 4)}
 
 
-def test_the_clock_of_a_simulation_that_runs_unevenly_is_no_reboot():
+def test_the_clock_of_a_simulation_that_runs_unevenly_is_no_reboot(px4_shown):
     """Up to 4 % fast and slow, and it stands still for 0.3 to 0.8 s. It answers TIMESYNC all the while."""
-    texts = [shown.text for _, shown in stated("px4-flight/flight.tlog", 75.0) if isinstance(shown, Notice)]
+    texts = [shown.text for _, shown in px4_shown if isinstance(shown, Notice)]
     assert [text for text in texts if "clock jumped" in text or "TIMESYNC" in text] == []
 
 

@@ -13,7 +13,7 @@ from gcs_coloc.core.reasons import CoreRefusal
 
 Delay = Callable[[np.random.Generator], float]
 UNIFORM: Delay = lambda rng: float(rng.uniform(0.05, 0.4))  # noqa: E731
-BELL: Delay = lambda rng: float(np.clip(rng.normal(0.225, 0.05), 0.05, 0.4))  # noqa: E731
+BELL: Delay = lambda rng: min(max(float(rng.normal(0.225, 0.05)), 0.05), 0.4)  # noqa: E731
 QUEUE: Delay = lambda rng: float(min(0.05 + rng.exponential(0.05), 0.4))  # noqa: E731
 SETTINGS = TimeSettings()
 
@@ -33,9 +33,9 @@ class Exchange:
         return (at_s + self.offset_s) * (1.0 + self.drift)
 
     def run(self, start_s: float, stop_s: float) -> None:
-        stamps = [(at_s + self.down(self.rng), self.boot_s(at_s)) for at_s in np.arange(start_s, stop_s, 0.1)]
+        stamps = [(at_s + self.down(self.rng), self.boot_s(at_s)) for at_s in np.arange(start_s, stop_s, 0.1).tolist()]
         under_way: list[tuple[float, int, float]] = []
-        polls = iter(np.arange(start_s, stop_s, 0.2))
+        polls = iter(np.arange(start_s, stop_s, 0.2).tolist())
         poll_s = next(polls, None)
         for received_s, stamp_s in sorted(stamps):
             while poll_s is not None and poll_s <= received_s:

@@ -68,8 +68,8 @@ def test_a_fault_free_flight_identifies_nobody():
 
 
 def test_with_mutual_ranges_a_fault_is_excluded_before_the_denied_vehicle_leaves_its_bound():
-    """Twelve draws, all in time; `python -m bench integrity` counts 200."""
-    for seed in range(12):
+    """Six draws, all in time; `python -m bench integrity` counts 200."""
+    for seed in range(6):
         seen = walk((Scenario(walk_mps=2.0), seed))
         assert seen.excluded_after_s < 10.0
         assert seen.passed_after_s == inf
@@ -100,8 +100,8 @@ def test_the_separation_decays_once_the_fault_is_gone():
 
 
 def test_with_ranges_from_the_denied_vehicle_only_the_fault_is_detected_in_time():
-    """Eight draws, all in time; `python -m bench integrity` counts 200."""
-    seen = [walk((Scenario(mutual=False, walk_mps=2.0), seed)) for seed in range(8)]
+    """Four draws, all in time; `python -m bench integrity` counts 200."""
+    seen = [walk((Scenario(mutual=False, walk_mps=2.0), seed)) for seed in range(4)]
     assert all(w.excluded_after_s < w.passed_after_s for w in seen)
 
 

@@ -1,13 +1,15 @@
 """Planes in flight whose receivers are spoofed, through the engine: who is named, how soon, and that sound ones stay healthy."""
 
 from collections.abc import Callable, Iterator
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from math import cos, pi, radians, sin
 
 import numpy as np
 import pytest
 
-from bench.integrity_flights import DENIED, STEP_S, Flight, Scenario, fresh_engine
+from bench.integrity_flights import DENIED, STEP_S, Flight, Scenario, fly_step, fresh_engine
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.messages.inbound import EkfStatus, FromVehicle, GlobalPosition, GpsReceiver, PeerRange
@@ -35,20 +37,28 @@ def shifted(message: FromVehicle, offset_m: tuple[float, float]) -> FromVehicle:
     return replace(message, lat_deg=message.lat_deg + north_m / M_PER_DEGREE, lon_deg=message.lon_deg + east_m / lon_m)
 
 
+@lru_cache
+def before_the_spoofing(scenario: Scenario, seed: int) -> tuple[Engine, Flight]:
+    """One draw, flown until the spoofing begins: the same for all that may happen then."""
+    engine, flight = fresh_engine(), Flight(scenario, seed)
+    for step in range(round(SPOOFED_AT_S / STEP_S) + 1):
+        fly_step(engine, flight, step * STEP_S)
+    return engine, flight
+
+
 def fly(scenario: Scenario, seed: int, offsets: dict[int, Offset], change: Change | None = None, watched_s: float = 6.0) -> Seen:
     """Fly one draw; `offsets` gives a vehicle's spoofed offset by the time since the spoofing began."""
-    seen, flight = Seen(fresh_engine()), Flight(scenario, seed)
-    for step in range(round((SPOOFED_AT_S + watched_s) / STEP_S)):
+    engine, flight = deepcopy(before_the_spoofing(scenario, seed))
+    seen = Seen(engine)
+    for step in range(round(SPOOFED_AT_S / STEP_S) + 1, round((SPOOFED_AT_S + watched_s) / STEP_S)):
         t = step * STEP_S
         since_s = t - SPOOFED_AT_S
         for message in flight.messages(t):
-            if since_s > 0.0 and message.sysid in offsets:
+            if message.sysid in offsets:
                 message = shifted(message, offsets[message.sysid](since_s))
             for each in change(t, message) if change is not None else (message,):
                 seen.engine.receive(each)
         seen.engine.poll(t)
-        if since_s <= 0.0:
-            continue
         for sysid in seen.engine.sysids():
             state = seen.engine.gps_state(sysid)
             if state is GpsState.FAILED:
