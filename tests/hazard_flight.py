@@ -6,8 +6,11 @@ was off the truth in units of what it claimed, and how far off the truth the aut
 
 from __future__ import annotations
 
+import json
 import tomllib
+from copy import deepcopy
 from dataclasses import dataclass
+from functools import lru_cache
 from math import hypot
 from typing import Any
 
@@ -15,7 +18,9 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.messages.outbound import GpsInput, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.study.closed_loop import Flight, Sample, fly
+from gcs_coloc.study.closed_loop import ClosedLoop, Flight, Sample
+from sitl_fakes.faults import Fault
+from sitl_fakes.fleet import STEP_S
 from sitl_fakes.scenario import SCENARIOS, Scenario
 
 DENIED = 4
@@ -145,16 +150,33 @@ def fly_through(
     """
     with (SCENARIOS / f"{scenario}.toml").open("rb") as file:
         table = tomllib.load(file)
-    table["fault"] = list(faults)
+    table["fault"] = []
     everyone = [v["sysid"] for v in table["vehicle"]]
-    losers = {f["vehicle"] for f in faults if f["kind"] == "gps_lost"} | {DENIED}
+    losers = {f["vehicle"] for f in faults if f["kind"].startswith("gps_")} | {DENIED}
     for vehicle in table["vehicle"]:
         if mutual or vehicle["sysid"] in losers:
             vehicle["ranges_to"] = [peer for peer in everyone if peer != vehicle["sysid"]]
         if vehicle["sysid"] == DENIED:
             vehicle["params"] = {**vehicle.get("params", {}), **(params or {})}
             vehicle["autopilot"] = autopilot
-    engine = _Watched()
-    flight = fly(Scenario.model_validate(table), seed, engine, duration_s=duration_s)
+    ordered = sorted(faults, key=lambda f: f["at_s"])
+    befall = Scenario.model_validate(table | {"fault": ordered}).fault
+    loop = _flown(json.dumps(table), seed, tuple(befall), duration_s)
+    engine = loop.engine
+    assert isinstance(engine, _Watched)
     gps_reasons = {vehicle.sysid: vehicle.gps_reason for vehicle in engine.snapshot(duration_s).vehicles}
-    return Outcome(flight, engine.said, engine.refused(), gps_reasons)
+    return Outcome(loop.flight, engine.said, engine.refused(), gps_reasons)
+
+
+def _flown(scenario: str, seed: int, faults: tuple[Fault, ...], until_s: float) -> ClosedLoop:
+    """Fly a scenario (JSON) with faults, in order of time. What comes before the last one begins is flown once for all tests."""
+    if not faults:
+        loop = ClosedLoop(Scenario.model_validate_json(scenario), seed, _Watched())
+    else:
+        loop = deepcopy(_beginning(scenario, seed, faults[:-1], faults[-1].at_s - STEP_S))
+        loop.fleet.inject(faults[-1])
+    loop.advance(until_s)
+    return loop
+
+
+_beginning = lru_cache(maxsize=16)(_flown)

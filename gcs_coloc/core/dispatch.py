@@ -78,26 +78,35 @@ class MessageDispatch:
 
     def __init__(self, stages: Stages) -> None:
         self._stages = stages
-        clocks, aiding = stages.clocks, stages.aiding
         self._handlers: dict[type[Any], Callable[[Any, ReportedState, LastRound], list[Outbound] | None]] = {
             GlobalPosition: self._add_position,
             Pressure: self._add_pressure,
             Attitude: self._add_attitude,
             PeerRange: self._add_range,
             GpsReceiver: self._add_receiver,
-            SystemTime: lambda message, _, last: clocks.add_system_time(message, gps_is_trusted=last.is_trusted),
-            TimeSyncAnswer: lambda message, *_: clocks.add_answer(message),
-            CommandResult: lambda message, *_: aiding.add_result(message),
-            GlobalOrigin: lambda message, *_: aiding.add_origin(message),
-            ParameterValue: lambda message, *_: aiding.add_parameter(message),
+            SystemTime: self._add_system_time,
             Heartbeat: self._add_heartbeat,
+        }
+        # What needs no more than the message. No lambdas: a copy of the engine must not hand messages to the original's stages.
+        self._answer_handlers: dict[type[Any], Callable[[Any], list[Outbound] | None]] = {
+            TimeSyncAnswer: stages.clocks.add_answer,
+            CommandResult: stages.aiding.add_result,
+            GlobalOrigin: stages.aiding.add_origin,
+            ParameterValue: stages.aiding.add_parameter,
         }
         self._classes: dict[int, VehicleClass] = {}
 
     def add(self, message: FromVehicle, vehicle: ReportedState, last: LastRound) -> list[Outbound]:
         """Add a message of a vehicle whose reported state holds it already; return what is to be sent or shown at once."""
-        handler = self._handlers.get(type(message))
-        return (handler(message, vehicle, last) or []) if handler is not None else []
+        if (handler := self._handlers.get(type(message))) is not None:
+            return handler(message, vehicle, last) or []
+        if (answer_handler := self._answer_handlers.get(type(message))) is not None:
+            return answer_handler(message) or []
+        return []
+
+    def _add_system_time(self, message: SystemTime, vehicle: ReportedState, last: LastRound) -> None:
+        del vehicle
+        self._stages.clocks.add_system_time(message, gps_is_trusted=last.is_trusted)
 
     def _add_heartbeat(self, message: Heartbeat, vehicle: ReportedState, last: LastRound) -> None:
         del vehicle, last

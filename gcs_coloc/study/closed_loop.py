@@ -5,8 +5,10 @@ The fakes' datagrams go through the same decoder, engine and encoder as on a wir
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from struct import Struct
 
 import numpy as np
 
@@ -22,6 +24,9 @@ from sitl_fakes.scenario import Scenario
 
 _UNIX_EPOCH_S = 1_780_000_000.0
 _SAMPLE_S = 0.2
+
+# Each simulated aircraft's codec, pymavlink's, has one, and Python does not know how to copy it.
+copyreg.pickle(Struct, lambda struct: (Struct, (struct.format,)))
 
 
 @dataclass(slots=True)
@@ -70,40 +75,57 @@ def fly(
     Returns:
         The flight, sampled five times a second from the time the engine knows its frame.
     """
-    fleet = Fleet(scenario, seed, _UNIX_EPOCH_S)
-    decoder, encoder = Decoder(), Encoder()
-    flight = Flight({sysid: [] for sysid in fleet.sysids})
-    steps = round((duration_s if duration_s is not None else scenario.duration_s) / STEP_S)
-    every = round(_SAMPLE_S / STEP_S)
-    engine.receive(ClockReference(0.0, _UNIX_EPOCH_S))
-    for step in range(steps + 1):
-        now_s = step * STEP_S
-        for datagram in fleet.advance(now_s):
-            arrived_s = min(datagram.due_s, now_s)
-            _poll(engine, arrived_s, fleet, encoder, flight, aided)
-            for frame in decoder.decode(datagram.payload, arrived_s, datagram.sysid):
-                if frame.message is not None:
-                    engine.receive(frame.message)
-                if frame.is_autopilot_heartbeat:
-                    engine.receive(RouteReport(frame.sysid, arrived_s, None))
-        _poll(engine, now_s, fleet, encoder, flight, aided)
-        if step % every == 0:
-            _sample(engine, now_s, fleet, flight)
-            progress(now_s)
-    return flight
+    loop = ClosedLoop(scenario, seed, engine, aided=aided)
+    loop.advance(duration_s if duration_s is not None else scenario.duration_s, progress)
+    return loop.flight
 
 
-def _poll(engine: Engine, until_s: float, fleet: Fleet, encoder: Encoder, flight: Flight, aided: bool) -> None:
-    while engine.next_deadline() <= until_s:
-        at_s = max(engine.next_deadline(), 0.0)
-        for output in engine.poll(at_s):
-            if isinstance(output, HealthChanged):
-                flight.changes.append(output)
-            elif isinstance(output, ToVehicle):
-                if isinstance(output, GpsInput):
-                    flight.gps_inputs[output.sysid] = flight.gps_inputs.get(output.sysid, 0) + 1
-                if aided:
-                    fleet.deliver(output.sysid, encoder.encode(output, output.sysid), max(at_s, fleet.now_s))
+class ClosedLoop:
+    """A flight under way: the fleet, the engine that it talks to, and what was sampled of it so far.
+
+    A deep copy flies on by itself, so that many flights can share a beginning.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, engine: Engine, *, aided: bool = True) -> None:
+        self.fleet = Fleet(scenario, seed, _UNIX_EPOCH_S)
+        self.engine = engine
+        self.flight = Flight({sysid: [] for sysid in self.fleet.sysids})
+        self._aided = aided
+        self._decoder, self._encoder = Decoder(), Encoder()
+        self._step = 0
+        engine.receive(ClockReference(0.0, _UNIX_EPOCH_S))
+
+    def advance(self, to_s: float, progress: Callable[[float], None] = lambda _: None) -> None:
+        """Fly until a simulated time (s), that one included; `progress` is called with the time of each sample."""
+        every = round(_SAMPLE_S / STEP_S)
+        for step in range(self._step, round(to_s / STEP_S) + 1):
+            now_s = step * STEP_S
+            for datagram in self.fleet.advance(now_s):
+                arrived_s = min(datagram.due_s, now_s)
+                self._poll(arrived_s)
+                for frame in self._decoder.decode(datagram.payload, arrived_s, datagram.sysid):
+                    if frame.message is not None:
+                        self.engine.receive(frame.message)
+                    if frame.is_autopilot_heartbeat:
+                        self.engine.receive(RouteReport(frame.sysid, arrived_s, None))
+            self._poll(now_s)
+            if step % every == 0:
+                _sample(self.engine, now_s, self.fleet, self.flight)
+                progress(now_s)
+            self._step = step + 1
+
+    def _poll(self, until_s: float) -> None:
+        while self.engine.next_deadline() <= until_s:
+            at_s = max(self.engine.next_deadline(), 0.0)
+            for output in self.engine.poll(at_s):
+                if isinstance(output, HealthChanged):
+                    self.flight.changes.append(output)
+                elif isinstance(output, ToVehicle):
+                    if isinstance(output, GpsInput):
+                        self.flight.gps_inputs[output.sysid] = self.flight.gps_inputs.get(output.sysid, 0) + 1
+                    if self._aided:
+                        frames = self._encoder.encode(output, output.sysid)
+                        self.fleet.deliver(output.sysid, frames, max(at_s, self.fleet.now_s))
 
 
 def _sample(engine: Engine, now_s: float, fleet: Fleet, flight: Flight) -> None:

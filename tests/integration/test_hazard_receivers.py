@@ -8,6 +8,7 @@ flights to 0.7 times, so that `HONEST` leaves room for as much again and nothing
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from tests.hazard_flight import DENIED, fault, fly_through
@@ -122,6 +123,9 @@ def test_two_that_fail_at_once_are_both_located_from_three():
         assert out.share_located(sysid, 30.0) > 0.95
         assert out.worst_ratio(sysid, 30.0) < HONEST
         assert out.worst_stated_m(sysid, 30.0) < 2.0 * SOUND_M
+        late = [s for s in out.flight.samples[sysid] if s.at_s >= 40.0]
+        assert np.sqrt(np.mean([np.sum(s.error_enu_m[:2] ** 2) for s in late])) < 4.5
+        assert {s.truth.source for s in late} == {"gps2 injected"}
 
 
 @pytest.mark.parametrize(("speed_mps", "within_s"), [(0.5, 35.0), (2.0, 12.0), (10.0, 3.0)], ids=["0.5 m/s", "2 m/s", "10 m/s"])

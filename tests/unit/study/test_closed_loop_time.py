@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 
 from gcs_coloc.core.aiding import stream as aid_stream
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.study.closed_loop import Flight, fly
+from gcs_coloc.study.closed_loop import ClosedLoop, Flight
 from sitl_fakes.scenario import SCENARIOS, load_scenario
 
 SCENARIO = SCENARIOS / "uwb.toml"
 LOST_S, SETTLED_S = 20.0, 30.0
-
-
-def flown() -> tuple[Engine, Flight]:
-    engine = Engine(load_estimator("fleet", {}))
-    return engine, fly(load_scenario(SCENARIO), 7, engine, duration_s=55.0)
 
 
 def navigation_rms_m(flight: Flight) -> float:
@@ -27,7 +24,11 @@ def navigation_rms_m(flight: Flight) -> float:
 
 
 def test_the_vehicle_is_told_where_it_is_when_it_hears_it(monkeypatch):
-    engine, aware = flown()
+    loop = ClosedLoop(load_scenario(SCENARIO), 7, Engine(load_estimator("fleet", {})))
+    loop.advance(LOST_S - 1.0)  # until then there is no aid that could be late
+    unaware = deepcopy(loop)
+    loop.advance(55.0)
+    engine, aware = loop.engine, loop.flight
     for sysid in engine.sysids():
         # The link takes 50 ms and up to 100 ms more; the fakes read what has arrived every 20 ms.
         assert engine.clocks.one_way_delay_s(sysid, 55.0) == pytest.approx(0.05 + 0.005, abs=0.01)
@@ -36,6 +37,6 @@ def test_the_vehicle_is_told_where_it_is_when_it_hears_it(monkeypatch):
         assert sigma_s < 0.01
     assert not [reason for reason in engine.refused() if reason.startswith("timesync")]
     monkeypatch.setattr(aid_stream, "_LONGEST_LEAD_S", 0.0)
-    _, unaware = flown()
+    unaware.advance(55.0)
     # 50 ms of 100 ms mean delay at 22 m/s: 1.1 m of a systematic error that points backwards.
-    assert navigation_rms_m(aware) < navigation_rms_m(unaware) - 0.5
+    assert navigation_rms_m(aware) < navigation_rms_m(unaware.flight) - 0.5
