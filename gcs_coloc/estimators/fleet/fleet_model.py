@@ -7,6 +7,7 @@ which its states are initialised when a range needs them.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
@@ -18,10 +19,10 @@ from gcs_coloc.core.measurements import (
     VehicleClassReport,
 )
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseSplit, without_time_error
-from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
 from gcs_coloc.estimators.fleet.ekf.records import Records, VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.state import pair_key
+from gcs_coloc.estimators.fleet.ekf.state import Key, pair_key
 from gcs_coloc.estimators.fleet.ekf.update import (
     change_time_stamp_offset_sigma,
     time_stamp_offset_sigma_s,
@@ -31,7 +32,9 @@ from gcs_coloc.estimators.fleet.ekf.update import (
 from gcs_coloc.estimators.fleet.estimates import estimate_of_cluster, estimate_of_search
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_ranges, initialise_from_reports
 from gcs_coloc.estimators.fleet.motion_profiles import motion_profile
+from gcs_coloc.estimators.fleet.observed_biases import observe_bias, pair_bias
 from gcs_coloc.estimators.fleet.peer_selection import is_selected
+from gcs_coloc.estimators.fleet.range_biases import PairBias
 from gcs_coloc.estimators.fleet.range_evidence import monitor_range
 from gcs_coloc.estimators.fleet.searched_vehicles import is_searching, predicted_search, search_with_range
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -55,6 +58,7 @@ class FleetModel:
         self.records = Records(unreported=motion_profile(None, settings))
         self.clusters = ClusterSet(settings, self.records)
         self.pairs: dict[tuple[int, int, int], NoiseSplit] = {}
+        self.considered_m: dict[Key, float] = {}
         self._pruned_at_s = -math.inf
 
     def copy(self) -> FleetModel:
@@ -64,6 +68,7 @@ class FleetModel:
         other.records = self.records.copy()
         other.clusters = self.clusters.copy(other.records)
         other.pairs = self.pairs.copy()
+        other.considered_m = self.considered_m.copy()
         other._pruned_at_s = self._pruned_at_s
         return other
 
@@ -77,6 +82,10 @@ class FleetModel:
         for key, noise in other.pairs.items():
             if key[0] in members:
                 self.pairs[key] = noise
+                if key in other.considered_m:
+                    self.considered_m[key] = other.considered_m[key]
+                else:
+                    self.considered_m.pop(key, None)
         self._pruned_at_s = other._pruned_at_s
 
     def import_vehicles(self, other: FleetModel, vehicles: tuple[int, ...]) -> None:
@@ -204,10 +213,27 @@ class FleetModel:
         if m.clock_of in ends:
             change_time_stamp_offset_sigma(cluster, m.clock_of, time_stamp_offset_sigma_s(m, self.settings))
         scatter_m = noise.lower_bound_m(0)
-        result = update_range(cluster, pair, m, scatter_m if scatter_m > _UNDERSTATED * sigma_m else sigma_m, coloured_m)
+        bias = pair_bias(denied, m)
+        self._consider_bias(cluster, pair, bias)
+        unbiased = m if bias is None else replace(m, range_m=max(m.range_m - bias.mean_m, 0.0))
+        white_m = scatter_m if scatter_m > _UNDERSTATED * sigma_m else sigma_m
+        result = update_range(cluster, pair, unbiased, white_m, coloured_m, self.considered_m)
+        if result.used and len(denied) == 1:
+            observe_bias(cluster, *denied[0][:2], m, white_m, coloured_m)
         for denied_vehicle, other, _ in denied:
             monitor_range(cluster, denied_vehicle, other, result, m)
         return result
+
+    def _consider_bias(self, cluster: Cluster, pair: Key, bias: PairBias | None) -> None:
+        """Let the bias of a pair be as large as its ranges have shown, and be corrected by no range, eq. (33)."""
+        usual_m = self.settings.range_bias_sigma_m
+        before_m, now_m = self.considered_m.get(pair, usual_m), usual_m if bias is None else bias.sigma_m
+        if now_m != before_m:
+            cluster.change_bias_sigma(pair, before_m, now_m)
+        if bias is not None:
+            self.considered_m[pair] = now_m
+        else:
+            self.considered_m.pop(pair, None)
 
     def _initialise_ends(self, ends: tuple[int, int], at_s: float) -> UpdateResult | None:
         """Initialise those ends of a range that have no states; return what became of the range where it is not used."""
@@ -243,6 +269,7 @@ class FleetModel:
                 record.no_estimate_reason = "nothing was heard of it for more than an hour, and not enough ranges yet"
         self.clusters.prune(links)
         self.pairs = {key: noise for key, noise in self.pairs.items() if key[1] in links.get(key[0], ())}
+        self.considered_m = {key: sigma_m for key, sigma_m in self.considered_m.items() if key in self.pairs}
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Return where a vehicle is at a time near that of its states, or why that is unknown."""

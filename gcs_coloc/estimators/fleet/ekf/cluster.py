@@ -103,6 +103,17 @@ class Cluster:
             joint.A[range(first, stop), range(first, stop)] += now * now - before * before
         return now
 
+    def change_bias_sigma(self, pair: Key, before_m: float, now_m: float) -> None:
+        """Change the sigma of a pair's bias, m; a pair without states has nothing to change."""
+        joint = self.joint
+        if pair not in joint.where:
+            return
+        start = joint.where[pair].start
+        if now_m < before_m:
+            joint.scale(start, start + 1, now_m / before_m)
+        else:
+            joint.A[start, start] += now_m * now_m - before_m * before_m
+
     def add_gap(self, vehicle: int, at_s: float) -> None:
         """Add to a denied vehicle's covariance what it may have done in a gap before a range at `at_s`, eq. (29)."""
         record = self.records[vehicle]

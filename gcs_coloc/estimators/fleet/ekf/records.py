@@ -17,6 +17,7 @@ from gcs_coloc.core.measurements import (
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseLevel, NoiseSplit
 from gcs_coloc.estimators.fleet.motion_profiles import PROFILES, MotionProfile
 from gcs_coloc.estimators.fleet.position_search import PositionSearch
+from gcs_coloc.estimators.fleet.range_biases import BiasWindow, RangeBiases
 
 IN_USE_S = 2.0
 """Chosen: a neighbour whose range was used within so long is in use; two ranges may be lost at 1 Hz."""
@@ -106,6 +107,10 @@ class VehicleRecord:
     """Position reports refused by the gate in a row."""
     search: PositionSearch | None = None
     """The search for a denied vehicle that is in no cluster because it is too uncertain for one."""
+    range_biases: RangeBiases = field(default_factory=RangeBiases)
+    """What its ranges have shown of their lasting errors."""
+    bias_window: BiasWindow | None = None
+    """The ranges since the last that were counted in `range_biases`."""
     initialisation_tried_at_s: float = -math.inf
     no_estimate_reason: str = "no measurement of it was heard"
 

@@ -183,6 +183,17 @@ class JointState:
         self.correct(W)
         return W
 
+    def restore(self, considered: list[int], W: FloatArray) -> None:
+        """Give states that a correction with W (1 + n, 1) was to leave alone their mean and covariance back, eq. (33).
+
+        Their covariances with all other states stay corrected (Schmidt 1966; Jazwinski 1970, section 8.4).
+        """
+        A, mine = self.A, W[considered, 0]
+        A[np.ix_(considered, considered)] += mine[:, None] * mine
+        back = W.item(0, 0) * mine
+        A[0, considered] += back
+        A[considered, 0] += back
+
     def scale(self, first: int, stop: int, factor: float) -> None:
         """Scale the states from `first` to before `stop`, mean and covariances, by one factor."""
         rows, columns = self.A[first:stop], self.A[:, first:stop]

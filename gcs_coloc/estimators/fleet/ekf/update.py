@@ -6,6 +6,8 @@ Gate: eq. (17). Huber weight: eq. (18). Correction: eq. (19).
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -32,6 +34,8 @@ _REPORT_ERROR_H = slice(REPORT_ERROR.start, REPORT_ERROR.start + 2)
 _REPORT_ERROR_V = slice(REPORT_ERROR.start + 2, REPORT_ERROR.stop)
 _BARO = slice(BARO_ERROR, BARO_ERROR + 1)
 _OFFSET = slice(TIME_STAMP_OFFSET, TIME_STAMP_OFFSET + 1)
+
+NOTHING_CONSIDERED: Mapping[Key, float] = MappingProxyType({})
 
 Sigmas = tuple[float, float]
 """Horizontal and vertical, m."""
@@ -121,16 +125,24 @@ def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResul
     return UpdateResult(Outcome.USED, 0.0, 0.0, nis, 2)
 
 
-def update_range(cluster: Cluster, pair: Key, m: RangeMeasurement, white_m: float, coloured_m: float) -> UpdateResult:
+def update_range(
+    cluster: Cluster,
+    pair: Key,
+    m: RangeMeasurement,
+    white_m: float,
+    coloured_m: float,
+    considered_m: Mapping[Key, float] = NOTHING_CONSIDERED,
+) -> UpdateResult:
     """Correct with a slant range between two vehicles of the cluster, eq. (14) and (15).
 
     `pair` is the `pair_key` of its bias and coloured error, whose steady-state sigma is `coloured_m`; `white_m` is the sigma of
-    the range itself. Since an inflation of the covariance of one end its noise is inflated too.
+    the range itself. Since an inflation of the covariance of one end its noise is inflated too. `considered_m` holds the sigmas
+    of the biases that a range does not correct, eq. (33).
     """
     s, joint, at_s = cluster.settings, cluster.joint, m.measured_at_s
     cluster.propagate(m.from_vehicle, at_s)
     cluster.propagate(m.to_vehicle, at_s)
-    index = _propagate_pair(cluster, pair, at_s, coloured_m)
+    index = _propagate_pair(cluster, pair, at_s, (considered_m.get(pair, s.range_bias_sigma_m), coloured_m))
     ends = cluster.range_end(m.from_vehicle), cluster.range_end(m.to_vehicle)
     records = cluster.records
     inflation_m2 = max(records[m.from_vehicle].range_noise_inflation_m2, records[m.to_vehicle].range_noise_inflation_m2)
@@ -145,6 +157,8 @@ def update_range(cluster: Cluster, pair: Key, m: RangeMeasurement, white_m: floa
     if nis > s.huber_sigma**2:
         variance *= math.sqrt(nis) / s.huber_sigma
     W = joint.correct_scalar(hA, variance)
+    if considered_m:
+        joint.restore([joint.where[key].start for key in considered_m if key in joint.where], W)
     whitened = (innovation / math.sqrt(variance),)
     cluster.add_corrections(m.from_vehicle, W, whitened, at_s, of_position=True)
     cluster.add_corrections(m.to_vehicle, W, whitened, at_s, of_position=True)
@@ -183,10 +197,9 @@ def _manoeuvre_covariance(since_s: float) -> FloatArray:
     return covariance
 
 
-def _propagate_pair(cluster: Cluster, pair: Key, at_s: float, coloured_m: float) -> int:
+def _propagate_pair(cluster: Cluster, pair: Key, at_s: float, sigmas: tuple[float, float]) -> int:
     """Propagate a pair's range errors (bias, coloured) to the time of a range, eq. (7); return the index of the first."""
     s, joint = cluster.settings, cluster.joint
-    sigmas = (s.range_bias_sigma_m, coloured_m)
     if pair not in joint.where:
         joint.augment(pair, np.zeros(2), np.diag(np.square(sigmas)), at_s)
         return len(joint.A) - len(sigmas)

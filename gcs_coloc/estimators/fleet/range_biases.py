@@ -1,0 +1,247 @@
+"""Lasting errors of a denied vehicle's ranges, observed in what no position explains; docs/explanation/range-biases.md.
+
+In a window of a second the vehicle is somewhere on a parabola. Whatever position, velocity and acceleration explain is left to
+them; the rest of the residuals, as far as the geometry leaves any, is information on the lasting error of each pair, eq. (31).
+It adds up over the windows. So a bias that a position error explains as well is never learned: with few or badly placed peers
+the filter stays as it is. Which biases there are is judged by the marginal likelihood, eq. (32): none, one of the vehicle's
+device, one of each pair, or both.
+
+Source: K.-R. Koch, Parameter Estimation and Hypothesis Testing in Linear Models (1999), sections 3.4 (nuisance parameters) and
+3.6 (variance components).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray
+
+_WINDOW_S = 1.0
+"""Chosen: within a second a vehicle's path is a parabola; ranges to several peers at 5 Hz are enough for it."""
+_CORRELATED_WINDOWS = 5.0
+"""Chosen: multipath of one window is in the next one too; twice the windows say no more than half of them."""
+_MEMORY_S = 1200.0
+"""Chosen: a bias changes with temperature and the attitude of the antenna; a quarter of an hour is one flight."""
+_TEST_EVERY = 4
+"""Chosen: windows between two tests, each of which costs a fifth of a millisecond."""
+_LEAST_WINDOWS = 8
+_MOST_SAMPLES = 256
+"""Chosen: bounds the cost of a window; eight peers at 32 Hz."""
+_FOUND_LOG_RATIO = 12.0
+"""Chosen: odds of 160,000 that there is a bias; as the odds that decide between two sides of the peers."""
+_LOST_LOG_RATIO = 3.0
+"""Chosen: below it a bias that was found is no longer believed."""
+_SIGMAS_M = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
+"""Chosen: biases from half a wavelength of ultra-wideband to uncalibrated devices, each twice the one before."""
+_LEAST_OBSERVED = 0.1
+"""Chosen: a combination of biases counts as observed with a tenth of the information on the best observed one."""
+_GRID_M = [(device_m, pair_m) for device_m in _SIGMAS_M for pair_m in _SIGMAS_M]
+"""Sigmas of the bias of a device and of that of each pair; the first is none."""
+_NO_HEIGHT_M2 = 1e-9
+_MOST_PAIRS = 24
+"""Chosen: bounds the cost; as three times the peers in use."""
+_DIFFUSE_M = 1e3
+_ROUNDS = 3
+"""Rounds of Gauss-Newton; chosen: the third changes nothing unless the start was metres off."""
+_ACCELERATION_SIGMAS = 3.0
+"""Chosen: the largest acceleration of a vehicle is three sigmas of it."""
+
+
+Ranged = tuple[int, int]
+"""Whom and how a vehicle ranges: the peer and the device that measures."""
+
+
+class BiasSample(NamedTuple):
+    """One range to a peer without position error of its own making: time, peer, range, sigmas (white, coloured), peer's place."""
+
+    at_s: float
+    peer: Ranged
+    range_m: float
+    white_m: float
+    coloured_m: float
+    peer_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class BiasWindow:
+    """The ranges of one window and the state about which they are linearised: mean (6,) and covariance (6, 6) at its begin.
+
+    `height_m2`: variance of the vehicle's own height, None without one. `max_mps2`: what the vehicle may accelerate.
+    """
+
+    at_s: float
+    mean: FloatArray
+    covariance: FloatArray
+    height_m2: float | None
+    max_mps2: float
+    samples: tuple[BiasSample, ...] = ()
+
+    @property
+    def is_over_at_s(self) -> float:
+        """When the window ends."""
+        return self.at_s + _WINDOW_S
+
+    def with_sample(self, sample: BiasSample) -> BiasWindow:
+        """Return the window with one more range, if it has room."""
+        return replace(self, samples=(*self.samples, sample)) if len(self.samples) < _MOST_SAMPLES else self
+
+
+class PairBias(NamedTuple):
+    """What is known of the lasting error of one pair, m."""
+
+    mean_m: float
+    sigma_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class RangeBiases:
+    """Information on the lasting errors of one vehicle's ranges. Immutable.
+
+    `information` (k, k) and `vector` (k,) are of the pairs with `peers`, and of the vehicle's own height in the last place.
+    `found`: what they are, under None that of a pair never ranged; None while there is no sign of any.
+    """
+
+    at_s: float = -math.inf
+    peers: tuple[Ranged, ...] = ()
+    information: FloatArray = field(default_factory=lambda: np.zeros((1, 1)))
+    vector: FloatArray = field(default_factory=lambda: np.zeros(1))
+    windows: int = 0
+    found: Mapping[Ranged | None, PairBias] | None = None
+
+    def bias(self, peer: Ranged | None) -> PairBias | None:
+        """Return the lasting error of the pair with a peer, None while there is no sign of any."""
+        return None if self.found is None else self.found.get(peer, self.found[None])
+
+    def with_window(self, window: BiasWindow, peers_m2: Mapping[Ranged, FloatArray], least_m: float) -> RangeBiases:
+        """Return the information after a window, eq. (31), and the biases that it shows, eq. (32).
+
+        `peers_m2` holds the covariance (3, 3) of each peer's position, `least_m` is the sigma of a bias that is always there.
+        """
+        added = _information(window, self._mean_m)
+        if added is None:
+            return self
+        names, M, y, units = added
+        base = self._with_peers(names)
+        kept = math.exp(-max(window.at_s - self.at_s, 0.0) / _MEMORY_S) if self.windows else 1.0
+        index = [*(base.peers.index(name) for name in names), len(base.peers)]
+        information, vector = kept * base.information, kept * base.vector
+        information[np.ix_(index, index)] += M / _CORRELATED_WINDOWS
+        vector[index] += y / _CORRELATED_WINDOWS
+        after = replace(base, at_s=window.at_s, information=information, vector=vector, windows=self.windows + 1)
+        if after.windows < _LEAST_WINDOWS or after.windows % _TEST_EVERY:
+            return after
+        lasting_m2 = {name: float(u @ peers_m2[name] @ u) for name, u in zip(names, units, strict=True)}
+        return replace(after, found=_find(after, lasting_m2, window.height_m2, least_m))
+
+    def _mean_m(self, peer: Ranged) -> float:
+        bias = self.bias(peer)
+        return bias.mean_m if bias is not None else 0.0
+
+    def _with_peers(self, names: Sequence[Ranged]) -> RangeBiases:
+        """Return the same information with room for more peers; the oldest are forgotten beyond a limit."""
+        new = [name for name in names if name not in self.peers]
+        if not new:
+            return self
+        dropped = max(len(self.peers) + len(new) - _MOST_PAIRS, 0)
+        gone = [name for name in self.peers if name not in names][:dropped]
+        kept = [i for i, name in enumerate(self.peers) if name not in gone]
+        peers = (*(self.peers[i] for i in kept), *new)
+        size = len(peers) + 1
+        information, vector = np.zeros((size, size)), np.zeros(size)
+        old, place = [*kept, len(self.peers)], [*range(len(kept)), size - 1]
+        information[np.ix_(place, place)] = self.information[np.ix_(old, old)]
+        vector[place] = self.vector[old]
+        return replace(self, peers=peers, information=information, vector=vector)
+
+
+class _Information(NamedTuple):
+    """What a window tells of k biases and the height: M (k + 1, k + 1), y (k + 1,), directions (k, 3) to the vehicle."""
+
+    peers: list[Ranged]
+    M: FloatArray
+    y: FloatArray
+    units: FloatArray
+
+
+def _information(window: BiasWindow, bias_m: Callable[[Ranged], float]) -> _Information | None:
+    """Return what a window tells of the biases whatever the motion in it, eq. (31); None where its ranges are too few."""
+    samples = window.samples
+    peers = sorted({sample.peer for sample in samples})
+    k, n = len(peers), len(samples)
+    if n < 2 or k < 2:
+        return None
+    t = np.array([sample.at_s - window.at_s for sample in samples])[:, None]
+    peer_m = np.array([sample.peer_m for sample in samples])
+    range_m = np.array([sample.range_m for sample in samples])
+    weight = np.array([sample.white_m for sample in samples]) ** -2.0
+    P = window.covariance
+    up_m2 = P.item(2, 2) if window.height_m2 is not None else _DIFFUSE_M**2
+    acceleration_m2 = (window.max_mps2 / _ACCELERATION_SIGMAS) ** 2
+    prior = np.diag(1.0 / np.array([_DIFFUSE_M**2, _DIFFUSE_M**2, up_m2, *P.diagonal()[3:6], *[acceleration_m2] * 3]))
+    # H by the biases and, in the last column, by the height, which errs by the same in all windows.
+    E = np.zeros((n, k + 1))
+    E[np.arange(n), [peers.index(sample.peer) for sample in samples]] = 1.0
+    biases_m = E[:, :k] @ np.array([bias_m(peer) for peer in peers])
+    motion = np.zeros(9)
+    for _ in range(_ROUNDS):
+        # h and its Jacobian A by position, velocity and acceleration.
+        d = window.mean[:3] + t * window.mean[3:] + motion[:3] + t * motion[3:6] + 0.5 * t * t * motion[6:] - peer_m
+        distance = np.linalg.norm(d, axis=1)
+        if float(distance.min()) <= 0.0:
+            return None
+        u = d / distance[:, None]
+        A = np.concatenate([u, t * u, 0.5 * t * t * u], axis=1)
+        AW, residual = A.T * weight, range_m - distance + A @ motion
+        AA = AW @ A + prior
+        motion = np.linalg.solve(AA, AW @ (residual - biases_m))
+    if window.height_m2 is not None:
+        E[:, k] = u[:, 2]
+    AE, EW = AW @ E, E.T * weight
+    gain = np.linalg.solve(AA, AE)
+    M = EW @ E - AE.T @ gain
+    y = EW @ residual - gain.T @ (AW @ residual)
+    # A coloured error is the same throughout the window.
+    C = np.diag([*(next(s.coloured_m for s in samples if s.peer == peer) ** 2 for peer in peers), 0.0])
+    spread = np.linalg.inv(np.eye(k + 1) + M @ C)
+    M, y = spread @ M, spread @ y
+    units = E[:, :k].T @ u / E[:, :k].sum(axis=0)[:, None]
+    return _Information(peers, 0.5 * (M + M.T), y, units)
+
+
+def _find(
+    biases: RangeBiases, lasting_m2: Mapping[Ranged, float], height_m2: float | None, least_m: float
+) -> Mapping[Ranged | None, PairBias] | None:
+    """Return the likeliest biases, None where none are likely enough, eq. (32)."""
+    M, y, k = biases.information, biases.vector, len(biases.peers)
+    # What only small changes of the geometry tell from a position error would be learned from the errors of this model.
+    values, modes = np.linalg.eigh(M)
+    observed = modes[:, values > _LEAST_OBSERVED * values[-1]]
+    M, y = observed @ (observed.T @ M @ observed) @ observed.T, observed @ (observed.T @ y)
+    # What peers' positions and the own height err by lasts too, and is no bias.
+    most_m2 = max(lasting_m2.values())
+    others = np.diag([*(lasting_m2.get(peer, most_m2) + least_m**2 for peer in biases.peers), height_m2 or _NO_HEIGHT_M2])
+    is_pair = np.diag([1.0] * k + [0.0])
+    models = [
+        others + device_m**2 * np.outer(is_pair.sum(0), is_pair.sum(0)) + pair_m**2 * is_pair for device_m, pair_m in _GRID_M
+    ]
+    inner = np.eye(k + 1) + M @ np.array(models)
+    whole = np.linalg.solve(inner, np.broadcast_to(y[:, None], (len(models), k + 1, 1)))[..., 0]
+    likelihood = 0.5 * np.einsum("i,gij,gj->g", y, models, whole) - 0.5 * np.linalg.slogdet(inner)[1]
+    best = int(np.argmax(likelihood))
+    if likelihood[best] - likelihood[0] < (_FOUND_LOG_RATIO if biases.found is None else _LOST_LOG_RATIO):
+        return None
+    # Covariances of the biases, last that of a pair never ranged, with those of the pairs.
+    device_m, pair_m = _GRID_M[best]
+    B = device_m**2 + pair_m**2 * np.eye(k + 1)[:, :k]
+    mean = B @ whole[best, :k]
+    variances = device_m**2 + pair_m**2 - np.einsum("ij,jk,ik->i", B, np.linalg.solve(inner[best], M)[:k, :k], B)
+    # A bias changes with attitude and distance, and differs between pairs in ways that a position explains: how much, nothing
+    # but its size tells.
+    sigmas = np.sqrt(np.maximum(variances, max(abs(float(mean[k])), least_m) ** 2))
+    peers: tuple[Ranged | None, ...] = (*biases.peers, None)
+    return {peer: PairBias(float(b), float(s)) for peer, b, s in zip(peers, mean, sigmas, strict=True)}
