@@ -10,15 +10,21 @@ from pathlib import Path
 from typing import Any
 
 from gcs_coloc.core.errors import DataError
+from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Vector3, VehicleClass
+from gcs_coloc.core.stations.node_id import MAX_STATION_ID, station_node
 
 ROLES = ("denied", "peer", "anchor")
 _ROLE_UNTIL_0_1 = {"subject": "denied"}
 """Data sets written for version 0.1 still read."""
-_META_KEYS = {"name", "source", "licence", "dims", "node", "origin", "vehicle_class"}
+_META_KEYS = {"name", "source", "licence", "dims", "node", "station", "origin", "vehicle_class"}
 _ORIGIN_KEYS = {"lat_deg", "lon_deg", "alt_m"}
 _NODE_KEYS = {"id", "role", "antenna", "range_bias_m", "range_scale", "vehicle_class"}
 _ANCHOR_KEYS = ("e_m", "n_m", "u_m", "sigma_m")
+_STATION_KEYS = {"id", "name", "lat_deg", "lon_deg", "alt_m", "sigma_m", "range_bias_m", "range_scale"}
+"""As those of the configuration's `[[station]]`."""
+_STATION_SIGMA_M = 1.0
+"""As the configuration has it."""
 _ANTENNA_KEYS = ("forward_m", "right_m", "down_m")
 _MOST_SCALE = 0.5
 
@@ -69,7 +75,8 @@ class Meta:
         tables = content.get("node")
         if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
             raise DataError(f"{path}: at least one [[node]] is needed")
-        self.nodes = tuple(self._node(i + 1, table) for i, table in enumerate(tables))
+        nodes = tuple(self._node(i + 1, table) for i, table in enumerate(tables))
+        self.nodes = nodes + self._stations(content.get("station"))
         self._unique([node.id for node in self.nodes], "nodes", "")
         if not any(node.role == "denied" for node in self.nodes):
             raise DataError(f'{path}: no node has the role "denied": there is nothing to locate')
@@ -125,12 +132,42 @@ class Meta:
             place = (e, n, u)
             if sigma_m <= 0.0:
                 raise DataError(f"{self._path}: {where}sigma_m has to be above 0")
-        bias_m, scale = self._number(table, "range_bias_m", where, 0.0), self._number(table, "range_scale", where, 0.0)
-        if abs(scale) > _MOST_SCALE:
-            raise DataError(f"{self._path}: {where}range_scale is the excess over 1, within {_MOST_SCALE}: 0.01 is one per cent")
+        bias_m, scale = self._calibration(table, where)
         antennas = self._antennas(table.get("antenna"), where)
         vehicle_class = self._class(table, where, self._vehicle_class) if role != "anchor" else None
         return Node(node_id, number, role, place, sigma_m, antennas, bias_m, scale, vehicle_class)
+
+    def _stations(self, tables: Any) -> tuple[Node, ...]:
+        """Return the fixed stations: anchors with the ids that ranges name them by, STN3 for station 3."""
+        if tables is None:
+            return ()
+        if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
+            raise DataError(f"{self._path}: a station is a table: [[station]]")
+        if self.origin is None:
+            raise DataError(f"{self._path}: [[station]] needs [origin]: its position is in degrees, all others are in metres")
+        frame = LocalFrame(*self.origin)
+        return tuple(self._station(i + 1, table, frame) for i, table in enumerate(tables))
+
+    def _station(self, number: int, table: dict[str, Any], frame: LocalFrame) -> Node:
+        where = f"[[station]] {number}: "
+        self._only(table, _STATION_KEYS, where)
+        station_id = table.get("id")
+        if type(station_id) is not int or not 0 <= station_id <= MAX_STATION_ID:
+            raise DataError(f"{self._path}: {where}id has to be a whole number from 0 to {MAX_STATION_ID}, not {station_id!r}")
+        lat, lon, alt = (self._number(table, key, where) for key in ("lat_deg", "lon_deg", "alt_m"))
+        if abs(lat) > 90.0 or abs(lon) > 180.0:
+            raise DataError(f"{self._path}: {where}lat_deg and lon_deg have to be within 90 and 180 degrees")
+        sigma_m = self._number(table, "sigma_m", where, _STATION_SIGMA_M)
+        if sigma_m <= 0.0:
+            raise DataError(f"{self._path}: {where}sigma_m has to be above 0")
+        place, calibration = frame.enu_from_geodetic(lat, lon, alt), self._calibration(table, where)
+        return Node(f"STN{station_id}", station_node(station_id), "anchor", place, sigma_m, {}, *calibration)
+
+    def _calibration(self, table: dict[str, Any], where: str) -> tuple[float, float]:
+        bias_m, scale = self._number(table, "range_bias_m", where, 0.0), self._number(table, "range_scale", where, 0.0)
+        if abs(scale) > _MOST_SCALE:
+            raise DataError(f"{self._path}: {where}range_scale is the excess over 1, within {_MOST_SCALE}: 0.01 is one per cent")
+        return bias_m, scale
 
     def _antennas(self, tables: Any, where: str) -> dict[str, Vector3]:
         if tables is None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
     VehicleClass,
 )
+from gcs_coloc.core.stations.node_id import station_node
 from gcs_coloc.evaluation.dataset import read_dataset
 
 FILES = {
@@ -207,3 +209,46 @@ def test_bytes_that_are_no_text_are_named(tmp_path):
     (tmp_path / "truth.csv").write_bytes(b"t_s,id,e_m,n_m,u_m\n\xff\xfe")
     with pytest.raises(DataError, match="truth"):
         read_dataset(tmp_path)
+
+
+STATION = """[[station]]
+id = 3
+name = "mast"
+lat_deg = 47.0
+lon_deg = 8.0
+alt_m = 412.0
+sigma_m = 0.5
+range_bias_m = 0.25
+"""
+
+
+def test_a_station_is_an_anchor_that_ranges_name_by_its_id(tmp_path):
+    ranges = "t_s,from_id,to_id,range_m,sigma_m\n1.0,tag,STN3,9.25,0.2\n"
+    dataset = read_dataset(write(tmp_path, meta_toml=FILES["meta.toml"] + STATION, ranges_csv=ranges))
+    station = dataset.nodes[-1]
+    assert (station.id, station.vehicle, station.role, station.sigma_m) == ("STN3", station_node(3), "anchor", 0.5)
+    assert station.place_enu_m == pytest.approx((0.0, 0.0, 12.0), abs=1e-6)
+    assert RangeMeasurement(1, station_node(3), 1.0, 1.0, 9.0, 0.2) in dataset.measurements
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ((STATION, "[station]\nid = 3\n"), "a station is a table"),
+        (("id = 3", 'id = "mast"'), "whole number from 0 to 65535"),
+        (("alt_m = 412.0", ""), "alt_m has to be a number"),
+        (("lat_deg = 47.0\nlon_deg = 8.0\nalt_m = 412", "lat_deg = 147.0\nlon_deg = 8.0\nalt_m = 412"), "within 90 and 180"),
+        (("sigma_m = 0.5", "sigma_m = 0"), "above 0"),
+        (('name = "mast"', "place = 1"), "unknown key"),
+        (("[origin]\nlat_deg = 47.0\nlon_deg = 8\nalt_m = 400.0\n", ""), "needs [origin]"),
+    ],
+)
+def test_a_station_that_is_wrong_is_told_with_its_remedy(tmp_path, changed, told):
+    meta = (FILES["meta.toml"] + STATION).replace(*changed)
+    with pytest.raises(DataError, match=re.escape(told)):
+        read_dataset(write(tmp_path, meta_toml=meta))
+
+
+def test_two_stations_of_one_id_are_an_error(tmp_path):
+    with pytest.raises(DataError, match="two nodes have the id 'STN3'"):
+        read_dataset(write(tmp_path, meta_toml=FILES["meta.toml"] + STATION + STATION))
