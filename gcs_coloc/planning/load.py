@@ -1,0 +1,108 @@
+"""Several plan files as one plan: a common frame, system ids, start times, stations, assumptions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from gcs_coloc.core.errors import UsageError
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.measurements import Vector3, VehicleClass
+from gcs_coloc.planning.fleet_plan import FleetPlan, PlanAssumptions, PlannedStation, PlannedVehicle
+from gcs_coloc.planning.flight_path import Leg
+from gcs_coloc.planning.mission import LatLonAlt, Mission, MissionFile
+from gcs_coloc.planning.plan_files import read_plan_file
+
+_FAR_M = 300_000.0
+"""Beyond it the plane of the frame and the earth part by kilometres; plans so far apart are of two sites."""
+
+
+def load_plan(
+    files: Sequence[Path],
+    *,
+    vehicle_class: VehicleClass | None = None,
+    speed_mps: float | None = None,
+    starts_s: Mapping[int, float] | None = None,
+    stations: Sequence[tuple[int, LatLonAlt]] = (),
+    assumed: Mapping[str, Any] | None = None,
+) -> FleetPlan:
+    """Read plan files, one a vehicle (a scenario may have several), numbered 1, 2, ... in their order.
+
+    Args:
+        files: in the order of the vehicles' system ids; a scenario has its own.
+        vehicle_class: how vehicles move whose file does not say; None: as planes.
+        speed_mps: how fast all of them fly; None: as their files say.
+        starts_s: when vehicles start, by system id, s; others at 0.
+        stations: id and place of further stations.
+        assumed: fields of `PlanAssumptions` that differ from the files' and the defaults.
+
+    Raises:
+        DataError: a file is malformed; the text names file, item and what was expected.
+        UsageError: what is asked for does not fit the files.
+
+    """
+    read = [read_plan_file(path, vehicle_class, speed_mps) for path in files]
+    missions = [mission for file in read for mission in file.missions]
+    frame = LocalFrame(*missions[0].begin)
+    numbered = _numbered(missions)
+    starts = dict(starts_s or {})
+    for sysid in starts:
+        if sysid not in numbered:
+            raise UsageError(f"--start {sysid}=...: there is no vehicle {sysid}; there are {', '.join(map(str, numbered))}")
+    vehicles = tuple(_vehicle(sysid, mission, frame, starts.get(sysid, 0.0)) for sysid, mission in numbered.items())
+    return FleetPlan(
+        frame,
+        vehicles,
+        _stations(read, stations, frame),
+        _assumptions(read, assumed or {}),
+        tuple(r for f in read for r in f.remarks),
+    )
+
+
+def _numbered(missions: Sequence[Mission]) -> dict[int, Mission]:
+    found: dict[int, Mission] = {}
+    taken = {mission.sysid for mission in missions}
+    free = (sysid for sysid in range(1, 256) if sysid not in taken)
+    for mission in missions:
+        sysid = mission.sysid if mission.sysid is not None else next(free, None)
+        if sysid is None:
+            raise UsageError("more than 255 vehicles: there are no more system ids")
+        if sysid in found:
+            raise UsageError(f"{mission.name} and {found[sysid].name} both have the system id {sysid}")
+        found[sysid] = mission
+    return dict(sorted(found.items()))
+
+
+def _vehicle(sysid: int, mission: Mission, frame: LocalFrame, start_s: float) -> PlannedVehicle:
+    def enu(place: LatLonAlt) -> Vector3:
+        east, north, up = frame.enu_from_geodetic(*place)
+        if abs(east) > _FAR_M or abs(north) > _FAR_M:
+            raise UsageError(
+                f"{mission.name} is {max(abs(east), abs(north)) / 1e3:.0f} km away from the first plan: plan each site alone"
+            )
+        return east, north, up
+
+    legs = tuple(Leg(enu(leg.end), leg.speed_mps, leg.hold_s, leg.radius_m) for leg in mission.legs)
+    end_s = start_s + mission.duration_s if mission.duration_s is not None else None
+    return PlannedVehicle(sysid, mission.name, enu(mission.begin), legs, start_s, mission.vehicle_class, end_s)
+
+
+def _stations(
+    read: Sequence[MissionFile], stated: Sequence[tuple[int, LatLonAlt]], frame: LocalFrame
+) -> tuple[PlannedStation, ...]:
+    found: dict[int, PlannedStation] = {}
+    for station_id, place in [*(each for file in read for each in file.stations), *stated]:
+        if station_id in found:
+            raise UsageError(f"two stations have the id {station_id}")
+        found[station_id] = PlannedStation(station_id, frame.enu_from_geodetic(*place))
+    return tuple(found.values())
+
+
+def _assumptions(read: Sequence[MissionFile], assumed: Mapping[str, Any]) -> PlanAssumptions:
+    base = next((file.assumptions for file in read if file.assumptions is not None), PlanAssumptions())
+    try:
+        return replace(base, **{name: value for name, value in assumed.items() if value is not None})
+    except ValueError as error:
+        raise UsageError(str(error)) from error

@@ -1,0 +1,201 @@
+"""Missions: MAVLink mission items as plan files hold them, and the way that a vehicle flies by them.
+
+Source: https://mavlink.io/en/messages/common.html (MAV_CMD, MAV_FRAME).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+from gcs_coloc.core.errors import DataError
+from gcs_coloc.core.measurements import VehicleClass
+from gcs_coloc.planning.fleet_plan import PlanAssumptions
+
+LatLonAlt = tuple[float, float, float]
+"""Degrees, and metres above mean sea level."""
+
+
+class MissionCommand(IntEnum):
+    """The mission commands that make a way (MAV_CMD)."""
+
+    WAYPOINT = 16
+    LOITER_UNLIM = 17
+    LOITER_TURNS = 18
+    LOITER_TIME = 19
+    RETURN_TO_LAUNCH = 20
+    LAND = 21
+    TAKEOFF = 22
+    LOITER_TO_ALT = 31
+    SPLINE_WAYPOINT = 82
+    VTOL_TAKEOFF = 84
+    VTOL_LAND = 85
+    DO_CHANGE_SPEED = 178
+
+
+_ABSOLUTE_FRAMES = frozenset({0, 5})
+_RELATIVE_FRAMES = frozenset({3, 6, 10, 11})
+"""Above home, and above the terrain, which is taken as above home."""
+_LANDS = frozenset({MissionCommand.LAND, MissionCommand.VTOL_LAND})
+_HOLDS_FOREVER_S = 600.0
+"""Chosen: who loiters until told otherwise does so for ten minutes here."""
+_LOITER_RADIUS_M = 60.0
+"""Source: WP_LOITER_RAD of ArduPlane."""
+
+
+@dataclass(frozen=True, slots=True)
+class MissionItem:
+    """One item as a file has it: its number there, MAV_CMD, MAV_FRAME, four parameters, degrees, metres."""
+
+    number: int
+    command: int
+    frame: int
+    params: tuple[float, float, float, float]
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class MissionLeg:
+    """The way to one place, flown at a speed; `hold_s` as `flight_path.Leg` has it."""
+
+    end: LatLonAlt
+    speed_mps: float
+    hold_s: float = 0.0
+    radius_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """The way of one vehicle; `duration_s` cuts it, None: all is flown. `sysid` None: numbered by the order of the files."""
+
+    name: str
+    begin: LatLonAlt
+    legs: tuple[MissionLeg, ...]
+    vehicle_class: VehicleClass
+    sysid: int | None = None
+    duration_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MissionFile:
+    """What one file holds: missions; stations (id and place) and assumptions of a scenario; `remarks` on what was skipped."""
+
+    missions: tuple[Mission, ...]
+    remarks: tuple[str, ...] = ()
+    stations: tuple[tuple[int, LatLonAlt], ...] = ()
+    assumptions: PlanAssumptions | None = None
+
+
+def mission_of(
+    file: str, home: LatLonAlt | None, items: Sequence[MissionItem], vehicle_class: VehicleClass, speed_mps: float
+) -> MissionFile:
+    """Return the mission of some items.
+
+    Args:
+        file: its name, for errors and remarks.
+        home: where relative heights count from; None: the first place counts, and relative heights from sea level.
+        items: in their order.
+        vehicle_class: how the vehicle moves.
+        speed_mps: how fast it flies until an item changes that.
+
+    Raises:
+        DataError: an item is impossible, or there are no two places; the text names file and item.
+
+    """
+    legs: list[MissionLeg] = []
+    remarks: list[str] = []
+    for item in items:
+        if item.command == MissionCommand.DO_CHANGE_SPEED:
+            if item.params[1] > 0.0:
+                speed_mps = item.params[1]
+            continue
+        if item.command not in MissionCommand._value2member_map_:
+            remarks.append(f"{file}: item {item.number}: command {item.command} is no waypoint and is skipped")
+            continue
+        command = MissionCommand(item.command)
+        here = legs[-1].end if legs else home
+        end = _place(file, item, command, home, here)
+        if end is None:
+            remarks.append(f"{file}: item {item.number}: {command.name} without a place is skipped")
+            continue
+        hold_s, radius_m = _hold(item, command, vehicle_class, speed_mps)
+        if command is MissionCommand.LOITER_UNLIM:
+            remarks.append(f"{file}: item {item.number}: loiters until told otherwise; taken as {_HOLDS_FOREVER_S:.0f} s")
+        legs.append(MissionLeg(end, speed_mps, hold_s, radius_m))
+        if command in _LANDS or command is MissionCommand.RETURN_TO_LAUNCH or command is MissionCommand.LOITER_UNLIM:
+            break
+    if home is None and legs:
+        home, legs = legs[0].end, legs[1:]
+    if home is None or not legs:
+        raise DataError(f"{file}: expected two places at least: home and one waypoint")
+    return MissionFile((Mission(file, home, tuple(legs), vehicle_class),), tuple(remarks))
+
+
+def _place(
+    file: str, item: MissionItem, command: MissionCommand, home: LatLonAlt | None, here: LatLonAlt | None
+) -> LatLonAlt | None:
+    """Return where an item leads; None where it names no place and none is known."""
+    if command is MissionCommand.RETURN_TO_LAUNCH:
+        return (home[0], home[1], here[2]) if home is not None and here is not None else None
+    lat, lon, alt = item.lat_deg, item.lon_deg, item.alt_m
+    if lat == 0.0 and lon == 0.0:
+        # As autopilots have it: no position means where the vehicle is.
+        if here is None:
+            return None
+        lat, lon = here[0], here[1]
+    check_place(f"{file}: item {item.number}", lat, lon, alt)
+    if item.frame in _RELATIVE_FRAMES:
+        alt += home[2] if home is not None else 0.0
+    elif item.frame not in _ABSOLUTE_FRAMES:
+        known = ", ".join(map(str, sorted(_ABSOLUTE_FRAMES | _RELATIVE_FRAMES)))
+        raise DataError(f"{file}: item {item.number}: frame is {item.frame}, expected one of {known}")
+    return lat, lon, alt
+
+
+def check_place(where: str, lat_deg: float, lon_deg: float, alt_m: float) -> None:
+    """Check a place.
+
+    Raises:
+        DataError: it is none on earth; the text begins with `where`.
+    """
+    for name, value, most in (("latitude", lat_deg, 90.0), ("longitude", lon_deg, 180.0), ("altitude", alt_m, 20_000.0)):
+        if not abs(value) <= most:
+            unit = "metres" if name == "altitude" else "degrees"
+            raise DataError(f"{where}: {name} is {value:g}, expected {unit} from {-most:g} to {most:g}")
+
+
+def _hold(item: MissionItem, command: MissionCommand, vehicle_class: VehicleClass, speed_mps: float) -> tuple[float, float]:
+    """Return how long a vehicle stays at an item's place, s, and on which radius, m."""
+    circles = vehicle_class is VehicleClass.PLANE
+    radius_m = (abs(item.params[2]) or _LOITER_RADIUS_M) if circles else 0.0
+    match command:
+        case MissionCommand.LOITER_UNLIM:
+            return _HOLDS_FOREVER_S, radius_m
+        case MissionCommand.LOITER_TIME:
+            return max(item.params[0], 0.0), radius_m
+        case MissionCommand.LOITER_TURNS:
+            around_m = 2.0 * math.pi * (abs(item.params[2]) or _LOITER_RADIUS_M)
+            return max(item.params[0], 0.0) * around_m / speed_mps, radius_m
+        case MissionCommand.WAYPOINT if not circles:
+            return max(item.params[0], 0.0), 0.0
+    return 0.0, 0.0
+
+
+def number(where: str, name: str, value: object) -> float:
+    """Return a number of a file.
+
+    Raises:
+        DataError: it is none, or not finite; the text begins with `where`.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise DataError(f"{where}: {name} is {value!r}, expected a number")
+    return float(value)
+
+
+def numbers(where: str, names: Iterable[str], values: Sequence[object]) -> list[float]:
+    """Return the numbers of a file, null as 0, as QGroundControl writes what is not used."""
+    return [0.0 if value is None else number(where, name, value) for name, value in zip(names, values, strict=True)]

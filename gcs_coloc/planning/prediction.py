@@ -1,0 +1,359 @@
+"""The prediction: the fleet filter along planned ways, with measurements of the true positions and no noise drawn.
+
+It is the service's own filter, hypotheses, protection level and fix policy. Measurements of one step are condensed into one of
+the same information: n ranges of white noise sigma into one of sigma / sqrt(n). The streams' noise counts as known (eq. (16) of
+docs/explanation/fleet-filter.md), and the level of gusts as the settings have it: with no noise nothing could be learned.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from math import hypot, sqrt
+
+import numpy as np
+
+from gcs_coloc.core.aiding.fix_policy import FixPolicy
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
+from gcs_coloc.core.integrity.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.protection_level import Exposure, FaultLevel, fault_level, protection_level
+from gcs_coloc.core.integrity.range_residuals import RangeResidualSettings
+from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
+from gcs_coloc.core.limiting_reason import limiting_reason, unit_vectors
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    AttitudeMeasurement,
+    Estimate,
+    FloatArray,
+    Measurement,
+    NoEstimate,
+    PositionMeasurement,
+    RangeMeasurement,
+    Vector3,
+    VehicleClass,
+    VehicleClassReport,
+)
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NoiseSplit
+from gcs_coloc.estimators.fleet.ekf.state import pair_key
+from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
+from gcs_coloc.estimators.fleet.peer_selection import select_peers
+from gcs_coloc.estimators.fleet.settings import FleetSettings
+from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution_of
+from gcs_coloc.planning.fleet_plan import FleetPlan
+
+STEP_S = 1.4
+"""Step of the recursion. Chosen: below the 1.5 s without a range that the filter takes for a gap."""
+STEP_WITH_AIR_DATA_S = 2.0
+"""The same of planes with attitude and airspeed, which have no such gaps. Chosen: a range counts as in use for so long."""
+_LEVEL_EVERY_S = 10.0
+"""Chosen: geometry changes little in 10 s; the hypotheses cost as much as a step."""
+_MANY_PEERS = 4
+"""With more peers than this each is ranged every other step, half of them in each: a gap never opens, and the work is half."""
+_WITH_GPS_S = 5.0
+"""The GPS fails so long after the vehicle's start: its filter begins from its own reports."""
+_ATTITUDE_EVERY_S = 0.45
+"""Chosen: below the half second for which the filter takes an attitude as fresh."""
+_KNOWN_WEIGHT = 1e6
+"""Samples that a stream's noise counts as known by: no bound on it is left."""
+_VERTICAL_RATIO = 1.6
+"""Source: usual VDOP over HDOP of a receiver."""
+_COLOURED_LEAST = 0.1
+"""Least share of a sigma that no averaging removes: `least_coloured_share` of the filter."""
+_LARGEST_SIGMA_V_M = 10.0
+_CANDIDATES_EVERY = 5
+"""Steps from one choice of candidates to the next."""
+_MEDIAN_VARIANCE_RATIO = 1.57
+_MOST_RANGED = 8
+"""Pairs of one device in the integrity's adjustment."""
+_MOST_CANDIDATES = 16
+"""Chosen: of more peers in range the filter chooses among these, the best placed; it uses eight of them at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What is predicted of one vehicle while it is denied, at times `at_s` (N,), s.
+
+    Of each time: its position (N, 3) m; the HDOP of its ranges, infinite below two; the 95 % bound and the protection level HPL
+    in m, NaN where there is no estimate; the distance of the estimate from the planned position, m; how many nodes it ranges;
+    whether a fix is stated; and what limits it, in words (and its code), empty with a fix. `denied`: who else is denied.
+    """
+
+    sysid: int
+    denied: tuple[int, ...]
+    at_s: FloatArray
+    position_enu_m: FloatArray
+    hdop: FloatArray
+    bound_95_m: FloatArray
+    hpl_m: FloatArray
+    offset_m: FloatArray
+    ranged: FloatArray
+    has_fix: FloatArray
+    limit: tuple[str, ...]
+    limit_code: tuple[str, ...]
+
+    @property
+    def share_with_fix(self) -> float:
+        """Share of the flight without GPS in which a fix is stated."""
+        return float(self.has_fix.mean()) if len(self.has_fix) else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    at_s: float
+    position_enu_m: Vector3
+    hdop: float
+    bound_95_m: float
+    hpl_m: float
+    offset_m: float
+    ranged: int
+    has_fix: bool
+    limit: str
+    limit_code: str
+
+
+def predict(plan: FleetPlan, denied: tuple[int, ...], step_s: float | None = None) -> list[Prediction]:
+    """Predict one or several vehicles whose GPS fails soon after their start, each along its whole way."""
+    recursion = _Recursion(plan, denied, step_s if step_s is not None else longest_step_s(plan, denied))
+    for at_s in recursion.times():
+        recursion.step(at_s)
+    return [_as_prediction(sysid, denied, recursion.rows[sysid]) for sysid in denied]
+
+
+def longest_step_s(plan: FleetPlan, denied: tuple[int, ...]) -> float:
+    """Return the longest step at which the recursion of some denied vehicles holds, s."""
+    have_air_data = plan.assumptions.has_air_data and all(plan.vehicle(v).vehicle_class is VehicleClass.PLANE for v in denied)
+    return STEP_WITH_AIR_DATA_S if have_air_data else STEP_S
+
+
+def _as_prediction(sysid: int, denied: tuple[int, ...], rows: list[_Row]) -> Prediction:
+    def column(name: str) -> FloatArray:
+        return np.array([getattr(row, name) for row in rows], dtype=float)
+
+    return Prediction(
+        sysid=sysid,
+        denied=denied,
+        at_s=column("at_s"),
+        position_enu_m=np.array([row.position_enu_m for row in rows], dtype=float).reshape(-1, 3),
+        hdop=column("hdop"),
+        bound_95_m=column("bound_95_m"),
+        hpl_m=column("hpl_m"),
+        offset_m=column("offset_m"),
+        ranged=column("ranged"),
+        has_fix=column("has_fix"),
+        limit=tuple(row.limit for row in rows),
+        limit_code=tuple(row.limit_code for row in rows),
+    )
+
+
+class _Recursion:
+    """The filter along the plan with some vehicles denied, step by step; `rows` are its results by denied vehicle."""
+
+    def __init__(self, plan: FleetPlan, denied: tuple[int, ...], step_s: float) -> None:
+        self._plan, self._denied, self._step_s = plan, denied, step_s
+        self._begin_s, self._end_s = plan.span_s
+        self._a = a = plan.assumptions
+        self._filter = FleetHypotheses(FleetSettings())
+        self._ranges_a_step = max(a.range_rate_hz * step_s, 1.0)
+        reports = max(a.position_rate_hz * step_s, 1.0)
+        self._report_sigma_m, self._report_white = _condensed(a.position_sigma_m, a.position_white_share, reports)
+        self._stations = {station.node: station for station in plan.stations}
+        self._policies: dict[int, FixPolicy] = {}
+        self._levels: dict[int, FaultLevel] = {}
+        self._levels_due_s = -math.inf
+        self._lost: frozenset[int] = frozenset()
+        self._count = 0
+        self._candidates: dict[int, frozenset[int]] = {}
+        self.rows: dict[int, list[_Row]] = {sysid: [] for sysid in denied}
+        self._introduce()
+
+    def times(self) -> Iterator[float]:
+        """Yield the times of the steps: while a denied vehicle is in flight."""
+        paths = [self._plan.paths[sysid] for sysid in self._denied]
+        first_s, last_s = min(path.begin_s for path in paths), max(path.end_s for path in paths)
+        for k in range(int((last_s - first_s) / self._step_s) + 1):
+            yield first_s + k * self._step_s
+
+    def step(self, at_s: float) -> None:
+        """Feed the filter with all that is measured in the step that ends now, and keep what it states."""
+        here = {sysid: _vector(place) for sysid, place in self._plan.positions(at_s).items()}
+        self._update_denied(at_s, here)
+        ranged = {v: self._nodes_in_range(v, here) for v in self._lost}
+        for sysid in here:
+            if sysid in self._denied:
+                self._feed_air_data(sysid, at_s)
+        heard = set(self._denied).union(*ranged.values())
+        for sysid in here:
+            if sysid not in self._lost and sysid in heard:
+                self._feed_report(sysid, at_s)
+        for sysid in sorted(self._lost):
+            self._feed(AltitudeMeasurement(sysid, at_s, at_s, here[sysid][2], self._a.height_sigma_m))
+            every = 2 if len(ranged[sysid]) > _MANY_PEERS else 1
+            sigma_m = self._a.range_sigma_m / sqrt(self._ranges_a_step * every)
+            for at, node in enumerate(ranged[sysid]):
+                if (node not in self._lost or node > sysid) and (self._count + at) % every == 0:
+                    self._feed_range(sysid, node, here, at_s, sigma_m)
+        self._count += 1
+        answers = {v: self._filter.estimate(v, at_s) for v in sorted(self._lost)}
+        if at_s >= self._levels_due_s:
+            self._levels_due_s = at_s + _LEVEL_EVERY_S
+            located = {v: where for v, where in answers.items() if isinstance(where, Estimate)}
+            self._update_levels(located, ranged, here, at_s)
+        for sysid, answer in answers.items():
+            self._keep(sysid, answer, ranged[sysid], here, at_s)
+
+    def _introduce(self) -> None:
+        for vehicle in self._plan.vehicles:
+            self._feed(VehicleClassReport(vehicle.sysid, self._begin_s, self._begin_s, vehicle.vehicle_class))
+        for station in self._stations.values():
+            place, sigma_m = station.position_enu_m, station.sigma_m
+            self._feed(PositionMeasurement(station.node, self._begin_s, self._begin_s, place, sigma_m, sigma_m, static=True))
+
+    def _update_denied(self, at_s: float, here: Mapping[int, Vector3]) -> None:
+        lost = frozenset(v for v in self._denied if v in here and at_s >= self._plan.paths[v].begin_s + _WITH_GPS_S)
+        if lost == self._lost:
+            return
+        self._lost = lost
+        self._filter.set_denied(lost, at_s)
+        for sysid in lost:
+            self._policies.setdefault(sysid, FixPolicy(self._a.aiding, at_s))
+
+    def _nodes_in_range(self, sysid: int, here: Mapping[int, Vector3]) -> dict[int, Vector3]:
+        """Return the unit vectors of the nodes that a vehicle ranges, by node; other denied vehicles are among them."""
+        peers = {v: place for v, place in here.items() if v != sysid}
+        peers |= {node: station.position_enu_m for node, station in self._stations.items()}
+        units = unit_vectors(here[sysid], peers, self._a.max_range_m)
+        if len(units) <= _MOST_CANDIDATES:
+            return units
+        kept = self._candidates.get(sysid, frozenset())
+        if self._count % _CANDIDATES_EVERY == 0 or len(kept & units.keys()) < _MOST_CANDIDATES:
+            placed = [(node, np.array(peers[node])) for node in units]
+            place = np.array(here[sysid])
+            kept = select_peers(place, placed, kept, frozenset(), _MOST_CANDIDATES, height_known=True)
+            self._candidates[sysid] = kept
+        return {node: unit for node, unit in units.items() if node in kept}
+
+    def _feed_air_data(self, sysid: int, at_s: float) -> None:
+        vehicle, path = self._plan.vehicle(sysid), self._plan.paths[sysid]
+        if vehicle.vehicle_class is not VehicleClass.PLANE or not self._a.has_air_data:
+            return
+        times = math.ceil(self._step_s / _ATTITUDE_EVERY_S)
+        for k in range(times):
+            then_s = at_s - self._step_s * (times - 1 - k) / times
+            if then_s < path.begin_s:
+                continue
+            ve, vn, vu = path.velocity(then_s).tolist()
+            speed = hypot(ve, vn)
+            attitude = (path.bank(then_s), math.atan2(vu, max(speed, 0.1)), math.atan2(ve, vn))
+            self._feed(AttitudeMeasurement(sysid, then_s, then_s, *attitude, speed))
+
+    def _feed_report(self, sysid: int, at_s: float) -> None:
+        path, sigma_m = self._plan.paths[sysid], self._report_sigma_m
+        e, n, u = _vector(path.position(at_s))
+        ve, vn, vu = _vector(path.velocity(at_s))
+        record = self._filter.main.records.writable(sysid)
+        record.report_noise = _known_split((sigma_m, _VERTICAL_RATIO * sigma_m), self._report_white)
+        record.noise.log_level = 0.0
+        vertical_m = _VERTICAL_RATIO * sigma_m
+        velocity_mps = self._a.velocity_sigma_mps
+        self._feed(PositionMeasurement(sysid, at_s, at_s, (e, n, u), sigma_m, vertical_m, (ve, vn, vu), velocity_mps))
+
+    def _feed_range(self, sysid: int, node: int, here: Mapping[int, Vector3], at_s: float, sigma_m: float) -> None:
+        there = self._stations[node].position_enu_m if node in self._stations else here[node]
+        for model in (self._filter.main, *(each.model for each in self._filter.hypotheses.values())):
+            model.pairs[pair_key(sysid, node, 0)] = _known_split((sigma_m,), 1.0)
+        self._feed(RangeMeasurement(sysid, node, at_s, at_s, math.dist(here[sysid], there), sigma_m))
+
+    def _feed(self, measurement: Measurement) -> None:
+        if isinstance(measurement, AltitudeMeasurement):
+            record = self._filter.main.records.writable(measurement.vehicle)
+            record.altitude_noise = _known_split((measurement.sigma_m,), 0.0)
+            record.noise.log_level = 0.0
+        self._filter.apply(measurement)
+
+    def _update_levels(
+        self,
+        located: Mapping[int, Estimate],
+        ranged: Mapping[int, Mapping[int, Vector3]],
+        here: Mapping[int, Vector3],
+        at_s: float,
+    ) -> None:
+        """Adjust the ranges of the moment under all hypotheses of fault, as the integrity stage does."""
+        s, a = RangeResidualSettings(), self._a
+        count = max(a.range_rate_hz * s.window_s, 1.0)
+        noise_m = sqrt(a.range_sigma_m**2 * (_MEDIAN_VARIANCE_RATIO / count + s.coloured_share))
+        priors: dict[int, PositionPrior] = {}
+        residuals: list[RangeResidual] = []
+        for sysid, where in located.items():
+            sigma_v_m = min(sqrt(float(where.covariance[2, 2])), _LARGEST_SIGMA_V_M)
+            nodes = [node for node in ranged[sysid] if node in located or node not in self._lost]
+            for node in nodes[:_MOST_RANGED]:
+                if node in located and node < sysid:
+                    continue
+                priors[sysid] = PositionPrior(here[sysid], 0.0, sigma_v_m, no_prior=True)
+                priors.setdefault(node, self._prior(node, located, here))
+                residuals.append(RangeResidual(sysid, node, 0.0, noise_m, s.range_bias_m))
+        separation = SolutionSeparation(Epoch(at_s, priors, tuple(residuals))) if residuals else None
+        for sysid, where in located.items():
+            if separation is not None and sysid in separation.vehicles:
+                self._levels[sysid] = fault_level(separation.of(sysid), where, at_s, a.protection)
+
+    def _prior(self, node: int, located: Mapping[int, Estimate], here: Mapping[int, Vector3]) -> PositionPrior:
+        if node in self._stations:
+            station = self._stations[node]
+            return PositionPrior(station.position_enu_m, station.sigma_m, station.sigma_m, no_prior=False)
+        if node in located:
+            sigma_v_m = min(sqrt(float(located[node].covariance[2, 2])), _LARGEST_SIGMA_V_M)
+            return PositionPrior(here[node], 0.0, sigma_v_m, no_prior=True)
+        sigma_m = self._a.position_sigma_m
+        return PositionPrior(here[node], sigma_m, _VERTICAL_RATIO * sigma_m, no_prior=False)
+
+    def _keep(
+        self, sysid: int, answer: Estimate | NoEstimate, ranged: Mapping[int, Vector3], here: Mapping[int, Vector3], at_s: float
+    ) -> None:
+        a, vehicle = self._a, self._plan.vehicle(sysid)
+        air_data = a.has_air_data and vehicle.vehicle_class is VehicleClass.PLANE
+        bound_m = hpl_m = offset_m = math.nan
+        where = answer
+        if isinstance(where, Estimate):
+            faults = self._levels.get(sysid)
+            if faults is not None and ranged:
+                # Between two adjustments the ranges go on.
+                faults = self._levels[sysid] = replace(faults, ranged_at_s=at_s - 1.0 / a.range_rate_hz)
+            level = protection_level(where, faults, Exposure(a.delay_is_known, air_data), a.protection)
+            bound_m, hpl_m = horizontal_bound_95_m(where.covariance), level.horizontal_m
+            offset_m = hypot(*(where.position_enu_m[:2] - here[sysid][:2]).tolist())
+            where = Estimate(
+                sysid,
+                at_s,
+                where.position_enu_m,
+                where.velocity_enu_mps,
+                where.covariance,
+                where.hdop,
+                where.ranges_in_use,
+                level,
+            )
+        inhibit = self._policies[sysid].inhibit(where, at_s, own_gps=False, air_data=air_data)
+        hdop = horizontal_dilution_of(ranged.values()) if len(ranged) >= 2 else math.inf
+        limit = limiting_reason(inhibit, hdop, tuple(ranged))
+        text, code = (limit.text, limit.reason.code) if limit is not None else ("", "")
+        self.rows[sysid].append(_Row(at_s, here[sysid], hdop, bound_m, hpl_m, offset_m, len(ranged), inhibit is None, text, code))
+
+
+def _condensed(sigma_m: float, white_share: float, samples: float) -> tuple[float, float]:
+    """Return the sigma of the mean of some samples, and the white share of it (as a ratio of sigmas)."""
+    white_m = sigma_m * white_share
+    coloured_m = sqrt(max(sigma_m * sigma_m - white_m * white_m, (_COLOURED_LEAST * sigma_m) ** 2))
+    white_m /= sqrt(samples)
+    whole_m = hypot(white_m, coloured_m)
+    return whole_m, white_m / whole_m
+
+
+def _known_split(sigmas_m: tuple[float, ...], white_share: float) -> NoiseSplit:
+    """Return the split of a stream whose noise is known: this share of its sigma is white."""
+    return NoiseSplit((), tuple(((white_share * sigma_m) ** 2 * _KNOWN_WEIGHT, _KNOWN_WEIGHT) for sigma_m in sigmas_m))
+
+
+def _vector(row: FloatArray) -> Vector3:
+    e, n, u = row.tolist()
+    return e, n, u

@@ -1,0 +1,145 @@
+"""Plan files are read as QGroundControl and Mission Planner write them; what is malformed is told in one line."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from gcs_coloc.core.errors import DataError, UsageError
+from gcs_coloc.core.measurements import VehicleClass
+from gcs_coloc.planning.load import load_plan
+from gcs_coloc.planning.plan_files import read_plan_file
+
+SCENARIOS = Path(__file__).resolve().parents[3] / "sitl_fakes/scenarios"
+
+
+def item(command, lat=47.0, lon=8.0, alt=100.0, frame=3, params=(0, 0, 0, None)):
+    return {"type": "SimpleItem", "command": command, "frame": frame, "autoContinue": True, "params": [*params, lat, lon, alt]}
+
+
+def qgc(tmp_path, items, **more):
+    mission = {"cruiseSpeed": 18, "hoverSpeed": 6, "vehicleType": 1, "plannedHomePosition": [47.0, 8.0, 500.0], "items": items}
+    path = tmp_path / "a.plan"
+    path.write_text(json.dumps({"fileType": "Plan", "mission": mission | more}))
+    return path
+
+
+def wpl(tmp_path, *rows, header="QGC WPL 110"):
+    path = tmp_path / "a.waypoints"
+    path.write_text("\r\n".join([header, *rows]))
+    return path
+
+
+HOME = "0\t1\t0\t16\t0\t0\t0\t0\t47.0\t8.0\t500\t1"
+ROW = "1\t0\t3\t16\t0\t0\t0\t0\t47.01\t8.0\t100\t1"
+
+
+WRONG_FRAME = ROW.replace("3\t16", "9\t16")
+
+
+def test_a_plan_of_qgroundcontrol_gives_its_places_speeds_and_stays(tmp_path):
+    loiter = item(19, 47.01, 8.01, params=(30, 0, 120, None))
+    change, camera = item(178, 0, 0, 0, 2, (0, 12, -1, 0)), item(206, 0, 0, 0, 2)
+    survey = {"type": "ComplexItem", "complexItemType": "survey", "TransectStyleComplexItem": {"Items": [item(16, 47.03)]}}
+    path = qgc(tmp_path, [item(22), item(16, 47.01), change, camera, loiter, survey, item(20, 0, 0, 0), item(16, 48.0)])
+    read = read_plan_file(path, None, None)
+    (mission,) = read.missions
+    assert mission.begin == (47.0, 8.0, 500.0)
+    assert mission.vehicle_class is VehicleClass.PLANE
+    assert [leg.end for leg in mission.legs] == [
+        *((47.0, 8.0, 600.0), (47.01, 8.0, 600.0), (47.01, 8.01, 600.0), (47.03, 8.0, 600.0), (47.0, 8.0, 600.0))
+    ]
+    assert [leg.speed_mps for leg in mission.legs] == [18, 18, 12, 12, 12]
+    assert (mission.legs[2].hold_s, mission.legs[2].radius_m) == (30.0, 120.0)
+    assert read.remarks == (f"{path}: item 4: command 206 is no waypoint and is skipped",)
+
+
+def test_a_copter_of_a_plan_hovers_and_flies_at_its_hover_speed(tmp_path):
+    (mission,) = read_plan_file(qgc(tmp_path, [item(16, params=(5, 0, 0, None))], vehicleType=2), None, None).missions
+    assert mission.vehicle_class is VehicleClass.MULTIROTOR
+    assert (mission.legs[0].speed_mps, mission.legs[0].hold_s, mission.legs[0].radius_m) == (6, 5, 0.0)
+
+
+def test_a_file_of_mission_planner_gives_home_and_heights_above_it(tmp_path):
+    read = read_plan_file(wpl(tmp_path, HOME, ROW, ROW.replace("3\t16", "0\t16").replace("47.01", "47.02")), None, None)
+    (mission,) = read.missions
+    assert mission.begin == (47.0, 8.0, 500.0)
+    assert [leg.end for leg in mission.legs] == [(47.01, 8.0, 600.0), (47.02, 8.0, 100.0)]
+    assert "the file states no speed; 15 m/s is taken" in read.remarks[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "not valid JSON"),
+        ("{}", "mission: expected an object with items"),
+        ("QGC WPL 120\n", "line 1: is 'QGC WPL 120', expected 'QGC WPL 110'"),
+        ("QGC WPL 110\n", "expected home and waypoints after the first line"),
+        (f"QGC WPL 110\n{HOME}\n1 2 3\n", "line 3: has 3 columns, expected 12"),
+        (f"QGC WPL 110\n{HOME}\n{ROW.replace('47.01', 'north')}\n", "line 3: latitude is 'north', expected a number"),
+        (f"QGC WPL 110\n{HOME}\n{ROW.replace('47.01', '147')}\n", "item 1: latitude is 147, expected degrees from -90 to 90"),
+        (f"QGC WPL 110\n{HOME}\n{WRONG_FRAME}\n", "item 1: frame is 9, expected one of 0, 3, 5, 6, 10, 11"),
+        (f"QGC WPL 110\n{HOME}\n", "expected two places at least"),
+        ("lat,lon\n1,2\n", "expected a QGroundControl .plan (JSON), 'QGC WPL 110' in the first line, or a scenario"),
+    ],
+)
+def test_a_malformed_file_is_told_with_file_place_and_what_was_expected(tmp_path, text, said):
+    path = tmp_path / "bad.txt"
+    path.write_text(text)
+    with pytest.raises(DataError) as error:
+        read_plan_file(path, None, None)
+    assert str(error.value).startswith(f"{path}: ")
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("broken", "said"),
+    [
+        (
+            {"type": "SimpleItem", "command": 16, "frame": 3, "params": [1, 2]},
+            "item 1: params is [1, 2], expected a list of 7 numbers",
+        ),
+        ({"type": "Simple"}, "item 1: type is 'Simple', expected SimpleItem or ComplexItem"),
+        (item("16"), "item 1: command is '16', expected a number"),
+        (item(16, "47"), "item 1: latitude is '47', expected a number"),
+        (item(16, math.nan), "item 1: latitude is nan, expected a number"),
+        (7, "item 1: is 7, expected an object"),
+    ],
+)
+def test_a_malformed_item_of_a_plan_is_named_by_its_number(tmp_path, broken, said):
+    with pytest.raises(DataError, match=r"a\.plan: item 1: ") as error:
+        read_plan_file(qgc(tmp_path, [broken]), None, None)
+    assert said in str(error.value)
+
+
+def test_a_file_that_cannot_be_read_is_told(tmp_path):
+    with pytest.raises(DataError, match="cannot be read: No such file"):
+        read_plan_file(tmp_path / "none.plan", None, None)
+    (tmp_path / "x.plan").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(DataError, match="is no text"):
+        read_plan_file(tmp_path / "x.plan", None, None)
+
+
+def test_a_scenario_brings_its_vehicles_stations_and_noise():
+    plan = load_plan([SCENARIOS / "stations.toml"])
+    assert [vehicle.sysid for vehicle in plan.vehicles] == [4]
+    assert sorted(station.station_id for station in plan.stations) == [1, 2, 3, 4]
+    assert plan.assumptions.max_range_m == 3000.0
+    assert plan.span_s == (0.0, 300.0)
+    # Round again from the first waypoint: 3.2 km at 22 m/s is two rounds.
+    path = plan.paths[4]
+    assert [abs(path.position(at)[:2] - path.position(at + 142.0)[:2]).max() < 250.0 for at in (20.0, 60.0, 100.0)] == [True] * 3
+
+
+def test_files_are_numbered_in_their_order_and_start_when_told(tmp_path):
+    first = qgc(tmp_path, [item(16, 47.01)])
+    plan = load_plan([first, first], starts_s={2: 40.0}, stations=[(3, (47.0, 8.02, 510.0))], assumed={"range_sigma_m": 2.0})
+    assert [(v.sysid, v.start_s) for v in plan.vehicles] == [(1, 0.0), (2, 40.0)]
+    assert plan.stations[0].position_enu_m[0] == pytest.approx(1522.0, abs=5.0)
+    assert plan.assumptions.range_sigma_m == 2.0
+    with pytest.raises(UsageError, match=r"--start 9=...: there is no vehicle 9; there are 1, 2"):
+        load_plan([first, first], starts_s={9: 1.0})
+    with pytest.raises(UsageError, match="range_sigma_m must be above 0"):
+        load_plan([first], assumed={"range_sigma_m": 0.0})
