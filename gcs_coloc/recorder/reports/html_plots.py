@@ -5,52 +5,15 @@ Each is drawn twice, for a light page and for a dark one.
 
 from __future__ import annotations
 
-import base64
-import io
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
 from gcs_coloc.recorder.journal import VehicleEntry
+from gcs_coloc.recorder.reports.html_page import Ink, PlotImage, in_both_inks
 
 _NIS_TICKS = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 1e3, 1e4, 1e5, 1e6)
-
-
-@dataclass(frozen=True, slots=True)
-class PlotImage:
-    """One picture as two data URLs."""
-
-    light: str
-    dark: str
-
-
-@dataclass(frozen=True, slots=True)
-class _Ink:
-    """The colours of the lines, and matplotlib's settings for everything else."""
-
-    blue: str
-    red: str
-    grey: str
-    band: str
-    surroundings: Mapping[str, str] = field(default_factory=dict)
-
-
-_PAPER, _TEXT, _LINE = "#1b2128", "#e6eaee", "#5c6670"
-_LIGHT = _Ink("#0072b2", "#d55e00", "#999999", "#d9d9d9")
-_DARK = _Ink(
-    "#56b4e9",
-    "#ff8a4c",
-    "#8a949e",
-    "#36404a",
-    {
-        **dict.fromkeys(("figure.facecolor", "axes.facecolor", "legend.facecolor"), _PAPER),
-        **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.color", "ytick.color"), _TEXT),
-        **dict.fromkeys(("axes.edgecolor", "legend.edgecolor", "grid.color"), _LINE),
-    },
-)
 
 
 def map_picture(history: FlightHistory) -> PlotImage | None:
@@ -59,15 +22,15 @@ def map_picture(history: FlightHistory) -> PlotImage | None:
     frame = history.frame
     if frame is None or not any(located.values()):
         return None
-    return _in_both_inks(lambda figure, ink: _draw_map(figure, ink, frame, located))
+    return in_both_inks(lambda figure, ink: _draw_map(figure, ink, frame, located))
 
 
 def vehicle_picture(history: FlightHistory, track: Sequence[VehicleEntry]) -> PlotImage:
     """One vehicle over time: 95 % bound and 1-sigma, HDOP and ranges in use, NIS with its band; shaded where it had no GPS."""
-    return _in_both_inks(lambda figure, ink: _draw_vehicle(figure, ink, history, track))
+    return in_both_inks(lambda figure, ink: _draw_vehicle(figure, ink, history, track))
 
 
-def _draw_map(figure: Any, ink: _Ink, frame: LocalFrame, located: Mapping[int, Sequence[VehicleEntry]]) -> None:
+def _draw_map(figure: Any, ink: Ink, frame: LocalFrame, located: Mapping[int, Sequence[VehicleEntry]]) -> None:
     axes = figure.subplots()
     for sysid, track in sorted(located.items()):
         if not track:
@@ -85,7 +48,7 @@ def _draw_map(figure: Any, ink: _Ink, frame: LocalFrame, located: Mapping[int, S
     figure.legend(loc="outside upper center", ncols=2)
 
 
-def _draw_vehicle(figure: Any, ink: _Ink, history: FlightHistory, track: Sequence[VehicleEntry]) -> None:
+def _draw_vehicle(figure: Any, ink: Ink, history: FlightHistory, track: Sequence[VehicleEntry]) -> None:
     from matplotlib import ticker
 
     start_s = history.counts.first_s
@@ -142,23 +105,3 @@ def _only(x: list[float], y: list[float], flags: list[bool]) -> tuple[list[float
 
 def _or_nan(value: float | None) -> float:
     return value if value is not None else float("nan")
-
-
-def _in_both_inks(draw: Callable[[Any, _Ink], None]) -> PlotImage:
-    return PlotImage(*(_picture(draw, ink) for ink in (_LIGHT, _DARK)))
-
-
-def _picture(draw: Callable[[Any, _Ink], None], ink: _Ink) -> str:
-    try:
-        from matplotlib import rc_context
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError('the report\'s pictures need matplotlib: pip install "gcs-coloc[plots]"') from error
-    buffer = io.BytesIO()
-    with rc_context(dict(ink.surroundings)):
-        figure = Figure(figsize=(9.0, 7.0), layout="constrained")
-        FigureCanvasAgg(figure)
-        draw(figure, ink)
-        figure.savefig(buffer, format="png", dpi=100)
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

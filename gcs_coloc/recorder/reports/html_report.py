@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from html import escape
 from statistics import median
@@ -11,27 +11,10 @@ from typing import Any
 from gcs_coloc.core.measurements import count_reasons
 from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
 from gcs_coloc.recorder.journal import EVERY_S, VehicleEntry
-from gcs_coloc.recorder.reports.html_plots import PlotImage, map_picture, vehicle_picture
+from gcs_coloc.recorder.reports.html_page import HEAD, image, table
+from gcs_coloc.recorder.reports.html_plots import map_picture, vehicle_picture
 
 _MAX_NOTICES = 500
-_HEAD = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<style>
-:root { --page: #fff; --text: #1a1a1a; --line: #ccc; --bad: #a33c00 }
-@media (prefers-color-scheme: dark) { :root { --page: #1b2128; --text: #e6eaee; --line: #36404a; --bad: #ff8a4c } }
-body { font: 16px/1.45 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem;
-  color: var(--text); background: var(--page); overflow-wrap: break-word }
-.scroll { overflow-x: auto; margin: .6rem 0 } .scroll:focus-visible { outline: 2px solid }
-table { border-collapse: collapse }
-th, td { border-bottom: 1px solid var(--line); padding: .25rem .7rem; text-align: left }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums }
-img { max-width: 100% }
-.bad { color: var(--bad); font-weight: 600 }
-</style>
-"""
 
 
 def page(history: FlightHistory) -> str:
@@ -42,11 +25,11 @@ def page(history: FlightHistory) -> str:
     """
     results = history.report.as_dict()
     title = f"Flight {history.file.name}"
-    parts = [_HEAD, f"<title>{escape(title)}</title></head><body><main><h1>{escape(title)}</h1>", _summary(history, results)]
+    parts = [HEAD, f"<title>{escape(title)}</title></head><body><main><h1>{escape(title)}</h1>", _summary(history, results)]
     picture = map_picture(history)
     if picture is not None and history.frame is not None:
         origin = f"{history.frame.lat_deg:.7f}, {history.frame.lon_deg:.7f}"
-        parts.append(_image("Map of the tracks, east over north", picture))
+        parts.append(image("Map of the tracks, east over north", picture))
         parts.append(f"<p>East and north of {origin}, where the fleet's first fix was, as on the live page's map.</p>")
     parts.append("<h2>GPS failures</h2>" + _health(history))
     for vehicle in results["vehicles"]:
@@ -76,7 +59,7 @@ def _health(history: FlightHistory) -> str:
         (f"{change.at_s - history.counts.first_s:.1f}", str(change.sysid), change.before, change.after, change.reason)
         for change in history.health
     )
-    return _table("GPS failures", ("s", "vehicle", "GPS was", "became", "because"), rows, numbers=(0, 1))
+    return table("GPS failures", ("s", "vehicle", "GPS was", "became", "because"), rows, numbers=(0, 1))
 
 
 def _vehicle(history: FlightHistory, vehicle: Mapping[str, Any], track: Sequence[VehicleEntry]) -> str:
@@ -102,12 +85,7 @@ def _vehicle(history: FlightHistory, vehicle: Mapping[str, Any], track: Sequence
     rows.extend((f"not located for {times * EVERY_S:.1f} s", reason) for reason, times in reasons.items())
     alt = f"Vehicle {sysid} over time: bound and sigma, HDOP and ranges in use, NIS"
     title = f"Vehicle {sysid} without its GPS"
-    return f"<h2>{title}</h2>" + _table(title, ("", ""), rows) + _image(alt, vehicle_picture(history, track))
-
-
-def _image(alt: str, picture: PlotImage) -> str:
-    dark = f'<source media="(prefers-color-scheme: dark)" srcset="{picture.dark}">'
-    return f'<picture>{dark}<img alt="{alt}" src="{picture.light}"></picture>'
+    return f"<h2>{title}</h2>" + table(title, ("", ""), rows) + image(alt, vehicle_picture(history, track))
 
 
 def _score(score: Mapping[str, Any] | None) -> list[tuple[str, str]]:
@@ -126,7 +104,7 @@ def _counts(what: str, counts: Mapping[str, int]) -> str:
     if not counts:
         return f"<p>Nothing {escape(what.split(',')[0])}.</p>"
     rows = ((_spaced(reason), str(times)) for reason, times in sorted(counts.items(), key=lambda item: -item[1]))
-    return _table(f"Refused {what}", (what, "times"), rows, numbers=(1,))
+    return table(f"Refused {what}", (what, "times"), rows, numbers=(1,))
 
 
 def _notices(history: FlightHistory) -> str:
@@ -137,20 +115,7 @@ def _notices(history: FlightHistory) -> str:
     )
     left_out = len(history.notices) - len(shown)
     more = f"<p>{left_out} further lines are left out.</p>" if left_out else ""
-    return _table("Messages to the operator", ("s", "vehicle", "level", "text"), rows, numbers=(0,)) + more
-
-
-def _table(name: str, heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()) -> str:
-    """One table under its name for screen readers; one that is too wide is scrolled, also by keyboard."""
-
-    def cells(tag: str, row: Sequence[str]) -> str:
-        kind = {True: ' class="n"', False: ""}
-        return "".join(f"<{tag}{kind[i in numbers]}>{escape(text)}</{tag}>" for i, text in enumerate(row))
-
-    head = f"<thead><tr>{cells('th', heads)}</tr></thead>" if any(heads) else ""
-    body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
-    table = f"<table>{head}<tbody>{body}</tbody></table>"
-    return f'<div class="scroll" tabindex="0" role="group" aria-label="{escape(name)}">{table}</div>'
+    return table("Messages to the operator", ("s", "vehicle", "level", "text"), rows, numbers=(0,)) + more
 
 
 def _spaced(reason: str) -> str:
