@@ -17,7 +17,7 @@ from bench.accuracy_flights import Case, Recording, record
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import Estimate, FloatArray, Measurement, NoEstimate
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.study.monte_carlo import Result, Task, run_tasks
+from gcs_coloc.runtime.process_pool import Result, Task, run_tasks
 
 
 class Locator(Protocol):

@@ -1,4 +1,4 @@
-"""Monte Carlo runs over seeds on several cores, with progress; the order is the same on any number of cores."""
+"""A pool of processes for tasks on several cores, with progress; the results are in order on any number of cores."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.study.monte_carlo import Progress, run_tasks
+from gcs_coloc.runtime.process_pool import Progress, run_tasks
 from gcs_coloc.study.paper_filters import KINDS
 from gcs_coloc.study.paper_options import PUBLISHED_TABLE_2, PaperOptions
 from gcs_coloc.study.paper_runs import (

@@ -13,9 +13,9 @@ from pathlib import Path
 import gcs_coloc
 from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.runtime.output_paths import make_output_directory
+from gcs_coloc.runtime.process_pool import iterate_tasks
 from gcs_coloc.study.integrity.flight_classes import CLASSES
 from gcs_coloc.study.integrity.trial import EventKind, TrialEvent, TrialScore, fly_trial
-from gcs_coloc.study.monte_carlo import iterate_tasks
 
 _FLIGHTS = "flights.jsonl"
 

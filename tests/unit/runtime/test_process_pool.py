@@ -1,6 +1,6 @@
 from math import factorial
 
-from gcs_coloc.study.monte_carlo import iterate_tasks, run_tasks
+from gcs_coloc.runtime.process_pool import iterate_tasks, run_tasks
 
 
 def test_results_come_in_the_order_of_the_tasks_and_progress_is_told() -> None:
