@@ -64,7 +64,7 @@ def _fleet(snapshot: FleetSnapshot, name: str, console: Console, width: int, hei
         return len(Text(text).wrap(console, width))
 
     title = f"gcs-coloc{f', fleet {name}' if name else ''}, estimator {snapshot.estimator}"
-    refused = sum(snapshot.refused.values())
+    refused = ", ".join(f"{reason} {times}" for reason, times in snapshot.refused.items() if times)
     below = [*([f"refused: {refused}"] if refused else []), *map(out_line, snapshot.outs)]
     if not snapshot.vehicles:
         return [title, "no vehicle heard yet", *below]

@@ -70,7 +70,7 @@ def test_the_table_shows_all_that_matters_of_each_vehicle():
     assert re.search(r"^5 +failed +0.1 s +- +- +- +- +0 +no fix", text, re.MULTILINE)
     assert "4 Kite: no 3D fix: fix type 1, HDOP 1.4, sending 3D fix" in text
     assert "5: silence, position unknown: no ranges for 6 s, sending no fix" in text
-    assert "refused: 3" in text
+    assert "refused: bad_crc 3" in text
 
 
 WIDEST = replace(
