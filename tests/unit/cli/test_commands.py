@@ -90,13 +90,13 @@ def test_evaluate_names_the_place_of_a_mistake(data_set):
 
 
 def test_study_paper_prints_table_2_and_writes_its_files(tmp_path):
-    flags = ["--seeds", "2", "--fleet-seeds", "0", "--q", "5", "--q", "20", "--cycle", "0.1", "--jobs", "1"]
+    flags = ["--seeds", "2", "--fleet-seeds", "0", "--q", "5", "--q", "20", "--cycle", "0.5", "--jobs", "1"]
     told = gcs_coloc("study", "paper", *flags, "--out", str(tmp_path))
     assert told.returncode == 0, told.stderr
     assert "14.5" in told.stdout  # the paper's own figure beside ours
     assert {"table2.csv", "study.json", "figure5.png", "figure6.png", "figure7.png"} <= {p.name for p in tmp_path.iterdir()}
     options = json.loads((tmp_path / "study.json").read_text())["readings"]
-    assert (options["step_s"], options["seeds"], options["qs"]) == (0.1, 2, [5.0, 20.0])
+    assert (options["step_s"], options["seeds"], options["qs"]) == (0.5, 2, [5.0, 20.0])
 
 
 def test_study_bound_tells_the_least_error(tmp_path):
