@@ -59,7 +59,7 @@ def estimate_of_search(
     vehicle: int, record: VehicleRecord, search: PositionSearch, at_s: float, settings: FleetSettings
 ) -> Estimate | NoEstimate:
     """Estimate a denied vehicle that is searched, where all places that fit are one."""
-    place = predicted_search(search, record.profile, at_s, settings).place()
+    place = None if search.is_open else predicted_search(search, record.profile, at_s, settings).place()
     if place is None:
         return NoEstimate(vehicle, at_s, f"ambiguous: {len(search.mean)} places fit the ranges")
     mean, covariance = place

@@ -15,6 +15,9 @@ _PRUNED_LOG_WEIGHT = -15.0
 _MERGED_NIS = 0.3
 """Chosen: components closer than half a sigma are one; neighbours on a circle are farther apart."""
 
+_ALIKE = 4.0
+"""Chosen: components whose variances differ by more are not one, wherever they are."""
+
 
 def update(
     x: FloatArray, P: FloatArray, H: FloatArray, innovation: FloatArray, R: FloatArray
@@ -51,6 +54,8 @@ def merged(x: FloatArray, P: FloatArray, w: FloatArray) -> tuple[FloatArray, Flo
         d = x[left] - x[i]
         trace = P[left, :3, :3].trace(axis1=1, axis2=2)
         near = (d[:, :3] ** 2).sum(axis=1) <= _MERGED_NIS * (trace + trace[0])
+        # A narrow component in the middle of a wide one says something else.
+        near &= (trace <= _ALIKE * trace[0]) & (trace[0] <= _ALIKE * trace)
         close = d[near]
         near[near] = np.einsum("ki,ki->k", close, np.linalg.solve(P[left[near]] + P[i], close[:, :, None])[:, :, 0]) < _MERGED_NIS
         group = left[near]

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.estimators.fleet.gaussian_mixture import merged, moments, pruned, update
@@ -42,6 +43,8 @@ _GATE_NIS = 16.0
 """Chosen: as the gate of the filter; a component that a range does not fit keeps its state and loses this much."""
 _LEAST_RANGES = 12
 """Chosen: with fewer ranges one that is reflected may decide between two places."""
+_LEAST_AGREED = 2
+"""Chosen: so many ranges in a row must leave one place; a single one that is an outlier may fit a wrong one."""
 _REFUSED_MOST = 10
 """Chosen: when so many ranges in a row fit no component, none of them is the vehicle's place."""
 _LEAST_DISTANCE_M = 0.1
@@ -73,7 +76,8 @@ class PositionSearch:
     """A sum of k Gaussians of position and velocity at a time. Immutable: every step returns a new one.
 
     `mean` (k, 6), `covariance` (k, 6, 6), `log_weight` (k,), the largest 0. `other_mean` (10,) and `other_covariance` (10, 10)
-    are the rest of the vehicle's states, which go on unchanged. `uses` counts the ranges with each peer.
+    are the rest of the states, which go on unchanged. `uses` counts the ranges with each peer, `agreed` those in a
+    row after which one place was left.
     """
 
     at_s: float
@@ -84,12 +88,18 @@ class PositionSearch:
     other_covariance: FloatArray
     uses: Mapping[int, int]
     refused: int = 0
+    agreed: int = _LEAST_AGREED
 
     @staticmethod
     def of_state(mean: FloatArray, covariance: FloatArray, at_s: float) -> PositionSearch:
         """Return the search that begins with one vehicle's mean (16,) and covariance (16, 16)."""
         P = covariance.copy()
         return PositionSearch(at_s, mean[None, :6].copy(), P[None, :6, :6], np.zeros(1), mean[6:].copy(), P[6:, 6:], {})
+
+    @property
+    def is_open(self) -> bool:
+        """Whether several places fitted lately. Time blurs them but makes them no one place, and one range may be an outlier."""
+        return self.agreed < _LEAST_AGREED
 
     @property
     def is_lost(self) -> bool:
@@ -127,15 +137,14 @@ class PositionSearch:
     def with_range(self, circle: RangeCircle) -> PositionSearch:
         """Return the search after a range: components too wide for it are split along its circle, all are corrected."""
         use = self.uses.get(circle.peer, 0) + 1
-        x, P, w = self.mean, self.covariance, self.log_weight
+        x, P, w = self._few_wide(circle, use)
         d = x[:, :3] - circle.position_m
         distance = np.maximum(np.linalg.norm(d, axis=1), _LEAST_DISTANCE_M)
         u = d / distance[:, None]
         noise = self._noise(circle, u, P, use)
-        wide = np.flatnonzero(P[:, 0, 0] + P[:, 1, 1] > _SPLIT * max(circle.range_m, _LEAST_DISTANCE_M) * np.sqrt(noise))
-        wide = wide[np.argsort(-w[wide], kind="stable")][:_MOST_SPLIT]
-        kept = np.setdiff1d(np.arange(len(x)), wide)
-        parts = [self._split(int(i), circle, use) for i in wide]
+        wide = _is_wide(P, circle, noise)
+        kept = np.flatnonzero(~wide)
+        parts = [self._split((x[i], P[i], float(w[i])), circle, use) for i in np.flatnonzero(wide)]
         fits = False
         if len(kept):
             H = np.zeros((len(kept), 1, 6))
@@ -153,9 +162,28 @@ class PositionSearch:
             parts.append((cx, cP, w[kept] - 0.5 * np.minimum(nis, _GATE_NIS) - 0.5 * log_det))
         x, P, w = (np.concatenate([part[i] for part in parts]) for i in range(3))
         x, P, w = merged(*pruned(x, P, w))
-        refusals = 0 if fits or len(wide) else self.refused + 1
+        refusals = 0 if fits or wide.any() else self.refused + 1
         uses = {**self.uses, circle.peer: use}
-        return replace(self, mean=x, covariance=P, log_weight=w, uses=uses, refused=refusals)
+        found = replace(self, mean=x, covariance=P, log_weight=w, uses=uses, refused=refusals)
+        return replace(found, agreed=self.agreed + 1 if found.place() is not None else 0)
+
+    def _few_wide(self, circle: RangeCircle, use: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the components with so few that are too wide for a range that all of them can be split along its circle.
+
+        A gap blurs components until they overlap: these are one. What is beyond the limit becomes one too.
+        """
+        x, P, w = self.mean, self.covariance, self.log_weight
+        for merge in (merged, _tail_merged):
+            d = x[:, :3] - circle.position_m
+            u = d / np.maximum(np.linalg.norm(d, axis=1), _LEAST_DISTANCE_M)[:, None]
+            wide = _is_wide(P, circle, self._noise(circle, u, P, use))
+            if int(wide.sum()) <= _MOST_SPLIT:
+                break
+            total = _log_sum(w[wide])
+            mx, mP, mw = merge(x[wide], P[wide], w[wide])
+            mw = mw + total - _log_sum(mw)
+            x, P, w = (np.concatenate(both) for both in ((x[~wide], mx), (P[~wide], mP), (w[~wide], mw)))
+        return x, P, w
 
     def _noise(self, circle: RangeCircle, u: FloatArray, P: FloatArray, use: int) -> FloatArray:
         """Return the variance (k,) of a range that brings all of them, with the peer's lasting error, to their joint information.
@@ -168,9 +196,11 @@ class PositionSearch:
         earlier = np.where(p > c, np.minimum(use - 1, r / np.maximum(p - c, _ROUNDING_M2)), use - 1)
         return np.asarray((r + (earlier + 1.0) * c) * (r + earlier * c) / r)
 
-    def _split(self, i: int, circle: RangeCircle, use: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _split(
+        self, component: tuple[FloatArray, FloatArray, float], circle: RangeCircle, use: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the components of one, split along the circle of a range, eq. (27): means, covariances, log weights."""
-        x, P = self.mean[i], self.covariance[i]
+        x, P, log_weight = component
         reach_m = max(circle.range_m, _LEAST_DISTANCE_M)
         sigma_m = math.sqrt(circle.variance_m2 + float(np.trace(circle.covariance_m2)) / 3.0 * use)
         fine_m = math.sqrt(reach_m * sigma_m)
@@ -208,7 +238,7 @@ class PositionSearch:
         # The weights of the points are shares of the component's, so their noise along the circle adds no evidence.
         share = 0.5 * math.log(2.0 * math.pi) if levels == 1 else math.log(2.0 * math.pi)
         scale = 0.5 * np.log(noise_m2[:, 1:]).sum(axis=1)
-        return cx, cP, self.log_weight[i] - 0.5 * nis - 0.5 * log_det + scale - share
+        return cx, cP, log_weight - 0.5 * nis - 0.5 * log_det + scale - share
 
     def place(self) -> tuple[FloatArray, FloatArray] | None:
         """Return mean (6,) and covariance (6, 6) where all components that matter are at one place; None while several fit.
@@ -238,7 +268,7 @@ class PositionSearch:
     def settled(self, distance_m: float, range_sigma_m: float) -> tuple[FloatArray, FloatArray] | None:
         """Return mean (16,) and covariance (16, 16) where the place is one, and narrow enough to linearise a range."""
         place = self.place()
-        if place is None or sum(self.uses.values()) < _LEAST_RANGES:
+        if place is None or self.is_open or sum(self.uses.values()) < _LEAST_RANGES:
             return None
         mean, covariance = place
         if float(covariance[0, 0] + covariance[1, 1]) > _NARROW * max(distance_m, _LEAST_DISTANCE_M) * range_sigma_m:
@@ -246,3 +276,26 @@ class PositionSearch:
         P = np.zeros((len(self.other_mean) + 6,) * 2)
         P[:6, :6], P[6:, 6:] = covariance, self.other_covariance
         return np.concatenate([mean, self.other_mean]), P
+
+
+def _is_wide(P: FloatArray, circle: RangeCircle, noise_m2: FloatArray) -> NDArray[np.bool_]:
+    """Return which components (k,) are too wide to linearise a range."""
+    wide: NDArray[np.bool_] = P[:, 0, 0] + P[:, 1, 1] > _SPLIT * max(circle.range_m, _LEAST_DISTANCE_M) * np.sqrt(noise_m2)
+    return wide
+
+
+def _tail_merged(x: FloatArray, P: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the likeliest components, and all others as one."""
+    order = np.argsort(-w, kind="stable")
+    first, rest = order[: _MOST_SPLIT - 1], order[_MOST_SPLIT - 1 :]
+    mean, covariance = moments(x[rest], P[rest], np.exp(w[rest]))
+    return (
+        np.concatenate([x[first], mean[None]]),
+        np.concatenate([P[first], covariance[None]]),
+        np.append(w[first], _log_sum(w[rest])),
+    )
+
+
+def _log_sum(log_weight: FloatArray) -> float:
+    most = float(log_weight.max())
+    return most + math.log(float(np.exp(log_weight - most).sum()))
