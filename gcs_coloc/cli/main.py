@@ -41,6 +41,7 @@ SUBCOMMANDS = {
     "evaluate": "evaluate",
     "calibrate": "calibrate",
     "import": "import_data",
+    "plan": "plan",
     "study": "study",
 }
 """Command to the module beside this one that has it: as a function of the command's name, or as its `app`."""

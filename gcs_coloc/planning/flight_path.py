@@ -27,6 +27,8 @@ STEP_S = 0.5
 """Step of the flight. Chosen: 10 m at 20 m/s; turns within it are arcs."""
 _AHEAD_S = 2.0
 _LEAST_AHEAD_RADII = 1.2
+_SAME_PLACE_M = 0.5
+"""Chosen: files round coordinates to centimetres; a leg shorter than this leads up or down alone."""
 _LONGEST_S = 24.0 * 3600.0
 _SHARPEST_RAD = math.radians(150.0)
 _MOST_EARLY_M = 90.0
@@ -106,7 +108,7 @@ class _Pilot:
         self._sideways_mps2, self._banks = sideways_mps2, banks
         self._e, self._n, self._u = begin
         self._from = begin
-        self._heading = self._course(0) if self._legs else 0.0
+        self._heading = self._first_course()
         self._rows: list[tuple[float, ...]] = []
 
     def fly(self, most: int) -> FloatArray:
@@ -125,7 +127,7 @@ class _Pilot:
     def _fly_leg(self, at: int, leg: Leg, most: int) -> None:
         (fe, fn, fu), (te, tn, tu) = self._from, leg.end_enu_m
         length = math.hypot(te - fe, tn - fn)
-        if length < 1e-3:
+        if length < _SAME_PLACE_M:
             self._climb(leg, most)
             return
         ue, un = (te - fe) / length, (tn - fn) / length
@@ -182,6 +184,14 @@ class _Pilot:
             return 0.0
         turn = abs(math.remainder(self._course(at + 1) - self._course(at), 2.0 * math.pi))
         return min(radius * math.tan(0.5 * min(turn, _SHARPEST_RAD)), 0.5 * length, _MOST_EARLY_M)
+
+    def _first_course(self) -> float:
+        """Return the course of the first leg that leads anywhere but up."""
+        for leg in self._legs:
+            east, north = leg.end_enu_m[0] - self._from[0], leg.end_enu_m[1] - self._from[1]
+            if math.hypot(east, north) > _SAME_PLACE_M:
+                return math.atan2(east, north)
+        return 0.0
 
     def _course(self, at: int) -> float:
         begin = self._legs[at - 1].end_enu_m if at else self._from

@@ -1,0 +1,157 @@
+"""`gcs-coloc plan`: where along planned ways vehicles would be located if their GPS failed."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from gcs_coloc.core.errors import UsageError
+from gcs_coloc.core.measurements import VehicleClass
+from gcs_coloc.planning.assessment import Assessment, assess
+from gcs_coloc.planning.fleet_plan import FleetPlan
+from gcs_coloc.planning.improvement import find_improvement
+from gcs_coloc.planning.load import load_plan
+from gcs_coloc.runtime.output_paths import check_output_file
+
+_FILE_WIDTH = 140  # of a table that goes to a file or pipe
+_NOT_ENOUGH = 1
+
+
+def plan(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="QGroundControl .plan, Mission Planner .waypoints or scenario .toml, one a vehicle.", metavar="PLAN..."
+        ),
+    ],
+    start: Annotated[
+        list[str] | None, typer.Option(help="VEHICLE=SECONDS: when a vehicle starts; 0 unless told. Several times for several.")
+    ] = None,
+    speed: Annotated[
+        float | None, typer.Option(help="Speed of all vehicles, m/s; as their plans say unless told.", min=0.1, max=200.0)
+    ] = None,
+    vehicle_class: Annotated[
+        VehicleClass | None, typer.Option("--class", help="How the vehicles move; as their plans say unless told.")
+    ] = None,
+    station: Annotated[
+        list[str] | None, typer.Option(help="ID=LAT,LON,ALT: a fixed station, degrees and metres above sea level.")
+    ] = None,
+    max_range: Annotated[float | None, typer.Option(help="Longest range, m.")] = None,
+    range_sigma: Annotated[float | None, typer.Option(help="1-sigma of a range, m.")] = None,
+    range_rate: Annotated[float | None, typer.Option(help="Ranges per second of each pair.")] = None,
+    position_sigma: Annotated[float | None, typer.Option(help="1-sigma of a healthy vehicle's position, each axis, m.")] = None,
+    alert_limit: Annotated[float | None, typer.Option(help="No fix beyond this protection level, m.")] = None,
+    no_air_data: Annotated[bool, typer.Option("--no-air-data", help="Planes send no attitude and airspeed.")] = False,
+    pairs: Annotated[bool, typer.Option("--pairs", help="Every pair of vehicles without GPS too.")] = False,
+    improve: Annotated[bool, typer.Option(help="Look for the one change that helps most.")] = True,
+    require: Annotated[
+        float | None,
+        typer.Option(help="Share of each flight that needs a fix: exit code 1 where one has less.", min=0.0, max=1.0),
+    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Write the report as one HTML page into this file.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    csv: Annotated[Path | None, typer.Option("--csv", help="Write every step into this file.")] = None,
+    geojson: Annotated[Path | None, typer.Option(help="Write the ways, cut where a fix begins or ends, into this file.")] = None,
+    jobs: Annotated[int, typer.Option(help="Processes; 0 is one per core.", min=0)] = 0,
+) -> None:
+    """Predict along planned ways where vehicles would have a fix from ranges if their GPS failed, and what limits it."""
+    from gcs_coloc.planning import plan_tables
+
+    for path, option in ((report, "--report"), (csv, "--csv"), (geojson, "--geojson")):
+        check_output_file(path, option)
+    assumed = {
+        "max_range_m": max_range, "range_sigma_m": range_sigma, "range_rate_hz": range_rate, "position_sigma_m": position_sigma,
+        "alert_limit_m": alert_limit, "has_air_data": False if no_air_data else None,
+    }  # fmt: skip
+    fleet = load_plan(
+        files,
+        vehicle_class=vehicle_class,
+        speed_mps=speed,
+        starts_s=dict(_start(text) for text in start or ()),
+        stations=[_station(text) for text in station or ()],
+        assumed=assumed,
+    )
+    for line in fleet.remarks:
+        print(line, file=sys.stderr)
+    if len(fleet.vehicles) + len(fleet.stations) < 2:
+        raise UsageError("one vehicle alone has nothing to range: give more plans, or --station")
+    jobs = jobs or os.cpu_count() or 1
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bars:
+        task = bars.add_task("predicting", total=None)
+        assessed = assess(
+            fleet, pairs=pairs, jobs=jobs, progress=lambda done, total: bars.update(task, completed=done, total=total)
+        )
+        improvement = None
+        if improve:
+            task = bars.add_task("looking for a change that helps", total=None)
+            improvement = find_improvement(assessed, jobs, lambda done, total: bars.update(task, completed=done, total=total))
+    if csv is not None:
+        plan_tables.write_csv(assessed, csv)
+    if geojson is not None:
+        plan_tables.write_geojson(assessed, geojson)
+    if report is not None:
+        from gcs_coloc.planning.plan_report import page
+
+        report.write_text(page(assessed, improvement), encoding="utf-8")
+    if as_json:
+        print(json.dumps(plan_tables.as_dict(assessed, improvement), indent=2, allow_nan=False))
+    else:
+        Console(width=None if sys.stdout.isatty() else _FILE_WIDTH).print(_table(fleet, assessed))
+        if improvement is not None:
+            print(f"What helps most: {improvement.text}.")
+        for path in filter(None, (report, csv, geojson)):
+            print(f"written: {path}")
+    if require is not None and assessed.least_share < require:
+        print(f"a vehicle has a fix for {assessed.least_share:.1%} of its flight, {require:.1%} are required", file=sys.stderr)
+        raise typer.Exit(_NOT_ENOUGH)
+
+
+def _table(fleet: FleetPlan, assessed: Assessment) -> Table:
+    table = Table()
+    for heading in ("without GPS", "vehicle", "with a fix", "95 % m", "HPL m", "worst stretch", "cause"):
+        table.add_column(heading, justify="left" if heading in ("cause", "without GPS") else "right")
+    for each in (*assessed.singles, *assessed.pairs):
+        p, worst = each.predicted, each.worst
+        when = f"{worst.from_s:.0f} to {worst.until_s:.0f} s" if worst is not None else "-"
+        shown = (f"{value:.1f}" if value == value else "-" for value in (each.median_bound_95_m, each.median_hpl_m))
+        name = fleet.vehicle(p.sysid).name if len(p.denied) == 1 else " and ".join(map(str, p.denied))
+        table.add_row(
+            name, str(p.sysid), f"{p.share_with_fix:.1%}", *shown, when, worst.cause if worst is not None else "not in flight"
+        )
+    return table
+
+
+def _start(text: str) -> tuple[int, float]:
+    vehicle, separator, seconds = text.partition("=")
+    try:
+        start_s = float(seconds)
+        if not separator or not 0.0 <= start_s <= 86_400.0:
+            raise ValueError
+        return int(vehicle), start_s
+    except ValueError:
+        raise UsageError(f"--start {text}: expected VEHICLE=SECONDS with seconds from 0 to 86400, as 2=60") from None
+
+
+def _station(text: str) -> tuple[int, tuple[float, float, float]]:
+    number, separator, place = text.partition("=")
+    try:
+        lat, lon, alt = (float(value) for value in place.split(","))
+        if (
+            not separator
+            or not abs(lat) <= 90.0
+            or not abs(lon) <= 180.0
+            or not abs(alt) <= 20_000.0
+            or not 0 <= int(number) <= 65_535
+        ):
+            raise ValueError
+        return int(number), (lat, lon, alt)
+    except ValueError:
+        raise UsageError(f"--station {text}: expected ID=LAT,LON,ALT in degrees and metres, as 1=47.001,8.002,512") from None

@@ -1,0 +1,148 @@
+"""The assessment of a plan: every vehicle, and every pair where asked, predicted without GPS; the worst stretch and its cause."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+
+from gcs_coloc.planning.fleet_plan import FleetPlan
+from gcs_coloc.planning.prediction import Prediction, predict
+from gcs_coloc.runtime.process_pool import Progress, run_tasks
+
+_LOOKED_AT_S = 30.0
+"""Where there is a fix all along, the worst stretch is of this length."""
+_LIMIT_IN_A_ROW = 2
+"""Steps with a fix that do not end a stretch without: a fix that flickers is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """The worst stretch of one vehicle: from when until when, s; why, in words and as a code; whether a fix is missing in it.
+
+    `hpl_m`: the largest protection level in it, NaN where there is none.
+    """
+
+    from_s: float
+    until_s: float
+    cause: str
+    code: str
+    has_fix: bool
+    hpl_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Outlook:
+    """What is predicted of one vehicle, and its worst stretch. `cannot_tell`: share of the flight of which it says nothing.
+
+    Without an estimate the filter searches; when it finds the vehicle again is for the noise to decide.
+    """
+
+    predicted: Prediction
+    worst: Stretch | None
+    cannot_tell: float
+
+    @property
+    def median_bound_95_m(self) -> float:
+        """Median of the predicted 95 % bound, m; NaN where there is none."""
+        return _median(self.predicted.bound_95_m)
+
+    @property
+    def median_hpl_m(self) -> float:
+        """Median of the protection level, m; NaN where there is none."""
+        return _median(self.predicted.hpl_m)
+
+
+@dataclass(frozen=True, slots=True)
+class Assessment:
+    """A plan with the outlook of each vehicle alone without GPS, and of both vehicles of each pair."""
+
+    plan: FleetPlan
+    singles: tuple[Outlook, ...]
+    pairs: tuple[Outlook, ...] = ()
+
+    @property
+    def worst(self) -> Outlook:
+        """The vehicle with the smallest share of a fix, alone without GPS; of equal ones that of the largest protection level."""
+        return min(self.singles, key=lambda each: (each.predicted.share_with_fix, -np.nan_to_num(each.median_hpl_m, nan=np.inf)))
+
+    @property
+    def least_share(self) -> float:
+        """The smallest share of the flight with a fix of all outlooks."""
+        return min(each.predicted.share_with_fix for each in (*self.singles, *self.pairs))
+
+
+def assess(plan: FleetPlan, *, pairs: bool, jobs: int, progress: Progress) -> Assessment:
+    """Predict each vehicle of a plan, and each pair where asked, on several cores."""
+    sysids = [vehicle.sysid for vehicle in plan.vehicles]
+    denied: list[tuple[int, ...]] = [(sysid,) for sysid in sysids]
+    if pairs:
+        denied += [pair for pair in combinations(sysids, 2) if _meet(plan, *pair)]
+    assert plan.paths  # flown once, here, and handed to all processes
+    found = run_tasks(partial(predict, plan), denied, min(jobs, len(denied)), progress)
+    outlooks = [outlook(predicted) for several in found for predicted in several]
+    return Assessment(plan, tuple(outlooks[: len(sysids)]), tuple(outlooks[len(sysids) :]))
+
+
+def _meet(plan: FleetPlan, a: int, b: int) -> bool:
+    """Whether two vehicles are in flight at one time: only then is a pair another case than each alone."""
+    first, second = plan.paths[a], plan.paths[b]
+    return first.begin_s < second.end_s and second.begin_s < first.end_s
+
+
+def outlook(predicted: Prediction) -> Outlook:
+    """Return the prediction with its worst stretch."""
+    unknown = float(np.isnan(predicted.bound_95_m).mean()) if len(predicted.at_s) else 0.0
+    return Outlook(predicted, worst_stretch(predicted), unknown)
+
+
+def worst_stretch(predicted: Prediction) -> Stretch | None:
+    """Return the longest stretch without a fix; where there is none, the half minute of the largest protection levels."""
+    at_s = predicted.at_s
+    if not len(at_s):
+        return None
+    without = _closed(predicted.has_fix < 0.5)
+    runs = _runs(without)
+    if runs:
+        first, last = max(runs, key=lambda run: at_s[run[1]] - at_s[run[0]])
+        codes = Counter(code for code in predicted.limit_code[first : last + 1] if code)
+        code = codes.most_common(1)[0][0]
+        text = max(
+            (text for text, its in zip(predicted.limit, predicted.limit_code, strict=True) if its == code),
+            key=Counter(predicted.limit[first : last + 1]).__getitem__,
+        )
+        return Stretch(float(at_s[first]), float(at_s[last]), text, code, has_fix=False, hpl_m=_largest(predicted, first, last))
+    middle = int(np.nanargmax(predicted.hpl_m))
+    near = np.flatnonzero(np.abs(at_s - at_s[middle]) <= 0.5 * _LOOKED_AT_S)
+    first, last = int(near[0]), int(near[-1])
+    cause = f"protection level up to {predicted.hpl_m[middle]:.0f} m at HDOP {predicted.hdop[middle]:.1f}"
+    return Stretch(float(at_s[first]), float(at_s[last]), cause, "", has_fix=True, hpl_m=_largest(predicted, first, last))
+
+
+def _largest(predicted: Prediction, first: int, last: int) -> float:
+    levels = predicted.hpl_m[first : last + 1]
+    return float(np.nanmax(levels)) if np.isfinite(levels).any() else float("nan")
+
+
+def _runs(flags: Sequence[bool]) -> list[tuple[int, int]]:
+    """Return the first and the last index of each run of true ones."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, dtype=int), [0]])))
+    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _closed(flags: np.ndarray) -> list[bool]:
+    """Return the flags with short gaps between true ones closed."""
+    closed = flags.copy()
+    for first, last in _runs((~flags).tolist()):
+        if first > 0 and last < len(flags) - 1 and last - first < _LIMIT_IN_A_ROW:
+            closed[first : last + 1] = True
+    return [bool(flag) for flag in closed]
+
+
+def _median(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else float("nan")

@@ -1,0 +1,176 @@
+"""The improvement of a plan: the one change, of a start, a route or a station, that helps its worst vehicle most.
+
+All candidates are compared by geometry alone; the best of each kind are predicted with the filter, and the gain is that one's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import partial
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.planning.assessment import Assessment, Outlook, outlook
+from gcs_coloc.planning.fleet_plan import FleetPlan, PlannedStation, PlannedVehicle
+from gcs_coloc.planning.flight_path import FlightPath
+from gcs_coloc.planning.prediction import predict
+from gcs_coloc.runtime.process_pool import Progress, run_tasks
+
+_SHIFTS_S = (-120.0, -60.0, -30.0, 30.0, 60.0, 120.0)
+_ASIDE_SHARES = (0.1, 0.25)
+"""Of the plan's extent: how far a route is moved to a side."""
+_LEAST_ASIDE_M = 50.0
+_GRID = 5
+"""Stations tried on a grid of so many by so many places over the plan."""
+_STATION_HEIGHT_M = 10.0
+"""Above the lowest waypoint: a mast."""
+_TIMES = 120
+"""Chosen: times at which geometry is compared."""
+_ENOUGH = 0.999
+_MOST_VEHICLES = 20
+"""Chosen: of a larger plan only the vehicles nearest to the worst stretch are moved."""
+
+
+class ChangeKind(StrEnum):
+    """What is changed."""
+
+    START = "start"
+    ROUTE = "route"
+    STATION = "station"
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One change of a plan: in words, and the plan with it."""
+
+    kind: ChangeKind
+    text: str
+    plan: FleetPlan
+
+
+@dataclass(frozen=True, slots=True)
+class Improvement:
+    """The change that helps a vehicle most, and what is predicted of the vehicle before and after it."""
+
+    sysid: int
+    change: Change
+    before: Outlook
+    after: Outlook
+
+    @property
+    def text(self) -> str:
+        """The change and its gain in words."""
+        old, new = self.before.predicted.share_with_fix, self.after.predicted.share_with_fix
+        levels = f"median protection level {self.before.median_hpl_m:.0f} m to {self.after.median_hpl_m:.0f} m"
+        return f"{self.change.text}: vehicle {self.sysid} has a fix for {new:.1%} of its flight instead of {old:.1%}, {levels}"
+
+
+def find_improvement(assessed: Assessment, jobs: int, progress: Progress) -> Improvement | None:
+    """Return the change that helps the worst vehicle most; None where none helps."""
+    worst = assessed.worst
+    if worst.worst is None or (worst.predicted.share_with_fix >= _ENOUGH and worst.worst.hpl_m < 0.5 * _limit_m(assessed)):
+        return None
+    best = _best_by_geometry(assessed, worst)
+    if not best:
+        return None
+    found = run_tasks(partial(_predict_change, worst.predicted.sysid), best, min(jobs, len(best)), progress)
+    change, after = max(zip(best, found, strict=True), key=lambda pair: _merit(pair[1]))
+    return Improvement(worst.predicted.sysid, change, worst, after) if _merit(after) > _merit(worst) + 1e-3 else None
+
+
+def _limit_m(assessed: Assessment) -> float:
+    return assessed.plan.assumptions.alert_limit_m
+
+
+def _merit(outlook: Outlook) -> float:
+    """Return the share with a fix, less a thousandth for ten metres of protection level: it decides between equal shares."""
+    level_m = float(np.nan_to_num(outlook.median_hpl_m, nan=1e3))
+    return outlook.predicted.share_with_fix - 1e-4 * min(level_m, 1e3)
+
+
+def _predict_change(sysid: int, change: Change) -> Outlook:
+    (predicted,) = predict(change.plan, (sysid,))
+    return outlook(predicted)
+
+
+def _best_by_geometry(assessed: Assessment, worst: Outlook) -> list[Change]:
+    """Return the best change of each kind by geometry, of those that are better than the plan itself."""
+    sysid, plan = worst.predicted.sysid, assessed.plan
+    path = plan.paths[sysid]
+    now = _badness(plan, sysid, path)
+    best: dict[ChangeKind, tuple[float, Change]] = {}
+    for change in _candidates(plan, worst):
+        value = _badness(change.plan, sysid, change.plan.paths[sysid])
+        if value < now and (change.kind not in best or value < best[change.kind][0]):
+            best[change.kind] = (value, change)
+    return [change for _, change in best.values()]
+
+
+def _candidates(plan: FleetPlan, worst: Outlook) -> Iterator[Change]:
+    places = np.concatenate([path.positions_m for path in plan.paths.values()])
+    low, high = places.min(axis=0), places.max(axis=0)
+    extent_m = float(max(high[0] - low[0], high[1] - low[1]))
+    for vehicle in _movable(plan, worst):
+        for shift_s in _SHIFTS_S:
+            start_s = vehicle.start_s + shift_s
+            if start_s >= 0.0:
+                text = f"start vehicle {vehicle.sysid} {abs(shift_s):.0f} s {'later' if shift_s > 0.0 else 'earlier'}"
+                end_s = vehicle.end_s + shift_s if vehicle.end_s is not None else None
+                yield Change(ChangeKind.START, text, plan.with_vehicle(replace(vehicle, start_s=start_s, end_s=end_s)))
+        for share in _ASIDE_SHARES:
+            aside_m = round(max(share * extent_m, _LEAST_ASIDE_M), -1)
+            for side, east, north in (("east", 1, 0), ("west", -1, 0), ("north", 0, 1), ("south", 0, -1)):
+                text = f"fly the route of vehicle {vehicle.sysid} {aside_m:.0f} m farther {side}"
+                yield Change(ChangeKind.ROUTE, text, plan.with_vehicle(_moved(vehicle, east * aside_m, north * aside_m)))
+    free = next(k for k in range(1, 1000) if all(station.station_id != k for station in plan.stations))
+    for east in np.linspace(low[0], high[0], _GRID):
+        for north in np.linspace(low[1], high[1], _GRID):
+            place = (float(east), float(north), float(low[2]) + _STATION_HEIGHT_M)
+            lat, lon, _ = plan.frame.geodetic_from_enu(*place)
+            text = f"a station at {lat:.6f}, {lon:.6f}"
+            yield Change(ChangeKind.STATION, text, plan.with_station(PlannedStation(free, place)))
+
+
+def _movable(plan: FleetPlan, worst: Outlook) -> list[PlannedVehicle]:
+    """Return the other vehicles; of many those nearest to the worst vehicle in its worst stretch."""
+    others = [vehicle for vehicle in plan.vehicles if vehicle.sysid != worst.predicted.sysid]
+    if len(others) <= _MOST_VEHICLES or worst.worst is None:
+        return others
+    middle_s = 0.5 * (worst.worst.from_s + worst.worst.until_s)
+    here = plan.paths[worst.predicted.sysid].position(middle_s)
+    return sorted(others, key=lambda v: float(np.linalg.norm(plan.paths[v.sysid].position(middle_s) - here)))[:_MOST_VEHICLES]
+
+
+def _moved(vehicle: PlannedVehicle, east_m: float, north_m: float) -> PlannedVehicle:
+    """Return a vehicle whose waypoints are all moved but the place where it begins."""
+    return replace(vehicle, legs=tuple(leg.moved(east_m, north_m) for leg in vehicle.legs))
+
+
+def _badness(plan: FleetPlan, sysid: int, path: FlightPath) -> float:
+    """Return the mean horizontal sigma of single fixes along the way, m, each at most the alert limit: the less, the better."""
+    a = plan.assumptions
+    times = np.linspace(path.begin_s, path.end_s, _TIMES)
+    here = _positions(path, times)
+    ee, en, nn = np.zeros(_TIMES), np.zeros(_TIMES), np.zeros(_TIMES)
+    peers = [(_positions(peer, times), a.position_sigma_m, peer) for other, peer in plan.paths.items() if other != sysid]
+    rows = [(where, sigma_m, (times >= peer.begin_s) & (times <= peer.end_s)) for where, sigma_m, peer in peers]
+    always = np.ones(_TIMES, dtype=bool)
+    rows += [(np.broadcast_to(s.position_enu_m, here.shape), s.sigma_m, always) for s in plan.stations]
+    for where, sigma_m, is_there in rows:
+        d = here - where
+        length = np.maximum(np.linalg.norm(d, axis=1), 1.0)
+        weight = np.where(is_there & (length <= a.max_range_m), 1.0 / (a.range_sigma_m**2 + sigma_m**2), 0.0)
+        ue, un = d[:, 0] / length, d[:, 1] / length
+        ee, en, nn = ee + weight * ue * ue, en + weight * ue * un, nn + weight * un * un
+    trace, determinant = ee + nn, ee * nn - en * en
+    # The smaller eigenvalue of the information, that of the worst direction.
+    least = 0.5 * trace - np.sqrt(np.maximum(0.25 * trace * trace - determinant, 0.0))
+    return float(np.minimum(1.0 / np.sqrt(np.maximum(least, 1e-9)), a.alert_limit_m).mean())
+
+
+def _positions(path: FlightPath, times: FloatArray) -> FloatArray:
+    place = np.clip(np.round((times - path.begin_s) / (path.end_s - path.begin_s) * (len(path.positions_m) - 1)), 0, None)
+    return np.asarray(path.positions_m[np.minimum(place.astype(int), len(path.positions_m) - 1)])

@@ -1,0 +1,111 @@
+"""`gcs-coloc plan` as an operator uses it: files in, an answer, a report and an exit code out."""
+
+import csv
+import json
+import re
+
+import pytest
+from typer.testing import CliRunner
+
+from gcs_coloc.cli.main import app
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.planning.assessment import assess
+from gcs_coloc.planning.fleet_plan import FleetPlan, PlannedStation, PlannedVehicle
+from gcs_coloc.planning.flight_path import Leg
+from gcs_coloc.planning.improvement import find_improvement
+
+FRAME = LocalFrame(47.39, 8.55, 450.0)
+
+
+def write_wpl(path, *points):
+    rows = ["QGC WPL 110"]
+    for k, (east, north) in enumerate(points):
+        lat, lon, _ = FRAME.geodetic_from_enu(east, north, 0.0)
+        frame, alt = (0, 450) if k == 0 else (3, 100)
+        rows.append("\t".join(map(str, (k, int(k == 0), frame, 16, 0, 0, 0, 0, f"{lat:.8f}", f"{lon:.8f}", alt, 1))))
+    rows.append("\t".join(map(str, (len(points), 0, 3, 206, 25, 0, 0, 0, 0, 0, 0, 1))))
+    path.write_text("\n".join(rows))
+    return path
+
+
+@pytest.fixture
+def three(tmp_path):
+    """Three vehicles for 40 s beside each other; the fourth flies away from them and is alone when they have landed."""
+    return [
+        write_wpl(tmp_path / "a.waypoints", (0, 0), (0, 600)),
+        write_wpl(tmp_path / "b.waypoints", (500, 0), (500, 600)),
+        write_wpl(tmp_path / "c.waypoints", (200, 900), (200, 300)),
+        write_wpl(tmp_path / "away.waypoints", (900, 0), (3300, 0)),
+    ]
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["plan", *map(str, arguments), "--jobs", "1"])
+
+
+def test_a_plan_gives_an_answer_files_and_an_exit_code(three, tmp_path):
+    report, steps, ways = tmp_path / "r.html", tmp_path / "s.csv", tmp_path / "w.geojson"
+    outputs = ("--report", report, "--csv", steps, "--geojson", ways)
+    ran = run(*three, "--max-range", "2000", "--require", "0.99", "--json", "--no-improve", *outputs)
+    assert ran.exit_code == 1
+    assert "command 206 is no waypoint and is skipped" in ran.stderr
+    assert "99.0% are required" in ran.stderr
+    result = json.loads(ran.stdout)
+    shares = {each["sysid"]: each["share_with_fix"] for each in result["vehicles"]}
+    assert [shares[k] for k in (1, 2, 3)] == [1.0, 1.0, 1.0]
+    assert 40.0 / 160.0 < shares[4] < 60.0 / 160.0
+    worst = next(each for each in result["vehicles"] if each["sysid"] == 4)["worst"]
+    assert (worst["has_fix"], worst["code"]) == (False, "no_peer")
+    rows = list(csv.DictReader(steps.read_text().splitlines()))
+    assert {row["sysid"] for row in rows} == {"1", "2", "3", "4"}
+    assert {row["limit"] for row in rows if row["fix"] == "1"} == {""}
+    lines = json.loads(ways.read_text())["features"]
+    assert {line["properties"]["fix"] for line in lines} == {True, False}
+    html = report.read_text()
+    assert "3 of 4 vehicles would have a fix all along their way" in html
+    assert re.search(r"Vehicle 4 is worst: a fix for \d+\.\d% of its flight", html)
+    assert not re.search(r"(src|href)=\"(?!data:)", html)
+
+
+def test_enough_of_a_fix_is_exit_code_0_and_pairs_are_told(three):
+    ran = run(*three[:3], "--no-improve", "--pairs", "--require", "0.5")
+    assert ran.exit_code == 0, ran.output
+    assert "1 and 2" in ran.stdout
+    assert len(re.findall(r"\d+\.\d%", ran.stdout)) == 3 + 6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--start", "2"], "--start 2: expected VEHICLE=SECONDS"),
+        (["--start", "7=3"], "--start 7=...: there is no vehicle 7"),
+        (["--station", "1=47,8"], "--station 1=47,8: expected ID=LAT,LON,ALT"),
+        (["--range-sigma", "0"], "range_sigma_m must be above 0"),
+        (["--report", "/nowhere/r.html"], "there is no directory /nowhere"),
+    ],
+)
+def test_a_mistake_is_told_in_one_line(three, arguments, said):
+    ran = run(*three[:2], *arguments)
+    assert ran.exit_code != 0
+    assert said in str(ran.exception)
+
+
+def test_one_vehicle_alone_is_told_what_it_lacks(three):
+    assert "give more plans, or --station" in str(run(three[0]).exception)
+
+
+def test_the_change_that_helps_is_found_and_its_gain_is_predicted():
+    def flight(sysid, east, north, start_s=0.0):
+        legs = (Leg((east, north + 1200.0, 100.0), 20.0),)
+        return PlannedVehicle(sysid, f"v{sysid}", (east, north, 100.0), legs, start_s)
+
+    station = PlannedStation(1, (300.0, 700.0, 10.0))
+    plan = FleetPlan(FRAME, (flight(1, 0.0, 0.0), flight(2, 500.0, 100.0, 60.0)), (station,))
+    assessed = assess(plan, pairs=False, jobs=1, progress=lambda *_: None)
+    found = find_improvement(assessed, 1, lambda *_: None)
+    assert found is not None
+    assert found.sysid == assessed.worst.predicted.sysid
+    assert found.after.predicted.share_with_fix > found.before.predicted.share_with_fix + 0.2
+    assert f"{found.after.predicted.share_with_fix:.1%} of its flight instead of" in found.text
+    good = FleetPlan(FRAME, tuple(flight(k, 500.0 * (k % 2), 300.0 * k) for k in range(1, 6)))
+    assert find_improvement(assess(good, pairs=False, jobs=1, progress=lambda *_: None), 1, lambda *_: None) is None
