@@ -11,7 +11,8 @@ from itertools import combinations
 import numpy as np
 
 from gcs_coloc.planning.fleet_plan import FleetPlan
-from gcs_coloc.planning.prediction import Prediction, predict
+from gcs_coloc.planning.predicted_flight import Prediction
+from gcs_coloc.planning.prediction import predict
 from gcs_coloc.runtime.process_pool import Progress, run_tasks
 
 _LOOKED_AT_S = 30.0

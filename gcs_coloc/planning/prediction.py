@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import hypot, sqrt
 
 import numpy as np
@@ -34,13 +34,14 @@ from gcs_coloc.core.measurements import (
     VehicleClass,
     VehicleClassReport,
 )
-from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NoiseSplit
 from gcs_coloc.estimators.fleet.ekf.state import pair_key
 from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
 from gcs_coloc.estimators.fleet.peer_selection import select_peers
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution_of
 from gcs_coloc.planning.fleet_plan import FleetPlan
+from gcs_coloc.planning.known_noise import condensed, known_split
+from gcs_coloc.planning.predicted_flight import PredictedStep, Prediction, as_prediction
 
 STEP_S = 1.4
 """Step of the recursion. Chosen: below the 1.5 s without a range that the filter takes for a gap."""
@@ -54,12 +55,8 @@ _WITH_GPS_S = 5.0
 """The GPS fails so long after the vehicle's start: its filter begins from its own reports."""
 _ATTITUDE_EVERY_S = 0.45
 """Chosen: below the half second for which the filter takes an attitude as fresh."""
-_KNOWN_WEIGHT = 1e6
-"""Samples that a stream's noise counts as known by: no bound on it is left."""
 _VERTICAL_RATIO = 1.6
 """Source: usual VDOP over HDOP of a receiver."""
-_COLOURED_LEAST = 0.1
-"""Least share of a sigma that no averaging removes: `least_coloured_share` of the filter."""
 _LARGEST_SIGMA_V_M = 10.0
 _CANDIDATES_EVERY = 5
 """Steps from one choice of candidates to the next."""
@@ -70,80 +67,18 @@ _MOST_CANDIDATES = 16
 """Chosen: of more peers in range the filter chooses among these, the best placed; it uses eight of them at most."""
 
 
-@dataclass(frozen=True, slots=True)
-class Prediction:
-    """What is predicted of one vehicle while it is denied, at times `at_s` (N,), s.
-
-    Of each time: its position (N, 3) m; the HDOP of its ranges, infinite below two; the 95 % bound and the protection level HPL
-    in m, NaN where there is no estimate; the distance of the estimate from the planned position, m; how many nodes it ranges;
-    whether a fix is stated; and what limits it, in words (and its code), empty with a fix. `denied`: who else is denied.
-    """
-
-    sysid: int
-    denied: tuple[int, ...]
-    at_s: FloatArray
-    position_enu_m: FloatArray
-    hdop: FloatArray
-    bound_95_m: FloatArray
-    hpl_m: FloatArray
-    offset_m: FloatArray
-    ranged: FloatArray
-    has_fix: FloatArray
-    limit: tuple[str, ...]
-    limit_code: tuple[str, ...]
-
-    @property
-    def share_with_fix(self) -> float:
-        """Share of the flight without GPS in which a fix is stated."""
-        return float(self.has_fix.mean()) if len(self.has_fix) else 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class _Row:
-    at_s: float
-    position_enu_m: Vector3
-    hdop: float
-    bound_95_m: float
-    hpl_m: float
-    offset_m: float
-    ranged: int
-    has_fix: bool
-    limit: str
-    limit_code: str
-
-
 def predict(plan: FleetPlan, denied: tuple[int, ...], step_s: float | None = None) -> list[Prediction]:
     """Predict one or several vehicles whose GPS fails soon after their start, each along its whole way."""
     recursion = _Recursion(plan, denied, step_s if step_s is not None else longest_step_s(plan, denied))
     for at_s in recursion.times():
         recursion.step(at_s)
-    return [_as_prediction(sysid, denied, recursion.rows[sysid]) for sysid in denied]
+    return [as_prediction(sysid, denied, recursion.rows[sysid]) for sysid in denied]
 
 
 def longest_step_s(plan: FleetPlan, denied: tuple[int, ...]) -> float:
     """Return the longest step at which the recursion of some denied vehicles holds, s."""
     have_air_data = plan.assumptions.has_air_data and all(plan.vehicle(v).vehicle_class is VehicleClass.PLANE for v in denied)
     return STEP_WITH_AIR_DATA_S if have_air_data else STEP_S
-
-
-def _as_prediction(sysid: int, denied: tuple[int, ...], rows: list[_Row]) -> Prediction:
-    def column(name: str) -> FloatArray:
-        return np.array([getattr(row, name) for row in rows], dtype=float)
-
-    return Prediction(
-        sysid=sysid,
-        denied=denied,
-        at_s=column("at_s"),
-        position_enu_m=np.array([row.position_enu_m for row in rows], dtype=float).reshape(-1, 3),
-        hdop=column("hdop"),
-        bound_95_m=column("bound_95_m"),
-        hpl_m=column("hpl_m"),
-        offset_m=column("offset_m"),
-        ranged=column("ranged"),
-        has_fix=column("has_fix"),
-        limit=tuple(row.limit for row in rows),
-        limit_code=tuple(row.limit_code for row in rows),
-    )
 
 
 class _Recursion:
@@ -156,7 +91,7 @@ class _Recursion:
         self._filter = FleetHypotheses(FleetSettings())
         self._ranges_a_step = max(a.range_rate_hz * step_s, 1.0)
         reports = max(a.position_rate_hz * step_s, 1.0)
-        self._report_sigma_m, self._report_white = _condensed(a.position_sigma_m, a.position_white_share, reports)
+        self._report_sigma_m, self._report_white = condensed(a.position_sigma_m, a.position_white_share, reports)
         self._stations = {station.node: station for station in plan.stations}
         self._policies: dict[int, FixPolicy] = {}
         self._levels: dict[int, FaultLevel] = {}
@@ -164,7 +99,7 @@ class _Recursion:
         self._lost: frozenset[int] = frozenset()
         self._count = 0
         self._candidates: dict[int, frozenset[int]] = {}
-        self.rows: dict[int, list[_Row]] = {sysid: [] for sysid in denied}
+        self.rows: dict[int, list[PredictedStep]] = {sysid: [] for sysid in denied}
         self._introduce()
 
     def times(self) -> Iterator[float]:
@@ -252,7 +187,7 @@ class _Recursion:
         e, n, u = _vector(path.position(at_s))
         ve, vn, vu = _vector(path.velocity(at_s))
         record = self._filter.main.records.writable(sysid)
-        record.report_noise = _known_split((sigma_m, _VERTICAL_RATIO * sigma_m), self._report_white)
+        record.report_noise = known_split((sigma_m, _VERTICAL_RATIO * sigma_m), self._report_white)
         record.noise.log_level = 0.0
         vertical_m = _VERTICAL_RATIO * sigma_m
         velocity_mps = self._a.velocity_sigma_mps
@@ -261,13 +196,13 @@ class _Recursion:
     def _feed_range(self, sysid: int, node: int, here: Mapping[int, Vector3], at_s: float, sigma_m: float) -> None:
         there = self._stations[node].position_enu_m if node in self._stations else here[node]
         for model in (self._filter.main, *(each.model for each in self._filter.hypotheses.values())):
-            model.pairs[pair_key(sysid, node, 0)] = _known_split((sigma_m,), 1.0)
+            model.pairs[pair_key(sysid, node, 0)] = known_split((sigma_m,), 1.0)
         self._feed(RangeMeasurement(sysid, node, at_s, at_s, math.dist(here[sysid], there), sigma_m))
 
     def _feed(self, measurement: Measurement) -> None:
         if isinstance(measurement, AltitudeMeasurement):
             record = self._filter.main.records.writable(measurement.vehicle)
-            record.altitude_noise = _known_split((measurement.sigma_m,), 0.0)
+            record.altitude_noise = known_split((measurement.sigma_m,), 0.0)
             record.noise.log_level = 0.0
         self._filter.apply(measurement)
 
@@ -337,21 +272,9 @@ class _Recursion:
         hdop = horizontal_dilution_of(ranged.values()) if len(ranged) >= 2 else math.inf
         limit = limiting_reason(inhibit, hdop, tuple(ranged))
         text, code = (limit.text, limit.reason.code) if limit is not None else ("", "")
-        self.rows[sysid].append(_Row(at_s, here[sysid], hdop, bound_m, hpl_m, offset_m, len(ranged), inhibit is None, text, code))
-
-
-def _condensed(sigma_m: float, white_share: float, samples: float) -> tuple[float, float]:
-    """Return the sigma of the mean of some samples, and the white share of it (as a ratio of sigmas)."""
-    white_m = sigma_m * white_share
-    coloured_m = sqrt(max(sigma_m * sigma_m - white_m * white_m, (_COLOURED_LEAST * sigma_m) ** 2))
-    white_m /= sqrt(samples)
-    whole_m = hypot(white_m, coloured_m)
-    return whole_m, white_m / whole_m
-
-
-def _known_split(sigmas_m: tuple[float, ...], white_share: float) -> NoiseSplit:
-    """Return the split of a stream whose noise is known: this share of its sigma is white."""
-    return NoiseSplit((), tuple(((white_share * sigma_m) ** 2 * _KNOWN_WEIGHT, _KNOWN_WEIGHT) for sigma_m in sigmas_m))
+        self.rows[sysid].append(
+            PredictedStep(at_s, here[sysid], hdop, bound_m, hpl_m, offset_m, len(ranged), inhibit is None, text, code)
+        )
 
 
 def _vector(row: FloatArray) -> Vector3:

@@ -1,0 +1,76 @@
+"""What is predicted of one flight without GPS, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray, Vector3
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What is predicted of one vehicle while it is denied, at times `at_s` (N,), s.
+
+    Of each time: its position (N, 3) m; the HDOP of its ranges, infinite below two; the 95 % bound and the protection level HPL
+    in m, NaN where there is no estimate; the distance of the estimate from the planned position, m; how many nodes it ranges;
+    whether a fix is stated; and what limits it, in words (and its code), empty with a fix. `denied`: who else is denied.
+    """
+
+    sysid: int
+    denied: tuple[int, ...]
+    at_s: FloatArray
+    position_enu_m: FloatArray
+    hdop: FloatArray
+    bound_95_m: FloatArray
+    hpl_m: FloatArray
+    offset_m: FloatArray
+    ranged: FloatArray
+    has_fix: FloatArray
+    limit: tuple[str, ...]
+    limit_code: tuple[str, ...]
+
+    @property
+    def share_with_fix(self) -> float:
+        """Share of the flight without GPS in which a fix is stated."""
+        return float(self.has_fix.mean()) if len(self.has_fix) else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedStep:
+    """One step of a prediction; the fields are those of `Prediction`."""
+
+    at_s: float
+    position_enu_m: Vector3
+    hdop: float
+    bound_95_m: float
+    hpl_m: float
+    offset_m: float
+    ranged: int
+    has_fix: bool
+    limit: str
+    limit_code: str
+
+
+def as_prediction(sysid: int, denied: tuple[int, ...], rows: Sequence[PredictedStep]) -> Prediction:
+    """Return the steps of one vehicle as arrays."""
+
+    def column(name: str) -> FloatArray:
+        return np.array([getattr(row, name) for row in rows], dtype=float)
+
+    return Prediction(
+        sysid=sysid,
+        denied=denied,
+        at_s=column("at_s"),
+        position_enu_m=np.array([row.position_enu_m for row in rows], dtype=float).reshape(-1, 3),
+        hdop=column("hdop"),
+        bound_95_m=column("bound_95_m"),
+        hpl_m=column("hpl_m"),
+        offset_m=column("offset_m"),
+        ranged=column("ranged"),
+        has_fix=column("has_fix"),
+        limit=tuple(row.limit for row in rows),
+        limit_code=tuple(row.limit_code for row in rows),
+    )
