@@ -100,7 +100,7 @@ def plan(
     if report is not None:
         from gcs_coloc.planning.plan_report import page
 
-        report.write_text(page(assessed, improvement), encoding="utf-8")
+        report.write_text(page(assessed, improvement, is_improvement_sought=improve), encoding="utf-8")
     if as_json:
         print(json.dumps(plan_tables.as_dict(assessed, improvement), indent=2, allow_nan=False))
     else:

@@ -20,15 +20,19 @@ _MOST_HDOP = 20.0
 _MOST_PAIRS = 30
 
 
-def page(assessed: Assessment, improvement: Improvement | None) -> str:
-    """Return the page as text.
+def page(assessed: Assessment, improvement: Improvement | None, *, is_improvement_sought: bool = True) -> str:
+    """Return the page as text; that no change helps is said only where one was sought.
 
     Raises:
         UsageError: matplotlib is not installed.
     """
     plan = assessed.plan
     title = f"Plan of {len(plan.vehicles)} vehicle{'s' if len(plan.vehicles) > 1 else ''}"
-    parts = [HEAD, f"<title>{title}</title></head><body><main><h1>{title}</h1>", _answer(assessed, improvement)]
+    parts = [
+        HEAD,
+        f"<title>{title}</title></head><body><main><h1>{title}</h1>",
+        _answer(assessed, improvement, is_improvement_sought=is_improvement_sought),
+    ]
     parts.append(image("Map of the ways, east over north; where a vehicle would have no fix in red", map_picture(assessed)))
     parts.append(f"<p>East and north of {_place(plan.frame)}, where the first plan begins.</p>")
     parts.append(
@@ -47,7 +51,7 @@ def page(assessed: Assessment, improvement: Improvement | None) -> str:
     return "\n".join([*parts, "</main></body></html>\n"])
 
 
-def _answer(assessed: Assessment, improvement: Improvement | None) -> str:
+def _answer(assessed: Assessment, improvement: Improvement | None, *, is_improvement_sought: bool) -> str:
     worst = assessed.worst
     covered = sum(each.predicted.share_with_fix >= 1.0 for each in assessed.singles)
     lines = [f"{covered} of {len(assessed.singles)} vehicles would have a fix all along their way if their GPS failed."]
@@ -60,14 +64,16 @@ def _answer(assessed: Assessment, improvement: Improvement | None) -> str:
         )
     if improvement is not None:
         lines.append(f"What helps it most: {escape(improvement.text)}.")
-    elif worst.predicted.share_with_fix < 1.0:
+    elif is_improvement_sought and worst.predicted.share_with_fix < 1.0:
         lines.append("No shifted start, no route to the side and no single station on a grid helps it.")
     if any(each.cannot_tell > 0.0 for each in assessed.singles):
         lines.append(
             "Where a vehicle is without an estimate, when it is found again hangs on the noise of the day: "
             "the prediction cannot tell, and counts the time without a fix."
         )
-    lines.append("Everything is computed by the service's own filter along the planned ways, without wind, gusts and faults.")
+    lines.append(
+        "Everything is computed by the service's own filter along the planned ways, without wind, blocked ranges and faults."
+    )
     return "".join(f"<p>{line}</p>" for line in lines)
 
 
@@ -151,7 +157,8 @@ def _draw_map(figure: Any, ink: Ink, assessed: Assessment) -> None:
         east, north = p.position_enu_m[:, 0], p.position_enu_m[:, 1]
         axes.plot(np.where(without, np.nan, east), np.where(without, np.nan, north), color=ink.blue, lw=1.5)
         axes.plot(np.where(without, east, np.nan), np.where(without, north, np.nan), color=ink.red, lw=3.0)
-        axes.annotate(f" {p.sysid}", (east[0], north[0]))
+        middle = len(east) // 2
+        axes.annotate(f" {p.sysid}", (east[middle], north[middle]))
     for station in assessed.plan.stations:
         axes.plot(station.position_enu_m[0], station.position_enu_m[1], marker="^", color=ink.grey, ms=8)
         axes.annotate(f" station {station.station_id}", station.position_enu_m[:2])

@@ -64,6 +64,7 @@ def test_a_plan_gives_an_answer_files_and_an_exit_code(three, tmp_path):
     html = report.read_text()
     assert "3 of 4 vehicles would have a fix all along their way" in html
     assert re.search(r"Vehicle 4 is worst: a fix for \d+\.\d% of its flight", html)
+    assert "helps it" not in html  # no change was sought
     assert not re.search(r"(src|href)=\"(?!data:)", html)
 
 
