@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -160,3 +161,42 @@ def integrity(
         console.print(line, highlight=False)
     if trace is None:
         print(f"written: {trial_report.write_report(options, scores, results)}")
+
+
+@app.command("planning")
+def planning(
+    plans: Annotated[list[str] | None, typer.Option("--plan", help="A plan of the check; several times for several.")] = None,
+    flights: Annotated[int, typer.Option(help="Drawn flights of each plan.", min=1)] = 20,
+    first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each plan.")] = 1,
+    jobs: Annotated[int, typer.Option(help="Processes; 0 is one per core.", min=0)] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print every window as JSON.")] = False,
+) -> None:
+    """Check what `gcs-coloc plan` predicts on ten plans of different kind against drawn flights through the fleet filter."""
+    from gcs_coloc.study.planning.check_plans import CHECK_PLANS
+    from gcs_coloc.study.planning.plan_check import PlanCheck, check_table, run_checks
+
+    names = plans or list(CHECK_PLANS)
+    for name in names:
+        if name not in CHECK_PLANS:
+            raise UsageError(f"--plan {name}: there is no such plan; there are {', '.join(CHECK_PLANS)}")
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=_FILE_WIDTH)
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("flying", total=None)
+        checks: list[PlanCheck] = run_checks(
+            names,
+            flights,
+            first_seed,
+            jobs or os.cpu_count() or 1,
+            lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    if as_json:
+        print(json.dumps([asdict(check) for check in checks], indent=2))
+        return
+    console.print(check_table(checks))
+    told = [window for check in checks for window in check.told]
+    windows = sum(len(check.windows) for check in checks)
+    close = sum(window.is_close for window in told)
+    print(f"{flights} flights of each plan, seeds from {first_seed}")
+    print(f"of {windows} windows {len(told)} are told, {close} of them within 20 %")

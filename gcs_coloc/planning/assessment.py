@@ -38,9 +38,9 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """What is predicted of one vehicle, and its worst stretch. `cannot_tell`: share of the flight of which it says nothing.
+    """What is predicted of one vehicle, and its worst stretch. `cannot_tell`: share of the flight in which noise decides.
 
-    Without an estimate the filter searches; when it finds the vehicle again is for the noise to decide.
+    Without an estimate, or in one line with its peers: `Prediction.is_told`.
     """
 
     predicted: Prediction
@@ -97,7 +97,7 @@ def _meet(plan: FleetPlan, a: int, b: int) -> bool:
 
 def outlook(predicted: Prediction) -> Outlook:
     """Return the prediction with its worst stretch."""
-    unknown = float(np.isnan(predicted.bound_95_m).mean()) if len(predicted.at_s) else 0.0
+    unknown = 1.0 - float(predicted.is_told.mean()) if len(predicted.at_s) else 0.0
     return Outlook(predicted, worst_stretch(predicted), unknown)
 
 

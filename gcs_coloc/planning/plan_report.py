@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.limiting_reason import IN_LINE_HDOP
 from gcs_coloc.planning.assessment import Assessment, Outlook, Stretch
 from gcs_coloc.planning.improvement import Improvement
 from gcs_coloc.recorder.reports.html_page import HEAD, Ink, PlotImage, image, in_both_inks, table
@@ -68,8 +69,9 @@ def _answer(assessed: Assessment, improvement: Improvement | None, *, is_improve
         lines.append("No shifted start, no route to the side and no single station on a grid helps it.")
     if any(each.cannot_tell > 0.0 for each in assessed.singles):
         lines.append(
-            "Where a vehicle is without an estimate, when it is found again hangs on the noise of the day: "
-            "the prediction cannot tell, and counts the time without a fix."
+            "Where a vehicle is without an estimate, ranges one node, or is in one line with its peers "
+            f"(HDOP {IN_LINE_HDOP:g} or more), the noise of the day decides how far off it is and when it is found again. "
+            "There the prediction cannot tell: its bounds are upper ones, mostly far above the errors that come."
         )
     lines.append(
         "Everything is computed by the service's own filter along the planned ways, without wind, blocked ranges and faults."
@@ -83,19 +85,20 @@ def _stretch(worst: Stretch) -> str:
 
 
 def _outlooks(name: str, assessed: Assessment, outlooks: Sequence[Outlook]) -> str:
-    heads = ("vehicle", "plan", "with a fix", "95 %, m", "HPL, m", "worst stretch")
+    heads = ("vehicle", "plan", "with a fix", "cannot tell", "95 %, m", "HPL, m", "worst stretch")
     rows = [
         (
             str(each.predicted.sysid),
             assessed.plan.vehicle(each.predicted.sysid).name,
             f"{each.predicted.share_with_fix:.1%}",
+            f"{each.cannot_tell:.1%}",
             _metres(each.median_bound_95_m),
             _metres(each.median_hpl_m),
             _stretch(each.worst) if each.worst is not None else "not in flight",
         )
         for each in outlooks
     ]
-    return table(name, heads, rows, numbers=(0, 2, 3, 4)) + "<p>95 % bound and protection level HPL: medians.</p>"
+    return table(name, heads, rows, numbers=(0, 2, 3, 4, 5)) + "<p>95 % bound and protection level HPL: medians.</p>"
 
 
 def _pairs(assessed: Assessment) -> str:

@@ -6,8 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from gcs_coloc.core.limiting_reason import IN_LINE_HDOP
 from gcs_coloc.core.measurements import FloatArray, Vector3
+
+_LEAST_RANGED = 2
+_AFTER_S = 15.0
+"""Chosen: what grew in bad geometry is corrected within so long once the geometry is good."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +37,17 @@ class Prediction:
     has_fix: FloatArray
     limit: tuple[str, ...]
     limit_code: tuple[str, ...]
+
+    @property
+    def is_told(self) -> NDArray[np.bool_]:
+        """Whether the size of the bound is told, (N,). Without an estimate, or in one line with the peers, noise decides.
+
+        In one line the ranges bend with the error itself, which an error of zero does not show: the bound is an upper one. It
+        stays so for a while after.
+        """
+        bad = ~np.isfinite(self.bound_95_m) | (self.ranged < _LEAST_RANGED) | (self.hdop >= IN_LINE_HDOP)
+        bad_at_s = np.where(bad, self.at_s, -np.inf)
+        return np.asarray(self.at_s - np.maximum.accumulate(bad_at_s) > _AFTER_S)
 
     @property
     def share_with_fix(self) -> float:

@@ -1,0 +1,57 @@
+"""The check of predictions compares like with like, and its drawn flights bear a prediction out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from gcs_coloc.cli.main import app
+from gcs_coloc.planning.prediction import predict
+from gcs_coloc.study.planning.check_plans import CHECK_PLANS
+from gcs_coloc.study.planning.drawn_flight import draw_errors
+from gcs_coloc.study.planning.plan_check import compare
+
+
+@pytest.fixture(scope="module")
+def stations():
+    checked = CHECK_PLANS["stations"]()
+    vehicles = tuple(replace(vehicle, end_s=60.0) for vehicle in checked.plan.vehicles)
+    plan = replace(checked.plan, vehicles=vehicles)
+    return plan, predict(plan, (1,))[0]
+
+
+def test_ratios_and_coverage_are_those_of_errors_of_a_known_size(stations):
+    _, predicted = stations
+    rng = np.random.default_rng(1)
+    sigma_m = predicted.bound_95_m / 2.4477
+    drawn = [(predicted.at_s, sigma_m * np.hypot(*rng.standard_normal((2, len(sigma_m))))) for _ in range(1000)]
+    honest = compare("n", "t", predicted, drawn)
+    assert honest.median_ratio == pytest.approx(1.0, abs=0.05)
+    assert honest.covered == pytest.approx(0.95, abs=0.01)
+    assert honest.told
+    assert all(window.is_close for window in honest.told)
+    double = compare("n", "t", predicted, [(times, 2.0 * errors) for times, errors in drawn])
+    assert double.median_ratio == pytest.approx(2.0, abs=0.1)
+    assert not any(window.is_close for window in double.windows)
+
+
+def test_what_has_no_bound_is_not_compared_and_counts_as_not_told(stations):
+    _, predicted = stations
+    bound_m = predicted.bound_95_m.copy()
+    bound_m[predicted.at_s > 50.0] = np.nan
+    half = compare("n", "t", replace(predicted, bound_95_m=bound_m), [(predicted.at_s, predicted.bound_95_m)])
+    assert half.not_told >= np.mean(predicted.at_s > 50.0)
+    assert max(window.from_s for window in half.windows) <= 50.0
+
+
+def test_drawn_flights_are_as_far_off_as_predicted(stations):
+    plan, predicted = stations
+    check = compare("n", "t", predicted, [draw_errors(plan, 1, seed) for seed in range(1, 4)])
+    assert 0.5 < check.median_ratio < 1.5
+    assert check.covered > 0.85
+
+
+def test_an_unknown_plan_is_told():
+    ran = CliRunner().invoke(app, ["study", "planning", "--plan", "none"])
+    assert "--plan none: there is no such plan; there are around, abreast" in str(ran.exception)
