@@ -68,13 +68,20 @@ class Assessment:
 
     @property
     def worst(self) -> Outlook:
-        """The vehicle with the smallest share of a fix, alone without GPS; of equal ones that of the largest protection level."""
-        return min(self.singles, key=lambda each: (each.predicted.share_with_fix, -np.nan_to_num(each.median_hpl_m, nan=np.inf)))
+        """The vehicle with the smallest share of a fix, alone without GPS; of equal ones that of the largest protection level.
+
+        One whose way ends before its GPS could fail is none, unless there is no other.
+        """
+        flown = [each for each in self.singles if len(each.predicted.at_s)]
+        return min(
+            flown or self.singles, key=lambda each: (each.predicted.share_with_fix, -np.nan_to_num(each.median_hpl_m, nan=np.inf))
+        )
 
     @property
     def least_share(self) -> float:
-        """The smallest share of the flight with a fix of all outlooks."""
-        return min(each.predicted.share_with_fix for each in (*self.singles, *self.pairs))
+        """The smallest share of the flight with a fix of all outlooks; 0 where no way is long enough to lose a GPS on."""
+        flown = (each.predicted for each in (*self.singles, *self.pairs) if len(each.predicted.at_s))
+        return min((predicted.share_with_fix for predicted in flown), default=0.0)
 
 
 def assess(plan: FleetPlan, *, pairs: bool, jobs: int, progress: Progress) -> Assessment:

@@ -54,8 +54,9 @@ def page(assessed: Assessment, improvement: Improvement | None, *, is_improvemen
 
 def _answer(assessed: Assessment, improvement: Improvement | None, *, is_improvement_sought: bool) -> str:
     worst = assessed.worst
-    covered = sum(each.predicted.share_with_fix >= 1.0 for each in assessed.singles)
-    lines = [f"{covered} of {len(assessed.singles)} vehicles would have a fix all along their way if their GPS failed."]
+    flown = [each for each in assessed.singles if len(each.predicted.at_s)]
+    covered = sum(each.predicted.share_with_fix >= 1.0 for each in flown)
+    lines = [f"{covered} of {len(flown)} vehicles would have a fix all along their way if their GPS failed."]
     if worst.worst is not None:
         share = worst.predicted.share_with_fix
         kind = "bad" if share < 1.0 else ""

@@ -91,6 +91,13 @@ def test_a_mistake_is_told_in_one_line(three, arguments, said):
     assert said in str(ran.exception)
 
 
+def test_a_way_too_short_to_lose_a_gps_on_is_told_and_not_counted(three, tmp_path):
+    short = write_wpl(tmp_path / "short.waypoints", (300, 0), (300, 15))
+    ran = run(*three[:3], short, "--no-improve", "--require", "0.9")
+    assert ran.exit_code == 0, ran.output
+    assert "not in flight" in ran.stdout
+
+
 def test_one_vehicle_alone_is_told_what_it_lacks(three):
     assert "give more plans, or --station" in str(run(three[0]).exception)
 
