@@ -89,6 +89,20 @@ class AttitudeMeasurement:
     airspeed_mps: float | None
 
 
+@dataclass(frozen=True, slots=True)
+class OdometryMeasurement:
+    """A vehicle's velocity over ground in its own axes (forward, right, m/s) and its turn rate (rad/s, clockwise from above)."""
+
+    vehicle: int
+    measured_at_s: float
+    arrived_at_s: float
+    forward_mps: float
+    right_mps: float
+    turn_radps: float
+    sigma_velocity_mps: float
+    sigma_turn_radps: float
+
+
 class VehicleClass(StrEnum):
     """How a vehicle moves."""
 
@@ -113,7 +127,9 @@ class VehicleClassReport:
     vehicle_class: VehicleClass
 
 
-Measurement = PositionMeasurement | RangeMeasurement | AltitudeMeasurement | AttitudeMeasurement | VehicleClassReport
+Measurement = (
+    PositionMeasurement | RangeMeasurement | AltitudeMeasurement | AttitudeMeasurement | OdometryMeasurement | VehicleClassReport
+)
 
 
 class ProtectionLevel(NamedTuple):

@@ -17,6 +17,7 @@ from gcs_coloc.core.measurements import (
     AttitudeMeasurement,
     FloatArray,
     Measurement,
+    OdometryMeasurement,
     PositionMeasurement,
     RangeMeasurement,
     Vector3,
@@ -29,6 +30,8 @@ _FARTHEST_M = 2e7
 """Half way round the Earth: grids count from afar, but no further."""
 _HALF_TURN = math.pi + 0.01
 """Radians; what is beyond by less is rounding."""
+_FASTEST_TURN = 20.0
+"""Radians a second, three turns; what is beyond is in degrees."""
 _NO_ARM = (0.0, 0.0, 0.0)
 
 
@@ -83,6 +86,7 @@ def read_dataset(directory: Path) -> Dataset:
         ("positions.csv", rows.position, ("t_s", "id", "e_m", "n_m", "u_m", "sigma_h_m", "sigma_v_m"), (_VELOCITY,)),
         ("altitude.csv", rows.altitude, ("t_s", "id", "u_m", "sigma_v_m"), ()),
         ("attitude.csv", rows.attitude, ("t_s", "id", "roll_rad", "pitch_rad", "yaw_rad", "airspeed_mps"), ()),
+        ("odometry.csv", rows.odometry, ("t_s", "id", "forward_mps", "right_mps", "turn_radps", *_ODOMETRY_SIGMAS), ()),
         # Last: lever arms are turned by the attitudes.
         ("ranges.csv", rows.range, ("t_s", "from_id", "to_id", "range_m", "sigma_m"), (_ANTENNAS,)),
     ):
@@ -93,7 +97,7 @@ def read_dataset(directory: Path) -> Dataset:
             rows.attitudes = Attitudes(tables.get(name, ()))
     if not tables["ranges.csv"]:
         raise DataError(f"{directory / 'ranges.csv'}: no rows")
-    in_order = ("positions.csv", "ranges.csv", "altitude.csv", "attitude.csv")
+    in_order = ("positions.csv", "ranges.csv", "altitude.csv", "attitude.csv", "odometry.csv")
     measurements = [m for name in in_order for m in tables.get(name, ())]
     measurements.sort(key=lambda m: (m.arrived_at_s, m.measured_at_s))
     truth: dict[int, Truth] = {}
@@ -127,6 +131,7 @@ _META = "meta.toml"
 _LAYOUT_PAGE = "docs/reference/dataset.md says how one is made"
 _ARRIVAL = ("arrival_s",)
 _VELOCITY = ("ve_mps", "vn_mps", "vu_mps", "sigma_vel_mps")
+_ODOMETRY_SIGMAS = ("sigma_vel_mps", "sigma_turn_radps")
 _ANTENNAS = ("antenna_from", "antenna_to")
 
 
@@ -171,6 +176,22 @@ class _Rows:
             pitch_rad=row.within("pitch_rad", -_HALF_TURN / 2.0, _HALF_TURN / 2.0, "radians are wanted"),
             yaw_rad=row.number("yaw_rad"),
             airspeed_mps=None if row.is_empty("airspeed_mps") else row.not_negative("airspeed_mps"),
+        )
+
+    def odometry(self, row: TableRow) -> Measurement:
+        node = self._node(row, "id")
+        if node.role == "anchor":
+            raise row.error("id", "an anchor does not move")
+        measured_at_s, arrived_at_s = _times(row)
+        return OdometryMeasurement(
+            vehicle=node.vehicle,
+            measured_at_s=measured_at_s,
+            arrived_at_s=arrived_at_s,
+            forward_mps=row.number("forward_mps"),
+            right_mps=row.number("right_mps"),
+            turn_radps=row.within("turn_radps", -_FASTEST_TURN, _FASTEST_TURN, "radians a second are wanted"),
+            sigma_velocity_mps=row.positive("sigma_vel_mps"),
+            sigma_turn_radps=row.positive("sigma_turn_radps"),
         )
 
     def range(self, row: TableRow) -> Measurement:

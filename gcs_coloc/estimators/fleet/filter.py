@@ -16,6 +16,7 @@ from gcs_coloc.core.measurements import (
     Estimate,
     Measurement,
     NoEstimate,
+    OdometryMeasurement,
     PositionMeasurement,
     RangeMeasurement,
     Residual,
@@ -29,7 +30,7 @@ from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _RESIDUALS_KEPT = 4096
 """Chosen: bounds the memory when nobody drains; some 30 s of a large fleet."""
-_KIND_DENIED, _KIND_CLASS, _KIND_POSITION, _KIND_ALTITUDE, _KIND_ATTITUDE, _KIND_RANGE = range(6)
+_KIND_DENIED, _KIND_CLASS, _KIND_POSITION, _KIND_ALTITUDE, _KIND_ATTITUDE, _KIND_ODOMETRY, _KIND_RANGE = range(7)
 
 _CLASSES = tuple(VehicleClass)
 
@@ -147,6 +148,9 @@ def _key(m: Measurement) -> Key | None:
         sigmas = (1.0,)
         air = (m.airspeed_mps,) if m.airspeed_mps is not None else ()
         head, tail = (_KIND_ATTITUDE, m.vehicle), (m.roll_rad, m.pitch_rad, m.yaw_rad, *air)
+    elif isinstance(m, OdometryMeasurement):
+        sigmas = (m.sigma_velocity_mps, m.sigma_turn_radps)
+        head, tail = (_KIND_ODOMETRY, m.vehicle), (m.forward_mps, m.right_mps, m.turn_radps)
     elif isinstance(m, VehicleClassReport):
         sigmas = (1.0,)
         head, tail = (_KIND_CLASS, m.vehicle), (_CLASSES.index(m.vehicle_class),)

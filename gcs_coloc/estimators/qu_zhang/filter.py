@@ -27,6 +27,7 @@ from gcs_coloc.core.measurements import (
     FloatArray,
     Measurement,
     NoEstimate,
+    OdometryMeasurement,
     PositionMeasurement,
     RangeMeasurement,
     Residual,
@@ -101,6 +102,8 @@ class QuZhangFilter:
             self._add_altitude(measurement)
         elif isinstance(measurement, AttitudeMeasurement):
             self._counts["attitude not used by this estimator"] += 1
+        elif isinstance(measurement, OdometryMeasurement):
+            self._counts["odometry not used by this estimator"] += 1
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Answer where a vehicle is at a time near the present, by prediction from its filters."""
@@ -317,5 +320,5 @@ def _is_sound(measurement: Measurement) -> bool:
             return measurement.sigma_m > 0.0 and measurement.range_m >= 0.0 and measurement.from_vehicle != measurement.to_vehicle
         case AltitudeMeasurement():
             return measurement.sigma_m > 0.0
-        case AttitudeMeasurement() | VehicleClassReport():
+        case AttitudeMeasurement() | OdometryMeasurement() | VehicleClassReport():
             return True

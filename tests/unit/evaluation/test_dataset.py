@@ -9,6 +9,7 @@ from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
+    OdometryMeasurement,
     PositionMeasurement,
     RangeMeasurement,
     VehicleClass,
@@ -252,3 +253,25 @@ def test_a_station_that_is_wrong_is_told_with_its_remedy(tmp_path, changed, told
 def test_two_stations_of_one_id_are_an_error(tmp_path):
     with pytest.raises(DataError, match="two nodes have the id 'STN3'"):
         read_dataset(write(tmp_path, meta_toml=FILES["meta.toml"] + STATION + STATION))
+
+
+ODOMETRY = "t_s,id,forward_mps,right_mps,turn_radps,sigma_vel_mps,sigma_turn_radps\n"
+
+
+def test_odometry_is_read_and_a_wrong_row_is_told_with_its_place(tmp_path):
+    directory = write(tmp_path)
+    rows = "1.0,tag,1.5,-0.1,0.2,0.05,0.02\n1.1,tag,1.5,0,0.2,0,0.02\n1.2,tag,1.5,0,0.2,0.05,0.02\n1.3,A,1,0,0,0.05,0.02\n"
+    (directory / "odometry.csv").write_text(ODOMETRY + rows)
+    dataset = read_dataset(directory)
+    assert OdometryMeasurement(1, 1.0, 1.0, 1.5, -0.1, 0.2, 0.05, 0.02) in dataset.measurements
+    (dropped,) = dataset.dropped
+    assert dropped.count == 2
+    assert "odometry.csv, line 3, column 6 (sigma_vel_mps): 0 has to be above 0" in dropped.first[0]
+    assert "line 5, column 2 (id): an anchor does not move" in dropped.first[1]
+
+
+def test_a_turn_rate_in_degrees_is_told(tmp_path):
+    directory = write(tmp_path)
+    (directory / "odometry.csv").write_text(ODOMETRY + "1.0,tag,1.5,0,40,0.05,0.02\n")
+    with pytest.raises(DataError, match="radians a second are wanted"):
+        read_dataset(directory)

@@ -1,4 +1,4 @@
-"""The measurement models: h, H and R of each measurement, eq. (10) to (15) of docs/explanation/fleet-filter.md.
+"""The measurement models: h, H and R of each measurement, eq. (10) to (15) and (34) of docs/explanation/fleet-filter.md.
 
 Each function evaluates h at the state, then its Jacobian H, then the variances R, in that order, and returns them as a
 linearised measurement: (H P, minus the innovation) for the correction of `JointState`.
@@ -15,6 +15,7 @@ from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
     FloatArray,
+    OdometryMeasurement,
     PositionMeasurement,
     RangeMeasurement,
     Vector3,
@@ -27,6 +28,7 @@ from gcs_coloc.estimators.fleet.ekf.state import (
     REPORT_ERROR,
     SIZE,
     TIME_STAMP_OFFSET,
+    TURN,
     VELOCITY,
     WIND,
     JointState,
@@ -35,6 +37,10 @@ from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _REPORT_VELOCITY_TIME_S = 1.0
 """Chosen: correlation time of the velocity error of a navigation filter; ten reports in it count as one."""
+_ODOMETRY_TIME_S = 1.0
+"""Chosen: correlation time of the errors of wheels and of optical flow, slip and scale; as of a navigation filter."""
+_COURSE_KNOWN_SHARE = 0.5
+"""Chosen: a velocity known to half of its size has a course; without one a speed is no component of it."""
 _WELL_KNOWN_SHARE = 0.25
 """Chosen: air velocity known to this share of the airspeed is a better point of linearisation than a noisy heading."""
 _LEAST_DISTANCE_M = 1e-3
@@ -134,6 +140,36 @@ def air_velocity(
     # R
     noise = noise_level * s.air_noise_mps**2 * max(1.0, s.air_noise_time_s / max(since_s, _LEAST_INTERVAL_S))
     return LinearisedMeasurement(HA, H, joint.where[m.vehicle], [noise, noise])
+
+
+def odometry(joint: JointState, m: OdometryMeasurement, since_s: float) -> LinearisedMeasurement:
+    """Speed and turn rate: h = (|v|, omega), at a stop h = (v_e, v_n, omega), eq. (34); while the course is open omega alone.
+
+    Source: Thrun, Burgard, Fox, Probabilistic Robotics (2005), section 5.4 (odometry). The heading is not known, so the
+    velocity in the axes of the vehicle tells its size alone. R: the stated sigmas; the errors of wheels and of optical flow last,
+    so more odometry a second, with `since_s` since the last one, carries no more information.
+    """
+    x, P = joint.mean(m.vehicle), joint.covariance(m.vehicle)
+    ve, vn, turn = x.item(3), x.item(4), x.item(TURN)
+    speed_mps, measured_mps = math.hypot(ve, vn), math.hypot(m.forward_mps, m.right_mps)
+    lasting = max(1.0, _ODOMETRY_TIME_S / max(since_s, _LEAST_INTERVAL_S))
+    stopped = measured_mps < m.sigma_velocity_mps
+    # h, H
+    rows: list[tuple[float, float]] = []
+    innovations: list[float] = []
+    if stopped:
+        rows, innovations = [(1.0, 0.0), (0.0, 1.0)], [-ve, -vn]
+    elif P.item(3, 3) + P.item(4, 4) < (_COURSE_KNOWN_SHARE * speed_mps) ** 2:
+        rows, innovations = [(ve / speed_mps, vn / speed_mps)], [measured_mps - speed_mps]
+    H = np.zeros((len(rows) + 1, SIZE))
+    for row, (east, north) in zip(H, rows, strict=False):
+        row[VELOCITY.start], row[VELOCITY.start + 1] = east, north
+    H[-1, TURN] = 1.0
+    HA = joint.predict_block_measurement(m.vehicle, H)
+    HA[:, 0] = [-innovation for innovation in (*innovations, m.turn_radps - turn)]
+    # R; at a stop the vehicle moves by what was measured, to any side.
+    velocity = (m.sigma_velocity_mps**2 + (measured_mps**2 if stopped else 0.0)) * lasting
+    return LinearisedMeasurement(HA, H, joint.where[m.vehicle], [velocity] * len(innovations) + [m.sigma_turn_radps**2 * lasting])
 
 
 class LinearisedRange(NamedTuple):

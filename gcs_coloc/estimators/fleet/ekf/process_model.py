@@ -35,6 +35,10 @@ _UNNOTICED_GAIN = 20.0
 """Chosen: the most by which a large position variance inflates."""
 _TURN_GAIN = 6.0
 """Chosen: the most by which the turn rate's sigma is inflated: 6 * 0.03 rad/s is 10 degrees a second."""
+_SLIP_DENSITY_M2PS3 = 0.03
+"""Chosen: wheels that slip change the velocity by 0.17 m/s within a second."""
+_MEASURED_TURN_RADPS = 1.0
+"""Chosen: 1-sigma of a turn rate that odometry measures; a robot turns on the spot."""
 _UNEVEN_TURN_TIME_S = 1.0
 """Chosen: correlation time of the acceleration error in a turn; its density is 2 T sigma^2 (Singer 1970)."""
 _LEAST_OWN_SHARE = 1e-3
@@ -83,7 +87,7 @@ def set_transition(
     gain, gain_v = record.manoeuvre.gains()
     # The turn rate decays within the step: the heading changes by omega times this.
     lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
-    attitude = fresh_attitude(record, s, at_s)
+    attitude, measured = fresh_attitude(record, s, at_s), False
     level = record.noise.level if attitude is not None or record.profile.noise_levels is not None else 1.0
     if attitude is not None:
         assert attitude.airspeed_mps is not None
@@ -96,7 +100,10 @@ def set_transition(
     else:
         turn = x[TURN] * lasting_s / step_s
         density *= level
-        if at_s - record.updated_at_s > _COAST_TIME_S:
+        if measured := has_fresh_odometry(record, s, at_s):
+            # What is left to chance is slip: odometry measures the turn, and the speed ten times as fast as it changes.
+            density = min(density, _SLIP_DENSITY_M2PS3)
+        elif at_s - record.updated_at_s > _COAST_TIME_S:
             gain = max(gain, min(((at_s - record.updated_at_s) / _COAST_TIME_S) ** 2, _COAST_GAIN))
         if record.denied_vehicle:
             gain = max(gain, min(_worst_m2(P) / (_NOTICED_SIGMA_M * _NOTICED_SIGMA_M), _UNNOTICED_GAIN))
@@ -105,7 +112,7 @@ def set_transition(
     mean = transition.set_motion(x, step_s, turn, in_wind=attitude is not None)
     if attitude is None:
         transition.set_turn_column(step_s, lasting_s, mean[3], mean[4])
-        if record.denied_vehicle and at_s - record.updated_at_s > GAP_S:
+        if record.denied_vehicle and at_s - record.updated_at_s > GAP_S and not measured:
             # Eq. (28): no vehicle becomes ever faster.
             limits = record.profile
             decay = math.exp(-2.0 * length * density * gain / limits.max_speed_mps**2)
@@ -117,7 +124,7 @@ def set_transition(
     stamp_s = record.time_stamp_offset_sigma_s
     own = s.time_stamp_offset_sigma_s / stamp_s if stamp_s > 0.0 else 0.0
     stamp_time_s = s.time_stamp_offset_time_s / max(own * own, _LEAST_OWN_SHARE)
-    turn_sigma_radps = s.turn_sigma_radps * min(math.sqrt(gain), _TURN_GAIN)
+    turn_sigma_radps = _MEASURED_TURN_RADPS if measured else s.turn_sigma_radps * min(math.sqrt(gain), _TURN_GAIN)
     transition.set_gauss_markov(
         length,
         (s.wind_time_s, s.air_error_time_s, s.baro_error_time_s, s.report_error_time_s, stamp_time_s, s.turn_time_s),
@@ -132,10 +139,12 @@ def set_transition(
 def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float) -> tuple[float, float, float]:
     """Return what a vehicle may have done since its last range, eq. (29): variances of position and velocity, their covariance.
 
-    Per horizontal axis. It is nothing with a fresh attitude, which shows the turns, and within `GAP_S`.
+    Per horizontal axis. It is nothing with a fresh attitude or odometry, which shows the turns, and within `GAP_S`.
     """
     since_s = at_s - record.updated_at_s
-    if not GAP_S < since_s < math.inf or not record.denied_vehicle or fresh_attitude(record, s, at_s) is not None:
+    if not GAP_S < since_s < math.inf or not record.denied_vehicle:
+        return 0.0, 0.0, 0.0
+    if fresh_attitude(record, s, at_s) is not None or has_fresh_odometry(record, s, at_s):
         return 0.0, 0.0, 0.0
     limits = record.profile
     reach_m = limits.reach_m(since_s) / _BOUND_95_SIGMAS
@@ -147,6 +156,11 @@ def fresh_attitude(record: VehicleRecord, s: FleetSettings, at_s: float) -> Atti
     """Return a vehicle's newest attitude with airspeed, None where it is older than `attitude_fresh_s`."""
     attitude = record.attitude
     return attitude if attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s else None
+
+
+def has_fresh_odometry(record: VehicleRecord, s: FleetSettings, at_s: float) -> bool:
+    """Whether a vehicle's newest odometry is no older than an attitude may be; it shows the turns as well."""
+    return record.odometry is not None and at_s - record.odometry.measured_at_s <= s.attitude_fresh_s
 
 
 def _worst_m2(P: FloatArray) -> float:

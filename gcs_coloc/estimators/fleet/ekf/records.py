@@ -11,6 +11,7 @@ from typing import NamedTuple, TypeVar
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
+    OdometryMeasurement,
     PositionMeasurement,
     RangeMeasurement,
 )
@@ -28,7 +29,7 @@ _RANGES_S = 4.0
 _RANGES_MOST = 120
 """Chosen: ranges for multilateration, so few that constant velocity holds; bounded in memory."""
 
-OwnMeasurement = PositionMeasurement | AltitudeMeasurement | AttitudeMeasurement
+OwnMeasurement = PositionMeasurement | AltitudeMeasurement | AttitudeMeasurement | OdometryMeasurement
 """What a vehicle measures of itself."""
 
 
@@ -73,6 +74,8 @@ class VehicleRecord:
     """Coloured/white split of its barometric heights."""
     attitude: AttitudeMeasurement | None = None
     """The newest attitude with an airspeed."""
+    odometry: OdometryMeasurement | None = None
+    """The newest odometry that was used."""
     report_error_sigma_h_m: float = 0.0
     """Steady-state sigma in force of the error of its position reports, horizontal."""
     report_error_sigma_v_m: float = 0.0

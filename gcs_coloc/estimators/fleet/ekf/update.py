@@ -15,13 +15,14 @@ from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
     FloatArray,
+    OdometryMeasurement,
     PositionMeasurement,
     RangeMeasurement,
 )
 from gcs_coloc.core.telemetry.reported_state import LEAST_AIRSPEED_MPS
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import without_time_error
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
-from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, altitude, position_report, slant_range
+from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, altitude, odometry, position_report, slant_range
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
 from gcs_coloc.estimators.fleet.ekf.process_model import STEEPEST_BANK_RAD
 from gcs_coloc.estimators.fleet.ekf.records import OwnMeasurement, VehicleRecord
@@ -48,7 +49,7 @@ def update_own(cluster: Cluster, m: OwnMeasurement) -> UpdateResult:
         return update_position_report(cluster, m, *split_report_noise(record, m, s), time_stamp_offset_sigma_s(m, s))
     if isinstance(m, AltitudeMeasurement):
         return update_altitude(cluster, m, *record.altitude_noise.split(0, m.sigma_m, s.least_coloured_share))
-    return update_air_velocity(cluster, m)
+    return update_odometry(cluster, m) if isinstance(m, OdometryMeasurement) else update_air_velocity(cluster, m)
 
 
 def update_position_report(
@@ -123,6 +124,23 @@ def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResul
     joint.correct(whitened.W)
     cluster.add_corrections(m.vehicle, whitened.W, whitened.innovations(), m.measured_at_s)
     return UpdateResult(Outcome.USED, 0.0, 0.0, nis, 2)
+
+
+def update_odometry(cluster: Cluster, m: OdometryMeasurement) -> UpdateResult:
+    """Correct with speed and turn rate, eq. (34), with noise inflated outside the gate: wheels slip and spin."""
+    s, record, joint = cluster.settings, cluster.records[m.vehicle], cluster.joint
+    cluster.propagate(m.vehicle, m.measured_at_s)
+    since_s = m.measured_at_s - record.odometry.measured_at_s if record.odometry is not None else math.inf
+    record.odometry = m
+    linear = odometry(joint, m, since_s)
+    S = linear.innovation_covariance(linear.R)
+    nis = whiten(linear.HA, S).nis
+    if nis > s.gate_sigma**2:
+        S *= nis / s.gate_sigma**2
+    whitened = whiten(linear.HA, S)
+    joint.correct(whitened.W)
+    cluster.add_corrections(m.vehicle, whitened.W, whitened.innovations(), m.measured_at_s)
+    return UpdateResult(Outcome.USED, 0.0, 0.0, nis, len(linear.H))
 
 
 def update_range(
