@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from recordings import recording
 
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
@@ -16,6 +17,7 @@ from gcs_coloc.core.measurements import (
 from gcs_coloc.estimators.fleet.ekf.state import JointState
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.range_biases import BiasSample, BiasWindow, RangeBiases
+from gcs_coloc.evaluation.evaluate import evaluate
 
 SIGMA_M = 0.1
 AROUND = [(5.0 * math.cos(a), 4.0 * math.sin(a), 1.0 + 0.1 * (k % 3)) for k, a in enumerate(np.arange(8) * math.pi / 4.0)]
@@ -130,3 +132,11 @@ def test_a_considered_state_keeps_mean_and_variance_and_its_correlation_is_that_
     whole = (np.eye(4) - np.outer(gain, H)) @ P @ (np.eye(4) - np.outer(gain, H)).T + R * np.outer(gain, gain)
     np.testing.assert_allclose(joint.A[1:, 1:], whole, atol=1e-12)
     np.testing.assert_allclose(joint.A[0, 1:], x + gain * nu, atol=1e-12)
+
+
+@pytest.mark.integration
+def test_a_recorded_tag_whose_pairs_are_all_off_is_covered_by_its_bound():
+    (tag,) = evaluate(recording("ranging/lias_fast"), FleetFilter()).denied
+    assert tag.score.horizontal.rmse_m <= 0.12
+    assert 0.93 <= tag.score.covered_95 <= 0.99
+    assert tag.score.beyond_three_bounds == 0.0
