@@ -24,6 +24,14 @@ def recording(tmp_path_factory):
     return path
 
 
+@pytest.fixture(scope="module")
+def report(recording):
+    """The report of that flight, as a page."""
+    out = recording.with_suffix(".html")
+    assert gcs_coloc("report", recording, "--out", out).returncode == 0
+    return out
+
+
 def violations(page: Page) -> list[tuple[str, list[str]]]:
     """What axe-core complains of: each rule with the elements."""
     found = Axe().run(page).response
@@ -81,11 +89,9 @@ def test_a_replayed_flight(scene, recording, scheme):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_report_of_a_flight(scene, recording, scheme):
-    out = recording.with_suffix(".html")
-    assert gcs_coloc("report", recording, "--out", out).returncode == 0
+def test_the_report_of_a_flight(scene, report, scheme):
     page = scene.chromium.new_page(color_scheme=scheme)
-    page.goto(out.as_uri())
+    page.goto(report.as_uri())
     expect(page.get_by_role("heading", name="Vehicle 4 without its GPS")).to_be_visible()
     for width_px in (1440, 390):
         page.set_viewport_size({"width": width_px, "height": 900})
