@@ -10,7 +10,8 @@ from gcs_coloc.core.aiding.aiding import Aiding
 from gcs_coloc.core.aiding.vetted_ranges import VettedRanges
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
 from gcs_coloc.core.estimator import Estimator
-from gcs_coloc.core.gps_health.gps_health import FleetGpsHealth, GpsState
+from gcs_coloc.core.gps_health.fleet_gps_health import FleetGpsHealth
+from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.integrity.monitor import IntegrityMonitor
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,

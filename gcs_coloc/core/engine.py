@@ -21,11 +21,8 @@ from gcs_coloc.core.dispatch import MessageDispatch, Stages
 from gcs_coloc.core.estimator import Estimator, GuardedEstimator
 from gcs_coloc.core.fleet_review import FleetReview
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.gps_health.gps_health import (
-    FleetGpsHealth,
-    GpsHealthSettings,
-    GpsState,
-)
+from gcs_coloc.core.gps_health.fleet_gps_health import FleetGpsHealth
+from gcs_coloc.core.gps_health.gps_health import GpsHealthSettings, GpsState
 from gcs_coloc.core.integrity.monitor import IntegrityMonitor
 from gcs_coloc.core.integrity.protection_level import ProtectionSettings
 from gcs_coloc.core.measurements import Estimate, NoEstimate

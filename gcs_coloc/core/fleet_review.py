@@ -6,7 +6,8 @@ from collections.abc import Iterable
 
 from gcs_coloc.core.aiding.stream import AidingDecision, AidingView, FixInputs
 from gcs_coloc.core.dispatch import LastRound, Stages
-from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsEvidence, GpsState, RangeContradiction
+from gcs_coloc.core.gps_health.evidence import GpsEvidence, RangeContradiction
+from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsState
 from gcs_coloc.core.integrity.protection_level import Exposure
 from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus, ReviewedVehicle
 from gcs_coloc.core.measurements import Estimate, NoEstimate, Residual

@@ -16,22 +16,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import TypeGuard
 
 from gcs_coloc.core.gps_health.doppler_check import DopplerCheck
+from gcs_coloc.core.gps_health.evidence import GpsEvidence, is_fresh, reported_interference
 from gcs_coloc.core.gps_health.position_checks import MotionCheck, ReceiverCheck
 from gcs_coloc.core.gps_health.reasons import GpsReason
 from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.control import HOST_LATE_S, GpsOverride
-from gcs_coloc.core.messages.inbound import (
-    EkfStatus,
-    GlobalPosition,
-    GpsReceiver,
-    Interference,
-    ReceiverIntegrity,
-    SystemHealth,
-)
-from gcs_coloc.core.messages.outbound import HealthChanged
+from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver, Interference
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 
@@ -76,43 +68,10 @@ class GpsHealthSettings:
         check_bounds(self)
 
 
-@dataclass(frozen=True, slots=True)
-class RangeContradiction:
-    """What the ranges say against a vehicle's GPS position, in words; `is_identified`: it, and nobody else, is at fault."""
-
-    text: str
-    is_identified: bool
-
-
-@dataclass(frozen=True, slots=True)
-class GpsEvidence:
-    """All that speaks for or against a vehicle's GPS now, besides the motion and receiver checks.
-
-    `receiver`, `integrity`, `system`, `ekf`: the newest messages of its own receiver, SYS_STATUS and EKF flags.
-    `contradiction`: what the last integrity review found. `is_return_contradicted`: its receiver is back, but contradicted at the
-    moment; `is_return_untested`: there is nothing to test it against. `is_aided`: it may fly on our fix, so that its own reports
-    are an echo. `host_lag_s`: by how much the service runs late: so long a silence is its own, as a contradiction may be from
-    HOST_LATE_S on.
-    """
-
-    receiver: GpsReceiver | None = None
-    integrity: ReceiverIntegrity | None = None
-    system: SystemHealth | None = None
-    ekf: EkfStatus | None = None
-    contradiction: RangeContradiction | None = None
-    is_return_contradicted: bool = False
-    is_return_untested: bool = False
-    is_aided: bool = False
-    has_duplicate_id: bool = False
-    host_lag_s: float = 0.0
-    override: GpsOverride = GpsOverride.AUTO
-
-
 _LONGEST_STEADY_S = 30.0  # chosen: a fix that comes for seconds under jamming has gone again by then
 _RELAPSE_WITHIN_S = 60.0  # chosen: a loss later than this after the recovery is another one
 _HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 _EKF_LINGERS_S = 12.0  # EKF3 holds the worst speed accuracy with a decay of 10 s, and wants 10 s of good innovations
-_INTEGRITY_FRESH_S = 5.0  # chosen: five periods of GNSS_INTEGRITY, which PX4 sends once a second
 
 _NOTHING_HEARD = StatedReason(GpsReason.NOTHING_HEARD)
 
@@ -218,7 +177,7 @@ class GpsHealth:
 
     def _good(self, receiver: GpsReceiver, evidence: GpsEvidence, good_for_s: float, now_s: float) -> bool:
         fix = f"fix type {receiver.fix_type}" + (f", {receiver.satellites} satellites" if receiver.satellites is not None else "")
-        if _is_fresh(evidence.integrity, now_s) and evidence.integrity.jamming is Interference.MITIGATED:
+        if is_fresh(evidence.integrity, now_s) and evidence.integrity.jamming is Interference.MITIGATED:
             fix += ", jamming mitigated"
         untested = evidence.is_return_untested
         if self._state in (GpsState.FAILED, GpsState.RECOVERING):
@@ -255,7 +214,7 @@ class GpsHealth:
             fault = self._receiver_fault(receiver)
             if fault is not None:
                 return fault
-            reported = _reported_interference(evidence.integrity, now_s)
+            reported = reported_interference(evidence.integrity, now_s)
             if reported is not None:
                 return StatedReason(reported)
             if now_s - receiver.received_at_s > self._settings.silence_s + evidence.host_lag_s:
@@ -307,74 +266,3 @@ class GpsHealth:
             self._state, self._since_s = state, now_s
         self._reason = reason
         return changed
-
-
-def _is_fresh(integrity: ReceiverIntegrity | None, now_s: float) -> TypeGuard[ReceiverIntegrity]:
-    return integrity is not None and now_s - integrity.received_at_s <= _INTEGRITY_FRESH_S
-
-
-def _reported_interference(integrity: ReceiverIntegrity | None, now_s: float) -> GpsReason | None:
-    """What the receiver itself says against its fix. Jamming that it masters is no fault: the fix is as good as it states."""
-    if not _is_fresh(integrity, now_s):
-        return None
-    if integrity.spoofing is Interference.DETECTED:
-        return GpsReason.SPOOFING_REPORTED
-    if integrity.spoofing is Interference.MITIGATED:
-        return GpsReason.SPOOFING_INDICATED
-    if integrity.jamming is Interference.DETECTED:
-        return GpsReason.JAMMING_REPORTED
-    return GpsReason.RAIM_FAILED if integrity.raim_failed else None
-
-
-class FleetGpsHealth:
-    """The GPS health of each vehicle; a vehicle of which nothing was heard is UNKNOWN."""
-
-    def __init__(self, settings: GpsHealthSettings) -> None:
-        self._settings = settings
-        self._machines: dict[int, GpsHealth] = {}
-
-    def add_receiver(self, fix: GpsReceiver, position: GlobalPosition | None) -> None:
-        """Add a report of a vehicle's own receiver, with the position that its autopilot reported last."""
-        self._of(fix.sysid).add_receiver(fix, position)
-
-    def add_position(self, reported: PositionMeasurement, *, own: bool) -> None:
-        """Add the position that an autopilot reports. `own` is False while the vehicle is aided."""
-        self._of(reported.vehicle).add_position(reported, own=own)
-
-    def update(self, sysid: int, evidence: GpsEvidence, now_s: float) -> HealthChanged | None:
-        """Move the machine of one vehicle on to `now_s`; return the change of its state, None where there is none."""
-        machine = self._of(sysid)
-        before = machine.state
-        if not machine.update(evidence, now_s):
-            return None
-        return HealthChanged(now_s, sysid, before.value, machine.state.value, machine.reason.text)
-
-    def state(self, sysid: int) -> GpsState:
-        """Return the state of a vehicle since its last update."""
-        return self._of(sysid).state
-
-    def is_returning(self, sysid: int) -> bool:
-        """Return whether a vehicle that has failed has good evidence again."""
-        return self._of(sysid).is_returning
-
-    def reports_false_fix(self, sysid: int) -> bool:
-        """Return whether the receiver of a FAILED vehicle reports a fix all the same, or one that came and went."""
-        return self._of(sysid).reports_false_fix
-
-    def may_witness(self, sysid: int) -> bool:
-        """Return whether nothing speaks against a vehicle but, at most, ranges that leave open who is at fault."""
-        return self._of(sysid).may_witness
-
-    def is_doubtful(self, sysid: int, now_s: float) -> bool:
-        """Return whether a vehicle's receiver speaks against itself, where ranges leave open who is at fault."""
-        return self._of(sysid).is_doubtful(now_s)
-
-    def reason(self, sysid: int) -> str:
-        """Return what speaks for the state, in words."""
-        return self._of(sysid).reason.text
-
-    def _of(self, sysid: int) -> GpsHealth:
-        machine = self._machines.get(sysid)
-        if machine is None:
-            machine = self._machines[sysid] = GpsHealth(self._settings)
-        return machine

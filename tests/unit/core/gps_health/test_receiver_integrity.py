@@ -2,7 +2,8 @@
 
 import pytest
 
-from gcs_coloc.core.gps_health.gps_health import GpsEvidence, GpsHealth, GpsHealthSettings, GpsState
+from gcs_coloc.core.gps_health.evidence import GpsEvidence
+from gcs_coloc.core.gps_health.gps_health import GpsHealth, GpsHealthSettings, GpsState
 from gcs_coloc.core.messages.inbound import GpsReceiver, Interference, ReceiverIntegrity
 
 
