@@ -5,35 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from vehicle_surveys import FLEET, GOOD, PARAMETERS, PX4_SLOT, RECEIVER, WANTED_HZ, said, with_parameters
 
 from gcs_coloc.core.aiding.settings import AidingSettings
-from gcs_coloc.core.messages.inbound import Autopilot, GpsReceiver
-from gcs_coloc.core.stations.node_id import station_node
-from gcs_coloc.core.telemetry.stream_requests import wanted_hz
-from gcs_coloc.doctor.finding import FleetSurvey, Setup, Severity, VehicleSurvey
-from gcs_coloc.doctor.report import CLOCKS_AGREE_S, OFTEN, Report, is_ready, of_fleet, of_vehicle
-from gcs_coloc.mavlink.encoder import STREAM_IDS
+from gcs_coloc.core.messages.inbound import Autopilot
+from gcs_coloc.doctor.finding import Setup, Severity
+from gcs_coloc.doctor.report import CLOCKS_AGREE_S, is_ready, of_vehicle
 
-WANTED_HZ = {STREAM_IDS[stream]: hz for autopilot in Autopilot for stream, hz in wanted_hz(autopilot).items()}
-
-PARAMETERS = {
-    "GPS1_TYPE": 1.0,
-    "GPS2_TYPE": 14.0,
-    "GPS_PRIMARY": 0.0,
-    "GPS_AUTO_SWITCH": 4.0,
-    "GPS1_DELAY_MS": 0.0,
-    "GPS2_DELAY_MS": 100.0,
-    "EK3_GPS_CHECK": 31.0,
-    "EK3_CHECK_SCALE": 150.0,
-    "EK3_SRC1_POSXY": 3.0,
-    "EK3_SRC1_VELXY": 3.0,
-    "EK3_SRC1_VELZ": 0.0,
-    "EK3_SRC1_POSZ": 1.0,
-    "AHRS_EKF_TYPE": 3.0,
-    "MAV_OPTIONS": 0.0,
-    "MAV_GCS_SYSID": 255.0,
-    "MAV_GCS_SYSID_HI": 0.0,
-}
 BEFORE_4_6 = {
     "GPS1_TYPE": "GPS_TYPE",
     "GPS2_TYPE": "GPS_TYPE2",
@@ -41,29 +19,6 @@ BEFORE_4_6 = {
     "GPS2_DELAY_MS": "GPS_DELAY_MS2",
 }
 BEFORE_4_7 = {"MAV_OPTIONS": "SYSID_ENFORCE", "MAV_GCS_SYSID": "SYSID_MYGCS"}
-RECEIVER = GpsReceiver(4, 10.0, 0, 3, 47.0, 8.0, 500.0, 12, 0.8, 0.9, 1.2, 0.2)
-GOOD = VehicleSurvey(
-    sysid=4,
-    autopilot=Autopilot.ARDUPILOT,
-    armed=True,
-    addresses=("127.0.0.1:5000 on udpin:0.0.0.0:14550",),
-    parameters=PARAMETERS,
-    rates_hz=dict(WANTED_HZ),
-    receiver=RECEIVER,
-    peers=frozenset({1, 2, 3}),
-    answers_timesync=True,
-    utc_minus_host_s=0.1,
-)
-
-FLEET = frozenset({1, 2, 3, 4})
-
-
-def said(vehicle, setup=None, fleet=FLEET):
-    return [finding for finding in of_vehicle(vehicle, setup or Setup(), fleet) if finding.severity is not Severity.RIGHT]
-
-
-def with_parameters(**changes):
-    return replace(GOOD, parameters={k: v for k, v in (PARAMETERS | changes).items() if v is not None})
 
 
 def renamed(names):
@@ -195,78 +150,6 @@ def test_a_silent_vehicle_with_signed_frames_may_want_the_key():
     assert "give gcs-coloc its key" in finding.remedy
 
 
-SLOT = {"EKF2_AGP0_CTRL": 1.0, "EKF2_AGP0_ID": 1.0, "EKF2_AGP0_DELAY": 0.0}
-VISION = {"EKF2_EV_CTRL": 1.0, "EKF2_EV_NOISE_MD": 0.0, "EKF2_EV_DELAY": 0.0}
-
-
-@pytest.mark.parametrize(
-    ("parameters", "stopped", "words"),
-    [
-        (SLOT, [], "reboot it"),
-        (SLOT | {"EKF2_AGP0_CTRL": 3.0, "EKF2_AGP1_ID": 0.0, "EKF2_AGP1_CTRL": 1.0}, [], "reboot it"),
-        (SLOT | VISION, [], "reboot it"),
-        (SLOT | {"EKF2_AGP0_CTRL": 2.0}, [("EKF2_AGP0_CTRL", 3.0)], "does not take GLOBAL_POSITION_SENSOR"),
-        (SLOT | {"EKF2_AGP0_ID": 0.0}, [("EKF2_AGP0_ID", 1.0)], "the slot is off"),
-        (SLOT | {"EKF2_AGP0_ID": 7.0}, [("EKF2_AGP0_ID", 1.0)], "waits for another sensor id"),
-        (SLOT | {"EKF2_AGP0_DELAY": 300.0}, [("EKF2_AGP0_DELAY", 0.0)], "0.3 s old"),
-        (SLOT | {"EKF2_AGP2_ID": 5.0, "EKF2_AGP2_CTRL": 1.0}, [], "positions of sensor 5 as well"),
-        (
-            {"EKF2_AGP0_CTRL": 1.0, "EKF2_AGP0_ID": 9.0, "EKF2_AGP1_ID": 1.0, "EKF2_AGP1_CTRL": 0.0},
-            [("EKF2_AGP1_CTRL", 1.0)],
-            "positions of sensor 9 as well",
-        ),
-        ({"EKF2_AGP0_CTRL": 1.0}, [None], "EKF2_AGP0_ID could not be read"),
-        (VISION | {"EKF2_AGP_CTRL": 1.0}, [], "receive no GLOBAL_POSITION_SENSOR"),
-        ({"EKF2_AGP_CTRL": 1.0, "EKF2_EV_CTRL": 0.0}, [("EKF2_EV_CTRL", 1.0)], "does not take VISION_POSITION_ESTIMATE"),
-        (VISION | {"EKF2_EV_CTRL": 8.0}, [("EKF2_EV_CTRL", 9.0)], "does not take VISION_POSITION_ESTIMATE"),
-        (VISION | {"EKF2_EV_CTRL": 3.0}, [], "height that we compute"),
-        (VISION | {"EKF2_EV_NOISE_MD": 1.0}, [("EKF2_EV_NOISE_MD", 0.0)], "EKF2_EVP_NOISE"),
-        (VISION | {"EKF2_EV_DELAY": 175.0}, [("EKF2_EV_DELAY", 0.0)], "0.175 s old"),
-    ],
-)
-def test_px4_must_take_the_method_that_it_is_sent(parameters, stopped, words):
-    findings = said(replace(GOOD, autopilot=Autopilot.PX4, parameters=parameters))
-    assert [finding.parameter for finding in findings if finding.severity is Severity.STOP] == stopped
-    assert words in " ".join(finding.text + (finding.remedy or "") for finding in findings)
-
-
-RANGES = {"EKF2_RNGBC_CTRL": 1.0, "EKF2_RNGBC_NOISE": 0.5, "EKF2_RNGBC_DELAY": 0.0}
-
-
-@pytest.mark.parametrize(
-    ("parameters", "stopped", "words"),
-    [
-        (RANGES, [], "takes RANGING_BEACON"),
-        (RANGES | SLOT | {"EKF2_AGP0_CTRL": 0.0}, [], "takes RANGING_BEACON"),
-        (RANGES | {"EKF2_RNGBC_CTRL": 0.0}, [("EKF2_RNGBC_CTRL", 1.0)], "does not take RANGING_BEACON"),
-        (RANGES | {"EKF2_RNGBC_NOISE": 30.0}, [("EKF2_RNGBC_NOISE", 1.0)], "no range for better than 30 m"),
-        (RANGES | {"EKF2_RNGBC_DELAY": 100.0}, [("EKF2_RNGBC_DELAY", 0.0)], "0.1 s old"),
-        (SLOT, [None], "its firmware fuses no ranges"),
-    ],
-)
-def test_px4_must_fuse_the_ranges_that_it_is_handed(parameters, stopped, words):
-    vehicle = replace(GOOD, autopilot=Autopilot.PX4, parameters=parameters)
-    findings = said(vehicle, Setup(aiding=AidingSettings(method="ranging_beacon")))
-    assert [finding.parameter for finding in findings if finding.severity is Severity.STOP] == stopped
-    told = of_vehicle(vehicle, Setup(aiding=AidingSettings(method="ranging_beacon")), FLEET)
-    assert words in " ".join(finding.text + (finding.remedy or "") for finding in told)
-
-
-def test_stations_locate_a_vehicle_as_others_do_and_one_without_a_position_is_told():
-    placed = frozenset(station_node(i) for i in (0, 1, 2))
-    alone = replace(GOOD, peers=placed | {station_node(7)})
-    told = [f.text + (f.remedy or "") for f in of_vehicle(alone, Setup(), frozenset({GOOD.sysid}) | placed)]
-    assert "ranges to 3 others: station 0, station 1, station 2" in told
-    assert any("ranges to station 7, whose position nobody tells" in text and "[[station]]" in text for text in told)
-    survey = FleetSurvey(15.0, (GOOD,), stations=placed)
-    assert [f.text for f in of_fleet(survey, Setup())] == ["vehicles heard: 1, fixed stations with a position: 3"]
-
-
-def test_a_slot_of_px4_is_read_at_its_start_alone():
-    (finding,) = said(replace(GOOD, autopilot=Autopilot.PX4, parameters=SLOT | {"EKF2_AGP0_ID": 0.0}))
-    assert "then reboot it" in finding.remedy
-
-
 def test_the_way_that_the_configuration_sets_is_the_one_that_is_checked():
     without = with_parameters(GPS2_TYPE=0.0)
     assert not said(without, Setup(aiding=AidingSettings(method="external_position")))
@@ -297,63 +180,12 @@ def test_a_vehicle_that_is_streamed_on_standby_may_arm():
     assert not said(replace(GOOD, armed=False), Setup(aiding=AidingSettings(standby=True)))
 
 
-def test_px4_is_not_asked_for_what_only_ardupilot_sends():
-    rates = {k: v for k, v in WANTED_HZ.items() if k not in (124, 193)}
-    texts = [finding.text for finding in said(replace(GOOD, autopilot=Autopilot.PX4, parameters={}, rates_hz=rates))]
-    assert not any("GPS2_RAW" in text or "EKF_STATUS" in text for text in texts)
-
-
 def test_a_vehicle_that_only_helps_is_not_held_to_what_the_located_ones_need():
     helper = replace(GOOD, sysid=1, autopilot=Autopilot.PX4, parameters={}, peers=frozenset(), others_there=(2,))
     assert is_ready(said(helper, Setup(denied=frozenset({4}))))
     assert not is_ready(said(replace(helper, rates_hz={}), Setup(denied=frozenset({4}))))
     assert not is_ready(said(replace(helper, is_claimed_twice=True), Setup(denied=frozenset({4}))))
     assert not is_ready(said(replace(helper, sysid=4), Setup(denied=frozenset({4}))))
-
-
-def fleet(**changes):
-    return FleetSurvey(15.0, tuple(replace(GOOD, sysid=sysid, peers=FLEET - {sysid}) for sysid in sorted(FLEET)), **changes)
-
-
-@pytest.mark.parametrize(
-    ("findings", "setup", "severity", "words"),
-    [
-        (FleetSurvey(15.0), Setup(), Severity.STOP, "no vehicle was heard in 15 s"),
-        (FleetSurvey(15.0, refused={"garbage_bytes": 900}), Setup(), Severity.STOP, "in 15 s, but 900 bytes that are no MAVLink"),
-        (FleetSurvey(15.0, (GOOD,)), Setup(), Severity.STOP, "vehicles heard: 1; to locate one, 3 others are needed"),
-        (fleet(), Setup(denied=frozenset({4, 9})), Severity.STOP, "vehicle 9, which is to be located, was not heard"),
-        (fleet(refused={"signature_wrong": OFTEN}), Setup(), Severity.NOTE, f"{OFTEN} times refused (signature_wrong)"),
-        (fleet(host_is_synchronised=False), Setup(), Severity.NOTE, "not synchronised"),
-        (fleet(host_is_synchronised=False), Setup(requires_synchronised_clock=True), Severity.STOP, "not synchronised"),
-    ],
-)
-def test_what_is_said_of_the_fleet(findings, setup, severity, words):
-    (finding,) = [finding for finding in of_fleet(findings, setup) if finding.severity is not Severity.RIGHT]
-    assert finding.severity is severity
-    assert words in finding.text
-
-
-def test_a_fleet_that_is_all_right():
-    findings = fleet(refused={"signature_wrong": OFTEN - 1, "not_wanted": 1000}, host_is_synchronised=True)
-    assert all(finding.severity is Severity.RIGHT for finding in of_fleet(findings, Setup()))
-    report = Report(findings, Setup())
-    assert report.is_ready
-    assert list(report.lines())[-1] == "result: all right; co-localisation can work"
-    assert report.as_json()["ready"] is True
-
-
-def test_the_report_says_what_stops_first_and_whom_it_stops_last():
-    good = fleet()
-    wrong = replace(good.vehicles[1], parameters=PARAMETERS | {"GPS2_TYPE": 0.0})
-    report = Report(replace(good, vehicles=(good.vehicles[0], wrong, *good.vehicles[2:])), Setup())
-    lines = list(report.lines())
-    of_two = lines.index("vehicle 2: ArduPilot, armed")
-    assert lines[of_two + 1].startswith("  STOP   GPS2_TYPE = 0:")
-    assert lines[of_two + 1].endswith("; set GPS2_TYPE = 14")
-    assert lines[-1] == "result: something would stop co-localisation of vehicle 2"
-    vehicle = report.as_json()["vehicles"][1]
-    assert (vehicle["sysid"], vehicle["ready"]) == (2, False)
-    assert {"GPS2_TYPE": 14.0} in [finding["set"] for finding in vehicle["findings"]]
 
 
 @pytest.mark.parametrize(
@@ -365,7 +197,7 @@ def test_the_report_says_what_stops_first_and_whom_it_stops_last():
         ),
         (with_parameters(SERIAL2_PROTOCOL=2.0, MAV1_OPTIONS=9.0), "PEER_RANGE with the peers' system ids; or say"),
         (
-            replace(GOOD, autopilot=Autopilot.PX4, parameters=SLOT),
+            replace(GOOD, autopilot=Autopilot.PX4, parameters=PX4_SLOT),
             "PX4 forwards RANGING_BEACON and DEBUG_VECT",
         ),
     ],
