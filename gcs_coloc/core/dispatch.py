@@ -34,9 +34,10 @@ from gcs_coloc.core.messages.inbound import (
     SystemTime,
     TimeSyncAnswer,
 )
-from gcs_coloc.core.messages.outbound import Outbound
-from gcs_coloc.core.stations.node_id import is_station
-from gcs_coloc.core.stations.stations import Stations
+from gcs_coloc.core.messages.outbound import Notice, Outbound
+from gcs_coloc.core.stations.node_id import is_station, station_id_of
+from gcs_coloc.core.stations.station_survey import StationSurvey, survey_notice
+from gcs_coloc.core.stations.stations import Station, Stations
 from gcs_coloc.core.telemetry.altitude_builder import SentFix
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder
 from gcs_coloc.core.telemetry.proven_vehicles import ProvenVehicles
@@ -72,6 +73,7 @@ class Stages:
     gps_health: FleetGpsHealth
     aiding: Aiding
     vetted: VettedRanges
+    survey: StationSurvey
 
 
 class MessageDispatch:
@@ -148,7 +150,7 @@ class MessageDispatch:
             return []
         resolved, told = s.stations.resolve(message)
         if resolved is None:
-            return [told] if told is not None else []
+            return [notice for notice in (told, self._survey(message, vehicle)) if notice is not None]
         to_station = is_station(resolved.peer)
         built = s.measurements.range(
             resolved, vehicle, s.stations.get(resolved.peer) if to_station else s.telemetry.get(resolved.peer)
@@ -162,6 +164,18 @@ class MessageDispatch:
                     s.estimator.add(built.measurement)
                     s.vetted.add_range(built.measurement)
         return [notice for notice in (told, built.notice) if notice is not None]
+
+    def _survey(self, message: PeerRange, vehicle: ReportedState) -> Notice | None:
+        """Let a range of a vehicle with GPS to a station without position tell where that is."""
+        s, node = self._stages, message.peer
+        reported, frame = self._believed(message.sysid), s.measurements.frame
+        has_place = message.beacon is not None and message.beacon.position is not None
+        if reported is None or frame is None or has_place or not is_station(node) or s.stations.is_placed(node):
+            return None
+        station = s.stations.get(node) or Station(station_id_of(node))
+        measurement = s.measurements.range(message, vehicle, station).measurement
+        found = s.survey.add(measurement, reported) if measurement is not None else None
+        return survey_notice(station, found, frame, message.received_at_s) if found is not None else None
 
     def _believed(self, sysid: int) -> PositionMeasurement | None:
         """Return the position that a vehicle reports while its GPS is healthy."""

@@ -45,6 +45,7 @@ from gcs_coloc.core.messages.outbound import Notice, Outbound, ToVehicle
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.schedule import TickSchedule
 from gcs_coloc.core.snapshot import FleetSnapshot, OverrideSources, vehicle_snapshot
+from gcs_coloc.core.stations.station_survey import StationSurvey
 from gcs_coloc.core.stations.stations import Station, Stations
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
@@ -107,6 +108,7 @@ class Engine:
             self.gps_health,
             self.aiding,
             VettedRanges(s.aiding.hands_over_ranges),
+            StationSurvey(),
         )
         self._dispatch = MessageDispatch(stages)
         self._review = FleetReview(stages)

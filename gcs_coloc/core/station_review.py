@@ -10,7 +10,8 @@ from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.integrity.report import IntegrityReport, PositionFault, ReviewedVehicle
 from gcs_coloc.core.measurements import Vector3
 from gcs_coloc.core.messages.outbound import Notice
-from gcs_coloc.core.stations.node_id import node_name
+from gcs_coloc.core.stations.node_id import node_name, station_id_of
+from gcs_coloc.core.stations.station_survey import surveyed_station
 from gcs_coloc.core.stations.stations import Station, StationPosition
 
 _ORIGIN_AFTER_S = 10.0
@@ -78,7 +79,16 @@ class StationReview:
 
     def snapshots(self, now_s: float) -> tuple[StationSnapshot, ...]:
         """Return the stations for observers."""
-        return tuple(self._snapshot(station, now_s) for station in self._stages.stations)
+        s = self._stages
+        return tuple(self._snapshot(station, now_s) for station in [*s.stations, *self._surveyed()])
+
+    def _surveyed(self) -> list[Station]:
+        """Return the stations that have no position but the one that was found."""
+        s, frame = self._stages, self._stages.measurements.frame
+        if frame is None:
+            return []
+        found = ((node, at) for node, at in s.survey.found.items() if not s.stations.is_placed(node))
+        return [surveyed_station(s.stations.get(node) or Station(station_id_of(node)), at, frame) for node, at in found]
 
     def _reviewed(self, station: Station, frame: LocalFrame, now_s: float) -> ReviewedVehicle:
         s, node = self._stages, station.node
@@ -119,7 +129,7 @@ class StationReview:
             enu_m=where.position_enu_m if where is not None else None,
             range_age_s=now_s - ranged_s if ranged_s is not None else None,
             fault=_wording(fault) if fault is not None else None,
-            is_used=at is not None and (fault is None or not fault.is_identified),
+            is_used=s.stations.is_placed(station.node) and (fault is None or not fault.is_identified),
         )
 
 

@@ -36,6 +36,8 @@ class StationSource(StrEnum):
     CONFIGURED = "configured"
     STATED = "stated"
     """By the RANGING_BEACON messages of a vehicle."""
+    SURVEYED = "surveyed"
+    """By the ranges of vehicles with GPS. It locates nobody until the configuration has it."""
 
 
 class StationPosition(NamedTuple):
@@ -119,6 +121,11 @@ class Stations:
         """Return a station by its node id, None where it is not known."""
         return self._stations.get(node)
 
+    def is_placed(self, node: int) -> bool:
+        """Return whether a station's position is known, so that ranges to it locate vehicles."""
+        station = self._stations.get(node)
+        return station is not None and station.position is not None
+
     def add_receiver(self, message: GpsReceiver) -> None:
         """Add a receiver's report: it knows how high mean sea level is above the ellipsoid here."""
         if message.geoid_height_m is not None and message.fix_type >= _FIX_3D:
@@ -140,13 +147,13 @@ class Stations:
     def _resolve(self, message: PeerRange) -> ResolvedRange:
         beacon = message.beacon
         if beacon is None:
-            if not is_station(message.peer) or self._is_placed(message.peer):
+            if not is_station(message.peer) or self.is_placed(message.peer):
                 return ResolvedRange(message)
             text = f"it ranges {node_name(message.peer)}, which has no position: give it one in [[station]]"
             return self._refuse(message, CoreRefusal.STATION_UNKNOWN, text)
         if beacon.position is None and self._beacon_ids == "vehicles":
             return self._resolve_vehicle(message, beacon)
-        if beacon.position is None and not self._is_placed(message.peer):
+        if beacon.position is None and not self.is_placed(message.peer):
             text = (
                 f"its RANGING_BEACON of beacon {beacon.beacon_id} has no position: add a [[station]] with this id, "
                 'or set ranging_beacon_ids = "vehicles" in [measurements] where these are system ids of vehicles'
@@ -203,10 +210,6 @@ class Stations:
             stated.sigma_h_m if stated.sigma_h_m is not None else sigma_h_m,
             stated.sigma_v_m if stated.sigma_v_m is not None else sigma_v_m,
         )
-
-    def _is_placed(self, node: int) -> bool:
-        station = self._stations.get(node)
-        return station is not None and station.position is not None
 
     def _refuse(self, message: PeerRange, reason: CoreRefusal, text: str) -> ResolvedRange:
         self.refused[reason] += 1

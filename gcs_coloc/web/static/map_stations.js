@@ -7,6 +7,7 @@ const L = window.L;
 const at = (enu) => [enu[1], enu[0]];
 
 function stationWords({ node, name, sigma_h_m: sigma, source, range_age_s: age, fault }) {
+  if (source === "surveyed") return `${nodeName(node)}${name ? ` (${name})` : ""}, surveyed, 1-sigma ${sigma.toFixed(1)} m; add it to the configuration to use it`;
   const ranged = age === null ? "not ranged yet" : age > 5 ? "not ranged now" : "ranged";
   return `${nodeName(node)}${name ? ` (${name})` : ""}, ${source}, 1-sigma ${sigma.toFixed(1)} m, ${ranged}${fault === null ? "" : `; ${fault}`}`;
 }

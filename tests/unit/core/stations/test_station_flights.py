@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import cos, dist, sin
 
 import numpy as np
 import pytest
 from engine_flights import fly, settings, telemetry, texts, vehicle_4
 from recorded_flight import write_flight
-from station_flights import PLACES, configured, error_m, fly_with_ranges, ranges
+from station_flights import FRAME, PLACES, configured, error_m, fly_with_ranges, ranges
 
 from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.measurements import RangeMeasurement
+from gcs_coloc.core.messages.inbound import Attitude, GlobalPosition, GpsReceiver, PeerRange, TimeBase
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.stations.node_id import station_node
 from gcs_coloc.estimators.fleet.filter import FleetFilter
@@ -160,3 +162,33 @@ def stated(station):
     frame = WorldFrame(o.lat_deg, o.lon_deg, o.alt_msl_m, o.geoid_height_m)
     lat_deg, lon_deg, alt_m = frame.to_lla(station.east_m, station.north_m, station.height_m)
     return {"id": station.id, "lat_deg": lat_deg, "lon_deg": lon_deg, "alt_m": alt_m, "sigma_m": 0.1}
+
+
+def test_a_station_without_position_is_surveyed_by_vehicles_with_gps_and_locates_nobody():
+    engine = Engine(FleetFilter(), settings())
+    rng = np.random.default_rng(5)
+    where, told = PLACES[2], []
+    for step in range(2000):
+        t = step / 10
+        at = (900.0 + 300.0 * cos(t / 15.0), 100.0 + 300.0 * sin(t / 15.0), 120.0 + 60.0 * sin(t / 23.0))
+        lat, lon, alt = FRAME.geodetic_from_enu(*at)
+        speed = {"vn_mps": 20.0 * cos(t / 15.0), "ve_mps": -20.0 * sin(t / 15.0), "vd_mps": -60.0 / 23.0 * cos(t / 23.0)}
+        for message in telemetry(1, t, 3):
+            if isinstance(message, GlobalPosition):
+                message = replace(message, lat_deg=lat, lon_deg=lon, alt_msl_m=alt, **speed)
+            if isinstance(message, GpsReceiver):
+                message = replace(message, lat_deg=lat, lon_deg=lon, alt_msl_m=alt)
+            if not isinstance(message, Attitude):
+                engine.receive(message)
+        engine.receive(
+            PeerRange(1, t, station_node(2), dist(at, where) + rng.normal(0.0, 0.3), 0.3, t, TimeBase.SERVICE, None, None, 0)
+        )
+        while engine.next_deadline() < t + 0.1:
+            told += [o for o in engine.poll(max(engine.next_deadline(), t)) if isinstance(o, Notice) and "surveyed" in o.text]
+    assert told
+    assert "[[station]] id = 2, lat_deg = " in told[-1].text
+    (station,) = engine.snapshot(200.0).stations
+    off_m = dist(FRAME.enu_from_geodetic(station.lat_deg, station.lon_deg, station.alt_msl_m), where)
+    assert off_m < 3.0 * max(station.sigma_h_m, station.sigma_v_m) < 15.0
+    assert (station.source, station.is_used) == ("surveyed", False)
+    assert engine.snapshot(200.0).ranges == ()

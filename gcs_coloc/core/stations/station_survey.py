@@ -1,0 +1,231 @@
+"""Survey of stations whose position nobody has given: from the ranges of vehicles with GPS, with its covariance.
+
+What is found is told, and locates nobody: people take it over into the configuration.
+
+    r_k = |p_k + o - s| + b + v_k
+
+p_k where the vehicle reports itself, o the lasting error of its receiver, s the station, b the lasting error of the ranges. No
+number of ranges averages o and b away: they are considered in the covariance. A station that has two places which the ranges do
+not tell apart, as above and beneath vehicles at one height, is not surveyed yet.
+
+Source: Y. Bar-Shalom et al., Estimation with Applications to Tracking and Navigation (2001), section 3.4 (nonlinear least
+squares); P. J. Huber, Robust Statistics (1981), for the weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import dist, inf, pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.measurements import FloatArray, PositionMeasurement, RangeMeasurement, Vector3
+from gcs_coloc.core.messages.outbound import Notice
+from gcs_coloc.core.stations.stations import Station, StationPosition, StationSource
+
+_LEAST_MOVED_M = 5.0
+"""Chosen: ranges from one place have the same errors; a vehicle that hovers adds nothing."""
+_MOST_SAMPLES = 300
+"""Of a station. Chosen: bounds the cost of a solution to some milliseconds; later ones replace those at random places before."""
+_LEAST_SAMPLES = 12
+_MORE = 1.25
+"""A solution is sought anew with a quarter more samples. Chosen: it costs milliseconds, and fewer say little more."""
+_REPORT_AGE_S = 1.0
+"""Chosen: a position is carried on by its velocity no longer, as half a g for a second is 2.5 m."""
+_BIAS_SIGMA_M = 1.0
+"""Chosen: antenna delays of uncalibrated radios are some decimetres, of others a metre."""
+_HUBER_SIGMAS = 2.0
+_DIRECTIONS, _STEPS = 8, 15
+_HEIGHTS = (-1.0, 0.0, 1.0)
+"""Starts of the search: around the vehicles at their median range, and as far beneath and above."""
+_SAME_PLACE_SIGMAS = 3.0
+_OTHER_PLACE_COST = 12.0
+"""Chosen: a likelihood ratio of 400; a place that fits so much worse is ruled out."""
+_MOST_SIGMA_M = 10.0
+"""Chosen: a coarser place than that of a receiver without corrections, three times over, helps nobody."""
+_LEAST_INFORMATION_PER_M2 = 1e-8
+"""So that a place that nothing holds has a covariance, too large to be told."""
+_BETTER = 0.5
+"""Chosen: a survey is told anew when its sigma has halved, and not at each range."""
+
+
+class SurveyedPosition(NamedTuple):
+    """Where a station is: ENU in the fleet's frame, m, with 1-sigmas along the worst horizontal direction and of the height."""
+
+    enu_m: Vector3
+    sigma_h_m: float
+    sigma_v_m: float
+    ranges: int
+
+
+class _Sample(NamedTuple):
+    vehicle: int
+    position_m: Vector3
+    range_m: float
+    sigma_m: float
+    position_sigma_m: float
+
+
+@dataclass(slots=True)
+class _Survey:
+    samples: list[_Sample] = field(default_factory=list)
+    added: int = 0
+    solved_at: float = _LEAST_SAMPLES / _MORE
+    found: SurveyedPosition | None = None
+    told_sigma_m: float = inf
+
+
+class StationSurvey:
+    """The surveys of one fleet, by the node id of the station."""
+
+    def __init__(self) -> None:
+        self._surveys: dict[int, _Survey] = {}
+
+    def position(self, node: int) -> SurveyedPosition | None:
+        """Return where a station was found; None while that is not known."""
+        survey = self._surveys.get(node)
+        return survey.found if survey is not None else None
+
+    @property
+    def found(self) -> dict[int, SurveyedPosition]:
+        """All stations that were found."""
+        return {node: survey.found for node, survey in sorted(self._surveys.items()) if survey.found is not None}
+
+    def add(self, measurement: RangeMeasurement, reported: PositionMeasurement) -> SurveyedPosition | None:
+        """Add a range to a station and the newest reported position of its vehicle, whose GPS is healthy.
+
+        Returns:
+            The station's position where it is found, or known twice as well as when it was returned last.
+        """
+        at = _place_at(reported, measurement.measured_at_s)
+        if at is None:
+            return None
+        survey = self._surveys.setdefault(measurement.to_vehicle, _Survey())
+        last = next((s for s in reversed(survey.samples) if s.vehicle == measurement.from_vehicle), None)
+        if last is not None and dist(last.position_m, at) < _LEAST_MOVED_M:
+            return None
+        sigma_p_m = max(reported.sigma_h_m, reported.sigma_v_m)
+        sample = _Sample(measurement.from_vehicle, at, measurement.range_m, measurement.sigma_m, sigma_p_m)
+        if len(survey.samples) >= _MOST_SAMPLES:
+            # The places stay spread over the whole flight: any of those before may go.
+            survey.samples.pop((survey.added * 7919) % _MOST_SAMPLES)
+        survey.samples.append(sample)
+        survey.added += 1
+        if survey.added < _MORE * survey.solved_at:
+            return None
+        survey.solved_at = survey.added
+        survey.found = survey_position(survey.samples)
+        if survey.found is None or max(survey.found[1:3]) > _BETTER * survey.told_sigma_m:
+            return None
+        survey.told_sigma_m = max(survey.found[1:3])
+        return survey.found
+
+
+def survey_position(samples: list[_Sample]) -> SurveyedPosition | None:
+    """Return where the station of some ranges is; None where they leave it open or it is coarser than 10 m."""
+    positions = np.array([s.position_m for s in samples])
+    ranges = np.array([s.range_m for s in samples])
+    white_m2 = np.array([s.sigma_m**2 + s.position_sigma_m**2 for s in samples])
+    centre, reach_m = positions.mean(axis=0), float(np.median(ranges))
+    angles = 2.0 * pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    ring = np.array([(np.cos(angle), np.sin(angle), height) for angle in angles for height in _HEIGHTS])
+    costs, states = _fit(centre + reach_m * ring, positions, ranges, white_m2)
+    best = states[int(np.argmin(costs))]
+    H, left = _linearised(best[np.newaxis], positions, ranges)
+    # Ranges that scatter more than they state know less; the median leaves out those that are blocked.
+    scatter = 1.4826 * float(np.median(np.abs(left[0]) / np.sqrt(white_m2)))
+    P = _covariance(H[0], samples, white_m2 * max(scatter, 1.0) ** 2)
+    apart = states[:, :3] - best[:3]
+    is_other = np.einsum("si,ij,sj->s", apart, np.linalg.inv(P), apart) > _SAME_PLACE_SIGMAS**2
+    if bool(np.any(is_other & (costs < float(costs.min()) + _OTHER_PLACE_COST))):
+        return None
+    sigma_h_m, sigma_v_m = sqrt(float(np.linalg.eigvalsh(P[:2, :2])[-1])), sqrt(float(P[2, 2]))
+    if max(sigma_h_m, sigma_v_m) > _MOST_SIGMA_M:
+        return None
+    east_m, north_m, up_m = best[:3].tolist()
+    return SurveyedPosition((east_m, north_m, up_m), sigma_h_m, sigma_v_m, len(samples))
+
+
+def surveyed_station(station: Station, found: SurveyedPosition, frame: LocalFrame) -> Station:
+    """Return a station with the position that was found."""
+    lat_deg, lon_deg, alt_msl_m = frame.geodetic_from_enu(*found.enu_m)
+    position = StationPosition(lat_deg, lon_deg, alt_msl_m, found.sigma_h_m, found.sigma_v_m)
+    return replace(station, position=position, source=StationSource.SURVEYED)
+
+
+def survey_notice(station: Station, found: SurveyedPosition, frame: LocalFrame, at_s: float) -> Notice:
+    """Tell where a station was found, and what to write into the configuration so that it is used."""
+    at = surveyed_station(station, found, frame).position
+    assert at is not None
+    table = (
+        f"[[station]] id = {station.station_id}, lat_deg = {at.lat_deg:.7f}, lon_deg = {at.lon_deg:.7f}, "
+        f"alt_m = {at.alt_msl_m:.1f}, sigma_m = {max(at.sigma_h_m, at.sigma_v_m):.1f}"
+    )
+    known = f"surveyed from {found.ranges} ranges, 1-sigma {at.sigma_h_m:.1f} m, height {at.sigma_v_m:.1f} m"
+    return Notice(at_s, None, "info", f"{station.label} is {known}; to use it, add to the configuration: {table}")
+
+
+def _place_at(reported: PositionMeasurement, at_s: float) -> Vector3 | None:
+    """Return where a vehicle was at a time near that of a report, carried on by its velocity; None where that is too far off."""
+    t = at_s - reported.measured_at_s
+    if reported.velocity_enu_mps is None or abs(t) > _REPORT_AGE_S:
+        return None
+    (e, n, u), (ve, vn, vu) = reported.position_enu_m, reported.velocity_enu_mps
+    return e + ve * t, n + vn * t, u + vu * t
+
+
+def _fit(starts: FloatArray, positions: FloatArray, ranges: FloatArray, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return cost (S,) and state (S, 4), place and bias, at the minima near S starts.
+
+    Levenberg-Marquardt with Huber's weights.
+    """
+    x = np.column_stack([starts, np.zeros(len(starts))])
+    prior = np.array([0.0, 0.0, 0.0, _BIAS_SIGMA_M**-2])
+    damping = np.full(len(x), 1e-3)
+    H, left = _linearised(x, positions, ranges)
+    cost = _cost(left, variances, x)
+    diagonal = np.arange(4)
+    for _ in range(_STEPS):
+        weights = np.minimum(1.0, _HUBER_SIGMAS * np.sqrt(variances) / np.maximum(np.abs(left), 1e-9)) / variances
+        weighted = (H * weights[..., np.newaxis]).swapaxes(1, 2)
+        N = weighted @ H
+        N[:, diagonal, diagonal] += prior
+        N[:, diagonal, diagonal] += damping[:, np.newaxis] * (N[:, diagonal, diagonal] + 1e-12)
+        pull = (weighted @ left[..., np.newaxis])[..., 0] - prior * x
+        new = x + np.linalg.solve(N, pull[..., np.newaxis])[..., 0]
+        H_new, left_new = _linearised(new, positions, ranges)
+        cost_new = _cost(left_new, variances, new)
+        better = cost_new < cost
+        x, cost = np.where(better[:, np.newaxis], new, x), np.where(better, cost_new, cost)
+        H, left = np.where(better[:, np.newaxis, np.newaxis], H_new, H), np.where(better[:, np.newaxis], left_new, left)
+        damping = np.where(better, damping / 5.0, damping * 10.0)
+    return cost, x
+
+
+def _covariance(H: FloatArray, samples: list[_Sample], variances: FloatArray) -> FloatArray:
+    """Return the covariance (3, 3) of the place, with the lasting errors of ranges and receivers considered."""
+    vehicles = sorted({s.vehicle for s in samples})
+    owner = np.array([vehicles.index(s.vehicle) for s in samples])
+    offsets = np.zeros((len(samples), len(vehicles), 3))
+    offsets[np.arange(len(samples)), owner] = -H[:, :3]
+    A = np.concatenate([H, offsets.reshape(len(samples), -1)], axis=1)
+    sigmas_m = [max(s.position_sigma_m for s in samples if s.vehicle == vehicle) for vehicle in vehicles]
+    information = [*[_LEAST_INFORMATION_PER_M2] * 3, _BIAS_SIGMA_M**-2, *np.repeat(np.power(sigmas_m, -2.0), 3)]
+    return np.asarray(np.linalg.inv((A.T / variances) @ A + np.diag(information))[:3, :3])
+
+
+def _linearised(x: FloatArray, positions: FloatArray, ranges: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return H (S, N, 4) and the residuals (S, N) at S states."""
+    d = x[:, np.newaxis, :3] - positions
+    distances = np.maximum(np.linalg.norm(d, axis=2), 1e-6)
+    H = np.concatenate([d / distances[..., np.newaxis], np.ones((*distances.shape, 1))], axis=2)
+    return H, ranges - distances - x[:, 3:]
+
+
+def _cost(left: FloatArray, variances: FloatArray, x: FloatArray) -> FloatArray:
+    """Return twice Huber's loss, with the bias' own, at S states."""
+    z = np.abs(left) / np.sqrt(variances)
+    loss = np.where(z <= _HUBER_SIGMAS, z * z, 2.0 * _HUBER_SIGMAS * z - _HUBER_SIGMAS**2)
+    return np.asarray(loss.sum(axis=1) + (x[:, 3] / _BIAS_SIGMA_M) ** 2)
