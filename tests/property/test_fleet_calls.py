@@ -112,7 +112,7 @@ class RandomFleet:
     phases=(Phase.explicit, Phase.reuse, Phase.generate),
     suppress_health_check=[HealthCheck.too_slow],
 )
-@given(st.integers(2, 20), st.integers(0, 10_000), st.booleans(), st.sampled_from([6, 16]))
+@given(st.integers(2, 40), st.integers(0, 10_000), st.booleans(), st.sampled_from([6, 16]))
 # More than eight neighbours in one line, some ranged slowly: a reflection hypothesis selects peers that it has no record of.
 @example(9, 61, True, 16)
 @example(11, 77, True, 16)
