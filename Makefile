@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 	touch $@
 
 .venv/.ready-dev: requirements-dev.lock .venv/.ready
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-dev.lock
+	$(BIN)/python -m pip install -qq --require-hashes -r requirements-dev.lock
 	touch $@
 
 demo: .venv/.ready
