@@ -15,6 +15,7 @@ squares); P. J. Huber, Robust Statistics (1981), for the weights.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from math import dist, inf, pi, sqrt
 from typing import NamedTuple
 
@@ -30,6 +31,8 @@ _LEAST_MOVED_M = 5.0
 _MOST_SAMPLES = 300
 """Of a station. Chosen: bounds the cost of a solution to some milliseconds; later ones replace those at random places before."""
 _LEAST_SAMPLES = 12
+_MANY_SAMPLES = 100
+"""Chosen: half a kilometre of a flight; who has flown so far without an answer is told why."""
 _MORE = 1.25
 """A solution is sought anew with a quarter more samples. Chosen: it costs milliseconds, and fewer say little more."""
 _REPORT_AGE_S = 1.0
@@ -49,6 +52,13 @@ _LEAST_INFORMATION_PER_M2 = 1e-8
 """So that a place that nothing holds has a covariance, too large to be told."""
 _BETTER = 0.5
 """Chosen: a survey is told anew when its sigma has halved, and not at each range."""
+
+
+class SurveyProblem(StrEnum):
+    """Why a station that is ranged has no surveyed position yet, and what helps."""
+
+    AMBIGUOUS = "its ranges fit two places, as above and beneath: range it from another height and another course"
+    COARSE = "its place is known to more than 10 m only: range it from more sides, other heights, and closer"
 
 
 class SurveyedPosition(NamedTuple):
@@ -75,6 +85,7 @@ class _Survey:
     solved_at: float = _LEAST_SAMPLES / _MORE
     found: SurveyedPosition | None = None
     told_sigma_m: float = inf
+    told: SurveyProblem | None = None
 
 
 class StationSurvey:
@@ -93,11 +104,12 @@ class StationSurvey:
         """All stations that were found."""
         return {node: survey.found for node, survey in sorted(self._surveys.items()) if survey.found is not None}
 
-    def add(self, measurement: RangeMeasurement, reported: PositionMeasurement) -> SurveyedPosition | None:
+    def add(self, measurement: RangeMeasurement, reported: PositionMeasurement) -> SurveyedPosition | SurveyProblem | None:
         """Add a range to a station and the newest reported position of its vehicle, whose GPS is healthy.
 
         Returns:
-            The station's position where it is found, or known twice as well as when it was returned last.
+            The station's position where it is found, or known twice as well as when it was returned last; once, why many
+            ranges have not found it.
         """
         at = _place_at(reported, measurement.measured_at_s)
         if at is None:
@@ -116,15 +128,22 @@ class StationSurvey:
         if survey.added < _MORE * survey.solved_at:
             return None
         survey.solved_at = survey.added
-        survey.found = survey_position(survey.samples)
-        if survey.found is None or max(survey.found[1:3]) > _BETTER * survey.told_sigma_m:
+        result = survey_position(survey.samples)
+        if isinstance(result, SurveyProblem):
+            survey.found = None
+            if result is survey.told or survey.added < _MANY_SAMPLES:
+                return None
+            survey.told = result
+            return result
+        survey.found = result
+        if max(result.sigma_h_m, result.sigma_v_m) > _BETTER * survey.told_sigma_m:
             return None
-        survey.told_sigma_m = max(survey.found[1:3])
-        return survey.found
+        survey.told_sigma_m = max(result.sigma_h_m, result.sigma_v_m)
+        return result
 
 
-def survey_position(samples: list[_Sample]) -> SurveyedPosition | None:
-    """Return where the station of some ranges is; None where they leave it open or it is coarser than 10 m."""
+def survey_position(samples: list[_Sample]) -> SurveyedPosition | SurveyProblem:
+    """Return where the station of some ranges is, or why that is open."""
     positions = np.array([s.position_m for s in samples])
     ranges = np.array([s.range_m for s in samples])
     white_m2 = np.array([s.sigma_m**2 + s.position_sigma_m**2 for s in samples])
@@ -140,10 +159,10 @@ def survey_position(samples: list[_Sample]) -> SurveyedPosition | None:
     apart = states[:, :3] - best[:3]
     is_other = np.einsum("si,ij,sj->s", apart, np.linalg.inv(P), apart) > _SAME_PLACE_SIGMAS**2
     if bool(np.any(is_other & (costs < float(costs.min()) + _OTHER_PLACE_COST))):
-        return None
+        return SurveyProblem.AMBIGUOUS
     sigma_h_m, sigma_v_m = sqrt(float(np.linalg.eigvalsh(P[:2, :2])[-1])), sqrt(float(P[2, 2]))
     if max(sigma_h_m, sigma_v_m) > _MOST_SIGMA_M:
-        return None
+        return SurveyProblem.COARSE
     east_m, north_m, up_m = best[:3].tolist()
     return SurveyedPosition((east_m, north_m, up_m), sigma_h_m, sigma_v_m, len(samples))
 
@@ -155,8 +174,10 @@ def surveyed_station(station: Station, found: SurveyedPosition, frame: LocalFram
     return replace(station, position=position, source=StationSource.SURVEYED)
 
 
-def survey_notice(station: Station, found: SurveyedPosition, frame: LocalFrame, at_s: float) -> Notice:
-    """Tell where a station was found, and what to write into the configuration so that it is used."""
+def survey_notice(station: Station, found: SurveyedPosition | SurveyProblem, frame: LocalFrame, at_s: float) -> Notice:
+    """Tell where a station was found, and what to write into the configuration so that it is used; or why it was not found."""
+    if isinstance(found, SurveyProblem):
+        return Notice(at_s, None, "info", f"{station.label} cannot be surveyed yet: {found.value}")
     at = surveyed_station(station, found, frame).position
     assert at is not None
     table = (

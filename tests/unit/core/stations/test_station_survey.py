@@ -10,7 +10,7 @@ import pytest
 
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
 from gcs_coloc.core.stations.node_id import station_node
-from gcs_coloc.core.stations.station_survey import StationSurvey
+from gcs_coloc.core.stations.station_survey import StationSurvey, SurveyProblem
 
 NODE = station_node(7)
 PLACE = (420.0, -160.0, -30.0)
@@ -62,7 +62,8 @@ def test_a_station_is_found_within_what_is_stated(case, off_m):
             continue
         horizontal_m, vertical_m = errors_m(found, case.get("place", PLACE))
         assert horizontal_m < off_m
-        assert told[-1].sigma_h_m <= told[0].sigma_h_m
+        sigmas = [one.sigma_h_m for one in told if not isinstance(one, SurveyProblem)]
+        assert sigmas[-1] <= sigmas[0]
         beyond += horizontal_m > 2.45 * found.sigma_h_m or vertical_m > 2.0 * found.sigma_v_m
     assert beyond <= 2
     if "place" not in case:
@@ -74,12 +75,18 @@ def test_a_side_that_the_ranges_leave_open_gives_no_position(case):
     for seed in range(4):
         found, told = surveyed(seed, **case)
         assert found is None
-        assert told == []
+        assert told in ([SurveyProblem.AMBIGUOUS], [SurveyProblem.COARSE], [SurveyProblem.COARSE, SurveyProblem.AMBIGUOUS])
+
+
+def test_a_station_far_off_to_one_side_is_told_as_coarse():
+    found, told = surveyed(1, place=(20_000.0, 0.0, 0.0))
+    assert found is None
+    assert told == [SurveyProblem.COARSE]
 
 
 def test_a_survey_is_told_again_only_when_it_is_known_twice_as_well():
     _, told = surveyed(3)
-    sigmas = [max(one.sigma_h_m, one.sigma_v_m) for one in told]
+    sigmas = [max(one.sigma_h_m, one.sigma_v_m) for one in told if not isinstance(one, SurveyProblem)]
     assert 1 <= len(sigmas) <= 5
     assert all(later <= 0.5 * before for before, later in pairwise(sigmas))
 
