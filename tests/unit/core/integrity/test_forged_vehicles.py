@@ -76,7 +76,8 @@ def test_six_that_are_there_from_the_start_pull_no_fix_beyond_its_bound():
 
 
 def test_the_forged_ranges_would_pull_it_away_if_they_were_believed():
-    assert max(error_m / bound_m for error_m, bound_m in fly(behind_router=False, forged_from_s=15.0, trusted=True)) > 3.0
+    """Without it the tests above would hold of ranges that do no harm."""
+    assert max(error_m / bound_m for error_m, bound_m in fly(behind_router=False, forged_from_s=15.0, trusted=True)) > 2.0
 
 
 def latecomer(flight: Flight, t: float, off_m: float) -> Iterator[FromVehicle]:
