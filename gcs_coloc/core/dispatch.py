@@ -35,8 +35,8 @@ from gcs_coloc.core.messages.inbound import (
     TimeSyncAnswer,
 )
 from gcs_coloc.core.messages.outbound import Notice, Outbound
-from gcs_coloc.core.stations.node_id import is_station, station_id_of
-from gcs_coloc.core.stations.station_survey import StationSurvey, survey_notice
+from gcs_coloc.core.stations.node_id import is_station
+from gcs_coloc.core.stations.station_survey import StationSurvey
 from gcs_coloc.core.stations.stations import Station, Stations
 from gcs_coloc.core.telemetry.altitude_builder import SentFix
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder
@@ -148,9 +148,10 @@ class MessageDispatch:
         if not s.proven.is_proven(message.sysid):
             # The ranges of a vehicle that is made up would place it, and then pull at all others.
             return []
-        resolved, told = s.stations.resolve(message)
+        resolved, told, unplaced = s.stations.resolve(message)
         if resolved is None:
-            return [notice for notice in (told, self._survey(message, vehicle)) if notice is not None]
+            wrong = self._survey(message, vehicle, unplaced) if unplaced is not None else None
+            return [notice for notice in (told, wrong) if notice is not None]
         to_station = is_station(resolved.peer)
         built = s.measurements.range(
             resolved, vehicle, s.stations.get(resolved.peer) if to_station else s.telemetry.get(resolved.peer)
@@ -165,17 +166,16 @@ class MessageDispatch:
                     s.vetted.add_range(built.measurement)
         return [notice for notice in (told, built.notice) if notice is not None]
 
-    def _survey(self, message: PeerRange, vehicle: ReportedState) -> Notice | None:
-        """Let a range of a vehicle with GPS to a station without position tell where that is."""
-        s, node = self._stages, message.peer
-        reported, frame = self._believed(message.sysid), s.measurements.frame
-        has_place = message.beacon is not None and message.beacon.position is not None
-        if reported is None or frame is None or has_place or not is_station(node) or s.stations.is_placed(node):
+    def _survey(self, message: PeerRange, vehicle: ReportedState, station: Station) -> Notice | None:
+        """Let a range of a vehicle with GPS help to find a station without position; return what is wrong with the range."""
+        s = self._stages
+        reported = self._believed(message.sysid)
+        if reported is None:
             return None
-        station = s.stations.get(node) or Station(station_id_of(node))
-        measurement = s.measurements.range(message, vehicle, station).measurement
-        found = s.survey.add(measurement, reported) if measurement is not None else None
-        return survey_notice(station, found, frame, message.received_at_s) if found is not None else None
+        built = s.measurements.range(message, vehicle, station)
+        if built.measurement is not None:
+            s.survey.add(built.measurement, reported)
+        return built.notice
 
     def _believed(self, sysid: int) -> PositionMeasurement | None:
         """Return the position that a vehicle reports while its GPS is healthy."""

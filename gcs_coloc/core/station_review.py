@@ -11,7 +11,7 @@ from gcs_coloc.core.integrity.report import IntegrityReport, PositionFault, Revi
 from gcs_coloc.core.measurements import Vector3
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.stations.node_id import node_name, station_id_of
-from gcs_coloc.core.stations.station_survey import surveyed_station
+from gcs_coloc.core.stations.station_survey import survey_notice, surveyed_station
 from gcs_coloc.core.stations.stations import Station, StationPosition
 
 _ORIGIN_AFTER_S = 10.0
@@ -63,7 +63,7 @@ class StationReview:
         return [self._reviewed(station, frame, now_s) for station in s.stations if station.position is not None]
 
     def update(self, report: IntegrityReport, now_s: float) -> list[Notice]:
-        """Keep what integrity found of the stations; return what the operator must know of it."""
+        """Keep what integrity found of the stations, and seek one without position; return what the operator must know."""
         faults = {station.node: report.faults[station.node] for station in self._stages.stations if station.node in report.faults}
         before, self._faults = self._faults, faults
         out = []
@@ -75,7 +75,18 @@ class StationReview:
                 out.append(Notice(now_s, None, "error", text))
             elif was_wrong and not is_wrong:
                 out.append(Notice(now_s, None, "info", f"{station.label}: ranges fit its position again"))
-        return out
+        return [*out, *self._seek(now_s)]
+
+    def _seek(self, now_s: float) -> list[Notice]:
+        """Return where one station without position is, or why it is not found, where that is new."""
+        s, frame = self._stages, self._stages.measurements.frame
+        if frame is None or (sought := s.survey.solve_next()) is None:
+            return []
+        node, found = sought
+        return [] if s.stations.is_placed(node) else [survey_notice(self._unplaced(node), found, frame, now_s)]
+
+    def _unplaced(self, node: int) -> Station:
+        return self._stages.stations.get(node) or Station(station_id_of(node))
 
     def snapshots(self, now_s: float) -> tuple[StationSnapshot, ...]:
         """Return the stations for observers."""
@@ -88,7 +99,7 @@ class StationReview:
         if frame is None:
             return []
         found = ((node, at) for node, at in s.survey.found.items() if not s.stations.is_placed(node))
-        return [surveyed_station(s.stations.get(node) or Station(station_id_of(node)), at, frame) for node, at in found]
+        return [surveyed_station(self._unplaced(node), at, frame) for node, at in found]
 
     def _reviewed(self, station: Station, frame: LocalFrame, now_s: float) -> ReviewedVehicle:
         s, node = self._stages, station.node

@@ -24,12 +24,13 @@ import numpy as np
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import FloatArray, PositionMeasurement, RangeMeasurement, Vector3
 from gcs_coloc.core.messages.outbound import Notice
-from gcs_coloc.core.stations.stations import Station, StationPosition, StationSource
+from gcs_coloc.core.stations.stations import MAX_STATIONS, Station, StationPosition, StationSource
 
 _LEAST_MOVED_M = 5.0
 """Chosen: ranges from one place have the same errors; a vehicle that hovers adds nothing."""
-_MOST_SAMPLES = 300
-"""Of a station. Chosen: bounds the cost of a solution to some milliseconds; later ones replace those at random places before."""
+_MOST_SAMPLES = 120
+"""Of a station. Chosen: a solution takes some 7 ms, well within the fifth of a second between reviews; later ones replace those
+at random places before, and the lasting errors of ranges and receivers, not the number, bound what is known."""
 _LEAST_SAMPLES = 12
 _MANY_SAMPLES = 100
 """Chosen: half a kilometre of a flight; who has flown so far without an answer is told why."""
@@ -87,6 +88,11 @@ class _Survey:
     told_sigma_m: float = inf
     told: SurveyProblem | None = None
 
+    @property
+    def growth(self) -> float:
+        """By what factor its samples have grown since its place was sought last."""
+        return self.added / self.solved_at
+
 
 class StationSurvey:
     """The surveys of one fleet, by the node id of the station."""
@@ -94,30 +100,20 @@ class StationSurvey:
     def __init__(self) -> None:
         self._surveys: dict[int, _Survey] = {}
 
-    def position(self, node: int) -> SurveyedPosition | None:
-        """Return where a station was found; None while that is not known."""
-        survey = self._surveys.get(node)
-        return survey.found if survey is not None else None
-
     @property
     def found(self) -> dict[int, SurveyedPosition]:
         """All stations that were found."""
         return {node: survey.found for node, survey in sorted(self._surveys.items()) if survey.found is not None}
 
-    def add(self, measurement: RangeMeasurement, reported: PositionMeasurement) -> SurveyedPosition | SurveyProblem | None:
-        """Add a range to a station and the newest reported position of its vehicle, whose GPS is healthy.
-
-        Returns:
-            The station's position where it is found, or known twice as well as when it was returned last; once, why many
-            ranges have not found it.
-        """
-        at = _place_at(reported, measurement.measured_at_s)
-        if at is None:
-            return None
-        survey = self._surveys.setdefault(measurement.to_vehicle, _Survey())
+    def add(self, measurement: RangeMeasurement, reported: PositionMeasurement) -> None:
+        """Add a range to a station and the newest reported position of its vehicle, whose GPS is healthy."""
+        at, node = _place_at(reported, measurement.measured_at_s), measurement.to_vehicle
+        if at is None or (node not in self._surveys and len(self._surveys) >= MAX_STATIONS):
+            return
+        survey = self._surveys.setdefault(node, _Survey())
         last = next((s for s in reversed(survey.samples) if s.vehicle == measurement.from_vehicle), None)
         if last is not None and dist(last.position_m, at) < _LEAST_MOVED_M:
-            return None
+            return
         sigma_p_m = max(reported.sigma_h_m, reported.sigma_v_m)
         sample = _Sample(measurement.from_vehicle, at, measurement.range_m, measurement.sigma_m, sigma_p_m)
         if len(survey.samples) >= _MOST_SAMPLES:
@@ -125,7 +121,16 @@ class StationSurvey:
             survey.samples.pop((survey.added * 7919) % _MOST_SAMPLES)
         survey.samples.append(sample)
         survey.added += 1
-        if survey.added < _MORE * survey.solved_at:
+
+    def solve_next(self) -> tuple[int, SurveyedPosition | SurveyProblem] | None:
+        """Seek the one station whose ranges have grown most since it was sought last, where they have grown enough.
+
+        Returns:
+            Its node id, and its position where it is found, or known twice as well as when it was returned last; once, why
+            many ranges have not found it.
+        """
+        node, survey = max(self._surveys.items(), key=lambda one: one[1].growth, default=(0, _Survey()))
+        if survey.growth < _MORE:
             return None
         survey.solved_at = survey.added
         result = survey_position(survey.samples)
@@ -134,12 +139,13 @@ class StationSurvey:
             if result is survey.told or survey.added < _MANY_SAMPLES:
                 return None
             survey.told = result
-            return result
+            return node, result
         survey.found = result
-        if max(result.sigma_h_m, result.sigma_v_m) > _BETTER * survey.told_sigma_m:
+        sigma_m = max(result.sigma_h_m, result.sigma_v_m)
+        if sigma_m > _BETTER * survey.told_sigma_m:
             return None
-        survey.told_sigma_m = max(result.sigma_h_m, result.sigma_v_m)
-        return result
+        survey.told_sigma_m = sigma_m
+        return node, result
 
 
 def survey_position(samples: list[_Sample]) -> SurveyedPosition | SurveyProblem:

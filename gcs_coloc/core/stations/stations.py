@@ -14,12 +14,12 @@ from gcs_coloc.core.measurements import PositionMeasurement, Vector3
 from gcs_coloc.core.messages.inbound import Beacon, BeaconPosition, GpsReceiver, PeerRange
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.reasons import CoreRefusal
-from gcs_coloc.core.stations.node_id import is_station, node_name, station_node
+from gcs_coloc.core.stations.node_id import is_station, node_name, station_id_of, station_node
 
 BeaconIds = Literal["stations", "vehicles"]
 """Whose ids the `beacon_id` of a RANGING_BEACON without a position are."""
 
-_MAX_STATIONS = 256
+MAX_STATIONS = 256
 """Chosen: more than a site has; bounds what forged messages may fill."""
 _TOLD_EVERY_S = 60.0
 _MAX_TOLD = 256
@@ -85,10 +85,14 @@ class Station:
 
 
 class ResolvedRange(NamedTuple):
-    """A range whose other end is settled, None where it is refused, and what the operator must know."""
+    """A range whose other end is settled, None where it is refused, and what the operator must know.
+
+    `unplaced` is the station of a range that is refused for want of its position: the range may help to survey it.
+    """
 
     message: PeerRange | None
     notice: Notice | None = None
+    unplaced: Station | None = None
 
 
 class Stations:
@@ -150,7 +154,7 @@ class Stations:
             if not is_station(message.peer) or self.is_placed(message.peer):
                 return ResolvedRange(message)
             text = f"it ranges {node_name(message.peer)}, which has no position: give it one in [[station]]"
-            return self._refuse(message, CoreRefusal.STATION_UNKNOWN, text)
+            return self._refuse_unplaced(message, CoreRefusal.STATION_UNKNOWN, text)
         if beacon.position is None and self._beacon_ids == "vehicles":
             return self._resolve_vehicle(message, beacon)
         if beacon.position is None and not self.is_placed(message.peer):
@@ -158,7 +162,7 @@ class Stations:
                 f"its RANGING_BEACON of beacon {beacon.beacon_id} has no position: add a [[station]] with this id, "
                 'or set ranging_beacon_ids = "vehicles" in [measurements] where these are system ids of vehicles'
             )
-            return self._refuse(message, CoreRefusal.BEACON_WITHOUT_POSITION, text)
+            return self._refuse_unplaced(message, CoreRefusal.BEACON_WITHOUT_POSITION, text)
         if beacon.position is None:
             return ResolvedRange(message)
         return self._resolve_station(message, beacon, beacon.position)
@@ -190,8 +194,8 @@ class Stations:
                 "the geoid's: send alt_type 1, or give the station's position in [[station]]"
             )
             return self._refuse(message, CoreRefusal.STATION_HEIGHT_UNKNOWN, text)
-        if known is None and len(self._stations) >= _MAX_STATIONS:
-            return self._refuse(message, CoreRefusal.STATIONS_FULL, f"more than {_MAX_STATIONS} stations are stated")
+        if known is None and len(self._stations) >= MAX_STATIONS:
+            return self._refuse(message, CoreRefusal.STATIONS_FULL, f"more than {MAX_STATIONS} stations are stated")
         name = known.name if known is not None else ""
         self._stations[message.peer] = Station(beacon.beacon_id, name, placed, StationSource.STATED)
         text = f"station {beacon.beacon_id} is where its RANGING_BEACON puts it: {placed.lat_deg:.7f}, {placed.lon_deg:.7f}"
@@ -210,6 +214,10 @@ class Stations:
             stated.sigma_h_m if stated.sigma_h_m is not None else sigma_h_m,
             stated.sigma_v_m if stated.sigma_v_m is not None else sigma_v_m,
         )
+
+    def _refuse_unplaced(self, message: PeerRange, reason: CoreRefusal, text: str) -> ResolvedRange:
+        station = self._stations.get(message.peer) or Station(station_id_of(message.peer))
+        return self._refuse(message, reason, text)._replace(unplaced=station)
 
     def _refuse(self, message: PeerRange, reason: CoreRefusal, text: str) -> ResolvedRange:
         self.refused[reason] += 1
