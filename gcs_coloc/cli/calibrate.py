@@ -15,7 +15,7 @@ from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.core.stations.node_id import is_station, station_id_of
 from gcs_coloc.evaluation.calibration import Calibration
 from gcs_coloc.evaluation.calibration import calibrate as calibrate_devices
-from gcs_coloc.runtime.output_paths import check_output_file
+from gcs_coloc.runtime.output_paths import check_output_file, writing
 
 
 def calibrate(
@@ -54,10 +54,8 @@ def calibrate(
     if out is None:
         print(text, end="")
         return
-    try:
+    with writing(out, "--out"):
         out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"{out}: cannot be written: {error.strerror or error}") from error
     print(f"written: {out}")
 
 

@@ -21,7 +21,7 @@ from gcs_coloc.core.estimator import GuardedEstimator
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.evaluate import Evaluation
 from gcs_coloc.evaluation.evaluate import evaluate as run_evaluation
-from gcs_coloc.runtime.output_paths import check_output_file
+from gcs_coloc.runtime.output_paths import check_output_file, writing
 
 _MOST_REASONS = 3
 _FILE_WIDTH = 140  # of a table that goes to a file or pipe
@@ -59,7 +59,8 @@ def evaluate(
     for directory, evaluation in zip(directories, evaluations, strict=True):
         warn_of_findings(directory, evaluation.findings)
     if csv is not None:
-        write_epochs(evaluations, csv)
+        with writing(csv, "--csv"):
+            write_epochs(evaluations, csv)
     if plot is not None:
         plot_evaluation(evaluations[0], plot)
     if as_json:

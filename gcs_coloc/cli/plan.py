@@ -19,7 +19,7 @@ from gcs_coloc.planning.assessment import Assessment, assess
 from gcs_coloc.planning.fleet_plan import FleetPlan
 from gcs_coloc.planning.improvement import find_improvement
 from gcs_coloc.planning.load import load_plan
-from gcs_coloc.runtime.output_paths import check_output_file
+from gcs_coloc.runtime.output_paths import check_output_file, writing
 
 _FILE_WIDTH = 140  # of a table that goes to a file or pipe
 _NOT_ENOUGH = 1
@@ -94,13 +94,16 @@ def plan(
             task = bars.add_task("looking for a change that helps", total=None)
             improvement = find_improvement(assessed, jobs, lambda done, total: bars.update(task, completed=done, total=total))
     if csv is not None:
-        plan_tables.write_csv(assessed, csv)
+        with writing(csv, "--csv"):
+            plan_tables.write_csv(assessed, csv)
     if geojson is not None:
-        plan_tables.write_geojson(assessed, geojson)
+        with writing(geojson, "--geojson"):
+            plan_tables.write_geojson(assessed, geojson)
     if report is not None:
         from gcs_coloc.planning.plan_report import page
 
-        report.write_text(page(assessed, improvement, is_improvement_sought=improve), encoding="utf-8")
+        with writing(report, "--report"):
+            report.write_text(page(assessed, improvement, is_improvement_sought=improve), encoding="utf-8")
     if as_json:
         print(json.dumps(plan_tables.as_dict(assessed, improvement), indent=2, allow_nan=False))
     else:

@@ -11,11 +11,10 @@ import typer
 
 from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.config.settings import Settings
-from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
 from gcs_coloc.recorder.flight_history import FlightHistory, read_history
-from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory
+from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory, writing
 
 RecordingArgument = Annotated[Path, typer.Argument(help="A recording (tlog).", metavar="FILE.tlog")]
 RangesOption = Annotated[Path | None, typer.Option(help="Ranges: unix_s,from_sysid,to_sysid,range_m,sigma_m.")]
@@ -42,12 +41,10 @@ def export(
         make_output_directory(out, "--out")
     base = (out if out is not None else file.parent) / file.stem
     tables = FlightTables(base, ["csv", "parquet"] if parquet else ["csv"])
-    try:
+    with writing(base.parent, "" if out is None else "--out"):
         history = _open(file, settings_for(config, fleet, estimator), ranges, None, tables.add)
         tables.close()
         files = [*tables.files, *write_all(history, base)]
-    except OSError as error:
-        raise UsageError(f"{error.filename or base.parent}: cannot be written: {error.strerror}") from None
     print(f"{', '.join(map(str, files))}: tracks of {len(history.tracks)} vehicles")
 
 
@@ -70,10 +67,8 @@ def report(
     check_output_file(out, "--out")
     history = _open(file, settings_for(config, fleet, estimator), ranges, truth)
     path = out if out is not None else file.with_suffix(".html")
-    try:
+    with writing(path, "" if out is None else "--out"):
         path.write_text(page(history), encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
     print(path)
 
 

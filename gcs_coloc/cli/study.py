@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory
+from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory, writing
 from gcs_coloc.study.paper_options import PaperOptions, QForm, QUnit
 
 _FILE_WIDTH = 140  # of tables that go to a file or pipe
@@ -144,7 +144,8 @@ def integrity(
     if trace is not None:
         if len(options.classes) != 1:
             raise UsageError("--trace is of one flight: state one --class, and its seed with --first-seed")
-        scores = [write_trace(options.classes[0], first_seed, estimator, trace)]
+        with writing(trace, "--trace"):
+            scores = [write_trace(options.classes[0], first_seed, estimator, trace)]
     else:
         with Progress(console=console) as progress:
             task = progress.add_task("flying", total=hours * 3600.0 if hours is not None else len(options.classes) * (seeds or 1))

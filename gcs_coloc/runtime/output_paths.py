@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from gcs_coloc.core.errors import UsageError
@@ -21,6 +23,19 @@ def check_output_file(path: Path | None, option: str) -> None:
         raise UsageError(f"{option} {path}: cannot be written: {path.parent} is a file and no directory")
     if not path.parent.exists():
         raise UsageError(f"{option} {path}: cannot be written: there is no directory {path.parent}; make it first")
+
+
+@contextmanager
+def writing(path: Path, option: str) -> Iterator[None]:
+    """Write a file in this context; `option` is where the user stated it, empty where he did not.
+
+    Raises:
+        UsageError: the system does not let it be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise UsageError(f"{option} {error.filename or path}: cannot be written: {error.strerror or error}".lstrip()) from None
 
 
 def make_output_directory(path: Path, option: str) -> None:

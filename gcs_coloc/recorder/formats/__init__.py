@@ -27,7 +27,7 @@ TABLES: dict[str, tuple[str, str]] = {
 
 
 class FlightTables:
-    """The tables of one flight, in files beside each other named after `base`. They are opened with their first row."""
+    """The tables of one flight, in files beside each other named after `base`. They are opened with their first row, or empty."""
 
     def __init__(self, base: Path, suffixes: Sequence[str]) -> None:
         """Find the writers.
@@ -45,9 +45,7 @@ class FlightTables:
         Raises:
             OSError: a file cannot be written.
         """
-        if not self._tables:
-            self._tables = [make(file) for make, file in zip(self._make, self.files, strict=True)]
-        for table in self._tables:
+        for table in self._opened():
             table.add(fleet)
 
     def close(self) -> None:
@@ -56,8 +54,13 @@ class FlightTables:
         Raises:
             OSError: a file cannot be written.
         """
-        for table in self._tables:
+        for table in self._opened():
             table.close()
+
+    def _opened(self) -> list[VehicleTable]:
+        if not self._tables:
+            self._tables = [make(file) for make, file in zip(self._make, self.files, strict=True)]
+        return self._tables
 
 
 def _table_of(suffix: str) -> Callable[[Path], VehicleTable]:

@@ -8,6 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from gcs_coloc.cli.main import app
+from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.planning.assessment import assess
 from gcs_coloc.planning.fleet_plan import FleetPlan, PlannedStation, PlannedVehicle
@@ -117,3 +118,10 @@ def test_the_change_that_helps_is_found_and_its_gain_is_predicted():
     assert f"{found.after.predicted.share_with_fix:.1%} of its flight instead of" in found.text
     good = FleetPlan(FRAME, tuple(flight(k, 500.0 * (k % 2), 300.0 * k) for k in range(1, 6)))
     assert find_improvement(assess(good, pairs=False, jobs=1, progress=lambda *_: None), 1, lambda *_: None) is None
+
+
+@pytest.mark.parametrize("option", ["--csv", "--geojson", "--report"])
+def test_a_file_that_the_system_refuses_is_named(three, option):
+    done = run(*three, "--no-improve", option, "/proc/no_such_entry")
+    assert isinstance(done.exception, UsageError)
+    assert str(done.exception) == f"{option} /proc/no_such_entry: cannot be written: No such file or directory"

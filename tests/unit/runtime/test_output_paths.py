@@ -1,9 +1,11 @@
 """Where results cannot be written, the option, the path and the remedy are named."""
 
+from pathlib import Path
+
 import pytest
 
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory
+from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory, writing
 
 
 @pytest.mark.parametrize(
@@ -37,3 +39,11 @@ def test_a_directory_is_made_and_a_file_is_none(tmp_path):
     for name, words in (("file", "it is a file; state a directory"), ("file/below", "Not a directory")):
         with pytest.raises(UsageError, match=f"--out .*{name}: cannot be written to: {words}"):
             make_output_directory(tmp_path / name, "--out")
+
+
+def test_what_the_system_says_of_a_file_names_it_and_the_option(tmp_path):
+    words = r"--csv /proc/no_such_entry\.csv: cannot be written: No such file or directory"
+    with pytest.raises(UsageError, match=words), writing(Path("/proc/no_such_entry.csv"), "--csv"):
+        Path("/proc/no_such_entry.csv").write_text("x")
+    with pytest.raises(UsageError, match=r"^.*full: cannot be written: No space left"), writing(tmp_path / "full", ""):
+        Path("/dev/full").write_text("x")

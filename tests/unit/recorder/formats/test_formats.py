@@ -19,6 +19,7 @@ from recorded_flight import EPOCH_S, write_flight
 
 from gcs_coloc.cli.recordings import export
 from gcs_coloc.core.errors import UsageError
+from gcs_coloc.recorder.formats import FlightTables
 
 GX = "{http://www.google.com/kml/ext/2.2}"
 KML = "{http://www.opengis.net/kml/2.2}"
@@ -146,6 +147,15 @@ def test_without_its_package_parquet_is_refused_before_the_replay_with_the_remed
     with pytest.raises(UsageError, match=r"--parquet: needs pyarrow: pip install 'gcs-coloc\[parquet\]'"):
         export(directory.parent / "flight.tlog", out=tmp_path, parquet=True)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_flight_without_a_row_gives_tables_with_their_heading(tmp_path):
+    tables = FlightTables(tmp_path / "silent", ["csv", "parquet"])
+    tables.close()
+    assert [file.exists() for file in tables.files] == [True, True]
+    heading = (tmp_path / "silent.csv").read_text().strip().split(",")
+    assert parquet.read_table(tmp_path / "silent.parquet").column_names == heading
+    assert heading[:2] == ["unix_s", "sysid"]
 
 
 def test_a_directory_that_cannot_be_made_is_one_line(exported, tmp_path):
