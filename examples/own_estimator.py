@@ -7,7 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcs_coloc import AltitudeMeasurement, Estimate, Measurement, NoEstimate, PositionMeasurement, RangeMeasurement, Residual
+from gcs_coloc import (
+    AltitudeMeasurement,
+    Estimate,
+    Measurement,
+    NoEstimate,
+    NoEstimateReason,
+    PositionMeasurement,
+    RangeMeasurement,
+    Residual,
+    Unlocated,
+)
 
 
 @dataclass(frozen=True)
@@ -50,7 +60,7 @@ class RangePull:
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         if vehicle not in self.positions:
-            return NoEstimate(vehicle, at_s, "no position yet")
+            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.NOT_LOCATED))
         covariance = np.diag([self.settings.sigma_m**2] * 3 + [30.0**2] * 3)
         return Estimate(vehicle, at_s, self.positions[vehicle].copy(), np.zeros(3), covariance, None, 0)
 

@@ -8,7 +8,7 @@ from math import pi
 import numpy as np
 
 from gcs_coloc.core.engine import Engine, EngineSettings
-from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate
+from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, NoEstimateReason, Unlocated
 from gcs_coloc.core.messages.control import RouteReport
 from gcs_coloc.core.messages.inbound import (
     Airspeed,
@@ -55,7 +55,7 @@ class StraightLine:
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         self.asked.append((vehicle, at_s))
         if self.unknown is not None:
-            return NoEstimate(vehicle, at_s, self.unknown)
+            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.OTHER, detail=self.unknown))
         covariance = np.diag([self.sigma_m**2, 1.0, self.sigma_v_m**2, 0.25, 0.16, 0.04])
         place = np.array([20.0 * at_s, (vehicle - 1) * M_APART_NORTH, 30.0])
         return Estimate(vehicle, at_s, place, np.array([20.0, 0.0, 1.0]), covariance, 1.5, 3)

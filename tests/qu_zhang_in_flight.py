@@ -25,7 +25,7 @@ def located(estimator: QuZhangFilter, vehicle: int, at_s: float) -> Estimate:
 def why_unknown(estimator: QuZhangFilter, vehicle: int, at_s: float) -> str:
     answer = estimator.estimate(vehicle, at_s)
     assert isinstance(answer, NoEstimate), answer
-    return answer.reason
+    return answer.reason.text
 
 
 def error_m(answer: Estimate, fleet: Fleet) -> float:

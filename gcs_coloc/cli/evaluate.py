@@ -18,6 +18,7 @@ from rich.table import Table
 from gcs_coloc.cli.recordings import EstimatorOption, FleetOption, settings_for, warn_of_findings
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.estimator import GuardedEstimator
+from gcs_coloc.core.measurements import Unlocated
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.evaluate import Evaluation
 from gcs_coloc.evaluation.evaluate import evaluate as run_evaluation
@@ -116,6 +117,6 @@ def _print(evaluation: Evaluation) -> None:
         print(f"measurements: {counts}")
 
 
-def _print_unanswered(reasons: Mapping[str, int]) -> None:
+def _print_unanswered(reasons: Mapping[Unlocated, int]) -> None:
     for reason, times in list(reasons.items())[:_MOST_REASONS]:
-        print(f"  not answered {times} times: {reason}{' (the first time)' if times > 1 else ''}")
+        print(f"  not answered {times} times: {reason.text}{' (the first time)' if times > 1 else ''}")

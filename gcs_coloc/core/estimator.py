@@ -10,7 +10,8 @@ from numbers import Integral
 from pathlib import PurePath
 from typing import Protocol
 
-from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, Residual
+from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, NoEstimateReason, Residual, Unlocated
+from gcs_coloc.core.reasons import StatedReason
 
 _RAISED = "raised an exception"
 _NO_RESIDUAL = "gave a residual that is none"
@@ -109,10 +110,16 @@ class GuardedEstimator:
             answer = self._inner.estimate(vehicle, at_s)
         except Exception as error:
             self._fault(_RAISED, error)
-            return NoEstimate(vehicle, at_s, f"the estimator failed: {type(error).__name__}")
-        if not isinstance(answer, NoEstimate) and not _is_sound(answer):
+            return NoEstimate(
+                vehicle, at_s, Unlocated(NoEstimateReason.ESTIMATOR_FAILED, detail=f"failed: {type(error).__name__}")
+            )
+        if isinstance(answer, NoEstimate):
+            if isinstance(answer.reason, StatedReason):
+                return answer
+            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.OTHER, detail=str(answer.reason)))
+        if not _is_sound(answer):
             self._fault(_NOT_A_POSITION, None)
-            return NoEstimate(vehicle, at_s, f"the estimator {_NOT_A_POSITION}")
+            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.ESTIMATOR_FAILED, detail=_NOT_A_POSITION))
         return answer
 
     def drain_residuals(self) -> list[Residual]:

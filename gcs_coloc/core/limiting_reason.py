@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
-from gcs_coloc.core.measurements import Vector3
+from gcs_coloc.core.measurements import AMBIGUOUS, NoEstimateReason, Vector3
 from gcs_coloc.core.reasons import StatedReason, WordedReason
 from gcs_coloc.core.stations.node_id import node_name
 
@@ -31,10 +31,13 @@ Limit = StatedReason[LimitingReason]
 """What limits the location of a vehicle, with the numbers of it."""
 
 
-def limiting_reason(inhibit: Inhibit | None, hdop: float, ranged: Sequence[int]) -> Limit | None:
+def limiting_reason(
+    inhibit: Inhibit | None, unlocated: NoEstimateReason | None, hdop: float, ranged: Sequence[int]
+) -> Limit | None:
     """Return what limits a vehicle that ranges some nodes; None where it has a fix.
 
-    `inhibit` is why no fix is stated, `hdop` the horizontal dilution of the ranges. The geometry is named where it is the cause.
+    `inhibit` is why no fix is stated, `unlocated` why there is no estimate, None where there is one, `hdop` the horizontal
+    dilution of the ranges. The geometry is named where it is the cause.
     """
     if inhibit is None:
         return None
@@ -51,7 +54,7 @@ def limiting_reason(inhibit: Inhibit | None, hdop: float, ranged: Sequence[int])
         case InhibitReason.UNTESTED:
             return Limit(LimitingReason.NOT_TESTED, detail=inhibit.detail)
         case InhibitReason.NO_ESTIMATE:
-            if inhibit.detail.startswith("ambiguous"):
+            if unlocated in AMBIGUOUS:
                 return Limit(LimitingReason.AMBIGUOUS, detail=names)
             return Limit(LimitingReason.NO_ESTIMATE, detail=inhibit.detail)
     return Limit(LimitingReason.OTHER, detail=inhibit.text)

@@ -7,20 +7,20 @@ later, and not in the order of measuring). All sigmas are one standard deviation
 
 from __future__ import annotations
 
-import re
+import math
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gcs_coloc.core.reasons import StatedReason, WordedReason
+
 Vector3 = tuple[float, float, float]
 FloatArray = NDArray[np.float64]
-
-_NUMBER = re.compile(r"[0-9.]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,24 +163,70 @@ class Estimate:
     protection: ProtectionLevel | None = None
 
 
+class NoEstimateReason(WordedReason):
+    """Why there is no estimate of a vehicle. A plug-in says in `detail` of OTHER what none of the others does."""
+
+    NOT_HEARD = "not_heard", "no measurement of it was heard"
+    NOT_LOCATED = "not_located", "not located yet{detail}"
+    NO_START = "no_start", "no fresh position to start from, and not enough ranges yet"
+    NO_REPORT_SINCE_TRUSTED = "no_report_since_trusted", "no position report since its GPS was trusted again"
+    SILENT = "silent", "nothing was heard of it for more than an hour, and not enough ranges yet"
+    STALE = "stale", "no position report for {value:.0f} s"
+    NO_FIX = "no_fix", "no fix from ranges for {value:.1f} s{detail}"
+    NO_HEIGHT = "no_height", "no height of its own"
+    CONFIRMING = "confirming", "only {value:.0f} of {limit:.0f} fixes that must agree after a start from ranges"
+    FEW_RANGES = "few_ranges", "waiting for ranges to start from: {value:.0f} with {limit:.0f} located peers in the last seconds"
+    CONTRADICTORY = "contradictory", "the ranges contradict each other: no place fits them"
+    UNDETERMINED = "undetermined", "the geometry of the peers does not determine the position: {value:.0f} m (1-sigma)"
+    OTHER_PLACE = "other_place", "ambiguous: another place, {value:.0f} m from the first, fits the ranges as well"
+    SEVERAL_PLACES = "several_places", "ambiguous: {value:.0f} places fit the ranges"
+    TOO_UNCERTAIN = (
+        "too_uncertain",
+        "too uncertain: {value:.0f} m (1-sigma) horizontally; more or better placed ranges are needed{detail}",
+    )
+    BEFORE_MEASUREMENTS = "before_measurements", "asked for a time {value:.1f} s before its newest measurement"
+    ESTIMATOR_FAILED = "estimator_failed", "the estimator {detail}"
+    OTHER = "other", "{detail}"
+
+
+AMBIGUOUS = frozenset({NoEstimateReason.OTHER_PLACE, NoEstimateReason.SEVERAL_PLACES})
+"""The reasons by which more than one place fits the ranges."""
+Unlocated = StatedReason[NoEstimateReason]
+"""Why there is no estimate, with the numbers of it."""
+
+
 @dataclass(frozen=True, slots=True)
 class NoEstimate:
-    """The honest answer where there is no estimate fit to be stated, with the reason in words."""
+    """The honest answer where there is no estimate fit to be stated, with the reason."""
 
     vehicle: int
     at_s: float
-    reason: str
+    reason: Unlocated
 
 
-def count_reasons(reasons: Iterable[str]) -> dict[str, int]:
-    """Return how often each reason of no estimate was given; those that differ in their numbers alone are one.
+def count_reasons(reasons: Iterable[Unlocated]) -> dict[Unlocated, int]:
+    """Return how often each reason of no estimate was given, the most frequent first, with the numbers of its first time."""
+    first: dict[NoEstimateReason, Unlocated] = {}
+    return dict(Counter(first.setdefault(stated.reason, stated) for stated in reasons).most_common())
 
-    Plug-in estimators word their own reasons, so there is no closed list. The first of several stands for all; the
-    most frequent comes first.
-    """
-    first: dict[str, str] = {}
-    times = Counter(first.setdefault(_NUMBER.sub("", reason), reason) for reason in reasons)
-    return dict(times.most_common())
+
+def is_possible(measurement: Measurement) -> bool:
+    """Return whether all numbers are finite, all sigmas above zero, a range not negative and its two ends different."""
+    for one in fields(measurement):
+        value = getattr(measurement, one.name)
+        numbers = value if isinstance(value, tuple) else () if value is None else (value,)
+        if not all(math.isfinite(number) for number in numbers):
+            return False
+    match measurement:
+        case PositionMeasurement():
+            speed_sigma = measurement.sigma_velocity_mps
+            return measurement.sigma_h_m > 0.0 and measurement.sigma_v_m > 0.0 and (speed_sigma is None or speed_sigma > 0.0)
+        case RangeMeasurement():
+            return measurement.sigma_m > 0.0 and measurement.range_m >= 0.0 and measurement.from_vehicle != measurement.to_vehicle
+        case AltitudeMeasurement():
+            return measurement.sigma_m > 0.0
+        case AttitudeMeasurement() | OdometryMeasurement() | VehicleClassReport():
+            return True
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,7 +54,8 @@ class VehicleSnapshot:
     `lat_deg`, `lon_deg`, `alt_msl_m` are the service's estimate, `reported_*` is what the vehicle says of itself.
     `sigma_h_m` is 1-sigma along the worst horizontal direction, `sigma_v_m` that of the height, `bound_95_m` the 95 % horizontal
     bound. `hpl_m` and `vpl_m` are the horizontal and vertical protection level; they assume that the receivers of the vehicles
-    `untested` are right, as the ranges cannot test them. `no_estimate_reason` says why there is no estimate.
+    `untested` are right, as the ranges cannot test them. `no_estimate_reason` says why there is no estimate,
+    `no_estimate_code` the same as the code of a `NoEstimateReason`.
     `enu_m` and `velocity_enu_mps` are the estimate in the fleet's frame, `covariance_h_m2` its horizontal covariance (east-east,
     east-north, north-north). `yaw_rad` is the vehicle's own, from true north, clockwise.
     `aiding` says in words what is sent to it, `aiding_has_fix` whether that is a position, `fix_acknowledged` whether its
@@ -112,6 +113,7 @@ class VehicleSnapshot:
     clock_sigma_s: float | None = None
     consistency: Consistency | None = None
     name: str = ""
+    no_estimate_code: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +203,8 @@ def vehicle_snapshot(
         bound_95_m=bound_95_m,
         hdop=hdop,
         ranges_in_use=ranges_in_use,
-        no_estimate_reason=where.reason if isinstance(where, NoEstimate) else None,
+        no_estimate_reason=where.reason.text if isinstance(where, NoEstimate) else None,
+        no_estimate_code=where.reason.reason.code if isinstance(where, NoEstimate) else None,
         reported_lat_deg=reported.lat_deg if reported is not None else None,
         reported_lon_deg=reported.lon_deg if reported is not None else None,
         aiding=aiding.status,

@@ -22,6 +22,7 @@ from gcs_coloc.core.measurements import (
     NoEstimate,
     PositionMeasurement,
     RangeMeasurement,
+    Unlocated,
     VehicleClassReport,
     count_reasons,
 )
@@ -46,14 +47,19 @@ _PROGRESS_EVERY = 500
 class VehicleEvaluation:
     """One denied vehicle: its score, the epochs behind it, and the normalised innovations (N, 2) of its ranges: time in s, NIS.
 
-    `unanswered`: how many epochs have no estimate, by the estimator's reason as it was first given, whatever numbers are in it.
+    `unanswered`: how many epochs have no estimate, by the estimator's reason with the numbers of its first time.
     """
 
     node: Node
     score: VehicleScore
     series: EstimateSeries
     nis: FloatArray
-    unanswered: Mapping[str, int]
+    unanswered: Mapping[Unlocated, int]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as plain values, for JSON."""
+        unanswered = {stated.reason.code: {"times": times, "text": stated.text} for stated, times in self.unanswered.items()}
+        return asdict(self.score) | {"unanswered": unanswered}
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +87,7 @@ class Evaluation:
             "estimator": self.estimator,
             "measurements": self.measurements,
             "cpu_us_per_measurement": self.cpu_us_per_measurement,
-            "denied": {s.node.id: asdict(s.score) | {"unanswered": dict(s.unanswered)} for s in self.denied},
+            "denied": {vehicle.node.id: vehicle.as_dict() for vehicle in self.denied},
             "counts": dict(self.counts),
             "warnings": [finding.as_dict() for finding in self.findings],
         }

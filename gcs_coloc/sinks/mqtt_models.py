@@ -68,6 +68,7 @@ class VehicleEstimate(_Sent):
     hdop: float | None
     ranges_in_use: int
     no_estimate_reason: str | None
+    no_estimate_code: str | None
 
 
 class VehicleHealth(_Sent):

@@ -51,7 +51,7 @@ class FixPolicy:
             # Not to be located yet is no loss of a fix: the first one is waited for by the vehicle.
             self._lost = self._lost or (self._had_fix and not own_gps)
             self._sound_since_s = None
-            return StatedReason(InhibitReason.NO_ESTIMATE, detail=answer.reason)
+            return StatedReason(InhibitReason.NO_ESTIMATE, detail=answer.reason.text)
         if own_gps or answer.ranges_in_use > 0:
             self._ranged_at_s = now_s
         self._update_geometry(now_s, is_determined=own_gps or air_data or _is_determined(answer))

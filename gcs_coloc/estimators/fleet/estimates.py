@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
-from gcs_coloc.core.measurements import Estimate, NoEstimate
+from gcs_coloc.core.measurements import Estimate, NoEstimate, NoEstimateReason, Unlocated
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, VehicleRecord
@@ -31,7 +31,7 @@ def estimate_of_cluster(cluster: Cluster, vehicle: int, at_s: float) -> Estimate
         return Estimate(vehicle, at_s, cluster.joint.mean(vehicle).copy(), np.zeros(3), covariance, None, 0)
     step_s = at_s - cluster.joint.time_s[vehicle]
     if step_s < -_STEP_BACK_MOST_S:
-        return NoEstimate(vehicle, at_s, f"asked for a time {-step_s:.1f} s before its newest measurement")
+        return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.BEFORE_MEASUREMENTS, -step_s))
     x, P = cluster.predict(vehicle, at_s)
     offset_s = x.item(TIME_STAMP_OFFSET)
     G = _STATED.copy()
@@ -49,7 +49,7 @@ def estimate_of_cluster(cluster: Cluster, vehicle: int, at_s: float) -> Estimate
         covariance[axis + 3, axis] += gap_both
     worst_m = horizontal_sigma_m(covariance)
     if not worst_m <= cluster.settings.limit_sigma_m:
-        return NoEstimate(vehicle, at_s, _too_uncertain(worst_m))
+        return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))
     units = [n.unit for n in record.neighbours.values() if abs(at_s - n.at_s) <= IN_USE_S]
     hdop = horizontal_dilution_of(units) if len(units) >= 2 else None
     return Estimate(vehicle, at_s, position, x[VELOCITY].copy(), covariance, hdop, len(units))
@@ -61,13 +61,9 @@ def estimate_of_search(
     """Estimate a denied vehicle that is searched, where all places that fit are one."""
     place = None if search.is_open else predicted_search(search, record.profile, at_s, settings).place()
     if place is None:
-        return NoEstimate(vehicle, at_s, f"ambiguous: {len(search.mean)} places fit the ranges")
+        return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.SEVERAL_PLACES, len(search.mean)))
     mean, covariance = place
     worst_m = horizontal_sigma_m(covariance)
     if not worst_m <= settings.limit_sigma_m:
-        return NoEstimate(vehicle, at_s, _too_uncertain(worst_m))
+        return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))
     return Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, None, len(record.neighbours))
-
-
-def _too_uncertain(worst_m: float) -> str:
-    return f"too uncertain: {worst_m:.0f} m (1-sigma) horizontally; more or better placed ranges are needed"

@@ -14,8 +14,10 @@ from gcs_coloc.core.measurements import (
     Estimate,
     Measurement,
     NoEstimate,
+    NoEstimateReason,
     PositionMeasurement,
     RangeMeasurement,
+    Unlocated,
     VehicleClassReport,
 )
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseSplit, without_time_error
@@ -116,7 +118,7 @@ class FleetModel:
                 record.static = False
                 self.clusters.remove(vehicle)
             if vehicle not in self.clusters and not self._initialise(vehicle, at_s):
-                record.no_estimate_reason = "no fresh position to start from, and not enough ranges yet"
+                record.no_estimate_reason = Unlocated(NoEstimateReason.NO_START)
         for vehicle in [v for v, record in self.records.items() if record.denied_vehicle and v not in denied]:
             record = self.records.writable(vehicle)
             record.denied_vehicle = False
@@ -127,7 +129,7 @@ class FleetModel:
             self.clusters.remove(vehicle)
             record.own_measurements = ()
             record.last_position = None
-            record.no_estimate_reason = "no position report since its GPS was trusted again"
+            record.no_estimate_reason = Unlocated(NoEstimateReason.NO_REPORT_SINCE_TRUSTED)
 
     def apply(self, m: Measurement) -> UpdateResult:
         """Update with one measurement, not older than any before it."""
@@ -266,7 +268,7 @@ class FleetModel:
             if cluster is not None and not record.static and at_s - cluster.joint.time_s[vehicle] > _SILENT_MOST_S:
                 self.clusters.remove(vehicle)
                 record.own_measurements = ()
-                record.no_estimate_reason = "nothing was heard of it for more than an hour, and not enough ranges yet"
+                record.no_estimate_reason = Unlocated(NoEstimateReason.SILENT)
         self.clusters.prune(links)
         self.pairs = {key: noise for key, noise in self.pairs.items() if key[1] in links.get(key[0], ())}
         self.considered_m = {key: sigma_m for key, sigma_m in self.considered_m.items() if key in self.pairs}
@@ -275,7 +277,7 @@ class FleetModel:
         """Return where a vehicle is at a time near that of its states, or why that is unknown."""
         record = self.records.get(vehicle)
         if record is None:
-            return NoEstimate(vehicle, at_s, "no measurement of it was heard")
+            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.NOT_HEARD))
         cluster = self.clusters.get(vehicle)
         if cluster is None:
             if record.search is not None:
@@ -289,7 +291,7 @@ class FleetModel:
             return NoEstimate(vehicle, at_s, record.no_estimate_reason)
         age_s = at_s - record.last_position.measured_at_s
         if age_s > self.settings.initialisation_age_s and not record.static:
-            return NoEstimate(vehicle, at_s, f"no position report for {age_s:.0f} s")
+            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.STALE, age_s))
         alone = FleetModel(self.settings)
         alone.records.copy_from(self.records, vehicle)
         if record.last_position.velocity_enu_mps is not None:

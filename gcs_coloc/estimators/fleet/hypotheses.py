@@ -13,7 +13,7 @@ from enum import Enum, auto
 import numpy as np
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
-from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, RangeMeasurement
+from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, NoEstimateReason, RangeMeasurement, Unlocated
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
@@ -228,8 +228,7 @@ class FleetHypotheses:
             open_sides = abs(hypothesis.log_odds) < _STATED_LOG_ODDS and _are_apart(where, other)
             if open_sides or horizontal_sigma_m(covariance) > self.main.settings.limit_sigma_m:
                 apart_m = math.hypot(*(other_x - x)[:2].tolist())
-                reason = f"ambiguous: another place, {apart_m:.0f} m from the first, fits the ranges as well"
-                return NoEstimate(vehicle, at_s, reason)
+                return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.OTHER_PLACE, apart_m))
             where = Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, where.hdop, where.ranges_in_use)
         return where
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, PositionMeasurement
+from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.records import Records
 from gcs_coloc.estimators.fleet.ekf.state import (
@@ -60,7 +61,7 @@ def initialise_from_ranges(clusters: ClusterSet, records: Records, vehicle: int,
         return False
     record.initialisation_tried_at_s = at_s
     solution = solve_multilateration(_multilateration_problem(records, vehicle, at_s, s), s.limit_sigma_m)
-    if isinstance(solution, str):
+    if isinstance(solution, StatedReason):
         record.no_estimate_reason = solution
         return False
     record.baro_error_sigma_m = record.report_error_sigma_h_m = record.report_error_sigma_v_m = 0.0

@@ -12,7 +12,14 @@ from collections import Counter
 import numpy as np
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
-from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, PositionMeasurement, RangeMeasurement
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    FloatArray,
+    NoEstimateReason,
+    PositionMeasurement,
+    RangeMeasurement,
+    Unlocated,
+)
 
 _AZIMUTHS = 12
 _ELEVATIONS_RAD = (-0.8, -0.1, 0.1, 0.8)
@@ -93,28 +100,28 @@ def _slope(past: list[PositionMeasurement]) -> tuple[float, float, float]:
     return (e, n, u)
 
 
-def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float) -> tuple[FloatArray, FloatArray] | str:
+def solve_multilateration(problem: MultilaterationProblem, limit_sigma_m: float) -> tuple[FloatArray, FloatArray] | Unlocated:
     """Return mean (6,) and covariance (6, 6) of position and velocity at the problem's time, or the reason why not."""
     peers = problem.peers()
     if len(peers) < _LEAST_PEERS or sum(peers.values()) < _LEAST_RANGES:
-        return f"waiting for ranges to start from: {sum(peers.values())} with {len(peers)} located peers in the last seconds"
+        return Unlocated(NoEstimateReason.FEW_RANGES, sum(peers.values()), len(peers))
     ranges, heights = problem.ranges(), problem.heights()
     x, cost, normal = _descend(_starting_points(ranges, heights), ranges, heights)
     best = int(np.argmin(cost))
     residual = _residuals(x[best : best + 1], ranges)[0]
     fits = np.abs(residual) <= _OUTLIER_SIGMAS
     if 1.0 - fits.mean() > _MOST_OUTLIERS or float(np.mean(residual[fits] ** 2)) > _MOST_MEAN_SQUARE:
-        return "the ranges contradict each other: no place fits them"
+        return Unlocated(NoEstimateReason.CONTRADICTORY)
     covariance = np.linalg.inv(normal[best])
     worst_m = horizontal_sigma_m(covariance)
     if worst_m > limit_sigma_m:
-        return f"the geometry of the peers does not determine the position: {worst_m:.0f} m (1-sigma)"
+        return Unlocated(NoEstimateReason.UNDETERMINED, worst_m)
     mean = x[best]
     for other in np.flatnonzero(cost < cost[best] + _CLEARLY_WORSE):
         d = x[other] - x[best]
         apart = d[:2] @ np.linalg.solve(covariance[:2, :2], d[:2])
         if apart > _DISTINCT_NIS:
-            return f"ambiguous: another place, {math.hypot(d[0], d[1]):.0f} m from the first, fits the ranges as well"
+            return Unlocated(NoEstimateReason.OTHER_PLACE, math.hypot(d[0], d[1]))
         half = 0.5 * abs(d[2])
         if half > math.sqrt(covariance[2, 2]):
             # Above or below: the height between both, as uncertain as they are apart.

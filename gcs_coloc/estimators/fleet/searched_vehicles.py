@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
+from gcs_coloc.core.measurements import FloatArray, NoEstimateReason, RangeMeasurement, Unlocated
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import ManoeuvreDetector
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
@@ -54,7 +54,7 @@ def search_with_range(
     search = predicted_search(record.search, record.profile, at_s, settings)
     search = record.search = search.with_range(RangeCircle(other, *there, m.range_m, m.sigma_m**2))
     if search.is_lost:
-        record.search, record.no_estimate_reason = None, "the ranges contradict each other: no place fits them"
+        record.search, record.no_estimate_reason = None, Unlocated(NoEstimateReason.CONTRADICTORY)
         return Outcome.KEPT_INITIALISING
     record.neighbours[other] = Neighbour(at_s, (0.0, 0.0, 0.0))
     settled = search.settled(m.range_m, math.sqrt(m.sigma_m**2 + float(np.trace(there[1])) / 3.0))

@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Collection, Mapping
-from dataclasses import fields
 
 import numpy as np
 
@@ -27,11 +26,14 @@ from gcs_coloc.core.measurements import (
     FloatArray,
     Measurement,
     NoEstimate,
+    NoEstimateReason,
     OdometryMeasurement,
     PositionMeasurement,
     RangeMeasurement,
     Residual,
+    Unlocated,
     VehicleClassReport,
+    is_possible,
 )
 from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, density, position_rows
 from gcs_coloc.estimators.qu_zhang.denied_vehicle import (
@@ -41,6 +43,7 @@ from gcs_coloc.estimators.qu_zhang.denied_vehicle import (
 )
 from gcs_coloc.estimators.qu_zhang.epochs import RangeEpoch, RangeEpochGatherer
 from gcs_coloc.estimators.qu_zhang.fix import Fix, circles_of, fix_of
+from gcs_coloc.estimators.qu_zhang.outcomes import QuZhangOutcome
 from gcs_coloc.estimators.qu_zhang.settings import QuZhangSettings
 from gcs_coloc.estimators.qu_zhang.track import NisGate, PeerTrack
 from gcs_coloc.estimators.qu_zhang.trilateration import range_residual
@@ -88,12 +91,12 @@ class QuZhangFilter:
             for epoch in denied_vehicle.gatherer.pop_due(measurement.arrived_at_s):
                 self._close(vehicle, denied_vehicle, epoch)
         if isinstance(measurement, VehicleClassReport):
-            self._counts["vehicle class not used by this estimator"] += 1
-        elif not _is_sound(measurement):
-            self._counts["impossible value"] += 1
+            self._counts[QuZhangOutcome.NO_CLASS] += 1
+        elif not is_possible(measurement):
+            self._counts[QuZhangOutcome.REFUSED_IMPOSSIBLE] += 1
         elif measurement.measured_at_s > measurement.arrived_at_s + self._settings.late_window_s:
             # One such time would carry a filter into the future and make everything after it late.
-            self._counts["measured in the future"] += 1
+            self._counts[QuZhangOutcome.REFUSED_FUTURE] += 1
         elif isinstance(measurement, RangeMeasurement):
             self._add_range(measurement)
         elif isinstance(measurement, PositionMeasurement):
@@ -101,9 +104,9 @@ class QuZhangFilter:
         elif isinstance(measurement, AltitudeMeasurement):
             self._add_altitude(measurement)
         elif isinstance(measurement, AttitudeMeasurement):
-            self._counts["attitude not used by this estimator"] += 1
+            self._counts[QuZhangOutcome.NO_ATTITUDE] += 1
         elif isinstance(measurement, OdometryMeasurement):
-            self._counts["odometry not used by this estimator"] += 1
+            self._counts[QuZhangOutcome.NO_ODOMETRY] += 1
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Answer where a vehicle is at a time near the present, by prediction from its filters."""
@@ -111,14 +114,14 @@ class QuZhangFilter:
         denied_vehicle = self._denied.get(vehicle) or self._former.get(vehicle)
         reason = self._no_estimate_reason(track, denied_vehicle, at_s)
         if reason is not None or track is None or track.horizontal is None or track.vertical is None:
-            return NoEstimate(vehicle, at_s, reason or "no position yet")
+            return NoEstimate(vehicle, at_s, reason or Unlocated(NoEstimateReason.NOT_LOCATED))
         state, _ = track.horizontal.predicted(at_s)
         covariance = self._covariance(track, track.horizontal, denied_vehicle, at_s)
         vertical_state, vertical_covariance = track.vertical.predicted(at_s)
         vertical_covariance[0, 0] += track.sigma_v_m**2
         sigma_m = horizontal_sigma_m(covariance[np.ix_([0, 2], [0, 2])])
         if sigma_m > self._settings.max_sigma_m:
-            return NoEstimate(vehicle, at_s, _with_cause(f"uncertain by {sigma_m:.0f} m (1 sigma)", denied_vehicle))
+            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, sigma_m, detail=_cause(denied_vehicle)))
         full = np.zeros((6, 6))
         # [e, ve, n, vn] and [u, vu] to [e, n, u, ve, vn, vu].
         full[np.ix_([0, 3, 1, 4], [0, 3, 1, 4])] = covariance
@@ -176,39 +179,43 @@ class QuZhangFilter:
     def _is_late(self, one: CvFilter | None, measured_at_s: float) -> bool:
         if one is None or not one.is_too_late(measured_at_s):
             return False
-        self._counts["too late"] += 1
+        self._counts[QuZhangOutcome.REFUSED_TOO_LATE] += 1
         return True
 
     def _add_position(self, measurement: PositionMeasurement) -> None:
         vehicle = measurement.vehicle
         if vehicle in self._denied:
-            self._counts["position of a vehicle without GPS"] += 1
+            self._counts[QuZhangOutcome.REFUSED_DENIED_POSITION] += 1
             return
         track = self._track(vehicle)
         if vehicle in self._former or track.position_age_s(measurement.measured_at_s) > self._settings.max_prediction_s:
             self._former.pop(vehicle, None)
             track.start(measurement)
-            self._counts["position used"] += 1
+            self._counts[QuZhangOutcome.POSITION_USED] += 1
         elif not self._is_late(track.horizontal, measurement.measured_at_s):
-            self._counts["position used" if track.add_position(measurement) else "position refused by the gate"] += 1
+            self._counts[
+                QuZhangOutcome.POSITION_USED if track.add_position(measurement) else QuZhangOutcome.REFUSED_POSITION_GATE
+            ] += 1
 
     def _add_altitude(self, measurement: AltitudeMeasurement) -> None:
         if measurement.vehicle not in self._denied:
             # A vehicle with GPS states its height with its position.
-            self._counts["altitude of a vehicle with GPS"] += 1
+            self._counts[QuZhangOutcome.ALTITUDE_NOT_NEEDED] += 1
             return
         track = self._track(measurement.vehicle)
         if not self._is_late(track.vertical, measurement.measured_at_s):
-            self._counts["altitude used" if track.add_altitude(measurement) else "altitude refused by the gate"] += 1
+            self._counts[
+                QuZhangOutcome.ALTITUDE_USED if track.add_altitude(measurement) else QuZhangOutcome.REFUSED_ALTITUDE_GATE
+            ] += 1
 
     def _add_range(self, measurement: RangeMeasurement) -> None:
         ends = (measurement.from_vehicle, measurement.to_vehicle)
         located = [(own, peer) for own, peer in (ends, ends[::-1]) if own in self._denied]
         if not located:
-            self._counts["range between vehicles with GPS"] += 1
+            self._counts[QuZhangOutcome.RANGE_BOTH_GPS] += 1
         elif len(located) == 2:
             # A fix from another fix would count the same peers' errors twice.
-            self._counts["range between vehicles without GPS"] += 1
+            self._counts[QuZhangOutcome.RANGE_BOTH_DENIED] += 1
         else:
             [(vehicle, peer)] = located
             denied_vehicle = self._denied[vehicle]
@@ -226,7 +233,7 @@ class QuZhangFilter:
             return
         peers = {peer: one for peer, one in self._tracks.items() if peer not in self._former and peer not in self._denied}
         circles, reasons = circles_of(epoch, track, peers, at_s, self._settings)
-        self._counts["range to a peer without a fresh position"] += len(reasons)
+        self._counts[QuZhangOutcome.RANGE_PEER_NOT_FRESH] += len(reasons)
         predicted: tuple[FloatArray, FloatArray] | None = None
         expected: tuple[FloatArray, FloatArray] | None = None
         if track.horizontal is not None:
@@ -240,11 +247,17 @@ class QuZhangFilter:
         else:
             fix, refused = solution, self._apply_fix(vehicle, track, denied_vehicle, solution, at_s)
         denied_vehicle.reason = refused
-        self._counts["fix used" if refused is None else "epoch without a fix" if fix is None else "fix refused"] += 1
+        self._counts[
+            QuZhangOutcome.FIX_USED
+            if refused is None
+            else QuZhangOutcome.EPOCH_WITHOUT_FIX
+            if fix is None
+            else QuZhangOutcome.FIX_REFUSED
+        ] += 1
         for one in circles:
             chosen = fix is not None and one.peer in fix.peers
             result = refused if chosen or fix is None else "not among the three of the fix"
-            self._counts["range used" if result is None else "range not used"] += 1
+            self._counts[QuZhangOutcome.RANGE_USED if result is None else QuZhangOutcome.RANGE_NOT_USED] += 1
             if predicted is not None:
                 self._residuals.append(range_residual(vehicle, one, predicted, epoch.ranges[one.peer].measured_at_s, result))
 
@@ -283,42 +296,25 @@ class QuZhangFilter:
             covariance[[0, 2], [0, 2]] += track.sigma_h_m**2
         return covariance
 
-    def _no_estimate_reason(self, track: PeerTrack | None, denied_vehicle: DeniedVehicleFilter | None, at_s: float) -> str | None:
+    def _no_estimate_reason(
+        self, track: PeerTrack | None, denied_vehicle: DeniedVehicleFilter | None, at_s: float
+    ) -> Unlocated | None:
         if denied_vehicle is None:
             if track is None or track.horizontal is None:
-                return "no position yet"
+                return Unlocated(NoEstimateReason.NOT_LOCATED)
             age_s = track.position_age_s(at_s)
-            return f"no position for {age_s:.1f} s" if age_s > self._settings.max_prediction_s else None
+            return Unlocated(NoEstimateReason.STALE, age_s) if age_s > self._settings.max_prediction_s else None
         if track is None or track.horizontal is None:
-            return _with_cause("not located yet", denied_vehicle)
+            return Unlocated(NoEstimateReason.NOT_LOCATED, detail=_cause(denied_vehicle))
         if track.vertical is None:
-            return "no height of its own"
+            return Unlocated(NoEstimateReason.NO_HEIGHT)
         age_s = at_s - denied_vehicle.last_fix_s
         if age_s > self._settings.max_prediction_s:
-            return _with_cause(f"no fix for {age_s:.1f} s", denied_vehicle)
+            return Unlocated(NoEstimateReason.NO_FIX, age_s, detail=_cause(denied_vehicle))
         if denied_vehicle.confirmations < CONFIRMATIONS:
-            return f"only {denied_vehicle.confirmations} of {CONFIRMATIONS} fixes that must agree after a start from ranges"
+            return Unlocated(NoEstimateReason.CONFIRMING, denied_vehicle.confirmations, CONFIRMATIONS)
         return None
 
 
-def _with_cause(text: str, denied_vehicle: DeniedVehicleFilter | None) -> str:
-    return f"{text}: {denied_vehicle.reason}" if denied_vehicle is not None and denied_vehicle.reason else text
-
-
-def _is_sound(measurement: Measurement) -> bool:
-    """Return whether all numbers are finite, all sigmas above zero, a range not negative and its two ends different."""
-    for one in fields(measurement):
-        value = getattr(measurement, one.name)
-        numbers = value if isinstance(value, tuple) else () if value is None else (value,)
-        if not all(math.isfinite(number) for number in numbers):
-            return False
-    match measurement:
-        case PositionMeasurement():
-            speed_sigma = measurement.sigma_velocity_mps
-            return measurement.sigma_h_m > 0.0 and measurement.sigma_v_m > 0.0 and (speed_sigma is None or speed_sigma > 0.0)
-        case RangeMeasurement():
-            return measurement.sigma_m > 0.0 and measurement.range_m >= 0.0 and measurement.from_vehicle != measurement.to_vehicle
-        case AltitudeMeasurement():
-            return measurement.sigma_m > 0.0
-        case AttitudeMeasurement() | OdometryMeasurement() | VehicleClassReport():
-            return True
+def _cause(denied_vehicle: DeniedVehicleFilter | None) -> str:
+    return f": {denied_vehicle.reason}" if denied_vehicle is not None and denied_vehicle.reason else ""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from html import escape
 from statistics import median
 from typing import Any
 
-from gcs_coloc.core.measurements import count_reasons
 from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
 from gcs_coloc.recorder.journal import EVERY_S, VehicleEntry
 from gcs_coloc.recorder.reports.html_page import HEAD, image, table
@@ -81,8 +81,9 @@ def _vehicle(history: FlightHistory, vehicle: Mapping[str, Any], track: Sequence
     if levels:
         rows.append(("protection level, median and most", f"{median(levels):.1f} m, {max(levels):.1f} m"))
     rows.extend(_score(vehicle["score"]))
-    reasons = count_reasons(v.no_estimate_reason for v in without if v.no_estimate_reason is not None)
-    rows.extend((f"not located for {times * EVERY_S:.1f} s", reason) for reason, times in reasons.items())
+    times = Counter(v.no_estimate_code for v in without if v.no_estimate_code is not None)
+    first = {v.no_estimate_code: v.no_estimate_reason or "" for v in reversed(without)}
+    rows.extend((f"not located for {many * EVERY_S:.1f} s", first[code]) for code, many in times.most_common())
     alt = f"Vehicle {sysid} over time: bound and sigma, HDOP and ranges in use, NIS"
     title = f"Vehicle {sysid} without its GPS"
     return f"<h2>{title}</h2>" + table(title, ("", ""), rows) + image(alt, vehicle_picture(history, track))

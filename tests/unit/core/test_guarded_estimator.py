@@ -9,7 +9,8 @@ import pytest
 from engine_flights import StraightLine, aids, fly, settings
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, Residual
+from gcs_coloc.core.estimator import GuardedEstimator
+from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, NoEstimateReason, Residual
 from gcs_coloc.core.messages.outbound import Notice
 
 
@@ -102,3 +103,15 @@ def test_an_estimator_that_refuses_a_measurement_is_told_of_once():
     out = fly(engine, 0.0, 5.0)
     assert len([o for _, o in out if isinstance(o, Notice) and "ZeroDivisionError" in o.text]) == 1
     assert engine.snapshot(5.0).estimator_counts["raised an exception"] > 100
+
+
+def test_a_reason_in_words_of_its_own_is_kept():
+    class Wordy(StraightLine):
+        name = "wordy"
+
+        def estimate(self, vehicle: int, at_s: float) -> NoEstimate:
+            return NoEstimate(vehicle, at_s, "its battery is flat")  # type: ignore[arg-type]
+
+    answer = GuardedEstimator(Wordy(), print).estimate(4, 1.0)
+    assert isinstance(answer, NoEstimate)
+    assert (answer.reason.reason, answer.reason.text) == (NoEstimateReason.OTHER, "its battery is flat")

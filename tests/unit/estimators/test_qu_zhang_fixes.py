@@ -73,7 +73,7 @@ def test_with_fewer_than_three_peers_it_predicts_then_says_unknown(peers: tuple[
 
     assert error_m(early, fleet) < 4.0 * math.sqrt(np.trace(early.covariance[:2, :2]))
     assert early.ranges_in_use == 0
-    assert f"ranges to {len(peers)} of the 3 peers" in late if peers else "no fix for 30.2 s: no ranges yet" in late
+    assert f"ranges to {len(peers)} of the 3 peers" in late if peers else "no fix from ranges for 30.2 s: no ranges yet" in late
     assert estimator.counts().get("fix used", 0) == 0
 
 
@@ -215,5 +215,5 @@ def test_through_a_poor_geometry_it_filters_on_and_says_that_it_is_uncertain() -
     poor = why_unknown(estimator, 4, 39.8)
     fly(estimator, fleet, 40.0, 70.0, denied=(4,))
 
-    assert poor.startswith("uncertain by")
+    assert poor.startswith("too uncertain: ")
     assert error_m(located(estimator, 4, 69.8), fleet) < 30.0

@@ -10,7 +10,7 @@ PLUG_IN = """
 from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
-from gcs_coloc.core.measurements import NoEstimate
+from gcs_coloc.core.measurements import NoEstimate, NoEstimateReason, Unlocated
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Bare:
     def set_denied(self, denied, at_s): ...
     def reset(self, vehicle, at_s): ...
     def add(self, measurement): ...
-    def estimate(self, vehicle, at_s): return NoEstimate(vehicle, at_s, "never")
+    def estimate(self, vehicle, at_s): return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.OTHER, detail="never"))
     def drain_residuals(self): return []
     def counts(self): return {}
 

@@ -5,7 +5,7 @@ from math import pi
 import numpy as np
 import pytest
 
-from gcs_coloc.core.measurements import AttitudeMeasurement, Estimate, NoEstimate, RangeMeasurement
+from gcs_coloc.core.measurements import AttitudeMeasurement, Estimate, NoEstimate, NoEstimateReason, RangeMeasurement, Unlocated
 from gcs_coloc.evaluation.antennas import Attitudes, antenna_range, body_range, body_to_enu
 from gcs_coloc.evaluation.dataset import read_dataset
 from gcs_coloc.evaluation.evaluate import dataset_findings
@@ -21,7 +21,7 @@ class Known:
 
     def estimate(self, vehicle, at_s):
         if self._place is None:
-            return NoEstimate(vehicle, at_s, "none")
+            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.OTHER, detail="none"))
         return Estimate(vehicle, at_s, np.array(self._place), np.zeros(3), self._covariance, None, 3)
 
 

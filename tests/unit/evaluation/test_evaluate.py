@@ -16,7 +16,15 @@ from typer.testing import CliRunner
 
 from gcs_coloc import __version__
 from gcs_coloc.cli.main import app
-from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, Measurement, NoEstimate, Residual
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    Estimate,
+    Measurement,
+    NoEstimate,
+    NoEstimateReason,
+    Residual,
+    Unlocated,
+)
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.evaluation.evaluate import evaluate
 from gcs_coloc.evaluation.output import plot_evaluation, write_epochs
@@ -72,9 +80,9 @@ def test_why_there_is_no_answer_is_told_by_reason_in_the_words_of_the_first_time
     assert denied_vehicle.score.share_known == 0.0
     [(reason, times)] = denied_vehicle.unanswered.items()
     assert times == missing
-    assert reason.startswith("waiting for ranges to start from")
+    assert reason.reason is NoEstimateReason.FEW_RANGES
     told = gcs_coloc("evaluate", walk).stdout
-    assert f"  not answered {missing} times: {reason} (the first time)" in told.splitlines()
+    assert f"  not answered {missing} times: {reason.text} (the first time)" in told.splitlines()
     assert "measurements: kept: waiting for initialisation 200" in told
 
 
@@ -144,7 +152,7 @@ class Recorder:
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         self.asked.append((at_s, self.newest_s))
-        return NoEstimate(vehicle, at_s, "never")
+        return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.OTHER, detail="never"))
 
     def drain_residuals(self) -> list[Residual]:
         return []

@@ -12,7 +12,7 @@ from gcs_coloc.core.aiding.parameters import Parameters
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.aiding.vetted_ranges import VettedRange
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.measurements import Estimate, NoEstimate
+from gcs_coloc.core.measurements import Estimate, NoEstimate, NoEstimateReason, Unlocated
 from gcs_coloc.core.messages.inbound import CommandResult, GlobalOrigin
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice
 from gcs_coloc.core.reasons import CoreRefusal
@@ -32,7 +32,7 @@ class MethodContext:
 
 def nowhere(node: int, at_s: float) -> NoEstimate:
     """Return that a node is not located."""
-    return NoEstimate(node, at_s, "not located")
+    return NoEstimate(node, at_s, Unlocated(NoEstimateReason.NOT_LOCATED))
 
 
 def no_clock(at_s: float) -> None:

@@ -11,9 +11,11 @@ from typing import NamedTuple, TypeVar
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
+    NoEstimateReason,
     OdometryMeasurement,
     PositionMeasurement,
     RangeMeasurement,
+    Unlocated,
 )
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseLevel, NoiseSplit
 from gcs_coloc.estimators.fleet.motion_profiles import PROFILES, MotionProfile
@@ -54,6 +56,9 @@ class Neighbour:
 
     at_s: float
     unit: tuple[float, float, float]
+
+
+_NOT_HEARD = Unlocated(NoEstimateReason.NOT_HEARD)
 
 
 @dataclass(slots=True)
@@ -115,7 +120,7 @@ class VehicleRecord:
     bias_window: BiasWindow | None = None
     """The ranges since the last that were counted in `range_biases`."""
     initialisation_tried_at_s: float = -math.inf
-    no_estimate_reason: str = "no measurement of it was heard"
+    no_estimate_reason: Unlocated = _NOT_HEARD
 
     def copy(self) -> VehicleRecord:
         """Return an independent copy."""

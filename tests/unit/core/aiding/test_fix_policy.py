@@ -9,7 +9,7 @@ import pytest
 
 from gcs_coloc.core.aiding.fix_policy import FixPolicy
 from gcs_coloc.core.aiding.settings import AidingSettings
-from gcs_coloc.core.measurements import Estimate, NoEstimate, ProtectionLevel
+from gcs_coloc.core.measurements import Estimate, NoEstimate, NoEstimateReason, ProtectionLevel, Unlocated
 
 
 def known(
@@ -20,7 +20,7 @@ def known(
 
 
 def unknown(at_s: float) -> NoEstimate:
-    return NoEstimate(4, at_s, "too few ranges")
+    return NoEstimate(4, at_s, Unlocated(NoEstimateReason.OTHER, detail="too few ranges"))
 
 
 def inhibited(policy: FixPolicy, answer: Estimate | NoEstimate, at_s: float, **known) -> str | None:

@@ -16,7 +16,7 @@ from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.aiding.vetted_ranges import VettedRange, VettedRanges
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.measurements import Estimate, NoEstimate, RangeMeasurement, Residual
+from gcs_coloc.core.measurements import Estimate, NoEstimate, NoEstimateReason, RangeMeasurement, Residual, Unlocated
 from gcs_coloc.core.messages.control import RouteBlock, RouteReport
 from gcs_coloc.core.messages.inbound import Autopilot, Heartbeat
 from gcs_coloc.core.messages.outbound import RangingBeacon
@@ -158,7 +158,7 @@ def test_ranges_in_doubt_are_not_handed_over(inhibit):
 
 def test_without_a_place_or_the_vehicles_clock_nothing_is_sent():
     assert method().build_messages(moment(10.0, vetted(MAST, 10.0), boot_s=lambda _: None)) == []
-    nowhere = lambda node, at_s: NoEstimate(node, at_s, "not located")  # noqa: E731
+    nowhere = lambda node, at_s: NoEstimate(node, at_s, Unlocated(NoEstimateReason.OTHER, detail="not located"))  # noqa: E731
     assert method().build_messages(moment(10.0, vetted(MAST, 10.0), locate=nowhere)) == []
 
 

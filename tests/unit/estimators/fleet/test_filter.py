@@ -8,11 +8,13 @@ import pytest
 
 from gcs_coloc.core.estimator import Estimator
 from gcs_coloc.core.measurements import (
+    AMBIGUOUS,
     AltitudeMeasurement,
     AttitudeMeasurement,
     Estimate,
     Measurement,
     NoEstimate,
+    NoEstimateReason,
     PositionMeasurement,
     RangeMeasurement,
 )
@@ -147,7 +149,7 @@ def test_cold_with_two_peers_it_says_that_it_is_ambiguous():
     flight.run(3.0)
     where = flight.estimator.estimate(4, flight.now_s)
     assert isinstance(where, NoEstimate)
-    assert "ambiguous" in where.reason
+    assert where.reason.reason in AMBIGUOUS
 
 
 def test_a_wrong_state_is_not_kept_against_the_ranges():
@@ -201,7 +203,7 @@ def test_without_ranges_it_becomes_unknown_in_the_end():
     flight.run(200.0)
     where = flight.estimator.estimate(4, 200.0)
     assert isinstance(where, NoEstimate)
-    assert "uncertain" in where.reason
+    assert where.reason.reason is NoEstimateReason.TOO_UNCERTAIN
 
 
 def test_impossible_late_future_and_double_values_are_counted_and_change_nothing():
@@ -231,7 +233,7 @@ def test_impossible_late_future_and_double_values_are_counted_and_change_nothing
 def test_a_vehicle_never_heard_of_is_unknown_with_the_reason():
     where = FleetFilter().estimate(7, 0.0)
     assert isinstance(where, NoEstimate)
-    assert "no measurement" in where.reason
+    assert where.reason.reason is NoEstimateReason.NOT_HEARD
 
 
 def test_a_healthy_vehicle_is_answered_for_too():

@@ -4,7 +4,14 @@ import math
 
 import numpy as np
 
-from gcs_coloc.core.measurements import AltitudeMeasurement, PositionMeasurement, RangeMeasurement
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    NoEstimateReason,
+    PositionMeasurement,
+    RangeMeasurement,
+    Unlocated,
+)
+from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.estimators.fleet.multilateration import MultilaterationProblem, solve_multilateration
 
 LIMIT_M = 200.0
@@ -45,23 +52,23 @@ def test_late_ranges_do_not_mislead():
 
 def test_two_peers_are_ambiguous_and_said_to_be():
     outcome = solve_multilateration(problem((600.0, 500.0, 150.0), PEERS[:2]), LIMIT_M)
-    assert isinstance(outcome, str)
-    assert "ambiguous" in outcome
+    assert isinstance(outcome, StatedReason)
+    assert outcome.reason is NoEstimateReason.OTHER_PLACE
 
 
 def test_collinear_peers_are_ambiguous_and_said_to_be():
     peers = [(0.0, 0.0, 100.0), (500.0, 0.0, 100.0), (1000.0, 0.0, 100.0)]
     outcome = solve_multilateration(problem((400.0, 300.0, 100.0), peers), LIMIT_M)
-    assert isinstance(outcome, str)
-    assert "ambiguous" in outcome
+    assert isinstance(outcome, StatedReason)
+    assert outcome.reason is NoEstimateReason.OTHER_PLACE
 
 
 def test_without_altitude_a_mirror_image_above_and_below_leaves_the_height_open():
     peers = [(0.0, 0.0, 100.0), (900.0, 100.0, 100.0), (300.0, 800.0, 100.0)]
     truth = (500.0, 400.0, 180.0)
     outcome = solve_multilateration(problem(truth, peers, altitude=False), LIMIT_M)
-    if isinstance(outcome, str):
-        assert "ambiguous" in outcome or "determine" in outcome
+    if isinstance(outcome, StatedReason):
+        assert outcome.reason in (NoEstimateReason.OTHER_PLACE, NoEstimateReason.UNDETERMINED)
         return
     mean, covariance = outcome
     assert abs(mean[2] - truth[2]) < 3.0 * math.sqrt(covariance[2, 2])
@@ -75,8 +82,9 @@ def test_ranges_that_contradict_each_other_start_nothing():
         for i, peer in enumerate(PEERS):
             report = PositionMeasurement(i, 0.0, 0.0, peer, 0.3, 0.3, (0.0, 0.0, 0.0), 0.2)
             p.add_range(i, report, [report], RangeMeasurement(9, i, 0.2 * k, 0.2 * k, float(rng.uniform(10.0, 3000.0)), 1.0))
-    assert "contradict" in solve_multilateration(p, LIMIT_M)
+    assert solve_multilateration(p, LIMIT_M) == Unlocated(NoEstimateReason.CONTRADICTORY)
 
 
 def test_one_peer_is_waited_upon():
-    assert "waiting" in solve_multilateration(problem((600.0, 500.0, 150.0), PEERS[:1]), LIMIT_M)
+    one_peer = problem((600.0, 500.0, 150.0), PEERS[:1])
+    assert solve_multilateration(one_peer, LIMIT_M) == Unlocated(NoEstimateReason.FEW_RANGES, 20, 1)

@@ -12,7 +12,14 @@ import pytest
 from command_line import gcs_coloc
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.measurements import AltitudeMeasurement, NoEstimate, PositionMeasurement, RangeMeasurement
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    NoEstimate,
+    NoEstimateReason,
+    PositionMeasurement,
+    RangeMeasurement,
+    Unlocated,
+)
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.data_checks.findings import DataFinding
 from gcs_coloc.recorder.replay import Replay, replay
@@ -108,7 +115,7 @@ class Silent:
         self.given.append(measurement)
 
     def estimate(self, vehicle, at_s):
-        return NoEstimate(vehicle, at_s, "silent")
+        return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.OTHER, detail="silent"))
 
     def drain_residuals(self):
         return []
