@@ -35,6 +35,8 @@ _HEARTBEAT_EVERY_S = 1.0
 """MAVLink's customary rate of HEARTBEAT (mavlink.io, heartbeat protocol)."""
 _REFUSALS_EVERY_S = 10.0
 """Chosen: one line about refusals in this time is what a person can use."""
+_STATISTICS = "scipy.special"
+"""What the tests of ranges need as soon as some have come: a quarter of a second."""
 _MQTT_PACKAGES = ("aiomqtt", "gcs_coloc.sinks.mqtt")
 _WEB_PACKAGES = ("starlette.applications", "prometheus_client", "uvicorn", "gcs_coloc.web.app", "gcs_coloc.web.server")
 """What the page needs, in pieces that take some 50 ms each."""
@@ -126,7 +128,7 @@ class _Observed:
         return [group.create_task(self._every(period_s, phase, act)) for period_s, act in periodic]
 
     async def start_observers(self, group: asyncio.TaskGroup) -> None:
-        """Start page and broker. Their packages are imported one by one, so that vehicles are heard between.
+        """Start page and broker. What is not needed for the first message is imported one by one, and vehicles heard between.
 
         Raises:
             WebError: the page's address was asked for and cannot be had.
@@ -134,7 +136,8 @@ class _Observed:
         """
         settings = self._fleet.settings
         # Not on a thread: it would hold the interpreter while a busy machine has it wait, and the flight with it.
-        for package in (*(_MQTT_PACKAGES if settings.mqtt.host else ()), *(_WEB_PACKAGES if settings.web.on else ())):
+        mqtt, web = _MQTT_PACKAGES if settings.mqtt.host else (), _WEB_PACKAGES if settings.web.on else ()
+        for package in (_STATISTICS, *mqtt, *web):
             import_module(package)
             await asyncio.sleep(0)
         with self._fleet.named():

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import chdtri
 
 from gcs_coloc.core.integrity.adjustment import Adjustment, FaultEffect, adjust
 from gcs_coloc.core.integrity.epoch import Epoch, Past
@@ -127,4 +126,7 @@ def _range_effects(fit: Adjustment) -> list[FaultEffect]:
 @lru_cache(maxsize=1024)
 def chi2_limit(dof: int, alpha: float) -> float:
     """The value that a chi-square variable with `dof` degrees of freedom exceeds with probability `alpha`."""
+    # Imported here: it takes a quarter of a second, which a start in flight does not have.
+    from scipy.special import chdtri
+
     return float(chdtri(dof, alpha))
