@@ -17,7 +17,7 @@ from bench.accuracy_flights import Case, Recording, record
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import Estimate, FloatArray, Measurement, NoEstimate
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.runtime.process_pool import Result, Task, run_tasks
+from gcs_coloc.runtime.tasks import Result, Task, Workers, run_tasks
 
 
 class Locator(Protocol):
@@ -102,7 +102,7 @@ def on_all_cores(what: str, function: Callable[[Task], Result], tasks: Sequence[
         if sys.stderr.isatty():
             print(f"\r{what}: {done} of {of}", end="\n" if done == of else "", file=sys.stderr, flush=True)
 
-    return run_tasks(function, tasks, min(os.cpu_count() or 1, len(tasks)), progress)
+    return run_tasks(function, tasks, Workers(os.cpu_count() or 1), progress)
 
 
 def rmse_m(tracks: Sequence[Track], until_s: float = math.inf) -> float:

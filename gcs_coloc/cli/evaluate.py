@@ -7,22 +7,25 @@ import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import Progress, TaskID
+from rich.progress import Progress
 from rich.table import Table
 
 from gcs_coloc.cli.recordings import EstimatorOption, FleetOption, settings_for, warn_of_findings
+from gcs_coloc.cli.task_options import JobsOption, SchedulerOption, workers_for
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.estimator import GuardedEstimator
 from gcs_coloc.core.measurements import Unlocated
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.evaluation.evaluate import Evaluation
+from gcs_coloc.evaluation.evaluate import Progress as EvaluationProgress
 from gcs_coloc.evaluation.evaluate import evaluate as run_evaluation
 from gcs_coloc.runtime.output_paths import check_output_file, writing
+from gcs_coloc.runtime.tasks import run_tasks
 
 _MOST_REASONS = 3
 _FILE_WIDTH = 140  # of a table that goes to a file or pipe
@@ -38,6 +41,8 @@ def evaluate(
     as_json: Annotated[bool, typer.Option("--json", help="Print the scores as JSON; a list for several data sets.")] = False,
     plot: Annotated[Path | None, typer.Option(help="Draw track, error against 2-sigma, and NIS into this file.")] = None,
     csv: Annotated[Path | None, typer.Option("--csv", help="Write every epoch of all data sets into this file.")] = None,
+    jobs: JobsOption = 0,
+    scheduler: SchedulerOption = None,
 ) -> None:
     """Run an estimator over data sets, causally, and score it against the truth; of several print one table."""
     from gcs_coloc.evaluation.output import plot_evaluation, write_epochs
@@ -47,17 +52,22 @@ def evaluate(
     check_output_file(csv, "--csv")
     check_output_file(plot, "--plot")
     settings = settings_for(config, fleet, estimator)
-    evaluations = []
+    workers = workers_for(jobs, scheduler)
+    run = partial(_evaluate, settings.estimator.name, settings.estimator.settings)
     # On stderr: stdout is for the result.
     with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bars:
-        for directory in directories:
-            task = bars.add_task(directory.name, total=None)
-            # As in flight: what it fails at is told and scored as no answer.
-            guarded = GuardedEstimator(
-                load_estimator(settings.estimator.name, settings.estimator.settings), lambda text: print(text, file=sys.stderr)
-            )
-            evaluations.append(run_evaluation(directory, guarded, progress=partial(_show, bars, task)))
-    for directory, evaluation in zip(directories, evaluations, strict=True):
+        task = bars.add_task(directories[0].name if len(directories) == 1 else "data sets", total=None)
+
+        def show(done: int, total: int) -> None:
+            bars.update(task, completed=done, total=total)
+
+        # One data set in this process shows how far into its measurements it is.
+        is_alone = len(directories) == 1 and scheduler is None
+        evaluated = [run(directories[0], show)] if is_alone else run_tasks(run, directories, workers, show)
+    evaluations = [evaluation for evaluation, _ in evaluated]
+    for directory, (evaluation, faults) in zip(directories, evaluated, strict=True):
+        for text in faults:
+            print(text, file=sys.stderr)
         warn_of_findings(directory, evaluation.findings)
     if csv is not None:
         with writing(csv, "--csv"):
@@ -73,8 +83,14 @@ def evaluate(
         _print(evaluations[0])
 
 
-def _show(bars: Progress, task: TaskID, done: int, total: int) -> None:
-    bars.update(task, completed=done, total=total)
+def _evaluate(
+    name: str, settings: Mapping[str, Any], directory: Path, progress: EvaluationProgress = lambda _done, _total: None
+) -> tuple[Evaluation, list[str]]:
+    """Evaluate one data set; the texts are what the estimator failed at."""
+    faults: list[str] = []
+    # As in flight: what it fails at is told and scored as no answer.
+    guarded = GuardedEstimator(load_estimator(name, settings), faults.append)
+    return run_evaluation(directory, guarded, progress=progress), faults
 
 
 def _table(evaluations: Sequence[Evaluation]) -> Table:

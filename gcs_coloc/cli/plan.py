@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +12,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from gcs_coloc.cli.task_options import JobsOption, SchedulerOption, workers_for
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.measurements import VehicleClass
 from gcs_coloc.planning.assessment import Assessment, assess
@@ -60,7 +60,8 @@ def plan(
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     csv: Annotated[Path | None, typer.Option("--csv", help="Write every step into this file.")] = None,
     geojson: Annotated[Path | None, typer.Option(help="Write the ways, cut where a fix begins or ends, into this file.")] = None,
-    jobs: Annotated[int, typer.Option(help="Processes; 0 is one per core.", min=0)] = 0,
+    jobs: JobsOption = 0,
+    scheduler: SchedulerOption = None,
 ) -> None:
     """Predict along planned ways where vehicles would have a fix from ranges if their GPS failed, and what limits it."""
     from gcs_coloc.planning import plan_tables
@@ -83,16 +84,16 @@ def plan(
         print(line, file=sys.stderr)
     if len(fleet.vehicles) + len(fleet.stations) < 2:
         raise UsageError("one vehicle alone has nothing to range: give more plans, or --station")
-    jobs = jobs or os.cpu_count() or 1
+    workers = workers_for(jobs, scheduler)
     with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bars:
         task = bars.add_task("predicting", total=None)
         assessed = assess(
-            fleet, pairs=pairs, jobs=jobs, progress=lambda done, total: bars.update(task, completed=done, total=total)
+            fleet, pairs=pairs, workers=workers, progress=lambda done, total: bars.update(task, completed=done, total=total)
         )
         improvement = None
         if improve:
             task = bars.add_task("looking for a change that helps", total=None)
-            improvement = find_improvement(assessed, jobs, lambda done, total: bars.update(task, completed=done, total=total))
+            improvement = find_improvement(assessed, workers, lambda done, total: bars.update(task, completed=done, total=total))
     if csv is not None:
         with writing(csv, "--csv"):
             plan_tables.write_csv(assessed, csv)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
+import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from gcs_coloc.cli.task_options import JobsOption, SchedulerOption, workers_for
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory, writing
 from gcs_coloc.study.paper_options import PaperOptions, QForm, QUnit
@@ -44,7 +45,8 @@ def demo(
 def paper(
     seeds: Annotated[int, typer.Option(help="Draws of noise.")] = 20,
     first_seed: Annotated[int, typer.Option(help="Seed of the first draw.")] = 1,
-    jobs: Annotated[int, typer.Option(help="Processes; 0 is one per core.")] = 0,
+    jobs: JobsOption = 0,
+    scheduler: SchedulerOption = None,
     fleet_seeds: Annotated[int, typer.Option(help="Draws for the fleet filter: it takes minutes for each.")] = 2,
     q: Annotated[list[float] | None, typer.Option(help="A value of q; several times for several. Table 2's by default.")] = None,
     end_of_route: Annotated[str, typer.Option(help="What follows the last waypoint: straight, loop or hold.")] = "straight",
@@ -57,11 +59,11 @@ def paper(
     from gcs_coloc.study import paper as study
     from gcs_coloc.study import paper_report
 
+    workers = workers_for(jobs, scheduler)
     make_output_directory(out, "--out")
     options = PaperOptions(
         seeds=seeds,
         first_seed=first_seed,
-        jobs=jobs or os.cpu_count() or 1,
         fleet_seeds=fleet_seeds,
         end_of_route=end_of_route,
         step_s=cycle,
@@ -75,7 +77,7 @@ def paper(
         console = Console(width=_FILE_WIDTH)
     with Progress(console=console) as progress:
         task = progress.add_task("flying", total=None)
-        result = study.run_paper_study(options, lambda done, total: progress.update(task, completed=done, total=total))
+        result = study.run_paper_study(options, workers, lambda done, total: progress.update(task, completed=done, total=total))
     for table in paper_report.tables(result):
         console.print(table)
     for path in paper_report.write(result, out):
@@ -115,7 +117,8 @@ def integrity(
     seeds: Annotated[int | None, typer.Option(help="Flights of each class; 2 where neither this nor --hours is stated.")] = None,
     hours: Annotated[float | None, typer.Option(help="Hours under aid in all classes together, instead of --seeds.")] = None,
     first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each class.")] = 1,
-    jobs: Annotated[int, typer.Option(help="Processes; 0 is one per core.")] = 0,
+    jobs: JobsOption = 0,
+    scheduler: SchedulerOption = None,
     estimator: Annotated[str, typer.Option(help="fleet, qu_zhang, or a plug-in.")] = "fleet",
     out: Annotated[
         Path, typer.Option(help="Directory of the flights and the JSON; a run that was stopped goes on there.")
@@ -136,7 +139,7 @@ def integrity(
         return
     if seeds is None and hours is None:
         seeds = 2
-    options = RunOptions(out, tuple(classes or CLASSES), first_seed, seeds, hours, jobs or os.cpu_count() or 1, estimator)
+    options = RunOptions(out, tuple(classes or CLASSES), first_seed, seeds, hours, workers_for(jobs, scheduler), estimator)
     console = Console()
     if not console.is_terminal:
         console = Console(width=_FILE_WIDTH)
@@ -169,27 +172,28 @@ def planning(
     plans: Annotated[list[str] | None, typer.Option("--plan", help="A plan of the check; several times for several.")] = None,
     flights: Annotated[int, typer.Option(help="Drawn flights of each plan.", min=1)] = 20,
     first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each plan.")] = 1,
-    jobs: Annotated[int, typer.Option(help="Processes; 0 is one per core.", min=0)] = 0,
+    jobs: JobsOption = 0,
+    scheduler: SchedulerOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print every window as JSON.")] = False,
 ) -> None:
     """Check what `gcs-coloc plan` predicts on ten plans of different kind against drawn flights through the fleet filter."""
     from gcs_coloc.study.planning.check_plans import CHECK_PLANS
     from gcs_coloc.study.planning.plan_check import PlanCheck, check_table, run_checks
 
-    names = plans or list(CHECK_PLANS)
+    names, workers = plans or list(CHECK_PLANS), workers_for(jobs, scheduler)
     for name in names:
         if name not in CHECK_PLANS:
             raise UsageError(f"--plan {name}: there is no such plan; there are {', '.join(CHECK_PLANS)}")
     console = Console()
     if not console.is_terminal:
         console = Console(width=_FILE_WIDTH)
-    with Progress(console=Console(stderr=True), transient=True) as progress:
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
         task = progress.add_task("flying", total=None)
         checks: list[PlanCheck] = run_checks(
             names,
             flights,
             first_seed,
-            jobs or os.cpu_count() or 1,
+            workers,
             lambda done, total: progress.update(task, completed=done, total=total),
         )
     if as_json:

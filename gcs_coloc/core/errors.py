@@ -32,5 +32,13 @@ class DataError(GcsColocError):
     """A recording or data set that cannot be read; the text names file, line and column where there is one."""
 
 
+class TaskError(GcsColocError):
+    """Tasks that could not be done on several processes: these die."""
+
+
+class ClusterError(TaskError):
+    """A Dask cluster that cannot be used: not installed, not reachable, without workers, or with another program."""
+
+
 class RecordError(GcsColocError):
     """The directory for recordings cannot be written to."""

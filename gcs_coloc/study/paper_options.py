@@ -51,7 +51,6 @@ class PaperOptions:
     Attributes:
         seeds: number of noise draws; draw i has the seed `first_seed` + i.
         first_seed: seed of the first draw.
-        jobs: processes.
         qs: values of q.
         figure_q: the q that figures are drawn for; one of `qs`.
         step_s: computing cycle. The paper prints 0.02 ms; only 0.02 s fits 6 minutes of flight.
@@ -71,7 +70,6 @@ class PaperOptions:
 
     seeds: int = 20
     first_seed: int = 1
-    jobs: int = 1
     qs: tuple[float, ...] = tuple(PUBLISHED_TABLE_2)
     figure_q: float = 5.0
     step_s: float = 0.02
@@ -88,8 +86,8 @@ class PaperOptions:
     fleet_seeds: int = 2
 
     def __post_init__(self) -> None:
-        if self.seeds < 1 or self.jobs < 1 or self.fleet_seeds < 0:
-            raise UsageError("the study needs at least 1 seed and 1 job, and not less than 0 seeds for the fleet filter")
+        if self.seeds < 1 or self.fleet_seeds < 0:
+            raise UsageError("the study needs at least 1 seed, and not less than 0 seeds for the fleet filter")
         if not self.qs or min(self.qs) < 0.0 or self.figure_q not in self.qs:
             raise UsageError("the study needs values of q, none below 0, with the one for the figures among them")
         positive = (

@@ -15,9 +15,10 @@ from scipy.stats import chi2
 
 from gcs_coloc import __version__
 from gcs_coloc.core.errors import UsageError
+from gcs_coloc.runtime.program import program_digest
 from gcs_coloc.study.integrity.flight_classes import CLASSES, Group
 from gcs_coloc.study.integrity.trial import FLIGHT_S, TIME_TO_ALERT_S, EventKind, TrialScore
-from gcs_coloc.study.integrity.trial_runs import RunOptions, program_digest
+from gcs_coloc.study.integrity.trial_runs import RunOptions
 
 _CONFIDENCE = 0.95
 

@@ -1,19 +1,18 @@
-"""Runs of trials on all cores: each result is written at once, so that a run that was stopped goes on where it was."""
+"""Runs of trials: each result is written at once, so that a run that was stopped goes on where it was."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import count
 from pathlib import Path
 
-import gcs_coloc
 from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.runtime.output_paths import make_output_directory
-from gcs_coloc.runtime.process_pool import iterate_tasks
+from gcs_coloc.runtime.program import program_digest
+from gcs_coloc.runtime.tasks import Workers, iterate_tasks
 from gcs_coloc.study.integrity.flight_classes import CLASSES
 from gcs_coloc.study.integrity.trial import EventKind, TrialEvent, TrialScore, fly_trial
 
@@ -35,7 +34,7 @@ class RunOptions:
     first_seed: int = 1
     seeds: int | None = None
     hours: float | None = None
-    jobs: int = 1
+    workers: Workers = field(default_factory=Workers)
     estimator: str = "fleet"
 
     def __post_init__(self) -> None:
@@ -85,7 +84,7 @@ def run_trials(options: RunOptions, done: Done) -> list[TrialScore]:
         with path.open("a", encoding="utf-8") as file:
             if not known and file.tell() == 0:
                 file.write(json.dumps(header) + "\n")
-            for score in iterate_tasks(partial(_fly, estimator=options.estimator), missing(), options.jobs):
+            for score in iterate_tasks(partial(_fly, estimator=options.estimator), missing(), options.workers):
                 file.write(json.dumps(asdict(score)) + "\n")
                 file.flush()
                 collect(score)
@@ -93,15 +92,6 @@ def run_trials(options: RunOptions, done: Done) -> list[TrialScore]:
         raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
     order = {name: place for place, name in enumerate(CLASSES)}
     return sorted(scores, key=lambda score: (order[score.name], score.seed))
-
-
-def program_digest() -> str:
-    """Return a digest of the package's source: flights of two states of the program are never mixed."""
-    root = Path(gcs_coloc.__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
 
 
 def _fly(task: tuple[str, int], estimator: str) -> TrialScore:

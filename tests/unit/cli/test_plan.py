@@ -14,6 +14,7 @@ from gcs_coloc.planning.assessment import assess
 from gcs_coloc.planning.fleet_plan import FleetPlan, PlannedStation, PlannedVehicle
 from gcs_coloc.planning.flight_path import Leg
 from gcs_coloc.planning.improvement import find_improvement
+from gcs_coloc.runtime.tasks import Workers
 
 FRAME = LocalFrame(47.39, 8.55, 450.0)
 
@@ -110,18 +111,19 @@ def test_the_change_that_helps_is_found_and_its_gain_is_predicted():
 
     station = PlannedStation(1, (300.0, 700.0, 10.0))
     plan = FleetPlan(FRAME, (flight(1, 0.0, 0.0), flight(2, 500.0, 100.0, 60.0)), (station,))
-    assessed = assess(plan, pairs=False, jobs=1, progress=lambda *_: None)
-    found = find_improvement(assessed, 1, lambda *_: None)
+    assessed = assess(plan, pairs=False, workers=Workers(), progress=lambda *_: None)
+    found = find_improvement(assessed, Workers(), lambda *_: None)
     assert found is not None
     assert found.sysid == assessed.worst.predicted.sysid
     assert found.after.predicted.share_with_fix > found.before.predicted.share_with_fix + 0.2
     assert f"{found.after.predicted.share_with_fix:.1%} of its flight instead of" in found.text
     good = FleetPlan(FRAME, tuple(flight(k, 500.0 * (k % 2), 300.0 * k) for k in range(1, 6)))
-    assert find_improvement(assess(good, pairs=False, jobs=1, progress=lambda *_: None), 1, lambda *_: None) is None
+    assessed = assess(good, pairs=False, workers=Workers(), progress=lambda *_: None)
+    assert find_improvement(assessed, Workers(), lambda *_: None) is None
 
 
-@pytest.mark.parametrize("option", ["--csv", "--geojson", "--report"])
-def test_a_file_that_the_system_refuses_is_named(three, option):
-    done = run(*three, "--no-improve", option, "/proc/no_such_entry")
+def test_a_file_that_the_system_refuses_is_named(tmp_path):
+    near = [write_wpl(tmp_path / f"{east}.waypoints", (east, 0), (east, 60)) for east in (0, 300)]
+    done = run(*near, "--no-improve", "--csv", "/proc/no_such_entry")
     assert isinstance(done.exception, UsageError)
-    assert str(done.exception) == f"{option} /proc/no_such_entry: cannot be written: No such file or directory"
+    assert str(done.exception) == "--csv /proc/no_such_entry: cannot be written: No such file or directory"

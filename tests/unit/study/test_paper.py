@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from gcs_coloc.core.errors import UsageError
+from gcs_coloc.runtime.tasks import Workers
 from gcs_coloc.study.paper import PaperStudy, run_paper_study
 from gcs_coloc.study.paper_filters import KINDS
 from gcs_coloc.study.paper_options import PUBLISHED_TABLE_2, ConstantR, PaperOptions
@@ -24,7 +25,7 @@ def quiet(done: int, total: int) -> None:
 
 @pytest.fixture(scope="module")
 def study() -> PaperStudy:
-    return run_paper_study(SHORT, quiet)
+    return run_paper_study(SHORT, Workers(), quiet)
 
 
 def test_there_is_a_row_for_every_filter_and_q(study: PaperStudy) -> None:
@@ -55,7 +56,7 @@ def test_scores_agree_with_the_series(study: PaperStudy) -> None:
 
 
 def test_more_processes_give_the_same_figures(study: PaperStudy) -> None:
-    again = run_paper_study(replace(SHORT, jobs=2), quiet)
+    again = run_paper_study(SHORT, Workers(2), quiet)
 
     assert again.rows == study.rows
 
@@ -119,7 +120,6 @@ def test_a_directory_that_cannot_be_made_is_one_clear_error(study: PaperStudy, t
     "bad",
     [
         {"seeds": 0},
-        {"jobs": 0},
         {"fleet_seeds": -1},
         {"qs": ()},
         {"qs": (-1.0, 5.0)},
@@ -135,8 +135,8 @@ def test_options_that_make_no_run_are_refused(bad: dict[str, object]) -> None:
 
 
 def test_the_constant_r_can_be_the_plain_variance() -> None:
-    robust = run_paper_study(replace(SHORT, fleet_seeds=0), quiet).constant_r_m2
-    plain = run_paper_study(replace(SHORT, fleet_seeds=0, constant_r=ConstantR.VARIANCE), quiet).constant_r_m2
+    robust = run_paper_study(replace(SHORT, fleet_seeds=0), Workers(), quiet).constant_r_m2
+    plain = run_paper_study(replace(SHORT, fleet_seeds=0, constant_r=ConstantR.VARIANCE), Workers(), quiet).constant_r_m2
 
     # Both estimate the same variance of nearly normal errors from 400 correlated fixes.
     assert plain == pytest.approx(robust, rel=0.5)

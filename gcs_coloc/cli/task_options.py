@@ -1,0 +1,27 @@
+"""Where a command's tasks run: the options of every command that has tasks."""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated
+
+import typer
+
+from gcs_coloc.core.errors import UsageError
+from gcs_coloc.runtime.tasks import Workers
+
+JobsOption = Annotated[int, typer.Option(help="Processes; 0 is one per core.", min=0)]
+SchedulerOption = Annotated[
+    str | None, typer.Option(help="Compute on the cluster of this Dask scheduler instead.", metavar="tcp://HOST:PORT")
+]
+
+
+def workers_for(jobs: int, scheduler: str | None) -> Workers:
+    """Return where tasks run.
+
+    Raises:
+        UsageError: both options are used.
+    """
+    if jobs and scheduler is not None:
+        raise UsageError("--jobs and --scheduler exclude each other: a cluster has the processes that its workers have")
+    return Workers(jobs or os.cpu_count() or 1, scheduler)

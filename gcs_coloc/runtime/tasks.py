@@ -1,0 +1,161 @@
+"""Tasks on several cores or on a Dask cluster, with progress; the results are the same wherever they are computed.
+
+A task is a picklable function with a picklable argument, is seeded where it draws noise, and can be done again: a worker that
+dies loses nothing, as its task is given to another one.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Protocol, TypeVar
+
+from gcs_coloc.core.errors import TaskError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+Progress = Callable[[int, int], None]
+"""Called with how many of how many tasks are done."""
+
+_MOST_DEATHS = 3
+"""So many processes in a row may die before one task is done. Chosen, as Dask's `allowed-failures`: then the tasks kill them."""
+_LOOK_EVERY_S = 5.0
+"""Chosen: how late workers that join are given tasks, where all others take long, and that none is left is told."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """Where tasks run: in `jobs` processes of this machine (1: in this one), or on the cluster of a Dask scheduler."""
+
+    jobs: int = 1
+    scheduler: str | None = None
+
+
+class Pool(Protocol):
+    """What takes tasks. It is a context; leaving it ends what is still running."""
+
+    def capacity(self) -> int:
+        """Return how many tasks may be submitted and not done; it may change."""
+        ...
+
+    def submit(self, function: Callable[[Task], Result], task: Task) -> Future[Result]:
+        """Have a task done. Raises BrokenExecutor where the pool has to be restarted."""
+        ...
+
+    def restart(self) -> None:
+        """Begin anew after a future ended with BrokenExecutor."""
+        ...
+
+
+def run_tasks(function: Callable[[Task], Result], tasks: Sequence[Task], workers: Workers, progress: Progress) -> list[Result]:
+    """Return the function's results in the order of the tasks.
+
+    Raises:
+        ClusterError: the cluster cannot be used.
+        TaskError: processes die again and again.
+    """
+    progress(0, len(tasks))
+    results: dict[int, Result] = {}
+    for index, result in _completed(function, tasks, replace(workers, jobs=min(workers.jobs, len(tasks)))):
+        results[index] = result
+        progress(len(results), len(tasks))
+    return [results[index] for index in range(len(tasks))]
+
+
+def iterate_tasks(function: Callable[[Task], Result], tasks: Iterable[Task], workers: Workers) -> Iterator[Result]:
+    """Yield the function's results as they are ready, in any order; whoever stops reading starts no further tasks.
+
+    Raises:
+        ClusterError: the cluster cannot be used.
+        TaskError: processes die again and again.
+    """
+    for _, result in _completed(function, tasks, workers):
+        yield result
+
+
+def _completed(function: Callable[[Task], Result], tasks: Iterable[Task], workers: Workers) -> Iterator[tuple[int, Result]]:
+    """Yield results with the place of their task as they are ready. The first task is drawn when the pool is there."""
+    if workers.scheduler is None and workers.jobs <= 1:
+        for place, task in enumerate(tasks):
+            yield place, function(task)
+        return
+    left = enumerate(tasks)
+    again: deque[tuple[int, Task]] = deque()
+    pending: dict[Future[Result], tuple[int, Task]] = {}
+    deaths, was_told = 0, False
+    with _open(workers) as pool:
+        while True:
+            is_broken = False
+            capacity = pool.capacity()
+            while len(pending) < max(capacity, 1) and not is_broken and (drawn := again.popleft() if again else next(left, None)):
+                try:
+                    pending[pool.submit(function, drawn[1])] = drawn
+                except BrokenExecutor:
+                    again.append(drawn)
+                    is_broken = True
+            if not pending and not again:
+                return
+            done, _ = wait(pending, _LOOK_EVERY_S, FIRST_COMPLETED)
+            for future in done:
+                if isinstance(future.exception(), BrokenExecutor):
+                    is_broken = True
+                    continue
+                place, _ = pending.pop(future)
+                yield place, future.result()
+                deaths = 0
+            if is_broken:
+                deaths += 1
+                if deaths >= _MOST_DEATHS:
+                    raise TaskError(f"{deaths} processes in a row were killed, perhaps for want of memory; try fewer --jobs")
+                again.extend(sorted(pending.values(), key=lambda item: item[0]))
+                pending.clear()
+                pool.restart()
+            if not capacity and not was_told:
+                _log.warning("no worker is left at %s; waiting for one", workers.scheduler)
+            was_told = not capacity
+
+
+def _open(workers: Workers) -> AbstractContextManager[Pool]:
+    if workers.scheduler is None:
+        return _Processes(workers.jobs)
+    # Here, because the package is an extra, and takes a second to import.
+    from gcs_coloc.runtime.dask_cluster import connect
+
+    return connect(workers.scheduler)
+
+
+class _Processes:
+    """Processes of this machine."""
+
+    def __init__(self, jobs: int) -> None:
+        self._jobs = jobs
+        self._executor = self._begin()
+
+    def __enter__(self) -> Pool:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._executor.shutdown(cancel_futures=True)
+
+    def capacity(self) -> int:
+        return self._jobs
+
+    def submit(self, function: Callable[[Task], Result], task: Task) -> Future[Result]:
+        return self._executor.submit(function, task)
+
+    def restart(self) -> None:
+        self._executor.shutdown()
+        self._executor = self._begin()
+
+    def _begin(self) -> Executor:
+        # A forked child would inherit the locks of whatever threads its parent has.
+        return ProcessPoolExecutor(self._jobs, mp_context=multiprocessing.get_context("spawn"))

@@ -1,0 +1,212 @@
+"""Tasks on a Dask cluster, with a real scheduler and real workers on loopback: the same results as from the plain pool."""
+
+import os
+import shutil
+import signal
+import sys
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from threading import Thread
+
+import pytest
+from brokers import wait_until
+from command_line import gcs_coloc
+from dask_processes import ROOT, Cluster, dask_cluster, fail, square, wait_to_be_killed, where
+
+from gcs_coloc.core.errors import ClusterError, UsageError
+from gcs_coloc.runtime.dask_cluster import check_address
+from gcs_coloc.runtime.tasks import Workers, iterate_tasks, run_tasks
+from gcs_coloc.study.paper import run_paper_study
+from gcs_coloc.study.paper_filters import KINDS
+from gcs_coloc.study.paper_options import PaperOptions
+
+pytestmark = pytest.mark.integration
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory) -> Iterator[Cluster]:
+    with dask_cluster(tmp_path_factory.mktemp("dask"), 2) as started:
+        yield started
+
+
+@pytest.fixture
+def own_cluster(tmp_path) -> Iterator[Cluster]:
+    """For a test that does harm to it; without a worker."""
+    with dask_cluster(tmp_path, 0) as started:
+        yield started
+
+
+def quiet(done: int, total: int) -> None:
+    assert 0 <= done <= total
+
+
+def test_results_are_in_order_both_workers_work_and_progress_is_told(cluster: Cluster) -> None:
+    told: list[tuple[int, int]] = []
+    workers, numbers = Workers(scheduler=cluster.address), list(range(20))
+
+    assert run_tasks(square, numbers, workers, lambda done, total: told.append((done, total))) == [n * n for n in numbers]
+    assert told == [(done, 20) for done in range(21)]
+    pids = {worker.process.pid for worker in cluster.workers}
+    assert set(run_tasks(where, list(range(40)), workers, quiet)) <= pids
+
+
+def test_no_task_is_begun_in_vain(cluster: Cluster) -> None:
+    begun = []
+
+    def tasks():
+        for n in range(1000):
+            begun.append(n)
+            yield n
+
+    results = iterate_tasks(square, tasks(), Workers(scheduler=cluster.address))
+    next(results)
+    results.close()
+
+    assert len(begun) <= 5
+
+
+def test_a_worker_that_is_killed_in_the_middle_loses_nothing(own_cluster: Cluster, tmp_path: Path) -> None:
+    for _ in range(2):
+        own_cluster.add_worker()
+    mark = tmp_path / "pid"
+
+    def kill() -> None:
+        wait_until(mark.exists)
+        os.kill(int(mark.read_text()), signal.SIGKILL)
+
+    killer = Thread(target=kill)
+    killer.start()
+    told: list[int] = []
+    done = run_tasks(
+        partial(wait_to_be_killed, tmp_path), list(range(12)), Workers(scheduler=own_cluster.address), lambda n, _: told.append(n)
+    )
+    killer.join()
+
+    assert done == [n * n for n in range(12)]
+    assert told == list(range(13))
+    killed = [worker for worker in own_cluster.workers if worker.process.pid == int(mark.read_text())]
+    assert [worker.process.wait() for worker in killed] == [-signal.SIGKILL]
+
+
+def test_a_task_that_kills_its_workers_is_given_up(own_cluster: Cluster) -> None:
+    for _ in range(4):
+        own_cluster.add_worker()
+
+    with pytest.raises(ClusterError, match="4 workers in a row that died"):
+        run_tasks(fail, [1], Workers(scheduler=own_cluster.address), quiet)
+
+
+def test_a_scheduler_that_is_gone_ends_the_command_in_one_line(own_cluster: Cluster, tmp_path: Path) -> None:
+    own_cluster.add_worker()
+
+    def kill() -> None:
+        wait_until((tmp_path / "pid").exists)
+        own_cluster.scheduler.kill()
+
+    killer = Thread(target=kill)
+    killer.start()
+    with pytest.raises(ClusterError, match="is gone; start it and run the command again"):
+        run_tasks(partial(wait_to_be_killed, tmp_path), [0, 1], Workers(scheduler=own_cluster.address), quiet)
+    killer.join()
+
+
+def test_the_papers_study_is_that_of_the_plain_pool(cluster: Cluster) -> None:
+    options = PaperOptions(seeds=6, qs=(1.0, 20.0), figure_q=20.0, duration_s=8.0, first_part_s=4.0, fleet_seeds=1)
+    studies = [run_paper_study(options, workers, quiet) for workers in (Workers(scheduler=cluster.address), Workers(2))]
+
+    assert studies[0].rows == studies[1].rows
+    assert len(studies[0].rows) == 2 * len(KINDS) + 1
+
+
+def test_without_the_extra_the_command_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.partition(".")[0] == "distributed"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+
+    ran = gcs_coloc("study", "planning", "--scheduler", "tcp://127.0.0.1:8786")
+
+    assert ran.returncode == 1
+    assert ran.stderr == (
+        "gcs-coloc: error: --scheduler needs the extra cluster: pip install 'gcs-coloc[cluster]' (distributed is missing)\n"
+    )
+
+
+def test_a_scheduler_that_does_not_answer_is_named(free_port: int) -> None:
+    address = f"tcp://127.0.0.1:{free_port}"
+    ran = gcs_coloc("study", "planning", "--scheduler", address)
+
+    assert ran.returncode == 1
+    assert len(ran.stderr.splitlines()) == 1
+    # A machine that is so busy that the time is over before the refusal is heard says the second.
+    reasons = ("refused", "no answer in time")
+    assert any(f"no Dask scheduler answers at {address}: " in ran.stderr and reason in ran.stderr for reason in reasons)
+    assert "start one with `dask scheduler`" in ran.stderr
+
+
+def test_a_scheduler_without_workers_is_told(own_cluster: Cluster) -> None:
+    ran = gcs_coloc("study", "planning", "--scheduler", own_cluster.address)
+
+    assert (ran.returncode, len(ran.stderr.splitlines())) == (1, 1)
+    assert f"has no worker; start one with `dask worker {own_cluster.address}" in ran.stderr
+
+
+@pytest.mark.parametrize(
+    "address", ["127.0.0.1:8786", "tcp://:8786", "tcp://host", "udp://host:1", "tcp://host:0", "tcp://h:99999"]
+)
+def test_an_address_that_is_none_is_refused(address: str) -> None:
+    with pytest.raises(UsageError, match="expected tcp://HOST:PORT"):
+        check_address(address)
+
+
+@pytest.mark.parametrize("address", ["tcp://host:8786", "tls://10.0.0.1:1", "tcp://[::1]:8786"])
+def test_an_address_is_taken(address: str) -> None:
+    check_address(address)
+
+
+def test_jobs_and_a_scheduler_exclude_each_other() -> None:
+    ran = gcs_coloc("study", "planning", "--scheduler", "tcp://127.0.0.1:8786", "--jobs", "2")
+
+    assert (ran.returncode, len(ran.stderr.splitlines())) == (2, 1)
+    assert "--jobs and --scheduler exclude each other" in ran.stderr
+
+
+def program_in(directory: Path, last_line: str) -> dict[str, str]:
+    """The environment of a worker whose copy of the program ends with another line."""
+    shutil.copytree(ROOT / "gcs_coloc", directory / "gcs_coloc")
+    start = directory / "gcs_coloc" / "__init__.py"
+    start.write_text(f"{start.read_text()}\n{last_line}\n")
+    return {"PYTHONPATH": str(directory)}
+
+
+@pytest.mark.parametrize(
+    ("last_line", "told"),
+    [
+        ("# another state", "has another source of this version: its results could differ; install the same there as here"),
+        (
+            "raise ModuleNotFoundError('No module')",
+            "cannot import gcs-coloc: ModuleNotFoundError('No module'); install this version there",
+        ),
+    ],
+)
+def test_a_worker_with_another_program_is_refused(own_cluster: Cluster, tmp_path: Path, last_line: str, told: str) -> None:
+    own_cluster.add_worker(program_in(tmp_path / "other", last_line))
+
+    ran = gcs_coloc("study", "planning", "--scheduler", own_cluster.address)
+
+    assert (ran.returncode, len(ran.stderr.splitlines())) == (1, 1)
+    assert told in ran.stderr
+
+
+def test_a_worker_with_another_program_that_joins_later_is_refused(own_cluster: Cluster, tmp_path: Path) -> None:
+    own_cluster.add_worker()
+    tasks = iter(range(1000))
+
+    def join_at_10() -> Iterator[int]:
+        for number in tasks:
+            if number == 10:
+                own_cluster.add_worker(program_in(tmp_path / "other", "# another state"))
+            yield number
+
+    with pytest.raises(ClusterError, match="has another source of this version"):
+        list(iterate_tasks(square, join_at_10(), Workers(scheduler=own_cluster.address)))

@@ -1,0 +1,86 @@
+import os
+import signal
+from functools import partial
+from math import factorial
+from pathlib import Path
+
+import pytest
+
+from gcs_coloc.core.errors import TaskError
+from gcs_coloc.runtime.tasks import Workers, iterate_tasks, run_tasks
+
+
+def die_once(directory: Path, number: int) -> int:
+    """The first call ever for 3 kills its process, as the kernel does when memory runs out."""
+    mark = directory / "died"
+    if number == 3 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number * number
+
+
+def die(number: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def test_results_come_in_the_order_of_the_tasks_and_progress_is_told() -> None:
+    told: list[tuple[int, int]] = []
+
+    assert run_tasks(factorial, [3, 1, 2], Workers(), lambda done, total: told.append((done, total))) == [6, 1, 2]
+    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
+
+
+def test_two_processes_give_the_same() -> None:
+    told: list[int] = []
+
+    assert run_tasks(factorial, list(range(6)), Workers(2), lambda done, _: told.append(done)) == [1, 1, 2, 6, 24, 120]
+    assert told == list(range(7))
+
+
+def test_no_tasks_have_no_results() -> None:
+    assert run_tasks(factorial, [], Workers(2), lambda *_: None) == []
+
+
+def test_results_come_as_they_are_ready_and_no_task_is_begun_in_vain():
+    begun = []
+
+    def tasks():
+        for n in range(100):
+            begun.append(n)
+            yield n
+
+    results = iterate_tasks(factorial, tasks(), Workers())
+    assert [next(results), next(results), next(results)] == [1, 1, 2]
+    assert len(begun) == 3
+    assert sorted(iterate_tasks(factorial, range(5), Workers(2))) == [1, 1, 2, 6, 24]
+
+
+def test_whoever_stops_reading_starts_no_more_than_run() -> None:
+    begun = []
+
+    def tasks():
+        for n in range(100):
+            begun.append(n)
+            yield n
+
+    results = iterate_tasks(factorial, tasks(), Workers(2))
+    next(results)
+    results.close()
+
+    assert len(begun) <= 3
+
+
+def test_a_process_that_is_killed_loses_nothing(tmp_path: Path) -> None:
+    told: list[int] = []
+
+    squares = run_tasks(partial(die_once, tmp_path), list(range(8)), Workers(2), lambda done, _: told.append(done))
+
+    assert (tmp_path / "died").exists()
+    assert squares == [n * n for n in range(8)]
+    assert told == list(range(9))
+
+
+def test_tasks_that_kill_every_process_end_with_an_error() -> None:
+    with pytest.raises(TaskError, match=r"3 processes in a row were killed.*--jobs"):
+        run_tasks(die, [1, 2], Workers(2), lambda *_: None)
