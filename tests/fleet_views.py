@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState, VehicleReadiness
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
 from gcs_coloc.core.snapshot import FleetSnapshot, LinkSnapshot, OutSnapshot, VehicleSnapshot
 
@@ -29,6 +30,10 @@ HEALTHY = VehicleSnapshot(
     velocity_enu_mps=(0.0, 0.0, 0.0),
     covariance_h_m2=(0.64, 0.0, 0.64),
     reported_enu_m=(0.0, 0.0, 0.0),
+)
+READY = VehicleReadiness(ReadinessState.READY, 8.0, None, "", 3, 2.9, 2.2, 15.0, 13.5, 1.1, 1.2)
+NOT_READY = VehicleReadiness(
+    ReadinessState.NOT_READY, 8.0, "in_line", "peers 2 and 3 in one line with it: HDOP 9", 2, 2.9, 40.0, 15.0, 120.0, 8.0, 9.0
 )
 LOCATED = replace(
     HEALTHY,

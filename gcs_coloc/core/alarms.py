@@ -35,7 +35,7 @@ class AlarmKind(StrEnum):
     SENSORS_WORSE = "sensors_worse"
     """Ranges, heights or positions are worse than they state, so that protection levels are larger."""
     NOT_READY = "not_ready"
-    """Its GPS is healthy, but it could not be aided if it failed."""
+    """Its GPS is healthy, but it could not be aided, or in flight not be located any more, if it failed."""
     NOTICE = "notice"
     """Something happened that a person should read; it has no duration."""
 
@@ -127,10 +127,19 @@ def _gps_condition(v: VehicleSnapshot) -> Condition | None:
         return Condition(AlarmKind.GPS_LOST, "warning" if v.aiding_has_fix else "error", text, action, brief)
     what = v.aiding if v.fix_acknowledged is False else f"it could not be aided: {v.inhibit_reason}" if v.inhibit_reason else None
     if what is None:
-        return None
+        return _readiness_condition(v)
     action = "Mend it before it is needed: gcs-coloc doctor names the settings."
     text = f"GPS healthy ({v.gps_reason}), but {what}"
     return Condition(AlarmKind.NOT_READY, "warning", text, action, "GPS healthy, but could not be aided")
+
+
+def _readiness_condition(v: VehicleSnapshot) -> Condition | None:
+    found = v.readiness
+    if found is None or not found.is_lost:
+        return None
+    text = f"GPS healthy, but if it failed now the vehicle would be lost: {found.text}"
+    action = "Bring it and its peers into a better geometry, or within range; until then rely on no ranges."
+    return Condition(AlarmKind.NOT_READY, "warning", text, action, "GPS healthy, but without it the vehicle would be lost")
 
 
 def _is_aided(v: VehicleSnapshot) -> bool:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from gcs_coloc.core.aiding.aiding import Aiding
 from gcs_coloc.core.aiding.vetted_ranges import VettedRanges
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
-from gcs_coloc.core.estimator import Estimator
+from gcs_coloc.core.estimator import GuardedEstimator
 from gcs_coloc.core.gps_health.fleet_gps_health import FleetGpsHealth
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.integrity.monitor import IntegrityMonitor
@@ -35,6 +35,7 @@ from gcs_coloc.core.messages.inbound import (
     TimeSyncAnswer,
 )
 from gcs_coloc.core.messages.outbound import Notice, Outbound
+from gcs_coloc.core.readiness.recent_ranges import RecentRanges
 from gcs_coloc.core.stations.node_id import is_station
 from gcs_coloc.core.stations.station_survey import StationSurvey
 from gcs_coloc.core.stations.stations import Station, Stations
@@ -68,12 +69,13 @@ class Stages:
     clocks: FleetClocks
     stations: Stations
     measurements: MeasurementBuilder
-    estimator: Estimator
+    estimator: GuardedEstimator
     integrity: IntegrityMonitor
     gps_health: FleetGpsHealth
     aiding: Aiding
     vetted: VettedRanges
     survey: StationSurvey
+    ranges: RecentRanges = field(default_factory=RecentRanges)
 
 
 class MessageDispatch:
@@ -163,6 +165,7 @@ class MessageDispatch:
                 s.integrity.add_range(built.measurement)
                 if not (to_station and s.integrity.has_identified(resolved.peer)):
                     s.estimator.add(built.measurement)
+                    s.ranges.add(built.measurement)
                     s.vetted.add_range(built.measurement)
         return [notice for notice in (told, built.notice) if notice is not None]
 

@@ -42,6 +42,7 @@ from gcs_coloc.core.messages.inbound import (
     Inbound,
 )
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ToVehicle
+from gcs_coloc.core.readiness.vehicle_readiness import VehicleReadiness
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.schedule import TickSchedule
 from gcs_coloc.core.snapshot import FleetSnapshot, OverrideSources, vehicle_snapshot
@@ -93,7 +94,7 @@ class Engine:
         sigmas_m = s.measurements.position_sigma_h_m, s.measurements.position_sigma_v_m
         self.stations = Stations(s.stations, s.measurements.ranging_beacon_ids, sigmas_m)
         self.measurements = MeasurementBuilder(s.measurements, self.clocks)
-        self.estimator: Estimator = GuardedEstimator(estimator, self._report_estimator)
+        self.estimator = GuardedEstimator(estimator, self._report_estimator)
         self.integrity = IntegrityMonitor(protection=s.integrity)
         self.gps_health = FleetGpsHealth(s.gps_health)
         self.aiding = Aiding(s.aiding)
@@ -111,7 +112,7 @@ class Engine:
             StationSurvey(),
         )
         self._dispatch = MessageDispatch(stages)
-        self._review = FleetReview(stages)
+        self._review = FleetReview(stages, s.aiding, s.integrity)
         self.reviewed_at_s = float("-inf")
         self._streams = StreamRequests()
         self._refused: Counter[CoreRefusal] = Counter()
@@ -163,6 +164,10 @@ class Engine:
             self._outbox.extend(self.aiding.parameter_requests(now_s))
             if self.settings.request_streams:
                 self._outbox.extend(self._streams.due(now_s, self.telemetry.heard_streams()))
+            # After the residuals: to predict must not bring them forward.
+            out = self.serve(now_s)
+            self._review.review_readiness(now_s)
+            return out
         return self.serve(now_s)
 
     def serve(self, now_s: float) -> list[Outbound]:
@@ -214,6 +219,10 @@ class Engine:
         """Return what aiding decided last about a vehicle."""
         return self._review.decision(sysid)
 
+    def readiness(self, sysid: int) -> VehicleReadiness | None:
+        """Return whether a vehicle would be located if its GPS failed now; None while it is not healthy, or not predicted yet."""
+        return self._review.readiness.of(sysid)
+
     def estimate(self, sysid: int, at_s: float) -> Estimate | NoEstimate:
         """Return the estimate of one vehicle at one service time, as it may be stated: with its protection level."""
         return self._review.estimate(sysid, at_s)
@@ -235,6 +244,7 @@ class Engine:
                 delay_s=self.measurements.delay_s(vehicle.sysid),
                 clock=self.clocks.quality(vehicle.sysid, now_s),
                 consistency=consistency.get(vehicle.sysid),
+                readiness=review.readiness.of(vehicle.sysid),
                 now_s=now_s,
             )
             for vehicle in sorted(self.telemetry, key=lambda v: v.sysid)

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import chain
 from math import isfinite
 from numbers import Integral
 from pathlib import PurePath
 from typing import Protocol
 
-from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, NoEstimateReason, Residual, Unlocated
+from gcs_coloc.core.measurements import (
+    Estimate,
+    Measurement,
+    NoEstimate,
+    NoEstimateReason,
+    RangeMeasurement,
+    Residual,
+    Unlocated,
+)
 from gcs_coloc.core.reasons import StatedReason
 
 _RAISED = "raised an exception"
@@ -63,6 +71,20 @@ class Estimator(Protocol):
 
     def counts(self) -> Mapping[str, int]:
         """How often what happened to measurements, by reason: used, refused by the gate, too late, ..."""
+        ...
+
+
+class PredictsLoss(Protocol):
+    """What an estimator may offer beside `Estimator`: a prediction of what it would state if a vehicle lost its GPS."""
+
+    def predict_loss(
+        self, vehicle: int, at_s: float, horizon_s: float, ranges: Sequence[RangeMeasurement]
+    ) -> Sequence[Estimate | NoEstimate]:
+        """Predict a vehicle as if it were denied from `at_s` on: its answers at that time and on, the last at the horizon.
+
+        `ranges` are the ranges of the vehicle of the last seconds; they are taken to go on as they came. All velocities are held.
+        Its own state does not change.
+        """
         ...
 
 
@@ -121,6 +143,24 @@ class GuardedEstimator:
             self._fault(_NOT_A_POSITION, None)
             return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.ESTIMATOR_FAILED, detail=_NOT_A_POSITION))
         return answer
+
+    def predict_loss(
+        self, vehicle: int, at_s: float, horizon_s: float, ranges: Sequence[RangeMeasurement]
+    ) -> Sequence[Estimate | NoEstimate] | None:
+        """As `PredictsLoss` says; None where the inner estimator does not predict, or fails."""
+        predict = getattr(self._inner, "predict_loss", None)
+        if predict is None:
+            return None
+        try:
+            answers = list(predict(vehicle, at_s, horizon_s, ranges))
+            is_sound = bool(answers) and all(isinstance(each, NoEstimate) or _is_sound(each) for each in answers)
+        except Exception as error:
+            self._fault(_RAISED, error)
+            return None
+        if not is_sound:
+            self._fault(_NOT_A_POSITION, None)
+            return None
+        return answers
 
     def drain_residuals(self) -> list[Residual]:
         """As the protocol says."""

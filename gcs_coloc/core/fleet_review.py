@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.aiding.stream import AidingDecision, AidingView, FixInputs
 from gcs_coloc.core.dispatch import LastRound, Stages
 from gcs_coloc.core.gps_health.evidence import GpsEvidence, RangeContradiction
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED, GpsState
-from gcs_coloc.core.integrity.protection_level import Exposure
+from gcs_coloc.core.integrity.protection_level import Exposure, ProtectionSettings
 from gcs_coloc.core.integrity.report import IntegrityReport, ReacquisitionStatus, ReviewedVehicle
-from gcs_coloc.core.measurements import Estimate, NoEstimate, Residual
+from gcs_coloc.core.measurements import Estimate, NoEstimate, PositionMeasurement, Residual
 from gcs_coloc.core.messages.control import GpsOverride
 from gcs_coloc.core.messages.outbound import Notice, Outbound
+from gcs_coloc.core.readiness.readiness_review import ReadinessReview
 from gcs_coloc.core.residual_log import RangeJumps, ResidualLog
 from gcs_coloc.core.station_review import StationReview
 from gcs_coloc.core.stations.node_id import is_station
@@ -27,13 +29,14 @@ class FleetReview:
     """Hands the results of the later stages on: to each other now, and to the earlier ones in the next round.
 
     `report` is what integrity returned last, `residuals` what the estimator made of the ranges of late, `stations` the review of
-    the fixed ones.
+    the fixed ones, `readiness` whether healthy vehicles would be located without GPS.
     """
 
-    def __init__(self, stages: Stages) -> None:
+    def __init__(self, stages: Stages, aiding: AidingSettings, protection: ProtectionSettings) -> None:
         self.report = IntegrityReport()
         self.residuals = ResidualLog()
         self.stations = StationReview(stages)
+        self.readiness = ReadinessReview(stages.estimator, aiding, protection)
         self._stages = stages
         self._jumps = RangeJumps()
         self._gps_overrides: dict[int, GpsOverride] = {}
@@ -154,6 +157,31 @@ class FleetReview:
         """Return the aiding of one vehicle as observers see it."""
         sysid, s = vehicle.sysid, self._stages
         return s.aiding.view(vehicle, s.gps_health.state(sysid), has_duplicate_id=s.clocks.has_duplicate_id(sysid))
+
+    def review_readiness(self, now_s: float) -> None:
+        """Predict one healthy vehicle without GPS, where one is due. The estimator's residuals must have been drained."""
+        s = self._stages
+        vehicle = self.readiness.due(s.telemetry, self._is_trusted, now_s)
+        if vehicle is None:
+            return
+        self.readiness.review(
+            vehicle,
+            now_s,
+            ranges=s.ranges.of(vehicle.sysid, now_s),
+            epoch=s.integrity.epoch,
+            node=lambda node: self._trusted_position(node, now_s),
+            exposure=Exposure(self._knows_delays, vehicle.has_air_data(now_s)),
+            not_aided=self.aiding_view(vehicle).inhibit_reason,
+        )
+
+    def _trusted_position(self, node: int, now_s: float) -> PositionMeasurement | None:
+        """Return where a vehicle or station says that it is; None where that is no evidence."""
+        if not self._is_trusted_node(node):
+            return None
+        frame, station = self._stages.measurements.frame, self._stages.stations.get(node) if is_station(node) else None
+        if station is None:
+            return self._stages.measurements.reported(node)
+        return station.measurement(frame, now_s) if frame is not None else None
 
     def end_round(self) -> None:
         """Keep what the next round is to know of this one's ranges."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
-from gcs_coloc.core.measurements import AMBIGUOUS, NoEstimateReason, Vector3
+from gcs_coloc.core.measurements import AMBIGUOUS, Estimate, NoEstimate, Vector3
 from gcs_coloc.core.reasons import StatedReason, WordedReason
 from gcs_coloc.core.stations.node_id import node_name
 
@@ -24,6 +24,8 @@ class LimitingReason(WordedReason):
     BEYOND_ALERT_LIMIT = "beyond_alert_limit", "protection level {value:.0f} m, beyond the alert limit of {limit:g} m"
     NOT_TESTED = "not_tested", "the ranges cannot test the position of {detail}"
     NO_ESTIMATE = "no_estimate", "{detail}"
+    NOT_AIDED = "not_aided", "it could not be aided: {detail}"
+    NOT_PREDICTED = "not_predicted", "the estimator {detail} predicts no loss of GPS"
     OTHER = "other", "{detail}"
 
 
@@ -31,21 +33,19 @@ Limit = StatedReason[LimitingReason]
 """What limits the location of a vehicle, with the numbers of it."""
 
 
-def limiting_reason(
-    inhibit: Inhibit | None, unlocated: NoEstimateReason | None, hdop: float, ranged: Sequence[int]
-) -> Limit | None:
+def limiting_reason(inhibit: Inhibit | None, answer: Estimate | NoEstimate, hdop: float, ranged: Sequence[int]) -> Limit | None:
     """Return what limits a vehicle that ranges some nodes; None where it has a fix.
 
-    `inhibit` is why no fix is stated, `unlocated` why there is no estimate, None where there is one, `hdop` the horizontal
-    dilution of the ranges. The geometry is named where it is the cause.
+    `inhibit` is why no fix is stated of the estimator's `answer`, `hdop` the horizontal dilution of the ranges. The geometry is
+    named where it is the cause.
     """
     if inhibit is None:
         return None
     if not ranged:
         return Limit(LimitingReason.NO_PEER)
-    names = ", ".join(node_name(node) for node in ranged[:-1]) + (f" and {node_name(ranged[-1])}" if len(ranged) > 1 else "")
+    names = node_names(ranged)
     if len(ranged) == 1:
-        return Limit(LimitingReason.ONE_PEER, detail=node_name(ranged[0]))
+        return Limit(LimitingReason.ONE_PEER, detail=names)
     if hdop >= IN_LINE_HDOP:
         return Limit(LimitingReason.IN_LINE, min(hdop, 999.0), detail=names)
     match inhibit.reason:
@@ -54,10 +54,16 @@ def limiting_reason(
         case InhibitReason.UNTESTED:
             return Limit(LimitingReason.NOT_TESTED, detail=inhibit.detail)
         case InhibitReason.NO_ESTIMATE:
-            if unlocated in AMBIGUOUS:
+            if isinstance(answer, NoEstimate) and answer.reason.reason in AMBIGUOUS:
                 return Limit(LimitingReason.AMBIGUOUS, detail=names)
             return Limit(LimitingReason.NO_ESTIMATE, detail=inhibit.detail)
     return Limit(LimitingReason.OTHER, detail=inhibit.text)
+
+
+def node_names(nodes: Sequence[int]) -> str:
+    """Return the names of some nodes in a sentence: "2, 3 and station 7"."""
+    names = [node_name(node) for node in nodes]
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def unit_vectors(here: Vector3, peers: Mapping[int, Vector3], max_range_m: float) -> dict[int, Vector3]:

@@ -14,6 +14,7 @@ from gcs_coloc.core.gps_health.fleet_gps_health import FleetGpsHealth
 from gcs_coloc.core.integrity.noise_model import NoiseModel
 from gcs_coloc.core.measurements import Estimate, FloatArray, NoEstimate, Vector3
 from gcs_coloc.core.messages.control import CommandSource, GpsOverride
+from gcs_coloc.core.readiness.vehicle_readiness import VehicleReadiness
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.core.telemetry.reported_state import ReportedState
@@ -65,6 +66,7 @@ class VehicleSnapshot:
     `armed`, `mode` (the name of its flight mode) and `battery_percent` are what the vehicle says of itself.
     `delay_s` is how much longer its newest position was under way than the quickest of the last minute. `clock_method` is how its
     clock is known (TIMESYNC or one-way stamps), `clock_sigma_s` how well.
+    `readiness` is whether it would be located if its GPS failed; None while its GPS is not healthy.
     """
 
     sysid: int
@@ -114,6 +116,7 @@ class VehicleSnapshot:
     consistency: Consistency | None = None
     name: str = ""
     no_estimate_code: str | None = None
+    readiness: VehicleReadiness | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,6 +167,7 @@ def vehicle_snapshot(
     delay_s: float | None,
     clock: tuple[str, float] | None,
     consistency: Consistency | None,
+    readiness: VehicleReadiness | None,
     now_s: float,
 ) -> VehicleSnapshot:
     """Gather one vehicle at service time `now_s`, from the results of all stages.
@@ -237,6 +241,7 @@ def vehicle_snapshot(
         clock_method=clock[0] if clock is not None else None,
         clock_sigma_s=clock[1] if clock is not None else None,
         consistency=consistency,
+        readiness=readiness,
     )
 
 

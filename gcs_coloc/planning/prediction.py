@@ -269,9 +269,8 @@ class _Recursion:
                 level,
             )
         inhibit = self._policies[sysid].inhibit(where, at_s, own_gps=False, air_data=air_data)
-        unlocated = where.reason.reason if isinstance(where, NoEstimate) else None
         hdop = horizontal_dilution_of(ranged.values()) if len(ranged) >= 2 else math.inf
-        limit = limiting_reason(inhibit, unlocated, hdop, tuple(ranged))
+        limit = limiting_reason(inhibit, where, hdop, tuple(ranged))
         text, code = (limit.text, limit.reason.code) if limit is not None else ("", "")
         self.rows[sysid].append(
             PredictedStep(at_s, here[sysid], hdop, bound_m, hpl_m, offset_m, len(ranged), inhibit is None, text, code)

@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gcs_coloc.core.gps_health.gps_health import GpsState
+from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
 
 _STYLES = {
@@ -22,6 +23,13 @@ _STYLES = {
 _SEVERITY = {state: place for place, state in enumerate(_STYLES)}
 _HEADINGS = ("vehicle", "GPS", "heard", "latitude", "longitude", "95 %", "HPL", "ranges", "aiding")
 _LEFT = ("vehicle", "GPS", "aiding")
+_READY = {
+    ReadinessState.READY: ("ready", "green"),
+    ReadinessState.DEGRADED: ("weak", "yellow"),
+    ReadinessState.NOT_READY: ("none", "bold red"),
+    ReadinessState.UNKNOWN: ("-", "dim"),
+}
+"""How it is written what aiding a healthy vehicle would have if its GPS failed."""
 _MIN_ROWS = 3
 """Rows of a fleet that are shown where the terminal has room for fewer. Chosen: the most serious must be seen."""
 
@@ -53,7 +61,7 @@ def vehicle_line(v: VehicleSnapshot) -> str:
     return (
         f"vehicle {_called(v)}: last heard {v.age_s:.1f} s ago, GPS {v.gps_state} ({v.gps_reason}), position {_where(v)}, "
         f"95 % bound {_metres(v.bound_95_m)}, HPL {_metres(v.hpl_m)}, HDOP {_number(v.hdop)}, {v.ranges_in_use} ranges in use, "
-        f"aiding {v.aiding}"
+        f"aiding {v.aiding}{_without_gps(v)}"
     )
 
 
@@ -103,6 +111,13 @@ def _rows(vehicles: list[VehicleSnapshot]) -> Table:
     return table
 
 
+def _without_gps(v: VehicleSnapshot) -> str:
+    if v.readiness is None:
+        return ""
+    state = v.readiness.state.value.replace("_", " ")
+    return f", without GPS {state}{f' ({v.readiness.text})' if v.readiness.text else ''}"
+
+
 def _called(v: VehicleSnapshot) -> str:
     return f"{v.sysid} {v.name}".rstrip()
 
@@ -110,16 +125,19 @@ def _called(v: VehicleSnapshot) -> str:
 def _reason(v: VehicleSnapshot) -> str | None:
     """Why a vehicle is not as it should be, and what is done for it; None where nothing is to be told."""
     if v.gps_state == GpsState.HEALTHY.value and v.inhibit_reason is None:
-        return None
+        found = v.readiness
+        return f"{_called(v)}: would be lost without GPS: {found.text}" if found is not None and found.is_lost else None
     position = f", position unknown: {v.no_estimate_reason}" if v.lat_deg is None else f", HDOP {_number(v.hdop)}"
     inhibited = f", aiding inhibited: {v.inhibit_reason}" if v.inhibit_reason is not None else ""
     return f"{_called(v)}: {v.gps_reason}{position}, {v.aiding}{inhibited}"
 
 
-def _aiding(v: VehicleSnapshot) -> str:
+def _aiding(v: VehicleSnapshot) -> Text:
     if v.aiding_has_fix:
-        return "fix"
-    return "-" if v.gps_state == GpsState.HEALTHY.value else "no fix"
+        return Text("fix")
+    if v.readiness is not None:
+        return Text(*_READY[v.readiness.state])
+    return Text("-" if v.gps_state == GpsState.HEALTHY.value else "no fix")
 
 
 def _where(v: VehicleSnapshot) -> str:

@@ -10,6 +10,7 @@ from prometheus_client.registry import Collector
 
 from gcs_coloc import __version__
 from gcs_coloc.core.gps_health.gps_health import GpsState
+from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.snapshot import FleetSnapshot, LinkSnapshot, OutSnapshot, VehicleSnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 
@@ -41,6 +42,21 @@ _GAUGES: tuple[tuple[str, str, Callable[[VehicleSnapshot], float | None]], ...] 
         "fix_acknowledged",
         "1 where the vehicle's receiver shows our fix, 0 where it does not.",
         lambda v: float(v.fix_acknowledged) if v.fix_acknowledged is not None else None,
+    ),
+    (
+        "without_gps_bound_95_meters",
+        "95 % bound that it would have half a minute after a loss of its GPS now.",
+        lambda v: v.readiness.bound_95_m if v.readiness else None,
+    ),
+    (
+        "without_gps_protection_level_meters",
+        "Horizontal protection level that it would have half a minute after a loss of its GPS now.",
+        lambda v: v.readiness.hpl_m if v.readiness else None,
+    ),
+    (
+        "without_gps_hdop",
+        "Horizontal dilution of precision of its ranges half a minute after a loss of its GPS now.",
+        lambda v: v.readiness.hdop if v.readiness else None,
     ),
     ("link_delay_seconds", "Delay of its newest position beyond the least of the last minute.", lambda v: v.delay_s),
 )
@@ -112,6 +128,12 @@ class FleetCollector(Collector):
             for state in GpsState:
                 states.add_metric([str(vehicle.sysid), state.value], float(vehicle.gps_state == state.value))
         yield states
+        text = "1 for whether it would be located if its GPS failed now; none while its GPS is not healthy."
+        readiness = GaugeMetricFamily("gcs_coloc_vehicle_readiness", text, labels=["sysid", "state"])
+        for sysid, told in ((vehicle.sysid, vehicle.readiness) for vehicle in fleet.vehicles):
+            for each in ReadinessState if told is not None else ():
+                readiness.add_metric([str(sysid), each.value], float(told is not None and told.state is each))
+        yield readiness
         for name, text, count in _COUNTERS:
             counter = CounterMetricFamily(f"gcs_coloc_vehicle_{name}", text, labels=["sysid"])
             for link in fleet.links:

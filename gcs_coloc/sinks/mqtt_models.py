@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from gcs_coloc.core.alarms import Alarm, AlarmKind, AlarmState
 from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, Override, PrimaryOverride
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
+from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.core.stations.node_id import MAX_STATION_ID, station_node
@@ -83,6 +84,22 @@ class VehicleHealth(_Sent):
     gps_override_by: str | None
     aiding_override_by: str | None
     primary_override_by: str | None
+
+
+class ReadinessTold(_Sent):
+    """`…/{sysid}/readiness`: whether the vehicle would be located if its GPS failed now; `state` None while it is not healthy."""
+
+    sysid: int
+    state: ReadinessState | None
+    reason: str | None
+    text: str
+    peers: int | None
+    bound_95_now_m: float | None
+    bound_95_m: float | None
+    hpl_now_m: float | None
+    hpl_m: float | None
+    hdop_now: float | None
+    hdop: float | None
 
 
 class StationState(_Sent):
@@ -218,6 +235,7 @@ BY_TOPIC: dict[str, type[BaseModel]] = {
     "{sysid}/state": VehicleState,
     "{sysid}/estimate": VehicleEstimate,
     "{sysid}/health": VehicleHealth,
+    "{sysid}/readiness": ReadinessTold,
     "station/{id}": StationState,
     "status": FleetStatus,
     "alarms": AlarmChange,
@@ -230,12 +248,19 @@ BY_TOPIC: dict[str, type[BaseModel]] = {
 def of_vehicle(v: VehicleSnapshot, at_unix_s: float | None) -> dict[str, _Sent]:
     """What is published of one vehicle, by the last part of its topic."""
     parts: dict[str, type[_Sent]] = {"state": VehicleState, "estimate": VehicleEstimate, "health": VehicleHealth}
-    return {
+    sent: dict[str, _Sent] = {
         name: model.model_validate(
             {"at_unix_s": at_unix_s} | {key: getattr(v, key) for key in model.model_fields if key != "at_unix_s"}
         )
         for name, model in parts.items()
     }
+    return sent | {"readiness": _readiness(v, at_unix_s)}
+
+
+def _readiness(v: VehicleSnapshot, at_unix_s: float | None) -> ReadinessTold:
+    keys = ReadinessTold.model_fields.keys() - {"at_unix_s", "sysid"}
+    content: dict[str, Any] = {key: getattr(v.readiness, key, None) for key in keys} | {"at_unix_s": at_unix_s, "sysid": v.sysid}
+    return ReadinessTold.model_validate(content | {"text": content["text"] or ""})
 
 
 def of_station(station: StationSnapshot, at_unix_s: float | None) -> StationState:

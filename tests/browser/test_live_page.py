@@ -261,3 +261,18 @@ def test_a_restarted_service_is_found_again_and_its_absence_is_said(scene, tmp_p
             expect(card(page, 4)).not_to_contain_text("was ")
             wait_for(lambda: page.locator("#fleet li").count() == 4, "four vehicles")
     page.close()
+
+
+def test_a_healthy_vehicle_says_whether_it_would_be_located_without_gps(watched, scene):
+    page = watched.page
+    expect(card(page, 1)).to_contain_text("without GPS not ready: no peer ranged")
+    expect(page.locator("#map svg.vehicle .name").filter(has_text="✓○")).to_have_count(4)
+    expect(page.locator("#legend")).to_contain_text("○ not ready")
+    card(page, 1).click()
+    facts = page.locator("#facts")
+    expect(facts.locator("dt").filter(has_text="without GPS")).to_have_count(1)
+    expect(facts).to_contain_text("not ready: no peer ranged; peers ranged: 0; half a minute after a loss: no position")
+    scene.failed.add(4)
+    expect(card(page, 4)).to_contain_text("sending 3D fix")
+    expect(card(page, 4)).not_to_contain_text("without GPS")
+    assert watched.complaints == []

@@ -221,6 +221,28 @@ def test_ranges_from_a_gateway_locate_a_vehicle(start_with_broker, observe, free
         assert math.hypot(east - lost.enu_m[0], north - lost.enu_m[1]) < 4.0
 
 
+def test_readiness_follows_the_ranges_of_a_healthy_vehicle_and_is_retained(start_with_broker, observe, free_port):
+    start_with_broker(more="ranges = true\n")
+    gateway = observe()
+
+    with square_fleet(free_port) as fleet:
+
+        def is_ready() -> bool:
+            for other in fleet[:3]:
+                range_m = math.dist(fleet[3].enu_m, other.enu_m)
+                gateway.publish("4/range", {"peer": other.sysid, "range_m": range_m, "sigma_m": 0.5, "unix_s": time.time()})
+            return gateway.of("4/readiness", "state") == "ready" and gateway.of("1/readiness", "state") == "not_ready"
+
+        fly(fleet, 90.0, until=is_ready)
+        assert is_ready()
+        assert gateway.of("4/readiness", "peers") == 3
+        assert 0.0 < gateway.of("4/readiness", "bound_95_m") < gateway.of("4/readiness", "hpl_m") < 50.0
+        assert (gateway.of("1/readiness", "reason"), gateway.of("1/readiness", "text")) == ("one_peer", "one peer ranged: 4")
+        late = observe()
+        fly(fleet, 60.0, until=lambda: "4/readiness" in late.retained)
+        assert "4/readiness" in late.retained
+
+
 def test_a_broker_that_refuses_us_is_told_once_and_the_flight_goes_on(start_with_broker, free_port):
     service = start_with_broker(password="not-it-x7q")
     with square_fleet(free_port) as fleet:

@@ -13,6 +13,7 @@ from math import sqrt
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.integrity.epoch import Epoch
 from gcs_coloc.core.integrity.protection_level import (
     Exposure,
     FaultLevel,
@@ -92,6 +93,11 @@ class IntegrityMonitor:
             fault_levels=dict(self._fault_levels),
             noise=self._consistency.noise,
         )
+
+    @property
+    def epoch(self) -> Epoch:
+        """The residuals that the last review adjusted, with the noise that it found."""
+        return self._consistency.epoch
 
     def protect(self, report: IntegrityReport, estimate: Estimate, exposure: Exposure) -> Estimate:
         """Return the estimate as it may be stated by a report: its covariance inflated, with its protection level."""

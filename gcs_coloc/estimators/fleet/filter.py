@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
@@ -25,6 +25,7 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
+from gcs_coloc.estimators.fleet.loss_prediction import predict_loss
 from gcs_coloc.estimators.fleet.out_of_sequence import Entry, Key, OosmBuffer
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
@@ -87,6 +88,12 @@ class FleetFilter:
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Return where a vehicle is at a time near the present, up to 2 s before its newest measurement."""
         return self._buffer.process().estimate(vehicle, at_s)
+
+    def predict_loss(
+        self, vehicle: int, at_s: float, horizon_s: float, ranges: Sequence[RangeMeasurement]
+    ) -> list[Estimate | NoEstimate]:
+        """Predict what would be stated of a healthy vehicle if its GPS failed now, see `core.estimator.PredictsLoss`."""
+        return predict_loss(self._buffer.process().main, vehicle, at_s, horizon_s, ranges)
 
     def drain_residuals(self) -> list[Residual]:
         """Return the residuals since the last call, each range once, oldest first."""

@@ -45,7 +45,7 @@ _PRUNE_EVERY_S = 5.0
 """Chosen: pruning walks over all vehicles."""
 _REPORTS_REFUSED_MOST = 10
 """Chosen: reports refused in a row agree with each other, not with the filter: a second at 10 Hz."""
-_UNDERSTATED = 1.8
+UNDERSTATED = 1.8
 """Observed scatter over stated sigma from which on a device counts as optimistic: multipath of a tenth of the ranges, which the
 gate weighs one by one, looks like up to 1.8 times the noise."""
 _SILENT_MOST_S = 3600.0
@@ -218,7 +218,7 @@ class FleetModel:
         bias = pair_bias(denied, m)
         self._consider_bias(cluster, pair, bias)
         unbiased = m if bias is None else replace(m, range_m=max(m.range_m - bias.mean_m, 0.0))
-        white_m = scatter_m if scatter_m > _UNDERSTATED * sigma_m else sigma_m
+        white_m = scatter_m if scatter_m > UNDERSTATED * sigma_m else sigma_m
         result = update_range(cluster, pair, unbiased, white_m, coloured_m, self.considered_m)
         if result.used and len(denied) == 1:
             observe_bias(cluster, *denied[0][:2], m, white_m, coloured_m)

@@ -38,8 +38,8 @@ def is_selected(clusters: ClusterSet, records: Records, denied_vehicle: int, oth
 
 
 def _select_anew(clusters: ClusterSet, records: Records, denied_vehicle: int, fresh: list[int], most: int) -> frozenset[int]:
-    here, record = _rough_position(clusters, records, denied_vehicle), records[denied_vehicle]
-    placed = [(v, there) for v in fresh if (there := _rough_position(clusters, records, v)) is not None]
+    here, record = rough_position(clusters, records, denied_vehicle), records[denied_vehicle]
+    placed = [(v, there) for v in fresh if (there := rough_position(clusters, records, v)) is not None]
     if here is None or len(placed) <= most:
         return frozenset([v for v, _ in placed][:most])
     denied = {vehicle: other for vehicle, other in records.items() if other.denied_vehicle}
@@ -49,8 +49,11 @@ def _select_anew(clusters: ClusterSet, records: Records, denied_vehicle: int, fr
     return select_peers(here, placed, record.selected_peers, shared, most, height_known=height_known)
 
 
-def _rough_position(clusters: ClusterSet, records: Records, vehicle: int) -> FloatArray | None:
-    cluster, record = clusters.get(vehicle), records[vehicle]
+def rough_position(clusters: ClusterSet, records: Records, vehicle: int) -> FloatArray | None:
+    """Return the position (3,) of a vehicle's states, or else the one that it reported last, m; None where it has neither."""
+    cluster, record = clusters.get(vehicle), records.get(vehicle)
+    if record is None:
+        return None
     if cluster is not None:
         return cluster.joint.mean(vehicle)[:3]
     return np.array(record.last_position.position_enu_m) if record.last_position is not None else None

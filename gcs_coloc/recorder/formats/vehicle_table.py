@@ -71,5 +71,10 @@ COLUMNS: tuple[Column, ...] = (
     Column("fix_type", int, lambda v: v.fix_type),
     Column("satellites", int, lambda v: v.satellites),
     Column("name", str, lambda v: v.name or None),
+    Column("readiness", str, lambda v: v.readiness.state.value if v.readiness is not None else None),
+    Column("readiness_reason", str, lambda v: v.readiness.reason if v.readiness is not None else None),
+    Column("without_gps_bound_95_m", float, lambda v: v.readiness.bound_95_m if v.readiness is not None else None, 3),
+    Column("without_gps_hpl_m", float, lambda v: v.readiness.hpl_m if v.readiness is not None else None, 3),
+    Column("without_gps_hdop", float, lambda v: v.readiness.hdop if v.readiness is not None else None, 3),
 )
 """All but the first one, `unix_s`: the time of the row, s since 1970."""

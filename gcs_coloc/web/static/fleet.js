@@ -2,7 +2,7 @@
 
 import { age, byId, el, metres, milliseconds, number, setText } from "./dom.js";
 import { nodeName, vehicleName } from "./node_names.js";
-import { LIGHT_WORDS, SEVERITY, SIGNS } from "./palette.js";
+import { LIGHT_WORDS, READINESS_WORDS, SEVERITY, SIGNS } from "./palette.js";
 
 const COMPACT_FROM = 9; // vehicles; so many cards are higher than a screen
 
@@ -27,6 +27,20 @@ function quality({ sigma_h_m: sigma, hpl_m: hpl, hdop, ranges_in_use: ranges }) 
   if (sigma === null) return "position unknown";
   return [hpl === null ? null : `protection level ${metres(hpl)}`, `1-sigma ${metres(sigma)}`, ...(ranges > 0 ? [`HDOP ${number(hdop)}`, `${ranges} ranges in use`] : [])]
     .filter((part) => part !== null).join(", ");
+}
+
+// Whether it would be located if its GPS failed now; empty while its GPS is not healthy.
+function withoutGps({ readiness: found }) {
+  if (found === null) return "";
+  return `without GPS ${READINESS_WORDS[found.state]}${found.text === "" ? "" : `: ${found.text}`}`;
+}
+
+// The same with what it would have then.
+function withoutGpsInFull(snapshot) {
+  const found = snapshot.readiness;
+  if (found === null) return "-";
+  const levels = found.hpl_m === null ? "no position" : `protection level ${metres(found.hpl_m)}, 95 % bound ${metres(found.bound_95_m)}, HDOP ${number(found.hdop)}`;
+  return `${withoutGps(snapshot).replace("without GPS ", "")}; peers ranged: ${found.peers}; half a minute after a loss: ${levels}`;
 }
 
 // An override, and who gave it.
@@ -131,15 +145,17 @@ export class FleetList {
     const name = `${vehicleName(snapshot)} ${word}, ${reason}`;
     if (card.button.getAttribute("aria-label") !== name) card.button.setAttribute("aria-label", name);
     setText(card.numbers, quality(snapshot));
+    setText(card.readiness, withoutGps(snapshot));
+    card.readiness.dataset.state = snapshot.readiness?.state ?? "";
   }
 
   makeCard(snapshot) {
     const { sysid } = snapshot;
     const part = (name) => el("span", { class: name, id: `${name}-${sysid}` });
-    const card = { sign: part("sign"), word: part("word"), age: part("age"), flight: part("flight"), reason: part("reason"), numbers: part("numbers") };
+    const card = { sign: part("sign"), word: part("word"), age: part("age"), flight: part("flight"), reason: part("reason"), numbers: part("numbers"), readiness: part("readiness") };
     card.sign.setAttribute("aria-hidden", "true");
-    card.button = el("button", { type: "button", "aria-describedby": `age-${sysid} flight-${sysid} numbers-${sysid}`, onclick: ({ detail }) => this.onSelect(sysid, detail === 0) },
-      card.sign, el("strong", {}, vehicleName(snapshot)), card.word, card.age, card.flight, card.reason, card.numbers);
+    card.button = el("button", { type: "button", "aria-describedby": `age-${sysid} flight-${sysid} numbers-${sysid} readiness-${sysid}`, onclick: ({ detail }) => this.onSelect(sysid, detail === 0) },
+      card.sign, el("strong", {}, vehicleName(snapshot)), card.word, card.age, card.flight, card.reason, card.numbers, card.readiness);
     card.button.setAttribute("aria-pressed", String(sysid === this.selected));
     card.node = el("li", {}, card.button);
     this.cards.set(sysid, card);
@@ -157,6 +173,7 @@ export class FleetList {
       "1-sigma, 95 % bound": `${metres(snapshot.sigma_h_m)}, ${metres(snapshot.bound_95_m)}`,
       "HDOP, ranges in use": `${number(snapshot.hdop)}, ${snapshot.ranges_in_use}`,
       state: reason,
+      "without GPS": withoutGpsInFull(snapshot),
       "last heard": `${age(snapshot.age_s + lateS)} ago`,
       autopilot: snapshot.autopilot,
       flight: flight(snapshot) || "-",

@@ -2,7 +2,7 @@
 
 import { svg } from "./dom.js";
 import { idAndName } from "./node_names.js";
-import { SIGNS } from "./palette.js";
+import { READINESS_SIGNS, SIGNS } from "./palette.js";
 
 function heading(snapshot) {
   if (snapshot.yaw_rad !== null) return (snapshot.yaw_rad * 180) / Math.PI;
@@ -16,7 +16,7 @@ export function estimateIcon(snapshot, light, stale, label) {
     ? svg("circle", { cx: 0, cy: 0, r: 9 })
     : svg("path", { d: "M0 -14L9 11L0 6L-9 11Z", transform: `rotate(${turn.toFixed(0)})` });
   return svg("svg", { class: `vehicle ${light}${stale ? " stale" : ""}`, viewBox: "-17 -17 34 34", width: 34, height: 34, "aria-hidden": "true" },
-    body, ...(label === undefined ? [] : [svg("text", { class: "name", x: label[0], y: label[1], "text-anchor": label[2] }, `${idAndName(snapshot)} ${SIGNS[light]}`)]));
+    body, ...(label === undefined ? [] : [svg("text", { class: "name", x: label[0], y: label[1], "text-anchor": label[2] }, `${idAndName(snapshot)} ${SIGNS[light]}${snapshot.readiness === null ? "" : READINESS_SIGNS[snapshot.readiness.state]}`)]));
 }
 
 export function stationIcon({ station_id: id }) {

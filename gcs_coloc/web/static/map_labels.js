@@ -31,7 +31,7 @@ export function placeLabels(map, vehicles, stations, selected) {
   for (const { snapshot } of located.sort((a, b) => rank(a) - rank(b) || a.snapshot.sysid - b.snapshot.sysid)) {
     const { sysid } = snapshot;
     const { x, y } = points.get(sysid);
-    const width = (idAndName(snapshot).length + 2) * character;
+    const width = (idAndName(snapshot).length + 3) * character;
     const free = LABEL_PLACES.find(([dx, dy, anchor]) => {
       const left = x + dx - (anchor === "end" ? width : 0);
       const box = [sysid, left, y + dy - height + 2, left + width, y + dy + 2];

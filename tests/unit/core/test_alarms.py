@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from fleet_views import HEALTHY, LOCATED, LOST, fleet_view
+from fleet_views import HEALTHY, LOCATED, LOST, NOT_READY, fleet_view
 
 from gcs_coloc.core.alarms import Alarm, AlarmKind, AlarmList, AlarmState, conditions
 from gcs_coloc.core.integrity.noise_model import NoiseModel
@@ -135,3 +135,22 @@ def test_each_alarm_ends_with_what_to_do(vehicle):
 def test_the_alarm_of_a_located_vehicle_states_its_protection_level_and_what_no_range_tests(untested, assumption):
     [condition] = conditions(replace(LOCATED, hpl_m=14.4, vpl_m=20.0, untested=untested))
     assert f"within 7 m (95 %), protection level 14 m{assumption}" in condition.text
+
+
+def test_readiness_that_is_lost_in_flight_is_an_alarm_that_ends_by_itself():
+    alarms = AlarmList()
+    assert after(alarms, replace(SOUND, readiness=NOT_READY)) == []
+    [raised] = after(alarms, replace(SOUND, readiness=replace(NOT_READY, is_lost=True)))
+    assert (raised.kind, raised.state, raised.level) == (AlarmKind.NOT_READY, "active", "warning")
+    assert raised.text == (
+        "GPS healthy, but if it failed now the vehicle would be lost: peers 2 and 3 in one line with it: HDOP 9"
+    )
+    assert raised.action
+    [over] = after(alarms, SOUND)
+    assert (over.id, over.state) == (raised.id, "closed")
+
+
+def test_a_loss_of_gps_takes_the_place_of_lost_readiness():
+    alarms = AlarmList()
+    after(alarms, replace(SOUND, readiness=replace(NOT_READY, is_lost=True)))
+    assert {(a.kind, a.state) for a in after(alarms, LOST)} == {(AlarmKind.GPS_LOST, "active"), (AlarmKind.NOT_READY, "closed")}

@@ -7,13 +7,14 @@ import re
 from dataclasses import replace
 
 import pytest
+from fleet_views import NOT_READY, READY
 from rich.console import Console
 
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice
 from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
 from gcs_coloc.sinks.console import SharedConsole, show
 from gcs_coloc.sinks.event_bus import EventBus
-from gcs_coloc.sinks.fleet_table import FleetTables
+from gcs_coloc.sinks.fleet_table import FleetTables, vehicle_line
 
 LOCATED = VehicleSnapshot(
     4,
@@ -173,3 +174,23 @@ def test_without_a_terminal_there_are_plain_lines_at_a_calm_rate(caplog: pytest.
     assert [r.levelno for r in caplog.records[:2]] == [logging.WARNING, logging.ERROR]
     assert len(lines) == 2 + 3  # at 0, 5 and 10 s
     assert "95 % bound 30.1 m, HPL -, HDOP 1.4, 3 ranges in use, aiding sending 3D fix" in lines[2]
+
+
+@pytest.mark.parametrize(("readiness", "word"), [(READY, "ready"), (NOT_READY, "none"), (None, "-")])
+def test_a_healthy_vehicle_shows_what_aiding_it_would_have(readiness, word):
+    text = rendered(fleet_of(replace(HEALTHY, readiness=readiness)))
+    (line,) = [line for line in text.splitlines() if "healthy" in line]
+    assert line.split()[-1] == word
+
+
+def test_lost_readiness_is_a_reason_to_be_told():
+    lost = replace(HEALTHY, readiness=replace(NOT_READY, is_lost=True))
+    assert "would be lost without GPS: peers 2 and 3 in one line with it: HDOP 9" in rendered(fleet_of(lost))
+    assert "would be lost" not in rendered(fleet_of(replace(HEALTHY, readiness=NOT_READY)))
+
+
+def test_the_plain_line_tells_readiness_in_words():
+    line = vehicle_line(replace(HEALTHY, readiness=NOT_READY))
+    assert line.endswith(", without GPS not ready (peers 2 and 3 in one line with it: HDOP 9)")
+    assert vehicle_line(replace(HEALTHY, readiness=READY)).endswith(", without GPS ready")
+    assert "without GPS" not in vehicle_line(HEALTHY)

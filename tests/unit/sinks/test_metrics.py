@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from fleet_views import HEALTHY, LOCATED, LOST, fleet_view
+from fleet_views import HEALTHY, LOCATED, LOST, NOT_READY, READY, fleet_view
 from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -60,9 +60,21 @@ def test_what_is_unknown_has_no_sample_instead_of_a_zero():
 
 def test_every_metric_is_in_the_reference():
     text = (ROOT / "docs/reference/metrics.md").read_text(encoding="utf-8")
-    for family in families(fleet_view(10.0)).values():
+    for family in families(fleet_view(10.0, replace(HEALTHY, readiness=READY), LOCATED)).values():
         for sample in family.samples:
             assert f"`{sample.name}`" in text, f"{sample.name} is not in metrics.md"
+
+
+def test_readiness_is_one_of_its_states_and_only_of_a_vehicle_that_has_one():
+    told = replace(HEALTHY, readiness=NOT_READY)
+    found = families(fleet_view(10.0, told, LOCATED))
+    samples = found["gcs_coloc_vehicle_readiness"].samples
+    assert {s.labels["sysid"] for s in samples} == {"1"}
+    assert [s.labels["state"] for s in samples if s.value == 1.0] == ["not_ready"]
+    assert len(samples) == 4
+    for name, value in {"bound_95_meters": 40.0, "protection_level_meters": 120.0, "hdop": 9.0}.items():
+        (sample,) = found[f"gcs_coloc_vehicle_without_gps_{name}"].samples
+        assert sample.value == value
 
 
 def alert_rules() -> list[str]:
@@ -94,7 +106,9 @@ def test_promtool_finds_the_alert_rules_right():
 def test_the_dashboard_asks_for_metrics_that_there_are():
     dashboard = json.loads((ROOT / "configs/grafana-dashboard.json").read_text(encoding="utf-8"))
     there = {
-        s.name for f in families(fleet_view(10.0, HEALTHY, replace(LOCATED, hpl_m=14.0, vpl_m=20.0))).values() for s in f.samples
+        s.name
+        for f in families(fleet_view(10.0, replace(HEALTHY, readiness=READY), replace(LOCATED, hpl_m=14.0, vpl_m=20.0))).values()
+        for s in f.samples
     }
     asked = [t["expr"] for panel in dashboard["panels"] for t in panel.get("targets", [])]
     assert len(asked) >= 8

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from gcs_coloc.core.readiness.vehicle_readiness import VehicleReadiness
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
 from gcs_coloc.core.snapshot import VehicleSnapshot
 from gcs_coloc.core.station_review import StationSnapshot
@@ -23,7 +24,16 @@ MODELS = [
     wire.PlaybackState,
     wire.PlaybackCommand,
 ]
-VALUES = (wire.Ellipse, wire.VehicleFrame, wire.FleetFrame, VehicleSnapshot, StationSnapshot, RangeSnapshot, Consistency)
+VALUES = (
+    wire.Ellipse,
+    wire.VehicleFrame,
+    wire.FleetFrame,
+    VehicleSnapshot,
+    StationSnapshot,
+    RangeSnapshot,
+    Consistency,
+    VehicleReadiness,
+)
 FIELDS = [f"{model.__name__}.{name}" for model in MODELS for name in model.model_fields]
 FIELDS += [f"{view.__name__}.{f.name}" for view in VALUES for f in dataclasses.fields(view)]
 

@@ -113,6 +113,11 @@ class NoiseSplit:
         coloured_m2 = max(sigma_m * sigma_m - likely_m2, (least_coloured_share * sigma_m) ** 2)
         return math.sqrt(max(most_m2, (_LEAST_WHITE_SHARE * sigma_m) ** 2)), math.sqrt(coloured_m2)
 
+    def mean_square_m2(self, group: int) -> float | None:
+        """Return the observed white variance of one group, m^2; None where nothing was observed."""
+        sum_m2, weight = self._seen[group] if self._seen else _NOTHING_SEEN
+        return max(sum_m2, 0.0) / weight if weight > 0.0 else None
+
     def lower_bound_m(self, group: int) -> float:
         """Return the lower bound of the white sigma of one group, m: the observed one less two standard errors."""
         sum_m2, weight = self._seen[group] if self._seen else _NOTHING_SEEN

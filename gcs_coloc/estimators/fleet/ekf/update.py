@@ -160,7 +160,7 @@ def update_range(
     s, joint, at_s = cluster.settings, cluster.joint, m.measured_at_s
     cluster.propagate(m.from_vehicle, at_s)
     cluster.propagate(m.to_vehicle, at_s)
-    index = _propagate_pair(cluster, pair, at_s, (considered_m.get(pair, s.range_bias_sigma_m), coloured_m))
+    index = propagate_pair(cluster, pair, at_s, (considered_m.get(pair, s.range_bias_sigma_m), coloured_m))
     ends = cluster.range_end(m.from_vehicle), cluster.range_end(m.to_vehicle)
     records = cluster.records
     inflation_m2 = max(records[m.from_vehicle].range_noise_inflation_m2, records[m.to_vehicle].range_noise_inflation_m2)
@@ -215,7 +215,7 @@ def _manoeuvre_covariance(since_s: float) -> FloatArray:
     return covariance
 
 
-def _propagate_pair(cluster: Cluster, pair: Key, at_s: float, sigmas: tuple[float, float]) -> int:
+def propagate_pair(cluster: Cluster, pair: Key, at_s: float, sigmas: tuple[float, float]) -> int:
     """Propagate a pair's range errors (bias, coloured) to the time of a range, eq. (7); return the index of the first."""
     s, joint = cluster.settings, cluster.joint
     if pair not in joint.where:

@@ -1,0 +1,1 @@
+"""Readiness: would a healthy vehicle be located from ranges if its GPS failed now?"""

@@ -1,0 +1,140 @@
+"""The forecast of a loss of GPS: the estimator's prediction with its protection level, put to the fix policy, as in flight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+
+from gcs_coloc.core.aiding.fix_policy import FixPolicy
+from gcs_coloc.core.aiding.inhibit import Inhibit
+from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
+from gcs_coloc.core.integrity.epoch import Epoch, PositionPrior
+from gcs_coloc.core.integrity.protection_level import (
+    Exposure,
+    FaultLevel,
+    ProtectionSettings,
+    fault_level,
+    protection_level,
+)
+from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
+from gcs_coloc.core.limiting_reason import IN_LINE_HDOP, Limit, LimitingReason, limiting_reason, node_names
+from gcs_coloc.core.measurements import Estimate, NoEstimate, PositionMeasurement, Vector3
+from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState, VehicleReadiness
+
+_LARGEST_SIGMA_V_M = 10.0
+"""Chosen: as in the integrity stage, a free height would cost each range its information."""
+
+
+@dataclass(frozen=True, slots=True)
+class LossSituation:
+    """A vehicle, and what would place it without GPS.
+
+    `peers` are the reported positions of the nodes that it ranges; `epoch` the residuals of its ranges now, with zero values.
+    `interval_s` is the mean time between its ranges.
+    """
+
+    vehicle: int
+    peers: Mapping[int, PositionMeasurement]
+    epoch: Epoch
+    interval_s: float
+    exposure: Exposure
+
+
+def forecast(
+    situation: LossSituation, answers: Sequence[Estimate | NoEstimate], aiding: AidingSettings, protection: ProtectionSettings
+) -> VehicleReadiness:
+    """Return the readiness of a vehicle of which an estimator predicts `answers`, from the loss up to the horizon."""
+    begin_s = answers[0].at_s
+    policy = FixPolicy(aiding, begin_s)
+    # At the loss itself no range has been used yet.
+    hdop_now, hdop = _hdop(answers[min(1, len(answers) - 1)]), _hdop(answers[-1])
+    levels = _fault_level(situation, answers[0], begin_s, protection), _fault_level(situation, answers[-1], begin_s, protection)
+    stated: list[Estimate | NoEstimate] = []
+    inhibits: list[Inhibit | None] = []
+    for k, answer in enumerate(answers):
+        stated.append(_protected(answer, levels[2 * k >= len(answers)], situation, protection))
+        air_data = situation.exposure.has_air_data
+        inhibits.append(policy.inhibit(stated[-1], answer.at_s, own_gps=False, air_data=air_data))
+    state, limit = _judge(situation, inhibits, stated, max(hdop_now or 0.0, hdop or 0.0))
+    now, later = stated[0], stated[-1]
+    return VehicleReadiness(
+        state,
+        begin_s,
+        limit.reason.code if limit is not None else None,
+        limit.text if limit is not None else "",
+        len(situation.peers),
+        _bound_m(now),
+        _bound_m(later),
+        _hpl_m(now),
+        _hpl_m(later),
+        hdop_now,
+        hdop,
+    )
+
+
+def _judge(
+    situation: LossSituation, inhibits: Sequence[Inhibit | None], stated: Sequence[Estimate | NoEstimate], hdop: float
+) -> tuple[ReadinessState, Limit | None]:
+    nodes, last = tuple(situation.peers), stated[-1]
+    # What is so at the end counts before what was so on the way.
+    at = next((k for k in (-1, *range(len(inhibits))) if inhibits[k] is not None), -1)
+    limit = limiting_reason(inhibits[at], stated[at], hdop, nodes)
+    if inhibits[-1] is not None:
+        return ReadinessState.NOT_READY, limit
+    if limit is None and len(nodes) == 1:
+        limit = Limit(LimitingReason.ONE_PEER, detail=node_names(nodes))
+    if limit is None and hdop >= IN_LINE_HDOP:
+        limit = Limit(LimitingReason.IN_LINE, min(hdop, 999.0), detail=node_names(nodes))
+    untested = last.protection.untested if isinstance(last, Estimate) and last.protection is not None else ()
+    if limit is None and untested:
+        limit = Limit(LimitingReason.NOT_TESTED, detail=node_names(untested))
+    return (ReadinessState.READY if limit is None else ReadinessState.DEGRADED), limit
+
+
+def _protected(
+    answer: Estimate | NoEstimate, faults: FaultLevel | None, situation: LossSituation, settings: ProtectionSettings
+) -> Estimate | NoEstimate:
+    if isinstance(answer, NoEstimate):
+        return answer
+    if faults is not None:
+        faults = replace(faults, ranged_at_s=answer.at_s - situation.interval_s)
+    return replace(answer, protection=protection_level(answer, faults, situation.exposure, settings))
+
+
+def _fault_level(
+    situation: LossSituation, answer: Estimate | NoEstimate, begin_s: float, settings: ProtectionSettings
+) -> FaultLevel | None:
+    """Adjust the ranges under all hypotheses of fault where the vehicle and its peers are at the time of an answer."""
+    if not isinstance(answer, Estimate) or not situation.epoch.residuals:
+        return None
+    span_s, epoch, vehicle = answer.at_s - begin_s, situation.epoch, situation.vehicle
+    priors = {
+        node: prior._replace(position_enu_m=_moved(prior.position_enu_m, situation.peers[node], span_s))
+        for node, prior in epoch.priors.items()
+        if node != vehicle
+    }
+    e, n, u = answer.position_enu_m.tolist()
+    sigma_v_m = min(sqrt(float(answer.covariance[2, 2])), _LARGEST_SIGMA_V_M)
+    priors[vehicle] = PositionPrior((e, n, u), 0.0, sigma_v_m, no_prior=True)
+    separation = SolutionSeparation(replace(epoch, priors=priors))
+    return fault_level(separation.of(vehicle), answer, answer.at_s, settings)
+
+
+def _moved(place: Vector3, peer: PositionMeasurement, span_s: float) -> Vector3:
+    """Return where a node is later if it holds its velocity."""
+    (e, n, u), (ve, vn, vu) = place, peer.velocity_enu_mps or (0.0, 0.0, 0.0)
+    return e + ve * span_s, n + vn * span_s, u + vu * span_s
+
+
+def _hdop(answer: Estimate | NoEstimate) -> float | None:
+    return answer.hdop if isinstance(answer, Estimate) else None
+
+
+def _bound_m(answer: Estimate | NoEstimate) -> float | None:
+    return horizontal_bound_95_m(answer.covariance) if isinstance(answer, Estimate) else None
+
+
+def _hpl_m(answer: Estimate | NoEstimate) -> float | None:
+    return answer.protection.horizontal_m if isinstance(answer, Estimate) and answer.protection is not None else None

@@ -1,0 +1,319 @@
+"""What the filter would state of a vehicle whose GPS failed now: its own recursion over the next seconds, with no noise drawn.
+
+States, process model, measurement models and noise are the filter's. The velocities are held and every innovation is zero, so
+covariances alone change. Three things are condensed, for cost:
+
+- n ranges of a step become one with white noise over sqrt(n), and heights and air data likewise;
+- a peer is a point that moves with its velocity, with the error of its reports, whose white part is averaged;
+- the manoeuvre detector has the mean gain of steady flight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    AttitudeMeasurement,
+    Estimate,
+    FloatArray,
+    NoEstimate,
+    PositionMeasurement,
+    RangeMeasurement,
+    Vector3,
+)
+from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseSplit, without_time_error
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
+from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, altitude, slant_range
+from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude, set_transition
+from gcs_coloc.estimators.fleet.ekf.records import Neighbour, Records, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.state import pair_key, whiten
+from gcs_coloc.estimators.fleet.ekf.update import (
+    change_time_stamp_offset_sigma,
+    propagate_pair,
+    split_report_noise,
+    time_stamp_offset_sigma_s,
+)
+from gcs_coloc.estimators.fleet.estimates import estimate_of_cluster
+from gcs_coloc.estimators.fleet.fleet_model import UNDERSTATED, FleetModel
+from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
+from gcs_coloc.estimators.fleet.peer_selection import rough_position, select_peers
+
+STEP_S = 3.0
+"""Longest step of the recursion. Chosen: sigmas differ by 3 to 5 % from those of steps of 0.5 s."""
+_JUDGED_RANGES = 25
+"""The newest ranges of a pair that its noise is judged by. Chosen: its sigma is then known to a fifth."""
+_STEADY_GAIN = 2.47
+"""Mean of the gain of eq. (9) in steady flight: of max(r^2, 1), where 2 r is chi-square of two degrees of freedom."""
+_STEADY = ManoeuvreDetector(c_e=math.sqrt(2.0 * math.sqrt(_STEADY_GAIN)), C_ee=1.0, C_nn=1.0, C_uu=1.0)
+
+
+@dataclass(slots=True)
+class _Stream:
+    """The ranges of one device to one peer: their rate, stated sigma, and how many of them are not used yet.
+
+    `scatter_m2` is the mean square of what is seen to be white, None where they come too seldom to tell. `stamp_sigma_s` is the
+    time-stamp offset that they state where the vehicle's clock stamps them, else None.
+    """
+
+    node: int
+    pair: tuple[int, int, int]
+    rate_hz: float
+    sigma_m: float
+    scatter_m2: float | None
+    stamp_sigma_s: float | None
+    waiting: float = 0.0
+    seen: float = 0.0
+
+    def take(self, step_s: float) -> float:
+        """Return how many ranges come in a step, 0 until there is a whole one."""
+        self.waiting += self.rate_hz * step_s
+        taken, self.waiting = (self.waiting, 0.0) if self.waiting >= 1.0 else (0.0, self.waiting)
+        self.seen += taken
+        return taken
+
+    def noise_m(self, least_coloured_share: float) -> tuple[float, float]:
+        """Return the white and the coloured sigma that the filter would have learned by now, m."""
+        noise = NO_SAMPLES
+        if self.scatter_m2 is not None:
+            noise = NoiseSplit((), ((self.scatter_m2 * self.seen, self.seen),))
+        scatter_m = noise.lower_bound_m(0)
+        white_m = scatter_m if scatter_m > UNDERSTATED * self.sigma_m else self.sigma_m
+        return white_m, noise.split(0, self.sigma_m, least_coloured_share)[1]
+
+
+@dataclass(frozen=True, slots=True)
+class _Point:
+    """A peer: position (m) at the beginning, velocity (m/s), covariance of the position (3, 3) m^2.
+
+    Its error is a Gauss-Markov process as that of position reports; that of an anchor lasts.
+    """
+
+    position: Vector3
+    velocity: Vector3
+    covariance_m2: FloatArray
+    is_anchor: bool = False
+
+    def after(self, span_s: float) -> Vector3:
+        """Return where it is so much later."""
+        (e, n, u), (ve, vn, vu) = self.position, self.velocity
+        return e + ve * span_s, n + vn * span_s, u + vu * span_s
+
+
+def predict_loss(
+    model: FleetModel, vehicle: int, at_s: float, horizon_s: float, ranges: Sequence[RangeMeasurement]
+) -> list[Estimate | NoEstimate]:
+    """Predict a healthy vehicle as if it were denied from `at_s` on: at that time, and step by step up to the horizon.
+
+    `ranges` are its ranges of the last seconds.
+    """
+    prediction = _LossPrediction(model, vehicle, at_s)
+    if prediction.cluster is None:
+        return [model.estimate(vehicle, at_s)]
+    prediction.add_peers(model, ranges)
+    prediction.begin(horizon_s)
+    steps = max(math.ceil(horizon_s / STEP_S), 1)
+    step_s, age_s = horizon_s / steps, prediction.range_age_s
+    answers = [prediction.estimate(at_s)]
+    for k in range(1, steps + 1):
+        prediction.step(at_s + k * step_s - min(age_s, step_s), step_s)
+        answers.append(prediction.estimate(at_s + k * step_s))
+    return answers
+
+
+class _LossPrediction:
+    """A model of one vehicle of its own; `cluster` is None where nothing tells where the vehicle is.
+
+    `range_age_s` is how old the newest of the ranges in use is on average.
+    """
+
+    def __init__(self, model: FleetModel, vehicle: int, at_s: float) -> None:
+        self._settings = s = model.settings
+        self._vehicle, self._at_s = vehicle, at_s
+        self._records = records = Records()
+        self.cluster: Cluster | None = None
+        self._points: dict[int, _Point] = {}
+        self._streams: list[_Stream] = []
+        self.range_age_s = 0.0
+        self._height_rate_hz = 0.0
+        self._attitude: AttitudeMeasurement | None = None
+        known = model.records.get(vehicle)
+        if known is None or known.static or known.denied_vehicle:
+            return
+        records.copy_from(model.records, vehicle)
+        records[vehicle].denied_vehicle = True
+        clusters = ClusterSet(s, records)
+        cluster = model.clusters.get(vehicle)
+        if cluster is not None:
+            joint = cluster.joint
+            mean, covariance = joint.mean(vehicle).copy(), joint.covariance(vehicle).copy()
+            self.cluster = clusters.initialise(vehicle, mean, covariance, joint.time_s[vehicle])
+        elif initialise_from_reports(clusters, records, vehicle, at_s, s):
+            self.cluster = clusters[vehicle]
+
+    def add_peers(self, model: FleetModel, ranges: Sequence[RangeMeasurement]) -> None:
+        """Add the peers that are ranged now and whose position is known: as many as the filter would select."""
+        assert self.cluster is not None
+        by_stream: dict[tuple[int, tuple[int, int, int]], list[RangeMeasurement]] = {}
+        for m in sorted(ranges, key=lambda m: m.measured_at_s):
+            node = m.to_vehicle if m.from_vehicle == self._vehicle else m.from_vehicle
+            by_stream.setdefault((node, pair_key(node, self._vehicle, m.device_id)), []).append(m)
+        fresh_s = self._at_s - self._settings.peer_fresh_s
+        by_stream = {key: each for key, each in by_stream.items() if each[-1].measured_at_s >= fresh_s}
+        placed = {
+            node: place
+            for node in sorted({node for node, _ in by_stream})
+            if (place := rough_position(model.clusters, model.records, node)) is not None
+        }
+        most = self._settings.peers_per_denied_vehicle
+        if len(placed) > most:
+            here = np.array(self.cluster.position(self._vehicle))
+            chosen = select_peers(here, list(placed.items()), frozenset(), frozenset(), most, height_known=True)
+            placed = {node: place for node, place in placed.items() if node in chosen}
+        points = {node: _point(model, node, self._at_s) for node in placed}
+        self._points = {node: point for node, point in points.items() if point is not None}
+        self._streams = [self._stream(node, pair, each) for (node, pair), each in by_stream.items() if node in self._points]
+        used = {stream.pair for stream in self._streams}
+        self.range_age_s = mean_age_s([m.measured_at_s for (_, pair), each in by_stream.items() if pair in used for m in each])
+
+    def begin(self, horizon_s: float) -> None:
+        """Hold what the vehicle measures of itself, and give the peers their states."""
+        assert self.cluster is not None
+        record, joint = self._records[self._vehicle], self.cluster.joint
+        record.manoeuvre = _STEADY.copy()
+        attitude = fresh_attitude(record, self._settings, self._at_s)
+        if attitude is not None:
+            # It stays fresh: attitudes go on coming. Its bank does not: the velocity is held.
+            self._attitude = record.attitude = replace(attitude, roll_rad=0.0, measured_at_s=self._at_s + horizon_s)
+        own = record.recent_own
+        heights = sum(isinstance(m, AltitudeMeasurement) for m in own)
+        span_s = max(own[-1].measured_at_s - own[0].measured_at_s, 1.0) if own else 1.0
+        self._height_rate_hz = heights / span_s if record.baro_error_sigma_m > 0.0 else 0.0
+        for node, point in self._points.items():
+            self._records[node] = VehicleRecord(static=True)
+            joint.augment(node, np.array(point.position), point.covariance_m2, self._at_s)
+        for stream in self._streams:
+            if stream.stamp_sigma_s is not None:
+                change_time_stamp_offset_sigma(self.cluster, self._vehicle, stream.stamp_sigma_s)
+
+    def step(self, to_s: float, step_s: float) -> None:
+        """Go on to a time, with all that is measured in the step before it."""
+        assert self.cluster is not None
+        self._propagate(to_s)
+        self._use_attitude(step_s)
+        self._use_height(step_s)
+        for stream in self._streams:
+            taken = stream.take(step_s)
+            if taken:
+                self._use_ranges(stream, taken, to_s)
+
+    def estimate(self, at_s: float) -> Estimate | NoEstimate:
+        """Return what would be stated."""
+        assert self.cluster is not None
+        return estimate_of_cluster(self.cluster, self._vehicle, at_s)
+
+    def _stream(self, node: int, pair: tuple[int, int, int], ranges: Sequence[RangeMeasurement]) -> _Stream:
+        sigma_m, _ = without_time_error(ranges[-1])
+        noise = NO_SAMPLES
+        for m in ranges[-_JUDGED_RANGES:]:
+            noise = noise.updated(m.measured_at_s, ((m.range_m,),), (sigma_m,))
+        stamped = ranges[-1].clock_of == self._vehicle
+        return _Stream(
+            node,
+            pair,
+            len(ranges) / max(self._at_s - ranges[0].measured_at_s, 1.0),
+            sigma_m,
+            noise.mean_square_m2(0),
+            time_stamp_offset_sigma_s(ranges[-1], self._settings) if stamped else None,
+        )
+
+    def _propagate(self, to_s: float) -> None:
+        """Propagate the vehicle in one step: on a straight way none is too long for the linearisation."""
+        assert self.cluster is not None
+        joint, transition, where = self.cluster.joint, self.cluster.transition, self.cluster.joint.where[self._vehicle]
+        record, state = self._records[self._vehicle], (joint.A[0, where].tolist(), joint.A[where, where])
+        if self._streams:
+            # Within the step the ranges go on.
+            record.updated_at_s = max(record.updated_at_s, to_s - 1.0 / sum(stream.rate_hz for stream in self._streams))
+        step_s = to_s - joint.time_s[self._vehicle]
+        mean = set_transition(transition, record, self._settings, state, step_s, to_s)
+        joint.propagate(self._vehicle, mean, transition.F, transition.Q, to_s)
+        decay = math.exp(-step_s / self._settings.report_error_time_s)
+        for node, point in self._points.items():
+            if not point.is_anchor:
+                where = joint.where[node]
+                joint.scale(where.start, where.stop, decay)
+                joint.A[where, where] += (1.0 - decay * decay) * point.covariance_m2
+
+    def _use_attitude(self, step_s: float) -> None:
+        if self._attitude is None or self.cluster is None:
+            return
+        joint, s, m = self.cluster.joint, self._settings, self._attitude
+        assert m.airspeed_mps is not None
+        linear = air_velocity(joint, m, m.airspeed_mps, step_s, s, self._records[self._vehicle].noise.level)
+        linear.HA[:, 0] = 0.0
+        joint.correct(whiten(linear.HA, linear.innovation_covariance(linear.R)).W)
+
+    def _use_height(self, step_s: float) -> None:
+        if not self._height_rate_hz or self.cluster is None:
+            return
+        record, joint = self._records[self._vehicle], self.cluster.joint
+        newest = next(m for m in reversed(record.own_measurements) if isinstance(m, AltitudeMeasurement))
+        white_m, _ = record.altitude_noise.split(0, newest.sigma_m, self._settings.least_coloured_share)
+        hA, _, variance_m2 = altitude(joint, newest, white_m / math.sqrt(max(self._height_rate_hz * step_s, 1.0)))
+        hA[0] = 0.0
+        joint.correct_scalar(hA, variance_m2)
+
+    def _use_ranges(self, stream: _Stream, count: float, at_s: float) -> None:
+        assert self.cluster is not None
+        s, joint, point = self._settings, self.cluster.joint, self._points[stream.node]
+        white_m, coloured_m = stream.noise_m(s.least_coloured_share)
+        index = propagate_pair(self.cluster, stream.pair, at_s, (s.range_bias_sigma_m, s.range_coloured_share * coloured_m))
+        peer = RangeEnd(stream.node, joint.where[stream.node], point.after(at_s - self._at_s), point.velocity)
+        clock_of = self._vehicle if stream.stamp_sigma_s is not None else None
+        m = RangeMeasurement(self._vehicle, stream.node, at_s, at_s, 0.0, white_m, clock_of=clock_of)
+        ends = self.cluster.range_end(self._vehicle), peer
+        linear = slant_range(joint, ends, index, m, white_m * white_m / count, s.time_stamp_offset_sigma_s / math.sqrt(count))
+        if linear is None:
+            return
+        linear.HA[0] = 0.0
+        joint.correct_scalar(linear.HA, linear.variance_m2)
+        record = self._records[self._vehicle]
+        record.neighbours[stream.node] = Neighbour(at_s, linear.unit)
+        record.updated_at_s = at_s
+
+
+def mean_age_s(times_s: Sequence[float]) -> float:
+    """Return how old the newest of some measurements is on average, s: sum of g^2 / (2 sum of g) over the gaps g between them."""
+    ordered = sorted(set(times_s))
+    gaps_s = [after - before for before, after in pairwise(ordered)]
+    return sum(gap * gap for gap in gaps_s) / (2.0 * sum(gaps_s)) if gaps_s and sum(gaps_s) > 0.0 else 0.0
+
+
+def _point(model: FleetModel, node: int, at_s: float) -> _Point | None:
+    """Return a peer as the filter knows it; None where it does not know where it is."""
+    record = model.records.get(node)
+    if record is None:
+        return None
+    last, s = record.last_position, model.settings
+    if node in model.clusters or last is None or last.velocity_enu_mps is None or record.static:
+        where = model.estimate(node, at_s)
+        if isinstance(where, NoEstimate):
+            return None
+        (e, n, u), (ve, vn, vu) = where.position_enu_m.tolist(), where.velocity_enu_mps.tolist()
+        return _Point((e, n, u), (ve, vn, vu), where.covariance[:3, :3], record.static)
+    if record.denied_vehicle or at_s - last.measured_at_s > s.initialisation_age_s:
+        return None
+    reports = sum(isinstance(m, PositionMeasurement) for m in record.recent_own)
+    white, coloured = split_report_noise(record, last, s)
+    velocity = np.array(last.velocity_enu_mps)
+    variances_m2 = [white[axis // 2] ** 2 / max(reports, 1) + coloured[axis // 2] ** 2 for axis in range(3)]
+    covariance_m2 = np.diag(variances_m2) + time_stamp_offset_sigma_s(last, s) ** 2 * np.outer(velocity, velocity)
+    start = _Point(last.position_enu_m, last.velocity_enu_mps, covariance_m2)
+    return replace(start, position=start.after(at_s - last.measured_at_s))
