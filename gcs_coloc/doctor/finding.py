@@ -8,6 +8,7 @@ from enum import Enum
 
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.messages.inbound import Autopilot, GpsReceiver
+from gcs_coloc.core.readiness.vehicle_readiness import VehicleReadiness
 
 
 class Severity(Enum):
@@ -51,7 +52,8 @@ class VehicleSurvey:
     under which it answered after it had not answered ours. `empty`: messages that came with impossible values only, such as a
     position of 0, 0. `peers`: the other ends of its ranges (node ids), whoever
     measured.
-    `utc_minus_host_s`: its clock's UTC against this computer's; None where it does not know UTC.
+    `readiness`: whether it would be located if its GPS failed now; None where the listening was too short to tell, or no GPS is
+    healthy. `utc_minus_host_s`: its clock's UTC against this computer's; None where it does not know UTC.
     """
 
     sysid: int
@@ -72,6 +74,7 @@ class VehicleSurvey:
     peers: frozenset[int] = frozenset()
     answers_timesync: bool = False
     utc_minus_host_s: float | None = None
+    readiness: VehicleReadiness | None = None
 
 
 @dataclass(frozen=True, slots=True)

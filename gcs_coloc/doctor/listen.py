@@ -8,10 +8,12 @@ from collections.abc import Callable, Hashable
 from dataclasses import replace
 
 from gcs_coloc.config.settings import Settings
+from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import ClockReference
 from gcs_coloc.core.stations.stations import Stations
 from gcs_coloc.doctor.finding import FleetSurvey
 from gcs_coloc.doctor.survey import Question, Survey
+from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.base import Address, Link, Route, parse
 from gcs_coloc.links.signed_links import SignedLinks
 from gcs_coloc.mavlink.encoder import Encoder
@@ -31,11 +33,14 @@ async def listen(
     Raises:
         LinkError: a link cannot be opened.
         ConfigError: the signing key is of no use.
+        EstimatorError: the estimator of the settings cannot be made.
     """
     ids = settings.mavlink
     signed = SignedLinks(settings.signing, settings.links)
     signed.set_clock(host.utc_minus_service_s)
     start_s = clock()
+    engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
+    engine.receive(host)
     survey = Survey(
         (ids.system_id, ids.component_id),
         start_s,
@@ -43,6 +48,7 @@ async def listen(
         utc_minus_service_s=host.utc_minus_service_s,
         asks_for_streams=settings.fleet.request_streams,
         stations=Stations(settings.engine().stations, settings.measurements.ranging_beacon_ids),
+        engine=engine,
     )
     ours, as_gcs = Encoder(sysid=ids.system_id, compid=ids.component_id), Encoder(sysid=GCS_SYSID, compid=GCS_COMPID)
     names: dict[Hashable, str] = {}

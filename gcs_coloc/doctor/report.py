@@ -8,7 +8,9 @@ from typing import Any
 from gcs_coloc.core.aiding.methods.registry import METHODS, method_for, mismatch
 from gcs_coloc.core.aiding.px4 import px4_method
 from gcs_coloc.core.aiding.settings import AidingMethodName
+from gcs_coloc.core.limiting_reason import LimitingReason
 from gcs_coloc.core.messages.inbound import Autopilot
+from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.stations.node_id import is_station, node_name
 from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks
 from gcs_coloc.doctor.finding import Finding, FleetSurvey, Setup, Severity, VehicleSurvey, note, right, stop
@@ -89,6 +91,7 @@ OFTEN = 20
 MUCH_BYTES = 200
 _GPS_FIX_3D = 3
 
+_BETTER_PLACED = "see that in flight its peers stand around it: gcs-coloc plan tells where; or set up a station"
 _HARMFUL = {
     "unsigned": "a link that requires signatures hears unsigned frames: give the vehicle the key",
     "signature_wrong": "a vehicle has another key than ours",
@@ -101,7 +104,7 @@ def of_vehicle(vehicle: VehicleSurvey, setup: Setup, fleet: frozenset[int]) -> l
     """Everything that is to be said of one vehicle; `fleet` are the nodes that are heard, or whose position is known."""
     findings = [*_identity(vehicle)]
     if not setup.denied or vehicle.sysid in setup.denied:
-        findings += [*_address(vehicle, setup), *_autopilot(vehicle, setup), *_ranges(vehicle, fleet)]
+        findings += [*_address(vehicle, setup), *_autopilot(vehicle, setup), *_ranges(vehicle, fleet), *_readiness(vehicle)]
     else:
         findings.append(right("it is there to help locate others: whether it could be aided was not checked"))
     return [*findings, *stream_checks.check(vehicle), *_receiver(vehicle), *_clock(vehicle)]
@@ -193,6 +196,24 @@ def _ranges(vehicle: VehicleSurvey, fleet: frozenset[int]) -> Iterator[Finding]:
         "see that its ranging device is on and reports PEER_RANGE with the peers' system ids"
         f"{_forwarding(vehicle)}; or say with --aid which vehicles are to be located",
     )
+
+
+def _readiness(vehicle: VehicleSurvey) -> Iterator[Finding]:
+    """What the engine of the flight makes of its ranges; without any, or of its set-up, the other checks tell."""
+    found = vehicle.readiness
+    if found is None or not found.peers or found.reason == LimitingReason.NOT_AIDED.code:
+        return
+    if found.state is ReadinessState.UNKNOWN:
+        yield note(f"whether it would be located if its GPS failed is not told: {found.text}")
+        return
+    levels = f" within {found.bound_95_m:.1f} m (95 %), protection level {found.hpl_m:.0f} m" if found.hpl_m is not None else ""
+    here = "if its GPS failed where all of them are now"
+    if found.state is ReadinessState.READY:
+        yield right(f"{here} it would be located{levels}")
+    elif found.state is ReadinessState.DEGRADED:
+        yield note(f"{here} it would be located{levels}, but {found.text}", _BETTER_PLACED)
+    else:
+        yield note(f"{here} it would be lost: {found.text}", _BETTER_PLACED)
 
 
 def _forwarding(vehicle: VehicleSurvey) -> str:

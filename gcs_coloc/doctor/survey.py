@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.clocks.vehicle_clocks import DuplicateIdDetector
+from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.messages.control import RouteReport
 from gcs_coloc.core.messages.inbound import (
     Attitude,
     GlobalPosition,
@@ -22,6 +24,7 @@ from gcs_coloc.core.messages.inbound import (
     TimeSyncAnswer,
 )
 from gcs_coloc.core.messages.outbound import ParameterRequest, Stream, TimeSyncRequest, ToVehicle
+from gcs_coloc.core.schedule import advance
 from gcs_coloc.core.stations.stations import Stations
 from gcs_coloc.core.telemetry.stream_requests import HeardStreams, StreamRequests
 from gcs_coloc.doctor.finding import FleetSurvey, VehicleSurvey
@@ -86,7 +89,10 @@ class _Vehicle:
 
 
 class Survey:
-    """A look at a fleet from `start_s` on, for `seconds`. The rates are counted in its second half, when requests have told."""
+    """A look at a fleet from `start_s` on, for `seconds`. The rates are counted in its second half, when requests have told.
+
+    `engine` is that of the flight; it hears all and sends nothing. Its readiness of each vehicle is what is wanted of it.
+    """
 
     def __init__(
         self,
@@ -97,7 +103,9 @@ class Survey:
         utc_minus_service_s: float | None,
         asks_for_streams: bool,
         stations: Stations | None = None,
+        engine: Engine | None = None,
     ) -> None:
+        self._engine = engine
         self._stations = stations if stations is not None else Stations()
         self._decoder = Decoder(own_sysid=own[0], own_compid=own[1])
         self._half_s, self._end_s = start_s + seconds / 2.0, start_s + seconds
@@ -118,6 +126,7 @@ class Survey:
         for frame in self._decoder.decode(datagram, at_s, place, signing, good):
             if frame.message is not None:
                 self._note(frame, frame.message, place, at_s)
+                self._tell_engine(frame.message, at_s)
             elif frame.sysid in self._vehicles and at_s >= self._half_s:
                 self._vehicles[frame.sysid].empty.add(frame.message_id)
         for raw in good:
@@ -126,6 +135,16 @@ class Survey:
                 vehicle.is_signed = vehicle.is_signed or raw.is_signed
                 if at_s >= self._half_s and raw.compid == mavlink.MAV_COMP_ID_AUTOPILOT1:
                     vehicle.magics.add(raw.frame[0])
+
+    def _tell_engine(self, message: Inbound, at_s: float) -> None:
+        if self._engine is None:
+            return
+        for _ in advance(self._engine, at_s):
+            pass
+        self._engine.receive(message)
+        if isinstance(message, Heartbeat):
+            # Whether it can be reached, the checks of its address tell.
+            self._engine.receive(RouteReport(message.sysid, at_s, None))
 
     def questions(self, now_s: float) -> list[Question]:
         """What is to be asked by now, and of whom."""
@@ -148,7 +167,11 @@ class Survey:
         for sysid, vehicle in self._vehicles.items():
             for place in vehicle.stays:
                 there.setdefault(place, set()).add(sysid)
-        vehicles = tuple(self._findings_of(sysid, there, names) for sysid in sorted(self._vehicles))
+        seen = self._engine.snapshot(self._end_s).vehicles if self._engine is not None else ()
+        readiness = {vehicle.sysid: vehicle.readiness for vehicle in seen}
+        vehicles = tuple(
+            replace(self._findings_of(sysid, there, names), readiness=readiness.get(sysid)) for sysid in sorted(self._vehicles)
+        )
         stations = frozenset(station.node for station in self._stations if station.position is not None)
         return FleetSurvey(self._seconds, vehicles, dict(self.refused), host_is_synchronised, stations)
 
