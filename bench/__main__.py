@@ -24,6 +24,7 @@ from bench import (
     live,
     memory,
     operator_side,
+    readiness,
     returning,
     scaling,
     seek,
@@ -47,6 +48,7 @@ _SPEED: dict[str, _Section] = {
     "service": service_cpu.measure,
     "memory": memory.measure,
     "seek": seek.measure,
+    "readiness": readiness.measure,
 }
 _STUDIES: dict[str, _Section] = {
     "operator": operator_side.measure,
