@@ -78,12 +78,17 @@ class PredictsLoss(Protocol):
     """What an estimator may offer beside `Estimator`: a prediction of what it would state if a vehicle lost its GPS."""
 
     def predict_loss(
-        self, vehicle: int, at_s: float, horizon_s: float, ranges: Sequence[RangeMeasurement]
+        self,
+        vehicle: int,
+        at_s: float,
+        horizon_s: float,
+        ranges: Sequence[RangeMeasurement],
+        turns_radps: Mapping[int, float],
     ) -> Sequence[Estimate | NoEstimate]:
         """Predict a vehicle as if it were denied from `at_s` on: its answers at that time and on, the last at the horizon.
 
-        `ranges` are the ranges of the vehicle of the last seconds; they are taken to go on as they came. All velocities are held.
-        Its own state does not change.
+        `ranges` are the ranges of the vehicle of the last seconds; they are taken to go on as they came. All speeds and turn
+        rates are held; `turns_radps` are those of vehicles that turn, clockwise. The estimator's own state does not change.
         """
         ...
 
@@ -145,14 +150,19 @@ class GuardedEstimator:
         return answer
 
     def predict_loss(
-        self, vehicle: int, at_s: float, horizon_s: float, ranges: Sequence[RangeMeasurement]
+        self,
+        vehicle: int,
+        at_s: float,
+        horizon_s: float,
+        ranges: Sequence[RangeMeasurement],
+        turns_radps: Mapping[int, float],
     ) -> Sequence[Estimate | NoEstimate] | None:
         """As `PredictsLoss` says; None where the inner estimator does not predict, or fails."""
         predict = getattr(self._inner, "predict_loss", None)
         if predict is None:
             return None
         try:
-            answers = list(predict(vehicle, at_s, horizon_s, ranges))
+            answers = list(predict(vehicle, at_s, horizon_s, ranges, turns_radps))
             is_sound = bool(answers) and all(isinstance(each, NoEstimate) or _is_sound(each) for each in answers)
         except Exception as error:
             self._fault(_RAISED, error)

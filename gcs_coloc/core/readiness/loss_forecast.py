@@ -21,6 +21,7 @@ from gcs_coloc.core.integrity.protection_level import (
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
 from gcs_coloc.core.limiting_reason import IN_LINE_HDOP, Limit, LimitingReason, limiting_reason, node_names
 from gcs_coloc.core.measurements import Estimate, NoEstimate, PositionMeasurement, Vector3
+from gcs_coloc.core.readiness.held_motion import HeldMotion
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState, VehicleReadiness
 
 _LARGEST_SIGMA_V_M = 10.0
@@ -32,12 +33,13 @@ class LossSituation:
     """A vehicle, and what would place it without GPS.
 
     `peers` are the reported positions of the nodes that it ranges; `epoch` the residuals of its ranges now, with zero values.
-    `interval_s` is the mean time between its ranges.
+    `turns_radps` are the turn rates that are held. `interval_s` is the mean time between its ranges.
     """
 
     vehicle: int
     peers: Mapping[int, PositionMeasurement]
     epoch: Epoch
+    turns_radps: Mapping[int, float]
     interval_s: float
     exposure: Exposure
 
@@ -111,7 +113,7 @@ def _fault_level(
         return None
     span_s, epoch, vehicle = answer.at_s - begin_s, situation.epoch, situation.vehicle
     priors = {
-        node: prior._replace(position_enu_m=_moved(prior.position_enu_m, situation.peers[node], span_s))
+        node: prior._replace(position_enu_m=_moved(situation, node, prior.position_enu_m, span_s))
         for node, prior in epoch.priors.items()
         if node != vehicle
     }
@@ -122,10 +124,10 @@ def _fault_level(
     return fault_level(separation.of(vehicle), answer, answer.at_s, settings)
 
 
-def _moved(place: Vector3, peer: PositionMeasurement, span_s: float) -> Vector3:
-    """Return where a node is later if it holds its velocity."""
-    (e, n, u), (ve, vn, vu) = place, peer.velocity_enu_mps or (0.0, 0.0, 0.0)
-    return e + ve * span_s, n + vn * span_s, u + vu * span_s
+def _moved(situation: LossSituation, node: int, place: Vector3, span_s: float) -> Vector3:
+    """Return where a node is later if it holds its motion."""
+    velocity = situation.peers[node].velocity_enu_mps or (0.0, 0.0, 0.0)
+    return HeldMotion(place, velocity, situation.turns_radps.get(node, 0.0)).after(span_s).position
 
 
 def _hdop(answer: Estimate | NoEstimate) -> float | None:

@@ -16,6 +16,7 @@ from gcs_coloc.core.integrity.fix_check import star
 from gcs_coloc.core.integrity.protection_level import Exposure, ProtectionSettings
 from gcs_coloc.core.limiting_reason import Limit, LimitingReason
 from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
+from gcs_coloc.core.readiness.held_motion import TurnRates
 from gcs_coloc.core.readiness.loss_forecast import LossSituation, forecast
 from gcs_coloc.core.readiness.vehicle_readiness import HORIZON_S, ReadinessState, VehicleReadiness
 from gcs_coloc.core.schedule import SAME_S
@@ -31,6 +32,8 @@ _RECOVERED_AFTER_S = 20.0
 """The same where readiness was lost in flight. Chosen: the alarm does not come and go at the edge of a limit."""
 _BEGUN_AFTER_S = 5.0
 """A vehicle is predicted from so long after it was first heard. Chosen: its ranges are heard by then."""
+_TURNS_EVERY_S = 1.0
+"""Velocities for turn rates are taken so often. Chosen: a plane turns by 12 degrees in a second, never by half a circle."""
 _FLYING_SPEED_MPS = 3.0
 """Chosen: faster than a vehicle at rest seems to be, slower than any flight but a hover."""
 _FLYING_HEIGHT_M = 5.0
@@ -70,6 +73,8 @@ class ReadinessReview:
         self._followed: dict[int, _Followed] = {}
         self._sorties: dict[int, _Sortie] = {}
         self._predicted_at_s = -inf
+        self._turns = TurnRates()
+        self._turns_at_s = -inf
 
     def of(self, sysid: int) -> VehicleReadiness | None:
         """Return the readiness of a vehicle; None while its GPS is not healthy, and until it was predicted."""
@@ -79,8 +84,13 @@ class ReadinessReview:
     def due(self, vehicles: Iterable[ReportedState], is_healthy: Callable[[int], bool], now_s: float) -> ReportedState | None:
         """Return the vehicle to be predicted now, None where there is none; forget those that are not healthy."""
         first, first_due_s = None, inf
+        are_turns_due = now_s - self._turns_at_s >= _TURNS_EVERY_S - SAME_S
+        if are_turns_due:
+            self._turns_at_s = now_s
         for vehicle in vehicles:
             self._update_sortie(vehicle)
+            if are_turns_due and vehicle.position is not None:
+                self._turns.add(vehicle.sysid, now_s, vehicle.position.ve_mps, vehicle.position.vn_mps)
             followed = self._followed.get(vehicle.sysid)
             if not is_healthy(vehicle.sysid):
                 self._followed.pop(vehicle.sysid, None)
@@ -125,7 +135,8 @@ class ReadinessReview:
         others = {m.to_vehicle if m.from_vehicle == sysid else m.from_vehicle for m in ranges}
         peers = {other: reported for other in sorted(others) if (reported := node(other)) is not None}
         used = [m for m in ranges if m.to_vehicle in peers or m.from_vehicle in peers]
-        answers = self._estimator.predict_loss(sysid, now_s, HORIZON_S, used)
+        turns_radps = {vehicle: self._turns.of(vehicle) for vehicle in (sysid, *peers)}
+        answers = self._estimator.predict_loss(sysid, now_s, HORIZON_S, used, turns_radps)
         if answers is None:
             limit = Limit(LimitingReason.NOT_PREDICTED, detail=self._estimator.name)
             return VehicleReadiness(ReadinessState.UNKNOWN, now_s, limit.reason.code, limit.text, len(peers))
@@ -133,7 +144,7 @@ class ReadinessReview:
         interval_s = (now_s - used[0].measured_at_s) / len({m.measured_at_s for m in used}) if used else inf
         around = star(epoch, sysid, peers)
         residuals = tuple(residual._replace(residual_m=0.0) for residual in around.residuals)
-        situation = LossSituation(sysid, peers, replace(around, residuals=residuals), interval_s, exposure)
+        situation = LossSituation(sysid, peers, replace(around, residuals=residuals), turns_radps, interval_s, exposure)
         return forecast(situation, answers, self._aiding, self._protection)
 
     def _state(self, sysid: int, found: VehicleReadiness, now_s: float) -> None:

@@ -25,7 +25,7 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
-from gcs_coloc.estimators.fleet.loss_prediction import predict_loss
+from gcs_coloc.estimators.fleet.loss_prediction import NO_TURNS, predict_loss
 from gcs_coloc.estimators.fleet.out_of_sequence import Entry, Key, OosmBuffer
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
@@ -90,10 +90,15 @@ class FleetFilter:
         return self._buffer.process().estimate(vehicle, at_s)
 
     def predict_loss(
-        self, vehicle: int, at_s: float, horizon_s: float, ranges: Sequence[RangeMeasurement]
+        self,
+        vehicle: int,
+        at_s: float,
+        horizon_s: float,
+        ranges: Sequence[RangeMeasurement],
+        turns_radps: Mapping[int, float] = NO_TURNS,
     ) -> list[Estimate | NoEstimate]:
         """Predict what would be stated of a healthy vehicle if its GPS failed now, see `core.estimator.PredictsLoss`."""
-        return predict_loss(self._buffer.process().main, vehicle, at_s, horizon_s, ranges)
+        return predict_loss(self._buffer.process().main, vehicle, at_s, horizon_s, ranges, turns_radps)
 
     def drain_residuals(self) -> list[Residual]:
         """Return the residuals since the last call, each range once, oldest first."""

@@ -1,7 +1,7 @@
 """What the filter would state of a vehicle whose GPS failed now: its own recursion over the next seconds, with no noise drawn.
 
-States, process model, measurement models and noise are the filter's. The velocities are held and every innovation is zero, so
-covariances alone change. Three things are condensed, for cost:
+States, process model, measurement models and noise are the filter's. Speeds and turn rates are held and every innovation is
+zero, so covariances alone change. Three things are condensed, for cost:
 
 - n ranges of a step become one with white noise over sqrt(n), and heights and air data likewise;
 - a peer is a point that moves with its velocity, with the error of its reports, whose white part is averaged;
@@ -11,9 +11,10 @@ covariances alone change. Three things are condensed, for cost:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from types import MappingProxyType
 
 import numpy as np
 
@@ -25,15 +26,15 @@ from gcs_coloc.core.measurements import (
     NoEstimate,
     PositionMeasurement,
     RangeMeasurement,
-    Vector3,
 )
+from gcs_coloc.core.readiness.held_motion import HeldMotion
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseSplit, without_time_error
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
 from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, altitude, slant_range
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude, set_transition
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour, Records, VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.state import pair_key, whiten
+from gcs_coloc.estimators.fleet.ekf.state import VELOCITY, pair_key, whiten
 from gcs_coloc.estimators.fleet.ekf.update import (
     change_time_stamp_offset_sigma,
     propagate_pair,
@@ -45,6 +46,7 @@ from gcs_coloc.estimators.fleet.fleet_model import UNDERSTATED, FleetModel
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
 from gcs_coloc.estimators.fleet.peer_selection import rough_position, select_peers
 
+NO_TURNS: Mapping[int, float] = MappingProxyType({})
 STEP_S = 3.0
 """Longest step of the recursion. Chosen: sigmas differ by 3 to 5 % from those of steps of 0.5 s."""
 _JUDGED_RANGES = 25
@@ -90,30 +92,29 @@ class _Stream:
 
 @dataclass(frozen=True, slots=True)
 class _Point:
-    """A peer: position (m) at the beginning, velocity (m/s), covariance of the position (3, 3) m^2.
+    """A peer: how it moves from the beginning on, and the covariance of its position (3, 3) m^2.
 
     Its error is a Gauss-Markov process as that of position reports; that of an anchor lasts.
     """
 
-    position: Vector3
-    velocity: Vector3
+    motion: HeldMotion
     covariance_m2: FloatArray
     is_anchor: bool = False
 
-    def after(self, span_s: float) -> Vector3:
-        """Return where it is so much later."""
-        (e, n, u), (ve, vn, vu) = self.position, self.velocity
-        return e + ve * span_s, n + vn * span_s, u + vu * span_s
-
 
 def predict_loss(
-    model: FleetModel, vehicle: int, at_s: float, horizon_s: float, ranges: Sequence[RangeMeasurement]
+    model: FleetModel,
+    vehicle: int,
+    at_s: float,
+    horizon_s: float,
+    ranges: Sequence[RangeMeasurement],
+    turns_radps: Mapping[int, float] = NO_TURNS,
 ) -> list[Estimate | NoEstimate]:
     """Predict a healthy vehicle as if it were denied from `at_s` on: at that time, and step by step up to the horizon.
 
-    `ranges` are its ranges of the last seconds.
+    `ranges` are its ranges of the last seconds, `turns_radps` the turn rates, clockwise, of vehicles that turn.
     """
-    prediction = _LossPrediction(model, vehicle, at_s)
+    prediction = _LossPrediction(model, vehicle, at_s, turns_radps)
     if prediction.cluster is None:
         return [model.estimate(vehicle, at_s)]
     prediction.add_peers(model, ranges)
@@ -133,8 +134,9 @@ class _LossPrediction:
     `range_age_s` is how old the newest of the ranges in use is on average.
     """
 
-    def __init__(self, model: FleetModel, vehicle: int, at_s: float) -> None:
+    def __init__(self, model: FleetModel, vehicle: int, at_s: float, turns_radps: Mapping[int, float]) -> None:
         self._settings = s = model.settings
+        self._turns_radps = turns_radps
         self._vehicle, self._at_s = vehicle, at_s
         self._records = records = Records()
         self.cluster: Cluster | None = None
@@ -142,6 +144,7 @@ class _LossPrediction:
         self._streams: list[_Stream] = []
         self.range_age_s = 0.0
         self._height_rate_hz = 0.0
+        self._way = HeldMotion((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         self._attitude: AttitudeMeasurement | None = None
         known = model.records.get(vehicle)
         if known is None or known.static or known.denied_vehicle:
@@ -176,7 +179,7 @@ class _LossPrediction:
             here = np.array(self.cluster.position(self._vehicle))
             chosen = select_peers(here, list(placed.items()), frozenset(), frozenset(), most, height_known=True)
             placed = {node: place for node, place in placed.items() if node in chosen}
-        points = {node: _point(model, node, self._at_s) for node in placed}
+        points = {node: _point(model, node, self._at_s, self._turns_radps.get(node, 0.0)) for node in placed}
         self._points = {node: point for node, point in points.items() if point is not None}
         self._streams = [self._stream(node, pair, each) for (node, pair), each in by_stream.items() if node in self._points]
         used = {stream.pair for stream in self._streams}
@@ -187,9 +190,13 @@ class _LossPrediction:
         assert self.cluster is not None
         record, joint = self._records[self._vehicle], self.cluster.joint
         record.manoeuvre = _STEADY.copy()
+        velocity_e, velocity_n, velocity_u = joint.mean(self._vehicle)[VELOCITY].tolist()
+        place, turn = self.cluster.position(self._vehicle), self._turns_radps.get(self._vehicle, 0.0)
+        begin = HeldMotion(place, (velocity_e, velocity_n, velocity_u), turn)
+        self._way = begin.after(self._at_s - joint.time_s[self._vehicle])
         attitude = fresh_attitude(record, self._settings, self._at_s)
         if attitude is not None:
-            # It stays fresh: attitudes go on coming. Its bank does not: the velocity is held.
+            # It stays fresh: attitudes go on coming. The process noise is that of level flight, to which a turn comes back.
             self._attitude = record.attitude = replace(attitude, roll_rad=0.0, measured_at_s=self._at_s + horizon_s)
         own = record.recent_own
         heights = sum(isinstance(m, AltitudeMeasurement) for m in own)
@@ -197,7 +204,7 @@ class _LossPrediction:
         self._height_rate_hz = heights / span_s if record.baro_error_sigma_m > 0.0 else 0.0
         for node, point in self._points.items():
             self._records[node] = VehicleRecord(static=True)
-            joint.augment(node, np.array(point.position), point.covariance_m2, self._at_s)
+            joint.augment(node, np.array(point.motion.position), point.covariance_m2, self._at_s)
         for stream in self._streams:
             if stream.stamp_sigma_s is not None:
                 change_time_stamp_offset_sigma(self.cluster, self._vehicle, stream.stamp_sigma_s)
@@ -243,6 +250,9 @@ class _LossPrediction:
             record.updated_at_s = max(record.updated_at_s, to_s - 1.0 / sum(stream.rate_hz for stream in self._streams))
         step_s = to_s - joint.time_s[self._vehicle]
         mean = set_transition(transition, record, self._settings, state, step_s, to_s)
+        held = self._way.after(to_s - self._at_s)
+        # What turns in wind is not quite on a circle over ground: the way that is held counts.
+        mean = (*held.position, *held.velocity[:2], *mean[5:])
         joint.propagate(self._vehicle, mean, transition.F, transition.Q, to_s)
         decay = math.exp(-step_s / self._settings.report_error_time_s)
         for node, point in self._points.items():
@@ -275,7 +285,8 @@ class _LossPrediction:
         s, joint, point = self._settings, self.cluster.joint, self._points[stream.node]
         white_m, coloured_m = stream.noise_m(s.least_coloured_share)
         index = propagate_pair(self.cluster, stream.pair, at_s, (s.range_bias_sigma_m, s.range_coloured_share * coloured_m))
-        peer = RangeEnd(stream.node, joint.where[stream.node], point.after(at_s - self._at_s), point.velocity)
+        motion = point.motion.after(at_s - self._at_s)
+        peer = RangeEnd(stream.node, joint.where[stream.node], motion.position, motion.velocity)
         clock_of = self._vehicle if stream.stamp_sigma_s is not None else None
         m = RangeMeasurement(self._vehicle, stream.node, at_s, at_s, 0.0, white_m, clock_of=clock_of)
         ends = self.cluster.range_end(self._vehicle), peer
@@ -296,7 +307,7 @@ def mean_age_s(times_s: Sequence[float]) -> float:
     return sum(gap * gap for gap in gaps_s) / (2.0 * sum(gaps_s)) if gaps_s and sum(gaps_s) > 0.0 else 0.0
 
 
-def _point(model: FleetModel, node: int, at_s: float) -> _Point | None:
+def _point(model: FleetModel, node: int, at_s: float, turn_radps: float) -> _Point | None:
     """Return a peer as the filter knows it; None where it does not know where it is."""
     record = model.records.get(node)
     if record is None:
@@ -307,7 +318,7 @@ def _point(model: FleetModel, node: int, at_s: float) -> _Point | None:
         if isinstance(where, NoEstimate):
             return None
         (e, n, u), (ve, vn, vu) = where.position_enu_m.tolist(), where.velocity_enu_mps.tolist()
-        return _Point((e, n, u), (ve, vn, vu), where.covariance[:3, :3], record.static)
+        return _Point(HeldMotion((e, n, u), (ve, vn, vu), turn_radps), where.covariance[:3, :3], record.static)
     if record.denied_vehicle or at_s - last.measured_at_s > s.initialisation_age_s:
         return None
     reports = sum(isinstance(m, PositionMeasurement) for m in record.recent_own)
@@ -315,5 +326,5 @@ def _point(model: FleetModel, node: int, at_s: float) -> _Point | None:
     velocity = np.array(last.velocity_enu_mps)
     variances_m2 = [white[axis // 2] ** 2 / max(reports, 1) + coloured[axis // 2] ** 2 for axis in range(3)]
     covariance_m2 = np.diag(variances_m2) + time_stamp_offset_sigma_s(last, s) ** 2 * np.outer(velocity, velocity)
-    start = _Point(last.position_enu_m, last.velocity_enu_mps, covariance_m2)
-    return replace(start, position=start.after(at_s - last.measured_at_s))
+    reported = HeldMotion(last.position_enu_m, last.velocity_enu_mps, turn_radps)
+    return _Point(reported.after(at_s - last.measured_at_s), covariance_m2)

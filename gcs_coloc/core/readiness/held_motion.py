@@ -1,0 +1,65 @@
+"""Held motion: where a vehicle is later if it goes on at its speed and turn rate; and the turn rate from its velocities."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from math import atan2, cos, hypot, remainder, sin, tau
+
+from gcs_coloc.core.measurements import Vector3
+
+_OVER_S = 5.0
+"""A turn rate is that of so long. Chosen: gusts and noise of the velocity are within 0.01 rad/s of it, a plane's turn is 0.2."""
+_LEAST_SPAN_S = 2.0
+_LEAST_SPEED_MPS = 3.0
+"""Below it a vehicle has no course."""
+_LEAST_TURN_RADPS = 1e-4
+"""Below it the way is straight: 3 mrad in half a minute."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldMotion:
+    """Position (east, north, up, m) and velocity (m/s) at a time; the turn rate (rad/s, clockwise from above) from then on."""
+
+    position: Vector3
+    velocity: Vector3
+    turn_radps: float = 0.0
+
+    def after(self, span_s: float) -> HeldMotion:
+        """Return the motion so much later: on a circle, or straight on."""
+        (e, n, u), (ve, vn, vu), turn = self.position, self.velocity, self.turn_radps
+        angle = turn * span_s
+        if abs(turn) < _LEAST_TURN_RADPS:
+            return HeldMotion((e + ve * span_s, n + vn * span_s, u + vu * span_s), self.velocity, turn)
+        along, across = sin(angle) / turn, (1.0 - cos(angle)) / turn
+        # Clockwise: what flies north turns east.
+        position = (e + along * ve + across * vn, n + along * vn - across * ve, u + vu * span_s)
+        velocity = (cos(angle) * ve + sin(angle) * vn, cos(angle) * vn - sin(angle) * ve, vu)
+        return HeldMotion(position, velocity, turn)
+
+
+class TurnRates:
+    """The turn rate of each vehicle, from its velocities of the last seconds."""
+
+    def __init__(self) -> None:
+        self._courses: dict[int, deque[tuple[float, float]]] = {}
+
+    def add(self, vehicle: int, at_s: float, east_mps: float, north_mps: float) -> None:
+        """Add a velocity over ground; without a course the vehicle turns no more."""
+        courses = self._courses.setdefault(vehicle, deque())
+        if hypot(east_mps, north_mps) < _LEAST_SPEED_MPS:
+            courses.clear()
+            return
+        courses.append((at_s, atan2(east_mps, north_mps)))
+        while at_s - courses[0][0] > _OVER_S:
+            courses.popleft()
+
+    def of(self, vehicle: int) -> float:
+        """Return the turn rate of a vehicle, rad/s clockwise; 0 where it is not known."""
+        courses = self._courses.get(vehicle)
+        if not courses or courses[-1][0] - courses[0][0] < _LEAST_SPAN_S:
+            return 0.0
+        turned, before = 0.0, courses[0][1]
+        for _, course in courses:
+            turned, before = turned + remainder(course - before, tau), course
+        return turned / (courses[-1][0] - courses[0][0])
