@@ -39,6 +39,7 @@ SUBCOMMANDS = {
     "export": "recordings",
     "report": "recordings",
     "evaluate": "evaluate",
+    "judge": "judge",
     "calibrate": "calibrate",
     "import": "import_data",
     "plan": "plan",

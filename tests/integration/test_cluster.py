@@ -1,10 +1,12 @@
 """Tasks on a Dask cluster, with a real scheduler and real workers on loopback: the same results as from the plain pool."""
 
+import json
 import os
 import shutil
 import signal
 import sys
 from collections.abc import Iterator
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from threading import Thread
@@ -13,10 +15,12 @@ import pytest
 from brokers import wait_until
 from command_line import gcs_coloc
 from dask_processes import ROOT, Cluster, dask_cluster, fail, square, wait_to_be_killed, where
+from recorded_flight import write_flight
 
 from gcs_coloc.core.errors import ClusterError, UsageError
 from gcs_coloc.runtime.dask_cluster import check_address
 from gcs_coloc.runtime.tasks import Workers, iterate_tasks, run_tasks
+from gcs_coloc.study.integrity.trial import fly_trial
 from gcs_coloc.study.paper import run_paper_study
 from gcs_coloc.study.paper_filters import KINDS
 from gcs_coloc.study.paper_options import PaperOptions
@@ -117,6 +121,47 @@ def test_the_papers_study_is_that_of_the_plain_pool(cluster: Cluster) -> None:
 
     assert studies[0].rows == studies[1].rows
     assert len(studies[0].rows) == 2 * len(KINDS) + 1
+
+
+def test_recordings_are_judged_alike_though_a_worker_is_killed(own_cluster: Cluster, tmp_path: Path) -> None:
+    for name in "abcd":
+        (tmp_path / "year" / name).mkdir(parents=True)
+    flight = tmp_path / "year/a/flight.tlog"
+    write_flight(flight, 30.0)
+    for name in "bcd":
+        shutil.copy(flight, tmp_path / "year" / name)
+    workers = [own_cluster.add_worker() for _ in range(2)]
+    written = tmp_path / "cluster/judged.jsonl"
+
+    def kill() -> None:
+        wait_until(lambda: written.exists() and len(written.read_text().splitlines()) > 1)
+        workers[0].kill()
+
+    killer = Thread(target=kill)
+    killer.start()
+    ran = gcs_coloc("judge", tmp_path / "year", "--scheduler", own_cluster.address, "--out", tmp_path / "cluster")
+    killer.join()
+    assert ran.returncode == 0, ran.stderr
+    ran = gcs_coloc("judge", tmp_path / "year", "--jobs", "2", "--out", tmp_path / "pool")
+    assert ran.returncode == 0, ran.stderr
+
+    assert workers[0].process.returncode == -signal.SIGKILL
+    results = [json.loads((tmp_path / where / "judge.json").read_text()) for where in ("cluster", "pool")]
+    assert len(results[0]["recordings"]) == 4
+    assert results[0] == results[1]
+
+
+def test_integrity_trials_go_on_on_a_cluster(cluster: Cluster, tmp_path: Path) -> None:
+    flags = ["study", "integrity", "--class", "one-peer", "--out", tmp_path]
+    assert gcs_coloc(*flags, "--seeds", "1", "--jobs", "1").returncode == 0
+    flown = (tmp_path / "flights.jsonl").read_text()
+
+    assert gcs_coloc(*flags, "--seeds", "2", "--scheduler", cluster.address).returncode == 0
+
+    both = (tmp_path / "flights.jsonl").read_text()
+    assert both.startswith(flown)
+    (second,) = both[len(flown) :].splitlines()
+    assert json.loads(second) == json.loads(json.dumps(asdict(fly_trial("one-peer", 2))))
 
 
 def test_without_the_extra_the_command_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -111,6 +111,15 @@ class FlightReport:
         times_s, truth_enu_m, answers = zip(*vehicle.epochs, strict=True)
         return score(series_of(np.array(times_s), np.array(truth_enu_m), answers), times_s[0], dims=2)
 
+    def beyond_protection_level(self, sysid: int) -> float | None:
+        """The share of a vehicle's scored estimates whose horizontal error is beyond their protection level; None without any."""
+        beyond = [
+            np.hypot(*np.subtract(answer.position_enu_m[:2], true_enu_m[:2])) > answer.protection.horizontal_m
+            for _, true_enu_m, answer in self._of(sysid).epochs
+            if answer is not None and answer.protection is not None
+        ]
+        return float(np.mean(beyond)) if beyond else None
+
     def as_dict(self) -> dict[str, Any]:
         """The report as plain values."""
         vehicles = []

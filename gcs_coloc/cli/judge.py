@@ -1,0 +1,157 @@
+"""`gcs-coloc judge`: recordings replayed with the present code, and what changed against a stored baseline."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from gcs_coloc.cli.recordings import EstimatorOption, FleetOption, settings_for
+from gcs_coloc.cli.task_options import JobsOption, SchedulerOption, workers_for
+from gcs_coloc.recorder.judging.comparison import FIGURES, Aspect, FigureChange, Tolerance, Verdict, compare
+from gcs_coloc.recorder.judging.judge_run import judge as judge_all
+from gcs_coloc.recorder.judging.judge_run import judged_with, read_baseline, write_baseline
+from gcs_coloc.recorder.judging.judged_flight import JudgedFlight
+from gcs_coloc.recorder.judging.recordings_below import find_recordings
+from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory
+
+_WORSE = 1
+_TOLERANCE = Tolerance()
+_FILE_WIDTH = 160  # of a table that goes to a file or pipe
+_SHOWN = ("without_gps_s", "located", "with_fix", "rmse_m", "p95_m", "most_m", "covered_95", "beyond_hpl", "bound_95_m", "hpl_m")
+_HEADINGS = ("no GPS s", "located", "fix", "RMSE m", "95 %", "most", "covered", "> HPL", "bound m", "HPL m")
+
+
+def judge(
+    directories: Annotated[
+        list[Path], typer.Argument(help="Directories; every recording (*.tlog) below them is judged.", metavar="DIR...")
+    ],
+    baseline: Annotated[
+        Path | None, typer.Option(help="Compare with this baseline: exit code 1 where something is worse.", metavar="FILE")
+    ] = None,
+    write: Annotated[
+        Path | None, typer.Option("--write-baseline", help="Write the figures for later comparisons.", metavar="FILE")
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option(help="Of metres, seconds and counts: how far, as a share, they may move.", min=0.0)
+    ] = _TOLERANCE.relative,
+    share_tolerance: Annotated[
+        float, typer.Option(help="Of shares such as coverage: how far they may move; 0.005 is half a percentage point.", min=0.0)
+    ] = _TOLERANCE.share,
+    config: Annotated[Path | None, typer.Option(help="The configuration file (TOML) of the flights.")] = None,
+    fleet: FleetOption = None,
+    estimator: EstimatorOption = None,
+    out: Annotated[
+        Path, typer.Option(help="Directory of the results; a run that was stopped goes on there.", metavar="DIR")
+    ] = Path("out/judge"),
+    jobs: JobsOption = 0,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Replay every recording below directories with the present code, and tell what changed against a stored baseline."""
+    workers = workers_for(jobs, scheduler)
+    settings = settings_for(config, fleet, estimator)
+    check_output_file(write, "--write-baseline")
+    make_output_directory(out, "--out")
+    before = read_baseline(baseline) if baseline is not None else None
+    recordings = find_recordings(directories)
+    # On stderr: stdout is for the result.
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bars:
+        task = bars.add_task("judging", total=None)
+        flights = judge_all(
+            settings, recordings, out, workers, lambda done, total: bars.update(task, completed=done, total=total)
+        )
+    for flight in flights:
+        if flight.error:
+            print(f"gcs-coloc: warning: {flight.name}: {flight.error}", file=sys.stderr)
+    if write is not None:
+        write_baseline(write, settings, flights)
+    console = Console(width=None if sys.stdout.isatty() else _FILE_WIDTH)
+    console.print(_figures_table(flights))
+    print(_summary(flights))
+    changes: list[FigureChange] = []
+    if before is not None:
+        its, old = before
+        allowed = Tolerance(tolerance, share_tolerance)
+        changes = compare(old, flights, allowed, [directory.resolve().name for directory in directories])
+        if changes:
+            console.print(_changes_table(changes))
+        print(_comparison(its, judged_with(settings), changes, allowed))
+    result = {
+        "judged_with": judged_with(settings),
+        "recordings": [asdict(flight) for flight in flights],
+        "changes": [asdict(change) for change in changes] if before is not None else None,
+    }
+    path = out / "judge.json"
+    path.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    for file in filter(None, (path, write)):
+        print(f"written: {file}")
+    if any(change.verdict is Verdict.WORSE for change in changes):
+        raise typer.Exit(_WORSE)
+
+
+def _figures_table(flights: Sequence[JudgedFlight]) -> Table:
+    """A row for each vehicle that was without GPS or has alarms; one for the recording where there is none."""
+    table = Table()
+    for heading in ("recording", "vehicle", *_HEADINGS, "alarms"):
+        table.add_column(heading, justify="left" if heading in ("recording", "alarms") else "right")
+    for flight in flights:
+        rows = [(vehicle, its) for vehicle, its in flight.vehicles.items() if its.get("without_gps_s") or _alarms(its)]
+        for vehicle, its in rows or [("-", {})]:
+            shown = (_shown(its.get(name), is_share=FIGURES[name].is_share) for name in _SHOWN)
+            table.add_row(flight.name, vehicle, *shown, _alarms(its) or ("cannot be read" if flight.error else ""))
+    return table
+
+
+def _alarms(figures: dict[str, float | None]) -> str:
+    counts = (
+        f"{name.removeprefix('alarm_')} {value:.0f}" for name, value in figures.items() if name.startswith("alarm_") and value
+    )
+    return ", ".join(counts)
+
+
+def _changes_table(changes: Sequence[FigureChange]) -> Table:
+    table = Table("recording", "vehicle", "about", "what", "before", "now", "")
+    for change in changes:
+        values = (_shown(value, is_share=change.is_share) for value in (change.before, change.now))
+        table.add_row(change.recording, change.vehicle, change.aspect.value, change.text, *values, change.verdict.value)
+    return table
+
+
+def _summary(flights: Sequence[JudgedFlight]) -> str:
+    read = [flight for flight in flights if not flight.error]
+    hours = sum(flight.duration_s for flight in read) / 3600.0
+    vehicle_hours = sum(its.get("without_gps_s") or 0.0 for flight in read for its in flight.vehicles.values()) / 3600.0
+    text = f"{len(flights)} recordings, {hours:.2f} h, {vehicle_hours:.2f} vehicle-hours without GPS"
+    with_truth = sum(flight.has_truth for flight in read)
+    text += f", {with_truth} with truth"
+    return text + (f", {len(flights) - len(read)} cannot be read" if len(read) < len(flights) else "")
+
+
+def _comparison(its: dict[str, str], here: dict[str, str], changes: Sequence[FigureChange], tolerance: Tolerance) -> str:
+    differing = [
+        f"{what} {its.get(key, 'unknown')}, now {here[key]}"
+        for key, what in (("version", "version"), ("estimator", "estimator"), ("settings", "settings"))
+        if its.get(key) != here[key]
+    ]
+    counts = Counter(change.verdict for change in changes)
+    told = ", ".join(f"{counts[verdict]} {verdict.value}" for verdict in Verdict)
+    aspects = ", ".join(aspect.value for aspect in Aspect if any(change.aspect is aspect for change in changes))
+    whose = f" ({'; '.join(differing)})" if differing else ""
+    of_what = f" ({aspects})" if aspects else ""
+    allowed = f"{tolerance.relative:.1%} of metres, seconds and counts, {tolerance.share * 100:g} points of shares"
+    return f"against the baseline{whose}: {told}{of_what}; tolerance {allowed}"
+
+
+def _shown(value: float | None, *, is_share: bool) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.1%}" if is_share else f"{value:.4g}"

@@ -1,0 +1,1 @@
+"""Judging: recordings replayed with the present code, and what changed since a baseline."""

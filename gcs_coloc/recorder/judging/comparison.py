@@ -1,0 +1,158 @@
+"""The comparison of judged flights with a baseline: better, worse, or changed so that a person has to look."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from gcs_coloc.core.alarms import AlarmKind
+from gcs_coloc.recorder.judging.judged_flight import Figures, JudgedFlight
+
+
+class Aspect(StrEnum):
+    """What a figure is about."""
+
+    ACCURACY = "accuracy"
+    COVERAGE = "coverage"
+    LEVELS = "levels"
+    HEALTH = "health"
+    ALARMS = "alarms"
+    RECORDING = "recording"
+
+
+class Verdict(StrEnum):
+    """What a change is."""
+
+    WORSE = "worse"
+    BETTER = "better"
+    CHANGED = "changed"
+    """Neither: a person has to look."""
+
+
+class Good(StrEnum):
+    """In which direction a figure is better."""
+
+    LESS = "less"
+    MORE = "more"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class FigureKind:
+    """One figure: what it is about, in words, which direction is good; a share of one, or else metres, seconds, times."""
+
+    aspect: Aspect
+    text: str
+    good: Good
+    is_share: bool = False
+
+
+FIGURES: Mapping[str, FigureKind] = {
+    "rmse_m": FigureKind(Aspect.ACCURACY, "horizontal RMSE, m", Good.LESS),
+    "p95_m": FigureKind(Aspect.ACCURACY, "95 % of errors, m", Good.LESS),
+    "most_m": FigureKind(Aspect.ACCURACY, "largest error, m", Good.LESS),
+    "covered_95": FigureKind(Aspect.COVERAGE, "within the 95 % bound", Good.MORE, is_share=True),
+    "beyond_three_bounds": FigureKind(Aspect.COVERAGE, "beyond three 95 % bounds", Good.LESS, is_share=True),
+    "beyond_hpl": FigureKind(Aspect.COVERAGE, "beyond the protection level", Good.LESS, is_share=True),
+    "located": FigureKind(Aspect.LEVELS, "located", Good.MORE, is_share=True),
+    "with_fix": FigureKind(Aspect.LEVELS, "sent a fix", Good.MORE, is_share=True),
+    "bound_95_m": FigureKind(Aspect.LEVELS, "median 95 % bound, m", Good.LESS),
+    "hpl_m": FigureKind(Aspect.LEVELS, "median protection level, m", Good.LESS),
+    # Sooner found or falsely found: only a person, or the truth, can tell.
+    "without_gps_s": FigureKind(Aspect.HEALTH, "GPS not trusted, s", Good.UNKNOWN),
+} | {f"alarm_{kind.value}": FigureKind(Aspect.ALARMS, f"alarms: {kind.value.replace('_', ' ')}", Good.LESS) for kind in AlarmKind}
+"""All figures by name, in the order in which they are shown. Those of alarms count how often they were raised."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """How far a figure may move before it counts as changed.
+
+    `relative` of metres, seconds and times, but at least `least` of the unit; `share` of shares. Chosen: what a change of
+    rounding in a filter moves is far less, what a person would notice in a flight is more.
+    """
+
+    relative: float = 0.05
+    share: float = 0.005
+    least: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class FigureChange:
+    """One figure of one vehicle of one recording, before and now; None: there was or is none.
+
+    `vehicle` is empty where the recording as a whole changed; `text` says what changed.
+    """
+
+    recording: str
+    vehicle: str
+    aspect: Aspect
+    text: str
+    before: float | None
+    now: float | None
+    verdict: Verdict
+    is_share: bool = False
+
+
+def compare(
+    before: Sequence[JudgedFlight], now: Sequence[JudgedFlight], tolerance: Tolerance, directories: Sequence[str]
+) -> list[FigureChange]:
+    """Return what changed, recording by recording.
+
+    `directories` are the names of those that were judged: a recording of the baseline that is missing below one of them is worse.
+    """
+    known = {flight.name: flight for flight in before}
+    changes: list[FigureChange] = []
+    for flight in now:
+        old = known.pop(flight.name, None)
+        changes += _of_flight(old, flight, tolerance)
+    for name in sorted(known):
+        if name.partition("/")[0] in directories:
+            changes.append(_whole(name, "is missing", Verdict.WORSE))
+    return changes
+
+
+def _of_flight(old: JudgedFlight | None, new: JudgedFlight, tolerance: Tolerance) -> Iterator[FigureChange]:
+    if old is None:
+        yield _whole(new.name, "is not in the baseline", Verdict.CHANGED)
+    elif new.digest != old.digest:
+        yield _whole(new.name, "is another file, or has other tables, than in the baseline: not compared", Verdict.CHANGED)
+    elif new.error or old.error:
+        if new.error and not old.error:
+            yield _whole(new.name, f"can no longer be read: {new.error}", Verdict.WORSE)
+        elif not new.error:
+            yield _whole(new.name, "could not be read", Verdict.BETTER)
+    else:
+        for vehicle in sorted({*old.vehicles, *new.vehicles}, key=lambda text: (len(text), text)):
+            yield from _of_vehicle(new.name, vehicle, old.vehicles.get(vehicle, {}), new.vehicles.get(vehicle, {}), tolerance)
+
+
+def _of_vehicle(name: str, vehicle: str, old: Figures, new: Figures, tolerance: Tolerance) -> Iterator[FigureChange]:
+    for key, kind in FIGURES.items():
+        before, now = old.get(key), new.get(key)
+        if kind.aspect is Aspect.ALARMS:
+            before, now = before or 0.0, now or 0.0
+        verdict = _verdict(kind, before, now, tolerance)
+        if verdict is not None:
+            yield FigureChange(name, vehicle, kind.aspect, kind.text, before, now, verdict, kind.is_share)
+
+
+def _verdict(kind: FigureKind, before: float | None, now: float | None, tolerance: Tolerance) -> Verdict | None:
+    """Return what a change is; None where there is none beyond the tolerance."""
+    if before is None or now is None:
+        if before is now:
+            return None
+        return Verdict.WORSE if now is None and kind.good is not Good.UNKNOWN else Verdict.CHANGED
+    allowed = tolerance.share if kind.is_share else max(tolerance.relative * abs(before), tolerance.least)
+    if abs(now - before) <= allowed:
+        return None
+    if kind.good is Good.UNKNOWN:
+        return Verdict.CHANGED
+    if kind.aspect is Aspect.ALARMS and now == 0.0:
+        return Verdict.WORSE  # what somebody was warned of is passed over now
+    return Verdict.BETTER if (now < before) == (kind.good is Good.LESS) else Verdict.WORSE
+
+
+def _whole(name: str, text: str, verdict: Verdict) -> FigureChange:
+    return FigureChange(name, "", Aspect.RECORDING, text, None, None, verdict)

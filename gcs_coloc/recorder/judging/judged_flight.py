@@ -1,0 +1,137 @@
+"""One recording judged: replayed with the present code, and the figures of each vehicle."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Any
+
+from gcs_coloc.config.settings import Settings
+from gcs_coloc.core.alarms import AlarmList
+from gcs_coloc.core.engine import Engine, EngineSettings
+from gcs_coloc.core.errors import DataError
+from gcs_coloc.core.gps_health.gps_health import DISTRUSTED
+from gcs_coloc.core.messages.outbound import Notice, Outbound
+from gcs_coloc.core.schedule import SAME_S
+from gcs_coloc.core.snapshot import VehicleSnapshot
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.recorder.judging.recordings_below import FoundRecording
+from gcs_coloc.recorder.replay import Replay, replay
+from gcs_coloc.recorder.reports.flight_report import FlightReport
+from gcs_coloc.recorder.side_tables import read_ranges, read_truth
+from gcs_coloc.recorder.tlog import TlogReader
+
+FLEET = "fleet"
+"""Stands for a vehicle where an alarm is about the whole fleet."""
+_LOOK_EVERY_S = 1.0
+"""Levels, states and alarms are looked at so often, as the service looks for alarms."""
+_WITHOUT_GPS = frozenset(state.value for state in DISTRUSTED)
+
+Figures = dict[str, float | None]
+"""Figures by name (see `comparison.FIGURES`); None where there is nothing to state."""
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedFlight:
+    """One recording's figures by vehicle (system id as text, or `FLEET`). `error` says why it could not be read, else is empty.
+
+    `duration_s` is from the first frame to the last, `has_truth` whether positions were scored.
+    """
+
+    name: str
+    digest: str
+    duration_s: float = 0.0
+    has_truth: bool = False
+    vehicles: Mapping[str, Figures] = field(default_factory=dict)
+    error: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedBy:
+    """What replays: the estimator with its settings, the engine's settings, our own ids; all of it can be sent to a process."""
+
+    estimator: str
+    estimator_settings: Mapping[str, Any]
+    engine: EngineSettings
+    own: tuple[int, int]
+    fingerprint: str
+
+    @classmethod
+    def of(cls, settings: Settings) -> JudgedBy:
+        """Take it from the settings of a fleet."""
+        own = (settings.mavlink.system_id, settings.mavlink.component_id)
+        name, estimator_settings = settings.estimator.name, dict(settings.estimator.settings)
+        return cls(name, estimator_settings, settings.engine(), own, settings.fingerprint())
+
+
+def judge_flight(by: JudgedBy, recording: FoundRecording) -> JudgedFlight:
+    """Replay one recording and return its figures.
+
+    Raises:
+        EstimatorError: the estimator cannot be loaded.
+    """
+    try:
+        return _Judgement(by, recording).run()
+    except DataError as error:
+        return JudgedFlight(recording.name, recording.digest, error=str(error))
+
+
+class _Judgement:
+    def __init__(self, by: JudgedBy, recording: FoundRecording) -> None:
+        self._recording = recording
+        self._engine = Engine(load_estimator(by.estimator, by.estimator_settings), by.engine)
+        self._report = FlightReport(self._engine, read_truth(recording.truth) if recording.truth is not None else [])
+        ranges = read_ranges(recording.ranges) if recording.ranges is not None else []
+        self._alarms = AlarmList()
+        self._raised: set[tuple[int, int]] = set()
+        self._alarm_counts: dict[str, Counter[str]] = defaultdict(Counter)
+        self._looks: dict[int, list[VehicleSnapshot]] = defaultdict(list)
+        self._due_s = float("-inf")
+        self._through = Replay(self._engine, TlogReader(recording.file), ranges, self._on_poll, by.own, by.fingerprint)
+
+    def run(self) -> JudgedFlight:
+        counts = replay(self._through, self._report.observation_times(), self._report.observe)
+        vehicles = {str(sysid): self._figures(sysid) for sysid in sorted(self._engine.sysids())}
+        if FLEET in self._alarm_counts:
+            vehicles[FLEET] = self._alarm_figures(FLEET)
+        recording = self._recording
+        has_truth = recording.truth is not None
+        return JudgedFlight(recording.name, recording.digest, counts.last_s - counts.first_s, has_truth, vehicles)
+
+    def _on_poll(self, at_s: float, outputs: list[Outbound]) -> None:
+        self._report.add_outputs(at_s, outputs)
+        changed = [alarm for output in outputs if isinstance(output, Notice) for alarm in self._alarms.add_notice(output)]
+        if at_s >= self._due_s:
+            self._due_s = at_s + _LOOK_EVERY_S - SAME_S
+            fleet = self._engine.snapshot(at_s)
+            changed += self._alarms.update(fleet)
+            for vehicle in fleet.vehicles:
+                if vehicle.gps_state in _WITHOUT_GPS:
+                    self._looks[vehicle.sysid].append(vehicle)
+        for alarm in changed:
+            if (alarm.id, alarm.times) not in self._raised:
+                self._raised.add((alarm.id, alarm.times))
+                self._alarm_counts[str(alarm.sysid) if alarm.sysid is not None else FLEET][alarm.kind.value] += 1
+
+    def _figures(self, sysid: int) -> Figures:
+        looks = self._looks[sysid]
+        bounds = [v.bound_95_m for v in looks if v.bound_95_m is not None]
+        levels = [v.hpl_m for v in looks if v.hpl_m is not None]
+        figures: Figures = {
+            "without_gps_s": len(looks) * _LOOK_EVERY_S,
+            "located": len(bounds) / len(looks) if looks else None,
+            "with_fix": sum(v.aiding_has_fix for v in looks) / len(looks) if looks else None,
+            "bound_95_m": median(bounds) if bounds else None,
+            "hpl_m": median(levels) if levels else None,
+        }
+        score = self._report.score(sysid)
+        if score is not None and (errors := score.horizontal) is not None:
+            figures |= {"rmse_m": errors.rmse_m, "p95_m": errors.p95_m, "most_m": errors.max_m}
+            figures |= {"covered_95": score.covered_95, "beyond_three_bounds": score.beyond_three_bounds}
+            figures["beyond_hpl"] = self._report.beyond_protection_level(sysid)
+        return figures | self._alarm_figures(str(sysid))
+
+    def _alarm_figures(self, whose: str) -> Figures:
+        return {f"alarm_{kind}": float(times) for kind, times in sorted(self._alarm_counts[whose].items())}
