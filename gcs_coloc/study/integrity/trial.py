@@ -109,7 +109,7 @@ Trace = Callable[[TrialSample], None]
 
 
 def fly_trial(
-    name: str, seed: int, estimator: str = "fleet", trace: Trace = lambda _: None, duration_s: float = FLIGHT_S
+    name: str, seed: int, estimator: str = "fleet", trace: Trace | None = None, duration_s: float = FLIGHT_S
 ) -> TrialScore:
     """Fly one draw of a class through a fresh engine and return what it came to."""
     return _Trial(name, seed, estimator, trace, duration_s).run()
@@ -131,7 +131,7 @@ def write_trace(name: str, seed: int, estimator: str, path: Path) -> TrialScore:
 
 
 class _Trial:
-    def __init__(self, name: str, seed: int, estimator: str, trace: Trace, duration_s: float) -> None:
+    def __init__(self, name: str, seed: int, estimator: str, trace: Trace | None, duration_s: float) -> None:
         self._fleet = SimulatedFleet(CLASSES[name], seed, duration_s)
         self._engine = Engine(load_estimator(estimator, {}), EngineSettings(request_streams=False))
         self._score = TrialScore(name, seed)
@@ -197,15 +197,17 @@ class _Trial:
         fleet, score = self._fleet, self._score
         has_fix = at_s - self._fix_at_s.get(sysid, -inf) <= _FIX_LASTS_S
         is_denied = sysid in fleet.denied and at_s > fleet.lost_at_s + _SETTLED_S
+        score.under_aid_s += _SAMPLE_S * is_denied
+        if not has_fix and self._trace is None:
+            return  # an estimate costs more than all else of a sample
         where = self._engine.estimate(sysid, at_s - _AGE_S)
         error_m, bound_m, hpl_m = None, None, None
         if isinstance(where, Estimate) and self._engine.frame is not None:
             error_m, bound_m = self._error_m(sysid, where, at_s - _AGE_S), horizontal_bound_95_m(where.covariance)
             hpl_m = where.protection.horizontal_m if where.protection is not None else None
-        inhibit = self._engine.decision(sysid).inhibit
-        reason = self._engine.gps_health.reason(sysid)
-        self._trace(TrialSample(at_s, sysid, state.value, reason, has_fix, is_sound, error_m, bound_m, hpl_m, str(inhibit or "")))
-        score.under_aid_s += _SAMPLE_S * is_denied
+        if self._trace is not None:
+            inhibit, reason = str(self._engine.decision(sysid).inhibit or ""), self._engine.gps_health.reason(sysid)
+            self._trace(TrialSample(at_s, sysid, state.value, reason, has_fix, is_sound, error_m, bound_m, hpl_m, inhibit))
         if not has_fix or error_m is None or bound_m is None:
             return
         if is_denied:
