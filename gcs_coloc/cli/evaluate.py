@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,7 +18,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from gcs_coloc.cli.recordings import EstimatorOption, FleetOption, settings_for, warn_of_findings
-from gcs_coloc.cli.task_options import JobsOption, SchedulerOption, workers_for
+from gcs_coloc.cli.task_options import JobsOption, ResumeOption, SchedulerOption, kept_in, workers_for
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.estimator import GuardedEstimator
 from gcs_coloc.core.measurements import Unlocated
@@ -31,6 +33,14 @@ _MOST_REASONS = 3
 _FILE_WIDTH = 140  # of a table that goes to a file or pipe
 
 
+@dataclass(frozen=True, slots=True)
+class DataSetTask:
+    """One data set to be evaluated; `digest` is of its files where the result is kept."""
+
+    directory: Path
+    digest: str = ""
+
+
 def evaluate(
     directories: Annotated[
         list[Path], typer.Argument(help="Data sets: directories with meta.toml, ranges.csv, ...", metavar="DIR...")
@@ -43,6 +53,7 @@ def evaluate(
     csv: Annotated[Path | None, typer.Option("--csv", help="Write every epoch of all data sets into this file.")] = None,
     jobs: JobsOption = 0,
     scheduler: SchedulerOption = None,
+    resume: ResumeOption = None,
 ) -> None:
     """Run an estimator over data sets, causally, and score it against the truth; of several print one table."""
     from gcs_coloc.evaluation.output import plot_evaluation, write_epochs
@@ -62,8 +73,11 @@ def evaluate(
             bars.update(task, completed=done, total=total)
 
         # One data set in this process shows how far into its measurements it is.
-        is_alone = len(directories) == 1 and scheduler is None
-        evaluated = [run(directories[0], show)] if is_alone else run_tasks(run, directories, workers, show)
+        if len(directories) == 1 and scheduler is None and resume is None:
+            evaluated = [run(DataSetTask(directories[0]), show)]
+        else:
+            tasks = [DataSetTask(directory.absolute(), _digest(directory) if resume else "") for directory in directories]
+            evaluated = run_tasks(run, tasks, workers, show, kept_in(resume))
     evaluations = [evaluation for evaluation, _ in evaluated]
     for directory, (evaluation, faults) in zip(directories, evaluated, strict=True):
         for text in faults:
@@ -84,13 +98,20 @@ def evaluate(
 
 
 def _evaluate(
-    name: str, settings: Mapping[str, Any], directory: Path, progress: EvaluationProgress = lambda _done, _total: None
+    name: str, settings: Mapping[str, Any], task: DataSetTask, progress: EvaluationProgress = lambda _done, _total: None
 ) -> tuple[Evaluation, list[str]]:
     """Evaluate one data set; the texts are what the estimator failed at."""
     faults: list[str] = []
     # As in flight: what it fails at is told and scored as no answer.
     guarded = GuardedEstimator(load_estimator(name, settings), faults.append)
-    return run_evaluation(directory, guarded, progress=progress), faults
+    return run_evaluation(task.directory, guarded, progress=progress), faults
+
+
+def _digest(directory: Path) -> str:
+    digest = hashlib.sha256()
+    for path in sorted(path for path in directory.iterdir() if path.is_file()) if directory.is_dir() else ():
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()
 
 
 def _table(evaluations: Sequence[Evaluation]) -> Table:

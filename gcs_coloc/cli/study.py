@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from gcs_coloc.cli.task_options import JobsOption, SchedulerOption, workers_for
+from gcs_coloc.cli.task_options import JobsOption, ResumeOption, SchedulerOption, kept_in, workers_for
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.runtime.output_paths import check_output_file, make_output_directory, writing
 from gcs_coloc.study.paper_options import PaperOptions, QForm, QUnit
@@ -47,6 +47,7 @@ def paper(
     first_seed: Annotated[int, typer.Option(help="Seed of the first draw.")] = 1,
     jobs: JobsOption = 0,
     scheduler: SchedulerOption = None,
+    resume: ResumeOption = None,
     fleet_seeds: Annotated[int, typer.Option(help="Draws for the fleet filter: it takes minutes for each.")] = 2,
     q: Annotated[list[float] | None, typer.Option(help="A value of q; several times for several. Table 2's by default.")] = None,
     end_of_route: Annotated[str, typer.Option(help="What follows the last waypoint: straight, loop or hold.")] = "straight",
@@ -77,7 +78,9 @@ def paper(
         console = Console(width=_FILE_WIDTH)
     with Progress(console=console) as progress:
         task = progress.add_task("flying", total=None)
-        result = study.run_paper_study(options, workers, lambda done, total: progress.update(task, completed=done, total=total))
+        result = study.run_paper_study(
+            options, workers, lambda done, total: progress.update(task, completed=done, total=total), kept_in(resume)
+        )
     for table in paper_report.tables(result):
         console.print(table)
     for path in paper_report.write(result, out):
@@ -174,6 +177,7 @@ def planning(
     first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each plan.")] = 1,
     jobs: JobsOption = 0,
     scheduler: SchedulerOption = None,
+    resume: ResumeOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print every window as JSON.")] = False,
 ) -> None:
     """Check what `gcs-coloc plan` predicts on ten plans of different kind against drawn flights through the fleet filter."""
@@ -195,6 +199,7 @@ def planning(
             first_seed,
             workers,
             lambda done, total: progress.update(task, completed=done, total=total),
+            kept_in(resume),
         )
     if as_json:
         print(json.dumps([asdict(check) for check in checks], indent=2))

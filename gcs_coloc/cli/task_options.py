@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from gcs_coloc.core.errors import UsageError
+from gcs_coloc.runtime.kept_results import KeptResults
 from gcs_coloc.runtime.tasks import Workers
 
 JobsOption = Annotated[int, typer.Option(help="Processes; 0 is one per core.", min=0)]
 SchedulerOption = Annotated[
     str | None, typer.Option(help="Compute on the cluster of this Dask scheduler instead.", metavar="tcp://HOST:PORT")
 ]
+ResumeOption = Annotated[
+    Path | None, typer.Option(help="Keep the result of each task there; a run that was stopped goes on there.", metavar="DIR")
+]
+
+
+def kept_in(directory: Path | None) -> KeptResults | None:
+    """Return where results are kept; None where the option is not used. Raises UsageError: there is no such place."""
+    return KeptResults(directory) if directory is not None else None
 
 
 def workers_for(jobs: int, scheduler: str | None) -> Workers:

@@ -14,9 +14,10 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, cast
 
 from gcs_coloc.core.errors import TaskError
+from gcs_coloc.runtime.kept_results import KeptResults
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -56,16 +57,32 @@ class Pool(Protocol):
         ...
 
 
-def run_tasks(function: Callable[[Task], Result], tasks: Sequence[Task], workers: Workers, progress: Progress) -> list[Result]:
-    """Return the function's results in the order of the tasks.
+def run_tasks(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    workers: Workers,
+    progress: Progress,
+    kept: KeptResults | None = None,
+) -> list[Result]:
+    """Return the function's results in the order of the tasks; what is kept is not computed again, and what is not is kept.
 
     Raises:
         ClusterError: the cluster cannot be used.
         TaskError: processes die again and again.
+        UsageError: kept results cannot be read or written.
     """
-    progress(0, len(tasks))
     results: dict[int, Result] = {}
-    for index, result in _completed(function, tasks, replace(workers, jobs=min(workers.jobs, len(tasks)))):
+    paths = [kept.path_of(function, task) for task in tasks] if kept is not None else []
+    for index, path in enumerate(paths):
+        if kept is not None and path.exists():
+            results[index] = cast("Result", kept.load(path))
+    missing = [index for index in range(len(tasks)) if index not in results]
+    progress(len(results), len(tasks))
+    jobs = min(workers.jobs, len(missing))
+    for place, result in _completed(function, [tasks[index] for index in missing], replace(workers, jobs=jobs)):
+        index = missing[place]
+        if kept is not None:
+            kept.store(paths[index], result)
         results[index] = result
         progress(len(results), len(tasks))
     return [results[index] for index in range(len(tasks))]

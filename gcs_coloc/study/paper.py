@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.runtime.kept_results import KeptResults
 from gcs_coloc.runtime.tasks import Progress, Workers, run_tasks
 from gcs_coloc.study.paper_filters import KINDS
 from gcs_coloc.study.paper_options import PUBLISHED_TABLE_2, PaperOptions
@@ -69,7 +70,7 @@ class PaperStudy:
     constant_r_m2: FloatArray
 
 
-def run_paper_study(options: PaperOptions, workers: Workers, progress: Progress) -> PaperStudy:
+def run_paper_study(options: PaperOptions, workers: Workers, progress: Progress, kept: KeptResults | None = None) -> PaperStudy:
     """Fly, draw noise, filter and score; `progress` is called with how many of how many tasks are done."""
     flight = fly(options)
     constant_R = constant_covariance(flight, options)
@@ -77,7 +78,7 @@ def run_paper_study(options: PaperOptions, workers: Workers, progress: Progress)
     # The fleet's tasks are the longest: they come first, so that no core waits for one at the end.
     tasks: list[_Task] = [_Task(None, seed) for seed in seeds[: options.fleet_seeds]]
     tasks += [_Task(seeds[i : i + _SEEDS_PER_TASK], None) for i in range(0, len(seeds), _SEEDS_PER_TASK)]
-    results = run_tasks(partial(_run, flight, constant_R, options), tasks, workers, progress)
+    results = run_tasks(partial(_run, flight, constant_R, options), tasks, workers, progress, kept)
     fleet = [one for one in results if isinstance(one, FilterSeries)]
     runs = [one for one in results if isinstance(one, PaperRun)]
     whole, first = _joined([run.whole for run in runs]), _joined([run.first for run in runs])

@@ -12,6 +12,7 @@ from rich.table import Table
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.planning.predicted_flight import Prediction
 from gcs_coloc.planning.prediction import predict
+from gcs_coloc.runtime.kept_results import KeptResults
 from gcs_coloc.runtime.tasks import Progress, Workers, run_tasks
 from gcs_coloc.study.planning.check_plans import CHECK_PLANS
 from gcs_coloc.study.planning.drawn_flight import draw_errors
@@ -71,11 +72,13 @@ class PlanCheck:
         return float(np.median([window.ratio for window in self.windows])) if self.windows else float("nan")
 
 
-def run_checks(names: Sequence[str], flights: int, first_seed: int, workers: Workers, progress: Progress) -> list[PlanCheck]:
+def run_checks(
+    names: Sequence[str], flights: int, first_seed: int, workers: Workers, progress: Progress, kept: KeptResults | None = None
+) -> list[PlanCheck]:
     """Predict plans and fly each so many times."""
     tasks = [(name, seed) for name in names for seed in range(first_seed, first_seed + flights)]
-    drawn = run_tasks(_draw, tasks, workers, progress)
-    predicted = run_tasks(_predict, list(names), workers, lambda *_: None)
+    drawn = run_tasks(_draw, tasks, workers, progress, kept)
+    predicted = run_tasks(_predict, list(names), workers, lambda *_: None, kept)
     checks = []
     for at, name in enumerate(names):
         several = drawn[at * flights : (at + 1) * flights]

@@ -242,6 +242,17 @@ def test_lever_arms_are_reduced_while_the_estimator_runs(tmp_path):
     assert turned < 0.1
 
 
+def test_an_evaluation_goes_on_where_it_was_stopped_unless_a_file_has_changed(tmp_path):
+    walk = write_walk(tmp_path, 2)
+    flags = ("--json", "--jobs", "1", "--resume", tmp_path / "kept")
+    first = gcs_coloc("evaluate", walk, *flags).stdout
+    # The CPU time in it would differ if it were computed again.
+    assert gcs_coloc("evaluate", walk, *flags).stdout == first
+    assert len(list((tmp_path / "kept").iterdir())) == 1
+    (walk / "ranges.csv").write_text((walk / "ranges.csv").read_text().rstrip().rpartition("\n")[0] + "\n")
+    assert json.loads(gcs_coloc("evaluate", walk, *flags).stdout)["measurements"] == json.loads(first)["measurements"] - 1
+
+
 def test_several_data_sets_give_one_table_and_one_csv(tmp_path):
     walks = [tmp_path / "one", tmp_path / "two"]
     for walk in walks:

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from gcs_coloc.core.errors import TaskError
+from gcs_coloc.core.errors import TaskError, UsageError
+from gcs_coloc.runtime import kept_results
+from gcs_coloc.runtime.kept_results import KeptResults
 from gcs_coloc.runtime.tasks import Workers, iterate_tasks, run_tasks
 
 
@@ -84,3 +86,39 @@ def test_a_process_that_is_killed_loses_nothing(tmp_path: Path) -> None:
 def test_tasks_that_kill_every_process_end_with_an_error() -> None:
     with pytest.raises(TaskError, match=r"3 processes in a row were killed.*--jobs"):
         run_tasks(die, [1, 2], Workers(2), lambda *_: None)
+
+
+def log(file: Path, number: int) -> int:
+    with file.open("a") as opened:
+        opened.write(f"{number}\n")
+    return number * number
+
+
+def test_a_run_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+    kept, done, told = KeptResults(tmp_path / "kept"), tmp_path / "done", []
+    function = partial(log, done)
+    run_tasks(function, [1, 2], Workers(), lambda *_: None, kept)
+
+    again = run_tasks(function, [1, 2, 3], Workers(), lambda n, total: told.append((n, total)), kept)
+
+    assert again == [1, 4, 9]
+    assert done.read_text().split() == ["1", "2", "3"]
+    assert told == [(2, 3), (3, 3)]
+
+
+def test_results_of_another_program_are_not_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept, done = KeptResults(tmp_path / "kept"), tmp_path / "done"
+    run_tasks(partial(log, done), [1], Workers(), lambda *_: None, kept)
+    monkeypatch.setattr(kept_results, "program_versions", lambda: {"source": "another"})
+    run_tasks(partial(log, done), [1], Workers(), lambda *_: None, kept)
+
+    assert done.read_text().split() == ["1", "1"]
+
+
+def test_a_kept_result_that_is_damaged_is_named(tmp_path: Path) -> None:
+    kept = KeptResults(tmp_path / "kept")
+    path = kept.path_of(factorial, 3)
+    path.write_bytes(b"")
+
+    with pytest.raises(UsageError, match=f"{path.name} cannot be read"):
+        run_tasks(factorial, [3], Workers(), lambda *_: None, kept)

@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from gcs_coloc.core.errors import UsageError
+from gcs_coloc.runtime.kept_results import KeptResults
 from gcs_coloc.runtime.tasks import Workers
 from gcs_coloc.study.paper import PaperStudy, run_paper_study
 from gcs_coloc.study.paper_filters import KINDS
@@ -59,6 +60,16 @@ def test_more_processes_give_the_same_figures(study: PaperStudy) -> None:
     again = run_paper_study(SHORT, Workers(2), quiet)
 
     assert again.rows == study.rows
+
+
+def test_a_study_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+    options, told = replace(SHORT, fleet_seeds=0), []
+    first = run_paper_study(options, Workers(), quiet, KeptResults(tmp_path))
+
+    again = run_paper_study(options, Workers(), lambda done, total: told.append((done, total)), KeptResults(tmp_path))
+
+    assert told == [(1, 1)]
+    assert again.rows == first.rows
 
 
 def test_the_studys_finding_is_the_papers() -> None:
