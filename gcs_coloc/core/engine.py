@@ -32,16 +32,18 @@ from gcs_coloc.core.messages.control import (
     ControlInput,
     ForeignGpsInput,
     GpsOverride,
+    HoldBack,
     OperatorCommand,
     Override,
     PrimaryOverride,
     RouteReport,
+    SwitchedByOther,
     TransmitDisabled,
 )
 from gcs_coloc.core.messages.inbound import (
     Inbound,
 )
-from gcs_coloc.core.messages.outbound import Notice, Outbound, ToVehicle
+from gcs_coloc.core.messages.outbound import ChangesVehicle, Notice, Outbound, ToVehicle
 from gcs_coloc.core.readiness.vehicle_readiness import VehicleReadiness
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.schedule import TickSchedule
@@ -121,6 +123,7 @@ class Engine:
         self._review_due_s = float("inf")
         self._review_schedule = TickSchedule(0.0)
         self._transmits = True
+        self._is_held_back = False
         self._commands: dict[tuple[int, type[Override]], OperatorCommand] = {}
         self._update_host_inhibit()
 
@@ -178,7 +181,7 @@ class Engine:
         out, self._outbox = self._outbox, []
         utc_minus_service_s = self._utc_minus_service_s()
         out.extend(self.aiding.poll(now_s, review.fix_inputs, self.frame, utc_minus_service_s, review.estimate_to_send))
-        return out
+        return [output for output in out if not isinstance(output, ChangesVehicle)] if self._is_held_back else out
 
     def next_deadline(self) -> float:
         """Return the service time at which `poll` is to be called at the latest; infinity before the first message."""
@@ -191,7 +194,8 @@ class Engine:
 
     def close(self) -> list[ToVehicle]:
         """Return the last messages before the service ends: fix_type 1 to everyone who is aided, and restored parameters."""
-        return self.aiding.close()
+        last = self.aiding.close()
+        return [] if self._is_held_back else last
 
     def refused(self) -> dict[str, int]:
         """Return how often what was refused since the start, by the value of `CoreRefusal`."""
@@ -310,6 +314,11 @@ class Engine:
             case TransmitDisabled():
                 self._transmits = False
                 self.aiding.disable_transmit()
+            case HoldBack():
+                self._is_held_back = message.held
+                self.aiding.hold_back(held=message.held)
+            case SwitchedByOther():
+                self.aiding.add_switched(message)
             case RouteReport():
                 self._update_route(message)
             case OperatorCommand():
@@ -346,6 +355,10 @@ class Engine:
         vehicle = self.telemetry.get(sysid)
         if vehicle is not None:
             self._outbox.extend(self._review.review_vehicle(vehicle, at_s))
+
+    def overrides(self) -> tuple[OperatorCommand, ...]:
+        """Return the operator's overrides that are in force, those that are automatic left out."""
+        return tuple(command for command in self._commands.values() if command.override.value != "auto")
 
     def _override_sources(self, sysid: int) -> OverrideSources:
         """Return who gave each override of a vehicle that is in force."""

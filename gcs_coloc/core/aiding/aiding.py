@@ -16,7 +16,14 @@ from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.aiding.stream import AidingDecision, AidingStream, AidingView, EstimateAt, FixInputs, Purpose
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.gps_health import GpsState
-from gcs_coloc.core.messages.control import AidingOverride, ForeignGpsInput, PrimaryOverride, RouteBlock
+from gcs_coloc.core.messages.control import (
+    AidingOverride,
+    ForeignGpsInput,
+    PrimaryOverride,
+    RouteBlock,
+    SwitchedByOther,
+    SwitchedReceiver,
+)
 from gcs_coloc.core.messages.inbound import Autopilot, CommandResult, GlobalOrigin, GpsReceiver, ParameterValue
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterRequest, ToVehicle
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
@@ -39,6 +46,7 @@ class Aiding:
         self._settings = settings
         self._host_inhibit: Inhibit | None = None
         self._transmits = True
+        self._is_held_back = False
         self._tick_schedule = TickSchedule(0.0)
         self._overrides: dict[int, AidingOverride] = {}
         self._primary_overrides: dict[int, PrimaryOverride] = {}
@@ -59,6 +67,22 @@ class Aiding:
     def disable_transmit(self) -> None:
         """From now on nothing that is built is sent: vehicles cannot be expected to use it."""
         self._transmits = False
+
+    def hold_back(self, *, held: bool) -> None:
+        """Decide and build as ever, but begin no switch while what is built is `held` back: the other service sends."""
+        self._is_held_back = held
+
+    def add_switched(self, message: SwitchedByOther) -> None:
+        """Add what the other service has switched, so that we can restore it."""
+        self._switch.adopt(message.receiver, message.received_at_s, held=message.held)
+
+    def switched(self) -> tuple[SwitchedReceiver, ...]:
+        """Return the vehicles whose own receiver is out of use by us, or may be, with what restores it."""
+        return self._switch.held()
+
+    def to_change(self) -> frozenset[int]:
+        """Return the vehicles to which something is to be sent that changes what they do."""
+        return frozenset(self._streams) | {receiver.sysid for receiver in self._switch.held()}
 
     def set_host_inhibit(self, inhibit: Inhibit | None) -> bool:
         """Set why nobody may be aided, None where vehicles may; True where that has changed."""
@@ -108,7 +132,8 @@ class Aiding:
                 out.append(Notice(now_s, sysid, *change))
         is_lost = reports_false_fix or (gps_state is GpsState.FAILED and vehicle.autopilot is not Autopilot.PX4)
         wanted = self._switch_wanted(sysid, stream, is_lost=is_lost)
-        out.extend(self._switch.review(sysid, vehicle.autopilot, now_s, wanted=wanted))
+        if not self._is_held_back:
+            out.extend(self._switch.review(sysid, vehicle.autopilot, now_s, wanted=wanted))
         is_self_fed = self._override(sysid) is AidingOverride.ON or self._switch.holds(sysid)
         is_aided = stream is not None and (gps_state in _AIDED_STATES or is_self_fed)
         out.extend(self._alarms.review(vehicle, inhibit, now_s, needs_aid=purpose is Purpose.AID))
@@ -116,13 +141,13 @@ class Aiding:
 
     def add_result(self, result: CommandResult) -> list[Outbound]:
         """Add a vehicle's answer to a command."""
-        stream, switched = self._streams.get(result.sysid), self._switch.add_answer(result)
+        stream, switched = self._streams.get(result.sysid), [] if self._is_held_back else self._switch.add_answer(result)
         return [*switched, *(stream.method.add_result(result) if stream is not None else [])]
 
     def add_parameter(self, value: ParameterValue) -> list[Outbound]:
         """Add what a vehicle reports of a parameter."""
         self._parameters.add(value)
-        return list(self._switch.add_answer(value))
+        return [] if self._is_held_back else list(self._switch.add_answer(value))
 
     def add_origin(self, origin: GlobalOrigin) -> None:
         """Add the origin of a vehicle's local frame."""
@@ -185,8 +210,9 @@ class Aiding:
         sysid, stream = vehicle.sysid, self._streams.get(vehicle.sysid)
         inhibit = self._inhibit(vehicle, has_duplicate_id=has_duplicate_id)
         acknowledgement = stream.acknowledgement if stream is not None else None
+        status = self._status(sysid, gps_state, stream, inhibit)
         return AidingView(
-            status=self._status(sysid, gps_state, stream, inhibit),
+            status=f"by the other service; here {status}" if self._is_held_back else status,
             has_fix=stream is not None and stream.inhibit is None,
             fix_acknowledged=acknowledgement.acknowledged if acknowledgement is not None else None,
             gps_primary=self._switch.status(sysid),

@@ -11,6 +11,7 @@ from enum import Enum
 from typing import Protocol
 
 from gcs_coloc.core.aiding.parameters import RETRY_S
+from gcs_coloc.core.messages.control import SwitchedReceiver
 from gcs_coloc.core.messages.inbound import Autopilot, CommandOutcome, CommandResult, ParameterValue, VehicleCommand
 from gcs_coloc.core.messages.outbound import Notice, ParameterRequest, ParameterSet, SensorEnable
 
@@ -67,17 +68,25 @@ class OwnReceiver(Protocol):
     def wording(self, step: SwitchStep, answer: ReceiverAnswer | None) -> str:
         """Return what is told of an answer in a step, or of none (None) after all tries."""
 
+    def before(self) -> SwitchedReceiver:
+        """Return what restores it."""
+
 
 class PrimaryParameter:
     """ArduPilot: GPS_PRIMARY is set to the receiver that we feed, and restored to the value that was read before."""
 
     first_step = SwitchStep.READING
 
-    def __init__(self, sysid: int, gps_id: int) -> None:
+    def __init__(self, sysid: int, gps_id: int, before: ParameterValue | None = None) -> None:
         self._sysid = sysid
         self._ours = float(gps_id)
-        self._before: ParameterValue | None = None
+        self._before = before
         self._told = 0.0
+
+    def before(self) -> SwitchedReceiver:
+        """Return the value from before, None until it has been read."""
+        before = self._before
+        return SwitchedReceiver(self._sysid, before.value, before.kind) if before is not None else SwitchedReceiver(self._sysid)
 
     def order(self, step: SwitchStep) -> ParameterRequest | ParameterSet:
         """Return the question for its value, or the value that is to be set."""
@@ -124,6 +133,10 @@ class EstimatorSensor:
     def __init__(self, sysid: int) -> None:
         self._sysid = sysid
         self._outcome = CommandOutcome.OTHER
+
+    def before(self) -> SwitchedReceiver:
+        """Return the vehicle: a command restores it."""
+        return SwitchedReceiver(self._sysid)
 
     def order(self, step: SwitchStep) -> SensorEnable:
         """Return the command."""
@@ -179,6 +192,22 @@ class ReceiverSwitch:
     def switching(self, sysid: int) -> bool:
         """Return whether a switch was begun and neither given up nor undone."""
         return sysid in self._switches
+
+    def held(self) -> tuple[SwitchedReceiver, ...]:
+        """Return the receivers that are out of use by our doing, or may be."""
+        return tuple(switch.receiver.before() for switch in self._switches.values() if switch.is_held)
+
+    def adopt(self, receiver: SwitchedReceiver, now_s: float, *, held: bool) -> None:
+        """Take a switch of the other service for ours, so that it is held on or restored; or (`held` False) forget it."""
+        sysid = receiver.sysid
+        if not held:
+            self._switches.pop(sysid, None)
+            return
+        own: OwnReceiver = EstimatorSensor(sysid)
+        if receiver.before is not None and receiver.kind is not None:
+            before = ParameterValue(sysid, now_s, GPS_PRIMARY, receiver.before, receiver.kind)
+            own = PrimaryParameter(sysid, self._gps_id, before)
+        self._switches[sysid] = _Switch(own, SwitchStep.OURS, now_s)
 
     def status(self, sysid: int) -> str | None:
         """Return the state of the switch in words; None where nothing was done."""

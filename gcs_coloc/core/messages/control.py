@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum, StrEnum
+from typing import NamedTuple
 
 HOST_LATE_S = 0.25
 """Later than this a host falls behind. Chosen: two of ten positions a second come late; one with time to spare is late by some
@@ -62,6 +63,7 @@ class CommandSource(StrEnum):
     MQTT = "MQTT"
     FLAG = "flag"
     CONFIGURATION = "configuration"
+    OTHER_SERVICE = "other service"
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +123,37 @@ class TransmitDisabled:
     received_at_s: float
 
 
+class SwitchedReceiver(NamedTuple):
+    """A vehicle whose own receiver was switched out of use by a service, and what restores it.
+
+    `before` and `kind` (MAV_PARAM_TYPE) are those of its GPS_PRIMARY; both None where a command restores it, as on PX4.
+    """
+
+    sysid: int
+    before: float | None = None
+    kind: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class HoldBack:
+    """From now on what changes what vehicles do is held back (`held`), as the other service sends it; or is sent again.
+
+    All else goes on: how vehicles answer to what the other one sends is judged as if it were ours.
+    """
+
+    received_at_s: float
+    held: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SwitchedByOther:
+    """While ours is held back the other service has switched a vehicle's own receiver; or (`held` False) it no longer is."""
+
+    received_at_s: float
+    receiver: SwitchedReceiver
+    held: bool
+
+
 @dataclass(frozen=True, slots=True)
 class ForeignGpsInput:
     """GPS_INPUT (232) that somebody else sends: system `sysid`, for the receiver instance `gps_id`.
@@ -134,5 +167,5 @@ class ForeignGpsInput:
     vehicle: int | None = None
 
 
-ControlInput = ForeignGpsInput | ClockReference | OperatorCommand | RouteReport | TransmitDisabled
+ControlInput = ForeignGpsInput | ClockReference | OperatorCommand | RouteReport | TransmitDisabled | HoldBack | SwitchedByOther
 """What the host, the operator and the links say: no sign of life of a vehicle."""

@@ -190,6 +190,8 @@ AidingMessage = GpsInput | ExternalPosition | GlobalPositionSensor | VisionPosit
 """What tells a vehicle where it is, or how far from where."""
 
 ToVehicle = AidingMessage | StreamRequest | TimeSyncRequest | ParameterRequest | ParameterSet | OriginRequest | SensorEnable
+ChangesVehicle = AidingMessage | ParameterSet | SensorEnable
+"""What changes what a vehicle does. All else that is sent asks it something, and two services may ask."""
 Untargeted = GpsInput | GlobalPositionSensor | VisionPosition | RangingBeacon | TimeSyncRequest
 """What every vehicle takes whom it reaches: it has no target, or PX4 ignores it."""
 ToOperator = Notice | HealthChanged

@@ -1,0 +1,114 @@
+"""What vehicles show of who feeds them: the other service's stream as they pass it on, and the fixes of the fed receiver.
+
+ArduPilot and routers pass on what has no target, as GPS_INPUT, over their other links (MAVLink routing). And GPS2_RAW tells when
+the fed receiver had its last fix. A vehicle that shows neither shows nothing: it may be fed or not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+_HEARD_WITHIN_S = 0.5
+"""Chosen: a vehicle sends its position ten times a second; one that is silent shows nothing."""
+_PASSES_ON_AFTER = 3
+"""Messages of the other's stream, after which their absence counts. Chosen: one may come by a detour that is no link."""
+_SLOWEST_REPORTS_S = 0.35
+"""Time between two reports of the fed receiver. Chosen: of the 5 Hz that are requested of it one may be late."""
+_UNCHANGED_S = 0.15
+"""Chosen: an active service sends ten fixes a second; without one for so long a receiver is not fed."""
+
+
+@dataclass(slots=True)
+class _Vehicle:
+    """What one vehicle has shown; service times in s, minus infinity for never.
+
+    `passed_on`, `passed_on_at_s`: how many messages of the other's stream, and when the last. `fixed_boot_s`: the last fix of the
+    fed receiver by the vehicle's clock, `fixed_at_s`: when that was first reported, `is_advance` whether another was known
+    before; `reported_at_s` and `report_before_s`: the last reports.
+    """
+
+    heard_at_s: float = float("-inf")
+    passed_on: int = 0
+    passed_on_at_s: float = float("-inf")
+    fixed_boot_s: float | None = None
+    fixed_at_s: float = float("-inf")
+    is_advance: bool = False
+    reported_at_s: float = float("-inf")
+    report_before_s: float = float("-inf")
+    sent_at_s: float = float("-inf")
+
+
+class FeedWatch:
+    """Whether the other service feeds a vehicle. `period_s` is the time between two fixes, the same for both services."""
+
+    def __init__(self, period_s: float) -> None:
+        self._silent_after_s = 2.5 * max(period_s, 0.1)
+        self._vehicles: dict[int, _Vehicle] = {}
+
+    def add_heard(self, sysid: int, at_s: float) -> None:
+        """Add that a vehicle was heard."""
+        self._vehicle(sysid).heard_at_s = at_s
+
+    def add_passed_on(self, sysid: int, at_s: float) -> None:
+        """Add a message of the other's stream that a vehicle, or the router before it, has passed on."""
+        vehicle = self._vehicle(sysid)
+        vehicle.heard_at_s = vehicle.passed_on_at_s = at_s
+        vehicle.passed_on += 1
+
+    def add_fed_receiver(self, sysid: int, at_s: float, fixed_boot_s: float | None) -> None:
+        """Add a report of the receiver that is fed, with the time of its last fix by the vehicle's clock (s)."""
+        vehicle = self._vehicle(sysid)
+        vehicle.heard_at_s = at_s
+        vehicle.report_before_s, vehicle.reported_at_s = vehicle.reported_at_s, at_s
+        if fixed_boot_s != vehicle.fixed_boot_s:
+            vehicle.is_advance = vehicle.fixed_boot_s is not None and fixed_boot_s is not None
+            vehicle.fixed_boot_s, vehicle.fixed_at_s = fixed_boot_s, at_s
+
+    def add_sent(self, sysid: int, at_s: float) -> None:
+        """Add that we have sent to a vehicle: a new fix of its fed receiver is ours then."""
+        self._vehicle(sysid).sent_at_s = at_s
+
+    def fed_vehicle(self, now_s: float, since_s: float = float("-inf")) -> int | None:
+        """Return a vehicle that the other one feeds by what it showed after `since_s`; None where none shows that."""
+        for sysid, vehicle in self._vehicles.items():
+            fed_at_s = self._fed_at_s(vehicle, now_s)
+            if fed_at_s > since_s and now_s - fed_at_s <= self._silent_after_s:
+                return sysid
+        return None
+
+    def fed_at_s(self, sysid: int, now_s: float) -> float:
+        """Return when a vehicle last showed that the other one feeds it; minus infinity for never."""
+        return self._fed_at_s(self._vehicle(sysid), now_s)
+
+    def shows(self, sysid: int, now_s: float) -> bool:
+        """Return whether a vehicle would show that it is fed."""
+        vehicle = self._vehicle(sysid)
+        return now_s - vehicle.heard_at_s <= _HEARD_WITHIN_S and (self._passes_on(vehicle) or _reports(vehicle, now_s))
+
+    def is_fed_no_more(self, sysid: int, now_s: float) -> bool:
+        """Return whether a vehicle shows that nobody feeds it now."""
+        vehicle = self._vehicle(sysid)
+        if not self.shows(sysid, now_s):
+            return False
+        if self._passes_on(vehicle):
+            return now_s - vehicle.passed_on_at_s > self._silent_after_s
+        return vehicle.reported_at_s - vehicle.fixed_at_s >= _UNCHANGED_S
+
+    def _fed_at_s(self, vehicle: _Vehicle, now_s: float) -> float:
+        """When the vehicle last showed it. A fix may have come up to a report's spacing before its report."""
+        if self._passes_on(vehicle) or not _reports(vehicle, now_s):
+            return vehicle.passed_on_at_s
+        is_others = vehicle.is_advance and vehicle.fixed_at_s - vehicle.sent_at_s > _SLOWEST_REPORTS_S
+        return max(vehicle.passed_on_at_s, vehicle.fixed_at_s if is_others else float("-inf"))
+
+    def _passes_on(self, vehicle: _Vehicle) -> bool:
+        return vehicle.passed_on >= _PASSES_ON_AFTER
+
+    def _vehicle(self, sysid: int) -> _Vehicle:
+        return self._vehicles.setdefault(sysid, _Vehicle())
+
+
+def _reports(vehicle: _Vehicle, now_s: float) -> bool:
+    """Whether its reports of the fed receiver come often enough to tell by."""
+    spacing_s = vehicle.reported_at_s - vehicle.report_before_s
+    return spacing_s <= _SLOWEST_REPORTS_S and now_s - vehicle.reported_at_s <= _HEARD_WITHIN_S

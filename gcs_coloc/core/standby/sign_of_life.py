@@ -1,0 +1,123 @@
+"""What two services of one fleet tell each other: the sign of life, the states, and why a service is in one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+from gcs_coloc.core.messages.control import Override, SwitchedReceiver
+from gcs_coloc.core.reasons import WordedReason
+
+
+class Identity(NamedTuple):
+    """The MAVLink system and component id with which a service sends. The component ids of the two differ."""
+
+    sysid: int
+    compid: int
+
+
+class StandbyState(StrEnum):
+    """What one of the two services does. Its value stands on the wire, in recordings and in MQTT messages."""
+
+    LISTENING = "listening"
+    """It has just started and listens whether the other one sends."""
+    ACTIVE = "active"
+    """It sends. No other state does."""
+    HELD_UP = "held_up"
+    """It was active, stood still for a moment, and finds out whether the other one has taken over."""
+    STANDBY = "standby"
+    """It follows, and takes over by itself."""
+    PASSIVE = "passive"
+    """It follows, and takes over only when it is told."""
+
+
+SENDS_OR_MAY = (StandbyState.ACTIVE, StandbyState.HELD_UP, StandbyState.LISTENING)
+"""The states that the other one must wait for: it sends, or is about to decide."""
+
+
+class StandbyReason(WordedReason):
+    """Why a service is in its state."""
+
+    STARTED = "started", "it has started"
+    ALONE_AT_START = "alone_at_start", "it is to be active from the start, and nobody else sent"
+    TOOK_OVER = "took_over", "the other one gave no sign of life, and the vehicles were fed no more"
+    NOBODY_SENT = "nobody_sent", "the other one does not send either"
+    TOLD = "told", "an operator said so"
+    HANDED_OVER = "handed_over", "the other one has handed over"
+    GAVE_AWAY = "gave_away", "it has handed over to the other one"
+    STOOD_STILL = "stood_still", "it stood still for {value:.2f} s, longer than the {limit:g} s after which it may not send"
+    RESUMED = "resumed", "nobody took over while it stood still"
+    OTHER_IS_ACTIVE = "other_is_active", "the other one is active"
+    OTHER_FEEDS = "other_feeds", "the other one feeds vehicle {value:.0f}"
+
+
+class Wish(StrEnum):
+    """What a service wants of the other one."""
+
+    NONE = ""
+    REQUEST = "request"
+    """Hand over to me."""
+    OFFER = "offer"
+    """Take over from me: I have stopped sending."""
+
+
+class StandbyOrder(StrEnum):
+    """What an operator tells one of the two."""
+
+    TAKE_OVER = "take_over"
+    HAND_OVER = "hand_over"
+    STAND_BY = "stand_by"
+
+
+class OrderRefusal(WordedReason):
+    """Why an operator's order is not carried out."""
+
+    ALREADY_ACTIVE = "already_active", "this service is active already"
+    NOT_ACTIVE = "not_active", "this service is not active: it has nothing to hand over"
+    IS_DECIDING = "is_deciding", "this service is finding out whether the other one sends: try again in a second"
+    NOBODY_TO_HAND_TO = "nobody_to_hand_to", "the other service does not answer: it cannot take over"
+    STILL_FED = (
+        "still_fed",
+        "the other service gives no sign of life, but vehicle {value:.0f} is still fed by it: end it there first",
+    )
+    SAME_IDENTITY = "same_identity", "{detail}"
+
+
+class OverrideInForce(NamedTuple):
+    """An operator's override of one vehicle that is not automatic."""
+
+    sysid: int
+    override: Override
+
+
+@dataclass(frozen=True, slots=True)
+class Shared:
+    """What the one that follows must know to go on: whom the active one feeds, and what operators and it itself have switched."""
+
+    feeding: tuple[int, ...] = ()
+    overrides: tuple[OverrideInForce, ...] = ()
+    switched: tuple[SwitchedReceiver, ...] = ()
+
+
+NOTHING_SHARED = Shared()
+
+
+@dataclass(frozen=True, slots=True)
+class SignOfLife:
+    """One message between the two.
+
+    `run` is drawn at random at each start, `number` counts the messages of it. `heard_run` and `heard_number` are those of the
+    newest message that the sender has of the receiver: by them the receiver sees that this is no recording, and how old it may
+    be. `term` counts the changes of who is active; the higher one is the newer.
+    """
+
+    sender: Identity
+    run: int
+    number: int
+    heard_run: int
+    heard_number: int
+    state: StandbyState
+    term: int
+    wish: Wish = Wish.NONE
+    shared: Shared = NOTHING_SHARED
