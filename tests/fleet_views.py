@@ -8,6 +8,7 @@ from typing import Any
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState, VehicleReadiness
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
 from gcs_coloc.core.snapshot import FleetSnapshot, LinkSnapshot, OutSnapshot, VehicleSnapshot
+from gcs_coloc.core.standby.standby_peer import StandbySnapshot
 
 HEALTHY = VehicleSnapshot(
     sysid=1,
@@ -68,6 +69,21 @@ LOST = replace(
     velocity_enu_mps=None,
     covariance_h_m2=None,
     consistency=None,
+)
+
+
+STANDBY = StandbySnapshot(
+    own="254/191",
+    state="standby",
+    reason="it has started",
+    since_s=1.0,
+    term=3,
+    sends="other",
+    other="254/192",
+    other_state="active",
+    other_age_s=0.1,
+    fed_sysid=4,
+    problem=None,
 )
 
 

@@ -12,7 +12,7 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from gcs_coloc.core.standby.sign_of_life import Identity, Shared, SignOfLife, StandbyState
+from gcs_coloc.core.standby.sign_of_life import Identity, SignOfLife, StandbyState
 from gcs_coloc.core.standby.standby_peer import TICK_S, StandbyPeer
 
 PERIOD_S = 0.1
@@ -150,10 +150,7 @@ class TwoServices:
     def _send_sign(self, service: Service) -> None:
         assert service.peer is not None
         now_s = self._clock(service)
-        feeding = tuple(
-            v.sysid for v in self.vehicles if v.fed and v.fed[-1][1] == service.index and self.now_s - v.fed[-1][0] < 1.0
-        )
-        sign = service.peer.sign_of_life(now_s, Shared(feeding=feeding))
+        sign = service.peer.sign_of_life(now_s)
         if not self.split[service.index] and self.random.random() >= self.loss:
             other = self.services[1 - service.index]
             self.at(

@@ -160,6 +160,12 @@ def run(
         str | None, typer.Option(help="Address of the live page, HOST:PORT or PORT; 127.0.0.1:8080 unless told.")
     ] = None,
     no_web: Annotated[bool, typer.Option("--no-web", help="Serve no live page.")] = False,
+    peer: Annotated[
+        str | None, typer.Option(help="HOST:PORT of the other service of a hot standby, where it listens.", metavar="HOST:PORT")
+    ] = None,
+    standby: Annotated[
+        bool, typer.Option("--standby", help="Start as the service that follows, and takes over where the other one fails.")
+    ] = False,
     record: Annotated[str | None, typer.Option(help="Record the flight in this directory.", metavar="DIR")] = None,
     log_level: Annotated[LogLevel, typer.Option(help="How much is logged.")] = LogLevel.INFO,
     version: Annotated[
@@ -194,6 +200,8 @@ def run(
         if not record:
             raise UsageError("--record '': names no directory; . is the one you are in")
         flags["record"] = {"directory": record}
+    if peer is not None or standby:
+        flags["standby"] = ({"peer": peer} if peer is not None else {}) | ({"role": "standby"} if standby else {})
     fleets = load_fleets(config, flags)
     if config is None and not fleets[0].settings.links:
         fleets = load_fleets(None, flags | {"links": [DEFAULT_LINK]})

@@ -24,7 +24,7 @@ from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
 def check_config(file: Annotated[Path, typer.Argument(help="The configuration file (TOML).", metavar="FILE")]) -> None:
     """Check a configuration file, fleet by fleet: keys, values, links, estimator, and every file that it names."""
     from gcs_coloc.links.base import check_outs
-    from gcs_coloc.links.signed_links import SignedLinks
+    from gcs_coloc.links.signed_links import SignedLinks, read_key
     from gcs_coloc.sinks.mqtt import read_credentials
     from gcs_coloc.web.server import read_token
     from gcs_coloc.web.tiles import TileFile
@@ -39,6 +39,8 @@ def check_config(file: Annotated[Path, typer.Argument(help="The configuration fi
             SignedLinks(settings.signing, settings.links, settings.out)
             load_estimator(settings.estimator.name, settings.estimator.settings)
             read_credentials(settings.mqtt)
+            if settings.standby.key_file:
+                read_key(Path(settings.standby.key_file))
             if settings.web.token_file:
                 read_token(Path(settings.web.token_file))
             if settings.web.tiles:

@@ -18,7 +18,13 @@ from gcs_coloc.core.errors import ConfigError, GcsColocError, UsageError
 from gcs_coloc.links.base import parse, parse_out
 
 _SECTIONS = frozenset(Settings.model_fields) - {"fleet"}
-_FLAGS_OF_ONE = {"links": "--udp and --link", "out": "--out", "fleet": "--failed and --healthy", "web": "--web"}
+_FLAGS_OF_ONE = {
+    "links": "--udp and --link",
+    "out": "--out",
+    "fleet": "--failed and --healthy",
+    "web": "--web",
+    "standby": "--peer and --standby",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +97,9 @@ def _several(path: Path | None, table: Mapping[str, Any], flags: Mapping[str, An
     _nothing_shared(path, "links", fleets, lambda fleet: [str(parse(link)) for link in fleet.settings.links])
     _nothing_shared(path, "out", fleets, lambda fleet: [str(parse_out(out)) for out in fleet.settings.out])
     _nothing_shared(path, "web.address", fleets, _fixed_address)
+    _nothing_shared(
+        path, "standby.listen", fleets, lambda fleet: [fleet.settings.standby.listen] * bool(fleet.settings.standby.peer)
+    )
     return fleets
 
 
@@ -130,6 +139,10 @@ def _fleet(
 def _fixed_address(fleet: FleetOf) -> list[str]:
     web = fleet.settings.web
     return [web.address] if web.on and web.host_and_port()[1] != 0 else []
+
+
+def _standby_address(fleet: FleetOf) -> list[str]:
+    return [fleet.settings.standby.listen] if fleet.settings.standby.peer else []
 
 
 def _nothing_shared(path: Path | None, key: str, fleets: list[FleetOf], of: Callable[[FleetOf], list[str]]) -> None:

@@ -215,6 +215,54 @@ class WebConfig(_Section):
         return host.removeprefix("[").removesuffix("]"), int(port)
 
 
+def _host_and_port(address: str) -> tuple[str, int]:
+    """The two parts of HOST:PORT, an IPv6 host without its brackets. Raises ValueError where the text is none."""
+    host, _, port = address.rpartition(":")
+    if not host or not port.isascii() or not port.isdigit() or not 1 <= int(port) <= 65535:
+        raise ValueError(f"{address} is not HOST:PORT, as 192.168.1.12:14590")
+    return host.removeprefix("[").removesuffix("]"), int(port)
+
+
+def _is_loopback(host: str) -> bool:
+    return host in ("localhost", "::1") or host.startswith("127.")
+
+
+class StandbyConfig(_Section):
+    """`[standby]`: hot standby. A second service follows the same vehicles, and takes over where the first one fails."""
+
+    peer: str = ""
+    """HOST:PORT where the other service listens for our signs of life (UDP). Empty: there is no other service."""
+    listen: str = "0.0.0.0:14590"
+    """HOST:PORT where we listen for those of the other service."""
+    role: Literal["active", "standby"] = "active"
+    """What this service is from its start: `active` sends unless the other one does already, `standby` follows and takes over."""
+    key_file: str = ""
+    """File of the secret key of the two services, mode 0600, as that of `[signing]`. Without one a forged sign of life would
+    silence a service, so that it may be left out on loopback alone."""
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> Self:
+        if not self.peer:
+            if self.key_file or self.role == "standby":
+                raise ValueError('peer is not set: give the other service\'s address, as peer = "192.168.1.12:14590"')
+            return self
+        hosts = [_host_and_port(address)[0] for address in (self.peer, self.listen)]
+        if not self.key_file and not all(map(_is_loopback, hosts)):
+            raise ValueError(
+                "key_file is not set, and beyond loopback anybody could silence this service; make a key for both services: "
+                "(umask 077; openssl rand -hex 32 > standby.key)"
+            )
+        return self
+
+    def peer_address(self) -> tuple[str, int]:
+        """Where the other service listens, host and port."""
+        return _host_and_port(self.peer)
+
+    def listen_address(self) -> tuple[str, int]:
+        """Where we listen, host and port."""
+        return _host_and_port(self.listen)
+
+
 class RecordConfig(_Section):
     """`[record]`: recording the flight."""
 

@@ -32,6 +32,7 @@ from gcs_coloc.config.sections import (
     RecordConfig,
     SendersConfig,
     SigningConfig,
+    StandbyConfig,
     StationConfig,
     TimeConfig,
     WebConfig,
@@ -46,6 +47,7 @@ _FLAGS = {
     ("fleet", "failed"): "--failed",
     ("fleet", "healthy"): "--healthy",
     ("web", "address"): "--web",
+    ("standby",): "--peer",
 }
 """The flags that a wrong value may have come from, by the setting."""
 RENAMED: Mapping[str, str] = MappingProxyType(
@@ -88,6 +90,7 @@ class Settings(BaseSettings):
     web: WebConfig = Field(default_factory=lambda: WebConfig.model_validate({}))
     record: RecordConfig = Field(default_factory=lambda: RecordConfig.model_validate({}))
     mqtt: MqttConfig = Field(default_factory=lambda: MqttConfig.model_validate({}))
+    standby: StandbyConfig = Field(default_factory=lambda: StandbyConfig.model_validate({}))
     gps_health: GpsHealthConfig = Field(default_factory=GpsHealthConfig)
     measurements: MeasurementConfig = Field(default_factory=MeasurementConfig)
     integrity: IntegrityConfig = Field(default_factory=IntegrityConfig)

@@ -13,6 +13,7 @@ from enum import StrEnum
 from gcs_coloc.core.messages.control import HOST_LATE_S
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
+from gcs_coloc.core.standby.standby_peer import StandbySnapshot
 from gcs_coloc.core.stations.node_id import node_name
 
 SILENT_AFTER_S = 3.0
@@ -36,6 +37,8 @@ class AlarmKind(StrEnum):
     """Ranges, heights or positions are worse than they state, so that protection levels are larger."""
     NOT_READY = "not_ready"
     """Its GPS is healthy, but it could not be aided, or in flight not be located any more, if it failed."""
+    STANDBY = "standby"
+    """The hot standby is not what it should be: the other service is lost, or nobody sends."""
     NOTICE = "notice"
     """Something happened that a person should read; it has no duration."""
 
@@ -142,6 +145,14 @@ def _readiness_condition(v: VehicleSnapshot) -> Condition | None:
     return Condition(AlarmKind.NOT_READY, "warning", text, action, "GPS healthy, but without it the vehicle would be lost")
 
 
+def _standby_condition(standby: StandbySnapshot) -> Condition:
+    is_sent = standby.sends in ("this", "other")
+    text = f"hot standby: {standby.problem}"
+    action = "Bring the other service back: until then nobody takes over." if is_sent else "See to it that one of the two sends."
+    brief = "no second service stands by" if is_sent else "hot standby: it is not known that anybody sends"
+    return Condition(AlarmKind.STANDBY, "warning" if is_sent else "error", text, action, brief)
+
+
 def _is_aided(v: VehicleSnapshot) -> bool:
     return v.aiding_has_fix and v.fix_acknowledged is not False
 
@@ -186,6 +197,8 @@ class AlarmList:
             action = "Protection levels are larger; calibrate the ranging devices (gcs-coloc calibrate), check the barometers."
             brief = "ranges or positions are worse than they state"
             found.append((None, Condition(AlarmKind.SENSORS_WORSE, "warning", text, action, brief)))
+        if fleet.standby is not None and fleet.standby.problem is not None:
+            found.append((None, _standby_condition(fleet.standby)))
         for sysid, condition in found:
             key = (sysid, condition.kind, "")
             holding.add(key)

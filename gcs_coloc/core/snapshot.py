@@ -16,6 +16,7 @@ from gcs_coloc.core.measurements import Estimate, FloatArray, NoEstimate, Vector
 from gcs_coloc.core.messages.control import CommandSource, GpsOverride
 from gcs_coloc.core.readiness.vehicle_readiness import VehicleReadiness
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
+from gcs_coloc.core.standby.standby_peer import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
@@ -128,6 +129,7 @@ class FleetSnapshot:
     does not know the time. `origin` is the fleet frame's: latitude and longitude in degrees, altitude in metres.
     `loop_lag_s` is by how much the host ran the service late at worst in the last second. `stations` are in order of their ids.
     `noise` is how much worse ranges and positions are than they state. No position is sent beyond `alert_limit_m`.
+    `standby` is which of two services sends; None without a hot standby.
     """
 
     at_s: float
@@ -144,6 +146,7 @@ class FleetSnapshot:
     stations: tuple[StationSnapshot, ...] = ()
     noise: NoiseModel = field(default_factory=NoiseModel)
     alert_limit_m: float = field(default_factory=lambda: AidingSettings().alert_limit_m)
+    standby: StandbySnapshot | None = None
 
 
 class OverrideSources(NamedTuple):

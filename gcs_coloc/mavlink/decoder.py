@@ -64,13 +64,15 @@ class Decoder:
     """Decodes datagrams. No content makes it raise: refused frames are in `counts`, by reason (see `Refusal`).
 
     A component is an autopilot if its id is 1, or once it has sent an autopilot's heartbeat, as long as no component 1 of its
-    system has: a companion computer's script may announce one of any kind.
+    system has: a companion computer's script may announce one of any kind. `has_other_service`: that of a hot standby uses our
+    system id, with another component id.
     """
 
-    def __init__(self, *, own_sysid: int = OWN_SYSID, own_compid: int = OWN_COMPID) -> None:
+    def __init__(self, *, own_sysid: int = OWN_SYSID, own_compid: int = OWN_COMPID, has_other_service: bool = False) -> None:
         self.counts = Counts()
         self.sequences = SequenceTracker()
         self._own = (own_sysid, own_compid)
+        self._own_sysid_refusal = Refusal.OTHER_SERVICE if has_other_service else Refusal.OWN_SYSID_USED
         self._autopilots: set[tuple[int, int]] = set()
         self._behind: dict[Hashable, None] = {}
         self._with_companion_ranges: set[int] = set()
@@ -104,7 +106,7 @@ class Decoder:
                 self.counts.add(Refusal.ECHO)
             # Another user of our system id is no vehicle; but another sender of GPS_INPUT must not go unnoticed.
             elif sysid == self._own[0] and raw.message_id != MAVLINK_MSG_ID_GPS_INPUT:
-                self.counts.add(Refusal.OWN_SYSID_USED)
+                self.counts.add(self._own_sysid_refusal)
             elif sysid == 0:
                 self.counts.add(INVALID_SYSID)
             # Before anything is remembered of the sender, and before the message id decides: an attacker chooses both.

@@ -28,6 +28,8 @@ class Refusal(StrEnum):
     """Our own frame came back."""
     OWN_SYSID_USED = "own_sysid"
     """Another component sends under our system id."""
+    OTHER_SERVICE = "other_service"
+    """The other service of a hot standby sends under our system id."""
     DUPLICATE = "duplicate"
     """A copy of a frame that was received before."""
     NOT_WANTED = "not_wanted"
@@ -163,7 +165,14 @@ class Counts(Mapping[str, int]):
 
 
 _ROUTINE = frozenset(
-    {Refusal.NOT_WANTED, Refusal.UNKNOWN_MESSAGE, Refusal.ECHO, Refusal.DUPLICATE, Refusal.UNSIGNED_RADIO_STATUS}
+    {
+        Refusal.NOT_WANTED,
+        Refusal.UNKNOWN_MESSAGE,
+        Refusal.ECHO,
+        Refusal.OTHER_SERVICE,
+        Refusal.DUPLICATE,
+        Refusal.UNSIGNED_RADIO_STATUS,
+    }
 )
 """Part of every healthy day: other programs' messages, our own frames come back, radios that deliver twice. Not shown."""
 _WITHOUT_WARNING = frozenset({Refusal.ANSWER_TO_ANOTHER})

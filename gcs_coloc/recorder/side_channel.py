@@ -1,6 +1,7 @@
 """Side-channel records: what the engine received besides the vehicles' frames, in the tlog, so that a replay repeats it.
 
-Operator overrides, routes, the host's UTC, foreign GPS_INPUT, ranges from gateways, overruns and settings are in no frame.
+Operator overrides, routes, the host's UTC, foreign GPS_INPUT, ranges from gateways, overruns, settings, and whether a hot
+standby holds it back are in no frame.
 Each record is a TUNNEL frame (385) of our own, with a private payload type and JSON inside; other programs ignore it.
 """
 
@@ -18,10 +19,13 @@ from gcs_coloc.core.messages.control import (
     CommandSource,
     ForeignGpsInput,
     GpsOverride,
+    HoldBack,
     OperatorCommand,
     PrimaryOverride,
     RouteBlock,
     RouteReport,
+    SwitchedByOther,
+    SwitchedReceiver,
 )
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.core.schedule import Overrun
@@ -73,7 +77,16 @@ class FlownWith:
 
 
 SideChannelRecord = (
-    FlownWith | ClockReference | OperatorCommand | RouteReport | PeerRange | Overrun | GroundTool | ForeignGpsInput
+    FlownWith
+    | ClockReference
+    | OperatorCommand
+    | RouteReport
+    | PeerRange
+    | Overrun
+    | GroundTool
+    | ForeignGpsInput
+    | HoldBack
+    | SwitchedByOther
 )
 
 
@@ -150,6 +163,10 @@ def _content(record: SideChannelRecord) -> dict[str, Any]:
         return {"overrun": record.since_s}
     if isinstance(record, ForeignGpsInput):
         return {"foreign_gps_input": [record.sysid, record.gps_id, record.vehicle]}
+    if isinstance(record, HoldBack):
+        return {"held_back": record.held}
+    if isinstance(record, SwitchedByOther):
+        return {"switched": [*record.receiver, record.held]}
     if isinstance(record, OperatorCommand):
         return {
             next(key for key, kind in _OVERRIDES.items() if isinstance(record.override, kind)): record.override.value,
@@ -187,6 +204,11 @@ def _record(content: dict[str, Any], at_s: float) -> SideChannelRecord | None:
     if "foreign_gps_input" in content:
         sender, gps_id, vehicle = content["foreign_gps_input"]
         return ForeignGpsInput(sender, at_s, gps_id, vehicle)
+    if "held_back" in content:
+        return HoldBack(at_s, bool(content["held_back"]))
+    if "switched" in content:
+        sysid, before, kind, held = content["switched"]
+        return SwitchedByOther(at_s, SwitchedReceiver(int(sysid), before, kind), bool(held))
     sysid = int(content["sysid"])
     for key, kind in _OVERRIDES.items():
         if key in content:

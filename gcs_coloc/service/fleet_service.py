@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from operator import itemgetter
 
@@ -16,13 +16,16 @@ from gcs_coloc.core.messages.control import (
     CommandSource,
     ForeignGpsInput,
     GpsOverride,
+    HoldBack,
     OperatorCommand,
     Override,
+    SwitchedByOther,
 )
 from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToOperator, ToVehicle
 from gcs_coloc.core.schedule import CATCH_UP_S, advance, find_overrun, without_superseded
 from gcs_coloc.core.snapshot import FleetSnapshot
+from gcs_coloc.core.standby.sign_of_life import StandbyOrder
 from gcs_coloc.core.status_texts import StatusTexts
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.base import Address, Link, Route, check_outs, parse
@@ -35,6 +38,7 @@ from gcs_coloc.mavlink.refusals import Counts, Refusals
 from gcs_coloc.recorder.flight_recording import FlightRecording
 from gcs_coloc.recorder.side_channel import FlownWith
 from gcs_coloc.runtime.clock import ServiceClock, Timer
+from gcs_coloc.service.hot_standby import HotStandby
 from gcs_coloc.service.snapshot_cache import SnapshotCache
 from gcs_coloc.service.traffic import Receiver, Sender
 from gcs_coloc.sinks.event_bus import EventBus, IdleScheduler
@@ -82,7 +86,16 @@ class FleetService:
         self._signed.set_clock(host.utc_minus_service_s)  # before the first frame: a recorded frame is known by its old time
         self._engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
         self._deadline = Timer(clock, self._poll)
-        self._receiver = Receiver(self._routes, self._signed, own=own, bytes_per_s=senders.bytes_per_s)
+        self._standby: HotStandby | None = None
+        if settings.standby.peer:
+            self._standby = HotStandby(settings, clock, self._engine, self._apply, self._publish)
+        self._receiver = Receiver(
+            self._routes,
+            self._signed,
+            own=own,
+            bytes_per_s=senders.bytes_per_s,
+            has_other_service=self._standby is not None,
+        )
         self._forwarder = Forwarder(
             settings.out,
             self._routes,
@@ -101,6 +114,7 @@ class FleetService:
             own=own,
             sent=lambda frame: self._recording.record_sent(self._engine_at_s, frame),
             echo=self._forwarder.echo if settings.forward.echo_gps_input else lambda _: None,
+            may_send=self._standby.may_send if self._standby is not None else lambda _: True,
         )
         addresses = [parse(text) for text in settings.links]
         self._links = [address.make_link(self._on_datagram, clock) for address in addresses]
@@ -109,9 +123,17 @@ class FleetService:
         self._recording.record_side_channel(FlownWith(settings.fingerprint(), self._engine_at_s))
         self._keeps_frames = bool(settings.record.directory or settings.out)
         counts = [self._routes.counts, self._sender.counts, self.counts, *(link.counts for link in self._links)]
+        if self._standby is not None:
+            counts += self._standby.refusals
         self._refusals = Refusals([*self._receiver.refusals, *counts, *self._forwarder.refusals])
         self.snapshots = SnapshotCache(
-            clock, self._engine, self._recording, self._receiver.sequences, self._refusals, self._forwarder
+            clock,
+            self._engine,
+            self._recording,
+            self._receiver.sequences,
+            self._refusals,
+            self._forwarder,
+            self._standby.snapshot if self._standby is not None else lambda: None,
         )
         self._overrides = [
             (sysid, override, CommandSource.FLAG if key in flagged else CommandSource.CONFIGURATION)
@@ -127,10 +149,14 @@ class FleetService:
         for link, opening in zip(self._links, self._openings, strict=True):
             await link.open()
             log.info("%s", opening)
+        if self._standby is not None:
+            await self._standby.open()
         self._recording.open()
 
     def start(self) -> None:
         """Apply the operator's overrides of the settings."""
+        if self._standby is not None:
+            self._standby.start()
         for command in self._overrides:
             self.apply_command(*command)
 
@@ -141,6 +167,8 @@ class FleetService:
     async def close(self) -> None:
         """End the fix of every aided vehicle, close the links and end the recording."""
         self._deadline.cancel()
+        if self._standby is not None:
+            self._standby.give_way()
         aided = sorted(sysid for sysid in self._engine.sysids() if self._engine.aiding.has_stream(sysid))
         for last in self._engine.close():
             self._sender.send(last)
@@ -149,13 +177,15 @@ class FleetService:
                 self._sender.send(last)
                 self._sender.send(last)
                 log.warning("vehicle %d: %s set back to %g, unconfirmed: the service ends", last.sysid, last.name, last.value)
-        if aided:
+        if aided and not self.is_held_back:
             log.info("aiding of vehicle %s ended: the service ends", ", ".join(map(str, aided)))
         refused = self._refusals.pending_warning()
         if refused is not None:
             log.warning("%s", refused)
         for link in self._links:
             await link.close()
+        if self._standby is not None:
+            await self._standby.close()
         await self._forwarder.close()
         self._recording.close()
 
@@ -180,6 +210,8 @@ class FleetService:
         received = self._receiver.receive(payload, link, address, received_at_s)
         for message in received.messages:
             self._engine.receive(message)
+        if self._standby is not None:
+            self._standby.watch(received, received_at_s)
         for report in received.link_reports:
             self._recording.record_side_channel(report)
         for truth in received.truths:
@@ -250,12 +282,28 @@ class FleetService:
                 self._sender.send(output)
             else:
                 self._publish(output)
+        if unsent and self._standby is not None:
+            self._standby.tell_after_sending()
 
     # What comes from elsewhere than the links
 
     def apply_command(self, sysid: int, override: Override, source: CommandSource) -> None:
         """Apply an operator's override to one vehicle."""
         self._apply(OperatorCommand(sysid, self._clock(), override, source))
+
+    @property
+    def is_held_back(self) -> bool:
+        """Whether the other service of a hot standby sends, or is to send."""
+        return self._standby is not None and self._standby.is_held_back
+
+    def command_refusal(self) -> str | None:
+        """Why an operator's override is not to be given to this service; None where it may."""
+        return self._standby.command_refusal() if self._standby is not None else None
+
+    @property
+    def order_standby(self) -> Callable[[StandbyOrder], str | None] | None:
+        """Carries out an operator's order on the hot standby, and says why not where it does not; None where there is none."""
+        return self._standby.order if self._standby is not None else None
 
     def acknowledge(self, alarm_id: int) -> bool:
         """Acknowledge an alarm; False where none of that id waits for it."""
@@ -278,7 +326,9 @@ class FleetService:
         if self._status_texts is not None:
             self._forwarder.send_status(self._status_texts.pop_due(host.received_at_s), self._engine.sysids())
 
-    def _apply(self, message: ClockReference | OperatorCommand | PeerRange | ForeignGpsInput) -> None:
+    def _apply(
+        self, message: ClockReference | OperatorCommand | PeerRange | ForeignGpsInput | HoldBack | SwitchedByOther
+    ) -> None:
         self._receive_waiting([])
         message = replace(message, received_at_s=max(message.received_at_s, self._engine_at_s))
         self._advance(message.received_at_s)

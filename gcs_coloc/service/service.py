@@ -193,7 +193,7 @@ class _Observed:
         # At the recording's pace, so that one snapshot of the fleet serves both.
         pages = Pages(source, path.idle, EVERY_S)
         command = partial(path.apply_command, source=CommandSource.PAGE)
-        hooks = WebHooks(snapshots.snapshot, command, path.acknowledge, self._fault)
+        hooks = WebHooks(snapshots.snapshot, command, path.acknowledge, self._fault, path.command_refusal, path.order_standby)
         return WebServer(settings.web, hooks, pages, lambda: history.follow(events))
 
     def _make_mqtt(self, settings: Settings) -> Mqtt | None:
@@ -204,7 +204,15 @@ class _Observed:
 
         path = self.path
         command = partial(path.apply_command, source=CommandSource.MQTT)
-        hooks = MqttHooks(path.snapshots.snapshot, path.known_sysids, command, path.add_range, self._clock)
+        hooks = MqttHooks(
+            path.snapshots.snapshot,
+            path.known_sysids,
+            command,
+            path.add_range,
+            self._clock,
+            path.command_refusal,
+            path.order_standby,
+        )
         return Mqtt(settings.mqtt, hooks, path.events.subscribe(256), path.counts, path.idle)
 
     def _fault(self) -> str | None:

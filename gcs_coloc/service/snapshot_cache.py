@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.snapshot import FleetSnapshot
+from gcs_coloc.core.standby.standby_peer import StandbySnapshot
 from gcs_coloc.links.forward import Forwarder
 from gcs_coloc.mavlink.decoder import SequenceTracker
 from gcs_coloc.mavlink.refusals import Refusals
@@ -23,7 +25,7 @@ class SnapshotCache:
     """Keeps the newest snapshot of an engine's fleet: making one costs as much as estimating.
 
     A snapshot that was recorded a moment ago serves, too. `sequences`, `refusals` and `forwarder` count what the engine does
-    not.
+    not; `standby` tells which of two services sends.
     """
 
     def __init__(
@@ -34,6 +36,7 @@ class SnapshotCache:
         sequences: SequenceTracker,
         refusals: Refusals,
         forwarder: Forwarder,
+        standby: Callable[[], StandbySnapshot | None] = lambda: None,
     ) -> None:
         self._clock = clock
         self._engine = engine
@@ -41,7 +44,9 @@ class SnapshotCache:
         self._sequences = sequences
         self._refusals = refusals
         self._forwarder = forwarder
+        self._standby = standby
         self._recent: FleetSnapshot | None = None
+        self._recorded: FleetSnapshot | None = None
         self._counted: tuple[FleetSnapshot, FleetSnapshot] | None = None  # an engine's snapshot, and the same with all counts
 
     def snapshot(self) -> FleetSnapshot:
@@ -61,7 +66,12 @@ class SnapshotCache:
         now_s = self._clock()
         recorded = self._recording.newest_snapshot
         if recorded is not None and now_s - recorded.at_s <= _RECENT_RECORDED_S:
-            self._recent = recorded
+            if self._recent is None or self._recorded is not recorded:
+                self._recent, self._recorded = self._with_standby(recorded), recorded
         elif self._recent is None or now_s - self._recent.at_s > _RECENT_S:
-            self._recent = self._engine.snapshot(now_s)
+            self._recent = self._with_standby(self._engine.snapshot(now_s))
         return self._recent
+
+    def _with_standby(self, snapshot: FleetSnapshot) -> FleetSnapshot:
+        standby = self._standby()
+        return replace(snapshot, standby=standby) if standby is not None else snapshot

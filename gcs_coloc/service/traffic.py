@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from gcs_coloc.core.messages.control import ForeignGpsInput, RouteReport
 from gcs_coloc.core.messages.inbound import Inbound
-from gcs_coloc.core.messages.outbound import GpsInput, ToVehicle, Untargeted
+from gcs_coloc.core.messages.outbound import ChangesVehicle, GpsInput, ToVehicle, Untargeted
 from gcs_coloc.links.base import Address, Clock, Link, Route
 from gcs_coloc.links.rate_limiter import RateLimiter
 from gcs_coloc.links.routes import Blocked, RouteTable
@@ -25,7 +25,7 @@ class ReceivedDatagram:
 
     `link_reports` are those of them that follow from where the datagram came from: no frame of a recording holds them.
     `frames` are all valid frames of others, `refused` the decoded ones that the routes refused. `truths`: where a simulation
-    says that vehicles truly are.
+    says that vehicles truly are. `fed_by_other`: whom the other service of a hot standby feeds by it.
     """
 
     # Tuples: most datagrams leave most of these empty, and five new lists cost more than the rest of an unused message.
@@ -34,6 +34,7 @@ class ReceivedDatagram:
     frames: list[RawFrame] = field(default_factory=list)
     refused: tuple[Frame, ...] = ()
     truths: tuple[HeardTruth, ...] = ()
+    fed_by_other: tuple[int, ...] = ()
 
     def add_report(self, report: RouteReport | ForeignGpsInput) -> None:
         """Append a message that follows from where the datagram came from."""
@@ -42,13 +43,25 @@ class ReceivedDatagram:
 
 
 class Receiver:
-    """Receives one fleet's datagrams. `own` is our system and component id, `bytes_per_s` what each source may send."""
+    """Receives one fleet's datagrams. `own` is our system and component id, `bytes_per_s` what each source may send.
 
-    def __init__(self, routes: RouteTable, signed: SignedLinks, *, own: tuple[int, int], bytes_per_s: float) -> None:
+    `has_other_service`: GPS_INPUT under our system id is that of a hot standby's other service, and no rival's.
+    """
+
+    def __init__(
+        self,
+        routes: RouteTable,
+        signed: SignedLinks,
+        *,
+        own: tuple[int, int],
+        bytes_per_s: float,
+        has_other_service: bool = False,
+    ) -> None:
         self._routes = routes
         self._signed = signed
         self._rate_limiter = RateLimiter(bytes_per_s)
-        self._decoder = Decoder(own_sysid=own[0], own_compid=own[1])
+        self._other_service = own[0] if has_other_service else None
+        self._decoder = Decoder(own_sysid=own[0], own_compid=own[1], has_other_service=has_other_service)
 
     @property
     def refusals(self) -> list[Counts]:
@@ -73,6 +86,9 @@ class Receiver:
         received = ReceivedDatagram()
         for frame in self._decoder.decode(payload, now_s, (link, address), self._signed.of(link.name), received.frames):
             if isinstance(frame.message, ForeignGpsInput):
+                if frame.sysid == self._other_service:
+                    received.fed_by_other += self._routes.autopilots_at(link, address, now_s)
+                    continue
                 # Every vehicle at the address it came from uses it, whoever sends it.
                 for sysid in self._routes.autopilots_at(link, address, now_s):
                     received.add_report(replace(frame.message, vehicle=sysid))
@@ -112,7 +128,8 @@ class Receiver:
 class Sender:
     """Sends to one fleet's vehicles. `own` is our system and component id.
 
-    `sent` is called with every frame that was sent, `echo` with every GPS_INPUT that was sent.
+    `sent` is called with every frame that was sent, `echo` with every GPS_INPUT that was sent. `may_send` is asked whether a
+    vehicle may be sent what changes what it does, right before that is sent.
     """
 
     def __init__(
@@ -124,6 +141,7 @@ class Sender:
         own: tuple[int, int],
         sent: Callable[[bytes], None],
         echo: Callable[[bytes], None],
+        may_send: Callable[[int], bool] = lambda _: True,
     ) -> None:
         self.counts = Counts()
         self._routes = routes
@@ -132,6 +150,7 @@ class Sender:
         self._encoder = Encoder(sysid=own[0], compid=own[1])
         self._sent = sent
         self._echo = echo
+        self._may_send = may_send
 
     def send(self, output: ToVehicle) -> None:
         """Send one output to its vehicle, unless that cannot be reached, or others at its address would take it as theirs."""
@@ -145,6 +164,8 @@ class Sender:
             payload = self._encoder.encode(output, route, self._stamp(route))
         except ValueError:
             self.counts.add(Refusal.NOT_ENCODABLE)
+            return
+        if isinstance(output, ChangesVehicle) and not self._may_send(output.sysid):
             return
         self._transmit(payload, route)
         if isinstance(output, GpsInput):

@@ -22,7 +22,7 @@ from rich.live import Live
 from gcs_coloc.core.messages.outbound import ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.sinks.event_bus import Subscription, level_and_text
-from gcs_coloc.sinks.fleet_table import FleetTables, out_line, vehicle_line
+from gcs_coloc.sinks.fleet_table import FleetTables, out_line, standby_line, vehicle_line
 
 log = logging.getLogger("gcs_coloc")
 
@@ -77,6 +77,8 @@ async def _log_lines(name: str, subscription: Subscription) -> None:
                 log.info("%s%s", _of(name), vehicle_line(vehicle))
             for out in event.outs:
                 log.info("%s%s", _of(name), out_line(out))
+            if event.standby is not None:
+                log.info("%s%s", _of(name), standby_line(event.standby))
 
 
 def _of(name: str) -> str:

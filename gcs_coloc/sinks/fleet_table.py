@@ -11,6 +11,7 @@ from rich.text import Text
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
+from gcs_coloc.core.standby.standby_peer import StandbySnapshot
 
 _STYLES = {
     GpsState.FAILED: "bold red",
@@ -56,6 +57,14 @@ def out_line(out: OutSnapshot) -> str:
     )
 
 
+def standby_line(standby: StandbySnapshot) -> str:
+    """The hot standby in one plain line."""
+    heard = "never" if standby.other_age_s is None else f"{_age(standby.other_age_s)} ago"
+    problem = f"; {standby.problem}" if standby.problem is not None else ""
+    other = standby.other_state or "unknown"
+    return f"hot standby: this service is {standby.state} ({standby.reason}), the other one {other}, last heard {heard}{problem}"
+
+
 def vehicle_line(v: VehicleSnapshot) -> str:
     """One vehicle in one plain line."""
     return (
@@ -73,7 +82,8 @@ def _fleet(snapshot: FleetSnapshot, name: str, console: Console, width: int, hei
 
     title = f"gcs-coloc{f', fleet {name}' if name else ''}, estimator {snapshot.estimator}"
     refused = ", ".join(f"{reason} {times}" for reason, times in snapshot.refused.items() if times)
-    below = [*([f"refused: {refused}"] if refused else []), *map(out_line, snapshot.outs)]
+    standby = [standby_line(snapshot.standby)] if snapshot.standby is not None else []
+    below = [*standby, *([f"refused: {refused}"] if refused else []), *map(out_line, snapshot.outs)]
     if not snapshot.vehicles:
         return [title, "no vehicle heard yet", *below]
     vehicles = sorted(snapshot.vehicles, key=lambda v: (_SEVERITY[GpsState(v.gps_state)], v.sysid))

@@ -12,6 +12,8 @@ from gcs_coloc import __version__
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.snapshot import FleetSnapshot, LinkSnapshot, OutSnapshot, VehicleSnapshot
+from gcs_coloc.core.standby.sign_of_life import StandbyState
+from gcs_coloc.core.standby.standby_peer import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 
 # name, help, value: a vehicle for which the value is None has no sample.
@@ -108,6 +110,8 @@ class FleetCollector(Collector):
             ("position_accuracy_ratio", "Error of reported positions over the stated one.", noise.position_factor),
         ):
             yield GaugeMetricFamily(f"gcs_coloc_found_{name}", text, found)
+        if fleet.standby is not None:
+            yield from _standby(fleet.standby)
         yield GaugeMetricFamily("gcs_coloc_vehicles", "Vehicles that were heard.", float(len(fleet.vehicles)))
         for name, text, value in _GAUGES:
             gauge = GaugeMetricFamily(f"gcs_coloc_vehicle_{name}", text, labels=["sysid"])
@@ -156,6 +160,20 @@ class FleetCollector(Collector):
         for outcome, times in fleet.estimator_counts.items():
             counts.add_metric([outcome], float(times))
         yield counts
+
+
+def _standby(standby: StandbySnapshot) -> Iterator[Metric]:
+    states = GaugeMetricFamily("gcs_coloc_standby_state", "1 for the state this service is in.", labels=["state"])
+    for state in StandbyState:
+        states.add_metric([state.value], float(standby.state == state.value))
+    yield states
+    text = "Counts the changes of the active service, the same on both."
+    yield GaugeMetricFamily("gcs_coloc_standby_term", text, float(standby.term))
+    if standby.other_age_s is not None:
+        text = "Time since the last sign of life of the other service."
+        yield GaugeMetricFamily("gcs_coloc_standby_other_age_seconds", text, standby.other_age_s)
+    text = "1 while the hot standby is not what it should be."
+    yield GaugeMetricFamily("gcs_coloc_standby_problem", text, float(standby.problem is not None))
 
 
 def fleet_registry(snapshot: Callable[[], FleetSnapshot]) -> CollectorRegistry:

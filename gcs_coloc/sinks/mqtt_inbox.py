@@ -11,8 +11,9 @@ from pydantic import ValidationError
 from gcs_coloc.core.messages.control import Override
 from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.snapshot import FleetSnapshot
+from gcs_coloc.core.standby.sign_of_life import StandbyOrder
 from gcs_coloc.mavlink.refusals import Counts
-from gcs_coloc.sinks.mqtt_models import Command, Range
+from gcs_coloc.sinks.mqtt_models import Command, Range, StandbyCommand
 
 _MAX_PAYLOAD_BYTES = 1000
 """Chosen: five times the longest valid message; a longer one is not parsed."""
@@ -28,6 +29,10 @@ class MqttRefusal(StrEnum):
     COMMAND_TOO_LONG = "mqtt_cmd_too_long"
     COMMAND_OF_UNKNOWN_VEHICLE = "mqtt_cmd_of_unknown_vehicle"
     COMMAND_INVALID = "mqtt_cmd_invalid"
+    COMMAND_TO_STANDBY = "mqtt_cmd_to_standby"
+    """An override for the service of a hot standby that follows: the active one has those of both."""
+    ORDER_REFUSED = "mqtt_standby_order_refused"
+    """An order on a hot standby that cannot be carried out now, or where there is none."""
     RANGE_RETAINED = "mqtt_range_retained"
     """A retained range is old."""
     RANGE_TOO_LONG = "mqtt_range_too_long"
@@ -41,7 +46,8 @@ class MqttHooks:
     """What the MQTT side may request of the service.
 
     `snapshot` is the fleet as it stands, `known_sysids` the system ids heard so far, `apply_command` applies an operator's
-    override, `add_range` adds a range; `clock` is the service's, in seconds.
+    override, `add_range` adds a range; `clock` is the service's, in seconds. `command_refusal` says why overrides are not to be
+    given to this service, `order_standby` carries out an order on the hot standby, where there is one, and says why not.
     """
 
     snapshot: Callable[[], FleetSnapshot]
@@ -49,6 +55,8 @@ class MqttHooks:
     apply_command: Callable[[int, Override], None]
     add_range: Callable[[PeerRange], None]
     clock: Callable[[], float]
+    command_refusal: Callable[[], str | None] = lambda: None
+    order_standby: Callable[[StandbyOrder], str | None] | None = None
 
 
 class MqttInbox:
@@ -80,6 +88,8 @@ class MqttInbox:
             return MqttRefusal.COMMAND_RETAINED if is_command else MqttRefusal.RANGE_RETAINED
         if len(payload) > _MAX_PAYLOAD_BYTES:
             return MqttRefusal.COMMAND_TOO_LONG if is_command else MqttRefusal.RANGE_TOO_LONG
+        if is_command and sysid_text == "standby":
+            return self._order(payload)
         sysid = int(sysid_text) if sysid_text.isascii() and sysid_text.isdigit() and len(sysid_text) <= 3 else None
         if sysid is None or sysid not in self._hooks.known_sysids():
             return MqttRefusal.COMMAND_OF_UNKNOWN_VEHICLE if is_command else MqttRefusal.RANGE_OF_UNKNOWN_VEHICLE
@@ -90,8 +100,18 @@ class MqttInbox:
             command = Command.model_validate_json(payload)
         except ValidationError:
             return MqttRefusal.COMMAND_INVALID
+        if self._hooks.command_refusal() is not None:
+            return MqttRefusal.COMMAND_TO_STANDBY
         self._hooks.apply_command(sysid, command.override())
         return None
+
+    def _order(self, payload: bytes) -> MqttRefusal | None:
+        try:
+            command = StandbyCommand.model_validate_json(payload)
+        except ValidationError:
+            return MqttRefusal.COMMAND_INVALID
+        order = self._hooks.order_standby
+        return MqttRefusal.ORDER_REFUSED if order is None or order(command.order) is not None else None
 
     def _add_range(self, sysid: int, payload: bytes) -> MqttRefusal | None:
         try:

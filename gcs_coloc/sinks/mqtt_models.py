@@ -16,6 +16,8 @@ from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, Overrid
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
+from gcs_coloc.core.standby.sign_of_life import StandbyOrder, StandbyState
+from gcs_coloc.core.standby.standby_peer import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.core.stations.node_id import MAX_STATION_ID, station_node
 from gcs_coloc.mavlink.checks import RANGE_MAX_M, UNIX_TIME_FROM_US, UNIX_TIME_TO_US
@@ -130,6 +132,21 @@ class GroundTools(BaseModel):
     refused: int
 
 
+class StandbyStatus(BaseModel):
+    """Which of the two services of a hot standby sends; ages in seconds, None for never heard."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    own: str
+    state: StandbyState
+    reason: str
+    term: int
+    sends: Literal["this", "other", "nobody", "unknown"]
+    other: str | None
+    other_state: StandbyState | None
+    other_age_s: float | None
+    problem: str | None
+
+
 class FleetStatus(_Sent):
     """`…/status`: whether the service is connected. The broker sets `online` to false (the last will) when it is lost."""
 
@@ -138,6 +155,7 @@ class FleetStatus(_Sent):
     vehicles: tuple[int, ...]
     refused: dict[str, int]
     outs: tuple[GroundTools, ...]
+    standby: StandbyStatus | None = None
 
 
 class AlarmChange(_Sent):
@@ -174,6 +192,13 @@ class Command(BaseModel):
 
     def _overrides(self) -> list[Override]:
         return [override for override in (self.gps, self.aiding, self.gps_primary) if override is not None]
+
+
+class StandbyCommand(BaseModel):
+    """`…/standby/cmd`: the operator's order on the hot standby."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    order: StandbyOrder
 
 
 class Range(BaseModel):
@@ -240,6 +265,7 @@ BY_TOPIC: dict[str, type[BaseModel]] = {
     "status": FleetStatus,
     "alarms": AlarmChange,
     "{sysid}/cmd": Command,
+    "standby/cmd": StandbyCommand,
     "{sysid}/range": Range,
 }
 """Every topic below `{prefix}/v2/{fleet}/`, and what is on it."""
@@ -288,7 +314,12 @@ def status(snapshot: FleetSnapshot | None, *, online: bool) -> FleetStatus:
         vehicles=vehicles,
         refused=snapshot.refused,
         outs=tuple(GroundTools(**asdict(out)) for out in snapshot.outs),
+        standby=_standby(snapshot.standby) if snapshot.standby is not None else None,
     )
+
+
+def _standby(standby: StandbySnapshot) -> StandbyStatus:
+    return StandbyStatus.model_validate({key: getattr(standby, key) for key in StandbyStatus.model_fields})
 
 
 def unix_s(at_s: float, snapshot: FleetSnapshot) -> float | None:

@@ -21,6 +21,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from gcs_coloc import __version__
 from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, Override, PrimaryOverride
 from gcs_coloc.core.snapshot import FleetSnapshot
+from gcs_coloc.core.standby.sign_of_life import StandbyOrder
 from gcs_coloc.sinks.metrics import fleet_registry
 from gcs_coloc.web.access import Guard, bears_token
 from gcs_coloc.web.pages import Pages
@@ -44,6 +45,10 @@ class WebHooks:
     """Acknowledges an alarm, by its id; False where none of that id waits for it."""
     fault: Callable[[], str | None]
     """Says in words what keeps the service from its work; None where nothing does."""
+    command_refusal: Callable[[], str | None] = lambda: None
+    """Says why overrides are not to be given to this service; None where they may."""
+    order_standby: Callable[[StandbyOrder], str | None] | None = None
+    """Carries out an order on the hot standby, and says why not where it does not; None where there is none."""
 
 
 class GpsCommand(BaseModel):
@@ -65,6 +70,13 @@ class PrimaryCommand(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     override: PrimaryOverride
+
+
+class OrderCommand(BaseModel):
+    """The body of an order on the hot standby."""
+
+    model_config = ConfigDict(extra="forbid")
+    order: StandbyOrder
 
 
 _COMMANDS: Mapping[str, type[GpsCommand | AidingCommand | PrimaryCommand]] = {
@@ -122,6 +134,9 @@ class _Site:
             return PlainTextResponse(f"there are commands for {', '.join(_COMMANDS)}\n", status_code=404)
         if sysid not in {v.sysid for v in self._hooks.snapshot().vehicles}:
             return PlainTextResponse(f"no vehicle {sysid} was heard\n", status_code=404)
+        refusal = self._hooks.command_refusal()
+        if refusal is not None:
+            return PlainTextResponse(f"{refusal}\n", status_code=409)
         body = await _body(request)
         if body is None:
             return PlainTextResponse("too long\n", status_code=413)
@@ -132,6 +147,26 @@ class _Site:
             return PlainTextResponse(f'expected {{"override": VALUE}}, VALUE one of {values}\n', status_code=422)
         self._hooks.apply_command(sysid, command.override)
         return JSONResponse({"sysid": sysid, "override": command.override.value})
+
+    async def order(self, request: Request) -> Response:
+        """An operator's order on the hot standby."""
+        assert self._hooks is not None
+        if not bears_token(request.headers, self._token):
+            return PlainTextResponse("orders need the operator's token\n", status_code=403)
+        if self._hooks.order_standby is None:
+            return PlainTextResponse("there is no hot standby: [standby] peer is not set\n", status_code=404)
+        body = await _body(request)
+        if body is None:
+            return PlainTextResponse("too long\n", status_code=413)
+        try:
+            order = OrderCommand.model_validate_json(body).order
+        except ValidationError:
+            values = ", ".join(f'"{value.value}"' for value in StandbyOrder)
+            return PlainTextResponse(f'expected {{"order": VALUE}}, VALUE one of {values}\n', status_code=422)
+        refusal = self._hooks.order_standby(order)
+        if refusal is not None:
+            return PlainTextResponse(f"{refusal}\n", status_code=409)
+        return JSONResponse({"order": order.value})
 
     async def acknowledge(self, request: Request) -> Response:
         """A person knows of an alarm. No token: it reaches no aircraft, and an alarm whose condition holds stays in the list."""
@@ -224,6 +259,7 @@ def make_app(
         own = [
             Route("/api/vehicles/{sysid:int}/{what}", site.command, methods=["POST"]),
             Route("/api/alarms/{alarm_id:int}/acknowledge", site.acknowledge, methods=["POST"]),
+            Route("/api/standby", site.order, methods=["POST"]),
             Route("/metrics", site.metrics),
         ]
     return Starlette(

@@ -81,6 +81,7 @@ def fleet_frame(fleet: FleetSnapshot, alarms: Iterable[Alarm] = (), truths: Iter
         ranges=fleet.ranges,
         stations=fleet.stations,
         alarms=tuple(alarms),
+        standby=fleet.standby,
     )
 
 

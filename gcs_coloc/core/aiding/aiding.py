@@ -212,7 +212,7 @@ class Aiding:
         acknowledgement = stream.acknowledgement if stream is not None else None
         status = self._status(sysid, gps_state, stream, inhibit)
         return AidingView(
-            status=f"by the other service; here {status}" if self._is_held_back else status,
+            status=f"by the other service; here {status}" if self._is_held_back and stream is not None else status,
             has_fix=stream is not None and stream.inhibit is None,
             fix_acknowledged=acknowledgement.acknowledged if acknowledgement is not None else None,
             gps_primary=self._switch.status(sysid),

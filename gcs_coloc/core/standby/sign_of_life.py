@@ -44,8 +44,8 @@ class StandbyReason(WordedReason):
     TOOK_OVER = "took_over", "the other one gave no sign of life, and the vehicles were fed no more"
     NOBODY_SENT = "nobody_sent", "the other one does not send either"
     TOLD = "told", "an operator said so"
-    HANDED_OVER = "handed_over", "the other one has handed over"
-    GAVE_AWAY = "gave_away", "it has handed over to the other one"
+    RELEASED = "released", "the other one has let this one take over"
+    GAVE_WAY = "gave_way", "it has let the other one take over"
     STOOD_STILL = "stood_still", "it stood still for {value:.2f} s, longer than the {limit:g} s after which it may not send"
     RESUMED = "resumed", "nobody took over while it stood still"
     OTHER_IS_ACTIVE = "other_is_active", "the other one is active"
@@ -57,7 +57,7 @@ class Wish(StrEnum):
 
     NONE = ""
     REQUEST = "request"
-    """Hand over to me."""
+    """Let me take over."""
     OFFER = "offer"
     """Take over from me: I have stopped sending."""
 
@@ -66,7 +66,7 @@ class StandbyOrder(StrEnum):
     """What an operator tells one of the two."""
 
     TAKE_OVER = "take_over"
-    HAND_OVER = "hand_over"
+    RELEASE = "release"
     STAND_BY = "stand_by"
 
 
@@ -74,9 +74,9 @@ class OrderRefusal(WordedReason):
     """Why an operator's order is not carried out."""
 
     ALREADY_ACTIVE = "already_active", "this service is active already"
-    NOT_ACTIVE = "not_active", "this service is not active: it has nothing to hand over"
+    NOT_ACTIVE = "not_active", "this service is not active: there is nothing to take over"
     IS_DECIDING = "is_deciding", "this service is finding out whether the other one sends: try again in a second"
-    NOBODY_TO_HAND_TO = "nobody_to_hand_to", "the other service does not answer: it cannot take over"
+    NOBODY_TO_TAKE_OVER = "nobody_to_take_over", "the other service does not answer: it cannot take over"
     STILL_FED = (
         "still_fed",
         "the other service gives no sign of life, but vehicle {value:.0f} is still fed by it: end it there first",

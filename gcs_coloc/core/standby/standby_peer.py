@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
+from gcs_coloc.core.messages.control import SwitchedReceiver
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.standby.feed_watch import FeedWatch
 from gcs_coloc.core.standby.sign_of_life import (
@@ -20,6 +21,7 @@ from gcs_coloc.core.standby.sign_of_life import (
     SENDS_OR_MAY,
     Identity,
     OrderRefusal,
+    OverrideInForce,
     Shared,
     SignOfLife,
     StandbyOrder,
@@ -49,7 +51,7 @@ _OFFER_S = 0.4
 _FRESH_S = 0.5
 """An answer to a message of ours that is older than this counts for nothing. Chosen: far more than a LAN takes."""
 _REQUEST_S = 2.0
-"""For so long the other one is asked to hand over. Chosen: an operator waits no longer for an answer."""
+"""For so long the other one is asked to give way. Chosen: an operator waits no longer for an answer."""
 _LISTEN_S = 0.5
 """While the other one is silent a vehicle is watched for so long before it is fed anew. Chosen: five fixes of the other's."""
 _WANTED_S = 1.0
@@ -140,7 +142,9 @@ class StandbyPeer:
             return  # a start that has not heard us yet, or a recording: it is answered, and no more
         if other is None or sign.run != other.run or sign.state is not other.state:
             self._other_since_s = now_s
-        self._other, self._heard_at_s, self.shared = sign, now_s, sign.shared
+        self._other, self._heard_at_s = sign, now_s
+        if sign.state is StandbyState.ACTIVE:
+            self.shared = sign.shared
         echoed_at_s = self._sent_at_s.get(sign.heard_number) if sign.heard_run == self._run else None
         is_fresh = echoed_at_s is not None and now_s - echoed_at_s <= _FRESH_S
         if is_fresh and echoed_at_s is not None:
@@ -158,7 +162,7 @@ class StandbyPeer:
             case StandbyState.LISTENING:
                 self._listen(now_s)
             case StandbyState.ACTIVE:
-                self._doubt(now_s)
+                self._review_active(now_s)
             case StandbyState.HELD_UP:
                 self._find_out(now_s)
             case StandbyState.STANDBY:
@@ -172,8 +176,8 @@ class StandbyPeer:
         if self.state in (StandbyState.LISTENING, StandbyState.HELD_UP):
             return StatedReason(OrderRefusal.IS_DECIDING)
         is_active = self.state is StandbyState.ACTIVE
-        if order is StandbyOrder.HAND_OVER:
-            return self._hand_over(now_s) if is_active else StatedReason(OrderRefusal.NOT_ACTIVE)
+        if order is StandbyOrder.RELEASE:
+            return self._give_way(now_s) if is_active else StatedReason(OrderRefusal.NOT_ACTIVE)
         if is_active:
             return StatedReason(OrderRefusal.ALREADY_ACTIVE)
         if order is StandbyOrder.STAND_BY:
@@ -187,8 +191,10 @@ class StandbyPeer:
         """Return whether the next sign of life is to be sent."""
         return now_s >= self._sign_due_s
 
-    def sign_of_life(self, now_s: float, shared: Shared) -> SignOfLife:
-        """Return the next sign of life. `shared` is what the other one must know of an active service."""
+    def sign_of_life(
+        self, now_s: float, overrides: tuple[OverrideInForce, ...] = (), switched: tuple[SwitchedReceiver, ...] = ()
+    ) -> SignOfLife:
+        """Return the next sign of life, with what the other one must know of an active service."""
         self._look_at_time(now_s)
         self._sign_due_s = now_s + SIGN_EVERY_S
         self._number += 1
@@ -196,13 +202,13 @@ class StandbyPeer:
         self._sent_at_s.pop(self._number - 100, None)
         wish = Wish.NONE
         if now_s < self._wish_until_s:
-            gave_away = self.reason.reason is StandbyReason.GAVE_AWAY
+            gave_away = self.reason.reason is StandbyReason.GAVE_WAY
             wish = Wish.OFFER if gave_away else Wish.REQUEST
-        is_active = self.state is StandbyState.ACTIVE
-        # Who follows passes on what it knows: the other one may have been started anew meanwhile.
-        return SignOfLife(
-            self.own, self._run, self._number, *self._echo, self.state, self.term, wish, shared if is_active else NOTHING_SHARED
-        )
+        shared = NOTHING_SHARED
+        if self.state is StandbyState.ACTIVE:
+            feeding = tuple(sorted(sysid for sysid, at_s in self._own_sent_at_s.items() if now_s - at_s <= _SENT_LATELY_S))
+            shared = Shared(feeding, overrides, switched)
+        return SignOfLife(self.own, self._run, self._number, *self._echo, self.state, self.term, wish, shared)
 
     def may_send(self, sysid: int, now_s: float) -> bool:
         """Return whether a vehicle may be sent now what changes what it does. To be asked right before it is sent."""
@@ -214,6 +220,10 @@ class StandbyPeer:
         self._own_sent_at_s[sysid] = now_s
         self.watch.add_sent(sysid, now_s)
         return True
+
+    def follows(self, now_s: float) -> bool:
+        """Return whether the other one is active and is heard, so that `shared` is how things are."""
+        return self.state is not StandbyState.ACTIVE and self.hears_other(now_s) and self._other_state() is StandbyState.ACTIVE
 
     def hears_other(self, now_s: float) -> bool:
         """Return whether the other one gives signs of life."""
@@ -271,16 +281,19 @@ class StandbyPeer:
         self.term = max(self.term, sign.term)
         if sign.state is StandbyState.HELD_UP:
             self._sign_due_s = now_s  # it waits for our answer
+            if self.state is StandbyState.LISTENING:
+                self.since_s = now_s  # and will go on
         if not is_fresh:
             return
         self._took_over_silently = False  # the other one knows of us and does not send
         if self.state is StandbyState.HELD_UP:
-            if sign.state not in SENDS_OR_MAY and sign.heard_number > self._resumes_after:
+            # One that has just started has heard that we are here, and waits.
+            if sign.state is not StandbyState.HELD_UP and sign.heard_number > self._resumes_after:
                 self._enter(StandbyState.ACTIVE, StatedReason(StandbyReason.RESUMED), now_s)
         elif is_active and sign.wish is Wish.REQUEST:
-            self._hand_over(now_s)
+            self._give_way(now_s)
         elif sign.wish is Wish.OFFER and self.state in (StandbyState.STANDBY, StandbyState.PASSIVE):
-            self._become_active(StandbyReason.HANDED_OVER, now_s)
+            self._become_active(StandbyReason.RELEASED, now_s)
 
     def _listen(self, now_s: float) -> None:
         fed = self.watch.fed_vehicle(now_s)
@@ -291,7 +304,7 @@ class StandbyPeer:
         if now_s - self.since_s >= _START_S * (2.0 if both_listen and not self._is_first() else 1.0):
             self._become_active(StandbyReason.ALONE_AT_START, now_s)
 
-    def _doubt(self, now_s: float) -> None:
+    def _review_active(self, now_s: float) -> None:
         """Stand back where the other one's stream is seen though it was taken for dead."""
         if not self._took_over_silently:
             return
@@ -362,10 +375,10 @@ class StandbyPeer:
         self._become_active(StandbyReason.TOLD, now_s)
         return None
 
-    def _hand_over(self, now_s: float) -> StatedReason[OrderRefusal] | None:
+    def _give_way(self, now_s: float) -> StatedReason[OrderRefusal] | None:
         if self._other_state() in (None, *SENDS_OR_MAY) or now_s - self._fresh_at_s > _PRESENT_S:
-            return StatedReason(OrderRefusal.NOBODY_TO_HAND_TO)
-        self._enter(StandbyState.STANDBY, StatedReason(StandbyReason.GAVE_AWAY), now_s)
+            return StatedReason(OrderRefusal.NOBODY_TO_TAKE_OVER)
+        self._enter(StandbyState.STANDBY, StatedReason(StandbyReason.GAVE_WAY), now_s)
         self._wish_until_s, self._sign_due_s = now_s + _OFFER_S, now_s
         return None
 

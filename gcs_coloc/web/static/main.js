@@ -3,11 +3,13 @@
 import { age, byId, el, setText } from "./dom.js";
 import { Alarms } from "./alarms.js";
 import { Commands } from "./commands.js";
+import { Confirmation, shareToken } from "./confirm.js";
 import { FleetList } from "./fleet.js";
 import { showCounts } from "./links.js";
 import { FleetMap } from "./map.js";
 import { PlaybackBar } from "./playback.js";
 import { Plots } from "./plots.js";
+import { StandbyPanel } from "./standby.js";
 
 const OLD_AFTER_S = 1.5;
 const SAMPLE_EVERY_S = 1;
@@ -29,7 +31,10 @@ const plots = new Plots();
 const playback = new PlaybackBar();
 const fleet = new FleetList(select);
 const map = new FleetMap(select);
-const commands = new Commands();
+const confirmation = new Confirmation();
+const commands = new Commands(confirmation);
+const standby = new StandbyPanel(confirmation);
+shareToken();
 
 byId("follow").addEventListener("click", () => map.followSelected());
 
@@ -72,6 +77,7 @@ function hello(message) {
   alarms.setInstance(message.instance, message.replay);
   map.showTiles(message.tiles);
   commands.allow(message.commands);
+  standby.allow(message.commands);
   playback.setReplay(message.replay);
   plots.reset(offset);
   plots.restore(message.history);
@@ -100,6 +106,7 @@ function picture(message) {
   updateOffset(frame.utc_minus_service_s);
   draw();
   alarms.show(frame.alarms);
+  standby.show(frame.standby, timeText);
   map.show(frame);
   if (frame.at_s - sampledAt >= SAMPLE_EVERY_S) {
     sampledAt = frame.at_s;

@@ -253,3 +253,34 @@ def test_an_environment_variable_of_an_old_section_is_told_by_its_new_name(monke
     monkeypatch.setenv("GCS_COLOC_AID__RATE_HZ", "8")
     with pytest.raises(ConfigError, match=r"GCS_COLOC_AID__RATE_HZ: is called GCS_COLOC_AIDING__RATE_HZ since version 0\.2"):
         load_settings(None, {})
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('peer = "192.168.1.12:14590"', ["standby", "key_file", "openssl rand"]),
+        ('peer = "127.0.0.1:14590"', ["standby", "key_file"]),  # it listens on all interfaces
+        ('peer = "192.168.1.12"\nkey_file = "key"', ["standby", "192.168.1.12 is not HOST:PORT"]),
+        ('peer = "192.168.1.12:0"\nkey_file = "key"', ["is not HOST:PORT"]),
+        ('peer = "127.0.0.1:14590"\nlisten = "here"', ["here is not HOST:PORT"]),
+        ('role = "standby"', ["peer is not set"]),
+        ('key_file = "key"', ["peer is not set"]),
+        ('peer = "127.0.0.1:14590"\nrole = "second"', ["standby.role"]),
+    ],
+)
+def test_a_hot_standby_that_cannot_work_is_refused(tmp_path, text, words):
+    with pytest.raises(ConfigError) as refused:
+        load_settings(written(tmp_path, f"[standby]\n{text}\n"), {})
+    assert all(word in str(refused.value) for word in words), refused.value
+
+
+def test_a_hot_standby_needs_no_key_on_loopback(tmp_path):
+    text = '[standby]\npeer = "127.0.0.1:14590"\nlisten = "[::1]:14591"\n'
+    standby = load_settings(written(tmp_path, text), {}).standby
+    assert (standby.peer_address(), standby.listen_address()) == (("127.0.0.1", 14590), ("::1", 14591))
+
+
+def test_check_config_reads_the_key_of_a_hot_standby(tmp_path):
+    path = written(tmp_path, f'links = ["14550"]\n[standby]\npeer = "10.0.0.2:14590"\nkey_file = "{tmp_path}/no-key"\n')
+    with pytest.raises(ConfigError, match="no-key"):
+        check_config(path)

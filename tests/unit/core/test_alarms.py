@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from fleet_views import HEALTHY, LOCATED, LOST, NOT_READY, fleet_view
+from fleet_views import HEALTHY, LOCATED, LOST, NOT_READY, STANDBY, fleet_view
 
 from gcs_coloc.core.alarms import Alarm, AlarmKind, AlarmList, AlarmState, conditions
 from gcs_coloc.core.integrity.noise_model import NoiseModel
@@ -154,3 +154,14 @@ def test_a_loss_of_gps_takes_the_place_of_lost_readiness():
     alarms = AlarmList()
     after(alarms, replace(SOUND, readiness=replace(NOT_READY, is_lost=True)))
     assert {(a.kind, a.state) for a in after(alarms, LOST)} == {(AlarmKind.GPS_LOST, "active"), (AlarmKind.NOT_READY, "closed")}
+
+
+def test_a_hot_standby_that_is_not_what_it_should_be_is_told_until_it_is():
+    alarms = AlarmList()
+    lost = replace(STANDBY, sends="this", problem="the other service gives no sign of life")
+    [raised] = alarms.update(fleet_view(1.0, SOUND, standby=lost))
+    assert (raised.kind, raised.sysid, raised.level) == (AlarmKind.STANDBY, None, "warning")
+    assert "no sign of life" in raised.text
+    [worse] = alarms.update(fleet_view(2.0, SOUND, standby=replace(lost, sends="nobody", problem="neither service sends")))
+    assert worse.level == "error"
+    assert [a.state for a in alarms.update(fleet_view(3.0, SOUND, standby=STANDBY))] == ["over"]

@@ -11,10 +11,13 @@ from gcs_coloc.core.messages.control import (
     CommandSource,
     ForeignGpsInput,
     GpsOverride,
+    HoldBack,
     OperatorCommand,
     PrimaryOverride,
     RouteBlock,
     RouteReport,
+    SwitchedByOther,
+    SwitchedReceiver,
 )
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.core.schedule import Overrun
@@ -36,6 +39,10 @@ OWN = (254, 191)
         OperatorCommand(250, AT_S, PrimaryOverride.OURS),
         OperatorCommand(250, AT_S, PrimaryOverride.OWN, CommandSource.CONFIGURATION),
         ForeignGpsInput(255, AT_S, 1, 250),
+        HoldBack(AT_S, held=True),
+        HoldBack(AT_S, held=False),
+        SwitchedByOther(AT_S, SwitchedReceiver(250, 2.0, 9), held=True),
+        SwitchedByOther(AT_S, SwitchedReceiver(4), held=False),
         RouteReport(4, AT_S, None),
         Overrun(AT_S, AT_S - 1.3000000000000003),
         RouteReport(250, AT_S, RouteBlock.SHARED_ADDRESS, (1, 4)),

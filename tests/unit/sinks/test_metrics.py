@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from fleet_views import HEALTHY, LOCATED, LOST, NOT_READY, READY, fleet_view
+from fleet_views import HEALTHY, LOCATED, LOST, NOT_READY, READY, STANDBY, fleet_view
 from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -58,9 +58,19 @@ def test_what_is_unknown_has_no_sample_instead_of_a_zero():
     assert value(view, "gcs_coloc_vehicle_aiding_fix", sysid="4") == 0
 
 
+def test_a_hot_standby_tells_its_state_and_how_the_other_one_is():
+    view = fleet_view(10.0, standby=replace(STANDBY, problem="the other service gives no sign of life"))
+    assert value(view, "gcs_coloc_standby_state", state="standby") == 1
+    assert value(view, "gcs_coloc_standby_state", state="active") == 0
+    assert value(view, "gcs_coloc_standby_term") == 3
+    assert value(view, "gcs_coloc_standby_other_age_seconds") == 0.1
+    assert value(view, "gcs_coloc_standby_problem") == 1
+    assert value(fleet_view(10.0), "gcs_coloc_standby_problem") is None
+
+
 def test_every_metric_is_in_the_reference():
     text = (ROOT / "docs/reference/metrics.md").read_text(encoding="utf-8")
-    for family in families(fleet_view(10.0, replace(HEALTHY, readiness=READY), LOCATED)).values():
+    for family in families(fleet_view(10.0, replace(HEALTHY, readiness=READY), LOCATED, standby=STANDBY)).values():
         for sample in family.samples:
             assert f"`{sample.name}`" in text, f"{sample.name} is not in metrics.md"
 
@@ -83,7 +93,7 @@ def alert_rules() -> list[str]:
 
 
 def test_the_alert_rules_ask_for_metrics_that_there_are():
-    there = set(families(fleet_view(10.0)))
+    there = set(families(fleet_view(10.0, standby=STANDBY)))
     assert len(alert_rules()) >= 6
     for expression in alert_rules():
         names = re.findall(r"gcs_coloc_\w+", expression)

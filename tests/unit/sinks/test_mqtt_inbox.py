@@ -7,6 +7,7 @@ import pytest
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, PrimaryOverride
 from gcs_coloc.core.messages.inbound import TimeBase
+from gcs_coloc.core.standby.sign_of_life import StandbyOrder
 from gcs_coloc.core.stations.node_id import station_node
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.refusals import Counts
@@ -17,8 +18,8 @@ NOW_S = 1000.0
 
 
 class Desk:
-    def __init__(self, *, commands=True, ranges=True):
-        self.overrides, self.ranges, self.counts = [], [], Counts()
+    def __init__(self, *, commands=True, ranges=True, follows=False, has_standby=False):
+        self.overrides, self.ranges, self.counts, self.orders = [], [], Counts(), []
         engine = Engine(load_estimator("fleet", {}))
         hooks = MqttHooks(
             snapshot=lambda: engine.snapshot(NOW_S),
@@ -26,8 +27,14 @@ class Desk:
             apply_command=lambda sysid, override: self.overrides.append((sysid, override)),
             add_range=self.ranges.append,
             clock=lambda: NOW_S,
+            command_refusal=lambda: "the other service is active" if follows else None,
+            order_standby=self.order if has_standby else None,
         )
         self.inbox = MqttInbox(BASE, hooks, self.counts, commands=commands, ranges=ranges)
+
+    def order(self, order):
+        self.orders.append(order)
+        return "there is nothing to take over" if order is StandbyOrder.RELEASE else None
 
     def take(self, tail, content, *, retained=False):
         payload = content if isinstance(content, bytes) else json.dumps(content).encode()
@@ -44,6 +51,30 @@ def test_an_operators_override_is_applied(key, override):
     desk.take("4/cmd", {key: override.value})
     assert desk.overrides == [(4, override)]
     assert dict(desk.counts) == {}
+
+
+def test_an_override_for_a_service_that_follows_is_refused():
+    desk = Desk(follows=True)
+    desk.take("4/cmd", {"gps": "failed"})
+    assert (desk.overrides, dict(desk.counts)) == ([], {"mqtt_cmd_to_standby": 1})
+
+
+@pytest.mark.parametrize(
+    ("content", "has_standby", "reasons"),
+    [
+        ({"order": "take_over"}, True, {}),
+        ({"order": "stand_by"}, True, {}),
+        ({"order": "release"}, True, {"mqtt_standby_order_refused": 1}),
+        ({"order": "take_over"}, False, {"mqtt_standby_order_refused": 1}),
+        ({"order": "away"}, True, {"mqtt_cmd_invalid": 1}),
+        ({"gps": "failed"}, True, {"mqtt_cmd_invalid": 1}),
+    ],
+)
+def test_an_order_on_the_hot_standby_is_carried_out_or_counted(content, has_standby, reasons):
+    desk = Desk(has_standby=has_standby)
+    desk.take("standby/cmd", content)
+    assert dict(desk.counts) == reasons
+    assert bool(desk.orders) == (has_standby and "mqtt_cmd_invalid" not in reasons)
 
 
 def test_nothing_is_subscribed_or_taken_that_is_not_allowed():

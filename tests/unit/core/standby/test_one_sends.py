@@ -135,14 +135,28 @@ def test_one_that_returns_is_passive_until_it_is_told(seed):
     assert overlaps(scene.vehicles[0]) == []
 
 
+@pytest.mark.parametrize("seed", range(30))
+def test_one_that_returns_to_a_slow_one_is_passive_all_the_same(seed):
+    scene = settled(seed)
+    scene.kill(0)
+    scene.run(SETTLED_S + 3.0)
+    scene.services[1].pause_s = 0.8
+    scene.start(0)
+    scene.run(SETTLED_S + 12.0)
+    scene.services[1].pause_s = 0.0
+    scene.run(SETTLED_S + 14.0)
+    assert scene.states() == [StandbyState.PASSIVE, StandbyState.ACTIVE]
+    assert overlaps(scene.vehicles[0]) == []
+
+
 @pytest.mark.parametrize("by", [0, 1])
 @pytest.mark.parametrize("loss", [0.0, 0.3])
-def test_a_hand_over_on_an_operators_word_leaves_no_gap(by, loss):
+def test_a_change_on_an_operators_word_leaves_no_gap(by, loss):
     for seed in range(10):
         scene = settled(seed)
         scene.loss = loss
         scene.run(SETTLED_S + 1.0)
-        order = StandbyOrder.HAND_OVER if by == 0 else StandbyOrder.TAKE_OVER
+        order = StandbyOrder.RELEASE if by == 0 else StandbyOrder.TAKE_OVER
         told_s = scene.now_s
         assert scene.services[by].peer.order(order, scene.clock_of(by)) is None
         scene.run(told_s + 6.0)
