@@ -16,8 +16,8 @@ import numpy as np
 
 from gcs_coloc.core.aiding.fix_policy import FixPolicy
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
-from gcs_coloc.core.integrity.epoch import Epoch, PositionPrior, RangeResidual
-from gcs_coloc.core.integrity.protection_level import Exposure, FaultLevel, fault_level, protection_level
+from gcs_coloc.core.integrity.epoch import LARGEST_SIGMA_V_M, Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.protection_level import VERTICAL_RATIO, Exposure, FaultLevel, fault_level, protection_level
 from gcs_coloc.core.integrity.range_residuals import RangeResidualSettings
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
 from gcs_coloc.core.limiting_reason import limiting_reason, unit_vectors
@@ -55,9 +55,6 @@ _WITH_GPS_S = 5.0
 """The GPS fails so long after the vehicle's start: its filter begins from its own reports."""
 _ATTITUDE_EVERY_S = 0.45
 """Chosen: below the half second for which the filter takes an attitude as fresh."""
-_VERTICAL_RATIO = 1.6
-"""Source: usual VDOP over HDOP of a receiver."""
-_LARGEST_SIGMA_V_M = 10.0
 _CANDIDATES_EVERY = 5
 """Steps from one choice of candidates to the next."""
 _MEDIAN_VARIANCE_RATIO = 1.57
@@ -187,9 +184,9 @@ class _Recursion:
         e, n, u = _vector(path.position(at_s))
         ve, vn, vu = _vector(path.velocity(at_s))
         record = self._filter.main.records.writable(sysid)
-        record.report_noise = known_split((sigma_m, _VERTICAL_RATIO * sigma_m), self._report_white)
+        record.report_noise = known_split((sigma_m, VERTICAL_RATIO * sigma_m), self._report_white)
         record.noise.log_level = 0.0
-        vertical_m = _VERTICAL_RATIO * sigma_m
+        vertical_m = VERTICAL_RATIO * sigma_m
         velocity_mps = self._a.velocity_sigma_mps
         self._feed(PositionMeasurement(sysid, at_s, at_s, (e, n, u), sigma_m, vertical_m, (ve, vn, vu), velocity_mps))
 
@@ -220,7 +217,7 @@ class _Recursion:
         priors: dict[int, PositionPrior] = {}
         residuals: list[RangeResidual] = []
         for sysid, where in located.items():
-            sigma_v_m = min(sqrt(float(where.covariance[2, 2])), _LARGEST_SIGMA_V_M)
+            sigma_v_m = min(sqrt(float(where.covariance[2, 2])), LARGEST_SIGMA_V_M)
             nodes = [node for node in ranged[sysid] if node in located or node not in self._lost]
             for node in nodes[:_MOST_RANGED]:
                 if node in located and node < sysid:
@@ -238,10 +235,10 @@ class _Recursion:
             station = self._stations[node]
             return PositionPrior(station.position_enu_m, station.sigma_m, station.sigma_m, no_prior=False)
         if node in located:
-            sigma_v_m = min(sqrt(float(located[node].covariance[2, 2])), _LARGEST_SIGMA_V_M)
+            sigma_v_m = min(sqrt(float(located[node].covariance[2, 2])), LARGEST_SIGMA_V_M)
             return PositionPrior(here[node], 0.0, sigma_v_m, no_prior=True)
         sigma_m = self._a.position_sigma_m
-        return PositionPrior(here[node], sigma_m, _VERTICAL_RATIO * sigma_m, no_prior=False)
+        return PositionPrior(here[node], sigma_m, VERTICAL_RATIO * sigma_m, no_prior=False)
 
     def _keep(
         self, sysid: int, answer: Estimate | NoEstimate, ranged: Mapping[int, Vector3], here: Mapping[int, Vector3], at_s: float

@@ -20,6 +20,8 @@ MIN_SIGMA_M = 0.01
 """Smallest 1-sigma of a position and smallest distance. Chosen: below GNSS and ranging, above rounding."""
 MIN_INFORMATION_PER_M2 = 1e-9
 """Information of a coordinate without prior: a 1-sigma of 30 km. Chosen: less costs digits of the adjustment."""
+LARGEST_SIGMA_V_M = 10.0
+"""Of a height without prior in an adjustment. Chosen: a free one would cost each range its information."""
 _EPOCH_TOLERANCE_S = 0.3  # chosen: one and a half of the 0.2 s between epochs
 
 _at_s = attrgetter("at_s")

@@ -13,7 +13,7 @@ from math import sqrt
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.integrity.epoch import Epoch
+from gcs_coloc.core.integrity.epoch import LARGEST_SIGMA_V_M, Epoch
 from gcs_coloc.core.integrity.protection_level import (
     Exposure,
     FaultLevel,
@@ -29,7 +29,6 @@ from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
 from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.core.stations.node_id import is_station
 
-_LARGEST_SIGMA_V_M = 10.0  # chosen: a free height would cost each range its information
 _STATION_RIGHT_S = 60.0  # chosen: nothing moves a station back; ranges that fit it for less passed it where they show nothing
 
 
@@ -127,7 +126,7 @@ class IntegrityMonitor:
         if where is None:
             self._consistency.drop(vehicle.sysid)
             return
-        sigma_v_m = min(sqrt(float(where.covariance[2, 2])), _LARGEST_SIGMA_V_M)
+        sigma_v_m = min(sqrt(float(where.covariance[2, 2])), LARGEST_SIGMA_V_M)
         (e, n, u), (ve, vn, vu) = where.position_enu_m.tolist(), where.velocity_enu_mps.tolist()
         track = TrackPoint(now_s, (e, n, u), (ve, vn, vu), 0.0, sigma_v_m, no_prior=True)
         self._consistency.add_position(vehicle.sysid, track)

@@ -25,7 +25,8 @@ from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 _MOST_TESTED_SIGMA_M = 6.0  # chosen: four of them, two for the separation and an unknown delay are within the alert limit
 _LASTS_S = 600.0  # chosen: a fault that no test finds lasts for ten minutes
 _S_PER_H = 3600.0
-_VERTICAL_RATIO = 1.6  # source: usual VDOP over HDOP of a receiver
+VERTICAL_RATIO = 1.6
+"""Source: usual VDOP over HDOP of a receiver."""
 _NOMINAL_SHARE = 0.5  # of the integrity risk; chosen; the rest is for what may be wrong
 _HALVINGS = 30  # of an interval of a kilometre: below a micrometre
 
@@ -147,7 +148,7 @@ def protection_level(
     common_m = settings.common_gnss_sigma_m
     sigma_m, sigma_v_m = horizontal_sigma_m(estimate.covariance), sqrt(float(estimate.covariance[2, 2]))
     horizontal_m = settings.nominal_sigmas * hypot(sigma_m, common_m)
-    vertical_m = settings.nominal_sigmas * hypot(sigma_v_m, _VERTICAL_RATIO * common_m)
+    vertical_m = settings.nominal_sigmas * hypot(sigma_v_m, VERTICAL_RATIO * common_m)
     untested: tuple[int, ...] = ()
     if faults is not None:
         grown_m = settings.nominal_sigmas * max(sigma_m - faults.estimate_sigma_m, 0.0)

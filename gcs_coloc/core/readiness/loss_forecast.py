@@ -10,7 +10,7 @@ from gcs_coloc.core.aiding.fix_policy import FixPolicy
 from gcs_coloc.core.aiding.inhibit import Inhibit
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
-from gcs_coloc.core.integrity.epoch import Epoch, PositionPrior
+from gcs_coloc.core.integrity.epoch import LARGEST_SIGMA_V_M, Epoch, PositionPrior
 from gcs_coloc.core.integrity.protection_level import (
     Exposure,
     FaultLevel,
@@ -23,9 +23,6 @@ from gcs_coloc.core.limiting_reason import IN_LINE_HDOP, Limit, LimitingReason, 
 from gcs_coloc.core.measurements import Estimate, NoEstimate, PositionMeasurement, Vector3
 from gcs_coloc.core.readiness.held_motion import HeldMotion
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState, VehicleReadiness
-
-_LARGEST_SIGMA_V_M = 10.0
-"""Chosen: as in the integrity stage, a free height would cost each range its information."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +115,7 @@ def _fault_level(
         if node != vehicle
     }
     e, n, u = answer.position_enu_m.tolist()
-    sigma_v_m = min(sqrt(float(answer.covariance[2, 2])), _LARGEST_SIGMA_V_M)
+    sigma_v_m = min(sqrt(float(answer.covariance[2, 2])), LARGEST_SIGMA_V_M)
     priors[vehicle] = PositionPrior((e, n, u), 0.0, sigma_v_m, no_prior=True)
     separation = SolutionSeparation(replace(epoch, priors=priors))
     return fault_level(separation.of(vehicle), answer, answer.at_s, settings)

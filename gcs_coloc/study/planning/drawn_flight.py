@@ -10,6 +10,7 @@ from math import atan2, exp, hypot, sqrt
 
 import numpy as np
 
+from gcs_coloc.core.integrity.protection_level import VERTICAL_RATIO
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
@@ -33,7 +34,6 @@ _STEP_S = 0.2
 """Step of the drawn flight. Chosen: reports and ranges five times a second."""
 _SWAY_RADPS = 0.2
 """An autopilot corrects what a gust displaces within some seconds. Chosen: critically damped, 5 s."""
-_VERTICAL_RATIO = 1.6
 _LEAST_COLOURED_SHARE = 0.1
 
 
@@ -56,7 +56,7 @@ class _DrawnFlight:
         self._report_error: dict[int, FloatArray] = {}
         for v in plan.paths:
             self._sway[v] = self._draw_sway(s.acceleration_density_m2ps3)
-            self._report_error[v] = self._gauss_markov(coloured_m, s.report_error_time_s, 3) * (1.0, 1.0, _VERTICAL_RATIO)
+            self._report_error[v] = self._gauss_markov(coloured_m, s.report_error_time_s, 3) * (1.0, 1.0, VERTICAL_RATIO)
         self._height_error = self._gauss_markov(a.height_sigma_m, s.baro_error_time_s, 1)[:, 0]
         self._air_error = self._gauss_markov(s.air_noise_mps, s.air_noise_time_s, 2)
         self._heading_error_rad = s.heading_sigma_rad * self._rng.standard_normal()
@@ -111,9 +111,9 @@ class _DrawnFlight:
         white_m = a.position_sigma_m * a.position_white_share / sqrt(max(a.position_rate_hz * _STEP_S, 1.0))
         coloured_m = self._report_error[v]
         sigma_m = hypot(white_m, a.position_sigma_m * max(sqrt(1.0 - a.position_white_share**2), _LEAST_COLOURED_SHARE))
-        e, n, u = (place + coloured_m[k] + white_m * rng.standard_normal(3) * (1.0, 1.0, _VERTICAL_RATIO)).tolist()
+        e, n, u = (place + coloured_m[k] + white_m * rng.standard_normal(3) * (1.0, 1.0, VERTICAL_RATIO)).tolist()
         ve, vn, vu = (velocity + 0.1 * a.velocity_sigma_mps * rng.standard_normal(3)).tolist()
-        vertical_m = _VERTICAL_RATIO * sigma_m
+        vertical_m = VERTICAL_RATIO * sigma_m
         return PositionMeasurement(v, at_s, at_s, (e, n, u), sigma_m, vertical_m, (ve, vn, vu), a.velocity_sigma_mps)
 
     def _attitude(self, k: int, at_s: float, velocity: FloatArray) -> AttitudeMeasurement:
