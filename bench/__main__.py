@@ -31,6 +31,7 @@ from bench import (
     service_cpu,
     startup,
     step,
+    studies,
     unused,
 )
 from bench.figures import Figure
@@ -49,6 +50,7 @@ _SPEED: dict[str, _Section] = {
     "memory": memory.measure,
     "seek": seek.measure,
     "readiness": readiness.measure,
+    "studies": studies.measure,
 }
 _STUDIES: dict[str, _Section] = {
     "operator": operator_side.measure,
