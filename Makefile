@@ -51,7 +51,7 @@ docs: .venv/.ready-dev
 	rm -rf out/docs docs/reference/modules
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --builder html docs out/docs
 
-# Some eight minutes; BENCH= takes longer and measures more finely, BENCH="--quick accuracy" another section, BENCH=all everything, for hours.
+# Some ten minutes; BENCH= takes longer and measures more finely, BENCH="--quick accuracy" another section, BENCH=all everything, for hours.
 BENCH ?= --quick
 # What the service is measured beside, and with, has no build for every machine: the table says what is not installed.
 bench: .venv/.ready-dev

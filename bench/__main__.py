@@ -32,6 +32,7 @@ from bench import (
     startup,
     step,
     studies,
+    takeover,
     unused,
 )
 from bench.figures import Figure
@@ -51,6 +52,7 @@ _SPEED: dict[str, _Section] = {
     "seek": seek.measure,
     "readiness": readiness.measure,
     "studies": studies.measure,
+    "takeover": takeover.measure,
 }
 _STUDIES: dict[str, _Section] = {
     "operator": operator_side.measure,

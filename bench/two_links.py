@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,11 +42,15 @@ class Fed:
 
 
 class TwoLinks:
-    """A four-ship in the air. `ports` are those of the two services. `fed` is every GPS_INPUT that a vehicle got."""
+    """A four-ship in the air. `ports` are those of the two services. `fed` is every GPS_INPUT that a vehicle got.
 
-    def __init__(self, ports: tuple[int, int], stack: contextlib.ExitStack, seed: int) -> None:
+    `sign_ports` are two more that are free.
+    """
+
+    def __init__(self, ports: Sequence[int], sign_ports: Sequence[int], stack: contextlib.ExitStack, seed: int) -> None:
         self.fleet = Fleet(_four_ship(), seed)
         self.fed: list[Fed] = []
+        self.sign_ports = sign_ports
         self._services = [("127.0.0.1", port) for port in ports]
         self._radios = {
             (sysid, radio): stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
@@ -100,20 +104,26 @@ def changes(fed: list[Fed]) -> list[tuple[Fed, Fed]]:
 
 
 @contextlib.contextmanager
-def two_links(seed: int = 1) -> Iterator[tuple[TwoLinks, tuple[int, int]]]:
+def two_links(seed: int = 1) -> Iterator[tuple[TwoLinks, Sequence[int]]]:
     """The four-ship, and the two ports that it sends to."""
     with contextlib.ExitStack() as stack:
-        first, second = _free_ports(2)
-        yield TwoLinks((first, second), stack, seed), (first, second)
+        # Bound until the vehicles' sockets are: none of those may get one of these ports.
+        with contextlib.ExitStack() as reserved:
+            sockets = [reserved.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(4)]
+            for each in sockets:
+                each.bind(("127.0.0.1", 0))
+            numbers = [int(each.getsockname()[1]) for each in sockets]
+            air = TwoLinks(numbers[:2], numbers[2:], stack, seed)
+        yield air, numbers[:2]
 
 
 class Pair:
     """The two services as processes: `start` one by its index. `arguments` go to both. What they log goes into `directory`."""
 
-    def __init__(self, ports: tuple[int, int], directory: Path, *arguments: str) -> None:
+    def __init__(self, air: TwoLinks, ports: Sequence[int], directory: Path, *arguments: str) -> None:
         self._ports = ports
         self._arguments = arguments
-        self._signs = _free_ports(2)
+        self._signs = air.sign_ports
         self._logs = [directory / f"{index}.log" for index in (0, 1)]
         self.processes: list[subprocess.Popen[bytes] | None] = [None, None]
 
@@ -143,14 +153,6 @@ class Pair:
     def log(self, index: int) -> str:
         """Return what one of them has logged so far, in all its runs."""
         return self._logs[index].read_text(encoding="utf-8") if self._logs[index].exists() else ""
-
-
-def _free_ports(count: int) -> list[int]:
-    with contextlib.ExitStack() as stack:
-        sockets = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(count)]
-        for each in sockets:
-            each.bind(("127.0.0.1", 0))
-        return [int(each.getsockname()[1]) for each in sockets]
 
 
 def _four_ship() -> Scenario:

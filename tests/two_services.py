@@ -82,7 +82,12 @@ class TwoServices:
         service.is_stopped, service.busy_until_s = False, 0.0
         service.waiting.clear()
         peer = service.peer
-        self._every(TICK_S, lambda: self._run(service, lambda: self._tick(service)), lambda: service.peer is peer)
+        self._every(
+            TICK_S,
+            lambda: self._run(service, lambda: self._tick(service)),
+            lambda: service.peer is peer,
+            lambda: peer.next_tick_s(self._clock(service)) - self._clock(service),
+        )
         self._every(PERIOD_S, lambda: self._run(service, lambda: self._aid(service)), lambda: service.peer is peer)
 
     def kill(self, index: int) -> None:
@@ -109,11 +114,17 @@ class TwoServices:
     def _clock(self, service: Service) -> float:
         return self.now_s + service.clock_offset_s
 
-    def _every(self, period_s: float, act: Callable[[], None], goes_on: Callable[[], bool] = lambda: True) -> None:
+    def _every(
+        self,
+        period_s: float,
+        act: Callable[[], None],
+        goes_on: Callable[[], bool] = lambda: True,
+        next_in_s: Callable[[], float] | None = None,
+    ) -> None:
         def again() -> None:
             if goes_on():
-                self.at(self.now_s + period_s, again)
                 act()
+                self.at(self.now_s + (next_in_s() if next_in_s is not None else period_s), again)
 
         self.at(self.now_s + self.random.uniform(0.0, period_s), again)
 

@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from gcs_coloc.core.errors import RecordError
-from gcs_coloc.core.messages.control import HoldBack, OperatorCommand, RouteBlock, RouteReport, SwitchedByOther
+from gcs_coloc.core.messages.control import HoldBack, OperatorCommand, RouteBlock, RouteReport
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 from gcs_coloc.recorder.journal import Entry
 from gcs_coloc.recorder.log_segment import LogSegment
@@ -290,8 +290,6 @@ def _lasting_key(record: SideChannelRecord) -> tuple[object, ...] | None:
             return GroundTool, record.sysid, record.compid
         case FlownWith() | HoldBack():
             return (type(record),)
-        case SwitchedByOther():
-            return SwitchedByOther, record.receiver.sysid
         case _:
             return None
 

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from operator import itemgetter
+from typing import TYPE_CHECKING
 
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.alarms import Alarm, AlarmList
@@ -38,10 +39,12 @@ from gcs_coloc.mavlink.refusals import Counts, Refusals
 from gcs_coloc.recorder.flight_recording import FlightRecording
 from gcs_coloc.recorder.side_channel import FlownWith
 from gcs_coloc.runtime.clock import ServiceClock, Timer
-from gcs_coloc.service.hot_standby import HotStandby
 from gcs_coloc.service.snapshot_cache import SnapshotCache
 from gcs_coloc.service.traffic import Receiver, Sender
 from gcs_coloc.sinks.event_bus import EventBus, IdleScheduler
+
+if TYPE_CHECKING:
+    from gcs_coloc.service.hot_standby import HotStandby
 
 log = logging.getLogger("gcs_coloc")
 
@@ -88,13 +91,15 @@ class FleetService:
         self._deadline = Timer(clock, self._poll)
         self._standby: HotStandby | None = None
         if settings.standby.peer:
+            from gcs_coloc.service.hot_standby import HotStandby  # a service that is alone starts without it
+
             self._standby = HotStandby(settings, clock, self._engine, self._apply, self._publish)
         self._receiver = Receiver(
             self._routes,
             self._signed,
             own=own,
             bytes_per_s=senders.bytes_per_s,
-            has_other_service=self._standby is not None,
+            is_other_service=self._standby.is_other_service if self._standby is not None else None,
         )
         self._forwarder = Forwarder(
             settings.out,

@@ -125,6 +125,10 @@ class HotStandby:
         """Return whether a vehicle may be sent, now, what changes what it does."""
         return self._peer.may_send(sysid, self._clock())
 
+    def is_other_service(self, sysid: int, compid: int) -> bool:
+        """Return whether a system and component id are those of the other service, or may be until it was heard."""
+        return self._peer.may_be_other(Identity(sysid, compid))
+
     def watch(self, received: ReceivedDatagram, at_s: float) -> None:
         """See what a vehicle shows of who feeds it."""
         watch = self._peer.watch
@@ -168,8 +172,8 @@ class HotStandby:
 
     def _tick(self) -> None:
         now_s = self._clock()
-        self._timer.by(now_s + TICK_S)
         self._peer.tick(now_s, self._engine.aiding.to_change())
+        self._timer.by(self._peer.next_tick_s(now_s))
         self._synchronise()
         self._send_due()
 

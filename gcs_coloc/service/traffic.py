@@ -45,7 +45,8 @@ class ReceivedDatagram:
 class Receiver:
     """Receives one fleet's datagrams. `own` is our system and component id, `bytes_per_s` what each source may send.
 
-    `has_other_service`: GPS_INPUT under our system id is that of a hot standby's other service, and no rival's.
+    `is_other_service`: whether a system and component id are those of a hot standby's other service, whose GPS_INPUT is no
+    rival's; None without one.
     """
 
     def __init__(
@@ -55,13 +56,13 @@ class Receiver:
         *,
         own: tuple[int, int],
         bytes_per_s: float,
-        has_other_service: bool = False,
+        is_other_service: Callable[[int, int], bool] | None = None,
     ) -> None:
         self._routes = routes
         self._signed = signed
         self._rate_limiter = RateLimiter(bytes_per_s)
-        self._other_service = own[0] if has_other_service else None
-        self._decoder = Decoder(own_sysid=own[0], own_compid=own[1], has_other_service=has_other_service)
+        self._is_other_service = is_other_service
+        self._decoder = Decoder(own_sysid=own[0], own_compid=own[1], has_other_service=is_other_service is not None)
 
     @property
     def refusals(self) -> list[Counts]:
@@ -86,7 +87,7 @@ class Receiver:
         received = ReceivedDatagram()
         for frame in self._decoder.decode(payload, now_s, (link, address), self._signed.of(link.name), received.frames):
             if isinstance(frame.message, ForeignGpsInput):
-                if frame.sysid == self._other_service:
+                if self._is_other_service is not None and self._is_other_service(frame.sysid, frame.compid):
                     received.fed_by_other += self._routes.autopilots_at(link, address, now_s)
                     continue
                 # Every vehicle at the address it came from uses it, whoever sends it.

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import socket
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import pytest
-from flight import TOKEN, Watched, browser, card, free_port, service
+from flight import TOKEN, Watched, browser, card, service
 from playwright.sync_api import Page, expect
 
 from bench.two_links import DENIED, TwoLinks, two_links
@@ -42,9 +41,9 @@ def flown(air: TwoLinks) -> Iterator[None]:
 def pages(tmp_path) -> Iterator[Pages]:
     (tmp_path / "token").write_text(f"{TOKEN}\n")
     (tmp_path / "token").chmod(0o600)
-    signs = [free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_DGRAM)]
     with two_links() as (air, ports), flown(air):
         for index, role in enumerate(("active", "standby")):
+            signs = air.sign_ports
             (tmp_path / f"{index}.toml").write_text(
                 f'[mavlink]\ncomponent_id = {191 + index}\n[web]\ntoken_file = "{tmp_path / "token"}"\n'
                 f'[standby]\nrole = "{role}"\npeer = "127.0.0.1:{signs[1 - index]}"\nlisten = "127.0.0.1:{signs[index]}"\n'

@@ -62,6 +62,8 @@ _PRESENT_S = 1.0
 """Chosen: ten signs of life missed are a fault to be told of, fewer may be the network."""
 _IN_FLIGHT_S = 0.1
 """What was sent before a take-over may arrive so long after it. Chosen: it was sent `SILENT_S` before."""
+_JUST_AFTER_S = 1e-3
+"""Chosen: far more than the clock's resolution."""
 _SENT_LATELY_S = 1.0
 """Chosen: a vehicle that we fed so lately nobody else has begun to feed."""
 
@@ -170,6 +172,14 @@ class StandbyPeer:
             case StandbyState.PASSIVE:
                 pass
 
+    def next_tick_s(self, now_s: float) -> float:
+        """Return when to look at the time next: after `TICK_S`, or as soon as the other one counts as silent."""
+        if self.state is StandbyState.STANDBY and self._heard_at_s is not None:
+            silent_at_s = max(self._heard_at_s, self._listening_since_s) + SILENT_S + _JUST_AFTER_S
+            if now_s < silent_at_s < now_s + TICK_S:
+                return silent_at_s
+        return now_s + TICK_S
+
     def order(self, order: StandbyOrder, now_s: float) -> StatedReason[OrderRefusal] | None:
         """Carry out what an operator says; the reason where that is not done."""
         self._look_at_time(now_s)
@@ -225,6 +235,12 @@ class StandbyPeer:
         """Return whether the other one is active and is heard, so that `shared` is how things are."""
         return self.state is not StandbyState.ACTIVE and self.hears_other(now_s) and self._other_state() is StandbyState.ACTIVE
 
+    def may_be_other(self, sender: Identity) -> bool:
+        """Return whether a sender is the other service; until that was heard, whether it may be."""
+        if self._other is not None:
+            return sender == self._other.sender
+        return sender.sysid == self.own.sysid and sender.compid != self.own.compid
+
     def hears_other(self, now_s: float) -> bool:
         """Return whether the other one gives signs of life."""
         return self._heard_at_s is not None and now_s - self._heard_at_s <= _PRESENT_S
@@ -264,10 +280,10 @@ class StandbyPeer:
             self._resumes_after = self._number
             self._sign_due_s = now_s
             self._enter(StandbyState.HELD_UP, StatedReason(StandbyReason.STOOD_STILL, still_s, STILL_S), now_s)
-        elif self.state is StandbyState.HELD_UP:
-            self.since_s, self._resumes_after = now_s, self._number
-        elif self.state is StandbyState.LISTENING:
-            self.since_s = now_s
+        elif self.state in (StandbyState.HELD_UP, StandbyState.LISTENING):
+            # The time does not count; but a computer that is slow all the time must come to an end of it.
+            self.since_s += still_s
+            self._resumes_after = self._number
 
     def _follow(self, sign: SignOfLife, now_s: float, *, is_fresh: bool) -> None:
         is_active = self.state is StandbyState.ACTIVE
@@ -301,7 +317,8 @@ class StandbyPeer:
             self._enter(StandbyState.PASSIVE, StatedReason(StandbyReason.OTHER_FEEDS, fed), now_s)
             return
         both_listen = self._is_silent_for_s(now_s) <= SILENT_S and self._other_state() is StandbyState.LISTENING
-        if now_s - self.since_s >= _START_S * (2.0 if both_listen and not self._is_first() else 1.0):
+        has_heard = now_s - self._listening_since_s >= SILENT_S
+        if has_heard and now_s - self.since_s >= _START_S * (2.0 if both_listen and not self._is_first() else 1.0):
             self._become_active(StandbyReason.ALONE_AT_START, now_s)
 
     def _review_active(self, now_s: float) -> None:
@@ -318,7 +335,7 @@ class StandbyPeer:
         fed = self.watch.fed_vehicle(now_s, self.since_s + SILENT_S)
         if fed is not None:
             self._enter(StandbyState.PASSIVE, StatedReason(StandbyReason.OTHER_FEEDS, fed), now_s)
-        elif now_s - self.since_s >= _CHECK_S:
+        elif now_s - self.since_s >= _CHECK_S and now_s - self._listening_since_s >= _FRESH_S:
             self._enter(StandbyState.ACTIVE, StatedReason(StandbyReason.RESUMED), now_s)
 
     def _consider(self, now_s: float) -> None:
