@@ -210,3 +210,41 @@ def planning(
     close = sum(window.is_close for window in told)
     print(f"{flights} flights of each plan, seeds from {first_seed}")
     print(f"of {windows} windows {len(told)} are told, {close} of them within 20 %")
+
+
+@app.command("readiness")
+def readiness(
+    classes: Annotated[list[str] | None, typer.Option("--class", help="A class of flights; several times for several.")] = None,
+    recording: Annotated[
+        list[str] | None, typer.Option(help="A recording (tlog), truth.csv beside it; several times for several.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(help="Flights of each class, and losses in each recording.", min=1)] = 5,
+    from_s: Annotated[
+        float, typer.Option("--from", help="In a recording GPS is taken within 10 s from here, s.", min=0.0)
+    ] = 12.0,
+    jobs: JobsOption = 0,
+    scheduler: SchedulerOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print every loss as JSON.")] = False,
+) -> None:
+    """Check readiness: what is told before GPS is taken at a random time, against what the filter states 30 s after."""
+    from gcs_coloc.study.readiness_check import CHECKED, check_table, run_checks
+
+    names = classes if classes is not None else () if recording else CHECKED
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=_FILE_WIDTH)
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("flying", total=None)
+        losses = run_checks(
+            names,
+            recording or (),
+            seeds,
+            workers_for(jobs, scheduler),
+            lambda done, total: progress.update(task, completed=done, total=total),
+            from_s,
+        )
+    if as_json:
+        print(json.dumps([asdict(loss) for loss in losses], indent=2))
+        return
+    console.print(check_table(losses))
+    print(f"{seeds} losses of each; 30 s after the loss, told before it")

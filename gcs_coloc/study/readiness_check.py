@@ -1,0 +1,261 @@
+"""The check of readiness: what was told before GPS was taken, against what the filter stated and reached 30 s after.
+
+Random flights of the integrity trials' classes, in which the GPS fails at a random time, and recordings, where the operator's
+override takes it at random times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import hypot, nan
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from gcs_coloc.core.engine import Engine, EngineSettings
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
+from gcs_coloc.core.errors import UsageError
+from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.measurements import Estimate, FloatArray
+from gcs_coloc.core.messages.control import GpsOverride, OperatorCommand
+from gcs_coloc.core.readiness.vehicle_readiness import HORIZON_S, ReadinessState, VehicleReadiness
+from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.recorder.replay import Replay
+from gcs_coloc.recorder.side_tables import read_truth
+from gcs_coloc.recorder.tlog import TlogReader
+from gcs_coloc.runtime.tasks import Progress, Workers, run_tasks
+from gcs_coloc.study.integrity.flight_classes import CLASSES
+from gcs_coloc.study.integrity.simulated_fleet import SimulatedFleet
+
+CHECKED = (
+    "planes",
+    "steep-turns",
+    "copters",
+    "mixed",
+    "agile-copters",
+    "three-peers",
+    "two-peers",
+    "one-peer",
+    "no-air-data",
+    "peers-aside",
+    "convoy",
+    "slow-ranges",
+    "coarse-ranges",
+    "range-bias",
+    "gusts",
+)
+"""The classes of flights that are flown: all kinds of geometry, motion and noise, without faults."""
+_CLOSE = 0.2
+TAKEN_FROM_S = 12.0
+"""In a recording GPS is taken from here on. Chosen: after the first predictions."""
+_TAKEN_WITHIN_S = 10.0
+"""And within so long. Chosen: the time between two predictions."""
+_TRUTH_WITHIN_S = 0.06
+"""Chosen: half a period of 10 Hz; at 20 m/s an error of a metre at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """One loss of GPS: what was told of it before, and what came 30 s after; m, NaN where there is none.
+
+    `error_m` is the reached horizontal error; `has_fix` whether a position was stated then.
+    """
+
+    kind: str
+    state: str
+    told_bound_m: float
+    told_hpl_m: float
+    told_hdop: float
+    bound_m: float
+    hpl_m: float
+    hdop: float
+    error_m: float
+    has_fix: bool
+
+    @property
+    def bound_ratio(self) -> float:
+        """Stated over told 95 % bound."""
+        return self.bound_m / self.told_bound_m
+
+    @property
+    def hpl_ratio(self) -> float:
+        """Stated over told protection level."""
+        return self.hpl_m / self.told_hpl_m
+
+    @property
+    def came_as_told(self) -> bool:
+        """Whether the geometry came as it was told: the HDOP is within 20 %."""
+        return abs(self.hdop / self.told_hdop - 1.0) <= _CLOSE
+
+
+Task = tuple[str, int, float]
+"""A class and its seed, or a recording's path and the draw of when GPS is taken; from how many seconds after its beginning on."""
+
+
+def run_checks(
+    classes: Sequence[str],
+    recordings: Sequence[str],
+    seeds: int,
+    workers: Workers,
+    progress: Progress,
+    from_s: float = TAKEN_FROM_S,
+) -> list[Loss]:
+    """Fly so many flights of each class, and take GPS as often in each recording.
+
+    Raises:
+        UsageError: no such class or recording.
+
+    """
+    for name in classes:
+        if name not in CLASSES:
+            raise UsageError(f"no class {name!r}; there are {', '.join(CLASSES)}")
+    for path in recordings:
+        if not Path(path).is_file():
+            raise UsageError(f"{path}: there is no such recording")
+    tasks = [(name, seed, from_s) for seed in range(1, seeds + 1) for name in (*classes, *recordings)]
+    return [loss for found in run_tasks(_check, tasks, workers, progress) for loss in found]
+
+
+def _check(task: Task) -> list[Loss]:
+    name, seed, from_s = task
+    loss = _fly(name, seed) if name in CLASSES else _replay(Path(name), seed, from_s)
+    return [loss] if loss is not None else []
+
+
+def _fly(name: str, seed: int) -> Loss | None:
+    fleet = SimulatedFleet(CLASSES[name], seed, CLASSES[name].lost_at_s[1] + HORIZON_S + 5.0)
+    engine = Engine(load_estimator("fleet", {}), EngineSettings(request_streams=False))
+    vehicle, told = fleet.denied[0], None
+    at_s = 0.0
+    while at_s < fleet.lost_at_s + HORIZON_S:
+        at_s, message = fleet.pop()
+        while (due_s := engine.next_deadline()) < at_s:
+            for output in engine.poll(max(due_s, 0.0)):
+                fleet.deliver(output, due_s)
+        if at_s < fleet.lost_at_s:
+            told = engine.readiness(vehicle)
+        if message is not None:
+            engine.receive(message)
+
+    def error_m(where: Estimate, frame: LocalFrame) -> float:
+        east_m, north_m, _ = fleet.frame.to_enu(*frame.geodetic_from_enu(*where.position_enu_m.tolist()))
+        true_m = fleet.truth_m(vehicle, where.at_s)
+        return hypot(east_m - true_m[0], north_m - true_m[1])
+
+    return _loss(name, engine, vehicle, told, at_s, error_m)
+
+
+def _replay(path: Path, draw: int, from_s: float) -> Loss | None:
+    """Take the GPS of the vehicle that ranges at a random time of a recording; None where its GPS was not healthy then."""
+    engine = Engine(load_estimator("fleet", {}), EngineSettings(request_streams=False))
+    beside = path.with_name("truth.csv")
+    truth = read_truth(beside) if beside.is_file() else []
+    through = Replay(engine, TlogReader(path), (), lambda *_: None)
+    begin_s = through.next_s
+    if begin_s is None:
+        return None
+    taken_at_s = begin_s + from_s + float(np.random.default_rng(draw).uniform(0.0, _TAKEN_WITHIN_S))
+    _step_to(through, taken_at_s)
+    known = {sysid: readiness for sysid in engine.sysids() if (readiness := engine.readiness(sysid)) is not None}
+    if not known:
+        return None
+    vehicle = max(known, key=lambda sysid: (known[sysid].peers, sysid))
+    engine.receive(OperatorCommand(vehicle, taken_at_s, GpsOverride.FAILED))
+    _step_to(through, taken_at_s + HORIZON_S)
+
+    def error_m(where: Estimate, frame: LocalFrame) -> float:
+        near = [point for point in truth if point.sysid == vehicle and abs(point.unix_s - where.at_s) <= _TRUTH_WITHIN_S]
+        if not near:
+            return nan
+        true = min(near, key=lambda point: abs(point.unix_s - where.at_s))
+        east_m, north_m, _ = frame.enu_from_geodetic(true.lat_deg, true.lon_deg, true.alt_msl_m)
+        return hypot(*(where.position_enu_m[:2] - (east_m, north_m)).tolist())
+
+    return _loss(path.parent.name, engine, vehicle, known[vehicle], taken_at_s + HORIZON_S, error_m)
+
+
+def _step_to(through: Replay, to_s: float) -> None:
+    while (at_s := through.next_s) is not None and at_s <= to_s:
+        through.step()
+    if through.next_s is not None:
+        through.advance(to_s)
+
+
+def _loss(
+    kind: str,
+    engine: Engine,
+    vehicle: int,
+    told: VehicleReadiness | None,
+    at_s: float,
+    error_m: Callable[[Estimate, LocalFrame], float],
+) -> Loss | None:
+    if told is None:
+        return None
+    where, frame = engine.estimate(vehicle, at_s), engine.frame
+    is_located = isinstance(where, Estimate) and frame is not None
+    bound_m = hpl_m = hdop = reached_m = nan
+    if isinstance(where, Estimate) and frame is not None:
+        bound_m, hdop = horizontal_bound_95_m(where.covariance), _number(where.hdop)
+        hpl_m = where.protection.horizontal_m if where.protection is not None else nan
+        reached_m = error_m(where, frame)
+    told_m = _number(told.bound_95_m), _number(told.hpl_m)
+    limit_m = engine.settings.aiding.alert_limit_m
+    return Loss(kind, told.state, *told_m, _number(told.hdop), bound_m, hpl_m, hdop, reached_m, is_located and hpl_m <= limit_m)
+
+
+def _number(value: float | None) -> float:
+    return nan if value is None else value
+
+
+def check_table(losses: Sequence[Loss]) -> Table:
+    """Return a row for each kind of flight, and one of all."""
+    table = Table()
+    headings = "flights", "losses", "stated / told 95 %", "within 20 %", "of those as told", "stated / told HPL", "within 20 %"
+    for heading in (*headings, "errors within", "told a fix: had one", "told none: had none"):
+        table.add_column(heading, justify="left" if heading == "flights" else "right")
+    kinds = list(dict.fromkeys(loss.kind for loss in losses))
+    for kind in kinds:
+        table.add_row(kind, *_cells([loss for loss in losses if loss.kind == kind]))
+    table.add_row("all", *_cells(losses))
+    return table
+
+
+def _cells(losses: Sequence[Loss]) -> list[str]:
+    bounds, as_told, levels = (
+        np.array(ratios)
+        for ratios in (
+            [loss.bound_ratio for loss in losses],
+            [loss.bound_ratio for loss in losses if loss.came_as_told],
+            [loss.hpl_ratio for loss in losses],
+        )
+    )
+    errors = np.array([loss.error_m <= loss.told_bound_m for loss in losses if np.isfinite(loss.error_m + loss.told_bound_m)])
+    fixes = [loss.has_fix for loss in losses if loss.state in (ReadinessState.READY, ReadinessState.DEGRADED)]
+    none = [not loss.has_fix for loss in losses if loss.state == ReadinessState.NOT_READY]
+    return [
+        str(len(losses)),
+        _median(bounds),
+        _close(bounds),
+        _close(as_told),
+        _median(levels),
+        _close(levels),
+        _counted(errors.tolist()),
+        _counted(fixes),
+        _counted(none),
+    ]
+
+
+def _median(ratios: FloatArray) -> str:
+    known = ratios[np.isfinite(ratios)]
+    return f"{np.median(known):.2f}" if len(known) else "-"
+
+
+def _close(ratios: FloatArray) -> str:
+    known = ratios[np.isfinite(ratios)]
+    return _counted((np.abs(known - 1.0) <= _CLOSE).tolist())
+
+
+def _counted(found: Sequence[bool]) -> str:
+    return f"{sum(found)} of {len(found)}" if found else "-"

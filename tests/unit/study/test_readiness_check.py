@@ -1,0 +1,68 @@
+"""The check of readiness compares what was told with what came, and takes GPS at a random time."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from math import nan
+
+import pytest
+from recordings import recording
+from typer.testing import CliRunner
+
+from gcs_coloc.cli.main import app
+from gcs_coloc.core.errors import UsageError
+from gcs_coloc.runtime.tasks import Workers
+from gcs_coloc.study.readiness_check import Loss, check_table, run_checks
+
+AS_TOLD = Loss("planes", "ready", 2.0, 14.0, 1.1, 2.1, 15.0, 1.0, 1.5, True)
+
+
+def cells(*losses: Loss) -> list[str]:
+    """Return the row of all losses."""
+    return [list(column.cells)[-1] for column in check_table(losses).columns]
+
+
+def test_ratios_and_counts_are_those_of_the_losses() -> None:
+    far = replace(AS_TOLD, bound_m=5.0, hpl_m=29.0, hdop=2.6, error_m=4.0, has_fix=False)
+    assert cells(AS_TOLD, AS_TOLD, far) == [
+        "all", "3", "1.05", "2 of 3", "2 of 2", "1.07", "2 of 3", "2 of 3", "2 of 3", "-",
+    ]  # fmt: skip
+
+
+def test_what_was_not_told_or_not_stated_is_no_ratio_but_counts_for_the_fix() -> None:
+    none = Loss("one-peer", "not_ready", nan, nan, nan, nan, nan, nan, nan, False)
+    assert cells(none) == ["all", "1", "-", "-", "-", "-", "-", "-", "-", "1 of 1"]
+
+
+def test_a_flight_is_told_of_before_its_loss_and_comes_as_told() -> None:
+    [loss] = run_checks(["planes"], [], 1, Workers(), lambda *_: None)
+    assert loss.state == "ready"
+    assert loss.has_fix
+    assert loss.bound_ratio == pytest.approx(1.0, abs=0.5)
+    assert 0.0 < loss.error_m < loss.hpl_m
+
+
+def test_in_a_recording_the_operators_override_takes_gps() -> None:
+    flight = recording("arduplane-flights/loss") / "flight.tlog"
+    [loss] = run_checks([], [str(flight)], 1, Workers(), lambda *_: None)
+    assert loss.kind == "loss"
+    assert loss.error_m < loss.hpl_m
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [(["--class", "nonsense"], "no class 'nonsense'"), (["--recording", "none.tlog"], "none.tlog: there is no such recording")],
+)
+def test_what_there_is_not_is_named(arguments: list[str], words: str) -> None:
+    result = CliRunner().invoke(app, ["study", "readiness", *arguments])
+    assert result.exit_code != 0
+    assert isinstance(result.exception, UsageError)
+    assert words in str(result.exception)
+
+
+def test_every_loss_comes_as_json() -> None:
+    result = CliRunner().invoke(app, ["study", "readiness", "--class", "one-peer", "--seeds", "1", "--jobs", "1", "--json"])
+    [loss] = json.loads(result.stdout)
+    assert loss["kind"] == "one-peer"
+    assert loss["state"] == "not_ready"
