@@ -81,6 +81,10 @@ def test_each_page_tells_who_sends_and_an_order_that_is_confirmed_changes_it(pag
     expect(second.locator("#standby-sends")).to_have_text("the other service")
     expect(second.locator("#standby-other")).to_contain_text("254/191: active")
     expect(panel(second).get_by_role("button", name="Stand by")).to_be_hidden()
+    # Neither alarms nor cards squeeze it: all of it can be read.
+    second.set_viewport_size({"width": 1440, "height": 900})
+    expect(panel(second).get_by_role("button", name="Take over")).to_be_in_viewport(ratio=1.0)
+    assert panel(second).evaluate("one => one.scrollHeight - one.clientHeight") <= 1
     # Nothing is sent by one press.
     panel(second).get_by_label("Token of the operator").fill(TOKEN)
     panel(second).get_by_role("button", name="Take over").click()
