@@ -13,11 +13,11 @@ from math import atan2, cos, degrees, dist, hypot, radians, sin, sqrt
 
 from gcs_coloc.core.measurements import Vector3
 
-_SEMI_MAJOR_M = 6378137.0
-_FLATTENING = 1.0 / 298.257223563
-_SEMI_MINOR_M = _SEMI_MAJOR_M * (1.0 - _FLATTENING)
-_E2 = _FLATTENING * (2.0 - _FLATTENING)
-_EP2 = _E2 / (1.0 - _E2)
+_SEMI_MAJOR_M = 6378137.0  # Source: WGS 84 (NIMA TR8350.2), defining parameter a
+_FLATTENING = 1.0 / 298.257223563  # Source: WGS 84, defining parameter 1/f
+_SEMI_MINOR_M = _SEMI_MAJOR_M * (1.0 - _FLATTENING)  # b, derived from a and f
+_E2 = _FLATTENING * (2.0 - _FLATTENING)  # first eccentricity squared, derived from f
+_EP2 = _E2 / (1.0 - _E2)  # second eccentricity squared, derived from the first
 
 
 def geodetic_to_ecef(lat_deg: float, lon_deg: float, height_m: float) -> Vector3:

@@ -18,7 +18,7 @@ from gcs_coloc.mavlink.checks import UNIX_TIME_TO_US
 from gcs_coloc.mavlink.framing import SIGNATURE_LENGTH, RawFrame
 from gcs_coloc.mavlink.refusals import Refusal
 
-KEY_LENGTH = 32
+KEY_LENGTH = 32  # bytes. Source: MAVLink guide, message signing; SETUP_SIGNING.secret_key
 EPOCH_UNIX_S = 1_420_070_400
 """2015-01-01 UTC, from which signatures count their time."""
 TICKS_PER_S = 100_000
@@ -30,8 +30,8 @@ LATEST_TICKS = (UNIX_TIME_TO_US // 1_000_000 - EPOCH_UNIX_S) * TICKS_PER_S
 MAX_STREAMS = 1024
 """Chosen: more than a fleet has components and links."""
 
-_DIGEST_LENGTH = 6
-_TIME_LENGTH = 6
+_DIGEST_LENGTH = 6  # bytes. Source: MAVLink guide, message signing: the first 48 bits of SHA-256
+_TIME_LENGTH = 6  # bytes. Source: the same: the timestamp has 48 bits
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray, Vector3, VehicleClass
 
-_GRAVITY_MPS2 = 9.80665
+_GRAVITY_MPS2 = 9.80665  # Source: standard gravity, 3rd CGPM 1901
 _SIDEWAYS_MPS2: Mapping[VehicleClass, float] = {
     VehicleClass.PLANE: _GRAVITY_MPS2 * math.tan(math.radians(30.0)),
     VehicleClass.MULTIROTOR: 3.0,

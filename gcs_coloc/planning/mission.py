@@ -35,7 +35,7 @@ class MissionCommand(IntEnum):
     DO_CHANGE_SPEED = 178
 
 
-_ABSOLUTE_FRAMES = frozenset({0, 5})
+_ABSOLUTE_FRAMES = frozenset({0, 5})  # MAV_FRAME_GLOBAL, MAV_FRAME_GLOBAL_INT
 _RELATIVE_FRAMES = frozenset({3, 6, 10, 11})
 """Above home, and above the terrain, which is taken as above home."""
 _LANDS = frozenset({MissionCommand.LAND, MissionCommand.VTOL_LAND})

@@ -30,7 +30,7 @@ SEARCHED_BYTES = 1 << 16
 """A file without one good record in so many bytes is no tlog."""
 
 _TIME = struct.Struct(">Q")
-_SETUP_SIGNING = 256
+_SETUP_SIGNING = 256  # message id of SETUP_SIGNING
 _INCOMPAT_AT = 2
 _OTHERS = {
     b"\x1f\x8b": "is compressed; unpack it with gunzip first",

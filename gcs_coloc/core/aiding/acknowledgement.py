@@ -15,7 +15,7 @@ _JUDGED_AFTER_S = 5.0
 _SILENCE_S = 3.0
 _LINGERS_S = 6.0  # ArduPilot keeps a fix for 4 s after the last message with one
 _NEAR_M, _NEAR_S = 50.0, 2.0
-_HAS_FIX = 3
+_HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 _SENT_WITHIN_S = 2.0  # chosen: below the 5 s after which PX4 gives up an aid
 _EKF_FRESH_S = 6.0  # PX4 sends ESTIMATOR_STATUS every 5.5 s on a telemetry radio's default rate
 

@@ -16,8 +16,8 @@ from statistics import median
 from gcs_coloc.core.messages.control import ClockReference
 from gcs_coloc.core.messages.outbound import Notice
 
-_GPS_EPOCH_UNIX_S = int(datetime(1980, 1, 6, tzinfo=UTC).timestamp())
-_WEEK_MS = 7 * 86400 * 1000
+_GPS_EPOCH_UNIX_S = int(datetime(1980, 1, 6, tzinfo=UTC).timestamp())  # Source: IS-GPS-200, the start of GPS time
+_WEEK_MS = 7 * 86400 * 1000  # a GPS week, in the unit of time_week_ms
 
 # (UTC date from which it holds, GPS minus UTC in seconds); a date before the first entry is refused.
 _LEAP_SECONDS = ((datetime(2015, 7, 1, tzinfo=UTC), 17), (datetime(2017, 1, 1, tzinfo=UTC), 18))

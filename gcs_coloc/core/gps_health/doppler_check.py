@@ -20,7 +20,7 @@ _LONGEST_GAP_S = 1.5  # of a receiver at 1 Hz, with what the link adds
 _SIGMAS = 4.0  # a drift of a sound receiver is larger once in 3,000 windows (Rayleigh)
 _HELD_S = 10.0  # chosen: detection and isolation by ranges take some seconds
 _UNSTATED_SIGMA_M, _UNSTATED_SIGMA_MPS = 5.0, 0.3  # the second: EK3_VELNE_M_NSE of ArduPilot
-_HAS_FIX = 3
+_HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 
 
 class _Step(NamedTuple):

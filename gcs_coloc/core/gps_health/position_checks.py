@@ -27,7 +27,7 @@ _UNSTATED_SIGMA_M = 5.0
 _LEAST_OFF_M = 10.0
 _APART_IN_TIME_S = 2.0  # a receiver's delay and the gap between two messages that are sent once a second
 _OFF_PERSISTS_S = 3.0
-_HAS_FIX = 3
+_HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 
 
 @dataclass(frozen=True, slots=True)

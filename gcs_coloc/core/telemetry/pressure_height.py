@@ -15,9 +15,9 @@ from math import exp, hypot
 from statistics import fmean
 from typing import NamedTuple
 
-_SEA_LEVEL_HPA = 1013.25
-_SCALE_M = 44_330.77
-_EXPONENT = 0.190263
+_SEA_LEVEL_HPA = 1013.25  # Source: U.S. Standard Atmosphere 1976
+_SCALE_M = 44_330.77  # Source: the same: 288.15 K at sea level over a lapse of 0.0065 K/m
+_EXPONENT = 0.190263  # Source: the same: lapse times gas constant of air over gravity
 _LEARNS_IN_S = 10.0  # chosen: long against a barometer's noise, short against a change of the weather
 _LEAST_LEARNT_S = 5.0  # chosen: half of the noise is gone
 _FRESH_S = 2.0  # chosen: two messages at the rate that autopilots send by default

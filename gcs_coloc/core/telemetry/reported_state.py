@@ -28,8 +28,8 @@ from gcs_coloc.core.telemetry.stream_requests import HeardStreams
 LEAST_AIRSPEED_MPS = 5.0
 """Below it an airspeed sensor and a coordinated turn mean nothing."""
 
-_SEA_LEVEL_K = 288.15
-_LAPSE_K_PER_M = 0.0065
+_SEA_LEVEL_K = 288.15  # Source: U.S. Standard Atmosphere 1976
+_LAPSE_K_PER_M = 0.0065  # Source: the same, below the tropopause
 _DENSITY_EXPONENT = 4.2559
 _TROPOPAUSE_M = 11_000.0
 _SCALE_HEIGHT_M = 6341.6  # of the isothermal layer above

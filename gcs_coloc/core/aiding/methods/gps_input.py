@@ -26,7 +26,7 @@ from gcs_coloc.core.messages.outbound import AidingMessage, GpsInput, Notice
 DELAY_MS = (("GPS1_DELAY_MS", "GPS_DELAY_MS"), ("GPS2_DELAY_MS", "GPS_DELAY_MS2"))
 """ArduPilot's delay of each receiver instance; the newest name first: ArduPilot 4.6 renamed them."""
 _MOST_DELAY_MS = 250.0  # EKF3 takes no longer one (AP_NavEKF3, setup_core)
-_FIX_3D, _NO_FIX = 3, 1
+_FIX_3D, _NO_FIX = 3, 1  # GPS_FIX_TYPE_3D_FIX, GPS_FIX_TYPE_NO_FIX
 _SATELLITES_WITH_FIX = 7  # enough for EKF3 (6), never so many that a switch by count would prefer us to a real receiver
 _UNKNOWN_ACCURACY_M = 9999.0
 _UNKNOWN_DOP = 99.99
