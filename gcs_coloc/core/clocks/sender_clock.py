@@ -14,18 +14,18 @@ from typing import NamedTuple
 import numpy as np
 
 _BUCKET_S = 10.0
-_BUCKETS = 30
+_BUCKETS = 30  # chosen: five minutes
 _LEAST_OVER_S = 60.0
 JUMP_S = 2.0
 _LEAST_JUMP_S = 0.5
 _BEYOND_OVERTAKING = 1.5
 _OVERTAKING_KNOWN_S = 10.0
 JUMPS_TO_BELIEVE = 3
-_BUCKETS_FOR_DRIFT = 4
+_BUCKETS_FOR_DRIFT = 4  # chosen: a line through them leaves two to judge its noise by
 _MOST_DRIFT = 0.1  # a simulation may run slow by a per cent; a stamp that lags more is no clock that runs
 CRYSTAL_DRIFT = 20e-6
 """1-sigma of an ordinary crystal: what is known before it was measured."""
-_WRAP_S = 2**32 / 1e3
+_WRAP_S = 2**32 / 1e3  # time_boot_ms is a uint32_t of milliseconds
 
 
 class Drift(NamedTuple):

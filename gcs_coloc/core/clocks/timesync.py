@@ -23,16 +23,16 @@ from gcs_coloc.core.clocks.sender_clock import Drift
 from gcs_coloc.core.reasons import CoreRefusal
 
 _WINDOW_S = 300.0
-_MOST_EXCHANGES = 400
-_MOST_PENDING = 16
+_MOST_EXCHANGES = 400  # chosen: the window at one request a second, with the quick ones
+_MOST_PENDING = 16  # chosen: of quick requests 3.2 s, longer than the oldest answer that counts
 _OLDEST_ANSWER_S = 3.0
 _PLAUSIBLE_S = 0.5
 _QUICK_PERIOD_S = 0.2
-_QUICK_EXCHANGES = 50
+_QUICK_EXCHANGES = 50  # chosen: ten seconds of quick requests
 _MOST_RECENT = 10
 _UNANSWERED = 20
 _UNANSWERED_SLOWDOWN = 10.0
-_ENOUGH = 9
+_ENOUGH = 9  # eight spacings need nine delays
 _SPACINGS = 8
 _FINEST_S = 0.0005
 _STEP_S = 0.1
