@@ -62,6 +62,8 @@ def test_thirty_vehicles_are_sorted_filtered_and_told_apart(tmp_path):
         cards = page.locator("#fleet li")
         expect(page.locator("#fleet .card.good")).to_have_count(COUNT)
         expect(page.locator("#fleet")).to_have_class("compact")
+        # One that would not be located without GPS says so in its row.
+        expect(page.locator("#readiness-1")).to_have_text(re.compile("^without GPS not ready: "), timeout=60_000)
         rows = cards.evaluate_all("all => all.map((e) => e.getBoundingClientRect().height)")
         assert max(rows) < 40.0
         fields = dict.fromkeys(("load", "voltage_battery", "current_battery", "drop_rate_comm", "errors_comm"), 0)

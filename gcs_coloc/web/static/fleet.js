@@ -29,10 +29,9 @@ function quality({ sigma_h_m: sigma, hpl_m: hpl, hdop, ranges_in_use: ranges }) 
     .filter((part) => part !== null).join(", ");
 }
 
-// Whether it would be located if its GPS failed now; empty while its GPS is not healthy.
+// Whether it would be located if its GPS failed now, and why not; empty while its GPS is not healthy. A list of many shows the second part alone.
 function withoutGps({ readiness: found }) {
-  if (found === null) return "";
-  return `without GPS ${READINESS_WORDS[found.state]}${found.text === "" ? "" : `: ${found.text}`}`;
+  return found === null ? ["", "", ""] : ["without GPS ", READINESS_WORDS[found.state], found.text === "" ? "" : `: ${found.text}`];
 }
 
 // The same with what it would have then.
@@ -40,7 +39,7 @@ function withoutGpsInFull(snapshot) {
   const found = snapshot.readiness;
   if (found === null) return "-";
   const levels = found.hpl_m === null ? "no position" : `protection level ${metres(found.hpl_m)}, 95 % bound ${metres(found.bound_95_m)}, HDOP ${number(found.hdop)}`;
-  return `${withoutGps(snapshot).replace("without GPS ", "")}; peers ranged: ${found.peers}; half a minute after a loss: ${levels}`;
+  return `${withoutGps(snapshot).slice(1).join("")}; peers ranged: ${found.peers}; half a minute after a loss: ${levels}`;
 }
 
 // An override, and who gave it.
@@ -145,7 +144,7 @@ export class FleetList {
     const name = `${vehicleName(snapshot)} ${word}, ${reason}`;
     if (card.button.getAttribute("aria-label") !== name) card.button.setAttribute("aria-label", name);
     setText(card.numbers, quality(snapshot));
-    setText(card.readiness, withoutGps(snapshot));
+    withoutGps(snapshot).forEach((text, i) => setText(card.readiness.children[i], text));
     card.readiness.dataset.state = snapshot.readiness?.state ?? "";
   }
 
@@ -154,6 +153,7 @@ export class FleetList {
     const part = (name) => el("span", { class: name, id: `${name}-${sysid}` });
     const card = { sign: part("sign"), word: part("word"), age: part("age"), flight: part("flight"), reason: part("reason"), numbers: part("numbers"), readiness: part("readiness") };
     card.sign.setAttribute("aria-hidden", "true");
+    card.readiness.append(el("span"), el("span"), el("span"));
     card.button = el("button", { type: "button", "aria-describedby": `age-${sysid} flight-${sysid} numbers-${sysid} readiness-${sysid}`, onclick: ({ detail }) => this.onSelect(sysid, detail === 0) },
       card.sign, el("strong", {}, vehicleName(snapshot)), card.word, card.age, card.flight, card.reason, card.numbers, card.readiness);
     card.button.setAttribute("aria-pressed", String(sysid === this.selected));
