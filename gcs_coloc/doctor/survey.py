@@ -35,7 +35,7 @@ from gcs_coloc.mavlink.framing import GCS_SYSID, MAGIC_V1, RawFrame
 from gcs_coloc.mavlink.signing import LinkSigning
 
 MAX_VEHICLES = 250
-LEAST_RANGES = 2
+LEAST_RANGES = 2  # chosen: one may be a stray
 _TIMESYNC_EVERY_S = 1.0
 _PARAM_VALUE = mavlink.MAVLink_param_value_message
 _STREAMS = {number: stream for stream, number in STREAM_IDS.items()}

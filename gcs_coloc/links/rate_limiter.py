@@ -15,7 +15,7 @@ LEAST_COST_BYTES = 64
 KEPT_S = 10.0
 """A source that was silent for so long makes room for a new one. Chosen: longer than an outage of a radio link."""
 MAX_SOURCES = 256
-"""More than a fleet can have vehicles (system ids are 1 to 255)."""
+"""Chosen: more than a fleet may have vehicles (`max_vehicles`)."""
 
 
 @dataclass(slots=True)

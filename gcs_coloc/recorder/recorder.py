@@ -19,14 +19,14 @@ from gcs_coloc.recorder.log_segment import LogSegment
 from gcs_coloc.recorder.side_channel import FlownWith, GroundTool, SideChannelRecord, SideChannelWriter
 from gcs_coloc.recorder.tlog import tlog_record
 
-_MAX_QUEUED = 20_000
-_BATCH_ITEMS = 200
-_FLUSH_S = 0.5
-_SYNC_S = 1.0
-_RETRY_S = 5.0
-_SILENT_S = 5.0
-_JOIN_S = 5.0
-_NAMES = 3600
+_MAX_QUEUED = 20_000  # chosen: ten seconds of thirty vehicles at 60 messages a second, should the disk not answer
+_BATCH_ITEMS = 200  # chosen: between two batches the thread looks whether it is to end
+_FLUSH_S = 0.5  # chosen: what a killed process loses at most
+_SYNC_S = 1.0  # chosen: what a power cut loses at most; more often, and a memory card is worn for nothing
+_RETRY_S = 5.0  # chosen: a full or missing disk is looked at anew without filling the log
+_SILENT_S = 5.0  # chosen: beyond what a memory card takes to tidy up
+_JOIN_S = 5.0  # chosen: a service that is to end does not wait longer for a disk
+_NAMES = 3600  # an hour of names, one a second: as many recordings cannot begin at once
 _IN_USE_S = 60.0
 """A file that was written to so lately may be another service's, which writes once a second. Chosen for a slow disk."""
 

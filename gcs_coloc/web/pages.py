@@ -9,7 +9,7 @@ from typing import Protocol
 from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.web.wire import HIDDEN, SHOWN, VISIBLE, EventsFrame, VehicleHistory
 
-MAX_PAGES = 32
+MAX_PAGES = 32  # chosen: bounds what pages cost the service; nobody has as many operators
 MAX_UNSHOWN = 2
 """Pictures on their way to a page. Chosen: one would halve the rate at a round trip of 0.4 s, more would show the past."""
 _PAGES_AT_A_TIME = 8

@@ -11,8 +11,8 @@ from gcs_coloc.core.messages.outbound import AidingMessage, GpsInput
 from gcs_coloc.core.reasons import StatedReason, WordedReason
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
-_JUDGED_AFTER_S = 5.0
-_SILENCE_S = 3.0
+_JUDGED_AFTER_S = 5.0  # chosen: an autopilot takes the first fixes within two, and reports at 1 Hz
+_SILENCE_S = 3.0  # chosen: three reports at 1 Hz
 _LINGERS_S = 6.0  # ArduPilot keeps a fix for 4 s after the last message with one
 _NEAR_M, _NEAR_S = 50.0, 2.0
 _HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX

@@ -14,8 +14,8 @@ from gcs_coloc.core.residual_log import CONSISTENT_MEDIAN_NIS
 from gcs_coloc.core.stations.node_id import node_name
 
 _MOST_DETERMINED_HDOP = 30.0  # from 46 on positions in turns were off by ten times their bound, up to 27 never beyond it
-_WEARS_OFF = 3.0
-_LONGEST_STEP_S = 1.0
+_WEARS_OFF = 3.0  # chosen: a moment that seems determined by chance takes back three times its length
+_LONGEST_STEP_S = 1.0  # chosen: a host that stood still has not seen more
 
 
 class FixPolicy:

@@ -13,14 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-_BUCKET_S = 10.0
+_BUCKET_S = 10.0  # chosen: 100 messages at 10 Hz, of which one hardly waited
 _BUCKETS = 30  # chosen: five minutes
-_LEAST_OVER_S = 60.0
-JUMP_S = 2.0
-_LEAST_JUMP_S = 0.5
-_BEYOND_OVERTAKING = 1.5
-_OVERTAKING_KNOWN_S = 10.0
-JUMPS_TO_BELIEVE = 3
+_LEAST_OVER_S = 60.0  # chosen: a crystal drifts by a millisecond in it
+JUMP_S = 2.0  # chosen: beyond what a radio keeps a message, below the time of a reboot
+_LEAST_JUMP_S = 0.5  # chosen: queues that are let out reach it; below it nothing is told from waiting
+_BEYOND_OVERTAKING = 1.5  # chosen: the most of a minute is not the most that there is
+_OVERTAKING_KNOWN_S = 10.0  # chosen: one bucket; of less the most is not known
+JUMPS_TO_BELIEVE = 3  # chosen: two may be damaged or forged alike, and a third is 0.3 s later at 10 Hz
 _BUCKETS_FOR_DRIFT = 4  # chosen: a line through them leaves two to judge its noise by
 _MOST_DRIFT = 0.1  # a simulation may run slow by a per cent; a stamp that lags more is no clock that runs
 CRYSTAL_DRIFT = 20e-6

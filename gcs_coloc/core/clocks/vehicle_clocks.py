@@ -23,11 +23,11 @@ from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 ONE_WAY = "one-way"
 """How a clock is known that neither TIMESYNC nor UTC shows: by the least delay of its stamps."""
 
-_SAME_CLOCK_S = 0.05
+_SAME_CLOCK_S = 0.05  # chosen: what the least delays of two streams of one sender differ by
 _SAME_UNEVEN_CLOCK_S = 0.5  # chosen: what one of two messages waits more than the other
 _ONE_WAY_SIGMA_S = 0.005  # how far the least of a minute's one-way delays may be from the link's least
 _WAITS = 4.0  # a link's least delay, 1-sigma, in mean waits beyond it: radios have about one, mobile networks two to eight
-_MOST_UNKNOWN_S = 0.25
+_MOST_UNKNOWN_S = 0.25  # chosen: half a second of unknown delay is two sigmas; a link that waits longer shows it
 # An autopilot's UTC is that of a fix when it came in: behind by the receiver's computing and its serial line, and since then by
 # its own crystal, as it is not set anew while armed. 0.19 s on ArduPlane 4.7 with a simulated receiver.
 _UTC_BEHIND_S, _UTC_SIGMA_S = 0.15, 0.08
@@ -35,12 +35,12 @@ _MOST_BY_UTC_S = 0.9  # beyond, another cause is likelier, such as a leap second
 
 # Duplicate system ids
 _APART_S = 10.0  # nearer, one sender's frames that waited somewhere would do for a second clock
-_SAME_S = 2.0
+_SAME_S = 2.0  # chosen: as a jump of one clock (`JUMP_S`)
 _FOLLOWS = 0.01  # crystals drift; what was delayed must not draw the clock along
-_TURNS = 6
+_TURNS = 6  # chosen: two senders take turns in every message, waiting frames once or twice
 _TURN_S = 1.0  # what waited and is let out among fresh frames has left its place by the next
-_TURNS_WITHIN_S = 20.0
-_HELD_S = 10.0
+_TURNS_WITHIN_S = 20.0  # chosen: six turns of messages at 1 Hz, some of them lost
+_HELD_S = 10.0  # chosen: ten messages at 1 Hz without a turn
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,18 +15,18 @@ from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver
 from gcs_coloc.core.reasons import StatedReason
 
-_WINDOW_S = 3.0
-_LONGEST_GAP_S = 1.0
-_SIGMAS = 5.0
-_LEAST_MISS_M = 2.0
-_PERSISTS_S = 1.0
-_HELD_S = 10.0
-_FROZEN_S = 3.0
-_FROZEN_PATH_M = 10.0
-_UNSTATED_SIGMA_M = 5.0
-_LEAST_OFF_M = 10.0
+_WINDOW_S = 3.0  # chosen: long against the noise of positions, short against the time in which a lie takes an aircraft away
+_LONGEST_GAP_S = 1.0  # chosen: over a longer one a turning aircraft does not fly the mean of two velocities
+_SIGMAS = 5.0  # chosen: by chance never in a flight; stated accuracies are often too good
+_LEAST_MISS_M = 2.0  # chosen: what the rounding of times and velocities adds up to at airspeed
+_PERSISTS_S = 1.0  # chosen: five positions in a row; one late or early is none
+_HELD_S = 10.0  # chosen: three windows, as either side of a jump may be the wrong one
+_FROZEN_S = 3.0  # chosen: fifteen fixes in a row at 5 Hz; a receiver may repeat one or two
+_FROZEN_PATH_M = 10.0  # chosen: beyond the drift of a vehicle that hovers or stands
+_UNSTATED_SIGMA_M = 5.0  # chosen: a single-frequency receiver without corrections, 95 % within 10 m
+_LEAST_OFF_M = 10.0  # chosen: beyond what a sound filter and its receiver differ by in a turn
 _APART_IN_TIME_S = 2.0  # a receiver's delay and the gap between two messages that are sent once a second
-_OFF_PERSISTS_S = 3.0
+_OFF_PERSISTS_S = 3.0  # chosen: longer than a filter takes to follow its receiver after a turn
 _HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 
 

@@ -17,11 +17,11 @@ from math import inf, pi, sqrt
 from statistics import median
 
 _STUCK_CHANCE = 1e-9  # of so many equal values in a row: in a year of ranging at 10 Hz not once
-_MOST_LIKELY = 0.5
-_LEAST_CHANGES = 20
+_MOST_LIKELY = 0.5  # chosen: a value that is likelier than not to repeat shows nothing by repeating
+_LEAST_CHANGES = 20  # chosen: of fewer changes the chance of a repeat is not known
 _QUIETER = 3.0  # in steady flight the noise may be so much less than in the values before, on the move
-_KEPT = 32
-_MOST_PAIRS = 512
+_KEPT = 32  # chosen: more than the repeats that are beyond chance
+_MOST_PAIRS = 512  # chosen: bounds the memory; 32 vehicles with 16 peers each
 _ROUNDING = 1e-6  # of a value: single precision and the difference of three of them
 _MEDIAN_PER_SIGMA = 0.6745  # of the magnitude of a Gaussian
 _SECOND_DIFFERENCE = sqrt(6.0)  # its sigma over that of the values

@@ -30,10 +30,10 @@ LEAST_AIRSPEED_MPS = 5.0
 
 _SEA_LEVEL_K = 288.15  # Source: U.S. Standard Atmosphere 1976
 _LAPSE_K_PER_M = 0.0065  # Source: the same, below the tropopause
-_DENSITY_EXPONENT = 4.2559
-_TROPOPAUSE_M = 11_000.0
+_DENSITY_EXPONENT = 4.2559  # Source: the same; g M / (R lapse) - 1
+_TROPOPAUSE_M = 11_000.0  # Source: the same
 _SCALE_HEIGHT_M = 6341.6  # of the isothermal layer above
-_TOP_M = 20_000.0
+_TOP_M = 20_000.0  # Source: the same; where its isothermal layer ends
 _STREAMS = {
     GlobalPosition: Stream.POSITION,
     Attitude: Stream.ATTITUDE,

@@ -25,9 +25,9 @@ _OF_ALL_HZ = {
 _OF_ARDUPILOT_HZ = {Stream.SECOND_RECEIVER: 5.0, Stream.EKF_STATUS: 2.0}
 _OF_PX4_HZ = {Stream.ESTIMATOR_STATUS: 2.0}
 _WHERE_KNOWN_HZ = {Stream.RECEIVER_INTEGRITY: 1.0}
-_WINDOW_S = 4.0
-_FIRST_RETRY_S = 8.0
-_LONGEST_RETRY_S = 120.0
+_WINDOW_S = 4.0  # chosen: four messages of the slowest stream
+_FIRST_RETRY_S = 8.0  # chosen: two windows, so that what was requested has had one of its own
+_LONGEST_RETRY_S = 120.0  # chosen: what is refused for good costs a radio one request in two minutes
 
 
 def wanted_hz(autopilot: Autopilot | None) -> Mapping[Stream, float]:

@@ -47,8 +47,8 @@ _LEAST_AGREED = 2
 """Chosen: so many ranges in a row must leave one place; a single one that is an outlier may fit a wrong one."""
 _REFUSED_MOST = 10
 """Chosen: when so many ranges in a row fit no component, none of them is the vehicle's place."""
-_LEAST_DISTANCE_M = 0.1
-_ROUNDING_M2 = 1e-12
+_LEAST_DISTANCE_M = 0.1  # chosen: nearer, two antennas have no direction to each other
+_ROUNDING_M2 = 1e-12  # chosen: keeps a quotient finite; far below any variance
 
 
 def is_too_wide(horizontal_m2: float, distance_m: float, range_sigma_m: float) -> bool:

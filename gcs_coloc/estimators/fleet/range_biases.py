@@ -29,7 +29,7 @@ _MEMORY_S = 1200.0
 """Chosen: a bias changes with temperature and the attitude of the antenna; a quarter of an hour is one flight."""
 _TEST_EVERY = 4
 """Chosen: windows between two tests, each of which costs a fifth of a millisecond."""
-_LEAST_WINDOWS = 8
+_LEAST_WINDOWS = 8  # chosen: two tests; of fewer windows a slow error looks like a lasting one
 _MOST_SAMPLES = 256
 """Chosen: bounds the cost of a window; eight peers at 32 Hz."""
 _FOUND_LOG_RATIO = 12.0

@@ -18,7 +18,7 @@ import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
 
-_PARALLEL = 1e-14
+_PARALLEL = 1e-14  # chosen: the rounding of double precision; below it all lines of sight are one
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,7 +54,7 @@ PAPER_STEP_S = 0.02
 _IN_USE_S = 2.0
 """Ranges count as in use for this long after their fix. Chosen: two epochs at 1 Hz."""
 
-_RESIDUALS_KEPT = 2000
+_RESIDUALS_KEPT = 2000  # chosen: bounds the memory where nobody drains them; those of a minute of eight peers at 4 Hz
 
 
 class QuZhangFilter:
