@@ -22,21 +22,21 @@ import numpy as np
 from gcs_coloc.core.clocks.sender_clock import Drift
 from gcs_coloc.core.reasons import CoreRefusal
 
-_WINDOW_S = 300.0
+_WINDOW_S = 300.0  # chosen: so many exchanges that some hardly waited; a drift over it is measured, and taken out
 _MOST_EXCHANGES = 400  # chosen: the window at one request a second, with the quick ones
-_MOST_PENDING = 16  # chosen: of quick requests 3.2 s, longer than the oldest answer that counts
-_OLDEST_ANSWER_S = 3.0
-_PLAUSIBLE_S = 0.5
-_QUICK_PERIOD_S = 0.2
+_MOST_PENDING = 16  # chosen: of one request a second as many, so that an answer long overdue is told as such
+_OLDEST_ANSWER_S = 3.0  # chosen: beyond the round trip of a mobile network with a queue; an older one bounds nothing
+_PLAUSIBLE_S = 0.5  # chosen: what a message may wait more than the least of the last minute
+_QUICK_PERIOD_S = 0.2  # chosen: the least delay of a link is known within seconds
 _QUICK_EXCHANGES = 50  # chosen: ten seconds of quick requests
-_MOST_RECENT = 10
-_UNANSWERED = 20
-_UNANSWERED_SLOWDOWN = 10.0
+_MOST_RECENT = 10  # chosen: two seconds of quick exchanges
+_UNANSWERED = 20  # chosen: four seconds of quick requests
+_UNANSWERED_SLOWDOWN = 10.0  # chosen: an autopilot that comes to answer is noticed within ten periods
 _ENOUGH = 9  # eight spacings need nine delays
-_SPACINGS = 8
-_FINEST_S = 0.0005
-_STEP_S = 0.1
-_RECENT_S = 10.0
+_SPACINGS = 8  # chosen: the mean of fewer spacings scatters by more than a third of itself
+_FINEST_S = 0.0005  # chosen: stamps of a millisecond, and the loop of an autopilot that answers between two runs
+_STEP_S = 0.1  # chosen: below it a drift and a slow simulation look alike; three metres at airspeed
+_RECENT_S = 10.0  # chosen: at the rate a clock may be off, 0.5 s, beyond which causality says little
 _MOST_RATE = 0.05  # how much faster or slower a clock may run; chosen: a simulation is 1 to 4 % off the host's clock
 _WANDERING_SIGMA = 0.01  # 1-sigma of the rate of such a clock: it changes within seconds, by up to 0.03 on PX4's SIH
 _RATE_SIGMA = 0.03  # 1-sigma of such a rate before it is measured
@@ -45,7 +45,7 @@ _WANDERING_KNOWN_S = 5.0  # chosen: in which such a clock goes wrong by up to 0.
 _OFF_FOR_S = 10.0  # chosen: a simulation that stood still once does so again
 _RATE_EXCHANGES = 5  # by which the rate of such a clock is found; chosen: one second of quick exchanges
 _CRYSTAL_OFF_S = 0.002  # stamps in whole milliseconds, and the processing on both sides
-_CONTRADICTIONS_TO_BELIEVE = 2
+_CONTRADICTIONS_TO_BELIEVE = 2  # chosen: a single one may be a forged or damaged answer
 _ASYMMETRY = 0.1  # how much the least delays up and down may differ, 1-sigma, as a share of one of them
 
 
@@ -135,7 +135,8 @@ class RoundTrips:
         # The system id in the nanoseconds tells the answers of two vehicles apart, and no request is ever 0.
         ts1_ns = round(now_s * 1e9) + sysid
         self._pending[ts1_ns] = now_s
-        while len(self._pending) > _MOST_PENDING:
+        # A request whose answer would still count is kept however many there are: 31 at the shortest period.
+        while len(self._pending) > _MOST_PENDING and now_s - next(iter(self._pending.values())) > _OLDEST_ANSWER_S:
             del self._pending[next(iter(self._pending))]
         return ts1_ns
 

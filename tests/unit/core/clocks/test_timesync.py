@@ -300,6 +300,26 @@ def test_answers_that_nobody_asked_for_are_old_or_do_not_fit_are_refused():
     assert VehicleClock().add_answer(1, 5.0, 1.0) == CoreRefusal.TIMESYNC_BEFORE_BOOT_TIME
 
 
+@pytest.mark.parametrize("period_s", [0.1, 0.2, 1.0])
+def test_answers_count_on_a_link_of_2_s_however_often_they_are_asked_for(period_s):
+    clock = VehicleClock()
+    under_way: list[tuple[float, int]] = []
+    refused: list[CoreRefusal | None] = []
+    for poll in range(300):
+        now_s = 10.0 + poll * 0.1
+        clock.learn(now_s - 1.0 + 100.0, now_s)
+        ts1 = clock.round_trips.request(7, now_s, period_s)
+        if ts1 is not None:
+            under_way.append((now_s, ts1))
+        while under_way and under_way[0][0] + 2.0 <= now_s:
+            asked_s, ts1 = under_way.pop(0)
+            refused.append(clock.add_answer(ts1, asked_s + 1.0 + 100.0, now_s))
+    known = clock.round_trips.estimate(40.0)
+    assert set(refused) == {None}
+    assert known is not None
+    assert known.offset_s == pytest.approx(-100.0, abs=0.05)
+
+
 def test_a_device_on_the_autopilots_clock_uses_its_offset_and_another_the_links_delay():
     vehicle = Exchange(6, 300.0, 0.0, QUEUE, QUEUE)
     vehicle.run(0.0, 200.0)
