@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from gcs_coloc.core.stations.node_id import MAX_STATION_ID, station_node
+from gcs_coloc.core.stations.node_id import MAX_STATION_ID, is_system_id, station_node
 from gcs_coloc.mavlink.refusals import Field
 
 ALTITUDE_MIN_M = -1000.0
@@ -88,7 +88,7 @@ def range_sigma_m(sigma: float, field: Field) -> float | None:
 
 def peer_sysid(peer: int, sender: int, field: Field) -> int:
     """Check the system id at the other end of a range: a system id, and not the sender's own."""
-    if not 1 <= peer <= 255 or peer == sender:
+    if not is_system_id(peer) or peer == sender:
         raise InvalidValueError(field)
     return peer
 

@@ -36,6 +36,9 @@ HEADER_LENGTH_V2 = 10
 CHECKSUM_LENGTH = 2
 SIGNATURE_LENGTH = 13
 INCOMPAT_SIGNED = 0x01
+INCOMPAT_32_BIT = 0x02 | 0x04
+"""A sender's id or a target beyond one byte: MAVLINK_IFLAG_SYSID32 and _TARGET32 of pymavlink, after MAVLink RFC 20."""
+_KNOWN_INCOMPAT = INCOMPAT_SIGNED | INCOMPAT_32_BIT
 MAX_PAYLOAD_LENGTH = 255
 """Lengths in bytes, as in https://mavlink.io/en/guide/serialization.html."""
 MAX_FRAME_LENGTH = HEADER_LENGTH_V2 + MAX_PAYLOAD_LENGTH + CHECKSUM_LENGTH + SIGNATURE_LENGTH
@@ -73,7 +76,7 @@ class RawFrame(NamedTuple):
 
 
 def read_frame(data: bytes | mmap, start: int) -> RawFrame | Refusal:
-    """Read the frame that begins at `start`; or why there is none: NO_MAGIC, TRUNCATED, UNKNOWN_INCOMPAT_FLAGS, BAD_CRC."""
+    """Read the frame that begins at `start`; or why there is none: a Refusal from NO_MAGIC to UNKNOWN_INCOMPAT_FLAGS."""
     size = len(data)
     magic = data[start]
     if magic == MAGIC_V2:
@@ -82,7 +85,8 @@ def read_frame(data: bytes | mmap, start: int) -> RawFrame | Refusal:
             return Refusal.TRUNCATED
         length, incompat, _, sequence, sysid, compid, id_low, id_high = _HEADER_V2.unpack_from(data, start + 1)
         if incompat & ~INCOMPAT_SIGNED:
-            return Refusal.UNKNOWN_INCOMPAT_FLAGS
+            # Random bytes have other flags as well.
+            return Refusal.UNKNOWN_INCOMPAT_FLAGS if incompat & ~_KNOWN_INCOMPAT else Refusal.SYSTEM_ID_32_BIT
         message_id = id_low | id_high << 16
     elif magic == MAGIC_V1:
         payload_start = start + HEADER_LENGTH_V1

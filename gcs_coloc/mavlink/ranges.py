@@ -28,14 +28,18 @@ _RANGE_NAME = re.compile(rb"(RNG|STN)(\d+)")
 
 def peer_range(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> PeerRange:
     """PEER_RANGE (181600)."""
-    time_usec, distance, range_std, sequence, peer, quality, device_id, peer_type, station_id = values
+    time_usec, distance, range_std, sequence, peer, quality, device_id, peer_type, station_id, wide_peer = values
     if peer_type > PEER_IS_STATION:
         raise InvalidValueError(Field.PEER_TYPE)
+    if peer and wide_peer:
+        raise InvalidValueError(Field.PEER_SYSTEM_ID)
     measured_at_s, time_base = _measuring_time(time_usec)
     return PeerRange(
         sysid=sysid,
         received_at_s=received_at_s,
-        peer=station_node(station_id) if peer_type == PEER_IS_STATION else checks.peer_sysid(peer, sysid, Field.PEER_SYSTEM),
+        peer=station_node(station_id)
+        if peer_type == PEER_IS_STATION
+        else checks.peer_sysid(peer or wide_peer, sysid, Field.PEER_SYSTEM),
         range_m=checks.range_m(distance, Field.RANGE),
         sigma_m=checks.range_sigma_m(range_std, Field.RANGE_STD),
         measured_at_s=measured_at_s,

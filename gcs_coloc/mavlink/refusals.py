@@ -17,6 +17,8 @@ class Refusal(StrEnum):
     """A byte that begins no frame; counted as GARBAGE_BYTES only."""
     TRUNCATED = "truncated"
     BAD_CRC = "bad_crc"
+    SYSTEM_ID_32_BIT = "system_id_32_bit"
+    """A MAVLink 2.1 frame whose header has a system id or a target of 32 bits: not read."""
     UNKNOWN_INCOMPAT_FLAGS = "unknown_incompat_flags"
     UNVERIFIABLE = "unverifiable"
     """A message id of no known dialect, where no other frame follows: its checksum cannot be tested."""
@@ -101,6 +103,7 @@ class Field(StrEnum):
     NAME = "name"
     PARAM_ID = "param_id"
     PEER_SYSTEM = "peer_system"
+    PEER_SYSTEM_ID = "peer_system_id"
     PEER_TYPE = "peer_type"
     PITCH = "pitch"
     QUALITY = "quality"
@@ -179,6 +182,7 @@ _WITHOUT_WARNING = frozenset({Refusal.ANSWER_TO_ANOTHER})
 """Shown, but nothing to warn of: vehicles answer to every ground station that commands them."""
 _REMEDIES: Mapping[str, str] = {
     Refusal.GARBAGE_BYTES: "bytes that are no MAVLink: where nobody is heard on a serial link, a wrong baud rate",
+    Refusal.SYSTEM_ID_32_BIT: "MAVLink 2.1 frames with 32-bit ids are not read: give vehicles system ids from 1 to 255",
     Refusal.ADDRESS_CONFLICT: "two senders use one system id: give every vehicle its own (SYSID_THISMAV or MAV_SYSID)",
     Refusal.UNSIGNED: "a link that requires signatures: give the vehicle the key, or is somebody pretending?",
     Refusal.SIGNATURE_WRONG: "the vehicle has another key than ours, or somebody is pretending",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -64,11 +65,9 @@ def load_plan(
 def _numbered(missions: Sequence[Mission]) -> dict[int, Mission]:
     found: dict[int, Mission] = {}
     taken = {mission.sysid for mission in missions}
-    free = (sysid for sysid in range(1, 256) if sysid not in taken)
+    free = (sysid for sysid in count(1) if sysid not in taken)
     for mission in missions:
-        sysid = mission.sysid if mission.sysid is not None else next(free, None)
-        if sysid is None:
-            raise UsageError("more than 255 vehicles: there are no more system ids")
+        sysid = mission.sysid if mission.sysid is not None else next(free)
         if sysid in found:
             raise UsageError(f"{mission.name} and {found[sysid].name} both have the system id {sysid}")
         found[sysid] = mission

@@ -18,6 +18,7 @@ from typing import Any
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import VehicleClass
+from gcs_coloc.core.stations.node_id import is_system_id
 from gcs_coloc.planning.fleet_plan import PlanAssumptions
 from gcs_coloc.planning.mission import (
     LatLonAlt,
@@ -172,6 +173,9 @@ def _read_scenario(path: Path, text: str, speed_mps: float | None) -> MissionFil
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise DataError(f"{path}: not valid TOML: {error}") from error
+    lacking = [shown for key, shown in (("origin", "[origin]"), ("vehicle", "[[vehicle]]")) if key not in table]
+    if lacking:
+        raise DataError(f"{path}: has no {' and no '.join(lacking)}: expected a scenario of simulated vehicles")
     origin = _table(path, table, "origin")
     base_m = number(f"{path}: origin", "alt_msl_m", origin.get("alt_msl_m", 0.0))
     lat, lon = (number(f"{path}: origin", key, origin.get(key)) for key in ("lat_deg", "lon_deg"))
@@ -191,8 +195,8 @@ def _scenario_vehicle(
     path: Path, at: int, vehicle: Any, table: Mapping[str, Any], frame: LocalFrame, speed_mps: float | None
 ) -> Mission:
     where = f"{path}: vehicle {at}"
-    if not isinstance(vehicle, dict) or not isinstance(vehicle.get("sysid"), int) or not 1 <= vehicle["sysid"] <= 255:
-        raise DataError(f"{where}: sysid: expected a system id from 1 to 255")
+    if not isinstance(vehicle, dict) or not isinstance(vehicle.get("sysid"), int) or not is_system_id(vehicle["sysid"]):
+        raise DataError(f"{where}: sysid: expected a system id, a whole number from 1")
     points = vehicle.get("waypoints")
     if not isinstance(points, list) or len(points) < 2:
         raise DataError(f"{where}: waypoints: expected two [east, north] at least")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
+from gcs_coloc.core.stations.node_id import MAX_SYSTEM_ID
 from gcs_coloc.evaluation.tables import TableRow, read_table
 from gcs_coloc.mavlink.checks import RANGE_MAX_M
 from gcs_coloc.mavlink.decoder import HeardTruth
@@ -55,9 +56,9 @@ def read_ranges(path: Path) -> list[PeerRange]:
     for row in read_table(path, ("unix_s", "from_sysid", "to_sysid", "range_m"), ("sigma_m",)):
         measured_at_s = row.number("unix_s")
         message = PeerRange(
-            sysid=row.integer("from_sysid", 1, 255),
+            sysid=row.integer("from_sysid", 1, MAX_SYSTEM_ID),
             received_at_s=measured_at_s,
-            peer=row.integer("to_sysid", 1, 255),
+            peer=row.integer("to_sysid", 1, MAX_SYSTEM_ID),
             range_m=_range_m(row),
             sigma_m=None if row.is_empty("sigma_m") else row.positive("sigma_m"),
             measured_at_s=measured_at_s,
@@ -88,7 +89,7 @@ def read_truth(path: Path) -> list[TruthPoint]:
     points = [
         TruthPoint(
             unix_s=row.number("unix_s"),
-            sysid=row.integer("sysid", 1, 255),
+            sysid=row.integer("sysid", 1, MAX_SYSTEM_ID),
             lat_deg=row.within("lat_deg", -90.0, 90.0, "degrees are wanted, latitude before longitude"),
             lon_deg=row.within("lon_deg", -180.0, 360.0, "degrees are wanted"),
             alt_msl_m=row.number("alt_msl_m"),

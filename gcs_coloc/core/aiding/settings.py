@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
+from gcs_coloc.core.stations.node_id import LARGEST_READ_SYSTEM_ID
 
 AidingMethodName = Literal[
     "auto", "gps_input", "external_position", "global_position_sensor", "vision_position", "ranging_beacon"
@@ -68,5 +69,5 @@ class AidingSettings:
     def __post_init__(self) -> None:
         check_bounds(self)
         for sysid in self.methods:
-            if not 1 <= sysid <= 255:
-                raise ValueError(f"methods: {sysid} is not a MAVLink system id (1 to 255)")
+            if not 1 <= sysid <= LARGEST_READ_SYSTEM_ID:
+                raise ValueError(f"methods: {sysid} is not a MAVLink system id (1 to {LARGEST_READ_SYSTEM_ID})")

@@ -1,13 +1,21 @@
 """Node ids: a vehicle's is its MAVLink system id, a station's is negative, so that the two never meet.
 
-System ids may grow beyond 255 (MAVLink RFC 20); station ids, as RANGING_BEACON has them, are 0 to 65535. Estimators and integrity
-take either for an end of a range.
+Station ids, as RANGING_BEACON has them, are 0 to 65535. Estimators and integrity take either for an end of a range.
 """
 
 from __future__ import annotations
 
+MAX_SYSTEM_ID = 0xFFFF_FFFF
+"""System ids are getting 32 bits (MAVLink RFC 20). Nothing of ours that holds one has less."""
+LARGEST_READ_SYSTEM_ID = 255
+"""Frames whose header has a larger one are counted, not read: a setting that names one is a mistake."""
 MAX_STATION_ID = 65_535
 """RANGING_BEACON.beacon_id is a uint16_t."""
+
+
+def is_system_id(number: int) -> bool:
+    """Return whether a number is a vehicle's system id; 0 addresses everybody."""
+    return 1 <= number <= MAX_SYSTEM_ID
 
 
 def station_node(station_id: int) -> int:

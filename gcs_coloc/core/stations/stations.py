@@ -14,7 +14,7 @@ from gcs_coloc.core.measurements import PositionMeasurement, Vector3
 from gcs_coloc.core.messages.inbound import Beacon, BeaconPosition, GpsReceiver, PeerRange
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.reasons import CoreRefusal
-from gcs_coloc.core.stations.node_id import is_station, node_name, station_id_of, station_node
+from gcs_coloc.core.stations.node_id import is_station, is_system_id, node_name, station_id_of, station_node
 
 BeaconIds = Literal["stations", "vehicles"]
 """Whose ids the `beacon_id` of a RANGING_BEACON without a position are."""
@@ -27,7 +27,6 @@ _MAX_TOLD = 256
 _CONTRADICTS_SIGMAS, _CONTRADICTS_M = 3.0, 1.0
 """Chosen: farther than three sigmas of both positions and than rounding they are two places."""
 _FIX_3D = 3  # GPS_FIX_TYPE_3D_FIX
-_LAST_OF_VEHICLES = 255
 
 
 class StationSource(StrEnum):
@@ -168,7 +167,7 @@ class Stations:
         return self._resolve_station(message, beacon, beacon.position)
 
     def _resolve_vehicle(self, message: PeerRange, beacon: Beacon) -> ResolvedRange:
-        if not 1 <= beacon.beacon_id <= _LAST_OF_VEHICLES or beacon.beacon_id == message.sysid:
+        if not is_system_id(beacon.beacon_id) or beacon.beacon_id == message.sysid:
             text = f"its RANGING_BEACON names beacon {beacon.beacon_id}, which is no other vehicle's system id"
             return self._refuse(message, CoreRefusal.BEACON_NO_VEHICLE, text)
         return ResolvedRange(replace(message, peer=beacon.beacon_id, beacon=None))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from gcs_coloc.core.setting_bounds import check_bounds, positive
+from gcs_coloc.core.stations.node_id import LARGEST_READ_SYSTEM_ID
 from gcs_coloc.core.stations.stations import BeaconIds
 
 _MOST_BIAS_M, _MOST_SCALE = 1000.0, 0.1  # chosen: beyond, it is another unit and no calibration
@@ -45,7 +46,7 @@ class MeasurementSettings:
         for name, most in (("range_bias_m", _MOST_BIAS_M), ("range_scale", _MOST_SCALE)):
             table: Mapping[int, float] = getattr(self, name)
             for sysid, value in table.items():
-                if not 1 <= sysid <= 255:
-                    raise ValueError(f"{name}: {sysid} is not a MAVLink system id (1 to 255)")
+                if not 1 <= sysid <= LARGEST_READ_SYSTEM_ID:
+                    raise ValueError(f"{name}: {sysid} is not a MAVLink system id (1 to {LARGEST_READ_SYSTEM_ID})")
                 if not abs(value) <= most:
                     raise ValueError(f"{name}: {value:g} of vehicle {sysid} is not within {-most:g} to {most:g}")

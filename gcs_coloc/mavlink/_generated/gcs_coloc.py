@@ -586,22 +586,22 @@ class MAVLink_peer_range_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_PEER_RANGE
     msgname = "PEER_RANGE"
-    fieldnames = ["time_usec", "range", "range_std", "sequence", "peer_system", "quality", "device_id", "peer_type", "peer_station"]
-    ordered_fieldnames = ["time_usec", "range", "range_std", "sequence", "peer_system", "quality", "device_id", "peer_type", "peer_station"]
-    fieldtypes = ["uint64_t", "float", "float", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint16_t"]
+    fieldnames = ["time_usec", "range", "range_std", "sequence", "peer_system", "quality", "device_id", "peer_type", "peer_station", "peer_system_id"]
+    ordered_fieldnames = ["time_usec", "range", "range_std", "sequence", "peer_system", "quality", "device_id", "peer_type", "peer_station", "peer_system_id"]
+    fieldtypes = ["uint64_t", "float", "float", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint16_t", "uint32_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {"peer_type": "PEER_TYPE"}
     fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "range": "m", "range_std": "m", "quality": "%"}
-    native_format = bytearray(b"<QffHBBBBH")
-    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0]
+    native_format = bytearray(b"<QffHBBBBHI")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
     crc_extra = 116
-    unpacker = struct.Struct("<QffHBBBBH")
+    unpacker = struct.Struct("<QffHBBBBHI")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, time_usec: int, range: float, range_std: float, sequence: int, peer_system: int, quality: int, device_id: int, peer_type: int = 0, peer_station: int = 0):
+    def __init__(self, time_usec: int, range: float, range_std: float, sequence: int, peer_system: int, quality: int, device_id: int, peer_type: int = 0, peer_station: int = 0, peer_system_id: int = 0):
         MAVLink_message.__init__(self, MAVLink_peer_range_message.id, MAVLink_peer_range_message.msgname)
         self._fieldnames = MAVLink_peer_range_message.fieldnames
         self._instance_field = MAVLink_peer_range_message.instance_field
@@ -615,9 +615,10 @@ class MAVLink_peer_range_message(MAVLink_message):
         self.device_id = device_id
         self.peer_type = peer_type
         self.peer_station = peer_station
+        self.peer_system_id = peer_system_id
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_usec, self.range, self.range_std, self.sequence, self.peer_system, self.quality, self.device_id, self.peer_type, self.peer_station), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_usec, self.range, self.range_std, self.sequence, self.peer_system, self.quality, self.device_id, self.peer_type, self.peer_station, self.peer_system_id), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -1119,7 +1120,7 @@ class MAVLink(object):
         """
         self.send(self.ranging_beacon_encode(time_usec, target_system, target_component, beacon_id, range, lat, lon, alt, alt_type, hacc_est, vacc_est, carrier_freq, range_accuracy, sequence, status), force_mavlink1=force_mavlink1)
 
-    def peer_range_encode(self, time_usec: int, range: float, range_std: float, sequence: int, peer_system: int, quality: int, device_id: int, peer_type: int = 0, peer_station: int = 0) -> MAVLink_peer_range_message:
+    def peer_range_encode(self, time_usec: int, range: float, range_std: float, sequence: int, peer_system: int, quality: int, device_id: int, peer_type: int = 0, peer_station: int = 0, peer_system_id: int = 0) -> MAVLink_peer_range_message:
         """
         Slant range between a vehicle and another one, or a fixed station,
         sent by the vehicle that measured it (message source) to whom
@@ -1129,16 +1130,17 @@ class MAVLink(object):
         range                     : Slant range between the two ranging antennas, greater than 0. [m] (type:float)
         range_std                 : Standard deviation (1 sigma) of the range. 0: unknown. [m] (type:float)
         sequence                  : Number of the measurement, counted by the ranging device, wraps from 65535 to 0. It lets the receiver count losses. (type:uint16_t)
-        peer_system               : MAVLink system id of the vehicle at the other end of the range, 1 to 255, not the sender's own. (type:uint8_t)
+        peer_system               : MAVLink system id of the vehicle at the other end of the range, 1 to 255, not the sender's own. 0: peer_system_id has it. (type:uint8_t)
         quality                   : Chance that the line of sight was clear, as the ranging device judges it. 0: certainly obstructed, 100: certainly clear. [%] (type:uint8_t)
         device_id                 : Which of the sender's ranging devices measured, 0 for the first. (type:uint8_t)
         peer_type                 : What is at the other end; 0, as of senders without this field: a vehicle. (type:uint8_t, values:PEER_TYPE)
         peer_station              : Id of the station at the other end, where peer_type is PEER_TYPE_STATION. (type:uint16_t)
+        peer_system_id            : MAVLink system id of the vehicle at the other end, where it does not fit peer_system, which is 0 then. (type:uint32_t)
 
         """
-        return MAVLink_peer_range_message(time_usec, range, range_std, sequence, peer_system, quality, device_id, peer_type, peer_station)
+        return MAVLink_peer_range_message(time_usec, range, range_std, sequence, peer_system, quality, device_id, peer_type, peer_station, peer_system_id)
 
-    def peer_range_send(self, time_usec: int, range: float, range_std: float, sequence: int, peer_system: int, quality: int, device_id: int, peer_type: int = 0, peer_station: int = 0, force_mavlink1: bool = False) -> None:
+    def peer_range_send(self, time_usec: int, range: float, range_std: float, sequence: int, peer_system: int, quality: int, device_id: int, peer_type: int = 0, peer_station: int = 0, peer_system_id: int = 0, force_mavlink1: bool = False) -> None:
         """
         Slant range between a vehicle and another one, or a fixed station,
         sent by the vehicle that measured it (message source) to whom
@@ -1148,11 +1150,12 @@ class MAVLink(object):
         range                     : Slant range between the two ranging antennas, greater than 0. [m] (type:float)
         range_std                 : Standard deviation (1 sigma) of the range. 0: unknown. [m] (type:float)
         sequence                  : Number of the measurement, counted by the ranging device, wraps from 65535 to 0. It lets the receiver count losses. (type:uint16_t)
-        peer_system               : MAVLink system id of the vehicle at the other end of the range, 1 to 255, not the sender's own. (type:uint8_t)
+        peer_system               : MAVLink system id of the vehicle at the other end of the range, 1 to 255, not the sender's own. 0: peer_system_id has it. (type:uint8_t)
         quality                   : Chance that the line of sight was clear, as the ranging device judges it. 0: certainly obstructed, 100: certainly clear. [%] (type:uint8_t)
         device_id                 : Which of the sender's ranging devices measured, 0 for the first. (type:uint8_t)
         peer_type                 : What is at the other end; 0, as of senders without this field: a vehicle. (type:uint8_t, values:PEER_TYPE)
         peer_station              : Id of the station at the other end, where peer_type is PEER_TYPE_STATION. (type:uint16_t)
+        peer_system_id            : MAVLink system id of the vehicle at the other end, where it does not fit peer_system, which is 0 then. (type:uint32_t)
 
         """
-        self.send(self.peer_range_encode(time_usec, range, range_std, sequence, peer_system, quality, device_id, peer_type, peer_station), force_mavlink1=force_mavlink1)
+        self.send(self.peer_range_encode(time_usec, range, range_std, sequence, peer_system, quality, device_id, peer_type, peer_station, peer_system_id), force_mavlink1=force_mavlink1)

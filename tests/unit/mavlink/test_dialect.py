@@ -46,9 +46,9 @@ def test_peer_range_has_its_fields_in_the_documented_order():
     message = gcs_coloc.MAVLink_peer_range_message
     assert message.id == 181600
     first = ["time_usec", "range", "range_std", "sequence", "peer_system", "quality", "device_id"]
-    assert message.fieldnames == [*first, "peer_type", "peer_station"]
+    assert message.fieldnames == [*first, "peer_type", "peer_station", "peer_system_id"]
     assert message.ordered_fieldnames == message.fieldnames
-    assert message.unpacker.format == "<QffHBBB" + "BH"
+    assert message.unpacker.format == "<QffHBBB" + "BHI"
     assert message.crc_extra == 116  # of the fields before the extensions: that of version 0.1
 
 

@@ -123,12 +123,22 @@ def test_truncated_frame_is_counted():
     assert counts["truncated"] >= 1
 
 
-def test_unknown_incompatibility_flags_are_refused():
+@pytest.mark.parametrize(
+    ("flags", "refusal"),
+    [
+        (0x02, "system_id_32_bit"),
+        (0x04, "system_id_32_bit"),
+        (0x07, "system_id_32_bit"),
+        (0x08, "unknown_incompat_flags"),
+        (0x0A, "unknown_incompat_flags"),
+    ],
+)
+def test_incompatibility_flags_that_are_not_read_are_counted_by_name(flags, refusal):
     strange = bytearray(attitude())
-    strange[2] = 0x02
+    strange[2] = flags
     frames, counts = found(bytes(strange) + heartbeat())
     assert frames == [heartbeat()]
-    assert counts["unknown_incompat_flags"] == 1
+    assert {name: counts[name] for name in ("system_id_32_bit", "unknown_incompat_flags") if counts.get(name)} == {refusal: 1}
 
 
 def test_unknown_message_is_stepped_over_where_a_frame_or_the_end_follows():

@@ -15,7 +15,7 @@ from gcs_coloc.mavlink._generated import gcs_coloc as ours
 from gcs_coloc.mavlink.decoder import Decoder
 
 REFERENCE = (Path(__file__).resolve().parents[3] / "docs/reference/peer-range.md").read_text(encoding="utf-8")
-C_TYPES = {"uint64_t": "Q", "float": "f", "uint16_t": "H", "uint8_t": "B"}
+C_TYPES = {"uint64_t": "Q", "float": "f", "uint32_t": "I", "uint16_t": "H", "uint8_t": "B"}
 
 
 def examples(language):

@@ -114,6 +114,22 @@ def test_a_malformed_item_of_a_plan_is_named_by_its_number(tmp_path, broken, sai
     assert said in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[mqtt]\nport = 1883\n", "has no [origin] and no [[vehicle]]: expected a scenario of simulated vehicles"),
+        ("[origin]\nlat_deg = 47.0\nlon_deg = 8.0\n", "has no [[vehicle]]: expected a scenario of simulated vehicles"),
+        ("[origin]\n[[vehicle]]\n", "origin: lat_deg is None, expected a number"),
+    ],
+)
+def test_another_toml_than_a_scenario_is_told_by_what_it_lacks(tmp_path, text, said):
+    path = tmp_path / "gcs-coloc.toml"
+    path.write_text(text)
+    with pytest.raises(DataError) as error:
+        read_plan_file(path, None, None)
+    assert said in str(error.value)
+
+
 def test_a_file_that_cannot_be_read_is_told(tmp_path):
     with pytest.raises(DataError, match="cannot be read: No such file"):
         read_plan_file(tmp_path / "none.plan", None, None)

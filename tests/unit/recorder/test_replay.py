@@ -168,7 +168,7 @@ def test_ranges_are_read_on_the_recorders_clock(tmp_path):
     ("row", "words"),
     [
         ("x,4,1,5,1", "line 2, column 1 .unix_s.: 'x' is not a number"),
-        ("1,0,1,5,1", "line 2, column 2 .from_sysid.: 0 is not within 1 to 255"),
+        ("1,0,1,5,1", "line 2, column 2 .from_sysid.: 0 is not within 1 to 4294967295"),
         ("1,4,4,5,1", "line 2, column 3 .to_sysid.: a vehicle has no range to itself"),
         ("1,4,1,-5,1", "line 2, column 4 .range_m.: -5 has to be above 0"),
         ("1,4,1,603730,1", "line 2, column 4 .range_m.: 603730 is beyond 100000, as in PEER_RANGE: metres are wanted"),

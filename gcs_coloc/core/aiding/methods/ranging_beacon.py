@@ -16,7 +16,7 @@ from gcs_coloc.core.aiding.vetted_ranges import VettedRange
 from gcs_coloc.core.measurements import Estimate
 from gcs_coloc.core.messages.inbound import CommandResult
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice, RangingBeacon
-from gcs_coloc.core.stations.node_id import is_station, station_id_of
+from gcs_coloc.core.stations.node_id import MAX_STATION_ID, is_station, station_id_of
 
 LEAST_INTERVAL_S = 0.065
 """EKF2 drops a sample that is younger than the last by less than its buffer's step; flown: of three in a burst it used one."""
@@ -29,6 +29,7 @@ _OLDEST_S = 1.0
 _HANDED_S = 2.0
 """Chosen: for so long after the last message ranges count as being handed over."""
 _VEHICLE_IDS_FROM = 256
+_VEHICLE_IDS = MAX_STATION_ID + 1 - _VEHICLE_IDS_FROM
 """beacon_id of vehicle N is this plus N, apart from the ids of stations below it. EKF2 does not tell beacons apart."""
 _STOPPING = (InhibitReason.RANGES_INCONSISTENT, InhibitReason.RANGES_JUMPED)
 """While the ranges themselves are in doubt none is handed over; every other reason concerns the position alone."""
@@ -98,7 +99,7 @@ class RangingBeaconMethod:
         return RangingBeacon(
             sysid=self._sysid,
             boot_us=round(boot_s * 1e6),
-            beacon_id=station_id_of(one.peer) if is_station(one.peer) else _VEHICLE_IDS_FROM + one.peer,
+            beacon_id=station_id_of(one.peer) if is_station(one.peer) else _VEHICLE_IDS_FROM + one.peer % _VEHICLE_IDS,
             sequence=self._sequence,
             range_m=range_m,
             accuracy_m=sqrt(variance_m2),

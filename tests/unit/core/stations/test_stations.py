@@ -68,7 +68,13 @@ def test_by_the_setting_a_beacon_without_a_position_is_a_vehicle_even_where_a_st
     assert with_position.peer == station_node(3)
 
 
-@pytest.mark.parametrize("beacon_id", [0, 4, 256])
+def test_by_the_setting_an_id_beyond_one_byte_is_a_vehicles_too():
+    resolved = Stations((), "vehicles").resolve(beacon(256)).message
+    assert resolved is not None
+    assert resolved.peer == 256
+
+
+@pytest.mark.parametrize("beacon_id", [0, 4])
 def test_by_the_setting_an_id_that_is_no_other_vehicles_is_refused(beacon_id):
     stations = Stations((), "vehicles")
     assert stations.resolve(beacon(beacon_id)).message is None
