@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +52,7 @@ def turn_radius_m(airspeed_mps: float) -> float:
     return airspeed_mps**2 / (GRAVITY_MPS2 * math.tan(_BANK_LIMIT_RAD))
 
 
-@dataclass(frozen=True, slots=True)
-class FlightState:
+class FlightState(NamedTuple):
     """What one aircraft does at one moment: position east and north (m), attitude (rad), rates (rad/s), deflections (rad)."""
 
     east_m: float
@@ -67,7 +67,7 @@ class FlightState:
 
 
 class LateralAircraft:
-    """An aircraft at constant airspeed under its heading hold; `step` moves it by one time step (fourth-order Runge-Kutta).
+    """An aircraft at constant airspeed under its heading hold; `step` moves its `state` on by fourth-order Runge-Kutta.
 
     The heading hold (Fig. 4): heading error times a gain gives the bank that turns at 0.6 rad/s per rad of error,
     limited to 45 degrees; bank error and roll rate drive the aileron. The rudder is driven by the yaw rate beyond the
@@ -83,27 +83,22 @@ class LateralAircraft:
         self._k_rate = _ROLL_RATE_SHARE * -d.l_p / d.l_da
         self._k_bank = (-d.l_p + self._k_rate * d.l_da) / (d.l_da * _ROLL_TIME_CONSTANT_S)
         self._k_yaw = -_YAW_DAMPING_PER_S / d.n_dr
-        self._state: State = (east_m, north_m, 0.0, 0.0, 0.0, 0.0, heading_rad, 0.0, 0.0)
-
-    @property
-    def state(self) -> FlightState:
-        """The state now."""
-        return FlightState(*self._state)
+        self.state = FlightState(east_m, north_m, 0.0, 0.0, 0.0, 0.0, heading_rad, 0.0, 0.0)
 
     def step(self, heading_cmd_rad: float, step_s: float, wind_east_mps: float = 0.0, wind_north_mps: float = 0.0) -> None:
         """Fly one step towards a commanded heading (rad, from the frame's north), in a wind that blows towards east, north."""
-        bank_cmd = math.atan(self._heading_gain * wrap_pi(heading_cmd_rad - self._state[6]))
+        bank_cmd = math.atan(self._heading_gain * wrap_pi(heading_cmd_rad - self.state.psi_rad))
         bank_cmd = max(-_BANK_LIMIT_RAD, min(_BANK_LIMIT_RAD, bank_cmd))
-        x = self._state
+        x = self.state
         h = step_s
         k1 = self.rates(x, bank_cmd, wind_east_mps, wind_north_mps)
         k2 = self.rates(_ahead(x, k1, 0.5 * h), bank_cmd, wind_east_mps, wind_north_mps)
         k3 = self.rates(_ahead(x, k2, 0.5 * h), bank_cmd, wind_east_mps, wind_north_mps)
         k4 = self.rates(_ahead(x, k3, h), bank_cmd, wind_east_mps, wind_north_mps)
-        e, n, b, p, r, phi, psi, da, dr = (
+        e, n, b, p, r, phi, psi, da, dr = [
             xi + h / 6.0 * (a + 2.0 * b + 2.0 * c + d) for xi, a, b, c, d in zip(x, k1, k2, k3, k4, strict=True)
-        )
-        self._state = (e, n, b, p, r, phi, wrap_pi(psi), da, dr)
+        ]
+        self.state = FlightState(e, n, b, p, r, phi, wrap_pi(psi), da, dr)
 
     def rates(self, x: State, bank_cmd_rad: float, wind_east_mps: float, wind_north_mps: float) -> State:
         """Time derivative of the state under a commanded bank: kinematics (34), lateral model, actuators, inner loops."""
@@ -129,7 +124,7 @@ class LateralAircraft:
 
 
 def _ahead(x: State, rate: State, by_s: float) -> State:
-    a, b, c, d, e, f, g, h, i = (xi + ri * by_s for xi, ri in zip(x, rate, strict=True))
+    a, b, c, d, e, f, g, h, i = [xi + ri * by_s for xi, ri in zip(x, rate, strict=True)]
     return a, b, c, d, e, f, g, h, i
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from itertools import count
 from typing import Any
 
@@ -10,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fakes.ardupilot import ArduPilot
 from sitl_fakes.autopilot import Autopilot
-from sitl_fakes.faults import ActiveFaults, ClockJump, GpsJammed, GpsSpoofed, Reboot
+from sitl_fakes.faults import ActiveFaults, ClockJump, Fault, GpsJammed, GpsSpoofed, Reboot
 from sitl_fakes.flight import Flight
 from sitl_fakes.geodesy import WorldFrame
 from sitl_fakes.guidance import Guidance
@@ -84,9 +85,9 @@ class FlightController:
         """Altitude above mean sea level that the autopilot believes, m."""
         return self._flight.air.altitude_m + self.autopilot.height.error_m
 
-    def run(self, at_s: float) -> None:
-        """Let the faults of its own befall it at a time (s): a reboot begins or is over, the clock jumps."""
-        for fault in self.faults.active(at_s):
+    def run(self, active: Iterable[Fault], at_s: float) -> None:
+        """Let the faults in force that are its own befall it at a time (s): a reboot begins or is over, the clock jumps."""
+        for fault in active:
             if isinstance(fault, Reboot):
                 self.faults.remove(fault)
                 self.clock.restart(at_s)

@@ -253,8 +253,10 @@ def load_scenario(path: str | Path) -> Scenario:
     try:
         with Path(path).open("rb") as file:
             table = tomllib.load(file)
+    except FileNotFoundError as error:
+        raise ScenarioError(f"{path}: no such file, and no scenario of that name; see sitl-fakes --list") from error
     except OSError as error:
-        raise ScenarioError(f"{path}: {error.strerror}") from error
+        raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path}: not valid TOML: {error}") from error
     try:

@@ -95,7 +95,7 @@ class Streams:
 
     def due(self, at_s: float, take_snapshot: Callable[[float], Snapshot]) -> list[Any]:
         """Build what is due at a time (s); each message at most once, however small its interval."""
-        if not any(due_s <= at_s + _EPSILON_S for due_s in self._due_s.values()):
+        if min(self._due_s.values(), default=math.inf) > at_s + _EPSILON_S:
             return []
         snapshot, out = take_snapshot(at_s), []
         for message_id, due_s in self._due_s.items():

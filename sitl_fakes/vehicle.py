@@ -105,7 +105,7 @@ class Vehicle:
         """Sense, listen and speak at a time (s), given the true positions (m) of all vehicles."""
         controller = self._controller
         active = controller.faults.active(at_s)
-        controller.run(at_s)
+        controller.run(active, at_s)
         if self._gps_due_s <= at_s + _EPSILON_S:
             self._gps_due_s += self._gps.interval_s
             fix = self._gps.measure(self._flight.position_m, self._flight.velocity_mps, active, at_s)
