@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
@@ -150,6 +152,18 @@ def _open(workers: Workers) -> AbstractContextManager[Pool]:
     return connect(workers.scheduler)
 
 
+def _end_with_the_program() -> None:
+    """Let this process end as soon as the program that started it has: a task may go on for minutes, and nobody wants it."""
+    program = multiprocessing.parent_process()
+    assert program is not None
+
+    def wait_for_its_end() -> None:
+        program.join()
+        os._exit(1)
+
+    threading.Thread(target=wait_for_its_end, daemon=True).start()
+
+
 class _Processes:
     """Processes of this machine."""
 
@@ -175,4 +189,4 @@ class _Processes:
 
     def _begin(self) -> Executor:
         # A forked child would inherit the locks of whatever threads its parent has.
-        return ProcessPoolExecutor(self._jobs, mp_context=multiprocessing.get_context("spawn"))
+        return ProcessPoolExecutor(self._jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_the_program)

@@ -1,5 +1,7 @@
 import os
 import signal
+import subprocess
+import sys
 from functools import partial
 from math import factorial
 from pathlib import Path
@@ -86,6 +88,21 @@ def test_a_process_that_is_killed_loses_nothing(tmp_path: Path) -> None:
 def test_tasks_that_kill_every_process_end_with_an_error() -> None:
     with pytest.raises(TaskError, match=r"3 processes in a row were killed.*--jobs"):
         run_tasks(die, [1, 2], Workers(2), lambda *_: None)
+
+
+def test_its_processes_end_with_a_program_that_is_killed() -> None:
+    program = """
+from gcs_coloc.runtime.tasks import Workers, run_tasks
+
+if __name__ == "__main__":
+    run_tasks(eval, ["print('begun', flush=True) or __import__('time').sleep(600.0)"] * 2, Workers(2), lambda *_: None)
+"""
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert [process.stdout.readline(), process.stdout.readline()] == ["begun\n"] * 2
+        process.kill()
+        # The output ends when the last of them has.
+        assert process.communicate(timeout=60.0) == ("", None)
 
 
 def log(file: Path, number: int) -> int:
