@@ -50,3 +50,16 @@ def test_in_one_column_the_details_are_whole_and_cover_nothing(watched, size):
         assert above["y"] + above["height"] <= below["y"]
     assert page.locator("#details").evaluate("e => e.scrollHeight <= e.clientHeight + 1")
     assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+
+
+@pytest.mark.parametrize("size", [(390, 844), (320, 568)])
+def test_no_vehicle_is_hidden_beneath_the_buttons_of_the_map(watched, size):
+    page = watched.page
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.get_by_role("button", name="Show all").click()
+    tools = page.locator("#map-tools").bounding_box()
+    marks = page.locator("#map").get_by_role("button", name=re.compile(r"^Vehicle \d"))
+    expect(marks).to_have_count(4)
+    for mark in marks.all():
+        box = mark.bounding_box()
+        assert box["y"] >= tools["y"] + tools["height"] or box["x"] + box["width"] <= tools["x"]

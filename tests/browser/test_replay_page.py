@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from command_line import gcs_coloc
 from flight import PATIENCE_S, Watched, browser
-from playwright.sync_api import expect
+from playwright.sync_api import WebSocketRoute, expect
 from recorded_flight import EPOCH_S, write_flight
 
 from gcs_coloc.recorder.tlog import TlogReader, tlog_record
@@ -190,3 +190,27 @@ def test_an_address_that_is_taken_is_one_line_with_the_mend(recording):
         done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     told = f"gcs-coloc: error: web page: {address} is in use; choose another with --web HOST:PORT\n"
     assert (done.returncode, done.stderr) == (1, told)
+
+
+def test_the_fleet_panel_says_why_it_is_empty(replayed):
+    _, url = replayed
+    with browser() as chromium:
+        page = chromium.new_page(viewport={"width": 1366, "height": 900})
+        pictures: list[str] = []
+
+        def keep_pictures(ours: WebSocketRoute) -> None:
+            server = ours.connect_to_server()
+            server.on_message(lambda text: pictures.append(text) if '"kind":"fleet"' in text else ours.send(text))
+
+        page.route_web_socket("**/live", keep_pictures)
+        page.goto(url)
+        words = page.locator("#no-vehicles")
+        expect(words).to_have_text("the first picture is being computed")
+        expect(words).to_be_visible()
+        page = chromium.new_page(viewport={"width": 1366, "height": 900})
+        page.goto(url)
+        words = page.locator("#no-vehicles")
+        expect(page.locator("#fleet .card")).not_to_have_count(0)
+        expect(words).to_be_hidden()
+        page.get_by_label("Filter the fleet").fill("no such vehicle")
+        expect(words).to_have_text("no vehicle matches the filter")

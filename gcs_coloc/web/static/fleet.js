@@ -4,6 +4,7 @@ import { age, byId, el, metres, milliseconds, number, setText } from "./dom.js";
 import { nodeName, vehicleName } from "./node_names.js";
 import { LIGHT_WORDS, READINESS_WORDS, SEVERITY, SIGNS } from "./palette.js";
 
+const NOBODY = "no vehicle heard yet";
 const COMPACT_FROM = 9; // vehicles; so many cards are higher than a screen
 
 // What the vehicle says of itself, as far as it does.
@@ -51,6 +52,7 @@ export class FleetList {
     this.cards = new Map();
     this.gone = new Set();
     this.selected = null;
+    this.without = "connecting";
     byId("filter").addEventListener("input", () => this.filter());
     byId("details").addEventListener("keydown", ({ key }) => {
       if (key === "Escape" && this.cameFrom?.isConnected) this.cameFrom.focus();
@@ -78,6 +80,7 @@ export class FleetList {
     for (const vehicle of frame.vehicles) this.showCard(vehicle, lateS);
     byId("fleet").classList.toggle("compact", sysids.size >= COMPACT_FROM);
     this.arrange();
+    this.without = NOBODY;
     this.filter();
     this.showGone(sysids);
     const chosen = frame.vehicles.find((v) => v.snapshot.sysid === this.selected);
@@ -88,13 +91,16 @@ export class FleetList {
   // Another run of the service has heard nobody yet; whom the run before had heard is kept in mind.
   restart() {
     for (const sysid of this.cards.keys()) this.gone.add(sysid);
-    this.clear();
+    this.clear(NOBODY);
   }
 
-  clear() {
+  // `without` is what stands in place of the vehicles until a picture shows some.
+  clear(without) {
+    this.without = without;
     this.cards.clear();
     byId("fleet").replaceChildren();
     byId("details").hidden = true;
+    this.filter();
   }
 
   // The most serious first. What stands right is not moved: a focus would be lost, and a list that moves cannot be read.
@@ -112,9 +118,13 @@ export class FleetList {
   // A number is a vehicle's; other words are looked for in all that its card says.
   filter() {
     const wanted = byId("filter").value.trim().toLowerCase();
+    let matches = 0;
     for (const [sysid, { node }] of this.cards) {
       node.hidden = wanted !== "" && !(/^\d+$/.test(wanted) ? String(sysid) === wanted : node.textContent.toLowerCase().includes(wanted));
+      matches += !node.hidden;
     }
+    byId("no-vehicles").hidden = matches > 0;
+    setText(byId("no-vehicles"), this.cards.size > 0 ? "no vehicle matches the filter" : this.without);
   }
 
   // Leads from a vehicle's number in the header to its card.

@@ -91,7 +91,8 @@ PAPER = SCENARIOS / "paper.toml"
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [
-        (["missing.toml"], 2, "missing.toml: No such file"),
+        (["missing.toml"], 2, "missing.toml: no such file, and no scenario of that name; see sitl-fakes --list"),
+        (["."], 2, ".: cannot be read: Is a directory"),
         ([], 2, "Missing argument"),
         (["--nonsense"], 2, "nonsense"),
         ([PAPER, "--target", "nowhere"], 2, "expected HOST:PORT"),
