@@ -34,6 +34,7 @@ from bench import (
     studies,
     takeover,
     unused,
+    watch,
 )
 from bench.figures import Figure
 
@@ -46,6 +47,7 @@ _SPEED: dict[str, _Section] = {
     "latency": latency.measure,
     "throughput": live.measure_throughput,
     "vehicles": live.measure_vehicles,
+    "processes": live.measure_processes,
     "scaling": scaling.measure,
     "service": service_cpu.measure,
     "memory": memory.measure,
@@ -53,6 +55,7 @@ _SPEED: dict[str, _Section] = {
     "readiness": readiness.measure,
     "studies": studies.measure,
     "takeover": takeover.measure,
+    "watch": watch.measure,
 }
 _STUDIES: dict[str, _Section] = {
     "operator": operator_side.measure,

@@ -18,6 +18,7 @@ from bench.figures import Figure, interleaved
 from bench.load import cores, put_under_load, wait_until_bound
 from bench.profile import where_it_goes
 from bench.service_cpu import free_port, free_ports, rss_mb
+from bench.traffic import FleetSize
 
 _MAVUTIL = """
 import sys
@@ -34,6 +35,7 @@ while True:
     link.recvfrom(65535)
 """
 _VEHICLES_A_FLEET = 4
+_LARGE = FleetSize(20, 5)
 _MOST_JITTER_MS = 20.0
 _GOAL_VEHICLES = 400
 
@@ -109,6 +111,43 @@ def measure_vehicles(quick: bool) -> list[Figure]:
     return figures
 
 
+def measure_processes(quick: bool) -> list[Figure]:
+    """What a fleet of 20, 5 of them denied, costs in one worker process, and what two cost in two, the supervisor included."""
+    seconds, repeats = (8.0, 1) if quick else (20.0, 3)
+    came: dict[int, list[float]] = {1: [], 2: []}
+
+    def share_of(fleets: int) -> float:
+        share, outputs_per_s = _worker_processes(fleets, seconds)
+        came[fleets].append(outputs_per_s)
+        return share
+
+    one, two = interleaved({"one": lambda: share_of(1), "two": lambda: share_of(2)}, repeats).values()
+    linearity, outputs = two / (2.0 * one), {fleets: float(np.median(of_each)) for fleets, of_each in came.items()}
+    figures = [
+        Figure(
+            "processes",
+            f"vehicles per core, {fleets} process(es), each a fleet of {_LARGE.vehicles} with {_LARGE.denied} denied",
+            f"{fleets * _LARGE.vehicles / share:.0f} (CPU {share:.0%} of a core, {outputs[fleets]:.0f} GPS_INPUT/s)",
+            f"{fleets * _LARGE.denied * 10} GPS_INPUT/s",
+            outputs[fleets] > 0.98 * fleets * _LARGE.denied * 10,
+        )
+        for fleets, share in ((1, one), (2, two))
+    ]
+    name = "CPU of two processes over twice that of one"
+    return [*figures, Figure("processes", name, f"{linearity:.2f}", "<= 1.10", linearity <= 1.10)]
+
+
+def _worker_processes(fleets: int, seconds: float) -> tuple[float, float]:
+    """CPU per second of supervisor and workers, and GPS_INPUT per second, for so many fleets in as many processes."""
+    ports = free_ports(fleets)
+    with _program(ports, '[service]\nprocesses = "per-fleet"\naddress = "0"\n') as program, _running(program) as process:
+        wait_until_bound(process, ports)
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text(encoding="ascii").split()
+        load = put_under_load([process], [str(port) for port in ports], seconds, size=_LARGE, workers=list(map(int, children)))
+        came = sum(len(fleet["gps_input_s"]) for fleet in load.fleets)
+        return sum(load.used_s) / load.span_s, came / load.span_s
+
+
 def _service(fleets: int, seconds: float) -> _Run:
     ports = free_ports(fleets)
     with _program(ports) as program:
@@ -127,12 +166,12 @@ def _where_it_goes(section: str, fleets: int, seconds: float) -> Figure:
 
 
 @contextmanager
-def _program(ports: list[int]) -> Iterator[list[str]]:
-    """The service's command line for a fleet at each port."""
+def _program(ports: list[int], settings: str = "") -> Iterator[list[str]]:
+    """The service's command line for a fleet at each port, with `settings` for all."""
     with tempfile.TemporaryDirectory() as directory:
         config = Path(directory) / "fleets.toml"
         tables = (f'[[fleet]]\nname = "f{n}"\nlinks = ["udpin:127.0.0.1:{port}"]\n' for n, port in enumerate(ports))
-        config.write_text("\n".join(tables))
+        config.write_text(settings + "\n".join(tables))
         yield [sys.executable, "-m", "gcs_coloc", "--config", str(config), "--log-level", "error"]
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.service_cpu import cpu_s, waited_s
+from bench.traffic import FleetSize
 
 _START_WITHIN_S = 120.0
 
@@ -39,22 +40,30 @@ def cores() -> tuple[set[int], set[int]]:
 
 
 def put_under_load(
-    programs: Sequence[subprocess.Popen[bytes]], fleets: Sequence[str], seconds: float, sender_on: set[int] | None = None
+    programs: Sequence[subprocess.Popen[bytes]],
+    fleets: Sequence[str],
+    seconds: float,
+    sender_on: set[int] | None = None,
+    size: FleetSize = FleetSize(),  # noqa: B008 - immutable
+    workers: Sequence[int] = (),
 ) -> Load:
     """Send to `fleets` (see `bench.load_sender`) for a time after the warm-up, from the cores `sender_on` (any by default).
 
+    `workers` are further processes that are measured, by their numbers; they stand after the programs.
     RuntimeError where a program ends meanwhile.
     """
     samples: list[tuple[float, list[float], list[float]]] = []
     # To a file: a hundred fleets' tale is longer than a pipe holds, and nobody reads until the sender has ended.
     with tempfile.TemporaryFile("w+", encoding="utf-8") as tale:
-        sender = subprocess.Popen([sys.executable, "-m", "bench.load_sender", str(seconds), *fleets], stdout=tale)
+        sender = subprocess.Popen(
+            [sys.executable, "-m", "bench.load_sender", str(seconds), f"{size.vehicles},{size.denied}", *fleets], stdout=tale
+        )
         if sender_on is not None:
             os.sched_setaffinity(sender.pid, sender_on)
         # The sender's preparations come on top of its warm-up; what counts is how much is used from the first look to the end.
         while sender.poll() is None:
             time.sleep(0.25)
-            pids = [program.pid for program in programs]
+            pids = [*(program.pid for program in programs), *workers]
             samples.append((time.monotonic(), [cpu_s(pid) for pid in pids], [waited_s(pid) for pid in pids]))
         tale.seek(0)
         told = json.load(tale)

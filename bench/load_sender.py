@@ -1,8 +1,8 @@
-"""`python -m bench.load_sender SECONDS FLEET...`: the traffic of a fleet of four to each port, in real time, and what comes back.
+"""`python -m bench.load_sender SECONDS SIZE FLEET...`: the traffic of a fleet to each port, in real time, and what comes back.
 
-FLEET is PORT or PORT,OUT,LEAD: OUT is a port of ours to which the service hands each frame on once it has taken it (`--out`), and
-the first datagram goes LEAD seconds ahead of the others, for it sets the service's grid of deadlines. Each vehicle has a socket
-of its own, each fleet its own phase.
+SIZE is VEHICLES,DENIED of each fleet, as 4,1. FLEET is PORT or PORT,OUT,LEAD: OUT is a port of ours to which the service hands
+each frame on once it has taken it (`--out`), and the first datagram goes LEAD seconds ahead of the others, for it sets the
+service's grid of deadlines. Each vehicle has a socket of its own, each fleet its own phase.
 
 Prints, as JSON, the datagrams sent in the time after the warm-up, when that time began and ended (time.monotonic), and of each
 fleet when GPS_INPUT came (`gps_input_s`) and when each range of the vehicle without GPS was sent and handed on (`ranges_s`). Both
@@ -24,7 +24,7 @@ from itertools import repeat
 from pymavlink.dialects.v20.ardupilotmega import MAVLINK_MSG_ID_GPS_INPUT
 
 from bench.kernel_time import arrived_at_s, want_arrival_times
-from bench.traffic import LOST, WARM_S, Sent, fleet_traffic, message_id_of
+from bench.traffic import LOST, WARM_S, FleetSize, Sent, fleet_traffic, message_id_of
 from gcs_coloc.mavlink._generated.gcs_coloc import MAVLINK_MSG_ID_PEER_RANGE
 
 _TICK_S = 0.001
@@ -44,8 +44,8 @@ class _Fleet:
 
 def main() -> None:
     """Send, and listen in between."""
-    seconds, fleets = float(sys.argv[1]), [_fleet(text) for text in sys.argv[2:]]
-    traffic = fleet_traffic(seconds + 2.0)
+    seconds, fleets = float(sys.argv[1]), [_fleet(text) for text in sys.argv[3:]]
+    traffic = fleet_traffic(seconds + 2.0, FleetSize(*map(int, sys.argv[2].split(","))))
     listening = select.epoll()
     senders: dict[tuple[int, int], socket.socket] = {}
     of_descriptor: dict[int, tuple[socket.socket, _Fleet, bool]] = {}

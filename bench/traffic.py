@@ -23,6 +23,7 @@ WARM_S = 15.0
 _LOST_AT_S = 5.0
 _RANGE_HZ = 5.0
 _LATENCY_S, _JITTER_S = 0.02, 0.02
+_BESIDE_M, _ABOVE_M = 60.0, 7.0
 _EVERY_SECOND = (1, 2, 24, 30, 74, 124, 193)
 _POSITION, _POSITION_HZ = 33, 10.0
 # What an ArduPlane sends besides, taken from one: the service passes these over.
@@ -38,9 +39,16 @@ class Sent(NamedTuple):
     payload: bytes
 
 
-def fleet_traffic(seconds: float) -> list[Sent]:
+class FleetSize(NamedTuple):
+    """How many vehicles a fleet has, and how many of them lose their GPS: 4, 8, 12, ..."""
+
+    vehicles: int = 4
+    denied: int = 1
+
+
+def fleet_traffic(seconds: float, size: FleetSize = FleetSize()) -> list[Sent]:  # noqa: B008 - immutable
     """What arrives from the fleet in the first `WARM_S` and `seconds` more, in order."""
-    fleet = Fleet(_scenario(), _SEED)
+    fleet = Fleet(_scenario(size), _SEED)
     station = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     for sysid in fleet.sysids:
         for message_id, rate_hz in ((_POSITION, _POSITION_HZ), *((other, 1.0) for other in _EVERY_SECOND)):
@@ -62,13 +70,25 @@ def message_id_of(frame: bytes) -> int:
     return int.from_bytes(frame[7:10], "little")
 
 
-def _scenario() -> Scenario:
+def _scenario(size: FleetSize) -> Scenario:
+    """The scenario's four aircraft, and copies of them beside and above; each one that loses its GPS ranges all others."""
     scenario = load_scenario(SCENARIO)
     (lost,) = scenario.fault
+    denied = range(LOST, LOST * size.denied + 1, LOST)
+    fleet = list(scenario.vehicle)
+    for n in range(len(fleet), size.vehicles):
+        first, k = scenario.vehicle[n % len(scenario.vehicle)], n // len(scenario.vehicle)
+        beside = [(east_m + k * _BESIDE_M, north_m + k * _BESIDE_M) for east_m, north_m in first.waypoints]
+        fleet.append(first.model_copy(update={"sysid": n + 1, "height_m": first.height_m + k * _ABOVE_M, "waypoints": beside}))
+    if size != FleetSize():
+        everybody = [v.sysid for v in fleet]
+        others = {v.sysid: [s for s in everybody if s != v.sysid] if v.sysid in denied else [] for v in fleet}
+        fleet = [v.model_copy(update={"ranges_to": others[v.sysid]}) for v in fleet]
     changes = {
         "telemetry": scenario.telemetry.model_copy(update={"latency_s": _LATENCY_S, "jitter_s": _JITTER_S, "loss": 0.0}),
         "ranging": scenario.ranging.model_copy(update={"rate_hz": _RANGE_HZ}),
-        "fault": [lost.model_copy(update={"at_s": _LOST_AT_S})],
+        "vehicle": fleet,
+        "fault": [lost.model_copy(update={"at_s": _LOST_AT_S, "vehicle": sysid}) for sysid in denied],
     }
     return scenario.model_copy(update=changes)
 

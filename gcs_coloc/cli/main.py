@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import errno
 import sys
+from dataclasses import replace
 from enum import Enum
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -16,6 +17,10 @@ from typer.core import TyperGroup
 from gcs_coloc import __version__
 from gcs_coloc.core.errors import GcsColocError, UsageError
 from gcs_coloc.runtime.process import NOBODY_READS, discard_output, one_thread, open_all
+
+if TYPE_CHECKING:
+    from gcs_coloc.config.fleets import FleetOf
+    from gcs_coloc.sinks.console import SharedConsole
 
 PROGRAM = "gcs-coloc"
 
@@ -44,6 +49,7 @@ SUBCOMMANDS = {
     "import": "import_data",
     "plan": "plan",
     "study": "study",
+    "watch": "watch",
 }
 """Command to the module beside this one that has it: as a function of the command's name, or as its `app`."""
 
@@ -113,6 +119,18 @@ def main() -> None:
     sys.exit(status if isinstance(status, int) else 0)
 
 
+def _work(fleet: FleetOf, descriptor: int, level: str, console: SharedConsole) -> None:
+    """Run one fleet as a worker of the supervisor whose socket `descriptor` is; every line of the log begins with its name."""
+    from gcs_coloc.service.service import Service
+    from gcs_coloc.service.worker_report import SupervisorLink
+    from gcs_coloc.sinks.console import log_to_stderr, log_uncaught
+
+    log_to_stderr(level, console, f"{fleet.name}: ")
+    log_uncaught()
+    with fleet.named():
+        asyncio.run(Service([replace(fleet, name="")], SupervisorLink(descriptor)).run(console))
+
+
 def _fail(text: str, code: int) -> None:
     print(f"{PROGRAM}: error: {' '.join(text.split())}", file=sys.stderr)
     sys.exit(code)
@@ -166,8 +184,10 @@ def run(
     standby: Annotated[
         bool, typer.Option("--standby", help="Start as the service that follows, and takes over where the other one fails.")
     ] = False,
+    fleet: Annotated[str | None, typer.Option(help="Run this fleet of the configuration file alone.", metavar="NAME")] = None,
     record: Annotated[str | None, typer.Option(help="Record the flight in this directory.", metavar="DIR")] = None,
     log_level: Annotated[LogLevel, typer.Option(help="How much is logged.")] = LogLevel.INFO,
+    supervisor: Annotated[int | None, typer.Option(hidden=True, help="The descriptor of the supervisor's socket.")] = None,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
@@ -176,7 +196,7 @@ def run(
     del version
     if context.invoked_subcommand is not None:
         return
-    from gcs_coloc.config.fleets import load_fleets
+    from gcs_coloc.config.fleets import PER_FLEET, load_fleets, naming
     from gcs_coloc.service.service import Service
     from gcs_coloc.sinks.console import SharedConsole, log_to_stderr, own_stream
 
@@ -202,11 +222,24 @@ def run(
         flags["record"] = {"directory": record}
     if peer is not None or standby:
         flags["standby"] = ({"peer": peer} if peer is not None else {}) | ({"role": "standby"} if standby else {})
-    fleets = load_fleets(config, flags)
+    with naming(fleet or "" if supervisor is not None else ""):
+        fleets = load_fleets(config, flags, fleet, is_checked=supervisor is not None)
     if config is None and not fleets[0].settings.links:
         fleets = load_fleets(None, flags | {"links": [DEFAULT_LINK]})
     if not all(fleet.settings.links for fleet in fleets) or not fleets:
         raise UsageError(f'{config}: no link to listen on; give `links` in it, as links = ["{DEFAULT_LINK}"], or --udp 14550')
     console = SharedConsole(file=own_stream(sys.stdout))
-    log_to_stderr(log_level.value.upper(), console)
-    asyncio.run(Service(fleets).run(console))
+    level = log_level.value.upper()
+    if supervisor is not None and fleet is not None:
+        _work(fleets[0], supervisor, level, console)
+    elif fleet is None and fleets[0].settings.service.processes == PER_FLEET:
+        from gcs_coloc.service.checks import check_fleets
+        from gcs_coloc.service.supervisor import Supervisor
+
+        check_fleets(config, fleets)  # what is wrong from the start ends it here, and no worker is started again and again for it
+        log_to_stderr(level, SharedConsole(file=own_stream(sys.stderr), force_terminal=False))
+        # As it was started itself, whatever the Python and its options.
+        asyncio.run(Supervisor(fleets, [sys.executable, *sys.orig_argv[1:]]).run())
+    else:
+        log_to_stderr(level, console)
+        asyncio.run(Service(fleets).run(console))

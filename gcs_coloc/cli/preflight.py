@@ -11,42 +11,27 @@ from typing import Annotated, Any
 import typer
 
 from gcs_coloc.config.examples import EXAMPLES
-from gcs_coloc.config.fleets import load_fleets, load_settings
+from gcs_coloc.config.fleets import PER_FLEET, load_fleets, load_settings
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.doctor.finding import Setup
 from gcs_coloc.doctor.listen import listen
 from gcs_coloc.doctor.parameter_files import write_parameter_files
 from gcs_coloc.doctor.report import Report
-from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
 
 
 def check_config(file: Annotated[Path, typer.Argument(help="The configuration file (TOML).", metavar="FILE")]) -> None:
     """Check a configuration file, fleet by fleet: keys, values, links, estimator, and every file that it names."""
-    from gcs_coloc.links.base import check_outs
-    from gcs_coloc.links.signed_links import SignedLinks, read_key
-    from gcs_coloc.sinks.mqtt import read_credentials
-    from gcs_coloc.web.server import read_token
-    from gcs_coloc.web.tiles import TileFile
+    from gcs_coloc.service.checks import check_fleets
 
+    fleets = load_fleets(file, {})
+    check_fleets(file, fleets)
     found = []
-    for fleet in load_fleets(file, {}):
-        settings = fleet.settings
-        with fleet.named():
-            if not settings.links:
-                raise UsageError(f'{file}: no link to listen on; write links = ["udpin:0.0.0.0:14550"], or another link, into it')
-            check_outs(settings.out, settings.links)
-            SignedLinks(settings.signing, settings.links, settings.out)
-            load_estimator(settings.estimator.name, settings.estimator.settings)
-            read_credentials(settings.mqtt)
-            if settings.standby.key_file:
-                read_key(Path(settings.standby.key_file))
-            if settings.web.token_file:
-                read_token(Path(settings.web.token_file))
-            if settings.web.tiles:
-                TileFile(Path(settings.web.tiles))
+    for fleet in fleets:
         whose = f"fleet {fleet.name}: " if fleet.name else ""
-        found.append(f"{whose}{len(settings.links)} link(s), estimator {settings.estimator.name}")
+        found.append(f"{whose}{len(fleet.settings.links)} link(s), estimator {fleet.settings.estimator.name}")
+    if fleets and fleets[0].settings.service.processes == PER_FLEET:
+        found.append("a process for each fleet")
     print(f"{file}: good; {'; '.join(found)}")
 
 

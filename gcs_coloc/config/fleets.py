@@ -1,14 +1,14 @@
-"""`[[fleet]]`: several fleets in one process, each with settings of its own.
+"""`[[fleet]]`: several fleets in one service, each with settings of its own.
 
 What stands outside the fleets' tables holds for all of them; what a fleet's table says goes before it. Nothing is shared but
-the process: where two fleets would share a link, a page or a name, the configuration is refused.
+the process, if that: where two fleets would share a link, a page or a name, the configuration is refused.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,10 @@ from gcs_coloc.config.settings import Settings, read_table, settings_of
 from gcs_coloc.core.errors import ConfigError, GcsColocError, UsageError
 from gcs_coloc.links.base import parse, parse_out
 
-_SECTIONS = frozenset(Settings.model_fields) - {"fleet"}
+PER_FLEET = "per-fleet"
+"""Of `processes` in `[service]`: a process for each fleet."""
+_ANY_FREE = "127.0.0.1:0"
+_SECTIONS = frozenset(Settings.model_fields) - {"fleet", "service"}
 _FLAGS_OF_ONE = {
     "links": "--udp and --link",
     "out": "--out",
@@ -25,6 +28,17 @@ _FLAGS_OF_ONE = {
     "web": "--web",
     "standby": "--peer and --standby",
 }
+
+
+@contextmanager
+def naming(name: str) -> Iterator[None]:
+    """What goes wrong within is of the fleet `name`, and says so; as it is where that is empty."""
+    try:
+        yield
+    except GcsColocError as error:
+        if not name:
+            raise
+        raise type(error)(f"fleet {name}: {error}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,31 +52,42 @@ class FleetOf:
     settings: Settings
     flagged: frozenset[str] = frozenset()
 
-    @contextmanager
-    def named(self) -> Iterator[None]:
+    def named(self) -> AbstractContextManager[None]:
         """What goes wrong within is this fleet's, and says so where there are several."""
-        try:
-            yield
-        except GcsColocError as error:
-            if not self.name:
-                raise
-            raise type(error)(f"fleet {self.name}: {error}") from None
+        return naming(self.name)
 
 
-def load_fleets(path: Path | None, flags: Mapping[str, Any]) -> Sequence[FleetOf]:
-    """The fleets of a configuration, in its order: those of its `[[fleet]]` tables, else one.
+def load_fleets(
+    path: Path | None, flags: Mapping[str, Any], fleet: str | None = None, *, is_checked: bool = False
+) -> Sequence[FleetOf]:
+    """The fleets of a configuration, in its order: those of its `[[fleet]]` tables, or the one called `fleet`; else the only one.
+
+    `is_checked` where all fleets were right once and `fleet` must start whatever was made of the others' tables since.
 
     Raises:
         ConfigError: the file cannot be read, or a key or value is wrong, or two fleets share what each must have for itself.
-        UsageError: a flag says something of one fleet where there are several.
+        UsageError: a flag says something of one fleet where there are several, or there is no fleet of that name.
     """
     table = read_table(path) if path is not None else {}
+    flagged = frozenset(flags.get("fleet", ()))
     if not isinstance(table.get("fleet"), list):
+        if fleet is not None:
+            raise UsageError(f"--fleet {fleet}: {f'{path} has no [[fleet]]' if path else 'there is no --config'}: leave it out")
         settings = settings_of([table], flags, str(path) if path is not None else "settings")
-        return [FleetOf("", settings, frozenset(flags.get("fleet", ())))]
-    for key, names in _FLAGS_OF_ONE.items():
+        if settings.service.processes == PER_FLEET:
+            raise ConfigError(f"{path or 'settings'}: service.processes: {PER_FLEET} needs a table [[fleet]] for each fleet")
+        return [FleetOf("", settings, flagged)]
+    if fleet is not None:
+        if not is_checked:
+            _several(path, table, {})  # all of them are read for what is wrong with any; the flags are for the one
+        names = [own.get("name") if isinstance(own, dict) else None for own in table["fleet"]]
+        if fleet not in names:
+            raise UsageError(f"--fleet {fleet}: {path} has no such fleet, but {', '.join(map(str, filter(None, names)))}")
+        number = names.index(fleet)
+        return [replace(_fleet(path, number + 1, table, table["fleet"][number], flags), flagged=flagged)]
+    for key, option in _FLAGS_OF_ONE.items():
         if key in flags and flags[key] != {"on": False}:
-            raise UsageError(f"{names}: {path} is of several fleets ([[fleet]]); say it in the table of the fleet that is meant")
+            raise UsageError(f"{option}: {path} is of several fleets ([[fleet]]); say it in the table of the fleet that is meant")
     return _several(path, table, flags)
 
 
@@ -74,18 +99,11 @@ def load_settings(path: Path | None, flags: Mapping[str, Any], fleet: str | None
         UsageError: the configuration is of several fleets and none is named, or has none of that name.
     """
     table = read_table(path) if path is not None else {}
-    if not isinstance(table.get("fleet"), list):
-        if fleet is not None:
-            raise UsageError(f"--fleet {fleet}: {f'{path} has no [[fleet]]' if path else 'there is no --config'}: leave it out")
-        return settings_of([table], flags, str(path) if path is not None else "settings")
-    # All of them are read for what is wrong with any; the flags are for the one.
-    names = [each.name for each in _several(path, table, {})]
-    if fleet is None:
+    if fleet is None and isinstance(table.get("fleet"), list):
+        names = [each.name for each in _several(path, table, {})]
         raise UsageError(f"{path}: is of several fleets ([[fleet]]): say which with --fleet: {', '.join(names)}")
-    if fleet not in names:
-        raise UsageError(f"--fleet {fleet}: {path} has no such fleet, but {', '.join(names)}")
-    number = names.index(fleet)
-    return _fleet(path, number + 1, table, table["fleet"][number], flags).settings
+    (one,) = load_fleets(path, flags, fleet)
+    return one.settings
 
 
 def _several(path: Path | None, table: Mapping[str, Any], flags: Mapping[str, Any]) -> Sequence[FleetOf]:
@@ -97,16 +115,21 @@ def _several(path: Path | None, table: Mapping[str, Any], flags: Mapping[str, An
     _nothing_shared(path, "links", fleets, lambda fleet: [str(parse(link)) for link in fleet.settings.links])
     _nothing_shared(path, "out", fleets, lambda fleet: [str(parse_out(out)) for out in fleet.settings.out])
     _nothing_shared(path, "web.address", fleets, _fixed_address)
-    _nothing_shared(
-        path, "standby.listen", fleets, lambda fleet: [fleet.settings.standby.listen] * bool(fleet.settings.standby.peer)
-    )
+    _nothing_shared(path, "standby.listen", fleets, _standby_address)
+    for fleet in fleets:
+        service = fleet.settings.service
+        if service.processes == PER_FLEET and fleet.settings.web.on and service.address in _fixed_address(fleet):
+            raise ConfigError(
+                f"{path}: service.address: {service.address}, of the page of all fleets, is given to fleet {fleet.name}; "
+                "each needs its own"
+            )
     return fleets
 
 
-def _fleet(
-    path: Path | None, number: int, common: Mapping[str, Any], own: Mapping[str, Any], flags: Mapping[str, Any]
-) -> FleetOf:
+def _fleet(path: Path | None, number: int, common: Mapping[str, Any], own: object, flags: Mapping[str, Any]) -> FleetOf:
     source = f"{path}: fleet {number}"
+    if not isinstance(own, Mapping):
+        raise ConfigError(f"{source}: is no table; begin each fleet with [[fleet]]")
     own = dict(own)
     name = own.pop("name", None)
     if not isinstance(name, str):
@@ -116,6 +139,8 @@ def _fleet(
     except ValueError as error:
         raise ConfigError(f"{source}: name: {error}") from None
     source = f"{source} ({name})"
+    if "service" in own:
+        raise ConfigError(f"{source}: service: is of all fleets; put [service] before the first [[fleet]]")
     sections = {key: own.pop(key) for key in _SECTIONS & own.keys()}
     shared = {key: value for key, value in common.items() if key != "fleet"}
     settings = settings_of([sections | {"fleet": own}, shared], flags, source)
@@ -124,13 +149,16 @@ def _fleet(
     if "fleet" in settings.mqtt.model_fields_set:
         raise ConfigError(f"{source}: mqtt.fleet: the fleet's name stands in the topics; leave it out")
     record, web = settings.record, settings.web
+    page: dict[str, Any] = {"on": web.on and web.must_open}
+    if web.on and not web.must_open and settings.service.processes == PER_FLEET:
+        page = {"address": _ANY_FREE}  # the page of all fleets leads there
     return FleetOf(
         name,
         settings.model_copy(
             update={
                 "mqtt": settings.mqtt.model_copy(update={"fleet": name}),
                 "record": record.model_copy(update={"directory": str(Path(record.directory) / name) if record.directory else ""}),
-                "web": web.model_copy(update={"on": web.on and web.must_open}),
+                "web": web.model_copy(update=page),
             }
         ),
     )

@@ -12,7 +12,7 @@ from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.gps_health.gps_health import GpsHealthSettings
 from gcs_coloc.core.integrity.protection_level import ProtectionSettings
-from gcs_coloc.core.stations.node_id import MAX_STATION_ID
+from gcs_coloc.core.stations.node_id import LARGEST_READ_SYSTEM_ID, MAX_STATION_ID
 from gcs_coloc.core.stations.stations import Station, StationPosition
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
 from gcs_coloc.mavlink.checks import ALTITUDE_MAX_M, ALTITUDE_MIN_M
@@ -120,7 +120,7 @@ class FleetConfig(_Section):
     healthy: tuple[int, ...] = ()
     """System ids whose GPS is declared healthy, whatever it says."""
     max_vehicles: int = Field(250, ge=2, le=250)
-    """More vehicles than this are refused. MAVLink has system ids 1 to 255; ground stations use some."""
+    """More vehicles than this are refused. Chosen: what one-byte system ids leave beside ground stations."""
     request_streams: bool = True
     """Vehicles are asked for missing messages (MAV_CMD_SET_MESSAGE_INTERVAL)."""
     names: dict[int, VehicleName] = Field(default_factory=dict)
@@ -131,8 +131,8 @@ class FleetConfig(_Section):
     @classmethod
     def _sysids(cls, sysids: SysidsT) -> SysidsT:
         for sysid in sysids:
-            if not 1 <= sysid <= 255:
-                raise ValueError(f"{sysid} is not a MAVLink system id (1 to 255)")
+            if not 1 <= sysid <= LARGEST_READ_SYSTEM_ID:
+                raise ValueError(f"{sysid} is not a MAVLink system id (1 to {LARGEST_READ_SYSTEM_ID})")
         return sysids
 
     @model_validator(mode="after")
@@ -180,6 +180,15 @@ class EstimatorConfig(_Section):
     """A table `[estimator.settings]` with the estimator's own settings, see its page."""
 
 
+def page_address(address: str) -> str:
+    """HOST:PORT of a page, from that or a PORT of 127.0.0.1. Raises ValueError where the text is neither."""
+    full = address if ":" in address else f"127.0.0.1:{address}"
+    host, _, port = full.rpartition(":")
+    if not host or not port.isascii() or not port.isdigit() or int(port) > 65535:
+        raise ValueError(f"{address} is not HOST:PORT or PORT, as 127.0.0.1:8080")
+    return full
+
+
 class WebConfig(_Section):
     """`[web]`: the live page, the metrics and the operator's commands."""
 
@@ -195,14 +204,7 @@ class WebConfig(_Section):
     tiles: str = ""
     """A PMTiles file (version 3) of raster tiles, drawn under the map. Empty: none."""
 
-    @field_validator("address")
-    @classmethod
-    def _address(cls, address: str) -> str:
-        full = address if ":" in address else f"127.0.0.1:{address}"
-        host, _, port = full.rpartition(":")
-        if not host or not port.isascii() or not port.isdigit() or int(port) > 65535:
-            raise ValueError(f"{address} is not HOST:PORT or PORT, as 127.0.0.1:8080")
-        return full
+    _full_address = field_validator("address")(page_address)
 
     @property
     def must_open(self) -> bool:
@@ -213,6 +215,24 @@ class WebConfig(_Section):
         """The address in its parts, an IPv6 host without its brackets."""
         host, _, port = self.address.rpartition(":")
         return host.removeprefix("[").removesuffix("]"), int(port)
+
+
+class ServiceConfig(_Section):
+    """`[service]`: the processes of a service of several fleets."""
+
+    processes: Literal["one", "per-fleet"] = "one"
+    """`one`: all fleets in one process. `per-fleet`: each `[[fleet]]` in a process of its own, under a supervisor that starts it
+    again when it dies."""
+    address: str = "127.0.0.1:8080"
+    """HOST:PORT of the page of all fleets and of their metrics, with `per-fleet`; as `address` in `[web]`."""
+    allowed_hosts: tuple[str, ...] = ()
+    """Names, besides IP addresses and localhost, under which that page may be opened."""
+
+    _full_address = field_validator("address")(page_address)
+
+    def web(self) -> WebConfig:
+        """The settings of the page of all fleets."""
+        return WebConfig.model_validate(self.model_dump(include={"address", "allowed_hosts"}, exclude_unset=True))
 
 
 def _host_and_port(address: str) -> tuple[str, int]:

@@ -31,6 +31,7 @@ from gcs_coloc.config.sections import (
     MqttConfig,
     RecordConfig,
     SendersConfig,
+    ServiceConfig,
     SigningConfig,
     StandbyConfig,
     StationConfig,
@@ -91,6 +92,7 @@ class Settings(BaseSettings):
     record: RecordConfig = Field(default_factory=lambda: RecordConfig.model_validate({}))
     mqtt: MqttConfig = Field(default_factory=lambda: MqttConfig.model_validate({}))
     standby: StandbyConfig = Field(default_factory=lambda: StandbyConfig.model_validate({}))
+    service: ServiceConfig = Field(default_factory=lambda: ServiceConfig.model_validate({}))
     gps_health: GpsHealthConfig = Field(default_factory=GpsHealthConfig)
     measurements: MeasurementConfig = Field(default_factory=MeasurementConfig)
     integrity: IntegrityConfig = Field(default_factory=IntegrityConfig)

@@ -52,7 +52,7 @@ class ReplayService:
         self._pass = ReplayPass(begin, true_positions.at, store)
         playback = Playback(store, speed)
         web = settings.web.model_copy(update={"token_file": ""})
-        self._web = WebServer(web, playback, Pages(playback, IdleScheduler(), PICTURE_PERIOD_S))
+        self._web = WebServer(web, playback, Pages(playback, IdleScheduler(), PICTURE_PERIOD_S), must_serve=True)
 
     @property
     def damage(self) -> Mapping[str, int]:
@@ -64,7 +64,7 @@ class ReplayService:
 
         Raises:
             DataError: the recording can no longer be read, or its pictures cannot be kept.
-            WebError: the page's address is in use or cannot be listened on.
+            WebError: the page's address is in use or cannot be listened on, or the page has failed.
         """
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -73,9 +73,11 @@ class ReplayService:
         sys.setswitchinterval(_SWITCH_INTERVAL_S)
         computing = asyncio.create_task(asyncio.to_thread(self._pass.run))
         computing.add_done_callback(self._stop_after_failure)
-        await self._web.run()
-        self._pass.stop()
-        await computing
+        try:
+            await self._web.run()
+        finally:
+            self._pass.stop()
+            await computing
 
     def _stop_after_failure(self, computing: asyncio.Task[None]) -> None:
         if computing.exception() is not None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import logging
 import signal
-from collections.abc import Callable, Sequence
+import socket
+from collections.abc import Callable, Coroutine, Sequence
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gcs_coloc.config.fleets import FleetOf
 from gcs_coloc.config.settings import Settings
@@ -22,6 +23,7 @@ from gcs_coloc.sinks import console as console_sink
 from gcs_coloc.sinks.console import SharedConsole
 
 if TYPE_CHECKING:
+    from gcs_coloc.service.worker_report import SupervisorLink, WorkerReport
     from gcs_coloc.sinks.mqtt import Mqtt
     from gcs_coloc.web.server import WebServer
 
@@ -46,7 +48,9 @@ _ENDING = (signal.SIGINT, signal.SIGTERM)
 class Service:
     """The fleets, each with its observers. `run` lasts until a signal or until `stop` is called."""
 
-    def __init__(self, fleets: Sequence[FleetOf]) -> None:
+    def __init__(self, fleets: Sequence[FleetOf], supervisor: SupervisorLink | None = None) -> None:
+        """`supervisor` is the connection to it where this is its worker process, of one fleet."""
+        self._supervisor = supervisor
         self._clock = ServiceClock()
         self._stopping = asyncio.Event()
         self._fleets = [self._observed(fleet) for fleet in fleets]
@@ -86,6 +90,8 @@ class Service:
                 try:
                     for fleet in self._fleets:
                         await fleet.start_observers(group)
+                    if self._supervisor is not None:
+                        background += [group.create_task(run) for run in self._work_for(self._supervisor)]
                     collect_seldom()
                     await self._stopping.wait()
                 except GcsColocError as error:
@@ -100,6 +106,19 @@ class Service:
         if failure is not None:
             raise failure
 
+    def _work_for(self, supervisor: SupervisorLink) -> list[Coroutine[Any, Any, None]]:
+        """Tell the supervisor how the fleet stands, and end with it."""
+        from gcs_coloc.service.worker_report import REPORT_EVERY_S
+
+        async def end_with_it() -> None:
+            await supervisor.wait_until_gone()
+            if not self._stopping.is_set():
+                log.error("the supervisor has gone: this fleet's process ends")
+                self.stop()
+
+        (fleet,) = self._fleets
+        return [end_with_it(), supervisor.tell(fleet.report, fleet.path.idle.every(REPORT_EVERY_S))]
+
 
 class _Observed:
     """One fleet's path with its observers: the page and the broker."""
@@ -112,6 +131,17 @@ class _Observed:
         self._stopping = stopping
         self._web: WebServer | None = None
         self._mqtt: Mqtt | None = None
+        self._page: str | None = None
+
+    def report(self) -> WorkerReport:
+        """How the fleet stands, for the supervisor."""
+        from gcs_coloc.service.worker_report import REPORT_EVERY_S, WorkerReport
+        from gcs_coloc.sinks.fleet_overview import fleet_overview
+
+        snapshot = self.path.snapshots.recent_snapshot()
+        alarms = self.path.update_alarms(snapshot)
+        overview = fleet_overview(snapshot, alarms, host=socket.gethostname(), every_s=REPORT_EVERY_S)
+        return WorkerReport(page=self._page, overview=overview)
 
     def start(self, group: asyncio.TaskGroup, phase: float, *, on_terminal: bool) -> list[asyncio.Task[None]]:
         """Start the flight's tasks, the periodic ones at `phase` (0 to 1) of their periods; returns those to cancel.
@@ -148,7 +178,8 @@ class _Observed:
         if self._web is None:
             return
         try:
-            log.info("%sweb page: %s", f"fleet {self.name}: " if self.name else "", self._web.open())
+            self._page = self._web.open()
+            log.info("%sweb page: %s", f"fleet {self.name}: " if self.name else "", self._page)
         except WebError as error:
             if self._web.must_open:
                 raise WebError(f"{error}; or leave the page out: --no-web") from None
@@ -212,6 +243,7 @@ class _Observed:
             self._clock,
             path.command_refusal,
             path.order_standby,
+            path.update_alarms,
         )
         return Mqtt(settings.mqtt, hooks, path.events.subscribe(256), path.counts, path.idle)
 

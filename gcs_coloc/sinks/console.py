@@ -147,8 +147,8 @@ class LiveTable:
             live.stop()
 
 
-def log_to_stderr(level: str, console: SharedConsole) -> None:
-    """Write the log to stderr from now on, above the table where `console` is a terminal."""
+def log_to_stderr(level: str, console: SharedConsole, whose: str = "") -> None:
+    """Write the log to stderr from now on, above the table where `console` is a terminal; each line begins with `whose` it is."""
     handler: logging.Handler
     if console.is_terminal:
         from rich.logging import RichHandler
@@ -157,8 +157,29 @@ def log_to_stderr(level: str, console: SharedConsole) -> None:
         handler.setFormatter(logging.Formatter("%(message)s"))
     else:
         handler = LineHandler(own_stream(sys.stderr))
-        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+        handler.setFormatter(_NamedLines(whose) if whose else logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     logging.basicConfig(level=level, handlers=[LogWriter(handler)], force=True)
+
+
+def log_uncaught() -> None:
+    """Log warnings of Python and faults that nobody catches, which otherwise go to stderr without a word on whose they are."""
+    logging.captureWarnings(True)
+    sys.excepthook = lambda *fault: log.critical("a fault of the program", exc_info=fault)
+    threading.excepthook = lambda fault: log.critical(
+        "a fault of the program", exc_info=(fault.exc_type, fault.exc_value or fault.exc_type(), fault.exc_traceback)
+    )
+
+
+class _NamedLines(logging.Formatter):
+    """Every line of a record, a traceback's too, begins with the time, the level and `whose` it is."""
+
+    def __init__(self, whose: str) -> None:
+        super().__init__("%(message)s")
+        self._whose = whose
+
+    def format(self, record: logging.LogRecord) -> str:
+        head = f"{self.formatTime(record)} {record.levelname} {self._whose}"
+        return "\n".join(head + line for line in super().format(record).splitlines() or [""])
 
 
 class LineHandler(logging.Handler):

@@ -3,35 +3,27 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import hashlib
 import logging
 import math
-import ssl
+import socket
 from collections import deque
 from collections.abc import Coroutine, Iterable
-from pathlib import Path
 
 from aiomqtt import Client, MqttError, Will
 from pydantic import BaseModel
 
 from gcs_coloc.config.sections import MqttConfig
 from gcs_coloc.core.alarms import Alarm
-from gcs_coloc.core.errors import ConfigError
 from gcs_coloc.mavlink.refusals import Counts
-from gcs_coloc.runtime.process import read_private_file
+from gcs_coloc.sinks.broker_connection import ANSWER_WITHIN_S, BrokerConnection
 from gcs_coloc.sinks.event_bus import IdleScheduler, Subscription
+from gcs_coloc.sinks.fleet_overview import fleet_overview
 from gcs_coloc.sinks.mqtt_inbox import MqttHooks, MqttInbox
 from gcs_coloc.sinks.mqtt_models import TOPIC_VERSION, of_alarm, of_station, of_vehicle, status, unix_s
 
 log = logging.getLogger("gcs_coloc")
 
-_RECONNECT_AFTER_S = (1.0, 2.0, 5.0, 10.0, 30.0)
-"""The pauses between attempts; the last one is kept until the broker is back."""
-_ANSWER_WITHIN_S = 5.0
-"""Chosen: a broker that takes longer to answer is lost."""
-_KEEPALIVE_S = 10
-"""MQTT's keep alive: the broker sends the last will after one and a half of it (MQTT 3.1.1, 3.1.2.10)."""
 _GOODBYE_S = 1.0
 """Chosen: a broker that does not answer must not delay the last messages to the vehicles for longer."""
 _MAX_ALARMS = 256
@@ -40,10 +32,6 @@ _MAX_INCOMING = 256
 """Messages of the broker that wait for us. Chosen: a second of ranges of a large fleet."""
 _BATCH = 16
 """Publications in one run of the event loop, some 20 us each: those of a large fleet all at once would delay the flight."""
-
-# The client's own lines (one for each message that it drops) would drown the flight's.
-_client_log = logging.getLogger("gcs_coloc.mqtt_client")
-_client_log.setLevel(logging.CRITICAL)
 
 
 class Mqtt:
@@ -61,11 +49,10 @@ class Mqtt:
         self._idle = idle
         self._base = f"{config.prefix}/{TOPIC_VERSION}/{config.fleet}"
         self._inbox = MqttInbox(self._base, hooks, counts, commands=config.commands, ranges=config.ranges)
-        self._password, self._tls = read_credentials(config)
+        self._host = socket.gethostname()
         self._alarms: deque[Alarm] = deque(maxlen=_MAX_ALARMS)
         self._stopping = asyncio.Event()
-        self._attempts = 0
-        self._warned_of: str | None = None
+        self._connection = BrokerConnection(config, self._stopping, "the flight goes on without it")
 
     def stop(self) -> None:
         """Request the end of the connection, with an orderly last status; it takes two seconds at most."""
@@ -74,7 +61,7 @@ class Mqtt:
     async def run(self) -> None:
         """Keep the broker up to date until `stop`; a fault in here is logged and the flight goes on without it."""
         follower = asyncio.create_task(self._follow())
-        connection = asyncio.create_task(self._connect_again_and_again())
+        connection = asyncio.create_task(self._connection.keep(self._session))
         try:
             await self._stopping.wait()
             await asyncio.wait({connection}, timeout=_GOODBYE_S)
@@ -90,46 +77,13 @@ class Mqtt:
             if isinstance(event, Alarm):
                 self._alarms.append(event)
 
-    async def _connect_again_and_again(self) -> None:
-        try:
-            while not self._stopping.is_set():
-                try:
-                    await self._session()
-                except (MqttError, OSError) as error:
-                    self._warn_once(str(error))
-                pause_s = _RECONNECT_AFTER_S[min(self._attempts, len(_RECONNECT_AFTER_S) - 1)]
-                self._attempts += 1
-                with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(self._stopping.wait(), pause_s)
-        except Exception as error:
-            log.error("mqtt: ended: %s: %s; the flight goes on without it", type(error).__name__, error)
-
-    def _warn_once(self, text: str) -> None:
-        if text != self._warned_of and not self._stopping.is_set():
-            self._warned_of = text
-            where = f"{self._config.host}:{self._config.port}"
-            log.warning("mqtt: broker %s: %s; trying again, the flight goes on without it", where, text)
-
     async def _session(self) -> None:
-        c = self._config
         # The same name every time: a broker then ends a connection that hangs, and its will cannot follow our return.
         name = "gcs" + hashlib.sha256(self._base.encode()).hexdigest()[:20]
         will = Will(f"{self._base}/status", status(None, online=False).model_dump_json(), qos=1, retain=True)
-        async with Client(
-            c.host,
-            c.port,
-            identifier=name,
-            username=c.username or None,
-            password=self._password,
-            tls_context=self._tls,
-            will=will,
-            keepalive=_KEEPALIVE_S,
-            timeout=_ANSWER_WITHIN_S,
-            max_queued_incoming_messages=_MAX_INCOMING,
-            logger=_client_log,
-        ) as client:
-            log.info("mqtt: connected to %s:%d, topics below %s", c.host, c.port, self._base)
-            self._attempts, self._warned_of = 0, None
+        async with self._connection.client(most_incoming=_MAX_INCOMING, name=name, will=will) as client:
+            log.info("mqtt: connected to %s, topics below %s", self._connection.where, self._base)
+            self._connection.connected()
             for topic in self._inbox.topics:
                 await client.subscribe(topic)
             work: tuple[Coroutine[None, None, object], ...] = (
@@ -170,7 +124,11 @@ class Mqtt:
     async def _publish_latest(self, client: Client) -> None:
         snapshot = self._hooks.snapshot()
         at_unix_s = unix_s(snapshot.at_s, snapshot)
-        latest: dict[str, BaseModel] = {"status": status(snapshot, online=True)}
+        alarms, every_s = self._hooks.alarms(snapshot), 1.0 / self._config.publish_hz
+        latest: dict[str, BaseModel] = {
+            "status": status(snapshot, online=True),
+            "overview": fleet_overview(snapshot, alarms, host=self._host, every_s=every_s),
+        }
         for vehicle in snapshot.vehicles:
             models = of_vehicle(vehicle, at_unix_s)
             latest |= {f"{vehicle.sysid}/{name}": model for name, model in models.items()}
@@ -191,31 +149,7 @@ class Mqtt:
         """Publish together, with one time limit for all: a publication takes several runs of the event loop."""
         content = [(f"{self._base}/{topic}", model.model_dump_json()) for topic, model in topics]
         try:
-            async with asyncio.timeout(_ANSWER_WITHIN_S):
+            async with asyncio.timeout(ANSWER_WITHIN_S):
                 await asyncio.gather(*(client.publish(*one, retain=True, timeout=math.inf) for one in content))
         except TimeoutError:
             raise MqttError("Operation timed out") from None
-
-
-def read_credentials(config: MqttConfig) -> tuple[str | None, ssl.SSLContext | None]:
-    """The password, and what checks the broker's certificate; None for what is not set.
-
-    Raises:
-        ConfigError: a file cannot be read, or holds no certificates.
-    """
-    password = _read_password(Path(config.password_file)) if config.password_file else None
-    return password, _tls(config.ca_file) if config.tls else None
-
-
-def _read_password(file: Path) -> str:
-    try:
-        return read_private_file(file, "the password", "mqtt.password_file").decode("utf-8").rstrip("\r\n")
-    except UnicodeDecodeError:
-        raise ConfigError(f"mqtt.password_file: {file}: is not text in UTF-8") from None
-
-
-def _tls(ca_file: str) -> ssl.SSLContext:
-    try:
-        return ssl.create_default_context(cafile=ca_file or None)
-    except OSError as error:
-        raise ConfigError(f"mqtt.ca_file: {ca_file}: no certificates can be read from it: {error}") from None

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
 from pydantic import ValidationError
 
+from gcs_coloc.core.alarms import Alarm
 from gcs_coloc.core.messages.control import Override
 from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.snapshot import FleetSnapshot
@@ -48,6 +49,7 @@ class MqttHooks:
     `snapshot` is the fleet as it stands, `known_sysids` the system ids heard so far, `apply_command` applies an operator's
     override, `add_range` adds a range; `clock` is the service's, in seconds. `command_refusal` says why overrides are not to be
     given to this service, `order_standby` carries out an order on the hot standby, where there is one, and says why not.
+    `alarms` brings the alarms up to date with a snapshot and returns those in the list.
     """
 
     snapshot: Callable[[], FleetSnapshot]
@@ -57,6 +59,7 @@ class MqttHooks:
     clock: Callable[[], float]
     command_refusal: Callable[[], str | None] = lambda: None
     order_standby: Callable[[StandbyOrder], str | None] | None = None
+    alarms: Callable[[FleetSnapshot], Iterable[Alarm]] = lambda _: ()
 
 
 class MqttInbox:

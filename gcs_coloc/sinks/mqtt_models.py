@@ -19,8 +19,9 @@ from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 from gcs_coloc.core.standby.sign_of_life import StandbyOrder, StandbyState
 from gcs_coloc.core.standby.standby_peer import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
-from gcs_coloc.core.stations.node_id import MAX_STATION_ID, station_node
+from gcs_coloc.core.stations.node_id import MAX_STATION_ID, MAX_SYSTEM_ID, station_node
 from gcs_coloc.mavlink.checks import RANGE_MAX_M, UNIX_TIME_FROM_US, UNIX_TIME_TO_US
+from gcs_coloc.sinks.fleet_overview import FleetOverview
 
 TOPIC_VERSION = "v2"
 """Stands in every topic. A change that breaks readers makes it the next one; v1 was that of version 0.1."""
@@ -208,7 +209,7 @@ class Range(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-    peer: int | None = Field(None, ge=1, le=255)
+    peer: int | None = Field(None, ge=1, le=MAX_SYSTEM_ID)
     station: int | None = Field(None, ge=0, le=MAX_STATION_ID)
     range_m: float = Field(gt=0.0, le=RANGE_MAX_M)
     sigma_m: float | None = Field(None, gt=0.0, le=RANGE_MAX_M)
@@ -263,6 +264,7 @@ BY_TOPIC: dict[str, type[BaseModel]] = {
     "{sysid}/readiness": ReadinessTold,
     "station/{id}": StationState,
     "status": FleetStatus,
+    "overview": FleetOverview,
     "alarms": AlarmChange,
     "{sysid}/cmd": Command,
     "standby/cmd": StandbyCommand,

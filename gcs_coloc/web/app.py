@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
 from gcs_coloc import __version__
 from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, Override, PrimaryOverride
@@ -24,12 +23,13 @@ from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.core.standby.sign_of_life import StandbyOrder
 from gcs_coloc.sinks.metrics import fleet_registry
 from gcs_coloc.web.access import Guard, bears_token
+from gcs_coloc.web.live_socket import serve_live
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.playback import Playback
 from gcs_coloc.web.tiles import TileFile
 from gcs_coloc.web.wire import Hello, PlaybackCommand
 
-_STATIC = Path(__file__).parent / "static"
+STATIC = Path(__file__).parent / "static"
 _MAX_BODY_BYTES = 1000
 
 
@@ -102,27 +102,11 @@ class _Site:
     async def index(self, request: Request) -> Response:
         """The page."""
         del request
-        return FileResponse(_STATIC / "index.html")
+        return FileResponse(STATIC / "index.html")
 
     async def live(self, socket: WebSocket) -> None:
-        """The page's WebSocket: hello, then events and pictures until it is closed."""
-        if self._pages.full:
-            await socket.close(1013, "too many pages are open")
-            return
-        page = self._pages.add(self._hello, socket.send_text)
-        sender: asyncio.Task[None] | None = None
-        try:
-            await socket.accept()
-            sender = asyncio.create_task(page.send_all())
-            while (message := await socket.receive())["type"] != "websocket.disconnect":
-                page.receive(message.get("text"))
-        except WebSocketDisconnect:
-            pass
-        finally:
-            self._pages.remove(page)
-            if sender is not None:
-                sender.cancel()
-                await asyncio.gather(sender, return_exceptions=True)
+        """The page's WebSocket."""
+        await serve_live(socket, self._pages, self._hello)
 
     async def command(self, request: Request) -> Response:
         """An operator override on one vehicle."""
@@ -270,7 +254,7 @@ def make_app(
             *own,
             *([Route("/tiles/{zoom:int}/{x:int}/{y:int}", site.tile)] if tiles is not None else []),
             WebSocketRoute("/live", site.live),
-            Mount("/static", StaticFiles(directory=_STATIC)),
+            Mount("/static", StaticFiles(directory=STATIC)),
         ],
         middleware=[Middleware(Guard, allowed_hosts=allowed_hosts)],
         lifespan=lifespan,

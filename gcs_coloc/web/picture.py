@@ -5,16 +5,17 @@ from __future__ import annotations
 import secrets
 from collections.abc import Callable, Iterable
 
-from gcs_coloc.core.alarms import Alarm, conditions
+from gcs_coloc.core.alarms import Alarm
 from gcs_coloc.core.error_ellipse import error_ellipse
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Vector3
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
+from gcs_coloc.core.traffic_light import traffic_light
 from gcs_coloc.mavlink.decoder import HeardTruth
 from gcs_coloc.web.track_history import TrackHistory
-from gcs_coloc.web.wire import Ellipse, EventsFrame, FleetFrame, LightColour, VehicleFrame, VehicleHistory, fleet_json
+from gcs_coloc.web.wire import Ellipse, EventsFrame, FleetFrame, VehicleFrame, VehicleHistory, fleet_json
 
-_TRUTH_FRESH_S = 2.0
+_TRUTH_FRESH_S = 2.0  # chosen: simulators tell where their vehicles are at 1 Hz or faster
 
 
 class LiveSource:
@@ -83,14 +84,6 @@ def fleet_frame(fleet: FleetSnapshot, alarms: Iterable[Alarm] = (), truths: Iter
         alarms=tuple(alarms),
         standby=fleet.standby,
     )
-
-
-def traffic_light(v: VehicleSnapshot) -> tuple[LightColour, str]:
-    """The colour for one vehicle and the reason in words: its most serious condition, from which its alarm is as well."""
-    found = conditions(v)
-    if found:
-        return ("bad" if found[0].level == "error" else "caution"), found[0].text
-    return ("unknown", v.gps_reason) if v.gps_state == "unknown" else ("good", f"GPS healthy: {v.gps_reason}")
 
 
 def ellipse(covariance_h_m2: tuple[float, float, float]) -> Ellipse:

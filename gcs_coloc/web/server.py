@@ -1,4 +1,4 @@
-"""The server inside the service: its socket, its token, its beginning and its end. Its failure never ends the flight."""
+"""The page's server: its socket, its token, its beginning and its end. Its failure never ends a flight."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from gcs_coloc.config.sections import WebConfig
 from gcs_coloc.core.errors import ConfigError, WebError
 from gcs_coloc.runtime.process import read_private_file
 from gcs_coloc.web.app import WebHooks, make_app
+from gcs_coloc.web.fleets_page import FleetsSource, make_fleets_app
 from gcs_coloc.web.pages import Pages
 from gcs_coloc.web.playback import Playback
 from gcs_coloc.web.request_deadline import RequestDeadline
@@ -26,8 +27,8 @@ from gcs_coloc.web.tiles import TileFile
 
 log = logging.getLogger("gcs_coloc")
 
-_MIN_TOKEN_LENGTH = 16
-_MAX_CONNECTIONS = 128
+_MIN_TOKEN_LENGTH = 16  # chosen: as random letters and digits 95 bits, which nobody guesses through a network
+_MAX_CONNECTIONS = 128  # chosen: four times the most pages
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 """The signals that uvicorn takes over while it serves."""
 
@@ -38,22 +39,32 @@ class WebServer:
     def __init__(
         self,
         config: WebConfig,
-        hooks: WebHooks | Playback,
+        hooks: WebHooks | Playback | FleetsSource,
         pages: Pages,
         follow: Callable[[], Coroutine[Any, Any, None]] | None = None,
+        *,
+        must_serve: bool = False,
     ) -> None:
         """Read the token and prepare everything but the socket. `follow` runs while the page is served.
+
+        `must_serve` where the program is of no use without its page.
 
         Raises:
             ConfigError: the token file or the file of tiles cannot be read, or its content is wrong.
         """
         self._config = config
+        self._must_serve = must_serve
+        self._failure: str | None = None
         self._background = [pages.run] + ([follow] if follow is not None else [])
         self._token = read_token(Path(config.token_file)) if config.token_file else None
         tiles = TileFile(Path(config.tiles)) if config.tiles else None
+        if isinstance(hooks, FleetsSource):
+            app = make_fleets_app(hooks, pages, config.allowed_hosts, self._lifespan)
+        else:
+            app = make_app(hooks, pages, self._token, tiles, config.allowed_hosts, self._lifespan)
         self._server = uvicorn.Server(
             uvicorn.Config(
-                make_app(hooks, pages, self._token, tiles, config.allowed_hosts, self._lifespan),
+                app,
                 http=RequestDeadline,
                 ws_max_size=1024,
                 ws_per_message_deflate=False,  # it would compress each picture once for every page
@@ -102,20 +113,39 @@ class WebServer:
         return f"http://{f'[{bound_host}]' if ':' in bound_host else bound_host}:{bound_port}/"
 
     async def run(self) -> None:
-        """Serve until `stop`; a fault in here is logged and the flight goes on without the page."""
+        """Serve until `stop`; a fault in here is logged and the flight goes on without the page.
+
+        Raises:
+            WebError: there was a fault, and the program must serve.
+        """
         assert self._socket is not None
         background = [asyncio.create_task(run()) for run in self._background]
         for task in background:
-            task.add_done_callback(_log_failure)
+            task.add_done_callback(self._note_end)
         try:
             await self._server.serve(sockets=[self._socket])
         except Exception as error:
-            log.error("web page: ended: %s: %s; the flight goes on without it", type(error).__name__, error)
+            self._fail("ended", error)
         finally:
             for task in background:
                 task.cancel()
             self._restore_signal_handlers()
             self.close()
+        if self._failure is not None:
+            raise WebError(self._failure)
+
+    def _note_end(self, task: asyncio.Task[None]) -> None:
+        error = None if task.cancelled() else task.exception()
+        if error is not None:
+            self._fail("stands still", error)
+
+    def _fail(self, how: str, error: BaseException) -> None:
+        text = f"web page: {how}: {type(error).__name__}: {error}"
+        if self._must_serve:
+            self._failure = f"{text}; start the program again"
+            self.stop()
+        else:
+            log.error("%s; the flight goes on without it", text)
 
     def stop(self) -> None:
         """End the server: it closes the open pages and waits for them one second at most."""
@@ -136,12 +166,6 @@ class WebServer:
         """Give the address back."""
         if self._socket is not None:
             self._socket.close()
-
-
-def _log_failure(task: asyncio.Task[None]) -> None:
-    error = None if task.cancelled() else task.exception()
-    if error is not None:
-        log.error("web page: stands still: %s: %s; the flight goes on without it", type(error).__name__, error)
 
 
 def read_token(file: Path) -> str:

@@ -12,6 +12,7 @@ from gcs_coloc.core.residual_log import RangeSnapshot
 from gcs_coloc.core.snapshot import VehicleSnapshot
 from gcs_coloc.core.standby.standby_peer import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
+from gcs_coloc.core.traffic_light import LightColour
 
 HIDDEN = "hidden"
 """A page sends this when it goes out of sight, such as a tab behind others."""
@@ -19,8 +20,6 @@ VISIBLE = "visible"
 """A page sends this when it is in sight again."""
 SHOWN = "shown"
 """A page acknowledges each `fleet` message with this once it is drawn; it is sent no further one before."""
-
-LightColour = Literal["good", "caution", "bad", "unknown"]
 
 
 class _Wire(BaseModel):

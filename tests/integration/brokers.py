@@ -29,10 +29,13 @@ def certificate_for(name: str, directory: Path) -> tuple[Path, Path]:
 class Broker:
     """One broker that can be killed and started again on its port. It keeps nothing over a restart.
 
-    With `certificate`, the files of a certificate and its key, it speaks TLS only.
+    With `certificate`, the files of a certificate and its key, it speaks TLS only. `bridged_to` is the port of another broker to
+    which it hands on what is published below `gcs-coloc/`, there below `site-b/`.
     """
 
-    def __init__(self, directory: Path, port: int, certificate: tuple[Path, Path] | None = None) -> None:
+    def __init__(
+        self, directory: Path, port: int, certificate: tuple[Path, Path] | None = None, bridged_to: int | None = None
+    ) -> None:
         self.port = port
         users, self._config = directory / "users", directory / "mosquitto.conf"
         subprocess.run([_program("mosquitto_passwd"), "-b", "-c", users, USER, PASSWORD], check=True, capture_output=True)
@@ -41,6 +44,14 @@ class Broker:
         lines = [f"listener {port} 127.0.0.1", f"password_file {users}", "allow_anonymous false", "user root"]
         if certificate is not None:
             lines += [f"certfile {certificate[0]}", f"keyfile {certificate[1]}"]
+        if bridged_to is not None:
+            lines += [
+                "connection upwards",
+                f"address 127.0.0.1:{bridged_to}",
+                "restart_timeout 1",
+                "bridge_attempt_unsubscribe false",
+            ]
+            lines += [f"remote_username {USER}", f"remote_password {PASSWORD}", "topic # out 0 gcs-coloc/ site-b/"]
         self._config.write_text("\n".join(lines) + "\n")
         self._process: subprocess.Popen[bytes] | None = None
 

@@ -1,4 +1,4 @@
-"""The demo of compose.yaml on a real engine, for tests: its containers, what they say and how they are killed."""
+"""A demo in containers on a real engine, for tests: its containers, what they say and how they are killed."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def _compose() -> list[str]:
 
 
 class Demo:
-    """One project of Compose of its own, beside others on the machine, with the page on any free port."""
+    """One project of Compose of its own, beside others on the machine, with the page on any free port; of `file`."""
 
-    def __init__(self) -> None:
+    def __init__(self, file: str = "compose.yaml") -> None:
         self.project = f"gcs-coloc-test-{secrets.token_hex(4)}"
         # The host's network, because a build may reach the packages over that alone; the containers have networks of their own.
-        own = {"COMPOSE_PROJECT_NAME": self.project, "DEMO_PAGE": "127.0.0.1:", "BUILD_NETWORK": "host"}
-        self.environment = os.environ | own
+        own = {"COMPOSE_PROJECT_NAME": self.project, "COMPOSE_FILE": file, "BUILD_NETWORK": "host"}
+        self.environment = os.environ | own | dict.fromkeys(("DEMO_PAGE", "WATCH_PAGE"), "127.0.0.1:")
         self._compose = _compose()
         self._of_project = ["--filter", f"label=com.docker.compose.project={self.project}"]
 
@@ -81,9 +81,9 @@ class Demo:
         )
         return said
 
-    def page(self) -> str:
-        """The page's address on the host."""
-        return f"http://{self.compose('port', 'coloc', '8080').strip()}/"
+    def page(self, service: str = "coloc") -> str:
+        """The address of a service's page on the host."""
+        return f"http://{self.compose('port', service, '8080').strip()}/"
 
     @staticmethod
     def fetch(url: str) -> str:

@@ -6,6 +6,7 @@ import { Commands } from "./commands.js";
 import { Confirmation, shareToken } from "./confirm.js";
 import { FleetList } from "./fleet.js";
 import { showCounts } from "./links.js";
+import { openLive } from "./live_connection.js";
 import { FleetMap } from "./map.js";
 import { PlaybackBar } from "./playback.js";
 import { Plots } from "./plots.js";
@@ -23,7 +24,6 @@ let counts = null;
 let instance = null;
 let frameAt = 0;
 let sampledAt = -Infinity;
-let retryS = 0.5;
 
 const timeText = (at) => (offset === null ? `${at.toFixed(1)} s` : new Date((at + offset) * 1000).toLocaleTimeString([], { hour12: false }));
 const alarms = new Alarms(timeText);
@@ -70,7 +70,7 @@ function hello(message) {
     frame = counts = null;
     map.clear();
     if (message.replay) {
-      fleet.clear();
+      fleet.clear("the first picture is being computed");
       alarms.clear();
     } else fleet.restart();
   }
@@ -129,40 +129,7 @@ const handlers = {
   playback: (message) => playback.show(message),
 };
 
-let socket = null;
 let shownAt = 0;
-
-// A page out of sight needs no pictures; the history in hello brings it up to date afterwards.
-function sendVisibility() {
-  if (socket?.readyState === WebSocket.OPEN) socket.send(document.hidden ? "hidden" : "visible");
-}
-
-document.addEventListener("visibilitychange", () => {
-  if (!document.hidden) shownAt = now();
-  sendVisibility();
-});
-
-function connect() {
-  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
-  socket.addEventListener("open", () => {
-    retryS = 0.5;
-    playback.reset();
-    if (document.hidden) sendVisibility();
-  });
-  socket.addEventListener("message", ({ data }) => {
-    const message = JSON.parse(data);
-    try {
-      handlers[message.kind](message);
-    } finally {
-      // The service sends no further picture before this.
-      if (message.kind === "fleet" && socket.readyState === WebSocket.OPEN) socket.send("shown");
-    }
-  });
-  socket.addEventListener("close", () => {
-    setTimeout(connect, retryS * 1000);
-    retryS = Math.min(retryS * 2, 5);
-  });
-}
 
 setInterval(() => {
   if (document.hidden) return;
@@ -175,4 +142,5 @@ setInterval(() => {
 
 const selected = Number(sessionStorage.getItem(SELECTED));
 if (selected > 0) for (const part of [fleet, map, plots, commands]) part.select(selected);
-connect();
+// The history in hello brings a page that comes into sight up to date.
+openLive(handlers, "fleet", { opened: () => playback.reset(), inSight: () => { shownAt = now(); } });

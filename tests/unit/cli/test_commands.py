@@ -131,3 +131,39 @@ def test_mistakes_end_in_one_line(monkeypatch, arguments, words):
     assert told.returncode in (1, 2)
     assert len(told.stderr.strip().splitlines()) == 1
     assert words in told.stderr
+
+
+@pytest.fixture
+def per_fleet(tmp_path: Path) -> Path:
+    """A configuration of two fleets, each with a process of its own."""
+    tables = "".join(f'[[fleet]]\nname = "{name}"\nlinks = ["udpin:127.0.0.1:{port}"]\n' for name, port in (("a", 1), ("b", 2)))
+    (tmp_path / "fleets.toml").write_text(f'[service]\nprocesses = "per-fleet"\n{tables}')
+    return tmp_path / "fleets.toml"
+
+
+def test_check_config_says_that_each_fleet_has_a_process(per_fleet):
+    done = gcs_coloc("check-config", per_fleet)
+    assert done.stdout.endswith("fleet b: 1 link(s), estimator fleet; a process for each fleet\n"), done.stderr
+
+
+def test_what_one_fleets_files_lack_is_told_before_any_process_is_started(per_fleet):
+    per_fleet.write_text(per_fleet.read_text() + f'[fleet.web]\ntoken_file = "{per_fleet.parent / "absent"}"\n')
+    done = gcs_coloc("--config", per_fleet)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("gcs-coloc: error: fleet b: web.token_file: ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--fleet", "c"], "has no such fleet, but a, b"),
+        (["--failed", "4"], "say it in the table of the fleet that is meant"),
+        (["--fleet", "a", "--supervisor", "999"], "--supervisor 999: is no socket"),
+    ],
+)
+def test_what_a_process_for_each_fleet_cannot_be_told_is_one_clear_line(per_fleet, arguments, words):
+    done = gcs_coloc("--config", per_fleet, *arguments)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert words in line

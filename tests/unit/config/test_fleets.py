@@ -147,6 +147,24 @@ def test_which_fleet_is_meant_has_to_be_said_and_there_has_to_be_one(tmp_path, t
         load_settings(written(tmp_path, text), {}, fleet)
 
 
+@pytest.mark.parametrize(
+    "others",
+    ["colour = 3", "[fleet.nonsense]", "[[fleet]]", "[[fleet]]\nname = 7", '[[fleet]]\nname = "north"'],
+)
+def test_a_worker_starts_whatever_is_wrong_with_another_fleets_table(tmp_path, others):
+    path = written(tmp_path, TWO + others)
+    with pytest.raises(ConfigError):
+        load_fleets(path, {}, "north")
+    (north,) = load_fleets(path, {}, "north", is_checked=True)
+    assert north.settings.model_dump() == load_fleets(written(tmp_path, TWO), {})[0].settings.model_dump()
+
+
+def test_a_fleet_that_is_no_table_is_a_mistake(tmp_path):
+    for fleet in (None, "north"):
+        with pytest.raises(ConfigError, match=r"coloc.toml: fleet 1: is no table; begin each fleet with \[\[fleet\]\]"):
+            load_fleets(written(tmp_path, "fleet = [7]"), {}, fleet)
+
+
 def test_a_fleet_without_a_file_is_a_mistake():
     with pytest.raises(UsageError, match="--fleet north: there is no --config"):
         load_settings(None, {}, "north")
@@ -160,3 +178,50 @@ def test_what_is_wrong_with_one_fleet_names_it(tmp_path):
         Service(load_fleets(path, {}))
     with pytest.raises(EstimatorError, match=r"^[^f]"):
         check_config(written(tmp_path, 'links = ["14550"]\n[estimator]\nname = "qu_zang"\n'))
+
+
+PER_FLEET = '[service]\nprocesses = "per-fleet"\naddress = "9000"\n'
+
+
+def test_with_a_process_for_each_fleet_each_has_a_page_that_the_page_of_all_leads_to(tmp_path):
+    north, south = load_fleets(written(tmp_path, PER_FLEET + TWO), {})
+    assert (north.settings.web.on, north.settings.web.address) == (True, "127.0.0.1:8081")
+    assert (south.settings.web.on, south.settings.web.host_and_port()) == (True, ("127.0.0.1", 0))  # any free port
+    assert north.settings.service.web().address == "127.0.0.1:9000"
+    assert north.settings.service.web().must_open
+    assert not any(f.settings.web.on for f in load_fleets(tmp_path / "coloc.toml", {"web": {"on": False}}))
+
+
+def test_the_default_address_of_the_page_of_all_is_done_without_where_it_is_taken(tmp_path):
+    fleets = load_fleets(written(tmp_path, '[service]\nprocesses = "per-fleet"\n' + TWO), {})
+    assert not fleets[0].settings.service.web().must_open
+
+
+def test_a_single_fleet_of_several_is_loaded_with_flags_of_its_own(tmp_path):
+    (south,) = load_fleets(written(tmp_path, TWO), {"fleet": {"failed": [7]}, "record": {"directory": "elsewhere"}}, "south")
+    assert (south.name, south.settings.fleet.failed, south.flagged) == ("south", (7,), frozenset({"failed"}))
+    assert south.settings.record.directory == "elsewhere/south"
+    with pytest.raises(UsageError, match=r"--fleet east: .*coloc.toml has no such fleet, but north, south"):
+        load_fleets(tmp_path / "coloc.toml", {}, "east")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (PER_FLEET + 'links = ["14550"]\n', "links: unknown key"),
+        ('links = ["14550"]\n' + PER_FLEET, "service.processes: per-fleet needs a table [[fleet]] for each fleet"),
+        (
+            PER_FLEET.replace("9000", "8081") + TWO,
+            "service.address: 127.0.0.1:8081, of the page of all fleets, is given to",
+        ),
+        (
+            FLEET + "[fleet.service]\nprocesses = 'per-fleet'\n",
+            "service: is of all fleets; put [service] before the first",
+        ),
+        (PER_FLEET.replace("per-fleet", "many") + TWO, "service.processes: input should be 'one' or 'per-fleet'"),
+    ],
+)
+def test_what_processes_cannot_be_is_refused(tmp_path, text, words):
+    with pytest.raises(ConfigError) as error:
+        load_fleets(written(tmp_path, text), {})
+    assert words in str(error.value)

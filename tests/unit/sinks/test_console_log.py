@@ -1,6 +1,9 @@
-"""A log that nobody reads holds nothing up and loses its newest lines only."""
+"""A log that nobody reads holds nothing up and loses its newest lines only; each line says whose it is."""
 
 import logging
+import re
+import subprocess
+import sys
 import threading
 import time
 
@@ -79,3 +82,30 @@ def test_the_end_does_not_wait_for_a_reader_that_never_reads(slow):
     writer.close()
     assert time.monotonic() - began_s < 20.0
     assert slow.lines == []
+
+
+FAULTS = """
+import logging, sys, threading, warnings
+from gcs_coloc.sinks.console import SharedConsole, log_to_stderr, log_uncaught
+log_to_stderr("INFO", SharedConsole(file=sys.stderr, force_terminal=False), "north: ")
+log_uncaught()
+warnings.warn("of Python")
+fault = threading.Thread(target=lambda: {}["of a thread"])
+fault.start()
+fault.join()
+try:
+    {}["caught"]
+except KeyError:
+    logging.getLogger("gcs_coloc").exception("two\\nlines")
+{}["at the end"]
+"""
+
+
+def test_every_line_of_a_warning_and_of_a_traceback_names_its_fleet():
+    done = subprocess.run([sys.executable, "-c", FAULTS], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    lines = done.stderr.splitlines()
+    named = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} (WARNING|ERROR|CRITICAL) north: ")
+    assert [line for line in lines if not named.match(line)] == []
+    for words in ("of Python", "KeyError: 'of a thread'", "KeyError: 'caught'", "lines", "KeyError: 'at the end'"):
+        assert any(line.endswith(words) for line in lines), words

@@ -15,6 +15,7 @@ from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
 from gcs_coloc.core.integrity.noise_model import NoiseModel
+from gcs_coloc.sinks.merged_metrics import worker_metrics
 from gcs_coloc.sinks.metrics import fleet_registry
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -93,7 +94,7 @@ def alert_rules() -> list[str]:
 
 
 def test_the_alert_rules_ask_for_metrics_that_there_are():
-    there = set(families(fleet_view(10.0, standby=STANDBY)))
+    there = set(families(fleet_view(10.0, standby=STANDBY))) | {family.name for family in worker_metrics({}, {})}
     assert len(alert_rules()) >= 6
     for expression in alert_rules():
         names = re.findall(r"gcs_coloc_\w+", expression)
@@ -132,3 +133,22 @@ def test_the_dashboard_asks_for_metrics_that_there_are():
     cells = [(column, row) for x, y, w, h in places for column in range(x, x + w) for row in range(y, y + h)]
     assert len(cells) == len(set(cells))  # no panel lies over another
     assert max(column for column, _ in cells) < 24
+
+
+def test_rules_that_compare_two_metrics_tell_vehicles_of_two_fleets_apart():
+    """One address may have the metrics of many fleets, whose vehicles have the same system ids."""
+    dashboard = json.loads((ROOT / "configs/grafana-dashboard.json").read_text(encoding="utf-8"))
+    asked = [t["expr"] for panel in dashboard["panels"] for t in panel.get("targets", [])]
+    matched = [words for expression in (*alert_rules(), *asked) for words in re.findall(r"(?:on|by) \(([^)]*)\)", expression)]
+    assert matched
+    assert all("fleet" in words.split(", ") for words in matched)
+    joined = [
+        (step["options"]["byField"], target["expr"])
+        for panel in dashboard["panels"]
+        for step in panel.get("transformations", [])
+        if step["id"] == "joinByField"
+        for target in panel["targets"]
+    ]
+    assert len(joined) == 2
+    for field, expression in joined:
+        assert f'"{field}", " ", "instance", "fleet", "sysid")' in expression

@@ -136,7 +136,7 @@ def test_a_range_to_a_station_is_none_to_the_vehicle_of_that_number():
         ("4/range", b'{"peer": 1, "range_m": NaN}', False, "mqtt_range_invalid"),
         ("4/range", b'{"peer": 1, "range_m": 1e999}', False, "mqtt_range_invalid"),
         ("4/range", {"peer": 1, "range_m": 5.0, "sigma_m": 0.0}, False, "mqtt_range_invalid"),
-        ("4/range", {"peer": 300, "range_m": 5.0}, False, "mqtt_range_invalid"),
+        ("4/range", {"peer": 4_294_967_296, "range_m": 5.0}, False, "mqtt_range_invalid"),
         ("4/range", {"range_m": 5.0}, False, "mqtt_range_invalid"),
         ("4/range", {"peer": 1, "station": 1, "range_m": 5.0}, False, "mqtt_range_invalid"),
         ("4/range", {"station": 65536, "range_m": 5.0}, False, "mqtt_range_invalid"),

@@ -9,7 +9,9 @@ from gcs_coloc.core.readiness.vehicle_readiness import VehicleReadiness
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
 from gcs_coloc.core.snapshot import VehicleSnapshot
 from gcs_coloc.core.station_review import StationSnapshot
+from gcs_coloc.sinks.watched_fleets import FleetShown
 from gcs_coloc.web import wire
+from gcs_coloc.web.fleets_page import FleetsFrame, FleetsHello
 
 TEXT = (Path(__file__).resolve().parents[3] / "docs/reference/web.md").read_text(encoding="utf-8")
 MODELS = [
@@ -23,6 +25,9 @@ MODELS = [
     wire.TilesInfo,
     wire.PlaybackState,
     wire.PlaybackCommand,
+    FleetsHello,
+    FleetsFrame,
+    FleetShown,
 ]
 VALUES = (
     wire.Ellipse,

@@ -1,0 +1,69 @@
+"""`gcs-coloc watch`: all fleets of all hosts on one page, from MQTT alone."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+from urllib.parse import urlsplit
+
+import typer
+
+from gcs_coloc.cli.main import LogLevel
+from gcs_coloc.config.settings import read_table, settings_of
+from gcs_coloc.core.errors import UsageError
+
+DEFAULT_PAGE = "127.0.0.1:8081"
+"""Where the page is unless told: beside that of a service on the same computer, which is on 8080."""
+_SECTIONS = ("mqtt", "web")
+
+
+def watch(
+    mqtt: Annotated[
+        str | None, typer.Option(help="The MQTT broker: HOST or HOST:PORT; port 1883 unless told.", metavar="HOST[:PORT]")
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="A configuration file (TOML): its sections mqtt (broker, user, TLS) and web are used; flags win over it."
+        ),
+    ] = None,
+    web: Annotated[str | None, typer.Option(help=f"Address of the page, HOST:PORT or PORT; {DEFAULT_PAGE} unless told.")] = None,
+    no_web: Annotated[bool, typer.Option("--no-web", help="Serve no page; the terminal's table alone.")] = False,
+    log_level: Annotated[LogLevel, typer.Option(help="How much is logged.")] = LogLevel.INFO,
+) -> None:
+    """Show all fleets of all hosts that publish on an MQTT broker, until Ctrl-C. It sends nothing to anybody."""
+    from gcs_coloc.service.watch import Watch
+    from gcs_coloc.sinks.console import SharedConsole, log_to_stderr, own_stream
+
+    if web is not None and no_web:
+        raise UsageError("--web and --no-web exclude each other")
+    table = read_table(config) if config is not None else {}
+    used: dict[str, Any] = {key: table[key] for key in _SECTIONS if key in table}
+    flags: dict[str, Any] = {}
+    if mqtt is not None:
+        flags["mqtt"] = _broker(mqtt)
+    if web is not None:
+        flags["web"] = {"on": True, "address": web}
+    elif no_web:
+        flags["web"] = {"on": False}
+    settings = settings_of([used], flags, str(config) if config is not None else "settings")
+    if not settings.mqtt.host:
+        raise UsageError("no broker: --mqtt HOST[:PORT], or a --config with host in [mqtt]")
+    page = settings.web if settings.web.must_open else settings.web.model_copy(update={"address": DEFAULT_PAGE})
+    shown = Watch(settings.mqtt, page)
+    console = SharedConsole(file=own_stream(sys.stdout))
+    log_to_stderr(log_level.value.upper(), console)
+    asyncio.run(shown.run(console))
+
+
+def _broker(text: str) -> dict[str, Any]:
+    try:
+        parts = urlsplit(f"//{text}")
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host, port = None, None
+    if host is None or port == 0 or any(mark in text for mark in "/?#@"):
+        raise UsageError(f"--mqtt {text}: is not HOST or HOST:PORT, as broker.example:1883")
+    return {"host": host} | ({"port": port} if port is not None else {})

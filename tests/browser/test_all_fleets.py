@@ -1,0 +1,48 @@
+"""The page of all fleets over real worker processes: it shows each, leads to its own page, and tells of one that died."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+
+import pytest
+from flight import Watched, browser, flying, free_port, service, wait_for, wait_until_good
+from playwright.sync_api import expect
+
+pytestmark = pytest.mark.integration
+
+
+def test_it_shows_each_fleet_leads_to_its_own_page_and_tells_of_one_that_died(tmp_path):
+    ports = {name: free_port(socket.SOCK_DGRAM) for name in ("north", "south")}
+    address = f"127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    tables = "".join(f'[[fleet]]\nname = "{name}"\nlinks = ["udpin:127.0.0.1:{port}"]\n' for name, port in ports.items())
+    (tmp_path / "fleets.toml").write_text(f'[service]\nprocesses = "per-fleet"\naddress = "{address}"\n{tables}')
+    log = tmp_path / "log"
+    with (
+        service(log, "--config", str(tmp_path / "fleets.toml")),
+        flying(ports["north"], set()),
+        flying(ports["south"], set()),
+        browser() as chromium,
+    ):
+        watched = Watched(chromium.new_page())
+        page = watched.page
+        page.goto(f"http://{address}/")
+        fleets = {name: page.get_by_role("region", name=re.compile(f"^Fleet {name} on ")) for name in ports}
+        for name in ports:
+            expect(fleets[name]).to_contain_text("4 good")
+        expect(page.locator("#problem")).to_be_empty()
+
+        (north,) = map(int, re.findall(r"fleet north: process (\d+)", log.read_text()))
+        os.kill(north, signal.SIGSTOP)
+        expect(fleets["north"]).to_contain_text("not heard")
+        expect(page.locator("#problem")).to_contain_text("fleet north: not heard for")
+        os.kill(north, signal.SIGKILL)
+        wait_for(lambda: log.read_text().count("fleet north: process ") == 2, "the second process of north")
+        expect(fleets["north"]).to_contain_text("4 good")
+        expect(page.locator("#problem")).to_be_empty()
+        assert watched.complaints == []
+
+        page.get_by_role("link", name="Page of fleet north").click()
+        wait_until_good(page, 1, 2, 3, 4)
