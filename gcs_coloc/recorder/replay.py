@@ -14,7 +14,7 @@ from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import ClockReference, OperatorCommand, RouteReport, TransmitDisabled
 from gcs_coloc.core.messages.inbound import Inbound, PeerRange
 from gcs_coloc.core.messages.outbound import Outbound
-from gcs_coloc.core.schedule import CATCH_UP_S, Overrun, advance
+from gcs_coloc.core.schedule import Overrun, advance
 from gcs_coloc.mavlink.decoder import Decoder, HeardTruth, truth_of
 from gcs_coloc.mavlink.framing import OWN_COMPID, OWN_SYSID, RawFrame, sender_of
 from gcs_coloc.recorder.side_channel import FlownWith, GroundTool, ReadRecord, read_side_channel
@@ -58,7 +58,7 @@ class Replay:
         self.engine = engine
         self._on_poll = on_poll
         self._messages = RecordedMessages(log, ranges, own, flown_with)
-        self.now_s = float("-inf")
+        self.now_s = self._held_up_until_s = float("-inf")
         self._next = self._messages.next()
 
     @property
@@ -93,8 +93,8 @@ class Replay:
         assert message is not None
         assert at_s is not None
         if isinstance(message, Overrun):
-            self._advance(message.since_s)
-            self._advance(at_s, CATCH_UP_S)
+            self._advance(at_s)
+            self._held_up_until_s = message.until_s
         else:
             self._advance(at_s)
             self.engine.receive(message)
@@ -103,12 +103,11 @@ class Replay:
 
     def advance(self, to_s: float) -> None:
         """Advance the engine to a service time (UNIX s) before the next message."""
-        # During an overrun the service did nothing.
-        self._advance(min(to_s, self._next.since_s) if isinstance(self._next, Overrun) else to_s)
+        self._advance(to_s)
 
-    def _advance(self, to_s: float, catch_up_s: float = float("inf")) -> None:
+    def _advance(self, to_s: float) -> None:
         self.now_s = max(self.now_s, to_s)
-        for at_s, outputs in advance(self.engine, to_s, catch_up_s=catch_up_s):
+        for at_s, outputs in advance(self.engine, to_s, self._held_up_until_s):
             self._on_poll(at_s, outputs)
 
 
@@ -221,7 +220,7 @@ class RecordedMessages:
                 # Another program's recording: its clock is taken for UTC, and no frame of ours reached a vehicle.
                 found += TransmitDisabled(at_s), ClockReference(at_s, 0.0)
         elif at_s > gap_ends_s:
-            found.append(Overrun(at_s, gap_ends_s))
+            found.append(Overrun(gap_ends_s, at_s))
         counts.records += 1
         counts.last_s = at_s
         if read is not None:

@@ -160,7 +160,7 @@ def _content(record: SideChannelRecord) -> dict[str, Any]:
         ends, values = (record.sysid, record.peer), (record.range_m, record.sigma_m, record.measured_at_s, base)
         return {"range": [*ends, *values, record.sequence, record.line_of_sight, record.device_id]}
     if isinstance(record, Overrun):
-        return {"overrun": record.since_s}
+        return {"overrun_until": record.until_s}
     if isinstance(record, ForeignGpsInput):
         return {"foreign_gps_input": [record.sysid, record.gps_id, record.vehicle]}
     if isinstance(record, HoldBack):
@@ -190,8 +190,10 @@ def _record(content: dict[str, Any], at_s: float) -> SideChannelRecord | None:
             bool(sync) if sync is not None else None,
             float(content.get("lag", 0.0)),
         )
-    if "overrun" in content:
-        return Overrun(at_s, float(content["overrun"]))
+    if "overrun_until" in content:
+        return Overrun(at_s, float(content["overrun_until"]))
+    if "overrun" in content:  # since when, told at its end: so earlier versions wrote it
+        return Overrun(float(content["overrun"]), at_s)
     if "settings" in content:
         return FlownWith(str(content["settings"]), at_s)
     if "ground_tool" in content:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from operator import itemgetter
+from functools import partial
 from typing import TYPE_CHECKING
 
 from gcs_coloc.config.settings import Settings
@@ -24,7 +24,7 @@ from gcs_coloc.core.messages.control import (
 )
 from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToOperator, ToVehicle
-from gcs_coloc.core.schedule import CATCH_UP_S, advance, find_overrun, without_superseded
+from gcs_coloc.core.schedule import advance, find_overrun, without_superseded
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.core.standby.sign_of_life import StandbyOrder
 from gcs_coloc.core.status_texts import StatusTexts
@@ -39,6 +39,7 @@ from gcs_coloc.mavlink.refusals import Counts, Refusals
 from gcs_coloc.recorder.flight_recording import FlightRecording
 from gcs_coloc.recorder.side_channel import FlownWith
 from gcs_coloc.runtime.clock import ServiceClock, Timer
+from gcs_coloc.service.backlog import Backlog
 from gcs_coloc.service.snapshot_cache import SnapshotCache
 from gcs_coloc.service.traffic import Receiver, Sender
 from gcs_coloc.sinks.event_bus import EventBus, IdleScheduler
@@ -52,8 +53,13 @@ _ENGINE_LATE_S = 2.0
 """Chosen: the engine runs several times a second; so much later the service is not doing its work."""
 _HELD_UP_S = 0.02
 """What is read so long after the engine's time may have waited. Chosen: less than the 0.05 s that 1 m at 20 m/s takes."""
+_BEHIND_S = 0.5
+"""Chosen: two and a half deadlines at 5 Hz. A position so late, or a sign of life, says what is no longer so."""
 _MOST_WAITING = 1024
 """Datagrams of one link that are received at once. Chosen: what 1 MB of the system's buffer holds of MAVLink frames."""
+
+
+_Control = ClockReference | OperatorCommand | PeerRange | ForeignGpsInput | HoldBack | SwitchedByOther
 
 
 class FleetService:
@@ -79,8 +85,9 @@ class FleetService:
         self._host = host
         self._lag_s = 0.0  # the worst since the host's last report
         self._is_ending = False
-        self._waiting: list[tuple[float, Link, Address, bytes]] | None = None
-        self._is_catching_up = False
+        self._backlog = Backlog()
+        self._is_reading = self._is_catching_up = False
+        self._held_up_until_s = float("-inf")
         self._unsent: list[Outbound] = []
         own, senders = (settings.mavlink.system_id, settings.mavlink.component_id), settings.senders
         check_outs(settings.out, settings.links)
@@ -93,7 +100,7 @@ class FleetService:
         if settings.standby.peer:
             from gcs_coloc.service.hot_standby import HotStandby  # a service that is alone starts without it
 
-            self._standby = HotStandby(settings, clock, self._engine, self._apply, self._publish)
+            self._standby = HotStandby(settings, clock, self._engine, self._apply, self._publish, self._is_behind)
         self._receiver = Receiver(
             self._routes,
             self._signed,
@@ -197,13 +204,17 @@ class FleetService:
     # The straight path: a datagram in, the engine's deadlines, outputs out
 
     def _on_datagram(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
-        if self._waiting is not None:
-            self._waiting.append((received_at_s, link, address, payload))
+        has_waited = link.is_late or received_at_s - self._engine_at_s > _HELD_UP_S
+        if not (has_waited or self._is_reading or self._backlog):
+            self._receive(link, address, payload, received_at_s)
             return
-        if (link.is_late or received_at_s - self._engine_at_s > _HELD_UP_S) and not self._is_catching_up:
-            self._receive_waiting([(received_at_s, link, address, payload)])
-            self._emit_unsent()
-            return
+        starts = not (self._is_reading or self._backlog)
+        self._backlog.add(received_at_s, partial(self._receive, link, address, payload, received_at_s))
+        if starts:
+            self._read_waiting()
+            self._receive_some()
+
+    def _receive(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
         if received_at_s < self._engine_at_s:
             received_at_s = self._engine_at_s  # its time never runs back
         if self._is_ending or not self._receiver.admits(link, address, len(payload), received_at_s):
@@ -227,20 +238,35 @@ class FleetService:
         if received.messages:  # without a message to the engine no deadline comes sooner
             self._wake()
 
-    def _receive_waiting(self, waiting: list[tuple[float, Link, Address, bytes]]) -> None:
-        """Receive what waits at all links in the order in which it came, so that no link's datagrams are taken for late."""
-        self._waiting, self._is_catching_up = waiting, True
+    def _read_waiting(self) -> None:
+        """Read what waits at all links, to receive it in the order in which it came: no link's datagrams are taken for late."""
+        self._is_reading = True
         try:
             for link in self._links:
                 link.receive_waiting(_MOST_WAITING)
-            self._waiting = None
-            waiting.sort(key=itemgetter(0))
-            if waiting:
-                self._add_lag(self._clock() - waiting[0][0])
-            for received_at_s, link, address, payload in waiting:
-                self._on_datagram(link, address, payload, received_at_s)
         finally:
-            self._waiting, self._is_catching_up = None, False
+            self._is_reading = False
+
+    def _receive_some(self) -> None:
+        """Receive the backlog, or its oldest part: the timer goes on with the rest, and the event loop runs before."""
+        now_s = self._clock()
+        if self._backlog:
+            self._add_lag(now_s - self._backlog.oldest_s)
+        overrun = find_overrun(self._engine, self._engine_at_s, now_s)
+        if overrun is not None and self._engine_at_s >= self._held_up_until_s:
+            self._held_up_until_s = overrun.until_s
+            self._recording.record_side_channel(overrun)
+        self._is_catching_up = True
+        try:
+            self._backlog.receive_some(self._clock)
+        finally:
+            self._is_catching_up = False
+        self._emit_unsent()
+        self._wake()
+
+    def _is_behind(self) -> bool:
+        """Whether what is received now is too old for its answer to be sent."""
+        return bool(self._backlog) and self._clock() - self._backlog.oldest_s > _BEHIND_S
 
     def _add_lag(self, lag_s: float) -> None:
         """Have the engine know of a lag before it gets what came meanwhile: no vehicle is to blame for it."""
@@ -251,26 +277,26 @@ class FleetService:
             self._recording.record_side_channel(late)
 
     def _wake(self) -> None:
-        """Make sure that the engine is polled at its next deadline."""
-        self._deadline.by(self._engine.next_deadline())
+        """Make sure that the rest of the backlog is received, or that the engine is polled at its next deadline."""
+        self._deadline.by(self._backlog.oldest_s if self._backlog else self._engine.next_deadline())
 
     def _poll(self) -> None:
-        self._add_lag(self._clock() - self._engine.next_deadline())
-        self._receive_waiting([])
-        self._advance(max(self._clock(), self._engine_at_s))
-        self._emit_unsent()
-        self._wake()
+        if not self._backlog:
+            self._add_lag(self._clock() - self._engine.next_deadline())
+            self._read_waiting()
+        self._receive_some()
+        if not self._backlog:
+            self._advance(max(self._clock(), self._engine_at_s))
+            self._emit_unsent()
+            self._wake()
 
     def _advance(self, to_s: float) -> None:
         """Run the engine's deadlines before `to_s`, before it gets anything that arrived then, and emit its outputs."""
         self._engine_at_s = to_s
         if self._engine.next_deadline() >= to_s:
             return
-        overrun = find_overrun(self._engine, to_s)
-        if overrun is not None:
-            self._recording.record_side_channel(overrun)
         is_idle = False
-        for at_s, outputs in advance(self._engine, to_s, catch_up_s=CATCH_UP_S):
+        for at_s, outputs in advance(self._engine, to_s, self._held_up_until_s):
             self._unsent.extend(outputs)
             if self._engine.next_aid_s() >= to_s and not self._is_catching_up:
                 # Before the fleet is reviewed and the journal written: that takes longer than estimating, and vehicles wait.
@@ -281,6 +307,8 @@ class FleetService:
             self.idle.start_slots()
 
     def _emit_unsent(self) -> None:
+        if self._is_behind():
+            return
         unsent, self._unsent = self._unsent, []
         for output in without_superseded(unsent):
             if isinstance(output, ToVehicle):
@@ -331,13 +359,20 @@ class FleetService:
         if self._status_texts is not None:
             self._forwarder.send_status(self._status_texts.pop_due(host.received_at_s), self._engine.sysids())
 
-    def _apply(
-        self, message: ClockReference | OperatorCommand | PeerRange | ForeignGpsInput | HoldBack | SwitchedByOther
-    ) -> None:
-        self._receive_waiting([])
+    def _apply(self, message: _Control) -> None:
+        if not (self._backlog or self._is_catching_up):
+            self._read_waiting()
+            self._receive_some()
+        if self._backlog or self._is_catching_up:
+            self._backlog.add(message.received_at_s, partial(self._receive_control, message))
+        else:
+            self._receive_control(message)
+
+    def _receive_control(self, message: _Control) -> None:
         message = replace(message, received_at_s=max(message.received_at_s, self._engine_at_s))
         self._advance(message.received_at_s)
-        self._emit_unsent()
+        if not self._is_catching_up:
+            self._emit_unsent()
         self._engine.receive(message)
         self._recording.record_side_channel(message)
         self._wake()

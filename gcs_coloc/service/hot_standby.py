@@ -57,6 +57,8 @@ _LEVELS = {StandbyReason.TOOK_OVER: "error", StandbyReason.OTHER_FEEDS: "warning
 class HotStandby:
     """One of two services, this one. `apply` gives the engine what it must know, `publish` tells the operator.
 
+    `is_behind`: whether the service is too busy to send what it should. It then gives no sign of life: the other one takes over.
+
     Raises:
         ConfigError: the key file is of no use.
     """
@@ -68,12 +70,14 @@ class HotStandby:
         engine: Engine,
         apply: Callable[[HoldBack | SwitchedByOther | OperatorCommand], None],
         publish: Callable[[Notice], None],
+        is_behind: Callable[[], bool],
     ) -> None:
         config, mavlink = settings.standby, settings.mavlink
         self._clock = clock
         self._engine = engine
         self._apply = apply
         self._publish = publish
+        self._is_behind = is_behind
         self._gps_id = settings.aiding.gps_id
         self._peer = StandbyPeer(
             Identity(mavlink.system_id, mavlink.component_id),
@@ -178,7 +182,7 @@ class HotStandby:
         self._send_due()
 
     def _send_due(self) -> None:
-        if self._peer.sign_is_due(self._clock()):
+        if not self._is_behind() and self._peer.sign_is_due(self._clock()):
             self._send_sign()
 
     def _send_sign(self) -> None:

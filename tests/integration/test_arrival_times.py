@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import sys
+from collections.abc import Callable
 
 import pytest
 from link_peers import heartbeat, stamps_of_arrival, until
@@ -55,12 +56,13 @@ def test_datagrams_of_two_links_that_waited_are_received_in_the_order_and_at_the
         senders = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in ports]
         # The event loop does not run while these are sent: as if something had held the service up.
         began_s = clock()
-        while clock() < began_s + HELD_UP_S or len(sent) < 300:
-            number = len(sent)
+        for number in range(300):  # within what a sender may send at once
             which, sequence = (number // 3) % 2, (number // 6 * 3 + number % 3) % 256
             before_s = clock()
             senders[which].sendto(heartbeat(which + 1, sequence), ("127.0.0.1", ports[which]))
             sent.append((which + 1, before_s, clock()))
+        while clock() < began_s + HELD_UP_S:
+            pass
         await until(lambda: len(path.known_sysids()) == 2)
         await path.close()
         for sender in senders:
@@ -178,5 +180,112 @@ def test_of_the_positions_that_were_due_while_the_service_was_held_up_only_the_n
         assert link.sent.count(GPS_INPUT) == at_its_pace + 1
         await path.close()
         hover.sock.close()
+
+    asyncio.run(flight())
+
+
+class SlowHost(HandClock):
+    """A host on which every look at the clock takes a millisecond; the event loop's timers fire by it."""
+
+    def __call__(self) -> float:
+        self.now_s = round(self.now_s + 1e-3, 6)
+        return self.now_s
+
+    def on_loop(self, at_s: float) -> float:
+        return at_s - START_S
+
+    def drive(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Have an event loop go by this clock. Its owner must keep it busy, for it would wait in real time."""
+        loop.time = lambda: self.now_s - START_S
+
+
+def test_a_host_with_little_time_works_its_backlog_off_in_portions_and_sends_no_position_of_the_past(monkeypatch):
+    """Page, log and the other service go on between the portions; what was missed is answered once, in the present."""
+    monkeypatch.setitem(SCHEMES, "hand", (__name__, "HandAddress"))
+
+    async def flight() -> None:
+        clock = SlowHost()
+        clock.drive(asyncio.get_running_loop())
+        path = FleetService(
+            load_settings(None, {"links": ["hand:127.0.0.1:1"], "fleet": {"failed": [1]}}), clock, read_host_clock(clock())
+        )
+        await path.open()
+        path.start()
+        link, hover = HandLink.made, Hover(1, (0.0, 0.0, 50.0), ("127.0.0.1", 1))
+        for step in range(20):
+            clock.now_s = round(START_S + 0.1 * step, 6)
+            for frame in hover.telemetry(step, 3):
+                link.handler(link, ("hand", 1), frame, clock.now_s)
+        at_its_pace = link.sent.count(GPS_INPUT)
+        assert at_its_pace >= 5
+        link.waiting = [(frame, round(START_S + 0.1 * step, 6)) for step in range(20, 80) for frame in hover.telemetry(step, 3)]
+        clock.now_s = START_S + 8.0
+        link.handler(link, ("hand", 1), hover.telemetry(80, 3)[0], clock.now_s)
+        behind, sent = [path.fault()], [link.sent.count(GPS_INPUT)]
+        while path.fault() is not None or len(behind) < 3:
+            await asyncio.sleep(0)
+            behind.append(path.fault())
+            sent.append(link.sent.count(GPS_INPUT))
+        assert behind[0] is not None
+        assert "the engine was last run" in behind[0]
+        assert sum(fault is not None for fault in behind) >= 2  # others had their turns meanwhile
+        assert sent[-1] - at_its_pace <= 3
+        await path.close()
+        hover.sock.close()
+
+    asyncio.run(flight())
+
+
+def test_a_service_that_is_behind_gives_the_other_one_no_sign_of_life_until_it_has_caught_up(monkeypatch):
+    """The other service of a hot standby takes over from one that lives, but sends nothing."""
+    monkeypatch.setitem(SCHEMES, "hand", (__name__, "HandAddress"))
+
+    async def flight() -> None:
+        clock = SlowHost()
+        clock.drive(asyncio.get_running_loop())
+        other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        other.bind(("127.0.0.1", 0))
+        other.setblocking(False)
+        (own_port,) = free_ports(1)
+        standby = {"peer": f"127.0.0.1:{other.getsockname()[1]}", "listen": f"127.0.0.1:{own_port}"}
+        path = FleetService(
+            load_settings(None, {"links": ["hand:127.0.0.1:1"], "standby": standby}), clock, read_host_clock(clock())
+        )
+        await path.open()
+        path.start()
+
+        def signs() -> int:
+            found = 0
+            while True:
+                try:
+                    other.recv(65535)
+                except BlockingIOError:
+                    return found
+                found += 1
+
+        async def turns(until: Callable[[], bool]) -> int:
+            found = 0
+            for _ in range(20_000):
+                await asyncio.sleep(0)
+                clock()
+                found += signs()
+                if until():
+                    return found
+            raise AssertionError("never")
+
+        began_s = clock()
+        assert await turns(lambda: clock.now_s > began_s + 2.0) > 5
+        link, hover = HandLink.made, Hover(1, (0.0, 0.0, 50.0), ("127.0.0.1", 1))
+        link.waiting = [(frame, round(clock.now_s + 0.02 * step, 6)) for step in range(300) for frame in hover.telemetry(step, 3)]
+        clock.now_s += 8.0
+        link.handler(link, ("hand", 1), hover.telemetry(300, 3)[0], clock.now_s)
+        signs()
+        assert path.fault() is not None
+        assert await turns(lambda: path.fault() is None) == 0
+        caught_up_s = clock()
+        assert await turns(lambda: clock.now_s > caught_up_s + 4.0) > 5
+        await path.close()
+        for used in (other, hover.sock):
+            used.close()
 
     asyncio.run(flight())

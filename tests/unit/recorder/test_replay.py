@@ -16,7 +16,7 @@ from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages.control import ClockReference, RouteReport
 from gcs_coloc.core.messages.inbound import TimeBase
 from gcs_coloc.core.messages.outbound import ExternalPosition, GpsInput, HealthChanged, Notice
-from gcs_coloc.core.schedule import CATCH_UP_S, advance, find_overrun
+from gcs_coloc.core.schedule import advance, find_overrun
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.framing import OWN_COMPID, OWN_SYSID
@@ -218,16 +218,19 @@ def test_a_service_that_was_held_up_is_replayed_as_it_was(recorded, tmp_path):
     """Nothing comes in from 24.7 s on, it wakes for the last time at 25 s, and does nothing until all arrives at once at 28 s."""
     path, held = recorded[0], tmp_path / "held.tlog"
     engine, decoder, notes = Engine(load_estimator("fleet", {})), Decoder(), SideChannelWriter(OWN_SYSID, OWN_COMPID)
-    flown, told = [], bytearray()
+    flown, told, held_up_until_s = [], bytearray(), 0.0
     engine.receive(ClockReference(EPOCH_S, 0.0))
     told += tlog_record(EPOCH_S, notes.pack(ClockReference(EPOCH_S, 0.0)))
     for record in TlogReader(path):
         at_s = EPOCH_S + 28.0 if 24.7 < record.unix_s - EPOCH_S < 28.0 else record.unix_s
         if at_s == EPOCH_S + 28.0:
             flown.extend((t, output) for t, polled in advance(engine, EPOCH_S + 25.0) for output in polled)
-        if (held_up := find_overrun(engine, at_s)) is not None:
-            told += tlog_record(at_s, notes.pack(held_up))
-        flown.extend((t, output) for t, polled in advance(engine, at_s, catch_up_s=CATCH_UP_S) for output in polled)
+        if at_s == EPOCH_S + 28.0 > held_up_until_s:
+            held_up = find_overrun(engine, EPOCH_S + 25.0, at_s)
+            assert held_up is not None
+            held_up_until_s = held_up.until_s
+            told += tlog_record(held_up.received_at_s, notes.pack(held_up))
+        flown.extend((t, output) for t, polled in advance(engine, at_s, held_up_until_s) for output in polled)
         for frame in decoder.decode(record.frame, at_s):
             engine.receive(frame.message)
             if frame.is_autopilot_heartbeat:
@@ -237,7 +240,7 @@ def test_a_service_that_was_held_up_is_replayed_as_it_was(recorded, tmp_path):
     for truth in ([], recorded[1]):
         assert run(held, truth)[0] == flown
     assert [t for t, _ in flown if 24.75 < t - EPOCH_S < 25.0]
-    assert not [t for t, _ in flown if 25.0 < t - EPOCH_S < 26.99]
+    assert not [t for t, _ in flown if 25.0 < t - EPOCH_S < 28.0]
 
 
 def test_days_between_two_flights_of_one_file_are_left_out(recorded, tmp_path):
