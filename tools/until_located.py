@@ -14,9 +14,14 @@ _PATIENCE_S = 150.0
 
 
 def _of_vehicle(sysid: str) -> dict[str, float]:
-    with urllib.request.urlopen(_METRICS, timeout=10) as answer:
-        families = text_string_to_metric_families(answer.read().decode())
-        return {s.name: s.value for family in families for s in family.samples if s.labels.get("sysid") == sysid}
+    """The metrics of a vehicle; none while the page does not answer, as on a busy computer."""
+    try:
+        with urllib.request.urlopen(_METRICS, timeout=10) as answer:
+            text = answer.read().decode()
+    except OSError:
+        return {}
+    families = text_string_to_metric_families(text)
+    return {s.name: s.value for family in families for s in family.samples if s.labels.get("sysid") == sysid}
 
 
 def main(sysid: str) -> None:
