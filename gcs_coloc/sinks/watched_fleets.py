@@ -32,7 +32,7 @@ class Presence(StrEnum):
     LIVE = "live"
     """It is heard."""
     STALE = "stale"
-    """Nothing was heard of it for longer than it may be silent."""
+    """Nothing was heard of it for longer than it may be silent, or one message since."""
     LOST = "lost"
     """Its connection was lost: the broker, or the supervisor of its process, says so."""
     ENDED = "ended"
@@ -86,6 +86,8 @@ class _Heard:
     at_s: float
     is_confirmed: bool = False
     """Whether the message before it was heard shortly before: only then is anybody alive who sends them."""
+    was_live: bool = False
+    """Whether it was live before: then it is known that its service flies, and no message of it is one that was kept."""
     is_last: bool = False
     """Whether its connection was lost, or it said goodbye, after this message."""
     clock_off_s: float | None = None
@@ -125,6 +127,7 @@ class WatchedFleets:
         if before is not None and before.overview.at_s == overview.at_s:
             return True
         heard = _Heard(overview, now_s)
+        heard.was_live = before is not None and (before.is_confirmed or before.was_live)
         if before is not None and not before.is_last and now_s - before.at_s <= before.silent_after_s:
             heard.is_confirmed = True
             if place.said in (Presence.LOST, Presence.ENDED):
@@ -147,6 +150,7 @@ class WatchedFleets:
         place.said, place.said_at_s = said, now_s
         if said in (Presence.LOST, Presence.ENDED):
             for heard in place.by_host.values():
+                heard.was_live = heard.was_live or heard.is_confirmed
                 heard.is_confirmed, heard.is_last = False, True
         place.sysids = sysids or place.sysids
         return True
@@ -205,7 +209,7 @@ def _shown(source: str, place: _Source, heard: _Heard, others: list[str], now_s:
         host=overview.host,
         name=place.name,
         presence=presence,
-        text=f"not heard for {age_s:.0f} s" if presence is Presence.STALE else _SAID.get(presence, ""),
+        text=_SAID.get(presence, "") if presence is not Presence.STALE else _stale_text(age_s, heard),
         age_s=None if presence is Presence.KEPT else age_s,
         written_unix_s=overview.at_unix_s,
         light=next((light for light in WORST_FIRST if light in lights), "unknown") if is_live else "unknown",
@@ -215,11 +219,17 @@ def _shown(source: str, place: _Source, heard: _Heard, others: list[str], now_s:
     )
 
 
+def _stale_text(age_s: float, heard: _Heard) -> str:
+    if heard.is_last or age_s > heard.silent_after_s:
+        return f"not heard for {age_s:.0f} s"
+    return "heard again, but not steadily yet"
+
+
 def _presence(place: _Source, heard: _Heard, now_s: float) -> Presence:
     if place.said is not None:
         return place.said
     if not heard.is_confirmed:
-        return Presence.KEPT
+        return Presence.STALE if heard.was_live else Presence.KEPT
     return Presence.LIVE if now_s - heard.at_s <= heard.silent_after_s else Presence.STALE
 
 
