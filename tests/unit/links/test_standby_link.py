@@ -22,7 +22,9 @@ SIGN = SignOfLife(Identity(254, 191), 1, 2, 3, 4, StandbyState.ACTIVE, 5)
 _IDS = st.integers(1, 2**32 - 1)
 _NUMBERS = st.integers(0, 2**48)
 _OVERRIDES = st.builds(OverrideInForce, _IDS, st.sampled_from([*GpsOverride, *AidingOverride, *PrimaryOverride]))
-_SWITCHED = st.builds(SwitchedReceiver, _IDS) | st.builds(SwitchedReceiver, _IDS, st.floats(-1e6, 1e6), st.integers(1, 10))
+_SWITCHED = st.builds(SwitchedReceiver, _IDS, st.none(), st.none()) | st.builds(
+    SwitchedReceiver, _IDS, st.floats(-1e6, 1e6), st.integers(1, 10)
+)
 SIGNS = st.builds(
     SignOfLife,
     st.builds(Identity, _IDS, st.integers(1, 255)),
