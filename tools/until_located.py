@@ -11,6 +11,8 @@ from prometheus_client.parser import text_string_to_metric_families
 
 _METRICS = "http://127.0.0.1:8080/metrics"
 _PATIENCE_S = 150.0
+_FIX, _SIGMA_M = "gcs_coloc_vehicle_aiding_fix", "gcs_coloc_vehicle_position_sigma_meters"
+_PEERS, _HDOP = "gcs_coloc_vehicle_ranges_in_use", "gcs_coloc_vehicle_hdop"
 
 
 def _of_vehicle(sysid: str) -> dict[str, float]:
@@ -27,13 +29,14 @@ def _of_vehicle(sysid: str) -> dict[str, float]:
 def main(sysid: str) -> None:
     """Wait for the vehicle; exit code 1 where it comes to nothing."""
     end = time.monotonic() + _PATIENCE_S
-    while (now := _of_vehicle(sysid)).get("gcs_coloc_vehicle_aiding_fix") != 1.0:
+    # A position that has just been lost may still be the last that was sent.
+    while not ((now := _of_vehicle(sysid)).get(_FIX) == 1.0 and now.keys() >= {_SIGMA_M, _PEERS, _HDOP}):
         if time.monotonic() > end:
             sys.exit(f"UAV{sysid} was not located within {_PATIENCE_S:.0f} s; what the service says: docker compose logs coloc")
         time.sleep(0.5)
     print(
-        f"UAV{sysid} has lost its GPS and is located: 1-sigma {now['gcs_coloc_vehicle_position_sigma_meters']:.1f} m, "
-        f"from ranges to {now['gcs_coloc_vehicle_ranges_in_use']:.0f} neighbours, HDOP {now['gcs_coloc_vehicle_hdop']:.1f}"
+        f"UAV{sysid} has lost its GPS and is located: 1-sigma {now[_SIGMA_M]:.1f} m, "
+        f"from ranges to {now[_PEERS]:.0f} neighbours, HDOP {now[_HDOP]:.1f}"
     )
 
 
