@@ -10,7 +10,7 @@ import urllib.request
 from prometheus_client.parser import text_string_to_metric_families
 
 _METRICS = "http://127.0.0.1:8080/metrics"
-_PATIENCE_S = 150.0
+_PATIENCE_S = 240.0
 _FIX, _SIGMA_M = "gcs_coloc_vehicle_aiding_fix", "gcs_coloc_vehicle_position_sigma_meters"
 _PEERS, _HDOP = "gcs_coloc_vehicle_ranges_in_use", "gcs_coloc_vehicle_hdop"
 
