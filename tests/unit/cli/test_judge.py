@@ -29,19 +29,8 @@ def year(tmp_path_factory) -> Path:
     return root
 
 
-@pytest.fixture(scope="module")
-def baseline(year: Path, tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("baseline") / "baseline.json"
-    ran = gcs_coloc("judge", year, "--write-baseline", path, "--out", path.parent / "out", "--jobs", "1")
-    assert ran.returncode == 0, ran.stderr
-    assert "2 recordings" in ran.stdout
-    assert f"written: {path}" in ran.stdout
-    return path
-
-
-@pytest.fixture
-def judged(monkeypatch) -> list[str]:
-    """The names of the recordings that are replayed."""
+def watched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names of the recordings that are replayed from here on."""
     seen = []
 
     def see(by, found):
@@ -50,6 +39,25 @@ def judged(monkeypatch) -> list[str]:
 
     monkeypatch.setattr(judge_run, "judge_flight", see)
     return seen
+
+
+@pytest.fixture(scope="module")
+def baseline(year: Path, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("baseline") / "baseline.json"
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        seen = watched(monkeypatch)
+        ran = gcs_coloc("judge", year, "--write-baseline", path, "--out", path.parent / "out", "--jobs", "1")
+    assert ran.returncode == 0, ran.stderr
+    assert seen == ["year/june/flight.tlog", "year/may/flight.tlog"]
+    assert "2 recordings" in ran.stdout
+    assert f"written: {path}" in ran.stdout
+    return path
+
+
+@pytest.fixture
+def judged(monkeypatch) -> list[str]:
+    """The names of the recordings that are replayed."""
+    return watched(monkeypatch)
 
 
 def test_figures_are_those_of_the_flight(baseline: Path) -> None:
@@ -89,17 +97,17 @@ def test_what_got_worse_is_named_and_ends_with_1(baseline: Path, year: Path, tmp
     assert not [change for change in changes if change["recording"] == "year/may/flight.tlog"]
 
 
-def test_a_run_that_was_stopped_goes_on(year: Path, tmp_path: Path, judged: list[str]) -> None:
-    assert gcs_coloc("judge", year, "--out", tmp_path, "--jobs", "1").returncode == 0
-    first = (tmp_path / "judge.json").read_bytes()
-    assert judged == ["year/june/flight.tlog", "year/may/flight.tlog"]
-    lines = (tmp_path / "judged.jsonl").read_text()
-    (tmp_path / "judged.jsonl").write_text(lines[:-20])
+def test_a_run_that_was_stopped_goes_on(baseline: Path, year: Path, tmp_path: Path, judged: list[str]) -> None:
+    out = shutil.copytree(baseline.parent / "out", tmp_path / "out")
+    first = (out / "judge.json").read_bytes()
+    (out / "judge.json").unlink()
+    lines = (out / "judged.jsonl").read_text()
+    (out / "judged.jsonl").write_text(lines[:-20])
 
-    assert gcs_coloc("judge", year, "--out", tmp_path, "--jobs", "1").returncode == 0
+    assert gcs_coloc("judge", year, "--out", out, "--jobs", "1").returncode == 0
 
-    assert judged[2:] == ["year/may/flight.tlog"]
-    assert (tmp_path / "judge.json").read_bytes() == first
+    assert judged == ["year/may/flight.tlog"]
+    assert (out / "judge.json").read_bytes() == first
 
 
 def test_another_program_or_file_is_judged_anew(year: Path, tmp_path: Path, judged: list[str], monkeypatch) -> None:
