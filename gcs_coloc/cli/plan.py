@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gcs_coloc.cli.task_options import JobsOption, SchedulerOption, workers_for
+from gcs_coloc.cli.task_options import JobsOption, ResumeOption, SchedulerOption, kept_in, workers_for
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.measurements import VehicleClass
 from gcs_coloc.planning.assessment import Assessment, assess
@@ -62,6 +62,7 @@ def plan(
     geojson: Annotated[Path | None, typer.Option(help="Write the ways, cut where a fix begins or ends, into this file.")] = None,
     jobs: JobsOption = 0,
     scheduler: SchedulerOption = None,
+    resume: ResumeOption = None,
 ) -> None:
     """Predict along planned ways where vehicles would have a fix from ranges if their GPS failed, and what limits it."""
     from gcs_coloc.planning import plan_tables
@@ -84,16 +85,18 @@ def plan(
         print(line, file=sys.stderr)
     if len(fleet.vehicles) + len(fleet.stations) < 2:
         raise UsageError("one vehicle alone has nothing to range: give more plans, or --station")
-    workers = workers_for(jobs, scheduler)
+    workers, kept = workers_for(jobs, scheduler), kept_in(resume)
     with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bars:
         task = bars.add_task("predicting", total=None)
-        assessed = assess(
-            fleet, pairs=pairs, workers=workers, progress=lambda done, total: bars.update(task, completed=done, total=total)
-        )
+
+        def show(done: int, total: int) -> None:
+            bars.update(task, completed=done, total=total)
+
+        assessed = assess(fleet, pairs=pairs, workers=workers, progress=show, kept=kept)
         improvement = None
         if improve:
             task = bars.add_task("looking for a change that helps", total=None)
-            improvement = find_improvement(assessed, workers, lambda done, total: bars.update(task, completed=done, total=total))
+            improvement = find_improvement(assessed, workers, show, kept)
     if csv is not None:
         with writing(csv, "--csv"):
             plan_tables.write_csv(assessed, csv)

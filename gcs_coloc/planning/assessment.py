@@ -13,6 +13,7 @@ import numpy as np
 from gcs_coloc.planning.fleet_plan import FleetPlan
 from gcs_coloc.planning.predicted_flight import Prediction
 from gcs_coloc.planning.prediction import predict
+from gcs_coloc.runtime.kept_results import KeptResults
 from gcs_coloc.runtime.tasks import Progress, Workers, run_tasks
 
 _LOOKED_AT_S = 30.0
@@ -84,14 +85,14 @@ class Assessment:
         return min((predicted.share_with_fix for predicted in flown), default=0.0)
 
 
-def assess(plan: FleetPlan, *, pairs: bool, workers: Workers, progress: Progress) -> Assessment:
-    """Predict each vehicle of a plan, and each pair where asked."""
+def assess(plan: FleetPlan, *, pairs: bool, workers: Workers, progress: Progress, kept: KeptResults | None = None) -> Assessment:
+    """Predict each vehicle of a plan, and each pair where asked; what is kept is not computed again."""
     sysids = [vehicle.sysid for vehicle in plan.vehicles]
     denied: list[tuple[int, ...]] = [(sysid,) for sysid in sysids]
     if pairs:
         denied += [pair for pair in combinations(sysids, 2) if _meet(plan, *pair)]
     assert plan.paths  # flown once, here, and handed to all processes
-    found = run_tasks(partial(predict, plan), denied, workers, progress)
+    found = run_tasks(partial(predict, plan), denied, workers, progress, kept)
     outlooks = [outlook(predicted) for several in found for predicted in several]
     return Assessment(plan, tuple(outlooks[: len(sysids)]), tuple(outlooks[len(sysids) :]))
 

@@ -17,6 +17,7 @@ from gcs_coloc.planning.assessment import Assessment, Outlook, outlook
 from gcs_coloc.planning.fleet_plan import FleetPlan, PlannedStation, PlannedVehicle
 from gcs_coloc.planning.flight_path import FlightPath
 from gcs_coloc.planning.prediction import predict
+from gcs_coloc.runtime.kept_results import KeptResults
 from gcs_coloc.runtime.tasks import Progress, Workers, run_tasks
 
 _SHIFTS_S = (-120.0, -60.0, -30.0, 30.0, 60.0, 120.0)
@@ -68,15 +69,17 @@ class Improvement:
         return f"{self.change.text}: vehicle {self.sysid} has a fix for {new:.1%} of its flight instead of {old:.1%}, {levels}"
 
 
-def find_improvement(assessed: Assessment, workers: Workers, progress: Progress) -> Improvement | None:
-    """Return the change that helps the worst vehicle most; None where none helps."""
+def find_improvement(
+    assessed: Assessment, workers: Workers, progress: Progress, kept: KeptResults | None = None
+) -> Improvement | None:
+    """Return the change that helps the worst vehicle most, None where none helps; what is kept is not computed again."""
     worst = assessed.worst
     if worst.worst is None or (worst.predicted.share_with_fix >= _ENOUGH and worst.worst.hpl_m < 0.5 * _limit_m(assessed)):
         return None
     best = _best_by_geometry(assessed, worst)
     if not best:
         return None
-    found = run_tasks(partial(_predict_change, worst.predicted.sysid), best, workers, progress)
+    found = run_tasks(partial(_predict_change, worst.predicted.sysid), best, workers, progress, kept)
     change, after = max(zip(best, found, strict=True), key=lambda pair: _merit(pair[1]))
     return Improvement(worst.predicted.sysid, change, worst, after) if _merit(after) > _merit(worst) + 1e-3 else None
 

@@ -3,6 +3,8 @@
 import csv
 import json
 import re
+import subprocess
+import sys
 
 import pytest
 from typer.testing import CliRunner
@@ -127,3 +129,31 @@ def test_a_file_that_the_system_refuses_is_named(tmp_path):
     done = run(*near, "--no-improve", "--csv", "/proc/no_such_entry")
     assert isinstance(done.exception, UsageError)
     assert str(done.exception) == "--csv /proc/no_such_entry: cannot be written: No such file or directory"
+
+
+def test_a_prediction_that_was_stopped_goes_on_in_another_process_with_what_is_kept(three, tmp_path):
+    kept = tmp_path / "kept"
+    options = ("--pairs", "--improve", "--json", "--resume", kept)
+    told = run(*three, *options)
+    assert told.exit_code == 0, told.stderr
+    files = {path.name: path.stat().st_mtime_ns for path in kept.iterdir()}
+    assert len(files) > len(three)
+    lost = sorted(files)[0]
+    (kept / lost).unlink()
+    command = [
+        sys.executable,
+        "-m",
+        "gcs_coloc",
+        "plan",
+        *map(str, three),
+        "--pairs",
+        "--improve",
+        "--json",
+        "--resume",
+        str(kept),
+    ]
+    again = subprocess.run([*command, "--jobs", "1"], capture_output=True, text=True, check=True)
+    assert json.loads(again.stdout) == json.loads(told.stdout)
+    after = {path.name: path.stat().st_mtime_ns for path in kept.iterdir()}
+    assert after.keys() == files.keys()
+    assert {name for name, at_ns in after.items() if at_ns != files[name]} == {lost}
