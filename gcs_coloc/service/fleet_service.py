@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from gcs_coloc.config.settings import Settings
-from gcs_coloc.core.alarms import Alarm, AlarmList
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.control import (
     HOST_LATE_S,
@@ -23,11 +22,9 @@ from gcs_coloc.core.messages.control import (
     SwitchedByOther,
 )
 from gcs_coloc.core.messages.inbound import PeerRange
-from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToOperator, ToVehicle
+from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToVehicle
 from gcs_coloc.core.schedule import advance, find_overrun, without_superseded
-from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.core.standby.sign_of_life import StandbyOrder
-from gcs_coloc.core.status_texts import StatusTexts
 from gcs_coloc.estimators.registry import load_estimator
 from gcs_coloc.links.base import Address, Link, Route, check_outs, parse
 from gcs_coloc.links.forward import Forwarder
@@ -39,6 +36,7 @@ from gcs_coloc.mavlink.refusals import Counts, Refusals
 from gcs_coloc.recorder.flight_recording import FlightRecording
 from gcs_coloc.recorder.side_channel import FlownWith
 from gcs_coloc.runtime.clock import ServiceClock, Timer
+from gcs_coloc.service.alarm_desk import AlarmDesk
 from gcs_coloc.service.backlog import Backlog
 from gcs_coloc.service.snapshot_cache import SnapshotCache
 from gcs_coloc.service.traffic import Receiver, Sender
@@ -65,9 +63,9 @@ _Control = ClockReference | OperatorCommand | PeerRange | ForeignGpsInput | Hold
 class FleetService:
     """One fleet on its links. Every call returns at once; the caller calls `each_second` and the `publish_` methods.
 
-    `events` passes on what happens, `snapshots` is how the fleet stands, `idle` when observers have time, `counts` what the
-    observers refuse. `truths` is where a simulation says that vehicles truly are, by system id: for display only, the engine
-    never gets it.
+    `events` passes on what happens, `alarms` is what is wrong, `snapshots` how the fleet stands, `idle` when observers have time,
+    `counts` what the observers refuse. `truths` is where a simulation says that vehicles truly are, by system id: for display
+    only, the engine never gets it.
     """
 
     def __init__(
@@ -77,8 +75,12 @@ class FleetService:
         self.events = EventBus()
         self.idle = IdleScheduler()
         self.counts = Counts()
-        self._alarms = AlarmList()
-        self._status_texts = StatusTexts() if settings.out and settings.forward.alarms else None
+        self.alarms = AlarmDesk(
+            clock,
+            self.events,
+            lambda alarm: self._recording.record_alarm(alarm),
+            tells_ground_tools=bool(settings.out) and settings.forward.alarms,
+        )
         self.truths: dict[int, HeardTruth] = {}
         self._clock = clock
         self._engine_at_s = clock()
@@ -100,7 +102,7 @@ class FleetService:
         if settings.standby.peer:
             from gcs_coloc.service.hot_standby import HotStandby  # a service that is alone starts without it
 
-            self._standby = HotStandby(settings, clock, self._engine, self._apply, self._publish, self._is_behind)
+            self._standby = HotStandby(settings, clock, self._engine, self._apply, self.alarms.publish, self._is_behind)
         self._receiver = Receiver(
             self._routes,
             self._signed,
@@ -314,7 +316,7 @@ class FleetService:
             if isinstance(output, ToVehicle):
                 self._sender.send(output)
             else:
-                self._publish(output)
+                self.alarms.publish(output)
         if unsent and self._standby is not None:
             self._standby.tell_after_sending()
 
@@ -338,12 +340,6 @@ class FleetService:
         """Carries out an operator's order on the hot standby, and says why not where it does not; None where there is none."""
         return self._standby.order if self._standby is not None else None
 
-    def acknowledge(self, alarm_id: int) -> bool:
-        """Acknowledge an alarm; False where none of that id waits for it."""
-        changed = self._alarms.acknowledge(alarm_id, self._clock())
-        self._publish_alarms(changed)
-        return bool(changed)
-
     def add_range(self, message: PeerRange) -> None:
         """Add a range that did not come over a link."""
         self._apply(message)
@@ -354,10 +350,10 @@ class FleetService:
         self._host, self._lag_s = replace(host, lag_s=round(self._lag_s, 3)), 0.0
         self._apply(self._host)
         self._publish_warnings(host.received_at_s)
-        self.update_alarms(self.snapshots.recent_snapshot())
+        self.alarms.update(self.snapshots.recent_snapshot())
         self._sender.send_heartbeat(self._greeted(host.received_at_s))
-        if self._status_texts is not None:
-            self._forwarder.send_status(self._status_texts.pop_due(host.received_at_s), self._engine.sysids())
+        if self.alarms.tells_ground_tools:
+            self._forwarder.send_status(self.alarms.pop_status_texts(host.received_at_s), self._engine.sysids())
 
     def _apply(self, message: _Control) -> None:
         if not (self._backlog or self._is_catching_up):
@@ -397,11 +393,6 @@ class FleetService:
         late_s = self._clock() - self._engine_at_s
         return f"the engine was last run {late_s:.1f} s ago" if late_s > _ENGINE_LATE_S else None
 
-    def update_alarms(self, fleet: FleetSnapshot) -> tuple[Alarm, ...]:
-        """Bring the alarms up to date with how the fleet stands, publish what has changed, and return those in the list."""
-        self._publish_alarms(self._alarms.update(fleet))
-        return tuple(self._alarms)
-
     def publish_snapshot(self) -> None:
         """Publish the fleet as it stands."""
         self.events.publish(self.snapshots.snapshot())
@@ -410,27 +401,15 @@ class FleetService:
         """Publish what has been refused since the last call."""
         text = self._refusals.pending_warning()
         if text is not None:
-            self._publish(Notice(self._clock(), None, "warning", text))
+            self.alarms.publish(Notice(self._clock(), None, "warning", text))
 
     def _publish_warnings(self, now_s: float) -> None:
         """Publish what recorder, signatures, routes and ground tools have to warn of."""
         recording = self._recording.pending_warning()
         if recording is not None:
-            self._publish(Notice(now_s, None, *recording))
+            self.alarms.publish(Notice(now_s, None, *recording))
         ahead = self._signed.pending_warning(now_s)
         if ahead is not None:
-            self._publish(Notice(now_s, None, "warning", ahead))
+            self.alarms.publish(Notice(now_s, None, "warning", ahead))
         for sysid, text in (*self._routes.conflicts.pending_warnings(now_s), *self._forwarder.pending_warnings(now_s)):
-            self._publish(Notice(now_s, sysid, "warning", text))
-
-    def _publish(self, message: ToOperator) -> None:
-        self.events.publish(message)
-        if isinstance(message, Notice):
-            self._publish_alarms(self._alarms.add_notice(message))
-
-    def _publish_alarms(self, changed: Iterable[Alarm]) -> None:
-        for alarm in changed:
-            self.events.publish(alarm)
-            self._recording.record_alarm(alarm)
-            if self._status_texts is not None:
-                self._status_texts.add(alarm)
+            self.alarms.publish(Notice(now_s, sysid, "warning", text))

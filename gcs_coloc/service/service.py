@@ -139,7 +139,7 @@ class _Observed:
         from gcs_coloc.sinks.fleet_overview import fleet_overview
 
         snapshot = self.path.snapshots.recent_snapshot()
-        alarms = self.path.update_alarms(snapshot)
+        alarms = self.path.alarms.update(snapshot)
         overview = fleet_overview(snapshot, alarms, host=socket.gethostname(), every_s=REPORT_EVERY_S)
         return WorkerReport(page=self._page, overview=overview)
 
@@ -220,11 +220,13 @@ class _Observed:
 
         path, snapshots = self.path, self.path.snapshots
         history, events = TrackHistory(), path.events.subscribe(256)
-        source = LiveSource(snapshots.snapshot, snapshots.recent_snapshot, history, path.update_alarms, path.truths.values)
+        source = LiveSource(snapshots.snapshot, snapshots.recent_snapshot, history, path.alarms.update, path.truths.values)
         # At the recording's pace, so that one snapshot of the fleet serves both.
         pages = Pages(source, path.idle, EVERY_S)
         command = partial(path.apply_command, source=CommandSource.PAGE)
-        hooks = WebHooks(snapshots.snapshot, command, path.acknowledge, self._fault, path.command_refusal, path.order_standby)
+        hooks = WebHooks(
+            snapshots.snapshot, command, path.alarms.acknowledge, self._fault, path.command_refusal, path.order_standby
+        )
         return WebServer(settings.web, hooks, pages, lambda: history.follow(events))
 
     def _make_mqtt(self, settings: Settings) -> Mqtt | None:
@@ -243,7 +245,7 @@ class _Observed:
             self._clock,
             path.command_refusal,
             path.order_standby,
-            path.update_alarms,
+            path.alarms.update,
         )
         return Mqtt(settings.mqtt, hooks, path.events.subscribe(256), path.counts, path.idle)
 

@@ -140,7 +140,7 @@ def test_a_host_that_falls_behind_is_known_to_the_engine_and_told_until_it_is_ov
             path.each_second(read_host_clock(clock()))
             clock.now_s += 1.0  # past the snapshot that observers share
             fleet = path.snapshots.snapshot()
-            kinds = [a.kind for a in path.update_alarms(fleet) if a.sysid is None and a.state is AlarmState.ACTIVE]
+            kinds = [a.kind for a in path.alarms.update(fleet) if a.sysid is None and a.state is AlarmState.ACTIVE]
             return fleet.loop_lag_s, kinds
 
         link.handler(link, ("hand", 1), b"".join(hover.telemetry(0, 3)), clock.now_s)
