@@ -7,6 +7,8 @@ altitude, the attitude and the airspeed are evidence.
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
+from math import hypot
 from typing import NamedTuple
 
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
@@ -17,6 +19,7 @@ from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.stations.stations import Station
 from gcs_coloc.core.telemetry.altitude_builder import AltitudeBuilder, SentFix
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
+from gcs_coloc.core.telemetry.position_jumps import PositionJumps
 from gcs_coloc.core.telemetry.position_measurements import measure_position, receiver_accuracy
 from gcs_coloc.core.telemetry.range_builder import BuiltRange, RangeBuilder
 from gcs_coloc.core.telemetry.reported_state import ReportedState, true_airspeed_mps
@@ -46,6 +49,7 @@ class MeasurementBuilder:
         self._altitudes = AltitudeBuilder()
         self._ranges = RangeBuilder(settings)
         self._reported: dict[int, PositionMeasurement] = {}
+        self._jumps: dict[int, PositionJumps] = {}
         self._receiver_fixes: dict[int, PositionMeasurement] = {}
 
     def set_origin(self, station: Station) -> None:
@@ -75,7 +79,12 @@ class MeasurementBuilder:
             return None
         ned_mps = (message.vn_mps, message.ve_mps, message.vd_mps)
         accuracy = receiver_accuracy(vehicle.receiver, self.settings)
-        reported = self._reported[message.sysid] = measure_position(message, ned_mps, accuracy, measured, self.frame)
+        reported = measure_position(message, ned_mps, accuracy, measured, self.frame)
+        jumps = self._jumps.setdefault(message.sysid, PositionJumps())
+        jump_m = jumps.sigma_m(reported)
+        if jump_m:
+            reported = replace(reported, sigma_h_m=hypot(reported.sigma_h_m, jump_m))
+        self._reported[message.sysid] = reported
         if is_trusted:
             self._altitudes.add_trusted_position(message, reported)
             return BuiltPosition(reported, reported)
