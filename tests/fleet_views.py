@@ -8,7 +8,7 @@ from typing import Any
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState, VehicleReadiness
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
 from gcs_coloc.core.snapshot import FleetSnapshot, LinkSnapshot, OutSnapshot, VehicleSnapshot
-from gcs_coloc.core.standby.standby_peer import StandbySnapshot
+from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 
 HEALTHY = VehicleSnapshot(
     sysid=1,

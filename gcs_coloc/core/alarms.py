@@ -13,7 +13,7 @@ from enum import StrEnum
 from gcs_coloc.core.messages.control import HOST_LATE_S
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
-from gcs_coloc.core.standby.standby_peer import StandbySnapshot
+from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.core.stations.node_id import node_name
 
 SILENT_AFTER_S = 3.0

@@ -16,7 +16,7 @@ from gcs_coloc.core.measurements import Estimate, FloatArray, NoEstimate, Vector
 from gcs_coloc.core.messages.control import CommandSource, GpsOverride
 from gcs_coloc.core.readiness.vehicle_readiness import VehicleReadiness
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
-from gcs_coloc.core.standby.standby_peer import StandbySnapshot
+from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 

@@ -30,7 +30,8 @@ from gcs_coloc.core.standby.sign_of_life import (
     StandbyReason,
     StandbyState,
 )
-from gcs_coloc.core.standby.standby_peer import TICK_S, StandbyPeer, StandbySnapshot
+from gcs_coloc.core.standby.standby_peer import TICK_S, StandbyPeer
+from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.links.signed_links import read_key
 from gcs_coloc.links.standby_link import StandbyLink
 from gcs_coloc.mavlink.refusals import Counts

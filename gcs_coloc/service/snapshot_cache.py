@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.snapshot import FleetSnapshot
-from gcs_coloc.core.standby.standby_peer import StandbySnapshot
+from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.links.forward import Forwarder
 from gcs_coloc.mavlink.decoder import SequenceTracker
 from gcs_coloc.mavlink.refusals import Refusals

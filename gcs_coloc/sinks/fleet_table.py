@@ -11,7 +11,7 @@ from rich.text import Text
 from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.snapshot import FleetSnapshot, OutSnapshot, VehicleSnapshot
-from gcs_coloc.core.standby.standby_peer import StandbySnapshot
+from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 
 _STYLES = {
     GpsState.FAILED: "bold red",

@@ -13,7 +13,7 @@ from gcs_coloc.core.gps_health.gps_health import GpsState
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.snapshot import FleetSnapshot, LinkSnapshot, OutSnapshot, VehicleSnapshot
 from gcs_coloc.core.standby.sign_of_life import StandbyState
-from gcs_coloc.core.standby.standby_peer import StandbySnapshot
+from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 
 # name, help, value: a vehicle for which the value is None has no sample.

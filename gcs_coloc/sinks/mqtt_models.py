@@ -17,7 +17,7 @@ from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 from gcs_coloc.core.standby.sign_of_life import StandbyOrder, StandbyState
-from gcs_coloc.core.standby.standby_peer import StandbySnapshot
+from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.core.stations.node_id import MAX_STATION_ID, MAX_SYSTEM_ID, station_node
 from gcs_coloc.mavlink.checks import RANGE_MAX_M, UNIX_TIME_FROM_US, UNIX_TIME_TO_US

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 from gcs_coloc.core.alarms import Alarm
 from gcs_coloc.core.residual_log import RangeSnapshot
 from gcs_coloc.core.snapshot import VehicleSnapshot
-from gcs_coloc.core.standby.standby_peer import StandbySnapshot
+from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.core.traffic_light import LightColour
 

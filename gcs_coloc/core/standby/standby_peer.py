@@ -11,11 +11,12 @@ With two services there is no majority. Three rules keep them from sending both,
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 
 from gcs_coloc.core.messages.control import SwitchedReceiver
 from gcs_coloc.core.reasons import StatedReason
+from gcs_coloc.core.standby.feed_permits import FeedPermits
 from gcs_coloc.core.standby.feed_watch import FeedWatch
+from gcs_coloc.core.standby.other_service import FRESH_S, PRESENT_S, OtherService
 from gcs_coloc.core.standby.sign_of_life import (
     NOTHING_SHARED,
     SENDS_OR_MAY,
@@ -29,6 +30,7 @@ from gcs_coloc.core.standby.sign_of_life import (
     StandbyState,
     Wish,
 )
+from gcs_coloc.core.standby.standby_snapshot import ALONE_S, Stand, StandbySnapshot, standby_snapshot
 
 SIGN_EVERY_S = 0.1
 """Ten signs of life a second."""
@@ -38,57 +40,22 @@ STILL_S = 0.2
 """Who has stood still for longer may not send. Less than `SILENT_S`, so that it has ended before the other one begins."""
 SILENT_S = 0.3
 """Chosen: three signs of life. With the next fix 0.1 s later a vehicle misses four fixes, less than 0.5 s."""
-_ALONE_S = 5.0
-"""A standby that has never heard the other one takes over after so long. Chosen: both laptops are started within it."""
 _START_S = 1.0
 """Chosen: ten signs of life; the one with the higher component id listens twice as long."""
 _CHECK_S = 1.0
 """How long who stood still waits for an answer. Longer than a take-over takes to show at a vehicle."""
 _NOBODY_S = 1.5
-"""Before one of two that both follow takes over. Longer than an offer holds (`_OFFER_S` and `_FRESH_S`)."""
+"""Before one of two that both follow takes over. Longer than an offer holds (`_OFFER_S` and `FRESH_S`)."""
 _OFFER_S = 0.4
 """For so long the other one is offered to take over. Chosen: four signs of life, so that one gets through."""
-_FRESH_S = 0.5
-"""An answer to a message of ours that is older than this counts for nothing. Chosen: far more than a LAN takes."""
 _REQUEST_S = 2.0
 """For so long the other one is asked to give way. Chosen: an operator waits no longer for an answer."""
-_LISTEN_S = 0.5
-"""While the other one is silent a vehicle is watched for so long before it is fed anew. Chosen: five fixes of the other's."""
-_WANTED_S = 1.0
-"""A vehicle that needs aid and is fed by nobody, before a standby takes over for it: twice as long as an active one waits."""
 _STOOD_BACK_S = 1.0
 """Chosen: the one that goes on has the time to show it; twice as long for the higher component id."""
-_PRESENT_S = 1.0
-"""Chosen: ten signs of life missed are a fault to be told of, fewer may be the network."""
 _IN_FLIGHT_S = 0.1
 """What was sent before a take-over may arrive so long after it. Chosen: it was sent `SILENT_S` before."""
 _JUST_AFTER_S = 1e-3
 """Chosen: far more than the clock's resolution."""
-_SENT_LATELY_S = 1.0
-"""Chosen: a vehicle that we fed so lately nobody else has begun to feed."""
-
-
-@dataclass(frozen=True, slots=True)
-class StandbySnapshot:
-    """Which of the two services sends, as observers see it; times are service time, s, ages in s and None for never.
-
-    `sends`: `this`, `other`, `nobody` or `unknown`. `fed_sysid`: a vehicle that shows that the other one feeds it. `problem`:
-    what a person should mend, None where all is well. `waiting_for_sysids`: the vehicles that show nothing of who feeds them,
-    for which the operator must take over.
-    """
-
-    own: str
-    state: str
-    reason: str
-    since_s: float
-    term: int
-    sends: str
-    other: str | None
-    other_state: str | None
-    other_age_s: float | None
-    fed_sysid: int | None
-    problem: str | None
-    waiting_for_sysids: tuple[int, ...] = ()
 
 
 class StandbyPeer:
@@ -105,60 +72,31 @@ class StandbyPeer:
         self.since_s = now_s
         self.term = 0
         self._run = run
+        self._other = OtherService(own, run, now_s)
+        self._permits = FeedPermits(self.watch, self._other)
         self._number = 0
-        self._sent_at_s: dict[int, float] = {}
         self._sign_due_s = now_s
         self._ticked_at_s = now_s
-        self._listening_since_s = now_s
         self._resumes_after = 0
         self._took_over_silently = False
         self._stands_back_until_s = now_s
         self._wish_until_s = now_s
-        self._wanted_since_s: dict[int, float] = {}
-        self._granted: set[int] = set()
-        self._own_sent_at_s: dict[int, float] = {}
         self._waiting_for: tuple[int, ...] = ()
-        # Of the other one
-        self.shared = NOTHING_SHARED
-        self._other: SignOfLife | None = None
-        self._other_since_s = now_s  # since when it has been in the state that it tells
-        self._heard_at_s: float | None = None
-        self._fresh_at_s = float("-inf")  # when that of its messages was sent at the earliest which answers ours
-        self._echo = (0, 0)
-        self._mismatch: str | None = None
 
     # What comes in
 
     def receive(self, sign: SignOfLife, now_s: float) -> None:
         """Take a sign of life whose sender has proven that it has the key."""
         self._look_at_time(now_s)
-        if sign.sender.sysid != self.own.sysid or sign.sender.compid == self.own.compid:
-            self._mismatch = _mismatch(self.own, sign.sender)
-            return
-        self._mismatch = None
-        other = self._other
-        if other is not None and sign.run == other.run and sign.number <= other.number:
-            return  # overtaken, or played back
-        self._echo = (sign.run, sign.number)
-        if sign.heard_run != self._run and (other is None or sign.run != other.run):
-            return  # a start that has not heard us yet, or a recording: it is answered, and no more
-        if other is None or sign.run != other.run or sign.state is not other.state:
-            self._other_since_s = now_s
-        self._other, self._heard_at_s = sign, now_s
-        if sign.state is StandbyState.ACTIVE:
-            self.shared = sign.shared
-        echoed_at_s = self._sent_at_s.get(sign.heard_number) if sign.heard_run == self._run else None
-        is_fresh = echoed_at_s is not None and now_s - echoed_at_s <= _FRESH_S
-        if is_fresh and echoed_at_s is not None:
-            self._fresh_at_s = max(self._fresh_at_s, echoed_at_s)
-        self._follow(sign, now_s, is_fresh=is_fresh)
+        is_fresh = self._other.receive(sign, now_s)
+        if is_fresh is not None:
+            self._follow(sign, now_s, is_fresh=is_fresh)
 
     def tick(self, now_s: float, wanted: Collection[int]) -> None:
         """Look at the time; `wanted` are the vehicles that this service would send something that changes what they do."""
         self._look_at_time(now_s)
         self._ticked_at_s = now_s
-        self._wanted_since_s = {sysid: self._wanted_since_s.get(sysid, now_s) for sysid in wanted}
-        self._granted &= self._wanted_since_s.keys()
+        self._permits.set_wanted(wanted, now_s)
         self._waiting_for = ()
         match self.state:
             case StandbyState.LISTENING:
@@ -174,8 +112,8 @@ class StandbyPeer:
 
     def next_tick_s(self, now_s: float) -> float:
         """Return when to look at the time next: after `TICK_S`, or as soon as the other one counts as silent."""
-        if self.state is StandbyState.STANDBY and self._heard_at_s is not None:
-            silent_at_s = max(self._heard_at_s, self._listening_since_s) + SILENT_S + _JUST_AFTER_S
+        if self.state is StandbyState.STANDBY and self._other.heard_at_s is not None:
+            silent_at_s = self._other.silent_since_s + SILENT_S + _JUST_AFTER_S
             if now_s < silent_at_s < now_s + TICK_S:
                 return silent_at_s
         return now_s + TICK_S
@@ -195,6 +133,11 @@ class StandbyPeer:
             return None
         return self._take_over_as_told(now_s)
 
+    @property
+    def shared(self) -> Shared:
+        """What the other one told while it was active."""
+        return self._other.shared
+
     # What goes out
 
     def sign_is_due(self, now_s: float) -> bool:
@@ -208,64 +151,49 @@ class StandbyPeer:
         self._look_at_time(now_s)
         self._sign_due_s = now_s + SIGN_EVERY_S
         self._number += 1
-        self._sent_at_s[self._number] = now_s
-        self._sent_at_s.pop(self._number - 100, None)
+        self._other.add_sent(self._number, now_s)
         wish = Wish.NONE
         if now_s < self._wish_until_s:
             gave_away = self.reason.reason is StandbyReason.GAVE_WAY
             wish = Wish.OFFER if gave_away else Wish.REQUEST
         shared = NOTHING_SHARED
         if self.state is StandbyState.ACTIVE:
-            feeding = tuple(sorted(sysid for sysid, at_s in self._own_sent_at_s.items() if now_s - at_s <= _SENT_LATELY_S))
-            shared = Shared(feeding, overrides, switched)
-        return SignOfLife(self.own, self._run, self._number, *self._echo, self.state, self.term, wish, shared)
+            shared = Shared(self._permits.fed_lately(now_s), overrides, switched)
+        return SignOfLife(self.own, self._run, self._number, *self._other.echo, self.state, self.term, wish, shared)
 
     def may_send(self, sysid: int, now_s: float) -> bool:
         """Return whether a vehicle may be sent now what changes what it does. To be asked right before it is sent."""
         self._look_at_time(now_s)
         if self.state is not StandbyState.ACTIVE:
             return False
-        if not self._is_known_to_follow(now_s) and not self._may_feed_in_silence(sysid, now_s):
+        if not self._other.is_known_to_follow(now_s) and not self._permits.may_feed_in_silence(sysid, now_s):
             return False
-        self._own_sent_at_s[sysid] = now_s
-        self.watch.add_sent(sysid, now_s)
+        self._permits.add_fed(sysid, now_s)
         return True
 
     def follows(self, now_s: float) -> bool:
         """Return whether the other one is active and is heard, so that `shared` is how things are."""
-        return self.state is not StandbyState.ACTIVE and self.hears_other(now_s) and self._other_state() is StandbyState.ACTIVE
+        return self.state is not StandbyState.ACTIVE and self.hears_other(now_s) and self._other.state is StandbyState.ACTIVE
 
     def may_be_other(self, sender: Identity) -> bool:
         """Return whether a sender is the other service; until that was heard, whether it may be."""
-        if self._other is not None:
-            return sender == self._other.sender
+        if self._other.identity is not None:
+            return sender == self._other.identity
         return sender.sysid == self.own.sysid and sender.compid != self.own.compid
 
     def hears_other(self, now_s: float) -> bool:
         """Return whether the other one gives signs of life."""
-        return self._heard_at_s is not None and now_s - self._heard_at_s <= _PRESENT_S
+        return self._other.is_present(now_s)
 
     def other_stands_by(self, now_s: float) -> bool:
         """Return whether the other one would take over at once."""
-        return self._is_silent_for_s(now_s) <= SILENT_S and self._other_state() is StandbyState.STANDBY
+        return now_s - self._other.silent_since_s <= SILENT_S and self._other.state is StandbyState.STANDBY
 
     def snapshot(self, now_s: float) -> StandbySnapshot:
         """Return how it stands, for observers."""
-        other = self._other
-        return StandbySnapshot(
-            own=_name(self.own),
-            state=self.state.value,
-            reason=self.reason.text,
-            since_s=self.since_s,
-            term=self.term,
-            sends=self._who_sends(now_s),
-            other=_name(other.sender) if other is not None else None,
-            other_state=other.state.value if other is not None else None,
-            other_age_s=now_s - self._heard_at_s if self._heard_at_s is not None else None,
-            fed_sysid=self.watch.fed_vehicle(now_s),
-            problem=self._problem(now_s),
-            waiting_for_sysids=self._waiting_for,
-        )
+        fed_sysid = self.watch.fed_vehicle(now_s)
+        stand = Stand(self.own, self.state, self.reason, self.since_s, self.term, fed_sysid, self._waiting_for)
+        return standby_snapshot(stand, self._other, now_s)
 
     # The rules
 
@@ -274,8 +202,9 @@ class StandbyPeer:
         still_s = now_s - self._ticked_at_s
         if still_s <= STILL_S:
             return
-        self._ticked_at_s = self._listening_since_s = now_s
-        self._granted.clear()
+        self._ticked_at_s = now_s
+        self._other.listen_anew(now_s)
+        self._permits.grant(())
         if self.state is StandbyState.ACTIVE:
             self._resumes_after = self._number
             self._sign_due_s = now_s
@@ -316,9 +245,9 @@ class StandbyPeer:
         if fed is not None:
             self._enter(StandbyState.PASSIVE, StatedReason(StandbyReason.OTHER_FEEDS, fed), now_s)
             return
-        both_listen = self._is_silent_for_s(now_s) <= SILENT_S and self._other_state() is StandbyState.LISTENING
-        has_heard = now_s - self._listening_since_s >= SILENT_S
-        if has_heard and now_s - self.since_s >= _START_S * (2.0 if both_listen and not self._is_first() else 1.0):
+        both_listen = now_s - self._other.silent_since_s <= SILENT_S and self._other.state is StandbyState.LISTENING
+        has_heard = now_s - self._other.listening_since_s >= SILENT_S
+        if has_heard and now_s - self.since_s >= _START_S * (2.0 if both_listen and not self._other.goes_second else 1.0):
             self._become_active(StandbyReason.ALONE_AT_START, now_s)
 
     def _review_active(self, now_s: float) -> None:
@@ -328,62 +257,43 @@ class StandbyPeer:
         fed = self.watch.fed_vehicle(now_s, self.since_s + _IN_FLIGHT_S)
         if fed is None:
             return
-        self._stands_back_until_s = now_s + _STOOD_BACK_S * (1.0 if self._is_first() else 2.0)
+        self._stands_back_until_s = now_s + _STOOD_BACK_S * (1.0 if self._other.goes_second else 2.0)
         self._enter(StandbyState.STANDBY, StatedReason(StandbyReason.OTHER_FEEDS, fed), now_s)
 
     def _find_out(self, now_s: float) -> None:
         fed = self.watch.fed_vehicle(now_s, self.since_s + SILENT_S)
         if fed is not None:
             self._enter(StandbyState.PASSIVE, StatedReason(StandbyReason.OTHER_FEEDS, fed), now_s)
-        elif now_s - self.since_s >= _CHECK_S and now_s - self._listening_since_s >= _FRESH_S:
+        elif now_s - self.since_s >= _CHECK_S and now_s - self._other.listening_since_s >= FRESH_S:
             self._enter(StandbyState.ACTIVE, StatedReason(StandbyReason.RESUMED), now_s)
 
     def _consider(self, now_s: float) -> None:
         """Take over, where nobody sends."""
-        if self._mismatch is not None or now_s < self._stands_back_until_s:
+        if self._other.mismatch is not None or now_s < self._stands_back_until_s:
             return
-        silent_s = self._is_silent_for_s(now_s)
-        if self._other is not None and silent_s <= SILENT_S:
-            if self._other_state() in SENDS_OR_MAY or now_s - self._fresh_at_s > SILENT_S:
+        silent_s = now_s - self._other.silent_since_s
+        if self._other.state is not None and silent_s <= SILENT_S:
+            if self._other.state in SENDS_OR_MAY or now_s - self._other.fresh_at_s > SILENT_S:
                 return
-            both_follow_s = now_s - max(self.since_s, self._other_since_s)
-            if both_follow_s >= _NOBODY_S + (0.0 if self._is_first() else _START_S):
+            both_follow_s = now_s - max(self.since_s, self._other.since_s)
+            if both_follow_s >= _NOBODY_S + (0.0 if self._other.goes_second else _START_S):
                 self._become_active(StandbyReason.NOBODY_SENT, now_s)
             return
-        if silent_s <= (SILENT_S if self._other is not None else _ALONE_S) or self.watch.fed_vehicle(now_s) is not None:
+        if silent_s <= (SILENT_S if self._other.state is not None else ALONE_S) or self.watch.fed_vehicle(now_s) is not None:
             return
-        free = {sysid for sysid in self._wanted_since_s if self._is_free(sysid, now_s)}
+        free = self._permits.free(now_s)
         if free:
             self._become_active(StandbyReason.TOOK_OVER, now_s)
-            self._granted, self._took_over_silently = free, True
+            self._permits.grant(free)
+            self._took_over_silently = True
         else:
-            self._waiting_for = tuple(
-                sorted(
-                    sysid
-                    for sysid, since_s in self._wanted_since_s.items()
-                    if now_s - since_s >= _WANTED_S and not self.watch.shows(sysid, now_s)
-                )
-            )
-
-    def _is_free(self, sysid: int, now_s: float) -> bool:
-        """Whether a vehicle shows that nobody feeds it: at once where the other one did, else after a while."""
-        if not self.watch.is_fed_no_more(sysid, now_s):
-            return False
-        was_fed = sysid in self.shared.feeding or now_s - self.watch.fed_at_s(sysid, now_s) <= _PRESENT_S
-        return was_fed or now_s - max(self._wanted_since_s[sysid], self._listening_since_s) >= _WANTED_S
-
-    def _may_feed_in_silence(self, sysid: int, now_s: float) -> bool:
-        """Whether a vehicle may be fed though nobody knows what the other one does."""
-        if sysid in self._granted or now_s - self._own_sent_at_s.get(sysid, float("-inf")) <= _SENT_LATELY_S:
-            return True
-        since_s = max(self._wanted_since_s.get(sysid, now_s), self._listening_since_s, self.watch.fed_at_s(sysid, now_s))
-        return now_s - since_s >= _LISTEN_S
+            self._waiting_for = self._permits.unknown(now_s)
 
     def _take_over_as_told(self, now_s: float) -> StatedReason[OrderRefusal] | None:
-        if self._mismatch is not None:
-            return StatedReason(OrderRefusal.SAME_IDENTITY, detail=self._mismatch)
-        if self.hears_other(now_s):
-            if self._other_state() in SENDS_OR_MAY:
+        if self._other.mismatch is not None:
+            return StatedReason(OrderRefusal.SAME_IDENTITY, detail=self._other.mismatch)
+        if self._other.is_present(now_s):
+            if self._other.state in SENDS_OR_MAY:
                 self._wish_until_s, self._sign_due_s = now_s + _REQUEST_S, now_s
                 self.reason = StatedReason(StandbyReason.TOLD)
                 return None
@@ -393,7 +303,7 @@ class StandbyPeer:
         return None
 
     def _give_way(self, now_s: float) -> StatedReason[OrderRefusal] | None:
-        if self._other_state() in (None, *SENDS_OR_MAY) or now_s - self._fresh_at_s > _PRESENT_S:
+        if self._other.state in (None, *SENDS_OR_MAY) or now_s - self._other.fresh_at_s > PRESENT_S:
             return StatedReason(OrderRefusal.NOBODY_TO_TAKE_OVER)
         self._enter(StandbyState.STANDBY, StatedReason(StandbyReason.GAVE_WAY), now_s)
         self._wish_until_s, self._sign_due_s = now_s + _OFFER_S, now_s
@@ -402,70 +312,9 @@ class StandbyPeer:
     def _become_active(self, why: StandbyReason, now_s: float) -> None:
         self.term += 1
         self._took_over_silently = False
-        self._granted = set()
+        self._permits.grant(())
         self._enter(StandbyState.ACTIVE, StatedReason(why), now_s)
 
     def _enter(self, state: StandbyState, reason: StatedReason[StandbyReason], now_s: float) -> None:
         self.state, self.reason, self.since_s = state, reason, now_s
         self._wish_until_s = self._sign_due_s = now_s  # the other one is told at once
-
-    # What is known of the other one
-
-    def _other_state(self) -> StandbyState | None:
-        return self._other.state if self._other is not None else None
-
-    def _is_silent_for_s(self, now_s: float) -> float:
-        """For how long the other one has been silent while we were listening, s."""
-        heard_at_s = self._heard_at_s if self._heard_at_s is not None else float("-inf")
-        return now_s - max(heard_at_s, self._listening_since_s)
-
-    def _is_known_to_follow(self, now_s: float) -> bool:
-        """Whether the other one says in answer to us that it does not send."""
-        return self._other is not None and self._other.state not in SENDS_OR_MAY and now_s - self._fresh_at_s <= _FRESH_S
-
-    def _is_first(self) -> bool:
-        """Whether we go first where both are alike: the lower component id."""
-        return self._other is None or self.own < self._other.sender
-
-    def _who_sends(self, now_s: float) -> str:
-        if self.state is StandbyState.ACTIVE:
-            return "this"
-        if self.watch.fed_vehicle(now_s) is not None:
-            return "other"
-        if not self.hears_other(now_s):
-            return "unknown"
-        return "other" if self._other_state() is StandbyState.ACTIVE else "nobody"
-
-    def _problem(self, now_s: float) -> str | None:
-        if self._mismatch is not None:
-            return self._mismatch
-        if self._waiting_for:
-            names = ", ".join(map(str, self._waiting_for))
-            return (
-                f"the other service is silent, and vehicle {names} shows neither GPS_INPUT nor GPS2_RAW, so that nobody can tell "
-                "whether it is still fed: make sure that the other service has ended, then take over"
-            )
-        if not self.hears_other(now_s):
-            if now_s - self.since_s <= _ALONE_S and self._heard_at_s is None:
-                return None
-            fed = self.watch.fed_vehicle(now_s)
-            seen = f", but feeds vehicle {fed}" if fed is not None and self.state is not StandbyState.ACTIVE else ""
-            return f"the other service gives no sign of life{seen}"
-        if self.state is StandbyState.PASSIVE and self._other_state() is not StandbyState.ACTIVE:
-            return "neither service sends: take over with one of them"
-        if self._other_state() is StandbyState.PASSIVE:
-            return "the other service follows, but does not take over by itself until it is told to stand by"
-        return None
-
-
-def _name(identity: Identity) -> str:
-    return f"{identity.sysid}/{identity.compid}"
-
-
-def _mismatch(own: Identity, other: Identity) -> str:
-    if own == other:
-        return (
-            f"both services send as system {own.sysid}, component {own.compid}: nobody can tell them apart. Set another "
-            "mavlink.component_id on one of them, as 192"
-        )
-    return f"the other service sends as system {other.sysid}, this one as {own.sysid}: set the same mavlink.system_id on both"
