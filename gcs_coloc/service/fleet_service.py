@@ -26,10 +26,7 @@ from gcs_coloc.core.messages.outbound import Notice, Outbound, ParameterSet, ToV
 from gcs_coloc.core.schedule import advance, find_overrun, without_superseded
 from gcs_coloc.core.standby.sign_of_life import StandbyOrder
 from gcs_coloc.estimators.registry import load_estimator
-from gcs_coloc.links.base import Address, Link, Route, check_outs, parse
-from gcs_coloc.links.forward import Forwarder
-from gcs_coloc.links.routes import RouteTable
-from gcs_coloc.links.signed_links import SignedLinks
+from gcs_coloc.links.base import Address, Link
 from gcs_coloc.mavlink.answers import foreign_gps_input
 from gcs_coloc.mavlink.decoder import HeardTruth
 from gcs_coloc.mavlink.refusals import Counts, Refusals
@@ -38,8 +35,8 @@ from gcs_coloc.recorder.side_channel import FlownWith
 from gcs_coloc.runtime.clock import ServiceClock, Timer
 from gcs_coloc.service.alarm_desk import AlarmDesk
 from gcs_coloc.service.backlog import Backlog
+from gcs_coloc.service.fleet_links import FleetLinks, LinkHooks
 from gcs_coloc.service.snapshot_cache import SnapshotCache
-from gcs_coloc.service.traffic import Receiver, Sender
 from gcs_coloc.sinks.event_bus import EventBus, IdleScheduler
 
 if TYPE_CHECKING:
@@ -53,8 +50,6 @@ _HELD_UP_S = 0.02
 """What is read so long after the engine's time may have waited. Chosen: less than the 0.05 s that 1 m at 20 m/s takes."""
 _BEHIND_S = 0.5
 """Chosen: two and a half deadlines at 5 Hz. A position so late, or a sign of life, says what is no longer so."""
-_MOST_WAITING = 1024
-"""Datagrams of one link that are received at once. Chosen: what 1 MB of the system's buffer holds of MAVLink frames."""
 
 
 _Control = ClockReference | OperatorCommand | PeerRange | ForeignGpsInput | HoldBack | SwitchedByOther
@@ -91,11 +86,6 @@ class FleetService:
         self._is_reading = self._is_catching_up = False
         self._held_up_until_s = float("-inf")
         self._unsent: list[Outbound] = []
-        own, senders = (settings.mavlink.system_id, settings.mavlink.component_id), settings.senders
-        check_outs(settings.out, settings.links)
-        self._routes = RouteTable(rebind_after_s=senders.rebind_after_s, companions_elsewhere=senders.companions_elsewhere)
-        self._signed = SignedLinks(settings.signing, settings.links, settings.out)
-        self._signed.set_clock(host.utc_minus_service_s)  # before the first frame: a recorded frame is known by its old time
         self._engine = Engine(load_estimator(settings.estimator.name, settings.estimator.settings), settings.engine())
         self._deadline = Timer(clock, self._poll)
         self._standby: HotStandby | None = None
@@ -103,51 +93,30 @@ class FleetService:
             from gcs_coloc.service.hot_standby import HotStandby  # a service that is alone starts without it
 
             self._standby = HotStandby(settings, clock, self._engine, self._apply, self.alarms.publish, self._is_behind)
-        self._receiver = Receiver(
-            self._routes,
-            self._signed,
-            own=own,
-            bytes_per_s=senders.bytes_per_s,
-            is_other_service=self._standby.is_other_service if self._standby is not None else None,
-        )
-        self._forwarder = Forwarder(
-            settings.out,
-            self._routes,
-            self._signed,
-            clock,
-            own=own,
-            bytes_per_s=senders.bytes_per_s,
+        standby = self._standby
+        hooks = LinkHooks(
+            on_datagram=self._on_datagram,
+            on_sent=lambda frame: self._recording.record_sent(self._engine_at_s, frame),
+            on_forwarded=lambda raw: self._recording.record_forwarded(self._engine_at_s, raw),
+            on_foreign_gps_input=lambda raw, sysid: self._apply(foreign_gps_input(raw, self._clock(), sysid)),
             is_aided=lambda sysid: self._engine.aiding.has_stream(sysid),
-            forwarded=lambda raw: self._recording.record_forwarded(self._engine_at_s, raw),
-            foreign_gps_input=lambda raw, sysid: self._apply(foreign_gps_input(raw, self._clock(), sysid)),
+            may_send=standby.may_send if standby is not None else lambda _: True,
+            is_other_service=standby.is_other_service if standby is not None else None,
         )
-        self._sender = Sender(
-            self._routes,
-            self._signed,
-            clock,
-            own=own,
-            sent=lambda frame: self._recording.record_sent(self._engine_at_s, frame),
-            echo=self._forwarder.echo if settings.forward.echo_gps_input else lambda _: None,
-            may_send=self._standby.may_send if self._standby is not None else lambda _: True,
-        )
-        addresses = [parse(text) for text in settings.links]
-        self._links = [address.make_link(self._on_datagram, clock) for address in addresses]
-        self._openings = [address.opening for address in addresses]
+        self._links = FleetLinks(settings, clock, host.utc_minus_service_s, hooks)
         self._recording = FlightRecording(settings.record, settings.mavlink, self._engine)
         self._recording.record_side_channel(FlownWith(settings.fingerprint(), self._engine_at_s))
         self._keeps_frames = bool(settings.record.directory or settings.out)
-        counts = [self._routes.counts, self._sender.counts, self.counts, *(link.counts for link in self._links)]
-        if self._standby is not None:
-            counts += self._standby.refusals
-        self._refusals = Refusals([*self._receiver.refusals, *counts, *self._forwarder.refusals])
+        at_standby = standby.refusals if standby is not None else []
+        self._refusals = Refusals([*self._links.refusals, self.counts, *at_standby])
         self.snapshots = SnapshotCache(
             clock,
             self._engine,
             self._recording,
-            self._receiver.sequences,
+            self._links.receiver.sequences,
             self._refusals,
-            self._forwarder,
-            self._standby.snapshot if self._standby is not None else lambda: None,
+            self._links.forwarder,
+            standby.snapshot if standby is not None else lambda: None,
         )
         self._overrides = [
             (sysid, override, CommandSource.FLAG if key in flagged else CommandSource.CONFIGURATION)
@@ -159,10 +128,7 @@ class FleetService:
 
     async def open(self) -> None:
         """Open the links, one after the other, then the recording. LinkError, RecordError where one cannot be opened."""
-        await self._forwarder.open()  # first, so that what is received can be forwarded
-        for link, opening in zip(self._links, self._openings, strict=True):
-            await link.open()
-            log.info("%s", opening)
+        await self._links.open()
         if self._standby is not None:
             await self._standby.open()
         self._recording.open()
@@ -185,22 +151,20 @@ class FleetService:
             self._standby.give_way()
         aided = sorted(sysid for sysid in self._engine.sysids() if self._engine.aiding.has_stream(sysid))
         for last in self._engine.close():
-            self._sender.send(last)
+            self._links.sender.send(last)
             if isinstance(last, ParameterSet):
                 # No time is left to wait for the answer and try again.
-                self._sender.send(last)
-                self._sender.send(last)
+                self._links.sender.send(last)
+                self._links.sender.send(last)
                 log.warning("vehicle %d: %s set back to %g, unconfirmed: the service ends", last.sysid, last.name, last.value)
         if aided and not self.is_held_back:
             log.info("aiding of vehicle %s ended: the service ends", ", ".join(map(str, aided)))
         refused = self._refusals.pending_warning()
         if refused is not None:
             log.warning("%s", refused)
-        for link in self._links:
-            await link.close()
+        await self._links.close()
         if self._standby is not None:
             await self._standby.close()
-        await self._forwarder.close()
         self._recording.close()
 
     # The straight path: a datagram in, the engine's deadlines, outputs out
@@ -219,13 +183,13 @@ class FleetService:
     def _receive(self, link: Link, address: Address, payload: bytes, received_at_s: float) -> None:
         if received_at_s < self._engine_at_s:
             received_at_s = self._engine_at_s  # its time never runs back
-        if self._is_ending or not self._receiver.admits(link, address, len(payload), received_at_s):
+        if self._is_ending or not self._links.receiver.admits(link, address, len(payload), received_at_s):
             return
         # The timer fires no later than the engine's next deadline, and most datagrams come before that.
         if received_at_s > self._deadline.at_s or self._is_catching_up:
             self._advance(received_at_s)
         self._engine_at_s = received_at_s
-        received = self._receiver.receive(payload, link, address, received_at_s)
+        received = self._links.receiver.receive(payload, link, address, received_at_s)
         for message in received.messages:
             self._engine.receive(message)
         if self._standby is not None:
@@ -236,7 +200,7 @@ class FleetService:
             self.truths[truth.sysid] = truth
         if self._keeps_frames:
             self._recording.record_received(received_at_s, received.frames, received.refused)
-            self._forwarder.from_vehicle(received.frames, link, address, received_at_s)
+            self._links.forwarder.from_vehicle(received.frames, link, address, received_at_s)
         if received.messages:  # without a message to the engine no deadline comes sooner
             self._wake()
 
@@ -244,8 +208,7 @@ class FleetService:
         """Read what waits at all links, to receive it in the order in which it came: no link's datagrams are taken for late."""
         self._is_reading = True
         try:
-            for link in self._links:
-                link.receive_waiting(_MOST_WAITING)
+            self._links.receive_waiting()
         finally:
             self._is_reading = False
 
@@ -314,7 +277,7 @@ class FleetService:
         unsent, self._unsent = self._unsent, []
         for output in without_superseded(unsent):
             if isinstance(output, ToVehicle):
-                self._sender.send(output)
+                self._links.sender.send(output)
             else:
                 self.alarms.publish(output)
         if unsent and self._standby is not None:
@@ -346,14 +309,14 @@ class FleetService:
 
     def each_second(self, host: ClockReference) -> None:
         """Set the host's time, publish pending warnings, send our heartbeat, and tell the ground tools of alarms."""
-        self._signed.set_clock(host.utc_minus_service_s)
+        self._links.signed.set_clock(host.utc_minus_service_s)
         self._host, self._lag_s = replace(host, lag_s=round(self._lag_s, 3)), 0.0
         self._apply(self._host)
         self._publish_warnings(host.received_at_s)
         self.alarms.update(self.snapshots.recent_snapshot())
-        self._sender.send_heartbeat(self._greeted(host.received_at_s))
+        self._links.send_heartbeat(self._engine.sysids(), host.received_at_s)
         if self.alarms.tells_ground_tools:
-            self._forwarder.send_status(self.alarms.pop_status_texts(host.received_at_s), self._engine.sysids())
+            self._links.forwarder.send_status(self.alarms.pop_status_texts(host.received_at_s), self._engine.sysids())
 
     def _apply(self, message: _Control) -> None:
         if not (self._backlog or self._is_catching_up):
@@ -372,15 +335,6 @@ class FleetService:
         self._engine.receive(message)
         self._recording.record_side_channel(message)
         self._wake()
-
-    def _greeted(self, now_s: float) -> set[Route]:
-        """Where our heartbeat is sent to."""
-        routes = (self._routes.route(sysid, now_s) for sysid in self._engine.sysids())
-        greeted = {route for route in routes if isinstance(route, Route)}
-        # A vehicle or router may wait for our first frame before it sends any, hence the links' peers.
-        greeted |= {Route(link, peer) for link in self._links for peer in link.peers}
-        # A sender that signs with the key, but behind our time, is refused until it has heard a frame of ours.
-        return greeted | {Route(*source) for source in self._receiver.pop_behind() if isinstance(source, tuple)}
 
     # What observers get
 
@@ -404,12 +358,9 @@ class FleetService:
             self.alarms.publish(Notice(self._clock(), None, "warning", text))
 
     def _publish_warnings(self, now_s: float) -> None:
-        """Publish what recorder, signatures, routes and ground tools have to warn of."""
+        """Publish what the recorder and the links have to warn of."""
         recording = self._recording.pending_warning()
         if recording is not None:
             self.alarms.publish(Notice(now_s, None, *recording))
-        ahead = self._signed.pending_warning(now_s)
-        if ahead is not None:
-            self.alarms.publish(Notice(now_s, None, "warning", ahead))
-        for sysid, text in (*self._routes.conflicts.pending_warnings(now_s), *self._forwarder.pending_warnings(now_s)):
+        for sysid, text in self._links.pending_warnings(now_s):
             self.alarms.publish(Notice(now_s, sysid, "warning", text))
