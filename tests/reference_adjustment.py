@@ -8,7 +8,7 @@ from math import hypot
 
 import numpy as np
 
-from gcs_coloc.core.integrity.epoch import Epoch, RangeResidual
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, RangeResidual
 from gcs_coloc.core.measurements import FloatArray
 
 _RANK_TOLERANCE = 1e-6

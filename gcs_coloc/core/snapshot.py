@@ -11,7 +11,7 @@ from gcs_coloc.core.aiding.stream import AidingView
 from gcs_coloc.core.error_ellipse import horizontal_sigma_and_bound_95_m
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.fleet_gps_health import FleetGpsHealth
-from gcs_coloc.core.integrity.noise_model import NoiseModel
+from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 from gcs_coloc.core.measurements import Estimate, FloatArray, NoEstimate, Vector3
 from gcs_coloc.core.messages.control import CommandSource, GpsOverride
 from gcs_coloc.core.readiness.vehicle_readiness import VehicleReadiness

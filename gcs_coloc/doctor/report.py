@@ -8,8 +8,8 @@ from typing import Any
 from gcs_coloc.core.aiding.methods.registry import METHODS, method_for, mismatch
 from gcs_coloc.core.aiding.px4 import px4_method
 from gcs_coloc.core.aiding.settings import AidingMethodName
-from gcs_coloc.core.limiting_reason import LimitingReason
 from gcs_coloc.core.messages.inbound import Autopilot
+from gcs_coloc.core.readiness.limiting_reason import LimitingReason
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.stations.node_id import is_station, node_name
 from gcs_coloc.doctor import ardupilot_checks, px4_checks, stream_checks

@@ -13,8 +13,8 @@ from functools import partial
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from gcs_coloc.core.alarms.status_texts import StatusText
 from gcs_coloc.core.snapshot import OutSnapshot
-from gcs_coloc.core.status_texts import StatusText
 from gcs_coloc.links.base import Address, Clock, Link, Route, parse_out
 from gcs_coloc.links.rate_limiter import RateLimiter
 from gcs_coloc.links.routes import RouteTable

@@ -16,11 +16,10 @@ import numpy as np
 
 from gcs_coloc.core.aiding.fix_policy import FixPolicy
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
-from gcs_coloc.core.integrity.epoch import LARGEST_SIGMA_V_M, Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.epoch_tests.epoch import LARGEST_SIGMA_V_M, Epoch, PositionPrior, RangeResidual
 from gcs_coloc.core.integrity.protection_level import VERTICAL_RATIO, Exposure, FaultLevel, fault_level, protection_level
 from gcs_coloc.core.integrity.range_residuals import RangeResidualSettings
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
-from gcs_coloc.core.limiting_reason import limiting_reason, unit_vectors
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
@@ -34,6 +33,7 @@ from gcs_coloc.core.measurements import (
     VehicleClass,
     VehicleClassReport,
 )
+from gcs_coloc.core.readiness.limiting_reason import limiting_reason, unit_vectors
 from gcs_coloc.estimators.fleet.ekf.state import pair_key
 from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
 from gcs_coloc.estimators.fleet.peer_selection import select_peers

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gcs_coloc.config.sections import MavlinkConfig, RecordConfig
-from gcs_coloc.core.alarms import Alarm
+from gcs_coloc.core.alarms.alarms import Alarm
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.outbound import Outbound
 from gcs_coloc.core.snapshot import FleetSnapshot

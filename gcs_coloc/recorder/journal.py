@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from gcs_coloc.core.alarms import Alarm
+from gcs_coloc.core.alarms.alarms import Alarm
 from gcs_coloc.core.engine import REVIEWED_EVERY_S, Engine
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice, Outbound
 from gcs_coloc.core.residual_log import RangeSnapshot

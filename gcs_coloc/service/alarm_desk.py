@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from gcs_coloc.core.alarms import Alarm, AlarmList
+from gcs_coloc.core.alarms.alarms import Alarm, AlarmList
+from gcs_coloc.core.alarms.status_texts import StatusText, StatusTexts
 from gcs_coloc.core.messages.outbound import Notice, ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot
-from gcs_coloc.core.status_texts import StatusText, StatusTexts
 from gcs_coloc.runtime.clock import ServiceClock
 from gcs_coloc.sinks.event_bus import EventBus
 

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import AsyncIterator
 from math import floor
 
-from gcs_coloc.core.alarms import Alarm
+from gcs_coloc.core.alarms.alarms import Alarm
 from gcs_coloc.core.messages.outbound import HealthChanged, ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot
 

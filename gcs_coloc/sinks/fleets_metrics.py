@@ -10,7 +10,7 @@ from prometheus_client import CollectorRegistry, ProcessCollector
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from gcs_coloc.core.traffic_light import LightColour
+from gcs_coloc.core.alarms.traffic_light import LightColour
 from gcs_coloc.sinks.watched_fleets import FleetShown, Presence
 
 

@@ -14,7 +14,7 @@ from aiomqtt import Client, MqttError, Will
 from pydantic import BaseModel
 
 from gcs_coloc.config.sections import MqttConfig
-from gcs_coloc.core.alarms import Alarm
+from gcs_coloc.core.alarms.alarms import Alarm
 from gcs_coloc.mavlink.refusals import Counts
 from gcs_coloc.sinks.broker_connection import ANSWER_WITHIN_S, BrokerConnection
 from gcs_coloc.sinks.event_bus import IdleScheduler, Subscription

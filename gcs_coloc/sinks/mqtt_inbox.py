@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from pydantic import ValidationError
 
-from gcs_coloc.core.alarms import Alarm
+from gcs_coloc.core.alarms.alarms import Alarm
 from gcs_coloc.core.messages.control import Override
 from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.snapshot import FleetSnapshot

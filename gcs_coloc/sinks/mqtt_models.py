@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from gcs_coloc.core.alarms import Alarm, AlarmKind, AlarmState
+from gcs_coloc.core.alarms.alarms import Alarm, AlarmKind, AlarmState
 from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, Override, PrimaryOverride
 from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState

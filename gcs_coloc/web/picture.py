@@ -5,12 +5,12 @@ from __future__ import annotations
 import secrets
 from collections.abc import Callable, Iterable
 
-from gcs_coloc.core.alarms import Alarm
+from gcs_coloc.core.alarms.alarms import Alarm
+from gcs_coloc.core.alarms.traffic_light import traffic_light
 from gcs_coloc.core.error_ellipse import error_ellipse
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Vector3
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
-from gcs_coloc.core.traffic_light import traffic_light
 from gcs_coloc.mavlink.decoder import HeardTruth
 from gcs_coloc.web.track_history import TrackHistory
 from gcs_coloc.web.wire import Ellipse, EventsFrame, FleetFrame, VehicleFrame, VehicleHistory, fleet_json

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gcs_coloc.core.alarms import Alarm
+from gcs_coloc.core.alarms.alarms import Alarm
 from gcs_coloc.core.messages.outbound import ToOperator
 from gcs_coloc.web.track_history import (
     EVENTS_KEPT,

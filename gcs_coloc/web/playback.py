@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from gcs_coloc.core.alarms import Alarm, AlarmList
+from gcs_coloc.core.alarms.alarms import Alarm, AlarmList
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.messages.outbound import Notice, Outbound, ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot

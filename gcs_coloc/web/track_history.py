@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from math import nan
 
-from gcs_coloc.core.alarms import Alarm, AlarmKind, AlarmState
+from gcs_coloc.core.alarms.alarms import Alarm, AlarmKind, AlarmState
 from gcs_coloc.core.messages.outbound import Notice, ToOperator
 from gcs_coloc.core.snapshot import FleetSnapshot, LinkSnapshot, OutSnapshot, VehicleSnapshot
 from gcs_coloc.sinks.event_bus import FleetEvent, Subscription, level_and_text

@@ -7,12 +7,12 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
-from gcs_coloc.core.alarms import Alarm
+from gcs_coloc.core.alarms.alarms import Alarm
+from gcs_coloc.core.alarms.traffic_light import LightColour
 from gcs_coloc.core.residual_log import RangeSnapshot
 from gcs_coloc.core.snapshot import VehicleSnapshot
 from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
-from gcs_coloc.core.traffic_light import LightColour
 
 HIDDEN = "hidden"
 """A page sends this when it goes out of sight, such as a tab behind others."""

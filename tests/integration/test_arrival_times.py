@@ -12,7 +12,7 @@ from link_peers import heartbeat, stamps_of_arrival, until
 from vehicles import Hover
 
 from gcs_coloc.config.fleets import load_settings
-from gcs_coloc.core.alarms import AlarmKind, AlarmState
+from gcs_coloc.core.alarms.alarms import AlarmKind, AlarmState
 from gcs_coloc.links.base import SCHEMES
 from gcs_coloc.links.udp import UdpIn
 from gcs_coloc.mavlink.refusals import Counts

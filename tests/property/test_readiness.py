@@ -7,7 +7,7 @@ from math import isfinite
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gcs_coloc.core.limiting_reason import LimitingReason
+from gcs_coloc.core.readiness.limiting_reason import LimitingReason
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from tests.ready_fleet import RANGED, Flying, ReadyFleet
 

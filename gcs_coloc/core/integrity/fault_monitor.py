@@ -13,7 +13,7 @@ from statistics import median
 
 import numpy as np
 
-from gcs_coloc.core.integrity.epoch import PositionPrior
+from gcs_coloc.core.integrity.epoch_tests.epoch import PositionPrior
 from gcs_coloc.core.integrity.fault_filters import FaultFilters, FaultFilterSettings, LineOfSightResidual
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement, Vector3
 

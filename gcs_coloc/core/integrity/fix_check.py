@@ -17,10 +17,10 @@ from math import hypot, inf, sqrt
 import numpy as np
 
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius, horizontal_sigma_m
-from gcs_coloc.core.integrity.adjustment import Adjustment, adjust
-from gcs_coloc.core.integrity.epoch import MIN_INFORMATION_PER_M2, Epoch, Past
-from gcs_coloc.core.integrity.fault_tests import SignificanceLevels, chi2_limit, run_test
-from gcs_coloc.core.integrity.isolation import isolate
+from gcs_coloc.core.integrity.epoch_tests.adjustment import Adjustment, adjust
+from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_INFORMATION_PER_M2, Epoch, Past
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit, run_test
+from gcs_coloc.core.integrity.epoch_tests.isolation import isolate
 from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement
 
 _SIGNIFICANCE = 1e-6  # probability that a right fix and a true covariance differ by more

@@ -13,7 +13,7 @@ from math import sqrt
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.geodesy import LocalFrame
-from gcs_coloc.core.integrity.epoch import LARGEST_SIGMA_V_M, Epoch
+from gcs_coloc.core.integrity.epoch_tests.epoch import LARGEST_SIGMA_V_M, Epoch
 from gcs_coloc.core.integrity.protection_level import (
     Exposure,
     FaultLevel,

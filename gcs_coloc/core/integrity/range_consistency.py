@@ -14,12 +14,12 @@ from math import exp
 
 import numpy as np
 
-from gcs_coloc.core.integrity.epoch import Epoch, EpochHistory, Past
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, EpochHistory, Past
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import FaultTestResult, SignificanceLevels, run_tests
+from gcs_coloc.core.integrity.epoch_tests.inconsistency import explain_inconsistency
+from gcs_coloc.core.integrity.epoch_tests.isolation import Isolation, isolate
+from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor, FaultMonitorSettings
-from gcs_coloc.core.integrity.fault_tests import FaultTestResult, SignificanceLevels, run_tests
-from gcs_coloc.core.integrity.inconsistency import explain_inconsistency
-from gcs_coloc.core.integrity.isolation import Isolation, isolate
-from gcs_coloc.core.integrity.noise_model import NoiseModel
 from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeResidualSettings, TrackPoint
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement

@@ -14,7 +14,7 @@ from math import dist, sqrt
 from statistics import median
 from typing import NamedTuple
 
-from gcs_coloc.core.integrity.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor
 from gcs_coloc.core.measurements import RangeMeasurement, Vector3
 

@@ -10,7 +10,7 @@ from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 
 from gcs_coloc.core.gps_health.gps_health import GpsState
-from gcs_coloc.core.integrity.epoch import EpochHistory
+from gcs_coloc.core.integrity.epoch_tests.epoch import EpochHistory
 from gcs_coloc.core.integrity.fix_check import FixCheck, FixConsistency, check_fix, star
 from gcs_coloc.core.integrity.range_consistency import ConsistencySettings, IdentifiedFault
 from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, TrackPoint

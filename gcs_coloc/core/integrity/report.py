@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from gcs_coloc.core.gps_health.gps_health import GpsState
-from gcs_coloc.core.integrity.noise_model import NoiseModel
+from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 from gcs_coloc.core.integrity.protection_level import FaultLevel
 from gcs_coloc.core.measurements import Estimate, FloatArray, PositionMeasurement
 from gcs_coloc.core.stations.node_id import node_name

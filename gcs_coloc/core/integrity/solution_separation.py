@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
-from gcs_coloc.core.integrity.epoch import MIN_SIGMA_M, Epoch
+from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_SIGMA_M, Epoch
 from gcs_coloc.core.measurements import FloatArray
 
 _LEAST_INFORMATION_PER_M2 = 1e-6  # of a coordinate without prior: a 1-sigma of 1 km, so that every hypothesis has a solution

@@ -10,7 +10,7 @@ from gcs_coloc.core.aiding.fix_policy import FixPolicy
 from gcs_coloc.core.aiding.inhibit import Inhibit
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
-from gcs_coloc.core.integrity.epoch import LARGEST_SIGMA_V_M, Epoch, PositionPrior
+from gcs_coloc.core.integrity.epoch_tests.epoch import LARGEST_SIGMA_V_M, Epoch, PositionPrior
 from gcs_coloc.core.integrity.protection_level import (
     Exposure,
     FaultLevel,
@@ -19,9 +19,9 @@ from gcs_coloc.core.integrity.protection_level import (
     protection_level,
 )
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
-from gcs_coloc.core.limiting_reason import IN_LINE_HDOP, Limit, LimitingReason, limiting_reason, node_names
 from gcs_coloc.core.measurements import Estimate, NoEstimate, PositionMeasurement, Vector3
 from gcs_coloc.core.readiness.held_motion import HeldMotion
+from gcs_coloc.core.readiness.limiting_reason import IN_LINE_HDOP, Limit, LimitingReason, limiting_reason, node_names
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState, VehicleReadiness
 
 

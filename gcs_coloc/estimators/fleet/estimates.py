@@ -6,12 +6,12 @@ import numpy as np
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, NoEstimate, NoEstimateReason, Unlocated
+from gcs_coloc.estimators.fleet.ambiguity.range_evidence import unresolved_outlier_variance_m2
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TIME_STAMP_OFFSET, VELOCITY
-from gcs_coloc.estimators.fleet.position_search import PositionSearch
-from gcs_coloc.estimators.fleet.range_evidence import unresolved_outlier_variance_m2
+from gcs_coloc.estimators.fleet.search.position_search import PositionSearch
 from gcs_coloc.estimators.fleet.searched_vehicles import predicted_search
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution_of

@@ -20,6 +20,7 @@ from gcs_coloc.core.measurements import (
     Unlocated,
     VehicleClassReport,
 )
+from gcs_coloc.estimators.fleet.ambiguity.range_evidence import monitor_range
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseSplit, without_time_error
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
@@ -37,7 +38,6 @@ from gcs_coloc.estimators.fleet.motion_profiles import motion_profile
 from gcs_coloc.estimators.fleet.observed_biases import observe_bias, pair_bias
 from gcs_coloc.estimators.fleet.peer_selection import is_selected
 from gcs_coloc.estimators.fleet.range_biases import PairBias
-from gcs_coloc.estimators.fleet.range_evidence import monitor_range
 from gcs_coloc.estimators.fleet.searched_vehicles import is_searching, predicted_search, search_with_range
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 

@@ -14,16 +14,13 @@ import numpy as np
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, NoEstimateReason, RangeMeasurement, Unlocated
-from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
-from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
-from gcs_coloc.estimators.fleet.fleet_model import FleetModel
-from gcs_coloc.estimators.fleet.range_evidence import (
+from gcs_coloc.estimators.fleet.ambiguity.range_evidence import (
     SavedEstimate,
     plane_after_gap,
     plane_of_refused_ranges,
     save_estimate,
 )
-from gcs_coloc.estimators.fleet.reflection import (
+from gcs_coloc.estimators.fleet.ambiguity.reflection import (
     ReflectionPlane,
     find_reflection_plane,
     mixture,
@@ -32,6 +29,9 @@ from gcs_coloc.estimators.fleet.reflection import (
     reflect,
     vertical_plane_through_line,
 )
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
+from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _TEST_EVERY_S = 0.25

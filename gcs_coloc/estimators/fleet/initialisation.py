@@ -20,7 +20,7 @@ from gcs_coloc.estimators.fleet.ekf.state import (
     WIND,
 )
 from gcs_coloc.estimators.fleet.ekf.update import split_report_noise, time_stamp_offset_sigma_s, update_own
-from gcs_coloc.estimators.fleet.multilateration import MultilaterationProblem, solve_multilateration
+from gcs_coloc.estimators.fleet.search.multilateration import MultilaterationProblem, solve_multilateration
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _TRY_EVERY_S = 0.5

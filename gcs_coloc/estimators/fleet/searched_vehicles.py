@@ -14,7 +14,7 @@ from gcs_coloc.estimators.fleet.ekf.records import Neighbour, Records
 from gcs_coloc.estimators.fleet.ekf.state import POSITION
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
 from gcs_coloc.estimators.fleet.motion_profiles import MotionProfile
-from gcs_coloc.estimators.fleet.position_search import PositionSearch, RangeCircle, is_too_wide
+from gcs_coloc.estimators.fleet.search.position_search import PositionSearch, RangeCircle, is_too_wide
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 

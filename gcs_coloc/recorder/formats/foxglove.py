@@ -11,7 +11,7 @@ from importlib.resources import files
 from math import cos, sin
 from typing import Any
 
-from gcs_coloc.core.alarms import Alarm, AlarmKind
+from gcs_coloc.core.alarms.alarms import Alarm, AlarmKind
 from gcs_coloc.core.error_ellipse import error_ellipse
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice
 from gcs_coloc.core.snapshot import VehicleSnapshot

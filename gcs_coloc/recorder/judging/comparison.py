@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from gcs_coloc.core.alarms import AlarmKind
+from gcs_coloc.core.alarms.alarms import AlarmKind
 from gcs_coloc.recorder.judging.judged_flight import Figures, JudgedFlight
 
 

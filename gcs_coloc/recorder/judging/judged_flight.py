@@ -9,7 +9,7 @@ from statistics import median
 from typing import Any
 
 from gcs_coloc.config.settings import Settings
-from gcs_coloc.core.alarms import AlarmList
+from gcs_coloc.core.alarms.alarms import AlarmList
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.gps_health.gps_health import DISTRUSTED

@@ -7,7 +7,7 @@ import pytest
 from fleet_views import HEALTHY, LOCATED, LOST, fleet_view
 from pydantic import ValidationError
 
-from gcs_coloc.core.alarms import AlarmList
+from gcs_coloc.core.alarms.alarms import AlarmList
 from gcs_coloc.sinks.fleet_overview import FleetOverview, fleet_overview
 
 

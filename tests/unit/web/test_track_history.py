@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from fleet_views import HEALTHY, LOST, fleet_view
 
-from gcs_coloc.core.alarms import AlarmList
+from gcs_coloc.core.alarms.alarms import AlarmList
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice
 from gcs_coloc.core.snapshot import LinkSnapshot
 from gcs_coloc.web.track_history import TrackHistory

@@ -19,8 +19,8 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseLevel, NoiseSplit
 from gcs_coloc.estimators.fleet.motion_profiles import PROFILES, MotionProfile
-from gcs_coloc.estimators.fleet.position_search import PositionSearch
 from gcs_coloc.estimators.fleet.range_biases import BiasWindow, RangeBiases
+from gcs_coloc.estimators.fleet.search.position_search import PositionSearch
 
 IN_USE_S = 2.0
 """Chosen: a neighbour whose range was used within so long is in use; two ranges may be lost at 1 Hz."""

@@ -6,7 +6,7 @@ from math import cos, sin
 
 import numpy as np
 
-from gcs_coloc.core.integrity.epoch import PositionPrior
+from gcs_coloc.core.integrity.epoch_tests.epoch import PositionPrior
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor
 from gcs_coloc.core.measurements import RangeMeasurement
 

@@ -7,7 +7,7 @@ from math import cos, hypot, pi, sin
 import numpy as np
 import pytest
 
-from gcs_coloc.core.integrity.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
 from gcs_coloc.core.integrity.solution_separation import FaultClass, Separation, SolutionSeparation
 
 DENIED = 9

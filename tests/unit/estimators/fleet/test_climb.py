@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement
+from gcs_coloc.estimators.fleet.ambiguity.reflection import ReflectionPlane, reflect
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import TURN
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.initialisation import block_from_estimate
-from gcs_coloc.estimators.fleet.reflection import ReflectionPlane, reflect
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 DENIED = 9

@@ -14,7 +14,7 @@ import pytest
 from fleet_views import HEALTHY, LOCATED, LOST
 from mcap.reader import make_reader
 
-from gcs_coloc.core.alarms import Alarm, AlarmKind, AlarmState
+from gcs_coloc.core.alarms.alarms import Alarm, AlarmKind, AlarmState
 from gcs_coloc.core.messages.outbound import HealthChanged, Notice
 from gcs_coloc.core.residual_log import RangeSnapshot
 from gcs_coloc.recorder.formats.mcap_file import McapEncoder

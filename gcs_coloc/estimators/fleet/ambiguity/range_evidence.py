@@ -15,16 +15,16 @@ import numpy as np
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import RangeMeasurement
-from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
-from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
-from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, Neighbour, ReflectionEvidence, UnresolvedOutlier, VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.state import POSITION
-from gcs_coloc.estimators.fleet.reflection import (
+from gcs_coloc.estimators.fleet.ambiguity.reflection import (
     ReflectionPlane,
     offset_sigmas,
     vertical_plane_through,
     vertical_plane_through_line,
 )
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
+from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, Neighbour, ReflectionEvidence, UnresolvedOutlier, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.state import POSITION
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _CUSUM_REFUSED = 0.88

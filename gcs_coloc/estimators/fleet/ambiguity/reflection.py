@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.estimators.fleet.ambiguity.peer_geometry import LEAST_SIGMA_M, NEAR_SIGMAS, SEPARATED, PeerGeometry
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TURN, VELOCITY
-from gcs_coloc.estimators.fleet.peer_geometry import LEAST_SIGMA_M, NEAR_SIGMAS, SEPARATED, PeerGeometry
 
 _SPEED_SIGMAS = 2.0
 """Chosen: a closing speed beyond two sigmas is known by its sign."""

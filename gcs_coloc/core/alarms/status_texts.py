@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from gcs_coloc.core.alarms import Alarm, AlarmKind, AlarmState
+from gcs_coloc.core.alarms.alarms import Alarm, AlarmKind, AlarmState
 
 SAME_ALARM_EVERY_S = 10.0
 """Chosen: an alarm that comes and goes would else fill the tool's list; one that becomes worse does not wait."""

@@ -22,9 +22,9 @@ from math import inf
 
 import numpy as np
 
-from gcs_coloc.core.integrity.epoch import Epoch, Past
-from gcs_coloc.core.integrity.fault_model import AdjustedHypothesis, FaultKind, FaultModel, Hypothesis
-from gcs_coloc.core.integrity.fault_tests import SignificanceLevels, chi2_limit
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
+from gcs_coloc.core.integrity.epoch_tests.fault_model import AdjustedHypothesis, FaultKind, FaultModel, Hypothesis
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.core.stations.node_id import is_station
 

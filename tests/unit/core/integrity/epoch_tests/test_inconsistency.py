@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from gcs_coloc.core.integrity.epoch import Epoch, PositionPrior, RangeResidual
-from gcs_coloc.core.integrity.fault_tests import SignificanceLevels
-from gcs_coloc.core.integrity.inconsistency import explain_inconsistency
-from gcs_coloc.core.integrity.noise_model import NoiseModel
-from gcs_coloc.core.integrity.pair_outliers import pair_outliers
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels
+from gcs_coloc.core.integrity.epoch_tests.inconsistency import explain_inconsistency
+from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
+from gcs_coloc.core.integrity.epoch_tests.pair_outliers import pair_outliers
 
 SIGMA_GPS_M, SIGMA_RANGE_M, VEHICLES = 1.5, 0.6, 6
 LEVELS = SignificanceLevels()

@@ -12,7 +12,7 @@ from gcs_coloc.core.measurements import (
     Unlocated,
 )
 from gcs_coloc.core.reasons import StatedReason
-from gcs_coloc.estimators.fleet.multilateration import MultilaterationProblem, solve_multilateration
+from gcs_coloc.estimators.fleet.search.multilateration import MultilaterationProblem, solve_multilateration
 
 LIMIT_M = 200.0
 

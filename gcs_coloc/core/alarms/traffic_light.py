@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from gcs_coloc.core.alarms import conditions
+from gcs_coloc.core.alarms.alarms import conditions
 from gcs_coloc.core.snapshot import VehicleSnapshot
 
 LightColour = Literal["good", "caution", "bad", "unknown"]

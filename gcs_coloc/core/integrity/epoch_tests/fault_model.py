@@ -22,7 +22,7 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from gcs_coloc.core.integrity.epoch import MIN_INFORMATION_PER_M2, MIN_SIGMA_M, Epoch, EpochArrays, Past
+from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_INFORMATION_PER_M2, MIN_SIGMA_M, Epoch, EpochArrays, Past
 from gcs_coloc.core.measurements import FloatArray
 
 _COARSE_STEPS, _NEWTON_STEPS = 2, 5  # chosen: from a start within a third of a range the error is then below a millimetre

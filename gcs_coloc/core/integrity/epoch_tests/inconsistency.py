@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import replace
 
-from gcs_coloc.core.integrity.epoch import Epoch, Past
-from gcs_coloc.core.integrity.fault_tests import SignificanceLevels, run_tests
-from gcs_coloc.core.integrity.isolation import isolate
-from gcs_coloc.core.integrity.noise_model import NoiseModel, likeliest_noise
-from gcs_coloc.core.integrity.pair_outliers import pair_outliers
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, run_tests
+from gcs_coloc.core.integrity.epoch_tests.isolation import isolate
+from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel, likeliest_noise
+from gcs_coloc.core.integrity.epoch_tests.pair_outliers import pair_outliers
 
 _PRESENT: Past = (None, 0.0)
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gcs_coloc.core.integrity.epoch import Epoch, PositionPrior, RangeResidual
-from gcs_coloc.core.integrity.fault_tests import SignificanceLevels, run_tests
-from gcs_coloc.core.integrity.isolation import isolate
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, run_tests
+from gcs_coloc.core.integrity.epoch_tests.isolation import isolate
 
 SIGMA_GPS_M, SIGMA_RANGE_M = 1.5, 0.6
 TRUE = {

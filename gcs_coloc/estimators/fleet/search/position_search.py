@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.estimators.fleet.gaussian_mixture import merged, moments, pruned, update
+from gcs_coloc.estimators.fleet.search.gaussian_mixture import merged, moments, pruned, update
 
 _TOO_WIDE = 4.0
 _NARROW = 1.4

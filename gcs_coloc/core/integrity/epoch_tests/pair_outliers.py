@@ -13,9 +13,9 @@ from collections.abc import Collection
 from dataclasses import replace
 from typing import NamedTuple
 
-from gcs_coloc.core.integrity.adjustment import adjust
-from gcs_coloc.core.integrity.epoch import Epoch
-from gcs_coloc.core.integrity.fault_tests import SignificanceLevels, chi2_limit
+from gcs_coloc.core.integrity.epoch_tests.adjustment import adjust
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit
 
 _FURTHER_PAIR_PENALTY = 9.2  # twice the log of 100: chosen, so much rarer is each further pair that is off at the same time
 

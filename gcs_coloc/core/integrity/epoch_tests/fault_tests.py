@@ -24,8 +24,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from gcs_coloc.core.integrity.adjustment import Adjustment, FaultEffect, adjust
-from gcs_coloc.core.integrity.epoch import Epoch, Past
+from gcs_coloc.core.integrity.epoch_tests.adjustment import Adjustment, FaultEffect, adjust
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
 from gcs_coloc.core.measurements import FloatArray
 
 

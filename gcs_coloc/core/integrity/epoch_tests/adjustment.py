@@ -27,7 +27,14 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
-from gcs_coloc.core.integrity.epoch import MIN_INFORMATION_PER_M2, MIN_SIGMA_M, Epoch, EpochArrays, Past, RangeResidual
+from gcs_coloc.core.integrity.epoch_tests.epoch import (
+    MIN_INFORMATION_PER_M2,
+    MIN_SIGMA_M,
+    Epoch,
+    EpochArrays,
+    Past,
+    RangeResidual,
+)
 from gcs_coloc.core.measurements import FloatArray
 
 _RANK_TOLERANCE = 1e-6  # smallest over largest eigenvalue that counts as not zero; chosen: far above rounding

@@ -4,16 +4,16 @@ from dataclasses import replace
 
 from fleet_views import HEALTHY, LOCATED, LOST, fleet_view
 
-from gcs_coloc.core.alarms import AlarmList
-from gcs_coloc.core.messages.outbound import Notice
-from gcs_coloc.core.snapshot import FleetSnapshot
-from gcs_coloc.core.status_texts import (
+from gcs_coloc.core.alarms.alarms import AlarmList
+from gcs_coloc.core.alarms.status_texts import (
     NOT_READY_AFTER_S,
     SAME_ALARM_EVERY_S,
     TEXTS_PER_S,
     StatusTexts,
     TextSeverity,
 )
+from gcs_coloc.core.messages.outbound import Notice
+from gcs_coloc.core.snapshot import FleetSnapshot
 
 SOUND = replace(HEALTHY, sysid=4)
 SUSPECT = replace(SOUND, gps_state="suspect", gps_reason="only 3 satellites")

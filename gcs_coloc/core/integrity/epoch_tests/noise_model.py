@@ -25,9 +25,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gcs_coloc.core.integrity.epoch import MIN_INFORMATION_PER_M2, Epoch, PositionPrior
-from gcs_coloc.core.integrity.fault_tests import SignificanceLevels, chi2_limit
-from gcs_coloc.core.integrity.pair_outliers import Pair, without_pairs
+from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_INFORMATION_PER_M2, Epoch, PositionPrior
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit
+from gcs_coloc.core.integrity.epoch_tests.pair_outliers import Pair, without_pairs
 from gcs_coloc.core.measurements import FloatArray
 
 _RANGE_BIASES_M = (1.0, 2.0, 4.0, 8.0)  # chosen: uncalibrated devices; beyond it the protection level is beyond the alert limit

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 from fleet_views import HEALTHY, LOCATED, LOST, NOT_READY, STANDBY, fleet_view
 
-from gcs_coloc.core.alarms import Alarm, AlarmKind, AlarmList, AlarmState, conditions
-from gcs_coloc.core.integrity.noise_model import NoiseModel
+from gcs_coloc.core.alarms.alarms import Alarm, AlarmKind, AlarmList, AlarmState, conditions
+from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 from gcs_coloc.core.messages.outbound import Notice
 from gcs_coloc.core.snapshot import VehicleSnapshot
 
