@@ -15,8 +15,8 @@ from sitl_fakes.parameters import Parameters
 from sitl_fakes.receivers import GpsFix, is_injected, is_own, not_live, receiver_in_use, refusal
 from sitl_fakes.sensors import AirData
 
-_POSITION_NOISE_M = 0.5
-_MOST_APART_M = 50.0
+_POSITION_NOISE_M = 0.5  # source: EK3_POSNE_M_NSE, its default
+_MOST_APART_M = 50.0  # source: AP_GPS, all_consistent
 _FROM_GPS = 3.0  # EK3_SRC1_VELZ
 _NOT_CHECKED_AGAIN_S = 10.0
 

@@ -13,7 +13,7 @@ from sitl_fakes.sensors import AirData
 DEAD_RECKONING, NO_POSITION = "dead_reckoning", "none"
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 """MAV_RESULT of a COMMAND_ACK."""
-_SOURCE_HOLDS_S = 1.0
+_SOURCE_HOLDS_S = 1.0  # chosen: some fixes missed
 
 
 class BeaconRange(NamedTuple):

@@ -17,11 +17,11 @@ from sitl_fakes.faults import fault_of_command
 from sitl_fakes.flight_controller import FlightController
 from sitl_fakes.receivers import fix_from_gps_input
 
-_EXTERNAL_POSITION_ESTIMATE = 43003
-_LONGEST_AGE_S = 5.0
-_ONLY_THE_GCS = 1
+_EXTERNAL_POSITION_ESTIMATE = 43003  # source: MAVLink, common.xml
+_LONGEST_AGE_S = 5.0  # source: EKF3, setLatLng
+_ONLY_THE_GCS = 1  # source: MAV_OPTIONS, bit 0
 _GLOBAL_FRAMES = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
-_LARGEST_PARAMETER = 1e6
+_LARGEST_PARAMETER = 1e6  # chosen: beyond every parameter in use
 _UINT32_UNKNOWN = 0xFFFFFFFF
 _OF_ANY_TARGET = ("RANGING_BEACON",)  # PX4's handler looks at no target
 

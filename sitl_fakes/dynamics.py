@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-GRAVITY_MPS2 = 9.80665
+GRAVITY_MPS2 = 9.80665  # source: standard gravity, ISO 80000-3
 _MASS_KG = 11.0
 _JX, _JZ, _JXZ = 0.8244, 1.759, 0.1204
 _WING_AREA_M2 = 0.55
@@ -32,13 +32,13 @@ _CY_P, _CL_P, _CN_P = 0.0, -0.51, -0.069
 _CY_R, _CL_R, _CN_R = 0.0, 0.25, -0.095
 _CY_DA, _CL_DA, _CN_DA = 0.075, 0.17, -0.011
 _CY_DR, _CL_DR, _CN_DR = 0.19, 0.0024, -0.069
-_ACTUATOR_TIME_CONSTANT_S = 0.05
+_ACTUATOR_TIME_CONSTANT_S = 0.05  # chosen: a small servo
 _DEFLECTION_LIMIT_RAD = math.radians(30.0)
-_ROLL_TIME_CONSTANT_S = 0.3
-_ROLL_RATE_SHARE = 0.2
-_YAW_DAMPING_PER_S = 3.0
+_ROLL_TIME_CONSTANT_S = 0.3  # chosen: a small aircraft under control
+_ROLL_RATE_SHARE = 0.2  # chosen: rolls without overshoot
+_YAW_DAMPING_PER_S = 3.0  # chosen: damps the Dutch roll
 _BANK_LIMIT_RAD = math.radians(45.0)
-_HEADING_RATE_PER_S = 0.6
+_HEADING_RATE_PER_S = 0.6  # chosen: a turn is flown within seconds
 State = tuple[float, float, float, float, float, float, float, float, float]
 
 

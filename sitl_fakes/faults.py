@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from sitl_fakes.parameters import Parameters
 
-_METRES_PER_DEGREE = 111_319.49
+_METRES_PER_DEGREE = 111_319.49  # source: WGS 84, at the equator
 _HARMLESS = {"SIM_GPS1_ENABLE": 1.0, "SIM_GPS1_JAM": 0.0, "SIM_GPS1_GLTCH_X": 0.0, "SIM_GPS1_GLTCH_Y": 0.0}
 
 _SystemId = Annotated[int, Field(ge=1, le=254)]

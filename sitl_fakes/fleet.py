@@ -14,8 +14,8 @@ from sitl_fakes.vehicle import Vehicle
 STEP_S = 0.02
 """Time step of the simulation, s: the paper's computing cycle."""
 
-_FIRST_OF_2026_S = 1_767_225_600.0
-_EPSILON_S = 1e-9
+_FIRST_OF_2026_S = 1_767_225_600.0  # UTC
+_EPSILON_S = 1e-9  # chosen: far below a step, far above rounding
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from sitl_fakes.geodesy import Vector, WorldFrame
 from sitl_fakes.scenario import Scenario, Wind
 from sitl_fakes.sensors import AirData, AirSensors, GaussMarkov, Purpose, stream
 
-_CLIMB_TIME_CONSTANT_S = 5.0
-_CLIMB_LIMIT_MPS = 2.0
+_CLIMB_TIME_CONSTANT_S = 5.0  # chosen: a gentle climb
+_CLIMB_LIMIT_MPS = 2.0  # chosen: a cruise climb of a small aircraft
 _MAX_EXTRAPOLATION_S = 1.0
 
 

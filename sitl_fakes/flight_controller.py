@@ -24,11 +24,11 @@ from sitl_fakes.streams import Streams
 from sitl_fakes.telemetry import Snapshot
 from sitl_fakes.wire import named_range, peer_range_frame, ranging_beacon_frame
 
-_BOOTING_FOR_S = 5.0
-_FORWARD_BAD_CRC = 8
-_GROUND_STATION = 255
-_MAX_LAG_S = 0.5
-_CONVERGES_OVER = 100
+_BOOTING_FOR_S = 5.0  # chosen: as an autopilot boots
+_FORWARD_BAD_CRC = 8  # source: ArduPilot's GCS.h, MAVn_OPTIONS
+_GROUND_STATION = 255  # source: MAVLink, usual id of a ground station
+_MAX_LAG_S = 0.5  # source: ArduPilot's JitterCorrection
+_CONVERGES_OVER = 100  # messages; same source
 _AUTOPILOTS: dict[Kind, type[ArduPilot] | type[Px4]] = {"ardupilot": ArduPilot, "px4": Px4}
 
 

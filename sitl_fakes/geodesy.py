@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-_A = 6378137.0
-_F = 1.0 / 298.257223563
+_A = 6378137.0  # m; source: WGS 84
+_F = 1.0 / 298.257223563  # source: WGS 84
 _E2 = _F * (2.0 - _F)
 
 Vector = tuple[float, float, float]

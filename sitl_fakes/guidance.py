@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sitl_fakes.dynamics import LateralAircraft, turn_radius_m
 
-_INTEGRATE_BELOW_RAD = 0.35
+_INTEGRATE_BELOW_RAD = 0.35  # chosen: in a turn the integral would wind up
 _LONGEST_STEP_S = 0.02  # the actuators' time constant is 0.05 s
 
 

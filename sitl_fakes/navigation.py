@@ -15,12 +15,12 @@ from dataclasses import dataclass
 
 from sitl_fakes.receivers import GpsFix
 
-_GATE_SIGMA = 5.0
-_POSITION_NOISE_M2PS = 0.05
-_WIND_NOISE_M2PS3 = 0.02
-_LEAST_POSITION_SIGMA_M = 0.5
-_LEAST_VELOCITY_SIGMA_MPS = 0.5
-_FIRST_WIND_SIGMA_MPS = 5.0
+_GATE_SIGMA = 5.0  # source: EK3_POS_I_GATE, its default
+_POSITION_NOISE_M2PS = 0.05  # chosen: inertial navigation between fixes
+_WIND_NOISE_M2PS3 = 0.02  # chosen: twice EK3_WIND_P_NSE squared
+_LEAST_POSITION_SIGMA_M = 0.5  # source: EK3_POSNE_M_NSE, its default
+_LEAST_VELOCITY_SIGMA_MPS = 0.5  # source: EK3_VELNE_M_NSE, a plane's default
+_FIRST_WIND_SIGMA_MPS = 5.0  # chosen: wind that small aircraft fly in
 _BAROMETER_TIME_S = 5.0  # chosen: below the 7 to 13 s in which a real ArduPlane's altitude swung (0.1 in the loop)
 
 

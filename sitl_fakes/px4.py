@@ -18,8 +18,8 @@ from sitl_fakes.receivers import GpsFix
 
 _UNKNOWN_ACCURACY_M = 50.0
 _LONGEST_AGE_S = 15.0
-_HORIZONTAL = 1
-_HELD_S = 1.0
+_HORIZONTAL = 1  # source: EKF2_AGP0_CTRL, bit 0
+_HELD_S = 1.0  # chosen: some fixes missed
 _AUX, _RANGES = "aux global position", "ranging beacons"
 _BUFFER_STEP_S = 0.065  # _min_obs_interval_us as flown
 _HORIZON_S, _FUSED_WITHIN_S = 0.2, 0.1  # EKF2_DELAY_MAX; TimestampedRingBuffer::pop_first_older_than

@@ -13,17 +13,17 @@ from typing import Any
 
 from sitl_fakes.geodesy import Vector, WorldFrame
 
-_TIMEOUT_S = 4.0
+_TIMEOUT_S = 4.0  # source of this and the next three: ArduPilot's AP_GPS.cpp
 _MAX_MEAN_INTERVAL_S = 0.215
 _MAX_INTERVAL_S = 0.245
 _INTERVAL_SMOOTHING = 0.02
-_TYPE_MAVLINK = 14
-_CHECK_SATELLITES, _CHECK_HDOP, _CHECK_SPEED, _CHECK_POSITION = 1, 2, 4, 8
+_TYPE_MAVLINK = 14  # source: GPS1_TYPE, ArduPilot's parameter list
+_CHECK_SATELLITES, _CHECK_HDOP, _CHECK_SPEED, _CHECK_POSITION = 1, 2, 4, 8  # source: EK3_GPS_CHECK, same list
 _ANNOUNCED_DELAY_S = 0.2  # the driver's, where GPSn_DELAY_MS is 0
 _BUFFERED_S = 0.1  # what EKF3's buffer, sized at boot for the real receiver, has room for: 0.12 s short of 0.2 s in flight
-_HIGHEST_M = 100_000.0
-_FASTEST_MPS = 1_000.0
-_IGNORE_ALT, _IGNORE_HDOP, _IGNORE_VDOP, _IGNORE_VEL_HORIZ = 1, 2, 4, 8
+_HIGHEST_M = 100_000.0  # chosen: the edge of space
+_FASTEST_MPS = 1_000.0  # chosen: beyond every aircraft here
+_IGNORE_ALT, _IGNORE_HDOP, _IGNORE_VDOP, _IGNORE_VEL_HORIZ = 1, 2, 4, 8  # source of both: GPS_INPUT_IGNORE_FLAGS
 _IGNORE_VEL_VERT, _IGNORE_SPEED_ACC, _IGNORE_H_ACC, _IGNORE_V_ACC = 16, 32, 64, 128
 
 

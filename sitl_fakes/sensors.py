@@ -14,9 +14,9 @@ from sitl_fakes.geodesy import Vector
 from sitl_fakes.receivers import GpsFix
 from sitl_fakes.scenario import DeadReckoning, Gps, Ranging
 
-_BARO_CORRELATION_S = 300.0
+_BARO_CORRELATION_S = 300.0  # chosen: temperature and weather change within minutes
 _ROLL_NOISE_RAD = math.radians(0.5)
-_EPSILON_S = 1e-9
+_EPSILON_S = 1e-9  # chosen: far below a step, far above rounding
 
 
 class Purpose(IntEnum):

@@ -26,10 +26,10 @@ from sitl_fakes.flight import CSV_HEADER, SharedState, csv_row
 from sitl_fakes.scenario import SocketError
 
 _log = logging.getLogger(__name__)
-_TICK_S = 0.01
-_TRUTH_INTERVAL_S = 0.1
-_PROGRESS_INTERVAL_S = 5.0
-_MOST_WARNINGS = 20
+_TICK_S = 0.01  # chosen: no finer than the fleet's step
+_TRUTH_INTERVAL_S = 0.1  # chosen: as SIM_STATE is sent
+_PROGRESS_INTERVAL_S = 5.0  # chosen: a line now and then
+_MOST_WARNINGS = 20  # chosen: a screen of them
 Address = tuple[str, int]
 
 

@@ -14,7 +14,7 @@ from sitl_fakes import telemetry
 from sitl_fakes.parameters import Kind
 from sitl_fakes.telemetry import Snapshot
 
-_EPSILON_S = 1e-9
+_EPSILON_S = 1e-9  # chosen: far below a step, far above rounding
 
 _Builder = Callable[[Snapshot], Any]
 
@@ -41,7 +41,7 @@ _PX4 = {
     development.MAVLINK_MSG_ID_GNSS_INTEGRITY: (telemetry.gnss_integrity, 1.0),
 }
 _STREAMS: Mapping[Kind, Mapping[int, tuple[_Builder, float]]] = {"ardupilot": _ARDUPILOT, "px4": _PX4}
-_TRUTH_RATE_HZ = 10.0
+_TRUTH_RATE_HZ = 10.0  # chosen: as often as the fleet's reports
 _TRUTH_MESSAGES = (mavlink.MAVLINK_MSG_ID_SIMSTATE, mavlink.MAVLINK_MSG_ID_SIM_STATE)
 
 

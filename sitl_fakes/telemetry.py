@@ -71,8 +71,8 @@ _EKF_NORMAL, _EKF_RELATIVE, _EKF_NO_POSITION, _EKF_GLITCH = 831, 303, 165, 32768
 _EKF_ABSOLUTE_FOR_S = 10.0
 # As PX4 SIH quadrotors said: 895 while a global position is used, 383 without one, 101 in failsafe; 128 beside it at rest.
 _EKF2_NORMAL, _EKF2_UNAIDED, _EKF2_DEAD_RECKONING, _EKF2_NO_POSITION = 895, 383, 101, 165
-_EKF2_USED_FOR_S = 1.0
-_EKF2_ABSOLUTE_FOR_S = 5.0
+_EKF2_USED_FOR_S = 1.0  # chosen: some fixes missed
+_EKF2_ABSOLUTE_FOR_S = 5.0  # source: EKF2_NOAID_TOUT, its default
 _PX4_DEVICE_ID = 33  # the low byte of a device id: no instance, and no number that others know it by
 
 

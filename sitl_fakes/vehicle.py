@@ -20,8 +20,8 @@ from sitl_fakes.scenario import Scenario, Telemetry
 from sitl_fakes.scenario import Vehicle as VehicleSpec
 from sitl_fakes.sensors import GpsSensor, Purpose, Ranger, stream
 
-_EPSILON_S = 1e-9
-_HEARTBEAT_S = 1.0
+_EPSILON_S = 1e-9  # chosen: far below a step, far above rounding
+_HEARTBEAT_S = 1.0  # source: MAVLink's heartbeat protocol
 
 
 class _RadioLink:

@@ -16,8 +16,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.generator.mavcrc import x25crc
 
-PEER_RANGE_ID = 181600
-RANGING_BEACON_ID = 513
+PEER_RANGE_ID = 181600  # source: the dialect of gcs-coloc
+RANGING_BEACON_ID = 513  # source: MAVLink, development.xml
 
 # Fields in wire order: the largest types first, definition order among equals.
 _PEER_RANGE_FIELDS = (
@@ -46,8 +46,8 @@ _RANGING_BEACON_FIELDS = (
     ("uint8_t", "sequence"),
     ("uint8_t", "status"),
 )
-_UINT32_UNKNOWN = 0xFFFFFFFF
-_INT32_UNKNOWN = 0x7FFFFFFF
+_UINT32_UNKNOWN = 0xFFFFFFFF  # MAVLink's unknown of the type
+_INT32_UNKNOWN = 0x7FFFFFFF  # the same
 _ALT_MSL = 1
 
 

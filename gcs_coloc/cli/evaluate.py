@@ -29,7 +29,7 @@ from gcs_coloc.evaluation.evaluate import evaluate as run_evaluation
 from gcs_coloc.runtime.output_paths import check_output_file, writing
 from gcs_coloc.runtime.tasks import run_tasks
 
-_MOST_REASONS = 3
+_MOST_REASONS = 3  # chosen: one line of a terminal
 _FILE_WIDTH = 140  # of a table that goes to a file or pipe
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-_MOST_NAMED = 3
+_MOST_NAMED = 3  # chosen: one line of a terminal
 
 app = typer.Typer(name="import", add_completion=False, help="Bring data of another format into the data-set layout.")
 

@@ -20,7 +20,7 @@ from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
-_ATTITUDE_FRESH_S = 3.0
+_ATTITUDE_FRESH_S = 3.0  # chosen: an older heading is not drawn
 
 
 @dataclass(frozen=True, slots=True)

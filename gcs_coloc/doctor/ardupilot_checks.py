@@ -11,15 +11,15 @@ from gcs_coloc.doctor import parameters as p
 from gcs_coloc.doctor.finding import Finding, Setup, Severity, VehicleSurvey, note, right, stop
 from gcs_coloc.doctor.parameters import ParameterRule, apply_rules, differs_from, equals, look_up
 
-_TYPE_NONE, _TYPE_AUTO, _TYPE_MAVLINK = 0.0, 1.0, 14.0
+_TYPE_NONE, _TYPE_AUTO, _TYPE_MAVLINK = 0.0, 1.0, 14.0  # values of GPS1_TYPE; source: ArduPilot's parameter list
 _AUTO_SWITCH_WRONG = {
     0.0: "it stays with GPS_PRIMARY for ever: what is sent to it is not used when its receiver fails",
     1.0: "it may leave a healthy receiver for what is sent to it",
     2.0: "it blends its own receiver with what is sent to it",
 }
-_PRIMARY_UNLESS_NO_FIX = 4.0
-_SOURCE_NONE, _SOURCE_BAROMETER, _SOURCE_GPS = 0.0, 1.0, 3.0
-_EKF3 = 3.0
+_PRIMARY_UNLESS_NO_FIX = 4.0  # of GPS_AUTO_SWITCH; same source
+_SOURCE_NONE, _SOURCE_BAROMETER, _SOURCE_GPS = 0.0, 1.0, 3.0  # of EK3_SRC1_*; same source
+_EKF3 = 3.0  # of AHRS_EKF_TYPE; same source
 _DELAY_MS = 100.0  # measured: with it, and data 0.1 s old, EKF3 does not trail
 
 

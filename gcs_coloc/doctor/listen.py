@@ -21,8 +21,8 @@ from gcs_coloc.mavlink.framing import GCS_COMPID, GCS_SYSID
 from gcs_coloc.mavlink.signing import Stamp
 from gcs_coloc.runtime.clock import ServiceClock
 
-_ASK_EVERY_S = 0.1
-_HEARTBEAT_EVERY_S = 1.0
+_ASK_EVERY_S = 0.1  # chosen: ten questions a second fill no telemetry radio
+_HEARTBEAT_EVERY_S = 1.0  # source: MAVLink's heartbeat protocol
 
 
 async def listen(

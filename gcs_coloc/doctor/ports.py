@@ -18,7 +18,7 @@ STREAMS = ("POSITION", "EXT_STAT", "EXTRA1", "EXTRA2", "EXTRA3")
 """The ends of the names of ArduPilot's stream rates that hold what we want."""
 
 _SERIAL_PORTS = range(8)
-_MAVLINK_1 = 1.0
+_MAVLINK_1 = 1.0  # of SERIALn_PROTOCOL; source: ArduPilot's parameter list
 _MAVLINK = (_MAVLINK_1, 2.0, 43.0)  # 43: high latency, counted as the others
 _INSTANCES = range(3)
 _TELEM_PORTS = {101.0: 1, 102.0: 2, 103.0: 3}

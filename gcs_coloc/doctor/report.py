@@ -89,7 +89,7 @@ LEAST_PEERS = 3  # Source: Qu and Zhang, section III: trilateration needs three
 CLOCKS_AGREE_S = 2.0  # chosen: beyond it the times of two logs cannot be put side by side by eye
 OFTEN = 20  # chosen: within 15 s more than once a second: no accident
 MUCH_BYTES = 200  # chosen: more than the rest of a frame that was cut off when listening began
-_GPS_FIX_3D = 3
+_GPS_FIX_3D = 3  # source: GPS_FIX_TYPE of MAVLink
 
 _BETTER_PLACED = "see that in flight its peers stand around it: gcs-coloc plan tells where; or set up a station"
 _HARMFUL = {

@@ -34,7 +34,7 @@ _NO_POSITION = {
 
 _PX4_ENOUGH_BYTES_PER_S = 3000.0  # what is wanted takes about 2000, with three ranges at 5 Hz
 _PX4_QUIET_MODES = {1.0: "Custom", 3.0: "OSD", 4.0: "Magic", 7.0: "Minimal", 9.0: "Iridium"}
-_PX4_ONBOARD = 2.0
+_PX4_ONBOARD = 2.0  # of MAV_n_MODE; source: PX4's parameter reference
 
 _CARRIES = "see whether the link carries as much"
 

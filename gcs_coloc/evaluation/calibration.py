@@ -21,7 +21,7 @@ _BIAS_PRIOR_M = 1.0
 """Chosen: antenna delays of ultra-wideband radios before calibration are some decimetres, of others a metre."""
 _SCALE_PRIOR = 0.003
 """Chosen: crystals are good to 1e-5; what is beyond is a firmware's fit, and at room scale hardly told apart from a bias."""
-_HUBER_SIGMAS = 2.0
+_HUBER_SIGMAS = 2.0  # chosen: outliers beyond count as 2 sigmas; Gaussian errors lose little
 _ROUNDS = 20
 """Rounds of reweighting; chosen: the weights of 20 % outliers settle within ten."""
 

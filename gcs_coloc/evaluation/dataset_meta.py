@@ -26,7 +26,7 @@ _STATION_KEYS = {"id", "name", "lat_deg", "lon_deg", "alt_m", "sigma_m", "range_
 _STATION_SIGMA_M = 1.0
 """As the configuration has it."""
 _ANTENNA_KEYS = ("forward_m", "right_m", "down_m")
-_MOST_SCALE = 0.5
+_MOST_SCALE = 0.5  # chosen: a half or a double is a wrong unit
 
 
 @dataclass(frozen=True, slots=True)

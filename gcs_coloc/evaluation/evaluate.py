@@ -34,13 +34,13 @@ from gcs_coloc.evaluation.dataset import Dataset, Truth, read_dataset
 from gcs_coloc.evaluation.dataset_meta import Node
 from gcs_coloc.evaluation.scoring import EstimateSeries, VehicleScore, score, series_of
 
-_PLANE_EVERY_S = 0.2
+_PLANE_EVERY_S = 0.2  # chosen: as often as the service reviews a fleet
 _PLANE_SIGMA_M = 0.1
 """Period and 1-sigma of the heights that a flat data set gives a denied vehicle. Chosen: a good barometer at 5 Hz."""
 _KINDS = {PositionMeasurement: "positions", RangeMeasurement: "ranges", AntennaRange: "ranges", AltitudeMeasurement: "heights"}
 _EPOCH_S = 0.2
 """Spacing of the epochs of a vehicle without truth. Chosen: as often as most data sets range."""
-_PROGRESS_EVERY = 500
+_PROGRESS_EVERY = 500  # chosen: several times a second
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ _POSES = {"VERTEX_SE2": 2, "VERTEX_SE3:QUAT": 3}
 _LANDMARKS = {"VERTEX_XY": 2, "VERTEX_XYZ": 3}
 _RANGE = "EDGE_RANGE"
 _ROBOT = re.compile(r"([A-Za-z]+)[0-9]+$")
-_ANCHOR_SIGMA_M = 0.01
+_ANCHOR_SIGMA_M = 0.01  # chosen: the format states none; a surveyed anchor
 _START_SIGMA_M = 0.5
 """1-sigma of a denied robot's first pose, which it starts from; chosen: a surveyed start."""
 _MOST_DROPPED = 0.5

@@ -15,7 +15,7 @@ from gcs_coloc.core.errors import DataError
 _OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs"}
 _MOST_DROPPED = 0.5
 """Share of a file's rows that may be dropped; chosen: a file of which most is wrong is another file than it is taken for."""
-_MOST_NAMED = 3
+_MOST_NAMED = 3  # chosen: one line of a terminal
 
 Parsed = TypeVar("Parsed")
 

@@ -21,14 +21,15 @@ MESSAGE_CLASSES: Mapping[int, Any] = MappingProxyType({**ardupilotmega.mavlink_m
 CRC_EXTRA: Mapping[int, int] = MappingProxyType({number: cls.crc_extra for number, cls in MESSAGE_CLASSES.items()})
 """The last byte of each message's checksum (MAVLink's CRC_EXTRA): ends with different definitions refuse each other."""
 
-GCS_SYSID = 255
+GCS_SYSID = 255  # source: MAVLink, usual id of a ground station
 GCS_COMPID = ardupilotmega.MAV_COMP_ID_MISSIONPLANNER
 """The ids of a ground station by custom."""
 
-OWN_SYSID = 254
+OWN_SYSID = 254  # chosen: beside that of a ground station
 OWN_COMPID = ardupilotmega.MAV_COMP_ID_ONBOARD_COMPUTER
 """Our ids unless set otherwise: no vehicle and no ground station uses them by custom."""
 
+# Source of these: MAVLink, packet serialisation.
 MAGIC_V1 = 0xFE
 MAGIC_V2 = 0xFD
 HEADER_LENGTH_V1 = 6

@@ -34,6 +34,7 @@ from gcs_coloc.mavlink.checks import InvalidValueError
 from gcs_coloc.mavlink.flight_modes import VEHICLE_CLASSES, WINGED, ardupilot_mode, px4_mode
 from gcs_coloc.mavlink.refusals import Field
 
+# What MAVLink's fields hold for unknown, by their type.
 UINT8_MAX = 0xFF
 UINT16_MAX = 0xFFFF
 UINT32_MAX = 0xFFFFFFFF

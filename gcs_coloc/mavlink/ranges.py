@@ -17,7 +17,7 @@ from gcs_coloc.mavlink.checks import InvalidValueError
 from gcs_coloc.mavlink.refusals import Field
 
 INT32_MAX, UINT32_MAX = 0x7FFFFFFF, 0xFFFFFFFF
-QUALITY_UNKNOWN = 255
+QUALITY_UNKNOWN = 255  # source: PEER_RANGE.quality
 _ALT_WGS84, _ALT_MSL = 0, 1
 """RANGING_BEACON_ALT_TYPE."""
 PEER_IS_STATION = 1

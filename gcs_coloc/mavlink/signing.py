@@ -21,8 +21,8 @@ from gcs_coloc.mavlink.refusals import Refusal
 KEY_LENGTH = 32  # bytes. Source: MAVLink guide, message signing; SETUP_SIGNING.secret_key
 EPOCH_UNIX_S = 1_420_070_400
 """2015-01-01 UTC, from which signatures count their time."""
-TICKS_PER_S = 100_000
-FIRST_CONTACT_S = 60
+TICKS_PER_S = 100_000  # source: MAVLink, message signing, 10 us
+FIRST_CONTACT_S = 60  # source: the same, one minute
 FIRST_CONTACT_TICKS = FIRST_CONTACT_S * TICKS_PER_S
 """A stream that was never heard may be one minute behind our time (message_signing.html); further behind it is a recording."""
 LATEST_TICKS = (UNIX_TIME_TO_US // 1_000_000 - EPOCH_UNIX_S) * TICKS_PER_S

@@ -29,7 +29,7 @@ _AHEAD_S = 2.0
 _LEAST_AHEAD_RADII = 1.2
 _SAME_PLACE_M = 0.5
 """Chosen: files round coordinates to centimetres; a leg shorter than this leads up or down alone."""
-_LONGEST_S = 24.0 * 3600.0
+_LONGEST_S = 24.0 * 3600.0  # chosen: a longer plan has a wrong speed
 _SHARPEST_RAD = math.radians(150.0)
 _MOST_EARLY_M = 90.0
 """A turn is begun no farther before its waypoint. Source: WP_RADIUS of ArduPlane."""

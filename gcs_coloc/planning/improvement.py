@@ -20,17 +20,17 @@ from gcs_coloc.planning.prediction import predict
 from gcs_coloc.runtime.kept_results import KeptResults
 from gcs_coloc.runtime.tasks import Progress, Workers, run_tasks
 
-_SHIFTS_S = (-120.0, -60.0, -30.0, 30.0, 60.0, 120.0)
+_SHIFTS_S = (-120.0, -60.0, -30.0, 30.0, 60.0, 120.0)  # chosen: what an operator would try
 _ASIDE_SHARES = (0.1, 0.25)
 """Of the plan's extent: how far a route is moved to a side."""
-_LEAST_ASIDE_M = 50.0
+_LEAST_ASIDE_M = 50.0  # chosen: less changes no geometry
 _GRID = 5
 """Stations tried on a grid of so many by so many places over the plan."""
 _STATION_HEIGHT_M = 10.0
 """Above the lowest waypoint: a mast."""
 _TIMES = 120
 """Chosen: times at which geometry is compared."""
-_ENOUGH = 0.999
+_ENOUGH = 0.999  # chosen: nothing is left to gain
 _MOST_VEHICLES = 20
 """Chosen: of a larger plan only the vehicles nearest to the worst stretch are moved."""
 

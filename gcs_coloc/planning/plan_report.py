@@ -17,8 +17,8 @@ from gcs_coloc.recorder.reports.html_page import HEAD, Ink, PlotImage, image, in
 
 _MOST_PLOTS = 12
 """Chosen: of a large fleet the vehicles with the least of a fix are drawn."""
-_MOST_HDOP = 20.0
-_MOST_PAIRS = 30
+_MOST_HDOP = 20.0  # chosen: the plot ends there; beyond it nothing is located
+_MOST_PAIRS = 30  # chosen: as many as a page shows
 
 
 def page(assessed: Assessment, improvement: Improvement | None, *, is_improvement_sought: bool = True) -> str:

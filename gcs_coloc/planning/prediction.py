@@ -57,7 +57,7 @@ _ATTITUDE_EVERY_S = 0.45
 """Chosen: below the half second for which the filter takes an attitude as fresh."""
 _CANDIDATES_EVERY = 5
 """Steps from one choice of candidates to the next."""
-_MEDIAN_VARIANCE_RATIO = 1.57
+_MEDIAN_VARIANCE_RATIO = 1.57  # pi / 2: variance of a Gaussian sample's median over that of its mean
 _MOST_RANGED = 8
 """Pairs of one device in the integrity's adjustment."""
 _MOST_CANDIDATES = 16

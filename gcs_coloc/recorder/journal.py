@@ -19,7 +19,7 @@ from gcs_coloc.core.schedule import SAME_S
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 from gcs_coloc.core.station_review import StationSnapshot
 
-EVERY_S = 0.4
+EVERY_S = 0.4  # chosen: every other review of the fleet
 
 
 @dataclass(frozen=True, slots=True)

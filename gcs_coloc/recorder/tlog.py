@@ -31,7 +31,7 @@ SEARCHED_BYTES = 1 << 16
 
 _TIME = struct.Struct(">Q")
 _SETUP_SIGNING = 256  # message id of SETUP_SIGNING
-_INCOMPAT_AT = 2
+_INCOMPAT_AT = 2  # byte of a frame; source: MAVLink 2, packet format
 _OTHERS = {
     b"\x1f\x8b": "is compressed; unpack it with gunzip first",
     b"PK\x03\x04": "is a zip archive; unpack it first",

@@ -33,7 +33,7 @@ _END_WITHIN_S = 4.0
 """A worker that has not ended by then is killed. Chosen: twice what one needs, and less than systemd's TimeoutStopSec=5."""
 _SCRAPE_WITHIN_S = 1.0
 """A worker that does not answer by then has no metrics this time. Chosen: Prometheus gives up after ten."""
-_LOOK_EVERY_S = 1.0
+_LOOK_EVERY_S = 1.0  # chosen: a worker that died starts again within a second
 _WORKERS = "worker processes on this computer"
 
 

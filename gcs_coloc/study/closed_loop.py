@@ -22,8 +22,8 @@ from sitl_fakes.fleet import STEP_S, Fleet
 from sitl_fakes.flight import VehicleTruth
 from sitl_fakes.scenario import Scenario
 
-_UNIX_EPOCH_S = 1_780_000_000.0
-_SAMPLE_S = 0.2
+_UNIX_EPOCH_S = 1_780_000_000.0  # any; in 2026
+_SAMPLE_S = 0.2  # chosen: as often as the fleet is reviewed
 
 # Each simulated aircraft's codec, pymavlink's, has one, and Python does not know how to copy it.
 copyreg.pickle(Struct, lambda struct: (Struct, (struct.format,)))

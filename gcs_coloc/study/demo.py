@@ -29,7 +29,7 @@ from gcs_coloc.study.closed_loop import Flight, Sample, fly
 from sitl_fakes.scenario import Scenario, ScenarioError, load_scenario
 
 LIVE_S = 90.0
-DENIED = 4
+DENIED = 4  # source: the paper's UAV 4
 AIDED_SOURCE = "gps2 injected"
 
 

@@ -24,7 +24,7 @@ SAMPLE_S = 0.2
 _LEVEL_SIGMA_M = 1.0
 """1-sigma of the height, zero, that the fleet filter gets: the paper flies in a plane. Chosen: that of a barometer."""
 
-_FAR_M = 1e150
+_FAR_M = 1e150  # chosen: its square is finite
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ from gcs_coloc.web.tiles import TileFile
 from gcs_coloc.web.wire import Hello, PlaybackCommand
 
 STATIC = Path(__file__).parent / "static"
-_MAX_BODY_BYTES = 1000
+_MAX_BODY_BYTES = 1000  # chosen: ten times the longest command
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ from gcs_coloc.web.wire import Event, EventsFrame, VehicleHistory
 
 PICTURE_PERIOD_S = 0.2
 """Recorded seconds between two pictures, as often as the page is sent one when it plays at real time."""
-SAMPLE_PERIOD_S = 1.0
+SAMPLE_PERIOD_S = 1.0  # as of the live page's tracks
 MAX_PICTURES = 200_000
 """Eleven hours at 0.2 s; the index takes some 30 MB then. Beyond that every second picture is dropped."""
 MAX_BYTES = 500_000_000

@@ -22,7 +22,7 @@ from gcs_coloc.web.wire import EventsFrame, PlaybackCommand, PlaybackState, Vehi
 
 _MAX_GAP_S = 600.0
 """A longer gap has no pictures beyond this, as the replay leaves out the engine's deadlines there."""
-_COUNTS_PERIOD_S = 1.0
+_COUNTS_PERIOD_S = 1.0  # as on the live page
 
 OnPoll = Callable[[float, list[Outbound]], None]
 

@@ -26,8 +26,8 @@ from pmtiles.tile import (
 from gcs_coloc.core.errors import ConfigError
 from gcs_coloc.web.wire import TilesInfo
 
-_HEADER_BYTES = 127
-_MAX_DEPTH = 4
+_HEADER_BYTES = 127  # source: PMTiles specification, version 3
+_MAX_DEPTH = 4  # of directories; same source
 _DIRECTORIES_KEPT = 64
 _MAX_BYTES = 10_000_000
 """A tile or directory of more bytes means a damaged file. Chosen: a hundred times a large tile."""

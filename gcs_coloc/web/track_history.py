@@ -21,7 +21,7 @@ _MIN_SAMPLE_PERIOD_S = 0.7
 """Snapshots come once a second, some a little early; where they come more often, one a second is kept."""
 _MAX_SAMPLES_SENT = 20_000
 """Of all vehicles together, chosen: some 1.5 MB, which a page parses within 0.1 s."""
-_RATE_WINDOW_S = 5.0
+_RATE_WINDOW_S = 5.0  # chosen: smooth enough to read
 
 Sample = tuple[float, ...]
 """One vehicle at one time: `at_s`, and a number for each of `SAMPLE_COLUMNS`; NaN where it is unknown."""

@@ -15,7 +15,7 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.messages.inbound import GpsReceiver
 
 _WINDOW_S = 4.0  # chosen: 2 m/s are then four sigmas of a receiver of 1.5 m at 5 Hz, and detection by ranges takes as long
-_LEAST_SPAN_S, _LEAST_FIXES = 3.0, 4
+_LEAST_SPAN_S, _LEAST_FIXES = 3.0, 4  # chosen: a drift of 1 m/s stands out of the noise, and four fixes show that
 _LONGEST_GAP_S = 1.5  # of a receiver at 1 Hz, with what the link adds
 _SIGMAS = 4.0  # a drift of a sound receiver is larger once in 3,000 windows (Rayleigh)
 _HELD_S = 10.0  # chosen: detection and isolation by ranges take some seconds

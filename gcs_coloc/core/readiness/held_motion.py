@@ -10,7 +10,7 @@ from gcs_coloc.core.measurements import Vector3
 
 _OVER_S = 5.0
 """A turn rate is that of so long. Chosen: gusts and noise of the velocity are within 0.01 rad/s of it, a plane's turn is 0.2."""
-_LEAST_SPAN_S = 2.0
+_LEAST_SPAN_S = 2.0  # chosen: a turn rate from less is noise
 _LEAST_SPEED_MPS = 3.0
 """Below it a vehicle has no course."""
 _LEAST_TURN_RADPS = 1e-4

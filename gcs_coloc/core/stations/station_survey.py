@@ -31,7 +31,7 @@ _LEAST_MOVED_M = 5.0
 _MOST_SAMPLES = 120
 """Of a station. Chosen: a solution takes some 7 ms, well within the fifth of a second between reviews; later ones replace those
 at random places before, and the lasting errors of ranges and receivers, not the number, bound what is known."""
-_LEAST_SAMPLES = 12
+_LEAST_SAMPLES = 12  # chosen: four unknowns, three samples of each
 _MANY_SAMPLES = 100
 """Chosen: half a kilometre of a flight; who has flown so far without an answer is told why."""
 _MORE = 1.25
@@ -40,11 +40,11 @@ _REPORT_AGE_S = 1.0
 """Chosen: a position is carried on by its velocity no longer, as half a g for a second is 2.5 m."""
 _BIAS_SIGMA_M = 1.0
 """Chosen: antenna delays of uncalibrated radios are some decimetres, of others a metre."""
-_HUBER_SIGMAS = 2.0
-_DIRECTIONS, _STEPS = 8, 15
+_HUBER_SIGMAS = 2.0  # chosen: as in calibration
+_DIRECTIONS, _STEPS = 8, 15  # chosen: a start every 45 degrees
 _HEIGHTS = (-1.0, 0.0, 1.0)
 """Starts of the search: around the vehicles at their median range, and as far beneath and above."""
-_SAME_PLACE_SIGMAS = 3.0
+_SAME_PLACE_SIGMAS = 3.0  # chosen: one equal place in a hundred is held for two
 _OTHER_PLACE_COST = 12.0
 """Chosen: a likelihood ratio of 400; a place that fits so much worse is ruled out."""
 _MOST_SIGMA_M = 10.0

@@ -21,7 +21,7 @@ BeaconIds = Literal["stations", "vehicles"]
 
 MAX_STATIONS = 256
 """Chosen: more than a site has; bounds what forged messages may fill."""
-_TOLD_EVERY_S = 60.0
+_TOLD_EVERY_S = 60.0  # chosen: a reminder now and then
 _MAX_TOLD = 256
 """Chosen: the same remedy once a minute, and bounded in memory."""
 _CONTRADICTS_SIGMAS, _CONTRADICTS_M = 3.0, 1.0

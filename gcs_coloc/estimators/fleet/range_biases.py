@@ -42,10 +42,10 @@ _LEAST_OBSERVED = 0.1
 """Chosen: a combination of biases counts as observed with a tenth of the information on the best observed one."""
 _GRID_M = [(device_m, pair_m) for device_m in _SIGMAS_M for pair_m in _SIGMAS_M]
 """Sigmas of the bias of a device and of that of each pair; the first is none."""
-_NO_HEIGHT_M2 = 1e-9
+_NO_HEIGHT_M2 = 1e-9  # chosen: far below the variance of any range
 _MOST_PAIRS = 24
 """Chosen: bounds the cost; as three times the peers in use."""
-_DIFFUSE_M = 1e3
+_DIFFUSE_M = 1e3  # chosen: far beyond the lasting error of any range
 _ROUNDS = 3
 """Rounds of Gauss-Newton; chosen: the third changes nothing unless the start was metres off."""
 _ACCELERATION_SIGMAS = 3.0

@@ -41,7 +41,7 @@ _MEAN_SHARE = 0.3
 """Least mean residual, in stated sigmas of one range, that is told; chosen: less does not move the coverage of the bound."""
 _BETTER_BY_TIME = 0.7
 """Share of the residual that a small time offset may leave; chosen: it must explain half of the variance."""
-_MOST_PAIRS_NAMED = 4
+_MOST_PAIRS_NAMED = 4  # chosen: one line of a terminal
 _RATE_SPAN_S = 2.0
 """Half the time over which the rate of change of a distance is measured; chosen: noise of 1 m makes 0.35 m/s of it."""
 

@@ -15,8 +15,8 @@ from gcs_coloc.evaluation.antennas import AntennaRange
 from gcs_coloc.evaluation.data_checks.findings import median_residual_m
 from gcs_coloc.evaluation.dataset import Dataset
 
-_GAP_SPACINGS = 2.5
-_SHORTEST_GAP_S = 2.0
+_GAP_SPACINGS = 2.5  # chosen: one lost sample is no gap
+_SHORTEST_GAP_S = 2.0  # chosen: less is a pause of the radio
 _LONGEST_GAP_S = 30.0
 """Reports further apart than 2.5 times their median spacing, within 2 to 30 s, are a gap; chosen: one lost report is none."""
 _FINE_S = np.linspace(-2.0, 2.0, 81)

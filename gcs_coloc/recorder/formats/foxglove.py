@@ -21,21 +21,21 @@ FRAME_ID = "fleet"
 """The frame of scenes: east, north, up of the fleet's origin."""
 _UNKNOWN, _APPROXIMATED = 0, 1
 """foxglove.PositionCovarianceType; approximated, since the correlation of height and horizontal position is not recorded."""
-_LINE_LIST = 2
+_LINE_LIST = 2  # source: foxglove.LinePrimitive
 _LOG_LEVELS = {"info": 2, "warning": 3, "error": 4}
 """foxglove.LogLevel."""
 _AXES_95 = 2.4477
 """Semi-axes of the ellipse that holds 95 % of a plane Gaussian, in sigma: root of chi-square's quantile of two dimensions."""
 _VEHICLE_SHOWN_S = 2
 """Chosen: five entries of a vehicle; then it leaves the scene."""
-_RANGE_SHOWN_S = 1
+_RANGE_SHOWN_S = 1  # chosen: some rounds of ranges
 _COLOURS = {
     "healthy": (0.11, 0.62, 0.33),
     "suspect": (0.85, 0.6, 0.0),
     "failed": (0.83, 0.18, 0.18),
     "recovering": (0.16, 0.45, 0.8),
 }
-_NO_COLOUR = (0.5, 0.5, 0.5)
+_NO_COLOUR = (0.5, 0.5, 0.5)  # grey
 
 WellKnown = tuple[str, str, dict[str, Any]]
 """Topic, schema name and content of a message."""

@@ -18,8 +18,8 @@ from gcs_coloc.core.snapshot import VehicleSnapshot
 from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
 from gcs_coloc.recorder.journal import VehicleEntry
 
-ELLIPSE_PERIOD_S = 1.0
-_ELLIPSE_CORNERS = 24
+ELLIPSE_PERIOD_S = 1.0  # chosen: as dense as a map shows
+_ELLIPSE_CORNERS = 24  # chosen: round on a screen
 _ELLIPSE_SIGMAS = 2.0
 """Holds 86 % of the true positions where the covariance is right."""
 

@@ -43,11 +43,11 @@ from gcs_coloc.evaluation.data_checks.recorded_data import PositionTrack, Record
 from gcs_coloc.evaluation.scoring import VehicleScore, score, series_of
 from gcs_coloc.recorder.side_tables import TruthPoint
 
-_POSITION_EVERY_S = 0.5
-_RANGE_EVERY_S = 0.5
-MAX_ROWS = 1_000_000
+_POSITION_EVERY_S = 0.5  # chosen: as dense as a plot shows
+_RANGE_EVERY_S = 0.5  # chosen: as dense as a plot shows
+MAX_ROWS = 1_000_000  # chosen: what a browser takes
 _NO_VELOCITY = (float("nan"),) * 3
-_ELSEWHERE_M = 100_000.0
+_ELSEWHERE_M = 100_000.0  # chosen: no range reaches so far
 
 
 @dataclass(slots=True)

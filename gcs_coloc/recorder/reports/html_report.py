@@ -14,7 +14,7 @@ from gcs_coloc.recorder.journal import EVERY_S, VehicleEntry
 from gcs_coloc.recorder.reports.html_page import HEAD, image, table
 from gcs_coloc.recorder.reports.html_plots import map_picture, vehicle_picture
 
-_MAX_NOTICES = 500
+_MAX_NOTICES = 500  # chosen: more than anyone reads
 
 
 def page(history: FlightHistory) -> str:

@@ -12,15 +12,15 @@ from gcs_coloc.study.integrity.flight_classes import FlightClass, Layout, Motion
 
 STEP_S = 0.05
 """Step of the true motion; measurements lie between two steps. Chosen: 0.5 m at 10 m/s, straight within a millimetre."""
-_GRAVITY_MPS2 = 9.80665
-_PLANE_SPEED_MPS = (14.0, 28.0)
-_COPTER_SPEED_MPS = (4.0, 14.0)
-_HEIGHT_M = (60.0, 200.0)
+_GRAVITY_MPS2 = 9.80665  # source: standard gravity, ISO 80000-3
+_PLANE_SPEED_MPS = (14.0, 28.0)  # chosen: small fixed-wing aircraft
+_COPTER_SPEED_MPS = (4.0, 14.0)  # chosen: multirotors on missions
+_HEIGHT_M = (60.0, 200.0)  # chosen: where small aircraft fly
 _ROLL_RATE_RADPS = (radians(30.0), radians(70.0))
 """How fast a plane rolls, and how steep it turns, are drawn for each. Source: small unmanned planes, ArduPlane's defaults."""
 _TURN_BACK_BANK = radians(30.0)
-_STRAIGHT_SHARE = 0.4
-_LEAST_HELD_S, _MEAN_HELD_S = 2.0, 12.0
+_STRAIGHT_SHARE = 0.4  # chosen: missions are legs and turns
+_LEAST_HELD_S, _MEAN_HELD_S = 2.0, 12.0  # chosen: some leg is long, few are short
 _GUST_TIME_S = 4.0
 """Gusts are a Gauss-Markov process of this time. Source: Dryden's model at 100 m and 20 m/s gives 5 to 10 s."""
 

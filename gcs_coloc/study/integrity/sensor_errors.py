@@ -14,18 +14,18 @@ from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.study.integrity.flight_classes import FlightClass, RangeNoise, Span
 from gcs_coloc.study.integrity.motion import gauss_markov
 
-_SLOW_STEP_S = 1.0
-_HEIGHT_TIME_S = 200.0
+_SLOW_STEP_S = 1.0  # chosen: the slow errors change over 30 s and more
+_HEIGHT_TIME_S = 200.0  # chosen: temperature and weather change within minutes
 _VERTICAL_SHARE = 1.6
 """Vertical over horizontal error of a receiver; source: usual VDOP over HDOP."""
 _COMMON_TIME_S = 300.0
 """Of ionosphere and orbits; source: residuals of single-frequency receivers change over 5 to 30 minutes."""
 _UTC_BEHIND_S = (0.0, 0.3)
 """How far an autopilot's UTC is behind. Source: 0.19 s on ArduPlane 4.7 with a simulated receiver."""
-_CLEAR_S, _BLOCKED_S = 30.0, 4.0
-_DETOUR_M = (3.0, 40.0)
-_FLICKER_LOST_S, _FLICKER_BACK_S, _FLICKER_M = 4.0, 2.0, 60.0
-_REBOOT_S = (3.0, 12.0)
+_CLEAR_S, _BLOCKED_S = 30.0, 4.0  # chosen: past a building, or a hill, every half minute
+_DETOUR_M = (3.0, 40.0)  # chosen: the way around a building
+_FLICKER_LOST_S, _FLICKER_BACK_S, _FLICKER_M = 4.0, 2.0, 60.0  # chosen: a jammed receiver comes and goes
+_REBOOT_S = (3.0, 12.0)  # chosen: autopilots boot within so long
 _MOST_DRIFT = 20e-6
 """Of a crystal oscillator; source: data sheets of autopilots' crystals, 10 to 20 ppm."""
 

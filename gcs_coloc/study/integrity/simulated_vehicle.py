@@ -26,10 +26,10 @@ from gcs_coloc.study.integrity.motion import Trajectory
 from gcs_coloc.study.integrity.sensor_errors import Fault, LinkErrors, ReceiverErrors
 from sitl_fakes.geodesy import WorldFrame
 
-UNIX_EPOCH_S = 1_780_000_000.0
+UNIX_EPOCH_S = 1_780_000_000.0  # any; in 2026
 _AID_AGE_S = 0.2
 """Age that a vehicle takes a fix of ours to have: the default of `aiding.lag_s`."""
-_AID_FRESH_S = 1.0
+_AID_FRESH_S = 1.0  # chosen: ten messages of 10 Hz
 _FLIES_ON_S = 10.0
 """For so long an EKF without position calls itself absolute. Source: EKF3 with airspeed; copters less."""
 

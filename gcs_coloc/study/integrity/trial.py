@@ -24,7 +24,7 @@ FLIGHT_S = 240.0
 """Length of a flight; chosen: three minutes and a half without GPS, as long as the batteries of most emergencies."""
 TIME_TO_ALERT_S = 6.0
 """A fix that is wrong for no longer counts as alerted. Source: time to alert of an approach with vertical guidance (ICAO)."""
-_SAMPLE_S = 0.2
+_SAMPLE_S = 0.2  # chosen: as often as the fleet is reviewed
 _AGE_S = 0.2
 """Age of the estimate that is judged: that of the fix which is sent by default (`aiding.lag_s`)."""
 _FIX_LASTS_S = 0.35

@@ -14,7 +14,7 @@ from gcs_coloc.planning.load import load_plan
 from sitl_fakes.scenario import SCENARIOS
 
 _FRAME = LocalFrame(47.0, 8.0, 500.0)
-_DURATION_S = 300.0
+_DURATION_S = 300.0  # chosen: several legs
 _Points = Sequence[tuple[float, float]]
 
 

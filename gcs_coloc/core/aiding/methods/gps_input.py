@@ -28,7 +28,7 @@ DELAY_MS = (("GPS1_DELAY_MS", "GPS_DELAY_MS"), ("GPS2_DELAY_MS", "GPS_DELAY_MS2"
 _MOST_DELAY_MS = 250.0  # EKF3 takes no longer one (AP_NavEKF3, setup_core)
 _FIX_3D, _NO_FIX = 3, 1  # GPS_FIX_TYPE_3D_FIX, GPS_FIX_TYPE_NO_FIX
 _SATELLITES_WITH_FIX = 7  # enough for EKF3 (6), never so many that a switch by count would prefer us to a real receiver
-_UNKNOWN_ACCURACY_M = 9999.0
+_UNKNOWN_ACCURACY_M = 9999.0  # chosen: says that nothing is known, and is finite
 _UNKNOWN_DOP = 99.99
 _NOMINAL_RANGE_SIGMA_M = 2.0  # by which EKF3's limits are one: 5 m of horizontal accuracy, HDOP 2.5 (EK3_CHECK_SCALE=100)
 

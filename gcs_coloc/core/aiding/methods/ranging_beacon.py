@@ -28,7 +28,7 @@ _OLDEST_S = 1.0
 """Chosen: an older range is worth less than the next one."""
 _HANDED_S = 2.0
 """Chosen: for so long after the last message ranges count as being handed over."""
-_VEHICLE_IDS_FROM = 256
+_VEHICLE_IDS_FROM = 256  # chosen: above the 8-bit ids of ground stations
 _VEHICLE_IDS = MAX_STATION_ID + 1 - _VEHICLE_IDS_FROM
 """beacon_id of vehicle N is this plus N, apart from the ids of stations below it. EKF2 does not tell beacons apart."""
 _STOPPING = (InhibitReason.RANGES_INCONSISTENT, InhibitReason.RANGES_JUMPED)

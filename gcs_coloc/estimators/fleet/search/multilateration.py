@@ -21,7 +21,7 @@ from gcs_coloc.core.measurements import (
     Unlocated,
 )
 
-_AZIMUTHS = 12
+_AZIMUTHS = 12  # chosen: a start every 30 degrees
 _ELEVATIONS_RAD = (-0.8, -0.1, 0.1, 0.8)
 """Chosen: starting points 30 degrees apart on the sphere about each peer, above and below it."""
 _STARTS = 24
@@ -34,7 +34,7 @@ _LEAST_PEERS = 2
 """With one peer the position is anywhere on a sphere."""
 _HUBER_SIGMAS = 2.0
 """Chosen: residuals beyond it pull no harder (Huber 1964)."""
-_OUTLIER_SIGMAS = 5.0
+_OUTLIER_SIGMAS = 5.0  # chosen: less than one Gaussian error in a million
 _MOST_OUTLIERS = 0.3
 """Chosen: with more outliers than three of ten the ranges contradict each other."""
 _MOST_MEAN_SQUARE = 3.0
@@ -43,7 +43,7 @@ _CLEARLY_WORSE = 15.0
 """Chosen: difference of the costs (chi-square) from which on another minimum is excluded."""
 _DISTINCT_NIS = 25.0
 """Chosen: minima five sigmas apart horizontally are different positions."""
-_VELOCITY_PRIOR_MPS = (30.0, 30.0, 5.0)
+_VELOCITY_PRIOR_MPS = (30.0, 30.0, 5.0)  # chosen: 1-sigma of a small aircraft, east, north, up
 _HEIGHT_PRIOR_M = 300.0
 """Chosen: priors as wide as small aircraft fly, about rest and the mean height of the peers."""
 _ROUGH_MOST_SIGMAS = 50.0
