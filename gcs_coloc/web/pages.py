@@ -12,7 +12,7 @@ from gcs_coloc.web.wire import HIDDEN, SHOWN, VISIBLE, EventsFrame, VehicleHisto
 MAX_PAGES = 32  # chosen: bounds what pages cost the service; nobody has as many operators
 MAX_UNSHOWN = 2
 """Pictures on their way to a page. Chosen: one would halve the rate at a round trip of 0.4 s, more would show the past."""
-_PAGES_AT_A_TIME = 8
+_PAGES_AT_A_TIME = 8  # chosen: sending to them takes a millisecond
 
 
 class PageSource(Protocol):
@@ -79,6 +79,8 @@ class Page:
         """Apply what the page says of itself."""
         if text == SHOWN:
             self._unshown = max(self._unshown - 1, 0)
+            if self._picture is None:
+                return  # nothing waits for it: most acknowledgements wake nobody
         elif text == HIDDEN:
             self.visible = False
             self._picture = None
