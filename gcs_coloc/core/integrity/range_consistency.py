@@ -15,18 +15,21 @@ from math import exp
 import numpy as np
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, EpochHistory, Past
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import FaultTestResult, SignificanceLevels, run_tests
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import WELL_PLACED_SIGMA_M, FaultTestResult, SignificanceLevels, run_tests
 from gcs_coloc.core.integrity.epoch_tests.inconsistency import explain_inconsistency
 from gcs_coloc.core.integrity.epoch_tests.isolation import Isolation, isolate
-from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
+from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel, clearly_smaller_noise
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor, FaultMonitorSettings
 from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeResidualSettings, TrackPoint
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
 from gcs_coloc.core.schedule import SAME_S
 
-_WELL_PLACED_SIGMA_M = 10.0  # chosen: beyond it motion places a vehicle, and no error of a range acts in full
 _HOLD_WINDOWS = 10.0  # without any test for so many windows a detection ends
+_SMALLER_FOR_S = 10.0
+"""For so long a smaller noise is clearly likelier before it counts. Chosen: ten windows; lasting errors show in each of them."""
+_PAIRS_FAIL_FOR_S = 60.0
+"""For so long after pairs were off several may be at once. Chosen: a fleet takes as long to leave buildings and hills behind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +109,8 @@ class RangeConsistency:
         self._epochs = EpochHistory(s.intervals_s, s.correlation_time_s, s.period_s)
         self._persistence = {interval_s: _Persistence() for interval_s in (0.0, *s.intervals_s)}
         self._alert_until_s: dict[int, float] = {}
+        self._pairs_off_at_s = float("-inf")
+        self._smaller_since_s: float | None = None
         self._due_s = float("-inf")
         self._tested_s = float("-inf")
 
@@ -139,7 +144,10 @@ class RangeConsistency:
         self._due_s = now_s + self.settings.period_s - SAME_S
         whole = self._residuals.epoch(now_s)
         self.noise = explain_inconsistency(whole, self.noise.after(self.settings.period_s), self.settings.levels, doubtful)
+        if self.noise.pairs_off:
+            self._pairs_off_at_s = now_s
         stated = self.noise.select(whole)
+        self._shrink_noise(stated, now_s)
         sparse = self.noise.select(self._residuals.sparse_epoch(now_s, whole))
         self.epoch = self.noise.apply(sparse)
         self._run_fault_monitor(stated, now_s)
@@ -152,12 +160,24 @@ class RangeConsistency:
         for vehicle, excess_m2 in self._noise_excess_m2(sparse).items():
             self.separation_m2[vehicle] = self.separation_m2.get(vehicle, 0.0) + excess_m2
 
+    def _shrink_noise(self, stated: Epoch, now_s: float) -> None:
+        """Take back what was added to the stated noise, where the ranges have been clearly likelier with less for a while."""
+        smaller = None
+        if stated.residuals and not self.noise.is_as_stated:
+            smaller = clearly_smaller_noise(stated, self.noise, self.settings.levels)
+        if smaller is None:
+            self._smaller_since_s = None
+        elif self._smaller_since_s is None:
+            self._smaller_since_s = now_s
+        elif now_s - self._smaller_since_s >= _SMALLER_FOR_S:
+            self.noise, self._smaller_since_s = smaller, None
+
     def _noise_excess_m2(self, stated: Epoch) -> dict[int, FloatArray]:
         """What the noise beyond the stated one costs each vehicle that the ranges alone place well, m^2 (2, 2)."""
         if self.noise.is_as_stated or not stated.residuals:
             return {}
         as_stated, as_found = SolutionSeparation(stated), SolutionSeparation(self.epoch)
-        placed = [v for v in as_stated.vehicles if float(np.trace(as_stated.covariance_m2(v))) < _WELL_PLACED_SIGMA_M**2]
+        placed = [v for v in as_stated.vehicles if float(np.trace(as_stated.covariance_m2(v))) < WELL_PLACED_SIGMA_M**2]
         return {v: as_found.covariance_m2(v) - as_stated.covariance_m2(v) for v in placed}
 
     def _run_fault_monitor(self, epoch: Epoch, now_s: float) -> None:
@@ -184,7 +204,7 @@ class RangeConsistency:
             return
         self._tested_s = now_s
         self._update_separation(results, epoch, now_s)
-        self._update_faults(results, epoch, pasts, doubtful)
+        self._update_faults(results, epoch, pasts, doubtful, pairs_fail=now_s - self._pairs_off_at_s <= _PAIRS_FAIL_FOR_S)
         if all(result.is_clear for result in results.values()):
             self._end_detection()
 
@@ -199,7 +219,13 @@ class RangeConsistency:
         return {interval_s: result for interval_s, result in results.items() if result is not None}
 
     def _update_faults(
-        self, results: Mapping[float, FaultTestResult], epoch: Epoch, pasts: Mapping[float, Past], doubtful: Collection[int]
+        self,
+        results: Mapping[float, FaultTestResult],
+        epoch: Epoch,
+        pasts: Mapping[float, Past],
+        doubtful: Collection[int],
+        *,
+        pairs_fail: bool,
     ) -> None:
         samples: dict[float, Isolation] = {}
         for interval_s, result in results.items():
@@ -208,7 +234,7 @@ class RangeConsistency:
                 persistence.reset()
             elif epoch.began_s >= persistence.sampled_until_s:
                 persistence.sampled_until_s = epoch.ended_s
-                samples[interval_s] = isolate(epoch, pasts[interval_s], self.settings.levels, doubtful)
+                samples[interval_s] = isolate(epoch, pasts[interval_s], self.settings.levels, doubtful, pairs_fail=pairs_fail)
         identified: dict[int, float] = {}
         for interval_s, sample in samples.items():
             persistence = self._persistence[interval_s]

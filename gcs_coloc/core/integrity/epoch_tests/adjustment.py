@@ -113,6 +113,16 @@ class Adjustment:
         size = score / left
         return FaultEffect(score * size, 1, np.array([size]), self.corrections_m - moved * size)
 
+    def placed_offset_m(self, vehicle: int, placed_m: float) -> FloatArray:
+        """The horizontal correction d (2,) of a vehicle without prior, as far as the ranges determine it.
+
+        S (S + C)^-1 d with S = `placed_m`^2 I, and d and its covariance C linearised where the vehicle is said to be. In a
+        direction that the ranges hardly see, d is their noise times any number.
+        """
+        first_m, covariances_m2 = self._solution.first_linear
+        covariance = covariances_m2[self._number, self._index[vehicle]]
+        return np.asarray(np.linalg.solve(covariance / placed_m**2 + np.eye(2), self.horizontal(vehicle, first_m[self._number])))
+
     def horizontal(self, vehicle: int, states: FloatArray) -> FloatArray:
         """A vehicle's east and north (2,) of a state vector, in the present epoch."""
         i = 3 * self._index[vehicle]
@@ -178,6 +188,7 @@ class _Solution:
         without_prior = np.concatenate([self._now.states_without_prior, self._now.states_without_prior + 3 * vehicles])
         shift: FloatArray = np.zeros((tests, 6 * vehicles))
         variances_without_prior_m2 = self._solve(self._unit_vectors, self._residuals_m, without_prior)
+        self.first_linear = self.corrections_m, self._horizontal_covariances(without_prior)
         for _ in range(_NEWTON_STEPS - 1):
             step = self.corrections_m[:, without_prior]
             moving = np.abs(step - shift[:, without_prior]).max(axis=1, initial=0.0) > _CONVERGED_M
@@ -224,9 +235,18 @@ class _Solution:
             self._factors.append((factors, pivots))
             solutions[test] = solution.T
         self.corrections_m: FloatArray = solutions[:, 0]
+        self._columns: FloatArray = solutions[:, 1:]  # of the covariance, of the states without prior
         explained = np.einsum("ts,ts->t", self._g, self.corrections_m)
         self.statistics = np.einsum("tsr,tsr->t", residuals_m, self._weighted_m) - explained
-        return np.asarray(solutions[:, 1 + np.arange(len(without_prior)), without_prior])
+        return np.asarray(self._columns[:, np.arange(len(without_prior)), without_prior])
+
+    def _horizontal_covariances(self, without_prior: NDArray[np.intp]) -> FloatArray:
+        """The horizontal covariances (tests, vehicles, 2, 2), m^2, in the present epoch, zero for vehicles with a prior."""
+        tests, vehicles = len(self._weights), len(self._now.vehicles)
+        states: FloatArray = np.zeros((tests, 6 * vehicles, 6 * vehicles))
+        states[:, without_prior] = self._columns
+        present = states[:, : 3 * vehicles, : 3 * vehicles].reshape(tests, vehicles, 3, vehicles, 3)
+        return np.asarray(np.einsum("tvavb->tvab", present)[:, :, :2, :2])
 
     def covariance_times(self, test: int, pulls: FloatArray) -> FloatArray:
         """The product of a test's covariance of all states and some vectors (..., states): m for 1/m."""

@@ -28,6 +28,9 @@ from gcs_coloc.core.integrity.epoch_tests.adjustment import Adjustment, FaultEff
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
 from gcs_coloc.core.measurements import FloatArray
 
+WELL_PLACED_SIGMA_M = 10.0
+"""Chosen: beyond it motion places a vehicle, and no error of a range acts in full."""
+
 
 @dataclass(frozen=True, slots=True)
 class FaultTestResult:
@@ -35,8 +38,8 @@ class FaultTestResult:
 
     `is_consistent`: no alarm. `is_clear`: far from an alarm. `suspects`: in an alarm the vehicles whose position the local tests
     reject, or all that report one where they reject none. By vehicle without prior: `offset_m` (2,) is its correction if nobody
-    is faulty, `separation_m2` (2, 2) the second moment of the solution separation over the plausible faults, zero where none is
-    likely enough to count.
+    is faulty, as far as the ranges determine it; `separation_m2` (2, 2) the second moment of the solution separation over the
+    plausible faults, zero where none is likely enough to count.
     """
 
     statistic: float
@@ -100,7 +103,7 @@ def run_test(fit: Adjustment, levels: SignificanceLevels) -> FaultTestResult | N
         is_consistent=not alarm,
         is_clear=not alarm and not weight and fit.statistic <= chi2_limit(dof, levels.clear),
         suspects=frozenset(rejected or reporting) if alarm else frozenset(),
-        offset_m={v: fit.horizontal(v, fit.corrections_m) for v in without_prior},
+        offset_m={v: fit.placed_offset_m(v, WELL_PLACED_SIGMA_M) for v in without_prior},
         separation_m2=separation,
     )
 

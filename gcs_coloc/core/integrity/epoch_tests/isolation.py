@@ -16,7 +16,7 @@ J. Wang and C. Rizos, Generalised measures of reliability for multiple outliers,
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import inf
 
@@ -25,6 +25,7 @@ import numpy as np
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_model import AdjustedHypothesis, FaultKind, FaultModel, Hypothesis
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit
+from gcs_coloc.core.integrity.epoch_tests.pair_outliers import cost_of_two_pairs
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.core.stations.node_id import is_station
 
@@ -40,10 +41,11 @@ class Isolation:
     """Result for one epoch, or one against an earlier one.
 
     `plausible`: the explanations not clearly worse than the best, which comes first; none where not even the best leaves a
-    consistent rest.
+    consistent rest. `or_pairs_of`: vehicles that two of their pairs, off at once, may only seem to have at another place.
     """
 
     plausible: tuple[AdjustedHypothesis, ...]
+    or_pairs_of: frozenset[int] = frozenset()
 
     @property
     def cost(self) -> float:
@@ -60,7 +62,7 @@ class Isolation:
         """By vehicle the size of its fault, m: the vehicles whose position is off in every plausible explanation."""
         if not self.plausible:
             return {}
-        common = frozenset.intersection(*(_faulty(each) for each in self.plausible))
+        common = frozenset.intersection(*(_faulty(each) for each in self.plausible)) - self.or_pairs_of
         return dict.fromkeys(sorted(common), self.plausible[0].size_m)
 
     @property
@@ -74,8 +76,13 @@ class Isolation:
         return bool(self.plausible) and not self.possible
 
 
-def isolate(now: Epoch, past: Past, levels: SignificanceLevels, troubled: Collection[int] = ()) -> Isolation:
-    """Explain what an epoch, alone or against an earlier one, contradicts. `troubled` vehicles report trouble themselves."""
+def isolate(
+    now: Epoch, past: Past, levels: SignificanceLevels, troubled: Collection[int] = (), *, pairs_fail: bool = False
+) -> Isolation:
+    """Explain what an epoch, alone or against an earlier one, contradicts.
+
+    `troubled` vehicles report trouble themselves. `pairs_fail`: pairs have been off of late, and two may be at once.
+    """
     model = FaultModel(now, past)
     hypotheses = _hypotheses(now, model, _candidates(now, model))
     explanations = model.explain(hypotheses, [_penalty(each, frozenset(troubled)) for each in hypotheses])
@@ -85,7 +92,12 @@ def isolate(now: Epoch, past: Past, levels: SignificanceLevels, troubled: Collec
     dof = best.degrees_of_freedom
     if dof and best.statistic > chi2_limit(dof, levels.rest):
         return Isolation(())
-    return Isolation(tuple(each for each in explanations if each.cost <= best.cost + levels.margin))
+    limit = best.cost + levels.margin
+    isolation = Isolation(tuple(each for each in explanations if each.cost <= limit))
+    if not pairs_fail:
+        return isolation
+    alone = (vehicle for vehicle in isolation.isolated if vehicle not in troubled)
+    return replace(isolation, or_pairs_of=frozenset(v for v in alone if cost_of_two_pairs(now, past, v) <= limit))
 
 
 def _faulty(explanation: AdjustedHypothesis) -> frozenset[int]:

@@ -9,6 +9,8 @@ until ranges and positions agree. Among the components that bring this about the
 with r the residuals of one epoch, V their covariance, and A the columns of the positions without prior. A fault of one receiver
 costs less than noise of all: the determinant grows with every residual.
 
+What blocked ranges brought about goes again: a smaller component that is clearly likelier for a while takes its place.
+
 All components last: between two epochs they change with the ranges, or as a position error does. A step or a ramp is still found
 by the tests against earlier epochs.
 
@@ -103,6 +105,17 @@ class NoiseModel:
         yield from (replace(self, height_sigma_m=sigma_m) for sigma_m in _HEIGHT_SIGMAS_M if sigma_m > self.height_sigma_m)
         yield from (replace(self, position_factor=factor) for factor in _POSITION_FACTORS if factor > self.position_factor)
 
+    def smaller(self) -> Iterator[NoiseModel]:
+        """Yield the models with one component made smaller, down to what is stated."""
+        yield from (replace(self, range_bias_m=bias_m) for bias_m in (0.0, *_RANGE_BIASES_M) if bias_m < self.range_bias_m)
+        yield from (replace(self, range_scale=scale) for scale in (0.0, *_RANGE_SCALES) if scale < self.range_scale)
+        yield from (
+            replace(self, height_sigma_m=sigma_m) for sigma_m in (0.0, *_HEIGHT_SIGMAS_M) if sigma_m < self.height_sigma_m
+        )
+        yield from (
+            replace(self, position_factor=factor) for factor in (1.0, *_POSITION_FACTORS) if factor < self.position_factor
+        )
+
     def _prior(self, prior: PositionPrior) -> PositionPrior:
         return prior._replace(
             sigma_h_m=prior.sigma_h_m * self.position_factor, sigma_v_m=max(prior.sigma_v_m, self.height_sigma_m)
@@ -153,6 +166,21 @@ def likeliest_noise(epoch: Epoch, present: NoiseModel, levels: SignificanceLevel
         if likelihood.statistic <= chi2_limit(likelihood.degrees_of_freedom, levels.rest):
             found.append(LikeliestNoise(model, likelihood.cost - base.cost + base.statistic))
     return min(found, key=lambda each: each.cost, default=None)
+
+
+def clearly_smaller_noise(epoch: Epoch, present: NoiseModel, levels: SignificanceLevels) -> NoiseModel | None:
+    """Return the likeliest smaller model with which an epoch as stated is consistent and clearly likelier than with `present`.
+
+    None where there is none. Ranges that test nothing are as likely with either.
+    """
+    limit = restricted_likelihood(present.apply(epoch)).cost - levels.margin
+    found: list[LikeliestNoise] = []
+    for model in present.smaller():
+        likelihood = restricted_likelihood(model.apply(epoch))
+        is_consistent = likelihood.statistic <= chi2_limit(likelihood.degrees_of_freedom, levels.rest)
+        if is_consistent and likelihood.cost < limit:
+            found.append(LikeliestNoise(model, likelihood.cost))
+    return min(found, key=lambda each: each.cost).model if found else None
 
 
 def _is_considerable(model: NoiseModel) -> bool:

@@ -3,6 +3,9 @@
 A fault of one pair is a hypothesis of `isolation`. Here the pair whose ranges explain most is left out, then the next, until the
 rest is consistent: iterated data snooping. The rest keeps redundancy and more than half of the pairs.
 
+Two pairs of one vehicle that are off look like a vehicle that is elsewhere: its position has two horizontal unknowns, as many as
+there are ranges to explain. Where pairs have been off of late, that is an explanation beside a faulty receiver.
+
 Source: W. Baarda, A testing procedure for use in geodetic networks (1968); N. L. Knight, J. Wang and C. Rizos, J. Geodesy 84
 (2010), multiple outliers.
 """
@@ -11,10 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+from itertools import combinations
+from math import inf
 from typing import NamedTuple
 
 from gcs_coloc.core.integrity.epoch_tests.adjustment import adjust
-from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit
 
 _FURTHER_PAIR_PENALTY = 9.2  # twice the log of 100: chosen, so much rarer is each further pair that is off at the same time
@@ -55,6 +60,20 @@ def pair_outliers(epoch: Epoch, levels: SignificanceLevels) -> PairOutliers | No
             rows.setdefault(_pair(residual.pair), []).append(number)
         gains = {pair: fit.range_effect(numbers).gain for pair, numbers in sorted(rows.items())}
         off.add(max(gains, key=lambda pair: gains[pair]))
+
+
+def cost_of_two_pairs(now: Epoch, past: Past, vehicle: int) -> float:
+    """Return the least cost of the explanation that the ranges of two pairs of a vehicle are off, as `PairOutliers` has it.
+
+    `past` is an earlier epoch, in which the same pairs are left out.
+    """
+    then, correlation = past
+    pairs = sorted({_pair(residual.pair) for residual in now.residuals if vehicle in residual.pair})
+    statistics = (
+        adjust(without_pairs(now, two), [(without_pairs(then, two) if then is not None else None, correlation)])[0].statistic
+        for two in combinations(pairs, 2)
+    )
+    return min(statistics, default=inf) + _FURTHER_PAIR_PENALTY
 
 
 def _pair(vehicles: Pair) -> Pair:

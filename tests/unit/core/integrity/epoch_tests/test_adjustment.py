@@ -111,3 +111,24 @@ def same_effect(fast, effect, slow, expected):
         # size above: how the slow form rounds depends on the machine's linear algebra.
         tolerance_m = max(0.03, 1e-3 * float(np.linalg.norm(wanted)))
         assert (moved - wanted) @ apart / np.linalg.norm(apart) == pytest.approx(0.0, abs=tolerance_m)
+
+
+def two_ranges(angle_rad):
+    """Vehicle 3 has no prior and is 40 m east of where it is said to be; two peers at 500 m, at an angle to each other."""
+    away = [(500.0, 0.0), (500.0 * np.cos(angle_rad), 500.0 * np.sin(angle_rad))]
+    priors = {v: PositionPrior((*place, 0.0), 1.0, 1.0, False) for v, place in enumerate(away, 1)}
+    priors[3] = PositionPrior((-40.0, 0.0, 0.0), 1.0, 1.0, True)
+    rng = np.random.default_rng(5)
+    residuals = []
+    for peer, place in enumerate(away, 1):
+        measured = np.hypot(*place) + 0.5 * rng.standard_normal()
+        residuals.append(RangeResidual(3, peer, float(measured - np.hypot(place[0] + 40.0, place[1])), 0.5))
+    return adjust(Epoch(0.0, priors, tuple(residuals)), [(None, 0.0)])[0]
+
+
+def test_an_offset_is_taken_as_far_as_the_ranges_determine_it():
+    """Ranges at a right angle show where the vehicle is; those of one direction show nothing across it but noise."""
+    assert np.hypot(*(two_ranges(np.pi / 2.0).placed_offset_m(3, 10.0) - (40.0, 0.0))) < 3.0
+    along = two_ranges(2e-4)
+    assert np.hypot(*along.horizontal(3, along.corrections_m)) > 100.0
+    assert np.hypot(*(along.placed_offset_m(3, 10.0) - (40.0, 0.0))) < 3.0
