@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gcs_coloc.config.sections import topic_level
+from gcs_coloc.config.service_sections import topic_level
 from gcs_coloc.config.settings import Settings, read_table, settings_of
 from gcs_coloc.core.errors import ConfigError, GcsColocError, UsageError
 from gcs_coloc.links.base import parse, parse_out

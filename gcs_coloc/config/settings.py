@@ -28,14 +28,16 @@ from gcs_coloc.config.sections import (
     IntegrityConfig,
     MavlinkConfig,
     MeasurementConfig,
-    MqttConfig,
-    RecordConfig,
     SendersConfig,
-    ServiceConfig,
     SigningConfig,
-    StandbyConfig,
     StationConfig,
     TimeConfig,
+)
+from gcs_coloc.config.service_sections import (
+    MqttConfig,
+    RecordConfig,
+    ServiceConfig,
+    StandbyConfig,
     WebConfig,
 )
 from gcs_coloc.core.engine import EngineSettings

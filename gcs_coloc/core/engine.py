@@ -27,27 +27,23 @@ from gcs_coloc.core.integrity.monitor import IntegrityMonitor
 from gcs_coloc.core.integrity.protection_level import ProtectionSettings
 from gcs_coloc.core.measurements import Estimate, NoEstimate
 from gcs_coloc.core.messages.control import (
-    AidingOverride,
     ClockReference,
     ControlInput,
     ForeignGpsInput,
     GpsOverride,
     HoldBack,
     OperatorCommand,
-    Override,
-    PrimaryOverride,
     RouteReport,
     SwitchedByOther,
     TransmitDisabled,
 )
-from gcs_coloc.core.messages.inbound import (
-    Inbound,
-)
+from gcs_coloc.core.messages.inbound import Inbound
 from gcs_coloc.core.messages.outbound import ChangesVehicle, Notice, Outbound, ToVehicle
+from gcs_coloc.core.operator_overrides import OperatorOverrides
 from gcs_coloc.core.readiness.vehicle_readiness import VehicleReadiness
 from gcs_coloc.core.reasons import CoreRefusal, StatedReason
 from gcs_coloc.core.schedule import TickSchedule
-from gcs_coloc.core.snapshot import FleetSnapshot, OverrideSources, vehicle_snapshot
+from gcs_coloc.core.snapshot import FleetSnapshot, vehicle_snapshot
 from gcs_coloc.core.stations.station_survey import StationSurvey
 from gcs_coloc.core.stations.stations import Station, Stations
 from gcs_coloc.core.telemetry.measurement_builder import MeasurementBuilder
@@ -124,7 +120,7 @@ class Engine:
         self._review_schedule = TickSchedule(0.0)
         self._transmits = True
         self._is_held_back = False
-        self._commands: dict[tuple[int, type[Override]], OperatorCommand] = {}
+        self._overrides = OperatorOverrides()
         self._update_host_inhibit()
 
     def receive(self, message: Inbound) -> None:
@@ -243,7 +239,7 @@ class Engine:
                 name=self.settings.names.get(vehicle.sysid, ""),
                 gps_health=self.gps_health,
                 gps_override=review.gps_override(vehicle.sysid),
-                override_sources=self._override_sources(vehicle.sysid),
+                override_sources=self._overrides.sources(vehicle.sysid),
                 aiding=review.aiding_view(vehicle),
                 delay_s=self.measurements.delay_s(vehicle.sysid),
                 clock=self.clocks.quality(vehicle.sysid, now_s),
@@ -344,27 +340,18 @@ class Engine:
 
     def _apply_command(self, message: OperatorCommand) -> None:
         override, sysid, at_s = message.override, message.sysid, message.received_at_s
-        self._commands[sysid, type(override)] = message
         if isinstance(override, GpsOverride):
             self._review.set_gps_override(sysid, override)
         else:
             self.aiding.set_override(sysid, override)
-        what = {GpsOverride: "GPS", AidingOverride: "aiding", PrimaryOverride: "GPS_PRIMARY"}[type(override)]
-        by = f", by {message.source}" if message.source is not None else ""
-        self._notify(at_s, sysid, "info", f"operator: {what} {override.value}{by}")
+        self._outbox.append(self._overrides.add(message))
         vehicle = self.telemetry.get(sysid)
         if vehicle is not None:
             self._outbox.extend(self._review.review_vehicle(vehicle, at_s))
 
     def overrides(self) -> tuple[OperatorCommand, ...]:
         """Return the operator's overrides that are in force, those that are automatic left out."""
-        return tuple(command for command in self._commands.values() if command.override.value != "auto")
-
-    def _override_sources(self, sysid: int) -> OverrideSources:
-        """Return who gave each override of a vehicle that is in force."""
-        given = [self._commands.get((sysid, kind)) for kind in (GpsOverride, AidingOverride, PrimaryOverride)]
-        gps, aiding, primary = (one.source if one is not None and one.override.value != "auto" else None for one in given)
-        return OverrideSources(gps, aiding, primary)
+        return self._overrides.in_force()
 
     def _report_estimator(self, text: str) -> None:
         self._notify(self._now_s, None, "error", text)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import sqrt
-from typing import NamedTuple
 
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.aiding.stream import AidingView
@@ -13,7 +12,8 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.gps_health.fleet_gps_health import FleetGpsHealth
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 from gcs_coloc.core.measurements import Estimate, FloatArray, NoEstimate, Vector3
-from gcs_coloc.core.messages.control import CommandSource, GpsOverride
+from gcs_coloc.core.messages.control import GpsOverride
+from gcs_coloc.core.operator_overrides import OverrideSources
 from gcs_coloc.core.readiness.vehicle_readiness import VehicleReadiness
 from gcs_coloc.core.residual_log import Consistency, RangeSnapshot
 from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
@@ -147,14 +147,6 @@ class FleetSnapshot:
     noise: NoiseModel = field(default_factory=NoiseModel)
     alert_limit_m: float = field(default_factory=lambda: AidingSettings().alert_limit_m)
     standby: StandbySnapshot | None = None
-
-
-class OverrideSources(NamedTuple):
-    """Where the overrides of one vehicle came from; None for one that is not in force."""
-
-    gps: CommandSource | None
-    aiding: CommandSource | None
-    primary: CommandSource | None
 
 
 def vehicle_snapshot(

@@ -6,7 +6,8 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gcs_coloc.config.sections import MavlinkConfig, RecordConfig
+from gcs_coloc.config.sections import MavlinkConfig
+from gcs_coloc.config.service_sections import RecordConfig
 from gcs_coloc.core.alarms.alarms import Alarm
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.outbound import Outbound

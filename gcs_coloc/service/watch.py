@@ -7,7 +7,7 @@ import logging
 import signal
 import time
 
-from gcs_coloc.config.sections import MqttConfig, WebConfig
+from gcs_coloc.config.service_sections import MqttConfig, WebConfig
 from gcs_coloc.runtime.process import collect_seldom
 from gcs_coloc.sinks.console import LiveTable, SharedConsole
 from gcs_coloc.sinks.event_bus import IdleScheduler

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from aiomqtt import Client, MqttError, Will
 
-from gcs_coloc.config.sections import MqttConfig
+from gcs_coloc.config.service_sections import MqttConfig
 from gcs_coloc.core.errors import ConfigError
 from gcs_coloc.runtime.process import read_private_file
 

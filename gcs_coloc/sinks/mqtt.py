@@ -13,7 +13,7 @@ from collections.abc import Coroutine, Iterable
 from aiomqtt import Client, MqttError, Will
 from pydantic import BaseModel
 
-from gcs_coloc.config.sections import MqttConfig
+from gcs_coloc.config.service_sections import MqttConfig
 from gcs_coloc.core.alarms.alarms import Alarm
 from gcs_coloc.mavlink.refusals import Counts
 from gcs_coloc.sinks.broker_connection import ANSWER_WITHIN_S, BrokerConnection

@@ -14,7 +14,7 @@ from gcs_coloc.core.messages.inbound import PeerRange
 from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.core.standby.sign_of_life import StandbyOrder
 from gcs_coloc.mavlink.refusals import Counts
-from gcs_coloc.sinks.mqtt_models import Command, Range, StandbyCommand
+from gcs_coloc.sinks.mqtt_commands import Command, Range, StandbyCommand
 
 _MAX_PAYLOAD_BYTES = 1000
 """Chosen: five times the longest valid message; a longer one is not parsed."""

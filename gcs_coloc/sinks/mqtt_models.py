@@ -1,4 +1,4 @@
-"""The MQTT messages, published and received, as models; docs/reference/mqtt.md describes every topic and field.
+"""The MQTT messages that are published, as models, and the topics of all; docs/reference/mqtt.md describes every topic and field.
 
 `python -m gcs_coloc.sinks.mqtt_models` prints their JSON schemas, which stand in docs/reference/schemas/mqtt-v2.json.
 """
@@ -7,26 +7,21 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict
 
 from gcs_coloc.core.alarms.alarms import Alarm, AlarmKind, AlarmState
-from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, Override, PrimaryOverride
-from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
-from gcs_coloc.core.standby.sign_of_life import StandbyOrder, StandbyState
+from gcs_coloc.core.standby.sign_of_life import StandbyState
 from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.core.station_review import StationSnapshot
-from gcs_coloc.core.stations.node_id import MAX_STATION_ID, MAX_SYSTEM_ID, station_node
-from gcs_coloc.mavlink.checks import RANGE_MAX_M, UNIX_TIME_FROM_US, UNIX_TIME_TO_US
 from gcs_coloc.sinks.fleet_overview import FleetOverview
+from gcs_coloc.sinks.mqtt_commands import Command, Range, StandbyCommand
 
 TOPIC_VERSION = "v2"
 """Stands in every topic. A change that breaks readers makes it the next one; v1 was that of version 0.1."""
-
-_UNIX_FROM_S, _UNIX_TO_S = UNIX_TIME_FROM_US / 1e6, UNIX_TIME_TO_US / 1e6
 
 
 class _Sent(BaseModel):
@@ -171,90 +166,6 @@ class AlarmChange(_Sent):
     action: str
     times: int
     raised_unix_s: float | None
-
-
-class Command(BaseModel):
-    """`…/{sysid}/cmd`: the operator overrides the GPS state of a vehicle, its aiding, or its GPS_PRIMARY: one of them."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    gps: GpsOverride | None = None
-    aiding: AidingOverride | None = None
-    gps_primary: PrimaryOverride | None = None
-
-    @model_validator(mode="after")
-    def _one_override(self) -> Self:
-        if len(self._overrides()) != 1:
-            raise ValueError("one override is wanted")
-        return self
-
-    def override(self) -> Override:
-        """The override that was given."""
-        return self._overrides()[0]
-
-    def _overrides(self) -> list[Override]:
-        return [override for override in (self.gps, self.aiding, self.gps_primary) if override is not None]
-
-
-class StandbyCommand(BaseModel):
-    """`…/standby/cmd`: the operator's order on the hot standby."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    order: StandbyOrder
-
-
-class Range(BaseModel):
-    """`…/{sysid}/range`: a range that this vehicle measured to a vehicle (`peer`) or a station, at `unix_s` or `boot_s`.
-
-    Without both times it was measured on arrival.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-    peer: int | None = Field(None, ge=1, le=MAX_SYSTEM_ID)
-    station: int | None = Field(None, ge=0, le=MAX_STATION_ID)
-    range_m: float = Field(gt=0.0, le=RANGE_MAX_M)
-    sigma_m: float | None = Field(None, gt=0.0, le=RANGE_MAX_M)
-    unix_s: float | None = Field(None, ge=_UNIX_FROM_S, le=_UNIX_TO_S)
-    boot_s: float | None = Field(None, ge=0.0, lt=_UNIX_FROM_S)
-    sequence: int | None = Field(None, ge=0)
-    line_of_sight: float | None = Field(None, ge=0.0, le=1.0)
-    device_id: int = Field(0, ge=0, le=255)
-
-    @model_validator(mode="after")
-    def _one_other_end(self) -> Self:
-        if (self.peer is None) == (self.station is None):
-            raise ValueError("a peer or a station is wanted")
-        return self
-
-    @property
-    def node(self) -> int:
-        """The node id of the other end."""
-        return self.peer if self.peer is not None else station_node(self.station or 0)
-
-    @model_validator(mode="after")
-    def _one_clock(self) -> Self:
-        if self.unix_s is not None and self.boot_s is not None:
-            raise ValueError("unix_s and boot_s exclude each other")
-        return self
-
-    def message(self, sysid: int, received_at_s: float) -> PeerRange:
-        """The range as the engine receives it: measured by vehicle `sysid`, received at a service time in s."""
-        measured_at_s, base = self.boot_s, TimeBase.BOOT
-        if self.unix_s is not None:
-            measured_at_s, base = self.unix_s, TimeBase.UNIX
-        elif self.boot_s is None:
-            base = TimeBase.SERVICE
-        return PeerRange(
-            sysid=sysid,
-            received_at_s=received_at_s,
-            peer=self.node,
-            range_m=self.range_m,
-            sigma_m=self.sigma_m,
-            measured_at_s=measured_at_s,
-            time_base=base,
-            sequence=self.sequence,
-            line_of_sight=self.line_of_sight,
-            device_id=self.device_id,
-        )
 
 
 BY_TOPIC: dict[str, type[BaseModel]] = {

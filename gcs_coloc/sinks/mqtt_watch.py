@@ -10,7 +10,7 @@ from enum import StrEnum
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from gcs_coloc.config.sections import MqttConfig
+from gcs_coloc.config.service_sections import MqttConfig
 from gcs_coloc.mavlink.refusals import Counts
 from gcs_coloc.sinks.broker_connection import BrokerConnection
 from gcs_coloc.sinks.fleet_overview import FleetOverview

@@ -15,7 +15,7 @@ from typing import Any
 import uvicorn
 from starlette.applications import Starlette
 
-from gcs_coloc.config.sections import WebConfig
+from gcs_coloc.config.service_sections import WebConfig
 from gcs_coloc.core.errors import ConfigError, WebError
 from gcs_coloc.runtime.process import read_private_file
 from gcs_coloc.web.app import WebHooks, make_app

@@ -26,8 +26,8 @@ from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
 from gcs_coloc.core.schedule import SAME_S
 
 _HOLD_WINDOWS = 10.0  # without any test for so many windows a detection ends
-_SMALLER_FOR_S = 10.0
-"""For so long a smaller noise is clearly likelier before it counts. Chosen: ten windows; lasting errors show in each of them."""
+_SMALLER_WINDOWS = 10
+"""Windows in a row in which a smaller noise is clearly likelier before it counts. Chosen: lasting errors show in each of them."""
 _PAIRS_FAIL_FOR_S = 60.0
 """For so long after pairs were off several may be at once. Chosen: a fleet takes as long to leave buildings and hills behind."""
 
@@ -110,7 +110,8 @@ class RangeConsistency:
         self._persistence = {interval_s: _Persistence() for interval_s in (0.0, *s.intervals_s)}
         self._alert_until_s: dict[int, float] = {}
         self._pairs_off_at_s = float("-inf")
-        self._smaller_since_s: float | None = None
+        self._shrink_due_s = float("-inf")
+        self._smaller_windows = 0
         self._due_s = float("-inf")
         self._tested_s = float("-inf")
 
@@ -162,15 +163,14 @@ class RangeConsistency:
 
     def _shrink_noise(self, stated: Epoch, now_s: float) -> None:
         """Take back what was added to the stated noise, where the ranges have been clearly likelier with less for a while."""
-        smaller = None
-        if stated.residuals and not self.noise.is_as_stated:
+        if self.noise.is_as_stated:
+            self._smaller_windows = 0
+        elif stated.residuals and now_s >= self._shrink_due_s:
+            self._shrink_due_s = now_s + self.settings.residuals.window_s - SAME_S
             smaller = clearly_smaller_noise(stated, self.noise, self.settings.levels)
-        if smaller is None:
-            self._smaller_since_s = None
-        elif self._smaller_since_s is None:
-            self._smaller_since_s = now_s
-        elif now_s - self._smaller_since_s >= _SMALLER_FOR_S:
-            self.noise, self._smaller_since_s = smaller, None
+            self._smaller_windows = self._smaller_windows + 1 if smaller is not None else 0
+            if smaller is not None and self._smaller_windows >= _SMALLER_WINDOWS:
+                self.noise, self._smaller_windows = smaller, 0
 
     def _noise_excess_m2(self, stated: Epoch) -> dict[int, FloatArray]:
         """What the noise beyond the stated one costs each vehicle that the ranges alone place well, m^2 (2, 2)."""

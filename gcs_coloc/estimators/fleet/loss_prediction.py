@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -22,14 +21,12 @@ from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
     Estimate,
-    FloatArray,
     NoEstimate,
-    PositionMeasurement,
     RangeMeasurement,
 )
 from gcs_coloc.core.readiness.held_motion import HeldMotion
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
-from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseSplit, without_time_error
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, without_time_error
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
 from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, altitude, slant_range
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude, set_transition
@@ -38,13 +35,13 @@ from gcs_coloc.estimators.fleet.ekf.state import VELOCITY, pair_key, whiten
 from gcs_coloc.estimators.fleet.ekf.update import (
     change_time_stamp_offset_sigma,
     propagate_pair,
-    split_report_noise,
     time_stamp_offset_sigma_s,
 )
 from gcs_coloc.estimators.fleet.estimates import estimate_of_cluster
-from gcs_coloc.estimators.fleet.fleet_model import UNDERSTATED, FleetModel
+from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
 from gcs_coloc.estimators.fleet.peer_selection import rough_position, select_peers
+from gcs_coloc.estimators.fleet.predicted_peers import PeerPoint, RangeStream, mean_age_s, peer_point
 
 NO_TURNS: Mapping[int, float] = MappingProxyType({})
 STEP_S = 3.0
@@ -54,52 +51,6 @@ _JUDGED_RANGES = 25
 _STEADY_GAIN = 2.47
 """Mean of the gain of eq. (9) in steady flight: of max(r^2, 1), where 2 r is chi-square of two degrees of freedom."""
 _STEADY = ManoeuvreDetector(c_e=math.sqrt(2.0 * math.sqrt(_STEADY_GAIN)), C_ee=1.0, C_nn=1.0, C_uu=1.0)
-
-
-@dataclass(slots=True)
-class _Stream:
-    """The ranges of one device to one peer: their rate, stated sigma, and how many of them are not used yet.
-
-    `scatter_m2` is the mean square of what is seen to be white, None where they come too seldom to tell. `stamp_sigma_s` is the
-    time-stamp offset that they state where the vehicle's clock stamps them, else None.
-    """
-
-    node: int
-    pair: tuple[int, int, int]
-    rate_hz: float
-    sigma_m: float
-    scatter_m2: float | None
-    stamp_sigma_s: float | None
-    waiting: float = 0.0
-    seen: float = 0.0
-
-    def take(self, step_s: float) -> float:
-        """Return how many ranges come in a step, 0 until there is a whole one."""
-        self.waiting += self.rate_hz * step_s
-        taken, self.waiting = (self.waiting, 0.0) if self.waiting >= 1.0 else (0.0, self.waiting)
-        self.seen += taken
-        return taken
-
-    def noise_m(self, least_coloured_share: float) -> tuple[float, float]:
-        """Return the white and the coloured sigma that the filter would have learned by now, m."""
-        noise = NO_SAMPLES
-        if self.scatter_m2 is not None:
-            noise = NoiseSplit((), ((self.scatter_m2 * self.seen, self.seen),))
-        scatter_m = noise.lower_bound_m(0)
-        white_m = scatter_m if scatter_m > UNDERSTATED * self.sigma_m else self.sigma_m
-        return white_m, noise.split(0, self.sigma_m, least_coloured_share)[1]
-
-
-@dataclass(frozen=True, slots=True)
-class _Point:
-    """A peer: how it moves from the beginning on, and the covariance of its position (3, 3) m^2.
-
-    Its error is a Gauss-Markov process as that of position reports; that of an anchor lasts.
-    """
-
-    motion: HeldMotion
-    covariance_m2: FloatArray
-    is_anchor: bool = False
 
 
 def predict_loss(
@@ -140,8 +91,8 @@ class _LossPrediction:
         self._vehicle, self._at_s = vehicle, at_s
         self._records = records = Records()
         self.cluster: Cluster | None = None
-        self._points: dict[int, _Point] = {}
-        self._streams: list[_Stream] = []
+        self._points: dict[int, PeerPoint] = {}
+        self._streams: list[RangeStream] = []
         self.range_age_s = 0.0
         self._height_rate_hz = 0.0
         self._way = HeldMotion((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -179,7 +130,7 @@ class _LossPrediction:
             here = np.array(self.cluster.position(self._vehicle))
             chosen = select_peers(here, list(placed.items()), frozenset(), frozenset(), most, height_known=True)
             placed = {node: place for node, place in placed.items() if node in chosen}
-        points = {node: _point(model, node, self._at_s, self._turns_radps.get(node, 0.0)) for node in placed}
+        points = {node: peer_point(model, node, self._at_s, self._turns_radps.get(node, 0.0)) for node in placed}
         self._points = {node: point for node, point in points.items() if point is not None}
         self._streams = [self._stream(node, pair, each) for (node, pair), each in by_stream.items() if node in self._points]
         used = {stream.pair for stream in self._streams}
@@ -225,13 +176,13 @@ class _LossPrediction:
         assert self.cluster is not None
         return estimate_of_cluster(self.cluster, self._vehicle, at_s)
 
-    def _stream(self, node: int, pair: tuple[int, int, int], ranges: Sequence[RangeMeasurement]) -> _Stream:
+    def _stream(self, node: int, pair: tuple[int, int, int], ranges: Sequence[RangeMeasurement]) -> RangeStream:
         sigma_m, _ = without_time_error(ranges[-1])
         noise = NO_SAMPLES
         for m in ranges[-_JUDGED_RANGES:]:
             noise = noise.updated(m.measured_at_s, ((m.range_m,),), (sigma_m,))
         stamped = ranges[-1].clock_of == self._vehicle
-        return _Stream(
+        return RangeStream(
             node,
             pair,
             len(ranges) / max(self._at_s - ranges[0].measured_at_s, 1.0),
@@ -280,7 +231,7 @@ class _LossPrediction:
         hA[0] = 0.0
         joint.correct_scalar(hA, variance_m2)
 
-    def _use_ranges(self, stream: _Stream, count: float, at_s: float) -> None:
+    def _use_ranges(self, stream: RangeStream, count: float, at_s: float) -> None:
         assert self.cluster is not None
         s, joint, point = self._settings, self.cluster.joint, self._points[stream.node]
         white_m, coloured_m = stream.noise_m(s.least_coloured_share)
@@ -298,33 +249,3 @@ class _LossPrediction:
         record = self._records[self._vehicle]
         record.neighbours[stream.node] = Neighbour(at_s, linear.unit)
         record.updated_at_s = at_s
-
-
-def mean_age_s(times_s: Sequence[float]) -> float:
-    """Return how old the newest of some measurements is on average, s: sum of g^2 / (2 sum of g) over the gaps g between them."""
-    ordered = sorted(set(times_s))
-    gaps_s = [after - before for before, after in pairwise(ordered)]
-    return sum(gap * gap for gap in gaps_s) / (2.0 * sum(gaps_s)) if gaps_s and sum(gaps_s) > 0.0 else 0.0
-
-
-def _point(model: FleetModel, node: int, at_s: float, turn_radps: float) -> _Point | None:
-    """Return a peer as the filter knows it; None where it does not know where it is."""
-    record = model.records.get(node)
-    if record is None:
-        return None
-    last, s = record.last_position, model.settings
-    if node in model.clusters or last is None or last.velocity_enu_mps is None or record.static:
-        where = model.estimate(node, at_s)
-        if isinstance(where, NoEstimate):
-            return None
-        (e, n, u), (ve, vn, vu) = where.position_enu_m.tolist(), where.velocity_enu_mps.tolist()
-        return _Point(HeldMotion((e, n, u), (ve, vn, vu), turn_radps), where.covariance[:3, :3], record.static)
-    if record.denied_vehicle or at_s - last.measured_at_s > s.initialisation_age_s:
-        return None
-    reports = sum(isinstance(m, PositionMeasurement) for m in record.recent_own)
-    white, coloured = split_report_noise(record, last, s)
-    velocity = np.array(last.velocity_enu_mps)
-    variances_m2 = [white[axis // 2] ** 2 / max(reports, 1) + coloured[axis // 2] ** 2 for axis in range(3)]
-    covariance_m2 = np.diag(variances_m2) + time_stamp_offset_sigma_s(last, s) ** 2 * np.outer(velocity, velocity)
-    reported = HeldMotion(last.position_enu_m, last.velocity_enu_mps, turn_radps)
-    return _Point(reported.after(at_s - last.measured_at_s), covariance_m2)

@@ -6,7 +6,7 @@ import logging
 import pytest
 from fleet_views import HEALTHY, fleet_view
 
-from gcs_coloc.config.sections import MqttConfig
+from gcs_coloc.config.service_sections import MqttConfig
 from gcs_coloc.sinks.fleet_overview import fleet_overview
 from gcs_coloc.sinks.mqtt_models import status
 from gcs_coloc.sinks.mqtt_watch import MqttWatch

@@ -7,7 +7,7 @@ import logging
 
 import pytest
 
-from gcs_coloc.config.sections import WebConfig
+from gcs_coloc.config.service_sections import WebConfig
 from gcs_coloc.core.errors import WebError
 from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.web.fleets_page import FLEETS_EVERY_S, FleetsSource

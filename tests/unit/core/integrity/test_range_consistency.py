@@ -1,0 +1,39 @@
+"""The consistency monitor over time: what it learns of the noise of a fleet, and forgets."""
+
+import numpy as np
+
+from gcs_coloc.core.integrity.range_consistency import RangeConsistency
+from gcs_coloc.core.integrity.range_residuals import TrackPoint
+from gcs_coloc.core.measurements import RangeMeasurement
+
+PLACES_M = {1: (0.0, 0.0, 100.0), 2: (500.0, 20.0, 110.0), 3: (480.0, 520.0, 95.0), 4: (-30.0, 470.0, 105.0)}
+BLOCKED_S = (5.0, 9.0)
+DETOURS_M = {(1, 2): 25.0, (2, 3): 38.0, (1, 4): 14.0}
+STEP_S = 0.2
+
+
+def fly(monitor, until_s, seed=4):
+    """Four vehicles that hover and range each other; half of the pairs are blocked from 5 to 9 s. Yields after each review."""
+    rng = np.random.default_rng(seed)
+    for step in range(1, round(until_s / STEP_S)):
+        at_s = step * STEP_S
+        for vehicle, place in PLACES_M.items():
+            monitor.add_position(vehicle, TrackPoint(at_s, place, (0.0, 0.0, 0.0), 1.5, 2.0, False))
+        for i in PLACES_M:
+            for j in PLACES_M:
+                if i < j:
+                    detour_m = DETOURS_M.get((i, j), 0.0) if BLOCKED_S[0] < at_s < BLOCKED_S[1] else 0.0
+                    range_m = (
+                        float(np.linalg.norm(np.subtract(PLACES_M[i], PLACES_M[j]))) + detour_m + 0.5 * rng.standard_normal()
+                    )
+                    monitor.add_range(RangeMeasurement(i, j, at_s - 0.01, at_s, range_m, 0.5))
+        monitor.review(at_s + 0.05)
+        yield at_s
+
+
+def test_noise_that_blocked_ranges_make_likely_is_gone_a_quarter_of_a_minute_later():
+    monitor = RangeConsistency()
+    larger_at_s = [at_s for at_s in fly(monitor, 26.0) if not monitor.noise.is_as_stated]
+    assert BLOCKED_S[0] < min(larger_at_s) < BLOCKED_S[1]
+    assert max(larger_at_s) < BLOCKED_S[1] + 15.0
+    assert monitor.identified == {}
