@@ -99,8 +99,8 @@ class Adjustment:
     def placed_offset_m(self, vehicle: int, placed_m: float) -> FloatArray:
         """The horizontal correction d (2,) of a vehicle without prior, as far as the ranges determine it.
 
-        S (S + C)^-1 d with S = `placed_m`^2 I, and d and its covariance C linearised where the vehicle is said to be. In a
-        direction that the ranges hardly see, d is their noise times any number.
+        S (S + C)^-1 d, S the square of `placed_m` times I, d and its covariance C linearised where the vehicle is said to be.
+        In a direction that the ranges hardly see, d is their noise times any number.
         """
         first_m, covariances_m2 = self._solution.first_linear
         covariance = covariances_m2[self._number, self._index[vehicle]]
