@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from enum import Enum
+
 from gcs_coloc.core.standby.sign_of_life import NOTHING_SHARED, SENDS_OR_MAY, Identity, SignOfLife, StandbyState
 
 FRESH_S = 0.5
@@ -10,6 +12,16 @@ PRESENT_S = 1.0
 """Chosen: ten signs of life missed are a fault to be told of, fewer may be the network."""
 _KEPT_SIGNS = 100
 """Chosen: the signs of ten seconds, of which only those of the last `FRESH_S` can be answered in time."""
+
+
+class Heard(Enum):
+    """What a sign of life is worth."""
+
+    NOTHING = "nothing"
+    STATE = "state"
+    """It tells the other one's state; it may be late, or not know of us yet."""
+    ANSWER = "answer"
+    """It tells the state, and answers what we sent a moment ago."""
 
 
 class OtherService:
@@ -45,19 +57,19 @@ class OtherService:
         """Forget how long it was silent: we have not listened until now."""
         self.listening_since_s = now_s
 
-    def receive(self, sign: SignOfLife, now_s: float) -> bool | None:
-        """Take a sign of life; whether it is fresh: an answer to what we sent a moment ago. None where it counts for nothing."""
+    def receive(self, sign: SignOfLife, now_s: float) -> Heard:
+        """Take a sign of life."""
         if sign.sender.sysid != self._own.sysid or sign.sender.compid == self._own.compid:
             self.mismatch = _mismatch(self._own, sign.sender)
-            return None
+            return Heard.NOTHING
         self.mismatch = None
         last = self._heard
         is_same_run = last is not None and sign.run == last.run
         if last is not None and is_same_run and sign.number <= last.number:
-            return None  # overtaken, or played back
+            return Heard.NOTHING  # overtaken, or played back
         self.echo = (sign.run, sign.number)
         if sign.heard_run != self._run and not is_same_run:
-            return None  # a start that has not heard us yet, or a recording: it is answered, and no more
+            return Heard.NOTHING  # a start that has not heard us yet, or a recording: it is answered, and no more
         if not is_same_run or sign.state is not self.state:
             self.since_s = now_s
         self._heard, self.heard_at_s = sign, now_s
@@ -66,9 +78,9 @@ class OtherService:
             self.shared = sign.shared
         answered_at_s = self._sent_at_s.get(sign.heard_number) if sign.heard_run == self._run else None
         if answered_at_s is None or now_s - answered_at_s > FRESH_S:
-            return False
+            return Heard.STATE
         self.fresh_at_s = max(self.fresh_at_s, answered_at_s)
-        return True
+        return Heard.ANSWER
 
     @property
     def silent_since_s(self) -> float:
@@ -84,8 +96,8 @@ class OtherService:
         return self.state is not None and self.state not in SENDS_OR_MAY and now_s - self.fresh_at_s <= FRESH_S
 
     @property
-    def goes_second(self) -> bool:
-        """Whether we go first where both are alike: the lower component id does."""
+    def lets_us_go_first(self) -> bool:
+        """Whether we go first where both services could: the one of the lower component id does."""
         return self.identity is None or self._own < self.identity
 
 

@@ -16,7 +16,7 @@ from gcs_coloc.core.messages.control import SwitchedReceiver
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.standby.feed_permits import FeedPermits
 from gcs_coloc.core.standby.feed_watch import FeedWatch
-from gcs_coloc.core.standby.other_service import FRESH_S, PRESENT_S, OtherService
+from gcs_coloc.core.standby.other_service import FRESH_S, PRESENT_S, Heard, OtherService
 from gcs_coloc.core.standby.sign_of_life import (
     NOTHING_SHARED,
     SENDS_OR_MAY,
@@ -88,9 +88,9 @@ class StandbyPeer:
     def receive(self, sign: SignOfLife, now_s: float) -> None:
         """Take a sign of life whose sender has proven that it has the key."""
         self._look_at_time(now_s)
-        is_fresh = self._other.receive(sign, now_s)
-        if is_fresh is not None:
-            self._follow(sign, now_s, is_fresh=is_fresh)
+        heard = self._other.receive(sign, now_s)
+        if heard is not Heard.NOTHING:
+            self._follow(sign, now_s, answers_us=heard is Heard.ANSWER)
 
     def tick(self, now_s: float, wanted: Collection[int]) -> None:
         """Look at the time; `wanted` are the vehicles that this service would send something that changes what they do."""
@@ -214,11 +214,11 @@ class StandbyPeer:
             self.since_s += still_s
             self._resumes_after = self._number
 
-    def _follow(self, sign: SignOfLife, now_s: float, *, is_fresh: bool) -> None:
+    def _follow(self, sign: SignOfLife, now_s: float, *, answers_us: bool) -> None:
         is_active = self.state is StandbyState.ACTIVE
         if sign.state is StandbyState.ACTIVE:
             mine_is_newer = (self.term, -self.own.compid) > (sign.term, -sign.sender.compid)
-            if self.state in SENDS_OR_MAY and (not mine_is_newer or (not is_active and is_fresh)):
+            if self.state in SENDS_OR_MAY and (not mine_is_newer or (not is_active and answers_us)):
                 self._enter(StandbyState.PASSIVE, StatedReason(StandbyReason.OTHER_IS_ACTIVE), now_s)
             if self.state is not StandbyState.ACTIVE:
                 self.term = max(self.term, sign.term)
@@ -228,7 +228,7 @@ class StandbyPeer:
             self._sign_due_s = now_s  # it waits for our answer
             if self.state is StandbyState.LISTENING:
                 self.since_s = now_s  # and will go on
-        if not is_fresh:
+        if not answers_us:
             return
         self._took_over_silently = False  # the other one knows of us and does not send
         if self.state is StandbyState.HELD_UP:
@@ -247,7 +247,7 @@ class StandbyPeer:
             return
         both_listen = now_s - self._other.silent_since_s <= SILENT_S and self._other.state is StandbyState.LISTENING
         has_heard = now_s - self._other.listening_since_s >= SILENT_S
-        if has_heard and now_s - self.since_s >= _START_S * (2.0 if both_listen and not self._other.goes_second else 1.0):
+        if has_heard and now_s - self.since_s >= _START_S * (2.0 if both_listen and not self._other.lets_us_go_first else 1.0):
             self._become_active(StandbyReason.ALONE_AT_START, now_s)
 
     def _review_active(self, now_s: float) -> None:
@@ -257,7 +257,7 @@ class StandbyPeer:
         fed = self.watch.fed_vehicle(now_s, self.since_s + _IN_FLIGHT_S)
         if fed is None:
             return
-        self._stands_back_until_s = now_s + _STOOD_BACK_S * (1.0 if self._other.goes_second else 2.0)
+        self._stands_back_until_s = now_s + _STOOD_BACK_S * (1.0 if self._other.lets_us_go_first else 2.0)
         self._enter(StandbyState.STANDBY, StatedReason(StandbyReason.OTHER_FEEDS, fed), now_s)
 
     def _find_out(self, now_s: float) -> None:
@@ -276,7 +276,7 @@ class StandbyPeer:
             if self._other.state in SENDS_OR_MAY or now_s - self._other.fresh_at_s > SILENT_S:
                 return
             both_follow_s = now_s - max(self.since_s, self._other.since_s)
-            if both_follow_s >= _NOBODY_S + (0.0 if self._other.goes_second else _START_S):
+            if both_follow_s >= _NOBODY_S + (0.0 if self._other.lets_us_go_first else _START_S):
                 self._become_active(StandbyReason.NOBODY_SENT, now_s)
             return
         if silent_s <= (SILENT_S if self._other.state is not None else ALONE_S) or self.watch.fed_vehicle(now_s) is not None:
