@@ -102,9 +102,8 @@ class Adjustment:
         S (S + C)^-1 d, S the square of `placed_m` times I, d and its covariance C linearised where the vehicle is said to be.
         In a direction that the ranges hardly see, d is their noise times any number.
         """
-        first_m, covariances_m2 = self._solution.first_linear
-        covariance = covariances_m2[self._number, self._index[vehicle]]
-        return np.asarray(np.linalg.solve(covariance / placed_m**2 + np.eye(2), self.horizontal(vehicle, first_m[self._number])))
+        correction_m, covariance_m2 = self._solution.first_linear(self._number, self._index[vehicle])
+        return np.asarray(np.linalg.solve(covariance_m2 / placed_m**2 + np.eye(2), correction_m))
 
     def horizontal(self, vehicle: int, states: FloatArray) -> FloatArray:
         """A vehicle's east and north (2,) of a state vector, in the present epoch."""

@@ -81,7 +81,7 @@ class NormalEquations:
         without_prior = np.concatenate([self._now.states_without_prior, self._now.states_without_prior + 3 * vehicles])
         shift: FloatArray = np.zeros((tests, 6 * vehicles))
         variances_without_prior_m2 = self._solve(self._unit_vectors, self._residuals_m, without_prior)
-        self.first_linear = self.corrections_m, self._horizontal_covariances(without_prior)
+        self._first = self.corrections_m, self._columns
         for _ in range(_NEWTON_STEPS - 1):
             step = self.corrections_m[:, without_prior]
             moving = np.abs(step - shift[:, without_prior]).max(axis=1, initial=0.0) > _CONVERGED_M
@@ -133,13 +133,15 @@ class NormalEquations:
         self.statistics = np.einsum("tsr,tsr->t", residuals_m, self._weighted_m) - explained
         return np.asarray(self._columns[:, np.arange(len(without_prior)), without_prior])
 
-    def _horizontal_covariances(self, without_prior: NDArray[np.intp]) -> FloatArray:
-        """The horizontal covariances (tests, vehicles, 2, 2), m^2, in the present epoch, zero for vehicles with a prior."""
-        tests, vehicles = len(self._weights), len(self._now.vehicles)
-        states: FloatArray = np.zeros((tests, 6 * vehicles, 6 * vehicles))
-        states[:, without_prior] = self._columns
-        present = states[:, : 3 * vehicles, : 3 * vehicles].reshape(tests, vehicles, 3, vehicles, 3)
-        return np.asarray(np.einsum("tvavb->tvab", present)[:, :, :2, :2])
+    def first_linear(self, test: int, at: int) -> tuple[FloatArray, FloatArray]:
+        """The horizontal correction (2,), m, and covariance (2, 2), m^2, of a vehicle without prior in the present epoch.
+
+        Linearised where it is said to be, before any step of Newton's method. `at` is its number in the epoch's arrays.
+        """
+        corrections_m, columns = self._first
+        states = slice(3 * at, 3 * at + 2)
+        column = int(np.searchsorted(self._now.states_without_prior, 3 * at))
+        return corrections_m[test, states], columns[test, column : column + 2, states]
 
     def covariance_times(self, test: int, pulls: FloatArray) -> FloatArray:
         """The product of a test's covariance of all states and some vectors (..., states): m for 1/m."""
