@@ -10,6 +10,9 @@ from sitl_fakes.navigation import HeightFilter, Navigation
 from sitl_fakes.receivers import GpsFix, Receiver
 from sitl_fakes.sensors import AirData
 
+Horizontal = tuple[float, float]
+"""East and north: m, or m/s."""
+
 DEAD_RECKONING, NO_POSITION = "dead_reckoning", "none"
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 """MAV_RESULT of a COMMAND_ACK."""
@@ -33,19 +36,41 @@ class BeaconRange(NamedTuple):
 class Autopilot(ABC):
     """One vehicle's autopilot since its last boot. Parameters and the place on the route outlive it.
 
-    `receivers` are its two GPS ports, `in_use` the number of the one it navigates on. `armed` is settled by whoever boots it.
+    `receivers` are its two GPS ports, `in_use` the number of the one it navigates on. `lanes` are the filters that it runs side
+    by side, `lane` the number of the one it goes by. `armed` is settled by whoever boots it.
     """
 
-    def __init__(self, navigation: Navigation, guidance: Guidance) -> None:
+    def __init__(self, lanes: tuple[Navigation, ...], guidance: Guidance) -> None:
         self.receivers = (Receiver(), Receiver())
         self.in_use = 0
-        self.navigation = navigation
+        self.lanes = lanes
+        self.lane = 0
         self.height = HeightFilter()
         self.had_gps_time = False
         self.armed = True
         self._guidance = guidance
         self._heading_to_hold: float | None = None
         self._last_used = "gps1"
+        self._to_say: list[tuple[int, str]] = []
+
+    @property
+    def navigation(self) -> Navigation:
+        """The filter that it goes by."""
+        return self.lanes[self.lane]
+
+    def believed(self, at_s: float) -> tuple[Horizontal, Horizontal] | None:  # noqa: ARG002 - ArduPilot's choice needs it
+        """The position (m) and velocity (m/s) that it flies by and reports; None before the first fix."""
+        navigation = self.navigation
+        return None if navigation.position_m is None else (navigation.position_m, navigation.velocity_mps)
+
+    def gps_glitching(self, at_s: float) -> bool:  # noqa: ARG002 - ArduPilot's flag has a memory
+        """The flag of its filter's status that says so."""
+        return self.navigation.refusing
+
+    def announcements(self) -> list[tuple[int, str]]:
+        """Take out what it has to say since it was last asked: severities and texts of STATUSTEXT."""
+        said, self._to_say = self._to_say, []
+        return said
 
     @abstractmethod
     def receive_own_fix(self, fix: GpsFix, at_s: float) -> None:
@@ -85,18 +110,19 @@ class Autopilot(ABC):
         """Whether the aircraft's own receiver is the one in use, and used."""
         return self.source(at_s) == "gps1"
 
-    def heading_command_rad(self, air: AirData, at_s: float, step_s: float) -> float:  # noqa: ARG002 - ArduPilot's choice needs it
+    def heading_command_rad(self, air: AirData, at_s: float, step_s: float) -> float:
         """Carry the estimate over one step and return the heading to fly, rad; without a position, the present heading is
         held.
         """
-        self.navigation.predict(air.airspeed_mps, air.heading_rad, step_s)
+        for lane in self.lanes:
+            lane.predict(air.airspeed_mps, air.heading_rad, step_s)
         self.height.predict(air.climb_mps, step_s)
-        position = self.navigation.position_m
-        if position is None:
+        believed = self.believed(at_s)
+        if believed is None:
             if self._heading_to_hold is None:
                 self._heading_to_hold = air.heading_rad
             return self._heading_to_hold
-        course = self._guidance.course_command_rad(position, step_s)
+        course = self._guidance.course_command_rad(believed[0], step_s)
         return heading_for_course(course, air.airspeed_mps, *self.navigation.wind_mps)
 
     def source(self, at_s: float) -> str:

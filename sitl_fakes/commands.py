@@ -147,17 +147,17 @@ def _arm(vehicle: FlightController, message: Any, at_s: float) -> list[Any]:
     refusal = None if autopilot.armed else autopilot.arming_refusal(at_s)
     if refusal is not None:
         result = TEMPORARILY_REJECTED if vehicle.kind == "px4" else FAILED
-        return [_ack(message, result), *_status_text(refusal)]
+        return [_ack(message, result), *status_text(refusal)]
     autopilot.armed = True
     return [_ack(message, ACCEPTED)]
 
 
-def _status_text(text: str) -> list[Any]:
-    """STATUSTEXT of severity critical; what is longer than its field comes in numbered pieces under one id."""
+def status_text(text: str, severity: int = mavlink.MAV_SEVERITY_CRITICAL) -> list[Any]:
+    """STATUSTEXT; what is longer than its field comes in numbered pieces under one id."""
     size, words = 50, text.encode()
     pieces = [words[i : i + size] for i in range(0, len(words), size)]
     number = 1 if len(pieces) > 1 else 0
-    return [mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, p, number, k) for k, p in enumerate(pieces)]
+    return [mavlink.MAVLink_statustext_message(severity, p, number, k) for k, p in enumerate(pieces)]
 
 
 def _external_position(vehicle: FlightController, message: Any, at_s: float) -> int:

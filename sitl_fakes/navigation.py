@@ -67,15 +67,18 @@ class HeightFilter:
 
 
 class Navigation:
-    """Position and velocity as the autopilot believes them (east, north; m, m/s). Before the first fix there is no position.
+    """Position and velocity as one filter believes them (east, north; m, m/s). Before the first fix there is no position.
 
-    A measurement is taken over whole where nothing was accepted for `reset_after_s`.
+    A measurement is taken over whole where nothing was accepted for `reset_after_s`. The heading that it is given (rad) is off
+    by `heading_error_rad` more for this filter. `position_ratio` and `velocity_ratio` are the last innovations over the gate,
+    squared: above 1 they are refused (EKF3's posTestRatio and velTestRatio).
     """
 
-    def __init__(self, reset_after_s: float) -> None:
+    def __init__(self, reset_after_s: float, heading_error_rad: float = 0.0) -> None:
         self._reset_after_s = reset_after_s
+        self._heading_error_rad = heading_error_rad
         self.position_m: tuple[float, float] | None = None
-        self.glitching = False
+        self.position_ratio = self.velocity_ratio = 0.0
         self._air: tuple[float, float] | None = None  # not measured yet
         self._wind = [0.0, 0.0]
         self._p = _Covariance(0.0, 0.0, _FIRST_WIND_SIGMA_MPS**2)
@@ -98,12 +101,18 @@ class Navigation:
         """Standard deviation of the position that the filter believes, per axis, m."""
         return math.sqrt(self._p.pp)
 
+    @property
+    def refusing(self) -> bool:
+        """Whether the last position given was refused."""
+        return self.position_ratio > 1.0
+
     def since_position_s(self, at_s: float) -> float:
         """Time since a position was last accepted, s (infinite if never)."""
         return at_s - self._position_at_s
 
     def predict(self, airspeed_mps: float, heading_rad: float, step_s: float) -> None:
         """Carry the estimate over a step with the measured airspeed (m/s) and heading (rad from north)."""
+        heading_rad += self._heading_error_rad
         self._air = (airspeed_mps * math.sin(heading_rad), airspeed_mps * math.cos(heading_rad))
         if self.position_m is None:
             return
@@ -138,13 +147,13 @@ class Navigation:
             return True
         innovation = (seen_m[0] - self.position_m[0], seen_m[1] - self.position_m[1])
         spread = self._p.pp + sigma**2
-        self.glitching = math.hypot(*innovation) > gate_sigma * math.sqrt(spread)
-        if not self.glitching:
+        self.position_ratio = (innovation[0] ** 2 + innovation[1] ** 2) / (gate_sigma**2 * spread)
+        if not self.refusing:
             self._update(innovation, self._p.pp / spread, self._p.pw / spread, spread)
             self._position_at_s = at_s
         elif may_reset and self.since_position_s(at_s) > self._reset_after_s:
             self._take_position(seen_m, sigma, at_s)
-        return not self.glitching
+        return not self.refusing
 
     def correct_range(
         self,
@@ -203,7 +212,8 @@ class Navigation:
         ve, vn = self.velocity_mps
         innovation = (seen_mps[0] - ve, seen_mps[1] - vn)
         spread = self._p.ww + sigma_mps**2
-        if math.hypot(*innovation) <= _GATE_SIGMA * math.sqrt(spread):
+        self.velocity_ratio = (innovation[0] ** 2 + innovation[1] ** 2) / (_GATE_SIGMA**2 * spread)
+        if self.velocity_ratio <= 1.0:
             self._update(innovation, self._p.pw / spread, self._p.ww / spread, spread)
             self._velocity_at_s = at_s
         elif at_s - self._velocity_at_s > self._reset_after_s:
@@ -223,7 +233,7 @@ class Navigation:
         self.position_m = position_m
         self._p.pp, self._p.pw = sigma_m**2, 0.0
         self._position_at_s = at_s
-        self.glitching = False
+        self.position_ratio = 0.0
 
     def _take_velocity(self, velocity_mps: tuple[float, float], at_s: float) -> None:
         if self._air is None:
@@ -231,6 +241,7 @@ class Navigation:
         self._wind = [velocity_mps[0] - self._air[0], velocity_mps[1] - self._air[1]]
         self._p.pw, self._p.ww = 0.0, _FIRST_WIND_SIGMA_MPS**2
         self._velocity_at_s = at_s
+        self.velocity_ratio = 0.0
 
 
 def _brought_forward(fix: GpsFix) -> tuple[float, float]:

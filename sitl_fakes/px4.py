@@ -29,7 +29,7 @@ class Px4(Autopilot):
     """PX4 fixed wing. Where its own receiver and the auxiliary position disagree, it stays with its receiver."""
 
     def __init__(self, params: Parameters, guidance: Guidance) -> None:
-        super().__init__(Navigation(reset_after_s=7.0), guidance)
+        super().__init__((Navigation(reset_after_s=7.0),), guidance)
         self._params = params
         self._slot_id = params["EKF2_AGP0_ID"]  # read at boot alone
         self._gps_used_at_s = self._aux_used_at_s = -math.inf

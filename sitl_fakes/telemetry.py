@@ -48,9 +48,10 @@ class Snapshot:
         """Position (lat deg, lon deg, alt m) and velocity (east, north, up; m/s) that the vehicle reports as its own; None
         before the first fix.
         """
-        position, velocity = self.autopilot.navigation.position_m, self.autopilot.navigation.velocity_mps
-        if position is None:
+        believed = self.autopilot.believed(self.at_s)
+        if believed is None:
             return None
+        position, velocity = believed
         receiver = self.autopilot.receivers[self.autopilot.in_use]
         if self.global_position == "raw" and self.autopilot.own_gps_in_use(self.at_s):
             assert receiver.fix is not None
@@ -181,7 +182,8 @@ def global_position_int(s: Snapshot) -> Any:
 
 def vfr_hud(s: Snapshot) -> Any:
     """VFR_HUD (74). PX4 without an airspeed sensor, as quadrotors are, says NaN."""
-    ground_speed = math.hypot(*s.autopilot.navigation.velocity_mps)
+    believed = s.autopilot.believed(s.at_s)
+    ground_speed = math.hypot(*(s.autopilot.navigation.velocity_mps if believed is None else believed[1]))
     heading_deg = round(math.degrees(_local_heading(s))) % 360
     # Calibrated airspeed, as the message is defined: less than the true one where the air is thin (ISO 2533).
     temperature_share = 1.0 - 0.0065 * s.air.altitude_m / 288.15
@@ -210,9 +212,9 @@ def ekf_status_report(s: Snapshot) -> Any:
         flags = _EKF_NO_POSITION
     else:
         flags = _EKF_NORMAL if navigation.since_position_s(s.at_s) <= _EKF_ABSOLUTE_FOR_S else _EKF_RELATIVE
-        flags |= _EKF_GLITCH if navigation.glitching else 0
-    position_variance = 1.5 if navigation.glitching else 0.05
-    return mavlink.MAVLink_ekf_status_report_message(flags, 0.02, position_variance, 0.01, 0.01, 0.0, 0.03)
+        flags |= _EKF_GLITCH if s.autopilot.gps_glitching(s.at_s) else 0
+    velocity_share, position_share = math.sqrt(navigation.velocity_ratio), math.sqrt(navigation.position_ratio)
+    return mavlink.MAVLink_ekf_status_report_message(flags, velocity_share, position_share, 0.01, 0.01, 0.0, 0.03)
 
 
 def estimator_status(s: Snapshot) -> Any:
@@ -225,10 +227,10 @@ def estimator_status(s: Snapshot) -> Any:
         flags = _EKF2_NORMAL if unaided_s <= _EKF2_USED_FOR_S else _EKF2_UNAIDED
         flags = flags if unaided_s <= _EKF2_ABSOLUTE_FOR_S else _EKF2_DEAD_RECKONING
         flags |= 0 if s.autopilot.armed else mavlink.ESTIMATOR_CONST_POS_MODE
-        flags |= mavlink.ESTIMATOR_GPS_GLITCH if navigation.glitching else 0
-    ratio = 1.5 if navigation.glitching else 0.05
+        flags |= mavlink.ESTIMATOR_GPS_GLITCH if s.autopilot.gps_glitching(s.at_s) else 0
+    velocity_share, position_share = math.sqrt(navigation.velocity_ratio), math.sqrt(navigation.position_ratio)
     return mavlink.MAVLink_estimator_status_message(
-        round(s.boot_s * 1e6), flags, 0.02, ratio, 0.01, 0.01, 0.0, 0.03, navigation.sigma_m, 1.0
+        round(s.boot_s * 1e6), flags, velocity_share, position_share, 0.01, 0.01, 0.0, 0.03, navigation.sigma_m, 1.0
     )
 
 

@@ -9,7 +9,7 @@ from itertools import count
 
 import numpy as np
 
-from sitl_fakes.commands import handle
+from sitl_fakes.commands import handle, status_text
 from sitl_fakes.dynamics import turn_radius_m
 from sitl_fakes.faults import Fault, LinkDropout
 from sitl_fakes.flight import Flight, VehicleTruth
@@ -116,6 +116,7 @@ class Vehicle:
         if controller.booting:
             return
         messages = [reply for payload in received for reply in handle(controller, payload, at_s)]
+        messages += [text for severity, words in controller.autopilot.announcements() for text in status_text(words, severity)]
         messages += controller.streams.due(at_s, controller.snapshot)
         frames = [controller.pack(message) for message in messages]
         frames += [frame for sample in samples if (frame := controller.pack_range(sample, at_s)) is not None]
@@ -130,7 +131,8 @@ class Vehicle:
         """Return what is really so, now."""
         s, autopilot = self._flight.state, self._controller.autopilot
         at = (s.east_m, s.north_m)
-        estimate = autopilot.navigation.position_m
+        believed = autopilot.believed(at_s)
+        estimate = None if believed is None else believed[0]
         return VehicleTruth(
             at_s,
             self.sysid,

@@ -94,6 +94,12 @@ def aid(fleet: Fleet, sysid: int, from_s: float, to_s: float, interval_s: float 
     return out + fleet.advance(to_s)
 
 
+def ekf_uses_a_position(datagrams: list[Datagram], sysid: int) -> bool:
+    """Whether EKF3 says that it does. Where it does not, a plane goes by any 3D fix without it."""
+    flags: int = parse(datagrams, "EKF_STATUS_REPORT", sysid)[-1].flags
+    return bool(flags & mavlink.EKF_POS_HORIZ_ABS)
+
+
 def lost(sysid: int, at_s: float = 5.0) -> dict[str, Any]:
     """A fault table: the vehicle's GPS is lost."""
     return {"kind": "gps_lost", "vehicle": sysid, "at_s": at_s}

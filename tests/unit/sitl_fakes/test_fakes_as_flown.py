@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fakes.fleet import STEP_S, Fleet
-from tests.unit.sitl_fakes.fakes_support import EXACT, GroundStation, aid, gps_input, lost, parse, scenario
+from tests.unit.sitl_fakes.fakes_support import EXACT, GroundStation, aid, ekf_uses_a_position, gps_input, lost, parse, scenario
 
 IGNORE_VD = mavlink.GPS_INPUT_IGNORE_FLAG_VEL_VERT
 STRAIGHT = {"sysid": 1, "waypoints": [[0, 0], [0, 90000]], "ranges_to": []}
@@ -104,8 +104,7 @@ def test_it_goes_on_with_a_position_of_21_m_and_refuses_external_estimates_meanw
     assert fleet.truth()[1].source == "gps2 injected"
     late = Fleet(scenario(vehicle=[STRAIGHT], fault=[lost(1, LOST_S)]), 1)
     late.advance(LOST_S + 30.0)
-    aid(late, 1, LOST_S + 30.0, 50.0, horiz_accuracy=21.0)
-    assert late.truth()[1].source == "dead_reckoning"
+    assert not ekf_uses_a_position(aid(late, 1, LOST_S + 30.0, 50.0, horiz_accuracy=21.0), 1)
 
 
 def test_ranges_of_its_companion_get_through_only_where_it_forwards_what_it_does_not_know():
@@ -134,14 +133,53 @@ def test_without_rates_it_sends_its_heartbeat_alone_until_it_is_asked():
     assert len(parse(fleet.advance(10.0), "GPS_RAW_INT")) == pytest.approx(25, abs=1)
 
 
-def test_it_follows_a_step_of_its_receiver_after_ten_seconds():
-    table = {"kind": "gps_spoofed", "vehicle": 1, "at_s": LOST_S, "speed_mps": 0.0, "offset_m": 200.0}
-    fleet = Fleet(scenario(vehicle=[STRAIGHT], fault=[table], dead_reckoning=EXACT), 1)
+STEPPED = {"kind": "gps_spoofed", "vehicle": 1, "at_s": LOST_S, "until_s": 45.0, "speed_mps": 0.0, "offset_m": 200.0}
 
-    def off_m(at_s):
-        fleet.advance(at_s)
-        t = fleet.truth()[1]
-        return math.hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m)
 
-    assert off_m(LOST_S + 9.0) < 5.0
-    assert off_m(LOST_S + 12.0) == pytest.approx(200.0, abs=10.0)
+def off_m(fleet):
+    t = fleet.truth()[1]
+    return math.hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m)
+
+
+def test_a_step_of_its_receiver_is_refused_then_flown_by_after_four_seconds_and_fused_after_ten():
+    """Real, after a step of 200 m: the lane switched at once, flag 32768 1.2 s later, on the receiver's fixes alone from 3.8
+    to 9.9 s, at 10 s EKF3 reset to them.
+    """
+    fleet = Fleet(scenario(vehicle=[STRAIGHT], fault=[STEPPED], dead_reckoning=EXACT), 1)
+    off, out = {}, []
+    for at_s in (0.5, 1.5, 3.5, 4.5, 9.5, 10.5, 30.0):
+        out += fleet.advance(LOST_S + at_s)
+        off[at_s] = off_m(fleet)
+    assert max(off[0.5], off[1.5], off[3.5]) < 5.0
+    assert [off[at_s] for at_s in (4.5, 9.5, 10.5, 30.0)] == pytest.approx([200.0] * 4, abs=10.0)
+    assert [m.text for m in parse(out, "STATUSTEXT", 1)] == ["EKF3 lane switch 1", "AHRS: DCM active", "AHRS: EKF3 active"]
+
+
+def test_while_it_goes_by_its_receiver_alone_it_repeats_each_fix():
+    fleet = Fleet(scenario(vehicle=[STRAIGHT], fault=[STEPPED], dead_reckoning=EXACT), 1)
+    fleet.advance(LOST_S + 5.0)
+    reports = parse(fleet.advance(LOST_S + 9.0), "GLOBAL_POSITION_INT", 1)
+    places = [(m.lat, m.lon) for m in reports]
+    assert len(places) == pytest.approx(40, abs=1)
+    assert len(set(places)) == pytest.approx(20, abs=1)  # reported ten times a second, measured five times
+
+
+def test_its_glitch_flag_comes_after_a_second_of_refusals_and_goes_ten_seconds_after_the_last():
+    fleet = Fleet(scenario(vehicle=[STRAIGHT], fault=[STEPPED], dead_reckoning=EXACT), 1)
+
+    def status(at_s):
+        return parse(fleet.advance(LOST_S + at_s), "EKF_STATUS_REPORT", 1)[-1]
+
+    early = status(0.9)
+    assert not early.flags & mavlink.EKF_GPS_GLITCHING
+    assert early.pos_horiz_variance == pytest.approx(200.0 / (5.0 * 0.7), rel=0.4)  # real: 51
+    assert status(2.0).flags & mavlink.EKF_GPS_GLITCHING
+    assert status(19.0).flags & mavlink.EKF_GPS_GLITCHING
+    assert not status(22.0).flags & mavlink.EKF_GPS_GLITCHING
+
+
+def test_a_plane_without_any_fix_does_not_fall_back_on_its_receiver():
+    fleet = Fleet(scenario(vehicle=[STRAIGHT], fault=[lost(1, LOST_S)]), 1)
+    texts = [m.text for m in parse(fleet.advance(60.0), "STATUSTEXT", 1)]
+    assert texts == []
+    assert fleet.truth()[1].source == "dead_reckoning"

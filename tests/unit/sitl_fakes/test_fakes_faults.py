@@ -68,7 +68,7 @@ def test_a_spoofer_walks_the_fix_away_and_the_autopilot_with_it():
 
 def test_a_spoofed_step_is_refused_at_first():
     fleet = Fleet(scenario(fault=[fault("gps_spoofed", speed_mps=0.0, offset_m=334.0)]), 1)
-    out = fleet.advance(14.0)
+    out = fleet.advance(8.0)
     truth = fleet.truth()[1]
     assert abs(truth.estimate_east_m - truth.east_m) < 20.0
     assert parse(out, "EKF_STATUS_REPORT", 1)[-1].flags & 32768

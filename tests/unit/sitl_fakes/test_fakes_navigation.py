@@ -73,20 +73,20 @@ def test_an_outlier_is_refused_and_flagged_and_one_that_stays_is_taken_after_ten
         at += 0.2
         nav.predict(20.0, 0.0, 0.2)
         nav.correct(fix(0.0, 20.0 * at, 0.0, 20.0), at)
-    assert not nav.glitching
+    assert not nav.refusing
     glitch_from = at
     while at < glitch_from + 9.0:
         at += 0.2
         nav.predict(20.0, 0.0, 0.2)
         nav.correct(fix(500.0, 20.0 * at, 0.0, 20.0), at)
-    assert nav.glitching
+    assert nav.refusing
     assert abs(nav.position_m[0]) < 5.0
     while at < glitch_from + 11.0:
         at += 0.2
         nav.predict(20.0, 0.0, 0.2)
         nav.correct(fix(500.0, 20.0 * at, 0.0, 20.0), at)
     assert nav.position_m[0] == pytest.approx(500.0, abs=5.0)
-    assert not nav.glitching
+    assert not nav.refusing
 
 
 def test_after_a_long_loss_the_first_good_fixes_bring_it_back_within_half_a_second():

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from sitl_fakes.fleet import Fleet
-from tests.unit.sitl_fakes.fakes_support import EXACT, GroundStation, aid, gps_input, lost, parse, scenario
+from tests.unit.sitl_fakes.fakes_support import EXACT, GroundStation, aid, ekf_uses_a_position, gps_input, lost, parse, scenario
 
 IGNORE_ALT, IGNORE_VEL_HORIZ, IGNORE_VEL_VERT, IGNORE_ACCURACIES = 1, 8, 16, 32 | 64 | 128
 
@@ -51,9 +52,11 @@ def test_good_gps_input_is_taken_after_the_loss():
     ],
 )
 def test_each_gate_alone_refuses(message, reason):
-    fleet, _ = flown(from_s=TO_ALIGN_ANEW_S, until_s=30.0, **message)
-    assert fleet.truth()[1].source == "dead_reckoning"
+    fleet, out = flown(from_s=TO_ALIGN_ANEW_S, until_s=30.0, **message)
+    assert not ekf_uses_a_position(out, 1)
     assert fleet.truth()[1].aid_refusal == reason
+    # A 3D fix that EKF3 refuses is flown by without it.
+    assert fleet.truth()[1].source == ("dead_reckoning" if reason == "no 3D fix" else "gps2 injected")
 
 
 @pytest.mark.parametrize(
@@ -70,7 +73,8 @@ def test_each_gate_alone_refuses(message, reason):
     ],
 )
 def test_just_inside_each_gate_is_taken(message):
-    fleet, _ = flown(from_s=TO_ALIGN_ANEW_S, until_s=30.0, **message)
+    fleet, out = flown(from_s=TO_ALIGN_ANEW_S, until_s=30.0, **message)
+    assert ekf_uses_a_position(out, 1)
     assert fleet.truth()[1].source == "gps2 injected"
 
 
@@ -95,10 +99,10 @@ def test_just_inside_each_gate_is_taken(message):
     ],
 )
 def test_the_parameters_decide(params, message, taken):
-    fleet, _ = flown(params=params, from_s=TO_ALIGN_ANEW_S, until_s=22.0, **message)
-    source = fleet.truth()[1].source
-    assert source.endswith("injected") == taken
-    assert taken or source in ("dead_reckoning", "none")
+    fleet, out = flown(params=params, from_s=TO_ALIGN_ANEW_S, until_s=22.0, **message)
+    assert ekf_uses_a_position(out, 1) == taken
+    refused_by_ekf = not taken and any(name.startswith("EK3_") for name in params)
+    assert fleet.truth()[1].source.endswith("injected") == (taken or refused_by_ekf)
 
 
 def test_with_auto_switch_4_a_healthy_receiver_is_kept_and_with_1_a_better_looking_one_captures_the_plane():
@@ -169,13 +173,14 @@ def test_ignored_altitude_is_zero_in_gps2_raw():
     assert parse(out, "GPS2_RAW", 1)[-1].alt == 0
 
 
-def test_a_step_of_the_position_is_refused_for_ten_seconds_and_then_taken_over():
+def test_a_step_of_the_position_is_refused_then_flown_by_without_ekf3_and_then_taken_over():
     fleet, _ = flown()
-    sources = []
-    for end in (14.0, 21.0, 24.0):
-        aid(fleet, 1, end - 2.0 if end == 14.0 else sources[-1][0], end, shift_east_m=334.0)
+    off_m, texts = [], []
+    for begin_s, end_s in pairwise((12.0, 14.0, 21.0, 24.0)):
+        out = aid(fleet, 1, begin_s, end_s, shift_east_m=334.0)
         t = fleet.truth()[1]
-        sources.append((end, t.estimate_east_m - t.east_m))
-    assert abs(sources[0][1]) < 10.0
-    assert abs(sources[1][1]) < 40.0
-    assert sources[2][1] > 250.0
+        off_m.append(t.estimate_east_m - t.east_m)
+        texts.append([m.text for m in parse(out, "STATUSTEXT", 1)])
+    assert abs(off_m[0]) < 10.0
+    assert min(off_m[1:]) > 250.0
+    assert texts[1:] == [["AHRS: DCM active"], ["AHRS: EKF3 active"]]
