@@ -5,25 +5,18 @@ from __future__ import annotations
 import pytest
 from flight_figures import at_most
 from four_ship import Case
-from px4_flight import GUIDE, Px4Flight, lose_gps, restore
+from px4_flight import DIRECT, GUIDE, Px4Flight, lose_gps, restore, stays_in_its_orbit
 
 AUTOPILOT = "px4"
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 
-FLOWN_AS = Px4Flight("sihsim_quadx", GUIDE)
+FLOWN_AS = Px4Flight(GUIDE)
 VISION = {"EKF2_AGP0_CTRL": 0, "EKF2_AGP0_ID": 0, "EKF2_EV_CTRL": 1, "EKF2_EV_NOISE_MD": 0}
 """A PX4 that takes no auxiliary position, as released ones do not: it is aided by VISION_POSITION_ESTIMATE."""
-
-DIRECT = "[senders]\ncompanions_elsewhere = true"
-"""PX4 forwards no message that it does not know: the companion computer sends its ranges to the service itself."""
 
 RANGES = {"EKF2_AGP0_CTRL": 0, "EKF2_AGP0_ID": 0, "EKF2_RNGBC_CTRL": 1, "EKF2_RNGBC_NOISE": 1.0}
 HANDED_OVER = f'{DIRECT}\n[aiding]\nmethod = "ranging_beacon"'
 """A PX4 that fuses the ranges itself: it is handed them with the peers' positions."""
-
-
-def stays_in_its_orbit(ship):
-    return {mode for at_s, mode in ship.pilots[4].modes if at_s > ship.begins_s} == set()
 
 
 def test_loss(flown):
