@@ -6,8 +6,9 @@ import subprocess
 import sys
 
 from bench.figures import Figure
+from bench.free_ports import free_port
 from bench.relay import Relay
-from bench.service_cpu import SCENARIO, cpu_s, free_port, rss_mb, waited_s
+from bench.service_cpu import SCENARIO, cpu_s, rss_mb, waited_s
 
 _RATE = 20_000
 _LIMIT_MS = 200.0

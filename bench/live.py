@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from bench.figures import Figure, interleaved
+from bench.free_ports import free_port, free_ports
 from bench.load import cores, put_under_load, wait_until_bound
 from bench.profile import where_it_goes
-from bench.service_cpu import free_port, free_ports, rss_mb
+from bench.service_cpu import rss_mb
 from bench.traffic import FleetSize
 
 _MAVUTIL = """

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from bench.figures import Figure
+from bench.free_ports import free_port, free_ports
 from bench.load import put_under_load, wait_until_bound
-from bench.service_cpu import free_port, free_ports
 
 PAGES = 8
 # The service's grid of deadlines repeats itself after 0.2 s. Over the repeats the traffic falls on it in all these places, for

@@ -11,7 +11,8 @@ import time
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from bench.figures import Figure
-from bench.service_cpu import cpu_s, free_port
+from bench.free_ports import free_port
+from bench.service_cpu import cpu_s
 
 _GOAL_S = 1.0
 _GIVE_UP_S = 60.0

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 
 from bench.figures import Figure, interleaved
-from bench.service_cpu import free_port
+from bench.free_ports import free_port
 from bench.traffic import OTHERS, fleet_traffic, message_id_of
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.links.udp import DATAGRAMS_PER_WAKE

@@ -21,7 +21,8 @@ from paho.mqtt.enums import CallbackAPIVersion
 from websockets.sync.client import ClientConnection, connect
 
 from bench.figures import Figure
-from bench.service_cpu import cpu_s, free_port
+from bench.free_ports import free_port
+from bench.service_cpu import cpu_s
 from gcs_coloc.sinks.fleet_overview import FleetOverview, VehicleOverview
 from gcs_coloc.sinks.mqtt_models import FleetStatus
 

@@ -13,8 +13,10 @@ from pathlib import Path
 
 from pilot import Pilot, Place3D, distance_m
 from scene import HOMES_M
-from service_process import Service, free_port
+from service_process import Service
 from simulators import Simulator
+
+from bench.free_ports import free_port
 
 STANDBY = "[aiding]\nstandby = true\nswitch_primary = 'auto'"
 """The service's configuration in these flights."""

@@ -13,12 +13,7 @@ import urllib.request
 from collections.abc import Sequence
 from pathlib import Path
 
-
-def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
-    """A port that is free now, of UDP if nothing else is said."""
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+from bench.free_ports import free_port
 
 
 class Service:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Iterator
 
 import pytest
-from flight import TOKEN, Scene, Watched, browser, flying, free_port, service, wait_until_good
+from flight import TOKEN, Scene, Watched, browser, flying, service, wait_until_good
+
+from bench.free_ports import free_port
 
 
 @pytest.fixture(scope="module")
@@ -15,7 +16,7 @@ def scene(tmp_path_factory) -> Iterator[Scene]:
     (folder / "token").write_text(f"{TOKEN}\n")
     (folder / "token").chmod(0o600)
     (folder / "config.toml").write_text(f'[web]\ntoken_file = "{folder / "token"}"\n')
-    port, out_port, failed = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_DGRAM), set()
+    port, out_port, failed = free_port(), free_port(), set()
     ground = ["--out", f"udpin:127.0.0.1:{out_port}"]
     arguments = [*ground, "--config", str(folder / "config.toml"), "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
     with service(folder / "log", *arguments) as (_, url), flying(port, failed) as fleet, browser() as chromium:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import re
-import socket
 from collections.abc import Iterator
 from itertools import product
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from command_line import gcs_coloc
-from flight import card, flying, free_port, service, wait_until_good
+from flight import card, flying, service, wait_until_good
 from playwright.sync_api import Page, expect
 from recorded_flight import write_flight
 from test_replay_page import replaying
+
+from bench.free_ports import free_port
 
 pytestmark = pytest.mark.integration
 
@@ -72,7 +73,7 @@ def test_the_live_page_with_an_alarm_its_details_and_an_armed_command(watched, s
 
 
 def test_a_page_that_has_lost_its_service(scene, tmp_path):
-    port = free_port(socket.SOCK_DGRAM)
+    port = free_port()
     page = scene.chromium.new_page(viewport={"width": 1440, "height": 900})
     with flying(port, set()), service(tmp_path / "log", "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0") as (process, url):
         page.goto(url)

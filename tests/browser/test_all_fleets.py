@@ -8,14 +8,16 @@ import signal
 import socket
 
 import pytest
-from flight import Watched, browser, flying, free_port, service, wait_for, wait_until_good
+from flight import Watched, browser, flying, service, wait_for, wait_until_good
 from playwright.sync_api import expect
+
+from bench.free_ports import free_port
 
 pytestmark = pytest.mark.integration
 
 
 def test_it_shows_each_fleet_leads_to_its_own_page_and_tells_of_one_that_died(tmp_path):
-    ports = {name: free_port(socket.SOCK_DGRAM) for name in ("north", "south")}
+    ports = {name: free_port() for name in ("north", "south")}
     address = f"127.0.0.1:{free_port(socket.SOCK_STREAM)}"
     tables = "".join(f'[[fleet]]\nname = "{name}"\nlinks = ["udpin:127.0.0.1:{port}"]\n' for name, port in ports.items())
     (tmp_path / "fleets.toml").write_text(f'[service]\nprocesses = "per-fleet"\naddress = "{address}"\n{tables}')

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import socket
-
 import pytest
-from flight import TOKEN, Watched, card, flying, free_port, service, wait_for, wait_until_good
+from flight import TOKEN, Watched, card, flying, service, wait_for, wait_until_good
 from playwright.sync_api import Page, expect
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vehicles import Hover
+
+from bench.free_ports import free_port
 
 pytestmark = pytest.mark.integration
 
@@ -126,7 +126,7 @@ def test_the_override_in_force_is_marked_with_who_gave_it_and_selection_and_toke
 
 def test_an_override_of_a_flag_or_the_configuration_is_named_so(scene, tmp_path):
     (tmp_path / "coloc.toml").write_text("[fleet]\nhealthy = [2]\n")
-    port = free_port(socket.SOCK_DGRAM)
+    port = free_port()
     arguments = ["--config", str(tmp_path / "coloc.toml"), "--failed", "4", "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
     with service(tmp_path / "log", *arguments) as (_, url), flying(port, set()):
         page = Watched(scene.chromium.new_page()).page

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import re
-import socket
 import threading
 from collections.abc import Iterator
 
 import pytest
-from flight import Watched, browser, card, free_port, service, wait_for
+from flight import Watched, browser, card, service, wait_for
 from playwright.sync_api import expect
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vehicles import Hover
+
+from bench.free_ports import free_port
 
 pytestmark = pytest.mark.integration
 
@@ -52,7 +53,7 @@ OVERLAPS = """() => {
 
 
 def test_thirty_vehicles_are_sorted_filtered_and_told_apart(tmp_path):
-    port, failed = free_port(socket.SOCK_DGRAM), set()
+    port, failed = free_port(), set()
     (tmp_path / "names.toml").write_text('[fleet.names]\n6 = "Kite"\n')
     arguments = ["--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0", "--config", str(tmp_path / "names.toml")]
     with service(tmp_path / "log", *arguments) as (_, url), swarm(port, failed) as fleet, browser() as chromium:

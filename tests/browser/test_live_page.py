@@ -7,9 +7,11 @@ import re
 import socket
 
 import pytest
-from flight import Watched, card, flying, free_port, service, wait_for, wait_until_good
+from flight import Watched, card, flying, service, wait_for, wait_until_good
 from playwright.sync_api import expect
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from bench.free_ports import free_port
 
 pytestmark = pytest.mark.integration
 
@@ -215,7 +217,7 @@ def test_the_true_position_of_a_simulation_has_a_mark_of_its_own(watched, scene)
 
 
 def test_after_a_kill_and_a_restart_with_nobody_heard_no_vehicle_of_before_is_shown(scene, tmp_path):
-    udp_port, web_port = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_STREAM)
+    udp_port, web_port = free_port(), free_port(socket.SOCK_STREAM)
     arguments = ["--udp", f"127.0.0.1:{udp_port}", "--web", f"127.0.0.1:{web_port}"]
     watched = Watched(scene.chromium.new_page())
     page = watched.page
@@ -242,7 +244,7 @@ def test_after_a_kill_and_a_restart_with_nobody_heard_no_vehicle_of_before_is_sh
 
 
 def test_a_restarted_service_is_found_again_and_its_absence_is_said(scene, tmp_path):
-    udp_port, web_port = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_STREAM)
+    udp_port, web_port = free_port(), free_port(socket.SOCK_STREAM)
     arguments = ["--udp", f"127.0.0.1:{udp_port}", "--web", f"127.0.0.1:{web_port}"]
     page = Watched(scene.chromium.new_page()).page
     with flying(udp_port, {4}):

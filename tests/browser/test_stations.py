@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 import re
-import socket
 import threading
 import time
 
 import pytest
-from flight import Watched, browser, card, free_port, service
+from flight import Watched, browser, card, service
 from playwright.sync_api import expect
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vehicles import ALT_M, LAT, LON, M_PER_DEG_LAT, M_PER_DEG_LON, Hover
+
+from bench.free_ports import free_port
 
 pytestmark = pytest.mark.integration
 
@@ -33,7 +34,7 @@ def table(station_id: int) -> str:
 
 
 def test_two_stations_are_named_on_the_map_and_in_what_the_protection_level_assumes(tmp_path):
-    port, landed, failed = free_port(socket.SOCK_DGRAM), threading.Event(), set()
+    port, landed, failed = free_port(), threading.Event(), set()
     (tmp_path / "config.toml").write_text("".join(map(table, STATIONS)))
     vehicle = Hover(4, (0.0, 0.0, 100.0), ("127.0.0.1", port))
 

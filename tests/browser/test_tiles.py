@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-import socket
 
 import pytest
-from flight import Watched, browser, card, flying, free_port, service, wait_for, wait_until_good
+from flight import Watched, browser, card, flying, service, wait_for, wait_until_good
 from playwright.sync_api import expect
 from tile_archive import write_archive
 from vehicles import LAT, LON
+
+from bench.free_ports import free_port
 
 pytestmark = pytest.mark.integration
 
@@ -28,7 +29,7 @@ def test_tiles_lie_under_the_vehicles_and_nothing_is_complained_of(tmp_path):
         tiles |= {(zoom, x + dx, y + dy) for dx in range(-8, 9) for dy in range(-8, 9)}
     write_archive(tmp_path / "map.pmtiles", tiles)
     (tmp_path / "coloc.toml").write_text(f'[web]\ntiles = "{tmp_path / "map.pmtiles"}"\n')
-    port = free_port(socket.SOCK_DGRAM)
+    port = free_port()
     arguments = ["--config", str(tmp_path / "coloc.toml"), "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
     with service(tmp_path / "log", *arguments) as (_, url), flying(port, {4}), browser() as chromium:
         page = chromium.new_page(viewport={"width": 1366, "height": 900})

@@ -1,4 +1,4 @@
-"""What the tests of links share: an inbox for what arrives, a free port, frames to send."""
+"""What the tests of links share: an inbox for what arrives, frames to send."""
 
 from __future__ import annotations
 
@@ -43,12 +43,6 @@ async def until(condition):
             await asyncio.sleep(0)
 
     await asyncio.wait_for(watch(), PATIENCE_S)
-
-
-def free_port(kind=socket.SOCK_DGRAM):
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def heartbeat(sysid, sequence=0):

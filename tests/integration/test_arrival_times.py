@@ -11,6 +11,7 @@ import pytest
 from link_peers import heartbeat, stamps_of_arrival, until
 from vehicles import Hover
 
+from bench.free_ports import free_port, free_ports
 from gcs_coloc.config.fleets import load_settings
 from gcs_coloc.core.alarms.alarms import AlarmKind, AlarmState
 from gcs_coloc.links.base import SCHEMES
@@ -29,16 +30,6 @@ HELD_UP_S = 0.02
 """The event loop is busy with sending for so long."""
 SLACK_S = 100e-6
 """Whole microseconds, and two clocks of the host that are read one after the other."""
-
-
-def free_ports(count: int) -> list[int]:
-    probes = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    for probe in probes:
-        probe.bind(("127.0.0.1", 0))
-    ports = [probe.getsockname()[1] for probe in probes]
-    for probe in probes:
-        probe.close()
-    return ports
 
 
 def test_datagrams_of_two_links_that_waited_are_received_in_the_order_and_at_the_time_of_their_arrival(tmp_path):
@@ -246,7 +237,7 @@ def test_a_service_that_is_behind_gives_the_other_one_no_sign_of_life_until_it_h
         other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         other.bind(("127.0.0.1", 0))
         other.setblocking(False)
-        (own_port,) = free_ports(1)
+        own_port = free_port()
         standby = {"peer": f"127.0.0.1:{other.getsockname()[1]}", "listen": f"127.0.0.1:{own_port}"}
         path = FleetService(
             load_settings(None, {"links": ["hand:127.0.0.1:1"], "standby": standby}), clock, read_host_clock(clock())

@@ -22,6 +22,8 @@ from signed_frames import OTHER_KEY, Signer, of_unknown_id
 from test_record import journal_of, live_vehicles, only
 from vehicles import fly, square_fleet
 
+from bench import free_ports
+
 pytestmark = pytest.mark.integration
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -133,7 +135,7 @@ def test_ground_tools_are_told_of_a_lost_gps_by_a_component_of_its_vehicle_and_v
 
 
 def test_a_ground_tool_never_takes_us_for_its_vehicle(start_service, free_port):
-    port = link_peers.free_port(socket.SOCK_DGRAM)
+    port = free_ports.free_port()
     start_service("--udp", f"127.0.0.1:{free_port}", "--out", f"127.0.0.1:{port}", "--no-web")
     with closing(mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}", source_system=255)) as ground:
         alone = ground.recv_match(blocking=True, timeout=2.5)
@@ -247,7 +249,7 @@ def test_a_flight_with_a_ground_tool_replays_to_the_last_bit_and_its_commands_ar
 
 
 def test_a_ground_tool_that_does_not_read_costs_the_flight_nothing(start_service, free_port):
-    port = link_peers.free_port(socket.SOCK_STREAM)
+    port = free_ports.free_port(socket.SOCK_STREAM)
     with socket.create_server(("127.0.0.1", port)) as listener, square_fleet(free_port) as fleet:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         service = start_service("--udp", f"127.0.0.1:{free_port}", "--out", f"tcp:127.0.0.1:{port}")
@@ -271,7 +273,7 @@ def test_a_ground_tool_that_does_not_read_costs_the_flight_nothing(start_service
 
 @pytest.mark.parametrize(("ours", "theirs"), [("udp", "udpin"), ("udpin", "udpout"), ("tcpin", "tcp")])
 def test_mavutil_reads_a_parameter_of_one_vehicle_of_a_fleet_through_us(start_service, free_port, ours, theirs):
-    port = link_peers.free_port(socket.SOCK_STREAM if ours == "tcpin" else socket.SOCK_DGRAM)
+    port = free_ports.free_port(socket.SOCK_STREAM if ours == "tcpin" else socket.SOCK_DGRAM)
     start_service("--udp", f"127.0.0.1:{free_port}", "--out", f"{ours}:127.0.0.1:{port}")
     with closing(mavutil.mavlink_connection(f"{theirs}:127.0.0.1:{port}", source_system=255, dialect="ardupilotmega")) as ground:
         command = [sys.executable, "-m", "sitl_fakes", "paper", "--target", f"127.0.0.1:{free_port}"]

@@ -10,12 +10,13 @@ import socket
 import pytest
 from pymavlink import mavutil
 
+from bench.free_ports import free_port
 from gcs_coloc.core.errors import LinkError
 from gcs_coloc.links import tcp
 from gcs_coloc.links.tcp import TcpClient, TcpClientLink, TcpServer, TcpServerLink
 from gcs_coloc.links.transport import MAX_RETRY_S, retry_delays
 from gcs_coloc.mavlink.encoder import Encoder
-from tests.integration.link_peers import PATIENCE_S, Inbox, free_port, heartbeat, until
+from tests.integration.link_peers import PATIENCE_S, Inbox, heartbeat, until
 
 pytestmark = pytest.mark.integration
 

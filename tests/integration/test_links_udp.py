@@ -9,6 +9,7 @@ import sys
 import pytest
 from pymavlink import mavutil
 
+from bench.free_ports import free_port
 from gcs_coloc.core.errors import LinkError
 from gcs_coloc.core.messages.inbound import Heartbeat
 from gcs_coloc.core.messages.outbound import GpsInput
@@ -17,7 +18,7 @@ from gcs_coloc.links.udp import UdpIn, UdpLink, UdpOut
 from gcs_coloc.mavlink.decoder import Decoder
 from gcs_coloc.mavlink.encoder import Encoder
 from gcs_coloc.runtime.clock import ServiceClock
-from tests.integration.link_peers import PATIENCE_S, Inbox, free_port, heartbeat, stamps_of_arrival
+from tests.integration.link_peers import PATIENCE_S, Inbox, heartbeat, stamps_of_arrival
 
 pytestmark = pytest.mark.integration
 

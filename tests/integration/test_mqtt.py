@@ -11,8 +11,9 @@ import time
 import paho.mqtt.client as paho
 import pytest
 from brokers import PASSWORD, USER, Broker, certificate_for, wait_until
-from link_peers import free_port as free_port_of
 from vehicles import LAT, LON, M_PER_DEG_LAT, M_PER_DEG_LON, fly, square_fleet
+
+from bench.free_ports import free_port as free_port_of
 
 pytestmark = pytest.mark.integration
 

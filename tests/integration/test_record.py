@@ -17,6 +17,7 @@ from mcap.reader import make_reader
 from pymavlink import mavutil
 from vehicles import fly, square_fleet
 
+from bench.free_ports import free_port as free_port_of
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.estimators.registry import load_estimator
@@ -51,9 +52,7 @@ def journal_of(*recordings: Path) -> tuple[list[bytes], list[GpsInput]]:
 def flown(tmp_path_factory) -> Path:
     """A flight to the orderly end of the service: vehicle 4 loses its GPS by the operator's word, and the service is held up."""
     directory = tmp_path_factory.mktemp("recorded")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port_of()
     service = subprocess.Popen(
         [
             sys.executable,

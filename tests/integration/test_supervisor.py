@@ -22,7 +22,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from vehicles import Hover, fly, square_fleet
 
-from bench.service_cpu import free_port, free_ports
+from bench.free_ports import free_port, free_ports
 from bench.two_links import COMPONENT_IDS, two_links
 
 pytestmark = pytest.mark.integration

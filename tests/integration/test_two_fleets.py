@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import signal
-import socket
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from command_line import gcs_coloc
 from vehicles import LAT, LON, M_PER_DEG_LAT, M_PER_DEG_LON, fly, square_fleet
+
+from bench.free_ports import free_ports
 
 pytestmark = pytest.mark.integration
 
@@ -18,13 +19,7 @@ _FAR_M = 30_000.0
 
 @pytest.fixture
 def ports() -> list[int]:
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
-    for probe in sockets:
-        probe.bind(("127.0.0.1", 0))
-    found = [probe.getsockname()[1] for probe in sockets]
-    for probe in sockets:
-        probe.close()
-    return found
+    return free_ports(2)
 
 
 @pytest.fixture

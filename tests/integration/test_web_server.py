@@ -22,6 +22,8 @@ from vehicles import fly, square_fleet
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from bench import free_ports
+
 pytestmark = pytest.mark.integration
 
 TOKEN = "a-token-of-this-test"
@@ -29,9 +31,7 @@ TOKEN = "a-token-of-this-test"
 
 @pytest.fixture
 def web_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+    return free_ports.free_port(socket.SOCK_STREAM)
 
 
 @pytest.fixture

@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from brokers import PASSWORD, USER, Broker
-from link_peers import free_port
 from vehicles import fly, square_fleet
+
+from bench.free_ports import free_port
 
 
 class Site:

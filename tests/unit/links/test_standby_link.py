@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import hmac
 import json
-import socket
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.free_ports import free_port
 from gcs_coloc.core.errors import LinkError
 from gcs_coloc.core.messages.control import AidingOverride, GpsOverride, PrimaryOverride, SwitchedReceiver
 from gcs_coloc.core.standby.sign_of_life import Identity, OverrideInForce, Shared, SignOfLife, StandbyState, Wish
@@ -68,12 +68,6 @@ def test_what_was_not_made_with_the_key_is_refused(datagram):
 def test_what_is_made_with_the_key_and_says_something_else_is_refused(content):
     body = json.dumps(content).encode()
     assert unpack(hmac.digest(KEY, body, "sha256") + body, KEY) is StandbyRefusal.OTHER_FORMAT
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def test_two_links_hear_each_other_and_count_what_is_not_theirs():
