@@ -13,10 +13,12 @@ from gcs_coloc.doctor.parameters import ParameterRule, apply_rules, equals
 _VERTICAL = 2  # bit of either control: the vertical position is fused
 _COARSE_RANGE_M = 5.0  # chosen: the default of 30 m makes ranges useless; devices have 0.1 to 5 m
 _REBOOT = ", then reboot it"
+_OWN_GPS, _VISION, _FIRST_SLOT, _RANGING_BEACON = 0, 3, 4, 12  # source: PX4's parameter reference, bits of EKF2_SENS_EN
 
 
 def check(vehicle: VehicleSurvey, method: AidingMethodName) -> Iterator[Finding]:
     """Judge the parameters that the vehicle told. Values and meanings: PX4's parameter reference, EKF2."""
+    yield from apply_rules(vehicle.parameters, (_fuses(_OWN_GPS, "its own GPS"),))
     if method == "ranging_beacon":
         yield from apply_rules(vehicle.parameters, _RANGING_RULES)
         return
@@ -56,6 +58,7 @@ def _slot_rules(slot: int) -> tuple[ParameterRule, ...]:
     return (
         _takes(AGP_CONTROL.format(slot), "GLOBAL_POSITION_SENSOR", " as an auxiliary global position", "auxiliary global"),
         _arrives_without_delay((p.AGP_DELAY.format(slot),)),
+        _fuses(_FIRST_SLOT + slot, "the auxiliary global position that we send"),
     )
 
 
@@ -69,6 +72,18 @@ def _takes(control: str, message: str, good: str, kind: str) -> ParameterRule:
         set_to=lambda value: float(int(value) | HORIZONTAL),
         good=f"it takes {message}{good}",
         unreadable=f"its firmware takes no {kind} position",
+    )
+
+
+def _fuses(bit: int, sensor: str) -> ParameterRule:
+    """Return the rule that EKF2 may fuse a sensor; a firmware without the parameter always may."""
+    return ParameterRule(
+        p.EKF2_SOURCES,
+        lambda value: bool(int(value) & 1 << bit),
+        Severity.STOP,
+        f"it does not use {sensor}",
+        set_to=lambda value: float(int(value) | 1 << bit),
+        remedy_more=", disarmed",
     )
 
 
@@ -103,6 +118,7 @@ _RANGING_RULES = (
         remedy_more=", or to the 1-sigma of your ranging devices",
     ),
     _arrives_without_delay(p.RANGING_BEACON_DELAY),
+    _fuses(_RANGING_BEACON, "RANGING_BEACON"),
 )
 
 _VISION_RULES = (
@@ -122,4 +138,5 @@ _VISION_RULES = (
         set_to=0.0,
     ),
     _arrives_without_delay(p.EV_DELAY),
+    _fuses(_VISION, "VISION_POSITION_ESTIMATE"),
 )

@@ -25,6 +25,9 @@ VISION = {"EKF2_EV_CTRL": 1.0, "EKF2_EV_NOISE_MD": 0.0, "EKF2_EV_DELAY": 0.0}
         (PX4_SLOT | {"EKF2_AGP0_ID": 0.0}, [("EKF2_AGP0_ID", 1.0)], "the slot is off"),
         (PX4_SLOT | {"EKF2_AGP0_ID": 7.0}, [("EKF2_AGP0_ID", 1.0)], "waits for another sensor id"),
         (PX4_SLOT | {"EKF2_AGP0_DELAY": 300.0}, [("EKF2_AGP0_DELAY", 0.0)], "0.3 s old"),
+        (PX4_SLOT | {"EKF2_SENS_EN": 8191.0}, [], "reboot it"),
+        (PX4_SLOT | {"EKF2_SENS_EN": 8190.0}, [("EKF2_SENS_EN", 8191.0)], "does not use its own GPS"),
+        (PX4_SLOT | {"EKF2_SENS_EN": 8175.0}, [("EKF2_SENS_EN", 8191.0)], "auxiliary global position that we send"),
         (PX4_SLOT | {"EKF2_AGP2_ID": 5.0, "EKF2_AGP2_CTRL": 1.0}, [], "positions of sensor 5 as well"),
         (
             {"EKF2_AGP0_CTRL": 1.0, "EKF2_AGP0_ID": 9.0, "EKF2_AGP1_ID": 1.0, "EKF2_AGP1_CTRL": 0.0},
@@ -37,6 +40,7 @@ VISION = {"EKF2_EV_CTRL": 1.0, "EKF2_EV_NOISE_MD": 0.0, "EKF2_EV_DELAY": 0.0}
         (VISION | {"EKF2_EV_CTRL": 8.0}, [("EKF2_EV_CTRL", 9.0)], "does not take VISION_POSITION_ESTIMATE"),
         (VISION | {"EKF2_EV_CTRL": 3.0}, [], "height that we compute"),
         (VISION | {"EKF2_EV_NOISE_MD": 1.0}, [("EKF2_EV_NOISE_MD", 0.0)], "EKF2_EVP_NOISE"),
+        (VISION | {"EKF2_SENS_EN": 8183.0}, [("EKF2_SENS_EN", 8191.0)], "does not use VISION_POSITION_ESTIMATE"),
         (VISION | {"EKF2_EV_DELAY": 175.0}, [("EKF2_EV_DELAY", 0.0)], "0.175 s old"),
     ],
 )
@@ -57,6 +61,7 @@ RANGES = {"EKF2_RNGBC_CTRL": 1.0, "EKF2_RNGBC_NOISE": 0.5, "EKF2_RNGBC_DELAY": 0
         (RANGES | {"EKF2_RNGBC_CTRL": 0.0}, [("EKF2_RNGBC_CTRL", 1.0)], "does not take RANGING_BEACON"),
         (RANGES | {"EKF2_RNGBC_NOISE": 30.0}, [("EKF2_RNGBC_NOISE", 1.0)], "no range for better than 30 m"),
         (RANGES | {"EKF2_RNGBC_DELAY": 100.0}, [("EKF2_RNGBC_DELAY", 0.0)], "0.1 s old"),
+        (RANGES | {"EKF2_SENS_EN": 4095.0}, [("EKF2_SENS_EN", 8191.0)], "does not use RANGING_BEACON"),
         (PX4_SLOT, [None], "its firmware fuses no ranges"),
     ],
 )
