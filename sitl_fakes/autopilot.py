@@ -94,6 +94,10 @@ class Autopilot(ABC):
     ) -> int:
         """Take MAV_CMD_EXTERNAL_POSITION_ESTIMATE: position (m), 1-sigma (m, None unknown), its age (s); returns MAV_RESULT."""
 
+    def use_own_gps(self, *, used: bool) -> int:  # noqa: ARG002 - PX4 has a choice
+        """Take MAV_CMD_ESTIMATOR_SENSOR_ENABLE of the own GPS; returns MAV_RESULT."""
+        return UNSUPPORTED
+
     @abstractmethod
     def arming_refusal(self, at_s: float) -> str | None:
         """The pre-arm failure in the autopilot's own text, None where it arms."""

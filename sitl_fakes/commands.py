@@ -18,6 +18,7 @@ from sitl_fakes.flight_controller import FlightController
 from sitl_fakes.receivers import fix_from_gps_input
 
 _EXTERNAL_POSITION_ESTIMATE = 43003  # source: MAVLink, common.xml
+_ESTIMATOR_SENSOR_ENABLE, _FUSION_SOURCE_GPS, _ENABLE = 43006, 0.0, 1.0  # source: MAVLink, development.xml
 _LONGEST_AGE_S = 5.0  # source: EKF3, setLatLng
 _ONLY_THE_GCS = 1  # source: MAV_OPTIONS, bit 0
 _GLOBAL_FRAMES = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
@@ -120,6 +121,8 @@ def _command_long(vehicle: FlightController, message: Any, at_s: float) -> list[
         return [_ack(message, FAILED)] if built is None else [_ack(message, ACCEPTED), built]
     if message.command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
         return _arm(vehicle, message, at_s)
+    if message.command == _ESTIMATOR_SENSOR_ENABLE and message.param1 == _FUSION_SOURCE_GPS:
+        return [_ack(message, vehicle.autopilot.use_own_gps(used=message.param3 == _ENABLE))]
     if message.command == mavlink.MAV_CMD_USER_1:
         return [_ack(message, _user_fault(vehicle, message, at_s))]
     return [_ack(message, UNSUPPORTED)]

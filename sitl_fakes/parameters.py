@@ -54,6 +54,7 @@ _PX4: dict[str, float] = {
     "EKF2_REQ_EPV": 5.0,
     "EKF2_REQ_NSATS": 6.0,
     "EKF2_REQ_SACC": 0.5,
+    "EKF2_SENS_EN": 8191.0,
     "MAV_SYS_ID": 1.0,
 }
 DEFAULTS: Mapping[Kind, Mapping[str, float]] = {"ardupilot": _ARDUPILOT, "px4": _PX4}

@@ -1,9 +1,9 @@
 """PX4 as far as aid from outside goes: no GPS_INPUT, an auxiliary global position, ranges, external position estimates.
 
-After PX4's main of August 2026 as flown with SIH: EKF2's AuxGlobalPosition, its ranging beacons and
-VEHICLE_CMD_EXTERNAL_POSITION_ESTIMATE. A GLOBAL_POSITION_SENSOR is stamped on receipt. A RANGING_BEACON's time is taken for the
-boot clock's, unconverted; a sample that is not a step of the buffer younger than the last one, or far behind the horizon, is
-dropped. The GNSS checks are reduced to the limits of EKF2_REQ_*.
+After PX4's main of August 2026 as flown with SIH: EKF2's AuxGlobalPosition, its ranging beacons,
+VEHICLE_CMD_EXTERNAL_POSITION_ESTIMATE and handleSensorFusionCommand. A GLOBAL_POSITION_SENSOR is stamped on receipt. A
+RANGING_BEACON's time is taken for the boot clock's, unconverted; a sample that is not a step of the buffer younger than the last
+one, or far behind the horizon, is dropped. The GNSS checks are reduced to the limits of EKF2_REQ_*.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ _HELD_S = 1.0  # chosen: some fixes missed
 _AUX, _RANGES = "aux global position", "ranging beacons"
 _BUFFER_STEP_S = 0.065  # _min_obs_interval_us as flown
 _HORIZON_S, _FUSED_WITHIN_S = 0.2, 0.1  # EKF2_DELAY_MAX; TimestampedRingBuffer::pop_first_older_than
+_SOURCES = "EKF2_SENS_EN"
+_OWN_GPS = 1 << 0  # source: EKF2_SENS_EN, bit 0
 
 
 class Px4(Autopilot):
@@ -32,6 +34,7 @@ class Px4(Autopilot):
         super().__init__((Navigation(reset_after_s=7.0),), guidance)
         self._params = params
         self._slot_id = params["EKF2_AGP0_ID"]  # read at boot alone
+        self._uses_own_gps = bool(int(params[_SOURCES]) & _OWN_GPS)
         self._gps_used_at_s = self._aux_used_at_s = -math.inf
         self._range_stamp_s = -math.inf
 
@@ -39,7 +42,9 @@ class Px4(Autopilot):
         """Take a message of the aircraft's own receiver, if it is as good as EKF2_REQ_* demand."""
         self.had_gps_time = self.had_gps_time or fix.fix_type >= 3
         self.receivers[0].receive(fix, at_s)
-        if self._good_enough(fix):
+        if not self.armed:
+            self._uses_own_gps = bool(int(self._params[_SOURCES]) & _OWN_GPS)
+        if self._uses_own_gps and self._good_enough(fix):
             self.navigation.correct(fix, at_s)
             self._last_used, self._gps_used_at_s = "gps1", at_s
 
@@ -86,6 +91,14 @@ class Px4(Autopilot):
         """Set the position, brought forward by its age, whatever it navigates on: a hard reset, which forgets the wind."""
         self.navigation.apply_estimate(position_m, accuracy_m or _UNKNOWN_ACCURACY_M, min(age_s, _LONGEST_AGE_S))
         self.navigation.forget_wind()
+        return ACCEPTED
+
+    def use_own_gps(self, *, used: bool) -> int:
+        """Fuse the aircraft's own receiver, or not. EKF2 keeps what it is told while it is disarmed over a reboot."""
+        self._uses_own_gps = used
+        if not self.armed:
+            sources = int(self._params[_SOURCES])
+            self._params.set(_SOURCES, sources | _OWN_GPS if used else sources & ~_OWN_GPS)
         return ACCEPTED
 
     def arming_refusal(self, at_s: float) -> str | None:

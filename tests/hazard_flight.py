@@ -12,9 +12,10 @@ from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache
 from math import hypot
-from typing import Any
+from typing import Any, Literal
 
-from gcs_coloc.core.engine import Engine
+from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.messages.outbound import GpsInput, Notice, Outbound
 from gcs_coloc.estimators.registry import load_estimator
@@ -26,13 +27,14 @@ from sitl_fakes.scenario import SCENARIOS, Scenario
 DENIED = 4
 """The aircraft in the middle of the four-ship, which loses its GPS in most hazards."""
 BELIEVED = ("healthy", "unknown")
+SwitchPrimary = Literal["off", "auto"]
 
 
 class _Watched(Engine):
     """An engine that keeps what it sends and says, with the time."""
 
-    def __init__(self) -> None:
-        super().__init__(load_estimator("fleet", {}))
+    def __init__(self, switch_primary: SwitchPrimary) -> None:
+        super().__init__(load_estimator("fleet", {}), EngineSettings(aiding=AidingSettings(switch_primary=switch_primary)))
         self.said: list[tuple[float, Outbound]] = []
 
     def poll(self, now_s: float) -> list[Outbound]:
@@ -136,6 +138,7 @@ def fly_through(
     params: dict[str, float] | None = None,
     autopilot: str = "ardupilot",
     scenario: str = "uwb",
+    switch_primary: SwitchPrimary = "off",
 ) -> Outcome:
     """Fly a scenario of configs/ with faults in place of its own.
 
@@ -147,6 +150,7 @@ def fly_through(
         params: autopilot parameters of the denied vehicle.
         autopilot: kind of the denied vehicle's autopilot.
         scenario: name of the scenario.
+        switch_primary: whether a receiver that lies is switched off.
     """
     with (SCENARIOS / f"{scenario}.toml").open("rb") as file:
         table = tomllib.load(file)
@@ -161,19 +165,19 @@ def fly_through(
             vehicle["autopilot"] = autopilot
     ordered = sorted(faults, key=lambda f: f["at_s"])
     befall = Scenario.model_validate(table | {"fault": ordered}).fault
-    loop = _flown(json.dumps(table), seed, tuple(befall), duration_s)
+    loop = _flown(json.dumps(table), seed, switch_primary, tuple(befall), duration_s)
     engine = loop.engine
     assert isinstance(engine, _Watched)
     gps_reasons = {vehicle.sysid: vehicle.gps_reason for vehicle in engine.snapshot(duration_s).vehicles}
     return Outcome(loop.flight, engine.said, engine.refused(), gps_reasons)
 
 
-def _flown(scenario: str, seed: int, faults: tuple[Fault, ...], until_s: float) -> ClosedLoop:
+def _flown(scenario: str, seed: int, switch_primary: SwitchPrimary, faults: tuple[Fault, ...], until_s: float) -> ClosedLoop:
     """Fly a scenario (JSON) with faults, in order of time. What comes before the last one begins is flown once for all tests."""
     if not faults:
-        loop = ClosedLoop(Scenario.model_validate_json(scenario), seed, _Watched())
+        loop = ClosedLoop(Scenario.model_validate_json(scenario), seed, _Watched(switch_primary))
     else:
-        loop = deepcopy(_beginning(scenario, seed, faults[:-1], faults[-1].at_s - STEP_S))
+        loop = deepcopy(_beginning(scenario, seed, switch_primary, faults[:-1], faults[-1].at_s - STEP_S))
         loop.fleet.inject(faults[-1])
     loop.advance(until_s)
     return loop

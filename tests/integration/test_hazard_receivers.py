@@ -41,6 +41,19 @@ def test_a_px4_that_loses_its_gps_flies_on_global_position_sensor():
     assert not out.fix_types(DENIED, 0.0)
 
 
+@pytest.mark.parametrize("switch_primary", ["off", "auto"])
+def test_a_px4_goes_on_with_a_receiver_that_lies_unless_it_is_switched_off(switch_primary):
+    walked_off = fault("gps_spoofed", at_s=20.0, speed_mps=5.0)
+    out = fly_through(walked_off, duration_s=60.0, mutual=True, autopilot="px4", switch_primary=switch_primary)
+    assert out.first(DENIED, "failed") < 25.0
+    assert ("its own GPS is switched off: it flies on the position that it is sent" in out.words(DENIED)) == (
+        switch_primary == "auto"
+    )
+    # EKF2 follows its receiver and refuses ours; without its receiver it takes ours after seven seconds.
+    believed_m = out.worst_belief_m(DENIED, 40.0)
+    assert believed_m < 1.5 * SOUND_M if switch_primary == "auto" else believed_m > 100.0
+
+
 def test_a_frozen_receiver_is_failed_though_it_calls_itself_healthy():
     out = fly_through(fault("gps_frozen", at_s=20.0), duration_s=45.0)
     assert out.first(DENIED, "failed") < 26.0

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.dialects.v20 import development
 
+from sitl_fakes.faults import Reboot
 from sitl_fakes.fleet import Fleet
 from tests.unit.sitl_fakes.fakes_support import GroundStation, aid, lost, parse, scenario
 
@@ -66,6 +67,37 @@ def test_without_gps_it_dead_reckons_says_so_and_passes_over_gps_input():
     assert fleet.truth()[1].source == "dead_reckoning"
     assert not parse(out, "ESTIMATOR_STATUS")[-1].flags & mavlink.ESTIMATOR_POS_HORIZ_ABS
     assert not parse(out, "SYS_STATUS")[-1].onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_SENSOR_GPS
+
+
+def use_own_gps(fleet, enable):
+    command = mavlink.MAVLink_command_long_message(1, 1, 43006, 0, 0, 0, enable, math.nan, 0, 0, 0)
+    fleet.deliver(1, GroundStation().pack(command), fleet.now_s)
+    return [ack.result for ack in parse(fleet.advance(fleet.now_s + 0.2), "COMMAND_ACK")]
+
+
+@pytest.mark.parametrize("armed", [True, False])
+def test_its_own_gps_is_switched_off_and_on_by_command_and_over_a_reboot_where_it_was_disarmed(armed):
+    vehicle = {"sysid": 1, "waypoints": [[0, 0], [0, 20000]], "autopilot": "px4", "armed": armed}
+    fleet = Fleet(scenario(vehicle=[vehicle]), 1)
+    fleet.advance(5.0)
+    assert fleet.truth()[1].source == "gps1"
+    assert use_own_gps(fleet, 0.0) == [mavlink.MAV_RESULT_ACCEPTED]
+    fleet.advance(10.0)
+    assert fleet.truth()[1].source == "dead_reckoning"
+    fleet.inject(Reboot(vehicle=1, at_s=10.5))
+    fleet.advance(20.0)
+    assert (fleet.truth()[1].source == "gps1") == armed
+    use_own_gps(fleet, 1.0)
+    fleet.advance(25.0)
+    assert fleet.truth()[1].source == "gps1"
+
+
+def test_an_ardupilot_does_not_know_the_command():
+    fleet = Fleet(scenario(vehicle=[{"sysid": 1, "waypoints": [[0, 0], [0, 20000]]}]), 1)
+    fleet.advance(5.0)
+    assert use_own_gps(fleet, 0.0) == [mavlink.MAV_RESULT_UNSUPPORTED]
+    fleet.advance(10.0)
+    assert fleet.truth()[1].source == "gps1"
 
 
 def test_auxiliary_positions_keep_it_where_it_is_after_a_loss():
