@@ -8,6 +8,7 @@ import struct
 
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+from pydantic_core import to_json
 
 from gcs_coloc.recorder.formats.foxglove import FoxgloveMessages, well_known_schema
 from gcs_coloc.recorder.journal import NAMES, Entry, VehicleEntry, as_json, schema_of
@@ -40,7 +41,7 @@ class McapEncoder:
         topic = f"/vehicle/{entry.vehicle.sysid}" if isinstance(entry, VehicleEntry) else f"/{NAMES[kind]}"
         self._add_message(topic, self._schemas[kind], time_ns, as_json(entry))
         for topic, schema, content in self._foxglove.messages(entry):
-            self._add_message(topic, self._well_known[schema], time_ns, json.dumps(content, separators=(",", ":")).encode())
+            self._add_message(topic, self._well_known[schema], time_ns, to_json(content))
 
     def _add_message(self, topic: str, schema: int, time_ns: int, data: bytes) -> None:
         channel = self._channels.get(topic)
