@@ -2,48 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
-import threading
-from collections.abc import Iterator
 
 import pytest
 from flight import Watched, browser, card, service, wait_for
 from playwright.sync_api import expect
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from vehicles import Hover
+from vehicles import COUNT, swarm
 
 from bench.free_ports import free_port
 
 pytestmark = pytest.mark.integration
-
-COUNT = 30
-
-
-@contextlib.contextmanager
-def swarm(port: int, failed: set[int]) -> Iterator[list[Hover]]:
-    """Thirty vehicles near each other. Twice a second: the page is tested here, on any machine, and not the service's load."""
-    landed = threading.Event()
-    places = [(40.0 * (i % 6), 25.0 * (i // 6), 60.0 + i) for i in range(COUNT)]
-    fleet = [Hover(i + 1, place, ("127.0.0.1", port)) for i, place in enumerate(places)]
-
-    def hover() -> None:
-        while not landed.wait(0.5):
-            for i, vehicle in enumerate(fleet):
-                vehicle.send(*vehicle.telemetry(0, 1 if vehicle.sysid in failed else 3))
-                if vehicle.sysid in failed:
-                    vehicle.send(*(vehicle.range_to(other) for other in fleet[max(i - 7, 0) : i]))
-
-    thread = threading.Thread(target=hover, daemon=True)
-    thread.start()
-    try:
-        yield fleet
-    finally:
-        landed.set()
-        thread.join()
-        for vehicle in fleet:
-            vehicle.sock.close()
-
 
 OVERLAPS = """() => {
     const boxes = [...document.querySelectorAll("#map .vehicle .name")].map((e) => e.getBoundingClientRect());

@@ -6,6 +6,7 @@ import contextlib
 import math
 import select
 import socket
+import threading
 import time
 from collections.abc import Collection, Iterator
 
@@ -13,6 +14,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 LAT, LON, ALT_M = 47.0, 8.0, 500.0
 M_PER_DEG_LAT, M_PER_DEG_LON = 111_171.0, 76_056.0  # at 47 deg north
+COUNT = 30
+"""Vehicles in a swarm."""
 
 
 class Hover:
@@ -80,6 +83,31 @@ def square_fleet(port: int, *, behind_a_router: bool = False) -> Iterator[list[H
             sock.bind(("127.0.0.1", 0))
         at = ("127.0.0.1", port)
         yield [Hover(i + 1, place, at, sockets[0 if behind_a_router else i]) for i, place in enumerate(places)]
+
+
+@contextlib.contextmanager
+def swarm(port: int, failed: set[int]) -> Iterator[list[Hover]]:
+    """Thirty vehicles near each other. Twice a second: what is shown is tested, on any machine, and not the service's load."""
+    landed = threading.Event()
+    places = [(40.0 * (i % 6), 25.0 * (i // 6), 60.0 + i) for i in range(COUNT)]
+    fleet = [Hover(i + 1, place, ("127.0.0.1", port)) for i, place in enumerate(places)]
+
+    def hover() -> None:
+        while not landed.wait(0.5):
+            for i, vehicle in enumerate(fleet):
+                vehicle.send(*vehicle.telemetry(0, 1 if vehicle.sysid in failed else 3))
+                if vehicle.sysid in failed:
+                    vehicle.send(*(vehicle.range_to(other) for other in fleet[max(i - 7, 0) : i]))
+
+    thread = threading.Thread(target=hover, daemon=True)
+    thread.start()
+    try:
+        yield fleet
+    finally:
+        landed.set()
+        thread.join()
+        for vehicle in fleet:
+            vehicle.sock.close()
 
 
 def fly(fleet: list[Hover], seconds: float, failed: Collection[int] = (), until=lambda: False, noise: bytes = b"") -> None:
