@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from four_ship import FourShip
 from pilot import Pilot, Place3D, offset_m
-from protection import fixes_with_level
+from protection import BoundedFix, bounded_fixes
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 _LONGEST_GAP_S = 0.4
@@ -22,9 +22,6 @@ _LONGEST_GAP_S = 0.4
 
 SETTLED_S = 15.0
 """From so long after the fault on an estimate counts as settled."""
-
-BOUND_95_PER_RMS = 1.73
-"""95 % of a Rayleigh distribution over its root mean square: sqrt(-ln 0.05); horiz_accuracy is the root mean square."""
 
 _SERVICE = 254
 _FROM_POSITION = 1e-7
@@ -43,7 +40,9 @@ class Figures:
     our_rmse_m: float | None = None
     our_largest_m: float | None = None
     stated_ratio: float | None = None
-    """Root mean square of error over stated standard deviation (horiz_accuracy): 1 is honest."""
+    """Root mean square of error over stated standard deviation, which is that of the worst direction: 1 to 1.4 is honest."""
+    bound_covers: float | None = None
+    """The share of what was sent whose error is within its 95 % bound."""
     beyond_3_bounds: int | None = None
     most_of_hpl: float | None = None
     """The largest error over its horizontal protection level, from the fault on: above 1 the level was not kept."""
@@ -64,7 +63,7 @@ class Figures:
 
         numbers = [
             self.ekf_rmse_m, self.ekf_largest_m, self.ekf_first_15_s_m, self.ekf_stated_ratio,
-            self.our_rmse_m, self.our_largest_m, self.stated_ratio,
+            self.our_rmse_m, self.our_largest_m, self.stated_ratio, self.bound_covers,
             self.beyond_3_bounds, self.most_of_hpl, self.altitude_sd_with_gps_m, self.altitude_sd_aided_m, self.named_after_s,
             self.switched_after_s,
         ]  # fmt: skip
@@ -73,10 +72,9 @@ class Figures:
 
 
 HEADER = (
-    "| flight | EKF rmse | most | first 15 s | EKF error/stated | ours rmse | most | error/stated | beyond 3 bounds |"
-    " error/HPL, most | alt sd GPS | alt sd aided | named | switched | sound suspects | no aid | log lines | notes |\n|"
-    + "---|"
-    * 18
+    "| flight | EKF rmse | most | first 15 s | EKF error/stated | ours rmse | most | error/stated | bound covers |"
+    " beyond 3 bounds | error/HPL, most | alt sd GPS | alt sd aided | named | switched |"
+    " sound suspects | no aid | log lines | notes |\n|" + "---|" * 19
 )
 
 
@@ -199,13 +197,8 @@ def judge(ship: FourShip, denied: int, age_s: float, name: str) -> Figures:
         others = [Truth(p.truth) for n, p in ship.pilots.items() if n != denied]
         fixes = [f for file in ship.service.recordings for f in sent_fixes(file, denied) if belongs(f, truth, others)]
         _judge_sent(out, fixes, truth, begins_s, ends_s + case.after_s, age_s, ship.killed_s)
-        levels = [each for file in ship.service.recordings for each in fixes_with_level(file, ship.service.configuration, denied)]
-        shares = [
-            math.hypot(*offset_m(true, sent)) / level_m
-            for sent, level_m in levels
-            if sent.unix_s >= begins_s and (true := truth.at(sent.unix_s - age_s)) is not None
-        ]
-        out.most_of_hpl = max(shares, default=None)
+        bounded = [each for file in ship.service.recordings for each in bounded_fixes(file, ship.service.configuration, denied)]
+        _judge_bounds(out, [f for f in bounded if f.place.unix_s >= begins_s], truth, begins_s + SETTLED_S, age_s)
         since = [(at, n, state) for at, n, state in ship.service.states if at >= begins_s]
         out.named_after_s = next((at - begins_s for at, n, state in since if n == denied and state == "failed"), None)
         accused = {n: at - begins_s for at, n, state in reversed(since) if n in sound and state in ("suspect", "failed")}
@@ -238,11 +231,21 @@ def _judge_sent(
     ]
     out.our_rmse_m, out.our_largest_m = rms([e for e, _ in pairs]), max((e for e, _ in pairs), default=None)
     out.stated_ratio = rms([e / s for e, s in pairs])
-    out.beyond_3_bounds = sum(e > 3.0 * BOUND_95_PER_RMS * s for e, s in pairs) if pairs else None
     # A service that is killed was sending until then: what it had not written yet is lost from its recording, not from the air.
     sent_s = [*(f.place.unix_s for f in fixes if f.fix_type >= 3), *killed_s]
     times = sorted(t for t in sent_s if begins_s <= t < ends_s)
     out.longest_silence_s = max((b - a for a, b in pairwise(times)), default=None)
+
+
+def _judge_bounds(out: Figures, fixes: Sequence[BoundedFix], truth: Truth, settled_s: float, age_s: float) -> None:
+    """Errors against the bounds that they were stated with; coverage from `settled_s` on."""
+    errors = [(math.hypot(*offset_m(true, f.place)), f) for f in fixes if (true := truth.at(f.place.unix_s - age_s)) is not None]
+    if not errors:
+        return
+    settled = [error_m <= f.bound_95_m for error_m, f in errors if f.place.unix_s >= settled_s]
+    out.bound_covers = sum(settled) / len(settled) if settled else None
+    out.beyond_3_bounds = sum(error_m > 3.0 * f.bound_95_m for error_m, f in errors)
+    out.most_of_hpl = max(error_m / f.hpl_m for error_m, f in errors)
 
 
 def _switches(recordings: Sequence[Path]) -> list[tuple[str, float]]:
@@ -258,4 +261,14 @@ def _switches(recordings: Sequence[Path]) -> list[tuple[str, float]]:
 def at_most(**limits: tuple[float | None, float]) -> None:
     """Fail with every figure that is missing or beyond its limit."""
     missed = [f"{name} {found} > {limit}" for name, (found, limit) in limits.items() if found is None or not found <= limit]
+    assert not missed, "; ".join(missed)
+
+
+LEAST_COVERED = 0.93
+"""Of the 95 % bound. Errors last for seconds, so that a flight of three minutes has some fifty independent ones."""
+
+
+def at_least(**limits: tuple[float | None, float]) -> None:
+    """Fail with every figure that is missing or below its limit."""
+    missed = [f"{name} {found} < {limit}" for name, (found, limit) in limits.items() if found is None or not found >= limit]
     assert not missed, "; ".join(missed)

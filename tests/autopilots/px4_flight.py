@@ -16,8 +16,8 @@ from simulators import ORIGIN_ALT_M, px4
 
 # Ports that PX4's own start-up script gives to its instances (px4-rc.mavlinksim): ground station, onboard, truth of SIH.
 _GROUND_STATION_PORT, _ONBOARD_PORT, _TRUTH_PORT = 14550, 14540, 19410
-_GPS_UNIT, _FAILURE_OFF, _FAILURE_NONE = 4, 1, 0
-"""FAILURE_UNIT_SENSOR_GPS, FAILURE_TYPE_OFF, FAILURE_TYPE_OK."""
+_GPS_UNIT, _FAILURE_NONE, _FAILURE_OFF, _FAILURE_STUCK = 4, 0, 1, 2
+"""FAILURE_UNIT_SENSOR_GPS; FAILURE_TYPE_OK, _OFF, _STUCK."""
 
 _INJECT_FAILURE, _NAN = 420, float("nan")
 _ORBIT_SPEED_MPS, _ORBIT_RADIUS_M = 6.0, 60.0
@@ -139,18 +139,25 @@ class Px4AirplaneFlight(Px4Flight):
 
 def lose_gps(ship: FourShip) -> None:
     """The receivers of the denied vehicles are off."""
-    for sysid in ship.case.denied:
-        assert ship.pilots[sysid].command(_INJECT_FAILURE, _GPS_UNIT, _FAILURE_OFF, 0) == 0
-        ship.event(sysid, "gps loss begins")
+    _fail(ship, _FAILURE_OFF, "gps loss begins")
+
+
+def stick_gps(ship: FourShip) -> None:
+    """The receivers of the denied vehicles repeat their last fix for ever, with all its satellites."""
+    _fail(ship, _FAILURE_STUCK, "gps is stuck")
 
 
 def restore(ship: FourShip) -> None:
     """The receivers are on again."""
-    for sysid in ship.case.denied:
-        ship.pilots[sysid].command(_INJECT_FAILURE, _GPS_UNIT, _FAILURE_NONE, 0)
-        ship.event(sysid, "gps loss ends")
+    _fail(ship, _FAILURE_NONE, "gps fault ends")
 
 
 def stays_in_its_orbit(ship: FourShip) -> bool:
     """Whether the denied vehicle changed its mode at no time since the fault began."""
     return not any(at_s > ship.begins_s for at_s, _ in ship.pilots[4].modes)
+
+
+def _fail(ship: FourShip, failure: int, event: str) -> None:
+    for sysid in ship.case.denied:
+        assert ship.pilots[sysid].command(_INJECT_FAILURE, _GPS_UNIT, failure, 0) == 0
+        ship.event(sysid, event)

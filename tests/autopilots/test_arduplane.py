@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from ardupilot_flight import ArduPilotFlight
-from flight_figures import at_most
+from flight_figures import LEAST_COVERED, at_least, at_most
 from four_ship import Case
 from simulator_faults import Ramp, Restart, Starts, WindStep, jam, lose_gps, restore, step_of_200_m
 from simulators import PLANE
@@ -28,6 +28,7 @@ def test_loss(flown):
         beyond_3_bounds=(f.beyond_3_bounds, 0),
         altitude_sd=(f.altitude_sd_aided_m, 1.3 * f.altitude_sd_with_gps_m),
     )
+    at_least(bound_covers=(f.bound_covers, LEAST_COVERED))
 
 
 def test_loss_with_a_step_of_wind(flown):
@@ -68,7 +69,8 @@ def test_two_lost_at_once(flown):
     _, rows = flown(Case("two lost", denied=(3, 4), begin=lose_gps))
     for f in rows:
         assert f.suspects == []
-        at_most(ours=(f.our_rmse_m, 1.5), beyond_3_bounds=(f.beyond_3_bounds, 0))
+        at_most(ours=(f.our_rmse_m, 0.9), beyond_3_bounds=(f.beyond_3_bounds, 0))
+        at_least(bound_covers=(f.bound_covers, LEAST_COVERED))
 
 
 def test_killed_and_started_again(flown):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from flight_figures import at_most
 from four_ship import Case
-from px4_flight import DIRECT, GUIDE, Px4Flight, lose_gps, restore, stays_in_its_orbit
+from px4_flight import DIRECT, GUIDE, Px4Flight, lose_gps, restore, stays_in_its_orbit, stick_gps
 
 AUTOPILOT = "px4"
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
@@ -31,6 +31,19 @@ def test_loss(flown):
         ekf_over_stated=(f.ekf_stated_ratio, 1.3),
         beyond_3_bounds=(f.beyond_3_bounds, 0),
     )
+
+
+def test_a_receiver_that_is_stuck_is_switched_off_and_on_again(flown):
+    """MAV_CMD_ESTIMATOR_SENSOR_ENABLE; without it EKF2 would go on with a fix that stays where it is."""
+    configuration = f'{DIRECT}\n[aiding]\nswitch_primary = "auto"'
+    ship, [f] = flown(Case("stuck", begin=stick_gps, duration_s=80.0, end=restore, after_s=40.0, configuration=configuration))
+    assert ship.service is not None
+    assert f.suspects == []
+    assert stays_in_its_orbit(ship)
+    said = ship.service.log.read_text(encoding="utf-8")
+    for words in ("its own GPS is switched off", "its own GPS is switched on again"):
+        assert said.count(words) == 1
+    at_most(ekf_largest=(f.ekf_largest_m, 2.5), beyond_3_bounds=(f.beyond_3_bounds, 0))
 
 
 def test_loss_with_ranges_of_15_m(flown):
