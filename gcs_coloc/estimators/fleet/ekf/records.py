@@ -103,6 +103,12 @@ class VehicleRecord:
     """Time of the last position report or range that was used."""
     velocity_used_at_s: float = -math.inf
     """Time of the last position report whose velocity was used."""
+    height_at_s: float = -math.inf
+    """Time of the last barometric height."""
+    height_innovation_m: float = 0.0
+    """Its innovation."""
+    height_used_at_s: float = math.inf
+    """Time of the last barometric height within the gate; infinite before the first and after a jump: no climb explains it."""
     cusum: float = 0.0
     """CUSUM statistic of refused against used ranges, eq. (21): evidence that the state is wrong."""
     unresolved_outlier: UnresolvedOutlier | None = None

@@ -33,7 +33,12 @@ _HARDEST_MPS2 = 20.0
 """Chosen: 2 g, the hardest manoeuvre that a position report outside the gate is explained by."""
 _REPORT_ERROR_H = slice(REPORT_ERROR.start, REPORT_ERROR.start + 2)
 _REPORT_ERROR_V = slice(REPORT_ERROR.start + 2, REPORT_ERROR.stop)
+_MISSED_CLIMB_S = 1.2
+"""Chosen: a climb that begins hard leaves the gate within so long; heights further apart show no steps. 1 Hz with jitter."""
+_CLIMB_ERROR_MPS = 15.0
+"""Chosen: the climb of an agile copter that was sinking a moment ago; a height that departs faster jumps."""
 _BARO = slice(BARO_ERROR, BARO_ERROR + 1)
+_UP_AND_CLIMB = np.ix_((2, 5), (2, 5))
 _OFFSET = slice(TIME_STAMP_OFFSET, TIME_STAMP_OFFSET + 1)
 
 NOTHING_CONSIDERED: Mapping[Key, float] = MappingProxyType({})
@@ -89,13 +94,30 @@ def update_position_report(
 
 
 def update_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, coloured_m: float) -> UpdateResult:
-    """Correct with a barometric height, eq. (12), its noise inflated outside the gate: a barometer drifts, it does not jump."""
-    record, joint = cluster.records[m.vehicle], cluster.joint
+    """Correct with a barometric height, eq. (12).
+
+    Heights that leave the gate step by step tell of a climb: they are tried again with a hard manoeuvre since the last one
+    within it, eq. (20). Those that leave it at once, or by more, are the barometer's doing, and used with inflated noise.
+    """
+    record, joint, limit = cluster.records[m.vehicle], cluster.joint, cluster.settings.gate_sigma**2
     record.baro_error_sigma_m = cluster.change_sigma(m.vehicle, _BARO, record.baro_error_sigma_m, coloured_m)
     cluster.propagate(m.vehicle, m.measured_at_s)
     hA, innovation, variance = altitude(joint, m, white_m)
     nis = innovation * innovation / variance
-    if nis > cluster.settings.gate_sigma**2:
+    step_m = abs(innovation - record.height_innovation_m)
+    gap_s = m.measured_at_s - record.height_at_s
+    record.height_at_s, record.height_innovation_m = m.measured_at_s, innovation
+    if nis > limit:
+        if gap_s > _MISSED_CLIMB_S or step_m > _CLIMB_ERROR_MPS * gap_s + 2.0 * white_m:
+            record.height_used_at_s = math.inf
+        since_s = min(max(m.measured_at_s - record.height_used_at_s, 0.0), _MISSED_CLIMB_S)
+        manoeuvre = _manoeuvre_covariance(since_s)[_UP_AND_CLIMB]
+        if innovation * innovation <= limit * (variance + manoeuvre[0, 0]):
+            joint.covariance(m.vehicle)[_UP_AND_CLIMB] += manoeuvre
+            hA, innovation, variance = altitude(joint, m, white_m)
+    if innovation * innovation <= limit * variance:
+        record.height_used_at_s = m.measured_at_s
+    else:
         variance += innovation * innovation
     W = joint.correct_scalar(hA, variance)
     sigma_m = math.sqrt(variance)

@@ -1,0 +1,69 @@
+"""Barometric heights outside the gate: a climb that begins hard is followed, a barometer that jumps is not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    Estimate,
+    PositionMeasurement,
+    RangeMeasurement,
+    VehicleClass,
+    VehicleClassReport,
+)
+from gcs_coloc.estimators.fleet.filter import FleetFilter
+
+DENIED, STEP_S, END_S = 9, 0.2, 60.0
+ANCHORS_M = {1: (-70.0, -60.0, 20.0), 2: (80.0, -50.0, 60.0), 3: (60.0, 75.0, 30.0), 4: (-75.0, 65.0, 50.0)}
+CLIMB_MPS, ACCELERATION_MPS2, HOLDS_S = 8.0, 8.0, 6.0
+
+
+def flown(climb_mps: float, jump_m: float, seed: int) -> tuple[float, float]:
+    """Climb and sink in turns among four anchors; the barometer jumps at 30 s.
+
+    Return the largest error upwards, m, and the largest horizontal error over its 95 % bound.
+    """
+    rng, estimator = np.random.default_rng(seed), FleetFilter()
+    for vehicle, place in ANCHORS_M.items():
+        estimator.add(PositionMeasurement(vehicle, 0.0, 0.0, place, 0.3, 0.3, static=True))
+    estimator.add(VehicleClassReport(DENIED, 0.0, 0.0, VehicleClass.MULTIROTOR))
+    up_m, rate_mps, off_m, ratios = 60.0, 0.0, [], []
+    for k in range(round(END_S / STEP_S)):
+        t = k * STEP_S
+        wanted_mps = climb_mps if math.floor(t / HOLDS_S) % 2 == 0 else -climb_mps
+        rate_mps += min(max(wanted_mps - rate_mps, -ACCELERATION_MPS2 * STEP_S), ACCELERATION_MPS2 * STEP_S)
+        up_m += rate_mps * STEP_S
+        if t < 5.0:
+            estimator.add(PositionMeasurement(DENIED, t, t, (0.0, 0.0, up_m), 0.5, 0.5, (0.0, 0.0, rate_mps), 0.3))
+        elif k == round(5.0 / STEP_S):
+            estimator.set_denied({DENIED}, t)
+        jumped_m = jump_m if t > 30.0 else 0.0
+        estimator.add(AltitudeMeasurement(DENIED, t, t, up_m + jumped_m + 0.3 * rng.normal(), 2.0))
+        for p, place in ANCHORS_M.items():
+            range_m = math.dist((0.0, 0.0, up_m), place) + rng.normal()
+            estimator.add(RangeMeasurement(DENIED, p, t, t, range_m, 1.0))
+        where = estimator.estimate(DENIED, t)
+        if t > 8.0:
+            assert isinstance(where, Estimate)
+            off_m.append(abs(float(where.position_enu_m[2]) - up_m))
+            ratios.append(math.hypot(*where.position_enu_m[:2].tolist()) / horizontal_bound_95_m(where.covariance))
+    return max(off_m), max(ratios)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_copter_that_climbs_and_sinks_in_turns_keeps_its_height_and_its_place(seed):
+    off_m, ratio = flown(CLIMB_MPS, 0.0, seed)
+    assert off_m < 10.0
+    assert ratio < 1.5
+
+
+@pytest.mark.parametrize("jump_m", [-80.0, -25.0, 10.0, 25.0, 80.0])
+def test_a_barometer_that_jumps_does_not_move_it_aside_and_by_tens_of_metres_not_upwards(jump_m):
+    off_m, ratio = flown(0.0, jump_m, seed=1)
+    assert ratio < 1.5
+    assert off_m < 5.0 or abs(jump_m) > 25.0
