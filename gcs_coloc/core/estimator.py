@@ -24,6 +24,7 @@ from gcs_coloc.core.reasons import StatedReason
 _RAISED = "raised an exception"
 _NO_RESIDUAL = "gave a residual that is none"
 _SIX_ROWS = [6] * 6
+_TWO_ROWS = [2] * 2
 _NOT_A_POSITION = "gave a result that is no position with a covariance"
 
 
@@ -215,13 +216,16 @@ def _is_sound(answer: object) -> bool:
     try:
         # As lists: for so few numbers numpy's functions take several times as long.
         position, velocity, rows = answer.position_enu_m.tolist(), answer.velocity_enu_mps.tolist(), answer.covariance.tolist()
+        far = rows if answer.far_covariance is None else answer.far_covariance.tolist()
         if len(position) != 3 or len(velocity) != 3 or [len(row) for row in rows] != _SIX_ROWS:
             return False
-        is_finite = all(map(isfinite, chain(position, velocity, *rows)))
+        if far is not rows and [len(row) for row in far] != _TWO_ROWS:
+            return False
+        is_finite = all(map(isfinite, chain(position, velocity, *rows, *far)))
     except (AttributeError, TypeError):
         return False
-    is_positive = all(row[i] > 0.0 for i, row in enumerate(rows)) and rows[0][0] * rows[1][1] > rows[0][1] * rows[1][0]
-    return is_finite and is_positive
+    is_positive = all(row[i] > 0.0 for one in (rows, far) for i, row in enumerate(one))
+    return is_finite and is_positive and all(one[0][0] * one[1][1] > one[0][1] * one[1][0] for one in (rows, far))
 
 
 def _is_residual(residual: object) -> bool:

@@ -150,7 +150,8 @@ class Estimate:
     `position_enu_m` (3,) m, `velocity_enu_mps` (3,) m/s, `covariance` (6, 6) of position then velocity, symmetric
     positive definite. `hdop` is the horizontal dilution of the ranges in use (no clock column), `None` where there are
     fewer than two. `ranges_in_use` counts the distinct vehicles whose ranges were used lately. `protection` is set by the
-    integrity stage; None where an estimator is asked by itself.
+    integrity stage; None where an estimator is asked by itself. `far_covariance` (2, 2) m^2 holds horizontally for the protection
+    level, five sigmas and more out, where the error is no Gaussian; None: `covariance` does.
     """
 
     vehicle: int
@@ -161,6 +162,12 @@ class Estimate:
     hdop: float | None
     ranges_in_use: int
     protection: ProtectionLevel | None = None
+    far_covariance: FloatArray | None = None
+
+    @property
+    def protected_covariance(self) -> FloatArray:
+        """The horizontal covariance (2, 2) that holds far out, m^2."""
+        return self.covariance[:2, :2] if self.far_covariance is None else self.far_covariance
 
 
 class NoEstimateReason(WordedReason):

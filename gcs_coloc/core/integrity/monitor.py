@@ -116,7 +116,7 @@ class IntegrityMonitor:
                 levels[sysid] = fault_level(separation.of(sysid), where, ranged_at_s, self._protection)
             else:
                 # Until it has ranges, its last own position carries it.
-                beginning = FaultLevel(0.0, horizontal_sigma_m(where.covariance), now_s, ())
+                beginning = FaultLevel(0.0, horizontal_sigma_m(where.protected_covariance), now_s, ())
                 levels[sysid] = self._fault_levels.get(sysid, beginning)
         self._fault_levels = levels
 

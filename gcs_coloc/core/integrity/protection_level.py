@@ -114,7 +114,7 @@ def fault_level(
         for some in (hypotheses, tested)
     )
     untested = tuple(sorted(singles - tested_singles))
-    return FaultLevel(_level_m(tested, settings), horizontal_sigma_m(estimate.covariance), ranged_at_s, untested)
+    return FaultLevel(_level_m(tested, settings), horizontal_sigma_m(estimate.protected_covariance), ranged_at_s, untested)
 
 
 def _level_m(hypotheses: Sequence[Separation], settings: ProtectionSettings) -> float:
@@ -146,7 +146,7 @@ def protection_level(
 ) -> ProtectionLevel:
     """Return HPL and VPL of an estimate; `faults` is None for a vehicle whose own receiver is in it."""
     common_m = settings.common_gnss_sigma_m
-    sigma_m, sigma_v_m = horizontal_sigma_m(estimate.covariance), sqrt(float(estimate.covariance[2, 2]))
+    sigma_m, sigma_v_m = horizontal_sigma_m(estimate.protected_covariance), sqrt(float(estimate.covariance[2, 2]))
     horizontal_m = settings.nominal_sigmas * hypot(sigma_m, common_m)
     vertical_m = settings.nominal_sigmas * hypot(sigma_v_m, VERTICAL_RATIO * common_m)
     untested: tuple[int, ...] = ()

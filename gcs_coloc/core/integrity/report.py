@@ -121,4 +121,5 @@ class IntegrityReport:
             covariance,
             estimate.hdop,
             estimate.ranges_in_use,
+            far_covariance=None if estimate.far_covariance is None else estimate.far_covariance + separation_m2,
         )

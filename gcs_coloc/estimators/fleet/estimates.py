@@ -6,6 +6,7 @@ import numpy as np
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, NoEstimate, NoEstimateReason, Unlocated
+from gcs_coloc.estimators.fleet.ambiguity.curved_ranges import curvature_covariances
 from gcs_coloc.estimators.fleet.ambiguity.range_evidence import unresolved_outlier_variance_m2
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance
@@ -40,6 +41,12 @@ def estimate_of_cluster(cluster: Cluster, vehicle: int, at_s: float) -> Estimate
     position, spread = x[POSITION] - offset_s * x[VELOCITY], G @ P @ G.T
     covariance = spread + spread.T
     covariance *= 0.5
+    curved = curvature_covariances(cluster, vehicle, covariance, at_s) if record.denied_vehicle else None
+    far = None
+    if curved is not None:
+        near_m2, far_m2 = curved
+        far = covariance[:2, :2] + far_m2
+        covariance[:2, :2] += near_m2
     gap_m2, gap_m2ps2, gap_both = gap_covariance(record, cluster.settings, at_s)
     added_m2 = gap_m2 + unresolved_outlier_variance_m2(record)
     for axis in (0, 1):
@@ -47,12 +54,14 @@ def estimate_of_cluster(cluster: Cluster, vehicle: int, at_s: float) -> Estimate
         covariance[axis + 3, axis + 3] += gap_m2ps2
         covariance[axis, axis + 3] += gap_both
         covariance[axis + 3, axis] += gap_both
+        if far is not None:
+            far[axis, axis] += added_m2
     worst_m = horizontal_sigma_m(covariance)
     if not worst_m <= cluster.settings.limit_sigma_m:
         return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))
     units = [n.unit for n in record.neighbours.values() if abs(at_s - n.at_s) <= IN_USE_S]
     hdop = horizontal_dilution_of(units) if len(units) >= 2 else None
-    return Estimate(vehicle, at_s, position, x[VELOCITY].copy(), covariance, hdop, len(units))
+    return Estimate(vehicle, at_s, position, x[VELOCITY].copy(), covariance, hdop, len(units), None, far)
 
 
 def estimate_of_search(

@@ -229,7 +229,11 @@ class FleetHypotheses:
             if open_sides or horizontal_sigma_m(covariance) > self.main.settings.limit_sigma_m:
                 apart_m = math.hypot(*(other_x - x)[:2].tolist())
                 return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.OTHER_PLACE, apart_m))
-            where = Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, where.hdop, where.ranges_in_use)
+            far = None
+            if where.far_covariance is not None or other.far_covariance is not None:
+                pair = where.protected_covariance, other.protected_covariance
+                far = mixture(x[:2], pair[0], other_x[:2], pair[1], hypothesis.log_odds)[1]
+            where = Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, where.hdop, where.ranges_in_use, None, far)
         return where
 
 

@@ -45,6 +45,10 @@ class Faulty(StraightLine):
                     return replace(answer, position_enu_m=answer.position_enu_m[:2])
                 case "list":
                     return replace(answer, velocity_enu_mps=[0.0, 0.0, 0.0])  # type: ignore[arg-type]
+                case "far of six":
+                    return replace(answer, far_covariance=answer.covariance)
+                case "far indefinite":
+                    return replace(answer, far_covariance=np.array([[1.0, 2.0], [2.0, 1.0]]))
                 case "no count":
                     return replace(answer, ranges_in_use=None)  # type: ignore[arg-type]
         return answer
@@ -62,7 +66,11 @@ class Faulty(StraightLine):
 
 
 @pytest.mark.parametrize(
-    "fault", ["raise", "nan", "negative", "indefinite", "forgotten return", "position only", "flat", "list", "no count"]
+    "fault",
+    [
+        *("raise", "nan", "negative", "indefinite", "forgotten return", "position only", "flat", "list", "no count"),
+        *("far of six", "far indefinite"),
+    ],
 )
 def test_a_faulty_estimator_stops_nothing_and_its_answers_are_never_a_fix(fault):
     estimator = Faulty()

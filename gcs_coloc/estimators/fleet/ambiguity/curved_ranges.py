@@ -1,0 +1,129 @@
+"""How far beyond its covariance a denied vehicle may be where its ranges are curved: beside peers near one line, eq. (35).
+
+A range across its own direction changes with the square of the offset from the line of the peers. The filter takes the slope of
+that parabola where it believes the vehicle to be, and further out the slope is steeper. So a vehicle that is believed too far
+out is believed too exactly: the true place fits the ranges much better than the slope there tells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from gcs_coloc.core.error_ellipse import error_ellipse
+from gcs_coloc.core.measurements import FloatArray, Vector3
+from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S
+from gcs_coloc.estimators.fleet.ekf.state import Key
+
+_STRAIGHT_SHARE = 0.1
+"""Chosen: a slope that changes by less than this share within a sigma is as good as straight."""
+_NEAR_SIGMAS = 2.0
+"""Chosen: of the 95 % of one direction, which is what the ranges leave open."""
+_FAR_SIGMAS = 6.0
+"""Chosen: a little more than the 5.7 of the nominal protection level."""
+_MOST_SIGMAS = 20.0
+"""Chosen: bounds the search; what is so much further out than stated, hypotheses or the limit of the estimate tell."""
+_STEPS = 81
+"""Chosen: steps of a quarter of a sigma."""
+_LEAST_DISTANCE_M = 1.0
+"""Bounds the curvature of a range to a peer that is close."""
+_STEP_SIGMAS = np.linspace(0.0, _MOST_SIGMAS, _STEPS)
+_OFFSET_SIGMAS = np.concatenate([_STEP_SIGMAS, -_STEP_SIGMAS])
+
+
+def curvature_covariances(
+    cluster: Cluster, vehicle: int, covariance: FloatArray, at_s: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return what curved ranges add to the horizontal covariance of a denied vehicle, each (2, 2) m^2; None if nothing.
+
+    The first is for the 95 % bound, the second for the protection level, which looks further out. Along the worst direction an
+    offset d costs d^2 / sigma^2 by the filter. What the ranges have in it, at the slopes of the estimate, is replaced by what
+    they really come to at d, eq. (35).
+    """
+    neighbours = cluster.records[vehicle].neighbours
+    peers = [v for v, n in neighbours.items() if abs(at_s - n.at_s) <= IN_USE_S and v in cluster.joint.where]
+    sigma_m, _, angle_rad = error_ellipse(covariance.item(0, 0), covariance.item(0, 1), covariance.item(1, 1))
+    east, north = math.cos(angle_rad), math.sin(angle_rad)
+    if not _are_curved(cluster, vehicle, {v: neighbours[v].unit for v in peers}, (east, north), sigma_m):
+        return None
+    near, far = _reach_sigmas(cluster, vehicle, peers, (east, north), sigma_m)
+    near_m2, far_m2 = ((max(reach, 1.0) ** 2 - 1.0) * sigma_m * sigma_m for reach in (near / _NEAR_SIGMAS, far / _FAR_SIGMAS))
+    along = np.array([[east * east, east * north], [east * north, north * north]])
+    return (near_m2 * along, far_m2 * along) if max(near_m2, far_m2) > 0.0 else None
+
+
+def _are_curved(
+    cluster: Cluster, vehicle: int, units: Mapping[int, Vector3], direction: tuple[float, float], sigma_m: float
+) -> bool:
+    """Whether the slopes of the ranges along a direction change within a sigma; seldom, so it costs little."""
+    A, where = cluster.joint.A, cluster.joint.where
+    own = where[vehicle].start
+    e, n = A.item(0, own), A.item(0, own + 1)
+    slopes2 = curvatures2 = 0.0
+    for peer, (unit_e, unit_n, _) in units.items():
+        at = where[peer].start
+        slope = unit_e * direction[0] + unit_n * direction[1]
+        distance_m = max(math.hypot(e - A.item(0, at), n - A.item(0, at + 1)), _LEAST_DISTANCE_M)
+        slopes2 += slope * slope
+        curvatures2 += ((1.0 - slope * slope) / distance_m) ** 2
+    return sigma_m * sigma_m * curvatures2 > _STRAIGHT_SHARE * _STRAIGHT_SHARE * slopes2
+
+
+def _reach_sigmas(
+    cluster: Cluster, vehicle: int, peers: list[int], direction: tuple[float, float], sigma_m: float
+) -> tuple[float, float]:
+    """Return the largest offsets along a direction, to either side, whose cost is that of near and far, in sigmas."""
+    own, ends = cluster.range_end(vehicle), [cluster.range_end(peer) for peer in peers]
+    at_s = cluster.joint.time_s[vehicle]
+    vectors_m = np.array([_vector_m(own, end, at_s - cluster.joint.time_s[end.vehicle]) for end in ends])
+    distances_m = np.maximum(np.sqrt((vectors_m * vectors_m).sum(axis=1)), _LEAST_DISTANCE_M)
+    units = vectors_m / distances_m[:, np.newaxis]
+    information = np.linalg.inv(_distance_covariance(cluster, own, ends, units))
+    # The place along the other horizontal direction is what it has to be.
+    along = units[:, 0] * -direction[1] + units[:, 1] * direction[0]
+    weighted = information @ along
+    determined = float(along @ weighted)
+    if determined > 0.0:
+        information -= np.outer(weighted, weighted) / determined
+    slopes = units[:, 0] * direction[0] + units[:, 1] * direction[1]
+    by_slopes = float(slopes @ information @ slopes) * sigma_m * sigma_m
+    share = min(1.0, 1.0 / by_slopes) if by_slopes > 0.0 else 0.0
+    offsets_m = sigma_m * _OFFSET_SIGMAS[:, np.newaxis]
+    changes_m = np.sqrt(distances_m**2 + (2.0 * slopes * distances_m + offsets_m) * offsets_m) - distances_m
+    by_ranges = ((changes_m @ information) * changes_m).sum(axis=1)
+    costs = (1.0 - share * by_slopes) * _OFFSET_SIGMAS**2 + share * by_ranges
+    sides = costs[: len(_STEP_SIGMAS)], costs[len(_STEP_SIGMAS) :]
+    return max(_first_beyond(side, _NEAR_SIGMAS) for side in sides), max(_first_beyond(side, _FAR_SIGMAS) for side in sides)
+
+
+def _first_beyond(cost: FloatArray, sigmas: float) -> float:
+    beyond = np.flatnonzero(cost > sigmas * sigmas)
+    return float(_STEP_SIGMAS[beyond[0] if len(beyond) else -1])
+
+
+def _distance_covariance(cluster: Cluster, own: RangeEnd, ends: list[RangeEnd], units: FloatArray) -> FloatArray:
+    """Return the covariance (k, k) of the distances from one place to k peers, by the errors of the peers and the pairs, m^2."""
+    joint = cluster.joint
+    H = np.vstack([
+        cluster.range_jacobian(own, end, (unit[0], unit[1], unit[2]))[0] for end, unit in zip(ends, units.tolist(), strict=True)
+    ])  # fmt: skip
+    H[:, own.where] = 0.0
+    for row, end in zip(H, ends, strict=True):
+        for key in joint.where:
+            if _is_pair(key, own.vehicle, end.vehicle):
+                row[joint.where[key]] = 1.0
+    return joint.predict_measurement(H)[1]
+
+
+def _is_pair(key: Key, a: int, b: int) -> bool:
+    return isinstance(key, tuple) and key[0] == min(a, b) and key[1] == max(a, b)
+
+
+def _vector_m(own: RangeEnd, end: RangeEnd, step_s: float) -> tuple[float, float, float]:
+    """Return the vector from a peer to the vehicle, m, with the peer moved on by a step to the vehicle's time."""
+    (e, n, u), (pe, pn, pu), (ve, vn, vu) = own.position, end.position, end.velocity
+    return e - pe - step_s * ve, n - pn - step_s * vn, u - pu - step_s * vu
