@@ -33,10 +33,11 @@ def ecef_to_geodetic(x: float, y: float, z: float) -> Vector:
     theta = math.atan2(z * _A, p * b)
     lat = math.atan2(z + _E2 / (1.0 - _E2) * b * math.sin(theta) ** 3, p - _E2 * _A * math.cos(theta) ** 3)
     for _ in range(2):
-        n = _A / math.sqrt(1.0 - _E2 * math.sin(lat) ** 2)
-        lat = math.atan2(z + _E2 * n * math.sin(lat), p)
-    n = _A / math.sqrt(1.0 - _E2 * math.sin(lat) ** 2)
-    height = p * math.cos(lat) + z * math.sin(lat) - _A * math.sqrt(1.0 - _E2 * math.sin(lat) ** 2)
+        sin_lat = math.sin(lat)
+        n = _A / math.sqrt(1.0 - _E2 * sin_lat**2)
+        lat = math.atan2(z + _E2 * n * sin_lat, p)
+    sin_lat = math.sin(lat)
+    height = p * math.cos(lat) + z * sin_lat - _A * math.sqrt(1.0 - _E2 * sin_lat**2)
     return math.degrees(lat), math.degrees(math.atan2(y, x)), height
 
 
