@@ -13,6 +13,7 @@ import tty
 from pathlib import Path
 
 import pytest
+from command_line import gcs_coloc
 from pymavlink import mavparm
 
 from sitl_fakes.scenario import SCENARIOS
@@ -36,23 +37,20 @@ def scenario(tmp_path, parameters) -> Path:
     return path
 
 
-def examine(port, flown, *arguments, **environment) -> subprocess.CompletedProcess[str]:
+def examine(port, flown, *arguments) -> subprocess.CompletedProcess[str]:
     fakes = subprocess.Popen(
         [sys.executable, "-m", "sitl_fakes", str(flown), "--target", f"127.0.0.1:{port}"], stderr=subprocess.PIPE, text=True
     )
     try:
         assert fakes.stderr is not None
         assert "vehicles to" in fakes.stderr.readline()
-        command = [sys.executable, "-m", "gcs_coloc", "doctor", "--udp", f"127.0.0.1:{port}", "--seconds", "10", *arguments]
-        return subprocess.run(
-            command, capture_output=True, text=True, timeout=120, check=False, env={**os.environ, **environment}
-        )
+        return gcs_coloc("doctor", "--udp", f"127.0.0.1:{port}", "--seconds", "10", *arguments)
     finally:
         fakes.kill()
         fakes.communicate()
 
 
-def test_a_wrong_set_up_is_told_parameter_by_parameter_and_is_right_when_they_are_set(tmp_path, free_port):
+def test_a_wrong_set_up_is_told_parameter_by_parameter_and_is_right_when_they_are_set(tmp_path, free_port, monkeypatch):
     told = examine(free_port, scenario(tmp_path, WRONG), "--aid", "4", "--json", "--write-params", str(tmp_path / "params"))
     assert told.returncode == 1, told.stderr
     report = json.loads(told.stdout)
@@ -76,7 +74,8 @@ def test_a_wrong_set_up_is_told_parameter_by_parameter_and_is_right_when_they_ar
     assert sorted(path.name for path in (tmp_path / "params").iterdir()) == ["vehicle-4.param", "vehicle-4.params"]
 
     mended = scenario(tmp_path, WRONG | settings)
-    told = examine(free_port, mended, "--aid", "4", GCS_COLOC_MAVLINK__SYSTEM_ID="255")
+    monkeypatch.setenv("GCS_COLOC_MAVLINK__SYSTEM_ID", "255")
+    told = examine(free_port, mended, "--aid", "4")
     assert told.returncode == 0, told.stdout + told.stderr
     lines = told.stdout.splitlines()
     assert lines[-1] == "result: all right; co-localisation can work"
@@ -84,13 +83,12 @@ def test_a_wrong_set_up_is_told_parameter_by_parameter_and_is_right_when_they_ar
     assert not any(line.startswith("  STOP") for line in lines)
 
 
-def test_positions_that_come_too_slowly_are_told_with_the_parameter_that_mends_it(tmp_path, free_port):
+def test_positions_that_come_too_slowly_are_told_with_the_parameter_that_mends_it(tmp_path, free_port, monkeypatch):
     """Where the service is not to ask for rates, those of the vehicle's port count."""
     coarse = {"EK3_GPS_CHECK": 19}
-    quiet = {"GCS_COLOC_FLEET__REQUEST_STREAMS": "false"}
-    told = examine(
-        free_port, scenario(tmp_path, coarse | {"MAV1_POSITION": 1, "MAV1_EXT_STAT": 0}), "--aid", "4", "--json", **quiet
-    )
+    monkeypatch.setenv("GCS_COLOC_FLEET__REQUEST_STREAMS", "false")
+    slow = scenario(tmp_path, coarse | {"MAV1_POSITION": 1, "MAV1_EXT_STAT": 0})
+    told = examine(free_port, slow, "--aid", "4", "--json")
     assert told.returncode == 1, told.stderr
     findings = json.loads(told.stdout)["vehicles"][3]["findings"]
     settings = {name: value for finding in findings for name, value in (finding["set"] or {}).items()}
@@ -99,14 +97,13 @@ def test_positions_that_come_too_slowly_are_told_with_the_parameter_that_mends_i
     assert any(r["severity"] == "stop" and r["text"] == "GPS_RAW_INT is not heard" for r in findings)
     assert any(r["text"].startswith("GLOBAL_POSITION_INT comes at ") for r in findings)
 
-    told = examine(free_port, scenario(tmp_path, coarse | settings), "--aid", "4", **quiet)
+    told = examine(free_port, scenario(tmp_path, coarse | settings), "--aid", "4")
     assert told.returncode == 0, told.stdout + told.stderr
     assert "SERIAL" not in told.stdout
 
 
 def test_where_nobody_sends_the_doctor_says_so(free_port):
-    command = [sys.executable, "-m", "gcs_coloc", "doctor", "--udp", f"127.0.0.1:{free_port}", "--seconds", "5"]
-    told = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    told = gcs_coloc("doctor", "--udp", f"127.0.0.1:{free_port}", "--seconds", "5")
     assert told.returncode == 1
     assert "no vehicle was heard in 5 s" in told.stdout
     assert "Traceback" not in told.stderr
@@ -131,17 +128,14 @@ def test_a_serial_device_that_brings_no_mavlink_is_asked_for_its_baud_rate():
 
 
 def test_a_port_in_use_and_a_missing_link_end_in_one_line(free_port):
-    doctor = [sys.executable, "-m", "gcs_coloc", "doctor", "--seconds", "5"]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", free_port))
-        told = subprocess.run(
-            [*doctor, "--udp", f"127.0.0.1:{free_port}"], capture_output=True, text=True, timeout=60, check=False
-        )
+        told = gcs_coloc("doctor", "--seconds", "5", "--udp", f"127.0.0.1:{free_port}")
     assert told.returncode == 1
     assert told.stdout == ""
     (line,) = told.stderr.splitlines()
     assert line.startswith("gcs-coloc: error: udpin:")
-    told = subprocess.run(doctor, capture_output=True, text=True, timeout=60, check=False)
+    told = gcs_coloc("doctor", "--seconds", "5")
     assert told.returncode == 2
     assert len(told.stderr.strip().splitlines()) == 1
     assert "no link to listen on" in told.stderr

@@ -142,8 +142,7 @@ def test_a_users_mistake_ends_in_one_clear_line(arguments, code, words):
 
 @pytest.mark.parametrize(("link", "words"), [("serial:/dev/absent:57600", "/dev/absent"), ("/dev/null", "is no serial device")])
 def test_a_device_that_cannot_be_opened_ends_the_service_in_one_clear_line(link, words):
-    command = [sys.executable, "-m", "gcs_coloc", "--link", link, "--no-web"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = gcs_coloc("--link", link, "--no-web")
     assert (done.returncode, done.stdout) == (1, "")
     assert len(done.stderr.strip().splitlines()) == 1
     assert words in done.stderr
@@ -153,8 +152,7 @@ def test_without_a_word_it_listens_where_ground_stations_do():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         with contextlib.suppress(OSError):  # somebody else has it: just as well
             other.bind(("0.0.0.0", 14550))
-        command = [sys.executable, "-m", "gcs_coloc", "--no-web"]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        done = gcs_coloc("--no-web")
     assert done.returncode == 1
     assert "udpin:0.0.0.0:14550: port 14550 is in use" in done.stderr
 
@@ -162,8 +160,7 @@ def test_without_a_word_it_listens_where_ground_stations_do():
 def test_a_port_in_use_is_said_in_one_line_with_the_mend(free_port):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", free_port))
-        command = [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{free_port}"]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        done = gcs_coloc("--udp", f"127.0.0.1:{free_port}")
     assert done.returncode == 1
     assert len(done.stderr.strip().splitlines()) == 1
     assert f"port {free_port} is in use" in done.stderr

@@ -181,8 +181,7 @@ def test_a_port_that_was_asked_for_and_is_taken_ends_the_service_in_one_line(fre
         other.bind(("127.0.0.1", 0))
         other.listen()
         address = f"127.0.0.1:{other.getsockname()[1]}"
-        command = [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{free_port}", "--web", address, "--log-level", "error"]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        done = gcs_coloc("--udp", f"127.0.0.1:{free_port}", "--web", address, "--log-level", "error")
     assert done.returncode == 1
     assert re.fullmatch(rf"gcs-coloc: error: web page: {address} is in use.*--no-web\n", done.stderr)
 

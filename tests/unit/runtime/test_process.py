@@ -9,13 +9,16 @@ from pathlib import Path
 
 import pytest
 
-HELP = [sys.executable, "-m", "gcs_coloc", "replay", "--help"]
+HELP = [sys.executable, "-m", "gcs_coloc", "--help"]
+HELP_THAT_LOADS_ALL = [sys.executable, "-m", "gcs_coloc", "replay", "--help"]
 
 
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
-def test_a_program_that_is_started_with_closed_streams_does_its_work(closed):
+@pytest.mark.parametrize(
+    ("closed", "command"), [("<&-", HELP), (">&-", HELP), ("2>&-", HELP), ("<&- >&- 2>&-", HELP_THAT_LOADS_ALL)]
+)
+def test_a_program_that_is_started_with_closed_streams_does_its_work(closed, command):
     done = subprocess.run(
-        ["sh", "-c", f'exec "$@" {closed}', "sh", *HELP], capture_output=True, text=True, timeout=60, check=False
+        ["sh", "-c", f'exec "$@" {closed}', "sh", *command], capture_output=True, text=True, timeout=60, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
 
