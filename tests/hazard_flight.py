@@ -26,7 +26,8 @@ from sitl_fakes.scenario import SCENARIOS, Scenario
 
 DENIED = 4
 """The aircraft in the middle of the four-ship, which loses its GPS in most hazards."""
-BELIEVED = ("healthy", "unknown")
+_FIRST_FAULT_S = 15.0
+"""When the first fault of most flights begins; a flight of which it begins later shares what comes before."""
 SwitchPrimary = Literal["off", "auto"]
 
 
@@ -125,7 +126,7 @@ def _belief_error_m(sample: Sample) -> float:
     return hypot(t.estimate_east_m - t.east_m, t.estimate_north_m - t.north_m)
 
 
-def fault(kind: str, vehicle: int = DENIED, at_s: float = 15.0, **more: Any) -> dict[str, Any]:
+def fault(kind: str, vehicle: int = DENIED, at_s: float = _FIRST_FAULT_S, **more: Any) -> dict[str, Any]:
     """A fault of a scenario; by default it befalls the denied vehicle at 15 s."""
     return {"kind": kind, "vehicle": vehicle, "at_s": at_s, **more}
 
@@ -174,11 +175,13 @@ def fly_through(
 
 def _flown(scenario: str, seed: int, switch_primary: SwitchPrimary, faults: tuple[Fault, ...], until_s: float) -> ClosedLoop:
     """Fly a scenario (JSON) with faults, in order of time. What comes before the last one begins is flown once for all tests."""
-    if not faults:
-        loop = ClosedLoop(Scenario.model_validate_json(scenario), seed, _Watched(switch_primary))
-    else:
+    if faults:
         loop = deepcopy(_beginning(scenario, seed, switch_primary, faults[:-1], faults[-1].at_s - STEP_S))
         loop.fleet.inject(faults[-1])
+    elif until_s > _FIRST_FAULT_S:
+        loop = deepcopy(_beginning(scenario, seed, switch_primary, (), _FIRST_FAULT_S - STEP_S))
+    else:
+        loop = ClosedLoop(Scenario.model_validate_json(scenario), seed, _Watched(switch_primary))
     loop.advance(until_s)
     return loop
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from brokers import wait_until
+from command_line import gcs_coloc
 from mcap.reader import make_reader
 from pymavlink import mavutil
 from vehicles import fly, square_fleet
@@ -87,24 +88,29 @@ def flown(tmp_path_factory) -> Path:
     return directory
 
 
+@pytest.fixture(scope="module")
+def replayed(flown) -> tuple[list[bytes], list[GpsInput]]:
+    """What a replay makes of that flight."""
+    return journal_of(only(flown, "tlog"))
+
+
 def live_vehicles(path: Path) -> list[bytes]:
     with path.open("rb") as file:
         return [m.data for _, channel, m in make_reader(file).iter_messages(log_time_order=False) if "vehicle" in channel.topic]
 
 
-def test_the_replay_computes_what_the_live_run_computed_to_the_last_bit(flown):
-    live = live_vehicles(only(flown, "mcap"))
-    replayed, _ = journal_of(only(flown, "tlog"))
+def test_the_replay_computes_what_the_live_run_computed_to_the_last_bit(flown, replayed):
+    live, (computed, _) = live_vehicles(only(flown, "mcap")), replayed
     assert len(live) > 4 * 2.5 * 6
     # The live run went on for a moment after the last frame that was heard.
-    assert live[: len(replayed)] == replayed
-    assert len(replayed) > 0.9 * len(live)
-    located = [json.loads(v)["vehicle"] for v in replayed]
+    assert live[: len(computed)] == computed
+    assert len(computed) > 0.9 * len(live)
+    located = [json.loads(v)["vehicle"] for v in computed]
     assert any(v["sysid"] == 4 and v["aiding_has_fix"] and v["lat_deg"] is not None for v in located)
 
 
-def test_the_replay_is_the_same_every_time(flown):
-    assert journal_of(only(flown, "tlog")) == journal_of(only(flown, "tlog"))
+def test_the_replay_is_the_same_every_time(flown, replayed):
+    assert journal_of(only(flown, "tlog")) == replayed
 
 
 def test_pymavlink_reads_the_tlog_with_both_directions(flown):
@@ -122,7 +128,7 @@ def test_pymavlink_reads_the_tlog_with_both_directions(flown):
     assert {"HEARTBEAT", "COMMAND_LONG", "TUNNEL"} <= set(sent)
 
 
-def test_the_gps_input_that_was_sent_is_what_the_replay_says(flown):
+def test_the_gps_input_that_was_sent_is_what_the_replay_says(flown, replayed):
     log = mavutil.mavlink_connection(str(only(flown, "tlog")))
     sent, last_heard_s = [], 0.0
     while (message := log.recv_match()) is not None:
@@ -131,8 +137,8 @@ def test_the_gps_input_that_was_sent_is_what_the_replay_says(flown):
         elif message.get_type() == "GPS_INPUT":
             sent.append((message._timestamp, (message.time_usec, message.fix_type, message.lat, message.lon)))
     log.close()
-    _, replayed = journal_of(only(flown, "tlog"))
-    computed = {(o.time_usec, o.fix_type, round(o.lat_deg * 1e7), round(o.lon_deg * 1e7)) for o in replayed}
+    _, outputs = replayed
+    computed = {(o.time_usec, o.fix_type, round(o.lat_deg * 1e7), round(o.lon_deg * 1e7)) for o in outputs}
     # The live run goes on after the last frame that is heard, on a busy machine for longer; the replay ends with that frame.
     within = [fix for at_s, fix in sent if at_s < last_heard_s and fix[1] == 3]
     assert len(within) > 30
@@ -237,8 +243,7 @@ def count_damage(path: Path):
 def test_a_directory_that_cannot_be_written_to_is_one_line(free_port, tmp_path):
     occupied = tmp_path / "file"
     occupied.write_text("")
-    command = [sys.executable, "-m", "gcs_coloc", "--udp", f"127.0.0.1:{free_port}", "--record", str(occupied), "--no-web"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = gcs_coloc("--udp", f"127.0.0.1:{free_port}", "--record", occupied, "--no-web")
     assert done.returncode == 1
     assert len(done.stderr.strip().splitlines()) == 1
     assert f"--record {occupied}: cannot be written to" in done.stderr
@@ -248,8 +253,7 @@ def test_a_link_that_cannot_be_opened_leaves_no_recording_behind(tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         where = f"127.0.0.1:{other.getsockname()[1]}"
-        command = [sys.executable, "-m", "gcs_coloc", "--udp", where, "--record", str(tmp_path), "--no-web"]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        done = gcs_coloc("--udp", where, "--record", tmp_path, "--no-web")
     assert done.returncode == 1
     assert where in done.stderr
     assert list(tmp_path.iterdir()) == []

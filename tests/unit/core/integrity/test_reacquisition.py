@@ -153,10 +153,12 @@ def test_an_untested_receiver_is_believed_after_the_same_time_and_the_reason_say
 
 
 def test_that_the_ranges_which_contradicted_it_have_ceased_says_nothing_for_it():
-    def ranges_end(t: float, message: Inbound) -> Inbound | None:
-        return None if isinstance(message, PeerRange) and t > BACK_S + 5.0 else message
+    seen, flight = begun(OFF, 1)
 
-    assert fly(OFF, 1, 60.0, ranges_end).healthy_after_s == inf
+    def messages(t: float) -> Iterable[Inbound]:
+        return (m for m in flight.messages(t) if t <= BACK_S + 5.0 or not isinstance(m, PeerRange))
+
+    assert watch(messages, BACK_S + 60.0, seen).healthy_after_s == inf
 
 
 def test_where_the_ranges_fit_it_again_an_estimate_that_was_wrong_does_not_stand_against_it():
