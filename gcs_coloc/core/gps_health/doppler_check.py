@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections import deque
 from math import hypot, sqrt
-from typing import NamedTuple
 
 from gcs_coloc.core.geodesy import LocalFrame
+from gcs_coloc.core.gps_health.position_checks import PathStep, path_step
 from gcs_coloc.core.messages.inbound import GpsReceiver
 
 _WINDOW_S = 4.0  # chosen: 2 m/s are then four sigmas of a receiver of 1.5 m at 5 Hz, and detection by ranges takes as long
@@ -23,23 +23,11 @@ _UNSTATED_SIGMA_M, _UNSTATED_SIGMA_MPS = 5.0, 0.3  # the second: EK3_VELNE_M_NSE
 _HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 
 
-class _Step(NamedTuple):
-    """A fix minus the path (m) that the velocities integrate to, and the velocity (m/s), all east and north of the first fix."""
-
-    at_s: float
-    east_m: float
-    north_m: float
-    path_east_m: float
-    path_north_m: float
-    ve_mps: float
-    vn_mps: float
-
-
 class DopplerCheck:
     """The fixes of one receiver. Only those with the autopilot's time of the fix count: arrivals jitter."""
 
     def __init__(self) -> None:
-        self._steps: deque[_Step] = deque()
+        self._steps: deque[PathStep] = deque()
         self._frame: LocalFrame | None = None
         self._has_agreed = False
         self._drifted_at_s = float("-inf")
@@ -66,14 +54,8 @@ class DopplerCheck:
         vn, ve = velocity_ne_mps
         ve_mps, vn_mps, _ = self._frame.enu_from_ned_velocity(fix.lat_deg, fix.lon_deg, (vn, ve, 0.0))
         east_m, north_m, _ = self._frame.enu_from_geodetic(fix.lat_deg, fix.lon_deg, fix.alt_msl_m)
-        path_east_m = path_north_m = 0.0
-        if self._steps:
-            last = self._steps[-1]
-            half_s = 0.5 * (at_s - last.at_s)
-            path_east_m = last.path_east_m + half_s * (last.ve_mps + ve_mps)
-            path_north_m = last.path_north_m + half_s * (last.vn_mps + vn_mps)
-        step = _Step(at_s, east_m - path_east_m, north_m - path_north_m, path_east_m, path_north_m, ve_mps, vn_mps)
-        self._steps.append(step)
+        last = self._steps[-1] if self._steps else None
+        self._steps.append(path_step(last, at_s, (east_m, north_m), (ve_mps, vn_mps)))
         while at_s - self._steps[0].at_s > _WINDOW_S:
             self._steps.popleft()
 
@@ -84,8 +66,8 @@ class DopplerCheck:
         mean_s = sum(step.at_s for step in steps) / len(steps)
         spread_s2 = sum((step.at_s - mean_s) ** 2 for step in steps)
         drift_mps = hypot(
-            sum((step.at_s - mean_s) * step.east_m for step in steps) / spread_s2,
-            sum((step.at_s - mean_s) * step.north_m for step in steps) / spread_s2,
+            sum((step.at_s - mean_s) * (step.east_m - step.path_east_m) for step in steps) / spread_s2,
+            sum((step.at_s - mean_s) * (step.north_m - step.path_north_m) for step in steps) / spread_s2,
         )
         sigma_m = fix.h_acc_m if fix.h_acc_m is not None else _UNSTATED_SIGMA_M
         sigma_mps = fix.speed_acc_mps if fix.speed_acc_mps is not None else _UNSTATED_SIGMA_MPS

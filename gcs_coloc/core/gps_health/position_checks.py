@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from math import hypot, sqrt
+from typing import NamedTuple
 
 from gcs_coloc.core.geodesy import horizontal_distance_m
 from gcs_coloc.core.gps_health.reasons import GpsReason
@@ -30,9 +31,8 @@ _OFF_PERSISTS_S = 3.0  # chosen: longer than a filter takes to follow its receiv
 _HAS_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """A reported position (m) and the path (m) that the reported velocities integrate to, both east and north."""
+class PathStep(NamedTuple):
+    """A reported position (m) and the path (m) that the reported velocities (m/s) integrate to, all east and north."""
 
     at_s: float
     east_m: float
@@ -43,6 +43,17 @@ class _Step:
     vn_mps: float
 
 
+def path_step(last: PathStep | None, at_s: float, place_m: tuple[float, float], velocity_mps: tuple[float, float]) -> PathStep:
+    """Return the step to a reported position and velocity (east, north). Its path goes on from the last step's, by trapezoids."""
+    ve_mps, vn_mps = velocity_mps
+    path_east_m = path_north_m = 0.0
+    if last is not None:
+        half_s = 0.5 * (at_s - last.at_s)
+        path_east_m = last.path_east_m + half_s * (last.ve_mps + ve_mps)
+        path_north_m = last.path_north_m + half_s * (last.vn_mps + vn_mps)
+    return PathStep(at_s, *place_m, path_east_m, path_north_m, ve_mps, vn_mps)
+
+
 @dataclass(slots=True)
 class MotionCheck:
     """Do the positions that one vehicle reports move as the velocities that it reports, and its receiver at all?
@@ -51,7 +62,7 @@ class MotionCheck:
     since either side of a jump may be the wrong one. `frozen` says that the receiver repeats one position on the move.
     """
 
-    _steps: deque[_Step] = field(default_factory=deque)
+    _steps: deque[PathStep] = field(default_factory=deque)
     _missed_since_s: float | None = None
     _missed_at_s: float = float("-inf")
     _miss_m: float = 0.0
@@ -112,18 +123,13 @@ class MotionCheck:
             return None
         return StatedReason(GpsReason.FROZEN, self._same_path_m)
 
-    def _next(self, reported: PositionMeasurement, velocity: tuple[float, float, float]) -> _Step:
-        at_s, (ve, vn, _) = reported.measured_at_s, velocity
-        path_east_m = path_north_m = 0.0
-        if self._steps and at_s - self._steps[-1].at_s <= _LONGEST_GAP_S:
-            last = self._steps[-1]
-            half_s = 0.5 * (at_s - last.at_s)
-            path_east_m = last.path_east_m + half_s * (last.ve_mps + ve)
-            path_north_m = last.path_north_m + half_s * (last.vn_mps + vn)
-        else:
+    def _next(self, reported: PositionMeasurement, velocity: tuple[float, float, float]) -> PathStep:
+        at_s = reported.measured_at_s
+        if not self._steps or at_s - self._steps[-1].at_s > _LONGEST_GAP_S:
             self._steps.clear()
             self._missed_since_s = None
-        step = _Step(at_s, reported.position_enu_m[0], reported.position_enu_m[1], path_east_m, path_north_m, ve, vn)
+        last = self._steps[-1] if self._steps else None
+        step = path_step(last, at_s, reported.position_enu_m[:2], velocity[:2])
         self._steps.append(step)
         return step
 
