@@ -1,14 +1,18 @@
-"""A log segment: a tlog and an MCAP file side by side. Everything written can be opened after a crash."""
+"""Log segments: a tlog and an MCAP file side by side, which can be opened after a crash; the oldest make room for new ones."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import os
+import time
 from pathlib import Path
 
 from gcs_coloc.recorder.formats.mcap_file import END_MARK, McapEncoder
 from gcs_coloc.recorder.journal import Entry
+
+_IN_USE_S = 60.0
+"""A file that was written to so lately may be another service's, which writes once a second. Chosen for a slow disk."""
 
 
 class LogSegment:
@@ -51,6 +55,19 @@ class LogSegment:
         finally:
             self._tlog.close()
             self._mcap.close()
+
+
+def delete_oldest(directory: Path, most_bytes: int) -> None:
+    """Delete the oldest segments until the rest takes `most_bytes`. One that was written to a moment ago is not touched."""
+    files = [path for path in directory.glob("gcs-coloc-*") if path.suffix in (".tlog", ".mcap")]
+    found = {path: path.stat() for path in files}
+    total = sum(about.st_size for about in found.values())
+    newest_s = time.time() - _IN_USE_S
+    for path, about in sorted(found.items(), key=lambda item: item[1].st_mtime):
+        if total <= most_bytes or about.st_mtime > newest_s:
+            return
+        path.unlink()
+        total -= about.st_size
 
 
 class _File:

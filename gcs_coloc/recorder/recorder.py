@@ -15,7 +15,7 @@ from gcs_coloc.core.errors import RecordError
 from gcs_coloc.core.messages.control import HoldBack, OperatorCommand, RouteBlock, RouteReport
 from gcs_coloc.mavlink.refusals import Counts, Refusal
 from gcs_coloc.recorder.journal import Entry
-from gcs_coloc.recorder.log_segment import LogSegment
+from gcs_coloc.recorder.log_segment import LogSegment, delete_oldest
 from gcs_coloc.recorder.side_channel import FlownWith, GroundTool, SideChannelRecord, SideChannelWriter
 from gcs_coloc.recorder.tlog import tlog_record
 
@@ -27,8 +27,6 @@ _RETRY_S = 5.0  # chosen: a full or missing disk is looked at anew without filli
 _SILENT_S = 5.0  # chosen: beyond what a memory card takes to tidy up
 _JOIN_S = 5.0  # chosen: a service that is to end does not wait longer for a disk
 _NAMES = 3600  # an hour of names, one a second: as many recordings cannot begin at once
-_IN_USE_S = 60.0
-"""A file that was written to so lately may be another service's, which writes once a second. Chosen for a slow disk."""
 
 _Item = tuple[float, bytes] | SideChannelRecord | Entry
 
@@ -231,7 +229,7 @@ class Recorder:
         segment = LogSegment(self._directory, self._segment_name(number))
         if self._keep_bytes is not None:
             with contextlib.suppress(OSError):  # a directory that cannot be read loses the limit, not the flight
-                _delete_oldest(self._directory, self._keep_bytes - self._rotate_bytes)
+                delete_oldest(self._directory, self._keep_bytes - self._rotate_bytes)
         return segment
 
     def _try_to_open(self) -> None:
@@ -264,19 +262,6 @@ class Recorder:
                 self._segment_count -= 1  # nothing is left of it, and its name is free
             self._segment.close(whole=False)
             self._segment = None
-
-
-def _delete_oldest(directory: Path, most_bytes: int) -> None:
-    """Delete the oldest recordings until the rest takes `most_bytes`. One that was written to a moment ago is not touched."""
-    files = [path for path in directory.glob("gcs-coloc-*") if path.suffix in (".tlog", ".mcap")]
-    found = {path: path.stat() for path in files}
-    total = sum(about.st_size for about in found.values())
-    newest_s = time.time() - _IN_USE_S
-    for path, about in sorted(found.items(), key=lambda item: item[1].st_mtime):
-        if total <= most_bytes or about.st_mtime > newest_s:
-            return
-        path.unlink()
-        total -= about.st_size
 
 
 def _lasting_key(record: SideChannelRecord) -> tuple[object, ...] | None:
