@@ -21,7 +21,7 @@ from gcs_coloc.core.errors import WebError
 from gcs_coloc.service.worker import Worker
 from gcs_coloc.service.worker_report import WorkerReport
 from gcs_coloc.sinks.event_bus import IdleScheduler
-from gcs_coloc.sinks.merged_metrics import MergedMetrics, read_metrics, worker_metrics
+from gcs_coloc.sinks.fleets_metrics import MergedMetrics, read_metrics, worker_metrics
 from gcs_coloc.sinks.watched_fleets import FleetShown, Presence, WatchedFleets
 from gcs_coloc.web.fleets_page import FLEETS_EVERY_S, FleetsSource
 from gcs_coloc.web.pages import Pages

@@ -8,8 +8,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from gcs_coloc.core.alarms.alarms import Alarm, AlarmKind, AlarmState
-from gcs_coloc.core.alarms.traffic_light import LightColour, traffic_light
+from gcs_coloc.core.alarms.alarms import Alarm, AlarmKind, AlarmState, LightColour, traffic_light
 from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 
 _MAX_VEHICLES = 255  # chosen: bounds what a page takes from a broker; `max_vehicles` of a fleet is at most 250

@@ -1,16 +1,17 @@
-"""All fleets as Prometheus metrics, for the page that shows all of them."""
+"""All fleets as Prometheus metrics, for the page that shows all of them; and the metrics of several processes as one page."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import get_args
 
 from prometheus_client import CollectorRegistry, ProcessCollector
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
-from gcs_coloc.core.alarms.traffic_light import LightColour
+from gcs_coloc.core.alarms.alarms import LightColour
 from gcs_coloc.sinks.watched_fleets import FleetShown, Presence
 
 
@@ -54,6 +55,41 @@ def fleets_registry(
     registry.register(FleetsCollector(shown, problem, refused))
     ProcessCollector(registry=registry)
     return registry
+
+
+class MergedMetrics(Collector):
+    """Metric families of several processes, those of the same name as one. `parts` are each one's labels and families."""
+
+    def __init__(self, parts: Iterable[tuple[Mapping[str, str], Iterable[Metric]]]) -> None:
+        self._families: dict[str, Metric] = {}
+        for labels, families in parts:
+            for family in families:
+                merged = self._families.setdefault(family.name, Metric(family.name, family.documentation, family.type))
+                merged.samples += [sample._replace(labels={**sample.labels, **labels}) for sample in family.samples]
+
+    def describe(self) -> list[Metric]:
+        """Nothing: the families are known already, and there are no others to collide with."""
+        return []
+
+    def collect(self) -> Iterator[Metric]:
+        """As the protocol says."""
+        yield from self._families.values()
+
+
+def read_metrics(text: str) -> list[Metric]:
+    """The metric families in Prometheus's text format. Raises ValueError where it is none."""
+    return list(text_string_to_metric_families(text))
+
+
+def worker_metrics(is_heard: Mapping[str, bool], starts: Mapping[str, int]) -> list[Metric]:
+    """Of the worker processes themselves, by fleet: whether each runs and is heard, and how often it was started."""
+    up = GaugeMetricFamily("gcs_coloc_worker_up", "1 while the fleet's process runs and is heard.", labels=["fleet"])
+    for fleet, heard in is_heard.items():
+        up.add_metric([fleet], float(heard))
+    started = CounterMetricFamily("gcs_coloc_worker_starts", "How often the fleet's process was started.", labels=["fleet"])
+    for fleet, times in starts.items():
+        started.add_metric([fleet], float(times))
+    return [up, started]
 
 
 def _labelled(name: str, text: str, label: str, values: dict[str, int]) -> GaugeMetricFamily:

@@ -9,7 +9,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 from rich.text import Text
 
-from gcs_coloc.core.alarms.traffic_light import LightColour
+from gcs_coloc.core.alarms.alarms import LightColour
 from gcs_coloc.sinks.watched_fleets import WORST_FIRST, FleetShown, Presence
 
 _STYLES: dict[LightColour, str] = {"good": "green", "caution": "yellow", "bad": "bold red", "unknown": "dim"}

@@ -10,7 +10,7 @@ from enum import StrEnum
 
 from pydantic import BaseModel, ConfigDict
 
-from gcs_coloc.core.alarms.traffic_light import LightColour
+from gcs_coloc.core.alarms.alarms import LightColour
 from gcs_coloc.sinks.fleet_overview import FleetOverview
 
 MAX_FLEETS = 1000

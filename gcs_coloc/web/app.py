@@ -23,8 +23,7 @@ from gcs_coloc.core.snapshot import FleetSnapshot
 from gcs_coloc.core.standby.sign_of_life import StandbyOrder
 from gcs_coloc.sinks.metrics import fleet_registry
 from gcs_coloc.web.access import Guard, bears_token
-from gcs_coloc.web.live_socket import serve_live
-from gcs_coloc.web.pages import Pages
+from gcs_coloc.web.pages import Pages, serve_live
 from gcs_coloc.web.playback import Playback
 from gcs_coloc.web.tiles import TileFile
 from gcs_coloc.web.wire import Hello, PlaybackCommand

@@ -22,8 +22,7 @@ from gcs_coloc.sinks.fleets_metrics import fleets_registry
 from gcs_coloc.sinks.watched_fleets import FleetShown
 from gcs_coloc.web.access import Guard
 from gcs_coloc.web.app import STATIC
-from gcs_coloc.web.live_socket import serve_live
-from gcs_coloc.web.pages import Pages
+from gcs_coloc.web.pages import Pages, serve_live
 from gcs_coloc.web.wire import EventsFrame, VehicleHistory
 
 FLEETS_EVERY_S = 0.4

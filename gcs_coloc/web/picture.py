@@ -5,8 +5,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Callable, Iterable
 
-from gcs_coloc.core.alarms.alarms import Alarm
-from gcs_coloc.core.alarms.traffic_light import traffic_light
+from gcs_coloc.core.alarms.alarms import Alarm, traffic_light
 from gcs_coloc.core.error_ellipse import error_ellipse
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Vector3

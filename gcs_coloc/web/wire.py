@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
-from gcs_coloc.core.alarms.alarms import Alarm
-from gcs_coloc.core.alarms.traffic_light import LightColour
+from gcs_coloc.core.alarms.alarms import Alarm, LightColour
 from gcs_coloc.core.residual_log import RangeSnapshot
 from gcs_coloc.core.snapshot import VehicleSnapshot
 from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot

@@ -1,5 +1,7 @@
 """Alarms of a fleet: raised while a condition holds, over when it ends, closed once a person has acknowledged them.
 
+The traffic light of a vehicle shows its most serious condition.
+
 The states are those of alarm management (ANSI/ISA-18.2), without shelving.
 """
 
@@ -9,6 +11,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Literal
 
 from gcs_coloc.core.messages.control import HOST_LATE_S
 from gcs_coloc.core.messages.outbound import Notice
@@ -16,6 +19,7 @@ from gcs_coloc.core.snapshot import FleetSnapshot, VehicleSnapshot
 from gcs_coloc.core.standby.standby_snapshot import StandbySnapshot
 from gcs_coloc.core.stations.node_id import node_name
 
+LightColour = Literal["good", "caution", "bad", "unknown"]
 SILENT_AFTER_S = 3.0
 """Chosen: three heartbeats, which every vehicle sends once a second (mavlink.io, heartbeat protocol)."""
 _MAX_NOTICES = 50
@@ -102,6 +106,14 @@ def conditions(v: VehicleSnapshot) -> list[Condition]:
         action = "Check its power and its link; the map shows where it was last."
         found.insert(0, Condition(AlarmKind.SILENT, "error", text, action, f"not heard for {v.age_s:.0f} s"))
     return found
+
+
+def traffic_light(v: VehicleSnapshot) -> tuple[LightColour, str]:
+    """The colour for one vehicle and the reason in words: its most serious condition, from which its alarm is as well."""
+    found = conditions(v)
+    if found:
+        return ("bad" if found[0].level == "error" else "caution"), found[0].text
+    return ("unknown", v.gps_reason) if v.gps_state == "unknown" else ("good", f"GPS healthy: {v.gps_reason}")
 
 
 def _gps_condition(v: VehicleSnapshot) -> Condition | None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fleet_views import HEALTHY, LOCATED, LOST, fleet_view
 
-from gcs_coloc.core.alarms.traffic_light import traffic_light
+from gcs_coloc.core.alarms.alarms import traffic_light
 from gcs_coloc.web.picture import ellipse, fleet_frame
 
 

@@ -4,7 +4,7 @@ import pytest
 from prometheus_client import CollectorRegistry, Counter, Gauge, generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
-from gcs_coloc.sinks.merged_metrics import MergedMetrics, read_metrics
+from gcs_coloc.sinks.fleets_metrics import MergedMetrics, read_metrics
 
 
 def process(vehicles: float, refused: float, with_gauge: bool = True) -> str:
