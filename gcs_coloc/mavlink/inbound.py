@@ -16,11 +16,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from gcs_coloc.core.messages.inbound import (
     Airspeed,
     Attitude,
-    Autopilot,
     EkfStatus,
     GlobalPosition,
     GpsReceiver,
-    Heartbeat,
     Inbound,
     Interference,
     Pressure,
@@ -31,7 +29,7 @@ from gcs_coloc.core.messages.inbound import (
 from gcs_coloc.mavlink import answers, checks, ranges
 from gcs_coloc.mavlink._generated import gcs_coloc
 from gcs_coloc.mavlink.checks import InvalidValueError
-from gcs_coloc.mavlink.flight_modes import VEHICLE_CLASSES, WINGED, ardupilot_mode, px4_mode
+from gcs_coloc.mavlink.heartbeat import heartbeat
 from gcs_coloc.mavlink.refusals import Field
 
 # What MAVLink's fields hold for unknown, by their type.
@@ -42,37 +40,10 @@ UINT32_MAX = 0xFFFFFFFF
 GPS_GLITCH_ARDUPILOT = 1 << 15
 """In EKF_STATUS_REPORT. ArduPilot sends it; the dialect's enumeration and ESTIMATOR_STATUS have bit 10 in its place."""
 
-_AUTOPILOTS = {
-    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: Autopilot.ARDUPILOT,
-    mavlink.MAV_AUTOPILOT_PX4: Autopilot.PX4,
-}
-
 _MOST_GEOID_HEIGHT_M = 110.0
 """The geoid is -107 to +86 m from the ellipsoid (EGM96)."""
 _INTERFERENCE = {state.value: state for state in Interference}
 """A state that is not known yet is UNKNOWN: the message is work in progress."""
-
-_NO_VEHICLES = frozenset((6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48, 49))
-"""MAV_TYPEs of ground stations and of parts of a vehicle: companion computers (18), gimbals (26), ADS-B (27), cameras (30) and so
-on, the newest a radio (49). Many of them name an autopilot in their HEARTBEAT that they are not. By number: older pymavlinks
-lack some of the names."""
-
-
-def heartbeat(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Heartbeat | None:
-    """HEARTBEAT (0); None where the sender is no autopilot (a ground station, a companion computer, a camera)."""
-    custom_mode, vehicle_type, autopilot, base_mode, _system_status, _version = values
-    if autopilot == mavlink.MAV_AUTOPILOT_INVALID or vehicle_type in _NO_VEHICLES:
-        return None
-    is_px4, is_ardupilot = autopilot == mavlink.MAV_AUTOPILOT_PX4, autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-    return Heartbeat(
-        sysid=sysid,
-        received_at_s=received_at_s,
-        autopilot=_AUTOPILOTS.get(autopilot, Autopilot.OTHER),
-        armed=bool(base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
-        winged=vehicle_type in WINGED,
-        mode=px4_mode(custom_mode) if is_px4 else ardupilot_mode(vehicle_type, custom_mode) if is_ardupilot else str(custom_mode),
-        vehicle_class=VEHICLE_CLASSES.get(vehicle_type),
-    )
 
 
 def global_position_int(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> GlobalPosition:

@@ -3,7 +3,7 @@
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from gcs_coloc.mavlink.flight_modes import ardupilot_mode, px4_mode
+from gcs_coloc.mavlink.heartbeat import ardupilot_mode, px4_mode
 
 
 @pytest.mark.parametrize(

@@ -1,21 +1,31 @@
-"""Names of flight modes as ground stations show them, by autopilot, type of vehicle and the custom mode of HEARTBEAT."""
+"""HEARTBEAT: the autopilot, the class of vehicle by its type, and the name of its flight mode as ground stations show it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from gcs_coloc.core.measurements import VehicleClass
+from gcs_coloc.core.messages.inbound import Autopilot, Heartbeat
 
+_AUTOPILOTS = {
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: Autopilot.ARDUPILOT,
+    mavlink.MAV_AUTOPILOT_PX4: Autopilot.PX4,
+}
+_NO_VEHICLES = frozenset((6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48, 49))
+"""MAV_TYPEs of ground stations and of parts of a vehicle: companion computers (18), gimbals (26), ADS-B (27), cameras (30) and so
+on, the newest a radio (49). Many of them name an autopilot in their HEARTBEAT that they are not. By number: older pymavlinks
+lack some of the names."""
 _ROVERS = frozenset((mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT))
-WINGED = frozenset((mavlink.MAV_TYPE_FIXED_WING, *range(19, 26)))
+_WINGED = frozenset((mavlink.MAV_TYPE_FIXED_WING, *range(19, 26)))
 """MAV_TYPEs that fly along their nose and turn by banking; from 19 on VTOLs, whose airspeed is next to none while they hover."""
 _HOVERING = (2, 3, 4, 13, 14, 15, 29, 35)
 """MAV_TYPEs of multirotors and helicopters, by number: older pymavlinks lack some of the names."""
 _BOATS = (mavlink.MAV_TYPE_SURFACE_BOAT, mavlink.MAV_TYPE_SUBMARINE)
-VEHICLE_CLASSES: Mapping[int, VehicleClass] = {
-    **dict.fromkeys(WINGED, VehicleClass.PLANE),
+_VEHICLE_CLASSES: Mapping[int, VehicleClass] = {
+    **dict.fromkeys(_WINGED, VehicleClass.PLANE),
     **dict.fromkeys(_HOVERING, VehicleClass.MULTIROTOR),
     **dict.fromkeys(_BOATS, VehicleClass.BOAT),
     mavlink.MAV_TYPE_GROUND_ROVER: VehicleClass.GROUND,
@@ -35,10 +45,27 @@ def _names(enumeration: str) -> dict[int, str]:
 _PLANE_MODES, _COPTER_MODES, _ROVER_MODES = _names("PLANE_MODE"), _names("COPTER_MODE"), _names("ROVER_MODE")
 
 
+def heartbeat(sysid: int, received_at_s: float, values: tuple[Any, ...]) -> Heartbeat | None:
+    """HEARTBEAT (0); None where the sender is no autopilot (a ground station, a companion computer, a camera)."""
+    custom_mode, vehicle_type, autopilot, base_mode, _system_status, _version = values
+    if autopilot == mavlink.MAV_AUTOPILOT_INVALID or vehicle_type in _NO_VEHICLES:
+        return None
+    is_px4, is_ardupilot = autopilot == mavlink.MAV_AUTOPILOT_PX4, autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+    return Heartbeat(
+        sysid=sysid,
+        received_at_s=received_at_s,
+        autopilot=_AUTOPILOTS.get(autopilot, Autopilot.OTHER),
+        armed=bool(base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
+        winged=vehicle_type in _WINGED,
+        mode=px4_mode(custom_mode) if is_px4 else ardupilot_mode(vehicle_type, custom_mode) if is_ardupilot else str(custom_mode),
+        vehicle_class=_VEHICLE_CLASSES.get(vehicle_type),
+    )
+
+
 def ardupilot_mode(vehicle_type: int, custom_mode: int) -> str:
     """The name of a mode of ArduPilot: PLANE_MODE, ROVER_MODE or COPTER_MODE by MAV_TYPE; the number where it has none."""
     modes: Mapping[int, str] = (
-        _PLANE_MODES if vehicle_type in WINGED else _ROVER_MODES if vehicle_type in _ROVERS else _COPTER_MODES
+        _PLANE_MODES if vehicle_type in _WINGED else _ROVER_MODES if vehicle_type in _ROVERS else _COPTER_MODES
     )
     return modes.get(custom_mode, str(custom_mode))
 
