@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.measurements import FloatArray, NoEstimateReason, Unlocated
 from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, Sensitivities, nis, position_rows
 from gcs_coloc.estimators.qu_zhang.epochs import RangeEpochGatherer
 from gcs_coloc.estimators.qu_zhang.fix import Fix
-from gcs_coloc.estimators.qu_zhang.track import NisGate
+from gcs_coloc.estimators.qu_zhang.track import NisGate, PeerTrack
 
 CONFIRMATIONS = 3
 """Fixes that must agree after an initialisation from ranges alone, before the first estimate. Chosen: one may be an outlier."""
@@ -34,6 +34,24 @@ class DeniedVehicleFilter:
     peers: tuple[int, ...] = ()
     hdop: float = math.inf
     lasting: dict[int, FloatArray] = field(default_factory=dict)
+
+    @property
+    def cause(self) -> str:
+        """Why the last epoch gave no fix, as the end of a sentence; empty if it gave one."""
+        return f": {self.reason}" if self.reason else ""
+
+    def no_estimate_reason(self, track: PeerTrack | None, at_s: float, max_prediction_s: float) -> Unlocated | None:
+        """Return why the vehicle's track gives no estimate at a time; None where it gives one."""
+        if track is None or track.horizontal is None:
+            return Unlocated(NoEstimateReason.NOT_LOCATED, detail=self.cause)
+        if track.vertical is None:
+            return Unlocated(NoEstimateReason.NO_HEIGHT)
+        age_s = at_s - self.last_fix_s
+        if age_s > max_prediction_s:
+            return Unlocated(NoEstimateReason.NO_FIX, age_s, detail=self.cause)
+        if self.confirmations < CONFIRMATIONS:
+            return Unlocated(NoEstimateReason.CONFIRMING, self.confirmations, CONFIRMATIONS)
+        return None
 
     def test_fix(self, horizontal: CvFilter, fix: Fix, at_s: float) -> tuple[float, float, float]:
         """Return NIS, innovation length and its sigma, m, of a fix against the filter's prediction.

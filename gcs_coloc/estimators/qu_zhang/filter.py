@@ -36,11 +36,7 @@ from gcs_coloc.core.measurements import (
     is_possible,
 )
 from gcs_coloc.estimators.qu_zhang.cv_filter import CvFilter, density, position_rows
-from gcs_coloc.estimators.qu_zhang.denied_vehicle import (
-    CONFIRMATIONS,
-    DeniedVehicleFilter,
-    lasting_covariance,
-)
+from gcs_coloc.estimators.qu_zhang.denied_vehicle import CONFIRMATIONS, DeniedVehicleFilter, lasting_covariance
 from gcs_coloc.estimators.qu_zhang.epochs import RangeEpoch, RangeEpochGatherer
 from gcs_coloc.estimators.qu_zhang.fix import Fix, circles_of, fix_of
 from gcs_coloc.estimators.qu_zhang.outcomes import QuZhangOutcome
@@ -121,7 +117,8 @@ class QuZhangFilter:
         vertical_covariance[0, 0] += track.sigma_v_m**2
         sigma_m = horizontal_sigma_m(covariance[np.ix_([0, 2], [0, 2])])
         if sigma_m > self._settings.max_sigma_m:
-            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, sigma_m, detail=_cause(denied_vehicle)))
+            cause = denied_vehicle.cause if denied_vehicle is not None else ""
+            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, sigma_m, detail=cause))
         full = np.zeros((6, 6))
         # [e, ve, n, vn] and [u, vu] to [e, n, u, ve, vn, vu].
         full[np.ix_([0, 3, 1, 4], [0, 3, 1, 4])] = covariance
@@ -247,13 +244,8 @@ class QuZhangFilter:
         else:
             fix, refused = solution, self._apply_fix(vehicle, track, denied_vehicle, solution, at_s)
         denied_vehicle.reason = refused
-        self._counts[
-            QuZhangOutcome.FIX_USED
-            if refused is None
-            else QuZhangOutcome.EPOCH_WITHOUT_FIX
-            if fix is None
-            else QuZhangOutcome.FIX_REFUSED
-        ] += 1
+        not_used = QuZhangOutcome.EPOCH_WITHOUT_FIX if fix is None else QuZhangOutcome.FIX_REFUSED
+        self._counts[QuZhangOutcome.FIX_USED if refused is None else not_used] += 1
         for one in circles:
             chosen = fix is not None and one.peer in fix.peers
             result = refused if chosen or fix is None else "not among the three of the fix"
@@ -299,22 +291,9 @@ class QuZhangFilter:
     def _no_estimate_reason(
         self, track: PeerTrack | None, denied_vehicle: DeniedVehicleFilter | None, at_s: float
     ) -> Unlocated | None:
-        if denied_vehicle is None:
-            if track is None or track.horizontal is None:
-                return Unlocated(NoEstimateReason.NOT_LOCATED)
-            age_s = track.position_age_s(at_s)
-            return Unlocated(NoEstimateReason.STALE, age_s) if age_s > self._settings.max_prediction_s else None
+        if denied_vehicle is not None:
+            return denied_vehicle.no_estimate_reason(track, at_s, self._settings.max_prediction_s)
         if track is None or track.horizontal is None:
-            return Unlocated(NoEstimateReason.NOT_LOCATED, detail=_cause(denied_vehicle))
-        if track.vertical is None:
-            return Unlocated(NoEstimateReason.NO_HEIGHT)
-        age_s = at_s - denied_vehicle.last_fix_s
-        if age_s > self._settings.max_prediction_s:
-            return Unlocated(NoEstimateReason.NO_FIX, age_s, detail=_cause(denied_vehicle))
-        if denied_vehicle.confirmations < CONFIRMATIONS:
-            return Unlocated(NoEstimateReason.CONFIRMING, denied_vehicle.confirmations, CONFIRMATIONS)
-        return None
-
-
-def _cause(denied_vehicle: DeniedVehicleFilter | None) -> str:
-    return f": {denied_vehicle.reason}" if denied_vehicle is not None and denied_vehicle.reason else ""
+            return Unlocated(NoEstimateReason.NOT_LOCATED)
+        age_s = track.position_age_s(at_s)
+        return Unlocated(NoEstimateReason.STALE, age_s) if age_s > self._settings.max_prediction_s else None
