@@ -131,7 +131,8 @@ class Aiding:
             if change is not None:
                 out.append(Notice(now_s, sysid, *change))
         is_lost = reports_false_fix or (gps_state is GpsState.FAILED and vehicle.autopilot is not Autopilot.PX4)
-        wanted = self._switch_wanted(sysid, stream, is_lost=is_lost)
+        primary, is_switching = self._primary_overrides.get(sysid, PrimaryOverride.AUTO), self._switch.switching(sysid)
+        wanted = stream is not None and stream.wants_switch(primary, is_switching=is_switching, is_lost=is_lost)
         if not self._is_held_back:
             out.extend(self._switch.review(sysid, vehicle.autopilot, now_s, wanted=wanted))
         is_self_fed = self._override(sysid) is AidingOverride.ON or self._switch.holds(sysid)
@@ -295,25 +296,3 @@ class Aiding:
         # Any other method than GPS_INPUT would be fused at once.
         feeds = feeds_receiver(self._method(vehicle))
         return Purpose.STANDBY if self._settings.standby and feeds and gps_state in _STANDBY_STATES else None
-
-    def _switch_wanted(self, sysid: int, stream: AidingStream | None, *, is_lost: bool) -> bool:
-        """Return whether it is to fly on our fix alone: begun only where it acknowledges that, kept while aid lasts.
-
-        `is_lost`: its own receiver has failed, so that whatever fix it reports next is not to be followed until it is tested. An
-        ArduPilot takes that fix at once, and goes back to its own receiver by itself should our stream end. A PX4 would not go
-        back: it leaves out only a receiver that reports a false fix.
-
-        While its own receiver has a fix a PX4 shows nothing of ours, but may have shown before that it does not use it.
-        """
-        override = self._primary_overrides.get(sysid, PrimaryOverride.AUTO)
-        if stream is None or stream.purpose is not Purpose.AID or stream.acknowledgement is None:
-            return False
-        if override is PrimaryOverride.OWN:
-            return False
-        is_automatic = self._settings.switch_primary == "auto"
-        if self._switch.switching(sysid):
-            return override is PrimaryOverride.OURS or is_automatic
-        acknowledged = stream.acknowledgement.acknowledged
-        if stream.inhibit is not None or acknowledged is False or (acknowledged is None and feeds_receiver(stream.name)):
-            return False
-        return override is PrimaryOverride.OURS or (is_automatic and is_lost)

@@ -10,7 +10,7 @@ from math import sqrt
 from gcs_coloc.core.aiding.fix_policy import FixPolicy
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.methods.method import AidingMethod, Moment, no_clock, nowhere
-from gcs_coloc.core.aiding.methods.registry import METHODS, acknowledgement_of
+from gcs_coloc.core.aiding.methods.registry import METHODS, acknowledgement_of, feeds_receiver
 from gcs_coloc.core.aiding.settings import AidingMethodName, AidingSettings
 from gcs_coloc.core.aiding.vetted_ranges import VettedRange
 from gcs_coloc.core.geodesy import LocalFrame
@@ -197,6 +197,25 @@ class AidingStream:
             if self.acknowledgement is not None and isinstance(message, AidingMessage):
                 self.acknowledgement.add_sent(message, now_s)
         return out + self._update_inhibit(inhibit, now_s) + self._warn_of_prediction(now_s)
+
+    def wants_switch(self, override: PrimaryOverride, *, is_switching: bool, is_lost: bool) -> bool:
+        """Return whether it is to fly on our fix alone: begun only where it acknowledges that, kept while aid lasts.
+
+        `is_switching`: that has begun. `is_lost`: its own receiver has failed, so that whatever fix it reports next is not to be
+        followed until it is tested. An ArduPilot takes that fix at once, and goes back to its own receiver by itself should our
+        stream end. A PX4 would not go back: it leaves out only a receiver that reports a false fix.
+
+        While its own receiver has a fix a PX4 shows nothing of ours, but may have shown before that it does not use it.
+        """
+        if self.purpose is not Purpose.AID or self.acknowledgement is None or override is PrimaryOverride.OWN:
+            return False
+        is_automatic = self._settings.switch_primary == "auto"
+        if is_switching:
+            return override is PrimaryOverride.OURS or is_automatic
+        acknowledged = self.acknowledgement.acknowledged
+        if self.inhibit is not None or acknowledged is False or (acknowledged is None and feeds_receiver(self.name)):
+            return False
+        return override is PrimaryOverride.OURS or (is_automatic and is_lost)
 
     def status(self) -> str:
         """Return what is sent in a few words, for the operator."""
