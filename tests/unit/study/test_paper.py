@@ -145,8 +145,8 @@ def test_options_that_make_no_run_are_refused(bad: dict[str, object]) -> None:
         replace(PaperOptions(), **bad)
 
 
-def test_the_constant_r_can_be_the_plain_variance() -> None:
-    robust = run_paper_study(replace(SHORT, fleet_seeds=0), Workers(), quiet).constant_r_m2
+def test_the_constant_r_can_be_the_plain_variance(study: PaperStudy) -> None:
+    robust = study.constant_r_m2
     plain = run_paper_study(replace(SHORT, fleet_seeds=0, constant_r=ConstantR.VARIANCE), Workers(), quiet).constant_r_m2
 
     # Both estimate the same variance of nearly normal errors from 400 correlated fixes.
