@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import atan2, cos, hypot, pi, radians, remainder, sin, tan
+from collections.abc import Sequence
+from math import atan2, cos, hypot, pi, radians, remainder, sin, sqrt, tan
 
 import numpy as np
 
-from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.study.integrity.flight_classes import FlightClass, Layout, Motion
 
 STEP_S = 0.05
@@ -25,52 +25,63 @@ _GUST_TIME_S = 4.0
 """Gusts are a Gauss-Markov process of this time. Source: Dryden's model at 100 m and 20 m/s gives 5 to 10 s."""
 
 
-@dataclass(frozen=True, slots=True)
 class Trajectory:
     """True motion at steps of `STEP_S`: positions (N, 3) m and velocities (N, 3) m/s ENU, attitude (N, 3) rad, airspeed (N,).
 
     Attitude is roll, pitch and yaw from north, clockwise. `airspeed_mps` is None of a vehicle without wings.
     """
 
-    positions_m: FloatArray
-    velocities_mps: FloatArray
-    attitude_rad: FloatArray
-    airspeed_mps: FloatArray | None
+    def __init__(
+        self, positions_m: FloatArray, velocities_mps: FloatArray, attitude_rad: FloatArray, airspeed_mps: FloatArray | None
+    ) -> None:
+        self.positions_m, self.velocities_mps = positions_m, velocities_mps
+        self.attitude_rad, self.airspeed_mps = attitude_rad, airspeed_mps
+        # As floats: what is asked for is one step at a time, for which numpy takes several times as long.
+        self._positions_m, self._velocities_mps = positions_m.tolist(), velocities_mps.tolist()
+        self._attitude_rad = attitude_rad.tolist()
+        self._airspeed_mps: list[float] | None = None if airspeed_mps is None else airspeed_mps.tolist()
 
-    def position(self, at_s: float) -> FloatArray:
-        """Return the position (3,) at a time, m."""
-        return self._between(self.positions_m, at_s)
+    def position(self, at_s: float) -> Vector3:
+        """Return the position at a time, m."""
+        return self._between(self._positions_m, at_s)
 
-    def velocity(self, at_s: float) -> FloatArray:
-        """Return the velocity (3,) at a time, m/s."""
-        return self._between(self.velocities_mps, at_s)
+    def velocity(self, at_s: float) -> Vector3:
+        """Return the velocity at a time, m/s."""
+        return self._between(self._velocities_mps, at_s)
 
-    def attitude(self, at_s: float) -> FloatArray:
-        """Return roll, pitch and yaw (3,) at the step before a time, rad."""
-        return np.asarray(self.attitude_rad[self._step(at_s)[0]])
+    def attitude(self, at_s: float) -> Vector3:
+        """Return roll, pitch and yaw at the step before a time, rad."""
+        roll, pitch, yaw = self._attitude_rad[int(self._place(at_s))]
+        return roll, pitch, yaw
 
     def airspeed(self, at_s: float) -> float | None:
         """Return the airspeed at the step before a time, m/s."""
-        return None if self.airspeed_mps is None else float(self.airspeed_mps[self._step(at_s)[0]])
+        return None if self._airspeed_mps is None else self._airspeed_mps[int(self._place(at_s))]
 
-    def _step(self, at_s: float) -> tuple[int, float]:
-        place = min(max(at_s / STEP_S, 0.0), len(self.positions_m) - 1.001)
-        return int(place), place - int(place)
+    def _place(self, at_s: float) -> float:
+        return min(max(at_s / STEP_S, 0.0), len(self._positions_m) - 1.001)
 
-    def _between(self, rows: FloatArray, at_s: float) -> FloatArray:
-        step, share = self._step(at_s)
-        return np.asarray(rows[step] + share * (rows[step + 1] - rows[step]))
+    def _between(self, rows: list[Sequence[float]], at_s: float) -> Vector3:
+        place = self._place(at_s)
+        return between_rows(rows, int(place), place - int(place))
+
+
+def between_rows(rows: Sequence[Sequence[float]], step: int, share: float) -> Vector3:
+    """Return the vector a share of the way from one row to the next."""
+    (e, n, u), (next_e, next_n, next_u) = rows[step], rows[step + 1]
+    return e + share * (next_e - e), n + share * (next_n - n), u + share * (next_u - u)
 
 
 def gauss_markov(rng: np.random.Generator, count: int, step_s: float, sigma: float, time_s: float, axes: int = 3) -> FloatArray:
     """Return a stationary Gauss-Markov process (count, axes) of a standard deviation and a correlation time."""
     keep = float(np.exp(-step_s / time_s))
     noise = sigma * np.sqrt(1.0 - keep * keep) * rng.standard_normal((count, axes))
-    values = np.empty((count, axes))
-    values[0] = sigma * rng.standard_normal(axes)
-    for k in range(1, count):
-        values[k] = keep * values[k - 1] + noise[k]
-    return values
+    value: list[float] = (sigma * rng.standard_normal(axes)).tolist()
+    values = [value]
+    for new in noise[1:].tolist():
+        value = [keep * before + white for before, white in zip(value, new, strict=True)]
+        values.append(value)
+    return np.array(values)
 
 
 def draw_trajectories(rng: np.random.Generator, drawn: FlightClass, duration_s: float, vehicles: int) -> list[Trajectory]:
@@ -121,30 +132,33 @@ def _plane(
     roll_rate = rng.uniform(*_ROLL_RATE_RADPS)
     turn_radius_m = speed**2 / (_GRAVITY_MPS2 * tan(_TURN_BACK_BANK))
     gusts = gauss_markov(rng, steps, STEP_S, rng.uniform(*drawn.gust_mps), _GUST_TIME_S) * (1.0, 1.0, 0.3)
-    place = np.array((*(centre_m + rng.uniform(-0.5, 0.5, 2) * radius_m), rng.uniform(*_HEIGHT_M)))
+    (centre_e, centre_n), (wind_e, wind_n, _) = centre_m.tolist(), wind_mps.tolist()
+    east, north = (centre_m + rng.uniform(-0.5, 0.5, 2) * radius_m).tolist()
+    up = rng.uniform(*_HEIGHT_M)
     heading, bank, wanted, climb, wanted_climb, until_s = rng.uniform(0.0, 2.0 * pi), 0.0, 0.0, 0.0, 0.0, 0.0
-    positions, velocities, attitude, airspeed = np.empty((steps, 3)), np.empty((steps, 3)), np.empty((steps, 3)), np.empty(steps)
-    for k in range(steps):
+    positions, velocities, attitude, through_air = [], [], [], []
+    for k, (gust_e, gust_n, gust_u) in enumerate(gusts.tolist()):
         if k * STEP_S >= until_s:
             until_s = k * STEP_S + _LEAST_HELD_S + rng.exponential(_MEAN_HELD_S - _LEAST_HELD_S)
             wanted = 0.0 if rng.random() < _STRAIGHT_SHARE else rng.uniform(-steepest, steepest)
-            wanted_climb = rng.uniform(-2.0, 2.0) if place[2] > _HEIGHT_M[0] else 2.0
-        away_m = hypot(place[0] - centre_m[0], place[1] - centre_m[1])
+            wanted_climb = rng.uniform(-2.0, 2.0) if up > _HEIGHT_M[0] else 2.0
         target = wanted
-        if away_m > max(radius_m, 2.0 * turn_radius_m):
-            off = remainder(atan2(centre_m[0] - place[0], centre_m[1] - place[1]) - heading, 2.0 * pi)
-            target = float(np.clip(1.5 * off, -_TURN_BACK_BANK, _TURN_BACK_BANK))
-        bank += float(np.clip(target - bank, -roll_rate * STEP_S, roll_rate * STEP_S))
+        if hypot(east - centre_e, north - centre_n) > max(radius_m, 2.0 * turn_radius_m):
+            off = remainder(atan2(centre_e - east, centre_n - north) - heading, 2.0 * pi)
+            target = min(max(1.5 * off, -_TURN_BACK_BANK), _TURN_BACK_BANK)
+        bank += min(max(target - bank, -roll_rate * STEP_S), roll_rate * STEP_S)
         climb += 0.5 * STEP_S * (wanted_climb - climb)
-        air = np.array((speed * sin(heading), speed * cos(heading), climb))
-        velocity = air + wind_mps + gusts[k]
-        positions[k], velocities[k] = place, velocity
-        attitude[k] = bank, climb / speed, remainder(heading, 2.0 * pi)
-        # A gust is felt at once: what the sensor measures is the motion against the air around it.
-        airspeed[k] = speed - float(gusts[k, :2] @ air[:2]) / speed
+        air_e, air_n = speed * sin(heading), speed * cos(heading)
+        ve, vn, vu = air_e + wind_e + gust_e, air_n + wind_n + gust_n, climb + gust_u
+        positions.append((east, north, up))
+        velocities.append((ve, vn, vu))
+        through_air.append((air_e, air_n))
+        attitude.append((bank, climb / speed, remainder(heading, 2.0 * pi)))
         heading += _GRAVITY_MPS2 * tan(bank) / speed * STEP_S
-        place = place + velocity * STEP_S
-    return Trajectory(positions, velocities, attitude, airspeed)
+        east, north, up = east + ve * STEP_S, north + vn * STEP_S, up + vu * STEP_S
+    # A gust is felt at once: what the sensor measures is the motion against the air around it.
+    along = (gusts[:, np.newaxis, :2] @ np.array(through_air)[:, :, np.newaxis])[:, 0, 0]
+    return Trajectory(np.array(positions), np.array(velocities), np.array(attitude), speed - along / speed)
 
 
 def _copter(
@@ -163,11 +177,11 @@ def _copter(
             until_s = k * STEP_S + (rng.uniform(2.0, 6.0) if is_agile else rng.uniform(8.0, 30.0))
             target = np.array((*(centre_m + rng.uniform(-1.0, 1.0, 2) * radius_m), rng.uniform(20.0, 120.0)))
         wanted = target - place
-        length = float(np.linalg.norm(wanted))
+        length = sqrt(wanted.dot(wanted))
         # As fast as it can still stop at the waypoint.
-        wanted *= min(fastest, float(np.sqrt(most * length))) / max(length, 1e-6)
+        wanted *= min(fastest, sqrt(most * length)) / max(length, 1e-6)
         push = (wanted - velocity) / 0.4
-        push *= min(1.0, most / max(float(np.linalg.norm(push)), 1e-6))
+        push *= min(1.0, most / max(sqrt(push.dot(push)), 1e-6))
         # The body has to tilt first: a first-order lag of a quarter of a second.
         acceleration += (push - acceleration) * STEP_S / 0.25
         velocity = velocity + acceleration * STEP_S

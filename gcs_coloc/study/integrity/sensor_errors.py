@@ -10,9 +10,9 @@ from math import cos, inf, pi, radians, sin
 
 import numpy as np
 
-from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.study.integrity.flight_classes import FlightClass, RangeNoise, Span
-from gcs_coloc.study.integrity.motion import gauss_markov
+from gcs_coloc.study.integrity.motion import between_rows, gauss_markov
 
 _SLOW_STEP_S = 1.0  # chosen: the slow errors change over 30 s and more
 _HEIGHT_TIME_S = 200.0  # chosen: temperature and weather change within minutes
@@ -37,15 +37,21 @@ def uniform_sign(rng: np.random.Generator, span: Span) -> float:
     return float(rng.uniform(*span) * rng.choice((-1.0, 1.0)))
 
 
-def direction(rng: np.random.Generator) -> FloatArray:
-    """Draw a horizontal unit vector (3,)."""
+def direction(rng: np.random.Generator) -> Vector3:
+    """Draw a horizontal unit vector."""
     angle = rng.uniform(0.0, 2.0 * pi)
-    return np.array((sin(angle), cos(angle), 0.0))
+    return sin(angle), cos(angle), 0.0
+
+
+def scaled(factor: float, vector: Vector3) -> Vector3:
+    """Return a vector times a factor."""
+    east, north, up = vector
+    return factor * east, factor * north, factor * up
 
 
 def is_within(intervals: Intervals, at_s: float) -> bool:
     """Whether a time is in one of the intervals."""
-    return any(start <= at_s < end for start, end in intervals)
+    return bool(intervals) and any(start <= at_s < end for start, end in intervals)
 
 
 def draw_intervals(rng: np.random.Generator, mean_off_s: float, mean_on_s: float, until_s: float) -> Intervals:
@@ -61,7 +67,7 @@ def draw_intervals(rng: np.random.Generator, mean_off_s: float, mean_on_s: float
 
 @dataclass(slots=True)
 class Fault:
-    """A false offset of one receiver from `at_s` on: at once by `step_m` and on at `ramp_mps`, along `away` (3,).
+    """A false offset of one receiver from `at_s` on: at once by `step_m` and on at `ramp_mps`, along `away`.
 
     The autopilot's filter follows it after `followed_after_s` and reports a glitch until then.
     """
@@ -69,13 +75,13 @@ class Fault:
     at_s: float
     step_m: float
     ramp_mps: float
-    away: FloatArray
+    away: Vector3
     followed_after_s: float = 0.0
 
-    def offset_m(self, at_s: float) -> FloatArray:
-        """Return the offset (3,) at a time, m."""
+    def offset_m(self, at_s: float) -> Vector3:
+        """Return the offset at a time, m."""
         passed_s = at_s - self.at_s
-        return self.away * (self.step_m + self.ramp_mps * passed_s) if passed_s >= 0.0 else np.zeros(3)
+        return scaled(self.step_m + self.ramp_mps * passed_s, self.away) if passed_s >= 0.0 else (0.0, 0.0, 0.0)
 
 
 class ReceiverErrors:
@@ -85,9 +91,9 @@ class ReceiverErrors:
         sigma_m, white_m = rng.uniform(*drawn.gnss_sigma_m), rng.uniform(*drawn.gnss_white_m)
         steps = round(duration_s / _SLOW_STEP_S) + 3
         own = gauss_markov(rng, steps, _SLOW_STEP_S, sigma_m, rng.uniform(*drawn.gnss_time_s))
-        self._slow_m = (own + common_m) * (1.0, 1.0, _VERTICAL_SHARE)
-        self._height_m = gauss_markov(rng, steps, _SLOW_STEP_S, rng.uniform(*drawn.height_drift_m), _HEIGHT_TIME_S, 1)[:, 0]
-        self._height_m += uniform_sign(rng, drawn.height_bias_m)
+        self._slow_m: list[list[float]] = ((own + common_m) * (1.0, 1.0, _VERTICAL_SHARE)).tolist()
+        height_m = gauss_markov(rng, steps, _SLOW_STEP_S, rng.uniform(*drawn.height_drift_m), _HEIGHT_TIME_S, 1)[:, 0]
+        self._height_m: list[float] = (height_m + uniform_sign(rng, drawn.height_bias_m)).tolist()
         self._rng = rng
         self.white_m = white_m
         self.stated_m = float(np.hypot(sigma_m, white_m) * rng.uniform(*drawn.gnss_stated))
@@ -102,22 +108,26 @@ class ReceiverErrors:
         steps = round(duration_s / _SLOW_STEP_S) + 3
         return gauss_markov(rng, steps, _SLOW_STEP_S, rng.uniform(*drawn.gnss_common_m), _COMMON_TIME_S)
 
-    def slow_m(self, at_s: float) -> FloatArray:
-        """Return the slow error (3,) of the position."""
+    def slow_m(self, at_s: float) -> Vector3:
+        """Return the slow error of the position."""
         step = min(int(at_s / _SLOW_STEP_S), len(self._slow_m) - 2)
-        share = at_s / _SLOW_STEP_S - step
-        return np.asarray(self._slow_m[step] + share * (self._slow_m[step + 1] - self._slow_m[step]))
+        return between_rows(self._slow_m, step, at_s / _SLOW_STEP_S - step)
 
     def height_m(self, at_s: float) -> float:
         """Return the error of the barometric height."""
         step = min(int(at_s / _SLOW_STEP_S), len(self._height_m) - 2)
         share = at_s / _SLOW_STEP_S - step
-        return float(self._height_m[step] + share * (self._height_m[step + 1] - self._height_m[step]))
+        return self._height_m[step] + share * (self._height_m[step + 1] - self._height_m[step])
 
-    def velocity_mps(self, at_s: float) -> FloatArray:
-        """Return the error (3,) of the velocity: what the slow error changes by, and white noise."""
-        rate = (self.slow_m(at_s + _SLOW_STEP_S) - self.slow_m(at_s)) / _SLOW_STEP_S
-        return np.asarray(rate + 0.1 * self._rng.standard_normal(3))
+    def velocity_mps(self, at_s: float) -> Vector3:
+        """Return the error of the velocity: what the slow error changes by, and white noise."""
+        (e, n, u), (later_e, later_n, later_u) = self.slow_m(at_s), self.slow_m(at_s + _SLOW_STEP_S)
+        white_e, white_n, white_u = self._rng.standard_normal(3).tolist()
+        return (
+            (later_e - e) / _SLOW_STEP_S + 0.1 * white_e,
+            (later_n - n) / _SLOW_STEP_S + 0.1 * white_n,
+            (later_u - u) / _SLOW_STEP_S + 0.1 * white_u,
+        )
 
 
 class PairErrors:
@@ -181,14 +191,17 @@ class LinkErrors:
 
     def boot_s(self, at_s: float) -> float:
         """Return the vehicle's own clock at a time."""
-        began_s = max((end - 1.0 for start, end in self._rebooted if at_s >= end), default=None)
-        return (at_s - began_s if began_s is not None else at_s + self._boot_s) * (1.0 + self._drift)
+        if self._rebooted:
+            began_s = max((end - 1.0 for start, end in self._rebooted if at_s >= end), default=None)
+            if began_s is not None:
+                return (at_s - began_s) * (1.0 + self._drift)
+        return (at_s + self._boot_s) * (1.0 + self._drift)
 
 
-def draw_flicker(rng: np.random.Generator, lost_at_s: float, end_s: float) -> list[tuple[float, float, FloatArray]]:
-    """Draw when a jammed receiver has a fix again after the loss, and its offset (3,) m each time."""
+def draw_flicker(rng: np.random.Generator, lost_at_s: float, end_s: float) -> list[tuple[float, float, Vector3]]:
+    """Draw when a jammed receiver has a fix again after the loss, and its offset (m) each time."""
     times = draw_intervals(rng, _FLICKER_LOST_S, _FLICKER_BACK_S, end_s - lost_at_s)
-    return [(lost_at_s + a, lost_at_s + b, rng.uniform(0.0, _FLICKER_M) * direction(rng)) for a, b in times]
+    return [(lost_at_s + a, lost_at_s + b, scaled(rng.uniform(0.0, _FLICKER_M), direction(rng))) for a, b in times]
 
 
 def draw_reboot(rng: np.random.Generator, earliest_s: float, end_s: float) -> tuple[float, float]:

@@ -10,11 +10,11 @@ import heapq
 from collections.abc import Callable
 from functools import partial
 from itertools import count
-from math import inf
+from math import inf, sqrt
 
 import numpy as np
 
-from gcs_coloc.core.measurements import FloatArray
+from gcs_coloc.core.measurements import Vector3
 from gcs_coloc.core.messages.control import ClockReference
 from gcs_coloc.core.messages.inbound import (
     Autopilot,
@@ -39,6 +39,7 @@ from gcs_coloc.study.integrity.sensor_errors import (
     draw_flicker,
     draw_reboot,
     is_within,
+    scaled,
     uniform_sign,
 )
 from gcs_coloc.study.integrity.simulated_vehicle import UNIX_EPOCH_S, SimulatedVehicle
@@ -79,7 +80,7 @@ class SimulatedFleet:
         for sysid, course in zip(sysids, courses, strict=True):
             errors = ReceiverErrors(rng, drawn, common_m, duration_s)
             link = LinkErrors(rng, drawn, delay_s if drawn.is_delay_alike else rng.uniform(*drawn.delay_s))
-            reckoning_mps = rng.uniform(0.3, 3.0) * direction(rng)
+            reckoning_mps = scaled(rng.uniform(0.3, 3.0), direction(rng))
             vehicle = SimulatedVehicle(sysid, self.frame, rng, drawn.backlog_s, course, errors, link, reckoning_mps)
             self._vehicles[sysid] = vehicle
         self.lost_at_s = rng.uniform(*drawn.lost_at_s)
@@ -94,8 +95,8 @@ class SimulatedFleet:
         self._ties = count()
         self._begin()
 
-    def truth_m(self, sysid: int, at_s: float) -> FloatArray:
-        """Return the true position (3,) of a vehicle, m in `frame`."""
+    def truth_m(self, sysid: int, at_s: float) -> Vector3:
+        """Return the true position of a vehicle, m in `frame`."""
         return self._vehicles[sysid].course.position(at_s)
 
     def is_spoofed(self, sysid: int, at_s: float) -> bool:
@@ -224,8 +225,9 @@ class SimulatedFleet:
 
     def _push_origin_setter(self) -> None:
         """A vehicle at rest, far off, is heard first, so that the fleet's origin is at it."""
-        place = direction(self._rng) * self._rng.uniform(0.4, 1.0) * self.drawn.from_origin_m
-        lat, lon, alt = self.frame.to_lla_at(float(place[0]), float(place[1]), 100.0)
+        towards = direction(self._rng)
+        east_m, north_m, _ = scaled(self.drawn.from_origin_m, scaled(self._rng.uniform(0.4, 1.0), towards))
+        lat, lon, alt = self.frame.to_lla_at(east_m, north_m, 100.0)
         for k in range(round(self.duration_s * 5.0)):
             t = 0.001 + 0.2 * k
             if k % 5 == 0:
@@ -238,7 +240,8 @@ class SimulatedFleet:
         peer = self._vehicles[pair[1]]
         if is_within(self._silences, at_s) or peer.link.is_silent(at_s):
             return []
-        true_m = float(np.linalg.norm(vehicle.course.position(at_s) - peer.course.position(at_s)))
+        apart_m = np.subtract(vehicle.course.position(at_s), peer.course.position(at_s))
+        true_m = sqrt(apart_m.dot(apart_m))
         errors = self._pairs[pair]
         range_m = errors.measure(true_m, at_s)
         if range_m is None:

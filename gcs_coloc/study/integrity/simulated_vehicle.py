@@ -7,7 +7,7 @@ from math import inf
 
 import numpy as np
 
-from gcs_coloc.core.measurements import FloatArray, VehicleClass
+from gcs_coloc.core.measurements import Vector3, VehicleClass
 from gcs_coloc.core.messages.control import RouteReport
 from gcs_coloc.core.messages.inbound import (
     Airspeed,
@@ -23,7 +23,7 @@ from gcs_coloc.core.messages.inbound import (
 )
 from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.study.integrity.motion import Trajectory
-from gcs_coloc.study.integrity.sensor_errors import Fault, LinkErrors, ReceiverErrors
+from gcs_coloc.study.integrity.sensor_errors import Fault, LinkErrors, ReceiverErrors, scaled
 from sitl_fakes.geodesy import WorldFrame
 
 UNIX_EPOCH_S = 1_780_000_000.0  # any; in 2026
@@ -32,6 +32,8 @@ _AID_AGE_S = 0.2
 _AID_FRESH_S = 1.0  # chosen: ten messages of 10 Hz
 _FLIES_ON_S = 10.0
 """For so long an EKF without position calls itself absolute. Source: EKF3 with airspeed; copters less."""
+
+_NOWHERE: Vector3 = (0.0, 0.0, 0.0)
 
 
 @dataclass(slots=True)
@@ -48,22 +50,22 @@ class SimulatedVehicle:
     course: Trajectory
     receiver: ReceiverErrors
     link: LinkErrors
-    reckoning_mps: FloatArray
+    reckoning_mps: Vector3
     fault: Fault | None = None
     lost_at_s: float = inf
-    flicker: list[tuple[float, float, FloatArray]] | None = None
-    aid: tuple[float, FloatArray, FloatArray] | None = None
+    flicker: list[tuple[float, float, Vector3]] | None = None
+    aid: tuple[float, Vector3, Vector3] | None = None
 
     def has_fix(self, at_s: float) -> bool:
         """Whether its own receiver has a fix."""
         return at_s < self.lost_at_s or any(start <= at_s < end for start, end, _ in self.flicker or ())
 
-    def false_m(self, at_s: float) -> FloatArray:
-        """Return the false offset (3,) of its receiver."""
-        offset = self.fault.offset_m(at_s) if self.fault is not None else np.zeros(3)
+    def false_m(self, at_s: float) -> Vector3:
+        """Return the false offset of its receiver."""
+        offset = self.fault.offset_m(at_s) if self.fault is not None else _NOWHERE
         for start, end, flicker_m in self.flicker or ():
             if start <= at_s < end:
-                offset = offset + flicker_m
+                offset = _plus(offset, flicker_m)
         return offset
 
     def refuses_receiver(self, at_s: float) -> bool:
@@ -81,11 +83,13 @@ class SimulatedVehicle:
     def set_aid(self, sent: GpsInput, at_s: float) -> None:
         """Let it have a fix that it was sent."""
         if sent.fix_type >= 3:
-            place = np.array(self.frame.to_enu(sent.lat_deg, sent.lon_deg, sent.alt_msl_m))
-            self.aid = (at_s, place, np.array((sent.ve_mps, sent.vn_mps, -sent.vd_mps)))
+            place = self.frame.to_enu(sent.lat_deg, sent.lon_deg, sent.alt_msl_m)
+            self.aid = (at_s, place, (sent.ve_mps, sent.vn_mps, -sent.vd_mps))
 
-    def _lla(self, place_m: FloatArray) -> tuple[float, float, float]:
-        return self.frame.to_lla(float(place_m[0]), float(place_m[1]), float(place_m[2]))
+    def _white(self) -> Vector3:
+        """Draw three values of white noise of unit variance."""
+        x, y, z = self.rng.standard_normal(3).tolist()
+        return x, y, z
 
     def heartbeat_messages(self, at_s: float) -> list[Inbound]:
         """Build the heartbeat, and what the link layer knows of the route."""
@@ -100,42 +104,43 @@ class SimulatedVehicle:
         arrival_s, boot_s, errors = self.arrival_s(at_s), self.link.boot_s(at_s), self.receiver
         sysid, stated_m, vertical_m = self.sysid, errors.stated_m, errors.stated_vertical_m
         if self.has_fix(at_s):
-            noise_m = errors.white_m * self.rng.standard_normal(3)
-            lla = self._lla(self.course.position(at_s) + errors.slow_m(at_s) + noise_m + self.false_m(at_s))
+            noise_m = scaled(errors.white_m, self._white())
+            place = _plus(_plus(self.course.position(at_s), errors.slow_m(at_s)), noise_m)
+            lla = self.frame.to_lla(*_plus(place, self.false_m(at_s)))
             own = GpsReceiver(sysid, arrival_s, 0, 3, *lla, 14, 0.8, stated_m, vertical_m, 0.3, boot_s)
         else:
             own = GpsReceiver(sysid, arrival_s, 0, 1, 0.0, 0.0, 0.0, 2, None, stated_m, vertical_m, 0.3, boot_s)
         aid = self.aid
         if aid is None or at_s - aid[0] >= _AID_FRESH_S:
             return [own]
-        return [own, GpsReceiver(sysid, arrival_s, 1, 3, *self._lla(aid[1]), 10, 1.0, 1.0, 1.0, 0.5, boot_s)]
+        return [own, GpsReceiver(sysid, arrival_s, 1, 3, *self.frame.to_lla(*aid[1]), 10, 1.0, 1.0, 1.0, 0.5, boot_s)]
 
     def position_messages(self, at_s: float) -> list[Inbound]:
         """Build the position of its autopilot: of its receiver, of the fix that it was sent, or dead reckoning."""
         arrival_s, errors, course = self.arrival_s(at_s), self.receiver, self.course
-        true_m, velocity_mps = course.position(at_s), course.velocity(at_s) + errors.velocity_mps(at_s)
-        place = true_m + errors.slow_m(at_s)
+        true_m, velocity_mps = course.position(at_s), _plus(course.velocity(at_s), errors.velocity_mps(at_s))
+        place = _plus(true_m, errors.slow_m(at_s))
         if self.is_aided(at_s) and self.aid is not None:
             heard_s, fix_m, velocity_mps = self.aid
-            place = fix_m + velocity_mps * (at_s - heard_s + _AID_AGE_S)
+            place = _plus(fix_m, scaled(at_s - heard_s + _AID_AGE_S, velocity_mps))
         elif not self.has_fix(at_s):
             lost_s = max(at_s - self.lost_at_s, 0.0)
-            place, velocity_mps = place + self.reckoning_mps * lost_s, velocity_mps + self.reckoning_mps
+            place, velocity_mps = _plus(place, scaled(lost_s, self.reckoning_mps)), _plus(velocity_mps, self.reckoning_mps)
         elif not self.refuses_receiver(at_s):
-            place = place + self.false_m(at_s)
+            place = _plus(place, self.false_m(at_s))
             if self.fault is not None and at_s >= self.fault.at_s:
-                velocity_mps = velocity_mps + self.fault.ramp_mps * self.fault.away
-        lat, lon, alt = self._lla(np.array((place[0], place[1], true_m[2] + errors.height_m(at_s))))
+                velocity_mps = _plus(velocity_mps, scaled(self.fault.ramp_mps, self.fault.away))
+        lat, lon, alt = self.frame.to_lla(place[0], place[1], true_m[2] + errors.height_m(at_s))
         if self.lost_at_s < 0.0 and not self.is_aided(at_s):
             lat, lon = 0.0, 0.0  # as ArduPilot reports without an origin
-        ve, vn, vu = (float(v) for v in velocity_mps)
+        ve, vn, vu = velocity_mps
         boot_s = self.link.boot_s(at_s)
         return [GlobalPosition(self.sysid, arrival_s, boot_s, lat, lon, alt, vn, ve, -vu)]
 
     def attitude_messages(self, at_s: float) -> list[Inbound]:
         """Build its attitude."""
         arrival_s = self.arrival_s(at_s)
-        roll, pitch, yaw = (self.course.attitude(at_s) + 0.015 * self.rng.standard_normal(3)).tolist()
+        roll, pitch, yaw = _plus(self.course.attitude(at_s), scaled(0.015, self._white()))
         yaw += self.receiver.heading_rad
         return [Attitude(self.sysid, arrival_s, self.link.boot_s(at_s), roll, pitch, yaw)]
 
@@ -146,7 +151,7 @@ class SimulatedVehicle:
             return []
         arrival_s = self.arrival_s(at_s)
         # Indicated airspeed, by the density of the standard atmosphere at the flight's altitude.
-        altitude_m = self._lla(self.course.position(at_s))[2]
+        altitude_m = self.frame.to_lla(*self.course.position(at_s))[2]
         indicated_mps = true_mps * (1.0 - 2.25577e-5 * max(altitude_m, 0.0)) ** 2.128 * self.receiver.pitot
         indicated_mps += float(0.4 * self.rng.standard_normal())
         return [Airspeed(self.sysid, arrival_s, max(indicated_mps, 0.0))]
@@ -167,3 +172,7 @@ class SimulatedVehicle:
         arrival_s = self.arrival_s(at_s)
         unix_s = UNIX_EPOCH_S + at_s - self.receiver.utc_behind_s
         return [SystemTime(self.sysid, arrival_s, self.link.boot_s(at_s), unix_s)]
+
+
+def _plus(a: Vector3, b: Vector3) -> Vector3:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
