@@ -106,11 +106,10 @@ class IntegrityMonitor:
 
     def _update_fault_levels(self, vehicles: Sequence[ReviewedVehicle], now_s: float) -> None:
         epoch = self._consistency.epoch
-        separation = SolutionSeparation(epoch) if epoch.residuals else None
+        located = [(vehicle.sysid, vehicle.estimate) for vehicle in vehicles if vehicle.estimate is not None]
+        separation = SolutionSeparation(epoch) if located and epoch.residuals else None
         levels: dict[int, FaultLevel] = {}
-        for sysid, where in ((vehicle.sysid, vehicle.estimate) for vehicle in vehicles):
-            if where is None:
-                continue
+        for sysid, where in located:
             ranged_at_s = self._consistency.ranged_at_s(sysid)
             if separation is not None and ranged_at_s is not None and sysid in separation.vehicles:
                 levels[sysid] = fault_level(separation.of(sysid), where, ranged_at_s, self._protection)

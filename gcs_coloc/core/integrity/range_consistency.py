@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from math import exp
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,6 +87,14 @@ class _Persistence:
         self.possible.clear()
 
 
+class _Tests(NamedTuple):
+    """The tests of an epoch: what it is tested against and each result with redundancy, by interval; 0 for the present alone."""
+
+    epoch: Epoch
+    pasts: Mapping[float, Past]
+    results: Mapping[float, FaultTestResult]
+
+
 class RangeConsistency:
     """The consistency monitor of one fleet.
 
@@ -143,8 +152,9 @@ class RangeConsistency:
         if now_s < self._due_s:
             return
         self._due_s = now_s + self.settings.period_s - SAME_S
-        whole = self._residuals.epoch(now_s)
-        self.noise = explain_inconsistency(whole, self.noise.after(self.settings.period_s), self.settings.levels, doubtful)
+        whole, left = self._residuals.epoch(now_s), self.noise.after(self.settings.period_s)
+        tests = self._test(whole, left)
+        self.noise = explain_inconsistency(whole, tests.results.get(0.0), left, self.settings.levels, doubtful)
         if self.noise.pairs_off:
             self._pairs_off_at_s = now_s
         stated = self.noise.select(whole)
@@ -152,7 +162,8 @@ class RangeConsistency:
         sparse = self.noise.select(self._residuals.sparse_epoch(now_s, whole))
         self.epoch = self.noise.apply(sparse)
         self._run_fault_monitor(stated, now_s)
-        self._run_tests(stated, now_s, doubtful)
+        self._use_tests(tests if self.noise is left else self._test(stated, self.noise), now_s, doubtful)
+        self._epochs.append(stated)
         monitored = self._fault_monitor.separation_m2(now_s)
         self.separation_m2 = {
             vehicle: max((each[vehicle] for each in (self._decayed_m2, monitored) if vehicle in each), key=_trace)
@@ -190,14 +201,18 @@ class RangeConsistency:
         self._detected_until_s = {v: until_s for v, until_s in self._detected_until_s.items() if until_s > now_s}
         self.detected |= self._detected_until_s.keys()
 
-    def _run_tests(self, stated: Epoch, now_s: float, doubtful: Collection[int]) -> None:
-        epoch = self.noise.apply(stated)
+    def _test(self, stated: Epoch, noise: NoiseModel) -> _Tests:
+        """Test an epoch with some noise, alone and against earlier ones."""
+        epoch = noise.apply(stated)
         pasts: dict[float, Past] = {
-            interval_s: (self.noise.apply(then) if then is not None else None, correlation)
+            interval_s: (noise.apply(then) if then is not None else None, correlation)
             for interval_s, (then, correlation) in self._epochs.pasts(stated.at_s).items()
         }
-        results = self._results(epoch, pasts)
-        self._epochs.append(stated)
+        results = run_tests(epoch, self.settings.levels, list(pasts.values()))
+        return _Tests(epoch, pasts, {at: result for at, result in zip(pasts, results, strict=True) if result is not None})
+
+    def _use_tests(self, tests: _Tests, now_s: float, doubtful: Collection[int]) -> None:
+        epoch, pasts, results = tests
         if not results:
             if now_s - self._tested_s > _HOLD_WINDOWS * self.settings.residuals.window_s:
                 self._end_detection()
@@ -210,13 +225,6 @@ class RangeConsistency:
 
     def _end_detection(self) -> None:
         self.detected = frozenset(self._detected_until_s)
-
-    def _results(self, epoch: Epoch, pasts: Mapping[float, Past]) -> dict[float, FaultTestResult]:
-        """The result of each test with redundancy, by its interval; 0 for the test of the present alone."""
-        if not epoch.residuals:
-            return {}
-        results = dict(zip(pasts, run_tests(epoch, self.settings.levels, list(pasts.values())), strict=True))
-        return {interval_s: result for interval_s, result in results.items() if result is not None}
 
     def _update_faults(
         self,
@@ -263,10 +271,9 @@ class RangeConsistency:
                 self.detected |= {v for v, n in possible.items() if n >= self.settings.detect_after}
 
     def _update_separation(self, results: Mapping[float, FaultTestResult], epoch: Epoch, now_s: float) -> None:
-        s = self.settings
+        s, age_s, present = self.settings, now_s - epoch.at_s, results.get(0.0)
         for vehicle in {v for result in results.values() for v in result.separation_m2}:
             # What grew within an interval has grown on since the epoch.
-            age_s = now_s - epoch.at_s
             new = max(
                 (
                     result.separation_m2[vehicle] * (1.0 + age_s / interval_s if interval_s else 1.0) ** 2
@@ -278,10 +285,10 @@ class RangeConsistency:
             if self.identified or self.detected:
                 self._alert_until_s[vehicle] = now_s + s.alert_s
             is_alert = now_s < self._alert_until_s.get(vehicle, now_s)
-            present = results.get(0.0)
-            if is_alert and present is not None and vehicle in present.offset_m:
+            if is_alert and present is not None and vehicle in present.separation_m2:
                 # The effect of the fault that remains in the estimate after the faulty vehicle is excluded.
-                new = new + np.outer(present.offset_m[vehicle], present.offset_m[vehicle])
+                offset_m = present.offset_m(vehicle)
+                new = new + np.outer(offset_m, offset_m)
             decay = exp(-s.period_s / (s.alert_decay_time_s if is_alert else s.decay_time_s))
             old = self._decayed_m2.get(vehicle)
             if old is not None and _trace(old) * decay > _trace(new):

@@ -37,9 +37,8 @@ class FaultTestResult:
     """Result of the tests of one adjustment.
 
     `is_consistent`: no alarm. `is_clear`: far from an alarm. `suspects`: in an alarm the vehicles whose position the local tests
-    reject, or all that report one where they reject none. By vehicle without prior: `offset_m` (2,) is its correction if nobody
-    is faulty, as far as the ranges determine it; `separation_m2` (2, 2) the second moment of the solution separation over the
-    plausible faults, zero where none is likely enough to count.
+    reject, or all that report one where they reject none. `separation_m2` (2, 2): by vehicle without prior the second moment of
+    its solution separation over the plausible faults, zero where none is likely enough to count. `fit` is the adjustment.
     """
 
     statistic: float
@@ -47,8 +46,12 @@ class FaultTestResult:
     is_consistent: bool
     is_clear: bool
     suspects: frozenset[int]
-    offset_m: Mapping[int, FloatArray]
     separation_m2: Mapping[int, FloatArray]
+    fit: Adjustment
+
+    def offset_m(self, vehicle: int) -> FloatArray:
+        """The correction (2,) of a vehicle without prior if nobody is faulty, as far as the ranges determine it."""
+        return self.fit.placed_offset_m(vehicle, WELL_PLACED_SIGMA_M)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +75,7 @@ class SignificanceLevels:
 
 def run_tests(now: Epoch, levels: SignificanceLevels, pasts: Sequence[Past]) -> list[FaultTestResult | None]:
     """Test an epoch, alone or against earlier ones; None where there is no redundancy."""
-    return [run_test(fit, levels) for fit in adjust(now, pasts)]
+    return [run_test(fit, levels) for fit in adjust(now, pasts)] if now.residuals else [None] * len(pasts)
 
 
 def run_test(fit: Adjustment, levels: SignificanceLevels) -> FaultTestResult | None:
@@ -103,8 +106,8 @@ def run_test(fit: Adjustment, levels: SignificanceLevels) -> FaultTestResult | N
         is_consistent=not alarm,
         is_clear=not alarm and not weight and fit.statistic <= chi2_limit(dof, levels.clear),
         suspects=frozenset(rejected or reporting) if alarm else frozenset(),
-        offset_m={v: fit.placed_offset_m(v, WELL_PLACED_SIGMA_M) for v in without_prior},
         separation_m2=separation,
+        fit=fit,
     )
 
 

@@ -11,7 +11,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, run_tests
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import FaultTestResult, SignificanceLevels
 from gcs_coloc.core.integrity.epoch_tests.isolation import isolate
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel, likeliest_noise
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import pair_outliers
@@ -19,16 +19,17 @@ from gcs_coloc.core.integrity.epoch_tests.pair_outliers import pair_outliers
 _PRESENT: Past = (None, 0.0)
 
 
-def explain_inconsistency(whole: Epoch, noise: NoiseModel, levels: SignificanceLevels, doubtful: Collection[int]) -> NoiseModel:
+def explain_inconsistency(
+    whole: Epoch, result: FaultTestResult | None, noise: NoiseModel, levels: SignificanceLevels, doubtful: Collection[int]
+) -> NoiseModel:
     """Return the noise with which an epoch as stated is consistent, or `noise` as it is where it is not clearly the likeliest.
 
-    A fault that is nearly as likely is not ruled out, so the tests over time go on. `doubtful` are the vehicles whose receivers
-    speak against themselves.
+    A fault that is nearly as likely is not ruled out, so the tests over time go on. `result` is that of the epoch's test alone,
+    with `noise`; None where there is no redundancy. `doubtful` are the vehicles whose receivers speak against themselves.
     """
-    epoch = noise.apply(whole)
-    result = run_tests(epoch, levels, [_PRESENT])[0] if whole.residuals else None
     if result is None or result.is_consistent:
         return noise
+    epoch = noise.apply(whole)
     fault = isolate(epoch, _PRESENT, levels, doubtful)
     pairs, more = pair_outliers(epoch, levels), likeliest_noise(whole, noise, levels)
     clearly_below = fault.cost - levels.margin

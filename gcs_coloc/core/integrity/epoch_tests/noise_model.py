@@ -56,7 +56,7 @@ class NoiseModel:
     @property
     def is_as_stated(self) -> bool:
         """Whether nothing is added to what is stated."""
-        return self == NoiseModel(pairs_off=self.pairs_off)
+        return self.range_bias_m == self.range_scale == self.height_sigma_m == 0.0 and self.position_factor == 1.0
 
     @property
     def text(self) -> str:

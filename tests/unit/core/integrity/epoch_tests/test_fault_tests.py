@@ -123,7 +123,7 @@ def test_the_separation_is_the_displacement_without_the_faulty_vehicle():
     it adds.
     """
     rng = np.random.default_rng(10)
-    offsets = [result_of(epoch(rng, mutual=True), SignificanceLevels()).offset_m[5] for _ in range(40)]
+    offsets = [result_of(epoch(rng, mutual=True), SignificanceLevels()).offset_m(5) for _ in range(40)]
     # Where four ranges put it against priors of 1.5 m: sigma about 1.5 m per axis, of the mean of 40 about 0.25 m.
     np.testing.assert_allclose(np.mean(offsets, axis=0), [-8.0, 6.0], atol=1.0)
     fault_free = result_of(epoch(rng, mutual=True), SignificanceLevels())

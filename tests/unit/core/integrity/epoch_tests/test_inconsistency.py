@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, run_tests
 from gcs_coloc.core.integrity.epoch_tests.inconsistency import explain_inconsistency
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel, clearly_smaller_noise
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import pair_outliers
@@ -38,7 +38,9 @@ def epoch(rng, *, device_bias_m=0.0, scale=0.0, height_m=0.0, factor=1.0, off=()
 
 
 def explained(seed, **errors):
-    return explain_inconsistency(epoch(np.random.default_rng(seed), **errors), NoiseModel(), LEVELS, ())
+    whole = epoch(np.random.default_rng(seed), **errors)
+    (result,) = run_tests(whole, LEVELS, [(None, 0.0)])
+    return explain_inconsistency(whole, result, NoiseModel(), LEVELS, ())
 
 
 def test_devices_with_lasting_errors_are_noise_of_about_their_size():
