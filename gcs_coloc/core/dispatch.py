@@ -86,14 +86,17 @@ class MessageDispatch:
         self._handlers: dict[type[Any], Callable[[Any, ReportedState, LastRound], list[Outbound] | None]] = {
             GlobalPosition: self._add_position,
             Pressure: self._add_pressure,
-            Attitude: self._add_attitude,
-            PeerRange: self._add_range,
             GpsReceiver: self._add_receiver,
             SystemTime: self._add_system_time,
-            Heartbeat: self._add_heartbeat,
+        }
+        # What no later stage has to judge; more than half of all messages.
+        self._measured_handlers: dict[type[Any], Callable[[Any, ReportedState], list[Outbound] | None]] = {
+            Attitude: self._add_attitude,
+            PeerRange: self._add_range,
         }
         # What needs no more than the message. No lambdas: a copy of the engine must not hand messages to the original's stages.
         self._answer_handlers: dict[type[Any], Callable[[Any], list[Outbound] | None]] = {
+            Heartbeat: self._add_heartbeat,
             TimeSyncAnswer: stages.clocks.add_answer,
             CommandResult: stages.aiding.add_result,
             GlobalOrigin: stages.aiding.add_origin,
@@ -101,10 +104,15 @@ class MessageDispatch:
         }
         self._classes: dict[int, VehicleClass] = {}
 
-    def add(self, message: FromVehicle, vehicle: ReportedState, last: LastRound) -> list[Outbound]:
-        """Add a message of a vehicle whose reported state holds it already; return what is to be sent or shown at once."""
+    def add(self, message: FromVehicle, vehicle: ReportedState, last_round: Callable[[int], LastRound]) -> list[Outbound]:
+        """Add a message of a vehicle whose reported state holds it already; return what is to be sent or shown at once.
+
+        `last_round` returns what later stages found of a vehicle.
+        """
+        if (measured_handler := self._measured_handlers.get(type(message))) is not None:
+            return measured_handler(message, vehicle) or []
         if (handler := self._handlers.get(type(message))) is not None:
-            return handler(message, vehicle, last) or []
+            return handler(message, vehicle, last_round(vehicle.sysid)) or []
         if (answer_handler := self._answer_handlers.get(type(message))) is not None:
             return answer_handler(message) or []
         return []
@@ -113,8 +121,7 @@ class MessageDispatch:
         del vehicle
         self._stages.clocks.add_system_time(message, gps_is_trusted=last.is_trusted)
 
-    def _add_heartbeat(self, message: Heartbeat, vehicle: ReportedState, last: LastRound) -> None:
-        del vehicle, last
+    def _add_heartbeat(self, message: Heartbeat) -> None:
         found, at_s = message.vehicle_class, message.received_at_s
         if found is not None and found is not self._classes.get(message.sysid):
             self._classes[message.sysid] = found
@@ -140,12 +147,10 @@ class MessageDispatch:
         measurements = self._stages.measurements
         self._add_measurement(measurements.pressure(message, is_trusted=last.is_trusted, located_enu_m=last.located_enu_m))
 
-    def _add_attitude(self, message: Attitude, vehicle: ReportedState, last: LastRound) -> None:
-        del last
+    def _add_attitude(self, message: Attitude, vehicle: ReportedState) -> None:
         self._add_measurement(self._stages.measurements.attitude(message, vehicle))
 
-    def _add_range(self, message: PeerRange, vehicle: ReportedState, last: LastRound) -> list[Outbound]:
-        del last
+    def _add_range(self, message: PeerRange, vehicle: ReportedState) -> list[Outbound]:
         s = self._stages
         if not s.proven.is_proven(message.sysid):
             # The ranges of a vehicle that is made up would place it, and then pull at all others.

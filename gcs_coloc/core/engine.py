@@ -141,7 +141,7 @@ class Engine:
         self.proven.update(vehicle, at_s)
         resets = self.clocks.resets(sysid)
         needs_review = self.telemetry.update(message)
-        self._outbox.extend(self._dispatch.add(message, vehicle, self._review.last_round(sysid)))
+        self._outbox.extend(self._dispatch.add(message, vehicle, self._review.last_round))
         if needs_review:
             self._outbox.extend(self._review.review_vehicle(vehicle, at_s))
         if self.clocks.resets(sysid) != resets and not self.clocks.has_duplicate_id(sysid):
