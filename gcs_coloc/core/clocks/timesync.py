@@ -13,13 +13,14 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import chain, islice
 from math import exp, hypot, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from gcs_coloc.core.clocks.sender_clock import Drift
+from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.core.reasons import CoreRefusal
 
 _WINDOW_S = 300.0  # chosen: so many exchanges that some hardly waited; a drift over it is measured, and taken out
@@ -170,16 +171,18 @@ class RoundTrips:
         self._last.append(exchange)
         while received_at_s - self._exchanges[0].at_s > _WINDOW_S:
             self._exchanges.popleft()
-        agreeing = _agreeing(self._exchanges, drift)
+        columns = _columns(self._exchanges)
+        agreeing = _agreeing(columns, drift)
         if agreeing < len(self._exchanges):
             self._wandered_at_s = received_at_s
             for _ in range(len(self._exchanges) - agreeing):
                 self._exchanges.popleft()
         if self.wanders(received_at_s):
-            now = _estimate(self._last, _rate_of(self._last))
+            last = _columns(self._last)
+            now = _estimate(last, _rate_of(last))
             self._estimate = now._replace(sigma_s=hypot(now.sigma_s, self._off_s))
         else:
-            self._estimate = _estimate(self._exchanges, drift)
+            self._estimate = _estimate(columns, drift)
         self.causality = _causality(self._exchanges)
         return None
 
@@ -223,9 +226,15 @@ def _causality(exchanges: deque[_Exchange]) -> Causality:
     return Causality(at_s, low_s, min(exchange.down_s + _MOST_RATE * (at_s - exchange.at_s) for exchange in recent))
 
 
-def _agreeing(exchanges: deque[_Exchange], drift: Drift) -> int:
+def _columns(exchanges: deque[_Exchange]) -> FloatArray:
+    """Exchanges as columns (3, N): when, up and down, s."""
+    # Several times as fast as numpy's own way through nested sequences.
+    return np.fromiter(chain.from_iterable(exchanges), float, 3 * len(exchanges)).reshape(-1, 3).T
+
+
+def _agreeing(exchanges: FloatArray, drift: Drift) -> int:
     """How many of the newest exchanges leave an offset that none of them excludes."""
-    at_s, up_s, down_s = np.array(exchanges)[::-1].T
+    at_s, up_s, down_s = exchanges[:, ::-1]
     age_s = at_s[0] - at_s
     unsure_s = _CRYSTAL_OFF_S + 3.0 * drift.sigma * age_s
     low_s = np.maximum.accumulate(drift.rate * age_s - up_s - unsure_s)
@@ -233,9 +242,9 @@ def _agreeing(exchanges: deque[_Exchange], drift: Drift) -> int:
     return int(np.count_nonzero(low_s <= high_s))
 
 
-def _rate_of(exchanges: deque[_Exchange]) -> Drift:
+def _rate_of(exchanges: FloatArray) -> Drift:
     """The rate of a clock that is no crystal: the slope of its last exchanges' middles, weighed against what such clocks do."""
-    at_s, up_s, down_s = np.array(exchanges).T
+    at_s, up_s, down_s = exchanges
     at_s, middle_s = at_s - at_s.mean(), (down_s - up_s) / 2.0
     noise2 = float(np.mean((up_s + down_s) ** 2)) / 12.0 + _FINEST_S**2  # uniform between what causality leaves
     precision = float(at_s @ at_s) / noise2 + _RATE_SIGMA**-2
@@ -243,8 +252,8 @@ def _rate_of(exchanges: deque[_Exchange]) -> Drift:
     return Drift(min(max(rate, -_MOST_RATE), _MOST_RATE), max(precision**-0.5, _WANDERING_SIGMA))
 
 
-def _estimate(exchanges: deque[_Exchange], drift: Drift) -> Synchronised:
-    at_s, up_s, down_s = np.array(exchanges).T
+def _estimate(exchanges: FloatArray, drift: Drift) -> Synchronised:
+    at_s, up_s, down_s = exchanges
     now_s = float(at_s[-1])
     aged_s = drift.rate * (now_s - at_s)
     up_s, down_s = up_s - aged_s, down_s + aged_s
@@ -252,7 +261,7 @@ def _estimate(exchanges: deque[_Exchange], drift: Drift) -> Synchronised:
     up_s, down_s = np.sort(up_s), np.sort(down_s)
     least_up_s, least_down_s = float(up_s[0]), float(down_s[0])
     offset_s, one_way_s = (least_down_s - least_up_s) / 2, max((least_down_s + least_up_s) / 2, 0.0)
-    n = len(exchanges)
+    n = len(at_s)
     if n < _ENOUGH:
         # Nothing is known but causality: uniform between its bounds.
         return Synchronised(now_s, offset_s, max(one_way_s / sqrt(3.0), _FINEST_S), one_way_s, drift)
