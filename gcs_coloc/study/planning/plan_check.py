@@ -20,6 +20,10 @@ from gcs_coloc.study.planning.drawn_flight import draw_errors
 WINDOW_S = 30.0
 """Errors of so long are pooled. Chosen: geometry changes little; of 20 flights the 95 % is then known to about 15 %."""
 _CLOSE = 0.2
+_RESAMPLES = 400
+"""Chosen: the ends of an interval then scatter by some hundredths of it."""
+_RESAMPLE_SEED = 1
+_INTERVAL = (0.025, 0.975)
 _SETTLED_S = 20.0
 """After the loss of GPS until here the error grows: it is no error of the geometry yet."""
 
@@ -28,7 +32,8 @@ _SETTLED_S = 20.0
 class Window:
     """One window of a plan: from when, s; predicted and reached 95 % of the error, m; share of samples without an estimate.
 
-    `is_told`: the prediction claims the size of the error here (`Prediction.is_told`).
+    `is_told`: the prediction claims the size of the error here (`Prediction.is_told`). `interval`: 95 % confidence interval of
+    reached over predicted, by the bootstrap over flights.
     """
 
     from_s: float
@@ -36,6 +41,7 @@ class Window:
     reached_m: float
     lost: float
     is_told: bool
+    interval: tuple[float, float]
 
     @property
     def ratio(self) -> float:
@@ -46,6 +52,18 @@ class Window:
     def is_close(self) -> bool:
         """Whether the reached 95 % is within 20 % of the predicted one."""
         return abs(self.ratio - 1.0) <= _CLOSE
+
+    @property
+    def may_be_close(self) -> bool:
+        """Whether the flights leave it open that it is within 20 %: the interval meets that band."""
+        low, high = self.interval
+        return low <= 1.0 + _CLOSE and high >= 1.0 - _CLOSE
+
+    @property
+    def is_shown_close(self) -> bool:
+        """Whether the flights show that it is within 20 %: the whole interval is in that band."""
+        low, high = self.interval
+        return low >= 1.0 - _CLOSE and high <= 1.0 + _CLOSE
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,25 +138,46 @@ def _windows(times_s: FloatArray, bound_m: FloatArray, errors_m: FloatArray, tol
         if len(known):
             # Bounds that change within a window: the errors are compared by their ratio to them.
             middle_m = float(np.median(bound_m[inside]))
-            scaled = (errors / bound_m[inside])[np.isfinite(errors)]
+            ratios = errors / bound_m[inside]
+            scaled = ratios[np.isfinite(ratios)]
             yield Window(
                 float(begin_s),
                 middle_m,
                 middle_m * float(np.quantile(scaled, 0.95)),
                 1.0 - len(known) / errors.size,
                 bool(told[inside].all()),
+                _interval(ratios),
             )
+
+
+def _interval(ratios: FloatArray) -> tuple[float, float]:
+    """Return the 95 % confidence interval of the 95 % of some ratios (flights, times).
+
+    Whole flights are drawn again: the errors of one flight last as long as a window and are no independent samples.
+    """
+    rng = np.random.default_rng(_RESAMPLE_SEED)
+    reached = []
+    for _ in range(_RESAMPLES):
+        again = ratios[rng.integers(0, len(ratios), len(ratios))]
+        known = again[np.isfinite(again)]
+        if len(known):
+            reached.append(float(np.quantile(known, 0.95)))
+    low, high = np.quantile(reached, _INTERVAL).tolist()
+    return low, high
 
 
 def check_table(checks: Sequence[PlanCheck]) -> Table:
     """Return a row for each plan: how many windows are close, median of reached over predicted, errors within their bound."""
     table = Table()
-    for heading in ("plan", "kind", "predicted 95 % m", "reached / predicted", "told and within 20 %", "covered", "cannot tell"):
+    headings = ("plan", "kind", "predicted 95 % m", "reached / predicted", "told and within 20 %")
+    for heading in (*headings, "shown within", "shown outside", "covered", "cannot tell"):
         table.add_column(heading, justify="left" if heading in ("plan", "kind") else "right")
     for check in checks:
         levels = [window.predicted_m for window in check.windows]
         span = f"{min(levels):.1f} to {max(levels):.1f}" if levels else "-"
         counted = f"{sum(window.is_close for window in check.told)} of {len(check.told)}"
-        shares = (f"{check.median_ratio:.2f}", counted, f"{check.covered:.1%}", f"{check.not_told:.0%}")
+        shown = str(sum(window.is_shown_close for window in check.told))
+        outside = str(sum(not window.may_be_close for window in check.told))
+        shares = (f"{check.median_ratio:.2f}", counted, shown, outside, f"{check.covered:.1%}", f"{check.not_told:.0%}")
         table.add_row(check.name, check.text, span, *shares)
     return table

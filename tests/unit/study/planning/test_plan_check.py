@@ -30,10 +30,24 @@ def test_ratios_and_coverage_are_those_of_errors_of_a_known_size(stations):
     assert honest.median_ratio == pytest.approx(1.0, abs=0.05)
     assert honest.covered == pytest.approx(0.95, abs=0.01)
     assert honest.told
-    assert all(window.is_close for window in honest.told)
+    assert all(window.is_close and window.is_shown_close for window in honest.told)
     double = compare("n", "t", predicted, [(times, 2.0 * errors) for times, errors in drawn])
     assert double.median_ratio == pytest.approx(2.0, abs=0.1)
-    assert not any(window.is_close for window in double.windows)
+    assert not any(window.is_close or window.may_be_close for window in double.windows)
+
+
+def test_few_flights_whose_errors_last_leave_it_open(stations):
+    _, predicted = stations
+    rng = np.random.default_rng(2)
+    sigma_m = predicted.bound_95_m / 2.4477
+    few = [(predicted.at_s, sigma_m * np.hypot(*rng.standard_normal(2))) for _ in range(20)]
+    check = compare("n", "t", predicted, few)
+    assert check.told
+    for window in check.told:
+        low, high = window.interval
+        assert low <= window.ratio <= high
+        assert window.may_be_close
+        assert not window.is_shown_close
 
 
 def test_what_has_no_bound_is_not_compared_and_counts_as_not_told(stations):
