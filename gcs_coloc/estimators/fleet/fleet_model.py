@@ -223,6 +223,7 @@ class FleetModel:
         if result.used and len(denied) == 1:
             observe_bias(cluster, *denied[0][:2], m, white_m, coloured_m)
         for denied_vehicle, other, _ in denied:
+            cluster.judge_unshown_motion(denied_vehicle, result, m.measured_at_s)
             monitor_range(cluster, denied_vehicle, other, result, m)
         return result
 

@@ -30,6 +30,7 @@ from gcs_coloc.estimators.fleet.ambiguity.reflection import (
     vertical_plane_through_line,
 )
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.gap import HORIZONTAL
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -212,6 +213,19 @@ class FleetHypotheses:
         self.hypotheses[denied_vehicle] = ReflectionHypothesis(model, motion_only)
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
+        """Return the mixture of all hypotheses, eq. (25), with what no range has ruled out since a gap, or why there is none."""
+        where, record = self._mixture(vehicle, at_s), self.main.records.get(vehicle)
+        if isinstance(where, NoEstimate) or record is None or record.unshown is None:
+            return where
+        covariance, unshown = where.covariance.copy(), record.unshown.covariance(at_s)
+        covariance[HORIZONTAL] += unshown
+        worst_m = horizontal_sigma_m(covariance)
+        if not worst_m <= self.main.settings.limit_sigma_m:
+            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))
+        far = None if where.far_covariance is None else where.far_covariance + unshown[:2, :2]
+        return replace(where, covariance=covariance, far_covariance=far)
+
+    def _mixture(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Return the mixture of all hypotheses, eq. (25), or that the position is ambiguous."""
         where = self.main.estimate(vehicle, at_s)
         for hypothesis in self.hypotheses.values():

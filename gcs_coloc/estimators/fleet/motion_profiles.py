@@ -22,9 +22,9 @@ class MotionProfile:
     max_climb_mps: float
     noise_levels: tuple[float, float] | None = None
 
-    def reach_m(self, since_s: float) -> float:
-        """Return how far a vehicle may be from where its known velocity leads, m: min(a t^2 / 2, 2 V t)."""
-        return min(0.5 * self.max_acceleration_mps2 * since_s * since_s, 2.0 * self.max_speed_mps * since_s)
+    def reach_m(self, since_s: float, acceleration_mps2: float) -> float:
+        """Return how far an acceleration may take a vehicle from where its velocity leads, m: min(a t^2 / 2, 2 V t)."""
+        return min(0.5 * acceleration_mps2 * since_s * since_s, 2.0 * self.max_speed_mps * since_s)
 
 
 _RECURRING = (0.03, 300.0)

@@ -35,6 +35,8 @@ _UNNOTICED_GAIN = 20.0
 """Chosen: the most by which a large position variance inflates."""
 _TURN_GAIN = 6.0
 """Chosen: the most by which the turn rate's sigma is inflated: 6 * 0.03 rad/s is 10 degrees a second."""
+_MANOEUVRE_S = 1.0
+"""Chosen: correlation time of manoeuvres that recur; a density q of white acceleration is 2 T sigma^2 (Singer 1970)."""
 _SLIP_DENSITY_M2PS3 = 0.03
 """Chosen: wheels that slip change the velocity by 0.17 m/s within a second."""
 _MEASURED_TURN_RADPS = 1.0
@@ -136,10 +138,13 @@ def set_transition(
     return mean
 
 
-def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float) -> tuple[float, float, float]:
+def gap_covariance(
+    record: VehicleRecord, s: FleetSettings, at_s: float, most_mps2: float = math.inf
+) -> tuple[float, float, float]:
     """Return what a vehicle may have done since its last range, eq. (29): variances of position and velocity, their covariance.
 
-    Per horizontal axis. It is nothing with a fresh attitude or odometry, which shows the turns, and within `GAP_S`.
+    Per horizontal axis, with an acceleration of at most that of its class, and `most_mps2`. It is nothing with a fresh attitude
+    or odometry, which shows the turns, and within `GAP_S`.
     """
     since_s = at_s - record.updated_at_s
     if not GAP_S < since_s < math.inf or not record.denied_vehicle:
@@ -147,9 +152,17 @@ def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float) -> tupl
     if fresh_attitude(record, s, at_s) is not None or has_fresh_odometry(record, s, at_s):
         return 0.0, 0.0, 0.0
     limits = record.profile
-    reach_m = limits.reach_m(since_s) / _BOUND_95_SIGMAS
-    change_mps = min(limits.max_acceleration_mps2 * since_s / _BOUND_95_SIGMAS, 0.5 * limits.max_speed_mps)
+    most_mps2 = min(most_mps2, limits.max_acceleration_mps2)
+    reach_m = limits.reach_m(since_s, most_mps2) / _BOUND_95_SIGMAS
+    change_mps = min(most_mps2 * since_s / _BOUND_95_SIGMAS, 0.5 * limits.max_speed_mps)
     return reach_m * reach_m, change_mps * change_mps, 0.9 * reach_m * change_mps
+
+
+def shown_acceleration_mps2(record: VehicleRecord, s: FleetSettings) -> float:
+    """Return the acceleration that a vehicle has shown, eq. (36): the 95 % bound; infinite where its manoeuvres do not recur."""
+    if record.profile.noise_levels is None:
+        return math.inf
+    return _BOUND_95_SIGMAS * math.sqrt(record.noise.level * s.low_speed_density_m2ps3 / (2.0 * _MANOEUVRE_S))
 
 
 def fresh_attitude(record: VehicleRecord, s: FleetSettings, at_s: float) -> AttitudeMeasurement | None:

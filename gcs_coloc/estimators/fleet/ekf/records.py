@@ -18,6 +18,7 @@ from gcs_coloc.core.measurements import (
     Unlocated,
 )
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseLevel, NoiseSplit
+from gcs_coloc.estimators.fleet.ekf.gap import UnshownMotion
 from gcs_coloc.estimators.fleet.motion_profiles import PROFILES, MotionProfile
 from gcs_coloc.estimators.fleet.range_biases import BiasWindow, RangeBiases
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch
@@ -101,6 +102,8 @@ class VehicleRecord:
     selected_at_s: float = -math.inf
     updated_at_s: float = -math.inf
     """Time of the last position report or range that was used."""
+    unshown: UnshownMotion | None = None
+    """What it may have done in its last gap beyond what it has shown before."""
     velocity_used_at_s: float = -math.inf
     """Time of the last position report whose velocity was used."""
     height_at_s: float = -math.inf

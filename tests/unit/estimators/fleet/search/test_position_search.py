@@ -175,7 +175,7 @@ def test_in_a_gap_the_bound_holds_all_that_the_vehicle_can_do():
         where = flight.estimate(DENIED, 20.0 + since_s)
         assert isinstance(where, Estimate)
         bound_m = 2.4477 * math.sqrt(min(np.linalg.eigvalsh(where.covariance[:2, :2])))
-        assert bound_m >= reach.reach_m(since_s)
+        assert bound_m >= reach.reach_m(since_s, reach.max_acceleration_mps2)
         assert math.dist(where.position_enu_m[:2], path(20.0 + since_s)) < bound_m
     assert isinstance(flight.estimate(DENIED, 30.0), NoEstimate)
 

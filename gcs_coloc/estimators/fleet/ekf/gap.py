@@ -1,0 +1,38 @@
+"""What a vehicle may have done in a gap beyond the manoeuvres that it has shown before, as far as no range has ruled it out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray
+
+HORIZONTAL = np.ix_((0, 1, 3, 4), (0, 1, 3, 4))
+"""Horizontal position and velocity in a covariance that begins with position and velocity."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnshownMotion:
+    """Horizontal variances of each axis and their covariance at the end of a gap; information of the ranges since, 1/m^2."""
+
+    ended_at_s: float
+    position_m2: float
+    velocity_m2ps2: float
+    both_m2ps: float
+    ee: float = 0.0
+    en: float = 0.0
+    nn: float = 0.0
+
+    def after_range(self, unit: tuple[float, float, float], sigma_m: float) -> UnshownMotion:
+        """Return it after a range along a unit vector that fitted, with the sigma of its innovation."""
+        e, n = unit[0] / sigma_m, unit[1] / sigma_m
+        return replace(self, ee=self.ee + e * e, en=self.en + e * n, nn=self.nn + n * n)
+
+    def covariance(self, at_s: float) -> FloatArray:
+        """Return the covariance (4, 4) of position and velocity at a time, eq. (37): large where no range has looked since."""
+        since_s = max(at_s - self.ended_at_s, 0.0)
+        both_m2ps = self.both_m2ps + since_s * self.velocity_m2ps2
+        position_m2 = self.position_m2 + since_s * (self.both_m2ps + both_m2ps)
+        left = np.linalg.inv(np.eye(2) + position_m2 * np.array([[self.ee, self.en], [self.en, self.nn]]))
+        return np.kron(np.array([[position_m2, both_m2ps], [both_m2ps, self.velocity_m2ps2]]), left)

@@ -1,0 +1,74 @@
+"""Short gaps between bursts of ranges: what a vehicle may have done in them, by what it has shown before."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
+from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement, VehicleClass, VehicleClassReport
+from gcs_coloc.estimators.fleet.filter import FleetFilter
+
+DENIED = 9
+BEACONS = {1: (-46.0, 11.0), 2: (11.0, -7.0), 3: (22.0, 24.0), 4: (-18.0, 59.0)}
+SIGMA_M = 0.5
+BURST_S, PERIOD_S = 1.6, 3.8
+"""Eight ranges, two to each beacon, then silence."""
+
+Path = Callable[[float], tuple[float, float]]
+
+
+def flown(vehicle_class: VehicleClass, path: Path, end_s: float, seed: int) -> list[tuple[float, float, float]]:
+    """Return times (s), errors and 95 % bounds (m) every 0.2 s, also within the gaps, where there is an estimate."""
+    rng, estimator, told = np.random.default_rng(seed), FleetFilter(), []
+    estimator.add(VehicleClassReport(DENIED, 0.0, 0.0, vehicle_class))
+    for number, place in BEACONS.items():
+        estimator.add(PositionMeasurement(number, 0.0, 0.0, (*place, 0.0), 0.01, 0.01, static=True))
+    estimator.add(PositionMeasurement(DENIED, 0.0, 0.0, (*path(0.0), 0.0), 0.7, 0.7))
+    estimator.set_denied({DENIED}, 0.01)
+    for k in range(1, round(end_s / 0.2)):
+        t = 0.2 * k
+        within_s = t % PERIOD_S
+        if within_s < BURST_S:
+            beacon = 1 + int(within_s / 0.4) % 4
+            range_m = math.dist(path(t), BEACONS[beacon]) + SIGMA_M * rng.normal()
+            estimator.add(RangeMeasurement(DENIED, beacon, t, t, range_m, SIGMA_M))
+        where = estimator.estimate(DENIED, t)
+        if isinstance(where, Estimate):
+            told.append((t, math.dist(where.position_enu_m[:2], path(t)), horizontal_bound_95_m(where.covariance)))
+    return told
+
+
+def in_loops(t: float) -> tuple[float, float]:
+    """Drive at 1 m/s and less, in turns of more than 10 m of radius."""
+    return 15.0 * math.sin(t / 15.0), 5.0 + 12.0 * math.sin(t / 22.0)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_gap_adds_no_more_than_the_vehicle_has_shown(seed: int):
+    """Each gap of 2 s added all that its class can do, so that the ranges after it moved the estimate by metres: 5.4 m."""
+    told = [(error, bound) for t, error, bound in flown(VehicleClass.GROUND, in_loops, 240.0, seed) if t > 40.0]
+    assert len(told) > 0.95 * 1000
+    assert math.sqrt(np.mean([error**2 for error, _ in told])) < 3.0
+    assert np.mean([error < bound for error, bound in told]) > 0.95
+
+
+def test_a_manoeuvre_that_it_never_showed_is_in_the_bound_until_ranges_rule_it_out():
+    """A hovering multirotor leaves at 6 m/s^2 in a gap, to one side after the other."""
+    begin_s, covered = 40 * PERIOD_S + BURST_S, []
+    for seed in range(4):
+        side = 0.5 * math.pi * seed
+
+        def path(t: float, side: float = side) -> tuple[float, float]:
+            since_s = max(t - begin_s, 0.0)
+            way_m = 3.0 * min(since_s, 1.5) ** 2 + 9.0 * max(since_s - 1.5, 0.0)
+            return way_m * math.cos(side), 10.0 + way_m * math.sin(side)
+
+        after = [(e, b) for t, e, b in flown(VehicleClass.MULTIROTOR, path, begin_s + 11.0, seed) if t > begin_s]
+        assert len(after) > 30
+        assert all(error < 2.0 * bound for error, bound in after)
+        covered += [error < bound for error, bound in after]
+    assert np.mean(covered) > 0.9
