@@ -115,9 +115,11 @@ def set_transition(
     if attitude is None:
         transition.set_turn_column(step_s, lasting_s, mean[3], mean[4])
         if record.denied_vehicle and at_s - record.updated_at_s > GAP_S and not measured:
-            # Eq. (28): no vehicle becomes ever faster.
+            # Eq. (28): no vehicle becomes ever faster. Turns such as it has shown make it no faster than it was.
             limits = record.profile
-            decay = math.exp(-2.0 * length * density * gain / limits.max_speed_mps**2)
+            square_m2ps2 = x[3] * x[3] + x[4] * x[4] + P.item(3, 3) + P.item(4, 4)
+            turned = density / square_m2ps2 if limits.noise_levels is not None else 0.0
+            decay = math.exp(-length * max(2.0 * density * gain / limits.max_speed_mps**2, turned))
             decay_v = math.exp(-0.5 * length * climb / limits.max_climb_mps**2)
             transition.decay_velocity(decay, decay_v)
             mean = (*mean[:3], decay * mean[3], decay * mean[4])

@@ -72,3 +72,24 @@ def test_a_manoeuvre_that_it_never_showed_is_in_the_bound_until_ranges_rule_it_o
         assert all(error < 2.0 * bound for error, bound in after)
         covered += [error < bound for error, bound in after]
     assert np.mean(covered) > 0.9
+
+
+def test_in_a_long_gap_a_vehicle_that_turns_is_not_predicted_straight_on():
+    """It went on at its last velocity of 1 m/s: 18.4 m in 20 s, from a loop of 12 m."""
+    gone_m = []
+    for seed in range(3):
+        rng, estimator = np.random.default_rng(seed), FleetFilter()
+        estimator.add(VehicleClassReport(DENIED, 0.0, 0.0, VehicleClass.GROUND))
+        for number, place in BEACONS.items():
+            estimator.add(PositionMeasurement(number, 0.0, 0.0, (*place, 0.0), 0.01, 0.01, static=True))
+        estimator.add(PositionMeasurement(DENIED, 0.0, 0.0, (0.0, 6.0, 0.0), 0.7, 0.7))
+        estimator.set_denied({DENIED}, 0.01)
+        for k in range(1, 1000):
+            t, beacon = 0.1 * k, 1 + k % 4
+            range_m = math.dist((6.0 * math.sin(t / 6.0), 6.0 * math.cos(t / 6.0)), BEACONS[beacon]) + 0.3 * rng.normal()
+            estimator.add(RangeMeasurement(DENIED, beacon, t, t, range_m, 0.3))
+        before, after = estimator.estimate(DENIED, 100.0), estimator.estimate(DENIED, 120.0)
+        assert isinstance(before, Estimate)
+        assert isinstance(after, Estimate)
+        gone_m.append(math.dist(before.position_enu_m, after.position_enu_m))
+    assert np.mean(gone_m) < 16.0
