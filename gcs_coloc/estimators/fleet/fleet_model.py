@@ -123,7 +123,7 @@ class FleetModel:
             record = self.records.writable(vehicle)
             record.denied_vehicle = False
             record.range_measurements = ()
-            record.search = None
+            record.search = record.unshown = None
             record.neighbours = {}
             # Its new reports initialise its states when a range needs them; the old ones are not to be trusted.
             self.clusters.remove(vehicle)

@@ -93,3 +93,27 @@ def test_in_a_long_gap_a_vehicle_that_turns_is_not_predicted_straight_on():
         assert isinstance(after, Estimate)
         gone_m.append(math.dist(before.position_enu_m, after.position_enu_m))
     assert np.mean(gone_m) < 16.0
+
+
+def test_what_was_left_open_in_a_gap_ends_with_the_loss_of_gps():
+    """It stayed, and its velocity made the bound of a healthy vehicle grow for ever."""
+    estimator = FleetFilter()
+    estimator.add(VehicleClassReport(DENIED, 0.0, 0.0, VehicleClass.MULTIROTOR))
+    for number, place in BEACONS.items():
+        estimator.add(PositionMeasurement(number, 0.0, 0.0, (*place, 0.0), 0.01, 0.01, static=True))
+    estimator.add(PositionMeasurement(DENIED, 0.0, 0.0, (0.0, 6.0, 0.0), 0.7, 0.7))
+    estimator.set_denied({DENIED}, 0.01)
+    for k in range(1, 300):
+        estimator.add(RangeMeasurement(DENIED, 1 + k % 4, 0.1 * k, 0.1 * k, math.dist((0.0, 6.0), BEACONS[1 + k % 4]), 0.3))
+    # One range after a gap, along which alone it is ruled out.
+    estimator.add(RangeMeasurement(DENIED, 1, 33.0, 33.0, math.dist((0.0, 6.0), BEACONS[1]), 0.3))
+    denied = estimator.estimate(DENIED, 33.1)
+    assert isinstance(denied, Estimate)
+    assert horizontal_bound_95_m(denied.covariance) > 5.0
+    estimator.set_denied(set(), 33.2)
+    for k in range(200):
+        t = 33.3 + 0.2 * k
+        estimator.add(PositionMeasurement(DENIED, t, t, (0.0, 6.0, 0.0), 0.7, 0.7, (0.0, 0.0, 0.0), 0.3))
+    healthy = estimator.estimate(DENIED, t)
+    assert isinstance(healthy, Estimate)
+    assert horizontal_bound_95_m(healthy.covariance) < 3.0
