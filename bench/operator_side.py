@@ -26,18 +26,21 @@ PAGES = 8
 _LEADS_S = (0.0, 0.025, 0.05, 0.075, 0.1, 0.125, 0.15, 0.175)
 _APART = 3
 _GRID_S = 0.1
-# Reads as a browser does: everything, at once, and acknowledges each picture. What it read goes to its standard output.
+# Reads as a browser does: everything, at once, and acknowledges pictures two by two. What it read goes to its standard output.
 _READERS = """
 import asyncio, sys
 from websockets.asyncio.client import connect
 read = 0
 async def page(url):
     global read
+    shown = False
     async with connect(url, compression=None) as socket:
         async for message in socket:
             read += 1
             if '"kind":"fleet"' in message:
-                await socket.send("shown")
+                shown = not shown
+                if not shown:
+                    await socket.send("both shown")
 async def main():
     pages = [asyncio.create_task(page(sys.argv[1])) for _ in range(int(sys.argv[2]))]
     await asyncio.get_running_loop().run_in_executor(None, sys.stdin.read)

@@ -9,11 +9,12 @@ from typing import Protocol
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gcs_coloc.sinks.event_bus import IdleScheduler
-from gcs_coloc.web.wire import HIDDEN, SHOWN, VISIBLE, EventsFrame, VehicleHistory
+from gcs_coloc.web.wire import BOTH_SHOWN, HIDDEN, SHOWN, VISIBLE, EventsFrame, VehicleHistory
 
 MAX_PAGES = 32  # chosen: bounds what pages cost the service; nobody has as many operators
 MAX_UNSHOWN = 2
 """Pictures on their way to a page. Chosen: one would halve the rate at a round trip of 0.4 s, more would show the past."""
+_PICTURES_SHOWN: dict[str | None, int] = {SHOWN: 1, BOTH_SHOWN: 2}
 _PAGES_AT_A_TIME = 8  # chosen: sending to them takes a millisecond
 
 
@@ -79,8 +80,8 @@ class Page:
 
     def receive(self, text: str | None) -> None:
         """Apply what the page says of itself."""
-        if text == SHOWN:
-            self._unshown = max(self._unshown - 1, 0)
+        if text in _PICTURES_SHOWN:
+            self._unshown = max(self._unshown - _PICTURES_SHOWN[text], 0)
             if self._picture is None:
                 return  # nothing waits for it: most acknowledgements wake nobody
         elif text == HIDDEN:

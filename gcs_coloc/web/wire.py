@@ -18,7 +18,9 @@ HIDDEN = "hidden"
 VISIBLE = "visible"
 """A page sends this when it is in sight again."""
 SHOWN = "shown"
-"""A page acknowledges each `fleet` message with this once it is drawn; it is sent no further one before."""
+"""A page acknowledges a `fleet` message with this once it is drawn; two are on their way to it at most."""
+BOTH_SHOWN = "both shown"
+"""A page acknowledges two `fleet` messages with this once both are drawn: for half the service's work."""
 
 
 class _Wire(BaseModel):

@@ -1,4 +1,4 @@
-// The WebSocket to the service, opened again whenever it is lost. Each picture is acknowledged once it is drawn.
+// The WebSocket to the service, opened again whenever it is lost. Every second picture is acknowledged, with the one before, once it is drawn.
 
 const FIRST_RETRY_S = 0.5;
 const MOST_RETRY_S = 5;
@@ -19,6 +19,7 @@ export function openLive(handlers, picture, { opened = () => {}, inSight = () =>
   });
 
   function connect() {
+    let isOneShown = false;
     socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
     socket.addEventListener("open", () => {
       retryS = FIRST_RETRY_S;
@@ -30,8 +31,11 @@ export function openLive(handlers, picture, { opened = () => {}, inSight = () =>
       try {
         handlers[message.kind](message);
       } finally {
-        // The service sends no further picture before this.
-        if (message.kind === picture && socket.readyState === WebSocket.OPEN) socket.send("shown");
+        if (message.kind === picture) {
+          // The service sends no third picture before this.
+          if (isOneShown && socket.readyState === WebSocket.OPEN) socket.send("both shown");
+          isOneShown = !isOneShown;
+        }
       }
     });
     socket.addEventListener("close", () => {

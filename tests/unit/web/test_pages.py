@@ -115,6 +115,22 @@ def test_a_page_that_acknowledges_nothing_gets_two_pictures_and_the_newest_when_
     asyncio.run(go())
 
 
+def test_a_page_may_acknowledge_two_pictures_at_once():
+    async def go():
+        served, slow = Served(), Browser()
+        slow.shows = False
+        async with served.opened(slow):
+            for _ in range(3):
+                await served.tick()
+            slow.page.receive("both shown")
+            await settle()
+            await served.tick()
+            await served.tick()
+            assert [m["at_s"] for m in slow.of("fleet")] == [1.0, 2.0, 3.0, 4.0]
+
+    asyncio.run(go())
+
+
 def test_a_page_out_of_sight_gets_events_alone_and_the_history_when_it_is_in_sight_again():
     async def go():
         served, hidden, seen = Served(), Browser(), Browser()
