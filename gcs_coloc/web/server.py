@@ -55,6 +55,7 @@ class WebServer:
         self._config = config
         self._must_serve = must_serve
         self._failure: str | None = None
+        self._stopping = asyncio.Event()
         self._background = [pages.run] + ([follow] if follow is not None else [])
         self._token = read_token(Path(config.token_file)) if config.token_file else None
         tiles = TileFile(Path(config.tiles)) if config.tiles else None
@@ -62,6 +63,8 @@ class WebServer:
             app = make_fleets_app(hooks, pages, config.allowed_hosts, self._lifespan)
         else:
             app = make_app(hooks, pages, self._token, tiles, config.allowed_hosts, self._lifespan)
+        # uvicorn looks ten times a second whether it is to end, which costs as much as pictures for five pages. It awaits
+        # `callback_notify` at the first look, and goes on once that has returned.
         self._server = uvicorn.Server(
             uvicorn.Config(
                 app,
@@ -73,6 +76,8 @@ class WebServer:
                 log_level="warning",
                 access_log=False,
                 server_header=False,
+                date_header=False,  # uvicorn's is kept up to date by the ticks that are left out; `Guard` adds one
+                callback_notify=self._wait_for_end,
                 proxy_headers=False,
                 limit_concurrency=_MAX_CONNECTIONS,
                 timeout_graceful_shutdown=1,
@@ -150,6 +155,10 @@ class WebServer:
     def stop(self) -> None:
         """End the server: it closes the open pages and waits for them one second at most."""
         self._server.should_exit = True
+        self._stopping.set()
+
+    async def _wait_for_end(self) -> None:
+        await self._stopping.wait()
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:

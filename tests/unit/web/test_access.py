@@ -1,6 +1,8 @@
 """Who is let in: by the name the server is called, by the page the request comes from, by the token."""
 
 import asyncio
+from datetime import UTC
+from email.utils import parsedate_to_datetime
 
 import pytest
 from starlette.datastructures import Headers
@@ -48,6 +50,7 @@ def test_foreign_names_and_foreign_pages_stay_outside(host, origin, expected):
     assert "unsafe" not in policy
     assert "default-src 'none'" in policy
     assert headers["x-content-type-options"] == "nosniff"
+    assert parsedate_to_datetime(headers["date"]).tzinfo is UTC
 
 
 @pytest.mark.parametrize(

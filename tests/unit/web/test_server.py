@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -45,3 +46,27 @@ def test_a_flight_goes_on_without_its_page_and_the_log_says_so(caplog):
     with caplog.at_level(logging.ERROR, "gcs_coloc"):
         serve_with_a_fault(must_serve=False)
     assert caplog.messages == ["web page: stands still: OSError: no space is left; the flight goes on without it"]
+
+
+def test_a_server_does_not_look_whether_it_is_to_end_and_ends_when_it_is_told(monkeypatch):
+    pauses_s, sleep = [], asyncio.sleep
+
+    def note(pause_s: float):
+        pauses_s.append(pause_s)
+        return sleep(0)
+
+    async def serve() -> None:
+        source = FleetsSource(tuple, "test")
+        server = WebServer(WebConfig(address="127.0.0.1:0"), source, Pages(source, IdleScheduler(), FLEETS_EVERY_S))
+        url = urlsplit(server.open())
+        serving = asyncio.create_task(server.run())
+        reader, writer = await asyncio.open_connection(url.hostname, url.port)
+        writer.write(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+        assert (await reader.read()).startswith(b"HTTP/1.1 200")
+        writer.close()
+        assert not any(pauses_s)
+        server.stop()
+        await serving
+
+    monkeypatch.setattr(asyncio, "sleep", note)
+    asyncio.run(serve())
