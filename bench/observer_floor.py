@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import math
 import os
+import signal
 import socket
 import sys
 import threading
@@ -19,13 +20,13 @@ from starlette.applications import Starlette
 from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket
 
-# As a fleet of four makes them: a picture, a vehicle's topic, half a second of tlog and of MCAP.
-_PICTURE = "x" * 5_500
-_PAYLOAD = "x" * 400
-_TOPICS = 13
-_WRITTEN = (b"x" * 4_000, b"x" * 14_000)
+# As a fleet of four makes them: a picture, a vehicle's topic, a second of tlog and of MCAP.
+_PICTURE = "x" * 8_300
+_PAYLOAD = "x" * 380
+_TOPICS = 18
+_WRITTEN = (b"x" * 8_000, b"x" * 47_000)
 _pages: list[WebSocket] = []
-_PICTURE_EVERY_S, _PUBLISH_EVERY_S, _WRITE_EVERY_S = 0.2, 1.0, 0.5
+_PICTURE_EVERY_S, _PUBLISH_EVERY_S, _WRITE_EVERY_S = 0.4, 1.0, 1.0
 
 
 async def _live(page: WebSocket) -> None:
@@ -43,6 +44,7 @@ async def _show() -> None:
 
 async def _publish(port: int) -> None:
     async with Client("127.0.0.1", port) as client:
+        client.pending_calls_threshold = _TOPICS  # no line for each that waits
         while True:
             topics = (f"floor/{number}" for number in range(_TOPICS))
             await asyncio.gather(*(client.publish(topic, _PAYLOAD, retain=True, timeout=math.inf) for topic in topics))
@@ -53,10 +55,9 @@ def _record(folder: Path) -> None:
     files = [(folder / f"floor-{len(data)}").open("wb", buffering=0) for data in _WRITTEN]
     pause = threading.Event()
     while True:
+        pause.wait(_WRITE_EVERY_S)
         for file, data in zip(files, _WRITTEN, strict=True):
-            for _ in range(round(1.0 / _WRITE_EVERY_S)):
-                pause.wait(_WRITE_EVERY_S / len(files))
-                file.write(data)
+            file.write(data)
             os.fdatasync(file.fileno())
 
 
@@ -65,8 +66,13 @@ async def _run(mqtt_port: int, folder: Path) -> None:
     where = socket.create_server(("127.0.0.1", 0))
     print(f"web page: http://127.0.0.1:{where.getsockname()[1]}/", flush=True)
     app = Starlette(routes=[WebSocketRoute("/live", _live)])
+
+    async def tick_once() -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # uvicorn looks for it at its ticks
+        await asyncio.Event().wait()
+
     config = uvicorn.Config(
-        app, http="h11", ws_per_message_deflate=False, lifespan="off", log_config=None, timeout_graceful_shutdown=1
+        app, http="h11", ws_per_message_deflate=False, lifespan="off", log_config=None, callback_notify=tick_once
     )
     server = uvicorn.Server(config)
     async with asyncio.TaskGroup() as group:
