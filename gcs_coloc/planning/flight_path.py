@@ -53,6 +53,15 @@ class Leg:
         return replace(self, end_enu_m=(east + east_m, north + north_m, up))
 
 
+@dataclass(frozen=True, slots=True)
+class PathMotion:
+    """Positions (N, 3) m, velocities (N, 3) m/s and bank angles (N,) rad, right wing down positive, at some times."""
+
+    positions_m: FloatArray
+    velocities_mps: FloatArray
+    bank_rad: FloatArray
+
+
 @dataclass(frozen=True)
 class FlightPath:
     """One vehicle's flight at steps of `STEP_S` from `begin_s` on: positions (N, 3) m, velocities (N, 3) m/s, bank (N,) rad."""
@@ -73,21 +82,19 @@ class FlightPath:
 
     def position(self, at_s: float) -> FloatArray:
         """Return the position (3,) at a time, m."""
-        return self._between(self.positions_m, at_s)
+        return np.asarray(self.at(np.array([at_s])).positions_m[0])
 
-    def velocity(self, at_s: float) -> FloatArray:
-        """Return the velocity (3,) at a time, m/s."""
-        return self._between(self.velocities_mps, at_s)
-
-    def bank(self, at_s: float) -> float:
-        """Return the bank angle at a time, rad, right wing down positive."""
-        return float(self._between(self.bank_rad, at_s))
-
-    def _between(self, rows: FloatArray, at_s: float) -> FloatArray:
-        place = min(max((at_s - self.begin_s) / STEP_S, 0.0), len(rows) - 1.0)
-        step = min(int(place), len(rows) - 2)
+    def at(self, times_s: FloatArray) -> PathMotion:
+        """Return the motion at some times (N,)."""
+        place = np.clip((times_s - self.begin_s) / STEP_S, 0.0, len(self.positions_m) - 1.0)
+        step = np.minimum(place.astype(int), len(self.positions_m) - 2)
         share = place - step
-        return np.asarray(rows[step] + share * (rows[step + 1] - rows[step]))
+
+        def between(rows: FloatArray) -> FloatArray:
+            low, high = rows[step], rows[step + 1]
+            return np.asarray(low + (share if rows.ndim == 1 else share[:, None]) * (high - low))
+
+        return PathMotion(between(self.positions_m), between(self.velocities_mps), between(self.bank_rad))
 
 
 def fly_legs(

@@ -8,7 +8,7 @@ docs/explanation/fleet-filter.md), and the level of gusts as the settings have i
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from math import hypot, sqrt
 
@@ -22,7 +22,6 @@ from gcs_coloc.core.integrity.range_residuals import RangeResidualSettings
 from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
-    AttitudeMeasurement,
     Estimate,
     FloatArray,
     Measurement,
@@ -41,6 +40,7 @@ from gcs_coloc.estimators.fleet.settings import FleetSettings
 from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution_of
 from gcs_coloc.planning.fleet_plan import FleetPlan
 from gcs_coloc.planning.known_noise import condensed, known_split
+from gcs_coloc.planning.planned_motion import PlannedMotion, planned_attitudes
 from gcs_coloc.planning.predicted_flight import PredictedStep, Prediction, as_prediction
 
 STEP_S = 1.4
@@ -53,8 +53,6 @@ _MANY_PEERS = 4
 """With more peers than this each is ranged every other step, half of them in each: a gap never opens, and the work is half."""
 _WITH_GPS_S = 5.0
 """The GPS fails so long after the vehicle's start: its filter begins from its own reports."""
-_ATTITUDE_EVERY_S = 0.45
-"""Chosen: below the half second for which the filter takes an attitude as fresh."""
 _CANDIDATES_EVERY = 5
 """Steps from one choice of candidates to the next."""
 _MEDIAN_VARIANCE_RATIO = 1.57  # pi / 2: variance of a Gaussian sample's median over that of its mean
@@ -67,8 +65,8 @@ _MOST_CANDIDATES = 16
 def predict(plan: FleetPlan, denied: tuple[int, ...], step_s: float | None = None) -> list[Prediction]:
     """Predict one or several vehicles whose GPS fails soon after their start, each along its whole way."""
     recursion = _Recursion(plan, denied, step_s if step_s is not None else longest_step_s(plan, denied))
-    for at_s in recursion.times():
-        recursion.step(at_s)
+    for k in range(len(recursion.times_s)):
+        recursion.step(k)
     return [as_prediction(sysid, denied, recursion.rows[sysid]) for sysid in denied]
 
 
@@ -97,27 +95,26 @@ class _Recursion:
         self._count = 0
         self._candidates: dict[int, frozenset[int]] = {}
         self.rows: dict[int, list[PredictedStep]] = {sysid: [] for sysid in denied}
+        paths = [plan.paths[sysid] for sysid in denied]
+        first_s, last_s = min(path.begin_s for path in paths), max(path.end_s for path in paths)
+        self.times_s: FloatArray = first_s + np.arange(int((last_s - first_s) / step_s) + 1, dtype=float) * step_s
+        self._motion = PlannedMotion(plan, self.times_s)
+        self._attitudes = {v: planned_attitudes(plan, v, self.times_s, step_s) for v in denied if self._has_air_data(v)}
         self._introduce()
 
-    def times(self) -> Iterator[float]:
-        """Yield the times of the steps: while a denied vehicle is in flight."""
-        paths = [self._plan.paths[sysid] for sysid in self._denied]
-        first_s, last_s = min(path.begin_s for path in paths), max(path.end_s for path in paths)
-        for k in range(int((last_s - first_s) / self._step_s) + 1):
-            yield first_s + k * self._step_s
-
-    def step(self, at_s: float) -> None:
-        """Feed the filter with all that is measured in the step that ends now, and keep what it states."""
-        here = {sysid: _vector(place) for sysid, place in self._plan.positions(at_s).items()}
+    def step(self, k: int) -> None:
+        """Feed the filter with all that is measured in the step that ends at a time of `times_s`, and keep what it states."""
+        at_s = self.times_s.item(k)
+        here, velocities = self._motion.in_flight(k)
         self._update_denied(at_s, here)
         ranged = {v: self._nodes_in_range(v, here) for v in self._lost}
         for sysid in here:
-            if sysid in self._denied:
-                self._feed_air_data(sysid, at_s)
+            for attitude in self._attitudes[sysid][k] if sysid in self._attitudes else ():
+                self._feed(attitude)
         heard = set(self._denied).union(*ranged.values())
         for sysid in here:
             if sysid not in self._lost and sysid in heard:
-                self._feed_report(sysid, at_s)
+                self._feed_report(sysid, here[sysid], velocities[sysid], at_s)
         for sysid in sorted(self._lost):
             self._feed(AltitudeMeasurement(sysid, at_s, at_s, here[sysid][2], self._a.height_sigma_m))
             every = 2 if len(ranged[sysid]) > _MANY_PEERS else 1
@@ -133,6 +130,9 @@ class _Recursion:
             self._update_levels(located, ranged, here, at_s)
         for sysid, answer in answers.items():
             self._keep(sysid, answer, ranged[sysid], here, at_s)
+
+    def _has_air_data(self, sysid: int) -> bool:
+        return self._a.has_air_data and self._plan.vehicle(sysid).vehicle_class is VehicleClass.PLANE
 
     def _introduce(self) -> None:
         for vehicle in self._plan.vehicles:
@@ -165,30 +165,14 @@ class _Recursion:
             self._candidates[sysid] = kept
         return {node: unit for node, unit in units.items() if node in kept}
 
-    def _feed_air_data(self, sysid: int, at_s: float) -> None:
-        vehicle, path = self._plan.vehicle(sysid), self._plan.paths[sysid]
-        if vehicle.vehicle_class is not VehicleClass.PLANE or not self._a.has_air_data:
-            return
-        times = math.ceil(self._step_s / _ATTITUDE_EVERY_S)
-        for k in range(times):
-            then_s = at_s - self._step_s * (times - 1 - k) / times
-            if then_s < path.begin_s:
-                continue
-            ve, vn, vu = path.velocity(then_s).tolist()
-            speed = hypot(ve, vn)
-            attitude = (path.bank(then_s), math.atan2(vu, max(speed, 0.1)), math.atan2(ve, vn))
-            self._feed(AttitudeMeasurement(sysid, then_s, then_s, *attitude, speed))
-
-    def _feed_report(self, sysid: int, at_s: float) -> None:
-        path, sigma_m = self._plan.paths[sysid], self._report_sigma_m
-        e, n, u = _vector(path.position(at_s))
-        ve, vn, vu = _vector(path.velocity(at_s))
+    def _feed_report(self, sysid: int, place: Vector3, velocity: Vector3, at_s: float) -> None:
+        sigma_m = self._report_sigma_m
         record = self._filter.main.records.writable(sysid)
         record.report_noise = known_split((sigma_m, VERTICAL_RATIO * sigma_m), self._report_white)
         record.noise.log_level = 0.0
         vertical_m = VERTICAL_RATIO * sigma_m
         velocity_mps = self._a.velocity_sigma_mps
-        self._feed(PositionMeasurement(sysid, at_s, at_s, (e, n, u), sigma_m, vertical_m, (ve, vn, vu), velocity_mps))
+        self._feed(PositionMeasurement(sysid, at_s, at_s, place, sigma_m, vertical_m, velocity, velocity_mps))
 
     def _feed_range(self, sysid: int, node: int, here: Mapping[int, Vector3], at_s: float, sigma_m: float) -> None:
         there = self._stations[node].position_enu_m if node in self._stations else here[node]
@@ -243,8 +227,7 @@ class _Recursion:
     def _keep(
         self, sysid: int, answer: Estimate | NoEstimate, ranged: Mapping[int, Vector3], here: Mapping[int, Vector3], at_s: float
     ) -> None:
-        a, vehicle = self._a, self._plan.vehicle(sysid)
-        air_data = a.has_air_data and vehicle.vehicle_class is VehicleClass.PLANE
+        a, air_data = self._a, self._has_air_data(sysid)
         bound_m = hpl_m = offset_m = math.nan
         where = answer
         if isinstance(where, Estimate):
@@ -272,8 +255,3 @@ class _Recursion:
         self.rows[sysid].append(
             PredictedStep(at_s, here[sysid], hdop, bound_m, hpl_m, offset_m, len(ranged), inhibit is None, text, code)
         )
-
-
-def _vector(row: FloatArray) -> Vector3:
-    e, n, u = row.tolist()
-    return e, n, u

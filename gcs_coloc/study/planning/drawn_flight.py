@@ -25,7 +25,6 @@ from gcs_coloc.core.measurements import (
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 from gcs_coloc.planning.fleet_plan import FleetPlan
-from gcs_coloc.planning.flight_path import FlightPath
 
 SAMPLE_S = 2.0
 """Errors are taken so often."""
@@ -52,6 +51,7 @@ class _DrawnFlight:
         self._times = np.arange(begin_s, end_s, _STEP_S)
         a = plan.assumptions
         coloured_m = a.position_sigma_m * max(sqrt(1.0 - a.position_white_share**2), _LEAST_COLOURED_SHARE)
+        self._way = {v: path.at(self._times) for v, path in plan.paths.items()}
         self._sway: dict[int, FloatArray] = {}
         self._report_error: dict[int, FloatArray] = {}
         for v in plan.paths:
@@ -87,7 +87,7 @@ class _DrawnFlight:
     def _measure(self, k: int, at_s: float) -> list[Measurement]:
         rng, a, plan = self._rng, self._plan.assumptions, self._plan
         found: list[Measurement] = []
-        here = {v: self._true(v, path, k, at_s) for v, path in plan.paths.items() if path.is_flying(at_s)}
+        here = {v: self._true(v, k) for v, path in plan.paths.items() if path.is_flying(at_s)}
         for v, (place, velocity) in here.items():
             if v != self._denied or at_s < plan.paths[v].begin_s + _WITH_GPS_S:
                 found.append(self._report(v, k, at_s, place, velocity))
@@ -119,20 +119,20 @@ class _DrawnFlight:
     def _attitude(self, k: int, at_s: float, velocity: FloatArray) -> AttitudeMeasurement:
         ve, vn = (velocity[:2] + self._air_error[k]).tolist()
         heading_rad = atan2(ve, vn) + self._heading_error_rad
-        bank_rad = self._plan.paths[self._denied].bank(at_s) + 0.015 * float(self._rng.standard_normal())
+        bank_rad = self._way[self._denied].bank_rad.item(k) + 0.015 * float(self._rng.standard_normal())
         airspeed_mps = max(hypot(ve, vn) + self._airspeed_error_mps, 0.0)
         return AttitudeMeasurement(self._denied, at_s, at_s, bank_rad, 0.0, heading_rad, airspeed_mps)
 
-    def _true(self, v: int, path: FlightPath, k: int, at_s: float) -> tuple[FloatArray, FloatArray]:
+    def _true(self, v: int, k: int) -> tuple[FloatArray, FloatArray]:
         moved = np.zeros((2, 3))
         moved[:, :2] = self._sway[v][k].reshape(2, 2)
-        return path.position(at_s) + moved[0], path.velocity(at_s) + moved[1]
+        return self._way[v].positions_m[k] + moved[0], self._way[v].velocities_mps[k] + moved[1]
 
     def _error_m(self, k: int, at_s: float) -> float:
         where = self._filter.estimate(self._denied, at_s)
         if not isinstance(where, Estimate):
             return float("nan")
-        true_m, _ = self._true(self._denied, self._plan.paths[self._denied], k, at_s)
+        true_m, _ = self._true(self._denied, k)
         return float(np.linalg.norm(where.position_enu_m[:2] - true_m[:2]))
 
     def _gauss_markov(self, sigma: float, time_s: float, axes: int) -> FloatArray:
