@@ -116,6 +116,7 @@ class _Recursion:
             if sysid not in self._lost and sysid in heard:
                 self._feed_report(sysid, here[sysid], velocities[sysid], at_s)
         for sysid in sorted(self._lost):
+            self._forget_bias_window(sysid)
             self._feed(AltitudeMeasurement(sysid, at_s, at_s, here[sysid][2], self._a.height_sigma_m))
             every = 2 if len(ranged[sysid]) > _MANY_PEERS else 1
             sigma_m = self._a.range_sigma_m / sqrt(self._ranges_a_step * every)
@@ -179,6 +180,12 @@ class _Recursion:
         for model in (self._filter.main, *(each.model for each in self._filter.hypotheses.values())):
             model.pairs[pair_key(sysid, node, 0)] = known_split((sigma_m,), 1.0)
         self._feed(RangeMeasurement(sysid, node, at_s, at_s, math.dist(here[sysid], there), sigma_m))
+
+    def _forget_bias_window(self, sysid: int) -> None:
+        """Keep the filter from looking for lasting errors of ranges: without noise there are none but of its own model."""
+        for model in (self._filter.main, *(each.model for each in self._filter.hypotheses.values())):
+            if sysid in model.records:
+                model.records.writable(sysid).bias_window = None
 
     def _feed(self, measurement: Measurement) -> None:
         if isinstance(measurement, AltitudeMeasurement):
