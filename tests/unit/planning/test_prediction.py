@@ -149,3 +149,17 @@ def test_a_vehicle_that_holds_circles_its_waypoint():
     path = PlannedVehicle(1, "v", (0.0, 0.0, 100.0), (leg,)).path()
     late = path.positions_m[-120:, :2] - (500.0, 0.0)
     assert np.linalg.norm(late, axis=1) == pytest.approx(np.full(120, 90.0), abs=15.0)
+
+
+def test_condensed_steps_come_to_what_the_filter_states_at_the_rates_of_the_service():
+    vehicles = tuple(square(k, 900.0 * (k % 3), 900.0 * (k // 3), 500.0, end_s=90.0) for k in range(1, 11))
+    plan = FleetPlan(FRAME, vehicles)
+    condensed, at_rates = predict(plan, (5,))[0], predict(plan, (5,), 0.2)[0]
+    last_s = condensed.at_s - np.diff(condensed.at_s, prepend=0.0)
+    within = [(at_rates.at_s > a) & (at_rates.at_s <= b) for a, b in zip(last_s, condensed.at_s, strict=True)]
+    expected = [np.sqrt(np.mean(at_rates.bound_95_m[step] ** 2)) for step in within[13:]]
+    ratios = condensed.bound_95_m[13:] / expected
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.05)
+    assert ratios == pytest.approx(np.ones(len(ratios)), abs=0.15)
+    # Of nine peers in range the filter uses eight; HDOP and number are of all.
+    assert set(condensed.ranged.tolist()) == {9.0}

@@ -58,7 +58,7 @@ class Cluster:
             return
         A, transition, where = joint.A, self.transition, joint.where[vehicle]
         P = A[where, where]
-        for to_s in step_ends(from_s, at_s):
+        for to_s in (at_s,) if record.in_one_step else step_ends(from_s, at_s):
             mean = set_transition(transition, record, self.settings, (A[0, where].tolist(), P), to_s - from_s, to_s)
             joint.propagate(vehicle, mean, transition.F, transition.Q, to_s)
             from_s = to_s

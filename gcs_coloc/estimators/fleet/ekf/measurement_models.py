@@ -35,7 +35,7 @@ from gcs_coloc.estimators.fleet.ekf.state import (
 )
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
-_REPORT_VELOCITY_TIME_S = 1.0
+REPORT_VELOCITY_TIME_S = 1.0
 """Chosen: correlation time of the velocity error of a navigation filter; ten reports in it count as one."""
 _ODOMETRY_TIME_S = 1.0
 """Chosen: correlation time of the errors of wheels and of optical flow, slip and scale; as of a navigation filter."""
@@ -88,7 +88,7 @@ def position_report(
     white_h_m2, white_v_m2 = white_sigma_m[0] ** 2, white_sigma_m[1] ** 2
     R = [white_h_m2, white_h_m2, white_v_m2]
     if m.sigma_velocity_mps is not None and k == 6:
-        R += [m.sigma_velocity_mps**2 * max(1.0, _REPORT_VELOCITY_TIME_S / max(since_velocity_s, _LEAST_INTERVAL_S))] * 3
+        R += [m.sigma_velocity_mps**2 * max(1.0, REPORT_VELOCITY_TIME_S / max(since_velocity_s, _LEAST_INTERVAL_S))] * 3
     return LinearisedMeasurement(HA, H, joint.where[m.vehicle], R)
 
 

@@ -69,6 +69,8 @@ class VehicleRecord:
     denied_vehicle: bool = False
     static: bool = False
     """Whether it is an anchor that does not move: its state is a position alone."""
+    in_one_step: bool = False
+    """Whether no propagation is divided for the sake of the linearisation, as of a vehicle whose reports keep to a known way."""
     last_position: PositionMeasurement | None = None
     own_measurements: tuple[OwnMeasurement, ...] = ()
     """Recent measurements of itself, oldest first; a superset of `recent_own`."""
