@@ -50,7 +50,8 @@ class RangeMeasurement:
     """A slant range between two vehicles; `from_vehicle` measured it. Direction carries no meaning for the value.
 
     `clock_of` is the vehicle by whose clock it was stamped, None for the service's. `time_sigma_s` is how far that clock may be
-    off, `time_sigma_m` what it means at the speed between the two: `sigma_m` holds that already.
+    off, `time_sigma_m` what it means at the speed between the two: `sigma_m` holds that already. `samples`: how many ranges it
+    is the mean of, in `sigma_m` already.
     """
 
     from_vehicle: int
@@ -63,6 +64,7 @@ class RangeMeasurement:
     clock_of: int | None = None
     time_sigma_s: float = 0.0
     time_sigma_m: float = 0.0
+    samples: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -151,15 +151,31 @@ def test_a_vehicle_that_holds_circles_its_waypoint():
     assert np.linalg.norm(late, axis=1) == pytest.approx(np.full(120, 90.0), abs=15.0)
 
 
+def ratios_to_the_rates_of_the_service(plan, sysid):
+    """Return the bound over the root mean square of those in the same step at the rates of the service, and the prediction."""
+    condensed, at_rates = predict(plan, (sysid,))[0], predict(plan, (sysid,), 0.2)[0]
+    last_s = condensed.at_s - np.diff(condensed.at_s, prepend=0.0)
+    within = [(at_rates.at_s > a + 1e-6) & (at_rates.at_s <= b + 1e-6) for a, b in zip(last_s, condensed.at_s, strict=True)]
+    settled = condensed.at_s > 25.0
+    expected = [np.sqrt(np.mean(at_rates.bound_95_m[step] ** 2)) for step in np.array(within)[settled]]
+    return condensed.bound_95_m[settled] / expected, condensed
+
+
 def test_condensed_steps_come_to_what_the_filter_states_at_the_rates_of_the_service():
     vehicles = tuple(square(k, 900.0 * (k % 3), 900.0 * (k // 3), 500.0, end_s=90.0) for k in range(1, 11))
-    plan = FleetPlan(FRAME, vehicles)
-    condensed, at_rates = predict(plan, (5,))[0], predict(plan, (5,), 0.2)[0]
-    last_s = condensed.at_s - np.diff(condensed.at_s, prepend=0.0)
-    within = [(at_rates.at_s > a) & (at_rates.at_s <= b) for a, b in zip(last_s, condensed.at_s, strict=True)]
-    expected = [np.sqrt(np.mean(at_rates.bound_95_m[step] ** 2)) for step in within[13:]]
-    ratios = condensed.bound_95_m[13:] / expected
-    assert np.median(ratios) == pytest.approx(1.0, abs=0.05)
+    ratios, condensed = ratios_to_the_rates_of_the_service(FleetPlan(FRAME, vehicles), 5)
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.03)
     assert ratios == pytest.approx(np.ones(len(ratios)), abs=0.15)
     # Of nine peers in range the filter uses eight; HDOP and number are of all.
     assert set(condensed.ranged.tolist()) == {9.0}
+
+
+def test_condensed_steps_come_to_it_without_air_data_and_with_stations_alone():
+    kind = VehicleClass.MULTIROTOR
+    squares = [square(k, 300.0 * (k % 2), 300.0 * (k // 2), 200.0, end_s=60.0) for k in (1, 2, 3)]
+    copters = tuple(replace(each, vehicle_class=kind) for each in squares)
+    ratios, _ = ratios_to_the_rates_of_the_service(FleetPlan(FRAME, copters), 1)
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.03)
+    stations = tuple(PlannedStation(k, (700.0 * (k % 2), 700.0 * (k // 2), 15.0)) for k in range(4))
+    ratios, _ = ratios_to_the_rates_of_the_service(FleetPlan(FRAME, (square(1, 100, 100, end_s=60.0),), stations), 1)
+    assert ratios == pytest.approx(np.ones(len(ratios)), abs=0.15)

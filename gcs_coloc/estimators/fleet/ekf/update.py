@@ -186,7 +186,8 @@ def update_range(
     ends = cluster.range_end(m.from_vehicle), cluster.range_end(m.to_vehicle)
     records = cluster.records
     inflation_m2 = max(records[m.from_vehicle].range_noise_inflation_m2, records[m.to_vehicle].range_noise_inflation_m2)
-    linear = slant_range(joint, ends, index, m, white_m * white_m + inflation_m2, s.time_stamp_offset_sigma_s)
+    stamp_sigma_s = s.time_stamp_offset_sigma_s / math.sqrt(m.samples)
+    linear = slant_range(joint, ends, index, m, white_m * white_m + inflation_m2, stamp_sigma_s)
     if linear is None:
         return UpdateResult(Outcome.REFUSED_SAME_PLACE)
     hA, innovation, variance, unit = linear
