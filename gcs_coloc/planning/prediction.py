@@ -92,10 +92,10 @@ class _Recursion:
         settings = FleetSettings()
         self._filter = FleetHypotheses(settings)
         self._most_peers = settings.peers_per_denied_vehicle
-        self._ranges_a_step = max(a.range_rate_hz * step_s, 1.0)
+        # Of less than one in a step each tells as much less.
+        self._ranges_a_step, reports_a_step = a.range_rate_hz * step_s, a.position_rate_hz * step_s
         self._range_sigma_m = a.range_sigma_m / sqrt(self._ranges_a_step)
-        reports = max(a.position_rate_hz * step_s, 1.0)
-        self._report_sigma_m, self._report_white = condensed(a.position_sigma_m, a.position_white_share, reports)
+        self._report_sigma_m, self._report_white = condensed(a.position_sigma_m, a.position_white_share, reports_a_step)
         self._velocity_sigma_mps = a.velocity_sigma_mps / sqrt(max(step_s / REPORT_VELOCITY_TIME_S, 1.0))
         self._stations = {station.node: station for station in plan.stations}
         self._policies: dict[int, FixPolicy] = {}

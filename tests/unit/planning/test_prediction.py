@@ -179,3 +179,12 @@ def test_condensed_steps_come_to_it_without_air_data_and_with_stations_alone():
     stations = tuple(PlannedStation(k, (700.0 * (k % 2), 700.0 * (k // 2), 15.0)) for k in range(4))
     ratios, _ = ratios_to_the_rates_of_the_service(FleetPlan(FRAME, (square(1, 100, 100, end_s=60.0),), stations), 1)
     assert ratios == pytest.approx(np.ones(len(ratios)), abs=0.15)
+
+
+def test_slow_ranges_count_no_more_than_they_tell():
+    kind = VehicleClass.MULTIROTOR
+    squares = [square(k, 300.0 * (k % 2), 300.0 * (k // 2), 200.0, end_s=60.0) for k in (1, 2, 3, 4)]
+    copters = FleetPlan(FRAME, tuple(replace(each, vehicle_class=kind) for each in squares))
+    usual, slow = (replace(copters, assumptions=PlanAssumptions(range_rate_hz=hz)) for hz in (0.5, 0.25))
+    ratios = predict(slow, (1,), 0.5)[0].bound_95_m / predict(usual, (1,), 0.5)[0].bound_95_m
+    assert np.median(ratios[50:]) > 1.02
