@@ -1,7 +1,8 @@
 """Drawn flights of a plan: the fleet filter as the service runs it, with measurements at their rates and with noise.
 
-The planned way is swayed by gusts; receivers, barometers and air data have errors that last. All sizes are those that the
-filter's settings and the plan's assumptions name, so what is tested is the prediction and not the settings.
+The planned way is swayed by gusts; receivers, barometers and air data have errors that last, reported velocities too; stations
+stand beside their stated places, and time stamps are off. All sizes are those that the filter's settings and the plan's
+assumptions name, so what is tested is the prediction and not the settings.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from gcs_coloc.core.measurements import (
     VehicleClass,
     VehicleClassReport,
 )
+from gcs_coloc.estimators.fleet.ekf.measurement_models import REPORT_VELOCITY_TIME_S
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 from gcs_coloc.planning.fleet_plan import FleetPlan
@@ -34,6 +36,8 @@ _STEP_S = 0.2
 _SWAY_RADPS = 0.2
 """An autopilot corrects what a gust displaces within some seconds. Chosen: critically damped, 5 s."""
 _LEAST_COLOURED_SHARE = 0.1
+_VELOCITY_ERROR_TIME_S = 0.5 * REPORT_VELOCITY_TIME_S
+"""A Gauss-Markov error of this correlation time has the spectral density that the filter assumes of reported velocities."""
 
 
 def draw_errors(plan: FleetPlan, sysid: int, seed: int) -> tuple[FloatArray, FloatArray]:
@@ -54,9 +58,17 @@ class _DrawnFlight:
         self._way = {v: path.at(self._times) for v, path in plan.paths.items()}
         self._sway: dict[int, FloatArray] = {}
         self._report_error: dict[int, FloatArray] = {}
+        self._velocity_error: dict[int, FloatArray] = {}
+        self._stamp_error_s: dict[int, FloatArray] = {}
         for v in plan.paths:
             self._sway[v] = self._draw_sway(s.acceleration_density_m2ps3)
             self._report_error[v] = self._gauss_markov(coloured_m, s.report_error_time_s, 3) * (1.0, 1.0, VERTICAL_RATIO)
+            self._velocity_error[v] = self._gauss_markov(a.velocity_sigma_mps, _VELOCITY_ERROR_TIME_S, 3)
+            self._stamp_error_s[v] = self._gauss_markov(s.time_stamp_offset_sigma_s, s.time_stamp_offset_time_s, 1)[:, 0]
+        self._stations = {
+            station.node: np.array(station.position_enu_m) + station.sigma_m * self._rng.standard_normal(3)
+            for station in plan.stations
+        }
         self._height_error = self._gauss_markov(a.height_sigma_m, s.baro_error_time_s, 1)[:, 0]
         self._air_error = self._gauss_markov(s.air_noise_mps, s.air_noise_time_s, 2)
         self._heading_error_rad = s.heading_sigma_rad * self._rng.standard_normal()
@@ -95,14 +107,18 @@ class _DrawnFlight:
         found.append(AltitudeMeasurement(self._denied, at_s, at_s, float(place[2] + self._height_error[k]), a.height_sigma_m))
         if a.has_air_data and plan.vehicle(self._denied).vehicle_class is VehicleClass.PLANE:
             found.append(self._attitude(k, at_s, velocity))
-        ends = {v: where for v, (where, _) in here.items() if v != self._denied}
-        ends |= {station.node: np.array(station.position_enu_m) for station in plan.stations}
+        ends = {v: where for v, where in here.items() if v != self._denied}
+        ends |= {node: (where, np.zeros(3)) for node, where in self._stations.items()}
         # The flight's step is a fifth of a second; other rates become noise of the same information.
         sigma_m = a.range_sigma_m / sqrt(a.range_rate_hz * _STEP_S)
-        for node, there in ends.items():
-            true_m = float(np.linalg.norm(place - there))
+        stamp_sigma_s = self._settings.time_stamp_offset_sigma_s
+        for node, (there, its_velocity) in ends.items():
+            apart = place - there
+            true_m = float(np.linalg.norm(apart))
             if true_m <= a.max_range_m:
-                range_m = max(true_m + sigma_m * float(rng.standard_normal()), 0.0)
+                closing_mps = float(apart @ (velocity - its_velocity)) / max(true_m, 1.0)
+                error_m = sigma_m * rng.standard_normal() + closing_mps * stamp_sigma_s * rng.standard_normal()
+                range_m = max(true_m + float(error_m), 0.0)
                 found.append(RangeMeasurement(self._denied, node, at_s, at_s, range_m, sigma_m))
         return found
 
@@ -111,8 +127,9 @@ class _DrawnFlight:
         white_m = a.position_sigma_m * a.position_white_share / sqrt(max(a.position_rate_hz * _STEP_S, 1.0))
         coloured_m = self._report_error[v]
         sigma_m = hypot(white_m, a.position_sigma_m * max(sqrt(1.0 - a.position_white_share**2), _LEAST_COLOURED_SHARE))
-        e, n, u = (place + coloured_m[k] + white_m * rng.standard_normal(3) * (1.0, 1.0, VERTICAL_RATIO)).tolist()
-        ve, vn, vu = (velocity + 0.1 * a.velocity_sigma_mps * rng.standard_normal(3)).tolist()
+        late = self._stamp_error_s[v][k] * velocity
+        e, n, u = (place + late + coloured_m[k] + white_m * rng.standard_normal(3) * (1.0, 1.0, VERTICAL_RATIO)).tolist()
+        ve, vn, vu = (velocity + self._velocity_error[v][k]).tolist()
         vertical_m = VERTICAL_RATIO * sigma_m
         return PositionMeasurement(v, at_s, at_s, (e, n, u), sigma_m, vertical_m, (ve, vn, vu), a.velocity_sigma_mps)
 
