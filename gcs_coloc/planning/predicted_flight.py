@@ -43,9 +43,11 @@ class Prediction:
         """Whether the size of the bound is told, (N,). Without an estimate, or in one line with the peers, noise decides.
 
         In one line the ranges bend with the error itself, which an error of zero does not show: the bound is an upper one. It
-        stays so for a while after.
+        stays so for a while after. Where the estimate leaves its bound though nothing errs, the filter has lost a manoeuvre of
+        the plan, and the bound is none.
         """
         bad = ~np.isfinite(self.bound_95_m) | (self.ranged < _LEAST_RANGED) | (self.hdop >= IN_LINE_HDOP)
+        bad |= self.offset_m > self.bound_95_m
         bad_at_s = np.where(bad, self.at_s, -np.inf)
         return np.asarray(self.at_s - np.maximum.accumulate(bad_at_s) > _AFTER_S)
 
