@@ -12,6 +12,7 @@ from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TIME_STAMP_OFFSET, VELOCITY
+from gcs_coloc.estimators.fleet.observed_biases import unknown_bias_covariance
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch
 from gcs_coloc.estimators.fleet.searched_vehicles import predicted_search
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -47,6 +48,11 @@ def estimate_of_cluster(cluster: Cluster, vehicle: int, at_s: float) -> Estimate
         near_m2, far_m2 = curved
         far = covariance[:2, :2] + far_m2
         covariance[:2, :2] += near_m2
+    if record.presumed_bias is not None:
+        unknown = unknown_bias_covariance(cluster, vehicle, step_s - offset_s)
+        covariance += unknown
+        if far is not None:
+            far += unknown[:2, :2]
     gap_m2, gap_m2ps2, gap_both = gap_covariance(record, cluster.settings, at_s)
     added_m2 = gap_m2 + unresolved_outlier_variance_m2(record)
     for axis in (0, 1):

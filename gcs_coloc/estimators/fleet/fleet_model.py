@@ -35,7 +35,7 @@ from gcs_coloc.estimators.fleet.ekf.update import (
 from gcs_coloc.estimators.fleet.estimates import estimate_of_cluster, estimate_of_search
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_ranges, initialise_from_reports
 from gcs_coloc.estimators.fleet.motion_profiles import motion_profile
-from gcs_coloc.estimators.fleet.observed_biases import observe_bias, pair_bias
+from gcs_coloc.estimators.fleet.observed_biases import observe_bias, pair_bias, presume_bias, unknown_errors
 from gcs_coloc.estimators.fleet.peer_selection import is_selected
 from gcs_coloc.estimators.fleet.range_biases import PairBias
 from gcs_coloc.estimators.fleet.searched_vehicles import is_searching, predicted_search, search_with_range
@@ -190,6 +190,7 @@ class FleetModel:
             return UpdateResult(Outcome.KEPT_NOT_DENIED)
         for denied_vehicle, other, record in denied:
             record.add_range(m)
+            presume_bias(record, m.sigma_m * math.sqrt(m.samples), self.settings)
             record.last_range_s[other] = m.measured_at_s
             if not is_selected(self.clusters, self.records, denied_vehicle, other, m.measured_at_s, self.settings):
                 return UpdateResult(Outcome.KEPT_NOT_SELECTED)
@@ -219,7 +220,8 @@ class FleetModel:
         self._consider_bias(cluster, pair, bias)
         unbiased = m if bias is None else replace(m, range_m=max(m.range_m - bias.mean_m, 0.0))
         white_m = scatter_m if scatter_m > UNDERSTATED * sigma_m else sigma_m
-        result = update_range(cluster, pair, unbiased, white_m, coloured_m, self.considered_m)
+        unknown = unknown_errors(denied, pair)
+        result = update_range(cluster, pair, unbiased, white_m, coloured_m, self.considered_m, unknown)
         if result.used and len(denied) == 1:
             observe_bias(cluster, *denied[0][:2], m, white_m, coloured_m)
         for denied_vehicle, other, _ in denied:

@@ -85,7 +85,8 @@ def _multilateration_problem(records: Records, vehicle: int, at_s: float, s: Fle
         near = min(past, key=lambda r: abs(r.measured_at_s - m.measured_at_s), default=report)
         if abs(near.measured_at_s - m.measured_at_s) > s.initialisation_age_s and not near.static:
             continue
-        problem.add_range(peer, near, past, m)
+        error = records[vehicle].lasting_error((peer, m.device_id))
+        problem.add_range(peer, near, past, m, 0.0 if error is None else error.sigma_m**2)
     for own in records[vehicle].recent_own:
         if isinstance(own, AltitudeMeasurement):
             problem.add_altitude(own)

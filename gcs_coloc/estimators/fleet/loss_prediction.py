@@ -33,6 +33,7 @@ from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude, set_tra
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour, Records, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import VELOCITY, pair_key, whiten
 from gcs_coloc.estimators.fleet.ekf.update import (
+    augment_by_unknown,
     change_time_stamp_offset_sigma,
     propagate_pair,
     time_stamp_offset_sigma_s,
@@ -40,6 +41,7 @@ from gcs_coloc.estimators.fleet.ekf.update import (
 from gcs_coloc.estimators.fleet.estimates import estimate_of_cluster
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
+from gcs_coloc.estimators.fleet.observed_biases import presume_bias, unknown_errors
 from gcs_coloc.estimators.fleet.peer_selection import rough_position, select_peers
 from gcs_coloc.estimators.fleet.predicted_peers import PeerPoint, RangeStream, mean_age_s, peer_point
 
@@ -235,6 +237,10 @@ class _LossPrediction:
         assert self.cluster is not None
         s, joint, point = self._settings, self.cluster.joint, self._points[stream.node]
         white_m, coloured_m = stream.noise_m(s.least_coloured_share)
+        record = self._records[self._vehicle]
+        presume_bias(record, stream.sigma_m, s)
+        unknown = unknown_errors([(self._vehicle, stream.node, record)], stream.pair)
+        augment_by_unknown(joint, unknown, at_s)
         index = propagate_pair(self.cluster, stream.pair, at_s, (s.range_bias_sigma_m, s.range_coloured_share * coloured_m))
         motion = point.motion.after(at_s - self._at_s)
         peer = RangeEnd(stream.node, joint.where[stream.node], motion.position, motion.velocity)
@@ -245,7 +251,7 @@ class _LossPrediction:
         if linear is None:
             return
         linear.HA[0] = 0.0
-        joint.correct_scalar(linear.HA, linear.variance_m2)
-        record = self._records[self._vehicle]
+        W = joint.correct_scalar(linear.HA, linear.variance_m2)
+        joint.add_sensitivity(unknown, W, math.sqrt(linear.variance_m2))
         record.neighbours[stream.node] = Neighbour(at_s, linear.unit)
         record.updated_at_s = at_s

@@ -5,12 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, RangeMeasurement
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.state import POSITION
-from gcs_coloc.estimators.fleet.range_biases import BiasSample, BiasWindow, PairBias, Ranged
+from gcs_coloc.estimators.fleet.ekf.state import POSITION, VELOCITY, PairKey, UnknownKey
+from gcs_coloc.estimators.fleet.range_biases import BiasSample, BiasWindow, PairBias, Ranged, UnknownBias
+from gcs_coloc.estimators.fleet.settings import FleetSettings
 
+_MOST_OF_A_DEVICE = 2.0
+_MOST_OF_A_PAIR = 0.7
+"""Chosen: the most that unknown biases are of a stated sigma: 0.7 to 2.8 and 0.4 to 1.4 in the sets behind the settings."""
+_TELLING_SIGMAS = 4.0
+"""Chosen: a bias below a quarter of the noise is below what else lasts: the errors of the peers' receivers."""
 _HEIGHT_FRESH_S = 1.5
 """Chosen: heights at 1 Hz, one of which may be late."""
 
@@ -26,7 +34,11 @@ def observe_bias(cluster: Cluster, vehicle: int, other: int, m: RangeMeasurement
             if peer in cluster.joint.where:
                 peers_m2[sample.peer] = cluster.joint.covariance(peer)[POSITION, POSITION]
         if len(peers_m2) == len({sample.peer for sample in window.samples}):
-            record.range_biases = record.range_biases.with_window(window, peers_m2, cluster.settings.range_bias_sigma_m)
+            least_m = cluster.settings.range_bias_sigma_m
+            biases = record.range_biases.with_window(window, peers_m2, least_m, record.presumed_bias)
+            record.range_biases = biases
+            if biases.unknown is not None:
+                record.unknown_bias = biases.unknown
         window = None
     if window is None:
         x, P = cluster.joint.mean(vehicle)[:6].copy(), cluster.joint.covariance(vehicle)[:6, :6].copy()
@@ -46,6 +58,41 @@ def _newest_height(record: VehicleRecord, at_s: float) -> AltitudeMeasurement | 
     heights = (m for m in reversed(record.recent_own) if isinstance(m, AltitudeMeasurement))
     newest = next(heights, None)
     return newest if newest is not None and at_s - newest.measured_at_s <= _HEIGHT_FRESH_S else None
+
+
+def presume_bias(record: VehicleRecord, sigma_m: float, s: FleetSettings) -> None:
+    """Presume biases that nothing has shown, from the first range on whose stated sigma is so small that they matter."""
+    if record.presumed_bias is None and sigma_m < _TELLING_SIGMAS * s.unknown_device_bias_m:
+        device_m, pair_m = _MOST_OF_A_DEVICE * sigma_m, _MOST_OF_A_PAIR * sigma_m
+        record.presumed_bias = UnknownBias(min(s.unknown_device_bias_m, device_m), min(s.unknown_pair_bias_m, pair_m))
+        record.unknown_bias = record.presumed_bias
+
+
+def unknown_errors(denied: Sequence[tuple[int, int, VehicleRecord]], pair: PairKey) -> list[tuple[UnknownKey, float]]:
+    """Return the unknown biases in a range with their shares in its error: between two devices that are alike, half of each."""
+    share = 1.0 / len(denied)
+    return [
+        (key, share)
+        for vehicle, _, record in denied
+        if record.presumed_bias is not None
+        for key in (UnknownKey(vehicle, vehicle, vehicle), UnknownKey(*pair[:2], vehicle))
+    ]
+
+
+def unknown_bias_covariance(cluster: Cluster, vehicle: int, step_s: float) -> FloatArray:
+    """Return the covariance (6, 6) that unknown biases add to position and velocity, a step after its states, eq. (38)."""
+    joint, places, sigmas_m = cluster.joint, [], []
+    for key, place in joint.where.items():
+        if isinstance(key, UnknownKey):
+            record = cluster.records[key.denied_vehicle]
+            if record.unknown_bias is not None and record.range_biases.found is None:
+                places.append(place.start)
+                sigmas_m.append(record.unknown_bias.device_m if key.is_of_device else record.unknown_bias.pair_m)
+    start = joint.where[vehicle].start
+    moved = joint.A[start : start + VELOCITY.stop, places] * np.array(sigmas_m)
+    moved[POSITION] += step_s * moved[VELOCITY]
+    covariance: FloatArray = moved @ moved.T
+    return covariance
 
 
 def pair_bias(denied: Sequence[tuple[int, int, VehicleRecord]], m: RangeMeasurement) -> PairBias | None:

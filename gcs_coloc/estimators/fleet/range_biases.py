@@ -91,6 +91,13 @@ class BiasWindow:
         return replace(self, samples=(*self.samples, sample)) if len(self.samples) < _MOST_SAMPLES else self
 
 
+class UnknownBias(NamedTuple):
+    """Sigmas of lasting errors that ranges have neither shown nor ruled out, m: of the vehicle's device, and of each pair."""
+
+    device_m: float
+    pair_m: float
+
+
 class PairBias(NamedTuple):
     """What is known of the lasting error of one pair, m."""
 
@@ -103,7 +110,8 @@ class RangeBiases:
     """Information on the lasting errors of one vehicle's ranges. Immutable.
 
     `information` (k, k) and `vector` (k,) are of the pairs with `peers`, and of the vehicle's own height in the last place.
-    `found`: what they are, under None that of a pair never ranged; None while there is no sign of any.
+    `found`: what they are, under None that of a pair never ranged; None while there is no sign of any. `unknown`: what may be
+    there unfound, None before the first test.
     """
 
     at_s: float = -math.inf
@@ -112,15 +120,19 @@ class RangeBiases:
     vector: FloatArray = field(default_factory=lambda: np.zeros(1))
     windows: int = 0
     found: Mapping[Ranged | None, PairBias] | None = None
+    unknown: UnknownBias | None = None
 
     def bias(self, peer: Ranged | None) -> PairBias | None:
         """Return the lasting error of the pair with a peer, None while there is no sign of any."""
         return None if self.found is None else self.found.get(peer, self.found[None])
 
-    def with_window(self, window: BiasWindow, peers_m2: Mapping[Ranged, FloatArray], least_m: float) -> RangeBiases:
-        """Return the information after a window, eq. (31), and the biases that it shows, eq. (32).
+    def with_window(
+        self, window: BiasWindow, peers_m2: Mapping[Ranged, FloatArray], least_m: float, presumed: UnknownBias | None
+    ) -> RangeBiases:
+        """Return the information after a window, eq. (31), and the biases that it shows or leaves open, eq. (32) and (38).
 
-        `peers_m2` holds the covariance (3, 3) of each peer's position, `least_m` is the sigma of a bias that is always there.
+        `peers_m2` holds the covariance (3, 3) of each peer's position, `least_m` is the sigma of a bias that is always there,
+        `presumed` what may be there where nothing is known, if anything.
         """
         added = _information(window, self._mean_m)
         if added is None:
@@ -136,7 +148,8 @@ class RangeBiases:
         if after.windows < _LEAST_WINDOWS or after.windows % _TEST_EVERY:
             return after
         lasting_m2 = {name: float(u @ peers_m2[name] @ u) for name, u in zip(names, units, strict=True)}
-        return replace(after, found=_find(after, lasting_m2, window.height_m2, least_m))
+        observed = _observe(after, lasting_m2, window.height_m2, least_m)
+        return replace(after, found=_find(after, observed, least_m, presumed), unknown=_not_ruled_out(observed, presumed))
 
     def _mean_m(self, peer: Ranged) -> float:
         bias = self.bias(peer)
@@ -213,10 +226,20 @@ def _information(window: BiasWindow, bias_m: Callable[[Ranged], float]) -> _Info
     return _Information(peers, 0.5 * (M + M.T), y, units)
 
 
-def _find(
-    biases: RangeBiases, lasting_m2: Mapping[Ranged, float], height_m2: float | None, least_m: float
-) -> Mapping[Ranged | None, PairBias] | None:
-    """Return the likeliest biases, None where none are likely enough, eq. (32)."""
+class _Observed(NamedTuple):
+    """M (k + 1, k + 1) and y (k + 1,) of what is well observed, and the variances that are no bias of a range.
+
+    `is_pair` (k + 1,) is 0 in the last place, that of the height, else 1.
+    """
+
+    M: FloatArray
+    y: FloatArray
+    others: FloatArray
+    is_pair: FloatArray
+
+
+def _observe(biases: RangeBiases, lasting_m2: Mapping[Ranged, float], height_m2: float | None, least_m: float) -> _Observed:
+    """Return the well observed part of the information."""
     M, y, k = biases.information, biases.vector, len(biases.peers)
     # What only small changes of the geometry tell from a position error would be learned from the errors of this model.
     values, modes = np.linalg.eigh(M)
@@ -225,10 +248,29 @@ def _find(
     # What peers' positions and the own height err by lasts too, and is no bias.
     most_m2 = max(lasting_m2.values())
     others = np.diag([*(lasting_m2.get(peer, most_m2) + least_m**2 for peer in biases.peers), height_m2 or _NO_HEIGHT_M2])
-    is_pair = np.diag([1.0] * k + [0.0])
-    models = [
-        others + device_m**2 * np.outer(is_pair.sum(0), is_pair.sum(0)) + pair_m**2 * is_pair for device_m, pair_m in _GRID_M
-    ]
+    return _Observed(M, y, others, np.array([1.0] * k + [0.0]))
+
+
+def _not_ruled_out(observed: _Observed, presumed: UnknownBias | None) -> UnknownBias | None:
+    """Return what may be there unfound, eq. (38): mean and variance of the device's bias, of which no range is corrected."""
+    if presumed is None:
+        return None
+    M, y, others, is_pair = observed
+    device_m2 = presumed.device_m**2
+    T = others + device_m2 * np.outer(is_pair, is_pair) + presumed.pair_m**2 * np.diag(is_pair)
+    told = np.linalg.solve(np.eye(len(M)) + M @ T, np.column_stack([y, M @ is_pair]))
+    mean_m, variance_m2 = device_m2 * float(is_pair @ told[:, 0]), device_m2 - device_m2**2 * float(is_pair @ told[:, 1])
+    return UnknownBias(math.sqrt(max(variance_m2, 0.0) + mean_m**2), presumed.pair_m)
+
+
+def _find(
+    biases: RangeBiases, observed: _Observed, least_m: float, presumed: UnknownBias | None
+) -> Mapping[Ranged | None, PairBias] | None:
+    """Return the likeliest biases, None where none are likely enough, eq. (32)."""
+    M, y, others, is_pair = observed
+    k = len(is_pair) - 1
+    common, single = np.outer(is_pair, is_pair), np.diag(is_pair)
+    models = [others + device_m**2 * common + pair_m**2 * single for device_m, pair_m in _GRID_M]
     inner = np.eye(k + 1) + M @ np.array(models)
     whole = np.linalg.solve(inner, np.broadcast_to(y[:, None], (len(models), k + 1, 1)))[..., 0]
     likelihood = 0.5 * np.einsum("i,gij,gj->g", y, models, whole) - 0.5 * np.linalg.slogdet(inner)[1]
@@ -242,6 +284,7 @@ def _find(
     variances = device_m**2 + pair_m**2 - np.einsum("ij,jk,ik->i", B, np.linalg.solve(inner[best], M)[:k, :k], B)
     # A bias changes with attitude and distance, and differs between pairs in ways that a position explains: how much, nothing
     # but its size tells.
-    sigmas = np.sqrt(np.maximum(variances, max(abs(float(mean[k])), least_m) ** 2))
+    left_m = presumed.pair_m if presumed is not None else abs(float(mean[k]))
+    sigmas = np.sqrt(np.maximum(variances, max(left_m, least_m) ** 2))
     peers: tuple[Ranged | None, ...] = (*biases.peers, None)
     return {peer: PairBias(float(b), float(s)) for peer, b, s in zip(peers, mean, sigmas, strict=True)}

@@ -52,7 +52,12 @@ def search_with_range(
     if there is None:
         return Outcome.KEPT_INITIALISING
     search = predicted_search(record.search, record.profile, at_s, settings)
-    search = record.search = search.with_range(RangeCircle(other, *there, m.range_m, m.sigma_m**2))
+    error = record.lasting_error((other, m.device_id))
+    if error is not None:
+        # An error of a range that lasts is as one of the peer's distance.
+        there = there[0], there[1] + error.sigma_m**2 * np.eye(3)
+    range_m = m.range_m if error is None else max(m.range_m - error.mean_m, 0.0)
+    search = record.search = search.with_range(RangeCircle(other, *there, range_m, m.sigma_m**2))
     if search.is_lost:
         record.search, record.no_estimate_reason = None, Unlocated(NoEstimateReason.CONTRADICTORY)
         return Outcome.KEPT_INITIALISING

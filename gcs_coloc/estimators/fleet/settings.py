@@ -121,6 +121,11 @@ class FleetSettings:
     accuracy results)."""
     range_bias_time_s: float = between(300.0, 0.01, 1e6)
     """s. Correlation time of that bias. Chosen: it changes with temperature and antenna attitude."""
+    unknown_device_bias_m: float = between(0.2, 0.0, 1e3)
+    """m. Bias that the device of a denied vehicle may have on all its ranges, until these show one or rule it out; 0:
+    calibrated. Chosen: 0.14 to 0.28 m in public sets of uncalibrated ultra-wideband radios (docs/results/ranging.md)."""
+    unknown_pair_bias_m: float = between(0.07, 0.0, 1e3)
+    """m. What each pair may be off beyond that, for ten seconds or for ever. Chosen: 0.04 to 0.09 m in the same sets."""
     range_coloured_share: float = between(0.6, 0.0, 1.0)
     """Share. Coloured error of a range, as a share of the part of its sigma not shown to be white. Chosen: multipath."""
     range_coloured_time_s: float = between(1.0, 1e-3, 1e6)

@@ -43,8 +43,11 @@ class PeerGeometry:
         self.distance_m = [max(math.dist(self.own.position, position), _LEAST_DISTANCE_M) for position in positions]
         self.nearest_m = min(self.distance_m)
         largest_sigma_m = _largest_sigma_m(cluster, self.own) + max(_largest_sigma_m(cluster, peer) for peer in self.peers)
-        self.largest_sigma_m = max(largest_sigma_m, LEAST_SIGMA_M)
         record = cluster.records[denied_vehicle]
+        presumed = record.presumed_bias
+        self._lasting_m2 = 0.0 if presumed is None else presumed.pair_m**2
+        largest_m2 = largest_sigma_m**2 + SEPARATED * self._lasting_m2
+        self.largest_sigma_m = max(math.sqrt(largest_m2) if presumed is not None else largest_sigma_m, LEAST_SIGMA_M)
         self.has_air_data = fresh_attitude(record, cluster.settings, at_s) is not None
         self._altitude_sigma_m = math.inf
         for m in reversed(record.own_measurements):
@@ -62,7 +65,9 @@ class PeerGeometry:
         """Return the covariance (4, 4) of the vector from peer i to the vehicle: along the line between them, east, north, up."""
         (e, n, u), (pe, pn, pu), distance_m = self.offset, self.offsets[i], self.distance_m[i]
         unit = ((e - pe) / distance_m, (n - pn) / distance_m, (u - pu) / distance_m)
-        return self.cluster.joint.predict_measurement(self.cluster.range_jacobian(self.own, self.peers[i], unit))[1]
+        covariance = self.cluster.joint.predict_measurement(self.cluster.range_jacobian(self.own, self.peers[i], unit))[1]
+        covariance[0, 0] += self._lasting_m2
+        return covariance
 
     def blind_m(self, range_sigma_m: float) -> float:
         """Return the distance from a plane within which the ranges change by less than their sigma, m."""
@@ -84,7 +89,8 @@ class PeerGeometry:
         `normal` (3,) is its unit normal, `range_variances_m2` (k,) are the variances of the distances to the peers.
         """
         separation = 2.0 * offset_m * (np.array(self.offsets) @ normal) / np.array(self.distance_m)
-        return float(np.sum(separation * separation / range_variances_m2))
+        # A lasting error is one piece of evidence however many ranges there are, so it has to be two sigmas by itself.
+        return float(np.sum(separation * separation / (range_variances_m2 + SEPARATED * self._lasting_m2)))
 
     def altitude_separation(self, upwards: float, offset_m: float) -> float:
         """Return the squared normalised difference of the vehicle's own height between both sides of a plane.

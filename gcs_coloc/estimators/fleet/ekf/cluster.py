@@ -20,7 +20,7 @@ from gcs_coloc.estimators.fleet.ekf.process_model import (
     step_ends,
 )
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.state import TIME_STAMP_OFFSET, VELOCITY, WIND, JointState, Key
+from gcs_coloc.estimators.fleet.ekf.state import TIME_STAMP_OFFSET, VELOCITY, WIND, JointState, Key, ends
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _CLEARLY_LESS = 0.9
@@ -260,9 +260,7 @@ class ClusterSet:
         cluster = self._of.pop(vehicle, None)
         if cluster is None:
             return
-        keys: list[Key] = [
-            key for key in cluster.joint.where if key != vehicle and not (isinstance(key, tuple) and vehicle in key[:2])
-        ]
+        keys = [key for key in cluster.joint.where if vehicle not in ends(key)]
         cluster.joint = cluster.joint.marginalise(keys)
 
     def prune(self, links: Mapping[int, set[int]]) -> None:
@@ -282,11 +280,11 @@ class ClusterSet:
                         linked.add(other)
                         edge.append(other)
             seen |= linked
-            keys: list[Key] = [
-                key
-                for key in cluster.joint.where
-                if key in linked or (isinstance(key, tuple) and key[0] in linked and key[1] in links.get(key[0], ()))
-            ]
+            keys: list[Key] = []
+            for key in cluster.joint.where:
+                a, b = ends(key)
+                if a in linked and (a == b or b in links.get(a, ())):
+                    keys.append(key)
             if len(keys) < len(cluster.joint.where):
                 part = self._cluster(cluster.joint.marginalise(keys))
                 for member in linked:

@@ -20,7 +20,7 @@ from gcs_coloc.core.measurements import (
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseLevel, NoiseSplit
 from gcs_coloc.estimators.fleet.ekf.gap import UnshownMotion
 from gcs_coloc.estimators.fleet.motion_profiles import PROFILES, MotionProfile
-from gcs_coloc.estimators.fleet.range_biases import BiasWindow, RangeBiases
+from gcs_coloc.estimators.fleet.range_biases import BiasWindow, PairBias, RangeBiases, Ranged, UnknownBias
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch
 
 IN_USE_S = 2.0
@@ -128,10 +128,19 @@ class VehicleRecord:
     """The search for a denied vehicle that is in no cluster because it is too uncertain for one."""
     range_biases: RangeBiases = field(default_factory=RangeBiases)
     """What its ranges have shown of their lasting errors."""
+    unknown_bias: UnknownBias | None = None
+    """Biases that its ranges may have unfound; None while its ranges are so coarse that none would tell."""
+    presumed_bias: UnknownBias | None = None
+    """The same before any range has told of it."""
     bias_window: BiasWindow | None = None
     """The ranges since the last that were counted in `range_biases`."""
     initialisation_tried_at_s: float = -math.inf
     no_estimate_reason: Unlocated = _NOT_HEARD
+
+    def lasting_error(self, pair: Ranged) -> PairBias | None:
+        """Return what the ranges of a pair are lastingly off, as far as that is known; None while no range would tell of it."""
+        known, unknown = self.range_biases.bias(pair), self.unknown_bias
+        return known if known is not None or unknown is None else PairBias(0.0, math.hypot(unknown.device_m, unknown.pair_m))
 
     def copy(self) -> VehicleRecord:
         """Return an independent copy."""

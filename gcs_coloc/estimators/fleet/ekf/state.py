@@ -7,7 +7,8 @@ at that one's own, earlier time, exactly. A measurement costs one or two small p
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -37,13 +38,39 @@ TURN = 15
 SIZE = 16
 """Number of components of a moving vehicle."""
 
+PairKey = tuple[int, int, int]
+"""Key of the block of a ranging pair: both vehicles and the device."""
 Key = Hashable
-"""Key of a block: a vehicle's system id, or `pair_key` for the two range errors of a ranging pair."""
+"""Key of a block: a vehicle's system id, `pair_key` for the two range errors of a ranging pair, or an `UnknownKey`."""
 
 
-def pair_key(a: int, b: int, device: int) -> tuple[int, int, int]:
+def ends(key: Key) -> tuple[int, int]:
+    """Return the two vehicles of a block; both are the same where it is of one vehicle alone."""
+    if isinstance(key, UnknownKey):
+        return key.a, key.b
+    return key[:2] if isinstance(key, tuple) else (key, key)
+
+
+def pair_key(a: int, b: int, device: int) -> PairKey:
     """Return the key of the block of a ranging pair's bias b and coloured error c, eq. (14), the same for both directions."""
     return (a, b, device) if a < b else (b, a, device)
+
+
+@dataclass(frozen=True, slots=True)
+class UnknownKey:
+    """Key of the sensitivities of all states to an unknown bias of a denied vehicle's ranges: of a pair, or of its device.
+
+    `a` and `b` are the pair, for the device both the vehicle itself.
+    """
+
+    a: int
+    b: int
+    denied_vehicle: int
+
+    @property
+    def is_of_device(self) -> bool:
+        """Whether the bias is that of the vehicle's device."""
+        return self.a == self.b
 
 
 class Whitened(NamedTuple):
@@ -193,6 +220,17 @@ class JointState:
         back = W.item(0, 0) * mine
         A[0, considered] += back
         A[considered, 0] += back
+
+    def add_sensitivity(self, unknown: Sequence[tuple[UnknownKey, float]], W: FloatArray, sigma_m: float) -> None:
+        """Let the sensitivities to unknown errors follow a correction by one value in which each has its share, eq. (38).
+
+        `W` (1 + n, 1) and `sigma_m` are those of the correction, which has treated them as it treats covariances. What stands
+        where two of them meet, or in row 0, means nothing.
+        """
+        for key, share in unknown:
+            i = self.where[key].start
+            self.A[1:, i] -= (share / sigma_m) * W[1:, 0]
+            self.A[i, 1:] = self.A[1:, i]
 
     def scale(self, first: int, stop: int, factor: float) -> None:
         """Scale the states from `first` to before `stop`, mean and covariances, by one factor."""

@@ -6,7 +6,7 @@ Gate: eq. (17). Huber weight: eq. (18). Correction: eq. (19).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -26,7 +26,7 @@ from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, alti
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
 from gcs_coloc.estimators.fleet.ekf.process_model import STEEPEST_BANK_RAD
 from gcs_coloc.estimators.fleet.ekf.records import OwnMeasurement, VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.state import BARO_ERROR, REPORT_ERROR, TIME_STAMP_OFFSET, Key, whiten
+from gcs_coloc.estimators.fleet.ekf.state import BARO_ERROR, REPORT_ERROR, TIME_STAMP_OFFSET, JointState, Key, UnknownKey, whiten
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _HARDEST_MPS2 = 20.0
@@ -172,16 +172,19 @@ def update_range(
     white_m: float,
     coloured_m: float,
     considered_m: Mapping[Key, float] = NOTHING_CONSIDERED,
+    unknown: Sequence[tuple[UnknownKey, float]] = (),
 ) -> UpdateResult:
     """Correct with a slant range between two vehicles of the cluster, eq. (14) and (15).
 
     `pair` is the `pair_key` of its bias and coloured error, whose steady-state sigma is `coloured_m`; `white_m` is the sigma of
     the range itself. Since an inflation of the covariance of one end its noise is inflated too. `considered_m` holds the sigmas
-    of the biases that a range does not correct, eq. (33).
+    of the biases that a range does not correct, eq. (33); `unknown` the errors, with their shares in the range, to which the
+    sensitivity of all states is kept, eq. (38).
     """
     s, joint, at_s = cluster.settings, cluster.joint, m.measured_at_s
     cluster.propagate(m.from_vehicle, at_s)
     cluster.propagate(m.to_vehicle, at_s)
+    augment_by_unknown(joint, unknown, at_s)
     index = propagate_pair(cluster, pair, at_s, (considered_m.get(pair, s.range_bias_sigma_m), coloured_m))
     ends = cluster.range_end(m.from_vehicle), cluster.range_end(m.to_vehicle)
     records = cluster.records
@@ -198,6 +201,7 @@ def update_range(
     if nis > s.huber_sigma**2:
         variance *= math.sqrt(nis) / s.huber_sigma
     W = joint.correct_scalar(hA, variance)
+    joint.add_sensitivity(unknown, W, math.sqrt(variance))
     if considered_m:
         joint.restore([joint.where[key].start for key in considered_m if key in joint.where], W)
     whitened = (innovation / math.sqrt(variance),)
@@ -236,6 +240,13 @@ def _manoeuvre_covariance(since_s: float) -> FloatArray:
         covariance[axis, axis + 3] = covariance[axis + 3, axis] = distance * speed
         covariance[axis + 3, axis + 3] = speed * speed
     return covariance
+
+
+def augment_by_unknown(joint: JointState, unknown: Sequence[tuple[UnknownKey, float]], at_s: float) -> None:
+    """Augment a joint state by the sensitivities to unknown errors that it has not kept so far."""
+    for key, _ in unknown:
+        if key not in joint.where:
+            joint.augment(key, np.zeros(1), np.zeros((1, 1)), at_s)
 
 
 def propagate_pair(cluster: Cluster, pair: Key, at_s: float, sigmas: tuple[float, float]) -> int:

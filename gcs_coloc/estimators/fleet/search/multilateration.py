@@ -58,12 +58,16 @@ class MultilaterationProblem:
         self._rows: list[tuple[int, float, float, float, float, float, float, float]] = []
         self._heights: list[tuple[float, float, float]] = []
 
-    def add_range(self, peer: int, near: PositionMeasurement, past: list[PositionMeasurement], m: RangeMeasurement) -> None:
+    def add_range(
+        self, peer: int, near: PositionMeasurement, past: list[PositionMeasurement], m: RangeMeasurement, lasting_m2: float
+    ) -> None:
         """Add a range with the peer's report nearest in time, extrapolated by its velocity (reported, or of its past reports)."""
         velocity = near.velocity_enu_mps or _slope(past)
         step_s = m.measured_at_s - near.measured_at_s
         e, n, u = (x + v * step_s for x, v in zip(near.position_enu_m, velocity, strict=True))
-        self._rows.append((peer, m.measured_at_s - self.at_s, e, n, u, m.range_m, m.sigma_m, near.sigma_h_m))
+        self._rows.append(
+            (peer, m.measured_at_s - self.at_s, e, n, u, m.range_m, m.sigma_m, math.sqrt(near.sigma_h_m**2 + lasting_m2))
+        )
 
     def add_altitude(self, m: AltitudeMeasurement) -> None:
         """Add a height of the denied vehicle itself."""

@@ -14,9 +14,11 @@ from gcs_coloc.core.measurements import (
     VehicleClass,
     VehicleClassReport,
 )
-from gcs_coloc.estimators.fleet.ekf.state import JointState
+from gcs_coloc.estimators.fleet.ekf.state import JointState, UnknownKey
 from gcs_coloc.estimators.fleet.filter import FleetFilter
-from gcs_coloc.estimators.fleet.range_biases import BiasSample, BiasWindow, RangeBiases
+from gcs_coloc.estimators.fleet.fleet_model import FleetModel
+from gcs_coloc.estimators.fleet.range_biases import BiasSample, BiasWindow, RangeBiases, UnknownBias
+from gcs_coloc.estimators.fleet.settings import FleetSettings
 from gcs_coloc.evaluation.evaluate import evaluate
 
 SIGMA_M = 0.1
@@ -30,7 +32,13 @@ def tag_at(t: float) -> np.ndarray:
     return np.array([1.5 * math.sin(0.5 * t), 1.2 * math.cos(0.4 * t), 1.0])
 
 
-def observed(anchors: list[tuple[float, float, float]], biases_m: list[float], seconds: int, seed: int = 1) -> RangeBiases:
+def observed(
+    anchors: list[tuple[float, float, float]],
+    biases_m: list[float],
+    seconds: int,
+    seed: int = 1,
+    presumed: UnknownBias | None = None,
+) -> RangeBiases:
     """What a tag's ranges tell of their biases, at 10 Hz each, linearised 0.3 m and 0.5 m/s beside the truth."""
     rng = np.random.default_rng(seed)
     biases, P = RangeBiases(), np.diag([0.1, 0.1, 1e-4, 0.5, 0.5, 1e-4])
@@ -42,7 +50,7 @@ def observed(anchors: list[tuple[float, float, float]], biases_m: list[float], s
             for i, (place, bias_m) in enumerate(zip(anchors, biases_m, strict=True)):
                 range_m = float(np.linalg.norm(tag_at(t) - place)) + bias_m + SIGMA_M * rng.normal()
                 window = window.with_sample(BiasSample(float(t), (i, 0), range_m, SIGMA_M, 0.03, place))
-        biases = biases.with_window(window, {(i, 0): 1e-4 * np.eye(3) for i in range(len(anchors))}, 0.01)
+        biases = biases.with_window(window, {(i, 0): 1e-4 * np.eye(3) for i in range(len(anchors))}, 0.01, presumed)
     return biases
 
 
@@ -52,6 +60,26 @@ def test_a_bias_of_the_device_among_anchors_on_all_sides_is_found_within_five_ce
     assert found is not None
     assert found.mean_m == pytest.approx(bias_m, abs=0.05)
     assert found.sigma_m >= abs(found.mean_m), "what the geometry does not show may be as large"
+
+
+def test_a_bias_that_was_found_leaves_what_pairs_differ_by():
+    found = observed(AROUND, [0.2] * 8, 40, presumed=UnknownBias(0.2, 0.07)).bias(None)
+    assert found.mean_m == pytest.approx(0.2, abs=0.05)
+    assert 0.07 <= found.sigma_m < 0.1
+
+
+def test_anchors_on_all_sides_rule_an_unknown_bias_out_and_anchors_beside_leave_it_open():
+    presumed = UnknownBias(0.2, 0.07)
+    around, beside = (observed(anchors, [0.0] * len(anchors), 40, presumed=presumed) for anchors in (AROUND, BESIDE))
+    assert around.unknown.device_m < 0.05
+    assert beside.unknown.device_m > 0.15
+    assert around.unknown.pair_m == beside.unknown.pair_m == presumed.pair_m
+
+
+def test_what_may_be_there_is_at_least_the_bias_that_is_there_but_not_yet_found():
+    biases = observed(AROUND, [0.06] * 8, 8, presumed=UnknownBias(0.2, 0.07))
+    assert biases.found is None
+    assert biases.unknown.device_m > 0.04
 
 
 def test_what_makes_pairs_differ_as_no_position_does_is_found_for_each_pair():
@@ -79,7 +107,7 @@ def test_errors_of_the_positions_of_peers_are_no_biases_of_ranges():
             for i, place in enumerate(AROUND):
                 range_m = float(np.linalg.norm(tag_at(t) - place - offsets[i])) + SIGMA_M * rng.normal()
                 window = window.with_sample(BiasSample(float(t), (i, 0), range_m, SIGMA_M, 0.03, place))
-        biases = biases.with_window(window, {(i, 0): np.eye(3) for i in range(8)}, 0.01)
+        biases = biases.with_window(window, {(i, 0): np.eye(3) for i in range(8)}, 0.01, None)
     assert biases.bias((0, 0)) is None
 
 
@@ -132,6 +160,104 @@ def test_a_considered_state_keeps_mean_and_variance_and_its_correlation_is_that_
     whole = (np.eye(4) - np.outer(gain, H)) @ P @ (np.eye(4) - np.outer(gain, H)).T + R * np.outer(gain, gain)
     np.testing.assert_allclose(joint.A[1:, 1:], whole, atol=1e-12)
     np.testing.assert_allclose(joint.A[0, 1:], x + gain * nu, atol=1e-12)
+
+
+def located(bias_m: float, sigma_m: float = SIGMA_M, *, anchors=BESIDE, **settings: float) -> list[Estimate]:
+    """A tag with height beside anchors, whose device is off, by ranges without noise, from a known start."""
+    estimator = FleetFilter(FleetSettings(vehicle_class="indoor", **settings))
+    for k, place in enumerate(anchors):
+        estimator.add(PositionMeasurement(k, 0.0, 0.0, place, 0.01, 0.01, static=True))
+    velocity = tuple(((tag_at(0.05) - tag_at(-0.05)) / 0.1).tolist())
+    estimator.add(PositionMeasurement(TAG, 0.0, 0.0, tuple(tag_at(0.0).tolist()), 0.1, 0.1, velocity, 0.3))
+    estimator.set_denied({TAG}, 0.01)
+    estimates = []
+    for n in range(1, 100):
+        t = 0.1 * n
+        estimator.add(AltitudeMeasurement(TAG, t, t, 1.0, 0.1))
+        for k, place in enumerate(anchors):
+            estimator.add(RangeMeasurement(TAG, k, t, t, float(np.linalg.norm(tag_at(t) - place)) + bias_m, sigma_m))
+        where = estimator.estimate(TAG, t)
+        assert isinstance(where, Estimate)
+        estimates.append(where)
+    return estimates
+
+
+CALIBRATED = {"unknown_device_bias_m": 0.0, "unknown_pair_bias_m": 0.0}
+
+
+def test_the_sensitivity_is_how_far_a_bias_moves_the_estimate():
+    bias_m = 0.01  # chosen: small enough for a linear answer
+    plain, off, told = located(0.0, **CALIBRATED), located(bias_m, **CALIBRATED), located(0.0, unknown_pair_bias_m=0.0)
+    for a, b, c in list(zip(plain, off, told, strict=True))[10:70:10]:
+        moved = (b.position_enu_m - a.position_enu_m)[:2] * 0.2 / bias_m
+        np.testing.assert_allclose((c.covariance - a.covariance)[:2, :2], np.outer(moved, moved), atol=2e-3)
+
+
+def test_unknown_biases_are_in_the_stated_covariance_and_change_no_estimate():
+    plain, told = located(0.0, **CALIBRATED), located(0.0)
+    for a, b in zip(plain[:70], told[:70], strict=True):
+        np.testing.assert_allclose(a.position_enu_m, b.position_enu_m, atol=1e-9)
+        assert np.linalg.eigvalsh((b.covariance - a.covariance)[:2, :2]).min() > -1e-9
+    assert told[60].covariance[0, 0] > plain[60].covariance[0, 0] + 0.1**2
+
+
+def test_coarse_ranges_are_treated_as_if_there_were_no_unknown_bias():
+    plain, told = located(0.0, 1.0, **CALIBRATED), located(0.0, 1.0)
+    for a, b in zip(plain, told, strict=True):
+        np.testing.assert_array_equal(a.covariance, b.covariance)
+
+
+@pytest.mark.parametrize("bias_m", [-0.25, 0.25])
+def test_a_device_that_is_off_beside_its_anchors_is_covered_at_ten_ranges_a_second(bias_m):
+    for where in located(bias_m)[20:]:
+        e = (where.position_enu_m - tag_at(where.at_s))[:2]
+        assert float(e @ np.linalg.solve(where.covariance[:2, :2], e)) < 5.99
+
+
+@pytest.mark.parametrize("line_east_m", [1.0, 2.0])
+@pytest.mark.parametrize("seed", [0, 2])
+def test_uncalibrated_ranges_never_choose_the_wrong_side_of_a_line_that_centimetres_bend(line_east_m, seed):
+    rng = np.random.default_rng(seed)
+    line = [(line_east_m + 0.03 * k * (-1) ** k, -2.4 + 1.6 * k, 1.1) for k in range(4)]
+    estimator = FleetFilter()
+    for k, place in enumerate(line):
+        estimator.add(PositionMeasurement(k, 0.0, 0.0, place, 0.01, 0.01, static=True))
+    start = tuple((tag_at(0.0) + 0.4 * rng.normal(size=3)).tolist())
+    estimator.add(PositionMeasurement(TAG, 0.0, 0.0, start, 0.5, 0.5))
+    estimator.set_denied({TAG}, 0.01)
+    pairs_m = 0.22 + 0.05 * rng.normal(size=4)
+    known = inside = 0
+    for n in range(1, 400):
+        t = 0.1 * n
+        if n % 2 == 0:
+            estimator.add(AltitudeMeasurement(TAG, t, t, 1.0 + 0.1 * rng.normal(), 0.1))
+        for k, place in enumerate(line):
+            range_m = float(np.linalg.norm(tag_at(t) - place)) + pairs_m[k] + SIGMA_M * rng.normal()
+            estimator.add(RangeMeasurement(TAG, k, t, t, range_m, SIGMA_M))
+        where = estimator.estimate(TAG, t)
+        if isinstance(where, Estimate):
+            e = (where.position_enu_m - tag_at(t))[:2]
+            nis = float(e @ np.linalg.solve(where.covariance[:2, :2], e))
+            assert nis < 9.0 * 5.99, f"beyond three bounds at {t:.1f} s"
+            known, inside = known + 1, inside + (nis < 5.99)
+    assert known > 50
+    # Whether the tag crosses the line or not: four of five, where calibrated ranges are taken for granted one of five.
+    assert inside > 0.8 * known
+
+
+def test_a_link_that_ends_takes_its_sensitivity_with_it_and_the_others_stay():
+    model = FleetModel(FleetSettings(vehicle_class="indoor", peer_kept_s=2.0))
+    for k, place in enumerate(AROUND):
+        model.apply(PositionMeasurement(k, 0.0, 0.0, place, 0.01, 0.01, static=True))
+    model.apply(PositionMeasurement(TAG, 0.0, 0.0, tuple(tag_at(0.0).tolist()), 0.1, 0.1, (0.0, 0.0, 0.0), 0.6))
+    model.set_denied(frozenset({TAG}), 0.01)
+    for n in range(1, 120):
+        t = 0.1 * n
+        for k, place in enumerate(AROUND):
+            if k or n < 10:
+                model.apply(RangeMeasurement(TAG, k, t, t, float(np.linalg.norm(tag_at(t) - place)), SIGMA_M))
+    keys = {key for key in model.clusters[TAG].joint.where if isinstance(key, UnknownKey)}
+    assert keys == {UnknownKey(TAG, TAG, TAG), *(UnknownKey(k, TAG, TAG) for k in range(1, 8))}
 
 
 @pytest.mark.integration

@@ -26,7 +26,7 @@ def problem(denied_vehicle, peers, *, altitude=True, velocity=(0.0, 0.0, 0.0), s
         for i, peer in enumerate(peers):
             report = PositionMeasurement(i, 0.0, 0.0, peer, 0.3, 0.3, (0.0, 0.0, 0.0), 0.2)
             r = float(np.linalg.norm(where - np.array(peer))) + sigma_m * rng.normal() + (80.0 if (k, i) in late else 0.0)
-            p.add_range(i, report, [report], RangeMeasurement(9, i, t, t, r, sigma_m))
+            p.add_range(i, report, [report], RangeMeasurement(9, i, t, t, r, sigma_m), 0.0)
         if altitude:
             p.add_altitude(AltitudeMeasurement(9, t, t, float(where[2]) + 0.5, 2.0))
     return p
@@ -81,7 +81,7 @@ def test_ranges_that_contradict_each_other_start_nothing():
     for k in range(20):
         for i, peer in enumerate(PEERS):
             report = PositionMeasurement(i, 0.0, 0.0, peer, 0.3, 0.3, (0.0, 0.0, 0.0), 0.2)
-            p.add_range(i, report, [report], RangeMeasurement(9, i, 0.2 * k, 0.2 * k, float(rng.uniform(10.0, 3000.0)), 1.0))
+            p.add_range(i, report, [report], RangeMeasurement(9, i, 0.2 * k, 0.2 * k, float(rng.uniform(10.0, 3000.0)), 1.0), 0.0)
     assert solve_multilateration(p, LIMIT_M) == Unlocated(NoEstimateReason.CONTRADICTORY)
 
 
