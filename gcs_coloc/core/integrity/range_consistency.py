@@ -199,7 +199,7 @@ class RangeConsistency:
             until_s = now_s + self.settings.detection_hold_s
             self._detected_until_s |= dict.fromkeys(self._fault_monitor.detected(), until_s)
         self._detected_until_s = {v: until_s for v, until_s in self._detected_until_s.items() if until_s > now_s}
-        self.detected |= self._detected_until_s.keys()
+        self.detected |= frozenset(self._detected_until_s)
 
     def _test(self, stated: Epoch, noise: NoiseModel) -> _Tests:
         """Test an epoch with some noise, alone and against earlier ones."""

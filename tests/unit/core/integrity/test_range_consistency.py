@@ -37,3 +37,9 @@ def test_noise_that_blocked_ranges_make_likely_is_gone_a_quarter_of_a_minute_lat
     assert BLOCKED_S[0] < min(larger_at_s) < BLOCKED_S[1]
     assert max(larger_at_s) < BLOCKED_S[1] + 15.0
     assert monitor.identified == {}
+
+
+def test_what_was_detected_does_not_change_after_it_was_read():
+    monitor = RangeConsistency()
+    read = [monitor.detected for _ in fly(monitor, 12.0)]
+    assert all(isinstance(detected, frozenset) for detected in read)
