@@ -36,7 +36,7 @@ class FixConsistency(Enum):
     AGREES = "consistent, as far as can be tested"
     AGAINST_RANGES = "the ranges contradict it, and no other fault explains them"
     AGAINST_ESTIMATE = "the estimate contradicts it, and the ranges do not support it"
-    UNRESOLVED = "the ranges contradict it or something else"
+    UNRESOLVED = "ranges or estimate speak against it, or something else is wrong"
     ESTIMATE_OFF = "the ranges fit it and not the estimate"
 
 
@@ -77,8 +77,9 @@ def check_fix(
     offset_m = float(np.hypot(*difference_m)) if difference_m is not None else None
     fits = adjust(epoch, list(pasts.values())) if epoch.residuals else []
     results = [run_test(fit, levels) if fit.residuals else None for fit in fits]
+    present = results[0] if results else None
+    fitting = present is not None and _agrees(fits[0], fix.vehicle, levels)
     unresolved = False
-    fitting = bool(fits) and results[0] is not None and _agrees(fits[0], fix.vehicle, levels)
     for number, (result, past) in enumerate(zip(results, pasts.values(), strict=False)):
         if result is None or result.is_consistent:
             continue
@@ -94,18 +95,22 @@ def check_fix(
         unresolved |= is_possible
     information = fits[0].position_information(fix.vehicle) if fitting else np.zeros((2, 2))
     known_m = 1.0 / sqrt(max(_least_information_per_m2(information), MIN_INFORMATION_PER_M2))
-    if estimate is not None and difference_m is not None and _is_significant(difference_m, fix, estimate):
-        if float(difference_m @ information @ difference_m) >= _DETECTABLE_NONCENTRALITY:
-            return FixCheck(FixConsistency.ESTIMATE_OFF, offset_m, known_m, ranged=True, fits_now=fitting)
-        if (fits and not fitting) or estimate.ranges_in_use >= _MIN_RANGES:
-            return FixCheck(FixConsistency.AGAINST_ESTIMATE, offset_m, inf, ranged=bool(fits), fits_now=fitting)
-        return FixCheck(
-            FixConsistency.UNRESOLVED if unresolved else FixConsistency.AGREES, offset_m, inf, ranged=bool(fits), fits_now=fitting
-        )
-    if unresolved:
-        return FixCheck(FixConsistency.UNRESOLVED, offset_m, inf, ranged=True, fits_now=fitting)
-    if estimate is not None:
+    if estimate is not None and difference_m is not None:
+        distance = _squared_distance(difference_m, fix, estimate)
+        ranges_decide = float(difference_m @ information @ difference_m) >= _DETECTABLE_NONCENTRALITY
+        is_range_based = estimate.ranges_in_use >= _MIN_RANGES
+        if distance > chi2_limit(2, _SIGNIFICANCE):
+            if ranges_decide:
+                return FixCheck(FixConsistency.ESTIMATE_OFF, offset_m, known_m, ranged=True, fits_now=fitting)
+            if (fits and not fitting) or is_range_based:
+                return FixCheck(FixConsistency.AGAINST_ESTIMATE, offset_m, inf, ranged=bool(fits), fits_now=fitting)
+            finding = FixConsistency.UNRESOLVED if unresolved else FixConsistency.AGREES
+            return FixCheck(finding, offset_m, inf, ranged=bool(fits), fits_now=fitting)
         known_m = min(known_m, horizontal_sigma_m(estimate.covariance))
+        unresolved |= is_range_based and not ranges_decide and distance > chi2_limit(2, levels.rest)
+    # Too little for an alarm may be too much for a receiver to be believed again.
+    if unresolved or (present is not None and present.is_consistent and not fitting):
+        return FixCheck(FixConsistency.UNRESOLVED, offset_m, inf, ranged=bool(fits), fits_now=fitting)
     finding = FixConsistency.NOTHING if estimate is None and not fits else FixConsistency.AGREES
     return FixCheck(finding, offset_m, known_m, ranged=bool(fits), fits_now=fitting)
 
@@ -128,10 +133,10 @@ def _least_information_per_m2(information: FloatArray) -> float:
     return mean - radius
 
 
-def _is_significant(difference_m: FloatArray, fix: PositionMeasurement, estimate: Estimate) -> bool:
-    """Whether d' (P + sigma^2 I)^-1 d exceeds its chi-square limit with 2 degrees of freedom."""
+def _squared_distance(difference_m: FloatArray, fix: PositionMeasurement, estimate: Estimate) -> float:
+    """Return d' (P + sigma^2 I)^-1 d: chi-square with 2 degrees of freedom where fix and estimate are right."""
     covariance = estimate.covariance[:2, :2] + fix.sigma_h_m**2 * np.eye(2)
-    return float(difference_m @ np.linalg.solve(covariance, difference_m)) > chi2_limit(2, _SIGNIFICANCE)
+    return float(difference_m @ np.linalg.solve(covariance, difference_m))
 
 
 def _agrees(fit: Adjustment, vehicle: int, levels: SignificanceLevels) -> bool:

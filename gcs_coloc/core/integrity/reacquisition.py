@@ -29,6 +29,7 @@ _CONFIRM_S = 1.0  # chosen: a finding counts after five reviews in a row
 _EPOCHS_FILLED_AFTER_S = 3.0  # an epoch needs 1.6 s of ranges; chosen: twice that, for lost messages
 _RESET_EVERY_S = 10.0  # chosen: an estimator needs some seconds of ranges after a reset
 _WELL_KNOWN_SHARE = 0.25  # of the offset; chosen: four sigmas tell it from none
+_AGREES_FOR_S = 3.2  # chosen: two epochs that share no range; one may fit by chance
 _CONTRADICTS = (FixConsistency.AGAINST_RANGES, FixConsistency.AGAINST_ESTIMATE)
 
 
@@ -39,13 +40,15 @@ class _Reacquisition:
     `is_back`: it is tested because it has a fix again, and not because its vehicle reports trouble or was identified. `wrong` is
     the confirmed finding, `offset_m` the size of the contradiction, `was_ranged`: ranges were among what contradicted.
     `off_at_s`: the last epoch whose ranges did not fit it. Later epochs are not compared with those up to it: a receiver that has
-    come to be right is not at fault. `peers` are those whose ranges tested it last.
+    come to be right is not at fault. `disagreed_at_s`: the last time that something spoke
+    against it. `peers` are those whose ranges tested it last.
     """
 
     began_s: float
     is_back: bool = True
     peers: tuple[int, ...] = ()
     off_at_s: float = float("-inf")
+    disagreed_at_s: float = float("-inf")
     finding: FixConsistency = FixConsistency.NOTHING
     wrong: bool = False
     was_ranged: bool = False
@@ -62,6 +65,8 @@ class _Reacquisition:
         inconclusive = self.wrong and (uncertain or check.finding is FixConsistency.UNRESOLVED)
         self.was_ranged = (self.was_ranged and (self.wrong or contradicts)) or (contradicts and check.ranged)
         self.finding = check.finding
+        if contradicts or check.finding is FixConsistency.UNRESOLVED:
+            self.disagreed_at_s = now_s
         if contradicts and check.offset_m is not None:
             # The window of the ranges ends later than the fault: then the distance is nearly none any more.
             self.offset_m = max(self.offset_m, check.offset_m) if self.wrong else check.offset_m
@@ -95,7 +100,7 @@ class _Reacquisition:
         return True
 
     def status(self, now_s: float) -> ReacquisitionStatus:
-        if self.finding in _CONTRADICTS or self.finding is FixConsistency.UNRESOLVED:
+        if now_s - self.disagreed_at_s < _AGREES_FOR_S:
             return ReacquisitionStatus.CONTRADICTED
         if self.finding is not FixConsistency.NOTHING:
             return ReacquisitionStatus.CONSISTENT

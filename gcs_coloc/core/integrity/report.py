@@ -82,7 +82,7 @@ class ReacquisitionStatus(Enum):
     PENDING = "too early to tell"
     UNTESTED = "nothing to test it against"
     CONSISTENT = "consistent with ranges and estimate"
-    CONTRADICTED = "contradicted at the moment"
+    CONTRADICTED = "contradicted just now"
 
 
 @dataclass(frozen=True, slots=True)

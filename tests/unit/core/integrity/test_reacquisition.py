@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 import pytest
 
-from bench.integrity_flights import DENIED, LOST_AT_S, STEP_S, Flight, Scenario, error_and_bound_m, fresh_engine
+from bench.integrity_flights import DENIED, FAULTY, LOST_AT_S, STEP_S, Flight, Scenario, error_and_bound_m, fresh_engine
 from gcs_coloc.core.engine import Engine
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import NoEstimate
@@ -129,6 +129,28 @@ def test_one_that_comes_back_elsewhere_is_not_believed_and_its_vehicle_stays_loc
             # Aid goes on: one message at each step, all with a fix.
             assert len(seen.fix_types) > 80
             assert set(seen.fix_types) == {3}
+
+
+def test_one_that_is_15_m_off_is_not_believed_because_no_alarm_is_raised():
+    """Its error of 2.4 m, 1-sigma, and the receiver's own wander make it pass a test of 1 in 1,000 now and then."""
+    healthy = [fly(replace(RIGHT, return_jump_m=15.0), seed, 16.0).healthy_after_s for seed in range(4)]
+    assert sum(after_s < inf for after_s in healthy) <= 1
+    assert min(healthy) > RECOVERED_AFTER_S + 3.0
+
+
+@pytest.mark.parametrize("seed", [0, 2, 6])
+def test_one_that_was_identified_while_it_is_drawn_off_slowly_does_not_come_back_on_the_way(seed):
+    """At 0.7 m/s it is found by its change; against ranges and positions of 2 m its offset alone is hardly too large."""
+    flight = Flight(Scenario(mutual=True, lost=False, walk_mps=0.7, gps_sigma_m=2.0, range_sigma_m=2.0), seed)
+    engine = fresh_engine()
+    states = []
+    for step in range(round(62.0 / STEP_S)):
+        t = step * STEP_S
+        for message in flight.messages(t):
+            engine.receive(message)
+        engine.poll(t)
+        states.append(engine.gps_state(FAULTY).value)
+    assert set(states[states.index("failed") :]) == {"failed"}
 
 
 def test_a_rejected_receiver_is_believed_after_it_is_right_for_eleven_seconds():
