@@ -7,7 +7,6 @@ Samples are independent where their windows do not overlap: an outlier that last
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from math import exp
@@ -18,7 +17,7 @@ import numpy as np
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, EpochHistory, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import WELL_PLACED_SIGMA_M, FaultTestResult, SignificanceLevels, run_tests
 from gcs_coloc.core.integrity.epoch_tests.inconsistency import explain_inconsistency
-from gcs_coloc.core.integrity.epoch_tests.isolation import Isolation, isolate
+from gcs_coloc.core.integrity.epoch_tests.isolation import Isolation, IsolationPersistence, isolate
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel, clearly_smaller_noise
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor, FaultMonitorSettings
 from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeResidualSettings, TrackPoint
@@ -66,27 +65,6 @@ class IdentifiedFault:
     size_m: float
 
 
-@dataclass(slots=True)
-class _Persistence:
-    """How many independent samples of one interval in a row isolated a vehicle, and had it as a possible one.
-
-    `sampled_until_s` is the end of the last sample's window.
-    """
-
-    isolated: Counter[int] = field(default_factory=Counter)
-    possible: Counter[int] = field(default_factory=Counter)
-    sampled_until_s: float = float("-inf")
-
-    def add(self, isolated: Collection[int], possible: Collection[int]) -> None:
-        """Add one sample."""
-        self.isolated = Counter({v: self.isolated[v] + 1 for v in isolated})
-        self.possible = Counter({v: self.possible[v] + 1 for v in possible})
-
-    def reset(self) -> None:
-        self.isolated.clear()
-        self.possible.clear()
-
-
 class _Tests(NamedTuple):
     """The tests of an epoch: what it is tested against and each result with redundancy, by interval; 0 for the present alone."""
 
@@ -115,8 +93,8 @@ class RangeConsistency:
         self._decayed_m2: dict[int, FloatArray] = {}
         self._detected_until_s: dict[int, float] = {}
         s = self.settings
-        self._epochs = EpochHistory(s.intervals_s, s.correlation_time_s, s.period_s)
-        self._persistence = {interval_s: _Persistence() for interval_s in (0.0, *s.intervals_s)}
+        self._epochs = self._history()
+        self._persistence = {interval_s: IsolationPersistence() for interval_s in (0.0, *s.intervals_s)}
         self._alert_until_s: dict[int, float] = {}
         self._pairs_off_at_s = float("-inf")
         self._shrink_due_s = float("-inf")
@@ -157,8 +135,8 @@ class RangeConsistency:
         self.noise = explain_inconsistency(whole, tests.results.get(0.0), left, self.settings.levels, doubtful)
         if self.noise.pairs_off:
             self._pairs_off_at_s = now_s
+        self._shrink_noise(self.noise.select(whole), now_s)
         stated = self.noise.select(whole)
-        self._shrink_noise(stated, now_s)
         sparse = self.noise.select(self._residuals.sparse_epoch(now_s, whole))
         self.epoch = self.noise.apply(sparse)
         self._run_fault_monitor(stated, now_s)
@@ -182,6 +160,11 @@ class RangeConsistency:
             self._smaller_windows = self._smaller_windows + 1 if smaller is not None else 0
             if smaller is not None and self._smaller_windows >= _SMALLER_WINDOWS:
                 self.noise, self._smaller_windows = smaller, 0
+                # Earlier epochs were kept with the pairs that were off in them.
+                self._epochs = self._history()
+
+    def _history(self) -> EpochHistory:
+        return EpochHistory(self.settings.intervals_s, self.settings.correlation_time_s, self.settings.period_s)
 
     def _noise_excess_m2(self, stated: Epoch) -> dict[int, FloatArray]:
         """What the noise beyond the stated one costs each vehicle that the ranges alone place well, m^2 (2, 2)."""
@@ -219,7 +202,7 @@ class RangeConsistency:
             return
         self._tested_s = now_s
         self._update_separation(results, epoch, now_s)
-        self._update_faults(results, epoch, pasts, doubtful, pairs_fail=now_s - self._pairs_off_at_s <= _PAIRS_FAIL_FOR_S)
+        self._update_faults(now_s, results, epoch, pasts, doubtful)
         if all(result.is_clear for result in results.values()):
             self._end_detection()
 
@@ -228,13 +211,13 @@ class RangeConsistency:
 
     def _update_faults(
         self,
+        now_s: float,
         results: Mapping[float, FaultTestResult],
         epoch: Epoch,
         pasts: Mapping[float, Past],
         doubtful: Collection[int],
-        *,
-        pairs_fail: bool,
     ) -> None:
+        pairs_fail = now_s - self._pairs_off_at_s <= _PAIRS_FAIL_FOR_S
         samples: dict[float, Isolation] = {}
         for interval_s, result in results.items():
             persistence = self._persistence[interval_s]
@@ -243,6 +226,8 @@ class RangeConsistency:
             elif epoch.began_s >= persistence.sampled_until_s:
                 persistence.sampled_until_s = epoch.ended_s
                 samples[interval_s] = isolate(epoch, pasts[interval_s], self.settings.levels, doubtful, pairs_fail=pairs_fail)
+        if any(sample.is_of_one_pair for sample in samples.values()):
+            self._pairs_off_at_s = now_s
         identified: dict[int, float] = {}
         for interval_s, sample in samples.items():
             persistence = self._persistence[interval_s]

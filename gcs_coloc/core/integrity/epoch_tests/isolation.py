@@ -15,8 +15,9 @@ J. Wang and C. Rizos, Generalised measures of reliability for multiple outliers,
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from math import inf
 
@@ -74,6 +75,28 @@ class Isolation:
     def is_range_fault(self) -> bool:
         """Whether every plausible explanation is a fault of ranges: the positions agree without it."""
         return bool(self.plausible) and not self.possible
+
+
+@dataclass(slots=True)
+class IsolationPersistence:
+    """How many independent samples of one interval in a row isolated a vehicle, and had it as a possible one.
+
+    `sampled_until_s` is the end of the last sample's window.
+    """
+
+    isolated: Counter[int] = field(default_factory=Counter)
+    possible: Counter[int] = field(default_factory=Counter)
+    sampled_until_s: float = float("-inf")
+
+    def add(self, isolated: Collection[int], possible: Collection[int]) -> None:
+        """Add one sample."""
+        self.isolated = Counter({v: self.isolated[v] + 1 for v in isolated})
+        self.possible = Counter({v: self.possible[v] + 1 for v in possible})
+
+    def reset(self) -> None:
+        """Begin to count anew."""
+        self.isolated.clear()
+        self.possible.clear()
 
 
 def isolate(

@@ -9,7 +9,8 @@ until ranges and positions agree. Among the components that bring this about the
 with r the residuals of one epoch, V their covariance, and A the columns of the positions without prior. A fault of one receiver
 costs less than noise of all: the determinant grows with every residual.
 
-What blocked ranges brought about goes again: a smaller component that is clearly likelier for a while takes its place.
+What blocked ranges brought about goes again: a smaller component that is clearly likelier for a while takes its place, with some
+pairs off where need be.
 
 All components last: between two epochs they change with the ranges, or as a position error does. A step or a ramp is still found
 by the tests against earlier epochs.
@@ -29,13 +30,15 @@ import numpy as np
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_INFORMATION_PER_M2, Epoch, PositionPrior
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit
-from gcs_coloc.core.integrity.epoch_tests.pair_outliers import Pair, without_pairs
+from gcs_coloc.core.integrity.epoch_tests.pair_outliers import FURTHER_PAIR_PENALTY, Pair, pair_outliers, unordered, without_pairs
 from gcs_coloc.core.measurements import FloatArray
 
 _RANGE_BIASES_M = (1.0, 2.0, 4.0, 8.0)  # chosen: uncalibrated devices; beyond it the protection level is beyond the alert limit
 _RANGE_SCALES = (0.002, 0.005, 0.01, 0.02)  # chosen: clocks and atmosphere 1e-5, devices that are set wrongly 1e-2
 _HEIGHT_SIGMAS_M = (5.0, 10.0, 20.0)  # chosen: pressure of another day or place; 8 m for 1 hPa
 _POSITION_FACTORS = (2.0, 4.0)  # chosen: receivers that state a half or a quarter of their error
+_PAIR_OFF_M = 20.0
+"""1-sigma of the ranges of a pair that is off. Chosen: a detour past a building or hill is of some metres to some tens."""
 _FORGOTTEN_S = 600.0  # chosen: devices and weather change within hours
 
 
@@ -171,15 +174,20 @@ def likeliest_noise(epoch: Epoch, present: NoiseModel, levels: SignificanceLevel
 def clearly_smaller_noise(epoch: Epoch, present: NoiseModel, levels: SignificanceLevels) -> NoiseModel | None:
     """Return the likeliest smaller model with which an epoch as stated is consistent and clearly likelier than with `present`.
 
-    None where there is none. Ranges that test nothing are as likely with either.
+    Pairs that are off with it have `_PAIR_OFF_M` and the penalty of further pairs. None where there is no such model. Ranges that
+    test nothing are as likely with either.
     """
     limit = restricted_likelihood(present.apply(epoch)).cost - levels.margin
     found: list[LikeliestNoise] = []
     for model in present.smaller():
-        likelihood = restricted_likelihood(model.apply(epoch))
-        is_consistent = likelihood.statistic <= chi2_limit(likelihood.degrees_of_freedom, levels.rest)
-        if is_consistent and likelihood.cost < limit:
-            found.append(LikeliestNoise(model, likelihood.cost))
+        outliers = pair_outliers(model.apply(epoch), levels)
+        if outliers is None:
+            continue
+        coarse = tuple(r._replace(bias_m=_PAIR_OFF_M) if unordered(r.pair) in outliers.pairs else r for r in epoch.residuals)
+        likelihood = restricted_likelihood(model.apply(replace(epoch, residuals=coarse)))
+        cost = likelihood.cost + FURTHER_PAIR_PENALTY * len(outliers.pairs)
+        if cost < limit:
+            found.append(LikeliestNoise(replace(model, pairs_off=outliers.pairs), cost))
     return min(found, key=lambda each: each.cost).model if found else None
 
 

@@ -22,7 +22,7 @@ from gcs_coloc.core.integrity.epoch_tests.adjustment import adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit
 
-_FURTHER_PAIR_PENALTY = 9.2  # twice the log of 100: chosen, so much rarer is each further pair that is off at the same time
+FURTHER_PAIR_PENALTY = 9.2  # twice the log of 100: chosen, so much rarer is each further pair that is off at the same time
 
 Pair = tuple[int, int]
 """Two vehicles, the smaller id first."""
@@ -39,25 +39,25 @@ def without_pairs(epoch: Epoch, pairs: Collection[Pair]) -> Epoch:
     """Return the epoch without the residuals of some pairs."""
     if not pairs:
         return epoch
-    return replace(epoch, residuals=tuple(r for r in epoch.residuals if _pair(r.pair) not in pairs))
+    return replace(epoch, residuals=tuple(r for r in epoch.residuals if unordered(r.pair) not in pairs))
 
 
 def pair_outliers(epoch: Epoch, levels: SignificanceLevels) -> PairOutliers | None:
     """Return the pairs without which an epoch is consistent; None where fewer than half of them do not suffice."""
     off: set[Pair] = set()
-    pairs = {_pair(residual.pair) for residual in epoch.residuals}
+    pairs = {unordered(residual.pair) for residual in epoch.residuals}
     while True:
         rest = without_pairs(epoch, off)
         fit = adjust(rest, [(None, 0.0)])[0]
         if fit.degrees_of_freedom < 1:
             return None
         if fit.statistic <= chi2_limit(fit.degrees_of_freedom, levels.rest):
-            return PairOutliers(frozenset(off), fit.statistic + _FURTHER_PAIR_PENALTY * max(len(off) - 1, 0))
+            return PairOutliers(frozenset(off), fit.statistic + FURTHER_PAIR_PENALTY * max(len(off) - 1, 0))
         if 2 * (len(off) + 1) >= len(pairs):
             return None
         rows: dict[Pair, list[int]] = {}
         for number, residual in enumerate(fit.residuals):
-            rows.setdefault(_pair(residual.pair), []).append(number)
+            rows.setdefault(unordered(residual.pair), []).append(number)
         gains = {pair: fit.range_effect(numbers).gain for pair, numbers in sorted(rows.items())}
         off.add(max(gains, key=lambda pair: gains[pair]))
 
@@ -68,13 +68,14 @@ def cost_of_two_pairs(now: Epoch, past: Past, vehicle: int) -> float:
     `past` is an earlier epoch, in which the same pairs are left out.
     """
     then, correlation = past
-    pairs = sorted({_pair(residual.pair) for residual in now.residuals if vehicle in residual.pair})
+    pairs = sorted({unordered(residual.pair) for residual in now.residuals if vehicle in residual.pair})
     statistics = (
         adjust(without_pairs(now, two), [(without_pairs(then, two) if then is not None else None, correlation)])[0].statistic
         for two in combinations(pairs, 2)
     )
-    return min(statistics, default=inf) + _FURTHER_PAIR_PENALTY
+    return min(statistics, default=inf) + FURTHER_PAIR_PENALTY
 
 
-def _pair(vehicles: Pair) -> Pair:
+def unordered(vehicles: Pair) -> Pair:
+    """The pair, the smaller id first."""
     return min(vehicles), max(vehicles)
