@@ -3,12 +3,16 @@
 A range across its own direction changes with the square of the offset from the line of the peers. The filter takes the slope of
 that parabola where it believes the vehicle to be, and further out the slope is steeper. So a vehicle that is believed too far
 out is believed too exactly: the true place fits the ranges much better than the slope there tells.
+
+Denied vehicles that range each other are too far out together. So those whose positions move with the vehicle's, by their
+covariance, are moved with it, and their ranges count as well.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,10 +33,22 @@ _MOST_SIGMAS = 20.0
 """Chosen: bounds the search; what is so much further out than stated, hypotheses or the limit of the estimate tell."""
 _STEPS = 81
 """Chosen: steps of a quarter of a sigma."""
+_MOVES_ALONG = 0.25
+"""Chosen: another denied vehicle that moves by less of an offset is as any peer, with its uncertainty."""
 _LEAST_DISTANCE_M = 1.0
 """Bounds the curvature of a range to a peer that is close."""
 _STEP_SIGMAS = np.linspace(0.0, _MOST_SIGMAS, _STEPS)
 _OFFSET_SIGMAS = np.concatenate([_STEP_SIGMAS, -_STEP_SIGMAS])
+
+Horizontal = tuple[float, float]
+"""East and north."""
+
+
+class _Pair(NamedTuple):
+    """A range in use from a vehicle that moves to one that may stand still."""
+
+    own: RangeEnd
+    end: RangeEnd
 
 
 def curvature_covariances(
@@ -44,21 +60,40 @@ def curvature_covariances(
     offset d costs d^2 / sigma^2 by the filter. What the ranges have in it, at the slopes of the estimate, is replaced by what
     they really come to at d, eq. (35).
     """
-    neighbours = cluster.records[vehicle].neighbours
-    peers = [v for v, n in neighbours.items() if abs(at_s - n.at_s) <= IN_USE_S and v in cluster.joint.where]
+    peers = _peers(cluster, vehicle, at_s)
     sigma_m, _, angle_rad = error_ellipse(covariance.item(0, 0), covariance.item(0, 1), covariance.item(1, 1))
     east, north = math.cos(angle_rad), math.sin(angle_rad)
-    if not _are_curved(cluster, vehicle, {v: neighbours[v].unit for v in peers}, (east, north), sigma_m):
+    if not _are_curved(cluster, vehicle, peers, (east, north), sigma_m):
         return None
-    near, far = _reach_sigmas(cluster, vehicle, peers, (east, north), sigma_m)
+    near, far = _reach_sigmas(cluster, _moves(cluster, vehicle, (east, north)), at_s, sigma_m)
     near_m2, far_m2 = ((max(reach, 1.0) ** 2 - 1.0) * sigma_m * sigma_m for reach in (near / _NEAR_SIGMAS, far / _FAR_SIGMAS))
     along = np.array([[east * east, east * north], [east * north, north * north]])
     return (near_m2 * along, far_m2 * along) if max(near_m2, far_m2) > 0.0 else None
 
 
-def _are_curved(
-    cluster: Cluster, vehicle: int, units: Mapping[int, Vector3], direction: tuple[float, float], sigma_m: float
-) -> bool:
+def _peers(cluster: Cluster, vehicle: int, at_s: float) -> dict[int, Vector3]:
+    """Return the unit vectors from the peers whose ranges are in use."""
+    neighbours = cluster.records[vehicle].neighbours
+    return {v: n.unit for v, n in neighbours.items() if abs(at_s - n.at_s) <= IN_USE_S and v in cluster.joint.where}
+
+
+def _moves(cluster: Cluster, vehicle: int, direction: Horizontal) -> dict[int, Horizontal]:
+    """Return by how much each denied vehicle moves per metre of the vehicle along a direction: the regression on its position."""
+    joint = cluster.joint
+    own = joint.where[vehicle].start
+    P = joint.covariance(vehicle)[:2, :2]
+    pull = np.linalg.solve(P, np.array(direction))
+    moves = {vehicle: direction}
+    for other, where in joint.where.items():
+        if not isinstance(other, int) or other == vehicle or not cluster.records[other].denied_vehicle:
+            continue
+        e, n = (joint.A[where.start : where.start + 2, own : own + 2] @ pull).tolist()
+        if math.hypot(e, n) >= _MOVES_ALONG:
+            moves[other] = e, n
+    return moves
+
+
+def _are_curved(cluster: Cluster, vehicle: int, units: Mapping[int, Vector3], direction: Horizontal, sigma_m: float) -> bool:
     """Whether the slopes of the ranges along a direction change within a sigma; seldom, so it costs little."""
     A, where = cluster.joint.A, cluster.joint.where
     own = where[vehicle].start
@@ -73,31 +108,51 @@ def _are_curved(
     return sigma_m * sigma_m * curvatures2 > _STRAIGHT_SHARE * _STRAIGHT_SHARE * slopes2
 
 
-def _reach_sigmas(
-    cluster: Cluster, vehicle: int, peers: list[int], direction: tuple[float, float], sigma_m: float
-) -> tuple[float, float]:
-    """Return the largest offsets along a direction, to either side, whose cost is that of near and far, in sigmas."""
-    own, ends = cluster.range_end(vehicle), [cluster.range_end(peer) for peer in peers]
-    at_s = cluster.joint.time_s[vehicle]
-    vectors_m = np.array([_vector_m(own, end, at_s - cluster.joint.time_s[end.vehicle]) for end in ends])
+def _reach_sigmas(cluster: Cluster, moves: Mapping[int, Horizontal], at_s: float, sigma_m: float) -> tuple[float, float]:
+    """Return the largest offsets, to either side, whose cost is that of near and far, in sigmas; `moves` as of one metre."""
+    pairs = _pairs(cluster, moves, at_s)
+    vectors_m = np.array([_vector_m(own, end, time_s) for (own, end), time_s in pairs])
+    ends = [pair for pair, _ in pairs]
     distances_m = np.maximum(np.sqrt((vectors_m * vectors_m).sum(axis=1)), _LEAST_DISTANCE_M)
     units = vectors_m / distances_m[:, np.newaxis]
-    information = np.linalg.inv(_distance_covariance(cluster, own, ends, units))
-    # The place along the other horizontal direction is what it has to be.
-    along = units[:, 0] * -direction[1] + units[:, 1] * direction[0]
-    weighted = information @ along
-    determined = float(along @ weighted)
-    if determined > 0.0:
-        information -= np.outer(weighted, weighted) / determined
-    slopes = units[:, 0] * direction[0] + units[:, 1] * direction[1]
+    information = np.linalg.inv(_distance_covariance(cluster, ends, units, moves))
+    # The place of each along the other horizontal direction is what it has to be.
+    for vehicle, (east, north) in moves.items():
+        length = math.hypot(east, north)
+        along = (units[:, 0] * -north + units[:, 1] * east) / length * _signs(ends, vehicle)
+        weighted = information @ along
+        determined = float(along @ weighted)
+        if determined > 0.0:
+            information -= np.outer(weighted, weighted) / determined
+    relative = np.array([np.subtract(moves[own.vehicle], moves.get(end.vehicle, (0.0, 0.0))) for own, end in ends])
+    slopes = units[:, 0] * relative[:, 0] + units[:, 1] * relative[:, 1]
     by_slopes = float(slopes @ information @ slopes) * sigma_m * sigma_m
     share = min(1.0, 1.0 / by_slopes) if by_slopes > 0.0 else 0.0
     offsets_m = sigma_m * _OFFSET_SIGMAS[:, np.newaxis]
-    changes_m = np.sqrt(distances_m**2 + (2.0 * slopes * distances_m + offsets_m) * offsets_m) - distances_m
+    lengths2 = (relative * relative).sum(axis=1)
+    changes_m = np.sqrt(distances_m**2 + (2.0 * slopes * distances_m + lengths2 * offsets_m) * offsets_m) - distances_m
     by_ranges = ((changes_m @ information) * changes_m).sum(axis=1)
     costs = (1.0 - share * by_slopes) * _OFFSET_SIGMAS**2 + share * by_ranges
     sides = costs[: len(_STEP_SIGMAS)], costs[len(_STEP_SIGMAS) :]
     return max(_first_beyond(side, _NEAR_SIGMAS) for side in sides), max(_first_beyond(side, _FAR_SIGMAS) for side in sides)
+
+
+def _pairs(cluster: Cluster, moves: Mapping[int, Horizontal], at_s: float) -> list[tuple[_Pair, float]]:
+    """Return the ranges in use of the vehicles that move, each pair once, and how far its end is behind its own time, s."""
+    ends = {vehicle: cluster.range_end(vehicle) for vehicle in moves}
+    joint, pairs = cluster.joint, []
+    for number, vehicle in enumerate(moves):
+        before = set(list(moves)[:number])
+        for peer in _peers(cluster, vehicle, at_s):
+            if peer not in before:
+                end = ends[peer] if peer in ends else cluster.range_end(peer)
+                pairs.append((_Pair(ends[vehicle], end), joint.time_s[vehicle] - joint.time_s[peer]))
+    return pairs
+
+
+def _signs(pairs: list[_Pair], vehicle: int) -> FloatArray:
+    """Return 1 where a vehicle is the pair's own, -1 where it is its other end, else 0."""
+    return np.array([float(own.vehicle == vehicle) - float(end.vehicle == vehicle) for own, end in pairs])
 
 
 def _first_beyond(cost: FloatArray, sigmas: float) -> float:
@@ -105,14 +160,16 @@ def _first_beyond(cost: FloatArray, sigmas: float) -> float:
     return float(_STEP_SIGMAS[beyond[0] if len(beyond) else -1])
 
 
-def _distance_covariance(cluster: Cluster, own: RangeEnd, ends: list[RangeEnd], units: FloatArray) -> FloatArray:
-    """Return the covariance (k, k) of the distances from one place to k peers, by the errors of the peers and the pairs, m^2."""
+def _distance_covariance(cluster: Cluster, pairs: list[_Pair], units: FloatArray, moves: Mapping[int, Horizontal]) -> FloatArray:
+    """Return the covariance (k, k) of the distances of k pairs by the errors of what does not move, and of the pairs, m^2."""
     joint = cluster.joint
     H = np.vstack([
-        cluster.range_jacobian(own, end, (unit[0], unit[1], unit[2]))[0] for end, unit in zip(ends, units.tolist(), strict=True)
+        cluster.range_jacobian(own, end, (unit[0], unit[1], unit[2]))[0]
+        for (own, end), unit in zip(pairs, units.tolist(), strict=True)
     ])  # fmt: skip
-    H[:, own.where] = 0.0
-    for row, end in zip(H, ends, strict=True):
+    for vehicle in moves:
+        H[:, joint.where[vehicle]] = 0.0
+    for row, (own, end) in zip(H, pairs, strict=True):
         for key in joint.where:
             if _is_pair(key, own.vehicle, end.vehicle):
                 row[joint.where[key]] = 1.0
