@@ -85,11 +85,13 @@ class PredictsLoss(Protocol):
         horizon_s: float,
         ranges: Sequence[RangeMeasurement],
         turns_radps: Mapping[int, float],
+        height_sigma_m: float,
     ) -> Sequence[Estimate | NoEstimate]:
         """Predict a vehicle as if it were denied from `at_s` on: its answers at that time and on, the last at the horizon.
 
         `ranges` are the ranges of the vehicle of the last seconds; they are taken to go on as they came. All speeds and turn
-        rates are held; `turns_radps` are those of vehicles that turn, clockwise. The estimator's own state does not change.
+        rates are held; `turns_radps` are those of vehicles that turn, clockwise. As often as the vehicle's position now comes its
+        height without GPS, of 1-sigma `height_sigma_m`. The estimator's own state does not change.
         """
         ...
 
@@ -157,13 +159,14 @@ class GuardedEstimator:
         horizon_s: float,
         ranges: Sequence[RangeMeasurement],
         turns_radps: Mapping[int, float],
+        height_sigma_m: float,
     ) -> Sequence[Estimate | NoEstimate] | None:
         """As `PredictsLoss` says; None where the inner estimator does not predict, or fails."""
         predict = getattr(self._inner, "predict_loss", None)
         if predict is None:
             return None
         try:
-            answers = list(predict(vehicle, at_s, horizon_s, ranges, turns_radps))
+            answers = list(predict(vehicle, at_s, horizon_s, ranges, turns_radps, height_sigma_m))
             is_sound = bool(answers) and all(isinstance(each, NoEstimate) or _is_sound(each) for each in answers)
         except Exception as error:
             self._fault(_RAISED, error)

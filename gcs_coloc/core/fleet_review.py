@@ -171,6 +171,7 @@ class FleetReview:
             epoch=s.integrity.epoch,
             node=lambda node: self._trusted_position(node, now_s),
             exposure=Exposure(self._knows_delays, vehicle.has_air_data(now_s)),
+            height_sigma_m=s.measurements.height_sigma_m(vehicle.sysid, now_s),
             not_aided=self.aiding_view(vehicle).inhibit_reason,
         )
 

@@ -109,15 +109,17 @@ class ReadinessReview:
         epoch: Epoch,
         node: Callable[[int], PositionMeasurement | None],
         exposure: Exposure,
+        height_sigma_m: float,
         not_aided: str | None,
     ) -> None:
         """Predict one vehicle by its ranges of late.
 
         `epoch` holds the residuals of the last review of integrity. `node` returns where the other end of a range reports to be,
-        None where that is no evidence. `not_aided` is why the vehicle would get no aid.
+        None where that is no evidence. `height_sigma_m` is the 1-sigma of the heights that it would have without GPS.
+        `not_aided` is why the vehicle would get no aid.
         """
         self._predicted_at_s = now_s
-        found = self._predict(vehicle.sysid, now_s, ranges, epoch, node, exposure)
+        found = self._predict(vehicle.sysid, now_s, ranges, epoch, node, exposure, height_sigma_m)
         if not_aided is not None and found.state is not ReadinessState.UNKNOWN:
             limit = Limit(LimitingReason.NOT_AIDED, detail=not_aided)
             found.state, found.reason, found.text = ReadinessState.NOT_READY, limit.reason.code, limit.text
@@ -131,12 +133,13 @@ class ReadinessReview:
         epoch: Epoch,
         node: Callable[[int], PositionMeasurement | None],
         exposure: Exposure,
+        height_sigma_m: float,
     ) -> VehicleReadiness:
         others = {m.to_vehicle if m.from_vehicle == sysid else m.from_vehicle for m in ranges}
         peers = {other: reported for other in sorted(others) if (reported := node(other)) is not None}
         used = [m for m in ranges if m.to_vehicle in peers or m.from_vehicle in peers]
         turns_radps = {vehicle: self._turns.of(vehicle) for vehicle in (sysid, *peers)}
-        answers = self._estimator.predict_loss(sysid, now_s, HORIZON_S, used, turns_radps)
+        answers = self._estimator.predict_loss(sysid, now_s, HORIZON_S, used, turns_radps, height_sigma_m)
         if answers is None:
             limit = Limit(LimitingReason.NOT_PREDICTED, detail=self._estimator.name)
             return VehicleReadiness(ReadinessState.UNKNOWN, now_s, limit.reason.code, limit.text, len(peers))

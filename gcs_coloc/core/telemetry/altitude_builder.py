@@ -110,6 +110,11 @@ class AltitudeBuilder:
         sigma_m = hypot(altitude_sigma_m, memory.datum_sigma_m, message.vd_mps * measured.sigma_s)
         return self._altitude(message, message.alt_msl_m, sigma_m, frame, measured, located_enu_m)
 
+    def sigma_m(self, sysid: int, now_s: float, *, altitude_sigma_m: float) -> float:
+        """Return the 1-sigma of the altitude that a trusted vehicle would be measured by from now on without its GPS, m."""
+        height = self._pressures.height(sysid, now_s)
+        return hypot(altitude_sigma_m, height.sigma_m) if height is not None else altitude_sigma_m
+
     def add_pressure(self, message: Pressure) -> None:
         """Add what a vehicle's barometer measures."""
         self._pressures.add(message.sysid, message.pressure_hpa, message.received_at_s)

@@ -173,6 +173,10 @@ class MeasurementBuilder:
         reported = self._reported.get(sysid)
         return reported.arrived_at_s - reported.measured_at_s if reported is not None else None
 
+    def height_sigma_m(self, sysid: int, now_s: float) -> float:
+        """Return the 1-sigma of the heights that a trusted vehicle would have without its GPS, m."""
+        return self._altitudes.sigma_m(sysid, now_s, altitude_sigma_m=self.settings.altitude_sigma_m)
+
     def range_sigma_m(self, sysid: int) -> float | None:
         """Return the 1-sigma of a vehicle's ranges of late, with the errors of its peers' positions in it, m."""
         return self._ranges.sigma_m(sysid)

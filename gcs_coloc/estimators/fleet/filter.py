@@ -96,9 +96,10 @@ class FleetFilter:
         horizon_s: float,
         ranges: Sequence[RangeMeasurement],
         turns_radps: Mapping[int, float] = NO_TURNS,
+        height_sigma_m: float = math.inf,
     ) -> list[Estimate | NoEstimate]:
         """Predict what would be stated of a healthy vehicle if its GPS failed now, see `core.estimator.PredictsLoss`."""
-        return predict_loss(self._buffer.process().main, vehicle, at_s, horizon_s, ranges, turns_radps)
+        return predict_loss(self._buffer.process().main, vehicle, at_s, horizon_s, ranges, turns_radps, height_sigma_m)
 
     def drain_residuals(self) -> list[Residual]:
         """Return the residuals since the last call, each range once, oldest first."""

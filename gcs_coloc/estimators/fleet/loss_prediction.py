@@ -22,6 +22,7 @@ from gcs_coloc.core.measurements import (
     AttitudeMeasurement,
     Estimate,
     NoEstimate,
+    PositionMeasurement,
     RangeMeasurement,
 )
 from gcs_coloc.core.readiness.held_motion import HeldMotion
@@ -31,7 +32,7 @@ from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
 from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, altitude, slant_range
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude, set_transition
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour, Records, VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.state import VELOCITY, pair_key, whiten
+from gcs_coloc.estimators.fleet.ekf.state import BARO_ERROR, VELOCITY, pair_key, whiten
 from gcs_coloc.estimators.fleet.ekf.update import (
     augment_by_unknown,
     change_time_stamp_offset_sigma,
@@ -46,6 +47,7 @@ from gcs_coloc.estimators.fleet.peer_selection import rough_position, select_pee
 from gcs_coloc.estimators.fleet.predicted_peers import PeerPoint, RangeStream, mean_age_s, peer_point
 
 NO_TURNS: Mapping[int, float] = MappingProxyType({})
+_BARO = slice(BARO_ERROR, BARO_ERROR + 1)
 STEP_S = 3.0
 """Longest step of the recursion. Chosen: sigmas differ by 3 to 5 % from those of steps of 0.5 s."""
 _JUDGED_RANGES = 25
@@ -62,12 +64,14 @@ def predict_loss(
     horizon_s: float,
     ranges: Sequence[RangeMeasurement],
     turns_radps: Mapping[int, float] = NO_TURNS,
+    height_sigma_m: float = math.inf,
 ) -> list[Estimate | NoEstimate]:
     """Predict a healthy vehicle as if it were denied from `at_s` on: at that time, and step by step up to the horizon.
 
     `ranges` are its ranges of the last seconds, `turns_radps` the turn rates, clockwise, of vehicles that turn.
+    `height_sigma_m` is the 1-sigma of the heights that take the place of its position reports; infinite where none do.
     """
-    prediction = _LossPrediction(model, vehicle, at_s, turns_radps)
+    prediction = _LossPrediction(model, vehicle, at_s, turns_radps, height_sigma_m)
     if prediction.cluster is None:
         return [model.estimate(vehicle, at_s)]
     prediction.add_peers(model, ranges)
@@ -87,7 +91,9 @@ class _LossPrediction:
     `range_age_s` is how old the newest of the ranges in use is on average.
     """
 
-    def __init__(self, model: FleetModel, vehicle: int, at_s: float, turns_radps: Mapping[int, float]) -> None:
+    def __init__(
+        self, model: FleetModel, vehicle: int, at_s: float, turns_radps: Mapping[int, float], height_sigma_m: float
+    ) -> None:
         self._settings = s = model.settings
         self._turns_radps = turns_radps
         self._vehicle, self._at_s = vehicle, at_s
@@ -96,7 +102,7 @@ class _LossPrediction:
         self._points: dict[int, PeerPoint] = {}
         self._streams: list[RangeStream] = []
         self.range_age_s = 0.0
-        self._height_rate_hz = 0.0
+        self._height_sigma_m, self._height_rate_hz = height_sigma_m, 0.0
         self._way = HeldMotion((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         self._attitude: AttitudeMeasurement | None = None
         known = model.records.get(vehicle)
@@ -151,10 +157,12 @@ class _LossPrediction:
         if attitude is not None:
             # It stays fresh: attitudes go on coming. The process noise is that of level flight, to which a turn comes back.
             self._attitude = record.attitude = replace(attitude, roll_rad=0.0, measured_at_s=self._at_s + horizon_s)
-        own = record.recent_own
-        heights = sum(isinstance(m, AltitudeMeasurement) for m in own)
-        span_s = max(own[-1].measured_at_s - own[0].measured_at_s, 1.0) if own else 1.0
-        self._height_rate_hz = heights / span_s if record.baro_error_sigma_m > 0.0 else 0.0
+        if self._height_sigma_m < math.inf:
+            own = record.recent_own
+            reports = sum(isinstance(m, PositionMeasurement) for m in own)
+            self._height_rate_hz = reports / max(own[-1].measured_at_s - own[0].measured_at_s, 1.0) if own else 0.0
+            before_m, now_m = record.baro_error_sigma_m, self._height_sigma_m
+            record.baro_error_sigma_m = self.cluster.change_sigma(self._vehicle, _BARO, before_m, now_m)
         for node, point in self._points.items():
             self._records[node] = VehicleRecord(static=True)
             joint.augment(node, np.array(point.motion.position), point.covariance_m2, self._at_s)
@@ -226,10 +234,11 @@ class _LossPrediction:
     def _use_height(self, step_s: float) -> None:
         if not self._height_rate_hz or self.cluster is None:
             return
-        record, joint = self._records[self._vehicle], self.cluster.joint
-        newest = next(m for m in reversed(record.own_measurements) if isinstance(m, AltitudeMeasurement))
-        white_m, _ = record.altitude_noise.split(0, newest.sigma_m, self._settings.least_coloured_share)
-        hA, _, variance_m2 = altitude(joint, newest, white_m / math.sqrt(max(self._height_rate_hz * step_s, 1.0)))
+        joint, sigma_m = self.cluster.joint, self._height_sigma_m
+        # Nothing has shown yet how its error is spread over time: each part may be as large as the whole, eq. (16).
+        white_m = sigma_m / math.sqrt(max(self._height_rate_hz * step_s, 1.0))
+        height = AltitudeMeasurement(self._vehicle, self._at_s, self._at_s, 0.0, sigma_m)
+        hA, _, variance_m2 = altitude(joint, height, white_m)
         hA[0] = 0.0
         joint.correct_scalar(hA, variance_m2)
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import EngineSettings
 from gcs_coloc.core.readiness.limiting_reason import LimitingReason
 from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
+from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
 from gcs_coloc.estimators.qu_zhang.filter import QuZhangFilter
 from tests.engine_flights import StraightLine
 from tests.ready_fleet import AROUND, RANGED, ReadyFleet, abreast
@@ -72,6 +75,19 @@ def test_worse_receivers_and_worse_ranges_are_in_the_bound() -> None:
         assert worse.hpl_m is not None
         assert worse.bound_95_m > 1.3 * good.bound_95_m
         assert worse.hpl_m > good.hpl_m
+
+
+def test_how_well_a_height_is_known_without_gps_is_in_the_bound() -> None:
+    peers = {
+        sysid: replace(flying, place=(*flying.place[:2], flying.place[2] + 300.0))
+        for sysid, flying in abreast(*AROUND[:2]).items()
+    }
+    peers[RANGED] = abreast()[RANGED]
+    bounds_m = []
+    for sigma_m in (2.0, 30.0):
+        settings = EngineSettings(request_streams=False, measurements=MeasurementSettings(altitude_sigma_m=sigma_m))
+        bounds_m.append(told(ReadyFleet(peers, settings=settings)).bound_95_m)
+    assert bounds_m[1] > 1.2 * bounds_m[0]
 
 
 def test_half_a_minute_ahead_the_geometry_is_another_one() -> None:

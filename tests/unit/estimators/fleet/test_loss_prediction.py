@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import atan2, hypot, nan
+from math import atan2, hypot, inf, nan
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 
-LOST_S, HORIZON_S = 10.0, 30.0
+LOST_S, HORIZON_S, HEIGHT_SIGMA_M = 10.0, 30.0, 2.0
 GEOMETRIES = {
     "around": ((800.0, 100.0), (-500.0, 700.0), (-300.0, -800.0), (300.0, 900.0)),
     "three": ((800.0, 100.0), (-500.0, 700.0), (-300.0, -800.0)),
@@ -61,7 +61,9 @@ class Flight:
             if not (denied and v == 1):
                 de, dn = self._errors[v] + self._rng.normal(0.0, 0.2, 2)
                 out.append(PositionMeasurement(v, t, t, (e + de, n + dn, u), 1.1, 1.8, (0.0, 20.0, 0.0), 0.3))
-        out.append(AltitudeMeasurement(1, t, t, 110.0 + self._rng.normal(0.0, 0.2), 1.0))
+        if denied:
+            # Before the loss its height is that of its position reports.
+            out.append(AltitudeMeasurement(1, t, t, 110.0 + self._rng.normal(0.0, 0.2), HEIGHT_SIGMA_M))
         if self._air_data:
             out.append(AttitudeMeasurement(1, t, t, 0.0, 0.0, atan2(0.0, 20.0), hypot(0.0, 20.0)))
         if k % self._every == 0:
@@ -70,6 +72,12 @@ class Flight:
                 self.ranges.append(RangeMeasurement(1, v, t, t, metres, 1.0))
                 out.append(self.ranges[-1])
         return out
+
+
+def predict(
+    flight: Flight, ranges: list[RangeMeasurement], height_sigma_m: float = HEIGHT_SIGMA_M
+) -> list[Estimate | NoEstimate]:
+    return flight.filter.predict_loss(1, LOST_S, HORIZON_S, ranges, {}, height_sigma_m)
 
 
 def sigma_m(answer: Estimate | NoEstimate) -> float:
@@ -83,7 +91,7 @@ def sigma_m(answer: Estimate | NoEstimate) -> float:
 def test_the_predicted_sigma_is_what_the_filter_states_half_a_minute_later(geometry: str, air_data: bool, rate_hz: float) -> None:
     flight = Flight(geometry, air_data=air_data, rate_hz=rate_hz)
     flight.fly(0.0, LOST_S, denied=False)
-    predicted = flight.filter.predict_loss(1, LOST_S, HORIZON_S, flight.ranges)
+    predicted = predict(flight, flight.ranges)
     flight.filter.set_denied([1], LOST_S)
     assert sigma_m(predicted[0]) == pytest.approx(sigma_m(flight.filter.estimate(1, LOST_S)), rel=0.05)
     flight.fly(LOST_S, LOST_S + HORIZON_S - 1.0, denied=True)
@@ -104,7 +112,7 @@ def test_to_predict_leaves_the_filter_as_it_is() -> None:
     for flight in (asked, other):
         flight.fly(0.0, LOST_S, denied=False)
         if flight is asked:
-            flight.filter.predict_loss(1, LOST_S, HORIZON_S, flight.ranges)
+            predict(flight, flight.ranges)
         flight.filter.set_denied([1], LOST_S)
         flight.fly(LOST_S, LOST_S + 5.0, denied=True)
     mine, others = (flight.filter.estimate(1, LOST_S + 5.0) for flight in (asked, other))
@@ -118,7 +126,7 @@ def test_to_predict_leaves_the_filter_as_it_is() -> None:
 def test_without_ranges_it_is_the_motion_alone_that_is_predicted() -> None:
     flight = Flight("around", air_data=False, rate_hz=5.0)
     flight.fly(0.0, LOST_S, denied=False)
-    alone = flight.filter.predict_loss(1, LOST_S, HORIZON_S, [])
+    alone = predict(flight, [])
     assert isinstance(alone[0], Estimate)
     assert isinstance(alone[-1], NoEstimate)
 
@@ -127,7 +135,7 @@ def test_ranges_that_have_ceased_do_not_count() -> None:
     flight = Flight("around", air_data=True, rate_hz=5.0)
     flight.fly(0.0, LOST_S, denied=False)
     old = [replace(m, measured_at_s=m.measured_at_s - 6.0) for m in flight.ranges]
-    alone, ceased = (flight.filter.predict_loss(1, LOST_S, HORIZON_S, ranges)[-1] for ranges in ([], old))
+    alone, ceased = (predict(flight, ranges)[-1] for ranges in ([], old))
     assert sigma_m(alone) == sigma_m(ceased)
 
 
@@ -143,7 +151,7 @@ def test_peers_that_it_does_not_know_do_not_count() -> None:
     flight = Flight("around", air_data=True, rate_hz=5.0)
     flight.fly(0.0, LOST_S, denied=False)
     ghosts = [RangeMeasurement(1, 99, m.measured_at_s, m.arrived_at_s, m.range_m, 1.0) for m in flight.ranges]
-    assert flight.filter.predict_loss(1, LOST_S, HORIZON_S, ghosts)[-1].hdop is None
+    assert predict(flight, ghosts)[-1].hdop is None
 
 
 def test_an_anchor_counts_as_a_peer_at_rest() -> None:
@@ -151,7 +159,7 @@ def test_an_anchor_counts_as_a_peer_at_rest() -> None:
     flight.filter.add(PositionMeasurement(-5, 0.0, 0.0, (200.0, -900.0, 10.0), 0.1, 0.1, static=True))
     flight.fly(0.0, LOST_S, denied=False)
     anchor = [RangeMeasurement(1, -5, t / 5.0, t / 5.0, 900.0 + 0.1 * (t % 3), 1.0) for t in range(50)]
-    without, with_it = (flight.filter.predict_loss(1, LOST_S, HORIZON_S, flight.ranges + more)[-1] for more in ([], anchor))
+    without, with_it = (predict(flight, flight.ranges + more)[-1] for more in ([], anchor))
     assert sigma_m(with_it) < 0.8 * sigma_m(without)
 
 
@@ -160,4 +168,18 @@ def test_impossible_ranges_raise_nothing(value: float) -> None:
     flight = Flight("two", air_data=True, rate_hz=5.0)
     flight.fly(0.0, LOST_S, denied=False)
     bad = [replace(m, range_m=value) for m in flight.ranges[-9:]]
-    assert flight.filter.predict_loss(1, LOST_S, HORIZON_S, bad)
+    assert predict(flight, bad)
+
+
+def test_the_height_is_known_while_heights_go_on_and_no_longer_without_them() -> None:
+    flight = Flight("two", air_data=True, rate_hz=5.0)
+    flight.fly(0.0, LOST_S, denied=False)
+    with_heights, without = (predict(flight, flight.ranges, each_m)[-1] for each_m in (HEIGHT_SIGMA_M, inf))
+    flight.filter.set_denied([1], LOST_S)
+    flight.fly(LOST_S, LOST_S + HORIZON_S, denied=True)
+    reached = flight.filter.estimate(1, LOST_S + HORIZON_S)
+    assert isinstance(reached, Estimate)
+    assert isinstance(with_heights, Estimate)
+    assert isinstance(without, Estimate)
+    assert with_heights.covariance[2, 2] == pytest.approx(reached.covariance[2, 2], rel=0.3)
+    assert without.covariance[2, 2] > 10.0 * with_heights.covariance[2, 2]
