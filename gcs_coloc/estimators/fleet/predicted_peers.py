@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -17,7 +15,7 @@ from gcs_coloc.estimators.fleet.fleet_model import UNDERSTATED, FleetModel
 
 @dataclass(slots=True)
 class RangeStream:
-    """The ranges of one device to one peer: their rate, stated sigma, and how many of them are not used yet.
+    """The ranges of one device to one peer: their rate, stated sigma, and how many of them are used.
 
     `scatter_m2` is the mean square of what is seen to be white, None where they come too seldom to tell. `stamp_sigma_s` is the
     time-stamp offset that they state where the vehicle's clock stamps them, else None.
@@ -29,15 +27,7 @@ class RangeStream:
     sigma_m: float
     scatter_m2: float | None
     stamp_sigma_s: float | None
-    waiting: float = 0.0
     seen: float = 0.0
-
-    def take(self, step_s: float) -> float:
-        """Return how many ranges come in a step, 0 until there is a whole one."""
-        self.waiting += self.rate_hz * step_s
-        taken, self.waiting = (self.waiting, 0.0) if self.waiting >= 1.0 else (0.0, self.waiting)
-        self.seen += taken
-        return taken
 
     def noise_m(self, least_coloured_share: float) -> tuple[float, float]:
         """Return the white and the coloured sigma that the filter would have learned by now, m."""
@@ -59,13 +49,6 @@ class PeerPoint:
     motion: HeldMotion
     covariance_m2: FloatArray
     is_anchor: bool = False
-
-
-def mean_age_s(times_s: Sequence[float]) -> float:
-    """Return how old the newest of some measurements is on average, s: sum of g^2 / (2 sum of g) over the gaps g between them."""
-    ordered = sorted(set(times_s))
-    gaps_s = [after - before for before, after in pairwise(ordered)]
-    return sum(gap * gap for gap in gaps_s) / (2.0 * sum(gaps_s)) if gaps_s and sum(gaps_s) > 0.0 else 0.0
 
 
 def peer_point(model: FleetModel, node: int, at_s: float, turn_radps: float) -> PeerPoint | None:

@@ -20,7 +20,9 @@ from gcs_coloc.core.measurements import (
     VehicleClass,
     VehicleClassReport,
 )
+from gcs_coloc.estimators.fleet import loss_prediction
 from gcs_coloc.estimators.fleet.filter import FleetFilter
+from gcs_coloc.estimators.fleet.loss_prediction import step_lengths_s
 
 LOST_S, HORIZON_S, HEIGHT_SIGMA_M = 10.0, 30.0, 2.0
 GEOMETRIES = {
@@ -102,7 +104,7 @@ def test_the_predicted_sigma_is_what_the_filter_states_half_a_minute_later(geome
         sigmas_m.append(sigma_m(flight.filter.estimate(1, at_s)))
     reached = flight.filter.estimate(1, LOST_S + HORIZON_S)
     assert isinstance(reached, Estimate)
-    assert sigma_m(predicted[-1]) == pytest.approx(np.mean(sigmas_m), rel=0.2)
+    assert sigma_m(predicted[-1]) == pytest.approx(np.mean(sigmas_m), rel=0.12)
     assert predicted[-1].at_s == LOST_S + HORIZON_S
     assert predicted[-1].hdop == pytest.approx(reached.hdop, rel=0.05)
 
@@ -121,6 +123,33 @@ def test_to_predict_leaves_the_filter_as_it_is() -> None:
     assert mine.position_enu_m.tolist() == others.position_enu_m.tolist()
     assert mine.covariance.tolist() == others.covariance.tolist()
     assert asked.filter.counts() == other.filter.counts()
+
+
+@pytest.mark.parametrize("air_data", [True, False])
+def test_the_few_steps_state_what_many_short_ones_would(air_data: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    flight = Flight("around", air_data=air_data, rate_hz=5.0)
+    flight.fly(0.0, LOST_S, denied=False)
+    few = predict(flight, flight.ranges)
+    monkeypatch.setattr(loss_prediction, "step_lengths_s", lambda horizon_s: [0.25] * round(horizon_s / 0.25))
+    many = predict(flight, flight.ranges)
+    assert len(few) < 12 < len(many)
+    assert sigma_m(few[-1]) == pytest.approx(sigma_m(many[-1]), rel=0.05)
+
+
+@pytest.mark.parametrize("horizon_s", [0.5, 3.0, 30.0, 47.0])
+def test_the_steps_end_at_the_horizon(horizon_s: float) -> None:
+    steps_s = step_lengths_s(horizon_s)
+    assert sum(steps_s) == pytest.approx(horizon_s)
+    assert min(steps_s) > 0.0
+
+
+def test_ranges_that_arrive_late_leave_the_motion_since_then_open() -> None:
+    flight = Flight("around", air_data=False, rate_hz=5.0)
+    flight.fly(0.0, LOST_S, denied=False)
+    late = [replace(m, arrived_at_s=m.measured_at_s + 0.5) for m in flight.ranges]
+    at_once, later = (predict(flight, ranges)[-1] for ranges in (flight.ranges, late))
+    assert later.at_s == LOST_S + HORIZON_S
+    assert sigma_m(later) > 1.1 * sigma_m(at_once)
 
 
 def test_without_ranges_it_is_the_motion_alone_that_is_predicted() -> None:
