@@ -169,6 +169,7 @@ class FleetReview:
             now_s,
             ranges=s.ranges.of(vehicle.sysid, now_s),
             epoch=s.integrity.epoch,
+            stated_epoch=s.integrity.stated_epoch,
             node=lambda node: self._trusted_position(node, now_s),
             exposure=Exposure(self._knows_delays, vehicle.has_air_data(now_s)),
             height_sigma_m=s.measurements.height_sigma_m(vehicle.sysid, now_s),

@@ -98,6 +98,11 @@ class IntegrityMonitor:
         """The residuals that the last review adjusted, with the noise that it found."""
         return self._consistency.epoch
 
+    @property
+    def stated_epoch(self) -> Epoch:
+        """The same with the noise that ranges and positions state; the same object where none beyond it was found."""
+        return self._consistency.stated_epoch
+
     def protect(self, report: IntegrityReport, estimate: Estimate, exposure: Exposure) -> Estimate:
         """Return the estimate as it may be stated by a report: its covariance inflated, with its protection level."""
         inflated = report.inflate(estimate)

@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, EpochHistory, Past
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import WELL_PLACED_SIGMA_M, FaultTestResult, SignificanceLevels, run_tests
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import FaultTestResult, SignificanceLevels, run_tests
 from gcs_coloc.core.integrity.epoch_tests.inconsistency import explain_inconsistency
 from gcs_coloc.core.integrity.epoch_tests.isolation import Isolation, IsolationPersistence, isolate
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel, clearly_smaller_noise
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor, FaultMonitorSettings
 from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, RangeResidualSettings, TrackPoint
-from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
+from gcs_coloc.core.integrity.solution_separation import noise_excess_m2
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
 from gcs_coloc.core.schedule import SAME_S
 
@@ -76,14 +76,15 @@ class _Tests(NamedTuple):
 class RangeConsistency:
     """The consistency monitor of one fleet.
 
-    `epoch` is the newest one, with the pairs that are ranged seldom. `identified` are the faulty vehicles, `detected` those among
-    which a fault is not isolated. `separation_m2` has, for each vehicle without prior, the second moment (2, 2) of its solution
-    separation, m^2. `noise` is how much worse ranges and positions were found to be than they state.
+    `epoch` is the newest one, with the pairs that are ranged seldom, `stated_epoch` that with its noise as stated. `identified`
+    are the faulty vehicles, `detected` those among which a fault is not isolated. `separation_m2` has, for each vehicle without
+    prior, the second moment (2, 2) of its solution separation, m^2. `noise` is how much worse ranges and positions were found to
+    be than they state.
     """
 
     def __init__(self, settings: ConsistencySettings | None = None) -> None:
         self.settings = settings if settings is not None else ConsistencySettings()
-        self.epoch = Epoch(float("-inf"), {}, ())
+        self.stated_epoch = self.epoch = Epoch(float("-inf"), {}, ())
         self.identified: dict[int, IdentifiedFault] = {}
         self.detected: frozenset[int] = frozenset()
         self.separation_m2: dict[int, FloatArray] = {}
@@ -138,7 +139,7 @@ class RangeConsistency:
         self._shrink_noise(self.noise.select(whole), now_s)
         stated = self.noise.select(whole)
         sparse = self.noise.select(self._residuals.sparse_epoch(now_s, whole))
-        self.epoch = self.noise.apply(sparse)
+        self.stated_epoch, self.epoch = sparse, self.noise.apply(sparse)
         self._run_fault_monitor(stated, now_s)
         self._use_tests(tests if self.noise is left else self._test(stated, self.noise), now_s, doubtful)
         self._epochs.append(stated)
@@ -147,7 +148,7 @@ class RangeConsistency:
             vehicle: max((each[vehicle] for each in (self._decayed_m2, monitored) if vehicle in each), key=_trace)
             for vehicle in self._decayed_m2.keys() | monitored.keys()
         }
-        for vehicle, excess_m2 in self._noise_excess_m2(sparse).items():
+        for vehicle, excess_m2 in noise_excess_m2(sparse, self.epoch).items():
             self.separation_m2[vehicle] = self.separation_m2.get(vehicle, 0.0) + excess_m2
 
     def _shrink_noise(self, stated: Epoch, now_s: float) -> None:
@@ -165,14 +166,6 @@ class RangeConsistency:
 
     def _history(self) -> EpochHistory:
         return EpochHistory(self.settings.intervals_s, self.settings.correlation_time_s, self.settings.period_s)
-
-    def _noise_excess_m2(self, stated: Epoch) -> dict[int, FloatArray]:
-        """What the noise beyond the stated one costs each vehicle that the ranges alone place well, m^2 (2, 2)."""
-        if self.noise.is_as_stated or not stated.residuals:
-            return {}
-        as_stated, as_found = SolutionSeparation(stated), SolutionSeparation(self.epoch)
-        placed = [v for v in as_stated.vehicles if float(np.trace(as_stated.covariance_m2(v))) < WELL_PLACED_SIGMA_M**2]
-        return {v: as_found.covariance_m2(v) - as_stated.covariance_m2(v) for v in placed}
 
     def _run_fault_monitor(self, epoch: Epoch, now_s: float) -> None:
         """Detect faults from the ranges of denied vehicles, where no ranges among other vehicles can test more."""

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
 from gcs_coloc.core.integrity.epoch_tests.epoch import MIN_SIGMA_M, Epoch
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import WELL_PLACED_SIGMA_M
 from gcs_coloc.core.measurements import FloatArray
 
 _LEAST_INFORMATION_PER_M2 = 1e-6  # of a coordinate without prior: a 1-sigma of 1 km, so that every hypothesis has a solution
@@ -132,6 +133,18 @@ class SolutionSeparation:
         shifts = self._x[own] - v[:, own] * size[:, np.newaxis]
         covariances = self._C[own, own] + v[:, own, np.newaxis] * v[:, np.newaxis, own] / a[:, np.newaxis, np.newaxis]
         return _separations(FaultClass.RANGES, who, shifts, covariances)
+
+
+def noise_excess_m2(stated: Epoch, found: Epoch) -> dict[int, FloatArray]:
+    """Return what noise beyond the stated one costs each vehicle that the ranges alone place well, m^2 (2, 2).
+
+    Both are one epoch, with its noise as stated and as it was found to be; the same object where that is no other.
+    """
+    if found is stated or not stated.residuals:
+        return {}
+    as_stated, as_found = SolutionSeparation(stated), SolutionSeparation(found)
+    placed = [v for v in as_stated.vehicles if float(np.trace(as_stated.covariance_m2(v))) < WELL_PLACED_SIGMA_M**2]
+    return {v: as_found.covariance_m2(v) - as_stated.covariance_m2(v) for v in placed}
 
 
 def _separations(fault: FaultClass, who: list[tuple[int, ...]], shifts: FloatArray, covariances: FloatArray) -> list[Separation]:

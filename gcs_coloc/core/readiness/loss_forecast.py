@@ -6,11 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
+import numpy as np
+
 from gcs_coloc.core.aiding.fix_policy import FixPolicy
 from gcs_coloc.core.aiding.inhibit import Inhibit
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.integrity.epoch_tests.epoch import LARGEST_SIGMA_V_M, Epoch, PositionPrior
+from gcs_coloc.core.integrity.fault_monitor import expected_separation_m2
 from gcs_coloc.core.integrity.protection_level import (
     Exposure,
     FaultLevel,
@@ -18,7 +21,8 @@ from gcs_coloc.core.integrity.protection_level import (
     fault_level,
     protection_level,
 )
-from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
+from gcs_coloc.core.integrity.report import IntegrityReport
+from gcs_coloc.core.integrity.solution_separation import SolutionSeparation, noise_excess_m2
 from gcs_coloc.core.measurements import Estimate, NoEstimate, PositionMeasurement, Vector3
 from gcs_coloc.core.readiness.held_motion import HeldMotion
 from gcs_coloc.core.readiness.limiting_reason import IN_LINE_HDOP, Limit, LimitingReason, limiting_reason, node_names
@@ -29,13 +33,15 @@ from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState, VehicleRe
 class LossSituation:
     """A vehicle, and what would place it without GPS.
 
-    `peers` are the reported positions of the nodes that it ranges; `epoch` the residuals of its ranges now, with zero values.
+    `peers` are the reported positions of the nodes that it ranges; `epoch` the residuals of its ranges now, with zero values, and
+    `stated_epoch` the same with their noise as stated.
     `turns_radps` are the turn rates that are held. `interval_s` is the mean time between its ranges.
     """
 
     vehicle: int
     peers: Mapping[int, PositionMeasurement]
     epoch: Epoch
+    stated_epoch: Epoch
     turns_radps: Mapping[int, float]
     interval_s: float
     exposure: Exposure
@@ -49,11 +55,14 @@ def forecast(
     policy = FixPolicy(aiding, begin_s)
     # At the loss itself no range has been used yet.
     hdop_now, hdop = _hdop(answers[min(1, len(answers) - 1)]), _hdop(answers[-1])
+    # What holds at the horizon counts from half of the way on.
+    half_s, integrity = 0.5 * (begin_s + answers[-1].at_s), _expected_report(situation, answers[-1], begin_s)
+    answers = [integrity.inflate(a) if isinstance(a, Estimate) and a.at_s >= half_s > begin_s else a for a in answers]
     levels = _fault_level(situation, answers[0], begin_s, protection), _fault_level(situation, answers[-1], begin_s, protection)
     stated: list[Estimate | NoEstimate] = []
     inhibits: list[Inhibit | None] = []
-    for k, answer in enumerate(answers):
-        stated.append(_protected(answer, levels[2 * k >= len(answers)], situation, protection))
+    for answer in answers:
+        stated.append(_protected(answer, levels[answer.at_s >= half_s], situation, protection))
         air_data = situation.exposure.has_air_data
         inhibits.append(policy.inhibit(stated[-1], answer.at_s, own_gps=False, air_data=air_data))
     state, limit = _judge(situation, inhibits, stated, max(hdop_now or 0.0, hdop or 0.0))
@@ -108,7 +117,25 @@ def _fault_level(
     """Adjust the ranges under all hypotheses of fault where the vehicle and its peers are at the time of an answer."""
     if not isinstance(answer, Estimate) or not situation.epoch.residuals:
         return None
-    span_s, epoch, vehicle = answer.at_s - begin_s, situation.epoch, situation.vehicle
+    separation = SolutionSeparation(_at(situation, situation.epoch, answer, begin_s))
+    return fault_level(separation.of(situation.vehicle), answer, answer.at_s, settings)
+
+
+def _expected_report(situation: LossSituation, answer: Estimate | NoEstimate, begin_s: float) -> IntegrityReport:
+    """Return what integrity would add to the covariance of an answer: for noise beyond the stated, and for possible faults."""
+    if not isinstance(answer, Estimate) or not situation.epoch.residuals:
+        return IntegrityReport()
+    vehicle, as_stated = situation.vehicle, _at(situation, situation.stated_epoch, answer, begin_s)
+    is_as_stated = situation.epoch is situation.stated_epoch
+    as_found = as_stated if is_as_stated else _at(situation, situation.epoch, answer, begin_s)
+    parts_m2 = expected_separation_m2(as_stated, vehicle), noise_excess_m2(as_stated, as_found).get(vehicle)
+    known_m2 = [part_m2 for part_m2 in parts_m2 if part_m2 is not None]
+    return IntegrityReport(separation_m2={vehicle: np.sum(known_m2, axis=0)} if known_m2 else {})
+
+
+def _at(situation: LossSituation, epoch: Epoch, answer: Estimate, begin_s: float) -> Epoch:
+    """Return an epoch where the vehicle and its peers are at the time of an answer."""
+    span_s, vehicle = answer.at_s - begin_s, situation.vehicle
     priors = {
         node: prior._replace(position_enu_m=_moved(situation, node, prior.position_enu_m, span_s))
         for node, prior in epoch.priors.items()
@@ -117,8 +144,7 @@ def _fault_level(
     e, n, u = answer.position_enu_m.tolist()
     sigma_v_m = min(sqrt(float(answer.covariance[2, 2])), LARGEST_SIGMA_V_M)
     priors[vehicle] = PositionPrior((e, n, u), 0.0, sigma_v_m, no_prior=True)
-    separation = SolutionSeparation(replace(epoch, priors=priors))
-    return fault_level(separation.of(vehicle), answer, answer.at_s, settings)
+    return replace(epoch, priors=priors)
 
 
 def _moved(situation: LossSituation, node: int, place: Vector3, span_s: float) -> Vector3:

@@ -107,6 +107,7 @@ class ReadinessReview:
         *,
         ranges: Sequence[RangeMeasurement],
         epoch: Epoch,
+        stated_epoch: Epoch,
         node: Callable[[int], PositionMeasurement | None],
         exposure: Exposure,
         height_sigma_m: float,
@@ -114,12 +115,12 @@ class ReadinessReview:
     ) -> None:
         """Predict one vehicle by its ranges of late.
 
-        `epoch` holds the residuals of the last review of integrity. `node` returns where the other end of a range reports to be,
-        None where that is no evidence. `height_sigma_m` is the 1-sigma of the heights that it would have without GPS.
-        `not_aided` is why the vehicle would get no aid.
+        `epoch` holds the residuals of the last review of integrity, `stated_epoch` the same with their noise as stated. `node`
+        returns where the other end of a range reports to be, None where that is no evidence. `height_sigma_m` is the 1-sigma of
+        the heights that it would have without GPS. `not_aided` is why the vehicle would get no aid.
         """
         self._predicted_at_s = now_s
-        found = self._predict(vehicle.sysid, now_s, ranges, epoch, node, exposure, height_sigma_m)
+        found = self._predict(vehicle.sysid, now_s, ranges, epoch, stated_epoch, node, exposure, height_sigma_m)
         if not_aided is not None and found.state is not ReadinessState.UNKNOWN:
             limit = Limit(LimitingReason.NOT_AIDED, detail=not_aided)
             found.state, found.reason, found.text = ReadinessState.NOT_READY, limit.reason.code, limit.text
@@ -131,6 +132,7 @@ class ReadinessReview:
         now_s: float,
         ranges: Sequence[RangeMeasurement],
         epoch: Epoch,
+        stated_epoch: Epoch,
         node: Callable[[int], PositionMeasurement | None],
         exposure: Exposure,
         height_sigma_m: float,
@@ -145,9 +147,9 @@ class ReadinessReview:
             return VehicleReadiness(ReadinessState.UNKNOWN, now_s, limit.reason.code, limit.text, len(peers))
         # Those of one time are one: they show the motion together.
         interval_s = (now_s - used[0].measured_at_s) / len({m.measured_at_s for m in used}) if used else inf
-        around = star(epoch, sysid, peers)
-        residuals = tuple(residual._replace(residual_m=0.0) for residual in around.residuals)
-        situation = LossSituation(sysid, peers, replace(around, residuals=residuals), turns_radps, interval_s, exposure)
+        around = _without_values(star(epoch, sysid, peers))
+        as_stated = around if stated_epoch is epoch else _without_values(star(stated_epoch, sysid, peers))
+        situation = LossSituation(sysid, peers, around, as_stated, turns_radps, interval_s, exposure)
         return forecast(situation, answers, self._aiding, self._protection)
 
     def _state(self, sysid: int, found: VehicleReadiness, now_s: float) -> None:
@@ -179,3 +181,8 @@ class ReadinessReview:
             sortie = self._sorties[vehicle.sysid] = _Sortie(position.alt_msl_m)
         is_fast = hypot(position.vn_mps, position.ve_mps) >= _FLYING_SPEED_MPS
         sortie.is_flying |= is_fast or abs(position.alt_msl_m - sortie.armed_alt_m) >= _FLYING_HEIGHT_M
+
+
+def _without_values(epoch: Epoch) -> Epoch:
+    """Return an epoch as it is expected to be: every residual is zero."""
+    return replace(epoch, residuals=tuple(residual._replace(residual_m=0.0) for residual in epoch.residuals))

@@ -5,9 +5,10 @@ from __future__ import annotations
 from math import cos, sin
 
 import numpy as np
+import pytest
 
-from gcs_coloc.core.integrity.epoch_tests.epoch import PositionPrior
-from gcs_coloc.core.integrity.fault_monitor import FaultMonitor
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.fault_monitor import FaultMonitor, expected_separation_m2
 from gcs_coloc.core.measurements import RangeMeasurement
 
 STEP_S, APART_M = 0.2, 800.0
@@ -92,3 +93,26 @@ def test_a_dropped_vehicle_and_one_without_ranges_for_half_a_minute_have_no_sepa
     assert DENIED in monitor.separation_m2(t)
     monitor.drop(DENIED)
     assert monitor.separation_m2(t) == {}
+
+
+@pytest.mark.parametrize("around", [AROUND, {1: 0.1, 2: 1.7, 3: 3.6}, {1: 0.1, 2: 0.5, 3: 0.9, 4: 1.4}])
+def test_the_expected_separation_is_what_fault_free_ranges_come_to(around):
+    found_m2 = []
+    for seed in range(1, 6):
+        monitor = FaultMonitor()
+        t = Flight(monitor, seed=seed, around=around).fly(0.0, 30.0)
+        found_m2.append(np.trace(monitor.separation_m2(t)[DENIED]))
+    assert np.sqrt(np.trace(expected(around))) == pytest.approx(np.sqrt(np.median(found_m2)), rel=0.5)
+
+
+def test_fewer_peers_than_have_redundancy_have_no_expected_separation():
+    assert expected({1: 0.1, 2: 1.7}) is None
+
+
+def expected(around):
+    priors = {peer: place(APART_M * cos(a), APART_M * sin(a)) for peer, a in around.items()}
+    priors[DENIED] = place(0.0, 0.0, no_prior=True)
+    # A median of five ranges of 1 m, with what no averaging removes.
+    return expected_separation_m2(
+        Epoch(0.0, priors, tuple(RangeResidual(DENIED, peer, 0.0, 0.64, 0.3) for peer in around)), DENIED
+    )

@@ -1,0 +1,70 @@
+"""The forecast of a loss: what integrity would add to the estimator's bound is in what is told of half a minute later."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.aiding.settings import AidingSettings
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
+from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
+from gcs_coloc.core.integrity.fault_monitor import expected_separation_m2
+from gcs_coloc.core.integrity.protection_level import Exposure, ProtectionSettings
+from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
+from gcs_coloc.core.measurements import Estimate, PositionMeasurement
+from gcs_coloc.core.readiness.loss_forecast import LossSituation, forecast
+from gcs_coloc.core.readiness.vehicle_readiness import HORIZON_S, VehicleReadiness
+
+RANGED = 1
+PLACES = {RANGED: (0.0, 0.0, 100.0), 2: (800.0, 100.0, 110.0), 3: (-500.0, 700.0, 90.0), 4: (-300.0, -800.0, 120.0)}
+COVARIANCE = np.diag([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+
+
+def epoch(peers: int) -> Epoch:
+    """Return the ranges of the vehicle to some peers: 0.5 m of noise, receivers of 1 m."""
+    nodes = {node: place for node, place in PLACES.items() if node <= peers + 1}
+    priors = {node: PositionPrior(place, 1.0, 1.5, no_prior=False) for node, place in nodes.items()}
+    priors[RANGED] = priors[RANGED]._replace(no_prior=True)
+    return Epoch(0.0, priors, tuple(RangeResidual(RANGED, node, 0.0, 0.5, 0.3) for node in nodes if node != RANGED))
+
+
+def told(peers: int, noise: NoiseModel) -> VehicleReadiness:
+    """Return the forecast for an estimator that predicts the same covariance all along."""
+    stated = epoch(peers)
+    reported = {
+        node: PositionMeasurement(node, 0.0, 0.0, prior.position_enu_m, 1.0, 1.5, (0.0, 0.0, 0.0), 0.3)
+        for node, prior in stated.priors.items()
+        if node != RANGED
+    }
+    where = np.array(PLACES[RANGED])
+    answers = [
+        Estimate(RANGED, at_s, where, np.zeros(3), COVARIANCE.copy(), 1.2, peers) for at_s in (0.0, 0.5 * HORIZON_S, HORIZON_S)
+    ]
+    situation = LossSituation(RANGED, reported, noise.apply(stated), stated, {}, 0.2, Exposure(True, True))
+    return forecast(situation, answers, AidingSettings(), ProtectionSettings())
+
+
+def test_possible_faults_are_in_the_bound_of_later_and_not_yet_in_that_of_now() -> None:
+    found, separation_m2 = told(3, NoiseModel()), expected_separation_m2(epoch(3), RANGED)
+    assert separation_m2 is not None
+    later_m2 = COVARIANCE.copy()
+    later_m2[:2, :2] += separation_m2
+    assert found.bound_95_now_m == pytest.approx(horizontal_bound_95_m(COVARIANCE))
+    assert found.bound_95_m == pytest.approx(horizontal_bound_95_m(later_m2), rel=1e-3)
+
+
+def test_without_redundancy_the_bound_is_the_estimators() -> None:
+    assert told(2, NoiseModel()).bound_95_m == pytest.approx(horizontal_bound_95_m(COVARIANCE))
+
+
+def test_noise_beyond_the_stated_one_is_in_the_bound() -> None:
+    noise = NoiseModel(range_bias_m=3.0)
+    as_stated, as_found = SolutionSeparation(epoch(3)), SolutionSeparation(noise.apply(epoch(3)))
+    excess_m2 = as_found.covariance_m2(RANGED) - as_stated.covariance_m2(RANGED)
+    separation_m2 = expected_separation_m2(epoch(3), RANGED)
+    assert separation_m2 is not None
+    later_m2 = COVARIANCE.copy()
+    later_m2[:2, :2] += separation_m2 + excess_m2
+    assert told(3, noise).bound_95_m == pytest.approx(horizontal_bound_95_m(later_m2), rel=1e-3)
+    assert float(np.trace(excess_m2)) > 5.0
