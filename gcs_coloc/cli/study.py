@@ -219,6 +219,7 @@ def readiness(
         list[str] | None, typer.Option(help="A recording (tlog), truth.csv beside it; several times for several.")
     ] = None,
     seeds: Annotated[int, typer.Option(help="Flights of each class, and losses in each recording.", min=1)] = 5,
+    first_seed: Annotated[int, typer.Option(help="Seed of the first flight of each class.")] = 1,
     from_s: Annotated[
         float, typer.Option("--from", help="In a recording GPS is taken within 10 s from here, s.", min=0.0)
     ] = 12.0,
@@ -242,9 +243,10 @@ def readiness(
             workers_for(jobs, scheduler),
             lambda done, total: progress.update(task, completed=done, total=total),
             from_s,
+            first_seed,
         )
     if as_json:
         print(json.dumps([asdict(loss) for loss in losses], indent=2))
         return
     console.print(check_table(losses))
-    print(f"{seeds} losses of each; 30 s after the loss, told before it")
+    print(f"{seeds} losses of each, seeds from {first_seed}; 30 s after the loss, told before it")

@@ -98,6 +98,7 @@ class ReadinessTold(_Sent):
     hpl_m: float | None
     hdop_now: float | None
     hdop: float | None
+    is_told: bool | None
 
 
 class StationState(_Sent):

@@ -27,7 +27,7 @@ def test_readiness_is_published_as_it_was_found(readiness):
     assert told.pop("at_unix_s") == 1.0
     assert told.pop("sysid") == 1
     assert told == {name: getattr(readiness, name) for name in told}
-    assert len(told) == 10
+    assert len(told) == 11
 
 
 def test_without_healthy_gps_there_is_none_to_publish():

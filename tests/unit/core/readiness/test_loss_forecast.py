@@ -29,8 +29,8 @@ def epoch(peers: int) -> Epoch:
     return Epoch(0.0, priors, tuple(RangeResidual(RANGED, node, 0.0, 0.5, 0.3) for node in nodes if node != RANGED))
 
 
-def told(peers: int, noise: NoiseModel) -> VehicleReadiness:
-    """Return the forecast for an estimator that predicts the same covariance all along."""
+def told(peers: int, noise: NoiseModel, hdops: tuple[float | None, ...] = (1.2, 1.2)) -> VehicleReadiness:
+    """Return the forecast for an estimator that predicts the same covariance all along, and some HDOP."""
     stated = epoch(peers)
     reported = {
         node: PositionMeasurement(node, 0.0, 0.0, prior.position_enu_m, 1.0, 1.5, (0.0, 0.0, 0.0), 0.3)
@@ -39,7 +39,8 @@ def told(peers: int, noise: NoiseModel) -> VehicleReadiness:
     }
     where = np.array(PLACES[RANGED])
     answers = [
-        Estimate(RANGED, at_s, where, np.zeros(3), COVARIANCE.copy(), 1.2, peers) for at_s in (0.0, 0.5 * HORIZON_S, HORIZON_S)
+        Estimate(RANGED, at_s, where, np.zeros(3), COVARIANCE.copy(), hdop, peers)
+        for at_s, hdop in zip((0.0, 0.5 * HORIZON_S, HORIZON_S), (None, *hdops), strict=True)
     ]
     situation = LossSituation(RANGED, reported, noise.apply(stated), stated, {}, 0.2, Exposure(True, True))
     return forecast(situation, answers, AidingSettings(), ProtectionSettings())
@@ -68,3 +69,11 @@ def test_noise_beyond_the_stated_one_is_in_the_bound() -> None:
     later_m2[:2, :2] += separation_m2 + excess_m2
     assert told(3, noise).bound_95_m == pytest.approx(horizontal_bound_95_m(later_m2), rel=1e-3)
     assert float(np.trace(excess_m2)) > 5.0
+
+
+@pytest.mark.parametrize(
+    ("hdops", "is_told"),
+    [((1.2, 1.2), True), ((1.2, 1.5), True), ((1.2, 1.6), False), ((1.6, 1.2), False), ((5.2, 5.1), False), ((1.2, None), False)],
+)
+def test_a_bound_is_told_where_the_geometry_hardly_changes(hdops: tuple[float | None, ...], is_told: bool) -> None:
+    assert told(3, NoiseModel(), hdops).is_told is is_told
