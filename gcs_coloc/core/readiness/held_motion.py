@@ -13,6 +13,11 @@ _OVER_S = 5.0
 _LEAST_SPAN_S = 2.0  # chosen: a turn rate from less is noise
 _LEAST_SPEED_MPS = 3.0
 """Below it a vehicle has no course."""
+_FORMATION_TURN_RADPS, _FORMATION_SPEED_MPS = 0.03, 3.0
+"""Within these of each other two vehicles fly in formation. Chosen: three times what noise and gusts leave of a turn rate, and
+the sway of vehicles that keep their places; either, held for half a minute, tears a column of 300 m apart."""
+_LEAST_FORMATION_MPS = 6.0
+"""Slower ones do not. Chosen: twice the sway, so that what stands still is in no formation with what moves."""
 _LEAST_TURN_RADPS = 1e-4
 """Below it the way is straight: 3 mrad in half a minute."""
 
@@ -36,6 +41,16 @@ class HeldMotion:
         position = (e + along * ve + across * vn, n + along * vn - across * ve, u + vu * span_s)
         velocity = (cos(angle) * ve + sin(angle) * vn, cos(angle) * vn - sin(angle) * ve, vu)
         return HeldMotion(position, velocity, turn)
+
+    def in_formation_with(self, other: HeldMotion) -> HeldMotion:
+        """Return the motion with velocity and turn rate of another vehicle where they are alike: the rest is noise and sway."""
+        (ve, vn, _), (other_ve, other_vn, _) = self.velocity, other.velocity
+        is_formation = (
+            hypot(other_ve, other_vn) >= _LEAST_FORMATION_MPS
+            and hypot(ve - other_ve, vn - other_vn) <= _FORMATION_SPEED_MPS
+            and abs(self.turn_radps - other.turn_radps) <= _FORMATION_TURN_RADPS
+        )
+        return HeldMotion(self.position, other.velocity, other.turn_radps) if is_formation else self
 
 
 class TurnRates:

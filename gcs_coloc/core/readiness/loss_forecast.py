@@ -38,11 +38,12 @@ class LossSituation:
     """A vehicle, and what would place it without GPS.
 
     `peers` are the reported positions of the nodes that it ranges; `epoch` the residuals of its ranges now, with zero values, and
-    `stated_epoch` the same with their noise as stated.
-    `turns_radps` are the turn rates that are held. `interval_s` is the mean time between its ranges.
+    `stated_epoch` the same with their noise as stated. `velocity_enu_mps` is that of the vehicle, `turns_radps` the turn rates
+    that are held. `interval_s` is the mean time between its ranges.
     """
 
     vehicle: int
+    velocity_enu_mps: Vector3
     peers: Mapping[int, PositionMeasurement]
     epoch: Epoch
     stated_epoch: Epoch
@@ -154,8 +155,9 @@ def _at(situation: LossSituation, epoch: Epoch, answer: Estimate, begin_s: float
 
 def _moved(situation: LossSituation, node: int, place: Vector3, span_s: float) -> Vector3:
     """Return where a node is later if it holds its motion."""
-    velocity = situation.peers[node].velocity_enu_mps or (0.0, 0.0, 0.0)
-    return HeldMotion(place, velocity, situation.turns_radps.get(node, 0.0)).after(span_s).position
+    velocity, turns = situation.peers[node].velocity_enu_mps or (0.0, 0.0, 0.0), situation.turns_radps
+    own = HeldMotion(place, situation.velocity_enu_mps, turns.get(situation.vehicle, 0.0))
+    return HeldMotion(place, velocity, turns.get(node, 0.0)).in_formation_with(own).after(span_s).position
 
 
 def _is_told(answers: Sequence[Estimate | NoEstimate]) -> bool:

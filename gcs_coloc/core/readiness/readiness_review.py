@@ -149,7 +149,9 @@ class ReadinessReview:
         interval_s = (now_s - used[0].measured_at_s) / len({m.measured_at_s for m in used}) if used else inf
         around = _without_values(star(epoch, sysid, peers))
         as_stated = around if stated_epoch is epoch else _without_values(star(stated_epoch, sysid, peers))
-        situation = LossSituation(sysid, peers, around, as_stated, turns_radps, interval_s, exposure)
+        own = node(sysid)
+        velocity = own.velocity_enu_mps if own is not None else None
+        situation = LossSituation(sysid, velocity or (0.0, 0.0, 0.0), peers, around, as_stated, turns_radps, interval_s, exposure)
         return forecast(situation, answers, self._aiding, self._protection)
 
     def _state(self, sysid: int, found: VehicleReadiness, now_s: float) -> None:

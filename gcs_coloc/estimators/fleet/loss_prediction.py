@@ -178,6 +178,9 @@ class _LossPrediction:
             self._height_rate_hz = reports / max(own[-1].measured_at_s - own[0].measured_at_s, 1.0) if own else 0.0
             before_m, now_m = record.baro_error_sigma_m, self._height_sigma_m
             record.baro_error_sigma_m = self.cluster.change_sigma(self._vehicle, _BARO, before_m, now_m)
+        self._points = {
+            node: replace(point, motion=point.motion.in_formation_with(self._way)) for node, point in self._points.items()
+        }
         for node, point in self._points.items():
             self._records[node] = VehicleRecord(static=True)
             joint.augment(node, np.array(point.motion.position), point.covariance_m2, self._at_s)

@@ -32,6 +32,25 @@ def test_small_steps_come_to_the_same_place_as_one(turn: float) -> None:
     assert hypot(*steps.velocity[:2]) == pytest.approx(20.0)
 
 
+def test_a_formation_stays_together() -> None:
+    leader = HeldMotion((0.0, 0.0, 100.0), (0.0, 20.0, 0.0), 0.06)
+    follower = HeldMotion((0.0, -300.0, 100.0), (1.0, 19.5, 0.2), 0.05)
+    apart = follower.in_formation_with(leader).after(30.0).position
+    e, n, u = leader.after(30.0).position
+    assert apart == pytest.approx((e, n - 300.0, u))
+
+
+@pytest.mark.parametrize(
+    ("velocity", "turn", "leader_mps"),
+    [((0.0, 20.0, 0.0), 0.1, 20.0), ((5.0, 20.0, 0.0), 0.05, 20.0), ((0.0, 0.0, 0.0), 0.05, 2.0)],
+)
+def test_who_turns_or_flies_otherwise_or_stands_is_in_no_formation(
+    velocity: tuple[float, float, float], turn: float, leader_mps: float
+) -> None:
+    motion = HeldMotion((0.0, -300.0, 100.0), velocity, turn)
+    assert motion.in_formation_with(HeldMotion((0.0, 0.0, 100.0), (0.0, leader_mps, 0.0), 0.06)) is motion
+
+
 @pytest.mark.parametrize("turn", [-0.25, 0.0, 0.1])
 def test_a_turn_rate_is_found_across_north(turn: float) -> None:
     rates = TurnRates()
