@@ -14,9 +14,10 @@ _PRUNED_LOG_WEIGHT = -15.0
 """Chosen: a component of odds below 1 to 3 million is dropped."""
 _MERGED_NIS = 0.3
 """Chosen: components closer than half a sigma are one; neighbours on a circle are farther apart."""
-
 _ALIKE = 4.0
 """Chosen: components whose variances differ by more are not one, wherever they are."""
+MOST_SPLIT = 8
+"""Chosen: bounds how many wide components are split at a time."""
 
 
 def update(
@@ -77,3 +78,21 @@ def moments(x: FloatArray, P: FloatArray, weight: FloatArray) -> tuple[FloatArra
     d = x - mean
     covariance = np.einsum("k,kij->ij", share, P) + np.einsum("k,ki,kj->ij", share, d, d)
     return mean, 0.5 * (covariance + covariance.T)
+
+
+def tail_merged(x: FloatArray, P: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the likeliest components, and all others as one."""
+    order = np.argsort(-w, kind="stable")
+    first, rest = order[: MOST_SPLIT - 1], order[MOST_SPLIT - 1 :]
+    mean, covariance = moments(x[rest], P[rest], np.exp(w[rest]))
+    return (
+        np.concatenate([x[first], mean[None]]),
+        np.concatenate([P[first], covariance[None]]),
+        np.append(w[first], log_sum(w[rest])),
+    )
+
+
+def log_sum(log_weight: FloatArray) -> float:
+    """Return the logarithm of the sum of weights that are given by their logarithms."""
+    most = float(log_weight.max())
+    return most + math.log(float(np.exp(log_weight - most).sum()))

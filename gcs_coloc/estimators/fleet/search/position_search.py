@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.estimators.fleet.search.gaussian_mixture import merged, moments, pruned, update
+from gcs_coloc.estimators.fleet.search.gaussian_mixture import MOST_SPLIT, log_sum, merged, moments, pruned, tail_merged, update
 
 _TOO_WIDE = 4.0
 _NARROW = 1.4
@@ -32,7 +32,6 @@ _MOST_ON_A_CIRCLE = 72
 """Chosen: components 5 degrees apart; what is left of the bend then counts as noise, eq. (15)."""
 _MOST_HEIGHTS = 5
 """Chosen: heights tried for each point of the circle where the height is open."""
-_MOST_SPLIT = 8
 _OTHERS_SHARE = 1e-4
 """Chosen: other places with less than this share together are excluded; a wrong decision is confident and lasts."""
 _LEAST_SHARE = 1e-6
@@ -173,15 +172,15 @@ class PositionSearch:
         A gap blurs components until they overlap: these are one. What is beyond the limit becomes one too.
         """
         x, P, w = self.mean, self.covariance, self.log_weight
-        for merge in (merged, _tail_merged):
+        for merge in (merged, tail_merged):
             d = x[:, :3] - circle.position_m
             u = d / np.maximum(np.linalg.norm(d, axis=1), _LEAST_DISTANCE_M)[:, None]
             wide = _is_wide(P, circle, self._noise(circle, u, P, use))
-            if int(wide.sum()) <= _MOST_SPLIT:
+            if int(wide.sum()) <= MOST_SPLIT:
                 break
-            total = _log_sum(w[wide])
+            total = log_sum(w[wide])
             mx, mP, mw = merge(x[wide], P[wide], w[wide])
-            mw = mw + total - _log_sum(mw)
+            mw = mw + total - log_sum(mw)
             x, P, w = (np.concatenate(both) for both in ((x[~wide], mx), (P[~wide], mP), (w[~wide], mw)))
         return x, P, w
 
@@ -282,20 +281,3 @@ def _is_wide(P: FloatArray, circle: RangeCircle, noise_m2: FloatArray) -> NDArra
     """Return which components (k,) are too wide to linearise a range."""
     wide: NDArray[np.bool_] = P[:, 0, 0] + P[:, 1, 1] > _SPLIT * max(circle.range_m, _LEAST_DISTANCE_M) * np.sqrt(noise_m2)
     return wide
-
-
-def _tail_merged(x: FloatArray, P: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the likeliest components, and all others as one."""
-    order = np.argsort(-w, kind="stable")
-    first, rest = order[: _MOST_SPLIT - 1], order[_MOST_SPLIT - 1 :]
-    mean, covariance = moments(x[rest], P[rest], np.exp(w[rest]))
-    return (
-        np.concatenate([x[first], mean[None]]),
-        np.concatenate([P[first], covariance[None]]),
-        np.append(w[first], _log_sum(w[rest])),
-    )
-
-
-def _log_sum(log_weight: FloatArray) -> float:
-    most = float(log_weight.max())
-    return most + math.log(float(np.exp(log_weight - most).sum()))
