@@ -16,6 +16,8 @@ _MERGED_NIS = 0.3
 """Chosen: components closer than half a sigma are one; neighbours on a circle are farther apart."""
 _ALIKE = 4.0
 """Chosen: components whose variances differ by more are not one, wherever they are."""
+GATE_NIS = 16.0
+"""Chosen: as the gate of the filter; a component that a range does not fit keeps its state and loses half of this."""
 MOST_SPLIT = 8
 """Chosen: bounds how many wide components are split at a time."""
 
@@ -37,6 +39,16 @@ def update(
     covariance = 0.5 * (covariance + covariance.swapaxes(1, 2))
     nis = np.einsum("km,km->k", innovation, np.linalg.solve(S, innovation[:, :, None])[:, :, 0])
     return corrected, covariance, nis, np.linalg.slogdet(S)[1]
+
+
+def with_more_noise(log_likelihood: FloatArray | float, variance_m2: FloatArray, more_m2: FloatArray) -> FloatArray:
+    """Return the log-likelihoods of ranges had their innovation variances been larger; that of an outlier is bounded.
+
+    Without the half logarithm of two pi, as all log-likelihoods here.
+    """
+    common_m2 = variance_m2 + more_m2
+    half_nis = -(np.asarray(log_likelihood) + 0.5 * np.log(variance_m2)) * variance_m2 / common_m2
+    return np.asarray(-np.minimum(half_nis, 0.5 * GATE_NIS) - 0.5 * np.log(common_m2))
 
 
 def pruned(x: FloatArray, P: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -16,7 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.estimators.fleet.search.gaussian_mixture import MOST_SPLIT, log_sum, merged, moments, pruned, tail_merged, update
+from gcs_coloc.estimators.fleet.search.gaussian_mixture import (
+    GATE_NIS,
+    MOST_SPLIT,
+    log_sum,
+    merged,
+    moments,
+    pruned,
+    tail_merged,
+    update,
+    with_more_noise,
+)
 
 _TOO_WIDE = 4.0
 _NARROW = 1.4
@@ -38,8 +48,6 @@ _LEAST_SHARE = 1e-6
 """Chosen: components below it link no places."""
 _LINKED = 4.0
 """Chosen: neighbours on a circle, one sigma apart, are linked, and those three sigmas apart are not."""
-_GATE_NIS = 16.0
-"""Chosen: as the gate of the filter; a component that a range does not fit keeps its state and loses this much."""
 _LEAST_RANGES = 12
 """Chosen: with fewer ranges one that is reflected may decide between two places."""
 _LEAST_AGREED = 2
@@ -143,7 +151,14 @@ class PositionSearch:
         noise = self._noise(circle, u, P, use)
         wide = _is_wide(P, circle, noise)
         kept = np.flatnonzero(~wide)
-        parts = [self._split((x[i], P[i], float(w[i])), circle, use) for i in np.flatnonzero(wide)]
+        own_m2 = np.einsum("ki,kij,kj->k", u, P[:, :3, :3], u) + noise
+        # How much a component remembers of earlier ranges, eq. (39), says nothing of where the vehicle is.
+        more_m2 = noise.max() - noise
+        parts = []
+        for i in np.flatnonzero(wide):
+            cx, cP, gain = self._split(x[i], P[i], circle, use)
+            total = log_sum(gain)
+            parts.append((cx, cP, w[i] + gain - total + with_more_noise(total, own_m2[i], more_m2[i])))
         fits = False
         if len(kept):
             H = np.zeros((len(kept), 1, 6))
@@ -154,11 +169,12 @@ class PositionSearch:
             R = noise[kept] + np.minimum(0.5 * (across / distance[kept]) ** 2, noise[kept] + across)
             innovation = (circle.range_m - distance[kept] - longer)[:, None]
             cx, cP, nis, log_det = update(x[kept], P[kept], H, innovation, R[:, None])
-            refused = nis > _GATE_NIS
+            refused = nis > GATE_NIS
             cx = np.where(refused[:, None], x[kept], cx)
             cP = np.where(refused[:, None, None], P[kept], cP)
             fits = not refused.all()
-            parts.append((cx, cP, w[kept] - 0.5 * np.minimum(nis, _GATE_NIS) - 0.5 * log_det))
+            gain = with_more_noise(-0.5 * (nis + log_det), np.exp(log_det), more_m2[kept])
+            parts.append((cx, cP, w[kept] + gain))
         x, P, w = (np.concatenate([part[i] for part in parts]) for i in range(3))
         x, P, w = merged(*pruned(x, P, w))
         refusals = 0 if fits or wide.any() else self.refused + 1
@@ -187,19 +203,16 @@ class PositionSearch:
     def _noise(self, circle: RangeCircle, u: FloatArray, P: FloatArray, use: int) -> FloatArray:
         """Return the variance (k,) of a range that brings all of them, with the peer's lasting error, to their joint information.
 
-        n ranges of white variance r and a common variance c have the information n / (r + n c). Along u a component of variance
-        p > c remembers r / (p - c) earlier ones at most: what moved on since counts no longer.
+        n ranges of white variance r and a common variance c have the information n / (r + n c), eq. (39). Along u a component of
+        variance p > c remembers r / (p - c) earlier ones at most: what moved on since counts no longer.
         """
         c, r = np.einsum("ki,ij,kj->k", u, circle.covariance_m2, u), circle.variance_m2
         p = np.einsum("ki,kij,kj->k", u, np.broadcast_to(P[:, :3, :3], (len(u), 3, 3)), u)
         earlier = np.where(p > c, np.minimum(use - 1, r / np.maximum(p - c, _ROUNDING_M2)), use - 1)
         return np.asarray((r + (earlier + 1.0) * c) * (r + earlier * c) / r)
 
-    def _split(
-        self, component: tuple[FloatArray, FloatArray, float], circle: RangeCircle, use: int
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the components of one, split along the circle of a range, eq. (27): means, covariances, log weights."""
-        x, P, log_weight = component
+    def _split(self, x: FloatArray, P: FloatArray, circle: RangeCircle, use: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the components of one, split along the circle of a range, eq. (27): means, covariances, log-likelihoods."""
         reach_m = max(circle.range_m, _LEAST_DISTANCE_M)
         sigma_m = math.sqrt(circle.variance_m2 + float(np.trace(circle.covariance_m2)) / 3.0 * use)
         fine_m = math.sqrt(reach_m * sigma_m)
@@ -237,7 +250,7 @@ class PositionSearch:
         # The weights of the points are shares of the component's, so their noise along the circle adds no evidence.
         share = 0.5 * math.log(2.0 * math.pi) if levels == 1 else math.log(2.0 * math.pi)
         scale = 0.5 * np.log(noise_m2[:, 1:]).sum(axis=1)
-        return cx, cP, log_weight - 0.5 * nis - 0.5 * log_det + scale - share
+        return cx, cP, scale - share - 0.5 * nis - 0.5 * log_det
 
     def place(self) -> tuple[FloatArray, FloatArray] | None:
         """Return mean (6,) and covariance (6, 6) where all components that matter are at one place; None while several fit.
@@ -262,7 +275,7 @@ class PositionSearch:
         mean, covariance = moments(x[here], P[here], weight[here])
         d = x[here, :3] - mean[:3]
         fit = np.einsum("ki,ki->k", d, np.linalg.solve(P[here, :3, :3], d[:, :, None])[:, :, 0])
-        return (mean, covariance) if float(fit.min()) < _GATE_NIS else None
+        return (mean, covariance) if float(fit.min()) < GATE_NIS else None
 
     def settled(self, distance_m: float, range_sigma_m: float) -> tuple[FloatArray, FloatArray] | None:
         """Return mean (16,) and covariance (16, 16) where the place is one, and narrow enough to linearise a range."""

@@ -79,6 +79,19 @@ def test_one_range_that_leaves_one_of_several_places_does_not_decide_alone():
     assert not one.with_range(circle(3, (0.0, 9.0, 0.0), truth)).is_open
 
 
+@pytest.mark.parametrize("other_m2", [0.033, 0.04, 0.06, 0.12])
+def test_ranges_that_fit_two_places_alike_do_not_decide_between_them(other_m2):
+    """With a noise of its own the one that remembered more ranges lost 4 to 7 of the log odds, whatever the ranges were."""
+    mean = np.array([[4.0, 3.0, 0.0, 0.0, 0.0, 0.0], [4.0, -3.0, 0.0, 0.0, 0.0, 0.0]])
+    covariance = np.array([np.diag([m2, m2, 0.01, 0.1, 0.1, 0.01]) for m2 in (0.031, other_m2)])
+    one = PositionSearch(0.0, mean, covariance, np.zeros(2), np.zeros(10), np.eye(10), {1: 100, 2: 100})
+    for k in range(10):
+        where = ((0.0, 0.0, 0.0), (8.0, 0.0, 0.0))[k % 2]
+        one = one.with_range(RangeCircle(1 + k % 2, np.array(where), 0.03 * np.eye(3), 5.0, 0.002))
+    assert len(one.mean) == 2
+    assert abs(one.log_weight[1] - one.log_weight[0]) < 1.0
+
+
 def test_time_alone_makes_no_one_place_of_several():
     truth = (4.0, 3.0, 0.0)
     one = search(20.0).with_range(circle(1, (0.0, 0.0, 0.0), truth)).with_range(circle(2, (8.0, 0.0, 0.0), truth))
