@@ -16,7 +16,7 @@ from brokers import wait_until
 from command_line import gcs_coloc
 from mcap.reader import make_reader
 from pymavlink import mavutil
-from vehicles import fly, square_fleet
+from vehicles import Hover, fly, square_fleet
 
 from bench.free_ports import free_port as free_port_of
 from gcs_coloc.core.engine import Engine
@@ -47,6 +47,15 @@ def journal_of(*recordings: Path) -> tuple[list[bytes], list[GpsInput]]:
 
     replay(Replay(engine, TlogReader(joined), [], on_poll))
     return vehicles, sent
+
+
+def located(vehicle: Hover) -> int:
+    return sum(message.fix_type == 3 for message in vehicle.of("GPS_INPUT"))
+
+
+def vehicle_entries(directory: Path) -> int:
+    """How many there are so far in a file that is still being written: its summary is missing, and nothing is compressed."""
+    return only(directory, "mcap").read_bytes().count(b'"vehicle":{"sysid":')
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +90,8 @@ def flown(tmp_path_factory) -> Path:
             fly(fleet, 2.0, failed=[4])
             service.send_signal(signal.SIGCONT)
             fly(fleet, 3.0, failed=[4])
+            # On a busy machine the service skips deadlines, and comes to as much in a longer flight.
+            fly(fleet, 60.0, failed=[4], until=lambda: located(fleet[3]) > 40 and vehicle_entries(directory) > 4 * 2.5 * 6)
         service.send_signal(signal.SIGTERM)
         service.communicate(timeout=60)
     finally:
@@ -102,9 +113,10 @@ def live_vehicles(path: Path) -> list[bytes]:
 def test_the_replay_computes_what_the_live_run_computed_to_the_last_bit(flown, replayed):
     live, (computed, _) = live_vehicles(only(flown, "mcap")), replayed
     assert len(live) > 4 * 2.5 * 6
-    # The live run went on for a moment after the last frame that was heard.
     assert live[: len(computed)] == computed
-    assert len(computed) > 0.9 * len(live)
+    # The live run went on after the last frame that was heard, on a busy machine for longer; the replay ends with that frame.
+    heard_s = max(record.unix_s for record in TlogReader(only(flown, "tlog")) if record.frame[5] != 254)
+    assert len(computed) >= sum(json.loads(entry)["at_s"] < heard_s for entry in live)
     located = [json.loads(v)["vehicle"] for v in computed]
     assert any(v["sysid"] == 4 and v["aiding_has_fix"] and v["lat_deg"] is not None for v in located)
 
@@ -164,6 +176,7 @@ def test_what_was_written_before_a_kill_opens_and_replays(start_service, free_po
     service = start_service("--udp", f"127.0.0.1:{free_port}", "--record", str(tmp_path), "--no-web")
     with square_fleet(free_port) as fleet:
         fly(fleet, 5.0)
+        fly(fleet, 60.0, until=lambda: vehicle_entries(tmp_path) > 4 * 2.5 * 2.5)
         service.kill()
         service.wait()
         ended_us = max(m for m in times_us(only(tmp_path, "tlog")))
