@@ -62,7 +62,7 @@ class TwoLinks:
         self._ends = {each: key for key, each in self._radios.items()}
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
-        self._started_s = time.monotonic()
+        self._started_s: float | None = None  # until the first flight
 
     def lose_gps(self, sysid: int = DENIED) -> None:
         """Have a vehicle lose its GPS now, for good."""
@@ -70,8 +70,10 @@ class TwoLinks:
 
     def fly(self, limit_s: float, until: Callable[[], bool] = lambda: False) -> bool:
         """Fly in real time until something is so, which is looked at after every step; False where it is not so in time."""
-        ends_s = time.monotonic() + limit_s
-        while time.monotonic() < ends_s:
+        begins_s = time.monotonic()
+        if self._started_s is None:
+            self._started_s = begins_s
+        while time.monotonic() < begins_s + limit_s:
             for datagram in self.fleet.advance(time.monotonic() - self._started_s):
                 for radio, service in enumerate(self._services):
                     self._radios[datagram.sysid, radio].sendto(datagram.payload, service)
