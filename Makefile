@@ -31,7 +31,7 @@ demo-docker-down:
 	sh tools/demo-docker down
 
 # Three processes on two cores: many tests wait for a wire. By file: a file's tests share what they have set up, as the containers.
-# In the order of tests/conftest.py: files on a wire and in the browser, which take minutes, have those that compute between them.
+# In order of names: tests on a wire and in the browser, whose files take minutes, come first, so that no core idles at the end.
 TEST_JOBS ?= 3
 test: .venv/.ready-dev
 	sh tools/install-test-tools
