@@ -94,7 +94,7 @@ class RangeConsistency:
         self._decayed_m2: dict[int, FloatArray] = {}
         self._detected_until_s: dict[int, float] = {}
         s = self.settings
-        self._epochs = self._history()
+        self._epochs = self._no_epochs()
         self._persistence = {interval_s: IsolationPersistence() for interval_s in (0.0, *s.intervals_s)}
         self._alert_until_s: dict[int, float] = {}
         self._pairs_off_at_s = float("-inf")
@@ -162,9 +162,9 @@ class RangeConsistency:
             if smaller is not None and self._smaller_windows >= _SMALLER_WINDOWS:
                 self.noise, self._smaller_windows = smaller, 0
                 # Earlier epochs were kept with the pairs that were off in them.
-                self._epochs = self._history()
+                self._epochs = self._no_epochs()
 
-    def _history(self) -> EpochHistory:
+    def _no_epochs(self) -> EpochHistory:
         return EpochHistory(self.settings.intervals_s, self.settings.correlation_time_s, self.settings.period_s)
 
     def _run_fault_monitor(self, epoch: Epoch, now_s: float) -> None:

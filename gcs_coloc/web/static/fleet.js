@@ -39,7 +39,7 @@ function withoutGps({ readiness: found }) {
 function withoutGpsInFull(snapshot) {
   const found = snapshot.readiness;
   if (found === null) return "-";
-  const levels = found.hpl_m === null ? "no position" : `protection level ${metres(found.hpl_m)}, 95 % bound ${metres(found.bound_95_m)}${found.is_told ? "" : " (its size cannot be told)"}, HDOP ${number(found.hdop)}`;
+  const levels = found.hpl_m === null ? "no position" : `protection level ${metres(found.hpl_m)}, 95 % bound ${metres(found.bound_95_m)}${found.is_told ? "" : " (uncertain)"}, HDOP ${number(found.hdop)}`;
   return `${withoutGps(snapshot).slice(1).join("")}; peers ranged: ${found.peers}; half a minute after a loss: ${levels}`;
 }
 

@@ -45,10 +45,11 @@ Horizontal = tuple[float, float]
 
 
 class _Pair(NamedTuple):
-    """A range in use from a vehicle that moves to one that may stand still."""
+    """A range in use from a vehicle that moves to one that may stand still, whose states are `behind_s` older."""
 
     own: RangeEnd
     end: RangeEnd
+    behind_s: float
 
 
 def curvature_covariances(
@@ -111,20 +112,19 @@ def _are_curved(cluster: Cluster, vehicle: int, units: Mapping[int, Vector3], di
 def _reach_sigmas(cluster: Cluster, moves: Mapping[int, Horizontal], at_s: float, sigma_m: float) -> tuple[float, float]:
     """Return the largest offsets, to either side, whose cost is that of near and far, in sigmas; `moves` as of one metre."""
     pairs = _pairs(cluster, moves, at_s)
-    vectors_m = np.array([_vector_m(own, end, time_s) for (own, end), time_s in pairs])
-    ends = [pair for pair, _ in pairs]
+    vectors_m = np.array([_vector_m(*pair) for pair in pairs])
     distances_m = np.maximum(np.sqrt((vectors_m * vectors_m).sum(axis=1)), _LEAST_DISTANCE_M)
     units = vectors_m / distances_m[:, np.newaxis]
-    information = np.linalg.inv(_distance_covariance(cluster, ends, units, moves))
+    information = np.linalg.inv(_distance_covariance(cluster, pairs, units, moves))
     # The place of each along the other horizontal direction is what it has to be.
     for vehicle, (east, north) in moves.items():
         length = math.hypot(east, north)
-        along = (units[:, 0] * -north + units[:, 1] * east) / length * _signs(ends, vehicle)
+        along = (units[:, 0] * -north + units[:, 1] * east) / length * _signs(pairs, vehicle)
         weighted = information @ along
         determined = float(along @ weighted)
         if determined > 0.0:
             information -= np.outer(weighted, weighted) / determined
-    relative = np.array([np.subtract(moves[own.vehicle], moves.get(end.vehicle, (0.0, 0.0))) for own, end in ends])
+    relative = np.array([np.subtract(moves[own.vehicle], moves.get(end.vehicle, (0.0, 0.0))) for own, end, _ in pairs])
     slopes = units[:, 0] * relative[:, 0] + units[:, 1] * relative[:, 1]
     by_slopes = float(slopes @ information @ slopes) * sigma_m * sigma_m
     share = min(1.0, 1.0 / by_slopes) if by_slopes > 0.0 else 0.0
@@ -137,22 +137,20 @@ def _reach_sigmas(cluster: Cluster, moves: Mapping[int, Horizontal], at_s: float
     return max(_first_beyond(side, _NEAR_SIGMAS) for side in sides), max(_first_beyond(side, _FAR_SIGMAS) for side in sides)
 
 
-def _pairs(cluster: Cluster, moves: Mapping[int, Horizontal], at_s: float) -> list[tuple[_Pair, float]]:
-    """Return the ranges in use of the vehicles that move, each pair once, and how far its end is behind its own time, s."""
-    ends = {vehicle: cluster.range_end(vehicle) for vehicle in moves}
-    joint, pairs = cluster.joint, []
-    for number, vehicle in enumerate(moves):
-        before = set(list(moves)[:number])
-        for peer in _peers(cluster, vehicle, at_s):
-            if peer not in before:
-                end = ends[peer] if peer in ends else cluster.range_end(peer)
-                pairs.append((_Pair(ends[vehicle], end), joint.time_s[vehicle] - joint.time_s[peer]))
+def _pairs(cluster: Cluster, moves: Mapping[int, Horizontal], at_s: float) -> list[_Pair]:
+    """Return the ranges in use of the vehicles that move, each pair once."""
+    time_s, pairs, done = cluster.joint.time_s, [], set[int]()
+    for vehicle in moves:
+        own = cluster.range_end(vehicle)
+        others = [peer for peer in _peers(cluster, vehicle, at_s) if peer not in done]
+        pairs += [_Pair(own, cluster.range_end(peer), time_s[vehicle] - time_s[peer]) for peer in others]
+        done.add(vehicle)
     return pairs
 
 
 def _signs(pairs: list[_Pair], vehicle: int) -> FloatArray:
     """Return 1 where a vehicle is the pair's own, -1 where it is its other end, else 0."""
-    return np.array([float(own.vehicle == vehicle) - float(end.vehicle == vehicle) for own, end in pairs])
+    return np.array([float(own.vehicle == vehicle) - float(end.vehicle == vehicle) for own, end, _ in pairs])
 
 
 def _first_beyond(cost: FloatArray, sigmas: float) -> float:
@@ -165,11 +163,11 @@ def _distance_covariance(cluster: Cluster, pairs: list[_Pair], units: FloatArray
     joint = cluster.joint
     H = np.vstack([
         cluster.range_jacobian(own, end, (unit[0], unit[1], unit[2]))[0]
-        for (own, end), unit in zip(pairs, units.tolist(), strict=True)
+        for (own, end, _), unit in zip(pairs, units.tolist(), strict=True)
     ])  # fmt: skip
     for vehicle in moves:
         H[:, joint.where[vehicle]] = 0.0
-    for row, (own, end) in zip(H, pairs, strict=True):
+    for row, (own, end, _) in zip(H, pairs, strict=True):
         for key in joint.where:
             if _is_pair(key, own.vehicle, end.vehicle):
                 row[joint.where[key]] = 1.0
@@ -180,7 +178,7 @@ def _is_pair(key: Key, a: int, b: int) -> bool:
     return isinstance(key, tuple) and key[0] == min(a, b) and key[1] == max(a, b)
 
 
-def _vector_m(own: RangeEnd, end: RangeEnd, step_s: float) -> tuple[float, float, float]:
-    """Return the vector from a peer to the vehicle, m, with the peer moved on by a step to the vehicle's time."""
+def _vector_m(own: RangeEnd, end: RangeEnd, behind_s: float) -> tuple[float, float, float]:
+    """Return the vector from a peer to the vehicle, m, with the peer moved on to the vehicle's time."""
     (e, n, u), (pe, pn, pu), (ve, vn, vu) = own.position, end.position, end.velocity
-    return e - pe - step_s * ve, n - pn - step_s * vn, u - pu - step_s * vu
+    return e - pe - behind_s * ve, n - pn - behind_s * vn, u - pu - behind_s * vu
