@@ -6,7 +6,7 @@ import itertools
 import re
 
 import pytest
-from flight import card
+from flight import card, wait_for
 from playwright.sync_api import expect
 
 pytestmark = pytest.mark.integration
@@ -57,9 +57,14 @@ def test_no_vehicle_is_hidden_beneath_the_buttons_of_the_map(watched, size):
     page = watched.page
     page.set_viewport_size({"width": size[0], "height": size[1]})
     page.get_by_role("button", name="Show all").click()
-    tools = page.locator("#map-tools").bounding_box()
     marks = page.locator("#map").get_by_role("button", name=re.compile(r"^Vehicle \d"))
     expect(marks).to_have_count(4)
-    for mark in marks.all():
-        box = mark.bounding_box()
-        assert box["y"] >= tools["y"] + tools["height"] or box["x"] + box["width"] <= tools["x"]
+
+    def are_free():
+        # The map takes its new size, and fits it, a picture or two after the window has it.
+        tools = page.locator("#map-tools").bounding_box()
+        boxes = [mark.bounding_box() for mark in marks.all()]
+        bottom, left = tools["y"] + tools["height"], tools["x"]
+        return all(box["y"] >= bottom or box["x"] + box["width"] <= left for box in boxes)
+
+    wait_for(are_free, "a map whose buttons cover no vehicle")
