@@ -15,7 +15,7 @@ _RANK_TOLERANCE = 1e-6
 _MIN_INFORMATION = 1e-9  # 1/m^2: what is known no better than to 30 km is not known
 _MIN_SIGMA_M = 0.01
 _NEWTON_STEPS = 4
-_CONVERGED_M = 0.5
+_CURVATURE_SHARE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +53,13 @@ class Adjustment:
         self._prior = self._prior_information(epochs, correlation)
         shift: FloatArray = np.zeros((len(epochs), len(self.vehicles), 3))
         free = np.array([self.priors[v].no_prior for v in self.vehicles], dtype=bool)
+        # The move by which a range bends by so much of its sigma, squared: d^2 / 2r.
+        straight_m2 = 2.0 * _CURVATURE_SHARE * min(_distance_m(now, r) * hypot(r.sigma_m, r.bias_m) for r in now.residuals)
         for _ in range(_NEWTON_STEPS if free.any() else 1):
             self._solve(shift)
             step = self.corrections_m.reshape(shift.shape) * free[:, np.newaxis]
             step[:, :, 2] = 0.0
-            if not np.abs(step - shift).max(initial=0.0) > _CONVERGED_M:
+            if not np.square(step - shift).sum(axis=2).max(initial=0.0) > straight_m2:
                 break
             shift = step
         self._left = self._K - self._K @ self.covariance_m2 @ self._K
@@ -147,6 +149,11 @@ def _information(epoch: Epoch, vehicles: list[int]) -> FloatArray:
         horizontal = _MIN_INFORMATION if place.no_prior else max(place.sigma_h_m, _MIN_SIGMA_M) ** -2
         known += [horizontal, horizontal, max(place.sigma_v_m, _MIN_SIGMA_M) ** -2]
     return np.array(known)
+
+
+def _distance_m(epoch: Epoch, residual: RangeResidual) -> float:
+    i, j = (epoch.priors[v].position_enu_m for v in residual.pair)
+    return max(float(np.linalg.norm(np.subtract(i, j))), _MIN_SIGMA_M)
 
 
 def _common(now: Epoch, then: Epoch | None) -> tuple[list[Epoch], list[tuple[RangeResidual, ...]]]:

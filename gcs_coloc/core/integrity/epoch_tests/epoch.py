@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import exp, sqrt
+from math import exp, inf, sqrt
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -62,7 +62,8 @@ class EpochArrays:
     """An epoch's residuals and vehicles as arrays, in the order of `pairs` and of `vehicles`; lengths in m, variances in m^2.
 
     `index` maps a vehicle to its place in `vehicles`. `ends` (2, residuals) are the indices of a residual's two vehicles,
-    `baselines_m` (residuals, 3) the vectors from the second to the first, `unit_vectors` their directions. States are the
+    `baselines_m` (residuals, 3) the vectors from the second to the first, `unit_vectors` their directions.
+    `distance_times_sigma_m2` is the least product of a residual's distance and its sigma. States are the
     east, north and up corrections of each vehicle in turn: `sqrt_information` (3 vehicles,) is the root of their prior
     information in 1/m, `has_prior` whether there is any, `states_without_prior` the indices where there is none.
     """
@@ -79,6 +80,7 @@ class EpochArrays:
     residuals_m: FloatArray
     variances_m2: FloatArray
     biases_m: FloatArray
+    distance_times_sigma_m2: float
     sqrt_information: FloatArray
     has_prior: NDArray[np.bool_]
 
@@ -115,6 +117,7 @@ class Epoch:
         without = [3 * number + axis for number, prior in enumerate(priors) if prior.no_prior for axis in (0, 1)]
         has_prior = np.ones(len(sqrt_information), dtype=bool)
         has_prior[without] = False
+        variances_m2 = columns[1] ** 2 + columns[2] ** 2
         return EpochArrays(
             pairs=pairs,
             vehicles=vehicles,
@@ -126,8 +129,9 @@ class Epoch:
             unit_vectors=baselines_m / distances_m[:, np.newaxis],
             ranges_m=columns[0] + distances_m,
             residuals_m=columns[0],
-            variances_m2=columns[1] ** 2 + columns[2] ** 2,
+            variances_m2=variances_m2,
             biases_m=columns[2],
+            distance_times_sigma_m2=float((distances_m * np.sqrt(variances_m2)).min(initial=inf)),
             sqrt_information=np.array(sqrt_information),
             has_prior=has_prior,
         )

@@ -19,7 +19,8 @@ from gcs_coloc.core.measurements import FloatArray
 
 RANK_TOLERANCE = 1e-6  # smallest over largest eigenvalue that counts as not zero; chosen: far above rounding
 _NEWTON_STEPS = 4  # chosen: bounds the time of an adjustment that diverges
-_CONVERGED_M = 0.5  # at 100 m the curvature of a range then costs 1 mm
+_CURVATURE_SHARE = 0.05
+"""Chosen: what the curvature of a range may be of its sigma. It adds a 400th to the variance."""
 
 
 class NormalEquations:
@@ -78,13 +79,16 @@ class NormalEquations:
     def _solve_by_newton(self) -> FloatArray:
         """Solve, and again where a vehicle without prior moved far; return the variances of the states without prior, m^2."""
         vehicles, tests = len(self._now.vehicles), len(self._weights)
+        # A move of d metres bends a range of r metres by d^2 / 2r.
+        straight_m2 = 2.0 * _CURVATURE_SHARE * self._now.distance_times_sigma_m2
         without_prior = np.concatenate([self._now.states_without_prior, self._now.states_without_prior + 3 * vehicles])
         shift: FloatArray = np.zeros((tests, 6 * vehicles))
         variances_without_prior_m2 = self._solve(self._unit_vectors, self._residuals_m, without_prior)
         self._first = self.corrections_m, self._columns
         for _ in range(_NEWTON_STEPS - 1):
             step = self.corrections_m[:, without_prior]
-            moving = np.abs(step - shift[:, without_prior]).max(axis=1, initial=0.0) > _CONVERGED_M
+            moves_m2 = np.square(step - shift[:, without_prior]).reshape(tests, -1, 2).sum(axis=2)
+            moving = moves_m2.max(axis=1, initial=0.0) > straight_m2
             if not moving.any():
                 break
             shift[:, without_prior] = np.where(moving[:, np.newaxis], step, shift[:, without_prior])
