@@ -28,7 +28,8 @@ _S_PER_H = 3600.0
 VERTICAL_RATIO = 1.6
 """Source: usual VDOP over HDOP of a receiver."""
 _NOMINAL_SHARE = 0.5  # of the integrity risk; chosen; the rest is for what may be wrong
-_HALVINGS = 30  # of an interval of a kilometre: below a micrometre
+_LEVEL_STEP_M = 0.001
+"""Chosen: a level is at most this much too large."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +131,11 @@ def _level_m(hypotheses: Sequence[Separation], settings: ProtectionSettings) -> 
         return 0.0
     separations_m = np.array([each.separation_m for each in hypotheses])
     sigmas_m = np.hypot(np.array([each.sigma_m for each in hypotheses]), settings.common_gnss_sigma_m)
-    low_m, high_m = 0.0, float((separations_m + sigmas_m * radius_at_risk(risk / float(p.sum()))).max())
-    for _ in range(_HALVINGS):
+    # No less than the level of each alone, no more than if each were as likely as all together.
+    alone = np.sqrt(2.0 * np.log(np.maximum(p / risk, 1.0)))
+    low_m = float((separations_m + sigmas_m * alone)[p > risk].max(initial=0.0))
+    high_m = float((separations_m + sigmas_m * radius_at_risk(risk / float(p.sum()))).max())
+    while high_m - low_m > _LEVEL_STEP_M:
         level_m = 0.5 * (low_m + high_m)
         beyond = np.maximum(level_m - separations_m, 0.0) / sigmas_m
         if float(p @ np.exp(-0.5 * beyond * beyond)) > risk:
