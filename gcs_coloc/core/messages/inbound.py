@@ -135,6 +135,11 @@ class SystemHealth:
     gps_healthy: bool
     battery_percent: int | None = None
 
+    @property
+    def gps_flags(self) -> tuple[bool, ...]:
+        """What it says of the GPS: present, enabled, healthy."""
+        return self.gps_present, self.gps_enabled, self.gps_healthy
+
 
 @dataclass(frozen=True, slots=True)
 class EkfStatus:
@@ -151,6 +156,12 @@ class EkfStatus:
     gps_glitching: bool
     global_position_aided: bool | None = None
     horizontally_aided: bool | None = None
+
+    @property
+    def flags(self) -> tuple[bool | None, ...]:
+        """All its flags."""
+        own = self.horizontal_position_absolute, self.constant_position_mode, self.gps_glitching
+        return *own, self.global_position_aided, self.horizontally_aided
 
 
 @dataclass(frozen=True, slots=True)

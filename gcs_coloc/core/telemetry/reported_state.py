@@ -119,7 +119,10 @@ class Telemetry:
         return len(self._states) >= self._max_vehicles
 
     def update(self, message: FromVehicle) -> bool:
-        """Update the reported state of a vehicle that was added; True where its GPS health and aiding need a review."""
+        """Update the reported state of a vehicle that was added; True where its GPS health and aiding need a review at once.
+
+        A status that says what the last one said waits for the next review of the fleet.
+        """
         state = self._states[message.sysid]
         state.last_heard_s = message.received_at_s
         stream = _STREAMS.get(type(message))
@@ -143,13 +146,13 @@ class Telemetry:
                     state.integrity = message
                 return True
             case SystemHealth():
-                state.system = message
-                return True
+                before, state.system = state.system, message
+                return before is None or before.gps_flags != message.gps_flags
             case EkfStatus():
                 is_px4 = state.autopilot is Autopilot.PX4
                 state.counts[Stream.ESTIMATOR_STATUS if is_px4 else Stream.EKF_STATUS] += 1
-                state.ekf = message
-                return True
+                last, state.ekf = state.ekf, message
+                return last is None or last.flags != message.flags
             case Heartbeat():
                 changed = state.autopilot is not message.autopilot
                 state.autopilot, state.winged = message.autopilot, message.winged

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from enum import Enum
 from typing import Any, get_args, get_type_hints
 
 import pytest
 
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages.inbound import Autopilot, FromVehicle, GpsReceiver, Heartbeat, Interference, ReceiverIntegrity
+from gcs_coloc.core.messages.inbound import (
+    Autopilot,
+    EkfStatus,
+    FromVehicle,
+    GpsReceiver,
+    Heartbeat,
+    Interference,
+    ReceiverIntegrity,
+    SystemHealth,
+)
 from gcs_coloc.core.telemetry.reported_state import Telemetry
 from gcs_coloc.estimators.registry import load_estimator
 
@@ -57,3 +66,20 @@ def test_what_the_receiver_that_we_feed_says_of_interference_is_none_of_the_vehi
     telemetry.update(Heartbeat(1, 0.0, Autopilot.ARDUPILOT, armed=True, winged=True))
     telemetry.update(ReceiverIntegrity(1, 1.0, 1, Interference.NONE, Interference.DETECTED, raim_failed=False))
     assert state.integrity is None
+
+
+@pytest.mark.parametrize(
+    ("first", "other"),
+    [
+        (SystemHealth(1, 1.0, True, True, True), SystemHealth(1, 1.0, True, True, False)),
+        (EkfStatus(1, 1.0, True, False, False), EkfStatus(1, 1.0, True, False, True)),
+    ],
+    ids=["SystemHealth", "EkfStatus"],
+)
+def test_a_status_asks_for_a_review_at_once_only_where_it_says_something_new(first, other):
+    telemetry = Telemetry(10, own_receiver=0)
+    telemetry.add(1, 0.0)
+    assert telemetry.update(first)
+    assert not telemetry.update(replace(first, received_at_s=1.5))
+    assert telemetry.update(replace(other, received_at_s=2.0))
+    assert not telemetry.update(replace(other, received_at_s=2.5))
