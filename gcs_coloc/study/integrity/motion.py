@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate
 from math import atan2, cos, hypot, pi, radians, remainder, sin, sqrt, tan
 
 import numpy as np
@@ -76,12 +77,9 @@ def gauss_markov(rng: np.random.Generator, count: int, step_s: float, sigma: flo
     """Return a stationary Gauss-Markov process (count, axes) of a standard deviation and a correlation time."""
     keep = float(np.exp(-step_s / time_s))
     noise = sigma * np.sqrt(1.0 - keep * keep) * rng.standard_normal((count, axes))
-    value: list[float] = (sigma * rng.standard_normal(axes)).tolist()
-    values = [value]
-    for new in noise[1:].tolist():
-        value = [keep * before + white for before, white in zip(value, new, strict=True)]
-        values.append(value)
-    return np.array(values)
+    noise[0] = sigma * rng.standard_normal(axes)
+    columns = [list(accumulate(column, lambda before, white: keep * before + white)) for column in noise.T.tolist()]
+    return np.array(columns).T
 
 
 def draw_trajectories(rng: np.random.Generator, drawn: FlightClass, duration_s: float, vehicles: int) -> list[Trajectory]:
