@@ -56,8 +56,14 @@ class Acknowledgement(ABC):
     def add_sent(self, message: AidingMessage, now_s: float) -> None:
         """Add what was sent."""
 
-    def review(self, vehicle: ReportedState, now_s: float) -> tuple[str, str] | None:
-        """Judge; return level and text of a notice, where it has changed."""
+    def review(self, vehicle: ReportedState, now_s: float, *, is_held_back: bool = False) -> tuple[str, str] | None:
+        """Judge; return level and text of a notice, where it has changed.
+
+        While what is built `is_held_back`, what the vehicle reports is an answer to somebody else, and nothing is judged.
+        """
+        if is_held_back:
+            self.acknowledged, self.fault, self._wrong_since_s = None, None, None
+            return None
         fault = self._fault_now(vehicle, now_s)
         if fault is not None:
             self._wrong_since_s = now_s if self._wrong_since_s is None else self._wrong_since_s

@@ -69,7 +69,12 @@ class Aiding:
         self._transmits = False
 
     def hold_back(self, *, held: bool) -> None:
-        """Decide and build as ever, but begin no switch while what is built is `held` back: the other service sends."""
+        """Decide and build as ever, but begin no switch while what is built is `held` back: the other service sends.
+
+        What a vehicle is sent and makes of it is then told by the other service.
+        """
+        if self._is_held_back and not held:
+            self._alarms.restart()
         self._is_held_back = held
 
     def add_switched(self, message: SwitchedByOther) -> None:
@@ -104,7 +109,7 @@ class Aiding:
 
         `reports_false_fix`: its own receiver has failed and reports a fix all the same, or one that came and went.
         """
-        sysid, stream = vehicle.sysid, self._streams.get(vehicle.sysid)
+        sysid, stream, held = vehicle.sysid, self._streams.get(vehicle.sysid), self._is_held_back
         out: list[Outbound] = list(self._foreign.review(sysid, now_s))
         if vehicle.autopilot is Autopilot.PX4:
             out.extend(self._px4.review(sysid, self._settings.methods.get(sysid, self._settings.method), now_s))
@@ -127,17 +132,17 @@ class Aiding:
         elif stream is not None and purpose is not None:
             stream.set_purpose(purpose, now_s)
         if stream is not None and stream.acknowledgement is not None:
-            change = stream.acknowledgement.review(vehicle, now_s)
+            change = stream.acknowledgement.review(vehicle, now_s, is_held_back=held)
             if change is not None:
                 out.append(Notice(now_s, sysid, *change))
         is_lost = reports_false_fix or (gps_state is GpsState.FAILED and vehicle.autopilot is not Autopilot.PX4)
         primary, is_switching = self._primary_overrides.get(sysid, PrimaryOverride.AUTO), self._switch.switching(sysid)
         wanted = stream is not None and stream.wants_switch(primary, is_switching=is_switching, is_lost=is_lost)
-        if not self._is_held_back:
+        if not held:
             out.extend(self._switch.review(sysid, vehicle.autopilot, now_s, wanted=wanted))
         is_self_fed = self._override(sysid) is AidingOverride.ON or self._switch.holds(sysid)
         is_aided = stream is not None and (gps_state in _AIDED_STATES or is_self_fed)
-        out.extend(self._alarms.review(vehicle, inhibit, now_s, needs_aid=purpose is Purpose.AID))
+        out.extend(self._alarms.review(vehicle, inhibit, now_s, needs_aid=purpose is Purpose.AID, is_held_back=held))
         return AidingDecision(stream.name if stream is not None else None, purpose, inhibit, is_aided, is_self_fed, tuple(out))
 
     def add_result(self, result: CommandResult) -> list[Outbound]:
@@ -188,7 +193,8 @@ class Aiding:
             return out
         for sysid, stream in self._streams.items():
             if now_s >= stream.due_s:
-                out.extend(stream.poll(now_s, inputs(sysid, now_s), frame, utc_minus_service_s, estimate_at))
+                held = self._is_held_back
+                out.extend(stream.poll(now_s, inputs(sysid, now_s), frame, utc_minus_service_s, estimate_at, is_held_back=held))
                 if stream.sent_fix is not None:
                     self._sent_fixes[sysid] = stream.sent_fix
         self._update_due()
@@ -266,6 +272,8 @@ class Aiding:
     ) -> list[Outbound]:
         del self._streams[sysid]
         self._update_due()
+        if self._is_held_back:
+            return []
         why = "the operator's override" if self._override(sysid) is AidingOverride.OFF else f"GPS {gps_state.value}"
         notice = Notice(now_s, sysid, "info", f"aiding ended: {inhibit.text if inhibit is not None else why}")
         # Who else feeds the same receiver is not interrupted by our last message.

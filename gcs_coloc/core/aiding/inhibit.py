@@ -158,13 +158,22 @@ class Standby:
 
 
 class InhibitAlarms:
-    """Alarms that a vehicle needs aid and cannot have it, once for each reason."""
+    """Alarms that a vehicle needs aid and cannot have it, once for each reason; told anew by a service that takes over."""
 
     def __init__(self) -> None:
         self._reported: dict[int, Inhibit | None] = {}
 
-    def review(self, vehicle: ReportedState, inhibit: Inhibit | None, now_s: float, *, needs_aid: bool) -> list[Notice]:
-        """Return the alarm that is due; a vehicle that has just come is given the time for its heartbeat."""
+    def restart(self) -> None:
+        """Tell again what holds."""
+        self._reported.clear()
+
+    def review(
+        self, vehicle: ReportedState, inhibit: Inhibit | None, now_s: float, *, needs_aid: bool, is_held_back: bool
+    ) -> list[Notice]:
+        """Return the alarm that is due; a vehicle that has just come is given the time for its heartbeat.
+
+        `is_held_back`: the other service of a hot standby sends, and may be able to.
+        """
         sysid, before = vehicle.sysid, self._reported.get(vehicle.sysid)
         is_new = inhibit is not None and inhibit.reason is InhibitReason.NO_HEARTBEAT
         is_new = is_new and now_s - vehicle.first_heard_s < _HEARTBEAT_WITHIN_S
@@ -172,6 +181,8 @@ class InhibitAlarms:
             self._reported.pop(sysid, None)
         elif inhibit != before and not is_new:
             self._reported[sysid] = inhibit
+            if inhibit is not None and is_held_back:
+                return [Notice(now_s, sysid, "warning", f"needs aid, and this service could not aid it: {inhibit.text}")]
             if inhibit is not None:
                 return [Notice(now_s, sysid, "error", f"needs aid and cannot be aided: {inhibit.text}")]
         return []

@@ -120,8 +120,9 @@ class AidingStream:
         self.acknowledgement = acknowledgement_of(name, settings.gps_id, now_s) if transmits else None
         self._policy = FixPolicy(settings, now_s)
         self._period_s = METHODS[name].period_s or 1.0 / settings.rate_hz
-        self._sent = 0
+        self._told_has_fix: bool | None = None
         self._is_predicting = False
+        self._told_prediction = False
 
     @property
     def purpose(self) -> Purpose:
@@ -151,8 +152,12 @@ class AidingStream:
         frame: LocalFrame | None,
         utc_minus_service_s: float | None,
         estimate_at: EstimateAt,
+        *,
+        is_held_back: bool = False,
     ) -> list[Outbound]:
         """Build what is due at `now_s`: the method's messages, and a notice where the fix is gained or lost.
+
+        No such notice while what is built `is_held_back`, as nobody is sent it; what holds is told once it is sent.
 
         Deadlines keep the fleet's schedule, so that all vehicles' are due at once; those that a late call has missed are left
         out. The vehicle takes the data to be `age_s` old when they arrive, so the estimate is for as much later as the link takes
@@ -196,7 +201,13 @@ class AidingStream:
         for message in out:
             if self.acknowledgement is not None and isinstance(message, AidingMessage):
                 self.acknowledgement.add_sent(message, now_s)
-        return out + self._update_inhibit(inhibit, now_s) + self._warn_of_prediction(now_s)
+        self.inhibit = inhibit
+        has_run_s = self._settings.prediction_s - self._policy.prediction_left_s(now_s)
+        self._is_predicting = inhibit is None and is_aid and has_run_s > _WARNED_AFTER_S
+        if is_held_back:
+            self._told_has_fix, self._told_prediction = None, False
+            return out
+        return out + self._tell_of_fix(now_s) + self._tell_of_prediction(now_s)
 
     def wants_switch(self, override: PrimaryOverride, *, is_switching: bool, is_lost: bool) -> bool:
         """Return whether it is to fly on our fix alone: begun only where it acknowledges that, kept while aid lasts.
@@ -226,27 +237,25 @@ class AidingStream:
         predicted = " on prediction, its ranges have ceased" if self._is_predicting else ""
         return f"{lead} {self.method.with_fix()}{predicted}" + (f", NOT TAKEN: {fault}" if fault is not None else "")
 
-    def _warn_of_prediction(self, now_s: float) -> list[Outbound]:
+    def _tell_of_fix(self, now_s: float) -> list[Outbound]:
+        """Return the notice that the fix is gained or lost."""
+        has_fix, had_fix = self.inhibit is None, self._told_has_fix
+        self._told_has_fix = has_fix
+        if has_fix is had_fix:
+            return []
+        if self.inhibit is None:
+            return [Notice(now_s, self._sysid, "info", "located: sending positions")]
+        text = f"not located, sending {self.method.without_fix()}: {self.inhibit.text}"
+        return [Notice(now_s, self._sysid, "warning", text)]
+
+    def _tell_of_prediction(self, now_s: float) -> list[Outbound]:
         """Return the warning that ranges have ceased, while there is time to act; PX4 goes into failsafe 5 s after its aid."""
-        left_s = self._policy.prediction_left_s(now_s)
-        was_predicting = self._is_predicting
-        self._is_predicting = (
-            self.inhibit is None and self._purpose is Purpose.AID and left_s < self._settings.prediction_s - _WARNED_AFTER_S
-        )
-        if self._is_predicting and not was_predicting:
+        was_told = self._told_prediction
+        self._told_prediction = self._is_predicting
+        if self._is_predicting and not was_told:
+            left_s = self._policy.prediction_left_s(now_s)
             text = f"its ranges have ceased: its position is predicted, and sent for {max(left_s, 0.0):.0f} s more without them"
             return [Notice(now_s, self._sysid, "error", text)]
-        if was_predicting and not self._is_predicting and self.inhibit is None:
+        if was_told and not self._is_predicting and self.inhibit is None:
             return [Notice(now_s, self._sysid, "info", "its ranges have come back")]
-        return []
-
-    def _update_inhibit(self, inhibit: Inhibit | None, now_s: float) -> list[Outbound]:
-        had_fix, has_fix = self.inhibit is None, inhibit is None
-        self.inhibit = inhibit
-        first, self._sent = self._sent == 0, self._sent + 1
-        if has_fix and not had_fix:
-            return [Notice(now_s, self._sysid, "info", "located: sending positions")]
-        if inhibit is not None and (had_fix or first):
-            text = f"not located, sending {self.method.without_fix()}: {inhibit.text}"
-            return [Notice(now_s, self._sysid, "warning", text)]
         return []

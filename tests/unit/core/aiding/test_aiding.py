@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from engine_flights import StraightLine, aids, fly, settings, texts, vehicle_4
 
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.measurements import Estimate, NoEstimate, PositionMeasurement
+from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.control import AidingOverride, CommandSource, ForeignGpsInput, GpsOverride, OperatorCommand
 from gcs_coloc.core.messages.inbound import Autopilot, GpsReceiver, Heartbeat
 from gcs_coloc.core.messages.outbound import AidingMessage, Notice
@@ -161,30 +159,20 @@ def test_the_receiver_that_we_feed_never_counts_as_the_vehicles_own(gps_id):
     assert (seen.gps_state, seen.fix_type) == ("failed", 1)
 
 
-class WithRanges(StraightLine):
-    """As its base, by ranges to so many vehicles."""
-
-    ranges = 3
-
-    def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
-        answer = super().estimate(vehicle, at_s)
-        return replace(answer, ranges_in_use=self.ranges) if isinstance(answer, Estimate) else answer
-
-
 @pytest.mark.parametrize("autopilot", [Autopilot.ARDUPILOT, Autopilot.PX4])
 def test_that_ranges_have_ceased_is_told_while_there_is_time_to_act(autopilot):
     """A PX4 goes into failsafe 5 s after its aid and stays in it: a word at the end of the prediction comes too late."""
-    estimator = WithRanges()
+    estimator = StraightLine()
     engine = Engine(estimator, settings())
     fly(engine, 0.0, 5.0, autopilot=autopilot)
     fly(engine, 5.0, 10.0, failed=[4], autopilot=autopilot)
-    estimator.ranges = 0
+    estimator.ranges_in_use = 0
     out = fly(engine, 10.0, 13.0, failed=[4], autopilot=autopilot)
     [(at_s, notice)] = [(t, o) for t, o in out if isinstance(o, Notice) and "ranges have ceased" in o.text]
     assert (notice.level, at_s) == ("error", pytest.approx(11.0, abs=0.25))
     assert "sent for 9 s more" in notice.text
     assert "on prediction" in vehicle_4(engine, 13.0).aiding
-    estimator.ranges = 3
+    estimator.ranges_in_use = 3
     assert "its ranges have come back" in texts(fly(engine, 13.0, 14.0, failed=[4], autopilot=autopilot))
-    estimator.ranges = 0
+    estimator.ranges_in_use = 0
     assert [t for t in texts(fly(engine, 14.0, 26.0, failed=[4], autopilot=autopilot)) if "prediction alone" in t]

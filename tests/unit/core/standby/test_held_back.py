@@ -7,9 +7,16 @@ from engine_flights import StraightLine, aids, fly, settings, telemetry, vehicle
 
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.engine import Engine
-from gcs_coloc.core.messages.control import GpsOverride, HoldBack, OperatorCommand, SwitchedByOther, SwitchedReceiver
+from gcs_coloc.core.messages.control import (
+    AidingOverride,
+    GpsOverride,
+    HoldBack,
+    OperatorCommand,
+    SwitchedByOther,
+    SwitchedReceiver,
+)
 from gcs_coloc.core.messages.inbound import Autopilot, CommandOutcome, CommandResult, ParameterValue, VehicleCommand
-from gcs_coloc.core.messages.outbound import ChangesVehicle, ParameterRequest, ParameterSet, SensorEnable
+from gcs_coloc.core.messages.outbound import ChangesVehicle, Notice, ParameterRequest, ParameterSet, SensorEnable
 
 BEFORE = SwitchedReceiver(4, 2.0, 9)
 
@@ -103,3 +110,70 @@ def test_overrides_in_force_are_told(held):
     assert [(o.sysid, o.override) for o in engine.overrides()] == [(4, GpsOverride.FAILED)]
     engine.receive(OperatorCommand(4, 2.0, GpsOverride.AUTO))
     assert engine.overrides() == ()
+
+
+def told(out) -> list[tuple[str, str]]:
+    """Level and text of what is told of vehicle 4's aid."""
+    return [(o.level, o.text) for _, o in out if isinstance(o, Notice) and o.sysid == 4 and "clock" not in o.text]
+
+
+def test_what_a_vehicle_is_sent_is_told_by_the_service_that_sends_it():
+    engine = held_back()
+    before = told(fly(engine, 5.0, 12.0, failed=[4]))
+    assert not [text for _, text in before if "sending" in text]
+    engine.receive(HoldBack(12.0, held=False))
+    assert told(fly(engine, 12.0, 13.0, failed=[4])).count(("info", "located: sending positions")) == 1
+    engine.receive(HoldBack(13.0, held=True))
+    engine.receive(OperatorCommand(4, 13.0, AidingOverride.OFF))
+    assert not engine.aiding.has_stream(4)
+    assert not [text for _, text in told(fly(engine, 13.0, 14.0, failed=[4])) if "aiding ended" in text]
+
+
+def test_a_service_that_takes_over_without_an_estimate_says_that_it_sends_none():
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    engine.receive(HoldBack(0.0, held=True))
+    fly(engine, 0.0, 5.0)
+    estimator.unknown = "no ranges"
+    assert not [text for _, text in told(fly(engine, 5.0, 12.0, failed=[4])) if "not located" in text]
+    engine.receive(HoldBack(12.0, held=False))
+    [(level, text)] = [one for one in told(fly(engine, 12.0, 13.0, failed=[4])) if "not located" in one[1]]
+    assert level == "warning"
+    assert text.startswith("not located, sending no fix: ")
+
+
+def test_whether_a_fix_is_taken_is_judged_by_what_this_service_sends_alone():
+    """While the other one feeds nobody yet, or sends another position, the vehicle's receiver shows no fix of ours."""
+    engine = held_back()
+    heard = fly(engine, 5.0, 15.0, failed=[4])
+    assert not [text for _, text in told(heard) if "not taken" in text]
+    assert vehicle_4(engine, 15.0).fix_acknowledged is None
+    engine.receive(HoldBack(15.0, held=False))
+    out = fly(engine, 15.0, 22.0, failed=[4])
+    [at_s] = [t for t, o in out if isinstance(o, Notice) and "GPS_INPUT is not taken" in o.text]
+    assert at_s == pytest.approx(20.0, abs=0.5)
+
+
+def test_that_ranges_have_ceased_is_told_with_the_release():
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    engine.receive(HoldBack(0.0, held=True))
+    fly(engine, 0.0, 5.0)
+    fly(engine, 5.0, 10.0, failed=[4])
+    estimator.ranges_in_use = 0
+    assert not [text for _, text in told(fly(engine, 10.0, 13.0, failed=[4])) if "ranges have ceased" in text]
+    engine.receive(HoldBack(13.0, held=False))
+    released = told(fly(engine, 13.0, 13.5, failed=[4]))
+    assert [level for level, text in released if "ranges have ceased" in text and "sent for 7 s more" in text] == ["error"]
+
+
+def test_what_keeps_a_service_from_aiding_is_its_own_until_it_is_the_one_to_send():
+    engine = Engine(StraightLine(), settings())
+    engine.receive(HoldBack(0.0, held=True))
+    fly(engine, 0.0, 5.0, autopilot=Autopilot.OTHER)
+    warned = told(fly(engine, 5.0, 8.0, failed=[4], autopilot=Autopilot.OTHER))
+    [(level, text)] = [one for one in warned if "aid" in one[1]]
+    assert (level, text.split(":")[0]) == ("warning", "needs aid, and this service could not aid it")
+    engine.receive(HoldBack(8.0, held=False))
+    [(level, text)] = [one for one in told(fly(engine, 8.0, 10.0, failed=[4], autopilot=Autopilot.OTHER)) if "aid" in one[1]]
+    assert (level, text.split(":")[0]) == ("error", "needs aid and cannot be aided")
