@@ -60,10 +60,11 @@ class VehicleSnapshot:
     `no_estimate_code` the same as the code of a `NoEstimateReason`.
     `enu_m` and `velocity_enu_mps` are the estimate in the fleet's frame, `covariance_h_m2` its horizontal covariance (east-east,
     east-north, north-north). `yaw_rad` is the vehicle's own, from true north, clockwise.
-    `aiding` says in words what is sent to it, `aiding_has_fix` whether that is a position, `fix_acknowledged` whether its
-    receiver shows our fix, `inhibit_reason` why nothing can be sent to it. `gps_primary` says what the service does with its
-    GPS_PRIMARY. `gps_override`, `aiding_override`, `primary_override` are the operator's decisions on these three, and with
-    `_by` where each came from; None where there is none, and in recordings that do not hold it.
+    `aiding` says in words what is sent to it, `aiding_has_fix` whether that is a position, `aiding_held_back` whether the other
+    service of a hot standby is to send it instead, `fix_acknowledged` whether its receiver shows our fix, `inhibit_reason` why
+    nothing can be sent to it. `gps_primary` says what the service does with its GPS_PRIMARY. `gps_override`, `aiding_override`,
+    `primary_override` are the operator's decisions on these three, and with `_by` where each came from; None where there is
+    none, and in recordings that do not hold it.
     `armed`, `mode` (the name of its flight mode) and `battery_percent` are what the vehicle says of itself.
     `delay_s` is how much longer its newest position was under way than the quickest of the last minute. `clock_method` is how its
     clock is known (TIMESYNC or one-way stamps), `clock_sigma_s` how well.
@@ -87,6 +88,7 @@ class VehicleSnapshot:
     reported_lon_deg: float | None
     aiding: str
     aiding_has_fix: bool = False
+    aiding_held_back: bool = False
     fix_acknowledged: bool | None = None
     gps_primary: str | None = None
     inhibit_reason: str | None = None
@@ -208,6 +210,7 @@ def vehicle_snapshot(
         reported_lon_deg=reported.lon_deg if reported is not None else None,
         aiding=aiding.status,
         aiding_has_fix=aiding.has_fix,
+        aiding_held_back=aiding.is_held_back,
         fix_acknowledged=aiding.fix_acknowledged,
         gps_primary=aiding.gps_primary,
         inhibit_reason=aiding.inhibit_reason,

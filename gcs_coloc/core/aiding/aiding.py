@@ -220,6 +220,7 @@ class Aiding:
         status = self._status(sysid, gps_state, stream, inhibit)
         return AidingView(
             status=f"by the other service; here {status}" if self._is_held_back and stream is not None else status,
+            is_held_back=self._is_held_back,
             has_fix=stream is not None and stream.inhibit is None,
             fix_acknowledged=acknowledgement.acknowledged if acknowledgement is not None else None,
             gps_primary=self._switch.status(sysid),
@@ -249,7 +250,8 @@ class Aiding:
         if stream is not None:
             return stream.status()
         if self._needs_aid(sysid, gps_state):
-            return f"NOT SENT: {inhibit.text if inhibit is not None else None}"
+            by_whom = "not by this service" if self._is_held_back else "NOT SENT"
+            return f"{by_whom}: {inhibit.text if inhibit is not None else None}"
         if self._override(sysid) is AidingOverride.OFF:
             return "off by the operator's override"
         obstacle = self._standby.obstacle(sysid)

@@ -79,6 +79,7 @@ class AidingView:
     """The aiding of one vehicle as observers see it; the fields are those of `VehicleSnapshot`."""
 
     status: str
+    is_held_back: bool
     has_fix: bool
     fix_acknowledged: bool | None
     gps_primary: str | None

@@ -126,7 +126,7 @@ def _gps_condition(v: VehicleSnapshot) -> Condition | None:
         text = f"GPS {v.gps_state}: {v.gps_reason}. Located {located}; {v.aiding}"
         brief = f"GPS {'lost' if v.gps_state == 'failed' else v.gps_state}, "
         brief += f"located within {v.bound_95_m:.0f} m" if v.bound_95_m is not None else "not located"
-        if v.bound_95_m is not None and not _is_aided(v):
+        if v.bound_95_m is not None and not _is_aided(v) and not v.aiding_held_back:
             brief += ", not aided"
         return Condition(AlarmKind.GPS_LOST, "warning" if _is_aided(v) else "error", text, _action_without_gps(v), brief)
     if v.gps_state == "suspect":
@@ -170,6 +170,8 @@ def _is_aided(v: VehicleSnapshot) -> bool:
 
 
 def _action_without_gps(v: VehicleSnapshot) -> str:
+    if v.aiding_held_back:
+        return "This service holds back: the page of the other service says what it is sent, and what to do."
     if v.aiding_override == "off":
         return "Its aiding is switched off: fly it by hand, or set its aiding to automatic."
     if v.fix_acknowledged is False:

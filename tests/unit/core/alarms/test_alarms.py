@@ -165,3 +165,10 @@ def test_a_hot_standby_that_is_not_what_it_should_be_is_told_until_it_is():
     [worse] = alarms.update(fleet_view(2.0, SOUND, standby=replace(lost, sends="nobody", problem="neither service sends")))
     assert worse.level == "error"
     assert [a.state for a in alarms.update(fleet_view(3.0, SOUND, standby=STANDBY))] == ["over"]
+
+
+@pytest.mark.parametrize("view", [LOST, LOCATED, replace(LOCATED, fix_acknowledged=False), replace(LOST, aiding_override="off")])
+def test_a_service_that_holds_back_sends_nobody_to_the_stick(view):
+    [held] = conditions(replace(view, aiding_held_back=True))
+    assert held.action == "This service holds back: the page of the other service says what it is sent, and what to do."
+    assert "not aided" not in held.brief

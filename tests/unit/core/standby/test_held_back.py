@@ -174,6 +174,8 @@ def test_what_keeps_a_service_from_aiding_is_its_own_until_it_is_the_one_to_send
     warned = told(fly(engine, 5.0, 8.0, failed=[4], autopilot=Autopilot.OTHER))
     [(level, text)] = [one for one in warned if "aid" in one[1]]
     assert (level, text.split(":")[0]) == ("warning", "needs aid, and this service could not aid it")
+    assert vehicle_4(engine, 8.0).aiding.startswith("not by this service: its autopilot is neither")
     engine.receive(HoldBack(8.0, held=False))
     [(level, text)] = [one for one in told(fly(engine, 8.0, 10.0, failed=[4], autopilot=Autopilot.OTHER)) if "aid" in one[1]]
     assert (level, text.split(":")[0]) == ("error", "needs aid and cannot be aided")
+    assert vehicle_4(engine, 10.0).aiding.startswith("NOT SENT: its autopilot is neither")
