@@ -69,7 +69,7 @@ class Dataset:
         return {node.vehicle: node.place_enu_m for node in self.nodes if node.place_enu_m is not None}
 
 
-def read_dataset(directory: Path) -> Dataset:
+def read_dataset(directory: Path | str) -> Dataset:
     """Read a data set. Of the tables only `ranges.csv` has to be there; without `truth.csv` nothing can be scored.
 
     Raises:
@@ -77,7 +77,7 @@ def read_dataset(directory: Path) -> Dataset:
         and line and column where there are any.
 
     """
-    directory = _dataset_directory(directory)
+    directory = _dataset_directory(Path(directory))
     meta = Meta(directory / "meta.toml")
     rows = _Rows(meta.nodes)
     tables: dict[str, list[Measurement]] = {}

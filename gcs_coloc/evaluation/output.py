@@ -17,14 +17,14 @@ _COLUMNS = ("dataset", "estimator", "id", "t_s", "e_m", "n_m", "u_m", "sigma_e_m
             "true_e_m", "true_n_m", "true_u_m", "error_h_m", "error_3d_m")  # fmt: skip
 
 
-def write_epochs(evaluations: Sequence[Evaluation], path: Path) -> None:
+def write_epochs(evaluations: Sequence[Evaluation], path: Path | str) -> None:
     """Write every epoch of every denied vehicle as CSV; cells without an estimate, or without truth, are empty.
 
     Raises:
         UsageError: the file cannot be written.
     """
     try:
-        with path.open("w", newline="", encoding="utf-8") as file:
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(_COLUMNS)
             for evaluation in evaluations:
@@ -43,7 +43,7 @@ def write_epochs(evaluations: Sequence[Evaluation], path: Path) -> None:
         raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def plot_evaluation(evaluation: Evaluation, path: Path) -> None:
+def plot_evaluation(evaluation: Evaluation, path: Path | str) -> None:
     """Draw each vehicle's track, its error against the stated 2-sigma, and the NIS of its ranges; the ending sets the format.
 
     Raises:

@@ -155,7 +155,7 @@ class RecordingArrays:
 
 
 def read_recording(
-    path: Path | str, estimator: str = "fleet", settings: Mapping[str, Any] | None = None, ranges: Path | None = None
+    path: Path | str, estimator: str = "fleet", settings: Mapping[str, Any] | None = None, ranges: Path | str | None = None
 ) -> RecordingArrays:
     """Replay a recording (tlog) and return what the service knew of each vehicle, as arrays.
 
@@ -171,7 +171,7 @@ def read_recording(
 
     """
     chosen = load_settings(None, {"estimator": {"name": estimator, "settings": dict(settings or {})}})
-    history = read_history(Path(path), chosen, ranges, None)
+    history = read_history(Path(path), chosen, Path(ranges) if ranges is not None else None, None)
     residuals = [
         (e.at_s - e.range.age_s, e.range.from_sysid, e.range.to_sysid, e.range.innovation_m, e.range.sigma_m, not e.range.refused)
         for e in history.ranges

@@ -71,6 +71,10 @@ def test_everything_is_read(tmp_path):
     assert dataset.truth[1].positions_enu_m.tolist() == [[1.1, 2.0, 3.0], [1.2, 2.0, 3.0]]
 
 
+def test_a_data_set_is_named_by_a_string_as_well(tmp_path):
+    assert read_dataset(str(write(tmp_path))).name == "small"
+
+
 def test_optional_files_and_columns_may_be_left_out(tmp_path):
     positions = "t_s,id,e_m,n_m,u_m,sigma_h_m,sigma_v_m\n0.0,tag,1,2,3,1,1\n"
     dataset = read_dataset(write(tmp_path, altitude_csv=None, attitude_csv=None, positions_csv=positions))

@@ -214,7 +214,7 @@ def test_without_truth_it_is_located_all_the_same(tmp_path):
     (vehicle,) = evaluate(walk, FleetFilter()).denied
     assert vehicle.score.share_known > 0.95
     assert vehicle.score.horizontal is None
-    write_epochs([evaluate(walk, FleetFilter())], tmp_path / "epochs.csv")
+    write_epochs([evaluate(walk, FleetFilter())], str(tmp_path / "epochs.csv"))
     rows = list(csv.DictReader((tmp_path / "epochs.csv").read_text().splitlines()))
     assert float(rows[50]["e_m"]) == pytest.approx(10.0 + 0.5 * float(rows[50]["t_s"]), abs=0.5)
     assert rows[50]["error_h_m"] == ""
