@@ -8,6 +8,7 @@ Against an earlier epoch each of them either began since or was there already; a
 An offset of a majority cannot be told from the opposite offset of the others: that the majority is right is assumed.
 
 Isolated is a vehicle that is in every explanation which is not clearly worse than the best. Else the fault is only detected.
+Before that, two receivers that are off at once, each its own way, are an explanation as well.
 
 Source: J. Blanch et al., Baseline advanced RAIM user algorithm, IEEE Trans. AES 51 (2015), subsets of faults; N. L. Knight,
 J. Wang and C. Rizos, Generalised measures of reliability for multiple outliers, J. Geodesy 84 (2010), separability.
@@ -23,6 +24,7 @@ from math import inf
 
 import numpy as np
 
+from gcs_coloc.core.integrity.epoch_tests.adjustment import adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_model import AdjustedHypothesis, FaultKind, FaultModel, Hypothesis
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit
@@ -33,6 +35,9 @@ from gcs_coloc.core.stations.node_id import is_station
 _MAX_CANDIDATES = 8  # vehicles; chosen: bounds the number of subsets to 162
 _MAX_SUBSET = 4  # vehicles; chosen: with eight candidates that is half of them
 _ALIKE_PENALTY = 3.2  # twice the log of 5: chosen, so much rarer is each further receiver spoofed alike; of four below the margin
+_UNLIKE_PENALTY = 13.8
+"""Twice the log of 1000: chosen, so much rarer two receivers are off at once, each its own way."""
+_LEAST_WITH_TWO_FAULTY = 4  # receivers of which two are no majority
 _STATION_PENALTY = 9.2  # twice the log of 100: chosen, so much rarer a station stands elsewhere than a receiver fails
 _SELF_REPORTED_PENALTY = 13.8  # twice the log of 1000: chosen, so much likelier at fault is who reports trouble himself
 
@@ -42,11 +47,11 @@ class Isolation:
     """Result for one epoch, or one against an earlier one.
 
     `plausible`: the explanations not clearly worse than the best, which comes first; none where not even the best leaves a
-    consistent rest. `or_pairs_of`: vehicles that two of their pairs, off at once, may only seem to have at another place.
+    consistent rest. `not_alone`: vehicles that two other faults at once may only seem to have at another place.
     """
 
     plausible: tuple[AdjustedHypothesis, ...]
-    or_pairs_of: frozenset[int] = frozenset()
+    not_alone: frozenset[int] = frozenset()
 
     @property
     def cost(self) -> float:
@@ -63,7 +68,7 @@ class Isolation:
         """By vehicle the size of its fault, m: the vehicles whose position is off in every plausible explanation."""
         if not self.plausible:
             return {}
-        common = frozenset.intersection(*(_faulty(each) for each in self.plausible)) - self.or_pairs_of
+        common = frozenset.intersection(*(_faulty(each) for each in self.plausible)) - self.not_alone
         return dict.fromkeys(sorted(common), self.plausible[0].size_m)
 
     @property
@@ -107,7 +112,8 @@ def isolate(
     `troubled` vehicles report trouble themselves. `pairs_fail`: pairs have been off of late, and two may be at once.
     """
     model = FaultModel(now, past)
-    hypotheses = _hypotheses(now, model, _candidates(now, model))
+    candidates = _candidates(now, model)
+    hypotheses = _hypotheses(now, model, candidates)
     explanations = model.explain(hypotheses, [_penalty(each, frozenset(troubled)) for each in hypotheses])
     if not explanations:
         return Isolation(())
@@ -117,14 +123,49 @@ def isolate(
         return Isolation(())
     limit = best.cost + levels.margin
     isolation = Isolation(tuple(each for each in explanations if each.cost <= limit))
-    if not pairs_fail:
-        return isolation
-    alone = (vehicle for vehicle in isolation.isolated if vehicle not in troubled)
-    return replace(isolation, or_pairs_of=frozenset(v for v in alone if cost_of_two_pairs(now, past, v) <= limit))
+    reporting = [model.arrays.vehicles[at] for at in candidates]
+    not_alone = {
+        vehicle
+        for vehicle in isolation.isolated
+        if vehicle not in troubled
+        and (
+            _cost_of_two_receivers(now, past, [v for v in reporting if v != vehicle]) <= limit
+            or (pairs_fail and cost_of_two_pairs(now, past, vehicle) <= limit)
+        )
+    }
+    return replace(isolation, not_alone=frozenset(not_alone))
 
 
 def _faulty(explanation: AdjustedHypothesis) -> frozenset[int]:
     return frozenset(explanation.vehicles if explanation.kind is FaultKind.POSITIONS else ())
+
+
+def _cost_of_two_receivers(now: Epoch, past: Past, others: Sequence[int]) -> float:
+    """Twice the negative log likelihood of the explanation that two of some receivers are off, each its own way.
+
+    Infinite where two are a majority of all: that the majority is right is assumed.
+    """
+    then, correlation = past
+    two_of_them = combinations(others, 2) if len(others) + 1 >= _LEAST_WITH_TWO_FAULTY else ()
+    return min(
+        (
+            adjust(_without_priors(now, two), [(_without_priors(then, two) if then is not None else None, correlation)])[
+                0
+            ].statistic
+            + _UNLIKE_PENALTY
+            + _STATION_PENALTY * sum(map(is_station, two))
+            for two in two_of_them
+        ),
+        default=inf,
+    )
+
+
+def _without_priors(epoch: Epoch, vehicles: Collection[int]) -> Epoch:
+    """The epoch where nothing is known of the horizontal position of some vehicles."""
+    return replace(
+        epoch,
+        priors={v: prior._replace(no_prior=prior.no_prior or v in vehicles) for v, prior in epoch.priors.items()},
+    )
 
 
 def _penalty(hypothesis: Hypothesis, troubled: frozenset[int]) -> float:
