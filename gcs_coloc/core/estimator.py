@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import chain
-from math import isfinite
+from math import isfinite, sqrt
 from numbers import Integral
 from pathlib import PurePath
 from typing import Protocol
+
+import numpy as np
 
 from gcs_coloc.core.measurements import (
     Estimate,
@@ -26,6 +28,10 @@ _NO_RESIDUAL = "gave a residual that is none"
 _SIX_ROWS = [6] * 6
 _TWO_ROWS = [2] * 2
 _NOT_A_POSITION = "gave a result that is no position with a covariance"
+_NOT_ASKED_FOR = "gave the position of another vehicle or time than was asked for"
+_SAME_S = 1e-6  # chosen: of a time that was computed anew in another way
+_ROUNDING = 1e-9  # of a correlation; chosen: far above what rounding makes of a covariance of six states
+_ANY_FAILURE = (Exception, SystemExit)  # a plug-in may call sys.exit
 
 
 class Estimator(Protocol):
@@ -117,28 +123,30 @@ class GuardedEstimator:
         """As the protocol says."""
         try:
             self._inner.set_denied(denied, at_s)
-        except Exception as error:
+        except _ANY_FAILURE as error:
             self._fault(_RAISED, error)
 
     def reset(self, vehicle: int, at_s: float) -> None:
         """As the protocol says."""
         try:
             self._inner.reset(vehicle, at_s)
-        except Exception as error:
+        except _ANY_FAILURE as error:
             self._fault(_RAISED, error)
 
     def add(self, measurement: Measurement) -> None:
         """As the protocol says."""
         try:
             self._inner.add(measurement)
-        except Exception as error:
+        except _ANY_FAILURE as error:
             self._fault(_RAISED, error)
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
-        """As the protocol says; NoEstimate where the inner estimator fails, or its answer is none, or not finite and positive."""
+        """As the protocol says; NoEstimate where the inner estimator fails, or its answer is none, or no position of that vehicle
+        at that time with a covariance.
+        """
         try:
             answer = self._inner.estimate(vehicle, at_s)
-        except Exception as error:
+        except _ANY_FAILURE as error:
             self._fault(_RAISED, error)
             return NoEstimate(
                 vehicle, at_s, Unlocated(NoEstimateReason.ESTIMATOR_FAILED, detail=f"failed: {type(error).__name__}")
@@ -148,8 +156,9 @@ class GuardedEstimator:
                 return answer
             return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.OTHER, detail=str(answer.reason)))
         if not _is_sound(answer):
-            self._fault(_NOT_A_POSITION, None)
-            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.ESTIMATOR_FAILED, detail=_NOT_A_POSITION))
+            return self._no_answer(vehicle, at_s, _NOT_A_POSITION)
+        if answer.vehicle != vehicle or not abs(answer.at_s - at_s) <= _SAME_S:
+            return self._no_answer(vehicle, at_s, _NOT_ASKED_FOR)
         return answer
 
     def predict_loss(
@@ -168,7 +177,7 @@ class GuardedEstimator:
         try:
             answers = list(predict(vehicle, at_s, horizon_s, ranges, turns_radps, height_sigma_m))
             is_sound = bool(answers) and all(isinstance(each, NoEstimate) or _is_sound(each) for each in answers)
-        except Exception as error:
+        except _ANY_FAILURE as error:
             self._fault(_RAISED, error)
             return None
         if not is_sound:
@@ -179,9 +188,9 @@ class GuardedEstimator:
     def drain_residuals(self) -> list[Residual]:
         """As the protocol says."""
         try:
-            residuals = self._inner.drain_residuals()
+            residuals = list(self._inner.drain_residuals())
             sound = [residual for residual in residuals if _is_residual(residual)]
-        except Exception as error:
+        except _ANY_FAILURE as error:
             self._fault(_RAISED, error)
             return []
         if len(sound) != len(residuals):
@@ -192,19 +201,23 @@ class GuardedEstimator:
         """The inner estimator's counts and the faults."""
         try:
             counts = {str(reason): int(count) for reason, count in self._inner.counts().items()}
-        except Exception as error:
+        except _ANY_FAILURE as error:
             self._fault(_RAISED, error)
             counts = {}
         return {**counts, **self._faults}
 
-    def _fault(self, kind: str, error: Exception | None) -> None:
+    def _no_answer(self, vehicle: int, at_s: float, kind: str) -> NoEstimate:
+        self._fault(kind, None)
+        return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.ESTIMATOR_FAILED, detail=kind))
+
+    def _fault(self, kind: str, error: BaseException | None) -> None:
         self._faults[kind] += 1
         if self._faults[kind] == 1:
             detail = f": {type(error).__name__}: {error}{_place(error)}" if error is not None else ""
-            self._report(f"estimator {self.name} {kind}{detail}; its answers are withheld while it does")
+            self._report(f"estimator {self.name} {kind}{detail}; an answer that fails is withheld")
 
 
-def _place(error: Exception) -> str:
+def _place(error: BaseException) -> str:
     """Where it was raised, for the author of a plug-in."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
@@ -213,7 +226,7 @@ def _place(error: Exception) -> str:
 
 
 def _is_sound(answer: object) -> bool:
-    """Whether it is an Estimate, its arrays of the right shapes and finite, its variances and its horizontal part positive."""
+    """Whether it is an Estimate, its arrays of the right shapes and finite, its covariances symmetric and positive definite."""
     if not isinstance(answer, Estimate) or not isinstance(answer.ranges_in_use, Integral):
         return False
     try:
@@ -227,8 +240,22 @@ def _is_sound(answer: object) -> bool:
         is_finite = all(map(isfinite, chain(position, velocity, *rows, *far)))
     except (AttributeError, TypeError):
         return False
-    is_positive = all(row[i] > 0.0 for one in (rows, far) for i, row in enumerate(one))
-    return is_finite and is_positive and all(one[0][0] * one[1][1] > one[0][1] * one[1][0] for one in (rows, far))
+    return is_finite and _is_covariance(rows) and (far is rows or _is_covariance(far))
+
+
+def _is_covariance(rows: list[list[float]]) -> bool:
+    """Whether finite rows are symmetric and positive definite; of the correlations, as variances may differ by many powers."""
+    if not all(row[i] > 0.0 for i, row in enumerate(rows)):
+        return False
+    per_sigma = [1.0 / sqrt(row[i]) for i, row in enumerate(rows)]
+    correlations = np.array(rows) * np.outer(per_sigma, per_sigma)
+    if abs(correlations - correlations.T).max() > _ROUNDING or rows[0][0] * rows[1][1] <= rows[0][1] * rows[1][0]:
+        return False
+    try:
+        np.linalg.cholesky(correlations + _ROUNDING * np.eye(len(rows)))
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def _is_residual(residual: object) -> bool:

@@ -6,6 +6,7 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
+from copy import deepcopy
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -161,7 +162,8 @@ def evaluate_dataset(
         nonlocal next_query
         while next_query < len(queries) and queries[next_query][0] < at_s:
             t, vehicle = queries[next_query]
-            answers[vehicle].append(estimator.estimate(vehicle, t))
+            # A plug-in may go on to change the arrays that it gave.
+            answers[vehicle].append(deepcopy(estimator.estimate(vehicle, t)))
             next_query += 1
 
     for node in dataset.nodes:

@@ -30,6 +30,8 @@ from gcs_coloc.estimators.fleet.out_of_sequence import Entry, Key, OosmBuffer
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _RESIDUALS_KEPT = 4096
+_LARGEST = 1e9
+"""Chosen: in metres farther than the Moon; squares of what is below it keep their digits."""
 """Chosen: bounds the memory when nobody drains; some 30 s of a large fleet."""
 _KIND_DENIED, _KIND_CLASS, _KIND_POSITION, _KIND_ALTITUDE, _KIND_ATTITUDE, _KIND_ODOMETRY, _KIND_RANGE = range(7)
 
@@ -169,7 +171,7 @@ def _key(m: Measurement) -> Key | None:
         head, tail = (_KIND_CLASS, m.vehicle), (_CLASSES.index(m.vehicle_class),)
     else:
         return None
-    key = (m.measured_at_s, *head, *tail, *sigmas)
-    if min(sigmas) <= 0.0 or not all(map(math.isfinite, key)) or not math.isfinite(m.arrived_at_s):
+    numbers = *tail, *sigmas
+    if min(sigmas) <= 0.0 or not all(abs(number) < _LARGEST for number in numbers):
         return None
-    return key
+    return (m.measured_at_s, *head, *numbers) if math.isfinite(m.measured_at_s) and math.isfinite(m.arrived_at_s) else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -37,6 +38,22 @@ class Faulty(StraightLine):
                     answer.covariance[0, 0] = -1.0
                 case "indefinite":
                     answer.covariance[0, 1] = answer.covariance[1, 0] = 2.0 * answer.covariance[0, 0]
+                case "velocity indefinite":
+                    answer.covariance[3, 4] = answer.covariance[4, 3] = 2.0 * np.sqrt(
+                        answer.covariance[3, 3] * answer.covariance[4, 4]
+                    )
+                case "three indefinite":  # each two of them could be
+                    for i, j, share in ((0, 1, 0.9), (1, 2, 0.9), (0, 2, -0.9)):
+                        covariance = share * np.sqrt(answer.covariance[i, i] * answer.covariance[j, j])
+                        answer.covariance[i, j] = answer.covariance[j, i] = covariance
+                case "asymmetric":
+                    answer.covariance[0, 1], answer.covariance[1, 0] = 0.1, -0.1
+                case "another vehicle":
+                    return replace(answer, vehicle=vehicle - 1)
+                case "another time":
+                    return replace(answer, at_s=at_s - 1.0)
+                case "exit":
+                    sys.exit(3)
                 case "forgotten return":
                     return None  # type: ignore[return-value]
                 case "position only":
@@ -69,7 +86,8 @@ class Faulty(StraightLine):
     "fault",
     [
         *("raise", "nan", "negative", "indefinite", "forgotten return", "position only", "flat", "list", "no count"),
-        *("far of six", "far indefinite"),
+        *("far of six", "far indefinite", "velocity indefinite", "three indefinite", "asymmetric"),
+        *("another vehicle", "another time", "exit"),
     ],
 )
 def test_a_faulty_estimator_stops_nothing_and_its_answers_are_never_a_fix(fault):

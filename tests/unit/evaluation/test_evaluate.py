@@ -177,6 +177,18 @@ def test_scoring_is_causal_and_a_subject_is_one_after_its_last_report(tmp_path):
     assert (score_of_none.share_known, score_of_none.horizontal, score_of_none.anees) == (0.0, None, None)
 
 
+def test_an_answer_is_scored_as_it_was_given_though_the_estimator_goes_on_to_change_it(tmp_path):
+    class InPlace(Recorder):
+        here = np.zeros(3)
+
+        def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
+            self.here += 1.0
+            return Estimate(vehicle, at_s, self.here, np.zeros(3), np.eye(6), 1.0, 3)
+
+    series = evaluate(write_walk(tmp_path, 3), InPlace()).denied[0].series
+    assert series.estimate_enu_m[:, 0].tolist() == [float(n) for n in range(1, 151)]
+
+
 def test_two_dimensions_tell_the_estimator_the_plane(tmp_path):
     recorder = Recorder()
     evaluate(write_walk(tmp_path, 2), recorder)

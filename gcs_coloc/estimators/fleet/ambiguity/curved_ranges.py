@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from numbers import Integral
 from typing import NamedTuple
 
 import numpy as np
@@ -86,7 +87,7 @@ def _moves(cluster: Cluster, vehicle: int, direction: Horizontal) -> dict[int, H
     pull = np.linalg.solve(P, np.array(direction))
     moves = {vehicle: direction}
     for other, where in joint.where.items():
-        if not isinstance(other, int) or other == vehicle or not cluster.records[other].denied_vehicle:
+        if not isinstance(other, Integral) or other == vehicle or not cluster.records[other].denied_vehicle:
             continue
         e, n = (joint.A[where.start : where.start + 2, own : own + 2] @ pull).tolist()
         if math.hypot(e, n) >= _MOVES_ALONG:

@@ -7,6 +7,7 @@ range with another, and is marginalised when no range links its vehicles. `updat
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from numbers import Integral
 
 from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd, Transition, range_jacobian
@@ -251,7 +252,7 @@ class ClusterSet:
                 first, second = second, first
             first.joint.augment_with(second.joint)
             for key in second.joint.where:
-                if isinstance(key, int):
+                if isinstance(key, Integral):
                     self._of[key] = first
         return first
 

@@ -206,12 +206,34 @@ def test_without_ranges_it_becomes_unknown_in_the_end():
     assert where.reason.reason is NoEstimateReason.TOO_UNCERTAIN
 
 
+def test_ids_may_be_numpys_integers():
+    """A data set read with numpy has them; two clusters were not merged, and their errors taken for independent."""
+
+    def located(kind: type) -> Estimate | NoEstimate:
+        estimator = FleetFilter()
+        anchors = {1: (0.0, 0.0, 2.0), 2: (100.0, 0.0, 2.0), 3: (0.0, 100.0, 2.0)}
+        for anchor, place in anchors.items():
+            estimator.add(PositionMeasurement(kind(anchor), 0.0, 0.0, place, 0.1, 0.1, static=True))
+        estimator.set_denied({kind(4)}, 0.0)
+        for t in (0.2 * i for i in range(50)):
+            for anchor, place in anchors.items():
+                estimator.add(RangeMeasurement(kind(4), kind(anchor), t, t, math.dist((40.0 + 2.0 * t, 30.0, 10.0), place), 0.1))
+        return estimator.estimate(kind(4), 9.8)
+
+    answer, of_numpy = located(int), located(np.int64)
+    assert isinstance(answer, Estimate)
+    assert isinstance(of_numpy, Estimate)
+    assert np.array_equal(answer.position_enu_m, of_numpy.position_enu_m)
+    assert np.array_equal(answer.covariance, of_numpy.covariance)
+
+
 def test_impossible_late_future_and_double_values_are_counted_and_change_nothing():
     estimator = FleetFilter()
     good = RangeMeasurement(4, 1, 10.0, 10.1, 100.0, 1.0)
     for m in (
         RangeMeasurement(4, 1, 10.0, 10.1, math.nan, 1.0),
         RangeMeasurement(4, 1, 10.0, 10.1, -3.0, 1.0),
+        RangeMeasurement(4, 1, 10.0, 10.1, 1e300, 1.0),
         RangeMeasurement(4, 1, 10.0, 10.1, 100.0, 0.0),
         RangeMeasurement(4, 4, 10.0, 10.1, 100.0, 1.0),
         PositionMeasurement(1, 10.0, 10.1, (math.inf, 0.0, 0.0), 1.0, 1.0),
@@ -224,7 +246,7 @@ def test_impossible_late_future_and_double_values_are_counted_and_change_nothing
     ):
         estimator.add(m)
     counts = estimator.counts()
-    assert counts["refused: impossible value"] == 7
+    assert counts["refused: impossible value"] == 8
     assert counts[Outcome.REFUSED_DUPLICATE] == 1
     assert counts["refused: too late"] == 1
     assert counts["refused: measured in the future"] == 1
