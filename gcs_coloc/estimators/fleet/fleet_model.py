@@ -33,7 +33,7 @@ from gcs_coloc.estimators.fleet.ekf.update import (
     update_range,
 )
 from gcs_coloc.estimators.fleet.estimates import estimate_of_cluster, estimate_of_search
-from gcs_coloc.estimators.fleet.initialisation import initialise_from_ranges, initialise_from_reports
+from gcs_coloc.estimators.fleet.initialisation import calibrate_air_data, initialise_from_ranges, initialise_from_reports
 from gcs_coloc.estimators.fleet.motion_profiles import motion_profile
 from gcs_coloc.estimators.fleet.observed_biases import observe_bias, pair_bias, presume_bias, unknown_errors
 from gcs_coloc.estimators.fleet.peer_selection import is_selected
@@ -127,7 +127,7 @@ class FleetModel:
             record.neighbours = {}
             # Its new reports initialise its states when a range needs them; the old ones are not to be trusted.
             self.clusters.remove(vehicle)
-            record.own_measurements = ()
+            record.own_measurements = record.air_calibrations = ()
             record.last_position = None
             record.no_estimate_reason = Unlocated(NoEstimateReason.NO_REPORT_SINCE_TRUSTED)
 
@@ -164,6 +164,7 @@ class FleetModel:
         e, n, u = m.position_enu_m
         record.report_noise = record.report_noise.updated(m.measured_at_s, ((e, n), (u,)), without_time_error(m))
         record.add_own(m)
+        calibrate_air_data(record, m, self.settings)
         record.last_position = m
         cluster = self.clusters.get(m.vehicle)
         if cluster is None or record.static:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, PositionMeasurement
+from gcs_coloc.core.measurements import AltitudeMeasurement, AttitudeMeasurement, FloatArray, PositionMeasurement
 from gcs_coloc.core.reasons import StatedReason
+from gcs_coloc.estimators.fleet.ekf.air_calibration import EVERY_S, AirCalibration
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
-from gcs_coloc.estimators.fleet.ekf.records import Records
+from gcs_coloc.estimators.fleet.ekf.process_model import shows_turn, turn_rate_radps
+from gcs_coloc.estimators.fleet.ekf.records import Records, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import (
     AIRSPEED_ERROR,
     HEADING_ERROR,
@@ -23,6 +27,7 @@ from gcs_coloc.estimators.fleet.ekf.update import split_report_noise, time_stamp
 from gcs_coloc.estimators.fleet.search.multilateration import MultilaterationProblem, solve_multilateration
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
+_AIR = slice(WIND.start, HEADING_ERROR + 1)
 _TRY_EVERY_S = 0.5
 """Chosen: one multilateration costs some milliseconds."""
 
@@ -47,11 +52,29 @@ def initialise_from_reports(clusters: ClusterSet, records: Records, vehicle: int
     # Speeds all over the disc of those that the vehicle reaches.
     speed_sigmas_mps = 0.5 * record.profile.max_speed_mps, record.profile.max_climb_mps
     mean, covariance = block_from_report(first, white, coloured, record.time_stamp_offset_sigma_s, speed_sigmas_mps, s)
+    known = next((each for each in reversed(record.air_calibrations) if each.at_s < first.measured_at_s), None)
+    if known is not None:
+        known = known.predicted(first.measured_at_s, s)
+        mean[_AIR], covariance[_AIR, _AIR], record.noise.log_level = known.mean, known.covariance, known.log_level
     cluster = clusters.initialise(vehicle, mean, covariance, first.measured_at_s)
     for m in record.recent_own:
         if m is not first and m.measured_at_s >= first.measured_at_s:
             update_own(cluster, m)
     return True
+
+
+def calibrate_air_data(record: VehicleRecord, report: PositionMeasurement, s: FleetSettings) -> None:
+    """Compare a position report with the air data before it, if it has a velocity, they are fresh and it is time for that."""
+    last = record.air_calibrations[-1] if record.air_calibrations else AirCalibration.begin(report.measured_at_s - EVERY_S, s)
+    if report.velocity_enu_mps is None or report.measured_at_s < last.at_s + EVERY_S:
+        return
+    attitude = next((m for m in reversed(record.own_measurements) if isinstance(m, AttitudeMeasurement)), None)
+    if attitude is None or not shows_turn(attitude) or report.measured_at_s - attitude.measured_at_s > s.attitude_fresh_s:
+        return
+    assert attitude.airspeed_mps is not None
+    turned = turn_rate_radps(attitude.roll_rad, attitude.airspeed_mps) * (report.measured_at_s - attitude.measured_at_s)
+    airspeed_mps = attitude.airspeed_mps * math.cos(attitude.pitch_rad)
+    record.air_calibrations = (*record.air_calibrations[-1:], last.updated(report, airspeed_mps, attitude.yaw_rad + turned, s))
 
 
 def initialise_from_ranges(clusters: ClusterSet, records: Records, vehicle: int, at_s: float, s: FleetSettings) -> bool:

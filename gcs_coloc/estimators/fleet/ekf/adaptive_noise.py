@@ -193,6 +193,12 @@ class ManoeuvreDetector:
 _DETECTOR_FIELDS = attrgetter(*(one.name for one in fields(ManoeuvreDetector)))
 
 
+def learned_log_level(log_level: float, ratio: float, since_s: float, time_s: float, bounds: tuple[float, float]) -> float:
+    """Return the logarithm of a level after a time in which squares were `ratio` of those predicted, eq. (30)."""
+    least, most = bounds
+    return min(max(log_level + (ratio - _SETTLED_RATIO) * since_s / time_s, math.log(least)), math.log(most))
+
+
 @dataclass(slots=True)
 class NoiseLevel:
     """Learns how large a noise is against its setting, from the velocity corrections of ranges and position reports, eq. (30).
@@ -214,9 +220,8 @@ class NoiseLevel:
         """Adjust the level, within its bounds, by how much the corrections until now exceed their prediction."""
         since_s = min(at_s - self.corrections.at_s, _LONGEST_LEARNED_S)
         if since_s > 0.0 and self.corrections.at_s > -math.inf:
-            excess = min(self.corrections.ratio(), _MOST_RATIO) - _SETTLED_RATIO
-            least, most = bounds
-            self.log_level = min(max(self.log_level + excess * since_s / time_s, math.log(least)), math.log(most))
+            ratio = min(self.corrections.ratio(), _MOST_RATIO)
+            self.log_level = learned_log_level(self.log_level, ratio, since_s, time_s, bounds)
 
     def copy(self) -> NoiseLevel:
         """Return an independent copy."""

@@ -107,6 +107,30 @@ def altitude(joint: JointState, m: AltitudeMeasurement, white_sigma_m: float) ->
     return hA, innovation, variance
 
 
+class AirResiduals(NamedTuple):
+    """Air data less the velocity through the air, m/s, along the direction (east, north) and across it; the speed of eq. (13)."""
+
+    east: float
+    north: float
+    speed_mps: float
+    along_mps: float
+    across_mps: float
+
+
+def air_residuals(ve: float, vn: float, airspeed_mps: float, yaw_rad: float, variance_m2ps2: float) -> AirResiduals:
+    """Return what air data show beyond a horizontal velocity through the air (m/s) known with a variance, of both axes together.
+
+    `airspeed_mps` is the horizontal part. It is linearised at that velocity where it is well known: along a noisy measured
+    heading the gain and the innovation would share their noise, and slowly shift wind against airspeed error.
+    """
+    speed = math.hypot(ve, vn)
+    if variance_m2ps2 < (_WELL_KNOWN_SHARE * airspeed_mps) ** 2 and speed > 0.5 * airspeed_mps:
+        off = math.remainder(yaw_rad - math.atan2(ve, vn), 2.0 * math.pi)
+        return AirResiduals(ve / speed, vn / speed, speed, airspeed_mps - speed, speed * off)
+    se, sn = math.sin(yaw_rad), math.cos(yaw_rad)
+    return AirResiduals(se, sn, airspeed_mps, airspeed_mps - se * ve - sn * vn, se * vn - sn * ve)
+
+
 def air_velocity(
     joint: JointState, m: AttitudeMeasurement, airspeed_mps: float, since_s: float, s: FleetSettings, noise_level: float
 ) -> LinearisedMeasurement:
@@ -116,27 +140,17 @@ def air_velocity(
     R: the air noise at its learned level, correlated over `air_noise_time_s`, with `since_s` since the last attitude.
     """
     # h
-    V = airspeed_mps * math.cos(m.pitch_rad)
     x, P = joint.mean(m.vehicle).tolist(), joint.covariance(m.vehicle)
-    ve, vn = x[3] - x[6], x[4] - x[7]
-    speed = math.hypot(ve, vn)
     spread = sum(P.item(v, v) - 2.0 * P.item(v, w) + P.item(w, w) for v, w in _AIR)
-    if spread < (_WELL_KNOWN_SHARE * V) ** 2 and speed > 0.5 * V:
-        # Linearised at the state: along a noisy measured heading the gain and the innovation would share their noise, and
-        # slowly shift wind against airspeed error.
-        se, sn = ve / speed, vn / speed
-        off = math.remainder(m.yaw_rad - math.atan2(ve, vn), 2.0 * math.pi)
-        residuals = (V - speed, speed * off)
-    else:
-        se, sn, speed = math.sin(m.yaw_rad), math.cos(m.yaw_rad), V
-        residuals = (V - se * ve - sn * vn, se * vn - sn * ve)
+    V = airspeed_mps * math.cos(m.pitch_rad)
+    se, sn, speed, along, across = air_residuals(x[3] - x[6], x[4] - x[7], V, m.yaw_rad, spread)
     # H: along the nose (airspeed), across it (heading).
     H = np.zeros((2, SIZE))
     H[0, VELOCITY.start : WIND.stop] = (se, sn, 0.0, -se, -sn)
     H[1, VELOCITY.start : WIND.stop] = (sn, -se, 0.0, -sn, se)
     H[0, AIRSPEED_ERROR], H[1, HEADING_ERROR] = 1.0, speed
     HA = joint.predict_block_measurement(m.vehicle, H)
-    HA[:, 0] = (x[AIRSPEED_ERROR] - residuals[0], speed * x[HEADING_ERROR] - residuals[1])
+    HA[:, 0] = (x[AIRSPEED_ERROR] - along, speed * x[HEADING_ERROR] - across)
     # R
     noise = noise_level * s.air_noise_mps**2 * max(1.0, s.air_noise_time_s / max(since_s, _LEAST_INTERVAL_S))
     return LinearisedMeasurement(HA, H, joint.where[m.vehicle], [noise, noise])

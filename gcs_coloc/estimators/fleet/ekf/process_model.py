@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 
 from gcs_coloc.core.measurements import AttitudeMeasurement, FloatArray
+from gcs_coloc.core.telemetry.reported_state import LEAST_AIRSPEED_MPS
 from gcs_coloc.estimators.fleet.ekf._kernels import Transition
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import TURN
@@ -54,6 +55,11 @@ _MOST_STEPS = 40
 def turn_rate_radps(roll_rad: float, airspeed_mps: float) -> float:
     """Return the rate of a coordinated turn, clockwise positive: omega = g tan(roll) / V, eq. (2)."""
     return GRAVITY_MPS2 * math.tan(roll_rad) / airspeed_mps
+
+
+def shows_turn(m: AttitudeMeasurement) -> bool:
+    """Whether eq. (2) and (13) hold: the airspeed means something, and the bank is none of aerobatics."""
+    return m.airspeed_mps is not None and m.airspeed_mps >= LEAST_AIRSPEED_MPS and abs(m.roll_rad) <= STEEPEST_BANK_RAD
 
 
 def step_ends(from_s: float, to_s: float) -> Sequence[float]:

@@ -18,6 +18,7 @@ from gcs_coloc.core.measurements import (
     Unlocated,
 )
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseLevel, NoiseSplit
+from gcs_coloc.estimators.fleet.ekf.air_calibration import AirCalibration
 from gcs_coloc.estimators.fleet.ekf.gap import UnshownMotion
 from gcs_coloc.estimators.fleet.motion_profiles import PROFILES, MotionProfile
 from gcs_coloc.estimators.fleet.range_biases import BiasWindow, PairBias, RangeBiases, Ranged, UnknownBias
@@ -95,6 +96,8 @@ class VehicleRecord:
     manoeuvre: ManoeuvreDetector = field(default_factory=ManoeuvreDetector)
     noise: NoiseLevel = field(default_factory=NoiseLevel)
     """The learned level of gusts, or of manoeuvres that recur."""
+    air_calibrations: tuple[AirCalibration, ...] = ()
+    """The last two with its own GPS: an initialisation needs one from before the reports that it replays."""
     profile: MotionProfile = PROFILES[None]
     neighbours: dict[int, Neighbour] = field(default_factory=dict)
     """The neighbours whose ranges were used, by vehicle."""

@@ -19,12 +19,11 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.core.telemetry.reported_state import LEAST_AIRSPEED_MPS
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import without_time_error
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, altitude, odometry, position_report, slant_range
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
-from gcs_coloc.estimators.fleet.ekf.process_model import STEEPEST_BANK_RAD
+from gcs_coloc.estimators.fleet.ekf.process_model import shows_turn
 from gcs_coloc.estimators.fleet.ekf.records import OwnMeasurement, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import BARO_ERROR, REPORT_ERROR, TIME_STAMP_OFFSET, JointState, Key, UnknownKey, whiten
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -128,7 +127,7 @@ def update_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, co
 def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResult:
     """Turn with the bank angle from now on, and correct with airspeed and heading, eq. (13), inflated outside the gate."""
     s, record, joint = cluster.settings, cluster.records[m.vehicle], cluster.joint
-    if m.airspeed_mps is None or m.airspeed_mps < LEAST_AIRSPEED_MPS or abs(m.roll_rad) > STEEPEST_BANK_RAD:
+    if m.airspeed_mps is None or not shows_turn(m):
         record.attitude = None
         return UpdateResult(Outcome.KEPT_NO_AIRSPEED)
     cluster.propagate(m.vehicle, m.measured_at_s)

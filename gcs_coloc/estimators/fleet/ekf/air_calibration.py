@@ -1,0 +1,80 @@
+"""Calibration of a vehicle's air data while it has GPS: the wind, the errors of airspeed and heading, and the level of gusts.
+
+A vehicle with GPS that nobody ranges has no states, only its latest reports. Three seconds of them show the wind of one gust. So
+every few seconds the velocity of a report is compared with the air data, by eq. (13), in a filter of four components alone.
+An initialisation begins with what it found before the reports that it replays.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_coloc.core.measurements import FloatArray, PositionMeasurement
+from gcs_coloc.estimators.fleet.ekf.adaptive_noise import learned_log_level
+from gcs_coloc.estimators.fleet.ekf.measurement_models import air_residuals
+from gcs_coloc.estimators.fleet.settings import FleetSettings
+
+EVERY_S = 4.0
+"""Chosen: twice `air_noise_time_s`, after which gusts near the ground are other ones."""
+
+_FIRST_LOG_LEVEL = math.log(2.0)
+"""Chosen: gusts of 1.1 m/s until the level is learned: one too large costs accuracy for half a minute, one too small honesty."""
+_MOST_RATIO = 4.0
+"""Chosen: one wrong attitude doubles the level at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class AirCalibration:
+    """Wind east and north (m/s), errors of airspeed (m/s) and heading (rad): mean (4,), covariance (4, 4) and level of gusts."""
+
+    at_s: float
+    mean: FloatArray
+    covariance: FloatArray
+    log_level: float
+    samples: int = 0
+
+    @classmethod
+    def begin(cls, at_s: float, s: FleetSettings) -> AirCalibration:
+        """Return what is known before any sample: the steady state of eq. (7)."""
+        return cls(at_s, np.zeros(4), np.diag(_steady_m2(s)), _FIRST_LOG_LEVEL)
+
+    def predicted(self, at_s: float, s: FleetSettings) -> AirCalibration:
+        """Return it at a later time, eq. (7)."""
+        kept = np.exp(-max(at_s - self.at_s, 0.0) / _times_s(s))
+        steady = np.diag(_steady_m2(s) * (1.0 - kept * kept))
+        covariance = np.outer(kept, kept) * self.covariance + steady
+        return replace(self, at_s=at_s, mean=kept * self.mean, covariance=covariance)
+
+    def updated(self, report: PositionMeasurement, airspeed_mps: float, yaw_rad: float, s: FleetSettings) -> AirCalibration:
+        """Return it with a report that has a velocity, and horizontal airspeed and heading at its time, eq. (13) and (30)."""
+        assert report.velocity_enu_mps is not None
+        assert report.sigma_velocity_mps is not None
+        at_s = report.measured_at_s
+        before = self.predicted(at_s, s)
+        x, P = before.mean, before.covariance
+        east, north, _ = report.velocity_enu_mps
+        air = air_residuals(east - x.item(0), north - x.item(1), airspeed_mps, yaw_rad, P.item(0, 0) + P.item(1, 1))
+        # H: along the nose (airspeed), across it (heading).
+        H = np.array([[-air.east, -air.north, 1.0, 0.0], [-air.north, air.east, 0.0, air.speed_mps]])
+        innovation = np.array((air.along_mps - x[2], air.across_mps - air.speed_mps * x[3]))
+        R = math.exp(before.log_level) * s.air_noise_mps**2 + report.sigma_velocity_mps**2
+        S = H @ P @ H.T + R * np.eye(2)
+        gain = np.linalg.solve(S, H @ P).T
+        ratio = 0.5 * float(innovation @ np.linalg.solve(S, innovation))
+        time_s = s.noise_level_time_s
+        # The first sample finds the wind, whatever the gusts.
+        since_s = max(EVERY_S, time_s / (1.0 + self.samples)) if self.samples else 0.0
+        gusts = (s.least_noise_level, s.most_noise_level)
+        log_level = learned_log_level(before.log_level, min(ratio, _MOST_RATIO), since_s, time_s, gusts)
+        return AirCalibration(at_s, x + gain @ innovation, P - gain @ S @ gain.T, log_level, self.samples + 1)
+
+
+def _steady_m2(s: FleetSettings) -> FloatArray:
+    return np.array((s.wind_sigma_mps, s.wind_sigma_mps, s.airspeed_sigma_mps, s.heading_sigma_rad)) ** 2
+
+
+def _times_s(s: FleetSettings) -> FloatArray:
+    return np.array((s.wind_time_s, s.wind_time_s, s.air_error_time_s, s.air_error_time_s))
