@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gcs_coloc.core.integrity.epoch_tests.accuracy_evidence import AccuracyEvidence
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, EpochHistory, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import FaultTestResult, SignificanceLevels, run_tests
 from gcs_coloc.core.integrity.epoch_tests.inconsistency import explain_inconsistency
@@ -100,6 +101,7 @@ class RangeConsistency:
         self._pairs_off_at_s = float("-inf")
         self._shrink_due_s = float("-inf")
         self._smaller_windows = 0
+        self._accuracy = AccuracyEvidence()
         self._due_s = float("-inf")
         self._tested_s = float("-inf")
 
@@ -138,6 +140,8 @@ class RangeConsistency:
             self._pairs_off_at_s = now_s
         self._shrink_noise(self.noise.select(whole), now_s)
         stated = self.noise.select(whole)
+        if not self.identified and not self.detected:
+            self.noise = self._accuracy.update(stated, self.noise, self.settings.levels, self.settings.correlation_time_s)
         sparse = self.noise.select(self._residuals.sparse_epoch(now_s, whole))
         self.stated_epoch, self.epoch = sparse, self.noise.apply(sparse)
         self._run_fault_monitor(stated, now_s)
