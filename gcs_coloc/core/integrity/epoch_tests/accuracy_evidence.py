@@ -10,7 +10,7 @@ Source: A. Wald, Sequential Analysis (1947), chapter 3, the likelihood ratio of 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf, log
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch
@@ -27,29 +27,28 @@ _LEAST_LOG_ODDS = 2.0 * _FIRST_LOG_ODDS
 
 @dataclass(slots=True)
 class AccuracyEvidence:
-    """Twice the log of the odds that positions are worse than `noise_model` has them, and when the next epoch counts."""
+    """Twice the log of the odds that positions err twice as much as the noise in force says, and when the next epoch counts."""
 
     log_odds: float = _FIRST_LOG_ODDS
     due_s: float = -inf
 
     def update(self, epoch: Epoch, noise: NoiseModel, levels: SignificanceLevels, correlation_time_s: float) -> NoiseModel:
-        """Add an epoch as stated, if it is due. Return the noise, with less accurate positions where these are clearly likelier.
+        """Add an epoch as stated, if it is due. Return the noise, with coarser positions where these are clearly likelier.
 
-        Where something else explains the epoch better, it is no evidence for less accurate positions.
+        Where something else explains the epoch better, it is no evidence for coarser positions.
         """
         if epoch.at_s < self.due_s or not epoch.residuals:
             return noise
         self.due_s = epoch.at_s + _EVERY_S - SAME_S
-        present = restricted_likelihood(noise.apply(epoch)).cost
-        gains = {model: present - restricted_likelihood(model.apply(epoch)).cost for model in noise.larger()}
-        worse = next((model for model in gains if model.position_factor > noise.position_factor), None)
-        if worse is None:
+        coarser = noise.with_coarser_positions()
+        if coarser is None:
             return noise
-        gain = gains[worse]
-        others = max(each for model, each in gains.items() if model.position_factor == noise.position_factor)
-        if gain <= 0.0 or gain >= others:
+        cost = restricted_likelihood(coarser.apply(epoch)).cost
+        gain = restricted_likelihood(noise.apply(epoch)).cost - cost
+        others = (model for model in noise.larger() if model.position_factor == noise.position_factor)
+        if gain <= 0.0 or all(cost <= restricted_likelihood(model.apply(epoch)).cost for model in others):
             self.log_odds = max(self.log_odds + gain * _EVERY_S / correlation_time_s, _LEAST_LOG_ODDS)
         if self.log_odds <= levels.margin:
             return noise
         self.log_odds = _FIRST_LOG_ODDS
-        return replace(noise, position_factor=worse.position_factor)
+        return coarser

@@ -108,6 +108,11 @@ class NoiseModel:
         yield from (replace(self, height_sigma_m=sigma_m) for sigma_m in _HEIGHT_SIGMAS_M if sigma_m > self.height_sigma_m)
         yield from (replace(self, position_factor=factor) for factor in _POSITION_FACTORS if factor > self.position_factor)
 
+    def with_coarser_positions(self) -> NoiseModel | None:
+        """Return the model with twice the factor on the positions; None where that is more than any that counts."""
+        factor = 2.0 * self.position_factor
+        return replace(self, position_factor=factor) if factor <= _POSITION_FACTORS[-1] else None
+
     def smaller(self) -> Iterator[NoiseModel]:
         """Yield the models with one component made smaller, down to what is stated."""
         yield from (replace(self, range_bias_m=bias_m) for bias_m in (0.0, *_RANGE_BIASES_M) if bias_m < self.range_bias_m)

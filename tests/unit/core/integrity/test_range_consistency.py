@@ -10,6 +10,7 @@ from gcs_coloc.core.measurements import RangeMeasurement
 PLACES_M = {1: (0.0, 0.0, 100.0), 2: (500.0, 20.0, 110.0), 3: (480.0, 520.0, 95.0), 4: (-30.0, 470.0, 105.0)}
 BLOCKED_S = (5.0, 9.0)
 DETOURS_M = {(1, 2): 25.0, (2, 3): 38.0, (1, 4): 14.0}
+COARSE_M = {1: (3.5, 1.0), 2: (-3.0, 2.0), 3: (1.5, -3.5), 4: (-1.0, -3.0)}
 STEP_S = 0.2
 
 
@@ -21,13 +22,30 @@ def one_pair_of_2_after_the_other(at_s):
     return {(1, 2): 15.0} if at_s < 9.0 else {(2, 3): 22.0} if at_s > 14.0 else {}
 
 
-def fly(monitor, until_s, seed=4, detours_m=half_of_the_pairs):
-    """Four vehicles that hover and range each other, some pairs past an obstacle. Yields after each review."""
+def no_detours(_at_s):
+    return {}
+
+
+def fly(monitor, until_s, seed=4, detours_m=half_of_the_pairs, errors_m=None):
+    """Four vehicles that hover and range each other, some pairs past an obstacle. Yields after each review.
+
+    `errors_m`: what the receivers of vehicles are off for good, east and north.
+    """
     rng = np.random.default_rng(seed)
     for step in range(1, round(until_s / STEP_S)):
         at_s = step * STEP_S
         for vehicle, place in PLACES_M.items():
-            monitor.add_position(vehicle, TrackPoint(at_s, place, (0.0, 0.0, 0.0), 1.5, 2.0, False))
+            monitor.add_position(
+                vehicle,
+                TrackPoint(
+                    at_s,
+                    tuple(np.add(place, (*(errors_m or {}).get(vehicle, (0.0, 0.0)), 0.0)).tolist()),
+                    (0.0, 0.0, 0.0),
+                    1.5,
+                    2.0,
+                    False,
+                ),
+            )
         for i in PLACES_M:
             for j in PLACES_M:
                 if i < j:
@@ -61,3 +79,11 @@ def test_what_was_detected_does_not_change_after_it_was_read():
     monitor = RangeConsistency()
     read = [monitor.detected for _ in fly(monitor, 12.0)]
     assert all(isinstance(detected, frozenset) for detected in read)
+
+
+def test_receivers_that_are_all_off_by_twice_what_they_state_are_found_coarse_and_none_is_named():
+    monitor = RangeConsistency()
+    for _ in fly(monitor, 90.0, detours_m=no_detours, errors_m=COARSE_M):
+        assert monitor.identified == {}
+        assert monitor.detected == frozenset()
+    assert monitor.noise.position_factor > 1.5
