@@ -8,9 +8,9 @@ import numpy as np
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, AttitudeMeasurement, FloatArray, PositionMeasurement
 from gcs_coloc.core.reasons import StatedReason
-from gcs_coloc.estimators.fleet.ekf.air_calibration import EVERY_S, AirCalibration
+from gcs_coloc.estimators.fleet.ekf.air_calibration import EVERY_S, AirCalibration, GroundVelocity
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
-from gcs_coloc.estimators.fleet.ekf.process_model import shows_turn, turn_rate_radps
+from gcs_coloc.estimators.fleet.ekf.process_model import turn_rate_radps, usable_airspeed_mps
 from gcs_coloc.estimators.fleet.ekf.records import Records, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import (
     AIRSPEED_ERROR,
@@ -65,16 +65,17 @@ def initialise_from_reports(clusters: ClusterSet, records: Records, vehicle: int
 
 def calibrate_air_data(record: VehicleRecord, report: PositionMeasurement, s: FleetSettings) -> None:
     """Compare a position report with the air data before it, if it has a velocity, they are fresh and it is time for that."""
-    last = record.air_calibrations[-1] if record.air_calibrations else AirCalibration.begin(report.measured_at_s - EVERY_S, s)
-    if report.velocity_enu_mps is None or report.measured_at_s < last.at_s + EVERY_S:
+    at_s, last = report.measured_at_s, record.air_calibrations[-1:]
+    if report.velocity_enu_mps is None or report.sigma_velocity_mps is None or (last and at_s < last[0].at_s + EVERY_S):
         return
     attitude = next((m for m in reversed(record.own_measurements) if isinstance(m, AttitudeMeasurement)), None)
-    if attitude is None or not shows_turn(attitude) or report.measured_at_s - attitude.measured_at_s > s.attitude_fresh_s:
+    airspeed_mps = usable_airspeed_mps(attitude) if attitude is not None else None
+    if attitude is None or airspeed_mps is None or at_s - attitude.measured_at_s > s.attitude_fresh_s:
         return
-    assert attitude.airspeed_mps is not None
-    turned = turn_rate_radps(attitude.roll_rad, attitude.airspeed_mps) * (report.measured_at_s - attitude.measured_at_s)
-    airspeed_mps = attitude.airspeed_mps * math.cos(attitude.pitch_rad)
-    record.air_calibrations = (*record.air_calibrations[-1:], last.updated(report, airspeed_mps, attitude.yaw_rad + turned, s))
+    yaw_rad = attitude.yaw_rad + turn_rate_radps(attitude.roll_rad, airspeed_mps) * (at_s - attitude.measured_at_s)
+    before = last[0] if last else AirCalibration.begin(at_s, s)
+    ground = GroundVelocity(*report.velocity_enu_mps[:2], report.sigma_velocity_mps)
+    record.air_calibrations = (*last, before.updated(at_s, ground, airspeed_mps * math.cos(attitude.pitch_rad), yaw_rad, s))
 
 
 def initialise_from_ranges(clusters: ClusterSet, records: Records, vehicle: int, at_s: float, s: FleetSettings) -> bool:

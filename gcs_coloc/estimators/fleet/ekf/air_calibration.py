@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from gcs_coloc.core.measurements import FloatArray, PositionMeasurement
+from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import learned_log_level
 from gcs_coloc.estimators.fleet.ekf.measurement_models import air_residuals
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -24,6 +25,14 @@ _FIRST_LOG_LEVEL = math.log(2.0)
 """Chosen: gusts of 1.1 m/s until the level is learned: one too large costs accuracy for half a minute, one too small honesty."""
 _MOST_RATIO = 4.0
 """Chosen: one wrong attitude doubles the level at most."""
+
+
+class GroundVelocity(NamedTuple):
+    """A velocity over ground, and its 1-sigma on each axis, m/s."""
+
+    east_mps: float
+    north_mps: float
+    sigma_mps: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,19 +57,18 @@ class AirCalibration:
         covariance = np.outer(kept, kept) * self.covariance + steady
         return replace(self, at_s=at_s, mean=kept * self.mean, covariance=covariance)
 
-    def updated(self, report: PositionMeasurement, airspeed_mps: float, yaw_rad: float, s: FleetSettings) -> AirCalibration:
-        """Return it with a report that has a velocity, and horizontal airspeed and heading at its time, eq. (13) and (30)."""
-        assert report.velocity_enu_mps is not None
-        assert report.sigma_velocity_mps is not None
-        at_s = report.measured_at_s
+    def updated(
+        self, at_s: float, ground: GroundVelocity, airspeed_mps: float, yaw_rad: float, s: FleetSettings
+    ) -> AirCalibration:
+        """Return it with a velocity over ground, and horizontal airspeed and heading at that time, eq. (13) and (30)."""
         before = self.predicted(at_s, s)
         x, P = before.mean, before.covariance
-        east, north, _ = report.velocity_enu_mps
-        air = air_residuals(east - x.item(0), north - x.item(1), airspeed_mps, yaw_rad, P.item(0, 0) + P.item(1, 1))
+        through_air = ground.east_mps - x.item(0), ground.north_mps - x.item(1)
+        air = air_residuals(*through_air, airspeed_mps, yaw_rad, P.item(0, 0) + P.item(1, 1))
         # H: along the nose (airspeed), across it (heading).
         H = np.array([[-air.east, -air.north, 1.0, 0.0], [-air.north, air.east, 0.0, air.speed_mps]])
         innovation = np.array((air.along_mps - x[2], air.across_mps - air.speed_mps * x[3]))
-        R = math.exp(before.log_level) * s.air_noise_mps**2 + report.sigma_velocity_mps**2
+        R = math.exp(before.log_level) * s.air_noise_mps**2 + ground.sigma_mps**2
         S = H @ P @ H.T + R * np.eye(2)
         gain = np.linalg.solve(S, H @ P).T
         ratio = 0.5 * float(innovation @ np.linalg.solve(S, innovation))

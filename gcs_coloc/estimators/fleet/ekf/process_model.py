@@ -57,9 +57,10 @@ def turn_rate_radps(roll_rad: float, airspeed_mps: float) -> float:
     return GRAVITY_MPS2 * math.tan(roll_rad) / airspeed_mps
 
 
-def shows_turn(m: AttitudeMeasurement) -> bool:
-    """Whether eq. (2) and (13) hold: the airspeed means something, and the bank is none of aerobatics."""
-    return m.airspeed_mps is not None and m.airspeed_mps >= LEAST_AIRSPEED_MPS and abs(m.roll_rad) <= STEEPEST_BANK_RAD
+def usable_airspeed_mps(m: AttitudeMeasurement) -> float | None:
+    """Return the airspeed where eq. (2) and (13) hold: it means something, and the bank is none of aerobatics; else None."""
+    is_usable = m.airspeed_mps is not None and m.airspeed_mps >= LEAST_AIRSPEED_MPS and abs(m.roll_rad) <= STEEPEST_BANK_RAD
+    return m.airspeed_mps if is_usable else None
 
 
 def step_ends(from_s: float, to_s: float) -> Sequence[float]:

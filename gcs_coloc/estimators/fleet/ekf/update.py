@@ -23,7 +23,7 @@ from gcs_coloc.estimators.fleet.ekf.adaptive_noise import without_time_error
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, altitude, odometry, position_report, slant_range
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
-from gcs_coloc.estimators.fleet.ekf.process_model import shows_turn
+from gcs_coloc.estimators.fleet.ekf.process_model import usable_airspeed_mps
 from gcs_coloc.estimators.fleet.ekf.records import OwnMeasurement, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import BARO_ERROR, REPORT_ERROR, TIME_STAMP_OFFSET, JointState, Key, UnknownKey, whiten
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -127,13 +127,14 @@ def update_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, co
 def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResult:
     """Turn with the bank angle from now on, and correct with airspeed and heading, eq. (13), inflated outside the gate."""
     s, record, joint = cluster.settings, cluster.records[m.vehicle], cluster.joint
-    if m.airspeed_mps is None or not shows_turn(m):
+    airspeed_mps = usable_airspeed_mps(m)
+    if airspeed_mps is None:
         record.attitude = None
         return UpdateResult(Outcome.KEPT_NO_AIRSPEED)
     cluster.propagate(m.vehicle, m.measured_at_s)
     since_s = m.measured_at_s - record.attitude.measured_at_s if record.attitude is not None else s.air_noise_time_s
     record.attitude = m
-    linear = air_velocity(joint, m, m.airspeed_mps, since_s, s, record.noise.level)
+    linear = air_velocity(joint, m, airspeed_mps, since_s, s, record.noise.level)
     S = linear.innovation_covariance(linear.R)
     whitened = whiten(linear.HA, S)
     nis = whitened.nis

@@ -9,7 +9,7 @@ import pytest
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import AttitudeMeasurement, Estimate, PositionMeasurement
-from gcs_coloc.estimators.fleet.ekf.air_calibration import EVERY_S, AirCalibration
+from gcs_coloc.estimators.fleet.ekf.air_calibration import EVERY_S, AirCalibration, GroundVelocity
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
@@ -32,7 +32,7 @@ def calibrated(rng: np.random.Generator, truth: np.ndarray, noise_mps: float, sa
         velocity = through_air + truth[:2] + VELOCITY_SIGMA_MPS * rng.normal(size=2)
         airspeed = AIRSPEED_MPS + truth[2] + noise_mps * rng.normal()
         yaw = heading + truth[3] + noise_mps * rng.normal() / AIRSPEED_MPS
-        calibration = calibration.updated(report(at_s, velocity), airspeed, yaw, SETTINGS)
+        calibration = calibration.updated(at_s, GroundVelocity(*velocity, VELOCITY_SIGMA_MPS), airspeed, yaw, SETTINGS)
     return calibration
 
 
@@ -73,7 +73,8 @@ def test_the_level_of_gusts_follows_the_scatter_of_the_air_data(noise_mps, least
 
 def test_one_wrong_attitude_doubles_the_level_at_most():
     before = calibrated(np.random.default_rng(3), np.zeros(4), 0.8, 30)
-    after = before.updated(report(before.at_s + EVERY_S, np.array([0.0, AIRSPEED_MPS])), AIRSPEED_MPS, 2.0, SETTINGS)
+    north = GroundVelocity(0.0, AIRSPEED_MPS, VELOCITY_SIGMA_MPS)
+    after = before.updated(before.at_s + EVERY_S, north, AIRSPEED_MPS, 2.0, SETTINGS)
     assert math.exp(after.log_level - before.log_level) < 2.0
 
 
@@ -128,3 +129,15 @@ def test_what_was_learned_before_a_loss_is_forgotten_when_its_gps_is_trusted_aga
     assert isinstance(where, Estimate)
     assert where.velocity_enu_mps is not None
     assert abs(float(where.velocity_enu_mps[0]) - 10.0) < 2.0
+
+
+@pytest.mark.parametrize("sigma_mps", [None, 0.3])
+@pytest.mark.parametrize("velocity_mps", [None, (AIRSPEED_MPS, 0.0, 0.0)])
+def test_a_report_without_a_velocity_or_its_sigma_calibrates_nothing_and_raises_nothing(velocity_mps, sigma_mps):
+    estimator = FleetFilter()
+    for k in range(100):
+        t = 0.2 * k
+        estimator.add(AttitudeMeasurement(PLANE, t, t, 0.0, 0.0, math.pi / 2.0, AIRSPEED_MPS))
+        estimator.add(PositionMeasurement(PLANE, t, t, (AIRSPEED_MPS * t, 0.0, 100.0), 1.0, 1.0, velocity_mps, sigma_mps))
+    estimator.set_denied({PLANE}, 20.0)
+    assert isinstance(estimator.estimate(PLANE, 20.0), Estimate)
