@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import FaultTestResult, SignificanceLevels
-from gcs_coloc.core.integrity.epoch_tests.isolation import isolate
+from gcs_coloc.core.integrity.epoch_tests.isolation import candidates_of, cost_of_two_receivers, isolate
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel, likeliest_noise
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import pair_outliers
 
@@ -24,7 +24,8 @@ def explain_inconsistency(
 ) -> NoiseModel:
     """Return the noise with which an epoch as stated is consistent, or `noise` as it is where it is not clearly the likeliest.
 
-    A fault that is nearly as likely is not ruled out, so the tests over time go on. `result` is that of the epoch's test alone,
+    A fault that is nearly as likely is not ruled out, so the tests over time go on: two receivers that are off, each its own way,
+    contradict all others as noise does, and enlarged noise would hide them. `result` is that of the epoch's test alone,
     with `noise`; None where there is no redundancy. `doubtful` are the vehicles whose receivers speak against themselves.
     """
     if result is None or result.is_consistent:
@@ -35,4 +36,6 @@ def explain_inconsistency(
     clearly_below = fault.cost - levels.margin
     if pairs is not None and (more is None or pairs.cost <= more.cost) and (pairs.cost < clearly_below or fault.is_of_one_pair):
         return replace(noise, pairs_off=pairs.pairs)
-    return more.model if more is not None and more.cost < clearly_below else noise
+    if more is None or more.cost >= clearly_below:
+        return noise
+    return more.model if more.cost < cost_of_two_receivers(epoch, _PRESENT, candidates_of(epoch)) else noise

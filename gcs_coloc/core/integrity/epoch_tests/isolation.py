@@ -129,24 +129,27 @@ def isolate(
         for vehicle in isolation.isolated
         if vehicle not in troubled
         and (
-            _cost_of_two_receivers(now, past, [v for v in reporting if v != vehicle]) <= limit
+            cost_of_two_receivers(now, past, reporting, sound=vehicle) <= limit
             or (pairs_fail and cost_of_two_pairs(now, past, vehicle) <= limit)
         )
     }
     return replace(isolation, not_alone=frozenset(not_alone))
 
 
-def _faulty(explanation: AdjustedHypothesis) -> frozenset[int]:
-    return frozenset(explanation.vehicles if explanation.kind is FaultKind.POSITIONS else ())
+def candidates_of(now: Epoch) -> list[int]:
+    """Return the reporting vehicles that may be at fault in an epoch; of many those that explain most."""
+    model = FaultModel(now, (None, 0.0))
+    return [model.arrays.vehicles[at] for at in _candidates(now, model)]
 
 
-def _cost_of_two_receivers(now: Epoch, past: Past, others: Sequence[int]) -> float:
-    """Twice the negative log likelihood of the explanation that two of some receivers are off, each its own way.
+def cost_of_two_receivers(now: Epoch, past: Past, candidates: Sequence[int], *, sound: int | None = None) -> float:
+    """Return the least cost of the explanation that two of the candidates are off, each its own way; `sound` is none of them.
 
     Infinite where two are a majority of all: that the majority is right is assumed.
     """
     then, correlation = past
-    two_of_them = combinations(others, 2) if len(others) + 1 >= _LEAST_WITH_TWO_FAULTY else ()
+    others = [vehicle for vehicle in candidates if vehicle != sound]
+    two_of_them = combinations(others, 2) if len(candidates) >= _LEAST_WITH_TWO_FAULTY else ()
     return min(
         (
             adjust(_without_priors(now, two), [(_without_priors(then, two) if then is not None else None, correlation)])[
@@ -158,6 +161,10 @@ def _cost_of_two_receivers(now: Epoch, past: Past, others: Sequence[int]) -> flo
         ),
         default=inf,
     )
+
+
+def _faulty(explanation: AdjustedHypothesis) -> frozenset[int]:
+    return frozenset(explanation.vehicles if explanation.kind is FaultKind.POSITIONS else ())
 
 
 def _without_priors(epoch: Epoch, vehicles: Collection[int]) -> Epoch:

@@ -63,8 +63,9 @@ def pair_outliers(epoch: Epoch, levels: SignificanceLevels) -> PairOutliers | No
 
 
 def cost_of_two_pairs(now: Epoch, past: Past, vehicle: int) -> float:
-    """Return the least cost of the explanation that the ranges of two pairs of a vehicle are off, as `PairOutliers` has it.
+    """Return the least cost of the explanation that the ranges of two pairs of a vehicle are off, where pairs have been of late.
 
+    They are not less likely then than one faulty receiver: pairs are off within minutes, receivers hardly in a year.
     `past` is an earlier epoch, in which the same pairs are left out.
     """
     then, correlation = past
@@ -73,7 +74,7 @@ def cost_of_two_pairs(now: Epoch, past: Past, vehicle: int) -> float:
         adjust(without_pairs(now, two), [(without_pairs(then, two) if then is not None else None, correlation)])[0].statistic
         for two in combinations(pairs, 2)
     )
-    return min(statistics, default=inf) + FURTHER_PAIR_PENALTY
+    return min(statistics, default=inf)
 
 
 def unordered(vehicles: Pair) -> Pair:

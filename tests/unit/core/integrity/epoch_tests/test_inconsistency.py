@@ -9,14 +9,19 @@ from gcs_coloc.core.integrity.epoch_tests.inconsistency import explain_inconsist
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel, clearly_smaller_noise
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import pair_outliers
 
-SIGMA_GPS_M, SIGMA_RANGE_M, VEHICLES = 1.5, 0.6, 6
+SIGMA_GPS_M, SIGMA_RANGE_M = 1.5, 0.6
 LEVELS = SignificanceLevels()
 SEEDS = range(12)
 
 
-def epoch(rng, *, device_bias_m=0.0, scale=0.0, height_m=0.0, factor=1.0, off=(), walked_m=0.0, spread_up_m=40.0):
-    """A fleet that ranges among all. `off`: pairs whose ranges are 8 to 30 m too long; `walked_m`: vehicle 2's receiver."""
-    ids = range(1, VEHICLES + 1)
+def epoch(
+    rng, *, device_bias_m=0.0, scale=0.0, height_m=0.0, factor=1.0, off=(), walked_m=0.0, also_walked_m=0.0, spread_up_m=40.0,
+    vehicles=6,
+):  # fmt: skip
+    """A fleet that ranges among all. `off`: pairs whose ranges are 8 to 30 m too long; `walked_m`: vehicle 2's receiver east,
+    `also_walked_m`: vehicle 3's north.
+    """
+    ids = range(1, vehicles + 1)
     true = {v: np.append(rng.uniform(-600.0, 600.0, 2), 100.0 + rng.uniform(-spread_up_m, spread_up_m)) for v in ids}
     of_device = {v: device_bias_m * rng.choice((-1.0, 1.0)) * rng.uniform(0.5, 1.5) for v in ids}
     scales = {v: scale * rng.choice((-1.0, 1.0)) for v in ids}
@@ -26,6 +31,7 @@ def epoch(rng, *, device_bias_m=0.0, scale=0.0, height_m=0.0, factor=1.0, off=()
         error = factor * SIGMA_GPS_M * rng.standard_normal(3)
         error[2] = height_m * rng.standard_normal() if height_m else SIGMA_GPS_M * rng.standard_normal()
         error[0] += walked_m * (v == 2)
+        error[1] += also_walked_m * (v == 3)
         priors[v] = PositionPrior(tuple((position + error).tolist()), SIGMA_GPS_M, SIGMA_GPS_M, False)
     for i in ids:
         for j in ids:
@@ -78,6 +84,14 @@ def test_a_receiver_that_is_off_is_no_noise(walked_m):
     """It is left to the tests of single faults, and no pair of it is left out."""
     for seed in SEEDS:
         assert explained(seed, walked_m=walked_m) == NoiseModel()
+
+
+@pytest.mark.parametrize("vehicles", [4, 5, 6])
+@pytest.mark.parametrize("walked_m", [15.0, 60.0, 200.0])
+def test_two_receivers_that_are_off_each_its_own_way_are_no_noise(walked_m, vehicles):
+    """Noise of all that explains them as well would hide them, until a sound receiver is named in their place."""
+    for seed in SEEDS:
+        assert explained(seed, walked_m=walked_m, also_walked_m=0.8 * walked_m, vehicles=vehicles).is_as_stated
 
 
 def test_a_sound_fleet_is_as_stated():
