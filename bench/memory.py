@@ -48,11 +48,11 @@ def main() -> None:
     from bench.service_cpu import rss_mb
     from bench.traffic import Sent
     from gcs_coloc.mavlink.decoder import Decoder
-    from gcs_coloc.runtime.process import collect_seldom
+    from gcs_coloc.runtime.process import exclude_start
 
     minute = [Sent(*entry) for entry in pickle.load(sys.stdin.buffer)]
     flight, sizes_mb = Flight(), []
-    collect_seldom()
+    exclude_start()
     for lap in range(int(sys.argv[1])):
         flight.decoder = Decoder()
         flight.take(sent._replace(at_s=sent.at_s + lap * _LAP_S) for sent in minute)

@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 
 from gcs_coloc import __version__
 from gcs_coloc.core.errors import GcsColocError, UsageError
-from gcs_coloc.runtime.process import NOBODY_READS, discard_output, one_thread, open_all
+from gcs_coloc.runtime.process import NOBODY_READS, collect_seldom, discard_output, one_thread, open_all
 
 if TYPE_CHECKING:
     from gcs_coloc.config.fleets import FleetOf
@@ -95,6 +95,7 @@ class LogLevel(str, Enum):  # noqa: UP042 - typer shows the values of a str Enum
 def main() -> None:
     """Entry point of `gcs-coloc`. A user's mistake ends in one line on stderr and exit code 2 or 1, never in a traceback."""
     one_thread()
+    collect_seldom()
     open_all()
     try:
         status = app(prog_name=PROGRAM, standalone_mode=False)

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from gcs_coloc.core.errors import ClusterError, UsageError
+from gcs_coloc.runtime.process import collect_seldom
 from gcs_coloc.runtime.program import program_versions
 from gcs_coloc.runtime.tasks import Pool, Result, Task
 
@@ -116,6 +117,7 @@ def _do(wanted: Mapping[str, str], packed: bytes) -> object:
         from distributed import get_worker
 
         _compare(get_worker().address, program_versions(), wanted)
+    collect_seldom()
     function, task = pickle.loads(packed)  # noqa: S301 - from the scheduler, which could have any code run here anyway
     result: object = function(task)
     return result

@@ -20,6 +20,7 @@ from typing import Protocol, TypeVar, cast
 
 from gcs_coloc.core.errors import TaskError
 from gcs_coloc.runtime.kept_results import KeptResults
+from gcs_coloc.runtime.process import collect_seldom
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -152,8 +153,12 @@ def _open(workers: Workers) -> AbstractContextManager[Pool]:
     return connect(workers.scheduler)
 
 
-def _end_with_the_program() -> None:
-    """Let this process end as soon as the program that started it has: a task may go on for minutes, and nobody wants it."""
+def _begin_worker() -> None:
+    """Let this process end as soon as the program that started it has: a task may go on for minutes, and nobody wants it.
+
+    Its garbage collection is that of the program.
+    """
+    collect_seldom()
     program = multiprocessing.parent_process()
     assert program is not None
 
@@ -189,4 +194,4 @@ class _Processes:
 
     def _begin(self) -> Executor:
         # A forked child would inherit the locks of whatever threads its parent has.
-        return ProcessPoolExecutor(self._jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_the_program)
+        return ProcessPoolExecutor(self._jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker)

@@ -17,7 +17,7 @@ from gcs_coloc.core.errors import GcsColocError, WebError
 from gcs_coloc.core.messages.control import CommandSource
 from gcs_coloc.recorder.journal import EVERY_S
 from gcs_coloc.runtime.clock import ServiceClock, read_host_clock
-from gcs_coloc.runtime.process import collect_seldom
+from gcs_coloc.runtime.process import exclude_start
 from gcs_coloc.service.fleet_service import FleetService
 from gcs_coloc.sinks import console as console_sink
 from gcs_coloc.sinks.console import SharedConsole
@@ -76,7 +76,7 @@ class Service:
         # The terminal was closed or its connection broke: the aided vehicles must learn of it. Under nohup the flight goes on.
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             loop.add_signal_handler(signal.SIGHUP, self.stop)
-        collect_seldom()
+        exclude_start()
         failure: GcsColocError | None = None
         events = {fleet.name: fleet.path.events.subscribe() for fleet in self._fleets}
         try:
@@ -92,7 +92,7 @@ class Service:
                         await fleet.start_observers(group)
                     if self._supervisor is not None:
                         background += [group.create_task(run) for run in self._work_for(self._supervisor)]
-                    collect_seldom()
+                    exclude_start()
                     await self._stopping.wait()
                 except GcsColocError as error:
                     failure = error

@@ -8,7 +8,7 @@ import signal
 import time
 
 from gcs_coloc.config.service_sections import MqttConfig, WebConfig
-from gcs_coloc.runtime.process import collect_seldom
+from gcs_coloc.runtime.process import exclude_start
 from gcs_coloc.sinks.console import LiveTable, SharedConsole
 from gcs_coloc.sinks.event_bus import IdleScheduler
 from gcs_coloc.sinks.fleets_table import FleetsTable, fleet_line
@@ -55,7 +55,7 @@ class Watch:
             log.info("web page: %s", self._web.open())
             serving = asyncio.create_task(self._web.run())
             serving.add_done_callback(lambda _: stopping.set())
-        collect_seldom()
+        exclude_start()
         table = LiveTable(console) if console.is_terminal else None
         try:
             async with asyncio.TaskGroup() as group:

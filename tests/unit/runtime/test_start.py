@@ -53,11 +53,11 @@ def test_who_asks_for_more_threads_gets_them():
 
 def test_the_entry_point_sets_it_before_anything_else_is_imported():
     told = run(
-        "import sys; sys.argv[1:] = ['--version']; import gcs_coloc.cli.main as cli, os\n"
+        "import sys; sys.argv[1:] = ['--version']; import gcs_coloc.cli.main as cli, gc, os\n"
         "try: cli.main()\n"
-        "except SystemExit: print('numpy' in sys.modules, os.environ['OPENBLAS_NUM_THREADS'])"
+        "except SystemExit: print('numpy' in sys.modules, os.environ['OPENBLAS_NUM_THREADS'], gc.get_threshold()[0] > 10_000)"
     )
-    assert told.splitlines()[-1] == "False 1"
+    assert told.splitlines()[-1] == "False 1 True"
 
 
 _INTERRUPTED = """

@@ -1,3 +1,4 @@
+import gc
 import os
 import signal
 import subprocess
@@ -40,6 +41,16 @@ def test_two_processes_give_the_same() -> None:
 
     assert run_tasks(factorial, list(range(6)), Workers(2), lambda done, _: told.append(done)) == [1, 1, 2, 6, 24, 120]
     assert told == list(range(7))
+
+
+def young_objects(_number: int) -> int:
+    return gc.get_threshold()[0]
+
+
+def test_processes_search_for_cycles_seldom_and_the_caller_keeps_its_own_way() -> None:
+    before = gc.get_threshold()
+    assert min(run_tasks(young_objects, [1, 2], Workers(jobs=2), lambda _done, _total: None)) > 10_000
+    assert gc.get_threshold() == before
 
 
 def test_no_tasks_have_no_results() -> None:
