@@ -29,6 +29,8 @@ from gcs_coloc.core.schedule import SAME_S
 _HOLD_WINDOWS = 10.0  # without any test for so many windows a detection ends
 _SMALLER_WINDOWS = 10
 """Windows in a row in which a smaller noise is clearly likelier before it counts. Chosen: lasting errors show in each of them."""
+_COARSE_SIGMAS = 12.0
+"""Lasting offset of a sound receiver, in stated sigmas, at most. Chosen: three of one that states a quarter of its error."""
 _PAIRS_FAIL_FOR_S = 60.0
 """For so long after pairs were off several may be at once. Chosen: a fleet takes as long to leave buildings and hills behind."""
 
@@ -39,7 +41,8 @@ class ConsistencySettings:
 
     Tests run every `period_s`: of the present, and of the change since each of `intervals_s` ago, in which a fault-free position
     error is a Gauss-Markov process of `correlation_time_s`. A vehicle is identified after `identify_after` independent samples in
-    a row that isolate it; vehicles among which the fault is not isolated are detected after `detect_after`. Solution separation
+    a row that isolate it; vehicles among which the fault is not isolated are detected after `detect_after`. One that shows no
+    change, and is off by no more than a sound receiver may be that states too little, is detected alone. Solution separation
     decays over `decay_time_s`; while a fault is identified or detected, and for `alert_s` more, over `alert_decay_time_s`. A
     detection by the fault monitor lasts for `detection_hold_s`.
     """
@@ -226,6 +229,7 @@ class RangeConsistency:
         if any(sample.is_of_one_pair for sample in samples.values()):
             self._pairs_off_at_s = now_s
         identified: dict[int, float] = {}
+        coarse: set[int] = set()
         for interval_s, sample in samples.items():
             persistence = self._persistence[interval_s]
             if sample.is_range_fault:
@@ -233,12 +237,16 @@ class RangeConsistency:
                 persistence.reset()
                 continue
             persistence.add(sample.isolated, sample.possible if sample.plausible else results[interval_s].suspects)
-            identified |= {
+            found = {
                 vehicle: size_m
                 for vehicle, size_m in sample.isolated.items()
                 if persistence.isolated[vehicle] >= self.settings.identify_after
                 and all(vehicle in each.possible for each in samples.values() if each.plausible)
             }
+            if not interval_s:
+                stated_m = {vehicle: epoch.priors[vehicle].sigma_h_m / self.noise.position_factor for vehicle in found}
+                coarse = {v for v, size_m in found.items() if size_m <= _COARSE_SIGMAS * stated_m[v]}.difference(doubtful)
+            identified |= {vehicle: size_m for vehicle, size_m in found.items() if interval_s or vehicle not in coarse}
         for vehicle, size_m in identified.items():
             peers = {v for residual in epoch.residuals for v in residual.pair if vehicle in residual.pair}
             self.identified[vehicle] = IdentifiedFault(tuple(sorted(peers - identified.keys())), size_m)
@@ -246,6 +254,10 @@ class RangeConsistency:
             self.detected = frozenset()
             for each in self._persistence.values():
                 each.reset()
+            return
+        if coarse:
+            # The ranges say of all others that they are right.
+            self.detected = frozenset(coarse)
             return
         for interval_s, sample in samples.items():
             if not sample.isolated:
