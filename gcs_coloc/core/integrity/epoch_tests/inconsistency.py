@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import FaultTestResult, SignificanceLevels
-from gcs_coloc.core.integrity.epoch_tests.isolation import candidates_of, cost_of_two_receivers, isolate
+from gcs_coloc.core.integrity.epoch_tests.isolation import cost_of_two_receivers, isolate
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel, likeliest_noise
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import pair_outliers
 
@@ -38,4 +38,4 @@ def explain_inconsistency(
         return replace(noise, pairs_off=pairs.pairs)
     if more is None or more.cost >= clearly_below:
         return noise
-    return more.model if more.cost < cost_of_two_receivers(epoch, _PRESENT, candidates_of(epoch)) else noise
+    return more.model if more.cost < cost_of_two_receivers(epoch, _PRESENT, fault.candidates) else noise

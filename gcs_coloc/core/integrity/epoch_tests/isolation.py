@@ -46,11 +46,13 @@ _SELF_REPORTED_PENALTY = 13.8  # twice the log of 1000: chosen, so much likelier
 class Isolation:
     """Result for one epoch, or one against an earlier one.
 
-    `plausible`: the explanations not clearly worse than the best, which comes first; none where not even the best leaves a
-    consistent rest. `not_alone`: vehicles that two other faults at once may only seem to have at another place.
+    `candidates`: the reporting vehicles that may be at fault; of many those that explain most. `plausible`: the explanations not
+    clearly worse than the best, which comes first; none where not even the best leaves a consistent rest. `not_alone`: vehicles
+    that two other faults at once may only seem to have at another place.
     """
 
-    plausible: tuple[AdjustedHypothesis, ...]
+    candidates: tuple[int, ...]
+    plausible: tuple[AdjustedHypothesis, ...] = ()
     not_alone: frozenset[int] = frozenset()
 
     @property
@@ -115,15 +117,15 @@ def isolate(
     candidates = _candidates(now, model)
     hypotheses = _hypotheses(now, model, candidates)
     explanations = model.explain(hypotheses, [_penalty(each, frozenset(troubled)) for each in hypotheses])
+    reporting = tuple(model.arrays.vehicles[at] for at in candidates)
     if not explanations:
-        return Isolation(())
+        return Isolation(reporting)
     best = explanations[0]
     dof = best.degrees_of_freedom
     if dof and best.statistic > chi2_limit(dof, levels.rest):
-        return Isolation(())
+        return Isolation(reporting)
     limit = best.cost + levels.margin
-    isolation = Isolation(tuple(each for each in explanations if each.cost <= limit))
-    reporting = [model.arrays.vehicles[at] for at in candidates]
+    isolation = Isolation(reporting, tuple(each for each in explanations if each.cost <= limit))
     not_alone = {
         vehicle
         for vehicle in isolation.isolated
@@ -134,12 +136,6 @@ def isolate(
         )
     }
     return replace(isolation, not_alone=frozenset(not_alone))
-
-
-def candidates_of(now: Epoch) -> list[int]:
-    """Return the reporting vehicles that may be at fault in an epoch; of many those that explain most."""
-    model = FaultModel(now, (None, 0.0))
-    return [model.arrays.vehicles[at] for at in _candidates(now, model)]
 
 
 def cost_of_two_receivers(now: Epoch, past: Past, candidates: Sequence[int], *, sound: int | None = None) -> float:
