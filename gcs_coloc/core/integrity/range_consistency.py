@@ -41,8 +41,8 @@ class ConsistencySettings:
 
     Tests run every `period_s`: of the present, and of the change since each of `intervals_s` ago, in which a fault-free position
     error is a Gauss-Markov process of `correlation_time_s`. A vehicle is identified after `identify_after` independent samples in
-    a row that isolate it; vehicles among which the fault is not isolated are detected after `detect_after`. One that shows no
-    change, and is off by no more than a sound receiver may be that states too little, is detected alone. Solution separation
+    a row that isolate it; vehicles among which the fault is not isolated are detected after `detect_after`. One that the present
+    alone isolates, off by no more than a sound receiver may be that states too little, is detected alone. Solution separation
     decays over `decay_time_s`; while a fault is identified or detected, and for `alert_s` more, over `alert_decay_time_s`. A
     detection by the fault monitor lasts for `detection_hold_s`.
     """

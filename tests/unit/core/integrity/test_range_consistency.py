@@ -31,7 +31,7 @@ def no_errors(_at_s):
     return {}
 
 
-def fly(monitor, until_s, seed=4, detours_m=half_of_the_pairs, errors_m=no_errors):
+def fly(monitor, until_s, seed=4, detours_m=half_of_the_pairs, errors_m=no_errors, doubtful=()):
     """Four vehicles that hover and range each other, some pairs past an obstacle. Yields after each review.
 
     `errors_m`: what the receivers of vehicles are off at a time, east and north; they state 1.5 m.
@@ -59,7 +59,7 @@ def fly(monitor, until_s, seed=4, detours_m=half_of_the_pairs, errors_m=no_error
                         float(np.linalg.norm(np.subtract(PLACES_M[i], PLACES_M[j]))) + detour_m + 0.5 * rng.standard_normal()
                     )
                     monitor.add_range(RangeMeasurement(i, j, at_s - 0.01, at_s, range_m, 0.5))
-        monitor.review(at_s + 0.05)
+        monitor.review(at_s + 0.05, doubtful)
         yield at_s
 
 
@@ -116,3 +116,18 @@ def test_a_receiver_is_named_that_is_far_off_or_that_has_changed(size_m, since_s
     errors_m = receiver_4_is_off_by(size_m, since_s)
     named_s = [at_s for at_s in fly(monitor, 30.0, detours_m=no_detours, errors_m=errors_m) if monitor.identified.keys() == {4}]
     assert since_s < min(named_s) < since_s + 8.0
+
+
+def test_what_was_detected_of_others_ends_where_one_receiver_that_may_be_coarse_is_isolated():
+    monitor = RangeConsistency()
+    for at_s in fly(monitor, 20.0, detours_m=no_detours, errors_m=receiver_4_is_off_by(12.0)):
+        if at_s == pytest.approx(10.0):
+            monitor.detected = frozenset((1, 2, 3))
+    assert monitor.detected == {4}
+
+
+def test_a_receiver_that_speaks_against_itself_is_named_however_little_it_is_off():
+    monitor = RangeConsistency()
+    for _ in fly(monitor, 10.0, detours_m=no_detours, errors_m=receiver_4_is_off_by(12.0), doubtful=(4,)):
+        pass
+    assert monitor.identified.keys() == {4}
