@@ -41,8 +41,8 @@ class ConsistencySettings:
 
     Tests run every `period_s`: of the present, and of the change since each of `intervals_s` ago, in which a fault-free position
     error is a Gauss-Markov process of `correlation_time_s`. A vehicle is identified after `identify_after` independent samples in
-    a row that isolate it; vehicles among which the fault is not isolated are detected after `detect_after`. One that the present
-    alone isolates, off by no more than a sound receiver may be that states too little, is detected alone. Solution separation
+    a row that isolate it; vehicles among which the fault is not isolated are detected after `detect_after`. One that shows no
+    change, and is off by no more than a sound receiver may be that states too little, is detected alone. Solution separation
     decays over `decay_time_s`; while a fault is identified or detected, and for `alert_s` more, over `alert_decay_time_s`. A
     detection by the fault monitor lasts for `detection_hold_s`.
     """
@@ -243,10 +243,9 @@ class RangeConsistency:
                 if persistence.isolated[vehicle] >= self.settings.identify_after
                 and all(vehicle in each.possible for each in samples.values() if each.plausible)
             }
-            if not interval_s:
-                stated_m = {vehicle: epoch.priors[vehicle].sigma_h_m / self.noise.position_factor for vehicle in found}
-                coarse = {v for v, size_m in found.items() if size_m <= _COARSE_SIGMAS * stated_m[v]}.difference(doubtful)
-            identified |= {vehicle: size_m for vehicle, size_m in found.items() if interval_s or vehicle not in coarse}
+            spared = {v for v, size_m in found.items() if self._may_be_coarse(v, size_m, sample, epoch)}.difference(doubtful)
+            coarse |= spared
+            identified |= {vehicle: size_m for vehicle, size_m in found.items() if vehicle not in spared}
         for vehicle, size_m in identified.items():
             peers = {v for residual in epoch.residuals for v in residual.pair if vehicle in residual.pair}
             self.identified[vehicle] = IdentifiedFault(tuple(sorted(peers - identified.keys())), size_m)
@@ -263,6 +262,11 @@ class RangeConsistency:
             if not sample.isolated:
                 possible = self._persistence[interval_s].possible
                 self.detected |= {v for v, n in possible.items() if n >= self.settings.detect_after}
+
+    def _may_be_coarse(self, vehicle: int, size_m: float, sample: Isolation, epoch: Epoch) -> bool:
+        """Whether an isolated receiver is off by no more than a sound one may be that states too little, and shows no change."""
+        stated_m = epoch.priors[vehicle].sigma_h_m / self.noise.position_factor
+        return vehicle in sample.lasting and size_m <= _COARSE_SIGMAS * stated_m
 
     def _update_separation(self, results: Mapping[float, FaultTestResult], epoch: Epoch, now_s: float) -> None:
         s, age_s, present = self.settings, now_s - epoch.at_s, results.get(0.0)

@@ -5,6 +5,7 @@ Detection (`fault_tests`) needs one test that fails; isolation needs that every 
 Hypotheses: every subset of up to half of the reporting vehicles is off by one common horizontal offset (spoofed alike); a pair's
 ranges are off; a device's ranges are all too long by one length or by one factor, those that it measured or all of its vehicle.
 Against an earlier epoch each of them either began since or was there already; a fault of ranges may have been of another size.
+Whether the offset of an isolated vehicle has changed since is a test of its own.
 An offset of a majority cannot be told from the opposite offset of the others: that the majority is right is assumed.
 
 Isolated is a vehicle that is in every explanation which is not clearly worse than the best. Else the fault is only detected.
@@ -48,12 +49,14 @@ class Isolation:
 
     `candidates`: the reporting vehicles that may be at fault; of many those that explain most. `plausible`: the explanations not
     clearly worse than the best, which comes first; none where not even the best leaves a consistent rest. `not_alone`: vehicles
-    that two other faults at once may only seem to have at another place.
+    that two other faults at once may only seem to have at another place. `lasting`: the isolated vehicles whose fault was there
+    in the earlier epoch as well, of the same size as far as can be told; all of them where there is no earlier epoch.
     """
 
     candidates: tuple[int, ...]
     plausible: tuple[AdjustedHypothesis, ...] = ()
     not_alone: frozenset[int] = frozenset()
+    lasting: frozenset[int] = frozenset()
 
     @property
     def cost(self) -> float:
@@ -135,7 +138,20 @@ def isolate(
             or (pairs_fail and cost_of_two_pairs(now, past, vehicle) <= limit)
         )
     }
-    return replace(isolation, not_alone=frozenset(not_alone))
+    isolation = replace(isolation, not_alone=frozenset(not_alone))
+    return replace(isolation, lasting=frozenset(v for v in isolation.isolated if not _has_changed(now, past, model, v, levels)))
+
+
+def _has_changed(now: Epoch, past: Past, model: FaultModel, vehicle: int, levels: SignificanceLevels) -> bool:
+    """Whether the offset of a vehicle is clearly not the same in both epochs: one offset for both against one for each."""
+    then, correlation = past
+    if then is None:
+        return False
+    moved = np.tile(np.array(model.arrays.vehicles) == vehicle, (model.epochs, 1)).astype(float)
+    one_offset = Hypothesis(FaultKind.POSITIONS, (vehicle,), moved, np.zeros((model.epochs * model.rows, 2)))
+    explained = model.explain([one_offset], [0.0])
+    two_offsets = adjust(_without_priors(now, (vehicle,)), [(_without_priors(then, (vehicle,)), correlation)])[0]
+    return not explained or explained[0].statistic - two_offsets.statistic > chi2_limit(2, levels.rest)
 
 
 def cost_of_two_receivers(now: Epoch, past: Past, candidates: Sequence[int], *, sound: int | None = None) -> float:

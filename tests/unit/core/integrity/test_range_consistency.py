@@ -98,12 +98,16 @@ def receiver_4_is_off_by(size_m, since_s=0.0):
     return lambda at_s: {4: (0.8 * size_m, 0.6 * size_m)} if at_s >= since_s else {}
 
 
-def test_a_receiver_that_has_always_been_a_little_off_is_not_trusted_but_not_named():
-    """It may state a quarter of its error and be sound: 603 and 616 of the trials' class optimistic-gnss, 7 m off at 1.4 m."""
+@pytest.mark.parametrize("size_m", [12.0, 16.0])
+def test_a_receiver_that_has_always_been_a_little_off_is_not_trusted_but_not_named(size_m):
+    """It may state a quarter of its error and be sound: 603 and 616 of the trials' class optimistic-gnss, 7 m off at 1.4 m.
+
+    The larger one is isolated in comparison with earlier ranges as well, as 708 was, 10 m off at 1.3 m.
+    """
     monitor = RangeConsistency()
     detected = [
         monitor.detected
-        for _ in fly(monitor, 30.0, detours_m=no_detours, errors_m=receiver_4_is_off_by(12.0))
+        for _ in fly(monitor, 30.0, detours_m=no_detours, errors_m=receiver_4_is_off_by(size_m))
         if not monitor.identified
     ]
     assert len(detected) == round(30.0 / STEP_S) - 1

@@ -200,3 +200,19 @@ def test_a_receiver_that_stepped_is_named_where_pairs_fail_too():
         named.append(isolated_where_pairs_fail(epoch(rng, 5, mutual=True, offsets={1: offset(rng, 100.0)})))
     assert all(each <= {1} for each in named)
     assert sum(each == {1} for each in named) >= 36
+
+
+@pytest.mark.parametrize(
+    ("then_m", "now_m", "is_lasting"), [(20.0, 20.0, True), (20.0, 22.0, True), (0.0, 20.0, False), (20.0, 26.0, False)]
+)
+def test_a_fault_is_called_lasting_unless_the_ranges_show_that_its_size_has_changed(then_m, now_m, is_lasting):
+    for seed in range(10):
+        then, now = (epoch(np.random.default_rng(seed), 6, mutual=True, offsets={6: (size_m, 0.0)}) for size_m in (then_m, now_m))
+        found = isolate(now, (then, 0.8), LEVELS)
+        assert found.isolated.keys() == {6}
+        assert found.lasting == ({6} if is_lasting else set())
+
+
+def test_of_one_epoch_alone_no_fault_shows_that_it_has_changed():
+    now = epoch(np.random.default_rng(1), 6, mutual=True, offsets={6: (20.0, 0.0)})
+    assert isolate(now, (None, 0.0), LEVELS).lasting == {6}
