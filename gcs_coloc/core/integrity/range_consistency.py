@@ -101,7 +101,7 @@ class RangeConsistency:
         self._epochs = self._no_epochs()
         self._persistence = {interval_s: IsolationPersistence() for interval_s in (0.0, *s.intervals_s)}
         self._alert_until_s: dict[int, float] = {}
-        self._pairs_off_at_s = float("-inf")
+        self._pairs_fail_until_s = float("-inf")
         self._shrink_due_s = float("-inf")
         self._smaller_windows = 0
         self._accuracy = AccuracyEvidence()
@@ -140,7 +140,7 @@ class RangeConsistency:
         tests = self._test(whole, left)
         self.noise = explain_inconsistency(whole, tests.results.get(0.0), left, self.settings.levels, doubtful)
         if self.noise.pairs_off:
-            self._pairs_off_at_s = now_s
+            self._pairs_fail_until_s = now_s + _PAIRS_FAIL_FOR_S
         self._shrink_noise(self.noise.select(whole), now_s)
         stated = self.noise.select(whole)
         if not self.identified and not self.detected:
@@ -217,7 +217,7 @@ class RangeConsistency:
         pasts: Mapping[float, Past],
         doubtful: Collection[int],
     ) -> None:
-        pairs_fail = now_s - self._pairs_off_at_s <= _PAIRS_FAIL_FOR_S
+        pairs_fail = now_s <= self._pairs_fail_until_s
         samples: dict[float, Isolation] = {}
         for interval_s, result in results.items():
             persistence = self._persistence[interval_s]
@@ -227,7 +227,7 @@ class RangeConsistency:
                 persistence.sampled_until_s = epoch.ended_s
                 samples[interval_s] = isolate(epoch, pasts[interval_s], self.settings.levels, doubtful, pairs_fail=pairs_fail)
         if any(sample.is_of_one_pair for sample in samples.values()):
-            self._pairs_off_at_s = now_s
+            self._pairs_fail_until_s = now_s + _PAIRS_FAIL_FOR_S
         identified: dict[int, float] = {}
         coarse: set[int] = set()
         for interval_s, sample in samples.items():

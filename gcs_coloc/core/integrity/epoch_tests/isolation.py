@@ -21,7 +21,7 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from math import inf
+from math import hypot, inf
 
 import numpy as np
 
@@ -49,8 +49,9 @@ class Isolation:
 
     `candidates`: the reporting vehicles that may be at fault; of many those that explain most. `plausible`: the explanations not
     clearly worse than the best, which comes first; none where not even the best leaves a consistent rest. `not_alone`: vehicles
-    that two other faults at once may only seem to have at another place. `lasting`: the isolated vehicles whose fault was there
-    in the earlier epoch as well, of the same size as far as can be told; all of them where there is no earlier epoch.
+    that two other faults at once, or errors of the moment, may only seem to have at another place. `lasting`: the isolated
+    vehicles whose fault was there in the earlier epoch as well, of the same size as far as can be told; all of them where there
+    is no earlier epoch.
     """
 
     candidates: tuple[int, ...]
@@ -114,7 +115,8 @@ def isolate(
 ) -> Isolation:
     """Explain what an epoch, alone or against an earlier one, contradicts.
 
-    `troubled` vehicles report trouble themselves. `pairs_fail`: pairs have been off of late, and two may be at once.
+    `troubled` vehicles report trouble themselves. `pairs_fail`: pairs have been off of late; two may be at once, and no error of
+    the ranges is sure to have been the same in the earlier epoch.
     """
     model = FaultModel(now, past)
     candidates = _candidates(now, model)
@@ -138,8 +140,17 @@ def isolate(
             or (pairs_fail and cost_of_two_pairs(now, past, vehicle) <= limit)
         )
     }
+    if pairs_fail and isolation.isolated and past[0] is not None:
+        anew = isolate(_with_errors_anew(now), (_with_errors_anew(past[0]), past[1]), levels, troubled)
+        not_alone |= isolation.isolated.keys() - anew.isolated.keys()
     isolation = replace(isolation, not_alone=frozenset(not_alone))
     return replace(isolation, lasting=frozenset(v for v in isolation.isolated if not _has_changed(now, past, model, v, levels)))
+
+
+def _with_errors_anew(epoch: Epoch) -> Epoch:
+    """The epoch where the errors of ranges that would last are of this epoch alone."""
+    anew = (residual._replace(sigma_m=hypot(residual.sigma_m, residual.bias_m), bias_m=0.0) for residual in epoch.residuals)
+    return replace(epoch, residuals=tuple(anew))
 
 
 def _has_changed(now: Epoch, past: Past, model: FaultModel, vehicle: int, levels: SignificanceLevels) -> bool:
