@@ -99,6 +99,16 @@ class PeerGeometry:
         """
         return (2.0 * offset_m * upwards / self._altitude_sigma_m) ** 2
 
+    def is_straight(self, normal: Sequence[float], variance_m2: float) -> bool:
+        """Whether the peers are in a plane through their centre as far as the vehicle can tell: off it by less than its own gate.
+
+        `normal` (3,) is its unit normal, `variance_m2` that of the vehicle along it. The ranges may then fit on either side and
+        separate them all the same, but a filter that takes their slopes on the wrong side finds its way to the place there.
+        """
+        ne, nn, nu = normal
+        square_m2 = sum((e * ne + n * nn + u * nu) ** 2 for e, n, u in self.offsets) / len(self.offsets)
+        return square_m2 < NEAR_SIGMAS**2 * variance_m2
+
     def may_be_ambiguous(self, normal: Sequence[float]) -> bool:
         """Whether the side of a plane through the centre may be ambiguous, by bounds that hold for any covariances.
 
@@ -109,6 +119,8 @@ class PeerGeometry:
         blind_m = self.blind_m(self.largest_sigma_m)
         if abs(offset_m) > max(NEAR_SIGMAS * self.largest_sigma_m, blind_m):
             return False
+        if self.is_straight(normal, self.largest_sigma_m**2):
+            return True
         slopes = ((e * ne + n * nn + u * nu) / d for (e, n, u), d in zip(self.offsets, self.distance_m, strict=True))
         # The ratio of the blind stretch to the range sigma only falls as the sigma grows.
         separation = 2.0 * blind_m / self.largest_sigma_m

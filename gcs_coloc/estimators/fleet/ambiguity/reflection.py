@@ -38,20 +38,24 @@ _LEAST_SPREAD_M = 1.0
 
 @dataclass(frozen=True, slots=True)
 class ReflectionPlane:
-    """The plane that reflects: a point `point_m` (3,), unit normal (3,), and its speed along the normal at the vehicle, m/s."""
+    """The plane that reflects: a point `point_m` (3,), unit normal (3,), and its speed along the normal at the vehicle, m/s.
+
+    `ranges_separate`: the peers are so far off it that the ranges will decide between its sides.
+    """
 
     point_m: FloatArray
     normal: FloatArray
     speed_mps: float
+    ranges_separate: bool
 
 
 def find_reflection_plane(cluster: Cluster, denied_vehicle: int, at_s: float) -> ReflectionPlane | None:
     """Return the plane of a vehicle's peers if the measurements leave open on which side the vehicle will be.
 
     It is the vertical plane through peers on one line, or the level plane through three or more where no height is measured.
-    None where the peers are in no plane, the vehicle is too far from it to have changed sides, it crosses so fast that it
-    cannot have turned back within the stretch in which the ranges are blind across the plane, or where the reflected state is
-    still the same as the state.
+    None where the peers are in no plane as far as the vehicle can tell, it is too far from it to have changed sides, it crosses
+    so fast that it cannot have turned back within the stretch in which the ranges are blind across the plane, or where the
+    reflected state is still the same as the state.
     """
     neighbours = cluster.records[denied_vehicle].neighbours
     peers = [v for v, n in neighbours.items() if at_s - n.at_s <= IN_USE_S and v in cluster.joint.where]
@@ -78,7 +82,8 @@ def find_reflection_plane(cluster: Cluster, denied_vehicle: int, at_s: float) ->
 def vertical_plane_through_line(cluster: Cluster, denied_vehicle: int, at_s: float) -> ReflectionPlane | None:
     """Return the vertical plane through the ranged peers of a denied vehicle where they are on one line, else None.
 
-    They are as long as the ranges to them do not separate the sides of the plane at the vehicle's distance from it.
+    They are as long as the ranges to them do not separate the sides of the plane at the vehicle's distance from it, or the
+    vehicle is so uncertain across it that the filter may be on the wrong one.
     """
     peers = _ranged_peers(cluster, denied_vehicle, at_s)
     return vertical_plane_through(cluster, denied_vehicle, peers, at_s) if len(peers) >= 2 else None
@@ -91,18 +96,22 @@ def vertical_plane_through(cluster: Cluster, denied_vehicle: int, peers: list[in
     if longest_m2 < _LEAST_SPREAD_M**2:
         return None
     normal, along = np.array([-n, e, 0.0]), np.array([[e], [n], [0.0]])
+    ranges_separate = False
     if len(peers) > 2:
-        variances_m2 = np.array([max(float(view.difference_covariance(i)[0, 0]), LEAST_SIGMA_M**2) for i in range(len(peers))])
+        covariances = [view.difference_covariance(i) for i in range(len(peers))]
+        variances_m2 = np.array([max(float(covariance[0, 0]), LEAST_SIGMA_M**2) for covariance in covariances])
         reach_m = max(abs(float(np.array(view.offset) @ normal)), view.blind_m(math.sqrt(float(variances_m2.max()))))
-        if view.range_separation(normal, reach_m, variances_m2) > SEPARATED:
+        ranges_separate = view.range_separation(normal, reach_m, variances_m2) > SEPARATED
+        across_m2 = max(float(normal @ covariance[1:, 1:] @ normal) for covariance in covariances)
+        if ranges_separate and not view.is_straight(normal.tolist(), across_m2):
             return None
     speed_mps = _plane_speed(view, np.array(view.offsets) @ along, np.array(view.offset) @ along, normal)
-    return ReflectionPlane(np.array(view.centre), normal, speed_mps)
+    return ReflectionPlane(np.array(view.centre), normal, speed_mps, ranges_separate)
 
 
 def only_motion_separates(cluster: Cluster, denied_vehicle: int, at_s: float, line: ReflectionPlane | None) -> bool:
-    """Whether only the process model separates the sides: the peers are two or on one `line`, and there is no air data."""
-    few = line is not None or len(_ranged_peers(cluster, denied_vehicle, at_s)) <= 2
+    """Whether only the process model separates the sides: peers are two or on one straight `line`, and there is no air data."""
+    few = (line is not None and not line.ranges_separate) or len(_ranged_peers(cluster, denied_vehicle, at_s)) <= 2
     return few and fresh_attitude(cluster.records[denied_vehicle], cluster.settings, at_s) is None
 
 
@@ -165,7 +174,8 @@ def _test_plane(view: PeerGeometry, normal: FloatArray, within: FloatArray, leas
     if abs(away_m) > max(NEAR_SIGMAS * math.sqrt(across_m2), blind_m):
         return None
     reach_m = max(abs(away_m), blind_m)
-    if view.range_separation(normal, reach_m, variances_m2) + view.altitude_separation(upwards, reach_m) > SEPARATED:
+    by_ranges, by_altitude = view.range_separation(normal, reach_m, variances_m2), view.altitude_separation(upwards, reach_m)
+    if by_altitude + (0.0 if view.is_straight(normal.tolist(), across_m2) else by_ranges) > SEPARATED:
         return None
     speed_mps = _plane_speed(view, offsets @ within, offset @ within, normal)
     closing = float(np.dot(view.own.velocity, normal)) - speed_mps
@@ -182,7 +192,9 @@ def _test_plane(view: PeerGeometry, normal: FloatArray, within: FloatArray, leas
     G = np.zeros((2, SIZE))
     G[0, POSITION] = G[1, VELOCITY] = normal
     twice = 2.0 * float(both @ np.linalg.solve(G @ P @ G.T, both))
-    return ReflectionPlane(np.array(view.centre), normal, speed_mps) if twice > _SAME_PLACE_NIS else None
+    if twice <= _SAME_PLACE_NIS:
+        return None
+    return ReflectionPlane(np.array(view.centre), normal, speed_mps, by_ranges > SEPARATED)
 
 
 def _plane_speed(view: PeerGeometry, within_m: FloatArray, at_m: FloatArray, normal: FloatArray) -> float:

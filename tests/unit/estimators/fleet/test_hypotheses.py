@@ -14,6 +14,8 @@ from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 DENIED, STEP_S, LOST_S, HEIGHT_M = 9, 0.2, 3.0, 100.0
 ALERT_LIMIT_M = 50.0
+BENT_LINE = ((-200.0, 5.0), (-60.0, -5.0), (60.0, 5.0), (160.0, -5.0), (260.0, 5.0))
+"""Places (east, north), m, of peers that are near one line."""
 
 
 def course(seed: int, duration_s: float, extent_m: float) -> np.ndarray:
@@ -145,6 +147,18 @@ def test_in_line_with_three_peers_a_vehicle_that_weaves_is_not_stated_on_the_wro
     # A wrong side is one for seconds of these ten minutes: 1e-2 and more.
     assert len(stated) > 800
     assert sum(error_m > 3.0 * bound_m for _, error_m, bound_m in stated) < 2e-3 * len(stated)
+
+
+def test_a_vehicle_that_turns_back_before_a_bent_line_of_peers_is_not_stated_beyond_it():
+    """The ranges separate the sides, but so near to the line a filter may come to the wrong one, where they nearly fit too."""
+    t = np.arange(round(70.0 / STEP_S) + 2)[:, np.newaxis] * STEP_S
+    # Every 20 s it comes to within 4 m of the line and turns back at 3.7 m/s².
+    north_m = np.hypot(25.0 * np.sin(math.pi * t / 20.0), 25.0 / 6.0)
+    peers = {v: np.zeros((len(t), 2)) + place for v, place in enumerate(BENT_LINE, 1)}
+    for seed in (1, 2, 4):
+        stated = fly(np.hstack([0.3 * t, north_m]), peers, seed)
+        assert len(stated) > 300
+        assert not [row for row in stated if row[1] > 3.0 * row[2]]
 
 
 @pytest.mark.parametrize("unheard", [{1: (15.0, 30.0), 2: (15.0, 30.0)}, {1: (15.0, 30.0)}, {1: (15.0, 30.0), 2: (18.0, 34.0)}])
