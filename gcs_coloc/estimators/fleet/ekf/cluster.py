@@ -11,7 +11,7 @@ from numbers import Integral
 
 from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd, Transition, range_jacobian
-from gcs_coloc.estimators.fleet.ekf.gap import HORIZONTAL, UnshownMotion
+from gcs_coloc.estimators.fleet.ekf.gap import HORIZONTAL, unshown_motion
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
 from gcs_coloc.estimators.fleet.ekf.process_model import (
     fresh_attitude,
@@ -131,9 +131,9 @@ class Cluster:
         What goes beyond the manoeuvres that it has shown is kept until a range tells of it.
         """
         record, s = self.records[vehicle], self.settings
-        position_m2, velocity_m2ps2, both_m2ps = gap_covariance(record, s, at_s)
-        if position_m2 > 0.0:
-            shown_m2, shown_m2ps2, shown_both = gap_covariance(record, s, at_s, shown_acceleration_mps2(record, s))
+        possible = gap_covariance(record, s, at_s)
+        if possible[0] > 0.0:
+            shown = shown_m2, shown_m2ps2, shown_both = gap_covariance(record, s, at_s, shown_acceleration_mps2(record, s))
             self.propagate(vehicle, at_s)
             P = self.joint.covariance(vehicle)
             for axis in (0, 1):
@@ -141,9 +141,7 @@ class Cluster:
                 P[axis + 3, axis + 3] += shown_m2ps2
                 P[axis, axis + 3] += shown_both
                 P[axis + 3, axis] += shown_both
-            rest_m2 = position_m2 - shown_m2
-            rest = UnshownMotion(at_s, rest_m2, velocity_m2ps2 - shown_m2ps2, both_m2ps - shown_both)
-            record.unshown = rest if rest_m2 > 0.0 else None
+            record.unshown = unshown_motion(at_s, possible, shown)
             record.updated_at_s = at_s
 
     def judge_unshown_motion(self, vehicle: int, result: UpdateResult, at_s: float) -> None:

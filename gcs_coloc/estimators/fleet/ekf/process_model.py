@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from gcs_coloc.core.measurements import AttitudeMeasurement, FloatArray
 from gcs_coloc.core.telemetry.reported_state import LEAST_AIRSPEED_MPS
 from gcs_coloc.estimators.fleet.ekf._kernels import Transition
+from gcs_coloc.estimators.fleet.ekf.gap import CORRELATION, Motion
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import TURN
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -147,10 +148,8 @@ def set_transition(
     return mean
 
 
-def gap_covariance(
-    record: VehicleRecord, s: FleetSettings, at_s: float, most_mps2: float = math.inf
-) -> tuple[float, float, float]:
-    """Return what a vehicle may have done since its last range, eq. (29): variances of position and velocity, their covariance.
+def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float, most_mps2: float = math.inf) -> Motion:
+    """Return what a vehicle may have done since its last range, eq. (29).
 
     Per horizontal axis, with an acceleration of at most that of its class, and `most_mps2`. It is nothing with a fresh attitude
     or odometry, which shows the turns, and within `GAP_S`.
@@ -164,7 +163,7 @@ def gap_covariance(
     most_mps2 = min(most_mps2, limits.max_acceleration_mps2)
     reach_m = limits.reach_m(since_s, most_mps2) / _BOUND_95_SIGMAS
     change_mps = min(most_mps2 * since_s / _BOUND_95_SIGMAS, 0.5 * limits.max_speed_mps)
-    return reach_m * reach_m, change_mps * change_mps, 0.9 * reach_m * change_mps
+    return reach_m * reach_m, change_mps * change_mps, CORRELATION * reach_m * change_mps
 
 
 def shown_acceleration_mps2(record: VehicleRecord, s: FleetSettings) -> float:

@@ -7,10 +7,17 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement, VehicleClass, VehicleClassReport
+from gcs_coloc.estimators.fleet.ekf.gap import unshown_motion
+from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance
+from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.filter import FleetFilter
+from gcs_coloc.estimators.fleet.motion_profiles import PROFILES
+from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 DENIED = 9
 BEACONS = {1: (-46.0, 11.0), 2: (11.0, -7.0), 3: (22.0, 24.0), 4: (-18.0, 59.0)}
@@ -117,3 +124,22 @@ def test_what_was_left_open_in_a_gap_ends_with_the_loss_of_gps():
     healthy = estimator.estimate(DENIED, t)
     assert isinstance(healthy, Estimate)
     assert horizontal_bound_95_m(healthy.covariance) < 3.0
+
+
+@given(
+    st.sampled_from(VehicleClass),
+    st.floats(1.6, 600.0),
+    st.floats(0.0, 20.0),
+    st.floats(0.0, 100.0),
+    st.floats(0.0, 2.0 * math.pi),
+)
+def test_what_it_has_not_shown_is_a_covariance_after_a_gap_of_any_length(vehicle_class, gap_s, shown_mps2, later_s, course_rad):
+    """After 16 s of a robot it was none: both motions are limited by its speed, and the velocity has little left to be shown."""
+    record = VehicleRecord(denied_vehicle=True, updated_at_s=0.0, profile=PROFILES[vehicle_class])
+    possible, shown = (gap_covariance(record, FleetSettings(), gap_s, most_mps2) for most_mps2 in (math.inf, shown_mps2))
+    motion = unshown_motion(gap_s, possible, shown)
+    if motion is None:
+        return
+    for looked in (motion, motion.after_range((math.sin(course_rad), math.cos(course_rad), 0.0), SIGMA_M)):
+        covariance = looked.covariance(gap_s + later_s)
+        assert np.linalg.eigvalsh(covariance)[0] >= -1e-9 * np.trace(covariance)
