@@ -197,6 +197,11 @@ class GuardedEstimator:
             self._fault(_NO_RESIDUAL, None)
         return sound
 
+    @property
+    def faults(self) -> Mapping[str, int]:
+        """How often each kind of fault occurred."""
+        return dict(self._faults)
+
     def counts(self) -> Mapping[str, int]:
         """The inner estimator's counts and the faults."""
         try:

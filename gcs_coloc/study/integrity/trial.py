@@ -50,6 +50,8 @@ class EventKind(StrEnum):
     """An error beyond the alert limit, with a fix."""
     SOUND_FAILED = "sound_failed"
     """A vehicle with a sound receiver is FAILED."""
+    ESTIMATOR_FAILED = "estimator_failed"
+    """The estimator raised an exception, or gave an answer that is none: its aid is withheld, and nothing else would tell."""
 
 
 @dataclass(slots=True)
@@ -157,6 +159,9 @@ class _Trial:
             if message is not None:
                 self._poll(at_s)
                 engine.receive(message)
+        for fault, count in engine.estimator.faults.items():
+            kind, detail = EventKind.ESTIMATOR_FAILED, f"{fault}, {count} times"
+            self._score.events.append(TrialEvent(kind, fleet.denied[0], 0.0, fleet.duration_s, 0.0, 0.0, 0.0, detail))
         found_s = self._distrusted_at_s
         self._score.alerts_s = [found_s[v] - fleet.fault_at_s if v in found_s else None for v in fleet.spoofed()]
         return self._score

@@ -66,6 +66,23 @@ def test_a_wrong_position_stated_with_confidence_is_seen(monkeypatch):
     assert worst.lasted_s > trial.TIME_TO_ALERT_S
 
 
+class Failing(Displaced):
+    """An estimator that raises an exception whenever it is asked."""
+
+    def estimate(self, vehicle, at_s):
+        raise ArithmeticError("no answer")
+
+
+def test_an_estimator_that_fails_is_an_event(monkeypatch):
+    """What it raises is caught for the aircraft's sake, so that its vehicles only seem to have no fix."""
+    monkeypatch.setattr(trial, "load_estimator", lambda name, settings: Failing(load_estimator(name, settings)))
+    score = fly_trial("planes", 2, duration_s=60.0)
+    failed = [event for event in score.events if event.kind is EventKind.ESTIMATOR_FAILED]
+    assert len(failed) == 1
+    assert failed[0].detail.startswith("raised an exception")
+    assert score.fix_s == 0.0
+
+
 def test_time_to_alert_counts_from_the_fault():
     score = fly_trial("own-step", 1, duration_s=60.0)
     assert len(score.alerts_s) == 1
