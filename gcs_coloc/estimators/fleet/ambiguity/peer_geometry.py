@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -99,32 +99,35 @@ class PeerGeometry:
         """
         return (2.0 * offset_m * upwards / self._altitude_sigma_m) ** 2
 
-    def is_straight(self, normal: Sequence[float], variance_m2: float) -> bool:
-        """Whether the peers are in a plane through their centre as far as the vehicle can tell: off it by less than its own gate.
+    def has_second_place(self, normal: FloatArray, within: FloatArray, variance_m2: float) -> bool:
+        """Whether ranges that separate the sides of a plane may nearly fit a second place, where a filter may stay.
 
-        `normal` (3,) is its unit normal, `variance_m2` that of the vehicle along it. The ranges may then fit on either side and
-        separate them all the same, but a filter that takes their slopes on the wrong side finds its way to the place there.
+        `normal` (3,) is its unit normal, `variance_m2` that of the vehicle along it, `within` (3, m) the axes in the plane along
+        which the vehicle is free. Off the plane by x, the range to a peer that is off it by y is longer by x^2 / 2d - x y / d.
+        With the even and the odd coefficients e and o, the sum of squares for a vehicle at z is
+        (x - z)^2 |(x + z) e + o|^2: it has a second minimum where z^2 |e|^2 > 2 |o|^2, eq. (40). It may be four sigmas off.
         """
-        ne, nn, nu = normal
-        square_m2 = sum((e * ne + n * nn + u * nu) ** 2 for e, n, u in self.offsets) / len(self.offsets)
-        return square_m2 < NEAR_SIGMAS**2 * variance_m2
+        offsets, distances_m = np.array(self.offsets), np.array(self.distance_m)
+        free, _ = np.linalg.qr((np.array(self.offset) - offsets) @ within / distances_m[:, np.newaxis])
+        even, odd = (part - free @ (free.T @ part) for part in (0.5 / distances_m, offsets @ normal / distances_m))
+        return 2.0 * float(odd @ odd) < NEAR_SIGMAS**2 * variance_m2 * float(even @ even)
 
-    def may_be_ambiguous(self, normal: Sequence[float]) -> bool:
+    def may_be_ambiguous(self, normal: FloatArray, within: FloatArray) -> bool:
         """Whether the side of a plane through the centre may be ambiguous, by bounds that hold for any covariances.
 
-        The vehicle is near the plane, and the peers are not so far off it that their ranges separate the sides.
+        The vehicle is near the plane, and the ranges do not separate the sides, or nearly fit a second place.
         """
-        ne, nn, nu = normal
+        ne, nn, nu = normal.tolist()
         offset_m = self.offset[0] * ne + self.offset[1] * nn + self.offset[2] * nu
         blind_m = self.blind_m(self.largest_sigma_m)
         if abs(offset_m) > max(NEAR_SIGMAS * self.largest_sigma_m, blind_m):
             return False
-        if self.is_straight(normal, self.largest_sigma_m**2):
-            return True
         slopes = ((e * ne + n * nn + u * nu) / d for (e, n, u), d in zip(self.offsets, self.distance_m, strict=True))
         # The ratio of the blind stretch to the range sigma only falls as the sigma grows.
         separation = 2.0 * blind_m / self.largest_sigma_m
-        return separation * separation * sum(slope * slope for slope in slopes) <= SEPARATED
+        if separation * separation * sum(slope * slope for slope in slopes) <= SEPARATED:
+            return True
+        return self.has_second_place(normal, within, self.largest_sigma_m**2)
 
 
 def _largest_sigma_m(cluster: Cluster, end: RangeEnd) -> float:

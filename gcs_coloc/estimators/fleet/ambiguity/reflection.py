@@ -63,8 +63,9 @@ def find_reflection_plane(cluster: Cluster, denied_vehicle: int, at_s: float) ->
         return None
     view = PeerGeometry(cluster, denied_vehicle, peers, at_s)
     (e, n), longest_m2 = view.line()
-    if view.may_be_ambiguous((-n, e, 0.0)):
-        plane = _test_plane(view, np.array([-n, e, 0.0]), np.array([[e], [n], [0.0]]), longest_m2)
+    normal, along = np.array([-n, e, 0.0]), np.array([[e], [n], [0.0]])
+    if view.may_be_ambiguous(normal, along):
+        plane = _test_plane(view, normal, along, longest_m2)
         if plane is not None:
             return plane
     if len(peers) < 3 or any(
@@ -74,7 +75,7 @@ def find_reflection_plane(cluster: Cluster, denied_vehicle: int, at_s: float) ->
     offsets = np.array(view.offsets)
     spreads, axes = np.linalg.eigh(offsets.T @ offsets)
     normal = axes[:, 0]
-    if abs(float(normal[2])) < _LEVEL or not view.may_be_ambiguous(normal.tolist()):
+    if abs(float(normal[2])) < _LEVEL or not view.may_be_ambiguous(normal, axes[:, 1:]):
         return None
     return _test_plane(view, normal, axes[:, 1:], float(spreads[1]))
 
@@ -103,7 +104,7 @@ def vertical_plane_through(cluster: Cluster, denied_vehicle: int, peers: list[in
         reach_m = max(abs(float(np.array(view.offset) @ normal)), view.blind_m(math.sqrt(float(variances_m2.max()))))
         ranges_separate = view.range_separation(normal, reach_m, variances_m2) > SEPARATED
         across_m2 = max(float(normal @ covariance[1:, 1:] @ normal) for covariance in covariances)
-        if ranges_separate and not view.is_straight(normal.tolist(), across_m2):
+        if ranges_separate and not view.has_second_place(normal, along, across_m2):
             return None
     speed_mps = _plane_speed(view, np.array(view.offsets) @ along, np.array(view.offset) @ along, normal)
     return ReflectionPlane(np.array(view.centre), normal, speed_mps, ranges_separate)
@@ -175,7 +176,7 @@ def _test_plane(view: PeerGeometry, normal: FloatArray, within: FloatArray, leas
         return None
     reach_m = max(abs(away_m), blind_m)
     by_ranges, by_altitude = view.range_separation(normal, reach_m, variances_m2), view.altitude_separation(upwards, reach_m)
-    if by_altitude + (0.0 if view.is_straight(normal.tolist(), across_m2) else by_ranges) > SEPARATED:
+    if by_altitude + (0.0 if view.has_second_place(normal, within, across_m2) else by_ranges) > SEPARATED:
         return None
     speed_mps = _plane_speed(view, offsets @ within, offset @ within, normal)
     closing = float(np.dot(view.own.velocity, normal)) - speed_mps

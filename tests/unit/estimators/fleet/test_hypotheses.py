@@ -161,6 +161,26 @@ def test_a_vehicle_that_turns_back_before_a_bent_line_of_peers_is_not_stated_bey
         assert not [row for row in stated if row[1] > 3.0 * row[2]]
 
 
+def test_a_group_of_anchors_far_away_leaves_one_place():
+    """Seen from 40 m four anchors within 3 m are as little off a line as from anywhere, but no second place fits their ranges."""
+    anchors = {1: (2.6, -0.9), 2: (-0.4, -0.1), 3: (2.3, 0.9), 4: (0.3, -0.9)}
+    rng, estimator = np.random.default_rng(0), FleetFilter()
+    for v, place in anchors.items():
+        estimator.add(PositionMeasurement(v, 0.0, 0.0, (*place, 0.0), 0.02, 0.02, static=True))
+    estimator.add(PositionMeasurement(DENIED, 0.0, 0.0, (10.0, 0.0, 0.0), 0.3, 0.3, (0.0, 0.7, 0.0), 0.3))
+    estimator.set_denied({DENIED}, 0.01)
+    for k in range(1, 1000):
+        t = 0.1 * k
+        here = 10.0 + 25.0 * (1.0 - math.cos(t / 15.0)), 6.0 * math.sin(t / 9.0)
+        estimator.add(AltitudeMeasurement(DENIED, t, t, 0.3 * rng.normal(), 0.3))
+        anchor = 1 + k % 4
+        range_m = math.dist(here, anchors[anchor]) + 0.1 * rng.normal()
+        estimator.add(RangeMeasurement(DENIED, anchor, t, t, range_m, 0.1))
+        answer = estimator.estimate(DENIED, t)
+        assert isinstance(answer, Estimate)
+        assert math.dist(answer.position_enu_m[:2], here) < 2.0 * horizontal_bound_95_m(answer.covariance)
+
+
 @pytest.mark.parametrize("unheard", [{1: (15.0, 30.0), 2: (15.0, 30.0)}, {1: (15.0, 30.0)}, {1: (15.0, 30.0), 2: (18.0, 34.0)}])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_on_which_side_it_is_is_open_where_the_ranges_to_two_peers_were_lost_for_a_while(unheard, seed):
