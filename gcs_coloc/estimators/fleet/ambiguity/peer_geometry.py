@@ -105,12 +105,14 @@ class PeerGeometry:
         `normal` (3,) is its unit normal, `variance_m2` that of the vehicle along it, `within` (3, m) the axes in the plane along
         which the vehicle is free. Off the plane by x, the range to a peer that is off it by y is longer by x^2 / 2d - x y / d.
         With the even and the odd coefficients e and o, the sum of squares for a vehicle at z is
-        (x - z)^2 |(x + z) e + o|^2: it has a second minimum where z^2 |e|^2 > 2 |o|^2, eq. (40). It may be four sigmas off.
+        (x - z)^2 |(x + z) e + o|^2. What of o is along e moves the plane; with the rest of it, o', there is a second minimum
+        where z^2 |e|^2 > 2 |o'|^2, eq. (40). A vehicle may be four sigmas off.
         """
         offsets, distances_m = np.array(self.offsets), np.array(self.distance_m)
         free, _ = np.linalg.qr((np.array(self.offset) - offsets) @ within / distances_m[:, np.newaxis])
         even, odd = (part - free @ (free.T @ part) for part in (0.5 / distances_m, offsets @ normal / distances_m))
-        return 2.0 * float(odd @ odd) < NEAR_SIGMAS**2 * variance_m2 * float(even @ even)
+        ee, eo, oo = float(even @ even), float(even @ odd), float(odd @ odd)
+        return 2.0 * (ee * oo - eo * eo) < NEAR_SIGMAS**2 * variance_m2 * ee * ee
 
     def may_be_ambiguous(self, normal: FloatArray, within: FloatArray) -> bool:
         """Whether the side of a plane through the centre may be ambiguous, by bounds that hold for any covariances.
