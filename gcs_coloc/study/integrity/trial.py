@@ -160,8 +160,10 @@ class _Trial:
                 self._poll(at_s)
                 engine.receive(message)
         for fault, count in engine.estimator.faults.items():
-            kind, detail = EventKind.ESTIMATOR_FAILED, f"{fault}, {count} times"
-            self._score.events.append(TrialEvent(kind, fleet.denied[0], 0.0, fleet.duration_s, 0.0, 0.0, 0.0, detail))
+            event = TrialEvent(
+                EventKind.ESTIMATOR_FAILED, fleet.denied[0], 0.0, fleet.duration_s, 0.0, 0.0, detail=f"{fault}, {count} times"
+            )
+            self._score.events.append(event)
         found_s = self._distrusted_at_s
         self._score.alerts_s = [found_s[v] - fleet.fault_at_s if v in found_s else None for v in fleet.spoofed()]
         return self._score

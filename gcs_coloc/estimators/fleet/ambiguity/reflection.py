@@ -53,9 +53,9 @@ def find_reflection_plane(cluster: Cluster, denied_vehicle: int, at_s: float) ->
     """Return the plane of a vehicle's peers if the measurements leave open on which side the vehicle will be.
 
     It is the vertical plane through peers on one line, or the level plane through three or more where no height is measured.
-    None where the peers are in no plane as far as the vehicle can tell, it is too far from it to have changed sides, it crosses
-    so fast that it cannot have turned back within the stretch in which the ranges are blind across the plane, or where the
-    reflected state is still the same as the state.
+    None where the ranges separate its sides and fit no second place, the vehicle is too far from it to have changed sides, it
+    crosses so fast that it cannot have turned back within the stretch in which the ranges are blind across the plane, or where
+    the reflected state is still the same as the state.
     """
     neighbours = cluster.records[denied_vehicle].neighbours
     peers = [v for v, n in neighbours.items() if at_s - n.at_s <= IN_USE_S and v in cluster.joint.where]
@@ -83,8 +83,8 @@ def find_reflection_plane(cluster: Cluster, denied_vehicle: int, at_s: float) ->
 def vertical_plane_through_line(cluster: Cluster, denied_vehicle: int, at_s: float) -> ReflectionPlane | None:
     """Return the vertical plane through the ranged peers of a denied vehicle where they are on one line, else None.
 
-    They are as long as the ranges to them do not separate the sides of the plane at the vehicle's distance from it, or the
-    vehicle is so uncertain across it that the filter may be on the wrong one.
+    They are as long as the ranges to them do not separate the sides of the plane at the vehicle's distance from it, or nearly
+    fit a second place.
     """
     peers = _ranged_peers(cluster, denied_vehicle, at_s)
     return vertical_plane_through(cluster, denied_vehicle, peers, at_s) if len(peers) >= 2 else None

@@ -69,7 +69,7 @@ def test_the_mirror_image_above_a_level_plane_sinks_where_the_state_climbs_and_t
     state[0][TURN] = 0.1
     cluster = clusters.initialise(1, *state, 0.0)
     before = cluster.joint.covariance(1).copy()
-    reflect(cluster, 1, ReflectionPlane(np.array([0.0, 0.0, 100.0]), np.array([0.0, 0.0, 1.0]), 1.0, False))
+    reflect(cluster, 1, ReflectionPlane(np.array([0.0, 0.0, 100.0]), np.array([0.0, 0.0, 1.0]), 1.0, ranges_separate=False))
     np.testing.assert_allclose(cluster.joint.mean(1)[:6], [10.0, 20.0, 70.0, 5.0, 6.0, -1.0])
     assert cluster.joint.mean(1)[TURN] == pytest.approx(0.1)
     np.testing.assert_allclose(cluster.joint.covariance(1), before, atol=1e-12)

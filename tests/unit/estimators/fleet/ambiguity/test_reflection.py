@@ -14,7 +14,12 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
+from gcs_coloc.estimators.fleet.ambiguity.reflection import only_motion_separates, vertical_plane_through_line
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
+from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.filter import FleetFilter
+from gcs_coloc.estimators.fleet.initialisation import block_from_estimate
+from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 STEP_S = 0.2
 LINE = {1: (0.0, -500.0), 2: (0.0, 500.0), 3: (0.0, 1500.0)}
@@ -110,3 +115,47 @@ def test_a_peer_beside_the_line_decides_within_seconds(seed):
     # Some 2 m of range noise averaged over seconds, dilution below 3.
     assert len(after) == round((UNTIL_S - 53.0) / STEP_S)
     assert max(after) < 15.0
+
+
+def beside(peers: list[tuple[float, float]], north_m: float, sigma_m: float) -> Cluster:
+    """A denied vehicle 4, at east 0, whose position is known to `sigma_m`, and peers that are known to a metre."""
+    records = {4: VehicleRecord(denied_vehicle=True, last_range_s=dict.fromkeys(range(10, 10 + len(peers)), 0.0))}
+    records |= {10 + i: VehicleRecord() for i in range(len(peers))}
+    clusters = ClusterSet(FleetSettings(), records)
+    own = np.array([0.0, north_m, 100.0, 0.0, 0.0, 0.0]), np.diag([0.1, sigma_m, 0.1, 1.0, 1.0, 0.1]) ** 2
+    clusters.initialise(4, *block_from_estimate(*own, FleetSettings()), 0.0)
+    for i, (e, n) in enumerate(peers):
+        state = np.array([e, n, 100.0, 0.0, 0.0, 0.0]), np.diag([1.0, 1.0, 1.0, 0.1, 0.1, 0.1]) ** 2
+        clusters.initialise(10 + i, *block_from_estimate(*state, FleetSettings()), 0.0)
+        clusters.merge(4, 10 + i)
+    return clusters[4]
+
+
+STRAIGHT = [(-200.0, 0.0), (-60.0, 0.0), (60.0, 0.0), (160.0, 0.0)]
+BENT = [(-200.0, 10.0), (-60.0, -10.0), (60.0, 10.0), (160.0, -10.0)]
+GROUP = [(40.0, 2.0), (44.0, -2.0), (48.0, 2.0), (52.0, -2.0)]
+
+
+def test_peers_on_a_line_leave_the_side_to_the_motion():
+    cluster = beside(STRAIGHT, 10.0, 8.0)
+    line = vertical_plane_through_line(cluster, 4, 0.0)
+    assert line is not None
+    assert only_motion_separates(cluster, 4, 0.0, line)
+
+
+def test_a_bent_line_has_a_second_place_within_reach_of_an_uncertain_vehicle_and_its_ranges_decide():
+    cluster = beside(BENT, 10.0, 8.0)
+    line = vertical_plane_through_line(cluster, 4, 0.0)
+    assert line is not None
+    assert not only_motion_separates(cluster, 4, 0.0, line)
+    assert vertical_plane_through_line(beside(BENT, 10.0, 2.0), 4, 0.0) is None
+
+
+def test_one_near_peer_off_the_line_moves_the_line():
+    """Its range is curved most, so its place says where the line is, and what that moves is no bend."""
+    peers = [(-200.0, 0.0), (-120.0, 0.0), (30.0, 15.0), (160.0, 0.0)]
+    assert vertical_plane_through_line(beside(peers, 20.0, 6.0), 4, 0.0) is not None
+
+
+def test_a_group_of_peers_far_away_leaves_one_place():
+    assert vertical_plane_through_line(beside(GROUP, 0.0, 8.0), 4, 0.0) is None
