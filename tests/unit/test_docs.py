@@ -68,6 +68,12 @@ def test_no_line_is_too_long(page):
     assert [number for number, line in lines if len(line) > LINE_LIMIT and not line.lstrip().startswith("|")] == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_fractions_have_braces(page):
+    """The site's converter reads a fraction of two digits without them as twelve over what follows."""
+    assert re.findall(r"frac\d", page.read_text(encoding="utf-8")) == []
+
+
 @pytest.mark.parametrize("page", EXPLANATIONS, ids=relative)
 def test_an_explanation_is_read_at_one_sitting(page):
     assert len(page.read_text(encoding="utf-8").split()) < EXPLANATION_LIMIT
