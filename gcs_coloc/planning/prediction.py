@@ -180,7 +180,7 @@ class _Recursion:
         record = self._filter.main.records.writable(sysid)
         record.in_one_step = sysid not in self._denied
         record.report_noise = known_split((sigma_m, VERTICAL_RATIO * sigma_m), self._report_white)
-        record.noise.log_level = 0.0
+        record.gust_noise.log_level = record.manoeuvre_noise.log_level = 0.0
         vertical_m = VERTICAL_RATIO * sigma_m
         self._feed(PositionMeasurement(sysid, at_s, at_s, place, sigma_m, vertical_m, velocity, self._velocity_sigma_mps))
 
@@ -201,7 +201,7 @@ class _Recursion:
         if isinstance(measurement, AltitudeMeasurement):
             record = self._filter.main.records.writable(measurement.vehicle)
             record.altitude_noise = known_split((measurement.sigma_m,), 0.0)
-            record.noise.log_level = 0.0
+            record.gust_noise.log_level = record.manoeuvre_noise.log_level = 0.0
         self._filter.apply(measurement)
 
     def _update_levels(

@@ -33,7 +33,12 @@ from gcs_coloc.estimators.fleet.ekf.update import (
     update_range,
 )
 from gcs_coloc.estimators.fleet.estimates import estimate_of_cluster, estimate_of_search
-from gcs_coloc.estimators.fleet.initialisation import calibrate_air_data, initialise_from_ranges, initialise_from_reports
+from gcs_coloc.estimators.fleet.initialisation import (
+    calibrate_air_data,
+    initialise_from_ranges,
+    initialise_from_reports,
+    learn_manoeuvres,
+)
 from gcs_coloc.estimators.fleet.motion_profiles import motion_profile
 from gcs_coloc.estimators.fleet.observed_biases import observe_bias, pair_bias, presume_bias, unknown_errors
 from gcs_coloc.estimators.fleet.peer_selection import is_selected
@@ -168,6 +173,7 @@ class FleetModel:
         record.last_position = m
         cluster = self.clusters.get(m.vehicle)
         if cluster is None or record.static:
+            learn_manoeuvres(record, m, self.settings)
             return UpdateResult(Outcome.KEPT_NO_STATE)
         result = update_own(cluster, m)
         if result.used:

@@ -10,7 +10,7 @@ from gcs_coloc.core.measurements import AltitudeMeasurement, AttitudeMeasurement
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.estimators.fleet.ekf.air_calibration import EVERY_S, AirCalibration, GroundVelocity
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
-from gcs_coloc.estimators.fleet.ekf.process_model import turn_rate_radps, usable_airspeed_mps
+from gcs_coloc.estimators.fleet.ekf.process_model import acceleration_density_m2ps3, turn_rate_radps, usable_airspeed_mps
 from gcs_coloc.estimators.fleet.ekf.records import Records, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import (
     AIRSPEED_ERROR,
@@ -55,7 +55,7 @@ def initialise_from_reports(clusters: ClusterSet, records: Records, vehicle: int
     known = next((each for each in reversed(record.air_calibrations) if each.at_s < first.measured_at_s), None)
     if known is not None:
         known = known.predicted(first.measured_at_s, s)
-        mean[_AIR], covariance[_AIR, _AIR], record.noise.log_level = known.mean, known.covariance, known.log_level
+        mean[_AIR], covariance[_AIR, _AIR], record.gust_noise.log_level = known.mean, known.covariance, known.log_level
     cluster = clusters.initialise(vehicle, mean, covariance, first.measured_at_s)
     for m in record.recent_own:
         if m is not first and m.measured_at_s >= first.measured_at_s:
@@ -76,6 +76,13 @@ def calibrate_air_data(record: VehicleRecord, report: PositionMeasurement, s: Fl
     before = last[0] if last else AirCalibration.begin(at_s, s)
     ground = GroundVelocity(*report.velocity_enu_mps[:2], report.sigma_velocity_mps)
     record.air_calibrations = (*last, before.updated(at_s, ground, airspeed_mps * math.cos(attitude.pitch_rad), yaw_rad, s))
+
+
+def learn_manoeuvres(record: VehicleRecord, report: PositionMeasurement, s: FleetSettings) -> None:
+    """Learn from the report of a vehicle without states how hard its manoeuvres are, eq. (41)."""
+    if report.velocity_enu_mps is not None:
+        _, density_m2ps3 = acceleration_density_m2ps3(*report.velocity_enu_mps[:2], s)
+        record.manoeuvre_noise.learn_from_report(report, density_m2ps3, s.noise_level_time_s, record.profile.noise_levels[1])
 
 
 def initialise_from_ranges(clusters: ClusterSet, records: Records, vehicle: int, at_s: float, s: FleetSettings) -> bool:

@@ -241,7 +241,7 @@ class _LossPrediction:
             return
         joint, s, m = self.cluster.joint, self._settings, self._attitude
         assert m.airspeed_mps is not None
-        linear = air_velocity(joint, m, m.airspeed_mps, span_s, s, self._records[self._vehicle].noise.level)
+        linear = air_velocity(joint, m, m.airspeed_mps, span_s, s, self._records[self._vehicle].gust_noise.level)
         linear.HA[:, 0] = 0.0
         # Gusts and sideslip average over a span that is longer than they last.
         averaged = min(s.air_noise_time_s / span_s, 1.0)

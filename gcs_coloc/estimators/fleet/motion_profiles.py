@@ -13,29 +13,34 @@ from gcs_coloc.estimators.fleet.settings import BY_REPORT, FleetSettings
 class MotionProfile:
     """The most that a vehicle does, horizontal speed and acceleration and climb rate, and its process noise.
 
-    `noise_levels`: bounds of the learned factor of the white acceleration without a fresh bank angle, eq. (30). None: it is 1.
-    A plane flies steadily between turns, which the manoeuvre detector finds. The manoeuvres of other vehicles recur.
+    `noise_levels`: bounds of the learned factor of the white acceleration without a fresh bank angle, eq. (30). A plane flies
+    steadily between turns, which the manoeuvre detector finds. The manoeuvres of other vehicles recur (`is_recurring`).
+    A vehicle of which nothing is known has the white acceleration of the settings.
     """
 
     max_speed_mps: float
     max_acceleration_mps2: float
     max_climb_mps: float
-    noise_levels: tuple[float, float] | None = None
+    noise_levels: tuple[float, float]
+    is_recurring: bool
 
     def reach_m(self, since_s: float, acceleration_mps2: float) -> float:
         """Return how far an acceleration may take a vehicle from where its velocity leads, m: min(a t^2 / 2, 2 V t)."""
         return min(0.5 * acceleration_mps2 * since_s * since_s, 2.0 * self.max_speed_mps * since_s)
 
 
-_RECURRING = (0.03, 300.0)
+_AS_SET = (1.0, 1.0), False
+_TURNING = (1.0, 30.0), False
+"""Chosen: to 9 m^2/s^3, turns of 30 degrees of bank between steady legs."""
+_RECURRING = (0.03, 300.0), True
 """Chosen: from 0.03 m^2/s^3, at rest, to 300 m^2/s^3, 1 g in turns of a second to either side."""
 PROFILES: Mapping[VehicleClass | None, MotionProfile] = {
-    None: MotionProfile(30.0, 9.8, 5.0),
-    VehicleClass.PLANE: MotionProfile(50.0, 9.8, 5.0),
-    VehicleClass.MULTIROTOR: MotionProfile(20.0, 9.8, 5.0, _RECURRING),
-    VehicleClass.GROUND: MotionProfile(10.0, 4.0, 2.0, _RECURRING),
-    VehicleClass.BOAT: MotionProfile(15.0, 3.0, 0.5, _RECURRING),
-    VehicleClass.INDOOR: MotionProfile(3.0, 4.0, 2.0, _RECURRING),
+    None: MotionProfile(30.0, 9.8, 5.0, *_AS_SET),
+    VehicleClass.PLANE: MotionProfile(50.0, 9.8, 5.0, *_TURNING),
+    VehicleClass.MULTIROTOR: MotionProfile(20.0, 9.8, 5.0, *_RECURRING),
+    VehicleClass.GROUND: MotionProfile(10.0, 4.0, 2.0, *_RECURRING),
+    VehicleClass.BOAT: MotionProfile(15.0, 3.0, 0.5, *_RECURRING),
+    VehicleClass.INDOOR: MotionProfile(3.0, 4.0, 2.0, *_RECURRING),
 }
 """By class; None: it is not known. Chosen: accelerations of a level turn at 45 degrees of bank, of tyres on gravel, of a rudder,
 and of a robot's motors; speeds that small vehicles of these classes seldom exceed."""

@@ -41,6 +41,13 @@ _SETTLED_RATIO = 0.7
 _LONGEST_LEARNED_S = 1.0
 """Chosen: what the sum of the corrections was before a longer pause says nothing of the pause."""
 
+_COMPARED_S = 2.0
+"""Chosen: twice the correlation time of manoeuvres that recur; over a shorter time the noise of the velocity hides them."""
+_LONGEST_COMPARED_S = 4.0
+"""Chosen: over a longer time a vehicle has turned to and fro, which cancels in the change of its velocity."""
+_LEAST_LEVEL = 1.0
+"""Chosen: a vehicle that hovered may fly off as it loses its GPS."""
+
 _NOTHING_SEEN = (0.0, 0.0)
 
 Values = tuple[float, ...]
@@ -210,6 +217,8 @@ class NoiseLevel:
 
     log_level: float = 0.0
     corrections: ManoeuvreDetector = field(default_factory=ManoeuvreDetector)
+    compared: PositionMeasurement | None = None
+    """The last report whose velocity was compared with that of an earlier one."""
 
     @property
     def level(self) -> float:
@@ -223,6 +232,25 @@ class NoiseLevel:
             ratio = min(self.corrections.ratio(), _MOST_RATIO)
             self.log_level = learned_log_level(self.log_level, ratio, since_s, time_s, bounds)
 
+    def learn_from_report(self, m: PositionMeasurement, density_m2ps3: float, time_s: float, most: float) -> None:
+        """Adjust the level of a vehicle without states, up to `most`, by the change of the velocity that it reports, eq. (41).
+
+        `density_m2ps3` is that of its white acceleration at level 1, eq. (8).
+        """
+        if m.velocity_enu_mps is None or m.sigma_velocity_mps is None:
+            return
+        before = self.compared
+        since_s = m.measured_at_s - before.measured_at_s if before is not None else math.inf
+        if since_s < _COMPARED_S:
+            return
+        self.compared = m
+        if before is None or before.velocity_enu_mps is None or since_s > _LONGEST_COMPARED_S:
+            return
+        (e, n, _), (e_before, n_before, _) = m.velocity_enu_mps, before.velocity_enu_mps
+        square_m2ps2 = 0.5 * ((e - e_before) ** 2 + (n - n_before) ** 2)
+        ratio = square_m2ps2 / (self.level * density_m2ps3 * since_s + 2.0 * m.sigma_velocity_mps**2)
+        self.log_level = learned_log_level(self.log_level, min(ratio, _MOST_RATIO), since_s, time_s, (_LEAST_LEVEL, most))
+
     def copy(self) -> NoiseLevel:
         """Return an independent copy."""
-        return NoiseLevel(self.log_level, self.corrections.copy())
+        return NoiseLevel(self.log_level, self.corrections.copy(), self.compared)

@@ -168,11 +168,12 @@ class Cluster:
         start = self.joint.where[vehicle].start + VELOCITY.start
         correction = (*W[start : start + 3].tolist(), innovations)
         record.manoeuvre.update(at_s, s.manoeuvre_memory_s, *correction)
-        gusts = (s.least_noise_level, s.most_noise_level)
-        levels = gusts if fresh_attitude(record, s, at_s) is not None else record.profile.noise_levels
-        if of_position and levels is not None:
-            record.noise.learn(at_s, s.noise_level_time_s, levels)
-            record.noise.corrections.update(at_s, s.manoeuvre_memory_s, *correction)
+        if of_position:
+            noise, levels = record.manoeuvre_noise, record.profile.noise_levels
+            if fresh_attitude(record, s, at_s) is not None:
+                noise, levels = record.gust_noise, (s.least_noise_level, s.most_noise_level)
+            noise.learn(at_s, s.noise_level_time_s, levels)
+            noise.corrections.update(at_s, s.manoeuvre_memory_s, *correction)
 
     def inflate_covariance(self, vehicle: int, position_m2: float) -> None:
         """Add a position variance (m^2, each axis), and the velocity and wind variance to match, to one vehicle.

@@ -1,4 +1,4 @@
-"""The process model of one vehicle: F and Q of a step, eq. (2) to (9) of docs/explanation/fleet-filter.md.
+"""The process model of one vehicle: F and Q of a step, eq. (2) to (9) and (42) of docs/explanation.
 
 Steady flight is constant velocity disturbed by white acceleration (Bar-Shalom, Li, Kirubarajan 2001, section 6.2.2). With a
 fresh bank angle the velocity through the air turns at the rate of a coordinated turn and the wind carries the vehicle along;
@@ -35,6 +35,8 @@ _NOTICED_SIGMA_M = 10.0
 """Chosen: a denied vehicle known worse than this shows a manoeuvre late, so its process noise is inflated."""
 _UNNOTICED_GAIN = 20.0
 """Chosen: the most by which a large position variance inflates."""
+_TURN_SHOWN_SIGMA_M = 1.0
+"""Chosen: a position known better than this along some direction shows a turn within a second."""
 _TURN_GAIN = 6.0
 """Chosen: the most by which the turn rate's sigma is inflated: 6 * 0.03 rad/s is 10 degrees a second."""
 _MANOEUVRE_S = 1.0
@@ -64,6 +66,15 @@ def usable_airspeed_mps(m: AttitudeMeasurement) -> float | None:
     return m.airspeed_mps if is_usable else None
 
 
+def acceleration_density_m2ps3(east_mps: float, north_mps: float, s: FleetSettings) -> tuple[float, float]:
+    """Return how slow a velocity is (1 at rest, 0 when fast), and the density of the white acceleration with it, eq. (8).
+
+    A slow vehicle turns on the spot, which a turn rate does not describe.
+    """
+    slowness = 1.0 / (1.0 + (east_mps * east_mps + north_mps * north_mps) / (s.low_speed_mps * s.low_speed_mps))
+    return slowness, s.acceleration_density_m2ps3 + slowness * (s.low_speed_density_m2ps3 - s.acceleration_density_m2ps3)
+
+
 def step_ends(from_s: float, to_s: float) -> Sequence[float]:
     """Return the ends of the steps of a propagation to a later time, s; empty if it is not later."""
     span_s = to_s - from_s
@@ -87,9 +98,7 @@ def set_transition(
     """
     x, P = state
     length = abs(step_s)
-    # Eq. (8): a slow vehicle turns on the spot, which a turn rate does not describe.
-    slowness = 1.0 / (1.0 + (x[3] * x[3] + x[4] * x[4]) / (s.low_speed_mps * s.low_speed_mps))
-    density = s.acceleration_density_m2ps3 + slowness * (s.low_speed_density_m2ps3 - s.acceleration_density_m2ps3)
+    slowness, density = acceleration_density_m2ps3(x[3], x[4], s)
     climb = s.climb_density_m2ps3
     if record.denied_vehicle and record.baro_error_sigma_m == 0.0:
         # Without a height of its own a climb is observed late, and a fast vehicle climbs fast.
@@ -98,7 +107,7 @@ def set_transition(
     # The turn rate decays within the step: the heading changes by omega times this.
     lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
     attitude, measured = fresh_attitude(record, s, at_s), False
-    level = record.noise.level if attitude is not None or record.profile.noise_levels is not None else 1.0
+    level = record.gust_noise.level
     if attitude is not None:
         assert attitude.airspeed_mps is not None
         roll = min(max(attitude.roll_rad, -STEEPEST_BANK_RAD), STEEPEST_BANK_RAD)
@@ -109,6 +118,7 @@ def set_transition(
         climb += uneven
     else:
         turn = x[TURN] * lasting_s / step_s
+        level = min(record.manoeuvre_noise.level, _most_level(record, P))
         density *= level
         if measured := has_fresh_odometry(record, s, at_s):
             # What is left to chance is slip: odometry measures the turn, and the speed ten times as fast as it changes.
@@ -116,7 +126,7 @@ def set_transition(
         elif at_s - record.updated_at_s > _COAST_TIME_S:
             gain = max(gain, min(((at_s - record.updated_at_s) / _COAST_TIME_S) ** 2, _COAST_GAIN))
         if record.denied_vehicle:
-            gain = max(gain, min(_worst_m2(P) / (_NOTICED_SIGMA_M * _NOTICED_SIGMA_M), _UNNOTICED_GAIN))
+            gain = max(gain, min(_variances_m2(P)[1] / (_NOTICED_SIGMA_M * _NOTICED_SIGMA_M), _UNNOTICED_GAIN))
     # Eq. (9): the manoeuvre detector inflates the process noise, up to what a learned level may come to as well.
     gain = min(gain, s.manoeuvre_gain / max(level, 1.0))
     mean = transition.set_motion(x, step_s, turn, in_wind=attitude is not None)
@@ -126,7 +136,7 @@ def set_transition(
             # Eq. (28): no vehicle becomes ever faster. Turns such as it has shown make it no faster than it was.
             limits = record.profile
             square_m2ps2 = x[3] * x[3] + x[4] * x[4] + P.item(3, 3) + P.item(4, 4)
-            turned = density / square_m2ps2 if limits.noise_levels is not None else 0.0
+            turned = density / square_m2ps2 if limits.is_recurring else 0.0
             decay = math.exp(-length * max(2.0 * density * gain / limits.max_speed_mps**2, turned))
             decay_v = math.exp(-0.5 * length * climb / limits.max_climb_mps**2)
             transition.decay_velocity(decay, decay_v)
@@ -168,9 +178,9 @@ def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float, most_mp
 
 def shown_acceleration_mps2(record: VehicleRecord, s: FleetSettings) -> float:
     """Return the acceleration that a vehicle has shown, eq. (36): the 95 % bound; infinite where its manoeuvres do not recur."""
-    if record.profile.noise_levels is None:
+    if not record.profile.is_recurring:
         return math.inf
-    return _BOUND_95_SIGMAS * math.sqrt(record.noise.level * s.low_speed_density_m2ps3 / (2.0 * _MANOEUVRE_S))
+    return _BOUND_95_SIGMAS * math.sqrt(record.manoeuvre_noise.level * s.low_speed_density_m2ps3 / (2.0 * _MANOEUVRE_S))
 
 
 def fresh_attitude(record: VehicleRecord, s: FleetSettings, at_s: float) -> AttitudeMeasurement | None:
@@ -184,8 +194,18 @@ def has_fresh_odometry(record: VehicleRecord, s: FleetSettings, at_s: float) -> 
     return record.odometry is not None and at_s - record.odometry.measured_at_s <= s.attitude_fresh_s
 
 
-def _worst_m2(P: FloatArray) -> float:
-    """Return the larger eigenvalue of the horizontal position covariance, m^2."""
+def _most_level(record: VehicleRecord, P: FloatArray) -> float:
+    """Return the largest noise level of a vehicle without a fresh bank angle, eq. (42).
+
+    A turn changes the velocity along any direction. So the manoeuvre detector notices that of a plane by the one known best.
+    """
+    most = record.profile.noise_levels[1]
+    return most if record.profile.is_recurring else min(most, 1.0 + _variances_m2(P)[0] / _TURN_SHOWN_SIGMA_M**2)
+
+
+def _variances_m2(P: FloatArray) -> tuple[float, float]:
+    """Return the eigenvalues of the horizontal position covariance, the smaller first, m^2."""
     ee_m2, en_m2, nn_m2 = P.item(0, 0), P.item(0, 1), P.item(1, 1)
     half, skew = 0.5 * (ee_m2 + nn_m2), 0.5 * (ee_m2 - nn_m2)
-    return half + math.sqrt(skew * skew + en_m2 * en_m2)
+    root = math.sqrt(skew * skew + en_m2 * en_m2)
+    return half - root, half + root

@@ -94,8 +94,10 @@ class VehicleRecord:
     time_stamp_offset_sigma_s: float = 0.0
     """Steady-state sigma in force of its time-stamp offset."""
     manoeuvre: ManoeuvreDetector = field(default_factory=ManoeuvreDetector)
-    noise: NoiseLevel = field(default_factory=NoiseLevel)
-    """The learned level of gusts, or of manoeuvres that recur."""
+    gust_noise: NoiseLevel = field(default_factory=NoiseLevel)
+    """The level of gusts, learned and used while its attitude is fresh."""
+    manoeuvre_noise: NoiseLevel = field(default_factory=NoiseLevel)
+    """The level of its manoeuvres, learned and used while its attitude is not fresh, and from its reports before."""
     air_calibrations: tuple[AirCalibration, ...] = ()
     """The last two with its own GPS: an initialisation needs one from before the reports that it replays."""
     profile: MotionProfile = PROFILES[None]
@@ -149,7 +151,8 @@ class VehicleRecord:
         """Return an independent copy."""
         other = VehicleRecord(*_RECORD_FIELDS(self))
         other.manoeuvre = self.manoeuvre.copy()
-        other.noise = self.noise.copy()
+        other.gust_noise = self.gust_noise.copy()
+        other.manoeuvre_noise = self.manoeuvre_noise.copy()
         other.neighbours = dict(self.neighbours)
         other.last_range_s = dict(self.last_range_s)
         return other

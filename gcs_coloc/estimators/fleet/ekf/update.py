@@ -134,7 +134,7 @@ def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResul
     cluster.propagate(m.vehicle, m.measured_at_s)
     since_s = m.measured_at_s - record.attitude.measured_at_s if record.attitude is not None else s.air_noise_time_s
     record.attitude = m
-    linear = air_velocity(joint, m, airspeed_mps, since_s, s, record.noise.level)
+    linear = air_velocity(joint, m, airspeed_mps, since_s, s, record.gust_noise.level)
     S = linear.innovation_covariance(linear.R)
     whitened = whiten(linear.HA, S)
     nis = whitened.nis

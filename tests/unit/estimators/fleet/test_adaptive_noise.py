@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseLevel, NoiseSplit
 
 
@@ -109,3 +110,45 @@ def test_a_copy_of_a_noise_level_learns_apart():
     other.learn(0.5, 20.0, (0.01, 100.0))
     assert (noise.log_level, noise.corrections.at_s) == (1.0, -math.inf)
     assert other.log_level > 1.0
+
+
+def reported(at_s: float, velocity_mps: tuple[float, float] | None) -> PositionMeasurement:
+    """Return a report at a time with a velocity of 0.2 m/s."""
+    velocity = None if velocity_mps is None else (*velocity_mps, 0.0)
+    return PositionMeasurement(1, at_s, at_s, (0.0, 0.0, 50.0), 1.0, 1.0, velocity, None if velocity is None else 0.2)
+
+
+def level_after(accelerations_mps: float, seed: int, end_s: float = 60.0, step_s: float = 0.2) -> float:
+    """Return the level that reports teach, at 0.5 m^2/s^3, where each second changes the velocity by so many m/s, 1-sigma."""
+    rng, noise, velocity = np.random.default_rng(seed), NoiseLevel(), np.zeros(2)
+    for k in range(round(end_s / step_s)):
+        velocity = velocity + accelerations_mps * math.sqrt(step_s) * rng.normal(size=2)
+        east, north = (velocity + 0.2 * rng.normal(size=2)).tolist()
+        noise.learn_from_report(reported(step_s * k, (east, north)), 0.5, 20.0, 300.0)
+    return noise.level
+
+
+def test_reports_teach_the_level_of_the_manoeuvres():
+    """At the level at which the change of the velocity has 0.7 of its predicted variance, within a factor as it scatters."""
+    levels = [level_after(4.0, seed) for seed in range(20)]
+    assert np.exp(np.mean(np.log(levels))) == pytest.approx(4.0**2 / 0.5 / 0.7, rel=0.35)
+
+
+def test_neither_steady_flight_nor_the_noise_of_its_velocity_teaches_a_level():
+    """It is never below 1: a vehicle that hovered may fly off as it loses its GPS."""
+    assert [level_after(0.0, seed) for seed in range(5)] == [1.0] * 5
+
+
+def test_a_level_learned_from_reports_has_a_bound():
+    noise = NoiseLevel()
+    for k in range(100):
+        noise.learn_from_report(reported(2.0 * k, (20.0 * (-1) ** k, 0.0)), 0.5, 20.0, 4.0)
+    assert noise.level == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize("velocity_mps", [None, (20.0, 0.0)])
+def test_reports_without_velocity_or_long_apart_teach_nothing(velocity_mps):
+    noise = NoiseLevel()
+    for k in range(10):
+        noise.learn_from_report(reported(5.0 * k, velocity_mps if k % 2 else (0.0, 0.0)), 0.5, 20.0, 300.0)
+    assert noise.log_level == 0.0

@@ -1,4 +1,4 @@
-"""What a vehicle of each class does: limits, and process noise that is learned where manoeuvres recur."""
+"""What a vehicle of each class does: limits, and process noise that is learned, from its reports and from its ranges."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
+    AttitudeMeasurement,
     Estimate,
     PositionMeasurement,
     RangeMeasurement,
@@ -17,6 +18,7 @@ from gcs_coloc.core.measurements import (
     VehicleClassReport,
 )
 from gcs_coloc.estimators.fleet.filter import FleetFilter
+from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.motion_profiles import PROFILES, motion_profile
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
@@ -77,6 +79,84 @@ def test_a_hovering_multirotor_is_no_worse_for_its_class():
     unknown_m, _ = np.mean([flown(0.0, None, seed) for seed in (1, 2)], axis=0)
     assert rmse_m <= unknown_m
     assert covered >= 0.93
+
+
+def turning(rng: np.random.Generator) -> np.ndarray:
+    """Fly at 20 m/s, straight and in turns of 30 degrees of bank in turns; return positions (N, 2) at each step, m."""
+    heading, turn_radps, until_s, place, places = rng.uniform(0.0, 2.0 * math.pi), 0.0, 0.0, np.zeros(2), []
+    for k in range(round(END_S / STEP_S)):
+        if STEP_S * k >= until_s:
+            until_s = STEP_S * k + rng.uniform(4.0, 10.0)
+            turn_radps = 0.0 if turn_radps else float(rng.choice((-0.28, 0.28)))
+        heading += turn_radps * STEP_S
+        place = place + 20.0 * STEP_S * np.array([math.sin(heading), math.cos(heading)])
+        places.append(place)
+    return np.array(places)
+
+
+def covered_after_loss(places: np.ndarray, reported: VehicleClass, seed: int, lost_s: float, until_s: float) -> float:
+    """Lose the GPS at `lost_s` among ranges of 12 m every 0.8 s; return the share within the 95 % bound until `until_s`."""
+    rng, estimator, covered = np.random.default_rng(seed), FleetFilter(), []
+    velocities = np.gradient(places, STEP_S, axis=0)
+    estimator.add(VehicleClassReport(DENIED, 0.0, 0.0, reported))
+    peers = {peer: (10.0 * east, 10.0 * north) for peer, (east, north) in PEERS.items()}
+    for k, (place, velocity) in enumerate(zip(places, velocities, strict=True)):
+        t = STEP_S * (k + 1)
+        if t > until_s:
+            break
+        if k == round(lost_s / STEP_S):
+            estimator.set_denied({DENIED}, t)
+        for peer, where in peers.items():
+            estimator.add(PositionMeasurement(peer, t, t, (*where, 50.0), 0.5, 0.5, (0.0, 0.0, 0.0), 0.2))
+            if k % 4 == peer % 4:
+                range_m = math.dist((*place, 50.0), (*where, 50.0)) + 12.0 * rng.normal()
+                estimator.add(RangeMeasurement(DENIED, peer, t, t, range_m, 12.0))
+        estimator.add(AltitudeMeasurement(DENIED, t, t, 50.0, 1.0))
+        if t < lost_s:
+            noisy = velocity + 0.2 * rng.normal(size=2)
+            estimator.add(PositionMeasurement(DENIED, t, t, (*place, 50.0), 0.5, 0.5, (*noisy, 0.0), 0.2))
+        elif t > lost_s + 2.0:
+            answer = estimator.estimate(DENIED, t)
+            if isinstance(answer, Estimate):
+                error_m = float(np.linalg.norm(answer.position_enu_m[:2] - place))
+                covered.append(error_m <= horizontal_bound_95_m(answer.covariance))
+    return float(np.mean(covered))
+
+
+def test_what_a_multirotor_did_with_gps_is_in_its_bound_right_after_the_loss():
+    """Coarse ranges show it too late: without what it did before 70 % are covered."""
+    flights = [(course(7.0, np.random.default_rng(seed)), seed) for seed in range(1, 13)]
+    assert np.mean([covered_after_loss(p, VehicleClass.MULTIROTOR, seed, 40.0, 50.0) for p, seed in flights]) >= 0.9
+
+
+def test_the_turns_of_a_plane_without_attitude_are_in_its_bound_among_coarse_ranges():
+    """Without a level of its own 72 % are covered."""
+    flights = [(turning(np.random.default_rng(seed)), seed) for seed in range(1, 9)]
+    assert np.mean([covered_after_loss(p, VehicleClass.PLANE, seed, 40.0, END_S) for p, seed in flights]) >= 0.9
+
+
+def test_the_level_of_gusts_and_that_of_manoeuvres_are_learned_apart():
+    """Attitudes that fail for some seconds leave what was learned of the gusts."""
+    rng, model, levels = np.random.default_rng(1), FleetModel(FleetSettings()), []
+    model.apply(VehicleClassReport(DENIED, 0.0, 0.0, VehicleClass.PLANE))
+    for k, place in enumerate(turning(rng)[:200]):
+        t = STEP_S * (k + 1)
+        if k == 10:
+            model.set_denied(frozenset({DENIED}), t)
+        for peer, where in PEERS.items():
+            model.apply(PositionMeasurement(peer, t, t, (*where, 50.0), 0.5, 0.5, (0.0, 0.0, 0.0), 0.2))
+            range_m = math.dist((*place, 50.0), (*where, 50.0)) + rng.normal()
+            model.apply(RangeMeasurement(DENIED, peer, t, t, range_m, 1.0))
+        if k < 10:
+            model.apply(PositionMeasurement(DENIED, t, t, (*place, 50.0), 0.5, 0.5, (0.0, 0.0, 0.0), 5.0))
+        if t < 25.0:
+            model.apply(AttitudeMeasurement(DENIED, t, t, 0.0, 0.0, 0.0, 20.0))
+        record = model.records[DENIED]
+        levels.append((t, record.gust_noise.log_level, record.manoeuvre_noise.log_level))
+    _, gusts, manoeuvres = zip(*(each for each in levels if each[0] > 27.0), strict=True)
+    assert len(set(gusts)) == 1
+    assert gusts[0] != 0.0
+    assert len(set(manoeuvres)) > 1
 
 
 @pytest.mark.parametrize("reported", [None, *VehicleClass])
