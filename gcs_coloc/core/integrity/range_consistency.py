@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from math import exp
+from math import exp, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -29,8 +29,11 @@ from gcs_coloc.core.schedule import SAME_S
 _HOLD_WINDOWS = 10.0  # without any test for so many windows a detection ends
 _SMALLER_WINDOWS = 10
 """Windows in a row in which a smaller noise is clearly likelier before it counts. Chosen: lasting errors show in each of them."""
-_COARSE_SIGMAS = 12.0
-"""Lasting offset of a sound receiver, in stated sigmas, at most. Chosen: three of one that states a quarter of its error."""
+_COARSE_SIGMAS = 16.0
+"""Offset of a sound receiver, in stated sigmas, at most. Chosen: four of one that states a quarter of its error."""
+_COARSE_CHANGE_SIGMAS = 12.0
+"""The same of the change of its offset, in sigmas of a Gauss-Markov process. Chosen: three of such a receiver. With four a walk
+of 2 m/s that sets out from 1.3 m would be named after 9 s."""
 _PAIRS_FAIL_FOR_S = 60.0
 """For so long after pairs were off several may be at once. Chosen: a fleet takes as long to leave buildings and hills behind."""
 
@@ -41,8 +44,8 @@ class ConsistencySettings:
 
     Tests run every `period_s`: of the present, and of the change since each of `intervals_s` ago, in which a fault-free position
     error is a Gauss-Markov process of `correlation_time_s`. A vehicle is identified after `identify_after` independent samples in
-    a row that isolate it; vehicles among which the fault is not isolated are detected after `detect_after`. One that shows no
-    change, and is off by no more than a sound receiver may be that states too little, is detected alone. Solution separation
+    a row that isolate it; vehicles among which the fault is not isolated are detected after `detect_after`. One that is off, and
+    has changed, by no more than a sound receiver may that states too little, is detected alone. Solution separation
     decays over `decay_time_s`; while a fault is identified or detected, and for `alert_s` more, over `alert_decay_time_s`. A
     detection by the fault monitor lasts for `detection_hold_s`.
     """
@@ -243,7 +246,7 @@ class RangeConsistency:
                 if persistence.isolated[vehicle] >= self.settings.identify_after
                 and all(vehicle in each.possible for each in samples.values() if each.plausible)
             }
-            spared = {v for v, size_m in found.items() if self._may_be_coarse(v, size_m, sample, epoch)}.difference(doubtful)
+            spared = {v for v in found if self._may_be_coarse(v, sample, epoch, pasts[interval_s])}.difference(doubtful)
             coarse |= spared
             identified |= {vehicle: size_m for vehicle, size_m in found.items() if vehicle not in spared}
         for vehicle, size_m in identified.items():
@@ -263,10 +266,12 @@ class RangeConsistency:
                 possible = self._persistence[interval_s].possible
                 self.detected |= {v for v, n in possible.items() if n >= self.settings.detect_after}
 
-    def _may_be_coarse(self, vehicle: int, size_m: float, sample: Isolation, epoch: Epoch) -> bool:
-        """Whether an isolated receiver is off by no more than a sound one may be that states too little, and shows no change."""
+    def _may_be_coarse(self, vehicle: int, sample: Isolation, epoch: Epoch, past: Past) -> bool:
+        """Whether an isolated receiver is off, and has changed, by no more than a sound one may that states too little."""
         stated_m = epoch.priors[vehicle].sigma_h_m / self.noise.position_factor
-        return vehicle in sample.lasting and size_m <= _COARSE_SIGMAS * stated_m
+        _, correlation = past
+        most_change_m = _COARSE_CHANGE_SIGMAS * stated_m * sqrt(2.0 * (1.0 - correlation))
+        return sample.isolated[vehicle] <= _COARSE_SIGMAS * stated_m and sample.changes_m[vehicle] <= most_change_m
 
     def _update_separation(self, results: Mapping[float, FaultTestResult], epoch: Epoch, now_s: float) -> None:
         s, age_s, present = self.settings, now_s - epoch.at_s, results.get(0.0)

@@ -105,6 +105,12 @@ class Adjustment:
         correction_m, covariance_m2 = self._solution.first_linear(self._number, self._index[vehicle])
         return np.asarray(np.linalg.solve(covariance_m2 / placed_m**2 + np.eye(2), correction_m))
 
+    def change_m(self, vehicle: int) -> float:
+        """By how much the horizontal correction of a vehicle differs from that in the earlier epoch."""
+        at, count = 3 * self._index[vehicle], len(self.corrections_m) // 2
+        now, then = self.corrections_m[at : at + 2], self.corrections_m[count + at : count + at + 2]
+        return float(np.hypot(*(now - then)))
+
     def horizontal(self, vehicle: int, states: FloatArray) -> FloatArray:
         """A vehicle's east and north (2,) of a state vector, in the present epoch."""
         i = 3 * self._index[vehicle]

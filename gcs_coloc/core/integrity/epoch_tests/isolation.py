@@ -18,7 +18,7 @@ J. Wang and C. Rizos, Generalised measures of reliability for multiple outliers,
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from math import hypot, inf
@@ -49,15 +49,14 @@ class Isolation:
 
     `candidates`: the reporting vehicles that may be at fault; of many those that explain most. `plausible`: the explanations not
     clearly worse than the best, which comes first; none where not even the best leaves a consistent rest. `not_alone`: vehicles
-    that two other faults at once, or errors of the moment, may only seem to have at another place. `lasting`: the isolated
-    vehicles whose fault was there in the earlier epoch as well, of the same size as far as can be told; all of them where there
-    is no earlier epoch.
+    that two other faults at once, or errors of the moment, may only seem to have at another place. `changes_m`: by isolated
+    vehicle how much its offset has changed since the earlier epoch; 0 where that is not clear, or where there is none.
     """
 
     candidates: tuple[int, ...]
     plausible: tuple[AdjustedHypothesis, ...] = ()
     not_alone: frozenset[int] = frozenset()
-    lasting: frozenset[int] = frozenset()
+    changes_m: Mapping[int, float] = field(default_factory=dict)
 
     @property
     def cost(self) -> float:
@@ -144,7 +143,7 @@ def isolate(
         anew = isolate(_with_errors_anew(now), (_with_errors_anew(past[0]), past[1]), levels, troubled)
         not_alone |= isolation.isolated.keys() - anew.isolated.keys()
     isolation = replace(isolation, not_alone=frozenset(not_alone))
-    return replace(isolation, lasting=frozenset(v for v in isolation.isolated if not _has_changed(now, past, model, v, levels)))
+    return replace(isolation, changes_m={v: _change_m(now, past, model, v, levels) for v in isolation.isolated})
 
 
 def _with_errors_anew(epoch: Epoch) -> Epoch:
@@ -153,16 +152,18 @@ def _with_errors_anew(epoch: Epoch) -> Epoch:
     return replace(epoch, residuals=tuple(anew))
 
 
-def _has_changed(now: Epoch, past: Past, model: FaultModel, vehicle: int, levels: SignificanceLevels) -> bool:
-    """Whether the offset of a vehicle is clearly not the same in both epochs: one offset for both against one for each."""
+def _change_m(now: Epoch, past: Past, model: FaultModel, vehicle: int, levels: SignificanceLevels) -> float:
+    """By how much the offset of a vehicle has changed; 0 where one offset for both epochs fits nearly as well as one for each."""
     then, correlation = past
     if then is None:
-        return False
+        return 0.0
     moved = np.tile(np.array(model.arrays.vehicles) == vehicle, (model.epochs, 1)).astype(float)
     one_offset = Hypothesis(FaultKind.POSITIONS, (vehicle,), moved, np.zeros((model.epochs * model.rows, 2)))
     explained = model.explain([one_offset], [0.0])
     two_offsets = adjust(_without_priors(now, (vehicle,)), [(_without_priors(then, (vehicle,)), correlation)])[0]
-    return not explained or explained[0].statistic - two_offsets.statistic > chi2_limit(2, levels.rest)
+    if explained and explained[0].statistic - two_offsets.statistic <= chi2_limit(2, levels.rest):
+        return 0.0
+    return two_offsets.change_m(vehicle)
 
 
 def cost_of_two_receivers(now: Epoch, past: Past, candidates: Sequence[int], *, sound: int | None = None) -> float:

@@ -203,16 +203,18 @@ def test_a_receiver_that_stepped_is_named_where_pairs_fail_too():
 
 
 @pytest.mark.parametrize(
-    ("then_m", "now_m", "is_lasting"), [(20.0, 20.0, True), (20.0, 22.0, True), (0.0, 20.0, False), (20.0, 26.0, False)]
+    ("then_m", "now_m", "change_m"), [(20.0, 20.0, 0.0), (20.0, 22.0, 0.0), (0.0, 20.0, 20.0), (20.0, 26.0, 6.0)]
 )
-def test_a_fault_is_called_lasting_unless_the_ranges_show_that_its_size_has_changed(then_m, now_m, is_lasting):
+def test_a_fault_has_changed_by_as_much_as_the_ranges_clearly_show(then_m, now_m, change_m):
+    """A change of 2 m is not clear. Ranges of a metre in both epochs leave 2.5 m."""
     for seed in range(10):
         then, now = (epoch(np.random.default_rng(seed), 6, mutual=True, offsets={6: (size_m, 0.0)}) for size_m in (then_m, now_m))
         found = isolate(now, (then, 0.8), LEVELS)
         assert found.isolated.keys() == {6}
-        assert found.lasting == ({6} if is_lasting else set())
+        assert found.changes_m.keys() == {6}
+        assert found.changes_m[6] == pytest.approx(change_m, abs=2.5 if change_m else 0.0)
 
 
 def test_of_one_epoch_alone_no_fault_shows_that_it_has_changed():
     now = epoch(np.random.default_rng(1), 6, mutual=True, offsets={6: (20.0, 0.0)})
-    assert isolate(now, (None, 0.0), LEVELS).lasting == {6}
+    assert isolate(now, (None, 0.0), LEVELS).changes_m == {6: 0.0}
