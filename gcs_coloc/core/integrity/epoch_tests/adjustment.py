@@ -107,11 +107,10 @@ class Adjustment:
 
     def change_m(self, vehicle: int) -> float:
         """By how much the horizontal correction of a vehicle differs from that in the earlier epoch."""
-        at, count = 3 * self._index[vehicle], len(self.corrections_m) // 2
-        now, then = self.corrections_m[at : at + 2], self.corrections_m[count + at : count + at + 2]
-        return float(np.hypot(*(now - then)))
+        now_m, then_m = np.split(self.corrections_m, 2)
+        return float(np.hypot(*(self.horizontal(vehicle, now_m) - self.horizontal(vehicle, then_m))))
 
     def horizontal(self, vehicle: int, states: FloatArray) -> FloatArray:
-        """A vehicle's east and north (2,) of a state vector, in the present epoch."""
+        """A vehicle's east and north (2,) of a state vector; of a whole one those in the present epoch."""
         i = 3 * self._index[vehicle]
         return states[i : i + 2]

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
 from gcs_coloc.core.measurements import AttitudeMeasurement, FloatArray
 from gcs_coloc.core.telemetry.reported_state import LEAST_AIRSPEED_MPS
 from gcs_coloc.estimators.fleet.ekf._kernels import Transition
@@ -205,7 +206,5 @@ def _most_level(record: VehicleRecord, P: FloatArray) -> float:
 
 def _variances_m2(P: FloatArray) -> tuple[float, float]:
     """Return the eigenvalues of the horizontal position covariance, the smaller first, m^2."""
-    ee_m2, en_m2, nn_m2 = P.item(0, 0), P.item(0, 1), P.item(1, 1)
-    half, skew = 0.5 * (ee_m2 + nn_m2), 0.5 * (ee_m2 - nn_m2)
-    root = math.sqrt(skew * skew + en_m2 * en_m2)
-    return half - root, half + root
+    mean_m2, radius_m2 = eigenvalue_mean_and_radius(P.item(0, 0), P.item(0, 1), P.item(1, 1), math.hypot)
+    return mean_m2 - radius_m2, mean_m2 + radius_m2

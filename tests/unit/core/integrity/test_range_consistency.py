@@ -149,7 +149,7 @@ def test_a_receiver_is_named_that_is_far_off_or_that_has_changed(size_m, since_s
 
 
 def receiver_4_wanders_by(size_m):
-    """Off by as much as a third of its stated error lets one expect, and to another side within 12 s."""
+    """Off by so much, to all sides in turns: 1.4 times as far from where it was 12 s before."""
 
     def errors_m(at_s):
         angle = 2.0 * math.pi * at_s / 48.0
