@@ -10,7 +10,7 @@ from gcs_coloc.estimators.fleet.ambiguity.curved_ranges import curvature_covaria
 from gcs_coloc.estimators.fleet.ambiguity.range_evidence import unresolved_outlier_variance_m2
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance
-from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TIME_STAMP_OFFSET, VELOCITY
 from gcs_coloc.estimators.fleet.observed_biases import unknown_bias_covariance
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch
@@ -65,7 +65,7 @@ def estimate_of_cluster(cluster: Cluster, vehicle: int, at_s: float) -> Estimate
     worst_m = horizontal_sigma_m(covariance)
     if not worst_m <= cluster.settings.limit_sigma_m:
         return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))
-    units = [n.unit for n in record.neighbours.values() if abs(at_s - n.at_s) <= IN_USE_S]
+    units = list(cluster.peers_in_use(vehicle, at_s).values())
     hdop = horizontal_dilution_of(units) if len(units) >= 2 else None
     return Estimate(vehicle, at_s, position, x[VELOCITY].copy(), covariance, hdop, len(units), None, far)
 

@@ -11,7 +11,7 @@ from gcs_coloc.estimators.fleet.ekf.adaptive_noise import ManoeuvreDetector
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour, Records
-from gcs_coloc.estimators.fleet.ekf.state import POSITION
+from gcs_coloc.estimators.fleet.ekf.state import POSITION, pair_key
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
 from gcs_coloc.estimators.fleet.motion_profiles import MotionProfile
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch, RangeCircle, is_too_wide
@@ -61,7 +61,7 @@ def search_with_range(
     if search.is_lost:
         record.search, record.no_estimate_reason = None, Unlocated(NoEstimateReason.CONTRADICTORY)
         return Outcome.KEPT_INITIALISING
-    record.neighbours[other] = Neighbour(at_s, (0.0, 0.0, 0.0))
+    record.neighbours[other] = Neighbour(at_s, (0.0, 0.0, 0.0), pair_key(vehicle, other, m.device_id))
     settled = search.settled(m.range_m, math.sqrt(m.sigma_m**2 + float(np.trace(there[1])) / 3.0))
     if settled is None:
         return Outcome.SEARCHING

@@ -21,7 +21,6 @@ from gcs_coloc.core.error_ellipse import error_ellipse
 from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
-from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S
 from gcs_coloc.estimators.fleet.ekf.state import Key
 
 _STRAIGHT_SHARE = 0.1
@@ -62,7 +61,7 @@ def curvature_covariances(
     offset d costs d^2 / sigma^2 by the filter. What the ranges have in it, at the slopes of the estimate, is replaced by what
     they really come to at d, eq. (35).
     """
-    peers = _peers(cluster, vehicle, at_s)
+    peers = cluster.peers_in_use(vehicle, at_s)
     sigma_m, _, angle_rad = error_ellipse(covariance.item(0, 0), covariance.item(0, 1), covariance.item(1, 1))
     east, north = math.cos(angle_rad), math.sin(angle_rad)
     if not _are_curved(cluster, vehicle, peers, (east, north), sigma_m):
@@ -71,12 +70,6 @@ def curvature_covariances(
     near_m2, far_m2 = ((max(reach, 1.0) ** 2 - 1.0) * sigma_m * sigma_m for reach in (near / _NEAR_SIGMAS, far / _FAR_SIGMAS))
     along = np.array([[east * east, east * north], [east * north, north * north]])
     return (near_m2 * along, far_m2 * along) if max(near_m2, far_m2) > 0.0 else None
-
-
-def _peers(cluster: Cluster, vehicle: int, at_s: float) -> dict[int, Vector3]:
-    """Return the unit vectors from the peers whose ranges are in use."""
-    neighbours = cluster.records[vehicle].neighbours
-    return {v: n.unit for v, n in neighbours.items() if abs(at_s - n.at_s) <= IN_USE_S and v in cluster.joint.where}
 
 
 def _moves(cluster: Cluster, vehicle: int, direction: Horizontal) -> dict[int, Horizontal]:
@@ -143,7 +136,7 @@ def _pairs(cluster: Cluster, moves: Mapping[int, Horizontal], at_s: float) -> li
     time_s, pairs, done = cluster.joint.time_s, [], set[int]()
     for vehicle in moves:
         own = cluster.range_end(vehicle)
-        others = [peer for peer in _peers(cluster, vehicle, at_s) if peer not in done]
+        others = [peer for peer in cluster.peers_in_use(vehicle, at_s) if peer not in done]
         pairs += [_Pair(own, cluster.range_end(peer), time_s[vehicle] - time_s[peer]) for peer in others]
         done.add(vehicle)
     return pairs

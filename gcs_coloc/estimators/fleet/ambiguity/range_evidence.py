@@ -24,7 +24,7 @@ from gcs_coloc.estimators.fleet.ambiguity.reflection import (
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, Neighbour, ReflectionEvidence, UnresolvedOutlier, VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.state import POSITION
+from gcs_coloc.estimators.fleet.ekf.state import POSITION, pair_key
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _CUSUM_REFUSED = 0.88
@@ -58,7 +58,7 @@ def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResu
     if result.degrees_of_freedom > 0:
         record.reflection_evidence = update_reflection_evidence(record.reflection_evidence, cluster, vehicle, other, result, m)
     if result.used:
-        record.neighbours[other] = Neighbour(m.measured_at_s, result.unit)
+        record.neighbours[other] = Neighbour(m.measured_at_s, result.unit, pair_key(vehicle, other, m.device_id))
         record.updated_at_s = m.measured_at_s
         outlier = record.unresolved_outlier
         if outlier is None or outlier.neighbour == other or _is_resolved(record, outlier, m.measured_at_s, cluster.settings):
@@ -167,8 +167,7 @@ def plane_of_refused_ranges(
 
 def _plane_without(cluster: Cluster, denied_vehicle: int, neighbour: int, at_s: float) -> ReflectionPlane | None:
     """Return the vertical plane through the two peers in use beside one neighbour; None where they are not two."""
-    neighbours = cluster.records[denied_vehicle].neighbours
-    peers = [v for v, n in neighbours.items() if v != neighbour and at_s - n.at_s <= IN_USE_S and v in cluster.joint.where]
+    peers = [peer for peer in cluster.peers_in_use(denied_vehicle, at_s) if peer != neighbour]
     return vertical_plane_through(cluster, denied_vehicle, peers, at_s) if len(peers) == 2 else None
 
 

@@ -57,8 +57,7 @@ def find_reflection_plane(cluster: Cluster, denied_vehicle: int, at_s: float) ->
     crosses so fast that it cannot have turned back within the stretch in which the ranges are blind across the plane, or where
     the reflected state is still the same as the state.
     """
-    neighbours = cluster.records[denied_vehicle].neighbours
-    peers = [v for v, n in neighbours.items() if at_s - n.at_s <= IN_USE_S and v in cluster.joint.where]
+    peers = list(cluster.peers_in_use(denied_vehicle, at_s))
     if len(peers) < 2:
         return None
     view = PeerGeometry(cluster, denied_vehicle, peers, at_s)

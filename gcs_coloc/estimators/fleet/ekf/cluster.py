@@ -20,7 +20,7 @@ from gcs_coloc.estimators.fleet.ekf.process_model import (
     shown_acceleration_mps2,
     step_ends,
 )
-from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import TIME_STAMP_OFFSET, VELOCITY, WIND, JointState, Key, ends
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
@@ -99,6 +99,14 @@ class Cluster:
     def range_jacobian(self, a: RangeEnd, b: RangeEnd, unit: Vector3) -> FloatArray:
         """Return the Jacobian (4, 1 + n) of the vector from `b` to `a` by all states: along `unit`, east, north, up."""
         return range_jacobian(len(self.joint.A), a, b, unit)
+
+    def peers_in_use(self, vehicle: int, at_s: float) -> dict[int, Vector3]:
+        """Return the unit vectors from the peers whose ranges are in use at a time.
+
+        A peer that was initialised anew has lost its range errors with its states: its earlier ranges tell nothing of it now.
+        """
+        neighbours, where = self.records[vehicle].neighbours, self.joint.where
+        return {v: n.unit for v, n in neighbours.items() if abs(at_s - n.at_s) <= IN_USE_S and n.pair in where}
 
     def change_sigma(self, vehicle: int, where: slice, before: float, now: float) -> float:
         """Change the sigma of a vehicle's slow errors where it is clearly another one; return the sigma now in force."""

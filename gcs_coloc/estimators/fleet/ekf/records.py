@@ -20,6 +20,7 @@ from gcs_coloc.core.measurements import (
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseLevel, NoiseSplit
 from gcs_coloc.estimators.fleet.ekf.air_calibration import AirCalibration
 from gcs_coloc.estimators.fleet.ekf.gap import UnshownMotion
+from gcs_coloc.estimators.fleet.ekf.state import PairKey
 from gcs_coloc.estimators.fleet.motion_profiles import PROFILES, MotionProfile
 from gcs_coloc.estimators.fleet.range_biases import BiasWindow, PairBias, RangeBiases, Ranged, UnknownBias
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch
@@ -54,10 +55,11 @@ class ReflectionEvidence(NamedTuple):
 
 @dataclass(slots=True)
 class Neighbour:
-    """The last used range between a denied vehicle and one neighbour: its time and a unit vector along it."""
+    """The last used range between a denied vehicle and one neighbour: its time, a unit vector along it, the key of the pair."""
 
     at_s: float
     unit: tuple[float, float, float]
+    pair: PairKey
 
 
 _NOT_HEARD = Unlocated(NoEstimateReason.NOT_HEARD)

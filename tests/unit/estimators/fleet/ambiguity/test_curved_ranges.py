@@ -102,3 +102,29 @@ def test_two_vehicles_that_are_lost_at_its_end_do_not_hold_each_other_out_there(
     assert np.mean(errors_m <= bounds_m) > 0.95
     assert np.max(errors_m / far_m) < 5.0
     assert np.median(bounds_m) < 25.0
+
+
+def test_a_vehicle_trusted_and_lost_again_leaves_no_range_in_use_from_before():
+    places_m = {1: (0.0, 0.0), 2: (0.0, -55.0), 3: (0.0, -110.0), 8: (100.0, -55.0), 9: (0.0, 80.0)}
+    rng, estimator, trusted_s, last_s = np.random.default_rng(1), FleetFilter(), (10.0, 10.5), 11.0
+    for t in np.arange(0.0, last_s, STEP_S).round(3).tolist():
+        trusted = {8} if trusted_s[0] <= t < trusted_s[1] else set()
+        denied = {8, 9} - trusted if t >= LOST_S else set()
+        estimator.set_denied(denied, t)
+        for vehicle, (e, n) in places_m.items():
+            if vehicle not in denied:
+                sigma_m = 20.0 if vehicle in (8, 9) else 5.0
+                estimator.add(PositionMeasurement(vehicle, t, t, (e, n, 100.0), sigma_m, 1.0, (0.0, 0.0, 0.0), 0.3))
+        for vehicle in sorted(denied):
+            estimator.add(AltitudeMeasurement(vehicle, t, t, 100.0, 1.0))
+            for peer in places_m:
+                # The two are not ranged again: what 9 has of 8 is from before 8 was trusted.
+                if peer < vehicle and (peer != 8 or t < trusted_s[0]):
+                    range_m = math.dist(places_m[vehicle], places_m[peer]) + rng.normal(0.0, 0.3)
+                    estimator.add(RangeMeasurement(vehicle, peer, t, t, range_m, 0.3))
+        found = {vehicle: estimator.estimate(vehicle, t) for vehicle in denied}
+    for vehicle, where in found.items():
+        assert isinstance(where, Estimate)
+        error_m = math.dist(where.position_enu_m[:2], places_m[vehicle])
+        assert error_m <= horizontal_bound_95_m(where.covariance)
+    assert found[9].ranges_in_use == 3
