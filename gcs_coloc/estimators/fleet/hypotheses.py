@@ -1,4 +1,4 @@
-"""Multiple hypotheses: the main model and, for a denied vehicle on an unknown side of its peers, the reflected one.
+"""Multiple hypotheses: the main model and, for denied vehicles on an unknown side of their peers, reflected ones.
 
 Both are updated with the same measurements. Their likelihoods give the odds, eq. (24). Until the odds decide, an estimate is
 the mixture of both; then the likelier model is kept (Bar-Shalom, Li, Kirubarajan 2001, section 11.6, static multiple models).
@@ -7,6 +7,7 @@ the mixture of both; then the likelier model is kept (Bar-Shalom, Li, Kirubaraja
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 
@@ -22,6 +23,7 @@ from gcs_coloc.estimators.fleet.ambiguity.range_evidence import (
 )
 from gcs_coloc.estimators.fleet.ambiguity.reflection import (
     ReflectionPlane,
+    find_joint_reflection,
     find_reflection_plane,
     mixture,
     offset_sigmas,
@@ -70,7 +72,7 @@ class RelativeSide(Enum):
 
 @dataclass(slots=True)
 class ReflectionHypothesis:
-    """A model in which one denied vehicle is reflected; `log_odds` is the logarithm of its odds against the main model.
+    """A model with reflected denied vehicles; `log_odds` is the logarithm of its odds against the main model.
 
     `motion_only`: only the process model separates the two. `separated`: in the last test they were on opposite sides.
     """
@@ -98,13 +100,21 @@ class ReflectionHypothesis:
         """Set even odds."""
         self.log_odds, self._since_s = 0.0, -math.inf
 
+    def compare_with(self, other: ReflectionHypothesis) -> None:
+        """State the odds against another hypothesis, both so far against the same model."""
+        if self.motion_only or other.motion_only:
+            # Bounded evidence says how the motion was, and not by how much one of the two fits better.
+            self.reset_odds()
+        else:
+            self.log_odds -= other.log_odds
+
 
 class FleetHypotheses:
-    """The main model and its reflection hypotheses, by denied vehicle; all methods but `copy` change it in place."""
+    """The main model and its reflection hypotheses, by the denied vehicles that are reflected; `copy` alone changes nothing."""
 
     def __init__(self, settings: FleetSettings) -> None:
         self.main = FleetModel(settings)
-        self.hypotheses: dict[int, ReflectionHypothesis] = {}
+        self.hypotheses: dict[frozenset[int], ReflectionHypothesis] = {}
         self._tested_at_s: dict[int, float] = {}
         self._saved: dict[int, SavedEstimate] = {}
 
@@ -112,7 +122,7 @@ class FleetHypotheses:
         """Return an independent copy."""
         other = object.__new__(FleetHypotheses)
         other.main = self.main.copy()
-        other.hypotheses = {v: replace(h, model=h.model.copy()) for v, h in self.hypotheses.items()}
+        other.hypotheses = {group: replace(h, model=h.model.copy()) for group, h in self.hypotheses.items()}
         other._tested_at_s = dict(self._tested_at_s)
         other._saved = dict(self._saved)
         return other
@@ -120,7 +130,7 @@ class FleetHypotheses:
     def set_denied(self, denied: frozenset[int], at_s: float) -> None:
         """Change which vehicles are denied, as `FleetModel.set_denied` does."""
         self.main.set_denied(denied, at_s)
-        self.hypotheses = {v: h for v, h in self.hypotheses.items() if v in denied}
+        self.hypotheses = {group: h for group, h in self.hypotheses.items() if group <= denied}
         self._tested_at_s = {v: then_s for v, then_s in self._tested_at_s.items() if v in denied}
         self._saved = {v: saved for v, saved in self._saved.items() if v in denied}
         for hypothesis in self.hypotheses.values():
@@ -157,60 +167,99 @@ class FleetHypotheses:
                 self._saved[denied_vehicle] = save_estimate(cluster, denied_vehicle, m.measured_at_s)
 
     def _test(self, denied_vehicle: int, at_s: float) -> None:
-        """Test whether a denied vehicle has a reflection, or decide between it and its hypothesis."""
+        """Decide between a denied vehicle and its hypotheses, and test whether it has others."""
         self._tested_at_s[denied_vehicle] = at_s
-        cluster = self.main.clusters.get(denied_vehicle)
-        hypothesis = self.hypotheses.get(denied_vehicle)
         before = self._saved.pop(denied_vehicle, None)
-        if cluster is None:
-            self.hypotheses.pop(denied_vehicle, None)
+        groups = [group for group in self.hypotheses if denied_vehicle in group]
+        if denied_vehicle not in self.main.clusters:
+            for group in groups:
+                del self.hypotheses[group]
             return
-        self._saved[denied_vehicle] = save_estimate(cluster, denied_vehicle)
-        if hypothesis is None:
-            evidence = self.main.records[denied_vehicle].reflection_evidence
-            plane = plane_of_refused_ranges(evidence, cluster, denied_vehicle, at_s)
-            plane = plane or find_reflection_plane(cluster, denied_vehicle, at_s)
-            if plane is None and before is not None:
-                plane = plane_after_gap(before, cluster, denied_vehicle, at_s)
+        self._saved[denied_vehicle] = save_estimate(self.main.clusters[denied_vehicle], denied_vehicle)
+        for group in groups:
+            if group in self.hypotheses:
+                self._judge(group, at_s)
+        cluster = self.main.clusters[denied_vehicle]
+        if not self._is_tested(frozenset({denied_vehicle}), groups):
+            plane = self._reflection_plane(cluster, denied_vehicle, before, at_s)
             if plane is not None:
                 self.main.records.writable(denied_vehicle).reflection_evidence = None
-                self._branch(denied_vehicle, plane, at_s)
+                self._branch({denied_vehicle: plane}, at_s)
+        joint = find_joint_reflection(cluster, denied_vehicle, at_s)
+        if joint is not None and not self._is_tested(frozenset(joint), groups):
+            self._branch(joint, at_s)
+
+    def _is_tested(self, group: frozenset[int], judged: list[frozenset[int]]) -> bool:
+        """Whether a hypothesis for some denied vehicles is there, or has just been decided."""
+        return group in self.hypotheses or group in judged
+
+    def _reflection_plane(
+        self, cluster: Cluster, denied_vehicle: int, before: SavedEstimate | None, at_s: float
+    ) -> ReflectionPlane | None:
+        """Return the plane on whose other side a denied vehicle may be, itself alone; None where there is none."""
+        evidence = self.main.records[denied_vehicle].reflection_evidence
+        plane = plane_of_refused_ranges(evidence, cluster, denied_vehicle, at_s)
+        plane = plane or find_reflection_plane(cluster, denied_vehicle, at_s)
+        return plane_after_gap(before, cluster, denied_vehicle, at_s) if plane is None and before is not None else plane
+
+    def _judge(self, group: frozenset[int], at_s: float) -> None:
+        """Decide between the main model and the hypothesis that some denied vehicles are reflected, where that is possible."""
+        hypothesis = self.hypotheses[group]
+        cluster, other = _common(self.main, group), _common(hypothesis.model, group)
+        if cluster is None or other is None:
+            del self.hypotheses[group]
             return
-        other = hypothesis.model.clusters.get(denied_vehicle)
-        if other is None:
-            del self.hypotheses[denied_vehicle]
-            return
-        plane = vertical_plane_through_line(cluster, denied_vehicle, at_s)
-        sides = RelativeSide.APART if plane is None else _sides(cluster, other, denied_vehicle, plane)
-        if sides is RelativeSide.APART and not hypothesis.separated:
+        planes = {vehicle: vertical_plane_through_line(cluster, vehicle, at_s, group) for vehicle in sorted(group)}
+        sides = {vehicle: _side(cluster, other, vehicle, plane) for vehicle, plane in planes.items()}
+        is_apart = RelativeSide.APART in sides.values()
+        if is_apart and not hypothesis.separated:
             # From the plane either side was reached by chance: the odds so far are of another question.
             hypothesis.reset_odds()
-        hypothesis.separated = sides is RelativeSide.APART
-        hypothesis.motion_only = only_motion_separates(cluster, denied_vehicle, at_s, plane)
-        if sides is RelativeSide.SAME or abs(hypothesis.log_odds) > _DECIDED_LOG_ODDS:
+        hypothesis.separated = is_apart
+        # Ranges to one that has come to the same side separate the others.
+        moved = frozenset(vehicle for vehicle, side in sides.items() if side is not RelativeSide.SAME) or group
+        line = vertical_plane_through_line(cluster, min(moved), at_s, moved)
+        hypothesis.motion_only = only_motion_separates(cluster, moved, at_s, line)
+        if set(sides.values()) == {RelativeSide.SAME} or abs(hypothesis.log_odds) > _DECIDED_LOG_ODDS:
+            del self.hypotheses[group]
             if hypothesis.log_odds > 0.0:
-                self.main.replace_from(hypothesis.model, denied_vehicle)
-            del self.hypotheses[denied_vehicle]
-            cluster = self.main.clusters[denied_vehicle]
-            if plane is not None and not hypothesis.separated and _is_aside(cluster, denied_vehicle, plane):
+                self._replace_main(group, hypothesis)
+            cluster = self.main.clusters[min(group)]
+            found = {vehicle: plane for vehicle, plane in planes.items() if plane is not None}
+            if (
+                not hypothesis.separated
+                and len(found) == len(planes)
+                and all(abs(offset_sigmas(cluster, v, plane)) >= _CLEARLY_ASIDE_SIGMAS for v, plane in found.items())
+            ):
                 # No hypothesis was on the other side, so nothing has ruled it out.
-                self._branch(denied_vehicle, plane, at_s)
-            return
-        x, P = cluster.predict(denied_vehicle, at_s)
-        other_x, other_P = other.predict(denied_vehicle, at_s)
-        d, S = (other_x - x)[:6], (P + other_P)[:6, :6]
-        if float(d @ np.linalg.solve(S, d)) < _MERGED_NIS:
-            del self.hypotheses[denied_vehicle]
+                self._branch(found, at_s)
+        elif all(_is_merged(cluster, other, vehicle, at_s) for vehicle in group):
+            del self.hypotheses[group]
 
-    def _branch(self, denied_vehicle: int, plane: ReflectionPlane, at_s: float) -> None:
-        """Add the hypothesis that a denied vehicle is reflected in a plane."""
-        cluster = self.main.clusters[denied_vehicle]
-        line = vertical_plane_through_line(cluster, denied_vehicle, at_s)
-        motion_only = only_motion_separates(cluster, denied_vehicle, at_s, line)
+    def _replace_main(self, group: frozenset[int], won: ReflectionHypothesis) -> None:
+        """Let a hypothesis that won be the main model, and the others of its cluster be of what differs from that one."""
+        self.main.replace_from(won.model, min(group))
+        others: dict[frozenset[int], ReflectionHypothesis] = {}
+        for reflected, hypothesis in self.hypotheses.items():
+            if not reflected.isdisjoint(group) or reflected | group in self.hypotheses:
+                hypothesis.compare_with(won)
+                others[reflected ^ group] = hypothesis
+            else:
+                others[reflected] = hypothesis
+        self.hypotheses = others
+
+    def _branch(self, planes: Mapping[int, ReflectionPlane], at_s: float) -> None:
+        """Add the hypothesis that some denied vehicles are reflected, each in a plane."""
+        group = frozenset(planes)
+        first = min(group)
+        cluster = self.main.clusters[first]
+        line = vertical_plane_through_line(cluster, first, at_s, group)
+        motion_only = only_motion_separates(cluster, group, at_s, line)
         model = FleetModel(self.main.settings)
-        model.replace_from(self.main, denied_vehicle)
-        reflect(model.clusters[denied_vehicle], denied_vehicle, plane)
-        self.hypotheses[denied_vehicle] = ReflectionHypothesis(model, motion_only)
+        model.replace_from(self.main, first)
+        for vehicle, plane in planes.items():
+            reflect(model.clusters[vehicle], vehicle, plane)
+        self.hypotheses[group] = ReflectionHypothesis(model, motion_only)
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Return the mixture of all hypotheses, eq. (25), with what no range has ruled out since a gap, or why there is none."""
@@ -228,27 +277,33 @@ class FleetHypotheses:
     def _mixture(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Return the mixture of all hypotheses, eq. (25), or that the position is ambiguous."""
         where = self.main.estimate(vehicle, at_s)
+        if isinstance(where, NoEstimate):
+            return where
+        places, log_odds = [where], [0.0]
         for hypothesis in self.hypotheses.values():
-            if isinstance(where, NoEstimate):
-                return where
             if vehicle not in hypothesis.model.clusters:
                 continue
             other = hypothesis.model.estimate(vehicle, at_s)
             if isinstance(other, NoEstimate):
                 return other
-            x = np.concatenate([where.position_enu_m, where.velocity_enu_mps])
-            other_x = np.concatenate([other.position_enu_m, other.velocity_enu_mps])
-            mean, covariance = mixture(x, where.covariance, other_x, other.covariance, hypothesis.log_odds)
-            open_sides = abs(hypothesis.log_odds) < _STATED_LOG_ODDS and _are_apart(where, other)
-            if open_sides or horizontal_sigma_m(covariance) > self.main.settings.limit_sigma_m:
-                apart_m = math.hypot(*(other_x - x)[:2].tolist())
-                return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.OTHER_PLACE, apart_m))
-            far = None
-            if where.far_covariance is not None or other.far_covariance is not None:
-                pair = where.protected_covariance, other.protected_covariance
-                far = mixture(x[:2], pair[0], other_x[:2], pair[1], hypothesis.log_odds)[1]
-            where = Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, where.hdop, where.ranges_in_use, None, far)
-        return where
+            places.append(other)
+            log_odds.append(hypothesis.log_odds)
+        if len(places) == 1:
+            return where
+        likeliest = int(np.argmax(log_odds))
+        is_open = any(
+            log_odds[likeliest] - odds < _STATED_LOG_ODDS and _are_apart(places[likeliest], place)
+            for place, odds in zip(places, log_odds, strict=True)
+        )
+        means = [np.concatenate([place.position_enu_m, place.velocity_enu_mps]) for place in places]
+        mean, covariance = mixture(means, [place.covariance for place in places], log_odds)
+        if is_open or horizontal_sigma_m(covariance) > self.main.settings.limit_sigma_m:
+            apart_m = max(math.dist(means[likeliest][:2], each[:2]) for each in means)
+            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.OTHER_PLACE, apart_m))
+        far = None
+        if any(place.far_covariance is not None for place in places):
+            far = mixture([each[:2] for each in means], [place.protected_covariance for place in places], log_odds)[1]
+        return Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, where.hdop, where.ranges_in_use, None, far)
 
 
 def _are_apart(a: Estimate, b: Estimate) -> bool:
@@ -257,15 +312,28 @@ def _are_apart(a: Estimate, b: Estimate) -> bool:
     return min(float(d @ np.linalg.solve(one.covariance[:2, :2], d)) for one in (a, b)) > 4.0 * _APART_NIS
 
 
-def _sides(cluster: Cluster, other: Cluster, denied_vehicle: int, plane: ReflectionPlane) -> RelativeSide:
+def _common(model: FleetModel, group: frozenset[int]) -> Cluster | None:
+    """Return the cluster that holds all of some vehicles, None if none does."""
+    first = min(group)
+    return model.clusters.get(first) if all(model.clusters.common(first, vehicle) is not None for vehicle in group) else None
+
+
+def _side(cluster: Cluster, other: Cluster, denied_vehicle: int, plane: ReflectionPlane | None) -> RelativeSide:
+    """Return on which sides of a plane a vehicle is in two models: apart where its peers are in no plane."""
+    if plane is None:
+        return RelativeSide.APART
     away, other_away = offset_sigmas(cluster, denied_vehicle, plane), offset_sigmas(other, denied_vehicle, plane)
     if min(abs(away), abs(other_away)) < _CLEARLY_ASIDE_SIGMAS:
         return RelativeSide.OPEN
     return RelativeSide.SAME if away * other_away > 0.0 else RelativeSide.APART
 
 
-def _is_aside(cluster: Cluster, denied_vehicle: int, plane: ReflectionPlane) -> bool:
-    return abs(offset_sigmas(cluster, denied_vehicle, plane)) >= _CLEARLY_ASIDE_SIGMAS
+def _is_merged(cluster: Cluster, other: Cluster, denied_vehicle: int, at_s: float) -> bool:
+    """Whether a vehicle's states in two models are the same for all that they tell."""
+    x, P = cluster.predict(denied_vehicle, at_s)
+    other_x, other_P = other.predict(denied_vehicle, at_s)
+    d, S = (other_x - x)[:6], (P + other_P)[:6, :6]
+    return float(d @ np.linalg.solve(S, d)) < _MERGED_NIS
 
 
 def _evidence(main: UpdateResult, hypothesis: UpdateResult) -> float:

@@ -7,6 +7,7 @@ one height. Near the plane the ranges hardly observe the motion across it either
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +30,7 @@ _LEAST_SPREAD_SIGMAS = 3.0
 _SAME_PLACE_NIS = 1.0
 """Chosen: a reflected state within one sigma of the state is the same."""
 _COVERED_SIGMAS = 3.0
-"""Chosen: the less likely state is within three sigmas of a mixture."""
+"""Chosen: each state is within three sigmas of a mixture."""
 _LEVEL = 0.7
 """Chosen: a plane whose normal is within 45 degrees of the vertical is level."""
 _LEAST_SPREAD_M = 1.0
@@ -61,8 +62,7 @@ def find_reflection_plane(cluster: Cluster, denied_vehicle: int, at_s: float) ->
     if len(peers) < 2:
         return None
     view = PeerGeometry(cluster, denied_vehicle, peers, at_s)
-    (e, n), longest_m2 = view.line()
-    normal, along = np.array([-n, e, 0.0]), np.array([[e], [n], [0.0]])
+    normal, along, longest_m2 = _axes_of_line(view)
     if view.may_be_ambiguous(normal, along):
         plane = _test_plane(view, normal, along, longest_m2)
         if plane is not None:
@@ -79,23 +79,53 @@ def find_reflection_plane(cluster: Cluster, denied_vehicle: int, at_s: float) ->
     return _test_plane(view, normal, axes[:, 1:], float(spreads[1]))
 
 
-def vertical_plane_through_line(cluster: Cluster, denied_vehicle: int, at_s: float) -> ReflectionPlane | None:
+def find_joint_reflection(cluster: Cluster, denied_vehicle: int, at_s: float) -> dict[int, ReflectionPlane] | None:
+    """Return the plane at each of several denied vehicles that may have changed sides together, or None.
+
+    They are the vehicle and those that it ranges, directly or over others of them, which are near the plane as well: ranges
+    among them are the same on both sides. One that is clearly aside is as any peer. The plane is vertical, through the peers
+    of them all.
+    """
+    group = _denied_in_reach(cluster, denied_vehicle, at_s)
+    if len(group) < 2:
+        return None
+    while True:
+        peers = _peers_of(cluster, group, at_s)
+        if len(peers) < 2:
+            return None
+        views = {vehicle: PeerGeometry(cluster, vehicle, peers, at_s) for vehicle in group}
+        normal, along, longest_m2 = _axes_of_line(views[denied_vehicle])
+        if not views[denied_vehicle].may_be_ambiguous(normal, along):
+            return None
+        near = [vehicle for vehicle in group if _is_near_line(views[vehicle])]
+        if denied_vehicle not in near or len(near) < 2:
+            return None
+        if len(near) == len(group):
+            break
+        group = near
+    if _test_plane(views[denied_vehicle], normal, along, longest_m2) is None:
+        return None
+    return {vehicle: _plane_of_line(view) for vehicle, view in views.items()}
+
+
+def vertical_plane_through_line(
+    cluster: Cluster, denied_vehicle: int, at_s: float, group: frozenset[int] = frozenset()
+) -> ReflectionPlane | None:
     """Return the vertical plane through the ranged peers of a denied vehicle where they are on one line, else None.
 
     They are as long as the ranges to them do not separate the sides of the plane at the vehicle's distance from it, or nearly
-    fit a second place.
+    fit a second place. The peers of a `group` that is reflected together are those of all its vehicles outside of it.
     """
-    peers = _ranged_peers(cluster, denied_vehicle, at_s)
+    peers = _ranged_peers(cluster, group or {denied_vehicle}, at_s)
     return vertical_plane_through(cluster, denied_vehicle, peers, at_s) if len(peers) >= 2 else None
 
 
 def vertical_plane_through(cluster: Cluster, denied_vehicle: int, peers: list[int], at_s: float) -> ReflectionPlane | None:
     """Return the vertical plane that two or more peers are in; None where they are in none, or all at one place."""
     view = PeerGeometry(cluster, denied_vehicle, peers, at_s)
-    (e, n), longest_m2 = view.line()
+    normal, along, longest_m2 = _axes_of_line(view)
     if longest_m2 < _LEAST_SPREAD_M**2:
         return None
-    normal, along = np.array([-n, e, 0.0]), np.array([[e], [n], [0.0]])
     ranges_separate = False
     if len(peers) > 2:
         covariances = [view.difference_covariance(i) for i in range(len(peers))]
@@ -105,14 +135,16 @@ def vertical_plane_through(cluster: Cluster, denied_vehicle: int, peers: list[in
         across_m2 = max(float(normal @ covariance[1:, 1:] @ normal) for covariance in covariances)
         if ranges_separate and not view.has_second_place(normal, along, across_m2):
             return None
-    speed_mps = _plane_speed(view, np.array(view.offsets) @ along, np.array(view.offset) @ along, normal)
-    return ReflectionPlane(np.array(view.centre), normal, speed_mps, ranges_separate)
+    return _plane_of_line(view, ranges_separate=ranges_separate)
 
 
-def only_motion_separates(cluster: Cluster, denied_vehicle: int, at_s: float, line: ReflectionPlane | None) -> bool:
-    """Whether only the process model separates the sides: peers are two or on one straight `line`, and there is no air data."""
-    few = (line is not None and not line.ranges_separate) or len(_ranged_peers(cluster, denied_vehicle, at_s)) <= 2
-    return few and fresh_attitude(cluster.records[denied_vehicle], cluster.settings, at_s) is None
+def only_motion_separates(cluster: Cluster, group: frozenset[int], at_s: float, line: ReflectionPlane | None) -> bool:
+    """Whether only the process model separates the sides for the denied vehicles that are reflected together.
+
+    Their peers are two or on one straight `line`, and of one of them there is no air data.
+    """
+    few = (line is not None and not line.ranges_separate) or len(_ranged_peers(cluster, group, at_s)) <= 2
+    return few and any(fresh_attitude(cluster.records[vehicle], cluster.settings, at_s) is None for vehicle in group)
 
 
 def offset_sigmas(cluster: Cluster, denied_vehicle: int, plane: ReflectionPlane) -> float:
@@ -138,23 +170,66 @@ def reflect(cluster: Cluster, denied_vehicle: int, plane: ReflectionPlane) -> No
 
 
 def mixture(
-    x: FloatArray, P: FloatArray, other_x: FloatArray, other_P: FloatArray, log_odds: float
+    means: Sequence[FloatArray], covariances: Sequence[FloatArray], log_odds: Sequence[float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return mean (6,) and covariance (6, 6) of a mixture of two states, eq. (25); `log_odds` is that of the other state.
+    """Return mean (m,) and covariance (m, m) of a mixture of states, eq. (25); `log_odds` are against one of them.
 
-    The covariance is at least such that the less likely state is within three sigmas.
+    The covariance is at least such that each state is within three sigmas.
     """
-    share = 0.5 + 0.5 * math.tanh(0.5 * log_odds)
-    d = other_x - x
-    less = min(share, 1.0 - share)
-    spread = max(less * (1.0 - less), ((1.0 - less) / _COVERED_SIGMAS) ** 2)
-    return x + share * d, (1.0 - share) * P + share * other_P + spread * np.outer(d, d)
+    odds = np.exp(np.array(log_odds) - max(log_odds))
+    shares = odds / odds.sum()
+    mean = shares @ np.array(means)
+    squares = [np.outer(each - mean, each - mean) for each in means]
+    within, spread = np.zeros_like(squares[0]), np.zeros_like(squares[0])
+    for share, square, covariance in zip(shares, squares, covariances, strict=True):
+        within, spread = within + share * covariance, spread + share * square
+    for square, each in zip(squares, means, strict=True):
+        nis = float((each - mean) @ np.linalg.lstsq(spread, each - mean)[0])
+        if nis > _COVERED_SIGMAS**2:
+            spread += (1.0 / _COVERED_SIGMAS**2 - 1.0 / nis) * square
+    return mean, within + spread
 
 
-def _ranged_peers(cluster: Cluster, denied_vehicle: int, at_s: float) -> list[int]:
-    """Return the peers with recent ranges, used or refused: a refused one separates the sides best."""
-    last_range_s = cluster.records[denied_vehicle].last_range_s
-    return [v for v, t in last_range_s.items() if at_s - t <= IN_USE_S and v in cluster.joint.where]
+def _ranged_peers(cluster: Cluster, group: Collection[int], at_s: float) -> list[int]:
+    """Return the peers of denied vehicles with recent ranges, used or refused: a refused one separates the sides best."""
+    ranged = {v: t for vehicle in group for v, t in cluster.records[vehicle].last_range_s.items() if at_s - t <= IN_USE_S}
+    return [v for v in ranged if v in cluster.joint.where and v not in group]
+
+
+def _denied_in_reach(cluster: Cluster, denied_vehicle: int, at_s: float) -> list[int]:
+    """Return a denied vehicle and those that it ranges, directly or over others of them."""
+    found = [denied_vehicle]
+    for vehicle in found:
+        peers = cluster.peers_in_use(vehicle, at_s)
+        found += [peer for peer in peers if cluster.records[peer].denied_vehicle and peer not in found]
+    return found
+
+
+def _peers_of(cluster: Cluster, group: Collection[int], at_s: float) -> list[int]:
+    """Return the peers in use of several denied vehicles, without themselves."""
+    return [peer for peer in dict.fromkeys(p for v in group for p in cluster.peers_in_use(v, at_s)) if peer not in group]
+
+
+def _is_near_line(view: PeerGeometry) -> bool:
+    """Whether a vehicle is so near to the line of its peers that it may be on either side of it."""
+    normal, _, _ = _axes_of_line(view)
+    covariances = [view.difference_covariance(i) for i in range(len(view.peers))]
+    across_m2 = max(float(normal @ covariance[1:, 1:] @ normal) for covariance in covariances)
+    blind_m = view.blind_m(math.sqrt(max(*(float(covariance[0, 0]) for covariance in covariances), LEAST_SIGMA_M**2)))
+    return abs(float(np.array(view.offset) @ normal)) <= max(NEAR_SIGMAS * math.sqrt(across_m2), blind_m)
+
+
+def _axes_of_line(view: PeerGeometry) -> tuple[FloatArray, FloatArray, float]:
+    """Return of the line of the peers its horizontal unit normal (3,), its axis (3, 1) and their sum of squares along it, m^2."""
+    (e, n), longest_m2 = view.line()
+    return np.array([-n, e, 0.0]), np.array([[e], [n], [0.0]]), longest_m2
+
+
+def _plane_of_line(view: PeerGeometry, *, ranges_separate: bool = False) -> ReflectionPlane:
+    """Return the vertical plane through the peers' line, at the vehicle."""
+    normal, along, _ = _axes_of_line(view)
+    speed_mps = _plane_speed(view, np.array(view.offsets) @ along, np.array(view.offset) @ along, normal)
+    return ReflectionPlane(np.array(view.centre), normal, speed_mps, ranges_separate)
 
 
 def _test_plane(view: PeerGeometry, normal: FloatArray, within: FloatArray, least_spread_m2: float) -> ReflectionPlane | None:

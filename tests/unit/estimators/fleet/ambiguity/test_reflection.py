@@ -14,7 +14,7 @@ from gcs_coloc.core.measurements import (
     PositionMeasurement,
     RangeMeasurement,
 )
-from gcs_coloc.estimators.fleet.ambiguity.reflection import only_motion_separates, vertical_plane_through_line
+from gcs_coloc.estimators.fleet.ambiguity.reflection import mixture, only_motion_separates, vertical_plane_through_line
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.filter import FleetFilter
@@ -140,14 +140,14 @@ def test_peers_on_a_line_leave_the_side_to_the_motion():
     cluster = beside(STRAIGHT, 10.0, 8.0)
     line = vertical_plane_through_line(cluster, 4, 0.0)
     assert line is not None
-    assert only_motion_separates(cluster, 4, 0.0, line)
+    assert only_motion_separates(cluster, frozenset({4}), 0.0, line)
 
 
 def test_a_bent_line_has_a_second_place_within_reach_of_an_uncertain_vehicle_and_its_ranges_decide():
     cluster = beside(BENT, 10.0, 8.0)
     line = vertical_plane_through_line(cluster, 4, 0.0)
     assert line is not None
-    assert not only_motion_separates(cluster, 4, 0.0, line)
+    assert not only_motion_separates(cluster, frozenset({4}), 0.0, line)
     assert vertical_plane_through_line(beside(BENT, 10.0, 2.0), 4, 0.0) is None
 
 
@@ -159,3 +159,26 @@ def test_one_near_peer_off_the_line_moves_the_line():
 
 def test_a_group_of_peers_far_away_leaves_one_place():
     assert vertical_plane_through_line(beside(GROUP, 0.0, 8.0), 4, 0.0) is None
+
+
+def test_of_a_mixture_of_three_the_likeliest_counts_most_and_none_is_beyond_three_sigmas():
+    means = [np.array([0.0, 0.0]), np.array([30.0, 0.0]), np.array([0.0, -40.0])]
+    mean, covariance = mixture(means, [np.eye(2)] * 3, [0.0, -4.0, -6.0])
+    shares = np.exp([0.0, -4.0, -6.0]) / np.exp([0.0, -4.0, -6.0]).sum()
+    assert mean == pytest.approx([30.0 * shares[1], -40.0 * shares[2]])
+    nis = [float((each - mean) @ np.linalg.solve(covariance, each - mean)) for each in means]
+    assert max(nis) <= 9.0
+    # The order in which they are named is of no account.
+    again = mixture(means[::-1], [np.eye(2)] * 3, [-6.0, -4.0, 0.0])
+    assert again[0] == pytest.approx(mean)
+    assert again[1] == pytest.approx(covariance, rel=0.1)
+
+
+@pytest.mark.parametrize("log_odds", [-8.0, -3.0, -1.0, 0.0, 2.0, 9.0])
+def test_a_mixture_of_two_is_that_of_the_textbook_with_a_least_spread(log_odds):
+    a, b, share = np.array([0.0, 0.0]), np.array([3.0, 4.0]), 1.0 / (1.0 + np.exp(-log_odds))
+    mean, covariance = mixture([a, b], [np.eye(2), 4.0 * np.eye(2)], [0.0, log_odds])
+    less = min(share, 1.0 - share)
+    spread = max(less * (1.0 - less), ((1.0 - less) / 3.0) ** 2)
+    assert mean == pytest.approx(share * b)
+    assert covariance == pytest.approx((1.0 - share) * np.eye(2) + 4.0 * share * np.eye(2) + spread * np.outer(b, b))
