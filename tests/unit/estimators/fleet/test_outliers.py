@@ -92,3 +92,30 @@ def test_one_that_is_heard_again_after_minutes_hours_or_weeks_is_located_again(s
         assert isinstance(where, Estimate)
         errors_m.append(math.dist(where.position_enu_m[:2], fleet.at(4, t)[:2]))
     assert max(errors_m) < 5.0
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_ranges_that_are_refused_do_not_vouch_for_each_other(seed):
+    """It turns hard; the ranges to the two ahead and astern go on to fit, and those to the two aside are refused in turns."""
+    peers_m = {1: (-150.0, 0.0), 2: (400.0, 10.0), 3: (60.0, 180.0), 4: (80.0, -170.0)}
+    rng, estimator, turn_s, ratios = np.random.default_rng(seed), FleetFilter(), 8.0, {}
+    for vehicle, place_m in peers_m.items():
+        estimator.add(PositionMeasurement(vehicle, 0.0, 0.0, (*place_m, 100.0), 0.1, 0.1, static=True))
+    for k in range(150):
+        t = round(0.1 * k, 6)
+        north_m = 4.0 * max(t - turn_s, 0.0) ** 2
+        here_m = np.array([-60.0 + 15.0 * t, north_m])
+        if t < 2.0:
+            estimator.add(PositionMeasurement(DENIED, t, t, (*here_m.tolist(), 100.0), 0.5, 0.5, (15.0, 0.0, 0.0), 0.2))
+            continue
+        estimator.set_denied({DENIED}, t)
+        estimator.add(AltitudeMeasurement(DENIED, t, t, 100.0, 0.5))
+        peer = 1 + k % 4
+        range_m = math.dist(here_m, peers_m[peer]) + 0.1 * rng.normal()
+        estimator.add(RangeMeasurement(DENIED, peer, t, t, range_m, 0.1))
+        where = estimator.estimate(DENIED, t)
+        if isinstance(where, Estimate):
+            ratios[t] = math.dist(where.position_enu_m[:2], here_m) / horizontal_bound_95_m(where.covariance)
+    # Where each vouched for the other, 15 to 18 epochs were beyond three bounds, up to 6.4 times.
+    assert len(ratios) > 120
+    assert sum(ratio > 3.0 for ratio in ratios.values()) <= 1
