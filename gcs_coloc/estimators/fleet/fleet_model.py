@@ -136,12 +136,15 @@ class FleetModel:
             record.last_position = None
             record.no_estimate_reason = Unlocated(NoEstimateReason.NO_REPORT_SINCE_TRUSTED)
 
-    def apply(self, m: Measurement) -> UpdateResult:
-        """Update with one measurement, not older than any before it."""
+    def apply(self, m: Measurement, open_sides: frozenset[int] = frozenset()) -> UpdateResult:
+        """Update with one measurement, not older than any before it.
+
+        `open_sides` are denied vehicles that may be elsewhere by another hypothesis: no other one is searched by ranges to them.
+        """
         if m.measured_at_s - self._pruned_at_s > _PRUNE_EVERY_S:
             self._prune(m.measured_at_s)
         if isinstance(m, RangeMeasurement):
-            return self._update_range(m)
+            return self._update_range(m, open_sides)
         record = self.records.writable(m.vehicle)
         if isinstance(m, VehicleClassReport):
             record.profile = motion_profile(m.vehicle_class, self.settings)
@@ -187,7 +190,7 @@ class FleetModel:
             return UpdateResult(Outcome.REINITIALISED)
         return result
 
-    def _update_range(self, m: RangeMeasurement) -> UpdateResult:
+    def _update_range(self, m: RangeMeasurement, open_sides: frozenset[int]) -> UpdateResult:
         ends = (m.from_vehicle, m.to_vehicle)
         first, second = self.records.writable(ends[0]), self.records.writable(ends[1])
         denied = [(*ends, first)] if first.denied_vehicle else []
@@ -206,9 +209,9 @@ class FleetModel:
             outcomes = [
                 search_with_range(self.clusters, self.records, *denied[i][:2], m, self.settings)
                 for i, wanted in enumerate(searching)
-                if wanted
+                if wanted and denied[i][1] not in open_sides
             ]
-            return UpdateResult(outcomes[0])
+            return UpdateResult(outcomes[0] if outcomes else Outcome.KEPT_OPEN_SIDE)
         cluster = self.clusters.common(*ends)
         if cluster is None:
             waiting = self._initialise_ends(ends, m.measured_at_s)

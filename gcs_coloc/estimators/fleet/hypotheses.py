@@ -147,9 +147,10 @@ class FleetHypotheses:
             concerned = [h for h in self.hypotheses.values() if any(v in h.model.clusters for v in ends)]
             for hypothesis in concerned:
                 hypothesis.model.import_vehicles(self.main, ends)
-            result = self.main.apply(m)
+            open_sides = frozenset[int]().union(*self.hypotheses)
+            result = self.main.apply(m, open_sides)
             for hypothesis in concerned:
-                gain = _evidence(result, hypothesis.model.apply(m))
+                gain = _evidence(result, hypothesis.model.apply(m, open_sides))
                 hypothesis.add_evidence(gain, m.measured_at_s)
         if isinstance(m, RangeMeasurement):
             for vehicle in ends:

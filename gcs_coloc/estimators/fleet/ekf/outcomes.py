@@ -29,6 +29,8 @@ class Outcome(StrEnum):
     """The peer selection uses other peers."""
     KEPT_INITIALISING = "kept: waiting for initialisation"
     """The denied vehicle has no position yet; multilateration collects ranges."""
+    KEPT_OPEN_SIDE = "kept: the peer may be elsewhere"
+    """The denied vehicle is searched, and on which side of its own peers the other end is, is open: it locates nobody."""
     SEARCHING = "used: several places fit"
     """The denied vehicle is too uncertain to linearise its ranges; its search uses them."""
     KEPT_NO_AIRSPEED = "kept: attitude without airspeed"

@@ -7,6 +7,7 @@ import pytest
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionMeasurement, RangeMeasurement
+from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses, ReflectionHypothesis
@@ -201,6 +202,22 @@ def test_a_hypothesis_that_wins_leaves_the_others_as_what_differs_from_it():
     fleet.apply(RangeMeasurement(8, 1, 0.8, 0.8, math.dist(places[8], places[1]), 1.0))
     # That 9 alone is reflected has lost by 15, as both against 8 alone.
     assert {group: h.log_odds for group, h in fleet.hypotheses.items()} == {frozenset({DENIED}): pytest.approx(-1.0)}
+
+
+@pytest.mark.parametrize("is_open", [True, False])
+def test_nobody_is_searched_by_ranges_to_a_vehicle_whose_own_side_is_open(is_open):
+    places = {1: (-80.0, 0.0), 2: (10.0, 90.0), 3: (90.0, 0.0), 8: (0.0, 0.0), DENIED: (40.0, 0.0)}
+    fleet = FleetHypotheses(FleetSettings())
+    for v, place in places.items():
+        sigma_m = 300.0 if v == DENIED else 1.0
+        fleet.apply(PositionMeasurement(v, 0.0, 0.0, (*place, HEIGHT_M), sigma_m, 1.0, (0.0, 0.0, 0.0), 0.3))
+    fleet.set_denied(frozenset({8, DENIED}), 0.0)
+    for peer in (1, 2, 3):
+        fleet.apply(RangeMeasurement(8, peer, 0.1, 0.1, math.dist(places[8], places[peer]), 1.0))
+    if is_open:
+        fleet.hypotheses = {frozenset({8}): ReflectionHypothesis(fleet.main.copy(), motion_only=False)}
+    result = fleet.apply(RangeMeasurement(DENIED, 8, 0.2, 0.2, 40.0, 1.0))
+    assert result.outcome is (Outcome.KEPT_OPEN_SIDE if is_open else Outcome.SEARCHING)
 
 
 def test_a_group_of_anchors_far_away_leaves_one_place():
