@@ -61,7 +61,8 @@ def update_position_report(
 ) -> UpdateResult:
     """Correct with a position report, and its velocity where given, eq. (11).
 
-    A report outside the gate is tried again with the noise that it states, then with a hard manoeuvre since the last one.
+    A report outside the gate is tried again with the noise that it states, then with a hard manoeuvre since the last one. The
+    NIS is that of the first try, so that models can be compared by it.
     """
     record, joint, at_s = cluster.records[m.vehicle], cluster.joint, m.measured_at_s
     since_s = at_s - record.updated_at_s
@@ -74,6 +75,7 @@ def update_position_report(
     if k > len(m.position_enu_m):
         record.velocity_used_at_s = at_s
     whitened = whiten(HA, linear.innovation_covariance(R))
+    nis = whitened.nis
     # The gate widens as the standard deviation of the chi-square distribution does.
     limit = cluster.settings.gate_sigma**2 + 2.0 * k
     if whitened.nis > limit:
@@ -84,12 +86,12 @@ def update_position_report(
         HA[:, where.start : where.start + 6] += manoeuvre[:k]
         whitened = whiten(HA, linear.innovation_covariance(R))
         if whitened.nis > limit:
-            return UpdateResult(Outcome.REFUSED_POSITION_GATE, 0.0, 0.0, whitened.nis, k)
+            return UpdateResult(Outcome.REFUSED_POSITION_GATE, 0.0, 0.0, nis, k)
         joint.covariance(m.vehicle)[:6, :6] += manoeuvre
     joint.correct(whitened.W)
     cluster.add_corrections(m.vehicle, whitened.W, whitened.innovations(), at_s, of_position=True)
     record.updated_at_s = at_s
-    return UpdateResult(Outcome.USED, 0.0, 0.0, whitened.nis, k)
+    return UpdateResult(Outcome.USED, 0.0, 0.0, nis, k)
 
 
 def update_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, coloured_m: float) -> UpdateResult:
