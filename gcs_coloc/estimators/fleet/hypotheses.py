@@ -53,6 +53,8 @@ _MERGED_NIS = 0.5
 """Chosen: hypotheses closer than 0.7 sigma of six components are merged."""
 _CLEARLY_ASIDE_SIGMAS = 1.0
 """Chosen: within one sigma of the plane a state is on neither side."""
+_MOST_HYPOTHESES = 16
+"""Chosen: bounds the computing; with so many none is opened for several vehicles together. Five near one line had seven."""
 _MANOEUVRE_S = 3.0
 """Chosen: an unmodelled manoeuvre is in all innovations of so long; they are one piece of evidence."""
 _MOST_OF_MOTION = 3.0
@@ -186,7 +188,7 @@ class FleetHypotheses:
             if plane is not None:
                 self.main.records.writable(denied_vehicle).reflection_evidence = None
                 self._branch({denied_vehicle: plane}, at_s)
-        joint = find_joint_reflection(cluster, denied_vehicle, at_s)
+        joint = None if len(self.hypotheses) >= _MOST_HYPOTHESES else find_joint_reflection(cluster, denied_vehicle, at_s)
         if joint is not None and not self._is_tested(frozenset(joint), groups):
             self._branch(joint, at_s)
 
