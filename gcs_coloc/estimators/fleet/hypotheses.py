@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from enum import Enum, auto
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,6 +34,14 @@ from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.gap import HORIZONTAL
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
+from gcs_coloc.estimators.fleet.reflection_hypothesis import (
+    CLEARLY_ASIDE_SIGMAS,
+    ReflectionHypothesis,
+    RelativeSide,
+    is_merged,
+    log_likelihood_ratio,
+    relative_side,
+)
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _TEST_EVERY_S = 0.25
@@ -43,72 +50,12 @@ _GAP_S = 1.0
 """Chosen: after a gap of this length the estimate is saved to test the side that the next ranges confirm."""
 _DECIDED_LOG_ODDS = 12.0
 """Chosen: odds of 160,000; a wrong decision is confident and lasts."""
-_MOST_NIS = 20.0
-"""Chosen: bounds the evidence of one measurement: an outlier of both models says little."""
 _STATED_LOG_ODDS = 6.0
 """Chosen: odds of 400; below them two places that are apart are no estimate but ambiguous."""
 _APART_NIS = 16.0
 """Chosen: as the gate; half way between two places their mean is beyond it for both."""
-_MERGED_NIS = 0.5
-"""Chosen: hypotheses closer than 0.7 sigma of six components are merged."""
-_CLEARLY_ASIDE_SIGMAS = 1.0
-"""Chosen: within one sigma of the plane a state is on neither side."""
 _MOST_HYPOTHESES = 16
 """Chosen: bounds the computing; with so many none is opened for several vehicles together. Five near one line had seven."""
-_MANOEUVRE_S = 3.0
-"""Chosen: an unmodelled manoeuvre is in all innovations of so long; they are one piece of evidence."""
-_MOST_OF_MOTION = 3.0
-"""Chosen: bounds the log odds that one such manoeuvre contributes."""
-
-
-class RelativeSide(Enum):
-    """On which sides of the reflection plane a vehicle is in the main model and in its hypothesis."""
-
-    APART = auto()
-    """On opposite sides."""
-    SAME = auto()
-    """Both on one side."""
-    OPEN = auto()
-    """At least one of them too near to the plane."""
-
-
-@dataclass(slots=True)
-class ReflectionHypothesis:
-    """A model with reflected denied vehicles; `log_odds` is the logarithm of its odds against the main model.
-
-    `motion_only`: only the process model separates the two. `separated`: in the last test they were on opposite sides.
-    """
-
-    model: FleetModel
-    motion_only: bool
-    log_odds: float = 0.0
-    separated: bool = True
-    _since_s: float = -math.inf
-    _before: float = 0.0
-    _raised: float = 0.0
-
-    def add_evidence(self, gain: float, at_s: float) -> None:
-        """Add the log-likelihood ratio of one measurement to the log odds, bounded where only motion separates, eq. (24)."""
-        if not self.motion_only:
-            self.log_odds += gain
-            self._since_s = -math.inf
-            return
-        if at_s - self._since_s > _MANOEUVRE_S:
-            self._since_s, self._before, self._raised = at_s, self.log_odds, 0.0
-        self._raised += gain
-        self.log_odds = self._before + min(max(self._raised, -_MOST_OF_MOTION), _MOST_OF_MOTION)
-
-    def reset_odds(self) -> None:
-        """Set even odds."""
-        self.log_odds, self._since_s = 0.0, -math.inf
-
-    def compare_with(self, other: ReflectionHypothesis) -> None:
-        """State the odds against another hypothesis, both so far against the same model."""
-        if self.motion_only or other.motion_only:
-            # Bounded evidence says how the motion was, and not by how much one of the two fits better.
-            self.reset_odds()
-        else:
-            self.log_odds -= other.log_odds
 
 
 class FleetHypotheses:
@@ -152,7 +99,7 @@ class FleetHypotheses:
             open_sides = frozenset[int]().union(*self.hypotheses)
             result = self.main.apply(m, open_sides)
             for hypothesis in concerned:
-                gain = _evidence(result, hypothesis.model.apply(m, open_sides))
+                gain = log_likelihood_ratio(result, hypothesis.model.apply(m, open_sides))
                 hypothesis.add_evidence(gain, m.measured_at_s)
         if isinstance(m, RangeMeasurement):
             for vehicle in ends:
@@ -213,7 +160,7 @@ class FleetHypotheses:
             del self.hypotheses[group]
             return
         planes = {vehicle: vertical_plane_through_line(cluster, vehicle, at_s, group) for vehicle in sorted(group)}
-        sides = {vehicle: _side(cluster, other, vehicle, plane) for vehicle, plane in planes.items()}
+        sides = {vehicle: relative_side(cluster, other, vehicle, plane) for vehicle, plane in planes.items()}
         is_apart = RelativeSide.APART in sides.values()
         if is_apart and not hypothesis.separated:
             # From the plane either side was reached by chance: the odds so far are of another question.
@@ -232,11 +179,11 @@ class FleetHypotheses:
             if (
                 not hypothesis.separated
                 and len(found) == len(planes)
-                and all(abs(offset_sigmas(cluster, v, plane)) >= _CLEARLY_ASIDE_SIGMAS for v, plane in found.items())
+                and all(abs(offset_sigmas(cluster, v, plane)) >= CLEARLY_ASIDE_SIGMAS for v, plane in found.items())
             ):
                 # No hypothesis was on the other side, so nothing has ruled it out.
                 self._branch(found, at_s)
-        elif all(_is_merged(cluster, other, vehicle, at_s) for vehicle in group):
+        elif all(is_merged(cluster, other, vehicle, at_s) for vehicle in group):
             del self.hypotheses[group]
 
     def _replace_main(self, group: frozenset[int], won: ReflectionHypothesis) -> None:
@@ -319,31 +266,3 @@ def _common(model: FleetModel, group: frozenset[int]) -> Cluster | None:
     """Return the cluster that holds all of some vehicles, None if none does."""
     first = min(group)
     return model.clusters.get(first) if all(model.clusters.common(first, vehicle) is not None for vehicle in group) else None
-
-
-def _side(cluster: Cluster, other: Cluster, denied_vehicle: int, plane: ReflectionPlane | None) -> RelativeSide:
-    """Return on which sides of a plane a vehicle is in two models: apart where its peers are in no plane."""
-    if plane is None:
-        return RelativeSide.APART
-    away, other_away = offset_sigmas(cluster, denied_vehicle, plane), offset_sigmas(other, denied_vehicle, plane)
-    if min(abs(away), abs(other_away)) < _CLEARLY_ASIDE_SIGMAS:
-        return RelativeSide.OPEN
-    return RelativeSide.SAME if away * other_away > 0.0 else RelativeSide.APART
-
-
-def _is_merged(cluster: Cluster, other: Cluster, denied_vehicle: int, at_s: float) -> bool:
-    """Whether a vehicle's states in two models are the same for all that they tell."""
-    x, P = cluster.predict(denied_vehicle, at_s)
-    other_x, other_P = other.predict(denied_vehicle, at_s)
-    d, S = (other_x - x)[:6], (P + other_P)[:6, :6]
-    return float(d @ np.linalg.solve(S, d)) < _MERGED_NIS
-
-
-def _evidence(main: UpdateResult, hypothesis: UpdateResult) -> float:
-    """Return the log-likelihood ratio of a measurement, hypothesis against main model, eq. (24)."""
-    if main.degrees_of_freedom == 0 or hypothesis.degrees_of_freedom == 0:
-        return 0.0
-    gain = 0.5 * (min(main.nis, _MOST_NIS) - min(hypothesis.nis, _MOST_NIS))
-    if main.sigma_m > 0.0 and hypothesis.sigma_m > 0.0:
-        gain += math.log(main.sigma_m / hypothesis.sigma_m)
-    return gain

@@ -10,7 +10,8 @@ from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionM
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
-from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses, ReflectionHypothesis
+from gcs_coloc.estimators.fleet.hypotheses import FleetHypotheses
+from gcs_coloc.estimators.fleet.reflection_hypothesis import ReflectionHypothesis
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 DENIED, STEP_S, LOST_S, HEIGHT_M = 9, 0.2, 3.0, 100.0

@@ -1,0 +1,103 @@
+"""A hypothesis that some denied vehicles are reflected: its model, and its odds against the main model, eq. (24)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum, auto
+
+import numpy as np
+
+from gcs_coloc.estimators.fleet.ambiguity.reflection import ReflectionPlane, offset_sigmas
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
+from gcs_coloc.estimators.fleet.fleet_model import FleetModel
+
+_MOST_NIS = 20.0
+"""Chosen: bounds the evidence of one measurement: an outlier of both models says little."""
+_MERGED_NIS = 0.5
+"""Chosen: hypotheses closer than 0.7 sigma of six components are merged."""
+_MANOEUVRE_S = 3.0
+"""Chosen: an unmodelled manoeuvre is in all innovations of so long; they are one piece of evidence."""
+_MOST_OF_MOTION = 3.0
+"""Chosen: bounds the log odds that one such manoeuvre contributes."""
+CLEARLY_ASIDE_SIGMAS = 1.0
+"""Chosen: within one sigma of the plane a state is on neither side."""
+
+
+class RelativeSide(Enum):
+    """On which sides of the reflection plane a vehicle is in the main model and in its hypothesis."""
+
+    APART = auto()
+    """On opposite sides."""
+    SAME = auto()
+    """Both on one side."""
+    OPEN = auto()
+    """At least one of them too near to the plane."""
+
+
+@dataclass(slots=True)
+class ReflectionHypothesis:
+    """A model with reflected denied vehicles; `log_odds` is the logarithm of its odds against the main model.
+
+    `motion_only`: only the process model separates the two. `separated`: in the last test they were on opposite sides.
+    """
+
+    model: FleetModel
+    motion_only: bool
+    log_odds: float = 0.0
+    separated: bool = True
+    _since_s: float = -math.inf
+    _before: float = 0.0
+    _raised: float = 0.0
+
+    def add_evidence(self, gain: float, at_s: float) -> None:
+        """Add the log-likelihood ratio of one measurement to the log odds, bounded where only motion separates, eq. (24)."""
+        if not self.motion_only:
+            self.log_odds += gain
+            self._since_s = -math.inf
+            return
+        if at_s - self._since_s > _MANOEUVRE_S:
+            self._since_s, self._before, self._raised = at_s, self.log_odds, 0.0
+        self._raised += gain
+        self.log_odds = self._before + min(max(self._raised, -_MOST_OF_MOTION), _MOST_OF_MOTION)
+
+    def reset_odds(self) -> None:
+        """Set even odds."""
+        self.log_odds, self._since_s = 0.0, -math.inf
+
+    def compare_with(self, other: ReflectionHypothesis) -> None:
+        """State the odds against another hypothesis, both so far against the same model."""
+        if self.motion_only or other.motion_only:
+            # Bounded evidence says how the motion was, and not by how much one of the two fits better.
+            self.reset_odds()
+        else:
+            self.log_odds -= other.log_odds
+
+
+def relative_side(cluster: Cluster, other: Cluster, denied_vehicle: int, plane: ReflectionPlane | None) -> RelativeSide:
+    """Return on which sides of a plane a vehicle is in two models: apart where its peers are in no plane."""
+    if plane is None:
+        return RelativeSide.APART
+    away, other_away = offset_sigmas(cluster, denied_vehicle, plane), offset_sigmas(other, denied_vehicle, plane)
+    if min(abs(away), abs(other_away)) < CLEARLY_ASIDE_SIGMAS:
+        return RelativeSide.OPEN
+    return RelativeSide.SAME if away * other_away > 0.0 else RelativeSide.APART
+
+
+def is_merged(cluster: Cluster, other: Cluster, denied_vehicle: int, at_s: float) -> bool:
+    """Whether a vehicle's states in two models are the same for all that they tell."""
+    x, P = cluster.predict(denied_vehicle, at_s)
+    other_x, other_P = other.predict(denied_vehicle, at_s)
+    d, S = (other_x - x)[:6], (P + other_P)[:6, :6]
+    return float(d @ np.linalg.solve(S, d)) < _MERGED_NIS
+
+
+def log_likelihood_ratio(main: UpdateResult, hypothesis: UpdateResult) -> float:
+    """Return the log-likelihood ratio of a measurement, hypothesis against main model, eq. (24)."""
+    if main.degrees_of_freedom == 0 or hypothesis.degrees_of_freedom == 0:
+        return 0.0
+    gain = 0.5 * (min(main.nis, _MOST_NIS) - min(hypothesis.nis, _MOST_NIS))
+    if main.sigma_m > 0.0 and hypothesis.sigma_m > 0.0:
+        gain += math.log(main.sigma_m / hypothesis.sigma_m)
+    return gain
