@@ -1,7 +1,7 @@
 """Multiple hypotheses: the main model and, for denied vehicles on an unknown side of their peers, reflected ones.
 
-Both are updated with the same measurements. Their likelihoods give the odds, eq. (24). Until the odds decide, an estimate is
-the mixture of both; then the likelier model is kept (Bar-Shalom, Li, Kirubarajan 2001, section 11.6, static multiple models).
+All are updated with the same measurements. Their likelihoods give the odds, eq. (24). Until the odds decide, an estimate is
+the mixture of all; then the likelier model is kept (Bar-Shalom, Li, Kirubarajan 2001, section 11.6, static multiple models).
 """
 
 from __future__ import annotations

@@ -40,7 +40,8 @@ class RelativeSide(Enum):
 class ReflectionHypothesis:
     """A model with reflected denied vehicles; `log_odds` is the logarithm of its odds against the main model.
 
-    `motion_only`: only the process model separates the two. `separated`: in the last test they were on opposite sides.
+    `motion_only`: only the process model separates the two. `separated`: in the last test one of them was on
+    opposite sides.
     """
 
     model: FleetModel

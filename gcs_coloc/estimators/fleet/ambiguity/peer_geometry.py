@@ -69,6 +69,16 @@ class PeerGeometry:
         covariance[0, 0] += self._lasting_m2
         return covariance
 
+    def seen_from(self, normal: FloatArray) -> tuple[FloatArray, float, float]:
+        """Return what is known of the vectors to the peers across a plane with the unit normal (3,).
+
+        The variances (k,) of the distances, m^2, the largest variance along the normal, m^2, and `blind_m` for the former.
+        """
+        covariances = [self.difference_covariance(i) for i in range(len(self.peers))]
+        variances_m2 = np.array([max(float(covariance[0, 0]), LEAST_SIGMA_M**2) for covariance in covariances])
+        across_m2 = max(float(normal @ covariance[1:, 1:] @ normal) for covariance in covariances)
+        return variances_m2, across_m2, self.blind_m(math.sqrt(float(variances_m2.max())))
+
     def blind_m(self, range_sigma_m: float) -> float:
         """Return the distance from a plane within which the ranges change by less than their sigma, m."""
         return math.sqrt(2.0 * range_sigma_m * self.nearest_m)

@@ -96,13 +96,13 @@ def _is_resolved(record: VehicleRecord, refused: UnresolvedOutlier, at_s: float,
 
     Of all horizontal displacements that explain the refused range, the least visible one moves the other ranges by the
     innovation times the root of 1 / (u' N^-1 u); N is the sum of their u u', u a unit vector along the range. With one other
-    peer that is nothing. A peer whose last range was refused as well shows nothing.
+    peer that is nothing. A peer whose last range was not used either shows nothing.
     """
     ee = nn = _LEAST_INFORMATION
     en = 0.0
     for vehicle, neighbour in record.neighbours.items():
-        is_refused = record.last_range_s.get(vehicle, -math.inf) > neighbour.at_s
-        if vehicle != refused.neighbour and not is_refused and at_s - neighbour.at_s <= IN_USE_S:
+        is_used = record.last_range_s.get(vehicle, -math.inf) <= neighbour.at_s
+        if vehicle != refused.neighbour and is_used and at_s - neighbour.at_s <= IN_USE_S:
             e, n, _ = neighbour.unit
             ee, en, nn = ee + e * e, en + e * n, nn + n * n
     e, n, _ = refused.unit

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_coloc.core.measurements import FloatArray
-from gcs_coloc.estimators.fleet.ambiguity.peer_geometry import LEAST_SIGMA_M, NEAR_SIGMAS, SEPARATED, PeerGeometry
+from gcs_coloc.estimators.fleet.ambiguity.peer_geometry import NEAR_SIGMAS, SEPARATED, PeerGeometry
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S
@@ -128,11 +128,9 @@ def vertical_plane_through(cluster: Cluster, denied_vehicle: int, peers: list[in
         return None
     ranges_separate = False
     if len(peers) > 2:
-        covariances = [view.difference_covariance(i) for i in range(len(peers))]
-        variances_m2 = np.array([max(float(covariance[0, 0]), LEAST_SIGMA_M**2) for covariance in covariances])
-        reach_m = max(abs(float(np.array(view.offset) @ normal)), view.blind_m(math.sqrt(float(variances_m2.max()))))
+        variances_m2, across_m2, blind_m = view.seen_from(normal)
+        reach_m = max(abs(float(np.array(view.offset) @ normal)), blind_m)
         ranges_separate = view.range_separation(normal, reach_m, variances_m2) > SEPARATED
-        across_m2 = max(float(normal @ covariance[1:, 1:] @ normal) for covariance in covariances)
         if ranges_separate and not view.has_second_place(normal, along, across_m2):
             return None
     return _plane_of_line(view, ranges_separate=ranges_separate)
@@ -213,9 +211,7 @@ def _peers_of(cluster: Cluster, group: Collection[int], at_s: float) -> list[int
 def _is_near_line(view: PeerGeometry) -> bool:
     """Whether a vehicle is so near to the line of its peers that it may be on either side of it."""
     normal, _, _ = _axes_of_line(view)
-    covariances = [view.difference_covariance(i) for i in range(len(view.peers))]
-    across_m2 = max(float(normal @ covariance[1:, 1:] @ normal) for covariance in covariances)
-    blind_m = view.blind_m(math.sqrt(max(*(float(covariance[0, 0]) for covariance in covariances), LEAST_SIGMA_M**2)))
+    _, across_m2, blind_m = view.seen_from(normal)
     return abs(float(np.array(view.offset) @ normal)) <= max(NEAR_SIGMAS * math.sqrt(across_m2), blind_m)
 
 
@@ -236,14 +232,9 @@ def _test_plane(view: PeerGeometry, normal: FloatArray, within: FloatArray, leas
     """Test one plane: unit normal (3,), axes within it (3, m), and the least sum of squares of the peers along these."""
     offsets, offset, upwards = np.array(view.offsets), np.array(view.offset), abs(float(normal[2]))
     away_m = float(offset @ normal)
-    variances_m2, across_m2, blind_m = np.empty(len(view.peers)), 0.0, 0.0
-    for i in range(len(view.peers)):
-        covariance = view.difference_covariance(i)
-        variances_m2[i] = max(float(covariance[0, 0]), LEAST_SIGMA_M**2)
-        across_m2 = max(across_m2, float(normal @ covariance[1:, 1:] @ normal))
-        blind_m = max(blind_m, view.blind_m(math.sqrt(float(variances_m2[i]))))
-        if view.altitude_separation(upwards, max(abs(away_m), blind_m)) > SEPARATED:
-            return None
+    variances_m2, across_m2, blind_m = view.seen_from(normal)
+    if view.altitude_separation(upwards, max(abs(away_m), blind_m)) > SEPARATED:
+        return None
     if math.sqrt(least_spread_m2) < _LEAST_SPREAD_SIGMAS * math.sqrt(float(variances_m2.max())):
         return None
     if abs(away_m) > max(NEAR_SIGMAS * math.sqrt(across_m2), blind_m):

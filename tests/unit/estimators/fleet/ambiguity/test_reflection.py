@@ -168,7 +168,7 @@ def test_of_a_mixture_of_three_the_likeliest_counts_most_and_none_is_beyond_thre
     assert mean == pytest.approx([30.0 * shares[1], -40.0 * shares[2]])
     nis = [float((each - mean) @ np.linalg.solve(covariance, each - mean)) for each in means]
     assert max(nis) <= 9.0
-    # The order in which they are named is of no account.
+    # The order in which they are named is of no account to the mean, and of little to how far it is widened.
     again = mixture(means[::-1], [np.eye(2)] * 3, [-6.0, -4.0, 0.0])
     assert again[0] == pytest.approx(mean)
     assert again[1] == pytest.approx(covariance, rel=0.1)
