@@ -71,7 +71,7 @@ def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResu
     square, kept = result.innovation_m**2, _REFUSED_MEMORY if record.cusum > 0.0 else 0.0
     record.refused_innovation_m2 = kept * record.refused_innovation_m2 + (1.0 - kept) * square
     record.cusum += _CUSUM_REFUSED
-    refused = UnresolvedOutlier(other, result.unit, result.nis)
+    refused = UnresolvedOutlier(other, result.unit, result.innovation_m, result.nis)
     record.unresolved_outlier = None if _is_resolved(record, refused, m.measured_at_s, cluster.settings) else refused
     if record.cusum > _CUSUM_LIMIT:
         # The first ranges after the inflation may be the wrong ones: their noise is inflated too, until some have agreed.
@@ -96,13 +96,16 @@ def _is_resolved(record: VehicleRecord, refused: UnresolvedOutlier, at_s: float,
 
     Of all horizontal displacements that explain the refused range, the least visible one moves the other ranges by the
     innovation times the root of 1 / (u' N^-1 u); N is the sum of their u u', u a unit vector along the range. With one other
-    peer that is nothing. A peer whose last range was not used either shows nothing.
+    peer that is nothing. A range shows nothing of a displacement that the vehicle may have made since it was used.
     """
+    profile, displacement_m = record.profile, abs(refused.innovation_m)
     ee = nn = _LEAST_INFORMATION
     en = 0.0
     for vehicle, neighbour in record.neighbours.items():
-        is_used = record.last_range_s.get(vehicle, -math.inf) <= neighbour.at_s
-        if vehicle != refused.neighbour and is_used and at_s - neighbour.at_s <= IN_USE_S:
+        since_s = at_s - neighbour.at_s
+        # The turn may have begun as long again before: what it had done by then was within the gate.
+        may_be_new = profile.reach_m(2.0 * since_s, profile.max_acceleration_mps2) >= displacement_m
+        if vehicle != refused.neighbour and not may_be_new and since_s <= IN_USE_S:
             e, n, _ = neighbour.unit
             ee, en, nn = ee + e * e, en + e * n, nn + n * n
     e, n, _ = refused.unit

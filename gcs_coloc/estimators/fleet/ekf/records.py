@@ -39,10 +39,11 @@ OwnMeasurement = PositionMeasurement | AltitudeMeasurement | AttitudeMeasurement
 
 
 class UnresolvedOutlier(NamedTuple):
-    """A refused range that the ranges in use could not contradict: the neighbour, a unit vector along it, its NIS."""
+    """A refused range that the ranges in use could not contradict: the neighbour, its unit vector, innovation and NIS."""
 
     neighbour: int
     unit: tuple[float, float, float]
+    innovation_m: float
     nis: float
 
 

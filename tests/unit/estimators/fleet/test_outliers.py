@@ -119,3 +119,25 @@ def test_ranges_that_are_refused_do_not_vouch_for_each_other(seed):
     # Where each vouched for the other, 15 to 18 epochs were beyond three bounds, up to 6.4 times.
     assert len(ratios) > 120
     assert sum(ratio > 3.0 for ratio in ratios.values()) <= 1
+
+
+def test_two_outliers_in_a_row_are_contradicted_by_ranges_used_a_moment_before():
+    """A real plane among three others lost its fix for three seconds when two ranges in a row were 35 m too long."""
+    rng, estimator, bounds_m = np.random.default_rng(5), FleetFilter(), []
+    for vehicle in (1, 2, 3):
+        estimator.add(PositionMeasurement(vehicle, 0.0, 0.0, ANCHORS_M[vehicle], 0.3, 0.3, static=True))
+    for k in range(120):
+        t = round(0.1 * k, 6)
+        peer, here_m = 1 + k % 3, subject_at(t)
+        if k < 20:
+            estimator.add(PositionMeasurement(DENIED, t, t, here_m.tolist(), 0.5, 0.5, (SPEED_MPS, 0.0, 0.0), 0.2))
+            continue
+        estimator.set_denied({DENIED}, t)
+        too_long_m = 35.0 if k in (80, 81) else 0.0
+        estimator.add(AltitudeMeasurement(DENIED, t, t, 100.0, 0.5))
+        estimator.add(RangeMeasurement(DENIED, peer, t, t, math.dist(here_m, ANCHORS_M[peer]) + too_long_m + rng.normal(), 1.0))
+        where = estimator.estimate(DENIED, t)
+        assert isinstance(where, Estimate)
+        bounds_m.append(horizontal_bound_95_m(where.covariance))
+    # Where neither of the two was contradicted, the bound was 29 m for a moment.
+    assert max(bounds_m[30:]) < 5.0
