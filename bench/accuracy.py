@@ -77,7 +77,7 @@ def _own_model(case: ModelCase, runs: int) -> list[Figure]:
             "<= 1.05",
             ratio <= 1.05 and lost == 0.0,
         ),
-        _figure(f"{name}, MSE / mean bound along each way", f"{ratio_along:.2f} +- {scatter:.2f} (bound {along_m:.2f} m)"),
+        _figure(f"{name}, MSE / mean bound along each flight", f"{ratio_along:.2f} +- {scatter:.2f} (bound {along_m:.2f} m)"),
         _figure(f"{name}, ANEES", f"{mean:.2f} of 2", f"{low:.2f} to {high:.2f}", low <= mean <= high),
     ]
 
@@ -131,7 +131,7 @@ def _two_failed(seeds: int) -> list[Figure]:
     together, apart = _flown("E6 together", _TWO, seeds), _flown("E6 apart", _TWO_APART, seeds)
     figures = []
     for vehicle in _TWO.failed:
-        name = f"E6 two of five failed, 5 Hz, {seeds} seeds, vehicle {vehicle}"
+        name = f"E6 two of five denied, 5 Hz, {seeds} seeds, vehicle {vehicle}"
         with_m, without_m = (rmse_m([run.tracks[vehicle] for run in done]) for done in (together, apart))
         text = f"{with_m:.2f} m, without the other's ranges {without_m:.2f} m"
         figures.append(_figure(f"{name}, RMSE", text, "smaller than without", with_m < without_m))

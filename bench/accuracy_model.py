@@ -164,7 +164,7 @@ def recording(draws: ModelDraws, run: int) -> Recording:
 
 
 def bounds_rms_m(draws: ModelDraws) -> tuple[float, float]:
-    """Return the roots of the means over the scored epochs, m, of the posterior bound and of that along each way."""
+    """Return the roots of the means over the scored epochs, m, of the posterior bound and of that along each flight."""
     return math.sqrt(float(np.nanmean(draws.posterior_m2))), math.sqrt(float(np.nanmean(draws.along_m2)))
 
 

@@ -21,6 +21,7 @@ from gcs_coloc.estimators.fleet.ambiguity.range_evidence import (
     save_estimate,
 )
 from gcs_coloc.estimators.fleet.ambiguity.reflection import (
+    CLEARLY_ASIDE_SIGMAS,
     ReflectionPlane,
     find_joint_reflection,
     find_reflection_plane,
@@ -35,7 +36,6 @@ from gcs_coloc.estimators.fleet.ekf.gap import HORIZONTAL
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.reflection_hypothesis import (
-    CLEARLY_ASIDE_SIGMAS,
     ReflectionHypothesis,
     RelativeSide,
     is_merged,

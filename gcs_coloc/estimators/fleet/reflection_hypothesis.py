@@ -8,7 +8,7 @@ from enum import Enum, auto
 
 import numpy as np
 
-from gcs_coloc.estimators.fleet.ambiguity.reflection import ReflectionPlane, offset_sigmas
+from gcs_coloc.estimators.fleet.ambiguity.reflection import CLEARLY_ASIDE_SIGMAS, ReflectionPlane, offset_sigmas
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
@@ -21,8 +21,6 @@ _MANOEUVRE_S = 3.0
 """Chosen: an unmodelled manoeuvre is in all innovations of so long; they are one piece of evidence."""
 _MOST_OF_MOTION = 3.0
 """Chosen: bounds the log odds that one such manoeuvre contributes."""
-CLEARLY_ASIDE_SIGMAS = 1.0
-"""Chosen: within one sigma of the plane a state is on neither side."""
 
 
 class RelativeSide(Enum):

@@ -16,6 +16,7 @@ import numpy as np
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import RangeMeasurement
 from gcs_coloc.estimators.fleet.ambiguity.reflection import (
+    CLEARLY_ASIDE_SIGMAS,
     ReflectionPlane,
     offset_sigmas,
     vertical_plane_through,
@@ -48,8 +49,6 @@ _SMALLER_SHARE = 0.9
 """Chosen: the ranges after a gap count as informative where they reduced the sigma by a tenth."""
 _EITHER_SIDE_SIGMAS = 4.0
 """Chosen: as the gate; a plane within so many sigmas of the saved estimate leaves both sides possible."""
-_CLEARLY_ASIDE_SIGMAS = 1.0
-"""Chosen: nearer to the plane both hypotheses would be one."""
 
 
 def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResult, m: RangeMeasurement) -> None:
@@ -138,7 +137,7 @@ def plane_after_gap(before: SavedEstimate, cluster: Cluster, denied_vehicle: int
     if horizontal_sigma_m(cluster.joint.covariance(denied_vehicle)) > _SMALLER_SHARE * before.sigma_m:
         return None
     plane = vertical_plane_through_line(cluster, denied_vehicle, at_s)
-    if plane is None or abs(offset_sigmas(cluster, denied_vehicle, plane)) < _CLEARLY_ASIDE_SIGMAS:
+    if plane is None or abs(offset_sigmas(cluster, denied_vehicle, plane)) < CLEARLY_ASIDE_SIGMAS:
         return None
     (e, n, _), (at_e, at_n, _) = plane.normal.tolist(), plane.point_m.tolist()
     offset_m = (before.east_m - at_e) * e + (before.north_m - at_n) * n

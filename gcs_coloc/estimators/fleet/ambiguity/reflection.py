@@ -35,6 +35,8 @@ _LEVEL = 0.7
 """Chosen: a plane whose normal is within 45 degrees of the vertical is level."""
 _LEAST_SPREAD_M = 1.0
 """Chosen: peers at one place define no line."""
+CLEARLY_ASIDE_SIGMAS = 1.0
+"""Chosen: within one sigma of the plane a state is on neither side, and both hypotheses would be one."""
 
 
 @dataclass(frozen=True, slots=True)
