@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import secrets
 import shutil
 import subprocess
+import tempfile
 import urllib.request
 from collections.abc import Mapping
 from pathlib import Path
@@ -48,6 +50,12 @@ class Demo:
     def compose(self, *arguments: str, **environment: str) -> str:
         """`docker compose ...`."""
         return self.run(*self._compose, *arguments, **environment)
+
+    def build(self, service: str) -> None:
+        """Build the image, which all services share; tests that run beside each other wait for the first one's layers."""
+        with (Path(tempfile.gettempdir()) / "gcs-coloc-test-image.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            self.compose("build", service)
 
     def container(self, service: str) -> str:
         """The id of a service's container, running or not."""

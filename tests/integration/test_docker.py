@@ -45,6 +45,7 @@ def demo():
         pytest.skip(f"the containers are not tested: {lacking}")
     demo = containers.Demo()
     try:
+        demo.build("coloc")
         demo.said = demo.run("make", "demo-docker")
         yield demo
     finally:

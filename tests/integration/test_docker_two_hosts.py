@@ -23,7 +23,8 @@ def hosts():
         pytest.skip(f"the containers are not tested: {lacking}")
     hosts = containers.Demo("compose.two-hosts.yaml")
     try:
-        hosts.compose("up", "--build", "--detach", "watch", *AIRCRAFT)
+        hosts.build("secrets")
+        hosts.compose("up", "--detach", "watch", *AIRCRAFT)
         yield hosts
     finally:
         hosts.compose("down", "--volumes", "--remove-orphans", "--timeout", "2")
