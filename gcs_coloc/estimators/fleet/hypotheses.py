@@ -42,6 +42,7 @@ from gcs_coloc.estimators.fleet.reflection_hypothesis import (
     log_likelihood_ratio,
     relative_side,
 )
+from gcs_coloc.estimators.fleet.searched_vehicles import search_of, search_with
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _TEST_EVERY_S = 0.25
@@ -103,10 +104,26 @@ class FleetHypotheses:
                 hypothesis.add_evidence(gain, m.measured_at_s)
         if isinstance(m, RangeMeasurement):
             for vehicle in ends:
+                self._search_all_places(vehicle, m.measured_at_s)
                 is_due = m.measured_at_s - self._tested_at_s.get(vehicle, -math.inf) >= _TEST_EVERY_S
                 if is_due and self.main.records[vehicle].denied_vehicle:
                     self._test(vehicle, m.measured_at_s)
         return result
+
+    def _search_all_places(self, vehicle: int, at_s: float) -> None:
+        """Let a vehicle that one model searches be searched at the places of all: there is no hypothesis beside a search."""
+        of_vehicle = {group: h for group, h in self.hypotheses.items() if vehicle in group}
+        models = [(self.main, 0.0), *((h.model, h.log_odds) for h in of_vehicle.values())]
+        if not of_vehicle or all(vehicle in model.clusters for model, _ in models):
+            return
+        found = [(search_of(model.clusters, model.records, vehicle, at_s), log_odds) for model, log_odds in models]
+        places = [(search, log_odds) for search, log_odds in found if search is not None]
+        if len(places) > 1 or (places and vehicle not in self.main.clusters):
+            (first, reference), *others = places
+            search = first.joined([(other, log_odds - reference) for other, log_odds in others])
+            search_with(self.main.clusters, self.main.records, vehicle, search)
+        for group in of_vehicle:
+            del self.hypotheses[group]
 
     def _save_before_gap(self, m: RangeMeasurement) -> None:
         """Save the predicted estimate of the denied vehicles of a range that is the first after a gap."""
@@ -122,8 +139,6 @@ class FleetHypotheses:
         before = self._saved.pop(denied_vehicle, None)
         groups = [group for group in self.hypotheses if denied_vehicle in group]
         if denied_vehicle not in self.main.clusters:
-            for group in groups:
-                del self.hypotheses[group]
             return
         self._saved[denied_vehicle] = save_estimate(self.main.clusters[denied_vehicle], denied_vehicle)
         for group in groups:

@@ -26,7 +26,7 @@ def is_searching(
     if cluster is None:
         return record.search is not None
     cluster.add_gap(vehicle, m.measured_at_s)
-    P, record = cluster.joint.covariance(vehicle), records[vehicle]
+    P = cluster.joint.covariance(vehicle)
     if not is_too_wide(P.item(0, 0) + P.item(1, 1), m.range_m, m.sigma_m):
         return False
     there = _locate_peer(clusters, records, other, m.measured_at_s, settings)
@@ -34,12 +34,23 @@ def is_searching(
         return False
     # What a peer's own error adds to a range is no reason to search.
     sigma_m = math.sqrt(m.sigma_m**2 + float(np.trace(there[1])) / 3.0)
-    x, P = cluster.predict(vehicle, m.measured_at_s)
+    _, P = cluster.predict(vehicle, m.measured_at_s)
     if not is_too_wide(P.item(0, 0) + P.item(1, 1), m.range_m, sigma_m):
         return False
-    record.search = PositionSearch.of_state(x, P, m.measured_at_s)
-    clusters.remove(vehicle)
+    search_with(clusters, records, vehicle, search_of(clusters, records, vehicle, m.measured_at_s))
     return True
+
+
+def search_of(clusters: ClusterSet, records: Records, vehicle: int, at_s: float) -> PositionSearch | None:
+    """Return the search of a denied vehicle, or the one that begins with its states; None where it has neither."""
+    cluster = clusters.get(vehicle)
+    return records[vehicle].search if cluster is None else PositionSearch.of_state(*cluster.predict(vehicle, at_s), at_s)
+
+
+def search_with(clusters: ClusterSet, records: Records, vehicle: int, search: PositionSearch | None) -> None:
+    """Search a denied vehicle from now on: it leaves its cluster."""
+    records.writable(vehicle).search = search
+    clusters.remove(vehicle)
 
 
 def search_with_range(

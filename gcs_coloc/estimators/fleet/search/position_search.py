@@ -9,7 +9,7 @@ decide between them; with one left, the joint filter goes on from it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -102,6 +102,15 @@ class PositionSearch:
         """Return the search that begins with one vehicle's mean (16,) and covariance (16, 16)."""
         P = covariance.copy()
         return PositionSearch(at_s, mean[None, :6].copy(), P[None, :6, :6], np.zeros(1), mean[6:].copy(), P[6:, 6:], {})
+
+    def joined(self, others: Sequence[tuple[PositionSearch, float]]) -> PositionSearch:
+        """Return the search for a vehicle that is at a place of this one or of others, with their log odds against this one."""
+        parts = [(self, 0.0), *others]
+        w = np.concatenate([search.log_weight - log_sum(search.log_weight) + odds for search, odds in parts])
+        x, P = (np.concatenate(each) for each in zip(*((search.mean, search.covariance) for search, _ in parts), strict=True))
+        x, P, w = merged(*pruned(x, P, w - w.max()))
+        found = replace(self, mean=x, covariance=P, log_weight=w)
+        return replace(found, agreed=self.agreed if found.place() is not None else 0)
 
     @property
     def is_open(self) -> bool:

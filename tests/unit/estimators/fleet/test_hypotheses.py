@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
-from gcs_coloc.core.measurements import AltitudeMeasurement, Estimate, PositionMeasurement, RangeMeasurement
+from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
+    Estimate,
+    NoEstimate,
+    NoEstimateReason,
+    PositionMeasurement,
+    RangeMeasurement,
+)
+from gcs_coloc.estimators.fleet.ambiguity.reflection import ReflectionPlane, reflect
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
@@ -243,6 +251,34 @@ def test_nobody_is_searched_by_ranges_to_a_vehicle_whose_own_side_is_open(is_ope
         fleet.hypotheses = {frozenset({8}): ReflectionHypothesis(fleet.main.copy(), motion_only=False)}
     result = fleet.apply(RangeMeasurement(DENIED, 8, 0.2, 0.2, 40.0, 1.0))
     assert result.outcome is (Outcome.KEPT_OPEN_SIDE if is_open else Outcome.SEARCHING)
+
+
+def test_a_vehicle_with_an_open_side_is_searched_on_both():
+    """It was searched on the side of the main model alone, and stated there: 80 m off."""
+    peers, truth = {1: (-80.0, 0.0), 2: (90.0, 0.0)}, (0.0, -40.0)
+    fleet = FleetHypotheses(FleetSettings())
+    for v, place in peers.items():
+        fleet.apply(PositionMeasurement(v, 0.0, 0.0, (*place, HEIGHT_M), 1.0, 1.0, static=True))
+    fleet.apply(PositionMeasurement(DENIED, 0.0, 0.0, (0.0, 40.0, HEIGHT_M), 5.0, 1.0, (0.0, 0.0, 0.0), 0.3))
+    fleet.set_denied(frozenset({DENIED}), 0.0)
+    for peer in peers:
+        fleet.apply(RangeMeasurement(DENIED, peer, 0.1, 0.1, math.dist(truth, peers[peer]), 1.0))
+    other = fleet.main.copy()
+    reflect(other.clusters[DENIED], DENIED, ReflectionPlane(np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.0, ranges_separate=False))
+    fleet.hypotheses = {frozenset({DENIED}): ReflectionHypothesis(other, motion_only=False, log_odds=-2.0)}
+    for model in (fleet.main, other):
+        # As after seconds without ranges along the line of the two.
+        model.clusters[DENIED].joint.covariance(DENIED)[0, 0] += 80.0**2
+    outcomes = set()
+    for k in range(2, 30):
+        for peer in peers:
+            outcomes.add(
+                fleet.apply(RangeMeasurement(DENIED, peer, 0.1 * k, 0.1 * k, math.dist(truth, peers[peer]), 1.0)).outcome
+            )
+    assert Outcome.SEARCHING in outcomes
+    where = fleet.estimate(DENIED, 3.0)
+    assert isinstance(where, NoEstimate)
+    assert where.reason.reason is NoEstimateReason.SEVERAL_PLACES
 
 
 def test_a_group_of_anchors_far_away_leaves_one_place():

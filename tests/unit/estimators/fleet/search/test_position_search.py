@@ -92,6 +92,17 @@ def test_ranges_that_fit_two_places_alike_do_not_decide_between_them(other_m2):
     assert abs(one.log_weight[1] - one.log_weight[0]) < 1.0
 
 
+@pytest.mark.parametrize(("log_odds", "is_one"), [(-3.0, False), (-8.0, False), (-10.0, True), (10.0, True)])
+def test_a_search_at_the_places_of_two_models_leaves_the_likelier_one_where_it_is_clearly_so(log_odds, is_one):
+    here, there = (PositionSearch.of_state(np.array([e, *[0.0] * 15]), np.eye(16), 1.0) for e in (0.0, 50.0))
+    both = here.joined([(there, log_odds)])
+    place = both.place()
+    assert (place is not None) == is_one
+    assert both.is_open != is_one
+    if place is not None:
+        assert place[0][0] == (0.0 if log_odds < 0.0 else 50.0)
+
+
 def test_time_alone_makes_no_one_place_of_several():
     truth = (4.0, 3.0, 0.0)
     one = search(20.0).with_range(circle(1, (0.0, 0.0, 0.0), truth)).with_range(circle(2, (8.0, 0.0, 0.0), truth))
