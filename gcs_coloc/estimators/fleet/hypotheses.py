@@ -14,6 +14,7 @@ import numpy as np
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, NoEstimateReason, RangeMeasurement, Unlocated
+from gcs_coloc.estimators.fleet.ambiguity.curved_ranges import FAR_SIGMAS
 from gcs_coloc.estimators.fleet.ambiguity.range_evidence import (
     SavedEstimate,
     plane_after_gap,
@@ -32,7 +33,7 @@ from gcs_coloc.estimators.fleet.ambiguity.reflection import (
     vertical_plane_through_line,
 )
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
-from gcs_coloc.estimators.fleet.ekf.gap import HORIZONTAL
+from gcs_coloc.estimators.fleet.ekf.gap import BOUND_95_SIGMAS, HORIZONTAL
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.reflection_hypothesis import (
@@ -55,6 +56,8 @@ _STATED_LOG_ODDS = 6.0
 """Chosen: odds of 400; below them two places that are apart are no estimate but ambiguous."""
 _APART_NIS = 16.0
 """Chosen: as the gate; half way between two places their mean is beyond it for both."""
+_LIMIT_SHARE = (BOUND_95_SIGMAS / FAR_SIGMAS) ** 2
+"""What a vehicle can do is a limit: its 95 % bound is that of the protection level as well."""
 _MOST_HYPOTHESES = 16
 """Chosen: bounds the computing; with so many none is opened for several vehicles together. Five near one line had seven."""
 
@@ -236,7 +239,7 @@ class FleetHypotheses:
         worst_m = horizontal_sigma_m(covariance)
         if not worst_m <= self.main.settings.limit_sigma_m:
             return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))
-        far = None if where.far_covariance is None else where.far_covariance + unshown[:2, :2]
+        far = where.protected_covariance[:2, :2] + _LIMIT_SHARE * unshown[:2, :2]
         return replace(where, covariance=covariance, far_covariance=far)
 
     def _mixture(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:

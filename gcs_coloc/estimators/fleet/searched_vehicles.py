@@ -9,13 +9,18 @@ import numpy as np
 from gcs_coloc.core.measurements import FloatArray, NoEstimateReason, RangeMeasurement, Unlocated
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import ManoeuvreDetector
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
+from gcs_coloc.estimators.fleet.ekf.gap import HORIZONTAL
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour, Records
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, pair_key
+from gcs_coloc.estimators.fleet.gaps import add_gap
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
 from gcs_coloc.estimators.fleet.motion_profiles import MotionProfile
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch, RangeCircle, is_too_wide
 from gcs_coloc.estimators.fleet.settings import FleetSettings
+
+_UNSHOWN_LOG_ODDS = -3.0
+"""Chosen: one in twenty, so that a place where only a manoeuvre leads that the vehicle has not shown before stays possible."""
 
 
 def is_searching(
@@ -25,7 +30,7 @@ def is_searching(
     record, cluster = records[vehicle], clusters.get(vehicle)
     if cluster is None:
         return record.search is not None
-    cluster.add_gap(vehicle, m.measured_at_s)
+    add_gap(cluster, vehicle, m.measured_at_s)
     P = cluster.joint.covariance(vehicle)
     if not is_too_wide(P.item(0, 0) + P.item(1, 1), m.range_m, m.sigma_m):
         return False
@@ -42,9 +47,17 @@ def is_searching(
 
 
 def search_of(clusters: ClusterSet, records: Records, vehicle: int, at_s: float) -> PositionSearch | None:
-    """Return the search of a denied vehicle, or the one that begins with its states; None where it has neither."""
-    cluster = clusters.get(vehicle)
-    return records[vehicle].search if cluster is None else PositionSearch.of_state(*cluster.predict(vehicle, at_s), at_s)
+    """Return the search of a denied vehicle, or the one that begins with its states and all that it may have done in a gap."""
+    record, cluster = records[vehicle], clusters.get(vehicle)
+    if cluster is None:
+        return record.search
+    x, P = cluster.predict(vehicle, at_s)
+    search = PositionSearch.of_state(x, P, at_s)
+    if record.unshown is None:
+        return search
+    P = P.copy()
+    P[HORIZONTAL] += record.unshown.not_ruled_out().covariance(at_s)
+    return search.joined([(PositionSearch.of_state(x, P, at_s), _UNSHOWN_LOG_ODDS)])
 
 
 def search_with(clusters: ClusterSet, records: Records, vehicle: int, search: PositionSearch | None) -> None:
@@ -72,7 +85,7 @@ def search_with_range(
     if search.is_lost:
         record.search, record.no_estimate_reason = None, Unlocated(NoEstimateReason.CONTRADICTORY)
         return Outcome.KEPT_INITIALISING
-    record.neighbours[other] = Neighbour(at_s, (0.0, 0.0, 0.0), pair_key(vehicle, other, m.device_id))
+    record.neighbours[other] = Neighbour(at_s, (0.0, 0.0, 0.0), pair_key(vehicle, other, m.device_id), math.inf)
     settled = search.settled(m.range_m, math.sqrt(m.sigma_m**2 + float(np.trace(there[1])) / 3.0))
     if settled is None:
         return Outcome.SEARCHING
@@ -80,6 +93,7 @@ def search_with_range(
     record.search, record.cusum, record.unresolved_outlier, record.attitude = None, 0.0, None, None
     record.manoeuvre = ManoeuvreDetector()
     record.range_noise_inflation_m2, record.updated_at_s = 0.0, at_s
+    record.gaps_added_until_s = at_s
     return Outcome.INITIALISED
 
 

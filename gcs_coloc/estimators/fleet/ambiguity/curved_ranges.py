@@ -27,7 +27,7 @@ _STRAIGHT_SHARE = 0.1
 """Chosen: a slope that changes by less than this share within a sigma is as good as straight."""
 _NEAR_SIGMAS = 2.0
 """Chosen: of the 95 % of one direction, which is what the ranges leave open."""
-_FAR_SIGMAS = 6.0
+FAR_SIGMAS = 6.0
 """Chosen: a little more than the 5.7 of the nominal protection level."""
 _MOST_SIGMAS = 20.0
 """Chosen: bounds the search; what is so much further out than stated, hypotheses or the limit of the estimate tell."""
@@ -67,7 +67,7 @@ def curvature_covariances(
     if not _are_curved(cluster, vehicle, peers, (east, north), sigma_m):
         return None
     near, far = _reach_sigmas(cluster, _moves(cluster, vehicle, (east, north)), at_s, sigma_m)
-    near_m2, far_m2 = ((max(reach, 1.0) ** 2 - 1.0) * sigma_m * sigma_m for reach in (near / _NEAR_SIGMAS, far / _FAR_SIGMAS))
+    near_m2, far_m2 = ((max(reach, 1.0) ** 2 - 1.0) * sigma_m * sigma_m for reach in (near / _NEAR_SIGMAS, far / FAR_SIGMAS))
     along = np.array([[east * east, east * north], [east * north, north * north]])
     return (near_m2 * along, far_m2 * along) if max(near_m2, far_m2) > 0.0 else None
 
@@ -128,7 +128,7 @@ def _reach_sigmas(cluster: Cluster, moves: Mapping[int, Horizontal], at_s: float
     by_ranges = ((changes_m @ information) * changes_m).sum(axis=1)
     costs = (1.0 - share * by_slopes) * _OFFSET_SIGMAS**2 + share * by_ranges
     sides = costs[: len(_STEP_SIGMAS)], costs[len(_STEP_SIGMAS) :]
-    return max(_first_beyond(side, _NEAR_SIGMAS) for side in sides), max(_first_beyond(side, _FAR_SIGMAS) for side in sides)
+    return max(_first_beyond(side, _NEAR_SIGMAS) for side in sides), max(_first_beyond(side, FAR_SIGMAS) for side in sides)
 
 
 def _pairs(cluster: Cluster, moves: Mapping[int, Horizontal], at_s: float) -> list[_Pair]:

@@ -57,7 +57,8 @@ def monitor_range(cluster: Cluster, vehicle: int, other: int, result: UpdateResu
     if result.degrees_of_freedom > 0:
         record.reflection_evidence = update_reflection_evidence(record.reflection_evidence, cluster, vehicle, other, result, m)
     if result.used:
-        record.neighbours[other] = Neighbour(m.measured_at_s, result.unit, pair_key(vehicle, other, m.device_id))
+        pair = pair_key(vehicle, other, m.device_id)
+        record.neighbours[other] = Neighbour(m.measured_at_s, result.unit, pair, result.sigma_m)
         record.updated_at_s = m.measured_at_s
         outlier = record.unresolved_outlier
         if outlier is None or outlier.neighbour == other or _is_resolved(record, outlier, m.measured_at_s, cluster.settings):

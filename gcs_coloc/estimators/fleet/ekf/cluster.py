@@ -11,13 +11,9 @@ from numbers import Integral
 
 from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd, Transition, range_jacobian
-from gcs_coloc.estimators.fleet.ekf.gap import HORIZONTAL, unshown_motion
-from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
 from gcs_coloc.estimators.fleet.ekf.process_model import (
     fresh_attitude,
-    gap_covariance,
     set_transition,
-    shown_acceleration_mps2,
     step_ends,
 )
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, VehicleRecord
@@ -29,8 +25,6 @@ _CLEARLY_MORE = 1.1
 """Chosen: a sigma within 10 % of the one in force is the same; every change costs two passes over the covariance."""
 _INFLATION_TIME_S = 2.0
 """Chosen: a position error of d metres comes with a velocity error of d / 2 s, as of a turn that was missed for 2 s."""
-_UNSHOWN_NIS = 9.0
-"""Chosen: three sigmas; few ranges after a gap without an unusual manoeuvre are beyond."""
 _new = tuple.__new__
 
 
@@ -132,36 +126,6 @@ class Cluster:
             joint.scale(start, start + 1, now_m / before_m)
         else:
             joint.A[start, start] += now_m * now_m - before_m * before_m
-
-    def add_gap(self, vehicle: int, at_s: float) -> None:
-        """Add to a denied vehicle's covariance what it may have done in a gap before a range at `at_s`, eq. (29).
-
-        What goes beyond the manoeuvres that it has shown is kept until a range tells of it.
-        """
-        record, s = self.records[vehicle], self.settings
-        possible = gap_covariance(record, s, at_s)
-        if possible[0] > 0.0:
-            shown = shown_m2, shown_m2ps2, shown_both = gap_covariance(record, s, at_s, shown_acceleration_mps2(record, s))
-            self.propagate(vehicle, at_s)
-            P = self.joint.covariance(vehicle)
-            for axis in (0, 1):
-                P[axis, axis] += shown_m2
-                P[axis + 3, axis + 3] += shown_m2ps2
-                P[axis, axis + 3] += shown_both
-                P[axis + 3, axis] += shown_both
-            record.unshown = unshown_motion(at_s, possible, shown)
-            record.updated_at_s = at_s
-
-    def judge_unshown_motion(self, vehicle: int, result: UpdateResult, at_s: float) -> None:
-        """Let a range rule out what a vehicle may have done in its last gap, or add that to its covariance."""
-        record = self.records[vehicle]
-        if record.unshown is None or result.degrees_of_freedom == 0:
-            return
-        if result.nis <= _UNSHOWN_NIS:
-            record.unshown = record.unshown.after_range(result.unit, result.sigma_m)
-            return
-        self.joint.covariance(vehicle)[HORIZONTAL] += record.unshown.covariance(at_s)
-        record.unshown = None
 
     def add_corrections(
         self, vehicle: int, W: FloatArray, innovations: Sequence[float], at_s: float, *, of_position: bool = False

@@ -11,6 +11,8 @@ from gcs_coloc.core.measurements import FloatArray
 
 HORIZONTAL = np.ix_((0, 1, 3, 4), (0, 1, 3, 4))
 """Horizontal position and velocity in a covariance that begins with position and velocity."""
+BOUND_95_SIGMAS = 2.4477
+"""The 95 % bound of two equal axes in sigmas: sqrt(-2 ln 0.05)."""
 CORRELATION = 0.9
 """Correlation of what a gap adds to position and velocity. Chosen: 0.87 of white acceleration, 1 of a constant one."""
 
@@ -34,6 +36,10 @@ class UnshownMotion:
         """Return it after a range along a unit vector that fitted, with the sigma of its innovation."""
         e, n = unit[0] / sigma_m, unit[1] / sigma_m
         return replace(self, ee=self.ee + e * e, en=self.en + e * n, nn=self.nn + n * n)
+
+    def not_ruled_out(self) -> UnshownMotion:
+        """Return it as if no range had looked since: what is ruled out along a line is not along a wide arc."""
+        return replace(self, ee=0.0, en=0.0, nn=0.0)
 
     def covariance(self, at_s: float) -> FloatArray:
         """Return the covariance (4, 4) of position and velocity at a time, eq. (37): large where no range has looked since."""

@@ -15,7 +15,7 @@ from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
 from gcs_coloc.core.measurements import AttitudeMeasurement, FloatArray
 from gcs_coloc.core.telemetry.reported_state import LEAST_AIRSPEED_MPS
 from gcs_coloc.estimators.fleet.ekf._kernels import Transition
-from gcs_coloc.estimators.fleet.ekf.gap import CORRELATION, Motion
+from gcs_coloc.estimators.fleet.ekf.gap import BOUND_95_SIGMAS, CORRELATION, Motion
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import TURN
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -26,8 +26,6 @@ STEEPEST_BANK_RAD = 1.2
 """Chosen: 69 degrees, 2.8 g in a coordinated turn; a steeper bank is taken for aerobatics, where eq. (2) does not hold."""
 GAP_S = 1.5
 """Chosen: after a gap of this length between ranges a manoeuvre may have passed unobserved; one range may be lost at 1 Hz."""
-_BOUND_95_SIGMAS = 2.4477
-"""The 95 % bound of two equal axes in sigmas: sqrt(-2 ln 0.05)."""
 _COAST_TIME_S = 2.0
 """Chosen: without an update for longer the process noise is inflated; shorter gaps are usual on a radio link."""
 _COAST_GAIN = 5.0
@@ -160,20 +158,25 @@ def set_transition(
 
 
 def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float, most_mps2: float = math.inf) -> Motion:
-    """Return what a vehicle may have done since its last range, eq. (29).
+    """Return what a vehicle may have done since its last range, eq. (29), with an acceleration of at most `most_mps2`."""
+    return motion_since(record.updated_at_s, record, s, at_s, most_mps2)
 
-    Per horizontal axis, with an acceleration of at most that of its class, and `most_mps2`. It is nothing with a fresh attitude
-    or odometry, which shows the turns, and within `GAP_S`.
+
+def motion_since(from_s: float, record: VehicleRecord, s: FleetSettings, at_s: float, most_mps2: float = math.inf) -> Motion:
+    """Return what a denied vehicle may have done since a time, eq. (29), per horizontal axis.
+
+    With an acceleration of at most that of its class, and `most_mps2`. It is nothing with a fresh attitude or odometry, which
+    shows the turns, and within `GAP_S`.
     """
-    since_s = at_s - record.updated_at_s
+    since_s = at_s - from_s
     if not GAP_S < since_s < math.inf or not record.denied_vehicle:
         return 0.0, 0.0, 0.0
     if fresh_attitude(record, s, at_s) is not None or has_fresh_odometry(record, s, at_s):
         return 0.0, 0.0, 0.0
     limits = record.profile
     most_mps2 = min(most_mps2, limits.max_acceleration_mps2)
-    reach_m = limits.reach_m(since_s, most_mps2) / _BOUND_95_SIGMAS
-    change_mps = min(most_mps2 * since_s / _BOUND_95_SIGMAS, 0.5 * limits.max_speed_mps)
+    reach_m = limits.reach_m(since_s, most_mps2) / BOUND_95_SIGMAS
+    change_mps = min(most_mps2 * since_s / BOUND_95_SIGMAS, 0.5 * limits.max_speed_mps)
     return reach_m * reach_m, change_mps * change_mps, CORRELATION * reach_m * change_mps
 
 
@@ -181,7 +184,7 @@ def shown_acceleration_mps2(record: VehicleRecord, s: FleetSettings) -> float:
     """Return the acceleration that a vehicle has shown, eq. (36): the 95 % bound; infinite where its manoeuvres do not recur."""
     if not record.profile.is_recurring:
         return math.inf
-    return _BOUND_95_SIGMAS * math.sqrt(record.manoeuvre_noise.level * s.low_speed_density_m2ps3 / (2.0 * _MANOEUVRE_S))
+    return BOUND_95_SIGMAS * math.sqrt(record.manoeuvre_noise.level * s.low_speed_density_m2ps3 / (2.0 * _MANOEUVRE_S))
 
 
 def fresh_attitude(record: VehicleRecord, s: FleetSettings, at_s: float) -> AttitudeMeasurement | None:

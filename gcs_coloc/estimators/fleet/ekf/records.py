@@ -56,11 +56,15 @@ class ReflectionEvidence(NamedTuple):
 
 @dataclass(slots=True)
 class Neighbour:
-    """The last used range between a denied vehicle and one neighbour: its time, a unit vector along it, the key of the pair."""
+    """The last used range between a denied vehicle and one neighbour.
+
+    Its time, a unit vector along it, the key of the pair, and the sigma of its innovation, m.
+    """
 
     at_s: float
     unit: tuple[float, float, float]
     pair: PairKey
+    sigma_m: float
 
 
 _NOT_HEARD = Unlocated(NoEstimateReason.NOT_HEARD)
@@ -112,6 +116,8 @@ class VehicleRecord:
     selected_at_s: float = -math.inf
     updated_at_s: float = -math.inf
     """Time of the last position report or range that was used."""
+    gaps_added_until_s: float = -math.inf
+    """Its covariance holds what it may have done in gaps until then."""
     unshown: UnshownMotion | None = None
     """What it may have done in its last gap beyond what it has shown before."""
     velocity_used_at_s: float = -math.inf

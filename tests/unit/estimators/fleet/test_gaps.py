@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m, horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement, VehicleClass, VehicleClassReport
 from gcs_coloc.estimators.fleet.ekf.gap import unshown_motion
-from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance
+from gcs_coloc.estimators.fleet.ekf.process_model import GAP_S, gap_covariance
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.motion_profiles import PROFILES
@@ -79,6 +79,36 @@ def test_a_manoeuvre_that_it_never_showed_is_in_the_bound_until_ranges_rule_it_o
         assert all(error < 2.0 * bound for error, bound in after)
         covered += [error < bound for error, bound in after]
     assert np.mean(covered) > 0.9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_gap_of_the_ranges_along_one_direction_is_a_gap(seed: int):
+    """A hovering multirotor leaves along it, with the ranges across going on: a bound of 5 m was stated 50 m off."""
+    beacons, sigma_m, ceased_s, leaves_s, again_s = {1: (0.0, 150.0), 2: (150.0, 0.0)}, 1.0, 40.0, 41.0, 46.0
+    rng, estimator, told = np.random.default_rng(seed), FleetFilter(), []
+    estimator.add(VehicleClassReport(DENIED, 0.0, 0.0, VehicleClass.MULTIROTOR))
+    for number, place in beacons.items():
+        estimator.add(PositionMeasurement(number, 0.0, 0.0, (*place, 0.0), 0.5, 0.5, static=True))
+    estimator.add(PositionMeasurement(DENIED, 0.0, 0.0, (0.0, 0.0, 0.0), 0.7, 0.7, (0.0, 0.0, 0.0), 0.3))
+    estimator.set_denied({DENIED}, 0.01)
+    for k in range(1, 250):
+        t = 0.2 * k
+        since_s = max(t - leaves_s, 0.0)
+        here = 3.0 * min(since_s, 1.5) ** 2 + 9.0 * max(since_s - 1.5, 0.0), 0.0
+        for number, place in beacons.items():
+            if number == 1 or not ceased_s < t < again_s:
+                range_m = math.dist(here, place) + sigma_m * rng.normal()
+                estimator.add(RangeMeasurement(DENIED, number, t, t, range_m, sigma_m))
+        where = estimator.estimate(DENIED, t)
+        if isinstance(where, Estimate):
+            level_m = 6.0 * horizontal_sigma_m(where.protected_covariance)
+            told.append((t, math.dist(where.position_enu_m[:2], here), horizontal_bound_95_m(where.covariance), level_m))
+    assert all(bound < 4.0 for t, _, bound, _ in told if 10.0 < t < ceased_s + GAP_S)
+    assert all(error < bound for t, error, bound, _ in told if ceased_s < t < again_s)
+    assert all(error < 2.0 * bound for t, error, bound, _ in told if t >= again_s)
+    assert all(error < level for _, error, _, level in told)
+    # An acceleration of 1 g for four seconds is a limit, not a sigma.
+    assert 78.0 < next(level for t, _, _, level in told if t > ceased_s + 4.0) < 100.0
 
 
 def test_in_a_long_gap_a_vehicle_that_turns_is_not_predicted_straight_on():

@@ -1,0 +1,109 @@
+"""Gaps: what a denied vehicle may have done without ranges, or without those along one direction, eq. (29) and (37)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
+from gcs_coloc.core.measurements import RangeMeasurement
+from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
+from gcs_coloc.estimators.fleet.ekf.gap import HORIZONTAL, Motion, unshown_motion
+from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
+from gcs_coloc.estimators.fleet.ekf.process_model import GAP_S, gap_covariance, motion_since, shown_acceleration_mps2
+from gcs_coloc.estimators.fleet.ekf.records import Neighbour, VehicleRecord
+from gcs_coloc.estimators.fleet.search.position_search import is_too_wide
+
+_UNSHOWN_NIS = 9.0
+"""Chosen: three sigmas; few ranges after a gap without an unusual manoeuvre are beyond."""
+_TOLD_SIGMA_M = 5.0
+"""Chosen: ranges tell of a direction along which the last of each neighbour know the position this well."""
+_TOLD_RATIO = 3.0
+"""Chosen: and of one along which they are so much coarser at most; where all are coarse, no gap is the cause."""
+_NOTHING: Motion = (0.0, 0.0, 0.0)
+
+Information = tuple[float, float, float]
+"""Of ranges on the horizontal position, 1/m^2: east, east-north and north element."""
+_NO_INFORMATION: Information = (0.0, 0.0, 0.0)
+
+
+def add_gap(cluster: Cluster, vehicle: int, at_s: float) -> None:
+    """Add to a denied vehicle's covariance what it may have done in a gap before a range at `at_s`, eq. (29).
+
+    What goes beyond the manoeuvres that it has shown is kept until a range tells of it.
+    """
+    record, s = cluster.records[vehicle], cluster.settings
+    possible = gap_covariance(record, s, at_s)
+    if possible[0] == 0.0:
+        _keep_partial_gap(cluster, record, at_s)
+        return
+    shown = shown_m2, shown_m2ps2, shown_both = gap_covariance(record, s, at_s, shown_acceleration_mps2(record, s))
+    cluster.propagate(vehicle, at_s)
+    P = cluster.joint.covariance(vehicle)
+    for axis in (0, 1):
+        P[axis, axis] += shown_m2
+        P[axis + 3, axis + 3] += shown_m2ps2
+        P[axis, axis + 3] += shown_both
+        P[axis + 3, axis] += shown_both
+    record.unshown = unshown_motion(at_s, possible, shown)
+    record.updated_at_s = record.gaps_added_until_s = at_s
+
+
+def judge_unshown_motion(cluster: Cluster, vehicle: int, result: UpdateResult, m: RangeMeasurement) -> None:
+    """Let a range rule out what a vehicle may have done in its last gap, or add that to its covariance."""
+    record, at_s = cluster.records[vehicle], m.measured_at_s
+    if record.unshown is None or result.degrees_of_freedom == 0:
+        return
+    if result.nis <= _UNSHOWN_NIS:
+        record.unshown = record.unshown.after_range(result.unit, result.sigma_m)
+        return
+    unshown = record.unshown.covariance(at_s)
+    if is_too_wide(unshown.item(0, 0) + unshown.item(1, 1), m.range_m, m.sigma_m):
+        unshown = record.unshown.not_ruled_out().covariance(at_s)
+    cluster.joint.covariance(vehicle)[HORIZONTAL] += unshown
+    record.unshown = None
+    record.gaps_added_until_s = at_s
+
+
+def _keep_partial_gap(cluster: Cluster, record: VehicleRecord, at_s: float) -> None:
+    """Keep what a vehicle may have done since the ranges along one direction ceased, with those along the other going on.
+
+    The process noise goes on holding the manoeuvres that it has shown.
+    """
+    s, from_s = cluster.settings, max(_told_of_both_at_s(record, at_s), record.gaps_added_until_s)
+    possible = motion_since(from_s, record, s, at_s)
+    if possible[0] == 0.0:
+        return
+    is_recurring = record.profile.is_recurring
+    shown = motion_since(from_s, record, s, at_s, shown_acceleration_mps2(record, s)) if is_recurring else _NOTHING
+    unshown = unshown_motion(at_s, possible, shown)
+    if unshown is not None:
+        ee, en, nn = _recent_information(record, at_s)
+        record.unshown = replace(unshown, ee=ee, en=en, nn=nn)
+
+
+def _told_of_both_at_s(record: VehicleRecord, at_s: float) -> float:
+    """Return when the ranges last told of both horizontal directions; now where they never did: no gap is the cause."""
+    information = _NO_INFORMATION
+    for neighbour in sorted(record.neighbours.values(), key=lambda each: -each.at_s):
+        information = _with_range(information, neighbour)
+        mean, radius = eigenvalue_mean_and_radius(*information, math.hypot)
+        least, most = mean - radius, mean + radius
+        if least * _TOLD_SIGMA_M**2 >= 1.0 or (most > 0.0 and least * _TOLD_RATIO**2 >= most):
+            return neighbour.at_s
+    return at_s
+
+
+def _recent_information(record: VehicleRecord, at_s: float) -> Information:
+    """Return the information of the last ranges to the neighbours whose ranges have not ceased."""
+    information = _NO_INFORMATION
+    for neighbour in record.neighbours.values():
+        if at_s - neighbour.at_s <= GAP_S:
+            information = _with_range(information, neighbour)
+    return information
+
+
+def _with_range(information: Information, neighbour: Neighbour) -> Information:
+    e, n = neighbour.unit[0] / neighbour.sigma_m, neighbour.unit[1] / neighbour.sigma_m
+    ee, en, nn = information
+    return ee + e * e, en + e * n, nn + n * n
