@@ -8,10 +8,10 @@ from dataclasses import replace
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
 from gcs_coloc.core.measurements import RangeMeasurement
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
-from gcs_coloc.estimators.fleet.ekf.gap import HORIZONTAL, Motion, unshown_motion
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
 from gcs_coloc.estimators.fleet.ekf.process_model import GAP_S, gap_covariance, motion_since, shown_acceleration_mps2
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour, VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.unshown_motion import HORIZONTAL, Motion, unshown_motion
 from gcs_coloc.estimators.fleet.search.position_search import is_too_wide
 
 _UNSHOWN_NIS = 9.0

@@ -33,8 +33,8 @@ from gcs_coloc.estimators.fleet.ambiguity.reflection import (
     vertical_plane_through_line,
 )
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
-from gcs_coloc.estimators.fleet.ekf.gap import BOUND_95_SIGMAS, HORIZONTAL
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
+from gcs_coloc.estimators.fleet.ekf.unshown_motion import BOUND_95_SIGMAS, HORIZONTAL
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.reflection_hypothesis import (
     ReflectionHypothesis,

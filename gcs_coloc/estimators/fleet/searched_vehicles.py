@@ -9,10 +9,10 @@ import numpy as np
 from gcs_coloc.core.measurements import FloatArray, NoEstimateReason, RangeMeasurement, Unlocated
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import ManoeuvreDetector
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
-from gcs_coloc.estimators.fleet.ekf.gap import HORIZONTAL
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour, Records
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, pair_key
+from gcs_coloc.estimators.fleet.ekf.unshown_motion import HORIZONTAL
 from gcs_coloc.estimators.fleet.gaps import add_gap
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
 from gcs_coloc.estimators.fleet.motion_profiles import MotionProfile

@@ -19,8 +19,8 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseLevel, NoiseSplit
 from gcs_coloc.estimators.fleet.ekf.air_calibration import AirCalibration
-from gcs_coloc.estimators.fleet.ekf.gap import UnshownMotion
 from gcs_coloc.estimators.fleet.ekf.state import PairKey
+from gcs_coloc.estimators.fleet.ekf.unshown_motion import UnshownMotion
 from gcs_coloc.estimators.fleet.motion_profiles import PROFILES, MotionProfile
 from gcs_coloc.estimators.fleet.range_biases import BiasWindow, PairBias, RangeBiases, Ranged, UnknownBias
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch

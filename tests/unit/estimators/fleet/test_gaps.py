@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m, horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement, VehicleClass, VehicleClassReport
-from gcs_coloc.estimators.fleet.ekf.gap import unshown_motion
 from gcs_coloc.estimators.fleet.ekf.process_model import GAP_S, gap_covariance
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
+from gcs_coloc.estimators.fleet.ekf.unshown_motion import unshown_motion
 from gcs_coloc.estimators.fleet.filter import FleetFilter
 from gcs_coloc.estimators.fleet.motion_profiles import PROFILES
 from gcs_coloc.estimators.fleet.settings import FleetSettings
