@@ -83,7 +83,7 @@ def test_a_manoeuvre_that_it_never_showed_is_in_the_bound_until_ranges_rule_it_o
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_gap_of_the_ranges_along_one_direction_is_a_gap(seed: int):
-    """A hovering multirotor leaves along it, with the ranges across going on: a bound of 5 m was stated 50 m off."""
+    """A hovering multirotor leaves along it, with the ranges across going on: its error came to 2.5 times its bound."""
     beacons, sigma_m, ceased_s, leaves_s, again_s = {1: (0.0, 150.0), 2: (150.0, 0.0)}, 1.0, 40.0, 41.0, 46.0
     rng, estimator, told = np.random.default_rng(seed), FleetFilter(), []
     estimator.add(VehicleClassReport(DENIED, 0.0, 0.0, VehicleClass.MULTIROTOR))
