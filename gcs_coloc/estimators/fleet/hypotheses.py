@@ -116,8 +116,10 @@ class FleetHypotheses:
     def _search_all_places(self, vehicle: int, at_s: float) -> None:
         """Let a vehicle that one model searches be searched at the places of all: there is no hypothesis beside a search."""
         of_vehicle = {group: h for group, h in self.hypotheses.items() if vehicle in group}
+        if not of_vehicle:
+            return
         models = [(self.main, 0.0), *((h.model, h.log_odds) for h in of_vehicle.values())]
-        if not of_vehicle or all(vehicle in model.clusters for model, _ in models):
+        if all(vehicle in model.clusters for model, _ in models):
             return
         found = [(search_of(model.clusters, model.records, vehicle, at_s), log_odds) for model, log_odds in models]
         places = [(search, log_odds) for search, log_odds in found if search is not None]
@@ -140,9 +142,9 @@ class FleetHypotheses:
         """Decide between a denied vehicle and its hypotheses, and test whether it has others."""
         self._tested_at_s[denied_vehicle] = at_s
         before = self._saved.pop(denied_vehicle, None)
-        groups = [group for group in self.hypotheses if denied_vehicle in group]
         if denied_vehicle not in self.main.clusters:
             return
+        groups = [group for group in self.hypotheses if denied_vehicle in group]
         self._saved[denied_vehicle] = save_estimate(self.main.clusters[denied_vehicle], denied_vehicle)
         for group in groups:
             if group in self.hypotheses:

@@ -12,11 +12,15 @@ from hypothesis import strategies as st
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m, horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement, VehicleClass, VehicleClassReport
+from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
 from gcs_coloc.estimators.fleet.ekf.process_model import GAP_S, gap_covariance
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.unshown_motion import unshown_motion
 from gcs_coloc.estimators.fleet.filter import FleetFilter
+from gcs_coloc.estimators.fleet.fleet_model import FleetModel
+from gcs_coloc.estimators.fleet.gaps import add_gap, judge_unshown_motion
 from gcs_coloc.estimators.fleet.motion_profiles import PROFILES
+from gcs_coloc.estimators.fleet.searched_vehicles import search_of
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 DENIED = 9
@@ -109,6 +113,45 @@ def test_a_gap_of_the_ranges_along_one_direction_is_a_gap(seed: int):
     assert all(error < level for _, error, _, level in told)
     # An acceleration of 1 g for four seconds is a limit, not a sigma.
     assert 78.0 < next(level for t, _, _, level in told if t > ceased_s + 4.0) < 100.0
+
+
+def hovering() -> FleetModel:
+    """Return a model of a multirotor at rest for 30 s, ranged until then."""
+    model, here = FleetModel(FleetSettings()), (0.0, 6.0)
+    model.apply(VehicleClassReport(DENIED, 0.0, 0.0, VehicleClass.MULTIROTOR))
+    for number, place in BEACONS.items():
+        model.apply(PositionMeasurement(number, 0.0, 0.0, (*place, 0.0), 0.01, 0.01, static=True))
+    model.apply(PositionMeasurement(DENIED, 0.0, 0.0, (*here, 0.0), 0.7, 0.7, (0.0, 0.0, 0.0), 0.3))
+    model.set_denied(frozenset({DENIED}), 0.01)
+    for k in range(1, 300):
+        model.apply(RangeMeasurement(DENIED, 1 + k % 4, 0.1 * k, 0.1 * k, math.dist(here, BEACONS[1 + k % 4]), 0.3))
+    return model
+
+
+def test_a_search_that_begins_in_a_gap_keeps_one_in_twenty_for_a_new_manoeuvre():
+    model = hovering()
+    add_gap(model.clusters[DENIED], DENIED, 34.0)
+    search = search_of(model.clusters, model.records, DENIED, 34.0)
+    assert search is not None
+    (shown_m2, all_m2), log_weight = search.covariance[:, 0, 0], search.log_weight
+    assert all_m2 > 25.0 * shown_m2
+    assert math.exp(log_weight[1] - log_weight[0]) == pytest.approx(0.05, abs=0.001)
+
+
+@pytest.mark.parametrize(("range_m", "is_along_the_arc_only"), [(50_000.0, True), (50.0, False)])
+def test_what_was_ruled_out_along_a_line_is_not_on_a_wide_arc(range_m, is_along_the_arc_only):
+    model = hovering()
+    cluster, record = model.clusters[DENIED], model.records[DENIED]
+    add_gap(cluster, DENIED, 36.0)
+    assert record.unshown is not None
+    record.unshown = record.unshown.after_range((0.0, 1.0, 0.0), 0.3)
+    e_m2, n_m2 = np.diag(cluster.joint.covariance(DENIED))[:2].tolist()
+    m = RangeMeasurement(DENIED, 1, 36.0, 36.0, range_m, 0.3)
+    judge_unshown_motion(cluster, DENIED, UpdateResult(Outcome.USED, 5.0, 1.0, 25.0, 1, (1.0, 0.0, 0.0)), m)
+    more_e_m2, more_n_m2 = np.diag(cluster.joint.covariance(DENIED))[:2] - (e_m2, n_m2)
+    assert more_e_m2 > 1000.0
+    assert more_n_m2 == pytest.approx(0.3**2 if is_along_the_arc_only else more_e_m2, rel=0.01)
+    assert record.unshown is None
 
 
 def test_in_a_long_gap_a_vehicle_that_turns_is_not_predicted_straight_on():
