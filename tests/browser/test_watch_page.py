@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from flight import Watched, browser, service
+from flight import Watched, browser, service, wait_for
 from playwright.sync_api import expect
 from test_accessibility import looks, violations
 from two_sites import two_sites
@@ -43,7 +43,8 @@ def names(page):
 def test_the_most_serious_stands_first_the_past_is_past_and_nothing_is_made_up(opened):
     (north, south), watched, process = opened
     page = watched.page
-    assert names(page) == ["north", "south"]
+    # While the states come in one by one, that of a fleet may be more serious for a moment.
+    wait_for(lambda: names(page) == ["north", "south"], "two fleets that are well, by their names")
     expect(page.locator("#connection")).to_have_text("live")
     for name in ("north", "south"):
         expect(fleet(page, name).locator("details")).not_to_have_attribute("open", "")  # all is well
@@ -52,7 +53,7 @@ def test_the_most_serious_stands_first_the_past_is_past_and_nothing_is_made_up(o
     expect(row(page, "south", "4")).to_contain_text("GPS failed")
     expect(row(page, "south", "4")).to_contain_text(re.compile(r"\d+\.\d{5}, \d+\.\d{5}"))
     expect(row(page, "south", "1")).to_contain_text("good")
-    assert names(page) == ["south", "north"]
+    wait_for(lambda: names(page) == ["south", "north"], "the one with a lost GPS first")
     expect(fleet(page, "south").locator("tbody tr").first.get_by_role("rowheader")).to_have_text("4")
     for _ in looks(page):
         assert violations(page) == []

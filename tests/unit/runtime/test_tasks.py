@@ -106,12 +106,16 @@ def test_its_processes_end_with_a_program_that_is_killed() -> None:
 from gcs_coloc.runtime.tasks import Workers, run_tasks
 
 if __name__ == "__main__":
-    run_tasks(eval, ["print('begun', flush=True) or __import__('time').sleep(600.0)"] * 2, Workers(2), lambda *_: None)
+    # Each line at once, so that those of two processes do not mix.
+    task = "__import__('os').write(1, b'begun\\\\n') and __import__('time').sleep(600.0)"
+    run_tasks(eval, [task] * 2, Workers(2), lambda *_: None)
 """
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        assert [process.stdout.readline(), process.stdout.readline()] == ["begun\n"] * 2
-        process.kill()
+        try:
+            assert [process.stdout.readline(), process.stdout.readline()] == ["begun\n"] * 2
+        finally:
+            process.kill()
         # The output ends when the last of them has.
         assert process.communicate(timeout=60.0) == ("", None)
 
