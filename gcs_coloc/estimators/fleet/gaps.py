@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
 from gcs_coloc.core.measurements import RangeMeasurement
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
-from gcs_coloc.estimators.fleet.ekf.process_model import GAP_S, gap_covariance, motion_since, shown_acceleration_mps2
+from gcs_coloc.estimators.fleet.ekf.process_model import (
+    GAP_S,
+    gap_covariance,
+    motion_since,
+    shown_acceleration_mps2,
+    shows_its_motion,
+)
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.unshown_motion import HORIZONTAL, Motion, unshown_motion
 from gcs_coloc.estimators.fleet.search.position_search import is_too_wide
@@ -24,7 +31,6 @@ _NOTHING: Motion = (0.0, 0.0, 0.0)
 
 Information = tuple[float, float, float]
 """Of ranges on the horizontal position, 1/m^2: east, east-north and north element."""
-_NO_INFORMATION: Information = (0.0, 0.0, 0.0)
 
 
 def add_gap(cluster: Cluster, vehicle: int, at_s: float) -> None:
@@ -55,7 +61,9 @@ def judge_unshown_motion(cluster: Cluster, vehicle: int, result: UpdateResult, m
     if record.unshown is None or result.degrees_of_freedom == 0:
         return
     if result.nis <= _UNSHOWN_NIS:
-        record.unshown = record.unshown.after_range(result.unit, result.sigma_m)
+        other = m.to_vehicle if m.from_vehicle == vehicle else m.from_vehicle
+        if at_s - _known_until_s(cluster, other, at_s) <= GAP_S:
+            record.unshown = record.unshown.after_range(result.unit, result.sigma_m)
         return
     unshown = record.unshown.covariance(at_s)
     if is_too_wide(unshown.item(0, 0) + unshown.item(1, 1), m.range_m, m.sigma_m):
@@ -70,40 +78,53 @@ def _keep_partial_gap(cluster: Cluster, record: VehicleRecord, at_s: float) -> N
 
     The process noise goes on holding the manoeuvres that it has shown.
     """
-    s, from_s = cluster.settings, max(_told_of_both_at_s(record, at_s), record.gaps_added_until_s)
-    possible = motion_since(from_s, record, s, at_s)
+    s, told = cluster.settings, _last_told(cluster, record, at_s)
+    both_until_s = _told_of_both_at_s(told)
+    if both_until_s is None:
+        return
+    record.gaps_added_until_s = max(record.gaps_added_until_s, both_until_s)
+    possible = motion_since(record.gaps_added_until_s, record, s, at_s)
     if possible[0] == 0.0:
         return
     is_recurring = record.profile.is_recurring
-    shown = motion_since(from_s, record, s, at_s, shown_acceleration_mps2(record, s)) if is_recurring else _NOTHING
+    shown_mps2 = shown_acceleration_mps2(record, s)
+    shown = motion_since(record.gaps_added_until_s, record, s, at_s, shown_mps2) if is_recurring else _NOTHING
     unshown = unshown_motion(at_s, possible, shown)
     if unshown is not None:
-        ee, en, nn = _recent_information(record, at_s)
+        ee, en, nn = _information([neighbour for known_s, neighbour in told if at_s - known_s <= GAP_S])
         record.unshown = replace(unshown, ee=ee, en=en, nn=nn)
 
 
-def _told_of_both_at_s(record: VehicleRecord, at_s: float) -> float:
-    """Return when the ranges last told of both horizontal directions; now where they never did: no gap is the cause."""
-    information = _NO_INFORMATION
-    for neighbour in sorted(record.neighbours.values(), key=lambda each: -each.at_s):
-        information = _with_range(information, neighbour)
-        mean, radius = eigenvalue_mean_and_radius(*information, math.hypot)
+def _last_told(cluster: Cluster, record: VehicleRecord, at_s: float) -> list[tuple[float, Neighbour]]:
+    """Return the last range of each neighbour with the time until which it tells of the position, s, the latest first."""
+    told = [(min(n.at_s, _known_until_s(cluster, other, at_s)), n) for other, n in record.neighbours.items()]
+    return sorted(told, key=lambda each: -each[0])
+
+
+def _known_until_s(cluster: Cluster, vehicle: int, at_s: float) -> float:
+    """Return until when the motion of a range's other end is known: of a denied one until its own last gap.
+
+    So two of them do not vouch for each other.
+    """
+    record = cluster.records[vehicle]
+    is_known = not record.denied_vehicle or shows_its_motion(record, cluster.settings, at_s)
+    return at_s if is_known else record.gaps_added_until_s
+
+
+def _told_of_both_at_s(told: Sequence[tuple[float, Neighbour]]) -> float | None:
+    """Return until when the last ranges told of both horizontal directions; None where they do not: no gap is the cause."""
+    for count, (known_s, _) in enumerate(told, start=1):
+        mean, radius = eigenvalue_mean_and_radius(*_information([neighbour for _, neighbour in told[:count]]), math.hypot)
         least, most = mean - radius, mean + radius
         if least * _TOLD_SIGMA_M**2 >= 1.0 or (most > 0.0 and least * _TOLD_RATIO**2 >= most):
-            return neighbour.at_s
-    return at_s
+            return known_s
+    return None
 
 
-def _recent_information(record: VehicleRecord, at_s: float) -> Information:
-    """Return the information of the last ranges to the neighbours whose ranges have not ceased."""
-    information = _NO_INFORMATION
-    for neighbour in record.neighbours.values():
-        if at_s - neighbour.at_s <= GAP_S:
-            information = _with_range(information, neighbour)
-    return information
-
-
-def _with_range(information: Information, neighbour: Neighbour) -> Information:
-    e, n = neighbour.unit[0] / neighbour.sigma_m, neighbour.unit[1] / neighbour.sigma_m
-    ee, en, nn = information
-    return ee + e * e, en + e * n, nn + n * n
+def _information(neighbours: Iterable[Neighbour]) -> Information:
+    """Return the information of the last ranges to some neighbours."""
+    ee = en = nn = 0.0
+    for neighbour in neighbours:
+        e, n = neighbour.unit[0] / neighbour.sigma_m, neighbour.unit[1] / neighbour.sigma_m
+        ee, en, nn = ee + e * e, en + e * n, nn + n * n
+    return ee, en, nn

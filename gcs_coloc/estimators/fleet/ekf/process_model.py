@@ -171,7 +171,7 @@ def motion_since(from_s: float, record: VehicleRecord, s: FleetSettings, at_s: f
     since_s = at_s - from_s
     if not GAP_S < since_s < math.inf or not record.denied_vehicle:
         return 0.0, 0.0, 0.0
-    if fresh_attitude(record, s, at_s) is not None or has_fresh_odometry(record, s, at_s):
+    if shows_its_motion(record, s, at_s):
         return 0.0, 0.0, 0.0
     limits = record.profile
     most_mps2 = min(most_mps2, limits.max_acceleration_mps2)
@@ -196,6 +196,11 @@ def fresh_attitude(record: VehicleRecord, s: FleetSettings, at_s: float) -> Atti
 def has_fresh_odometry(record: VehicleRecord, s: FleetSettings, at_s: float) -> bool:
     """Whether a vehicle's newest odometry is no older than an attitude may be; it shows the turns as well."""
     return record.odometry is not None and at_s - record.odometry.measured_at_s <= s.attitude_fresh_s
+
+
+def shows_its_motion(record: VehicleRecord, s: FleetSettings, at_s: float) -> bool:
+    """Whether a vehicle's attitude with airspeed, or its odometry, is fresh and shows its turns."""
+    return fresh_attitude(record, s, at_s) is not None or has_fresh_odometry(record, s, at_s)
 
 
 def _most_level(record: VehicleRecord, P: FloatArray) -> float:

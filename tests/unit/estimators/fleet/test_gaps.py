@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -11,7 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m, horizontal_sigma_m
-from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement, VehicleClass, VehicleClassReport
+from gcs_coloc.core.measurements import (
+    Estimate,
+    OdometryMeasurement,
+    PositionMeasurement,
+    RangeMeasurement,
+    VehicleClass,
+    VehicleClassReport,
+)
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
 from gcs_coloc.estimators.fleet.ekf.process_model import GAP_S, gap_covariance
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
@@ -26,6 +33,7 @@ from gcs_coloc.estimators.fleet.settings import FleetSettings
 DENIED = 9
 BEACONS = {1: (-46.0, 11.0), 2: (11.0, -7.0), 3: (22.0, 24.0), 4: (-18.0, 59.0)}
 SIGMA_M = 0.5
+LOST_S = 5.0
 BURST_S, PERIOD_S = 1.6, 3.8
 """Eight ranges, two to each beacon, then silence."""
 
@@ -85,6 +93,12 @@ def test_a_manoeuvre_that_it_never_showed_is_in_the_bound_until_ranges_rule_it_o
     assert np.mean(covered) > 0.9
 
 
+def leaving(t: float, leaves_s: float) -> float:
+    """Return how far east a multirotor is that leaves at 6 m/s^2, up to 9 m/s."""
+    since_s = max(t - leaves_s, 0.0)
+    return 3.0 * min(since_s, 1.5) ** 2 + 9.0 * max(since_s - 1.5, 0.0)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_gap_of_the_ranges_along_one_direction_is_a_gap(seed: int):
     """A hovering multirotor leaves along it, with the ranges across going on: its error came to 2.5 times its bound."""
@@ -97,8 +111,7 @@ def test_a_gap_of_the_ranges_along_one_direction_is_a_gap(seed: int):
     estimator.set_denied({DENIED}, 0.01)
     for k in range(1, 250):
         t = 0.2 * k
-        since_s = max(t - leaves_s, 0.0)
-        here = 3.0 * min(since_s, 1.5) ** 2 + 9.0 * max(since_s - 1.5, 0.0), 0.0
+        here = leaving(t, leaves_s), 0.0
         for number, place in beacons.items():
             if number == 1 or not ceased_s < t < again_s:
                 range_m = math.dist(here, place) + sigma_m * rng.normal()
@@ -113,6 +126,49 @@ def test_a_gap_of_the_ranges_along_one_direction_is_a_gap(seed: int):
     assert all(error < level for _, error, _, level in told)
     # An acceleration of 1 g for four seconds is a limit, not a sigma.
     assert 78.0 < next(level for t, _, _, level in told if t > ceased_s + 4.0) < 100.0
+
+
+PEERS = {1: (-150.0, 600.0), 2: (0.0, 600.0)}
+LOST_SIDE_BY_SIDE = {8: (-150.0, 0.0), 9: (0.0, 0.0)}
+
+
+def side_by_side(seed: int, leaves_s: float, with_odometry: frozenset[int]) -> Iterator[tuple[float, int, float, float]]:
+    """Yield time (s), vehicle, error and 95 % bound (m) of two multirotors that lose their GPS after 5 s, and leave east."""
+    rng, estimator, sigma_m = np.random.default_rng(seed), FleetFilter(), 0.5
+    for number, place in PEERS.items():
+        estimator.add(PositionMeasurement(number, 0.0, 0.0, (*place, 0.0), 0.5, 0.5, static=True))
+    for number in LOST_SIDE_BY_SIDE:
+        estimator.add(VehicleClassReport(number, 0.0, 0.0, VehicleClass.MULTIROTOR))
+    for k in range(1, 60):
+        t = round(0.2 * k, 3)
+        here = {number: (e + leaving(t, leaves_s), n) for number, (e, n) in LOST_SIDE_BY_SIDE.items()} | PEERS
+        for number in with_odometry:
+            estimator.add(OdometryMeasurement(number, t, t, 0.0, 0.0, 0.0, 0.05, 0.01))
+        if t < LOST_S:
+            for number in LOST_SIDE_BY_SIDE:
+                estimator.add(PositionMeasurement(number, t, t, (*here[number], 0.0), 0.7, 0.7, (0.0, 0.0, 0.0), 0.3))
+            continue
+        estimator.set_denied(set(LOST_SIDE_BY_SIDE), t)
+        for a, b in ((8, 1), (9, 2), (9, 8)):
+            estimator.add(RangeMeasurement(a, b, t, t, math.dist(here[a], here[b]) + sigma_m * rng.normal(), sigma_m))
+        for number in LOST_SIDE_BY_SIDE:
+            where = estimator.estimate(number, t)
+            assert isinstance(where, Estimate)
+            error_m = math.dist(where.position_enu_m[:2], here[number])
+            yield t, number, error_m, horizontal_bound_95_m(where.covariance)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_lost_vehicles_do_not_vouch_for_each_other(seed: int):
+    """They leave across the ranges to their peers, and were off by 2.5 times their bounds."""
+    for t, _, error_m, bound_m in side_by_side(seed, LOST_S + 2.0, frozenset()):
+        assert error_m < bound_m
+        assert bound_m < 4.0 or t > LOST_S + 1.0
+
+
+def test_a_lost_vehicle_that_shows_its_motion_vouches_for_another():
+    told = list(side_by_side(0, math.inf, frozenset({8})))
+    assert max(bound_m for _, number, _, bound_m in told if number == 9) < 6.0
 
 
 def hovering() -> FleetModel:
