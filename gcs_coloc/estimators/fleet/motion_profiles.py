@@ -15,7 +15,8 @@ class MotionProfile:
 
     `noise_levels`: bounds of the learned factor of the white acceleration without a fresh bank angle, eq. (30). A plane flies
     steadily between turns, which the manoeuvre detector finds. The manoeuvres of other vehicles recur (`is_recurring`).
-    A vehicle of which nothing is known has the white acceleration of the settings.
+    A vehicle of which nothing is known has the white acceleration of the settings. `climb_level`: factor of the vertical one
+    where reports or a barometric height show the climbs.
     """
 
     max_speed_mps: float
@@ -23,6 +24,7 @@ class MotionProfile:
     max_climb_mps: float
     noise_levels: tuple[float, float]
     is_recurring: bool
+    climb_level: float = 1.0
 
     def reach_m(self, since_s: float, acceleration_mps2: float) -> float:
         """Return how far an acceleration may take a vehicle from where its velocity leads, m: min(a t^2 / 2, 2 V t)."""
@@ -34,10 +36,12 @@ _TURNING = (1.0, 30.0), False
 """Chosen: to 9 m^2/s^3, turns of 30 degrees of bank between steady legs."""
 _RECURRING = (0.03, 300.0), True
 """Chosen: from 0.03 m^2/s^3, at rest, to 300 m^2/s^3, 1 g in turns of a second to either side."""
+_CLIMB_LEVEL_OF_A_MULTIROTOR = 15.0
+"""To 0.3 m^2/s^3. Chosen: climbs of 8 m/s are followed to 4 m; a barometer that jumps by 25 m leads astray by 8 m."""
 PROFILES: Mapping[VehicleClass | None, MotionProfile] = {
     None: MotionProfile(30.0, 9.8, 5.0, *_AS_SET),
     VehicleClass.PLANE: MotionProfile(50.0, 9.8, 5.0, *_TURNING),
-    VehicleClass.MULTIROTOR: MotionProfile(20.0, 9.8, 5.0, *_RECURRING),
+    VehicleClass.MULTIROTOR: MotionProfile(20.0, 9.8, 5.0, *_RECURRING, _CLIMB_LEVEL_OF_A_MULTIROTOR),
     VehicleClass.GROUND: MotionProfile(10.0, 4.0, 2.0, *_RECURRING),
     VehicleClass.BOAT: MotionProfile(15.0, 3.0, 0.5, *_RECURRING),
     VehicleClass.INDOOR: MotionProfile(3.0, 4.0, 2.0, *_RECURRING),

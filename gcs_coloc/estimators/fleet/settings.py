@@ -51,8 +51,8 @@ class FleetSettings:
     """m/s. Speed at which the horizontal density is half way between the two. Chosen: below the stall speed of
     small aircraft."""
     climb_density_m2ps3: float = between(0.02, 1e-6, 1e3)
-    """m^2/s^3. Vertical white acceleration in steady flight. Chosen: 0.14 m/s after a second, as of altitude
-    hold."""
+    """m^2/s^3. Vertical white acceleration in steady flight, 15 times as much of a multirotor whose height is
+    measured. Chosen: 0.14 m/s after a second, as of altitude hold."""
     unobserved_climb_density_m2ps3: float = between(0.1, 1e-6, 1e3)
     """m^2/s^3. The same of a fast denied vehicle without a height of its own. Chosen: a climb at 5 m/s is observed
     late; more costs accuracy in level flight."""

@@ -102,6 +102,8 @@ def set_transition(
     if record.denied_vehicle and record.baro_error_sigma_m == 0.0:
         # Without a height of its own a climb is observed late, and a fast vehicle climbs fast.
         climb += (1.0 - slowness) * max(s.unobserved_climb_density_m2ps3 - climb, 0.0)
+    else:
+        climb *= record.profile.climb_level
     gain, gain_v = record.manoeuvre.gains()
     # The turn rate decays within the step: the heading changes by omega times this.
     lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)

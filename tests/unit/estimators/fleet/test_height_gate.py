@@ -57,13 +57,15 @@ def flown(climb_mps: float, jump_m: float, seed: int) -> tuple[float, float]:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_copter_that_climbs_and_sinks_in_turns_keeps_its_height_and_its_place(seed):
+    """With the white acceleration of altitude hold it was 7.4 m too high or low."""
     off_m, ratio = flown(CLIMB_MPS, 0.0, seed)
-    assert off_m < 10.0
+    assert off_m < 5.0
     assert ratio < 1.5
 
 
 @pytest.mark.parametrize("jump_m", [-80.0, -25.0, 10.0, 25.0, 80.0])
 def test_a_barometer_that_jumps_does_not_move_it_aside_and_by_tens_of_metres_not_upwards(jump_m):
+    """What follows a climb closely follows a jump a little: by up to 7.5 m."""
     off_m, ratio = flown(0.0, jump_m, seed=1)
     assert ratio < 1.5
-    assert off_m < 5.0 or abs(jump_m) > 25.0
+    assert off_m < 8.0 or abs(jump_m) > 25.0
