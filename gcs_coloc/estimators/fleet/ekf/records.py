@@ -117,7 +117,7 @@ class VehicleRecord:
     updated_at_s: float = -math.inf
     """Time of the last position report or range that was used."""
     gaps_added_until_s: float = -math.inf
-    """Its covariance holds what it may have done in gaps until then."""
+    """Until then GPS or ranges told of its motion along both horizontal axes, or its covariance holds what it may have done."""
     unshown: UnshownMotion | None = None
     """What it may have done in its last gap beyond what it has shown before."""
     velocity_used_at_s: float = -math.inf

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pytest
@@ -128,11 +128,14 @@ def test_a_gap_of_the_ranges_along_one_direction_is_a_gap(seed: int):
     assert 78.0 < next(level for t, _, _, level in told if t > ceased_s + 4.0) < 100.0
 
 
-PEERS = {1: (-150.0, 600.0), 2: (0.0, 600.0)}
+PEERS = {1: (-150.0, 600.0), 2: (0.0, 600.0), 3: (-600.0, -200.0)}
 LOST_SIDE_BY_SIDE = {8: (-150.0, 0.0), 9: (0.0, 0.0)}
+ACROSS = ((8, 1), (9, 2), (9, 8))
 
 
-def side_by_side(seed: int, leaves_s: float, with_odometry: frozenset[int]) -> Iterator[tuple[float, int, float, float]]:
+def side_by_side(
+    seed: int, leaves_s: float, pairs: Sequence[tuple[int, int]], with_odometry: Sequence[int] = ()
+) -> Iterator[tuple[float, int, float, float]]:
     """Yield time (s), vehicle, error and 95 % bound (m) of two multirotors that lose their GPS after 5 s, and leave east."""
     rng, estimator, sigma_m = np.random.default_rng(seed), FleetFilter(), 0.5
     for number, place in PEERS.items():
@@ -149,7 +152,7 @@ def side_by_side(seed: int, leaves_s: float, with_odometry: frozenset[int]) -> I
                 estimator.add(PositionMeasurement(number, t, t, (*here[number], 0.0), 0.7, 0.7, (0.0, 0.0, 0.0), 0.3))
             continue
         estimator.set_denied(set(LOST_SIDE_BY_SIDE), t)
-        for a, b in ((8, 1), (9, 2), (9, 8)):
+        for a, b in pairs:
             estimator.add(RangeMeasurement(a, b, t, t, math.dist(here[a], here[b]) + sigma_m * rng.normal(), sigma_m))
         for number in LOST_SIDE_BY_SIDE:
             where = estimator.estimate(number, t)
@@ -161,13 +164,16 @@ def side_by_side(seed: int, leaves_s: float, with_odometry: frozenset[int]) -> I
 @pytest.mark.parametrize("seed", range(3))
 def test_two_lost_vehicles_do_not_vouch_for_each_other(seed: int):
     """They leave across the ranges to their peers, and were off by 2.5 times their bounds."""
-    for t, _, error_m, bound_m in side_by_side(seed, LOST_S + 2.0, frozenset()):
+    for t, _, error_m, bound_m in side_by_side(seed, LOST_S + 2.0, ACROSS):
         assert error_m < bound_m
         assert bound_m < 4.0 or t > LOST_S + 1.0
 
 
-def test_a_lost_vehicle_that_shows_its_motion_vouches_for_another():
-    told = list(side_by_side(0, math.inf, frozenset({8})))
+@pytest.mark.parametrize(
+    ("pairs", "with_odometry"), [(ACROSS, [8]), ([(8, 3), *ACROSS], [])], ids=["by odometry", "by two peers"]
+)
+def test_a_lost_vehicle_whose_motion_is_known_vouches_for_another(pairs, with_odometry):
+    told = list(side_by_side(0, math.inf, pairs, with_odometry))
     assert max(bound_m for _, number, _, bound_m in told if number == 9) < 6.0
 
 

@@ -5,9 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from gcs_coloc.core.measurements import VehicleClass
 from gcs_coloc.estimators.fleet.ekf._kernels import Transition
-from gcs_coloc.estimators.fleet.ekf.process_model import turn_rate_radps
+from gcs_coloc.estimators.fleet.ekf.process_model import set_transition, turn_rate_radps
+from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import SIZE, TURN
+from gcs_coloc.estimators.fleet.motion_profiles import PROFILES
+from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 
 @pytest.mark.parametrize("turn_radps", [0.4, -0.25, 1e-6, 0.0])
@@ -85,3 +89,20 @@ def test_slow_states_keep_their_spread_however_the_step_is_cut():
     np.testing.assert_array_equal(mean[:6], np.arange(6.0))
     of_state = np.array(times_s)[[0, 0, 1, 1, 2, 3, 3, 3, 4, 5]]
     np.testing.assert_allclose(once[6:], np.arange(6.0, 16.0) * np.exp(-1.0 / of_state))
+
+
+@pytest.mark.parametrize(
+    ("vehicle_class", "denied", "height_sigma_m", "level"),
+    [
+        (VehicleClass.MULTIROTOR, False, 0.0, 15.0),
+        (VehicleClass.MULTIROTOR, True, 1.0, 15.0),
+        (VehicleClass.MULTIROTOR, True, 0.0, 1.0),
+        (VehicleClass.PLANE, False, 0.0, 1.0),
+        (VehicleClass.PLANE, True, 1.0, 1.0),
+    ],
+)
+def test_climbs_of_a_multirotor_are_followed_where_reports_or_heights_show_them(vehicle_class, denied, height_sigma_m, level):
+    record = VehicleRecord(denied_vehicle=denied, baro_error_sigma_m=height_sigma_m, profile=PROFILES[vehicle_class])
+    transition, s = Transition(), FleetSettings()
+    set_transition(transition, record, s, ([0.0] * SIZE, np.eye(SIZE)), 1.0, 1.0)
+    assert transition.Q[5, 5] == pytest.approx(level * s.climb_density_m2ps3)
