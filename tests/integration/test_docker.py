@@ -130,17 +130,19 @@ def test_sigterm_ends_the_service_within_two_seconds_with_a_last_message_without
     ended = demo.inspect("coloc")["State"]
     assert ended["ExitCode"] == 0  # after two seconds the engine would have killed it: 137
     demo.run("docker", "cp", f"{container}:/var/lib/gcs-coloc/recordings", str(tmp_path))
-    assert sent_fix_types(max((tmp_path / "recordings").glob("*.tlog")))[-2:] == [3, 1]
+    *stream, last = sent_gps_inputs(max((tmp_path / "recordings").glob("*.tlog")))
+    assert any(message.fix_type == 3 for message in stream)
+    assert all(message.time_usec > 0 for message in stream)
+    assert (last.fix_type, last.time_usec) == (1, 0)  # the one that ends the stream alone is of no time
     wait_until(lambda: "4 dead_reckoning" in demo.log(demo.container("uav4"), ended["FinishedAt"]), PATIENCE_S)
     demo.run("docker", "start", container)
     wait_until(lambda: demo.is_healthy("coloc"), PATIENCE_S)
     fly_on(demo)
 
 
-def sent_fix_types(tlog: Path) -> list[int]:
+def sent_gps_inputs(tlog: Path) -> list[mavlink.MAVLink_gps_input_message]:
     frames = [record.frame for record in TlogReader(tlog)]
-    sent = [mavlink.MAVLink(None).parse_char(frame) for frame in frames if frame[7:10] == GPS_INPUT]
-    return [message.fix_type for message in sent]
+    return [mavlink.MAVLink(None).parse_char(frame) for frame in frames if frame[7:10] == GPS_INPUT]
 
 
 def test_the_image_holds_the_locked_versions_our_packages_and_nothing_else_of_ours(demo):
