@@ -97,13 +97,14 @@ class FleetHypotheses:
         if not self.hypotheses:
             result = self.main.apply(m)
         else:
-            concerned = [h for h in self.hypotheses.values() if any(v in h.model.clusters for v in ends)]
-            for hypothesis in concerned:
+            concerned = {group: h for group, h in self.hypotheses.items() if any(v in h.model.clusters for v in ends)}
+            for hypothesis in concerned.values():
                 hypothesis.model.import_vehicles(self.main, ends)
             open_sides = frozenset[int]().union(*self.hypotheses)
             result = self.main.apply(m, open_sides)
-            for hypothesis in concerned:
-                gain = log_likelihood_ratio(result, hypothesis.model.apply(m, open_sides))
+            for group, hypothesis in concerned.items():
+                may_climb = hypothesis.motion_only and not all(self.main.records[vehicle].has_height for vehicle in group)
+                gain = log_likelihood_ratio(result, hypothesis.model.apply(m, open_sides), may_climb=may_climb)
                 hypothesis.add_evidence(gain, m.measured_at_s)
         if isinstance(m, RangeMeasurement):
             for vehicle in ends:

@@ -92,11 +92,19 @@ def is_merged(cluster: Cluster, other: Cluster, denied_vehicle: int, at_s: float
     return float(d @ np.linalg.solve(S, d)) < _MERGED_NIS
 
 
-def log_likelihood_ratio(main: UpdateResult, hypothesis: UpdateResult) -> float:
-    """Return the log-likelihood ratio of a measurement, hypothesis against main model, eq. (24)."""
+def log_likelihood_ratio(main: UpdateResult, hypothesis: UpdateResult, *, may_climb: bool) -> float:
+    """Return the log-likelihood ratio of a measurement, hypothesis against main model, eq. (24).
+
+    Where only motion separates them, and a vehicle that turns in one of them climbs in the other (`may_climb`), both have the
+    larger sigma of the range: that it moves little is no evidence for the side on which it could have moved less.
+    """
     if main.degrees_of_freedom == 0 or hypothesis.degrees_of_freedom == 0:
         return 0.0
-    gain = 0.5 * (min(main.nis, _MOST_NIS) - min(hypothesis.nis, _MOST_NIS))
+    nis, other_nis, gain = main.nis, hypothesis.nis, 0.0
     if main.sigma_m > 0.0 and hypothesis.sigma_m > 0.0:
-        gain += math.log(main.sigma_m / hypothesis.sigma_m)
-    return gain
+        ratio = main.sigma_m / hypothesis.sigma_m
+        if may_climb:
+            nis, other_nis = nis * min(ratio, 1.0) ** 2, other_nis / max(ratio, 1.0) ** 2
+        else:
+            gain = math.log(ratio)
+    return gain + 0.5 * (min(nis, _MOST_NIS) - min(other_nis, _MOST_NIS))

@@ -141,9 +141,10 @@ def vertical_plane_through(cluster: Cluster, denied_vehicle: int, peers: list[in
 def only_motion_separates(cluster: Cluster, group: frozenset[int], at_s: float, line: ReflectionPlane | None) -> bool:
     """Whether only the process model separates the sides for the denied vehicles that are reflected together.
 
-    Their peers are two or on one straight `line`, and of one of them there is no air data.
+    Their peers are two or on one straight `line`, or three where no height is measured, and of one of them there is no air data.
     """
-    few = (line is not None and not line.ranges_separate) or len(_ranged_peers(cluster, group, at_s)) <= 2
+    most = 2 if all(cluster.records[vehicle].has_height for vehicle in group) else 3
+    few = (line is not None and not line.ranges_separate) or len(_ranged_peers(cluster, group, at_s)) <= most
     return few and any(fresh_attitude(cluster.records[vehicle], cluster.settings, at_s) is None for vehicle in group)
 
 

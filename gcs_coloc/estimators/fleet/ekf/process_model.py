@@ -99,7 +99,7 @@ def set_transition(
     length = abs(step_s)
     slowness, density = acceleration_density_m2ps3(x[3], x[4], s)
     climb = s.climb_density_m2ps3
-    if record.denied_vehicle and record.baro_error_sigma_m == 0.0:
+    if record.denied_vehicle and not record.has_height:
         # Without a height of its own a climb is observed late, and a fast vehicle climbs fast.
         climb += (1.0 - slowness) * max(s.unobserved_climb_density_m2ps3 - climb, 0.0)
     else:

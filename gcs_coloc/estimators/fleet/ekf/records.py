@@ -151,6 +151,11 @@ class VehicleRecord:
     initialisation_tried_at_s: float = -math.inf
     no_estimate_reason: Unlocated = _NOT_HEARD
 
+    @property
+    def has_height(self) -> bool:
+        """Whether a height of its own is in its states."""
+        return self.baro_error_sigma_m > 0.0
+
     def lasting_error(self, pair: Ranged) -> PairBias | None:
         """Return what the ranges of a pair are lastingly off, as far as that is known; None while no range would tell of it."""
         known, unknown = self.range_biases.bias(pair), self.unknown_bias

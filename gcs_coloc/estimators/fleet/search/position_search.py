@@ -27,6 +27,7 @@ from gcs_coloc.estimators.fleet.search.gaussian_mixture import (
     update,
     with_more_noise,
 )
+from gcs_coloc.estimators.fleet.search.range_points import range_points
 
 _TOO_WIDE = 4.0
 _NARROW = 1.4
@@ -38,10 +39,6 @@ _LEAST_SIGMAS = 10.0
 """Chosen: a shorter range has no side; it ends a search no sooner and begins none."""
 _SPLIT = 2.0
 """Chosen: the same for a component that is split again."""
-_MOST_ON_A_CIRCLE = 72
-"""Chosen: components 5 degrees apart; what is left of the bend then counts as noise, eq. (15)."""
-_MOST_HEIGHTS = 5
-"""Chosen: heights tried for each point of the circle where the height is open."""
 _OTHERS_SHARE = 1e-4
 """Chosen: other places with less than this share together are excluded; a wrong decision is confident and lasts."""
 _LEAST_SHARE = 1e-6
@@ -54,6 +51,8 @@ _LEAST_AGREED = 2
 """Chosen: so many ranges in a row must leave one place; a single one that is an outlier may fit a wrong one."""
 _REFUSED_MOST = 10
 """Chosen: when so many ranges in a row fit no component, none of them is the vehicle's place."""
+_FALSE_NIS = 100.0
+"""Chosen: a range ten sigmas from a wide component is false; one within them may be of a manoeuvre, and moves it."""
 _LEAST_DISTANCE_M = 0.1  # chosen: nearer, two antennas have no direction to each other
 _ROUNDING_M2 = 1e-12  # chosen: keeps a quotient finite; far below any variance
 
@@ -163,12 +162,16 @@ class PositionSearch:
         own_m2 = np.einsum("ki,kij,kj->k", u, P[:, :3, :3], u) + noise
         # How much a component remembers of earlier ranges, eq. (39), says nothing of where the vehicle is.
         more_m2 = noise.max() - noise
-        parts = []
+        parts, fits = [], False
         for i in np.flatnonzero(wide):
-            cx, cP, gain = self._split(x[i], P[i], circle, use)
+            cx, cP, gain, least_nis = self._split(x[i], P[i], circle, use)
             total = log_sum(gain)
-            parts.append((cx, cP, w[i] + gain - total + with_more_noise(total, own_m2[i], more_m2[i])))
-        fits = False
+            shares = gain - total
+            if least_nis > _FALSE_NIS:
+                cx, cP, shares = x[i, None], P[i, None], np.zeros(1)
+            else:
+                fits = True
+            parts.append((cx, cP, w[i] + shares + with_more_noise(total, own_m2[i], more_m2[i])))
         if len(kept):
             H = np.zeros((len(kept), 1, 6))
             H[:, 0, :3] = u[kept]
@@ -181,12 +184,12 @@ class PositionSearch:
             refused = nis > GATE_NIS
             cx = np.where(refused[:, None], x[kept], cx)
             cP = np.where(refused[:, None, None], P[kept], cP)
-            fits = not refused.all()
+            fits = fits or not refused.all()
             gain = with_more_noise(-0.5 * (nis + log_det), np.exp(log_det), more_m2[kept])
             parts.append((cx, cP, w[kept] + gain))
         x, P, w = (np.concatenate([part[i] for part in parts]) for i in range(3))
         x, P, w = merged(*pruned(x, P, w))
-        refusals = 0 if fits or wide.any() else self.refused + 1
+        refusals = 0 if fits else self.refused + 1
         uses = {**self.uses, circle.peer: use}
         found = replace(self, mean=x, covariance=P, log_weight=w, uses=uses, refused=refusals)
         return replace(found, agreed=self.agreed + 1 if found.place() is not None else 0)
@@ -220,46 +223,26 @@ class PositionSearch:
         earlier = np.where(p > c, np.minimum(use - 1, r / np.maximum(p - c, _ROUNDING_M2)), use - 1)
         return np.asarray((r + (earlier + 1.0) * c) * (r + earlier * c) / r)
 
-    def _split(self, x: FloatArray, P: FloatArray, circle: RangeCircle, use: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the components of one, split along the circle of a range, eq. (27): means, covariances, log-likelihoods."""
+    def _split(
+        self, x: FloatArray, P: FloatArray, circle: RangeCircle, use: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+        """Return the components of one, split along the circle of a range, eq. (27).
+
+        They are means, covariances, log-likelihoods, and the least NIS of all.
+        """
         reach_m = max(circle.range_m, _LEAST_DISTANCE_M)
         sigma_m = math.sqrt(circle.variance_m2 + float(np.trace(circle.covariance_m2)) / 3.0 * use)
-        fine_m = math.sqrt(reach_m * sigma_m)
-        count = min(max(math.ceil(2.0 * math.pi * reach_m / fine_m), 8), _MOST_ON_A_CIRCLE)
-        height_sigma_m = math.sqrt(max(float(P[2, 2]), 0.0))
-        levels = min(max(math.ceil(2.0 * height_sigma_m / fine_m), 1), _MOST_HEIGHTS)
-        heights = (
-            x[2] - circle.position_m[2] + height_sigma_m * np.linspace(-1.5, 1.5, levels)
-            if levels > 1
-            else (np.array([x[2] - circle.position_m[2]]))
-        )
-        heights = np.clip(heights, -0.999 * reach_m, 0.999 * reach_m)
-        azimuth = np.arange(count) * (2.0 * math.pi / count)
-        e, n = np.sin(azimuth), np.cos(azimuth)
-        zero = np.zeros(count)
-        points, H, R = [], [], []
-        step_m = 2.0 * math.pi * reach_m / count
-        for up in heights.tolist():
-            level_m = math.sqrt(reach_m * reach_m - up * up)
-            point = np.stack([level_m * e, level_m * n, np.full(count, up)], axis=1)
-            rows = np.zeros((count, 3 if levels > 1 else 2, 6))
-            rows[:, 0, :3] = point / reach_m
-            rows[:, 1, :3] = np.stack([n, -e, zero], axis=1)
-            noise = [self._noise(circle, point / reach_m, P[None], use), np.full(count, step_m**2)]
-            if levels > 1:
-                rows[:, 2, 2] = 1.0
-                noise.append(np.full(count, (3.0 * height_sigma_m / (levels - 1)) ** 2))
-            points.append(point)
-            H.append(rows)
-            R.append(np.stack(noise, axis=1))
-        point, rows, noise_m2 = np.concatenate(points) + circle.position_m, np.concatenate(H), np.concatenate(R)
-        innovation = np.einsum("kmi,ki->km", rows[:, :, :3], point - x[:3])
-        many = len(point)
+        unit, along, spacing_m = range_points(x[:3] - circle.position_m, P[:3, :3], reach_m, math.sqrt(reach_m * sigma_m))
+        many, axes = along.shape[:2]
+        rows = np.zeros((many, 1 + axes, 6))
+        rows[:, 0, :3], rows[:, 1:, :3] = unit, along
+        noise_m2 = np.full((many, 1 + axes), spacing_m**2)
+        noise_m2[:, 0] = self._noise(circle, unit, P[None], use)
+        innovation = np.einsum("kmi,ki->km", rows[:, :, :3], reach_m * unit + circle.position_m - x[:3])
         cx, cP, nis, log_det = update(np.repeat(x[None], many, 0), np.repeat(P[None], many, 0), rows, innovation, noise_m2)
-        # The weights of the points are shares of the component's, so their noise along the circle adds no evidence.
-        share = 0.5 * math.log(2.0 * math.pi) if levels == 1 else math.log(2.0 * math.pi)
-        scale = 0.5 * np.log(noise_m2[:, 1:]).sum(axis=1)
-        return cx, cP, scale - share - 0.5 * nis - 0.5 * log_det
+        # The weights of the points are shares of the component's, so their noise along the circle or sphere adds no evidence.
+        share = axes * (math.log(spacing_m) - 0.5 * math.log(2.0 * math.pi))
+        return cx, cP, share - 0.5 * nis - 0.5 * log_det, float(nis.min())
 
     def place(self) -> tuple[FloatArray, FloatArray] | None:
         """Return mean (6,) and covariance (6, 6) where all components that matter are at one place; None while several fit.
@@ -292,7 +275,8 @@ class PositionSearch:
         if place is None or self.is_open or sum(self.uses.values()) < _LEAST_RANGES:
             return None
         mean, covariance = place
-        if float(covariance[0, 0] + covariance[1, 1]) > _NARROW * max(distance_m, _LEAST_DISTANCE_M) * range_sigma_m:
+        spread_m2 = max(float(covariance[0, 0] + covariance[1, 1]), float(covariance[2, 2]))
+        if spread_m2 > _NARROW * max(distance_m, _LEAST_DISTANCE_M) * range_sigma_m:
             return None
         P = np.zeros((len(self.other_mean) + 6,) * 2)
         P[:6, :6], P[6:, 6:] = covariance, self.other_covariance
@@ -301,5 +285,6 @@ class PositionSearch:
 
 def _is_wide(P: FloatArray, circle: RangeCircle, noise_m2: FloatArray) -> NDArray[np.bool_]:
     """Return which components (k,) are too wide to linearise a range."""
-    wide: NDArray[np.bool_] = P[:, 0, 0] + P[:, 1, 1] > _SPLIT * max(circle.range_m, _LEAST_DISTANCE_M) * np.sqrt(noise_m2)
+    spread_m2 = np.maximum(P[:, 0, 0] + P[:, 1, 1], P[:, 2, 2])
+    wide: NDArray[np.bool_] = spread_m2 > _SPLIT * max(circle.range_m, _LEAST_DISTANCE_M) * np.sqrt(noise_m2)
     return wide

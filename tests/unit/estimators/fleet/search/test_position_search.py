@@ -61,10 +61,26 @@ def test_what_a_gap_has_blurred_is_on_the_circle_of_the_next_range_again_and_not
     one = search(20.0).with_range(circle(1, (0.0, 0.0, 0.0), truth)).with_range(circle(2, (8.0, 0.0, 0.0), truth))
     assert len(one.mean) > 10
     after = one.predicted(14.0, (1.0, 0.1), (1.5, 2.0)).with_range(circle(3, (0.0, 9.0, 0.0), truth))
-    distance = np.linalg.norm(after.mean[:, :2] - (0.0, 9.0), axis=1)
+    distance = np.linalg.norm(after.mean[:, :3] - (0.0, 9.0, 0.0), axis=1)
     share = np.exp(after.log_weight) / np.exp(after.log_weight).sum()
-    assert share[abs(distance - math.dist(truth[:2], (0.0, 9.0))) < 1.0].sum() > 0.95
+    assert share[abs(distance - math.dist(truth, (0.0, 9.0, 0.0))) < 1.0].sum() > 0.95
     assert after.place() is None
+
+
+def test_a_false_range_far_from_a_wide_component_leaves_it_where_it_is():
+    """Split along a range of 2 m to an anchor 20 m away it would be there, whatever the ranges before have told."""
+    covariance = np.diag([1.0, 2.0, 2.5, 0.1, 1.0, 0.1, *([1.0] * 10)])
+    mean = np.array([19.5, -3.5, 2.7, *([0.0] * 13)])
+    one = PositionSearch.of_state(mean, covariance, 0.0)
+    false = one.with_range(RangeCircle(1, np.array([0.3, -0.9, 0.5]), np.zeros((3, 3)), 2.1, 0.04))
+    np.testing.assert_array_equal(false.mean, one.mean)
+    np.testing.assert_array_equal(false.covariance, one.covariance)
+    assert false.refused == 1
+    right = false.with_range(RangeCircle(2, np.array([2.3, 0.9, 0.5]), np.zeros((3, 3)), 17.9, 0.04))
+    assert right.refused == 0
+    mean, covariance = right.place()
+    assert math.dist(mean[:3], (19.5, -3.5, 2.7)) < 1.0
+    assert covariance[0, 0] < 0.5
 
 
 def test_one_range_that_leaves_one_of_several_places_does_not_decide_alone():
