@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, NoEstimate, NoEstimateReason, Unlocated
-from gcs_coloc.estimators.fleet.ambiguity.curved_ranges import curvature_covariances
+from gcs_coloc.estimators.fleet.ambiguity.curved_ranges import FAR_SIGMAS, curvature_covariances
 from gcs_coloc.estimators.fleet.ambiguity.range_evidence import unresolved_outlier_variance_m2
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.process_model import gap_covariance
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TIME_STAMP_OFFSET, VELOCITY
+from gcs_coloc.estimators.fleet.ekf.unshown_motion import BOUND_95_SIGMAS, HORIZONTAL
+from gcs_coloc.estimators.fleet.gaps import untold_motion
 from gcs_coloc.estimators.fleet.observed_biases import unknown_bias_covariance
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch
 from gcs_coloc.estimators.fleet.searched_vehicles import predicted_search
@@ -20,6 +24,8 @@ from gcs_coloc.estimators.qu_zhang.dop import horizontal_dilution_of
 
 _STEP_BACK_MOST_S = 2.0
 """Chosen: further back the prediction with negative steps does not hold."""
+_LIMIT_SHARE = (BOUND_95_SIGMAS / FAR_SIGMAS) ** 2
+"""What a vehicle can do is a limit: its 95 % bound is that of the protection level as well."""
 _STATED = np.eye(6, SIZE)
 """Position and velocity of a vehicle's block."""
 
@@ -82,3 +88,18 @@ def estimate_of_search(
     if not worst_m <= settings.limit_sigma_m:
         return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))
     return Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, None, len(record.neighbours))
+
+
+def with_possible_motion(where: Estimate, record: VehicleRecord, settings: FleetSettings) -> Estimate | NoEstimate:
+    """Return an estimate with what no range has ruled out, or could tell of, that its vehicle did, eq. (29) and (37)."""
+    at_s = where.at_s
+    motion = untold_motion(record, settings, at_s) if record.unshown is None else record.unshown.covariance(at_s)
+    if motion is None:
+        return where
+    covariance = where.covariance.copy()
+    covariance[HORIZONTAL] += motion
+    worst_m = horizontal_sigma_m(covariance)
+    if not worst_m <= settings.limit_sigma_m:
+        return NoEstimate(where.vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))
+    far = where.protected_covariance[:2, :2] + _LIMIT_SHARE * motion[:2, :2]
+    return replace(where, covariance=covariance, far_covariance=far)

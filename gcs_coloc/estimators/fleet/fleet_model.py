@@ -125,7 +125,7 @@ class FleetModel:
                 self.clusters.remove(vehicle)
             if vehicle not in self.clusters and not self._initialise(vehicle, at_s):
                 record.no_estimate_reason = Unlocated(NoEstimateReason.NO_START)
-            record.gaps_added_until_s = record.updated_at_s
+            record.gaps_added_until_s = record.told_at_s = record.updated_at_s
         for vehicle in [v for v, record in self.records.items() if record.denied_vehicle and v not in denied]:
             record = self.records.writable(vehicle)
             record.denied_vehicle = False

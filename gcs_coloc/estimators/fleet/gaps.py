@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from gcs_coloc.core.error_ellipse import eigenvalue_mean_and_radius
-from gcs_coloc.core.measurements import RangeMeasurement
+from gcs_coloc.core.measurements import FloatArray, RangeMeasurement
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
 from gcs_coloc.estimators.fleet.ekf.process_model import (
@@ -18,8 +18,9 @@ from gcs_coloc.estimators.fleet.ekf.process_model import (
     shows_its_motion,
 )
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour, VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.unshown_motion import HORIZONTAL, Motion, unshown_motion
+from gcs_coloc.estimators.fleet.ekf.unshown_motion import HORIZONTAL, Motion, UnshownMotion, unshown_motion
 from gcs_coloc.estimators.fleet.search.position_search import is_too_wide
+from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _UNSHOWN_NIS = 9.0
 """Chosen: three sigmas; few ranges after a gap without an unusual manoeuvre are beyond."""
@@ -28,6 +29,8 @@ _TOLD_SIGMA_M = 5.0
 _TOLD_RATIO = 3.0
 """Chosen: and of one along which they are so much coarser at most; where all are coarse, no gap is the cause."""
 _NOTHING: Motion = (0.0, 0.0, 0.0)
+_TOO_FEW, _TOO_FEW_WITHOUT_HEIGHT = 1, 2
+"""So many neighbours leave a direction open: the vehicle may be anywhere on the circle of their ranges."""
 
 Information = tuple[float, float, float]
 """Of ranges on the horizontal position, 1/m^2: east, east-north and north element."""
@@ -55,6 +58,29 @@ def add_gap(cluster: Cluster, vehicle: int, at_s: float) -> None:
     record.updated_at_s = record.gaps_added_until_s = at_s
 
 
+def tell_of_all_directions(record: VehicleRecord) -> bool:
+    """Whether a denied vehicle has so many neighbours that their ranges may tell of its motion along all directions."""
+    return len(record.neighbours) > (_TOO_FEW if record.has_height else _TOO_FEW_WITHOUT_HEIGHT)
+
+
+def untold_motion(record: VehicleRecord, s: FleetSettings, at_s: float) -> FloatArray | None:
+    """Return what a denied vehicle may have done along directions of which its neighbours are too few to tell, eq. (29).
+
+    The covariance (4, 4) of position and velocity is to be stated beside that of the filter, which follows one of the ways that
+    fit. None if it is nothing; without any neighbour all is one gap.
+    """
+    if not record.neighbours or tell_of_all_directions(record):
+        return None
+    possible = motion_since(record.told_at_s, record, s, at_s)
+    if possible[0] == 0.0:
+        return None
+    untold = UnshownMotion(at_s, *possible)
+    if record.has_height:
+        ee, en, nn = _information(record.neighbours.values())
+        untold = replace(untold, ee=ee, en=en, nn=nn)
+    return untold.covariance(at_s)
+
+
 def judge_unshown_motion(cluster: Cluster, vehicle: int, result: UpdateResult, m: RangeMeasurement) -> None:
     """Let a range rule out what a vehicle may have done in its last gap, or add that to its covariance."""
     record, at_s = cluster.records[vehicle], m.measured_at_s
@@ -80,8 +106,12 @@ def _keep_partial_gap(cluster: Cluster, record: VehicleRecord, at_s: float) -> N
     """
     s, told = cluster.settings, _last_told(cluster, record, at_s)
     both_until_s = _told_of_both_at_s(told)
+    if shows_its_motion(record, s, at_s):
+        record.told_at_s = at_s
     if both_until_s is None:
         return
+    if tell_of_all_directions(record):
+        record.told_at_s = max(record.told_at_s, both_until_s)
     record.gaps_added_until_s = max(record.gaps_added_until_s, both_until_s)
     possible = motion_since(record.gaps_added_until_s, record, s, at_s)
     if possible[0] == 0.0:

@@ -14,7 +14,6 @@ import numpy as np
 
 from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import Estimate, Measurement, NoEstimate, NoEstimateReason, RangeMeasurement, Unlocated
-from gcs_coloc.estimators.fleet.ambiguity.curved_ranges import FAR_SIGMAS
 from gcs_coloc.estimators.fleet.ambiguity.range_evidence import (
     SavedEstimate,
     plane_after_gap,
@@ -34,7 +33,7 @@ from gcs_coloc.estimators.fleet.ambiguity.reflection import (
 )
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.outcomes import UpdateResult
-from gcs_coloc.estimators.fleet.ekf.unshown_motion import BOUND_95_SIGMAS, HORIZONTAL
+from gcs_coloc.estimators.fleet.estimates import with_possible_motion
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.reflection_hypothesis import (
     ReflectionHypothesis,
@@ -56,8 +55,6 @@ _STATED_LOG_ODDS = 6.0
 """Chosen: odds of 400; below them two places that are apart are no estimate but ambiguous."""
 _APART_NIS = 16.0
 """Chosen: as the gate; half way between two places their mean is beyond it for both."""
-_LIMIT_SHARE = (BOUND_95_SIGMAS / FAR_SIGMAS) ** 2
-"""What a vehicle can do is a limit: its 95 % bound is that of the protection level as well."""
 _MOST_HYPOTHESES = 16
 """Chosen: bounds the computing; with so many none is opened for several vehicles together. Five near one line had seven."""
 
@@ -235,15 +232,9 @@ class FleetHypotheses:
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Return the mixture of all hypotheses, eq. (25), with what no range has ruled out since a gap, or why there is none."""
         where, record = self._mixture(vehicle, at_s), self.main.records.get(vehicle)
-        if isinstance(where, NoEstimate) or record is None or record.unshown is None:
+        if isinstance(where, NoEstimate) or record is None:
             return where
-        covariance, unshown = where.covariance.copy(), record.unshown.covariance(at_s)
-        covariance[HORIZONTAL] += unshown
-        worst_m = horizontal_sigma_m(covariance)
-        if not worst_m <= self.main.settings.limit_sigma_m:
-            return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))
-        far = where.protected_covariance[:2, :2] + _LIMIT_SHARE * unshown[:2, :2]
-        return replace(where, covariance=covariance, far_covariance=far)
+        return with_possible_motion(where, record, self.main.settings)
 
     def _mixture(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:
         """Return the mixture of all hypotheses, eq. (25), or that the position is ambiguous."""

@@ -98,7 +98,7 @@ def initialise_from_ranges(clusters: ClusterSet, records: Records, vehicle: int,
     record.baro_error_sigma_m = record.report_error_sigma_h_m = record.report_error_sigma_v_m = 0.0
     record.time_stamp_offset_sigma_s = s.time_stamp_offset_sigma_s
     record.attitude = None
-    record.updated_at_s = at_s
+    record.updated_at_s = record.told_at_s = at_s
     record.range_measurements = ()
     clusters.initialise(vehicle, *block_from_estimate(*solution, s), at_s)
     return True

@@ -40,7 +40,7 @@ from gcs_coloc.estimators.fleet.ekf.update import (
     propagate_pair,
     time_stamp_offset_sigma_s,
 )
-from gcs_coloc.estimators.fleet.estimates import estimate_of_cluster
+from gcs_coloc.estimators.fleet.estimates import estimate_of_cluster, with_possible_motion
 from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
 from gcs_coloc.estimators.fleet.observed_biases import presume_bias, unknown_errors
@@ -125,6 +125,7 @@ class _LossPrediction:
             return
         records.copy_from(model.records, vehicle)
         records[vehicle].denied_vehicle = True
+        records[vehicle].told_at_s = at_s
         clusters = ClusterSet(s, records)
         cluster = model.clusters.get(vehicle)
         if cluster is not None:
@@ -198,7 +199,10 @@ class _LossPrediction:
     def estimate(self, at_s: float) -> Estimate | NoEstimate:
         """Return what would be stated."""
         assert self.cluster is not None
-        return estimate_of_cluster(self.cluster, self._vehicle, at_s)
+        where = estimate_of_cluster(self.cluster, self._vehicle, at_s)
+        if isinstance(where, NoEstimate):
+            return where
+        return with_possible_motion(where, self._records[self._vehicle], self._settings)
 
     def _stream(self, node: int, pair: tuple[int, int, int], ranges: Sequence[RangeMeasurement]) -> RangeStream:
         sigma_m, _ = without_time_error(ranges[-1])

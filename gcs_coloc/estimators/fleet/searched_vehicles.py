@@ -13,7 +13,7 @@ from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour, Records
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, pair_key
 from gcs_coloc.estimators.fleet.ekf.unshown_motion import HORIZONTAL
-from gcs_coloc.estimators.fleet.gaps import add_gap
+from gcs_coloc.estimators.fleet.gaps import add_gap, tell_of_all_directions
 from gcs_coloc.estimators.fleet.initialisation import initialise_from_reports
 from gcs_coloc.estimators.fleet.motion_profiles import MotionProfile
 from gcs_coloc.estimators.fleet.search.position_search import PositionSearch, RangeCircle, is_too_wide
@@ -94,6 +94,8 @@ def search_with_range(
     record.manoeuvre = ManoeuvreDetector()
     record.range_noise_inflation_m2, record.updated_at_s = 0.0, at_s
     record.gaps_added_until_s = at_s
+    if tell_of_all_directions(record):
+        record.told_at_s = at_s
     return Outcome.INITIALISED
 
 

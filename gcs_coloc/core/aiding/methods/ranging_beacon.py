@@ -76,24 +76,15 @@ class RangingBeaconMethod:
         return [message]
 
     def _message(self, one: VettedRange, at_s: float, moment: Moment) -> RangingBeacon | None:
-        """Build the message of a range, brought to a time; None where the vehicle's clock or a position is not known."""
+        """Build the message of a range, brought to a time; None where the vehicle's clock or what that needs is not known."""
         assert moment.frame is not None
         boot_s = moment.boot_s(at_s)
-        own, own_then = moment.locate(at_s), moment.locate(one.measured_at_s)
-        peer, peer_then = moment.locate_node(one.peer, at_s), moment.locate_node(one.peer, one.measured_at_s)
-        located = (own, own_then, peer, peer_then)
-        if boot_s is None or not all(isinstance(each, Estimate) for each in located):
+        peer = moment.locate_node(one.peer, at_s)
+        brought = self._brought(one, at_s, moment)
+        if boot_s is None or not isinstance(peer, Estimate) or brought is None:
             return None
-        here, here_then, there, there_then = (each.position_enu_m.tolist() for each in located if isinstance(each, Estimate))
-        distance_m = dist(here, there)
-        range_m = one.range_m + distance_m - dist(here_then, there_then)
-        if distance_m < _LEAST_DISTANCE_M or range_m <= 0.0 or not isinstance(own, Estimate) or not isinstance(peer, Estimate):
-            return None
-        u = (np.array(here) - np.array(there)) / distance_m
-        # The peer's uncertainty along the line of sight, and that of how fast the distance grows.
-        speed = own.covariance[3:, 3:] + peer.covariance[3:, 3:]
-        moved_s = at_s - one.measured_at_s
-        variance_m2 = one.sigma_m**2 + float(u @ peer.covariance[:3, :3] @ u) + moved_s**2 * float(u @ speed @ u)
+        range_m, variance_m2 = brought
+        there = peer.position_enu_m.tolist()
         lat_deg, lon_deg, alt_msl_m = moment.frame.geodetic_from_enu(*there)
         self._sequence = (self._sequence + 1) & 0xFF
         return RangingBeacon(
@@ -109,6 +100,28 @@ class RangingBeaconMethod:
             sigma_h_m=sqrt(0.5 * float(np.trace(peer.covariance[:2, :2]))),
             sigma_v_m=sqrt(float(peer.covariance[2, 2])),
         )
+
+    def _brought(self, one: VettedRange, at_s: float, moment: Moment) -> tuple[float, float] | None:
+        """Return a range brought to a time, m, and its variance with the peer's, m^2; None where that cannot be done.
+
+        What is measured at that time needs no estimate of the vehicle.
+        """
+        own, own_then = moment.locate(at_s), moment.locate(one.measured_at_s)
+        peer, peer_then = moment.locate_node(one.peer, at_s), moment.locate_node(one.peer, one.measured_at_s)
+        if not isinstance(peer, Estimate) or not isinstance(peer_then, Estimate):
+            return None
+        if not isinstance(own, Estimate) or not isinstance(own_then, Estimate):
+            worst_m2 = float(np.linalg.eigvalsh(peer.covariance[:3, :3])[-1])
+            return (one.range_m, one.sigma_m**2 + worst_m2) if at_s == one.measured_at_s else None
+        distance_m = dist(own.position_enu_m, peer.position_enu_m)
+        range_m = one.range_m + distance_m - dist(own_then.position_enu_m, peer_then.position_enu_m)
+        if distance_m < _LEAST_DISTANCE_M or range_m <= 0.0:
+            return None
+        u = (own.position_enu_m - peer.position_enu_m) / distance_m
+        # The peer's uncertainty along the line of sight, and that of how fast the distance grows.
+        speed = own.covariance[3:, 3:] + peer.covariance[3:, 3:]
+        moved_s = at_s - one.measured_at_s
+        return range_m, one.sigma_m**2 + float(u @ peer.covariance[:3, :3] @ u) + moved_s**2 * float(u @ speed @ u)
 
     def build_last_messages(self) -> Sequence[AidingMessage]:
         """As the protocol says: the message cannot say that there is no range."""

@@ -118,6 +118,8 @@ class VehicleRecord:
     """Time of the last position report or range that was used."""
     gaps_added_until_s: float = -math.inf
     """Until then GPS or ranges told of its motion along both horizontal axes, or its covariance holds what it may have done."""
+    told_at_s: float = -math.inf
+    """Until then GPS, the ranges of several neighbours or its own motion sensors told of its motion along all directions."""
     unshown: UnshownMotion | None = None
     """What it may have done in its last gap beyond what it has shown before."""
     velocity_used_at_s: float = -math.inf

@@ -47,7 +47,8 @@ class UnshownMotion:
         both_m2ps = self.both_m2ps + since_s * self.velocity_m2ps2
         position_m2 = self.position_m2 + since_s * (self.both_m2ps + both_m2ps)
         left = np.linalg.inv(np.eye(2) + position_m2 * np.array([[self.ee, self.en], [self.en, self.nn]]))
-        return np.kron(np.array([[position_m2, both_m2ps], [both_m2ps, self.velocity_m2ps2]]), left)
+        # Rounding leaves the inverse not quite symmetric.
+        return np.kron(np.array([[position_m2, both_m2ps], [both_m2ps, self.velocity_m2ps2]]), 0.5 * (left + left.T))
 
 
 def unshown_motion(at_s: float, possible: Motion, shown: Motion) -> UnshownMotion | None:

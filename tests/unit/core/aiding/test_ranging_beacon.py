@@ -162,6 +162,21 @@ def test_without_a_place_or_the_vehicles_clock_nothing_is_sent():
     assert method().build_messages(moment(10.0, vetted(MAST, 10.0), locate=nowhere)) == []
 
 
+def test_only_a_range_that_has_to_be_brought_to_another_time_needs_a_place_of_the_vehicle():
+    """One peer tells of no place, and its ranges help the autopilot all the same."""
+
+    def peers_alone(node: int, at_s: float) -> Estimate | NoEstimate:
+        nowhere = NoEstimate(node, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, 300.0))
+        return nowhere if node == 4 else located(node, at_s)
+
+    message = sent(method().build_messages(moment(10.0, vetted(1, 9.9, 0.3), locate=peers_alone)))
+    assert message is not None
+    assert message.range_m == pytest.approx(distance_m(1, 9.9) + 0.3)
+    assert message.boot_us == round((9.9 + BOOT_MINUS_SERVICE_S) * 1e6)
+    assert message.accuracy_m == pytest.approx(hypot(0.5, 3.0))  # the peer's uncertainty along its worst direction
+    assert sent(method().build_messages(moment(10.0, vetted(1, 9.5), locate=peers_alone))) is None
+
+
 def measured(peer: int, at_s: float, vehicle: int = 4) -> RangeMeasurement:
     return RangeMeasurement(vehicle, peer, at_s, at_s, 100.0, 0.5)
 

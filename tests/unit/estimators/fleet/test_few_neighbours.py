@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,12 +14,19 @@ from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     Estimate,
     FloatArray,
+    NoEstimate,
+    OdometryMeasurement,
     PositionMeasurement,
     RangeMeasurement,
 )
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
+from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
+from gcs_coloc.estimators.fleet.estimates import with_possible_motion
 from gcs_coloc.estimators.fleet.filter import FleetFilter
+from gcs_coloc.estimators.fleet.fleet_model import FleetModel
 from gcs_coloc.estimators.fleet.reflection_hypothesis import log_likelihood_ratio
+from gcs_coloc.estimators.fleet.searched_vehicles import search_of, search_with
+from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 DENIED = 9
 STEP_S, EVERY = 0.05, 4
@@ -81,11 +89,74 @@ def flown(
     return asked, told
 
 
+@pytest.mark.parametrize("extent_m", [5.0, 100.0])
+@pytest.mark.parametrize(
+    ("peers", "with_height"), [(1, False), (2, False), (1, True)], ids=["one, no height", "two, no height", "one"]
+)
+def test_what_too_few_neighbours_do_not_tell_of_is_in_the_bound(peers: int, with_height: bool, extent_m: float):
+    """The filter went on along one of the ways that fit.
+
+    In each of these six it was beyond its protection level, or outside its 95 % bound for 6 to 44 % of the time.
+    """
+    covered = []
+    for seed in range(4):
+        sigma_m, end_s = (0.1, 30.0) if extent_m < 50.0 else (1.0, 60.0)
+        _, told = flown(peers, seed, extent_m, sigma_m, with_height=with_height, end_s=end_s)
+        assert all(error < level for error, _, level in told)
+        covered += [error < bound for error, bound, _ in told]
+    assert len(covered) > 40
+    assert np.mean(covered) > 0.97
+
+
 def test_three_neighbours_without_a_height_do_not_decide_on_the_side_of_their_plane():
     """The vehicle moved calmly, which counted for the side on which it would have climbed instead of turned: that one won."""
     asked, told = flown(3, 11, 5.0, 0.1)
     assert len(told) > 0.3 * asked
     assert all(error < level for error, _, level in told)
+
+
+def beside(anchors: Sequence[tuple[float, float, float]], until_s: float, odometry_until_s: float = 0.0) -> FleetModel:
+    """Return the model of a vehicle at rest at the origin, with a height, that lost its GPS at 1 s and ranges anchors."""
+    model = FleetModel(FleetSettings())
+    for number, place in enumerate(anchors, start=1):
+        model.apply(PositionMeasurement(number, 0.0, 0.0, place, 0.1, 0.1, static=True))
+    for k in range(5, round(5.0 * until_s) + 1):
+        t = 0.2 * k
+        if k == 5:
+            model.apply(PositionMeasurement(DENIED, t, t, (0.0, 0.0, 0.0), 0.5, 0.5, (0.0, 0.0, 0.0), 0.2))
+            model.set_denied(frozenset({DENIED}), t)
+        model.apply(AltitudeMeasurement(DENIED, t, t, 0.0, 0.5))
+        if t <= odometry_until_s:
+            model.apply(OdometryMeasurement(DENIED, t, t, 0.0, 0.0, 0.0, 0.05, 0.01))
+        for number, place in enumerate(anchors, start=1):
+            model.apply(RangeMeasurement(DENIED, number, t, t, math.hypot(*place), 0.5))
+    return model
+
+
+EAST, NORTH = (150.0, 0.0, 0.0), (0.0, 150.0, 0.0)
+
+
+@pytest.mark.parametrize(("anchors", "told_at_s"), [([EAST], 1.0), ([EAST, NORTH], 3.0)], ids=["one", "two"])
+def test_a_search_that_ends_beside_one_neighbour_has_told_of_nothing_more(anchors, told_at_s: float):
+    model = beside(anchors, 3.0)
+    found = search_of(model.clusters, model.records, DENIED, 3.0)
+    search_with(model.clusters, model.records, DENIED, replace(found, uses={1: 20}))
+    assert model.apply(RangeMeasurement(DENIED, 1, 3.0, 3.0, 150.0, 0.5)).outcome is Outcome.INITIALISED
+    assert model.records[DENIED].told_at_s == pytest.approx(told_at_s)
+
+
+def test_what_odometry_has_shown_needs_no_range():
+    """Its bound grows from the end of the odometry on, 2 s before, and not from the loss of GPS."""
+    where = with_possible_motion(*told_of(beside([EAST], 22.0, odometry_until_s=20.0)))
+    assert isinstance(where, Estimate)
+    assert 5.0 < horizontal_bound_95_m(where.covariance) < 0.5 * 9.8 * 2.5**2
+    assert isinstance(with_possible_motion(*told_of(beside([EAST], 22.0))), NoEstimate)
+
+
+def told_of(model: FleetModel) -> tuple[Estimate, VehicleRecord, FleetSettings]:
+    where = model.estimate(DENIED, 22.0)
+    assert isinstance(where, Estimate)
+    return where, model.records[DENIED], model.settings
 
 
 def ranged(innovation_m: float, sigma_m: float) -> UpdateResult:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m, horizontal_sigma_m
 from gcs_coloc.core.measurements import (
+    AltitudeMeasurement,
     Estimate,
     OdometryMeasurement,
     PositionMeasurement,
@@ -112,6 +113,7 @@ def test_a_gap_of_the_ranges_along_one_direction_is_a_gap(seed: int):
     for k in range(1, 250):
         t = 0.2 * k
         here = leaving(t, leaves_s), 0.0
+        estimator.add(AltitudeMeasurement(DENIED, t, t, 0.0, 0.3))
         for number, place in beacons.items():
             if number == 1 or not ceased_s < t < again_s:
                 range_m = math.dist(here, place) + sigma_m * rng.normal()
@@ -152,6 +154,8 @@ def side_by_side(
                 estimator.add(PositionMeasurement(number, t, t, (*here[number], 0.0), 0.7, 0.7, (0.0, 0.0, 0.0), 0.3))
             continue
         estimator.set_denied(set(LOST_SIDE_BY_SIDE), t)
+        for number in LOST_SIDE_BY_SIDE:
+            estimator.add(AltitudeMeasurement(number, t, t, 0.0, 0.3))
         for a, b in pairs:
             estimator.add(RangeMeasurement(a, b, t, t, math.dist(here[a], here[b]) + sigma_m * rng.normal(), sigma_m))
         for number in LOST_SIDE_BY_SIDE:

@@ -109,6 +109,13 @@ def test_the_predicted_sigma_is_what_the_filter_states_half_a_minute_later(geome
     assert predicted[-1].hdop == pytest.approx(reached.hdop, rel=0.05)
 
 
+@pytest.mark.parametrize(("air_data", "answer"), [(True, Estimate), (False, NoEstimate)])
+def test_one_neighbour_keeps_a_vehicle_with_air_data_alone(air_data: bool, answer: type) -> None:
+    flight = Flight("two", air_data=air_data, rate_hz=5.0)
+    flight.fly(0.0, LOST_S, denied=False)
+    assert isinstance(predict(flight, [m for m in flight.ranges if m.to_vehicle == 2])[-1], answer)
+
+
 def test_to_predict_leaves_the_filter_as_it_is() -> None:
     asked, other = (Flight("around", air_data=True, rate_hz=5.0) for _ in range(2))
     for flight in (asked, other):
