@@ -80,8 +80,10 @@ class RangingBeaconMethod:
         assert moment.frame is not None
         boot_s = moment.boot_s(at_s)
         peer = moment.locate_node(one.peer, at_s)
-        brought = self._brought(one, at_s, moment)
-        if boot_s is None or not isinstance(peer, Estimate) or brought is None:
+        if boot_s is None or not isinstance(peer, Estimate):
+            return None
+        brought = self._brought(one, peer, at_s, moment)
+        if brought is None:
             return None
         range_m, variance_m2 = brought
         there = peer.position_enu_m.tolist()
@@ -101,18 +103,19 @@ class RangingBeaconMethod:
             sigma_v_m=sqrt(float(peer.covariance[2, 2])),
         )
 
-    def _brought(self, one: VettedRange, at_s: float, moment: Moment) -> tuple[float, float] | None:
+    @staticmethod
+    def _brought(one: VettedRange, peer: Estimate, at_s: float, moment: Moment) -> tuple[float, float] | None:
         """Return a range brought to a time, m, and its variance with the peer's, m^2; None where that cannot be done.
 
         What is measured at that time needs no estimate of the vehicle.
         """
         own, own_then = moment.locate(at_s), moment.locate(one.measured_at_s)
-        peer, peer_then = moment.locate_node(one.peer, at_s), moment.locate_node(one.peer, one.measured_at_s)
-        if not isinstance(peer, Estimate) or not isinstance(peer_then, Estimate):
-            return None
         if not isinstance(own, Estimate) or not isinstance(own_then, Estimate):
             worst_m2 = float(np.linalg.eigvalsh(peer.covariance[:3, :3])[-1])
             return (one.range_m, one.sigma_m**2 + worst_m2) if at_s == one.measured_at_s else None
+        peer_then = moment.locate_node(one.peer, one.measured_at_s)
+        if not isinstance(peer_then, Estimate):
+            return None
         distance_m = dist(own.position_enu_m, peer.position_enu_m)
         range_m = one.range_m + distance_m - dist(own_then.position_enu_m, peer_then.position_enu_m)
         if distance_m < _LEAST_DISTANCE_M or range_m <= 0.0:

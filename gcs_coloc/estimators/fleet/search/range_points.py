@@ -11,6 +11,7 @@ from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.estimators.fleet.search.gaussian_mixture import GATE_NIS
 
 _FEWEST_ON_A_CIRCLE = 8
+"""Chosen: components 45 degrees apart, where the range is about as short as its sigma."""
 _MOST_ON_A_CIRCLE = 72
 """Chosen: components 5 degrees apart; what is left of the bend then counts as noise, eq. (15)."""
 _MOST_ON_A_SPHERE = 90

@@ -13,9 +13,9 @@ RANGE_M, FINE_M = 10.0, 1.5
 OPEN, KNOWN = np.diag([400.0, 400.0, 400.0]), np.diag([400.0, 400.0, 0.01])
 
 
-def total(point_m: np.ndarray, covariance_m2: np.ndarray, fine_m: float = FINE_M) -> float:
+def total(point_m: np.ndarray, covariance_m2: np.ndarray) -> float:
     """Return the sum of eq. (27) at a place, over the points on its side of the peer: on the other one the range is another."""
-    unit, along, spacing_m = range_points(np.array([0.0, 0.0, 2.0]), covariance_m2, RANGE_M, fine_m)
+    unit, along, spacing_m = range_points(np.array([0.0, 0.0, 2.0]), covariance_m2, RANGE_M, FINE_M)
     here = unit @ point_m > 0.0
     apart = np.einsum("kni,ki->kn", along[here], RANGE_M * unit[here] - point_m) / spacing_m
     return float((np.exp(-0.5 * apart**2) / math.sqrt(2.0 * math.pi)).prod(axis=1).sum())
