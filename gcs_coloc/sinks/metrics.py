@@ -105,7 +105,8 @@ class FleetCollector(Collector):
         noise = fleet.noise
         for name, text, found in (
             ("range_bias_sigma_meters", "Lasting error of ranges beyond the stated one.", noise.range_bias_m),
-            ("range_scale_sigma_ratio", "Lasting error of ranges as a share of the range.", noise.range_scale),
+            ("device_bias_sigma_meters", "Lasting error of ranging devices beyond the stated one.", noise.device_bias_m),
+            ("device_scale_sigma_ratio", "Lasting error of ranging devices as a share of the range.", noise.device_scale),
             ("height_sigma_meters", "Error of heights beyond the stated one.", noise.height_sigma_m),
             ("position_accuracy_ratio", "Error of reported positions over the stated one.", noise.position_factor),
         ):

@@ -76,6 +76,17 @@ class SolutionSeparation:
         at = 3 * self._arrays.index[vehicle]
         return np.asarray(self._C[at : at + 2, at : at + 2])
 
+    def propagate_m2(self, vehicle: int, ranges_m2: FloatArray, positions_m2: FloatArray) -> FloatArray:
+        """Return the horizontal covariance (2, 2), m^2, of errors in the solution of one vehicle.
+
+        `ranges_m2` (residuals, residuals) is the covariance of the ranges' errors, `positions_m2` (states,) are the variances of
+        those of the reported positions.
+        """
+        at = 3 * self._arrays.index[vehicle]
+        C = self._C[at : at + 2]
+        by_range, by_position = C @ (self._H.T * self._weights), C * self._prior
+        return np.asarray(by_range @ ranges_m2 @ by_range.T + (by_position * positions_m2) @ by_position.T)
+
     def of(self, vehicle: int) -> list[Separation]:
         """Return all hypotheses of one vehicle without prior, that of the motion first."""
         at = 3 * self._arrays.index[vehicle]
@@ -138,13 +149,16 @@ class SolutionSeparation:
 def noise_excess_m2(stated: Epoch, found: Epoch) -> dict[int, FloatArray]:
     """Return what noise beyond the stated one costs each vehicle that the ranges alone place well, m^2 (2, 2).
 
-    Both are one epoch, with its noise as stated and as it was found to be; the same object where that is no other.
+    Both are one epoch, with its noise as stated and as it was found to be; the same object where that is no other. The solution
+    has the weights of the stated noise, as the filter has.
     """
     if found is stated or not stated.residuals:
         return {}
-    as_stated, as_found = SolutionSeparation(stated), SolutionSeparation(found)
-    placed = [v for v in as_stated.vehicles if float(np.trace(as_stated.covariance_m2(v))) < WELL_PLACED_SIGMA_M**2]
-    return {v: as_found.covariance_m2(v) - as_stated.covariance_m2(v) for v in placed}
+    solution = SolutionSeparation(stated)
+    ranges_m2 = found.arrays.range_covariance_m2 - stated.arrays.range_covariance_m2
+    positions_m2 = found.arrays.sqrt_information**-2.0 - stated.arrays.sqrt_information**-2.0
+    placed = [v for v in solution.vehicles if float(np.trace(solution.covariance_m2(v))) < WELL_PLACED_SIGMA_M**2]
+    return {v: solution.propagate_m2(v, ranges_m2, positions_m2) for v in placed}
 
 
 def _separations(fault: FaultClass, who: list[tuple[int, ...]], shifts: FloatArray, covariances: FloatArray) -> list[Separation]:

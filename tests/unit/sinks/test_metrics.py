@@ -33,9 +33,11 @@ def value(view, name, **labels):
 
 
 def test_the_numbers_are_the_views():
-    view = replace(fleet_view(10.0), noise=NoiseModel(range_bias_m=4.0))
+    view = replace(fleet_view(10.0), noise=NoiseModel(range_bias_m=4.0, device_scale=0.01))
     assert value(view, "gcs_coloc_vehicles") == 2
     assert value(view, "gcs_coloc_found_range_bias_sigma_meters") == 4.0
+    assert value(view, "gcs_coloc_found_device_bias_sigma_meters") == 0.0
+    assert value(view, "gcs_coloc_found_device_scale_sigma_ratio") == 0.01
     assert value(view, "gcs_coloc_found_position_accuracy_ratio") == 1.0
     assert value(view, "gcs_coloc_vehicle_position_sigma_meters", sysid="4") == 3.0
     assert value(view, "gcs_coloc_vehicle_height_sigma_meters", sysid="4") == 4.0

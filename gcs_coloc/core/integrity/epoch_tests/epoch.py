@@ -42,7 +42,8 @@ class PositionPrior(NamedTuple):
 class RangeResidual(NamedTuple):
     """Range observed minus range computed from the priors, of one device to one peer, in m.
 
-    `sigma_m` is the 1-sigma of its noise in one epoch, `bias_m` the 1-sigma of the error that lasts from epoch to epoch.
+    `sigma_m` is the 1-sigma of its noise in one epoch, `bias_m` and `devices_m` are those of the errors that last from epoch to
+    epoch: of the pair, and of the two devices, which have them in their other ranges as well.
     """
 
     from_vehicle: int
@@ -50,6 +51,7 @@ class RangeResidual(NamedTuple):
     residual_m: float
     sigma_m: float
     bias_m: float = 0.0
+    devices_m: float = 0.0
 
     @property
     def pair(self) -> tuple[int, int]:
@@ -63,6 +65,7 @@ class EpochArrays:
 
     `index` maps a vehicle to its place in `vehicles`. `ends` (2, residuals) are the indices of a residual's two vehicles,
     `baselines_m` (residuals, 3) the vectors from the second to the first, `unit_vectors` their directions.
+    `biases_m` are the 1-sigmas of all that lasts, `devices_m` of what is of the devices in it.
     `distance_times_sigma_m2` is the least product of a residual's distance and its sigma. States are the
     east, north and up corrections of each vehicle in turn: `sqrt_information` (3 vehicles,) is the root of their prior
     information in 1/m, `has_prior` whether there is any, `states_without_prior` the indices where there is none.
@@ -80,9 +83,19 @@ class EpochArrays:
     residuals_m: FloatArray
     variances_m2: FloatArray
     biases_m: FloatArray
+    devices_m: FloatArray
     distance_times_sigma_m2: float
     sqrt_information: FloatArray
     has_prior: NDArray[np.bool_]
+
+    @property
+    def range_covariance_m2(self) -> FloatArray:
+        """The covariance (residuals, residuals) of the ranges' noise.
+
+        A device errs alike in all that it measures, and in all that it answers; the square of `devices_m` is half of each.
+        """
+        alike = sum((0.5 * (end[:, np.newaxis] == end) for end in self.ends), start=-np.eye(len(self.pairs)))
+        return np.asarray(np.diag(self.variances_m2) + self.devices_m[:, np.newaxis] * alike * self.devices_m)
 
 
 @dataclass(frozen=True)
@@ -109,7 +122,7 @@ class Epoch:
         ends = np.array([(index[i], index[j]) for i, j in pairs], dtype=np.intp).reshape(-1, 2).T
         baselines_m = positions[ends[0]] - positions[ends[1]]
         distances_m = np.maximum(np.sqrt(np.einsum("ij,ij->i", baselines_m, baselines_m)), MIN_SIGMA_M)
-        columns = np.array([(r.residual_m, r.sigma_m, r.bias_m) for r in self.residuals]).reshape(-1, 3).T
+        columns = np.array([(r.residual_m, r.sigma_m, r.bias_m, r.devices_m) for r in self.residuals]).reshape(-1, 4).T
         sqrt_information: list[float] = []
         for prior in priors:
             horizontal = sqrt(MIN_INFORMATION_PER_M2) if prior.no_prior else 1.0 / max(prior.sigma_h_m, MIN_SIGMA_M)
@@ -117,7 +130,8 @@ class Epoch:
         without = [3 * number + axis for number, prior in enumerate(priors) if prior.no_prior for axis in (0, 1)]
         has_prior = np.ones(len(sqrt_information), dtype=bool)
         has_prior[without] = False
-        variances_m2 = columns[1] ** 2 + columns[2] ** 2
+        biases_m = np.hypot(columns[2], columns[3])
+        variances_m2 = columns[1] ** 2 + biases_m**2
         return EpochArrays(
             pairs=pairs,
             vehicles=vehicles,
@@ -130,7 +144,8 @@ class Epoch:
             ranges_m=columns[0] + distances_m,
             residuals_m=columns[0],
             variances_m2=variances_m2,
-            biases_m=columns[2],
+            biases_m=biases_m,
+            devices_m=columns[3],
             distance_times_sigma_m2=float((distances_m * np.sqrt(variances_m2)).min(initial=inf)),
             sqrt_information=np.array(sqrt_information),
             has_prior=has_prior,

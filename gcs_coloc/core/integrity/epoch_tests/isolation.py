@@ -148,7 +148,7 @@ def isolate(
 
 def _with_errors_anew(epoch: Epoch) -> Epoch:
     """The epoch where the errors of ranges that would last are of this epoch alone."""
-    anew = (residual._replace(sigma_m=hypot(residual.sigma_m, residual.bias_m), bias_m=0.0) for residual in epoch.residuals)
+    anew = (r._replace(sigma_m=hypot(r.sigma_m, r.bias_m, r.devices_m), bias_m=0.0, devices_m=0.0) for r in epoch.residuals)
     return replace(epoch, residuals=tuple(anew))
 
 

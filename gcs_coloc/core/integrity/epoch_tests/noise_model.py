@@ -9,6 +9,9 @@ until ranges and positions agree. Among the components that bring this about the
 with r the residuals of one epoch, V their covariance, and A the columns of the positions without prior. A fault of one receiver
 costs less than noise of all: the determinant grows with every residual.
 
+A device has one error in all that it measures and one in all that it answers, each half of the variance of a range: few numbers
+explain the residuals of many pairs. The tests of faults take these errors as independent by pair.
+
 What blocked ranges brought about goes again: a smaller component that is clearly likelier for a while takes its place, with some
 pairs off where need be.
 
@@ -34,7 +37,7 @@ from gcs_coloc.core.integrity.epoch_tests.pair_outliers import FURTHER_PAIR_PENA
 from gcs_coloc.core.measurements import FloatArray
 
 _RANGE_BIASES_M = (1.0, 2.0, 4.0, 8.0)  # chosen: uncalibrated devices; beyond it the protection level is beyond the alert limit
-_RANGE_SCALES = (0.002, 0.005, 0.01, 0.02)  # chosen: clocks and atmosphere 1e-5, devices that are set wrongly 1e-2
+_DEVICE_SCALES = (0.002, 0.005, 0.01, 0.02)  # chosen: clocks and atmosphere 1e-5, devices that are set wrongly 1e-2
 _HEIGHT_SIGMAS_M = (5.0, 10.0, 20.0)  # chosen: pressure of another day or place; 8 m for 1 hPa
 _POSITION_FACTORS = (2.0, 4.0)  # chosen: receivers that state a half or a quarter of their error
 _PAIR_OFF_M = 20.0
@@ -46,12 +49,13 @@ _FORGOTTEN_S = 600.0  # chosen: devices and weather change within hours
 class NoiseModel:
     """1-sigmas beyond those stated.
 
-    The lasting error of each pair's ranges in m and as a share of the range, the least of heights in m, and the factor on the
-    sigmas of reported positions. `pairs_off`: the pairs whose ranges are off at the moment.
+    The lasting error of each pair's ranges in m, that of the devices in m and as a share of the range, the least of heights in m,
+    and the factor on the sigmas of reported positions. `pairs_off`: the pairs whose ranges are off at the moment.
     """
 
     range_bias_m: float = 0.0
-    range_scale: float = 0.0
+    device_bias_m: float = 0.0
+    device_scale: float = 0.0
     height_sigma_m: float = 0.0
     position_factor: float = 1.0
     pairs_off: frozenset[Pair] = frozenset()
@@ -59,14 +63,16 @@ class NoiseModel:
     @property
     def is_as_stated(self) -> bool:
         """Whether nothing is added to what is stated."""
-        return self.range_bias_m == self.range_scale == self.height_sigma_m == 0.0 and self.position_factor == 1.0
+        lengths = self.range_bias_m, self.device_bias_m, self.device_scale, self.height_sigma_m
+        return not any(lengths) and self.position_factor == 1.0
 
     @property
     def text(self) -> str:
         """What is larger than stated, in words; empty where nothing is."""
         parts = (
             f"lasting errors of ranges of about {self.range_bias_m:.0f} m" if self.range_bias_m > 0.0 else "",
-            f"errors of {100.0 * self.range_scale:.1f} % of the range" if self.range_scale > 0.0 else "",
+            f"lasting errors of devices of about {self.device_bias_m:.0f} m" if self.device_bias_m > 0.0 else "",
+            f"errors of devices of {100.0 * self.device_scale:.1f} % of the range" if self.device_scale > 0.0 else "",
             f"errors of heights of about {self.height_sigma_m:.0f} m" if self.height_sigma_m > 0.0 else "",
             f"positions {self.position_factor:.1f} times worse than stated" if self.position_factor > 1.0 else "",
         )
@@ -80,13 +86,13 @@ class NoiseModel:
         """Return the epoch with this noise."""
         if self.is_as_stated:
             return epoch
-        biases_m = np.hypot(self.range_bias_m, self.range_scale * epoch.arrays.ranges_m).tolist()
+        devices_m = np.hypot(self.device_bias_m, self.device_scale * epoch.arrays.ranges_m).tolist()
         return replace(
             epoch,
             priors={vehicle: self._prior(prior) for vehicle, prior in epoch.priors.items()},
             residuals=tuple(
-                residual._replace(bias_m=hypot(residual.bias_m, bias_m))
-                for residual, bias_m in zip(epoch.residuals, biases_m, strict=True)
+                r._replace(bias_m=hypot(r.bias_m, self.range_bias_m), devices_m=hypot(r.devices_m, of_devices_m))
+                for r, of_devices_m in zip(epoch.residuals, devices_m, strict=True)
             ),
         )
 
@@ -95,7 +101,8 @@ class NoiseModel:
         kept = exp(-elapsed_s / _FORGOTTEN_S)
         left = NoiseModel(
             self.range_bias_m * kept,
-            self.range_scale * kept,
+            self.device_bias_m * kept,
+            self.device_scale * kept,
             self.height_sigma_m * kept,
             1.0 + (self.position_factor - 1.0) * kept,
         )
@@ -104,7 +111,8 @@ class NoiseModel:
     def larger(self) -> Iterator[NoiseModel]:
         """Yield the models with one component enlarged."""
         yield from (replace(self, range_bias_m=bias_m) for bias_m in _RANGE_BIASES_M if bias_m > self.range_bias_m)
-        yield from (replace(self, range_scale=scale) for scale in _RANGE_SCALES if scale > self.range_scale)
+        yield from (replace(self, device_bias_m=bias_m) for bias_m in _RANGE_BIASES_M if bias_m > self.device_bias_m)
+        yield from (replace(self, device_scale=scale) for scale in _DEVICE_SCALES if scale > self.device_scale)
         yield from (replace(self, height_sigma_m=sigma_m) for sigma_m in _HEIGHT_SIGMAS_M if sigma_m > self.height_sigma_m)
         yield from (replace(self, position_factor=factor) for factor in _POSITION_FACTORS if factor > self.position_factor)
 
@@ -116,7 +124,8 @@ class NoiseModel:
     def smaller(self) -> Iterator[NoiseModel]:
         """Yield the models with one component made smaller, down to what is stated."""
         yield from (replace(self, range_bias_m=bias_m) for bias_m in (0.0, *_RANGE_BIASES_M) if bias_m < self.range_bias_m)
-        yield from (replace(self, range_scale=scale) for scale in (0.0, *_RANGE_SCALES) if scale < self.range_scale)
+        yield from (replace(self, device_bias_m=bias_m) for bias_m in (0.0, *_RANGE_BIASES_M) if bias_m < self.device_bias_m)
+        yield from (replace(self, device_scale=scale) for scale in (0.0, *_DEVICE_SCALES) if scale < self.device_scale)
         yield from (
             replace(self, height_sigma_m=sigma_m) for sigma_m in (0.0, *_HEIGHT_SIGMAS_M) if sigma_m < self.height_sigma_m
         )
@@ -147,7 +156,7 @@ def restricted_likelihood(epoch: Epoch) -> Likelihood:
     H[np.arange(rows), i], H[np.arange(rows), j] = arrays.unit_vectors, -arrays.unit_vectors
     H = H.reshape(rows, 3 * vehicles)
     known = np.where(arrays.has_prior, 1.0 / arrays.sqrt_information, 0.0)
-    V = np.diag(arrays.variances_m2) + (H * known**2) @ H.T
+    V = arrays.range_covariance_m2 + (H * known**2) @ H.T
     A = H[:, arrays.states_without_prior]
     r = arrays.residuals_m
     VA, Vr = np.linalg.solve(V, A), np.linalg.solve(V, r)
@@ -167,13 +176,20 @@ class LikeliestNoise(NamedTuple):
 
 def likeliest_noise(epoch: Epoch, present: NoiseModel, levels: SignificanceLevels) -> LikeliestNoise | None:
     """Return the likeliest model larger than the present one with which an epoch as stated is consistent; None where none is."""
-    base = restricted_likelihood(present.apply(epoch))
+    base = restricted_likelihood(_as_tested(present.apply(epoch)))
     found: list[LikeliestNoise] = []
     for model in present.larger():
-        likelihood = restricted_likelihood(model.apply(epoch))
-        if likelihood.statistic <= chi2_limit(likelihood.degrees_of_freedom, levels.rest):
+        enlarged = model.apply(epoch)
+        likelihood, tested = restricted_likelihood(enlarged), restricted_likelihood(_as_tested(enlarged))
+        if max(likelihood.statistic, tested.statistic) <= chi2_limit(likelihood.degrees_of_freedom, levels.rest):
             found.append(LikeliestNoise(model, likelihood.cost - base.cost + base.statistic))
     return min(found, key=lambda each: each.cost, default=None)
+
+
+def _as_tested(epoch: Epoch) -> Epoch:
+    """The epoch where the errors of the devices are independent by pair, as the tests of faults take them."""
+    apart = (r._replace(bias_m=hypot(r.bias_m, r.devices_m), devices_m=0.0) for r in epoch.residuals)
+    return replace(epoch, residuals=tuple(apart))
 
 
 def clearly_smaller_noise(epoch: Epoch, present: NoiseModel, levels: SignificanceLevels) -> NoiseModel | None:
@@ -200,7 +216,8 @@ def _is_considerable(model: NoiseModel) -> bool:
     """Whether a component is a tenth at least of its smallest step."""
     return (
         model.range_bias_m > 0.1 * _RANGE_BIASES_M[0]
-        or model.range_scale > 0.1 * _RANGE_SCALES[0]
+        or model.device_bias_m > 0.1 * _RANGE_BIASES_M[0]
+        or model.device_scale > 0.1 * _DEVICE_SCALES[0]
         or model.height_sigma_m > 0.1 * _HEIGHT_SIGMAS_M[0]
         or model.position_factor > 1.0 + 0.1 * (_POSITION_FACTORS[0] - 1.0)
     )

@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from math import cos, hypot, pi, sin
 
 import numpy as np
 import pytest
 
+from gcs_coloc.core.integrity.epoch_tests.adjustment import adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
-from gcs_coloc.core.integrity.solution_separation import FaultClass, Separation, SolutionSeparation
+from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
+from gcs_coloc.core.integrity.solution_separation import FaultClass, Separation, SolutionSeparation, noise_excess_m2
 
 DENIED = 9
 SIGMA_M, RANGE_SIGMA_M = 1.5, 0.6
 
 
-def fleet(peers: int, *, mutual: bool = True, seed: int = 1) -> Epoch:
-    """A denied vehicle at the origin among peers around it, with drawn residuals."""
+AMONG, BESIDE = (0.0, 0.0, 0.0), (2000.0, 500.0, 0.0)
+
+
+def fleet(peers: int, *, mutual: bool = True, seed: int = 1, place: tuple[float, float, float] = AMONG) -> Epoch:
+    """A denied vehicle and peers around the origin, with drawn residuals."""
     rng = np.random.default_rng(seed)
     places = {n: (400.0 * cos(2 * pi * n / peers), 400.0 * sin(2 * pi * n / peers), 20.0 * n) for n in range(1, peers + 1)}
     priors = {n: PositionPrior(place, SIGMA_M, SIGMA_M, no_prior=False) for n, place in places.items()}
-    priors[DENIED] = PositionPrior((0.0, 0.0, 0.0), 0.0, 5.0, no_prior=True)
+    priors[DENIED] = PositionPrior(place, 0.0, 5.0, no_prior=True)
     pairs = [(DENIED, n) for n in places]
     if mutual:
         pairs += [(a, b) for a in places for b in places if a < b]
@@ -100,3 +107,36 @@ def test_one_peer_cannot_be_tested():
     (single,) = hypotheses(epoch, FaultClass.RECEIVERS)
     assert single.vehicles == (1,)
     assert single.sigma_m > 500.0
+
+
+def shift_m(epoch: Epoch, lengthened: Callable[[RangeResidual], float]) -> np.ndarray:
+    """By how much (2,) the adjustment places the denied vehicle elsewhere if ranges are longer."""
+    longer = tuple(r._replace(residual_m=r.residual_m + lengthened(r)) for r in epoch.residuals)
+    before, after = (adjust(each, [(None, 0.0)])[0] for each in (epoch, replace(epoch, residuals=longer)))
+    return after.horizontal(DENIED, after.corrections_m) - before.horizontal(DENIED, before.corrections_m)
+
+
+@pytest.mark.parametrize("place", [AMONG, BESIDE], ids=["among its peers", "beside them"])
+def test_errors_of_devices_cost_what_each_of_them_moves_the_vehicle_by(place):
+    """Each device errs in what it measures, and otherwise in what it answers, both with half of the variance."""
+    epoch = fleet(5, place=place)
+    scale = 1e-4  # so small that nothing bends
+    excess_m2 = noise_excess_m2(epoch, NoiseModel(device_scale=scale).apply(epoch))[DENIED]
+    errors_m = dict(zip(epoch.arrays.pairs, (scale * epoch.arrays.ranges_m * 0.5**0.5).tolist(), strict=True))
+    moves = [
+        shift_m(epoch, lambda r, end=end, device=device: errors_m[r.pair] * (r.pair[end] == device))
+        for end in (0, 1)
+        for device in epoch.arrays.vehicles
+    ]
+    assert excess_m2 == pytest.approx(sum(np.outer(move, move) for move in moves), rel=0.03)
+
+
+@pytest.mark.parametrize("place", [AMONG, BESIDE], ids=["among its peers", "beside them"])
+def test_an_error_of_its_own_device_cancels_among_the_peers_and_not_beside_them(place):
+    """An error of each pair, as large, is the standard; beside the peers in the direction to them."""
+    epoch = fleet(5, mutual=False, place=place)
+    of_device = NoiseModel(device_bias_m=2.0).apply(epoch)
+    of_pairs = NoiseModel(range_bias_m=2.0).apply(epoch)
+    to_them = np.array(BESIDE[:2]) / np.hypot(*BESIDE[:2])
+    device_m2, pairs_m2 = (float(to_them @ noise_excess_m2(epoch, found)[DENIED] @ to_them) for found in (of_device, of_pairs))
+    assert (device_m2 < 0.6 * pairs_m2) if place == AMONG else (device_m2 > 2.0 * pairs_m2)
