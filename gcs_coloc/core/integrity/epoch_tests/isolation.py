@@ -9,7 +9,8 @@ Whether the offset of an isolated vehicle has changed since is a test of its own
 An offset of a majority cannot be told from the opposite offset of the others: that the majority is right is assumed.
 
 Isolated is a vehicle that is in every explanation which is not clearly worse than the best. Else the fault is only detected.
-Before that, two receivers that are off at once, each its own way, are an explanation as well.
+Before that, two receivers that are off at once, each its own way, are an explanation as well, and so are the pairs of several
+that are off alike.
 
 Source: J. Blanch et al., Baseline advanced RAIM user algorithm, IEEE Trans. AES 51 (2015), subsets of faults; N. L. Knight,
 J. Wang and C. Rizos, Generalised measures of reliability for multiple outliers, J. Geodesy 84 (2010), separability.
@@ -29,7 +30,7 @@ from gcs_coloc.core.integrity.epoch_tests.adjustment import adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, Past
 from gcs_coloc.core.integrity.epoch_tests.fault_model import AdjustedHypothesis, FaultKind, FaultModel, Hypothesis
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit
-from gcs_coloc.core.integrity.epoch_tests.pair_outliers import cost_of_two_pairs
+from gcs_coloc.core.integrity.epoch_tests.pair_outliers import cost_of_their_pairs, cost_of_two_pairs
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.core.stations.node_id import is_station
 
@@ -142,6 +143,9 @@ def isolate(
     if pairs_fail and isolation.isolated and past[0] is not None:
         anew = isolate(_with_errors_anew(now), (_with_errors_anew(past[0]), past[1]), levels, troubled)
         not_alone |= isolation.isolated.keys() - anew.isolated.keys()
+    alike = [each.vehicles for each in isolation.plausible if len(each.vehicles) > 1] if isolation.isolated else []
+    if any(cost_of_their_pairs(now, past, vehicles) <= limit for vehicles in alike):
+        not_alone |= isolation.isolated.keys() - frozenset(troubled)
     isolation = replace(isolation, not_alone=frozenset(not_alone))
     return replace(isolation, changes_m={v: _change_m(now, past, model, v, levels) for v in isolation.isolated})
 

@@ -4,7 +4,8 @@ A fault of one pair is a hypothesis of `isolation`. Here the pair whose ranges e
 rest is consistent: iterated data snooping. The rest keeps redundancy and more than half of the pairs.
 
 Two pairs of one vehicle that are off look like a vehicle that is elsewhere: its position has two horizontal unknowns, as many as
-there are ranges to explain. Where pairs have been off of late, that is an explanation beside a faulty receiver.
+there are ranges to explain. Where pairs have been off of late, that is an explanation beside a faulty receiver. So do the pairs
+of two vehicles that a third alone ranges look like both elsewhere alike.
 
 Source: W. Baarda, A testing procedure for use in geodetic networks (1968); N. L. Knight, J. Wang and C. Rizos, J. Geodesy 84
 (2010), multiple outliers.
@@ -75,6 +76,17 @@ def cost_of_two_pairs(now: Epoch, past: Past, vehicle: int) -> float:
         for two in combinations(pairs, 2)
     )
     return min(statistics, default=inf)
+
+
+def cost_of_their_pairs(now: Epoch, past: Past, vehicles: Collection[int]) -> float:
+    """Return the cost of the explanation that all pairs of some vehicles with others are off, each by a length of its own.
+
+    Where each of the vehicles is ranged by one other alone, these are as many unknowns as one offset of two of them has.
+    """
+    then, correlation = past
+    pairs = {unordered(r.pair) for r in now.residuals if (r.from_vehicle in vehicles) != (r.to_vehicle in vehicles)}
+    rest = without_pairs(now, pairs), (without_pairs(then, pairs) if then is not None else None, correlation)
+    return adjust(rest[0], [rest[1]])[0].statistic + FURTHER_PAIR_PENALTY * (len(pairs) - 1)
 
 
 def unordered(vehicles: Pair) -> Pair:
