@@ -179,9 +179,8 @@ def likeliest_noise(epoch: Epoch, present: NoiseModel, levels: SignificanceLevel
     base = restricted_likelihood(_as_tested(present.apply(epoch)))
     found: list[LikeliestNoise] = []
     for model in present.larger():
-        enlarged = model.apply(epoch)
-        likelihood, tested = restricted_likelihood(enlarged), restricted_likelihood(_as_tested(enlarged))
-        if max(likelihood.statistic, tested.statistic) <= chi2_limit(likelihood.degrees_of_freedom, levels.rest):
+        likelihood = restricted_likelihood(model.apply(epoch))
+        if likelihood.statistic <= chi2_limit(likelihood.degrees_of_freedom, levels.rest):
             found.append(LikeliestNoise(model, likelihood.cost - base.cost + base.statistic))
     return min(found, key=lambda each: each.cost, default=None)
 

@@ -16,8 +16,6 @@ from gcs_coloc.core.integrity.solution_separation import FaultClass, Separation,
 
 DENIED = 9
 SIGMA_M, RANGE_SIGMA_M = 1.5, 0.6
-
-
 AMONG, BESIDE = (0.0, 0.0, 0.0), (2000.0, 500.0, 0.0)
 
 
@@ -129,6 +127,22 @@ def test_errors_of_devices_cost_what_each_of_them_moves_the_vehicle_by(place):
         for device in epoch.arrays.vehicles
     ]
     assert excess_m2 == pytest.approx(sum(np.outer(move, move) for move in moves), rel=0.03)
+
+
+def test_coarser_positions_cost_what_each_of_them_moves_the_vehicle_by():
+    """Receivers that state half of their error have three more times the stated variance, east and north."""
+    epoch = fleet(5)
+    excess_m2 = noise_excess_m2(epoch, NoiseModel(position_factor=2.0).apply(epoch))[DENIED]
+    units = dict(zip(epoch.arrays.pairs, epoch.arrays.unit_vectors.tolist(), strict=True))
+    moves = [
+        shift_m(
+            epoch,
+            lambda r, peer=peer, axis=axis: 1e-3 * units[r.pair][axis] * ((r.to_vehicle == peer) - (r.from_vehicle == peer)),
+        )
+        for peer in range(1, 6)
+        for axis in (0, 1)
+    ]
+    assert excess_m2 == pytest.approx(3.0 * (SIGMA_M / 1e-3) ** 2 * sum(np.outer(move, move) for move in moves), rel=0.03)
 
 
 @pytest.mark.parametrize("place", [AMONG, BESIDE], ids=["among its peers", "beside them"])

@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
-from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, run_tests
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, chi2_limit, run_tests
 from gcs_coloc.core.integrity.epoch_tests.inconsistency import explain_inconsistency
-from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel, clearly_smaller_noise, restricted_likelihood
+from gcs_coloc.core.integrity.epoch_tests.noise_model import (
+    NoiseModel,
+    clearly_smaller_noise,
+    likeliest_noise,
+    restricted_likelihood,
+)
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import pair_outliers
 
 SIGMA_GPS_M, SIGMA_RANGE_M = 1.5, 0.6
@@ -73,6 +78,25 @@ def test_errors_of_devices_are_far_likelier_than_an_error_of_each_pair(answered)
         assert of_devices < of_pairs - LEVELS.margin
 
 
+@pytest.mark.parametrize("answered", [0.0, 0.5, 1.0])
+def test_with_the_noise_that_is_found_the_tests_find_no_contradiction(answered):
+    """They take the errors of devices as independent by pair, which the likelihood does not."""
+    for seed in SEEDS:
+        stated = epoch(np.random.default_rng(seed), scale=0.01, answered=answered)
+        found = likeliest_noise(stated, NoiseModel(), LEVELS)
+        if found is not None:
+            (result,) = run_tests(found.model.apply(stated), LEVELS, [(None, 0.0)])
+            assert result.statistic <= chi2_limit(result.degrees_of_freedom, LEVELS.rest)
+
+
+@pytest.mark.parametrize("noise", [NoiseModel(range_bias_m=8.0), NoiseModel(device_bias_m=8.0)], ids=["pairs", "devices"])
+def test_errors_that_last_hide_no_step(noise):
+    for seed in SEEDS:
+        then, now = (noise.apply(epoch(np.random.default_rng(seed), walked_m=walked_m)) for walked_m in (0.0, 15.0))
+        (result,) = run_tests(now, LEVELS, [(then, 0.9)])
+        assert not result.is_consistent
+
+
 def test_barometers_of_another_day_are_noise_of_heights():
     """Where ranges are nearly level they show nothing of heights, and nothing is found: 4 of the 12 geometries."""
     found = [explained(seed, height_m=15.0, spread_up_m=200.0) for seed in SEEDS]
@@ -124,9 +148,9 @@ def test_noise_is_forgotten_where_it_acts_no_longer():
 
 
 def test_noise_that_blocked_ranges_brought_about_is_taken_back():
-    """The ranges are as stated again; 2 % of the range was the likeliest while half of them were off."""
-    found = [clearly_smaller_noise(epoch(np.random.default_rng(seed)), NoiseModel(device_scale=0.02), LEVELS) for seed in SEEDS]
-    assert all(noise is not None and noise.device_scale <= 0.005 for noise in found)
+    """The ranges are as stated again; 8 m were the likeliest while half of them were off."""
+    found = [clearly_smaller_noise(epoch(np.random.default_rng(seed)), NoiseModel(range_bias_m=8.0), LEVELS) for seed in SEEDS]
+    assert all(noise is not None and noise.range_bias_m <= 2.0 for noise in found)
 
 
 def test_it_is_taken_back_while_some_pair_is_off_still():

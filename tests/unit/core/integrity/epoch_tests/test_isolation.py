@@ -172,6 +172,16 @@ def test_two_pairs_of_the_one_that_ranges_do_not_name_their_peers_as_spoofed_ali
         assert not isolated(epoch(rng, vehicles, mutual=False, added_m=detours_m, denied=denied))
 
 
+def test_peers_that_report_trouble_of_their_own_are_named_where_two_pairs_would_explain_it_too():
+    """40 geometries; a step that lies across the ranges is not seen."""
+    named = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        now = epoch(rng, 8, mutual=False, offsets=dict.fromkeys((2, 3), offset(rng, 100.0)))
+        named.append(set(isolate(now, (None, 0.0), LEVELS, troubled=(2, 3)).isolated))
+    assert named.count({2, 3}) >= 30
+
+
 def test_two_pairs_that_are_off_at_once_name_nobody_where_the_ranges_are_coarse_too():
     """Ranges 31 and 38 m too long, as drawn in a trial among blocked copters, where lasting errors have been found before.
 
