@@ -53,10 +53,10 @@ def put_under_load(
     RuntimeError where a program ends meanwhile.
     """
     samples: list[tuple[float, list[float], list[float]]] = []
-    # To a file: a hundred fleets' tale is longer than a pipe holds, and nobody reads until the sender has ended.
-    with tempfile.TemporaryFile("w+", encoding="utf-8") as tale:
+    # To a file: a hundred fleets' output is longer than a pipe holds, and nobody reads until the sender has ended.
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as output:
         sender = subprocess.Popen(
-            [sys.executable, "-m", "bench.load_sender", str(seconds), f"{size.vehicles},{size.denied}", *fleets], stdout=tale
+            [sys.executable, "-m", "bench.load_sender", str(seconds), f"{size.vehicles},{size.denied}", *fleets], stdout=output
         )
         if sender_on is not None:
             os.sched_setaffinity(sender.pid, sender_on)
@@ -65,8 +65,8 @@ def put_under_load(
             time.sleep(0.25)
             pids = [*(program.pid for program in programs), *workers]
             samples.append((time.monotonic(), [cpu_s(pid) for pid in pids], [waited_s(pid) for pid in pids]))
-        tale.seek(0)
-        told = json.load(tale)
+        output.seek(0)
+        told = json.load(output)
     for program in programs:
         if program.poll() is not None:
             raise RuntimeError(f"{_words(program)} ended by itself with {program.returncode}")

@@ -1,7 +1,7 @@
 """A fleet of the fakes flown against the engine in one process, on MAVLink bytes and simulated time, while something goes wrong.
 
-What is asked of an outcome is what counts in the air: whom the service trusted and when, whether it claimed a fix, how far that
-was off the truth in units of what it claimed, and how far off the truth the autopilot that took it believed itself to be.
+What is asked of an outcome is what counts in the air: whom the service trusted and when, whether it stated a fix, how far that
+was off the truth in units of what it stated, and how far off the truth the autopilot that took it believed itself to be.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class _Watched(Engine):
 
 @dataclass(frozen=True)
 class Stated:
-    """A moment at which the service claimed to know where a vehicle is: its error and its 95 % bound, horizontal, m."""
+    """A moment at which the service stated where a vehicle is: its error and its 95 % bound, horizontal, m."""
 
     at_s: float
     error_m: float
@@ -80,30 +80,30 @@ class Outcome:
         return [m.fix_type for t, m in self.said if isinstance(m, GpsInput) and m.sysid == sysid and from_s <= t < to_s]
 
     def share_located(self, sysid: int, from_s: float, to_s: float = float("inf")) -> float:
-        """Share of the GPS_INPUT within a time that claimed a fix."""
+        """Share of the GPS_INPUT within a time that stated a fix."""
         types = self.fix_types(sysid, from_s, to_s)
         return sum(t == 3 for t in types) / len(types)
 
     def stated(self, sysid: int, from_s: float, to_s: float = float("inf")) -> list[Stated]:
-        """The moments within a time at which the last GPS_INPUT to a vehicle claimed a fix."""
+        """The moments within a time at which the last GPS_INPUT to a vehicle stated a fix."""
         sends = [(t, m.fix_type) for t, m in self.said if isinstance(m, GpsInput) and m.sysid == sysid]
-        out, k, claims = [], 0, False
+        out, k, has_fix = [], 0, False
         for sample in self.flight.samples[sysid]:
             while k < len(sends) and sends[k][0] <= sample.at_s:
-                claims, k = sends[k][1] == 3, k + 1
+                has_fix, k = sends[k][1] == 3, k + 1
             fresh = k > 0 and sample.at_s - sends[k - 1][0] < 1.0
-            if claims and fresh and from_s <= sample.at_s < to_s and sample.error_enu_m is not None:
+            if has_fix and fresh and from_s <= sample.at_s < to_s and sample.error_enu_m is not None:
                 assert sample.covariance is not None
                 error_m = hypot(float(sample.error_enu_m[0]), float(sample.error_enu_m[1]))
                 out.append(Stated(sample.at_s, error_m, horizontal_bound_95_m(sample.covariance)))
         return out
 
     def worst_stated_m(self, sysid: int, from_s: float, to_s: float = float("inf")) -> float:
-        """The largest error among what was claimed as a fix within a time, m."""
+        """The largest error among what was stated as a fix within a time, m."""
         return max((s.error_m for s in self.stated(sysid, from_s, to_s)), default=0.0)
 
     def worst_ratio(self, sysid: int, from_s: float, to_s: float = float("inf")) -> float:
-        """The largest error within a time in units of the 95 % bound that was claimed with it."""
+        """The largest error within a time in units of the 95 % bound that was stated with it."""
         return max((s.error_m / s.bound_m for s in self.stated(sysid, from_s, to_s)), default=0.0)
 
     def worst_belief_m(self, sysid: int, from_s: float, to_s: float = float("inf")) -> float:
@@ -151,7 +151,7 @@ def fly_through(
         params: autopilot parameters of the denied vehicle.
         autopilot: kind of the denied vehicle's autopilot.
         scenario: name of the scenario.
-        switch_primary: whether a receiver that lies is switched off.
+        switch_primary: whether a faulty receiver is switched off.
     """
     with (SCENARIOS / f"{scenario}.toml").open("rb") as file:
         table = tomllib.load(file)

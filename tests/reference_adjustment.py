@@ -115,7 +115,7 @@ class Adjustment:
         return H.reshape(len(i), -1), r
 
     def position_effect(self, vehicle: int) -> ReferenceEffect:
-        """What a claim that came to be off by an unknown horizontal vector explains."""
+        """What a reported position that came to be off by an unknown horizontal vector explains."""
         i = 3 * self.at[vehicle]
         index = slice(i, i + 2)
         inverse, rank = pseudo_inverse(self._left[index, index])

@@ -47,7 +47,7 @@ class Service:
 
 
 class TwoServices:
-    """The whole scene. `now_s` is true time; `loss` and `delay_s` are those of the link between the two, `split` cuts it."""
+    """Two services. `now_s` is true time; `loss` and `delay_s` are those of the link between the two, `split` cuts it."""
 
     def __init__(self, seed: int, vehicles: list[Vehicle] | None = None, *, roles: tuple[bool, bool] = (True, False)) -> None:
         self.random = random.Random(seed)

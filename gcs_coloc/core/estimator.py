@@ -219,7 +219,7 @@ class GuardedEstimator:
         self._faults[kind] += 1
         if self._faults[kind] == 1:
             detail = f": {type(error).__name__}: {error}{_place(error)}" if error is not None else ""
-            self._report(f"estimator {self.name} {kind}{detail}; an answer that fails is withheld")
+            self._report(f"estimator {self.name} {kind}{detail}; an answer that fails is not used")
 
 
 def _place(error: BaseException) -> str:

@@ -169,7 +169,7 @@ class RangeJumps:
 
     Multipath makes single ranges too long, each by a length of its own. When the ranges to every peer are refused one after the
     other, all off by about the same, it is the device, or the clock that it measures by. An estimator whose ranges are refused
-    for long must hold that it is wrong itself, and moves to where they point; so what it says is not to be claimed from the first
+    for long must hold that it is wrong itself, and moves to where they point; so what it says is not to be stated from the first
     such row of ranges on, until it has been seen where it comes to rest.
     """
 

@@ -60,7 +60,7 @@ _TRUTH_WITHIN_S = 0.06
 class Loss:
     """One loss of GPS: what was told of it before, and what came 30 s after; m, NaN where there is none.
 
-    `is_told`: the size of the bound was claimed. `error_m` is the reached horizontal error; `has_fix` whether a position was
+    `is_told`: the size of the bound was told. `error_m` is the reached horizontal error; `has_fix` whether a position was
     stated then.
     """
 
@@ -226,7 +226,7 @@ def check_table(losses: Sequence[Loss]) -> Table:
 
 
 def _cells(losses: Sequence[Loss]) -> list[str]:
-    bounds, claimed, as_told, levels = (
+    bounds, told, as_told, levels = (
         np.array(ratios)
         for ratios in (
             [loss.bound_ratio for loss in losses],
@@ -242,7 +242,7 @@ def _cells(losses: Sequence[Loss]) -> list[str]:
         str(len(losses)),
         _median(bounds),
         _close(bounds),
-        _close(claimed),
+        _close(told),
         _close(as_told),
         _median(levels),
         _close(levels),

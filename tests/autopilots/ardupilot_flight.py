@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from flown_place import mission, place
 from four_ship import Case, FourShip, in_flight
 from pilot import Pilot
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from scene import mission, place
 from simulators import ORIGIN_ALT_M, Simulator, ardupilot
 
 _WANTED_HZ: Mapping[int, float] = {

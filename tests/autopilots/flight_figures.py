@@ -201,8 +201,10 @@ def judge(ship: FourShip, denied: int, age_s: float, name: str) -> Figures:
         _judge_bounds(out, [f for f in bounded if f.place.unix_s >= begins_s], truth, begins_s + SETTLED_S, age_s)
         since = [(at, n, state) for at, n, state in ship.service.states if at >= begins_s]
         out.named_after_s = next((at - begins_s for at, n, state in since if n == denied and state == "failed"), None)
-        accused = {n: at - begins_s for at, n, state in reversed(since) if n in sound and state in ("suspect", "failed")}
-        out.suspects = [f"{n} after {at:.0f} s" for n, at in sorted(accused.items())]
+        suspected_after_s = {
+            n: at - begins_s for at, n, state in reversed(since) if n in sound and state in ("suspect", "failed")
+        }
+        out.suspects = [f"{n} after {at:.0f} s" for n, at in sorted(suspected_after_s.items())]
         out.log_lines = ship.log_lines
         out.switched_after_s = next(
             (float(m[1]) - begins_s for m in _switches(ship.service.recordings) if float(m[1]) >= begins_s), None

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from flown_place import HOMES_M
 from pilot import Pilot, Place3D, distance_m
-from scene import HOMES_M
 from service_process import Service
 from simulators import Simulator
 

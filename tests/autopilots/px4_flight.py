@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from flown_place import HEIGHT_M, place
 from four_ship import Case, FourShip, in_flight
 from pilot import Pilot
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from scene import HEIGHT_M, place
 from simulators import ORIGIN_ALT_M, px4
 
 # Ports that PX4's own start-up script gives to its instances (px4-rc.mavlinksim): ground station, onboard, truth of SIH.
@@ -62,7 +62,7 @@ class Px4Flight:
 
     model: ClassVar[str] = "sihsim_quadx"
     height_share: ClassVar[float] = 1 / 3
-    """Of the heights in the scene: the lower, the sooner the fault can begin."""
+    """Of the heights of the place: the lower, the sooner the fault can begin."""
 
     def fly(self, case: Case, program: Path, directory: Path) -> FourShip:
         """On the ground for a while, up, into orbits, then the fault and what follows. Returns when all is over."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M = 47.5, 9.0, 450.0
-"""The scene: any place; away from 0 degrees, where errors of sign hide."""
+"""Any place; away from 0 degrees, where errors of sign hide."""
 
 COMPANION = 191
 """MAV_COMP_ID_ONBOARD_COMPUTER: who reports ranges."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from flight import TOKEN, Scene, Watched, browser, flying, service, wait_until_good
+from flight import TOKEN, LiveService, Watched, browser, flying, service, wait_until_good
 
 from bench.free_ports import free_port
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory) -> Iterator[Scene]:
+def live(tmp_path_factory) -> Iterator[LiveService]:
     folder = tmp_path_factory.mktemp("web")
     (folder / "token").write_text(f"{TOKEN}\n")
     (folder / "token").chmod(0o600)
@@ -20,15 +20,15 @@ def scene(tmp_path_factory) -> Iterator[Scene]:
     ground = ["--out", f"udpin:127.0.0.1:{out_port}"]
     arguments = [*ground, "--config", str(folder / "config.toml"), "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
     with service(folder / "log", *arguments) as (_, url), flying(port, failed) as fleet, browser() as chromium:
-        yield Scene(url, failed, chromium, port, out_port, folder, fleet)
+        yield LiveService(url, failed, chromium, port, out_port, folder, fleet)
 
 
 @pytest.fixture
-def watched(scene) -> Iterator[Watched]:
+def watched(live) -> Iterator[Watched]:
     """A page on which all four vehicles are good."""
-    scene.failed.clear()
-    watched = Watched(scene.chromium.new_page(viewport={"width": 1366, "height": 900}))
-    watched.page.goto(scene.url)
+    live.failed.clear()
+    watched = Watched(live.chromium.new_page(viewport={"width": 1366, "height": 900}))
+    watched.page.goto(live.url)
     wait_until_good(watched.page, 1, 2, 3, 4)
     yield watched
     watched.page.close()

@@ -24,7 +24,7 @@ _FLAGS = ["--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--disable
 
 
 @dataclass
-class Scene:
+class LiveService:
     """A live service with its page, four vehicles, those of them that have lost their GPS, and a browser."""
 
     url: str

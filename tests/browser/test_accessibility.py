@@ -50,11 +50,11 @@ def looks(page: Page) -> Iterator[None]:
         yield
 
 
-def test_the_live_page_with_an_alarm_its_details_and_an_armed_command(watched, scene):
+def test_the_live_page_with_an_alarm_its_details_and_an_armed_command(watched, live):
     page = watched.page
     for _ in looks(page):
         assert violations(page) == []
-    scene.failed.add(4)
+    live.failed.add(4)
     expect(page.locator("#alarms li[data-kind='gps_lost']")).not_to_have_count(0)
     expect(page.locator("path.range")).to_have_count(3)
     card(page, 4).click()
@@ -66,15 +66,15 @@ def test_the_live_page_with_an_alarm_its_details_and_an_armed_command(watched, s
         expect(page.get_by_role("button", name="Send: Declare GPS failed")).to_be_enabled()
         assert violations(page) == []
         page.get_by_role("button", name="Cancel").click()
-    scene.failed.clear()
+    live.failed.clear()
     wait_until_good(page, 4)
     for _ in looks(page):
         assert violations(page) == []  # the alarm is over
 
 
-def test_a_page_that_has_lost_its_service(scene, tmp_path):
+def test_a_page_that_has_lost_its_service(live, tmp_path):
     port = free_port()
-    page = scene.chromium.new_page(viewport={"width": 1440, "height": 900})
+    page = live.chromium.new_page(viewport={"width": 1440, "height": 900})
     with flying(port, set()), service(tmp_path / "log", "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0") as (process, url):
         page.goto(url)
         expect(card(page, 4)).to_be_visible()
@@ -86,9 +86,9 @@ def test_a_page_that_has_lost_its_service(scene, tmp_path):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_replayed_flight(scene, recording, scheme):
+def test_a_replayed_flight(live, recording, scheme):
     with replaying(recording) as (_, url):
-        page = scene.chromium.new_page(viewport={"width": 1440, "height": 900}, color_scheme=scheme)
+        page = live.chromium.new_page(viewport={"width": 1440, "height": 900}, color_scheme=scheme)
         page.goto(url)
         place = page.get_by_role("slider", name="Position in the recording")
         place.focus()
@@ -101,8 +101,8 @@ def test_a_replayed_flight(scene, recording, scheme):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_report_of_a_flight(scene, report, scheme):
-    page = scene.chromium.new_page(color_scheme=scheme)
+def test_the_report_of_a_flight(live, report, scheme):
+    page = live.chromium.new_page(color_scheme=scheme)
     page.goto(report.as_uri())
     expect(page.get_by_role("heading", name="Vehicle 4 without its GPS")).to_be_visible()
     for width_px in (1440, 390):

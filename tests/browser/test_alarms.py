@@ -16,12 +16,12 @@ def alarm(page, sysid: int):
     return page.locator(f"#alarms li[data-kind='gps_lost'][data-sysid='{sysid}']")
 
 
-def test_an_alarm_is_active_on_every_page_until_it_is_over_and_somebody_has_acknowledged_it(watched, scene):
+def test_an_alarm_is_active_on_every_page_until_it_is_over_and_somebody_has_acknowledged_it(watched, live):
     page = watched.page
-    other = Watched(scene.chromium.new_page()).page
-    other.goto(scene.url)
+    other = Watched(live.chromium.new_page()).page
+    other.goto(live.url)
     wait_until_good(other, 4)
-    scene.failed.add(4)
+    live.failed.add(4)
     # Its receiver never shows what it is sent: after 5 s the caution is an alarm, and stays one.
     for one in (page, other):
         expect(alarm(one, 4)).to_have_class("error active")
@@ -35,14 +35,14 @@ def test_an_alarm_is_active_on_every_page_until_it_is_over_and_somebody_has_ackn
         # It lasts: acknowledged it stays in the list, as the header still counts it.
         expect(alarm(one, 4)).to_have_class("error acknowledged")
         expect(one.locator("#summary")).to_contain_text("1 in alarm (4)")
-    scene.failed.clear()
+    live.failed.clear()
     for one in (page, other):
         expect(alarm(one, 4)).to_have_count(0)
         expect(one.locator("#summary")).to_contain_text("0 in alarm")
     wait_until_good(page, 4)
-    scene.failed.add(4)
+    live.failed.add(4)
     expect(alarm(page, 4)).to_have_class(re.compile(" active$"))
-    scene.failed.clear()
+    live.failed.clear()
     # Over, and said so, until somebody has read it.
     expect(alarm(page, 4)).to_have_class(re.compile(" over$"))
     expect(alarm(page, 4)).to_contain_text("over: vehicle 4")
@@ -72,18 +72,18 @@ RINGS = """
 """
 
 
-def test_sound_and_notification_ring_on_request_and_not_for_what_a_page_finds_when_it_opens(watched, scene):
+def test_sound_and_notification_ring_on_request_and_not_for_what_a_page_finds_when_it_opens(watched, live):
     watched.page.close()
-    context = scene.chromium.new_context(permissions=["notifications"])
+    context = live.chromium.new_context(permissions=["notifications"])
     context.add_init_script(RINGS)
     page = Watched(context.new_page()).page
-    page.goto(scene.url)
+    page.goto(live.url)
     wait_until_good(page, 3)
     for name in ("Sound", "Notify"):
         page.get_by_role("button", name=name).click()
         expect(page.get_by_role("button", name=name)).to_have_attribute("aria-pressed", "true")
     before = page.evaluate("rung")
-    scene.failed.add(3)
+    live.failed.add(3)
     raised = "vehicle 3: alarm active: GPS failed"
     wait_for(lambda: any(text.startswith(raised) for text in page.evaluate("notified")), "the notification")
     assert page.evaluate("rung") > before
@@ -110,10 +110,10 @@ def test_sound_and_notification_ring_on_request_and_not_for_what_a_page_finds_wh
     context.close()
 
 
-def test_times_are_told_as_soon_as_the_service_knows_what_time_it_is(scene):
+def test_times_are_told_as_soon_as_the_service_knows_what_time_it_is(live):
     """What a page shows that found a service in its first second again: events first, and the time of day later."""
     knows_the_time = False
-    page = Watched(scene.chromium.new_page()).page
+    page = Watched(live.chromium.new_page()).page
 
     def between(browser_side: WebSocketRoute) -> None:
         def pass_on(text: str) -> None:
@@ -125,10 +125,10 @@ def test_times_are_told_as_soon_as_the_service_knows_what_time_it_is(scene):
         browser_side.connect_to_server().on_message(pass_on)
 
     page.route_web_socket(re.compile("/live$"), between)
-    scene.failed.clear()
-    page.goto(scene.url)
+    live.failed.clear()
+    page.goto(live.url)
     wait_until_good(page, 4)
-    scene.failed.add(4)
+    live.failed.add(4)
     line = page.locator("#log li").filter(has_text="vehicle 4: GPS suspect\u00a0→\u00a0failed").first
     expect(alarm(page, 4)).to_have_class(re.compile(" active$"))
     expect(alarm(page, 4).locator(".when")).to_have_text(re.compile(r"^since \d+\.\d s"))
@@ -136,6 +136,6 @@ def test_times_are_told_as_soon_as_the_service_knows_what_time_it_is(scene):
     knows_the_time = True
     expect(alarm(page, 4).locator(".when")).to_have_text(re.compile(r"^since \d\d:\d\d:\d\d"))
     expect(line).to_have_text(re.compile(r"^\d\d:\d\d:\d\d vehicle 4"))
-    scene.failed.clear()
+    live.failed.clear()
     expect(card(page, 4)).to_contain_text("GPS healthy")
     page.close()

@@ -124,12 +124,12 @@ def test_the_override_in_force_is_marked_with_who_gave_it_and_selection_and_toke
     assert watched.complaints == []
 
 
-def test_an_override_of_a_flag_or_the_configuration_is_named_so(scene, tmp_path):
+def test_an_override_of_a_flag_or_the_configuration_is_named_so(live, tmp_path):
     (tmp_path / "coloc.toml").write_text("[fleet]\nhealthy = [2]\n")
     port = free_port()
     arguments = ["--config", str(tmp_path / "coloc.toml"), "--failed", "4", "--udp", f"127.0.0.1:{port}", "--web", "127.0.0.1:0"]
     with service(tmp_path / "log", *arguments) as (_, url), flying(port, set()):
-        page = Watched(scene.chromium.new_page()).page
+        page = Watched(live.chromium.new_page()).page
         page.goto(url)
         for sysid, told in ((4, "GPS failed by flag"), (2, "GPS healthy by configuration")):
             card(page, sysid).click()
@@ -151,9 +151,9 @@ def answer_for_gps_primary(hover: Hover, value: float) -> None:
     """As an autopilot does whose second receiver takes our fix; `value` is what its GPS_PRIMARY is at first."""
     real32, taken = mavlink.MAV_PARAM_TYPE_REAL32, 0
     while True:
-        news = hover.received[taken:]
-        taken += len(news)
-        for _, message in news:
+        new = hover.received[taken:]
+        taken += len(new)
+        for _, message in new:
             if message.get_type() in ("PARAM_REQUEST_READ", "PARAM_SET"):
                 value = getattr(message, "param_value", value)
                 hover.send(hover.pack(mavlink.MAVLink_param_value_message(b"GPS_PRIMARY", value, real32, 1, 0)))
@@ -163,10 +163,10 @@ def answer_for_gps_primary(hover: Hover, value: float) -> None:
         yield value
 
 
-def test_gps_primary_is_set_and_restored_from_the_page_with_what_that_does_in_words(watched, scene):
-    page, hover = watched.page, scene.fleet[3]
+def test_gps_primary_is_set_and_restored_from_the_page_with_what_that_does_in_words(watched, live):
+    page, hover = watched.page, live.fleet[3]
     autopilot = answer_for_gps_primary(hover, 0.0)
-    scene.failed.add(4)
+    live.failed.add(4)
     expect(card(page, 4)).to_contain_text("sending 3D fix")
     card(page, 4).click()
     page.get_by_label("Operator's token").fill(TOKEN)

@@ -12,10 +12,10 @@ from playwright.sync_api import expect
 pytestmark = pytest.mark.integration
 
 
-def test_the_details_leave_alarms_and_fleet_in_a_window_of_900_px(watched, scene):
+def test_the_details_leave_alarms_and_fleet_in_a_window_of_900_px(watched, live):
     page = watched.page
     page.set_viewport_size({"width": 1440, "height": 900})
-    scene.failed.add(4)
+    live.failed.add(4)
     expect(page.locator("#alarms li")).not_to_have_count(0)
     card(page, 4).click()
     for part in ("#alarms-title", "#fleet-title", "#details-title"):

@@ -27,16 +27,16 @@ def test_four_vehicles_are_shown_and_nothing_is_complained_of(watched):
     assert watched.complaints == []
 
 
-def test_a_ground_tool_is_shown_with_what_goes_to_it_and_what_is_refused_of_it(watched, scene):
+def test_a_ground_tool_is_shown_with_what_goes_to_it_and_what_is_refused_of_it(watched, live):
     cells = watched.page.locator("#out-rows tr").locator("th, td")
-    expect(cells.first).to_have_text(f"udpin:127.0.0.1:{scene.out_port}")
+    expect(cells.first).to_have_text(f"udpin:127.0.0.1:{live.out_port}")
     expect(cells.nth(1)).to_have_text("0")
     sender = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tool:
-        tool.sendto(beat.pack(sender), ("127.0.0.1", scene.out_port))
+        tool.sendto(beat.pack(sender), ("127.0.0.1", live.out_port))
         sender.srcSystem = 3  # a vehicle's
-        tool.sendto(beat.pack(sender), ("127.0.0.1", scene.out_port))
+        tool.sendto(beat.pack(sender), ("127.0.0.1", live.out_port))
         expect(cells.nth(1)).to_have_text("1")
         expect(cells.nth(2)).to_have_text(re.compile(r"^[1-9][0-9]*\.[0-9]$"))
         expect(cells.nth(3)).to_have_text("1")
@@ -45,10 +45,10 @@ def test_a_ground_tool_is_shown_with_what_goes_to_it_and_what_is_refused_of_it(w
     assert watched.complaints == []
 
 
-def test_a_failed_vehicle_gets_an_ellipse_and_its_reported_position_apart(watched, scene):
+def test_a_failed_vehicle_gets_an_ellipse_and_its_reported_position_apart(watched, live):
     page = watched.page
     expect(page.locator("path.ellipse:not([d='M0 0'])")).to_have_count(0)
-    scene.failed.add(4)
+    live.failed.add(4)
     expect(card(page, 4)).to_contain_text("sending 3D fix")
     expect(card(page, 4)).to_contain_text("caution")
     expect(page.locator("path.ellipse:not([d='M0 0'])")).to_have_count(1)
@@ -60,13 +60,13 @@ def test_a_failed_vehicle_gets_an_ellipse_and_its_reported_position_apart(watche
     assert watched.complaints == []
 
 
-def test_a_page_that_is_behind_others_is_sent_no_pictures_and_is_up_to_date_when_it_is_looked_at_again(scene):
-    hidden, seen = (Watched(scene.chromium.new_page()).page for _ in range(2))
+def test_a_page_that_is_behind_others_is_sent_no_pictures_and_is_up_to_date_when_it_is_looked_at_again(live):
+    hidden, seen = (Watched(live.chromium.new_page()).page for _ in range(2))
     kinds = {hidden: [], seen: []}
     for page, got in kinds.items():
         note = lambda frame, got=got: got.append(json.loads(frame)["kind"])  # noqa: E731
         page.on("websocket", lambda socket, note=note: socket.on("framereceived", note))
-        page.goto(scene.url)
+        page.goto(live.url)
         expect(page.get_by_role("status").filter(has_text="live")).to_be_visible()
 
     def pictures(page):
@@ -117,9 +117,9 @@ def test_the_keyboard_skips_to_the_fleet_and_a_vehicles_details_and_comes_back_f
     assert watched.complaints == []
 
 
-def test_the_vehicles_on_the_map_are_one_stop_of_the_tab_key_with_arrow_keys_among_them(watched, scene):
+def test_the_vehicles_on_the_map_are_one_stop_of_the_tab_key_with_arrow_keys_among_them(watched, live):
     page = watched.page
-    scene.failed.add(4)
+    live.failed.add(4)
     expect(page.get_by_role("button", name="Vehicle 4: reported position, not trusted")).to_be_visible()
     page.locator("#map").focus()
     page.keyboard.press("Tab")
@@ -133,7 +133,7 @@ def test_the_vehicles_on_the_map_are_one_stop_of_the_tab_key_with_arrow_keys_amo
     assert focused(page) == "Zoom in"
     page.keyboard.press("Shift+Tab")
     assert focused(page) == "Vehicle 4: reported position, not trusted"
-    scene.failed.clear()
+    live.failed.clear()
     expect(page.get_by_role("button", name="Vehicle 4: reported position, not trusted")).to_have_count(0)
     neighbour = re.match(r"(Vehicle \d), .*: estimated position", focused(page))  # of what is no longer there
     assert neighbour is not None
@@ -182,12 +182,12 @@ def spread_two_fingers(page):
 
 
 @pytest.mark.parametrize("zoom", [double_click, spread_two_fingers])
-def test_who_zooms_the_map_ends_show_all(scene, zoom):
-    scene.failed.clear()
-    context, pictures = scene.chromium.new_context(has_touch=True, viewport={"width": 1366, "height": 900}), []
+def test_who_zooms_the_map_ends_show_all(live, zoom):
+    live.failed.clear()
+    context, pictures = live.chromium.new_context(has_touch=True, viewport={"width": 1366, "height": 900}), []
     page = Watched(context.new_page()).page
     page.on("websocket", lambda socket: socket.on("framereceived", lambda text: pictures.append(text)))
-    page.goto(scene.url)
+    page.goto(live.url)
     wait_until_good(page, 1, 2, 3, 4)
     before = page.evaluate(MARKS_APART_PX)
     zoom(page)
@@ -207,8 +207,8 @@ def test_without_tiles_nothing_that_draws_them_is_loaded(watched):
     assert "tiles.js" not in loaded
 
 
-def test_the_true_position_of_a_simulation_has_a_mark_of_its_own(watched, scene):
-    page, hover = watched.page, scene.fleet[0]
+def test_the_true_position_of_a_simulation_has_a_mark_of_its_own(watched, live):
+    page, hover = watched.page, live.fleet[0]
     expect(page.locator("#truth-key")).to_be_hidden()
     lat_deg, lon_deg, _ = hover.lla
     mark = page.get_by_role("button", name="Vehicle 1: true position")
@@ -230,10 +230,10 @@ def test_the_true_position_of_a_simulation_has_a_mark_of_its_own(watched, scene)
     expect(mark).to_have_count(0)  # what is no longer told is no longer shown
 
 
-def test_after_a_kill_and_a_restart_with_nobody_heard_no_vehicle_of_before_is_shown(scene, tmp_path):
+def test_after_a_kill_and_a_restart_with_nobody_heard_no_vehicle_of_before_is_shown(live, tmp_path):
     udp_port, web_port = free_port(), free_port(socket.SOCK_STREAM)
     arguments = ["--udp", f"127.0.0.1:{udp_port}", "--web", f"127.0.0.1:{web_port}"]
-    watched = Watched(scene.chromium.new_page())
+    watched = Watched(live.chromium.new_page())
     page = watched.page
     with flying(udp_port, set()), service(tmp_path / "first", *arguments) as (process, url):
         page.goto(url)
@@ -257,10 +257,10 @@ def test_after_a_kill_and_a_restart_with_nobody_heard_no_vehicle_of_before_is_sh
     page.close()
 
 
-def test_a_restarted_service_is_found_again_and_its_absence_is_said(scene, tmp_path):
+def test_a_restarted_service_is_found_again_and_its_absence_is_said(live, tmp_path):
     udp_port, web_port = free_port(), free_port(socket.SOCK_STREAM)
     arguments = ["--udp", f"127.0.0.1:{udp_port}", "--web", f"127.0.0.1:{web_port}"]
-    page = Watched(scene.chromium.new_page()).page
+    page = Watched(live.chromium.new_page()).page
     with flying(udp_port, {4}):
         with service(tmp_path / "first", *arguments) as (_, url):
             page.goto(url)
@@ -279,7 +279,7 @@ def test_a_restarted_service_is_found_again_and_its_absence_is_said(scene, tmp_p
     page.close()
 
 
-def test_a_healthy_vehicle_says_whether_it_would_be_located_without_gps(watched, scene):
+def test_a_healthy_vehicle_says_whether_it_would_be_located_without_gps(watched, live):
     page = watched.page
     expect(card(page, 1)).to_contain_text("without GPS not ready: no peer ranged")
     expect(page.locator("#map svg.vehicle .name").filter(has_text="✓○")).to_have_count(4)
@@ -288,7 +288,7 @@ def test_a_healthy_vehicle_says_whether_it_would_be_located_without_gps(watched,
     facts = page.locator("#facts")
     expect(facts.locator("dt").filter(has_text="without GPS")).to_have_count(1)
     expect(facts).to_contain_text("not ready: no peer ranged; peers ranged: 0; half a minute after a loss: no position")
-    scene.failed.add(4)
+    live.failed.add(4)
     expect(card(page, 4)).to_contain_text("sending 3D fix")
     expect(card(page, 4)).not_to_contain_text("without GPS")
     assert watched.complaints == []

@@ -16,9 +16,9 @@ def mark(page, sysid: int):
     return page.locator("#map").get_by_role("button", name=re.compile(f"^Vehicle {sysid}, .*estimated position"))
 
 
-def test_the_position_under_the_cursor_and_the_distance_between_two_vehicles(watched, scene):
+def test_the_position_under_the_cursor_and_the_distance_between_two_vehicles(watched, live):
     page = watched.page
-    lat_deg, lon_deg, _ = scene.fleet[1].lla
+    lat_deg, lon_deg, _ = live.fleet[1].lla
     mark(page, 2).hover()
     text = page.locator("#cursor-text")
     expect(text).to_have_text(re.compile(r"^-?\d+\.\d{6}, -?\d+\.\d{6} {3}-?\d+ m E, -?\d+ m N$"))
@@ -30,7 +30,7 @@ def test_the_position_under_the_cursor_and_the_distance_between_two_vehicles(wat
     told = page.locator("#distance-text")
     expect(told).to_have_text(re.compile(r"^\d+ m, bearing \d{3}°$"))
     distance_m, bearing_deg = map(float, re.findall(r"\d+", told.text_content()))
-    (e1, n1, _), (e2, n2, _) = scene.fleet[0].enu_m, scene.fleet[1].enu_m
+    (e1, n1, _), (e2, n2, _) = live.fleet[0].enu_m, live.fleet[1].enu_m
     assert distance_m == pytest.approx(math.hypot(e2 - e1, n2 - n1), abs=3.0)
     assert bearing_deg == pytest.approx(math.degrees(math.atan2(e2 - e1, n2 - n1)), abs=1.5)
     expect(page.locator("#details")).to_be_hidden()  # a click measures and does not select
@@ -54,9 +54,9 @@ def pairs_apart_px(lines: list[list[float]]) -> list[float]:
     ]
 
 
-def test_both_directions_of_a_range_stand_side_by_side_with_their_values_on_request(watched, scene):
+def test_both_directions_of_a_range_stand_side_by_side_with_their_values_on_request(watched, live):
     page = watched.page
-    scene.failed.update((3, 4))
+    live.failed.update((3, 4))
     expect(page.locator("path.range")).to_have_count(6)
     wait_for(lambda: len(pairs_apart_px(page.evaluate(ENDS))) == 1, "two lines between 3 and 4")
     assert 4.0 < pairs_apart_px(page.evaluate(ENDS))[0] < 9.0
@@ -72,9 +72,9 @@ def test_both_directions_of_a_range_stand_side_by_side_with_their_values_on_requ
     assert watched.complaints == []
 
 
-def test_the_residuals_of_the_selected_vehicles_ranges_are_a_plot(watched, scene):
+def test_the_residuals_of_the_selected_vehicles_ranges_are_a_plot(watched, live):
     page = watched.page
-    scene.failed.add(4)
+    live.failed.add(4)
     expect(page.locator("path.range")).to_have_count(3)
     card(page, 4).click()
     figure = page.get_by_role("figure", name="Plot of residuals of the ranges of vehicle 4, m over time")

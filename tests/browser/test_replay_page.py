@@ -181,7 +181,7 @@ def test_a_mistake_is_one_line(recording, arguments, code, words):
     assert words in done.stderr
 
 
-def test_an_address_that_is_taken_is_one_line_with_the_mend(recording):
+def test_an_address_that_is_taken_is_one_line_with_the_remedy(recording):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()

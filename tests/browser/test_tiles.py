@@ -1,4 +1,4 @@
-"""The map over tiles from a file, in a real browser: they load under the page's own policy and lie where they belong."""
+"""The map over tiles from a file, in a real browser: they load under the page's own policy and are where they belong."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def tile_of(lat_deg: float, lon_deg: float, zoom: int) -> tuple[int, int, int]:
     return zoom, math.floor((lon_deg + 180.0) / 360.0 * n), math.floor(y)
 
 
-def test_tiles_lie_under_the_vehicles_and_nothing_is_complained_of(tmp_path):
+def test_tiles_are_under_the_vehicles_and_nothing_is_complained_of(tmp_path):
     tiles = set()
     for zoom in range(10, 17):
         _, x, y = tile_of(LAT, LON, zoom)

@@ -24,13 +24,13 @@ def test_what_arrives_after_the_end_was_asked_for_is_not_looked_at(free_port):
         path = FleetService(settings, clock, read_host_clock(clock()))
         await path.open()
         path.start()
-        news = path.events.subscribe()
+        events = path.events.subscribe()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
             sock.bind(("127.0.0.1", 0))
             first, second = (Hover(sysid, (0.0, 0.0, 50.0), ("127.0.0.1", free_port), sock) for sysid in (1, 2))
             first.send(*first.telemetry(0, 3))
             async with asyncio.timeout(_GENEROUS_S):
-                await news.get()  # that it was heard for the first time
+                await events.get()  # that it was heard for the first time
             before = path.known_sysids()
             path.stop()
             second.send(*second.telemetry(0, 3))

@@ -1,4 +1,4 @@
-"""The doctor against simulated aircraft in processes of their own: a wrong set-up, and the same one mended as it said."""
+"""The doctor against simulated aircraft in processes of their own: a wrong set-up, and the same one corrected as it said."""
 
 from __future__ import annotations
 
@@ -73,9 +73,9 @@ def test_a_wrong_set_up_is_told_parameter_by_parameter_and_is_right_when_they_ar
     assert dict(file) == asked
     assert sorted(path.name for path in (tmp_path / "params").iterdir()) == ["vehicle-4.param", "vehicle-4.params"]
 
-    mended = scenario(tmp_path, WRONG | settings)
+    corrected = scenario(tmp_path, WRONG | settings)
     monkeypatch.setenv("GCS_COLOC_MAVLINK__SYSTEM_ID", "255")
-    told = examine(free_port, mended, "--aid", "4")
+    told = examine(free_port, corrected, "--aid", "4")
     assert told.returncode == 0, told.stdout + told.stderr
     lines = told.stdout.splitlines()
     assert lines[-1] == "result: all right; co-localisation can work"

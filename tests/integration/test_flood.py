@@ -46,7 +46,7 @@ def test_a_vehicle_is_located_under_a_flood_of_false_positions_noise_and_made_up
         fixes = [m for m in fleet[3].of("GPS_INPUT") if m.fix_type == 3]
         assert len(fixes) >= 20
         for fix in fixes:
-            # The flood claims that these vehicles are anywhere on Earth; 4 sigma of what their own positions and ranges give.
+            # The flood says that these vehicles are anywhere on Earth; 4 sigma of what their own positions and ranges give.
             east, north = (fix.lon / 1e7 - LON) * M_PER_DEG_LON, (fix.lat / 1e7 - LAT) * M_PER_DEG_LAT
             assert math.hypot(east - fleet[3].enu_m[0], north - fleet[3].enu_m[1]) < 4.0
         assert not any(v.of("GPS_INPUT") for v in fleet[:3])

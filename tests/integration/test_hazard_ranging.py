@@ -16,7 +16,7 @@ PEER = 1
 
 @pytest.mark.parametrize("peer", [None, PEER], ids=["all its ranges", "the ranges to one peer"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_biased_ranging_device_costs_the_fix_at_once_and_nobodys_gps_is_accused(peer, seed):
+def test_a_biased_ranging_device_costs_the_fix_at_once_and_nobodys_gps_is_failed(peer, seed):
     bias = fault("range_bias", DENIED, FROM_S, bias_m=20.0, **({} if peer is None else {"peer": peer}))
     out = fly_through(LOST, bias, duration_s=FROM_S + 25.0, seed=seed)
     assert out.distrusted(FROM_S) == set()

@@ -3,7 +3,7 @@
 The four-ship of sitl_fakes/scenarios/uwb.toml: GPS of 1.5 m with errors that last a minute, ranges of 0.5 m with 3 % outliers,
 telemetry up to 0.15 s late. Undisturbed, over seeds 1 to 8, the vehicle is located to 4.0 m at the worst (`SOUND_M` is half as
 much again) and to 1.5 times its 95 % bound at the worst, as the peers' slow errors last a whole flight; with the seed of these
-flights to 0.7 times, so that `HONEST` leaves room for as much again and nothing for a lie.
+flights to 0.7 times, so that `HONEST` leaves room for as much again and nothing for a fault.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def test_a_px4_that_loses_its_gps_flies_on_global_position_sensor():
 
 
 @pytest.mark.parametrize("switch_primary", ["off", "auto"])
-def test_a_px4_goes_on_with_a_receiver_that_lies_unless_it_is_switched_off(switch_primary):
+def test_a_px4_goes_on_with_a_faulty_receiver_unless_it_is_switched_off(switch_primary):
     walked_off = fault("gps_spoofed", at_s=20.0, speed_mps=5.0)
     out = fly_through(walked_off, duration_s=60.0, mutual=True, autopilot="px4", switch_primary=switch_primary)
     assert out.first(DENIED, "failed") < 25.0
@@ -79,7 +79,7 @@ def test_a_jammed_receiver_is_never_believed_and_gps_primary_decides_whether_the
     [(0.5, True), (2.0, True), (10.0, True), (2.0, False)],
     ids=["0.5 m/s", "2 m/s", "10 m/s", "2 m/s, the denied vehicle's ranges only"],
 )
-def test_a_peer_walked_off_is_found_and_what_the_subject_is_told_meanwhile_stays_within_what_is_claimed(speed_mps, mutual):
+def test_a_peer_drawn_off_is_found_and_what_the_denied_vehicle_is_told_meanwhile_is_within_its_bound(speed_mps, mutual):
     # Half a metre a second hides in a receiver's own slow errors for a long time; the bound grows meanwhile.
     lasts_s = 65.0 if speed_mps < 1.0 else 25.0
     walked_off = fault("gps_spoofed", PEER, FROM_S, speed_mps=speed_mps)
@@ -142,7 +142,7 @@ def test_two_that_fail_at_once_are_both_located_from_three():
 
 
 @pytest.mark.parametrize(("speed_mps", "within_s"), [(0.5, 35.0), (2.0, 12.0), (10.0, 3.0)], ids=["0.5 m/s", "2 m/s", "10 m/s"])
-def test_a_subject_walked_off_is_found_by_the_ranges_and_not_believed_again_while_it_lies(speed_mps, within_s):
+def test_a_denied_vehicle_drawn_off_is_found_by_the_ranges_and_not_believed_again_meanwhile(speed_mps, within_s):
     walked_off = fault("gps_spoofed", DENIED, FROM_S, speed_mps=speed_mps)
     out = fly_through(walked_off, duration_s=FROM_S + within_s + 20.0, mutual=True)
     found_s = out.first(DENIED, "suspect", "failed", after_s=FROM_S)

@@ -44,5 +44,5 @@ def test_without_keys_frames_sent_again_or_forged_from_elsewhere_move_nothing_an
     service.send_signal(signal.SIGINT)
     _, log = service.communicate(timeout=60)
     assert service.returncode == 0
-    claims = [line for line in log.splitlines() if "uses its system id" in line]
-    assert {sysid for sysid in (1, 4) if any(f"vehicle {sysid}" in line for line in claims)} == {1, 4}
+    warnings = [line for line in log.splitlines() if "uses its system id" in line]
+    assert {sysid for sysid in (1, 4) if any(f"vehicle {sysid}" in line for line in warnings)} == {1, 4}

@@ -19,7 +19,7 @@ PATIENCE_S = 60.0
 
 
 @pytest.fixture
-def scene(tmp_path) -> Iterator[tuple[TwoLinks, Pair]]:
+def air_and_pair(tmp_path) -> Iterator[tuple[TwoLinks, Pair]]:
     with two_links() as (air, ports):
         pair = Pair(air, ports, tmp_path, "--no-web")
         yield air, pair
@@ -45,8 +45,8 @@ def aided(air: TwoLinks, pair: Pair) -> None:
     air.fly(3.0)  # the second one has it located, too
 
 
-def test_the_second_one_takes_over_from_one_that_was_killed_and_one_that_returns_is_passive(scene):
-    air, pair = scene
+def test_the_second_one_takes_over_from_one_that_was_killed_and_one_that_returns_is_passive(air_and_pair):
+    air, pair = air_and_pair
     aided(air, pair)
     pair.processes[0].kill()
     assert air.fly(PATIENCE_S, lambda: air.has_fix_from(SECOND)), pair.end()
@@ -62,8 +62,8 @@ def test_the_second_one_takes_over_from_one_that_was_killed_and_one_that_returns
     assert "ERROR hot standby: this service is active, it sends: the other one gave no sign of life" in took_over
 
 
-def test_one_that_was_stopped_sends_nothing_when_it_goes_on(scene):
-    air, pair = scene
+def test_one_that_was_stopped_sends_nothing_when_it_goes_on(air_and_pair):
+    air, pair = air_and_pair
     aided(air, pair)
     pair.processes[0].send_signal(signal.SIGSTOP)
     assert air.fly(PATIENCE_S, lambda: air.has_fix_from(SECOND)), pair.end()
@@ -76,8 +76,8 @@ def test_one_that_was_stopped_sends_nothing_when_it_goes_on(scene):
     assert "stood still for" in pair.end()[0]
 
 
-def test_one_that_ends_in_order_lets_the_other_one_take_over_without_a_last_no_fix(scene):
-    air, pair = scene
+def test_one_that_ends_in_order_lets_the_other_one_take_over_without_a_last_no_fix(air_and_pair):
+    air, pair = air_and_pair
     aided(air, pair)
     pair.processes[0].send_signal(signal.SIGINT)
     assert air.fly(PATIENCE_S, lambda: air.has_fix_from(SECOND)), pair.end()
@@ -88,8 +88,8 @@ def test_one_that_ends_in_order_lets_the_other_one_take_over_without_a_last_no_f
     assert len(changes(air.aids())) == 1
 
 
-def test_an_override_given_to_the_first_one_holds_after_the_take_over(scene):
-    air, pair = scene
+def test_an_override_given_to_the_first_one_holds_after_the_take_over(air_and_pair):
+    air, pair = air_and_pair
     started(air, pair, "--failed", "4")  # its GPS works: only the override has it aided
     assert air.fly(PATIENCE_S, lambda: air.has_fix_from(FIRST)), pair.end()
     assert air.fly(PATIENCE_S, lambda: "operator: GPS failed, by other service" in pair.log(1)), pair.end()
@@ -98,8 +98,8 @@ def test_an_override_given_to_the_first_one_holds_after_the_take_over(scene):
     assert air.fly(PATIENCE_S, lambda: air.has_fix_from(SECOND, killed_s)), pair.end()
 
 
-def test_what_the_second_one_records_holds_nothing_that_it_did_not_send(scene, tmp_path):
-    air, pair = scene
+def test_what_the_second_one_records_holds_nothing_that_it_did_not_send(air_and_pair, tmp_path):
+    air, pair = air_and_pair
     pair.start(0)
     pair.start(1, "--record", str(tmp_path / "recording"))
     air.fly(5.0)

@@ -223,7 +223,7 @@ def test_what_cannot_be_sent_is_counted_and_never_raised():
 
 
 @pytest.mark.parametrize("host", ["127.255.255.255", "255.255.255.255", "239.1.2.3"])
-def test_an_address_that_reaches_everybody_is_refused_with_the_mend(host):
+def test_an_address_that_reaches_everybody_is_refused_with_the_remedy(host):
     """127.255.255.255 is the broadcast address of the loopback network, as 192.168.1.255 may be of another."""
     link = UdpLink(UdpOut(host, 14550), Inbox(), lambda: 0.0)
     with pytest.raises(

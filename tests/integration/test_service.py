@@ -157,7 +157,7 @@ def test_without_a_word_it_listens_where_ground_stations_do():
     assert "udpin:0.0.0.0:14550: port 14550 is in use" in done.stderr
 
 
-def test_a_port_in_use_is_said_in_one_line_with_the_mend(free_port):
+def test_a_port_in_use_is_said_in_one_line_with_the_remedy(free_port):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", free_port))
         done = gcs_coloc("--udp", f"127.0.0.1:{free_port}")

@@ -178,7 +178,7 @@ def test_mavutil_with_our_key_is_heard_and_verifies_what_we_send(start_signed, f
         peer.close()
 
 
-def test_a_key_that_others_can_read_ends_in_one_line_with_the_mend(tmp_path, free_port):
+def test_a_key_that_others_can_read_ends_in_one_line_with_the_remedy(tmp_path, free_port):
     key_file, config = tmp_path / "signing.key", tmp_path / "coloc.toml"
     key_file.write_text(KEY.hex())
     key_file.chmod(0o644)

@@ -32,7 +32,7 @@ _GAP_S = 0.5
 """Five periods of GPS_INPUT, as for a take-over of the hot standby: a busy machine delays one, a dead sender all."""
 
 
-class Scene:
+class Supervised:
     """The supervisor with its log, and a square fleet of hovering vehicles at each worker, of which 4 has no GPS."""
 
     def __init__(self, process: subprocess.Popen[str], north: list[Hover], south: list[Hover], page: str) -> None:
@@ -77,7 +77,7 @@ class Scene:
 
 
 @pytest.fixture
-def scene(tmp_path) -> Iterator[Scene]:
+def supervised(tmp_path) -> Iterator[Supervised]:
     north, south = free_ports(2)
     page = free_port(socket.SOCK_STREAM)
     config = tmp_path / "fleets.toml"
@@ -90,7 +90,7 @@ def scene(tmp_path) -> Iterator[Scene]:
     command = [sys.executable, "-m", "gcs_coloc", "--config", str(config)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     with square_fleet(north) as fleet, square_fleet(south) as other:
-        found = Scene(process, fleet, other, f"http://127.0.0.1:{page}/")
+        found = Supervised(process, fleet, other, f"http://127.0.0.1:{page}/")
         yield found
         for pid in {process.pid, found.worker("north"), found.worker("south")} - {0}:
             with contextlib.suppress(ProcessLookupError):
@@ -108,13 +108,13 @@ def is_ours(pid: int) -> bool:
     return False
 
 
-def aided(scene: Scene) -> None:
+def aided(supervised: Supervised) -> None:
     """Both fleets have lost the GPS of their vehicle 4, and get fixes."""
-    listening = lambda: scene.log.count("listening on") == 2  # noqa: E731
-    assert scene.fly(listening, failed=()), scene.log
-    scene.fly(seconds=3.0, failed=())
+    listening = lambda: supervised.log.count("listening on") == 2  # noqa: E731
+    assert supervised.fly(listening, failed=()), supervised.log
+    supervised.fly(seconds=3.0, failed=())
     began_s = time.monotonic()
-    assert scene.fly(lambda: all(scene.fixed_since(name, began_s) for name in scene.fleets)), scene.log
+    assert supervised.fly(lambda: all(supervised.fixed_since(name, began_s) for name in supervised.fleets)), supervised.log
 
 
 def samples(text: str) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
@@ -123,82 +123,84 @@ def samples(text: str) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
     return {(s.name, tuple(sorted(s.labels.items()))): s.value for family in families for s in family.samples}
 
 
-def test_a_worker_that_is_killed_comes_back_and_the_other_ones_stream_has_no_gap(scene, tmp_path):
-    aided(scene)
-    first, south = scene.worker("north"), scene.worker("south")
+def test_a_worker_that_is_killed_comes_back_and_the_other_ones_stream_has_no_gap(supervised, tmp_path):
+    aided(supervised)
+    first, south = supervised.worker("north"), supervised.worker("south")
     with (tmp_path / "fleets.toml").open("a") as config:
         config.write("a_mistake_in_the_table_of_south = 1\n")
     os.kill(first, signal.SIGKILL)
     killed_s = time.monotonic()
-    assert scene.fly(lambda: scene.worker("north") != first and scene.fixed_since("north", killed_s + 1.0)), scene.log
+    assert supervised.fly(lambda: supervised.worker("north") != first and supervised.fixed_since("north", killed_s + 1.0)), (
+        supervised.log
+    )
     back_s = time.monotonic()
-    assert scene.worker("south") == south
-    times = [at_s for at_s, fix_type in scene.aids("south") if killed_s - 1.0 < at_s < back_s and fix_type == 3]
+    assert supervised.worker("south") == south
+    times = [at_s for at_s, fix_type in supervised.aids("south") if killed_s - 1.0 < at_s < back_s and fix_type == 3]
     assert max(b - a for a, b in itertools.pairwise(times)) < _GAP_S
-    assert "ERROR fleet north: its process was ended by SIGKILL; it is started again in 0.1 s" in scene.log
+    assert "ERROR fleet north: its process was ended by SIGKILL; it is started again in 0.1 s" in supervised.log
 
 
-def test_sigterm_ends_both_in_order_and_each_line_of_the_log_names_its_fleet(scene, tmp_path):
-    aided(scene)
-    workers = [scene.worker(name) for name in scene.fleets]
-    scene.process.send_signal(signal.SIGTERM)
+def test_sigterm_ends_both_in_order_and_each_line_of_the_log_names_its_fleet(supervised, tmp_path):
+    aided(supervised)
+    workers = [supervised.worker(name) for name in supervised.fleets]
+    supervised.process.send_signal(signal.SIGTERM)
     asked_s = time.monotonic()
-    assert scene.fly(lambda: scene.process.poll() is not None), scene.log
+    assert supervised.fly(lambda: supervised.process.poll() is not None), supervised.log
     assert time.monotonic() - asked_s < 5.0  # systemd kills what has not ended by then
-    assert scene.process.returncode == 0
+    assert supervised.process.returncode == 0
     assert not any(map(is_ours, workers))
-    scene.fly(seconds=0.5)
-    assert [scene.aids(name)[-1][1] for name in scene.fleets] == [1, 1]
+    supervised.fly(seconds=0.5)
+    assert [supervised.aids(name)[-1][1] for name in supervised.fleets] == [1, 1]
     recorded = tmp_path / "flights"
-    assert all(list((recorded / name).glob("*.tlog")) for name in scene.fleets)
+    assert all(list((recorded / name).glob("*.tlog")) for name in supervised.fleets)
     own = re.compile(r"^\S+ \S+ (INFO|WARNING|ERROR) (fleet )?(north|south): ")
-    others = [line for line in scene.lines if not own.match(line) and "page of all fleets: http" not in line]
+    others = [line for line in supervised.lines if not own.match(line) and "page of all fleets: http" not in line]
     assert others == []
-    assert "INFO north: aiding of vehicle 4 ended: the service ends" in scene.log
+    assert "INFO north: aiding of vehicle 4 ended: the service ends" in supervised.log
 
 
-def test_a_supervisor_that_is_killed_leaves_no_worker_and_its_vehicles_are_told(scene):
-    aided(scene)
-    workers = [scene.worker(name) for name in scene.fleets]
-    scene.process.kill()
-    assert scene.fly(lambda: not any(map(is_ours, workers))), scene.log
-    scene.fly(seconds=0.5)
-    assert [scene.aids(name)[-1][1] for name in scene.fleets] == [1, 1]
-    assert scene.log.count("the supervisor has gone: this fleet's process ends") == 2
+def test_a_supervisor_that_is_killed_leaves_no_worker_and_its_vehicles_are_told(supervised):
+    aided(supervised)
+    workers = [supervised.worker(name) for name in supervised.fleets]
+    supervised.process.kill()
+    assert supervised.fly(lambda: not any(map(is_ours, workers))), supervised.log
+    supervised.fly(seconds=0.5)
+    assert [supervised.aids(name)[-1][1] for name in supervised.fleets] == [1, 1]
+    assert supervised.log.count("the supervisor has gone: this fleet's process ends") == 2
 
 
-def test_a_worker_that_hangs_is_told_of_and_killed_at_the_end(scene):
-    aided(scene)
-    north = scene.worker("north")
-    assert scene.fly(lambda: scene.get("readyz") == (200, "ok\n")), scene.get("readyz")
+def test_a_worker_that_hangs_is_told_of_and_killed_at_the_end(supervised):
+    aided(supervised)
+    north = supervised.worker("north")
+    assert supervised.fly(lambda: supervised.get("readyz") == (200, "ok\n")), supervised.get("readyz")
     os.kill(north, signal.SIGSTOP)
     stopped_s = time.monotonic()
-    assert scene.fly(lambda: "ERROR fleet north: its process hangs: not heard for" in scene.log), scene.log
-    status, text = scene.get("readyz")
+    assert supervised.fly(lambda: "ERROR fleet north: its process hangs: not heard for" in supervised.log), supervised.log
+    status, text = supervised.get("readyz")
     assert (status, text.startswith("fleet north: not heard for")) == (503, True)
-    found = samples(scene.get("metrics")[1])  # without those of the one that hangs
+    found = samples(supervised.get("metrics")[1])  # without those of the one that hangs
     assert found["gcs_coloc_worker_up", (("fleet", "north"),)] == 0.0
     assert ("gcs_coloc_vehicles", (("fleet", "north"),)) not in found
     assert found["gcs_coloc_vehicles", (("fleet", "south"),)] == 4.0
-    times = [at_s for at_s, fix_type in scene.aids("south") if at_s > stopped_s - 1.0 and fix_type == 3]
+    times = [at_s for at_s, fix_type in supervised.aids("south") if at_s > stopped_s - 1.0 and fix_type == 3]
     assert max(b - a for a, b in itertools.pairwise(times)) < _GAP_S
-    scene.process.send_signal(signal.SIGTERM)
-    assert scene.fly(lambda: scene.process.poll() is not None), scene.log
+    supervised.process.send_signal(signal.SIGTERM)
+    assert supervised.fly(lambda: supervised.process.poll() is not None), supervised.log
     assert not is_ours(north)
-    assert "fleet north: its process does not end, and is killed" in scene.log
+    assert "fleet north: its process does not end, and is killed" in supervised.log
 
 
-def test_one_endpoint_has_the_metrics_of_both(scene):
-    aided(scene)
+def test_one_endpoint_has_the_metrics_of_both(supervised):
+    aided(supervised)
     found: dict[tuple[str, tuple[tuple[str, str], ...]], float] = {}
 
     def both_are_aided() -> bool:
-        found.update(samples(scene.get("metrics")[1]))
-        fixes = [found.get(("gcs_coloc_vehicle_aiding_fix", (("fleet", n), ("sysid", "4")))) for n in scene.fleets]
+        found.update(samples(supervised.get("metrics")[1]))
+        fixes = [found.get(("gcs_coloc_vehicle_aiding_fix", (("fleet", n), ("sysid", "4")))) for n in supervised.fleets]
         return fixes == [1.0, 1.0]
 
-    assert scene.fly(both_are_aided), found
-    for name in scene.fleets:
+    assert supervised.fly(both_are_aided), found
+    for name in supervised.fleets:
         assert found["gcs_coloc_vehicles", (("fleet", name),)] == 4.0
         assert found["gcs_coloc_vehicle_link_frames_received_total", (("fleet", name), ("sysid", "1"))] > 0.0
         assert found["process_cpu_seconds_total", (("fleet", name),)] > 0.0

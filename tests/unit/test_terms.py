@@ -11,6 +11,9 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "gcs_coloc"
 GLOSSARY = ROOT / "docs/glossary.md"
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if "_generated" not in path.parts)
+OTHERS = sorted(
+    path for folder in ("bench", "examples", "sitl_fakes", "tests", "tools") for path in (ROOT / folder).rglob("*.py")
+)
 PRIVATE_WORDS = frozenset(
     [
         "accused",
@@ -119,7 +122,7 @@ def test_no_public_class_name_stands_twice():
     assert {name: places for name, places in public_classes().items() if len(places) > 1} == {}
 
 
-@pytest.mark.parametrize("path", MODULES, ids=relative)
+@pytest.mark.parametrize("path", MODULES + OTHERS, ids=relative)
 def test_no_name_is_a_private_word(path):
     assert {name for name in names_of(path) if words(name) & PRIVATE_WORDS} == set()
 

@@ -1,4 +1,4 @@
-"""Whether an answer may be claimed as a fix: alert limit, hysteresis, ranges that fit it, no long life on prediction alone."""
+"""Whether an answer may be stated as a fix: alert limit, hysteresis, ranges that fit it, no long life on prediction alone."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class FixPolicy:
         median_nis: float | None = None,
         range_jump_m: float | None = None,
     ) -> Inhibit | None:
-        """Return why the answer may not be claimed as a fix; None where it may. Times never decrease from call to call.
+        """Return why the answer may not be stated as a fix; None where it may. Times never decrease from call to call.
 
         `own_gps`: the vehicle's own receiver is in the answer, so that it needs no ranges. `air_data`: airspeed and bank tell how
         it moves, so that ranges to one peer, or along one line, do for as long as the bound says. `median_nis`: the median NIS
@@ -71,7 +71,7 @@ class FixPolicy:
         return None
 
     def prediction_left_s(self, now_s: float) -> float:
-        """Return for how long a fix may still be claimed without a range, s."""
+        """Return for how long a fix may still be stated without a range, s."""
         return self._settings.prediction_s - (now_s - self._ranged_at_s)
 
     def _update_geometry(self, now_s: float, *, is_determined: bool) -> None:

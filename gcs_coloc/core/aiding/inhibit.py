@@ -42,7 +42,7 @@ class InhibitReason(WordedReason):
     RANGING_BEACON_IS_FOR_PX4 = "ranging_beacon_is_for_px4", "ranging_beacon is tried on PX4 alone: set its aiding method to auto"
     FOREIGN_GPS_INPUT = "foreign_gps_input", "system {value:.0f} sends it GPS_INPUT for receiver {limit:.0f}"
 
-    # No fix is claimed
+    # No fix is stated
     NOT_SENT_YET = "not_sent_yet", "not sent yet"
     NO_ESTIMATE = "no_estimate", "{detail}"
     BEYOND_ALERT_LIMIT = (

@@ -1,6 +1,6 @@
-"""The switch by which a vehicle leaves its own receiver, which lies, and flies on the position that it is sent.
+"""The switch by which a vehicle leaves its own receiver, which is faulty, and flies on the position that it is sent.
 
-An autopilot goes back to a jammed or spoofed receiver as long as that claims a fix: ArduPilot while it is the primary one, PX4
+An autopilot goes back to a jammed or spoofed receiver as long as that reports a fix: ArduPilot while it is the primary one, PX4
 fuses it beside ours. Each step is confirmed by the vehicle, tried a few times, and told; what was before is given back.
 """
 
@@ -154,7 +154,7 @@ class EstimatorSensor:
     def wording(self, step: SwitchStep, answer: ReceiverAnswer | None) -> str:
         """Return what is told, with the vehicle's own answer."""
         switched_off = "its own GPS is switched off: it flies on the position that it is sent"
-        refused = f"it does not let its own GPS be switched off ({self._outcome.value}): it may follow a receiver that lies"
+        refused = f"it does not let its own GPS be switched off ({self._outcome.value}): it may follow a faulty receiver"
         return {
             (SwitchStep.SETTING, None): "its GPS could not be switched off",
             (SwitchStep.SETTING, ReceiverAnswer.OUT_OF_USE): switched_off,

@@ -54,7 +54,7 @@ class AidingSettings:
     """`auto`: GPS_PRIMARY of an aided vehicle is set to our receiver as soon as its own one has failed: a jammed one has false
     fixes within seconds. It is restored when the GPS is healthy, or aiding or the service ends.
     `off`: only on the operator's command. A PX4 is told to leave its own GPS out of EKF2 instead, where its firmware can,
-    and where that GPS claims a fix though it has failed, or its fix flickers."""
+    and where that GPS reports a fix though it has failed, or its fix flickers."""
     stand_down_s: float = positive(10.0)
     """Where another sender feeds the same receiver with GPS_INPUT, ours stops until that one was silent for this long."""
     ek3_gps_check: int = between(31, 0)

@@ -16,7 +16,7 @@ from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver
 from gcs_coloc.core.reasons import StatedReason
 
-_WINDOW_S = 3.0  # chosen: long against the noise of positions, short against the time in which a lie takes an aircraft away
+_WINDOW_S = 3.0  # chosen: long against the noise of positions, short against the time in which a fault takes an aircraft away
 _LONGEST_GAP_S = 1.0  # chosen: over a longer one a turning aircraft does not fly the mean of two velocities
 _SIGMAS = 5.0  # chosen: by chance never in a flight; stated accuracies are often too good
 _LEAST_MISS_M = 2.0  # chosen: what the rounding of times and velocities adds up to at airspeed

@@ -29,7 +29,7 @@ class VehicleReadiness:
 
     `reason` is the code of the `LimitingReason` and `text` that in words; None and empty for READY. `peers` counts the nodes
     that it ranges. Of the moment of the loss (`_now_`) and of half a minute later: the 95 % bound and the protection level HPL
-    in m, and the HDOP of the ranges; None where there is none. `is_told`: the size of the later bound is claimed; else it is what
+    in m, and the HDOP of the ranges; None where there is none. `is_told`: the size of the later bound is told; else it is what
     the held motion gives. `is_lost`: it is in flight, was located otherwise, and is not ready.
     """
 

@@ -1,4 +1,4 @@
-"""Which of two services sends, as observers see it, and what a person should mend."""
+"""Which of two services sends, as observers see it, and what a person should do."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class StandbySnapshot:
     """Which of the two services sends, as observers see it; times are service time, s, ages in s and None for never.
 
     `sends`: `this`, `other`, `nobody` or `unknown`. `fed_sysid`: a vehicle that shows that the other one feeds it. `problem`:
-    what a person should mend, None where all is well. `waiting_for_sysids`: the vehicles that show nothing of who feeds them,
+    what a person should do, None where all is well. `waiting_for_sysids`: the vehicles that show nothing of who feeds them,
     for which the operator must take over.
     """
 

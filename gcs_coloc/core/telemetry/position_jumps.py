@@ -16,7 +16,7 @@ _SETTLES_S = 1.0
 (docs/results/real-autopilots.md)."""
 _OVER_S = 5.0 * _SETTLES_S
 _MOST_M = 10.0
-"""Chosen: the accuracy of a receiver alone. More would blind the tests that find a receiver which lies."""
+"""Chosen: the accuracy of a receiver alone. More would blind the tests that find a faulty receiver."""
 _TIMES_USUAL = 4.0
 """Chosen: of errors that are independent from report to report one in ten million is as large."""
 _REMEMBERED_S = 20.0

@@ -51,7 +51,7 @@ class EventKind(StrEnum):
     SOUND_FAILED = "sound_failed"
     """A vehicle with a sound receiver is FAILED."""
     ESTIMATOR_FAILED = "estimator_failed"
-    """The estimator raised an exception, or gave an answer that is none: its aid is withheld, and nothing else would tell."""
+    """The estimator raised an exception, or gave an answer that is none: its aid stops, and nothing else would tell."""
 
 
 @dataclass(slots=True)

@@ -32,7 +32,7 @@ _SETTLED_S = 20.0
 class Window:
     """One window of a plan: from when, s; predicted and reached 95 % of the error, m; share of samples without an estimate.
 
-    `is_told`: the prediction claims the size of the error here (`Prediction.is_told`). `interval`: 95 % confidence interval of
+    `is_told`: the prediction tells the size of the error here (`Prediction.is_told`). `interval`: 95 % confidence interval of
     reached over predicted, by the bootstrap over flights.
     """
 
@@ -81,7 +81,7 @@ class PlanCheck:
 
     @property
     def told(self) -> list[Window]:
-        """The windows in which the prediction claims the size of the error."""
+        """The windows in which the prediction tells the size of the error."""
         return [window for window in self.windows if window.is_told]
 
     @property

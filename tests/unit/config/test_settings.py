@@ -1,4 +1,4 @@
-"""Configuration: defaults, precedence, and errors that name the key and the mend."""
+"""Configuration: defaults, precedence, and errors that name the key and the remedy."""
 
 from pathlib import Path
 
@@ -87,7 +87,7 @@ def test_flags_win_over_the_environment_which_wins_over_the_file(tmp_path, monke
         ("links = [", "is not valid TOML"),
     ],
 )
-def test_errors_name_file_key_and_mend_in_one_line(tmp_path, text, words):
+def test_errors_name_file_key_and_remedy_in_one_line(tmp_path, text, words):
     with pytest.raises(ConfigError, match=r"coloc\.toml") as raised:
         load_settings(written(tmp_path, text), {})
     assert words in str(raised.value)

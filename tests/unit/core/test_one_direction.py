@@ -1,4 +1,4 @@
-"""A multirotor that circles where all its peers are in one direction, through the whole engine: what is claimed of it is true."""
+"""A multirotor that circles where all its peers are in one direction, through the whole engine: what is stated of it is true."""
 
 from __future__ import annotations
 
@@ -63,9 +63,9 @@ def flown(peers: int, seed: int) -> list[tuple[float, GpsInput]]:
 @pytest.mark.parametrize(("peers", "seed"), [(1, 0), (3, 0), (3, 1)])
 def test_no_position_far_beyond_its_accuracy_is_claimed_of_a_multirotor_whose_peers_are_all_in_one_direction(peers, seed):
     """Without the rule errors grow to 200 m and more within 40 s, at up to 22 of the stated sigmas; 5 are asked for."""
-    claimed = [(at_s, m) for at_s, m in flown(peers, seed) if m.fix_type == 3]
-    assert claimed
-    for at_s, message in claimed:
+    stated = [(at_s, m) for at_s, m in flown(peers, seed) if m.fix_type == 3]
+    assert stated
+    for at_s, message in stated:
         e, n, _ = FRAME.enu_from_geodetic(message.lat_deg, message.lon_deg, message.alt_msl_m)
         (true_e, true_n, _), _ = state(DENIED, at_s - 0.2)
         assert hypot(e - true_e, n - true_n) <= 5.0 * message.horiz_accuracy_m

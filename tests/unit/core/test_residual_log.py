@@ -116,7 +116,7 @@ def test_of_more_than_four_thousand_residuals_the_first_are_forgotten():
 
 
 @pytest.mark.parametrize(("scale", "low", "high"), [(1.0, 0.3, 0.65), (3.0, 2.7, 5.8)])
-def test_the_misfit_is_the_median_of_both_ends_and_outliers_hardly_change_it(scale, low, high):
+def test_the_normalised_residual_is_the_median_of_both_ends_and_outliers_hardly_change_it(scale, low, high):
     innovations = np.random.default_rng(4).normal(0.0, scale, 200)
     log = ResidualLog()
     log.add([residual(10.0, float(x)) for x in innovations], 10.0)

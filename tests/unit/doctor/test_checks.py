@@ -49,7 +49,7 @@ def test_of_a_vehicle_that_is_set_up_right_nothing_is_said_but_that(names):
         ({"GPS2_TYPE": None}, "GPS2_TYPE or GPS_TYPE2 could not be read", None),
     ],
 )
-def test_a_wrong_parameter_stops_and_is_named_with_its_mend(changes, words, parameter):
+def test_a_wrong_parameter_stops_and_is_named_with_its_remedy(changes, words, parameter):
     (finding,) = said(with_parameters(**changes))
     assert finding.severity is Severity.STOP
     assert words in finding.text
@@ -59,7 +59,7 @@ def test_a_wrong_parameter_stops_and_is_named_with_its_mend(changes, words, para
         assert f"{parameter[0]} = {parameter[1]:g}" in finding.remedy
 
 
-def test_the_mend_names_the_parameter_as_the_vehicle_does():
+def test_the_remedy_names_the_parameter_as_the_vehicle_does():
     (finding,) = said(replace(GOOD, parameters=renamed(BEFORE_4_6) | {"GPS_TYPE2": 1.0}))
     assert finding.parameter == ("GPS_TYPE2", 14.0)
     assert finding.text.startswith("GPS_TYPE2 = 1:")

@@ -64,9 +64,9 @@ def test_a_px4_gets_qgroundcontrols_file_alone(tmp_path):
 @pytest.mark.parametrize("vehicle", [ARDUPILOT, PX4])
 def test_with_what_is_in_the_file_the_doctor_has_nothing_more_to_set(vehicle):
     changes = parameters_to_set(vehicle, Setup(), FLEET)
-    mended = replace(vehicle, parameters=vehicle.parameters | {name: value for name, (value, _) in changes.items()})
+    corrected = replace(vehicle, parameters=vehicle.parameters | {name: value for name, (value, _) in changes.items()})
     assert changes
-    assert [one for one in of_vehicle(mended, Setup(), FLEET) if one.parameter is not None] == []
+    assert [one for one in of_vehicle(corrected, Setup(), FLEET) if one.parameter is not None] == []
 
 
 def test_each_value_has_its_reason_beside_it(tmp_path):

@@ -58,7 +58,7 @@ def test_where_the_rate_is_high_enough_the_link_is_to_blame_and_where_none_was_t
     assert "SRn_POSITION" in position(Autopilot.ARDUPILOT, {}).remedy
 
 
-def test_what_is_not_heard_at_all_stops_with_the_same_mend():
+def test_what_is_not_heard_at_all_stops_with_the_same_remedy():
     rates = {number: hz for number, hz in WANTED_HZ.items() if number != 24}
     (finding,) = said(Autopilot.ARDUPILOT, {**ONE_PORT, "MAV1_EXT_STAT": 0.0}, rates)
     assert (finding.severity, finding.parameter) == (Severity.STOP, ("MAV1_EXT_STAT", 5.0))

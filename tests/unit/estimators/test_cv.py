@@ -83,7 +83,7 @@ def test_prediction_leaves_the_filter_as_it_is() -> None:
     assert one.state == pytest.approx([1.0, 5.0, 2.0, 5.0])
 
 
-def test_stepping_back_undoes_the_motion_and_adds_doubt() -> None:
+def test_stepping_back_undoes_the_motion_and_adds_uncertainty() -> None:
     state, covariance = fresh().predicted(8.0)
 
     assert state == pytest.approx([-9.0, 5.0, -8.0, 5.0])

@@ -19,15 +19,15 @@ OWN = np.array([350.0, 250.0, 100.0])
 
 
 def circles(
-    believed: dict[int, np.ndarray], own_height_m: float = OWN[2], lies_m: dict[int, float] | None = None
+    believed: dict[int, np.ndarray], own_height_m: float = OWN[2], errors_m: dict[int, float] | None = None
 ) -> list[Circle]:
-    """Exact ranges to where the peers are, plus lies; centres where they are believed to be."""
+    """Exact ranges to where the peers are, plus errors; centres where they are believed to be."""
     return [
         Circle(
             peer=peer,
             centre_m=place[:2],
             centre_covariance=0.25 * np.eye(2),
-            range_m=float(np.linalg.norm(OWN - MORE[peer])) + (lies_m or {}).get(peer, 0.0),
+            range_m=float(np.linalg.norm(OWN - MORE[peer])) + (errors_m or {}).get(peer, 0.0),
             range_sigma_m=1.0,
             height_m=own_height_m - place[2],
             height_variance_m2=0.04,
@@ -88,22 +88,22 @@ def test_of_more_peers_the_three_of_least_covariance_are_used() -> None:
     assert np.trace(fix.covariance) == pytest.approx(min(np.trace(one.covariance) for one in each), rel=0.2)
 
 
-@pytest.mark.parametrize("liar", sorted(MORE))
-def test_of_five_ranges_a_lying_one_is_left_out(liar: int) -> None:
-    fix = solved(circles(MORE, lies_m={liar: 90.0}))
+@pytest.mark.parametrize("faulty", sorted(MORE))
+def test_of_five_ranges_a_wrong_one_is_left_out(faulty: int) -> None:
+    fix = solved(circles(MORE, errors_m={faulty: 90.0}))
 
-    assert liar not in fix.peers
+    assert faulty not in fix.peers
     assert fix.position_m == pytest.approx(OWN[:2], abs=1e-6)
 
 
-@pytest.mark.parametrize("liar", [1, 2, 3, 4])
-def test_of_four_ranges_the_prediction_tells_which_one_lies_and_without_it_nothing_does(liar: int) -> None:
+@pytest.mark.parametrize("faulty", [1, 2, 3, 4])
+def test_of_four_ranges_the_prediction_tells_which_one_is_wrong_and_without_it_nothing_does(faulty: int) -> None:
     four = {who: MORE[who] for who in (1, 2, 3, 4)}
-    lying = circles(four, lies_m={liar: 90.0})
-    cold = solve(9, lying, None, 0.5, min_flatness=0.05, nis_limit=15.0)
+    with_fault = circles(four, errors_m={faulty: 90.0})
+    cold = solve(9, with_fault, None, 0.5, min_flatness=0.05, nis_limit=15.0)
 
-    assert liar not in solved(lying, (OWN[:2] + 2.0, 9.0 * np.eye(2))).peers
-    assert isinstance(cold, str) or liar not in cold.peers
+    assert faulty not in solved(with_fault, (OWN[:2] + 2.0, 9.0 * np.eye(2))).peers
+    assert isinstance(cold, str) or faulty not in cold.peers
 
 
 def test_reasons_are_in_words() -> None:
@@ -116,7 +116,7 @@ def test_reasons_are_in_words() -> None:
     assert solve(9, circles(line), None, 0.5, **limits) == "the peers are nearly in one line"
     # Three peers a metre apart whose places are known to 5 m may be in one line for all that is known.
     assert solve(9, noisy, None, 0.5, **limits) == "the peers are nearly in one line"
-    assert "do not meet in one point" in str(solve(9, circles(PEERS, lies_m={1: 60.0}), None, 0.5, **limits))
+    assert "do not meet in one point" in str(solve(9, circles(PEERS, errors_m={1: 60.0}), None, 0.5, **limits))
 
 
 def test_the_published_covariance_takes_the_peers_filters_alone() -> None:

@@ -91,7 +91,7 @@ def test_collinear_peers_give_no_fix_and_the_reason() -> None:
     assert "nearly in one line" in why_unknown(estimator, 4, 25.0)
 
 
-def test_of_four_peers_with_one_lying_range_the_three_that_agree_are_used() -> None:
+def test_of_four_peers_with_one_wrong_range_the_three_that_agree_are_used() -> None:
     paths = {**FOUR, 5: straight((1400, 1500, 120), (0, 20, 0))}
     fleet, estimator = Fleet(paths=paths), QuZhangFilter()
     fly(estimator, fleet, 0.0, 5.0)

@@ -163,7 +163,7 @@ class Recorder:
         return {}
 
 
-def test_scoring_is_causal_and_a_subject_is_one_after_its_last_report(tmp_path):
+def test_scoring_is_causal_and_a_vehicle_is_denied_after_its_last_report(tmp_path):
     recorder = Recorder()
     evaluation = evaluate(write_walk(tmp_path, 3), recorder)
     assert len(recorder.asked) == 150

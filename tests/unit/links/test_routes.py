@@ -91,7 +91,7 @@ class Named:
     name = "udpin:0.0.0.0:14550"
 
 
-def test_a_second_claim_is_told_with_both_addresses_and_not_too_often(ears):
+def test_a_second_address_of_a_system_id_is_told_with_both_and_not_too_often(ears):
     ears.hears(1, HERE, link=Named)
     ears.hears(2, HERE, link=Named)
     for _ in range(1000):

@@ -54,7 +54,7 @@ def test_what_is_no_key(tmp_path, content, words):
 
 
 @pytest.mark.parametrize("mode", [0o644, 0o640, 0o604, 0o602, 0o660])
-def test_a_key_that_others_can_use_is_refused_with_the_mend(tmp_path, mode):
+def test_a_key_that_others_can_use_is_refused_with_the_remedy(tmp_path, mode):
     path = written(tmp_path, RAW, mode)
     with pytest.raises(ConfigError, match=f"mode {mode:04o}.*chmod 600 {path}"):
         read_key(path)

@@ -164,7 +164,7 @@ def test_empty_missing_and_unreadable_files_are_errors(tmp_path):
         (b"unix_s,sysid\n1,2\n", "is no tlog"),
     ],
 )
-def test_what_is_something_else_is_called_by_its_name_with_the_mend(tmp_path, content, words):
+def test_what_is_something_else_is_called_by_its_name_with_the_remedy(tmp_path, content, words):
     with pytest.raises(DataError, match=words):
         list(reader(tmp_path, content))
 

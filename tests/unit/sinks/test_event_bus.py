@@ -1,4 +1,4 @@
-"""The hub: a slow observer loses its own oldest news and holds up nobody."""
+"""The event bus: a slow observer loses its own oldest events and holds up nobody."""
 
 import asyncio
 
@@ -10,7 +10,7 @@ def notice(i: int) -> Notice:
     return Notice(float(i), None, "info", str(i))
 
 
-def test_each_observer_gets_all_news_in_order():
+def test_each_observer_gets_all_events_in_order():
     async def scenario():
         events = EventBus()
         one, two = events.subscribe(), events.subscribe()
@@ -21,7 +21,7 @@ def test_each_observer_gets_all_news_in_order():
     assert asyncio.run(scenario()) == (["0", "1", "2"], ["0", "1", "2"])
 
 
-def test_a_slow_observer_loses_its_oldest_news_and_counts_them():
+def test_a_slow_observer_loses_its_oldest_events_and_counts_them():
     async def scenario():
         events = EventBus()
         slow, fast = events.subscribe(most=2), events.subscribe(most=10)

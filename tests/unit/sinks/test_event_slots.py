@@ -26,7 +26,7 @@ def slots_of(period_s: float, phase: float, outputs_sent_at_s: list[float], unti
     def note() -> None:
         slots.append(round(loop.now_s - 100.0, 6))
 
-    async def scene():
+    async def case():
         idle = IdleScheduler()
 
         async def work():
@@ -43,7 +43,7 @@ def slots_of(period_s: float, phase: float, outputs_sent_at_s: list[float], unti
         task.cancel()
 
     with asyncio.Runner(loop_factory=lambda: loop) as runner:
-        runner.run(scene())
+        runner.run(case())
     return slots
 
 
@@ -67,7 +67,7 @@ def test_what_begins_later_falls_due_with_what_began_before_after_a_first_slot_a
     def note(name):
         slots.append((name, round(loop.now_s - 100.0, 6)))
 
-    async def scene():
+    async def case():
         idle = IdleScheduler()
 
         async def work(name, period_s):
@@ -87,14 +87,14 @@ def test_what_begins_later_falls_due_with_what_began_before_after_a_first_slot_a
             task.cancel()
 
     with asyncio.Runner(loop_factory=lambda: loop) as runner:
-        runner.run(scene())
+        runner.run(case())
     often, seldom = ([at_s for name, at_s in slots if name == wanted] for wanted in ("often", "seldom"))
     assert seldom == [0.5, 1.0, 2.0]
     assert set(seldom[1:]) <= set(often)
 
 
 def test_work_that_has_ended_is_not_waited_for():
-    async def scene():
+    async def case():
         idle = IdleScheduler()
         task = asyncio.create_task(anext(idle.every(10.0)))
         await asyncio.sleep(0)
@@ -104,13 +104,13 @@ def test_work_that_has_ended_is_not_waited_for():
         assert idle.waiting == 0
         idle.start_slots()
 
-    asyncio.run(scene())
+    asyncio.run(case())
 
 
 def test_slots_that_started_without_idle_time_are_not_remembered():
     """On the ground with the vehicles off, and in a replay, there is never one."""
 
-    async def scene():
+    async def case():
         idle = IdleScheduler()
         async for number in counted(idle.every(1e-4)):
             assert idle.waiting == 0
@@ -123,4 +123,4 @@ def test_slots_that_started_without_idle_time_are_not_remembered():
             number += 1
             yield number
 
-    asyncio.run(scene())
+    asyncio.run(case())

@@ -58,7 +58,7 @@ def test_a_frozen_receiver_repeats_its_last_fix_as_new():
 def test_a_spoofer_walks_the_fix_away_and_the_autopilot_with_it():
     fleet = Fleet(scenario(fault=[fault("gps_spoofed", direction_deg=90.0, speed_mps=2.0)]), 1)
     raw = last_raw(fleet, 45.0)
-    # 40 s at 2 m/s; the autopilot steers back onto its route by the lie, so the truth moves off it by the same.
+    # 40 s at 2 m/s; the autopilot steers back onto its route by the error, so the truth moves off it by the same.
     assert receiver_error(fleet, raw)[0] == pytest.approx(80.0, abs=3.0)
     truth = fleet.truth()[1]
     assert truth.estimate_east_m - truth.east_m == pytest.approx(80.0, abs=8.0)

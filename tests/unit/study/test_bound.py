@@ -62,7 +62,7 @@ def test_three_dimensions_and_a_peer_at_the_same_place() -> None:
 
     assert bound.covariance.shape == (41, 6, 6)
     assert np.isfinite(bound.covariance).all()
-    # A level fleet tells nothing of height: what it grows to is the start's own doubt and the acceleration's.
+    # A level fleet tells nothing of height: what it grows to is the start's own uncertainty and the acceleration's.
     expected = 15.0**2 + 20.0**2 * 1.0 + 20.0**3 / 3
     assert bound.covariance[-1, 4, 4] == pytest.approx(expected, rel=1e-6)
 

@@ -92,7 +92,7 @@ def test_a_damaged_leaf_takes_only_its_own_tiles_with_it(tmp_path, damage):
     assert tiles.tile(*ordered[-1]) is None
 
 
-def test_a_leaf_that_claims_to_be_longer_than_any_file_is_not_read(tmp_path):
+def test_a_leaf_whose_length_is_stated_as_more_than_any_files_is_not_read(tmp_path):
     path = tmp_path / "map.pmtiles"
     for offset, length in ((0, 1 << 62), (1 << 63, 100)):
         root = serialize_directory([Entry(0, offset, length, 0)])

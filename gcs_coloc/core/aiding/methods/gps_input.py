@@ -4,7 +4,7 @@ Position and velocity are those of the delay ago that the vehicle's EKF applies:
 HDOP is what its definition says, the position's horizontal 1-sigma in units of the 1-sigma of one range (the peer's own error
 included), for the filtered position: the geometry of the moment alone would call a position bad that the filter knows well.
 
-Where the position may not be claimed as a fix (`fix_policy`), the message goes out all the same, at the same rate, with
+Where the position may not be stated as a fix (`fix_policy`), the message goes out all the same, at the same rate, with
 fix_type 1: the autopilot then knows that the receiver lives and has no fix.
 """
 
@@ -85,7 +85,7 @@ def gps_input(
     unix_s: float | None,
     gps_id: int,
 ) -> GpsInput:
-    """GPS_INPUT for one vehicle from the estimator's answer, None where that may not be claimed as a fix.
+    """GPS_INPUT for one vehicle from the estimator's answer, None where that may not be stated as a fix.
 
     `range_sigma_m` is the 1-sigma of one range with the error of the peer's position in it, None where no range was had of
     late (standby); `unix_s` is the UTC time of the answer, None where unknown.

@@ -32,7 +32,7 @@ _VEHICLE_IDS_FROM = 256  # chosen: above the 8-bit ids of ground stations
 _VEHICLE_IDS = MAX_STATION_ID + 1 - _VEHICLE_IDS_FROM
 """beacon_id of vehicle N is this plus N, apart from the ids of stations below it. EKF2 does not tell beacons apart."""
 _STOPPING = (InhibitReason.RANGES_INCONSISTENT, InhibitReason.RANGES_JUMPED)
-"""While the ranges themselves are in doubt none is handed over; every other reason concerns the position alone."""
+"""While the ranges themselves may be wrong none is handed over; every other reason concerns the position alone."""
 _LEAST_DISTANCE_M = 1.0  # below it the direction of a range is noise
 
 

@@ -18,7 +18,7 @@ VEHICLE = ReportedState(4, 0.0, 0.0)
 
 def run(acknowledgement: FixAcknowledgement, start_s: float, stop_s: float, sent, heard) -> list[tuple[float, str, str]]:
     """Send ten times, hear and review five times a second; `heard` is a fix type with degrees north, or None for silence."""
-    news = []
+    changes = []
     for step in range(round(start_s * 10), round(stop_s * 10)):
         now_s = step / 10
         acknowledgement.add_sent(sent, now_s)
@@ -29,8 +29,8 @@ def run(acknowledgement: FixAcknowledgement, start_s: float, stop_s: float, sent
                 acknowledgement.add_receiver(GpsReceiver(4, now_s, 1, fix_type, lat_deg, lon_deg, 0.0, 7, 1.0, 2.0, 3.0, 0.5))
             told = acknowledgement.review(VEHICLE, now_s)
             if told is not None:
-                news.append((now_s, *told))
-    return news
+                changes.append((now_s, *told))
+    return changes
 
 
 def test_a_stream_that_is_taken_is_known_to_be_and_raises_nothing():

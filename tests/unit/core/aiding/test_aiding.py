@@ -25,7 +25,7 @@ def test_aid_off_ends_the_stream_with_no_fix_and_auto_begins_it_again():
     assert len(aids(fly(engine, 10.0, 12.0, failed=[4]), 4)) == pytest.approx(20, abs=1)
 
 
-def test_aid_on_streams_to_a_healthy_vehicle_whose_own_claims_then_count_for_nothing():
+def test_aid_on_streams_to_a_healthy_vehicle_whose_own_reports_then_count_for_nothing():
     estimator = StraightLine()
     engine = Engine(estimator, settings())
     engine.receive(OperatorCommand(4, 0.0, AidingOverride.ON))

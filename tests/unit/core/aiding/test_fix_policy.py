@@ -1,4 +1,4 @@
-"""When an answer may be claimed as a fix, by hand-moved time."""
+"""When an answer may be stated as a fix, by hand-moved time."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def unknown(at_s: float) -> NoEstimate:
 
 
 def inhibited(policy: FixPolicy, answer: Estimate | NoEstimate, at_s: float, **known) -> str | None:
-    """Why the policy claims no fix, in words."""
+    """Why the policy states no fix, in words."""
     inhibit = policy.inhibit(answer, at_s, **{"own_gps": False, **known})
     return inhibit.text if inhibit is not None else None
 

@@ -1,4 +1,4 @@
-"""The own GPS of a PX4 that lies is switched off in its EKF2 by command, on the rules of GPS_PRIMARY, and on again."""
+"""The own GPS of a PX4 that is faulty is switched off in its EKF2 by command, on the rules of GPS_PRIMARY, and on again."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gcs_coloc.core.messages.outbound import ParameterSet, SensorEnable
 ENABLE, ACCEPTED = VehicleCommand.ESTIMATOR_SENSOR_ENABLE, CommandOutcome.ACCEPTED
 
 
-class Lying:
+class FaultyReceiver:
     """Vehicle 4, a PX4 whose receiver keeps its fix, and what it answers to the command."""
 
     def __init__(self, outcome: CommandOutcome = ACCEPTED, **aiding: object) -> None:
@@ -40,7 +40,7 @@ class Lying:
 
 @pytest.mark.parametrize(("setting", "commands"), [("auto", [False]), ("off", [])])
 def test_it_is_switched_off_by_setting_where_it_reports_a_fix_though_it_has_failed(setting, commands):
-    flight = Lying(switch_primary=setting)
+    flight = FaultyReceiver(switch_primary=setting)
     flight.engine.receive(OperatorCommand(4, 5.0, GpsOverride.FAILED))
     flight.fly(5.0, 12.0)
     assert flight.commands == commands
@@ -51,14 +51,14 @@ def test_it_is_switched_off_by_setting_where_it_reports_a_fix_though_it_has_fail
 
 def test_one_that_is_simply_gone_is_left_in_use():
     """PX4 would not go back to it by itself, should our stream end."""
-    flight = Lying(switch_primary="auto")
+    flight = FaultyReceiver(switch_primary="auto")
     flight.fly(5.0, 12.0, failed=(4,))
     assert vehicle_4(flight.engine, 12.0).gps_state == "failed"
     assert flight.commands == []
 
 
 def test_the_operators_command_switches_it_off_and_on_again():
-    flight = Lying()
+    flight = FaultyReceiver()
     flight.engine.receive(OperatorCommand(4, 5.0, GpsOverride.FAILED))
     flight.fly(5.0, 7.0)
     flight.engine.receive(OperatorCommand(4, 7.0, PrimaryOverride.OURS))
@@ -72,7 +72,7 @@ def test_the_operators_command_switches_it_off_and_on_again():
 
 
 def test_a_firmware_that_does_not_know_the_command_is_asked_once_and_nothing_is_restored():
-    flight = Lying(CommandOutcome.UNSUPPORTED, switch_primary="auto")
+    flight = FaultyReceiver(CommandOutcome.UNSUPPORTED, switch_primary="auto")
     flight.engine.receive(OperatorCommand(4, 5.0, GpsOverride.FAILED))
     flight.fly(5.0, 15.0)
     assert flight.commands == [False]
@@ -82,7 +82,7 @@ def test_a_firmware_that_does_not_know_the_command_is_asked_once_and_nothing_is_
 
 
 def test_the_end_of_the_service_switches_it_on_again():
-    flight = Lying(switch_primary="auto")
+    flight = FaultyReceiver(switch_primary="auto")
     flight.engine.receive(OperatorCommand(4, 5.0, GpsOverride.FAILED))
     flight.fly(5.0, 10.0)
     assert flight.engine.close()[-1] == SensorEnable(4, gps=True)

@@ -1,4 +1,4 @@
-"""GPS_PRIMARY in flight: when it is set to our receiver, what the claims count for meanwhile, and how it is restored."""
+"""GPS_PRIMARY in flight: when it is set to our receiver, what the reports count for meanwhile, and how it is restored."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gcs_coloc.core.messages.outbound import GpsInput, ParameterRequest, Paramet
 
 
 class Switching:
-    """Vehicle 4 with GPS2_RAW heard as it is sent, a parameter that it keeps, and the fix type that its own receiver claims."""
+    """Vehicle 4 with GPS2_RAW heard as it is sent, a parameter that it keeps, and the fix type that its own receiver reports."""
 
     def __init__(self, **aid) -> None:
         self.engine = Engine(StraightLine(), settings(aiding=AidingSettings(**aid)))
@@ -37,7 +37,7 @@ class Switching:
 
 
 @pytest.mark.parametrize(("setting", "expected"), [("auto", 1.0), ("off", 0.0)])
-def test_the_primary_receiver_is_switched_by_setting_only_where_the_own_one_has_failed_and_claims_a_fix(setting, expected):
+def test_the_primary_receiver_is_switched_by_setting_only_where_the_own_one_has_failed_and_reports_a_fix(setting, expected):
     flight = Switching(switch_primary=setting)
     flight.engine.receive(OperatorCommand(4, 5.0, GpsOverride.FAILED))
     flight.fly(5.0, 12.0, failed=[])  # its own receiver has a fix all the time
@@ -61,7 +61,7 @@ def test_one_that_is_back_is_restored_once_it_is_healthy():
     assert flight.primary == 0.0
 
 
-def test_while_the_primary_receiver_is_ours_its_claims_are_an_echo_until_it_is_restored():
+def test_while_the_primary_receiver_is_ours_its_reports_are_an_echo_until_it_is_restored():
     flight = Switching(switch_primary="auto")
     flight.engine.receive(OperatorCommand(4, 5.0, GpsOverride.FAILED))
     flight.fly(5.0, 12.0, failed=[])

@@ -149,7 +149,7 @@ def test_where_no_position_can_be_stated_ranges_go_on(inhibit):
 
 
 @pytest.mark.parametrize("inhibit", [InhibitReason.RANGES_INCONSISTENT, InhibitReason.RANGES_JUMPED])
-def test_ranges_in_doubt_are_not_handed_over(inhibit):
+def test_ranges_that_may_be_wrong_are_not_handed_over(inhibit):
     handed = method()
     assert handed.build_messages(moment(10.0, vetted(MAST, 10.0), inhibit=inhibit)) == []
     assert handed.build_messages(moment(10.1)) == []  # nor later

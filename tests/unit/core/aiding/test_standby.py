@@ -44,7 +44,7 @@ def test_standby_fails_over_without_a_gap():
 
 
 def test_one_that_is_located_anew_when_it_fails_is_aided_as_soon_as_it_is_located():
-    """Its receiver was found to lie, and what it reported of late is out of its estimate; meanwhile it follows the lie."""
+    """Its receiver was found faulty, and what it reported of late is out of its estimate; meanwhile it follows that receiver."""
     engine, estimator = standing_by(GPS_AUTO_SWITCH=4.0, GPS_PRIMARY=0.0)
     fly(engine, 2.0, 10.0)
     engine.receive(OperatorCommand(4, 10.0, GpsOverride.FAILED))

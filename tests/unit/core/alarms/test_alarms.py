@@ -70,7 +70,7 @@ def test_sensors_that_are_worse_than_they_state_are_told_until_they_are_not():
     assert (raised.kind, raised.sysid, raised.level) == (AlarmKind.SENSORS_WORSE, None, "warning")
     assert "lasting errors of ranges of about 4 m" in raised.text
     assert "calibrate" in raised.action
-    # Pairs that are out of sight for a moment are nothing that a person can mend.
+    # Pairs that are out of sight for a moment are nothing that a person can remedy.
     [over] = alarms.update(replace(fleet_view(2.0, SOUND), noise=NoiseModel(pairs_off=frozenset({(1, 2)}))))
     assert over.state is AlarmState.OVER
 

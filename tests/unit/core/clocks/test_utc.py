@@ -47,8 +47,8 @@ def engine(required: bool = False) -> Engine:
     return Engine(Somewhere(), EngineSettings(request_streams=False, time=TimeSettings(require_synchronised_clock=required)))
 
 
-def fly(e: Engine, start_s: float, stop_s: float, lie_s: float = 0.0) -> list:
-    """Vehicles 1 to 3 are healthy and know UTC (3 is wrong by `lie_s`), vehicle 4 is declared failed."""
+def fly(e: Engine, start_s: float, stop_s: float, utc_error_s: float = 0.0) -> list:
+    """Vehicles 1 to 3 are healthy and know UTC (3 is wrong by `utc_error_s`), vehicle 4 is declared failed."""
     e.receive(OperatorCommand(4, start_s, GpsOverride.FAILED))
     out = []
     for step in range(round(start_s * 10), round(stop_s * 10)):
@@ -56,7 +56,7 @@ def fly(e: Engine, start_s: float, stop_s: float, lie_s: float = 0.0) -> list:
         for sysid in (1, 2, 3, 4):
             e.receive(GlobalPosition(sysid, t, t + sysid, 47.0, 8.0, 500.0, 0.0, 0.0, 0.0))
             e.receive(GpsReceiver(sysid, t, 0, 3, 47.0, 8.0, 500.0, 10, 1.0, 1.0, 1.0, 0.5))
-            unix_s = None if sysid == 4 else UNIX_S + t + (lie_s if sysid == 3 else 0.0)
+            unix_s = None if sysid == 4 else UNIX_S + t + (utc_error_s if sysid == 3 else 0.0)
             e.receive(SystemTime(sysid, t, t + sysid, unix_s))
             e.receive(Heartbeat(sysid, t, Autopilot.ARDUPILOT, True, winged=True))
             e.receive(RouteReport(sysid, t, None))
@@ -114,7 +114,7 @@ def test_the_vehicles_time_is_used_where_the_hosts_is_wrong_or_unknown():
     for reference in (ClockReference(0.0, UNIX_S + 5000.0, False), ClockReference(0.0, None, None)):
         e = engine()
         e.receive(reference)
-        aid = aids(fly(e, 0.0, 5.0, lie_s=-777.0))[-1]
+        aid = aids(fly(e, 0.0, 5.0, utc_error_s=-777.0))[-1]
         # Sent at 4.9 s for 0.1 s before; the third vehicle's wrong time is outvoted.
         assert week_offset_s(aid) == pytest.approx(truth_s(4.8), abs=2e-3)
 

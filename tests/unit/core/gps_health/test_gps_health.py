@@ -191,7 +191,7 @@ def test_a_silent_receiver_is_suspect_but_not_failed():
         EkfStatus(1, 5.0, False, False, False),
     ],
 )
-def test_the_autopilots_own_doubt_makes_suspect_unless_it_is_an_echo_of_our_aid(evidence):
+def test_an_autopilot_that_reports_trouble_is_suspect_unless_that_is_an_echo_of_our_aid(evidence):
     health = healthy_until(5.0)
     health.add(evidence)
     health.update(5.1)
@@ -236,12 +236,12 @@ def test_a_receiver_frozen_on_the_move_fails_and_a_jump_is_suspect():
 
 
 def test_an_identified_contradiction_fails_at_once_and_an_unclear_one_is_suspect():
-    accused, among = healthy_until(5.0), healthy_until(5.0)
-    accused.know(contradiction=RangeContradiction("contradicts the ranges", is_identified=True))
-    among.know(contradiction=RangeContradiction("somebody lies", is_identified=False))
-    run(accused, 5.2, 5.2)
+    identified, among = healthy_until(5.0), healthy_until(5.0)
+    identified.know(contradiction=RangeContradiction("contradicts the ranges", is_identified=True))
+    among.know(contradiction=RangeContradiction("somebody is wrong", is_identified=False))
+    run(identified, 5.2, 5.2)
     run(among, 5.2, 30.0)
-    assert accused.state is GpsState.FAILED
+    assert identified.state is GpsState.FAILED
     assert among.state is GpsState.SUSPECT
 
 

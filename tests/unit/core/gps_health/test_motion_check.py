@@ -8,7 +8,7 @@ from gcs_coloc.core.measurements import PositionMeasurement
 from gcs_coloc.core.messages.inbound import GpsReceiver
 
 
-def claim(t: float, east_m: float, north_m: float, ve: float, vn: float, h_acc_m: float = 1.0) -> PositionMeasurement:
+def reported(t: float, east_m: float, north_m: float, ve: float, vn: float, h_acc_m: float = 1.0) -> PositionMeasurement:
     return PositionMeasurement(1, t, t + 0.1, (east_m, north_m, 50.0), h_acc_m, 2.0, (ve, vn, 0.0), 0.3)
 
 
@@ -32,7 +32,7 @@ def test_no_alarm_in_half_an_hour_of_honest_flight(speed_mps, radius_m, h_acc_m,
         error = correlation * error + h_acc_m * np.sqrt(1 - correlation**2) * rng.standard_normal(2)
         e, n, ve, vn = circle(t, speed_mps, radius_m)
         noise = 0.3 * rng.standard_normal(2)
-        check.add_position(claim(t, e + error[0], n + error[1], ve + noise[0], vn + noise[1], h_acc_m), own=True)
+        check.add_position(reported(t, e + error[0], n + error[1], ve + noise[0], vn + noise[1], h_acc_m), own=True)
         assert check.implausible(t + 0.1) is None
 
 
@@ -40,7 +40,7 @@ def test_a_jump_is_told_within_two_seconds_and_held_for_ten():
     check = MotionCheck()
     for i in range(400):
         t = i / 10
-        check.add_position(claim(t, 20.0 * t + (30.0 if t >= 10.0 else 0.0), 0.0, 20.0, 0.0), own=True)
+        check.add_position(reported(t, 20.0 * t + (30.0 if t >= 10.0 else 0.0), 0.0, 20.0, 0.0), own=True)
         if t < 10.0:
             assert check.implausible(t) is None
         elif 12.0 <= t <= 20.0:
@@ -52,7 +52,7 @@ def test_positions_that_are_off_for_less_than_a_second_are_passed_over():
     check = MotionCheck()
     for i in range(200):
         t = i / 10
-        check.add_position(claim(t, 20.0 * t + (30.0 if 10.0 <= t < 10.8 else 0.0), 0.0, 20.0, 0.0), own=True)
+        check.add_position(reported(t, 20.0 * t + (30.0 if 10.0 <= t < 10.8 else 0.0), 0.0, 20.0, 0.0), own=True)
         assert check.implausible(t + 0.1) is None
 
 
@@ -62,7 +62,7 @@ def test_a_jump_counts_beyond_five_sigmas_of_two_positions(jump_m, is_told):
     check = MotionCheck()
     for i in range(120):
         t = i / 10
-        check.add_position(claim(t, 20.0 * t + (jump_m if t >= 10.0 else 0.0), 0.0, 20.0, 0.0, h_acc_m=15.0), own=True)
+        check.add_position(reported(t, 20.0 * t + (jump_m if t >= 10.0 else 0.0), 0.0, 20.0, 0.0, h_acc_m=15.0), own=True)
     assert (check.implausible(12.0) is not None) is is_told
 
 
@@ -70,7 +70,7 @@ def test_a_position_that_stands_while_the_velocity_does_not_is_told():
     check = MotionCheck()
     for i in range(60):
         t = i / 10
-        check.add_position(claim(t, 20.0 * min(t, 2.0), 0.0, 20.0, 0.0), own=True)
+        check.add_position(reported(t, 20.0 * min(t, 2.0), 0.0, 20.0, 0.0), own=True)
     assert check.implausible(6.0) is not None
 
 
@@ -78,7 +78,7 @@ def test_an_echo_of_our_aid_is_no_evidence():
     check = MotionCheck()
     for i in range(60):
         t = i / 10
-        check.add_position(claim(t, 100.0 * (i % 2), 0.0, 20.0, 0.0), own=False)
+        check.add_position(reported(t, 100.0 * (i % 2), 0.0, 20.0, 0.0), own=False)
     assert check.implausible(6.0) is None
 
 
@@ -86,7 +86,7 @@ def test_a_receiver_that_repeats_itself_on_the_move_is_frozen_until_it_moves():
     check = MotionCheck()
     for i in range(50):
         t = i / 5
-        check.add_position(claim(t, 20.0 * t, 0.0, 20.0, 0.0), own=True)
+        check.add_position(reported(t, 20.0 * t, 0.0, 20.0, 0.0), own=True)
         check.add_receiver(fix(t, 47.0 + 1e-6 * min(i, 25)))
         assert (check.frozen() is not None) == (t >= 8.0)
     check.add_receiver(fix(10.2, 47.1))
@@ -97,9 +97,9 @@ def test_a_hovering_receiver_with_static_hold_and_one_without_a_fix_are_not_froz
     hover, lost = MotionCheck(), MotionCheck()
     for i in range(300):
         t = i / 5
-        hover.add_position(claim(t, 0.0, 0.0, 0.05, 0.0), own=True)
+        hover.add_position(reported(t, 0.0, 0.0, 0.05, 0.0), own=True)
         hover.add_receiver(fix(t, 47.0))
-        lost.add_position(claim(t, 20.0 * t, 0.0, 20.0, 0.0), own=True)
+        lost.add_position(reported(t, 20.0 * t, 0.0, 20.0, 0.0), own=True)
         lost.add_receiver(fix(t, 47.0, fix_type=1))
     assert hover.frozen() is None
     assert lost.frozen() is None
@@ -109,6 +109,6 @@ def test_a_slow_receiver_repeated_in_telemetry_is_not_frozen():
     check = MotionCheck()
     for i in range(300):
         t = i / 5
-        check.add_position(claim(t, 25.0 * t, 0.0, 25.0, 0.0), own=True)
+        check.add_position(reported(t, 25.0 * t, 0.0, 25.0, 0.0), own=True)
         check.add_receiver(fix(t, 47.0 + 1e-4 * int(t)))
         assert check.frozen() is None

@@ -10,7 +10,7 @@ import pytest
 from gcs_coloc.core.integrity.fault_filters import FaultFilters, LineOfSightResidual, positive_part
 
 STEP_S = 0.2
-CLAIM_M, NOISE_M, WANDER_S = 1.5, 1.0, 60.0
+REPORTED_SIGMA_M, NOISE_M, WANDER_S = 1.5, 1.0, 60.0
 AROUND = {1: 0.1, 2: 1.7, 3: 3.0, 4: 4.8}
 """Directions from the vehicle to its peers, rad: redundancy numbers of 0.4 to 0.6."""
 
@@ -21,15 +21,15 @@ class Residuals:
     def __init__(self, seed, around=AROUND, white_m=0.0):
         self.rng, self.white_m = np.random.default_rng(seed), white_m
         self.units = {peer: (-cos(a), -sin(a)) for peer, a in around.items()}
-        self.error_m = {peer: CLAIM_M * self.rng.standard_normal() for peer in around}
+        self.error_m = {peer: REPORTED_SIGMA_M * self.rng.standard_normal() for peer in around}
 
     def at(self, more_m=None):
         keep = exp(-STEP_S / WANDER_S)
         out = {}
         for peer, unit in self.units.items():
-            self.error_m[peer] = keep * self.error_m[peer] + CLAIM_M * (1 - keep**2) ** 0.5 * self.rng.standard_normal()
+            self.error_m[peer] = keep * self.error_m[peer] + REPORTED_SIGMA_M * (1 - keep**2) ** 0.5 * self.rng.standard_normal()
             residual_m = self.error_m[peer] + np.hypot(NOISE_M, self.white_m) * self.rng.standard_normal()
-            out[peer] = LineOfSightResidual(residual_m + (more_m or {}).get(peer, 0.0), NOISE_M, CLAIM_M, unit)
+            out[peer] = LineOfSightResidual(residual_m + (more_m or {}).get(peer, 0.0), NOISE_M, REPORTED_SIGMA_M, unit)
         return out
 
 

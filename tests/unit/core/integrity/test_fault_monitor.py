@@ -36,8 +36,10 @@ class Flight:
         for step in range(round(from_s / STEP_S), round(to_s / STEP_S)):
             t = step * STEP_S
             for peer, a in self.around.items():
-                lie_m = max(t - 20.0, 0.0) * walk_mps if peer == FAULTY else 0.0
-                reported = place(APART_M * cos(a) + lie_m * cos(self.towards), APART_M * sin(a) + lie_m * sin(self.towards))
+                drawn_off_m = max(t - 20.0, 0.0) * walk_mps if peer == FAULTY else 0.0
+                reported = place(
+                    APART_M * cos(a) + drawn_off_m * cos(self.towards), APART_M * sin(a) + drawn_off_m * sin(self.towards)
+                )
                 range_m = APART_M + float(self.rng.standard_normal())
                 own = place(0.0, 0.0, no_prior=own_no_prior)
                 ends = [(DENIED, own), (peer, reported)]

@@ -127,7 +127,7 @@ def test_two_of_five_that_are_spoofed_alike_are_named_together():
 
 
 def test_two_of_four_that_are_walked_off_alike_fail_nobody():
-    """Which two are right is open: nobody is accused, all are suspected, nobody is an anchor."""
+    """Which two are right is open: nobody is FAILED, all are suspected, nobody is an anchor."""
     for seed in range(2):
         alike = dict.fromkeys((1, 2), lambda since_s: (3.0 * since_s, 0.0))
         seen = fly(Scenario(peers=4, mutual=True), seed, alike, watched_s=12.0)

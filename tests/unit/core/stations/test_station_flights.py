@@ -62,7 +62,7 @@ def test_a_fleet_that_never_had_gps_gets_its_origin_from_a_station():
     assert off_m < 5.0
 
 
-def test_a_misplaced_station_is_named_and_no_sound_vehicle_is_suspect():
+def test_a_station_at_a_wrong_position_is_named_and_no_sound_vehicle_is_suspect():
     engine = Engine(FleetFilter(), settings(stations=configured(moved={2: 60.0})))
     rng = np.random.default_rng(5)
     out = fly_with_ranges(engine, 0.0, 25.0, rng, sysids=(1, 2, 3, 4), ranging=(1, 2, 3, 4))

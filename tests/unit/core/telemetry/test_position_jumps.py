@@ -51,7 +51,7 @@ def test_noise_alone_is_no_jump(sigma_m, rate_hz):
     assert max(added) == 0.0
 
 
-def test_a_large_step_does_not_blind_the_tests_of_a_receiver_that_lies():
+def test_a_large_step_does_not_blind_the_tests_of_a_faulty_receiver():
     jumps = PositionJumps()
     for tenth in range(100):
         jumps.sigma_m(report(tenth / 10.0))

@@ -18,7 +18,7 @@ DENIED = 9
 LOST_S, CLIMB_S, TOP_S, END_S = 5.0, 30.0, 70.0, 75.0
 
 
-def subject_at(t: float) -> np.ndarray:
+def denied_at(t: float) -> np.ndarray:
     return np.array([-300.0 + 15.0 * t, 5.0 * t, 200.0 + 5.0 * (min(max(t, CLIMB_S), TOP_S) - CLIMB_S)])
 
 
@@ -41,17 +41,17 @@ def climb(seed: int) -> list[float]:
             estimator.set_denied({DENIED}, t)
         reports = {p: (peer_at(p, t), (peer_at(p, t + 0.1) - peer_at(p, t - 0.1)) / 0.2) for p in peers}
         if t < LOST_S:
-            reports[DENIED] = (subject_at(t), np.array([15.0, 5.0, 0.0]))
+            reports[DENIED] = (denied_at(t), np.array([15.0, 5.0, 0.0]))
         for vehicle, (place, velocity) in reports.items():
             p, u = place + 0.5 * rng.normal(size=3), velocity + 0.1 * rng.normal(size=3)
             estimator.add(PositionMeasurement(vehicle, t, t, tuple(p.tolist()), 1.0, 1.5, tuple(u.tolist()), 0.3))
         for p in peers if k % 2 == 0 and k > 20 else ():
-            range_m = float(np.linalg.norm(subject_at(t) - peer_at(p, t))) + 2.0 * rng.normal()
+            range_m = float(np.linalg.norm(denied_at(t) - peer_at(p, t))) + 2.0 * rng.normal()
             estimator.add(RangeMeasurement(DENIED, p, t, t, range_m, 2.0))
         if t > LOST_S + 3.0 and k % 2 == 0:
             where = estimator.estimate(DENIED, t)
             if isinstance(where, Estimate):
-                errors.append(float(where.position_enu_m[2] - subject_at(t)[2]) / math.sqrt(where.covariance[2, 2]))
+                errors.append(float(where.position_enu_m[2] - denied_at(t)[2]) / math.sqrt(where.covariance[2, 2]))
     return errors
 
 

@@ -164,7 +164,7 @@ def test_cold_with_two_peers_it_says_that_it_is_ambiguous():
 def test_a_wrong_state_is_not_kept_against_the_ranges():
     flight = Flight(FleetFilter(), {4})
     flight.run(3.0)
-    # The last report before the loss was 300 m off, and claimed half a metre.
+    # The last report before the loss was 300 m off, and stated half a metre.
     place = FLEET[4](3.0) + np.array([300.0, 0.0, 0.0])
     for k in range(40):
         t = 3.0 + 0.001 * k
@@ -193,7 +193,7 @@ def test_gross_outliers_are_refused_and_told():
     assert flight.error_m(4) < 3.0
 
 
-def test_positions_of_a_subject_are_no_evidence():
+def test_positions_of_a_denied_vehicle_are_no_evidence():
     flight = Flight(FleetFilter(), {4})
     flight.run(20.0)
     before = flight.estimator.estimate(4, 20.0)

@@ -120,7 +120,7 @@ def test_a_sudden_hard_turn_far_from_their_line_does_not_shut_one_of_two_peers_o
     assert max(after) < 10.0
 
 
-def test_a_doubt_that_a_peer_leaves_behind_lasts_until_others_show_where_it_is():
+def test_an_ambiguity_that_a_peer_leaves_behind_lasts_until_others_show_where_it_is():
     """Its last four ranges are 150 m too long, and beside one other peer nobody can tell; then it is silent for good."""
     here, count = np.array([0.0, 400.0]), round(50.0 / STEP_S)
     peers = {1: np.array([-600.0, 0.0]), 2: np.array([600.0, 0.0]), 3: np.array([0.0, 900.0])}

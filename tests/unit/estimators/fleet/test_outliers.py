@@ -14,7 +14,7 @@ DENIED, SPEED_MPS = 9, 15.0
 ANCHORS_M = {1: (-600.0, -500.0, 0.0), 2: (700.0, -400.0, 5.0), 3: (500.0, 600.0, 10.0), 4: (-500.0, 500.0, 15.0)}
 
 
-def subject_at(t: float) -> np.ndarray:
+def denied_at(t: float) -> np.ndarray:
     return np.array([-300.0 + SPEED_MPS * t, 50.0, 100.0])
 
 
@@ -31,7 +31,7 @@ class Flight:
         self.estimator = FleetFilter()
         for vehicle, place in ANCHORS_M.items():
             self.estimator.add(PositionMeasurement(vehicle, 0.0, 0.0, place, 0.3, 0.3, static=True))
-        east_m, north_m, up_m = subject_at(0.0).tolist()
+        east_m, north_m, up_m = denied_at(0.0).tolist()
         start = (east_m, north_m + off_m, up_m)
         self.estimator.add(PositionMeasurement(DENIED, 0.0, 0.0, start, 1.5, 2.0, (SPEED_MPS, 0.0, 0.0), 0.3))
         self.estimator.set_denied({DENIED}, 0.0)
@@ -43,13 +43,13 @@ class Flight:
             t = 0.2 * k
             self.estimator.add(AltitudeMeasurement(DENIED, t, t, 100.0, 2.0))
             for p, place in ANCHORS_M.items():
-                range_m = float(np.linalg.norm(subject_at(t) - place)) + self.rng.normal()
+                range_m = float(np.linalg.norm(denied_at(t) - place)) + self.rng.normal()
                 if self.rng.random() < self.late_share:
                     range_m += self.rng.uniform(5.0, 50.0)
                 self.estimator.add(RangeMeasurement(DENIED, p, t, t, range_m, self.stated_m))
             where = self.estimator.estimate(DENIED, t)
             if isinstance(where, Estimate) and (bound_m := horizontal_bound_95_m(where.covariance)) <= 50.0:
-                out.append((t, math.dist(where.position_enu_m[:2], subject_at(t)[:2]) / bound_m))
+                out.append((t, math.dist(where.position_enu_m[:2], denied_at(t)[:2]) / bound_m))
         return out
 
 
@@ -128,7 +128,7 @@ def test_two_outliers_in_a_row_are_contradicted_by_ranges_used_a_moment_before()
         estimator.add(PositionMeasurement(vehicle, 0.0, 0.0, ANCHORS_M[vehicle], 0.3, 0.3, static=True))
     for k in range(120):
         t = round(0.1 * k, 6)
-        peer, here_m = 1 + k % 3, subject_at(t)
+        peer, here_m = 1 + k % 3, denied_at(t)
         if k < 20:
             estimator.add(PositionMeasurement(DENIED, t, t, here_m.tolist(), 0.5, 0.5, (SPEED_MPS, 0.0, 0.0), 0.2))
             continue

@@ -29,7 +29,7 @@ def test_eight_of_sixty_are_nearly_as_good_as_the_best_eight_in_a_round(seed):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_two_subjects_share_most_of_their_peers_and_lose_little_by_it(seed):
+def test_two_denied_vehicles_share_most_of_their_peers_and_lose_little_by_it(seed):
     placed = fleet(seed)
     there = np.array([800.0, -600.0, 120.0])
     first = select_peers(HERE, placed, NONE, NONE, 8, height_known=True)
@@ -39,7 +39,7 @@ def test_two_subjects_share_most_of_their_peers_and_lose_little_by_it(seed):
     assert hdop(second, placed, there) < 1.1 * hdop(alone, placed, there)
 
 
-def test_a_subject_that_tells_its_height_spends_its_choice_on_the_horizontal():
+def test_a_denied_vehicle_that_tells_its_height_spends_its_choice_on_the_horizontal():
     placed = [(v, np.array([2000.0 * np.sin(v), 2000.0 * np.cos(v), 100.0])) for v in range(12)]
     placed.extend((90 + v, np.array([100.0 + 40.0 * v, 90.0, 400.0])) for v in range(3))
     without, with_height = (select_peers(HERE, placed, NONE, NONE, 3, height_known=known) for known in (False, True))

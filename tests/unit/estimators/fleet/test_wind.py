@@ -13,7 +13,7 @@ PEERS = {1: (0.0, 2000.0), 2: (8000.0, 4000.0), 3: (7000.0, 11000.0)}
 LOST_S, END_S = 5.0, 60.0
 
 
-def subject_at(t: float) -> np.ndarray:
+def denied_at(t: float) -> np.ndarray:
     return np.array([2000.0 + SPEED_MPS * t, -4000.0, 100.0])
 
 
@@ -33,14 +33,16 @@ def test_a_wind_learned_from_a_false_velocity_does_not_outlast_the_ranges_that_c
             at = np.array([east, north, 100.0]) + 0.5 * rng.normal(size=3)
             estimator.add(PositionMeasurement(p, t, t, tuple(at.tolist()), 2.0, 3.0, (0.0, 0.0, 0.0), 0.5))
         if t < LOST_S:
-            claim = subject_at(0.0) + np.array([2.0 * SPEED_MPS * t, 0.0, 0.0]) + 0.5 * rng.normal(size=3)
-            estimator.add(PositionMeasurement(DENIED, t, t, tuple(claim.tolist()), 2.0, 3.0, (2.0 * SPEED_MPS, 0.0, 0.0), 0.5))
+            reported_m = denied_at(0.0) + np.array([2.0 * SPEED_MPS * t, 0.0, 0.0]) + 0.5 * rng.normal(size=3)
+            estimator.add(
+                PositionMeasurement(DENIED, t, t, tuple(reported_m.tolist()), 2.0, 3.0, (2.0 * SPEED_MPS, 0.0, 0.0), 0.5)
+            )
         estimator.add(AttitudeMeasurement(DENIED, t, t, 0.0, 0.0, math.pi / 2.0, SPEED_MPS))
         for p, (east, north) in PEERS.items() if k % 5 == 0 else ():
-            range_m = float(np.linalg.norm(subject_at(t) - (east, north, 100.0))) + 30.0 * rng.normal()
+            range_m = float(np.linalg.norm(denied_at(t) - (east, north, 100.0))) + 30.0 * rng.normal()
             estimator.add(RangeMeasurement(DENIED, p, t, t, range_m, 30.0))
     where = estimator.estimate(DENIED, END_S)
     assert isinstance(where, Estimate)
-    off = (where.position_enu_m - subject_at(END_S))[:2]
+    off = (where.position_enu_m - denied_at(END_S))[:2]
     assert off @ np.linalg.solve(where.covariance[:2, :2], off) < 4.0**2
     assert math.sqrt(np.linalg.eigvalsh(where.covariance[:2, :2])[1]) < 100.0

@@ -119,7 +119,7 @@ def test_the_log_holds_notices_changes_of_state_and_alarms_once_each(read):
     ]
 
 
-def test_a_vehicle_that_is_nowhere_leaves_the_map_and_stays_where_it_reports_in_the_scene():
+def test_a_vehicle_that_is_nowhere_leaves_the_map_and_stays_where_it_reports_in_three_dimensions():
     encoder = McapEncoder()
     lost = replace(LOST, enu_m=None, covariance_h_m2=None, **REPORTED)
     encoder.add(VehicleEntry(AT_S, lost))

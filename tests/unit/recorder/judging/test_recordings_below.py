@@ -33,7 +33,7 @@ def test_of_several_recordings_in_a_directory_each_has_tables_of_its_own(tmp_pat
     assert (b.truth, b.ranges) == (None, None)
 
 
-def test_names_do_not_depend_on_where_a_directory_lies_and_digests_are_of_all_files(tmp_path: Path) -> None:
+def test_names_do_not_depend_on_where_a_directory_is_and_digests_are_of_all_files(tmp_path: Path) -> None:
     first, second = (make(tmp_path / place / "year", "flight.tlog", "truth.csv") for place in ("here", "there"))
     assert [(r.name, r.digest) for r in find_recordings([first])] == [(r.name, r.digest) for r in find_recordings([second])]
 

@@ -30,7 +30,7 @@ def test_a_nominal_flight_is_located_and_repeats_itself():
 
 
 @pytest.mark.parametrize("name", ["range-bias", "height"])
-def test_where_all_sensors_are_worse_than_they_state_nobody_is_accused_and_the_vehicle_is_located(name):
+def test_where_all_sensors_are_worse_than_they_state_nobody_is_failed_and_the_vehicle_is_located(name):
     score = fly_trial(name, 1, duration_s=60.0)
     assert score.distrusted_s == 0.0
     assert score.events == []

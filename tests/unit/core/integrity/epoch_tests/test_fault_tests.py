@@ -74,10 +74,12 @@ def wandered(rng, before, share):
         priors[vehicle] = PositionPrior(np.array(TRUE[vehicle]) + error, place.sigma_h_m, place.sigma_v_m, place.no_prior)
     residuals = []
     for residual in later.residuals:
-        claims = [priors[v].position_enu_m for v in residual.pair]
+        reported_m = [priors[v].position_enu_m for v in residual.pair]
         drawn = [later.priors[v].position_enu_m for v in residual.pair]
         range_m = residual.residual_m + np.linalg.norm(drawn[0] - drawn[1])
-        residuals.append(RangeResidual(*residual.pair, float(range_m - np.linalg.norm(claims[0] - claims[1])), residual.sigma_m))
+        residuals.append(
+            RangeResidual(*residual.pair, float(range_m - np.linalg.norm(reported_m[0] - reported_m[1])), residual.sigma_m)
+        )
     return Epoch(5.0, priors, tuple(residuals))
 
 

@@ -66,21 +66,21 @@ def test_the_vehicle_whose_receiver_stepped_is_named_and_no_other(vehicles, mutu
     assert named >= least
 
 
-@pytest.mark.parametrize(("vehicles", "liars"), [(5, 2), (6, 2), (7, 3)])
-def test_a_minority_that_is_spoofed_alike_is_named(vehicles, liars):
+@pytest.mark.parametrize(("vehicles", "spoofed"), [(5, 2), (6, 2), (7, 3)])
+def test_a_minority_that_is_spoofed_alike_is_named(vehicles, spoofed):
     for seed in range(20):
         rng = np.random.default_rng([seed, vehicles])
         together = offset(rng, 120.0)
-        now = epoch(rng, vehicles, mutual=True, offsets=dict.fromkeys(range(1, liars + 1), together))
-        assert isolated(now) == set(range(1, liars + 1))
+        now = epoch(rng, vehicles, mutual=True, offsets=dict.fromkeys(range(1, spoofed + 1), together))
+        assert isolated(now) == set(range(1, spoofed + 1))
 
 
-@pytest.mark.parametrize(("vehicles", "liars", "denied"), [(4, 2, ()), (6, 3, ()), (5, 2, (5,))])
-def test_where_half_of_the_vehicles_are_spoofed_alike_nobody_is_named(vehicles, liars, denied):
+@pytest.mark.parametrize(("vehicles", "spoofed", "denied"), [(4, 2, ()), (6, 3, ()), (5, 2, (5,))])
+def test_where_half_of_the_vehicles_are_spoofed_alike_nobody_is_named(vehicles, spoofed, denied):
     """The two halves contradict each other, and nothing says which one is right: all are possible."""
     for seed in range(20):
         rng = np.random.default_rng([seed, vehicles])
-        offsets = dict.fromkeys(range(1, liars + 1), offset(rng, 120.0))
+        offsets = dict.fromkeys(range(1, spoofed + 1), offset(rng, 120.0))
         now = epoch(rng, vehicles, mutual=True, offsets=offsets, denied=denied)
         assert is_alarmed(now)
         found = isolate(now, (None, 0.0), LEVELS)
