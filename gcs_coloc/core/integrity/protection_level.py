@@ -2,8 +2,8 @@
 
 The nominal level is K sigma of the estimate. The level of all other hypotheses (`solution_separation`) is the one that the error
 exceeds with their share of the integrity risk: each contributes its separation and its sigma by how often it is true. The
-protection level is the larger, and more by what the vehicle can have done since its last range. A receiver fault that the ranges
-cannot test (one or two peers, poor geometry) is told and not bounded: the level assumes that there is none.
+protection level is the larger, and more by what the vehicle can have done since its last range. A fault that the ranges cannot
+test (one or two peers, poor geometry) is told; the level covers it as if the ranges tested it as coarsely as any that counts.
 
 Source: J. Blanch, T. Walter, P. Enge et al., Baseline advanced RAIM user algorithm, IEEE Trans. AES 51 (2015); EU-US WG-C, ARAIM
 technical subgroup, reference airborne algorithm.
@@ -76,7 +76,7 @@ class ProtectionSettings:
 
 @dataclass(frozen=True, slots=True)
 class FaultLevel:
-    """The level of all tested hypotheses but the nominal one, by the ranges of one epoch.
+    """The level of all hypotheses but the nominal one, by the ranges of one epoch.
 
     `level_m`: without the bias of unknown delays, m. `estimate_sigma_m`: the estimate's 1-sigma then, m; the level grows with it.
     `ranged_at_s`: service time of the newest range. `untested`: the vehicles whose receiver the ranges cannot test.
@@ -108,14 +108,23 @@ def radius_at_risk(probability: float) -> float:
 def fault_level(
     hypotheses: Sequence[Separation], estimate: Estimate, ranged_at_s: float, settings: ProtectionSettings
 ) -> FaultLevel:
-    """Return the largest level of the hypotheses that the ranges can test."""
-    tested = [each for each in hypotheses if each.sigma_m <= _MOST_TESTED_SIGMA_M]
-    singles, tested_singles = (
-        {each.vehicles[0] for each in some if each.fault is FaultClass.RECEIVERS and len(each.vehicles) == 1}
-        for some in (hypotheses, tested)
-    )
-    untested = tuple(sorted(singles - tested_singles))
-    return FaultLevel(_level_m(tested, settings), horizontal_sigma_m(estimate.protected_covariance), ranged_at_s, untested)
+    """Return the level of all hypotheses, as far as the ranges test them."""
+    untested = {
+        each.vehicles[0]
+        for each in hypotheses
+        if each.fault is FaultClass.RECEIVERS and len(each.vehicles) == 1 and each.sigma_m > _MOST_TESTED_SIGMA_M
+    }
+    level_m = _level_m([_as_tested(each) for each in hypotheses], settings)
+    return FaultLevel(level_m, horizontal_sigma_m(estimate.protected_covariance), ranged_at_s, tuple(sorted(untested)))
+
+
+def _as_tested(hypothesis: Separation) -> Separation:
+    """Return the hypothesis with the most sigma that counts, and its separation the same number of sigmas.
+
+    So a level neither falls as a test becomes worse, nor grows without end where there is none.
+    """
+    share = min(_MOST_TESTED_SIGMA_M / max(hypothesis.sigma_m, 1e-9), 1.0)
+    return hypothesis._replace(separation_m=share * hypothesis.separation_m, sigma_m=share * hypothesis.sigma_m)
 
 
 def _level_m(hypotheses: Sequence[Separation], settings: ProtectionSettings) -> float:

@@ -81,10 +81,20 @@ def test_the_level_is_exceeded_with_the_stated_risk_when_all_hypotheses_are_adde
     assert per_h == pytest.approx(0.5 * SETTINGS.integrity_risk_per_h, rel=1e-3)
 
 
-def test_a_receiver_that_no_range_tests_is_named_and_does_not_count():
-    found = level(receiver(1, 3.0, 1.5), receiver(2, 300.0, 800.0))
+@pytest.mark.parametrize("fault", FaultClass)
+def test_the_level_does_not_fall_as_a_test_becomes_worse(fault):
+    """Found in a flight: a peer was drawn off, and as its test became coarser than 6 m the level fell from 30 to 17 m."""
+    levels_m = [level(Separation(fault, (2,), 1.8 * sigma_m, sigma_m)).level_m for sigma_m in (4.0, 5.9, 6.1, 10.0, 800.0)]
+    assert levels_m[0] < levels_m[1] < levels_m[2]
+    assert levels_m[3:] == pytest.approx([levels_m[2]] * 2, abs=0.01)
+
+
+def test_a_receiver_that_no_range_tests_is_named_and_counts_as_tested_by_6_m():
+    found = level(receiver(1, 3.0, 1.5), receiver(2, 400.0, 800.0), Separation(FaultClass.RANGES, (1, 4), 1.0, 9.0))
     assert found.untested == (2,)
-    assert found.level_m < 100.0
+    assert found.level_m == pytest.approx(
+        level(receiver(1, 3.0, 1.5), receiver(2, 3.0, 6.0), Separation(FaultClass.RANGES, (1, 4), 6.0 / 9.0, 6.0)).level_m
+    )
 
 
 def test_without_air_data_the_level_grows_by_what_the_vehicle_can_have_done():
