@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from flown_place import mission, place
+from flown_place import MissionItem, mission, place
 from four_ship import Case, FourShip, in_flight
 from pilot import Pilot
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -18,19 +18,23 @@ _WANTED_HZ: Mapping[int, float] = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0,
 }
-_CLIMBED_M = 70.0
 _ON_THEIR_WAY_S = 50.0
 _READY_S = 150.0
 
 
 @dataclass(frozen=True)
 class ArduPilotFlight:
-    """How four vehicles of one kind fly a case: simulator's model, parameters, the number of AUTO, half the mission's sides."""
+    """How four vehicles of one kind fly a case: simulator's model, parameters, the number of AUTO, half the mission's sides.
+
+    A case begins some time after all are `climbed_m` above their homes; None for vehicles on the ground.
+    """
 
     model: str
     parameters: Mapping[str, float]
     auto_mode: int
     half_sides_m: tuple[float, float]
+    mission: Callable[[int, float, float], list[MissionItem]] = mission
+    climbed_m: float | None = 70.0
     announced_delay_s: float = 0.1
     """GPS2_DELAY_MS of the guide: what the service sends is judged for this age."""
 
@@ -50,10 +54,11 @@ class ArduPilotFlight:
             for pilot in pilots:
                 for message_id, rate_hz in _WANTED_HZ.items():
                     assert pilot.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz) == 0
-                pilot.upload(mission(pilot.sysid, *self.half_sides_m))
+                pilot.upload(self.mission(pilot.sysid, *self.half_sides_m))
             for pilot in pilots:
                 self._arm(ship, pilot)
-            ship.wait("climb", lambda: all(p.truth and p.truth[-1].alt_m > ORIGIN_ALT_M + _CLIMBED_M for p in pilots))
+            if (above_m := self.climbed_m) is not None:
+                ship.wait("climb", lambda: all(p.truth and p.truth[-1].alt_m > ORIGIN_ALT_M + above_m for p in pilots))
             ship.run(_ON_THEIR_WAY_S)
             if case.starts_in_flight:
                 for pilot in pilots:

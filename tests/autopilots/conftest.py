@@ -14,7 +14,12 @@ from four_ship import Case, FourShip
 Flown = Callable[[Case], tuple[FourShip, list[Figures]]]
 
 _ROWS = pytest.StashKey[list[Figures]]()
-_VARIABLES = {"arduplane": "SITL_ARDUPLANE", "arducopter": "SITL_ARDUCOPTER", "px4": "SITL_PX4"}
+_VARIABLES = {
+    "arduplane": "SITL_ARDUPLANE",
+    "arducopter": "SITL_ARDUCOPTER",
+    "ardurover": "SITL_ARDUROVER",
+    "px4": "SITL_PX4",
+}
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -40,7 +45,7 @@ def flight_directory(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     kept = os.environ.get("SITL_FLIGHTS", "")
     if not kept:
         return tmp_path
-    directory = Path(kept) / request.node.name.replace("[", "-").rstrip("]")
+    directory = Path(kept) / f"{request.module.__name__.rpartition('.')[2]}-{request.node.name}"
     shutil.rmtree(directory, ignore_errors=True)
     return directory
 

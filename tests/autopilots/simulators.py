@@ -33,8 +33,19 @@ GUIDE: Mapping[str, float] = {
     "TERRAIN_ENABLE": 0,
 }
 PLANE: Mapping[str, float] = {**GUIDE, "ARSPD_USE": 1, "THR_FAILSAFE": 0, "FS_LONG_ACTN": 0, "FS_SHORT_ACTN": 3}
+_CALIBRATED: Mapping[str, float] = {
+    **{f"INS_ACC{n}OFFS_{axis}": 0.001 for n in ("", "2") for axis in "XYZ"},
+    **{f"INS_ACC{n}SCAL_{axis}": 1.001 for n in ("", "2") for axis in "XYZ"},
+    **{
+        f"COMPASS_OFS{n}_{axis}": offset
+        for n in ("", "2", "3")
+        for axis, offset in (("X", 5), ("Y", 13), ("Z", -18))
+    },
+}  # fmt: skip
+"""Calibrations that are there, or it does not arm."""
 COPTER: Mapping[str, float] = {
     **GUIDE,
+    **_CALIBRATED,
     "FRAME_CLASS": 1,
     "FRAME_TYPE": 0,
     "AUTO_OPTIONS": 3,  # arms and takes off in AUTO without a raised throttle stick
@@ -44,15 +55,29 @@ COPTER: Mapping[str, float] = {
     "MOT_BAT_VOLT_MIN": 9.6,
     "MOT_BAT_VOLT_MAX": 12.8,
     "WP_YAW_BEHAVIOR": 1,
-    # Calibrations that are there, or it does not arm.
-    **{f"INS_ACC{n}OFFS_{axis}": 0.001 for n in ("", "2") for axis in "XYZ"},
-    **{f"INS_ACC{n}SCAL_{axis}": 1.001 for n in ("", "2") for axis in "XYZ"},
-    **{
-        f"COMPASS_OFS{n}_{axis}": offset
-        for n in ("", "2", "3")
-        for axis, offset in (("X", 5), ("Y", 13), ("Z", -18))
-    },
-}  # fmt: skip
+}
+QUADPLANE: Mapping[str, float] = {
+    **PLANE,
+    "Q_ENABLE": 1,
+    "Q_ASSIST_SPEED": 18,
+    "Q_M_PWM_MIN": 1000,
+    "Q_M_PWM_MAX": 2000,
+    "Q_M_BAT_VOLT_MIN": 9.6,
+    "Q_M_BAT_VOLT_MAX": 12.8,
+    "SCHED_LOOP_RATE": 300,
+}
+ROVER: Mapping[str, float] = {
+    **GUIDE,
+    **_CALIBRATED,
+    "FS_ACTION": 0,
+    "FS_THR_ENABLE": 0,
+    "FS_GCS_ENABLE": 0,
+    "ATC_STR_RAT_FF": 0.75,
+    "CRUISE_SPEED": 5,
+    "CRUISE_THROTTLE": 30,
+    "WP_SPEED": 5,
+    "WP_RADIUS": 3,
+}
 
 
 @dataclass(frozen=True)
@@ -102,7 +127,8 @@ def ardupilot(
     home = f"{place.lat_deg:.7f},{place.lon_deg:.7f},{place.alt_m:g},0"
     options = ["--model", model, "--instance", str(sysid), "--sysid", str(sysid), "--speedup", "1", "--home", home, "--wipe"]
     ports = [f"--serial0=udpclient:127.0.0.1:{service_port}", f"--serial1=udpclient:127.0.0.1:{driver_port}"]
-    files = [f"@ROMFS/models/{model}.parm", str(defaults)] if model == "plane" else [str(defaults)]  # in the program itself
+    in_the_program = ["@ROMFS/models/plane.parm"] if "plane" in model else []
+    files = [*in_the_program, str(defaults)]
     return Simulator([str(program), *options, "--defaults", ",".join(files), *ports], directory)
 
 
