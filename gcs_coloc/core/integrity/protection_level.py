@@ -114,32 +114,26 @@ def fault_level(
         for each in hypotheses
         if each.fault is FaultClass.RECEIVERS and len(each.vehicles) == 1 and each.sigma_m > _MOST_TESTED_SIGMA_M
     }
-    level_m = _level_m([_as_tested(each) for each in hypotheses], settings)
+    level_m = _level_m(hypotheses, settings)
     return FaultLevel(level_m, horizontal_sigma_m(estimate.protected_covariance), ranged_at_s, tuple(sorted(untested)))
-
-
-def _as_tested(hypothesis: Separation) -> Separation:
-    """Return the hypothesis with the most sigma that counts, and its separation the same number of sigmas.
-
-    So a level neither falls as a test becomes worse, nor grows without end where there is none.
-    """
-    share = min(_MOST_TESTED_SIGMA_M / max(hypothesis.sigma_m, 1e-9), 1.0)
-    return hypothesis._replace(separation_m=share * hypothesis.separation_m, sigma_m=share * hypothesis.sigma_m)
 
 
 def _level_m(hypotheses: Sequence[Separation], settings: ProtectionSettings) -> float:
     """Solve for the level L, m: sum of p exp(-((L - separation) / sigma)^2 / 2) = risk, p of a true hypothesis in an hour.
 
     Source: the HPL equation of the reference algorithm, with the Rayleigh distribution as the Gaussian's tail. A hypothesis
-    whose separation is beyond the level counts in full.
+    whose separation is beyond the level counts in full. One whose solution is coarser than the most that is tested is scaled to
+    that, its separation with it: a level neither falls as a test becomes worse, nor grows without end where there is none.
     """
     risk = (1.0 - _NOMINAL_SHARE) * settings.integrity_risk_per_h
     exposed = max(_LASTS_S / settings.independent_s, 1.0)
     p = np.array([settings.rate_per_h(each) * exposed for each in hypotheses])
     if p.sum() <= risk:
         return 0.0
-    separations_m = np.array([each.separation_m for each in hypotheses])
-    sigmas_m = np.hypot(np.array([each.sigma_m for each in hypotheses]), settings.common_gnss_sigma_m)
+    solution_sigmas_m = np.array([each.sigma_m for each in hypotheses])
+    share = np.minimum(_MOST_TESTED_SIGMA_M / np.maximum(solution_sigmas_m, 1e-9), 1.0)
+    separations_m = share * np.array([each.separation_m for each in hypotheses])
+    sigmas_m = np.hypot(share * solution_sigmas_m, settings.common_gnss_sigma_m)
     # No less than the level of each alone, no more than if each were as likely as all together.
     alone = np.sqrt(2.0 * np.log(np.maximum(p / risk, 1.0)))
     low_m = float((separations_m + sigmas_m * alone)[p > risk].max(initial=0.0))
