@@ -137,7 +137,7 @@ Measurement = (
 class ProtectionLevel(NamedTuple):
     """What the error of an estimate does not exceed, but with the integrity risk: horizontally (HPL) and vertically (VPL), m.
 
-    It assumes that the receivers of the vehicles `untested` are right: the ranges cannot test them.
+    The ranges cannot test the receivers of the vehicles `untested`: it assumes that they are not off by more than some 20 m.
     """
 
     horizontal_m: float
