@@ -137,7 +137,8 @@ Measurement = (
 class ProtectionLevel(NamedTuple):
     """What the error of an estimate does not exceed, but with the integrity risk: horizontally (HPL) and vertically (VPL), m.
 
-    The ranges cannot test the receivers of the vehicles `untested`: it assumes that they are not off by more than some 20 m.
+    The ranges cannot test the receivers of the vehicles `untested`: no fault of theirs may move the estimate by more than some
+    20 m.
     """
 
     horizontal_m: float
