@@ -69,7 +69,7 @@ class SenderClock:
     last_difference_s: float = 0.0
     drift: Drift = field(default_factory=_unmeasured)
     _buckets: deque[_Bucket] = field(default_factory=lambda: deque(maxlen=_BUCKETS))
-    # What `least_difference_s` and `mean_wait_s` answer until a bucket begins, ends or has a lesser least.
+    # What `least_difference_s` and `mean_wait_s` answer until a bucket begins, ends, has a lesser least or twice as many stamps.
     _least_s: float | None = None
     _wait_s: float | None = None
     _jumps: list[float] = field(default_factory=list)
@@ -109,6 +109,9 @@ class SenderClock:
         newest = self._buckets[-1]
         newest.sum_s += difference_s
         newest.count += 1
+        if newest.count.bit_count() == 1:
+            # Twice as many as when the mean wait was last computed.
+            self._wait_s = None
         if behind_s > newest.overtaken_s:
             newest.overtaken_s = behind_s
         return True

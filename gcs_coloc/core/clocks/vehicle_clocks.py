@@ -221,9 +221,12 @@ class VehicleClock:
     def device_to_service(self, device: SenderClock, stamp_s: float, now_s: float, settings: TimeSettings) -> ServiceTime:
         """A stamp of a ranging device of this vehicle, whose own clock has learnt it, on the service's clock."""
         sync = self.synchronised(now_s)
+        waits_more_s = max(device.mean_wait_s() - self.stamps.mean_wait_s(), 0.0) if self.stamps.known else 0.0
+        # What waits longer than the autopilot's messages may have a longer least delay, too.
+        unknown_s = min(_WAITS * waits_more_s, _MOST_UNKNOWN_S)
         if sync is None or not self.stamps.known:
             one_way = self.one_way(settings)
-            return ServiceTime(device.to_service(stamp_s) - one_way.delay_s, one_way.sigma_s)
+            return ServiceTime(device.to_service(stamp_s) - one_way.delay_s, hypot(one_way.sigma_s, unknown_s))
         if self.round_trips.wanders(now_s):
             # The least of a minute is out of date there.
             is_same = abs(device.last_difference_s - self.stamps.last_difference_s) < _SAME_UNEVEN_CLOCK_S
@@ -233,7 +236,7 @@ class VehicleClock:
             min_delay_s = self.stamps.least_difference_s() - sync.offset_at_s(now_s)
         if is_same:
             return self.to_service(stamp_s, now_s, settings)
-        sigma_s = (sync.sigma_at_s(now_s) ** 2 + _ONE_WAY_SIGMA_S**2) ** 0.5
+        sigma_s = hypot(sync.sigma_at_s(now_s), _ONE_WAY_SIGMA_S, unknown_s)
         return ServiceTime(device.to_service(stamp_s) - min_delay_s, sigma_s)
 
     def _begin_anew(self, *, is_reboot: bool) -> None:

@@ -117,6 +117,8 @@ class FlightClass:
     """Mean length of gaps in which one pair's ranges are lost; as long on average between two gaps."""
     is_mutual: bool = True
     """Whether peers range each other as well."""
+    companion_wait_s: Span = (0.0, 0.0)
+    """How long each range waits in a companion computer, whose clock it is stamped by; 0: by the autopilot's, at once."""
     silence_s: Span = (0.0, 0.0)
     """Length of two silences of all ranges."""
     # Links
@@ -210,6 +212,8 @@ _ALL = (
     _imperfect("skewed-ranges", "ranges that are too long more often than too short", range_noise=RangeNoise.SKEWED),
     _imperfect("blocked-ranges", "pairs out of sight for seconds: 3 to 40 m too long", range_noise=RangeNoise.BLOCKED),
     _imperfect("copters-blocked", "the same among copters", _COPTERS, range_noise=RangeNoise.BLOCKED),
+    _imperfect("late-ranges", "ranges wait 0.2 to 0.9 s in companion computers with clocks of their own",
+               companion_wait_s=(0.2, 0.9)),
     _imperfect("late-alike", "all links 0.2 to 0.6 s late, TIMESYNC not answered", delay_s=(0.2, 0.6), is_delay_alike=True,
                answers_timesync=False, has_utc=False),
     _imperfect("late-unequal", "links up to 0.5 s late, each its own, TIMESYNC not answered", delay_s=(0.02, 0.5),

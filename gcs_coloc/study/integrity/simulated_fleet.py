@@ -53,6 +53,8 @@ _FOLLOWED_AFTER_S = 10.0
 """An autopilot that refuses a step of its receiver takes it up after so long. Source: EKF3's retry time of 10 s."""
 _STEP_BEYOND_S = 0.001
 """The last event is so long after the flight's end, so that there is always one to pop until then."""
+_COMPANION_BEHIND_S = 3.0
+"""Chosen: nobody has set the clock of a companion computer."""
 _PERIODS_S = {
     "heartbeat": 1.0, "receiver": 0.2, "position": 0.2, "attitude": 0.1, "airspeed": 0.2, "health": 0.5, "ekf": 0.5, "time": 1.0,
 }  # fmt: skip
@@ -249,5 +251,8 @@ class SimulatedFleet:
         if self._device in pair and at_s >= self.fault_at_s:
             step_m, ramp_mps = self._device_fault_m
             range_m = max(range_m + step_m + ramp_mps * (at_s - self.fault_at_s), 0.0)
-        arrival_s, boot_s = vehicle.arrival_s(at_s), vehicle.link.boot_s(at_s)
-        return [PeerRange(vehicle.sysid, arrival_s, pair[1], range_m, errors.sigma_m, boot_s, TimeBase.BOOT, None, None, 0)]
+        arrival_s, stamp_s, clock = vehicle.arrival_s(at_s), vehicle.link.boot_s(at_s), TimeBase.BOOT
+        if any(self.drawn.companion_wait_s):
+            arrival_s += self._rng.uniform(*self.drawn.companion_wait_s)
+            stamp_s, clock = UNIX_EPOCH_S + at_s - _COMPANION_BEHIND_S, TimeBase.UNIX
+        return [PeerRange(vehicle.sysid, arrival_s, pair[1], range_m, errors.sigma_m, stamp_s, clock, None, None, 0)]

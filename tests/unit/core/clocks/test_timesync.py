@@ -338,3 +338,15 @@ def test_a_device_on_the_autopilots_clock_uses_its_offset_and_another_the_links_
     unanswered = VehicleClock().device_to_service(other, 199.0 + 1.7e9, 200.0, SETTINGS)
     assert unanswered.at_s == pytest.approx(199.05, abs=0.003)
     assert unanswered.sigma_s == SETTINGS.min_delay_sigma_s
+
+
+@pytest.mark.parametrize("up", [QUEUE, None], ids=["answered", "not answered"])
+def test_a_device_whose_stamps_wait_longer_than_the_autopilots_may_be_late_by_more(up):
+    """Each range waits 0.2 to 0.9 s in a companion computer, as beside a real ArduPlane: the least of them shows in nothing."""
+    vehicle = Exchange(6, 300.0, 0.0, QUEUE, up)
+    vehicle.run(0.0, 200.0)
+    device, rng = SenderClock(), np.random.default_rng(7)
+    for at_s in np.arange(150.0, 200.0, 0.1):
+        device.learn(at_s + 1.7e9, at_s + rng.uniform(0.2, 0.9))
+    told = vehicle.clock.device_to_service(device, 199.0 + 1.7e9, 200.0, SETTINGS)
+    assert 0.1 < told.at_s - 199.0 < told.sigma_s
