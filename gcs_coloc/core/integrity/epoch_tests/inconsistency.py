@@ -1,8 +1,8 @@
 """The explanation of an inconsistency of ranges and reported positions: one fault, several pairs that are off, or more noise.
 
-A fault of receivers or of one device is left to the tests over time (`range_consistency`). If several pairs that are off, or
-noise of all that is larger than stated, are likelier, nobody is at fault: the pairs are left out, or the noise is enlarged, and
-with it every protection level.
+A fault of receivers is left to the tests over time (`range_consistency`). If several pairs that are off, or noise of all that is
+larger than stated, are likelier, or if only a device explains it, nobody is at fault: the pairs are left out, or the noise is
+enlarged, and with it every protection level.
 """
 
 from __future__ import annotations
@@ -32,6 +32,9 @@ def explain_inconsistency(
         return noise
     epoch = noise.apply(whole)
     fault = isolate(epoch, _PRESENT, levels, doubtful)
+    of_device = noise.with_device_error(fault.device_m) if fault.device_m else None
+    if of_device is not None:
+        return of_device
     pairs, more = pair_outliers(epoch, levels), likeliest_noise(whole, noise, levels)
     clearly_below = fault.cost - levels.margin
     if pairs is not None and (more is None or pairs.cost <= more.cost) and (pairs.cost < clearly_below or fault.is_of_one_pair):

@@ -8,6 +8,9 @@ Against an earlier epoch each of them either began since or was there already; a
 Whether the offset of an isolated vehicle has changed since is a test of its own.
 An offset of a majority cannot be told from the opposite offset of the others: that the majority is right is assumed.
 
+Beforehand a device that is off by a few metres is much likelier than a receiver that fails: one redundant range shows that
+something is off, and not what.
+
 Isolated is a vehicle that is in every explanation which is not clearly worse than the best. Else the fault is only detected.
 Before that, two receivers that are off at once, each its own way, are an explanation as well, and so are the pairs of several
 that are off alike.
@@ -42,6 +45,9 @@ _UNLIKE_PENALTY = 13.8
 _LEAST_WITH_TWO_FAULTY = 4  # receivers of which two are no majority
 _STATION_PENALTY = 9.2  # twice the log of 100: chosen, so much rarer a station stands elsewhere than a receiver fails
 _SELF_REPORTED_PENALTY = 13.8  # twice the log of 1000: chosen, so much likelier at fault is who reports trouble himself
+_USUAL_DEVICE_GAIN = 12.0  # twice the log of 400: chosen, so much oftener is a device off by some metres than a receiver
+_USUAL_DEVICE_M = 4.0  # chosen: uncalibrated devices; to ranges all round a vehicle a peer looks alike that is off by 12 m
+_OF_DEVICES = frozenset({FaultKind.DEVICE, FaultKind.SCALE})
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +56,14 @@ class Isolation:
 
     `candidates`: the reporting vehicles that may be at fault; of many those that explain most. `plausible`: the explanations not
     clearly worse than the best, which comes first; none where not even the best leaves a consistent rest. `not_alone`: vehicles
-    that two other faults at once, or errors of the moment, may only seem to have at another place. `changes_m`: by isolated
+    that two other faults at once, or errors of the moment, may only seem to have at another place. `device_m`: by how much a
+    device is off where that alone explains, and the ranges clearly rule out every other fault; else 0. `changes_m`: by isolated
     vehicle how much its offset has changed since the earlier epoch; 0 where that is not clear, or where there is none.
     """
 
     candidates: tuple[int, ...]
     plausible: tuple[AdjustedHypothesis, ...] = ()
+    device_m: float = 0.0
     not_alone: frozenset[int] = frozenset()
     changes_m: Mapping[int, float] = field(default_factory=dict)
 
@@ -121,7 +129,8 @@ def isolate(
     model = FaultModel(now, past)
     candidates = _candidates(now, model)
     hypotheses = _hypotheses(now, model, candidates)
-    explanations = model.explain(hypotheses, [_penalty(each, frozenset(troubled)) for each in hypotheses])
+    found = model.explain(hypotheses, [_penalty(each, frozenset(troubled)) for each in hypotheses])
+    explanations = sorted((_with_usual_devices(each, levels) for each in found), key=lambda each: each.cost)
     reporting = tuple(model.arrays.vehicles[at] for at in candidates)
     if not explanations:
         return Isolation(reporting)
@@ -130,7 +139,7 @@ def isolate(
     if dof and best.statistic > chi2_limit(dof, levels.rest):
         return Isolation(reporting)
     limit = best.cost + levels.margin
-    isolation = Isolation(reporting, tuple(each for each in explanations if each.cost <= limit))
+    isolation = Isolation(reporting, tuple(each for each in explanations if each.cost <= limit), _device_m(found, levels))
     not_alone = {
         vehicle
         for vehicle in isolation.isolated
@@ -201,6 +210,23 @@ def _without_priors(epoch: Epoch, vehicles: Collection[int]) -> Epoch:
         epoch,
         priors={v: prior._replace(no_prior=prior.no_prior or v in vehicles) for v, prior in epoch.priors.items()},
     )
+
+
+def _with_usual_devices(explanation: AdjustedHypothesis, levels: SignificanceLevels) -> AdjustedHypothesis:
+    """The explanation, likelier beforehand where a device is off by a usual length and the rest is consistent."""
+    dof = explanation.degrees_of_freedom
+    is_usual = explanation.kind in _OF_DEVICES and explanation.size_m <= _USUAL_DEVICE_M
+    if not is_usual or (dof and explanation.statistic > chi2_limit(dof, levels.rest)):
+        return explanation
+    return replace(explanation, cost=explanation.cost - _USUAL_DEVICE_GAIN)
+
+
+def _device_m(found: Sequence[AdjustedHypothesis], levels: SignificanceLevels) -> float:
+    """By how much a device is off where the ranges tell it from every other fault, none likelier beforehand; else 0."""
+    best = found[0]
+    others = min((each.cost for each in found if each.kind not in _OF_DEVICES), default=inf)
+    is_clear = best.kind in _OF_DEVICES and best.degrees_of_freedom > 0 and others > best.cost + levels.margin
+    return best.size_m if is_clear else 0.0
 
 
 def _penalty(hypothesis: Hypothesis, troubled: frozenset[int]) -> float:

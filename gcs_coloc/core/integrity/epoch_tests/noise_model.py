@@ -40,6 +40,7 @@ _RANGE_BIASES_M = (1.0, 2.0, 4.0, 8.0)  # chosen: uncalibrated devices; beyond i
 _DEVICE_SCALES = (0.002, 0.005, 0.01, 0.02)  # chosen: clocks and atmosphere 1e-5, devices that are set wrongly 1e-2
 _HEIGHT_SIGMAS_M = (5.0, 10.0, 20.0)  # chosen: pressure of another day or place; 8 m for 1 hPa
 _POSITION_FACTORS = (2.0, 4.0)  # chosen: receivers that state a half or a quarter of their error
+_USUAL_SIGMAS = 1.25  # chosen: the tests take the error of a device as one of each pair, which makes a large one rare
 _PAIR_OFF_M = 20.0
 """1-sigma of the ranges of a pair that is off. Chosen: a detour past a building or hill is of some metres to some tens."""
 _FORGOTTEN_S = 600.0  # chosen: devices and weather change within hours
@@ -115,6 +116,13 @@ class NoiseModel:
         yield from (replace(self, device_scale=scale) for scale in _DEVICE_SCALES if scale > self.device_scale)
         yield from (replace(self, height_sigma_m=sigma_m) for sigma_m in _HEIGHT_SIGMAS_M if sigma_m > self.height_sigma_m)
         yield from (replace(self, position_factor=factor) for factor in _POSITION_FACTORS if factor > self.position_factor)
+
+    def with_device_error(self, size_m: float) -> NoiseModel | None:
+        """Return the model in which a device's error of this size is usual; None where no model is that coarse."""
+        least_m = size_m / _USUAL_SIGMAS
+        if least_m <= self.device_bias_m:
+            return self
+        return next((replace(self, device_bias_m=bias_m) for bias_m in _RANGE_BIASES_M if bias_m >= least_m), None)
 
     def with_coarser_positions(self) -> NoiseModel | None:
         """Return the model with twice the factor on the positions; None where that is more than any that counts."""

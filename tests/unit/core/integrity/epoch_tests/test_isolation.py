@@ -237,3 +237,48 @@ def test_a_fault_has_changed_by_as_much_as_the_ranges_clearly_show(then_m, now_m
 def test_of_one_epoch_alone_no_fault_shows_that_it_has_changed():
     now = epoch(np.random.default_rng(1), 6, mutual=True, offsets={6: (20.0, 0.0)})
     assert isolate(now, (None, 0.0), LEVELS).changes_m == {6: 0.0}
+
+
+def ring(rng, *, device_m, without_prior=True, arc=2.0 * pi, sigma_gps_m=SIGMA_GPS_M):
+    """Vehicle 1 and three peers 600 m away on an arc round it, which it alone ranges with a device that is off."""
+    true = {v: np.array([600.0 * cos(angle), 600.0 * sin(angle), 130.0]) for v, angle in enumerate(arc / 3.0 * np.arange(3.0), 2)}
+    true[1] = np.array([0.0, 0.0, 115.0])
+    priors, residuals = {}, []
+    for v, position in true.items():
+        error = np.array([8.0, -6.0, 0.5]) if v == 1 and without_prior else sigma_gps_m * rng.standard_normal(3)
+        priors[v] = PositionPrior(tuple((position + error).tolist()), sigma_gps_m, sigma_gps_m, v == 1 and without_prior)
+    for peer in (2, 3, 4):
+        measured = np.linalg.norm(true[1] - true[peer]) + device_m + SIGMA_RANGE_M * rng.standard_normal()
+        computed = np.linalg.norm(np.subtract(priors[1].position_enu_m, priors[peer].position_enu_m))
+        residuals.append(RangeResidual(1, peer, float(measured - computed), SIGMA_RANGE_M))
+    return Epoch(0.0, priors, tuple(residuals))
+
+
+def explained(**drawn):
+    return [isolate(ring(np.random.default_rng(seed), **drawn), (None, 0.0), LEVELS) for seed in range(40)]
+
+
+@pytest.mark.parametrize("device_m", [-2.0, 2.0])
+def test_a_device_that_is_off_by_two_metres_makes_no_receiver_suspect(device_m):
+    """One redundant range shows that something is off, and not what: devices are, by some metres, more often than receivers.
+
+    The error is found with a sigma of 0.9 m, so that one or two of 40 may seem to be off by four metres and more.
+    """
+    found = explained(device_m=device_m)
+    assert sum(each.is_range_fault for each in found) >= 38
+    assert not any(each.device_m for each in found)
+
+
+def test_what_would_be_an_unusual_error_of_a_device_may_be_one_of_a_receiver():
+    assert {each.possible for each in explained(device_m=12.0)} == {frozenset({2, 3, 4})}
+
+
+def test_a_device_is_known_to_be_off_where_its_ranges_leave_no_other_explanation():
+    """Ranges all round a vehicle that knows where it is are too long together. Five are four sigmas below the 17 of 40 others."""
+    found = explained(device_m=3.5, without_prior=False, sigma_gps_m=0.5)
+    assert sum(2.5 < each.device_m <= 4.0 for each in found) >= 5
+
+
+def test_a_device_is_not_known_to_be_off_where_its_vehicle_may_be_elsewhere():
+    found = explained(device_m=3.5, without_prior=False, sigma_gps_m=0.5, arc=pi / 3.0)
+    assert not any(each.device_m for each in found)
