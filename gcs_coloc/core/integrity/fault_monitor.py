@@ -14,6 +14,7 @@ from statistics import median
 import numpy as np
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior
+from gcs_coloc.core.integrity.epoch_tests.noise_model import AS_STATED, NoiseModel
 from gcs_coloc.core.integrity.fault_filters import FaultFilters, FaultFilterSettings, LineOfSightResidual
 from gcs_coloc.core.measurements import FloatArray, RangeMeasurement, Vector3
 
@@ -80,14 +81,17 @@ class FaultMonitor:
         ranges.sigmas_m.append(m.sigma_m)
         ranges.peer_prior, ranges.own_sigma_v_m, ranges.baseline_m = prior, own.sigma_v_m, baseline_m
 
-    def step(self, at_s: float, excluded: Collection[int]) -> None:
-        """Update the filters with the ranges up to a time, without the excluded peers; drop vehicles without ranges for long."""
+    def step(self, at_s: float, excluded: Collection[int], noise: NoiseModel = AS_STATED) -> None:
+        """Update the filters with the ranges up to a time, without the excluded peers; drop vehicles without ranges for long.
+
+        `noise` is how much worse ranges and positions were found to be than they state.
+        """
         for vehicle, by_peer in self._ranges.items():
             filters = self._filters.setdefault(vehicle, FaultFilters(self.settings.filters))
             filters.exclude(excluded)
             included = sorted(set(by_peer) - set(excluded))[:_MAX_PEERS]
             if included and at_s > filters.at_s:
-                filters.update({peer: self._residual(by_peer[peer]) for peer in included}, at_s)
+                filters.update({peer: self._residual(by_peer[peer], noise) for peer in included}, at_s)
         self._ranges = {}
         self._filters = {v: filters for v, filters in self._filters.items() if at_s - filters.at_s <= _FORGET_AFTER_S}
 
@@ -119,11 +123,12 @@ class FaultMonitor:
         min_peers = self.settings.min_peers
         return ((vehicle, filters) for vehicle, filters in self._filters.items() if len(filters.peers) >= min_peers)
 
-    def _residual(self, r: _PeerRanges) -> LineOfSightResidual:
+    def _residual(self, r: _PeerRanges, noise: NoiseModel) -> LineOfSightResidual:
         count = len(r.residuals_m)
         coloured = self.settings.coloured_share * (1.0 - 1.0 / count)
         noise_m = median(r.sigmas_m) * sqrt(1.0 / count + coloured)
-        unit, position_sigma_m = _line_of_sight(r.baseline_m, r.peer_prior, r.own_sigma_v_m, self.settings)
+        bias_m = hypot(self.settings.range_bias_m, noise.lasting_m(hypot(*r.baseline_m)))
+        unit, position_sigma_m = _line_of_sight(r.baseline_m, noise.prior(r.peer_prior), r.own_sigma_v_m, bias_m)
         return LineOfSightResidual(median(r.residuals_m), noise_m, position_sigma_m, unit)
 
 
@@ -141,7 +146,8 @@ def expected_separation_m2(epoch: Epoch, vehicle: int, settings: FaultMonitorSet
         (e, n, u), (peer_e, peer_n, peer_u) = own.position_enu_m, prior.position_enu_m
         baseline_m = e - peer_e, n - peer_n, u - peer_u
         if peer not in residuals and len(residuals) < _MAX_PEERS and hypot(*baseline_m) >= _MIN_DISTANCE_M:
-            unit, position_sigma_m = _line_of_sight(baseline_m, prior, own.sigma_v_m, s)
+            bias_m = hypot(residual.bias_m, residual.devices_m)
+            unit, position_sigma_m = _line_of_sight(baseline_m, prior, own.sigma_v_m, bias_m)
             residuals[peer] = LineOfSightResidual(0.0, residual.sigma_m, position_sigma_m, unit)
     if len(residuals) < s.min_peers:
         return None
@@ -161,11 +167,11 @@ def _separation_m2(filters: FaultFilters, now_s: float, s: FaultMonitorSettings)
 
 
 def _line_of_sight(
-    baseline_m: Vector3, peer: PositionPrior, own_sigma_v_m: float, s: FaultMonitorSettings
+    baseline_m: Vector3, peer: PositionPrior, own_sigma_v_m: float, range_bias_m: float
 ) -> tuple[tuple[float, float], float]:
-    """Return the horizontal direction of a baseline, and the 1-sigma of the fault-free errors of both ends along it, m."""
+    """Return the horizontal direction of a baseline, and the 1-sigma of the lasting fault-free errors along it, m."""
     e, n, u = baseline_m
     distance_m = hypot(e, n, u)
     horizontal, vertical = hypot(e, n) / distance_m, abs(u) / distance_m
-    sigma_m = hypot(peer.sigma_h_m * horizontal, peer.sigma_v_m * vertical, own_sigma_v_m * vertical, s.range_bias_m)
+    sigma_m = hypot(peer.sigma_h_m * horizontal, peer.sigma_v_m * vertical, own_sigma_v_m * vertical, range_bias_m)
     return (e / distance_m, n / distance_m), sigma_m

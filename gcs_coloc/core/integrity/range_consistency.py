@@ -179,7 +179,7 @@ class RangeConsistency:
 
     def _run_fault_monitor(self, epoch: Epoch, now_s: float) -> None:
         """Detect faults from the ranges of denied vehicles, where no ranges among other vehicles can test more."""
-        self._fault_monitor.step(now_s - self.settings.residuals.wait_s, self.detected | self.identified.keys())
+        self._fault_monitor.step(now_s - self.settings.residuals.wait_s, self.detected | self.identified.keys(), self.noise)
         pairs = (residual.pair for residual in epoch.residuals)
         if not any(not epoch.priors[a].no_prior and not epoch.priors[b].no_prior for a, b in pairs):
             until_s = now_s + self.settings.detection_hold_s

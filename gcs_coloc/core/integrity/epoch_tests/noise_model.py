@@ -90,7 +90,7 @@ class NoiseModel:
         devices_m = np.hypot(self.device_bias_m, self.device_scale * epoch.arrays.ranges_m).tolist()
         return replace(
             epoch,
-            priors={vehicle: self._prior(prior) for vehicle, prior in epoch.priors.items()},
+            priors={vehicle: self.prior(prior) for vehicle, prior in epoch.priors.items()},
             residuals=tuple(
                 r._replace(bias_m=hypot(r.bias_m, self.range_bias_m), devices_m=hypot(r.devices_m, of_devices_m))
                 for r, of_devices_m in zip(epoch.residuals, devices_m, strict=True)
@@ -141,10 +141,19 @@ class NoiseModel:
             replace(self, position_factor=factor) for factor in (1.0, *_POSITION_FACTORS) if factor < self.position_factor
         )
 
-    def _prior(self, prior: PositionPrior) -> PositionPrior:
+    def lasting_m(self, range_m: float) -> float:
+        """The 1-sigma of the lasting errors of a range beyond that stated, m."""
+        return hypot(self.range_bias_m, self.device_bias_m, self.device_scale * range_m)
+
+    def prior(self, prior: PositionPrior) -> PositionPrior:
+        """Return what is known of a position with this noise."""
         return prior._replace(
             sigma_h_m=prior.sigma_h_m * self.position_factor, sigma_v_m=max(prior.sigma_v_m, self.height_sigma_m)
         )
+
+
+AS_STATED = NoiseModel()
+"""Nothing is worse than stated."""
 
 
 class Likelihood(NamedTuple):

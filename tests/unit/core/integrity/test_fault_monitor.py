@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
+from gcs_coloc.core.integrity.epoch_tests.noise_model import AS_STATED, NoiseModel
 from gcs_coloc.core.integrity.fault_monitor import FaultMonitor, expected_separation_m2
 from gcs_coloc.core.measurements import RangeMeasurement
 
@@ -32,7 +33,7 @@ class Flight:
             reversed_for,
         )
 
-    def fly(self, from_s, to_s, walk_mps=0.0, excluded=(), own_no_prior=True):
+    def fly(self, from_s, to_s, walk_mps=0.0, excluded=(), own_no_prior=True, device_m=0.0, noise=AS_STATED):
         for step in range(round(from_s / STEP_S), round(to_s / STEP_S)):
             t = step * STEP_S
             for peer, a in self.around.items():
@@ -40,12 +41,12 @@ class Flight:
                 reported = place(
                     APART_M * cos(a) + drawn_off_m * cos(self.towards), APART_M * sin(a) + drawn_off_m * sin(self.towards)
                 )
-                range_m = APART_M + float(self.rng.standard_normal())
+                range_m = APART_M + device_m + float(self.rng.standard_normal())
                 own = place(0.0, 0.0, no_prior=own_no_prior)
                 ends = [(DENIED, own), (peer, reported)]
                 (i, at_i), (j, at_j) = reversed(ends) if peer in self.reversed_for else ends
                 self.monitor.add_range(RangeMeasurement(i, j, t, t, range_m, 1.0), at_i, at_j)
-            self.monitor.step(t, excluded)
+            self.monitor.step(t, excluded, noise)
         return t
 
 
@@ -73,6 +74,23 @@ def test_an_excluded_peer_is_left_out_and_nobody_else_is_detected():
     t = flight.fly(30.0, 60.0, walk_mps=2.0, excluded={FAULTY})
     assert monitor.detected() == frozenset()
     assert float(np.trace(monitor.separation_m2(t)[DENIED])) < 2.0
+
+
+def test_lasting_errors_that_are_known_displace_nobody_and_a_drift_beside_them_is_still_detected():
+    """A device 4 m off among three peers: the separation is 12 m in one of seven draws; not with its error known."""
+    left_m = {AS_STATED: [], NoiseModel(device_bias_m=4.0): []}
+    for noise, of_noise in left_m.items():
+        for seed in range(1, 8):
+            monitor = FaultMonitor()
+            t = Flight(monitor, seed=seed, around={1: 0.1, 2: 2.2, 3: 4.3}).fly(0.0, 60.0, device_m=4.0, noise=noise)
+            of_noise.append(np.sqrt(np.trace(monitor.separation_m2(t)[DENIED])))
+        flight = Flight(FaultMonitor())
+        flight.fly(0.0, 20.0, device_m=4.0, noise=noise)
+        flight.fly(20.0, 50.0, walk_mps=2.0, device_m=4.0, noise=noise)
+        assert flight.monitor.detected() == {FAULTY}
+    as_stated_m, known_m = left_m.values()
+    assert max(as_stated_m) > 10.0
+    assert max(known_m) < 3.0
 
 
 def test_three_peers_are_needed_and_ranges_between_reported_positions_do_not_count():
