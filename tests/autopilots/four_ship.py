@@ -9,6 +9,7 @@ import random
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from flown_place import HOMES_M
@@ -37,6 +38,10 @@ class Case:
     before_s: float = 40.0
     range_sigma_m: float = 1.0
     range_hz: float = 5.0
+    range_bias_m: float = 0.0
+    """Every range is longer by this."""
+    range_wait_s: tuple[float, float] = (0.0, 0.0)
+    """How long a range waits in the companion computer before it is sent, at least and at most."""
     begin: Callable[[FourShip], None] = lambda _: None
     during: Callable[[FourShip, float], None] = lambda _flight, _since_s: None
     end: Callable[[FourShip], None] | None = None
@@ -65,6 +70,7 @@ class FourShip:
         self.ready_s = self.begins_s = self.ends_s = math.inf
         self._random = random.Random(case.seed)
         self._range_due_s = 0.0
+        self._waiting: list[tuple[float, Callable[[], None]]] = []
         self._pair = 0
         self._heartbeat_due_s = 0.0
         for pilot in pilots.values():
@@ -100,7 +106,10 @@ class FourShip:
             for pilot in self.pilots.values():
                 pilot.heartbeat()
         if now_s >= self._range_due_s:
-            self._send_a_range(now_s)
+            self._measure_a_range(now_s)
+        for due_s, send in [each for each in self._waiting if each[0] <= now_s]:
+            self._waiting.remove((due_s, send))
+            send()
         if self.service is not None:
             self.service.poll()
         for simulator in self.simulators:
@@ -137,7 +146,7 @@ class FourShip:
             case.end(self)
             self.run(case.after_s)
 
-    def _send_a_range(self, now_s: float) -> None:
+    def _measure_a_range(self, now_s: float) -> None:
         """Of one pair at a time, in turn, so that ranges are evenly spread."""
         pairs = [(a, b) for a in self.case.denied for b in self.pilots if a != b]
         self._range_due_s = max(self._range_due_s + 1.0 / (self.case.range_hz * len(pairs)), now_s)
@@ -146,7 +155,9 @@ class FourShip:
         here, there = (self.now_at(n) for n in (a, b))
         if here is not None and there is not None:
             sigma = self.case.range_sigma_m
-            self.pilots[a].send_range(b, distance_m(here, there) + self._random.gauss(0.0, sigma), sigma)
+            range_m = distance_m(here, there) + self.case.range_bias_m + self._random.gauss(0.0, sigma)
+            send = partial(self.pilots[a].send_range, b, range_m, sigma, time.time())
+            self._waiting.append((now_s + self._random.uniform(*self.case.range_wait_s), send))
 
     def now_at(self, sysid: int) -> Place3D | None:
         """Where a vehicle truly is now: its last true position, carried on by the difference of the last two."""

@@ -116,14 +116,14 @@ class Pilot:
         """Say that the ground station is there."""
         self.send(mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3))
 
-    def send_range(self, peer_system: int, range_m: float, sigma_m: float) -> None:
-        """Send PEER_RANGE as the companion computer, stamped with its UNIX time."""
+    def send_range(self, peer_system: int, range_m: float, sigma_m: float, measured_unix_s: float) -> None:
+        """Send PEER_RANGE as the companion computer, stamped with the UNIX time of the measurement."""
         self._sequence += 1
         frame = peer_range_frame(
             sysid=self.sysid,
             compid=COMPANION,
             frame_sequence=self._sequence,
-            time_usec=round(time.time() * 1e6),
+            time_usec=round(measured_unix_s * 1e6),
             peer_system=peer_system,
             range_m=range_m,
             range_std_m=sigma_m,

@@ -38,6 +38,22 @@ def test_loss_with_a_step_of_wind(flown):
     at_most(ekf_rmse=(f.ekf_rmse_m, 2.5), ekf_largest=(f.ekf_largest_m, 10.0), beyond_3_bounds=(f.beyond_3_bounds, 0))
 
 
+def test_loss_with_a_ranging_device_that_is_off(flown):
+    """By 2.5 m where 1 m is stated: all four were SUSPECT once, and none was aided."""
+    case = Case("loss, device off", begin=lose_gps, range_bias_m=2.5)
+    _, [f] = flown(case)
+    assert f.suspects == []
+    at_most(ekf_rmse=(f.ekf_rmse_m, 2.5), of_hpl=(f.most_of_hpl, 1.0), no_aid=(f.longest_silence_s, 2.0))
+
+
+def test_loss_with_ranges_that_wait_in_the_companion(flown):
+    """For 0.2 to 0.9 s, by its own clock: all ranges contradicted all positions once."""
+    case = Case("loss, ranges wait", begin=lose_gps, range_wait_s=(0.2, 0.9))
+    _, [f] = flown(case)
+    assert f.suspects == []
+    at_most(ekf_rmse=(f.ekf_rmse_m, 2.5), of_hpl=(f.most_of_hpl, 1.0), no_aid=(f.longest_silence_s, 2.0))
+
+
 def test_spoof_by_a_step(flown):
     case = Case("spoof 200 m", begin=step_of_200_m, duration_s=110.0, end=restore, after_s=45.0)
     _, [f] = flown(case)
