@@ -118,11 +118,10 @@ class NoiseModel:
         yield from (replace(self, position_factor=factor) for factor in _POSITION_FACTORS if factor > self.position_factor)
 
     def with_device_error(self, size_m: float) -> NoiseModel | None:
-        """Return the model in which a device's error of this size is usual; None where no model is that coarse."""
+        """Return the model in which a device's error of this size is usual; None where it is already, or with no model."""
         least_m = size_m / _USUAL_SIGMAS
-        if least_m <= self.device_bias_m:
-            return self
-        return next((replace(self, device_bias_m=bias_m) for bias_m in _RANGE_BIASES_M if bias_m >= least_m), None)
+        enough = (replace(self, device_bias_m=bias_m) for bias_m in _RANGE_BIASES_M if bias_m >= least_m)
+        return next(enough, None) if least_m > self.device_bias_m else None
 
     def with_coarser_positions(self) -> NoiseModel | None:
         """Return the model with twice the factor on the positions; None where that is more than any that counts."""
