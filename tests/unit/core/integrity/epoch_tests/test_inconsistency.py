@@ -191,3 +191,11 @@ def test_where_ranges_test_nothing_the_noise_stays():
     pair = {v: whole.priors[v]._replace(no_prior=v == 2) for v in (1, 2)}
     residuals = tuple(r for r in whole.residuals if set(r.pair) == {1, 2})[:1]
     assert clearly_smaller_noise(Epoch(0.0, pair, residuals), NoiseModel(device_scale=0.02), LEVELS) is None
+
+
+@pytest.mark.parametrize(
+    ("present_m", "size_m", "found_m"), [(0.0, 3.0, 4.0), (2.0, 4.9, 4.0), (4.0, 4.9, None), (0.0, 11.0, None)]
+)
+def test_a_devices_error_is_added_to_the_noise_where_it_is_not_in_it_and_a_model_is_that_coarse(present_m, size_m, found_m):
+    found = NoiseModel(device_bias_m=present_m).with_device_error(size_m)
+    assert (found.device_bias_m if found is not None else None) == found_m
