@@ -187,7 +187,7 @@ class FleetReview:
 
     def end_round(self) -> None:
         """Keep what the next round is to know of this one's ranges."""
-        self._median_nis = self.residuals.median_nis()
+        self._median_nis = self.residuals.median_nis(self.report.range_excess_m2)
 
     def _reviewed(self, vehicle: ReportedState, now_s: float) -> ReviewedVehicle:
         sysid = vehicle.sysid

@@ -106,9 +106,20 @@ class ResidualLog:
             found[end] = Consistency(_median(nis), *_band_95(len(nis)), len(nis), self._refused[end])
         return found
 
-    def median_nis(self) -> dict[int, float]:
-        """The median NIS of each vehicle that has enough ranges to be judged by them; 0.45 for a consistent filter."""
-        return {vehicle: c.nis_median for vehicle, c in self.consistency().items() if c.ranges >= _LEAST_RANGES}
+    def median_nis(self, excess_m2: Mapping[tuple[int, int], float]) -> dict[int, float]:
+        """The median NIS of each vehicle that has enough ranges to be judged by them; 0.45 for a consistent filter.
+
+        `excess_m2`: the variance of noise found in the ranges of each pair, which the estimator does not know but the protection
+        level covers.
+        """
+        if not excess_m2:
+            return {vehicle: c.nis_median for vehicle, c in self.consistency().items() if c.ranges >= _LEAST_RANGES}
+        nis: dict[int, list[float]] = {}
+        for r in self._recent:
+            ends = _ends(r)
+            for end in ends:
+                nis.setdefault(end, []).append(_per_degree(r, excess_m2.get(ends, 0.0)))
+        return {vehicle: _median(sorted(each)) for vehicle, each in nis.items() if len(each) >= _LEAST_RANGES}
 
     def _add(self, r: Residual) -> None:
         nis = _per_degree(r)
@@ -133,8 +144,9 @@ def _ends(r: Residual) -> tuple[int, int]:
     return r.from_vehicle, r.to_vehicle
 
 
-def _per_degree(r: Residual) -> float:
-    return r.nis / r.degrees_of_freedom if r.degrees_of_freedom > 1 else r.nis
+def _per_degree(r: Residual, more_m2: float = 0.0) -> float:
+    nis = r.nis * r.sigma_m**2 / (r.sigma_m**2 + more_m2) if more_m2 else r.nis
+    return nis / r.degrees_of_freedom if r.degrees_of_freedom > 1 else nis
 
 
 def _median(ascending: list[float]) -> float:

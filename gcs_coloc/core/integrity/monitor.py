@@ -25,7 +25,7 @@ from gcs_coloc.core.integrity.range_consistency import ConsistencySettings, Rang
 from gcs_coloc.core.integrity.range_residuals import TrackPoint
 from gcs_coloc.core.integrity.reacquisition import ReacquisitionMonitor
 from gcs_coloc.core.integrity.report import FaultReason, IntegrityReport, PositionFault, ReviewedVehicle
-from gcs_coloc.core.integrity.solution_separation import SolutionSeparation
+from gcs_coloc.core.integrity.solution_separation import SolutionSeparation, range_excess_m2
 from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.core.stations.node_id import is_station
 
@@ -91,6 +91,7 @@ class IntegrityMonitor:
             separation_m2=tested.separation_m2,
             fault_levels=dict(self._fault_levels),
             noise=self._consistency.noise,
+            range_excess_m2=range_excess_m2(self.stated_epoch, self.epoch),
         )
 
     @property

@@ -93,7 +93,8 @@ class IntegrityReport:
     (2, 2) of how far possible faults may have moved it, east and north, in m^2. `fault_levels`: of each vehicle that ranges
     place, what its error does not exceed under the hypotheses that they test. `reacquisitions`: the receivers that are back.
     `diverged`: the vehicles whose estimate is wrong, so that the estimator must initialise them again. `rejected_fixes`: how many
-    receivers were back and found wrong, since the start. `noise`: how much worse ranges and positions are than they state.
+    receivers were back and found wrong, since the start. `noise`: how much worse ranges and positions are than they state;
+    `range_excess_m2`: the variance that this gives the residuals of each pair, none where all is as stated.
     """
 
     faults: Mapping[int, PositionFault] = field(default_factory=dict)
@@ -103,6 +104,7 @@ class IntegrityReport:
     diverged: frozenset[int] = frozenset()
     rejected_fixes: int = 0
     noise: NoiseModel = field(default_factory=NoiseModel)
+    range_excess_m2: Mapping[tuple[int, int], float] = field(default_factory=dict)
 
     def inflate(self, estimate: Estimate) -> Estimate:
         """Return the estimate with the solution separation of its vehicle added to its covariance."""

@@ -161,6 +161,17 @@ def noise_excess_m2(stated: Epoch, found: Epoch) -> dict[int, FloatArray]:
     return {v: solution.propagate_m2(v, ranges_m2, positions_m2) for v in placed}
 
 
+def range_excess_m2(stated: Epoch, found: Epoch) -> dict[tuple[int, int], float]:
+    """Return the variance that noise beyond the stated one gives the residuals of each pair, m^2; both as `noise_excess_m2`."""
+    if found is stated:
+        return {}
+    arrays = found.arrays
+    positions_m2 = (arrays.sqrt_information**-2.0 - stated.arrays.sqrt_information**-2.0).reshape(-1, 3)
+    along_m2 = np.einsum("rk,erk->r", arrays.unit_vectors**2, positions_m2[arrays.ends])
+    excess_m2 = arrays.variances_m2 - stated.arrays.variances_m2 + along_m2
+    return dict(zip(arrays.pairs, excess_m2.tolist(), strict=True))
+
+
 def _separations(fault: FaultClass, who: list[tuple[int, ...]], shifts: FloatArray, covariances: FloatArray) -> list[Separation]:
     mean, radius = eigenvalue_mean_and_radius(covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1], np.hypot)
     sigmas = np.sqrt(np.maximum(mean + radius, 0.0)).tolist()

@@ -121,13 +121,24 @@ def test_the_normalised_residual_is_the_median_of_both_ends_and_outliers_hardly_
     log = ResidualLog()
     log.add([residual(10.0, float(x)) for x in innovations], 10.0)
     # The median of 200 draws of chi-square with one degree of freedom is within 0.455 +- 0.16 with 99 %, times the scale squared.
-    assert low < log.median_nis()[4] < high
-    assert log.median_nis()[1] == log.median_nis()[4]
+    assert low < log.median_nis({})[4] < high
+    assert log.median_nis({})[1] == log.median_nis({})[4]
     log.add([residual(10.0, 50.0, refused="gate")] * 40, 10.0)
-    assert log.median_nis()[4] < 1.6 * high
+    assert log.median_nis({})[4] < 1.6 * high
 
 
 def test_too_few_ranges_have_no_median_nis():
     log = ResidualLog()
     log.add([residual(10.0)] * 11, 10.0)
-    assert log.median_nis() == {}
+    assert log.median_nis({}) == {}
+
+
+def test_ranges_agree_with_noise_that_was_found_in_them_and_in_no_other_pairs():
+    """A device 2.5 m off where 1 m is stated: with a sigma of 3.3 m found, it is less than usual."""
+    log = ResidualLog()
+    log.add([residual(10.0, 2.5, peer=peer) for peer in (1, 2) for _ in range(12)], 10.0)
+    found = log.median_nis({(4, 1): 3.3**2, (1, 4): 100.0})
+    assert found[1] == pytest.approx(2.5**2 / (1.0 + 3.3**2))
+    assert found[2] == 2.5**2
+    assert found[4] == pytest.approx((found[1] + found[2]) / 2)
+    assert log.consistency()[1].nis_median == 2.5**2, "what is shown is the estimator's own"

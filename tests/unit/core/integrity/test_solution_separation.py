@@ -12,7 +12,13 @@ import pytest
 from gcs_coloc.core.integrity.epoch_tests.adjustment import adjust
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
-from gcs_coloc.core.integrity.solution_separation import FaultClass, Separation, SolutionSeparation, noise_excess_m2
+from gcs_coloc.core.integrity.solution_separation import (
+    FaultClass,
+    Separation,
+    SolutionSeparation,
+    noise_excess_m2,
+    range_excess_m2,
+)
 
 DENIED = 9
 SIGMA_M, RANGE_SIGMA_M = 1.5, 0.6
@@ -154,3 +160,24 @@ def test_an_error_of_its_own_device_cancels_among_the_peers_and_not_beside_them(
     to_them = np.array(BESIDE[:2]) / np.hypot(*BESIDE[:2])
     device_m2, pairs_m2 = (float(to_them @ noise_excess_m2(epoch, found)[DENIED] @ to_them) for found in (of_device, of_pairs))
     assert (device_m2 < 0.6 * pairs_m2) if place == AMONG else (device_m2 > 2.0 * pairs_m2)
+
+
+def test_a_range_has_the_noise_of_its_pair_and_of_the_positions_at_both_ends():
+    epoch = fleet(3)
+    assert range_excess_m2(epoch, epoch) == {}
+    of_ranges = range_excess_m2(epoch, NoiseModel(range_bias_m=2.0, device_scale=0.01).apply(epoch))
+    assert of_ranges == pytest.approx(
+        {pair: 4.0 + (0.01 * length_m) ** 2 for pair, length_m in zip(epoch.arrays.pairs, epoch.arrays.ranges_m, strict=True)}
+    )
+    of_positions = range_excess_m2(epoch, NoiseModel(position_factor=2.0).apply(epoch))
+    for pair, (east, north, _) in zip(epoch.arrays.pairs, epoch.arrays.unit_vectors, strict=True):
+        reporting = 1 if DENIED in pair else 2
+        assert of_positions[pair] == pytest.approx(reporting * 3.0 * SIGMA_M**2 * (east**2 + north**2))
+    (height_m2,) = {
+        round(excess_m2 / up**2, 6)
+        for (pair, excess_m2), (_, _, up) in zip(
+            range_excess_m2(epoch, NoiseModel(height_sigma_m=4.0).apply(epoch)).items(), epoch.arrays.unit_vectors, strict=True
+        )
+        if DENIED not in pair
+    }
+    assert height_m2 == pytest.approx(2 * (4.0**2 - SIGMA_M**2))
