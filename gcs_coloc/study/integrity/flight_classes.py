@@ -143,6 +143,8 @@ class FlightClass:
     device_step_m: Span = (0.0, 0.0)
     """From some time on all ranges of one device are longer by this; `device_ramp_mps`: ever longer."""
     device_ramp_mps: Span = (0.0, 0.0)
+    pitot_fails: bool = False
+    """Whether the denied vehicle's pitot tube reads wrong from some time on."""
 
 
 _PLANES = FlightClass(name="planes", group=Group.NOMINAL, text="planes among four to six others that turn at random")
@@ -223,6 +225,8 @@ _ALL = (
     _imperfect("height", "barometers off by 5 to 20 m that drift", height_bias_m=(5.0, 20.0), height_drift_m=(2.0, 6.0)),
     _imperfect("gusts", "wind of 8 to 15 m/s with gusts of 2 to 4 m/s", wind_mps=(8.0, 15.0), gust_mps=(2.0, 4.0)),
     _imperfect("compass", "compasses off by 10 to 40 degrees", heading_error_deg=(10.0, 40.0)),
+    _imperfect("pitot", "the denied vehicle's pitot tube is blocked, or leaks; all ranges cease for 5 to 20 s, in turns",
+               pitot_fails=True, silence_s=(5.0, 20.0)),
     _fault("flicker", "jammed: the denied vehicle's fix comes back for seconds, up to 60 m off", flickers=True),
     _fault("spoofed-step", "one peer's receiver steps by 30 to 300 m", spoofing=_STEP),
     _fault("spoofed-ramp", "one peer's receiver is drawn off at 0.2 to 5 m/s", spoofing=_RAMP),

@@ -6,6 +6,7 @@ Nothing here is shared with the estimators' noise models.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from math import cos, inf, pi, radians, sin
 
 import numpy as np
@@ -82,6 +83,46 @@ class Fault:
         """Return the offset at a time, m."""
         passed_s = at_s - self.at_s
         return scaled(self.step_m + self.ramp_mps * passed_s, self.away) if passed_s >= 0.0 else (0.0, 0.0, 0.0)
+
+
+class PitotFault(Enum):
+    """What the pitot tube of a vehicle comes to read."""
+
+    STUCK = "what it read last, as of one that is iced up"
+    CONSTANT = "a constant, as of a broken sensor"
+    FACTOR = "a multiple, as of one that leaks or is half blocked"
+
+
+_PITOT_CONSTANT_MPS = (6.0, 100.0)  # chosen: from below stall speed up; a lower one is none
+_PITOT_FACTOR = (0.5, 2.0)  # chosen: a quarter to four times the pressure
+
+
+@dataclass(slots=True)
+class PitotFailure:
+    """A pitot tube that reads wrong from `at_s` on; `constant_mps` is what it read last, once it is stuck."""
+
+    at_s: float
+    fault: PitotFault
+    constant_mps: float | None
+    factor: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, at_s: float) -> PitotFailure:
+        """Draw one."""
+        fault = list(PitotFault)[int(rng.integers(len(PitotFault)))]
+        constant_mps = float(rng.uniform(*_PITOT_CONSTANT_MPS)) if fault is PitotFault.CONSTANT else None
+        factor = float(np.exp(rng.uniform(*np.log(_PITOT_FACTOR)))) if fault is PitotFault.FACTOR else 1.0
+        return cls(at_s, fault, constant_mps, factor)
+
+    def reads_mps(self, sound_mps: float, at_s: float) -> float:
+        """Return what it reads where a sound one reads `sound_mps`; of times that never decrease."""
+        if at_s < self.at_s:
+            return sound_mps
+        if self.fault is PitotFault.FACTOR:
+            return self.factor * sound_mps
+        if self.constant_mps is None:
+            self.constant_mps = sound_mps
+        return self.constant_mps
 
 
 class ReceiverErrors:

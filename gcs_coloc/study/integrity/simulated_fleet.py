@@ -34,6 +34,7 @@ from gcs_coloc.study.integrity.sensor_errors import (
     Fault,
     LinkErrors,
     PairErrors,
+    PitotFailure,
     ReceiverErrors,
     direction,
     draw_flicker,
@@ -150,6 +151,8 @@ class SimulatedFleet:
                     self._vehicles[sysid].flicker = draw_flicker(rng, self.lost_at_s, self.duration_s)
         self._device_fault_m = (uniform_sign(rng, drawn.device_step_m), uniform_sign(rng, drawn.device_ramp_mps))
         self._device = int(rng.choice((*self.denied, *self.peers)))
+        if drawn.pitot_fails:
+            self._vehicles[self.denied[0]].pitot_failure = PitotFailure.draw(rng, self.fault_at_s)
 
     def _draw_silences(self) -> list[tuple[float, float]]:
         if self.drawn.silence_s[1] == 0.0:

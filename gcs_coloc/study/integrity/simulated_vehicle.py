@@ -23,7 +23,7 @@ from gcs_coloc.core.messages.inbound import (
 )
 from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.study.integrity.motion import Trajectory
-from gcs_coloc.study.integrity.sensor_errors import Fault, LinkErrors, ReceiverErrors, scaled
+from gcs_coloc.study.integrity.sensor_errors import Fault, LinkErrors, PitotFailure, ReceiverErrors, scaled
 from sitl_fakes.geodesy import WorldFrame
 
 UNIX_EPOCH_S = 1_780_000_000.0  # any; in 2026
@@ -52,6 +52,7 @@ class SimulatedVehicle:
     link: LinkErrors
     reckoning_mps: Vector3
     fault: Fault | None = None
+    pitot_failure: PitotFailure | None = None
     lost_at_s: float = inf
     flicker: list[tuple[float, float, Vector3]] | None = None
     aid: tuple[float, Vector3, Vector3] | None = None
@@ -154,6 +155,8 @@ class SimulatedVehicle:
         altitude_m = self.frame.to_lla(*self.course.position(at_s))[2]
         indicated_mps = true_mps * (1.0 - 2.25577e-5 * max(altitude_m, 0.0)) ** 2.128 * self.receiver.pitot
         indicated_mps += float(0.4 * self.rng.standard_normal())
+        if self.pitot_failure is not None:
+            indicated_mps = self.pitot_failure.reads_mps(indicated_mps, at_s)
         return [Airspeed(self.sysid, arrival_s, max(indicated_mps, 0.0))]
 
     def health_messages(self, at_s: float) -> list[Inbound]:

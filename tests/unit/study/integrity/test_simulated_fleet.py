@@ -6,11 +6,11 @@ from math import radians
 import numpy as np
 import pytest
 
-from gcs_coloc.core.messages.inbound import GlobalPosition, GpsReceiver, PeerRange
+from gcs_coloc.core.messages.inbound import Airspeed, GlobalPosition, GpsReceiver, PeerRange
 from gcs_coloc.core.messages.outbound import GpsInput, TimeSyncRequest
 from gcs_coloc.study.integrity.flight_classes import CLASSES, RangeNoise
 from gcs_coloc.study.integrity.motion import STEP_S, draw_trajectories, gauss_markov
-from gcs_coloc.study.integrity.sensor_errors import PairErrors
+from gcs_coloc.study.integrity.sensor_errors import PairErrors, PitotFailure, PitotFault
 from gcs_coloc.study.integrity.simulated_fleet import DENIED, SimulatedFleet
 
 MINUTE_S = 60.0
@@ -128,3 +128,28 @@ def test_what_waits_for_the_service_is_received_at_its_start():
     times = [message.received_at_s for message in messages(fleet_of("started-in-flight"), 3.0)]
     assert min(times) == 0.5
     assert times.count(0.5) > 20
+
+
+def test_a_pitot_tube_that_fails_is_stuck_or_reads_a_constant_or_a_multiple():
+    drawn = [PitotFailure.draw(np.random.default_rng(seed), 10.0) for seed in range(30)]
+    assert {each.fault for each in drawn} == set(PitotFault)
+    for each in drawn:
+        assert each.reads_mps(21.0, 9.9) == 21.0
+        first, later = each.reads_mps(20.0, 10.0), each.reads_mps(30.0, 11.0)
+        if each.fault is PitotFault.FACTOR:
+            assert (first, later) == pytest.approx((20.0 * each.factor, 30.0 * each.factor))
+        else:
+            assert first == later
+            assert (first == 20.0) == (each.fault is PitotFault.STUCK)
+
+
+def test_only_the_denied_vehicles_pitot_tube_fails_and_after_the_loss():
+    """Seed 4 draws one that reads 69 m/s."""
+    fleet, seen = SimulatedFleet(CLASSES["pitot"], 4, 60.0), []
+    while (event := fleet.pop())[0] <= 60.0:
+        if isinstance(event[1], Airspeed):
+            seen.append(event[1])
+    fast = [m for m in seen if m.airspeed_mps > 60.0]
+    assert {m.sysid for m in fast} == {DENIED}
+    assert min(m.received_at_s for m in fast) == pytest.approx(fleet.fault_at_s, abs=0.5)
+    assert fleet.fault_at_s > fleet.lost_at_s
