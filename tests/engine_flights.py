@@ -43,6 +43,7 @@ class StraightLine:
         self.sigma_v_m = 3.0
         self.unknown: str | None = None
         self.ranges_in_use = 3
+        self.refuses_air_data = False
 
     def set_denied(self, denied: Collection[int], at_s: float) -> None:
         self.denied.append((frozenset(denied), at_s))
@@ -59,7 +60,8 @@ class StraightLine:
             return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.OTHER, detail=self.unknown))
         covariance = np.diag([self.sigma_m**2, 1.0, self.sigma_v_m**2, 0.25, 0.16, 0.04])
         place = np.array([20.0 * at_s, (vehicle - 1) * M_APART_NORTH, 30.0])
-        return Estimate(vehicle, at_s, place, np.array([20.0, 0.0, 1.0]), covariance, 1.5, self.ranges_in_use)
+        velocity, refuses = np.array([20.0, 0.0, 1.0]), self.refuses_air_data
+        return Estimate(vehicle, at_s, place, velocity, covariance, 1.5, self.ranges_in_use, refuses_air_data=refuses)
 
     def drain_residuals(self) -> list:
         return []

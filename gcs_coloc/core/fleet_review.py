@@ -22,6 +22,8 @@ from gcs_coloc.core.telemetry.proven_vehicles import STEADY_S
 from gcs_coloc.core.telemetry.reported_state import ReportedState
 
 _NO_AIDING = AidingDecision()
+_AIR_DATA_REFUSED = "its airspeed and heading contradict its way over ground: not used; is its pitot tube clear?"
+_AIR_DATA_USED = "its airspeed and heading agree with its way over ground again: used"
 _WITNESS_AFTER_S = STEADY_S  # a vehicle that has just appeared has shown nothing yet; a window of ranges takes 1.4 s
 
 
@@ -46,6 +48,7 @@ class FleetReview:
         self._located_enu_m: dict[int, tuple[float, float]] = {}
         self._median_nis: dict[int, float] = {}
         self._jumps_m: dict[int, float] = {}
+        self._air_data_refused: frozenset[int] = frozenset()
         self._knows_delays = True
 
     def set_gps_override(self, sysid: int, override: GpsOverride) -> None:
@@ -66,7 +69,7 @@ class FleetReview:
         if isinstance(where, NoEstimate):
             return where
         vehicle = s.telemetry.get(sysid)
-        has_air_data = vehicle is not None and vehicle.has_air_data(at_s)
+        has_air_data = vehicle is not None and vehicle.has_air_data(at_s) and not where.refuses_air_data
         return s.integrity.protect(self.report, where, Exposure(self._knows_delays, has_air_data))
 
     def add_residuals(self, residuals: Iterable[Residual], now_s: float) -> None:
@@ -129,7 +132,16 @@ class FleetReview:
             self._stages.estimator.reset(sysid, now_s)
         text = "its GPS is back and fits the ranges, our position did not: located anew"
         diverged = [Notice(now_s, sysid, "warning", text) for sysid in self.report.diverged]
-        return [*out, *diverged, *self.stations.update(self.report, now_s)]
+        return [*out, *diverged, *self._air_data_notices(reviewed, now_s), *self.stations.update(self.report, now_s)]
+
+    def _air_data_notices(self, reviewed: Iterable[ReviewedVehicle], now_s: float) -> list[Notice]:
+        refused = {v.sysid for v in reviewed if v.estimate is not None and v.estimate.refuses_air_data}
+        used = {v.sysid for v in reviewed if v.is_trusted or (v.estimate is not None and not v.estimate.refuses_air_data)}
+        before, self._air_data_refused = self._air_data_refused, (self._air_data_refused | refused) - used
+        return [
+            *(Notice(now_s, sysid, "warning", _AIR_DATA_REFUSED) for sysid in sorted(refused - before)),
+            *(Notice(now_s, sysid, "info", _AIR_DATA_USED) for sysid in sorted(before & used)),
+        ]
 
     def review_vehicle(self, vehicle: ReportedState, now_s: float) -> list[Outbound]:
         """Run the stages from GPS health on for one vehicle; return what is to be sent and shown."""

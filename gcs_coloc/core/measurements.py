@@ -154,7 +154,8 @@ class Estimate:
     positive definite. `hdop` is the horizontal dilution of the ranges in use (no clock column), `None` where there are
     fewer than two. `ranges_in_use` counts the distinct vehicles whose ranges were used lately. `protection` is set by the
     integrity stage; None where an estimator is asked by itself. `far_covariance` (2, 2) m^2 holds horizontally for the protection
-    level, five sigmas and more out, where the error is no Gaussian; None: `covariance` does.
+    level, five sigmas and more out, where the error is no Gaussian; None: `covariance` does. `refuses_air_data`: its airspeed
+    and heading contradict its motion, so that they do not show how it moves.
     """
 
     vehicle: int
@@ -166,6 +167,7 @@ class Estimate:
     ranges_in_use: int
     protection: ProtectionLevel | None = None
     far_covariance: FloatArray | None = None
+    refuses_air_data: bool = False
 
     @property
     def protected_covariance(self) -> FloatArray:

@@ -42,6 +42,8 @@ class Case:
     """Every range is longer by this."""
     range_wait_s: tuple[float, float] = (0.0, 0.0)
     """How long a range waits in the companion computer before it is sent, at least and at most."""
+    no_ranges_s: tuple[float, float] = (math.inf, math.inf)
+    """From when to when since the fault began nothing is ranged."""
     begin: Callable[[FourShip], None] = lambda _: None
     during: Callable[[FourShip, float], None] = lambda _flight, _since_s: None
     end: Callable[[FourShip], None] | None = None
@@ -153,7 +155,8 @@ class FourShip:
         self._pair = (self._pair + 1) % len(pairs)
         a, b = pairs[self._pair]
         here, there = (self.now_at(n) for n in (a, b))
-        if here is not None and there is not None:
+        is_silent = self.case.no_ranges_s[0] <= time.time() - self.begins_s < self.case.no_ranges_s[1]
+        if here is not None and there is not None and not is_silent:
             sigma = self.case.range_sigma_m
             range_m = distance_m(here, there) + self.case.range_bias_m + self._random.gauss(0.0, sigma)
             send = partial(self.pilots[a].send_range, b, range_m, sigma, time.time())

@@ -69,6 +69,22 @@ class Ramp:
             glitch(ship, self._speed_mps * since_s, 0.0, wait=False)
 
 
+class WrongAirspeed:
+    """The pitot tubes of the denied vehicles read one value, so many seconds after the fault began."""
+
+    def __init__(self, reads_mps: float, after_s: float) -> None:
+        self._reads_mps = reads_mps
+        self._due_s = after_s
+
+    def during(self, ship: FourShip, since_s: float) -> None:
+        """Let them fail when it is time."""
+        if since_s >= self._due_s:
+            self._due_s = math.inf
+            for sysid in ship.case.denied:
+                ship.pilots[sysid].set_parameter("SIM_ARSPD_FAIL", self._reads_mps)
+                ship.event(sysid, f"airspeed of {self._reads_mps:g} m/s begins")
+
+
 class Restart:
     """The service is killed, so many seconds after the fault began, and started again at once."""
 

@@ -6,7 +6,7 @@ import pytest
 from ardupilot_flight import ArduPilotFlight
 from flight_figures import LEAST_COVERED, at_least, at_most
 from four_ship import Case
-from simulator_faults import Ramp, Restart, Starts, WindStep, jam, lose_gps, restore, step_of_200_m
+from simulator_faults import Ramp, Restart, Starts, WindStep, WrongAirspeed, jam, lose_gps, restore, step_of_200_m
 from simulators import PLANE
 
 AUTOPILOT = "arduplane"
@@ -52,6 +52,15 @@ def test_loss_with_ranges_that_wait_in_the_companion(flown):
     _, [f] = flown(case)
     assert f.suspects == []
     at_most(ekf_rmse=(f.ekf_rmse_m, 2.5), of_hpl=(f.most_of_hpl, 1.0), no_aid=(f.longest_silence_s, 2.0))
+
+
+def test_loss_with_a_pitot_tube_that_reads_wrong_and_a_gap_of_the_ranges(flown):
+    """Its airspeed carried the position away in the gap: 98 m off once, twice the protection level."""
+    wrong = WrongAirspeed(12.0, after_s=15.0)
+    case = Case("loss, pitot wrong", begin=lose_gps, during=wrong.during, no_ranges_s=(40.0, 50.0), duration_s=90.0)
+    _, [f] = flown(case)
+    assert f.suspects == []
+    at_most(of_hpl=(f.most_of_hpl, 1.0))
 
 
 def test_spoof_by_a_step(flown):

@@ -54,7 +54,8 @@ class FixPolicy:
             return StatedReason(InhibitReason.NO_ESTIMATE, detail=answer.reason.text)
         if own_gps or answer.ranges_in_use > 0:
             self._ranged_at_s = now_s
-        self._update_geometry(now_s, is_determined=own_gps or air_data or _is_determined(answer))
+        shows_motion = air_data and not answer.refuses_air_data
+        self._update_geometry(now_s, is_determined=own_gps or shows_motion or _is_determined(answer))
         fault = self._fault(answer, now_s)
         if fault is None and not own_gps and median_nis is not None and median_nis > CONSISTENT_MEDIAN_NIS:
             fault = StatedReason(InhibitReason.RANGES_INCONSISTENT, sqrt(median_nis))

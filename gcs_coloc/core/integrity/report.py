@@ -124,4 +124,5 @@ class IntegrityReport:
             estimate.hdop,
             estimate.ranges_in_use,
             far_covariance=None if estimate.far_covariance is None else estimate.far_covariance + separation_m2,
+            refuses_air_data=estimate.refuses_air_data,
         )

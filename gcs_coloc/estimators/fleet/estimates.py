@@ -73,7 +73,9 @@ def estimate_of_cluster(cluster: Cluster, vehicle: int, at_s: float) -> Estimate
         return NoEstimate(vehicle, at_s, Unlocated(NoEstimateReason.TOO_UNCERTAIN, worst_m))
     units = list(cluster.peers_in_use(vehicle, at_s).values())
     hdop = horizontal_dilution_of(units) if len(units) >= 2 else None
-    return Estimate(vehicle, at_s, position, x[VELOCITY].copy(), covariance, hdop, len(units), None, far)
+    return Estimate(
+        vehicle, at_s, position, x[VELOCITY].copy(), covariance, hdop, len(units), None, far, record.air_check.is_refused
+    )
 
 
 def estimate_of_search(

@@ -265,7 +265,8 @@ class FleetHypotheses:
         far = None
         if any(place.far_covariance is not None for place in places):
             far = mixture([each[:2] for each in means], [place.protected_covariance for place in places], log_odds)[1]
-        return Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, where.hdop, where.ranges_in_use, None, far)
+        refuses = any(place.refuses_air_data for place in places)
+        return Estimate(vehicle, at_s, mean[:3], mean[3:], covariance, where.hdop, where.ranges_in_use, None, far, refuses)
 
 
 def _are_apart(a: Estimate, b: Estimate) -> bool:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from engine_flights import ALT, LAT, LON, M_APART_NORTH, StraightLine, aids, fly, settings, telemetry
+from engine_flights import ALT, LAT, LON, M_APART_NORTH, StraightLine, aids, fly, settings, telemetry, texts
 
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.clocks.utc import TABLE_GOOD_UNTIL, gps_week_and_ms
 from gcs_coloc.core.engine import Engine, EngineSettings
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
+    Estimate,
     PositionMeasurement,
     RangeMeasurement,
     VehicleClass,
@@ -133,6 +134,27 @@ def test_a_position_that_is_unknown_or_too_uncertain_is_never_claimed_as_a_fix(c
     # What has only not been located yet is located at once; a bound that was beyond the limit must stay within it for 3 s.
     expected_s = 10.0 if cause == "unknown" else 13.0
     assert min(t for t, a in back if a.fix_type == 3) == pytest.approx(expected_s, abs=0.21)
+
+
+def test_refused_air_data_are_told_once_and_do_not_bound_what_a_vehicle_without_ranges_does():
+    estimator = StraightLine()
+    engine = Engine(estimator, settings())
+    fly(engine, 0.0, 5.0)
+    used = fly(engine, 5.0, 10.0, failed=[4])
+    assert not any("pitot" in text for text in texts(used))
+    sound = engine.estimate(4, 10.0)
+    estimator.refuses_air_data = True
+    refused = fly(engine, 10.0, 14.0, failed=[4])
+    assert [text for text in texts(refused) if "pitot" in text] == [
+        "its airspeed and heading contradict its way over ground: not used; is its pitot tube clear?"
+    ]
+    blind = engine.estimate(4, 10.0)
+    assert isinstance(sound, Estimate)
+    assert isinstance(blind, Estimate)
+    assert blind.protection.horizontal_m > sound.protection.horizontal_m
+    estimator.refuses_air_data = False
+    again = [text for text in texts(fly(engine, 14.0, 18.0, failed=[4])) if "airspeed" in text]
+    assert again == ["its airspeed and heading agree with its way over ground again: used"]
 
 
 @pytest.mark.parametrize(

@@ -37,18 +37,25 @@ class GroundVelocity(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class AirCalibration:
-    """Wind east and north (m/s), errors of airspeed (m/s) and heading (rad): mean (4,), covariance (4, 4) and level of gusts."""
+    """Wind east and north (m/s), errors of airspeed (m/s) and heading (rad): mean (4,), covariance (4, 4) and level of gusts.
+
+    `nis` is that of the newest sample, with two degrees of freedom.
+    """
 
     at_s: float
     mean: FloatArray
     covariance: FloatArray
     log_level: float
     samples: int = 0
+    nis: float = 0.0
 
     @classmethod
-    def begin(cls, at_s: float, s: FleetSettings) -> AirCalibration:
-        """Return what is known before any sample: the steady state of eq. (7)."""
-        return cls(at_s, np.zeros(4), np.diag(_steady_m2(s)), _FIRST_LOG_LEVEL)
+    def begin(cls, at_s: float, s: FleetSettings, airspeed_sigma_mps: float | None = None) -> AirCalibration:
+        """Return what is known before any sample: the steady state of eq. (7); of the airspeed's error as told, if it is."""
+        covariance = np.diag(_steady_m2(s))
+        if airspeed_sigma_mps is not None:
+            covariance[2, 2] = airspeed_sigma_mps**2
+        return cls(at_s, np.zeros(4), covariance, _FIRST_LOG_LEVEL)
 
     def predicted(self, at_s: float, s: FleetSettings) -> AirCalibration:
         """Return it at a later time, eq. (7)."""
@@ -71,13 +78,13 @@ class AirCalibration:
         R = math.exp(before.log_level) * s.air_noise_mps**2 + ground.sigma_mps**2
         S = H @ P @ H.T + R * np.eye(2)
         gain = np.linalg.solve(S, H @ P).T
-        ratio = 0.5 * float(innovation @ np.linalg.solve(S, innovation))
+        nis = float(innovation @ np.linalg.solve(S, innovation))
         time_s = s.noise_level_time_s
         # The first sample finds the wind, whatever the gusts.
         since_s = max(EVERY_S, time_s / (1.0 + self.samples)) if self.samples else 0.0
         gusts = (s.least_noise_level, s.most_noise_level)
-        log_level = learned_log_level(before.log_level, min(ratio, _MOST_RATIO), since_s, time_s, gusts)
-        return AirCalibration(at_s, x + gain @ innovation, P - gain @ S @ gain.T, log_level, self.samples + 1)
+        log_level = learned_log_level(before.log_level, min(0.5 * nis, _MOST_RATIO), since_s, time_s, gusts)
+        return AirCalibration(at_s, x + gain @ innovation, P - gain @ S @ gain.T, log_level, self.samples + 1, nis)
 
 
 def _steady_m2(s: FleetSettings) -> FloatArray:

@@ -13,7 +13,7 @@ from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd, Transition, range_jacobian
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude, set_transition, step_ends
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, VehicleRecord
-from gcs_coloc.estimators.fleet.ekf.state import TIME_STAMP_OFFSET, VELOCITY, WIND, JointState, Key, ends
+from gcs_coloc.estimators.fleet.ekf.state import HEADING_ERROR, TIME_STAMP_OFFSET, VELOCITY, WIND, JointState, Key, ends
 from gcs_coloc.estimators.fleet.settings import FleetSettings
 
 _CLEARLY_LESS = 0.9
@@ -155,6 +155,15 @@ class Cluster:
             P[start + 3 + axis, start + 3 + axis] += position_m2 / time2_s2
         for axis in (WIND.start, WIND.start + 1):
             P[start + axis, start + axis] += position_m2 / time2_s2
+
+    def forget_air_errors(self, vehicle: int) -> None:
+        """Forget what air data have shown of wind, airspeed error and heading error: the steady state of eq. (7) is known."""
+        joint, s = self.joint, self.settings
+        start = joint.where[vehicle].start
+        first, stop = start + WIND.start, start + HEADING_ERROR + 1
+        joint.scale(first, stop, 0.0)
+        steady = (s.wind_sigma_mps**2, s.wind_sigma_mps**2, s.airspeed_sigma_mps**2, s.heading_sigma_rad**2)
+        joint.A[range(first, stop), range(first, stop)] = steady
 
 
 class ClusterSet:

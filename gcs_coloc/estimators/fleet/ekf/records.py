@@ -19,6 +19,7 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, NoiseLevel, NoiseSplit
 from gcs_coloc.estimators.fleet.ekf.air_calibration import AirCalibration
+from gcs_coloc.estimators.fleet.ekf.air_check import AIR_UNSUSPECTED, AirCheck
 from gcs_coloc.estimators.fleet.ekf.state import PairKey
 from gcs_coloc.estimators.fleet.ekf.unshown_motion import UnshownMotion
 from gcs_coloc.estimators.fleet.motion_profiles import PROFILES, MotionProfile
@@ -90,6 +91,7 @@ class VehicleRecord:
     """Coloured/white split of its barometric heights."""
     attitude: AttitudeMeasurement | None = None
     """The newest attitude with an airspeed."""
+    air_check: AirCheck = AIR_UNSUSPECTED
     odometry: OdometryMeasurement | None = None
     """The newest odometry that was used."""
     report_error_sigma_h_m: float = 0.0

@@ -11,6 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.measurements import (
     AltitudeMeasurement,
     AttitudeMeasurement,
@@ -20,6 +21,7 @@ from gcs_coloc.core.measurements import (
     RangeMeasurement,
 )
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import without_time_error
+from gcs_coloc.estimators.fleet.ekf.air_check import Place
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
 from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, altitude, odometry, position_report, slant_range
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
@@ -127,7 +129,10 @@ def update_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, co
 
 
 def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResult:
-    """Turn with the bank angle from now on, and correct with airspeed and heading, eq. (13), inflated outside the gate."""
+    """Turn with the bank angle from now on, and correct with airspeed and heading, eq. (13).
+
+    They are refused outside the gate, and as long as those of a denied vehicle contradict its way over ground.
+    """
     s, record, joint = cluster.settings, cluster.records[m.vehicle], cluster.joint
     airspeed_mps = usable_airspeed_mps(m)
     if airspeed_mps is None:
@@ -135,19 +140,32 @@ def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResul
         return UpdateResult(Outcome.KEPT_NO_AIRSPEED)
     cluster.propagate(m.vehicle, m.measured_at_s)
     since_s = m.measured_at_s - record.attitude.measured_at_s if record.attitude is not None else s.air_noise_time_s
-    record.attitude = m
+    if record.denied_vehicle and _contradicts_its_way(cluster, m, airspeed_mps):
+        record.attitude = None
+        return UpdateResult(Outcome.REFUSED_AIR_DATA)
     linear = air_velocity(joint, m, airspeed_mps, since_s, s, record.gust_noise.level)
-    S = linear.innovation_covariance(linear.R)
-    whitened = whiten(linear.HA, S)
+    whitened = whiten(linear.HA, linear.innovation_covariance(linear.R))
     nis = whitened.nis
-    excess = nis / s.gate_sigma**2
-    if excess > 1.0:
-        S[0, 0] += (excess - 1.0) * S[0, 0]
-        S[1, 1] += (excess - 1.0) * S[1, 1]
-        whitened = whiten(linear.HA, S)
+    if nis > s.gate_sigma**2:
+        return UpdateResult(Outcome.REFUSED_AIR_GATE, 0.0, 0.0, nis, 2)
+    record.attitude = m
     joint.correct(whitened.W)
     cluster.add_corrections(m.vehicle, whitened.W, whitened.innovations(), m.measured_at_s)
     return UpdateResult(Outcome.USED, 0.0, 0.0, nis, 2)
+
+
+def _contradicts_its_way(cluster: Cluster, m: AttitudeMeasurement, airspeed_mps: float) -> bool:
+    """Whether the air data of a denied vehicle are refused, these included; what they have shown is forgotten once they are."""
+    record, x, P = cluster.records[m.vehicle], cluster.joint.mean(m.vehicle), cluster.joint.covariance(m.vehicle)
+    place = Place(x.item(0), x.item(1), horizontal_sigma_m(P))
+    known = record.air_calibrations[-1] if record.air_calibrations else None
+    was_refused = record.air_check.is_refused
+    record.air_check = record.air_check.updated(
+        m.measured_at_s, place, airspeed_mps * math.cos(m.pitch_rad), m.yaw_rad, known, cluster.settings
+    )
+    if record.air_check.is_refused and not was_refused:
+        cluster.forget_air_errors(m.vehicle)
+    return record.air_check.is_refused
 
 
 def update_odometry(cluster: Cluster, m: OdometryMeasurement) -> UpdateResult:

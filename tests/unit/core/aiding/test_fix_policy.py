@@ -112,6 +112,12 @@ def test_ranges_to_one_peer_do_for_as_long_as_the_bound_says_where_the_vehicle_t
     assert set(words) == {None}
 
 
+def test_air_data_that_the_estimator_refuses_tell_nothing_of_how_the_vehicle_moves():
+    policy, answer = FixPolicy(AidingSettings(), 0.0), replace(known(0.0, ranges=1, hdop=None), refuses_air_data=True)
+    words = [inhibited(policy, answer, i / 10, air_data=True) for i in range(150)]
+    assert [word is None for word in words].count(True) == 101
+
+
 def test_an_estimator_that_tells_no_dilution_is_believed_with_two_ranges():
     assert set(asked(FixPolicy(AidingSettings(), 0.0), [known(0.0, ranges=2, hdop=None)] * 200, 0.0)) == {None}
 

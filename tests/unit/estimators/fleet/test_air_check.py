@@ -1,0 +1,123 @@
+"""A pitot tube that fails: its readings are refused before a gap of the ranges, and used again once they are right."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
+from gcs_coloc.core.measurements import AttitudeMeasurement, Estimate, NoEstimate, PositionMeasurement, RangeMeasurement
+from gcs_coloc.estimators.fleet.ekf.air_check import AIR_UNSUSPECTED, AirCheck, Place
+from gcs_coloc.estimators.fleet.filter import FleetFilter
+from gcs_coloc.estimators.fleet.settings import FleetSettings
+
+DENIED, AIRSPEED_MPS, WIND_MPS = 9, 20.0, np.array([3.0, 5.0])
+PEERS = {1: (0.0, 2000.0), 2: (4000.0, 1000.0), 3: (2000.0, -2500.0), 4: (-1500.0, -500.0)}
+LOST_S, FAILS_S, GAP_S, REPAIRED_S, END_S = 5.0, 30.0, (40.0, 52.0), 55.0, 85.0
+TURN_RADPS = 0.1
+
+
+def flown(reads_mps: float | None) -> dict[int, tuple[Estimate | NoEstimate, float]]:
+    """Fly circles in wind, the pitot tube wrong from 30 to 55 s; by second the estimate and its error (m)."""
+    rng, step_s, estimator = np.random.default_rng(5), 0.1, FleetFilter()
+    place, seen = np.zeros(2), {}
+    for k in range(round(END_S / step_s) + 1):
+        t = k * step_s
+        if k == round(LOST_S / step_s):
+            estimator.set_denied({DENIED}, t)
+        heading = TURN_RADPS * t
+        velocity = AIRSPEED_MPS * np.array([math.sin(heading), math.cos(heading)]) + WIND_MPS
+        place = place + step_s * velocity
+        for p, (east, north) in PEERS.items() if k % 2 == 0 else ():
+            estimator.add(PositionMeasurement(p, t, t, (east, north, 100.0), 1.0, 1.0, (0.0, 0.0, 0.0), 0.3))
+            if not GAP_S[0] <= t < GAP_S[1]:
+                range_m = math.dist(place, (east, north)) + rng.normal()
+                estimator.add(RangeMeasurement(DENIED, p, t, t, range_m, 1.0))
+        if t < LOST_S:
+            estimator.add(PositionMeasurement(DENIED, t, t, (*place, 100.0), 1.0, 1.0, (*velocity, 0.0), 0.3))
+        is_wrong = reads_mps is not None and FAILS_S <= t < REPAIRED_S
+        airspeed_mps = (reads_mps if is_wrong else AIRSPEED_MPS) + 0.3 * rng.normal()
+        roll = math.atan(TURN_RADPS * AIRSPEED_MPS / 9.80665)
+        estimator.add(AttitudeMeasurement(DENIED, t, t, roll, 0.0, heading, airspeed_mps))
+        if k % 10 == 0:
+            where = estimator.estimate(DENIED, t)
+            off_m = float(np.linalg.norm(where.position_enu_m[:2] - place)) if isinstance(where, Estimate) else math.nan
+            seen[round(t)] = where, off_m
+    return seen
+
+
+def refuses(where: Estimate | NoEstimate) -> bool:
+    return isinstance(where, Estimate) and where.refuses_air_data
+
+
+@pytest.mark.parametrize("reads_mps", [7.0, 40.0, 300.0])
+def test_a_wrong_airspeed_is_refused_before_the_ranges_cease(reads_mps):
+    seen = flown(reads_mps)
+    assert not any(refuses(where) for t, (where, _) in seen.items() if t <= FAILS_S)
+    assert refuses(seen[round(GAP_S[0])][0])
+    for t in range(round(GAP_S[0]), round(GAP_S[1]) + 1):
+        where, off_m = seen[t]
+        assert isinstance(where, NoEstimate) or off_m < 1.5 * horizontal_bound_95_m(where.covariance), t
+
+
+def test_an_airspeed_that_has_been_right_for_a_turn_is_used_again():
+    last, off_m = flown(300.0)[round(END_S)]
+    assert isinstance(last, Estimate)
+    assert not last.refuses_air_data
+    assert off_m < horizontal_bound_95_m(last.covariance)
+
+
+def test_a_right_one_is_never_refused_and_carries_the_vehicle_through_the_gap():
+    seen = flown(None)
+    assert not any(refuses(where) for where, _ in seen.values())
+    where, off_m = seen[round(GAP_S[1])]
+    assert isinstance(where, Estimate)
+    assert off_m < horizontal_bound_95_m(where.covariance) < 15.0
+
+
+def checked(
+    check: AirCheck, from_s: float, seconds: float, reads_mps: float, sigma_m: float, turn_radps: float = TURN_RADPS
+) -> AirCheck:
+    """Fly on, in circles or straight, without wind, with places of a 1-sigma and air data at 10 Hz."""
+    for k in range(round(seconds * 10.0) + 1):
+        at_s = from_s + 0.1 * k
+        heading = turn_radps * at_s
+        radius_m = AIRSPEED_MPS / TURN_RADPS
+        east_m, north_m = (
+            (-radius_m * math.cos(heading), radius_m * math.sin(heading)) if turn_radps else (0.0, AIRSPEED_MPS * at_s)
+        )
+        check = check.updated(at_s, Place(east_m, north_m, sigma_m), reads_mps, heading, None, FleetSettings())
+    return check
+
+
+def test_one_window_refuses_and_a_turn_takes_back():
+    sound = checked(AIR_UNSUSPECTED, 0.0, 20.0, AIRSPEED_MPS, 1.0)
+    assert not sound.is_refused
+    assert not checked(sound, 20.0, 3.9, 60.0, 1.0).is_refused
+    refused = checked(sound, 20.0, 4.0, 60.0, 1.0)
+    assert refused.is_refused
+    assert checked(refused, 24.0, 12.0, AIRSPEED_MPS, 1.0).is_refused
+    assert not checked(refused, 24.0, 40.0, AIRSPEED_MPS, 1.0).is_refused
+
+
+@pytest.mark.parametrize(("reads_mps", "turn_radps"), [(12.0, 0.0), (AIRSPEED_MPS, 0.0), (12.0, TURN_RADPS), (28.0, TURN_RADPS)])
+def test_what_passes_for_wind_on_one_course_takes_nothing_back_and_a_turn_shows_the_error(reads_mps, turn_radps):
+    refused = checked(checked(AIR_UNSUSPECTED, 0.0, 20.0, AIRSPEED_MPS, 1.0), 20.0, 4.0, 60.0, 1.0)
+    assert checked(refused, 24.0, 100.0, reads_mps, 1.0, turn_radps).is_refused
+
+
+def test_windows_between_places_that_are_hardly_known_neither_refuse_nor_take_back():
+    sound = checked(AIR_UNSUSPECTED, 0.0, 20.0, AIRSPEED_MPS, 1.0)
+    assert not checked(sound, 20.0, 20.0, 60.0, 100.0).is_refused
+    refused = checked(sound, 20.0, 4.0, 60.0, 1.0)
+    assert checked(refused, 24.0, 40.0, AIRSPEED_MPS, 50.0).is_refused
+
+
+@pytest.mark.parametrize(("step_s", "is_refused"), [(0.6, False), (0.4, True)])
+def test_air_data_that_come_too_seldom_show_no_way(step_s, is_refused):
+    check = AIR_UNSUSPECTED
+    for k in range(30):
+        check = check.updated(k * step_s, Place(0.0, AIRSPEED_MPS * k * step_s, 1.0), 100.0, 0.0, None, FleetSettings())
+    assert check.is_refused is is_refused
