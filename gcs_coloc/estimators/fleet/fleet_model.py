@@ -22,6 +22,7 @@ from gcs_coloc.core.measurements import (
 )
 from gcs_coloc.estimators.fleet.ambiguity.range_evidence import monitor_range
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, NoiseSplit, without_time_error
+from gcs_coloc.estimators.fleet.ekf.air_check import AIR_UNSUSPECTED
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
 from gcs_coloc.estimators.fleet.ekf.outcomes import Outcome, UpdateResult
 from gcs_coloc.estimators.fleet.ekf.records import Records, VehicleRecord
@@ -135,6 +136,7 @@ class FleetModel:
             # Its new reports initialise its states when a range needs them; the old ones are not to be trusted.
             self.clusters.remove(vehicle)
             record.own_measurements = record.air_calibrations = ()
+            record.air_check = AIR_UNSUSPECTED
             record.last_position = None
             record.no_estimate_reason = Unlocated(NoEstimateReason.NO_REPORT_SINCE_TRUSTED)
 

@@ -227,6 +227,8 @@ class FleetHypotheses:
         model.replace_from(self.main, first)
         for vehicle, plane in planes.items():
             reflect(model.clusters[vehicle], vehicle, plane)
+            record = model.records.writable(vehicle)
+            record.air_check = record.air_check.reflected()
         self.hypotheses[group] = ReflectionHypothesis(model, motion_only)
 
     def estimate(self, vehicle: int, at_s: float) -> Estimate | NoEstimate:

@@ -98,6 +98,10 @@ class AirCheck:
             return replace(self, window=window, suspicion=suspicion)
         return AirCheck(True, AirCalibration.begin(at_s, s, _UNKNOWN_ERROR_MPS), window)
 
+    def reflected(self) -> AirCheck:
+        """Return it for a vehicle whose states were reflected: no way leads there."""
+        return replace(self, window=None)
+
 
 def _is_right(calibration: AirCalibration, s: FleetSettings) -> bool:
     """Whether the error of the airspeed is known to be small."""

@@ -19,9 +19,9 @@ LOST_S, FAILS_S, GAP_S, REPAIRED_S, END_S = 5.0, 30.0, (40.0, 52.0), 55.0, 85.0
 TURN_RADPS = 0.1
 
 
-def flown(reads_mps: float | None) -> dict[int, tuple[Estimate | NoEstimate, float]]:
+def flown(reads_mps: float | None, estimator: FleetFilter | None = None) -> dict[int, tuple[Estimate | NoEstimate, float]]:
     """Fly circles in wind, the pitot tube wrong from 30 to 55 s; by second the estimate and its error (m)."""
-    rng, step_s, estimator = np.random.default_rng(5), 0.1, FleetFilter()
+    rng, step_s, estimator = np.random.default_rng(5), 0.1, estimator or FleetFilter()
     place, seen = np.zeros(2), {}
     for k in range(round(END_S / step_s) + 1):
         t = k * step_s
@@ -69,6 +69,21 @@ def test_an_airspeed_that_has_been_right_for_a_turn_is_used_again():
     assert off_m < horizontal_bound_95_m(last.covariance)
 
 
+def test_with_its_own_gps_back_nothing_is_held_against_its_air_data():
+    estimator = FleetFilter()
+    assert refuses(flown(7.0, estimator)[round(END_S)][0])
+    for k in range(40):
+        t = END_S + 0.1 * (k + 1)
+        if k == 0:
+            estimator.set_denied(set(), t)
+        estimator.add(PositionMeasurement(DENIED, t, t, (20.0 * t, 0.0, 100.0), 1.0, 1.0, (20.0, 0.0, 0.0), 0.3))
+        estimator.add(AttitudeMeasurement(DENIED, t, t, 0.0, 0.0, 0.5 * math.pi, 20.0))
+    estimator.set_denied({DENIED}, t)
+    lost = estimator.estimate(DENIED, t)
+    assert isinstance(lost, Estimate)
+    assert not lost.refuses_air_data
+
+
 def test_a_right_one_is_never_refused_and_carries_the_vehicle_through_the_gap():
     seen = flown(None)
     assert not any(refuses(where) for where, _ in seen.values())
@@ -113,6 +128,15 @@ def test_windows_between_places_that_are_hardly_known_neither_refuse_nor_take_ba
     assert not checked(sound, 20.0, 20.0, 60.0, 100.0).is_refused
     refused = checked(sound, 20.0, 4.0, 60.0, 1.0)
     assert checked(refused, 24.0, 40.0, AIRSPEED_MPS, 50.0).is_refused
+
+
+def test_a_reflected_vehicle_has_made_no_way_yet_and_what_was_refused_stays_refused():
+    refused = checked(checked(AIR_UNSUSPECTED, 0.0, 20.0, AIRSPEED_MPS, 1.0), 20.0, 4.0, 60.0, 1.0)
+    sound = checked(AIR_UNSUSPECTED, 0.0, 22.0, AIRSPEED_MPS, 1.0)
+    assert refused.reflected().is_refused
+    elsewhere = Place(500.0, 500.0, 1.0)
+    moved = (each.updated(22.1, elsewhere, AIRSPEED_MPS, 2.2, None, FleetSettings()) for each in (sound.reflected(), sound))
+    assert [each.window is not None and each.window.place == elsewhere for each in moved] == [True, False]
 
 
 @pytest.mark.parametrize(("step_s", "is_refused"), [(0.6, False), (0.4, True)])
