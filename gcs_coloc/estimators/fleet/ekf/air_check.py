@@ -3,7 +3,8 @@
 The filter itself cannot tell: what air data pull at, ranges pull back, and its process noise grows with either. So every few
 seconds the way between two positions is compared with the way through the air, by the calibration that was made with GPS. Where
 no wind and no errors explain the difference, the air data are refused until the error of the airspeed is known to be small. On
-one course any error passes for wind: that takes a turn. Without ranges the positions are uncertain, and nothing is told.
+one course any error passes for wind: that takes a turn. Without ranges the positions are uncertain, and only an airspeed that
+leaps is told.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ _UNKNOWN_ERROR_MPS = 20.0
 """Chosen: the airspeed of small planes, all of which may be missing."""
 _RIGHT_SIGMAS = 3.0
 """Chosen: refused air data are used again once their error is known to be within three of its usual sigmas."""
+_LEAP_MPS = 6.0
+"""Chosen: between two messages airspeeds change by 1.8 m/s at most in recorded flights, by 4.7 in simulated gusts of 4 m/s."""
 _LONGEST_GAP_S = 0.5
 """Chosen: as long as an attitude holds; over a longer one a turn is not known."""
 
@@ -78,6 +81,8 @@ class AirCheck:
         window = self.window
         if window is None or not 0.0 <= at_s - window.at_s <= _LONGEST_GAP_S:
             return replace(self, window=AirWindow(at_s, place, at_s, east_mps, north_mps))
+        if abs(airspeed_mps - math.hypot(window.east_mps, window.north_mps)) > _LEAP_MPS:
+            return self._refused(AirWindow(at_s, place, at_s, east_mps, north_mps), s)
         window = window.after(at_s, east_mps, north_mps)
         span_s = at_s - window.began_s
         if span_s < EVERY_S:
@@ -96,7 +101,10 @@ class AirCheck:
         suspicion = self.suspicion + after.nis
         if suspicion <= _MOST_NIS:
             return replace(self, window=window, suspicion=suspicion)
-        return AirCheck(True, AirCalibration.begin(at_s, s, _UNKNOWN_ERROR_MPS), window)
+        return self._refused(window, s)
+
+    def _refused(self, window: AirWindow, s: FleetSettings) -> AirCheck:
+        return AirCheck(True, AirCalibration.begin(window.at_s, s, _UNKNOWN_ERROR_MPS), window)
 
     def reflected(self) -> AirCheck:
         """Return it for a vehicle whose states were reflected: no way leads there."""

@@ -19,11 +19,13 @@ LOST_S, FAILS_S, GAP_S, REPAIRED_S, END_S = 5.0, 30.0, (40.0, 52.0), 55.0, 85.0
 TURN_RADPS = 0.1
 
 
-def flown(reads_mps: float | None, estimator: FleetFilter | None = None) -> dict[int, tuple[Estimate | NoEstimate, float]]:
+def flown(
+    reads_mps: float | None, estimator: FleetFilter | None = None, end_s: float = END_S
+) -> dict[int, tuple[Estimate | NoEstimate, float]]:
     """Fly circles in wind, the pitot tube wrong from 30 to 55 s; by second the estimate and its error (m)."""
     rng, step_s, estimator = np.random.default_rng(5), 0.1, estimator or FleetFilter()
     place, seen = np.zeros(2), {}
-    for k in range(round(END_S / step_s) + 1):
+    for k in range(round(end_s / step_s) + 1):
         t = k * step_s
         if k == round(LOST_S / step_s):
             estimator.set_denied({DENIED}, t)
@@ -55,7 +57,7 @@ def refuses(where: Estimate | NoEstimate) -> bool:
 @pytest.mark.parametrize("reads_mps", [7.0, 40.0, 300.0])
 def test_a_wrong_airspeed_is_refused_before_the_ranges_cease(reads_mps):
     seen = flown(reads_mps)
-    assert not any(refuses(where) for t, (where, _) in seen.items() if t <= FAILS_S)
+    assert not any(refuses(where) for t, (where, _) in seen.items() if t < FAILS_S)
     assert refuses(seen[round(GAP_S[0])][0])
     for t in range(round(GAP_S[0]), round(GAP_S[1]) + 1):
         where, off_m = seen[t]
@@ -71,9 +73,9 @@ def test_an_airspeed_that_has_been_right_for_a_turn_is_used_again():
 
 def test_with_its_own_gps_back_nothing_is_held_against_its_air_data():
     estimator = FleetFilter()
-    assert refuses(flown(7.0, estimator)[round(END_S)][0])
+    assert refuses(flown(7.0, estimator, REPAIRED_S)[round(REPAIRED_S)][0])
     for k in range(40):
-        t = END_S + 0.1 * (k + 1)
+        t = REPAIRED_S + 0.1 * (k + 1)
         if k == 0:
             estimator.set_denied(set(), t)
         estimator.add(PositionMeasurement(DENIED, t, t, (20.0 * t, 0.0, 100.0), 1.0, 1.0, (20.0, 0.0, 0.0), 0.3))
@@ -107,14 +109,14 @@ def checked(
     return check
 
 
-def test_one_window_refuses_and_a_turn_takes_back():
+def test_two_windows_of_five_metres_a_second_refuse_and_a_turn_takes_back():
     sound = checked(AIR_UNSUSPECTED, 0.0, 20.0, AIRSPEED_MPS, 1.0)
     assert not sound.is_refused
-    assert not checked(sound, 20.0, 3.9, 60.0, 1.0).is_refused
-    refused = checked(sound, 20.0, 4.0, 60.0, 1.0)
+    assert not checked(sound, 20.0, 7.9, 25.0, 1.0).is_refused
+    refused = checked(sound, 20.0, 8.0, 25.0, 1.0)
     assert refused.is_refused
-    assert checked(refused, 24.0, 12.0, AIRSPEED_MPS, 1.0).is_refused
-    assert not checked(refused, 24.0, 40.0, AIRSPEED_MPS, 1.0).is_refused
+    assert checked(refused, 28.0, 12.0, AIRSPEED_MPS, 1.0).is_refused
+    assert not checked(refused, 28.0, 40.0, AIRSPEED_MPS, 1.0).is_refused
 
 
 @pytest.mark.parametrize(("reads_mps", "turn_radps"), [(12.0, 0.0), (AIRSPEED_MPS, 0.0), (12.0, TURN_RADPS), (28.0, TURN_RADPS)])
@@ -125,9 +127,15 @@ def test_what_passes_for_wind_on_one_course_takes_nothing_back_and_a_turn_shows_
 
 def test_windows_between_places_that_are_hardly_known_neither_refuse_nor_take_back():
     sound = checked(AIR_UNSUSPECTED, 0.0, 20.0, AIRSPEED_MPS, 1.0)
-    assert not checked(sound, 20.0, 20.0, 60.0, 100.0).is_refused
+    assert not checked(sound, 20.0, 20.0, 25.0, 100.0).is_refused
     refused = checked(sound, 20.0, 4.0, 60.0, 1.0)
     assert checked(refused, 24.0, 40.0, AIRSPEED_MPS, 50.0).is_refused
+
+
+@pytest.mark.parametrize(("reads_mps", "is_refused"), [(13.9, True), (14.1, False), (25.9, False), (26.1, True)])
+def test_an_airspeed_that_leaps_is_refused_at_once_where_nothing_else_tells(reads_mps, is_refused):
+    sound = checked(AIR_UNSUSPECTED, 0.0, 20.0, AIRSPEED_MPS, 1.0)
+    assert checked(sound, 20.0, 0.1, reads_mps, 1000.0).is_refused is is_refused
 
 
 def test_a_reflected_vehicle_has_made_no_way_yet_and_what_was_refused_stays_refused():
