@@ -8,12 +8,11 @@ import numpy as np
 
 from gcs_coloc.core.measurements import AltitudeMeasurement, AttitudeMeasurement, FloatArray, PositionMeasurement
 from gcs_coloc.core.reasons import StatedReason
-from gcs_coloc.estimators.fleet.ekf.air_calibration import EVERY_S, AirCalibration, GroundVelocity
+from gcs_coloc.estimators.fleet.ekf.air_calibration import EVERY_S, AirCalibration, GroundVelocity, steady_air_m2
 from gcs_coloc.estimators.fleet.ekf.cluster import ClusterSet
 from gcs_coloc.estimators.fleet.ekf.process_model import acceleration_density_m2ps3, turn_rate_radps, usable_airspeed_mps
 from gcs_coloc.estimators.fleet.ekf.records import Records, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import (
-    AIRSPEED_ERROR,
     HEADING_ERROR,
     POSITION,
     REPORT_ERROR,
@@ -168,9 +167,6 @@ def block_from_estimate(mean: FloatArray, covariance: FloatArray, s: FleetSettin
 
 def _set_slow_errors(P: FloatArray, offset_sigma_s: float, s: FleetSettings) -> None:
     """Write the steady-state variances of the Gauss-Markov components but the report error."""
-    for axis in (WIND.start, WIND.start + 1):
-        P[axis, axis] = s.wind_sigma_mps**2
-    P[AIRSPEED_ERROR, AIRSPEED_ERROR] = s.airspeed_sigma_mps**2
-    P[HEADING_ERROR, HEADING_ERROR] = s.heading_sigma_rad**2
+    P[_AIR, _AIR] = np.diag(steady_air_m2(s))
     P[TIME_STAMP_OFFSET, TIME_STAMP_OFFSET] = offset_sigma_s**2
     P[TURN, TURN] = s.turn_sigma_radps**2

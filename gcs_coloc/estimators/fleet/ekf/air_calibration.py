@@ -52,7 +52,7 @@ class AirCalibration:
     @classmethod
     def begin(cls, at_s: float, s: FleetSettings, airspeed_sigma_mps: float | None = None) -> AirCalibration:
         """Return what is known before any sample: the steady state of eq. (7); of the airspeed's error as told, if it is."""
-        covariance = np.diag(_steady_m2(s))
+        covariance = np.diag(steady_air_m2(s))
         if airspeed_sigma_mps is not None:
             covariance[2, 2] = airspeed_sigma_mps**2
         return cls(at_s, np.zeros(4), covariance, _FIRST_LOG_LEVEL)
@@ -60,7 +60,7 @@ class AirCalibration:
     def predicted(self, at_s: float, s: FleetSettings) -> AirCalibration:
         """Return it at a later time, eq. (7)."""
         kept = np.exp(-max(at_s - self.at_s, 0.0) / _times_s(s))
-        steady = np.diag(_steady_m2(s) * (1.0 - kept * kept))
+        steady = np.diag(steady_air_m2(s) * (1.0 - kept * kept))
         covariance = np.outer(kept, kept) * self.covariance + steady
         return replace(self, at_s=at_s, mean=kept * self.mean, covariance=covariance)
 
@@ -87,7 +87,8 @@ class AirCalibration:
         return AirCalibration(at_s, x + gain @ innovation, P - gain @ S @ gain.T, log_level, self.samples + 1, nis)
 
 
-def _steady_m2(s: FleetSettings) -> FloatArray:
+def steady_air_m2(s: FleetSettings) -> FloatArray:
+    """Return the steady-state variances (4,) of wind east and north, airspeed error and heading error, eq. (7)."""
     return np.array((s.wind_sigma_mps, s.wind_sigma_mps, s.airspeed_sigma_mps, s.heading_sigma_rad)) ** 2
 
 

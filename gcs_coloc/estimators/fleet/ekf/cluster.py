@@ -11,6 +11,7 @@ from numbers import Integral
 
 from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd, Transition, range_jacobian
+from gcs_coloc.estimators.fleet.ekf.air_calibration import steady_air_m2
 from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude, set_transition, step_ends
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import HEADING_ERROR, TIME_STAMP_OFFSET, VELOCITY, WIND, JointState, Key, ends
@@ -158,12 +159,11 @@ class Cluster:
 
     def forget_air_errors(self, vehicle: int) -> None:
         """Forget what air data have shown of wind, airspeed error and heading error: the steady state of eq. (7) is known."""
-        joint, s = self.joint, self.settings
+        joint = self.joint
         start = joint.where[vehicle].start
         first, stop = start + WIND.start, start + HEADING_ERROR + 1
         joint.scale(first, stop, 0.0)
-        steady = (s.wind_sigma_mps**2, s.wind_sigma_mps**2, s.airspeed_sigma_mps**2, s.heading_sigma_rad**2)
-        joint.A[range(first, stop), range(first, stop)] = steady
+        joint.A[range(first, stop), range(first, stop)] = steady_air_m2(self.settings)
 
 
 class ClusterSet:

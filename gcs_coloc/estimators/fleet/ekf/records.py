@@ -92,6 +92,7 @@ class VehicleRecord:
     attitude: AttitudeMeasurement | None = None
     """The newest attitude with an airspeed."""
     air_check: AirCheck = AIR_UNSUSPECTED
+    """Whether its air data contradict its way over ground."""
     odometry: OdometryMeasurement | None = None
     """The newest odometry that was used."""
     report_error_sigma_h_m: float = 0.0

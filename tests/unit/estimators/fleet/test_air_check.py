@@ -54,7 +54,7 @@ def refuses(where: Estimate | NoEstimate) -> bool:
     return isinstance(where, Estimate) and where.refuses_air_data
 
 
-@pytest.mark.parametrize("reads_mps", [7.0, 40.0, 300.0])
+@pytest.mark.parametrize("reads_mps", [7.0, 14.5, 25.5, 40.0, 300.0])
 def test_a_wrong_airspeed_is_refused_before_the_ranges_cease(reads_mps):
     seen = flown(reads_mps)
     assert not any(refuses(where) for t, (where, _) in seen.items() if t < FAILS_S)
@@ -130,6 +130,22 @@ def test_windows_between_places_that_are_hardly_known_neither_refuse_nor_take_ba
     assert not checked(sound, 20.0, 20.0, 25.0, 100.0).is_refused
     refused = checked(sound, 20.0, 4.0, 60.0, 1.0)
     assert checked(refused, 24.0, 40.0, AIRSPEED_MPS, 50.0).is_refused
+
+
+def test_while_the_gusts_are_not_known_a_difference_is_learned_and_no_suspicion():
+    young = checked(AIR_UNSUSPECTED, 0.0, 12.0, AIRSPEED_MPS, 1.0)
+    assert not checked(checked(young, 12.0, 4.0, 25.9, 1.0), 16.1, 4.0, 25.9, 1.0).is_refused
+    old = checked(young, 12.1, 12.0, AIRSPEED_MPS, 1.0)
+    assert checked(checked(old, 24.2, 4.0, 25.9, 1.0), 28.3, 4.0, 25.9, 1.0).is_refused
+
+
+def test_a_suspicion_outlasts_windows_that_tell_nothing():
+    sound = checked(AIR_UNSUSPECTED, 0.0, 20.0, AIRSPEED_MPS, 1.0)
+    suspected = checked(sound, 20.0, 4.0, 25.0, 1.0)
+    in_gap = checked(suspected, 24.1, 6.0, 25.0, 100.0)
+    assert not in_gap.is_refused
+    assert checked(in_gap, 30.2, 8.0, 25.0, 1.0).is_refused
+    assert not checked(in_gap, 30.2, 8.0, AIRSPEED_MPS, 1.0).is_refused
 
 
 @pytest.mark.parametrize(("reads_mps", "is_refused"), [(13.9, True), (14.1, False), (25.9, False), (26.1, True)])
