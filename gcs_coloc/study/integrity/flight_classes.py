@@ -145,6 +145,8 @@ class FlightClass:
     device_ramp_mps: Span = (0.0, 0.0)
     pitot_fails: bool = False
     """Whether the denied vehicle's pitot tube reads wrong from some time on."""
+    height_jump_m: Span = (0.0, 0.0)
+    """By how much the denied vehicle's barometer jumps, up or down; half of them jump back after 5 to 30 s."""
 
 
 _PLANES = FlightClass(name="planes", group=Group.NOMINAL, text="planes among four to six others that turn at random")
@@ -227,6 +229,7 @@ _ALL = (
     _imperfect("compass", "compasses off by 10 to 40 degrees", heading_error_deg=(10.0, 40.0)),
     _imperfect("pitot", "the denied vehicle's pitot tube is blocked, or leaks; all ranges cease for 5 to 20 s, in turns",
                pitot_fails=True, silence_s=(5.0, 20.0)),
+    _imperfect("barometer", "the denied vehicle's barometer jumps by 5 to 60 m", height_jump_m=(5.0, 60.0)),
     _fault("flicker", "jammed: the denied vehicle's fix comes back for seconds, up to 60 m off", flickers=True),
     _fault("spoofed-step", "one peer's receiver steps by 30 to 300 m", spoofing=_STEP),
     _fault("spoofed-ramp", "one peer's receiver is drawn off at 0.2 to 5 m/s", spoofing=_RAMP),

@@ -94,6 +94,7 @@ class PitotFault(Enum):
 
 
 _PITOT_CONSTANT_MPS = (6.0, 100.0)  # chosen: from below stall speed up; a lower one is none
+_JUMPS_BACK_S = (5.0, 30.0)  # chosen: shorter and longer than fault tests remember
 _PITOT_FACTOR = (0.5, 2.0)  # chosen: a quarter to four times the pressure
 
 
@@ -123,6 +124,25 @@ class PitotFailure:
         if self.constant_mps is None:
             self.constant_mps = sound_mps
         return self.constant_mps
+
+
+@dataclass(frozen=True, slots=True)
+class BarometerJump:
+    """A barometer that reads wrong from one time to another."""
+
+    from_s: float
+    until_s: float
+    jump_m: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, at_s: float, jump_m: Span) -> BarometerJump:
+        """Draw one that begins at a time."""
+        jumps_back = rng.random() < 0.5
+        return cls(at_s, at_s + rng.uniform(*_JUMPS_BACK_S) if jumps_back else inf, uniform_sign(rng, jump_m))
+
+    def offset_m(self, at_s: float) -> float:
+        """Return how much too high it reads at a time, m."""
+        return self.jump_m if self.from_s <= at_s < self.until_s else 0.0
 
 
 class ReceiverErrors:

@@ -31,6 +31,7 @@ from gcs_coloc.core.messages.outbound import GpsInput, Outbound, TimeSyncRequest
 from gcs_coloc.study.integrity.flight_classes import FlightClass
 from gcs_coloc.study.integrity.motion import draw_trajectories
 from gcs_coloc.study.integrity.sensor_errors import (
+    BarometerJump,
     Fault,
     LinkErrors,
     PairErrors,
@@ -153,6 +154,8 @@ class SimulatedFleet:
         self._device = int(rng.choice((*self.denied, *self.peers)))
         if drawn.pitot_fails:
             self._vehicles[self.denied[0]].pitot_failure = PitotFailure.draw(rng, self.fault_at_s)
+        if drawn.height_jump_m[1] > 0.0:
+            self._vehicles[self.denied[0]].barometer_jump = BarometerJump.draw(rng, self.fault_at_s, drawn.height_jump_m)
 
     def _draw_silences(self) -> list[tuple[float, float]]:
         if self.drawn.silence_s[1] == 0.0:

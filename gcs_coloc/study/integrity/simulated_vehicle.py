@@ -23,7 +23,7 @@ from gcs_coloc.core.messages.inbound import (
 )
 from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.study.integrity.motion import Trajectory
-from gcs_coloc.study.integrity.sensor_errors import Fault, LinkErrors, PitotFailure, ReceiverErrors, scaled
+from gcs_coloc.study.integrity.sensor_errors import BarometerJump, Fault, LinkErrors, PitotFailure, ReceiverErrors, scaled
 from sitl_fakes.geodesy import WorldFrame
 
 UNIX_EPOCH_S = 1_780_000_000.0  # any; in 2026
@@ -53,6 +53,7 @@ class SimulatedVehicle:
     reckoning_mps: Vector3
     fault: Fault | None = None
     pitot_failure: PitotFailure | None = None
+    barometer_jump: BarometerJump | None = None
     lost_at_s: float = inf
     flicker: list[tuple[float, float, Vector3]] | None = None
     aid: tuple[float, Vector3, Vector3] | None = None
@@ -131,7 +132,8 @@ class SimulatedVehicle:
             place = _plus(place, self.false_m(at_s))
             if self.fault is not None and at_s >= self.fault.at_s:
                 velocity_mps = _plus(velocity_mps, scaled(self.fault.ramp_mps, self.fault.away))
-        lat, lon, alt = self.frame.to_lla(place[0], place[1], true_m[2] + errors.height_m(at_s))
+        jump_m = self.barometer_jump.offset_m(at_s) if self.barometer_jump is not None else 0.0
+        lat, lon, alt = self.frame.to_lla(place[0], place[1], true_m[2] + errors.height_m(at_s) + jump_m)
         if self.lost_at_s < 0.0 and not self.is_aided(at_s):
             lat, lon = 0.0, 0.0  # as ArduPilot reports without an origin
         ve, vn, vu = velocity_mps

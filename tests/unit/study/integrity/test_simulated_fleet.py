@@ -1,7 +1,7 @@
 """What flies in the trials: motion that a vehicle can fly, errors as they are stated, faults where they are drawn."""
 
 from dataclasses import replace
-from math import radians
+from math import inf, radians
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from gcs_coloc.core.messages.inbound import Airspeed, GlobalPosition, GpsReceive
 from gcs_coloc.core.messages.outbound import GpsInput, TimeSyncRequest
 from gcs_coloc.study.integrity.flight_classes import CLASSES, RangeNoise
 from gcs_coloc.study.integrity.motion import STEP_S, draw_trajectories, gauss_markov
-from gcs_coloc.study.integrity.sensor_errors import PairErrors, PitotFailure, PitotFault
+from gcs_coloc.study.integrity.sensor_errors import BarometerJump, PairErrors, PitotFailure, PitotFault
 from gcs_coloc.study.integrity.simulated_fleet import DENIED, SimulatedFleet
 
 MINUTE_S = 60.0
@@ -152,4 +152,24 @@ def test_only_the_denied_vehicles_pitot_tube_fails_and_after_the_loss():
     fast = [m for m in seen if m.airspeed_mps > 60.0]
     assert {m.sysid for m in fast} == {DENIED}
     assert min(m.received_at_s for m in fast) == pytest.approx(fleet.fault_at_s, abs=0.5)
+    assert fleet.fault_at_s > fleet.lost_at_s
+
+
+def test_a_barometer_jumps_up_or_down_and_half_of_them_back():
+    drawn = [BarometerJump.draw(np.random.default_rng(seed), 10.0, (5.0, 60.0)) for seed in range(30)]
+    assert {each.jump_m > 0.0 for each in drawn} == {True, False}
+    assert 10 <= sum(each.until_s < inf for each in drawn) <= 20
+    for each in drawn:
+        assert 5.0 <= abs(each.jump_m) <= 60.0
+        assert [each.offset_m(at_s) for at_s in (9.9, 10.0, each.until_s)] == [0.0, each.jump_m, 0.0]
+
+
+def test_only_the_denied_vehicles_barometer_jumps_and_after_the_loss():
+    """Its height is its barometer's; those of its peers are their receivers'."""
+    fleet, before, after = SimulatedFleet(CLASSES["barometer"], 4, 120.0), {}, {}
+    while (event := fleet.pop())[0] <= fleet.fault_at_s + 1.0:
+        if isinstance(m := event[1], GlobalPosition):
+            (before if event[0] < fleet.fault_at_s else after)[m.sysid] = m.alt_msl_m
+    jumped = {sysid for sysid, alt_m in after.items() if abs(alt_m - before[sysid]) > 4.0}
+    assert jumped == {DENIED}
     assert fleet.fault_at_s > fleet.lost_at_s
