@@ -137,6 +137,7 @@ class FleetModel:
             self.clusters.remove(vehicle)
             record.own_measurements = record.air_calibrations = ()
             record.air_check = AIR_UNSUSPECTED
+            record.height_jumps_m = 0.0
             record.last_position = None
             record.no_estimate_reason = Unlocated(NoEstimateReason.NO_REPORT_SINCE_TRUSTED)
 
@@ -157,6 +158,7 @@ class FleetModel:
             return self._update_position(m, record)
         if isinstance(m, AltitudeMeasurement):
             record.altitude_noise = record.altitude_noise.updated(m.measured_at_s, ((m.up_m,),), (m.sigma_m,))
+            m = replace(m, up_m=m.up_m - record.height_jumps_m)
         record.add_own(m)
         cluster = self.clusters.get(m.vehicle)
         if cluster is None or record.static:

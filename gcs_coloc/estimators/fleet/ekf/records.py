@@ -132,7 +132,9 @@ class VehicleRecord:
     height_innovation_m: float = 0.0
     """Its innovation."""
     height_used_at_s: float = math.inf
-    """Time of the last barometric height within the gate; infinite before the first and after a jump: no climb explains it."""
+    """Time of the last barometric height within the gate; infinite before the first and after a pause: no climb explains it."""
+    height_jumps_m: float = 0.0
+    """By how much its barometric height has jumped since it was lost, eq. (43); heights are used less that."""
     cusum: float = 0.0
     """CUSUM statistic of refused against used ranges, eq. (21): evidence that the state is wrong."""
     unresolved_outlier: UnresolvedOutlier | None = None

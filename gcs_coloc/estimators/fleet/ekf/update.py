@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -100,18 +101,26 @@ def update_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, co
     """Correct with a barometric height, eq. (12).
 
     Heights that leave the gate step by step tell of a climb: they are tried again with a hard manoeuvre since the last one
-    within it, eq. (20). Those that leave it at once, or by more, are the barometer's doing, and used with inflated noise.
+    within it, eq. (20). One that leaves it at once has jumped, eq. (43). Those that leave it by more than a climb, or after a
+    pause, are used with inflated noise.
     """
     record, joint, limit = cluster.records[m.vehicle], cluster.joint, cluster.settings.gate_sigma**2
     record.baro_error_sigma_m = cluster.change_sigma(m.vehicle, _BARO, record.baro_error_sigma_m, coloured_m)
     cluster.propagate(m.vehicle, m.measured_at_s)
     hA, innovation, variance = altitude(joint, m, white_m)
     nis = innovation * innovation / variance
-    step_m = abs(innovation - record.height_innovation_m)
+    step_m = innovation - record.height_innovation_m
     gap_s = m.measured_at_s - record.height_at_s
+    if nis > limit and gap_s <= _MISSED_CLIMB_S and abs(step_m) > _CLIMB_ERROR_MPS * gap_s + 2.0 * white_m:
+        record.height_jumps_m += step_m
+        m = replace(m, up_m=m.up_m - step_m)
+        b = joint.where[m.vehicle].start + BARO_ERROR
+        # By how much exactly it has jumped nothing tells: the error is free to be another one.
+        joint.A[b, b] += step_m * step_m
+        hA, innovation, variance = altitude(joint, m, white_m)
     record.height_at_s, record.height_innovation_m = m.measured_at_s, innovation
-    if nis > limit:
-        if gap_s > _MISSED_CLIMB_S or step_m > _CLIMB_ERROR_MPS * gap_s + 2.0 * white_m:
+    if innovation * innovation > limit * variance:
+        if gap_s > _MISSED_CLIMB_S:
             record.height_used_at_s = math.inf
         since_s = min(max(m.measured_at_s - record.height_used_at_s, 0.0), _MISSED_CLIMB_S)
         manoeuvre = _manoeuvre_covariance(since_s)[_UP_AND_CLIMB]

@@ -63,9 +63,18 @@ def test_a_copter_that_climbs_and_sinks_in_turns_keeps_its_height_and_its_place(
     assert ratio < 1.5
 
 
-@pytest.mark.parametrize("jump_m", [-80.0, -25.0, 10.0, 25.0, 80.0])
-def test_a_barometer_that_jumps_does_not_move_it_aside_and_by_tens_of_metres_not_upwards(jump_m):
-    """What follows a climb closely follows a jump a little: by up to 7.5 m."""
-    off_m, ratio = flown(0.0, jump_m, seed=1)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("jump_m", [-80.0, -25.0, -10.0, 10.0, 25.0, 80.0])
+def test_a_barometer_that_jumps_moves_it_neither_aside_nor_upwards(jump_m, seed):
+    """With inflated noise a jump of 80 m moved it upwards by 65 m within half a minute, one of 10 m by 6 m."""
+    off_m, ratio = flown(0.0, jump_m, seed)
     assert ratio < 1.5
-    assert off_m < 8.0 or abs(jump_m) > 25.0
+    assert off_m < 2.5
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_barometer_that_jumps_in_a_climb_moves_it_little(seed):
+    """With inflated noise it was given up."""
+    off_m, ratio = flown(CLIMB_MPS, 40.0, seed)
+    assert off_m < 7.0
+    assert ratio < 1.5
