@@ -80,6 +80,8 @@ class CoreRefusal(StrEnum):
     """More stations are stated than there is room for."""
     RANGE_REPEATED = "range_repeated"
     """The ranging device repeats one value."""
+    RANGE_JUMPED = "range_jumped"
+    """The range has left its own predecessors faster than vehicles move: an outlier, or on a way around since."""
 
     # Integrity
     REACQUIRED_FIX_REJECTED = "reacquired_fix_rejected"

@@ -17,6 +17,7 @@ from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.stations.node_id import node_name
 from gcs_coloc.core.stations.stations import Station
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
+from gcs_coloc.core.telemetry.nlos_detector import NlosDetector
 from gcs_coloc.core.telemetry.position_measurements import receiver_accuracy
 from gcs_coloc.core.telemetry.repeated_ranges import RangeRepeats
 from gcs_coloc.core.telemetry.reported_state import ReportedState
@@ -38,6 +39,7 @@ class RangeBuilder:
     def __init__(self, settings: MeasurementSettings) -> None:
         self._settings = settings
         self._repeats: dict[int, RangeRepeats] = {}
+        self._nlos: dict[int, NlosDetector] = {}
         self._sigmas_m: dict[int, float] = {}
 
     def build(
@@ -57,15 +59,22 @@ class RangeBuilder:
         self._update_sigma(vehicle, hypot(sigma_m, self._position_sigma_m(peer)))
         if not isinstance(peer, Station):
             self._update_sigma(peer, hypot(sigma_m, self._position_sigma_m(vehicle)))
-        late_m = _relative_speed_mps(vehicle, peer) * measured.sigma_s
+        speed_mps, range_m = _relative_speed_mps(vehicle, peer), self._calibrated_m(message, peer)
+        late_m = speed_mps * measured.sigma_s
+        nlos = self._nlos.get(message.sysid)
+        if nlos is None:
+            nlos = self._nlos[message.sysid] = NlosDetector()
+        sigma_m = hypot(sigma_m, late_m)
+        if nlos.add(message.peer, message.device_id, measured.at_s, range_m, sigma_m, speed_mps):
+            return BuiltRange(None, notice, CoreRefusal.RANGE_JUMPED)
         by_own_clock = message.measured_at_s is not None and message.time_base is not TimeBase.SERVICE
         measurement = RangeMeasurement(
             from_vehicle=message.sysid,
             to_vehicle=message.peer,
             measured_at_s=measured.at_s,
             arrived_at_s=message.received_at_s,
-            range_m=self._calibrated_m(message, peer),
-            sigma_m=hypot(sigma_m, late_m),
+            range_m=range_m,
+            sigma_m=sigma_m,
             device_id=message.device_id,
             clock_of=message.sysid if by_own_clock else None,
             time_sigma_s=measured.sigma_s,

@@ -4,7 +4,7 @@ import pytest
 from built_measurements import Builder, gps, range_message, vehicle
 
 from gcs_coloc.core.clocks.fleet_clocks import FleetClocks
-from gcs_coloc.core.messages.inbound import TimeBase
+from gcs_coloc.core.messages.inbound import PeerRange, TimeBase
 from gcs_coloc.core.reasons import CoreRefusal
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
 
@@ -77,3 +77,17 @@ def test_a_range_is_free_of_the_lasting_errors_of_both_devices():
 def test_a_calibration_that_cannot_be_is_refused(wrong):
     with pytest.raises(ValueError, match="range_"):
         MeasurementSettings(**wrong)
+
+
+def test_a_range_on_a_way_around_is_refused_and_counted_while_those_to_another_peer_are_used():
+    feed, record, peers = Builder(), vehicle(), {1: vehicle(1), 2: vehicle(2)}
+    used = []
+    for k in range(30):
+        for peer, reported in peers.items():
+            at_s, around_m = 0.2 * k + 0.05 * peer, 25.0 if peer == 1 and 10 <= k < 20 else 0.0
+            message = PeerRange(4, at_s, peer, 100.0 + around_m + 0.01 * k, 0.5, None, TimeBase.SERVICE, k, None, 0)
+            if feed.measure_range(message, record, reported) is not None:
+                used.append((peer, k))
+    assert [k for peer, k in used if peer == 2] == list(range(30))
+    assert [k for peer, k in used if peer == 1] == [*range(10), *range(21, 30)]
+    assert feed.refused == {CoreRefusal.RANGE_JUMPED: 11}
