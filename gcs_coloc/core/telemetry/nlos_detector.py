@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from math import sqrt
+from math import inf, sqrt
 from typing import NamedTuple
 
 _SAMPLES = 6  # chosen: a second at 5 Hz; over a longer time a turn bends the line
@@ -48,11 +48,16 @@ class RangeTrack:
     def add(self, at_s: float, range_m: float, sigma_m: float, speed_mps: float) -> bool:
         """Add a range (time s, m) with its 1-sigma (m) and the relative speed of its ends; return whether it is not to be used.
 
-        One that is no newer than the last is not judged.
+        One that is no newer than the last is not judged: it came late, or on a second way.
         """
-        samples = self._samples
-        if samples and at_s <= samples[-1][0]:
-            return self.excess_m > 0.0
+        samples, departed = self._samples, self._departed
+        newest_s = departed.at_s if departed is not None else samples[-1][0] if samples else -inf
+        if newest_s - at_s > _WINDOW_S:
+            # The device's clock has jumped.
+            samples.clear()
+            self._departed = None
+        elif at_s <= newest_s:
+            return self.excess_m > 0.0 or (at_s == newest_s and departed is not None)
         while samples and at_s - samples[0][0] > _WINDOW_S:
             samples.popleft()
         if not samples or at_s - self._jumped_at_s > _BELIEVED_AFTER_S:

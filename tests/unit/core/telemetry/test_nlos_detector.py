@@ -85,6 +85,19 @@ def test_ranges_too_seldom_for_a_line_and_old_ones_are_not_judged():
     assert not track.add(18.5, 900.0, 1.0, 20.0)
 
 
+def test_an_outlier_heard_twice_is_one_outlier():
+    track = RangeTrack()
+    ranges_m = [130.0 if k == 10 else 100.0 for k in range(20)]
+    out = [(k, again) for k, range_m in enumerate(ranges_m) for again in (0, 1) if track.add(0.2 * k, range_m, 1.0, 0.0)]
+    assert out == [(10, 0), (10, 1)]
+
+
+def test_a_clock_that_jumped_back_does_not_lock_a_way_around_in():
+    track = RangeTrack()
+    assert [track.add(1000.0 + 0.2 * k, 100.0 + 30.0 * (k >= 10), 1.0, 0.0) for k in range(15)] == [False] * 10 + [True] * 5
+    assert not any(track.add(0.2 * k, 130.0, 1.0, 0.0) for k in range(15))
+
+
 def test_each_peer_and_each_device_is_judged_by_itself():
     jumps = NlosDetector()
     for k in range(10):
