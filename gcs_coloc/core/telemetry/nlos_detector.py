@@ -70,7 +70,9 @@ class RangeTrack:
         noise_m = max(sigma_m, sqrt(self._noise_m2))
         bent_m = acceleration_mps2 * bent_s2
         limit_m = _SIGMAS * noise_m * sqrt(spread) + bent_m
-        if (second := self._is_second(at_s, departure_m, limit_m)) or abs(departure_m) > limit_m:
+        # One that is too long will come back, and by how much is known: half of that is nearer to back than to still too long.
+        needed_m = min(limit_m, 0.5 * self.excess_m) if self.excess_m > 0.0 and departure_m < 0.0 else limit_m
+        if (second := self._is_second(at_s, departure_m, needed_m)) or abs(departure_m) > needed_m:
             return self._depart(_Departed(at_s, range_m, departure_m), limit_m, second=second)
         self._departed = None
         # What a turn explains is no noise, or the next jump in a turn is not seen.
@@ -96,15 +98,15 @@ class RangeTrack:
         bent_s2 = 0.5 * abs(ahead_s**2 - squares_s2 / n - ahead_s * cubes_s3 / squares_s2)
         return departure_m, 1.0 + 1.0 / n + ahead_s**2 / squares_s2, bent_s2
 
-    def _is_second(self, at_s: float, departure_m: float, limit_m: float) -> bool:
+    def _is_second(self, at_s: float, departure_m: float, needed_m: float) -> bool:
         """Whether a range departs as the one before it did: half as far is enough, the first has been beyond chance."""
         before = self._departed
         return (
             before is not None
             and at_s - before.at_s <= _WINDOW_S
-            and abs(departure_m - before.departure_m) <= limit_m
+            and abs(departure_m - before.departure_m) <= max(needed_m, abs(before.departure_m))
             and departure_m * before.departure_m > 0.0
-            and abs(departure_m) > 0.5 * limit_m
+            and abs(departure_m) > 0.5 * needed_m
         )
 
     def _depart(self, now: _Departed, limit_m: float, *, second: bool) -> bool:

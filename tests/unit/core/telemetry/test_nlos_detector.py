@@ -35,14 +35,19 @@ def test_a_way_around_is_refused_from_its_first_range_to_its_last(detour_m, seed
     assert len(out) - len(behind) <= 4 + 2  # two at each return, and one or two in vain
 
 
-def test_a_way_around_just_beyond_the_limit_is_refused_whole_or_not_at_all():
-    """One of 9 m was refused for a single range and then used: it made three sound peers SUSPECT. The band: half of 20."""
-    found = []
+def test_a_way_around_just_beyond_the_limit_is_refused_whole_or_not_at_all_and_used_once_it_is_back():
+    """One of 9 m was refused for a single range and then used; one of 8 m was still refused 10 s after its end.
+
+    The band: half of 20 are found.
+    """
+    found, later = [], []
     for seed in range(20):
         out = refused(lambda _: 718.0, off_m=lambda t: 9.5 * (20.0 <= t < 30.0), seed=seed)
         found.append(len([t for t in out if 20.0 <= t < 30.0]))
+        later.append(len([t for t in out if t >= 30.0]))
     assert set(found) == {0, 50}
     assert found.count(50) > 10
+    assert max(later) <= 3
 
 
 @pytest.mark.parametrize("seed", range(5))
