@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 _SAMPLES = 6  # chosen: a second at 5 Hz; over a longer time a turn bends the line
 _LEAST_SAMPLES = 4
-_WINDOW_S = 1.6  # chosen: ranges at 4 Hz; more seldom ones are not judged
+_WINDOW_S = 1.6  # chosen: ranges at 2.5 Hz; more seldom ones are not judged
 _SIGMAS = 4.0  # chosen: of 15 ranges a second one in eighteen minutes is refused in vain
 _ACCELERATION_MPS2 = 15.0  # chosen: two planes that turn at 37 degrees, to or from each other
 _LEAST_RANGE_M = 1.0  # below it the direction turns at once
@@ -64,6 +64,7 @@ class RangeTrack:
             self.excess_m = 0.0
         if len(samples) < _LEAST_SAMPLES:
             samples.append((at_s, range_m))
+            self._departed = None
             return self.excess_m > 0.0
         departure_m, spread, bent_s2 = self._prediction(at_s, range_m)
         acceleration_mps2 = _ACCELERATION_MPS2 + speed_mps**2 / max(range_m, _LEAST_RANGE_M)

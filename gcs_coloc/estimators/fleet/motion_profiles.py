@@ -37,7 +37,7 @@ _TURNING = (1.0, 30.0), False
 _RECURRING = (0.03, 300.0), True
 """Chosen: from 0.03 m^2/s^3, at rest, to 300 m^2/s^3, 1 g in turns of a second to either side."""
 _CLIMB_LEVEL_OF_A_MULTIROTOR = 15.0
-"""To 0.3 m^2/s^3. Chosen: climbs of 8 m/s are followed to 4 m; a barometer that jumps by 25 m leads astray by 8 m."""
+"""To 0.3 m^2/s^3. Chosen: climbs of 8 m/s are followed to 4 m; a barometer that creeps away as fast as a climb leads astray."""
 PROFILES: Mapping[VehicleClass | None, MotionProfile] = {
     None: MotionProfile(30.0, 9.8, 5.0, *_AS_SET),
     VehicleClass.PLANE: MotionProfile(50.0, 9.8, 5.0, *_TURNING),

@@ -97,6 +97,14 @@ def test_an_outlier_heard_twice_is_one_outlier():
     assert out == [(10, 0), (10, 1)]
 
 
+def test_a_range_heard_many_times_after_a_gap_that_began_with_an_outlier_is_one_range():
+    """Four of one time make no line: it ended in a division by zero."""
+    track = RangeTrack()
+    for k in range(10):
+        track.add(0.2 * k, 130.0 if k == 9 else 100.0, 1.0, 0.0)
+    assert not any(track.add(at_s, 100.0, 1.0, 0.0) for at_s in (10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 10.2, 10.4))
+
+
 def test_a_clock_that_jumped_back_does_not_lock_a_way_around_in():
     track = RangeTrack()
     assert [track.add(1000.0 + 0.2 * k, 100.0 + 30.0 * (k >= 10), 1.0, 0.0) for k in range(15)] == [False] * 10 + [True] * 5
