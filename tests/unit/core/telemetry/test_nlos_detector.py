@@ -122,9 +122,10 @@ def test_each_peer_and_each_device_is_judged_by_itself():
 
 
 def test_a_device_whose_ranges_all_jump_is_no_way_around():
-    """It is told by the residuals: `all of its ranges jumped`."""
+    """Another device of the vehicle says nothing of it. It is told by the residuals: `all of its ranges jumped`."""
     jumps, seen = NlosDetector(), []
     for k in range(30):
         off_m = 20.0 if k >= 15 else 0.0
+        assert not jumps.add(1, 7, 0.2 * k, 100.0, 0.1, 0.0)
         seen += [(k, peer) for peer in (1, 2, 3) if jumps.add(peer, 0, 0.2 * k + 0.05 * peer, 100.0 * peer + off_m, 0.1, 0.0)]
     assert seen == [(15, 1), (15, 2)]

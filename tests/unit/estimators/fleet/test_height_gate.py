@@ -78,3 +78,49 @@ def test_a_barometer_that_jumps_in_a_climb_moves_it_little(seed):
     off_m, ratio = flown(CLIMB_MPS, 40.0, seed)
     assert off_m < 7.0
     assert ratio < 1.5
+
+
+def test_a_jump_is_forgotten_with_the_vehicles_own_gps():
+    """Its heights are learnt anew then: at its next loss they are right."""
+    rng, estimator = np.random.default_rng(1), FleetFilter()
+    for vehicle, place in ANCHORS_M.items():
+        estimator.add(PositionMeasurement(vehicle, 0.0, 0.0, place, 0.3, 0.3, static=True))
+    estimator.add(VehicleClassReport(DENIED, 0.0, 0.0, VehicleClass.MULTIROTOR))
+    off_m = []
+    for k in range(round(60.0 / STEP_S)):
+        t = k * STEP_S
+        is_lost = 5.0 <= t < 25.0 or t >= 35.0
+        estimator.set_denied({DENIED} if is_lost else set(), t)
+        if not is_lost:
+            estimator.add(PositionMeasurement(DENIED, t, t, (0.0, 0.0, 60.0), 0.5, 0.5, (0.0, 0.0, 0.0), 0.3))
+            continue
+        jumped_m = 80.0 if 15.0 < t < 25.0 else 0.0
+        estimator.add(AltitudeMeasurement(DENIED, t, t, 60.0 + jumped_m + 0.3 * rng.normal(), 2.0))
+        for p, place in ANCHORS_M.items():
+            estimator.add(RangeMeasurement(DENIED, p, t, t, math.dist((0.0, 0.0, 60.0), place) + rng.normal(), 1.0))
+        where = estimator.estimate(DENIED, t)
+        assert isinstance(where, Estimate)
+        off_m.append(abs(float(where.position_enu_m[2]) - 60.0))
+    assert max(off_m) < 3.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_stated_height_is_as_uncertain_as_many_jumps_make_it(seed):
+    """By ranges that tell nothing of the height. The band: 26 jumps, 4.6 sigmas at most; 8 to 15 if a jump counted as known."""
+    rng, estimator, ratios = np.random.default_rng(seed), FleetFilter(), []
+    for vehicle, (e, n, _) in ANCHORS_M.items():
+        estimator.add(PositionMeasurement(vehicle, 0.0, 0.0, (5.0 * e, 5.0 * n, 60.0), 0.3, 0.3, static=True))
+    estimator.add(VehicleClassReport(DENIED, 0.0, 0.0, VehicleClass.MULTIROTOR))
+    for k in range(round(END_S / STEP_S)):
+        t = k * STEP_S
+        if t < 5.0:
+            estimator.add(PositionMeasurement(DENIED, t, t, (0.0, 0.0, 60.0), 0.5, 0.5, (0.0, 0.0, 0.0), 0.3))
+        estimator.set_denied(set() if t < 5.0 else {DENIED}, t)
+        estimator.add(AltitudeMeasurement(DENIED, t, t, 60.0 + 40.0 * (math.floor(t / 2.0) % 2) + 2.0 * rng.normal(), 2.0))
+        for p, (e, n, _) in ANCHORS_M.items():
+            estimator.add(RangeMeasurement(DENIED, p, t, t, math.hypot(5.0 * e, 5.0 * n) + rng.normal(), 1.0))
+        where = estimator.estimate(DENIED, t)
+        if t > 8.0:
+            assert isinstance(where, Estimate)
+            ratios.append(abs(float(where.position_enu_m[2]) - 60.0) / math.sqrt(float(where.covariance[2, 2])))
+    assert max(ratios) < 6.0
