@@ -130,6 +130,8 @@ class FlightClass:
     answers_timesync: bool = True
     has_utc: bool = True
     """Whether vehicles send the UTC of their receivers (SYSTEM_TIME), 0 to 0.3 s behind."""
+    blackout_s: Span = (0.0, 0.0)
+    """Mean length of a vehicle's times without radio, both ways; its ranging device goes on."""
     reboots: bool = False
     """A peer and the denied vehicle are silent for 3 to 12 s, then go on with a clock that starts at zero."""
     # Beginning and faults
@@ -200,6 +202,7 @@ _ALL = (
             has_air_data=False),
     _benign("denied-ranges-only", "ranges from the denied vehicle only", is_mutual=False),
     _benign("late-links", "links 0.1 to 0.5 s late, TIMESYNC answered", delay_s=(0.1, 0.5), jitter_s=(0.02, 0.15)),
+    _benign("blackouts", "each vehicle's radio link is lost for seconds at a time, ranging goes on", blackout_s=(2.0, 6.0)),
     _benign("cold-start", "the denied vehicle never had a fix", lost_at_s=(-1.0, -1.0)),
     _benign("cold-start-far", "the same 15 to 40 km from the vehicle that sets the origin", lost_at_s=(-1.0, -1.0),
             from_origin_m=40_000.0),

@@ -26,6 +26,7 @@ _UTC_BEHIND_S = (0.0, 0.3)
 _CLEAR_S, _BLOCKED_S = 30.0, 4.0  # chosen: past a building, or a hill, every half minute
 _DETOUR_M = (3.0, 40.0)  # chosen: the way around a building
 _FLICKER_LOST_S, _FLICKER_BACK_S, _FLICKER_M = 4.0, 2.0, 60.0  # chosen: a jammed receiver comes and goes
+_HEARD_S = 25.0  # chosen: an antenna in the shadow of a banking wing, twice or thrice a minute
 _REBOOT_S = (3.0, 12.0)  # chosen: autopilots boot within so long
 _MOST_DRIFT = 20e-6
 """Of a crystal oscillator; source: data sheets of autopilots' crystals, 10 to 20 ppm."""
@@ -225,21 +226,27 @@ class PairErrors:
 class LinkErrors:
     """Delays of one vehicle's link, both ways, and its boot clock. Messages keep their order."""
 
-    def __init__(self, rng: np.random.Generator, drawn: FlightClass, least_s: float) -> None:
+    def __init__(self, rng: np.random.Generator, drawn: FlightClass, least_s: float, end_s: float) -> None:
         self._rng, self._least_s, self._jitter_s = rng, least_s, rng.uniform(*drawn.jitter_s)
         # Up and down are a little different: no clock exchange can see that.
         self._down_s = least_s * rng.uniform(0.8, 1.2)
         self._boot_s, self._drift = rng.uniform(20.0, 3000.0), rng.uniform(-_MOST_DRIFT, _MOST_DRIFT)
         self._rebooted: Intervals = []
+        has_blackouts = drawn.blackout_s[1] > 0.0
+        self._blackouts = draw_intervals(rng, _HEARD_S, rng.uniform(*drawn.blackout_s), end_s) if has_blackouts else []
         self._last_s = -inf
 
     def add_reboot(self, start_s: float, end_s: float) -> None:
         """From `start_s` on the vehicle is silent; its clock begins at zero a second before `end_s`."""
         self._rebooted.append((start_s, end_s))
 
-    def is_silent(self, at_s: float) -> bool:
+    def is_off(self, at_s: float) -> bool:
         """Whether the vehicle reboots at a time."""
         return is_within(self._rebooted, at_s)
+
+    def is_silent(self, at_s: float) -> bool:
+        """Whether nothing comes from the vehicle, or to it, at a time."""
+        return self.is_off(at_s) or is_within(self._blackouts, at_s)
 
     def arrival_s(self, sent_s: float) -> float:
         """Return when what is sent at a time arrives at the service."""

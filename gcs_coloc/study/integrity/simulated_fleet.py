@@ -83,7 +83,7 @@ class SimulatedFleet:
         self._vehicles: dict[int, SimulatedVehicle] = {}
         for sysid, course in zip(sysids, courses, strict=True):
             errors = ReceiverErrors(rng, drawn, common_m, duration_s)
-            link = LinkErrors(rng, drawn, delay_s if drawn.is_delay_alike else rng.uniform(*drawn.delay_s))
+            link = LinkErrors(rng, drawn, delay_s if drawn.is_delay_alike else rng.uniform(*drawn.delay_s), duration_s)
             reckoning_mps = scaled(rng.uniform(0.3, 3.0), direction(rng))
             vehicle = SimulatedVehicle(sysid, self.frame, rng, drawn.backlog_s, course, errors, link, reckoning_mps)
             self._vehicles[sysid] = vehicle
@@ -124,6 +124,8 @@ class SimulatedFleet:
         """Hand what the engine sends to the vehicle, which gets it after its link's delay."""
         if isinstance(output, GpsInput):
             vehicle = self._vehicles[output.sysid]
+            if vehicle.link.is_silent(sent_s):
+                return
             self._push(vehicle.link.delivery_s(sent_s), lambda at_s: vehicle.set_aid(output, at_s))
         elif isinstance(output, TimeSyncRequest) and self.drawn.answers_timesync:
             vehicle = self._vehicles[output.sysid]
@@ -246,7 +248,7 @@ class SimulatedFleet:
 
     def _range_messages(self, vehicle: SimulatedVehicle, pair: tuple[int, int], at_s: float) -> list[Inbound]:
         peer = self._vehicles[pair[1]]
-        if is_within(self._silences, at_s) or peer.link.is_silent(at_s):
+        if is_within(self._silences, at_s) or peer.link.is_off(at_s):
             return []
         apart_m = np.subtract(vehicle.course.position(at_s), peer.course.position(at_s))
         true_m = sqrt(apart_m.dot(apart_m))

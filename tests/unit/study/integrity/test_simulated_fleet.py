@@ -1,6 +1,7 @@
 """What flies in the trials: motion that a vehicle can fly, errors as they are stated, faults where they are drawn."""
 
 from dataclasses import replace
+from itertools import pairwise
 from math import inf, radians
 
 import numpy as np
@@ -173,3 +174,27 @@ def test_only_the_denied_vehicles_barometer_jumps_and_after_the_loss():
     jumped = {sysid for sysid, alt_m in after.items() if abs(alt_m - before[sysid]) > 4.0}
     assert jumped == {DENIED}
     assert fleet.fault_at_s > fleet.lost_at_s
+
+
+def longest_silence(found, sysid):
+    """When the longest silence of a vehicle after the loss begins and ends, s."""
+    heard_s = [m.received_at_s for m in found if isinstance(m, GlobalPosition) and m.sysid == sysid]
+    return max(pairwise([60.0, *heard_s]), key=lambda pair: pair[1] - pair[0])
+
+
+def test_a_peer_without_radio_is_ranged_on():
+    found = messages(fleet_of("blackouts", seed=2, duration_s=200.0), 190.0)
+    begins_s, ends_s = longest_silence(found, 1)
+    assert 3.0 < ends_s - begins_s < 30.0
+    ranged_s = [m.received_at_s for m in found if isinstance(m, PeerRange) and (m.sysid, m.peer) == (DENIED, 1)]
+    assert sum(begins_s + 0.5 < at_s < ends_s - 0.5 for at_s in ranged_s) > 5
+
+
+def test_what_is_sent_to_a_vehicle_without_radio_is_lost():
+    begins_s, ends_s = longest_silence(messages(fleet_of("blackouts", seed=2, duration_s=200.0), 190.0), DENIED)
+    for sent_s, is_taken in ((begins_s + 1.0, False), (ends_s, True)):
+        fleet = fleet_of("blackouts", seed=2, duration_s=200.0)
+        messages(fleet, sent_s)
+        fleet.deliver(GpsInput(DENIED, 1, 0, 0, 0, 3, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 12), sent_s)
+        later = messages(fleet, ends_s + 2.0)
+        assert any(isinstance(m, GpsReceiver) and m.receiver == 1 and m.fix_type == 3 for m in later) == is_taken
