@@ -70,7 +70,9 @@ class FleetReview:
             return where
         vehicle = s.telemetry.get(sysid)
         has_air_data = vehicle is not None and vehicle.has_air_data(at_s) and not where.refuses_air_data
-        return s.integrity.protect(self.report, where, Exposure(self._knows_delays, has_air_data))
+        reported = s.measurements.reported(sysid)
+        reported_at_s = reported.measured_at_s if reported is not None else None
+        return s.integrity.protect(self.report, where, Exposure(self._knows_delays, has_air_data, reported_at_s))
 
     def add_residuals(self, residuals: Iterable[Residual], now_s: float) -> None:
         """Add what the estimator made of ranges since the last call."""

@@ -136,6 +136,16 @@ def test_a_position_that_is_unknown_or_too_uncertain_is_never_claimed_as_a_fix(c
     assert min(t for t, a in back if a.fix_type == 3) == pytest.approx(expected_s, abs=0.21)
 
 
+def test_the_level_of_a_healthy_vehicle_grows_while_nothing_is_heard_of_it():
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 5.0)
+    fly(engine, 5.0, 7.5, sysids=[2, 3, 4])
+    silent, heard = (engine.estimate(sysid, 7.5) for sysid in (1, 2))
+    assert isinstance(silent, Estimate)
+    assert isinstance(heard, Estimate)
+    assert silent.protection.horizontal_m - heard.protection.horizontal_m > 0.5 * 9.8 * 2.5**2
+
+
 def test_refused_air_data_are_told_once_and_do_not_bound_what_a_vehicle_without_ranges_does():
     estimator = StraightLine()
     engine = Engine(estimator, settings())

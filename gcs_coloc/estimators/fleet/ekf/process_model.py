@@ -160,18 +160,18 @@ def set_transition(
 
 
 def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float, most_mps2: float = math.inf) -> Motion:
-    """Return what a vehicle may have done since its last range, eq. (29), with an acceleration of at most `most_mps2`."""
+    """Return what a vehicle may have done since its last measurement, eq. (29), with an acceleration of at most `most_mps2`."""
     return motion_since(record.updated_at_s, record, s, at_s, most_mps2)
 
 
 def motion_since(from_s: float, record: VehicleRecord, s: FleetSettings, at_s: float, most_mps2: float = math.inf) -> Motion:
-    """Return what a denied vehicle may have done since a time, eq. (29), per horizontal axis.
+    """Return what a vehicle may have done since a time, eq. (29), per horizontal axis.
 
     With an acceleration of at most that of its class, and `most_mps2`. It is nothing with a fresh attitude or odometry, which
     shows the turns, and within `GAP_S`.
     """
     since_s = at_s - from_s
-    if not GAP_S < since_s < math.inf or not record.denied_vehicle:
+    if not GAP_S < since_s < math.inf:
         return 0.0, 0.0, 0.0
     if shows_its_motion(record, s, at_s):
         return 0.0, 0.0, 0.0

@@ -107,6 +107,17 @@ def test_without_air_data_the_level_grows_by_what_the_vehicle_can_have_done():
     assert protection_level(estimate(19.0), found, blind, SETTINGS).horizontal_m > 154.0
 
 
+def test_a_trusted_vehicle_that_falls_silent_may_turn_as_well():
+    """A real ArduPlane whose radio was silent in a turn was 33 m off after 3 s, with a level of 23 m."""
+    silent = Exposure(delay_is_known=True, has_air_data=False, reported_at_s=10.0)
+    fresh, later = (protection_level(estimate(at_s), None, silent, SETTINGS) for at_s in (10.0, 13.0))
+    moved_m = pytest.approx(0.5 * 9.8 * 3.0**2)
+    assert later.horizontal_m - fresh.horizontal_m == moved_m
+    assert later.vertical_m - fresh.vertical_m == moved_m
+    shown = replace(silent, has_air_data=True)
+    assert protection_level(estimate(13.0), None, shown, SETTINGS) == fresh
+
+
 def test_with_air_data_the_level_grows_with_the_estimates_covariance():
     found = level(receiver(1, 5.0, 4.0))
     grown = protection_level(estimate(20.0, sigma_m=SIGMA_M + 3.0), found, KNOWN, SETTINGS).horizontal_m

@@ -282,3 +282,20 @@ def test_what_it_has_not_shown_is_a_covariance_after_a_gap_of_any_length(vehicle
     for looked in (motion, motion.after_range((math.sin(course_rad), math.cos(course_rad), 0.0), SIGMA_M)):
         covariance = looked.covariance(gap_s + later_s)
         assert np.linalg.eigvalsh(covariance)[0] >= -1e-9 * np.trace(covariance)
+
+
+@pytest.mark.parametrize("silent_s", [1.6, 3.0])
+def test_a_vehicle_with_gps_that_turns_as_it_falls_silent_is_within_its_bound(silent_s):
+    """Its reports cease as it rolls to 45 degrees at 22 m/s. No air data is newer."""
+    estimator = FleetFilter()
+    estimator.add(VehicleClassReport(1, 0.0, 0.0, VehicleClass.PLANE))
+    for k in range(100):
+        t = 0.1 * k
+        estimator.add(PositionMeasurement(1, t, t, (22.0 * t, 0.0, 50.0), 0.6, 1.0, (22.0, 0.0, 0.0), 0.3))
+    where = estimator.estimate(1, t + silent_s)
+    assert isinstance(where, Estimate)
+    radius_m = 22.0**2 / 9.8
+    angle_rad = 22.0 * silent_s / radius_m
+    true_m = (22.0 * t + radius_m * math.sin(angle_rad), radius_m * (1.0 - math.cos(angle_rad)))
+    error_m = math.dist(where.position_enu_m[:2], true_m)
+    assert 0.9 * 0.5 * 9.8 * silent_s**2 < error_m < horizontal_bound_95_m(where.covariance)
