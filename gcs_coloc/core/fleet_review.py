@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import inf
 
 from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.aiding.stream import AidingDecision, AidingView, FixInputs
@@ -68,11 +69,19 @@ class FleetReview:
         where, s = self._stages.estimator.estimate(sysid, at_s), self._stages
         if isinstance(where, NoEstimate):
             return where
-        vehicle = s.telemetry.get(sysid)
-        has_air_data = vehicle is not None and vehicle.has_air_data(at_s) and not where.refuses_air_data
-        reported = s.measurements.reported(sysid)
-        reported_at_s = reported.measured_at_s if reported is not None else None
-        return s.integrity.protect(self.report, where, Exposure(self._knows_delays, has_air_data, reported_at_s))
+        return s.integrity.protect(self.report, where, Exposure(self._knows_delays, self._shown_until_s(where)))
+
+    def _shown_until_s(self, where: Estimate) -> float | None:
+        """Return until when attitude with airspeed, or a trusted receiver, shows how it has moved; None: neither does."""
+        s, times_s = self._stages, []
+        vehicle, attitude_at_s = s.telemetry.get(where.vehicle), s.measurements.attitude_at_s(where.vehicle)
+        has_air_data = vehicle is not None and vehicle.has_air_data(where.at_s) and not where.refuses_air_data
+        if has_air_data and attitude_at_s is not None:
+            times_s.append(attitude_at_s)
+        reported = s.measurements.reported(where.vehicle)
+        if reported is not None and self._is_trusted(where.vehicle):
+            times_s.append(reported.measured_at_s)
+        return max(times_s, default=None)
 
     def add_residuals(self, residuals: Iterable[Residual], now_s: float) -> None:
         """Add what the estimator made of ranges since the last call."""
@@ -185,7 +194,7 @@ class FleetReview:
             epoch=s.integrity.epoch,
             stated_epoch=s.integrity.stated_epoch,
             node=lambda node: self._trusted_position(node, now_s),
-            exposure=Exposure(self._knows_delays, vehicle.has_air_data(now_s)),
+            exposure=Exposure(self._knows_delays, inf if vehicle.has_air_data(now_s) else None),
             height_sigma_m=s.measurements.height_sigma_m(vehicle.sysid, now_s),
             not_aided=self.aiding_view(vehicle).inhibit_reason,
         )

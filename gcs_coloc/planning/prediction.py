@@ -253,7 +253,7 @@ class _Recursion:
             if faults is not None and ranged:
                 # Between two adjustments the ranges go on.
                 faults = self._levels[sysid] = replace(faults, ranged_at_s=at_s - 1.0 / a.range_rate_hz)
-            level = protection_level(where, faults, Exposure(a.delay_is_known, air_data), a.protection)
+            level = protection_level(where, faults, Exposure(a.delay_is_known, at_s if air_data else None), a.protection)
             bound_m, hpl_m = horizontal_bound_95_m(where.covariance), level.horizontal_m
             offset_m = hypot(*(where.position_enu_m[:2] - here[sysid][:2]).tolist())
             where = Estimate(

@@ -58,7 +58,7 @@ class ProtectionSettings:
     unknown_delay_s: float = between(0.6, 0.0, 5.0)
     """Delay of a link that neither TIMESYNC nor UTC shows, s: times the speed it is a bias. Chosen: a slow mobile network."""
     max_acceleration_mps2: float = positive(9.8)
-    """What a vehicle may have done since its last range, or position, without fresh attitude and airspeed, m/s². Chosen: 1 g."""
+    """What a vehicle may have done since its last range, position, or attitude with airspeed, m/s². Chosen: 1 g."""
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -93,14 +93,12 @@ class FaultLevel:
 class Exposure:
     """What the level of one vehicle depends on besides its ranges.
 
-    `delay_is_known`: TIMESYNC, UTC or a setting shows the delay of every link in its position. `has_air_data`: fresh attitude
-    and airspeed show how it has moved since its last range, or position. `reported_at_s`: service time of the newest position of
-    its own receiver; None where that is not in the estimate.
+    `delay_is_known`: TIMESYNC, UTC or a setting shows the delay of every link in its position. `shown_until_s`: service time
+    until which attitude with airspeed, or its own trusted receiver, shows how it has moved; None where its ranges alone do.
     """
 
     delay_is_known: bool
-    has_air_data: bool
-    reported_at_s: float | None = None
+    shown_until_s: float | None
 
 
 def radius_at_risk(probability: float) -> float:
@@ -156,20 +154,21 @@ def protection_level(
 ) -> ProtectionLevel:
     """Return HPL and VPL of an estimate; `faults` is None for a vehicle whose own receiver is in it.
 
-    What the vehicle can have done since the newest measurement is in both.
+    What the vehicle can have done since its motion was last shown is in both.
     """
     common_m = settings.common_gnss_sigma_m
     sigma_m, sigma_v_m = horizontal_sigma_m(estimate.protected_covariance), sqrt(float(estimate.covariance[2, 2]))
     horizontal_m = settings.nominal_sigmas * hypot(sigma_m, common_m)
     vertical_m = settings.nominal_sigmas * hypot(sigma_v_m, VERTICAL_RATIO * common_m)
     untested: tuple[int, ...] = ()
-    measured_at_s = exposure.reported_at_s
+    shown_until_s = exposure.shown_until_s
     if faults is not None:
         grown_m = settings.nominal_sigmas * max(sigma_m - faults.estimate_sigma_m, 0.0)
         horizontal_m = max(horizontal_m, faults.level_m + grown_m)
-        untested, measured_at_s = faults.untested, faults.ranged_at_s
-    if measured_at_s is not None and not exposure.has_air_data:
-        moved_m = 0.5 * settings.max_acceleration_mps2 * max(estimate.at_s - measured_at_s, 0.0) ** 2
+        untested = faults.untested
+        shown_until_s = max(faults.ranged_at_s, shown_until_s) if shown_until_s is not None else faults.ranged_at_s
+    if shown_until_s is not None:
+        moved_m = 0.5 * settings.max_acceleration_mps2 * max(estimate.at_s - shown_until_s, 0.0) ** 2
         horizontal_m, vertical_m = horizontal_m + moved_m, vertical_m + moved_m
     if not exposure.delay_is_known:
         east_mps, north_mps, up_mps = estimate.velocity_enu_mps.tolist()

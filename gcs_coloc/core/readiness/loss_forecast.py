@@ -68,7 +68,7 @@ def forecast(
     inhibits: list[Inhibit | None] = []
     for answer in answers:
         stated.append(_protected(answer, levels[answer.at_s >= half_s], situation, protection))
-        air_data = situation.exposure.has_air_data
+        air_data = situation.exposure.shown_until_s is not None
         inhibits.append(policy.inhibit(stated[-1], answer.at_s, own_gps=False, air_data=air_data))
     state, limit = _judge(situation, inhibits, stated, max(hdop_now or 0.0, hdop or 0.0))
     now, later = stated[0], stated[-1]

@@ -49,6 +49,7 @@ class MeasurementBuilder:
         self._altitudes = AltitudeBuilder()
         self._ranges = RangeBuilder(settings)
         self._reported: dict[int, PositionMeasurement] = {}
+        self._attitude_at_s: dict[int, float] = {}
         self._jumps: dict[int, PositionJumps] = {}
         self._receiver_fixes: dict[int, PositionMeasurement] = {}
 
@@ -123,6 +124,8 @@ class MeasurementBuilder:
             return None
         air = vehicle.airspeed
         fresh = vehicle.winged and air is not None and message.received_at_s - air.received_at_s <= _AIRSPEED_FRESH_S
+        if fresh:
+            self._attitude_at_s[message.sysid] = measured.at_s
         return AttitudeMeasurement(
             vehicle=message.sysid,
             measured_at_s=measured.at_s,
@@ -167,6 +170,10 @@ class MeasurementBuilder:
     def receiver_fix(self, sysid: int) -> PositionMeasurement | None:
         """Return the newest fix of a vehicle's own receiver while that is not trusted; None without a 3D fix or a frame."""
         return self._receiver_fixes.get(sysid)
+
+    def attitude_at_s(self, sysid: int) -> float | None:
+        """Return when the newest attitude with airspeed of a vehicle was measured, s."""
+        return self._attitude_at_s.get(sysid)
 
     def delay_s(self, sysid: int) -> float | None:
         """Return how long the newest position was under way beyond what is assumed, s."""

@@ -18,7 +18,7 @@ from gcs_coloc.core.measurements import (
     VehicleClassReport,
 )
 from gcs_coloc.core.messages.control import ClockReference, GpsOverride, OperatorCommand, RouteBlock, RouteReport
-from gcs_coloc.core.messages.inbound import Autopilot, GlobalPosition, Heartbeat, PeerRange, TimeBase
+from gcs_coloc.core.messages.inbound import Attitude, Autopilot, GlobalPosition, Heartbeat, PeerRange, TimeBase
 from gcs_coloc.core.messages.outbound import AidingMessage, ExternalPosition, GpsInput, Notice, Stream, StreamRequest
 from gcs_coloc.core.telemetry.stream_requests import wanted_hz
 
@@ -144,6 +144,23 @@ def test_the_level_of_a_healthy_vehicle_grows_while_nothing_is_heard_of_it():
     assert isinstance(silent, Estimate)
     assert isinstance(heard, Estimate)
     assert silent.protection.horizontal_m - heard.protection.horizontal_m > 0.5 * 9.8 * 2.5**2
+
+
+def test_the_level_of_a_denied_vehicle_grows_from_its_last_attitude_on():
+    """An attitude that is 1 s old, or was 1 s under way, shows nothing of what a vehicle has done since."""
+    engine = Engine(StraightLine(), settings())
+    fly(engine, 0.0, 5.0)
+    fly(engine, 5.0, 10.0, failed=[4])
+    for sysid in (3, 4):
+        for step in range(100, 110):
+            for message in telemetry(sysid, step / 10, fix_type=1 if sysid == 4 else 3):
+                if not (sysid == 4 and isinstance(message, Attitude)):
+                    engine.receive(message)
+    engine.poll(11.0)
+    before, after = (engine.estimate(4, at_s) for at_s in (9.9, 10.9))
+    assert isinstance(before, Estimate)
+    assert isinstance(after, Estimate)
+    assert after.protection.horizontal_m - before.protection.horizontal_m == pytest.approx(0.5 * 9.8, rel=0.01)
 
 
 def test_refused_air_data_are_told_once_and_do_not_bound_what_a_vehicle_without_ranges_does():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import exp, hypot
+from math import exp, hypot, inf
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from gcs_coloc.core.integrity.protection_level import (
 from gcs_coloc.core.integrity.solution_separation import FaultClass, Separation
 from gcs_coloc.core.measurements import Estimate
 
-KNOWN = Exposure(delay_is_known=True, has_air_data=True)
+KNOWN = Exposure(delay_is_known=True, shown_until_s=inf)
 SETTINGS = ProtectionSettings()
 SIGMA_M, SIGMA_V_M = 2.0, 3.0
 
@@ -100,7 +100,7 @@ def test_a_receiver_that_no_range_tests_is_named_and_counts_as_tested_by_6_m():
 def test_without_air_data_the_level_grows_by_what_the_vehicle_can_have_done():
     """I2: 9 s without ranges and a turn; half of 1 g times t squared."""
     found = level(receiver(1, 0.0, 1.0))
-    blind = Exposure(delay_is_known=True, has_air_data=False)
+    blind = Exposure(delay_is_known=True, shown_until_s=None)
     fresh = protection_level(estimate(10.0), found, blind, SETTINGS).horizontal_m
     later = protection_level(estimate(12.0), found, blind, SETTINGS).horizontal_m
     assert later == pytest.approx(fresh + 0.5 * SETTINGS.max_acceleration_mps2 * 2.0**2)
@@ -109,12 +109,12 @@ def test_without_air_data_the_level_grows_by_what_the_vehicle_can_have_done():
 
 def test_a_trusted_vehicle_that_falls_silent_may_turn_as_well():
     """A real ArduPlane whose radio was silent in a turn was 33 m off after 3 s, with a level of 23 m."""
-    silent = Exposure(delay_is_known=True, has_air_data=False, reported_at_s=10.0)
+    silent = Exposure(delay_is_known=True, shown_until_s=10.0)
     fresh, later = (protection_level(estimate(at_s), None, silent, SETTINGS) for at_s in (10.0, 13.0))
     moved_m = pytest.approx(0.5 * 9.8 * 3.0**2)
     assert later.horizontal_m - fresh.horizontal_m == moved_m
     assert later.vertical_m - fresh.vertical_m == moved_m
-    shown = replace(silent, has_air_data=True)
+    shown = replace(silent, shown_until_s=13.0)
     assert protection_level(estimate(13.0), None, shown, SETTINGS) == fresh
 
 
@@ -125,7 +125,7 @@ def test_with_air_data_the_level_grows_with_the_estimates_covariance():
 
 
 def test_a_delay_that_nothing_shows_is_a_bias():
-    unknown = Exposure(delay_is_known=False, has_air_data=True)
+    unknown = Exposure(delay_is_known=False, shown_until_s=inf)
     known_m, late_m = (protection_level(estimate(speed_mps=20.0), None, each, SETTINGS).horizontal_m for each in (KNOWN, unknown))
     assert late_m == pytest.approx(known_m + 20.0 * SETTINGS.unknown_delay_s)
 

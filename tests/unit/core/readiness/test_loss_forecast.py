@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import inf
+
 import numpy as np
 import pytest
 
@@ -42,7 +44,7 @@ def told(peers: int, noise: NoiseModel, hdops: tuple[float | None, ...] = (1.2, 
         Estimate(RANGED, at_s, where, np.zeros(3), COVARIANCE.copy(), hdop, peers)
         for at_s, hdop in zip((0.0, 0.5 * HORIZON_S, HORIZON_S), (None, *hdops), strict=True)
     ]
-    situation = LossSituation(RANGED, (0.0, 0.0, 0.0), reported, noise.apply(stated), stated, {}, 0.2, Exposure(True, True))
+    situation = LossSituation(RANGED, (0.0, 0.0, 0.0), reported, noise.apply(stated), stated, {}, 0.2, Exposure(True, inf))
     return forecast(situation, answers, AidingSettings(), ProtectionSettings())
 
 

@@ -83,6 +83,7 @@ def test_airspeed_goes_with_the_attitude_only_while_it_is_fresh():
     assert fresh is not None
     assert stale is not None
     assert (fresh.airspeed_mps, stale.airspeed_mps) == (22.0, None)
+    assert feed.attitude_at_s(4) == fresh.measured_at_s
     assert (fresh.roll_rad, fresh.pitch_rad, fresh.yaw_rad) == (0.1, 0.2, 0.3)
 
 
