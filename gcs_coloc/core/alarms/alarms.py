@@ -22,6 +22,8 @@ from gcs_coloc.core.stations.node_id import node_name
 LightColour = Literal["good", "caution", "bad", "unknown"]
 SILENT_AFTER_S = 3.0
 """Chosen: three heartbeats, which every vehicle sends once a second (mavlink.io, heartbeat protocol)."""
+_LINK_LATE_S = 0.7
+"""Chosen: telemetry radios of 57,600 baud delay by half a second at most; estimators refuse what is a second late."""
 _MAX_NOTICES = 50
 """Alarms of notices that wait to be acknowledged; the oldest are closed beyond. Chosen: more than a person reads."""
 
@@ -35,6 +37,8 @@ class AlarmKind(StrEnum):
     """Its GPS has failed, or it is aided by the operator's override."""
     GPS_SUSPECT = "gps_suspect"
     """Its GPS may be wrong."""
+    LINK_LATE = "link_late"
+    """What the vehicle reports arrives late."""
     HOST_LATE = "host_late"
     """The computer of the service falls behind."""
     SENSORS_WORSE = "sensors_worse"
@@ -101,6 +105,10 @@ def conditions(v: VehicleSnapshot) -> list[Condition]:
     """What is wrong with a vehicle, the most serious first."""
     gps = _gps_condition(v)
     found = [gps] if gps is not None else []
+    if v.delay_s is not None and v.delay_s > _LINK_LATE_S:
+        text = f"its reports arrive {v.delay_s:.1f} s late; what is more than a second late is not used"
+        action = "Is the queue of its radio full? Lower its stream rates, or use a faster link."
+        found.append(Condition(AlarmKind.LINK_LATE, "warning", text, action, f"its reports arrive {v.delay_s:.1f} s late"))
     if v.age_s > SILENT_AFTER_S:
         text = f"not heard for {v.age_s:.0f} s; before that: GPS {v.gps_state}, {v.gps_reason}"
         action = "Check its power and its link; the map shows where it was last."

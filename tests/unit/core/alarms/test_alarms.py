@@ -75,6 +75,15 @@ def test_sensors_that_are_worse_than_they_state_are_told_until_they_are_not():
     assert over.state is AlarmState.OVER
 
 
+def test_a_link_that_is_late_is_told_until_it_is_not():
+    alarms = AlarmList()
+    [raised] = after(alarms, replace(SOUND, delay_s=0.6), replace(SOUND, delay_s=0.9))
+    assert (raised.kind, raised.level, raised.sysid) == (AlarmKind.LINK_LATE, "warning", 4)
+    assert "0.9 s late" in raised.text
+    assert "stream rates" in raised.action
+    assert [a.state for a in after(alarms, replace(SOUND, delay_s=0.6))] == ["over"]
+
+
 def test_a_vehicle_that_is_silent_keeps_the_alarm_of_its_gps_and_is_told_first():
     alarms = AlarmList()
     after(alarms, replace(LOST, age_s=9.0))
