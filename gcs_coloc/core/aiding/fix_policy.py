@@ -7,7 +7,7 @@ from math import sqrt
 
 from gcs_coloc.core.aiding.inhibit import Inhibit, InhibitReason
 from gcs_coloc.core.aiding.settings import AidingSettings
-from gcs_coloc.core.measurements import Estimate, NoEstimate
+from gcs_coloc.core.measurements import Estimate, NoEstimate, NoEstimateReason
 from gcs_coloc.core.messages.outbound import GpsInput
 from gcs_coloc.core.reasons import StatedReason
 from gcs_coloc.core.residual_log import CONSISTENT_MEDIAN_NIS
@@ -15,6 +15,10 @@ from gcs_coloc.core.stations.node_id import node_name
 
 _MOST_DETERMINED_HDOP = 30.0  # from 46 on positions in turns were off by ten times their bound, up to 27 never beyond it
 _WEARS_OFF = 3.0  # chosen: a moment that seems determined by chance takes back three times its length
+_CLEAR_SHARE = 0.5
+"""Chosen: a protection level of so much of the alert limit does not swing about it."""
+_CLEAR_AFTER_S = 1.0
+"""Chosen: a copter's EKF3 gives up 7 to 10 s after its last fix (posRetryTimeNoVel_ms): each second after a gap counts."""
 _LONGEST_STEP_S = 1.0  # chosen: a host that stood still has not seen more
 
 
@@ -28,6 +32,7 @@ class FixPolicy:
         self._undetermined_s = 0.0
         self._sound_since_s: float | None = None
         self._lost = False
+        self._only_too_uncertain = True
         self._had_fix = False
 
     def inhibit(
@@ -50,6 +55,7 @@ class FixPolicy:
         if isinstance(answer, NoEstimate):
             # Not to be located yet is no loss of a fix: the first one is waited for by the vehicle.
             self._lost = self._lost or (self._had_fix and not own_gps)
+            self._only_too_uncertain &= answer.reason.reason is NoEstimateReason.TOO_UNCERTAIN
             self._sound_since_s = None
             return StatedReason(InhibitReason.NO_ESTIMATE, detail=answer.reason.text)
         if own_gps or answer.ranges_in_use > 0:
@@ -63,17 +69,25 @@ class FixPolicy:
             fault = StatedReason(InhibitReason.RANGES_JUMPED, range_jump_m)
         if fault is not None:
             self._lost, self._sound_since_s = True, None
+            self._only_too_uncertain &= fault.reason is InhibitReason.BEYOND_ALERT_LIMIT
             return fault
         if self._sound_since_s is None:
             self._sound_since_s = now_s
-        if self._lost and now_s - self._sound_since_s < self._settings.regain_after_s:
-            return StatedReason(InhibitReason.REGAINING, limit=self._settings.regain_after_s)
-        self._lost, self._had_fix = False, True
+        regain_s = self._regain_after_s(answer)
+        if self._lost and now_s - self._sound_since_s < regain_s:
+            return StatedReason(InhibitReason.REGAINING, limit=regain_s)
+        self._lost, self._only_too_uncertain, self._had_fix = False, True, True
         return None
 
     def prediction_left_s(self, now_s: float) -> float:
         """Return for how long a fix may still be stated without a range, s."""
         return self._settings.prediction_s - (now_s - self._ranged_at_s)
+
+    def _regain_after_s(self, answer: Estimate) -> float:
+        """Return for how long a lost fix must be sound: less where it was too uncertain, as in a gap, and clearly is no more."""
+        level, after_s = answer.protection, self._settings.regain_after_s
+        is_clear = level is not None and level.horizontal_m <= _CLEAR_SHARE * self._settings.alert_limit_m
+        return min(after_s, _CLEAR_AFTER_S) if self._only_too_uncertain and is_clear else after_s
 
     def _update_geometry(self, now_s: float, *, is_determined: bool) -> None:
         """Count how long the ranges have not fixed its place; in the noise of a moment they may seem to, so that wears off."""

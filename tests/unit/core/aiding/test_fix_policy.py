@@ -39,14 +39,26 @@ def test_the_first_fix_is_not_waited_for():
     assert asked(policy, [unknown(0.0), unknown(0.1), known(0.2)], 0.0) == ["too few ranges", "too few ranges", None]
 
 
-@pytest.mark.parametrize("fault", [known(1.0, sigma_m=26.0), unknown(1.0)])
-def test_a_fix_that_was_lost_comes_back_after_three_seconds_within_the_limit(fault):
+TOO_UNCERTAIN = NoEstimate(4, 1.0, Unlocated(NoEstimateReason.TOO_UNCERTAIN, 300.0))
+
+
+@pytest.mark.parametrize(
+    ("faults", "sigma_m", "expected_s"),
+    [
+        ([unknown(1.0)], 2.0, 3.0),
+        ([known(1.0, sigma_m=26.0)], 20.0, 3.0),  # a protection level of 40 m of 50
+        ([known(1.0, sigma_m=26.0)], 2.0, 1.0),
+        ([known(1.0, sigma_m=26.0), TOO_UNCERTAIN, known(1.0, sigma_m=26.0)], 2.0, 1.0),
+        ([known(1.0, sigma_m=26.0), unknown(1.0)], 2.0, 3.0),
+    ],
+)
+def test_a_fix_that_was_lost_comes_back_once_it_has_been_sound_and_sooner_after_a_gap(faults, sigma_m, expected_s):
     policy = FixPolicy(AidingSettings(), 0.0)
     assert asked(policy, [known(0.0)] * 10, 0.0) == [None] * 10
-    assert asked(policy, [fault], 1.0) != [None]
-    after = asked(policy, [known(1.1)] * 40, 1.1)
+    assert None not in asked(policy, faults, 1.0)
+    after = asked(policy, [known(1.3, sigma_m=sigma_m)] * 40, 1.3)
     returned_after_s = after.index(None) / 10
-    assert returned_after_s == pytest.approx(3.0, abs=0.11)
+    assert returned_after_s == pytest.approx(expected_s, abs=0.11)
     assert set(after[after.index(None) :]) == {None}
 
 
