@@ -191,8 +191,8 @@ def test_a_peer_without_radio_is_ranged_on():
 
 
 def test_what_is_sent_to_a_vehicle_without_radio_is_lost():
-    begins_s, ends_s = longest_silence(messages(fleet_of("blackouts", seed=2, duration_s=200.0), 190.0), DENIED)
-    for sent_s, is_taken in ((begins_s + 1.0, False), (ends_s, True)):
+    _, ends_s = longest_silence(messages(fleet_of("blackouts", seed=2, duration_s=200.0), 190.0), DENIED)
+    for sent_s, is_taken in ((ends_s - 0.5, False), (ends_s, True)):
         fleet = fleet_of("blackouts", seed=2, duration_s=200.0)
         messages(fleet, sent_s)
         fleet.deliver(GpsInput(DENIED, 1, 0, 0, 0, 3, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 12), sent_s)
