@@ -234,6 +234,8 @@ _ALL = (
     _imperfect("compass", "compasses off by 10 to 40 degrees", heading_error_deg=(10.0, 40.0)),
     _imperfect("pitot", "the denied vehicle's pitot tube is blocked, or leaks; all ranges cease for 5 to 20 s, in turns",
                pitot_fails=True, silence_s=(5.0, 20.0)),
+    _imperfect("pitot-steep", "the same with three peers, planes bank by 55 to 65 degrees, no silence", pitot_fails=True,
+               bank_deg=(55.0, 65.0), peers=(3, 3), is_mutual=False),
     _imperfect("barometer", "the denied vehicle's barometer jumps by 5 to 60 m", height_jump_m=(5.0, 60.0)),
     _fault("flicker", "jammed: the denied vehicle's fix comes back for seconds, up to 60 m off", flickers=True),
     _fault("spoofed-step", "one peer's receiver steps by 30 to 300 m", spoofing=_STEP),
