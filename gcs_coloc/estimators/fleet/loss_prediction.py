@@ -31,7 +31,7 @@ from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
 from gcs_coloc.estimators.fleet.ekf.adaptive_noise import NO_SAMPLES, ManoeuvreDetector, without_time_error
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster, ClusterSet
 from gcs_coloc.estimators.fleet.ekf.measurement_models import air_velocity, altitude, slant_range
-from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude, set_transition
+from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data, set_transition
 from gcs_coloc.estimators.fleet.ekf.records import Neighbour, Records, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import BARO_ERROR, VELOCITY, pair_key, whiten
 from gcs_coloc.estimators.fleet.ekf.update import (
@@ -169,7 +169,7 @@ class _LossPrediction:
         place, turn = self.cluster.position(self._vehicle), self._turns_radps.get(self._vehicle, 0.0)
         begin = HeldMotion(place, (velocity_e, velocity_n, velocity_u), turn)
         self._way = begin.after(self._at_s - joint.time_s[self._vehicle])
-        attitude = fresh_attitude(record, self._settings, self._at_s)
+        attitude = fresh_air_data(record, self._settings, self._at_s)
         if attitude is not None:
             # It stays fresh: attitudes go on coming. The process noise is that of level flight, to which a turn comes back.
             self._attitude = record.attitude = replace(attitude, roll_rad=0.0, measured_at_s=self._at_s + horizon_s)

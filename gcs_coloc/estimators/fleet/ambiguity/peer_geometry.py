@@ -10,7 +10,7 @@ import numpy as np
 from gcs_coloc.core.measurements import AltitudeMeasurement, FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
-from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude
+from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S
 from gcs_coloc.estimators.fleet.ekf.state import TIME_STAMP_OFFSET, VELOCITY
 
@@ -48,7 +48,7 @@ class PeerGeometry:
         self._lasting_m2 = 0.0 if presumed is None else presumed.pair_m**2
         largest_m2 = largest_sigma_m**2 + SEPARATED * self._lasting_m2
         self.largest_sigma_m = max(math.sqrt(largest_m2) if presumed is not None else largest_sigma_m, LEAST_SIGMA_M)
-        self.has_air_data = fresh_attitude(record, cluster.settings, at_s) is not None
+        self.has_air_data = fresh_air_data(record, cluster.settings, at_s) is not None
         self._altitude_sigma_m = math.inf
         for m in reversed(record.own_measurements):
             if at_s - m.measured_at_s > IN_USE_S:

@@ -15,7 +15,7 @@ import numpy as np
 from gcs_coloc.core.measurements import FloatArray
 from gcs_coloc.estimators.fleet.ambiguity.peer_geometry import NEAR_SIGMAS, SEPARATED, PeerGeometry
 from gcs_coloc.estimators.fleet.ekf.cluster import Cluster
-from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude
+from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S
 from gcs_coloc.estimators.fleet.ekf.state import POSITION, SIZE, TURN, VELOCITY
 
@@ -145,7 +145,7 @@ def only_motion_separates(cluster: Cluster, group: frozenset[int], at_s: float, 
     """
     most = 2 if all(cluster.records[vehicle].has_height for vehicle in group) else 3
     few = (line is not None and not line.ranges_separate) or len(_ranged_peers(cluster, group, at_s)) <= most
-    return few and any(fresh_attitude(cluster.records[vehicle], cluster.settings, at_s) is None for vehicle in group)
+    return few and any(fresh_air_data(cluster.records[vehicle], cluster.settings, at_s) is None for vehicle in group)
 
 
 def offset_sigmas(cluster: Cluster, denied_vehicle: int, plane: ReflectionPlane) -> float:

@@ -12,7 +12,7 @@ from numbers import Integral
 from gcs_coloc.core.measurements import FloatArray, Vector3
 from gcs_coloc.estimators.fleet.ekf._kernels import RangeEnd, Transition, range_jacobian
 from gcs_coloc.estimators.fleet.ekf.air_calibration import steady_air_m2
-from gcs_coloc.estimators.fleet.ekf.process_model import fresh_attitude, set_transition, step_ends
+from gcs_coloc.estimators.fleet.ekf.process_model import fresh_air_data, set_transition, step_ends
 from gcs_coloc.estimators.fleet.ekf.records import IN_USE_S, VehicleRecord
 from gcs_coloc.estimators.fleet.ekf.state import HEADING_ERROR, TIME_STAMP_OFFSET, VELOCITY, WIND, JointState, Key, ends
 from gcs_coloc.estimators.fleet.settings import FleetSettings
@@ -139,7 +139,7 @@ class Cluster:
         record.manoeuvre.update(at_s, s.manoeuvre_memory_s, *correction)
         if of_position:
             noise, levels = record.manoeuvre_noise, record.profile.noise_levels
-            if fresh_attitude(record, s, at_s) is not None:
+            if fresh_air_data(record, s, at_s) is not None:
                 noise, levels = record.gust_noise, (s.least_noise_level, s.most_noise_level)
             noise.learn(at_s, s.noise_level_time_s, levels)
             noise.corrections.update(at_s, s.manoeuvre_memory_s, *correction)

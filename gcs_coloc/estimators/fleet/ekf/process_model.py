@@ -108,19 +108,22 @@ def set_transition(
     # The turn rate decays within the step: the heading changes by omega times this.
     lasting_s = math.copysign(s.turn_time_s * -math.expm1(-length / s.turn_time_s), step_s)
     attitude, measured = fresh_attitude(record, s, at_s), False
+    airspeed_mps, across_mps2, uneven, gusts = None, 0.0, 0.0, 0.0
     level = record.gust_noise.level
     if attitude is not None:
-        assert attitude.airspeed_mps is not None
-        roll = min(max(attitude.roll_rad, -STEEPEST_BANK_RAD), STEEPEST_BANK_RAD)
-        turn = turn_rate_radps(roll, attitude.airspeed_mps)
+        airspeed_mps = attitude.airspeed_mps
+        across_mps2 = GRAVITY_MPS2 * math.tan(min(max(attitude.roll_rad, -STEEPEST_BANK_RAD), STEEPEST_BANK_RAD))
         # A steep turn is never quite level: missing or excess lift accelerates sideways and vertically.
-        uneven = 2.0 * _UNEVEN_TURN_TIME_S * (s.turn_error_share * GRAVITY_MPS2 * math.tan(roll)) ** 2
-        density = level * s.coordinated_turn_density_m2ps3 + uneven
+        uneven = 2.0 * _UNEVEN_TURN_TIME_S * (s.turn_error_share * across_mps2) ** 2
+        gusts = level * s.coordinated_turn_density_m2ps3
         climb += uneven
+    if airspeed_mps is not None:
+        turn = across_mps2 / airspeed_mps
+        density = gusts
     else:
         turn = x[TURN] * lasting_s / step_s
         level = min(record.manoeuvre_noise.level, _most_level(record, P))
-        density *= level
+        density = max(level * density, gusts)
         if measured := has_fresh_odometry(record, s, at_s):
             # What is left to chance is slip: odometry measures the turn, and the speed ten times as fast as it changes.
             density = min(density, _SLIP_DENSITY_M2PS3)
@@ -130,9 +133,11 @@ def set_transition(
             gain = max(gain, min(_variances_m2(P)[1] / (_NOTICED_SIGMA_M * _NOTICED_SIGMA_M), _UNNOTICED_GAIN))
     # Eq. (9): the manoeuvre detector inflates the process noise, up to what a learned level may come to as well.
     gain = min(gain, s.manoeuvre_gain / max(level, 1.0))
-    mean = transition.set_motion(x, step_s, turn, in_wind=attitude is not None)
-    if attitude is None:
+    mean = transition.set_motion(x, step_s, turn, in_wind=airspeed_mps is not None)
+    if airspeed_mps is None:
         transition.set_turn_column(step_s, lasting_s, mean[3], mean[4])
+        if attitude is not None:
+            mean = _accelerated(mean, across_mps2 * math.cos(attitude.yaw_rad), -across_mps2 * math.sin(attitude.yaw_rad), step_s)
         if record.denied_vehicle and at_s - record.updated_at_s > GAP_S and not measured:
             # Eq. (28): no vehicle becomes ever faster. Turns such as it has shown make it no faster than it was.
             limits = record.profile
@@ -142,7 +147,7 @@ def set_transition(
             decay_v = math.exp(-0.5 * length * climb / limits.max_climb_mps**2)
             transition.decay_velocity(decay, decay_v)
             mean = (*mean[:3], decay * mean[3], decay * mean[4])
-    transition.set_acceleration_noise(length, density * gain, climb * min(gain_v, s.manoeuvre_gain))
+    transition.set_acceleration_noise(length, (density + uneven) * gain, climb * min(gain_v, s.manoeuvre_gain))
     # Only the vehicle's own part of the time-stamp offset changes; the offset of its clock lasts.
     stamp_s = record.time_stamp_offset_sigma_s
     own = s.time_stamp_offset_sigma_s / stamp_s if stamp_s > 0.0 else 0.0
@@ -157,6 +162,13 @@ def set_transition(
         ),
     )
     return mean
+
+
+def _accelerated(mean: tuple[float, ...], east_mps2: float, north_mps2: float, step_s: float) -> tuple[float, ...]:
+    """Return the first five components of a mean with a constant acceleration over the step before, eq. (44)."""
+    e, n, u, ve, vn = mean
+    half_s2 = 0.5 * step_s * step_s
+    return e + half_s2 * east_mps2, n + half_s2 * north_mps2, u, ve + step_s * east_mps2, vn + step_s * north_mps2
 
 
 def gap_covariance(record: VehicleRecord, s: FleetSettings, at_s: float, most_mps2: float = math.inf) -> Motion:
@@ -190,9 +202,15 @@ def shown_acceleration_mps2(record: VehicleRecord, s: FleetSettings) -> float:
 
 
 def fresh_attitude(record: VehicleRecord, s: FleetSettings, at_s: float) -> AttitudeMeasurement | None:
-    """Return a vehicle's newest attitude with airspeed, None where it is older than `attitude_fresh_s`."""
+    """Return a vehicle's newest attitude that shows its turns, None where it is older than `attitude_fresh_s`."""
     attitude = record.attitude
     return attitude if attitude is not None and at_s - attitude.measured_at_s <= s.attitude_fresh_s else None
+
+
+def fresh_air_data(record: VehicleRecord, s: FleetSettings, at_s: float) -> AttitudeMeasurement | None:
+    """Return the same where its airspeed is not refused."""
+    attitude = fresh_attitude(record, s, at_s)
+    return attitude if attitude is not None and attitude.airspeed_mps is not None else None
 
 
 def has_fresh_odometry(record: VehicleRecord, s: FleetSettings, at_s: float) -> bool:
@@ -202,7 +220,7 @@ def has_fresh_odometry(record: VehicleRecord, s: FleetSettings, at_s: float) -> 
 
 def shows_its_motion(record: VehicleRecord, s: FleetSettings, at_s: float) -> bool:
     """Whether a vehicle's attitude with airspeed, or its odometry, is fresh and shows its turns."""
-    return fresh_attitude(record, s, at_s) is not None or has_fresh_odometry(record, s, at_s)
+    return fresh_air_data(record, s, at_s) is not None or has_fresh_odometry(record, s, at_s)
 
 
 def _most_level(record: VehicleRecord, P: FloatArray) -> float:

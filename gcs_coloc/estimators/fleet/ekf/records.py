@@ -90,7 +90,7 @@ class VehicleRecord:
     altitude_noise: NoiseSplit = NO_SAMPLES
     """Coloured/white split of its barometric heights."""
     attitude: AttitudeMeasurement | None = None
-    """The newest attitude with an airspeed."""
+    """The newest attitude with an airspeed; it has none where that is refused."""
     air_check: AirCheck = AIR_UNSUSPECTED
     """Whether its air data contradict its way over ground."""
     odometry: OdometryMeasurement | None = None

@@ -140,7 +140,8 @@ def update_altitude(cluster: Cluster, m: AltitudeMeasurement, white_m: float, co
 def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResult:
     """Turn with the bank angle from now on, and correct with airspeed and heading, eq. (13).
 
-    They are refused outside the gate, and as long as those of a denied vehicle contradict its way over ground.
+    They are refused outside the gate, and as long as those of a denied vehicle contradict its way over ground: then the bank
+    angle alone is used, eq. (44).
     """
     s, record, joint = cluster.settings, cluster.records[m.vehicle], cluster.joint
     airspeed_mps = usable_airspeed_mps(m)
@@ -148,9 +149,12 @@ def update_air_velocity(cluster: Cluster, m: AttitudeMeasurement) -> UpdateResul
         record.attitude = None
         return UpdateResult(Outcome.KEPT_NO_AIRSPEED)
     cluster.propagate(m.vehicle, m.measured_at_s)
-    since_s = m.measured_at_s - record.attitude.measured_at_s if record.attitude is not None else s.air_noise_time_s
+    before = record.attitude
+    since_s = s.air_noise_time_s
+    if before is not None and before.airspeed_mps is not None:
+        since_s = m.measured_at_s - before.measured_at_s
     if record.denied_vehicle and _contradicts_its_way(cluster, m, airspeed_mps):
-        record.attitude = None
+        record.attitude = replace(m, airspeed_mps=None)
         return UpdateResult(Outcome.REFUSED_AIR_DATA)
     linear = air_velocity(joint, m, airspeed_mps, since_s, s, record.gust_noise.level)
     whitened = whiten(linear.HA, linear.innovation_covariance(linear.R))

@@ -94,6 +94,45 @@ def test_a_right_one_is_never_refused_and_carries_the_vehicle_through_the_gap():
     assert off_m < horizontal_bound_95_m(where.covariance) < 15.0
 
 
+def flown_into_a_turn(reads_mps: float) -> tuple[float, float, bool]:
+    """Fly circles, then straight on, then turn at 2 g; the most of the error (m) and of error over bound in that turn."""
+    rng, step_s, estimator = np.random.default_rng(3), 0.1, FleetFilter()
+    place, heading, turns_s, most_m, most_ratio, refused = np.zeros(2), 0.0, 52.0, 0.0, 0.0, True
+    for k in range(round(56.0 / step_s)):
+        t = k * step_s
+        if k == round(LOST_S / step_s):
+            estimator.set_denied({DENIED}, t)
+        turn_radps = TURN_RADPS if t < 45.0 else 2.0 * 9.80665 / AIRSPEED_MPS if t >= turns_s else 0.0
+        velocity = AIRSPEED_MPS * np.array([math.sin(heading), math.cos(heading)]) + WIND_MPS
+        place = place + step_s * velocity
+        for p, (east, north) in PEERS.items() if k % 2 == 0 else ():
+            estimator.add(PositionMeasurement(p, t, t, (east, north, 100.0), 1.0, 1.0, (0.0, 0.0, 0.0), 0.3))
+            range_m = math.dist(place, (east, north)) + rng.normal()
+            estimator.add(RangeMeasurement(DENIED, p, t, t, range_m, 1.0))
+        if t < LOST_S:
+            estimator.add(PositionMeasurement(DENIED, t, t, (*place, 100.0), 1.0, 1.0, (*velocity, 0.0), 0.3))
+        airspeed_mps = (reads_mps if t >= FAILS_S else AIRSPEED_MPS) + 0.3 * rng.normal()
+        roll = math.atan(turn_radps * AIRSPEED_MPS / 9.80665)
+        estimator.add(AttitudeMeasurement(DENIED, t, t, roll, 0.0, heading, airspeed_mps))
+        if t >= turns_s:
+            where = estimator.estimate(DENIED, t)
+            assert isinstance(where, Estimate)
+            off_m = float(np.linalg.norm(where.position_enu_m[:2] - place))
+            most_m = max(most_m, off_m)
+            most_ratio = max(most_ratio, off_m / horizontal_bound_95_m(where.covariance))
+            refused = refused and where.refuses_air_data
+        heading += turn_radps * step_s
+    return most_m, most_ratio, refused
+
+
+def test_a_hard_turn_is_followed_by_its_bank_while_the_airspeed_is_refused():
+    """Without its bank it is 10 m off, 3.4 times the bound."""
+    most_m, most_ratio, refused = flown_into_a_turn(7.0)
+    assert refused
+    assert most_m < 4.0
+    assert most_ratio < 1.0
+
+
 def checked(
     check: AirCheck, from_s: float, seconds: float, reads_mps: float, sigma_m: float, turn_radps: float = TURN_RADPS
 ) -> AirCheck:

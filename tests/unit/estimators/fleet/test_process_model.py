@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gcs_coloc.core.measurements import VehicleClass
+from gcs_coloc.core.measurements import AttitudeMeasurement, VehicleClass
 from gcs_coloc.estimators.fleet.ekf._kernels import Transition
 from gcs_coloc.estimators.fleet.ekf.process_model import set_transition, turn_rate_radps
 from gcs_coloc.estimators.fleet.ekf.records import VehicleRecord
@@ -36,6 +36,25 @@ def test_the_turn_is_that_of_small_steps_with_the_wind_carrying_along(turn_radps
 def test_the_turn_rate_is_that_of_textbooks():
     # 30 degrees of bank at 50 m/s: 6.49 degrees a second.
     assert math.degrees(turn_rate_radps(math.radians(30.0), 50.0)) == pytest.approx(6.488, abs=1e-3)
+
+
+@pytest.mark.parametrize("airspeed_mps", [24.0, None])
+def test_a_bank_turns_the_way_with_the_airspeed_and_without(airspeed_mps):
+    """Eq. (3) and (44): a level turn of 24 m/s in wind, 40 degrees of bank, heading known at the middle of a step."""
+    speed, heading, wind, step_s = 24.0, 0.7, np.array([-5.0, 3.0]), 0.1
+    roll = math.radians(40.0)
+    turn = turn_rate_radps(roll, speed)
+    x, P = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    x[3:5] = speed * np.array([math.sin(heading), math.cos(heading)]) + wind
+    x[6:8] = wind
+    yaw = heading + 0.5 * turn * step_s
+    record = VehicleRecord(attitude=AttitudeMeasurement(1, 9.9, 9.9, roll, 0.0, yaw, airspeed_mps))
+    mean = set_transition(Transition(), record, FleetSettings(), (x.tolist(), P), step_s, 10.0)
+    end = heading + turn * step_s
+    radius_m = speed / turn
+    way_m = radius_m * np.array([math.cos(heading) - math.cos(end), math.sin(end) - math.sin(heading)]) + step_s * wind
+    np.testing.assert_allclose(mean[:2], way_m, atol=2e-3)
+    np.testing.assert_allclose(mean[3:5], speed * np.array([math.sin(end), math.cos(end)]) + wind, atol=2e-3)
 
 
 def test_acceleration_noise_of_two_steps_is_that_of_one():
