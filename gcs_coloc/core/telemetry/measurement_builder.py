@@ -82,7 +82,7 @@ class MeasurementBuilder:
         accuracy = receiver_accuracy(vehicle.receiver, self.settings)
         reported = measure_position(message, ned_mps, accuracy, measured, self.frame)
         jumps = self._jumps.setdefault(message.sysid, PositionJumps())
-        jump_m = jumps.sigma_m(reported)
+        jump_m = jumps.sigma_m(reported, is_trusted=is_trusted)
         if jump_m:
             reported = replace(reported, sigma_h_m=hypot(reported.sigma_h_m, jump_m))
         self._reported[message.sysid] = reported

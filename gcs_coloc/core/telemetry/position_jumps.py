@@ -7,7 +7,7 @@ was large, whatever its receiver states.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, hypot
+from math import exp, hypot, inf
 
 from gcs_coloc.core.measurements import PositionMeasurement
 
@@ -15,6 +15,11 @@ _SETTLES_S = 1.0
 """ArduPlane's EKF3, switched back to its own receiver, jumped by 2.7 m and was 0.8 m off a second later
 (docs/results/real-autopilots.md)."""
 _OVER_S = 5.0 * _SETTLES_S
+_HELD_S = 5.0
+"""In another flight it jumped by 4.5 m, stayed there for 4 s and jumped back (docs/results/real-autopilots.md). Only of a vehicle
+that is trusted again a jump is held for so long: of another one it may be a spoofer's, to be found at once."""
+_TAKEN_AGAIN_S = 10.0
+"""Chosen: GPS_PRIMARY is restored once a vehicle is trusted again, and tried again for some seconds."""
 _MOST_M = 10.0
 """Chosen: the accuracy of a receiver alone. More would blind the tests that find a faulty receiver."""
 _TIMES_USUAL = 4.0
@@ -33,9 +38,12 @@ class PositionJumps:
     _usual_m2: float = 0.0
     _jump_m: float = 0.0
     _jumped_at_s: float = 0.0
+    _distrusted_at_s: float = -inf
 
-    def sigma_m(self, reported: PositionMeasurement) -> float:
+    def sigma_m(self, reported: PositionMeasurement, *, is_trusted: bool) -> float:
         """Add a reported position; return the 1-sigma (m, each axis) that jumps of late add to what is stated of it."""
+        if not is_trusted:
+            self._distrusted_at_s = reported.measured_at_s
         last, velocity = self._last, reported.velocity_enu_mps
         step_s = reported.measured_at_s - last.measured_at_s if last is not None else 0.0
         if last is None or not 0.0 < step_s <= _LONGEST_GAP_S or velocity is None or last.velocity_enu_mps is None:
@@ -54,4 +62,6 @@ class PositionJumps:
 
     def _left_m(self, at_s: float) -> float:
         since_s = at_s - self._jumped_at_s
+        if self._jumped_at_s - self._distrusted_at_s < _TAKEN_AGAIN_S:
+            since_s = max(since_s - _HELD_S, 0.0)
         return self._jump_m * exp(-since_s / _SETTLES_S) if self._jump_m and since_s < _OVER_S else 0.0

@@ -31,12 +31,36 @@ def test_a_filter_that_was_set_to_another_receiver_is_as_uncertain_as_it_jumped_
     """As seen on ArduPlane: right before GPS_PRIMARY was restored, 2.7 m off after it, and back with a time constant of 0.8 s."""
     jumps, rng = PositionJumps(), np.random.default_rng(1)
     for tenth in range(600):
-        jumps.sigma_m(report(tenth / 10.0, tuple(rng.normal(0.0, 0.05, 2)), 0.2))
+        jumps.sigma_m(report(tenth / 10.0, tuple(rng.normal(0.0, 0.05, 2)), 0.2), is_trusted=True)
     for tenth in range(600, 700):
         off_m = 2.7 * math.exp(-(tenth - 600) / 8.0)
-        stated_m = math.hypot(STATED_M, jumps.sigma_m(report(tenth / 10.0, (off_m, 0.0), 0.2)))
+        stated_m = math.hypot(STATED_M, jumps.sigma_m(report(tenth / 10.0, (off_m, 0.0), 0.2), is_trusted=True))
         assert off_m < 2.45 * stated_m
     assert stated_m == STATED_M
+
+
+def stated_after_a_jump(trusted_again_s: float) -> list[tuple[float, float]]:
+    """A filter 4.5 m off from 60 to 64 s, once trusted again at a time: how far off it is, and what is stated, each tenth."""
+    jumps, seen = PositionJumps(), []
+    for tenth in range(800):
+        at_s = tenth / 10.0
+        off_m = 4.5 if 60.0 <= at_s < 64.0 else 0.0
+        sigma_m = jumps.sigma_m(report(at_s, (off_m, 0.0), 0.2), is_trusted=at_s >= trusted_again_s)
+        if at_s >= 60.0:
+            seen.append((off_m, math.hypot(STATED_M, sigma_m)))
+    return seen
+
+
+def test_a_jump_of_a_vehicle_that_takes_its_own_receiver_again_is_held_for_seconds():
+    """As seen on ArduPlane: 4.5 m off for 4 s once GPS_PRIMARY was restored, and back at once."""
+    seen = stated_after_a_jump(trusted_again_s=59.9)
+    assert all(off_m < 2.45 * stated_m for off_m, stated_m in seen)
+    assert seen[-1][1] == STATED_M
+
+
+def test_a_jump_long_after_is_soon_held_against_it():
+    seen = stated_after_a_jump(trusted_again_s=45.0)
+    assert [round(stated_m, 1) for _, stated_m in seen[:31:10]] == [4.5, 1.7, 0.8, 0.5]
 
 
 @pytest.mark.parametrize("sigma_m", [0.5, 3.0])
@@ -45,7 +69,7 @@ def test_noise_alone_is_no_jump(sigma_m, rate_hz):
     """Positions of a receiver alone, with noise from report to report, for an hour: beyond four times the usual by e^-16 each."""
     jumps, rng = PositionJumps(), np.random.default_rng(2)
     added = [
-        jumps.sigma_m(report(step / rate_hz, tuple(rng.normal(0.0, sigma_m, 2)), 0.2, sigma_m))
+        jumps.sigma_m(report(step / rate_hz, tuple(rng.normal(0.0, sigma_m, 2)), 0.2, sigma_m), is_trusted=True)
         for step in range(int(3600 * rate_hz))
     ]
     assert max(added) == 0.0
@@ -54,17 +78,17 @@ def test_noise_alone_is_no_jump(sigma_m, rate_hz):
 def test_a_large_step_does_not_blind_the_tests_of_a_faulty_receiver():
     jumps = PositionJumps()
     for tenth in range(100):
-        jumps.sigma_m(report(tenth / 10.0))
-    assert jumps.sigma_m(report(10.0, (200.0, 0.0))) == 10.0
+        jumps.sigma_m(report(tenth / 10.0), is_trusted=True)
+    assert jumps.sigma_m(report(10.0, (200.0, 0.0)), is_trusted=True) == 10.0
 
 
 def test_a_gap_or_a_report_of_the_past_is_no_jump():
     jumps = PositionJumps()
     for tenth in range(100):
-        jumps.sigma_m(report(tenth / 10.0, rate_radps=0.5))
-    assert jumps.sigma_m(report(20.0, rate_radps=0.5)) == 0.0
-    assert jumps.sigma_m(report(19.0, (50.0, 0.0), 0.5)) == 0.0
-    assert jumps.sigma_m(report(20.1, rate_radps=0.5)) == 0.0
+        jumps.sigma_m(report(tenth / 10.0, rate_radps=0.5), is_trusted=True)
+    assert jumps.sigma_m(report(20.0, rate_radps=0.5), is_trusted=True) == 0.0
+    assert jumps.sigma_m(report(19.0, (50.0, 0.0), 0.5), is_trusted=True) == 0.0
+    assert jumps.sigma_m(report(20.1, rate_radps=0.5), is_trusted=True) == 0.0
 
 
 def test_what_is_measured_of_a_position_that_jumped_states_it():
