@@ -106,7 +106,7 @@ def conditions(v: VehicleSnapshot) -> list[Condition]:
     gps = _gps_condition(v)
     found = [gps] if gps is not None else []
     if v.delay_s is not None and v.delay_s > _LINK_LATE_S:
-        text = f"its reports arrive {v.delay_s:.1f} s late; what is more than a second late is not used"
+        text = f"its reports arrive {v.delay_s:.1f} s late; what is later than the estimator waits (1 s unless set) is not used"
         action = "Is the queue of its radio full? Lower its stream rates, or use a faster link."
         found.append(Condition(AlarmKind.LINK_LATE, "warning", text, action, f"its reports arrive {v.delay_s:.1f} s late"))
     if v.age_s > SILENT_AFTER_S:
