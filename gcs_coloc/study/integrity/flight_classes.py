@@ -239,6 +239,7 @@ _ALL = (
     _imperfect("barometer", "the denied vehicle's barometer jumps by 5 to 60 m", height_jump_m=(5.0, 60.0)),
     _fault("flicker", "jammed: the denied vehicle's fix comes back for seconds, up to 60 m off", flickers=True),
     _fault("spoofed-step", "one peer's receiver steps by 30 to 300 m", spoofing=_STEP),
+    _fault("spoofed-step-denied-only", "the same, ranges from the denied vehicle only", spoofing=_STEP, is_mutual=False),
     _fault("spoofed-ramp", "one peer's receiver is drawn off at 0.2 to 5 m/s", spoofing=_RAMP),
     _fault("spoofed-ramp-denied-only", "the same, ranges from the denied vehicle only", spoofing=_RAMP, is_mutual=False),
     _fault("two-alike-step", "two receivers step alike", spoofing=replace(_STEP, receivers=2), peers=(4, 5)),
