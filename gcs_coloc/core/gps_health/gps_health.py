@@ -194,6 +194,9 @@ class GpsHealth:
             return self._enter(GpsState.HEALTHY, StatedReason(reason, detail=fix), now_s)
         if self._state is GpsState.SUSPECT and good_for_s < self._settings.clear_after_s:
             return False
+        if self._state is GpsState.SUSPECT and evidence.is_return_contradicted:
+            self._reason = StatedReason(GpsReason.RETURN_CONTRADICTED, detail=fix)
+            return False
         return self._enter(GpsState.HEALTHY, StatedReason(GpsReason.FIX, detail=fix), now_s)
 
     def _fault(self, evidence: GpsEvidence, now_s: float) -> StatedReason[GpsReason] | None:

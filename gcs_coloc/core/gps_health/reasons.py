@@ -33,4 +33,5 @@ class GpsReason(WordedReason):
     RETURNING = "returning", "{detail}: back, not for {limit:g} s without a break yet"
     RETURNED = "returned", "{detail}: back, watched for {limit:g} s"
     RETURNED_UNTESTED = "returned_untested", "{detail}: back, watched for {limit:g} s; nothing to hold it against"
+    RETURN_CONTRADICTED = "return_contradicted", "{detail}: back, but ranges to it do not fit"
     RECOVERED_UNTESTED = "recovered_untested", "{detail}; nothing to hold it against"

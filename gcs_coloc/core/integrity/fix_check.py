@@ -115,6 +115,14 @@ def check_fix(
     return FixCheck(finding, offset_m, known_m, ranged=bool(fits), fits_now=fitting)
 
 
+def fits_alone(epoch: Epoch, vehicle: int, levels: SignificanceLevels) -> bool:
+    """Whether the ranges of one epoch fit the vehicle's position; True where there are none."""
+    if not epoch.residuals:
+        return True
+    (fit,) = adjust(epoch, [(None, 0.0)])
+    return _agrees(fit, vehicle, levels)
+
+
 def star(epoch: Epoch, vehicle: int, peers: Container[int]) -> Epoch:
     """The part of an epoch with the residuals between one vehicle and some peers."""
     residuals = tuple(r for r in epoch.residuals for end, other in (r.pair, r.pair[::-1]) if end == vehicle and other in peers)

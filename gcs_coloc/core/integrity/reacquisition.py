@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf, sqrt
 
+from gcs_coloc.core.error_ellipse import horizontal_sigma_m
 from gcs_coloc.core.gps_health.gps_health import GpsState
-from gcs_coloc.core.integrity.epoch_tests.epoch import EpochHistory
-from gcs_coloc.core.integrity.fix_check import FixCheck, FixConsistency, check_fix, star
+from gcs_coloc.core.integrity.epoch_tests.epoch import LARGEST_SIGMA_V_M, Epoch, EpochHistory
+from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels
+from gcs_coloc.core.integrity.fix_check import FixCheck, FixConsistency, check_fix, fits_alone, star
 from gcs_coloc.core.integrity.range_consistency import ConsistencySettings, IdentifiedFault
 from gcs_coloc.core.integrity.range_residuals import RangeResidualBuffer, TrackPoint
 from gcs_coloc.core.integrity.report import (
@@ -21,7 +24,7 @@ from gcs_coloc.core.integrity.report import (
     ReacquisitionStatus,
     ReviewedVehicle,
 )
-from gcs_coloc.core.measurements import PositionMeasurement, RangeMeasurement
+from gcs_coloc.core.measurements import Estimate, PositionMeasurement, RangeMeasurement
 from gcs_coloc.core.residual_log import CONSISTENT_MEDIAN_NIS
 
 _OLDEST_FIX_S = 1.0  # of a receiver at 1 Hz
@@ -30,7 +33,28 @@ _EPOCHS_FILLED_AFTER_S = 3.0  # an epoch needs 1.6 s of ranges; chosen: twice th
 _RESET_EVERY_S = 10.0  # chosen: an estimator needs some seconds of ranges after a reset
 _WELL_KNOWN_SHARE = 0.25  # of the offset; chosen: four sigmas tell it from none
 _AGREES_FOR_S = 3.2  # chosen: two epochs that share no range; one may fit by chance
+_LONGEST_HELD_S = 60.0  # chosen: within a minute vehicles move so far that another direction is tested
 _CONTRADICTS = (FixConsistency.AGAINST_RANGES, FixConsistency.AGAINST_ESTIMATE)
+
+
+@dataclass(frozen=True, slots=True)
+class _LocatedEvidence:
+    """Since when and until when ranges to located vehicles without GPS contradict a receiver.
+
+    A false position fits a range wherever it is off across it. So it is held against it for as long again as it was contradicted.
+    """
+
+    since_s: float = inf
+    until_s: float = -inf
+
+    def after(self, tested: Epoch, vehicle: int, levels: SignificanceLevels, now_s: float) -> _LocatedEvidence:
+        """Return it after an epoch of the vehicle and those that are located."""
+        if fits_alone(tested, vehicle, levels):
+            return self
+        return _LocatedEvidence(min(self.since_s, now_s), now_s)
+
+    def is_open(self, now_s: float) -> bool:
+        return now_s - self.until_s < min(self.until_s - self.since_s, _LONGEST_HELD_S)
 
 
 @dataclass(slots=True)
@@ -56,6 +80,7 @@ class _Reacquisition:
     changed_since_s: float | None = None
     diverged_since_s: float | None = None
     reset_at_s: float = float("-inf")
+    by_located: _LocatedEvidence = _LocatedEvidence()
 
     def add(self, check: FixCheck, now_s: float) -> bool:
         """Add one finding; True where it confirms just now that the receiver is wrong."""
@@ -100,7 +125,7 @@ class _Reacquisition:
         return True
 
     def status(self, now_s: float) -> ReacquisitionStatus:
-        if now_s - self.disagreed_at_s < _AGREES_FOR_S:
+        if now_s - self.disagreed_at_s < _AGREES_FOR_S or self.by_located.is_open(now_s):
             return ReacquisitionStatus.CONTRADICTED
         if self.finding is not FixConsistency.NOTHING:
             return ReacquisitionStatus.CONSISTENT
@@ -139,6 +164,12 @@ class ReacquisitionMonitor:
             return IntegrityReport(rejected_fixes=self._rejected_fixes)
         self._receivers = {sysid: self._receivers.get(sysid) or _begin(v, identified, now_s) for sysid, (v, _) in back.items()}
         peers = {v.sysid: v.reported for v in vehicles if v.is_witness and v.reported is not None and v.sysid not in back}
+        # Where ranges come from denied vehicles only, their estimates are all there is to hold a peer's receiver against.
+        located = set()
+        for v in vehicles:
+            if v.estimate is not None and v.gps_state is GpsState.FAILED and v.sysid not in back and _is_reference(v):
+                located.add(v.sysid)
+                self._add_estimate(v.estimate, now_s)
         suspects = frozenset(v.sysid for v in vehicles if not v.is_trusted)
         for position in (*peers.values(), *(fix for _, fix in back.values())):
             self._add_position(position)
@@ -159,6 +190,7 @@ class ReacquisitionMonitor:
             tested = star(epoch, sysid, peers)
             receiver.peers = tuple(sorted(tested.priors.keys() - {sysid}))
             check = check_fix(fix, estimate, tested, own, self._settings.levels, suspects)
+            receiver.by_located = receiver.by_located.after(star(epoch, sysid, located), sysid, self._settings.levels, now_s)
             if check.ranged and not check.fits_now:
                 receiver.off_at_s = epoch.at_s
             if receiver.add(check, now_s):
@@ -187,6 +219,14 @@ class ReacquisitionMonitor:
         position, velocity = reported.position_enu_m, reported.velocity_enu_mps
         track = TrackPoint(reported.measured_at_s, position, velocity, reported.sigma_h_m, reported.sigma_v_m, no_prior=False)
         self._residuals.add_position(reported.vehicle, track)
+
+    def _add_estimate(self, where: Estimate, now_s: float) -> None:
+        (e, n, u), (ve, vn, vu) = where.position_enu_m.tolist(), where.velocity_enu_mps.tolist()
+        sigma_v_m = min(sqrt(float(where.covariance[2, 2])), LARGEST_SIGMA_V_M)
+        sigma_h_m = horizontal_sigma_m(where.protected_covariance)
+        self._residuals.add_position(
+            where.vehicle, TrackPoint(now_s, (e, n, u), (ve, vn, vu), sigma_h_m, sigma_v_m, no_prior=False)
+        )
 
     def _clear(self) -> None:
         s = self._settings

@@ -284,6 +284,20 @@ def test_a_glitch_that_the_ekf_still_reports_after_it_flew_on_our_fix_is_an_echo
     assert (health.state, health.reason) == (GpsState.SUSPECT, "the autopilot's EKF reports a GPS glitch")
 
 
+def test_a_suspect_receiver_that_ranges_contradict_is_not_believed_for_want_of_other_trouble():
+    health = healthy_until(5.0)
+    glitch = EkfStatus(1, 5.0, horizontal_position_absolute=True, constant_position_mode=False, gps_glitching=True)
+    health.know(ekf=glitch, is_return_contradicted=True)
+    run(health, 5.2, 8.0)
+    health.know(ekf=replace(glitch, gps_glitching=False))
+    run(health, 8.2, 20.0)
+    assert health.state is GpsState.SUSPECT
+    assert "back, but ranges to it do not fit" in health.reason
+    health.know(is_return_contradicted=False)
+    run(health, 20.2, 20.4)
+    assert health.state is GpsState.HEALTHY
+
+
 def test_after_each_relapse_a_fix_must_be_steady_for_twice_as_long():
     """A fix that comes for five seconds at a time is recovering once and never again."""
     health = healthy_until(5.0)

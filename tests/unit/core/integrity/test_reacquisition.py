@@ -257,3 +257,30 @@ def test_no_position_of_a_receiver_that_is_back_is_evidence_before_its_vehicle_i
     assert seen.engine.gps_state(DENIED).value == "recovering"
     never = fly(replace(RIGHT, returns_at_s=inf), 1, 9.0)
     assert seen.engine.estimator.counts() == never.engine.estimator.counts()
+
+
+JUMPS = Scenario(peers=5, mutual=False, jump_m=200.0)
+"""Peer 1 steps by 200 m at 20 s and says no more; only the denied vehicle, lost at 5 s, ranges it."""
+
+
+def states_of_peers(right_from_s: float, until_s: float) -> list[tuple[float, int, str]]:
+    """Fly until a time with peer 1 off up to a time; the changes of the peers' states once all are healthy."""
+    flight, engine = Flight(JUMPS, 0, right_from_s), fresh_engine()
+    seen: list[tuple[float, int, str]] = []
+    for step in range(round(until_s / STEP_S)):
+        t = step * STEP_S
+        for message in flight.messages(t):
+            engine.receive(message)
+        changes = (output for output in engine.poll(t) if isinstance(output, HealthChanged))
+        seen += [(round(t, 1), c.sysid, c.after) for c in changes if c.sysid != DENIED and t > LOST_AT_S]
+    return seen
+
+
+def test_a_peer_that_has_jumped_is_not_believed_again_while_the_denied_vehicles_ranges_contradict_it():
+    """Believed again as soon as its autopilot was content, it made all five peers suspect, and there was no fix."""
+    assert states_of_peers(inf, 50.0) == [(21.2, FAULTY, "suspect")]
+
+
+def test_one_that_has_jumped_back_is_believed_again():
+    """Ten seconds after its jump back, as without ranges, and the ranges have contradicted it for less."""
+    assert states_of_peers(30.0, 50.0) == [(21.2, FAULTY, "suspect"), (44.8, FAULTY, "healthy")]
