@@ -72,7 +72,9 @@ class IntegrityMonitor:
         for vehicle in vehicles:
             if not vehicle.is_witness or vehicle.sysid in self._consistency.identified:
                 self._place_by_estimate(vehicle, now_s)
-        self._consistency.review(now_s, frozenset(vehicle.sysid for vehicle in vehicles if vehicle.is_doubtful))
+        doubtful = frozenset(vehicle.sysid for vehicle in vehicles if vehicle.is_doubtful)
+        not_used = frozenset(vehicle.sysid for vehicle in vehicles if not vehicle.is_trusted)
+        self._consistency.review(now_s, doubtful, not_used)
         tested = IntegrityReport(separation_m2=dict(self._consistency.separation_m2))
         inflated = [replace(v, estimate=tested.inflate(v.estimate)) if v.estimate is not None else v for v in vehicles]
         self._update_fault_levels(inflated, now_s)
@@ -115,10 +117,11 @@ class IntegrityMonitor:
         located = [(vehicle.sysid, vehicle.estimate) for vehicle in vehicles if vehicle.estimate is not None]
         separation = SolutionSeparation(epoch) if located and epoch.residuals else None
         levels: dict[int, FaultLevel] = {}
+        also = self._consistency.also
         for sysid, where in located:
             ranged_at_s = self._consistency.ranged_at_s(sysid)
             if separation is not None and ranged_at_s is not None and sysid in separation.vehicles:
-                levels[sysid] = fault_level(separation.of(sysid), where, ranged_at_s, self._protection)
+                levels[sysid] = fault_level(separation.of(sysid), where, ranged_at_s, self._protection, also)
             else:
                 # Until it has ranges, its last own position carries it.
                 beginning = FaultLevel(0.0, horizontal_sigma_m(where.protected_covariance), now_s, ())

@@ -12,9 +12,9 @@ technical subgroup, reference airborne algorithm.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import hypot, log, sqrt
+from math import hypot, inf, log, sqrt
 
 import numpy as np
 
@@ -107,32 +107,47 @@ def radius_at_risk(probability: float) -> float:
 
 
 def fault_level(
-    hypotheses: Sequence[Separation], estimate: Estimate, ranged_at_s: float, settings: ProtectionSettings
+    hypotheses: Sequence[Separation],
+    estimate: Estimate,
+    ranged_at_s: float,
+    settings: ProtectionSettings,
+    also: Mapping[frozenset[int], float] | None = None,
 ) -> FaultLevel:
-    """Return the level of all hypotheses, as far as the ranges test them."""
+    """Return the level of all hypotheses, as far as the ranges test them.
+
+    `also`: a fault was found and not isolated; these receivers, which are in use, may be off as well or instead, with the
+    probability of it at most.
+    """
     untested = {
         each.vehicles[0]
         for each in hypotheses
         if each.fault is FaultClass.RECEIVERS and len(each.vehicles) == 1 and each.sigma_m > _MOST_TESTED_SIGMA_M
     }
-    level_m = _level_m(hypotheses, settings)
+    level_m = _level_m(hypotheses, settings, also)
     return FaultLevel(level_m, horizontal_sigma_m(estimate.protected_covariance), ranged_at_s, tuple(sorted(untested)))
 
 
-def _level_m(hypotheses: Sequence[Separation], settings: ProtectionSettings) -> float:
+def _level_m(
+    hypotheses: Sequence[Separation], settings: ProtectionSettings, also: Mapping[frozenset[int], float] | None
+) -> float:
     """Solve for the level L, m: sum of p exp(-((L - separation) / sigma)^2 / 2) = risk, p of a true hypothesis in an hour.
 
     Source: the HPL equation of the reference algorithm, with the Rayleigh distribution as the Gaussian's tail. A hypothesis
     whose separation is beyond the level counts in full. One whose solution is coarser than the most that is tested is scaled to
     that, its separation with it: a level neither falls as a test becomes worse, nor grows without end where there is none.
+    Beside a fault that is there nothing is assumed away: with `also` all count as they are.
     """
     risk = (1.0 - _NOMINAL_SHARE) * settings.integrity_risk_per_h
     exposed = max(_LASTS_S / settings.independent_s, 1.0)
     p = np.array([settings.rate_per_h(each) * exposed for each in hypotheses])
+    if also is not None:
+        odds = [also.get(frozenset(h.vehicles), 0.0) if h.fault is FaultClass.RECEIVERS else 0.0 for h in hypotheses]
+        p = np.maximum(p, odds)
     if p.sum() <= risk:
         return 0.0
     solution_sigmas_m = np.array([each.sigma_m for each in hypotheses])
-    share = np.minimum(_MOST_TESTED_SIGMA_M / np.maximum(solution_sigmas_m, 1e-9), 1.0)
+    most_m = _MOST_TESTED_SIGMA_M if also is None else inf
+    share = np.minimum(most_m / np.maximum(solution_sigmas_m, 1e-9), 1.0)
     separations_m = share * np.array([each.separation_m for each in hypotheses])
     sigmas_m = np.hypot(share * solution_sigmas_m, settings.common_gnss_sigma_m)
     # No less than the level of each alone, no more than if each were as likely as all together.

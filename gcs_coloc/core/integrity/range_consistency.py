@@ -34,6 +34,9 @@ _COARSE_SIGMAS = 16.0
 _COARSE_CHANGE_SIGMAS = 12.0
 """The same of the change of its offset, in sigmas of a Gauss-Markov process. Chosen: three of such a receiver. With four a walk
 of 2 m/s that sets out from 1.3 m would be named after 9 s."""
+_CLEARED_AFTER_S = 6.0
+"""So long after the ranges last allowed a vehicle to be at fault it is detected no more. Chosen: four samples that share no
+range, each of which holds it against all that it explains."""
 _PAIRS_FAIL_FOR_S = 60.0
 """For so long after pairs were off several may be at once. Chosen: a fleet takes as long to leave buildings and hills behind."""
 
@@ -99,7 +102,9 @@ class RangeConsistency:
         self._fault_monitor = FaultMonitor(self.settings.fault_monitor)
         self._residuals = RangeResidualBuffer(self.settings.residuals, self._fault_monitor)
         self._decayed_m2: dict[int, FloatArray] = {}
-        self._detected_until_s: dict[int, float] = {}
+        self._monitored_until_s: dict[int, float] = {}
+        self._possible_until_s: dict[int, float] = {}
+        self._also: dict[float, dict[frozenset[int], float]] = {}
         s = self.settings
         self._epochs = self._no_epochs()
         self._persistence = {interval_s: IsolationPersistence() for interval_s in (0.0, *s.intervals_s)}
@@ -131,10 +136,11 @@ class RangeConsistency:
         """End the exclusion of an identified vehicle."""
         self.identified.pop(vehicle, None)
 
-    def review(self, now_s: float, doubtful: Collection[int] = ()) -> None:
+    def review(self, now_s: float, doubtful: Collection[int] = (), not_used: Collection[int] = ()) -> None:
         """Run the tests if they are due, and update identified and detected faults and the solution separation.
 
         `doubtful` are the vehicles whose receivers speak against themselves: it isolates them where the ranges leave it open.
+        `not_used` are those whose positions are tested but no anchors of the estimator: only the others move its estimates.
         """
         if now_s < self._due_s:
             return
@@ -148,17 +154,21 @@ class RangeConsistency:
         stated = self.noise.select(whole)
         if not self.identified and not self.detected:
             self.noise = self._accuracy.update(stated, self.noise, self.settings.levels, self.settings.correlation_time_s)
-        sparse = self.noise.select(self._residuals.sparse_epoch(now_s, whole))
-        self.stated_epoch, self.epoch = sparse, self.noise.apply(sparse)
         self._run_fault_monitor(stated, now_s)
-        self._use_tests(tests if self.noise is left else self._test(stated, self.noise), now_s, doubtful)
+        tested = tests if self.noise is left else self._test(stated, self.noise)
+        self._use_tests(tested, now_s, doubtful)
+        not_used = self.detected.union(not_used)
+        used = stated.without_priors(not_used)
+        self._update_separation(self._test(used, self.noise, not_used) if used is not stated else tested, now_s)
+        self.stated_epoch = self.noise.select(self._residuals.sparse_epoch(now_s, whole)).without_priors(not_used)
+        self.epoch = self.noise.apply(self.stated_epoch)
         self._epochs.append(stated)
         monitored = self._fault_monitor.separation_m2(now_s)
         self.separation_m2 = {
             vehicle: max((each[vehicle] for each in (self._decayed_m2, monitored) if vehicle in each), key=_trace)
             for vehicle in self._decayed_m2.keys() | monitored.keys()
         }
-        for vehicle, excess_m2 in noise_excess_m2(sparse, self.epoch).items():
+        for vehicle, excess_m2 in noise_excess_m2(self.stated_epoch, self.epoch).items():
             self.separation_m2[vehicle] = self.separation_m2.get(vehicle, 0.0) + excess_m2
 
     def _shrink_noise(self, stated: Epoch, now_s: float) -> None:
@@ -183,15 +193,18 @@ class RangeConsistency:
         pairs = (residual.pair for residual in epoch.residuals)
         if not any(not epoch.priors[a].no_prior and not epoch.priors[b].no_prior for a, b in pairs):
             until_s = now_s + self.settings.detection_hold_s
-            self._detected_until_s |= dict.fromkeys(self._fault_monitor.detected(), until_s)
-        self._detected_until_s = {v: until_s for v, until_s in self._detected_until_s.items() if until_s > now_s}
-        self.detected |= frozenset(self._detected_until_s)
+            self._monitored_until_s |= dict.fromkeys(self._fault_monitor.detected(), until_s)
+        self._monitored_until_s = {v: until_s for v, until_s in self._monitored_until_s.items() if until_s > now_s}
+        self.detected |= frozenset(self._monitored_until_s)
 
-    def _test(self, stated: Epoch, noise: NoiseModel) -> _Tests:
-        """Test an epoch with some noise, alone and against earlier ones."""
+    def _test(self, stated: Epoch, noise: NoiseModel, not_used: Collection[int] = ()) -> _Tests:
+        """Test an epoch with some noise, alone and against earlier ones.
+
+        The earlier ones are taken without the positions that are not used.
+        """
         epoch = noise.apply(stated)
         pasts: dict[float, Past] = {
-            interval_s: (noise.apply(then) if then is not None else None, correlation)
+            interval_s: (noise.apply(then.without_priors(not_used)) if then is not None else None, correlation)
             for interval_s, (then, correlation) in self._epochs.pasts(stated.at_s).items()
         }
         results = run_tests(epoch, self.settings.levels, list(pasts.values()))
@@ -204,13 +217,13 @@ class RangeConsistency:
                 self._end_detection()
             return
         self._tested_s = now_s
-        self._update_separation(results, epoch, now_s)
         self._update_faults(now_s, results, epoch, pasts, doubtful)
         if all(result.is_clear for result in results.values()):
             self._end_detection()
 
     def _end_detection(self) -> None:
-        self.detected = frozenset(self._detected_until_s)
+        self._possible_until_s, self._also = {}, {}
+        self.detected = frozenset(self._monitored_until_s)
 
     def _update_faults(
         self,
@@ -253,18 +266,51 @@ class RangeConsistency:
             peers = {v for residual in epoch.residuals for v in residual.pair if vehicle in residual.pair}
             self.identified[vehicle] = IdentifiedFault(tuple(sorted(peers - identified.keys())), size_m)
         if identified:
-            self.detected = frozenset()
+            self.detected, self._possible_until_s, self._also = frozenset(), {}, {}
             for each in self._persistence.values():
                 each.reset()
             return
         if coarse:
             # The ranges say of all others that they are right.
+            self._possible_until_s, self._also = dict.fromkeys(coarse, now_s + _CLEARED_AFTER_S), {}
             self.detected = frozenset(coarse)
             return
-        for interval_s, sample in samples.items():
-            if not sample.isolated:
-                possible = self._persistence[interval_s].possible
-                self.detected |= {v for v, n in possible.items() if n >= self.settings.detect_after}
+        self._detect({at: sample for at, sample in samples.items() if not sample.is_range_fault}, now_s)
+
+    def _detect(self, samples: Mapping[float, Isolation], now_s: float) -> None:
+        """Update who may be at fault, where nobody is identified."""
+        if not samples:
+            return
+        self._also |= {interval_s: sample.also for interval_s, sample in samples.items()}
+        possible = {
+            vehicle
+            for interval_s, sample in samples.items()
+            if not sample.isolated
+            for vehicle, times in self._persistence[interval_s].possible.items()
+            if times >= self.settings.detect_after
+        }
+        # One fault explains the contradictions at all intervals.
+        explained = [sample.possible for sample in samples.values() if sample.plausible]
+        in_all = {v for v in possible | self._possible_until_s.keys() if all(v in each for each in explained)}
+        self._possible_until_s |= dict.fromkeys(in_all or possible, now_s + _CLEARED_AFTER_S)
+        self._possible_until_s = {v: until_s for v, until_s in self._possible_until_s.items() if until_s > now_s}
+        self.detected = frozenset(self._possible_until_s.keys() | self._monitored_until_s.keys())
+
+    @property
+    def also(self) -> dict[frozenset[int], float] | None:
+        """Receivers that may be off besides those detected, or instead, each set with its odds at most.
+
+        None where none is detected.
+
+        Nothing shows that they are. What was ruled out is so by the margin of the isolation and no more.
+        """
+        if not self.detected:
+            return None
+        ruled_out = exp(-0.5 * self.settings.levels.margin)
+        likeliest = {frozenset((v,)): ruled_out for v in self.epoch.reporting - self.detected}
+        for vehicles, odds in (each for also in self._also.values() for each in also.items()):
+            likeliest[vehicles] = max(likeliest.get(vehicles, 0.0), odds)
+        return likeliest
 
     def _may_be_coarse(self, vehicle: int, sample: Isolation, epoch: Epoch, past: Past) -> bool:
         """Whether an isolated receiver is off, and has changed, by no more than a sound one may that states too little."""
@@ -273,7 +319,9 @@ class RangeConsistency:
         most_change_m = _COARSE_CHANGE_SIGMAS * stated_m * sqrt(2.0 * (1.0 - correlation))
         return sample.isolated[vehicle] <= _COARSE_SIGMAS * stated_m and sample.changes_m[vehicle] <= most_change_m
 
-    def _update_separation(self, results: Mapping[float, FaultTestResult], epoch: Epoch, now_s: float) -> None:
+    def _update_separation(self, tests: _Tests, now_s: float) -> None:
+        """Update how far faults among the positions in use may have moved the vehicles without prior."""
+        epoch, _, results = tests
         s, age_s, present = self.settings, now_s - epoch.at_s, results.get(0.0)
         for vehicle in {v for result in results.values() for v in result.separation_m2}:
             # What grew within an interval has grown on since the epoch.

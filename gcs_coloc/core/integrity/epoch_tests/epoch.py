@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import exp, inf, sqrt
 from operator import attrgetter
@@ -110,6 +110,19 @@ class Epoch:
     residuals: tuple[RangeResidual, ...]
     began_s: float = float("-inf")
     ended_s: float = float("inf")
+
+    @property
+    def reporting(self) -> frozenset[int]:
+        """The vehicles with a range and a position of their own."""
+        return frozenset(v for residual in self.residuals for v in residual.pair if not self.priors[v].no_prior)
+
+    def without_priors(self, vehicles: Collection[int]) -> Epoch:
+        """Return the epoch where nothing is known of the horizontal position of some vehicles.
+
+        Where nothing changes it is the same object.
+        """
+        changed = {v: prior._replace(no_prior=True) for v in vehicles if (prior := self.priors.get(v)) and not prior.no_prior}
+        return replace(self, priors={**self.priors, **changed}) if changed else self
 
     @cached_property
     def arrays(self) -> EpochArrays:

@@ -25,7 +25,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from math import hypot, inf
+from math import exp, hypot, inf
 
 import numpy as np
 
@@ -87,8 +87,34 @@ class Isolation:
 
     @property
     def possible(self) -> frozenset[int]:
-        """The vehicles whose position is off in a plausible explanation."""
-        return frozenset().union(*(_faulty(each) for each in self.plausible))
+        """The vehicles whose position is off in a plausible explanation that holds no smaller one.
+
+        Who may be off besides those of a smaller one is in `also`.
+        """
+        return frozenset().union(*(faulty for faulty, _ in self._smallest))
+
+    @property
+    def also(self) -> dict[frozenset[int], float]:
+        """Receivers that may be off besides those of a smaller explanation, each set with its odds.
+
+        The odds are those beside the smaller explanation, at most 1.
+
+        Nothing shows that they are off: the ranges fit without it.
+        """
+        also: dict[frozenset[int], float] = {}
+        for explanation in self.plausible:
+            faulty = _faulty(explanation)
+            for smaller, cost in self._smallest:
+                if smaller < faulty:
+                    odds = exp(-0.5 * max(explanation.cost - cost, 0.0))
+                    also[faulty - smaller] = max(also.get(faulty - smaller, 0.0), odds)
+        return also
+
+    @property
+    def _smallest(self) -> list[tuple[frozenset[int], float]]:
+        """The vehicles of the plausible faults of positions that hold no other one, each with its cost."""
+        faults = [(faulty, each.cost) for each in self.plausible if (faulty := _faulty(each))]
+        return [(faulty, cost) for faulty, cost in faults if not any(other < faulty for other, _ in faults)]
 
     @property
     def is_range_fault(self) -> bool:
@@ -173,7 +199,7 @@ def _change_m(now: Epoch, past: Past, model: FaultModel, vehicle: int, levels: S
     moved = np.tile(np.array(model.arrays.vehicles) == vehicle, (model.epochs, 1)).astype(float)
     one_offset = Hypothesis(FaultKind.POSITIONS, (vehicle,), moved, np.zeros((model.epochs * model.rows, 2)))
     explained = model.explain([one_offset], [0.0])
-    two_offsets = adjust(_without_priors(now, (vehicle,)), [(_without_priors(then, (vehicle,)), correlation)])[0]
+    two_offsets = adjust(now.without_priors((vehicle,)), [(then.without_priors((vehicle,)), correlation)])[0]
     if explained and explained[0].statistic - two_offsets.statistic <= chi2_limit(2, levels.rest):
         return 0.0
     return two_offsets.change_m(vehicle)
@@ -189,9 +215,7 @@ def cost_of_two_receivers(now: Epoch, past: Past, candidates: Sequence[int], *, 
     two_of_them = combinations(others, 2) if len(candidates) >= _LEAST_WITH_TWO_FAULTY else ()
     return min(
         (
-            adjust(_without_priors(now, two), [(_without_priors(then, two) if then is not None else None, correlation)])[
-                0
-            ].statistic
+            adjust(now.without_priors(two), [(then.without_priors(two) if then is not None else None, correlation)])[0].statistic
             + _UNLIKE_PENALTY
             + _STATION_PENALTY * sum(map(is_station, two))
             for two in two_of_them
@@ -202,14 +226,6 @@ def cost_of_two_receivers(now: Epoch, past: Past, candidates: Sequence[int], *, 
 
 def _faulty(explanation: AdjustedHypothesis) -> frozenset[int]:
     return frozenset(explanation.vehicles if explanation.kind is FaultKind.POSITIONS else ())
-
-
-def _without_priors(epoch: Epoch, vehicles: Collection[int]) -> Epoch:
-    """The epoch where nothing is known of the horizontal position of some vehicles."""
-    return replace(
-        epoch,
-        priors={v: prior._replace(no_prior=prior.no_prior or v in vehicles) for v, prior in epoch.priors.items()},
-    )
 
 
 def _with_usual_devices(explanation: AdjustedHypothesis, levels: SignificanceLevels) -> AdjustedHypothesis:

@@ -18,6 +18,7 @@ from bench.integrity_flights import (
     fly_step,
     fresh_engine,
 )
+from gcs_coloc.core.aiding.settings import AidingSettings
 from gcs_coloc.core.error_ellipse import horizontal_bound_95_m
 from gcs_coloc.core.gps_health.gps_health import GpsState
 
@@ -88,6 +89,24 @@ def test_where_ranges_cannot_isolate_a_fault_nobody_is_identified():
         detected |= {sysid for sysid, state in now.items() if state is GpsState.SUSPECT}
     assert FAULTY in detected
     assert "contradict each other" in engine.gps_health.reason(FAULTY)
+
+
+def test_among_six_peers_that_one_vehicle_ranges_a_drifting_one_is_suspected_alone_and_the_vehicle_is_located():
+    """Others are suspected with it at first, and no longer than the ranges allow that they are at fault. The error stays within
+    the protection level, which is of the others alone: that of all would grow with the fault.
+    """
+    engine, flight = fresh_engine(), Flight(Scenario(peers=6, mutual=False, walk_mps=2.0), 2)
+    suspected = set()
+    for step in range(round(62.0 / STEP_S)):
+        t = step * STEP_S
+        fly_step(engine, flight, t)
+        now = {sysid for sysid, state in states(engine).items() if state is GpsState.SUSPECT}
+        suspected |= now
+        if t > 50.0:
+            assert now == {FAULTY}
+            error_m, _ = error_and_bound_m(engine, flight, t)
+            assert error_m < engine.estimate(DENIED, t).protection.horizontal_m < AidingSettings().alert_limit_m
+    assert len(suspected) > 1
 
 
 def test_a_fault_free_flight_identifies_nobody():

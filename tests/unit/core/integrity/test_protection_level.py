@@ -33,6 +33,16 @@ def level(*hypotheses: Separation) -> FaultLevel:
     return fault_level(hypotheses, estimate(), 10.0, SETTINGS)
 
 
+def test_who_may_be_off_beside_a_fault_that_was_found_counts_in_full():
+    """With a probability of a fifth, and with the sigma that the others leave: nothing of it is assumed away."""
+    hypotheses = [receiver(1, 0.0, 1.0), receiver(2, 0.0, 20.0)]
+    found = fault_level(hypotheses, estimate(), 10.0, SETTINGS, {frozenset((2,)): 0.2})
+    assert level(*hypotheses).level_m < 40.0
+    assert fault_level(hypotheses, estimate(), 10.0, SETTINGS, {}).level_m > 50.0
+    risk = 0.5 * SETTINGS.integrity_risk_per_h
+    assert found.level_m == pytest.approx(hypot(20.0, SETTINGS.common_gnss_sigma_m) * radius_at_risk(risk / 0.2), rel=0.01)
+
+
 def receiver(vehicle: int, separation_m: float, sigma_m: float) -> Separation:
     return Separation(FaultClass.RECEIVERS, (vehicle,), separation_m, sigma_m)
 

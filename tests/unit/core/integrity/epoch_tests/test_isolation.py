@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gcs_coloc.core.integrity.epoch_tests.epoch import Epoch, PositionPrior, RangeResidual
-from gcs_coloc.core.integrity.epoch_tests.fault_model import FaultKind
+from gcs_coloc.core.integrity.epoch_tests.fault_model import AdjustedHypothesis, FaultKind
 from gcs_coloc.core.integrity.epoch_tests.fault_tests import SignificanceLevels, run_tests
-from gcs_coloc.core.integrity.epoch_tests.isolation import isolate
+from gcs_coloc.core.integrity.epoch_tests.isolation import Isolation, isolate
 from gcs_coloc.core.integrity.epoch_tests.noise_model import NoiseModel
 from gcs_coloc.core.integrity.epoch_tests.pair_outliers import cost_of_two_pairs
 
@@ -116,6 +116,51 @@ def test_with_one_range_to_the_faulty_vehicle_nothing_is_isolated():
         now = epoch(np.random.default_rng(seed), 5, mutual=False, denied=(1,), offsets={2: (-60.0, 0.0)})
         found = isolate(now, (None, 0.0), LEVELS)
         assert not is_alarmed(now) or (not found.isolated and FaultKind.PAIR in {each.kind for each in found.plausible})
+
+
+@pytest.mark.parametrize(("peers", "least"), [(5, 15), (6, 12)])
+def test_among_five_peers_or_six_that_one_vehicle_ranges_the_one_that_is_off_is_often_suspected_alone(peers, least):
+    """60 m, 40 geometries. Who would only be off besides it is not possible for that.
+
+    `least` is three sigmas below the 24 and 21 of other draws. That its one range is off is as likely, so it is not named.
+    """
+    alone = 0
+    for seed in range(40):
+        rng = np.random.default_rng([seed, peers, 60])
+        now = epoch(rng, peers + 1, mutual=False, denied=(1,), offsets={2: offset(rng, 60.0)})
+        if not is_alarmed(now):
+            continue
+        found = isolate(now, (None, 0.0), LEVELS)
+        assert 2 in found.possible
+        assert not found.isolated
+        alone += found.possible == {2}
+    assert alone >= least
+
+
+def test_of_four_peers_that_one_vehicle_ranges_any_two_may_be_off_alike():
+    """They are half of all, and their two unknowns are as many as the ranges have beyond the vehicle's position."""
+    for seed in range(40):
+        rng = np.random.default_rng([seed, 4])
+        now = epoch(rng, 5, mutual=False, denied=(1,), offsets={2: offset(rng, 60.0)})
+        assert not is_alarmed(now) or len(isolate(now, (None, 0.0), LEVELS).possible) > 1
+
+
+def explanation(*vehicles, cost):
+    return AdjustedHypothesis(FaultKind.POSITIONS, vehicles, cost, cost, 2, 30.0)
+
+
+def test_who_may_be_off_besides_a_smaller_explanation_is_not_suspected_but_known():
+    smaller, larger, other = explanation(1, cost=5.0), explanation(1, 3, cost=7.0), explanation(2, 4, cost=9.0)
+    found = Isolation((1, 2, 3, 4, 5), (smaller, larger, other))
+    assert found.possible == {1, 2, 4}
+    assert found.also == {frozenset((3,)): pytest.approx(np.exp(-1.0))}
+    assert found.isolated == {}
+
+
+def test_what_explains_better_with_one_more_is_as_likely_as_without():
+    found = Isolation((1, 2, 3, 4, 5), (explanation(1, 3, cost=5.0), explanation(1, cost=9.0)))
+    assert found.isolated.keys() == {1}
+    assert found.also == {frozenset((3,)): 1.0}
 
 
 def test_who_reports_trouble_of_his_own_is_named_where_the_ranges_alone_leave_it_open():
