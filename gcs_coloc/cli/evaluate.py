@@ -22,7 +22,7 @@ from gcs_coloc.cli.task_options import JobsOption, ResumeOption, SchedulerOption
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.estimator import GuardedEstimator
 from gcs_coloc.core.measurements import Unlocated
-from gcs_coloc.estimators.registry import load_estimator
+from gcs_coloc.estimators.registry import load_estimator, plug_in_digest
 from gcs_coloc.evaluation.evaluate import Evaluation
 from gcs_coloc.evaluation.evaluate import Progress as EvaluationProgress
 from gcs_coloc.evaluation.evaluate import evaluate as run_evaluation
@@ -35,7 +35,7 @@ _FILE_WIDTH = 140  # of a table that goes to a file or pipe
 
 @dataclass(frozen=True, slots=True)
 class DataSetTask:
-    """One data set to be evaluated; `digest` is of its files where the result is kept."""
+    """One data set to be evaluated; `digest` is of its files, and of a plug-in estimator, where the result is kept."""
 
     directory: Path
     digest: str = ""
@@ -76,7 +76,8 @@ def evaluate(
         if len(directories) == 1 and scheduler is None and resume is None:
             evaluated = [run(DataSetTask(directories[0]), show)]
         else:
-            tasks = [DataSetTask(directory.absolute(), _digest(directory) if resume else "") for directory in directories]
+            plug_in = plug_in_digest(settings.estimator.name) if resume else ""
+            tasks = [DataSetTask(path.absolute(), _digest(path) + plug_in if resume else "") for path in directories]
             evaluated = run_tasks(run, tasks, workers, show, kept_in(resume))
     evaluations = [evaluation for evaluation, _ in evaluated]
     for directory, (evaluation, faults) in zip(directories, evaluated, strict=True):

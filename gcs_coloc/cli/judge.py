@@ -142,6 +142,8 @@ def _comparison(its: dict[str, str], here: dict[str, str], changes: Sequence[Fig
         for key, what in (("version", "version"), ("estimator", "estimator"), ("settings", "settings"))
         if its.get(key) != here[key]
     ]
+    if its.get("estimator") == here["estimator"] and its.get("plug_in", "") != here["plug_in"]:
+        differing.append("another state of the estimator's file")
     counts = Counter(change.verdict for change in changes)
     told = ", ".join(f"{counts[verdict]} {verdict.value}" for verdict in Verdict)
     aspects = ", ".join(aspect.value for aspect in Aspect if any(change.aspect is aspect for change in changes))

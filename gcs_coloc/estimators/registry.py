@@ -7,6 +7,7 @@ dataclass (or that or None), or no argument if it has no settings.
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import importlib.util
 import inspect
@@ -21,6 +22,7 @@ from typing import Any
 
 from gcs_coloc.core.errors import EstimatorError
 from gcs_coloc.core.estimator import Estimator
+from gcs_coloc.runtime.program import source_of
 
 BUILT_IN = {
     "qu_zhang": "gcs_coloc.estimators.qu_zhang.filter:QuZhangFilter",
@@ -66,6 +68,40 @@ def load_class(name: str) -> type:
         EstimatorError: no such estimator, or it cannot be imported.
 
     """
+    where, class_name = _target(name)
+    module = _load_file(where) if where.endswith(".py") else _load_module(where)
+    cls = getattr(module, class_name, None)
+    if not isinstance(cls, type):
+        raise EstimatorError(f"{where} has no class {class_name}")
+    return cls
+
+
+def plug_in_digest(name: str) -> str:
+    """Return a digest of a plug-in's file, or of the whole package that its module is in; empty for what is built in.
+
+    With `program_digest` it says whether two results are of the same estimator. Its other packages do not count.
+
+    Raises:
+        EstimatorError: no such estimator.
+
+    """
+    if name in BUILT_IN:
+        return ""
+    where, _ = _target(name)
+    digest = hashlib.sha256()
+    if not where.endswith(".py"):
+        for part in source_of(where.partition(".")[0]):
+            digest.update(part)
+    else:
+        try:
+            digest.update(_plug_in_file(where).read_bytes())
+        except OSError as error:
+            raise EstimatorError(f"cannot read estimator file {where}: {error.strerror or error}") from error
+    return digest.hexdigest()[:16]
+
+
+def _target(name: str) -> tuple[str, str]:
+    """Return the module or file of an estimator, and the name of its class."""
     target = BUILT_IN.get(name, name)
     if ":" not in target:
         plugins: dict[str, EntryPoint] = {point.name: point for point in entry_points(group=GROUP)}
@@ -78,11 +114,7 @@ def load_class(name: str) -> type:
     where, _, class_name = target.rpartition(":")
     if not where or not class_name:
         raise EstimatorError(f"{name!r} is no estimator: name it as package.module:Class or path/to/file.py:Class")
-    module = _load_file(where) if where.endswith(".py") else _load_module(where)
-    cls = getattr(module, class_name, None)
-    if not isinstance(cls, type):
-        raise EstimatorError(f"{where} has no class {class_name}")
-    return cls
+    return where, class_name
 
 
 def _load_module(module_name: str) -> types.ModuleType:
@@ -92,10 +124,15 @@ def _load_module(module_name: str) -> types.ModuleType:
         raise EstimatorError(f"cannot import estimator module {module_name}: {_described(error)}") from error
 
 
-def _load_file(path: str) -> types.ModuleType:
+def _plug_in_file(path: str) -> Path:
     file = Path(path).expanduser()
     if not file.is_file():
         raise EstimatorError(f"there is no estimator file {path}")
+    return file
+
+
+def _load_file(path: str) -> types.ModuleType:
+    file = _plug_in_file(path)
     # The full path as the module's name: two files of one name do not meet, and nothing installed is hidden.
     spec = importlib.util.spec_from_file_location(str(file.resolve()), file)
     if spec is None or spec.loader is None:

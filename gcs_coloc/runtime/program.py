@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import platform
+from collections.abc import Iterator
 from functools import cache
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
 import gcs_coloc
@@ -14,14 +16,34 @@ _COMPUTES = ("numpy", "scipy")
 """Packages whose version may change a result in its last bits."""
 
 
+_PACKAGES = ("gcs_coloc", "sitl_fakes")
+"""What is installed together. Studies fly the simulated aircraft; named here, as only the study may import them."""
+_SOURCES = (".py", ".so", ".toml")
+"""Endings of files that a result may depend on; scenarios are TOML."""
+
+
 @cache
 def program_digest() -> str:
-    """Return a digest of the package's source: results of two states of the program are never mixed."""
-    root = Path(gcs_coloc.__file__).parent
+    """Return a digest of the source, simulated aircraft included: results of two states of the program are never mixed."""
     digest = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    for name in _PACKAGES:
+        for part in source_of(name):
+            digest.update(part)
     return digest.hexdigest()[:16]
+
+
+def source_of(package: str) -> Iterator[bytes]:
+    """Yield what a digest of a top-level package or module consists of; of one that is not there, its name. Imports nothing."""
+    yield package.encode()
+    spec = find_spec(package)
+    if spec is None:
+        return
+    roots = [Path(root) for root in spec.submodule_search_locations or ()]
+    for root in roots:
+        for path in sorted(path for path in root.rglob("*") if path.suffix in _SOURCES and path.is_file()):
+            yield path.relative_to(root).as_posix().encode() + path.read_bytes()
+    if not roots and spec.origin is not None and Path(spec.origin).is_file():
+        yield Path(spec.origin).read_bytes()
 
 
 @cache

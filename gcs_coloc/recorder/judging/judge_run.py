@@ -12,6 +12,7 @@ from typing import Any
 import gcs_coloc
 from gcs_coloc.config.settings import Settings
 from gcs_coloc.core.errors import DataError, UsageError
+from gcs_coloc.estimators.registry import plug_in_digest
 from gcs_coloc.recorder.judging.judged_flight import JudgedBy, JudgedFlight, judge_flight
 from gcs_coloc.recorder.judging.recordings_below import FoundRecording
 from gcs_coloc.runtime.program import program_digest
@@ -24,11 +25,12 @@ Done = Callable[[int, int], None]
 
 
 def judged_with(settings: Settings) -> dict[str, str]:
-    """Return what figures depend on besides the recordings: estimator, settings and program."""
+    """Return what figures depend on besides the recordings: estimator, settings and program. Raises EstimatorError."""
     return {
         "version": gcs_coloc.__version__,
         "program": program_digest(),
         "estimator": settings.estimator.name,
+        "plug_in": plug_in_digest(settings.estimator.name),
         "settings": settings.fingerprint(),
     }
 

@@ -15,10 +15,9 @@ from scipy.stats import chi2
 
 from gcs_coloc import __version__
 from gcs_coloc.core.errors import UsageError
-from gcs_coloc.runtime.program import program_digest
 from gcs_coloc.study.integrity.flight_classes import CLASSES, Group
 from gcs_coloc.study.integrity.trial import FLIGHT_S, TIME_TO_ALERT_S, EventKind, TrialScore
-from gcs_coloc.study.integrity.trial_runs import RunOptions
+from gcs_coloc.study.integrity.trial_runs import RunOptions, flown_with
 
 _CONFIDENCE = 0.95
 
@@ -164,8 +163,7 @@ def write_report(options: RunOptions, scores: Sequence[TrialScore], results: Seq
     path = options.out / "integrity.json"
     content: dict[str, Any] = {
         "version": __version__,
-        "program": program_digest(),
-        "estimator": options.estimator,
+        **flown_with(options.estimator),
         "flight_s": FLIGHT_S,
         "time_to_alert_s": TIME_TO_ALERT_S,
         "seeds": sorted({score.seed for score in scores}),

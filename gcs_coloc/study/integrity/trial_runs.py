@@ -10,6 +10,7 @@ from itertools import count
 from pathlib import Path
 
 from gcs_coloc.core.errors import DataError, UsageError
+from gcs_coloc.estimators.registry import plug_in_digest
 from gcs_coloc.runtime.output_paths import make_output_directory
 from gcs_coloc.runtime.program import program_digest
 from gcs_coloc.runtime.tasks import Workers, iterate_tasks
@@ -47,15 +48,21 @@ class RunOptions:
             raise UsageError("--seeds and --hours have to be above 0")
 
 
+def flown_with(estimator: str) -> dict[str, str]:
+    """Return what flights depend on besides class and seed: the program, and the estimator. Raises EstimatorError."""
+    return {"program": program_digest(), "estimator": estimator, "plug_in": plug_in_digest(estimator)}
+
+
 def run_trials(options: RunOptions, done: Done) -> list[TrialScore]:
     """Fly what is not in the directory yet, and return the scores of all flights that were wanted, by class and seed.
 
     Raises:
-        DataError: the directory holds flights of another state of the program, or of another estimator.
+        DataError: the directory holds flights of another state of the program, or of another estimator or state of it.
+        EstimatorError: there is no such estimator.
         UsageError: it cannot be written.
     """
     path = options.out / _FLIGHTS
-    header = {"program": program_digest(), "estimator": options.estimator}
+    header = flown_with(options.estimator)
     known = _read(path, header)
     scores: list[TrialScore] = []
 

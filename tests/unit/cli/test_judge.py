@@ -124,6 +124,15 @@ def test_another_program_or_file_is_judged_anew(year: Path, tmp_path: Path, judg
     gcs_coloc(*arguments)
     assert len(judged) == 3
 
+    plug_in = tmp_path / "mine.py"
+    plug_in.write_text("from gcs_coloc.estimators.fleet.filter import FleetFilter as Mine\n")
+    arguments += ("--estimator", f"{plug_in}:Mine")
+    assert [gcs_coloc(*arguments).returncode for _ in range(2)] == [0, 0]
+    assert len(judged) == 4
+    plug_in.write_text(f"{plug_in.read_text()}# edited\n")
+    gcs_coloc(*arguments)
+    assert len(judged) == 5
+
 
 def test_a_recording_that_cannot_be_read_is_named_and_the_others_are_judged(year: Path, baseline: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(year, tmp_path / "year")

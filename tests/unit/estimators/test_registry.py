@@ -1,10 +1,11 @@
+import sys
 from pathlib import Path
 
 import pytest
 
 from gcs_coloc.core.errors import EstimatorError
 from gcs_coloc.estimators.qu_zhang.filter import QuZhangFilter
-from gcs_coloc.estimators.registry import BUILT_IN, load_estimator
+from gcs_coloc.estimators.registry import BUILT_IN, load_estimator, plug_in_digest
 
 PLUG_IN = """
 from __future__ import annotations
@@ -128,6 +129,27 @@ def test_a_plug_in_that_fails_on_import_is_told(tmp_path: Path) -> None:
 
     with pytest.raises(EstimatorError, match="ZeroDivisionError"):
         load_estimator(f"{tmp_path / 'broken.py'}:Any", {})
+
+
+def test_the_digest_of_a_plug_in_changes_with_its_file_and_with_any_module_of_its_package(
+    tmp_path: Path, plug_in: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert plug_in_digest("fleet") == ""
+    of_file = plug_in_digest(f"{plug_in}:Mine")
+    assert of_file == plug_in_digest(f"{plug_in}:Mine")
+    Path(plug_in).write_text(f"{PLUG_IN}# edited")
+    assert plug_in_digest(f"{plug_in}:Mine") != of_file
+    package = tmp_path / "digested_plug_in"
+    package.mkdir()
+    for name in ("__init__", "filter", "tools"):
+        (package / f"{name}.py").write_text("")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    of_package = plug_in_digest("digested_plug_in.filter:Mine")
+    (package / "tools.py").write_text("WEIGHT = 2\n")
+    assert plug_in_digest("digested_plug_in.filter:Mine") != of_package
+    assert package.name not in sys.modules
+    with pytest.raises(EstimatorError, match="there is no estimator file"):
+        plug_in_digest(f"{tmp_path}/none.py:Mine")
 
 
 def test_an_installed_package_names_its_estimator_by_an_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

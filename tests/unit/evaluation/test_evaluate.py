@@ -267,6 +267,21 @@ def test_an_evaluation_goes_on_where_it_was_stopped_unless_a_file_has_changed(tm
     assert json.loads(gcs_coloc("evaluate", walk, *flags).stdout)["measurements"] == json.loads(first)["measurements"] - 1
 
 
+def test_an_evaluation_by_a_plug_in_is_done_again_once_its_file_is_edited(tmp_path):
+    walk, plug_in = write_walk(tmp_path, 2), tmp_path / "mine.py"
+    plug_in.write_text(
+        "from gcs_coloc.estimators.fleet.filter import FleetFilter\n\n\nclass Mine(FleetFilter):\n    name = 'mine'\n"
+    )
+    flags = ("--json", "--jobs", "1", "--estimator", f"{plug_in}:Mine", "--resume", tmp_path / "kept")
+    first = gcs_coloc("evaluate", walk, *flags).stdout
+    assert gcs_coloc("evaluate", walk, *flags).stdout == first
+    plug_in.write_text(plug_in.read_text().replace("'mine'", "'edited'"))
+    assert (json.loads(first)["estimator"], json.loads(gcs_coloc("evaluate", walk, *flags).stdout)["estimator"]) == (
+        "mine",
+        "edited",
+    )
+
+
 def test_several_data_sets_give_one_table_and_one_csv(tmp_path):
     walks = [tmp_path / "one", tmp_path / "two"]
     for walk in walks:

@@ -158,6 +158,13 @@ def test_hours_end_the_run(flown, tmp_path):
 
 def test_flights_of_another_state_of_the_program_are_refused(flown, tmp_path, monkeypatch):
     run_trials(RunOptions(tmp_path, ("planes",), seeds=1), lambda _: None)
+    plug_in = tmp_path / "mine.py"
+    plug_in.write_text("from gcs_coloc.estimators.fleet.filter import FleetFilter as Mine\n")
+    options = RunOptions(tmp_path / "of-plug-in", ("planes",), seeds=1, estimator=f"{plug_in}:Mine")
+    assert run_trials(options, lambda _: None) == run_trials(options, lambda _: None)
+    plug_in.write_text(f"{plug_in.read_text()}# edited\n")
+    with pytest.raises(DataError, match="another --out"):
+        run_trials(options, lambda _: None)
     monkeypatch.setattr(trial_runs, "program_digest", lambda: "another")
     with pytest.raises(DataError, match="another --out"):
         run_trials(RunOptions(tmp_path, ("planes",), seeds=1), lambda _: None)
