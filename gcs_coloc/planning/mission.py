@@ -41,6 +41,8 @@ _RELATIVE_FRAMES = frozenset({3, 6, 10, 11})
 _LANDS = frozenset({MissionCommand.LAND, MissionCommand.VTOL_LAND})
 _HOLDS_FOREVER_S = 600.0
 """Chosen: who loiters until told otherwise does so for ten minutes here."""
+_LONGEST_HOLD_S = 24.0 * 3600.0  # chosen: no longer flight is flown
+_MOST_SHOWN = 60  # characters of a wrong value; chosen: the line stays one
 _LOITER_RADIUS_M = 60.0
 """Source: WP_LOITER_RAD of ArduPlane."""
 
@@ -169,20 +171,24 @@ def check_place(where: str, lat_deg: float, lon_deg: float, alt_m: float) -> Non
 
 
 def _hold(item: MissionItem, command: MissionCommand, vehicle_class: VehicleClass, speed_mps: float) -> tuple[float, float]:
-    """Return how long a vehicle stays at an item's place, s, and on which radius, m."""
+    """Return how long a vehicle stays at an item's place, s, at most a day, and on which radius, m."""
     circles = vehicle_class is VehicleClass.PLANE
     radius_m = (abs(item.params[2]) or _LOITER_RADIUS_M) if circles else 0.0
     match command:
         case MissionCommand.LOITER_UNLIM:
             return _HOLDS_FOREVER_S, radius_m
         case MissionCommand.LOITER_TIME:
-            return max(item.params[0], 0.0), radius_m
+            return _within(item.params[0]), radius_m
         case MissionCommand.LOITER_TURNS:
             around_m = 2.0 * math.pi * (abs(item.params[2]) or _LOITER_RADIUS_M)
-            return max(item.params[0], 0.0) * around_m / speed_mps, radius_m
+            return _within(item.params[0] * around_m / speed_mps), radius_m
         case MissionCommand.WAYPOINT if not circles:
-            return max(item.params[0], 0.0), 0.0
+            return _within(item.params[0]), 0.0
     return 0.0, 0.0
+
+
+def _within(hold_s: float) -> float:
+    return min(max(hold_s, 0.0), _LONGEST_HOLD_S)
 
 
 def number(where: str, name: str, value: object) -> float:
@@ -191,9 +197,22 @@ def number(where: str, name: str, value: object) -> float:
     Raises:
         DataError: it is none, or not finite; the text begins with `where`.
     """
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise DataError(f"{where}: {name} is {value!r}, expected a number")
-    return float(value)
+    try:
+        found = float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else math.nan
+    except OverflowError:
+        found = math.inf
+    if not math.isfinite(found):
+        raise DataError(f"{where}: {name} is {shown(value)}, expected a number")
+    return found
+
+
+def shown(value: object) -> str:
+    """Return a value of a file as an error shows it: in one line that can be read."""
+    try:
+        text = repr(value)
+    except ValueError:  # an integer of thousands of digits
+        text = "a number of thousands of digits"
+    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."
 
 
 def numbers(where: str, names: Iterable[str], values: Sequence[object]) -> list[float]:

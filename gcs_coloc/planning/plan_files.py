@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -30,6 +31,7 @@ from gcs_coloc.planning.mission import (
     mission_of,
     number,
     numbers,
+    shown,
 )
 
 _PARAMS = ("param 1", "param 2", "param 3", "param 4", "latitude", "longitude", "altitude")
@@ -38,6 +40,9 @@ _WPL_COLUMNS = ("index", "current", "frame", "command", *_PARAMS, "autocontinue"
 _PLANE_VEHICLE_TYPES = frozenset({1, *range(19, 26)})
 """MAV_TYPE: fixed wing and VTOL."""
 _CLASSES_BY_TYPE = {10: VehicleClass.GROUND, 11: VehicleClass.BOAT, 12: VehicleClass.BOAT}
+_MOST_DIGITS = 30  # chosen: beyond any field of a plan; Python refuses to convert some thousand
+_LONGEST_S = 24.0 * 3600.0
+_MOST_LEGS = 100_000  # chosen: one for each second of a day
 _LARGEST_FILE_BYTES = 50_000_000  # chosen: a thousand waypoints take 1 MB
 
 
@@ -61,19 +66,22 @@ def read_plan_file(path: Path, vehicle_class: VehicleClass | None, speed_mps: fl
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: is no text, expected a .plan, .waypoints or scenario file") from error
-    if text.lstrip().startswith("{"):
-        return _read_qgc(path, text, vehicle_class, speed_mps)
-    if text.startswith("QGC WPL"):
-        return _read_wpl(path, text, vehicle_class, speed_mps)
-    if path.suffix == ".toml":
-        return _read_scenario(path, text, speed_mps)
+    try:
+        if text.lstrip().startswith("{"):
+            return _read_qgc(path, text, vehicle_class, speed_mps)
+        if text.startswith("QGC WPL"):
+            return _read_wpl(path, text, vehicle_class, speed_mps)
+        if path.suffix == ".toml":
+            return _read_scenario(path, text, speed_mps)
+    except RecursionError as error:
+        raise DataError(f"{path}: is nested too deep, expected a plan") from error
     raise DataError(f"{path}: expected a QGroundControl .plan (JSON), {_WPL_HEADER!r} in the first line, or a scenario (.toml)")
 
 
 def _read_qgc(path: Path, text: str, vehicle_class: VehicleClass | None, speed_mps: float | None) -> MissionFile:
     try:
-        whole = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
+        whole = json.loads(text, parse_int=_parse_int)
+    except json.JSONDecodeError as error:
         raise DataError(f"{path}: not valid JSON: {error}") from error
     mission = whole.get("mission") if isinstance(whole, dict) else None
     if not isinstance(mission, dict) or not isinstance(mission.get("items"), list):
@@ -96,11 +104,16 @@ def _read_qgc(path: Path, text: str, vehicle_class: VehicleClass | None, speed_m
     return MissionFile(found.missions, (*remarks, *found.remarks))
 
 
+def _parse_int(digits: str) -> float:
+    """Return an integer; one of more digits than any plan has as a float, which may be infinite and is refused at its item."""
+    return int(digits) if len(digits) <= _MOST_DIGITS else float(digits)
+
+
 def _home(path: Path, value: object) -> LatLonAlt | None:
     if value is None:
         return None
     if not isinstance(value, list) or len(value) != 3:
-        raise DataError(f"{path}: plannedHomePosition is {value!r}, expected [latitude, longitude, altitude]")
+        raise DataError(f"{path}: plannedHomePosition is {shown(value)}, expected [latitude, longitude, altitude]")
     lat, lon, alt = numbers(f"{path}: plannedHomePosition", ("latitude", "longitude", "altitude"), value)
     check_place(f"{path}: plannedHomePosition", lat, lon, alt)
     return lat, lon, alt
@@ -108,7 +121,7 @@ def _home(path: Path, value: object) -> LatLonAlt | None:
 
 def _qgc_items(where: str, at: int, item: object, remarks: list[str]) -> list[MissionItem]:
     if not isinstance(item, dict):
-        raise DataError(f"{where}: is {item!r}, expected an object")
+        raise DataError(f"{where}: is {shown(item)}, expected an object")
     kind = item.get("type")
     if kind == "ComplexItem":
         transect = item.get("TransectStyleComplexItem")
@@ -118,10 +131,10 @@ def _qgc_items(where: str, at: int, item: object, remarks: list[str]) -> list[Mi
             return []
         return [each for one in inner for each in _qgc_items(where, at, one, remarks)]
     if kind != "SimpleItem":
-        raise DataError(f"{where}: type is {kind!r}, expected SimpleItem or ComplexItem")
+        raise DataError(f"{where}: type is {shown(kind)}, expected SimpleItem or ComplexItem")
     params = item.get("params")
     if not isinstance(params, list) or len(params) != 7:
-        raise DataError(f"{where}: params is {params!r}, expected a list of 7 numbers")
+        raise DataError(f"{where}: params is {shown(params)}, expected a list of 7 numbers")
     command, frame = number(where, "command", item.get("command")), number(where, "frame", item.get("frame"))
     p1, p2, p3, p4, lat, lon, alt = numbers(where, _PARAMS, params)
     return [MissionItem(at, int(command), int(frame), (p1, p2, p3, p4), lat, lon, alt)]
@@ -130,7 +143,7 @@ def _qgc_items(where: str, at: int, item: object, remarks: list[str]) -> list[Mi
 def _read_wpl(path: Path, text: str, vehicle_class: VehicleClass | None, speed_mps: float | None) -> MissionFile:
     header, *lines = text.splitlines()
     if header.strip() != _WPL_HEADER:
-        raise DataError(f"{path}: line 1: is {header.strip()!r}, expected {_WPL_HEADER!r}")
+        raise DataError(f"{path}: line 1: is {shown(header.strip())}, expected {_WPL_HEADER!r}")
     items: list[MissionItem] = []
     for at, line in enumerate(lines, start=2):
         if line.strip():
@@ -162,7 +175,7 @@ def _wpl_item(where: str, line: str) -> MissionItem:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise DataError(f"{where}: {name} is {column!r}, expected a number")
+            raise DataError(f"{where}: {name} is {shown(column)}, expected a number")
         values.append(value)
     index, _, frame, command, p1, p2, p3, p4, lat, lon, alt, _ = values
     return MissionItem(int(index), int(command), int(frame), (p1, p2, p3, p4), lat, lon, alt)
@@ -173,6 +186,9 @@ def _read_scenario(path: Path, text: str, speed_mps: float | None) -> MissionFil
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise DataError(f"{path}: not valid TOML: {error}") from error
+    except ValueError as error:  # Python refuses to convert an integer of thousands of digits
+        at = next((k for k, line in enumerate(text.splitlines(), start=1) if re.search(r"\d{1000}", line)), 1)
+        raise DataError(f"{path}: line {at}: expected a number of fewer digits") from error
     lacking = [shown for key, shown in (("origin", "[origin]"), ("vehicle", "[[vehicle]]")) if key not in table]
     if lacking:
         raise DataError(f"{path}: has no {' and no '.join(lacking)}: expected a scenario of simulated vehicles")
@@ -182,17 +198,30 @@ def _read_scenario(path: Path, text: str, speed_mps: float | None) -> MissionFil
     check_place(f"{path}: origin", lat, lon, base_m)
     frame = LocalFrame(lat, lon, base_m)
     duration_s = number(str(path), "duration_s", table.get("duration_s", 360.0))
+    if not 0.0 < duration_s <= _LONGEST_S:
+        raise DataError(f"{path}: duration_s is {duration_s:g}, expected seconds above 0, at most {_LONGEST_S:g}")
     vehicles = table.get("vehicle")
     if not isinstance(vehicles, list) or not vehicles:
         raise DataError(f"{path}: vehicle: expected at least one [[vehicle]]")
-    missions = tuple(_scenario_vehicle(path, at, each, table, frame, speed_mps) for at, each in enumerate(vehicles, start=1))
-    stations = tuple(_scenario_station(path, at, each, frame) for at, each in enumerate(table.get("station", []), start=1))
+    missions = tuple(
+        _scenario_vehicle(path, at, each, table, frame, speed_mps, duration_s) for at, each in enumerate(vehicles, start=1)
+    )
+    listed = table.get("station", [])
+    if not isinstance(listed, list):
+        raise DataError(f"{path}: station is {shown(listed)}, expected a [[station]] for each")
+    stations = tuple(_scenario_station(path, at, each, frame) for at, each in enumerate(listed, start=1))
     remarks = (f"{path}: {duration_s:g} s are flown, as duration_s says; faults and wind in it are left out",)
     return MissionFile(missions, remarks, stations, _scenario_assumptions(path, table))
 
 
 def _scenario_vehicle(
-    path: Path, at: int, vehicle: Any, table: Mapping[str, Any], frame: LocalFrame, speed_mps: float | None
+    path: Path,
+    at: int,
+    vehicle: Any,
+    table: Mapping[str, Any],
+    frame: LocalFrame,
+    speed_mps: float | None,
+    duration_s: float,
 ) -> Mission:
     where = f"{path}: vehicle {at}"
     if not isinstance(vehicle, dict) or not isinstance(vehicle.get("sysid"), int) or not is_system_id(vehicle["sysid"]):
@@ -204,17 +233,16 @@ def _scenario_vehicle(
     places: list[tuple[float, float]] = []
     for k, point in enumerate(points, start=1):
         if not isinstance(point, list) or len(point) != 2:
-            raise DataError(f"{where}: waypoint {k}: is {point!r}, expected [east, north] in metres")
+            raise DataError(f"{where}: waypoint {k}: is {shown(point)}, expected [east, north] in metres")
         east, north = numbers(f"{where}: waypoint {k}", ("east", "north"), point)
         places.append((east, north))
     speed = speed_mps or number(where, "airspeed_mps", vehicle.get("airspeed_mps") or table.get("airspeed_mps", 22.0))
-    duration_s = number(str(path), "duration_s", table.get("duration_s", 360.0))
     end = vehicle.get("end_of_route") or table.get("end_of_route", "straight")
     hold_s, radius_m = 0.0, 0.0
     if end == "hold":
         hold_s, radius_m = duration_s, number(str(path), "hold_radius_m", table.get("hold_radius_m", 400.0))
     else:
-        places += _ways_after(places, end, speed * duration_s)
+        places += _ways_after(where, places, end, speed * duration_s)
     ends = [
         frame.geodetic_from_enu(e, n, frame_height) for (e, n), frame_height in zip(places, [height_m] * len(places), strict=True)
     ]
@@ -224,11 +252,17 @@ def _scenario_vehicle(
     return Mission(name, ends[0], tuple(legs), VehicleClass.PLANE, vehicle["sysid"], duration_s)
 
 
-def _ways_after(places: Sequence[tuple[float, float]], end: str, length_m: float) -> list[tuple[float, float]]:
+def _ways_after(where: str, places: Sequence[tuple[float, float]], end: str, length_m: float) -> list[tuple[float, float]]:
     """Return what is flown after the last waypoint: straight on, or round again, until the given length is reached."""
     if end == "loop":
         around_m = sum(math.dist(a, b) for a, b in pairwise([*places, places[0]]))
-        return list(places) * (math.ceil(length_m / max(around_m, 1.0)))
+        laps = length_m / max(around_m, 1.0)
+        if laps * len(places) > _MOST_LEGS:
+            fits = f"{_MOST_LEGS} waypoints in all: a shorter duration_s or a longer loop"
+            raise DataError(
+                f"{where}: waypoints: {laps:.0f} laps of {around_m:.0f} m are flown in duration_s, expected at most {fits}"
+            )
+        return list(places) * math.ceil(laps)
     (ae, an), (be, bn) = places[-2], places[-1]
     last_m = max(math.hypot(be - ae, bn - an), 1e-6)
     return [(be + (be - ae) / last_m * length_m, bn + (bn - an) / last_m * length_m)]

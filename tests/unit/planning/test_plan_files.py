@@ -106,6 +106,8 @@ def test_a_malformed_file_is_told_with_file_place_and_what_was_expected(tmp_path
         (item(16, "47"), "item 1: latitude is '47', expected a number"),
         (item(16, math.nan), "item 1: latitude is nan, expected a number"),
         (7, "item 1: is 7, expected an object"),
+        (item(16, 10**400), "item 1: latitude is inf, expected a number"),
+        ({"type": "SimpleItem", "command": 16, "frame": 3, "params": ["x" * 500]}, "expected a list of 7 numbers"),
     ],
 )
 def test_a_malformed_item_of_a_plan_is_named_by_its_number(tmp_path, broken, said):
@@ -128,6 +130,64 @@ def test_another_toml_than_a_scenario_is_told_by_what_it_lacks(tmp_path, text, s
     with pytest.raises(DataError) as error:
         read_plan_file(path, None, None)
     assert said in str(error.value)
+
+
+def test_an_integer_of_thousands_of_digits_is_named_at_its_place(tmp_path):
+    digits = "9" * 5000
+    path = qgc(tmp_path, [item(16, 47.0), item(16, 12345)])
+    path.write_text(path.read_text().replace("12345", digits))
+    with pytest.raises(DataError, match=r"a\.plan: item 2: latitude is inf, expected a number$"):
+        read_plan_file(path, None, None)
+    toml = scenario(tmp_path, f"[[station]]\nid = {digits}\n")
+    with pytest.raises(DataError, match=r"s\.toml: line 12: expected a number of fewer digits$"):
+        read_plan_file(toml, None, None)
+    hexadecimal = scenario(tmp_path, f"[[station]]\nid = 3\neast_m = 0x{digits}\n")
+    with pytest.raises(DataError, match=r"s\.toml: station 1: east_m is a number of thousands of digits, expected a number$"):
+        read_plan_file(hexadecimal, None, None)
+
+
+def test_a_plan_that_is_nested_too_deep_is_told(tmp_path):
+    path = qgc(tmp_path, [12345])
+    deep = '{"type": "ComplexItem", "TransectStyleComplexItem": {"Items": ['
+    path.write_text(path.read_text().replace("12345", deep * 3000 + "]}}" * 3000))
+    with pytest.raises(DataError, match="is nested too deep, expected a plan"):
+        read_plan_file(path, None, None)
+
+
+def scenario(tmp_path, more="", top="", vehicle=""):
+    """A scenario of one vehicle on a triangle of 10 m; further keys of the top level and of the vehicle, further tables."""
+    path = tmp_path / "s.toml"
+    lines = ("name = 's'", top, "[origin]", "lat_deg = 47.0", "lon_deg = 8.0", "[[vehicle]]", "sysid = 1", vehicle)
+    path.write_text("\n".join([*lines, "waypoints = [[0, 0], [10, 0], [0, 10]]", "", more]))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("top", "more", "said"),
+    [
+        ("station = 5", "", "s.toml: station is 5, expected a [[station]] for each"),
+        ("station = [5]", "", "s.toml: station 1: id: expected a number from 0 to 65535"),
+        ("duration_s = 0", "", "s.toml: duration_s is 0, expected seconds above 0, at most 86400"),
+        ("duration_s = -5", "", "s.toml: duration_s is -5, expected seconds above 0, at most 86400"),
+        ("duration_s = 1e300", "", "s.toml: duration_s is 1e+300, expected seconds above 0, at most 86400"),
+        (
+            "duration_s = 86400\nend_of_route = 'loop'",
+            "",
+            "s.toml: vehicle 1: waypoints: 55673 laps of 34 m are flown in duration_s, expected at most 100000 waypoints in all",
+        ),
+    ],
+)
+def test_a_malformed_scenario_is_told_in_one_line(tmp_path, top, more, said):
+    with pytest.raises(DataError) as error:
+        read_plan_file(scenario(tmp_path, more, top), None, None)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_stay_of_any_length_ends_with_the_day(tmp_path):
+    turns = item(18, 47.01, 8.01, params=(1e308, 0, 120, None))
+    (mission,) = read_plan_file(qgc(tmp_path, [turns]), None, None).missions
+    assert mission.legs[0].hold_s == 86400.0
 
 
 def test_a_file_that_cannot_be_read_is_told(tmp_path):
