@@ -15,10 +15,12 @@ from rich.table import Table
 from gcs_coloc.cli.task_options import JobsOption, ResumeOption, SchedulerOption, kept_in, workers_for
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.measurements import VehicleClass
+from gcs_coloc.core.stations.node_id import MAX_STATION_ID
 from gcs_coloc.planning.assessment import Assessment, assess
 from gcs_coloc.planning.fleet_plan import FleetPlan
 from gcs_coloc.planning.improvement import find_improvement
 from gcs_coloc.planning.load import load_plan
+from gcs_coloc.planning.mission import LEAST_SPEED_MPS, MOST_SPEED_MPS
 from gcs_coloc.runtime.output_paths import check_output_file, writing
 
 _FILE_WIDTH = 140  # of a table that goes to a file or pipe
@@ -36,7 +38,8 @@ def plan(
         list[str] | None, typer.Option(help="VEHICLE=SECONDS: when a vehicle starts; 0 unless told. Several times for several.")
     ] = None,
     speed: Annotated[
-        float | None, typer.Option(help="Speed of all vehicles, m/s; as their plans say unless told.", min=0.1, max=200.0)
+        float | None,
+        typer.Option(help="Speed of all vehicles, m/s; as their plans say unless told.", min=LEAST_SPEED_MPS, max=MOST_SPEED_MPS),
     ] = None,
     vehicle_class: Annotated[
         VehicleClass | None, typer.Option("--class", help="How the vehicles move; as their plans say unless told.")
@@ -156,7 +159,7 @@ def _station(text: str) -> tuple[int, tuple[float, float, float]]:
             or not abs(lat) <= 90.0
             or not abs(lon) <= 180.0
             or not abs(alt) <= 20_000.0
-            or not 0 <= int(number) <= 65_535
+            or not 0 <= int(number) <= MAX_STATION_ID
         ):
             raise ValueError
         return int(number), (lat, lon, alt)

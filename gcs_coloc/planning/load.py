@@ -13,11 +13,8 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Vector3, VehicleClass
 from gcs_coloc.planning.fleet_plan import FleetPlan, PlanAssumptions, PlannedStation, PlannedVehicle
 from gcs_coloc.planning.flight_path import Leg
-from gcs_coloc.planning.mission import LatLonAlt, Mission, MissionFile
+from gcs_coloc.planning.mission import FAR_M, LatLonAlt, Mission, MissionFile
 from gcs_coloc.planning.plan_files import read_plan_file
-
-_FAR_M = 300_000.0
-"""Beyond it the plane of the frame and the earth part by kilometres; plans so far apart are of two sites."""
 
 
 def load_plan(
@@ -77,7 +74,7 @@ def _numbered(missions: Sequence[Mission]) -> dict[int, Mission]:
 def _vehicle(sysid: int, mission: Mission, frame: LocalFrame, start_s: float) -> PlannedVehicle:
     def enu(place: LatLonAlt) -> Vector3:
         east, north, up = frame.enu_from_geodetic(*place)
-        if abs(east) > _FAR_M or abs(north) > _FAR_M:
+        if abs(east) > FAR_M or abs(north) > FAR_M:
             raise UsageError(
                 f"{mission.name} is {max(abs(east), abs(north)) / 1e3:.0f} km away from the first plan: plan each site alone"
             )

@@ -16,6 +16,10 @@ from gcs_coloc.planning.fleet_plan import PlanAssumptions
 
 LatLonAlt = tuple[float, float, float]
 """Degrees, and metres above mean sea level."""
+FAR_M = 300_000.0
+"""Beyond it the plane of a frame and the earth part by kilometres; plans so far apart are of two sites."""
+LEAST_SPEED_MPS, MOST_SPEED_MPS = 0.1, 200.0
+"""Chosen: at less a way takes days; no vehicle of ours is faster."""
 
 
 class MissionCommand(IntEnum):
@@ -113,7 +117,7 @@ def mission_of(
     for item in items:
         if item.command == MissionCommand.DO_CHANGE_SPEED:
             if item.params[1] > 0.0:
-                speed_mps = item.params[1]
+                speed_mps = check_speed(f"{file}: item {item.number}", "speed", item.params[1])
             continue
         if item.command not in MissionCommand._value2member_map_:
             remarks.append(f"{file}: item {item.number}: command {item.command} is no waypoint and is skipped")
@@ -168,6 +172,17 @@ def check_place(where: str, lat_deg: float, lon_deg: float, alt_m: float) -> Non
         if not abs(value) <= most:
             unit = "metres" if name == "altitude" else "degrees"
             raise DataError(f"{where}: {name} is {value:g}, expected {unit} from {-most:g} to {most:g}")
+
+
+def check_speed(where: str, name: str, speed_mps: float) -> float:
+    """Return a speed.
+
+    Raises:
+        DataError: nothing of ours flies at it; the text begins with `where`.
+    """
+    if not LEAST_SPEED_MPS <= speed_mps <= MOST_SPEED_MPS:
+        raise DataError(f"{where}: {name} is {speed_mps:g}, expected m/s from {LEAST_SPEED_MPS:g} to {MOST_SPEED_MPS:g}")
+    return speed_mps
 
 
 def _hold(item: MissionItem, command: MissionCommand, vehicle_class: VehicleClass, speed_mps: float) -> tuple[float, float]:

@@ -19,15 +19,17 @@ from typing import Any
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import VehicleClass
-from gcs_coloc.core.stations.node_id import is_system_id
+from gcs_coloc.core.stations.node_id import MAX_STATION_ID, MAX_SYSTEM_ID, is_system_id
 from gcs_coloc.planning.fleet_plan import PlanAssumptions
 from gcs_coloc.planning.mission import (
+    FAR_M,
     LatLonAlt,
     Mission,
     MissionFile,
     MissionItem,
     MissionLeg,
     check_place,
+    check_speed,
     mission_of,
     number,
     numbers,
@@ -43,6 +45,8 @@ _CLASSES_BY_TYPE = {10: VehicleClass.GROUND, 11: VehicleClass.BOAT, 12: VehicleC
 _MOST_DIGITS = 30  # chosen: beyond any field of a plan; Python refuses to convert some thousand
 _LONGEST_S = 24.0 * 3600.0
 _MOST_LEGS = 100_000  # chosen: one for each second of a day
+_HIGHEST_M = 20_000.0  # chosen: nothing of ours flies higher
+_ENDS_OF_ROUTE = ("straight", "loop", "hold")
 _LARGEST_FILE_BYTES = 50_000_000  # chosen: a thousand waypoints take 1 MB
 
 
@@ -93,9 +97,7 @@ def _read_qgc(path: Path, text: str, vehicle_class: VehicleClass | None, speed_m
         vehicle_class = VehicleClass.PLANE if is_plane else _CLASSES_BY_TYPE.get(int(kind or 0), VehicleClass.MULTIROTOR)
     if speed_mps is None:
         key = "cruiseSpeed" if vehicle_class is VehicleClass.PLANE else "hoverSpeed"
-        speed_mps = number(str(path), key, mission.get(key, 15.0 if key == "cruiseSpeed" else 5.0))
-    if not 0.0 < speed_mps <= 200.0:
-        raise DataError(f"{path}: speed is {speed_mps:g}, expected m/s above 0, at most 200")
+        speed_mps = check_speed(str(path), key, number(str(path), key, mission.get(key, 15.0 if key == "cruiseSpeed" else 5.0)))
     items: list[MissionItem] = []
     remarks: list[str] = []
     for at, item in enumerate(mission["items"], start=1):
@@ -224,23 +226,35 @@ def _scenario_vehicle(
     duration_s: float,
 ) -> Mission:
     where = f"{path}: vehicle {at}"
-    if not isinstance(vehicle, dict) or not isinstance(vehicle.get("sysid"), int) or not is_system_id(vehicle["sysid"]):
-        raise DataError(f"{where}: sysid: expected a system id, a whole number from 1")
+    if not isinstance(vehicle, dict):
+        raise DataError(f"{where}: is {shown(vehicle)}, expected a table [[vehicle]]")
+    sysid = vehicle.get("sysid")
+    if isinstance(sysid, bool) or not isinstance(sysid, int) or not is_system_id(sysid):
+        raise DataError(f"{where}: sysid is {shown(sysid)}, expected a system id, a whole number from 1 to {MAX_SYSTEM_ID}")
     points = vehicle.get("waypoints")
     if not isinstance(points, list) or len(points) < 2:
         raise DataError(f"{where}: waypoints: expected two [east, north] at least")
-    height_m = number(where, "height_m", vehicle.get("height_m", 100.0))
+    height_m = _metres(where, "height_m", vehicle.get("height_m", 100.0), _HIGHEST_M)
     places: list[tuple[float, float]] = []
     for k, point in enumerate(points, start=1):
         if not isinstance(point, list) or len(point) != 2:
             raise DataError(f"{where}: waypoint {k}: is {shown(point)}, expected [east, north] in metres")
-        east, north = numbers(f"{where}: waypoint {k}", ("east", "north"), point)
+        east, north = (
+            _metres(f"{where}: waypoint {k}", name, v, FAR_M) for name, v in zip(("east", "north"), point, strict=True)
+        )
         places.append((east, north))
-    speed = speed_mps or number(where, "airspeed_mps", vehicle.get("airspeed_mps") or table.get("airspeed_mps", 22.0))
-    end = vehicle.get("end_of_route") or table.get("end_of_route", "straight")
+    speed = speed_mps
+    if speed is None:
+        stated = vehicle.get("airspeed_mps", table.get("airspeed_mps", 22.0))
+        speed = check_speed(where, "airspeed_mps", number(where, "airspeed_mps", stated))
+    end = vehicle.get("end_of_route", table.get("end_of_route", "straight"))
+    if end not in _ENDS_OF_ROUTE:
+        raise DataError(f"{where}: end_of_route is {shown(end)}, expected one of {', '.join(_ENDS_OF_ROUTE)}")
     hold_s, radius_m = 0.0, 0.0
     if end == "hold":
         hold_s, radius_m = duration_s, number(str(path), "hold_radius_m", table.get("hold_radius_m", 400.0))
+        if not 0.0 < radius_m <= FAR_M:
+            raise DataError(f"{path}: hold_radius_m is {radius_m:g}, expected metres above 0, at most {FAR_M:g}")
     else:
         places += _ways_after(where, places, end, speed * duration_s)
     ends = [
@@ -248,8 +262,15 @@ def _scenario_vehicle(
     ]
     legs = [MissionLeg(place, speed) for place in ends[1:]]
     legs[-1] = MissionLeg(ends[-1], speed, hold_s, radius_m)
-    name = f"{path.name}: vehicle {vehicle['sysid']}"
-    return Mission(name, ends[0], tuple(legs), VehicleClass.PLANE, vehicle["sysid"], duration_s)
+    return Mission(f"{path.name}: vehicle {sysid}", ends[0], tuple(legs), VehicleClass.PLANE, sysid, duration_s)
+
+
+def _metres(where: str, name: str, value: object, most_m: float) -> float:
+    """Return a coordinate of a scenario."""
+    found = number(where, name, value)
+    if not abs(found) <= most_m:
+        raise DataError(f"{where}: {name} is {found:g}, expected metres from {-most_m:g} to {most_m:g}")
+    return found
 
 
 def _ways_after(where: str, places: Sequence[tuple[float, float]], end: str, length_m: float) -> list[tuple[float, float]]:
@@ -270,12 +291,13 @@ def _ways_after(where: str, places: Sequence[tuple[float, float]], end: str, len
 
 def _scenario_station(path: Path, at: int, station: Any, frame: LocalFrame) -> tuple[int, LatLonAlt]:
     where = f"{path}: station {at}"
-    if not isinstance(station, dict) or not isinstance(station.get("id"), int):
-        raise DataError(f"{where}: id: expected a number from 0 to 65535")
-    e, n, u = (
-        number(where, key, station.get(key, 0.0 if key == "height_m" else None)) for key in ("east_m", "north_m", "height_m")
-    )
-    return station["id"], frame.geodetic_from_enu(e, n, u)
+    if not isinstance(station, dict):
+        raise DataError(f"{where}: is {shown(station)}, expected a table [[station]]")
+    station_id = station.get("id")
+    if isinstance(station_id, bool) or not isinstance(station_id, int) or not 0 <= station_id <= MAX_STATION_ID:
+        raise DataError(f"{where}: id is {shown(station_id)}, expected a whole number from 0 to {MAX_STATION_ID}")
+    e, n = (_metres(where, key, station.get(key), FAR_M) for key in ("east_m", "north_m"))
+    return station_id, frame.geodetic_from_enu(e, n, _metres(where, "height_m", station.get("height_m", 0.0), _HIGHEST_M))
 
 
 def _scenario_assumptions(path: Path, table: Mapping[str, Any]) -> PlanAssumptions:

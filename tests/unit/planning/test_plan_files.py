@@ -106,6 +106,8 @@ def test_a_malformed_file_is_told_with_file_place_and_what_was_expected(tmp_path
         (item(16, "47"), "item 1: latitude is '47', expected a number"),
         (item(16, math.nan), "item 1: latitude is nan, expected a number"),
         (7, "item 1: is 7, expected an object"),
+        (item(178, params=(1, 1e-9, -1, 0)), "item 1: speed is 1e-09, expected m/s from 0.1 to 200"),
+        (item(178, params=(1, 1e12, -1, 0)), "item 1: speed is 1e+12, expected m/s from 0.1 to 200"),
         (item(16, 10**400), "item 1: latitude is inf, expected a number"),
         ({"type": "SimpleItem", "command": 16, "frame": 3, "params": ["x" * 500]}, "expected a list of 7 numbers"),
     ],
@@ -166,7 +168,16 @@ def scenario(tmp_path, more="", top="", vehicle=""):
     ("top", "more", "said"),
     [
         ("station = 5", "", "s.toml: station is 5, expected a [[station]] for each"),
-        ("station = [5]", "", "s.toml: station 1: id: expected a number from 0 to 65535"),
+        ("station = [5]", "", "s.toml: station 1: is 5, expected a table [[station]]"),
+        ("", "[[station]]\nid = 70000", "s.toml: station 1: id is 70000, expected a whole number from 0 to 65535"),
+        ("", "[[station]]\nid = -5", "s.toml: station 1: id is -5, expected a whole number from 0 to 65535"),
+        ("", "[[station]]\nid = true", "s.toml: station 1: id is True, expected a whole number from 0 to 65535"),
+        ("", "[[station]]\nid = 1\neast_m = 1e308\nnorth_m = 0", "station 1: east_m is 1e+308, expected metres from -300000 to"),
+        ("airspeed_mps = -5", "", "s.toml: vehicle 1: airspeed_mps is -5, expected m/s from 0.1 to 200"),
+        ("airspeed_mps = 0", "", "s.toml: vehicle 1: airspeed_mps is 0, expected m/s from 0.1 to 200"),
+        ("end_of_route = 'spiral'", "", "s.toml: vehicle 1: end_of_route is 'spiral', expected one of straight, loop, hold"),
+        ("end_of_route = 5", "", "s.toml: vehicle 1: end_of_route is 5, expected one of straight, loop, hold"),
+        ("end_of_route = 'hold'\nhold_radius_m = -1", "", "s.toml: hold_radius_m is -1, expected metres above 0"),
         ("duration_s = 0", "", "s.toml: duration_s is 0, expected seconds above 0, at most 86400"),
         ("duration_s = -5", "", "s.toml: duration_s is -5, expected seconds above 0, at most 86400"),
         ("duration_s = 1e300", "", "s.toml: duration_s is 1e+300, expected seconds above 0, at most 86400"),
@@ -182,6 +193,25 @@ def test_a_malformed_scenario_is_told_in_one_line(tmp_path, top, more, said):
         read_plan_file(scenario(tmp_path, more, top), None, None)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "said"),
+    [
+        ("airspeed_mps = 0", "vehicle 1: airspeed_mps is 0, expected m/s from 0.1 to 200"),
+        ("end_of_route = ''", "vehicle 1: end_of_route is '', expected one of straight, loop, hold"),
+        ("height_m = 1e9", "vehicle 1: height_m is 1e+09, expected metres from -20000 to 20000"),
+    ],
+)
+def test_a_malformed_vehicle_of_a_scenario_is_named_by_its_number(tmp_path, vehicle, said):
+    with pytest.raises(DataError) as error:
+        read_plan_file(scenario(tmp_path, vehicle=vehicle), None, None)
+    assert said in str(error.value)
+
+
+def test_the_speed_of_a_plan_is_named_where_nothing_flies_at_it(tmp_path):
+    with pytest.raises(DataError, match=r"a\.plan: cruiseSpeed is 1e-09, expected m/s from 0\.1 to 200"):
+        read_plan_file(qgc(tmp_path, [item(16)], cruiseSpeed=1e-9), None, None)
 
 
 def test_a_stay_of_any_length_ends_with_the_day(tmp_path):
