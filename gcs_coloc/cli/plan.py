@@ -16,11 +16,12 @@ from gcs_coloc.cli.task_options import JobsOption, ResumeOption, SchedulerOption
 from gcs_coloc.core.errors import UsageError
 from gcs_coloc.core.measurements import VehicleClass
 from gcs_coloc.core.stations.node_id import MAX_STATION_ID
+from gcs_coloc.core.stations.stations import LEAST_STATION_SIGMA_M, MOST_STATION_SIGMA_M, STATION_SIGMA_M
 from gcs_coloc.planning.assessment import Assessment, assess
 from gcs_coloc.planning.fleet_plan import FleetPlan
 from gcs_coloc.planning.improvement import find_improvement
 from gcs_coloc.planning.load import load_plan
-from gcs_coloc.planning.mission import LEAST_SPEED_MPS, MOST_SPEED_MPS
+from gcs_coloc.planning.mission import LEAST_SPEED_MPS, MOST_SPEED_MPS, ListedStation
 from gcs_coloc.runtime.output_paths import check_output_file, writing
 
 _FILE_WIDTH = 140  # of a table that goes to a file or pipe
@@ -45,7 +46,11 @@ def plan(
         VehicleClass | None, typer.Option("--class", help="How the vehicles move; as their plans say unless told.")
     ] = None,
     station: Annotated[
-        list[str] | None, typer.Option(help="ID=LAT,LON,ALT: a fixed station, degrees and metres above sea level.")
+        list[str] | None,
+        typer.Option(
+            help=f"ID=LAT,LON,ALT[,SIGMA]: a fixed station, degrees, metres above sea level, its place known to SIGMA m on each "
+            f"axis ({STATION_SIGMA_M:g} unless told, as in the configuration)."
+        ),
     ] = None,
     max_range: Annotated[float | None, typer.Option(help="Longest range, m.")] = None,
     range_sigma: Annotated[float | None, typer.Option(help="1-sigma of a range, m.")] = None,
@@ -150,18 +155,22 @@ def _start(text: str) -> tuple[int, float]:
         raise UsageError(f"--start {text}: expected VEHICLE=SECONDS with seconds from 0 to 86400, as 2=60") from None
 
 
-def _station(text: str) -> tuple[int, tuple[float, float, float]]:
+def _station(text: str) -> ListedStation:
     number, separator, place = text.partition("=")
     try:
-        lat, lon, alt = (float(value) for value in place.split(","))
+        lat, lon, alt, *more = (float(value) for value in place.split(","))
+        (sigma_m,) = more or (STATION_SIGMA_M,)
         if (
             not separator
             or not abs(lat) <= 90.0
             or not abs(lon) <= 180.0
             or not abs(alt) <= 20_000.0
+            or not LEAST_STATION_SIGMA_M <= sigma_m <= MOST_STATION_SIGMA_M
             or not 0 <= int(number) <= MAX_STATION_ID
         ):
             raise ValueError
-        return int(number), (lat, lon, alt)
+        return ListedStation(int(number), (lat, lon, alt), sigma_m)
     except ValueError:
-        raise UsageError(f"--station {text}: expected ID=LAT,LON,ALT in degrees and metres, as 1=47.001,8.002,512") from None
+        raise UsageError(
+            f"--station {text}: expected ID=LAT,LON,ALT or ID=LAT,LON,ALT,SIGMA in degrees and metres, as 1=47.001,8.002,512,0.5"
+        ) from None

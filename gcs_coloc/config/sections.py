@@ -13,7 +13,13 @@ from gcs_coloc.core.clocks.vehicle_clocks import TimeSettings
 from gcs_coloc.core.gps_health.gps_health import GpsHealthSettings
 from gcs_coloc.core.integrity.protection_level import ProtectionSettings
 from gcs_coloc.core.stations.node_id import LARGEST_READ_SYSTEM_ID, MAX_STATION_ID
-from gcs_coloc.core.stations.stations import Station, StationPosition
+from gcs_coloc.core.stations.stations import (
+    LEAST_STATION_SIGMA_M,
+    MOST_STATION_SIGMA_M,
+    STATION_SIGMA_M,
+    Station,
+    StationPosition,
+)
 from gcs_coloc.core.telemetry.measurement_settings import MeasurementSettings
 from gcs_coloc.mavlink.checks import ALTITUDE_MAX_M, ALTITUDE_MIN_M
 
@@ -159,7 +165,7 @@ class StationConfig(Section):
     """Longitude of its antenna, degrees, WGS 84."""
     alt_m: float = Field(ge=ALTITUDE_MIN_M, le=ALTITUDE_MAX_M)
     """Altitude of its antenna above mean sea level, metres, by the datum of the vehicles' receivers."""
-    sigma_m: float = Field(1.0, ge=0.01, le=1000.0)
+    sigma_m: float = Field(STATION_SIGMA_M, ge=LEAST_STATION_SIGMA_M, le=MOST_STATION_SIGMA_M)
     """1-sigma of that position on each axis, metres. It is taken as one error that lasts: no number of ranges averages it away.
     Chosen: a few minutes of a receiver without corrections."""
     range_bias_m: float = Field(0.0, ge=-1000.0, le=1000.0)

@@ -11,6 +11,7 @@ from gcs_coloc.core.integrity.protection_level import ProtectionSettings
 from gcs_coloc.core.measurements import FloatArray, Vector3, VehicleClass
 from gcs_coloc.core.setting_bounds import between, check_bounds, positive
 from gcs_coloc.core.stations.node_id import station_node
+from gcs_coloc.core.stations.stations import STATION_SIGMA_M
 from gcs_coloc.planning.flight_path import FlightPath, Leg, fly_legs
 
 
@@ -37,11 +38,11 @@ class PlannedVehicle:
 
 @dataclass(frozen=True, slots=True)
 class PlannedStation:
-    """One fixed station: where it stands, m in the plan's frame, and how well that is known (1-sigma per axis)."""
+    """One fixed station: where it stands, m in the plan's frame, and how well that is known (1-sigma per axis, as in flight)."""
 
     station_id: int
     position_enu_m: Vector3
-    sigma_m: float = 0.1
+    sigma_m: float = STATION_SIGMA_M
 
     @property
     def node(self) -> int:

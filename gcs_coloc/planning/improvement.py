@@ -132,9 +132,10 @@ def _candidates(plan: FleetPlan, worst: Outlook) -> Iterator[Change]:
     for east in np.linspace(low[0], high[0], _GRID):
         for north in np.linspace(low[1], high[1], _GRID):
             place = (float(east), float(north), float(low[2]) + _STATION_HEIGHT_M)
-            lat, lon, _ = plan.frame.geodetic_from_enu(*place)
-            text = f"a station at {lat:.6f}, {lon:.6f}"
-            yield Change(ChangeKind.STATION, text, plan.with_station(PlannedStation(free, place)))
+            lat, lon, alt_m = plan.frame.geodetic_from_enu(*place)
+            station = PlannedStation(free, place)
+            text = f"a station at {lat:.6f},{lon:.6f},{alt_m:.0f}, known to {station.sigma_m:g} m"
+            yield Change(ChangeKind.STATION, text, plan.with_station(station))
 
 
 def _movable(plan: FleetPlan, worst: Outlook) -> list[PlannedVehicle]:

@@ -13,7 +13,7 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Vector3, VehicleClass
 from gcs_coloc.planning.fleet_plan import FleetPlan, PlanAssumptions, PlannedStation, PlannedVehicle
 from gcs_coloc.planning.flight_path import Leg
-from gcs_coloc.planning.mission import FAR_M, LatLonAlt, Mission, MissionFile
+from gcs_coloc.planning.mission import FAR_M, LatLonAlt, ListedStation, Mission, MissionFile
 from gcs_coloc.planning.plan_files import read_plan_file
 
 
@@ -23,7 +23,7 @@ def load_plan(
     vehicle_class: VehicleClass | None = None,
     speed_mps: float | None = None,
     starts_s: Mapping[int, float] | None = None,
-    stations: Sequence[tuple[int, LatLonAlt]] = (),
+    stations: Sequence[ListedStation] = (),
     assumed: Mapping[str, Any] | None = None,
 ) -> FleetPlan:
     """Read plan files, one a vehicle (a scenario may have several), numbered 1, 2, ... in their order.
@@ -33,7 +33,7 @@ def load_plan(
         vehicle_class: how vehicles move whose file does not say; None: as planes.
         speed_mps: how fast all of them fly; None: as their files say.
         starts_s: when vehicles start, by system id, s; others at 0.
-        stations: id and place of further stations.
+        stations: further stations.
         assumed: fields of `PlanAssumptions` that differ from the files' and the defaults.
 
     Raises:
@@ -85,14 +85,12 @@ def _vehicle(sysid: int, mission: Mission, frame: LocalFrame, start_s: float) ->
     return PlannedVehicle(sysid, mission.name, enu(mission.begin), legs, start_s, mission.vehicle_class, end_s)
 
 
-def _stations(
-    read: Sequence[MissionFile], stated: Sequence[tuple[int, LatLonAlt]], frame: LocalFrame
-) -> tuple[PlannedStation, ...]:
+def _stations(read: Sequence[MissionFile], listed: Sequence[ListedStation], frame: LocalFrame) -> tuple[PlannedStation, ...]:
     found: dict[int, PlannedStation] = {}
-    for station_id, place in [*(each for file in read for each in file.stations), *stated]:
+    for station_id, place, sigma_m in [*(each for file in read for each in file.stations), *listed]:
         if station_id in found:
             raise UsageError(f"two stations have the id {station_id}")
-        found[station_id] = PlannedStation(station_id, frame.enu_from_geodetic(*place))
+        found[station_id] = PlannedStation(station_id, frame.enu_from_geodetic(*place), sigma_m)
     return tuple(found.values())
 
 

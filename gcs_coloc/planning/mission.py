@@ -9,9 +9,11 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.measurements import VehicleClass
+from gcs_coloc.core.stations.stations import STATION_SIGMA_M
 from gcs_coloc.planning.fleet_plan import PlanAssumptions
 
 LatLonAlt = tuple[float, float, float]
@@ -86,13 +88,21 @@ class Mission:
     duration_s: float | None = None
 
 
+class ListedStation(NamedTuple):
+    """A station as a file or an option lists it; `sigma_m`: how well its place is known, 1-sigma per axis."""
+
+    station_id: int
+    place: LatLonAlt
+    sigma_m: float = STATION_SIGMA_M
+
+
 @dataclass(frozen=True, slots=True)
 class MissionFile:
-    """What one file holds: missions; stations (id and place) and assumptions of a scenario; `remarks` on what was skipped."""
+    """What one file holds: missions; stations and assumptions of a scenario; `remarks` on what was skipped."""
 
     missions: tuple[Mission, ...]
     remarks: tuple[str, ...] = ()
-    stations: tuple[tuple[int, LatLonAlt], ...] = ()
+    stations: tuple[ListedStation, ...] = ()
     assumptions: PlanAssumptions | None = None
 
 

@@ -24,6 +24,7 @@ from gcs_coloc.planning.fleet_plan import PlanAssumptions
 from gcs_coloc.planning.mission import (
     FAR_M,
     LatLonAlt,
+    ListedStation,
     Mission,
     MissionFile,
     MissionItem,
@@ -289,7 +290,7 @@ def _ways_after(where: str, places: Sequence[tuple[float, float]], end: str, len
     return [(be + (be - ae) / last_m * length_m, bn + (bn - an) / last_m * length_m)]
 
 
-def _scenario_station(path: Path, at: int, station: Any, frame: LocalFrame) -> tuple[int, LatLonAlt]:
+def _scenario_station(path: Path, at: int, station: Any, frame: LocalFrame) -> ListedStation:
     where = f"{path}: station {at}"
     if not isinstance(station, dict):
         raise DataError(f"{where}: is {shown(station)}, expected a table [[station]]")
@@ -297,7 +298,8 @@ def _scenario_station(path: Path, at: int, station: Any, frame: LocalFrame) -> t
     if isinstance(station_id, bool) or not isinstance(station_id, int) or not 0 <= station_id <= MAX_STATION_ID:
         raise DataError(f"{where}: id is {shown(station_id)}, expected a whole number from 0 to {MAX_STATION_ID}")
     e, n = (_metres(where, key, station.get(key), FAR_M) for key in ("east_m", "north_m"))
-    return station_id, frame.geodetic_from_enu(e, n, _metres(where, "height_m", station.get("height_m", 0.0), _HIGHEST_M))
+    up = _metres(where, "height_m", station.get("height_m", 0.0), _HIGHEST_M)
+    return ListedStation(station_id, frame.geodetic_from_enu(e, n, up))
 
 
 def _scenario_assumptions(path: Path, table: Mapping[str, Any]) -> PlanAssumptions:

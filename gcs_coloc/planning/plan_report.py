@@ -139,7 +139,7 @@ def _assumptions(assessed: Assessment) -> str:
         ("planes send attitude and airspeed", "yes" if a.has_air_data else "no"),
         ("delays of the links are known", "yes" if a.delay_is_known else "no"),
         ("alert limit", f"{a.alert_limit_m:g} m"),
-        ("stations", ", ".join(str(s.station_id) for s in assessed.plan.stations) or "none"),
+        ("stations", ", ".join(f"{s.station_id} (place known to {s.sigma_m:g} m)" for s in assessed.plan.stations) or "none"),
     ]
     return table("Assumed", ("", ""), rows)
 

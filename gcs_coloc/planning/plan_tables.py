@@ -28,7 +28,10 @@ def as_dict(assessed: Assessment, improvement: Improvement | None) -> dict[str, 
         "least_share_with_fix": assessed.least_share,
         "improvement": _improvement(improvement) if improvement is not None else None,
         "assumptions": {name: getattr(plan.assumptions, name) for name in type(plan.assumptions).__dataclass_fields__},
-        "stations": [{"id": s.station_id, "place": list(_geodetic(assessed, s.position_enu_m))} for s in plan.stations],
+        "stations": [
+            {"id": s.station_id, "place": list(_geodetic(assessed, s.position_enu_m)), "sigma_m": s.sigma_m}
+            for s in plan.stations
+        ],
         "remarks": list(plan.remarks),
     }
 

@@ -19,6 +19,10 @@ from gcs_coloc.core.stations.node_id import is_station, is_system_id, node_name,
 BeaconIds = Literal["stations", "vehicles"]
 """Whose ids the `beacon_id` of a RANGING_BEACON without a position are."""
 
+STATION_SIGMA_M = 1.0
+"""1-sigma of a station's position on each axis unless told. Chosen: a few minutes of a receiver without corrections."""
+LEAST_STATION_SIGMA_M, MOST_STATION_SIGMA_M = 0.01, 1000.0
+"""Chosen: the best survey; beyond a kilometre a place is not known."""
 MAX_STATIONS = 256
 """Chosen: more than a site has; bounds what forged messages may fill."""
 _TOLD_EVERY_S = 60.0  # chosen: a reminder now and then

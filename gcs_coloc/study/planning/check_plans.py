@@ -15,6 +15,7 @@ from sitl_fakes.scenario import SCENARIOS
 
 _FRAME = LocalFrame(47.0, 8.0, 500.0)
 _DURATION_S = 300.0  # chosen: several legs
+_SURVEYED_M = 0.1  # chosen: stations surveyed by RTK, of which the prediction takes shorter steps
 _Points = Sequence[tuple[float, float]]
 
 
@@ -42,7 +43,7 @@ def _ring(east: float, north: float, radius: float, first: float) -> _Points:
 
 
 def _fleet(*vehicles: PlannedVehicle, stations: _Points = (), **assumed: float | bool) -> FleetPlan:
-    placed = tuple(PlannedStation(k, (*place, 15.0)) for k, place in enumerate(stations, start=1))
+    placed = tuple(PlannedStation(k, (*place, 15.0), _SURVEYED_M) for k, place in enumerate(stations, start=1))
     return FleetPlan(_FRAME, vehicles, placed, PlanAssumptions(**assumed))  # type: ignore[arg-type]
 
 

@@ -72,6 +72,20 @@ def test_a_plan_gives_an_answer_files_and_an_exit_code(three, tmp_path):
     assert not re.search(r"(src|href)=\"(?!data:)", html)
 
 
+def test_how_well_a_station_is_known_is_stated_counts_and_is_named(three, tmp_path):
+    report = tmp_path / "r.html"
+    levels = []
+    for sigma in ("", ",9"):
+        stations = [part for k, east in ((1, 8.552), (2, 8.57)) for part in ("--station", f"{k}=47.392,{east},460{sigma}")]
+        ran = run(three[0], *stations, "--no-improve", "--json", "--report", report)
+        assert ran.exit_code == 0, ran.output
+        told = json.loads(ran.stdout)
+        assert [station["sigma_m"] for station in told["stations"]] == ([9.0] * 2 if sigma else [1.0] * 2)
+        assert f"1 (place known to {9 if sigma else 1} m)" in report.read_text()
+        levels.append(told["vehicles"][0]["median_bound_95_m"])
+    assert levels[1] > 2.0 * levels[0]
+
+
 def test_enough_of_a_fix_is_exit_code_0_and_pairs_are_told(three):
     ran = run(*three[:3], "--no-improve", "--pairs", "--require", "0.5")
     assert ran.exit_code == 0, ran.output
@@ -84,6 +98,7 @@ def test_enough_of_a_fix_is_exit_code_0_and_pairs_are_told(three):
     [
         (["--start", "2"], "--start 2: expected VEHICLE=SECONDS"),
         (["--start", "7=3"], "--start 7=...: there is no vehicle 7"),
+        (["--station", "1=47,8,450,0"], "--station 1=47,8,450,0: expected ID=LAT,LON,ALT or ID=LAT,LON,ALT,SIGMA"),
         (["--station", "1=47,8"], "--station 1=47,8: expected ID=LAT,LON,ALT"),
         (["--range-sigma", "0"], "range_sigma_m must be above 0"),
         (["--report", "/nowhere/r.html"], "there is no directory /nowhere"),

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from gcs_coloc.config.sections import StationConfig
 from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.core.measurements import VehicleClass
 from gcs_coloc.planning.load import load_plan
+from gcs_coloc.planning.mission import ListedStation
 from gcs_coloc.planning.plan_files import read_plan_file
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "sitl_fakes/scenarios"
@@ -232,6 +234,8 @@ def test_a_scenario_brings_its_vehicles_stations_and_noise():
     plan = load_plan([SCENARIOS / "stations.toml"])
     assert [vehicle.sysid for vehicle in plan.vehicles] == [4]
     assert sorted(station.station_id for station in plan.stations) == [1, 2, 3, 4]
+    configured = StationConfig(id=1, lat_deg=47.0, lon_deg=8.0, alt_m=0.0).sigma_m
+    assert {station.sigma_m for station in plan.stations} == {configured} == {1.0}
     assert plan.assumptions.max_range_m == 3000.0
     assert plan.span_s == (0.0, 300.0)
     # Round again from the first waypoint: 3.2 km at 22 m/s is two rounds.
@@ -241,7 +245,9 @@ def test_a_scenario_brings_its_vehicles_stations_and_noise():
 
 def test_files_are_numbered_in_their_order_and_start_when_told(tmp_path):
     first = qgc(tmp_path, [item(16, 47.01)])
-    plan = load_plan([first, first], starts_s={2: 40.0}, stations=[(3, (47.0, 8.02, 510.0))], assumed={"range_sigma_m": 2.0})
+    plan = load_plan(
+        [first, first], starts_s={2: 40.0}, stations=[ListedStation(3, (47.0, 8.02, 510.0))], assumed={"range_sigma_m": 2.0}
+    )
     assert [(v.sysid, v.start_s) for v in plan.vehicles] == [(1, 0.0), (2, 40.0)]
     assert plan.stations[0].position_enu_m[0] == pytest.approx(1522.0, abs=5.0)
     assert plan.assumptions.range_sigma_m == 2.0

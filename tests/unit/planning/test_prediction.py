@@ -176,7 +176,7 @@ def test_condensed_steps_come_to_it_without_air_data_and_with_stations_alone():
     copters = tuple(replace(each, vehicle_class=kind) for each in squares)
     ratios, _ = ratios_to_the_rates_of_the_service(FleetPlan(FRAME, copters), 1)
     assert np.median(ratios) == pytest.approx(1.0, abs=0.03)
-    stations = tuple(PlannedStation(k, (700.0 * (k % 2), 700.0 * (k // 2), 15.0)) for k in range(4))
+    stations = tuple(PlannedStation(k, (700.0 * (k % 2), 700.0 * (k // 2), 15.0), 0.1) for k in range(4))
     ratios, _ = ratios_to_the_rates_of_the_service(FleetPlan(FRAME, (square(1, 100, 100, end_s=60.0),), stations), 1)
     assert ratios == pytest.approx(np.ones(len(ratios)), abs=0.15)
 
