@@ -19,7 +19,7 @@ from gcs_coloc.core.stations.node_id import MAX_STATION_ID
 from gcs_coloc.core.stations.stations import LEAST_STATION_SIGMA_M, MOST_STATION_SIGMA_M, STATION_SIGMA_M
 from gcs_coloc.planning.assessment import Assessment, assess
 from gcs_coloc.planning.fleet_plan import FleetPlan
-from gcs_coloc.planning.improvement import find_improvement
+from gcs_coloc.planning.improvement import find_improvement, no_improvement
 from gcs_coloc.planning.load import load_plan
 from gcs_coloc.planning.mission import LEAST_SPEED_MPS, MOST_SPEED_MPS, ListedStation
 from gcs_coloc.runtime.output_paths import check_output_file, writing
@@ -122,6 +122,8 @@ def plan(
         Console(width=None if sys.stdout.isatty() else _FILE_WIDTH).print(_table(fleet, assessed))
         if improvement is not None:
             print(f"What helps most: {improvement.text}.")
+        elif improve and (none := no_improvement(assessed)):
+            print(none)
         for path in filter(None, (report, csv, geojson)):
             print(f"written: {path}")
     if require is not None and assessed.least_share < require:

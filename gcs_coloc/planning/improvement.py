@@ -1,6 +1,7 @@
 """The improvement of a plan: the one change, of a start, a route or a station, that helps its worst vehicle most.
 
-All candidates are compared by geometry alone; the best of each kind are predicted with the filter, and the gain is that one's.
+All candidates are compared by geometry alone; the best three of each kind are predicted with the filter, and the best of these
+is named with its gain.
 """
 
 from __future__ import annotations
@@ -30,9 +31,11 @@ _STATION_HEIGHT_M = 10.0
 """Above the lowest waypoint: a mast."""
 _TIMES = 120
 """Chosen: times at which geometry is compared."""
+_PREDICTED = 3
+"""Candidates of each kind that are predicted. Chosen: geometry misjudges neighbours; nine predictions cost as nine vehicles."""
 _ENOUGH = 0.999  # chosen: nothing is left to gain
 _MOST_VEHICLES = 20
-"""Chosen: of a larger plan only the vehicles nearest to the worst stretch are moved."""
+"""Chosen: of a larger plan only the worst vehicle and those nearest to its worst stretch are moved."""
 
 
 class ChangeKind(StrEnum):
@@ -74,18 +77,26 @@ def find_improvement(
 ) -> Improvement | None:
     """Return the change that helps the worst vehicle most, None where none helps; what is kept is not computed again."""
     worst = assessed.worst
-    if worst.worst is None or (worst.predicted.share_with_fix >= _ENOUGH and worst.worst.hpl_m < 0.5 * _limit_m(assessed)):
+    if _is_enough(assessed):
         return None
     best = _best_by_geometry(assessed, worst)
-    if not best:
-        return None
     found = run_tasks(partial(_predict_change, worst.predicted.sysid), best, workers, progress, kept)
     change, after = max(zip(best, found, strict=True), key=lambda pair: _merit(pair[1]))
     return Improvement(worst.predicted.sysid, change, worst, after) if _merit(after) > _merit(worst) + 1e-3 else None
 
 
-def _limit_m(assessed: Assessment) -> float:
-    return assessed.plan.assumptions.alert_limit_m
+def no_improvement(assessed: Assessment) -> str:
+    """Return that no change helps, in words; empty where none is needed. Of an assessment of which none was found."""
+    if _is_enough(assessed):
+        return ""
+    sysid = assessed.worst.predicted.sysid
+    return f"No shifted start, no route to the side and no single station on a grid helps vehicle {sysid}."
+
+
+def _is_enough(assessed: Assessment) -> bool:
+    """Whether the worst vehicle has a fix all along, with half of the alert limit to spare, or does not fly at all."""
+    worst, limit_m = assessed.worst, assessed.plan.assumptions.alert_limit_m
+    return worst.worst is None or (worst.predicted.share_with_fix >= _ENOUGH and worst.worst.hpl_m < 0.5 * limit_m)
 
 
 def _merit(outlook: Outlook) -> float:
@@ -100,19 +111,19 @@ def _predict_change(sysid: int, change: Change) -> Outlook:
 
 
 def _best_by_geometry(assessed: Assessment, worst: Outlook) -> list[Change]:
-    """Return the best change of each kind by geometry, of those that are better than the plan itself."""
-    sysid, plan = worst.predicted.sysid, assessed.plan
-    path = plan.paths[sysid]
-    now = _badness(plan, sysid, path)
-    best: dict[ChangeKind, tuple[float, Change]] = {}
-    for change in _candidates(plan, worst):
-        value = _badness(change.plan, sysid, change.plan.paths[sysid])
-        if value < now and (change.kind not in best or value < best[change.kind][0]):
-            best[change.kind] = (value, change)
-    return [change for _, change in best.values()]
+    """Return the best changes of each kind by geometry."""
+    sysid = worst.predicted.sysid
+    ranked: dict[ChangeKind, list[tuple[float, Change]]] = {kind: [] for kind in ChangeKind}
+    for change in candidates(assessed.plan, worst):
+        several = ranked[change.kind]
+        several.append((_badness(change.plan, sysid, change.plan.paths[sysid]), change))
+        several.sort(key=lambda each: each[0])
+        del several[_PREDICTED:]
+    return [change for several in ranked.values() for _, change in several]
 
 
-def _candidates(plan: FleetPlan, worst: Outlook) -> Iterator[Change]:
+def candidates(plan: FleetPlan, worst: Outlook) -> Iterator[Change]:
+    """Yield all changes that are compared."""
     places = np.concatenate([path.positions_m for path in plan.paths.values()])
     low, high = places.min(axis=0), places.max(axis=0)
     extent_m = float(max(high[0] - low[0], high[1] - low[1]))
@@ -139,13 +150,15 @@ def _candidates(plan: FleetPlan, worst: Outlook) -> Iterator[Change]:
 
 
 def _movable(plan: FleetPlan, worst: Outlook) -> list[PlannedVehicle]:
-    """Return the other vehicles; of many those nearest to the worst vehicle in its worst stretch."""
+    """Return the worst vehicle and the others; of many those nearest to it in its worst stretch."""
+    itself = plan.vehicle(worst.predicted.sysid)
     others = [vehicle for vehicle in plan.vehicles if vehicle.sysid != worst.predicted.sysid]
     if len(others) <= _MOST_VEHICLES or worst.worst is None:
-        return others
+        return [itself, *others]
     middle_s = 0.5 * (worst.worst.from_s + worst.worst.until_s)
     here = plan.paths[worst.predicted.sysid].position(middle_s)
-    return sorted(others, key=lambda v: float(np.linalg.norm(plan.paths[v.sysid].position(middle_s) - here)))[:_MOST_VEHICLES]
+    others.sort(key=lambda v: float(np.linalg.norm(plan.paths[v.sysid].position(middle_s) - here)))
+    return [itself, *others[:_MOST_VEHICLES]]
 
 
 def _moved(vehicle: PlannedVehicle, east_m: float, north_m: float) -> PlannedVehicle:

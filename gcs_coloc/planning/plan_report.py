@@ -12,7 +12,7 @@ import numpy as np
 from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.readiness.limiting_reason import IN_LINE_HDOP
 from gcs_coloc.planning.assessment import Assessment, Outlook, Stretch
-from gcs_coloc.planning.improvement import Improvement
+from gcs_coloc.planning.improvement import Improvement, no_improvement
 from gcs_coloc.recorder.reports.html_page import HEAD, Ink, PlotImage, image, in_both_inks, table
 
 _MOST_PLOTS = 12
@@ -66,8 +66,8 @@ def _answer(assessed: Assessment, improvement: Improvement | None, *, is_improve
         )
     if improvement is not None:
         lines.append(f"What helps it most: {escape(improvement.text)}.")
-    elif is_improvement_sought and worst.predicted.share_with_fix < 1.0:
-        lines.append("No shifted start, no route to the side and no single station on a grid helps it.")
+    elif is_improvement_sought and (none := no_improvement(assessed)):
+        lines.append(none)
     if any(each.cannot_tell > 0.0 for each in assessed.singles):
         lines.append(
             "Where a vehicle is without an estimate, ranges one node, or is in one line with its peers "

@@ -15,7 +15,8 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.planning.assessment import assess
 from gcs_coloc.planning.fleet_plan import FleetPlan, PlannedStation, PlannedVehicle
 from gcs_coloc.planning.flight_path import Leg
-from gcs_coloc.planning.improvement import find_improvement
+from gcs_coloc.planning.improvement import candidates, find_improvement
+from gcs_coloc.planning.prediction import predict
 from gcs_coloc.runtime.tasks import Workers
 
 FRAME = LocalFrame(47.39, 8.55, 450.0)
@@ -68,7 +69,7 @@ def test_a_plan_gives_an_answer_files_and_an_exit_code(three, tmp_path):
     html = report.read_text()
     assert "3 of 4 vehicles would have a fix all along their way" in html
     assert re.search(r"Vehicle 4 is worst: a fix for \d+\.\d% of its flight", html)
-    assert "helps it" not in html  # no change was sought
+    assert " helps " not in html  # no change was sought
     assert not re.search(r"(src|href)=\"(?!data:)", html)
 
 
@@ -137,6 +138,37 @@ def test_the_change_that_helps_is_found_and_its_gain_is_predicted():
     good = FleetPlan(FRAME, tuple(flight(k, 500.0 * (k % 2), 300.0 * k) for k in range(1, 6)))
     assessed = assess(good, pairs=False, workers=Workers(), progress=lambda *_: None)
     assert find_improvement(assessed, Workers(), lambda *_: None) is None
+
+
+def four_and_one_that_starts_when_they_have_landed():
+    def flight(sysid, east, north, start_s):
+        legs = (Leg((east, north + 900.0, 100.0), 20.0),)
+        return PlannedVehicle(sysid, f"v{sysid}", (east, north, 100.0), legs, start_s)
+
+    around = [flight(k, 600.0 * (k % 2), 700.0 * (k // 2), 0.0) for k in (1, 2, 3, 4)]
+    return FleetPlan(FRAME, (*around, flight(5, 250.0, 500.0, 60.0)))
+
+
+def test_the_change_is_the_best_of_all_as_the_filter_predicts_them_and_may_be_of_the_worst_vehicle_itself():
+    assessed = assess(four_and_one_that_starts_when_they_have_landed(), pairs=False, workers=Workers(), progress=lambda *_: None)
+    worst = assessed.worst
+    assert worst.predicted.sysid == 5
+    found = find_improvement(assessed, Workers(), lambda *_: None)
+    every = {each.text: predict(each.plan, (5,))[0].share_with_fix for each in candidates(assessed.plan, worst)}
+    assert len(every) > 50
+    assert found is not None
+    assert every[found.change.text] == max(every.values()) > worst.predicted.share_with_fix + 0.3
+    assert found.change.text == "start vehicle 5 60 s earlier"
+
+
+def test_that_nothing_helps_is_said_on_the_terminal_as_on_the_page(tmp_path):
+    apart = [write_wpl(tmp_path / f"{east}.waypoints", (east, 0), (east, 2400)) for east in (0, 9000)]
+    ran = run(*apart, "--max-range", "50", "--report", tmp_path / "r.html")
+    assert ran.exit_code == 0, ran.output
+    told = "No shifted start, no route to the side and no single station on a grid helps vehicle 2."
+    assert told in ran.stdout
+    assert told in (tmp_path / "r.html").read_text()
+    assert "No shifted start" not in run(*apart, "--max-range", "50", "--no-improve").stdout
 
 
 def test_a_file_that_the_system_refuses_is_named(tmp_path):
