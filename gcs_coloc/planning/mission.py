@@ -41,8 +41,19 @@ class MissionCommand(IntEnum):
     DO_CHANGE_SPEED = 178
 
 
+_CHANGE_THE_WAY = {
+    30: "CONTINUE_AND_CHANGE_ALT",
+    93: "DELAY",
+    112: "CONDITION_DELAY",
+    177: "DO_JUMP",
+    601: "DO_JUMP_TAG",
+}
+"""Commands that are not flown here though they change the way or its times (MAV_CMD)."""
+_FENCE_COMMANDS, _RALLY_COMMAND = range(5000, 5005), 5100  # MAV_CMD_NAV_FENCE_*, MAV_CMD_NAV_RALLY_POINT
+_OF_CLIMB_OR_DESCENT = frozenset({2.0, 3.0})  # SPEED_TYPE
+_TERRAIN_FRAMES = frozenset({10, 11})
 _ABSOLUTE_FRAMES = frozenset({0, 5})  # MAV_FRAME_GLOBAL, MAV_FRAME_GLOBAL_INT
-_RELATIVE_FRAMES = frozenset({3, 6, 10, 11})
+_RELATIVE_FRAMES = frozenset({3, 6}) | _TERRAIN_FRAMES
 """Above home, and above the terrain, which is taken as above home."""
 _LANDS = frozenset({MissionCommand.LAND, MissionCommand.VTOL_LAND})
 _HOLDS_FOREVER_S = 600.0
@@ -124,31 +135,56 @@ def mission_of(
     """
     legs: list[MissionLeg] = []
     remarks: list[str] = []
-    for item in items:
+    above_terrain: list[int] = []
+    for at, item in enumerate(items):
+        where = f"{file}: item {item.number}"
         if item.command == MissionCommand.DO_CHANGE_SPEED:
-            if item.params[1] > 0.0:
-                speed_mps = check_speed(f"{file}: item {item.number}", "speed", item.params[1])
+            if item.params[0] in _OF_CLIMB_OR_DESCENT:
+                remarks.append(f"{where}: DO_CHANGE_SPEED of climb or descent is skipped")
+            elif item.params[1] > 0.0:
+                speed_mps = check_speed(where, "speed", item.params[1])
+            else:
+                remarks.append(f"{where}: DO_CHANGE_SPEED without a speed is skipped")
             continue
         if item.command not in MissionCommand._value2member_map_:
-            remarks.append(f"{file}: item {item.number}: command {item.command} is no waypoint and is skipped")
+            remarks.append(f"{where}: {_skipped(item.command)}")
             continue
         command = MissionCommand(item.command)
         here = legs[-1].end if legs else home
         end = _place(file, item, command, home, here)
         if end is None:
-            remarks.append(f"{file}: item {item.number}: {command.name} without a place is skipped")
+            remarks.append(f"{where}: {command.name} without a place is skipped")
             continue
+        if item.frame in _TERRAIN_FRAMES and command is not MissionCommand.RETURN_TO_LAUNCH:
+            above_terrain.append(item.number)
         hold_s, radius_m = _hold(item, command, vehicle_class, speed_mps)
         if command is MissionCommand.LOITER_UNLIM:
-            remarks.append(f"{file}: item {item.number}: loiters until told otherwise; taken as {_HOLDS_FOREVER_S:.0f} s")
+            remarks.append(f"{where}: loiters until told otherwise; taken as {_HOLDS_FOREVER_S:.0f} s")
         legs.append(MissionLeg(end, speed_mps, hold_s, radius_m))
         if command in _LANDS or command is MissionCommand.RETURN_TO_LAUNCH or command is MissionCommand.LOITER_UNLIM:
+            if left := items[at + 1 :]:
+                which = f"item {left[0].number}" if len(left) == 1 else f"items {left[0].number} to {left[-1].number}"
+                remarks.append(f"{file}: {which}: after {command.name} of item {item.number} and not flown")
             break
+    if above_terrain:
+        more = f" and {len(above_terrain) - 1} more" if len(above_terrain) > 1 else ""
+        remarks.append(f"{file}: item {above_terrain[0]}{more}: height above the terrain is taken as above home")
     if home is None and legs:
         home, legs = legs[0].end, legs[1:]
     if home is None or not legs:
         raise DataError(f"{file}: expected two places at least: home and one waypoint")
     return MissionFile((Mission(file, home, tuple(legs), vehicle_class),), tuple(remarks))
+
+
+def _skipped(command: int) -> str:
+    """Return why a command is not flown, in words."""
+    if command in _CHANGE_THE_WAY:
+        return f"{_CHANGE_THE_WAY[command]} changes the way or its times; the way is taken without it"
+    if command in _FENCE_COMMANDS:
+        return f"command {command} is of a geofence, which is not looked at"
+    if command == _RALLY_COMMAND:
+        return "a rally point is not flown to"
+    return f"command {command} is no waypoint and is skipped"
 
 
 def _place(

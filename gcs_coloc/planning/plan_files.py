@@ -10,7 +10,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -104,7 +104,21 @@ def _read_qgc(path: Path, text: str, vehicle_class: VehicleClass | None, speed_m
     for at, item in enumerate(mission["items"], start=1):
         items += _qgc_items(f"{path}: item {at}", at, item, remarks)
     found = mission_of(str(path), home, items, vehicle_class, speed_mps)
-    return MissionFile(found.missions, (*remarks, *found.remarks))
+    return MissionFile(found.missions, (*remarks, *found.remarks, *_beside_the_mission(path, whole)))
+
+
+def _beside_the_mission(path: Path, whole: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a remark for a geofence, and one for rally points: what a .plan holds besides its mission."""
+
+    def count(table: str, key: str) -> int:
+        found = whole.get(table)
+        several = found.get(key) if isinstance(found, dict) else None
+        return len(several) if isinstance(several, list) else 0
+
+    if areas := count("geoFence", "polygons") + count("geoFence", "circles"):
+        yield f"{path}: geoFence: {areas} area{'s' if areas > 1 else ''} of a geofence, which is not looked at"
+    if points := count("rallyPoints", "points"):
+        yield f"{path}: rallyPoints: {points} rally point{'s' if points > 1 else ''}, not flown to"
 
 
 def _parse_int(digits: str) -> float:

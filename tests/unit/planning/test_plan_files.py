@@ -10,7 +10,7 @@ from gcs_coloc.config.sections import StationConfig
 from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.core.measurements import VehicleClass
 from gcs_coloc.planning.load import load_plan
-from gcs_coloc.planning.mission import ListedStation
+from gcs_coloc.planning.mission import ListedStation, MissionCommand
 from gcs_coloc.planning.plan_files import read_plan_file
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "sitl_fakes/scenarios"
@@ -54,7 +54,44 @@ def test_a_plan_of_qgroundcontrol_gives_its_places_speeds_and_stays(tmp_path):
     ]
     assert [leg.speed_mps for leg in mission.legs] == [18, 18, 12, 12, 12]
     assert (mission.legs[2].hold_s, mission.legs[2].radius_m) == (30.0, 120.0)
-    assert read.remarks == (f"{path}: item 4: command 206 is no waypoint and is skipped",)
+    assert read.remarks == (
+        f"{path}: item 4: command 206 is no waypoint and is skipped",
+        f"{path}: item 8: after RETURN_TO_LAUNCH of item 7 and not flown",
+    )
+
+
+@pytest.mark.parametrize("last", [17, 20, 21, 85])
+def test_what_stands_after_the_end_of_the_way_is_named(tmp_path, last):
+    items = [item(16, 47.01), item(last, 47.02), item(16, 47.03), item(206), item(16, 47.04)]
+    remarks = read_plan_file(qgc(tmp_path, items), None, None).remarks
+    assert remarks[-1].endswith(f"a.plan: items 3 to 5: after {MissionCommand(last).name} of item 2 and not flown")
+
+
+def test_whatever_is_not_flown_as_it_stands_is_named(tmp_path):
+    terrain = [item(16, 47.01, frame=10), item(16, 47.02, frame=11), item(16, 47.03)]
+    speeds = [item(178, 0, 0, 0, 2, (1, -1, 50, 0)), item(178, 0, 0, 0, 2, (2, 3, -1, 0))]
+    jump, fence, rally = item(177, 0, 0, 0, 2, (1, 3, 0, 0)), item(5001, 47.1), item(5100, 47.1)
+    path = qgc(tmp_path, [*terrain, *speeds, jump, fence, rally])
+    whole = json.loads(path.read_text()) | {
+        "geoFence": {"circles": [{}], "polygons": [{}, {}], "version": 2},
+        "rallyPoints": {"points": [[47.0, 8.0, 50.0]], "version": 2},
+    }
+    path.write_text(json.dumps(whole))
+    read = read_plan_file(path, None, None)
+    assert [leg.speed_mps for leg in read.missions[0].legs] == [18, 18, 18]
+    assert read.remarks == tuple(
+        f"{path}: {line}"
+        for line in (
+            "item 4: DO_CHANGE_SPEED without a speed is skipped",
+            "item 5: DO_CHANGE_SPEED of climb or descent is skipped",
+            "item 6: DO_JUMP changes the way or its times; the way is taken without it",
+            "item 7: command 5001 is of a geofence, which is not looked at",
+            "item 8: a rally point is not flown to",
+            "item 1 and 1 more: height above the terrain is taken as above home",
+            "geoFence: 3 areas of a geofence, which is not looked at",
+            "rallyPoints: 1 rally point, not flown to",
+        )
+    )
 
 
 def test_a_copter_of_a_plan_hovers_and_flies_at_its_hover_speed(tmp_path):
