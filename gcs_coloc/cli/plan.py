@@ -24,7 +24,7 @@ from gcs_coloc.planning.load import load_plan
 from gcs_coloc.planning.mission import LEAST_SPEED_MPS, MOST_SPEED_MPS, ListedStation
 from gcs_coloc.runtime.output_paths import check_output_file, writing
 
-_FILE_WIDTH = 140  # of a table that goes to a file or pipe
+_FILE_WIDTH = 160  # of a table that goes to a file or pipe
 _NOT_ENOUGH = 1
 
 
@@ -133,7 +133,7 @@ def plan(
 
 def _table(fleet: FleetPlan, assessed: Assessment) -> Table:
     table = Table()
-    for heading in ("without GPS", "vehicle", "with a fix", "95 % m", "HPL m", "worst stretch", "cause"):
+    for heading in ("without GPS", "vehicle", "with a fix", "cannot tell", "95 % m", "HPL m", "worst stretch", "cause"):
         table.add_column(heading, justify="left" if heading in ("cause", "without GPS") else "right")
     for each in (*assessed.singles, *assessed.pairs):
         p, worst = each.predicted, each.worst
@@ -141,7 +141,13 @@ def _table(fleet: FleetPlan, assessed: Assessment) -> Table:
         shown = (f"{value:.1f}" if value == value else "-" for value in (each.median_bound_95_m, each.median_hpl_m))
         name = fleet.vehicle(p.sysid).name if len(p.denied) == 1 else " and ".join(map(str, p.denied))
         table.add_row(
-            name, str(p.sysid), f"{p.share_with_fix:.1%}", *shown, when, worst.cause if worst is not None else "not in flight"
+            name,
+            str(p.sysid),
+            f"{p.share_with_fix:.1%}",
+            f"{each.cannot_tell:.1%}",
+            *shown,
+            when,
+            worst.cause if worst is not None else "not in flight",
         )
     return table
 

@@ -15,7 +15,7 @@ from gcs_coloc.planning.assessment import Assessment, Outlook
 from gcs_coloc.planning.improvement import Improvement
 
 _COLUMNS = (
-    "denied", "sysid", "t_s", "lat_deg", "lon_deg", "alt_msl_m", "hdop", "bound_95_m", "hpl_m", "ranged", "fix", "limit",
+    "denied", "sysid", "t_s", "lat_deg", "lon_deg", "alt_msl_m", "hdop", "bound_95_m", "hpl_m", "ranged", "told", "fix", "limit",
 )  # fmt: skip
 
 
@@ -34,11 +34,6 @@ def as_dict(assessed: Assessment, improvement: Improvement | None) -> dict[str, 
         ],
         "remarks": list(plan.remarks),
     }
-
-
-def write_json(assessed: Assessment, improvement: Improvement | None, path: Path) -> None:
-    """Write the summary as JSON."""
-    path.write_text(json.dumps(as_dict(assessed, improvement), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def write_csv(assessed: Assessment, path: Path) -> None:
@@ -93,6 +88,7 @@ def _improvement(found: Improvement) -> dict[str, Any]:
 
 def _rows(assessed: Assessment, each: Outlook) -> Iterator[list[Any]]:
     p = each.predicted
+    is_told = p.is_told
     denied = " ".join(node_name(node) for node in p.denied)
     for k, at_s in enumerate(p.at_s.tolist()):
         lat, lon, alt = _geodetic(assessed, p.position_enu_m[k])
@@ -107,6 +103,7 @@ def _rows(assessed: Assessment, each: Outlook) -> Iterator[list[Any]]:
             f"{alt:.1f}",
             *numbers,
             int(p.ranged[k]),
+            int(is_told[k]),
             fix,
             p.limit[k],
         ]
