@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 from rich.console import Console
@@ -21,11 +22,14 @@ from gcs_coloc.planning.assessment import Assessment, assess
 from gcs_coloc.planning.fleet_plan import FleetPlan
 from gcs_coloc.planning.improvement import find_improvement, no_improvement
 from gcs_coloc.planning.load import load_plan
-from gcs_coloc.planning.mission import LEAST_SPEED_MPS, MOST_SPEED_MPS, ListedStation
+from gcs_coloc.planning.mission import LEAST_SPEED_MPS, MOST_SPEED_MPS, ListedStation, PerVehicle
 from gcs_coloc.runtime.output_paths import check_output_file, writing
 
 _FILE_WIDTH = 160  # of a table that goes to a file or pipe
 _NOT_ENOUGH = 1
+_CLASSES = ", ".join(VehicleClass)
+
+T = TypeVar("T")
 
 
 def plan(
@@ -39,11 +43,17 @@ def plan(
         list[str] | None, typer.Option(help="VEHICLE=SECONDS: when a vehicle starts; 0 unless told. Several times for several.")
     ] = None,
     speed: Annotated[
-        float | None,
-        typer.Option(help="Speed of all vehicles, m/s; as their plans say unless told.", min=LEAST_SPEED_MPS, max=MOST_SPEED_MPS),
+        list[str] | None,
+        typer.Option(
+            help="M/S: speed of all vehicles, VEHICLE=M/S: of one; as their plans say unless told. Several times for several."
+        ),
     ] = None,
     vehicle_class: Annotated[
-        VehicleClass | None, typer.Option("--class", help="How the vehicles move; as their plans say unless told.")
+        list[str] | None,
+        typer.Option(
+            "--class",
+            help=f"How all vehicles move, VEHICLE=CLASS: one of them; as their plans say unless told. {_CLASSES}.",
+        ),
     ] = None,
     station: Annotated[
         list[str] | None,
@@ -83,8 +93,8 @@ def plan(
     }  # fmt: skip
     fleet = load_plan(
         files,
-        vehicle_class=vehicle_class,
-        speed_mps=speed,
+        classes=_per_vehicle("--class", vehicle_class or (), VehicleClass, f"a class ({_CLASSES})", "2=multirotor"),
+        speeds_mps=_per_vehicle("--speed", speed or (), _speed, f"m/s from {LEAST_SPEED_MPS:g} to {MOST_SPEED_MPS:g}", "2=15"),
         starts_s=dict(_start(text) for text in start or ()),
         stations=[_station(text) for text in station or ()],
         assumed=assumed,
@@ -150,6 +160,29 @@ def _table(fleet: FleetPlan, assessed: Assessment) -> Table:
             worst.cause if worst is not None else "not in flight",
         )
     return table
+
+
+def _per_vehicle(option: str, texts: Sequence[str], parse: Callable[[str], T], expected: str, example: str) -> PerVehicle[T]:
+    """Return the values of an option, each a plain one for all vehicles or VEHICLE=VALUE."""
+    of_all: T | None = None
+    of_one: dict[int, T] = {}
+    for text in texts:
+        vehicle, separator, value = text.rpartition("=")
+        try:
+            if separator:
+                of_one[int(vehicle)] = parse(value)
+            else:
+                of_all = parse(value)
+        except ValueError:
+            raise UsageError(f"{option} {text}: expected {expected}, or VEHICLE= and that, as {example}") from None
+    return PerVehicle(of_all, of_one)
+
+
+def _speed(text: str) -> float:
+    speed_mps = float(text)
+    if not LEAST_SPEED_MPS <= speed_mps <= MOST_SPEED_MPS:
+        raise ValueError
+    return speed_mps
 
 
 def _start(text: str) -> tuple[int, float]:

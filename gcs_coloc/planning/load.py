@@ -13,15 +13,15 @@ from gcs_coloc.core.geodesy import LocalFrame
 from gcs_coloc.core.measurements import Vector3, VehicleClass
 from gcs_coloc.planning.fleet_plan import FleetPlan, PlanAssumptions, PlannedStation, PlannedVehicle
 from gcs_coloc.planning.flight_path import Leg
-from gcs_coloc.planning.mission import FAR_M, LatLonAlt, ListedStation, Mission, MissionFile
+from gcs_coloc.planning.mission import FAR_M, LatLonAlt, ListedStation, Mission, MissionFile, PerVehicle
 from gcs_coloc.planning.plan_files import read_plan_file
 
 
 def load_plan(
     files: Sequence[Path],
     *,
-    vehicle_class: VehicleClass | None = None,
-    speed_mps: float | None = None,
+    classes: PerVehicle[VehicleClass] | None = None,
+    speeds_mps: PerVehicle[float] | None = None,
     starts_s: Mapping[int, float] | None = None,
     stations: Sequence[ListedStation] = (),
     assumed: Mapping[str, Any] | None = None,
@@ -30,8 +30,8 @@ def load_plan(
 
     Args:
         files: in the order of the vehicles' system ids; a scenario has its own.
-        vehicle_class: how vehicles move whose file does not say; None: as planes.
-        speed_mps: how fast all of them fly; None: as their files say.
+        classes: how vehicles move; of whom neither this nor a file says so: as planes.
+        speeds_mps: how fast they fly.
         starts_s: when vehicles start, by system id, s; others at 0.
         stations: further stations.
         assumed: fields of `PlanAssumptions` that differ from the files' and the defaults.
@@ -41,14 +41,20 @@ def load_plan(
         UsageError: what is asked for does not fit the files.
 
     """
-    read = [read_plan_file(path, vehicle_class, speed_mps) for path in files]
+    classes, speeds, starts = classes or PerVehicle(), speeds_mps or PerVehicle(), dict(starts_s or {})
+    read = [read_plan_file(path, PerVehicle(classes.of_all), PerVehicle(speeds.of_all)) for path in files]
+    sysids = _sysids(read)
+    known = sorted(sysid for several in sysids for sysid in several)
+    for option, told in (("--start", starts), ("--speed", speeds.of_one), ("--class", classes.of_one)):
+        for sysid in told:
+            if sysid not in known:
+                raise UsageError(f"{option} {sysid}=...: there is no vehicle {sysid}; there are {', '.join(map(str, known))}")
+    if classes.of_one or speeds.of_one:
+        # How long it circles depends on both, and its number on all files.
+        read = [read_plan_file(path, classes, speeds, its[0]) for path, its in zip(files, sysids, strict=True)]
     missions = [mission for file in read for mission in file.missions]
     frame = LocalFrame(*missions[0].begin)
-    numbered = _numbered(missions)
-    starts = dict(starts_s or {})
-    for sysid in starts:
-        if sysid not in numbered:
-            raise UsageError(f"--start {sysid}=...: there is no vehicle {sysid}; there are {', '.join(map(str, numbered))}")
+    numbered = dict(sorted(zip((sysid for several in sysids for sysid in several), missions, strict=True)))
     vehicles = tuple(_vehicle(sysid, mission, frame, starts.get(sysid, 0.0)) for sysid, mission in numbered.items())
     return FleetPlan(
         frame,
@@ -59,16 +65,21 @@ def load_plan(
     )
 
 
-def _numbered(missions: Sequence[Mission]) -> dict[int, Mission]:
-    found: dict[int, Mission] = {}
-    taken = {mission.sysid for mission in missions}
+def _sysids(read: Sequence[MissionFile]) -> list[list[int]]:
+    """Return the system ids of the missions of each file."""
+    names: dict[int, str] = {}
+    taken = {mission.sysid for file in read for mission in file.missions}
     free = (sysid for sysid in count(1) if sysid not in taken)
-    for mission in missions:
-        sysid = mission.sysid if mission.sysid is not None else next(free)
-        if sysid in found:
-            raise UsageError(f"{mission.name} and {found[sysid].name} both have the system id {sysid}")
-        found[sysid] = mission
-    return dict(sorted(found.items()))
+    found: list[list[int]] = []
+    for file in read:
+        found.append([])
+        for mission in file.missions:
+            sysid = mission.sysid if mission.sysid is not None else next(free)
+            if sysid in names:
+                raise UsageError(f"{mission.name} and {names[sysid]} both have the system id {sysid}")
+            names[sysid] = mission.name
+            found[-1].append(sysid)
+    return found
 
 
 def _vehicle(sysid: int, mission: Mission, frame: LocalFrame, start_s: float) -> PlannedVehicle:

@@ -6,10 +6,10 @@ Source: https://mavlink.io/en/messages/common.html (MAV_CMD, MAV_FRAME).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 from gcs_coloc.core.errors import DataError
 from gcs_coloc.core.measurements import VehicleClass
@@ -62,6 +62,21 @@ _LONGEST_HOLD_S = 24.0 * 3600.0  # chosen: no longer flight is flown
 _MOST_SHOWN = 60  # characters of a wrong value; chosen: the line stays one
 _LOITER_RADIUS_M = 60.0
 """Source: WP_LOITER_RAD of ArduPlane."""
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class PerVehicle(Generic[T]):
+    """A value of all vehicles, and of single ones by system id, which goes before it; None: as their files say."""
+
+    of_all: T | None = None
+    of_one: Mapping[int, T] = field(default_factory=dict)
+
+    def of(self, sysid: int | None) -> T | None:
+        """Return what is told of a vehicle; None: of one whose number is not known."""
+        return self.of_one.get(sysid, self.of_all) if sysid is not None else self.of_all
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,7 @@ from gcs_coloc.planning.mission import (
     MissionFile,
     MissionItem,
     MissionLeg,
+    PerVehicle,
     check_place,
     check_speed,
     mission_of,
@@ -51,13 +52,19 @@ _ENDS_OF_ROUTE = ("straight", "loop", "hold")
 _LARGEST_FILE_BYTES = 50_000_000  # chosen: a thousand waypoints take 1 MB
 
 
-def read_plan_file(path: Path, vehicle_class: VehicleClass | None, speed_mps: float | None) -> MissionFile:
+def read_plan_file(
+    path: Path,
+    classes: PerVehicle[VehicleClass] | None = None,
+    speeds_mps: PerVehicle[float] | None = None,
+    sysid: int | None = None,
+) -> MissionFile:
     """Read one file by its contents.
 
     Args:
         path: the file.
-        vehicle_class: how its vehicle moves; None: as the file says, a plane where it does not.
-        speed_mps: how fast it flies; None: as the file says.
+        classes: how its vehicles move; where this does not say: as the file says, a plane where it does not either.
+        speeds_mps: how fast they fly; where this does not say: as the file says.
+        sysid: the vehicle of a file that has no system ids, None: not known yet.
 
     Raises:
         DataError: it cannot be read or is malformed; the text names file and item, and what was expected.
@@ -71,13 +78,14 @@ def read_plan_file(path: Path, vehicle_class: VehicleClass | None, speed_mps: fl
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: is no text, expected a .plan, .waypoints or scenario file") from error
+    classes, speeds_mps = classes or PerVehicle(), speeds_mps or PerVehicle()
     try:
         if text.lstrip().startswith("{"):
-            return _read_qgc(path, text, vehicle_class, speed_mps)
+            return _read_qgc(path, text, classes.of(sysid), speeds_mps.of(sysid))
         if text.startswith("QGC WPL"):
-            return _read_wpl(path, text, vehicle_class, speed_mps)
+            return _read_wpl(path, text, classes.of(sysid), speeds_mps.of(sysid))
         if path.suffix == ".toml":
-            return _read_scenario(path, text, speed_mps)
+            return _read_scenario(path, text, classes, speeds_mps)
     except RecursionError as error:
         raise DataError(f"{path}: is nested too deep, expected a plan") from error
     raise DataError(f"{path}: expected a QGroundControl .plan (JSON), {_WPL_HEADER!r} in the first line, or a scenario (.toml)")
@@ -198,7 +206,7 @@ def _wpl_item(where: str, line: str) -> MissionItem:
     return MissionItem(int(index), int(command), int(frame), (p1, p2, p3, p4), lat, lon, alt)
 
 
-def _read_scenario(path: Path, text: str, speed_mps: float | None) -> MissionFile:
+def _read_scenario(path: Path, text: str, classes: PerVehicle[VehicleClass], speeds_mps: PerVehicle[float]) -> MissionFile:
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -221,11 +229,12 @@ def _read_scenario(path: Path, text: str, speed_mps: float | None) -> MissionFil
     if not isinstance(vehicles, list) or not vehicles:
         raise DataError(f"{path}: vehicle: expected at least one [[vehicle]]")
     missions = tuple(
-        _scenario_vehicle(path, at, each, table, frame, speed_mps, duration_s) for at, each in enumerate(vehicles, start=1)
+        _scenario_vehicle(path, at, each, table, frame, speeds_mps, duration_s) for at, each in enumerate(vehicles, start=1)
     )
     listed = table.get("station", [])
     if not isinstance(listed, list):
         raise DataError(f"{path}: station is {shown(listed)}, expected a [[station]] for each")
+    missions = tuple(replace(mission, vehicle_class=classes.of(mission.sysid) or mission.vehicle_class) for mission in missions)
     stations = tuple(_scenario_station(path, at, each, frame) for at, each in enumerate(listed, start=1))
     remarks = (f"{path}: {duration_s:g} s are flown, as duration_s says; faults and wind in it are left out",)
     return MissionFile(missions, remarks, stations, _scenario_assumptions(path, table))
@@ -237,7 +246,7 @@ def _scenario_vehicle(
     vehicle: Any,
     table: Mapping[str, Any],
     frame: LocalFrame,
-    speed_mps: float | None,
+    speeds_mps: PerVehicle[float],
     duration_s: float,
 ) -> Mission:
     where = f"{path}: vehicle {at}"
@@ -258,7 +267,7 @@ def _scenario_vehicle(
             _metres(f"{where}: waypoint {k}", name, v, FAR_M) for name, v in zip(("east", "north"), point, strict=True)
         )
         places.append((east, north))
-    speed = speed_mps
+    speed = speeds_mps.of(sysid)
     if speed is None:
         stated = vehicle.get("airspeed_mps", table.get("airspeed_mps", 22.0))
         speed = check_speed(where, "airspeed_mps", number(where, "airspeed_mps", stated))

@@ -10,7 +10,7 @@ from gcs_coloc.config.sections import StationConfig
 from gcs_coloc.core.errors import DataError, UsageError
 from gcs_coloc.core.measurements import VehicleClass
 from gcs_coloc.planning.load import load_plan
-from gcs_coloc.planning.mission import ListedStation, MissionCommand
+from gcs_coloc.planning.mission import ListedStation, MissionCommand, PerVehicle
 from gcs_coloc.planning.plan_files import read_plan_file
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "sitl_fakes/scenarios"
@@ -45,7 +45,7 @@ def test_a_plan_of_qgroundcontrol_gives_its_places_speeds_and_stays(tmp_path):
     change, camera = item(178, 0, 0, 0, 2, (0, 12, -1, 0)), item(206, 0, 0, 0, 2)
     survey = {"type": "ComplexItem", "complexItemType": "survey", "TransectStyleComplexItem": {"Items": [item(16, 47.03)]}}
     path = qgc(tmp_path, [item(22), item(16, 47.01), change, camera, loiter, survey, item(20, 0, 0, 0), item(16, 48.0)])
-    read = read_plan_file(path, None, None)
+    read = read_plan_file(path)
     (mission,) = read.missions
     assert mission.begin == (47.0, 8.0, 500.0)
     assert mission.vehicle_class is VehicleClass.PLANE
@@ -63,7 +63,7 @@ def test_a_plan_of_qgroundcontrol_gives_its_places_speeds_and_stays(tmp_path):
 @pytest.mark.parametrize("last", [17, 20, 21, 85])
 def test_what_stands_after_the_end_of_the_way_is_named(tmp_path, last):
     items = [item(16, 47.01), item(last, 47.02), item(16, 47.03), item(206), item(16, 47.04)]
-    remarks = read_plan_file(qgc(tmp_path, items), None, None).remarks
+    remarks = read_plan_file(qgc(tmp_path, items)).remarks
     assert remarks[-1].endswith(f"a.plan: items 3 to 5: after {MissionCommand(last).name} of item 2 and not flown")
 
 
@@ -77,7 +77,7 @@ def test_whatever_is_not_flown_as_it_stands_is_named(tmp_path):
         "rallyPoints": {"points": [[47.0, 8.0, 50.0]], "version": 2},
     }
     path.write_text(json.dumps(whole))
-    read = read_plan_file(path, None, None)
+    read = read_plan_file(path)
     assert [leg.speed_mps for leg in read.missions[0].legs] == [18, 18, 18]
     assert read.remarks == tuple(
         f"{path}: {line}"
@@ -101,7 +101,7 @@ def test_a_copter_of_a_plan_hovers_and_flies_at_its_hover_speed(tmp_path):
 
 
 def test_a_file_of_mission_planner_gives_home_and_heights_above_it(tmp_path):
-    read = read_plan_file(wpl(tmp_path, HOME, ROW, ROW.replace("3\t16", "0\t16").replace("47.01", "47.02")), None, None)
+    read = read_plan_file(wpl(tmp_path, HOME, ROW, ROW.replace("3\t16", "0\t16").replace("47.01", "47.02")))
     (mission,) = read.missions
     assert mission.begin == (47.0, 8.0, 500.0)
     assert [leg.end for leg in mission.legs] == [(47.01, 8.0, 600.0), (47.02, 8.0, 100.0)]
@@ -127,7 +127,7 @@ def test_a_malformed_file_is_told_with_file_place_and_what_was_expected(tmp_path
     path = tmp_path / "bad.txt"
     path.write_text(text)
     with pytest.raises(DataError) as error:
-        read_plan_file(path, None, None)
+        read_plan_file(path)
     assert str(error.value).startswith(f"{path}: ")
     assert said in str(error.value)
     assert "\n" not in str(error.value)
@@ -153,7 +153,7 @@ def test_a_malformed_file_is_told_with_file_place_and_what_was_expected(tmp_path
 )
 def test_a_malformed_item_of_a_plan_is_named_by_its_number(tmp_path, broken, said):
     with pytest.raises(DataError, match=r"a\.plan: item 1: ") as error:
-        read_plan_file(qgc(tmp_path, [broken]), None, None)
+        read_plan_file(qgc(tmp_path, [broken]))
     assert said in str(error.value)
 
 
@@ -169,7 +169,7 @@ def test_another_toml_than_a_scenario_is_told_by_what_it_lacks(tmp_path, text, s
     path = tmp_path / "gcs-coloc.toml"
     path.write_text(text)
     with pytest.raises(DataError) as error:
-        read_plan_file(path, None, None)
+        read_plan_file(path)
     assert said in str(error.value)
 
 
@@ -178,13 +178,13 @@ def test_an_integer_of_thousands_of_digits_is_named_at_its_place(tmp_path):
     path = qgc(tmp_path, [item(16, 47.0), item(16, 12345)])
     path.write_text(path.read_text().replace("12345", digits))
     with pytest.raises(DataError, match=r"a\.plan: item 2: latitude is inf, expected a number$"):
-        read_plan_file(path, None, None)
+        read_plan_file(path)
     toml = scenario(tmp_path, f"[[station]]\nid = {digits}\n")
     with pytest.raises(DataError, match=r"s\.toml: line 12: expected a number of fewer digits$"):
-        read_plan_file(toml, None, None)
+        read_plan_file(toml)
     hexadecimal = scenario(tmp_path, f"[[station]]\nid = 3\neast_m = 0x{digits}\n")
     with pytest.raises(DataError, match=r"s\.toml: station 1: east_m is a number of thousands of digits, expected a number$"):
-        read_plan_file(hexadecimal, None, None)
+        read_plan_file(hexadecimal)
 
 
 def test_a_plan_that_is_nested_too_deep_is_told(tmp_path):
@@ -192,7 +192,7 @@ def test_a_plan_that_is_nested_too_deep_is_told(tmp_path):
     deep = '{"type": "ComplexItem", "TransectStyleComplexItem": {"Items": ['
     path.write_text(path.read_text().replace("12345", deep * 3000 + "]}}" * 3000))
     with pytest.raises(DataError, match="is nested too deep, expected a plan"):
-        read_plan_file(path, None, None)
+        read_plan_file(path)
 
 
 def scenario(tmp_path, more="", top="", vehicle=""):
@@ -229,7 +229,7 @@ def scenario(tmp_path, more="", top="", vehicle=""):
 )
 def test_a_malformed_scenario_is_told_in_one_line(tmp_path, top, more, said):
     with pytest.raises(DataError) as error:
-        read_plan_file(scenario(tmp_path, more, top), None, None)
+        read_plan_file(scenario(tmp_path, more, top))
     assert said in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -244,27 +244,27 @@ def test_a_malformed_scenario_is_told_in_one_line(tmp_path, top, more, said):
 )
 def test_a_malformed_vehicle_of_a_scenario_is_named_by_its_number(tmp_path, vehicle, said):
     with pytest.raises(DataError) as error:
-        read_plan_file(scenario(tmp_path, vehicle=vehicle), None, None)
+        read_plan_file(scenario(tmp_path, vehicle=vehicle))
     assert said in str(error.value)
 
 
 def test_the_speed_of_a_plan_is_named_where_nothing_flies_at_it(tmp_path):
     with pytest.raises(DataError, match=r"a\.plan: cruiseSpeed is 1e-09, expected m/s from 0\.1 to 200"):
-        read_plan_file(qgc(tmp_path, [item(16)], cruiseSpeed=1e-9), None, None)
+        read_plan_file(qgc(tmp_path, [item(16)], cruiseSpeed=1e-9))
 
 
 def test_a_stay_of_any_length_ends_with_the_day(tmp_path):
     turns = item(18, 47.01, 8.01, params=(1e308, 0, 120, None))
-    (mission,) = read_plan_file(qgc(tmp_path, [turns]), None, None).missions
+    (mission,) = read_plan_file(qgc(tmp_path, [turns])).missions
     assert mission.legs[0].hold_s == 86400.0
 
 
 def test_a_file_that_cannot_be_read_is_told(tmp_path):
     with pytest.raises(DataError, match="cannot be read: No such file"):
-        read_plan_file(tmp_path / "none.plan", None, None)
+        read_plan_file(tmp_path / "none.plan")
     (tmp_path / "x.plan").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(DataError, match="is no text"):
-        read_plan_file(tmp_path / "x.plan", None, None)
+        read_plan_file(tmp_path / "x.plan")
 
 
 def test_a_scenario_brings_its_vehicles_stations_and_noise():
@@ -280,6 +280,20 @@ def test_a_scenario_brings_its_vehicles_stations_and_noise():
     assert [abs(path.position(at)[:2] - path.position(at + 142.0)[:2]).max() < 250.0 for at in (20.0, 60.0, 100.0)] == [True] * 3
 
 
+def test_speed_and_class_are_of_all_vehicles_or_of_one(tmp_path):
+    plan = qgc(tmp_path, [item(18, 47.01, params=(1, 0, 80, None))])
+    files = [plan, SCENARIOS / "two-failed.toml", plan]
+    speeds, classes = PerVehicle(10.0, {7: 4.0, 3: 5.0}), PerVehicle(None, {7: VehicleClass.MULTIROTOR, 4: VehicleClass.GROUND})
+    read = load_plan(files, speeds_mps=speeds, classes=classes)
+    assert [vehicle.sysid for vehicle in read.vehicles] == [1, 2, 3, 4, 5, 6, 7]
+    assert {v.sysid: v.legs[0].speed_mps for v in read.vehicles} == {1: 10, 2: 10, 3: 5, 4: 10, 5: 10, 6: 10, 7: 4}
+    others = dict.fromkeys((1, 2, 3, 5, 6), VehicleClass.PLANE)
+    assert {v.sysid: v.vehicle_class for v in read.vehicles} == {**others, 4: VehicleClass.GROUND, 7: VehicleClass.MULTIROTOR}
+    # A plane circles at its own speed, a copter stays.
+    assert read.vehicle(6).legs[0].hold_s == pytest.approx(2 * math.pi * 80 / 10)
+    assert read.vehicle(7).legs[0].radius_m == 0.0
+
+
 def test_files_are_numbered_in_their_order_and_start_when_told(tmp_path):
     first = qgc(tmp_path, [item(16, 47.01)])
     plan = load_plan(
@@ -290,5 +304,7 @@ def test_files_are_numbered_in_their_order_and_start_when_told(tmp_path):
     assert plan.assumptions.range_sigma_m == 2.0
     with pytest.raises(UsageError, match=r"--start 9=...: there is no vehicle 9; there are 1, 2"):
         load_plan([first, first], starts_s={9: 1.0})
+    with pytest.raises(UsageError, match=r"--speed 7=...: there is no vehicle 7; there are 1, 2"):
+        load_plan([first, first], speeds_mps=PerVehicle(of_one={7: 10.0}))
     with pytest.raises(UsageError, match="range_sigma_m must be above 0"):
         load_plan([first], assumed={"range_sigma_m": 0.0})
