@@ -26,7 +26,8 @@ from gcs_coloc.planning.mission import LEAST_SPEED_MPS, MOST_SPEED_MPS, ListedSt
 from gcs_coloc.runtime.output_paths import check_output_file, writing
 
 _FILE_WIDTH = 160  # of a table that goes to a file or pipe
-_NOT_ENOUGH = 1
+_NOT_ENOUGH = 3
+"""Exit code where --require is not met: a script has to tell a plan that is refused from one that cannot be read (1)."""
 _CLASSES = ", ".join(VehicleClass)
 
 T = TypeVar("T")
@@ -72,7 +73,7 @@ def plan(
     improve: Annotated[bool, typer.Option(help="Look for the one change that helps most.")] = True,
     require: Annotated[
         float | None,
-        typer.Option(help="Share of each flight that needs a fix: exit code 1 where one has less.", min=0.0, max=1.0),
+        typer.Option(help="Share of each flight that needs a fix: exit code 3 where one has less.", min=0.0, max=1.0),
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Write the report as one HTML page into this file.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,

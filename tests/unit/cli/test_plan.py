@@ -52,7 +52,7 @@ def test_a_plan_gives_an_answer_files_and_an_exit_code(three, tmp_path):
     report, steps, ways = tmp_path / "r.html", tmp_path / "s.csv", tmp_path / "w.geojson"
     outputs = ("--report", report, "--csv", steps, "--geojson", ways)
     ran = run(*three, "--max-range", "2000", "--require", "0.99", "--json", "--no-improve", *outputs)
-    assert ran.exit_code == 1
+    assert ran.exit_code == 3
     assert "command 206 is no waypoint and is skipped" in ran.stderr
     assert "99.0% are required" in ran.stderr
     result = json.loads(ran.stdout)
