@@ -13,6 +13,7 @@ import typer
 from gcs_coloc.config.examples import EXAMPLES
 from gcs_coloc.config.fleets import PER_FLEET, load_fleets, load_settings
 from gcs_coloc.core.errors import UsageError
+from gcs_coloc.core.stations.node_id import LARGEST_READ_SYSTEM_ID
 from gcs_coloc.doctor.finding import Setup
 from gcs_coloc.doctor.listen import listen
 from gcs_coloc.doctor.parameter_files import write_parameter_files
@@ -57,7 +58,9 @@ def doctor(
     aid: Annotated[
         list[int] | None,
         typer.Option(
-            min=1, max=255, help="A vehicle (system id) that is to be located; several times for several. All, unless told."
+            min=1,
+            max=LARGEST_READ_SYSTEM_ID,
+            help="A vehicle (system id) that is to be located; several times for several. All, unless told.",
         ),
     ] = None,
     seconds: Annotated[float, typer.Option(min=5.0, max=3600.0, help="How long to listen.")] = 15.0,

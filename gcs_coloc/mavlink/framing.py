@@ -38,7 +38,7 @@ CHECKSUM_LENGTH = 2
 SIGNATURE_LENGTH = 13
 INCOMPAT_SIGNED = 0x01
 INCOMPAT_32_BIT = 0x02 | 0x04
-"""A sender's id or a target beyond one byte: MAVLINK_IFLAG_SYSID32 and _TARGET32 of pymavlink, after MAVLink RFC 20."""
+"""A sender's id or a target beyond one byte. Source: MAVLink RFC 20, https://github.com/mavlink/rfcs/pull/20, with 32 bits."""
 _KNOWN_INCOMPAT = INCOMPAT_SIGNED | INCOMPAT_32_BIT
 MAX_PAYLOAD_LENGTH = 255
 """Lengths in bytes, as in https://mavlink.io/en/guide/serialization.html."""

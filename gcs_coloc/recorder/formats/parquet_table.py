@@ -15,7 +15,7 @@ from gcs_coloc.recorder.formats.vehicle_table import COLUMNS, Cell
 
 _ROWS_AT_ONCE = 20_000
 """Rows of a row group. Chosen: some megabytes of memory, and groups large enough to compress well."""
-_TYPES = {float: pa.float64(), int: pa.int32(), bool: pa.bool_(), str: pa.string()}
+_TYPES = {float: pa.float64(), int: pa.int64(), bool: pa.bool_(), str: pa.string()}
 _SCHEMA = pa.schema([("unix_s", pa.float64()), *((column.name, _TYPES[column.kind]) for column in COLUMNS)])
 
 
