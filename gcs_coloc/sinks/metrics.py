@@ -60,6 +60,21 @@ _GAUGES: tuple[tuple[str, str, Callable[[VehicleSnapshot], float | None]], ...] 
         "Horizontal dilution of precision of its ranges half a minute after a loss of its GPS now.",
         lambda v: v.readiness.hdop if v.readiness else None,
     ),
+    (
+        "without_gps_now_bound_95_meters",
+        "95 % bound that it would have at the moment of a loss of its GPS now.",
+        lambda v: v.readiness.bound_95_now_m if v.readiness else None,
+    ),
+    (
+        "without_gps_now_protection_level_meters",
+        "Horizontal protection level that it would have at the moment of a loss of its GPS now.",
+        lambda v: v.readiness.hpl_now_m if v.readiness else None,
+    ),
+    (
+        "without_gps_now_hdop",
+        "Horizontal dilution of precision of its ranges at the moment of a loss of its GPS now.",
+        lambda v: v.readiness.hdop_now if v.readiness else None,
+    ),
     ("link_delay_seconds", "Delay of its newest position beyond the least of the last minute.", lambda v: v.delay_s),
 )
 _COUNTERS: tuple[tuple[str, str, Callable[[LinkSnapshot], int]], ...] = (
@@ -139,6 +154,12 @@ class FleetCollector(Collector):
             for each in ReadinessState if told is not None else ():
                 readiness.add_metric([str(sysid), each.value], float(told is not None and told.state is each))
         yield readiness
+        text = "1 for what limits it if its GPS failed now; none where nothing does."
+        limits = GaugeMetricFamily("gcs_coloc_vehicle_readiness_reason", text, labels=["sysid", "reason"])
+        for sysid, told in ((vehicle.sysid, vehicle.readiness) for vehicle in fleet.vehicles):
+            if told is not None and told.reason is not None:
+                limits.add_metric([str(sysid), told.reason], 1.0)
+        yield limits
         for name, text, count in _COUNTERS:
             counter = CounterMetricFamily(f"gcs_coloc_vehicle_{name}", text, labels=["sysid"])
             for link in fleet.links:

@@ -9,6 +9,7 @@ from html import escape
 from statistics import median
 from typing import Any
 
+from gcs_coloc.core.readiness.vehicle_readiness import ReadinessState
 from gcs_coloc.recorder.flight_history import WITHOUT_GPS, FlightHistory
 from gcs_coloc.recorder.journal import EVERY_S, VehicleEntry
 from gcs_coloc.recorder.reports.html_page import HEAD, image, table
@@ -31,7 +32,7 @@ def page(history: FlightHistory) -> str:
         origin = f"{history.frame.lat_deg:.7f}, {history.frame.lon_deg:.7f}"
         parts.append(image("Map of the tracks, east over north", picture))
         parts.append(f"<p>East and north of {origin}, where the fleet's first fix was, as on the live page's map.</p>")
-    parts.append("<h2>GPS failures</h2>" + _health(history))
+    parts.append("<h2>GPS failures</h2>" + _readiness(history) + _health(history))
     for vehicle in results["vehicles"]:
         track = history.tracks.get(vehicle["sysid"], [])
         if any(entry.vehicle.gps_state in WITHOUT_GPS for entry in track):
@@ -52,6 +53,23 @@ def _summary(history: FlightHistory, results: Mapping[str, Any]) -> str:
     lines.extend(f'<span class="bad">The data do not agree: {escape(finding.text)}</span>' for finding in history.findings)
     lines.append("Everything here was computed again from the recorded frames; all times are seconds since the first of them.")
     return "".join(f"<p>{line}</p>" for line in lines)
+
+
+def _readiness(history: FlightHistory) -> str:
+    """One line: how long healthy vehicles would have been located if their GPS had failed, and what limited it."""
+    told = [
+        entry.vehicle.readiness for track in history.tracks.values() for entry in track if entry.vehicle.readiness is not None
+    ]
+    if not told:
+        return ""
+    counts = Counter(each.state for each in told)
+    shares = ", ".join(f"{_spaced(state.value)} {counts[state] / len(told):.0%}" for state in ReadinessState if counts[state])
+    limits = Counter(each.reason for each in told if each.reason is not None)
+    limit = ""
+    if limits:
+        (reason, _), *_ = limits.most_common(1)
+        limit = f"; limited most often by: {escape(next(each.text for each in told if each.reason == reason))}"
+    return f"<p>Readiness of healthy vehicles if their GPS had failed, of all their time: {shares}{limit}.</p>"
 
 
 def _health(history: FlightHistory) -> str:

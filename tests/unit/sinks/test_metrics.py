@@ -73,7 +73,7 @@ def test_a_hot_standby_tells_its_state_and_how_the_other_one_is():
 
 def test_every_metric_is_in_the_reference():
     text = (ROOT / "docs/reference/metrics.md").read_text(encoding="utf-8")
-    for family in families(fleet_view(10.0, replace(HEALTHY, readiness=READY), LOCATED, standby=STANDBY)).values():
+    for family in families(fleet_view(10.0, replace(HEALTHY, readiness=NOT_READY), LOCATED, standby=STANDBY)).values():
         for sample in family.samples:
             assert f"`{sample.name}`" in text, f"{sample.name} is not in metrics.md"
 
@@ -88,6 +88,13 @@ def test_readiness_is_one_of_its_states_and_only_of_a_vehicle_that_has_one():
     for name, value in {"bound_95_meters": 40.0, "protection_level_meters": 120.0, "hdop": 9.0}.items():
         (sample,) = found[f"gcs_coloc_vehicle_without_gps_{name}"].samples
         assert sample.value == value
+    for name, value in {"bound_95_meters": 2.9, "protection_level_meters": 15.0, "hdop": 8.0}.items():
+        (sample,) = found[f"gcs_coloc_vehicle_without_gps_now_{name}"].samples
+        assert sample.value == value
+    (sample,) = found["gcs_coloc_vehicle_readiness_reason"].samples
+    assert (sample.labels, sample.value) == ({"sysid": "1", "reason": "in_line"}, 1.0)
+    ready = families(fleet_view(10.0, replace(HEALTHY, readiness=READY)))
+    assert ready["gcs_coloc_vehicle_readiness_reason"].samples == []
 
 
 def alert_rules() -> list[str]:

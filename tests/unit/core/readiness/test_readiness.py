@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -195,3 +196,8 @@ def test_a_prediction_changes_nothing_in_the_filter() -> None:
         answer = fleet.engine.estimate(RANGED, 40.0)
         flown.append((answer.position_enu_m.tolist(), answer.covariance.tolist(), answer.protection, fleet.outputs))
     assert flown[0] == flown[1]
+
+
+def test_every_reason_stands_in_the_explanation():
+    text = (Path(__file__).resolve().parents[4] / "docs/explanation/readiness.md").read_text(encoding="utf-8")
+    assert [reason.code for reason in LimitingReason if f"`{reason.code}`" not in text] == []

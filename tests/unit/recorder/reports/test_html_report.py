@@ -93,6 +93,9 @@ def test_it_says_what_failed_when_and_how_well_it_was_located(written):
     facts = {row[0]: row[1] for row in page.rows if len(row) == 2}
     assert float(facts["without its GPS"].removesuffix(" s")) == pytest.approx(6.0, abs=1.0)
     assert int(facts["GPS_INPUT with a fix"]) > 25
+    (line,) = re.findall(r"<p>Readiness of healthy vehicles if their GPS had failed, of all their time: (.*?)\.</p>", text)
+    assert sum(map(int, re.findall(r"(\d+)%", line))) == pytest.approx(100, abs=2)
+    assert "limited most often by: " in line
     assert "Vehicle 4 without its GPS" in text
     assert "Vehicle 1 without its GPS" not in text
 
